@@ -1,0 +1,53 @@
+//! What a sampling backend is: something that renders visibility cubes of a scene, or of a part of it.
+//!
+//! Both backends give the same bits for the same input on every run and thread count; between backends a few
+//! pixels differ, which is why a job names its numerics profile.
+
+use glam::Vec3;
+
+use crate::cube::{CubeImage, VisibilitySample};
+
+/// Why a backend cannot be had, or stopped working.
+#[derive(Debug, thiserror::Error)]
+pub enum BackendError {
+    /// It is not on this machine. The text says what is missing and how to install it.
+    #[error("{0}")]
+    Unavailable(String),
+    /// The device failed while working.
+    #[error("the {profile} backend failed: {reason}")]
+    Failed {
+        /// Numerics profile of the backend.
+        profile: String,
+        /// What it reported.
+        reason: String,
+    },
+}
+
+/// A backend bound to one scene and one [`crate::cube::CubeSpec`].
+pub trait Backend: Send + Sync {
+    /// The numerics profile: backend, library and version, device. Two workers with the same profile give the
+    /// same bits. Printable ASCII.
+    fn profile(&self) -> &str;
+
+    /// Makes ready to render the triangles in `superset` (ascending ids) and no others, or the whole scene when
+    /// `None` (superset simplification, §4.2.1).
+    ///
+    /// # Errors
+    /// [`BackendError::Failed`] when the device cannot hold the geometry.
+    fn prepare(&self, superset: Option<&[u32]>) -> Result<Box<dyn CubeRenderer + '_>, BackendError>;
+}
+
+/// Renders cubes of the geometry given to [`Backend::prepare`]. Degenerate triangles are never seen.
+pub trait CubeRenderer: Send + Sync {
+    /// One sample a point, in the points' order.
+    ///
+    /// # Errors
+    /// [`BackendError::Failed`] when the device does.
+    fn samples(&self, points: &[Vec3]) -> Result<Vec<VisibilitySample>, BackendError>;
+
+    /// The full item buffers seen from `point`.
+    ///
+    /// # Errors
+    /// [`BackendError::Failed`] when the device does.
+    fn image(&self, point: Vec3) -> Result<CubeImage, BackendError>;
+}

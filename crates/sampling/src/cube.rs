@@ -1,0 +1,126 @@
+//! The visibility cube (thesis §4.1.1; Nirenstein and Blake 2004, §3.1): its geometry, its pixels' directions,
+//! and the sample made from it.
+//!
+//! All backends share the conventions here. Face `f` looks along axis `f / 2`, positively when `f` is even.
+//! Its right vector is the next axis, its up vector the one after (cyclically), for both signs. Pixel
+//! (x, y) of a face with side n has the direction forward + u·right + v·up with u = (2x+1)/n − 1 and
+//! v = (2y+1)/n − 1. A cube image stores the faces one after another, each row by row from y = 0.
+
+use glam::Vec3;
+
+/// The id of a pixel that sees no triangle.
+pub const SKY: u32 = u32::MAX;
+
+/// How cubes are rendered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CubeSpec {
+    /// Side of one face in pixels, 1…4096.
+    pub resolution: u32,
+    /// Angular strata.
+    pub strata: Strata,
+    /// Whether samples keep their pixels (needed by Err′ only).
+    pub keep_pixels: bool,
+}
+
+/// How finely the sphere of directions is divided for the stratified measure Err″ (§3.5).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Strata {
+    /// One stratum: Err″ is Err.
+    One,
+    /// One a face, 6.
+    Faces,
+    /// Two by two a face, 24.
+    Quadrants,
+}
+
+impl Strata {
+    /// How many there are.
+    pub fn count(self) -> u32 {
+        match self {
+            Self::One => 1,
+            Self::Faces => 6,
+            Self::Quadrants => 24,
+        }
+    }
+
+    /// The stratum of pixel (x, y) of `face` when a face has `n` pixels a side.
+    pub fn of_pixel(self, face: u32, x: u32, y: u32, n: u32) -> u32 {
+        match self {
+            Self::One => 0,
+            Self::Faces => face,
+            Self::Quadrants => face * 4 + u32::from(2 * y >= n) * 2 + u32::from(2 * x >= n),
+        }
+    }
+}
+
+/// Forward, right and up of a face, unit vectors.
+pub fn face_basis(face: u32) -> [Vec3; 3] {
+    let axis = (face / 2) as usize % 3;
+    let unit = |i: usize| Vec3::AXES[i % 3];
+    let forward = if face.is_multiple_of(2) { unit(axis) } else { -unit(axis) };
+    [forward, unit(axis + 1), unit(axis + 2)]
+}
+
+/// Six item buffers from one point: for each pixel the id of the triangle seen, or [`SKY`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CubeImage {
+    /// Side of one face in pixels, n.
+    pub resolution: u32,
+    /// 6·n·n ids, face by face, row by row.
+    pub ids: Vec<u32>,
+}
+
+/// What one cube saw: the ids per angular stratum (§3.5), without the pixels.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct VisibilitySample {
+    /// Ids of the triangles seen, ascending.
+    pub ids: Vec<u32>,
+    /// For each id, the set of strata it was seen in, bit k for stratum k.
+    pub strata: Vec<u32>,
+    /// The triangle that covers most pixels, the least id among equals; `None` when only sky was seen.
+    /// It decides whether the sample is inside a solid (§3.6).
+    pub dominant: Option<u32>,
+    /// The cube's pixels, when [`CubeSpec::keep_pixels`] asks for them.
+    pub pixels: Option<std::sync::Arc<[u32]>>,
+}
+
+impl VisibilitySample {
+    /// Reduces a full cube image on the CPU. The reference for every backend's own reduction.
+    pub fn from_image(image: &CubeImage, strata: Strata, keep_pixels: bool) -> Self {
+        let n = image.resolution;
+        // (id, stratum bit, run length): runs along a row keep the list short.
+        let mut runs: Vec<(u32, u32, u32)> = Vec::new();
+        for (row, pixels) in image.ids.chunks_exact(n as usize).enumerate() {
+            let (face, y) = (row as u32 / n, row as u32 % n);
+            for (x, &id) in pixels.iter().enumerate() {
+                if id == SKY {
+                    continue;
+                }
+                let bit = 1u32 << strata.of_pixel(face, x as u32, y, n);
+                match runs.last_mut() {
+                    Some(last) if last.0 == id && last.1 == bit => last.2 += 1,
+                    _ => runs.push((id, bit, 1)),
+                }
+            }
+        }
+        let pixels = keep_pixels.then(|| image.ids.as_slice().into());
+        Self { pixels, ..Self::from_runs(runs) }
+    }
+
+    /// Gathers (id, strata mask, pixel count) entries, in any order and with repetitions, into a sample.
+    pub fn from_runs(mut runs: Vec<(u32, u32, u32)>) -> Self {
+        runs.sort_unstable_by_key(|r| r.0);
+        let mut sample = Self::default();
+        let mut best = 0u64;
+        for same in runs.chunk_by(|a, b| a.0 == b.0) {
+            let count: u64 = same.iter().map(|r| u64::from(r.2)).sum();
+            sample.ids.push(same[0].0);
+            sample.strata.push(same.iter().fold(0, |m, r| m | r.1));
+            if count > best {
+                best = count;
+                sample.dominant = Some(same[0].0);
+            }
+        }
+        sample
+    }
+}

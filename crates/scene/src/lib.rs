@@ -1,0 +1,11 @@
+//! Triangle scenes: loading, checking, numbering, digesting, clustering and generating them.
+//!
+//! A [`Scene`] is a list of triangles in world space whose position in the list is their id, and the objects
+//! they belong to. This crate knows nothing of view cells, sampling or the network.
+
+pub mod error;
+pub mod exact;
+pub mod scene;
+
+pub use error::SceneError;
+pub use scene::{Aabb, Object, Scene, SceneDigest, Triangle};

@@ -1,0 +1,293 @@
+//! The scene itself: triangles in id order, the objects they form, their bounds, and their canonical bytes.
+//!
+//! Deliberately a soup: three own vertices a triangle, no index buffer. Ids, digests and samples then do not
+//! depend on how a file shares its vertices, and every consumer can walk the triangles without indirection.
+
+use bytemuck::{Pod, Zeroable};
+use glam::Vec3;
+
+use crate::SceneError;
+
+/// Three vertices in world space, in the file's winding. 36 bytes, no padding.
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct Triangle {
+    /// The vertices.
+    pub v: [Vec3; 3],
+}
+
+impl Triangle {
+    /// Whether the triangle has no area: two vertices equal, or all three on one line, decided exactly.
+    ///
+    /// Coordinates are `f32`; the differences are exact in `f64` only when exponents are near, so the cross
+    /// product is judged by expansion arithmetic in [`crate::exact`] when the filter cannot decide.
+    pub fn is_degenerate(&self) -> bool {
+        crate::exact::collinear(self.v[0], self.v[1], self.v[2])
+    }
+
+    /// The box around the three vertices.
+    pub fn bounds(&self) -> Aabb {
+        Aabb { min: self.v[0].min(self.v[1]).min(self.v[2]), max: self.v[0].max(self.v[1]).max(self.v[2]) }
+    }
+}
+
+/// A closed axis-aligned box in world space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Aabb {
+    /// The least corner.
+    pub min: Vec3,
+    /// The greatest corner.
+    pub max: Vec3,
+}
+
+impl Aabb {
+    /// The box that contains nothing: its union with any box is that box.
+    pub const EMPTY: Self = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
+
+    /// The least box around both.
+    #[must_use]
+    pub fn union(self, other: Self) -> Self {
+        Self { min: self.min.min(other.min), max: self.max.max(other.max) }
+    }
+
+    /// Whether `p` is inside or on the border.
+    pub fn contains(&self, p: Vec3) -> bool {
+        p.cmpge(self.min).all() && p.cmple(self.max).all()
+    }
+
+    /// Whether the two closed boxes share a point.
+    pub fn touches(&self, other: &Self) -> bool {
+        self.min.cmple(other.max).all() && self.max.cmpge(other.min).all()
+    }
+}
+
+/// A run of triangles an engine draws together: a glTF node's primitive, an OBJ group, a whole PLY.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Object {
+    /// The file's name for it, made unique by the loader where the file gives none.
+    pub name: String,
+    /// Id of its first triangle.
+    pub first: u32,
+    /// Number of its triangles; may be 0.
+    pub count: u32,
+}
+
+/// BLAKE3 of a scene's canonical bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct SceneDigest(pub [u8; 32]);
+
+impl std::fmt::Display for SceneDigest {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.0.iter().try_for_each(|b| write!(f, "{b:02x}"))
+    }
+}
+
+/// A checked static scene. Every vertex is finite, there is at least one triangle, and the objects tile the
+/// ids 0…N−1 in order without gaps.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    triangles: Vec<Triangle>,
+    objects: Vec<Object>,
+    bounds: Aabb,
+}
+
+/// First bytes of a canonical scene: name and version of the encoding.
+const BLOB_MAGIC: &[u8; 8] = b"SLSCENE1";
+/// Longest object name kept in a scene, in bytes; longer names are refused by [`Scene::new`].
+pub const MAX_NAME_BYTES: usize = 4096;
+
+impl Scene {
+    /// Checks and takes `triangles` (in id order) and `objects` (in order, tiling the ids).
+    ///
+    /// `file` names the source in errors.
+    ///
+    /// # Errors
+    /// [`SceneError::Bad`] when there is no triangle, more than `u32::MAX - 1` of them, a vertex that is not
+    /// finite, or objects that do not tile the ids.
+    pub fn new(file: &str, triangles: Vec<Triangle>, objects: Vec<Object>) -> Result<Self, SceneError> {
+        if triangles.is_empty() {
+            return Err(SceneError::bad(
+                file,
+                "scene",
+                "it has no triangles",
+                "export the meshes as triangles (lines and points are not visible surfaces)",
+            ));
+        }
+        if triangles.len() >= u32::MAX as usize {
+            return Err(SceneError::bad(
+                file,
+                "scene",
+                format!("{} triangles are more than ids can number", triangles.len()),
+                "split the scene into parts of fewer than 4 294 967 295 triangles",
+            ));
+        }
+        let mut bounds = Aabb::EMPTY;
+        for (i, t) in triangles.iter().enumerate() {
+            for (corner, v) in t.v.iter().enumerate() {
+                if !v.is_finite() {
+                    return Err(SceneError::bad(
+                        file,
+                        format!("triangle {i}, vertex {corner}"),
+                        format!("its position ({}, {}, {}) is not finite", v.x, v.y, v.z),
+                        "remove or repair the vertex and export again",
+                    ));
+                }
+            }
+            bounds = bounds.union(t.bounds());
+        }
+        let mut next = 0u64;
+        for (i, o) in objects.iter().enumerate() {
+            if u64::from(o.first) != next {
+                return Err(SceneError::bad(
+                    file,
+                    format!("object {i}"),
+                    format!("it starts at triangle {} and not at {next}", o.first),
+                    "objects must follow one another in id order",
+                ));
+            }
+            if o.name.len() > MAX_NAME_BYTES {
+                return Err(SceneError::bad(
+                    file,
+                    format!("object {i}"),
+                    format!("its name is {} bytes long", o.name.len()),
+                    format!("shorten it to at most {MAX_NAME_BYTES} bytes"),
+                ));
+            }
+            next += u64::from(o.count);
+        }
+        if next != triangles.len() as u64 {
+            return Err(SceneError::bad(
+                file,
+                "objects",
+                format!("they name {next} triangles of {}", triangles.len()),
+                "every triangle must belong to one object",
+            ));
+        }
+        Ok(Self { triangles, objects, bounds })
+    }
+
+    /// The triangles; index = id.
+    pub fn triangles(&self) -> &[Triangle] {
+        &self.triangles
+    }
+
+    /// The objects, in id order.
+    pub fn objects(&self) -> &[Object] {
+        &self.objects
+    }
+
+    /// Number of triangles, N.
+    pub fn len(&self) -> u32 {
+        // `new` refuses scenes whose count does not fit.
+        self.triangles.len() as u32
+    }
+
+    /// Never: a scene has at least one triangle.
+    pub fn is_empty(&self) -> bool {
+        self.triangles.is_empty()
+    }
+
+    /// The least box around all vertices.
+    pub fn bounds(&self) -> Aabb {
+        self.bounds
+    }
+
+    /// The canonical bytes: what is uploaded, and what the digest is of. Little endian:
+    /// `SLSCENE1`, u32 N, u32 M, N × 9 f32, then M × (u32 count, u32 name length, name UTF-8).
+    pub fn to_blob(&self) -> Vec<u8> {
+        let names: usize = self.objects.iter().map(|o| o.name.len() + 8).sum();
+        let mut out = Vec::with_capacity(16 + self.triangles.len() * 36 + names);
+        out.extend_from_slice(BLOB_MAGIC);
+        out.extend_from_slice(&self.len().to_le_bytes());
+        out.extend_from_slice(&(self.objects.len() as u32).to_le_bytes());
+        // Vertices are written one by one so that the bytes are the same on a big-endian machine.
+        for t in &self.triangles {
+            for v in &t.v {
+                for c in v.to_array() {
+                    out.extend_from_slice(&c.to_le_bytes());
+                }
+            }
+        }
+        for o in &self.objects {
+            out.extend_from_slice(&o.count.to_le_bytes());
+            out.extend_from_slice(&(o.name.len() as u32).to_le_bytes());
+            out.extend_from_slice(o.name.as_bytes());
+        }
+        out
+    }
+
+    /// Reads canonical bytes back, checking everything before allocating for it.
+    ///
+    /// # Errors
+    /// [`SceneError::Bad`] naming `source` when the bytes are not a canonical scene.
+    pub fn from_blob(source: &str, bytes: &[u8]) -> Result<Self, SceneError> {
+        let bad = |element: &str, reason: &str| {
+            SceneError::bad(
+                source,
+                element,
+                reason,
+                "upload the scene again with this version of the program",
+            )
+        };
+        let u32_at = |at: usize| -> Option<u32> {
+            let b = bytes.get(at..at.checked_add(4)?)?;
+            Some(u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+        };
+        if bytes.get(..8) != Some(BLOB_MAGIC.as_slice()) {
+            return Err(bad("header", "it is not a canonical scene"));
+        }
+        let (Some(n), Some(m)) = (u32_at(8), u32_at(12)) else {
+            return Err(bad("header", "it is cut short"));
+        };
+        let body = (n as usize)
+            .checked_mul(36)
+            .and_then(|len| bytes.get(16..16usize.checked_add(len)?))
+            .ok_or_else(|| bad("triangles", "the header counts more than there are"))?;
+        let triangles = body
+            .chunks_exact(36)
+            .map(|t| {
+                let f = |i: usize| f32::from_le_bytes([t[4 * i], t[4 * i + 1], t[4 * i + 2], t[4 * i + 3]]);
+                Triangle {
+                    v: [
+                        Vec3::new(f(0), f(1), f(2)),
+                        Vec3::new(f(3), f(4), f(5)),
+                        Vec3::new(f(6), f(7), f(8)),
+                    ],
+                }
+            })
+            .collect();
+        let mut at = 16 + body.len();
+        // Each object takes at least eight bytes, so the count is checked against what is left.
+        if (m as usize) > (bytes.len() - at) / 8 {
+            return Err(bad("objects", "the header counts more than there are"));
+        }
+        let mut objects = Vec::with_capacity(m as usize);
+        let mut first = 0u32;
+        for i in 0..m {
+            let element = format!("object {i}");
+            let (Some(count), Some(len)) = (u32_at(at), u32_at(at + 4)) else {
+                return Err(bad(&element, "it is cut short"));
+            };
+            at += 8;
+            let name = bytes
+                .get(at..at.saturating_add(len as usize))
+                .and_then(|b| std::str::from_utf8(b).ok())
+                .ok_or_else(|| bad(&element, "its name is cut short or not UTF-8"))?;
+            at += len as usize;
+            objects.push(Object { name: name.to_owned(), first, count });
+            first = first
+                .checked_add(count)
+                .filter(|f| *f <= n)
+                .ok_or_else(|| bad(&element, "it names more triangles than there are"))?;
+        }
+        if at != bytes.len() {
+            return Err(bad("end", "there are bytes after the last object"));
+        }
+        Self::new(source, triangles, objects)
+    }
+
+    /// BLAKE3 of [`Scene::to_blob`].
+    pub fn digest(&self) -> SceneDigest {
+        SceneDigest(*blake3::hash(&self.to_blob()).as_bytes())
+    }
+}

@@ -1,0 +1,1 @@
+//! sightline.v1.
