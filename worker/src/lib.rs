@@ -1,1 +1,73 @@
-//! Placeholder.
+//! A worker: leases tiles from a coordinator, samples them, and streams results back.
+//!
+//! It keeps nothing on disk and decides nothing: which tiles there are, who runs them and what becomes of the
+//! results is the coordinator's business. Killing it at any moment costs the work in hand and changes no result.
+
+pub mod backends;
+mod packs;
+mod scenes;
+mod session;
+mod tiles;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::watch;
+
+pub use backends::{Backends, Choice};
+pub use scenes::SceneCache;
+
+/// How a worker is set up.
+#[derive(Clone)]
+pub struct Config {
+    /// The coordinator's address, such as `http://127.0.0.1:7600`.
+    pub coordinator: String,
+    /// Shown to people; need not be unique.
+    pub name: String,
+    /// The backends it may use.
+    pub backends: Arc<Backends>,
+    /// Scenes and their hierarchies, shared by the workers of one process.
+    pub scenes: Arc<SceneCache>,
+    /// Threads that sample, shared by the workers of one process.
+    pub pool: Arc<rayon::ThreadPool>,
+    /// How long to go on trying when the coordinator cannot be reached; `None` for ever.
+    pub give_up_after: Option<Duration>,
+}
+
+/// How a worker is told to stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Stop {
+    /// It goes on.
+    No,
+    /// It finishes the tiles it holds and takes no more (SIGTERM).
+    Drain,
+    /// It drops what it holds.
+    Now,
+}
+
+/// Why a worker ended before it was told to.
+#[derive(Debug, thiserror::Error)]
+pub enum WorkerError {
+    /// The coordinator's address is not one.
+    #[error("{0} is not a coordinator's address: {1}; give one such as http://127.0.0.1:7600")]
+    Address(String, String),
+    /// The coordinator could not be reached for too long.
+    #[error("the coordinator at {address} cannot be reached: {reason}; check that `sightline coordinator` runs there and that the port is open")]
+    Unreachable {
+        /// Its address.
+        address: String,
+        /// The last error.
+        reason: String,
+    },
+    /// The coordinator refused this worker.
+    #[error("the coordinator refused this worker: {0}")]
+    Refused(String),
+}
+
+/// Runs a worker until it is told to stop.
+///
+/// # Errors
+/// [`WorkerError`] when the coordinator cannot be reached or refuses it.
+pub async fn run(config: Config, stop: watch::Receiver<Stop>) -> Result<(), WorkerError> {
+    session::Worker::new(config)?.run(stop).await
+}

@@ -124,3 +124,11 @@ impl VisibilitySample {
         sample
     }
 }
+
+/// Distance along a face's forward axis below which nothing is seen or blocks: a millionth of the scene's
+/// diagonal. A sample in the plane of a wall then looks along both its sides and not into it. All backends use
+/// this value.
+pub fn near_distance(bounds: sightline_scene::Aabb) -> f32 {
+    let diagonal = (bounds.max.as_dvec3() - bounds.min.as_dvec3()).length();
+    ((diagonal * 1e-6) as f32).max(f32::MIN_POSITIVE)
+}

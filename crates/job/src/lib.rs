@@ -1,0 +1,222 @@
+//! What a job is: its specification, checked, with its key and its plan.
+//!
+//! The coordinator and the workers agree on a job through this crate and the wire format alone. It holds no state
+//! and does no work.
+
+use glam::Vec3;
+use prost::Message as _;
+use sightline_proto::v1;
+use sightline_sampling::params::{
+    BackendChoice, ErrorMeasure, ParamsError, SamplingParams, SupersetChoice,
+};
+use sightline_viewcells::{Division, DivisionError, Lattice, Plan};
+
+/// Changes whenever the same specification would give other bytes, so that stored results are never mistaken for
+/// those of another version.
+pub const ALGORITHM_VERSION: u32 = 1;
+
+/// A checked specification.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JobSpec {
+    /// Digest of the scene.
+    pub scene: [u8; 32],
+    /// How the view box is divided.
+    pub division: Division,
+    /// Least and greatest corner of the view box.
+    pub view_box: [Vec3; 2],
+    /// Sampling parameters.
+    pub sampling: SamplingParams,
+    /// Which backend.
+    pub backend: BackendChoice,
+    /// Seed of everything random.
+    pub seed: u64,
+}
+
+/// Why a specification is refused.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SpecError {
+    /// A field is missing or has the wrong length.
+    #[error("the job's {0} is missing or malformed; {1}")]
+    Field(&'static str, &'static str),
+    /// The division of the view box.
+    #[error(transparent)]
+    Division(#[from] DivisionError),
+    /// A sampling parameter.
+    #[error(transparent)]
+    Params(#[from] ParamsError),
+}
+
+impl JobSpec {
+    /// Reads and checks a specification. `bounds` is taken for the view box when the message has none.
+    ///
+    /// # Errors
+    /// [`SpecError`] naming the field.
+    pub fn from_proto(m: &v1::JobSpec, bounds: Option<[Vec3; 2]>) -> Result<Self, SpecError> {
+        let scene = m.scene.as_slice().try_into();
+        let scene = scene.map_err(|_| SpecError::Field("scene", "give the 32 bytes of its digest"))?;
+        let division = match m.division {
+            Some(v1::job_spec::Division::Grid(g)) => Division::Grid([g.x, g.y, g.z]),
+            Some(v1::job_spec::Division::Adaptive(a)) => {
+                Division::Adaptive { budget: a.triangle_budget, max_depth: a.max_depth }
+            }
+            None => return Err(SpecError::Field("division", "give a grid or an adaptive division")),
+        };
+        let view_box = match (m.view_box.as_slice(), bounds) {
+            ([x0, y0, z0, x1, y1, z1], _) => [Vec3::new(*x0, *y0, *z0), Vec3::new(*x1, *y1, *z1)],
+            ([], Some(bounds)) => bounds,
+            _ => return Err(SpecError::Field("view box", "give x0,y0,z0,x1,y1,z1")),
+        };
+        let s = m.sampling.ok_or(SpecError::Field("sampling", "give the sampling parameters"))?;
+        let sampling = SamplingParams {
+            resolution: s.resolution,
+            measure: match s.measure() {
+                v1::ErrorMeasure::Strata => ErrorMeasure::Strata,
+                v1::ErrorMeasure::Sets => ErrorMeasure::Sets,
+                v1::ErrorMeasure::Pixels => ErrorMeasure::Pixels,
+            },
+            error_threshold: s.error_threshold,
+            interior_threshold: s.interior_threshold,
+            min_distance: s.min_distance,
+            solids: s.solids,
+            superset: match s.superset() {
+                v1::Superset::Auto => SupersetChoice::Auto,
+                v1::Superset::On => SupersetChoice::On,
+                v1::Superset::Off => SupersetChoice::Off,
+            },
+        };
+        let backend = match m.backend() {
+            v1::Backend::Auto => BackendChoice::Auto,
+            v1::Backend::Gpu => BackendChoice::Gpu,
+            v1::Backend::Cpu => BackendChoice::Cpu,
+        };
+        let spec = Self { scene, division, view_box, sampling, backend, seed: m.seed };
+        spec.sampling.check()?;
+        spec.lattice()?;
+        Ok(spec)
+    }
+
+    /// The specification as a message, with everything spelled out.
+    pub fn to_proto(&self) -> v1::JobSpec {
+        let [min, max] = self.view_box.map(|c| c.to_array());
+        let s = &self.sampling;
+        v1::JobSpec {
+            scene: self.scene.to_vec(),
+            division: Some(match self.division {
+                Division::Grid([x, y, z]) => v1::job_spec::Division::Grid(v1::Grid { x, y, z }),
+                Division::Adaptive { budget, max_depth } => {
+                    v1::job_spec::Division::Adaptive(v1::Adaptive { triangle_budget: budget, max_depth })
+                }
+            }),
+            view_box: min.into_iter().chain(max).collect(),
+            sampling: Some(v1::Sampling {
+                resolution: s.resolution,
+                measure: match s.measure {
+                    ErrorMeasure::Strata => v1::ErrorMeasure::Strata,
+                    ErrorMeasure::Sets => v1::ErrorMeasure::Sets,
+                    ErrorMeasure::Pixels => v1::ErrorMeasure::Pixels,
+                }
+                .into(),
+                error_threshold: s.error_threshold,
+                interior_threshold: s.interior_threshold,
+                min_distance: s.min_distance,
+                solids: s.solids,
+                superset: match s.superset {
+                    SupersetChoice::Auto => v1::Superset::Auto,
+                    SupersetChoice::On => v1::Superset::On,
+                    SupersetChoice::Off => v1::Superset::Off,
+                }
+                .into(),
+            }),
+            backend: match self.backend {
+                BackendChoice::Auto => v1::Backend::Auto,
+                BackendChoice::Gpu => v1::Backend::Gpu,
+                BackendChoice::Cpu => v1::Backend::Cpu,
+            }
+            .into(),
+            seed: self.seed,
+        }
+    }
+
+    /// The job's key: digest of everything its result depends on, but for the numerics profile, which is bound when
+    /// the job first runs and is then part of the result.
+    pub fn key(&self) -> [u8; 32] {
+        let mut hasher = blake3::Hasher::new_derive_key("sightline 2026 job key");
+        hasher.update(&ALGORITHM_VERSION.to_le_bytes());
+        // Prost writes fields in the order of their numbers, so equal specifications give equal bytes.
+        hasher.update(&self.to_proto().encode_to_vec());
+        *hasher.finalize().as_bytes()
+    }
+
+    /// The lattice of sample positions.
+    ///
+    /// # Errors
+    /// [`DivisionError`]; never after [`JobSpec::from_proto`], which has checked it.
+    pub fn lattice(&self) -> Result<Lattice, DivisionError> {
+        self.division.lattice(self.view_box[0], self.view_box[1])
+    }
+
+    /// Lattice and plan.
+    ///
+    /// # Errors
+    /// As [`JobSpec::lattice`].
+    pub fn plan(&self) -> Result<(Lattice, Plan), DivisionError> {
+        let lattice = self.lattice()?;
+        Ok((lattice, Plan::new(&self.division, &lattice)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spec() -> JobSpec {
+        JobSpec {
+            scene: [7; 32],
+            division: Division::Grid([4, 3, 2]),
+            view_box: [Vec3::ZERO, Vec3::ONE],
+            sampling: SamplingParams::default(),
+            backend: BackendChoice::Auto,
+            seed: 3,
+        }
+    }
+
+    #[test]
+    fn what_is_written_is_read_and_every_field_is_in_the_key() {
+        let s = spec();
+        assert_eq!(JobSpec::from_proto(&s.to_proto(), None).unwrap(), s);
+        let sampling = s.sampling.clone();
+        let others = [
+            JobSpec { scene: [8; 32], ..s.clone() },
+            JobSpec { division: Division::Adaptive { budget: 5, max_depth: 6 }, ..s.clone() },
+            JobSpec { view_box: [Vec3::ZERO, Vec3::new(1.0, 1.0, 2.0)], ..s.clone() },
+            JobSpec { backend: BackendChoice::Gpu, ..s.clone() },
+            JobSpec { seed: 4, ..s.clone() },
+            JobSpec { sampling: SamplingParams { resolution: 64, ..sampling.clone() }, ..s.clone() },
+            JobSpec { sampling: SamplingParams { measure: ErrorMeasure::Sets, ..sampling.clone() }, ..s.clone() },
+            JobSpec { sampling: SamplingParams { error_threshold: 0.9, ..sampling.clone() }, ..s.clone() },
+            JobSpec { sampling: SamplingParams { interior_threshold: 0.9, ..sampling.clone() }, ..s.clone() },
+            JobSpec { sampling: SamplingParams { min_distance: 0.5, ..sampling.clone() }, ..s.clone() },
+            JobSpec { sampling: SamplingParams { solids: false, ..sampling.clone() }, ..s.clone() },
+            JobSpec { sampling: SamplingParams { superset: SupersetChoice::On, ..sampling }, ..s.clone() },
+        ];
+        let mut keys: Vec<_> = others.iter().map(JobSpec::key).chain([s.key()]).collect();
+        keys.sort_unstable();
+        keys.dedup();
+        assert_eq!(keys.len(), others.len() + 1);
+        for o in &others {
+            assert_eq!(&JobSpec::from_proto(&o.to_proto(), None).unwrap(), o);
+        }
+    }
+
+    #[test]
+    fn nonsense_is_refused_by_field() {
+        let good = spec().to_proto();
+        let refuse = |m: v1::JobSpec| JobSpec::from_proto(&m, None).unwrap_err().to_string();
+        assert!(refuse(v1::JobSpec { scene: vec![1], ..good.clone() }).contains("scene"));
+        assert!(refuse(v1::JobSpec { division: None, ..good.clone() }).contains("division"));
+        assert!(refuse(v1::JobSpec { view_box: vec![], ..good.clone() }).contains("view box"));
+        assert!(refuse(v1::JobSpec { sampling: None, ..good.clone() }).contains("sampling"));
+        let nan = v1::Sampling { error_threshold: f64::NAN, ..good.sampling.unwrap() };
+        assert!(refuse(v1::JobSpec { sampling: Some(nan), ..good }).contains("error-threshold"));
+    }
+}

@@ -1,0 +1,298 @@
+//! Bytes for packs and cell sets: differences as variable-length integers, then zstd.
+//!
+//! Equal values give equal bytes, so the digest of the bytes identifies the content. Decoding trusts nothing: every
+//! count is checked against the bytes that are left before anything is allocated for it.
+
+use std::io::Read;
+use std::sync::Arc;
+
+use sightline_viewcells::Split;
+
+use crate::cube::VisibilitySample;
+use crate::tile::{CellSet, CellSets, Node, Pack, TileOutput};
+
+/// Compression level: 3 is zstd's own default; higher ones cost more time than the network saves.
+const LEVEL: i32 = 3;
+/// Most bytes one tile's output may unpack to: far above any real tile, far below a machine's memory.
+pub const MAX_UNPACKED: u64 = 4 << 30;
+
+/// The bytes are not a tile's output.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("a tile's output cannot be read: {0}; it was damaged or written by another version")]
+pub struct CodecError(&'static str);
+
+/// Encodes a tile's output.
+pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
+    let mut raw = Vec::new();
+    match output {
+        TileOutput::Pack(pack) => {
+            raw.push(b'P');
+            put(&mut raw, pack.samples.len() as u32);
+            for (p, s) in &pack.samples {
+                p.iter().for_each(|c| put(&mut raw, *c));
+                put_ids(&mut raw, &s.ids);
+                // Neighbouring ids are mostly seen in the same strata.
+                let mut last = 0;
+                for m in &s.strata {
+                    put(&mut raw, m ^ last);
+                    last = *m;
+                }
+                put(&mut raw, s.dominant.map_or(0, |d| d.wrapping_add(1)));
+                match &s.pixels {
+                    None => put(&mut raw, 0),
+                    Some(pixels) => {
+                        put(&mut raw, pixels.len() as u32);
+                        // Runs along the rows, as the paper stores its samples (2004, §4.2.2).
+                        for run in pixels.chunk_by(|a, b| a == b) {
+                            put(&mut raw, run.len() as u32);
+                            put(&mut raw, run[0].wrapping_add(1));
+                        }
+                    }
+                }
+            }
+        }
+        TileOutput::Cells(sets) => {
+            raw.push(b'C');
+            put(&mut raw, sets.nodes.len() as u32);
+            for node in &sets.nodes {
+                match node {
+                    Node::Cell => raw.push(3),
+                    Node::Split(s) => {
+                        raw.push(s.axis as u8);
+                        put(&mut raw, s.at);
+                    }
+                }
+            }
+            for cell in &sets.cells {
+                put_ids(&mut raw, &cell.visible);
+                put(&mut raw, cell.samples);
+            }
+        }
+    }
+    zstd::stream::encode_all(raw.as_slice(), LEVEL)
+}
+
+/// Decodes a tile's output for a scene of `triangles` triangles.
+///
+/// # Errors
+/// [`CodecError`] saying what is wrong.
+pub fn decode(bytes: &[u8], triangles: u32) -> Result<TileOutput, CodecError> {
+    let mut raw = Vec::new();
+    zstd::stream::Decoder::new(bytes)
+        .and_then(|d| d.take(MAX_UNPACKED).read_to_end(&mut raw))
+        .map_err(|_| CodecError("it is not zstd data"))?;
+    let mut r = Reader { bytes: &raw, triangles };
+    let output = match r.byte()? {
+        b'P' => TileOutput::Pack(r.pack()?),
+        b'C' => TileOutput::Cells(r.cells()?),
+        _ => return Err(CodecError("its kind is unknown")),
+    };
+    if r.bytes.is_empty() { Ok(output) } else { Err(CodecError("there is more than it announces")) }
+}
+
+/// LEB128.
+fn put(out: &mut Vec<u8>, mut value: u32) {
+    while value >= 0x80 {
+        out.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    out.push(value as u8);
+}
+
+/// Count, then each id's distance from the one before; ids ascend.
+fn put_ids(out: &mut Vec<u8>, ids: &[u32]) {
+    put(out, ids.len() as u32);
+    let mut next = 0;
+    for id in ids {
+        put(out, id - next);
+        next = id + 1;
+    }
+}
+
+struct Reader<'a> {
+    bytes: &'a [u8],
+    triangles: u32,
+}
+
+impl Reader<'_> {
+    fn byte(&mut self) -> Result<u8, CodecError> {
+        let (first, rest) = self.bytes.split_first().ok_or(CodecError("it is cut short"))?;
+        self.bytes = rest;
+        Ok(*first)
+    }
+
+    fn u32(&mut self) -> Result<u32, CodecError> {
+        let mut value = 0u64;
+        for shift in (0..35).step_by(7) {
+            let b = self.byte()?;
+            value |= u64::from(b & 0x7f) << shift;
+            if b & 0x80 == 0 {
+                return u32::try_from(value).map_err(|_| CodecError("a number is too large"));
+            }
+        }
+        Err(CodecError("a number is too long"))
+    }
+
+    /// A count of things that take at least `least` bytes each.
+    fn count(&mut self, least: usize) -> Result<usize, CodecError> {
+        let n = self.u32()? as usize;
+        if n <= self.bytes.len() / least { Ok(n) } else { Err(CodecError("it announces more than there is")) }
+    }
+
+    fn ids(&mut self) -> Result<Vec<u32>, CodecError> {
+        let n = self.count(1)?;
+        let mut next = 0u32;
+        (0..n)
+            .map(|_| {
+                let id = next.checked_add(self.u32()?).filter(|id| *id < self.triangles);
+                let id = id.ok_or(CodecError("a triangle id is out of range"))?;
+                next = id + 1;
+                Ok(id)
+            })
+            .collect()
+    }
+
+    fn pack(&mut self) -> Result<Pack, CodecError> {
+        let n = self.count(6)?;
+        let mut samples = Vec::with_capacity(n);
+        for _ in 0..n {
+            let p = [self.u32()?, self.u32()?, self.u32()?];
+            if samples.last().is_some_and(|(q, _)| *q >= p) {
+                return Err(CodecError("samples are out of order"));
+            }
+            let ids = self.ids()?;
+            let mut last = 0;
+            let strata = ids
+                .iter()
+                .map(|_| {
+                    last ^= self.u32()?;
+                    Ok(last)
+                })
+                .collect::<Result<_, CodecError>>()?;
+            let dominant = self.u32()?.checked_sub(1);
+            if dominant.is_some_and(|d| d >= self.triangles) {
+                return Err(CodecError("a triangle id is out of range"));
+            }
+            let pixels = self.pixels()?;
+            samples.push((p, Arc::new(VisibilitySample { ids, strata, dominant, pixels })));
+        }
+        Ok(Pack { samples })
+    }
+
+    fn pixels(&mut self) -> Result<Option<Arc<[u32]>>, CodecError> {
+        let n = self.u32()? as usize;
+        if n == 0 {
+            return Ok(None);
+        }
+        // The largest cube that parameters allow.
+        if n > 6 * 4096 * 4096 {
+            return Err(CodecError("a cube has too many pixels"));
+        }
+        let mut pixels = Vec::new();
+        while pixels.len() < n {
+            let run = self.u32()? as usize;
+            let id = self.u32()?.wrapping_sub(1);
+            if run == 0 || run > n - pixels.len() {
+                return Err(CodecError("a run of pixels is too long"));
+            }
+            pixels.resize(pixels.len() + run, id);
+        }
+        Ok(Some(pixels.into()))
+    }
+
+    fn cells(&mut self) -> Result<CellSets, CodecError> {
+        let n = self.count(1)?;
+        let mut nodes = Vec::with_capacity(n);
+        let mut cells = 0usize;
+        // Subtrees still to be read: a preorder that is a tree uses up exactly its nodes.
+        let mut open = 1usize;
+        for _ in 0..n {
+            if open == 0 {
+                return Err(CodecError("its tree has too many nodes"));
+            }
+            match self.byte()? {
+                3 => {
+                    nodes.push(Node::Cell);
+                    cells += 1;
+                    open -= 1;
+                }
+                axis @ 0..3 => {
+                    nodes.push(Node::Split(Split { axis: axis.into(), at: self.u32()? }));
+                    open += 1;
+                }
+                _ => return Err(CodecError("a node's kind is unknown")),
+            }
+        }
+        if open != 0 {
+            return Err(CodecError("its tree is not whole"));
+        }
+        let mut sets = CellSets { nodes, cells: Vec::new() };
+        for _ in 0..cells {
+            sets.cells.push(CellSet { visible: self.ids()?, samples: self.u32()? });
+        }
+        Ok(sets)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn ids() -> impl Strategy<Value = Vec<u32>> {
+        proptest::collection::btree_set(0u32..1000, 0..20).prop_map(|s| s.into_iter().collect())
+    }
+
+    fn sample() -> impl Strategy<Value = VisibilitySample> {
+        (ids(), any::<u32>(), proptest::option::of(0u32..1000), proptest::option::of(1usize..30)).prop_map(
+            |(ids, seed, dominant, pixels)| VisibilitySample {
+                strata: ids.iter().map(|i| i.wrapping_mul(seed)).collect(),
+                ids,
+                dominant,
+                pixels: pixels.map(|n| (0..n as u32).map(|i| (i / 3).wrapping_sub(1)).collect()),
+            },
+        )
+    }
+
+    fn outputs() -> impl Strategy<Value = TileOutput> {
+        let pack = proptest::collection::btree_map(any::<[u32; 3]>(), sample(), 0..6).prop_map(|m| {
+            TileOutput::Pack(Pack { samples: m.into_iter().map(|(p, s)| (p, Arc::new(s))).collect() })
+        });
+        let cells =
+            (ids(), ids(), 0usize..3, any::<u32>(), any::<u32>()).prop_map(|(a, b, axis, at, samples)| {
+                TileOutput::Cells(CellSets {
+                    nodes: vec![Node::Split(Split { axis, at }), Node::Cell, Node::Cell],
+                    cells: vec![CellSet { visible: a, samples }, CellSet { visible: b, samples: 7 }],
+                })
+            });
+        prop_oneof![pack, cells]
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_encoded_is_decoded(output in outputs()) {
+            let bytes = encode(&output).unwrap();
+            prop_assert_eq!(decode(&bytes, 1000).unwrap(), output);
+        }
+
+        #[test]
+        fn damage_never_panics(output in outputs(), at in any::<prop::sample::Index>(), with in any::<u8>(), cut in any::<prop::sample::Index>()) {
+            // Damage under the compression, where zstd's own checks do not stop it.
+            let mut raw = zstd::stream::decode_all(encode(&output).unwrap().as_slice()).unwrap();
+            let i = at.index(raw.len());
+            raw[i] = with;
+            raw.truncate(cut.index(raw.len()) + 1);
+            let _ = decode(&zstd::stream::encode_all(raw.as_slice(), 1).unwrap(), 1000);
+        }
+    }
+
+    #[test]
+    fn ids_beyond_the_scene_are_refused() {
+        let sets =
+            CellSets { nodes: vec![Node::Cell], cells: vec![CellSet { visible: vec![5], samples: 1 }] };
+        let bytes = encode(&TileOutput::Cells(sets)).unwrap();
+        assert!(decode(&bytes, 6).is_ok());
+        assert!(decode(&bytes, 5).is_err());
+        assert!(decode(b"", 5).is_err());
+    }
+}

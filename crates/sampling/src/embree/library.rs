@@ -1,0 +1,344 @@
+//! Embree's C interface, found at run time.
+//!
+//! The library is opened with `dlopen`, so one program serves Embree 3 and 4, builds where neither is
+//! installed, and can say plainly what is missing (docs/decisions/0001-embree-at-run-time.md). Only the dozen
+//! functions the sampler calls are bound. Layouts follow `rtcore_ray.h` and `rtcore_common.h` of both versions;
+//! where newer versions append fields, the structures here are larger than any of them.
+
+#![allow(unsafe_code, reason = "a C library is called; each call says what it relies on")]
+
+use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
+use std::sync::{Arc, OnceLock};
+
+use libloading::Library;
+
+use crate::BackendError;
+
+/// An opaque `RTCDevice`, `RTCScene` or `RTCGeometry`.
+pub type Handle = *mut c_void;
+
+/// `RTC_GEOMETRY_TYPE_TRIANGLE`.
+const TRIANGLES: c_int = 0;
+/// `RTC_BUFFER_TYPE_INDEX` and `RTC_BUFFER_TYPE_VERTEX`.
+const INDEX: c_int = 0;
+const VERTEX: c_int = 1;
+/// `RTC_FORMAT_UINT3` and `RTC_FORMAT_FLOAT3`.
+const UINT3: c_int = 0x5003;
+const FLOAT3: c_int = 0x9003;
+/// `RTC_SCENE_FLAG_ROBUST`: no ray slips through a shared edge.
+const ROBUST: c_int = 1 << 2;
+/// `RTC_DEVICE_PROPERTY_VERSION_{MAJOR,MINOR,PATCH}`.
+const VERSION: [c_int; 3] = [1, 2, 3];
+
+/// Sixteen rays and their hits, `RTCRayHit16`, with room for the fields Embree 4.4 appends.
+#[repr(C, align(64))]
+pub struct RayHit16 {
+    /// Origins.
+    pub org: [[f32; 16]; 3],
+    /// Start of each ray, in lengths of its direction.
+    pub tnear: [f32; 16],
+    /// Directions.
+    pub dir: [[f32; 16]; 3],
+    time: [f32; 16],
+    /// End of each ray; the hit distance afterwards.
+    pub tfar: [f32; 16],
+    mask: [u32; 16],
+    id: [u32; 16],
+    flags: [u32; 16],
+    ng: [[f32; 16]; 3],
+    uv: [[f32; 16]; 2],
+    /// The triangle hit.
+    pub prim: [u32; 16],
+    /// `u32::MAX` when nothing was hit.
+    pub geom: [u32; 16],
+    inst: [u32; 16],
+    newer_fields: [u32; 64],
+}
+
+impl RayHit16 {
+    /// Rays that start nowhere and have hit nothing.
+    pub fn new() -> Self {
+        Self {
+            org: [[0.0; 16]; 3],
+            tnear: [0.0; 16],
+            dir: [[0.0; 16]; 3],
+            time: [0.0; 16],
+            tfar: [f32::INFINITY; 16],
+            mask: [u32::MAX; 16],
+            id: [0; 16],
+            flags: [0; 16],
+            ng: [[0.0; 16]; 3],
+            uv: [[0.0; 16]; 2],
+            prim: [u32::MAX; 16],
+            geom: [u32::MAX; 16],
+            inst: [u32::MAX; 16],
+            newer_fields: [u32::MAX; 64],
+        }
+    }
+}
+
+/// Per-query context, `RTCIntersectContext` (3) and `RTCRayQueryContext` (4), with room to spare.
+#[repr(C, align(16))]
+struct Context3 {
+    flags: c_uint,
+    filter: *const c_void,
+    rest: [u32; 16],
+}
+
+/// `RTCIntersectArguments` (4).
+#[repr(C, align(16))]
+struct Arguments4 {
+    flags: c_uint,
+    feature_mask: c_uint,
+    context: *mut c_void,
+    filter: *const c_void,
+    intersect: *const c_void,
+    rest: [u32; 16],
+}
+
+/// Coherent rays: bit 0 in Embree 3, bit 16 in Embree 4.
+const COHERENT_3: c_uint = 1;
+const COHERENT_4: c_uint = 1 << 16;
+
+type Intersect3 = unsafe extern "C" fn(*const c_int, Handle, *mut Context3, *mut RayHit16);
+type Intersect4 = unsafe extern "C" fn(*const c_int, Handle, *mut RayHit16, *mut Arguments4);
+
+/// The two generations of the packet query.
+enum Intersect {
+    V3(Intersect3),
+    V4(Intersect4),
+}
+
+/// The functions used, by their C names without the `rtc` prefix.
+pub struct Embree {
+    new_device: unsafe extern "C" fn(*const c_char) -> Handle,
+    release_device: unsafe extern "C" fn(Handle),
+    get_device_property: unsafe extern "C" fn(Handle, c_int) -> isize,
+    get_device_error: unsafe extern "C" fn(Handle) -> c_int,
+    new_scene: unsafe extern "C" fn(Handle) -> Handle,
+    release_scene: unsafe extern "C" fn(Handle),
+    set_scene_flags: unsafe extern "C" fn(Handle, c_int),
+    commit_scene: unsafe extern "C" fn(Handle),
+    attach_geometry: unsafe extern "C" fn(Handle, Handle) -> c_uint,
+    new_geometry: unsafe extern "C" fn(Handle, c_int) -> Handle,
+    release_geometry: unsafe extern "C" fn(Handle),
+    set_new_geometry_buffer: unsafe extern "C" fn(Handle, c_int, c_uint, c_int, usize, usize) -> *mut c_void,
+    commit_geometry: unsafe extern "C" fn(Handle),
+    intersect16: Intersect,
+    // Last, so that it outlives the functions above.
+    _library: Library,
+}
+
+/// File names tried, newest first.
+const NAMES: [(&str, u32); 4] =
+    [("libembree4.so.4", 4), ("libembree3.so.3", 3), ("libembree4.so", 4), ("libembree3.so", 3)];
+
+impl Embree {
+    /// The library of this machine, opened once.
+    ///
+    /// # Errors
+    /// [`BackendError::Unavailable`] saying which files were looked for and what to install.
+    pub fn get() -> Result<&'static Self, BackendError> {
+        static LIBRARY: OnceLock<Result<Embree, String>> = OnceLock::new();
+        LIBRARY.get_or_init(Self::open).as_ref().map_err(|e| BackendError::Unavailable(e.clone()))
+    }
+
+    fn open() -> Result<Self, String> {
+        let mut tried = Vec::new();
+        for (name, major) in NAMES {
+            // SAFETY: Embree's initialisers run; they have no preconditions.
+            match unsafe { Library::new(name) } {
+                Ok(library) => {
+                    return Self::bind(library, major)
+                        .map_err(|e| format!("{name} was found but is not the Embree expected: {e}"));
+                }
+                Err(e) => tried.push(format!("{name} ({e})")),
+            }
+        }
+        Err(format!(
+            "Embree is not installed, so the cpu backend cannot run. Install it with `apt-get install \
+             libembree3-3` (Debian 12) or `apt-get install libembree4-4` (newer), or use --backend gpu. Tried: {}",
+            tried.join("; ")
+        ))
+    }
+
+    fn bind(library: Library, major: u32) -> Result<Self, libloading::Error> {
+        /// Looks one function up.
+        ///
+        /// # Safety
+        /// `T` must be the function's type.
+        unsafe fn f<T: Copy>(library: &Library, name: &[u8]) -> Result<T, libloading::Error> {
+            // SAFETY: the caller gives the type.
+            unsafe { library.get::<T>(name) }.map(|s| *s)
+        }
+        // SAFETY: the types above are those of Embree's headers for both versions, but for `rtcIntersect16`,
+        // whose type is chosen by the version in the file name.
+        unsafe {
+            Ok(Self {
+                new_device: f(&library, b"rtcNewDevice\0")?,
+                release_device: f(&library, b"rtcReleaseDevice\0")?,
+                get_device_property: f(&library, b"rtcGetDeviceProperty\0")?,
+                get_device_error: f(&library, b"rtcGetDeviceError\0")?,
+                new_scene: f(&library, b"rtcNewScene\0")?,
+                release_scene: f(&library, b"rtcReleaseScene\0")?,
+                set_scene_flags: f(&library, b"rtcSetSceneFlags\0")?,
+                commit_scene: f(&library, b"rtcCommitScene\0")?,
+                attach_geometry: f(&library, b"rtcAttachGeometry\0")?,
+                new_geometry: f(&library, b"rtcNewGeometry\0")?,
+                release_geometry: f(&library, b"rtcReleaseGeometry\0")?,
+                set_new_geometry_buffer: f(&library, b"rtcSetNewGeometryBuffer\0")?,
+                commit_geometry: f(&library, b"rtcCommitGeometry\0")?,
+                intersect16: if major == 3 {
+                    Intersect::V3(f(&library, b"rtcIntersect16\0")?)
+                } else {
+                    Intersect::V4(f(&library, b"rtcIntersect16\0")?)
+                },
+                _library: library,
+            })
+        }
+    }
+}
+
+/// An Embree device.
+pub struct Device {
+    embree: &'static Embree,
+    handle: Handle,
+}
+
+// SAFETY: Embree's devices may be used from any thread (its manual, "Device Object").
+unsafe impl Send for Device {}
+// SAFETY: as above; the calls made here take no exclusive access.
+unsafe impl Sync for Device {}
+
+impl Device {
+    /// A device with Embree's configuration string.
+    ///
+    /// # Errors
+    /// [`BackendError::Unavailable`] when there is no Embree or it refuses this processor.
+    pub fn new(config: &CStr) -> Result<Self, BackendError> {
+        let embree = Embree::get()?;
+        // SAFETY: `config` is a C string that outlives the call.
+        let handle = unsafe { (embree.new_device)(config.as_ptr()) };
+        if handle.is_null() {
+            // SAFETY: a null device asks for the error of device creation.
+            let code = unsafe { (embree.get_device_error)(std::ptr::null_mut()) };
+            return Err(BackendError::Unavailable(format!(
+                "Embree could not start (error {code}; 5 means that the processor is not supported); use --backend gpu"
+            )));
+        }
+        Ok(Self { embree, handle })
+    }
+
+    /// Version as `major.minor.patch`.
+    pub fn version(&self) -> String {
+        let part = |p: c_int| {
+            // SAFETY: the handle is a live device.
+            unsafe { (self.embree.get_device_property)(self.handle, p) }
+        };
+        VERSION.map(|p| part(p).to_string()).join(".")
+    }
+
+    fn check(&self) -> Result<(), String> {
+        // SAFETY: the handle is a live device.
+        match unsafe { (self.embree.get_device_error)(self.handle) } {
+            0 => Ok(()),
+            4 => Err("out of memory".to_owned()),
+            code => Err(format!("Embree error {code}")),
+        }
+    }
+}
+
+impl Drop for Device {
+    fn drop(&mut self) {
+        // SAFETY: the handle is live and released once.
+        unsafe { (self.embree.release_device)(self.handle) }
+    }
+}
+
+/// A committed Embree scene of triangles; triangle `i` is the `i`-th given.
+pub struct TriangleScene {
+    device: Arc<Device>,
+    handle: Handle,
+}
+
+// SAFETY: a committed scene is read-only and may be queried from many threads (manual, "Scene Object").
+unsafe impl Send for TriangleScene {}
+// SAFETY: as above.
+unsafe impl Sync for TriangleScene {}
+
+impl TriangleScene {
+    /// Builds the hierarchy over `count` triangles, each nine floats.
+    ///
+    /// # Errors
+    /// What Embree reported, usually too little memory.
+    pub fn new(
+        device: &Arc<Device>,
+        count: usize,
+        triangles: impl Iterator<Item = [f32; 9]>,
+    ) -> Result<Self, String> {
+        let e = device.embree;
+        // SAFETY: all handles are made and used here; both buffers are filled to the size they were asked for
+        // before they are committed, and `scene` takes over the geometry it is attached to.
+        unsafe {
+            let scene = Self { device: Arc::clone(device), handle: (e.new_scene)(device.handle) };
+            (e.set_scene_flags)(scene.handle, ROBUST);
+            let geometry = (e.new_geometry)(device.handle, TRIANGLES);
+            let vertices = (e.set_new_geometry_buffer)(geometry, VERTEX, 0, FLOAT3, 12, count * 3);
+            let indices = (e.set_new_geometry_buffer)(geometry, INDEX, 0, UINT3, 12, count);
+            if count > 0 && (vertices.is_null() || indices.is_null()) {
+                let reason = device.check().err().unwrap_or_else(|| "no buffer".to_owned());
+                (e.release_geometry)(geometry);
+                return Err(reason);
+            }
+            let mut written = 0;
+            for (i, t) in triangles.take(count).enumerate() {
+                vertices.cast::<[f32; 9]>().add(i).write(t);
+                let first = 3 * i as u32;
+                indices.cast::<[u32; 3]>().add(i).write([first, first + 1, first + 2]);
+                written += 1;
+            }
+            assert_eq!(written, count, "as many triangles as announced");
+            (e.commit_geometry)(geometry);
+            (e.attach_geometry)(scene.handle, geometry);
+            (e.release_geometry)(geometry);
+            (e.commit_scene)(scene.handle);
+            device.check()?;
+            Ok(scene)
+        }
+    }
+
+    /// Finds the nearest hit of each ray whose `valid` entry is −1.
+    pub fn intersect(&self, valid: &[i32; 16], rays: &mut RayHit16) {
+        /// `valid` as Embree wants it: aligned to 64 bytes.
+        #[repr(align(64))]
+        struct Valid([i32; 16]);
+        let valid = Valid(*valid);
+        match self.device.embree.intersect16 {
+            Intersect::V3(f) => {
+                let mut context =
+                    Context3 { flags: COHERENT_3, filter: std::ptr::null(), rest: [u32::MAX; 16] };
+                // SAFETY: all three structures are as large and as aligned as Embree 3 reads or writes.
+                unsafe { f(valid.0.as_ptr(), self.handle, &raw mut context, rays) }
+            }
+            Intersect::V4(f) => {
+                let mut arguments = Arguments4 {
+                    flags: COHERENT_4,
+                    feature_mask: u32::MAX,
+                    context: std::ptr::null_mut(),
+                    filter: std::ptr::null(),
+                    intersect: std::ptr::null(),
+                    rest: [0; 16],
+                };
+                // SAFETY: as above for Embree 4; a null context asks for the default one.
+                unsafe { f(valid.0.as_ptr(), self.handle, rays, &raw mut arguments) }
+            }
+        }
+    }
+}
+
+impl Drop for TriangleScene {
+    fn drop(&mut self) {
+        // SAFETY: the handle is live and released once.
+        unsafe { (self.device.embree.release_scene)(self.handle) }
+    }
+}

@@ -1,0 +1,187 @@
+//! The cpu backend: visibility cubes traced with Embree in coherent packets of sixteen rays (4 × 4 pixels).
+//!
+//! Bit-identical on every run: the hierarchy is built on one thread, the instruction set is pinned, and each
+//! pixel is traced on its own. Samples are spread over the threads of the current rayon pool.
+
+mod library;
+
+use std::sync::{Arc, Mutex, OnceLock};
+
+use glam::Vec3;
+use rayon::prelude::*;
+use sightline_scene::{Scene, Triangle};
+
+use self::library::{Device, RayHit16, TriangleScene};
+use crate::backend::{Backend, BackendError, CubeRenderer};
+use crate::cube::{CubeImage, CubeSpec, SKY, VisibilitySample, face_basis};
+use crate::reduce::Reducer;
+
+/// Embree bound to a scene.
+pub struct CpuBackend {
+    scene: Arc<Scene>,
+    spec: CubeSpec,
+    device: Arc<Device>,
+    profile: String,
+    whole: OnceLock<Result<Arc<Hierarchy>, String>>,
+}
+
+/// A committed hierarchy, and how its triangles are numbered.
+struct Hierarchy {
+    scene: TriangleScene,
+    /// Embree's number → triangle id, ascending.
+    ids: Vec<u32>,
+}
+
+impl CpuBackend {
+    /// Opens Embree for `scene`.
+    ///
+    /// # Errors
+    /// [`BackendError::Unavailable`] when Embree is not installed or cannot run here.
+    pub fn new(scene: Arc<Scene>, spec: CubeSpec) -> Result<Self, BackendError> {
+        // Hits at equal distance are decided by the order of the hierarchy: one thread builds it, so that it is
+        // the same on every machine; AVX-512 is left out because its packets round differently from AVX2's.
+        let device = Arc::new(Device::new(c"threads=1,set_affinity=0,max_isa=avx2")?);
+        let profile = format!("cpu/embree-{}/{}", device.version(), instruction_set());
+        Ok(Self { scene, spec, device, profile, whole: OnceLock::new() })
+    }
+
+    fn build(&self, superset: Option<&[u32]>) -> Result<Arc<Hierarchy>, String> {
+        let all = self.scene.triangles();
+        let seen = |id: &u32| !all[*id as usize].is_degenerate();
+        let ids: Vec<u32> = match superset {
+            Some(ids) => ids.iter().copied().filter(seen).collect(),
+            None => (0..self.scene.len()).filter(seen).collect(),
+        };
+        let flat = |id: &u32| -> [f32; 9] { bytemuck::cast::<Triangle, [f32; 9]>(all[*id as usize]) };
+        let scene = TriangleScene::new(&self.device, ids.len(), ids.iter().map(flat))?;
+        Ok(Arc::new(Hierarchy { scene, ids }))
+    }
+}
+
+/// The instruction set Embree will choose under `max_isa=avx2`.
+fn instruction_set() -> &'static str {
+    #[cfg(target_arch = "x86_64")]
+    {
+        if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
+            "avx2"
+        } else if std::arch::is_x86_feature_detected!("avx") {
+            "avx"
+        } else {
+            "sse"
+        }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    {
+        std::env::consts::ARCH
+    }
+}
+
+impl Backend for CpuBackend {
+    fn profile(&self) -> &str {
+        &self.profile
+    }
+
+    fn prepare(&self, superset: Option<&[u32]>) -> Result<Box<dyn CubeRenderer + '_>, BackendError> {
+        let hierarchy = match superset {
+            Some(_) => self.build(superset),
+            None => self.whole.get_or_init(|| self.build(None)).clone(),
+        }
+        .map_err(|reason| BackendError::Failed { profile: self.profile.clone(), reason })?;
+        let near = crate::near_distance(self.scene.bounds());
+        Ok(Box::new(CpuRenderer { hierarchy, spec: self.spec, near, reducers: Mutex::new(Vec::new()) }))
+    }
+}
+
+/// Traces cubes through one hierarchy.
+struct CpuRenderer {
+    hierarchy: Arc<Hierarchy>,
+    spec: CubeSpec,
+    near: f32,
+    /// Scratch memory of the reduction, one for each thread that is sampling.
+    reducers: Mutex<Vec<Reducer>>,
+}
+
+impl CpuRenderer {
+    /// Traces one cube; `ids` are Embree's numbers, not yet triangle ids.
+    fn trace(&self, point: Vec3) -> CubeImage {
+        let n = self.spec.resolution;
+        let mut ids = vec![SKY; (6 * n * n) as usize];
+        let at = |x: u32| (2 * x + 1) as f32 / n as f32 - 1.0;
+        let mut rays = RayHit16::new();
+        for lane in 0..16 {
+            for a in 0..3 {
+                rays.org[a][lane] = point[a];
+            }
+        }
+        for face in 0..6 {
+            let [forward, right, up] = face_basis(face);
+            for y0 in (0..n).step_by(4) {
+                for x0 in (0..n).step_by(4) {
+                    let mut valid = [0i32; 16];
+                    for lane in 0..16u32 {
+                        let (x, y) = (x0 + lane % 4, y0 + lane / 4);
+                        let l = lane as usize;
+                        if x < n && y < n {
+                            valid[l] = -1;
+                            // One component is ±1 and the others u and v: the sum is exact.
+                            let d = forward + right * at(x) + up * at(y);
+                            for a in 0..3 {
+                                rays.dir[a][l] = d[a];
+                            }
+                        }
+                        rays.tnear[l] = self.near;
+                        rays.tfar[l] = f32::INFINITY;
+                        rays.geom[l] = u32::MAX;
+                        rays.prim[l] = u32::MAX;
+                    }
+                    self.hierarchy.scene.intersect(&valid, &mut rays);
+                    for lane in 0..16u32 {
+                        let l = lane as usize;
+                        if valid[l] != 0 && rays.geom[l] != u32::MAX {
+                            let pixel = (face * n + y0 + lane / 4) * n + x0 + lane % 4;
+                            ids[pixel as usize] = rays.prim[l];
+                        }
+                    }
+                }
+            }
+        }
+        CubeImage { resolution: n, ids }
+    }
+
+    fn sample(&self, point: Vec3) -> VisibilitySample {
+        let image = self.trace(point);
+        // A poisoned lock only means that another sample panicked; the scratch memory is then simply made anew.
+        let pop = || self.reducers.lock().ok().and_then(|mut r| r.pop());
+        let mut reducer = pop().unwrap_or_else(|| Reducer::new(self.hierarchy.ids.len()));
+        let mut sample = reducer.reduce(&image, self.spec.strata);
+        if let Ok(mut pool) = self.reducers.lock() {
+            pool.push(reducer);
+        }
+        // `ids` ascends, so mapping keeps the order, and the least among equals stays the least.
+        for id in &mut sample.ids {
+            *id = self.hierarchy.ids[*id as usize];
+        }
+        sample.dominant = sample.dominant.map(|d| self.hierarchy.ids[d as usize]);
+        if self.spec.keep_pixels {
+            sample.pixels = Some(self.to_ids(image).ids.into());
+        }
+        sample
+    }
+
+    fn to_ids(&self, mut image: CubeImage) -> CubeImage {
+        for id in image.ids.iter_mut().filter(|id| **id != SKY) {
+            *id = self.hierarchy.ids[*id as usize];
+        }
+        image
+    }
+}
+
+impl CubeRenderer for CpuRenderer {
+    fn samples(&self, points: &[Vec3]) -> Result<Vec<VisibilitySample>, BackendError> {
+        Ok(points.par_iter().map(|p| self.sample(*p)).collect())
+    }
+
+    fn image(&self, point: Vec3) -> Result<CubeImage, BackendError> {
+        Ok(self.to_ids(self.trace(point)))
+    }
+}

@@ -1,0 +1,70 @@
+//! View cells as boxes on the lattice, and where one is split.
+
+use glam::Vec3;
+
+use crate::{Lattice, LatticePoint, Rect};
+
+/// A closed box on the lattice.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct CellBox {
+    /// The least corner, in lattice units.
+    pub lo: LatticePoint,
+    /// The greatest corner, in lattice units.
+    pub hi: LatticePoint,
+}
+
+/// A splitting plane: perpendicular to `axis` at lattice coordinate `at`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Split {
+    /// 0, 1 or 2.
+    pub axis: usize,
+    /// Lattice coordinate of the plane.
+    pub at: u32,
+}
+
+impl CellBox {
+    /// World-space corners (min, max).
+    pub fn world(&self, lattice: &Lattice) -> (Vec3, Vec3) {
+        (lattice.position(self.lo), lattice.position(self.hi))
+    }
+
+    /// The two children: below the plane and above it.
+    pub fn children(&self, split: Split) -> [Self; 2] {
+        let (mut below, mut above) = (*self, *self);
+        below.hi[split.axis] = split.at;
+        above.lo[split.axis] = split.at;
+        [below, above]
+    }
+
+    /// The rectangle a plane cuts out of the box.
+    pub fn cut(&self, split: Split) -> Rect {
+        let (u, v) = Rect::in_plane_axes(split.axis);
+        Rect { axis: split.axis, at: split.at, lo: [self.lo[u], self.lo[v]], hi: [self.hi[u], self.hi[v]] }
+    }
+
+    /// Face `f` as a rectangle: axis `f / 2`, the greater side when `f` is even (as cube faces are numbered).
+    pub fn face(&self, f: usize) -> Rect {
+        let axis = f / 2;
+        let at = if f.is_multiple_of(2) { self.hi[axis] } else { self.lo[axis] };
+        self.cut(Split { axis, at })
+    }
+
+    /// Whether a lattice point lies in the closed box.
+    pub fn contains(&self, p: LatticePoint) -> bool {
+        (0..3).all(|a| self.lo[a] <= p[a] && p[a] <= self.hi[a])
+    }
+
+    /// How many of the eight octants around `p` the box fills: 0 when `p` is outside, 8 inside, 4 in a face,
+    /// 2 on an edge, 1 at a corner (thesis §4.2.2, "Removing redundant samples").
+    pub fn octants(&self, p: LatticePoint) -> u8 {
+        if !self.contains(p) {
+            return 0;
+        }
+        (0..3).fold(8, |n, a| if p[a] == self.lo[a] || p[a] == self.hi[a] { n / 2 } else { n })
+    }
+
+    /// Whether `p` lies on the surface of the box.
+    pub fn on_surface(&self, p: LatticePoint) -> bool {
+        matches!(self.octants(p), 1 | 2 | 4)
+    }
+}

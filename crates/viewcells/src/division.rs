@@ -1,0 +1,135 @@
+//! How the view box is divided: a regular grid, or adaptively by triangle budget. Both are kd-trees.
+
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+
+use crate::{CellBox, Lattice, Split, UNITS_PER_CELL};
+
+/// Most grid cells along one axis: with 2^16 units a cell the lattice still fits `u32`.
+pub const MAX_CELLS_PER_AXIS: u32 = 1 << 15;
+/// Most leaf cells of one job.
+pub const MAX_CELLS: u64 = 1 << 22;
+/// Deepest adaptive tree: 2^22 leaves.
+pub const MAX_DEPTH: u32 = 22;
+/// Levels of an adaptive tree that are split whatever is seen, so that the work can be shared (2^3 tiles).
+pub const FORCED_DEPTH: u32 = 3;
+
+/// Why a division cannot be used.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum DivisionError {
+    /// The view box is empty, inverted or not finite.
+    #[error(
+        "view box from {min:?} to {max:?} along axis {axis} is empty or not finite; give x0,y0,z0,x1,y1,z1 with each first below its second"
+    )]
+    Box {
+        /// 0 = x, 1 = y, 2 = z.
+        axis: usize,
+        /// Least coordinate.
+        min: f32,
+        /// Greatest coordinate.
+        max: f32,
+    },
+    /// No cells, or too many.
+    #[error(
+        "{x}x{y}x{z} view cells cannot be made; use 1 to {MAX_CELLS_PER_AXIS} along each axis and at most {MAX_CELLS} in all"
+    )]
+    Cells {
+        /// Cells along x.
+        x: u32,
+        /// Cells along y.
+        y: u32,
+        /// Cells along z.
+        z: u32,
+    },
+    /// The adaptive limits make no tree.
+    #[error(
+        "a triangle budget of {budget} with a depth of at most {depth} cannot be used; give a budget of at least 1 and a depth of 1 to {MAX_DEPTH}"
+    )]
+    Adaptive {
+        /// Triangle budget.
+        budget: u32,
+        /// Maximum depth.
+        depth: u32,
+    },
+}
+
+/// How cells are cut.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Division {
+    /// A regular grid with this many cells along x, y and z.
+    Grid([u32; 3]),
+    /// Cells are halved until at most `budget` triangles are seen from one or the tree is `max_depth` deep
+    /// (thesis §4.2.2).
+    Adaptive {
+        /// Most triangles a cell should see.
+        budget: u32,
+        /// Deepest level, the root being 0.
+        max_depth: u32,
+    },
+}
+
+impl Division {
+    /// Checks the division of a view box and gives its lattice.
+    ///
+    /// # Errors
+    /// [`DivisionError`] naming the value at fault.
+    pub fn lattice(&self, min: Vec3, max: Vec3) -> Result<Lattice, DivisionError> {
+        for axis in 0..3 {
+            let (lo, hi) = (min[axis], max[axis]);
+            if !(lo.is_finite() && hi.is_finite() && lo < hi) {
+                return Err(DivisionError::Box { axis, min: lo, max: hi });
+            }
+        }
+        match *self {
+            Self::Grid([x, y, z]) => {
+                let fine = [x, y, z].iter().all(|c| (1..=MAX_CELLS_PER_AXIS).contains(c))
+                    && u64::from(x) * u64::from(y) * u64::from(z) <= MAX_CELLS;
+                if fine {
+                    Ok(Lattice::new(min, max, [x, y, z]))
+                } else {
+                    Err(DivisionError::Cells { x, y, z })
+                }
+            }
+            Self::Adaptive { budget, max_depth } => {
+                if budget == 0 || !(1..=MAX_DEPTH).contains(&max_depth) {
+                    return Err(DivisionError::Adaptive { budget, depth: max_depth });
+                }
+                Ok(Lattice::new(min, max, [1, 1, 1]))
+            }
+        }
+    }
+
+    /// The root cell: the whole view box.
+    pub fn root(&self, lattice: &Lattice) -> CellBox {
+        CellBox { lo: [0; 3], hi: lattice.units() }
+    }
+
+    /// Where `cell` at `depth` is split, if it may be: a grid along the axis with most cells, an adaptive tree
+    /// along the longest side; the first axis among equals.
+    pub fn split(&self, lattice: &Lattice, cell: &CellBox, depth: u32) -> Option<Split> {
+        let span = |a: usize| cell.hi[a] - cell.lo[a];
+        // `max_by` keeps the last of equals; going backwards makes that the first axis.
+        let pick = |key: &dyn Fn(usize) -> f64| (0..3).rev().max_by(|a, b| key(*a).total_cmp(&key(*b)));
+        match *self {
+            Self::Grid(_) => {
+                let axis = pick(&|a| f64::from(span(a)))?;
+                let cells = span(axis) / UNITS_PER_CELL;
+                (cells > 1).then(|| Split { axis, at: cell.lo[axis] + cells / 2 * UNITS_PER_CELL })
+            }
+            Self::Adaptive { max_depth, .. } => {
+                let axis = pick(&|a| lattice.length(a, span(a)))?;
+                (depth < max_depth && span(axis) > 1)
+                    .then(|| Split { axis, at: cell.lo[axis] + span(axis) / 2 })
+            }
+        }
+    }
+
+    /// Whether a cell that may be split should be, when `seen` triangles are visible from it.
+    pub fn wants_split(&self, seen: usize, depth: u32) -> bool {
+        match *self {
+            Self::Grid(_) => true,
+            Self::Adaptive { budget, .. } => depth < FORCED_DEPTH || seen > budget as usize,
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! The dyadic lattice of sample positions.
+//!
+//! Sample positions are integers; the world position is computed from them in one way only, so two cells, tiles
+//! or machines that name the same lattice point mean the same `f32` position to the bit.
+
+use glam::Vec3;
+
+/// Lattice units along one side of a grid cell: 2^16, so a cell can be halved sixteen times.
+pub const UNITS_PER_CELL: u32 = 1 << 16;
+
+/// A position on the lattice, in units from the view box's least corner.
+pub type LatticePoint = [u32; 3];
+
+/// The lattice over a view box.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lattice {
+    min: Vec3,
+    max: Vec3,
+    units: [u32; 3],
+}
+
+impl Lattice {
+    /// The lattice of `cells` grid cells a side over the closed box `min`…`max`. [`crate::Division`] checks both.
+    pub(crate) fn new(min: Vec3, max: Vec3, cells: [u32; 3]) -> Self {
+        Self { min, max, units: cells.map(|c| c * UNITS_PER_CELL) }
+    }
+
+    /// Units along each axis.
+    pub fn units(&self) -> [u32; 3] {
+        self.units
+    }
+
+    /// The world coordinate of unit `k` along `axis`; the ends are the box's own coordinates exactly.
+    pub fn coordinate(&self, axis: usize, k: u32) -> f32 {
+        let (lo, hi) = (self.min[axis], self.max[axis]);
+        if k == 0 {
+            lo
+        } else if k >= self.units[axis] {
+            hi
+        } else {
+            let t = f64::from(k) / f64::from(self.units[axis]);
+            (f64::from(lo) + (f64::from(hi) - f64::from(lo)) * t) as f32
+        }
+    }
+
+    /// The world position of a lattice point.
+    pub fn position(&self, p: LatticePoint) -> Vec3 {
+        Vec3::new(self.coordinate(0, p[0]), self.coordinate(1, p[1]), self.coordinate(2, p[2]))
+    }
+
+    /// World length of `units` lattice units along `axis`.
+    pub fn length(&self, axis: usize, units: u32) -> f64 {
+        (f64::from(self.max[axis]) - f64::from(self.min[axis])) * f64::from(units)
+            / f64::from(self.units[axis])
+    }
+}

@@ -1,0 +1,16 @@
+//! Compiles the .proto files with protox: no protoc is needed.
+
+use std::path::PathBuf;
+
+use prost::Message as _;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let files = ["sightline/v1/jobs.proto", "sightline/v1/workers.proto"];
+    println!("cargo:rerun-if-changed=sightline");
+    let set = protox::compile(files, ["."])?;
+    // The descriptors, for the reflection service.
+    let out = PathBuf::from(std::env::var_os("OUT_DIR").ok_or("cargo sets OUT_DIR")?);
+    std::fs::write(out.join("descriptors.bin"), set.encode_to_vec())?;
+    tonic_prost_build::configure().compile_fds(set)?;
+    Ok(())
+}

@@ -1,0 +1,128 @@
+//! Large things as streams of checked chunks of at most 1 MiB.
+
+use crate::v1::Chunk;
+
+/// Most bytes of one chunk.
+pub const CHUNK_BYTES: usize = 1 << 20;
+
+/// A stream of chunks that is not a whole thing.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ChunkError {
+    /// A checksum does not match.
+    #[error("the chunk at byte {0} arrived damaged; send it again")]
+    Checksum(u64),
+    /// A chunk is too large, out of order, or beyond the length announced.
+    #[error("the chunk at byte {0} is not the one expected; send the whole again from its start")]
+    Order(u64),
+    /// The stream ended early.
+    #[error("the stream ended after {got} bytes of {want}; send the whole again")]
+    Short {
+        /// Bytes received.
+        got: u64,
+        /// Bytes announced.
+        want: u64,
+    },
+    /// More was announced than is accepted.
+    #[error("{0} bytes were announced, more than the {1} accepted here")]
+    TooLarge(u64, u64),
+}
+
+/// Cuts `bytes` into chunks; one empty chunk when there are none, so that a length of zero is announced too.
+pub fn cut(bytes: &[u8]) -> impl Iterator<Item = Chunk> + '_ {
+    let total = bytes.len() as u64;
+    let empty = bytes.is_empty().then_some(&[][..]);
+    bytes.chunks(CHUNK_BYTES).chain(empty).enumerate().map(move |(i, data)| Chunk {
+        data: data.to_vec(),
+        crc32c: crc32c::crc32c(data),
+        offset: (i * CHUNK_BYTES) as u64,
+        total: if i == 0 { total } else { 0 },
+    })
+}
+
+/// Puts chunks together again, checking each.
+#[derive(Debug)]
+pub struct Assembler {
+    bytes: Vec<u8>,
+    total: Option<u64>,
+    limit: u64,
+}
+
+impl Assembler {
+    /// For a thing of at most `limit` bytes.
+    pub fn new(limit: u64) -> Self {
+        Self { bytes: Vec::new(), total: None, limit }
+    }
+
+    /// Takes the next chunk. Memory grows with what arrives, not with what is announced.
+    ///
+    /// # Errors
+    /// [`ChunkError`] when the chunk is not the next one, or damaged.
+    pub fn push(&mut self, chunk: &Chunk) -> Result<(), ChunkError> {
+        check(chunk)?;
+        let total = *self.total.get_or_insert(chunk.total);
+        if total > self.limit {
+            return Err(ChunkError::TooLarge(total, self.limit));
+        }
+        let end = chunk.offset.saturating_add(chunk.data.len() as u64);
+        if chunk.offset != self.bytes.len() as u64 || end > total {
+            return Err(ChunkError::Order(chunk.offset));
+        }
+        self.bytes.extend_from_slice(&chunk.data);
+        Ok(())
+    }
+
+    /// The whole thing.
+    ///
+    /// # Errors
+    /// [`ChunkError::Short`] when something is missing.
+    pub fn finish(self) -> Result<Vec<u8>, ChunkError> {
+        let (got, want) = (self.bytes.len() as u64, self.total.unwrap_or(0));
+        if self.total.is_some() && got == want {
+            Ok(self.bytes)
+        } else {
+            Err(ChunkError::Short { got, want })
+        }
+    }
+}
+
+/// Checks a chunk's size and checksum.
+///
+/// # Errors
+/// [`ChunkError`] naming the chunk's offset.
+pub fn check(chunk: &Chunk) -> Result<(), ChunkError> {
+    if chunk.data.len() > CHUNK_BYTES {
+        return Err(ChunkError::Order(chunk.offset));
+    }
+    if crc32c::crc32c(&chunk.data) == chunk.crc32c { Ok(()) } else { Err(ChunkError::Checksum(chunk.offset)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whole_again() {
+        for n in [0, 1, CHUNK_BYTES, CHUNK_BYTES * 2 + 5] {
+            let bytes: Vec<u8> = (0..n).map(|i| (i * 7) as u8).collect();
+            let mut a = Assembler::new(1 << 30);
+            cut(&bytes).for_each(|c| a.push(&c).unwrap());
+            assert_eq!(a.finish().unwrap(), bytes);
+        }
+    }
+
+    #[test]
+    fn damage_loss_and_excess_are_refused() {
+        let bytes = vec![3u8; CHUNK_BYTES + 9];
+        let chunks: Vec<_> = cut(&bytes).collect();
+        let mut a = Assembler::new(1 << 30);
+        assert_eq!(a.push(&chunks[1]), Err(ChunkError::Order(CHUNK_BYTES as u64)));
+        let mut a = Assembler::new(1 << 30);
+        a.push(&chunks[0]).unwrap();
+        assert!(matches!(a.finish(), Err(ChunkError::Short { .. })));
+        let mut bad = chunks[0].clone();
+        bad.data[7] ^= 1;
+        assert_eq!(Assembler::new(1 << 30).push(&bad), Err(ChunkError::Checksum(0)));
+        assert!(matches!(Assembler::new(10).push(&chunks[0]), Err(ChunkError::TooLarge(..))));
+        assert!(matches!(Assembler::new(10).finish(), Err(ChunkError::Short { .. })));
+    }
+}

@@ -1,0 +1,74 @@
+//! Which sampling backends this machine has, by numerics profile.
+
+use std::sync::Arc;
+
+use sightline_sampling::embree::CpuBackend;
+use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
+use sightline_sampling::{Backend, BackendError, CubeSpec};
+use sightline_scene::Scene;
+
+/// Which backends a worker may use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Choice {
+    /// All that are there.
+    Auto,
+    /// wgpu only.
+    Gpu,
+    /// Embree only.
+    Cpu,
+}
+
+/// The backends that work here, and why the others do not.
+pub struct Backends {
+    cpu: Result<String, String>,
+    gpu: Result<String, String>,
+    adapter: AdapterChoice,
+}
+
+impl Backends {
+    /// Looks at the machine.
+    pub fn probe(choice: Choice, adapter: AdapterChoice) -> Self {
+        let not_asked = || Err("not asked for".to_owned());
+        let say = |r: Result<String, BackendError>| r.map_err(|e| e.to_string());
+        Self {
+            cpu: if choice == Choice::Gpu { not_asked() } else { say(CpuBackend::probe()) },
+            gpu: if choice == Choice::Cpu { not_asked() } else { say(GpuBackend::probe(&adapter)) },
+            adapter,
+        }
+    }
+
+    /// Profiles of the backends that work, cpu first.
+    pub fn profiles(&self) -> Vec<String> {
+        [&self.cpu, &self.gpu].into_iter().filter_map(|r| r.as_ref().ok().cloned()).collect()
+    }
+
+    /// What is missing, for people: one line for each backend that was asked for and does not work.
+    pub fn missing(&self) -> Vec<String> {
+        let line = |name: &str, r: &Result<String, String>| {
+            r.as_ref().err().filter(|e| *e != "not asked for").map(|e| format!("{name} backend: {e}"))
+        };
+        [line("cpu", &self.cpu), line("gpu", &self.gpu)].into_iter().flatten().collect()
+    }
+
+    /// The backend with a profile, bound to a scene.
+    ///
+    /// # Errors
+    /// [`BackendError::Unavailable`] when this machine does not have the profile, or what the backend reports.
+    pub fn open(
+        &self,
+        profile: &str,
+        scene: Arc<Scene>,
+        spec: CubeSpec,
+    ) -> Result<Arc<dyn Backend>, BackendError> {
+        if self.cpu.as_deref() == Ok(profile) {
+            Ok(Arc::new(CpuBackend::new(scene, spec)?))
+        } else if self.gpu.as_deref() == Ok(profile) {
+            Ok(Arc::new(GpuBackend::new(scene, spec, self.adapter.clone())?))
+        } else {
+            Err(BackendError::Unavailable(format!(
+                "this worker has no backend with the numerics profile {profile}; it has: {}",
+                self.profiles().join(", ")
+            )))
+        }
+    }
+}

@@ -1,0 +1,33 @@
+//! Packs fetched from the coordinator, kept compressed as long as there is room.
+
+use std::collections::VecDeque;
+use std::sync::{Mutex, PoisonError};
+
+/// Compressed bytes kept: neighbouring tiles need mostly the same packs.
+const ROOM: usize = 256 << 20;
+
+/// Packs by digest; the oldest are dropped first.
+#[derive(Default)]
+pub struct PackCache {
+    packs: Mutex<VecDeque<([u8; 32], bytes::Bytes)>>,
+}
+
+impl PackCache {
+    /// The pack, if it is here.
+    pub fn get(&self, digest: &[u8; 32]) -> Option<bytes::Bytes> {
+        let packs = self.packs.lock().unwrap_or_else(PoisonError::into_inner);
+        packs.iter().find(|(d, _)| d == digest).map(|(_, b)| b.clone())
+    }
+
+    /// Keeps a pack.
+    pub fn put(&self, digest: [u8; 32], pack: bytes::Bytes) {
+        let mut packs = self.packs.lock().unwrap_or_else(PoisonError::into_inner);
+        if pack.len() > ROOM || packs.iter().any(|(d, _)| *d == digest) {
+            return;
+        }
+        packs.push_back((digest, pack));
+        while packs.iter().map(|(_, b)| b.len()).sum::<usize>() > ROOM {
+            packs.pop_front();
+        }
+    }
+}

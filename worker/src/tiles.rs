@@ -1,0 +1,262 @@
+//! One tile from grant to commit: fetch what it needs, run it, stream the output back.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use futures::StreamExt as _;
+use sightline_job::JobSpec;
+use sightline_proto::chunks::{Assembler, cut};
+use sightline_proto::v1;
+use sightline_proto::v1::workers_client::WorkersClient;
+use sightline_sampling::codec;
+use sightline_sampling::tile::{self, JobContext, Pack, TileError, TileOutput, Watcher};
+use tonic::transport::Channel;
+
+use crate::Config;
+use crate::packs::PackCache;
+use crate::scenes::Loaded;
+
+/// Largest scene or pack accepted from a coordinator.
+const MAX_FETCH: u64 = 64 << 30;
+/// How often an upload is tried again, and how long to wait before the first time; the wait doubles.
+const UPLOAD_TRIES: u32 = 8;
+const UPLOAD_WAIT: Duration = Duration::from_millis(250);
+
+/// A lease in hand, watched by the session and the tile that runs under it.
+pub struct Held {
+    /// The lease.
+    pub lease: v1::Lease,
+    cells: AtomicU64,
+    samples: AtomicU64,
+    cancelled: AtomicBool,
+}
+
+impl Held {
+    /// A fresh lease.
+    pub fn new(lease: v1::Lease) -> Self {
+        Self {
+            lease,
+            cells: AtomicU64::new(0),
+            samples: AtomicU64::new(0),
+            cancelled: AtomicBool::new(false),
+        }
+    }
+
+    /// Tells the tile to stop.
+    pub fn cancel(&self) {
+        self.cancelled.store(true, Ordering::Relaxed);
+    }
+
+    /// How far the tile is.
+    pub fn progress(&self) -> v1::Progress {
+        v1::Progress {
+            lease: Some(self.lease),
+            cells: self.cells.load(Ordering::Relaxed),
+            samples: self.samples.load(Ordering::Relaxed),
+        }
+    }
+}
+
+impl Watcher for Held {
+    fn rendered(&self, cubes: u64) {
+        self.samples.fetch_add(cubes, Ordering::Relaxed);
+    }
+    fn cell_done(&self) {
+        self.cells.fetch_add(1, Ordering::Relaxed);
+    }
+    fn cancelled(&self) -> bool {
+        self.cancelled.load(Ordering::Relaxed)
+    }
+}
+
+/// Why a tile was not committed.
+pub enum Failure {
+    /// The lease was taken back; nothing to report.
+    Cancelled,
+    /// The network or the machine.
+    Infrastructure(String),
+    /// The tile itself.
+    Tile(String),
+}
+
+/// What tiles share.
+pub struct Shop {
+    /// The worker's set-up.
+    pub config: Config,
+    /// Packs at hand.
+    pub packs: PackCache,
+    /// One tile runs at a time; the next one fetches meanwhile.
+    pub running: tokio::sync::Semaphore,
+    /// Connection to the coordinator.
+    pub client: WorkersClient<Channel>,
+}
+
+impl Shop {
+    /// Runs the tile of `grant` and commits it.
+    pub async fn work(self: &Arc<Self>, grant: v1::Grant, held: Arc<Held>) -> Result<(), Failure> {
+        let infrastructure = Failure::Infrastructure;
+        let wire = grant.spec.ok_or_else(|| Failure::Tile("the grant has no specification".to_owned()))?;
+        let spec = JobSpec::from_proto(&wire, None).map_err(|e| Failure::Tile(e.to_string()))?;
+        let loaded = self.scene(spec.scene).await.map_err(infrastructure)?;
+        let mut packs = Vec::with_capacity(grant.packs.len());
+        for digest in &grant.packs {
+            packs.push(self.pack(digest).await.map_err(infrastructure)?);
+        }
+        let _turn = self.running.acquire().await.map_err(|e| infrastructure(e.to_string()))?;
+        if held.cancelled() {
+            return Err(Failure::Cancelled);
+        }
+        let start = Instant::now();
+        let (shop, watcher) = (Arc::clone(self), Arc::clone(&held));
+        let (bytes, rendered) =
+            tokio::task::spawn_blocking(move || shop.run(&spec, &grant.profile, &loaded, &packs, &watcher))
+                .await
+                .map_err(|e| Failure::Tile(format!("sampling panicked: {e}")))??;
+        drop(_turn);
+        let header = v1::ResultHeader {
+            lease: Some(held.lease),
+            digest: blake3::hash(&bytes).as_bytes().to_vec(),
+            bytes: bytes.len() as u64,
+            samples: rendered,
+            cells: held.cells.load(Ordering::Relaxed),
+            millis: start.elapsed().as_millis() as u64,
+        };
+        self.upload(header, bytes.into(), &held).await
+    }
+
+    /// The part that computes, on a thread of its own.
+    fn run(
+        &self,
+        spec: &JobSpec,
+        profile: &str,
+        loaded: &Loaded,
+        packs: &[bytes::Bytes],
+        held: &Held,
+    ) -> Result<(Vec<u8>, u64), Failure> {
+        let tile_fault = |e: &dyn std::fmt::Display| Failure::Tile(e.to_string());
+        let (lattice, plan) = spec.plan().map_err(|e| tile_fault(&e))?;
+        let tile = plan.tiles.get(held.lease.tile as usize);
+        let tile = tile.ok_or_else(|| Failure::Tile("the plan has no such tile".to_owned()))?;
+        let backend = loaded
+            .backend(&self.config.backends, profile, spec.sampling.cube_spec(), &self.config.name)
+            .map_err(|e| Failure::Infrastructure(e.to_string()))?;
+        let triangles = loaded.prepared.scene.len();
+        let packs = packs
+            .iter()
+            .map(|bytes| match codec::decode(bytes, triangles) {
+                Ok(TileOutput::Pack(pack)) => Ok(pack),
+                Ok(TileOutput::Cells(_)) => Err(Failure::Tile("a pack holds cells".to_owned())),
+                Err(e) => Err(tile_fault(&e)),
+            })
+            .collect::<Result<Vec<Pack>, _>>()?;
+        let job = JobContext {
+            scene: &loaded.prepared,
+            division: spec.division,
+            lattice,
+            params: &spec.sampling,
+            backend: &*backend,
+        };
+        let result = self.config.pool.install(|| tile::run(&job, tile, &packs, held));
+        let (output, counters) = result.map_err(|e| match e {
+            TileError::Cancelled => Failure::Cancelled,
+            TileError::Backend(e) => Failure::Tile(e.to_string()),
+        })?;
+        tracing::debug!(tile = held.lease.tile, ?counters, "tile sampled");
+        let bytes = codec::encode(&output).map_err(|e| Failure::Infrastructure(e.to_string()))?;
+        Ok((bytes, counters.rendered))
+    }
+
+    /// A scene, from the cache or the coordinator.
+    pub async fn scene(&self, digest: [u8; 32]) -> Result<Arc<Loaded>, String> {
+        let mut client = self.client.clone();
+        let fetch = async move {
+            let request = v1::FetchSceneRequest { digest: digest.to_vec() };
+            let stream = client.fetch_scene(request).await.map_err(|s| describe(&s))?;
+            assemble(stream.into_inner()).await
+        };
+        self.config.scenes.get(digest, fetch).await
+    }
+
+    async fn pack(&self, digest: &[u8]) -> Result<bytes::Bytes, String> {
+        let digest: [u8; 32] = digest.try_into().map_err(|_| "a pack's digest has the wrong length")?;
+        if let Some(pack) = self.packs.get(&digest) {
+            return Ok(pack);
+        }
+        let request = v1::FetchPackRequest { digest: digest.to_vec() };
+        let stream = self.client.clone().fetch_pack(request).await.map_err(|s| describe(&s))?;
+        let bytes = bytes::Bytes::from(assemble(stream.into_inner()).await?);
+        if *blake3::hash(&bytes).as_bytes() != digest {
+            return Err("the pack that arrived is not the one asked for".to_owned());
+        }
+        self.packs.put(digest, bytes.clone());
+        Ok(bytes)
+    }
+
+    async fn upload(&self, header: v1::ResultHeader, bytes: bytes::Bytes, held: &Held) -> Result<(), Failure> {
+        let mut wait = UPLOAD_WAIT;
+        let mut last = String::new();
+        for _ in 0..UPLOAD_TRIES {
+            if held.cancelled() {
+                return Err(Failure::Cancelled);
+            }
+            let first = v1::ResultPart { part: Some(v1::result_part::Part::Header(header.clone())) };
+            let body = bytes.clone();
+            // Cut lazily, so that one chunk at a time is copied.
+            let chunks = (0..body.len().div_ceil(sightline_proto::chunks::CHUNK_BYTES).max(1)).map(move |i| {
+                let chunk = cut(&body).nth(i).unwrap_or_default();
+                v1::ResultPart { part: Some(v1::result_part::Part::Chunk(chunk)) }
+            });
+            let parts = tokio_stream::iter(std::iter::once(first).chain(chunks));
+            match self.client.clone().put_result(parts).await {
+                Ok(_) => return Ok(()),
+                Err(s) => match s.code() {
+                    tonic::Code::Aborted => return Err(Failure::Tile(describe(&s))),
+                    // The job is gone or cancelled: nobody wants this tile any more.
+                    tonic::Code::NotFound | tonic::Code::FailedPrecondition => return Err(Failure::Cancelled),
+                    _ => last = describe(&s),
+                },
+            }
+            tokio::time::sleep(wait).await;
+            wait *= 2;
+        }
+        Err(Failure::Infrastructure(format!("the result could not be delivered: {last}")))
+    }
+
+    /// Times the backends on a job's scene.
+    pub async fn time(&self, spec: &v1::JobSpec) -> Result<Vec<v1::ProfileTime>, String> {
+        let spec = JobSpec::from_proto(spec, None).map_err(|e| e.to_string())?;
+        let lattice = spec.lattice().map_err(|e| e.to_string())?;
+        let loaded = self.scene(spec.scene).await?;
+        let config = self.config.clone();
+        tokio::task::spawn_blocking(move || {
+            let mut times = Vec::new();
+            for profile in config.backends.profiles() {
+                let timed = loaded
+                    .backend(&config.backends, &profile, spec.sampling.cube_spec(), &config.name)
+                    .and_then(|b| config.pool.install(|| sightline_sampling::auto::time(&*b, &lattice)));
+                match timed {
+                    Ok(t) => times
+                        .push(v1::ProfileTime { profile, seconds_per_cube: t.per_cube.as_secs_f64() }),
+                    Err(e) => tracing::warn!("{profile} cannot be used for this scene: {e}"),
+                }
+            }
+            times
+        })
+        .await
+        .map_err(|e| e.to_string())
+    }
+}
+
+async fn assemble(mut stream: tonic::Streaming<v1::Chunk>) -> Result<Vec<u8>, String> {
+    let mut whole = Assembler::new(MAX_FETCH);
+    while let Some(chunk) = stream.next().await {
+        whole.push(&chunk.map_err(|s| describe(&s))?).map_err(|e| e.to_string())?;
+    }
+    whole.finish().map_err(|e| e.to_string())
+}
+
+/// A status as people read it.
+pub fn describe(status: &tonic::Status) -> String {
+    format!("{} ({})", status.message(), status.code())
+}
