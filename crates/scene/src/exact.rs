@@ -1,36 +1,139 @@
 //! Exact decisions about `f32` points: a filter in `f64` first, exact arithmetic when it cannot tell.
+//!
+//! Nothing here can overflow, underflow or be decided by a tolerance. A finite `f32` is a multiple of 2⁻¹⁴⁹
+//! below 2¹²⁸, so a product of three of them is a multiple of 2⁻⁴⁴⁷ below 2³⁸⁴, well inside what an `f64`
+//! holds. Source of the methods: Shewchuk, "Adaptive Precision Floating-Point Arithmetic and Fast Robust
+//! Geometric Predicates", 1997, §2 (expansions) and §4 (filters).
+
+use std::cmp::Ordering;
 
 use glam::Vec3;
 
-/// Whether the three points lie on one line (or coincide).
-///
-/// Each component of (b − a) × (c − a) is a sum of six products of two `f32`, and the triangle is degenerate
-/// when all three are zero. A product of two `f32` is exact in `f64` (48 bits of mantissa, exponents in range),
-/// so only the additions can round; they are done as an error-free expansion (Shewchuk 1997, §2).
+/// Half a unit in the last place of 1: the largest relative error of one rounded `f64` operation.
+const U: f64 = f64::EPSILON / 2.0;
+
+/// Whether the three points lie on one line (or coincide): all three components of (b − a) × (c − a) are 0.
 pub fn collinear(a: Vec3, b: Vec3, c: Vec3) -> bool {
-    let zero2 = |a: (f32, f32), b: (f32, f32), c: (f32, f32)| {
-        let p = |x: f32, y: f32| f64::from(x) * f64::from(y);
-        // (bx−ax)(cy−ay) − (by−ay)(cx−ax), expanded; the ax·ay terms cancel.
-        sum_is_zero([p(b.0, c.1), -p(b.0, a.1), -p(a.0, c.1), -p(b.1, c.0), p(b.1, a.0), p(a.1, c.0)])
-    };
-    zero2((a.x, a.y), (b.x, b.y), (c.x, c.y))
-        && zero2((a.y, a.z), (b.y, b.z), (c.y, c.z))
-        && zero2((a.z, a.x), (b.z, b.x), (c.z, c.x))
+    let zero =
+        |i: usize, j: usize| orient2d_sign([a[i], a[j]], [b[i], b[j]], [c[i], c[j]]) == Ordering::Equal;
+    zero(0, 1) && zero(1, 2) && zero(2, 0)
 }
 
-/// Whether six doubles sum to exactly zero, by growing a non-overlapping expansion.
-fn sum_is_zero(terms: [f64; 6]) -> bool {
-    let mut expansion = [0.0f64; 6];
+/// The sign of (b − a) × (p − a) in the plane: `Greater` when a, b, p turn counter-clockwise.
+///
+/// Filter: each of the two products is made of two rounded differences and one rounded product, and one
+/// rounded subtraction follows, so the result differs from the truth by at most ((1+u)⁴−1)(|L|+|R|) with L, R
+/// the true products. The computed |l| is at least (1−u)³|L|, which makes that at most 5u(|l|+|r|); 8u also
+/// covers the roundings made while the bound itself is computed.
+pub fn orient2d_sign(a: [f32; 2], b: [f32; 2], p: [f32; 2]) -> Ordering {
+    let d = |x: f32, y: f32| f64::from(x) - f64::from(y);
+    let l = d(b[0], a[0]) * d(p[1], a[1]);
+    let r = d(b[1], a[1]) * d(p[0], a[0]);
+    let det = l - r;
+    if det.abs() > 8.0 * U * (l.abs() + r.abs()) {
+        return sign(det);
+    }
+    // Multiplied out; the ax·ay terms cancel. A product of two f32 has at most 48 bits and is exact.
+    let m = |x: f32, y: f32| f64::from(x) * f64::from(y);
+    sum_sign([m(b[0], p[1]), -m(b[0], a[1]), -m(a[0], p[1]), -m(b[1], p[0]), m(b[1], a[0]), m(a[1], p[0])])
+}
+
+/// On which side of the plane through `a`, `b`, `c` the point `p` lies: the sign of (b − a) × (c − a) · (p − a),
+/// so `Greater` on the side the triangle's normal points to, `Equal` on the plane (or when there is no plane).
+///
+/// Filter: every one of the six triple products passes through three rounded differences, two rounded
+/// products and at most three rounded additions, so the error is at most ((1+u)⁸−1) times the sum of the true
+/// products' magnitudes, hence at most 10u times the sum of the computed ones; 16u covers computing the bound.
+pub fn orient3d_sign(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Ordering {
+    let d = |x: Vec3| (x.as_dvec3() - a.as_dvec3()).to_array();
+    let (det, magnitude) = det3(d(b), d(c), d(p));
+    if det.abs() > 16.0 * U * magnitude {
+        return sign(det);
+    }
+    // The determinant of differences is linear in each row, and rows with a twice vanish.
+    let mut terms = [0.0; 48];
+    for (chunk, (x, y, z, minus)) in
+        terms.chunks_exact_mut(12).zip([(b, c, p, false), (a, c, p, true), (a, b, p, false), (a, b, c, true)])
+    {
+        chunk.copy_from_slice(&det3_terms(x, y, z));
+        if minus {
+            chunk.iter_mut().for_each(|t| *t = -*t);
+        }
+    }
+    sum_sign(terms)
+}
+
+/// The determinant with the given rows, rounded, and the sum of the magnitudes of its six products.
+pub(crate) fn det3(x: [f64; 3], y: [f64; 3], z: [f64; 3]) -> (f64, f64) {
+    let minor = |i: usize, j: usize| {
+        let (l, r) = (x[i] * y[j], x[j] * y[i]);
+        (l - r, l.abs() + r.abs())
+    };
+    let (mx, my, mz) = (minor(1, 2), minor(2, 0), minor(0, 1));
+    let det = mx.0 * z[0] + my.0 * z[1] + mz.0 * z[2];
+    (det, mx.1 * z[0].abs() + my.1 * z[1].abs() + mz.1 * z[2].abs())
+}
+
+/// Twelve doubles whose exact sum is the determinant with rows `x`, `y`, `z`: each of the six products of three
+/// `f32` (72 bits) as its rounded value and the exact error of that.
+pub(crate) fn det3_terms(x: Vec3, y: Vec3, z: Vec3) -> [f64; 12] {
+    let mut out = [0.0; 12];
+    for (pair, (i, j, k, minus)) in out.chunks_exact_mut(2).zip([
+        (0, 1, 2, false),
+        (1, 2, 0, false),
+        (2, 0, 1, false),
+        (2, 1, 0, true),
+        (1, 0, 2, true),
+        (0, 2, 1, true),
+    ]) {
+        let xy = f64::from(x[i]) * f64::from(y[j]);
+        let w = if minus { -f64::from(z[k]) } else { f64::from(z[k]) };
+        let rounded = xy * w;
+        pair.copy_from_slice(&[rounded, xy.mul_add(w, -rounded)]);
+    }
+    out
+}
+
+/// The sign of the exact sum of doubles, by growing a non-overlapping expansion.
+///
+/// The components end up in order of growing magnitude, zeros between them, and do not overlap (Shewchuk 1997,
+/// theorem 10), so the last that is not zero outweighs all others together.
+fn sum_sign<const N: usize>(terms: [f64; N]) -> Ordering {
+    let mut expansion = [0.0f64; N];
     for (len, term) in terms.into_iter().enumerate() {
         let mut q = term;
         for e in &mut expansion[..len] {
-            let (sum, error) = two_sum(q, *e);
-            *e = error;
-            q = sum;
+            (q, *e) = two_sum(q, *e);
         }
         expansion[len] = q;
     }
-    expansion.iter().all(|e| *e == 0.0)
+    sign(expansion.iter().rev().copied().find(|e| *e != 0.0).unwrap_or(0.0))
+}
+
+/// An exact sum of any number of doubles, for totals over whole meshes.
+#[derive(Default)]
+pub(crate) struct Sum {
+    /// Non-overlapping, growing in magnitude, no zeros.
+    expansion: Vec<f64>,
+}
+
+impl Sum {
+    /// Adds `term` exactly.
+    pub(crate) fn add(&mut self, term: f64) {
+        let mut q = term;
+        self.expansion.retain_mut(|e| {
+            (q, *e) = two_sum(q, *e);
+            *e != 0.0
+        });
+        if q != 0.0 {
+            self.expansion.push(q);
+        }
+    }
+
+    /// The sign of the sum.
+    pub(crate) fn sign(&self) -> Ordering {
+        sign(self.expansion.last().copied().unwrap_or(0.0))
+    }
 }
 
 /// `a + b` as rounded sum and exact error (Knuth's two-sum).
@@ -40,8 +143,15 @@ fn two_sum(a: f64, b: f64) -> (f64, f64) {
     (sum, (a - (sum - bb)) + (b - bb))
 }
 
+/// The sign of a double that is not NaN; no value here can be.
+fn sign(x: f64) -> Ordering {
+    x.partial_cmp(&0.0).unwrap_or(Ordering::Equal)
+}
+
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     #[test]
@@ -52,5 +162,61 @@ mod tests {
         let off = Vec3::new(0.2, f32::from_bits(0.2f32.to_bits() + 1), 0.0);
         assert!(!collinear(a, off, c));
         assert!(!collinear(Vec3::ZERO, Vec3::splat(1e30), Vec3::new(1e-30, 0.0, 0.0)));
+    }
+
+    #[test]
+    fn a_point_one_unit_off_a_slanted_plane_is_told() {
+        // The plane x + y + z = 3·2²⁴ through points whose differences are as small as f32 allows there.
+        let s = 16_777_216.0f32;
+        let (a, b, c) = (Vec3::splat(s), Vec3::new(s + 2.0, s - 2.0, s), Vec3::new(s, s + 2.0, s - 2.0));
+        assert_eq!(orient3d_sign(a, b, c, Vec3::new(s + 4.0, s, s - 4.0)), Ordering::Equal);
+        assert_eq!(orient3d_sign(a, b, c, Vec3::new(s + 4.0, s, s - 3.0)), Ordering::Greater);
+        assert_eq!(orient3d_sign(a, b, c, Vec3::new(s + 4.0, s, s - 5.0)), Ordering::Less);
+    }
+
+    #[test]
+    fn the_extremes_of_f32_neither_overflow_nor_vanish() {
+        let (big, small) = (f32::MAX, f32::from_bits(1));
+        let tiny = [Vec3::ZERO, Vec3::X * small, Vec3::Y * small];
+        assert_eq!(orient3d_sign(tiny[0], tiny[1], tiny[2], Vec3::Z * small), Ordering::Greater);
+        let far = Vec3::new(big, -big, small);
+        assert_eq!(orient3d_sign(tiny[0], tiny[1], tiny[2], far), Ordering::Greater);
+        let huge = [Vec3::splat(-big), Vec3::new(big, -big, -big), Vec3::new(-big, big, -big)];
+        assert_eq!(orient3d_sign(huge[0], huge[1], huge[2], Vec3::splat(big)), Ordering::Greater);
+        assert_eq!(orient3d_sign(huge[0], huge[1], huge[2], Vec3::new(big, 1.0, -big)), Ordering::Equal);
+    }
+
+    /// Coordinates as integers times a power of two per axis, so that the truth is an integer determinant.
+    fn wide() -> impl Strategy<Value = [[i64; 3]; 4]> {
+        let near = -3i64..4;
+        let wide = (-3i64..4, 0u32..22).prop_map(|(m, e)| m << e);
+        prop::array::uniform4(prop::array::uniform3(prop_oneof![near, wide]))
+    }
+
+    proptest! {
+        #[test]
+        fn orientation_agrees_with_integers(p in wide(), e in -60i32..60) {
+            let d = |k: usize, i: usize| i128::from(p[k][i] - p[0][i]);
+            let cross = |i: usize, j: usize| d(1, i) * d(2, j) - d(1, j) * d(2, i);
+            let det = cross(1, 2) * d(3, 0) + cross(2, 0) * d(3, 1) + cross(0, 1) * d(3, 2);
+            let v = p.map(|q| Vec3::from(q.map(|c| c as f32 * 2f32.powi(e))));
+            prop_assert_eq!(orient3d_sign(v[0], v[1], v[2], v[3]), det.cmp(&0));
+            prop_assert_eq!(orient3d_sign(v[1], v[0], v[2], v[3]), det.cmp(&0).reverse());
+            let flat = |k: usize| [v[k].x, v[k].y];
+            prop_assert_eq!(orient2d_sign(flat(0), flat(1), flat(2)), cross(0, 1).cmp(&0));
+            let on_line = cross(0, 1) == 0 && cross(1, 2) == 0 && cross(2, 0) == 0;
+            prop_assert_eq!(collinear(v[0], v[1], v[2]), on_line);
+        }
+
+        #[test]
+        fn the_exact_path_alone_agrees_with_any_bits(bits in prop::array::uniform12(any::<f32>())) {
+            prop_assume!(bits.iter().all(|c| c.is_finite()));
+            let v: Vec<Vec3> = bits.chunks(3).map(Vec3::from_slice).collect();
+            let mut sum = Sum::default();
+            for (x, y, z, s) in [(1, 2, 3, 1.0), (0, 2, 3, -1.0), (0, 1, 3, 1.0), (0, 1, 2, -1.0)] {
+                det3_terms(v[x], v[y], v[z]).into_iter().for_each(|t| sum.add(s * t));
+            }
+            prop_assert_eq!(orient3d_sign(v[0], v[1], v[2], v[3]), sum.sign());
+        }
     }
 }

@@ -3,9 +3,12 @@
 //! A [`Scene`] is a list of triangles in world space whose position in the list is their id, and the objects
 //! they belong to. This crate knows nothing of view cells, sampling or the network.
 
+pub mod clusters;
 pub mod error;
 pub mod exact;
+pub mod overlap;
 pub mod scene;
+pub mod topology;
 
 pub use error::SceneError;
 pub use scene::{Aabb, Object, Scene, SceneDigest, Triangle};

@@ -1,0 +1,194 @@
+//! Which triangles meet a box, exactly: closed triangle against closed box, touching counts.
+//!
+//! Separating axes (Akenine-Möller, "Fast 3D Triangle–Box Overlap Testing", 2001): the box's three normals, the
+//! triangle's normal, and the nine cross products of their edges. Every comparison along an axis is written as
+//! an orientation of `f32` points, so [`crate::exact`] decides it: the bounds of its filters are proved there,
+//! and no epsilon enters.
+
+use std::cmp::Ordering;
+
+use glam::Vec3;
+
+use crate::exact::{orient2d_sign, orient3d_sign};
+use crate::{Aabb, Scene, Triangle};
+
+/// Whether the closed triangle and the closed box share a point. An empty box (`min` > `max` somewhere) meets
+/// nothing; a triangle without area is treated as the segment or point it is.
+pub fn triangle_touches_box(t: &Triangle, b: &Aabb) -> bool {
+    b.min.cmple(b.max).all()
+        && t.bounds().touches(b)
+        && !edge_separates(t, b, 0, 1)
+        && !edge_separates(t, b, 1, 2)
+        && !edge_separates(t, b, 2, 0)
+        && plane_meets(t, b)
+}
+
+/// The ids of the triangles that meet `bounds`, ascending, those without area left out; of `ids` (any order,
+/// each below the scene's length; others are ignored) or of the whole scene.
+pub fn triangles_in_box(scene: &Scene, ids: Option<&[u32]>, bounds: &Aabb) -> Vec<u32> {
+    let meets = |id: &u32| {
+        scene.triangles().get(*id as usize).is_some_and(|t| {
+            t.bounds().touches(bounds) && triangle_touches_box(t, bounds) && !t.is_degenerate()
+        })
+    };
+    match ids {
+        None => (0..scene.len()).filter(meets).collect(),
+        Some(ids) => {
+            let mut found: Vec<u32> = ids.iter().copied().filter(meets).collect();
+            found.sort_unstable();
+            found.dedup();
+            found
+        }
+    }
+}
+
+/// Whether some line parallel to the third axis and to a triangle edge separates the two, seen along that axis:
+/// the triangle on or behind the edge, the whole rectangle strictly in front of it.
+///
+/// Only the side the triangle does not lie on needs a look. A face of the Minkowski difference made by an edge
+/// of each has the triangle's edge as its support, that is, nothing of the triangle in front of it.
+fn edge_separates(t: &Triangle, b: &Aabb, i: usize, j: usize) -> bool {
+    let flat = |v: Vec3| [v[i], v[j]];
+    (0..3).any(|k| {
+        let (p, q, r) = (flat(t.v[k]), flat(t.v[(k + 1) % 3]), flat(t.v[(k + 2) % 3]));
+        let rest = orient2d_sign(p, q, r);
+        // The corner with the greatest (q−p)×(x−p) has the greater y where q−p points right, the lesser x where
+        // it points up; the corner with the least is opposite.
+        let pick = |up: bool, a: usize| if up { b.max[a] } else { b.min[a] };
+        let (right, up) = (q[0] > p[0], q[1] > p[1]);
+        let greatest = [pick(!up, i), pick(right, j)];
+        let least = [pick(up, i), pick(!right, j)];
+        (rest != Ordering::Greater && orient2d_sign(p, q, least) == Ordering::Greater)
+            || (rest != Ordering::Less && orient2d_sign(p, q, greatest) == Ordering::Less)
+    })
+}
+
+/// Whether the triangle's plane meets the box: its corners furthest along the normal are not strictly on one
+/// side. A triangle without area has no plane, every sign is `Equal`, and nothing is separated.
+fn plane_meets(t: &Triangle, b: &Aabb) -> bool {
+    let [p, q, r] = t.v;
+    let mut front = b.min;
+    let mut back = b.max;
+    for axis in 0..3 {
+        let (i, j) = ((axis + 1) % 3, (axis + 2) % 3);
+        if orient2d_sign([p[i], p[j]], [q[i], q[j]], [r[i], r[j]]) == Ordering::Greater {
+            front[axis] = b.max[axis];
+            back[axis] = b.min[axis];
+        }
+    }
+    orient3d_sign(p, q, r, front) != Ordering::Less && orient3d_sign(p, q, r, back) != Ordering::Greater
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::Object;
+
+    fn tri(v: [[f32; 3]; 3]) -> Triangle {
+        Triangle { v: v.map(Vec3::from) }
+    }
+
+    fn unit() -> Aabb {
+        Aabb { min: Vec3::ZERO, max: Vec3::ONE }
+    }
+
+    /// Clips the triangle by the box's six half-spaces in homogeneous integers; what is left decides.
+    fn clipped(v: [[i32; 3]; 3], lo: [i32; 3], hi: [i32; 3]) -> bool {
+        let gcd = |mut a: i128, mut b: i128| {
+            while b != 0 {
+                (a, b) = (b, a % b);
+            }
+            a.abs().max(1)
+        };
+        let mut polygon: Vec<[i128; 4]> =
+            v.iter().map(|p| [p[0].into(), p[1].into(), p[2].into(), 1]).collect();
+        for axis in 0..3 {
+            for (bound, s) in [(i128::from(lo[axis]), 1), (i128::from(hi[axis]), -1)] {
+                let d = |p: &[i128; 4]| s * (p[axis] - bound * p[3]);
+                let mut kept = Vec::new();
+                for (k, p) in polygon.iter().enumerate() {
+                    let q = &polygon[(k + 1) % polygon.len()];
+                    let (dp, dq) = (d(p), d(q));
+                    if dp >= 0 {
+                        kept.push(*p);
+                    }
+                    if dp.signum() * dq.signum() < 0 {
+                        let cut = [0, 1, 2, 3].map(|c| p[c] * dq.abs() + q[c] * dp.abs());
+                        let g = cut.iter().fold(0, |g, c| gcd(g, *c));
+                        kept.push(cut.map(|c| c / g));
+                    }
+                }
+                polygon = kept;
+            }
+        }
+        !polygon.is_empty()
+    }
+
+    #[test]
+    fn touching_counts_and_the_next_float_does_not() {
+        let up = |x: f32| f32::from_bits(x.to_bits() + 1);
+        // A face, an edge and a corner that only touch.
+        assert!(triangle_touches_box(&tri([[1., 0., 0.], [1., 1., 0.], [1., 0., 1.]]), &unit()));
+        assert!(!triangle_touches_box(&tri([[up(1.), 0., 0.], [up(1.), 1., 0.], [up(1.), 0., 1.]]), &unit()));
+        let corner = |s: f32| tri([[s, 0., 0.], [0., s, 0.], [0., 0., s]]);
+        assert!(triangle_touches_box(&corner(3.), &unit()));
+        assert!(!triangle_touches_box(&corner(up(3.)), &unit()));
+        let edge = |s: f32| tri([[s, 0., 0.5], [0., s, 0.5], [s, s, 0.5]]);
+        assert!(triangle_touches_box(&edge(2.), &unit()));
+        assert!(!triangle_touches_box(&edge(up(2.)), &unit()));
+    }
+
+    #[test]
+    fn slivers_are_decided_by_their_last_bit() {
+        // Passes the box's edge x = 1, y = 1 at a distance that is far below the rounding of f64 products.
+        let far = 16_777_216.0f32;
+        let sliver =
+            |e: f32| tri([[1. + far, 1. - far, 0.25], [1. - far, 1. + far, 0.25], [far, far + e, 0.25]]);
+        assert!(triangle_touches_box(&sliver(2.), &unit()));
+        let off = tri([[far, -far + 2., 0.25], [-far + 2., far, 0.25], [far, far, 0.25]]);
+        assert!(triangle_touches_box(&off, &unit()), "x + y = 2 passes through the corner");
+        let past = tri([[far, -far + 3., 0.25], [-far + 2., far, 0.25], [far, far, 0.25]]);
+        assert!(!triangle_touches_box(&past, &unit()));
+        // Nearly no area, still decided: a needle along the diagonal.
+        let needle = tri([[-1e30, -1e30, -1e30], [1e30, 1e30, 1e30], [1e30, 1e30, 1.000_000_1e30]]);
+        assert!(triangle_touches_box(&needle, &unit()));
+    }
+
+    #[test]
+    fn degenerate_triangles_are_segments_and_are_not_listed() {
+        let segment = tri([[-1., -1., -1.], [2., 2., 2.], [0., 0., 0.]]);
+        let miss = tri([[-1., 1.5, 0.], [0.5, 3., 0.], [0., 2.5, 0.]]);
+        let hit = tri([[0.2, 0.2, 0.2], [0.4, 0.2, 0.2], [0.2, 0.4, 0.2]]);
+        assert!(triangle_touches_box(&segment, &unit()) && !triangle_touches_box(&miss, &unit()));
+        let objects = vec![Object { name: "all".into(), first: 0, count: 4 }];
+        let scene = Scene::new("test", vec![hit, segment, miss, hit], objects).unwrap();
+        assert_eq!(triangles_in_box(&scene, None, &unit()), [0, 3]);
+        assert_eq!(triangles_in_box(&scene, Some(&[3, 1, 3, 0, 99]), &unit()), [0, 3]);
+        assert!(triangles_in_box(&scene, None, &Aabb::EMPTY).is_empty());
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(4000))]
+        #[test]
+        fn agrees_with_clipping_and_keeps_under_symmetries(
+            v in prop::array::uniform3(prop::array::uniform3(-5i32..6)),
+            lo in prop::array::uniform3(-3i32..3),
+            size in prop::array::uniform3(0i32..4),
+            e in -100i32..100,
+        ) {
+            let hi = [lo[0] + size[0], lo[1] + size[1], lo[2] + size[2]];
+            let truth = clipped(v, lo, hi);
+            let float = |p: [i32; 3]| Vec3::from(p.map(|c| c as f32));
+            for (i, j, k) in [(0, 1, 2), (1, 2, 0), (2, 0, 1), (1, 0, 2), (0, 2, 1), (2, 1, 0)] {
+                let swap = |p: [i32; 3]| float([p[i], p[j], p[k]]) * 2f32.powi(e);
+                let b = Aabb { min: swap(lo), max: swap(hi) };
+                let t = Triangle { v: v.map(swap) };
+                prop_assert_eq!(triangle_touches_box(&t, &b), truth);
+                let turned = Triangle { v: [t.v[i], t.v[j], t.v[k]] };
+                prop_assert_eq!(triangle_touches_box(&turned, &b), truth);
+            }
+        }
+    }
+}

@@ -1,0 +1,298 @@
+//! What a triangle soup says about surfaces: which parts are closed solids, which way they face, and which
+//! triangles are the same. Vertices are the same when their coordinates are equal bit for bit (−0 = 0); nothing
+//! is welded within a distance, and intersections of solids are not looked for.
+
+use std::cmp::Ordering;
+
+use glam::Vec3;
+
+use crate::exact::{Sum, det3, det3_terms, orient3d_sign};
+use crate::{Scene, SceneError};
+
+/// For every triangle whether it belongs to a closed, consistently oriented surface, and which way it faces.
+///
+/// A surface is what hangs together over shared edges. It is closed when each of its edges is used by exactly
+/// two of its triangles, in opposite directions; triangles without area are ignored throughout. The inner shell
+/// of a hollow body is a surface of its own: what it encloses, the cavity, counts as its inside.
+pub struct Solids {
+    /// +1: the normal points out of the solid, −1: into it, 0: no closed solid.
+    facing: Vec<i8>,
+}
+
+impl Solids {
+    /// Finds the closed solids of `scene` by sorting its vertices and edges.
+    ///
+    /// # Errors
+    /// [`SceneError::Bad`] when the scene has more than 2³²/3 triangles, whose vertices cannot be numbered.
+    pub fn of(scene: &Scene) -> Result<Self, SceneError> {
+        let corners = corner_vertices(scene)?;
+        let n = scene.triangles().len();
+        // One key for each directed edge: lesser vertex, greater vertex, triangle, and whether it runs upwards.
+        let mut edges: Vec<u128> = Vec::with_capacity(3 * n);
+        let solid: Vec<bool> = scene.triangles().iter().map(|t| !t.is_degenerate()).collect();
+        for (id, c) in corners.chunks_exact(3).enumerate().filter(|(id, _)| solid[*id]) {
+            for (a, b) in [(c[0], c[1]), (c[1], c[2]), (c[2], c[0])] {
+                let (lo, hi) = (a.min(b), a.max(b));
+                edges.push(
+                    u128::from(lo) << 96 | u128::from(hi) << 64 | (id as u128) << 1 | u128::from(a < b),
+                );
+            }
+        }
+        edges.sort_unstable();
+        let mut surface = Forest::new(n);
+        let triangle = |key: u128| (key as u64 >> 1) as u32;
+        let groups = || edges.chunk_by(|a, b| a >> 64 == b >> 64);
+        for group in groups() {
+            for key in &group[1..] {
+                surface.join(triangle(group[0]), triangle(*key));
+            }
+        }
+        let mut closed = vec![true; n];
+        for group in groups() {
+            if group.len() != 2 || group[0] & 1 == group[1] & 1 {
+                closed[surface.root(triangle(group[0])) as usize] = false;
+            }
+        }
+        drop(edges);
+        drop(corners);
+        let roots: Vec<u32> = (0..n as u32).map(|id| surface.root(id)).collect();
+        let signs = volume_signs(scene, &roots, |id| solid[id] && closed[roots[id] as usize]);
+        let facing = (0..n)
+            .map(|id| match (solid[id] && closed[roots[id] as usize], signs[roots[id] as usize]) {
+                (true, Ordering::Greater) => 1,
+                (true, Ordering::Less) => -1,
+                _ => 0,
+            })
+            .collect();
+        Ok(Self { facing })
+    }
+
+    /// +1 when the normal (v1 − v0) × (v2 − v0) of triangle `id` points out of the closed solid it bounds, −1
+    /// when it points in, `None` when it bounds none (or one of no volume, or `id` is not in the scene).
+    pub fn outward(&self, id: u32) -> Option<f32> {
+        self.facing.get(id as usize).filter(|f| **f != 0).map(|f| f32::from(*f))
+    }
+
+    /// Whether `p` lies on the outer side of triangle `id`'s plane, which decides whether a sample is an exterior
+    /// one when that triangle covers most of its pixels (Nirenstein & Blake 2004, §3.6). `None` when the
+    /// triangle bounds no closed solid, or `p` lies on its plane. `scene` is the scene `self` was made of.
+    pub fn exterior(&self, scene: &Scene, id: u32, p: Vec3) -> Option<bool> {
+        let facing = *self.facing.get(id as usize)?;
+        let [a, b, c] = scene.triangles().get(id as usize)?.v;
+        match (facing, orient3d_sign(a, b, c, p)) {
+            (0, _) | (_, Ordering::Equal) => None,
+            (f, side) => Some((f > 0) == (side == Ordering::Greater)),
+        }
+    }
+}
+
+/// Classes of two or more triangles with the same three vertices in any order, each ascending, in the order of
+/// their first ids. Triangles without area are left out.
+///
+/// # Errors
+/// As [`Solids::of`].
+pub fn duplicates(scene: &Scene) -> Result<Vec<Vec<u32>>, SceneError> {
+    let corners = corner_vertices(scene)?;
+    let mut keys: Vec<u128> = Vec::with_capacity(scene.triangles().len());
+    for (id, (c, t)) in corners.chunks_exact(3).zip(scene.triangles()).enumerate() {
+        let mut v = [c[0], c[1], c[2]];
+        v.sort_unstable();
+        if !t.is_degenerate() {
+            keys.push(u128::from(v[0]) << 96 | u128::from(v[1]) << 64 | u128::from(v[2]) << 32 | id as u128);
+        }
+    }
+    keys.sort_unstable();
+    let mut classes: Vec<Vec<u32>> = keys
+        .chunk_by(|a, b| a >> 32 == b >> 32)
+        .filter(|class| class.len() > 1)
+        .map(|class| class.iter().map(|key| *key as u32).collect())
+        .collect();
+    classes.sort_unstable();
+    Ok(classes)
+}
+
+/// A number for each corner (three a triangle), equal exactly for corners at the same position.
+fn corner_vertices(scene: &Scene) -> Result<Vec<u32>, SceneError> {
+    let corners = scene.triangles().len() as u64 * 3;
+    if corners > u64::from(u32::MAX) {
+        return Err(SceneError::bad(
+            "scene",
+            "vertices",
+            format!("its {corners} triangle corners are more than can be numbered"),
+            "split the scene into parts of at most 1 431 655 765 triangles",
+        ));
+    }
+    // Position in the upper 96 bits, corner in the lower 32.
+    let mut keys: Vec<u128> = Vec::with_capacity(corners as usize);
+    for v in scene.triangles().iter().flat_map(|t| &t.v) {
+        // Adding 0 turns −0 into 0 and changes nothing else.
+        let bits = |c: f32| u128::from((c + 0.0).to_bits());
+        keys.push(bits(v.x) << 96 | bits(v.y) << 64 | bits(v.z) << 32 | keys.len() as u128);
+    }
+    keys.sort_unstable();
+    let mut ids = vec![0u32; keys.len()];
+    for (id, group) in keys.chunk_by(|a, b| a >> 32 == b >> 32).enumerate() {
+        for key in group {
+            ids[*key as u32 as usize] = id as u32;
+        }
+    }
+    Ok(ids)
+}
+
+/// The sign of the volume of each closed surface, at its root's index.
+///
+/// Rounded first: with o a vertex of the surface and n triangles, each term's error is at most 10u times its
+/// products' magnitudes (see [`orient3d_sign`]) and adding n terms loses at most about nu times their sum, so
+/// (n + 16)·2u times the sum of magnitudes is a bound with room to spare for n < 2³². Where that leaves the sign
+/// open, the terms are added exactly; the reference point is then not needed.
+fn volume_signs(scene: &Scene, roots: &[u32], counts: impl Fn(usize) -> bool) -> Vec<Ordering> {
+    let n = roots.len();
+    let mut total = vec![(0.0f64, 0.0f64, 0u32); n];
+    for (id, t) in scene.triangles().iter().enumerate().filter(|(id, _)| counts(*id)) {
+        let o = scene.triangles()[roots[id] as usize].v[0].as_dvec3();
+        let [a, b, c] = t.v.map(|v| (v.as_dvec3() - o).to_array());
+        let (det, magnitude) = det3(a, b, c);
+        let sum = &mut total[roots[id] as usize];
+        *sum = (sum.0 + det, sum.1 + magnitude, sum.2 + 1);
+    }
+    let open = |s: &(f64, f64, u32)| s.2 > 0 && s.0.abs() <= (f64::from(s.2) + 16.0) * f64::EPSILON * s.1;
+    let mut signs: Vec<Ordering> =
+        total.iter().map(|s| s.0.partial_cmp(&0.0).unwrap_or(Ordering::Equal)).collect();
+    // The open ones, grouped by surface.
+    let mut again: Vec<(u32, u32)> = (0..n)
+        .filter(|id| counts(*id) && open(&total[roots[*id] as usize]))
+        .map(|id| (roots[id], id as u32))
+        .collect();
+    again.sort_unstable();
+    for group in again.chunk_by(|a, b| a.0 == b.0) {
+        let mut sum = Sum::default();
+        for (_, id) in group {
+            let [a, b, c] = scene.triangles()[*id as usize].v;
+            det3_terms(a, b, c).into_iter().for_each(|term| sum.add(term));
+        }
+        signs[group[0].0 as usize] = sum.sign();
+    }
+    signs
+}
+
+/// Disjoint sets of triangles; the root of a set is its least id, so roots do not depend on the order of joins.
+struct Forest {
+    parent: Vec<u32>,
+}
+
+impl Forest {
+    fn new(n: usize) -> Self {
+        Self { parent: (0..n as u32).collect() }
+    }
+
+    fn root(&mut self, mut id: u32) -> u32 {
+        while self.parent[id as usize] != id {
+            // Path halving keeps the trees flat.
+            let above = self.parent[self.parent[id as usize] as usize];
+            self.parent[id as usize] = above;
+            id = above;
+        }
+        id
+    }
+
+    fn join(&mut self, a: u32, b: u32) {
+        let (a, b) = (self.root(a), self.root(b));
+        self.parent[a.max(b) as usize] = a.min(b);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Object, Triangle};
+
+    /// The twelve triangles of a box, facing outwards.
+    fn cube(at: Vec3, size: f32) -> Vec<Triangle> {
+        let p = |i: u32| at + size * Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32);
+        [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
+            .iter()
+            .flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]])
+            .map(|t| Triangle { v: t.map(p) })
+            .collect()
+    }
+
+    fn scene(triangles: Vec<Triangle>) -> Scene {
+        let count = triangles.len() as u32;
+        Scene::new("test", triangles, vec![Object { name: "all".into(), first: 0, count }]).unwrap()
+    }
+
+    fn flipped(t: &Triangle) -> Triangle {
+        Triangle { v: [t.v[0], t.v[2], t.v[1]] }
+    }
+
+    #[test]
+    fn cubes_face_out_flipped_cubes_in_and_open_ones_neither() {
+        let mut soup = cube(Vec3::ZERO, 1.0);
+        soup.extend(cube(Vec3::splat(1e6), 0.5).iter().map(flipped));
+        soup.extend_from_slice(&cube(Vec3::splat(-9.0), 1.0)[..11]);
+        let mut twisted = cube(Vec3::splat(20.0), 1.0);
+        twisted[5] = flipped(&twisted[5]);
+        soup.extend(twisted);
+        let s = scene(soup);
+        let solids = Solids::of(&s).unwrap();
+        let facing: Vec<Option<f32>> = (0..47).map(|id| solids.outward(id)).collect();
+        assert_eq!(facing[..12], [Some(1.0); 12]);
+        assert_eq!(facing[12..24], [Some(-1.0); 12]);
+        assert_eq!(facing[24..], [None; 23]);
+        assert_eq!(solids.outward(47), None);
+        assert_eq!(solids.exterior(&s, 0, Vec3::new(0.5, 0.5, -1.0)), Some(true));
+        assert_eq!(solids.exterior(&s, 0, Vec3::splat(0.5)), Some(false));
+        assert_eq!(solids.exterior(&s, 0, Vec3::new(7.0, 7.0, 0.0)), None);
+        assert_eq!(solids.exterior(&s, 12, Vec3::splat(1e6 + 0.25)), Some(false));
+    }
+
+    #[test]
+    fn degenerate_triangles_neither_close_nor_open_a_solid() {
+        let mut soup = cube(Vec3::ZERO, 1.0);
+        soup.push(Triangle { v: [Vec3::ZERO, Vec3::X, Vec3::ZERO] });
+        soup.push(Triangle { v: [Vec3::ZERO, Vec3::X, Vec3::X * 0.5] });
+        let solids = Solids::of(&scene(soup)).unwrap();
+        assert_eq!(solids.outward(0), Some(1.0));
+        assert_eq!(solids.outward(12), None);
+        assert_eq!(solids.outward(13), None);
+    }
+
+    #[test]
+    fn a_doubled_sheet_has_no_inside() {
+        let t =
+            Triangle { v: [Vec3::new(1.1, 2.3, 0.7), Vec3::new(5.9, 0.1, 0.3), Vec3::new(0.2, 0.9, 8.7)] };
+        let solids = Solids::of(&scene(vec![t, flipped(&t)])).unwrap();
+        assert_eq!((solids.outward(0), solids.outward(1)), (None, None));
+    }
+
+    #[test]
+    fn a_flat_far_tetrahedron_is_decided_exactly() {
+        // One unit in the last place high, far from the origin.
+        let s = 8_388_608.0f32;
+        let p = [[s, s, s], [s + 64.0, s, s], [s, s + 64.0, s], [s + 1.0, s + 1.0, s + 1.0]].map(Vec3::from);
+        let faces = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
+        let soup: Vec<Triangle> = faces.iter().map(|f| Triangle { v: f.map(|i| p[i]) }).collect();
+        assert_eq!(Solids::of(&scene(soup.clone())).unwrap().outward(2), Some(1.0));
+        let inverted: Vec<Triangle> = soup.iter().map(flipped).collect();
+        assert_eq!(Solids::of(&scene(inverted)).unwrap().outward(2), Some(-1.0));
+    }
+
+    #[test]
+    fn zeros_of_either_sign_are_one_vertex() {
+        let mut soup = cube(Vec3::ZERO, 1.0);
+        for v in &mut soup[3].v {
+            *v = v.map(|c| if c == 0.0 { -0.0 } else { c });
+        }
+        assert_eq!(Solids::of(&scene(soup)).unwrap().outward(3), Some(1.0));
+    }
+
+    #[test]
+    fn duplicates_are_found_in_any_vertex_order() {
+        let mut soup = cube(Vec3::ZERO, 1.0);
+        let again = [flipped(&soup[7]), soup[2], Triangle { v: [soup[7].v[2], soup[7].v[0], soup[7].v[1]] }];
+        soup.extend(again);
+        soup.extend([Triangle { v: [Vec3::ONE; 3] }; 2]);
+        assert_eq!(duplicates(&scene(soup)).unwrap(), [vec![2, 13], vec![7, 12, 14]]);
+        assert!(duplicates(&scene(cube(Vec3::ZERO, 1.0))).unwrap().is_empty());
+    }
+}
