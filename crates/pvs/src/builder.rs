@@ -1,0 +1,301 @@
+//! Writing a result: checks what comes in, chooses the sets of the inner tree nodes, codes everything.
+//!
+//! A cell's set is the exclusive or of the sets along its root path (thesis appendix B.1). Which averages to keep
+//! at the inner nodes is free; the thesis takes what most children see. Here they are chosen so that the number of
+//! ids stored in the whole tree is least, for each id on its own: the small parsimony problem, solved on a binary
+//! tree by Fitch's rule (1971, "Toward defining the course of evolution", Systematic Zoology 20). Going up, an id
+//! is *in* a node when it is in one child and not out of the other, *out* likewise, and *open* when the children
+//! contradict or are both open. Going down, an open id follows the node above.
+//!
+//! Cells come in depth-first order, so going up needs only the averages of the subtrees that wait for their
+//! sibling: O(depth) sets. What the way down needs of each split (where its children contradict) is kept coded.
+
+use std::io::Write;
+
+use crate::codec;
+use crate::error::PvsError;
+use crate::layout::{self, Section};
+use crate::runs;
+use crate::tree::{CellTree, Node};
+use crate::{Object, SET_ASIDE};
+
+/// What is known before the first cell.
+#[derive(Clone, Debug)]
+pub struct Header {
+    /// N, the number of triangles.
+    pub triangles: u32,
+    /// How the sets are made: "aggressive", "exact" or "verified".
+    pub method: String,
+    /// The view cells.
+    pub tree: CellTree,
+    /// The scene's objects, tiling triangles 0…N−1 in order.
+    pub objects: Vec<Object>,
+    /// The baker's own account (parameters, numerics profile, counters), JSON. Not looked into here.
+    pub info_json: String,
+}
+
+/// What a finished file holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stats {
+    /// Length of the file.
+    pub file_bytes: u64,
+    /// Bytes of the visible sets with their offsets.
+    pub visible_bytes: u64,
+    /// Bytes of the undecided sets with their offsets; 0 when nothing is undecided.
+    pub undecided_bytes: u64,
+    /// Sum of the sizes of the visible sets.
+    pub visible_ids: u64,
+    /// Sum of the sizes of the undecided sets.
+    pub undecided_ids: u64,
+}
+
+/// Takes the cells' sets in cell order and writes the file. The same input gives the same bytes.
+pub struct Builder {
+    header: Header,
+    flags: Vec<u32>,
+    visible: Hierarchy,
+    undecided: Hierarchy,
+}
+
+impl Builder {
+    /// Starts a result.
+    ///
+    /// # Errors
+    /// [`PvsError::Objects`] when the objects do not tile the triangles, [`PvsError::TooLarge`] for names or counts
+    /// beyond 32 bits.
+    pub fn new(header: Header) -> Result<Self, PvsError> {
+        check_tiling(header.triangles, header.objects.iter().map(|o| (o.first, o.count)))?;
+        let limit = u64::from(u32::MAX);
+        let longest = header.objects.iter().map(|o| o.name.len()).max().unwrap_or(0) as u64;
+        for (what, value) in
+            [("the number of objects", header.objects.len() as u64), ("an object's name", longest)]
+        {
+            if value > limit {
+                return Err(PvsError::TooLarge { what, value, limit });
+            }
+        }
+        let nodes = header.tree.nodes().len();
+        Ok(Self {
+            header,
+            flags: Vec::new(),
+            visible: Hierarchy::new(nodes),
+            undecided: Hierarchy::new(nodes),
+        })
+    }
+
+    /// Adds the next cell: what to draw from it, the part of that neither seen nor proved hidden, and its flags
+    /// ([`SET_ASIDE`]; other bits are kept as they are).
+    ///
+    /// # Errors
+    /// [`PvsError::Ids`] when ids do not ascend strictly or reach N, when `undecided` is not part of `visible`, or
+    /// when a cell set aside does not draw everything; [`PvsError::CellCount`] after the last cell.
+    pub fn push_cell(&mut self, visible: &[u32], undecided: &[u32], flags: u32) -> Result<(), PvsError> {
+        let cell = self.flags.len() as u32;
+        let Some(leaf) = self.header.tree.leaf(cell) else {
+            return Err(PvsError::CellCount {
+                expected: self.header.tree.cells(),
+                pushed: u64::from(cell) + 1,
+            });
+        };
+        let bad = |set, reason: String| PvsError::Ids { cell, set, reason };
+        for (set, ids) in [("visible", visible), ("undecided", undecided)] {
+            if let Some(pair) = ids.windows(2).find(|p| p[0] >= p[1]) {
+                return Err(bad(set, format!("{} comes before {}; ids must ascend", pair[0], pair[1])));
+            }
+            if let Some(&last) = ids.last().filter(|&&last| last >= self.header.triangles) {
+                return Err(bad(set, format!("there is no triangle {last} among {}", self.header.triangles)));
+            }
+        }
+        let (seen, open) = (runs::from_ids(visible), runs::from_ids(undecided));
+        let [beyond] = runs::sweep([&seen, &open], |m| u32::from(m == 2));
+        if let Some(id) = beyond.first() {
+            return Err(bad("undecided", format!("triangle {id} is not in the visible set")));
+        }
+        if flags & SET_ASIDE != 0 && visible.len() as u64 != u64::from(self.header.triangles) {
+            return Err(bad(
+                "visible",
+                "the cell is set aside, but not all triangles are visible".to_owned(),
+            ));
+        }
+        self.visible.push(&self.header.tree, leaf, seen, visible.len());
+        self.undecided.push(&self.header.tree, leaf, open, undecided.len());
+        self.flags.push(flags);
+        Ok(())
+    }
+
+    /// Writes the file.
+    ///
+    /// # Errors
+    /// [`PvsError::CellCount`] when cells are missing, [`PvsError::Write`] when writing fails.
+    pub fn finish(self, out: &mut impl Write) -> Result<Stats, PvsError> {
+        let Header { triangles, method, tree, objects, info_json } = self.header;
+        if self.flags.len() as u64 != u64::from(tree.cells()) {
+            return Err(PvsError::CellCount { expected: tree.cells(), pushed: self.flags.len() as u64 });
+        }
+        let tree_bytes = tree_section(&tree);
+        let object_bytes = object_section(&objects);
+        let flag_bytes: Vec<u8> = self.flags.iter().flat_map(|f| f.to_le_bytes()).collect();
+        let visible = self.visible.section(&tree, triangles)?;
+        let undecided =
+            if self.undecided.ids == 0 { Vec::new() } else { self.undecided.section(&tree, triangles)? };
+        let sections: [&[u8]; 7] = [
+            info_json.as_bytes(),
+            method.as_bytes(),
+            &tree_bytes,
+            &object_bytes,
+            &flag_bytes,
+            &visible,
+            &undecided,
+        ];
+        let header = layout::header(triangles, tree.cells(), tree.nodes().len() as u32, sections);
+        out.write_all(&header).map_err(PvsError::Write)?;
+        for section in sections {
+            out.write_all(section).map_err(PvsError::Write)?;
+        }
+        out.flush().map_err(PvsError::Write)?;
+        Ok(Stats {
+            file_bytes: (header.len() + sections.iter().map(|s| s.len()).sum::<usize>()) as u64,
+            visible_bytes: visible.len() as u64,
+            undecided_bytes: undecided.len() as u64,
+            visible_ids: self.visible.ids,
+            undecided_ids: self.undecided.ids,
+        })
+    }
+}
+
+/// Checks that (first, count) ranges follow each other from 0 to `triangles`.
+pub(crate) fn check_tiling(triangles: u32, ranges: impl Iterator<Item = (u32, u32)>) -> Result<(), PvsError> {
+    let (mut expected, mut object) = (0u64, 0);
+    for (first, count) in ranges {
+        if u64::from(first) != expected {
+            return Err(PvsError::Objects { object, first: u64::from(first), expected });
+        }
+        expected += u64::from(count);
+        object += 1;
+    }
+    if expected != u64::from(triangles) {
+        return Err(PvsError::Objects { object, first: u64::from(triangles), expected });
+    }
+    Ok(())
+}
+
+fn tree_section(tree: &CellTree) -> Vec<u8> {
+    let mut bytes: Vec<u8> = tree.view_box().as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
+    for node in tree.nodes() {
+        let (axis, at) = match *node {
+            Node::Split { axis, at } => (u32::from(axis), at),
+            Node::Leaf => (3, 0.0),
+        };
+        bytes.extend(axis.to_le_bytes());
+        bytes.extend(at.to_le_bytes());
+    }
+    bytes
+}
+
+fn object_section(objects: &[Object]) -> Vec<u8> {
+    let mut bytes = (objects.len() as u32).to_le_bytes().to_vec();
+    for o in objects {
+        for n in [o.first, o.count, o.name.len() as u32] {
+            bytes.extend(n.to_le_bytes());
+        }
+    }
+    for o in objects {
+        bytes.extend(o.name.as_bytes());
+    }
+    bytes
+}
+
+/// The average of a subtree by Fitch's rule. Sets as boundaries; the two are disjoint.
+struct Average {
+    /// In it.
+    within: Vec<u32>,
+    /// As well in as out.
+    open: Vec<u32>,
+}
+
+/// The averages of one kind of set, up to the last cell pushed.
+struct Hierarchy {
+    /// Complete subtrees waiting for their upper sibling, or the root.
+    waiting: Vec<Average>,
+    /// For each split, coded: ids in its lower child and out of the upper one; the reverse.
+    contradictions: Vec<[Vec<u8>; 2]>,
+    ids: u64,
+}
+
+impl Hierarchy {
+    fn new(nodes: usize) -> Self {
+        Self { waiting: Vec::new(), contradictions: vec![[Vec::new(), Vec::new()]; nodes], ids: 0 }
+    }
+
+    fn push(&mut self, tree: &CellTree, leaf: u32, set: Vec<u32>, ids: usize) {
+        self.ids += ids as u64;
+        let mut average = Average { within: set, open: Vec::new() };
+        let mut node = leaf;
+        // As long as this completes an upper child, its lower sibling waits on top of the stack.
+        while node != 0 && tree.upper(tree.parent(node)) == Some(node) {
+            let Some(lower) = self.waiting.pop() else { break };
+            node = tree.parent(node);
+            let [within, open, lower_only, upper_only] = runs::sweep(
+                [&lower.within, &lower.open, &average.within, &average.open],
+                // Bits 0 and 1: in the lower child, open there; bits 2 and 3: the same of the upper one.
+                |m| match m {
+                    0b0101 | 0b1001 | 0b0110 => 0b0001,
+                    0b1010 => 0b0010,
+                    0b0001 => 0b0110,
+                    0b0100 => 0b1010,
+                    _ => 0,
+                },
+            );
+            let coded = &mut self.contradictions[node as usize];
+            codec::encode(&lower_only, false, &mut coded[0]);
+            codec::encode(&upper_only, false, &mut coded[1]);
+            average = Average { within, open };
+        }
+        self.waiting.push(average);
+    }
+
+    /// Offsets and coded sets of all nodes. All cells have been pushed, so the root alone is waiting.
+    fn section(&self, tree: &CellTree, triangles: u32) -> Result<Vec<u8>, PvsError> {
+        let mut offsets = vec![0u64];
+        let mut sets = Vec::new();
+        // Ids open at the root are out of it: as few ids as the other way.
+        let root = self.waiting.first().map_or(&[][..], |a| &a.within);
+        self.code(tree, triangles, 0, &[], root, &mut offsets, &mut sets)?;
+        let mut bytes: Vec<u8> = offsets.iter().flat_map(|o| o.to_le_bytes()).collect();
+        bytes.extend(sets);
+        Ok(bytes)
+    }
+
+    /// Codes the node's set against the one above and goes on with its children, lower first. Recursion is as deep
+    /// as the tree, at most [`crate::MAX_DEPTH`].
+    fn code(
+        &self,
+        tree: &CellTree,
+        triangles: u32,
+        node: u32,
+        above: &[u32],
+        set: &[u32],
+        offsets: &mut Vec<u64>,
+        sets: &mut Vec<u8>,
+    ) -> Result<(), PvsError> {
+        let [difference] = runs::sweep([above, set], |m| u32::from(m == 1 || m == 2));
+        let (mut relative, mut absolute) = (Vec::new(), Vec::new());
+        codec::encode(&difference, false, &mut relative);
+        // An outlier (a cell set aside, say) is shorter by itself than as a difference.
+        codec::encode(set, true, &mut absolute);
+        sets.extend(if absolute.len() < relative.len() { absolute } else { relative });
+        offsets.push(sets.len() as u64);
+        let Some(upper) = tree.upper(node) else { return Ok(()) };
+        let mut parts = [Vec::new(), Vec::new()];
+        for (part, coded) in parts.iter_mut().zip(&self.contradictions[node as usize]) {
+            codec::decode(coded, triangles, |start, end| part.extend([start, end]))
+                .map_err(|e| Section::Visible.malformed(e.0))?;
+        }
+        // In order: the node, lower only, upper only.
+        let [in_lower, in_upper] = runs::sweep([set, &parts[0], &parts[1]], |m| {
+            u32::from(m & 2 != 0 || m == 1) | u32::from(m & 4 != 0 || m == 1) << 1
+        });
+        self.code(tree, triangles, node + 1, set, &in_lower, offsets, sets)?;
+        self.code(tree, triangles, upper, set, &in_upper, offsets, sets)
+    }
+}

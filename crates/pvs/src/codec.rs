@@ -1,0 +1,283 @@
+//! One set as bytes: alternating lengths of gaps and runs (thesis appendix B.2, extended to runs of ones), each
+//! coded as an exponential Golomb number.
+//!
+//! A set is: one byte of flags, then, unless the set is empty, one byte each for the order k of the gap code and of
+//! the run code, the number of runs as a varint, and the codes, filling bytes from the least bit up, the last
+//! byte padded with zeros. No bytes at all is the empty set, not absolute. With w = v + 2ᵏ and n = ⌊log₂ w⌋, the
+//! code of v is n − k zeros, a one, and the low n bits of w. Gap lengths are coded less 1 except the first; runs less 1.
+
+/// Flag: the set stands for itself; what lies above it on the root path does not count.
+const ABSOLUTE: u8 = 1;
+/// Flag: the set is empty, nothing follows.
+const EMPTY: u8 = 2;
+/// The largest order of a code that is ever useful for 32-bit numbers.
+const MAX_ORDER: u32 = 31;
+
+/// What is wrong with a coded set.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BadSet(pub &'static str);
+
+/// Codes a set given by its boundaries (see [`crate::runs`]).
+pub fn encode(bounds: &[u32], absolute: bool, out: &mut Vec<u8>) {
+    if bounds.is_empty() {
+        if absolute {
+            out.push(ABSOLUTE | EMPTY);
+        }
+        return;
+    }
+    let order = |of_runs: bool| best_order(lengths(bounds).filter(|l| l.1 == of_runs).map(|l| l.0));
+    let (gap_order, run_order) = (order(false), order(true));
+    out.extend([u8::from(absolute) * ABSOLUTE, gap_order as u8, run_order as u8]);
+    varint(bounds.len() as u64 / 2, out);
+    let mut bits = BitWriter { out, buffer: 0, held: 0 };
+    for (value, is_run) in lengths(bounds) {
+        let k = if is_run { run_order } else { gap_order };
+        let w = u64::from(value) + (1 << k);
+        let n = w.ilog2();
+        bits.put(1 << (n - k), n - k + 1);
+        bits.put(w & ((1 << n) - 1), n);
+    }
+    bits.finish();
+}
+
+/// Whether a coded set is absolute.
+pub fn is_absolute(bytes: &[u8]) -> bool {
+    bytes.first().is_some_and(|flags| flags & ABSOLUTE != 0)
+}
+
+/// Decodes a set of ids below `limit`; `each` is given the runs, ascending, ends exclusive. On an error some runs
+/// have been given already.
+pub fn decode(bytes: &[u8], limit: u32, mut each: impl FnMut(u32, u32)) -> Result<(), BadSet> {
+    let Some((&flags, rest)) = bytes.split_first() else { return Ok(()) };
+    if flags == ABSOLUTE | EMPTY && rest.is_empty() {
+        return Ok(());
+    }
+    if flags & !ABSOLUTE != 0 {
+        return Err(BadSet("unknown flags"));
+    }
+    let &[gap_order, run_order, ref rest @ ..] = rest else { return Err(BadSet("it ends in its head")) };
+    let (gap_order, run_order) = (u32::from(gap_order), u32::from(run_order));
+    if gap_order.max(run_order) > MAX_ORDER {
+        return Err(BadSet("the order of its code is above 31"));
+    }
+    let (runs, rest) = read_varint(rest).ok_or(BadSet("its count is cut short"))?;
+    // Every code has a bit at least, which bounds the loop by the bytes that are there.
+    if runs == 0 || runs.saturating_mul(2) > rest.len() as u64 * 8 {
+        return Err(BadSet("its count does not fit its length"));
+    }
+    let mut bits = BitReader::new(rest);
+    // The end of the run before; −1 before the first, so that its gap may be 0.
+    let mut end = -1i64;
+    for _ in 0..runs {
+        let start = end + 1 + bits.code(gap_order)?;
+        end = start + 1 + bits.code(run_order)?;
+        if end > i64::from(limit) {
+            return Err(BadSet("it has ids beyond the last triangle"));
+        }
+        each(start as u32, end as u32);
+    }
+    bits.finish()
+}
+
+/// The numbers that are coded, with whether each is a run's.
+fn lengths(bounds: &[u32]) -> impl Iterator<Item = (u32, bool)> + '_ {
+    // Boundaries ascend strictly, so only the first gap can be 0, and it is coded as it is.
+    bounds.iter().enumerate().map(|(i, &b)| (if i == 0 { b } else { b - bounds[i - 1] - 1 }, i % 2 == 1))
+}
+
+/// The order that codes the numbers in the fewest bits, the least among equals.
+fn best_order(values: impl Iterator<Item = u32>) -> u32 {
+    let mut bits = [0u64; MAX_ORDER as usize + 1];
+    for v in values {
+        for (k, total) in bits.iter_mut().enumerate() {
+            let n = (u64::from(v) + (1 << k)).ilog2();
+            *total += u64::from(2 * n - k as u32 + 1);
+        }
+    }
+    (0..=MAX_ORDER).min_by_key(|&k| bits[k as usize]).unwrap_or(0)
+}
+
+fn varint(mut v: u64, out: &mut Vec<u8>) {
+    while v >= 0x80 {
+        out.push(v as u8 | 0x80);
+        v >>= 7;
+    }
+    out.push(v as u8);
+}
+
+fn read_varint(bytes: &[u8]) -> Option<(u64, &[u8])> {
+    let mut v = 0u64;
+    for (i, &b) in bytes.iter().enumerate().take(9) {
+        v |= u64::from(b & 0x7f) << (7 * i);
+        if b < 0x80 {
+            return Some((v, &bytes[i + 1..]));
+        }
+    }
+    None
+}
+
+struct BitWriter<'a> {
+    out: &'a mut Vec<u8>,
+    buffer: u64,
+    held: u32,
+}
+
+impl BitWriter<'_> {
+    /// Appends the low `count` ≤ 33 bits of `value`, whose other bits are 0.
+    fn put(&mut self, value: u64, count: u32) {
+        // At most 7 bits are held between calls, so 40 fit.
+        self.buffer |= value << self.held;
+        self.held += count;
+        while self.held >= 8 {
+            self.out.push(self.buffer as u8);
+            self.buffer >>= 8;
+            self.held -= 8;
+        }
+    }
+
+    fn finish(self) {
+        if self.held > 0 {
+            self.out.push(self.buffer as u8);
+        }
+    }
+}
+
+struct BitReader<'a> {
+    rest: &'a [u8],
+    /// The next bits, least first; bits from `held` on are 0 or a copy of what `rest` starts with.
+    buffer: u64,
+    held: u32,
+}
+
+impl<'a> BitReader<'a> {
+    fn new(rest: &'a [u8]) -> Self {
+        Self { rest, buffer: 0, held: 0 }
+    }
+
+    /// Holds at least 56 bits, or all that are left.
+    fn refill(&mut self) {
+        if let Some((word, _)) = self.rest.split_first_chunk::<8>() {
+            self.buffer |= u64::from_le_bytes(*word) << self.held;
+            let bytes = (63 - self.held) >> 3;
+            self.rest = &self.rest[bytes as usize..];
+            self.held += bytes * 8;
+        } else {
+            while self.held < 56
+                && let Some((&byte, rest)) = self.rest.split_first()
+            {
+                self.buffer |= u64::from(byte) << self.held;
+                self.held += 8;
+                self.rest = rest;
+            }
+        }
+    }
+
+    fn take(&mut self, count: u32) -> Result<u64, BadSet> {
+        if count > self.held {
+            return Err(BadSet("it is cut short"));
+        }
+        let value = self.buffer & ((1 << count) - 1);
+        self.buffer >>= count;
+        self.held -= count;
+        Ok(value)
+    }
+
+    /// One number coded with order `k` ≤ 31.
+    fn code(&mut self, k: u32) -> Result<i64, BadSet> {
+        if self.held < 48 {
+            self.refill();
+        }
+        let zeros = self.buffer.trailing_zeros();
+        let n = zeros + k;
+        // 32-bit numbers need no more; a buffer of zeros alone comes out as 64.
+        if n > 32 {
+            return Err(BadSet("a length is beyond 32 bits"));
+        }
+        self.take(zeros + 1)?;
+        if n > self.held {
+            self.refill();
+        }
+        let low = self.take(n)?;
+        Ok(((1 << n | low) - (1 << k)) as i64)
+    }
+
+    /// Nothing but zeros may be left of the last byte.
+    fn finish(self) -> Result<(), BadSet> {
+        let spare = self.buffer & ((1u64 << self.held.min(63)) - 1);
+        if self.rest.is_empty() && self.held < 8 && spare == 0 {
+            Ok(())
+        } else {
+            Err(BadSet("something follows its last run"))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::runs;
+    use proptest::prelude::*;
+
+    fn round_trip(bounds: &[u32], absolute: bool, limit: u32) {
+        let mut bytes = Vec::new();
+        encode(bounds, absolute, &mut bytes);
+        let mut back = Vec::new();
+        decode(&bytes, limit, |a, b| back.extend([a, b])).unwrap();
+        assert_eq!(back, bounds);
+        assert_eq!(is_absolute(&bytes), absolute);
+    }
+
+    #[test]
+    fn extremes_round_trip() {
+        for absolute in [false, true] {
+            round_trip(&[], absolute, 0);
+            round_trip(&[0, 1], absolute, 1);
+            round_trip(&[0, u32::MAX], absolute, u32::MAX);
+            round_trip(&[u32::MAX - 1, u32::MAX], absolute, u32::MAX);
+            round_trip(&[0, 1, u32::MAX - 1, u32::MAX], absolute, u32::MAX);
+            round_trip(&(0..2000).map(|i| i * i).collect::<Vec<_>>(), absolute, 4_000_000);
+        }
+    }
+
+    #[test]
+    fn ids_beyond_the_limit_are_refused() {
+        let mut bytes = Vec::new();
+        encode(&[0, 11], false, &mut bytes);
+        assert!(decode(&bytes, 11, |_, _| ()).is_ok());
+        assert!(decode(&bytes, 10, |_, _| ()).is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn any_set_round_trips(ids in proptest::collection::btree_set(0u32..3000, 0..600), absolute: bool) {
+            let ids: Vec<u32> = ids.into_iter().collect();
+            round_trip(&runs::from_ids(&ids), absolute, 3000);
+        }
+
+        #[test]
+        fn sparse_sets_round_trip(ids in proptest::collection::btree_set(0u32..u32::MAX, 0..60)) {
+            let ids: Vec<u32> = ids.into_iter().collect();
+            round_trip(&runs::from_ids(&ids), false, u32::MAX);
+        }
+
+        #[test]
+        fn any_bytes_give_ascending_runs_or_an_error(bytes in proptest::collection::vec(any::<u8>(), 0..80), limit: u32) {
+            let mut last = -1i64;
+            let mut ascending = true;
+            let _ = decode(&bytes, limit, |a, b| {
+                ascending &= last < i64::from(a) && a < b && b <= limit;
+                last = i64::from(b);
+            });
+            prop_assert!(ascending);
+        }
+
+        #[test]
+        fn a_cut_set_is_refused(ids in proptest::collection::btree_set(0u32..3000, 1..100), part in 0.0f64..1.0) {
+            let mut bytes = Vec::new();
+            encode(&runs::from_ids(&ids.into_iter().collect::<Vec<_>>()), false, &mut bytes);
+            let keep = (bytes.len() as f64 * part) as usize;
+            prop_assume!(keep > 0);
+            prop_assert!(decode(&bytes[..keep], 3000, |_, _| ()).is_err());
+        }
+    }
+}

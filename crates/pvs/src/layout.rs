@@ -1,0 +1,172 @@
+//! The bytes of the file around the sections' contents: header, section table, checksums.
+//!
+//! | offset | bytes | what |
+//! |---|---|---|
+//! | 0 | 8 | `89 50 56 53 0d 0a 1a 0a`; a transfer that touches line ends or the eighth bit breaks it visibly |
+//! | 8 | 4 | [`VERSION`] |
+//! | 12 | 4 | number of sections, 7 |
+//! | 16 | 8 | length of the file |
+//! | 24 | 4 | triangles N |
+//! | 28 | 4 | cells M |
+//! | 32 | 4 | tree nodes, 2M − 1 |
+//! | 36 | 4 | CRC-32C of bytes 0…35 and of the section table |
+//! | 40 | 7 × 24 | for each section in the order of [`Section`]: its number (4), CRC-32C (4), offset (8), length (8) |
+//! | 208 | | the sections, one after another, without gaps |
+//!
+//! So every byte lies under exactly one checksum, and the header's covers what finds the others.
+
+use crate::error::PvsError;
+
+/// The version this crate writes and reads.
+pub const VERSION: u32 = 1;
+
+const MAGIC: [u8; 8] = *b"\x89PVS\r\n\x1a\n";
+const SECTIONS: usize = 7;
+const CRC_AT: usize = 36;
+const TABLE_AT: usize = 40;
+const HEADER_LEN: usize = TABLE_AT + SECTIONS * 24;
+
+/// The sections in the order of the file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Section {
+    /// Opaque JSON of the baker, UTF-8.
+    Info,
+    /// How the sets were made, UTF-8.
+    Method,
+    /// View box as six f32 (min, max); then 8 bytes a node: axis (3 for a leaf) as u32, plane as f32 (0 for a leaf).
+    Tree,
+    /// Count as u32; for each object first, count and length of its name as u32; then the names, UTF-8.
+    Objects,
+    /// A u32 for each cell.
+    Flags,
+    /// Nodes + 1 offsets as u64, then the coded sets of the nodes.
+    Visible,
+    /// As [`Section::Visible`]; of length 0 when nothing is undecided in any cell.
+    Undecided,
+}
+
+impl Section {
+    /// All of them, in order.
+    pub const ALL: [Self; SECTIONS] =
+        [Self::Info, Self::Method, Self::Tree, Self::Objects, Self::Flags, Self::Visible, Self::Undecided];
+
+    /// Its name in messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Info => "info",
+            Self::Method => "method",
+            Self::Tree => "tree",
+            Self::Objects => "object table",
+            Self::Flags => "cell flags",
+            Self::Visible => "visible sets",
+            Self::Undecided => "undecided sets",
+        }
+    }
+
+    pub(crate) fn malformed(self, reason: impl Into<String>) -> PvsError {
+        PvsError::Malformed { section: self.name(), reason: reason.into() }
+    }
+}
+
+/// The sizes in the header and where each section lies, after all checks of this module.
+#[derive(Clone, Debug)]
+pub(crate) struct Layout {
+    pub triangles: u32,
+    pub cells: u32,
+    pub nodes: u32,
+    ranges: [std::ops::Range<usize>; SECTIONS],
+}
+
+impl Layout {
+    /// Where a section lies in the file.
+    pub fn range(&self, section: Section) -> std::ops::Range<usize> {
+        self.ranges[section as usize].clone()
+    }
+
+    /// Reads the header and verifies length, tiling and all checksums.
+    pub fn parse(file: &[u8]) -> Result<Self, PvsError> {
+        let actual = file.len() as u64;
+        if !file.starts_with(&MAGIC[..MAGIC.len().min(file.len())]) || file.is_empty() {
+            return Err(PvsError::NotPvs);
+        }
+        let header =
+            file.get(..HEADER_LEN).ok_or(PvsError::Length { expected: HEADER_LEN as u64, actual })?;
+        let found = u32_at(header, 8);
+        if found != VERSION {
+            return Err(PvsError::Version { found, known: VERSION });
+        }
+        if crc32c::crc32c_append(crc32c::crc32c(&header[..CRC_AT]), &header[TABLE_AT..])
+            != u32_at(header, CRC_AT)
+        {
+            return Err(PvsError::Checksum { section: "header" });
+        }
+        let malformed = |reason: &str| PvsError::Malformed { section: "header", reason: reason.to_owned() };
+        if u32_at(header, 12) as usize != SECTIONS {
+            return Err(malformed("it does not have seven sections"));
+        }
+        let expected = u64_at(header, 16);
+        if expected != actual {
+            return Err(PvsError::Length { expected, actual });
+        }
+        let (triangles, cells, nodes) = (u32_at(header, 24), u32_at(header, 28), u32_at(header, 32));
+        if cells == 0 || u64::from(nodes) != 2 * u64::from(cells) - 1 {
+            return Err(malformed("a tree of M cells has 2M − 1 nodes, and M is at least 1"));
+        }
+        let mut at = HEADER_LEN;
+        let mut ranges = [const { 0..0 }; SECTIONS];
+        for (i, section) in Section::ALL.into_iter().enumerate() {
+            let entry = TABLE_AT + i * 24;
+            if u32_at(header, entry) != section as u32 || u64_at(header, entry + 8) != at as u64 {
+                return Err(malformed("its sections are not in order, one after another"));
+            }
+            let bytes = usize::try_from(u64_at(header, entry + 16))
+                .ok()
+                .and_then(|length| file.get(at..at.checked_add(length)?))
+                .ok_or_else(|| malformed("a section reaches beyond the end of the file"))?;
+            if crc32c::crc32c(bytes) != u32_at(header, entry + 4) {
+                return Err(PvsError::Checksum { section: section.name() });
+            }
+            ranges[i] = at..at + bytes.len();
+            at += bytes.len();
+        }
+        if at != file.len() {
+            return Err(malformed("something follows its last section"));
+        }
+        Ok(Self { triangles, cells, nodes, ranges })
+    }
+}
+
+/// The header of a file with these sections, in the order of [`Section::ALL`].
+pub(crate) fn header(triangles: u32, cells: u32, nodes: u32, sections: [&[u8]; SECTIONS]) -> Vec<u8> {
+    let file_len = HEADER_LEN as u64 + sections.iter().map(|s| s.len() as u64).sum::<u64>();
+    let mut table = Vec::with_capacity(SECTIONS * 24);
+    let mut at = HEADER_LEN as u64;
+    for (i, bytes) in sections.into_iter().enumerate() {
+        table.extend((i as u32).to_le_bytes());
+        table.extend(crc32c::crc32c(bytes).to_le_bytes());
+        table.extend(at.to_le_bytes());
+        table.extend((bytes.len() as u64).to_le_bytes());
+        at += bytes.len() as u64;
+    }
+    let mut header = MAGIC.to_vec();
+    header.extend(VERSION.to_le_bytes());
+    header.extend((SECTIONS as u32).to_le_bytes());
+    header.extend(file_len.to_le_bytes());
+    for n in [triangles, cells, nodes] {
+        header.extend(n.to_le_bytes());
+    }
+    let crc = crc32c::crc32c_append(crc32c::crc32c(&header), &table);
+    header.extend(crc.to_le_bytes());
+    header.extend(table);
+    header
+}
+
+/// The caller has checked that the four bytes are there.
+pub(crate) fn u32_at(bytes: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]))
+}
+
+/// The caller has checked that the eight bytes are there.
+pub(crate) fn u64_at(bytes: &[u8], at: usize) -> u64 {
+    u64::from_le_bytes(std::array::from_fn(|i| bytes[at + i]))
+}

@@ -1,0 +1,74 @@
+//! Sets of triangle ids as sorted lists of boundaries: start, end, start, end, … of maximal runs, ends exclusive.
+//!
+//! Ids near each other tend to be seen together (thesis appendix B.2), so a run is the natural unit: set
+//! operations cost what the runs cost, and the exclusive or of sets is the exclusive or of their boundaries.
+
+/// The boundaries of ascending ids.
+pub fn from_ids(ids: &[u32]) -> Vec<u32> {
+    let mut bounds: Vec<u32> = Vec::new();
+    for &id in ids {
+        match bounds.last_mut() {
+            Some(end) if *end == id => *end = id + 1,
+            _ => bounds.extend([id, id + 1]),
+        }
+    }
+    bounds
+}
+
+/// Boolean combinations of up to 32 sets in one sweep over their boundaries. Bit i of the argument of `f` says
+/// whether the ids of a stretch are in input i; bit o of what it returns puts them into output o. `f(0)` must be 0.
+pub fn sweep<const I: usize, const O: usize>(inputs: [&[u32]; I], f: impl Fn(u32) -> u32) -> [Vec<u32>; O] {
+    let mut outputs = [const { Vec::new() }; O];
+    let mut next = [0usize; I];
+    let (mut inside, mut given) = (0u32, 0u32);
+    while let Some(at) = (0..I).filter_map(|i| inputs[i].get(next[i])).min().copied() {
+        for i in 0..I {
+            if inputs[i].get(next[i]) == Some(&at) {
+                inside ^= 1 << i;
+                next[i] += 1;
+            }
+        }
+        let wanted = f(inside);
+        for (o, output) in outputs.iter_mut().enumerate() {
+            if (wanted ^ given) >> o & 1 == 1 {
+                output.push(at);
+            }
+        }
+        given = wanted;
+    }
+    outputs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::collections::BTreeSet;
+
+    fn ids(bounds: &[u32]) -> Vec<u32> {
+        bounds.chunks_exact(2).flat_map(|r| r[0]..r[1]).collect()
+    }
+
+    #[test]
+    fn neighbours_join_into_runs() {
+        assert_eq!(from_ids(&[]), [0u32; 0]);
+        assert_eq!(from_ids(&[0, 1, 2, 5, 7, 8]), [0, 3, 5, 6, 7, 9]);
+    }
+
+    proptest! {
+        #[test]
+        fn a_sweep_is_the_boolean_function_of_its_sets(
+            a in proptest::collection::btree_set(0u32..60, 0..40),
+            b in proptest::collection::btree_set(0u32..60, 0..40),
+        ) {
+            let list = |s: &BTreeSet<u32>| from_ids(&s.iter().copied().collect::<Vec<_>>());
+            let [both, either, only_a] =
+                sweep([&list(&a), &list(&b)], |m| u32::from(m == 3) | u32::from(m != 0) << 1 | u32::from(m == 1) << 2);
+            prop_assert_eq!(ids(&both), a.intersection(&b).copied().collect::<Vec<_>>());
+            prop_assert_eq!(ids(&either), a.union(&b).copied().collect::<Vec<_>>());
+            prop_assert_eq!(ids(&only_a), a.difference(&b).copied().collect::<Vec<_>>());
+            // Runs are maximal: no boundary twice.
+            prop_assert!(either.windows(2).all(|w| w[0] < w[1]));
+        }
+    }
+}

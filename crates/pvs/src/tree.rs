@@ -1,0 +1,242 @@
+//! The kd-tree of view cells as the file holds it: which cell a point lies in, and what box a cell is.
+//!
+//! It does not build a good tree; that is decided where cells are subdivided.
+
+use crate::error::PvsError;
+
+/// Most planes between the root and a cell: 64 halvings go below an f32's precision on every axis but a lucky few,
+/// so no real tree is refused, and what walks a tree may recurse.
+pub const MAX_DEPTH: usize = 64;
+
+/// One node; the children of a split follow it, the lower one (with all of its descendants) first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Node {
+    /// The box is cut by the plane where the coordinate `axis` (0, 1, 2 for x, y, z) equals `at`.
+    Split {
+        /// 0, 1 or 2.
+        axis: u8,
+        /// Strictly inside the node's box.
+        at: f32,
+    },
+    /// A view cell.
+    Leaf,
+}
+
+/// Kept beside each node so that walks both ways need no search.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Links {
+    /// The node above; the root's is itself.
+    parent: u32,
+    /// Of a split: its upper child. Of a leaf: its cell.
+    upper_or_cell: u32,
+}
+
+/// A valid kd-tree over a view box. Cells are its leaves, numbered 0…M−1 depth first, lower child first.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CellTree {
+    view_box: [[f32; 3]; 2],
+    nodes: Vec<Node>,
+    links: Vec<Links>,
+    /// Node of each cell.
+    leaves: Vec<u32>,
+}
+
+impl CellTree {
+    /// Takes the view box (min, max; world space) and the nodes in depth-first order, and checks them.
+    ///
+    /// # Errors
+    /// [`PvsError::Tree`]: a box that is not finite or has min > max, a plane not strictly inside its node's box,
+    /// an axis above 2, nodes missing or left over, a tree deeper than [`MAX_DEPTH`].
+    pub fn new(view_box: [[f32; 3]; 2], nodes: Vec<Node>) -> Result<Self, PvsError> {
+        let bad = |node: usize, reason: &str| PvsError::Tree { node, reason: reason.to_owned() };
+        let [lo, hi] = view_box;
+        if !(0..3).all(|a| lo[a].is_finite() && hi[a].is_finite() && lo[a] <= hi[a]) {
+            return Err(bad(0, "the view box must be finite with min ≤ max"));
+        }
+        if nodes.len() > (u32::MAX >> 1) as usize {
+            return Err(PvsError::TooLarge {
+                what: "the number of tree nodes",
+                value: nodes.len() as u64,
+                limit: u64::from(u32::MAX >> 1),
+            });
+        }
+        let mut links = Vec::with_capacity(nodes.len());
+        let mut leaves = Vec::new();
+        // Subtrees still to come, the next one on top: (parent, box, is the upper child, depth).
+        let mut open = vec![(0u32, view_box, false, 0usize)];
+        for (i, node) in nodes.iter().enumerate() {
+            let Some((parent, bounds, is_upper, depth)) = open.pop() else {
+                return Err(bad(i, "the tree is complete before this node"));
+            };
+            if is_upper {
+                let above: &mut Links = &mut links[parent as usize];
+                above.upper_or_cell = i as u32;
+            }
+            match *node {
+                Node::Leaf => {
+                    links.push(Links { parent, upper_or_cell: leaves.len() as u32 });
+                    leaves.push(i as u32);
+                }
+                Node::Split { axis, at } => {
+                    let a = usize::from(axis);
+                    if a > 2 {
+                        return Err(bad(i, "the axis must be 0, 1 or 2"));
+                    }
+                    if !(bounds[0][a] < at && at < bounds[1][a]) {
+                        return Err(bad(i, "the plane must lie strictly inside the node's box"));
+                    }
+                    if depth >= MAX_DEPTH {
+                        return Err(bad(i, "the tree is too deep"));
+                    }
+                    links.push(Links { parent, upper_or_cell: 0 });
+                    let (mut lower, mut upper) = (bounds, bounds);
+                    lower[1][a] = at;
+                    upper[0][a] = at;
+                    open.push((i as u32, upper, true, depth + 1));
+                    open.push((i as u32, lower, false, depth + 1));
+                }
+            }
+        }
+        if !open.is_empty() {
+            return Err(bad(nodes.len(), "nodes are missing at the end"));
+        }
+        Ok(Self { view_box, nodes, links, leaves })
+    }
+
+    /// The view box: min, max.
+    pub fn view_box(&self) -> [[f32; 3]; 2] {
+        self.view_box
+    }
+
+    /// The nodes, depth first, lower child first.
+    pub fn nodes(&self) -> &[Node] {
+        &self.nodes
+    }
+
+    /// How many cells there are, M ≥ 1.
+    pub fn cells(&self) -> u32 {
+        self.leaves.len() as u32
+    }
+
+    /// The box of a cell: min, max. `None` when there is no such cell.
+    pub fn cell_bounds(&self, cell: u32) -> Option<[[f32; 3]; 2]> {
+        let mut child = self.leaf(cell)?;
+        let mut bounds = self.view_box;
+        let mut known = [[false; 3]; 2];
+        // From the leaf upwards the first plane met on a side is the tightest.
+        while child != 0 {
+            let parent = self.parent(child);
+            if let Node::Split { axis, at } = self.nodes[parent as usize] {
+                let side = usize::from(child == parent + 1);
+                let a = usize::from(axis);
+                if !known[side][a] {
+                    known[side][a] = true;
+                    bounds[side][a] = at;
+                }
+            }
+            child = parent;
+        }
+        Some(bounds)
+    }
+
+    /// The cell of a point in world space. A point on a splitting plane belongs to the upper side; the view box
+    /// is closed. `None` outside it, and for a coordinate that is not a number.
+    pub fn find_cell(&self, point: [f32; 3]) -> Option<u32> {
+        let [lo, hi] = self.view_box;
+        if !(0..3).all(|a| lo[a] <= point[a] && point[a] <= hi[a]) {
+            return None;
+        }
+        let mut node = 0usize;
+        while let Node::Split { axis, at } = self.nodes[node] {
+            let below = point[usize::from(axis)] < at;
+            node = if below { node + 1 } else { self.links[node].upper_or_cell as usize };
+        }
+        Some(self.links[node].upper_or_cell)
+    }
+
+    /// The node of a cell.
+    pub(crate) fn leaf(&self, cell: u32) -> Option<u32> {
+        self.leaves.get(cell as usize).copied()
+    }
+
+    /// The node above; the root's is itself.
+    pub(crate) fn parent(&self, node: u32) -> u32 {
+        self.links[node as usize].parent
+    }
+
+    /// The upper child of a split (the lower one is the next node), `None` for a leaf.
+    pub(crate) fn upper(&self, node: u32) -> Option<u32> {
+        match self.nodes[node as usize] {
+            Node::Split { .. } => Some(self.links[node as usize].upper_or_cell),
+            Node::Leaf => None,
+        }
+    }
+
+    /// From a node up to the root, both included.
+    pub(crate) fn path(&self, node: u32) -> impl Iterator<Item = u32> + '_ {
+        std::iter::successors(Some(node), |&n| (n != 0).then(|| self.parent(n)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BOX: [[f32; 3]; 2] = [[0.0, 0.0, 0.0], [4.0, 2.0, 1.0]];
+
+    fn tree() -> CellTree {
+        let split = |axis, at| Node::Split { axis, at };
+        // x<1 | x≥1: (y<1: (x<3 | x≥3) | y≥1)
+        let nodes =
+            vec![split(0, 1.0), Node::Leaf, split(1, 1.0), split(0, 3.0), Node::Leaf, Node::Leaf, Node::Leaf];
+        CellTree::new(BOX, nodes).unwrap()
+    }
+
+    #[test]
+    fn cells_are_numbered_depth_first_and_bounded_by_their_planes() {
+        let t = tree();
+        assert_eq!(t.cells(), 4);
+        assert_eq!(t.cell_bounds(0), Some([[0.0, 0.0, 0.0], [1.0, 2.0, 1.0]]));
+        assert_eq!(t.cell_bounds(1), Some([[1.0, 0.0, 0.0], [3.0, 1.0, 1.0]]));
+        assert_eq!(t.cell_bounds(2), Some([[3.0, 0.0, 0.0], [4.0, 1.0, 1.0]]));
+        assert_eq!(t.cell_bounds(3), Some([[1.0, 1.0, 0.0], [4.0, 2.0, 1.0]]));
+        assert_eq!(t.cell_bounds(4), None);
+    }
+
+    #[test]
+    fn a_point_on_a_plane_is_above_it_and_the_view_box_is_closed() {
+        let t = tree();
+        assert_eq!(t.find_cell([0.5, 0.5, 0.5]), Some(0));
+        assert_eq!(t.find_cell([1.0, 0.5, 0.5]), Some(1));
+        assert_eq!(t.find_cell([3.0, 0.5, 0.5]), Some(2));
+        assert_eq!(t.find_cell([2.0, 1.0, 0.5]), Some(3));
+        assert_eq!(t.find_cell([4.0, 2.0, 1.0]), Some(3));
+        assert_eq!(t.find_cell([0.0, 0.0, 0.0]), Some(0));
+        for outside in [[4.1, 0.5, 0.5], [-0.1, 0.5, 0.5], [f32::NAN, 0.5, 0.5], [1.0, f32::INFINITY, 0.0]] {
+            assert_eq!(t.find_cell(outside), None);
+        }
+    }
+
+    #[test]
+    fn bad_trees_are_refused() {
+        let split = |at| Node::Split { axis: 0, at };
+        let why = |nodes: Vec<Node>| CellTree::new(BOX, nodes).unwrap_err().to_string();
+        assert!(why(vec![]).contains("missing"));
+        assert!(why(vec![split(1.0), Node::Leaf]).contains("missing"));
+        assert!(why(vec![Node::Leaf, Node::Leaf]).contains("complete"));
+        assert!(why(vec![split(4.0), Node::Leaf, Node::Leaf]).contains("strictly inside"));
+        assert!(why(vec![split(f32::NAN), Node::Leaf, Node::Leaf]).contains("strictly inside"));
+        assert!(why(vec![Node::Split { axis: 3, at: 1.0 }, Node::Leaf, Node::Leaf]).contains("axis"));
+        assert!(CellTree::new([[f32::NAN; 3], [1.0; 3]], vec![Node::Leaf]).is_err());
+        assert!(CellTree::new([[1.0; 3], [0.0; 3]], vec![Node::Leaf]).is_err());
+        assert!(CellTree::new([[1.0; 3], [1.0; 3]], vec![Node::Leaf]).is_ok(), "a flat box is a box");
+        // Two degenerate trees deeper than allowed, one to each side.
+        let box_x = [[0.0; 3], [1.0; 3]];
+        let lower: Vec<Node> =
+            (1..100).map(|i| split(0.5f32.powi(i))).chain(std::iter::repeat_n(Node::Leaf, 100)).collect();
+        assert!(CellTree::new(box_x, lower).unwrap_err().to_string().contains("too deep"));
+        let upper: Vec<Node> =
+            (1..100).flat_map(|i| [split(i as f32 / 128.0), Node::Leaf]).chain([Node::Leaf]).collect();
+        assert!(CellTree::new(box_x, upper).unwrap_err().to_string().contains("too deep"));
+    }
+}

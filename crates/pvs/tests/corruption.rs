@@ -1,0 +1,133 @@
+//! A truncated or altered file is refused, never misread; a file made to deceive gives an error, never a panic.
+// Helpers of tests may unwrap as tests do; clippy's own exception covers test functions alone.
+#![allow(clippy::unwrap_used)]
+
+use proptest::prelude::*;
+use sightline_pvs::{Builder, CellTree, Header, Node, Object, Pvs, PvsError};
+
+fn small_file() -> Vec<u8> {
+    let nodes = vec![
+        Node::Split { axis: 1, at: 0.5 },
+        Node::Leaf,
+        Node::Split { axis: 2, at: 0.25 },
+        Node::Leaf,
+        Node::Leaf,
+    ];
+    let tree = CellTree::new([[0.0; 3], [1.0; 3]], nodes).unwrap();
+    let objects = vec![
+        Object { name: "wall".into(), first: 0, count: 60 },
+        Object { name: "tree".into(), first: 60, count: 40 },
+    ];
+    let info_json = r#"{"resolution":256}"#.into();
+    let mut builder =
+        Builder::new(Header { triangles: 100, method: "aggressive".into(), tree, objects, info_json })
+            .unwrap();
+    builder.push_cell(&[1, 2, 3, 50, 99], &[3], 0).unwrap();
+    builder.push_cell(&[1, 2, 3, 51, 98], &[], 2).unwrap();
+    builder.push_cell(&(0..100).collect::<Vec<_>>(), &[], 1).unwrap();
+    let mut file = Vec::new();
+    builder.finish(&mut file).unwrap();
+    file
+}
+
+#[test]
+fn every_altered_byte_is_noticed() {
+    let file = small_file();
+    assert!(Pvs::from_bytes(file.clone()).is_ok());
+    for at in 0..file.len() {
+        for flip in [0x01, 0x80, 0xff] {
+            let mut altered = file.clone();
+            altered[at] ^= flip;
+            assert!(Pvs::from_bytes(altered).is_err(), "byte {at} of {} changed by {flip:#x}", file.len());
+        }
+    }
+}
+
+#[test]
+fn every_truncation_is_noticed() {
+    let file = small_file();
+    for keep in 0..file.len() {
+        assert!(Pvs::from_bytes(&file[..keep]).is_err(), "{keep} of {} bytes", file.len());
+    }
+    let mut longer = file.clone();
+    longer.push(0);
+    assert!(matches!(Pvs::from_bytes(longer), Err(PvsError::Length { .. })));
+}
+
+#[test]
+fn other_files_and_versions_are_named() {
+    assert!(matches!(Pvs::from_bytes(&b"solid cube"[..]), Err(PvsError::NotPvs)));
+    assert!(matches!(Pvs::from_bytes(&b""[..]), Err(PvsError::NotPvs)));
+    let mut newer = small_file();
+    newer[8] = 2;
+    assert!(matches!(Pvs::from_bytes(newer), Err(PvsError::Version { found: 2, known: 1 })));
+}
+
+/// Writes the right checksums over whatever the file now holds.
+fn seal(file: &mut [u8]) {
+    for entry in (40..208).step_by(24) {
+        let number = |at: usize| u64::from_le_bytes(file[at..at + 8].try_into().unwrap());
+        let (start, length) = (number(entry + 8) as usize, number(entry + 16) as usize);
+        if let Some(section) = start.checked_add(length).and_then(|end| file.get(start..end)) {
+            let crc = crc32c::crc32c(section).to_le_bytes();
+            file[entry + 4..entry + 8].copy_from_slice(&crc);
+        }
+    }
+    let crc = crc32c::crc32c_append(crc32c::crc32c(&file[..36]), &file[40..208]).to_le_bytes();
+    file[36..40].copy_from_slice(&crc);
+}
+
+/// Opens and reads everything; what matters is that it returns, with ascending ids below N where it succeeds.
+fn read_all(file: Vec<u8>) -> bool {
+    let Ok(pvs) = Pvs::from_bytes(file) else { return false };
+    let mut ids = Vec::new();
+    let mut whole = true;
+    for cell in 0..pvs.cells() {
+        for read in [Pvs::visible, Pvs::undecided] {
+            match read(&pvs, cell, &mut ids) {
+                Ok(()) => {
+                    assert!(ids.windows(2).all(|w| w[0] < w[1]));
+                    assert!(ids.last().is_none_or(|&last| last < pvs.triangle_count()));
+                }
+                Err(_) => whole = false,
+            }
+        }
+        whole &= pvs.visible_objects(cell, &mut ids).is_ok() && pvs.visible_bytes(cell).is_ok();
+    }
+    whole
+}
+
+#[test]
+fn deceiving_files_do_not_panic() {
+    let file = small_file();
+    assert!(read_all(file.clone()));
+    let mut refused = 0;
+    for at in 8..file.len() {
+        // N itself (bytes 24…27) is whatever the file says it is, as long as the objects agree; they do not here.
+        for flip in [0x01, 0x02, 0x10, 0x80, 0xff] {
+            let mut altered = file.clone();
+            altered[at] ^= flip;
+            seal(&mut altered);
+            refused += u32::from(!read_all(altered));
+        }
+    }
+    assert!(refused > 500, "{refused} of {} were refused", (file.len() - 8) * 5);
+}
+
+proptest! {
+    #[test]
+    fn scrambled_files_do_not_panic(changes in proptest::collection::vec((8usize..1000, any::<u8>()), 1..8)) {
+        let mut file = small_file();
+        let length = file.len();
+        for (at, value) in changes {
+            file[8 + at % (length - 8)] = value;
+        }
+        seal(&mut file);
+        read_all(file);
+    }
+
+    #[test]
+    fn any_bytes_are_refused(bytes in proptest::collection::vec(any::<u8>(), 0..600)) {
+        prop_assert!(Pvs::from_bytes(bytes).is_err());
+    }
+}

@@ -1,0 +1,217 @@
+//! What goes into a result comes out of it, for any tree and any sets.
+// Helpers of tests may unwrap as tests do; clippy's own exception covers test functions alone.
+#![allow(clippy::unwrap_used)]
+
+use proptest::prelude::*;
+use sightline_pvs::{Builder, CellTree, Header, Node, Object, Pvs, PvsError, SET_ASIDE};
+
+/// A tree of `cells` leaves: each split leaves `shape[i]` of its cells (in 256ths) below.
+fn tree(cells: usize, shape: &[u8]) -> CellTree {
+    fn grow(cells: usize, bounds: [[f32; 3]; 2], shape: &[u8], nodes: &mut Vec<Node>) {
+        if cells == 1 {
+            return nodes.push(Node::Leaf);
+        }
+        let i = nodes.len();
+        let axis = i % 3;
+        let at = (bounds[0][axis] + bounds[1][axis]) / 2.0;
+        nodes.push(Node::Split { axis: axis as u8, at });
+        let below = (1 + (cells - 1) * usize::from(shape[i % shape.len()]) / 256).min(cells - 1);
+        let (mut lower, mut upper) = (bounds, bounds);
+        lower[1][axis] = at;
+        upper[0][axis] = at;
+        grow(below, lower, shape, nodes);
+        grow(cells - below, upper, shape, nodes);
+    }
+    let bounds = [[0.0; 3], [1.0; 3]];
+    let mut nodes = Vec::new();
+    grow(cells, bounds, shape, &mut nodes);
+    CellTree::new(bounds, nodes).unwrap()
+}
+
+fn header(triangles: u32, tree: CellTree, sizes: &[u32]) -> Header {
+    let mut objects: Vec<Object> = Vec::new();
+    let mut first = 0;
+    for (i, &size) in sizes.iter().enumerate() {
+        let count = size.min(triangles - first);
+        objects.push(Object { name: format!("part {i} ü"), first, count });
+        first += count;
+    }
+    objects.push(Object { name: String::new(), first, count: triangles - first });
+    Header { triangles, method: "aggressive".into(), tree, objects, info_json: r#"{"seed":1}"#.into() }
+}
+
+type Cell = (Vec<u32>, Vec<u32>, u32);
+
+fn build(header: Header, cells: &[Cell]) -> Vec<u8> {
+    let mut builder = Builder::new(header).unwrap();
+    for (visible, undecided, flags) in cells {
+        builder.push_cell(visible, undecided, *flags).unwrap();
+    }
+    let mut file = Vec::new();
+    let stats = builder.finish(&mut file).unwrap();
+    assert_eq!(stats.file_bytes, file.len() as u64);
+    assert_eq!(stats.visible_ids, cells.iter().map(|c| c.0.len() as u64).sum::<u64>());
+    assert_eq!(stats.undecided_ids, cells.iter().map(|c| c.1.len() as u64).sum::<u64>());
+    file
+}
+
+/// Cells that resemble each other: a common base with a few ids flipped, some of them undecided; a few are all.
+fn cells(triangles: u32) -> impl Strategy<Value = Vec<Cell>> {
+    let base = proptest::collection::vec(any::<bool>(), triangles as usize);
+    let flips = proptest::collection::vec((0..triangles.max(1), any::<bool>()), 0..20);
+    let per_cell = proptest::collection::vec((flips, 0u8..10), 1..24);
+    (base, per_cell).prop_map(move |(base, per_cell)| {
+        let cell = |(flips, kind): (Vec<(u32, bool)>, u8)| {
+            if kind == 0 {
+                return ((0..triangles).collect(), (0..triangles).collect(), SET_ASIDE | 0x100);
+            }
+            let mut bits = base.clone();
+            let mut open = std::collections::BTreeSet::new();
+            for (id, undecided) in flips {
+                if let Some(bit) = bits.get_mut(id as usize) {
+                    *bit ^= true;
+                    if undecided {
+                        open.insert(id);
+                    }
+                }
+            }
+            let visible: Vec<u32> = (0..triangles).filter(|&i| bits[i as usize]).collect();
+            let undecided = open.into_iter().filter(|&i| bits[i as usize]).collect();
+            (visible, undecided, 0)
+        };
+        per_cell.into_iter().map(cell).collect()
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    #[test]
+    fn what_goes_in_comes_out(
+        (triangles, cells) in (0u32..300).prop_flat_map(|n| (Just(n), cells(n))),
+        shape in proptest::collection::vec(any::<u8>(), 1..6),
+        sizes in proptest::collection::vec(0u32..40, 0..12),
+    ) {
+        let tree = tree(cells.len(), &shape);
+        let header = header(triangles, tree.clone(), &sizes);
+        let file = build(header.clone(), &cells);
+        prop_assert_eq!(&file, &build(header.clone(), &cells), "the same input gives the same bytes");
+
+        let pvs = Pvs::from_bytes(file).unwrap();
+        prop_assert_eq!(pvs.triangle_count(), triangles);
+        prop_assert_eq!(pvs.cells() as usize, cells.len());
+        prop_assert_eq!(pvs.tree(), &tree);
+        prop_assert_eq!(pvs.objects(), &header.objects[..]);
+        prop_assert_eq!(pvs.info_json(), &header.info_json);
+        prop_assert_eq!(pvs.method(), &header.method);
+        let mut ids = vec![7; 3];
+        let mut runs = Vec::new();
+        let mut bits = vec![u64::MAX; triangles.div_ceil(64) as usize];
+        for (i, (visible, undecided, flags)) in cells.iter().enumerate() {
+            let cell = i as u32;
+            pvs.visible(cell, &mut ids).unwrap();
+            prop_assert_eq!(&ids, visible);
+            pvs.visible_runs(cell, &mut runs).unwrap();
+            prop_assert!(runs.windows(2).all(|w| w[0].end < w[1].start));
+            prop_assert_eq!(&runs.iter().cloned().flatten().collect::<Vec<_>>(), visible);
+            pvs.visible_bits(cell, &mut bits).unwrap();
+            let set: Vec<u32> = (0..bits.len() as u32 * 64).filter(|&b| bits[b as usize / 64] >> (b % 64) & 1 == 1).collect();
+            prop_assert_eq!(&set, visible);
+            pvs.undecided(cell, &mut ids).unwrap();
+            prop_assert_eq!(&ids, undecided);
+            prop_assert_eq!(pvs.flags(cell).unwrap(), *flags);
+            for (set, undecided_set) in [(visible, false), (undecided, true)] {
+                let of = |o: &Object| set.iter().any(|&id| o.first <= id && id < o.first + o.count);
+                let objects: Vec<u32> =
+                    (0..).zip(&header.objects).filter(|(_, o)| of(o)).map(|(i, _)| i).collect();
+                if undecided_set {
+                    pvs.undecided_objects(cell, &mut ids).unwrap();
+                } else {
+                    pvs.visible_objects(cell, &mut ids).unwrap();
+                }
+                prop_assert_eq!(&ids, &objects);
+            }
+            let [lo, hi] = pvs.cell_bounds(cell).unwrap();
+            prop_assert_eq!(pvs.find_cell(std::array::from_fn(|a| (lo[a] + hi[a]) / 2.0)), Some(cell));
+            prop_assert_eq!(pvs.find_cell(lo), Some(cell));
+        }
+        let beyond = cells.len() as u32;
+        let no_cell = matches!(pvs.visible(beyond, &mut ids), Err(PvsError::NoCell { .. }));
+        prop_assert!(no_cell);
+    }
+}
+
+#[test]
+fn a_file_is_the_same_mapped_and_in_memory() {
+    let file =
+        build(header(9, tree(2, &[128]), &[4]), &[(vec![0, 1, 5], vec![5], 0), (vec![1, 8], vec![], 0)]);
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.pvs");
+    std::fs::write(&path, &file).unwrap();
+    let pvs = Pvs::open(&path).unwrap();
+    let mut ids = Vec::new();
+    pvs.visible(1, &mut ids).unwrap();
+    assert_eq!(ids, [1, 8]);
+    assert_eq!(pvs.file_bytes()[0], file.len() as u64);
+    let bytes = pvs.visible_bytes(1).unwrap();
+    assert!(bytes.own <= bytes.path && bytes.path < 40, "{bytes:?}");
+
+    std::fs::write(dir.path().join("empty.pvs"), b"").unwrap();
+    assert!(matches!(Pvs::open(dir.path().join("empty.pvs")), Err(PvsError::NotPvs)));
+    let missing = Pvs::open(dir.path().join("none.pvs")).unwrap_err();
+    assert!(missing.to_string().contains("none.pvs"), "{missing}");
+}
+
+/// Averages are worth having: eight cells that share 999 of 1000 scattered ids cost little more than one.
+#[test]
+fn what_cells_share_is_stored_once() {
+    let base: Vec<u32> = (0..1000).map(|i| i * 7 + i % 3).collect();
+    let cells: Vec<Cell> = (0..8)
+        .map(|c| (base.iter().copied().filter(|&id| id != base[c * 100]).collect(), vec![], 0))
+        .collect();
+    let eight = build(header(7100, tree(8, &[128]), &[]), &cells).len();
+    let one = build(header(7100, tree(1, &[128]), &[]), &cells[..1]).len();
+    assert!(eight < one + 600, "eight cells take {eight} bytes, one takes {one}");
+}
+
+#[test]
+fn bad_input_is_refused() {
+    let fresh = || Builder::new(header(10, tree(2, &[128]), &[])).unwrap();
+    let why = |visible: &[u32], undecided: &[u32], flags| {
+        fresh().push_cell(visible, undecided, flags).unwrap_err().to_string()
+    };
+    assert!(why(&[3, 3], &[], 0).contains("ascend"));
+    assert!(why(&[3, 2], &[], 0).contains("ascend"));
+    assert!(why(&[3, 10], &[], 0).contains("no triangle 10"));
+    assert!(why(&[3], &[4], 0).contains("triangle 4 is not in"));
+    assert!(why(&[3], &[], SET_ASIDE).contains("set aside"));
+
+    let mut builder = fresh();
+    builder.push_cell(&[1], &[], 0).unwrap();
+    let early = fresh().finish(&mut Vec::new()).unwrap_err();
+    assert!(matches!(early, PvsError::CellCount { expected: 2, pushed: 0 }), "{early}");
+    builder.push_cell(&[2], &[], 0).unwrap();
+    assert!(matches!(builder.push_cell(&[2], &[], 0), Err(PvsError::CellCount { expected: 2, pushed: 3 })));
+
+    let mut gap = header(10, tree(1, &[0]), &[]);
+    gap.objects = vec![Object { name: "a".into(), first: 1, count: 9 }];
+    assert!(matches!(Builder::new(gap.clone()), Err(PvsError::Objects { object: 0, .. })));
+    gap.objects = vec![Object { name: "a".into(), first: 0, count: 9 }];
+    assert!(matches!(Builder::new(gap), Err(PvsError::Objects { object: 1, .. })));
+}
+
+#[test]
+fn a_failing_disk_is_reported() {
+    struct Full;
+    impl std::io::Write for Full {
+        fn write(&mut self, _: &[u8]) -> std::io::Result<usize> {
+            Err(std::io::ErrorKind::StorageFull.into())
+        }
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+    let mut builder = Builder::new(header(10, tree(1, &[0]), &[])).unwrap();
+    builder.push_cell(&[1], &[], 0).unwrap();
+    assert!(matches!(builder.finish(&mut Full), Err(PvsError::Write(_))));
+}
