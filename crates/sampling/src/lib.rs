@@ -2,6 +2,7 @@
 
 pub mod backend;
 pub mod cube;
+pub mod gpu;
 
 pub use backend::{Backend, BackendError, CubeRenderer};
 pub use cube::{CubeImage, CubeSpec, SKY, Strata, VisibilitySample};
