@@ -31,6 +31,9 @@ const GATHER_GROUPS: u32 = 64;
 /// (triangle id, strata mask, pixel count), in any order.
 type Runs = Vec<(u32, u32, u32)>;
 
+/// How many triangles a cube shows, and the parts wanted of it unless its list was cut short.
+type Landed = (u32, Option<(Runs, Option<Vec<u32>>)>);
+
 /// What one batch uses at a time.
 #[derive(Default)]
 pub(super) struct Work {
@@ -296,14 +299,14 @@ impl<'a> GpuRenderer<'a> {
         pass.dispatch_workgroups(GATHER_GROUPS, 1, 1);
     }
 
-    /// Waits for a cube and reads it: how many triangles it shows, and the rest unless the list was cut short.
+    /// Waits for a cube and reads it.
     fn land(
         &self,
         work: &mut Work,
         flight: Flight,
         layout: Layout,
         want: Want,
-    ) -> Result<(u32, Option<(Runs, Option<Vec<u32>>)>), BackendError> {
+    ) -> Result<Landed, BackendError> {
         let b = self.backend;
         b.wait(flight.submission)?;
         match flight.mapped.try_recv() {
@@ -323,13 +326,7 @@ impl<'a> GpuRenderer<'a> {
         read
     }
 
-    fn read(
-        &self,
-        bytes: &[u8],
-        work: &Work,
-        layout: Layout,
-        want: Want,
-    ) -> Result<(u32, Option<(Runs, Option<Vec<u32>>)>), BackendError> {
+    fn read(&self, bytes: &[u8], work: &Work, layout: Layout, want: Want) -> Result<Landed, BackendError> {
         let words: &[u32] = bytemuck::cast_slice(bytes);
         let mut count = 0;
         let mut runs = Runs::new();
