@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use sightline_sampling::embree::CpuBackend;
-use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
+use sightline_sampling::gpu::{self, AdapterChoice, GpuBackend};
 use sightline_sampling::{Backend, BackendError, CubeSpec};
 use sightline_scene::Scene;
 
@@ -32,7 +32,7 @@ impl Backends {
         let say = |r: Result<String, BackendError>| r.map_err(|e| e.to_string());
         Self {
             cpu: if choice == Choice::Gpu { not_asked() } else { say(CpuBackend::probe()) },
-            gpu: if choice == Choice::Cpu { not_asked() } else { say(GpuBackend::probe(&adapter)) },
+            gpu: if choice == Choice::Cpu { not_asked() } else { say(gpu::probe(&adapter)) },
             adapter,
         }
     }

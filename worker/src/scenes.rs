@@ -79,7 +79,7 @@ impl SceneCache {
             }
             let scene = Scene::from_blob("scene from the coordinator", &bytes).map_err(|e| e.to_string())?;
             drop(bytes);
-            let prepared = PreparedScene::new(Arc::new(scene));
+            let prepared = PreparedScene::new(Arc::new(scene)).map_err(|e| e.to_string())?;
             Ok(Arc::new(Loaded { prepared, backends: Mutex::default() }))
         })
         .await

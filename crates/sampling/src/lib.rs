@@ -10,6 +10,7 @@ pub mod cache;
 pub mod codec;
 pub mod cube;
 pub mod embree;
+pub mod gpu;
 pub mod measure;
 pub mod params;
 mod reduce;

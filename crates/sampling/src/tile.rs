@@ -7,7 +7,7 @@
 use std::sync::Arc;
 
 use sightline_scene::topology::Solids;
-use sightline_scene::{Aabb, Scene, exact, overlap};
+use sightline_scene::{Aabb, Scene, SceneError, overlap};
 use sightline_viewcells::{CellBox, Division, Lattice, LatticePoint, Split, Tile, TileKind};
 
 use crate::backend::{Backend, BackendError, CubeRenderer};
@@ -28,10 +28,13 @@ pub struct PreparedScene {
 
 impl PreparedScene {
     /// Analyses `scene`.
-    pub fn new(scene: Arc<Scene>) -> Self {
-        let solids = Solids::of(&scene);
-        let duplicates = sightline_scene::topology::duplicates(&scene);
-        Self { scene, solids, duplicates }
+    ///
+    /// # Errors
+    /// [`SceneError::Bad`] when it has too many triangles to analyse.
+    pub fn new(scene: Arc<Scene>) -> Result<Self, SceneError> {
+        let solids = Solids::of(&scene)?;
+        let duplicates = sightline_scene::topology::duplicates(&scene)?;
+        Ok(Self { scene, solids, duplicates })
     }
 }
 
@@ -324,11 +327,10 @@ struct SolidExterior<'a> {
 
 impl Exterior for SolidExterior<'_> {
     fn is_exterior(&self, p: LatticePoint, sample: &VisibilitySample) -> bool {
-        let Some(id) = sample.dominant else { return true };
-        let Some(outward) = self.scene.solids.outward(id) else { return true };
-        let t = &self.scene.scene.triangles()[id as usize];
-        let side = exact::orient3d_sign(t.v[0], t.v[1], t.v[2], self.lattice.position(p)) as i32;
-        // In the plane of the triangle counts as outside: a viewpoint may be there.
-        side * outward as i32 >= 0
+        // In the plane of the triangle, or with no solid in sight, a viewpoint may be there.
+        sample
+            .dominant
+            .and_then(|id| self.scene.solids.exterior(&self.scene.scene, id, self.lattice.position(p)))
+            .unwrap_or(true)
     }
 }

@@ -38,11 +38,23 @@ impl CpuBackend {
     /// # Errors
     /// [`BackendError::Unavailable`] when Embree is not installed or cannot run here.
     pub fn new(scene: Arc<Scene>, spec: CubeSpec) -> Result<Self, BackendError> {
+        let device = Self::open()?;
+        let profile = profile(&device);
+        Ok(Self { scene, spec, device: Arc::new(device), profile, whole: OnceLock::new() })
+    }
+
+    /// The numerics profile this machine would have.
+    ///
+    /// # Errors
+    /// As [`CpuBackend::new`].
+    pub fn probe() -> Result<String, BackendError> {
+        Ok(profile(&Self::open()?))
+    }
+
+    fn open() -> Result<Device, BackendError> {
         // Hits at equal distance are decided by the order of the hierarchy: one thread builds it, so that it is
         // the same on every machine; AVX-512 is left out because its packets round differently from AVX2's.
-        let device = Arc::new(Device::new(c"threads=1,set_affinity=0,max_isa=avx2")?);
-        let profile = format!("cpu/embree-{}/{}", device.version(), instruction_set());
-        Ok(Self { scene, spec, device, profile, whole: OnceLock::new() })
+        Device::new(c"threads=1,set_affinity=0,max_isa=avx2")
     }
 
     fn build(&self, superset: Option<&[u32]>) -> Result<Arc<Hierarchy>, String> {
@@ -56,6 +68,10 @@ impl CpuBackend {
         let scene = TriangleScene::new(&self.device, ids.len(), ids.iter().map(flat))?;
         Ok(Arc::new(Hierarchy { scene, ids }))
     }
+}
+
+fn profile(device: &Device) -> String {
+    format!("cpu/embree-{}/{}", device.version(), instruction_set())
 }
 
 /// The instruction set Embree will choose under `max_isa=avx2`.

@@ -1,0 +1,147 @@
+//! Finding a device: which adapters there are, which to take, what to call its numerics, how to open it.
+
+use crate::backend::BackendError;
+
+/// Which adapter to take.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum AdapterChoice {
+    /// A GPU; software rasterisers do not count.
+    Hardware,
+    /// A GPU if there is one, else a software rasteriser such as lavapipe.
+    #[default]
+    AllowSoftware,
+    /// The first whose name contains this text, upper and lower case alike.
+    Named(String),
+}
+
+/// An adapter of this machine, for diagnostics.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AdapterSummary {
+    /// Its name, as the driver gives it.
+    pub name: String,
+    /// Name and version of the driver.
+    pub driver: String,
+    /// The graphics interface it is reached through, for example `vulkan`.
+    pub interface: String,
+    /// Whether it rasterises on the CPU.
+    pub software: bool,
+    /// The numerics profile a backend on it would have.
+    pub profile: String,
+}
+
+/// The adapters of this machine, best first: discrete GPUs, integrated, virtual, others, software.
+pub fn adapters() -> Vec<AdapterSummary> {
+    find().iter().map(|adapter| summary(&adapter.get_info())).collect()
+}
+
+fn find() -> Vec<wgpu::Adapter> {
+    let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+    // The same in every build: the driver's validation layers cost time and change no result.
+    descriptor.flags = wgpu::InstanceFlags::empty();
+    descriptor.backends = wgpu::Backends::PRIMARY;
+    let instance = wgpu::Instance::new(descriptor);
+    let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
+    // Stable: adapters of a kind stay in the driver's order.
+    adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Other => 3,
+        wgpu::DeviceType::Cpu => 4,
+    });
+    adapters
+}
+
+fn summary(info: &wgpu::AdapterInfo) -> AdapterSummary {
+    let interface = info.backend.to_str().to_owned();
+    let driver = format!("{} {}", info.driver, info.driver_info).trim().to_owned();
+    let version = if info.driver_info.is_empty() { &info.driver } else { &info.driver_info };
+    let profile =
+        format!("gpu/wgpu-30/{}/{}/{}", sanitised(&interface), sanitised(&info.name), sanitised(version));
+    let software = info.device_type == wgpu::DeviceType::Cpu;
+    AdapterSummary { name: info.name.clone(), driver, interface, software, profile }
+}
+
+/// Printable ASCII without the profile's separator; never empty.
+fn sanitised(text: &str) -> String {
+    let plain: String =
+        text.trim().chars().map(|c| if matches!(c, ' '..='~') && c != '/' { c } else { '_' }).collect();
+    if plain.is_empty() { "unknown".to_owned() } else { plain }
+}
+
+/// An open device and what it is.
+pub(super) struct Opened {
+    pub(super) device: wgpu::Device,
+    pub(super) queue: wgpu::Queue,
+    pub(super) summary: AdapterSummary,
+}
+
+/// The numerics profile of the adapter `choice` takes here.
+///
+/// # Errors
+/// [`BackendError::Unavailable`] when there is no fitting adapter or it cannot be opened.
+pub fn probe(choice: &AdapterChoice) -> Result<String, BackendError> {
+    open(choice).map(|o| o.summary.profile)
+}
+
+/// Takes the adapter `choice` asks for and opens it with all its limits.
+pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
+    let adapters = find();
+    if adapters.is_empty() {
+        return Err(BackendError::Unavailable(
+            "no Vulkan adapter: install a driver (for example `apt-get install mesa-vulkan-drivers libvulkan1`) \
+             or use --backend cpu"
+                .to_owned(),
+        ));
+    }
+    let all: Vec<AdapterSummary> = adapters.iter().map(|a| summary(&a.get_info())).collect();
+    let place = match choice {
+        AdapterChoice::Hardware => all.iter().position(|a| !a.software),
+        AdapterChoice::AllowSoftware => Some(0),
+        AdapterChoice::Named(part) => {
+            let part = part.to_lowercase();
+            all.iter().position(|a| a.name.to_lowercase().contains(&part))
+        }
+    };
+    let there = || all.iter().map(|a| a.name.as_str()).collect::<Vec<_>>().join("; ");
+    let Some((adapter, summary)) = place.and_then(|i| Some((adapters.get(i)?, all.get(i)?.clone()))) else {
+        return Err(BackendError::Unavailable(match choice {
+            AdapterChoice::Named(part) => {
+                format!("no adapter is named like \"{part}\"; there are: {}", there())
+            }
+            _ => format!(
+                "no hardware adapter, only software ({}); allow software rasterising or use --backend cpu",
+                there()
+            ),
+        }));
+    };
+    if !adapter.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS) {
+        return Err(BackendError::Unavailable(format!(
+            "the adapter {} has no compute shaders; update its driver or use --backend cpu",
+            summary.name
+        )));
+    }
+    let descriptor = wgpu::DeviceDescriptor {
+        label: Some("sightline"),
+        required_limits: adapter.limits(),
+        ..Default::default()
+    };
+    let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| {
+        BackendError::Unavailable(format!(
+            "the adapter {} cannot be opened: {e}; update its driver or use --backend cpu",
+            summary.name
+        ))
+    })?;
+    Ok(Opened { device, queue, summary })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn profiles_are_printable_and_keep_their_fields() {
+        assert_eq!(sanitised("AMD/ATI Radeon\u{2122}"), "AMD_ATI Radeon_");
+        assert_eq!(sanitised(" \n"), "unknown");
+    }
+}

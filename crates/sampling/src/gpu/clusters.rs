@@ -1,0 +1,100 @@
+//! The order triangles are drawn in, and the boxes of the runs that are culled together.
+//!
+//! The order is a property of the scene: big triangles first (they hide most), then along a Morton curve, ids
+//! last. A superset keeps it, so that which of two coincident triangles wins never depends on the superset.
+
+use glam::Vec3;
+use rayon::prelude::*;
+use sightline_scene::{Aabb, Scene, Triangle};
+
+/// Triangles in a cluster, but for the last of a page.
+pub(super) const CLUSTER: usize = 128;
+
+/// Bits of the Morton code for each axis.
+const BITS: u32 = 20;
+
+/// Ids of the triangles that can be seen (not degenerate), in drawing order.
+pub(super) fn drawing_order(scene: &Scene) -> Vec<u32> {
+    let bounds = scene.bounds();
+    let mut keyed: Vec<(u64, u32)> = scene
+        .triangles()
+        .par_iter()
+        .zip(0..scene.len())
+        .filter(|(t, _)| !t.is_degenerate())
+        .map(|(t, id)| (key(t, bounds), id))
+        .collect();
+    keyed.par_sort_unstable();
+    keyed.into_iter().map(|(_, id)| id).collect()
+}
+
+/// Size class above the Morton code of the box's centre. Classes keep a few large triangles from blowing up
+/// the boxes of clusters of small ones.
+fn key(triangle: &Triangle, bounds: Aabb) -> u64 {
+    let of = |v: Vec3| v.as_dvec3();
+    let (size, b) = (of(bounds.max) - of(bounds.min), triangle.bounds());
+    let extent = (of(b.max) - of(b.min)).max_element() / size.max_element().max(f64::MIN_POSITIVE);
+    let class = [0.25, 1.0 / 16.0, 1.0 / 64.0, 1.0 / 256.0].iter().filter(|limit| extent < **limit).count();
+    let centre = (of(b.min) + of(b.max)) * 0.5 - of(bounds.min);
+    let cells = f64::from((1u32 << BITS) - 1);
+    let code = (0..3).fold(0, |code, axis| {
+        // The float-to-integer cast saturates, and an axis without extent gives 0 or NaN, which becomes 0.
+        let cell = (centre[axis] / size[axis] * cells) as u64;
+        code | (spread(cell.min((1 << BITS) - 1)) << axis)
+    });
+    ((class as u64) << (3 * BITS)) | code
+}
+
+/// Puts two zero bits above each of the low 20 bits of `x` (the usual Morton masks).
+fn spread(x: u64) -> u64 {
+    let x = (x | (x << 32)) & 0x001f_0000_0000_ffff;
+    let x = (x | (x << 16)) & 0x001f_0000_ff00_00ff;
+    let x = (x | (x << 8)) & 0x100f_00f0_0f00_f00f;
+    let x = (x | (x << 4)) & 0x10c3_0c30_c30c_30c3;
+    (x | (x << 2)) & 0x1249_2492_4924_9249
+}
+
+/// The six faces a box may be seen on from `eye`, bit f for face f.
+///
+/// Conservative: rounding is monotone, so the differences here bound those the vertex shader takes, and a
+/// vertex it puts inside a pyramid lies inside here.
+pub(super) fn faces_touched(bounds: &Aabb, eye: Vec3) -> u32 {
+    let (lo, hi) = (bounds.min - eye, bounds.max - eye);
+    let mut faces = 0;
+    for axis in 0..3 {
+        let (r, u) = ((axis + 1) % 3, (axis + 2) % 3);
+        for (side, forward) in [hi[axis], -lo[axis]].into_iter().enumerate() {
+            // Greatest forward distance against least |right| and |up|: all four sides of the pyramid.
+            let inside = forward > 0.0
+                && forward >= lo[r]
+                && forward >= -hi[r]
+                && forward >= lo[u]
+                && forward >= -hi[u];
+            faces |= u32::from(inside) << (2 * axis + side);
+        }
+    }
+    faces
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spread_leaves_two_gaps() {
+        for bit in 0..BITS {
+            assert_eq!(spread(1 << bit), 1 << (3 * bit));
+        }
+    }
+
+    #[test]
+    fn a_small_box_is_on_the_face_it_lies_on() {
+        for face in 0..6u32 {
+            let [forward, right, _] = crate::cube::face_basis(face);
+            let at = |p: Vec3| Aabb { min: p - 0.01, max: p + 0.01 };
+            let eye = Vec3::new(3.0, -2.0, 5.0);
+            assert_eq!(faces_touched(&at(eye + forward), eye), 1 << face);
+            assert_eq!(faces_touched(&at(eye + forward + right), eye).count_ones(), 2);
+            assert_eq!(faces_touched(&at(eye), eye), 0x3f);
+        }
+    }
+}

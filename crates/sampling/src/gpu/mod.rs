@@ -1,0 +1,214 @@
+//! The GPU backend: item buffers drawn by wgpu, reduced on the device, read back as short lists.
+//!
+//! It draws triangles with the ordinary raster pipeline; a compute path for GPUs that rasterise slowly would
+//! stand beside it. Nothing here is needed to read a result: a machine without a driver uses the CPU backend.
+//!
+//! **Near plane.** A cube's frusta begin at 2⁻⁴⁰ of the scene's largest extent: reversed floating-point depth,
+//! near / distance, has the same relative precision at any distance, so the near plane can be smaller than
+//! anything `f32` coordinates of the scene can place before the eye, and costs nothing.
+//!
+//! **Same bits.** Triangles are drawn in one fixed order, the first at a depth wins; the reduction is made of
+//! integer sums and unions, whose order does not matter; its list is sorted before use.
+
+mod adapter;
+mod clusters;
+mod geometry;
+mod pipelines;
+mod renderer;
+mod tally;
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use sightline_scene::Scene;
+
+pub use adapter::{AdapterChoice, AdapterSummary, adapters, probe};
+
+use crate::backend::{Backend, BackendError, CubeRenderer};
+use crate::cube::CubeSpec;
+use geometry::Geometry;
+use pipelines::{Kit, MAX_RESOLUTION, scoped};
+use renderer::{GpuRenderer, Work};
+
+/// Rank of a triangle that is never drawn.
+const NEVER: u32 = u32::MAX;
+/// Largest coordinate drawn: differences and their projections stay finite in `f32`.
+const MOST_DISTANT: f32 = 1e30;
+/// Bytes of triangles in one vertex buffer, if the device allows as much.
+const PAGE_BYTES: u64 = 1 << 30;
+/// How long the device may take for one cube before it is given up.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+/// A device bound to one scene and one [`CubeSpec`].
+pub struct GpuBackend {
+    scene: Arc<Scene>,
+    spec: CubeSpec,
+    profile: String,
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    kit: Kit,
+    near: f32,
+    page_bytes: u64,
+    /// The whole scene, in drawing order.
+    whole: Arc<Geometry>,
+    /// For each triangle its place in the drawing order, or [`NEVER`].
+    ranks: Vec<u32>,
+    /// First thing the device complained of outside an error scope.
+    fault: Arc<Mutex<Option<String>>>,
+    /// What one batch of cubes uses at a time.
+    work: Mutex<Work>,
+}
+
+impl GpuBackend {
+    /// Opens a device and copies `scene` to it.
+    ///
+    /// # Errors
+    /// [`BackendError::Unavailable`] when there is no fitting adapter, or it or this backend cannot do `spec` or
+    /// the scene; [`BackendError::Failed`] when the device cannot hold the scene.
+    pub fn new(scene: Arc<Scene>, spec: CubeSpec, choice: AdapterChoice) -> Result<Self, BackendError> {
+        Self::with_pages(scene, spec, &choice, PAGE_BYTES)
+    }
+
+    fn with_pages(
+        scene: Arc<Scene>,
+        spec: CubeSpec,
+        choice: &AdapterChoice,
+        page_bytes: u64,
+    ) -> Result<Self, BackendError> {
+        if !(1..=MAX_RESOLUTION).contains(&spec.resolution) {
+            return Err(BackendError::Unavailable(format!(
+                "a cube of {} pixels a side cannot be rendered; choose 1 to {MAX_RESOLUTION}",
+                spec.resolution
+            )));
+        }
+        let bounds = scene.bounds();
+        if bounds.min.abs().max(bounds.max.abs()).max_element() > MOST_DISTANT {
+            return Err(BackendError::Unavailable(format!(
+                "the scene's coordinates go beyond {MOST_DISTANT:e}; scale it down"
+            )));
+        }
+        let adapter::Opened { device, queue, summary } = adapter::open(choice)?;
+        let limits = device.limits();
+        if 3 * spec.resolution > limits.max_texture_dimension_2d {
+            return Err(BackendError::Unavailable(format!(
+                "the adapter {} renders cubes of at most {} pixels a side, not {}; choose fewer or use --backend cpu",
+                summary.name,
+                limits.max_texture_dimension_2d / 3,
+                spec.resolution
+            )));
+        }
+        let fault = watch(&device);
+        let failed = |reason| BackendError::Failed { profile: summary.profile.clone(), reason };
+        let kit = scoped(&device, || Ok(Kit::new(&device, spec.resolution))).map_err(failed)?;
+        let page_bytes = page_bytes.min(limits.max_buffer_size);
+        let order = clusters::drawing_order(&scene);
+        let mut ranks = vec![NEVER; scene.triangles().len()];
+        for (rank, id) in (0..).zip(&order) {
+            ranks[*id as usize] = rank;
+        }
+        let whole = Geometry::upload(&device, scene.triangles(), order, page_bytes).map_err(failed)?;
+        let extent = (bounds.max.as_dvec3() - bounds.min.as_dvec3()).max_element();
+        // A scene is not a point unless all of it is degenerate, and then nothing is drawn.
+        let near = ((extent * 2f64.powi(-40)) as f32).max(1e-30);
+        Ok(Self {
+            profile: summary.profile,
+            whole: Arc::new(whole),
+            work: Mutex::default(),
+            scene,
+            spec,
+            device,
+            queue,
+            kit,
+            near,
+            page_bytes,
+            ranks,
+            fault,
+        })
+    }
+
+    fn failed(&self, reason: impl Into<String>) -> BackendError {
+        BackendError::Failed { profile: self.profile.clone(), reason: reason.into() }
+    }
+
+    /// Whether the device has complained since it was opened. It does not get better again.
+    fn check(&self) -> Result<(), BackendError> {
+        match &*lock(&self.fault) {
+            Some(reason) => Err(self.failed(reason.clone())),
+            None => Ok(()),
+        }
+    }
+
+    /// Waits until the device has done `submission`, and its buffers' maps with it.
+    fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), BackendError> {
+        let poll = wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(PATIENCE) };
+        // wgpu panics here when the device is lost while it waits; a lost device is an error like any other.
+        let polled = catch_unwind(AssertUnwindSafe(|| self.device.poll(poll)));
+        self.check()?;
+        match polled {
+            Ok(Ok(_)) => Ok(()),
+            Ok(Err(error)) => Err(self.failed(format!("waiting for a cube: {error}"))),
+            Err(_) => Err(self.failed("the device was lost while a cube was rendered")),
+        }
+    }
+}
+
+impl Backend for GpuBackend {
+    fn profile(&self) -> &str {
+        &self.profile
+    }
+
+    fn prepare(&self, superset: Option<&[u32]>) -> Result<Box<dyn CubeRenderer + '_>, BackendError> {
+        self.check()?;
+        let geometry = match superset {
+            None => Arc::clone(&self.whole),
+            Some(ids) => {
+                let mut places = Vec::with_capacity(ids.len());
+                for id in ids {
+                    let place = self.ranks.get(*id as usize).ok_or_else(|| {
+                        self.failed(format!(
+                            "the superset names triangle {id} of a scene of {}",
+                            self.ranks.len()
+                        ))
+                    })?;
+                    places.extend((*place != NEVER).then_some(*place));
+                }
+                places.sort_unstable();
+                places.dedup();
+                let ids = places.into_iter().map(|place| self.whole.ids[place as usize]).collect();
+                let made = Geometry::upload(&self.device, self.scene.triangles(), ids, self.page_bytes);
+                Arc::new(made.map_err(|reason| self.failed(reason))?)
+            }
+        };
+        let most = tally::most_slots(&self.device.limits());
+        if geometry.slots() > most {
+            return Err(self.failed(format!(
+                "{} triangles at once are more than the {most} this device can count; \
+                 give it a smaller superset or use --backend cpu",
+                geometry.slots()
+            )));
+        }
+        Ok(Box::new(GpuRenderer::new(self, geometry)))
+    }
+}
+
+/// Notes the first error `device` reports, and its loss.
+fn watch(device: &wgpu::Device) -> Arc<Mutex<Option<String>>> {
+    let fault = Arc::new(Mutex::new(None));
+    let (errors, losses) = (Arc::clone(&fault), Arc::clone(&fault));
+    device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+        lock(&errors).get_or_insert_with(|| error.to_string());
+    }));
+    device.set_device_lost_callback(move |reason, text| {
+        lock(&losses).get_or_insert_with(|| format!("the device was lost ({reason:?}): {text}"));
+    });
+    fault
+}
+
+/// Locks, also after a panic elsewhere: what is guarded here is whole between any two statements.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests;

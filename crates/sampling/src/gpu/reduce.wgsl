@@ -1,0 +1,101 @@
+// Reduces the six item buffers to one entry a visible slot: (slot, strata mask, pixel count).
+//
+// `reduce` adds to masks and counts, which are all zero before, and lists every slot it touches first;
+// `gather` completes the list and sets what was touched back to zero. The order of the list is left to chance:
+// the reader sorts it.
+
+struct Params {
+    // Side of a face in pixels.
+    n: u32,
+    // Entries the list can hold.
+    capacity: u32,
+    // 0: one stratum, 1: one a face, 2: quadrants of the faces.
+    strata: u32,
+    unused: u32,
+}
+
+struct List {
+    count: atomic<u32>,
+    unused_a: u32,
+    unused_b: u32,
+    unused_c: u32,
+    // Three words an entry.
+    entries: array<u32>,
+}
+
+@group(0) @binding(0) var items: texture_2d<u32>;
+@group(0) @binding(1) var<storage, read_write> masks: array<atomic<u32>>;
+@group(0) @binding(2) var<storage, read_write> counts: array<atomic<u32>>;
+@group(0) @binding(3) var<storage, read_write> list: List;
+@group(0) @binding(4) var<uniform> params: Params;
+
+// Pixels of a row that one invocation walks; runs inside cost one pair of atomics.
+const SEGMENT: u32 = 16u;
+
+fn stratum_bit(face: u32, x: u32, y: u32) -> u32 {
+    if params.strata == 0u {
+        return 1u;
+    }
+    if params.strata == 1u {
+        return 1u << face;
+    }
+    let quadrant = select(0u, 2u, 2u * y >= params.n) + select(0u, 1u, 2u * x >= params.n);
+    return 1u << (face * 4u + quadrant);
+}
+
+fn add(item: u32, bit: u32, run: u32) {
+    if item == 0u {
+        return;
+    }
+    let slot = item - 1u;
+    // Most runs find their bit set already, and a load is much cheaper than the atomic.
+    if (atomicLoad(&masks[slot]) & bit) == 0u {
+        atomicOr(&masks[slot], bit);
+    }
+    if atomicAdd(&counts[slot], run) == 0u {
+        let at = atomicAdd(&list.count, 1u);
+        if at < params.capacity {
+            list.entries[3u * at] = slot;
+        }
+    }
+}
+
+@compute @workgroup_size(8, 8)
+fn reduce(@builtin(global_invocation_id) id: vec3u) {
+    let n = params.n;
+    let start = id.x * SEGMENT;
+    if id.y >= 6u * n || start >= n {
+        return;
+    }
+    let face = id.y / n;
+    let y = id.y % n;
+    let row = vec2u((face % 3u) * n, (face / 3u) * n + y);
+    var item = 0u;
+    var bit = 0u;
+    var run = 0u;
+    for (var x = start; x < min(start + SEGMENT, n); x++) {
+        let next = textureLoad(items, row + vec2u(x, 0u), 0).r;
+        let next_bit = stratum_bit(face, x, y);
+        if next == item && next_bit == bit {
+            run++;
+        } else {
+            add(item, bit, run);
+            item = next;
+            bit = next_bit;
+            run = 1u;
+        }
+    }
+    add(item, bit, run);
+}
+
+@compute @workgroup_size(64)
+fn gather(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
+    let count = min(atomicLoad(&list.count), params.capacity);
+    for (var i = id.x; i < count; i += groups.x * 64u) {
+        let slot = list.entries[3u * i];
+        list.entries[3u * i + 1u] = atomicLoad(&masks[slot]);
+        list.entries[3u * i + 2u] = atomicLoad(&counts[slot]);
+        atomicStore(&masks[slot], 0u);
+        atomicStore(&counts[slot], 0u);
+    }
+}

@@ -1,0 +1,71 @@
+//! The reduction's buffers: a strata mask and a pixel count for each slot, and the list of slots seen.
+//!
+//! Masks and counts are zero between cubes: the device makes them so, and the reduction puts them back.
+
+use super::pipelines::{Kit, scoped};
+
+/// Bytes before the list's entries: the counter, padded.
+pub(super) const LIST_HEAD: u64 = 16;
+/// Bytes of an entry: slot, mask, count.
+pub(super) const ENTRY_BYTES: u64 = 12;
+
+/// Buffers for up to `slots` slots.
+pub(super) struct Tally {
+    pub(super) slots: u32,
+    /// Entries the list holds.
+    pub(super) capacity: u32,
+    pub(super) list: wgpu::Buffer,
+    pub(super) group: wgpu::BindGroup,
+}
+
+/// Most slots a device can count: one word of a storage binding each.
+pub(super) fn most_slots(limits: &wgpu::Limits) -> u32 {
+    let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+    u32::try_from(bytes / 4).unwrap_or(u32::MAX)
+}
+
+impl Tally {
+    /// Makes buffers for at least `slots` slots and cubes of `pixels` pixels.
+    ///
+    /// # Errors
+    /// What the device says when it has no room.
+    pub(super) fn new(device: &wgpu::Device, kit: &Kit, slots: u32, pixels: u32) -> Result<Self, String> {
+        let limits = device.limits();
+        // Rounded up so that supersets of like size share one allocation.
+        let slots = slots.checked_next_power_of_two().unwrap_or(u32::MAX).min(most_slots(&limits)).max(1);
+        let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        // A cube shows no more triangles than it has pixels, so only a list cut by the device's limits can run over.
+        let room = u32::try_from(bytes.saturating_sub(LIST_HEAD) / ENTRY_BYTES).unwrap_or(u32::MAX);
+        let capacity = slots.min(pixels).min(room);
+        scoped(device, || {
+            let storage = |label, size, more| {
+                device.create_buffer(&wgpu::BufferDescriptor {
+                    label: Some(label),
+                    size,
+                    usage: wgpu::BufferUsages::STORAGE | more,
+                    mapped_at_creation: false,
+                })
+            };
+            let masks = storage("masks", u64::from(slots) * 4, wgpu::BufferUsages::empty());
+            let counts = storage("counts", u64::from(slots) * 4, wgpu::BufferUsages::empty());
+            let list = storage(
+                "list",
+                LIST_HEAD + u64::from(capacity) * ENTRY_BYTES,
+                wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
+            );
+            let bind = |binding, resource| wgpu::BindGroupEntry { binding, resource };
+            let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some("tally"),
+                layout: &kit.tally_layout,
+                entries: &[
+                    bind(0, wgpu::BindingResource::TextureView(&kit.items_view)),
+                    bind(1, masks.as_entire_binding()),
+                    bind(2, counts.as_entire_binding()),
+                    bind(3, list.as_entire_binding()),
+                    bind(4, kit.params.as_entire_binding()),
+                ],
+            });
+            Ok(Self { slots, capacity, list, group })
+        })
+    }
+}

@@ -1,0 +1,78 @@
+//! What cannot be seen from outside the crate: paging, and losing the device.
+
+use glam::Vec3;
+use sightline_scene::Object;
+
+use super::*;
+use crate::cube::Strata;
+
+/// Small triangles all around the origin, deterministic.
+fn shell(count: u32) -> Arc<Scene> {
+    let triangles: Vec<_> = (0..count)
+        .map(|i| {
+            let a = i as f32 * 2.399_963;
+            let z = 1.0 - 2.0 * (i as f32 + 0.5) / count as f32;
+            let r = (1.0 - z * z).sqrt();
+            let c = Vec3::new(r * a.cos(), r * a.sin(), z) * (2.0 + (i % 7) as f32 * 0.3);
+            sightline_scene::Triangle {
+                v: [c, c + Vec3::new(0.3, 0.1, 0.2), c + Vec3::new(-0.1, 0.25, -0.2)],
+            }
+        })
+        .collect();
+    let objects = vec![Object { name: "shell".into(), first: 0, count }];
+    Arc::new(Scene::new("shell", triangles, objects).expect("valid"))
+}
+
+const SPEC: CubeSpec = CubeSpec { resolution: 48, strata: Strata::Quadrants, keep_pixels: false };
+
+fn backend(scene: &Arc<Scene>, page_bytes: u64) -> Option<GpuBackend> {
+    match GpuBackend::with_pages(scene.clone(), SPEC, &AdapterChoice::AllowSoftware, page_bytes) {
+        Ok(backend) => Some(backend),
+        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
+            println!("not run: {why}");
+            None
+        }
+        Err(error) => panic!("{error}"),
+    }
+}
+
+#[test]
+fn many_small_pages_show_what_one_does() {
+    let scene = shell(1000);
+    let (Some(one), Some(many)) = (backend(&scene, PAGE_BYTES), backend(&scene, 1)) else { return };
+    let (one, many) = (one.prepare(None).unwrap(), many.prepare(None).unwrap());
+    for eye in [Vec3::ZERO, Vec3::new(2.2, 0.3, -0.4)] {
+        let image = one.image(eye).unwrap();
+        assert!(image.ids.iter().any(|id| *id != crate::SKY));
+        assert_eq!(image, many.image(eye).unwrap());
+        assert_eq!(one.samples(&[eye]).unwrap(), many.samples(&[eye]).unwrap());
+    }
+}
+
+#[test]
+fn a_lost_device_is_an_error() {
+    let Some(backend) = backend(&shell(200), PAGE_BYTES) else { return };
+    let renderer = backend.prepare(None).unwrap();
+    renderer.samples(&[Vec3::ZERO]).unwrap();
+    backend.device.destroy();
+    for _ in 0..2 {
+        let error = renderer.samples(&[Vec3::ZERO; 6]).unwrap_err();
+        assert!(matches!(error, BackendError::Failed { .. }), "{error}");
+    }
+    assert!(backend.prepare(Some(&[1, 2])).is_err());
+}
+
+#[test]
+fn impossible_requests_are_refused_with_a_reason() {
+    let scene = shell(10);
+    for resolution in [0, MAX_RESOLUTION + 1, u32::MAX] {
+        let spec = CubeSpec { resolution, ..SPEC };
+        let refused = GpuBackend::new(scene.clone(), spec, AdapterChoice::AllowSoftware);
+        assert!(matches!(refused, Err(BackendError::Unavailable(_))));
+    }
+    let Some(backend) = backend(&scene, PAGE_BYTES) else { return };
+    assert!(backend.prepare(Some(&[10])).is_err());
+    assert!(backend.prepare(None).unwrap().samples(&[Vec3::NAN]).is_err());
+    let named = GpuBackend::new(scene, SPEC, AdapterChoice::Named("no such adapter".into()));
+    assert!(matches!(named, Err(BackendError::Unavailable(text)) if text.contains("there are")));
+}
