@@ -1,0 +1,219 @@
+//! What can go wrong in the store. Each message says what, where and what to do.
+//!
+//! The errors can be cloned: one failed disk write answers every command that shared it.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use super::records::{Digest, JobPhase};
+
+/// A command or query that could not be answered.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum StoreError {
+    /// No such job.
+    #[error("job {job} is not known here; list the jobs to see which are")]
+    UnknownJob {
+        /// The id asked for.
+        job: u64,
+    },
+    /// No such tile.
+    #[error("job {job} has tiles 0..{tiles}, not {tile}; the worker or client that asked follows another plan")]
+    UnknownTile {
+        /// The job.
+        job: u64,
+        /// The tile asked for.
+        tile: u32,
+        /// How many it has.
+        tiles: u32,
+    },
+    /// A job names a scene that was not recorded.
+    #[error("scene {} is not known here; upload it first", hex(.scene))]
+    UnknownScene {
+        /// Its digest.
+        scene: Digest,
+    },
+    /// One digest, two descriptions.
+    #[error("scene {} was recorded before with other counts; one of the two loaders is wrong", hex(.scene))]
+    SceneDiffers {
+        /// Its digest.
+        scene: Digest,
+    },
+    /// A request id used for two different submissions.
+    #[error("request id {request_id:?} was used for job {job} with another scene or other parameters; choose a fresh one")]
+    RequestIdReused {
+        /// The id.
+        request_id: String,
+        /// The job it belongs to.
+        job: u64,
+    },
+    /// A job is not in a state this is allowed in.
+    #[error("job {job} is {is:?}, so it cannot be {wanted}; look at its state and ask again if it still makes sense")]
+    IllegalTransition {
+        /// The job.
+        job: u64,
+        /// Its state.
+        is: JobPhase,
+        /// What was asked for.
+        wanted: &'static str,
+    },
+    /// A tile that is no longer open cannot be set aside.
+    #[error("tile {tile} of job {job} is no longer open, so it cannot be set aside; what it has stays")]
+    TileNotOpen {
+        /// The job.
+        job: u64,
+        /// The tile.
+        tile: u32,
+    },
+    /// A job with open tiles cannot be finished.
+    #[error("job {job} has {open} open tiles (of {tiles}), so it cannot be finished")]
+    TilesOpen {
+        /// The job.
+        job: u64,
+        /// Tiles neither done nor set aside.
+        open: u32,
+        /// Tiles it has.
+        tiles: u32,
+    },
+    /// A finished job has another result.
+    #[error("job {job} is done with result {}, not {}; its inputs or the machine are at fault", hex(.kept), hex(.offered))]
+    ResultDiffers {
+        /// The job.
+        job: u64,
+        /// The result that stays.
+        kept: Digest,
+        /// The one refused.
+        offered: Digest,
+    },
+    /// A plan with another number of tiles.
+    #[error("job {job} was planned with {kept} tiles, not {offered}; a plan must not change")]
+    PlanDiffers {
+        /// The job.
+        job: u64,
+        /// The number that stays.
+        kept: u32,
+        /// The one refused.
+        offered: u32,
+    },
+    /// Something is longer than the store keeps.
+    #[error("{what} is {length} long, more than the {limit} allowed; shorten it")]
+    TooLong {
+        /// What.
+        what: &'static str,
+        /// Its length.
+        length: usize,
+        /// The bound.
+        limit: usize,
+    },
+    /// A text holds a character it may not.
+    #[error("{what} holds the character {found:?}, which is not allowed there; leave it out")]
+    BadCharacter {
+        /// What.
+        what: &'static str,
+        /// The character.
+        found: char,
+    },
+    /// Another process has the directory open.
+    #[error("{} is in use by another coordinator (process {pid}); stop that one, or choose another data directory", .path.display())]
+    InUse {
+        /// The lock file.
+        path: PathBuf,
+        /// Who holds it, as written in the lock file.
+        pid: String,
+    },
+    /// The journal refused. After [`JournalError::Unusable`] the command may or may not be there after the next
+    /// start; after any other it is not.
+    #[error(transparent)]
+    Journal(#[from] JournalError),
+    /// The view (not the journal) cannot be read.
+    #[error("the store's view is damaged ({what}); restart the coordinator, it rebuilds the view from the journal")]
+    View {
+        /// What was found.
+        what: String,
+    },
+    /// A file operation on the store's directory failed.
+    #[error("cannot {doing} {}: {source}; check the disk and the permissions", .path.display())]
+    Io {
+        /// What was tried.
+        doing: &'static str,
+        /// On which file.
+        path: PathBuf,
+        /// What the system said.
+        source: Arc<std::io::Error>,
+    },
+    /// The writer thread is gone.
+    #[error("the store has shut down; restart the coordinator")]
+    Closed,
+}
+
+/// The journal could not be read or written.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum JournalError {
+    /// Not a journal, or one of another version.
+    #[error("{} is not a journal this version reads ({what}); use the version that wrote it, or move it away", .path.display())]
+    BadHeader {
+        /// The file.
+        path: PathBuf,
+        /// What was found.
+        what: String,
+    },
+    /// Damage before the end.
+    #[error(
+        "{} is damaged at byte {offset} ({what}) and good again later; restore it from a backup, or truncate it to \
+         {offset} bytes to give up everything after", .path.display()
+    )]
+    Corrupt {
+        /// The file.
+        path: PathBuf,
+        /// Where the first bad record begins.
+        offset: u64,
+        /// What was found.
+        what: String,
+    },
+    /// The journal is missing, but the view made from it is there.
+    #[error(
+        "{} is missing but {} is there: restore the journal from a backup, or move both away to begin anew",
+        .path.display(), .view.display()
+    )]
+    Missing {
+        /// Where the journal should be.
+        path: PathBuf,
+        /// The view.
+        view: PathBuf,
+    },
+    /// The disk is full. Nothing changed.
+    #[error("no space left for {}; free some, the store goes on by itself", .path.display())]
+    NoSpace {
+        /// The journal.
+        path: PathBuf,
+    },
+    /// A write failed and was undone. Nothing changed.
+    #[error("cannot write {}: {source}; check the disk", .path.display())]
+    Write {
+        /// The journal.
+        path: PathBuf,
+        /// What the system said.
+        source: Arc<std::io::Error>,
+    },
+    /// A sync, or the undoing of a write, failed: what is on the disk is not known.
+    #[error("{} cannot be trusted any more ({source}); check the disk and restart the coordinator", .path.display())]
+    Unusable {
+        /// The journal.
+        path: PathBuf,
+        /// What the system said.
+        source: Arc<std::io::Error>,
+    },
+    /// A file operation failed.
+    #[error("cannot {doing} {}: {source}; check the disk and the permissions", .path.display())]
+    Io {
+        /// What was tried.
+        doing: &'static str,
+        /// On which file.
+        path: PathBuf,
+        /// What the system said.
+        source: Arc<std::io::Error>,
+    },
+}
+
+fn hex(digest: &Digest) -> String {
+    blake3::Hash::from_bytes(*digest).to_hex().to_string()
+}

@@ -1,0 +1,334 @@
+//! What is remembered of scenes, jobs and tiles, and how long each text may be.
+//!
+//! The bounds keep every stored value under 4 KiB (`table.rs` checks it again when it writes): identifiers and
+//! names are refused when too long, reasons are cut, since a failure must always be recordable. Text that
+//! JSON would have to escape is kept out or replaced for the same reason.
+
+use serde::{Deserialize, Serialize};
+
+use super::StoreError;
+
+/// A BLAKE3 digest.
+pub type Digest = [u8; 32];
+
+/// Longest request id or numerics profile, in bytes.
+pub const MAX_IDENTIFIER_BYTES: usize = 128;
+/// Longest job name, in bytes.
+pub const MAX_NAME_BYTES: usize = 128;
+/// Longest worker name, in bytes.
+pub const MAX_WORKER_BYTES: usize = 64;
+/// Reasons are cut to this many bytes.
+pub const MAX_REASON_BYTES: usize = 200;
+/// Longest opaque job specification, in bytes.
+pub const MAX_SPEC_BYTES: usize = 2048;
+/// Different workers' failures remembered of one tile.
+pub const MAX_FAILURES: usize = 8;
+/// Reasons remembered of a tile set aside.
+pub const MAX_REASONS: usize = 4;
+/// Most tiles a job may have.
+pub const MAX_TILES: u32 = 1 << 20;
+
+/// A scene the coordinator holds.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SceneRecord {
+    /// Digest of the scene, the name of its blob.
+    #[serde(with = "hex_digest")]
+    pub digest: Digest,
+    /// Size of the blob.
+    pub bytes: u64,
+    /// Triangles in it.
+    pub triangles: u32,
+    /// Objects in it.
+    pub objects: u32,
+}
+
+/// A job as it is submitted.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NewJob {
+    /// Digest of scene and parameters: jobs of one key have one result.
+    pub key: Digest,
+    /// Chosen by the client, ≤ [`MAX_IDENTIFIER_BYTES`], no control characters, quotes or backslashes;
+    /// empty: the submission cannot be recognised when repeated.
+    pub request_id: String,
+    /// For people; ≤ [`MAX_NAME_BYTES`], no control characters.
+    pub name: String,
+    /// Digest of a recorded scene.
+    pub scene: Digest,
+    /// The parameters, opaque here; ≤ [`MAX_SPEC_BYTES`].
+    pub spec: Vec<u8>,
+    /// Tiles of the plan, ≤ [`MAX_TILES`]; 0 if it is set later by `plan_job`.
+    pub tiles: u32,
+    /// Milliseconds since 1970.
+    pub submitted_at_ms: u64,
+}
+
+/// The answer to a submission.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Submitted {
+    /// The job that answers it.
+    pub id: u64,
+    /// Whether that job was there before.
+    pub existing: bool,
+}
+
+/// A job.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct JobRecord {
+    /// Counted from 1, never given out twice.
+    pub id: u64,
+    /// Digest of scene and parameters.
+    #[serde(with = "hex_digest")]
+    pub key: Digest,
+    /// The request id it was submitted with.
+    pub request_id: String,
+    /// For people.
+    pub name: String,
+    /// Digest of its scene.
+    #[serde(with = "hex_digest")]
+    pub scene: Digest,
+    /// The parameters, opaque here.
+    #[serde(with = "base64_bytes")]
+    pub spec: Vec<u8>,
+    /// Number of tiles; 0 until its plan is known.
+    pub tiles: u32,
+    /// Where it stands.
+    pub state: JobState,
+    /// The numerics profile it is bound to, once it is.
+    pub profile: Option<String>,
+    /// Milliseconds since 1970.
+    pub submitted_at_ms: u64,
+    /// Milliseconds since 1970, once it has ended.
+    pub finished_at_ms: Option<u64>,
+}
+
+/// Where a job stands.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum JobState {
+    /// Waiting for its first lease.
+    Queued,
+    /// Tiles are being worked on.
+    Running,
+    /// No leases are given out until it is resumed.
+    Paused,
+    /// Ended by a client.
+    Cancelled,
+    /// Ended by a fault.
+    Failed {
+        /// What happened, cut to [`MAX_REASON_BYTES`].
+        reason: String,
+    },
+    /// Ended with a result.
+    Done {
+        /// Digest of the result's blob.
+        #[serde(with = "hex_digest")]
+        result: Digest,
+        /// Size of that blob.
+        bytes: u64,
+    },
+}
+
+/// [`JobState`] without what it carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum JobPhase {
+    /// See [`JobState::Queued`].
+    Queued,
+    /// See [`JobState::Running`].
+    Running,
+    /// See [`JobState::Paused`].
+    Paused,
+    /// See [`JobState::Cancelled`].
+    Cancelled,
+    /// See [`JobState::Failed`].
+    Failed,
+    /// See [`JobState::Done`].
+    Done,
+}
+
+impl JobState {
+    /// The state without what it carries.
+    pub fn phase(&self) -> JobPhase {
+        match self {
+            Self::Queued => JobPhase::Queued,
+            Self::Running => JobPhase::Running,
+            Self::Paused => JobPhase::Paused,
+            Self::Cancelled => JobPhase::Cancelled,
+            Self::Failed { .. } => JobPhase::Failed,
+            Self::Done { .. } => JobPhase::Done,
+        }
+    }
+}
+
+impl JobPhase {
+    /// Whether the job has ended (cancelled, failed or done).
+    pub fn ended(self) -> bool {
+        matches!(self, Self::Cancelled | Self::Failed | Self::Done)
+    }
+}
+
+/// A tile of a job.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TileRecord {
+    /// Its number in the plan.
+    pub tile: u32,
+    /// Where it stands.
+    pub state: TileState,
+    /// On which workers it failed: the last reason of each, at most [`MAX_FAILURES`] workers.
+    pub failures: Vec<TileFailure>,
+    /// How many differing results were kept out after it was done. Anything but 0 is a fault to be looked into.
+    pub conflicts: u32,
+}
+
+impl TileRecord {
+    /// A tile nothing has happened to.
+    pub fn open(tile: u32) -> Self {
+        Self { tile, state: TileState::Open, failures: Vec::new(), conflicts: 0 }
+    }
+}
+
+/// Where a tile stands.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum TileState {
+    /// To be worked on, or being worked on.
+    Open,
+    /// Its result is in.
+    Done {
+        /// Digest of the result's blob.
+        #[serde(with = "hex_digest")]
+        digest: Digest,
+        /// Size of that blob.
+        bytes: u64,
+        /// What it took.
+        stats: TileStats,
+    },
+    /// Given up: its cells are shipped as "all visible" and marked.
+    SetAside {
+        /// Digest of the stand-in's blob.
+        #[serde(with = "hex_digest")]
+        digest: Digest,
+        /// Size of that blob.
+        bytes: u64,
+        /// Why, at most [`MAX_REASONS`].
+        reasons: Vec<String>,
+    },
+}
+
+/// What a tile's result took.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TileStats {
+    /// Samples rendered.
+    pub samples: u64,
+    /// View cells in it.
+    pub cells: u64,
+    /// Time the worker spent, in milliseconds.
+    pub millis: u64,
+    /// Who did it; ≤ [`MAX_WORKER_BYTES`], as for request ids.
+    pub worker: String,
+}
+
+/// A tile's failure on one worker.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TileFailure {
+    /// The worker.
+    pub worker: String,
+    /// What it said, cut to [`MAX_REASON_BYTES`].
+    pub reason: String,
+}
+
+/// A tile's result as it is committed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TileResult {
+    /// Digest of the result's blob, which must be in place.
+    pub digest: Digest,
+    /// Size of that blob.
+    pub bytes: u64,
+    /// What it took.
+    pub stats: TileStats,
+}
+
+/// What became of a tile's result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CommitOutcome {
+    /// The tile is done now.
+    Committed,
+    /// It was done already, with this digest.
+    AlreadySame,
+    /// It was done already, with another digest. The offered one is kept out.
+    Conflict {
+        /// The digest that stays.
+        kept: Digest,
+        /// The digest kept out.
+        offered: Digest,
+    },
+}
+
+/// Refuses an identifier that is too long or that JSON would have to escape.
+pub(super) fn check_identifier(what: &'static str, text: &str, limit: usize) -> Result<(), StoreError> {
+    check_length(what, text.len(), limit)?;
+    match text.chars().find(|c| c.is_control() || matches!(c, '"' | '\\')) {
+        Some(found) => Err(StoreError::BadCharacter { what, found }),
+        None => Ok(()),
+    }
+}
+
+/// Refuses a name that is too long or holds control characters.
+pub(super) fn check_name(what: &'static str, text: &str, limit: usize) -> Result<(), StoreError> {
+    check_length(what, text.len(), limit)?;
+    match text.chars().find(|c| c.is_control()) {
+        Some(found) => Err(StoreError::BadCharacter { what, found }),
+        None => Ok(()),
+    }
+}
+
+/// Refuses what is longer than its bound, in bytes.
+pub(super) fn check_length(what: &'static str, length: usize, limit: usize) -> Result<(), StoreError> {
+    if length > limit { Err(StoreError::TooLong { what, length, limit }) } else { Ok(()) }
+}
+
+/// A reason made recordable: quotes and control characters replaced, cut at a character boundary.
+pub(super) fn clean_reason(reason: &str) -> String {
+    let mut clean = String::new();
+    for c in reason.chars() {
+        let c = match c {
+            '"' => '\'',
+            '\\' => '/',
+            c if c.is_control() => ' ',
+            c => c,
+        };
+        if clean.len() + c.len_utf8() > MAX_REASON_BYTES {
+            break;
+        }
+        clean.push(c);
+    }
+    clean
+}
+
+/// Digests as 64 hexadecimal digits: half the size of JSON's list of numbers, and what logs and file names show.
+pub(super) mod hex_digest {
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    use super::Digest;
+
+    pub(in crate::store) fn serialize<S: Serializer>(digest: &Digest, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(blake3::Hash::from_bytes(*digest).to_hex().as_str())
+    }
+
+    pub(in crate::store) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Digest, D::Error> {
+        let text = String::deserialize(from)?;
+        blake3::Hash::from_hex(&text).map(Into::into).map_err(D::Error::custom)
+    }
+}
+
+/// Opaque bytes as base64: 4/3 of their size, so that a job of the largest allowed specification stays under 4 KiB.
+mod base64_bytes {
+    use base64::{Engine, engine::general_purpose::STANDARD_NO_PAD};
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    pub(super) fn serialize<S: Serializer>(bytes: &[u8], to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(&STANDARD_NO_PAD.encode(bytes))
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<u8>, D::Error> {
+        let text = String::deserialize(from)?;
+        STANDARD_NO_PAD.decode(text).map_err(D::Error::custom)
+    }
+}
