@@ -1,0 +1,100 @@
+#!/usr/bin/env bash
+# Makes `sightline-base:local`: a minimal Debian with Embree and Mesa's Vulkan driver, for deploy/Dockerfile.
+#
+# For machines that can install Debian packages but can pull no image. debootstrap unpacks the same Debian release as the
+# host's, from the mirror the host's apt uses, so that Embree inside and outside is one version and a container computes
+# the same bytes as the host. Skipped when the image is there and was made by this very recipe.
+# It does not contain the program; deploy/build-image.sh adds that.
+#
+#   deploy/base-image.sh [--force]
+#
+#   SIGHTLINE_SUITE    Debian release, by code name; default: the host's, or bookworm on another system
+#   SIGHTLINE_MIRROR   Debian mirror; default: the one in the host's apt sources
+set -euo pipefail
+
+image=sightline-base:local
+
+say() { printf 'base-image: %s\n' "$*" >&2; }
+die() { say "$*"; exit 1; }
+
+# First mirror in apt's sources that serves Debian itself (not security, not a third party's packages), in either
+# notation: "deb [options] URI SUITE …" lines or deb822 paragraphs. Anything but http(s) is left to the default.
+apt_mirror() {
+  local suite=$1 file
+  for file in /etc/apt/sources.list /etc/apt/sources.list.d/*.list /etc/apt/sources.list.d/*.sources; do
+    [ -r "$file" ] || continue
+    awk -v suite="$suite" -v deb822="$([[ $file == *.sources ]] && echo 1 || echo 0)" '
+      function paragraph() { if (types ~ /(^| )deb( |$)/ && (" " suites " ") ~ (" " suite " ") && uri && enabled != "no") print uri
+                             types = suites = uri = enabled = "" }
+      /^[[:space:]]*#/ { next }
+      deb822 && /^[[:space:]]*$/ { paragraph(); next }
+      deb822 { key = tolower($1); value = $0; sub(/^[^:]*:[[:space:]]*/, "", value)
+               if (key == "types:") types = value
+               if (key == "suites:") suites = value
+               if (key == "uris:") { split(value, all, /[[:space:]]+/); uri = all[1] }
+               if (key == "enabled:") enabled = tolower(value)
+               next }
+      $1 == "deb" { sub(/\[[^]]*\]/, ""); if ($3 == suite) print $2 }
+      END { if (deb822) paragraph() }' "$file"
+  done | grep -E '^https?://' | head -n 1 || true
+}
+
+case "${1:-}" in
+  '') force=0 ;;
+  --force) force=1 ;;
+  *) die "unknown argument '$1'; usage: deploy/base-image.sh [--force]" ;;
+esac
+
+host_suite=$(. /etc/os-release && [ "${ID:-}" = debian ] && printf '%s' "${VERSION_CODENAME:-}" || true)
+suite=${SIGHTLINE_SUITE:-${host_suite:-bookworm}}
+mirror=${SIGHTLINE_MIRROR:-$(apt_mirror "$suite")}
+mirror=${mirror:-http://deb.debian.org/debian}
+case $suite in
+  bookworm) embree=libembree3-3 ;;
+  *) embree=libembree4-4 ;;
+esac
+packages=libvulkan1,mesa-vulkan-drivers,$embree
+
+command -v docker >/dev/null || die "docker is not installed; apt-get install docker.io, or run scripts/setup.sh --for test"
+docker info >/dev/null 2>&1 || die "no container engine answers; start it (systemctl start docker), or join the group docker"
+
+recipe=$(printf '%s\n' "$suite" "$packages" "$(sha256sum <"$0")" | sha256sum | cut -d ' ' -f 1)
+made=$(docker image inspect --format '{{ index .Config.Labels "sightline.recipe" }}' "$image" 2>/dev/null || true)
+if [ "$force" = 0 ] && [ "$made" = "$recipe" ]; then
+  say "$image is up to date ($suite)"
+  exit 0
+fi
+
+command -v debootstrap >/dev/null || PATH=$PATH:/usr/sbin
+command -v debootstrap >/dev/null || die "debootstrap is not installed; apt-get install debootstrap, or run scripts/setup.sh --for test"
+as_root=()
+if [ "$(id -u)" != 0 ]; then
+  command -v sudo >/dev/null || die "debootstrap needs root; run this as root or install sudo"
+  as_root=(sudo)
+fi
+
+work=$(mktemp -d "${TMPDIR:-/tmp}/sightline-base.XXXXXX")
+trap '"${as_root[@]}" rm -rf --one-file-system "$work"' EXIT
+root=$work/root
+
+say "making $image: Debian $suite with $packages (about a minute)"
+if ! "${as_root[@]}" debootstrap --variant=minbase --include="$packages" "$suite" "$root" "$mirror" >"$work/log" 2>&1; then
+  tail -n 20 "$work/log" >&2
+  [ -r "$root/debootstrap/debootstrap.log" ] && tail -n 20 "$root/debootstrap/debootstrap.log" >&2
+  die "debootstrap failed (its last lines are above); check that the mirror is reachable, or name one in SIGHTLINE_MIRROR"
+fi
+
+# What only an installer or a reader of manuals needs. The mirror stays out of the image too: it is this host's affair.
+"${as_root[@]}" sh -eu -c '
+  cd "$1"
+  rm -rf var/cache/apt/* var/lib/apt/lists/* var/log/* usr/share/doc usr/share/man usr/share/info usr/share/locale tmp/*
+  rm -f etc/resolv.conf etc/hostname
+  echo "deb http://deb.debian.org/debian $2 main" >etc/apt/sources.list' sh "$root" "$suite"
+
+"${as_root[@]}" tar -C "$root" --numeric-owner -c . |
+  docker import \
+    --change "LABEL sightline.recipe=$recipe" \
+    --change 'ENV PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin' \
+    --change 'CMD ["/bin/bash"]' \
+    - "$image" >/dev/null
+say "made $image, $(docker image inspect --format '{{ .Size }}' "$image" | awk '{ printf "%.0f MB", $1 / 1e6 }')"
