@@ -52,7 +52,9 @@ pub enum WorkerError {
     #[error("{0} is not a coordinator's address: {1}; give one such as http://127.0.0.1:7600")]
     Address(String, String),
     /// The coordinator could not be reached for too long.
-    #[error("the coordinator at {address} cannot be reached: {reason}; check that `sightline coordinator` runs there and that the port is open")]
+    #[error(
+        "the coordinator at {address} cannot be reached: {reason}; check that `sightline coordinator` runs there and that the port is open"
+    )]
     Unreachable {
         /// Its address.
         address: String,

@@ -193,7 +193,12 @@ impl Shop {
         Ok(bytes)
     }
 
-    async fn upload(&self, header: v1::ResultHeader, bytes: bytes::Bytes, held: &Held) -> Result<(), Failure> {
+    async fn upload(
+        &self,
+        header: v1::ResultHeader,
+        bytes: bytes::Bytes,
+        held: &Held,
+    ) -> Result<(), Failure> {
         let mut wait = UPLOAD_WAIT;
         let mut last = String::new();
         for _ in 0..UPLOAD_TRIES {
@@ -203,17 +208,20 @@ impl Shop {
             let first = v1::ResultPart { part: Some(v1::result_part::Part::Header(header.clone())) };
             let body = bytes.clone();
             // Cut lazily, so that one chunk at a time is copied.
-            let chunks = (0..body.len().div_ceil(sightline_proto::chunks::CHUNK_BYTES).max(1)).map(move |i| {
-                let chunk = cut(&body).nth(i).unwrap_or_default();
-                v1::ResultPart { part: Some(v1::result_part::Part::Chunk(chunk)) }
-            });
+            let chunks =
+                (0..body.len().div_ceil(sightline_proto::chunks::CHUNK_BYTES).max(1)).map(move |i| {
+                    let chunk = cut(&body).nth(i).unwrap_or_default();
+                    v1::ResultPart { part: Some(v1::result_part::Part::Chunk(chunk)) }
+                });
             let parts = tokio_stream::iter(std::iter::once(first).chain(chunks));
             match self.client.clone().put_result(parts).await {
                 Ok(_) => return Ok(()),
                 Err(s) => match s.code() {
                     tonic::Code::Aborted => return Err(Failure::Tile(describe(&s))),
                     // The job is gone or cancelled: nobody wants this tile any more.
-                    tonic::Code::NotFound | tonic::Code::FailedPrecondition => return Err(Failure::Cancelled),
+                    tonic::Code::NotFound | tonic::Code::FailedPrecondition => {
+                        return Err(Failure::Cancelled);
+                    }
                     _ => last = describe(&s),
                 },
             }
@@ -236,8 +244,9 @@ impl Shop {
                     .backend(&config.backends, &profile, spec.sampling.cube_spec(), &config.name)
                     .and_then(|b| config.pool.install(|| sightline_sampling::auto::time(&*b, &lattice)));
                 match timed {
-                    Ok(t) => times
-                        .push(v1::ProfileTime { profile, seconds_per_cube: t.per_cube.as_secs_f64() }),
+                    Ok(t) => {
+                        times.push(v1::ProfileTime { profile, seconds_per_cube: t.per_cube.as_secs_f64() })
+                    }
                     Err(e) => tracing::warn!("{profile} cannot be used for this scene: {e}"),
                 }
             }

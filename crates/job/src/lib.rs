@@ -6,9 +6,7 @@
 use glam::Vec3;
 use prost::Message as _;
 use sightline_proto::v1;
-use sightline_sampling::params::{
-    BackendChoice, ErrorMeasure, ParamsError, SamplingParams, SupersetChoice,
-};
+use sightline_sampling::params::{BackendChoice, ErrorMeasure, ParamsError, SamplingParams, SupersetChoice};
 use sightline_viewcells::{Division, DivisionError, Lattice, Plan};
 
 /// Changes whenever the same specification would give other bytes, so that stored results are never mistaken for
@@ -192,7 +190,10 @@ mod tests {
             JobSpec { backend: BackendChoice::Gpu, ..s.clone() },
             JobSpec { seed: 4, ..s.clone() },
             JobSpec { sampling: SamplingParams { resolution: 64, ..sampling.clone() }, ..s.clone() },
-            JobSpec { sampling: SamplingParams { measure: ErrorMeasure::Sets, ..sampling.clone() }, ..s.clone() },
+            JobSpec {
+                sampling: SamplingParams { measure: ErrorMeasure::Sets, ..sampling.clone() },
+                ..s.clone()
+            },
             JobSpec { sampling: SamplingParams { error_threshold: 0.9, ..sampling.clone() }, ..s.clone() },
             JobSpec { sampling: SamplingParams { interior_threshold: 0.9, ..sampling.clone() }, ..s.clone() },
             JobSpec { sampling: SamplingParams { min_distance: 0.5, ..sampling.clone() }, ..s.clone() },

@@ -41,6 +41,14 @@ pub enum DivisionError {
         /// Cells along z.
         z: u32,
     },
+    /// Cells so thin that their planes coincide in `f32`.
+    #[error("{cells} cells along axis {axis} are thinner than 32-bit coordinates can tell apart there; use fewer, or move the scene nearer to the origin")]
+    TooFine {
+        /// 0 = x, 1 = y, 2 = z.
+        axis: usize,
+        /// Cells asked for.
+        cells: u32,
+    },
     /// The adaptive limits make no tree.
     #[error(
         "a triangle budget of {budget} with a depth of at most {depth} cannot be used; give a budget of at least 1 and a depth of 1 to {MAX_DEPTH}"
@@ -119,8 +127,10 @@ impl Division {
             }
             Self::Adaptive { max_depth, .. } => {
                 let axis = pick(&|a| lattice.length(a, span(a)))?;
-                (depth < max_depth && span(axis) > 1)
-                    .then(|| Split { axis, at: cell.lo[axis] + span(axis) / 2 })
+                let at = cell.lo[axis] + span(axis) / 2;
+                let plane = |k: u32| lattice.coordinate(axis, k);
+                let inside = plane(cell.lo[axis]) < plane(at) && plane(at) < plane(cell.hi[axis]);
+                (depth < max_depth && inside).then_some(Split { axis, at })
             }
         }
     }

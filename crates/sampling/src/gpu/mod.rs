@@ -3,9 +3,8 @@
 //! It draws triangles with the ordinary raster pipeline; a compute path for GPUs that rasterise slowly would
 //! stand beside it. Nothing here is needed to read a result: a machine without a driver uses the CPU backend.
 //!
-//! **Near plane.** A cube's frusta begin at 2⁻⁴⁰ of the scene's largest extent: reversed floating-point depth,
-//! near / distance, has the same relative precision at any distance, so the near plane can be smaller than
-//! anything `f32` coordinates of the scene can place before the eye, and costs nothing.
+//! **Near plane.** A cube's frusta begin at [`crate::near_distance`]. Depth is reversed floating point, near /
+//! distance, which has the same relative precision at any distance.
 //!
 //! **Same bits.** Triangles are drawn in one fixed order, the first at a depth wins; the reduction is made of
 //! integer sums and unions, whose order does not matter; its list is sorted before use.
@@ -108,9 +107,7 @@ impl GpuBackend {
             ranks[*id as usize] = rank;
         }
         let whole = Geometry::upload(&device, scene.triangles(), order, page_bytes).map_err(failed)?;
-        let extent = (bounds.max.as_dvec3() - bounds.min.as_dvec3()).max_element();
-        // A scene is not a point unless all of it is degenerate, and then nothing is drawn.
-        let near = ((extent * 2f64.powi(-40)) as f32).max(1e-30);
+        let near = crate::near_distance(bounds);
         Ok(Self {
             profile: summary.profile,
             whole: Arc::new(whole),

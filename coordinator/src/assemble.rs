@@ -1,0 +1,182 @@
+//! Puts the result of a job together from its leaf tiles: one tree, one set a cell, one `.pvs` file.
+//!
+//! The bytes depend on the tiles' outputs and the job alone. Tiles are read one at a time.
+
+use sightline_job::{ALGORITHM_VERSION, JobSpec};
+use sightline_pvs::{Builder, CellTree, Header, Node, Object, PvsError, SET_ASIDE};
+use sightline_sampling::codec::{self, CodecError};
+use sightline_sampling::tile::{self, CellSet, CellSets, TileOutput};
+use sightline_scene::Scene;
+use sightline_viewcells::{CellBox, Division, Lattice, Plan, TileKind};
+
+use crate::core::Coordinator;
+use crate::scheduler::Slot;
+use crate::store::{BlobError, Digest, TileState};
+
+/// Why a result could not be put together.
+#[derive(Debug, thiserror::Error)]
+pub enum AssembleError {
+    /// A blob could not be read or written.
+    #[error(transparent)]
+    Blob(#[from] BlobError),
+    /// A tile's output is not what the plan asks for.
+    #[error("tile {tile}: {reason}")]
+    Tile {
+        /// The tile.
+        tile: u32,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The scene's blob is not a scene.
+    #[error(transparent)]
+    Scene(#[from] sightline_scene::SceneError),
+    /// The result cannot be written.
+    #[error(transparent)]
+    Pvs(#[from] PvsError),
+    /// The codec.
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    /// Compression failed.
+    #[error("a stand-in could not be compressed: {0}")]
+    Compress(#[from] std::io::Error),
+}
+
+/// What [`Coordinator::assemble`] works from, copied out of the scheduler.
+pub(crate) struct Parts {
+    pub(crate) spec: JobSpec,
+    pub(crate) lattice: Lattice,
+    pub(crate) plan: Plan,
+    pub(crate) profile: String,
+    pub(crate) slots: Vec<Slot>,
+}
+
+impl Coordinator {
+    /// Builds the `.pvs` file of a complete job and stores it; gives its digest and length.
+    pub(crate) fn assemble(&self, parts: &Parts) -> Result<(Digest, u64), AssembleError> {
+        let scene = Scene::from_blob("stored scene", &self.blobs.read(&parts.spec.scene)?)?;
+        let leaves = || parts.plan.leaves().map(|n| (n, &parts.slots[n as usize].state));
+        // The tree comes before the sets, so the tiles are read twice; they stay small on disk and in memory.
+        let mut nodes = Vec::new();
+        let mut samples = 0;
+        for (number, tile) in parts.plan.tiles.iter().enumerate() {
+            match tile.kind {
+                TileKind::Face(_) => {}
+                TileKind::Separator(s) => nodes.push(pvs_node(tile::Node::Split(s), &parts.lattice)),
+                TileKind::Leaf => {
+                    let sets =
+                        self.leaf(number as u32, &parts.slots[number].state, tile.cells, scene.len())?;
+                    nodes.extend(sets.nodes.into_iter().map(|n| pvs_node(n, &parts.lattice)));
+                }
+            }
+            if let TileState::Done { stats, .. } = &parts.slots[number].state {
+                samples += stats.samples;
+            }
+        }
+        let set_aside = leaves().filter(|(_, s)| matches!(s, TileState::SetAside { .. })).count();
+        let objects = scene
+            .objects()
+            .iter()
+            .map(|o| Object { name: o.name.clone(), first: o.first, count: o.count })
+            .collect();
+        let mut builder = Builder::new(Header {
+            triangles: scene.len(),
+            method: "aggressive".to_owned(),
+            tree: CellTree::new(parts.spec.view_box.map(|c| c.to_array()), nodes)?,
+            objects,
+            info_json: info(parts, samples, set_aside),
+        })?;
+        for (number, state) in leaves() {
+            let cells = parts.plan.tiles[number as usize].cells;
+            let flags = if matches!(state, TileState::SetAside { .. }) { SET_ASIDE } else { 0 };
+            for cell in self.leaf(number, state, cells, scene.len())?.cells {
+                builder.push_cell(&cell.visible, &[], flags)?;
+            }
+        }
+        let mut file = Vec::new();
+        builder.finish(&mut file)?;
+        Ok((self.blobs.put(&file)?, file.len() as u64))
+    }
+
+    fn leaf(
+        &self,
+        tile: u32,
+        state: &TileState,
+        cells: u64,
+        triangles: u32,
+    ) -> Result<CellSets, AssembleError> {
+        let wrong = |reason: &str| AssembleError::Tile { tile, reason: reason.to_owned() };
+        let (TileState::Done { digest, .. } | TileState::SetAside { digest, .. }) = state else {
+            return Err(wrong("it is not done"));
+        };
+        let TileOutput::Cells(sets) = codec::decode(&self.blobs.read(digest)?, triangles)? else {
+            return Err(wrong("it holds samples and not cells"));
+        };
+        // An adaptive tile counts as one cell in the plan, whatever it found.
+        if cells > 1 && sets.cells.len() as u64 != cells {
+            return Err(wrong("it has another number of cells than its grid"));
+        }
+        Ok(sets)
+    }
+
+    /// Stores what is shipped for a tile that was given up: every cell sees every triangle. For a tile that should
+    /// have given samples, none.
+    pub(crate) fn stand_in(
+        &self,
+        spec: &JobSpec,
+        lattice: &Lattice,
+        tile: &sightline_viewcells::Tile,
+    ) -> Result<(Digest, u64), AssembleError> {
+        let output = if tile.kind == TileKind::Leaf {
+            let scene = Scene::from_blob("stored scene", &self.blobs.read(&spec.scene)?)?;
+            let all: Vec<u32> = (0..scene.len())
+                .filter(|id| !scene.triangles()[*id as usize].is_degenerate())
+                .collect();
+            let mut sets = CellSets::default();
+            everything(&spec.division, lattice, &tile.cell, tile.depth, &all, &mut sets);
+            TileOutput::Cells(sets)
+        } else {
+            TileOutput::Pack(tile::Pack::default())
+        };
+        let bytes = codec::encode(&output)?;
+        Ok((self.blobs.put(&bytes)?, bytes.len() as u64))
+    }
+}
+
+fn everything(d: &Division, l: &Lattice, cell: &CellBox, depth: u32, all: &[u32], out: &mut CellSets) {
+    let grid = matches!(d, Division::Grid(_));
+    match d.split(l, cell, depth).filter(|_| grid) {
+        Some(split) => {
+            out.nodes.push(tile::Node::Split(split));
+            for child in cell.children(split) {
+                everything(d, l, &child, depth + 1, all, out);
+            }
+        }
+        None => {
+            out.nodes.push(tile::Node::Cell);
+            out.cells.push(CellSet { visible: all.to_vec(), samples: 0 });
+        }
+    }
+}
+
+fn pvs_node(node: tile::Node, lattice: &Lattice) -> Node {
+    match node {
+        tile::Node::Split(s) => Node::Split { axis: s.axis as u8, at: lattice.coordinate(s.axis, s.at) },
+        tile::Node::Cell => Node::Leaf,
+    }
+}
+
+/// The baker's account: everything the result depends on, and nothing that differs between two runs.
+fn info(parts: &Parts, samples: u64, set_aside: usize) -> String {
+    serde_json::json!({
+        "program": concat!("sightline ", env!("CARGO_PKG_VERSION")),
+        "algorithm": ALGORITHM_VERSION,
+        "scene": blake3::Hash::from_bytes(parts.spec.scene).to_hex().as_str(),
+        "profile": parts.profile,
+        "division": parts.spec.division,
+        "sampling": parts.spec.sampling,
+        "seed": parts.spec.seed,
+        "samples": samples,
+        "tiles_set_aside": set_aside,
+    })
+    .to_string()
+}

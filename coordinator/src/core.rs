@@ -1,0 +1,113 @@
+//! The coordinator's one piece of shared state: store, blobs, scheduler, and who wants to know of changes.
+//!
+//! Everything here blocks on the disk; the services call it off the async threads.
+
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use tokio::sync::watch;
+
+use crate::scheduler::Scheduler;
+use crate::store::{BlobError, Blobs, SledStore, Store, StoreError};
+
+/// How a coordinator is set up.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// Where everything is kept.
+    pub data_dir: PathBuf,
+    /// How long a lease lives without being renewed. Default 10 s.
+    pub lease: Duration,
+    /// How long a tile may make no progress before its lease is taken back. Default 10 min.
+    pub stuck: Duration,
+}
+
+impl Config {
+    /// The defaults, in `data_dir`.
+    pub fn new(data_dir: PathBuf) -> Self {
+        Self { data_dir, lease: Duration::from_secs(10), stuck: Duration::from_secs(600) }
+    }
+}
+
+/// Why a coordinator cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// The store.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The blobs.
+    #[error(transparent)]
+    Blobs(#[from] BlobError),
+}
+
+/// A running coordinator without its network.
+pub struct Coordinator {
+    pub(crate) config: Config,
+    pub(crate) store: Box<dyn Store>,
+    pub(crate) blobs: Blobs,
+    pub(crate) scheduler: Mutex<Scheduler>,
+    /// Counts changes; watchers wait for it.
+    pub(crate) changes: watch::Sender<u64>,
+}
+
+impl Coordinator {
+    /// Opens the data directory, begins the next epoch and takes up the jobs that have not ended.
+    ///
+    /// # Errors
+    /// [`OpenError`] when the directory is in use, damaged, or cannot be written.
+    pub fn open(config: Config) -> Result<Arc<Self>, OpenError> {
+        let store = SledStore::open(&config.data_dir.join("state"))?;
+        let blobs = Blobs::open(&config.data_dir.join("blobs"))?;
+        let epoch = store.begin_epoch()?;
+        let mut scheduler = Scheduler::new(epoch);
+        for record in store.jobs()? {
+            if !record.state.phase().ended() {
+                let tiles = store.tiles(record.id)?;
+                scheduler.take_up(record, tiles);
+            }
+        }
+        let this = Arc::new(Self {
+            config,
+            store: Box::new(store),
+            blobs,
+            scheduler: Mutex::new(scheduler),
+            changes: watch::Sender::new(0),
+        });
+        this.assemble_ready();
+        Ok(this)
+    }
+
+    pub(crate) fn lock(&self) -> MutexGuard<'_, Scheduler> {
+        // The scheduler's state is derived from the store and checked against it with every command; a panic in
+        // the middle of a change can lose a lease, not a result.
+        self.scheduler.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Says that something changed.
+    pub(crate) fn changed(&self) {
+        self.changes.send_modify(|n| *n += 1);
+    }
+
+    /// Gives out tiles to whoever wants some and can take them.
+    pub(crate) fn pump(&self) {
+        let mut scheduler = self.lock();
+        if let Err(e) = scheduler.pump(&*self.store, Instant::now()) {
+            scheduler.pause_leasing(Instant::now());
+            tracing::error!("no leases are given out for a while: {e}");
+        }
+    }
+
+    /// Takes back leases that were not renewed or make no progress. Called every second.
+    pub(crate) fn reap(&self) {
+        let expired = self.lock().reap(Instant::now(), self.config.lease, self.config.stuck);
+        if expired > 0 {
+            self.changed();
+        }
+        self.pump();
+    }
+}
+
+/// Milliseconds since 1970, for records people read.
+pub(crate) fn now_ms() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_millis() as u64)
+}

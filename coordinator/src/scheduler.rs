@@ -1,0 +1,453 @@
+//! Who works on what: jobs that have not ended, their tiles, workers and leases.
+//!
+//! All of it is in memory and can be derived again from the store and from what workers announce. It decides; the
+//! store remembers.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use prost::Message as _;
+use sightline_job::JobSpec;
+use sightline_proto::v1;
+use sightline_sampling::BackendChoice;
+use sightline_viewcells::{Lattice, Plan, TileKind};
+use tokio::sync::mpsc;
+
+use crate::store::{JobRecord, JobState, Store, StoreError, TileRecord, TileState};
+
+/// How long a worker may take to time its backends before another is asked.
+const TIMING_LIMIT: Duration = Duration::from_secs(300);
+/// How long no leases are given out after the store could not be written.
+const PAUSE: Duration = Duration::from_secs(10);
+/// Failures of one tile after which it is given up, when fewer than three workers are there to try.
+pub(crate) const MAX_ATTEMPTS: u32 = 5;
+
+/// A lease's identity: epoch and number.
+pub(crate) type LeaseId = (u64, u64);
+
+/// A tile as the scheduler sees it.
+#[derive(Clone, Debug)]
+pub(crate) struct Slot {
+    pub(crate) state: TileState,
+    pub(crate) lease: Option<Leased>,
+    /// Failures since the coordinator started, by whatever worker.
+    pub(crate) attempts: u32,
+}
+
+/// A tile in a worker's hands.
+#[derive(Clone, Debug)]
+pub(crate) struct Leased {
+    pub(crate) id: LeaseId,
+    pub(crate) worker: u64,
+    renewed: Instant,
+    moved: Instant,
+    pub(crate) cells: u64,
+    pub(crate) samples: u64,
+}
+
+/// A job that has not ended.
+pub(crate) struct Job {
+    pub(crate) record: JobRecord,
+    pub(crate) spec: JobSpec,
+    pub(crate) lattice: Lattice,
+    pub(crate) plan: Plan,
+    pub(crate) slots: Vec<Slot>,
+    /// The worker that is timing its backends, and since when.
+    timing: Option<(u64, Instant)>,
+    pub(crate) assembling: bool,
+}
+
+impl Job {
+    /// Whether every tile is done or set aside.
+    pub(crate) fn complete(&self) -> bool {
+        self.slots.iter().all(|s| !matches!(s.state, TileState::Open))
+    }
+
+    /// Whether `tile` is open, unleased, and all it needs is there.
+    fn ready(&self, tile: usize) -> bool {
+        let slot = &self.slots[tile];
+        matches!(slot.state, TileState::Open)
+            && slot.lease.is_none()
+            && self.plan.tiles[tile]
+                .needs
+                .iter()
+                .all(|n| matches!(self.slots[*n as usize].state, TileState::Done { .. }))
+    }
+
+    /// Digests of the packs `tile` needs, in the plan's order.
+    fn packs(&self, tile: usize) -> Vec<Vec<u8>> {
+        let digest = |n: &u32| match &self.slots[*n as usize].state {
+            TileState::Done { digest, .. } | TileState::SetAside { digest, .. } => digest.to_vec(),
+            TileState::Open => Vec::new(),
+        };
+        self.plan.tiles[tile].needs.iter().map(digest).collect()
+    }
+
+    /// `tile` and all leaf tiles that cannot be made without it.
+    pub(crate) fn lost_with(&self, tile: u32) -> Vec<u32> {
+        let mut lost = vec![tile];
+        for (i, t) in self.plan.tiles.iter().enumerate().skip(tile as usize + 1) {
+            if t.needs.iter().any(|n| lost.contains(n)) {
+                lost.push(i as u32);
+            }
+        }
+        lost
+    }
+}
+
+/// A connected worker.
+pub(crate) struct Worker {
+    pub(crate) name: String,
+    profiles: Vec<String>,
+    wants: u32,
+    draining: bool,
+    out: mpsc::Sender<Result<v1::CoordinatorMessage, tonic::Status>>,
+}
+
+impl Worker {
+    /// Sends without waiting. A worker that does not read its stream loses it and its leases in time.
+    fn send(&self, message: v1::coordinator_message::Message) -> bool {
+        self.out.try_send(Ok(v1::CoordinatorMessage { message: Some(message) })).is_ok()
+    }
+}
+
+/// The scheduler.
+pub struct Scheduler {
+    epoch: u64,
+    next_lease: u64,
+    next_worker: u64,
+    pub(crate) jobs: BTreeMap<u64, Job>,
+    pub(crate) workers: BTreeMap<u64, Worker>,
+    paused_until: Option<Instant>,
+}
+
+/// A tile named by a lease that is not the scheduler's any more.
+pub(crate) struct Stale;
+
+impl Scheduler {
+    /// Nothing to do yet, in `epoch`.
+    pub fn new(epoch: u64) -> Self {
+        Self {
+            epoch,
+            next_lease: 1,
+            next_worker: 1,
+            jobs: BTreeMap::new(),
+            workers: BTreeMap::new(),
+            paused_until: None,
+        }
+    }
+
+    /// The coordinator's epoch.
+    pub fn epoch(&self) -> u64 {
+        self.epoch
+    }
+
+    /// Takes up a job with what is known of its tiles. A job whose stored specification cannot be read (of another
+    /// version of the program) is left alone; it stays listed.
+    pub fn take_up(&mut self, record: JobRecord, tiles: Vec<TileRecord>) {
+        let parsed = v1::JobSpec::decode(record.spec.as_slice())
+            .map_err(|e| e.to_string())
+            .and_then(|m| JobSpec::from_proto(&m, None).map_err(|e| e.to_string()))
+            .and_then(|spec| spec.plan().map(|(l, p)| (spec, l, p)).map_err(|e| e.to_string()));
+        let (spec, lattice, plan) = match parsed {
+            Ok(parsed) => parsed,
+            Err(e) => {
+                tracing::error!("job {} cannot be taken up: {e}; submit it again", record.id);
+                return;
+            }
+        };
+        if plan.tiles.len() != tiles.len() {
+            tracing::error!(
+                "job {} was planned with {} tiles and would now have {}; submit it again",
+                record.id,
+                tiles.len(),
+                plan.tiles.len()
+            );
+            return;
+        }
+        let slots = tiles.into_iter().map(|t| Slot { state: t.state, lease: None, attempts: 0 }).collect();
+        let job = Job { record, spec, lattice, plan, slots, timing: None, assembling: false };
+        self.jobs.insert(job.record.id, job);
+    }
+
+    /// A worker has come: its number, and those of the leases it names that are still its own.
+    pub(crate) fn join(
+        &mut self,
+        hello: &v1::Hello,
+        out: mpsc::Sender<Result<v1::CoordinatorMessage, tonic::Status>>,
+    ) -> (u64, Vec<v1::Lease>) {
+        let number = self.next_worker;
+        self.next_worker += 1;
+        let now = Instant::now();
+        let mut kept = Vec::new();
+        for lease in &hello.held {
+            let Some(job) = self.jobs.get_mut(&lease.job) else { continue };
+            let Some(slot) = job.slots.get_mut(lease.tile as usize) else { continue };
+            let id = (lease.epoch, lease.lease);
+            let free = match &slot.lease {
+                None => matches!(slot.state, TileState::Open),
+                // The same lease, from the worker's earlier stream.
+                Some(l) => l.id == id,
+            };
+            if free {
+                slot.lease = Some(Leased { id, worker: number, renewed: now, moved: now, cells: 0, samples: 0 });
+                kept.push(*lease);
+            }
+        }
+        let worker = Worker {
+            name: hello.name.clone(),
+            profiles: hello.profiles.clone(),
+            wants: 0,
+            draining: false,
+            out,
+        };
+        self.workers.insert(number, worker);
+        (number, kept)
+    }
+
+    /// A worker's stream has ended. Its leases live until they expire, so that it can come back for them; a worker
+    /// that said it was draining, or held none, is simply gone.
+    pub(crate) fn leave(&mut self, worker: u64) {
+        self.workers.remove(&worker);
+        for job in self.jobs.values_mut() {
+            if job.timing.is_some_and(|(w, _)| w == worker) {
+                job.timing = None;
+            }
+        }
+    }
+
+    /// A worker wants so many more tiles.
+    pub(crate) fn want(&mut self, worker: u64, tiles: u32) {
+        if let Some(w) = self.workers.get_mut(&worker) {
+            // Two in hand at most: more is a fault of the worker's.
+            w.wants = w.wants.saturating_add(tiles).min(2);
+        }
+    }
+
+    /// A worker takes no more.
+    pub(crate) fn drain(&mut self, worker: u64) {
+        if let Some(w) = self.workers.get_mut(&worker) {
+            w.draining = true;
+            w.wants = 0;
+        }
+    }
+
+    /// Renews a lease. Answers whether it is still the worker's.
+    pub(crate) fn renew(&mut self, progress: &v1::Progress) -> Result<(), Stale> {
+        let leased = progress.lease.and_then(|l| self.leased(&l)).ok_or(Stale)?;
+        let now = Instant::now();
+        leased.renewed = now;
+        if (leased.cells, leased.samples) != (progress.cells, progress.samples) {
+            leased.moved = now;
+        }
+        (leased.cells, leased.samples) = (progress.cells, progress.samples);
+        Ok(())
+    }
+
+    fn leased(&mut self, lease: &v1::Lease) -> Option<&mut Leased> {
+        let slot = self.jobs.get_mut(&lease.job)?.slots.get_mut(lease.tile as usize)?;
+        slot.lease.as_mut().filter(|l| l.id == (lease.epoch, lease.lease))
+    }
+
+    /// Gives a lease up. Answers whether it was there.
+    pub(crate) fn release(&mut self, lease: &v1::Lease) -> bool {
+        if self.leased(lease).is_none() {
+            return false;
+        }
+        if let Some(job) = self.jobs.get_mut(&lease.job) {
+            job.slots[lease.tile as usize].lease = None;
+        }
+        true
+    }
+
+    /// Takes leases back that were not renewed for `ttl` or have not moved for `stuck`; answers how many.
+    pub(crate) fn reap(&mut self, now: Instant, ttl: Duration, stuck: Duration) -> usize {
+        let mut revoked = Vec::new();
+        for (id, job) in &mut self.jobs {
+            if job.timing.is_some_and(|(_, since)| now - since > TIMING_LIMIT) {
+                job.timing = None;
+            }
+            for (tile, slot) in job.slots.iter_mut().enumerate() {
+                let over = |l: &Leased| now - l.renewed > ttl || now - l.moved > stuck;
+                if let Some(l) = slot.lease.take_if(|l| over(l)) {
+                    tracing::warn!(
+                        "tile {tile} of job {id} is taken back from worker {}: {}",
+                        self.workers.get(&l.worker).map_or("that is gone", |w| w.name.as_str()),
+                        if now - l.renewed > ttl { "its lease ran out" } else { "it makes no progress" }
+                    );
+                    revoked.push((l.worker, lease_of(*id, tile, l.id)));
+                }
+            }
+        }
+        for (worker, lease) in &revoked {
+            if let Some(w) = self.workers.get(worker) {
+                w.send(v1::coordinator_message::Message::Revoke(v1::Revoke { lease: Some(*lease) }));
+            }
+        }
+        revoked.len()
+    }
+
+    /// Takes back all leases of a job.
+    pub(crate) fn revoke_job(&mut self, job: u64) {
+        let Some(entry) = self.jobs.get_mut(&job) else { return };
+        for (tile, slot) in entry.slots.iter_mut().enumerate() {
+            if let Some(l) = slot.lease.take()
+                && let Some(w) = self.workers.get(&l.worker)
+            {
+                let lease = Some(lease_of(job, tile, l.id));
+                w.send(v1::coordinator_message::Message::Revoke(v1::Revoke { lease }));
+            }
+        }
+    }
+
+    /// Gives out no leases for a while.
+    pub(crate) fn pause_leasing(&mut self, now: Instant) {
+        self.paused_until = Some(now + PAUSE);
+    }
+
+    /// Gives tiles to the workers that want some: the oldest job first, its tiles in the plan's order.
+    ///
+    /// # Errors
+    /// The store's, when a job's state could not be written.
+    pub(crate) fn pump(&mut self, store: &dyn Store, now: Instant) -> Result<(), StoreError> {
+        if self.paused_until.is_some_and(|until| now < until) {
+            return Ok(());
+        }
+        self.paused_until = None;
+        let numbers: Vec<u64> = self.workers.keys().copied().collect();
+        // One tile each in turn, so that the first worker does not take two while another has none.
+        loop {
+            let mut given = false;
+            for number in &numbers {
+                given |= self.give(*number, store, now)?;
+            }
+            if !given {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Gives one tile to a worker, or asks it to time its backends. Answers whether it got a tile.
+    fn give(&mut self, number: u64, store: &dyn Store, now: Instant) -> Result<bool, StoreError> {
+        use v1::coordinator_message::Message;
+        let Some(worker) = self.workers.get_mut(&number) else { return Ok(false) };
+        if worker.wants == 0 || worker.draining {
+            return Ok(false);
+        }
+        for (id, job) in &mut self.jobs {
+            if !matches!(job.record.state, JobState::Queued | JobState::Running) {
+                continue;
+            }
+            let Some(profile) = job.record.profile.clone() else {
+                match profile_for(job.spec.backend, &worker.profiles) {
+                    Binding::Bind(profile) => {
+                        job.record.profile = Some(store.bind_profile(*id, &profile)?);
+                    }
+                    Binding::Time if job.timing.is_none() => {
+                        let spec = Some(job.spec.to_proto());
+                        if worker.send(Message::Time(v1::Time { job: *id, spec })) {
+                            job.timing = Some((number, now));
+                        }
+                        continue;
+                    }
+                    Binding::Time | Binding::Cannot => continue,
+                }
+                // Bound now, perhaps to another profile than this worker's: look again.
+                return self.give(number, store, now);
+            };
+            if !worker.profiles.contains(&profile) {
+                continue;
+            }
+            let Some(tile) = (0..job.slots.len()).find(|t| job.ready(*t)) else { continue };
+            if job.record.state == JobState::Queued {
+                use crate::store::JobPhase::Queued;
+                job.record = store.set_job_state(*id, &[Queued], JobState::Running, 0)?;
+            }
+            let lease = (self.epoch, self.next_lease);
+            self.next_lease += 1;
+            let grant = v1::Grant {
+                lease: Some(lease_of(*id, tile, lease)),
+                spec: Some(job.spec.to_proto()),
+                profile,
+                packs: job.packs(tile),
+            };
+            if !worker.send(Message::Grant(grant)) {
+                return Ok(false);
+            }
+            worker.wants -= 1;
+            job.slots[tile].lease = Some(Leased {
+                id: lease,
+                worker: number,
+                renewed: now,
+                moved: now,
+                cells: 0,
+                samples: 0,
+            });
+            return Ok(true);
+        }
+        Ok(false)
+    }
+
+    /// A worker has timed its backends for a job: the fastest is bound.
+    pub(crate) fn timed(&mut self, timed: &v1::Timed, store: &dyn Store) -> Result<(), StoreError> {
+        let Some(job) = self.jobs.get_mut(&timed.job) else { return Ok(()) };
+        job.timing = None;
+        let usable = |t: &&v1::ProfileTime| t.seconds_per_cube.is_finite();
+        let fastest = timed
+            .times
+            .iter()
+            .filter(usable)
+            .min_by(|a, b| a.seconds_per_cube.total_cmp(&b.seconds_per_cube));
+        let Some(fastest) = fastest else {
+            let reason = "no backend of the worker that was asked can sample this scene; see its log".to_owned();
+            use crate::store::JobPhase::{Queued, Running};
+            let failed = JobState::Failed { reason };
+            store.set_job_state(timed.job, &[Queued, Running], failed, crate::core::now_ms())?;
+            self.jobs.remove(&timed.job);
+            return Ok(());
+        };
+        let each: Vec<String> = timed
+            .times
+            .iter()
+            .map(|t| format!("{} {:.2} ms a cube", t.profile, t.seconds_per_cube * 1e3))
+            .collect();
+        tracing::info!("job {}: {}; chosen: {}", timed.job, each.join(", "), fastest.profile);
+        job.record.profile = Some(store.bind_profile(timed.job, &fastest.profile)?);
+        Ok(())
+    }
+}
+
+enum Binding {
+    Bind(String),
+    Time,
+    Cannot,
+}
+
+/// What a job without a profile is to be bound to when a worker with `profiles` could take it.
+fn profile_for(choice: BackendChoice, profiles: &[String]) -> Binding {
+    let with = |prefix: &str| profiles.iter().find(|p| p.starts_with(prefix)).cloned();
+    let named = match choice {
+        BackendChoice::Cpu => with("cpu/"),
+        BackendChoice::Gpu => with("gpu/"),
+        BackendChoice::Auto => match profiles {
+            [only] => Some(only.clone()),
+            [_, _, ..] => return Binding::Time,
+            [] => None,
+        },
+    };
+    named.map_or(Binding::Cannot, Binding::Bind)
+}
+
+fn lease_of(job: u64, tile: usize, id: LeaseId) -> v1::Lease {
+    v1::Lease { job, tile: tile as u32, epoch: id.0, lease: id.1 }
+}
+
+/// Leaf cells the plan knows of; 0 when an adaptive division decides as it goes.
+pub(crate) fn cells_total(job: &JobSpec, plan: &Plan) -> u64 {
+    match job.division {
+        sightline_viewcells::Division::Grid(_) => {
+            plan.tiles.iter().filter(|t| t.kind == TileKind::Leaf).map(|t| t.cells).sum()
+        }
+        sightline_viewcells::Division::Adaptive { .. } => 0,
+    }
+}

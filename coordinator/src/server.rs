@@ -1,0 +1,96 @@
+//! The coordinator on the network: the two services, health and reflection, and the clock that takes leases back.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use sightline_proto::v1::jobs_server::JobsServer;
+use sightline_proto::v1::workers_server::WorkersServer;
+use tokio::net::TcpListener;
+use tonic::transport::Server;
+
+use crate::core::Coordinator;
+use crate::jobs_service::JobsService;
+use crate::workers_service::WorkersService;
+
+/// How often leases are looked at.
+const TICK: Duration = Duration::from_secs(1);
+
+/// Why the coordinator cannot serve, or stopped.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// Plain text beyond this machine.
+    #[error("{0} can be reached from other machines and traffic would not be encrypted; listen on 127.0.0.1, or say --allow-plaintext when the network is private")]
+    Plaintext(SocketAddr),
+    /// The address cannot be listened on.
+    #[error("cannot listen on {address}: {source}; is another coordinator running there?")]
+    Listen {
+        /// The address.
+        address: SocketAddr,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The server broke.
+    #[error("the server stopped: {0}")]
+    Broken(String),
+}
+
+/// Listens on `address`. Anything but loopback is refused unless `allow_plaintext`.
+///
+/// # Errors
+/// [`ServeError`] when the address is not loopback or cannot be listened on.
+pub async fn listen(address: SocketAddr, allow_plaintext: bool) -> Result<TcpListener, ServeError> {
+    if !address.ip().is_loopback() && !allow_plaintext {
+        return Err(ServeError::Plaintext(address));
+    }
+    TcpListener::bind(address).await.map_err(|source| ServeError::Listen { address, source })
+}
+
+/// Serves until `stop` resolves.
+///
+/// # Errors
+/// [`ServeError::Broken`] when the server ends by itself.
+pub async fn serve(
+    coordinator: Arc<Coordinator>,
+    listener: TcpListener,
+    stop: impl Future<Output = ()> + Send + 'static,
+) -> Result<(), ServeError> {
+    let broken = |e: &dyn std::fmt::Display| ServeError::Broken(e.to_string());
+    let (health, health_service) = tonic_health::server::health_reporter();
+    health.set_serving::<JobsServer<JobsService>>().await;
+    health.set_serving::<WorkersServer<WorkersService>>().await;
+    let reflection = tonic_reflection::server::Builder::configure()
+        .register_encoded_file_descriptor_set(sightline_proto::DESCRIPTORS)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+        .build_v1()
+        .map_err(|e| broken(&e))?;
+    let clock = {
+        let coordinator = Arc::clone(&coordinator);
+        tokio::spawn(async move {
+            let mut tick = tokio::time::interval(TICK);
+            loop {
+                tick.tick().await;
+                let c = Arc::clone(&coordinator);
+                if let Err(e) = tokio::task::spawn_blocking(move || c.reap()).await {
+                    tracing::error!("looking at the leases panicked: {e}");
+                }
+            }
+        })
+    };
+    // Streams that stay open (workers, watchers) would hold up a graceful end for ever; they are cut off, and what
+    // they were promised is already on disk.
+    let server = Server::builder()
+        .http2_keepalive_interval(Some(Duration::from_secs(10)))
+        .tcp_nodelay(true)
+        .add_service(health_service)
+        .add_service(reflection)
+        .add_service(JobsServer::new(JobsService(Arc::clone(&coordinator))))
+        .add_service(WorkersServer::new(WorkersService(coordinator)))
+        .serve_with_incoming(tokio_stream::wrappers::TcpListenerStream::new(listener));
+    let ended = tokio::select! {
+        r = server => r.map_err(|e| broken(&e)),
+        () = stop => Ok(()),
+    };
+    clock.abort();
+    ended
+}
