@@ -17,7 +17,9 @@ pub enum StoreError {
         job: u64,
     },
     /// No such tile.
-    #[error("job {job} has tiles 0..{tiles}, not {tile}; the worker or client that asked follows another plan")]
+    #[error(
+        "job {job} has tiles 0..{tiles}, not {tile}; the worker or client that asked follows another plan"
+    )]
     UnknownTile {
         /// The job.
         job: u64,
@@ -39,7 +41,9 @@ pub enum StoreError {
         scene: Digest,
     },
     /// A request id used for two different submissions.
-    #[error("request id {request_id:?} was used for job {job} with another scene or other parameters; choose a fresh one")]
+    #[error(
+        "request id {request_id:?} was used for job {job} with another scene or other parameters; choose a fresh one"
+    )]
     RequestIdReused {
         /// The id.
         request_id: String,
@@ -47,7 +51,9 @@ pub enum StoreError {
         job: u64,
     },
     /// A job is not in a state this is allowed in.
-    #[error("job {job} is {is:?}, so it cannot be {wanted}; look at its state and ask again if it still makes sense")]
+    #[error(
+        "job {job} is {is:?}, so it cannot be {wanted}; look at its state and ask again if it still makes sense"
+    )]
     IllegalTransition {
         /// The job.
         job: u64,
@@ -125,8 +131,20 @@ pub enum StoreError {
     #[error(transparent)]
     Journal(#[from] JournalError),
     /// The view (not the journal) cannot be read.
-    #[error("the store's view is damaged ({what}); restart the coordinator, it rebuilds the view from the journal")]
+    #[error(
+        "the store's view is damaged ({what}); restart the coordinator, it rebuilds the view from the journal"
+    )]
     View {
+        /// What was found.
+        what: String,
+    },
+    /// The journal holds events this version does not know.
+    #[error(
+        "the journal's frame before byte {before} cannot be understood ({what}); use the version that wrote it"
+    )]
+    Unreadable {
+        /// Where the frame ends.
+        before: u64,
         /// What was found.
         what: String,
     },

@@ -25,8 +25,8 @@ pub use error::{JournalError, StoreError};
 pub use memory::MemoryStore;
 pub use records::{
     CommitOutcome, Digest, JobPhase, JobRecord, JobState, MAX_FAILURES, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES,
-    MAX_REASON_BYTES, MAX_REASONS, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES, NewJob, SceneRecord, Submitted,
-    TileFailure, TileRecord, TileResult, TileState, TileStats,
+    MAX_REASON_BYTES, MAX_REASONS, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES, NewJob, SceneRecord,
+    Submitted, TileFailure, TileRecord, TileResult, TileState, TileStats,
 };
 pub use sled_store::SledStore;
 

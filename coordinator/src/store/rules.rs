@@ -1,0 +1,369 @@
+//! The rules: what each command does to the state it meets, as events, and what each event changes.
+//!
+//! Deciding reads and never writes; an event holds everything its application needs, so replaying the journal
+//! needs no rule but [`changes`]. Events are what the journal keeps: names and fields here are its format. Add
+//! variants and `#[serde(default)]` fields freely; changing one needs a new journal version.
+
+use serde::{Deserialize, Serialize};
+
+use super::StoreError;
+use super::records::{
+    CommitOutcome, Digest, JobPhase, JobRecord, JobState, MAX_FAILURES, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES,
+    MAX_REASONS, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES, NewJob, SceneRecord, Submitted, TileFailure,
+    TileRecord, TileResult, TileState, check_identifier, check_length, check_name, clean_reason,
+};
+use super::table::{Bytes, Changes, Over, Table, View, encode, illegal, key};
+
+/// Something that happened.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) enum Event {
+    /// A scene came in.
+    SceneRecorded(SceneRecord),
+    /// A job came in, under the next id.
+    JobSubmitted(JobRecord),
+    /// A submission was answered by a job that was there.
+    RequestJoined { request_id: String, job: u64 },
+    /// A job changed: planned, bound to a profile, moved to another state.
+    JobChanged(JobRecord),
+    /// A tile changed: done, failed once more, set aside, a conflict counted.
+    TileChanged { job: u64, tile: TileRecord },
+    /// Tiles were reopened for another try, and the job with them.
+    TilesReopened { job: JobRecord, tiles: Vec<u32> },
+    /// A coordinator started.
+    EpochBegun(u64),
+    /// A job was removed.
+    JobDeleted { job: u64 },
+}
+
+/// What a command comes to: perhaps an event, and the answer once that is durable.
+pub(super) struct Decision<A> {
+    pub(super) event: Option<Event>,
+    pub(super) answer: A,
+}
+
+type Decided<A> = Result<Decision<A>, StoreError>;
+
+fn unchanged<A>(answer: A) -> Decided<A> {
+    Ok(Decision { event: None, answer })
+}
+
+fn happened<A>(event: Event, answer: A) -> Decided<A> {
+    Ok(Decision { event: Some(event), answer })
+}
+
+/// What an event changes in the table it meets.
+pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, StoreError> {
+    let view = View(table);
+    let mut changes = Changes::new();
+    let mut put = |key: Bytes, value: Bytes| changes.insert(key, Some(value));
+    match event {
+        Event::SceneRecorded(scene) => {
+            let key = key::scene(&scene.digest);
+            let value = encode(&key, scene)?;
+            put(key, value);
+        }
+        Event::JobSubmitted(job) => {
+            let key = key::job(job.id);
+            let value = encode(&key, job)?;
+            put(key, value);
+            let key = key::job_of_key(&job.key, job.id);
+            let value = encode(&key, &job.id)?;
+            put(key, value);
+            put(key::NEXT_JOB.to_vec(), encode(key::NEXT_JOB, &job.id.saturating_add(1))?);
+            if !job.request_id.is_empty() {
+                let key = key::request(&job.request_id);
+                let value = encode(&key, &job.id)?;
+                put(key, value);
+            }
+        }
+        Event::RequestJoined { request_id, job } => {
+            let key = key::request(request_id);
+            let value = encode(&key, job)?;
+            put(key, value);
+        }
+        Event::JobChanged(job) => {
+            let key = key::job(job.id);
+            let value = encode(&key, job)?;
+            put(key, value);
+        }
+        Event::TileChanged { job, tile } => {
+            let key = key::tile(*job, tile.tile);
+            let value = encode(&key, tile)?;
+            put(key, value);
+        }
+        Event::TilesReopened { job, tiles } => {
+            for &tile in tiles {
+                changes.insert(key::tile(job.id, tile), None);
+            }
+            let key = key::job(job.id);
+            let value = encode(&key, job)?;
+            changes.insert(key, Some(value));
+        }
+        Event::EpochBegun(epoch) => {
+            put(key::EPOCH.to_vec(), encode(key::EPOCH, epoch)?);
+        }
+        Event::JobDeleted { job } => {
+            let record = view.known_job(*job)?;
+            changes.insert(key::job(*job), None);
+            changes.insert(key::job_of_key(&record.key, *job), None);
+            for request in view.requests_of(*job)? {
+                changes.insert(request, None);
+            }
+            for (key, _) in table.scan(&key::tiles(*job))? {
+                changes.insert(key, None);
+            }
+        }
+    }
+    Ok(changes)
+}
+
+/// Adds what an event changes to `staged`, seen over `table`.
+pub(super) fn stage(event: &Event, table: &dyn Table, staged: &mut Changes) -> Result<(), StoreError> {
+    let new = changes(event, &Over { under: table, changes: staged })?;
+    staged.extend(new);
+    Ok(())
+}
+
+pub(super) fn record_scene(view: View<'_>, scene: SceneRecord) -> Decided<()> {
+    match view.scene(&scene.digest)? {
+        None => happened(Event::SceneRecorded(scene), ()),
+        Some(known) if known == scene => unchanged(()),
+        Some(_) => Err(StoreError::SceneDiffers { scene: scene.digest }),
+    }
+}
+
+pub(super) fn submit_job(view: View<'_>, new: NewJob) -> Decided<Submitted> {
+    check_identifier("the request id", &new.request_id, MAX_IDENTIFIER_BYTES)?;
+    check_name("the job's name", &new.name, MAX_NAME_BYTES)?;
+    check_length("the job's specification", new.spec.len(), MAX_SPEC_BYTES)?;
+    check_length("the plan", new.tiles as usize, MAX_TILES as usize)?;
+    if let Some(known) = view.job_by_request(&new.request_id)? {
+        if known.key != new.key {
+            return Err(StoreError::RequestIdReused { request_id: new.request_id, job: known.id });
+        }
+        return unchanged(Submitted { id: known.id, existing: true });
+    }
+    if let Some(same) = view.job_by_key(&new.key)?
+        && !matches!(same.state.phase(), JobPhase::Failed | JobPhase::Cancelled)
+    {
+        let answer = Submitted { id: same.id, existing: true };
+        if new.request_id.is_empty() {
+            return unchanged(answer);
+        }
+        return happened(Event::RequestJoined { request_id: new.request_id, job: same.id }, answer);
+    }
+    if view.scene(&new.scene)?.is_none() {
+        return Err(StoreError::UnknownScene { scene: new.scene });
+    }
+    let job = JobRecord {
+        id: view.next_job()?,
+        key: new.key,
+        request_id: new.request_id,
+        name: new.name,
+        scene: new.scene,
+        spec: new.spec,
+        tiles: new.tiles,
+        state: JobState::Queued,
+        profile: None,
+        submitted_at_ms: new.submitted_at_ms,
+        finished_at_ms: None,
+    };
+    let answer = Submitted { id: job.id, existing: false };
+    happened(Event::JobSubmitted(job), answer)
+}
+
+pub(super) fn plan_job(view: View<'_>, job: u64, tiles: u32) -> Decided<JobRecord> {
+    check_length("the plan", tiles as usize, MAX_TILES as usize)?;
+    let mut record = view.known_job(job)?;
+    if record.tiles == tiles {
+        return unchanged(record);
+    }
+    if record.tiles != 0 {
+        return Err(StoreError::PlanDiffers { job, kept: record.tiles, offered: tiles });
+    }
+    if record.state.phase().ended() {
+        return Err(illegal(job, record.state.phase(), "planned"));
+    }
+    record.tiles = tiles;
+    happened(Event::JobChanged(record.clone()), record)
+}
+
+pub(super) fn bind_profile(view: View<'_>, job: u64, profile: String) -> Decided<String> {
+    check_identifier("the numerics profile", &profile, MAX_IDENTIFIER_BYTES)?;
+    let mut record = view.known_job(job)?;
+    if let Some(bound) = record.profile {
+        return unchanged(bound);
+    }
+    record.profile = Some(profile.clone());
+    happened(Event::JobChanged(record), profile)
+}
+
+pub(super) fn commit_tile(view: View<'_>, job: u64, tile: u32, result: TileResult) -> Decided<CommitOutcome> {
+    check_identifier("the worker's name", &result.stats.worker, MAX_WORKER_BYTES)?;
+    let (record, mut found) = view.job_and_tile(job, tile)?;
+    if let TileState::Done { digest: kept, .. } = found.state {
+        if kept == result.digest {
+            return unchanged(CommitOutcome::AlreadySame);
+        }
+        found.conflicts = found.conflicts.saturating_add(1);
+        let answer = CommitOutcome::Conflict { kept, offered: result.digest };
+        return happened(Event::TileChanged { job, tile: found }, answer);
+    }
+    if record.state.phase().ended() {
+        return Err(illegal(job, record.state.phase(), "given results"));
+    }
+    let TileResult { digest, bytes, stats } = result;
+    found.state = TileState::Done { digest, bytes, stats };
+    happened(Event::TileChanged { job, tile: found }, CommitOutcome::Committed)
+}
+
+pub(super) fn fail_tile(view: View<'_>, job: u64, tile: u32, worker: String, reason: &str) -> Decided<u32> {
+    check_identifier("the worker's name", &worker, MAX_WORKER_BYTES)?;
+    let (record, mut found) = view.job_and_tile(job, tile)?;
+    // At most MAX_FAILURES, so this cannot be cut.
+    let count = |tile: &TileRecord| tile.failures.len() as u32;
+    if found.state != TileState::Open || record.state.phase().ended() {
+        return unchanged(count(&found));
+    }
+    let failure = TileFailure { worker, reason: clean_reason(reason) };
+    match found.failures.iter().position(|known| known.worker == failure.worker) {
+        Some(at) if found.failures[at] == failure => return unchanged(count(&found)),
+        Some(at) => found.failures[at] = failure,
+        None if found.failures.len() < MAX_FAILURES => found.failures.push(failure),
+        None => return unchanged(count(&found)),
+    }
+    let answer = count(&found);
+    happened(Event::TileChanged { job, tile: found }, answer)
+}
+
+pub(super) fn set_aside_tile(
+    view: View<'_>,
+    job: u64,
+    tile: u32,
+    digest: Digest,
+    bytes: u64,
+    reasons: &[String],
+) -> Decided<()> {
+    let (record, mut found) = view.job_and_tile(job, tile)?;
+    match found.state {
+        TileState::SetAside { digest: known, .. } if known == digest => return unchanged(()),
+        TileState::Open => {}
+        _ => return Err(StoreError::TileNotOpen { job, tile }),
+    }
+    if record.state.phase().ended() {
+        return Err(illegal(job, record.state.phase(), "given results"));
+    }
+    let reasons = reasons.iter().take(MAX_REASONS).map(|reason| clean_reason(reason)).collect();
+    found.state = TileState::SetAside { digest, bytes, reasons };
+    happened(Event::TileChanged { job, tile: found }, ())
+}
+
+/// Whether `set_job_state` may lead from one state to the other.
+fn may_move(from: JobPhase, to: JobPhase) -> bool {
+    use JobPhase::{Cancelled, Done, Failed, Paused, Queued, Running};
+    match (from, to) {
+        (Queued | Running | Paused, Queued | Running | Paused | Cancelled | Failed) => true,
+        // A client may take a cancellation back; what failed is retried through reopen_tiles, which clears the faults.
+        (Cancelled, Queued) => true,
+        (Cancelled | Failed | Done, _) | (_, Done) => false,
+    }
+}
+
+pub(super) fn set_job_state(
+    view: View<'_>,
+    job: u64,
+    from: &[JobPhase],
+    to: JobState,
+    at_ms: u64,
+) -> Decided<JobRecord> {
+    let to = match to {
+        JobState::Failed { reason } => JobState::Failed { reason: clean_reason(&reason) },
+        other => other,
+    };
+    let mut record = view.known_job(job)?;
+    if record.state == to {
+        return unchanged(record);
+    }
+    let (is, phase) = (record.state.phase(), to.phase());
+    if !from.contains(&is) || !may_move(is, phase) {
+        let wanted = match phase {
+            JobPhase::Queued => "queued",
+            JobPhase::Running => "run",
+            JobPhase::Paused => "paused",
+            JobPhase::Cancelled => "cancelled",
+            JobPhase::Failed => "failed",
+            JobPhase::Done => "done without finish_job",
+        };
+        return Err(illegal(job, is, wanted));
+    }
+    record.state = to;
+    record.finished_at_ms = phase.ended().then_some(at_ms);
+    happened(Event::JobChanged(record.clone()), record)
+}
+
+pub(super) fn finish_job(
+    view: View<'_>,
+    job: u64,
+    result: Digest,
+    bytes: u64,
+    at_ms: u64,
+) -> Decided<JobRecord> {
+    let mut record = view.known_job(job)?;
+    match record.state {
+        JobState::Done { result: kept, .. } if kept == result => return unchanged(record),
+        JobState::Done { result: kept, .. } => {
+            return Err(StoreError::ResultDiffers { job, kept, offered: result });
+        }
+        JobState::Queued | JobState::Running => {}
+        JobState::Paused | JobState::Cancelled | JobState::Failed { .. } => {
+            return Err(illegal(job, record.state.phase(), "finished"));
+        }
+    }
+    let settled = view.recorded_tiles(job)?.iter().filter(|tile| tile.state != TileState::Open).count();
+    // No more tiles are recorded than the job has (`job_and_tile`), whose number is a u32.
+    let open = record.tiles.saturating_sub(settled as u32);
+    if open > 0 {
+        return Err(StoreError::TilesOpen { job, open, tiles: record.tiles });
+    }
+    record.state = JobState::Done { result, bytes };
+    record.finished_at_ms = Some(at_ms);
+    happened(Event::JobChanged(record.clone()), record)
+}
+
+pub(super) fn reopen_tiles(view: View<'_>, job: u64) -> Decided<u32> {
+    let mut record = view.known_job(job)?;
+    let recorded = view.recorded_tiles(job)?;
+    let set_aside =
+        recorded.iter().filter(|tile| matches!(tile.state, TileState::SetAside { .. })).count() as u32;
+    let tiles: Vec<u32> = recorded
+        .iter()
+        .filter(|tile| !matches!(tile.state, TileState::Done { .. }))
+        .map(|tile| tile.tile)
+        .collect();
+    let requeue = match record.state.phase() {
+        JobPhase::Failed | JobPhase::Cancelled => true,
+        JobPhase::Done => set_aside > 0,
+        JobPhase::Queued | JobPhase::Running | JobPhase::Paused => false,
+    };
+    if tiles.is_empty() && !requeue {
+        return unchanged(0);
+    }
+    if requeue {
+        record.state = JobState::Queued;
+        record.finished_at_ms = None;
+    }
+    happened(Event::TilesReopened { job: record, tiles }, set_aside)
+}
+
+pub(super) fn begin_epoch(view: View<'_>) -> Decided<u64> {
+    let epoch = view.epoch()?.saturating_add(1);
+    happened(Event::EpochBegun(epoch), epoch)
+}
+
+pub(super) fn delete_job(view: View<'_>, job: u64) -> Decided<JobRecord> {
+    let record = view.known_job(job)?;
+    if !record.state.phase().ended() {
+        return Err(illegal(job, record.state.phase(), "deleted"));
+    }
+    happened(Event::JobDeleted { job }, record)
+}

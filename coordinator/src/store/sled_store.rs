@@ -1,0 +1,407 @@
+//! The store on one machine's disk: the journal is the truth, sled a view of it to answer from.
+//!
+//! A command is acknowledged when the journal is synced. sled is changed after that, in one batch with the
+//! offset it now stands for (`applied`), and is never synced here: sled's own `flush` does not sync the data
+//! on Linux, and abrupt stops have been seen to damage it, so nothing may depend on what it kept. At the next start
+//! the journal is replayed from `applied`. A sled that does not open, whose entries do not add up, or that
+//! stands for another journal or more than this one holds, is moved aside and made anew from the journal.
+//!
+//! One tree, values under 4 KiB, no background flush (sled's space grows otherwise), one writer thread: the
+//! commands that arrive while it syncs share the next sync. Blobs are not kept here.
+
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{Read, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use super::engine::Engine;
+use super::journal::{HEADER_BYTES, Journal};
+use super::rules::{self, Decision, Event};
+use super::table::{Bytes, Changes, Over, Table, View, decode, encode};
+use super::{JournalError, StoreError};
+
+/// A group commit takes no more commands once its events are this long; the journal's bound is far above.
+const GROUP_BYTES: usize = 1 << 20;
+/// While rebuilding, sled is changed after this many keys.
+const REBUILD_KEYS: usize = 4096;
+const APPLIED: &[u8] = b"a";
+
+/// The embedded store.
+#[derive(Debug)]
+pub struct SledStore {
+    live: Arc<RwLock<Live>>,
+    /// `None` only while being dropped.
+    commands: Mutex<Option<Sender<Box<dyn Pending>>>>,
+    writer: Option<JoinHandle<()>>,
+    /// Released last: fields are dropped in order.
+    _lock: File,
+}
+
+impl SledStore {
+    /// Opens the store in `directory`, or begins one there, and makes its view agree with its journal.
+    ///
+    /// Errors: the directory is in use by another process, the journal is damaged or missing, the disk refuses.
+    pub fn open(directory: &Path) -> Result<Self, StoreError> {
+        std::fs::create_dir_all(directory).map_err(fault("create", directory))?;
+        let lock = lock(&directory.join("lock"))?;
+        let (path, view) = (directory.join("journal"), directory.join("sled"));
+        if view.exists() && !path.exists() {
+            return Err(JournalError::Missing { path, view }.into());
+        }
+        let journal = Journal::open(&path)?;
+        let live = match Live::open(&view).and_then(|live| live.caught_up(&journal)) {
+            Ok(live) => live,
+            Err(StoreError::View { what }) => {
+                let aside = move_aside(&view)?;
+                tracing::warn!(%what, aside = %aside.display(), "the store's view is unusable; making it anew from the journal");
+                Live::open(&view)?.caught_up(&journal)?
+            }
+            Err(other) => return Err(other),
+        };
+        let live = Arc::new(RwLock::new(live));
+        let (commands, incoming) = channel();
+        let writer = Writer { journal, live: live.clone() };
+        let writer = std::thread::Builder::new()
+            .name("store-writer".to_owned())
+            .spawn(move || writer.run(&incoming))
+            .map_err(fault("start the writer thread for", directory))?;
+        Ok(Self { live, commands: Mutex::new(Some(commands)), writer: Some(writer), _lock: lock })
+    }
+}
+
+impl Drop for SledStore {
+    fn drop(&mut self) {
+        self.commands.get_mut().unwrap_or_else(PoisonError::into_inner).take();
+        if self.writer.take().is_some_and(|writer| writer.join().is_err()) {
+            tracing::error!("the store's writer thread had panicked; nothing acknowledged is lost");
+        }
+        let live = self.live.write().unwrap_or_else(PoisonError::into_inner);
+        // Not needed for durability; it only spares the next start a replay.
+        if let Err(error) = guarded(|| live.db.flush()) {
+            tracing::warn!(%error, "the store's view could not be flushed; it will be brought up to date at the next start");
+        }
+    }
+}
+
+impl Engine for SledStore {
+    fn query<A>(&self, ask: impl FnOnce(View<'_>) -> Result<A, StoreError>) -> Result<A, StoreError> {
+        // Only whole group commits are applied under this lock, so every answer is of one moment.
+        ask(View(&*self.live.read().unwrap_or_else(PoisonError::into_inner)))
+    }
+
+    fn command<A: Send + 'static>(
+        &self,
+        decide: impl FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send + 'static,
+    ) -> Result<A, StoreError> {
+        let (reply, answer) = sync_channel(1);
+        let command = Box::new(Command { decide: Some(decide), decided: Err(StoreError::Closed), reply });
+        let commands = self.commands.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        commands.ok_or(StoreError::Closed)?.send(command).map_err(|_| StoreError::Closed)?;
+        answer.recv().map_err(|_| StoreError::Closed)?
+    }
+}
+
+/// A command on its way through the writer thread.
+trait Pending: Send {
+    /// Decides on the state including all commands before it; the answer is kept for later.
+    fn decide(&mut self, view: View<'_>) -> Option<Event>;
+    /// The event cannot be carried out after all.
+    fn refuse(&mut self, error: StoreError);
+    /// Answers, once everything decided before is durable or has failed to be.
+    fn answer(self: Box<Self>, outcome: &Result<(), StoreError>);
+}
+
+struct Command<F, A> {
+    decide: Option<F>,
+    decided: Result<A, StoreError>,
+    reply: SyncSender<Result<A, StoreError>>,
+}
+
+impl<A: Send, F: FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send> Pending for Command<F, A> {
+    fn decide(&mut self, view: View<'_>) -> Option<Event> {
+        let decision = self.decide.take()?(view);
+        let (decided, event) = match decision {
+            Ok(Decision { event, answer }) => (Ok(answer), event),
+            Err(error) => (Err(error), None),
+        };
+        self.decided = decided;
+        event
+    }
+
+    fn refuse(&mut self, error: StoreError) {
+        self.decided = Err(error);
+    }
+
+    fn answer(self: Box<Self>, outcome: &Result<(), StoreError>) {
+        // A caller that is gone (its thread panicked) needs no answer.
+        let _ = self.reply.send(outcome.clone().and(self.decided));
+    }
+}
+
+/// The writer thread: the only one that appends to the journal and changes the view.
+struct Writer {
+    journal: Journal,
+    live: Arc<RwLock<Live>>,
+}
+
+impl Writer {
+    fn run(mut self, incoming: &Receiver<Box<dyn Pending>>) {
+        while let Ok(first) = incoming.recv() {
+            let mut group = Vec::new();
+            let mut staged = Changes::new();
+            let mut payload = b"[".to_vec();
+            let mut next = Some(first);
+            while let Some(mut command) = next {
+                match self.stage(command.as_mut(), &mut staged) {
+                    Ok(Some(event)) => {
+                        if payload.len() > 1 {
+                            payload.push(b',');
+                        }
+                        payload.extend(event);
+                    }
+                    Ok(None) => {}
+                    Err(error) => command.refuse(error),
+                }
+                group.push(command);
+                next = if payload.len() < GROUP_BYTES { incoming.try_recv().ok() } else { None };
+            }
+            // Also a command that changed nothing waits: its answer may rest on what others of the group changed.
+            let outcome = if payload.len() > 1 {
+                payload.push(b']');
+                self.commit(&payload, staged)
+            } else {
+                Ok(())
+            };
+            for command in group {
+                command.answer(&outcome);
+            }
+        }
+    }
+
+    /// One command's event as it goes to the journal, its changes added to `staged`.
+    fn stage(&self, command: &mut dyn Pending, staged: &mut Changes) -> Result<Option<Bytes>, StoreError> {
+        let live = self.live.read().unwrap_or_else(PoisonError::into_inner);
+        let Some(event) = command.decide(View(&Over { under: &*live, changes: staged })) else {
+            return Ok(None);
+        };
+        let bytes = serde_json::to_vec(&event).map_err(|e| StoreError::View { what: e.to_string() })?;
+        rules::stage(&event, &*live, staged)?;
+        Ok(Some(bytes))
+    }
+
+    fn commit(&mut self, payload: &[u8], staged: Changes) -> Result<(), StoreError> {
+        let end = self.journal.append(payload)?;
+        self.live.write().unwrap_or_else(PoisonError::into_inner).take(staged, end);
+        Ok(())
+    }
+}
+
+/// What the view stands for, kept in it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+struct Applied {
+    /// The journal's id.
+    journal: u64,
+    /// The end of the last frame applied.
+    offset: u64,
+    /// Sum of the hashes of all other entries: a lost, stale or damaged one is found at the next start.
+    sum: u64,
+}
+
+/// The state as queries see it: sled, and what it has not taken yet.
+struct Live {
+    db: sled::Db,
+    applied: Applied,
+    /// Empty unless sled refused a batch (a full disk); then kept here and tried again with the next one.
+    waiting: Changes,
+}
+
+impl std::fmt::Debug for Live {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Live").field("applied", &self.applied).finish_non_exhaustive()
+    }
+}
+
+impl Table for Live {
+    fn get(&self, key: &[u8]) -> Result<Option<Bytes>, StoreError> {
+        Over { under: &self.db, changes: &self.waiting }.get(key)
+    }
+
+    fn scan(&self, prefix: &[u8]) -> Result<Vec<(Bytes, Bytes)>, StoreError> {
+        Over { under: &self.db, changes: &self.waiting }.scan(prefix)
+    }
+}
+
+impl Table for sled::Db {
+    fn get(&self, key: &[u8]) -> Result<Option<Bytes>, StoreError> {
+        Ok(guarded(|| sled::Tree::get(self, key))?.map(|value| value.to_vec()))
+    }
+
+    fn scan(&self, prefix: &[u8]) -> Result<Vec<(Bytes, Bytes)>, StoreError> {
+        guarded(|| {
+            self.scan_prefix(prefix)
+                .filter(|entry| !matches!(entry, Ok((key, _)) if key == APPLIED))
+                .map(|entry| entry.map(|(key, value)| (key.to_vec(), value.to_vec())))
+                .collect()
+        })
+    }
+}
+
+impl Live {
+    /// Opens sled and checks that its entries add up.
+    fn open(path: &Path) -> Result<Self, StoreError> {
+        let mut tries = 0;
+        let db = loop {
+            match guarded(|| sled::Config::new().path(path).flush_every_ms(None).open()) {
+                // Our own lock keeps other processes out, so this is sled's last owner in this one still letting go.
+                Err(StoreError::View { what }) if tries < 100 && what.contains("acquire lock") => {
+                    tries += 1;
+                    std::thread::sleep(Duration::from_millis(20));
+                }
+                other => break other?,
+            }
+        };
+        let applied = match guarded(|| sled::Tree::get(&db, APPLIED))? {
+            Some(value) => decode(APPLIED, &value)?,
+            None => Applied { journal: 0, offset: 0, sum: 0 },
+        };
+        let live = Self { db, applied, waiting: Changes::new() };
+        let sum =
+            live.db.scan(&[])?.iter().fold(0, |sum: u64, (key, value)| sum.wrapping_add(hash(key, value)));
+        if sum != applied.sum {
+            return Err(StoreError::View { what: "its entries do not add up".to_owned() });
+        }
+        Ok(live)
+    }
+
+    /// Applies what the journal holds beyond it.
+    fn caught_up(mut self, journal: &Journal) -> Result<Self, StoreError> {
+        if self.applied == (Applied { journal: 0, offset: 0, sum: 0 }) {
+            self.applied = Applied { journal: journal.id(), offset: HEADER_BYTES, sum: 0 };
+        }
+        if self.applied.journal != journal.id() {
+            return Err(StoreError::View { what: "it was made from another journal".to_owned() });
+        }
+        let mut end = self.applied.offset;
+        let reached = journal.replay(self.applied.offset, |payload, frame_end| {
+            let events: Vec<Event> = serde_json::from_slice(payload)
+                .map_err(|e| StoreError::Unreadable { before: frame_end, what: e.to_string() })?;
+            let mut staged = std::mem::take(&mut self.waiting);
+            for event in &events {
+                rules::stage(event, &self.db, &mut staged)?;
+            }
+            end = frame_end;
+            self.waiting = staged;
+            if self.waiting.len() >= REBUILD_KEYS { self.apply(end) } else { Ok(()) }
+        })?;
+        if !reached {
+            let what =
+                format!("it stands for {} bytes of a journal of {}", self.applied.offset, journal.end());
+            return Err(StoreError::View { what });
+        }
+        self.apply(end)?;
+        Ok(self)
+    }
+
+    /// Takes in what a frame that ends at `end` changed. sled may refuse; nothing is lost by that.
+    fn take(&mut self, changes: Changes, end: u64) {
+        self.waiting.extend(changes);
+        if let Err(error) = self.apply(end) {
+            tracing::warn!(
+                %error, keys = self.waiting.len(),
+                "the store's view refused a change; it is durable in the journal and kept in memory until the view takes it"
+            );
+        }
+    }
+
+    /// Hands what waits to sled, in one batch with what it then stands for.
+    fn apply(&mut self, end: u64) -> Result<(), StoreError> {
+        if self.waiting.is_empty() && self.applied.offset == end {
+            return Ok(());
+        }
+        let mut applied = Applied { offset: end, ..self.applied };
+        let mut batch = sled::Batch::default();
+        for (key, value) in &self.waiting {
+            if let Some(old) = self.db.get(key)? {
+                applied.sum = applied.sum.wrapping_sub(hash(key, &old));
+            }
+            match value {
+                Some(value) => {
+                    applied.sum = applied.sum.wrapping_add(hash(key, value));
+                    batch.insert(key.as_slice(), value.as_slice());
+                }
+                None => batch.remove(key.as_slice()),
+            }
+        }
+        batch.insert(APPLIED, encode(APPLIED, &applied)?);
+        guarded(|| self.db.apply_batch(batch))?;
+        self.applied = applied;
+        self.waiting.clear();
+        Ok(())
+    }
+}
+
+fn hash(key: &[u8], value: &[u8]) -> u64 {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&(key.len() as u64).to_le_bytes()).update(key).update(value);
+    let [a, b, c, d, e, f, g, h, ..] = *hasher.finalize().as_bytes();
+    u64::from_le_bytes([a, b, c, d, e, f, g, h])
+}
+
+/// Calls sled. On damaged files it panics in places where it should return an error.
+fn guarded<T>(call: impl FnOnce() -> sled::Result<T>) -> Result<T, StoreError> {
+    match catch_unwind(AssertUnwindSafe(call)) {
+        Ok(result) => result.map_err(|e| StoreError::View { what: e.to_string() }),
+        Err(_) => Err(StoreError::View { what: "sled panicked".to_owned() }),
+    }
+}
+
+fn fault(doing: &'static str, path: &Path) -> impl Fn(std::io::Error) -> StoreError {
+    let path = path.to_owned();
+    move |source| StoreError::Io { doing, path: path.clone(), source: Arc::new(source) }
+}
+
+/// Takes the directory's lock, which the system releases when the process ends, however it ends.
+fn lock(path: &Path) -> Result<File, StoreError> {
+    let mut file = OpenOptions::new()
+        .read(true)
+        .write(true)
+        .create(true)
+        .truncate(false)
+        .open(path)
+        .map_err(fault("open", path))?;
+    match file.try_lock() {
+        Ok(()) => {}
+        Err(TryLockError::WouldBlock) => {
+            let mut pid = String::new();
+            // Only for the message; its holder may not have written it yet.
+            let known = file.read_to_string(&mut pid).is_ok() && !pid.trim().is_empty();
+            let pid = if known { pid.trim().to_owned() } else { "not known".to_owned() };
+            return Err(StoreError::InUse { path: path.to_owned(), pid });
+        }
+        Err(TryLockError::Error(source)) => return Err(fault("lock", path)(source)),
+    }
+    file.set_len(0)
+        .and_then(|()| file.write_all(std::process::id().to_string().as_bytes()))
+        .map_err(fault("write", path))?;
+    Ok(file)
+}
+
+/// Moves a broken view out of the way, for a person to look at or delete.
+fn move_aside(view: &Path) -> Result<PathBuf, StoreError> {
+    let mut number = 1_u32;
+    let aside = loop {
+        let aside = view.with_extension(format!("broken-{number}"));
+        if !aside.exists() {
+            break aside;
+        }
+        number += 1;
+    };
+    std::fs::rename(view, &aside).map_err(fault("move aside", view))?;
+    Ok(aside)
+}
