@@ -5,7 +5,13 @@
 
 pub mod error;
 pub mod exact;
+#[doc(hidden)]
+pub mod fuzzing;
+pub mod load;
+pub mod ply_out;
 pub mod scene;
 
 pub use error::SceneError;
+pub use load::{load, load_bytes};
+pub use ply_out::write_mesh_ply;
 pub use scene::{Aabb, Object, Scene, SceneDigest, Triangle};
