@@ -7,8 +7,14 @@ pub mod clusters;
 pub mod error;
 pub mod exact;
 pub mod overlap;
+#[doc(hidden)]
+pub mod fuzzing;
+pub mod load;
+pub mod ply_out;
 pub mod scene;
 pub mod topology;
 
 pub use error::SceneError;
+pub use load::{load, load_bytes};
+pub use ply_out::write_mesh_ply;
 pub use scene::{Aabb, Object, Scene, SceneDigest, Triangle};

@@ -1,0 +1,249 @@
+//! Accessors: typed elements in a buffer view, checked once so that reading an element cannot fail.
+//!
+//! Elements are decoded where they are used and never copied into arrays of their own: many primitives may share one
+//! accessor, and what a scene keeps is its triangles.
+
+use super::buffers::Buffers;
+use super::nodes::Draw;
+use super::primitive::{Use, uses};
+use super::sparse::Overlay;
+use super::{EXPORT_AGAIN, QUANTIZATION, Source, json};
+use crate::SceneError;
+
+/// What an accessor is used for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Role {
+    Positions = 0,
+    Indices = 1,
+}
+
+/// The type of a component (glTF 2.0, section 3.6.2.2).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Component {
+    I8,
+    U8,
+    I16,
+    U16,
+    U32,
+    F32,
+}
+
+impl Component {
+    pub(super) fn from_number(n: u32) -> Option<Self> {
+        Some(match n {
+            5120 => Self::I8,
+            5121 => Self::U8,
+            5122 => Self::I16,
+            5123 => Self::U16,
+            5125 => Self::U32,
+            5126 => Self::F32,
+            _ => return None,
+        })
+    }
+
+    pub(super) fn size(self) -> u64 {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::U32 | Self::F32 => 4,
+        }
+    }
+
+    /// The unsigned number in the first bytes of `b`; 0 for types that are no index.
+    pub(super) fn unsigned(self, b: &[u8]) -> u64 {
+        match (self, b) {
+            (Self::U8, &[a, ..]) => u64::from(a),
+            (Self::U16, &[a, b, ..]) => u64::from(u16::from_le_bytes([a, b])),
+            (Self::U32, &[a, b, c, d, ..]) => u64::from(u32::from_le_bytes([a, b, c, d])),
+            _ => 0,
+        }
+    }
+
+    /// Component `i` of an element, as a number; normalised integers as in glTF 2.0, section 3.6.2.2.
+    fn number(self, b: &[u8], i: usize, normalized: bool) -> f64 {
+        let b = b.get(i * self.size() as usize..).unwrap_or_default();
+        let scaled = |v: f64, max: f64| if normalized { (v / max).max(-1.0) } else { v };
+        match (self, b) {
+            (Self::I8, &[a, ..]) => scaled(f64::from(a as i8), 127.0),
+            (Self::U8, &[a, ..]) => scaled(f64::from(a), 255.0),
+            (Self::I16, &[a, b, ..]) => scaled(f64::from(i16::from_le_bytes([a, b])), 32767.0),
+            (Self::U16, &[a, b, ..]) => scaled(f64::from(u16::from_le_bytes([a, b])), 65535.0),
+            (Self::F32, &[a, b, c, d, ..]) => f64::from(f32::from_le_bytes([a, b, c, d])),
+            // `Accessor::new` lets no other type be a position, nor an element be shorter than its type.
+            _ => f64::NAN,
+        }
+    }
+}
+
+/// A checked accessor.
+pub(super) struct Accessor<'a> {
+    /// The elements from the first on; `None` means that all are zero.
+    base: Option<&'a [u8]>,
+    stride: usize,
+    size: usize,
+    count: u64,
+    component: Component,
+    normalized: bool,
+    sparse: Option<Overlay<'a>>,
+}
+
+impl<'a> Accessor<'a> {
+    fn new(
+        source: &Source<'_>,
+        root: &json::Root,
+        buffers: &'a Buffers<'_>,
+        used: Use,
+    ) -> Result<Self, SceneError> {
+        let a = &root.accessors[used.accessor];
+        let label = format!("mesh {}, primitive {}, accessor {}", used.mesh, used.primitive, used.accessor);
+        let bad = |why: String| source.bad(label.as_str(), why);
+        let Some(component) = Component::from_number(a.component_type) else {
+            return Err(bad(format!("its component type {} is unknown", a.component_type)));
+        };
+        check_type(source, root, &label, a, component, used.role)?;
+        let size = component.size() * if used.role == Role::Positions { 3 } else { 1 };
+        let mut stride = size;
+        let base = match a.buffer_view {
+            None if a.count > buffers.size() => {
+                return Err(bad(format!("it has {} elements but no buffer view to hold them", a.count)));
+            }
+            None => None,
+            Some(v) => {
+                let bytes = buffers.view(source, root, v)?;
+                // A compressed view is as wide as what it was compressed from.
+                stride = root.buffer_views[v].byte_stride.filter(|s| *s != 0).unwrap_or(size);
+                if stride < size {
+                    return Err(bad(format!("its view's stride of {stride} bytes is less than an element's {size}")));
+                }
+                let end = match a.count {
+                    0 => Some(a.byte_offset),
+                    n => (n - 1).checked_mul(stride).and_then(|l| l.checked_add(size)?.checked_add(a.byte_offset)),
+                };
+                if end.is_none_or(|e| e > bytes.len() as u64) {
+                    let reason = format!(
+                        "{} elements from byte {} reach beyond buffer view {v} of {} bytes",
+                        a.count,
+                        a.byte_offset,
+                        bytes.len()
+                    );
+                    return Err(bad(reason));
+                }
+                Some(&bytes[a.byte_offset as usize..])
+            }
+        };
+        let sparse = match &a.sparse {
+            None => None,
+            Some(s) => Some(Overlay::new(source, root, buffers, &label, s, a.count, size)?),
+        };
+        // Stride and size fit: with two elements or more the stride is below the view's length, else it is not used.
+        let stride = usize::try_from(stride).unwrap_or(0);
+        Ok(Self { base, stride, size: size as usize, count: a.count, component, normalized: a.normalized, sparse })
+    }
+
+    /// Number of elements.
+    pub(super) fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// The bytes of element `i`; empty when it is zero.
+    fn element(&self, i: u64) -> &[u8] {
+        if let Some(b) = self.sparse.as_ref().and_then(|s| s.get(i)) {
+            return b;
+        }
+        let Some(base) = self.base else { return &[] };
+        // Checked in `new` for every i below the count.
+        let at = i as usize * self.stride;
+        base.get(at..at + self.size).unwrap_or_default()
+    }
+
+    /// Element `i` as a position, in the units of the mesh.
+    pub(super) fn position(&self, i: u64) -> [f64; 3] {
+        let b = self.element(i);
+        if b.is_empty() {
+            return [0.0; 3];
+        }
+        [0, 1, 2].map(|c| self.component.number(b, c, self.normalized))
+    }
+
+    /// Element `i` as an index.
+    pub(super) fn index(&self, i: u64) -> u64 {
+        self.component.unsigned(self.element(i))
+    }
+
+    /// The index value that would mean primitive restart, which glTF forbids.
+    pub(super) fn restart(&self) -> u64 {
+        match self.component {
+            Component::U8 => 0xff,
+            Component::U16 => 0xffff,
+            _ => 0xffff_ffff,
+        }
+    }
+}
+
+/// Refuses types that the role does not allow.
+fn check_type(
+    source: &Source<'_>,
+    root: &json::Root,
+    label: &str,
+    a: &json::Accessor,
+    component: Component,
+    role: Role,
+) -> Result<(), SceneError> {
+    use Component::{F32, I8, I16, U8, U16, U32};
+    let shape = if role == Role::Positions { "VEC3" } else { "SCALAR" };
+    if a.shape != shape {
+        let given: String = a.shape.chars().take(20).collect();
+        return Err(source.bad(label, format!("its type is {given}, and must be {shape}")));
+    }
+    match (role, component) {
+        (Role::Indices, U8 | U16 | U32) if !a.normalized => Ok(()),
+        (Role::Indices, _) => Err(source.bad(label, "indices must be unsigned integers, not normalised")),
+        (Role::Positions, F32) => Ok(()),
+        (Role::Positions, I8 | U8 | I16 | U16) => {
+            let declared = root.extensions_used.iter().chain(&root.extensions_required);
+            if declared.into_iter().any(|e| e == QUANTIZATION) {
+                return Ok(());
+            }
+            let reason = format!("its positions are integers, but the file does not declare {QUANTIZATION}");
+            Err(SceneError::bad(source.file, label, reason, EXPORT_AGAIN))
+        }
+        (Role::Positions, U32) => Err(source.bad(label, "positions cannot be 32-bit integers")),
+    }
+}
+
+/// The accessors that drawn geometry needs, by role and number.
+pub(super) struct Accessors<'a> {
+    by_role: [Vec<Option<Accessor<'a>>>; 2],
+    none: Accessor<'a>,
+}
+
+impl<'a> Accessors<'a> {
+    /// Checks every accessor that `draws` need.
+    pub(super) fn resolve(
+        source: &Source<'_>,
+        root: &json::Root,
+        buffers: &'a Buffers<'_>,
+        draws: &[Draw],
+    ) -> Result<Self, SceneError> {
+        let slots = || root.accessors.iter().map(|_| None).collect::<Vec<_>>();
+        let mut by_role = [slots(), slots()];
+        for used in uses(source, root, draws)? {
+            by_role[used.role as usize][used.accessor] = Some(Accessor::new(source, root, buffers, used)?);
+        }
+        let none = Accessor {
+            base: None,
+            stride: 0,
+            size: 0,
+            count: 0,
+            component: Component::U8,
+            normalized: false,
+            sparse: None,
+        };
+        Ok(Self { by_role, none })
+    }
+
+    /// Accessor `number`, which [`uses`] must have named; an empty one otherwise.
+    pub(super) fn get(&self, role: Role, number: usize) -> &Accessor<'a> {
+        self.by_role[role as usize].get(number).and_then(Option::as_ref).unwrap_or(&self.none)
+    }
+}

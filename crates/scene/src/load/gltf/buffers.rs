@@ -1,0 +1,232 @@
+//! The bytes of the buffers and buffer views that the geometry needs, from the file itself, data URIs or files beside it.
+//!
+//! Only buffers that a drawn primitive reaches are read: a missing texture does not stop a bake. No address leaves the
+//! directory of the scene, and nothing is fetched from a network.
+
+use std::borrow::Cow;
+use std::path::{Component, Path, PathBuf};
+
+use base64::Engine;
+
+use super::nodes::Draw;
+use super::{Source, json, meshopt, primitive};
+use crate::SceneError;
+use crate::load::read_file;
+
+/// The buffers and the decoded views that are needed; the others stay empty.
+pub(super) struct Buffers<'a> {
+    data: Vec<Option<Cow<'a, [u8]>>>,
+    decoded: Vec<Option<Vec<u8>>>,
+    /// Bytes of the document and all buffers read: a bound for what may be made out of nothing.
+    size: u64,
+}
+
+impl<'a> Buffers<'a> {
+    /// Reads what `draws` need. `binary` is the BIN chunk of a GLB, which is buffer 0 when that has no address.
+    pub(super) fn read(
+        source: &Source<'_>,
+        root: &json::Root,
+        text: &[u8],
+        binary: Option<&'a [u8]>,
+        draws: &[Draw],
+    ) -> Result<Self, SceneError> {
+        let mut wanted = vec![false; root.buffer_views.len()];
+        for a in primitive::uses(source, root, draws)?.into_iter().map(|u| u.accessor) {
+            let accessor = &root.accessors[a];
+            let sparse = accessor.sparse.as_ref();
+            let views = [
+                accessor.buffer_view,
+                sparse.map(|s| s.indices.buffer_view),
+                sparse.map(|s| s.values.buffer_view),
+            ];
+            for v in views.into_iter().flatten() {
+                match wanted.get_mut(v) {
+                    Some(w) => *w = true,
+                    None => {
+                        let reason = format!("it names buffer view {v} of {}", wanted.len());
+                        return Err(source.bad(format!("accessor {a}"), reason));
+                    }
+                }
+            }
+        }
+        let mut this = Self {
+            data: root.buffers.iter().map(|_| None).collect(),
+            decoded: root.buffer_views.iter().map(|_| None).collect(),
+            size: text.len() as u64,
+        };
+        for v in (0..wanted.len()).filter(|v| wanted[*v]) {
+            let view = &root.buffer_views[v];
+            let packed = view.extensions.as_ref().and_then(|e| e.meshopt.as_deref());
+            let buffer = packed.map_or(view.buffer, |m| m.buffer);
+            let Some(b) = root.buffers.get(buffer) else {
+                let reason = format!("it names buffer {buffer} of {}", root.buffers.len());
+                return Err(source.bad(format!("buffer view {v}"), reason));
+            };
+            if this.data[buffer].is_none() {
+                let bytes = one_buffer(source, buffer, b, binary)?;
+                this.size += bytes.len() as u64;
+                this.data[buffer] = Some(bytes);
+            }
+            if let Some(m) = packed {
+                let bytes = this.range(source, v, buffer, m.byte_offset, m.byte_length)?;
+                let decoded = meshopt::decode(m, bytes)
+                    .map_err(|why| source.bad(format!("buffer view {v}, EXT_meshopt_compression"), why))?;
+                this.decoded[v] = Some(decoded);
+            }
+        }
+        Ok(this)
+    }
+
+    /// The bytes of view `v`, which must be one that was wanted.
+    pub(super) fn view(&self, source: &Source<'_>, root: &json::Root, v: usize) -> Result<&[u8], SceneError> {
+        let Some(view) = root.buffer_views.get(v) else {
+            return Err(source.bad(format!("buffer view {v}"), "there is no such buffer view"));
+        };
+        match &self.decoded[v] {
+            Some(bytes) => Ok(bytes),
+            None => self.range(source, v, view.buffer, view.byte_offset, view.byte_length),
+        }
+    }
+
+    /// Bytes of the document and all buffers read.
+    pub(super) fn size(&self) -> u64 {
+        self.size
+    }
+
+    fn range(
+        &self,
+        source: &Source<'_>,
+        v: usize,
+        buffer: usize,
+        offset: u64,
+        length: u64,
+    ) -> Result<&[u8], SceneError> {
+        let bytes = self.data.get(buffer).and_then(|b| b.as_deref()).unwrap_or_default();
+        let end = offset.checked_add(length).filter(|e| *e <= bytes.len() as u64);
+        match end {
+            // Both are at most the length of a slice.
+            Some(end) => Ok(&bytes[offset as usize..end as usize]),
+            None => Err(source.bad(
+                format!("buffer view {v}"),
+                format!("bytes {offset} + {length} reach beyond buffer {buffer} of {} bytes", bytes.len()),
+            )),
+        }
+    }
+}
+
+/// The bytes of one buffer, as many as it announces.
+fn one_buffer<'a>(
+    source: &Source<'_>,
+    number: usize,
+    buffer: &json::Buffer,
+    binary: Option<&'a [u8]>,
+) -> Result<Cow<'a, [u8]>, SceneError> {
+    let element = format!("buffer {number}");
+    let bytes: Cow<'a, [u8]> = match &buffer.uri {
+        None => match binary {
+            Some(b) if number == 0 => Cow::Borrowed(b),
+            _ => return Err(source.bad(element, "it has no uri and is not the binary chunk of a GLB")),
+        },
+        Some(uri) => match uri.strip_prefix("data:") {
+            Some(data) => Cow::Owned(decode_data(data).map_err(|why| source.bad(element.as_str(), why))?),
+            None => Cow::Owned(beside(source, &element, uri, buffer.byte_length)?),
+        },
+    };
+    let have = bytes.len() as u64;
+    if have < buffer.byte_length {
+        let reason = format!("it announces {} bytes, but {have} are there (truncated?)", buffer.byte_length);
+        return Err(source.bad(element, reason));
+    }
+    let wanted = buffer.byte_length as usize;
+    Ok(match bytes {
+        Cow::Borrowed(b) => Cow::Borrowed(&b[..wanted]),
+        Cow::Owned(mut b) => {
+            b.truncate(wanted);
+            Cow::Owned(b)
+        }
+    })
+}
+
+/// The bytes of a data URI, after `data:`.
+fn decode_data(rest: &str) -> Result<Vec<u8>, String> {
+    let Some((head, data)) = rest.split_once(',') else {
+        return Err("its data URI has no comma".to_owned());
+    };
+    if !head.ends_with(";base64") {
+        return Err("its data URI is not base64".to_owned());
+    }
+    // Some exporters leave out the padding.
+    base64::engine::GeneralPurpose::new(
+        &base64::alphabet::STANDARD,
+        base64::engine::GeneralPurposeConfig::new()
+            .with_decode_padding_mode(base64::engine::DecodePaddingMode::Indifferent),
+    )
+    .decode(data)
+    .map_err(|e| format!("its base64 cannot be decoded: {e}"))
+}
+
+/// At most `limit` bytes of the file `uri` names relative to the scene.
+fn beside(source: &Source<'_>, element: &str, uri: &str, limit: u64) -> Result<Vec<u8>, SceneError> {
+    let shown: String = uri.chars().take(80).collect();
+    let refuse = |reason: String, remedy: &str| SceneError::bad(source.file, element, reason, remedy);
+    let Some(path) = relative_path(uri) else {
+        return Err(refuse(
+            format!("its uri \"{shown}\" is not a plain path below the directory of the scene"),
+            "put the buffer beside the scene, or export as GLB",
+        ));
+    };
+    let Some(base) = source.base_dir else {
+        return Err(refuse(
+            format!("its uri \"{shown}\" names another file, and this scene did not come from a directory"),
+            "export as GLB, which holds everything in one file",
+        ));
+    };
+    read_file(&base.join(path), limit).map_err(|e| match e {
+        SceneError::Io { path, source: why } => refuse(
+            format!("{} cannot be read: {why}", path.display()),
+            "put the buffer beside the scene, or export as GLB",
+        ),
+        other => other,
+    })
+}
+
+/// A percent-encoded relative reference as a path that stays below where it starts; `None` for anything else.
+fn relative_path(uri: &str) -> Option<PathBuf> {
+    let mut bytes = Vec::with_capacity(uri.len());
+    let mut rest = uri.as_bytes();
+    while let Some((&b, tail)) = rest.split_first() {
+        rest = tail;
+        if b == b'%' {
+            let hex = std::str::from_utf8(tail.get(..2)?).ok()?;
+            bytes.push(u8::from_str_radix(hex, 16).ok()?);
+            rest = &tail[2..];
+        } else {
+            bytes.push(b);
+        }
+    }
+    let text = String::from_utf8(bytes).ok()?;
+    // A colon is a scheme or a drive, a backslash a separator on some systems only.
+    if text.is_empty() || text.contains([':', '\\', '\0']) {
+        return None;
+    }
+    let path = Path::new(&text);
+    let plain = path.components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir));
+    plain.then(|| path.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_stay_below_the_scene() {
+        assert_eq!(relative_path("a%20b/c.bin"), Some(PathBuf::from("a b/c.bin")));
+        assert_eq!(relative_path("./c.bin"), Some(PathBuf::from("./c.bin")));
+        for bad in [
+            "", "/etc/passwd", "../c.bin", "a/../../c", "%2e%2e/c", "%2Fetc", "http://x/c", "C:c", "a\\c", "%zz", "%0",
+            "a%00",
+        ] {
+            assert_eq!(relative_path(bad), None, "{bad}");
+        }
+    }
+}

@@ -1,0 +1,199 @@
+//! glTF 2.0, as JSON or in its binary container: the triangles of the default scene with node transforms applied.
+//!
+//! One object a (node, primitive), in the order nodes are met depth first; primitives that are points or lines, or have
+//! no POSITION, are objects of no triangles, so that object numbers follow the file. Skins and morph targets are not
+//! applied: the scene is the mesh as stored, where its node puts it. Winding is kept even when a transform mirrors.
+//!
+//! Only the few JSON fields needed are read, into structures of our own (`json`). The `gltf` crate models and validates
+//! the whole document, so that a fault in a material would refuse a scene; and every range and count would have to be
+//! checked again here, before use, for errors that name mesh, primitive and accessor.
+
+mod accessor;
+mod buffers;
+mod json;
+mod meshopt;
+mod nodes;
+mod primitive;
+mod sparse;
+mod transform;
+
+use std::path::Path;
+
+use self::accessor::Accessors;
+use self::buffers::Buffers;
+use super::{EXPORT_AGAIN, Limits, names::Names, too_many_objects, too_many_triangles};
+use crate::{Object, Scene, SceneError};
+
+/// Required extensions that change nothing about which triangles exist. A prefix ends in `_`.
+const HARMLESS: &[&str] = &[
+    "KHR_materials_",
+    "KHR_texture_",
+    "EXT_texture_",
+    "MSFT_texture_dds",
+    "KHR_lights_",
+    "EXT_lights_",
+    "KHR_xmp",
+    "KHR_xmp_json_ld",
+];
+
+/// Required extensions that are implemented here.
+const IMPLEMENTED: &[&str] = &[QUANTIZATION, MESHOPT];
+/// Integer positions.
+const QUANTIZATION: &str = "KHR_mesh_quantization";
+/// Compressed buffer views.
+const MESHOPT: &str = "EXT_meshopt_compression";
+
+/// Reads a `.gltf` file.
+pub(super) fn parse_json(
+    file: &str,
+    bytes: &[u8],
+    base_dir: Option<&Path>,
+    limits: &Limits,
+) -> Result<Scene, SceneError> {
+    build(&Source { file, base_dir, limits }, bytes, None)
+}
+
+/// Reads a `.glb` file: a header, a chunk of JSON and at most one chunk of binary data that buffer 0 means.
+/// Bytes after the length the header gives are not part of the file, as the format has it.
+pub(super) fn parse_glb(
+    file: &str,
+    bytes: &[u8],
+    base_dir: Option<&Path>,
+    limits: &Limits,
+) -> Result<Scene, SceneError> {
+    let bad = |element: &str, reason: String| SceneError::bad(file, element, reason, EXPORT_AGAIN);
+    let word = |at: usize| bytes.get(at..)?.first_chunk::<4>().map(|b| u32::from_le_bytes(*b));
+    let (Some(version), Some(length)) = (word(4), word(8)) else {
+        return Err(bad("GLB header", "the file ends within it".to_owned()));
+    };
+    if version != 2 {
+        return Err(bad("GLB header", format!("its version is {version}, and must be 2")));
+    }
+    let Some(bytes) = bytes.get(..length as usize) else {
+        let reason = format!("it announces {length} bytes, but the file has {}", bytes.len());
+        return Err(bad("GLB header", reason));
+    };
+    let mut json = None;
+    let mut binary = None;
+    let mut at = 12;
+    for chunk in 0.. {
+        let Some(head) = bytes.get(at..).and_then(|b| b.first_chunk::<8>()) else { break };
+        let [l0, l1, l2, l3, kind @ ..] = *head;
+        let len = u32::from_le_bytes([l0, l1, l2, l3]) as usize;
+        at += 8;
+        let Some(data) = at.checked_add(len).and_then(|end| bytes.get(at..end)) else {
+            let reason = format!("it announces {len} bytes, but {} are left", bytes.len() - at);
+            return Err(bad(&format!("GLB chunk {chunk}"), reason));
+        };
+        match (chunk, &kind) {
+            (0, b"JSON") => json = Some(data),
+            (1, b"BIN\0") => binary = Some(data),
+            // The format asks readers to step over chunks they do not know.
+            _ => {}
+        }
+        at += len;
+    }
+    let json = json.ok_or_else(|| bad("GLB chunk 0", "it is not the JSON chunk".to_owned()))?;
+    build(&Source { file, base_dir, limits }, json, binary)
+}
+
+/// What every part of the reader needs to know.
+struct Source<'a> {
+    file: &'a str,
+    base_dir: Option<&'a Path>,
+    limits: &'a Limits,
+}
+
+impl Source<'_> {
+    fn bad(&self, element: impl Into<String>, reason: impl Into<String>) -> SceneError {
+        SceneError::bad(self.file, element, reason, EXPORT_AGAIN)
+    }
+}
+
+fn build(source: &Source<'_>, json: &[u8], binary: Option<&[u8]>) -> Result<Scene, SceneError> {
+    let json = json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(json);
+    let root: json::Root =
+        serde_json::from_slice(json).map_err(|e| source.bad("glTF JSON", e.to_string()))?;
+    check_version(source, &root)?;
+    check_extensions(source, &root)?;
+
+    let draws = nodes::walk(source, &root)?;
+    let buffers = Buffers::read(source, &root, json, binary, &draws)?;
+    let accessors = Accessors::resolve(source, &root, &buffers, &draws)?;
+
+    // Count first, so that the triangles are allocated once and never beyond the limit.
+    let mut total = 0u64;
+    let mut objects = Vec::new();
+    let mut names = Names::default();
+    for draw in &draws {
+        for p in 0..root.meshes[draw.mesh].primitives.len() {
+            if objects.len() >= source.limits.objects as usize {
+                return Err(too_many_objects(source.file, primitive::label(draw, p), source.limits));
+            }
+            let count = primitive::count(source, &root, &accessors, draw, p)?;
+            let first = total;
+            total = total.saturating_add(count);
+            if total > u64::from(source.limits.triangles) {
+                return Err(too_many_triangles(source.file, primitive::label(draw, p), source.limits));
+            }
+            let name = names.unique(object_name(&root, draw, p));
+            // Both are at most `limits.triangles`, a u32.
+            objects.push(Object { name, first: first as u32, count: count as u32 });
+        }
+    }
+    let mut triangles = Vec::new();
+    triangles.try_reserve_exact(total as usize).map_err(|_| {
+        SceneError::bad(source.file, "scene", format!("{total} triangles do not fit in memory"), "split the scene")
+    })?;
+    for draw in &draws {
+        for p in 0..root.meshes[draw.mesh].primitives.len() {
+            primitive::append(source, &root, &accessors, draw, p, &mut triangles)?;
+        }
+    }
+    Scene::new(source.file, triangles, objects)
+}
+
+fn check_version(source: &Source<'_>, root: &json::Root) -> Result<(), SceneError> {
+    let asset = &root.asset;
+    // minVersion, where given, is what a reader must understand; else version's major number decides.
+    let supported = match &asset.min_version {
+        Some(min) => min == "2.0",
+        None => asset.version.split('.').next() == Some("2"),
+    };
+    if supported {
+        return Ok(());
+    }
+    let asked = asset.min_version.as_ref().unwrap_or(&asset.version);
+    let shown: String = asked.chars().take(20).collect();
+    let reason = format!("it needs glTF {shown}, and 2.0 is what is understood");
+    Err(SceneError::bad(source.file, "asset", reason, "export it again as glTF 2.0"))
+}
+
+fn check_extensions(source: &Source<'_>, root: &json::Root) -> Result<(), SceneError> {
+    let harmless = |name: &str| {
+        HARMLESS.iter().any(|h| if h.ends_with('_') { name.starts_with(h) } else { name == *h })
+    };
+    for name in &root.extensions_required {
+        if !IMPLEMENTED.contains(&name.as_str()) && !harmless(name) {
+            let shown: String = name.chars().take(80).collect();
+            return Err(SceneError::bad(
+                source.file,
+                "extensionsRequired",
+                format!("it needs the extension {shown}, which is not supported"),
+                format!("export it again without {shown}"),
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// `node/mesh#primitive`, with numbers for what has no name.
+fn object_name(root: &json::Root, draw: &nodes::Draw, p: usize) -> String {
+    let or_number = |name: &Option<String>, what: &str, number: usize| match name {
+        Some(n) if !n.is_empty() => n.clone(),
+        _ => format!("{what}{number}"),
+    };
+    let node = or_number(&root.nodes[draw.node].name, "node", draw.node);
+    let mesh = or_number(&root.meshes[draw.mesh].name, "mesh", draw.mesh);
+    format!("{node}/{mesh}#{p}")
+}

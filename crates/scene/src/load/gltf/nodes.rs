@@ -1,0 +1,70 @@
+//! The nodes of the default scene, depth first in file order, with their transforms to world space.
+
+use glam::DAffine3;
+
+use super::{Source, json, transform};
+use crate::SceneError;
+
+/// A mesh and where a node puts it.
+#[derive(Debug)]
+pub(super) struct Draw {
+    pub(super) node: usize,
+    pub(super) mesh: usize,
+    pub(super) world: DAffine3,
+}
+
+/// All draws of the scene to show: the default one, else the first, else (without scenes) every root node.
+///
+/// An explicit stack, so that depth costs memory in proportion to the file and never the call stack. Each node is
+/// met at most once: the format allows it one parent, which also excludes cycles.
+pub(super) fn walk(source: &Source<'_>, root: &json::Root) -> Result<Vec<Draw>, SceneError> {
+    let roots = roots(source, root)?;
+    let mut met = vec![false; root.nodes.len()];
+    let mut draws = Vec::new();
+    let mut stack: Vec<(usize, DAffine3)> = roots.iter().rev().map(|n| (*n, DAffine3::IDENTITY)).collect();
+    while let Some((n, parent)) = stack.pop() {
+        let element = format!("node {n}");
+        let Some(node) = root.nodes.get(n) else {
+            return Err(source.bad(element, format!("it is named, but there are {} nodes", root.nodes.len())));
+        };
+        if std::mem::replace(&mut met[n], true) {
+            let reason = "it is reached twice: the nodes form a cycle, or it has two parents";
+            return Err(source.bad(element, reason));
+        }
+        let local = transform::local(node).map_err(|why| source.bad(element.as_str(), why))?;
+        let world = if parent == DAffine3::IDENTITY { local } else { parent * local };
+        if !world.is_finite() {
+            return Err(source.bad(element, "its transform, with those of its parents, is not finite"));
+        }
+        if let Some(mesh) = node.mesh {
+            if mesh >= root.meshes.len() {
+                let reason = format!("it names mesh {mesh} of {}", root.meshes.len());
+                return Err(source.bad(element, reason));
+            }
+            draws.push(Draw { node: n, mesh, world });
+        }
+        stack.extend(node.children.iter().rev().map(|c| (*c, world)));
+    }
+    Ok(draws)
+}
+
+/// The nodes to begin with.
+fn roots(source: &Source<'_>, root: &json::Root) -> Result<Vec<usize>, SceneError> {
+    if let Some(scene) = root.scenes.get(root.scene.unwrap_or(0)) {
+        return Ok(scene.nodes.clone());
+    }
+    if let Some(n) = root.scene {
+        return Err(source.bad("scene", format!("it names scene {n} of {}", root.scenes.len())));
+    }
+    let mut is_child = vec![false; root.nodes.len()];
+    for child in root.nodes.iter().flat_map(|n| &n.children) {
+        if let Some(c) = is_child.get_mut(*child) {
+            *c = true;
+        }
+    }
+    let roots: Vec<usize> = (0..root.nodes.len()).filter(|n| !is_child[*n]).collect();
+    if roots.is_empty() && !root.nodes.is_empty() {
+        return Err(source.bad("nodes", "every node is a child of another, so they form a cycle"));
+    }
+    Ok(roots)
+}

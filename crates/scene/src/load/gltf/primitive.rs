@@ -1,0 +1,184 @@
+//! The triangles of one primitive: lists, strips and fans, with or without indices.
+
+use glam::Vec3;
+
+use super::accessor::{Accessor, Accessors, Role};
+use super::nodes::Draw;
+use super::{EXPORT_AGAIN, Source, json, transform};
+use crate::load::REPAIR_VERTEX;
+use crate::{SceneError, Triangle};
+
+/// What a primitive draws (glTF 2.0, section 3.7.2.1).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Mode {
+    /// Points and lines of any kind: no surface.
+    NoSurface,
+    Triangles,
+    Strip,
+    Fan,
+}
+
+/// An accessor that drawn geometry needs, and where it is first needed.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Use {
+    pub(super) accessor: usize,
+    pub(super) role: Role,
+    pub(super) mesh: usize,
+    pub(super) primitive: usize,
+}
+
+/// How a primitive is called in errors.
+pub(super) fn label(draw: &Draw, p: usize) -> String {
+    format!("mesh {}, primitive {p} (at node {})", draw.mesh, draw.node)
+}
+
+/// Every accessor that `draws` need, once for each role, in the order of meshes.
+pub(super) fn uses(source: &Source<'_>, root: &json::Root, draws: &[Draw]) -> Result<Vec<Use>, SceneError> {
+    let mut drawn = vec![false; root.meshes.len()];
+    for d in draws {
+        drawn[d.mesh] = true;
+    }
+    let mut met = [vec![false; root.accessors.len()], vec![false; root.accessors.len()]];
+    let mut uses = Vec::new();
+    for (mesh, m) in root.meshes.iter().enumerate().filter(|(m, _)| drawn[*m]) {
+        for (primitive, p) in m.primitives.iter().enumerate() {
+            let element = || format!("mesh {mesh}, primitive {primitive}");
+            let Some(position) = surface(p).map_err(|why| source.bad(element(), why))? else { continue };
+            for (role, a) in [(Role::Positions, Some(position)), (Role::Indices, p.indices)] {
+                let Some(accessor) = a else { continue };
+                match met[role as usize].get_mut(accessor) {
+                    Some(met) if *met => {}
+                    Some(met) => {
+                        *met = true;
+                        uses.push(Use { accessor, role, mesh, primitive });
+                    }
+                    None => {
+                        let reason = format!("it names accessor {accessor} of {}", root.accessors.len());
+                        return Err(source.bad(element(), reason));
+                    }
+                }
+            }
+        }
+    }
+    Ok(uses)
+}
+
+fn mode(p: &json::Primitive) -> Result<Mode, String> {
+    Ok(match p.mode.unwrap_or(4) {
+        0..=3 => Mode::NoSurface,
+        4 => Mode::Triangles,
+        5 => Mode::Strip,
+        6 => Mode::Fan,
+        other => return Err(format!("its mode is {other}, and modes are 0 to 6")),
+    })
+}
+
+/// The accessor of the positions, when the primitive has a surface at all.
+fn surface(p: &json::Primitive) -> Result<Option<usize>, String> {
+    Ok(if mode(p)? == Mode::NoSurface { None } else { p.attributes.position })
+}
+
+/// How many triangles primitive `p` of the mesh drawn has.
+pub(super) fn count(
+    source: &Source<'_>,
+    root: &json::Root,
+    accessors: &Accessors<'_>,
+    draw: &Draw,
+    p: usize,
+) -> Result<u64, SceneError> {
+    let primitive = &root.meshes[draw.mesh].primitives[p];
+    let bad = |why: String| source.bad(label(draw, p), why);
+    let Some(position) = surface(primitive).map_err(bad)? else { return Ok(0) };
+    let corners = match primitive.indices {
+        Some(i) => accessors.get(Role::Indices, i).count(),
+        None => accessors.get(Role::Positions, position).count(),
+    };
+    match mode(primitive).map_err(bad)? {
+        Mode::NoSurface => Ok(0),
+        Mode::Triangles if corners % 3 == 0 => Ok(corners / 3),
+        Mode::Triangles => Err(bad(format!("its {corners} corners are not a multiple of three"))),
+        Mode::Strip | Mode::Fan if corners >= 3 => Ok(corners - 2),
+        Mode::Strip | Mode::Fan => Err(bad(format!("a strip or fan needs three corners and it has {corners}"))),
+    }
+}
+
+/// Appends the triangles of primitive `p` of the mesh drawn, in world space.
+pub(super) fn append(
+    source: &Source<'_>,
+    root: &json::Root,
+    accessors: &Accessors<'_>,
+    draw: &Draw,
+    p: usize,
+    out: &mut Vec<Triangle>,
+) -> Result<(), SceneError> {
+    let triangles = count(source, root, accessors, draw, p)?;
+    let primitive = &root.meshes[draw.mesh].primitives[p];
+    let (Some(position), true) = (primitive.attributes.position, triangles > 0) else { return Ok(()) };
+    let corners = Corners {
+        source,
+        draw,
+        p,
+        position,
+        positions: accessors.get(Role::Positions, position),
+        indices: primitive.indices.map(|i| (i, accessors.get(Role::Indices, i))),
+    };
+    let mode = mode(primitive).map_err(|why| source.bad(label(draw, p), why))?;
+    for i in 0..triangles {
+        let [a, b, c] = match mode {
+            Mode::NoSurface => return Ok(()),
+            Mode::Triangles => [3 * i, 3 * i + 1, 3 * i + 2],
+            // Every second triangle of a strip is turned, so that all wind the same way.
+            Mode::Strip => [i, i + 1 + i % 2, i + 2 - i % 2],
+            Mode::Fan => [i + 1, i + 2, 0],
+        };
+        out.push(Triangle { v: [corners.at(a)?, corners.at(b)?, corners.at(c)?] });
+    }
+    Ok(())
+}
+
+/// The corners of a primitive, one after another as the indices give them.
+struct Corners<'a> {
+    source: &'a Source<'a>,
+    draw: &'a Draw,
+    p: usize,
+    position: usize,
+    positions: &'a Accessor<'a>,
+    indices: Option<(usize, &'a Accessor<'a>)>,
+}
+
+impl Corners<'_> {
+    fn at(&self, corner: u64) -> Result<Vec3, SceneError> {
+        let vertex = match self.indices {
+            None => corner,
+            Some((number, indices)) => {
+                let v = indices.index(corner);
+                if v >= self.positions.count() || v == indices.restart() {
+                    return Err(self.bad_index(number, corner, v, indices));
+                }
+                v
+            }
+        };
+        let local = self.positions.position(vertex);
+        let world = transform::apply(&self.draw.world, local);
+        if world.is_finite() { Ok(world) } else { Err(self.bad_vertex(vertex, local)) }
+    }
+
+    fn bad_index(&self, accessor: usize, corner: u64, v: u64, indices: &Accessor<'_>) -> SceneError {
+        let element = format!("{}, accessor {accessor}, index {corner}", label(self.draw, self.p));
+        let mut reason = format!("it names vertex {v} of {}", self.positions.count());
+        if v == indices.restart() {
+            reason.push_str(" (primitive restart is not allowed in glTF)");
+        }
+        SceneError::bad(self.source.file, element, reason, EXPORT_AGAIN)
+    }
+
+    fn bad_vertex(&self, vertex: u64, [x, y, z]: [f64; 3]) -> SceneError {
+        let element = format!("{}, accessor {}, vertex {vertex}", label(self.draw, self.p), self.position);
+        let reason = if x.is_finite() && y.is_finite() && z.is_finite() {
+            format!("its position ({x}, {y}, {z}) is out of range once the node's transform is applied")
+        } else {
+            format!("its position ({x}, {y}, {z}) is not finite")
+        };
+        SceneError::bad(self.source.file, element, reason, REPAIR_VERTEX)
+    }
+}

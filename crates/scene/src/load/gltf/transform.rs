@@ -1,0 +1,50 @@
+//! Affine transforms in `f64`: nodes multiply them, and a vertex is rounded to `f32` once, at the end.
+
+use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
+
+use super::json::Node;
+
+/// The transform of a node relative to its parent, or what is wrong with it.
+///
+/// A matrix must be affine; a rotation is normalised, since exporters round it to `f32` and it is meant to be unit.
+pub(super) fn local(node: &Node) -> Result<DAffine3, String> {
+    let result = match &node.matrix {
+        Some(m) => {
+            if node.translation.is_some() || node.rotation.is_some() || node.scale.is_some() {
+                return Err("it has both a matrix and a translation, rotation or scale".to_owned());
+            }
+            if [m[3], m[7], m[11], m[15]] != [0.0, 0.0, 0.0, 1.0] {
+                return Err("the last row of its matrix is not 0 0 0 1".to_owned());
+            }
+            let column = |i: usize| DVec3::new(m[4 * i], m[4 * i + 1], m[4 * i + 2]);
+            DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }
+        }
+        None => {
+            let rotation = match &node.rotation {
+                None => DQuat::IDENTITY,
+                Some(r) => {
+                    let q = DQuat::from_array(**r);
+                    let length = q.length();
+                    if !(length.is_finite() && length > 1e-6) {
+                        return Err("its rotation is not a unit quaternion".to_owned());
+                    }
+                    q / length
+                }
+            };
+            DAffine3::from_scale_rotation_translation(
+                node.scale.as_ref().map_or(DVec3::ONE, |s| DVec3::from_array(**s)),
+                rotation,
+                node.translation.as_ref().map_or(DVec3::ZERO, |t| DVec3::from_array(**t)),
+            )
+        }
+    };
+    if result.is_finite() { Ok(result) } else { Err("its transform is not finite".to_owned()) }
+}
+
+/// `p` in world space, rounded to `f32`; not finite when the result is out of range.
+///
+/// The identity keeps every bit, the sign of a zero included.
+pub(super) fn apply(world: &DAffine3, p: [f64; 3]) -> Vec3 {
+    let p = DVec3::from_array(p);
+    if *world == DAffine3::IDENTITY { p.as_vec3() } else { world.transform_point3(p).as_vec3() }
+}

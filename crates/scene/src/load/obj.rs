@@ -1,0 +1,252 @@
+//! Wavefront OBJ: `v`, `f`, `o` and `g`; every other statement names something that is not geometry and is skipped.
+//!
+//! Faces keep the order of the file, an n-gon becomes the fan (v0, vi, vi+1), and each run of faces between two `o` or
+//! `g` statements is an object (a run without faces is none). Free-form surfaces (`surf`) are refused, not dropped.
+//!
+//! Our own parser and not the crate `tobj`: that one gives errors without line numbers, regroups faces by material,
+//! and keeps several index arrays a mesh; order, places of errors and memory are what this module is about.
+
+use glam::Vec3;
+
+use super::{EXPORT_AGAIN, Limits, REPAIR_VERTEX, names::Names, too_many_objects, too_many_triangles};
+use crate::{Object, Scene, SceneError, Triangle};
+
+/// A corner that names a vertex further down the file; filled in at the end.
+struct Forward {
+    triangle: usize,
+    corner: usize,
+    vertex: usize,
+    line: usize,
+}
+
+/// What has been read so far.
+struct Reader<'a> {
+    file: &'a str,
+    limits: &'a Limits,
+    vertices: Vec<Vec3>,
+    triangles: Vec<Triangle>,
+    objects: Vec<Object>,
+    forward: Vec<Forward>,
+    names: Names,
+    object: String,
+    group: String,
+    /// Whether the next face opens a new object.
+    opens: bool,
+    /// Corners of the face at hand: the vertex, from 0.
+    face: Vec<usize>,
+}
+
+/// Reads an OBJ file.
+pub(super) fn parse(file: &str, bytes: &[u8], limits: &Limits) -> Result<Scene, SceneError> {
+    let mut r = Reader {
+        file,
+        limits,
+        vertices: Vec::new(),
+        triangles: Vec::new(),
+        objects: Vec::new(),
+        forward: Vec::new(),
+        names: Names::default(),
+        object: String::new(),
+        group: String::new(),
+        opens: true,
+        face: Vec::new(),
+    };
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    // Very old exporters end lines with a carriage return alone.
+    let end = if bytes.contains(&b'\n') { b'\n' } else { b'\r' };
+    let mut lines = bytes.split(|b| *b == end).enumerate();
+    let mut joined = Vec::new();
+    while let Some((at, line)) = lines.next() {
+        let Some(mut open) = continued(line) else {
+            r.statement(at + 1, line)?;
+            continue;
+        };
+        // A backslash at the end joins the next line to this one.
+        joined.clear();
+        loop {
+            joined.extend_from_slice(open);
+            joined.push(b' ');
+            let Some((_, next)) = lines.next() else { break };
+            match continued(next) {
+                Some(more) => open = more,
+                None => {
+                    joined.extend_from_slice(next);
+                    break;
+                }
+            }
+        }
+        r.statement(at + 1, &joined)?;
+    }
+    r.finish()
+}
+
+/// The line without its continuation mark, if it has one.
+fn continued(line: &[u8]) -> Option<&[u8]> {
+    line.trim_ascii_end().strip_suffix(b"\\").filter(|l| !l.contains(&b'#'))
+}
+
+/// The words of a statement, between white space.
+struct Words<'a>(&'a [u8]);
+
+impl<'a> Iterator for Words<'a> {
+    type Item = &'a [u8];
+
+    fn next(&mut self) -> Option<&'a [u8]> {
+        let text = self.0.trim_ascii_start();
+        let len = text.iter().position(u8::is_ascii_whitespace).unwrap_or(text.len());
+        let (word, rest) = text.split_at(len);
+        self.0 = rest;
+        (len > 0).then_some(word)
+    }
+}
+
+/// A token as it may be shown in a message: short, and whatever its bytes.
+fn show(token: &[u8]) -> String {
+    String::from_utf8_lossy(&token[..token.len().min(40)]).into_owned()
+}
+
+impl Reader<'_> {
+    fn bad(&self, line: usize, reason: impl Into<String>, remedy: &str) -> SceneError {
+        SceneError::bad(self.file, format!("line {line}"), reason, remedy)
+    }
+
+    fn statement(&mut self, line: usize, text: &[u8]) -> Result<(), SceneError> {
+        let text = text.split(|b| *b == b'#').next().unwrap_or_default();
+        let mut words = Words(text);
+        match words.next() {
+            Some(b"v") => self.vertex(line, words),
+            Some(b"f") => self.face(line, words),
+            Some(word @ (b"o" | b"g")) => {
+                let name = text.trim_ascii().strip_prefix(word).unwrap_or_default().trim_ascii();
+                let name = String::from_utf8_lossy(name).into_owned();
+                *(if word == b"o" { &mut self.object } else { &mut self.group }) = name;
+                self.opens = true;
+                Ok(())
+            }
+            Some(b"surf") => Err(self.bad(
+                line,
+                "free-form surfaces are not triangles",
+                "tessellate the surfaces and export again",
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    fn vertex(
+        &mut self,
+        line: usize,
+        mut words: Words<'_>,
+    ) -> Result<(), SceneError> {
+        let mut p = [0.0f32; 3];
+        for (axis, c) in ["x", "y", "z"].iter().zip(&mut p) {
+            let Some(word) = words.next() else {
+                return Err(self.bad(line, format!("the vertex has no {axis}"), EXPORT_AGAIN));
+            };
+            *c = std::str::from_utf8(word).ok().and_then(|w| w.parse().ok()).ok_or_else(|| {
+                self.bad(line, format!("\"{}\" is not a number", show(word)), EXPORT_AGAIN)
+            })?;
+            if !c.is_finite() {
+                let what = format!("vertex {}: its {axis}, {}, is not finite", self.vertices.len(), show(word));
+                return Err(self.bad(line, what, REPAIR_VERTEX));
+            }
+        }
+        self.vertices.push(Vec3::from_array(p));
+        Ok(())
+    }
+
+    fn face(&mut self, line: usize, words: Words<'_>) -> Result<(), SceneError> {
+        self.face.clear();
+        for word in words {
+            let corner = self.corner(line, word)?;
+            self.face.push(corner);
+        }
+        if self.face.len() < 3 {
+            let reason = format!("the face has {} corners", self.face.len());
+            return Err(self.bad(line, reason, "remove faces of fewer than three corners and export again"));
+        }
+        if self.triangles.len() + self.face.len() - 2 > self.limits.triangles as usize {
+            return Err(too_many_triangles(self.file, format!("line {line}"), self.limits));
+        }
+        if self.opens {
+            self.open_object(line)?;
+        }
+        for i in 1..self.face.len() - 1 {
+            let mut v = [Vec3::ZERO; 3];
+            for (corner, &vertex) in [self.face[0], self.face[i], self.face[i + 1]].iter().enumerate() {
+                match self.vertices.get(vertex) {
+                    Some(p) => v[corner] = *p,
+                    None => {
+                        self.forward.push(Forward { triangle: self.triangles.len(), corner, vertex, line });
+                    }
+                }
+            }
+            self.triangles.push(Triangle { v });
+        }
+        Ok(())
+    }
+
+    /// The vertex, from 0, that a corner such as `7`, `7/1`, `7//2`, `7/1/2` or `-1` names. It may lie further down.
+    fn corner(&self, line: usize, word: &[u8]) -> Result<usize, SceneError> {
+        let mut parts = word.split(|b| *b == b'/');
+        let number = parts.next().and_then(|w| std::str::from_utf8(w).ok()).and_then(|w| w.parse::<i64>().ok());
+        let rest_ok = parts.clone().count() <= 2
+            && parts.flatten().all(|&b| b.is_ascii_digit() || matches!(b, b'-' | b'+'));
+        let (Some(number), true) = (number, rest_ok) else {
+            let reason = format!("\"{}\" is not a corner of a face", show(word));
+            return Err(self.bad(line, reason, EXPORT_AGAIN));
+        };
+        let known = self.vertices.len();
+        let index = match number {
+            1.. => usize::try_from(number - 1).ok(),
+            0 => None,
+            // Counted back from the last vertex read.
+            _ => usize::try_from(number.unsigned_abs()).ok().and_then(|back| known.checked_sub(back)),
+        };
+        index.ok_or_else(|| {
+            let reason = format!("the face names vertex {number}, but {known} vertices are known there");
+            self.bad(line, reason, EXPORT_AGAIN)
+        })
+    }
+
+    fn open_object(&mut self, line: usize) -> Result<(), SceneError> {
+        if self.objects.len() >= self.limits.objects as usize {
+            return Err(too_many_objects(self.file, format!("line {line}"), self.limits));
+        }
+        self.close_object();
+        let name = match (self.object.is_empty(), self.group.is_empty()) {
+            (true, true) => "default".to_owned(),
+            (false, true) => self.object.clone(),
+            (true, false) => self.group.clone(),
+            (false, false) => format!("{}/{}", self.object, self.group),
+        };
+        let name = self.names.unique(name);
+        // The number of triangles is below `limits.triangles`, a u32.
+        self.objects.push(Object { name, first: self.triangles.len() as u32, count: 0 });
+        self.opens = false;
+        Ok(())
+    }
+
+    /// Sets the count of the last object to all triangles since its first.
+    fn close_object(&mut self) {
+        if let Some(last) = self.objects.last_mut() {
+            last.count = self.triangles.len() as u32 - last.first;
+        }
+    }
+
+    fn finish(mut self) -> Result<Scene, SceneError> {
+        self.close_object();
+        for f in &self.forward {
+            let Some(p) = self.vertices.get(f.vertex) else {
+                let reason = format!(
+                    "the face names vertex {}, but the file has {}",
+                    f.vertex as u64 + 1,
+                    self.vertices.len()
+                );
+                return Err(self.bad(f.line, reason, EXPORT_AGAIN));
+            };
+            self.triangles[f.triangle].v[f.corner] = *p;
+        }
+        drop(self.vertices);
+        Scene::new(self.file, self.triangles, self.objects)
+    }
+}

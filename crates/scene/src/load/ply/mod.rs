@@ -1,0 +1,227 @@
+//! Stanford PLY, ascii and binary of either byte order: the elements `vertex` (x, y, z) and `face` (`vertex_indices`).
+//!
+//! An n-gon becomes the fan (v0, vi, vi+1); the whole file is one object. Other elements and properties are stepped
+//! over. Triangle strips (`tristrips`) are not read. Our own parser: the crates for PLY build a map per element,
+//! which costs an allocation a face, and a header's count must not decide what is allocated here.
+
+mod header;
+mod value;
+
+use glam::Vec3;
+
+use self::header::{Element, Format, Header, Property};
+use self::value::{Ascii, Binary, Values};
+use super::{EXPORT_AGAIN, Limits, REPAIR_VERTEX, too_many_triangles};
+use crate::{Object, Scene, SceneError, Triangle};
+
+/// Reads a PLY file.
+pub(super) fn parse(file: &str, bytes: &[u8], limits: &Limits) -> Result<Scene, SceneError> {
+    let header = header::read(file, bytes)?;
+    let body = &bytes[header.body..];
+    let mut r = Reader { file, limits, vertices: Vec::new(), triangles: Vec::new() };
+    match header.format {
+        Format::Ascii => r.elements(&header, Ascii::new(body, header.lines))?,
+        Format::BinaryLittle => r.elements(&header, Binary::new(body, false))?,
+        Format::BinaryBig => r.elements(&header, Binary::new(body, true))?,
+    }
+    // The number of triangles is at most `limits.triangles`, a u32.
+    let whole = Object { name: "mesh".to_owned(), first: 0, count: r.triangles.len() as u32 };
+    Scene::new(file, r.triangles, vec![whole])
+}
+
+/// What has been read so far.
+struct Reader<'a> {
+    file: &'a str,
+    limits: &'a Limits,
+    vertices: Vec<Vec3>,
+    triangles: Vec<Triangle>,
+}
+
+impl Reader<'_> {
+    fn bad(&self, at: &str, reason: impl Into<String>, remedy: &str) -> SceneError {
+        SceneError::bad(self.file, at, reason, remedy)
+    }
+
+    fn elements<V: Values>(&mut self, header: &Header, mut values: V) -> Result<(), SceneError> {
+        let mut have_vertices = false;
+        for e in &header.elements {
+            if e.properties.is_empty() {
+                continue;
+            }
+            // Each element takes a known least number of bytes, so the count is checked before anything is done for it.
+            let least: u64 = e.properties.iter().map(|p| values.least_bytes(p)).sum();
+            if e.count.checked_mul(least).is_none_or(|n| n > values.left() as u64 + 1) {
+                let reason = format!(
+                    "the header counts {} of them, which is more than the {} bytes left can hold",
+                    e.count,
+                    values.left()
+                );
+                return Err(self.bad(&format!("element {}", e.name), reason, EXPORT_AGAIN));
+            }
+            match e.name.as_str() {
+                "vertex" => {
+                    self.read_vertices(e, &mut values)?;
+                    have_vertices = true;
+                }
+                "face" if !have_vertices => {
+                    return Err(self.bad(
+                        "header",
+                        "the faces come before the vertices",
+                        "export the file with its vertices first",
+                    ));
+                }
+                "face" => self.read_faces(e, &mut values)?,
+                _ => {
+                    for i in 0..e.count {
+                        for p in &e.properties {
+                            self.skip(e, i, p, &mut values)?;
+                        }
+                    }
+                }
+            }
+        }
+        if !header.elements.iter().any(|e| e.name == "face") {
+            return Err(self.bad(
+                "header",
+                "it has no face element, so no triangles",
+                "export a mesh with faces, not a point cloud or strips",
+            ));
+        }
+        if values.has_rest() {
+            let reason = format!("{} bytes follow the last element the header counts", values.left());
+            return Err(self.bad("end", reason, EXPORT_AGAIN));
+        }
+        Ok(())
+    }
+
+    /// The error for a value that is not there or not a number.
+    fn unreadable<V: Values>(&self, e: &Element, i: u64, p: &Property, values: &V) -> SceneError {
+        let at = format!("{} {i}, property {}", e.name, p.name);
+        self.bad(&at, values.why(), EXPORT_AGAIN)
+    }
+
+    /// The length of the list that comes next; the rest of the file must be able to hold it.
+    fn list_len<V: Values>(
+        &self,
+        e: &Element,
+        i: u64,
+        p: &Property,
+        values: &mut V,
+    ) -> Result<usize, SceneError> {
+        let Some(count) = p.list else { return Ok(1) };
+        let n = values.integer(count).ok_or_else(|| self.unreadable(e, i, p, values))?;
+        let fits = u64::try_from(n).ok().filter(|n| {
+            n.checked_mul(values.least_value_bytes(p.kind)).is_some_and(|b| b <= values.left() as u64 + 1)
+        });
+        match fits {
+            // No more than the bytes left, so it fits a usize.
+            Some(n) => Ok(n as usize),
+            None => {
+                let at = format!("{} {i}, property {}", e.name, p.name);
+                let reason = format!("its list has {n} values, but {} bytes are left", values.left());
+                Err(self.bad(&at, reason, EXPORT_AGAIN))
+            }
+        }
+    }
+
+    fn skip<V: Values>(
+        &self,
+        e: &Element,
+        i: u64,
+        p: &Property,
+        values: &mut V,
+    ) -> Result<(), SceneError> {
+        let n = self.list_len(e, i, p, values)?;
+        values.skip(p.kind, n).ok_or_else(|| self.unreadable(e, i, p, values))
+    }
+
+    fn read_vertices<V: Values>(&mut self, e: &Element, values: &mut V) -> Result<(), SceneError> {
+        for axis in ["x", "y", "z"] {
+            if e.properties.iter().filter(|p| p.name == axis && p.list.is_none()).count() != 1 {
+                let reason = format!("a vertex must have one property {axis} that is a number");
+                return Err(self.bad("element vertex", reason, EXPORT_AGAIN));
+            }
+        }
+        for i in 0..e.count {
+            let mut position = [0.0f32; 3];
+            for p in &e.properties {
+                let axis = match (p.name.as_str(), p.list) {
+                    ("x", None) => 0,
+                    ("y", None) => 1,
+                    ("z", None) => 2,
+                    _ => {
+                        self.skip(e, i, p, values)?;
+                        continue;
+                    }
+                };
+                position[axis] = values.float(p.kind).ok_or_else(|| self.unreadable(e, i, p, values))?;
+            }
+            let v = Vec3::from_array(position);
+            if !v.is_finite() {
+                let reason = format!("its position ({}, {}, {}) is not finite", v.x, v.y, v.z);
+                return Err(self.bad(&format!("vertex {i}"), reason, REPAIR_VERTEX));
+            }
+            self.vertices.push(v);
+        }
+        Ok(())
+    }
+
+    fn read_faces<V: Values>(&mut self, e: &Element, values: &mut V) -> Result<(), SceneError> {
+        let is_indices =
+            |p: &Property| p.list.is_some() && matches!(p.name.as_str(), "vertex_indices" | "vertex_index");
+        match e.properties.iter().filter(|p| is_indices(p)).count() {
+            1 => {}
+            n => {
+                let reason = format!("it has {n} lists called vertex_indices, and must have one");
+                return Err(self.bad("element face", reason, EXPORT_AGAIN));
+            }
+        }
+        for i in 0..e.count {
+            for p in &e.properties {
+                if is_indices(p) { self.read_face(e, i, p, values)? } else { self.skip(e, i, p, values)? }
+            }
+        }
+        Ok(())
+    }
+
+    fn read_face<V: Values>(
+        &mut self,
+        e: &Element,
+        i: u64,
+        p: &Property,
+        values: &mut V,
+    ) -> Result<(), SceneError> {
+        let n = self.list_len(e, i, p, values)?;
+        if n < 3 {
+            let reason = format!("it has {n} corners");
+            let remedy = "remove faces of fewer than three corners and export again";
+            return Err(self.bad(&format!("face {i}"), reason, remedy));
+        }
+        if n - 2 > self.limits.triangles as usize - self.triangles.len() {
+            return Err(too_many_triangles(self.file, format!("face {i}"), self.limits));
+        }
+        let first = self.corner(e, i, p, values)?;
+        let mut last = self.corner(e, i, p, values)?;
+        for _ in 2..n {
+            let next = self.corner(e, i, p, values)?;
+            self.triangles.push(Triangle { v: [first, last, next] });
+            last = next;
+        }
+        Ok(())
+    }
+
+    fn corner<V: Values>(
+        &self,
+        e: &Element,
+        i: u64,
+        p: &Property,
+        values: &mut V,
+    ) -> Result<Vec3, SceneError> {
+        let index = values.integer(p.kind).ok_or_else(|| self.unreadable(e, i, p, values))?;
+        let vertex = usize::try_from(index).ok().and_then(|i| self.vertices.get(i));
+        vertex.copied().ok_or_else(|| {
+            let reason = format!("it names vertex {index} of {}", self.vertices.len());
+            self.bad(&format!("face {i}"), reason, EXPORT_AGAIN)
+        })
+    }
+}

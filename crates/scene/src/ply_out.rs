@@ -1,0 +1,56 @@
+//! Writing a scene as binary little-endian PLY: the triangles exactly as the program sees them, in id order.
+//!
+//! Three own vertices a triangle, so that vertex 3·id + corner is that corner. Objects are not written: PLY has no
+//! word for them.
+
+use std::io::{self, Write};
+
+use crate::Scene;
+
+/// Vertices are gathered into writes of about this many bytes.
+const CHUNK: usize = 1 << 16;
+
+/// Writes `scene` in world space as binary little-endian PLY. Read back, it has the same vertices to the bit.
+///
+/// # Errors
+/// What `out` says, or [`io::ErrorKind::InvalidInput`] when three vertices a triangle are more than 32-bit indices name.
+pub fn write_mesh_ply(scene: &Scene, out: &mut dyn Write) -> io::Result<()> {
+    let faces = scene.len();
+    let Some(vertices) = faces.checked_mul(3) else {
+        let what = format!("{faces} triangles have more vertices than PLY's 32-bit indices can name; split the scene");
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
+    };
+    // Most readers know `int`; `uint` only where it is needed.
+    let index = if i32::try_from(vertices).is_ok() { "int" } else { "uint" };
+    write!(
+        out,
+        "ply\nformat binary_little_endian 1.0\ncomment triangle id = face number; vertex 3*id + corner\n\
+         element vertex {vertices}\nproperty float x\nproperty float y\nproperty float z\n\
+         element face {faces}\nproperty list uchar {index} vertex_indices\nend_header\n"
+    )?;
+    let mut chunk = Vec::with_capacity(CHUNK + 64);
+    for t in scene.triangles() {
+        for c in t.v.iter().flat_map(|v| v.to_array()) {
+            chunk.extend_from_slice(&c.to_le_bytes());
+        }
+        flush_full(&mut chunk, out)?;
+    }
+    for id in 0..faces {
+        chunk.push(3);
+        for corner in 0..3 {
+            // 3·id + corner < `vertices`, which fits.
+            chunk.extend_from_slice(&(3 * id + corner).to_le_bytes());
+        }
+        flush_full(&mut chunk, out)?;
+    }
+    out.write_all(&chunk)
+}
+
+/// Hands the chunk on once it is full.
+fn flush_full(chunk: &mut Vec<u8>, out: &mut dyn Write) -> io::Result<()> {
+    if chunk.len() >= CHUNK {
+        out.write_all(chunk)?;
+        chunk.clear();
+    }
+    Ok(())
+}
