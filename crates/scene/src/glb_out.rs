@@ -187,7 +187,7 @@ mod tests {
             let view = &doc["bufferViews"][number(&accessor["bufferView"])];
             let at = number(&accessor["byteOffset"]);
             let len = number(&accessor["count"]) * size;
-            assert!(at % 4 == 0 && at + len <= number(&view["byteLength"]));
+            assert!(at.is_multiple_of(4) && at + len <= number(&view["byteLength"]));
             &bin[number(&view["byteOffset"]) + at..][..len]
         };
         let (mut triangles, mut objects) = (Vec::new(), Vec::new());
@@ -219,6 +219,9 @@ mod tests {
         for kind in Kind::ALL {
             let scene = generate(kind, &Params { triangles: Some(3_000), ..Params::default() }).unwrap();
             let glb = bytes(&scene);
+            // Another reader's opinion on the structure.
+            let document = gltf::Gltf::from_slice(&glb).unwrap();
+            assert_eq!(document.meshes().len(), scene.objects().len());
             let (triangles, objects) = read(&glb);
             assert!(triangles == scene.triangles() && objects == scene.objects(), "{}", kind.name());
             assert_eq!(glb, bytes(&scene));
@@ -230,7 +233,7 @@ mod tests {
 
     #[test]
     fn odd_names_extreme_numbers_and_signed_zeros_survive() {
-        let v = [[f32::MAX, -0.0, 1e-45], [0.1, 0.0, f32::MIN], [-0.0, 0.0, 16_777_217.0]].map(Vec3::from);
+        let v = [[f32::MAX, -0.0, 1e-45], [0.1, 0.0, f32::MIN], [-0.0, 0.0, 16_777_216.0]].map(Vec3::from);
         let objects = vec![
             Object { name: "a \"quoted\"\n\u{1F332} name".into(), first: 0, count: 1 },
             Object { name: String::new(), first: 1, count: 2 },

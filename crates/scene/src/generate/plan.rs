@@ -1,6 +1,7 @@
 //! A floor plan on a grid: pillars at its corners, walls between them, doors and windows in the walls.
 //!
-//! Walls end at the pillars' faces, so that the solids touch without overlapping.
+//! Walls end at the pillars' faces, so that the solids touch without overlapping and leave no crack. Pillars are
+//! a little thicker than walls, so that no edge of one is an edge of the other and each stays a closed solid.
 
 use glam::Vec3;
 
@@ -59,6 +60,12 @@ impl Plan {
         [middle - self.thickness / 2.0, middle + self.thickness / 2.0]
     }
 
+    /// The same for the pillars on it.
+    fn pillars(&self, axis: usize, k: u32) -> [f32; 2] {
+        let middle = self.origin[axis] + k as f32 * self.cell;
+        [middle - self.thickness * 0.75, middle + self.thickness * 0.75]
+    }
+
     /// The free floor of cell (i, j): least and greatest x and z at floor height.
     pub(super) fn floor(&self, i: u32, j: u32) -> [Vec3; 2] {
         let y = self.origin.y;
@@ -71,14 +78,14 @@ impl Plan {
     pub(super) fn plate(&self, b: &mut Builder, from: f32, to: f32, overhang: f32) {
         let y = self.origin.y;
         let out = Vec3::new(overhang, 0.0, overhang);
-        let min = Vec3::new(self.line(0, 0)[0], y + from, self.line(2, 0)[0]) - out;
-        let max = Vec3::new(self.line(0, self.cols)[1], y + to, self.line(2, self.rows)[1]) + out;
+        let min = Vec3::new(self.pillars(0, 0)[0], y + from, self.pillars(2, 0)[0]) - out;
+        let max = Vec3::new(self.pillars(0, self.cols)[1], y + to, self.pillars(2, self.rows)[1]) + out;
         b.cuboid(min, max);
     }
 
     /// The pillar at grid corner (i, j).
     pub(super) fn pillar(&self, b: &mut Builder, i: u32, j: u32) {
-        let (x, z) = (self.line(0, i), self.line(2, j));
+        let (x, z) = (self.pillars(0, i), self.pillars(2, j));
         let y = [self.origin.y, self.origin.y + self.height];
         b.cuboid(Vec3::new(x[0], y[0], z[0]), Vec3::new(x[1], y[1], z[1]));
     }
@@ -86,7 +93,7 @@ impl Plan {
     /// A wall at `p`.
     pub(super) fn wall(&self, b: &mut Builder, p: Place, wall: Wall, r: &mut Random) {
         let (axes, u, line) = if p.along_z { ([2, 1, 0], p.j, p.i) } else { ([0, 1, 2], p.i, p.j) };
-        let (from, to) = (self.line(axes[0], u)[1], self.line(axes[0], u + 1)[0]);
+        let (from, to) = (self.pillars(axes[0], u)[1], self.pillars(axes[0], u + 1)[0]);
         let ns = self.line(axes[2], line);
         let (low, high) = (self.origin.y, self.origin.y + self.height);
         let v = |f: f32| low + self.height * f;

@@ -20,7 +20,7 @@ impl Random {
 
     /// A number in 0 … n−1 (0 when n is 0).
     pub(super) fn below(&mut self, n: u32) -> u32 {
-        ((self.next() >> 32) * u64::from(n) >> 32) as u32
+        (((self.next() >> 32) * u64::from(n)) >> 32) as u32
     }
 
     /// A number in [lo, hi], by steps of 2⁻²⁴ of their distance.

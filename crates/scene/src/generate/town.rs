@@ -18,9 +18,10 @@ const THINGS: u64 = 2;
 const LOT: f32 = 26.0;
 /// Side of a room.
 const ROOM: f32 = 4.0;
-/// Height of a storey's walls, and thickness of walls and floors.
-const STOREY: f32 = 2.8;
-const THICK: f32 = 0.2;
+/// Height of a storey's walls, and thickness of walls and floors: numbers whose sums are exact, so that storeys
+/// stand on one another without a crack.
+const STOREY: f32 = 2.75;
+const THICK: f32 = 0.25;
 
 pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateError> {
     let target = within(Kind::Town, "triangles", params.triangles.unwrap_or(DEFAULT), 2_000, MAX_TRIANGLES)?;
