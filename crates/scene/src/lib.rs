@@ -6,6 +6,8 @@
 pub mod clusters;
 pub mod error;
 pub mod exact;
+pub mod generate;
+pub mod glb_out;
 pub mod overlap;
 #[doc(hidden)]
 pub mod fuzzing;

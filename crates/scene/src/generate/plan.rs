@@ -1,0 +1,110 @@
+//! A floor plan on a grid: pillars at its corners, walls between them, doors and windows in the walls.
+//!
+//! Walls end at the pillars' faces, so that the solids touch without overlapping and leave no crack. Pillars are
+//! a little thicker than walls, so that no edge of one is an edge of the other and each stays a closed solid.
+
+use glam::Vec3;
+
+use super::build::Builder;
+use super::random::Random;
+
+/// What stands between two neighbouring pillars.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Wall {
+    /// A wall without opening.
+    Solid,
+    /// A wall with an opening from the floor to door height, at a random place.
+    Door,
+    /// A wall with an opening at breast height, at a random place.
+    Window,
+}
+
+/// Which grid line a wall lies on: along x between (i, j) and (i+1, j), or along z between (i, j) and (i, j+1).
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) struct Place {
+    pub(super) along_z: bool,
+    pub(super) i: u32,
+    pub(super) j: u32,
+}
+
+/// A storey of `cols` × `rows` square cells.
+#[derive(Clone, Copy)]
+pub(super) struct Plan {
+    /// The corner pillar's foot.
+    pub(super) origin: Vec3,
+    pub(super) cols: u32,
+    pub(super) rows: u32,
+    /// Distance of grid lines.
+    pub(super) cell: f32,
+    pub(super) height: f32,
+    pub(super) thickness: f32,
+}
+
+impl Plan {
+    /// Every place for a wall: those along x row by row, then those along z.
+    pub(super) fn places(&self) -> impl Iterator<Item = Place> + use<> {
+        let Self { cols, rows, .. } = *self;
+        let along_x = (0..=rows).flat_map(move |j| (0..cols).map(move |i| Place { along_z: false, i, j }));
+        let along_z = (0..rows).flat_map(move |j| (0..=cols).map(move |i| Place { along_z: true, i, j }));
+        along_x.chain(along_z)
+    }
+
+    /// Whether a wall there is on the outside.
+    pub(super) fn is_outer(&self, p: Place) -> bool {
+        if p.along_z { p.i == 0 || p.i == self.cols } else { p.j == 0 || p.j == self.rows }
+    }
+
+    /// The least and greatest coordinate of grid line `k`'s thickness along `axis` (0: x, 2: z).
+    fn line(&self, axis: usize, k: u32) -> [f32; 2] {
+        let middle = self.origin[axis] + k as f32 * self.cell;
+        [middle - self.thickness / 2.0, middle + self.thickness / 2.0]
+    }
+
+    /// The same for the pillars on it.
+    fn pillars(&self, axis: usize, k: u32) -> [f32; 2] {
+        let middle = self.origin[axis] + k as f32 * self.cell;
+        [middle - self.thickness * 0.75, middle + self.thickness * 0.75]
+    }
+
+    /// The free floor of cell (i, j): least and greatest x and z at floor height.
+    pub(super) fn floor(&self, i: u32, j: u32) -> [Vec3; 2] {
+        let y = self.origin.y;
+        let (x, z) =
+            ([self.line(0, i)[1], self.line(0, i + 1)[0]], [self.line(2, j)[1], self.line(2, j + 1)[0]]);
+        [Vec3::new(x[0], y, z[0]), Vec3::new(x[1], y, z[1])]
+    }
+
+    /// A box under or over the whole plan, `from` … `to` high above its floor, `overhang` beyond its walls.
+    pub(super) fn plate(&self, b: &mut Builder, from: f32, to: f32, overhang: f32) {
+        let y = self.origin.y;
+        let out = Vec3::new(overhang, 0.0, overhang);
+        let min = Vec3::new(self.pillars(0, 0)[0], y + from, self.pillars(2, 0)[0]) - out;
+        let max = Vec3::new(self.pillars(0, self.cols)[1], y + to, self.pillars(2, self.rows)[1]) + out;
+        b.cuboid(min, max);
+    }
+
+    /// The pillar at grid corner (i, j).
+    pub(super) fn pillar(&self, b: &mut Builder, i: u32, j: u32) {
+        let (x, z) = (self.pillars(0, i), self.pillars(2, j));
+        let y = [self.origin.y, self.origin.y + self.height];
+        b.cuboid(Vec3::new(x[0], y[0], z[0]), Vec3::new(x[1], y[1], z[1]));
+    }
+
+    /// A wall at `p`.
+    pub(super) fn wall(&self, b: &mut Builder, p: Place, wall: Wall, r: &mut Random) {
+        let (axes, u, line) = if p.along_z { ([2, 1, 0], p.j, p.i) } else { ([0, 1, 2], p.i, p.j) };
+        let (from, to) = (self.pillars(axes[0], u)[1], self.pillars(axes[0], u + 1)[0]);
+        let ns = self.line(axes[2], line);
+        let (low, high) = (self.origin.y, self.origin.y + self.height);
+        let v = |f: f32| low + self.height * f;
+        let length = to - from;
+        let half = length * r.range(0.1, 0.2);
+        let middle = from + length * r.range(0.35, 0.65);
+        let us = [from, middle - half, middle + half, to];
+        match wall {
+            Wall::Solid => b.slab(axes, &[from, to], &[low, high], ns, |_, _| false),
+            Wall::Door => b.slab(axes, &us, &[low, v(0.7), high], ns, |i, j| (i, j) == (1, 0)),
+            Wall::Window => b.slab(axes, &us, &[low, v(0.3), v(0.75), high], ns, |i, j| (i, j) == (1, 1)),
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! One storey of furnished rooms: a door for every branch of a spanning tree of the rooms and for a third of the
+//! other inner walls, a floor and a ceiling, no windows.
+
+use glam::Vec3;
+
+use super::build::Builder;
+use super::plan::{Plan, Wall};
+use super::random::Random;
+use super::{GenerateError, Kind, MAX_TRIANGLES, Params, furniture, maze, within};
+
+/// Triangles of a room when only one of size and grid is given.
+const PER_ROOM: u64 = 800;
+/// Pieces of furniture to a room.
+const PIECES: u64 = 3;
+
+pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateError> {
+    if let Some(total) = params.triangles {
+        within(Kind::Rooms, "triangles", total, 300, MAX_TRIANGLES)?;
+    }
+    let [cols, rows] = maze::grid(Kind::Rooms, params, PER_ROOM, [6, 4], 300)?;
+    let rooms = u64::from(cols) * u64::from(rows);
+    // Pillar, walls, doors and the coarsest furniture of a room, and the border's.
+    let least = 150 * rooms + 30 * (u64::from(cols) + u64::from(rows));
+    let target = params.triangles.unwrap_or(rooms * PER_ROOM);
+    within(Kind::Rooms, "triangles for that many rooms", target, least, MAX_TRIANGLES)?;
+    let plan = Plan { origin: Vec3::ZERO, cols, rows, cell: 5.0, height: 2.8, thickness: 0.2 };
+    let mut r = Random::new(params.seed, 0);
+    let open = maze::carve(cols, rows, &mut r);
+    b.object("floor".into(), |b| plan.plate(b, -0.2, 0.0, 0.0));
+    b.object("ceiling".into(), |b| plan.plate(b, plan.height, plan.height + 0.2, 0.0));
+    for j in 0..=rows {
+        for i in 0..=cols {
+            b.object(format!("pillar {i} {j}"), |b| plan.pillar(b, i, j));
+        }
+    }
+    for p in plan.places() {
+        let door = !plan.is_outer(p) && (open.between(p) || r.below(3) == 0);
+        let wall = if door { Wall::Door } else { Wall::Solid };
+        b.object(maze::wall_name(p), |b| plan.wall(b, p, wall, &mut r));
+    }
+    // What the building left is shared by the pieces to come; what one does not use, the next ones do.
+    let mut left = rooms * PIECES;
+    for j in 0..rows {
+        for i in 0..cols {
+            for k in 0..PIECES {
+                let budget = target.saturating_sub(b.len()) / left;
+                left -= 1;
+                b.object(format!("furniture {i} {j} {k}"), |b| {
+                    let place = furniture::strip(plan.floor(i, j), k, PIECES);
+                    furniture::piece(b, &mut r, place, budget.max(furniture::LEAST));
+                });
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,103 @@
+//! Parallel walls with narrow upright slits at known places: what is seen from between two walls, beyond them,
+//! is seen through slits alone, so the truth is known by construction.
+//!
+//! The walls are unit squares over [−½, ½]² in x and y, one behind the other along z; the scene's bounds end
+//! where they do, so no line inside the bounds passes beside a wall. The last wall has no slit. Slits are drawn
+//! at the precision of `f32` there: a width of 1e-7 is three or four steps.
+
+use super::build::Builder;
+use super::random::Random;
+use super::{GenerateError, Kind, MAX_TRIANGLES, Params, contradiction, isqrt, within};
+
+/// A wall's thickness; a slit lets through directions up to its width over this away from the normal.
+pub const THICKNESS: f32 = 0.0078125;
+/// Distance from one wall's front to the next one's.
+pub const DISTANCE: f32 = 0.25;
+/// A slit reaches from −[`HALF_HEIGHT`] to this.
+pub const HALF_HEIGHT: f32 = 0.375;
+/// Triangles a slit adds to a wall, and those of a wall with none but its cuts.
+const PER_SLIT: u64 = 36;
+const PER_WALL: u64 = 28;
+
+/// Where the slits of each wall are: per wall but the last, the intervals in x, ascending and disjoint. Wall k
+/// stands from z = k·[`DISTANCE`] to z = k·[`DISTANCE`] + [`THICKNESS`].
+///
+/// # Errors
+/// As [`super::generate`] for [`Kind::Slits`].
+pub fn layout(params: &Params) -> Result<Vec<Vec<[f32; 2]>>, GenerateError> {
+    const KIND: Kind = Kind::Slits;
+    let [walls, slits] = match (params.grid, params.triangles) {
+        (Some(_), Some(_)) => return Err(contradiction(KIND, "the grid already fixes it")),
+        (Some(grid), None) => grid.map(u64::from),
+        (None, Some(total)) => {
+            within(KIND, "triangles", total, 140, MAX_TRIANGLES)?;
+            let walls = (isqrt(total) / 16).clamp(2, 64);
+            [walls, ((total / (walls - 1)).saturating_sub(PER_WALL) / PER_SLIT).max(1)]
+        }
+        (None, None) => [5, 4],
+    };
+    within(KIND, "walls", walls, 2, 10_000)?;
+    within(KIND, "slits to a wall", slits, 1, 1_000_000)?;
+    let size = (walls - 1) * (slits * PER_SLIT + PER_WALL);
+    within(KIND, "triangles of the walls and slits asked for", size, 1, MAX_TRIANGLES)?;
+    let width = within(KIND, "slit width", params.slit_width.unwrap_or(default_width(slits)), 1e-7, 0.1)?;
+    // Each slit lies in the middle half of its own strip, so neighbours stay apart.
+    let strip = 1.0 / slits as f32;
+    within(KIND, "slit width × slits to a wall", width * slits as f32, 0.0, 0.25)?;
+    Ok((0..walls - 1)
+        .map(|wall| {
+            let mut r = Random::new(params.seed, wall);
+            (0..slits)
+                .map(|k| {
+                    let from = (k as f32 + r.range(0.25, 0.5)) * strip - 0.5;
+                    [from, (from + width).max(from.next_up())]
+                })
+                .collect()
+        })
+        .collect())
+}
+
+/// A thousandth of the wall, or a sixteenth of a strip where there are many.
+fn default_width(slits: u64) -> f32 {
+    (0.0625 / slits as f32).clamp(1e-7, 1e-3)
+}
+
+pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateError> {
+    let walls = layout(params)?;
+    let depth = |k: usize| [k as f32 * DISTANCE, k as f32 * DISTANCE + THICKNESS];
+    let vs = [-0.5, -HALF_HEIGHT, HALF_HEIGHT, 0.5];
+    for (k, slits) in walls.iter().enumerate() {
+        let mut us = vec![-0.5];
+        us.extend(slits.iter().flatten());
+        us.push(0.5);
+        b.object(format!("wall {k}"), |b| {
+            b.slab([0, 1, 2], &us, &vs, depth(k), |i, j| j == 1 && i % 2 == 1);
+        });
+    }
+    let back = walls.len();
+    b.object("back wall".into(), |b| {
+        b.slab([0, 1, 2], &[-0.5, 0.5], &[-0.5, 0.5], depth(back), |_, _| false);
+    });
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::generate::generate;
+
+    #[test]
+    fn the_narrowest_slits_are_open_and_apart() {
+        let p = Params { grid: Some([4, 9]), slit_width: Some(1e-7), ..Params::default() };
+        let layout = layout(&p).unwrap();
+        assert_eq!((layout.len(), layout[0].len()), (3, 9));
+        for wall in &layout {
+            let cuts: Vec<f32> = wall.iter().flatten().copied().collect();
+            assert!(cuts.windows(2).all(|w| w[0] < w[1]) && cuts[0] > -0.5 && cuts[17] < 0.5);
+            assert!(wall.iter().all(|[a, b]| f64::from(*b) - f64::from(*a) < 1.5e-7));
+        }
+        let s = generate(Kind::Slits, &p).unwrap();
+        assert_eq!(u64::from(s.len()), 3 * (9 * PER_SLIT + PER_WALL) + 12);
+        assert!(s.triangles().iter().all(|t| !t.is_degenerate()));
+    }
+}

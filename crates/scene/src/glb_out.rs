@@ -1,0 +1,272 @@
+//! Writes a scene as binary glTF 2.0 (GLB): one node and one mesh for each object, indexed triangles.
+//!
+//! Reading the file gives the same triangles in the same order and the same objects. Only geometry and names are
+//! written; vertices are shared within an object where they are equal bit for bit. Layout: Khronos, "glTF 2.0
+//! Specification", §4 (GLB) and §3.6–3.7 (accessors, meshes).
+
+use std::io::Write;
+
+use glam::Vec3;
+use serde_json::{Value, json};
+
+use crate::{Aabb, Scene, Triangle};
+
+/// Why a scene could not be written.
+#[derive(Debug, thiserror::Error)]
+pub enum GlbError {
+    /// The destination refused bytes.
+    #[error("the GLB cannot be written: {0}; check the destination and the space left on it")]
+    Io(#[from] std::io::Error),
+    /// GLB counts its bytes in 32 bits.
+    #[error(
+        "the scene takes {bytes} bytes as GLB and the format ends at 4 294 967 295; write it in parts or as PLY"
+    )]
+    TooLarge {
+        /// What the file would have had at least.
+        bytes: u64,
+    },
+    /// The glTF structure could not be put into JSON.
+    #[error("the glTF structure cannot be encoded: {0}; report this with the scene")]
+    Json(#[from] serde_json::Error),
+    /// glTF has no mesh without triangles.
+    #[error(
+        "object {index} ({name:?}) has no triangles, which glTF cannot express; leave it out of the scene"
+    )]
+    EmptyObject {
+        /// Its place in the scene's list.
+        index: usize,
+        /// Its name.
+        name: String,
+    },
+}
+
+/// Writes `scene` to `out`. The bytes depend on the scene alone.
+///
+/// # Errors
+/// [`GlbError`]: see its cases. Nothing is written before the size is known to fit.
+pub fn write_glb(scene: &Scene, out: &mut dyn Write) -> Result<(), GlbError> {
+    let mut positions: Vec<u8> = Vec::new();
+    let mut indices: Vec<u8> = Vec::with_capacity(scene.triangles().len() * 12);
+    let (mut accessors, mut meshes, mut nodes) = (Vec::new(), Vec::new(), Vec::new());
+    for (k, o) in scene.objects().iter().enumerate() {
+        if o.count == 0 {
+            return Err(GlbError::EmptyObject { index: k, name: o.name.clone() });
+        }
+        // `Scene::new` checked that objects tile the triangles.
+        let triangles = &scene.triangles()[o.first as usize..][..o.count as usize];
+        let (vertices, numbers) = share(triangles);
+        let bounds = triangles.iter().fold(Aabb::EMPTY, |b, t| b.union(t.bounds()));
+        accessors.push(json!({
+            "bufferView": 0, "byteOffset": positions.len(), "componentType": FLOAT, "count": vertices.len(),
+            "type": "VEC3", "min": exact(bounds.min), "max": exact(bounds.max),
+        }));
+        accessors.push(json!({
+            "bufferView": 1, "byteOffset": indices.len(), "componentType": UNSIGNED_INT, "count": numbers.len(),
+            "type": "SCALAR",
+        }));
+        meshes.push(json!({
+            "name": o.name,
+            "primitives": [{ "attributes": { "POSITION": 2 * k }, "indices": 2 * k + 1, "mode": TRIANGLES }],
+        }));
+        nodes.push(json!({ "name": o.name, "mesh": k }));
+        positions.extend(vertices.iter().flat_map(|v| v.to_array()).flat_map(f32::to_le_bytes));
+        indices.extend(numbers.iter().flat_map(|n| n.to_le_bytes()));
+        fits((positions.len() + indices.len()) as u64)?;
+    }
+    let (vertex_bytes, index_bytes) = (positions.len(), indices.len());
+    let binary = vertex_bytes + index_bytes;
+    let document = json!({
+        "asset": { "version": "2.0", "generator": "sightline" },
+        "scene": 0,
+        "scenes": [{ "nodes": (0..nodes.len()).collect::<Vec<_>>() }],
+        "nodes": nodes,
+        "meshes": meshes,
+        "accessors": accessors,
+        "bufferViews": [
+            { "buffer": 0, "byteOffset": 0, "byteLength": vertex_bytes, "byteStride": 12, "target": ARRAY_BUFFER },
+            { "buffer": 0, "byteOffset": vertex_bytes, "byteLength": index_bytes, "target": ELEMENT_ARRAY_BUFFER },
+        ],
+        "buffers": [{ "byteLength": binary }],
+    });
+    let mut text = serde_json::to_vec(&document)?;
+    // Chunks are multiples of four bytes; JSON is filled up with spaces. The binary one already is a multiple.
+    text.resize(text.len().next_multiple_of(4), b' ');
+    let total = fits(12 + 8 + text.len() as u64 + 8 + binary as u64)?;
+    out.write_all(b"glTF")?;
+    out.write_all(&2u32.to_le_bytes())?;
+    out.write_all(&total.to_le_bytes())?;
+    // Both parts are smaller than the total, which fits.
+    out.write_all(&(text.len() as u32).to_le_bytes())?;
+    out.write_all(b"JSON")?;
+    out.write_all(&text)?;
+    out.write_all(&(binary as u32).to_le_bytes())?;
+    out.write_all(b"BIN\0")?;
+    out.write_all(&positions)?;
+    out.write_all(&indices)?;
+    out.flush()?;
+    Ok(())
+}
+
+const FLOAT: u32 = 5126;
+const UNSIGNED_INT: u32 = 5125;
+const ARRAY_BUFFER: u32 = 34962;
+const ELEMENT_ARRAY_BUFFER: u32 = 34963;
+const TRIANGLES: u32 = 4;
+
+/// `bytes` as the 32-bit number GLB needs.
+fn fits(bytes: u64) -> Result<u32, GlbError> {
+    u32::try_from(bytes).map_err(|_| GlbError::TooLarge { bytes })
+}
+
+/// The coordinates as JSON numbers that read back as the same `f32`.
+fn exact(v: Vec3) -> Value {
+    json!(v.to_array().map(f64::from))
+}
+
+/// The distinct vertices in order of first use, and three numbers into them for each triangle.
+fn share(triangles: &[Triangle]) -> (Vec<Vec3>, Vec<u32>) {
+    let corners: Vec<Vec3> = triangles.iter().flat_map(|t| t.v).collect();
+    let bits = |v: Vec3| v.to_array().map(f32::to_bits);
+    let mut order: Vec<([u32; 3], usize)> = corners.iter().enumerate().map(|(i, v)| (bits(*v), i)).collect();
+    order.sort_unstable();
+    // The first corner at each corner's position; sorted by corner within a position, so it leads its run.
+    let mut leader = vec![0usize; corners.len()];
+    for run in order.chunk_by(|a, b| a.0 == b.0) {
+        for (_, corner) in run {
+            leader[*corner] = run[0].1;
+        }
+    }
+    let mut vertices = Vec::new();
+    let mut numbers: Vec<u32> = Vec::with_capacity(corners.len());
+    for (i, v) in corners.iter().enumerate() {
+        if leader[i] == i {
+            // Vertices number less than 2³²: a GLB with as many would be too large by far, and is refused
+            // before these numbers are used for anything.
+            numbers.push(vertices.len() as u32);
+            vertices.push(*v);
+        } else {
+            // The leader comes first, so its number is known.
+            numbers.push(numbers[leader[i]]);
+        }
+    }
+    (vertices, numbers)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Object;
+    use crate::generate::{Kind, Params, generate};
+
+    fn bytes(scene: &Scene) -> Vec<u8> {
+        let mut out = Vec::new();
+        write_glb(scene, &mut out).unwrap();
+        out
+    }
+
+    fn u32_at(b: &[u8], at: usize) -> usize {
+        u32::from_le_bytes(b[at..at + 4].try_into().unwrap()) as usize
+    }
+
+    fn number(v: &Value) -> usize {
+        v.as_u64().unwrap() as usize
+    }
+
+    /// Reads a GLB of ours by the specification alone, checking lengths, alignment and bounds on the way.
+    fn read(glb: &[u8]) -> (Vec<Triangle>, Vec<Object>) {
+        assert_eq!((&glb[..4], u32_at(glb, 4), u32_at(glb, 8)), (&b"glTF"[..], 2, glb.len()));
+        let json_len = u32_at(glb, 12);
+        assert_eq!((&glb[16..20], json_len % 4), (&b"JSON"[..], 0));
+        let doc: Value = serde_json::from_slice(&glb[20..20 + json_len]).unwrap();
+        let bin_len = u32_at(glb, 20 + json_len);
+        let bin = &glb[28 + json_len..];
+        assert_eq!((&glb[24 + json_len..28 + json_len], bin.len(), bin_len % 4), (&b"BIN\0"[..], bin_len, 0));
+        assert_eq!(number(&doc["buffers"][0]["byteLength"]), bin_len);
+        assert_eq!(doc["asset"]["version"], "2.0");
+        let slice = |accessor: &Value, size: usize| {
+            let view = &doc["bufferViews"][number(&accessor["bufferView"])];
+            let at = number(&accessor["byteOffset"]);
+            let len = number(&accessor["count"]) * size;
+            assert!(at.is_multiple_of(4) && at + len <= number(&view["byteLength"]));
+            &bin[number(&view["byteOffset"]) + at..][..len]
+        };
+        let (mut triangles, mut objects) = (Vec::new(), Vec::new());
+        for node in doc["scenes"][0]["nodes"].as_array().unwrap() {
+            let node = &doc["nodes"][number(node)];
+            let primitive = &doc["meshes"][number(&node["mesh"])]["primitives"][0];
+            let positions = &doc["accessors"][number(&primitive["attributes"]["POSITION"])];
+            let indices = &doc["accessors"][number(&primitive["indices"])];
+            let vertices: Vec<Vec3> = slice(positions, 12)
+                .chunks(12)
+                .map(|c| [0, 4, 8].map(|o| f32::from_bits(u32_at(c, o) as u32)))
+                .map(Vec3::from)
+                .collect();
+            let extreme =
+                |name: &str| Vec3::from([0, 1, 2].map(|i| positions[name][i].as_f64().unwrap() as f32));
+            assert_eq!(vertices.iter().fold(Vec3::INFINITY, |a, v| a.min(*v)), extreme("min"));
+            assert_eq!(vertices.iter().fold(Vec3::NEG_INFINITY, |a, v| a.max(*v)), extreme("max"));
+            let first = triangles.len() as u32;
+            let indices: Vec<usize> = slice(indices, 4).chunks(4).map(|c| u32_at(c, 0)).collect();
+            triangles.extend(indices.chunks(3).map(|i| Triangle { v: [0, 1, 2].map(|k| vertices[i[k]]) }));
+            let name = node["name"].as_str().unwrap().to_owned();
+            objects.push(Object { name, first, count: triangles.len() as u32 - first });
+        }
+        (triangles, objects)
+    }
+
+    #[test]
+    fn what_is_written_reads_back_the_same() {
+        for kind in Kind::ALL {
+            let scene = generate(kind, &Params { triangles: Some(3_000), ..Params::default() }).unwrap();
+            let glb = bytes(&scene);
+            // Another reader's opinion on the structure.
+            let document = gltf::Gltf::from_slice(&glb).unwrap();
+            assert_eq!(document.meshes().len(), scene.objects().len());
+            let (triangles, objects) = read(&glb);
+            assert!(triangles == scene.triangles() && objects == scene.objects(), "{}", kind.name());
+            assert_eq!(glb, bytes(&scene));
+            let other =
+                generate(kind, &Params { triangles: Some(3_000), seed: 1, ..Params::default() }).unwrap();
+            assert_ne!(glb, bytes(&other), "{}", kind.name());
+        }
+    }
+
+    #[test]
+    fn odd_names_extreme_numbers_and_signed_zeros_survive() {
+        let v = [[f32::MAX, -0.0, 1e-45], [0.1, 0.0, f32::MIN], [-0.0, 0.0, 16_777_216.0]].map(Vec3::from);
+        let objects = vec![
+            Object { name: "a \"quoted\"\n\u{1F332} name".into(), first: 0, count: 1 },
+            Object { name: String::new(), first: 1, count: 2 },
+        ];
+        let t = Triangle { v };
+        let scene = Scene::new("test", vec![t, t, Triangle { v: [v[0], v[0], v[2]] }], objects).unwrap();
+        let (triangles, read_objects) = read(&bytes(&scene));
+        let bits = |t: &[Triangle]| -> Vec<u32> {
+            t.iter().flat_map(|t| t.v).flat_map(|v| v.to_array()).map(f32::to_bits).collect()
+        };
+        assert_eq!(bits(&triangles), bits(scene.triangles()));
+        assert_eq!(read_objects, scene.objects());
+    }
+
+    #[test]
+    fn vertices_are_shared() {
+        let scene = generate(Kind::Maze, &Params { grid: Some([1, 1]), ..Params::default() }).unwrap();
+        let (vertices, numbers) = share(&scene.triangles()[..12]);
+        assert_eq!((vertices.len(), numbers.len()), (8, 36));
+    }
+
+    #[test]
+    fn too_large_and_empty_objects_are_refused_before_anything_is_written() {
+        assert!(matches!(fits(1 << 32), Err(GlbError::TooLarge { bytes: 4_294_967_296 })));
+        assert_eq!(fits((1 << 32) - 1).unwrap(), u32::MAX);
+        let t = Triangle { v: [Vec3::ZERO, Vec3::X, Vec3::Y] };
+        let objects = vec![
+            Object { name: "something".into(), first: 0, count: 1 },
+            Object { name: "nothing".into(), first: 1, count: 0 },
+        ];
+        let scene = Scene::new("test", vec![t], objects).unwrap();
+        let mut out = Vec::new();
+        let error = write_glb(&scene, &mut out).unwrap_err();
+        assert!(out.is_empty() && error.to_string().contains("object 1 (\"nothing\")"));
+    }
+}
