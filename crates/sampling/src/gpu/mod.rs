@@ -27,7 +27,7 @@ pub use adapter::{AdapterChoice, AdapterSummary, adapters};
 
 use crate::backend::{Backend, BackendError, CubeRenderer};
 use crate::cube::CubeSpec;
-use geometry::Geometry;
+use geometry::{DrawStyle, Geometry};
 use pipelines::{Kit, MAX_RESOLUTION, scoped};
 use renderer::{GpuRenderer, Work};
 
@@ -50,6 +50,7 @@ pub struct GpuBackend {
     kit: Kit,
     near: f32,
     page_bytes: u64,
+    style: DrawStyle,
     /// The whole scene, in drawing order.
     whole: Arc<Geometry>,
     /// For each triangle its place in the drawing order, or [`NEVER`].
@@ -107,7 +108,8 @@ impl GpuBackend {
         for (rank, id) in (0..).zip(&order) {
             ranks[*id as usize] = rank;
         }
-        let whole = Geometry::upload(&device, scene.triangles(), order, page_bytes).map_err(failed)?;
+        let style = if summary.software { DrawStyle::SOFTWARE } else { DrawStyle::HARDWARE };
+        let whole = Geometry::upload(&device, scene.triangles(), order, page_bytes, style).map_err(failed)?;
         let extent = (bounds.max.as_dvec3() - bounds.min.as_dvec3()).max_element();
         // A scene is not a point unless all of it is degenerate, and then nothing is drawn.
         let near = ((extent * 2f64.powi(-40)) as f32).max(1e-30);
@@ -122,6 +124,7 @@ impl GpuBackend {
             kit,
             near,
             page_bytes,
+            style,
             ranks,
             fault,
         })
@@ -176,7 +179,8 @@ impl Backend for GpuBackend {
                 places.sort_unstable();
                 places.dedup();
                 let ids = places.into_iter().map(|place| self.whole.ids[place as usize]).collect();
-                let made = Geometry::upload(&self.device, self.scene.triangles(), ids, self.page_bytes);
+                let made =
+                    Geometry::upload(&self.device, self.scene.triangles(), ids, self.page_bytes, self.style);
                 Arc::new(made.map_err(|reason| self.failed(reason))?)
             }
         };
