@@ -2,6 +2,8 @@
 //!
 //! Without a Vulkan adapter each test prints one line and ends, except where `CI` is set: there it fails.
 
+#![allow(clippy::print_stdout, clippy::panic, clippy::unwrap_used, reason = "helpers of tests, which may")]
+
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};

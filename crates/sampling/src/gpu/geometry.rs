@@ -12,8 +12,23 @@ use super::pipelines::scoped;
 /// Bytes of a triangle in a vertex buffer: three positions.
 pub(super) const TRIANGLE_BYTES: u64 = 36;
 
-/// Slots between two ranges of a face that are drawn along rather than paid for with another draw.
-const BRIDGE: u32 = CLUSTER as u32;
+/// How ranges of slots become draws. No choice changes a pixel.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct DrawStyle {
+    /// Slots between two ranges of a face that are drawn along rather than paid for with another draw.
+    bridge: u32,
+    /// Most slots in a draw.
+    longest: u32,
+}
+
+impl DrawStyle {
+    /// For GPUs: a draw costs more than a few clusters.
+    pub(super) const HARDWARE: Self = Self { bridge: 4 * CLUSTER as u32, longest: u32::MAX };
+
+    /// For lavapipe: a draw costs little, and one with a single clipped triangle takes a slow path whose time grows
+    /// with the square of the draw's length (up to some thousand vertices). One cluster a draw halves the time.
+    pub(super) const SOFTWARE: Self = Self { bridge: 0, longest: CLUSTER as u32 };
+}
 
 /// What can be drawn, on the device and shared by every renderer of it.
 pub(super) struct Geometry {
@@ -23,6 +38,7 @@ pub(super) struct Geometry {
     pages: Vec<wgpu::Buffer>,
     /// Slots a page, a multiple of [`CLUSTER`]; the last page may hold fewer.
     page_slots: u32,
+    style: DrawStyle,
 }
 
 /// For each face, ascending and disjoint ranges of slots.
@@ -38,6 +54,7 @@ impl Geometry {
         triangles: &[Triangle],
         ids: Vec<u32>,
         page_bytes: u64,
+        style: DrawStyle,
     ) -> Result<Self, String> {
         let cluster_bytes = CLUSTER as u64 * TRIANGLE_BYTES;
         // At least one cluster; at most what vertex numbers (three a slot) can count in 32 bits.
@@ -50,7 +67,7 @@ impl Geometry {
         let pages = scoped(device, || {
             ids.chunks(page_slots as usize).map(|page| upload_page(device, triangles, page)).collect()
         })?;
-        Ok(Self { clusters, pages, page_slots, ids })
+        Ok(Self { clusters, pages, page_slots, ids, style })
     }
 
     /// Number of slots. Ids are `u32` and unique, so it fits.
@@ -68,7 +85,7 @@ impl Geometry {
             while faces != 0 {
                 let ranges = &mut visible[faces.trailing_zeros() as usize];
                 match ranges.last_mut() {
-                    Some(last) if first - last.end <= BRIDGE => last.end = end,
+                    Some(last) if first - last.end <= self.style.bridge => last.end = end,
                     _ => ranges.push(first..end),
                 }
                 faces &= faces - 1;
@@ -86,7 +103,8 @@ impl Geometry {
             while start < range.end {
                 let page = start / self.page_slots;
                 let base = page * self.page_slots;
-                let end = range.end.min(base.saturating_add(self.page_slots));
+                let page_end = base.saturating_add(self.page_slots);
+                let end = range.end.min(page_end).min(start.saturating_add(self.style.longest));
                 if bound != Some(page) {
                     pass.set_vertex_buffer(0, self.pages[page as usize].slice(..));
                     bound = Some(page);

@@ -26,7 +26,7 @@ pub use adapter::{AdapterChoice, AdapterSummary, adapters, probe};
 
 use crate::backend::{Backend, BackendError, CubeRenderer};
 use crate::cube::CubeSpec;
-use geometry::Geometry;
+use geometry::{DrawStyle, Geometry};
 use pipelines::{Kit, MAX_RESOLUTION, scoped};
 use renderer::{GpuRenderer, Work};
 
@@ -49,6 +49,7 @@ pub struct GpuBackend {
     kit: Kit,
     near: f32,
     page_bytes: u64,
+    style: DrawStyle,
     /// The whole scene, in drawing order.
     whole: Arc<Geometry>,
     /// For each triangle its place in the drawing order, or [`NEVER`].
@@ -106,7 +107,8 @@ impl GpuBackend {
         for (rank, id) in (0..).zip(&order) {
             ranks[*id as usize] = rank;
         }
-        let whole = Geometry::upload(&device, scene.triangles(), order, page_bytes).map_err(failed)?;
+        let style = if summary.software { DrawStyle::SOFTWARE } else { DrawStyle::HARDWARE };
+        let whole = Geometry::upload(&device, scene.triangles(), order, page_bytes, style).map_err(failed)?;
         let near = crate::near_distance(bounds);
         Ok(Self {
             profile: summary.profile,
@@ -119,6 +121,7 @@ impl GpuBackend {
             kit,
             near,
             page_bytes,
+            style,
             ranks,
             fault,
         })
@@ -173,7 +176,8 @@ impl Backend for GpuBackend {
                 places.sort_unstable();
                 places.dedup();
                 let ids = places.into_iter().map(|place| self.whole.ids[place as usize]).collect();
-                let made = Geometry::upload(&self.device, self.scene.triangles(), ids, self.page_bytes);
+                let made =
+                    Geometry::upload(&self.device, self.scene.triangles(), ids, self.page_bytes, self.style);
                 Arc::new(made.map_err(|reason| self.failed(reason))?)
             }
         };
