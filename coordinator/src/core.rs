@@ -77,6 +77,11 @@ impl Coordinator {
         Ok(this)
     }
 
+    /// From now on works on `job` alone; other jobs stay as they are.
+    pub fn restrict_to(&self, job: u64) {
+        self.lock().restrict_to(job);
+    }
+
     pub(crate) fn lock(&self) -> MutexGuard<'_, Scheduler> {
         // The scheduler's state is derived from the store and checked against it with every command; a panic in
         // the middle of a change can lose a lease, not a result.

@@ -30,7 +30,7 @@ type ChunkStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status>> + Send>>
 /// Runs what touches the disk off the async threads.
 pub(crate) async fn blocking<T: Send + 'static>(
     c: &Arc<Coordinator>,
-    f: impl FnOnce(&Coordinator) -> Result<T, Status> + Send + 'static,
+    f: impl FnOnce(&Arc<Coordinator>) -> Result<T, Status> + Send + 'static,
 ) -> Result<T, Status> {
     let c = Arc::clone(c);
     tokio::task::spawn_blocking(move || f(&c))
@@ -114,15 +114,13 @@ impl v1::jobs_server::Jobs for JobsService {
         if r.request_id.is_empty() {
             return Err(Status::invalid_argument("request_id is empty; choose one, so that submitting again is safe"));
         }
-        let answer = blocking(&self.0, move |c| c.submit(&r)).await?;
-        let c = Arc::clone(&self.0);
-        blocking(&self.0, move |_| {
+        blocking(&self.0, move |c| {
+            let answer = c.submit(&r)?;
             c.pump();
             c.changed();
-            Ok(())
+            Ok(Response::new(answer))
         })
-        .await?;
-        Ok(Response::new(answer))
+        .await
     }
 
     async fn list(&self, _: Request<v1::ListRequest>) -> Answer<v1::ListResponse> {

@@ -119,6 +119,7 @@ pub struct Scheduler {
     pub(crate) jobs: BTreeMap<u64, Job>,
     pub(crate) workers: BTreeMap<u64, Worker>,
     paused_until: Option<Instant>,
+    only: Option<u64>,
 }
 
 /// A tile named by a lease that is not the scheduler's any more.
@@ -134,7 +135,13 @@ impl Scheduler {
             jobs: BTreeMap::new(),
             workers: BTreeMap::new(),
             paused_until: None,
+            only: None,
         }
+    }
+
+    /// Gives out tiles of one job alone. A one-process bake does not go on with what another one left.
+    pub fn restrict_to(&mut self, job: u64) {
+        self.only = Some(job);
     }
 
     /// The coordinator's epoch.
@@ -335,7 +342,8 @@ impl Scheduler {
             return Ok(false);
         }
         for (id, job) in &mut self.jobs {
-            if !matches!(job.record.state, JobState::Queued | JobState::Running) {
+            let runs = matches!(job.record.state, JobState::Queued | JobState::Running);
+            if !runs || self.only.is_some_and(|only| only != *id) {
                 continue;
             }
             let Some(profile) = job.record.profile.clone() else {

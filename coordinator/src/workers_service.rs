@@ -1,5 +1,6 @@
 //! The `Workers` service: one stream a worker, scenes and packs out, results in.
 
+use std::collections::BTreeSet;
 use std::pin::Pin;
 use std::sync::Arc;
 
@@ -16,7 +17,7 @@ use tonic::{Request, Response, Status, Streaming};
 use crate::assemble::Parts;
 use crate::core::{Coordinator, now_ms};
 use crate::jobs_service::{blocking, digest, stream_blob};
-use crate::scheduler::MAX_ATTEMPTS;
+use crate::scheduler::{MAX_ATTEMPTS, Slot};
 use crate::status;
 use crate::store::{
     CommitOutcome, Digest, JobPhase, JobState, MAX_IDENTIFIER_BYTES, MAX_WORKER_BYTES, TileResult, TileState,
@@ -79,8 +80,7 @@ impl v1::workers_server::Workers for WorkersService {
             }
         }
         let bytes = whole.finish().map_err(|e| Status::data_loss(e.to_string()))?;
-        let c = Arc::clone(&self.0);
-        blocking(&self.0, move |_| {
+        blocking(&self.0, move |c| {
             c.commit(&header, &bytes)?;
             c.assemble_ready();
             c.pump();
@@ -123,8 +123,8 @@ async fn session(c: Arc<Coordinator>, hello: v1::Hello, mut inbound: Streaming<v
         c.changed();
         while let Some(Ok(message)) = inbound.next().await {
             let Some(message) = message.message else { continue };
-            let (c, name) = (Arc::clone(&c), hello.name.clone());
-            let handled = blocking(&Arc::clone(&c), move |_| c.heard(number, &name, message)).await;
+            let name = hello.name.clone();
+            let handled = blocking(&c, move |c| c.heard(number, &name, message)).await;
             if let Err(s) = handled {
                 tracing::error!("worker {}: {}", hello.name, s.message());
                 // The worker comes back when its stream breaks.
@@ -321,8 +321,8 @@ impl Coordinator {
                 let whole = matches!(record.state, JobState::Done { .. })
                     && parts.slots.iter().all(|s| matches!(s.state, TileState::Done { .. }));
                 if whole {
-                    let others = scheduler.jobs.values().flat_map(|j| &j.slots);
-                    self.tidy(&parts.slots, others.map(|s| &s.state));
+                    let others: Vec<&Slot> = scheduler.jobs.values().flat_map(|j| &j.slots).collect();
+                    self.tidy(&parts.slots, &others);
                 }
             }
             Err(e) => tracing::error!("job {id} cannot be ended: {e}"),
@@ -332,12 +332,12 @@ impl Coordinator {
     }
 
     /// Removes the tile outputs of a finished job that no unfinished job shares. The result has all that is in them.
-    fn tidy<'a>(&self, slots: &[crate::scheduler::Slot], others: impl Iterator<Item = &'a TileState>) {
+    fn tidy(&self, slots: &[Slot], others: &[&Slot]) {
         let digest = |s: &TileState| match s {
             TileState::Done { digest, .. } | TileState::SetAside { digest, .. } => Some(*digest),
             TileState::Open => None,
         };
-        let kept: std::collections::BTreeSet<Digest> = others.filter_map(digest).collect();
+        let kept: BTreeSet<Digest> = others.iter().filter_map(|s| digest(&s.state)).collect();
         for d in slots.iter().filter_map(|s| digest(&s.state)).filter(|d| !kept.contains(d)) {
             if let Err(e) = self.blobs.remove(&d) {
                 tracing::warn!("{e}");

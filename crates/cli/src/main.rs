@@ -1,2 +1,61 @@
-//! The sightline command.
-fn main() {}
+//! The `sightline` command: reads arguments, runs what they ask for, and turns the outcome into an exit code.
+//!
+//! Results go to stdout, everything else to stderr. Each subcommand has a file of its own.
+
+mod args;
+mod bake;
+mod client;
+mod error;
+mod files;
+mod inspect;
+mod job_args;
+mod measuring;
+mod progress;
+mod remote;
+mod serve;
+
+use std::process::ExitCode;
+
+use clap::Parser as _;
+
+use crate::args::{Cli, Command};
+use crate::error::CliError;
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let filter = tracing_subscriber::EnvFilter::try_from_env("SIGHTLINE_LOG")
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(cli.default_log()));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(progress::LogWriter).with_target(false).init();
+    match run(cli) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(e) => {
+            progress::say(&format!("error: {e}"));
+            e.exit_code()
+        }
+    }
+}
+
+fn run(cli: Cli) -> Result<(), CliError> {
+    let json = cli.json;
+    match cli.command {
+        Command::Bake(a) => bake::run(a, json),
+        Command::Coordinator(a) => serve::coordinator(&a),
+        Command::Worker(a) => serve::worker(&a),
+        Command::Health(a) => remote::health(&a),
+        Command::Submit(a) => remote::submit(&a, json),
+        Command::Watch(a) => remote::watch(&a, json),
+        Command::Jobs(a) => remote::jobs(&a, json),
+        Command::Show(a) => remote::show(&a, json),
+        Command::Cancel(a) => remote::turn(&a, remote::Turn::Cancel, json),
+        Command::Pause(a) => remote::turn(&a, remote::Turn::Pause, json),
+        Command::Resume(a) => remote::turn(&a, remote::Turn::Resume, json),
+        Command::Retry(a) => remote::turn(&a, remote::Turn::Retry, json),
+        Command::Fetch(a) => remote::fetch(&a, json),
+        Command::Mesh(a) => files::mesh(&a, json),
+        Command::Generate(a) => files::generate(&a, json),
+        Command::Info(a) => inspect::info(&a, json),
+        Command::Dump(a) => inspect::dump(&a),
+        Command::Query(a) => inspect::query(&a, json),
+        Command::Measure(a) => measuring::run(&a),
+    }
+}

@@ -1,0 +1,282 @@
+//! The command line, as clap reads it. Its help texts are the manual.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+use crate::job_args::{Backend, JobArgs};
+
+/// Bakes from-region visibility: for every view cell of a static triangle scene, the triangles visible from
+/// anywhere in it.
+///
+/// Start with:  sightline generate town -o town.glb;  sightline bake town.glb -o town.pvs;
+/// then:        sightline measure town.glb town.pvs
+#[derive(Parser, Debug)]
+#[command(name = "sightline", version, max_term_width = 110, after_help = EXIT_CODES)]
+pub struct Cli {
+    /// Make stdout one JSON document.
+    #[arg(long, global = true)]
+    pub json: bool,
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal error, 2 wrong usage, 3 bad input, 4 coordinator unreachable or \
+refusing, 5 job failed, 130 interrupted (run the same command again to go on).\n\
+SIGHTLINE_LOG=debug (or info, warn) sets how much is logged to stderr.";
+
+impl Cli {
+    /// How much is logged when nobody says: servers tell what happens, commands only what is wrong.
+    pub fn default_log(&self) -> &'static str {
+        match self.command {
+            Command::Coordinator(_) | Command::Worker(_) => "info",
+            _ => "warn,sightline_coordinator::scheduler=info",
+        }
+    }
+}
+
+#[derive(Subcommand, Debug)]
+pub enum Command {
+    /// Bake a scene on this machine.
+    Bake(BakeArgs),
+    /// Serve as coordinator of a cluster.
+    Coordinator(CoordinatorArgs),
+    /// Join a coordinator as worker.
+    Worker(WorkerArgs),
+    /// Ask whether a coordinator serves.
+    Health(RemoteArgs),
+    /// Send a scene and a job to a coordinator; prints the job's number.
+    Submit(SubmitArgs),
+    /// Follow a job until it ends.
+    Watch(JobRefArgs),
+    /// List a coordinator's jobs.
+    Jobs(RemoteArgs),
+    /// Show one job.
+    Show(JobRefArgs),
+    /// End a job; what it has is kept for `retry`.
+    Cancel(JobRefArgs),
+    /// Give out no more tiles of a job.
+    Pause(JobRefArgs),
+    /// Go on with a paused job.
+    Resume(JobRefArgs),
+    /// Go on with a failed or cancelled job.
+    Retry(JobRefArgs),
+    /// Download a finished job's result.
+    Fetch(FetchArgs),
+    /// Write a scene's triangles as the program numbers them.
+    Mesh(MeshArgs),
+    /// Make a test scene.
+    Generate(GenerateArgs),
+    /// Say what is in a result.
+    Info(ResultArgs),
+    /// Print a result's sets as JSON Lines.
+    Dump(DumpArgs),
+    /// Print what is visible from a point's cell.
+    Query(QueryArgs),
+    /// Measure how wrong a result looks from random viewpoints or along a path.
+    Measure(MeasureArgs),
+}
+
+#[derive(Args, Debug)]
+pub struct BakeArgs {
+    /// The scene: .obj, .ply, .gltf or .glb.
+    pub scene: PathBuf,
+    /// Where the result goes.
+    #[arg(short, long, value_name = "OUT.pvs")]
+    pub output: PathBuf,
+    #[command(flatten)]
+    pub job: JobArgs,
+    /// Workers in this process. Default: one a core.
+    #[arg(long, value_name = "N")]
+    pub workers: Option<usize>,
+    /// Where unfinished work and finished results are kept. Default: $XDG_CACHE_HOME/sightline or
+    /// ~/.cache/sightline.
+    #[arg(long, value_name = "DIR")]
+    pub data_dir: Option<PathBuf>,
+}
+
+#[derive(Args, Debug)]
+pub struct CoordinatorArgs {
+    /// Address to listen on; port 0 takes any free one.
+    #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:7600")]
+    pub listen: SocketAddr,
+    /// Where jobs, scenes and results are kept.
+    #[arg(long, value_name = "DIR", default_value = "sightline-data")]
+    pub data_dir: PathBuf,
+    /// Serve without encryption beyond this machine; only for private networks.
+    #[arg(long)]
+    pub allow_plaintext: bool,
+}
+
+#[derive(Args, Debug)]
+pub struct WorkerArgs {
+    /// The coordinator.
+    #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7600")]
+    pub coordinator: String,
+    /// Backends this worker offers; auto: all that work here.
+    #[arg(long, value_enum, default_value_t = Backend::Auto)]
+    pub backend: Backend,
+    /// Use the Vulkan adapter whose name contains this.
+    #[arg(long, value_name = "TEXT")]
+    pub adapter: Option<String>,
+    /// Threads that sample. Default: one a core.
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Shown by the coordinator. Default: host name and process number.
+    #[arg(long)]
+    pub name: Option<String>,
+    /// Stop when the coordinator cannot be reached for this many seconds. Default: go on trying.
+    #[arg(long, value_name = "S")]
+    pub give_up_after: Option<u64>,
+}
+
+#[derive(Args, Debug, Clone)]
+pub struct RemoteArgs {
+    /// The coordinator.
+    #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7600")]
+    pub coordinator: String,
+}
+
+#[derive(Args, Debug)]
+pub struct SubmitArgs {
+    /// The scene: .obj, .ply, .gltf or .glb.
+    pub scene: PathBuf,
+    #[command(flatten)]
+    pub remote: RemoteArgs,
+    #[command(flatten)]
+    pub job: JobArgs,
+    /// Shown beside the job's number. Default: the file's name.
+    #[arg(long)]
+    pub name: Option<String>,
+    /// Submitting again with the same one is answered with the same job. Default: a fresh one.
+    #[arg(long, value_name = "TEXT")]
+    pub request_id: Option<String>,
+}
+
+#[derive(Args, Debug)]
+pub struct JobRefArgs {
+    /// The job's number, as `submit` and `jobs` print it.
+    #[arg(value_name = "JOB")]
+    pub id: u64,
+    #[command(flatten)]
+    pub remote: RemoteArgs,
+}
+
+#[derive(Args, Debug)]
+pub struct FetchArgs {
+    #[command(flatten)]
+    pub job: JobRefArgs,
+    /// Where the result goes.
+    #[arg(short, long, value_name = "OUT.pvs")]
+    pub output: PathBuf,
+}
+
+#[derive(Args, Debug)]
+pub struct MeshArgs {
+    /// The scene: .obj, .ply, .gltf or .glb.
+    pub scene: PathBuf,
+    /// Binary PLY, three own vertices a triangle, in id order, world space.
+    #[arg(short, long, value_name = "OUT.ply")]
+    pub output: PathBuf,
+}
+
+#[derive(Args, Debug)]
+pub struct GenerateArgs {
+    /// What kind of scene.
+    #[arg(value_enum)]
+    pub kind: SceneKind,
+    /// Where it goes.
+    #[arg(short, long, value_name = "OUT.glb")]
+    pub output: PathBuf,
+    /// About how many triangles it should have. Default: the papers' size of its kind.
+    #[arg(long, value_name = "N")]
+    pub triangles: Option<u64>,
+    /// The same seed and size give the same bytes.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Forest: how many trees.
+    #[arg(long)]
+    pub trees: Option<u32>,
+    /// Forest: triangles of one tree.
+    #[arg(long)]
+    pub triangles_per_tree: Option<u32>,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug)]
+pub enum SceneKind {
+    /// 200 trees of 25 000 triangles on the ground.
+    Forest,
+    /// Streets of houses whose furniture is seen through doors and windows.
+    Town,
+    /// A storey of rooms joined by doors.
+    Rooms,
+    /// A maze.
+    Maze,
+    /// Walls with narrow slits.
+    Slits,
+}
+
+#[derive(Args, Debug)]
+pub struct ResultArgs {
+    /// The result.
+    #[arg(value_name = "OUT.pvs")]
+    pub result: PathBuf,
+}
+
+/// What sets are made of.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Items {
+    /// Triangle ids.
+    Triangles,
+    /// Object ids: glTF node and primitive, OBJ group; `info` lists them.
+    Objects,
+}
+
+#[derive(Args, Debug)]
+pub struct DumpArgs {
+    #[command(flatten)]
+    pub result: ResultArgs,
+    /// What the sets are made of.
+    #[arg(long, value_enum, default_value_t = Items::Triangles)]
+    pub items: Items,
+}
+
+#[derive(Args, Debug)]
+pub struct QueryArgs {
+    #[command(flatten)]
+    pub result: ResultArgs,
+    /// The viewpoint.
+    #[arg(num_args = 3, value_names = ["X", "Y", "Z"], required = true, allow_negative_numbers = true)]
+    pub point: Vec<f32>,
+    /// What the set is made of.
+    #[arg(long, value_enum, default_value_t = Items::Triangles)]
+    pub items: Items,
+}
+
+#[derive(Args, Debug)]
+pub struct MeasureArgs {
+    /// The scene the result was baked from.
+    pub scene: PathBuf,
+    /// The result.
+    #[arg(value_name = "OUT.pvs")]
+    pub result: PathBuf,
+    /// Random viewpoints, uniform in the view box; each is a full cube.
+    #[arg(long, value_name = "N", default_value_t = 200, conflicts_with = "path")]
+    pub viewpoints: u32,
+    /// Seed of the viewpoints.
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    pub seed: u64,
+    /// Viewpoints along a camera path instead: a file of lines `x y z`.
+    #[arg(long, value_name = "FILE")]
+    pub path: Option<PathBuf>,
+    /// Side of one face in pixels.
+    #[arg(long, value_name = "PX", default_value_t = 256)]
+    pub resolution: u32,
+    /// What renders the frames; auto: cpu where Embree is there.
+    #[arg(long, value_enum, default_value_t = Backend::Auto)]
+    pub backend: Backend,
+    /// Write the worst frames as PNG: seen triangles green, wrong ones red.
+    #[arg(long, value_name = "DIR")]
+    pub images: Option<PathBuf>,
+}

@@ -1,0 +1,164 @@
+//! The arguments that say what is to be baked, shared by `bake` and `submit`.
+
+use clap::{Args, ValueEnum};
+use glam::Vec3;
+use sightline_job::JobSpec;
+use sightline_sampling::params::{BackendChoice, ErrorMeasure, SamplingParams, SupersetChoice};
+use sightline_scene::Scene;
+use sightline_viewcells::Division;
+
+use crate::error::CliError;
+
+/// What is to be baked.
+#[derive(Args, Clone, Debug)]
+pub struct JobArgs {
+    /// How visibility is found: aggressive sampling, which sees nothing that is not visible and may miss little.
+    #[arg(long, value_enum, default_value_t = Method::Aggressive)]
+    method: Method,
+    /// A regular grid of view cells, such as 8x8x8.
+    #[arg(long, value_name = "NXxNYxNZ", value_parser = parse_cells, conflicts_with = "triangle_budget")]
+    cells: Option<[u32; 3]>,
+    /// Adaptive cells instead of a grid: halve a cell while more triangles than this are visible from it.
+    #[arg(long, value_name = "T")]
+    triangle_budget: Option<u32>,
+    /// Deepest level of the adaptive tree.
+    #[arg(long, value_name = "D", default_value_t = 12, requires = "triangle_budget")]
+    max_depth: u32,
+    /// Where viewpoints may be: x0,y0,z0,x1,y1,z1. Default: the scene's bounds.
+    #[arg(long, value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]
+    view_box: Option<[Vec3; 2]>,
+    /// Side of one item buffer in pixels, 8 to 4096.
+    #[arg(long, value_name = "PX", default_value_t = SamplingParams::default().resolution)]
+    resolution: u32,
+    /// Subdivide a sampled rectangle while its corners differ by more than this, 0 to 1.
+    #[arg(long, value_name = "E", default_value_t = SamplingParams::default().error_threshold)]
+    error_threshold: f64,
+    /// The same for samples inside closed solids, where no viewpoint is expected.
+    #[arg(long, value_name = "E", default_value_t = SamplingParams::default().interior_threshold)]
+    interior_threshold: f64,
+    /// How the corners are compared: their sets (Err), pixel by pixel (Err′), or sets in 24 directions (Err″).
+    #[arg(long, value_enum, default_value_t = Measure::Strata)]
+    error_measure: Measure,
+    /// Never subdivide rectangles of at most this fraction of a view cell's longest side.
+    #[arg(long, value_name = "F", default_value_t = SamplingParams::default().min_distance)]
+    min_distance: f64,
+    /// Do not judge samples inside closed solids apart.
+    #[arg(long)]
+    no_solids: bool,
+    /// Render with what the cell above saw only. auto: on the gpu, where each triangle drawn costs.
+    #[arg(long, value_enum, default_value_t = Superset::Auto)]
+    superset: Superset,
+    /// Where cubes are rendered. auto measures both on this scene and takes the faster.
+    #[arg(long, value_enum, default_value_t = Backend::Auto)]
+    pub backend: Backend,
+    /// How samples are placed: visibility cubes on adaptively split rectangles.
+    #[arg(long, value_enum, default_value_t = Sampler::Cubes)]
+    sampler: Sampler,
+    /// Seed of everything random (the cube sampler has nothing random).
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    seed: u64,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+enum Method {
+    /// Sampling only.
+    Aggressive,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+enum Sampler {
+    /// The papers' adaptive visibility cubes.
+    Cubes,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+enum Measure {
+    /// Err.
+    Sets,
+    /// Err′.
+    Pixels,
+    /// Err″.
+    Strata,
+}
+
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+enum Superset {
+    /// On the gpu only.
+    Auto,
+    /// Always.
+    On,
+    /// Never.
+    Off,
+}
+
+/// Which backend.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Backend {
+    /// The faster one on the scene at hand.
+    Auto,
+    /// wgpu (Vulkan; a software driver will do).
+    Gpu,
+    /// Embree.
+    Cpu,
+}
+
+impl JobArgs {
+    /// The checked specification of a bake of `scene`.
+    pub fn spec(&self, scene: &Scene) -> Result<JobSpec, CliError> {
+        // One value each until other methods and samplers exist.
+        let (Method::Aggressive, Sampler::Cubes) = (self.method, self.sampler);
+        let bounds = scene.bounds();
+        let spec = JobSpec {
+            scene: scene.digest().0,
+            division: match self.triangle_budget {
+                Some(budget) => Division::Adaptive { budget, max_depth: self.max_depth },
+                None => Division::Grid(self.cells.unwrap_or([8, 8, 8])),
+            },
+            view_box: self.view_box.unwrap_or([bounds.min, bounds.max]),
+            sampling: SamplingParams {
+                resolution: self.resolution,
+                measure: match self.error_measure {
+                    Measure::Sets => ErrorMeasure::Sets,
+                    Measure::Pixels => ErrorMeasure::Pixels,
+                    Measure::Strata => ErrorMeasure::Strata,
+                },
+                error_threshold: self.error_threshold,
+                interior_threshold: self.interior_threshold,
+                min_distance: self.min_distance,
+                solids: !self.no_solids,
+                superset: match self.superset {
+                    Superset::Auto => SupersetChoice::Auto,
+                    Superset::On => SupersetChoice::On,
+                    Superset::Off => SupersetChoice::Off,
+                },
+            },
+            backend: match self.backend {
+                Backend::Auto => BackendChoice::Auto,
+                Backend::Gpu => BackendChoice::Gpu,
+                Backend::Cpu => BackendChoice::Cpu,
+            },
+            seed: self.seed,
+        };
+        spec.sampling.check().map_err(|e| CliError::Usage(e.to_string()))?;
+        spec.lattice().map_err(|e| match self.view_box {
+            None if matches!(e, sightline_viewcells::DivisionError::Box { .. }) => {
+                CliError::Input(format!("the scene is flat, so its bounds are no view box; give --view-box ({e})"))
+            }
+            _ => CliError::Usage(e.to_string()),
+        })?;
+        Ok(spec)
+    }
+}
+
+fn parse_cells(text: &str) -> Result<[u32; 3], String> {
+    let parts: Vec<u32> = text.split(['x', 'X']).map_while(|p| p.trim().parse().ok()).collect();
+    parts.try_into().map_err(|_| "give three numbers as in 8x8x8".to_owned())
+}
+
+fn parse_box(text: &str) -> Result<[Vec3; 2], String> {
+    let parts: Vec<f32> = text.split(',').map_while(|p| p.trim().parse().ok()).collect();
+    match parts.as_slice() {
+        [x0, y0, z0, x1, y1, z1] => Ok([Vec3::new(*x0, *y0, *z0), Vec3::new(*x1, *y1, *z1)]),
+        _ => Err("give six numbers as in -1,0,-1,1,2,1".to_owned()),
+    }
+}
