@@ -4,6 +4,8 @@
 //! The test runs itself as that process. It kills the process, not the machine: what a power cut does is up to
 //! the disk's honesty about syncing, which no test here can show.
 
+#![allow(clippy::unwrap_used)] // Helper functions of a test, which the lint's exception for tests does not reach.
+
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;

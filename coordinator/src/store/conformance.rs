@@ -513,6 +513,28 @@ fn a_view_without_its_journal_or_with_another_is_not_believed() {
 }
 
 #[test]
+fn a_view_that_lost_or_changed_an_entry_is_made_anew() {
+    for spoil in [None, Some(b"nonsense".as_slice())] {
+        let directory = tempfile::tempdir().unwrap();
+        let store = SledStore::open(directory.path()).unwrap();
+        perform(&store, &Op::Scene(0, 10));
+        perform(&store, &Op::Epoch);
+        let before = everything(&store);
+        drop(store);
+        let view = sled::open(directory.path().join("sled")).unwrap();
+        match spoil {
+            None => view.remove(b"e").unwrap(),
+            Some(value) => view.insert(b"e", value).unwrap(),
+        }
+        .expect("the epoch was there");
+        view.flush().unwrap();
+        drop(view);
+        assert_eq!(everything(&SledStore::open(directory.path()).unwrap()), before);
+        assert!(directory.path().join("sled.broken-1").exists());
+    }
+}
+
+#[test]
 fn the_longest_records_fit_and_longer_ones_are_refused() {
     let store = MemoryStore::new();
     perform(&store, &Op::Scene(0, 10));
