@@ -256,18 +256,50 @@ impl Hierarchy {
 
     /// Offsets and coded sets of all nodes. All cells have been pushed, so the root alone is waiting.
     fn section(&self, tree: &CellTree, triangles: u32) -> Result<Vec<u8>, PvsError> {
-        let mut offsets = vec![0u64];
-        let mut sets = Vec::new();
+        let mut forms = Vec::with_capacity(tree.nodes().len());
         // Ids open at the root are out of it: as few ids as the other way.
         let root = self.waiting.first().map_or(&[][..], |a| &a.within);
-        self.code(tree, triangles, 0, &[], root, &mut offsets, &mut sets)?;
+        self.code(tree, triangles, 0, &[], root, &mut forms)?;
+
+        // Bytes of a node's subtree without the node when its children may refer to it; bytes of its subtree when
+        // nothing refers above it. Children come after their parents, so backwards.
+        let mut referring = vec![0usize; forms.len()];
+        let mut standing = vec![0usize; forms.len()];
+        for node in (0..forms.len()).rev() {
+            let below = tree.upper(node as u32).map(|upper| [node + 1, upper as usize]);
+            let own = forms[node].absolute.len();
+            (referring[node], standing[node]) = below.map_or((0, own), |children| {
+                let refer = children.map(|c| (forms[c].relative.len() + referring[c]).min(standing[c]));
+                let refer = refer[0] + refer[1];
+                (refer, (own + refer).min(children.iter().map(|&c| standing[c]).sum()))
+            });
+        }
+        let mut offsets = vec![0u64];
+        let mut sets: Vec<u8> = Vec::new();
+        // Whether there is something above to refer to, for each node.
+        let mut may_refer = vec![false; forms.len()];
+        for (node, form) in forms.iter().enumerate() {
+            let refers = may_refer[node] && form.relative.len() + referring[node] <= standing[node];
+            let children = tree.upper(node as u32).map(|upper| [node + 1, upper as usize]);
+            // An inner set that pays for nothing is left out: no bytes, and none below refers to it.
+            let stands = children.is_none() || form.absolute.len() + referring[node] <= standing[node];
+            if refers {
+                sets.extend(&form.relative);
+            } else if stands {
+                sets.extend(&form.absolute);
+            }
+            for child in children.into_iter().flatten() {
+                may_refer[child] = refers || stands;
+            }
+            offsets.push(sets.len() as u64);
+        }
         let mut bytes: Vec<u8> = offsets.iter().flat_map(|o| o.to_le_bytes()).collect();
         bytes.extend(sets);
         Ok(bytes)
     }
 
-    /// Codes the node's set against the one above and goes on with its children, lower first. Recursion is as deep
-    /// as the tree, at most [`crate::MAX_DEPTH`].
+    /// Codes the node's set both ways and goes on with its children, lower first. Recursion is as deep as the tree,
+    /// at most [`crate::MAX_DEPTH`].
     fn code(
         &self,
         tree: &CellTree,
@@ -275,16 +307,13 @@ impl Hierarchy {
         node: u32,
         above: &[u32],
         set: &[u32],
-        offsets: &mut Vec<u64>,
-        sets: &mut Vec<u8>,
+        forms: &mut Vec<Forms>,
     ) -> Result<(), PvsError> {
         let [difference] = runs::sweep([above, set], |m| u32::from(m == 1 || m == 2));
-        let (mut relative, mut absolute) = (Vec::new(), Vec::new());
-        codec::encode(&difference, false, &mut relative);
-        // An outlier (a cell set aside, say) is shorter by itself than as a difference.
-        codec::encode(set, true, &mut absolute);
-        sets.extend(if absolute.len() < relative.len() { absolute } else { relative });
-        offsets.push(sets.len() as u64);
+        let mut form = Forms::default();
+        codec::encode(&difference, false, &mut form.relative);
+        codec::encode(set, true, &mut form.absolute);
+        forms.push(form);
         let Some(upper) = tree.upper(node) else { return Ok(()) };
         let mut parts = [Vec::new(), Vec::new()];
         for (part, coded) in parts.iter_mut().zip(&self.contradictions[node as usize]) {
@@ -295,7 +324,16 @@ impl Hierarchy {
         let [in_lower, in_upper] = runs::sweep([set, &parts[0], &parts[1]], |m| {
             u32::from(m & 2 != 0 || m == 1) | u32::from(m & 4 != 0 || m == 1) << 1
         });
-        self.code(tree, triangles, node + 1, set, &in_lower, offsets, sets)?;
-        self.code(tree, triangles, upper, set, &in_upper, offsets, sets)
+        self.code(tree, triangles, node + 1, set, &in_lower, forms)?;
+        self.code(tree, triangles, upper, set, &in_upper, forms)
     }
+}
+
+/// One node's set, coded.
+#[derive(Default)]
+struct Forms {
+    /// As the difference from the node above.
+    relative: Vec<u8>,
+    /// By itself, which is shorter for what resembles nothing else (a cell set aside, say).
+    absolute: Vec<u8>,
 }

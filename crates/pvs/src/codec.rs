@@ -2,9 +2,12 @@
 //! coded as an exponential Golomb number.
 //!
 //! A set is: one byte of flags, then, unless the set is empty, one byte each for the order k of the gap code and of
-//! the run code, the number of runs as a varint, and the codes, filling bytes from the least bit up, the last
-//! byte padded with zeros. No bytes at all is the empty set, not absolute. With w = v + 2ᵏ and n = ⌊log₂ w⌋, the
-//! code of v is n − k zeros, a one, and the low n bits of w. Gap lengths are coded less 1 except the first; runs less 1.
+//! the run code, the number of runs and the bytes of the gap codes as varints, the codes of all gaps, the codes of
+//! all runs. Codes fill bytes from the least bit up, the last byte padded with zeros. Two streams instead of one let
+//! a processor decode a gap and a run at the same time. No bytes at all is the empty set, not absolute.
+//!
+//! With w = v + 2ᵏ and n = ⌊log₂ w⌋, the code of v is n − k zeros, a one, and the low n bits of w. Gap lengths are
+//! coded less 1 except the first; runs less 1.
 
 /// Flag: the set stands for itself; what lies above it on the root path does not count.
 const ABSOLUTE: u8 = 1;
@@ -25,19 +28,16 @@ pub fn encode(bounds: &[u32], absolute: bool, out: &mut Vec<u8>) {
         }
         return;
     }
-    let order = |of_runs: bool| best_order(lengths(bounds).filter(|l| l.1 == of_runs).map(|l| l.0));
-    let (gap_order, run_order) = (order(false), order(true));
-    out.extend([u8::from(absolute) * ABSOLUTE, gap_order as u8, run_order as u8]);
+    let [gaps, runs] = [false, true].map(|of_runs| {
+        let values = || lengths(bounds).filter(move |l| l.1 == of_runs).map(|l| l.0);
+        let order = best_order(values());
+        (order, code_all(values(), order))
+    });
+    out.extend([u8::from(absolute) * ABSOLUTE, gaps.0 as u8, runs.0 as u8]);
     varint(bounds.len() as u64 / 2, out);
-    let mut bits = BitWriter { out, buffer: 0, held: 0 };
-    for (value, is_run) in lengths(bounds) {
-        let k = if is_run { run_order } else { gap_order };
-        let w = u64::from(value) + (1 << k);
-        let n = w.ilog2();
-        bits.put(1 << (n - k), n - k + 1);
-        bits.put(w & ((1 << n) - 1), n);
-    }
-    bits.finish();
+    varint(gaps.1.len() as u64, out);
+    out.extend(gaps.1);
+    out.extend(runs.1);
 }
 
 /// Whether a coded set is absolute.
@@ -60,23 +60,27 @@ pub fn decode(bytes: &[u8], limit: u32, mut each: impl FnMut(u32, u32)) -> Resul
     if gap_order.max(run_order) > MAX_ORDER {
         return Err(BadSet("the order of its code is above 31"));
     }
-    let (runs, rest) = read_varint(rest).ok_or(BadSet("its count is cut short"))?;
+    let short = BadSet("it is cut short");
+    let (count, rest) = read_varint(rest).ok_or(short)?;
+    let (gap_bytes, rest) = read_varint(rest).ok_or(short)?;
+    let (gaps, runs) = usize::try_from(gap_bytes).ok().and_then(|n| rest.split_at_checked(n)).ok_or(short)?;
     // Every code has a bit at least, which bounds the loop by the bytes that are there.
-    if runs == 0 || runs.saturating_mul(2) > rest.len() as u64 * 8 {
+    if count == 0 || count > gaps.len().min(runs.len()) as u64 * 8 {
         return Err(BadSet("its count does not fit its length"));
     }
-    let mut bits = BitReader::new(rest);
+    let (mut gaps, mut runs) = (BitReader::new(gaps), BitReader::new(runs));
     // The end of the run before; −1 before the first, so that its gap may be 0.
     let mut end = -1i64;
-    for _ in 0..runs {
-        let start = end + 1 + bits.code(gap_order)?;
-        end = start + 1 + bits.code(run_order)?;
+    for _ in 0..count {
+        let start = end + 1 + gaps.code(gap_order)?;
+        end = start + 1 + runs.code(run_order)?;
         if end > i64::from(limit) {
             return Err(BadSet("it has ids beyond the last triangle"));
         }
         each(start as u32, end as u32);
     }
-    bits.finish()
+    gaps.finish()?;
+    runs.finish()
 }
 
 /// The numbers that are coded, with whether each is a run's.
@@ -95,6 +99,18 @@ fn best_order(values: impl Iterator<Item = u32>) -> u32 {
         }
     }
     (0..=MAX_ORDER).min_by_key(|&k| bits[k as usize]).unwrap_or(0)
+}
+
+/// The codes of all the numbers, one after another.
+fn code_all(values: impl Iterator<Item = u32>, k: u32) -> Vec<u8> {
+    let mut bits = BitWriter { out: Vec::new(), buffer: 0, held: 0 };
+    for value in values {
+        let w = u64::from(value) + (1 << k);
+        let n = w.ilog2();
+        bits.put(1 << (n - k), n - k + 1);
+        bits.put(w & ((1 << n) - 1), n);
+    }
+    bits.finish()
 }
 
 fn varint(mut v: u64, out: &mut Vec<u8>) {
@@ -116,13 +132,13 @@ fn read_varint(bytes: &[u8]) -> Option<(u64, &[u8])> {
     None
 }
 
-struct BitWriter<'a> {
-    out: &'a mut Vec<u8>,
+struct BitWriter {
+    out: Vec<u8>,
     buffer: u64,
     held: u32,
 }
 
-impl BitWriter<'_> {
+impl BitWriter {
     /// Appends the low `count` ≤ 33 bits of `value`, whose other bits are 0.
     fn put(&mut self, value: u64, count: u32) {
         // At most 7 bits are held between calls, so 40 fit.
@@ -135,10 +151,11 @@ impl BitWriter<'_> {
         }
     }
 
-    fn finish(self) {
+    fn finish(mut self) -> Vec<u8> {
         if self.held > 0 {
             self.out.push(self.buffer as u8);
         }
+        self.out
     }
 }
 
@@ -172,6 +189,42 @@ impl<'a> BitReader<'a> {
         }
     }
 
+    /// One number coded with order `k` ≤ 31.
+    #[inline(always)]
+    fn code(&mut self, k: u32) -> Result<i64, BadSet> {
+        if self.held < 32 {
+            self.refill();
+        }
+        let zeros = self.buffer.trailing_zeros();
+        let n = zeros + k;
+        let length = zeros + 1 + n;
+        if length > self.held {
+            return self.long_code(k);
+        }
+        // `length` ≤ 63 here.
+        let low = self.buffer >> (zeros + 1) & ((1 << n) - 1);
+        self.buffer >>= length;
+        self.held -= length;
+        Ok(((1 << n | low) - (1 << k)) as i64)
+    }
+
+    /// The same for a code longer than the bits at hand.
+    #[cold]
+    fn long_code(&mut self, k: u32) -> Result<i64, BadSet> {
+        self.refill();
+        let zeros = self.buffer.trailing_zeros();
+        let n = zeros + k;
+        // 32-bit numbers need no more; a buffer of zeros alone comes out as 64.
+        if n > 32 {
+            return Err(BadSet("a length is beyond 32 bits"));
+        }
+        self.take(zeros + 1)?;
+        self.refill();
+        let low = self.take(n)?;
+        Ok(((1 << n | low) - (1 << k)) as i64)
+    }
+
+    /// The next `count` ≤ 33 bits.
     fn take(&mut self, count: u32) -> Result<u64, BadSet> {
         if count > self.held {
             return Err(BadSet("it is cut short"));
@@ -180,25 +233,6 @@ impl<'a> BitReader<'a> {
         self.buffer >>= count;
         self.held -= count;
         Ok(value)
-    }
-
-    /// One number coded with order `k` ≤ 31.
-    fn code(&mut self, k: u32) -> Result<i64, BadSet> {
-        if self.held < 48 {
-            self.refill();
-        }
-        let zeros = self.buffer.trailing_zeros();
-        let n = zeros + k;
-        // 32-bit numbers need no more; a buffer of zeros alone comes out as 64.
-        if n > 32 {
-            return Err(BadSet("a length is beyond 32 bits"));
-        }
-        self.take(zeros + 1)?;
-        if n > self.held {
-            self.refill();
-        }
-        let low = self.take(n)?;
-        Ok(((1 << n | low) - (1 << k)) as i64)
     }
 
     /// Nothing but zeros may be left of the last byte.

@@ -211,18 +211,9 @@ impl Pvs {
         }
         bits.fill(0);
         self.boundaries(Section::Visible, cell, bits)?;
-        // From boundaries to members: the parity of the boundaries at or before each bit.
-        let mut inside = 0u64;
+        let mut inside = 0;
         for word in bits {
-            let mut x = *word;
-            if x != 0 {
-                for shift in [1, 2, 4, 8, 16, 32] {
-                    x ^= x << shift;
-                }
-            }
-            x ^= inside;
-            inside = (x >> 63).wrapping_neg();
-            *word = x;
+            *word = members(*word, &mut inside);
         }
         Ok(())
     }
@@ -267,6 +258,11 @@ impl Pvs {
         [self.bytes.get().len() as u64, part(Section::Visible), part(Section::Undecided)]
     }
 
+    /// The bytes of the visible sets as they are in the file, for comparing ways to code them.
+    pub fn visible_section(&self) -> &[u8] {
+        self.part(Section::Visible)
+    }
+
     fn leaf(&self, cell: u32) -> Result<u32, PvsError> {
         self.tree.leaf(cell).ok_or(PvsError::NoCell { cell, cells: self.layout.cells })
     }
@@ -278,15 +274,30 @@ impl Pvs {
 
     fn ids(&self, section: Section, cell: u32, ids: &mut Vec<u32>) -> Result<(), PvsError> {
         ids.clear();
-        let triangles = self.layout.triangles;
-        let mut enough = true;
-        self.each_run(section, cell, |run| {
-            enough = enough && ids.try_reserve(run.len()).is_ok();
-            if enough {
-                ids.extend(run);
+        let words = self.marked(section, cell)?;
+        let mut inside = 0;
+        let mut part = [0u32; 64];
+        for (i, &word) in words.iter().enumerate() {
+            if word == 0 && inside == 0 {
+                continue;
             }
-        })?;
-        if enough { Ok(()) } else { Err(PvsError::Memory { triangles }) }
+            let mut rest = members(word, &mut inside);
+            let mut count = 0;
+            while rest != 0 {
+                part[count] = i as u32 * 64 + rest.trailing_zeros();
+                count += 1;
+                rest &= rest - 1;
+            }
+            if ids.try_reserve(count).is_err() {
+                return Err(self.no_memory());
+            }
+            ids.extend_from_slice(&part[..count]);
+        }
+        Ok(())
+    }
+
+    fn no_memory(&self) -> PvsError {
+        PvsError::Memory { triangles: self.layout.triangles }
     }
 
     fn objects_of(&self, section: Section, cell: u32, objects: &mut Vec<u32>) -> Result<(), PvsError> {
@@ -318,7 +329,8 @@ impl Pvs {
     }
 
     /// Marks where runs of the cell's set start and end, in zeroed words: the exclusive or of sets is that of
-    /// their boundaries, so each set on the root path flips its own. An end at the last bit needs no mark.
+    /// their boundaries, so each set on the root path flips its own. Only an end at the very last bit finds no place,
+    /// and needs none: no bit beyond the last triangle is ever a member.
     fn boundaries(&self, section: Section, cell: u32, words: &mut [u64]) -> Result<(), PvsError> {
         let leaf = self.leaf(cell)?;
         if self.part(section).is_empty() {
@@ -341,6 +353,15 @@ impl Pvs {
         Ok(())
     }
 
+    /// The marks of [`Self::boundaries`] in words of their own.
+    fn marked(&self, section: Section, cell: u32) -> Result<Vec<u64>, PvsError> {
+        let mut words = Vec::new();
+        words.try_reserve_exact(self.words()).map_err(|_| self.no_memory())?;
+        words.resize(self.words(), 0u64);
+        self.boundaries(section, cell, &mut words)?;
+        Ok(words)
+    }
+
     /// Gives the maximal runs of a cell's set, ascending.
     fn each_run(
         &self,
@@ -348,11 +369,7 @@ impl Pvs {
         cell: u32,
         mut each: impl FnMut(Range<u32>),
     ) -> Result<(), PvsError> {
-        let triangles = self.layout.triangles;
-        let mut words = Vec::new();
-        words.try_reserve_exact(self.words()).map_err(|_| PvsError::Memory { triangles })?;
-        words.resize(self.words(), 0u64);
-        self.boundaries(section, cell, &mut words)?;
+        let words = self.marked(section, cell)?;
         let mut start = None;
         for (i, &word) in words.iter().enumerate() {
             let mut rest = word;
@@ -369,10 +386,24 @@ impl Pvs {
             }
         }
         if let Some(from) = start {
-            each(from..triangles);
+            each(from..self.layout.triangles);
         }
         Ok(())
     }
+}
+
+/// From marked boundaries to members: each bit becomes the parity of the marks at or before it. `inside` is all ones
+/// when the word before ended within a run.
+fn members(marks: u64, inside: &mut u64) -> u64 {
+    let mut x = marks;
+    if x != 0 {
+        for shift in [1, 2, 4, 8, 16, 32] {
+            x ^= x << shift;
+        }
+    }
+    x ^= *inside;
+    *inside = (x >> 63).wrapping_neg();
+    x
 }
 
 fn read_tree(bytes: &[u8], nodes: u32) -> Result<CellTree, PvsError> {
