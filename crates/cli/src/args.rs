@@ -201,6 +201,12 @@ pub struct GenerateArgs {
     /// Forest: triangles of one tree.
     #[arg(long)]
     pub triangles_per_tree: Option<u32>,
+    /// Rooms and maze: columns and rows; slits: walls and slits in each.
+    #[arg(long, value_name = "NxM", value_parser = parse_grid)]
+    pub grid: Option<[u32; 2]>,
+    /// Slits: width as a fraction of the wall, 1e-7 to 0.1.
+    #[arg(long)]
+    pub slit_width: Option<f32>,
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug)]
@@ -279,4 +285,9 @@ pub struct MeasureArgs {
     /// Write the worst frames as PNG: seen triangles green, wrong ones red.
     #[arg(long, value_name = "DIR")]
     pub images: Option<PathBuf>,
+}
+
+fn parse_grid(text: &str) -> Result<[u32; 2], String> {
+    let parts: Vec<u32> = text.split(['x', 'X']).map_while(|p| p.trim().parse().ok()).collect();
+    parts.try_into().map_err(|_| "give two numbers as in 8x8".to_owned())
 }

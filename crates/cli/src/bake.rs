@@ -1,0 +1,214 @@
+//! `sightline bake`: a coordinator and workers in this process, speaking the same gRPC to each other as in a cluster.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use sightline_coordinator::{Config, Coordinator, OpenError};
+use sightline_proto::v1;
+use sightline_proto::v1::jobs_client::JobsClient;
+use sightline_worker::{Backends, SceneCache, Stop};
+use tokio::sync::watch;
+
+use crate::args::BakeArgs;
+use crate::client;
+use crate::error::CliError;
+use crate::inspect::Summary;
+use crate::progress::{human, say};
+use crate::serve::{self, threads};
+
+/// Runs a bake.
+pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
+    let start = Instant::now();
+    let scene = sightline_scene::load(&args.scene)?;
+    let spec = args.job.spec(&scene)?;
+    say(&format!(
+        "{}: {} triangles, {} objects, read in {}",
+        args.scene.display(),
+        scene.len(),
+        scene.objects().len(),
+        human(start.elapsed())
+    ));
+    check_output(&args.output)?;
+    let data_dir = match &args.data_dir {
+        Some(dir) => dir.clone(),
+        None => default_data_dir()?,
+    };
+    let coordinator = Coordinator::open(Config::new(data_dir.clone())).map_err(|e| match e {
+        OpenError::Store(e) => CliError::Input(format!("{e} (--data-dir names another)")),
+        OpenError::Blobs(e) => CliError::Input(e.to_string()),
+    })?;
+    let runtime = serve::runtime()?;
+    let outcome = runtime.block_on(async {
+        let work = bake(&args, coordinator, &scene, &spec);
+        tokio::select! {
+            r = work => r,
+            _ = tokio::signal::ctrl_c() => Err(CliError::Interrupted(format!(
+                "interrupted; what is done is kept in {}: the same command goes on from there",
+                data_dir.display()
+            ))),
+        }
+    });
+    // Tiles in hand are dropped, not waited for.
+    runtime.shutdown_timeout(Duration::from_millis(200));
+    let outcome = outcome?;
+    report(&args, &outcome, start.elapsed(), json)
+}
+
+/// What a bake came to.
+struct Outcome {
+    job: v1::Job,
+    from_store: bool,
+}
+
+async fn bake(
+    args: &BakeArgs,
+    coordinator: Arc<Coordinator>,
+    scene: &sightline_scene::Scene,
+    spec: &sightline_job::JobSpec,
+) -> Result<Outcome, CliError> {
+    let listener = sightline_coordinator::server::listen(([127, 0, 0, 1], 0).into(), false)
+        .await
+        .map_err(CliError::internal)?;
+    let url = format!("http://{}", listener.local_addr().map_err(CliError::internal)?);
+    let server = tokio::spawn(sightline_coordinator::serve(
+        Arc::clone(&coordinator),
+        listener,
+        std::future::pending(),
+    ));
+    let mut client = JobsClient::new(client::channel(&url).await?);
+    client::upload(&mut client, scene).await?;
+    let name = args.scene.file_name().unwrap_or_default().to_string_lossy();
+    let request = v1::SubmitRequest {
+        request_id: client::fresh_request_id(),
+        name: name.chars().filter(|c| !c.is_control()).take(32).collect(),
+        spec: Some(spec.to_proto()),
+    };
+    let answer = client.submit(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+    let mut job = answer.job.unwrap_or_default();
+    coordinator.restrict_to(job.id);
+    let from_store = job.state() == v1::JobState::Done;
+    if from_store {
+        say("this bake is in the store already");
+    } else {
+        if job.state() == v1::JobState::Paused {
+            job = client.resume(v1::ShowRequest { job: job.id }).await.map_err(|s| CliError::status(&s))?.into_inner();
+        }
+        if answer.existing {
+            say(&format!("going on: {} of {} tiles are done", job.tiles_done, job.tiles_total));
+        }
+        let (stop, workers) = start_workers(args, &url)?;
+        job = tokio::select! {
+            j = client::follow(&mut client, job.id) => j?,
+            e = workers => return Err(e),
+        };
+        // The workers are gone with the process; a failed send means that they are already.
+        let _ = stop.send(Stop::Now);
+    }
+    client::must_be_done(&job)?;
+    client::fetch(&mut client, &job, &args.output).await?;
+    server.abort();
+    Ok(Outcome { job, from_store })
+}
+
+/// Starts the workers; the future resolves only when one of them ends with an error.
+fn start_workers(
+    args: &BakeArgs,
+    url: &str,
+) -> Result<(watch::Sender<Stop>, impl Future<Output = CliError> + use<>), CliError> {
+    let backends = Arc::new(Backends::probe(serve::choice(args.job.backend), Default::default()));
+    serve::say_missing(&backends)?;
+    let cores = threads(None);
+    let count = args.workers.unwrap_or(cores);
+    if count == 0 || count > 256 {
+        return Err(CliError::Usage(format!("{count} workers cannot be started; use --workers 1 to 256")));
+    }
+    let pool = serve::pool(cores)?;
+    let scenes = Arc::new(SceneCache::default());
+    let (stop, stopped) = watch::channel(Stop::No);
+    let mut set = tokio::task::JoinSet::new();
+    for i in 0..count {
+        let config = sightline_worker::Config {
+            coordinator: url.to_owned(),
+            name: format!("in-process-{i}"),
+            backends: Arc::clone(&backends),
+            scenes: Arc::clone(&scenes),
+            pool: Arc::clone(&pool),
+            give_up_after: Some(Duration::from_secs(30)),
+        };
+        set.spawn(sightline_worker::run(config, stopped.clone()));
+    }
+    Ok((stop, async move {
+        while let Some(ended) = set.join_next().await {
+            match ended {
+                Ok(Ok(())) => {}
+                Ok(Err(e)) => return CliError::internal(e),
+                Err(e) => return CliError::internal(e),
+            }
+        }
+        std::future::pending().await
+    }))
+}
+
+/// Refuses an output that cannot be written before hours are spent on it.
+fn check_output(path: &std::path::Path) -> Result<(), CliError> {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(std::path::Path::new("."));
+    if path.is_dir() || !folder.is_dir() {
+        return Err(CliError::Usage(format!(
+            "{} cannot be written: {}; give -o a file in a folder that exists",
+            path.display(),
+            if path.is_dir() { "it is a folder" } else { "its folder does not exist" }
+        )));
+    }
+    Ok(())
+}
+
+fn default_data_dir() -> Result<PathBuf, CliError> {
+    let from = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
+    from("XDG_CACHE_HOME")
+        .or_else(|| from("HOME").map(|h| h.join(".cache")))
+        .map(|d| d.join("sightline"))
+        .ok_or_else(|| CliError::Usage("neither XDG_CACHE_HOME nor HOME is set; name a --data-dir".to_owned()))
+}
+
+fn report(args: &BakeArgs, outcome: &Outcome, took: Duration, json: bool) -> Result<(), CliError> {
+    let summary = Summary::of(&args.output)?;
+    let job = &outcome.job;
+    let peak = peak_memory();
+    if json {
+        let mut value = serde_json::to_value(&summary).map_err(CliError::internal)?;
+        value["output"] = args.output.display().to_string().into();
+        value["job"] = job.id.into();
+        value["from_store"] = outcome.from_store.into();
+        value["seconds"] = took.as_secs_f64().into();
+        value["samples"] = job.samples.into();
+        value["tiles_set_aside"] = job.tiles_set_aside.into();
+        value["peak_memory_bytes"] = peak.into();
+        serve::print(&value.to_string())
+    } else {
+        let mut lines = summary.lines();
+        lines.push(format!(
+            "baked in {}, {} samples, peak memory {}{}",
+            human(took),
+            job.samples,
+            peak.map_or("not known here".to_owned(), |p| format!("{:.0} MB", p as f64 / 1e6)),
+            if outcome.from_store { " (answered from the store)" } else { "" }
+        ));
+        if job.tiles_set_aside > 0 {
+            lines.push(format!(
+                "ATTENTION: {} tiles failed and were set aside; their cells show everything. `sightline info` marks them.",
+                job.tiles_set_aside
+            ));
+        }
+        lines.push(format!("wrote {}", args.output.display()));
+        serve::print(&lines.join("\n"))
+    }
+}
+
+/// Most memory this process has held, from the kernel; `None` where it does not tell.
+pub fn peak_memory() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
+    let kilobytes: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    Some(kilobytes * 1024)
+}

@@ -1,0 +1,131 @@
+//! Talking to a coordinator: connect, upload a scene, submit, follow, fetch.
+
+use std::path::Path;
+use std::time::Duration;
+
+use futures::StreamExt as _;
+use sightline_proto::chunks::{CHUNK_BYTES, Assembler};
+use sightline_proto::v1;
+use sightline_proto::v1::jobs_client::JobsClient;
+use sightline_scene::Scene;
+use tonic::transport::{Channel, Endpoint};
+
+use crate::error::CliError;
+use crate::progress::Progress;
+
+/// Largest result downloaded.
+const MAX_RESULT: u64 = 64 << 30;
+
+/// Connects to a coordinator.
+pub async fn channel(url: &str) -> Result<Channel, CliError> {
+    let wrong = |e: &dyn std::fmt::Display| {
+        CliError::Usage(format!("{url} is not a coordinator's address ({e}); give one such as http://127.0.0.1:7600"))
+    };
+    Endpoint::from_shared(url.to_owned())
+        .map_err(|e| wrong(&e))?
+        .connect_timeout(Duration::from_secs(5))
+        .tcp_nodelay(true)
+        .connect()
+        .await
+        .map_err(|e| {
+            let reason = std::error::Error::source(&e).map_or_else(|| e.to_string(), ToString::to_string);
+            CliError::Coordinator(format!(
+                "no coordinator answers at {url} ({reason}); start one with `sightline coordinator`, or name another with --coordinator"
+            ))
+        })
+}
+
+/// Uploads what the coordinator lacks of a scene.
+pub async fn upload(client: &mut JobsClient<Channel>, scene: &Scene) -> Result<(), CliError> {
+    let blob = scene.to_blob();
+    let whole = blake3::hash(&blob).as_bytes().to_vec();
+    let pieces: Vec<&[u8]> = blob.chunks(CHUNK_BYTES).collect();
+    let digests: Vec<Vec<u8>> = pieces.iter().map(|p| blake3::hash(p).as_bytes().to_vec()).collect();
+    let put = v1::PutSceneRequest { chunks: digests.clone(), digest: whole };
+    // A scene that is there already needs nothing but its digest.
+    match client.put_scene(put.clone()).await {
+        Ok(_) => return Ok(()),
+        Err(s) if s.code() == tonic::Code::FailedPrecondition => {}
+        Err(s) => return Err(CliError::status(&s)),
+    }
+    let request = v1::MissingChunksRequest { digests: digests.clone() };
+    let missing = client.missing_chunks(request).await.map_err(|s| CliError::status(&s))?.into_inner().digests;
+    let chunks: Vec<v1::Chunk> = digests
+        .iter()
+        .zip(&pieces)
+        .filter(|(d, _)| missing.contains(d))
+        .map(|(_, p)| v1::Chunk {
+            data: p.to_vec(),
+            crc32c: crc32c::crc32c(p),
+            offset: 0,
+            total: p.len() as u64,
+        })
+        .collect();
+    client.put_chunks(tokio_stream::iter(chunks)).await.map_err(|s| CliError::status(&s))?;
+    client.put_scene(put).await.map_err(|s| CliError::status(&s))?;
+    Ok(())
+}
+
+/// A request id nobody else has: submitting is then idempotent for this call, and the job's key finds older jobs.
+pub fn fresh_request_id() -> String {
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.as_nanos());
+    format!("cli-{}-{now:x}", std::process::id())
+}
+
+/// Follows a job until it ends, showing progress; gives its last state.
+pub async fn follow(client: &mut JobsClient<Channel>, job: u64) -> Result<v1::Job, CliError> {
+    let progress = Progress::new();
+    let request = v1::ShowRequest { job };
+    let mut stream = client.watch(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+    let mut last = None;
+    while let Some(message) = stream.next().await {
+        let message = message.map_err(|s| CliError::status(&s))?;
+        progress.job(&message);
+        last = Some(message);
+    }
+    progress.end();
+    last.ok_or_else(|| CliError::Coordinator("the coordinator ended the stream without a word".to_owned()))
+}
+
+/// Turns a job that ended without a result into an error.
+pub fn must_be_done(job: &v1::Job) -> Result<(), CliError> {
+    match job.state() {
+        v1::JobState::Done => Ok(()),
+        v1::JobState::Failed => Err(CliError::Job(format!("job {} failed: {}", job.id, job.reason))),
+        v1::JobState::Cancelled => Err(CliError::Job(format!(
+            "job {} was cancelled; `sightline retry {}` goes on with it",
+            job.id, job.id
+        ))),
+        other => Err(CliError::Coordinator(format!("job {} is {other:?} and has not ended", job.id))),
+    }
+}
+
+/// Downloads a result to `path`, which is replaced only when the whole has arrived and reads as a result.
+pub async fn fetch(client: &mut JobsClient<Channel>, job: &v1::Job, path: &Path) -> Result<u64, CliError> {
+    let request = v1::ShowRequest { job: job.id };
+    let mut stream = client.fetch(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+    let mut whole = Assembler::new(MAX_RESULT);
+    while let Some(chunk) = stream.next().await {
+        whole.push(&chunk.map_err(|s| CliError::status(&s))?).map_err(CliError::internal)?;
+    }
+    let bytes = whole.finish().map_err(CliError::internal)?;
+    if blake3::hash(&bytes).as_bytes().as_slice() != job.result {
+        return Err(CliError::Internal("the result that arrived is not the job's; fetch it again".to_owned()));
+    }
+    write_whole(path, &bytes)?;
+    Ok(bytes.len() as u64)
+}
+
+/// Writes a file under another name first, so that an interrupted write leaves no half of it.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
+    let mut name = path.file_name().unwrap_or_default().to_owned();
+    name.push(format!(".part-{}", std::process::id()));
+    let part = path.with_file_name(name);
+    std::fs::write(&part, bytes)
+        .and_then(|()| std::fs::rename(&part, path))
+        .map_err(|e| {
+            // The half-written file is of no use; that it cannot be removed either adds nothing.
+            let _ = std::fs::remove_file(&part);
+            CliError::writing(path, &e)
+        })
+}

@@ -1,0 +1,225 @@
+//! `sightline info`, `dump` and `query`: what is in a result.
+
+use std::io::{BufWriter, Write as _};
+use std::path::Path;
+
+use serde::Serialize;
+use sightline_pvs::Pvs;
+
+use crate::args::{DumpArgs, Items, QueryArgs, ResultArgs};
+use crate::error::CliError;
+use crate::serve::print;
+
+/// Objects listed by `info` without --json.
+const OBJECTS_SHOWN: usize = 20;
+
+/// Opens a result; the error names the file.
+pub fn open(path: &Path) -> Result<Pvs, CliError> {
+    Pvs::open(path).map_err(|e| CliError::Input(format!("{}: {e}", path.display())))
+}
+
+/// What `info` and the end of a bake say.
+#[derive(Serialize)]
+pub struct Summary {
+    format: &'static str,
+    version: u32,
+    method: String,
+    triangles: u32,
+    objects: usize,
+    cells: u32,
+    view_box: serde_json::Value,
+    file_bytes: u64,
+    set_bytes: u64,
+    bytes_per_cell: f64,
+    mean_visible: f64,
+    min_visible: u64,
+    max_visible: u64,
+    mean_visible_fraction: f64,
+    undecided: u64,
+    cells_set_aside: u32,
+    info: serde_json::Value,
+}
+
+impl Summary {
+    /// Reads the result at `path`.
+    pub fn of(path: &Path) -> Result<Self, CliError> {
+        let pvs = open(path)?;
+        let (mut least, mut most, mut sum, mut undecided, mut aside) = (u64::MAX, 0, 0u64, 0u64, 0);
+        let mut ids = Vec::new();
+        for cell in 0..pvs.cells() {
+            pvs.visible(cell, &mut ids)?;
+            let n = ids.len() as u64;
+            (least, most, sum) = (least.min(n), most.max(n), sum + n);
+            pvs.undecided(cell, &mut ids)?;
+            undecided += ids.len() as u64;
+            aside += u32::from(pvs.is_set_aside(cell)?);
+        }
+        let [file_bytes, visible, undecided_bytes] = pvs.file_bytes();
+        let cells = f64::from(pvs.cells());
+        let [min, max] = pvs.tree().view_box();
+        Ok(Self {
+            format: "sightline.pvs",
+            version: sightline_pvs::VERSION,
+            method: pvs.method().to_owned(),
+            triangles: pvs.triangle_count(),
+            objects: pvs.objects().len(),
+            cells: pvs.cells(),
+            view_box: serde_json::json!({"min": min, "max": max}),
+            file_bytes,
+            set_bytes: visible + undecided_bytes,
+            bytes_per_cell: (visible + undecided_bytes) as f64 / cells,
+            mean_visible: sum as f64 / cells,
+            min_visible: least,
+            max_visible: most,
+            mean_visible_fraction: sum as f64 / cells / f64::from(pvs.triangle_count()),
+            undecided,
+            cells_set_aside: aside,
+            // Whoever baked it wrote it; a result of another program may hold anything.
+            info: serde_json::from_str(pvs.info_json()).unwrap_or_else(|_| pvs.info_json().into()),
+        })
+    }
+
+    /// For people.
+    pub fn lines(&self) -> Vec<String> {
+        let text = |key: &str| self.info.get(key).and_then(|v| v.as_str()).unwrap_or("?").to_owned();
+        vec![
+            format!("{} cells over {} triangles in {} objects, method {}", self.cells, self.triangles, self.objects, self.method),
+            format!("view box {} to {}", self.view_box["min"], self.view_box["max"]),
+            format!(
+                "visible from a cell: {:.0} triangles on average ({:.2} %), {} to {}; undecided: {}",
+                self.mean_visible,
+                self.mean_visible_fraction * 100.0,
+                self.min_visible,
+                self.max_visible,
+                self.undecided
+            ),
+            format!("{} bytes, {:.0} a cell for the sets; cells set aside: {}", self.file_bytes, self.bytes_per_cell, self.cells_set_aside),
+            format!("numerics profile {}", text("profile")),
+        ]
+    }
+}
+
+/// Says what is in a result.
+pub fn info(args: &ResultArgs, json: bool) -> Result<(), CliError> {
+    let summary = Summary::of(&args.result)?;
+    let pvs = open(&args.result)?;
+    if json {
+        let mut value = serde_json::to_value(&summary).map_err(CliError::internal)?;
+        let object = |o: &sightline_pvs::Object| serde_json::json!({"name": o.name, "first": o.first, "count": o.count});
+        value["objects"] = pvs.objects().iter().map(object).collect();
+        return print(&value.to_string());
+    }
+    let mut lines = summary.lines();
+    lines.push(format!("parameters {}", summary.info));
+    for (i, o) in pvs.objects().iter().enumerate().take(OBJECTS_SHOWN) {
+        let last = u64::from(o.first) + u64::from(o.count);
+        lines.push(format!("object {i}: {} (triangles {}..{last})", o.name, o.first));
+    }
+    if pvs.objects().len() > OBJECTS_SHOWN {
+        lines.push(format!("… and {} more objects; --json lists all", pvs.objects().len() - OBJECTS_SHOWN));
+    }
+    print(&lines.join("\n"))
+}
+
+/// Prints a result as JSON Lines: a header, then a line a cell.
+pub fn dump(args: &DumpArgs) -> Result<(), CliError> {
+    let summary = Summary::of(&args.result.result)?;
+    let pvs = open(&args.result.result)?;
+    let mut out = BufWriter::new(std::io::stdout().lock());
+    let mut write = || -> Result<(), Dumping> {
+        let mut header = serde_json::json!({
+            "format": summary.format, "version": summary.version, "triangles": summary.triangles,
+            "method": summary.method, "cells": summary.cells, "view_box": summary.view_box,
+            "objects": summary.objects, "info": summary.info,
+        });
+        if args.items == Items::Objects {
+            header["items"] = "objects".into();
+        }
+        writeln!(out, "{header}")?;
+        let (mut visible, mut undecided) = (Vec::new(), Vec::new());
+        for cell in 0..pvs.cells() {
+            sets(&pvs, cell, args.items, &mut visible, &mut undecided)?;
+            let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
+            let mut line = serde_json::json!({
+                "cell": cell, "min": min, "max": max, "visible": visible, "undecided": undecided,
+            });
+            if pvs.is_set_aside(cell)? {
+                line["set_aside"] = true.into();
+            }
+            writeln!(out, "{line}")?;
+        }
+        out.flush()?;
+        Ok(())
+    };
+    match write() {
+        Ok(()) => Ok(()),
+        Err(Dumping::Out(e)) if e.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        Err(Dumping::Out(e)) => Err(CliError::internal(e)),
+        Err(Dumping::Pvs(e)) => Err(e.into()),
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+enum Dumping {
+    #[error(transparent)]
+    Out(#[from] std::io::Error),
+    #[error(transparent)]
+    Pvs(#[from] sightline_pvs::PvsError),
+}
+
+fn sets(
+    pvs: &Pvs,
+    cell: u32,
+    items: Items,
+    visible: &mut Vec<u32>,
+    undecided: &mut Vec<u32>,
+) -> Result<(), sightline_pvs::PvsError> {
+    match items {
+        Items::Triangles => {
+            pvs.visible(cell, visible)?;
+            pvs.undecided(cell, undecided)
+        }
+        Items::Objects => {
+            pvs.visible_objects(cell, visible)?;
+            pvs.undecided_objects(cell, undecided)
+        }
+    }
+}
+
+/// Prints what is visible from a point's cell.
+pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
+    let pvs = open(&args.result.result)?;
+    let point: [f32; 3] = args.point.as_slice().try_into().map_err(|_| CliError::Usage("give x y z".to_owned()))?;
+    let Some(cell) = pvs.find_cell(point) else {
+        let [min, max] = pvs.tree().view_box();
+        return Err(CliError::Input(format!(
+            "{point:?} is outside the view box of {} ({min:?} to {max:?}); choose a point inside, or bake with a larger --view-box",
+            args.result.result.display()
+        )));
+    };
+    let (mut visible, mut undecided) = (Vec::new(), Vec::new());
+    sets(&pvs, cell, args.items, &mut visible, &mut undecided)?;
+    let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
+    let what = if args.items == Items::Objects { "objects" } else { "triangles" };
+    if json {
+        let value = serde_json::json!({
+            "cell": cell, "min": min, "max": max, "items": what, "visible": visible, "undecided": undecided,
+            "set_aside": pvs.is_set_aside(cell)?,
+        });
+        return print(&value.to_string());
+    }
+    let list: Vec<String> = visible
+        .iter()
+        .map(|id| match args.items {
+            Items::Triangles => id.to_string(),
+            Items::Objects => format!("{id} {}", pvs.objects()[*id as usize].name),
+        })
+        .collect();
+    let aside = if pvs.is_set_aside(cell)? { "; SET ASIDE: this cell failed, everything is shown" } else { "" };
+    print(&format!(
+        "cell {cell}, {min:?} to {max:?}: {} {what} visible, {} of them undecided{aside}\n{}",
+        visible.len(),
+        undecided.len(),
+        list.join(if args.items == Items::Objects { "\n" } else { " " })
+    ))
+}

@@ -1,0 +1,73 @@
+//! `sightline measure`: how wrong a result looks, against full-scene item buffers.
+
+use std::sync::Arc;
+
+use glam::Vec3;
+use sightline_measure::{Options, Viewpoints, measure};
+use sightline_sampling::{CubeSpec, Strata};
+
+use crate::args::MeasureArgs;
+use crate::error::CliError;
+use crate::inspect;
+use crate::progress::Progress;
+use crate::serve::{self, print};
+
+/// Worst frames written with --images.
+const WORST: usize = 8;
+
+/// Measures a result and prints one JSON object.
+pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
+    let pvs = inspect::open(&args.result)?;
+    let scene = Arc::new(sightline_scene::load(&args.scene)?);
+    if scene.len() != pvs.triangle_count() {
+        return Err(CliError::Input(format!(
+            "{} has {} triangles and {} is of a scene of {}; measure a result against the scene it was baked from",
+            args.scene.display(),
+            scene.len(),
+            args.result.display(),
+            pvs.triangle_count()
+        )));
+    }
+    let baked_from = serde_json::from_str::<serde_json::Value>(pvs.info_json())
+        .ok()
+        .and_then(|i| i.get("scene").and_then(|s| s.as_str()).map(str::to_owned));
+    if baked_from.is_some_and(|d| d != scene.digest().to_string()) {
+        return Err(CliError::Input(format!(
+            "{} was baked from another scene than {}; measure it against its own, or bake again",
+            args.result.display(),
+            args.scene.display()
+        )));
+    }
+    let [min, max] = pvs.tree().view_box().map(Vec3::from_array);
+    let views = match &args.path {
+        None => Viewpoints::random(args.viewpoints, args.seed, [min, max]),
+        Some(path) => {
+            let file = std::fs::File::open(path)
+                .map_err(|e| CliError::Input(format!("{}: cannot be read: {e}", path.display())))?;
+            Viewpoints::path(std::io::BufReader::new(file), [min, max])
+                .map_err(|e| CliError::Input(format!("{}: {e}", path.display())))?
+        }
+    };
+    if !(8..=4096).contains(&args.resolution) {
+        return Err(CliError::Usage(format!("--resolution {} is not between 8 and 4096", args.resolution)));
+    }
+    let backends = sightline_worker::Backends::probe(serve::choice(args.backend), Default::default());
+    serve::say_missing(&backends)?;
+    let spec = CubeSpec { resolution: args.resolution, strata: Strata::One, keep_pixels: false };
+    // Profiles come with the cpu first.
+    let profile = backends.profiles().into_iter().next().unwrap_or_default();
+    let backend = backends.open(&profile, Arc::clone(&scene), spec).map_err(CliError::internal)?;
+    let renderer = backend.prepare(None).map_err(CliError::internal)?;
+    let options = Options { images: args.images.clone(), worst: WORST };
+    let progress = Progress::new();
+    let pool = serve::pool(serve::threads(None))?;
+    let report = pool.install(|| {
+        measure(&*renderer, &pvs, &views, &options, &mut |done, total| {
+            progress.count(done as u64, total as u64, "frames");
+        })
+    });
+    progress.end();
+    let mut value = serde_json::to_value(report.map_err(|e| CliError::Input(e.to_string()))?).map_err(CliError::internal)?;
+    value["backend"] = profile.into();
+    print(&value.to_string())
+}

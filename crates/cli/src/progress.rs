@@ -1,0 +1,157 @@
+//! Progress on stderr: a bar on a terminal, else a line every few seconds.
+
+use std::io::{IsTerminal as _, Write as _};
+use std::sync::{LazyLock, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use sightline_proto::v1;
+
+/// Bars and lines share stderr; whatever writes to it goes through here, so that bars are not torn.
+static BARS: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
+
+/// Time between two lines where there is no terminal.
+const LINE_EVERY: Duration = Duration::from_secs(5);
+
+/// Prints a line to stderr.
+pub fn say(text: &str) {
+    if std::io::stderr().is_terminal() {
+        // Fails only when stderr is gone, and then there is nobody to tell.
+        let _ = BARS.println(text);
+    } else {
+        let _ = writeln!(std::io::stderr(), "{text}");
+    }
+}
+
+/// Where log lines go.
+pub struct LogWriter;
+
+impl<'a> tracing_subscriber::fmt::MakeWriter<'a> for LogWriter {
+    type Writer = LogLine;
+    fn make_writer(&'a self) -> LogLine {
+        LogLine(Vec::new())
+    }
+}
+
+/// One log line, printed when it is whole.
+pub struct LogLine(Vec<u8>);
+
+impl std::io::Write for LogLine {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Drop for LogLine {
+    fn drop(&mut self) {
+        if !self.0.is_empty() {
+            say(String::from_utf8_lossy(&self.0).trim_end());
+        }
+    }
+}
+
+/// Shows how far a job or a count is.
+pub struct Progress {
+    bar: Option<ProgressBar>,
+    start: Instant,
+    /// Where the count stood at the start: what an earlier run had done already.
+    first: Mutex<Option<u64>>,
+    last_line: Mutex<Option<Instant>>,
+}
+
+impl Progress {
+    /// A bar, or nothing yet.
+    pub fn new() -> Self {
+        let bar = std::io::stderr().is_terminal().then(|| {
+            let bar = BARS.add(ProgressBar::new(0));
+            // The template is a constant, checked by a test.
+            if let Ok(style) = ProgressStyle::with_template(TEMPLATE) {
+                bar.set_style(style.progress_chars("█▉▊▋▌▍▎▏ "));
+            }
+            bar.enable_steady_tick(Duration::from_millis(200));
+            bar
+        });
+        Self { bar, start: Instant::now(), first: Mutex::new(None), last_line: Mutex::new(None) }
+    }
+
+    /// Shows a job.
+    pub fn job(&self, job: &v1::Job) {
+        let ended = job.tiles_done + job.tiles_set_aside;
+        let mut first = self.first.lock().unwrap_or_else(PoisonError::into_inner);
+        let at_start = *first.get_or_insert(u64::from(ended));
+        drop(first);
+        let seconds = self.start.elapsed().as_secs_f64();
+        let here = u64::from(ended) - at_start.min(u64::from(ended));
+        let cells = match job.cells_total {
+            0 => format!("{} cells", job.cells_done),
+            total => format!("{}/{total} cells", job.cells_done),
+        };
+        let left = if here > 0 {
+            let per_tile = seconds / here as f64;
+            format!("about {} left", human(Duration::from_secs_f64(per_tile * f64::from(job.tiles_total - ended))))
+        } else {
+            "time left not known yet".to_owned()
+        };
+        let rate = job.samples as f64 / seconds.max(1e-3);
+        let aside = match job.tiles_set_aside {
+            0 => String::new(),
+            n => format!(", {n} SET ASIDE"),
+        };
+        let text = format!("{cells}, {} samples ({rate:.0}/s){aside}, {left}", job.samples);
+        self.show(u64::from(ended), u64::from(job.tiles_total), "tiles", &text);
+    }
+
+    /// Shows a count.
+    pub fn count(&self, done: u64, total: u64, what: &str) {
+        self.show(done, total, what, "");
+    }
+
+    fn show(&self, done: u64, total: u64, what: &str, text: &str) {
+        if let Some(bar) = &self.bar {
+            bar.set_length(total);
+            bar.set_position(done);
+            bar.set_message(format!("{what}  {text}"));
+            return;
+        }
+        let mut last = self.last_line.lock().unwrap_or_else(PoisonError::into_inner);
+        if last.is_none_or(|t| t.elapsed() >= LINE_EVERY) {
+            *last = Some(Instant::now());
+            let comma = if text.is_empty() { "" } else { ", " };
+            say(&format!("{done}/{total} {what}{comma}{text}"));
+        }
+    }
+
+    /// Takes the bar away.
+    pub fn end(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+const TEMPLATE: &str = "{elapsed_precise} [{bar:24}] {pos}/{len} {msg}";
+
+/// A duration as people say it.
+pub fn human(d: Duration) -> String {
+    let s = d.as_secs_f64();
+    match s {
+        s if s < 10.0 => format!("{s:.1} s"),
+        s if s < 120.0 => format!("{s:.0} s"),
+        s if s < 7200.0 => format!("{:.0} min", s / 60.0),
+        s => format!("{:.1} h", s / 3600.0),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_template_is_one() {
+        ProgressStyle::with_template(TEMPLATE).unwrap();
+    }
+}

@@ -1,0 +1,186 @@
+//! What a client asks of a coordinator: submit, watch, jobs, show, cancel, pause, resume, retry, fetch, health.
+
+use sightline_proto::v1;
+use sightline_proto::v1::jobs_client::JobsClient;
+use tonic::transport::Channel;
+
+use crate::args::{FetchArgs, JobRefArgs, RemoteArgs, SubmitArgs};
+use crate::client;
+use crate::error::CliError;
+use crate::progress::say;
+use crate::serve::{print, runtime};
+
+/// What may be done to a job.
+#[derive(Clone, Copy)]
+pub enum Turn {
+    /// End it.
+    Cancel,
+    /// Give out no more tiles.
+    Pause,
+    /// Go on after a pause.
+    Resume,
+    /// Go on after a failure or an end.
+    Retry,
+}
+
+/// Connects and runs `f`; Ctrl-C ends only this client.
+fn with<T, F: Future<Output = Result<T, CliError>>>(
+    remote: &RemoteArgs,
+    f: impl FnOnce(JobsClient<Channel>) -> F,
+) -> Result<T, CliError> {
+    runtime()?.block_on(async {
+        let work = async {
+            // Lists of jobs are the largest single messages; the default of 4 MiB holds thousands.
+            f(JobsClient::new(client::channel(&remote.coordinator).await?)).await
+        };
+        tokio::select! {
+            r = work => r,
+            _ = tokio::signal::ctrl_c() => {
+                Err(CliError::Interrupted("interrupted; the job goes on at the coordinator".to_owned()))
+            }
+        }
+    })
+}
+
+/// Asks whether a coordinator serves.
+pub fn health(args: &RemoteArgs) -> Result<(), CliError> {
+    runtime()?.block_on(async {
+        let channel = client::channel(&args.coordinator).await?;
+        let mut health = tonic_health::pb::health_client::HealthClient::new(channel);
+        let request = tonic_health::pb::HealthCheckRequest { service: "sightline.v1.Jobs".to_owned() };
+        let answer = health.check(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+        match answer.status() {
+            tonic_health::pb::health_check_response::ServingStatus::Serving => print("serving"),
+            other => Err(CliError::Coordinator(format!("the coordinator is {}", other.as_str_name()))),
+        }
+    })
+}
+
+/// Sends a scene and a job.
+pub fn submit(args: &SubmitArgs, json: bool) -> Result<(), CliError> {
+    let scene = sightline_scene::load(&args.scene)?;
+    let spec = args.job.spec(&scene)?;
+    let file_name = || args.scene.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let name = args.name.clone().unwrap_or_else(file_name);
+    let request = v1::SubmitRequest {
+        request_id: args.request_id.clone().unwrap_or_else(client::fresh_request_id),
+        name: name.chars().filter(|c| !c.is_control()).take(32).collect(),
+        spec: Some(spec.to_proto()),
+    };
+    let answer = with(&args.remote, |mut client| async move {
+        client::upload(&mut client, &scene).await?;
+        client.submit(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
+    })?;
+    let job = answer.job.unwrap_or_default();
+    if answer.existing {
+        say(&format!("job {} does this already", job.id));
+    }
+    if json { print(&value(&job).to_string()) } else { print(&job.id.to_string()) }
+}
+
+/// Follows a job until it ends.
+pub fn watch(args: &JobRefArgs, json: bool) -> Result<(), CliError> {
+    let job = with(&args.remote, |mut client| async move { client::follow(&mut client, args.id).await })?;
+    show_job(&job, json)?;
+    client::must_be_done(&job)
+}
+
+/// Lists jobs.
+pub fn jobs(args: &RemoteArgs, json: bool) -> Result<(), CliError> {
+    let list = with(args, |mut client| async move {
+        client.list(v1::ListRequest {}).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
+    })?;
+    if json {
+        return print(&serde_json::Value::from_iter(list.jobs.iter().map(value)).to_string());
+    }
+    list.jobs.iter().try_for_each(|j| print(&line(j)))
+}
+
+/// Shows one job.
+pub fn show(args: &JobRefArgs, json: bool) -> Result<(), CliError> {
+    let request = v1::ShowRequest { job: args.id };
+    let job = with(&args.remote, |mut client| async move {
+        client.show(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
+    })?;
+    show_job(&job, json)
+}
+
+/// Cancels, pauses, resumes or retries.
+pub fn turn(args: &JobRefArgs, turn: Turn, json: bool) -> Result<(), CliError> {
+    let request = v1::ShowRequest { job: args.id };
+    let job = with(&args.remote, |mut client| async move {
+        match turn {
+            Turn::Cancel => client.cancel(request).await,
+            Turn::Pause => client.pause(request).await,
+            Turn::Resume => client.resume(request).await,
+            Turn::Retry => client.retry(request).await,
+        }
+        .map(tonic::Response::into_inner)
+        .map_err(|s| CliError::status(&s))
+    })?;
+    show_job(&job, json)
+}
+
+/// Downloads a result.
+pub fn fetch(args: &FetchArgs, json: bool) -> Result<(), CliError> {
+    let request = v1::ShowRequest { job: args.job.id };
+    let bytes = with(&args.job.remote, |mut client| async move {
+        let job = client.show(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+        client::must_be_done(&job)?;
+        client::fetch(&mut client, &job, &args.output).await
+    })?;
+    if json {
+        let value = serde_json::json!({"output": args.output.display().to_string(), "bytes": bytes});
+        return print(&value.to_string());
+    }
+    print(&format!("wrote {} ({bytes} bytes)", args.output.display()))
+}
+
+fn show_job(job: &v1::Job, json: bool) -> Result<(), CliError> {
+    print(&if json { value(job).to_string() } else { line(job) })
+}
+
+fn state(job: &v1::Job) -> &'static str {
+    match job.state() {
+        v1::JobState::Unspecified => "unknown",
+        v1::JobState::Queued => "queued",
+        v1::JobState::Running => "running",
+        v1::JobState::Paused => "paused",
+        v1::JobState::Cancelled => "cancelled",
+        v1::JobState::Failed => "failed",
+        v1::JobState::Done => "done",
+    }
+}
+
+fn line(job: &v1::Job) -> String {
+    let reason = if job.reason.is_empty() { String::new() } else { format!(": {}", job.reason) };
+    let aside = if job.tiles_set_aside > 0 { format!(", {} set aside", job.tiles_set_aside) } else { String::new() };
+    let workers = match (job.state(), job.workers) {
+        (v1::JobState::Queued | v1::JobState::Running, 0) => ", NO WORKERS: start some with `sightline worker`",
+        _ => "",
+    };
+    format!(
+        "job {} {} {}{reason}: {}/{} tiles{aside}, {} cells, {} samples{workers}",
+        job.id,
+        job.name,
+        state(job),
+        job.tiles_done,
+        job.tiles_total,
+        job.cells_done,
+        job.samples
+    )
+}
+
+fn value(job: &v1::Job) -> serde_json::Value {
+    let hex = |b: &[u8]| b.iter().map(|b| format!("{b:02x}")).collect::<String>();
+    serde_json::json!({
+        "job": job.id, "name": job.name, "state": state(job), "reason": job.reason,
+        "scene": job.spec.as_ref().map(|s| hex(&s.scene)), "profile": job.profile,
+        "tiles_total": job.tiles_total, "tiles_done": job.tiles_done,
+        "tiles_set_aside": job.tiles_set_aside, "tiles_running": job.tiles_running,
+        "cells_total": job.cells_total, "cells_done": job.cells_done, "samples": job.samples,
+        "tile_millis": job.tile_millis, "submitted_at_ms": job.submitted_at_ms,
+        "finished_at_ms": job.finished_at_ms, "result": hex(&job.result),
+        "result_bytes": job.result_bytes, "workers": job.workers,
+    })
+}

@@ -1,0 +1,137 @@
+//! `sightline coordinator` and `sightline worker`, and what `bake` shares with them.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use sightline_coordinator::{Config, Coordinator};
+use sightline_sampling::gpu::AdapterChoice;
+use sightline_worker::{Backends, Choice, SceneCache, Stop, WorkerError};
+use tokio::sync::watch;
+
+use crate::args::{CoordinatorArgs, WorkerArgs};
+use crate::error::CliError;
+use crate::job_args::Backend;
+use crate::progress::say;
+
+/// Serves as coordinator until SIGTERM or Ctrl-C.
+pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
+    let coordinator =
+        Coordinator::open(Config::new(args.data_dir.clone())).map_err(|e| CliError::Input(e.to_string()))?;
+    runtime()?.block_on(async {
+        let listener = sightline_coordinator::server::listen(args.listen, args.allow_plaintext)
+            .await
+            .map_err(|e| CliError::Usage(e.to_string()))?;
+        let address = listener.local_addr().map_err(CliError::internal)?;
+        // On stdout, so that a script that asked for port 0 can read it.
+        print(&format!("listening on http://{address}"))?;
+        sightline_coordinator::serve(coordinator, listener, stop_signal()).await.map_err(CliError::internal)
+    })
+}
+
+/// Joins a coordinator. The first SIGTERM or Ctrl-C drains, the second stops at once.
+pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
+    let adapter = args.adapter.clone().map_or(AdapterChoice::AllowSoftware, AdapterChoice::Named);
+    let backends = Arc::new(Backends::probe(choice(args.backend), adapter));
+    say_missing(&backends)?;
+    say(&format!("backends: {}", backends.profiles().join(", ")));
+    let config = sightline_worker::Config {
+        coordinator: args.coordinator.clone(),
+        name: args.name.clone().unwrap_or_else(default_name),
+        backends,
+        scenes: Arc::new(SceneCache::default()),
+        pool: pool(threads(args.threads))?,
+        give_up_after: args.give_up_after.map(Duration::from_secs),
+    };
+    let runtime = runtime()?;
+    let ended = runtime.block_on(async {
+        let (stop, stopped) = watch::channel(Stop::No);
+        tokio::spawn(async move {
+            for next in [Stop::Drain, Stop::Now] {
+                stop_signal().await;
+                // The worker has ended already when nobody listens.
+                let _ = stop.send(next);
+            }
+            std::future::pending::<()>().await;
+        });
+        sightline_worker::run(config, stopped).await
+    });
+    runtime.shutdown_timeout(Duration::from_millis(200));
+    ended.map_err(|e| match e {
+        WorkerError::Address(..) => CliError::Usage(e.to_string()),
+        WorkerError::Unreachable { .. } | WorkerError::Refused(_) => CliError::Coordinator(e.to_string()),
+    })
+}
+
+/// Resolves at the next SIGTERM or Ctrl-C.
+async fn stop_signal() {
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        if let Ok(mut term) = signal(SignalKind::terminate()) {
+            tokio::select! {
+                _ = term.recv() => {}
+                _ = tokio::signal::ctrl_c() => {}
+            }
+            return;
+        }
+    }
+    // Where SIGTERM cannot be caught, Ctrl-C still can.
+    let _ = tokio::signal::ctrl_c().await;
+}
+
+/// Tells what is missing; an error when nothing is left.
+pub fn say_missing(backends: &Backends) -> Result<(), CliError> {
+    let missing = backends.missing();
+    if backends.profiles().is_empty() {
+        return Err(CliError::Internal(format!("no backend can sample on this machine:\n{}", missing.join("\n"))));
+    }
+    missing.iter().for_each(|m| say(&format!("note: {m}")));
+    Ok(())
+}
+
+/// The worker's way of saying it.
+pub fn choice(backend: Backend) -> Choice {
+    match backend {
+        Backend::Auto => Choice::Auto,
+        Backend::Gpu => Choice::Gpu,
+        Backend::Cpu => Choice::Cpu,
+    }
+}
+
+/// Threads to sample with: what was asked for, else one a core.
+pub fn threads(asked: Option<usize>) -> usize {
+    asked.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from)).clamp(1, 1024)
+}
+
+/// The pool samples are spread over.
+pub fn pool(threads: usize) -> Result<Arc<rayon::ThreadPool>, CliError> {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().map(Arc::new).map_err(CliError::internal)
+}
+
+/// The async runtime; its few threads only move bytes.
+pub fn runtime() -> Result<tokio::runtime::Runtime, CliError> {
+    tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .map_err(CliError::internal)
+}
+
+/// Prints a result to stdout.
+pub fn print(text: &str) -> Result<(), CliError> {
+    use std::io::Write as _;
+    let mut out = std::io::stdout().lock();
+    match writeln!(out, "{text}").and_then(|()| out.flush()) {
+        Ok(()) => Ok(()),
+        // The reader has seen enough, as in `sightline dump … | head`.
+        Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        Err(e) => Err(CliError::internal(e)),
+    }
+}
+
+fn default_name() -> String {
+    let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    let host: String = host.trim().chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').take(40).collect();
+    let host = if host.is_empty() { "worker".to_owned() } else { host };
+    format!("{host}-{}", std::process::id())
+}
