@@ -73,7 +73,7 @@ fn attributes(out: &mut [u8], stride: usize, data: &[u8]) -> Option<()> {
     // The tail holds the element before the first one, padded in front.
     let (mut rest, tail) = body.split_at_checked(body.len().checked_sub(stride.max(32))?)?;
     let mut last = tail[tail.len() - stride..].to_vec();
-    let block = (8192 / stride & !(GROUP - 1)).min(256);
+    let block = ((8192 / stride) & !(GROUP - 1)).min(256);
     for elements in out.chunks_mut(block * stride) {
         let groups = (elements.len() / stride).div_ceil(GROUP);
         for (byte, previous) in last.iter_mut().enumerate() {
@@ -270,7 +270,7 @@ impl TriangleDecoder<'_> {
 /// Mode TRIANGLES: one code byte a triangle, then the deltas, then a table of 16 frequent codes.
 fn triangles(count: usize, data: &[u8]) -> Option<Vec<u32>> {
     let (&0xe1, body) = data.split_first()? else { return None };
-    if count % 3 != 0 {
+    if !count.is_multiple_of(3) {
         return None;
     }
     let (codes, rest) = body.split_at_checked(count / 3)?;

@@ -124,13 +124,7 @@ impl Reader<'_> {
         }
     }
 
-    fn skip<V: Values>(
-        &self,
-        e: &Element,
-        i: u64,
-        p: &Property,
-        values: &mut V,
-    ) -> Result<(), SceneError> {
+    fn skip<V: Values>(&self, e: &Element, i: u64, p: &Property, values: &mut V) -> Result<(), SceneError> {
         let n = self.list_len(e, i, p, values)?;
         values.skip(p.kind, n).ok_or_else(|| self.unreadable(e, i, p, values))
     }
