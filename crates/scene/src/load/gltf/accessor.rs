@@ -110,8 +110,11 @@ impl<'a> Accessor<'a> {
             None => None,
             Some(v) => {
                 let bytes = buffers.view(source, root, v)?;
-                // A compressed view is as wide as what it was compressed from.
-                stride = root.buffer_views[v].byte_stride.filter(|s| *s != 0).unwrap_or(size);
+                // A compressed view says its stride in the extension as well; only there, in some files.
+                let view = &root.buffer_views[v];
+                let packed = view.extensions.as_ref().and_then(|e| e.meshopt.as_ref());
+                let given = view.byte_stride.or(packed.map(|m| m.byte_stride));
+                stride = given.filter(|s| *s != 0).unwrap_or(size);
                 if stride < size {
                     return Err(bad(format!(
                         "its view's stride of {stride} bytes is less than an element's {size}"
