@@ -3,8 +3,8 @@
 //! Faces keep the order of the file, an n-gon becomes the fan (v0, vi, vi+1), and each run of faces between two `o` or
 //! `g` statements is an object (a run without faces is none). Free-form surfaces (`surf`) are refused, not dropped.
 //!
-//! Our own parser and not the crate `tobj`: that one gives errors without line numbers, regroups faces by material,
-//! and keeps several index arrays a mesh; order, places of errors and memory are what this module is about.
+//! Our own parser and not the crate `tobj`: that one gives errors without line numbers, splits objects where the material
+//! changes, and builds index arrays for what is not needed here.
 
 use glam::Vec3;
 

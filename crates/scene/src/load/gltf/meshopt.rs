@@ -1,8 +1,9 @@
 //! EXT_meshopt_compression: decoding compressed buffer views (appendix A of the extension's specification).
 //!
-//! Written here in safe Rust, as the text of the extension describes the three bitstreams: the pure-Rust crate panics on
-//! some malformed streams, the bindings to the C++ library need `unsafe` calls and a C++ compiler. Only what positions and
-//! indices use is decoded: of the filters, EXPONENTIAL.
+//! Written here in safe Rust, as the text of the extension describes the three bitstreams: the pure-Rust crate takes an
+//! element's size from a Rust type, where a file gives any stride, and the bindings to the C++ library need a C++ compiler
+//! and the same. The tests decode what that crate encodes. Only what positions and indices use is decoded: of the
+//! filters, EXPONENTIAL.
 
 use super::json::MeshoptView;
 
