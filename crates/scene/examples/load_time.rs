@@ -14,7 +14,9 @@ fn main() {
     for f in &files {
         let start = Instant::now();
         match load(Path::new(f)) {
-            Ok(s) => println!("{f}: {} triangles, {} objects, {:.2?}", s.len(), s.objects().len(), start.elapsed()),
+            Ok(s) => {
+                println!("{f}: {} triangles, {} objects, {:.2?}", s.len(), s.objects().len(), start.elapsed())
+            }
             Err(e) => println!("{e}"),
         }
     }
@@ -37,13 +39,15 @@ fn timed(name: &str, bytes: &[u8]) -> sightline_scene::Scene {
 }
 
 fn points(w: u32, h: u32) -> impl Iterator<Item = [f32; 3]> {
-    (0..=h).flat_map(move |y| (0..=w).map(move |x| [x as f32 * 0.37, y as f32 * 0.41, ((x * y) % 17) as f32 * 0.013]))
+    (0..=h).flat_map(move |y| {
+        (0..=w).map(move |x| [x as f32 * 0.37, y as f32 * 0.41, ((x * y) % 17) as f32 * 0.013])
+    })
 }
 
 fn faces(w: u32, h: u32) -> impl Iterator<Item = [u32; 3]> {
-    (0..h).flat_map(move |y| (0..w).map(move |x| y * (w + 1) + x)).flat_map(move |a| {
-        [[a, a + 1, a + w + 1], [a + 1, a + w + 2, a + w + 1]]
-    })
+    (0..h)
+        .flat_map(move |y| (0..w).map(move |x| y * (w + 1) + x))
+        .flat_map(move |a| [[a, a + 1, a + w + 1], [a + 1, a + w + 2, a + w + 1]])
 }
 
 fn grid_obj(w: u32, h: u32) -> String {

@@ -1,6 +1,6 @@
 //! What the fuzz targets call: one function a format, for any bytes at all.
 //!
-//! Each must return, whatever the bytes: an accepted scene is checked further, a refused one is fine. Small limits keep
+//! Each must return, whatever the bytes, and says whether they were accepted; an accepted scene is checked further. Small limits keep
 //! the memory of one run in proportion to its input, so that a tool's memory limit means something.
 
 use crate::load::{Limits, load_bytes_limited};
@@ -10,31 +10,31 @@ use crate::{Scene, write_mesh_ply};
 pub const LIMITS: Limits = Limits { triangles: 1 << 14, objects: 1 << 10 };
 
 /// Bytes as an OBJ file.
-pub fn obj(bytes: &[u8]) {
-    file("fuzz.obj", bytes);
+pub fn obj(bytes: &[u8]) -> bool {
+    file("fuzz.obj", bytes)
 }
 
 /// Bytes as a PLY file.
-pub fn ply(bytes: &[u8]) {
-    file("fuzz.ply", bytes);
+pub fn ply(bytes: &[u8]) -> bool {
+    file("fuzz.ply", bytes)
 }
 
 /// Bytes as a glTF or GLB file, as their beginning says.
-pub fn gltf(bytes: &[u8]) {
-    file("fuzz", bytes);
+pub fn gltf(bytes: &[u8]) -> bool {
+    file("fuzz", bytes)
 }
 
 /// Bytes as a canonical scene.
-pub fn scene_blob(bytes: &[u8]) {
-    if let Ok(scene) = Scene::from_blob("fuzz", bytes) {
-        // The encoding is canonical: one scene, one string of bytes.
-        assert!(scene.to_blob() == bytes, "a canonical scene must be written as it was read");
-    }
+pub fn scene_blob(bytes: &[u8]) -> bool {
+    let Ok(scene) = Scene::from_blob("fuzz", bytes) else { return false };
+    // The encoding is canonical: one scene, one string of bytes.
+    assert!(scene.to_blob() == bytes, "a canonical scene must be written as it was read");
+    true
 }
 
 /// Loads `bytes`, and sends an accepted scene once around both encodings.
-fn file(name: &str, bytes: &[u8]) {
-    let Ok(scene) = load_bytes_limited(name, bytes, None, &LIMITS) else { return };
+fn file(name: &str, bytes: &[u8]) -> bool {
+    let Ok(scene) = load_bytes_limited(name, bytes, None, &LIMITS) else { return false };
     let blob = scene.to_blob();
     let again = Scene::from_blob("fuzz", &blob).map(|s| s.to_blob());
     assert!(again.is_ok_and(|b| b == blob), "a loaded scene must survive its canonical bytes");
@@ -44,6 +44,7 @@ fn file(name: &str, bytes: &[u8]) {
     let again = load_bytes_limited("fuzz.ply", &ply, None, &LIMITS);
     let same = again.is_ok_and(|s| bits(&s) == bits(&scene));
     assert!(same, "a written mesh must load with the same vertices");
+    true
 }
 
 /// Coordinates by their bits, so that -0 differs from 0.

@@ -17,7 +17,9 @@ const CHUNK: usize = 1 << 16;
 pub fn write_mesh_ply(scene: &Scene, out: &mut dyn Write) -> io::Result<()> {
     let faces = scene.len();
     let Some(vertices) = faces.checked_mul(3) else {
-        let what = format!("{faces} triangles have more vertices than PLY's 32-bit indices can name; split the scene");
+        let what = format!(
+            "{faces} triangles have more vertices than PLY's 32-bit indices can name; split the scene"
+        );
         return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
     };
     // Most readers know `int`; `uint` only where it is needed.

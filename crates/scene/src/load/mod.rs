@@ -16,7 +16,8 @@ use crate::{Scene, SceneError};
 pub use sniff::Kind;
 
 /// Remedy for a file that breaks its own format.
-pub(crate) const EXPORT_AGAIN: &str = "the file is damaged or its exporter is at fault; export or copy it again";
+pub(crate) const EXPORT_AGAIN: &str =
+    "the file is damaged or its exporter is at fault; export or copy it again";
 /// Remedy for a coordinate that is no finite 32-bit float.
 pub(crate) const REPAIR_VERTEX: &str =
     "remove or repair the vertex (coordinates must be finite 32-bit floats) and export again";

@@ -3,8 +3,8 @@
 //! Faces keep the order of the file, an n-gon becomes the fan (v0, vi, vi+1), and each run of faces between two `o` or
 //! `g` statements is an object (a run without faces is none). Free-form surfaces (`surf`) are refused, not dropped.
 //!
-//! Our own parser and not the crate `tobj`: that one gives errors without line numbers, regroups faces by material,
-//! and keeps several index arrays a mesh; order, places of errors and memory are what this module is about.
+//! Our own parser and not the crate `tobj`: that one gives errors without line numbers, splits objects where the material
+//! changes, and builds index arrays for what is not needed here.
 
 use glam::Vec3;
 
@@ -132,21 +132,19 @@ impl Reader<'_> {
         }
     }
 
-    fn vertex(
-        &mut self,
-        line: usize,
-        mut words: Words<'_>,
-    ) -> Result<(), SceneError> {
+    fn vertex(&mut self, line: usize, mut words: Words<'_>) -> Result<(), SceneError> {
         let mut p = [0.0f32; 3];
         for (axis, c) in ["x", "y", "z"].iter().zip(&mut p) {
             let Some(word) = words.next() else {
                 return Err(self.bad(line, format!("the vertex has no {axis}"), EXPORT_AGAIN));
             };
-            *c = std::str::from_utf8(word).ok().and_then(|w| w.parse().ok()).ok_or_else(|| {
-                self.bad(line, format!("\"{}\" is not a number", show(word)), EXPORT_AGAIN)
-            })?;
+            *c = std::str::from_utf8(word)
+                .ok()
+                .and_then(|w| w.parse().ok())
+                .ok_or_else(|| self.bad(line, format!("\"{}\" is not a number", show(word)), EXPORT_AGAIN))?;
             if !c.is_finite() {
-                let what = format!("vertex {}: its {axis}, {}, is not finite", self.vertices.len(), show(word));
+                let what =
+                    format!("vertex {}: its {axis}, {}, is not finite", self.vertices.len(), show(word));
                 return Err(self.bad(line, what, REPAIR_VERTEX));
             }
         }
@@ -188,7 +186,8 @@ impl Reader<'_> {
     /// The vertex, from 0, that a corner such as `7`, `7/1`, `7//2`, `7/1/2` or `-1` names. It may lie further down.
     fn corner(&self, line: usize, word: &[u8]) -> Result<usize, SceneError> {
         let mut parts = word.split(|b| *b == b'/');
-        let number = parts.next().and_then(|w| std::str::from_utf8(w).ok()).and_then(|w| w.parse::<i64>().ok());
+        let number =
+            parts.next().and_then(|w| std::str::from_utf8(w).ok()).and_then(|w| w.parse::<i64>().ok());
         let rest_ok = parts.clone().count() <= 2
             && parts.flatten().all(|&b| b.is_ascii_digit() || matches!(b, b'-' | b'+'));
         let (Some(number), true) = (number, rest_ok) else {

@@ -110,14 +110,21 @@ impl<'a> Accessor<'a> {
             None => None,
             Some(v) => {
                 let bytes = buffers.view(source, root, v)?;
-                // A compressed view is as wide as what it was compressed from.
-                stride = root.buffer_views[v].byte_stride.filter(|s| *s != 0).unwrap_or(size);
+                // A compressed view says its stride in the extension as well; only there, in some files.
+                let view = &root.buffer_views[v];
+                let packed = view.extensions.as_ref().and_then(|e| e.meshopt.as_ref());
+                let given = view.byte_stride.or(packed.map(|m| m.byte_stride));
+                stride = given.filter(|s| *s != 0).unwrap_or(size);
                 if stride < size {
-                    return Err(bad(format!("its view's stride of {stride} bytes is less than an element's {size}")));
+                    return Err(bad(format!(
+                        "its view's stride of {stride} bytes is less than an element's {size}"
+                    )));
                 }
                 let end = match a.count {
                     0 => Some(a.byte_offset),
-                    n => (n - 1).checked_mul(stride).and_then(|l| l.checked_add(size)?.checked_add(a.byte_offset)),
+                    n => (n - 1)
+                        .checked_mul(stride)
+                        .and_then(|l| l.checked_add(size)?.checked_add(a.byte_offset)),
                 };
                 if end.is_none_or(|e| e > bytes.len() as u64) {
                     let reason = format!(
@@ -137,7 +144,15 @@ impl<'a> Accessor<'a> {
         };
         // Stride and size fit: with two elements or more the stride is below the view's length, else it is not used.
         let stride = usize::try_from(stride).unwrap_or(0);
-        Ok(Self { base, stride, size: size as usize, count: a.count, component, normalized: a.normalized, sparse })
+        Ok(Self {
+            base,
+            stride,
+            size: size as usize,
+            count: a.count,
+            component,
+            normalized: a.normalized,
+            sparse,
+        })
     }
 
     /// Number of elements.

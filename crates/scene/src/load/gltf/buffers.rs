@@ -223,7 +223,17 @@ mod tests {
         assert_eq!(relative_path("a%20b/c.bin"), Some(PathBuf::from("a b/c.bin")));
         assert_eq!(relative_path("./c.bin"), Some(PathBuf::from("./c.bin")));
         for bad in [
-            "", "/etc/passwd", "../c.bin", "a/../../c", "%2e%2e/c", "%2Fetc", "http://x/c", "C:c", "a\\c", "%zz", "%0",
+            "",
+            "/etc/passwd",
+            "../c.bin",
+            "a/../../c",
+            "%2e%2e/c",
+            "%2Fetc",
+            "http://x/c",
+            "C:c",
+            "a\\c",
+            "%zz",
+            "%0",
             "a%00",
         ] {
             assert_eq!(relative_path(bad), None, "{bad}");

@@ -1,8 +1,9 @@
 //! EXT_meshopt_compression: decoding compressed buffer views (appendix A of the extension's specification).
 //!
-//! Written here in safe Rust, as the text of the extension describes the three bitstreams: the pure-Rust crate panics on
-//! some malformed streams, the bindings to the C++ library need `unsafe` calls and a C++ compiler. Only what positions and
-//! indices use is decoded: of the filters, EXPONENTIAL.
+//! Written here in safe Rust, as the text of the extension describes the three bitstreams: the pure-Rust crate takes an
+//! element's size from a Rust type, where a file gives any stride, and the bindings to the C++ library need a C++ compiler
+//! and the same. The tests decode what that crate encodes. Only what positions and indices use is decoded: of the
+//! filters, EXPONENTIAL.
 
 use super::json::MeshoptView;
 
@@ -73,7 +74,7 @@ fn attributes(out: &mut [u8], stride: usize, data: &[u8]) -> Option<()> {
     // The tail holds the element before the first one, padded in front.
     let (mut rest, tail) = body.split_at_checked(body.len().checked_sub(stride.max(32))?)?;
     let mut last = tail[tail.len() - stride..].to_vec();
-    let block = (8192 / stride & !(GROUP - 1)).min(256);
+    let block = ((8192 / stride) & !(GROUP - 1)).min(256);
     for elements in out.chunks_mut(block * stride) {
         let groups = (elements.len() / stride).div_ceil(GROUP);
         for (byte, previous) in last.iter_mut().enumerate() {
@@ -270,7 +271,7 @@ impl TriangleDecoder<'_> {
 /// Mode TRIANGLES: one code byte a triangle, then the deltas, then a table of 16 frequent codes.
 fn triangles(count: usize, data: &[u8]) -> Option<Vec<u32>> {
     let (&0xe1, body) = data.split_first()? else { return None };
-    if count % 3 != 0 {
+    if !count.is_multiple_of(3) {
         return None;
     }
     let (codes, rest) = body.split_at_checked(count / 3)?;

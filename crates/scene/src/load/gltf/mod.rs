@@ -143,7 +143,12 @@ fn build(source: &Source<'_>, json: &[u8], binary: Option<&[u8]>) -> Result<Scen
     }
     let mut triangles = Vec::new();
     triangles.try_reserve_exact(total as usize).map_err(|_| {
-        SceneError::bad(source.file, "scene", format!("{total} triangles do not fit in memory"), "split the scene")
+        SceneError::bad(
+            source.file,
+            "scene",
+            format!("{total} triangles do not fit in memory"),
+            "split the scene",
+        )
     })?;
     for draw in &draws {
         for p in 0..root.meshes[draw.mesh].primitives.len() {
@@ -170,9 +175,8 @@ fn check_version(source: &Source<'_>, root: &json::Root) -> Result<(), SceneErro
 }
 
 fn check_extensions(source: &Source<'_>, root: &json::Root) -> Result<(), SceneError> {
-    let harmless = |name: &str| {
-        HARMLESS.iter().any(|h| if h.ends_with('_') { name.starts_with(h) } else { name == *h })
-    };
+    let harmless =
+        |name: &str| HARMLESS.iter().any(|h| if h.ends_with('_') { name.starts_with(h) } else { name == *h });
     for name in &root.extensions_required {
         if !IMPLEMENTED.contains(&name.as_str()) && !harmless(name) {
             let shown: String = name.chars().take(80).collect();

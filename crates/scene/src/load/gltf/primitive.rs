@@ -98,7 +98,9 @@ pub(super) fn count(
         Mode::Triangles if corners % 3 == 0 => Ok(corners / 3),
         Mode::Triangles => Err(bad(format!("its {corners} corners are not a multiple of three"))),
         Mode::Strip | Mode::Fan if corners >= 3 => Ok(corners - 2),
-        Mode::Strip | Mode::Fan => Err(bad(format!("a strip or fan needs three corners and it has {corners}"))),
+        Mode::Strip | Mode::Fan => {
+            Err(bad(format!("a strip or fan needs three corners and it has {corners}")))
+        }
     }
 }
 

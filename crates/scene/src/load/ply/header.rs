@@ -114,7 +114,8 @@ pub(super) fn read(file: &str, bytes: &[u8]) -> Result<Header, SceneError> {
                 });
             }
             ["element", name, count] => {
-                let count = count.parse().map_err(|_| bad(format!("the count {} is no number", short(count))))?;
+                let count =
+                    count.parse().map_err(|_| bad(format!("the count {} is no number", short(count))))?;
                 if elements.iter().any(|e| e.name == *name) {
                     return Err(bad(format!("the element {} appears twice", short(name))));
                 }
@@ -124,7 +125,8 @@ pub(super) fn read(file: &str, bytes: &[u8]) -> Result<Header, SceneError> {
                 let element =
                     elements.last_mut().ok_or_else(|| bad("a property before any element".to_owned()))?;
                 let kind_of = |word: &str| {
-                    NumberKind::from_word(word).ok_or_else(|| bad(format!("the type {} is unknown", short(word))))
+                    NumberKind::from_word(word)
+                        .ok_or_else(|| bad(format!("the type {} is unknown", short(word))))
                 };
                 element.properties.push(match words {
                     ["list", len, kind, name] => {

@@ -1,8 +1,8 @@
 //! Stanford PLY, ascii and binary of either byte order: the elements `vertex` (x, y, z) and `face` (`vertex_indices`).
 //!
 //! An n-gon becomes the fan (v0, vi, vi+1); the whole file is one object. Other elements and properties are stepped
-//! over. Triangle strips (`tristrips`) are not read. Our own parser: the crates for PLY build a map per element,
-//! which costs an allocation a face, and a header's count must not decide what is allocated here.
+//! over. Triangle strips (`tristrips`) are not read. Our own parser: values go straight from the bytes into triangles, so
+//! that memory follows the mesh, whatever the header counts, and a fault is named by element and property.
 
 mod header;
 mod value;
@@ -124,13 +124,7 @@ impl Reader<'_> {
         }
     }
 
-    fn skip<V: Values>(
-        &self,
-        e: &Element,
-        i: u64,
-        p: &Property,
-        values: &mut V,
-    ) -> Result<(), SceneError> {
+    fn skip<V: Values>(&self, e: &Element, i: u64, p: &Property, values: &mut V) -> Result<(), SceneError> {
         let n = self.list_len(e, i, p, values)?;
         values.skip(p.kind, n).ok_or_else(|| self.unreadable(e, i, p, values))
     }

@@ -1,0 +1,7 @@
+//! Any bytes as an OBJ file: `cargo +nightly fuzz run obj` in `fuzz/`. A crash found becomes a file in
+//! `crates/scene/tests/crashes/`.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
+    sightline_scene::fuzzing::obj(bytes);
+});
