@@ -4,7 +4,7 @@
 #   scripts/setup.sh [--for run|test]      default: run
 #
 # run   a C and C++ compiler (some crates build C), the Vulkan loader and a driver, Embree's run-time library
-# test  that, and under CI=true a container engine, compose and debootstrap. Elsewhere no engine is installed unasked,
+# test  that, and where CI is set a container engine, compose and debootstrap. Elsewhere no engine is installed unasked,
 #       for its daemon runs as root; where one already runs, what the container test needs beside it is completed.
 #
 # Quick when nothing is missing, and then needs neither root nor network. Rust crates are cargo's affair, not this script's.
@@ -32,7 +32,7 @@ have() { command -v "$1" >/dev/null 2>&1; }
 libraries=$(ldconfig -p)
 have_library() { [[ $libraries == *"$1 "* ]]; }
 have_vulkan_driver() { compgen -G '/usr/share/vulkan/icd.d/*.json' >/dev/null || compgen -G '/etc/vulkan/icd.d/*.json' >/dev/null; }
-in_ci() { [ "${CI:-}" = true ]; }
+in_ci() { [ -n "${CI:-}" ] && [ "$CI" != false ]; }
 engine_answers() { docker info >/dev/null 2>&1; }
 have_compose() { have docker-compose || docker compose version >/dev/null 2>&1; }
 
