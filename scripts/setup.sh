@@ -4,7 +4,7 @@
 #   scripts/setup.sh [--for run|test]      default: run
 #
 # run   a C and C++ compiler (some crates build C), the Vulkan loader and a driver, Embree's run-time library
-# test  that, and where CI is set a container engine, compose and debootstrap. Elsewhere no engine is installed unasked,
+# test  that, git, and where CI is set a container engine, compose and debootstrap. Elsewhere no engine is installed unasked,
 #       for its daemon runs as root; where one already runs, what the container test needs beside it is completed.
 #
 # Quick when nothing is missing, and then needs neither root nor network. Rust crates are cargo's affair, not this script's.
@@ -54,6 +54,7 @@ have_vulkan_driver || need mesa-vulkan-drivers 'Vulkan drivers, among them lavap
 have_library libembree3.so.3 || have_library libembree4.so.4 || need EMBREE 'Embree, the CPU ray tracer'
 
 if [ "$purpose" = test ]; then
+  have git || need git 'cargo deny fetches the advisories with it'
   if in_ci || engine_answers; then
     engine_answers || have dockerd || need docker.io 'container engine, for the container test'
     # Debian 13 packs the engine's command line apart from the daemon; on Debian 12 docker.io holds both.
