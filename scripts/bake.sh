@@ -68,8 +68,10 @@ number() { sed -n "s/.*\"$1\" *: *\([0-9.eE+-]*\).*/\1/p" "out/${name%.*}.measur
 percent() { awk -v x="$(number "$1")" 'BEGIN { if (x == "") exit 1; printf "%.4f %%", 100 * x }'; }
 mean=$(percent mean_error) p99=$(percent p99_error) max=$(percent max_error)
 say "$result: baked in $took s; wrong pixels: mean $mean, 99th percentile $p99, worst frame $max"
+printf -v result_name %q "$result"
 cat >&2 <<END
-next: $sightline info $result                      what is in it
-      $sightline query --help                      what is visible from a point
-      scripts/bake.sh YOUR_SCENE.glb               a scene of your own
+next:
+  $sightline info $result_name       what is in it
+  $sightline query --help            what is visible from a point
+  scripts/bake.sh YOUR_SCENE.glb     a scene of your own
 END
