@@ -3,7 +3,7 @@
 #
 #   scripts/setup.sh [--for run|test]      default: run
 #
-# run   a C and C++ compiler (some crates build C), the Vulkan loader and a driver, Embree's run-time library
+# run   a C compiler (some crates build C), the Vulkan loader and a driver, Embree's run-time library
 # test  that, git, and where CI is set a container engine, compose and debootstrap. Elsewhere no engine is installed unasked,
 #       for its daemon runs as root; where one already runs, what the container test needs beside it is completed.
 #
@@ -46,8 +46,7 @@ have cargo || die 'cargo is not on the PATH; install Rust 1.90 or newer (https:/
 missing=()
 need() { missing+=("$1"$'\t'"$2"); }
 
-have cc || need gcc 'C compiler, for crates that build C (zstd)'
-have c++ || need g++ 'C++ compiler, for crates that build C++ (meshopt)'
+have cc || need gcc 'C compiler, for crates that build C (zstd, blake3)'
 [ -e /usr/include/stdlib.h ] || need libc6-dev 'C headers'
 have_library libvulkan.so.1 || need libvulkan1 'Vulkan loader'
 have_vulkan_driver || need mesa-vulkan-drivers 'Vulkan drivers, among them lavapipe for machines without a GPU'
