@@ -3,8 +3,8 @@
 #
 #   scripts/setup.sh [--for run|test]      default: run
 #
-# run   a C and C++ compiler (some crates build C), the Vulkan loader and a driver, Embree's run-time library
-# test  that, and under CI=true a container engine, compose and debootstrap. Elsewhere no engine is installed unasked,
+# run   a C compiler (some crates build C), the Vulkan loader and a driver, Embree's run-time library
+# test  that, git, and where CI is set a container engine, compose and debootstrap. Elsewhere no engine is installed unasked,
 #       for its daemon runs as root; where one already runs, what the container test needs beside it is completed.
 #
 # Quick when nothing is missing, and then needs neither root nor network. Rust crates are cargo's affair, not this script's.
@@ -32,7 +32,7 @@ have() { command -v "$1" >/dev/null 2>&1; }
 libraries=$(ldconfig -p)
 have_library() { [[ $libraries == *"$1 "* ]]; }
 have_vulkan_driver() { compgen -G '/usr/share/vulkan/icd.d/*.json' >/dev/null || compgen -G '/etc/vulkan/icd.d/*.json' >/dev/null; }
-in_ci() { [ "${CI:-}" = true ]; }
+in_ci() { [ -n "${CI:-}" ] && [ "$CI" != false ]; }
 engine_answers() { docker info >/dev/null 2>&1; }
 have_compose() { have docker-compose || docker compose version >/dev/null 2>&1; }
 
@@ -46,14 +46,14 @@ have cargo || die 'cargo is not on the PATH; install Rust 1.90 or newer (https:/
 missing=()
 need() { missing+=("$1"$'\t'"$2"); }
 
-have cc || need gcc 'C compiler, for crates that build C (zstd)'
-have c++ || need g++ 'C++ compiler, for crates that build C++ (meshopt)'
+have cc || need gcc 'C compiler, for crates that build C (zstd, blake3)'
 [ -e /usr/include/stdlib.h ] || need libc6-dev 'C headers'
 have_library libvulkan.so.1 || need libvulkan1 'Vulkan loader'
 have_vulkan_driver || need mesa-vulkan-drivers 'Vulkan drivers, among them lavapipe for machines without a GPU'
 have_library libembree3.so.3 || have_library libembree4.so.4 || need EMBREE 'Embree, the CPU ray tracer'
 
 if [ "$purpose" = test ]; then
+  have git || need git 'cargo deny fetches the advisories with it'
   if in_ci || engine_answers; then
     engine_answers || have dockerd || need docker.io 'container engine, for the container test'
     # Debian 13 packs the engine's command line apart from the daemon; on Debian 12 docker.io holds both.
