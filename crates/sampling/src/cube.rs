@@ -125,10 +125,13 @@ impl VisibilitySample {
     }
 }
 
-/// Distance along a face's forward axis below which nothing is seen or blocks: a millionth of the scene's
-/// diagonal. A sample in the plane of a wall then looks along both its sides and not into it. All backends use
-/// this value.
+/// Distance along a face's forward axis below which nothing is seen or blocks: 2⁻⁴⁰ of the scene's largest extent.
+///
+/// A sample in the plane of an axis-aligned wall, which is where view cells and walls meet, has that wall at distance
+/// zero exactly, and looks along both its sides instead of into it. The distance is far below what `f32` coordinates
+/// of the scene can place before the eye, so nothing else is clipped. All backends use this value.
 pub fn near_distance(bounds: sightline_scene::Aabb) -> f32 {
-    let diagonal = (bounds.max.as_dvec3() - bounds.min.as_dvec3()).length();
-    ((diagonal * 1e-6) as f32).max(f32::MIN_POSITIVE)
+    let extent = (bounds.max.as_dvec3() - bounds.min.as_dvec3()).max_element();
+    // A scene is not a point unless all of it is degenerate, and then nothing is seen.
+    ((extent * 2f64.powi(-40)) as f32).max(1e-30)
 }
