@@ -351,3 +351,23 @@ fn ties_do_not_depend_on_the_superset() {
     let both: Vec<u32> = seen.iter().copied().chain(seen.iter().map(|id| id + 1500)).collect();
     assert_eq!(backend.prepare(Some(&both)).unwrap().image(eye).unwrap(), image);
 }
+
+#[test]
+fn adapters_are_listed_best_first() {
+    let all = sightline_sampling::gpu::adapters();
+    for adapter in &all {
+        println!("{adapter:?}");
+        assert!(adapter.profile.starts_with("gpu/wgpu-30/"));
+        assert!(adapter.profile.bytes().all(|b| (b' '..=b'~').contains(&b)));
+        assert_eq!(adapter.profile.split('/').count(), 5);
+    }
+    assert!(all.is_sorted_by_key(|a| a.software));
+    let scene = scene(room(Vec3::ZERO, 1.0));
+    let spec = CubeSpec { resolution: 8, strata: Strata::One, keep_pixels: false };
+    let hardware = GpuBackend::new(scene.clone(), spec, AdapterChoice::Hardware);
+    assert_eq!(hardware.is_ok(), all.iter().any(|a| !a.software));
+    if let Some(first) = all.first() {
+        let named = GpuBackend::new(scene, spec, AdapterChoice::Named(first.name.to_uppercase())).unwrap();
+        assert_eq!(named.profile(), first.profile);
+    }
+}

@@ -98,4 +98,52 @@ mod tests {
             assert_eq!(faces_touched(&at(eye), eye), 0x3f);
         }
     }
+
+    proptest::proptest! {
+        /// A vertex the shader's arithmetic puts in a face's pyramid lies in a box that is kept for it.
+        #[test]
+        fn no_visible_vertex_is_culled(
+            eye in proptest::array::uniform3(-1e3f32..1e3),
+            vertex in proptest::array::uniform3(-1e3f32..1e3),
+            other in proptest::array::uniform3(-1e3f32..1e3),
+            scale in -20i32..20,
+        ) {
+            let scale = (scale as f32).exp2();
+            let [eye, vertex, other] = [eye, vertex, other].map(|v| Vec3::from(v) * scale);
+            let bounds = Aabb { min: vertex.min(other), max: vertex.max(other) };
+            let faces = faces_touched(&bounds, eye);
+            let d = vertex - eye;
+            for face in 0..6 {
+                let [f, r, u] = crate::cube::face_basis(face).map(|axis| axis.dot(d));
+                if f > 0.0 && r.abs() <= f && u.abs() <= f {
+                    proptest::prop_assert!(faces & (1 << face) != 0, "face {face} misses {vertex}");
+                }
+            }
+        }
+
+        /// Every triangle that is not degenerate is drawn once, coincident ones in id order.
+        #[test]
+        fn the_order_is_a_permutation(
+            points in proptest::collection::vec(proptest::array::uniform3(-2i8..3), 3..60),
+        ) {
+            let vertex = |i: usize| Vec3::from(points[i % points.len()].map(f32::from));
+            let triangles: Vec<_> = (0..points.len())
+                .map(|i| Triangle { v: [vertex(i), vertex(i * 7 + 1), vertex(i * 5 + 2)] })
+                .collect();
+            let objects =
+                vec![sightline_scene::Object { name: String::new(), first: 0, count: triangles.len() as u32 }];
+            let scene = Scene::new("test", triangles.clone(), objects).unwrap();
+            let order = drawing_order(&scene);
+            let mut sorted = order.clone();
+            sorted.sort_unstable();
+            let visible: Vec<u32> = (0..scene.len()).filter(|i| !triangles[*i as usize].is_degenerate()).collect();
+            proptest::prop_assert_eq!(sorted, visible);
+            let place = |id: u32| order.iter().position(|o| *o == id);
+            for (a, b) in (0..scene.len()).flat_map(|a| (0..a).map(move |b| (b, a))) {
+                if triangles[a as usize] == triangles[b as usize] {
+                    proptest::prop_assert!(place(a) <= place(b));
+                }
+            }
+        }
+    }
 }
