@@ -1,0 +1,59 @@
+//! A frame as a picture: sky black, seen triangles green, wrong ones red.
+//!
+//! Three faces by two: +x +y +z above −x −y −z, each as a viewer sees it, with the face's up vector upwards. Each
+//! triangle has its own shade, so that shapes can be told apart.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+use sightline_sampling::{CubeImage, SKY};
+
+use crate::error::MeasureError;
+use crate::measure::is_wrong;
+
+/// Colour of triangles that are in the set, before shading.
+pub const SEEN: [u8; 3] = [60, 170, 80];
+/// Colour of triangles that are missing from it, before shading.
+pub const WRONG: [u8; 3] = [210, 40, 40];
+
+/// Writes a cube image as a PNG of 3n × 2n pixels. `visible` is the cell's set as bits.
+pub(crate) fn write(path: &Path, image: &CubeImage, visible: &[u64]) -> Result<(), MeasureError> {
+    let failed = |reason: String| MeasureError::Image { path: path.to_owned(), reason };
+    let file = File::create(path).map_err(|e| failed(e.to_string()))?;
+    let n = image.resolution;
+    let mut encoder = png::Encoder::new(BufWriter::new(file), 3 * n, 2 * n);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    let mut writer = encoder.write_header().map_err(|e| failed(e.to_string()))?;
+    // Row by row: a whole picture of the largest cubes would take hundreds of megabytes.
+    let mut stream = writer.stream_writer().map_err(|e| failed(e.to_string()))?;
+    let mut line = Vec::with_capacity(n as usize * 9);
+    for row in 0..2 * n {
+        line.clear();
+        for column in 0..3 {
+            // Of both faces of an axis, right and up vectors are the same; seen along the positive axis that is a
+            // mirror image, turned round here.
+            let (face, mirrored) = (column * 2 + row / n, row < n);
+            let y = n - 1 - row % n;
+            for x in 0..n {
+                let x = if mirrored { n - 1 - x } else { x };
+                line.extend(colour(image.ids[((face * n + y) * n + x) as usize], visible));
+            }
+        }
+        stream.write_all(&line).map_err(|e| failed(e.to_string()))?;
+    }
+    stream.finish().map_err(|e| failed(e.to_string()))?;
+    writer.finish().map_err(|e| failed(e.to_string()))
+}
+
+/// The colour of a pixel that shows `id`.
+fn colour(id: u32, visible: &[u64]) -> [u8; 3] {
+    if id == SKY {
+        return [0; 3];
+    }
+    // Multiplicative hashing by the golden ratio (Knuth): neighbouring ids get distant shades, 80 to 120 percent.
+    let shade = 80 + (id.wrapping_mul(0x9e37_79b9) >> 16) * 41 / 65536;
+    let base = if is_wrong(visible, id) { WRONG } else { SEEN };
+    base.map(|c| (u32::from(c) * shade / 100).min(255) as u8)
+}

@@ -1,0 +1,194 @@
+//! The measurement itself: frame by frame, compare what is seen with the set of the viewpoint's cell.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+use glam::Vec3;
+use rayon::prelude::*;
+use sightline_pvs::Pvs;
+use sightline_sampling::{CubeImage, CubeRenderer, SKY};
+
+use crate::error::MeasureError;
+use crate::images;
+use crate::regions::{Regions, regions};
+use crate::report::{Durations, Frame, Report, nearest_rank};
+use crate::viewpoints::Viewpoints;
+
+/// Frames rendered between two reports of progress. Frames are independent, so they are spread over the threads;
+/// what is left of each (ids, counts) is small, and a batch bounds how much of it waits.
+const BATCH: usize = 32;
+
+/// What else to do.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Where to write images of the worst frames; made when missing.
+    pub images_dir: Option<PathBuf>,
+    /// How many of the worst frames to list, and to write images of.
+    pub worst: usize,
+}
+
+impl Default for Options {
+    /// No images, the eight worst frames.
+    fn default() -> Self {
+        Self { images_dir: None, worst: 8 }
+    }
+}
+
+/// What is left of a frame once its image is gone.
+struct Judged {
+    cell: u32,
+    resolution: u32,
+    wrong_pixels: u64,
+    regions: Regions,
+    /// Ascending.
+    wrong: Vec<u32>,
+    /// Ascending.
+    seen: Vec<u32>,
+}
+
+/// Measures a result from `views`. `renderer` draws the whole scene that was baked. `progress` is told how many
+/// frames are done and how many there are. The report depends on the images alone, not on threads or time.
+///
+/// # Errors
+/// [`MeasureError::Outside`] when a viewpoint has no cell, [`MeasureError::OtherScene`] when the renderer shows
+/// another scene, and what the renderer, the result's decoder and the file system report.
+pub fn measure(
+    renderer: &dyn CubeRenderer,
+    pvs: &Pvs,
+    views: &Viewpoints,
+    options: &Options,
+    progress: &mut dyn FnMut(u64, u64),
+) -> Result<Report, MeasureError> {
+    if views.points.is_empty() {
+        return Err(MeasureError::NoViewpoints);
+    }
+    if let Some(dir) = &options.images_dir {
+        // Before the work, not after it.
+        std::fs::create_dir_all(dir)
+            .map_err(|e| MeasureError::Image { path: dir.clone(), reason: e.to_string() })?;
+    }
+    let total = views.points.len() as u64;
+    let mut seen = vec![false; pvs.triangle_count() as usize];
+    let mut cells = BTreeSet::new();
+    let mut durations = Durations::default();
+    let mut frames: Vec<Frame> = Vec::new();
+    let mut wrong_counts: Vec<u64> = Vec::new();
+    let mut region_counts = 0u64;
+    let mut largest: Vec<u64> = Vec::new();
+    let mut resolution = 0;
+    for (batch, points) in views.points.chunks(BATCH).enumerate() {
+        let judged: Vec<Result<Judged, MeasureError>> = points
+            .par_iter()
+            .enumerate()
+            .map(|(i, &point)| judge(renderer, pvs, batch * BATCH + i, point))
+            .collect();
+        for (judged, point) in judged.into_iter().zip(points) {
+            let judged = judged?;
+            resolution = judged.resolution;
+            let pixels = pixels_of(resolution);
+            judged.seen.iter().for_each(|&id| seen[id as usize] = true);
+            cells.insert(judged.cell);
+            durations.push(&judged.wrong);
+            frames.push(Frame {
+                frame: frames.len() as u64,
+                viewpoint: point.to_array(),
+                cell: judged.cell,
+                error: judged.wrong_pixels as f64 / pixels,
+                regions: judged.regions.count,
+                max_region: f64::from(judged.regions.largest) / pixels,
+                wrong_triangles: judged.wrong.len() as u64,
+                image: None,
+            });
+            wrong_counts.push(judged.wrong_pixels);
+            region_counts += u64::from(judged.regions.count);
+            if judged.wrong_pixels > 0 {
+                largest.push(u64::from(judged.regions.largest));
+            }
+        }
+        progress(frames.len() as u64, total);
+    }
+
+    // Sums of whole pixels: no order of additions can change them.
+    let pixels = pixels_of(resolution);
+    let mean = |sum: u64, count: u64| if count == 0 { 0.0 } else { sum as f64 / count as f64 };
+    let wrong_sum: u64 = wrong_counts.iter().sum();
+    wrong_counts.sort_unstable();
+    frames.sort_by(|a, b| b.error.total_cmp(&a.error).then(a.frame.cmp(&b.frame)));
+    frames.truncate(options.worst);
+    if let Some(dir) = &options.images_dir {
+        for (rank, frame) in frames.iter_mut().enumerate() {
+            let path = dir.join(format!("worst_{:02}_frame_{:06}.png", rank + 1, frame.frame));
+            let image = render(renderer, pvs, Vec3::from(frame.viewpoint))?;
+            images::write(&path, &image, &visible_bits(pvs, frame.cell)?)?;
+            frame.image = Some(path);
+        }
+    }
+    Ok(Report {
+        frames: total,
+        resolution,
+        mean_error: mean(wrong_sum, total) / pixels,
+        p99_error: nearest_rank(&wrong_counts, 99).unwrap_or(0) as f64 / pixels,
+        max_error: wrong_counts.last().copied().unwrap_or(0) as f64 / pixels,
+        mean_regions: mean(region_counts, total),
+        mean_max_region: mean(largest.iter().sum(), largest.len() as u64) / pixels,
+        max_region: largest.iter().max().copied().unwrap_or(0) as f64 / pixels,
+        frames_with_error: largest.len() as u64,
+        cells_visited: cells.len() as u64,
+        triangles_seen: seen.iter().filter(|&&s| s).count() as u64,
+        worst: frames,
+        path: views.is_path.then(|| durations.report()),
+    })
+}
+
+/// Pixels of a frame.
+fn pixels_of(resolution: u32) -> f64 {
+    6.0 * f64::from(resolution) * f64::from(resolution)
+}
+
+/// Renders a frame and compares it with its cell's set.
+fn judge(renderer: &dyn CubeRenderer, pvs: &Pvs, frame: usize, point: Vec3) -> Result<Judged, MeasureError> {
+    let point = point.to_array();
+    let cell = pvs.find_cell(point).ok_or(MeasureError::Outside { frame, point })?;
+    let image = render(renderer, pvs, Vec3::from(point))?;
+    let visible = visible_bits(pvs, cell)?;
+    let wrong_pixels: Vec<bool> = image.ids.iter().map(|&id| is_wrong(&visible, id)).collect();
+    let mut seen = image.ids;
+    // Neighbouring pixels mostly agree; without repetitions there is little left to sort.
+    seen.dedup();
+    seen.sort_unstable();
+    seen.dedup();
+    seen.pop_if(|last| *last == SKY);
+    Ok(Judged {
+        cell,
+        resolution: image.resolution,
+        wrong_pixels: wrong_pixels.iter().filter(|&&w| w).count() as u64,
+        regions: regions(image.resolution, &wrong_pixels),
+        wrong: seen.iter().copied().filter(|&id| is_wrong(&visible, id)).collect(),
+        seen,
+    })
+}
+
+/// The image from a point; every id in it is sky or a triangle of the result.
+fn render(renderer: &dyn CubeRenderer, pvs: &Pvs, point: Vec3) -> Result<CubeImage, MeasureError> {
+    let image = renderer.image(point)?;
+    let (resolution, pixels) = (image.resolution, image.ids.len());
+    if resolution == 0 || pixels as u64 != 6 * u64::from(resolution) * u64::from(resolution) {
+        return Err(MeasureError::ImageSize { resolution, pixels });
+    }
+    let triangles = pvs.triangle_count();
+    match image.ids.iter().find(|&&id| id != SKY && id >= triangles) {
+        Some(&id) => Err(MeasureError::OtherScene { id, triangles }),
+        None => Ok(image),
+    }
+}
+
+fn visible_bits(pvs: &Pvs, cell: u32) -> Result<Vec<u64>, MeasureError> {
+    let mut bits = vec![0u64; (pvs.triangle_count() as usize).div_ceil(64)];
+    pvs.visible_bits(cell, &mut bits)?;
+    Ok(bits)
+}
+
+/// Whether a pixel that shows `id` is wrong. `id` is sky or has its bit in `visible`.
+pub(crate) fn is_wrong(visible: &[u64], id: u32) -> bool {
+    id != SKY && visible[(id / 64) as usize] >> (id % 64) & 1 == 0
+}
