@@ -9,7 +9,7 @@ mod error;
 mod files;
 mod inspect;
 mod job_args;
-//mod measuring;
+mod measuring;
 mod progress;
 mod remote;
 mod serve;
@@ -60,6 +60,6 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Info(a) => inspect::info(&a, json),
         Command::Dump(a) => inspect::dump(&a),
         Command::Query(a) => inspect::query(&a, json),
-        Command::Measure(_) => Err(CliError::Internal("soon".into())),
+        Command::Measure(a) => measuring::run(&a),
     }
 }

@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use glam::Vec3;
 use sightline_measure::{Options, Viewpoints, measure};
 use sightline_sampling::{CubeSpec, Strata};
 
@@ -38,13 +37,13 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
             args.scene.display()
         )));
     }
-    let [min, max] = pvs.tree().view_box().map(Vec3::from_array);
+    let view_box = pvs.tree().view_box();
     let views = match &args.path {
-        None => Viewpoints::random(args.viewpoints, args.seed, [min, max]),
+        None => Viewpoints::random(args.viewpoints, args.seed, view_box),
         Some(path) => {
             let file = std::fs::File::open(path)
                 .map_err(|e| CliError::Input(format!("{}: cannot be read: {e}", path.display())))?;
-            Viewpoints::path(std::io::BufReader::new(file), [min, max])
+            Viewpoints::path(std::io::BufReader::new(file), view_box)
                 .map_err(|e| CliError::Input(format!("{}: {e}", path.display())))?
         }
     };
@@ -58,7 +57,7 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     let profile = backends.profiles().into_iter().next().unwrap_or_default();
     let backend = backends.open(&profile, Arc::clone(&scene), spec).map_err(CliError::internal)?;
     let renderer = backend.prepare(None).map_err(CliError::internal)?;
-    let options = Options { images: args.images.clone(), worst: WORST };
+    let options = Options { images_dir: args.images.clone(), worst: WORST };
     let progress = Progress::new();
     let pool = serve::pool(serve::threads(None))?;
     let report = pool.install(|| {
