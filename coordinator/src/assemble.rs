@@ -128,9 +128,8 @@ impl Coordinator {
     ) -> Result<(Digest, u64), AssembleError> {
         let output = if tile.kind == TileKind::Leaf {
             let scene = Scene::from_blob("stored scene", &self.blobs.read(&spec.scene)?)?;
-            let all: Vec<u32> = (0..scene.len())
-                .filter(|id| !scene.triangles()[*id as usize].is_degenerate())
-                .collect();
+            let all: Vec<u32> =
+                (0..scene.len()).filter(|id| !scene.triangles()[*id as usize].is_degenerate()).collect();
             let mut sets = CellSets::default();
             everything(&spec.division, lattice, &tile.cell, tile.depth, &all, &mut sets);
             TileOutput::Cells(sets)

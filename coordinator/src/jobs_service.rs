@@ -41,7 +41,10 @@ pub(crate) async fn blocking<T: Send + 'static>(
 /// A digest from the wire.
 pub(crate) fn digest(bytes: &[u8]) -> Result<Digest, Status> {
     bytes.try_into().map_err(|_| {
-        Status::invalid_argument(format!("a digest of {} bytes was given; give the 32 of BLAKE3", bytes.len()))
+        Status::invalid_argument(format!(
+            "a digest of {} bytes was given; give the 32 of BLAKE3",
+            bytes.len()
+        ))
     })
 }
 
@@ -50,15 +53,18 @@ pub(crate) async fn stream_blob(c: &Arc<Coordinator>, d: Digest) -> Result<Chunk
     // Checked against its digest once, as a whole, so that nothing damaged is ever sent.
     let bytes = blocking(c, move |c| match c.blobs.has(&d) {
         Ok(true) => c.blobs.read(&d).map_err(|e| Status::data_loss(e.to_string())),
-        Ok(false) => Err(Status::not_found("nothing with this digest is stored here; it may have been tidied away")),
+        Ok(false) => {
+            Err(Status::not_found("nothing with this digest is stored here; it may have been tidied away"))
+        }
         Err(e) => Err(status::of_blob(&e)),
     })
     .await?;
     let bytes = Arc::new(bytes);
     let count = bytes.len().div_ceil(chunks::CHUNK_BYTES).max(1);
-    Ok(Box::pin(tokio_stream::iter((0..count).map(move |i| {
-        chunks::cut(&bytes).nth(i).ok_or_else(|| Status::internal("a chunk is missing"))
-    }))))
+    Ok(Box::pin(tokio_stream::iter(
+        (0..count)
+            .map(move |i| chunks::cut(&bytes).nth(i).ok_or_else(|| Status::internal("a chunk is missing"))),
+    )))
 }
 
 #[tonic::async_trait]
@@ -112,7 +118,9 @@ impl v1::jobs_server::Jobs for JobsService {
     async fn submit(&self, r: Request<v1::SubmitRequest>) -> Answer<v1::SubmitResponse> {
         let r = r.into_inner();
         if r.request_id.is_empty() {
-            return Err(Status::invalid_argument("request_id is empty; choose one, so that submitting again is safe"));
+            return Err(Status::invalid_argument(
+                "request_id is empty; choose one, so that submitting again is safe",
+            ));
         }
         blocking(&self.0, move |c| {
             let answer = c.submit(&r)?;
@@ -232,7 +240,12 @@ impl v1::jobs_server::Jobs for JobsService {
 
 impl JobsService {
     /// Moves a job to another state.
-    async fn turn(&self, r: Request<v1::ShowRequest>, from: &'static [JobPhase], to: JobState) -> Answer<v1::Job> {
+    async fn turn(
+        &self,
+        r: Request<v1::ShowRequest>,
+        from: &'static [JobPhase],
+        to: JobState,
+    ) -> Answer<v1::Job> {
         let id = r.into_inner().job;
         blocking(&self.0, move |c| {
             // Under the scheduler's lock, so that no tile is leased or committed in between.
@@ -337,7 +350,10 @@ impl Coordinator {
         let mut scheduler = self.lock();
         let submitted = self.store.submit_job(job).map_err(of_store)?;
         if !submitted.existing {
-            let record = self.store.job(submitted.id).and_then(|r| r.ok_or(StoreError::UnknownJob { job: submitted.id }));
+            let record = self
+                .store
+                .job(submitted.id)
+                .and_then(|r| r.ok_or(StoreError::UnknownJob { job: submitted.id }));
             let tiles = self.store.tiles(submitted.id).map_err(of_store)?;
             scheduler.take_up(record.map_err(of_store)?, tiles);
         }

@@ -197,7 +197,8 @@ impl Scheduler {
                 Some(l) => l.id == id,
             };
             if free {
-                slot.lease = Some(Leased { id, worker: number, renewed: now, moved: now, cells: 0, samples: 0 });
+                slot.lease =
+                    Some(Leased { id, worker: number, renewed: now, moved: now, cells: 0, samples: 0 });
                 kept.push(*lease);
             }
         }
@@ -383,14 +384,8 @@ impl Scheduler {
                 return Ok(false);
             }
             worker.wants -= 1;
-            job.slots[tile].lease = Some(Leased {
-                id: lease,
-                worker: number,
-                renewed: now,
-                moved: now,
-                cells: 0,
-                samples: 0,
-            });
+            job.slots[tile].lease =
+                Some(Leased { id: lease, worker: number, renewed: now, moved: now, cells: 0, samples: 0 });
             return Ok(true);
         }
         Ok(false)
@@ -407,7 +402,8 @@ impl Scheduler {
             .filter(usable)
             .min_by(|a, b| a.seconds_per_cube.total_cmp(&b.seconds_per_cube));
         let Some(fastest) = fastest else {
-            let reason = "no backend of the worker that was asked can sample this scene; see its log".to_owned();
+            let reason =
+                "no backend of the worker that was asked can sample this scene; see its log".to_owned();
             use crate::store::JobPhase::{Queued, Running};
             let failed = JobState::Failed { reason };
             store.set_job_state(timed.job, &[Queued, Running], failed, crate::core::now_ms())?;

@@ -20,7 +20,9 @@ const TICK: Duration = Duration::from_secs(1);
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
     /// Plain text beyond this machine.
-    #[error("{0} can be reached from other machines and traffic would not be encrypted; listen on 127.0.0.1, or say --allow-plaintext when the network is private")]
+    #[error(
+        "{0} can be reached from other machines and traffic would not be encrypted; listen on 127.0.0.1, or say --allow-plaintext when the network is private"
+    )]
     Plaintext(SocketAddr),
     /// The address cannot be listened on.
     #[error("cannot listen on {address}: {source}; is another coordinator running there?")]

@@ -109,14 +109,16 @@ fn check_hello(hello: &v1::Hello) -> Result<(), Status> {
 }
 
 /// One worker's stream, until it ends.
-async fn session(c: Arc<Coordinator>, hello: v1::Hello, mut inbound: Streaming<v1::WorkerMessage>, out: Messages) {
+async fn session(
+    c: Arc<Coordinator>,
+    hello: v1::Hello,
+    mut inbound: Streaming<v1::WorkerMessage>,
+    out: Messages,
+) {
     use v1::coordinator_message::Message;
     let (number, kept) = c.lock().join(&hello, out.clone());
-    let welcome = v1::Welcome {
-        epoch: c.lock().epoch(),
-        lease_millis: c.config.lease.as_millis() as u32,
-        kept,
-    };
+    let welcome =
+        v1::Welcome { epoch: c.lock().epoch(), lease_millis: c.config.lease.as_millis() as u32, kept };
     tracing::info!("worker {} has come, with {}", hello.name, hello.profiles.join(", "));
     let welcome = v1::CoordinatorMessage { message: Some(Message::Welcome(welcome)) };
     if out.send(Ok(welcome)).await.is_ok() {
@@ -264,7 +266,9 @@ impl Coordinator {
                     hex(kept),
                     hex(offered)
                 );
-                Err(Status::aborted("another result for this tile is already there; this worker's machine needs a look"))
+                Err(Status::aborted(
+                    "another result for this tile is already there; this worker's machine needs a look",
+                ))
             }
         }
     }

@@ -92,7 +92,11 @@ async fn bake(
         say("this bake is in the store already");
     } else {
         if job.state() == v1::JobState::Paused {
-            job = client.resume(v1::ShowRequest { job: job.id }).await.map_err(|s| CliError::status(&s))?.into_inner();
+            job = client
+                .resume(v1::ShowRequest { job: job.id })
+                .await
+                .map_err(|s| CliError::status(&s))?
+                .into_inner();
         }
         if answer.existing {
             say(&format!("going on: {} of {} tiles are done", job.tiles_done, job.tiles_total));
@@ -168,7 +172,9 @@ fn default_data_dir() -> Result<PathBuf, CliError> {
     from("XDG_CACHE_HOME")
         .or_else(|| from("HOME").map(|h| h.join(".cache")))
         .map(|d| d.join("sightline"))
-        .ok_or_else(|| CliError::Usage("neither XDG_CACHE_HOME nor HOME is set; name a --data-dir".to_owned()))
+        .ok_or_else(|| {
+            CliError::Usage("neither XDG_CACHE_HOME nor HOME is set; name a --data-dir".to_owned())
+        })
 }
 
 fn report(args: &BakeArgs, outcome: &Outcome, took: Duration, json: bool) -> Result<(), CliError> {

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use futures::StreamExt as _;
-use sightline_proto::chunks::{CHUNK_BYTES, Assembler};
+use sightline_proto::chunks::{Assembler, CHUNK_BYTES};
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_scene::Scene;
@@ -19,7 +19,9 @@ const MAX_RESULT: u64 = 64 << 30;
 /// Connects to a coordinator.
 pub async fn channel(url: &str) -> Result<Channel, CliError> {
     let wrong = |e: &dyn std::fmt::Display| {
-        CliError::Usage(format!("{url} is not a coordinator's address ({e}); give one such as http://127.0.0.1:7600"))
+        CliError::Usage(format!(
+            "{url} is not a coordinator's address ({e}); give one such as http://127.0.0.1:7600"
+        ))
     };
     Endpoint::from_shared(url.to_owned())
         .map_err(|e| wrong(&e))?
@@ -49,7 +51,8 @@ pub async fn upload(client: &mut JobsClient<Channel>, scene: &Scene) -> Result<(
         Err(s) => return Err(CliError::status(&s)),
     }
     let request = v1::MissingChunksRequest { digests: digests.clone() };
-    let missing = client.missing_chunks(request).await.map_err(|s| CliError::status(&s))?.into_inner().digests;
+    let missing =
+        client.missing_chunks(request).await.map_err(|s| CliError::status(&s))?.into_inner().digests;
     let chunks: Vec<v1::Chunk> = digests
         .iter()
         .zip(&pieces)
@@ -110,7 +113,9 @@ pub async fn fetch(client: &mut JobsClient<Channel>, job: &v1::Job, path: &Path)
     }
     let bytes = whole.finish().map_err(CliError::internal)?;
     if blake3::hash(&bytes).as_bytes().as_slice() != job.result {
-        return Err(CliError::Internal("the result that arrived is not the job's; fetch it again".to_owned()));
+        return Err(CliError::Internal(
+            "the result that arrived is not the job's; fetch it again".to_owned(),
+        ));
     }
     write_whole(path, &bytes)?;
     Ok(bytes.len() as u64)
@@ -121,11 +126,9 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(format!(".part-{}", std::process::id()));
     let part = path.with_file_name(name);
-    std::fs::write(&part, bytes)
-        .and_then(|()| std::fs::rename(&part, path))
-        .map_err(|e| {
-            // The half-written file is of no use; that it cannot be removed either adds nothing.
-            let _ = std::fs::remove_file(&part);
-            CliError::writing(path, &e)
-        })
+    std::fs::write(&part, bytes).and_then(|()| std::fs::rename(&part, path)).map_err(|e| {
+        // The half-written file is of no use; that it cannot be removed either adds nothing.
+        let _ = std::fs::remove_file(&part);
+        CliError::writing(path, &e)
+    })
 }

@@ -48,7 +48,10 @@ impl CliError {
 
     /// An output file that cannot be written.
     pub fn writing(path: &Path, e: &std::io::Error) -> Self {
-        Self::Internal(format!("{} cannot be written: {e}; check the folder and the space left", path.display()))
+        Self::Internal(format!(
+            "{} cannot be written: {e}; check the folder and the space left",
+            path.display()
+        ))
     }
 
     /// What a coordinator answered.

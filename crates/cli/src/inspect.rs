@@ -83,7 +83,10 @@ impl Summary {
     pub fn lines(&self) -> Vec<String> {
         let text = |key: &str| self.info.get(key).and_then(|v| v.as_str()).unwrap_or("?").to_owned();
         vec![
-            format!("{} cells over {} triangles in {} objects, method {}", self.cells, self.triangles, self.objects, self.method),
+            format!(
+                "{} cells over {} triangles in {} objects, method {}",
+                self.cells, self.triangles, self.objects, self.method
+            ),
             format!("view box {} to {}", self.view_box["min"], self.view_box["max"]),
             format!(
                 "visible from a cell: {:.0} triangles on average ({:.2} %), {} to {}; undecided: {}",
@@ -93,7 +96,10 @@ impl Summary {
                 self.max_visible,
                 self.undecided
             ),
-            format!("{} bytes, {:.0} a cell for the sets; cells set aside: {}", self.file_bytes, self.bytes_per_cell, self.cells_set_aside),
+            format!(
+                "{} bytes, {:.0} a cell for the sets; cells set aside: {}",
+                self.file_bytes, self.bytes_per_cell, self.cells_set_aside
+            ),
             format!("numerics profile {}", text("profile")),
         ]
     }
@@ -189,7 +195,8 @@ fn sets(
 /// Prints what is visible from a point's cell.
 pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
     let pvs = open(&args.result.result)?;
-    let point: [f32; 3] = args.point.as_slice().try_into().map_err(|_| CliError::Usage("give x y z".to_owned()))?;
+    let point: [f32; 3] =
+        args.point.as_slice().try_into().map_err(|_| CliError::Usage("give x y z".to_owned()))?;
     let Some(cell) = pvs.find_cell(point) else {
         let [min, max] = pvs.tree().view_box();
         return Err(CliError::Input(format!(
@@ -215,7 +222,8 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
             Items::Objects => format!("{id} {}", pvs.objects()[*id as usize].name),
         })
         .collect();
-    let aside = if pvs.is_set_aside(cell)? { "; SET ASIDE: this cell failed, everything is shown" } else { "" };
+    let aside =
+        if pvs.is_set_aside(cell)? { "; SET ASIDE: this cell failed, everything is shown" } else { "" };
     print(&format!(
         "cell {cell}, {min:?} to {max:?}: {} {what} visible, {} of them undecided{aside}\n{}",
         visible.len(),

@@ -141,9 +141,9 @@ impl JobArgs {
         };
         spec.sampling.check().map_err(|e| CliError::Usage(e.to_string()))?;
         spec.lattice().map_err(|e| match self.view_box {
-            None if matches!(e, sightline_viewcells::DivisionError::Box { .. }) => {
-                CliError::Input(format!("the scene is flat, so its bounds are no view box; give --view-box ({e})"))
-            }
+            None if matches!(e, sightline_viewcells::DivisionError::Box { .. }) => CliError::Input(format!(
+                "the scene is flat, so its bounds are no view box; give --view-box ({e})"
+            )),
             _ => CliError::Usage(e.to_string()),
         })?;
         Ok(spec)

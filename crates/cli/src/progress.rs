@@ -92,7 +92,10 @@ impl Progress {
         };
         let left = if here > 0 {
             let per_tile = seconds / here as f64;
-            format!("about {} left", human(Duration::from_secs_f64(per_tile * f64::from(job.tiles_total - ended))))
+            format!(
+                "about {} left",
+                human(Duration::from_secs_f64(per_tile * f64::from(job.tiles_total - ended)))
+            )
         } else {
             "time left not known yet".to_owned()
         };

@@ -88,7 +88,11 @@ pub fn watch(args: &JobRefArgs, json: bool) -> Result<(), CliError> {
 /// Lists jobs.
 pub fn jobs(args: &RemoteArgs, json: bool) -> Result<(), CliError> {
     let list = with(args, |mut client| async move {
-        client.list(v1::ListRequest {}).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
+        client
+            .list(v1::ListRequest {})
+            .await
+            .map(tonic::Response::into_inner)
+            .map_err(|s| CliError::status(&s))
     })?;
     if json {
         return print(&serde_json::Value::from_iter(list.jobs.iter().map(value)).to_string());
@@ -154,9 +158,12 @@ fn state(job: &v1::Job) -> &'static str {
 
 fn line(job: &v1::Job) -> String {
     let reason = if job.reason.is_empty() { String::new() } else { format!(": {}", job.reason) };
-    let aside = if job.tiles_set_aside > 0 { format!(", {} set aside", job.tiles_set_aside) } else { String::new() };
+    let aside =
+        if job.tiles_set_aside > 0 { format!(", {} set aside", job.tiles_set_aside) } else { String::new() };
     let workers = match (job.state(), job.workers) {
-        (v1::JobState::Queued | v1::JobState::Running, 0) => ", NO WORKERS: start some with `sightline worker`",
+        (v1::JobState::Queued | v1::JobState::Running, 0) => {
+            ", NO WORKERS: start some with `sightline worker`"
+        }
         _ => "",
     };
     format!(

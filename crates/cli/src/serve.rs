@@ -83,7 +83,10 @@ async fn stop_signal() {
 pub fn say_missing(backends: &Backends) -> Result<(), CliError> {
     let missing = backends.missing();
     if backends.profiles().is_empty() {
-        return Err(CliError::Internal(format!("no backend can sample on this machine:\n{}", missing.join("\n"))));
+        return Err(CliError::Internal(format!(
+            "no backend can sample on this machine:\n{}",
+            missing.join("\n")
+        )));
     }
     missing.iter().for_each(|m| say(&format!("note: {m}")));
     Ok(())
@@ -131,7 +134,8 @@ pub fn print(text: &str) -> Result<(), CliError> {
 
 fn default_name() -> String {
     let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-    let host: String = host.trim().chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').take(40).collect();
+    let host: String =
+        host.trim().chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').take(40).collect();
     let host = if host.is_empty() { "worker".to_owned() } else { host };
     format!("{host}-{}", std::process::id())
 }

@@ -6,12 +6,12 @@
 pub mod clusters;
 pub mod error;
 pub mod exact;
-pub mod generate;
-pub mod glb_out;
-pub mod overlap;
 #[doc(hidden)]
 pub mod fuzzing;
+pub mod generate;
+pub mod glb_out;
 pub mod load;
+pub mod overlap;
 pub mod ply_out;
 pub mod scene;
 pub mod topology;

@@ -42,7 +42,9 @@ pub enum DivisionError {
         z: u32,
     },
     /// Cells so thin that their planes coincide in `f32`.
-    #[error("{cells} cells along axis {axis} are thinner than 32-bit coordinates can tell apart there; use fewer, or move the scene nearer to the origin")]
+    #[error(
+        "{cells} cells along axis {axis} are thinner than 32-bit coordinates can tell apart there; use fewer, or move the scene nearer to the origin"
+    )]
     TooFine {
         /// 0 = x, 1 = y, 2 = z.
         axis: usize,
