@@ -4,10 +4,12 @@ use std::sync::Arc;
 
 use sightline_measure::{Options, Viewpoints, measure};
 use sightline_sampling::{CubeSpec, Strata};
+use sightline_worker::Choice;
 
 use crate::args::MeasureArgs;
 use crate::error::CliError;
 use crate::inspect;
+use crate::job_args::Backend;
 use crate::progress::Progress;
 use crate::serve::{self, print};
 
@@ -50,10 +52,14 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     if !(8..=4096).contains(&args.resolution) {
         return Err(CliError::Usage(format!("--resolution {} is not between 8 and 4096", args.resolution)));
     }
-    let backends = sightline_worker::Backends::probe(serve::choice(args.backend), Default::default());
+    // Frames of the whole scene are what Embree is best at; the gpu is looked for only when Embree is missing.
+    let probe = |choice| sightline_worker::Backends::probe(choice, Default::default());
+    let mut backends = probe(if args.backend == Backend::Auto { Choice::Cpu } else { serve::choice(args.backend) });
+    if args.backend == Backend::Auto && backends.profiles().is_empty() {
+        backends = probe(Choice::Auto);
+    }
     serve::say_missing(&backends)?;
     let spec = CubeSpec { resolution: args.resolution, strata: Strata::One, keep_pixels: false };
-    // Profiles come with the cpu first.
     let profile = backends.profiles().into_iter().next().unwrap_or_default();
     let backend = backends.open(&profile, Arc::clone(&scene), spec).map_err(CliError::internal)?;
     let renderer = backend.prepare(None).map_err(CliError::internal)?;
