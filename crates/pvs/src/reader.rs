@@ -339,9 +339,19 @@ impl Pvs {
         for node in self.tree.path(leaf) {
             let set = self.set(section, node)?;
             codec::decode(set, self.layout.triangles, |start, end| {
-                for id in [start, end] {
-                    if let Some(word) = words.get_mut((id >> 6) as usize) {
-                        *word ^= 1 << (id & 63);
+                let (first, last) = ((start >> 6) as usize, (end >> 6) as usize);
+                let (mark_start, mark_end) = (1u64 << (start & 63), 1u64 << (end & 63));
+                if first == last {
+                    // Most runs are short; one access instead of two to the same word, the second waiting for the first.
+                    if let Some(word) = words.get_mut(first) {
+                        *word ^= mark_start ^ mark_end;
+                    }
+                } else {
+                    if let Some(word) = words.get_mut(first) {
+                        *word ^= mark_start;
+                    }
+                    if let Some(word) = words.get_mut(last) {
+                        *word ^= mark_end;
                     }
                 }
             })
