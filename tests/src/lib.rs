@@ -1,1 +1,40 @@
-//! Nothing here: what needs several processes or containers is in `tests/`, one file a subject.
+//! What the tests in `tests/` share: the program under test, folders to run it in, processes that are ended with the
+//! test, and results read back.
+//!
+//! The program is only ever run from outside, as a user runs it; nothing here links against it. What is waited for is
+//! waited for by looking, never by sleeping a fixed time; the limits only turn a hang into a failure.
+
+// The permissions for tests reach `#[test]` functions only; all of this runs inside of them, and a helper that panics
+// with what it saw is what makes their failures readable.
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
+
+mod dump;
+mod process;
+mod program;
+
+use std::time::{Duration, Instant};
+
+pub use dump::{Cell, Dump};
+pub use process::{Background, Coordinator, Run, Sandbox};
+pub use program::{in_ci, program};
+
+/// A single command or wait that takes longer hangs.
+pub const LIMIT: Duration = Duration::from_secs(300);
+
+/// Looks until `look` has seen what it looks for. Panics, saying `what`, when that takes past [`LIMIT`].
+pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let began = Instant::now();
+    loop {
+        if let Some(seen) = look() {
+            return seen;
+        }
+        assert!(began.elapsed() < LIMIT, "waited {LIMIT:?} in vain: {what}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Panics unless both results are the same, telling where they begin to differ.
+pub fn assert_same(a: &[u8], b: &[u8], what: &str) {
+    let first = a.iter().zip(b).position(|(x, y)| x != y);
+    assert!(a == b, "{what}: {} bytes against {}, first different at {first:?}", a.len(), b.len());
+}

@@ -1,0 +1,298 @@
+//! Running the program: to its end, in the background, and as a coordinator.
+
+use std::ffi::OsString;
+use std::fs::{self, File};
+use std::io::{BufRead as _, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Instant;
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::{Dump, LIMIT, program, wait_for};
+
+/// A folder of its own in which commands run, removed at the end.
+pub struct Sandbox {
+    folder: TempDir,
+    variables: Vec<(OsString, OsString)>,
+    runs: AtomicU32,
+}
+
+impl Default for Sandbox {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Sandbox {
+    /// An empty folder.
+    pub fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        // Nothing of the user's settings, and nothing into the user's cache.
+        let cache = folder.path().join("cache").into();
+        Self { folder, variables: vec![("XDG_CACHE_HOME".into(), cache)], runs: AtomicU32::new(0) }
+    }
+
+    /// Sets an environment variable for all that runs from now on.
+    pub fn set(&mut self, name: &str, value: impl Into<OsString>) {
+        self.variables.push((name.into(), value.into()));
+    }
+
+    /// A file in the folder.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// The bytes of a file in the folder.
+    pub fn read(&self, name: &str) -> Vec<u8> {
+        fs::read(self.path(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
+    }
+
+    /// Writes a file in the folder.
+    pub fn write(&self, name: &str, bytes: impl AsRef<[u8]>) {
+        fs::write(self.path(name), bytes).unwrap_or_else(|e| panic!("{name}: {e}"));
+    }
+
+    /// How many files there are below `name`; 0 when it is not there.
+    pub fn files_below(&self, name: &str) -> usize {
+        fn count(folder: &Path) -> usize {
+            let Ok(entries) = fs::read_dir(folder) else { return 0 };
+            // What vanishes while it is looked at is not counted.
+            entries.flatten().map(|e| if e.path().is_dir() { count(&e.path()) } else { 1 }).sum()
+        }
+        count(&self.path(name))
+    }
+
+    fn command(&self, program: &Path, line: &str) -> Command {
+        let mut command = Command::new(program);
+        command
+            .args(line.split_whitespace())
+            .current_dir(self.folder.path())
+            .env_remove("SIGHTLINE_LOG")
+            .envs(self.variables.iter().map(|(k, v)| (k, v)))
+            .stdin(Stdio::null());
+        command
+    }
+
+    /// Starts `sightline LINE` in the folder. The line is split at spaces; files are named relative to the folder.
+    pub fn start(&self, line: &str) -> Background {
+        let number = self.runs.fetch_add(1, Ordering::Relaxed);
+        let [out, err] = ["out", "err"].map(|kind| self.path(&format!(".{number}.{kind}")));
+        let mut command = self.command(program(), line);
+        // Files, not pipes: nobody has to keep reading.
+        command.stdout(File::create(&out).unwrap()).stderr(File::create(&err).unwrap());
+        let child = command.spawn().unwrap_or_else(|e| panic!("sightline {line} does not start: {e}"));
+        Background { line: line.to_owned(), child, out, err }
+    }
+
+    /// Runs `sightline LINE` to its end. Whatever the exit code, a panic in it is a failure.
+    pub fn run(&self, line: &str) -> Run {
+        self.start(line).end()
+    }
+
+    /// Runs `sightline LINE`, which must succeed; gives what it printed on stdout.
+    pub fn ok(&self, line: &str) -> String {
+        self.run(line).code(0).out
+    }
+
+    /// Runs `sightline LINE --json`, which must succeed; gives the one document on stdout.
+    pub fn json(&self, line: &str) -> Value {
+        let out = self.ok(&format!("{line} --json"));
+        serde_json::from_str(&out).unwrap_or_else(|e| panic!("sightline {line}: {e} in {out}"))
+    }
+
+    /// The dump of a result.
+    pub fn dump(&self, result: &str) -> Dump {
+        Dump::parse(&self.ok(&format!("dump {result}")))
+    }
+
+    /// Starts a coordinator on a free port, or on the address given, with its data in `data`.
+    pub fn coordinator(&self, data: &str, address: &str) -> Coordinator<'_> {
+        let mut command =
+            self.command(program(), &format!("coordinator --listen {address} --data-dir {data}"));
+        let log = self.path(&format!(".{data}.{}.log", self.runs.fetch_add(1, Ordering::Relaxed)));
+        command.stdout(Stdio::piped()).stderr(File::create(&log).unwrap());
+        let mut child = command.spawn().unwrap();
+        let mut first = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut first).unwrap();
+        let coordinator = Coordinator {
+            sandbox: self,
+            process: Background { line: "coordinator".into(), child, out: PathBuf::new(), err: log },
+            url: first.trim().strip_prefix("listening on ").unwrap_or_default().to_owned(),
+        };
+        assert!(
+            coordinator.url.starts_with("http://"),
+            "the coordinator said {first:?}:\n{}",
+            coordinator.process.err()
+        );
+        coordinator
+    }
+}
+
+/// How a command ended.
+pub struct Run {
+    line: String,
+    status: ExitStatus,
+    /// What it printed on stdout.
+    pub out: String,
+    /// What it printed on stderr.
+    pub err: String,
+}
+
+impl Run {
+    /// Panics unless this is the exit code.
+    #[track_caller]
+    pub fn code(self, code: i32) -> Self {
+        assert!(
+            self.status.code() == Some(code),
+            "sightline {} ended with {}, not {code}:\n{}{}",
+            self.line,
+            self.status,
+            self.out,
+            self.err
+        );
+        self
+    }
+
+    /// Panics unless stderr has `text` in it.
+    #[track_caller]
+    pub fn says(self, text: &str) -> Self {
+        assert!(self.err.contains(text), "sightline {} does not say '{text}':\n{}", self.line, self.err);
+        self
+    }
+}
+
+/// A process that runs beside the test. Dropping it kills it.
+pub struct Background {
+    line: String,
+    child: Child,
+    out: PathBuf,
+    err: PathBuf,
+}
+
+impl Background {
+    /// What it has written to stderr so far.
+    pub fn err(&self) -> String {
+        String::from_utf8_lossy(&fs::read(&self.err).unwrap_or_default()).into_owned()
+    }
+
+    /// What it has written to stdout so far.
+    pub fn out(&self) -> String {
+        String::from_utf8_lossy(&fs::read(&self.out).unwrap_or_default()).into_owned()
+    }
+
+    /// Whether it still runs.
+    pub fn runs(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_none()
+    }
+
+    /// Sends it a signal by its name, such as `TERM`.
+    pub fn signal(&self, name: &str) {
+        // The shell's own `kill`, which is there even where no other is.
+        let sent = Command::new("sh").args(["-c", &format!("kill -{name} {}", self.child.id())]).status();
+        assert!(sent.unwrap().success(), "SIG{name} could not be sent to sightline {}", self.line);
+    }
+
+    /// Kills it, as a crash or the machine's end would.
+    pub fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+
+    /// Waits for its end.
+    pub fn end(mut self) -> Run {
+        let began = Instant::now();
+        let status = loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                break status;
+            }
+            assert!(began.elapsed() < LIMIT, "sightline {} hangs:\n{}", self.line, self.err());
+            std::thread::sleep(std::time::Duration::from_millis(2));
+        };
+        let run = Run { line: self.line.clone(), status, out: self.out(), err: self.err() };
+        assert!(!run.err.contains("panicked"), "sightline {} panicked:\n{}", run.line, run.err);
+        run
+    }
+}
+
+impl Drop for Background {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        if std::thread::panicking() {
+            eprintln!("---- stderr of sightline {}\n{}", self.line, self.err());
+        }
+    }
+}
+
+/// A coordinator that serves.
+pub struct Coordinator<'a> {
+    sandbox: &'a Sandbox,
+    /// Its process.
+    pub process: Background,
+    /// Where it listens, such as `http://127.0.0.1:41234`.
+    pub url: String,
+}
+
+impl Coordinator<'_> {
+    /// Address and port alone, for `--listen`.
+    pub fn address(&self) -> String {
+        self.url.trim_start_matches("http://").to_owned()
+    }
+
+    /// Starts a client command against it.
+    pub fn start(&self, line: &str) -> Background {
+        self.sandbox.start(&format!("{line} --coordinator {}", self.url))
+    }
+
+    /// Runs a client command against it.
+    pub fn run(&self, line: &str) -> Run {
+        self.start(line).end()
+    }
+
+    /// Runs a client command against it, which must succeed; gives its stdout.
+    pub fn ok(&self, line: &str) -> String {
+        self.run(line).code(0).out
+    }
+
+    /// Runs a client command against it with `--json`; gives the document.
+    pub fn json(&self, line: &str) -> Value {
+        self.sandbox.json(&format!("{line} --coordinator {}", self.url))
+    }
+
+    /// Starts a worker with one thread on the cpu backend.
+    pub fn worker(&self) -> Background {
+        self.start("worker --backend cpu --threads 1")
+    }
+
+    /// Submits a job; gives its number.
+    pub fn submit(&self, line: &str) -> u64 {
+        self.ok(&format!("submit {line}")).trim().parse().unwrap()
+    }
+
+    /// A count of a job as `show --json` has it.
+    pub fn count(&self, job: u64, key: &str) -> u64 {
+        count(&self.json(&format!("show {job}")), key)
+    }
+
+    /// Waits until `seen` is satisfied by what `show --json` says of a job.
+    pub fn until(&self, job: u64, what: &str, seen: impl Fn(&Value) -> bool) -> Value {
+        wait_for(what, || Some(self.json(&format!("show {job}"))).filter(&seen))
+    }
+
+    /// Follows a job to its end, which must be a success, and downloads it.
+    pub fn finish(&self, job: u64) -> Vec<u8> {
+        self.ok(&format!("watch {job}"));
+        let name = format!("fetched-{job}.pvs");
+        self.ok(&format!("fetch {job} -o {name}"));
+        self.sandbox.read(&name)
+    }
+}
+
+/// A number in a JSON object.
+pub(crate) fn count(value: &Value, key: &str) -> u64 {
+    value[key].as_u64().unwrap_or_else(|| panic!("no count '{key}' in {value}"))
+}

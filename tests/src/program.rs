@@ -1,0 +1,60 @@
+//! Where the program under test comes from.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::OnceLock;
+
+/// The program: what `SIGHTLINE_BIN` names, else what `cargo build` makes of this checkout, in the profile and target
+/// folder of the running test. A program that is built already is found at once.
+pub fn program() -> &'static Path {
+    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+    PROGRAM.get_or_init(|| match std::env::var_os("SIGHTLINE_BIN") {
+        Some(named) => {
+            let named = PathBuf::from(named);
+            assert!(named.is_file(), "SIGHTLINE_BIN names no file: {}", named.display());
+            // Tests run it from other folders.
+            std::path::absolute(named).unwrap()
+        }
+        None => build(),
+    })
+}
+
+fn build() -> PathBuf {
+    // TARGET/PROFILE/deps/TEST-HASH
+    let test = std::env::current_exe().unwrap();
+    let folder = test.ancestors().nth(2).unwrap();
+    let profile = match folder.file_name().unwrap().to_str().unwrap() {
+        "debug" => "dev",
+        other => other,
+    };
+    let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    cargo
+        .args([
+            "build",
+            "-p",
+            "sightline",
+            "--profile",
+            profile,
+            "--message-format",
+            "json-render-diagnostics",
+        ])
+        .arg("--target-dir")
+        .arg(folder.parent().unwrap())
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .stdin(Stdio::null())
+        .stderr(Stdio::inherit());
+    let built = cargo.output().unwrap_or_else(|e| panic!("{cargo:?} does not start: {e}"));
+    assert!(built.status.success(), "{cargo:?} failed");
+    let messages = String::from_utf8(built.stdout).unwrap();
+    messages
+        .lines()
+        .filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok())
+        .filter(|message| message["target"]["name"] == "sightline")
+        .find_map(|message| message["executable"].as_str().map(PathBuf::from))
+        .unwrap_or_else(|| panic!("{cargo:?} named no executable"))
+}
+
+/// Whether what this machine lacks is a failure instead of a reason to skip: on CI it is.
+pub fn in_ci() -> bool {
+    std::env::var_os("CI").is_some_and(|value| !value.is_empty() && value != "false")
+}

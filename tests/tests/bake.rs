@@ -1,0 +1,185 @@
+//! `sightline bake`: interrupted and continued, on every backend there is, with the options that change what it does.
+
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+
+use serde_json::Value;
+use sightline_tests::{Sandbox, assert_same, in_ci, wait_for};
+
+const ROOMS: &str = "generate rooms --triangles 2000 -o rooms.glb";
+const MAZE: &str = "generate maze --grid 3x3 -o maze.glb";
+/// A bake of a second.
+const QUICK: &str = "maze.glb --cells 2x2x1 --resolution 32 --backend cpu --data-dir data";
+
+#[test]
+fn an_interrupted_bake_goes_on_and_gives_the_same_bytes() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(ROOMS);
+    let job = "rooms.glb --cells 4x4x2 --resolution 96 --backend cpu";
+    let whole = sandbox.json(&format!("bake {job} -o whole.pvs --data-dir whole"));
+    // Ctrl-C and the machine's end, each from a fresh start.
+    for signal in ["INT", "KILL"] {
+        let again = format!("bake {job} -o {signal}.pvs --data-dir {signal}");
+        let bake = sandbox.start(&again);
+        // The scene and some finished tiles; what the files are is the store's business.
+        wait_for("finished tiles", || (sandbox.files_below(&format!("{signal}/blobs")) > 8).then_some(()));
+        bake.signal(signal);
+        if signal == "INT" {
+            bake.end().code(130).says("the same command goes on");
+        } else {
+            bake.kill();
+        }
+        let output = format!("{signal}.pvs");
+        assert!(!sandbox.path(&output).exists(), "no result before the end");
+
+        let continued = sandbox.run(&again).code(0).says("going on: ");
+        let said = continued.err.split("going on: ").nth(1).unwrap();
+        let mut words = said.split(' ');
+        let done: u32 = words.next().unwrap().parse().unwrap();
+        let total: u32 = words.nth(1).unwrap().parse().unwrap();
+        assert!(0 < done && done < total, "{done} of {total} tiles were kept");
+        assert_same(&sandbox.read(&output), &sandbox.read("whole.pvs"), signal);
+
+        // Once more: nothing left to do.
+        let stored = sandbox.run(&format!("{again} --json")).code(0).says("in the store already");
+        let stored: Value = serde_json::from_str(&stored.out).unwrap();
+        assert_eq!(stored["from_store"], true);
+        assert_eq!(stored["samples"], whole["samples"], "no sample is taken twice");
+        assert_same(&sandbox.read(&output), &sandbox.read("whole.pvs"), "from the store");
+    }
+    assert_eq!(whole["from_store"], false);
+}
+
+#[test]
+fn the_number_of_workers_changes_no_byte() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(MAZE);
+    for n in [1, 4] {
+        let line = format!("bake maze.glb --cells 3x3x2 --resolution 32 --backend cpu --workers {n}");
+        sandbox.ok(&format!("{line} -o {n}.pvs --data-dir data-{n}"));
+    }
+    assert_same(&sandbox.read("1.pvs"), &sandbox.read("4.pvs"), "1 and 4 workers");
+}
+
+#[test]
+fn adaptive_cells_keep_to_budget_or_depth() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(MAZE);
+    let (budget, depth) = (120, 7);
+    let division = format!("--triangle-budget {budget} --max-depth {depth}");
+    sandbox.ok(&format!(
+        "bake maze.glb {division} --resolution 32 --backend cpu --data-dir data -o adaptive.pvs"
+    ));
+    let dump = sandbox.dump("adaptive.pvs");
+    let [low, high] = dump.view_box();
+    let whole: f64 = (0..3).map(|axis| high[axis] - low[axis]).product();
+    let mut halved = 0;
+    for cell in &dump.cells {
+        let level = (whole / cell.volume()).log2().round();
+        assert!(level <= f64::from(depth), "{cell:?} is at level {level}");
+        assert!(
+            cell.visible.len() <= budget || level == f64::from(depth),
+            "{cell:?} sees {} triangles at level {level}",
+            cell.visible.len()
+        );
+        halved += usize::from(level > 0.0);
+    }
+    assert!(halved > 1, "the budget makes no difference here");
+    let covered: f64 = dump.cells.iter().map(|cell| cell.volume()).sum();
+    assert!((covered / whole - 1.0).abs() < 1e-4, "the cells cover {covered} of {whole}");
+}
+
+#[test]
+fn every_error_measure_and_superset_choice_works() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(MAZE);
+    for measure in ["sets", "pixels", "strata"] {
+        let mut seen = Vec::new();
+        for superset in ["on", "off"] {
+            let options = format!("--error-measure {measure} --superset {superset}");
+            let made = sandbox.json(&format!("bake {QUICK} {options} -o {measure}-{superset}.pvs"));
+            assert_eq!(made["info"]["sampling"]["measure"], measure);
+            assert_eq!(made["info"]["sampling"]["superset"], superset);
+            assert_eq!(made["from_store"], false, "each choice is a bake of its own");
+            assert!(made["min_visible"].as_u64().unwrap() > 0, "{made}");
+            seen.push(sandbox.dump(&format!("{measure}-{superset}.pvs")).cells);
+        }
+        assert_eq!(seen[0].len(), seen[1].len());
+    }
+}
+
+#[test]
+fn the_view_box_is_the_one_asked_for() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(MAZE);
+    sandbox.ok(&format!("bake {QUICK} --view-box 0.5,0.25,0.5,1.5,1.25,2.5 -o boxed.pvs"));
+    assert_eq!(sandbox.dump("boxed.pvs").view_box(), [[0.5, 0.25, 0.5], [1.5, 1.25, 2.5]]);
+    for bad in ["0,0,0,0,1,1", "1,1,1,0,0,0", "0,0,0,1,1,inf", "0,0,0,1,nan,1", "0,0,0,1,1"] {
+        sandbox.run(&format!("bake {QUICK} --view-box {bad} -o no.pvs")).code(2);
+    }
+}
+
+#[test]
+fn an_output_that_cannot_be_written_is_refused_before_any_work() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(MAZE);
+    for output in ["missing/out.pvs", "."] {
+        sandbox.run(&format!("bake {QUICK} -o {output}")).code(2).says("give -o");
+    }
+    assert!(!sandbox.path("data").exists());
+}
+
+#[test]
+fn a_flat_scene_needs_a_view_box() {
+    let sandbox = Sandbox::new();
+    sandbox.write("flat.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n");
+    let bake = "bake flat.obj --cells 1x1x1 --resolution 32 --backend cpu --data-dir data -o flat.pvs";
+    sandbox.run(bake).code(3).says("--view-box");
+    sandbox.ok(&format!("{bake} --view-box 0,0,1,1,1,2"));
+    assert_eq!(sandbox.dump("flat.pvs").cells[0].visible, [0, 1]);
+}
+
+#[test]
+fn the_gpu_backend_bakes_where_there_is_vulkan() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(MAZE);
+    let job = "bake maze.glb --cells 1x1x1 --resolution 32 --backend gpu -o gpu.pvs --json";
+    let run = sandbox.run(&format!("{job} --data-dir data"));
+    if run.err.contains("no backend can sample") && !in_ci() {
+        run.code(1).says("gpu backend: ");
+        eprintln!("skipped: there is no Vulkan here");
+        return;
+    }
+    let made: Value = serde_json::from_str(&run.code(0).out).unwrap();
+    assert!(made["info"]["profile"].as_str().unwrap().starts_with("gpu/"), "{made}");
+    let first = sandbox.read("gpu.pvs");
+    sandbox.ok(&format!("{job} --data-dir other"));
+    assert_same(&sandbox.read("gpu.pvs"), &first, "two bakes on one adapter");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn without_embree_the_gpu_is_taken_and_the_reason_told() {
+    let mut sandbox = Sandbox::new();
+    sandbox.ok(MAZE);
+    // The loader finds these first and cannot use them: as good as no Embree.
+    std::fs::create_dir(sandbox.path("hidden")).unwrap();
+    for name in ["libembree4.so.4", "libembree3.so.3", "libembree4.so", "libembree3.so"] {
+        sandbox.write(&format!("hidden/{name}"), "not a library");
+    }
+    sandbox.set("LD_LIBRARY_PATH", sandbox.path("hidden"));
+    let job = "bake maze.glb --cells 1x1x1 --resolution 32 --data-dir data -o out.pvs --json";
+    sandbox
+        .run(&format!("{job} --backend cpu"))
+        .code(1)
+        .says("Embree is not installed")
+        .says("apt-get install");
+    let run = sandbox.run(job);
+    if run.err.contains("no backend can sample") && !in_ci() {
+        run.code(1).says("cpu backend: ").says("gpu backend: ");
+        eprintln!("skipped: there is no Vulkan here");
+        return;
+    }
+    let made: Value =
+        serde_json::from_str(&run.code(0).says("note: cpu backend: Embree is not installed").out).unwrap();
+    assert!(made["info"]["profile"].as_str().unwrap().starts_with("gpu/"), "{made}");
+}

@@ -1,0 +1,256 @@
+//! A cluster of real processes: whoever dies and whenever, the result is the one a single process gives.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+use std::sync::OnceLock;
+
+use serde_json::Value;
+use sightline_tests::{Sandbox, assert_same, wait_for};
+
+/// What is baked throughout: 69 tiles of some ten milliseconds each, so that a job can be met in its middle.
+const SCENE: &str = "generate rooms --triangles 2000 -o rooms.glb";
+const JOB: &str = "rooms.glb --cells 4x4x2 --resolution 96 --backend cpu";
+
+/// A folder with the scene in it.
+fn sandbox() -> Sandbox {
+    let sandbox = Sandbox::new();
+    sandbox.ok(SCENE);
+    sandbox
+}
+
+/// What one process makes of [`JOB`].
+fn alone() -> &'static [u8] {
+    static ALONE: OnceLock<Vec<u8>> = OnceLock::new();
+    ALONE.get_or_init(|| {
+        let sandbox = sandbox();
+        sandbox.ok(&format!("bake {JOB} -o alone.pvs --data-dir data"));
+        sandbox.read("alone.pvs")
+    })
+}
+
+fn number(job: &Value, key: &str) -> u64 {
+    job[key].as_u64().unwrap_or_else(|| panic!("no number '{key}' in {job}"))
+}
+
+/// Whether a job is in its middle, with tiles in somebody's hands.
+fn in_the_middle(job: &Value) -> bool {
+    let (done, total) = (number(job, "tiles_done"), number(job, "tiles_total"));
+    assert!(done < total, "the job was over before it could be disturbed; make it larger: {job}");
+    done > 0 && number(job, "tiles_running") > 0
+}
+
+#[test]
+fn any_number_of_workers_gives_the_bytes_of_one_process() {
+    for workers in [1, 3] {
+        let sandbox = sandbox();
+        let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+        let job = coordinator.submit(JOB);
+        let _workers: Vec<_> = (0..workers).map(|_| coordinator.worker()).collect();
+        assert_same(&coordinator.finish(job), alone(), &format!("{workers} workers"));
+        let shown = coordinator.json(&format!("show {job}"));
+        assert_eq!(shown["state"], "done");
+        assert_eq!(shown["tiles_set_aside"], 0);
+        assert_eq!(number(&shown, "tiles_done"), number(&shown, "tiles_total"));
+        assert_eq!(number(&shown, "cells_done"), 32);
+    }
+}
+
+#[test]
+fn a_killed_worker_changes_no_byte() {
+    let sandbox = sandbox();
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let job = coordinator.submit(JOB);
+    let victim = coordinator.worker();
+    // Alone, so that the tiles running are surely the victim's.
+    let before = coordinator.until(job, "the job's middle", in_the_middle);
+    victim.kill();
+    let after = coordinator.json(&format!("show {job}"));
+    assert_eq!(after["state"], "running");
+    assert!(number(&after, "tiles_done") >= number(&before, "tiles_done"));
+    let _heir = coordinator.worker();
+    assert_same(&coordinator.finish(job), alone(), "after a worker was killed");
+    assert!(coordinator.process.err().contains("is taken back"), "{}", coordinator.process.err());
+}
+
+#[test]
+fn a_killed_coordinator_goes_on_where_it_was() {
+    let sandbox = sandbox();
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let address = coordinator.address();
+    let job = coordinator.submit(JOB);
+    let mut workers = [coordinator.worker(), coordinator.worker()];
+    let watcher = coordinator.start(&format!("watch {job}"));
+    let before = coordinator.until(job, "the job's middle", in_the_middle);
+    coordinator.process.kill();
+    watcher.end().code(4);
+    assert!(workers.iter_mut().all(|w| w.runs()), "workers outlive their coordinator");
+
+    let coordinator = sandbox.coordinator("data", &address);
+    let after = coordinator.json(&format!("show {job}"));
+    // What was shown as done had been acknowledged.
+    assert!(number(&after, "tiles_done") >= number(&before, "tiles_done"), "{before} then {after}");
+    assert_same(&coordinator.finish(job), alone(), "after the coordinator was killed");
+    assert!(workers.iter_mut().all(|w| w.runs()), "the same workers finished it");
+    assert_eq!(coordinator.count(job, "workers"), 2);
+}
+
+#[test]
+fn a_worker_asked_to_end_finishes_what_it_holds() {
+    let sandbox = sandbox();
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let job = coordinator.submit(JOB);
+    let worker = coordinator.worker();
+    let before = coordinator.until(job, "the job's middle", in_the_middle);
+    worker.signal("TERM");
+    worker.end().code(0).says("finishing");
+    let after = coordinator.json(&format!("show {job}"));
+    // It was the only worker, so what ran was in its hands.
+    let held = number(&before, "tiles_done") + number(&before, "tiles_running");
+    assert!(number(&after, "tiles_done") >= held, "a tile was dropped: {before} then {after}");
+    assert!(number(&after, "tiles_done") < number(&after, "tiles_total"), "it took more tiles: {after}");
+    let _heir = coordinator.worker();
+    assert_same(&coordinator.finish(job), alone(), "after a worker drained");
+}
+
+#[test]
+fn submitting_again_gives_the_job_there_is() {
+    let sandbox = sandbox();
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let first = coordinator.submit(&format!("{JOB} --request-id one --name first"));
+    assert_eq!(coordinator.submit(&format!("{JOB} --request-id one --name first")), first);
+    // Another request for the same thing, under another name.
+    let again = coordinator.run(&format!("submit {JOB} --request-id two --name second")).code(0);
+    assert_eq!(again.out.trim(), first.to_string());
+    again.says("does this already");
+    // The same request for another thing is a mistake.
+    coordinator.run(&format!("submit {JOB} --seed 7 --request-id one")).code(3).says("request");
+    let other = coordinator.submit(&format!("{JOB} --seed 7"));
+    assert_ne!(other, first);
+
+    let jobs = coordinator.json("jobs");
+    let listed: Vec<u64> = jobs.as_array().unwrap().iter().map(|j| number(j, "job")).collect();
+    assert_eq!(listed, [first, other]);
+    for job in jobs.as_array().unwrap() {
+        assert_eq!(job["state"], "queued");
+        assert_eq!(number(job, "tiles_done") + number(job, "tiles_running") + number(job, "samples"), 0);
+        assert_eq!(number(job, "cells_total"), 32);
+        assert_eq!(job["scene"].as_str().unwrap().len(), 64);
+        assert_eq!(job, &coordinator.json(&format!("show {}", job["job"])), "show and jobs agree");
+    }
+    assert_eq!(jobs[0]["name"], "first");
+    assert!(coordinator.ok("jobs").contains("NO WORKERS"), "a queue nobody works on is pointed out");
+    coordinator.run("show 99").code(4).says("99");
+
+    // A cancelled job is no answer to a new request.
+    coordinator.ok(&format!("cancel {first}"));
+    assert_ne!(coordinator.submit(&format!("{JOB} --request-id three")), first);
+}
+
+#[test]
+fn jobs_can_be_paused_resumed_cancelled_and_retried() {
+    let sandbox = sandbox();
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let job = coordinator.submit(JOB);
+    let state = |line: &str| coordinator.json(&format!("{line} {job}"))["state"].clone();
+    assert_eq!(state("pause"), "paused");
+    coordinator.run(&format!("pause {job}")).code(4);
+    assert_eq!(state("resume"), "queued");
+    coordinator.run(&format!("resume {job}")).code(4);
+    coordinator.run(&format!("retry {job}")).code(4);
+
+    let worker = coordinator.worker();
+    coordinator.until(job, "the job's middle", in_the_middle);
+    assert_eq!(state("pause"), "paused");
+    let paused = coordinator.json(&format!("show {job}"));
+    assert_eq!(number(&paused, "tiles_running"), 0, "a paused job's tiles are taken back");
+    coordinator.run(&format!("fetch {job} -o early.pvs")).code(4).says("not ended");
+    assert!(!sandbox.path("early.pvs").exists());
+
+    let watcher = coordinator.start(&format!("watch {job}"));
+    assert_eq!(state("cancel"), "cancelled");
+    watcher.end().code(5).says("retry");
+    coordinator.run(&format!("fetch {job} -o early.pvs")).code(5).says("retry");
+    coordinator.run(&format!("cancel {job}")).code(4);
+
+    let kept = coordinator.json(&format!("retry {job}"));
+    assert!(number(&kept, "tiles_done") >= number(&paused, "tiles_done"), "{paused} then {kept}");
+    assert_same(&coordinator.finish(job), alone(), "after pause, cancel and retry");
+    for turn in ["pause", "resume", "cancel", "retry"] {
+        coordinator.run(&format!("{turn} {job}")).code(4);
+    }
+    assert_eq!(state("show"), "done");
+    worker.signal("TERM");
+    worker.end().code(0);
+}
+
+#[test]
+fn a_finished_job_outlives_its_coordinator() {
+    let sandbox = sandbox();
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let job = coordinator.submit(JOB);
+    {
+        let _worker = coordinator.worker();
+        coordinator.ok(&format!("watch {job}"));
+    }
+    let before = coordinator.json(&format!("show {job}"));
+    coordinator.process.signal("TERM");
+    coordinator.process.end().code(0);
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    // All but the workers there are now.
+    let mut after = coordinator.json(&format!("show {job}"));
+    after["workers"] = before["workers"].clone();
+    assert_eq!(after, before);
+    assert_same(&coordinator.finish(job), alone(), "fetched from the next coordinator");
+    // The same bake is answered from there.
+    assert_eq!(coordinator.submit(JOB), job);
+}
+
+#[test]
+fn plain_text_stays_on_this_machine_unless_said_otherwise() {
+    let sandbox = Sandbox::new();
+    for address in ["0.0.0.0:0", "[::]:0"] {
+        let refused = sandbox.run(&format!("coordinator --data-dir data --listen {address}"));
+        refused.code(2).says("--allow-plaintext").says("127.0.0.1");
+    }
+    let allowed = sandbox.start("coordinator --data-dir data --listen 0.0.0.0:0 --allow-plaintext");
+    wait_for("a coordinator on all addresses", || {
+        allowed.out().contains("listening on http://0.0.0.0:").then_some(())
+    });
+}
+
+#[test]
+fn a_coordinator_that_is_not_there_is_said_to_be_missing() {
+    let sandbox = sandbox();
+    // Bound and closed again: nobody is there.
+    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let nobody = format!("--coordinator http://{free}");
+    let commands = [
+        "health".to_owned(),
+        "jobs".to_owned(),
+        "show 1".to_owned(),
+        "watch 1".to_owned(),
+        "fetch 1 -o no.pvs".to_owned(),
+        format!("submit {JOB}"),
+    ];
+    for command in commands {
+        sandbox.run(&format!("{command} {nobody}")).code(4).says("sightline coordinator");
+    }
+    let gave_up = sandbox.run(&format!("worker --backend cpu --give-up-after 1 {nobody}"));
+    gave_up.code(4).says("sightline coordinator");
+    for command in ["health", "worker --backend cpu --give-up-after 1"] {
+        sandbox.run(&format!("{command} --coordinator nonsense:x:y")).code(2).says("http://");
+    }
+}
+
+#[test]
+fn a_data_folder_has_one_coordinator() {
+    let sandbox = sandbox();
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let second = sandbox.run("coordinator --listen 127.0.0.1:0 --data-dir data").code(3).says("data");
+    assert!(!second.out.contains("listening"), "{}", second.out);
+    sandbox.run(&format!("bake {JOB} -o no.pvs --data-dir data")).code(3).says("--data-dir");
+    assert_eq!(coordinator.ok("health").trim(), "serving");
+    // The port is taken, too.
+    let taken = sandbox.run(&format!("coordinator --listen {} --data-dir other", coordinator.address()));
+    taken.code(2).says("another coordinator");
+}

@@ -1,0 +1,574 @@
+//! The gRPC interface as other programs meet it: status codes, conflicting results, and nonsense on every call.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+use std::io::Write as _;
+use std::time::Duration;
+
+use bytes::{Buf as _, BufMut as _};
+use proptest::prelude::*;
+use proptest::sample::Index;
+use proptest::strategy::ValueTree as _;
+use proptest::test_runner::TestRunner;
+use prost::Message as _;
+use sightline_proto::chunks::cut;
+use sightline_proto::v1;
+use sightline_proto::v1::jobs_client::JobsClient;
+use sightline_proto::v1::workers_client::WorkersClient;
+use sightline_tests::{Coordinator, Sandbox, assert_same};
+use tokio_stream::StreamExt as _;
+use tonic::codec::{Codec, DecodeBuf, Decoder, EncodeBuf, Encoder};
+use tonic::codegen::http::uri::PathAndQuery;
+use tonic::transport::Channel;
+use tonic::{Code, Request, Status};
+
+const SCENE: &str = "generate maze --grid 3x3 -o maze.glb";
+const JOB: &str = "maze.glb --cells 4x4x2 --resolution 32 --backend cpu";
+
+async fn connect(coordinator: &Coordinator<'_>) -> Channel {
+    Channel::from_shared(coordinator.url.clone()).unwrap().connect().await.unwrap()
+}
+
+fn chunk(data: &[u8]) -> v1::Chunk {
+    v1::Chunk { data: data.to_vec(), crc32c: crc32c::crc32c(data), offset: 0, total: data.len() as u64 }
+}
+
+#[track_caller]
+fn refused<T>(answer: Result<T, Status>, code: Code) -> String {
+    let Err(status) = answer else { panic!("was not refused as {code:?}") };
+    assert_eq!(status.code(), code, "{status:?}");
+    assert!(status.message().len() > 10, "says too little: {status:?}");
+    status.message().to_owned()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn requests_are_refused_with_the_right_code() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(SCENE);
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let channel = connect(&coordinator).await;
+    let (mut jobs, mut workers) = (JobsClient::new(channel.clone()), WorkersClient::new(channel));
+
+    // Chunks: damaged on the way, too large, good, and good again.
+    let mut damaged = chunk(b"some bytes");
+    damaged.crc32c ^= 1;
+    refused(jobs.put_chunks(tokio_stream::iter([damaged])).await, Code::DataLoss);
+    let digest = blake3::hash(b"some bytes").as_bytes().to_vec();
+    let missing = |jobs: &mut JobsClient<Channel>| {
+        let (mut jobs, asked) = (jobs.clone(), v1::MissingChunksRequest { digests: vec![digest.clone()] });
+        async move { jobs.missing_chunks(asked).await.unwrap().into_inner().digests }
+    };
+    assert_eq!(missing(&mut jobs).await, [digest.clone()], "a damaged chunk is not kept");
+    for _ in 0..2 {
+        let put = jobs.put_chunks(tokio_stream::iter([chunk(b"some bytes")])).await.unwrap();
+        assert_eq!(put.into_inner().chunks, 1);
+    }
+    assert!(missing(&mut jobs).await.is_empty());
+    refused(jobs.put_chunks(tokio_stream::iter([chunk(&vec![0; (1 << 20) + 1])])).await, Code::DataLoss);
+
+    // Digests: malformed, of nothing, of what is no scene.
+    for length in [0, 1, 31, 33, 1000] {
+        let bad = vec![7; length];
+        let request = v1::MissingChunksRequest { digests: vec![digest.clone(), bad.clone()] };
+        refused(jobs.missing_chunks(request).await, Code::InvalidArgument);
+        let request = v1::PutSceneRequest { chunks: vec![], digest: bad.clone() };
+        refused(jobs.put_scene(request).await, Code::InvalidArgument);
+        refused(
+            workers.fetch_scene(v1::FetchSceneRequest { digest: bad.clone() }).await,
+            Code::InvalidArgument,
+        );
+        refused(workers.fetch_pack(v1::FetchPackRequest { digest: bad }).await, Code::InvalidArgument);
+    }
+    let nothing = vec![9; 32];
+    refused(workers.fetch_scene(v1::FetchSceneRequest { digest: nothing.clone() }).await, Code::NotFound);
+    refused(workers.fetch_pack(v1::FetchPackRequest { digest: nothing.clone() }).await, Code::NotFound);
+    let put = |chunks: &[&Vec<u8>], digest: &Vec<u8>| v1::PutSceneRequest {
+        chunks: chunks.iter().map(|c| c.to_vec()).collect(),
+        digest: digest.clone(),
+    };
+    refused(jobs.put_scene(put(&[&nothing], &nothing)).await, Code::FailedPrecondition);
+    refused(jobs.put_scene(put(&[&digest], &nothing)).await, Code::InvalidArgument);
+    refused(jobs.put_scene(put(&[&digest], &digest)).await, Code::InvalidArgument);
+
+    // Jobs that are not there.
+    let unknown = || v1::ShowRequest { job: 4711 };
+    refused(jobs.show(unknown()).await, Code::NotFound);
+    refused(jobs.watch(unknown()).await, Code::NotFound);
+    refused(jobs.cancel(unknown()).await, Code::NotFound);
+    refused(jobs.pause(unknown()).await, Code::NotFound);
+    refused(jobs.resume(unknown()).await, Code::NotFound);
+    refused(jobs.retry(unknown()).await, Code::NotFound);
+    assert!(refused(jobs.fetch(unknown()).await, Code::NotFound).contains("4711"));
+
+    // Jobs that cannot be.
+    let good = coordinator.submit(&format!("{JOB} --request-id good"));
+    let spec = jobs.show(v1::ShowRequest { job: good }).await.unwrap().into_inner().spec.unwrap();
+    refused(jobs.fetch(v1::ShowRequest { job: good }).await, Code::FailedPrecondition);
+    let submit = |request_id: &str, change: &dyn Fn(&mut v1::JobSpec)| {
+        let (mut jobs, mut spec) = (jobs.clone(), spec.clone());
+        change(&mut spec);
+        let request =
+            v1::SubmitRequest { request_id: request_id.to_owned(), name: "x".to_owned(), spec: Some(spec) };
+        async move { jobs.submit(request).await }
+    };
+    let answer = submit("good", &|_| {}).await.unwrap().into_inner();
+    assert!(answer.existing && answer.job.unwrap().id == good);
+    refused(submit("", &|_| {}).await, Code::InvalidArgument);
+    refused(submit(&"long".repeat(100), &|_| {}).await, Code::InvalidArgument);
+    refused(submit("good", &|s| s.seed = 1).await, Code::InvalidArgument);
+    refused(submit("a", &|s| s.scene = vec![9; 32]).await, Code::NotFound);
+    refused(submit("b", &|s| s.scene = vec![9; 5]).await, Code::InvalidArgument);
+    refused(submit("c", &|s| s.division = None).await, Code::InvalidArgument);
+    refused(submit("d", &|s| s.view_box.truncate(5)).await, Code::InvalidArgument);
+    refused(submit("e", &|s| s.view_box[3] = f32::NAN).await, Code::InvalidArgument);
+    refused(submit("f", &|s| s.sampling = None).await, Code::InvalidArgument);
+    refused(submit("g", &|s| s.sampling.as_mut().unwrap().resolution = 0).await, Code::InvalidArgument);
+    let grid = |n| Some(v1::job_spec::Division::Grid(v1::Grid { x: n, y: n, z: n }));
+    for n in [0, 1 << 14, u32::MAX] {
+        refused(submit("h", &|s| s.division = grid(n)).await, Code::InvalidArgument);
+    }
+    let no_spec = v1::SubmitRequest { request_id: "i".to_owned(), name: String::new(), spec: None };
+    refused(jobs.clone().submit(no_spec).await, Code::InvalidArgument);
+    // An empty view box stands for the scene's bounds, which is what the command line said.
+    let answer = submit("j", &|s| s.view_box.clear()).await.unwrap().into_inner();
+    assert!(answer.existing && answer.job.unwrap().id == good);
+
+    // Results without a header, for no lease, for no job.
+    let part = |part| v1::ResultPart { part: Some(part) };
+    let header = |lease| {
+        v1::result_part::Part::Header(v1::ResultHeader {
+            lease,
+            digest: blake3::hash(b"x").as_bytes().to_vec(),
+            bytes: 1,
+            ..Default::default()
+        })
+    };
+    let body = || part(v1::result_part::Part::Chunk(chunk(b"x")));
+    let lease = |job| Some(v1::Lease { job, tile: 0, epoch: 1, lease: 1 });
+    let mut put = async |parts: Vec<v1::ResultPart>| workers.put_result(tokio_stream::iter(parts)).await;
+    refused(put(vec![]).await, Code::InvalidArgument);
+    refused(put(vec![body()]).await, Code::InvalidArgument);
+    refused(put(vec![part(header(None)), body()]).await, Code::InvalidArgument);
+    refused(put(vec![part(header(lease(good)))]).await, Code::DataLoss);
+    refused(put(vec![part(header(lease(good))), body()]).await, Code::InvalidArgument);
+    refused(put(vec![part(header(lease(4711))), body()]).await, Code::FailedPrecondition);
+
+    // A worker that does not introduce itself properly.
+    let want = v1::worker_message::Message::Want(v1::Want { tiles: 1 });
+    let hello = |name: &str, profiles: &[&str]| {
+        v1::worker_message::Message::Hello(v1::Hello {
+            name: name.to_owned(),
+            profiles: profiles.iter().map(|p| (*p).to_owned()).collect(),
+            ..Default::default()
+        })
+    };
+    for first in
+        [want, hello("", &["cpu/x"]), hello("w", &[]), hello("w\n", &["cpu/x"]), hello("w", &["cpü"])]
+    {
+        let messages = tokio_stream::iter([v1::WorkerMessage { message: Some(first) }]);
+        refused(workers.work(messages).await, Code::InvalidArgument);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn health_and_reflection_answer() {
+    use tonic_health::pb::health_client::HealthClient;
+    use tonic_health::pb::{HealthCheckRequest, health_check_response::ServingStatus};
+    use tonic_reflection::pb::v1::server_reflection_client::ServerReflectionClient;
+    use tonic_reflection::pb::v1::server_reflection_request::MessageRequest;
+    use tonic_reflection::pb::v1::server_reflection_response::MessageResponse;
+    use tonic_reflection::pb::v1::{ServerReflectionRequest, ServerReflectionResponse};
+
+    let sandbox = Sandbox::new();
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let channel = connect(&coordinator).await;
+    let mut health = HealthClient::new(channel.clone());
+    for service in ["", "sightline.v1.Jobs", "sightline.v1.Workers"] {
+        let asked = HealthCheckRequest { service: service.to_owned() };
+        assert_eq!(
+            health.check(asked).await.unwrap().into_inner().status(),
+            ServingStatus::Serving,
+            "{service}"
+        );
+    }
+    let asked = HealthCheckRequest { service: "sightline.v1.Nonsense".to_owned() };
+    assert_eq!(health.check(asked).await.unwrap_err().code(), Code::NotFound);
+
+    let mut reflection = ServerReflectionClient::new(channel);
+    let mut ask = async |request| -> ServerReflectionResponse {
+        let request = ServerReflectionRequest { host: String::new(), message_request: Some(request) };
+        let stream = reflection.server_reflection_info(tokio_stream::iter([request])).await.unwrap();
+        stream.into_inner().next().await.unwrap().unwrap()
+    };
+    let answer = ask(MessageRequest::ListServices(String::new())).await;
+    let Some(MessageResponse::ListServicesResponse(list)) = answer.message_response else {
+        panic!("{answer:?}")
+    };
+    let names: Vec<_> = list.service.iter().map(|s| s.name.as_str()).collect();
+    for service in ["sightline.v1.Jobs", "sightline.v1.Workers", "grpc.health.v1.Health"] {
+        assert!(names.contains(&service), "{names:?}");
+    }
+    let answer = ask(MessageRequest::FileContainingSymbol("sightline.v1.Jobs.Submit".to_owned())).await;
+    assert!(
+        matches!(answer.message_response, Some(MessageResponse::FileDescriptorResponse(_))),
+        "{answer:?}"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_second_result_for_a_tile_is_kept_out() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(SCENE);
+    sandbox.ok(&format!("bake {JOB} -o alone.pvs --data-dir alone"));
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let job = coordinator.submit(JOB);
+    let honest = coordinator.worker();
+    coordinator.until(job, "some tiles done", |job| job["tiles_done"].as_u64().unwrap() >= 10);
+    coordinator.ok(&format!("pause {job}"));
+    honest.kill();
+    let shown = coordinator.json(&format!("show {job}"));
+    assert_eq!(shown["state"], "paused", "the job was over before it could be disturbed: {shown}");
+    coordinator.ok(&format!("resume {job}"));
+
+    // This worker claims to be of the same kind and asks for tiles until one comes that needs finished ones.
+    use v1::coordinator_message::Message as Heard;
+    use v1::worker_message::Message as Said;
+    let mut workers = WorkersClient::new(connect(&coordinator).await);
+    let (say, said) = tokio::sync::mpsc::channel(16);
+    let send = async |message| say.send(v1::WorkerMessage { message: Some(message) }).await.unwrap();
+    let profiles = vec![shown["profile"].as_str().unwrap().to_owned()];
+    send(Said::Hello(v1::Hello { name: "liar".to_owned(), profiles, ..Default::default() })).await;
+    let said = tokio_stream::wrappers::ReceiverStream::new(said);
+    let mut heard = workers.work(said).await.unwrap().into_inner();
+    let mut leases = Vec::new();
+    let grant = loop {
+        match heard.next().await.unwrap().unwrap().message.unwrap() {
+            Heard::Welcome(_) => send(Said::Want(v1::Want { tiles: 1 })).await,
+            Heard::Grant(grant) => {
+                leases.push(grant.lease.unwrap());
+                if !grant.packs.is_empty() {
+                    break grant;
+                }
+                send(Said::Want(v1::Want { tiles: 1 })).await;
+            }
+            other => panic!("{other:?}"),
+        }
+    };
+    let (_, plan) =
+        sightline_job::JobSpec::from_proto(grant.spec.as_ref().unwrap(), None).unwrap().plan().unwrap();
+    let lease = grant.lease.unwrap();
+    let finished = plan.tiles[lease.tile as usize].needs[0];
+    let mut stream = workers
+        .fetch_pack(v1::FetchPackRequest { digest: grant.packs[0].clone() })
+        .await
+        .unwrap()
+        .into_inner();
+    let mut genuine = Vec::new();
+    while let Some(chunk) = stream.next().await {
+        genuine.extend(chunk.unwrap().data);
+    }
+    assert_eq!(blake3::hash(&genuine).as_bytes().as_slice(), grant.packs[0]);
+
+    let mut put = async |tile, bytes: &[u8], announced: &[u8]| {
+        let header = v1::ResultHeader {
+            lease: Some(v1::Lease { tile, ..lease }),
+            digest: blake3::hash(announced).as_bytes().to_vec(),
+            bytes: bytes.len() as u64,
+            ..Default::default()
+        };
+        let parts: Vec<_> = std::iter::once(v1::result_part::Part::Header(header))
+            .chain(cut(bytes).map(v1::result_part::Part::Chunk))
+            .map(|part| v1::ResultPart { part: Some(part) })
+            .collect();
+        workers.put_result(tokio_stream::iter(parts)).await
+    };
+    // A well-formed pack of no samples: a zstd frame of one raw block.
+    let empty = b"\x28\xb5\x2f\xfd\x20\x02\x11\x00\x00P\x00";
+    refused(put(finished, empty, empty).await, Code::Aborted);
+    // The same again is no harm.
+    put(finished, &genuine, &genuine).await.unwrap();
+    for tile in [finished, lease.tile] {
+        refused(put(tile, b"garbage", b"garbage").await, Code::InvalidArgument);
+        refused(put(tile, b"", b"").await, Code::InvalidArgument);
+        refused(put(tile, &genuine[..genuine.len() - 5], &genuine).await, Code::DataLoss);
+    }
+    refused(put(u32::MAX, empty, empty).await, Code::InvalidArgument);
+    if plan.tiles[lease.tile as usize].kind == sightline_viewcells::TileKind::Leaf {
+        // Samples where cells are due.
+        refused(put(lease.tile, empty, empty).await, Code::InvalidArgument);
+    }
+    assert!(coordinator.process.err().contains("TWO RESULTS"), "{}", coordinator.process.err());
+
+    // Its leases go back, and an honest worker finishes.
+    for lease in leases {
+        let reason = "not meant seriously".to_owned();
+        send(Said::Failed(v1::TileFailed { lease: Some(lease), reason, infrastructure: true })).await;
+    }
+    send(Said::Draining(v1::Draining {})).await;
+    let _honest = coordinator.worker();
+    assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "after a conflict");
+    assert_eq!(coordinator.count(job, "tiles_set_aside"), 0);
+}
+
+/// Bytes as they are, in place of messages.
+#[derive(Clone, Default)]
+struct Raw;
+
+impl Codec for Raw {
+    type Encode = Vec<u8>;
+    type Decode = Vec<u8>;
+    type Encoder = Self;
+    type Decoder = Self;
+    fn encoder(&mut self) -> Self {
+        Self
+    }
+    fn decoder(&mut self) -> Self {
+        Self
+    }
+}
+
+impl Encoder for Raw {
+    type Item = Vec<u8>;
+    type Error = Status;
+    fn encode(&mut self, item: Vec<u8>, out: &mut EncodeBuf<'_>) -> Result<(), Status> {
+        out.put_slice(&item);
+        Ok(())
+    }
+}
+
+impl Decoder for Raw {
+    type Item = Vec<u8>;
+    type Error = Status;
+    fn decode(&mut self, from: &mut DecodeBuf<'_>) -> Result<Option<Vec<u8>>, Status> {
+        Ok(Some(from.copy_to_bytes(from.remaining()).to_vec()))
+    }
+}
+
+/// The part of a file descriptor that names its calls.
+#[derive(Clone, PartialEq, prost::Message)]
+struct Descriptors {
+    #[prost(message, repeated, tag = "1")]
+    files: Vec<File>,
+}
+#[derive(Clone, PartialEq, prost::Message)]
+struct File {
+    #[prost(string, tag = "2")]
+    package: String,
+    #[prost(message, repeated, tag = "6")]
+    services: Vec<Service>,
+}
+#[derive(Clone, PartialEq, prost::Message)]
+struct Service {
+    #[prost(string, tag = "1")]
+    name: String,
+    #[prost(message, repeated, tag = "2")]
+    calls: Vec<Call>,
+}
+#[derive(Clone, PartialEq, prost::Message)]
+struct Call {
+    #[prost(string, tag = "1")]
+    name: String,
+}
+
+/// Paths of all calls there are.
+fn calls() -> Vec<String> {
+    let mut calls = Vec::new();
+    for file in Descriptors::decode(sightline_proto::DESCRIPTORS).unwrap().files {
+        for service in file.services {
+            calls.extend(
+                service.calls.iter().map(|c| format!("/{}.{}/{}", file.package, service.name, c.name)),
+            );
+        }
+    }
+    assert!(calls.len() >= 16 && calls.contains(&"/sightline.v1.Workers/PutResult".to_owned()), "{calls:?}");
+    calls
+}
+
+/// Well-formed messages, each with the call it belongs to: what is bent is better bent from something straight.
+fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
+    use v1::worker_message::Message;
+    let digest = spec.scene.clone();
+    let lease = Some(v1::Lease { job, tile: 3, epoch: 1, lease: 1 });
+    let worker = |message| ("Workers/Work", v1::WorkerMessage { message: Some(message) }.encode_to_vec());
+    let header = v1::ResultHeader { lease, digest: digest.clone(), bytes: 9, ..Default::default() };
+    let result = |part| ("Workers/PutResult", v1::ResultPart { part: Some(part) }.encode_to_vec());
+    let hello = v1::Hello {
+        name: "fuzz".to_owned(),
+        profiles: vec!["cpu/none".to_owned()],
+        held: vec![lease.unwrap(); 3],
+        version: "0".to_owned(),
+    };
+    let submit = v1::SubmitRequest {
+        request_id: "fuzz".to_owned(),
+        name: "fuzz".to_owned(),
+        spec: Some(spec.clone()),
+    };
+    let show = v1::ShowRequest { job }.encode_to_vec();
+    let timed = v1::Timed {
+        job,
+        times: vec![v1::ProfileTime { profile: "cpu/none".to_owned(), seconds_per_cube: 0.5 }],
+    };
+    let failed = v1::TileFailed { lease, reason: "fuzz".to_owned(), infrastructure: false };
+    vec![
+        ("Jobs/MissingChunks", v1::MissingChunksRequest { digests: vec![digest.clone(); 3] }.encode_to_vec()),
+        ("Jobs/PutChunks", chunk(b"fuzz").encode_to_vec()),
+        (
+            "Jobs/PutScene",
+            v1::PutSceneRequest { chunks: vec![digest.clone()], digest: digest.clone() }.encode_to_vec(),
+        ),
+        ("Jobs/Submit", submit.encode_to_vec()),
+        ("Jobs/Submit", v1::SubmitRequest { request_id: "other".to_owned(), ..submit }.encode_to_vec()),
+        ("Jobs/List", v1::ListRequest {}.encode_to_vec()),
+        ("Jobs/Show", show.clone()),
+        ("Jobs/Watch", show.clone()),
+        ("Jobs/Cancel", show.clone()),
+        ("Jobs/Pause", show.clone()),
+        ("Jobs/Resume", show.clone()),
+        ("Jobs/Retry", show.clone()),
+        ("Jobs/Fetch", show),
+        worker(Message::Hello(hello)),
+        worker(Message::Want(v1::Want { tiles: 2 })),
+        worker(Message::Progress(v1::Progress { lease, cells: 1, samples: 1 })),
+        worker(Message::Failed(failed)),
+        worker(Message::Timed(timed)),
+        worker(Message::Draining(v1::Draining {})),
+        ("Workers/FetchScene", v1::FetchSceneRequest { digest: digest.clone() }.encode_to_vec()),
+        ("Workers/FetchPack", v1::FetchPackRequest { digest: digest.clone() }.encode_to_vec()),
+        result(v1::result_part::Part::Header(header)),
+        result(v1::result_part::Part::Chunk(chunk(b"123456789"))),
+    ]
+}
+
+/// One way of bending a message.
+#[derive(Clone, Debug)]
+enum Bend {
+    Flip(Index, u8),
+    Insert(Index, Vec<u8>),
+    Remove(Index, usize),
+    Cut(Index),
+}
+
+impl Bend {
+    fn strategy() -> impl Strategy<Value = Self> {
+        // Mostly small changes, and numbers as large as the wire can write them.
+        let large = prop_oneof![
+            Just(vec![0xff, 0xff, 0xff, 0xff, 0x0f]),
+            proptest::collection::vec(any::<u8>(), 1..9)
+        ];
+        prop_oneof![
+            4 => (any::<Index>(), 1..=255u8).prop_map(|(at, bits)| Self::Flip(at, bits)),
+            2 => (any::<Index>(), large).prop_map(|(at, bytes)| Self::Insert(at, bytes)),
+            1 => (any::<Index>(), 1..9usize).prop_map(|(at, n)| Self::Remove(at, n)),
+            1 => any::<Index>().prop_map(Self::Cut),
+        ]
+    }
+
+    fn apply(&self, bytes: &mut Vec<u8>) {
+        let at = |index: &Index| index.index(bytes.len() + 1);
+        match self {
+            Self::Flip(index, bits) => {
+                let at = at(index);
+                bytes.iter_mut().skip(at).take(1).for_each(|b| *b ^= bits);
+            }
+            Self::Insert(index, more) => {
+                let at = at(index);
+                bytes.splice(at..at, more.iter().copied());
+            }
+            Self::Remove(index, n) => {
+                let at = at(index);
+                bytes.drain(at..(at + n).min(bytes.len()));
+            }
+            Self::Cut(index) => bytes.truncate(at(index)),
+        }
+    }
+}
+
+/// Makes a call with these frames, and listens to the answer for a while. What it is does not matter.
+async fn call(channel: &Channel, path: &str, frames: Vec<Vec<u8>>) {
+    let mut grpc = tonic::client::Grpc::new(channel.clone());
+    grpc.ready().await.unwrap();
+    let path = PathAndQuery::try_from(path).unwrap();
+    let conversation = async {
+        let frames = Request::new(tokio_stream::iter(frames));
+        if let Ok(answer) = grpc.streaming(frames, path, Raw).await {
+            let mut answer = answer.into_inner();
+            while let Some(Ok(_)) = answer.next().await {}
+        }
+    };
+    // Watching a job that does not end would go on for ever.
+    let _ = tokio::time::timeout(Duration::from_millis(200), conversation).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn nonsense_on_every_call_harms_nobody() {
+    const BENT: usize = 1500;
+    const RANDOM_PER_CALL: usize = 12;
+    let sandbox = Sandbox::new();
+    sandbox.ok(SCENE);
+    sandbox.ok(&format!("bake {JOB} -o alone.pvs --data-dir alone"));
+    let mut coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let job = coordinator.submit(JOB);
+    coordinator.ok(&format!("pause {job}"));
+    let channel = connect(&coordinator).await;
+    let mut jobs = JobsClient::new(channel.clone());
+    let spec = jobs.show(v1::ShowRequest { job }).await.unwrap().into_inner().spec.unwrap();
+
+    // Always the same cases, so that a failure can be looked into.
+    let mut runner = TestRunner::deterministic();
+    let (calls, straight) = (calls(), straight(job, &spec));
+    for path in &calls {
+        let frames = proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..80), 0..3);
+        for _ in 0..RANDOM_PER_CALL {
+            call(&channel, path, frames.new_tree(&mut runner).unwrap().current()).await;
+        }
+    }
+    let case = (
+        any::<Index>(),
+        proptest::option::weighted(0.2, any::<Index>()),
+        proptest::collection::vec((any::<Index>(), proptest::collection::vec(Bend::strategy(), 0..4)), 0..3),
+        proptest::collection::vec(Bend::strategy(), 0..4),
+    );
+    for _ in 0..BENT {
+        let (first, elsewhere, more, bends) = case.new_tree(&mut runner).unwrap().current();
+        let (name, message) = first.get(&straight);
+        let mut frames = vec![bent(message, &bends)];
+        // What follows on a stream belongs to the same call.
+        let same: Vec<_> = straight.iter().filter(|(other, _)| other == name).collect();
+        frames.extend(more.iter().map(|(which, bends)| bent(&which.get(&same).1, bends)));
+        let path = match elsewhere {
+            Some(other) => other.get(&calls).clone(),
+            None => format!("/sightline.v1.{name}"),
+        };
+        call(&channel, &path, frames).await;
+    }
+    // And what is no gRPC at all.
+    for bytes in [
+        &b"GET / HTTP/1.1\r\n\r\n"[..],
+        b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\xff\xff\xff\xff\xff\xff",
+        &[0xa5; 5000],
+    ] {
+        let mut stream = std::net::TcpStream::connect(coordinator.address()).unwrap();
+        // It may hang up in the middle.
+        let _ = stream.write_all(bytes);
+    }
+
+    assert!(coordinator.process.runs(), "the coordinator died");
+    let log = coordinator.process.err();
+    assert!(!log.contains("panicked"), "{log}");
+    assert_eq!(coordinator.ok("health").trim(), "serving");
+    // The jobs that came of it are ended, so that a worker has time for a real one.
+    for job in coordinator.json("jobs").as_array().unwrap() {
+        if !["done", "failed", "cancelled"].contains(&job["state"].as_str().unwrap()) {
+            coordinator.ok(&format!("cancel {}", job["job"]));
+        }
+    }
+    let real = coordinator.submit(JOB);
+    let _worker = coordinator.worker();
+    assert_same(&coordinator.finish(real), &sandbox.read("alone.pvs"), "after the nonsense");
+}
+
+fn bent(message: &[u8], bends: &[Bend]) -> Vec<u8> {
+    let mut bytes = message.to_vec();
+    bends.iter().for_each(|bend| bend.apply(&mut bytes));
+    bytes
+}
