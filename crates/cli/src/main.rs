@@ -41,7 +41,10 @@ fn main() -> ExitCode {
 }
 
 /// Gives Mesa's Vulkan loader the run-time directory it complains of on stderr when there is none.
-#[allow(unsafe_code, reason = "set_var is unsafe where threads may read the environment; here there are none yet")]
+#[allow(
+    unsafe_code,
+    reason = "set_var is unsafe where threads may read the environment; here there are none yet"
+)]
 fn quiet_vulkan() {
     if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
         // SAFETY: this is the first thing `main` does; no other thread exists.

@@ -54,7 +54,8 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     }
     // Frames of the whole scene are what Embree is best at; the gpu is looked for only when Embree is missing.
     let probe = |choice| sightline_worker::Backends::probe(choice, Default::default());
-    let mut backends = probe(if args.backend == Backend::Auto { Choice::Cpu } else { serve::choice(args.backend) });
+    let mut backends =
+        probe(if args.backend == Backend::Auto { Choice::Cpu } else { serve::choice(args.backend) });
     if args.backend == Backend::Auto && backends.profiles().is_empty() {
         backends = probe(Choice::Auto);
     }
@@ -68,11 +69,12 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     let pool = serve::pool(serve::threads(None))?;
     let report = pool.install(|| {
         measure(&*renderer, &pvs, &views, &options, &mut |done, total| {
-            progress.count(done as u64, total as u64, "frames");
+            progress.count(done, total, "frames");
         })
     });
     progress.end();
-    let mut value = serde_json::to_value(report.map_err(|e| CliError::Input(e.to_string()))?).map_err(CliError::internal)?;
+    let mut value = serde_json::to_value(report.map_err(|e| CliError::Input(e.to_string()))?)
+        .map_err(CliError::internal)?;
     value["backend"] = profile.into();
     print(&value.to_string())
 }
