@@ -75,6 +75,9 @@ containers() {
   bounded 1200 cargo test --locked --workspace --test containers -- --nocapture
 }
 
+# Mesa's Vulkan loader complains on every start when it has no run-time directory.
+export XDG_RUNTIME_DIR=${XDG_RUNTIME_DIR:-${TMPDIR:-/tmp}}
+
 ./scripts/setup.sh --for test
 command -v cargo >/dev/null || . "$HOME/.cargo/env"
 

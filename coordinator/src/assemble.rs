@@ -11,7 +11,7 @@ use sightline_viewcells::{CellBox, Division, Lattice, Plan, TileKind};
 
 use crate::core::Coordinator;
 use crate::scheduler::Slot;
-use crate::store::{BlobError, Digest, TileState};
+use crate::store::{BlobError, Digest, StoreError, TileState};
 
 /// Why a result could not be put together.
 #[derive(Debug, thiserror::Error)]
@@ -33,6 +33,9 @@ pub enum AssembleError {
     /// The result cannot be written.
     #[error(transparent)]
     Pvs(#[from] PvsError),
+    /// The store cannot be asked.
+    #[error(transparent)]
+    Store(#[from] StoreError),
     /// The codec.
     #[error(transparent)]
     Codec(#[from] CodecError),
@@ -127,9 +130,9 @@ impl Coordinator {
         tile: &sightline_viewcells::Tile,
     ) -> Result<(Digest, u64), AssembleError> {
         let output = if tile.kind == TileKind::Leaf {
-            let scene = Scene::from_blob("stored scene", &self.blobs.read(&spec.scene)?)?;
-            let all: Vec<u32> =
-                (0..scene.len()).filter(|id| !scene.triangles()[*id as usize].is_degenerate()).collect();
+            // All of them, those without area too: that is what the result file's flag promises.
+            let triangles = self.store.scene(&spec.scene)?.map_or(0, |s| s.triangles);
+            let all: Vec<u32> = (0..triangles).collect();
             let mut sets = CellSets::default();
             everything(&spec.division, lattice, &tile.cell, tile.depth, &all, &mut sets);
             TileOutput::Cells(sets)

@@ -21,7 +21,8 @@ use std::time::{Duration, Instant};
 
 /// Town size and cells at which two single-threaded workers are busy for well over twenty seconds.
 const DEFAULT_TRIANGLES: &str = "20000";
-const DEFAULT_CELLS: &str = "4x4x2";
+const DEFAULT_CELLS: &str = "8x8x4";
+const SIZE_IT_UP: &str = "size it up by SIGHTLINE_TEST_TRIANGLES or SIGHTLINE_TEST_CELLS";
 /// All steps together may take no longer; a hung cluster is a failure that is cleaned up after, not a hung test run.
 const LIMIT: Duration = Duration::from_secs(900);
 /// When the first step began; [`LIMIT`] counts from here.
@@ -78,30 +79,40 @@ fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
     let progress = || Progress::parse(&client(&["show", &job, "--json"]));
     let before = loop {
         let now = progress();
-        if now.done > 0 {
+        // In the middle: something is committed, and the coordinator gives all three something to do.
+        if now.done > 0 && now.workers == 3 && now.running >= 3 {
             break now;
         }
-        assert!(BEGAN.elapsed() < LIMIT, "no tile was committed: {now:?}");
+        assert!(
+            now.done < now.total,
+            "the job was over before three workers were at it ({now:?}); {SIZE_IT_UP}"
+        );
+        assert!(BEGAN.elapsed() < LIMIT, "three workers never were at work on a job begun: {now:?}");
         sleep(Duration::from_millis(100));
     };
     run(Command::new("docker").args(["kill", "--signal", "KILL", &first_workers[0]]));
     let after = progress();
     eprintln!("killed a worker between {before:?} and {after:?}");
-    assert!(
-        after.done < after.total,
-        "the job was over before the worker died ({after:?}); size it up by SIGHTLINE_TEST_TRIANGLES or SIGHTLINE_TEST_CELLS"
-    );
+    assert!(after.done < after.total, "the job was over before the worker died ({after:?}); {SIZE_IT_UP}");
 
     client(&["watch", &job]);
     eprintln!("three workers, one killed: {:.1} s", started.elapsed().as_secs_f64());
     let end = progress();
-    assert_eq!(end.done, end.total, "every tile is committed at the end");
+    assert_eq!(
+        (end.done, end.set_aside),
+        (end.total, 0),
+        "every tile is committed at the end, none set aside"
+    );
     assert_eq!(compose.workers().len(), 2, "the killed worker stayed dead");
 
     let together = folder.path().join("together.pvs");
     client(&["fetch", &job, "-o", together.to_str().unwrap()]);
-    eprintln!("profile of one process: {}", profile(&sightline, &alone));
-    eprintln!("profile of the cluster: {}", profile(&sightline, &together));
+    let profiles = [&alone, &together].map(|result| profile(&sightline, result));
+    eprintln!("one process on {}, the cluster on {}", profiles[0], profiles[1]);
+    assert_eq!(
+        profiles[0], profiles[1],
+        "host and image hold different versions of Embree; make the image of the host's release"
+    );
     let (alone, together) = (fs::read(alone).unwrap(), fs::read(together).unwrap());
     let differing = alone.iter().zip(&together).position(|(a, b)| a != b);
     assert!(
@@ -113,11 +124,14 @@ fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
     eprintln!("{} bytes, the same", alone.len());
 }
 
-/// Tiles of a job as `sightline show --json` counts them.
+/// Tiles of a job, and the coordinator's workers, as `sightline show --json` counts them.
 #[derive(Debug)]
 struct Progress {
     done: u64,
     total: u64,
+    running: u64,
+    set_aside: u64,
+    workers: u64,
 }
 
 impl Progress {
@@ -125,7 +139,13 @@ impl Progress {
         let shown: serde_json::Value =
             serde_json::from_str(json).unwrap_or_else(|error| panic!("{error} in {json}"));
         let count = |key: &str| shown[key].as_u64().unwrap_or_else(|| panic!("no count '{key}' in {json}"));
-        Self { done: count("tiles_done"), total: count("tiles_total") }
+        Self {
+            done: count("tiles_done"),
+            total: count("tiles_total"),
+            running: count("tiles_running"),
+            set_aside: count("tiles_set_aside"),
+            workers: count("workers"),
+        }
     }
 }
 
@@ -210,8 +230,7 @@ impl Drop for Compose {
 fn profile(sightline: &Path, result: &Path) -> String {
     let info = run(Command::new(sightline).arg("info").arg(result).arg("--json"));
     let info: serde_json::Value = serde_json::from_str(&info).unwrap();
-    let profile = info.as_object().unwrap().iter().find(|(key, _)| key.contains("profile"));
-    profile.map_or_else(|| format!("not among {info}"), |(_, value)| value.to_string())
+    info["info"]["profile"].as_str().unwrap_or_else(|| panic!("no profile in {info}")).to_owned()
 }
 
 /// Runs a command to its end and returns what it printed on stdout. Panics, with all its output, when it fails or takes

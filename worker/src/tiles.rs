@@ -10,7 +10,7 @@ use sightline_proto::chunks::{Assembler, cut};
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
 use sightline_sampling::codec;
-use sightline_sampling::tile::{self, JobContext, Pack, TileError, TileOutput, Watcher};
+use sightline_sampling::tile::{self, JobContext, Pack, TileError, Watcher};
 use tonic::transport::Channel;
 
 use crate::Config;
@@ -144,11 +144,7 @@ impl Shop {
         let triangles = loaded.prepared.scene.len();
         let packs = packs
             .iter()
-            .map(|bytes| match codec::decode(bytes, triangles) {
-                Ok(TileOutput::Pack(pack)) => Ok(pack),
-                Ok(TileOutput::Cells(_)) => Err(Failure::Tile("a pack holds cells".to_owned())),
-                Err(e) => Err(tile_fault(&e)),
-            })
+            .map(|bytes| codec::decode_pack(bytes, triangles, &tile.cell).map_err(|e| tile_fault(&e)))
             .collect::<Result<Vec<Pack>, _>>()?;
         let job = JobContext {
             scene: &loaded.prepared,

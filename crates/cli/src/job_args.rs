@@ -39,7 +39,7 @@ pub struct JobArgs {
     /// How the corners are compared: their sets (Err), pixel by pixel (Err′), or sets in 24 directions (Err″).
     #[arg(long, value_enum, default_value_t = Measure::Strata)]
     error_measure: Measure,
-    /// Never subdivide rectangles of at most this fraction of a view cell's longest side.
+    /// Never subdivide rectangles of at most this fraction of a view cell's size (the mean of its sides).
     #[arg(long, value_name = "F", default_value_t = SamplingParams::default().min_distance)]
     min_distance: f64,
     /// Do not judge samples inside closed solids apart.

@@ -9,7 +9,7 @@ mod error;
 mod files;
 mod inspect;
 mod job_args;
-//mod measuring;
+mod measuring;
 mod progress;
 mod remote;
 mod serve;
@@ -22,6 +22,7 @@ use crate::args::{Cli, Command};
 use crate::error::CliError;
 
 fn main() -> ExitCode {
+    quiet_vulkan();
     let cli = Cli::parse();
     let filter = tracing_subscriber::EnvFilter::try_from_env("SIGHTLINE_LOG")
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(cli.default_log()));
@@ -36,6 +37,18 @@ fn main() -> ExitCode {
             progress::say(&format!("error: {e}"));
             e.exit_code()
         }
+    }
+}
+
+/// Gives Mesa's Vulkan loader the run-time directory it complains of on stderr when there is none.
+#[allow(
+    unsafe_code,
+    reason = "set_var is unsafe where threads may read the environment; here there are none yet"
+)]
+fn quiet_vulkan() {
+    if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
+        // SAFETY: this is the first thing `main` does; no other thread exists.
+        unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
     }
 }
 
@@ -60,6 +73,6 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Info(a) => inspect::info(&a, json),
         Command::Dump(a) => inspect::dump(&a),
         Command::Query(a) => inspect::query(&a, json),
-        Command::Measure(_) => Err(CliError::Internal("soon".into())),
+        Command::Measure(a) => measuring::run(&a),
     }
 }

@@ -2,13 +2,14 @@
 
 use std::sync::Arc;
 
-use glam::Vec3;
 use sightline_measure::{Options, Viewpoints, measure};
 use sightline_sampling::{CubeSpec, Strata};
+use sightline_worker::Choice;
 
 use crate::args::MeasureArgs;
 use crate::error::CliError;
 use crate::inspect;
+use crate::job_args::Backend;
 use crate::progress::Progress;
 use crate::serve::{self, print};
 
@@ -38,36 +39,42 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
             args.scene.display()
         )));
     }
-    let [min, max] = pvs.tree().view_box().map(Vec3::from_array);
+    let view_box = pvs.tree().view_box();
     let views = match &args.path {
-        None => Viewpoints::random(args.viewpoints, args.seed, [min, max]),
+        None => Viewpoints::random(args.viewpoints, args.seed, view_box),
         Some(path) => {
             let file = std::fs::File::open(path)
                 .map_err(|e| CliError::Input(format!("{}: cannot be read: {e}", path.display())))?;
-            Viewpoints::path(std::io::BufReader::new(file), [min, max])
+            Viewpoints::path(std::io::BufReader::new(file), view_box)
                 .map_err(|e| CliError::Input(format!("{}: {e}", path.display())))?
         }
     };
     if !(8..=4096).contains(&args.resolution) {
         return Err(CliError::Usage(format!("--resolution {} is not between 8 and 4096", args.resolution)));
     }
-    let backends = sightline_worker::Backends::probe(serve::choice(args.backend), Default::default());
+    // Frames of the whole scene are what Embree is best at; the gpu is looked for only when Embree is missing.
+    let probe = |choice| sightline_worker::Backends::probe(choice, Default::default());
+    let mut backends =
+        probe(if args.backend == Backend::Auto { Choice::Cpu } else { serve::choice(args.backend) });
+    if args.backend == Backend::Auto && backends.profiles().is_empty() {
+        backends = probe(Choice::Auto);
+    }
     serve::say_missing(&backends)?;
     let spec = CubeSpec { resolution: args.resolution, strata: Strata::One, keep_pixels: false };
-    // Profiles come with the cpu first.
     let profile = backends.profiles().into_iter().next().unwrap_or_default();
     let backend = backends.open(&profile, Arc::clone(&scene), spec).map_err(CliError::internal)?;
     let renderer = backend.prepare(None).map_err(CliError::internal)?;
-    let options = Options { images: args.images.clone(), worst: WORST };
+    let options = Options { images_dir: args.images.clone(), worst: WORST };
     let progress = Progress::new();
     let pool = serve::pool(serve::threads(None))?;
     let report = pool.install(|| {
         measure(&*renderer, &pvs, &views, &options, &mut |done, total| {
-            progress.count(done as u64, total as u64, "frames");
+            progress.count(done, total, "frames");
         })
     });
     progress.end();
-    let mut value = serde_json::to_value(report.map_err(|e| CliError::Input(e.to_string()))?).map_err(CliError::internal)?;
+    let mut value = serde_json::to_value(report.map_err(|e| CliError::Input(e.to_string()))?)
+        .map_err(CliError::internal)?;
     value["backend"] = profile.into();
     print(&value.to_string())
 }

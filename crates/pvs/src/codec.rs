@@ -192,9 +192,8 @@ impl<'a> BitReader<'a> {
     /// One number coded with order `k` ≤ 31.
     #[inline(always)]
     fn code(&mut self, k: u32) -> Result<i64, BadSet> {
-        if self.held < 32 {
-            self.refill();
-        }
+        // Every time: asking whether it is needed costs more, since the answer cannot be predicted.
+        self.refill();
         let zeros = self.buffer.trailing_zeros();
         let n = zeros + k;
         let length = zeros + 1 + n;

@@ -38,6 +38,7 @@ pub mod builder;
 mod codec;
 pub mod error;
 pub mod layout;
+mod parse;
 pub mod reader;
 mod runs;
 pub mod tree;

@@ -6,7 +6,7 @@
 use std::io::Read;
 use std::sync::Arc;
 
-use sightline_viewcells::Split;
+use sightline_viewcells::{CellBox, LatticePoint, Split};
 
 use crate::cube::VisibilitySample;
 use crate::tile::{CellSet, CellSets, Node, Pack, TileOutput};
@@ -77,13 +77,28 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
 /// # Errors
 /// [`CodecError`] saying what is wrong.
 pub fn decode(bytes: &[u8], triangles: u32) -> Result<TileOutput, CodecError> {
+    read(bytes, triangles, &|_| true)
+}
+
+/// Decodes a pack, keeping only the samples in the closed box `within`: a leaf tile needs few of a face's samples.
+///
+/// # Errors
+/// [`CodecError`] when the bytes are no pack; also those parts that are not kept are checked.
+pub fn decode_pack(bytes: &[u8], triangles: u32, within: &CellBox) -> Result<Pack, CodecError> {
+    match read(bytes, triangles, &|p| within.contains(p))? {
+        TileOutput::Pack(pack) => Ok(pack),
+        TileOutput::Cells(_) => Err(CodecError("it holds cells and not samples")),
+    }
+}
+
+fn read(bytes: &[u8], triangles: u32, keep: &dyn Fn(LatticePoint) -> bool) -> Result<TileOutput, CodecError> {
     let mut raw = Vec::new();
     zstd::stream::Decoder::new(bytes)
         .and_then(|d| d.take(MAX_UNPACKED).read_to_end(&mut raw))
         .map_err(|_| CodecError("it is not zstd data"))?;
     let mut r = Reader { bytes: &raw, triangles };
     let output = match r.byte()? {
-        b'P' => TileOutput::Pack(r.pack()?),
+        b'P' => TileOutput::Pack(r.pack(keep)?),
         b'C' => TileOutput::Cells(r.cells()?),
         _ => return Err(CodecError("its kind is unknown")),
     };
@@ -152,14 +167,16 @@ impl Reader<'_> {
             .collect()
     }
 
-    fn pack(&mut self) -> Result<Pack, CodecError> {
+    fn pack(&mut self, keep: &dyn Fn(LatticePoint) -> bool) -> Result<Pack, CodecError> {
         let n = self.count(6)?;
-        let mut samples = Vec::with_capacity(n);
+        let mut samples = Vec::new();
+        let mut before = None;
         for _ in 0..n {
             let p = [self.u32()?, self.u32()?, self.u32()?];
-            if samples.last().is_some_and(|(q, _)| *q >= p) {
+            if before.is_some_and(|q| q >= p) {
                 return Err(CodecError("samples are out of order"));
             }
+            before = Some(p);
             let ids = self.ids()?;
             let mut last = 0;
             let strata = ids
@@ -174,7 +191,9 @@ impl Reader<'_> {
                 return Err(CodecError("a triangle id is out of range"));
             }
             let pixels = self.pixels()?;
-            samples.push((p, Arc::new(VisibilitySample { ids, strata, dominant, pixels })));
+            if keep(p) {
+                samples.push((p, Arc::new(VisibilitySample { ids, strata, dominant, pixels })));
+            }
         }
         Ok(Pack { samples })
     }

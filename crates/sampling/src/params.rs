@@ -53,8 +53,8 @@ pub struct SamplingParams {
     pub error_threshold: f64,
     /// The same for its samples inside closed solids (§3.6). Default 0.5.
     pub interior_threshold: f64,
-    /// A rectangle whose longer side is at most this fraction of a view cell's longest side is never split.
-    /// Default 0.25.
+    /// A rectangle whose longer side is at most this fraction of a view cell's size, the geometric mean of its three
+    /// sides, is never split. Default 0.5.
     pub min_distance: f64,
     /// Whether samples inside closed solids are judged apart (§3.6). Default true.
     pub solids: bool,
@@ -69,7 +69,7 @@ impl Default for SamplingParams {
             measure: ErrorMeasure::Strata,
             error_threshold: 0.1,
             interior_threshold: 0.5,
-            min_distance: 0.25,
+            min_distance: 0.5,
             solids: true,
             superset: SupersetChoice::Auto,
         }
@@ -106,8 +106,8 @@ impl SamplingParams {
         within("resolution", f64::from(self.resolution), 8.0, 4096.0)?;
         within("error-threshold", self.error_threshold, 0.0, 1.0)?;
         within("interior-threshold", self.interior_threshold, 0.0, 1.0)?;
-        // Below 2^-14 of a cell the lattice has no more points.
-        within("min-distance", self.min_distance, 1.0 / 16384.0, 1.0)
+        // Finer than any use; flat cells are halved further along their long sides, and the lattice still has points.
+        within("min-distance", self.min_distance, 1.0 / 1024.0, 4.0)
     }
 
     /// How the measure wants its cubes rendered.
@@ -124,16 +124,17 @@ impl SamplingParams {
 
     /// [`SamplingParams::min_distance`] in world units. For an adaptive tree a cell of its deepest level counts.
     pub fn min_distance_world(&self, division: &Division, lattice: &Lattice) -> f64 {
-        let side = match *division {
-            Division::Grid(cells) => (0..3)
-                .map(|a| lattice.length(a, lattice.units()[a]) / f64::from(cells[a]))
-                .fold(0.0, f64::max),
-            Division::Adaptive { max_depth, .. } => {
-                let longest = (0..3).map(|a| lattice.length(a, lattice.units()[a])).fold(0.0, f64::max);
-                // Halving the longest side in turn halves every side once in three levels.
-                longest / f64::from(1u32 << (max_depth / 3))
-            }
+        let sides = [0, 1, 2].map(|a| lattice.length(a, lattice.units()[a]));
+        let cells = match *division {
+            Division::Grid(cells) => cells.map(f64::from).iter().product(),
+            // As many as the deepest level would have.
+            Division::Adaptive { max_depth, .. } => f64::from(1u32 << max_depth.min(31)),
         };
-        side * self.min_distance
+        // The mean, and not the longest side: cells of a street or a storey are long and flat, and what is seen
+        // changes along their long sides as fast as in a cube of the same volume.
+        let side = (sides.iter().product::<f64>() / cells).cbrt();
+        // A little more, so that a side that is meant to equal the distance does so whatever the last bit of the
+        // cube root is on this machine.
+        side * self.min_distance * (1.0 + 1.0 / f64::from(1 << 20))
     }
 }

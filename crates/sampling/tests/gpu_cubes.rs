@@ -330,7 +330,7 @@ fn degenerate_triangles_are_never_seen() {
         assert!(image.ids.iter().all(|id| *id < seen));
     }
     let renderer = backend.prepare(Some(&all[seen as usize..])).unwrap();
-    assert_eq!(renderer.samples(&[Vec3::ZERO]).unwrap()[0].ids, []);
+    assert_eq!(renderer.samples(&[Vec3::ZERO]).unwrap()[0].ids, Vec::<u32>::new());
 }
 
 /// Of two triangles in one place the same one wins, whatever else is drawn.

@@ -1,0 +1,63 @@
+//! Reading the structured sections when a file is opened. Counts are checked against the bytes that are there
+//! before anything is allocated.
+
+use crate::Object;
+use crate::error::PvsError;
+use crate::layout::{Section, u32_at, u64_at};
+use crate::tree::{CellTree, Node};
+
+/// The tree section.
+pub fn read_tree(bytes: &[u8], nodes: u32) -> Result<CellTree, PvsError> {
+    if bytes.len() as u64 != 24 + u64::from(nodes) * 8 {
+        return Err(Section::Tree.malformed("it does not have as many nodes as the header says"));
+    }
+    let float = |at: usize| f32::from_bits(u32_at(bytes, at));
+    let view_box = [0, 1].map(|side| [0, 1, 2].map(|axis| float((side * 3 + axis) * 4)));
+    let nodes = (24..bytes.len())
+        .step_by(8)
+        .map(|at| match u32_at(bytes, at) {
+            axis @ 0..=2 => Ok(Node::Split { axis: axis as u8, at: float(at + 4) }),
+            3 => Ok(Node::Leaf),
+            other => Err(Section::Tree.malformed(format!("a node has axis {other}"))),
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    CellTree::new(view_box, nodes)
+}
+
+/// The object section; that the objects tile the triangles is not looked at.
+pub fn read_objects(bytes: &[u8]) -> Result<Vec<Object>, PvsError> {
+    let bad = |reason: &str| Section::Objects.malformed(reason);
+    let (count, rest) = bytes.split_first_chunk::<4>().ok_or_else(|| bad("it has no count"))?;
+    let table_len = u32::from_le_bytes(*count) as usize as u64 * 12;
+    let (table, mut names) = usize::try_from(table_len)
+        .ok()
+        .and_then(|length| rest.split_at_checked(length))
+        .ok_or_else(|| bad("its count does not fit its length"))?;
+    let mut objects = Vec::with_capacity(table.len() / 12);
+    for entry in table.chunks_exact(12) {
+        let (name, after) = names
+            .split_at_checked(u32_at(entry, 8) as usize)
+            .ok_or_else(|| bad("a name reaches beyond its end"))?;
+        names = after;
+        let name =
+            std::str::from_utf8(name).map_err(|e| Section::Objects.malformed(e.to_string()))?.to_owned();
+        objects.push(Object { name, first: u32_at(entry, 0), count: u32_at(entry, 4) });
+    }
+    if names.is_empty() { Ok(objects) } else { Err(bad("something follows its last name")) }
+}
+
+/// The offsets of the nodes' sets must ascend from 0 to the end of the section.
+pub fn check_offsets(section: Section, bytes: &[u8], nodes: u32) -> Result<(), PvsError> {
+    let table = (u64::from(nodes) + 1) * 8;
+    let sets =
+        (bytes.len() as u64).checked_sub(table).ok_or_else(|| section.malformed("offsets are missing"))?;
+    let mut last = 0;
+    for node in 0..=nodes as usize {
+        let offset = u64_at(bytes, node * 8);
+        if (node == 0 && offset != 0) || offset < last {
+            return Err(section.malformed(format!("the offset of node {node} is out of order")));
+        }
+        last = offset;
+    }
+    if last == sets { Ok(()) } else { Err(section.malformed("its offsets do not end where it does")) }
+}

@@ -1,0 +1,218 @@
+//! Whole plans run tile by tile on the cpu backend: what the sets must and must not hold.
+//!
+//! Without Embree the tests say so in one line; where CI is set they fail.
+
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "tests")]
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use glam::Vec3;
+use sightline_sampling::embree::CpuBackend;
+use sightline_sampling::tile::{self, CellSet, JobContext, Pack, PreparedScene, TileOutput, Watcher};
+use sightline_sampling::{Backend, ErrorMeasure, SamplingParams, SupersetChoice, codec};
+use sightline_scene::generate::{Kind, Params, generate};
+use sightline_scene::{Object, Scene, Triangle, overlap};
+use sightline_viewcells::{Division, Plan, TileKind};
+
+#[derive(Default)]
+struct Count(AtomicU64, AtomicU64);
+impl Watcher for Count {
+    fn rendered(&self, cubes: u64) {
+        self.0.fetch_add(cubes, Ordering::Relaxed);
+    }
+    fn cell_done(&self) {
+        self.1.fetch_add(1, Ordering::Relaxed);
+    }
+    fn cancelled(&self) -> bool {
+        false
+    }
+}
+
+/// Embree, unless it is missing where it may be.
+fn backend(scene: &Arc<Scene>, params: &SamplingParams) -> Option<CpuBackend> {
+    match CpuBackend::new(Arc::clone(scene), params.cube_spec()) {
+        Ok(b) => Some(b),
+        Err(e) if std::env::var_os("CI").is_none() => {
+            eprintln!("not run: {e}");
+            None
+        }
+        Err(e) => panic!("{e}"),
+    }
+}
+
+/// Runs every tile of a plan in its order; packs go through their encoding, as between machines.
+fn bake(
+    scene: Scene,
+    division: Division,
+    params: &SamplingParams,
+) -> Option<(Arc<Scene>, Vec<CellSet>, u64)> {
+    let scene = Arc::new(scene);
+    let backend = backend(&scene, params)?;
+    let b = scene.bounds();
+    let lattice = division.lattice(b.min, b.max).unwrap();
+    let prepared = PreparedScene::new(Arc::clone(&scene)).unwrap();
+    let plan = Plan::new(&division, &lattice);
+    let job = JobContext { scene: &prepared, division, lattice, params, backend: &backend as &dyn Backend };
+    let mut outputs: Vec<Vec<u8>> = Vec::new();
+    let mut cells = Vec::new();
+    let count = Count::default();
+    for tile in &plan.tiles {
+        let packs: Vec<Pack> = tile
+            .needs
+            .iter()
+            .map(|n| codec::decode_pack(&outputs[*n as usize], scene.len(), &tile.cell).unwrap())
+            .collect();
+        let (output, _) = tile::run(&job, tile, &packs, &count).unwrap();
+        assert_eq!(matches!(output, TileOutput::Cells(_)), tile.kind == TileKind::Leaf);
+        outputs.push(codec::encode(&output).unwrap());
+        if let TileOutput::Cells(sets) = output {
+            cells.extend(sets.cells);
+        }
+    }
+    assert_eq!(count.1.into_inner(), cells.len() as u64);
+    Some((scene, cells, count.0.into_inner()))
+}
+
+fn coarse() -> SamplingParams {
+    SamplingParams { resolution: 64, min_distance: 1.0, ..SamplingParams::default() }
+}
+
+fn rooms() -> Scene {
+    generate(Kind::Rooms, &Params { triangles: Some(2_000), ..Params::default() }).unwrap()
+}
+
+#[test]
+fn a_cell_sees_what_meets_it_and_two_bakes_are_alike() {
+    let division = Division::Grid([3, 2, 2]);
+    let Some((scene, cells, samples)) = bake(rooms(), division, &coarse()) else { return };
+    assert_eq!(cells.len(), 12);
+    assert!(samples > 36, "at least every cell corner: {samples}");
+    let lattice = division.lattice(scene.bounds().min, scene.bounds().max).unwrap();
+    let plan = Plan::new(&division, &lattice);
+    // With twelve cells every leaf tile is one cell, in order.
+    for (n, set) in plan.leaves().zip(&cells) {
+        let (min, max) = plan.tiles[n as usize].cell.world(&lattice);
+        let inside = overlap::triangles_in_box(&scene, None, &sightline_scene::Aabb { min, max });
+        assert!(inside.iter().all(|id| set.visible.binary_search(id).is_ok()));
+        assert!(set.visible.is_sorted() && set.samples >= 8);
+    }
+    let (_, again, _) = bake(rooms(), division, &coarse()).unwrap();
+    assert_eq!(cells, again);
+}
+
+#[test]
+fn each_measure_and_superset_gives_a_result_and_more_samples_see_no_less() {
+    let division = Division::Grid([2, 2, 1]);
+    let Some((_, base, few)) = bake(rooms(), division, &coarse()) else { return };
+    let finer = SamplingParams { min_distance: 0.25, error_threshold: 0.0, ..coarse() };
+    let (_, more, many) = bake(rooms(), division, &finer.clone()).unwrap();
+    assert!(many > few);
+    for (a, b) in base.iter().zip(&more) {
+        assert!(a.visible.iter().all(|id| b.visible.binary_search(id).is_ok()));
+    }
+    for measure in [ErrorMeasure::Sets, ErrorMeasure::Pixels] {
+        let (_, cells, _) = bake(rooms(), division, &SamplingParams { measure, ..coarse() }).unwrap();
+        assert_eq!(cells.len(), 4);
+    }
+    // Rendering only what the cell above saw must not lose more than a little of what it would have seen otherwise.
+    let simplified = SamplingParams { superset: SupersetChoice::On, ..finer };
+    let (_, simplified, _) = bake(rooms(), division, &simplified).unwrap();
+    for (a, b) in more.iter().zip(&simplified) {
+        let common = a.visible.iter().filter(|id| b.visible.binary_search(id).is_ok()).count();
+        assert!(common * 100 >= a.visible.len() * 98, "{common} of {}", a.visible.len());
+    }
+}
+
+#[test]
+fn an_adaptive_tree_stops_at_its_budget_or_depth() {
+    let division = Division::Adaptive { budget: 300, max_depth: 6 };
+    let Some((_, cells, _)) = bake(rooms(), division, &coarse()) else { return };
+    assert!(cells.len() >= 8 && cells.len() <= 64);
+    let generous = Division::Adaptive { budget: 1_000_000, max_depth: 6 };
+    let (_, few, _) = bake(rooms(), generous, &coarse()).unwrap();
+    assert_eq!(few.len(), 8, "the levels that are always split");
+}
+
+fn tri(a: [f32; 3], b: [f32; 3], c: [f32; 3]) -> Triangle {
+    Triangle { v: [a.into(), b.into(), c.into()] }
+}
+
+/// Twelve triangles of a box, outward.
+fn solid(min: Vec3, max: Vec3) -> Vec<Triangle> {
+    let p = |i: usize| {
+        [
+            if i & 1 == 0 { min.x } else { max.x },
+            if i & 2 == 0 { min.y } else { max.y },
+            if i & 4 == 0 { min.z } else { max.z },
+        ]
+    };
+    [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
+        .into_iter()
+        .flat_map(|q: [usize; 4]| [tri(p(q[0]), p(q[1]), p(q[2])), tri(p(q[0]), p(q[2]), p(q[3]))])
+        .collect()
+}
+
+fn scene(triangles: Vec<Triangle>) -> Scene {
+    let count = triangles.len() as u32;
+    Scene::new("test", triangles, vec![Object { name: "all".into(), first: 0, count }]).unwrap()
+}
+
+#[test]
+fn nothing_inside_a_closed_box_is_seen_from_outside_and_degenerate_triangles_never() {
+    // Thirds of nothing: no face of the boxes lies in a face of the grid's cells.
+    let mut t = solid(Vec3::splat(-3.1), Vec3::splat(3.3));
+    let inner = t.len() as u32;
+    t.extend(solid(Vec3::splat(-0.7), Vec3::splat(0.9)));
+    let degenerate = t.len() as u32;
+    t.push(tri([0.0; 3], [1.0; 3], [2.0; 3]));
+    // Two far corners stretch the view box around the boxes.
+    let corners = t.len() as u32;
+    t.push(tri([-10.0; 3], [-9.0, -10.0, -10.0], [-10.0, -9.0, -10.0]));
+    t.push(tri([10.0; 3], [9.0, 10.0, 10.0], [10.0, 9.0, 10.0]));
+    let division = Division::Grid([7, 7, 7]);
+    let Some((scene, cells, _)) = bake(scene(t), division, &coarse()) else { return };
+    let lattice = division.lattice(scene.bounds().min, scene.bounds().max).unwrap();
+    let mut outside = 0;
+    // Cells in the order of the result: the kd-tree depth first.
+    let mut order = Vec::new();
+    fn walk(
+        d: &Division,
+        l: &sightline_viewcells::Lattice,
+        c: sightline_viewcells::CellBox,
+        out: &mut Vec<sightline_viewcells::CellBox>,
+    ) {
+        match d.split(l, &c, 0) {
+            Some(s) => c.children(s).into_iter().for_each(|k| walk(d, l, k, out)),
+            None => out.push(c),
+        }
+    }
+    walk(&division, &lattice, division.root(&lattice), &mut order);
+    assert_eq!(order.len(), cells.len());
+    for (cell, set) in order.iter().zip(&cells) {
+        assert!(set.visible.binary_search(&degenerate).is_err());
+        let (min, max) = cell.world(&lattice);
+        if min.cmpgt(Vec3::splat(3.3)).any() || max.cmplt(Vec3::splat(-3.1)).any() {
+            outside += 1;
+            let leaked: Vec<u32> =
+                set.visible.iter().copied().filter(|id| (inner..corners).contains(id)).collect();
+            assert!(leaked.is_empty(), "{min} to {max} sees {leaked:?} through the walls");
+        }
+    }
+    assert!(outside > 200, "{outside}");
+}
+
+#[test]
+fn exact_duplicates_are_seen_together() {
+    let wall = tri([0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]);
+    let turned = Triangle { v: [wall.v[2], wall.v[0], wall.v[1]] };
+    let back = tri([0.0, 0.0, 4.0], [4.0, 0.0, 4.0], [0.0, 4.0, 4.0]);
+    let Some((_, cells, _)) = bake(scene(vec![wall, back, turned]), Division::Grid([2, 2, 2]), &coarse())
+    else {
+        return;
+    };
+    for set in &cells {
+        assert_eq!(set.visible.binary_search(&0).is_ok(), set.visible.binary_search(&2).is_ok());
+    }
+    assert!(cells.iter().any(|s| s.visible.contains(&0)));
+}
