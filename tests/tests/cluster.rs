@@ -152,11 +152,11 @@ fn jobs_can_be_paused_resumed_cancelled_and_retried() {
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
     let state = |line: &str| coordinator.json(&format!("{line} {job}"))["state"].clone();
-    assert_eq!(state("pause"), "paused");
-    coordinator.run(&format!("pause {job}")).code(4);
-    assert_eq!(state("resume"), "queued");
-    coordinator.run(&format!("resume {job}")).code(4);
-    coordinator.run(&format!("retry {job}")).code(4);
+    // What is so already is no mistake.
+    for (turn, then) in [("pause", "paused"), ("resume", "queued"), ("retry", "queued")] {
+        assert_eq!(state(turn), then);
+        assert_eq!(state(turn), then);
+    }
 
     let worker = coordinator.worker();
     coordinator.until(job, "the job's middle", in_the_middle);
@@ -170,15 +170,17 @@ fn jobs_can_be_paused_resumed_cancelled_and_retried() {
     assert_eq!(state("cancel"), "cancelled");
     watcher.end().code(5).says("retry");
     coordinator.run(&format!("fetch {job} -o early.pvs")).code(5).says("retry");
-    coordinator.run(&format!("cancel {job}")).code(4);
+    assert_eq!(state("cancel"), "cancelled");
+    coordinator.run(&format!("pause {job}")).code(4).says("cannot be paused");
 
     let kept = coordinator.json(&format!("retry {job}"));
     assert!(number(&kept, "tiles_done") >= number(&paused, "tiles_done"), "{paused} then {kept}");
     assert_same(&coordinator.finish(job), alone(), "after pause, cancel and retry");
-    for turn in ["pause", "resume", "cancel", "retry"] {
-        coordinator.run(&format!("{turn} {job}")).code(4);
+    for turn in ["pause", "resume", "cancel"] {
+        coordinator.run(&format!("{turn} {job}")).code(4).says("so it cannot be");
     }
-    assert_eq!(state("show"), "done");
+    assert_eq!(state("retry"), "done", "nothing is left to be tried again");
+    assert_same(&coordinator.finish(job), alone(), "after all of that");
     worker.signal("TERM");
     worker.end().code(0);
 }
