@@ -60,7 +60,7 @@ impl Coordinator {
         let leaves = || parts.plan.leaves().map(|n| (n, &parts.slots[n as usize].state));
         // The tree comes before the sets, so the tiles are read twice; they stay small on disk and in memory.
         let mut nodes = Vec::new();
-        let mut samples = 0;
+        let mut samples = 0u64;
         for (number, tile) in parts.plan.tiles.iter().enumerate() {
             match tile.kind {
                 TileKind::Face(_) => {}
@@ -72,7 +72,7 @@ impl Coordinator {
                 }
             }
             if let TileState::Done { stats, .. } = &parts.slots[number].state {
-                samples += stats.samples;
+                samples = samples.saturating_add(stats.samples);
             }
         }
         let set_aside = leaves().filter(|(_, s)| matches!(s, TileState::SetAside { .. })).count();
@@ -142,6 +142,20 @@ impl Coordinator {
         let bytes = codec::encode(&output)?;
         Ok((self.blobs.put(&bytes)?, bytes.len() as u64))
     }
+}
+
+/// The subtree a grid has below a leaf tile's cell; `None` when an adaptive tree decides by itself.
+pub(crate) fn expected_nodes(
+    d: &Division,
+    l: &Lattice,
+    cell: &CellBox,
+    depth: u32,
+) -> Option<Vec<tile::Node>> {
+    matches!(d, Division::Grid(_)).then(|| {
+        let mut sets = CellSets::default();
+        everything(d, l, cell, depth, &[], &mut sets);
+        sets.nodes
+    })
 }
 
 fn everything(d: &Division, l: &Lattice, cell: &CellBox, depth: u32, all: &[u32], out: &mut CellSets) {

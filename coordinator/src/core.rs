@@ -9,7 +9,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use tokio::sync::watch;
 
 use crate::scheduler::Scheduler;
-use crate::store::{BlobError, Blobs, SledStore, Store, StoreError};
+use crate::store::{BlobError, Blobs, JobPhase, JobState, SledStore, Store, StoreError};
 
 /// How a coordinator is set up.
 #[derive(Clone, Debug)]
@@ -62,8 +62,13 @@ impl Coordinator {
         let mut scheduler = Scheduler::new(epoch);
         for record in store.jobs()? {
             if !record.state.phase().ended() {
-                let tiles = store.tiles(record.id)?;
-                scheduler.take_up(record, tiles);
+                let (id, tiles) = (record.id, store.tiles(record.id)?);
+                if let Err(reason) = scheduler.take_up(record, tiles) {
+                    // Ended, so that submitting it again begins a new one.
+                    tracing::error!("job {id} cannot be taken up: {reason}");
+                    let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
+                    store.set_job_state(id, &from, JobState::Failed { reason }, now_ms())?;
+                }
             }
         }
         let this = Arc::new(Self {
@@ -103,12 +108,14 @@ impl Coordinator {
     }
 
     /// Takes back leases that were not renewed or make no progress. Called every second.
-    pub(crate) fn reap(&self) {
+    pub(crate) fn reap(self: &Arc<Self>) {
         let expired = self.lock().reap(Instant::now(), self.config.lease, self.config.stuck);
         if expired > 0 {
             self.changed();
         }
         self.pump();
+        // What could not be put together for want of space is tried again.
+        self.assemble_ready();
     }
 }
 

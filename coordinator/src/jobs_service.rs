@@ -14,7 +14,7 @@ use tonic::{Request, Response, Status, Streaming};
 
 use crate::core::{Coordinator, now_ms};
 use crate::status;
-use crate::store::{Digest, JobPhase, JobState, NewJob, SceneRecord, StoreError};
+use crate::store::{BlobError, Digest, JobPhase, JobState, NewJob, SceneRecord, StoreError};
 
 /// Chunks of one scene: 64 GiB.
 const MAX_CHUNKS: usize = 65_536;
@@ -48,7 +48,7 @@ pub(crate) fn digest(bytes: &[u8]) -> Result<Digest, Status> {
     })
 }
 
-/// A blob as a stream of chunks, read piece by piece.
+/// A blob as a stream of chunks.
 pub(crate) async fn stream_blob(c: &Arc<Coordinator>, d: Digest) -> Result<ChunkStream, Status> {
     // Checked against its digest once, as a whole, so that nothing damaged is ever sent.
     let bytes = blocking(c, move |c| match c.blobs.has(&d) {
@@ -149,11 +149,12 @@ impl v1::jobs_server::Jobs for JobsService {
 
     async fn watch(&self, r: Request<v1::ShowRequest>) -> Answer<Self::WatchStream> {
         let id = r.into_inner().job;
+        // Before the first look, so that a change between the two is not missed.
+        let mut changes = self.0.changes.subscribe();
         let first = blocking(&self.0, move |c| c.summary(id).map_err(|e| status::of_store(&e))).await?;
         let (out, stream) = tokio::sync::mpsc::channel(4);
         let c = Arc::clone(&self.0);
         tokio::spawn(async move {
-            let mut changes = c.changes.subscribe();
             let mut last = first;
             let ended = |j: &v1::Job| {
                 matches!(j.state(), v1::JobState::Done | v1::JobState::Failed | v1::JobState::Cancelled)
@@ -203,12 +204,21 @@ impl v1::jobs_server::Jobs for JobsService {
         let id = r.into_inner().job;
         blocking(&self.0, move |c| {
             let of_store = |e: StoreError| status::of_store(&e);
-            c.store.reopen_tiles(id).map_err(of_store)?;
-            let record = c.store.job(id).and_then(|r| r.ok_or(StoreError::UnknownJob { job: id }));
-            let tiles = c.store.tiles(id).map_err(of_store)?;
+            // Under the scheduler's lock, so that the job does not end in between.
             let mut scheduler = c.lock();
-            scheduler.revoke_job(id);
-            scheduler.take_up(record.map_err(of_store)?, tiles);
+            let job = || c.store.job(id).and_then(|r| r.ok_or(StoreError::UnknownJob { job: id }));
+            let phase = job().map_err(of_store)?.state.phase();
+            if !phase.ended() {
+                return Err(Status::failed_precondition(format!(
+                    "job {id} is {phase:?} and needs no retry; cancel it first to begin its failed tiles again"
+                )));
+            }
+            c.store.reopen_tiles(id).map_err(of_store)?;
+            let record = job().map_err(of_store)?;
+            if !record.state.phase().ended() {
+                let tiles = c.store.tiles(id).map_err(of_store)?;
+                scheduler.take_up(record, tiles).map_err(Status::failed_precondition)?;
+            }
             drop(scheduler);
             c.pump();
             c.assemble_ready();
@@ -292,7 +302,10 @@ impl Coordinator {
             }
             writer.append(&self.blobs.read(part).map_err(of_blob)?).map_err(of_blob)?;
         }
-        writer.finish(Some(&whole)).map_err(|e| Status::invalid_argument(e.to_string()))?;
+        writer.finish(Some(&whole)).map_err(|e| match e {
+            e @ BlobError::NoSpace { .. } => status::of_blob(&e),
+            e => Status::invalid_argument(e.to_string()),
+        })?;
         let bytes = self.blobs.read(&whole).map_err(of_blob)?;
         let scene = Scene::from_blob("uploaded scene", &bytes).map_err(|e| {
             // What is not a scene is not kept.
@@ -355,7 +368,7 @@ impl Coordinator {
                 .job(submitted.id)
                 .and_then(|r| r.ok_or(StoreError::UnknownJob { job: submitted.id }));
             let tiles = self.store.tiles(submitted.id).map_err(of_store)?;
-            scheduler.take_up(record.map_err(of_store)?, tiles);
+            scheduler.take_up(record.map_err(of_store)?, tiles).map_err(|e| status::internal(&e))?;
         }
         drop(scheduler);
         let job = self.summary(submitted.id).map_err(of_store)?;

@@ -3,7 +3,7 @@
 //! All of it is in memory and can be derived again from the store and from what workers announce. It decides; the
 //! store remembers.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
 use prost::Message as _;
@@ -21,6 +21,8 @@ const TIMING_LIMIT: Duration = Duration::from_secs(300);
 const PAUSE: Duration = Duration::from_secs(10);
 /// Failures of one tile after which it is given up, when fewer than three workers are there to try.
 pub(crate) const MAX_ATTEMPTS: u32 = 5;
+/// Faults of machines or networks after which a tile's failures are counted against the tile all the same.
+pub(crate) const MAX_FAULTS: u32 = 12;
 
 /// How many times faster than the cpu another backend must be to be chosen by `auto`.
 const CLEARLY: f64 = 2.0;
@@ -35,6 +37,17 @@ pub(crate) struct Slot {
     pub(crate) lease: Option<Leased>,
     /// Failures since the coordinator started, by whatever worker.
     pub(crate) attempts: u32,
+    /// Faults of machines and networks since then.
+    pub(crate) faults: u32,
+    /// After such a fault the tile waits a little, longer each time.
+    pub(crate) not_before: Option<Instant>,
+}
+
+impl Slot {
+    /// A tile nobody works on.
+    pub(crate) fn new(state: TileState) -> Self {
+        Self { state, lease: None, attempts: 0, faults: 0, not_before: None }
+    }
 }
 
 /// A tile in a worker's hands.
@@ -57,6 +70,8 @@ pub(crate) struct Job {
     pub(crate) slots: Vec<Slot>,
     /// The worker that is timing its backends, and since when.
     timing: Option<(u64, Instant)>,
+    /// Times that timing gave nothing.
+    timing_faults: u32,
     pub(crate) assembling: bool,
 }
 
@@ -67,10 +82,11 @@ impl Job {
     }
 
     /// Whether `tile` is open, unleased, and all it needs is there.
-    fn ready(&self, tile: usize) -> bool {
+    fn ready(&self, tile: usize, now: Instant) -> bool {
         let slot = &self.slots[tile];
         matches!(slot.state, TileState::Open)
             && slot.lease.is_none()
+            && slot.not_before.is_none_or(|t| t <= now)
             && self.plan.tiles[tile]
                 .needs
                 .iter()
@@ -87,11 +103,11 @@ impl Job {
     }
 
     /// `tile` and all leaf tiles that cannot be made without it.
-    pub(crate) fn lost_with(&self, tile: u32) -> Vec<u32> {
-        let mut lost = vec![tile];
+    pub(crate) fn lost_with(&self, tile: u32) -> BTreeSet<u32> {
+        let mut lost = BTreeSet::from([tile]);
         for (i, t) in self.plan.tiles.iter().enumerate().skip(tile as usize + 1) {
             if t.needs.iter().any(|n| lost.contains(n)) {
-                lost.push(i as u32);
+                lost.insert(i as u32);
             }
         }
         lost
@@ -152,32 +168,27 @@ impl Scheduler {
         self.epoch
     }
 
-    /// Takes up a job with what is known of its tiles. A job whose stored specification cannot be read (of another
-    /// version of the program) is left alone; it stays listed.
-    pub fn take_up(&mut self, record: JobRecord, tiles: Vec<TileRecord>) {
+    /// Takes up a job with what is known of its tiles.
+    ///
+    /// # Errors
+    /// Why not, when the stored specification or plan is of another version of the program.
+    pub fn take_up(&mut self, record: JobRecord, tiles: Vec<TileRecord>) -> Result<(), String> {
         let parsed = v1::JobSpec::decode(record.spec.as_slice())
             .map_err(|e| e.to_string())
             .and_then(|m| JobSpec::from_proto(&m, None).map_err(|e| e.to_string()))
             .and_then(|spec| spec.plan().map(|(l, p)| (spec, l, p)).map_err(|e| e.to_string()));
-        let (spec, lattice, plan) = match parsed {
-            Ok(parsed) => parsed,
-            Err(e) => {
-                tracing::error!("job {} cannot be taken up: {e}; submit it again", record.id);
-                return;
-            }
-        };
+        let (spec, lattice, plan) = parsed.map_err(|e| format!("{e}; submit it again"))?;
         if plan.tiles.len() != tiles.len() {
-            tracing::error!(
-                "job {} was planned with {} tiles and would now have {}; submit it again",
-                record.id,
+            return Err(format!(
+                "it was planned with {} tiles and would now have {}; submit it again",
                 tiles.len(),
                 plan.tiles.len()
-            );
-            return;
+            ));
         }
-        let slots = tiles.into_iter().map(|t| Slot { state: t.state, lease: None, attempts: 0 }).collect();
-        let job = Job { record, spec, lattice, plan, slots, timing: None, assembling: false };
+        let slots = tiles.into_iter().map(|t| Slot::new(t.state)).collect();
+        let job = Job { record, spec, lattice, plan, slots, timing: None, timing_faults: 0, assembling: false };
         self.jobs.insert(job.record.id, job);
+        Ok(())
     }
 
     /// A worker has come: its number, and those of the leases it names that are still its own.
@@ -248,7 +259,9 @@ impl Scheduler {
         let leased = progress.lease.and_then(|l| self.leased(&l)).ok_or(Stale)?;
         let now = Instant::now();
         leased.renewed = now;
-        if (leased.cells, leased.samples) != (progress.cells, progress.samples) {
+        // A tile that has not begun waits for the one before it; that is no sign of being stuck.
+        let waiting = progress.cells == 0 && progress.samples == 0;
+        if waiting || (leased.cells, leased.samples) != (progress.cells, progress.samples) {
             leased.moved = now;
         }
         (leased.cells, leased.samples) = (progress.cells, progress.samples);
@@ -370,7 +383,7 @@ impl Scheduler {
             if !worker.profiles.contains(&profile) {
                 continue;
             }
-            let Some(tile) = (0..job.slots.len()).find(|t| job.ready(*t)) else { continue };
+            let Some(tile) = (0..job.slots.len()).find(|t| job.ready(*t, now)) else { continue };
             if job.record.state == JobState::Queued {
                 use crate::store::JobPhase::Queued;
                 job.record = store.set_job_state(*id, &[Queued], JobState::Running, 0)?;
@@ -395,11 +408,23 @@ impl Scheduler {
     }
 
     /// A worker has timed its backends for a job: the fastest is bound.
-    pub(crate) fn timed(&mut self, timed: &v1::Timed, store: &dyn Store) -> Result<(), StoreError> {
-        let Some(job) = self.jobs.get_mut(&timed.job) else { return Ok(()) };
+    pub(crate) fn timed(&mut self, number: u64, timed: &v1::Timed, store: &dyn Store) -> Result<(), StoreError> {
+        let (Some(job), Some(worker)) = (self.jobs.get_mut(&timed.job), self.workers.get(&number)) else {
+            return Ok(());
+        };
+        // Only the worker that was asked, and only while nothing is bound.
+        if job.timing.is_none_or(|(asked, _)| asked != number) || job.record.profile.is_some() {
+            return Ok(());
+        }
         job.timing = None;
-        let fastest = fastest(&timed.times);
+        let offered: Vec<v1::ProfileTime> =
+            timed.times.iter().filter(|t| worker.profiles.contains(&t.profile)).cloned().collect();
+        let fastest = fastest(&offered);
         let Some(fastest) = fastest else {
+            job.timing_faults += 1;
+            if job.timing_faults < MAX_ATTEMPTS {
+                return Ok(());
+            }
             let reason =
                 "no backend of the worker that was asked can sample this scene; see its log".to_owned();
             use crate::store::JobPhase::{Queued, Running};
@@ -408,8 +433,7 @@ impl Scheduler {
             self.jobs.remove(&timed.job);
             return Ok(());
         };
-        let each: Vec<String> = timed
-            .times
+        let each: Vec<String> = offered
             .iter()
             .map(|t| format!("{} {:.2} ms a cube", t.profile, t.seconds_per_cube * 1e3))
             .collect();

@@ -22,7 +22,7 @@ impl Coordinator {
             .store
             .tiles(id)?
             .into_iter()
-            .map(|t| Slot { state: t.state, lease: None, attempts: 0 })
+            .map(|t| Slot::new(t.state))
             .collect();
         // A specification of another version cannot be planned; its cells are then not known.
         let total = v1::JobSpec::decode(record.spec.as_slice())
@@ -69,16 +69,16 @@ fn message(record: &JobRecord, slots: &[Slot], cells_total: u64, workers: u32) -
             TileState::Open => {}
             TileState::Done { stats, .. } => {
                 job.tiles_done += 1;
-                job.cells_done += stats.cells;
-                job.samples += stats.samples;
-                job.tile_millis += stats.millis;
+                job.cells_done = job.cells_done.saturating_add(stats.cells);
+                job.samples = job.samples.saturating_add(stats.samples);
+                job.tile_millis = job.tile_millis.saturating_add(stats.millis);
             }
             TileState::SetAside { .. } => job.tiles_set_aside += 1,
         }
         if let Some(l) = &slot.lease {
             job.tiles_running += 1;
-            job.cells_done += l.cells;
-            job.samples += l.samples;
+            job.cells_done = job.cells_done.saturating_add(l.cells);
+            job.samples = job.samples.saturating_add(l.samples);
         }
     }
     job

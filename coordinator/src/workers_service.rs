@@ -1,10 +1,13 @@
 //! The `Workers` service: one stream a worker, scenes and packs out, results in.
 
 use std::collections::BTreeSet;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::Pin;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use futures::{Stream, StreamExt as _};
+use sightline_job::ALGORITHM_VERSION;
 use sightline_proto::chunks::Assembler;
 use sightline_proto::v1;
 use sightline_proto::v1::worker_message::Message as FromWorker;
@@ -14,13 +17,13 @@ use sightline_viewcells::TileKind;
 use tokio::sync::mpsc;
 use tonic::{Request, Response, Status, Streaming};
 
-use crate::assemble::Parts;
+use crate::assemble::{AssembleError, Parts, expected_nodes};
 use crate::core::{Coordinator, now_ms};
 use crate::jobs_service::{blocking, digest, stream_blob};
-use crate::scheduler::{MAX_ATTEMPTS, Slot};
+use crate::scheduler::{MAX_ATTEMPTS, MAX_FAULTS, Scheduler, Slot};
 use crate::status;
 use crate::store::{
-    CommitOutcome, Digest, JobPhase, JobState, MAX_IDENTIFIER_BYTES, MAX_WORKER_BYTES, TileResult, TileState,
+    BlobError, CommitOutcome, Digest, JobPhase, JobRecord, JobState, MAX_IDENTIFIER_BYTES, MAX_WORKER_BYTES, TileResult, TileState,
     TileStats,
 };
 
@@ -92,6 +95,12 @@ impl v1::workers_server::Workers for WorkersService {
 }
 
 fn check_hello(hello: &v1::Hello) -> Result<(), Status> {
+    if hello.algorithm != ALGORITHM_VERSION {
+        return Err(Status::invalid_argument(format!(
+            "this worker ({}) samples by algorithm {}, the coordinator plans for {ALGORITHM_VERSION}; run the same version of sightline on both",
+            hello.version, hello.algorithm
+        )));
+    }
     let printable = |s: &str| s.chars().all(|c| !c.is_control() && c != '"' && c != '\\');
     if hello.name.is_empty() || hello.name.len() > MAX_WORKER_BYTES || !printable(&hello.name) {
         return Err(Status::invalid_argument(format!(
@@ -123,8 +132,15 @@ async fn session(
     let welcome = v1::CoordinatorMessage { message: Some(Message::Welcome(welcome)) };
     if out.send(Ok(welcome)).await.is_ok() {
         c.changed();
-        while let Some(Ok(message)) = inbound.next().await {
-            let Some(message) = message.message else { continue };
+        while let Some(message) = inbound.next().await {
+            let message = match message {
+                Ok(m) => m.message,
+                Err(s) => {
+                    tracing::info!("the stream of worker {} broke: {}", hello.name, s.message());
+                    break;
+                }
+            };
+            let Some(message) = message else { continue };
             let name = hello.name.clone();
             let handled = blocking(&c, move |c| c.heard(number, &name, message)).await;
             if let Err(s) = handled {
@@ -135,7 +151,12 @@ async fn session(
             }
         }
     }
-    c.lock().leave(number);
+    // Fails only when the coordinator is going down.
+    let _ = blocking(&c, move |c| {
+        c.lock().leave(number);
+        Ok(())
+    })
+    .await;
     tracing::info!("worker {} has gone", hello.name);
     c.changed();
 }
@@ -159,7 +180,7 @@ impl Coordinator {
                 self.assemble_ready();
             }
             FromWorker::Timed(t) => {
-                self.lock().timed(&t, &*self.store).map_err(|e| status::of_store(&e))?;
+                self.lock().timed(worker, &t, &*self.store).map_err(|e| status::of_store(&e))?;
             }
         }
         self.pump();
@@ -179,7 +200,14 @@ impl Coordinator {
         }
         tracing::warn!("tile {} of job {} failed on {worker}: {}", lease.tile, lease.job, f.reason);
         if f.infrastructure {
-            return Ok(());
+            let Some(job) = scheduler.jobs.get_mut(&lease.job) else { return Ok(()) };
+            let slot = &mut job.slots[lease.tile as usize];
+            slot.faults += 1;
+            if slot.faults < MAX_FAULTS {
+                let wait = Duration::from_secs(1 << slot.faults.saturating_sub(1).min(6));
+                slot.not_before = Some(Instant::now() + wait);
+                return Ok(());
+            }
         }
         let on = self.store.fail_tile(lease.job, lease.tile, worker, &f.reason).map_err(of_store)?;
         let Some(job) = scheduler.jobs.get_mut(&lease.job) else { return Ok(()) };
@@ -188,7 +216,8 @@ impl Coordinator {
         if on < WORKERS_TO_FAIL && slot.attempts < MAX_ATTEMPTS {
             return Ok(());
         }
-        for lost in job.lost_with(lease.tile) {
+        // Those that need it first: interrupted half-way, the tile is still open and fails again.
+        for lost in job.lost_with(lease.tile).into_iter().rev() {
             if !matches!(job.slots[lost as usize].state, TileState::Open) {
                 continue;
             }
@@ -211,7 +240,10 @@ impl Coordinator {
         if *blake3::hash(bytes).as_bytes() != offered {
             return Err(Status::data_loss("the result that arrived is not the one announced; send it again"));
         }
-        let triangles = {
+        if header.bytes != bytes.len() as u64 {
+            return Err(Status::invalid_argument("the result has another length than announced"));
+        }
+        let (triangles, kind, expected) = {
             let scheduler = self.lock();
             let job = scheduler.jobs.get(&lease.job).ok_or_else(|| {
                 Status::failed_precondition(format!("job {} has ended or is not known here", lease.job))
@@ -219,24 +251,40 @@ impl Coordinator {
             let tile = job.plan.tiles.get(lease.tile as usize);
             let tile = tile.ok_or_else(|| Status::invalid_argument("the job has no such tile"))?;
             let scene = self.store.scene(&job.spec.scene).map_err(|e| status::of_store(&e))?;
-            (scene.map_or(0, |s| s.triangles), tile.kind)
+            let nodes = expected_nodes(&job.spec.division, &job.lattice, &tile.cell, tile.depth);
+            (scene.map_or(0, |s| s.triangles), tile.kind, nodes)
         };
-        let (triangles, kind) = triangles;
-        let output = codec::decode(bytes, triangles).map_err(|e| Status::invalid_argument(e.to_string()))?;
-        if matches!(output, TileOutput::Cells(_)) != (kind == TileKind::Leaf) {
-            return Err(Status::invalid_argument("the output is not of the tile's kind"));
-        }
+        let output = codec::check(bytes, triangles).map_err(|e| Status::invalid_argument(e.to_string()))?;
+        let cells = match (&output, kind) {
+            (TileOutput::Cells(sets), TileKind::Leaf) => {
+                if expected.is_some_and(|nodes| nodes != sets.nodes) {
+                    return Err(Status::invalid_argument("the output's cells are not those of the tile's grid"));
+                }
+                sets.cells.len() as u64
+            }
+            (TileOutput::Pack(_), TileKind::Face(_) | TileKind::Separator(_)) => 0,
+            _ => return Err(Status::invalid_argument("the output is not of the tile's kind")),
+        };
         drop(output);
         // The blob first: a record may only name what is there.
-        self.blobs.put(bytes).map_err(|e| status::of_blob(&e))?;
+        self.blobs.put(bytes).map_err(|e| {
+            if matches!(e, BlobError::NoSpace { .. }) {
+                self.lock().pause_leasing(Instant::now());
+            }
+            status::of_blob(&e)
+        })?;
         let mut scheduler = self.lock();
+        // A job with the same output that ended a moment ago may have taken it away again.
+        if !self.blobs.has(&offered).map_err(|e| status::of_blob(&e))? {
+            self.blobs.put(bytes).map_err(|e| status::of_blob(&e))?;
+        }
         let worker = scheduler.jobs.get(&lease.job).and_then(|j| {
             let held = j.slots[lease.tile as usize].lease.as_ref()?;
             scheduler.workers.get(&held.worker).map(|w| w.name.clone())
         });
         let stats = TileStats {
             samples: header.samples,
-            cells: header.cells,
+            cells,
             millis: header.millis,
             worker: worker.unwrap_or_default(),
         };
@@ -303,7 +351,23 @@ impl Coordinator {
 
     /// Puts a job's result together and ends it.
     fn finish(&self, id: u64, parts: &Parts) {
-        let assembled = self.assemble(parts);
+        let leaf = |n: u32| &parts.slots[n as usize].state;
+        let assembled = if parts.plan.leaves().all(|n| matches!(leaf(n), TileState::SetAside { .. })) {
+            Err("every tile failed; `sightline show` and the workers' logs say why".to_owned())
+        } else {
+            // A panic must not leave the job half ended.
+            match catch_unwind(AssertUnwindSafe(|| self.assemble(parts))) {
+                Ok(Err(AssembleError::Blob(e @ BlobError::NoSpace { .. }))) => {
+                    tracing::error!("the result of job {id} waits for space: {e}");
+                    if let Some(job) = self.lock().jobs.get_mut(&id) {
+                        job.assembling = false;
+                    }
+                    return;
+                }
+                Ok(r) => r.map_err(|e| e.to_string()),
+                Err(_) => Err("putting it together panicked; the coordinator's log says where".to_owned()),
+            }
+        };
         let mut scheduler = self.lock();
         // Cancelled or paused in the meantime: the result stays as a blob and is found again by its content.
         let Some(job) = scheduler.jobs.get_mut(&id) else { return };
@@ -314,8 +378,8 @@ impl Coordinator {
         let ended = match assembled {
             Ok((digest, bytes)) => self.store.finish_job(id, digest, bytes, now_ms()),
             Err(e) => {
-                tracing::error!("the result of job {id} cannot be put together: {e}");
-                let failed = JobState::Failed { reason: format!("the result cannot be put together: {e}") };
+                tracing::error!("job {id} has no result: {e}");
+                let failed = JobState::Failed { reason: e };
                 self.store.set_job_state(id, &[JobPhase::Queued, JobPhase::Running], failed, now_ms())
             }
         };
@@ -325,8 +389,7 @@ impl Coordinator {
                 let whole = matches!(record.state, JobState::Done { .. })
                     && parts.slots.iter().all(|s| matches!(s.state, TileState::Done { .. }));
                 if whole {
-                    let others: Vec<&Slot> = scheduler.jobs.values().flat_map(|j| &j.slots).collect();
-                    self.tidy(&parts.slots, &others);
+                    self.tidy(&scheduler, id, &parts.slots);
                 }
             }
             Err(e) => tracing::error!("job {id} cannot be ended: {e}"),
@@ -335,13 +398,28 @@ impl Coordinator {
         self.changed();
     }
 
-    /// Removes the tile outputs of a finished job that no unfinished job shares. The result has all that is in them.
-    fn tidy(&self, slots: &[Slot], others: &[&Slot]) {
+    /// Removes the tile outputs of a finished job that no job shares which may still need them: one that has not ended,
+    /// or that can be retried. The result has all that is in them.
+    fn tidy(&self, scheduler: &Scheduler, finished: u64, slots: &[Slot]) {
         let digest = |s: &TileState| match s {
             TileState::Done { digest, .. } | TileState::SetAside { digest, .. } => Some(*digest),
             TileState::Open => None,
         };
-        let kept: BTreeSet<Digest> = others.iter().filter_map(|s| digest(&s.state)).collect();
+        let mut kept: BTreeSet<Digest> =
+            scheduler.jobs.values().flat_map(|j| &j.slots).filter_map(|s| digest(&s.state)).collect();
+        let ended = self.store.jobs().and_then(|jobs| {
+            let retriable = |j: &JobRecord| {
+                j.id != finished && matches!(j.state.phase(), JobPhase::Cancelled | JobPhase::Failed)
+            };
+            for job in jobs.iter().filter(|j| retriable(j)) {
+                kept.extend(self.store.tiles(job.id)?.iter().filter_map(|t| digest(&t.state)));
+            }
+            Ok(())
+        });
+        if let Err(e) = ended {
+            tracing::warn!("the tile outputs of job {finished} are kept: {e}");
+            return;
+        }
         for d in slots.iter().filter_map(|s| digest(&s.state)).filter(|d| !kept.contains(d)) {
             if let Err(e) = self.blobs.remove(&d) {
                 tracing::warn!("{e}");

@@ -27,16 +27,21 @@ pub enum ChunkError {
     TooLarge(u64, u64),
 }
 
-/// Cuts `bytes` into chunks; one empty chunk when there are none, so that a length of zero is announced too.
-pub fn cut(bytes: &[u8]) -> impl Iterator<Item = Chunk> + '_ {
-    let total = bytes.len() as u64;
-    let empty = bytes.is_empty().then_some(&[][..]);
-    bytes.chunks(CHUNK_BYTES).chain(empty).enumerate().map(move |(i, data)| Chunk {
+/// How many chunks `length` bytes are cut into: at least one, so that a length of zero is announced too.
+pub fn count(length: usize) -> usize {
+    length.div_ceil(CHUNK_BYTES).max(1)
+}
+
+/// Chunk `i` of `bytes`, on its own, so that a stream holds one copied chunk at a time; empty beyond the last.
+pub fn chunk(bytes: &[u8], i: usize) -> Chunk {
+    let start = i.saturating_mul(CHUNK_BYTES).min(bytes.len());
+    let data = &bytes[start..bytes.len().min(start + CHUNK_BYTES)];
+    Chunk {
         data: data.to_vec(),
         crc32c: crc32c::crc32c(data),
-        offset: (i * CHUNK_BYTES) as u64,
-        total: if i == 0 { total } else { 0 },
-    })
+        offset: start as u64,
+        total: if i == 0 { bytes.len() as u64 } else { 0 },
+    }
 }
 
 /// Puts chunks together again, checking each.
@@ -105,7 +110,7 @@ mod tests {
         for n in [0, 1, CHUNK_BYTES, CHUNK_BYTES * 2 + 5] {
             let bytes: Vec<u8> = (0..n).map(|i| (i * 7) as u8).collect();
             let mut a = Assembler::new(1 << 30);
-            cut(&bytes).for_each(|c| a.push(&c).unwrap());
+            (0..count(n)).for_each(|i| a.push(&chunk(&bytes, i)).unwrap());
             assert_eq!(a.finish().unwrap(), bytes);
         }
     }
@@ -113,7 +118,7 @@ mod tests {
     #[test]
     fn damage_loss_and_excess_are_refused() {
         let bytes = vec![3u8; CHUNK_BYTES + 9];
-        let chunks: Vec<_> = cut(&bytes).collect();
+        let chunks: Vec<_> = (0..count(bytes.len())).map(|i| chunk(&bytes, i)).collect();
         let mut a = Assembler::new(1 << 30);
         assert_eq!(a.push(&chunks[1]), Err(ChunkError::Order(CHUNK_BYTES as u64)));
         let mut a = Assembler::new(1 << 30);

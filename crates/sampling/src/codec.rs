@@ -69,6 +69,11 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
             }
         }
     }
+    if raw.len() as u64 > MAX_UNPACKED {
+        return Err(std::io::Error::other(
+            "a tile's output is larger than can be sent; use more cells or a larger --min-distance",
+        ));
+    }
     zstd::stream::encode_all(raw.as_slice(), LEVEL)
 }
 
@@ -78,6 +83,14 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
 /// [`CodecError`] saying what is wrong.
 pub fn decode(bytes: &[u8], triangles: u32) -> Result<TileOutput, CodecError> {
     read(bytes, triangles, &|_| true)
+}
+
+/// Checks a tile's output without keeping its samples: a pack comes back empty, however much it unpacks to.
+///
+/// # Errors
+/// [`CodecError`] saying what is wrong.
+pub fn check(bytes: &[u8], triangles: u32) -> Result<TileOutput, CodecError> {
+    read(bytes, triangles, &|_| false)
 }
 
 /// Decodes a pack, keeping only the samples in the closed box `within`: a leaf tile needs few of a face's samples.
@@ -190,15 +203,16 @@ impl Reader<'_> {
             if dominant.is_some_and(|d| d >= self.triangles) {
                 return Err(CodecError("a triangle id is out of range"));
             }
-            let pixels = self.pixels()?;
-            if keep(p) {
+            let keep = keep(p);
+            let pixels = self.pixels(keep)?;
+            if keep {
                 samples.push((p, Arc::new(VisibilitySample { ids, strata, dominant, pixels })));
             }
         }
         Ok(Pack { samples })
     }
 
-    fn pixels(&mut self) -> Result<Option<Arc<[u32]>>, CodecError> {
+    fn pixels(&mut self, keep: bool) -> Result<Option<Arc<[u32]>>, CodecError> {
         let n = self.u32()? as usize;
         if n == 0 {
             return Ok(None);
@@ -207,14 +221,17 @@ impl Reader<'_> {
         if n > 6 * 4096 * 4096 {
             return Err(CodecError("a cube has too many pixels"));
         }
-        let mut pixels = Vec::new();
-        while pixels.len() < n {
+        let (mut pixels, mut read) = (Vec::new(), 0);
+        while read < n {
             let run = self.u32()? as usize;
             let id = self.u32()?.wrapping_sub(1);
-            if run == 0 || run > n - pixels.len() {
+            if run == 0 || run > n - read {
                 return Err(CodecError("a run of pixels is too long"));
             }
-            pixels.resize(pixels.len() + run, id);
+            read += run;
+            if keep {
+                pixels.resize(read, id);
+            }
         }
         Ok(Some(pixels.into()))
     }

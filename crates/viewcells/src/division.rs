@@ -95,10 +95,18 @@ impl Division {
             Self::Grid([x, y, z]) => {
                 let fine = [x, y, z].iter().all(|c| (1..=MAX_CELLS_PER_AXIS).contains(c))
                     && u64::from(x) * u64::from(y) * u64::from(z) <= MAX_CELLS;
-                if fine {
-                    Ok(Lattice::new(min, max, [x, y, z]))
-                } else {
-                    Err(DivisionError::Cells { x, y, z })
+                if !fine {
+                    return Err(DivisionError::Cells { x, y, z });
+                }
+                let lattice = Lattice::new(min, max, [x, y, z]);
+                // Far from the origin `f32` may not tell neighbouring planes apart.
+                let told_apart = |a: usize, cells: u32| {
+                    let plane = |c: u32| lattice.coordinate(a, c * UNITS_PER_CELL);
+                    (0..cells).all(|c| plane(c) < plane(c + 1))
+                };
+                match [x, y, z].into_iter().enumerate().find(|(a, cells)| !told_apart(*a, *cells)) {
+                    None => Ok(lattice),
+                    Some((axis, cells)) => Err(DivisionError::TooFine { axis, cells }),
                 }
             }
             Self::Adaptive { budget, max_depth } => {
