@@ -60,11 +60,7 @@ pub(crate) async fn stream_blob(c: &Arc<Coordinator>, d: Digest) -> Result<Chunk
     })
     .await?;
     let bytes = Arc::new(bytes);
-    let count = bytes.len().div_ceil(chunks::CHUNK_BYTES).max(1);
-    Ok(Box::pin(tokio_stream::iter(
-        (0..count)
-            .map(move |i| chunks::cut(&bytes).nth(i).ok_or_else(|| Status::internal("a chunk is missing"))),
-    )))
+    Ok(Box::pin(tokio_stream::iter((0..chunks::count(&bytes)).map(move |i| Ok(chunks::piece(&bytes, i))))))
 }
 
 #[tonic::async_trait]

@@ -27,16 +27,26 @@ pub enum ChunkError {
     TooLarge(u64, u64),
 }
 
-/// Cuts `bytes` into chunks; one empty chunk when there are none, so that a length of zero is announced too.
-pub fn cut(bytes: &[u8]) -> impl Iterator<Item = Chunk> + '_ {
-    let total = bytes.len() as u64;
-    let empty = bytes.is_empty().then_some(&[][..]);
-    bytes.chunks(CHUNK_BYTES).chain(empty).enumerate().map(move |(i, data)| Chunk {
+/// How many chunks `bytes` are cut into: at least one, so that a length of zero is announced too.
+pub fn count(bytes: &[u8]) -> usize {
+    bytes.len().div_ceil(CHUNK_BYTES).max(1)
+}
+
+/// Chunk `i` of [`count`]; beyond the end an empty one.
+pub fn piece(bytes: &[u8], i: usize) -> Chunk {
+    let start = i.saturating_mul(CHUNK_BYTES).min(bytes.len());
+    let data = &bytes[start..start.saturating_add(CHUNK_BYTES).min(bytes.len())];
+    Chunk {
         data: data.to_vec(),
         crc32c: crc32c::crc32c(data),
-        offset: (i * CHUNK_BYTES) as u64,
-        total: if i == 0 { total } else { 0 },
-    })
+        offset: start as u64,
+        total: if i == 0 { bytes.len() as u64 } else { 0 },
+    }
+}
+
+/// Cuts `bytes` into chunks.
+pub fn cut(bytes: &[u8]) -> impl Iterator<Item = Chunk> + '_ {
+    (0..count(bytes)).map(|i| piece(bytes, i))
 }
 
 /// Puts chunks together again, checking each.
@@ -106,6 +116,7 @@ mod tests {
             let bytes: Vec<u8> = (0..n).map(|i| (i * 7) as u8).collect();
             let mut a = Assembler::new(1 << 30);
             cut(&bytes).for_each(|c| a.push(&c).unwrap());
+            assert_eq!(cut(&bytes).count(), count(&bytes));
             assert_eq!(a.finish().unwrap(), bytes);
         }
     }
