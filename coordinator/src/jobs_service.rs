@@ -14,7 +14,7 @@ use tonic::{Request, Response, Status, Streaming};
 
 use crate::core::{Coordinator, now_ms};
 use crate::status;
-use crate::store::{Digest, JobPhase, JobState, NewJob, SceneRecord, StoreError};
+use crate::store::{BlobError, Digest, JobPhase, JobState, NewJob, SceneRecord, StoreError};
 
 /// Chunks of one scene: 64 GiB.
 const MAX_CHUNKS: usize = 65_536;
@@ -277,7 +277,16 @@ impl Coordinator {
         if let Some(known) = self.store.scene(&whole).map_err(|e| status::of_store(&e))?
             && self.blobs.has(&whole).map_err(of_blob)?
         {
-            return Ok(info(&known));
+            match self.blobs.read(&whole) {
+                Ok(_) => return Ok(info(&known)),
+                // Removed, so that its chunks are missing and the client sends them again: workers would ask for the
+                // damaged scene for ever.
+                Err(e @ BlobError::Damaged { .. }) => {
+                    tracing::warn!("{e}; it is uploaded again now");
+                    self.blobs.remove(&whole).map_err(of_blob)?;
+                }
+                Err(e) => return Err(of_blob(e)),
+            }
         }
         let mut writer = self.blobs.put_stream().map_err(of_blob)?;
         for part in parts {
