@@ -137,6 +137,7 @@ async fn session(
     }
     c.lock().leave(number);
     tracing::info!("worker {} has gone", hello.name);
+    // What a draining worker left goes to another at the next tick of the clock.
     c.changed();
 }
 
