@@ -22,6 +22,9 @@ const PAUSE: Duration = Duration::from_secs(10);
 /// Failures of one tile after which it is given up, when fewer than three workers are there to try.
 pub(crate) const MAX_ATTEMPTS: u32 = 5;
 
+/// How many times faster than the cpu another backend must be to be chosen by `auto`.
+const CLEARLY: f64 = 2.0;
+
 /// A lease's identity: epoch and number.
 pub(crate) type LeaseId = (u64, u64);
 
@@ -399,12 +402,7 @@ impl Scheduler {
     pub(crate) fn timed(&mut self, timed: &v1::Timed, store: &dyn Store) -> Result<(), StoreError> {
         let Some(job) = self.jobs.get_mut(&timed.job) else { return Ok(()) };
         job.timing = None;
-        let usable = |t: &&v1::ProfileTime| t.seconds_per_cube.is_finite();
-        let fastest = timed
-            .times
-            .iter()
-            .filter(usable)
-            .min_by(|a, b| a.seconds_per_cube.total_cmp(&b.seconds_per_cube));
+        let fastest = fastest(&timed.times);
         let Some(fastest) = fastest else {
             let reason =
                 "no backend of the worker that was asked can sample this scene; see its log".to_owned();
@@ -419,10 +417,27 @@ impl Scheduler {
             .iter()
             .map(|t| format!("{} {:.2} ms a cube", t.profile, t.seconds_per_cube * 1e3))
             .collect();
-        tracing::info!("job {}: {}; chosen: {}", timed.job, each.join(", "), fastest.profile);
+        tracing::info!(
+            "job {}: {}; chosen: {} (the gpu must be {CLEARLY} times as fast as the cpu)",
+            timed.job,
+            each.join(", "),
+            fastest.profile
+        );
         job.record.profile = Some(store.bind_profile(timed.job, &fastest.profile)?);
         Ok(())
     }
+}
+
+/// The profile to take: the fastest, but another one than the cpu's only when it is [`CLEARLY`] faster. Two runs of
+/// one bake give the same bytes only on the same profile, so noise in the timing must not decide between two that
+/// are nearly as fast.
+fn fastest(times: &[v1::ProfileTime]) -> Option<&v1::ProfileTime> {
+    let cost =
+        |t: &v1::ProfileTime| t.seconds_per_cube * if t.profile.starts_with("cpu/") { 1.0 } else { CLEARLY };
+    times
+        .iter()
+        .filter(|t| t.seconds_per_cube.is_finite() && t.seconds_per_cube >= 0.0)
+        .min_by(|a, b| cost(a).total_cmp(&cost(b)))
 }
 
 enum Binding {
@@ -457,5 +472,24 @@ pub(crate) fn cells_total(job: &JobSpec, plan: &Plan) -> u64 {
             plan.tiles.iter().filter(|t| t.kind == TileKind::Leaf).map(|t| t.cells).sum()
         }
         sightline_viewcells::Division::Adaptive { .. } => 0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn time(profile: &str, seconds_per_cube: f64) -> v1::ProfileTime {
+        v1::ProfileTime { profile: profile.to_owned(), seconds_per_cube }
+    }
+
+    #[test]
+    fn only_a_clearly_faster_gpu_displaces_the_cpu() {
+        let chosen = |times: &[v1::ProfileTime]| fastest(times).map(|t| t.profile.clone());
+        assert_eq!(chosen(&[time("cpu/a", 1.0), time("gpu/b", 0.6)]).as_deref(), Some("cpu/a"));
+        assert_eq!(chosen(&[time("cpu/a", 1.0), time("gpu/b", 0.4)]).as_deref(), Some("gpu/b"));
+        assert_eq!(chosen(&[time("gpu/b", 9.0)]).as_deref(), Some("gpu/b"));
+        assert_eq!(chosen(&[time("cpu/a", f64::NAN), time("gpu/b", 9.0)]).as_deref(), Some("gpu/b"));
+        assert_eq!(chosen(&[]), None);
     }
 }

@@ -27,12 +27,15 @@ refusing, 5 job failed, 130 interrupted (run the same command again to go on).\n
 SIGHTLINE_LOG=debug (or info, warn) sets how much is logged to stderr.";
 
 impl Cli {
+    /// Whether the command runs until it is stopped, so that its log wants times.
+    pub fn serves(&self) -> bool {
+        matches!(self.command, Command::Coordinator(_) | Command::Worker(_))
+    }
+
     /// How much is logged when nobody says: servers tell what happens, commands only what is wrong.
     pub fn default_log(&self) -> &'static str {
-        match self.command {
-            Command::Coordinator(_) | Command::Worker(_) => "info",
-            _ => "warn,sightline_coordinator::scheduler=info",
-        }
+        // The scheduler tells which backend was chosen, and why.
+        if self.serves() { "info" } else { "warn,sightline_coordinator::scheduler=info" }
     }
 }
 

@@ -9,6 +9,7 @@ use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_worker::{Backends, SceneCache, Stop};
 use tokio::sync::watch;
+use tonic::transport::Channel;
 
 use crate::args::BakeArgs;
 use crate::client;
@@ -78,19 +79,26 @@ async fn bake(
     ));
     let mut client = JobsClient::new(client::channel(&url).await?);
     client::upload(&mut client, scene).await?;
-    let name = args.scene.file_name().unwrap_or_default().to_string_lossy();
-    let request = v1::SubmitRequest {
-        request_id: client::fresh_request_id(),
-        name: name.chars().filter(|c| !c.is_control()).take(32).collect(),
-        spec: Some(spec.to_proto()),
-    };
-    let answer = client.submit(request).await.map_err(|s| CliError::status(&s))?.into_inner();
-    let mut job = answer.job.unwrap_or_default();
+    let mut answer = submit(&mut client, args, spec).await?;
+    let mut job = answer.job.take().unwrap_or_default();
+    let mut backends = None;
+    if job.state() != v1::JobState::Done {
+        let probed = Arc::new(Backends::probe(serve::choice(args.job.backend), Default::default()));
+        serve::say_missing(&probed)?;
+        if !job.profile.is_empty() && !probed.profiles().contains(&job.profile) {
+            say(&format!(
+                "an earlier run began this bake on {}, which is not here any more (or has another version now): beginning anew",
+                job.profile
+            ));
+            client.cancel(v1::ShowRequest { job: job.id }).await.map_err(|s| CliError::status(&s))?;
+            answer = submit(&mut client, args, spec).await?;
+            job = answer.job.take().unwrap_or_default();
+        }
+        backends = Some(probed);
+    }
     coordinator.restrict_to(job.id);
-    let from_store = job.state() == v1::JobState::Done;
-    if from_store {
-        say("this bake is in the store already");
-    } else {
+    let from_store = backends.is_none();
+    if let Some(backends) = backends {
         if job.state() == v1::JobState::Paused {
             job = client
                 .resume(v1::ShowRequest { job: job.id })
@@ -101,13 +109,15 @@ async fn bake(
         if answer.existing {
             say(&format!("going on: {} of {} tiles are done", job.tiles_done, job.tiles_total));
         }
-        let (stop, workers) = start_workers(args, &url)?;
+        let (stop, workers) = start_workers(args, &url, &backends)?;
         job = tokio::select! {
             j = client::follow(&mut client, job.id) => j?,
             e = workers => return Err(e),
         };
         // The workers are gone with the process; a failed send means that they are already.
         let _ = stop.send(Stop::Now);
+    } else {
+        say("this bake is in the store already");
     }
     client::must_be_done(&job)?;
     client::fetch(&mut client, &job, &args.output).await?;
@@ -115,13 +125,26 @@ async fn bake(
     Ok(Outcome { job, from_store })
 }
 
+async fn submit(
+    client: &mut JobsClient<Channel>,
+    args: &BakeArgs,
+    spec: &sightline_job::JobSpec,
+) -> Result<v1::SubmitResponse, CliError> {
+    let name = args.scene.file_name().unwrap_or_default().to_string_lossy();
+    let request = v1::SubmitRequest {
+        request_id: client::fresh_request_id(),
+        name: name.chars().filter(|c| !c.is_control()).take(32).collect(),
+        spec: Some(spec.to_proto()),
+    };
+    client.submit(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
+}
+
 /// Starts the workers; the future resolves only when one of them ends with an error.
 fn start_workers(
     args: &BakeArgs,
     url: &str,
+    backends: &Arc<Backends>,
 ) -> Result<(watch::Sender<Stop>, impl Future<Output = CliError> + use<>), CliError> {
-    let backends = Arc::new(Backends::probe(serve::choice(args.job.backend), Default::default()));
-    serve::say_missing(&backends)?;
     let cores = threads(None);
     let count = args.workers.unwrap_or(cores);
     if count == 0 || count > 256 {
@@ -135,7 +158,7 @@ fn start_workers(
         let config = sightline_worker::Config {
             coordinator: url.to_owned(),
             name: format!("in-process-{i}"),
-            backends: Arc::clone(&backends),
+            backends: Arc::clone(backends),
             scenes: Arc::clone(&scenes),
             pool: Arc::clone(&pool),
             give_up_after: Some(Duration::from_secs(30)),

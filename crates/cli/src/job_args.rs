@@ -48,7 +48,8 @@ pub struct JobArgs {
     /// Render with what the cell above saw only. auto: on the gpu, where each triangle drawn costs.
     #[arg(long, value_enum, default_value_t = Superset::Auto)]
     superset: Superset,
-    /// Where cubes are rendered. auto measures both on this scene and takes the faster.
+    /// Where cubes are rendered. auto times both on this scene and takes the faster; the gpu has to be twice as fast
+    /// as the cpu, so that noise does not decide what comes out.
     #[arg(long, value_enum, default_value_t = Backend::Auto)]
     pub backend: Backend,
     /// How samples are placed: visibility cubes on adaptively split rectangles.
