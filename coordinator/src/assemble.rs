@@ -90,9 +90,11 @@ impl Coordinator {
         })?;
         for (number, state) in leaves() {
             let cells = parts.plan.tiles[number as usize].cells;
-            let flags = if matches!(state, TileState::SetAside { .. }) { SET_ASIDE } else { 0 };
+            let aside = matches!(state, TileState::SetAside { .. });
             for cell in self.leaf(number, state, cells, scene.len())?.cells {
-                builder.push_cell(&cell.visible, &[], flags)?;
+                // What is shown because its tile failed was neither seen nor proved hidden.
+                let undecided: &[u32] = if aside { &cell.visible } else { &[] };
+                builder.push_cell(&cell.visible, undecided, if aside { SET_ASIDE } else { 0 })?;
             }
         }
         let mut file = Vec::new();

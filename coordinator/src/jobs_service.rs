@@ -60,11 +60,7 @@ pub(crate) async fn stream_blob(c: &Arc<Coordinator>, d: Digest) -> Result<Chunk
     })
     .await?;
     let bytes = Arc::new(bytes);
-    let count = bytes.len().div_ceil(chunks::CHUNK_BYTES).max(1);
-    Ok(Box::pin(tokio_stream::iter(
-        (0..count)
-            .map(move |i| chunks::cut(&bytes).nth(i).ok_or_else(|| Status::internal("a chunk is missing"))),
-    )))
+    Ok(Box::pin(tokio_stream::iter((0..chunks::count(&bytes)).map(move |i| Ok(chunks::piece(&bytes, i))))))
 }
 
 #[tonic::async_trait]
@@ -291,7 +287,16 @@ impl Coordinator {
         if let Some(known) = self.store.scene(&whole).map_err(|e| status::of_store(&e))?
             && self.blobs.has(&whole).map_err(of_blob)?
         {
-            return Ok(info(&known));
+            match self.blobs.read(&whole) {
+                Ok(_) => return Ok(info(&known)),
+                // Removed, so that its chunks are missing and the client sends them again: workers would ask for the
+                // damaged scene for ever.
+                Err(e @ BlobError::Damaged { .. }) => {
+                    tracing::warn!("{e}; it is uploaded again now");
+                    self.blobs.remove(&whole).map_err(of_blob)?;
+                }
+                Err(e) => return Err(of_blob(e)),
+            }
         }
         let mut writer = self.blobs.put_stream().map_err(of_blob)?;
         for part in parts {

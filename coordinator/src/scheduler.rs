@@ -230,8 +230,12 @@ impl Scheduler {
     /// A worker's stream has ended. Its leases live until they expire, so that it can come back for them; a worker
     /// that said it was draining, or held none, is simply gone.
     pub(crate) fn leave(&mut self, worker: u64) {
-        self.workers.remove(&worker);
+        let draining = self.workers.remove(&worker).is_some_and(|w| w.draining);
         for job in self.jobs.values_mut() {
+            for slot in &mut job.slots {
+                // It will not come back for a tile that was granted while it said so.
+                slot.lease.take_if(|l| draining && l.worker == worker);
+            }
             if job.timing.is_some_and(|(w, _)| w == worker) {
                 job.timing = None;
             }

@@ -158,6 +158,7 @@ async fn session(
     })
     .await;
     tracing::info!("worker {} has gone", hello.name);
+    // What a draining worker left goes to another at the next tick of the clock.
     c.changed();
 }
 

@@ -27,21 +27,26 @@ pub enum ChunkError {
     TooLarge(u64, u64),
 }
 
-/// How many chunks `length` bytes are cut into: at least one, so that a length of zero is announced too.
-pub fn count(length: usize) -> usize {
-    length.div_ceil(CHUNK_BYTES).max(1)
+/// How many chunks `bytes` are cut into: at least one, so that a length of zero is announced too.
+pub fn count(bytes: &[u8]) -> usize {
+    bytes.len().div_ceil(CHUNK_BYTES).max(1)
 }
 
-/// Chunk `i` of `bytes`, on its own, so that a stream holds one copied chunk at a time; empty beyond the last.
-pub fn chunk(bytes: &[u8], i: usize) -> Chunk {
+/// Chunk `i` of [`count`]; beyond the end an empty one.
+pub fn piece(bytes: &[u8], i: usize) -> Chunk {
     let start = i.saturating_mul(CHUNK_BYTES).min(bytes.len());
-    let data = &bytes[start..bytes.len().min(start + CHUNK_BYTES)];
+    let data = &bytes[start..start.saturating_add(CHUNK_BYTES).min(bytes.len())];
     Chunk {
         data: data.to_vec(),
         crc32c: crc32c::crc32c(data),
         offset: start as u64,
         total: if i == 0 { bytes.len() as u64 } else { 0 },
     }
+}
+
+/// Cuts `bytes` into chunks.
+pub fn cut(bytes: &[u8]) -> impl Iterator<Item = Chunk> + '_ {
+    (0..count(bytes)).map(|i| piece(bytes, i))
 }
 
 /// Puts chunks together again, checking each.
@@ -110,7 +115,8 @@ mod tests {
         for n in [0, 1, CHUNK_BYTES, CHUNK_BYTES * 2 + 5] {
             let bytes: Vec<u8> = (0..n).map(|i| (i * 7) as u8).collect();
             let mut a = Assembler::new(1 << 30);
-            (0..count(n)).for_each(|i| a.push(&chunk(&bytes, i)).unwrap());
+            cut(&bytes).for_each(|c| a.push(&c).unwrap());
+            assert_eq!(cut(&bytes).count(), count(&bytes));
             assert_eq!(a.finish().unwrap(), bytes);
         }
     }
@@ -118,7 +124,7 @@ mod tests {
     #[test]
     fn damage_loss_and_excess_are_refused() {
         let bytes = vec![3u8; CHUNK_BYTES + 9];
-        let chunks: Vec<_> = (0..count(bytes.len())).map(|i| chunk(&bytes, i)).collect();
+        let chunks: Vec<_> = cut(&bytes).collect();
         let mut a = Assembler::new(1 << 30);
         assert_eq!(a.push(&chunks[1]), Err(ChunkError::Order(CHUNK_BYTES as u64)));
         let mut a = Assembler::new(1 << 30);

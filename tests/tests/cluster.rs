@@ -256,3 +256,20 @@ fn a_data_folder_has_one_coordinator() {
     let taken = sandbox.run(&format!("coordinator --listen {} --data-dir other", coordinator.address()));
     taken.code(2).says("another coordinator");
 }
+
+#[test]
+fn a_damaged_scene_is_uploaded_again() {
+    let sandbox = sandbox();
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let first = coordinator.submit(JOB);
+    let digest = coordinator.json(&format!("show {first}"))["scene"].as_str().unwrap().to_owned();
+    let blob = format!("data/blobs/{}/{}/{digest}", &digest[..2], &digest[2..4]);
+    let mut bytes = sandbox.read(&blob);
+    bytes[100] ^= 1;
+    sandbox.write(&blob, bytes);
+    // Whoever submits the scene next mends it, and the job that waits for it is served.
+    assert_eq!(coordinator.submit(JOB), first);
+    let _worker = coordinator.worker();
+    assert_same(&coordinator.finish(first), alone(), "after the scene was damaged");
+    assert!(coordinator.process.err().contains("is damaged"), "{}", coordinator.process.err());
+}

@@ -240,12 +240,12 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     send(Said::Hello(v1::Hello { name: "liar".to_owned(), profiles, ..Default::default() })).await;
     let said = tokio_stream::wrappers::ReceiverStream::new(said);
     let mut heard = workers.work(said).await.unwrap().into_inner();
-    let mut leases = Vec::new();
+    let mut leases = 0;
     let grant = loop {
         match heard.next().await.unwrap().unwrap().message.unwrap() {
             Heard::Welcome(_) => send(Said::Want(v1::Want { tiles: 1 })).await,
             Heard::Grant(grant) => {
-                leases.push(grant.lease.unwrap());
+                leases += 1;
                 if !grant.packs.is_empty() {
                     break grant;
                 }
@@ -299,12 +299,12 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     }
     assert!(coordinator.process.err().contains("TWO RESULTS"), "{}", coordinator.process.err());
 
-    // Its leases go back, and an honest worker finishes.
-    for lease in leases {
-        let reason = "not meant seriously".to_owned();
-        send(Said::Failed(v1::TileFailed { lease: Some(lease), reason, infrastructure: true })).await;
-    }
+    // It leaves for good, so its tiles are free at once, and an honest worker finishes.
+    assert_eq!(coordinator.count(job, "tiles_running"), leases);
     send(Said::Draining(v1::Draining {})).await;
+    drop(say);
+    while heard.next().await.is_some() {}
+    assert_eq!(coordinator.count(job, "tiles_running"), 0);
     let _honest = coordinator.worker();
     assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "after a conflict");
     assert_eq!(coordinator.count(job, "tiles_set_aside"), 0);
@@ -572,4 +572,61 @@ fn bent(message: &[u8], bends: &[Bend]) -> Vec<u8> {
     let mut bytes = message.to_vec();
     bends.iter().for_each(|bend| bend.apply(&mut bytes));
     bytes
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_tile_that_fails_everywhere_is_set_aside_and_can_be_retried() {
+    use v1::coordinator_message::Message as Heard;
+    use v1::worker_message::Message as Said;
+    let sandbox = Sandbox::new();
+    sandbox.ok(SCENE);
+    let alone = sandbox.json(&format!("bake {JOB} -o alone.pvs --data-dir alone"));
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let job = coordinator.submit(JOB);
+    let channel = connect(&coordinator).await;
+    // Three workers get the first tile one after the other, and none can do it.
+    for name in ["one", "two", "three"] {
+        let (say, said) = tokio::sync::mpsc::channel(16);
+        let send = async |message| say.send(v1::WorkerMessage { message: Some(message) }).await.unwrap();
+        let profiles = vec![alone["info"]["profile"].as_str().unwrap().to_owned()];
+        send(Said::Hello(v1::Hello { name: name.to_owned(), profiles, ..Default::default() })).await;
+        let said = tokio_stream::wrappers::ReceiverStream::new(said);
+        let mut heard = WorkersClient::new(channel.clone()).work(said).await.unwrap().into_inner();
+        loop {
+            match heard.next().await.unwrap().unwrap().message.unwrap() {
+                Heard::Welcome(_) => send(Said::Want(v1::Want { tiles: 1 })).await,
+                Heard::Grant(grant) => {
+                    let lease = grant.lease.unwrap();
+                    assert_eq!(lease.tile, 0, "{name}");
+                    let reason = "the test says so".to_owned();
+                    let failed = v1::TileFailed { lease: Some(lease), reason, infrastructure: false };
+                    send(Said::Failed(failed)).await;
+                    break;
+                }
+                other => panic!("{other:?}"),
+            }
+        }
+        send(Said::Draining(v1::Draining {})).await;
+        drop(say);
+        // Its end of the stream is the sign that all of it was heard.
+        while heard.next().await.is_some() {}
+    }
+    let aside = coordinator.json(&format!("show {job}"))["tiles_set_aside"].as_u64().unwrap();
+    assert!(aside > 0);
+    let _worker = coordinator.worker();
+    let lacking = coordinator.finish(job);
+    sandbox.write("lacking.pvs", &lacking);
+    let info = sandbox.json("info lacking.pvs");
+    // Only tiles with cells are left in a result; the job counts those that gave samples, too.
+    assert!((1..=aside).contains(&info["info"]["tiles_set_aside"].as_u64().unwrap()), "{info}");
+    let dump = sandbox.dump("lacking.pvs");
+    let all: Vec<u64> = (0..dump.header["triangles"].as_u64().unwrap()).collect();
+    let everything = dump.cells.iter().filter(|cell| cell.visible == all && cell.undecided == all).count();
+    assert!(everything > 0, "cells that failed show everything, undecided");
+    assert_eq!(info["cells_set_aside"], everything);
+
+    // Another try gives what was wanted in the first place.
+    assert_ne!(coordinator.json(&format!("retry {job}"))["state"], "done");
+    assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "after another try");
+    assert_eq!(coordinator.count(job, "tiles_set_aside"), 0);
 }

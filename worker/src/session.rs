@@ -22,6 +22,9 @@ const RENEW: Duration = Duration::from_secs(1);
 /// First and longest wait before connecting again.
 const RECONNECT: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(5)];
 
+/// How long a tile that the machine or the network kept from being done is held back.
+const AFTER_FAILURE: Duration = Duration::from_secs(1);
+
 type LeaseKey = (u64, u32, u64, u64);
 
 fn key(l: &v1::Lease) -> LeaseKey {
@@ -196,6 +199,10 @@ impl Worker {
                 let (shop, report) = (Arc::clone(&self.shop), self.finished.0.clone());
                 tokio::spawn(async move {
                     let result = shop.work(grant, held).await;
+                    if matches!(result, Err(Failure::Infrastructure(_))) {
+                        // The tile is given out again at once; what ails the machine may take a while to pass.
+                        tokio::time::sleep(AFTER_FAILURE).await;
+                    }
                     // The session may have ended; then nobody is left to tell.
                     let _ = report.send(Finished::Tile(lease, result));
                 });

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use futures::StreamExt as _;
 use sightline_job::JobSpec;
-use sightline_proto::chunks::{Assembler, cut};
+use sightline_proto::chunks::{Assembler, count, piece};
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
 use sightline_sampling::codec;
@@ -204,11 +204,8 @@ impl Shop {
             let first = v1::ResultPart { part: Some(v1::result_part::Part::Header(header.clone())) };
             let body = bytes.clone();
             // Cut lazily, so that one chunk at a time is copied.
-            let chunks =
-                (0..body.len().div_ceil(sightline_proto::chunks::CHUNK_BYTES).max(1)).map(move |i| {
-                    let chunk = cut(&body).nth(i).unwrap_or_default();
-                    v1::ResultPart { part: Some(v1::result_part::Part::Chunk(chunk)) }
-                });
+            let chunks = (0..count(&body))
+                .map(move |i| v1::ResultPart { part: Some(v1::result_part::Part::Chunk(piece(&body, i))) });
             let parts = tokio_stream::iter(std::iter::once(first).chain(chunks));
             match self.client.clone().put_result(parts).await {
                 Ok(_) => return Ok(()),

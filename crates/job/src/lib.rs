@@ -196,7 +196,7 @@ mod tests {
             },
             JobSpec { sampling: SamplingParams { error_threshold: 0.9, ..sampling.clone() }, ..s.clone() },
             JobSpec { sampling: SamplingParams { interior_threshold: 0.9, ..sampling.clone() }, ..s.clone() },
-            JobSpec { sampling: SamplingParams { min_distance: 0.5, ..sampling.clone() }, ..s.clone() },
+            JobSpec { sampling: SamplingParams { min_distance: 0.25, ..sampling.clone() }, ..s.clone() },
             JobSpec { sampling: SamplingParams { solids: false, ..sampling.clone() }, ..s.clone() },
             JobSpec { sampling: SamplingParams { superset: SupersetChoice::On, ..sampling }, ..s.clone() },
         ];
