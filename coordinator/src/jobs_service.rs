@@ -366,7 +366,18 @@ impl Coordinator {
         };
         // Under the lock, so that a job is in the scheduler before anybody can ask for it.
         let mut scheduler = self.lock();
-        let submitted = self.store.submit_job(job).map_err(of_store)?;
+        let mut submitted = self.store.submit_job(job.clone()).map_err(of_store)?;
+        if submitted.existing
+            && let Some(JobState::Done { result, .. }) =
+                self.store.job(submitted.id).map_err(of_store)?.map(|j| j.state)
+            && let Err(e) = self.blobs.read(&result)
+        {
+            // Its tile outputs are gone, so the job is begun again from nothing.
+            tracing::warn!("the result of job {} is lost ({e}); it is baked again", submitted.id);
+            self.blobs.remove(&result).map_err(|e| status::of_blob(&e))?;
+            self.store.delete_job(submitted.id).map_err(of_store)?;
+            submitted = self.store.submit_job(job).map_err(of_store)?;
+        }
         if !submitted.existing {
             let record = self
                 .store

@@ -186,7 +186,8 @@ impl Scheduler {
             ));
         }
         let slots = tiles.into_iter().map(|t| Slot::new(t.state)).collect();
-        let job = Job { record, spec, lattice, plan, slots, timing: None, timing_faults: 0, assembling: false };
+        let job =
+            Job { record, spec, lattice, plan, slots, timing: None, timing_faults: 0, assembling: false };
         self.jobs.insert(job.record.id, job);
         Ok(())
     }
@@ -412,7 +413,12 @@ impl Scheduler {
     }
 
     /// A worker has timed its backends for a job: the fastest is bound.
-    pub(crate) fn timed(&mut self, number: u64, timed: &v1::Timed, store: &dyn Store) -> Result<(), StoreError> {
+    pub(crate) fn timed(
+        &mut self,
+        number: u64,
+        timed: &v1::Timed,
+        store: &dyn Store,
+    ) -> Result<(), StoreError> {
         let (Some(job), Some(worker)) = (self.jobs.get_mut(&timed.job), self.workers.get(&number)) else {
             return Ok(());
         };
@@ -430,7 +436,7 @@ impl Scheduler {
                 return Ok(());
             }
             let reason =
-                "no backend of the worker that was asked can sample this scene; see its log".to_owned();
+                "no backend of the workers that were asked can sample this scene; see their logs".to_owned();
             use crate::store::JobPhase::{Queued, Running};
             let failed = JobState::Failed { reason };
             store.set_job_state(timed.job, &[Queued, Running], failed, crate::core::now_ms())?;

@@ -18,12 +18,7 @@ impl Coordinator {
         }
         drop(scheduler);
         let record = self.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
-        let slots: Vec<Slot> = self
-            .store
-            .tiles(id)?
-            .into_iter()
-            .map(|t| Slot::new(t.state))
-            .collect();
+        let slots: Vec<Slot> = self.store.tiles(id)?.into_iter().map(|t| Slot::new(t.state)).collect();
         // A specification of another version cannot be planned; its cells are then not known.
         let total = v1::JobSpec::decode(record.spec.as_slice())
             .ok()

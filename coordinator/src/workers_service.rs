@@ -23,8 +23,8 @@ use crate::jobs_service::{blocking, digest, stream_blob};
 use crate::scheduler::{MAX_ATTEMPTS, MAX_FAULTS, Scheduler, Slot};
 use crate::status;
 use crate::store::{
-    BlobError, CommitOutcome, Digest, JobPhase, JobRecord, JobState, MAX_IDENTIFIER_BYTES, MAX_WORKER_BYTES, TileResult, TileState,
-    TileStats,
+    BlobError, CommitOutcome, Digest, JobPhase, JobRecord, JobState, MAX_IDENTIFIER_BYTES, MAX_WORKER_BYTES,
+    TileResult, TileState, TileStats,
 };
 
 /// Different workers a tile must fail on before it is set aside.
@@ -125,9 +125,14 @@ async fn session(
     out: Messages,
 ) {
     use v1::coordinator_message::Message;
-    let (number, kept) = c.lock().join(&hello, out.clone());
-    let welcome =
-        v1::Welcome { epoch: c.lock().epoch(), lease_millis: c.config.lease.as_millis() as u32, kept };
+    let (sender, joining) = (out.clone(), hello.clone());
+    let joined = blocking(&c, move |c| {
+        let mut scheduler = c.lock();
+        Ok((scheduler.join(&joining, sender), scheduler.epoch()))
+    });
+    // Fails only when the coordinator is going down.
+    let Ok(((number, kept), epoch)) = joined.await else { return };
+    let welcome = v1::Welcome { epoch, lease_millis: c.config.lease.as_millis() as u32, kept };
     tracing::info!("worker {} has come, with {}", hello.name, hello.profiles.join(", "));
     let welcome = v1::CoordinatorMessage { message: Some(Message::Welcome(welcome)) };
     if out.send(Ok(welcome)).await.is_ok() {
@@ -259,7 +264,9 @@ impl Coordinator {
         let cells = match (&output, kind) {
             (TileOutput::Cells(sets), TileKind::Leaf) => {
                 if expected.is_some_and(|nodes| nodes != sets.nodes) {
-                    return Err(Status::invalid_argument("the output's cells are not those of the tile's grid"));
+                    return Err(Status::invalid_argument(
+                        "the output's cells are not those of the tile's grid",
+                    ));
                 }
                 sets.cells.len() as u64
             }

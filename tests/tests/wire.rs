@@ -159,6 +159,7 @@ async fn requests_are_refused_with_the_right_code() {
         v1::worker_message::Message::Hello(v1::Hello {
             name: name.to_owned(),
             profiles: profiles.iter().map(|p| (*p).to_owned()).collect(),
+            algorithm: sightline_job::ALGORITHM_VERSION,
             ..Default::default()
         })
     };
@@ -237,7 +238,13 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     let (say, said) = tokio::sync::mpsc::channel(16);
     let send = async |message| say.send(v1::WorkerMessage { message: Some(message) }).await.unwrap();
     let profiles = vec![shown["profile"].as_str().unwrap().to_owned()];
-    send(Said::Hello(v1::Hello { name: "liar".to_owned(), profiles, ..Default::default() })).await;
+    send(Said::Hello(v1::Hello {
+        name: "liar".to_owned(),
+        profiles,
+        algorithm: sightline_job::ALGORITHM_VERSION,
+        ..Default::default()
+    }))
+    .await;
     let said = tokio_stream::wrappers::ReceiverStream::new(said);
     let mut heard = workers.work(said).await.unwrap().into_inner();
     let mut leases = 0;
@@ -398,6 +405,7 @@ fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
         profiles: vec!["cpu/none".to_owned()],
         held: vec![held; 3],
         version: "0".to_owned(),
+        algorithm: sightline_job::ALGORITHM_VERSION,
     };
     let submit = v1::SubmitRequest {
         request_id: "fuzz".to_owned(),
@@ -589,7 +597,13 @@ async fn a_tile_that_fails_everywhere_is_set_aside_and_can_be_retried() {
         let (say, said) = tokio::sync::mpsc::channel(16);
         let send = async |message| say.send(v1::WorkerMessage { message: Some(message) }).await.unwrap();
         let profiles = vec![alone["info"]["profile"].as_str().unwrap().to_owned()];
-        send(Said::Hello(v1::Hello { name: name.to_owned(), profiles, ..Default::default() })).await;
+        send(Said::Hello(v1::Hello {
+            name: name.to_owned(),
+            profiles,
+            algorithm: sightline_job::ALGORITHM_VERSION,
+            ..Default::default()
+        }))
+        .await;
         let said = tokio_stream::wrappers::ReceiverStream::new(said);
         let mut heard = WorkersClient::new(channel.clone()).work(said).await.unwrap().into_inner();
         loop {

@@ -23,6 +23,8 @@ pub struct Backends {
     cpu: Result<String, String>,
     gpu: Result<String, String>,
     adapter: AdapterChoice,
+    /// Whether the gpu is a software rasteriser.
+    software: bool,
 }
 
 impl Backends {
@@ -30,9 +32,13 @@ impl Backends {
     pub fn probe(choice: Choice, adapter: AdapterChoice) -> Self {
         let not_asked = || Err("not asked for".to_owned());
         let say = |r: Result<String, BackendError>| r.map_err(|e| e.to_string());
+        let gpu = if choice == Choice::Cpu { not_asked() } else { say(gpu::probe(&adapter)) };
+        let software =
+            gpu.is_ok() && gpu::adapters().iter().any(|a| a.software && gpu.as_ref() == Ok(&a.profile));
         Self {
+            software,
+            gpu,
             cpu: if choice == Choice::Gpu { not_asked() } else { say(CpuBackend::probe()) },
-            gpu: if choice == Choice::Cpu { not_asked() } else { say(gpu::probe(&adapter)) },
             adapter,
         }
     }
@@ -40,6 +46,11 @@ impl Backends {
     /// Profiles of the backends that work, cpu first.
     pub fn profiles(&self) -> Vec<String> {
         [&self.cpu, &self.gpu].into_iter().filter_map(|r| r.as_ref().ok().cloned()).collect()
+    }
+
+    /// Whether `profile` is that of a software rasteriser.
+    pub fn is_software(&self, profile: &str) -> bool {
+        self.software && self.gpu.as_deref() == Ok(profile)
     }
 
     /// What is missing, for people: one line for each backend that was asked for and does not work.

@@ -28,8 +28,6 @@ pub struct Config {
     pub backends: Arc<Backends>,
     /// Scenes and their hierarchies, shared by the workers of one process.
     pub scenes: Arc<SceneCache>,
-    /// Threads that sample, shared by the workers of one process.
-    pub pool: Arc<rayon::ThreadPool>,
     /// How long to go on trying when the coordinator cannot be reached; `None` for ever.
     pub give_up_after: Option<Duration>,
 }

@@ -20,8 +20,8 @@ pub struct Loaded {
 }
 
 impl Loaded {
-    /// The backend with `profile` for cubes as in `spec`, made on first use. A gpu backend belongs to one `owner`
-    /// alone, because a software device keeps only one core busy.
+    /// The backend with `profile` for cubes as in `spec`, made on first use. A software gpu belongs to one `owner`
+    /// alone, because such a device keeps only one core busy.
     ///
     /// # Errors
     /// What the backend reports.
@@ -37,7 +37,7 @@ impl Loaded {
             Strata::Faces => 6,
             Strata::Quadrants => 24,
         };
-        let owner = if profile.starts_with("gpu/") { owner } else { "" };
+        let owner = if backends.is_software(profile) { owner } else { "" };
         let key = format!("{profile}|{}|{strata}|{}|{owner}", spec.resolution, spec.keep_pixels);
         let mut open = self.backends.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(backend) = open.get(&key) {
@@ -46,6 +46,14 @@ impl Loaded {
         let backend = backends.open(profile, Arc::clone(&self.prepared.scene), spec)?;
         open.insert(key, Arc::clone(&backend));
         Ok(backend)
+    }
+}
+
+impl Loaded {
+    /// Drops the backends with `profile`: the next tile that needs one opens it anew.
+    pub fn forget(&self, profile: &str) {
+        let mut open = self.backends.lock().unwrap_or_else(PoisonError::into_inner);
+        open.retain(|key, _| !key.starts_with(&format!("{profile}|")));
     }
 }
 

@@ -110,6 +110,7 @@ impl Worker {
             profiles: self.shop.config.backends.profiles(),
             held: self.held.values().map(|h| h.lease).collect(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
+            algorithm: sightline_job::ALGORITHM_VERSION,
         };
         let broken = |e: &dyn std::fmt::Display| End::Broken(e.to_string());
         if let Err(e) = send(ToCoordinator::Hello(hello)) {
@@ -163,7 +164,9 @@ impl Worker {
                         Stop::No => {}
                         Stop::Drain if !draining => {
                             draining = true;
-                            tracing::info!(worker = self.shop.config.name, "finishing {} tiles, taking no more", self.held.len());
+                            // A tile that has not begun is given back; the one that runs is finished.
+                            self.held.values().filter(|h| !h.begun()).for_each(|h| h.cancel());
+                            tracing::info!(worker = self.shop.config.name, "finishing the tile in hand, taking no more");
                             if let Err(e) = send(ToCoordinator::Draining(v1::Draining {})) {
                                 return Ok(broken(&e));
                             }
@@ -200,7 +203,7 @@ impl Worker {
                 tokio::spawn(async move {
                     let result = shop.work(grant, held).await;
                     if matches!(result, Err(Failure::Infrastructure(_))) {
-                        // The tile is given out again at once; what ails the machine may take a while to pass.
+                        // What ails the machine may take a while to pass.
                         tokio::time::sleep(AFTER_FAILURE).await;
                     }
                     // The session may have ended; then nobody is left to tell.
@@ -241,6 +244,7 @@ impl Worker {
             ToCoordinator::Failed(v1::TileFailed { lease: Some(lease), reason, infrastructure })
         };
         let mut say = match result {
+            Err(Failure::Cancelled) if draining => vec![failed("its worker is going".to_owned(), true)],
             Ok(()) | Err(Failure::Cancelled) => Vec::new(),
             Err(Failure::Infrastructure(reason)) => vec![failed(reason, true)],
             Err(Failure::Tile(reason)) => vec![failed(reason, false)],

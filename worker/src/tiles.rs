@@ -9,8 +9,9 @@ use sightline_job::JobSpec;
 use sightline_proto::chunks::{Assembler, count, piece};
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
-use sightline_sampling::codec;
 use sightline_sampling::tile::{self, JobContext, Pack, TileError, Watcher};
+use sightline_sampling::{BackendError, codec};
+use sightline_viewcells::Plan;
 use tonic::transport::Channel;
 
 use crate::Config;
@@ -30,6 +31,7 @@ pub struct Held {
     cells: AtomicU64,
     samples: AtomicU64,
     cancelled: AtomicBool,
+    begun: AtomicBool,
 }
 
 impl Held {
@@ -40,12 +42,18 @@ impl Held {
             cells: AtomicU64::new(0),
             samples: AtomicU64::new(0),
             cancelled: AtomicBool::new(false),
+            begun: AtomicBool::new(false),
         }
     }
 
     /// Tells the tile to stop.
     pub fn cancel(&self) {
         self.cancelled.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether the tile is running, and not still waiting for what it needs or its turn.
+    pub fn begun(&self) -> bool {
+        self.begun.load(Ordering::Relaxed)
     }
 
     /// How far the tile is.
@@ -101,19 +109,25 @@ impl Shop {
         let loaded = self.scene(spec.scene).await.map_err(infrastructure)?;
         let mut packs = Vec::with_capacity(grant.packs.len());
         for digest in &grant.packs {
-            packs.push(self.pack(digest).await.map_err(infrastructure)?);
+            let digest: [u8; 32] = digest
+                .as_slice()
+                .try_into()
+                .map_err(|_| Failure::Tile("a pack's digest has the wrong length".to_owned()))?;
+            let pack = self.pack(digest).await.map_err(infrastructure)?;
+            packs.push(pack.ok_or(digest));
         }
-        let _turn = self.running.acquire().await.map_err(|e| infrastructure(e.to_string()))?;
+        let turn = self.running.acquire().await.map_err(|e| infrastructure(e.to_string()))?;
         if held.cancelled() {
             return Err(Failure::Cancelled);
         }
+        held.begun.store(true, Ordering::Relaxed);
         let start = Instant::now();
         let (shop, watcher) = (Arc::clone(self), Arc::clone(&held));
         let (bytes, rendered) =
-            tokio::task::spawn_blocking(move || shop.run(&spec, &grant.profile, &loaded, &packs, &watcher))
+            tokio::task::spawn_blocking(move || shop.run(&spec, &grant.profile, &loaded, packs, &watcher))
                 .await
                 .map_err(|e| Failure::Tile(format!("sampling panicked: {e}")))??;
-        drop(_turn);
+        drop(turn);
         let header = v1::ResultHeader {
             lease: Some(held.lease),
             digest: blake3::hash(&bytes).as_bytes().to_vec(),
@@ -131,21 +145,18 @@ impl Shop {
         spec: &JobSpec,
         profile: &str,
         loaded: &Loaded,
-        packs: &[bytes::Bytes],
+        packs: Vec<Fetched>,
         held: &Held,
     ) -> Result<(Vec<u8>, u64), Failure> {
         let tile_fault = |e: &dyn std::fmt::Display| Failure::Tile(e.to_string());
         let (lattice, plan) = spec.plan().map_err(|e| tile_fault(&e))?;
         let tile = plan.tiles.get(held.lease.tile as usize);
         let tile = tile.ok_or_else(|| Failure::Tile("the plan has no such tile".to_owned()))?;
+        let owner = self.config.name.as_str();
         let backend = loaded
-            .backend(&self.config.backends, profile, spec.sampling.cube_spec(), &self.config.name)
+            .backend(&self.config.backends, profile, spec.sampling.cube_spec(), owner)
             .map_err(|e| Failure::Infrastructure(e.to_string()))?;
         let triangles = loaded.prepared.scene.len();
-        let packs = packs
-            .iter()
-            .map(|bytes| codec::decode_pack(bytes, triangles, &tile.cell).map_err(|e| tile_fault(&e)))
-            .collect::<Result<Vec<Pack>, _>>()?;
         let job = JobContext {
             scene: &loaded.prepared,
             division: spec.division,
@@ -153,13 +164,36 @@ impl Shop {
             params: &spec.sampling,
             backend: &*backend,
         };
-        let result = self.config.pool.install(|| tile::run(&job, tile, &packs, held));
-        let (output, counters) = result.map_err(|e| match e {
+        let failed = |e| match e {
             TileError::Cancelled => Failure::Cancelled,
-            TileError::Backend(e) => Failure::Tile(e.to_string()),
-        })?;
+            TileError::Backend(e) => {
+                // A device that was lost stays lost; the next tile opens it anew.
+                loaded.forget(profile);
+                Failure::Infrastructure(e.to_string())
+            }
+        };
+        let mut decoded = Vec::with_capacity(packs.len());
+        for (number, fetched) in tile.needs.iter().zip(packs) {
+            let bytes = match fetched {
+                Ok(bytes) => bytes,
+                Err(digest) => {
+                    tracing::warn!("the pack of tile {number} is not there any more and is computed again");
+                    let bytes = recompute(&job, &plan, *number, held).map_err(failed)?;
+                    if *blake3::hash(&bytes).as_bytes() != digest {
+                        return Err(Failure::Tile(format!(
+                            "the pack of tile {number} was computed again and came out different; a worker's \
+                             machine, driver or program differs from its profile"
+                        )));
+                    }
+                    self.packs.put(digest, bytes.clone());
+                    bytes
+                }
+            };
+            decoded.push(codec::decode_pack(&bytes, triangles, &tile.cell).map_err(|e| tile_fault(&e))?);
+        }
+        let (output, counters) = tile::run(&job, tile, &decoded, held).map_err(failed)?;
         tracing::debug!(tile = held.lease.tile, ?counters, "tile sampled");
-        let bytes = codec::encode(&output).map_err(|e| Failure::Infrastructure(e.to_string()))?;
+        let bytes = codec::encode(&output).map_err(|e| tile_fault(&e))?;
         Ok((bytes, counters.rendered))
     }
 
@@ -174,19 +208,23 @@ impl Shop {
         self.config.scenes.get(digest, fetch).await
     }
 
-    async fn pack(&self, digest: &[u8]) -> Result<bytes::Bytes, String> {
-        let digest: [u8; 32] = digest.try_into().map_err(|_| "a pack's digest has the wrong length")?;
+    /// A pack; `None` when the coordinator has lost it.
+    async fn pack(&self, digest: [u8; 32]) -> Result<Option<bytes::Bytes>, String> {
         if let Some(pack) = self.packs.get(&digest) {
-            return Ok(pack);
+            return Ok(Some(pack));
         }
         let request = v1::FetchPackRequest { digest: digest.to_vec() };
-        let stream = self.client.clone().fetch_pack(request).await.map_err(|s| describe(&s))?;
-        let bytes = bytes::Bytes::from(assemble(stream.into_inner()).await?);
+        let stream = match self.client.clone().fetch_pack(request).await {
+            Ok(response) => response.into_inner(),
+            Err(s) if matches!(s.code(), tonic::Code::NotFound | tonic::Code::DataLoss) => return Ok(None),
+            Err(s) => return Err(describe(&s)),
+        };
+        let bytes = bytes::Bytes::from(assemble(stream).await?);
         if *blake3::hash(&bytes).as_bytes() != digest {
-            return Err("the pack that arrived is not the one asked for".to_owned());
+            return Ok(None);
         }
         self.packs.put(digest, bytes.clone());
-        Ok(bytes)
+        Ok(Some(bytes))
     }
 
     async fn upload(
@@ -210,7 +248,9 @@ impl Shop {
             match self.client.clone().put_result(parts).await {
                 Ok(_) => return Ok(()),
                 Err(s) => match s.code() {
-                    tonic::Code::Aborted => return Err(Failure::Tile(describe(&s))),
+                    tonic::Code::Aborted | tonic::Code::InvalidArgument | tonic::Code::OutOfRange => {
+                        return Err(Failure::Tile(describe(&s)));
+                    }
                     // The job is gone or cancelled: nobody wants this tile any more.
                     tonic::Code::NotFound | tonic::Code::FailedPrecondition => {
                         return Err(Failure::Cancelled);
@@ -235,7 +275,7 @@ impl Shop {
             for profile in config.backends.profiles() {
                 let timed = loaded
                     .backend(&config.backends, &profile, spec.sampling.cube_spec(), &config.name)
-                    .and_then(|b| config.pool.install(|| sightline_sampling::auto::time(&*b, &lattice)));
+                    .and_then(|b| sightline_sampling::auto::time(&*b, &lattice));
                 match timed {
                     Ok(t) => {
                         times.push(v1::ProfileTime { profile, seconds_per_cube: t.per_cube.as_secs_f64() })
@@ -248,6 +288,27 @@ impl Shop {
         .await
         .map_err(|e| e.to_string())
     }
+}
+
+/// A pack, or the digest of one that has to be computed again.
+type Fetched = Result<bytes::Bytes, [u8; 32]>;
+
+/// The encoded output of a tile whose pack was lost, computed from nothing: its own needs are computed again too. Their
+/// number is bounded by the depth of the kd-tree, and the plan puts every tile after those it needs.
+fn recompute(job: &JobContext<'_>, plan: &Plan, number: u32, held: &Held) -> Result<bytes::Bytes, TileError> {
+    let tile = &plan.tiles[number as usize];
+    let mut packs: Vec<Pack> = Vec::with_capacity(tile.needs.len());
+    for need in &tile.needs {
+        let bytes = recompute(job, plan, *need, held)?;
+        packs.push(codec::decode_pack(&bytes, job.scene.scene.len(), &tile.cell).map_err(broken)?);
+    }
+    let (output, _) = tile::run(job, tile, &packs, held)?;
+    Ok(codec::encode(&output).map_err(broken)?.into())
+}
+
+/// What was encoded here and cannot be read here.
+fn broken(e: impl std::fmt::Display) -> TileError {
+    TileError::Backend(BackendError::Failed { profile: "this worker".to_owned(), reason: e.to_string() })
 }
 
 async fn assemble(mut stream: tonic::Streaming<v1::Chunk>) -> Result<Vec<u8>, String> {

@@ -291,6 +291,6 @@ pub struct MeasureArgs {
 }
 
 fn parse_grid(text: &str) -> Result<[u32; 2], String> {
-    let parts: Vec<u32> = text.split(['x', 'X']).map_while(|p| p.trim().parse().ok()).collect();
-    parts.try_into().map_err(|_| "give two numbers as in 8x8".to_owned())
+    let parts = text.split(['x', 'X']).map(|p| p.trim().parse()).collect::<Result<Vec<u32>, _>>();
+    parts.ok().and_then(|p| p.try_into().ok()).ok_or_else(|| "give two numbers as in 8x8".to_owned())
 }

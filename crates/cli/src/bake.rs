@@ -22,7 +22,7 @@ use crate::serve::{self, threads};
 pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     let start = Instant::now();
     let scene = sightline_scene::load(&args.scene)?;
-    let spec = args.job.spec(&scene)?;
+    let spec = args.job.spec(&args.scene, &scene)?;
     say(&format!(
         "{}: {} triangles, {} objects, read in {}",
         args.scene.display(),
@@ -81,6 +81,11 @@ async fn bake(
     client::upload(&mut client, scene).await?;
     let mut answer = submit(&mut client, args, spec).await?;
     let mut job = answer.job.take().unwrap_or_default();
+    if job.state() == v1::JobState::Done && job.tiles_set_aside > 0 {
+        say(&format!("an earlier run set {} tiles aside: trying them again", job.tiles_set_aside));
+        let request = v1::ShowRequest { job: job.id };
+        job = client.retry(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+    }
     let mut backends = None;
     if job.state() != v1::JobState::Done {
         let probed = Arc::new(Backends::probe(serve::choice(args.job.backend), Default::default()));
@@ -150,7 +155,7 @@ fn start_workers(
     if count == 0 || count > 256 {
         return Err(CliError::Usage(format!("{count} workers cannot be started; use --workers 1 to 256")));
     }
-    let pool = serve::pool(cores)?;
+    serve::use_threads(cores)?;
     let scenes = Arc::new(SceneCache::default());
     let (stop, stopped) = watch::channel(Stop::No);
     let mut set = tokio::task::JoinSet::new();
@@ -160,7 +165,6 @@ fn start_workers(
             name: format!("in-process-{i}"),
             backends: Arc::clone(backends),
             scenes: Arc::clone(&scenes),
-            pool: Arc::clone(&pool),
             give_up_after: Some(Duration::from_secs(30)),
         };
         set.spawn(sightline_worker::run(config, stopped.clone()));
@@ -225,7 +229,8 @@ fn report(args: &BakeArgs, outcome: &Outcome, took: Duration, json: bool) -> Res
         ));
         if job.tiles_set_aside > 0 {
             lines.push(format!(
-                "ATTENTION: {} tiles failed and were set aside; their cells show everything. `sightline info` marks them.",
+                "ATTENTION: {} tiles failed and were set aside; their cells show everything. Run the same \
+                 command again to try them again; the log above says why they failed.",
                 job.tiles_set_aside
             ));
         }

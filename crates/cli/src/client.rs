@@ -1,5 +1,6 @@
 //! Talking to a coordinator: connect, upload a scene, submit, follow, fetch.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::time::Duration;
 
@@ -41,8 +42,8 @@ pub async fn channel(url: &str) -> Result<Channel, CliError> {
 pub async fn upload(client: &mut JobsClient<Channel>, scene: &Scene) -> Result<(), CliError> {
     let blob = scene.to_blob();
     let whole = blake3::hash(&blob).as_bytes().to_vec();
-    let pieces: Vec<&[u8]> = blob.chunks(CHUNK_BYTES).collect();
-    let digests: Vec<Vec<u8>> = pieces.iter().map(|p| blake3::hash(p).as_bytes().to_vec()).collect();
+    let digests: Vec<Vec<u8>> =
+        blob.chunks(CHUNK_BYTES).map(|p| blake3::hash(p).as_bytes().to_vec()).collect();
     let put = v1::PutSceneRequest { chunks: digests.clone(), digest: whole };
     // A scene that is there already needs nothing but its digest.
     match client.put_scene(put.clone()).await {
@@ -50,20 +51,17 @@ pub async fn upload(client: &mut JobsClient<Channel>, scene: &Scene) -> Result<(
         Err(s) if s.code() == tonic::Code::FailedPrecondition => {}
         Err(s) => return Err(CliError::status(&s)),
     }
-    let request = v1::MissingChunksRequest { digests: digests.clone() };
+    let request = v1::MissingChunksRequest { digests };
     let missing =
         client.missing_chunks(request).await.map_err(|s| CliError::status(&s))?.into_inner().digests;
-    let chunks: Vec<v1::Chunk> = digests
-        .iter()
-        .zip(&pieces)
-        .filter(|(d, _)| missing.contains(d))
-        .map(|(_, p)| v1::Chunk {
-            data: p.to_vec(),
-            crc32c: crc32c::crc32c(p),
-            offset: 0,
-            total: p.len() as u64,
-        })
-        .collect();
+    let missing: BTreeSet<Vec<u8>> = missing.into_iter().collect();
+    // Copied one at a time, as they are sent.
+    let needed: Vec<usize> = (0..put.chunks.len()).filter(|i| missing.contains(&put.chunks[*i])).collect();
+    let chunks = needed.into_iter().map(move |i| {
+        let start = i * CHUNK_BYTES;
+        let data = blob[start..blob.len().min(start + CHUNK_BYTES)].to_vec();
+        v1::Chunk { crc32c: crc32c::crc32c(&data), offset: 0, total: data.len() as u64, data }
+    });
     client.put_chunks(tokio_stream::iter(chunks)).await.map_err(|s| CliError::status(&s))?;
     client.put_scene(put).await.map_err(|s| CliError::status(&s))?;
     Ok(())

@@ -1,5 +1,7 @@
 //! The arguments that say what is to be baked, shared by `bake` and `submit`.
 
+use std::path::Path;
+
 use clap::{Args, ValueEnum};
 use glam::Vec3;
 use sightline_job::JobSpec;
@@ -105,7 +107,7 @@ pub enum Backend {
 
 impl JobArgs {
     /// The checked specification of a bake of `scene`.
-    pub fn spec(&self, scene: &Scene) -> Result<JobSpec, CliError> {
+    pub fn spec(&self, path: &Path, scene: &Scene) -> Result<JobSpec, CliError> {
         // One value each until other methods and samplers exist.
         let (Method::Aggressive, Sampler::Cubes) = (self.method, self.sampler);
         let bounds = scene.bounds();
@@ -143,7 +145,8 @@ impl JobArgs {
         spec.sampling.check().map_err(|e| CliError::Usage(e.to_string()))?;
         spec.lattice().map_err(|e| match self.view_box {
             None if matches!(e, sightline_viewcells::DivisionError::Box { .. }) => CliError::Input(format!(
-                "the scene is flat, so its bounds are no view box; give --view-box ({e})"
+                "{}: the scene is flat, so its bounds are no view box; give --view-box ({e})",
+                path.display()
             )),
             _ => CliError::Usage(e.to_string()),
         })?;
@@ -152,14 +155,14 @@ impl JobArgs {
 }
 
 fn parse_cells(text: &str) -> Result<[u32; 3], String> {
-    let parts: Vec<u32> = text.split(['x', 'X']).map_while(|p| p.trim().parse().ok()).collect();
-    parts.try_into().map_err(|_| "give three numbers as in 8x8x8".to_owned())
+    let parts = text.split(['x', 'X']).map(|p| p.trim().parse()).collect::<Result<Vec<u32>, _>>();
+    parts.ok().and_then(|p| p.try_into().ok()).ok_or_else(|| "give three numbers as in 8x8x8".to_owned())
 }
 
 fn parse_box(text: &str) -> Result<[Vec3; 2], String> {
-    let parts: Vec<f32> = text.split(',').map_while(|p| p.trim().parse().ok()).collect();
-    match parts.as_slice() {
-        [x0, y0, z0, x1, y1, z1] => Ok([Vec3::new(*x0, *y0, *z0), Vec3::new(*x1, *y1, *z1)]),
+    let parts = text.split(',').map(|p| p.trim().parse()).collect::<Result<Vec<f32>, _>>();
+    match parts.as_deref() {
+        Ok([x0, y0, z0, x1, y1, z1]) => Ok([Vec3::new(*x0, *y0, *z0), Vec3::new(*x1, *y1, *z1)]),
         _ => Err("give six numbers as in -1,0,-1,1,2,1".to_owned()),
     }
 }

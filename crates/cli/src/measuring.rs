@@ -66,12 +66,9 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     let renderer = backend.prepare(None).map_err(CliError::internal)?;
     let options = Options { images_dir: args.images.clone(), worst: WORST };
     let progress = Progress::new();
-    let pool = serve::pool(serve::threads(None))?;
-    let report = pool.install(|| {
-        measure(&*renderer, &pvs, &views, &options, &mut |done, total| {
-            progress.count(done, total, "frames");
-        })
-    });
+    serve::use_threads(serve::threads(None))?;
+    let report =
+        measure(&*renderer, &pvs, &views, &options, &mut |done, total| progress.count(done, total, "frames"));
     progress.end();
     let mut value = serde_json::to_value(report.map_err(|e| CliError::Input(e.to_string()))?)
         .map_err(CliError::internal)?;

@@ -59,7 +59,7 @@ pub struct Progress {
     bar: Option<ProgressBar>,
     start: Instant,
     /// Where the count stood at the start: what an earlier run had done already.
-    first: Mutex<Option<u64>>,
+    first: Mutex<Option<(u64, u64)>>,
     last_line: Mutex<Option<Instant>>,
 }
 
@@ -82,7 +82,7 @@ impl Progress {
     pub fn job(&self, job: &v1::Job) {
         let ended = job.tiles_done + job.tiles_set_aside;
         let mut first = self.first.lock().unwrap_or_else(PoisonError::into_inner);
-        let at_start = *first.get_or_insert(u64::from(ended));
+        let (at_start, sampled) = *first.get_or_insert((u64::from(ended), job.samples));
         drop(first);
         let seconds = self.start.elapsed().as_secs_f64();
         let here = u64::from(ended) - at_start.min(u64::from(ended));
@@ -99,7 +99,7 @@ impl Progress {
         } else {
             "time left not known yet".to_owned()
         };
-        let rate = job.samples as f64 / seconds.max(1e-3);
+        let rate = job.samples.saturating_sub(sampled) as f64 / seconds.max(1e-3);
         let aside = match job.tiles_set_aside {
             0 => String::new(),
             n => format!(", {n} SET ASIDE"),

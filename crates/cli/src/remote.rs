@@ -59,7 +59,7 @@ pub fn health(args: &RemoteArgs) -> Result<(), CliError> {
 /// Sends a scene and a job.
 pub fn submit(args: &SubmitArgs, json: bool) -> Result<(), CliError> {
     let scene = sightline_scene::load(&args.scene)?;
-    let spec = args.job.spec(&scene)?;
+    let spec = args.job.spec(&args.scene, &scene)?;
     let file_name = || args.scene.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let name = args.name.clone().unwrap_or_else(file_name);
     let request = v1::SubmitRequest {

@@ -39,9 +39,9 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
         name: args.name.clone().unwrap_or_else(default_name),
         backends,
         scenes: Arc::new(SceneCache::default()),
-        pool: pool(threads(args.threads))?,
         give_up_after: args.give_up_after.map(Duration::from_secs),
     };
+    use_threads(threads(args.threads))?;
     let runtime = runtime()?;
     let ended = runtime.block_on(async {
         let (stop, stopped) = watch::channel(Stop::No);
@@ -106,9 +106,10 @@ pub fn threads(asked: Option<usize>) -> usize {
     asked.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from)).clamp(1, 1024)
 }
 
-/// The pool samples are spread over.
-pub fn pool(threads: usize) -> Result<Arc<rayon::ThreadPool>, CliError> {
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build().map(Arc::new).map_err(CliError::internal)
+/// Sets how many threads cubes are spread over, for the whole process. Tiles themselves run on threads of their own, so
+/// that one never waits inside another.
+pub fn use_threads(threads: usize) -> Result<(), CliError> {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().map_err(CliError::internal)
 }
 
 /// The async runtime; its few threads only move bytes.

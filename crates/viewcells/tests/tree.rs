@@ -112,7 +112,8 @@ fn neighbours_agree_on_positions_to_the_bit() {
 fn nonsense_is_refused_by_name() {
     let box_error = Division::Grid([1; 3]).lattice(Vec3::ZERO, Vec3::new(1.0, 0.0, 1.0)).unwrap_err();
     assert!(matches!(box_error, DivisionError::Box { axis: 1, .. }));
-    let far = Division::Grid([4096, 1, 1]).lattice(Vec3::splat(500_000.0), Vec3::splat(500_100.0)).unwrap_err();
+    let far =
+        Division::Grid([4096, 1, 1]).lattice(Vec3::splat(500_000.0), Vec3::splat(500_100.0)).unwrap_err();
     assert!(matches!(far, DivisionError::TooFine { axis: 0, cells: 4096 }));
     assert!(Division::Grid([0, 1, 1]).lattice(Vec3::ZERO, Vec3::ONE).is_err());
     assert!(Division::Grid([32768, 32768, 1]).lattice(Vec3::ZERO, Vec3::ONE).is_err());

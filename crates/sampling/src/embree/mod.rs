@@ -1,7 +1,7 @@
 //! The cpu backend: visibility cubes traced with Embree in coherent packets of sixteen rays (4 × 4 pixels).
 //!
-//! Bit-identical on every run: the hierarchy is built on one thread, the instruction set is pinned, and each
-//! pixel is traced on its own. Samples are spread over the threads of the current rayon pool.
+//! Bit-identical on every run: the hierarchy is built on one thread, the instruction set is pinned, and the
+//! packets are always the same sixteen pixels. Samples are spread over the threads of the current rayon pool.
 
 mod library;
 
@@ -71,7 +71,21 @@ impl CpuBackend {
 }
 
 fn profile(device: &Device) -> String {
-    format!("cpu/embree-{}/{}", device.version(), instruction_set())
+    format!("cpu/embree-{}/{}/{}", device.version(), instruction_set(), vendor())
+}
+
+/// The processor's maker: Embree's reciprocals start from an approximation in hardware that makers do differently.
+fn vendor() -> String {
+    #[cfg(target_arch = "x86_64")]
+    {
+        let id = std::arch::x86_64::__cpuid(0);
+        let bytes: Vec<u8> = [id.ebx, id.edx, id.ecx].iter().flat_map(|r| r.to_le_bytes()).collect();
+        String::from_utf8_lossy(&bytes).chars().filter(char::is_ascii_alphanumeric).collect()
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    {
+        "any".to_owned()
+    }
 }
 
 /// The instruction set Embree will choose under `max_isa=avx2`.

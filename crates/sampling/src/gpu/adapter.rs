@@ -64,8 +64,13 @@ fn summary(info: &wgpu::AdapterInfo) -> AdapterSummary {
 
 /// Printable ASCII without the profile's separator; never empty.
 fn sanitised(text: &str) -> String {
-    let plain: String =
-        text.trim().chars().map(|c| if matches!(c, ' '..='~') && c != '/' { c } else { '_' }).collect();
+    let plain: String = text
+        .trim()
+        .chars()
+        .map(|c| if matches!(c, ' '..='~') && !matches!(c, '/' | '"' | '\\') { c } else { '_' })
+        .collect();
+    // Short enough for a profile of three such fields.
+    let plain: String = plain.chars().take(40).collect();
     if plain.is_empty() { "unknown".to_owned() } else { plain }
 }
 
