@@ -86,6 +86,9 @@ phase 'format' bounded 60 cargo fmt --all --check
 phase 'clippy' bounded 1200 cargo clippy --locked --workspace --all-targets -- -D warnings
 phase 'dependencies: licences, bans, sources, advisories' dependencies
 phase 'build' bounded 1800 bash -c 'cargo build --locked --workspace && cargo test --locked --workspace --no-run'
+# The integration tests run this program; without it they would build one of their own.
+export SIGHTLINE_BIN=${CARGO_TARGET_DIR:-$PWD/target}/debug/sightline
+
 phase 'unit and property tests' bounded 900 cargo test --locked --workspace --lib --bins
 phase 'documentation tests' bounded 600 cargo test --locked --workspace --doc
 phase 'integration tests' bounded 1200 cargo test --locked --workspace --test '*' -- --skip containers_

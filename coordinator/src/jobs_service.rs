@@ -203,11 +203,10 @@ impl v1::jobs_server::Jobs for JobsService {
             // Under the scheduler's lock, so that the job does not end in between.
             let mut scheduler = c.lock();
             let job = || c.store.job(id).and_then(|r| r.ok_or(StoreError::UnknownJob { job: id }));
-            let phase = job().map_err(of_store)?.state.phase();
-            if !phase.ended() {
-                return Err(Status::failed_precondition(format!(
-                    "job {id} is {phase:?} and needs no retry; cancel it first to begin its failed tiles again"
-                )));
+            if !job().map_err(of_store)?.state.phase().ended() {
+                // It is at work; asking twice is no mistake.
+                drop(scheduler);
+                return c.summary(id).map_err(of_store);
             }
             c.store.reopen_tiles(id).map_err(of_store)?;
             let record = job().map_err(of_store)?;

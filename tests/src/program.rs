@@ -31,8 +31,9 @@ fn build() -> PathBuf {
     cargo
         .args([
             "build",
-            "-p",
-            "sightline",
+            // The whole workspace: for one package cargo would unify features anew and build its dependencies again.
+            "--workspace",
+            "--bins",
             "--profile",
             profile,
             "--message-format",
