@@ -582,24 +582,17 @@ fn bent(message: &[u8], bends: &[Bend]) -> Vec<u8> {
     bytes
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_tile_that_fails_everywhere_is_set_aside_and_can_be_retried() {
+/// Three workers get the same tile one after the other, and none can do it; gives its number.
+async fn fail_everywhere(channel: &Channel, profile: &str) -> u32 {
     use v1::coordinator_message::Message as Heard;
     use v1::worker_message::Message as Said;
-    let sandbox = Sandbox::new();
-    sandbox.ok(SCENE);
-    let alone = sandbox.json(&format!("bake {JOB} -o alone.pvs --data-dir alone"));
-    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
-    let job = coordinator.submit(JOB);
-    let channel = connect(&coordinator).await;
-    // Three workers get the first tile one after the other, and none can do it.
+    let mut tiles = Vec::new();
     for name in ["one", "two", "three"] {
         let (say, said) = tokio::sync::mpsc::channel(16);
         let send = async |message| say.send(v1::WorkerMessage { message: Some(message) }).await.unwrap();
-        let profiles = vec![alone["info"]["profile"].as_str().unwrap().to_owned()];
         send(Said::Hello(v1::Hello {
             name: name.to_owned(),
-            profiles,
+            profiles: vec![profile.to_owned()],
             algorithm: sightline_job::ALGORITHM_VERSION,
             ..Default::default()
         }))
@@ -611,7 +604,7 @@ async fn a_tile_that_fails_everywhere_is_set_aside_and_can_be_retried() {
                 Heard::Welcome(_) => send(Said::Want(v1::Want { tiles: 1 })).await,
                 Heard::Grant(grant) => {
                     let lease = grant.lease.unwrap();
-                    assert_eq!(lease.tile, 0, "{name}");
+                    tiles.push(lease.tile);
                     let reason = "the test says so".to_owned();
                     let failed = v1::TileFailed { lease: Some(lease), reason, infrastructure: false };
                     send(Said::Failed(failed)).await;
@@ -625,6 +618,25 @@ async fn a_tile_that_fails_everywhere_is_set_aside_and_can_be_retried() {
         // Its end of the stream is the sign that all of it was heard.
         while heard.next().await.is_some() {}
     }
+    assert!(tiles.iter().all(|t| *t == tiles[0]), "{tiles:?}");
+    tiles[0]
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_tile_that_fails_everywhere_is_set_aside_and_can_be_retried() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(SCENE);
+    let alone = sandbox.json(&format!("bake {JOB} -o alone.pvs --data-dir alone"));
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let job = coordinator.submit(JOB);
+    let channel = connect(&coordinator).await;
+    // A real worker does the first dozen tiles: the faces, the uppermost separators and more.
+    let worker = coordinator.worker();
+    coordinator.until(job, "a dozen tiles", |j| j["tiles_done"].as_u64() >= Some(12));
+    worker.signal("TERM");
+    worker.end().code(0);
+    let tile = fail_everywhere(&channel, alone["info"]["profile"].as_str().unwrap()).await;
+    assert!(tile > 6, "neither a face nor the root: {tile}");
     let aside = coordinator.json(&format!("show {job}"))["tiles_set_aside"].as_u64().unwrap();
     assert!(aside > 0);
     let _worker = coordinator.worker();
@@ -643,4 +655,20 @@ async fn a_tile_that_fails_everywhere_is_set_aside_and_can_be_retried() {
     assert_ne!(coordinator.json(&format!("retry {job}"))["state"], "done");
     assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "after another try");
     assert_eq!(coordinator.count(job, "tiles_set_aside"), 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_of_which_nothing_is_left_fails_and_can_be_retried() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(SCENE);
+    let alone = sandbox.json(&format!("bake {JOB} -o alone.pvs --data-dir alone"));
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let job = coordinator.submit(JOB);
+    let channel = connect(&coordinator).await;
+    // Without the first face the root cannot be split, and nothing below it.
+    assert_eq!(fail_everywhere(&channel, alone["info"]["profile"].as_str().unwrap()).await, 0);
+    let _worker = coordinator.worker();
+    coordinator.until(job, "the end", |j| j["state"] == "failed");
+    assert_ne!(coordinator.json(&format!("retry {job}"))["state"], "failed");
+    assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "after another try");
 }
