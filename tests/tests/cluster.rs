@@ -273,3 +273,35 @@ fn a_damaged_scene_is_uploaded_again() {
     assert_same(&coordinator.finish(first), alone(), "after the scene was damaged");
     assert!(coordinator.process.err().contains("is damaged"), "{}", coordinator.process.err());
 }
+
+/// Removes all packs from a coordinator's blobs; gives how many there were.
+fn lose_packs(folder: &std::path::Path) -> usize {
+    let mut lost = 0;
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            lost += lose_packs(&path);
+        } else if zstd::stream::decode_all(std::fs::File::open(&path).unwrap())
+            .is_ok_and(|raw| raw[0] == b'P')
+        {
+            std::fs::remove_file(&path).unwrap();
+            lost += 1;
+        }
+    }
+    lost
+}
+
+#[test]
+fn lost_packs_are_computed_again() {
+    let sandbox = sandbox();
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let job = coordinator.submit(JOB);
+    let worker = coordinator.worker();
+    coordinator.until(job, "the faces and some separators", |j| number(j, "tiles_done") >= 8);
+    worker.signal("TERM");
+    worker.end().code(0);
+    assert!(lose_packs(&sandbox.path("data/blobs")) >= 7);
+    let heir = coordinator.worker();
+    assert_same(&coordinator.finish(job), alone(), "after the packs were lost");
+    heir.kill();
+}
