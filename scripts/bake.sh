@@ -48,6 +48,8 @@ sightline=${CARGO_TARGET_DIR:-target}/release/sightline
 mkdir -p out
 if [ -z "$scene" ]; then
   scene=out/town.glb
+  # The town is wide and low, and this is a first look: a minute, not five.
+  [ ${#flags[@]} -gt 0 ] || flags=(--cells 8x4x2)
   if [ ! -f "$scene" ]; then
     say 'generating a town'
     "$sightline" generate town --triangles 20000 --seed 1 -o "$scene"
