@@ -68,8 +68,9 @@ fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
     client(&["health"]);
 
     let started = Instant::now();
-    let job =
-        client(&["submit", scene.to_str().unwrap(), "--cells", &cells, "--name", "town"]).trim().to_owned();
+    let mut submit = vec!["submit", scene.to_str().unwrap(), "--name", "town"];
+    submit.extend(job_flags);
+    let job = client(&submit).trim().to_owned();
     assert!(!job.is_empty(), "submit prints the id of the job");
     let first_workers = compose.workers();
     assert_eq!(first_workers.len(), 2, "two workers are up");
