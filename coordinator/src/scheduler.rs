@@ -448,7 +448,7 @@ impl Scheduler {
             .map(|t| format!("{} {:.2} ms a cube", t.profile, t.seconds_per_cube * 1e3))
             .collect();
         tracing::info!(
-            "job {}: {}; chosen: {} (the gpu must be {CLEARLY} times as fast as the cpu)",
+            "job {}: {}; chosen: {} (a gpu must be {CLEARLY} times as fast as the cpu, and no software)",
             timed.job,
             each.join(", "),
             fastest.profile
@@ -462,11 +462,15 @@ impl Scheduler {
 /// one bake give the same bytes only on the same profile, so noise in the timing must not decide between two that
 /// are nearly as fast.
 fn fastest(times: &[v1::ProfileTime]) -> Option<&v1::ProfileTime> {
-    let cost =
-        |t: &v1::ProfileTime| t.seconds_per_cube * if t.profile.starts_with("cpu/") { 1.0 } else { CLEARLY };
+    // A rasteriser in software competes with the cpu backend for the same cores: only where that one is missing.
+    let software =
+        |t: &v1::ProfileTime| ["llvmpipe", "lavapipe", "SwiftShader"].iter().any(|s| t.profile.contains(s));
+    let is_cpu = |t: &v1::ProfileTime| t.profile.starts_with("cpu/");
+    let cpu = times.iter().any(|t| is_cpu(t) && t.seconds_per_cube.is_finite());
+    let cost = |t: &v1::ProfileTime| t.seconds_per_cube * if is_cpu(t) { 1.0 } else { CLEARLY };
     times
         .iter()
-        .filter(|t| t.seconds_per_cube.is_finite() && t.seconds_per_cube >= 0.0)
+        .filter(|t| t.seconds_per_cube.is_finite() && t.seconds_per_cube >= 0.0 && !(cpu && software(t)))
         .min_by(|a, b| cost(a).total_cmp(&cost(b)))
 }
 
@@ -520,6 +524,9 @@ mod tests {
         assert_eq!(chosen(&[time("cpu/a", 1.0), time("gpu/b", 0.4)]).as_deref(), Some("gpu/b"));
         assert_eq!(chosen(&[time("gpu/b", 9.0)]).as_deref(), Some("gpu/b"));
         assert_eq!(chosen(&[time("cpu/a", f64::NAN), time("gpu/b", 9.0)]).as_deref(), Some("gpu/b"));
+        let lavapipe = "gpu/wgpu-30/vulkan/llvmpipe (LLVM 15.0.6, 256 bits)";
+        assert_eq!(chosen(&[time("cpu/a", 1.0), time(lavapipe, 0.1)]).as_deref(), Some("cpu/a"));
+        assert_eq!(chosen(&[time(lavapipe, 0.1)]).as_deref(), Some(lavapipe));
         assert_eq!(chosen(&[]), None);
     }
 }
