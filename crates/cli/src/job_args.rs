@@ -17,7 +17,7 @@ pub struct JobArgs {
     /// How visibility is found: aggressive sampling, which sees nothing that is not visible and may miss little.
     #[arg(long, value_enum, default_value_t = Method::Aggressive)]
     method: Method,
-    /// A regular grid of view cells, such as 8x8x8.
+    /// A regular grid of view cells. Default, without a triangle budget: 8x8x8.
     #[arg(long, value_name = "NXxNYxNZ", value_parser = parse_cells, conflicts_with = "triangle_budget")]
     cells: Option<[u32; 3]>,
     /// Adaptive cells instead of a grid: halve a cell while more triangles than this are visible from it.

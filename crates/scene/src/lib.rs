@@ -1,9 +1,8 @@
-//! Triangle scenes: loading, checking, numbering, digesting, clustering and generating them.
+//! Triangle scenes: loading, checking, numbering, digesting and generating them.
 //!
 //! A [`Scene`] is a list of triangles in world space whose position in the list is their id, and the objects
 //! they belong to. This crate knows nothing of view cells, sampling or the network.
 
-pub mod clusters;
 pub mod error;
 pub mod exact;
 #[doc(hidden)]
