@@ -68,13 +68,10 @@ impl Pvs {
             // An empty file cannot be mapped on every system.
             return Err(PvsError::NotPvs);
         }
+        #[allow(unsafe_code, reason = "mapping a file is unsafe")]
         // SAFETY: the map is read-only and used as bytes only, for which any contents are valid. What remains is
         // that another process changes or truncates the file meanwhile; this is documented as forbidden above,
         // and nothing decoded is ever trusted as a length or an index without a check.
-        #[allow(
-            unsafe_code,
-            reason = "mapping a file is unsafe; the comment above says what makes it sound here"
-        )]
         let map = unsafe { memmap2::Mmap::map(&file) }.map_err(failed)?;
         Self::check(Bytes::Mapped(map))
     }
