@@ -13,6 +13,7 @@
 use std::io::Write;
 
 use crate::codec;
+use crate::columns::{self, Column};
 use crate::error::PvsError;
 use crate::layout::{self, Section};
 use crate::runs;
@@ -43,6 +44,8 @@ pub struct Stats {
     pub visible_bytes: u64,
     /// Bytes of the undecided sets with their offsets; 0 when nothing is undecided.
     pub undecided_bytes: u64,
+    /// Bytes of the columns; 0 when there are none.
+    pub column_bytes: u64,
     /// Sum of the sizes of the visible sets.
     pub visible_ids: u64,
     /// Sum of the sizes of the undecided sets.
@@ -55,6 +58,8 @@ pub struct Builder {
     flags: Vec<u32>,
     visible: Hierarchy,
     undecided: Hierarchy,
+    /// Coded; no bytes when there are none.
+    columns: Vec<u8>,
 }
 
 impl Builder {
@@ -80,6 +85,7 @@ impl Builder {
             flags: Vec::new(),
             visible: Hierarchy::new(nodes),
             undecided: Hierarchy::new(nodes),
+            columns: Vec::new(),
         })
     }
 
@@ -123,6 +129,18 @@ impl Builder {
         Ok(())
     }
 
+    /// Says what the baker counted in each cell, at any time before [`Self::finish`]. The columns are kept in
+    /// this order and replace those of an earlier call; without any the file has no section for them.
+    ///
+    /// # Errors
+    /// [`PvsError::Column`] for a name that is empty, longer than 64 bytes or twice there, and when a column
+    /// does not have one value for each cell of the tree; [`PvsError::TooLarge`] for data beyond 32 bits of
+    /// length. The columns of an earlier call stay then.
+    pub fn set_columns(&mut self, columns: Vec<Column>) -> Result<(), PvsError> {
+        self.columns = columns::encode(&columns, self.header.tree.cells())?;
+        Ok(())
+    }
+
     /// Writes the file.
     ///
     /// # Errors
@@ -138,7 +156,7 @@ impl Builder {
         let visible = self.visible.section(&tree, triangles)?;
         let undecided =
             if self.undecided.ids == 0 { Vec::new() } else { self.undecided.section(&tree, triangles)? };
-        let sections: [&[u8]; 7] = [
+        let all: [&[u8]; Section::ALL.len()] = [
             info_json.as_bytes(),
             method.as_bytes(),
             &tree_bytes,
@@ -146,7 +164,10 @@ impl Builder {
             &flag_bytes,
             &visible,
             &undecided,
+            &self.columns,
         ];
+        // Without columns the file ends before their section, as it did when there were none.
+        let sections = if self.columns.is_empty() { &all[..Section::Columns as usize] } else { &all[..] };
         let header = layout::header(triangles, tree.cells(), tree.nodes().len() as u32, sections);
         out.write_all(&header).map_err(PvsError::Write)?;
         for section in sections {
@@ -157,6 +178,7 @@ impl Builder {
             file_bytes: (header.len() + sections.iter().map(|s| s.len()).sum::<usize>()) as u64,
             visible_bytes: visible.len() as u64,
             undecided_bytes: undecided.len() as u64,
+            column_bytes: self.columns.len() as u64,
             visible_ids: self.visible.ids,
             undecided_ids: self.undecided.ids,
         })

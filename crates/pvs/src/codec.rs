@@ -91,14 +91,39 @@ fn lengths(bounds: &[u32]) -> impl Iterator<Item = (u32, bool)> + '_ {
 
 /// The order that codes the numbers in the fewest bits, the least among equals.
 fn best_order(values: impl Iterator<Item = u32>) -> u32 {
-    let mut bits = [0u64; MAX_ORDER as usize + 1];
+    // How many numbers are `length` bits long and begin with `ones` ones: the length of every code follows from the two.
+    let mut counts = [[0u64; 33]; 33];
     for v in values {
-        for (k, total) in bits.iter_mut().enumerate() {
-            let n = (u64::from(v) + (1 << k)).ilog2();
-            *total += u64::from(2 * n - k as u32 + 1);
+        let length = 32 - v.leading_zeros();
+        let ones = v.checked_shl(32 - length).unwrap_or(0).leading_ones();
+        counts[length as usize][ones as usize] += 1;
+    }
+    let bits = |k: u32| -> u64 {
+        let code = |length: u32, ones: u32| {
+            // The logarithm of v + 2ᵏ: adding carries into a new bit when all bits from k up are ones.
+            let n = if k >= length { k } else { length - u32::from(k < length - ones) };
+            u64::from(2 * n - k + 1)
+        };
+        (0..33u32).map(|l| (0..=l).map(|o| counts[l as usize][o as usize] * code(l, o)).sum::<u64>()).sum()
+    };
+    (0..=MAX_ORDER).min_by_key(|&k| bits(k)).unwrap_or(0)
+}
+
+#[cfg(test)]
+mod order_tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn the_order_is_the_best_of_all(values in proptest::collection::vec((any::<u32>(), 0u32..32).prop_map(|(v, s)| v >> s), 0..40)) {
+            let bits = |k: u32| -> u64 {
+                values.iter().map(|v| (u64::from(*v) + (1 << k)).ilog2()).map(|n| u64::from(2 * n - k + 1)).sum()
+            };
+            let best = (0..=MAX_ORDER).min_by_key(|k| bits(*k)).unwrap();
+            prop_assert_eq!(best_order(values.iter().copied()), best);
         }
     }
-    (0..=MAX_ORDER).min_by_key(|&k| bits[k as usize]).unwrap_or(0)
 }
 
 /// The codes of all the numbers, one after another.
@@ -113,7 +138,8 @@ fn code_all(values: impl Iterator<Item = u32>, k: u32) -> Vec<u8> {
     bits.finish()
 }
 
-fn varint(mut v: u64, out: &mut Vec<u8>) {
+/// Appends a number as LEB128: 7 bits a byte, the least first, the top bit set on all bytes but the last.
+pub fn varint(mut v: u64, out: &mut Vec<u8>) {
     while v >= 0x80 {
         out.push(v as u8 | 0x80);
         v >>= 7;

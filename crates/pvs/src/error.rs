@@ -87,6 +87,14 @@ pub enum PvsError {
         /// Given.
         pushed: u64,
     },
+    /// A column's name is not fit, or it does not have one value a cell.
+    #[error("the column {name:?} is not valid: {reason}")]
+    Column {
+        /// As it was given.
+        name: String,
+        /// What is wrong.
+        reason: String,
+    },
     /// A text or a count beyond what the format can hold.
     #[error("{what} is too large for a .pvs file ({value}, at most {limit})")]
     TooLarge {

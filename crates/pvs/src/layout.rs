@@ -4,14 +4,17 @@
 //! |---|---|---|
 //! | 0 | 8 | `89 50 56 53 0d 0a 1a 0a`; a transfer that touches line ends or the eighth bit breaks it visibly |
 //! | 8 | 4 | [`VERSION`] |
-//! | 12 | 4 | number of sections, 7 |
+//! | 12 | 4 | number of sections S: 7, or 8 in a file with columns |
 //! | 16 | 8 | length of the file |
 //! | 24 | 4 | triangles N |
 //! | 28 | 4 | cells M |
 //! | 32 | 4 | tree nodes, 2M − 1 |
 //! | 36 | 4 | CRC-32C of bytes 0…35 and of the section table |
-//! | 40 | 7 × 24 | for each section in the order of [`Section`]: its number (4), CRC-32C (4), offset (8), length (8) |
-//! | 208 | | the sections, one after another, without gaps |
+//! | 40 | S × 24 | for each section in the order of [`Section`]: its number (4), CRC-32C (4), offset (8), length (8) |
+//! | 40 + 24 S | | the sections, one after another, without gaps |
+//!
+//! The section of columns came later. A file without it is byte for byte what it was before, so the version
+//! is the same; a program that knows seven sections refuses a file with eight at the header's checksum.
 //!
 //! So every byte lies under exactly one checksum, and the header's covers what finds the others.
 
@@ -21,10 +24,11 @@ use crate::error::PvsError;
 pub const VERSION: u32 = 1;
 
 const MAGIC: [u8; 8] = *b"\x89PVS\r\n\x1a\n";
-const SECTIONS: usize = 7;
+/// With the columns, which a file may do without.
+const SECTIONS: usize = 8;
+const LEAST_SECTIONS: usize = Section::Columns as usize;
 const CRC_AT: usize = 36;
 const TABLE_AT: usize = 40;
-const HEADER_LEN: usize = TABLE_AT + SECTIONS * 24;
 
 /// The sections in the order of the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,12 +47,23 @@ pub enum Section {
     Visible,
     /// As [`Section::Visible`]; of length 0 when nothing is undecided in any cell.
     Undecided,
+    /// Numbers of the baker for each cell, or no section at all. Count as u32; for each column length of its
+    /// name as u32, the name in UTF-8, length of its data as u32, the data: a LEB128 number for each cell.
+    Columns,
 }
 
 impl Section {
-    /// All of them, in order.
-    pub const ALL: [Self; SECTIONS] =
-        [Self::Info, Self::Method, Self::Tree, Self::Objects, Self::Flags, Self::Visible, Self::Undecided];
+    /// All of them, in order; a file without columns has all but the last.
+    pub const ALL: [Self; SECTIONS] = [
+        Self::Info,
+        Self::Method,
+        Self::Tree,
+        Self::Objects,
+        Self::Flags,
+        Self::Visible,
+        Self::Undecided,
+        Self::Columns,
+    ];
 
     /// Its name in messages.
     pub fn name(self) -> &'static str {
@@ -60,6 +75,7 @@ impl Section {
             Self::Flags => "cell flags",
             Self::Visible => "visible sets",
             Self::Undecided => "undecided sets",
+            Self::Columns => "columns",
         }
     }
 
@@ -74,11 +90,18 @@ pub(crate) struct Layout {
     pub triangles: u32,
     pub cells: u32,
     pub nodes: u32,
+    /// How many sections the file has.
+    sections: usize,
     ranges: [std::ops::Range<usize>; SECTIONS],
 }
 
 impl Layout {
-    /// Where a section lies in the file.
+    /// Whether the file has a section.
+    pub fn has(&self, section: Section) -> bool {
+        (section as usize) < self.sections
+    }
+
+    /// Where a section lies in the file; nowhere, and of length 0, when the file does not have it.
     pub fn range(&self, section: Section) -> std::ops::Range<usize> {
         self.ranges[section as usize].clone()
     }
@@ -89,20 +112,25 @@ impl Layout {
         if !file.starts_with(&MAGIC[..MAGIC.len().min(file.len())]) || file.is_empty() {
             return Err(PvsError::NotPvs);
         }
-        let header =
-            file.get(..HEADER_LEN).ok_or(PvsError::Length { expected: HEADER_LEN as u64, actual })?;
+        let first =
+            |length: usize| file.get(..length).ok_or(PvsError::Length { expected: length as u64, actual });
+        let header = first(header_len(LEAST_SECTIONS))?;
         let found = u32_at(header, 8);
         if found != VERSION {
             return Err(PvsError::Version { found, known: VERSION });
         }
+        let sections = u32_at(header, 12) as usize;
+        let known = (LEAST_SECTIONS..=SECTIONS).contains(&sections);
+        // A number that cannot be is most likely an altered byte; the checksum says so in either case.
+        let header = first(header_len(if known { sections } else { LEAST_SECTIONS }))?;
         if crc32c::crc32c_append(crc32c::crc32c(&header[..CRC_AT]), &header[TABLE_AT..])
             != u32_at(header, CRC_AT)
         {
             return Err(PvsError::Checksum { section: "header" });
         }
         let malformed = |reason: &str| PvsError::Malformed { section: "header", reason: reason.to_owned() };
-        if u32_at(header, 12) as usize != SECTIONS {
-            return Err(malformed("it does not have seven sections"));
+        if !known {
+            return Err(malformed("it has neither seven nor eight sections"));
         }
         let expected = u64_at(header, 16);
         if expected != actual {
@@ -112,9 +140,9 @@ impl Layout {
         if cells == 0 || u64::from(nodes) != 2 * u64::from(cells) - 1 {
             return Err(malformed("a tree of M cells has 2M − 1 nodes, and M is at least 1"));
         }
-        let mut at = HEADER_LEN;
+        let mut at = header.len();
         let mut ranges = [const { 0..0 }; SECTIONS];
-        for (i, section) in Section::ALL.into_iter().enumerate() {
+        for (i, section) in Section::ALL.into_iter().take(sections).enumerate() {
             let entry = TABLE_AT + i * 24;
             if u32_at(header, entry) != section as u32 || u64_at(header, entry + 8) != at as u64 {
                 return Err(malformed("its sections are not in order, one after another"));
@@ -132,16 +160,21 @@ impl Layout {
         if at != file.len() {
             return Err(malformed("something follows its last section"));
         }
-        Ok(Self { triangles, cells, nodes, ranges })
+        Ok(Self { triangles, cells, nodes, sections, ranges })
     }
 }
 
-/// The header of a file with these sections, in the order of [`Section::ALL`].
-pub(crate) fn header(triangles: u32, cells: u32, nodes: u32, sections: [&[u8]; SECTIONS]) -> Vec<u8> {
-    let file_len = HEADER_LEN as u64 + sections.iter().map(|s| s.len() as u64).sum::<u64>();
-    let mut table = Vec::with_capacity(SECTIONS * 24);
-    let mut at = HEADER_LEN as u64;
-    for (i, bytes) in sections.into_iter().enumerate() {
+/// Length of the header and the table of so many sections.
+const fn header_len(sections: usize) -> usize {
+    TABLE_AT + sections * 24
+}
+
+/// The header of a file with these sections, in the order of [`Section::ALL`]; the last may be left out.
+pub(crate) fn header(triangles: u32, cells: u32, nodes: u32, sections: &[&[u8]]) -> Vec<u8> {
+    let file_len = header_len(sections.len()) as u64 + sections.iter().map(|s| s.len() as u64).sum::<u64>();
+    let mut table = Vec::with_capacity(sections.len() * 24);
+    let mut at = header_len(sections.len()) as u64;
+    for (i, bytes) in sections.iter().enumerate() {
         table.extend((i as u32).to_le_bytes());
         table.extend(crc32c::crc32c(bytes).to_le_bytes());
         table.extend(at.to_le_bytes());
@@ -150,7 +183,7 @@ pub(crate) fn header(triangles: u32, cells: u32, nodes: u32, sections: [&[u8]; S
     }
     let mut header = MAGIC.to_vec();
     header.extend(VERSION.to_le_bytes());
-    header.extend((SECTIONS as u32).to_le_bytes());
+    header.extend((sections.len() as u32).to_le_bytes());
     header.extend(file_len.to_le_bytes());
     for n in [triangles, cells, nodes] {
         header.extend(n.to_le_bytes());

@@ -13,7 +13,8 @@
 //! - `objects`: names and triangle ranges, tiling all triangles;
 //! - `flags`: one word a cell;
 //! - `visible`, `undecided`: for each tree node one coded set; a cell's set is the exclusive or of the sets on
-//!   its path from the root (thesis appendix B.1; [`builder`] says how the inner sets are chosen).
+//!   its path from the root (thesis appendix B.1; [`builder`] says how the inner sets are chosen);
+//! - `columns`, only where there are any: what the baker counted in each cell, under a name each.
 //!
 //! ```
 //! # use sightline_pvs::*;
@@ -36,6 +37,7 @@
 
 pub mod builder;
 mod codec;
+mod columns;
 pub mod error;
 pub mod layout;
 mod parse;
@@ -44,6 +46,7 @@ mod runs;
 pub mod tree;
 
 pub use builder::{Builder, Header, Stats};
+pub use columns::Column;
 pub use error::PvsError;
 pub use layout::VERSION;
 pub use reader::{NodeBytes, Pvs};

@@ -13,7 +13,7 @@ use crate::error::PvsError;
 use crate::layout::{Layout, Section, u32_at, u64_at};
 use crate::parse::{check_offsets, read_objects, read_tree};
 use crate::tree::CellTree;
-use crate::{Object, SET_ASIDE, codec};
+use crate::{Column, Object, SET_ASIDE, codec, columns};
 
 /// An opened result. Cheap to share between threads; looking up needs no lock.
 pub struct Pvs {
@@ -106,6 +106,9 @@ impl Pvs {
         if !part(Section::Undecided).is_empty() {
             check_offsets(Section::Undecided, part(Section::Undecided), layout.nodes)?;
         }
+        if layout.has(Section::Columns) {
+            columns::check(part(Section::Columns), layout.cells)?;
+        }
         Ok(Self { layout, tree, objects, bytes })
     }
 
@@ -173,6 +176,19 @@ impl Pvs {
     /// [`PvsError::NoCell`].
     pub fn is_set_aside(&self, cell: u32) -> Result<bool, PvsError> {
         Ok(self.flags(cell)? & SET_ASIDE != 0)
+    }
+
+    /// What the baker counted in each cell, in the order it was given to the builder; empty for a file
+    /// without. Decoded anew each time: it is for who looks at a bake, and an engine need not keep it in
+    /// memory.
+    ///
+    /// # Errors
+    /// [`PvsError::Malformed`] for a file that was changed after opening.
+    pub fn columns(&self) -> Result<Vec<Column>, PvsError> {
+        if !self.layout.has(Section::Columns) {
+            return Ok(Vec::new());
+        }
+        columns::decode(self.part(Section::Columns), self.layout.cells)
     }
 
     /// What to draw from a cell: `ids` becomes the ascending triangle ids.

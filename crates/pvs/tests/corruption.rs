@@ -3,9 +3,22 @@
 #![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;
-use sightline_pvs::{Builder, CellTree, Header, Node, Object, Pvs, PvsError};
+use sightline_pvs::{Builder, CellTree, Column, Header, Node, Object, Pvs, PvsError};
 
 fn small_file() -> Vec<u8> {
+    file_with(vec![])
+}
+
+/// The same file without columns and with two.
+fn small_files() -> [Vec<u8>; 2] {
+    let column = |name: &str, values: [u64; 3]| Column { name: name.into(), values: values.to_vec() };
+    [
+        small_file(),
+        file_with(vec![column("rays_uniform", [90, 70_000, u64::MAX]), column("bound_lines", [0, 0, 7])]),
+    ]
+}
+
+fn file_with(columns: Vec<Column>) -> Vec<u8> {
     let nodes = vec![
         Node::Split { axis: 1, at: 0.5 },
         Node::Leaf,
@@ -25,6 +38,7 @@ fn small_file() -> Vec<u8> {
     builder.push_cell(&[1, 2, 3, 50, 99], &[3], 0).unwrap();
     builder.push_cell(&[1, 2, 3, 51, 98], &[], 2).unwrap();
     builder.push_cell(&(0..100).collect::<Vec<_>>(), &[], 1).unwrap();
+    builder.set_columns(columns).unwrap();
     let mut file = Vec::new();
     builder.finish(&mut file).unwrap();
     file
@@ -32,26 +46,69 @@ fn small_file() -> Vec<u8> {
 
 #[test]
 fn every_altered_byte_is_noticed() {
-    let file = small_file();
-    assert!(Pvs::from_bytes(file.clone()).is_ok());
-    for at in 0..file.len() {
-        for flip in [0x01, 0x80, 0xff] {
-            let mut altered = file.clone();
-            altered[at] ^= flip;
-            assert!(Pvs::from_bytes(altered).is_err(), "byte {at} of {} changed by {flip:#x}", file.len());
+    for file in small_files() {
+        assert!(Pvs::from_bytes(file.clone()).is_ok());
+        for at in 0..file.len() {
+            // 7 and 8 sections differ by 0x0f.
+            for flip in [0x01, 0x0f, 0x80, 0xff] {
+                let mut altered = file.clone();
+                altered[at] ^= flip;
+                assert!(
+                    Pvs::from_bytes(altered).is_err(),
+                    "byte {at} of {} changed by {flip:#x}",
+                    file.len()
+                );
+            }
         }
     }
 }
 
 #[test]
 fn every_truncation_is_noticed() {
-    let file = small_file();
-    for keep in 0..file.len() {
-        assert!(Pvs::from_bytes(&file[..keep]).is_err(), "{keep} of {} bytes", file.len());
+    for file in small_files() {
+        for keep in 0..file.len() {
+            assert!(Pvs::from_bytes(&file[..keep]).is_err(), "{keep} of {} bytes", file.len());
+        }
+        let mut longer = file.clone();
+        longer.push(0);
+        assert!(matches!(Pvs::from_bytes(longer), Err(PvsError::Length { .. })));
     }
-    let mut longer = file.clone();
-    longer.push(0);
-    assert!(matches!(Pvs::from_bytes(longer), Err(PvsError::Length { .. })));
+}
+
+#[test]
+fn an_altered_number_of_sections_is_named() {
+    for file in small_files() {
+        for sections in (0..=9).chain([u8::MAX]).filter(|&n| n != file[12]) {
+            let mut altered = file.clone();
+            altered[12] = sections;
+            let error = Pvs::from_bytes(altered.clone()).unwrap_err();
+            assert!(matches!(error, PvsError::Checksum { section: "header" }), "{sections}: {error}");
+            seal(&mut altered);
+            let error = Pvs::from_bytes(altered).unwrap_err();
+            assert!(matches!(error, PvsError::Malformed { section: "header", .. }), "{sections}: {error}");
+        }
+    }
+    // A table that reaches beyond the end of the file.
+    let [_, file] = small_files();
+    assert!(matches!(Pvs::from_bytes(&file[..220]), Err(PvsError::Length { expected: 232, actual: 220 })));
+}
+
+/// A section of columns that is empty would be a second form of a file without.
+#[test]
+fn an_empty_section_of_columns_is_refused() {
+    let [without, with] = small_files();
+    let start = u64::from_le_bytes(with[216..224].try_into().unwrap()) as usize;
+    assert_eq!(start, without.len() + 24);
+    for columns in [&[][..], &[0; 4]] {
+        let mut file = with[..start].to_vec();
+        file.extend(columns);
+        let length = file.len() as u64;
+        file[16..24].copy_from_slice(&length.to_le_bytes());
+        file[224..232].copy_from_slice(&(columns.len() as u64).to_le_bytes());
+        seal(&mut file);
+        let error = Pvs::from_bytes(file).unwrap_err();
+        assert!(matches!(error, PvsError::Malformed { section: "columns", .. }), "{error}");
+    }
 }
 
 #[test]
@@ -65,7 +122,9 @@ fn other_files_and_versions_are_named() {
 
 /// Writes the right checksums over whatever the file now holds.
 fn seal(file: &mut [u8]) {
-    for entry in (40..208).step_by(24) {
+    // With a number of sections that cannot be, the header is checked as one of seven.
+    let table_end = if file[12..16] == [8, 0, 0, 0] { 232 } else { 208 };
+    for entry in (40..table_end).step_by(24) {
         let number = |at: usize| u64::from_le_bytes(file[at..at + 8].try_into().unwrap());
         let (start, length) = (number(entry + 8) as usize, number(entry + 16) as usize);
         if let Some(section) = start.checked_add(length).and_then(|end| file.get(start..end)) {
@@ -73,7 +132,7 @@ fn seal(file: &mut [u8]) {
             file[entry + 4..entry + 8].copy_from_slice(&crc);
         }
     }
-    let crc = crc32c::crc32c_append(crc32c::crc32c(&file[..36]), &file[40..208]).to_le_bytes();
+    let crc = crc32c::crc32c_append(crc32c::crc32c(&file[..36]), &file[40..table_end]).to_le_bytes();
     file[36..40].copy_from_slice(&crc);
 }
 
@@ -81,6 +140,10 @@ fn seal(file: &mut [u8]) {
 fn read_all(file: Vec<u8>) -> bool {
     let Ok(pvs) = Pvs::from_bytes(file) else { return false };
     let mut ids = Vec::new();
+    // Opening has checked all there is to them.
+    for column in pvs.columns().unwrap() {
+        assert_eq!(column.values.len(), pvs.cells() as usize);
+    }
     let mut whole = true;
     for cell in 0..pvs.cells() {
         for read in [Pvs::visible, Pvs::undecided] {
@@ -99,28 +162,45 @@ fn read_all(file: Vec<u8>) -> bool {
 
 #[test]
 fn deceiving_files_do_not_panic() {
-    let file = small_file();
-    assert!(read_all(file.clone()));
-    let mut refused = 0;
-    for at in 8..file.len() {
-        // N itself (bytes 24…27) is whatever the file says it is, as long as the objects agree; they do not here.
-        for flip in [0x01, 0x02, 0x10, 0x80, 0xff] {
-            let mut altered = file.clone();
-            altered[at] ^= flip;
-            seal(&mut altered);
-            refused += u32::from(!read_all(altered));
+    for file in small_files() {
+        assert!(read_all(file.clone()));
+        let mut refused = 0;
+        for at in 8..file.len() {
+            // N itself (bytes 24…27) is whatever the file says it is, as long as the objects agree; they do
+            // not here.
+            for flip in [0x01, 0x02, 0x0f, 0x10, 0x80, 0xff] {
+                let mut altered = file.clone();
+                altered[at] ^= flip;
+                seal(&mut altered);
+                refused += u32::from(!read_all(altered));
+            }
         }
+        assert!(refused > 600, "{refused} of {} were refused", (file.len() - 8) * 6);
     }
-    assert!(refused > 500, "{refused} of {} were refused", (file.len() - 8) * 5);
 }
 
 proptest! {
     #[test]
     fn scrambled_files_do_not_panic(changes in proptest::collection::vec((8usize..1000, any::<u8>()), 1..8)) {
-        let mut file = small_file();
+        for mut file in small_files() {
+            let length = file.len();
+            for &(at, value) in &changes {
+                file[8 + at % (length - 8)] = value;
+            }
+            seal(&mut file);
+            read_all(file);
+        }
+    }
+
+    #[test]
+    fn scrambled_columns_do_not_panic(
+        changes in proptest::collection::vec((0usize..1000, any::<u8>()), 1..8),
+    ) {
+        let [without, mut file] = small_files();
+        let start = without.len() + 24;
         let length = file.len();
         for (at, value) in changes {
-            file[8 + at % (length - 8)] = value;
+            file[start + at % (length - start)] = value;
         }
         seal(&mut file);
         read_all(file);

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;
-use sightline_pvs::{Builder, CellTree, Header, Node, Object, Pvs, PvsError, SET_ASIDE};
+use sightline_pvs::{Builder, CellTree, Column, Header, Node, Object, Pvs, PvsError, SET_ASIDE};
 
 /// A tree of `cells` leaves: each split leaves `shape[i]` of its cells (in 256ths) below.
 fn tree(cells: usize, shape: &[u8]) -> CellTree {
@@ -43,13 +43,19 @@ fn header(triangles: u32, tree: CellTree, sizes: &[u32]) -> Header {
 type Cell = (Vec<u32>, Vec<u32>, u32);
 
 fn build(header: Header, cells: &[Cell]) -> Vec<u8> {
+    build_with(header, cells, &[])
+}
+
+fn build_with(header: Header, cells: &[Cell], columns: &[Column]) -> Vec<u8> {
     let mut builder = Builder::new(header).unwrap();
+    builder.set_columns(columns.to_vec()).unwrap();
     for (visible, undecided, flags) in cells {
         builder.push_cell(visible, undecided, *flags).unwrap();
     }
     let mut file = Vec::new();
     let stats = builder.finish(&mut file).unwrap();
     assert_eq!(stats.file_bytes, file.len() as u64);
+    assert_eq!(stats.column_bytes == 0, columns.is_empty());
     assert_eq!(stats.visible_ids, cells.iter().map(|c| c.0.len() as u64).sum::<u64>());
     assert_eq!(stats.undecided_ids, cells.iter().map(|c| c.1.len() as u64).sum::<u64>());
     file
@@ -91,11 +97,21 @@ proptest! {
         (triangles, cells) in (0u32..300).prop_flat_map(|n| (Just(n), cells(n))),
         shape in proptest::collection::vec(any::<u8>(), 1..6),
         sizes in proptest::collection::vec(0u32..40, 0..12),
+        counts in proptest::collection::vec((any::<u64>(), 0u32..64), 0..4),
     ) {
         let tree = tree(cells.len(), &shape);
         let header = header(triangles, tree.clone(), &sizes);
-        let file = build(header.clone(), &cells);
-        prop_assert_eq!(&file, &build(header.clone(), &cells), "the same input gives the same bytes");
+        let columns: Vec<Column> = counts
+            .iter()
+            .enumerate()
+            .map(|(i, &(seed, shift))| Column {
+                name: format!("count {i} ü"),
+                values: (0..cells.len() as u64).map(|c| seed.wrapping_mul(2 * c + 1) >> shift).collect(),
+            })
+            .collect();
+        let file = build_with(header.clone(), &cells, &columns);
+        let again = build_with(header.clone(), &cells, &columns);
+        prop_assert_eq!(&file, &again, "the same input gives the same bytes");
 
         let pvs = Pvs::from_bytes(file).unwrap();
         prop_assert_eq!(pvs.triangle_count(), triangles);
@@ -104,6 +120,7 @@ proptest! {
         prop_assert_eq!(pvs.objects(), &header.objects[..]);
         prop_assert_eq!(pvs.info_json(), &header.info_json);
         prop_assert_eq!(pvs.method(), &header.method);
+        prop_assert_eq!(pvs.columns().unwrap(), columns);
         let mut ids = vec![7; 3];
         let mut runs = Vec::new();
         let mut bits = vec![u64::MAX; triangles.div_ceil(64) as usize];
@@ -201,6 +218,48 @@ fn bad_input_is_refused() {
 }
 
 #[test]
+fn columns_add_their_bytes_and_an_entry_and_nothing_else() {
+    let cells = fixed_cells();
+    let header = || header(500, tree(6, &[128, 40]), &[100, 0, 250]);
+    let column = |name: &str, value: u64| Column { name: name.into(), values: vec![value; cells.len()] };
+    let without = build(header(), &cells);
+    let entry = 24;
+    // The count; two lengths and a name for each column; a byte for seven bits of each value.
+    let small = [column("rays_uniform", 127)];
+    let with = build_with(header(), &cells, &small);
+    assert_eq!(with.len(), without.len() + entry + 4 + (8 + 12 + 6));
+    let both = [column("rays_uniform", 127), column("bound_lines", 128)];
+    let with = build_with(header(), &cells, &both);
+    assert_eq!(with.len(), without.len() + entry + 4 + (8 + 12 + 6) + (8 + 11 + 2 * 6));
+    // Those who read sets find the same bytes.
+    let [with, without] = [with, without].map(|file| Pvs::from_bytes(file).unwrap());
+    assert_eq!(with.file_bytes()[1..], without.file_bytes()[1..]);
+    assert_eq!(with.visible_section(), without.visible_section());
+    assert_eq!(with.columns().unwrap(), both);
+    assert_eq!(without.columns().unwrap(), []);
+}
+
+#[test]
+fn columns_can_be_set_at_any_time_and_again() {
+    let column = |name: &str, values: &[u64]| Column { name: name.into(), values: values.to_vec() };
+    let mut builder = Builder::new(header(10, tree(2, &[128]), &[])).unwrap();
+    builder.set_columns(vec![column("a", &[1, 2]), column("b", &[3, 4])]).unwrap();
+    builder.push_cell(&[1], &[], 0).unwrap();
+    builder.set_columns(vec![column("c", &[5, 6])]).unwrap();
+    builder.push_cell(&[2], &[], 0).unwrap();
+    for bad in [column("", &[1, 2]), column("d", &[1]), column(&"d".repeat(65), &[1, 2])] {
+        let error = builder.set_columns(vec![bad.clone()]).unwrap_err();
+        assert!(matches!(&error, PvsError::Column { name, .. } if *name == bad.name), "{error}");
+    }
+    let twice = builder.set_columns(vec![column("d", &[1, 2]), column("d", &[1, 2])]).unwrap_err();
+    assert!(twice.to_string().contains("\"d\""), "{twice}");
+    let mut file = Vec::new();
+    builder.finish(&mut file).unwrap();
+    // What was refused has changed nothing.
+    assert_eq!(Pvs::from_bytes(file).unwrap().columns().unwrap(), [column("c", &[5, 6])]);
+}
+
+#[test]
 fn a_failing_disk_is_reported() {
     struct Full;
     impl std::io::Write for Full {
@@ -214,4 +273,38 @@ fn a_failing_disk_is_reported() {
     let mut builder = Builder::new(header(10, tree(1, &[0]), &[])).unwrap();
     builder.push_cell(&[1], &[], 0).unwrap();
     assert!(matches!(builder.finish(&mut Full), Err(PvsError::Write(_))));
+}
+
+/// FNV-1a. Not the CRC-32C of the whole file: it holds checksums of the same kind, which can cancel a change.
+fn digest(file: &[u8]) -> u64 {
+    file.iter().fold(0xcbf2_9ce4_8422_2325, |hash, &byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
+    })
+}
+
+/// Six cells made by arithmetic alone, so that their file is the same on every machine; the last is set
+/// aside.
+fn fixed_cells() -> Vec<Cell> {
+    let mut cells: Vec<Cell> = (0..5u32)
+        .map(|c| {
+            let visible: Vec<u32> = (0..500).filter(|i| (i * i + c * (i / 40)) % 7 < 3).collect();
+            let undecided = visible.iter().copied().filter(|i| (i + c) % 11 == 0).collect();
+            (visible, undecided, c << 8)
+        })
+        .collect();
+    cells.push(((0..500).collect(), vec![], SET_ASIDE));
+    cells
+}
+
+/// Length and digest were taken from the writer before there were columns: files without them have not
+/// changed.
+#[test]
+fn a_file_without_columns_is_what_it_was_before_there_were_any() {
+    let cells = fixed_cells();
+    let file = build(header(500, tree(6, &[128, 40]), &[100, 0, 250]), &cells);
+    assert_eq!(file[12], 7);
+    assert_eq!((file.len(), digest(&file)), (1148, 0xe08b_5a10_1a32_7e3d));
+    let decided: Vec<Cell> = cells.into_iter().map(|(visible, _, flags)| (visible, vec![], flags)).collect();
+    let file = build(header(500, tree(6, &[128, 40]), &[100, 0, 250]), &decided);
+    assert_eq!((file.len(), digest(&file)), (917, 0xac16_9745_b2c9_8d66));
 }
