@@ -5,12 +5,14 @@
 use sightline_job::{ALGORITHM_VERSION, JobSpec};
 use sightline_pvs::{Builder, CellTree, Header, Node, Object, PvsError, SET_ASIDE};
 use sightline_sampling::codec::{self, CodecError};
+use sightline_sampling::lines::CellStats;
 use sightline_sampling::tile::{self, CellSet, CellSets, TileOutput};
-use sightline_scene::Scene;
-use sightline_viewcells::{CellBox, Division, Lattice, Plan, TileKind};
+use sightline_viewcells::{CellBox, Division, Lattice, Outline, Plan, TileKind};
 
 use crate::core::Coordinator;
+use crate::scene_facts::FactsError;
 use crate::scheduler::Slot;
+use crate::statistics::Statistics;
 use crate::store::{BlobError, Digest, StoreError, TileState};
 
 /// Why a result could not be put together.
@@ -27,9 +29,9 @@ pub enum AssembleError {
         /// What is wrong.
         reason: String,
     },
-    /// The scene's blob is not a scene.
+    /// The scene cannot be read.
     #[error(transparent)]
-    Scene(#[from] sightline_scene::SceneError),
+    Scene(#[from] FactsError),
     /// The result cannot be written.
     #[error(transparent)]
     Pvs(#[from] PvsError),
@@ -56,33 +58,44 @@ pub(crate) struct Parts {
 impl Coordinator {
     /// Builds the `.pvs` file of a complete job and stores it; gives its digest and length.
     pub(crate) fn assemble(&self, parts: &Parts) -> Result<(Digest, u64), AssembleError> {
-        let scene = Scene::from_blob("stored scene", &self.blobs.read(&parts.spec.scene)?)?;
+        let scene = self.facts(&parts.spec.scene)?;
         let leaves = || parts.plan.leaves().map(|n| (n, &parts.slots[n as usize].state));
         // The tree comes before the sets, so the tiles are read twice; they stay small on disk and in memory.
         let mut nodes = Vec::new();
         let mut samples = 0u64;
-        for (number, tile) in parts.plan.tiles.iter().enumerate() {
-            match tile.kind {
-                TileKind::Face(_) => {}
-                TileKind::Separator(s) => nodes.push(pvs_node(tile::Node::Split(s), &parts.lattice)),
-                TileKind::Leaf => {
-                    let sets =
-                        self.leaf(number as u32, &parts.slots[number].state, tile.cells, scene.len())?;
-                    nodes.extend(sets.nodes.into_iter().map(|n| pvs_node(n, &parts.lattice)));
+        // But for a result of one tile.
+        let mut kept = None;
+        let mut statistics = Statistics::default();
+        for part in &parts.plan.outline {
+            match *part {
+                Outline::Split(s) => nodes.push(pvs_node(tile::Node::Split(s), &parts.lattice)),
+                Outline::Leaf(number) => {
+                    let slot = &parts.slots[number as usize];
+                    let cells = parts.plan.tiles[number as usize].cells;
+                    let sets = match kept.take() {
+                        Some(sets) => sets,
+                        None => self.leaf(number, &slot.state, cells, scene.triangles)?,
+                    };
+                    nodes.extend(sets.nodes.iter().map(|n| pvs_node(*n, &parts.lattice)));
+                    if parts.plan.outline.len() == 1 {
+                        kept = Some(sets);
+                    }
                 }
             }
-            if let TileState::Done { stats, .. } = &parts.slots[number].state {
+        }
+        for slot in &parts.slots {
+            if let TileState::Done { stats, .. } = &slot.state {
                 samples = samples.saturating_add(stats.samples);
             }
         }
         let set_aside = leaves().filter(|(_, s)| matches!(s, TileState::SetAside { .. })).count();
         let objects = scene
-            .objects()
+            .objects
             .iter()
             .map(|o| Object { name: o.name.clone(), first: o.first, count: o.count })
             .collect();
         let mut builder = Builder::new(Header {
-            triangles: scene.len(),
+            triangles: scene.triangles,
             method: "aggressive".to_owned(),
             tree: CellTree::new(parts.spec.view_box.map(|c| c.to_array()), nodes)?,
             objects,
@@ -91,12 +104,18 @@ impl Coordinator {
         for (number, state) in leaves() {
             let cells = parts.plan.tiles[number as usize].cells;
             let aside = matches!(state, TileState::SetAside { .. });
-            for cell in self.leaf(number, state, cells, scene.len())?.cells {
+            let sets = match kept.take() {
+                Some(sets) => sets,
+                None => self.leaf(number, state, cells, scene.triangles)?,
+            };
+            for cell in sets.cells {
                 // What is shown because its tile failed was neither seen nor proved hidden.
                 let undecided: &[u32] = if aside { &cell.visible } else { &[] };
                 builder.push_cell(&cell.visible, undecided, if aside { SET_ASIDE } else { 0 })?;
+                statistics.push(&cell);
             }
         }
+        builder.set_columns(statistics.columns())?;
         let mut file = Vec::new();
         builder.finish(&mut file)?;
         Ok((self.blobs.put(&file)?, file.len() as u64))
@@ -171,7 +190,7 @@ fn everything(d: &Division, l: &Lattice, cell: &CellBox, depth: u32, all: &[u32]
         }
         None => {
             out.nodes.push(tile::Node::Cell);
-            out.cells.push(CellSet { visible: all.to_vec(), samples: 0 });
+            out.cells.push(CellSet { visible: all.to_vec(), samples: 0, stats: CellStats::default() });
         }
     }
 }
@@ -193,6 +212,7 @@ fn info(parts: &Parts, samples: u64, set_aside: usize) -> String {
         "division": parts.spec.division,
         "sampling": parts.spec.sampling,
         "seed": parts.spec.seed,
+        "time_budget_ms": parts.spec.time_budget_ms,
         "samples": samples,
         "tiles_set_aside": set_aside,
     })

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use tokio::sync::watch;
 
+use crate::scene_facts::LastScene;
 use crate::scheduler::Scheduler;
 use crate::store::{BlobError, Blobs, JobPhase, JobState, SledStore, Store, StoreError};
 
@@ -48,6 +49,7 @@ pub struct Coordinator {
     pub(crate) scheduler: Mutex<Scheduler>,
     /// Counts changes; watchers wait for it.
     pub(crate) changes: watch::Sender<u64>,
+    pub(crate) last_scene: LastScene,
 }
 
 impl Coordinator {
@@ -77,6 +79,7 @@ impl Coordinator {
             blobs,
             scheduler: Mutex::new(scheduler),
             changes: watch::Sender::new(0),
+            last_scene: LastScene::default(),
         });
         this.assemble_ready();
         Ok(this)

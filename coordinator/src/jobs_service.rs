@@ -13,6 +13,7 @@ use sightline_scene::Scene;
 use tonic::{Request, Response, Status, Streaming};
 
 use crate::core::{Coordinator, now_ms};
+use crate::scene_facts::FactsError;
 use crate::status;
 use crate::store::{BlobError, Digest, JobPhase, JobState, NewJob, SceneRecord, StoreError};
 
@@ -95,7 +96,8 @@ impl v1::jobs_server::Jobs for JobsService {
         while let Some(chunk) = stream.next().await {
             let chunk = chunk?;
             chunks::check(&chunk).map_err(|e| Status::data_loss(e.to_string()))?;
-            blocking(&self.0, move |c| c.blobs.put(&chunk.data).map_err(|e| status::of_blob(&e))).await?;
+            blocking(&self.0, move |c| c.blobs.put_unsynced(&chunk.data).map_err(|e| status::of_blob(&e)))
+                .await?;
             count += 1;
         }
         Ok(Response::new(v1::PutChunksResponse { chunks: count }))
@@ -159,18 +161,28 @@ impl v1::jobs_server::Jobs for JobsService {
                 if out.send(Ok(last.clone())).await.is_err() || ended(&last) {
                     return;
                 }
-                loop {
-                    tokio::time::sleep(WATCH_EVERY).await;
+                // News is told at most every so often, the end at once.
+                let quiet = tokio::time::sleep(WATCH_EVERY);
+                tokio::pin!(quiet);
+                let (mut quiet_over, mut news) = (false, false);
+                while !(quiet_over && news) {
                     tokio::select! {
-                        changed = changes.changed() => if changed.is_err() { return },
-                        () = out.closed() => return,
-                    }
-                    match blocking(&c, move |c| c.summary(id).map_err(|e| status::of_store(&e))).await {
-                        Ok(now) if now != last => {
-                            last = now;
-                            break;
+                        () = &mut quiet, if !quiet_over => {
+                            quiet_over = true;
+                            continue;
                         }
-                        Ok(_) => {}
+                        () = out.closed() => return,
+                        changed = changes.changed() => if changed.is_err() { return },
+                    }
+                    let c = Arc::clone(&c);
+                    match blocking(&c, move |c| c.summary(id).map_err(|e| status::of_store(&e))).await {
+                        Ok(now) => {
+                            news |= now != last;
+                            last = now;
+                            if ended(&last) {
+                                break;
+                            }
+                        }
                         Err(s) => {
                             // Nobody listens any more when this fails.
                             let _ = out.send(Err(s)).await;
@@ -304,7 +316,17 @@ impl Coordinator {
                     "a chunk of the scene is not here yet; ask MissingChunks which, put it, and try again",
                 ));
             }
-            writer.append(&self.blobs.read(part).map_err(of_blob)?).map_err(of_blob)?;
+            match self.blobs.read(part) {
+                Ok(bytes) => writer.append(&bytes).map_err(of_blob)?,
+                // Chunks are not synced to the disk: after a power failure one may be there in part.
+                Err(BlobError::Damaged { .. }) => {
+                    self.blobs.remove(part).map_err(of_blob)?;
+                    return Err(Status::failed_precondition(
+                        "a chunk of the scene was damaged and is gone; ask MissingChunks which, put it, and try again",
+                    ));
+                }
+                Err(e) => return Err(of_blob(e)),
+            }
         }
         writer.finish(Some(&whole)).map_err(|e| match e {
             e @ BlobError::NoSpace { .. } => status::of_blob(&e),
@@ -318,6 +340,7 @@ impl Coordinator {
             }
             Status::invalid_argument(e.to_string())
         })?;
+        self.remember(whole, &scene);
         let record = SceneRecord {
             digest: whole,
             bytes: bytes.len() as u64,
@@ -344,10 +367,11 @@ impl Coordinator {
             .and_then(|s| s.ok_or(StoreError::UnknownScene { scene }))
             .map_err(of_store)?;
         let bounds = if wire.view_box.is_empty() {
-            let bytes = self.blobs.read(&scene).map_err(|e| status::of_blob(&e))?;
-            let scene = Scene::from_blob("stored scene", &bytes);
-            let b = scene.map_err(|e| status::internal(&e.to_string()))?.bounds();
-            Some([b.min, b.max])
+            let facts = self.facts(&scene).map_err(|e| match e {
+                FactsError::Blob(e) => status::of_blob(&e),
+                FactsError::Scene(e) => status::internal(&e.to_string()),
+            })?;
+            Some([facts.bounds.min, facts.bounds.max])
         } else {
             None
         };

@@ -7,8 +7,10 @@
 pub mod assemble;
 pub mod core;
 mod jobs_service;
+pub mod scene_facts;
 pub mod scheduler;
 pub mod server;
+mod statistics;
 mod status;
 pub mod store;
 mod summary;

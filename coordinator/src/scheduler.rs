@@ -93,6 +93,17 @@ impl Job {
                 .all(|n| matches!(self.slots[*n as usize].state, TileState::Done { .. }))
     }
 
+    /// Time for a tile granted now, when the job has a time budget: what is left of it, divided among the tiles still open
+    /// by as many as are worked on at once. However late it is, every tile gets a little.
+    fn millis_for_a_tile(&self, workers: u64) -> Option<u64> {
+        let budget = self.spec.time_budget_ms;
+        let open = self.slots.iter().filter(|s| matches!(s.state, TileState::Open)).count().max(1) as u64;
+        let spent = crate::core::now_ms().saturating_sub(self.record.submitted_at_ms);
+        // A tenth is kept for putting the result together.
+        let share = budget.saturating_sub(spent) * 9 / 10 * workers.clamp(1, open) / open;
+        (budget > 0).then(|| share.max(budget / (8 * self.slots.len().max(1) as u64)))
+    }
+
     /// Digests of the packs `tile` needs, in the plan's order.
     fn packs(&self, tile: usize) -> Vec<Vec<u8>> {
         let digest = |n: &u32| match &self.slots[*n as usize].state {
@@ -359,6 +370,7 @@ impl Scheduler {
     /// Gives one tile to a worker, or asks it to time its backends. Answers whether it got a tile.
     fn give(&mut self, number: u64, store: &dyn Store, now: Instant) -> Result<bool, StoreError> {
         use v1::coordinator_message::Message;
+        let workers = self.workers.len() as u64;
         let Some(worker) = self.workers.get_mut(&number) else { return Ok(false) };
         if worker.wants == 0 || worker.draining {
             return Ok(false);
@@ -400,6 +412,7 @@ impl Scheduler {
                 spec: Some(job.spec.to_proto()),
                 profile,
                 packs: job.packs(tile),
+                millis: job.millis_for_a_tile(workers),
             };
             if !worker.send(Message::Grant(grant)) {
                 return Ok(false);
@@ -462,9 +475,7 @@ impl Scheduler {
 /// one bake give the same bytes only on the same profile, so noise in the timing must not decide between two that
 /// are nearly as fast.
 fn fastest(times: &[v1::ProfileTime]) -> Option<&v1::ProfileTime> {
-    // A rasteriser in software competes with the cpu backend for the same cores: only where that one is missing.
-    let software =
-        |t: &v1::ProfileTime| ["llvmpipe", "lavapipe", "SwiftShader"].iter().any(|s| t.profile.contains(s));
+    let software = |t: &v1::ProfileTime| is_software(&t.profile);
     let is_cpu = |t: &v1::ProfileTime| t.profile.starts_with("cpu/");
     let cpu = times.iter().any(|t| is_cpu(t) && t.seconds_per_cube.is_finite());
     let cost = |t: &v1::ProfileTime| t.seconds_per_cube * if is_cpu(t) { 1.0 } else { CLEARLY };
@@ -472,6 +483,12 @@ fn fastest(times: &[v1::ProfileTime]) -> Option<&v1::ProfileTime> {
         .iter()
         .filter(|t| t.seconds_per_cube.is_finite() && t.seconds_per_cube >= 0.0 && !(cpu && software(t)))
         .min_by(|a, b| cost(a).total_cmp(&cost(b)))
+}
+
+/// Whether a profile is that of a gpu made of software: it competes with the cpu backend for the same cores, and is for
+/// machines where that one is missing.
+fn is_software(profile: &str) -> bool {
+    ["llvmpipe", "lavapipe", "SwiftShader"].iter().any(|s| profile.contains(s))
 }
 
 enum Binding {
@@ -486,11 +503,15 @@ fn profile_for(choice: BackendChoice, profiles: &[String]) -> Binding {
     let named = match choice {
         BackendChoice::Cpu => with("cpu/"),
         BackendChoice::Gpu => with("gpu/"),
-        BackendChoice::Auto => match profiles {
-            [only] => Some(only.clone()),
-            [_, _, ..] => return Binding::Time,
-            [] => None,
-        },
+        BackendChoice::Auto => {
+            let cpu = with("cpu/").is_some();
+            let mut worth = profiles.iter().filter(|p| !(cpu && is_software(p)));
+            match (worth.next(), worth.next()) {
+                (Some(only), None) => Some(only.clone()),
+                (Some(_), Some(_)) => return Binding::Time,
+                (None, _) => None,
+            }
+        }
     };
     named.map_or(Binding::Cannot, Binding::Bind)
 }
@@ -528,5 +549,21 @@ mod tests {
         assert_eq!(chosen(&[time("cpu/a", 1.0), time(lavapipe, 0.1)]).as_deref(), Some("cpu/a"));
         assert_eq!(chosen(&[time(lavapipe, 0.1)]).as_deref(), Some(lavapipe));
         assert_eq!(chosen(&[]), None);
+    }
+
+    #[test]
+    fn only_a_choice_that_is_one_is_timed() {
+        let bound = |profiles: &[&str]| {
+            let profiles: Vec<String> = profiles.iter().map(|p| (*p).to_owned()).collect();
+            match profile_for(BackendChoice::Auto, &profiles) {
+                Binding::Bind(profile) => profile,
+                Binding::Time => "timed".to_owned(),
+                Binding::Cannot => "none".to_owned(),
+            }
+        };
+        assert_eq!(bound(&["cpu/a", "gpu/llvmpipe"]), "cpu/a");
+        assert_eq!(bound(&["gpu/llvmpipe"]), "gpu/llvmpipe");
+        assert_eq!(bound(&["cpu/a", "gpu/real"]), "timed");
+        assert_eq!(bound(&[]), "none");
     }
 }

@@ -14,7 +14,7 @@ const QUICK: &str = "maze.glb --cells 2x2x1 --resolution 32 --backend cpu --data
 fn an_interrupted_bake_goes_on_and_gives_the_same_bytes() {
     let sandbox = Sandbox::new();
     sandbox.ok(ROOMS);
-    let job = "rooms.glb --cells 4x4x2 --resolution 96 --backend cpu";
+    let job = "rooms.glb --sampler cubes --cells 4x4x2 --resolution 96 --backend cpu";
     let whole = sandbox.json(&format!("bake {job} -o whole.pvs --data-dir whole"));
     // Ctrl-C and the machine's end, each from a fresh start.
     for signal in ["INT", "KILL"] {

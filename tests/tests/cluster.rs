@@ -9,7 +9,7 @@ use sightline_tests::{Sandbox, assert_same, wait_for};
 
 /// What is baked throughout: 69 tiles of some ten milliseconds each, so that a job can be met in its middle.
 const SCENE: &str = "generate rooms --triangles 2000 -o rooms.glb";
-const JOB: &str = "rooms.glb --cells 4x4x2 --resolution 96 --backend cpu";
+const JOB: &str = "rooms.glb --sampler cubes --cells 4x4x2 --resolution 96 --backend cpu";
 
 /// A folder with the scene in it.
 fn sandbox() -> Sandbox {

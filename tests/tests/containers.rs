@@ -45,7 +45,7 @@ fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
     let triangles = setting("SIGHTLINE_TEST_TRIANGLES", DEFAULT_TRIANGLES);
     let cells = setting("SIGHTLINE_TEST_CELLS", DEFAULT_CELLS);
     // Every parameter is part of the result's name, so both bakes have to be asked for in the same words.
-    let job_flags = ["--cells", &cells, "--backend", "cpu", "--resolution", "192"];
+    let job_flags = ["--cells", &cells, "--sampler", "cubes", "--backend", "cpu", "--resolution", "192"];
     run(Command::new(&sightline)
         .args(["generate", "town", "--seed", "1", "--triangles", &triangles, "-o"])
         .arg(&scene));

@@ -23,7 +23,7 @@ use tonic::transport::Channel;
 use tonic::{Code, Request, Status};
 
 const SCENE: &str = "generate maze --grid 3x3 -o maze.glb";
-const JOB: &str = "maze.glb --cells 4x4x2 --resolution 32 --backend cpu";
+const JOB: &str = "maze.glb --sampler cubes --cells 4x4x2 --resolution 32 --backend cpu";
 
 async fn connect(coordinator: &Coordinator<'_>) -> Channel {
     Channel::from_shared(coordinator.url.clone()).unwrap().connect().await.unwrap()

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use sightline_sampling::tile::PreparedScene;
 use sightline_sampling::{Backend, CubeSpec, Strata};
-use sightline_scene::Scene;
+use sightline_scene::{Scene, SceneError};
 
 use crate::backends::Backends;
 
@@ -65,6 +65,16 @@ pub struct SceneCache {
 }
 
 impl SceneCache {
+    /// A cache that has `scene` already.
+    ///
+    /// # Errors
+    /// [`SceneError`] when it has too many triangles to sample.
+    pub fn holding(digest: [u8; 32], scene: &Arc<Scene>) -> Result<Self, SceneError> {
+        let prepared = PreparedScene::new(Arc::clone(scene))?;
+        let loaded = Arc::new(Loaded { prepared, backends: Mutex::default() });
+        Ok(Self { scenes: tokio::sync::Mutex::new(vec![(digest, loaded)]) })
+    }
+
     /// The scene with `digest`, fetched with `fetch` when it is not at hand. Two tiles that ask at once fetch once.
     ///
     /// # Errors

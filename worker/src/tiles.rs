@@ -10,7 +10,7 @@ use sightline_proto::chunks::{Assembler, count, piece};
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
 use sightline_sampling::tile::{self, JobContext, Pack, TileError, Watcher};
-use sightline_sampling::{BackendError, codec};
+use sightline_sampling::{BackendError, Sampler, auto, codec};
 use sightline_viewcells::Plan;
 use tonic::transport::Channel;
 
@@ -123,10 +123,12 @@ impl Shop {
         held.begun.store(true, Ordering::Relaxed);
         let start = Instant::now();
         let (shop, watcher) = (Arc::clone(self), Arc::clone(&held));
-        let (bytes, rendered) =
-            tokio::task::spawn_blocking(move || shop.run(&spec, &grant.profile, &loaded, packs, &watcher))
-                .await
-                .map_err(|e| Failure::Tile(format!("sampling panicked: {e}")))??;
+        let (bytes, rendered) = tokio::task::spawn_blocking(move || {
+            let deadline = grant.millis.map(|m| start + Duration::from_millis(m));
+            shop.run(&spec, &grant.profile, deadline, &loaded, packs, &watcher)
+        })
+        .await
+        .map_err(|e| Failure::Tile(format!("sampling panicked: {e}")))??;
         drop(turn);
         let header = v1::ResultHeader {
             lease: Some(held.lease),
@@ -144,6 +146,7 @@ impl Shop {
         &self,
         spec: &JobSpec,
         profile: &str,
+        deadline: Option<Instant>,
         loaded: &Loaded,
         packs: Vec<Fetched>,
         held: &Held,
@@ -163,6 +166,8 @@ impl Shop {
             lattice,
             params: &spec.sampling,
             backend: &*backend,
+            seed: spec.seed,
+            deadline,
         };
         let failed = |e| match e {
             TileError::Cancelled => Failure::Cancelled,
@@ -194,6 +199,7 @@ impl Shop {
         let (output, counters) = tile::run(&job, tile, &decoded, held).map_err(failed)?;
         tracing::debug!(tile = held.lease.tile, ?counters, "tile sampled");
         let bytes = codec::encode(&output).map_err(|e| tile_fault(&e))?;
+        tracing::debug!(tile = held.lease.tile, bytes = bytes.len(), "tile encoded");
         Ok((bytes, counters.rendered))
     }
 
@@ -275,7 +281,12 @@ impl Shop {
             for profile in config.backends.profiles() {
                 let timed = loaded
                     .backend(&config.backends, &profile, spec.sampling.cube_spec(), &config.name)
-                    .and_then(|b| sightline_sampling::auto::time(&*b, &lattice));
+                    .and_then(|b| match spec.sampling.sampler {
+                        Sampler::Cubes => auto::time(&*b, &lattice),
+                        Sampler::Lines | Sampler::Guided => {
+                            auto::time_lines(&*b, loaded.prepared.distinct(), &lattice)
+                        }
+                    });
                 match timed {
                     Ok(t) => {
                         times.push(v1::ProfileTime { profile, seconds_per_cube: t.per_cube.as_secs_f64() })

@@ -124,6 +124,20 @@ impl Blobs {
         writer.finish(Some(&digest))
     }
 
+    /// As [`Blobs::put`], but the blob may be gone or cut short after a power failure; [`Blobs::read`] then says so. For
+    /// what its sender still has.
+    pub fn put_unsynced(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
+        let digest = *blake3::hash(bytes).as_bytes();
+        match self.read(&digest) {
+            Ok(_) => return Ok(digest),
+            Err(BlobError::Missing { .. } | BlobError::Damaged { .. }) => {}
+            Err(other) => return Err(other),
+        }
+        let mut writer = self.put_stream()?;
+        writer.append(bytes)?;
+        writer.place(Some(&digest), false)
+    }
+
     /// Begins a blob that arrives in pieces. Nothing is kept of it unless it is finished.
     pub fn put_stream(&self) -> Result<BlobWriter, BlobError> {
         let number = self.written.fetch_add(1, Ordering::Relaxed);
@@ -170,6 +184,10 @@ impl BlobWriter {
 
     /// Puts the blob in its place, if it is what was announced; it is on the disk when this returns its digest.
     pub fn finish(self, expected: Option<&Digest>) -> Result<Digest, BlobError> {
+        self.place(expected, true)
+    }
+
+    fn place(self, expected: Option<&Digest>, sync: bool) -> Result<Digest, BlobError> {
         let found = self.hasher.finalize();
         if let Some(expected) = expected.map(|expected| blake3::Hash::from_bytes(*expected))
             && expected != found
@@ -179,7 +197,9 @@ impl BlobWriter {
                 found: found.to_hex().to_string(),
             });
         }
-        self.file.sync_all().map_err(fault("sync", &self.path))?;
+        if sync {
+            self.file.sync_all().map_err(fault("sync", &self.path))?;
+        }
         let digest = *found.as_bytes();
         let place = self.blobs.path(&digest);
         // Both levels lie under the root by construction of `path`.
@@ -187,8 +207,10 @@ impl BlobWriter {
         let outer = inner.parent().unwrap_or(&self.blobs.root);
         std::fs::create_dir_all(inner).map_err(fault("create", inner))?;
         std::fs::rename(&self.path, &place).map_err(fault("move into place", &place))?;
-        for directory in [inner, outer, &self.blobs.root] {
-            sync_directory(directory)?;
+        if sync {
+            for directory in [inner, outer, &self.blobs.root] {
+                sync_directory(directory)?;
+            }
         }
         Ok(digest)
     }

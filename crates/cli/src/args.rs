@@ -72,7 +72,7 @@ pub enum Command {
     /// Make a test scene.
     Generate(GenerateArgs),
     /// Say what is in a result.
-    Info(ResultArgs),
+    Info(InfoArgs),
     /// Print a result's sets as JSON Lines.
     Dump(DumpArgs),
     /// Print what is visible from a point's cell.
@@ -231,6 +231,15 @@ pub struct ResultArgs {
     /// The result.
     #[arg(value_name = "OUT.pvs")]
     pub result: PathBuf,
+}
+
+#[derive(Args, Debug)]
+pub struct InfoArgs {
+    #[command(flatten)]
+    pub result: ResultArgs,
+    /// How each cell was sampled, the hardest first, and its bound on what it misses.
+    #[arg(long)]
+    pub cells: bool,
 }
 
 /// What sets are made of.

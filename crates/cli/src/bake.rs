@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use sightline_coordinator::{Config, Coordinator, OpenError};
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
+use sightline_scene::Scene;
 use sightline_worker::{Backends, SceneCache, Stop};
 use tokio::sync::watch;
 use tonic::transport::Channel;
@@ -21,7 +22,10 @@ use crate::serve::{self, threads};
 /// Runs a bake.
 pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     let start = Instant::now();
-    let scene = sightline_scene::load(&args.scene)?;
+    // Looking for devices takes longer than reading most scenes.
+    let choice = serve::choice(args.job.backend);
+    let probing = Probing::begin(choice);
+    let scene = Arc::new(sightline_scene::load(&args.scene)?);
     let spec = args.job.spec(&args.scene, &scene)?;
     say(&format!(
         "{}: {} triangles, {} objects, read in {}",
@@ -41,7 +45,7 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     })?;
     let runtime = serve::runtime()?;
     let outcome = runtime.block_on(async {
-        let work = bake(&args, coordinator, &scene, &spec);
+        let work = bake(&args, coordinator, &scene, &spec, probing);
         tokio::select! {
             r = work => r,
             _ = tokio::signal::ctrl_c() => Err(CliError::Interrupted(format!(
@@ -56,6 +60,30 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     report(&args, &outcome, start.elapsed(), json)
 }
 
+/// The look for backends, on a thread of its own.
+struct Probing(Option<std::thread::JoinHandle<Backends>>);
+
+impl Probing {
+    fn begin(choice: sightline_worker::Choice) -> Self {
+        Self(Some(std::thread::spawn(move || Backends::probe(choice, Default::default()))))
+    }
+
+    fn end(&mut self) -> Result<Backends, CliError> {
+        let panicked = || CliError::Internal("looking for backends panicked".to_owned());
+        self.0.take().ok_or_else(panicked)?.join().map_err(|_| panicked())
+    }
+}
+
+impl Drop for Probing {
+    /// A driver that is being started must not be cut off by the end of the process: some crash then.
+    fn drop(&mut self) {
+        if let Some(thread) = self.0.take() {
+            // Nobody asks for the outcome any more.
+            drop(thread.join());
+        }
+    }
+}
+
 /// What a bake came to.
 struct Outcome {
     job: v1::Job,
@@ -65,8 +93,9 @@ struct Outcome {
 async fn bake(
     args: &BakeArgs,
     coordinator: Arc<Coordinator>,
-    scene: &sightline_scene::Scene,
+    scene: &Arc<Scene>,
     spec: &sightline_job::JobSpec,
+    mut probing: Probing,
 ) -> Result<Outcome, CliError> {
     let listener = sightline_coordinator::server::listen(([127, 0, 0, 1], 0).into(), false)
         .await
@@ -88,7 +117,9 @@ async fn bake(
     }
     let mut backends = None;
     if job.state() != v1::JobState::Done {
-        let probed = Arc::new(Backends::probe(serve::choice(args.job.backend), Default::default()));
+        let probed =
+            tokio::task::spawn_blocking(move || probing.end()).await.map_err(CliError::internal)??;
+        let probed = Arc::new(probed);
         serve::say_missing(&probed)?;
         if !job.profile.is_empty() && !probed.profiles().contains(&job.profile) {
             say(&format!(
@@ -114,7 +145,7 @@ async fn bake(
         if answer.existing {
             say(&format!("going on: {} of {} tiles are done", job.tiles_done, job.tiles_total));
         }
-        let (stop, workers) = start_workers(args, &url, &backends)?;
+        let (stop, workers) = start_workers(args, &url, &backends, scene, spec)?;
         job = tokio::select! {
             j = client::follow(&mut client, job.id) => j?,
             e = workers => return Err(e),
@@ -149,6 +180,8 @@ fn start_workers(
     args: &BakeArgs,
     url: &str,
     backends: &Arc<Backends>,
+    scene: &Arc<Scene>,
+    spec: &sightline_job::JobSpec,
 ) -> Result<(watch::Sender<Stop>, impl Future<Output = CliError> + use<>), CliError> {
     let cores = threads(None);
     let count = args.workers.unwrap_or(cores);
@@ -156,7 +189,8 @@ fn start_workers(
         return Err(CliError::Usage(format!("{count} workers cannot be started; use --workers 1 to 256")));
     }
     serve::use_threads(cores)?;
-    let scenes = Arc::new(SceneCache::default());
+    // The scene is in this process already.
+    let scenes = Arc::new(SceneCache::holding(spec.scene, scene).map_err(CliError::internal)?);
     let (stop, stopped) = watch::channel(Stop::No);
     let mut set = tokio::task::JoinSet::new();
     for i in 0..count {

@@ -6,7 +6,8 @@ use std::path::Path;
 use serde::Serialize;
 use sightline_pvs::Pvs;
 
-use crate::args::{DumpArgs, Items, QueryArgs, ResultArgs};
+use crate::args::{DumpArgs, InfoArgs, Items, QueryArgs};
+use crate::cells;
 use crate::error::CliError;
 use crate::serve::print;
 
@@ -37,6 +38,10 @@ pub struct Summary {
     mean_visible_fraction: f64,
     undecided: u64,
     cells_set_aside: u32,
+    /// Cells with a bound on what they miss, at 95 % confidence, and the greatest and mean of those.
+    cells_bounded: usize,
+    greatest_bound: Option<f64>,
+    mean_bound: Option<f64>,
     info: serde_json::Value,
 }
 
@@ -54,6 +59,7 @@ impl Summary {
             undecided += ids.len() as u64;
             aside += u32::from(pvs.is_set_aside(cell)?);
         }
+        let bounds = cells::bounds(&pvs)?;
         let [file_bytes, visible, undecided_bytes] = pvs.file_bytes();
         let cells = f64::from(pvs.cells());
         let [min, max] = pvs.tree().view_box();
@@ -74,6 +80,9 @@ impl Summary {
             mean_visible_fraction: sum as f64 / cells / f64::from(pvs.triangle_count()),
             undecided,
             cells_set_aside: aside,
+            cells_bounded: bounds.as_ref().map_or(0, |b| b.cells),
+            greatest_bound: bounds.as_ref().map(|b| b.greatest),
+            mean_bound: bounds.as_ref().map(|b| b.mean),
             // Whoever baked it wrote it; a result of another program may hold anything.
             info: serde_json::from_str(pvs.info_json()).unwrap_or_else(|_| pvs.info_json().into()),
         })
@@ -100,23 +109,39 @@ impl Summary {
                 "{} bytes, {:.0} a cell for the sets; cells set aside: {}",
                 self.file_bytes, self.bytes_per_cell, self.cells_set_aside
             ),
+            match (self.greatest_bound, self.mean_bound) {
+                (Some(greatest), Some(mean)) => format!(
+                    "missed sight lines, bounded at 95 % for {} cells: at most {:.4} % in any, {:.4} % on average",
+                    self.cells_bounded,
+                    greatest * 100.0,
+                    mean * 100.0
+                ),
+                _ => "missed sight lines: not bounded (--max-error F bounds them)".to_owned(),
+            },
             format!("numerics profile {}", text("profile")),
         ]
     }
 }
 
 /// Says what is in a result.
-pub fn info(args: &ResultArgs, json: bool) -> Result<(), CliError> {
-    let summary = Summary::of(&args.result)?;
-    let pvs = open(&args.result)?;
+pub fn info(args: &InfoArgs, json: bool) -> Result<(), CliError> {
+    let summary = Summary::of(&args.result.result)?;
+    let pvs = open(&args.result.result)?;
     if json {
         let mut value = serde_json::to_value(&summary).map_err(CliError::internal)?;
         let object = |o: &sightline_pvs::Object| serde_json::json!({"name": o.name, "first": o.first, "count": o.count});
         value["objects"] = pvs.objects().iter().map(object).collect();
+        if args.cells {
+            value["per_cell"] = cells::json(&pvs)?;
+        }
         return print(&value.to_string());
     }
     let mut lines = summary.lines();
     lines.push(format!("parameters {}", summary.info));
+    if args.cells {
+        lines.extend(cells::table(&pvs)?);
+        return print(&lines.join("\n"));
+    }
     for (i, o) in pvs.objects().iter().enumerate().take(OBJECTS_SHOWN) {
         let last = u64::from(o.first) + u64::from(o.count);
         lines.push(format!("object {i}: {} (triangles {}..{last})", o.name, o.first));

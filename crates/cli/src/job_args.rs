@@ -1,11 +1,12 @@
 //! The arguments that say what is to be baked, shared by `bake` and `submit`.
 
 use std::path::Path;
+use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 use glam::Vec3;
 use sightline_job::JobSpec;
-use sightline_sampling::params::{BackendChoice, ErrorMeasure, SamplingParams, SupersetChoice};
+use sightline_sampling::params::{BackendChoice, ErrorMeasure, Sampler, SamplingParams, SupersetChoice};
 use sightline_scene::Scene;
 use sightline_viewcells::Division;
 
@@ -29,7 +30,24 @@ pub struct JobArgs {
     /// Where viewpoints may be: x0,y0,z0,x1,y1,z1. Default: the scene's bounds.
     #[arg(long, value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]
     view_box: Option<[Vec3; 2]>,
-    /// Side of one item buffer in pixels, 8 to 4096.
+    /// How sight lines are chosen. Default: lines; with a triangle budget: cubes.
+    #[arg(long, value_enum)]
+    sampler: Option<SamplerArg>,
+    /// A cell is done when it is expected to miss at most this fraction of what is seen from it. An estimate, not a bound.
+    #[arg(long, value_name = "F", default_value_t = SamplingParams::default().target_error)]
+    target_error: f64,
+    /// Refine each cell until its 95 % bound on missed sight lines, from lines that took no part in the search, is at most
+    /// this. The bound is kept in the result; it holds on average over the cell, not for the worst view.
+    #[arg(long, value_name = "F")]
+    max_error: Option<f64>,
+    /// Stop sampling this long after the start, with the best result by then: 500ms, 30s, 5m, 2h. Two runs then need not
+    /// give the same bytes.
+    #[arg(long, value_name = "DUR", value_parser = parse_duration)]
+    time_budget: Option<Duration>,
+    /// Rays a cell of the sampler guided.
+    #[arg(long, value_name = "N", default_value_t = SamplingParams::default().rays)]
+    rays: u64,
+    /// Side of one item buffer in pixels, 8 to 4096 (sampler cubes, as are the flags down to --superset).
     #[arg(long, value_name = "PX", default_value_t = SamplingParams::default().resolution)]
     resolution: u32,
     /// Subdivide a sampled rectangle while its corners differ by more than this, 0 to 1.
@@ -54,10 +72,7 @@ pub struct JobArgs {
     /// as the cpu, so that noise does not decide what comes out.
     #[arg(long, value_enum, default_value_t = Backend::Auto)]
     pub backend: Backend,
-    /// How samples are placed: visibility cubes on adaptively split rectangles.
-    #[arg(long, value_enum, default_value_t = Sampler::Cubes)]
-    sampler: Sampler,
-    /// Seed of everything random (the cube sampler has nothing random).
+    /// Seed of everything random (the sampler cubes has nothing random).
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
 }
@@ -69,9 +84,13 @@ enum Method {
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-enum Sampler {
+enum SamplerArg {
+    /// Sight lines, each shared by all the cells it crosses, guided by what was found.
+    Lines,
     /// The papers' adaptive visibility cubes.
     Cubes,
+    /// A fixed number of guided rays for each cell on its own; to compare with.
+    Guided,
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
@@ -108,8 +127,27 @@ pub enum Backend {
 impl JobArgs {
     /// The checked specification of a bake of `scene`.
     pub fn spec(&self, path: &Path, scene: &Scene) -> Result<JobSpec, CliError> {
-        // One value each until other methods and samplers exist.
-        let (Method::Aggressive, Sampler::Cubes) = (self.method, self.sampler);
+        // One value until other methods exist.
+        let Method::Aggressive = self.method;
+        let adaptive = self.triangle_budget.is_some();
+        let sampler = match self.sampler {
+            None if adaptive => Sampler::Cubes,
+            None | Some(SamplerArg::Lines) => Sampler::Lines,
+            Some(SamplerArg::Cubes) => Sampler::Cubes,
+            Some(SamplerArg::Guided) => Sampler::Guided,
+        };
+        let refuse = |what: &str| Err(CliError::Usage(what.to_owned()));
+        if adaptive && sampler != Sampler::Cubes {
+            return refuse(
+                "an adaptive tree (--triangle-budget) is sampled with --sampler cubes; give --cells for another",
+            );
+        }
+        if self.max_error.is_some() && sampler != Sampler::Lines {
+            return refuse("--max-error needs --sampler lines and a grid of cells (--cells)");
+        }
+        if self.time_budget.is_some() && sampler == Sampler::Cubes {
+            return refuse("--time-budget needs --sampler lines or guided and a grid of cells (--cells)");
+        }
         let bounds = scene.bounds();
         let spec = JobSpec {
             scene: scene.digest().0,
@@ -119,6 +157,10 @@ impl JobArgs {
             },
             view_box: self.view_box.unwrap_or([bounds.min, bounds.max]),
             sampling: SamplingParams {
+                sampler,
+                target_error: self.target_error,
+                max_error: self.max_error,
+                rays: self.rays,
                 resolution: self.resolution,
                 measure: match self.error_measure {
                     Measure::Sets => ErrorMeasure::Sets,
@@ -141,6 +183,8 @@ impl JobArgs {
                 Backend::Cpu => BackendChoice::Cpu,
             },
             seed: self.seed,
+            // At least a millisecond: nothing means no limit.
+            time_budget_ms: self.time_budget.map_or(0, |d| (d.as_millis() as u64).max(1)),
         };
         spec.sampling.check().map_err(|e| CliError::Usage(e.to_string()))?;
         spec.lattice().map_err(|e| match self.view_box {
@@ -152,6 +196,20 @@ impl JobArgs {
         })?;
         Ok(spec)
     }
+}
+
+fn parse_duration(text: &str) -> Result<Duration, String> {
+    let wrong = || "give a duration as in 500ms, 30s, 5m or 2h".to_owned();
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let unit = match &text[digits.len()..] {
+        "ms" => 1e-3,
+        "" | "s" => 1.0,
+        "m" | "min" => 60.0,
+        "h" => 3600.0,
+        _ => return Err(wrong()),
+    };
+    let seconds = digits.trim().parse::<f64>().map_err(|_| wrong())? * unit;
+    Duration::try_from_secs_f64(seconds).ok().filter(|d| !d.is_zero()).ok_or_else(wrong)
 }
 
 fn parse_cells(text: &str) -> Result<[u32; 3], String> {

@@ -4,6 +4,7 @@
 
 mod args;
 mod bake;
+mod cells;
 mod client;
 mod error;
 mod files;

@@ -6,12 +6,14 @@
 use glam::Vec3;
 use prost::Message as _;
 use sightline_proto::v1;
-use sightline_sampling::params::{BackendChoice, ErrorMeasure, ParamsError, SamplingParams, SupersetChoice};
-use sightline_viewcells::{Division, DivisionError, Lattice, Plan};
+use sightline_sampling::params::{
+    BackendChoice, ErrorMeasure, ParamsError, Sampler, SamplingParams, SupersetChoice,
+};
+use sightline_viewcells::{Division, DivisionError, Lattice, Layout, Plan};
 
 /// Changes whenever the same specification would give other bytes, so that stored results are never mistaken for
 /// those of another version.
-pub const ALGORITHM_VERSION: u32 = 1;
+pub const ALGORITHM_VERSION: u32 = 2;
 
 /// A checked specification.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,6 +30,8 @@ pub struct JobSpec {
     pub backend: BackendChoice,
     /// Seed of everything random.
     pub seed: u64,
+    /// Sampling stops this many milliseconds after submission; 0 for no limit.
+    pub time_budget_ms: u64,
 }
 
 /// Why a specification is refused.
@@ -66,6 +70,14 @@ impl JobSpec {
         };
         let s = m.sampling.ok_or(SpecError::Field("sampling", "give the sampling parameters"))?;
         let sampling = SamplingParams {
+            sampler: match s.sampler() {
+                v1::Sampler::Lines => Sampler::Lines,
+                v1::Sampler::Cubes => Sampler::Cubes,
+                v1::Sampler::Guided => Sampler::Guided,
+            },
+            target_error: s.target_error,
+            max_error: s.max_error,
+            rays: s.rays,
             resolution: s.resolution,
             measure: match s.measure() {
                 v1::ErrorMeasure::Strata => ErrorMeasure::Strata,
@@ -87,8 +99,26 @@ impl JobSpec {
             v1::Backend::Gpu => BackendChoice::Gpu,
             v1::Backend::Cpu => BackendChoice::Cpu,
         };
-        let spec = Self { scene, division, view_box, sampling, backend, seed: m.seed };
+        let spec = Self {
+            scene,
+            division,
+            view_box,
+            sampling,
+            backend,
+            seed: m.seed,
+            time_budget_ms: m.time_budget_ms,
+        };
         spec.sampling.check()?;
+        let cubes = spec.sampling.sampler == Sampler::Cubes;
+        if matches!(division, Division::Adaptive { .. }) && !cubes {
+            return Err(SpecError::Field("sampler", "an adaptive division is sampled with cubes"));
+        }
+        if spec.sampling.max_error.is_some() && spec.sampling.sampler != Sampler::Lines {
+            return Err(SpecError::Field("max-error", "only the sampler lines refines to a bound"));
+        }
+        if spec.time_budget_ms > 0 && cubes {
+            return Err(SpecError::Field("time-budget", "the sampler cubes cannot stop early"));
+        }
         spec.lattice()?;
         Ok(spec)
     }
@@ -107,6 +137,15 @@ impl JobSpec {
             }),
             view_box: min.into_iter().chain(max).collect(),
             sampling: Some(v1::Sampling {
+                sampler: match s.sampler {
+                    Sampler::Lines => v1::Sampler::Lines,
+                    Sampler::Cubes => v1::Sampler::Cubes,
+                    Sampler::Guided => v1::Sampler::Guided,
+                }
+                .into(),
+                target_error: s.target_error,
+                max_error: s.max_error,
+                rays: s.rays,
                 resolution: s.resolution,
                 measure: match s.measure {
                     ErrorMeasure::Strata => v1::ErrorMeasure::Strata,
@@ -132,6 +171,7 @@ impl JobSpec {
             }
             .into(),
             seed: self.seed,
+            time_budget_ms: self.time_budget_ms,
         }
     }
 
@@ -159,7 +199,11 @@ impl JobSpec {
     /// As [`JobSpec::lattice`].
     pub fn plan(&self) -> Result<(Lattice, Plan), DivisionError> {
         let lattice = self.lattice()?;
-        Ok((lattice, Plan::new(&self.division, &lattice)))
+        let layout = match self.sampling.sampler {
+            Sampler::Cubes => Layout::Samples,
+            Sampler::Lines | Sampler::Guided => Layout::Blocks,
+        };
+        Ok((lattice, Plan::new(&self.division, &lattice, layout)))
     }
 }
 
@@ -175,6 +219,7 @@ mod tests {
             sampling: SamplingParams::default(),
             backend: BackendChoice::Auto,
             seed: 3,
+            time_budget_ms: 0,
         }
     }
 
@@ -185,7 +230,19 @@ mod tests {
         let sampling = s.sampling.clone();
         let others = [
             JobSpec { scene: [8; 32], ..s.clone() },
-            JobSpec { division: Division::Adaptive { budget: 5, max_depth: 6 }, ..s.clone() },
+            JobSpec {
+                division: Division::Adaptive { budget: 5, max_depth: 6 },
+                sampling: SamplingParams { sampler: Sampler::Cubes, ..sampling.clone() },
+                ..s.clone()
+            },
+            JobSpec { time_budget_ms: 5, ..s.clone() },
+            JobSpec {
+                sampling: SamplingParams { sampler: Sampler::Guided, ..sampling.clone() },
+                ..s.clone()
+            },
+            JobSpec { sampling: SamplingParams { target_error: 0.01, ..sampling.clone() }, ..s.clone() },
+            JobSpec { sampling: SamplingParams { max_error: Some(0.01), ..sampling.clone() }, ..s.clone() },
+            JobSpec { sampling: SamplingParams { rays: 5, ..sampling.clone() }, ..s.clone() },
             JobSpec { view_box: [Vec3::ZERO, Vec3::new(1.0, 1.0, 2.0)], ..s.clone() },
             JobSpec { backend: BackendChoice::Gpu, ..s.clone() },
             JobSpec { seed: 4, ..s.clone() },

@@ -1,10 +1,12 @@
-//! Which backend is faster here: a few cubes of the scene at hand, timed with each.
+//! Which backend is faster here: a few cubes, or as many sight lines, of the scene at hand, timed with each.
 
 use std::time::{Duration, Instant};
 
 use sightline_viewcells::Lattice;
 
 use crate::backend::{Backend, BackendError};
+use crate::cube::face_basis;
+use crate::lines::packet::{LANES, Packet};
 
 /// Cubes timed with each backend, after one that warms it up.
 const CUBES: u32 = 8;
@@ -18,25 +20,61 @@ pub struct Timing {
     pub per_cube: Duration,
 }
 
+/// Places spread evenly over the view box: a Kronecker sequence (generalised golden ratio in three dimensions).
+fn places(lattice: &Lattice) -> impl Iterator<Item = glam::Vec3> + '_ {
+    let units = lattice.units();
+    let step = [0.819_172_5, 0.671_043_6, 0.549_700_5f64];
+    (0u32..).map(move |i| {
+        let p = [0, 1, 2].map(|a| {
+            let t = (0.5 + step[a] * f64::from(i + 1)).fract();
+            (f64::from(units[a]) * t) as u32
+        });
+        lattice.position(p)
+    })
+}
+
 /// Times `backend` at fixed places spread over the view box. Building its geometry is not counted: it is done once.
 ///
 /// # Errors
 /// The backend's own failure.
 pub fn time(backend: &dyn Backend, lattice: &Lattice) -> Result<Timing, BackendError> {
     let renderer = backend.prepare(None)?;
-    let units = lattice.units();
-    // A Kronecker sequence spreads any number of points evenly (generalised golden ratio in three dimensions).
-    let place = |i: u32| {
-        let step = [0.819_172_5, 0.671_043_6, 0.549_700_5f64];
-        let p = [0, 1, 2].map(|a| {
-            let t = (0.5 + step[a] * f64::from(i + 1)).fract();
-            (f64::from(units[a]) * t) as u32
-        });
-        lattice.position(p)
-    };
-    let points: Vec<_> = (0..CUBES).map(place).collect();
+    let points: Vec<_> = places(lattice).take(CUBES as usize).collect();
     renderer.samples(&points[..1])?;
     let start = Instant::now();
     renderer.samples(&points)?;
+    Ok(Timing { profile: backend.profile().to_owned(), per_cube: start.elapsed() / CUBES })
+}
+
+/// Times `backend` on sight lines instead: packets of a cube's directions from the same places. A cube here is what
+/// [`time`] traces with item buffers of 64² pixels.
+///
+/// # Errors
+/// As [`time`].
+pub fn time_lines(
+    backend: &dyn Backend,
+    distinct: &[u32],
+    lattice: &Lattice,
+) -> Result<Timing, BackendError> {
+    const SIDE: u32 = 16;
+    let tracer = backend.lines(distinct)?;
+    let mut packets = Vec::new();
+    for point in places(lattice).take(CUBES as usize) {
+        for face in 0..6 {
+            let [forward, right, up] = face_basis(face);
+            for tile in 0..SIDE * SIDE {
+                let mut packet = Packet::default();
+                for lane in 0..LANES as u32 {
+                    let at = |x: u32| (2 * x + 1) as f32 / (4 * SIDE) as f32 - 1.0;
+                    let (x, y) = (tile % SIDE * 4 + lane % 4, tile / SIDE * 4 + lane / 4);
+                    packet.push(point.to_array(), (forward + right * at(x) + up * at(y)).to_array());
+                }
+                packets.push(packet);
+            }
+        }
+    }
+    tracer.trace(&mut packets)?;
+    let start = Instant::now();
+    tracer.trace(&mut packets)?;
     Ok(Timing { profile: backend.profile().to_owned(), per_cube: start.elapsed() / CUBES })
 }

@@ -6,6 +6,7 @@
 use glam::Vec3;
 
 use crate::cube::{CubeImage, VisibilitySample};
+use crate::lines::packet::LineTracer;
 
 /// Why a backend cannot be had, or stopped working.
 #[derive(Debug, thiserror::Error)]
@@ -35,6 +36,12 @@ pub trait Backend: Send + Sync {
     /// # Errors
     /// [`BackendError::Failed`] when the device cannot hold the geometry.
     fn prepare(&self, superset: Option<&[u32]>) -> Result<Box<dyn CubeRenderer + '_>, BackendError>;
+
+    /// Makes ready to trace sight lines through the triangles `distinct` (ascending ids, the same in every call).
+    ///
+    /// # Errors
+    /// [`BackendError`] when the device cannot, or cannot hold the geometry.
+    fn lines(&self, distinct: &[u32]) -> Result<Box<dyn LineTracer + '_>, BackendError>;
 }
 
 /// Renders cubes of the geometry given to [`Backend::prepare`]. Degenerate triangles are never seen.

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use sightline_viewcells::{CellBox, LatticePoint, Split};
 
 use crate::cube::VisibilitySample;
+use crate::lines::CellStats;
 use crate::tile::{CellSet, CellSets, Node, Pack, TileOutput};
 
 /// Compression level: 3 is zstd's own default; higher ones cost more time than the network saves.
@@ -66,6 +67,7 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
             for cell in &sets.cells {
                 put_ids(&mut raw, &cell.visible);
                 put(&mut raw, cell.samples);
+                numbers(&cell.stats).for_each(|n| put64(&mut raw, n));
             }
         }
     }
@@ -127,6 +129,29 @@ fn put(out: &mut Vec<u8>, mut value: u32) {
     out.push(value as u8);
 }
 
+fn put64(out: &mut Vec<u8>, mut value: u64) {
+    while value >= 0x80 {
+        out.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    out.push(value as u8);
+}
+
+/// Numbers of a cell's statistics.
+const NUMBERS: usize = 14;
+
+fn numbers(s: &CellStats) -> impl Iterator<Item = u64> {
+    let rest = [
+        u64::from(s.rounds),
+        s.last_rays,
+        s.last_misses,
+        s.bound_lines,
+        s.bound_misses,
+        u64::from(s.bound_look),
+    ];
+    s.rays.into_iter().chain(s.finds).chain(rest)
+}
+
 /// Count, then each id's distance from the one before; ids ascend.
 fn put_ids(out: &mut Vec<u8>, ids: &[u32]) {
     put(out, ids.len() as u32);
@@ -150,12 +175,20 @@ impl Reader<'_> {
     }
 
     fn u32(&mut self) -> Result<u32, CodecError> {
+        u32::try_from(self.u64()?).map_err(|_| CodecError("a number is too large"))
+    }
+
+    fn u64(&mut self) -> Result<u64, CodecError> {
         let mut value = 0u64;
-        for shift in (0..35).step_by(7) {
+        for shift in (0..64).step_by(7) {
             let b = self.byte()?;
-            value |= u64::from(b & 0x7f) << shift;
+            let bits = u64::from(b & 0x7f);
+            if bits << shift >> shift != bits {
+                return Err(CodecError("a number is too large"));
+            }
+            value |= bits << shift;
             if b & 0x80 == 0 {
-                return u32::try_from(value).map_err(|_| CodecError("a number is too large"));
+                return Ok(value);
             }
         }
         Err(CodecError("a number is too long"))
@@ -236,6 +269,25 @@ impl Reader<'_> {
         Ok(Some(pixels.into()))
     }
 
+    fn stats(&mut self) -> Result<CellStats, CodecError> {
+        let mut n = [0; NUMBERS];
+        for number in &mut n {
+            *number = self.u64()?;
+        }
+        let [a, b, c, d, e, f, g, h, rounds, last_rays, last_misses, bound_lines, bound_misses, look] = n;
+        let small = |n: u64| u32::try_from(n).map_err(|_| CodecError("a number is too large"));
+        Ok(CellStats {
+            rays: [a, b, c, d],
+            finds: [e, f, g, h],
+            rounds: small(rounds)?,
+            last_rays,
+            last_misses,
+            bound_lines,
+            bound_misses,
+            bound_look: small(look)?,
+        })
+    }
+
     fn cells(&mut self) -> Result<CellSets, CodecError> {
         let n = self.count(1)?;
         let mut nodes = Vec::with_capacity(n);
@@ -264,7 +316,7 @@ impl Reader<'_> {
         }
         let mut sets = CellSets { nodes, cells: Vec::new() };
         for _ in 0..cells {
-            sets.cells.push(CellSet { visible: self.ids()?, samples: self.u32()? });
+            sets.cells.push(CellSet { visible: self.ids()?, samples: self.u32()?, stats: self.stats()? });
         }
         Ok(sets)
     }
@@ -298,7 +350,19 @@ mod tests {
             (ids(), ids(), 0usize..3, any::<u32>(), any::<u32>()).prop_map(|(a, b, axis, at, samples)| {
                 TileOutput::Cells(CellSets {
                     nodes: vec![Node::Split(Split { axis, at }), Node::Cell, Node::Cell],
-                    cells: vec![CellSet { visible: a, samples }, CellSet { visible: b, samples: 7 }],
+                    cells: vec![
+                        CellSet {
+                            visible: a,
+                            samples,
+                            stats: CellStats {
+                                rays: [1, u64::MAX, samples.into(), 4],
+                                rounds: samples,
+                                bound_look: 3,
+                                ..CellStats::default()
+                            },
+                        },
+                        CellSet { visible: b, samples: 7, stats: CellStats::default() },
+                    ],
                 })
             });
         prop_oneof![pack, cells]
@@ -324,8 +388,10 @@ mod tests {
 
     #[test]
     fn ids_beyond_the_scene_are_refused() {
-        let sets =
-            CellSets { nodes: vec![Node::Cell], cells: vec![CellSet { visible: vec![5], samples: 1 }] };
+        let sets = CellSets {
+            nodes: vec![Node::Cell],
+            cells: vec![CellSet { visible: vec![5], samples: 1, stats: CellStats::default() }],
+        };
         let bytes = encode(&TileOutput::Cells(sets)).unwrap();
         assert!(decode(&bytes, 6).is_ok());
         assert!(decode(&bytes, 5).is_err());

@@ -11,6 +11,7 @@ pub mod codec;
 pub mod cube;
 pub mod embree;
 pub mod gpu;
+pub mod lines;
 pub mod measure;
 pub mod params;
 mod reduce;
@@ -19,4 +20,4 @@ pub mod tile;
 
 pub use backend::{Backend, BackendError, CubeRenderer};
 pub use cube::{CubeImage, CubeSpec, SKY, Strata, VisibilitySample, near_distance};
-pub use params::{BackendChoice, ErrorMeasure, ParamsError, SamplingParams, SupersetChoice};
+pub use params::{BackendChoice, ErrorMeasure, ParamsError, Sampler, SamplingParams, SupersetChoice};

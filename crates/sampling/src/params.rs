@@ -42,9 +42,29 @@ pub enum SupersetChoice {
     Off,
 }
 
+/// How visibility is sampled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Sampler {
+    /// Sight lines shared by all cells they cross, guided by what was found ([`crate::lines`]).
+    Lines,
+    /// The papers' visibility cubes on adaptively split rectangles ([`crate::refine`]).
+    Cubes,
+    /// A fixed number of guided rays for each cell on its own: what the others are measured against.
+    Guided,
+}
+
 /// Parameters of aggressive sampling. All of them are part of a job's key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SamplingParams {
+    /// Default lines. Those below up to `rays` are for lines, the others for cubes.
+    pub sampler: Sampler,
+    /// Lines: a cell is done when it is expected to miss at most this fraction of its sight lines. Default 0.0001.
+    pub target_error: f64,
+    /// Lines: refine each cell until its 95 % bound on missed sight lines is at most this. Default none.
+    pub max_error: Option<f64>,
+    /// Guided: rays a cell. Default 200 000.
+    pub rays: u64,
     /// Side of one item buffer in pixels. Default 256.
     pub resolution: u32,
     /// Default Err″.
@@ -65,6 +85,10 @@ pub struct SamplingParams {
 impl Default for SamplingParams {
     fn default() -> Self {
         Self {
+            sampler: Sampler::Lines,
+            target_error: 1e-4,
+            max_error: None,
+            rays: 200_000,
             resolution: 256,
             measure: ErrorMeasure::Strata,
             error_threshold: 0.1,
@@ -103,6 +127,9 @@ impl SamplingParams {
                 Err(ParamsError { name, value, least, most })
             }
         };
+        within("target-error", self.target_error, 1e-7, 1.0)?;
+        within("max-error", self.max_error.unwrap_or(1.0), 1e-6, 1.0)?;
+        within("rays", self.rays as f64, 1.0, 1e12)?;
         within("resolution", f64::from(self.resolution), 8.0, 4096.0)?;
         within("error-threshold", self.error_threshold, 0.0, 1.0)?;
         within("interior-threshold", self.interior_threshold, 0.0, 1.0)?;

@@ -4,37 +4,75 @@
 //! tiles it needs. It runs on one worker, in one order; only the rendering of a level's cubes is spread over
 //! threads.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
+use std::time::Instant;
 
-use sightline_scene::topology::Solids;
+use sightline_scene::topology::{self, Solids};
 use sightline_scene::{Aabb, Scene, SceneError, overlap};
 use sightline_viewcells::{CellBox, Division, Lattice, LatticePoint, Split, Tile, TileKind};
 
 use crate::backend::{Backend, BackendError, CubeRenderer};
 use crate::cache::{CacheCounters, SampleCache};
 use crate::cube::VisibilitySample;
-use crate::params::{SamplingParams, SupersetChoice};
+use crate::lines::surface::Surface;
+use crate::lines::{self, CellStats};
+use crate::params::{Sampler, SamplingParams, SupersetChoice};
 use crate::refine::{Exterior, SampleSource, refine};
 
-/// A scene with what every tile of it needs, computed once a worker.
+/// A scene with what tiles need of it, each computed when first asked for, once a worker.
 pub struct PreparedScene {
     /// The triangles.
     pub scene: Arc<Scene>,
-    /// Which triangles bound closed solids.
-    pub solids: Solids,
-    /// Classes of triangles with the same three vertices: seen together or not at all.
-    pub duplicates: Vec<Vec<u32>>,
+    solids: OnceLock<Solids>,
+    duplicates: OnceLock<Vec<Vec<u32>>>,
+    distinct: OnceLock<Vec<u32>>,
+    surface: OnceLock<Surface>,
 }
 
+/// Why an analysis cannot fail.
+const CHECKED: &str = "the number of triangles was checked when the scene was prepared";
+
 impl PreparedScene {
-    /// Analyses `scene`.
+    /// Takes up `scene`.
     ///
     /// # Errors
     /// [`SceneError::Bad`] when it has too many triangles to analyse.
     pub fn new(scene: Arc<Scene>) -> Result<Self, SceneError> {
-        let solids = Solids::of(&scene)?;
-        let duplicates = sightline_scene::topology::duplicates(&scene)?;
-        Ok(Self { scene, solids, duplicates })
+        topology::check_size(&scene)?;
+        Ok(Self {
+            scene,
+            solids: OnceLock::new(),
+            duplicates: OnceLock::new(),
+            distinct: OnceLock::new(),
+            surface: OnceLock::new(),
+        })
+    }
+
+    /// Which triangles bound closed solids.
+    #[expect(clippy::expect_used, reason = "new() has checked the only thing that can fail")]
+    pub fn solids(&self) -> &Solids {
+        self.solids.get_or_init(|| Solids::of(&self.scene).expect(CHECKED))
+    }
+
+    /// Classes of triangles with the same three vertices: seen together or not at all.
+    #[expect(clippy::expect_used, reason = "new() has checked the only thing that can fail")]
+    pub fn duplicates(&self) -> &[Vec<u32>] {
+        self.duplicates.get_or_init(|| topology::duplicates(&self.scene).expect(CHECKED))
+    }
+
+    /// The triangles with area, without those that are duplicates of an earlier one; ascending.
+    pub fn distinct(&self) -> &[u32] {
+        self.distinct.get_or_init(|| {
+            let mut kept = vec![true; self.scene.triangles().len()];
+            self.duplicates().iter().flat_map(|class| &class[1..]).for_each(|id| kept[*id as usize] = false);
+            let area = |id: &u32| !self.scene.triangles()[*id as usize].is_degenerate();
+            (0..self.scene.len()).filter(|id| kept[*id as usize]).filter(area).collect()
+        })
+    }
+
+    /// Neighbours over edges and the order in space.
+    pub fn surface(&self) -> &Surface {
+        self.surface.get_or_init(|| Surface::of(&self.scene))
     }
 }
 
@@ -50,6 +88,10 @@ pub struct JobContext<'a> {
     pub params: &'a SamplingParams,
     /// What renders.
     pub backend: &'a dyn Backend,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// When to stop with what there is; only sight lines have it.
+    pub deadline: Option<Instant>,
 }
 
 /// The samples a tile rendered, by position.
@@ -73,8 +115,10 @@ pub enum Node {
 pub struct CellSet {
     /// Ids seen from it or meeting it, ascending.
     pub visible: Vec<u32>,
-    /// Samples on its surface.
+    /// Visibility cubes on its surface.
     pub samples: u32,
+    /// How sight lines came to the set.
+    pub stats: CellStats,
 }
 
 /// The result of a leaf tile.
@@ -98,7 +142,7 @@ pub enum TileOutput {
 /// Work done by a tile, for reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TileCounters {
-    /// Cubes rendered.
+    /// Cubes rendered, or rays traced.
     pub rendered: u64,
     /// The sample cache's own counters.
     pub cache: CacheCounters,
@@ -117,8 +161,8 @@ pub enum TileError {
 
 /// Told about progress, and asked whether to go on.
 pub trait Watcher: Sync {
-    /// So many more cubes were rendered.
-    fn rendered(&self, cubes: u64);
+    /// So many more cubes were rendered, or rays traced.
+    fn rendered(&self, samples: u64);
     /// One more cell is finished.
     fn cell_done(&self);
     /// Whether the tile should stop.
@@ -135,6 +179,10 @@ pub fn run(
     packs: &[Pack],
     watcher: &dyn Watcher,
 ) -> Result<(TileOutput, TileCounters), TileError> {
+    if job.params.sampler != Sampler::Cubes {
+        let (sets, rendered) = lines::run(job, tile, watcher)?;
+        return Ok((TileOutput::Cells(sets), TileCounters { rendered, ..TileCounters::default() }));
+    }
     let mut cache = SampleCache::new(tile.cell);
     for (p, sample) in packs.iter().flat_map(|pack| &pack.samples) {
         cache.insert(*p, Arc::clone(sample));
@@ -213,7 +261,7 @@ impl Work<'_> {
         for id in ids {
             self.bits[*id as usize / 64] |= 1 << (id % 64);
         }
-        for class in &self.job.scene.duplicates {
+        for class in self.job.scene.duplicates() {
             if class.iter().any(|id| self.bits[*id as usize / 64] >> (id % 64) & 1 == 1) {
                 class.iter().for_each(|id| self.bits[*id as usize / 64] |= 1 << (id % 64));
             }
@@ -244,7 +292,7 @@ impl Work<'_> {
         let Some(split) = split else {
             self.cache.finish(cell);
             out.nodes.push(Node::Cell);
-            out.cells.push(CellSet { visible: seen, samples });
+            out.cells.push(CellSet { visible: seen, samples, stats: CellStats::default() });
             self.watcher.cell_done();
             return Ok(());
         };
@@ -330,7 +378,7 @@ impl Exterior for SolidExterior<'_> {
         // In the plane of the triangle, or with no solid in sight, a viewpoint may be there.
         sample
             .dominant
-            .and_then(|id| self.scene.solids.exterior(&self.scene.scene, id, self.lattice.position(p)))
+            .and_then(|id| self.scene.solids().exterior(&self.scene.scene, id, self.lattice.position(p)))
             .unwrap_or(true)
     }
 }

@@ -52,8 +52,16 @@ fn bake(
     let b = scene.bounds();
     let lattice = division.lattice(b.min, b.max).unwrap();
     let prepared = PreparedScene::new(Arc::clone(&scene)).unwrap();
-    let plan = Plan::new(&division, &lattice);
-    let job = JobContext { scene: &prepared, division, lattice, params, backend: &backend as &dyn Backend };
+    let plan = Plan::new(&division, &lattice, sightline_viewcells::Layout::Samples);
+    let job = JobContext {
+        scene: &prepared,
+        division,
+        lattice,
+        params,
+        backend: &backend as &dyn Backend,
+        seed: 0,
+        deadline: None,
+    };
     let mut outputs: Vec<Vec<u8>> = Vec::new();
     let mut cells = Vec::new();
     let count = Count::default();
@@ -75,7 +83,12 @@ fn bake(
 }
 
 fn coarse() -> SamplingParams {
-    SamplingParams { resolution: 64, min_distance: 1.0, ..SamplingParams::default() }
+    SamplingParams {
+        sampler: sightline_sampling::Sampler::Cubes,
+        resolution: 64,
+        min_distance: 1.0,
+        ..SamplingParams::default()
+    }
 }
 
 fn rooms() -> Scene {
@@ -89,7 +102,7 @@ fn a_cell_sees_what_meets_it_and_two_bakes_are_alike() {
     assert_eq!(cells.len(), 12);
     assert!(samples > 36, "at least every cell corner: {samples}");
     let lattice = division.lattice(scene.bounds().min, scene.bounds().max).unwrap();
-    let plan = Plan::new(&division, &lattice);
+    let plan = Plan::new(&division, &lattice, sightline_viewcells::Layout::Samples);
     // With twelve cells every leaf tile is one cell, in order.
     for (n, set) in plan.leaves().zip(&cells) {
         let (min, max) = plan.tiles[n as usize].cell.world(&lattice);

@@ -111,17 +111,27 @@ pub fn duplicates(scene: &Scene) -> Result<Vec<Vec<u32>>, SceneError> {
     Ok(classes)
 }
 
+/// Whether a scene's corners can be numbered.
+///
+/// # Errors
+/// As [`Solids::of`].
+pub fn check_size(scene: &Scene) -> Result<(), SceneError> {
+    let corners = scene.triangles().len() as u64 * 3;
+    if corners <= u64::from(u32::MAX) {
+        return Ok(());
+    }
+    Err(SceneError::bad(
+        "scene",
+        "vertices",
+        format!("its {corners} triangle corners are more than can be numbered"),
+        "split the scene into parts of at most 1 431 655 765 triangles",
+    ))
+}
+
 /// A number for each corner (three a triangle), equal exactly for corners at the same position.
 fn corner_vertices(scene: &Scene) -> Result<Vec<u32>, SceneError> {
+    check_size(scene)?;
     let corners = scene.triangles().len() as u64 * 3;
-    if corners > u64::from(u32::MAX) {
-        return Err(SceneError::bad(
-            "scene",
-            "vertices",
-            format!("its {corners} triangle corners are more than can be numbered"),
-            "split the scene into parts of at most 1 431 655 765 triangles",
-        ));
-    }
     // Position in the upper 96 bits, corner in the lower 32.
     let mut keys: Vec<u128> = Vec::with_capacity(corners as usize);
     for v in scene.triangles().iter().flat_map(|t| &t.v) {

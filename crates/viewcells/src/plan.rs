@@ -5,6 +5,9 @@
 //!   shares those samples.
 //! - A **leaf tile** works through the subtree below, and gives the sets of its cells.
 //!
+//! Samplers that share nothing between tiles have **blocks** instead: leaf tiles alone, each as large as one worker should
+//! hold at a time.
+//!
 //! The plan depends on the division alone, never on how many workers there are, and its order is the order of the
 //! leaf tiles' cells in the result.
 
@@ -15,6 +18,28 @@ use crate::{CellBox, Division, Lattice, Split};
 const LEAF_TILES: u64 = 64;
 /// Most grid cells of a leaf tile, so that large jobs have tiles of minutes, not hours.
 const MAX_CELLS_PER_TILE: u64 = 64;
+
+/// Most grid cells of a block: lines are shared by all cells they cross in it, so larger blocks cost less in all, but fewer
+/// workers find one (docs/decisions/0005-sight-lines.md).
+const BLOCK_CELLS: u64 = 512;
+
+/// How a job is cut.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Layout {
+    /// Faces, separators and leaves that share samples on their borders.
+    Samples,
+    /// Blocks that share nothing.
+    Blocks,
+}
+
+/// A node of the kd-tree above the leaf tiles, in preorder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outline {
+    /// Its two children follow, the one below the plane first.
+    Split(Split),
+    /// The subtree of a leaf tile.
+    Leaf(u32),
+}
 
 /// What a tile does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,13 +72,19 @@ pub struct Tile {
 pub struct Plan {
     /// The tiles; index = tile number.
     pub tiles: Vec<Tile>,
+    /// The tree above the leaf tiles.
+    pub outline: Vec<Outline>,
 }
 
 impl Plan {
     /// The plan for a division.
-    pub fn new(division: &Division, lattice: &Lattice) -> Self {
+    pub fn new(division: &Division, lattice: &Lattice, layout: Layout) -> Self {
         let root = division.root(lattice);
-        let mut plan = Self { tiles: Vec::new() };
+        let mut plan = Self { tiles: Vec::new(), outline: Vec::new() };
+        if layout == Layout::Blocks {
+            plan.add_blocks(division, lattice, root, 0);
+            return plan;
+        }
         for f in 0..6 {
             plan.tiles.push(Tile {
                 kind: TileKind::Face(f),
@@ -97,6 +128,7 @@ impl Plan {
         match division.split(lattice, &cell, depth).filter(|_| cut_here) {
             Some(split) => {
                 let number = self.tiles.len() as u32;
+                self.outline.push(Outline::Split(split));
                 self.tiles.push(Tile { kind: TileKind::Separator(split), cell, depth, needs, cells: 0 });
                 above.push(number);
                 for child in cell.children(split) {
@@ -104,7 +136,26 @@ impl Plan {
                 }
                 above.pop();
             }
-            None => self.tiles.push(Tile { kind: TileKind::Leaf, cell, depth, needs, cells }),
+            None => {
+                self.outline.push(Outline::Leaf(self.tiles.len() as u32));
+                self.tiles.push(Tile { kind: TileKind::Leaf, cell, depth, needs, cells });
+            }
+        }
+    }
+
+    fn add_blocks(&mut self, division: &Division, lattice: &Lattice, cell: CellBox, depth: u32) {
+        let cells = grid_cells(division, &cell);
+        match division.split(lattice, &cell, depth).filter(|_| cells > BLOCK_CELLS) {
+            Some(split) => {
+                self.outline.push(Outline::Split(split));
+                for child in cell.children(split) {
+                    self.add_blocks(division, lattice, child, depth + 1);
+                }
+            }
+            None => {
+                self.outline.push(Outline::Leaf(self.tiles.len() as u32));
+                self.tiles.push(Tile { kind: TileKind::Leaf, cell, depth, needs: Vec::new(), cells });
+            }
         }
     }
 

@@ -32,7 +32,7 @@ proptest! {
     fn plans_cover_every_cell_once_and_need_only_earlier_tiles(x in 1u32..20, y in 1u32..20, z in 1u32..6) {
         let d = Division::Grid([x, y, z]);
         let l = d.lattice(Vec3::ZERO, Vec3::ONE).unwrap();
-        let plan = Plan::new(&d, &l);
+        let plan = Plan::new(&d, &l, sightline_viewcells::Layout::Samples);
         let mut cells = 0;
         for (i, t) in plan.tiles.iter().enumerate() {
             prop_assert!(t.needs.iter().all(|n| (*n as usize) < i));

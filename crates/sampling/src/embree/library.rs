@@ -77,12 +77,63 @@ impl RayHit16 {
     }
 }
 
+/// One ray and its hit, `RTCRayHit`, with room for the fields Embree 4.4 appends.
+#[repr(C, align(64))]
+pub struct RayHit1 {
+    /// Origin.
+    pub org: [f32; 3],
+    /// Start of the ray, in lengths of its direction.
+    pub tnear: f32,
+    /// Direction.
+    pub dir: [f32; 3],
+    time: f32,
+    /// End of the ray; the hit distance afterwards.
+    pub tfar: f32,
+    mask: u32,
+    id: u32,
+    flags: u32,
+    ng: [f32; 3],
+    uv: [f32; 2],
+    /// The triangle hit.
+    pub prim: u32,
+    /// `u32::MAX` when nothing was hit.
+    pub geom: u32,
+    newer_fields: [u32; 16],
+}
+
+impl RayHit1 {
+    /// A ray that has hit nothing.
+    pub fn new(org: [f32; 3], dir: [f32; 3], tnear: f32) -> Self {
+        Self {
+            org,
+            tnear,
+            dir,
+            time: 0.0,
+            tfar: f32::INFINITY,
+            mask: u32::MAX,
+            id: 0,
+            flags: 0,
+            ng: [0.0; 3],
+            uv: [0.0; 2],
+            prim: u32::MAX,
+            geom: u32::MAX,
+            newer_fields: [u32::MAX; 16],
+        }
+    }
+}
+
 /// Per-query context, `RTCIntersectContext` (3) and `RTCRayQueryContext` (4), with room to spare.
 #[repr(C, align(16))]
 struct Context3 {
     flags: c_uint,
     filter: *const c_void,
     rest: [u32; 16],
+}
+
+impl Context3 {
+    fn new(flags: c_uint) -> Self {
+        Self { flags, filter: std::ptr::null(), rest: [u32::MAX; 16] }
+    }
 }
 
 /// `RTCIntersectArguments` (4).
@@ -96,17 +147,32 @@ struct Arguments4 {
     rest: [u32; 16],
 }
 
+impl Arguments4 {
+    fn new(flags: c_uint) -> Self {
+        Self {
+            flags,
+            feature_mask: u32::MAX,
+            context: std::ptr::null_mut(),
+            filter: std::ptr::null(),
+            intersect: std::ptr::null(),
+            rest: [0; 16],
+        }
+    }
+}
+
 /// Coherent rays: bit 0 in Embree 3, bit 16 in Embree 4.
 const COHERENT_3: c_uint = 1;
 const COHERENT_4: c_uint = 1 << 16;
 
+type Single3 = unsafe extern "C" fn(Handle, *mut Context3, *mut RayHit1);
+type Single4 = unsafe extern "C" fn(Handle, *mut RayHit1, *mut Arguments4);
 type Intersect3 = unsafe extern "C" fn(*const c_int, Handle, *mut Context3, *mut RayHit16);
 type Intersect4 = unsafe extern "C" fn(*const c_int, Handle, *mut RayHit16, *mut Arguments4);
 
-/// The two generations of the packet query.
+/// The two generations of the queries: a packet, and one ray.
 enum Intersect {
-    V3(Intersect3),
-    V4(Intersect4),
+    V3(Intersect3, Single3),
+    V4(Intersect4, Single4),
 }
 
 /// The functions used, by their C names without the `rtc` prefix.
@@ -124,7 +190,7 @@ pub struct Embree {
     release_geometry: unsafe extern "C" fn(Handle),
     set_new_geometry_buffer: unsafe extern "C" fn(Handle, c_int, c_uint, c_int, usize, usize) -> *mut c_void,
     commit_geometry: unsafe extern "C" fn(Handle),
-    intersect16: Intersect,
+    intersect: Intersect,
     // Last, so that it outlives the functions above.
     _library: Library,
 }
@@ -188,10 +254,10 @@ impl Embree {
                 release_geometry: f(&library, b"rtcReleaseGeometry\0")?,
                 set_new_geometry_buffer: f(&library, b"rtcSetNewGeometryBuffer\0")?,
                 commit_geometry: f(&library, b"rtcCommitGeometry\0")?,
-                intersect16: if major == 3 {
-                    Intersect::V3(f(&library, b"rtcIntersect16\0")?)
+                intersect: if major == 3 {
+                    Intersect::V3(f(&library, b"rtcIntersect16\0")?, f(&library, b"rtcIntersect1\0")?)
                 } else {
-                    Intersect::V4(f(&library, b"rtcIntersect16\0")?)
+                    Intersect::V4(f(&library, b"rtcIntersect16\0")?, f(&library, b"rtcIntersect1\0")?)
                 },
                 _library: library,
             })
@@ -307,30 +373,38 @@ impl TriangleScene {
         }
     }
 
-    /// Finds the nearest hit of each ray whose `valid` entry is −1.
+    /// Finds the nearest hit of each ray whose `valid` entry is −1. The rays should run alike.
     pub fn intersect(&self, valid: &[i32; 16], rays: &mut RayHit16) {
         /// `valid` as Embree wants it: aligned to 64 bytes.
         #[repr(align(64))]
         struct Valid([i32; 16]);
         let valid = Valid(*valid);
-        match self.device.embree.intersect16 {
-            Intersect::V3(f) => {
-                let mut context =
-                    Context3 { flags: COHERENT_3, filter: std::ptr::null(), rest: [u32::MAX; 16] };
+        match self.device.embree.intersect {
+            Intersect::V3(f, _) => {
+                let mut context = Context3::new(COHERENT_3);
                 // SAFETY: all three structures are as large and as aligned as Embree 3 reads or writes.
                 unsafe { f(valid.0.as_ptr(), self.handle, &raw mut context, rays) }
             }
-            Intersect::V4(f) => {
-                let mut arguments = Arguments4 {
-                    flags: COHERENT_4,
-                    feature_mask: u32::MAX,
-                    context: std::ptr::null_mut(),
-                    filter: std::ptr::null(),
-                    intersect: std::ptr::null(),
-                    rest: [0; 16],
-                };
+            Intersect::V4(f, _) => {
+                let mut arguments = Arguments4::new(COHERENT_4);
                 // SAFETY: as above for Embree 4; a null context asks for the default one.
                 unsafe { f(valid.0.as_ptr(), self.handle, rays, &raw mut arguments) }
+            }
+        }
+    }
+
+    /// Finds the nearest hit of one ray.
+    pub fn intersect_one(&self, ray: &mut RayHit1) {
+        match self.device.embree.intersect {
+            Intersect::V3(_, f) => {
+                let mut context = Context3::new(0);
+                // SAFETY: both structures are as large and as aligned as Embree 3 reads or writes.
+                unsafe { f(self.handle, &raw mut context, ray) }
+            }
+            Intersect::V4(_, f) => {
+                let mut arguments = Arguments4::new(0);
+                // SAFETY: as above for Embree 4; a null context asks for the default one.
+                unsafe { f(self.handle, ray, &raw mut arguments) }
             }
         }
     }

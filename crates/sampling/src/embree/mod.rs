@@ -11,9 +11,10 @@ use glam::Vec3;
 use rayon::prelude::*;
 use sightline_scene::{Scene, Triangle};
 
-use self::library::{Device, RayHit16, TriangleScene};
+use self::library::{Device, RayHit1, RayHit16, TriangleScene};
 use crate::backend::{Backend, BackendError, CubeRenderer};
 use crate::cube::{CubeImage, CubeSpec, SKY, VisibilitySample, face_basis};
+use crate::lines::packet::{LineTracer, Packet};
 use crate::reduce::Reducer;
 
 /// Embree bound to a scene.
@@ -23,6 +24,8 @@ pub struct CpuBackend {
     device: Arc<Device>,
     profile: String,
     whole: OnceLock<Result<Arc<Hierarchy>, String>>,
+    /// Of the triangles that sight lines meet.
+    distinct: OnceLock<Result<Arc<Hierarchy>, String>>,
 }
 
 /// A committed hierarchy, and how its triangles are numbered.
@@ -40,7 +43,14 @@ impl CpuBackend {
     pub fn new(scene: Arc<Scene>, spec: CubeSpec) -> Result<Self, BackendError> {
         let device = Self::open()?;
         let profile = profile(&device);
-        Ok(Self { scene, spec, device: Arc::new(device), profile, whole: OnceLock::new() })
+        Ok(Self {
+            scene,
+            spec,
+            device: Arc::new(device),
+            profile,
+            whole: OnceLock::new(),
+            distinct: OnceLock::new(),
+        })
     }
 
     /// The numerics profile this machine would have.
@@ -111,6 +121,15 @@ impl Backend for CpuBackend {
         &self.profile
     }
 
+    fn lines(&self, distinct: &[u32]) -> Result<Box<dyn LineTracer + '_>, BackendError> {
+        let hierarchy = self
+            .distinct
+            .get_or_init(|| self.build(Some(distinct)))
+            .clone()
+            .map_err(|reason| BackendError::Failed { profile: self.profile.clone(), reason })?;
+        Ok(Box::new(CpuTracer { hierarchy, near: crate::near_distance(self.scene.bounds()) }))
+    }
+
     fn prepare(&self, superset: Option<&[u32]>) -> Result<Box<dyn CubeRenderer + '_>, BackendError> {
         let hierarchy = match superset {
             Some(_) => self.build(superset),
@@ -119,6 +138,47 @@ impl Backend for CpuBackend {
         .map_err(|reason| BackendError::Failed { profile: self.profile.clone(), reason })?;
         let near = crate::near_distance(self.scene.bounds());
         Ok(Box::new(CpuRenderer { hierarchy, spec: self.spec, near, reducers: Mutex::new(Vec::new()) }))
+    }
+}
+
+/// Traces packets through one hierarchy.
+struct CpuTracer {
+    hierarchy: Arc<Hierarchy>,
+    near: f32,
+}
+
+impl LineTracer for CpuTracer {
+    fn trace(&self, packets: &mut [Packet]) -> Result<(), BackendError> {
+        let mut rays = RayHit16::new();
+        for p in packets {
+            rays.org = p.origin;
+            rays.dir = p.direction;
+            rays.tnear = [self.near; 16];
+            rays.tfar = [f32::INFINITY; 16];
+            rays.geom = [u32::MAX; 16];
+            let valid = std::array::from_fn(|l| if l < p.count { -1 } else { 0 });
+            self.hierarchy.scene.intersect(&valid, &mut rays);
+            p.distance = rays.tfar;
+            for l in 0..16 {
+                p.triangle[l] =
+                    if rays.geom[l] == u32::MAX { SKY } else { self.hierarchy.ids[rays.prim[l] as usize] };
+            }
+        }
+        Ok(())
+    }
+
+    fn trace_each(&self, packets: &mut [Packet]) -> Result<(), BackendError> {
+        for p in packets {
+            for l in 0..p.count {
+                let at = |v: &[[f32; 16]; 3]| [v[0][l], v[1][l], v[2][l]];
+                let mut ray = RayHit1::new(at(&p.origin), at(&p.direction), self.near);
+                self.hierarchy.scene.intersect_one(&mut ray);
+                p.distance[l] = ray.tfar;
+                p.triangle[l] =
+                    if ray.geom == u32::MAX { SKY } else { self.hierarchy.ids[ray.prim as usize] };
+            }
+        }
+        Ok(())
     }
 }
 

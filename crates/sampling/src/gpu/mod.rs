@@ -1,7 +1,8 @@
 //! The GPU backend: item buffers drawn by wgpu, reduced on the device, read back as short lists.
 //!
-//! It draws triangles with the ordinary raster pipeline; a compute path for GPUs that rasterise slowly would
-//! stand beside it. Nothing here is needed to read a result: a machine without a driver uses the CPU backend.
+//! It draws triangles with the ordinary raster pipeline. Beside it stands a compute path that traces sight lines
+//! (`tracer.rs`) and shares only the device. Nothing here is needed to read a result: a machine without a driver
+//! uses the CPU backend.
 //!
 //! **Near plane.** A cube's frusta begin at [`crate::near_distance`]. Depth is reversed floating point, near /
 //! distance, which has the same relative precision at any distance.
@@ -10,14 +11,17 @@
 //! integer sums and unions, whose order does not matter; its list is sorted before use.
 
 mod adapter;
+mod bvh;
 mod clusters;
 mod geometry;
+mod line_scene;
 mod pipelines;
 mod renderer;
 mod tally;
+mod tracer;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
 use sightline_scene::Scene;
@@ -26,9 +30,12 @@ pub use adapter::{AdapterChoice, AdapterSummary, adapters, probe};
 
 use crate::backend::{Backend, BackendError, CubeRenderer};
 use crate::cube::CubeSpec;
+use crate::lines::packet::LineTracer;
 use geometry::{DrawStyle, Geometry};
+use line_scene::{LineScene, Refusal};
 use pipelines::{Kit, MAX_RESOLUTION, scoped};
 use renderer::{GpuRenderer, Work};
+use tracer::{GpuTracer, LineKit};
 
 /// Rank of a triangle that is never drawn.
 const NEVER: u32 = u32::MAX;
@@ -58,6 +65,8 @@ pub struct GpuBackend {
     fault: Arc<Mutex<Option<String>>>,
     /// What one batch of cubes uses at a time.
     work: Mutex<Work>,
+    /// The scene as lines are traced through it, once they are.
+    lines: OnceLock<Result<Arc<LineKit>, Refusal>>,
 }
 
 impl GpuBackend {
@@ -114,6 +123,7 @@ impl GpuBackend {
             profile: summary.profile,
             whole: Arc::new(whole),
             work: Mutex::default(),
+            lines: OnceLock::new(),
             scene,
             spec,
             device,
@@ -139,7 +149,8 @@ impl GpuBackend {
         }
     }
 
-    /// Waits until the device has done `submission`, and its buffers' maps with it.
+    /// Waits until the device has done `submission`, and its buffers' maps with it. The news of a map may still be
+    /// on its way here by another thread's wait; receive it with [`PATIENCE`].
     fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), BackendError> {
         let poll = wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(PATIENCE) };
         // wgpu panics here when the device is lost while it waits; a lost device is an error like any other.
@@ -147,8 +158,8 @@ impl GpuBackend {
         self.check()?;
         match polled {
             Ok(Ok(_)) => Ok(()),
-            Ok(Err(error)) => Err(self.failed(format!("waiting for a cube: {error}"))),
-            Err(_) => Err(self.failed("the device was lost while a cube was rendered")),
+            Ok(Err(error)) => Err(self.failed(format!("waiting for the device: {error}"))),
+            Err(_) => Err(self.failed("the device was lost while it worked")),
         }
     }
 }
@@ -190,6 +201,19 @@ impl Backend for GpuBackend {
             )));
         }
         Ok(Box::new(GpuRenderer::new(self, geometry)))
+    }
+
+    fn lines(&self, distinct: &[u32]) -> Result<Box<dyn LineTracer + '_>, BackendError> {
+        self.check()?;
+        let made = self.lines.get_or_init(|| {
+            LineScene::new(&self.device, &self.scene, distinct, u64::MAX)
+                .map(|scene| Arc::new(LineKit::new(scene)))
+        });
+        match made {
+            Ok(kit) => Ok(Box::new(GpuTracer::new(self, Arc::clone(kit)))),
+            Err(Refusal::Unavailable(why)) => Err(BackendError::Unavailable(why.clone())),
+            Err(Refusal::Failed(reason)) => Err(self.failed(reason.clone())),
+        }
     }
 }
 

@@ -12,7 +12,7 @@ use glam::Vec3;
 use super::geometry::{Geometry, Visible};
 use super::pipelines::{FACE_STRIDE, face_uniforms};
 use super::tally::{ENTRY_BYTES, LIST_HEAD, Tally};
-use super::{GpuBackend, MOST_DISTANT, lock};
+use super::{GpuBackend, MOST_DISTANT, PATIENCE, lock};
 use crate::backend::{BackendError, CubeRenderer};
 use crate::cube::{CubeImage, SKY, Strata, VisibilitySample};
 
@@ -309,7 +309,7 @@ impl<'a> GpuRenderer<'a> {
     ) -> Result<Landed, BackendError> {
         let b = self.backend;
         b.wait(flight.submission)?;
-        match flight.mapped.try_recv() {
+        match flight.mapped.recv_timeout(PATIENCE) {
             Ok(Ok(())) => {}
             Ok(Err(error)) => return Err(b.failed(format!("reading a cube back: {error}"))),
             Err(_) => return Err(b.failed("a cube's read-back buffer was not mapped")),

@@ -1,0 +1,58 @@
+//! What the coordinator itself needs to know of a scene: counts, objects and bounds, without its triangles.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use sightline_scene::{Aabb, Object, Scene, SceneError};
+
+use crate::core::Coordinator;
+use crate::store::{BlobError, Digest};
+
+/// Facts about a scene.
+pub(crate) struct SceneFacts {
+    pub(crate) triangles: u32,
+    pub(crate) objects: Vec<Object>,
+    pub(crate) bounds: Aabb,
+}
+
+impl SceneFacts {
+    fn of(scene: &Scene) -> Self {
+        Self { triangles: scene.len(), objects: scene.objects().to_vec(), bounds: scene.bounds() }
+    }
+}
+
+/// The facts of the scene asked for last: jobs on one scene come together.
+#[derive(Default)]
+pub(crate) struct LastScene(Mutex<Option<(Digest, Arc<SceneFacts>)>>);
+
+/// Why they cannot be had.
+#[derive(Debug, thiserror::Error)]
+pub enum FactsError {
+    /// The scene's blob cannot be read.
+    #[error(transparent)]
+    Blob(#[from] BlobError),
+    /// It is not a scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+}
+
+impl Coordinator {
+    /// Remembers a scene that is at hand anyway.
+    pub(crate) fn remember(&self, digest: Digest, scene: &Scene) -> Arc<SceneFacts> {
+        let facts = Arc::new(SceneFacts::of(scene));
+        *self.last_scene.0.lock().unwrap_or_else(PoisonError::into_inner) =
+            Some((digest, Arc::clone(&facts)));
+        facts
+    }
+
+    /// The facts of a stored scene.
+    pub(crate) fn facts(&self, digest: &Digest) -> Result<Arc<SceneFacts>, FactsError> {
+        let last = self.last_scene.0.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        match last {
+            Some((d, facts)) if d == *digest => Ok(facts),
+            _ => {
+                let scene = Scene::from_blob("stored scene", &self.blobs.read(digest)?)?;
+                Ok(self.remember(*digest, &scene))
+            }
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! `sightline info --cells`: how each cell was sampled, the hardest first, and the bounds that hold.
+//!
+//! The numbers are columns of the result file. They are the same on every run of a job, so there are no times among them;
+//! rays are what time was spent on.
+
+use std::collections::BTreeMap;
+
+use serde_json::{Value, json};
+use sightline_pvs::Pvs;
+use sightline_sampling::lines::bound::{ALPHA, alpha_of, upper_bound};
+
+use crate::error::CliError;
+
+/// Cells listed without --json.
+const SHOWN: usize = 20;
+
+/// Bounds of a result: how many cells have one, and the greatest and the mean of them.
+pub struct Bounds {
+    /// Cells that were looked at.
+    pub cells: usize,
+    /// The greatest bound.
+    pub greatest: f64,
+    /// The mean bound.
+    pub mean: f64,
+}
+
+/// The columns of a result by name.
+fn columns(pvs: &Pvs) -> Result<BTreeMap<String, Vec<u64>>, CliError> {
+    Ok(pvs.columns()?.into_iter().map(|c| (c.name, c.values)).collect())
+}
+
+/// A cell's bound on the fraction of sight lines it misses, with confidence 95 %.
+fn bound(columns: &BTreeMap<String, Vec<u64>>, cell: usize) -> Option<f64> {
+    let at = |name: &str| columns.get(name).and_then(|c| c.get(cell)).copied().unwrap_or(0);
+    let look = u32::try_from(at("bound_look")).unwrap_or(u32::MAX);
+    (at("bound_lines") > 0).then(|| upper_bound(at("bound_misses"), at("bound_lines"), alpha_of(look)))
+}
+
+/// The bounds of a result, if it has any.
+///
+/// # Errors
+/// The result's own.
+pub fn bounds(pvs: &Pvs) -> Result<Option<Bounds>, CliError> {
+    let columns = columns(pvs)?;
+    let all: Vec<f64> = (0..pvs.cells() as usize).filter_map(|c| bound(&columns, c)).collect();
+    let sum: f64 = all.iter().sum();
+    Ok((!all.is_empty()).then(|| Bounds {
+        cells: all.len(),
+        greatest: all.iter().copied().fold(0.0, f64::max),
+        mean: sum / all.len() as f64,
+    }))
+}
+
+/// One object a cell.
+///
+/// # Errors
+/// The result's own.
+pub fn json(pvs: &Pvs) -> Result<Value, CliError> {
+    let columns = columns(pvs)?;
+    let mut ids = Vec::new();
+    let mut cells = Vec::new();
+    for cell in 0..pvs.cells() {
+        pvs.visible(cell, &mut ids)?;
+        let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
+        let mut line = json!({"cell": cell, "min": min, "max": max, "visible": ids.len()});
+        for (name, values) in &columns {
+            line[name] = values[cell as usize].into();
+        }
+        if let Some(bound) = bound(&columns, cell as usize) {
+            line["bound"] = bound.into();
+            line["confidence"] = (1.0 - ALPHA).into();
+        }
+        cells.push(line);
+    }
+    Ok(cells.into())
+}
+
+/// The cells that took most rays, as a table.
+///
+/// # Errors
+/// The result's own.
+pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
+    let columns = columns(pvs)?;
+    let none = Vec::new();
+    let column = |name: &str| columns.get(name).unwrap_or(&none);
+    let at = |name: &str, cell: usize| column(name).get(cell).copied().unwrap_or(0);
+    if columns.is_empty() {
+        return Ok(vec!["this result keeps no statistics of its cells".to_owned()]);
+    }
+    let kinds = ["rays_uniform", "rays_flood", "rays_candidate", "rays_check", "samples"];
+    let finds = ["finds_uniform", "finds_flood", "finds_candidate", "finds_check"];
+    let cost = |cell: usize| kinds.iter().map(|k| at(k, cell)).sum::<u64>();
+    let mut order: Vec<usize> = (0..pvs.cells() as usize).collect();
+    order.sort_by_key(|c| (std::cmp::Reverse(cost(*c)), *c));
+    let mut lines = vec![
+        "rays and finds are of uniform, flood, candidate and held-out lines; `missed` is what the last round's uniform rays \
+         found missing when it began"
+            .to_owned(),
+        "  cell visible rounds cubes rays finds missed bound".to_owned(),
+    ];
+    let mut ids = Vec::new();
+    for cell in order.iter().copied().take(SHOWN) {
+        pvs.visible(cell as u32, &mut ids)?;
+        let list =
+            |names: &[&str]| names.iter().map(|n| at(n, cell).to_string()).collect::<Vec<_>>().join("/");
+        let rays = at("last_rays", cell);
+        let missed = if rays > 0 {
+            format!("{:.4} %", at("last_misses", cell) as f64 / rays as f64 * 100.0)
+        } else {
+            "-".to_owned()
+        };
+        let bound = bound(&columns, cell).map_or("-".to_owned(), |b| format!("{:.4} %", b * 100.0));
+        lines.push(format!(
+            "  {cell} {} {} {} {} {} {missed} {bound}",
+            ids.len(),
+            at("rounds", cell),
+            at("samples", cell),
+            list(&kinds[..4]),
+            list(&finds),
+        ));
+    }
+    if order.len() > SHOWN {
+        lines.push(format!("… and {} cells that took fewer rays; --json lists all", order.len() - SHOWN));
+    }
+    Ok(lines)
+}

@@ -1,0 +1,308 @@
+//! The hierarchy of boxes the line tracer walks: binary, binned surface area heuristic, built on the CPU.
+//!
+//! It orders triangles and bounds them; it knows nothing of devices, rays or units, splits no triangle and is
+//! never refitted. The same triangles give the same nodes on every machine and thread count: subtrees are built
+//! in parallel, but where each goes follows from the split alone.
+//!
+//! **Depth.** A node of n triangles at depth d is split by the heuristic only while d + 1 + [`levels`]\(n − 1) is
+//! at most [`MAX_DEPTH`], else at the median, which makes [`levels`] one less. So d + levels(n) never exceeds
+//! [`MAX_DEPTH`], and a traversal that goes down one child and puts the other aside never has more than
+//! [`MAX_DEPTH`] put aside. [`Bvh::build`] measures the depth all the same and refuses a deeper tree.
+
+use bytemuck::{Pod, Zeroable};
+use glam::Vec3;
+use sightline_scene::Aabb;
+
+/// Most nodes from the root to a leaf, the root not counted; entries of the shader's stack.
+pub(super) const MAX_DEPTH: u32 = 40;
+/// Most triangles of a leaf.
+const MAX_LEAF: usize = 4;
+/// Bits of [`Node::child`] that hold a leaf's count.
+const COUNT_BITS: u32 = 4;
+/// Nodes and triangles are numbered with the bits left.
+const MOST: usize = 1 << (32 - COUNT_BITS);
+/// Bins an axis.
+const BINS: usize = 16;
+/// What testing two boxes costs, in triangle tests.
+const STEP_COST: f32 = 1.0;
+/// Subtrees of fewer triangles are built on one thread.
+const PARALLEL: usize = 8192;
+
+/// A box and what is in it, as `trace.wgsl` reads it. Siblings are neighbours, the left one at an even place.
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Node {
+    pub(super) low: Vec3,
+    /// In the upper 28 bits the left child and 0 below, or the first triangle of a leaf and their number below.
+    pub(super) child: u32,
+    pub(super) high: Vec3,
+    unused: u32,
+}
+
+/// A built hierarchy.
+#[derive(Debug)]
+pub(super) struct Bvh {
+    /// The root, a filler, then pairs of siblings. Empty when there is nothing to bound.
+    pub(super) nodes: Vec<Node>,
+    /// For each place in the leaves' order the number of its box in the input.
+    pub(super) order: Vec<u32>,
+}
+
+/// A box to be sorted into the tree.
+#[derive(Clone, Copy)]
+struct Item {
+    bounds: Aabb,
+    id: u32,
+}
+
+impl Item {
+    fn centre(&self) -> Vec3 {
+        // Halved first: no sum overflows.
+        self.bounds.min * 0.5 + self.bounds.max * 0.5
+    }
+}
+
+/// A node in preorder: its left child follows it, its right child lies `right` places after it; 0 for a leaf.
+#[derive(Clone, Copy)]
+struct Flat {
+    bounds: Aabb,
+    right: u32,
+    first: u32,
+    count: u32,
+}
+
+/// Where and along which axis to split.
+struct Split {
+    axis: usize,
+    /// Bins below go left.
+    bin: usize,
+    cost: f32,
+}
+
+/// Halvings at the median until leaves are small enough.
+fn levels(n: usize) -> u32 {
+    n.div_ceil(MAX_LEAF).max(1).next_power_of_two().trailing_zeros()
+}
+
+impl Bvh {
+    /// Builds over `boxes`, none of them empty.
+    ///
+    /// # Errors
+    /// In words, when there are more boxes than the nodes can number.
+    pub(super) fn build(boxes: &[Aabb]) -> Result<Self, String> {
+        // A binary tree has fewer than two nodes a leaf, and there is the filler.
+        if boxes.len() >= MOST / 2 {
+            return Err(format!(
+                "{} triangles are more than the {} a line tracer's hierarchy can number",
+                boxes.len(),
+                MOST / 2 - 1
+            ));
+        }
+        if boxes.is_empty() {
+            return Ok(Self { nodes: Vec::new(), order: Vec::new() });
+        }
+        let mut items: Vec<Item> = boxes.iter().zip(0..).map(|(b, id)| Item { bounds: *b, id }).collect();
+        let flat = subtree(&mut items, 0, 0);
+        let (nodes, depth) = paired(&flat);
+        if depth > MAX_DEPTH {
+            return Err(format!("the hierarchy became {depth} levels deep; {MAX_DEPTH} were expected"));
+        }
+        Ok(Self { nodes, order: items.iter().map(|i| i.id).collect() })
+    }
+}
+
+/// The tree over `items`, of which the first will have place `first`, in preorder.
+fn subtree(items: &mut [Item], first: usize, depth: u32) -> Vec<Flat> {
+    let bounds = items.iter().fold(Aabb::EMPTY, |b, i| b.union(i.bounds));
+    let leaf = Flat { bounds, right: 0, first: first as u32, count: items.len() as u32 };
+    if items.len() == 1 {
+        return vec![leaf];
+    }
+    let free = depth + 1 + levels(items.len() - 1) <= MAX_DEPTH;
+    let centres = items.iter().fold(Aabb::EMPTY, |b, i| {
+        let c = i.centre();
+        b.union(Aabb { min: c, max: c })
+    });
+    let split = if free { best_split(items, &centres) } else { None };
+    if items.len() <= MAX_LEAF {
+        let whole = items.len() as f32 * half_area(&bounds);
+        if split.as_ref().is_none_or(|s| s.cost + STEP_COST * half_area(&bounds) >= whole) {
+            return vec![leaf];
+        }
+    }
+    let middle = match split {
+        Some(s) => partition(items, |i| bin_of(i.centre(), &centres, s.axis) < s.bin),
+        None => halve(items, &centres),
+    };
+    let (left, right) = items.split_at_mut(middle);
+    let (left, right) = if left.len() + right.len() >= PARALLEL {
+        rayon::join(|| subtree(left, first, depth + 1), || subtree(right, first + middle, depth + 1))
+    } else {
+        (subtree(left, first, depth + 1), subtree(right, first + middle, depth + 1))
+    };
+    let mut all = Vec::with_capacity(1 + left.len() + right.len());
+    all.push(Flat { right: 1 + left.len() as u32, ..leaf });
+    all.extend_from_slice(&left);
+    all.extend_from_slice(&right);
+    all
+}
+
+/// Half the surface; 0 for the empty box.
+fn half_area(b: &Aabb) -> f32 {
+    let e = (b.max - b.min).max(Vec3::ZERO);
+    e.x * e.y + e.y * e.z + e.z * e.x
+}
+
+fn bin_of(centre: Vec3, centres: &Aabb, axis: usize) -> usize {
+    let extent = centres.max[axis] - centres.min[axis];
+    // The cast saturates; NaN cannot be, for axes without extent are not asked for.
+    (((centre[axis] - centres.min[axis]) / extent * BINS as f32) as usize).min(BINS - 1)
+}
+
+/// The cheapest split that leaves something on both sides; the first axis and bin among equals.
+fn best_split(items: &[Item], centres: &Aabb) -> Option<Split> {
+    let mut best: Option<Split> = None;
+    for axis in 0..3 {
+        // Also refuses extents so small that bins could not be told apart.
+        if centres.max[axis] - centres.min[axis] <= f32::MIN_POSITIVE * BINS as f32 {
+            continue;
+        }
+        let mut bins = [(Aabb::EMPTY, 0u32); BINS];
+        for item in items {
+            let bin = &mut bins[bin_of(item.centre(), centres, axis)];
+            *bin = (bin.0.union(item.bounds), bin.1 + 1);
+        }
+        let mut above = [(0.0f32, 0u32); BINS];
+        let (mut bounds, mut count) = (Aabb::EMPTY, 0);
+        for bin in (1..BINS).rev() {
+            bounds = bounds.union(bins[bin].0);
+            count += bins[bin].1;
+            above[bin] = (half_area(&bounds) * count as f32, count);
+        }
+        let (mut bounds, mut count) = (Aabb::EMPTY, 0);
+        for bin in 1..BINS {
+            bounds = bounds.union(bins[bin - 1].0);
+            count += bins[bin - 1].1;
+            let cost = half_area(&bounds) * count as f32 + above[bin].0;
+            if count > 0 && above[bin].1 > 0 && best.as_ref().is_none_or(|b| cost < b.cost) {
+                best = Some(Split { axis, bin, cost });
+            }
+        }
+    }
+    best
+}
+
+/// Brings the items `left` holds for to the front; how many they are.
+fn partition(items: &mut [Item], left: impl Fn(&Item) -> bool) -> usize {
+    let mut middle = 0;
+    for i in 0..items.len() {
+        if left(&items[i]) {
+            items.swap(i, middle);
+            middle += 1;
+        }
+    }
+    middle
+}
+
+/// Splits at the median centre along the widest axis, lesser numbers first among equals.
+fn halve(items: &mut [Item], centres: &Aabb) -> usize {
+    let extent = centres.max - centres.min;
+    let axis = (1..3).fold(0, |a, b| if extent[b] > extent[a] { b } else { a });
+    let middle = items.len() / 2;
+    items.select_nth_unstable_by(middle, |a, b| {
+        a.centre()[axis].total_cmp(&b.centre()[axis]).then(a.id.cmp(&b.id))
+    });
+    middle
+}
+
+/// Nodes with siblings side by side, and the depth.
+fn paired(flat: &[Flat]) -> (Vec<Node>, u32) {
+    let node = |f: &Flat, child| Node { low: f.bounds.min, child, high: f.bounds.max, unused: 0 };
+    let mut nodes = Vec::with_capacity(flat.len() + 1);
+    nodes.extend([Node::zeroed(); 2]);
+    let mut deepest = 0;
+    // (where it is in `flat`, where it goes, its depth)
+    let mut todo = vec![(0usize, 0usize, 0u32)];
+    while let Some((from, to, depth)) = todo.pop() {
+        let f = &flat[from];
+        deepest = deepest.max(depth);
+        if f.right == 0 {
+            nodes[to] = node(f, (f.first << COUNT_BITS) | f.count);
+        } else {
+            let left = nodes.len();
+            nodes.extend([Node::zeroed(); 2]);
+            nodes[to] = node(f, (left as u32) << COUNT_BITS);
+            todo.push((from + f.right as usize, left + 1, depth + 1));
+            todo.push((from + 1, left, depth + 1));
+        }
+    }
+    (nodes, deepest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Checks that every box is in one leaf and in every box above it; the depth.
+    fn check(boxes: &[Aabb], bvh: &Bvh) -> u32 {
+        let mut met = vec![0; boxes.len()];
+        let mut deepest = 0;
+        let mut todo = vec![(0usize, 0u32)];
+        while let Some((at, depth)) = todo.pop() {
+            deepest = deepest.max(depth);
+            let node = bvh.nodes[at];
+            let bounds = Aabb { min: node.low, max: node.high };
+            let (place, count) = ((node.child >> COUNT_BITS) as usize, (node.child & 15) as usize);
+            if count == 0 {
+                assert!(place.is_multiple_of(2) && place > at);
+                for child in [place, place + 1] {
+                    let c = bvh.nodes[child];
+                    assert!(bounds.contains(c.low) && bounds.contains(c.high));
+                    todo.push((child, depth + 1));
+                }
+            } else {
+                assert!(count <= MAX_LEAF);
+                for id in &bvh.order[place..place + count] {
+                    let b = boxes[*id as usize];
+                    assert!(bounds.contains(b.min) && bounds.contains(b.max));
+                    met[*id as usize] += 1;
+                }
+            }
+        }
+        assert!(met.iter().all(|m| *m == 1));
+        assert!(deepest <= MAX_DEPTH);
+        deepest
+    }
+
+    #[test]
+    fn every_box_is_in_one_leaf() {
+        for count in [1, 2, 4, 5, 1000, 20_000] {
+            let boxes: Vec<Aabb> = (0..count)
+                .map(|i| {
+                    let p = Vec3::new((i * 7919 % 1009) as f32, (i * 104_729 % 977) as f32, (i % 31) as f32);
+                    Aabb { min: p, max: p + 1.0 + (i % 5) as f32 }
+                })
+                .collect();
+            let bvh = Bvh::build(&boxes).unwrap();
+            check(&boxes, &bvh);
+            let again = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+            let again = again.install(|| Bvh::build(&boxes).unwrap());
+            assert_eq!((bvh.nodes, bvh.order), (again.nodes, again.order));
+        }
+        assert!(Bvh::build(&[]).unwrap().nodes.is_empty());
+    }
+
+    /// Sizes and distances that double from one to the next make the heuristic peel off one after another.
+    #[test]
+    fn the_depth_is_bounded_where_the_heuristic_would_go_deep() {
+        let boxes: Vec<Aabb> = (0..4000)
+            .map(|i| {
+                let p = Vec3::splat((i as f32 / 17.0 - 120.0).exp2());
+                Aabb { min: p * 0.5, max: p }
+            })
+            .collect();
+        assert!(check(&boxes, &Bvh::build(&boxes).unwrap()) > levels(boxes.len()));
+        let same = vec![Aabb { min: Vec3::ZERO, max: Vec3::ONE }; 3000];
+        assert_eq!(check(&same, &Bvh::build(&same).unwrap()), levels(same.len()));
+    }
+}

@@ -1,0 +1,245 @@
+//! A scene as the line tracer's shader reads it: hierarchy and triangles on the device, and the pipeline.
+//!
+//! It traces nothing itself (`tracer.rs` does) and holds nothing of the raster path.
+//!
+//! **Limits.** A storage binding may be small, 128 MiB on some devices; nodes and triangles are each spread over
+//! up to [`PAGES`] of them. A scene that does not fit even so is refused, with the limit named.
+
+use bytemuck::{Pod, Zeroable};
+use glam::Vec3;
+use rayon::prelude::*;
+use sightline_scene::{Aabb, Scene, Triangle};
+
+use super::bvh::{Bvh, Node};
+use super::pipelines::{buffer, entry, scoped};
+
+/// Bindings for the nodes, and for the triangles. With rays and hits these are eight storage bindings, which
+/// every device has.
+const PAGES: u64 = 3;
+const NODE_BYTES: u64 = size_of::<Node>() as u64;
+const CORNERS_BYTES: u64 = size_of::<Corners>() as u64;
+/// Bytes written to a page at a time.
+const PIECE: usize = 1 << 20;
+
+/// Why lines cannot be traced.
+#[derive(Clone, Debug)]
+pub(super) enum Refusal {
+    /// The scene does not fit this device.
+    Unavailable(String),
+    /// The device complained.
+    Failed(String),
+}
+
+/// A triangle as the shader reads it: its vertices, scaled, and its id.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct Corners {
+    a: Vec3,
+    id: u32,
+    b: Vec3,
+    unused_b: u32,
+    c: Vec3,
+    unused_c: u32,
+}
+
+/// `Scene` in `trace.wgsl`.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct Uniform {
+    low: Vec3,
+    scale: f32,
+    high: Vec3,
+    unscale: f32,
+    near: f32,
+    unused: [u32; 3],
+}
+
+/// What is on the device.
+pub(super) struct LineScene {
+    pub(super) pipeline: wgpu::ComputePipeline,
+    /// The scene's bindings.
+    pub(super) group: wgpu::BindGroup,
+    /// Layout of the rays' bindings.
+    pub(super) rays_layout: wgpu::BindGroupLayout,
+    /// Whether there is a triangle to meet.
+    pub(super) empty: bool,
+}
+
+/// The greatest power of two that is at most `x`, and its inverse, both normal numbers.
+fn power_below(x: f32) -> (f32, f32) {
+    let exponent = ((x.to_bits() >> 23) & 0xff).clamp(1, 253);
+    (f32::from_bits(exponent << 23), f32::from_bits((254 - exponent) << 23))
+}
+
+impl LineScene {
+    /// Builds the hierarchy of `scene` and copies it to the device, at most `page_bytes` in a binding.
+    ///
+    /// # Errors
+    /// When the scene does not fit, or the device complains.
+    pub(super) fn new(
+        device: &wgpu::Device,
+        scene: &Scene,
+        distinct: &[u32],
+        page_bytes: u64,
+    ) -> Result<Self, Refusal> {
+        let bounds = scene.bounds();
+        let (unscale, scale) = power_below(bounds.min.abs().max(bounds.max.abs()).max_element());
+        let scaled = |id: u32| scene.triangles()[id as usize].v.map(|v| v * scale);
+        // Ids that the scene lacks are ignored.
+        let with_area = |id: &u32| scene.triangles().get(*id as usize).is_some_and(|t| !t.is_degenerate());
+        let ids: Vec<u32> = distinct.par_iter().copied().filter(with_area).collect();
+        let limits = device.limits();
+        let page_bytes = page_bytes.min(limits.max_storage_buffer_binding_size).min(limits.max_buffer_size);
+        // Pairs of nodes stay together.
+        let node_page = (page_bytes / (2 * NODE_BYTES) * 2).max(2);
+        let triangle_page = (page_bytes / CORNERS_BYTES).max(1);
+        let fits = |what: &str, count: usize, page: u64| {
+            if count as u64 <= PAGES * page {
+                return Ok(());
+            }
+            Err(Refusal::Unavailable(format!(
+                "tracing lines needs {count} {what} on the device, which binds at most {PAGES} times {page} \
+                 ({page_bytes} bytes a storage binding); use --backend cpu, or a device with larger bindings"
+            )))
+        };
+        fits("triangles", ids.len(), triangle_page)?;
+        let boxes: Vec<Aabb> = ids.par_iter().map(|id| Triangle { v: scaled(*id) }.bounds()).collect();
+        let bvh =
+            Bvh::build(&boxes).map_err(|why| Refusal::Unavailable(format!("{why}; use --backend cpu")))?;
+        drop(boxes);
+        fits("nodes", bvh.nodes.len(), node_page)?;
+
+        let root = bvh.nodes.first().copied().unwrap_or(Node::zeroed());
+        let uniform = Uniform {
+            low: root.low,
+            scale,
+            high: root.high,
+            unscale,
+            near: crate::near_distance(bounds) * scale,
+            unused: [0; 3],
+        };
+        let corners = |place: &u32| {
+            let id = ids[*place as usize];
+            let [a, b, c] = scaled(id);
+            Corners { a, id, b, unused_b: 0, c, unused_c: 0 }
+        };
+        scoped(device, || {
+            let nodes = pages(device, "line nodes", &bvh.nodes, node_page, |n| *n)?;
+            let triangles = pages(device, "line triangles", &bvh.order, triangle_page, corners)?;
+            let scene = filled(device, "line scene", wgpu::BufferUsages::UNIFORM, &[uniform], |u| *u)?;
+            let paged = nodes.len() > 1 || triangles.len() > 1;
+            // A binding without a page of its own shows the first one's, which is then not read through it.
+            let page = |pages: &[wgpu::Buffer], i: usize| pages.get(i).or(pages.first()).cloned();
+            let mut bound = vec![scene];
+            for of in [&nodes, &triangles] {
+                bound.extend((0..PAGES as usize).filter_map(|i| page(of, i)));
+            }
+            Ok(Self::bind(
+                device,
+                &bound,
+                [f64::from(u8::from(paged)), node_page as f64, triangle_page as f64],
+            ))
+        })
+        .map(|made| Self { empty: ids.is_empty(), ..made })
+        .map_err(Refusal::Failed)
+    }
+
+    /// The pipeline and the scene's bindings, `bound` in the shader's order.
+    fn bind(device: &wgpu::Device, bound: &[wgpu::Buffer], pages: [f64; 3]) -> Self {
+        let stage = wgpu::ShaderStages::COMPUTE;
+        let storage = |read_only| buffer(wgpu::BufferBindingType::Storage { read_only }, false);
+        let uniform = buffer(wgpu::BufferBindingType::Uniform, false);
+        let entries: Vec<_> = (0..bound.len() as u32)
+            .map(|i| entry(i, stage, if i == 0 { uniform } else { storage(true) }))
+            .collect();
+        let layout_of = |label, entries: &[wgpu::BindGroupLayoutEntry]| {
+            device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries })
+        };
+        let scene_layout = layout_of("line scene", &entries);
+        let rays_layout =
+            layout_of("rays", &[entry(0, stage, storage(true)), entry(1, stage, storage(false))]);
+        let entries: Vec<_> = (0..)
+            .zip(bound)
+            .map(|(binding, b)| wgpu::BindGroupEntry { binding, resource: b.as_entire_binding() })
+            .collect();
+        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("line scene"),
+            layout: &scene_layout,
+            entries: &entries,
+        });
+        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some("lines"),
+            bind_group_layouts: &[Some(&scene_layout), Some(&rays_layout)],
+            immediate_size: 0,
+        });
+        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some("lines"),
+            layout: Some(&layout),
+            module: &device.create_shader_module(wgpu::include_wgsl!("trace.wgsl")),
+            entry_point: Some("trace"),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                constants: &[("PAGED", pages[0]), ("NODE_PAGE", pages[1]), ("TRIANGLE_PAGE", pages[2])],
+                ..Default::default()
+            },
+            cache: None,
+        });
+        Self { pipeline, group, rays_layout, empty: false }
+    }
+}
+
+/// `items` as `convert` makes them, `page` a buffer; one small buffer when there are none.
+fn pages<T: Sync, P: Pod + Send>(
+    device: &wgpu::Device,
+    label: &str,
+    items: &[T],
+    page: u64,
+    convert: impl Fn(&T) -> P + Sync,
+) -> Result<Vec<wgpu::Buffer>, String> {
+    if items.is_empty() {
+        return Ok(vec![filled(device, label, wgpu::BufferUsages::STORAGE, &[()], |()| P::zeroed())?]);
+    }
+    // A page larger than memory can count holds everything.
+    let page = usize::try_from(page).unwrap_or(usize::MAX);
+    items.chunks(page).map(|run| filled(device, label, wgpu::BufferUsages::STORAGE, run, &convert)).collect()
+}
+
+fn filled<T: Sync, P: Pod + Send>(
+    device: &wgpu::Device,
+    label: &str,
+    usage: wgpu::BufferUsages,
+    items: &[T],
+    convert: impl Fn(&T) -> P + Sync,
+) -> Result<wgpu::Buffer, String> {
+    let made = device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some(label),
+        size: (items.len() * size_of::<P>()) as u64,
+        usage,
+        mapped_at_creation: true,
+    });
+    {
+        let mut view = made.get_mapped_range_mut(..).map_err(|e| e.to_string())?;
+        let mut at = 0;
+        for piece in items.chunks(PIECE / size_of::<P>().max(1)) {
+            let run: Vec<P> = piece.par_iter().map(&convert).collect();
+            let bytes: &[u8] = bytemuck::cast_slice(&run);
+            view.slice(at..at + bytes.len()).copy_from_slice(bytes);
+            at += bytes.len();
+        }
+    }
+    made.unmap();
+    Ok(made)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn powers_are_exact_inverses() {
+        for x in [1e-45f32, 1e-30, 0.75, 1.0, 1.5, 3e7, 1e30, f32::MAX] {
+            let (unscale, scale) = power_below(x);
+            assert!((scale * unscale - 1.0).abs() < f32::EPSILON && scale.is_normal() && unscale.is_normal());
+            assert!(x < 1e-37 || (0.999..4.0).contains(&(x * scale)));
+        }
+    }
+}

@@ -1,0 +1,282 @@
+//! A block of cells sampled together: rounds of sight lines until every cell misses little enough.
+//!
+//! A round casts uniform lines from every cell still at work, floods from what they find, and then aims at candidates.
+//! The fraction of a round's uniform rays that met something new estimates, without bias, how much the cell was missing
+//! when the round began; the round itself leaves about half of that or less. A cell is done when what it is expected to
+//! miss falls below the target.
+
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
+
+use glam::Vec3;
+use rayon::prelude::*;
+use sightline_scene::Scene;
+
+use super::bits::SeenBits;
+use super::grid::{CellGrid, Crossed, Slot};
+use super::packet::{LineTracer, Packet};
+use super::surface::Surface;
+use super::{CellStats, Kind};
+use crate::backend::BackendError;
+use crate::tile::{TileError, Watcher};
+
+/// Uniform tiles of the first round along a cube face: 27 packet pairs, 864 rays.
+const FIRST_TILES: u32 = 3;
+/// Most tiles along a face in a round.
+const MOST_TILES: u32 = 32;
+/// Part of what a cell misses at a round's beginning that is still missing at its end, measured on scenes of every kind as
+/// 0.4 to 0.65.
+const LEFT_AFTER_ROUND: f64 = 0.5;
+/// Misses a round should count for its estimate to be worth something; a cell that is still at work after many rounds
+/// gets larger ones, so that it does not keep the others' threads waiting for long.
+const MISSES_WANTED: f64 = 2.0;
+const GROWTH: f64 = 1.2;
+/// Candidates that would cover less than this part of what the cell misses are left.
+const CANDIDATE_PART: f64 = 1e-4;
+/// Rounds after which a cell is given up with what it has; a cell that needs more sees new triangles in every round.
+const MOST_ROUNDS: u32 = 24;
+/// Seeds from all surfaces are worth their time below this target.
+const SEEDS_BELOW: f64 = 3e-3;
+
+/// Part of the scene's greatest coordinate by which the two halves of a line overlap: four units in the last place.
+const STEP: f32 = 1.0 / (1 << 21) as f32;
+
+/// What a block's sampling is done with.
+pub struct Tools<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Facts about its triangles.
+    pub surface: &'a Surface,
+    /// What traces.
+    pub tracer: &'a dyn LineTracer,
+    /// Seed of all choices.
+    pub seed: u64,
+    /// Told of progress; asked whether to go on.
+    pub watcher: &'a dyn Watcher,
+    /// When to stop with what there is.
+    pub deadline: Option<Instant>,
+}
+
+/// A view cell of the block.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cell {
+    pub(super) at: [u32; 3],
+    pub(super) slot: Slot,
+    /// Least corner and size.
+    pub(super) lo: Vec3,
+    pub(super) size: Vec3,
+    /// Its number in the whole division, for its random numbers.
+    pub(super) number: u64,
+}
+
+impl Cell {
+    /// A point at fractions of its size.
+    pub(super) fn point(&self, f: [f32; 3]) -> [f32; 3] {
+        (self.lo + self.size * Vec3::from(f)).to_array()
+    }
+}
+
+/// What a thread works with.
+pub(super) struct Scratch {
+    /// For each triangle the last tag under which it was met.
+    pub(super) met: Vec<u32>,
+    pub(super) tag: u32,
+    pub(super) packets: Vec<Packet>,
+    pub(super) behind: Vec<Packet>,
+    pub(super) crossed: Crossed,
+}
+
+impl Scratch {
+    /// Forgets what was met.
+    pub(super) fn next_tag(&mut self) {
+        self.tag = self.tag.wrapping_add(1);
+        if self.tag == 0 {
+            self.met.fill(0);
+            self.tag = 1;
+        }
+    }
+}
+
+/// Cells and what is seen from them.
+pub struct Block<'a> {
+    pub(super) tools: Tools<'a>,
+    pub(super) grid: CellGrid,
+    pub(super) bits: SeenBits,
+    pub(super) cells: Vec<Cell>,
+    /// Beside `cells`.
+    pub(super) stats: Vec<CellStats>,
+    seeded: bool,
+    /// How far ahead of a line's origin its other half begins: a few units in the last place of the scene's coordinates.
+    pub(super) step: f32,
+    scratch: Mutex<Vec<Scratch>>,
+}
+
+impl<'a> Block<'a> {
+    /// A block with nothing seen. `number` gives each of its cells a number that no other cell of the job has.
+    pub fn new(tools: Tools<'a>, grid: CellGrid, number: impl Fn([u32; 3]) -> u64) -> Self {
+        let cells: Vec<Cell> = grid
+            .each()
+            .map(|at| {
+                let (lo, size) = grid.cell_box(at);
+                Cell { at, slot: grid.slot(at), lo, size, number: number(at) }
+            })
+            .collect();
+        let bounds = tools.scene.bounds();
+        let largest = bounds.min.abs().max(bounds.max.abs()).max_element();
+        let step = largest * STEP;
+        let bits = SeenBits::new(tools.scene.triangles().len(), grid.words());
+        let stats = vec![CellStats::default(); cells.len()];
+        Self { tools, grid, bits, cells, stats, seeded: false, step, scratch: Mutex::default() }
+    }
+
+    /// The table of what is seen.
+    pub fn bits(&self) -> &SeenBits {
+        &self.bits
+    }
+
+    /// As [`Block::bits`], to put in what is known.
+    pub fn bits_mut(&mut self) -> &mut SeenBits {
+        &mut self.bits
+    }
+
+    /// The grid of its cells.
+    pub fn grid(&self) -> &CellGrid {
+        &self.grid
+    }
+
+    /// How each cell came to its set, in the order of [`CellGrid::each`].
+    pub fn stats(&self) -> &[CellStats] {
+        &self.stats
+    }
+
+    /// Samples the cells `wanted` (all when empty) until each is expected to miss at most `target`, a fraction of the
+    /// sight lines from it.
+    ///
+    /// # Errors
+    /// [`TileError`] when it is cancelled or the tracer fails. Running out of time is no error.
+    pub fn sample(&mut self, target: f64, wanted: &[usize]) -> Result<(), TileError> {
+        let mut open: Vec<usize> =
+            if wanted.is_empty() { (0..self.cells.len()).collect() } else { wanted.to_vec() };
+        for round in 0..MOST_ROUNDS {
+            if open.is_empty() || self.late() {
+                break;
+            }
+            let sizes: Vec<u32> = open.iter().map(|c| self.tiles_for(*c, target, round)).collect();
+            let work: Vec<(usize, u32)> = open.iter().copied().zip(sizes).collect();
+            self.each(&work, |block, scratch, (cell, tiles)| block.cubes(scratch, *cell, *tiles))?;
+            self.bits.settle();
+            if round == 1 && !self.seeded && target < SEEDS_BELOW {
+                self.seeded = true;
+                self.seeds()?;
+                self.bits.settle();
+            }
+            if self.late() {
+                break;
+            }
+            let least: Vec<f64> =
+                open.iter().map(|c| (self.missing(*c) * CANDIDATE_PART).max(1e-12)).collect();
+            let lists = self.candidates(&open, &least);
+            let work: Vec<(usize, Vec<u32>)> = open.iter().copied().zip(lists).collect();
+            self.each(&work, |block, scratch, (cell, list)| block.aim(scratch, *cell, list, round))?;
+            self.bits.settle();
+            tracing::debug!("round {round}: {} cells", open.len());
+            open.retain(|c| {
+                let s = &self.stats[*c];
+                // One miss more than was counted: none in a few rays is no proof of anything.
+                let left = LEFT_AFTER_ROUND * (s.last_misses as f64 + 1.0) / s.last_rays.max(1) as f64;
+                left > target
+            });
+        }
+        Ok(())
+    }
+
+    /// What the cell was missing when its last round began, as far as that round could tell.
+    fn missing(&self, cell: usize) -> f64 {
+        let s = &self.stats[cell];
+        (s.last_misses as f64 + 0.5) / s.last_rays.max(1) as f64
+    }
+
+    /// Tiles along a cube face for a cell's next round: enough to see what is expected to be missing a few times.
+    fn tiles_for(&self, cell: usize, target: f64, round: u32) -> u32 {
+        let s = &self.stats[cell];
+        if s.last_rays == 0 {
+            return FIRST_TILES;
+        }
+        let expected = (self.missing(cell) * LEFT_AFTER_ROUND).max(target);
+        let rays = MISSES_WANTED * GROWTH.powi(round as i32) / expected;
+        // 3·tiles² pairs of sixteen.
+        ((rays / 96.0).sqrt().ceil() as u32).clamp(FIRST_TILES, MOST_TILES)
+    }
+
+    /// Whether the time is up.
+    pub(super) fn late(&self) -> bool {
+        self.tools.deadline.is_some_and(|d| Instant::now() >= d)
+    }
+
+    /// Does `f` for each piece of work on some thread and adds what it counted to the cell's account.
+    pub(super) fn each<W, F>(&mut self, work: &[W], f: F) -> Result<(), TileError>
+    where
+        W: Sync + HasCell,
+        F: Fn(&Self, &mut Scratch, &W) -> Result<CellStats, BackendError> + Sync,
+    {
+        let this = &*self;
+        let done: Vec<CellStats> = work
+            .par_iter()
+            .with_max_len(2)
+            .map(|w| {
+                if this.tools.watcher.cancelled() {
+                    return Err(TileError::Cancelled);
+                }
+                if this.late() {
+                    return Ok(CellStats::default());
+                }
+                let stats = this.with_scratch(|scratch| f(this, scratch, w))?;
+                this.tools.watcher.rendered(stats.rays.iter().sum());
+                Ok(stats)
+            })
+            .collect::<Result<_, TileError>>()?;
+        for (w, s) in work.iter().zip(done) {
+            let all = &mut self.stats[w.cell()];
+            for k in 0..s.rays.len() {
+                all.rays[k] += s.rays[k];
+                all.finds[k] += s.finds[k];
+            }
+            if s.rays[Kind::Uniform as usize] > 0 {
+                all.rounds += 1;
+                (all.last_rays, all.last_misses) = (s.last_rays, s.last_misses);
+            }
+            if s.bound_lines > 0 {
+                (all.bound_lines, all.bound_misses, all.bound_look) =
+                    (s.bound_lines, s.bound_misses, s.bound_look);
+            }
+        }
+        Ok(())
+    }
+
+    /// Lends a thread's scratch memory.
+    pub(super) fn with_scratch<R>(&self, f: impl FnOnce(&mut Scratch) -> R) -> R {
+        let taken = self.scratch.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let mut scratch = taken.unwrap_or_else(|| Scratch {
+            met: vec![0; self.tools.scene.triangles().len()],
+            tag: 0,
+            packets: Vec::new(),
+            behind: Vec::new(),
+            crossed: Vec::new(),
+        });
+        let result = f(&mut scratch);
+        self.scratch.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
+        result
+    }
+}
+
+/// Work on a cell of the block.
+pub(super) trait HasCell {
+    /// Its place in `Block::cells`.
+    fn cell(&self) -> usize;
+}
+
+impl<T> HasCell for (usize, T) {
+    fn cell(&self) -> usize {
+        self.0
+    }
+}

@@ -1,0 +1,211 @@
+//! How far a set can be trusted: held-out sight lines and the bound they give.
+//!
+//! From a cell, n independent sight lines are cast that took no part in the search: the origin even in the cell, the
+//! direction even in the pixels of a visibility cube. When m of them meet a triangle that is not in the cell's set, the
+//! fraction of such lines that would is at most [`upper_bound`] with confidence 1 − α (Clopper and Pearson 1934). It bounds
+//! the average over the cell, not the worst view.
+//!
+//! A cell that does not pass is sampled further and looked at again with fresh lines. Look k spends α·2⁻ᵏ, so that over any
+//! number of looks the chance that a bound is wrong stays below α. What a look finds is added to the set, which only lowers
+//! the error.
+
+use super::block::{Block, Scratch};
+use super::packet::{LANES, Packet};
+use super::sequence::Hashed;
+use super::{CellStats, Kind};
+use crate::backend::BackendError;
+use crate::cube::{SKY, face_basis};
+use crate::tile::TileError;
+
+/// One minus the confidence of a bound over all looks.
+pub const ALPHA: f64 = 0.05;
+/// Looks after which a cell is left with the bound it has.
+const MOST_LOOKS: u32 = 12;
+/// Sight lines of the first look, in units of one over the bound asked for; each later look takes one unit more, as its
+/// confidence is higher. Six let one miss pass.
+const LINES: f64 = 6.0;
+/// Part of the bound that sampling aims at before the first look: few cells then need a second.
+const AIM: f64 = 0.125;
+/// Lines traced between two looks at the clock.
+const BATCH: usize = 1 << 14;
+/// Name of the stream of random numbers.
+const CHECK: u64 = 5;
+
+/// α of look `look`, from 1.
+pub fn alpha_of(look: u32) -> f64 {
+    ALPHA * 0.5f64.powi(look.min(1000) as i32)
+}
+
+/// The largest rate p at which `misses` or fewer in `lines` have a probability of at least `alpha` (Clopper–Pearson's
+/// one-sided upper limit); 1 without lines.
+pub fn upper_bound(misses: u64, lines: u64, alpha: f64) -> f64 {
+    if misses >= lines {
+        return 1.0;
+    }
+    let (n, m) = (lines as f64, misses as f64);
+    let (mut low, mut high) = (m / n, 1.0);
+    // The probability falls with p; sixty halvings reach the last bit.
+    for _ in 0..60 {
+        let p = 0.5 * (low + high);
+        if at_most(misses, n, p) > alpha {
+            low = p;
+        } else {
+            high = p;
+        }
+    }
+    high
+}
+
+/// Probability of at most `m` successes in `n` trials of probability `p`.
+fn at_most(m: u64, n: f64, p: f64) -> f64 {
+    // From the largest term down: relative to it no term underflows that matters.
+    let odds = p / (1.0 - p);
+    let mut log_first = n * (-p).ln_1p();
+    for k in 0..m {
+        log_first += ((n - k as f64) / (k as f64 + 1.0) * odds).ln();
+    }
+    let (mut term, mut sum) = (1.0f64, 1.0f64);
+    for k in (1..=m).rev() {
+        term *= k as f64 / ((n - k as f64 + 1.0) * odds);
+        sum += term;
+        if term < 1e-17 * sum {
+            break;
+        }
+    }
+    (log_first + sum.ln()).exp().min(1.0)
+}
+
+impl CellStats {
+    /// The bound on the fraction of missed sight lines, with confidence 1 − [`ALPHA`]; `None` when there was no look.
+    pub fn bound(&self) -> Option<f64> {
+        (self.bound_lines > 0)
+            .then(|| upper_bound(self.bound_misses, self.bound_lines, alpha_of(self.bound_look)))
+    }
+}
+
+impl Block<'_> {
+    /// Samples until every cell's bound is at most `most`, or the time is up, or a cell has been looked at too often. A
+    /// cell's statistics say what was reached.
+    ///
+    /// # Errors
+    /// As [`Block::sample`].
+    pub fn sample_to_bound(&mut self, most: f64) -> Result<(), TileError> {
+        let mut aim = most * AIM;
+        self.sample(aim, &[])?;
+        let mut open: Vec<usize> = (0..self.cells.len()).collect();
+        for look in 1..=MOST_LOOKS {
+            let lines = ((LINES + f64::from(look - 1)) / most).ceil() as u64;
+            self.look_at(&open, look, lines)?;
+            open.retain(|c| self.stats[*c].bound().is_none_or(|b| b > most));
+            if open.is_empty() || self.late() {
+                break;
+            }
+            aim *= 0.5;
+            let again = open.clone();
+            self.sample(aim, &again)?;
+        }
+        Ok(())
+    }
+
+    /// Look number `look`: casts `lines` held-out lines from every cell.
+    ///
+    /// # Errors
+    /// As [`Block::sample`].
+    pub fn look(&mut self, look: u32, lines: u64) -> Result<(), TileError> {
+        let all: Vec<usize> = (0..self.cells.len()).collect();
+        self.look_at(&all, look, lines)
+    }
+
+    fn look_at(&mut self, cells: &[usize], look: u32, lines: u64) -> Result<(), TileError> {
+        let work: Vec<(usize, u64)> = cells.iter().map(|c| (*c, lines)).collect();
+        self.each(&work, |block, s, (cell, lines)| block.check(s, *cell, *lines, look))?;
+        self.bits.settle();
+        Ok(())
+    }
+
+    /// Casts `lines` held-out lines from `cell` and counts those that meet what is not in its set.
+    fn check(&self, s: &mut Scratch, cell: usize, lines: u64, look: u32) -> Result<CellStats, BackendError> {
+        let c = self.cells[cell];
+        let mut random = Hashed::new(&[self.tools.seed, c.number, u64::from(look), CHECK]);
+        let mut stats = CellStats::default();
+        let (mut left, mut misses) = (lines, 0);
+        while left > 0 {
+            if self.late() {
+                // Half a look is none.
+                return Ok(CellStats { rays: stats.rays, ..CellStats::default() });
+            }
+            let batch = left.min(BATCH as u64) as usize;
+            left -= batch as u64;
+            // Drawn independently, then put in an order in which packets run alike: the order changes no count.
+            let side = ((batch as f32 / 96.0).sqrt() as u32).max(1);
+            let mut drawn: Vec<(u32, [f32; 6])> = (0..batch)
+                .map(|_| {
+                    let face = (random.bits() % 6) as u32;
+                    let [u, v] = [random.unit(), random.unit()];
+                    let [forward, right, up] = face_basis(face);
+                    let d = forward + right * (2.0 * u - 1.0) + up * (2.0 * v - 1.0);
+                    let o = c.point([random.unit(), random.unit(), random.unit()]);
+                    let key = (face * side + (v * side as f32) as u32) * side + (u * side as f32) as u32;
+                    (key, [o[0], o[1], o[2], d.x, d.y, d.z])
+                })
+                .collect();
+            drawn.sort_by_key(|(key, _)| *key);
+            s.packets.clear();
+            for group in drawn.chunks(LANES) {
+                let mut packet = Packet::default();
+                for (_, [ox, oy, oz, dx, dy, dz]) in group {
+                    packet.push([*ox, *oy, *oz], [*dx, *dy, *dz]);
+                }
+                s.packets.push(packet);
+            }
+            self.tools.tracer.trace(&mut s.packets)?;
+            for packet in &s.packets {
+                for lane in 0..packet.count {
+                    let triangle = packet.triangle[lane];
+                    if triangle != SKY && !self.bits.seen(triangle, c.slot) {
+                        misses += 1;
+                        let (origin, direction) = packet.ray(lane);
+                        self.grid.walk(origin, direction, 0.0, packet.distance[lane], &mut s.crossed);
+                        self.bits.credit(triangle, &s.crossed);
+                    }
+                }
+            }
+            stats.rays[Kind::Check as usize] += batch as u64;
+        }
+        stats.finds[Kind::Check as usize] = misses;
+        (stats.bound_lines, stats.bound_misses, stats.bound_look) = (lines, misses, look);
+        Ok(stats)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn the_bound_is_clopper_and_pearsons() {
+        // No miss in n: 1 − α^(1/n).
+        for n in [1u64, 10, 300, 100_000] {
+            let exact = 1.0 - ALPHA.powf(1.0 / n as f64);
+            assert!((upper_bound(0, n, ALPHA) / exact - 1.0).abs() < 1e-9, "{n}");
+        }
+        // Tables: 1 in 10 at 95 % one-sided 0.3942, 5 in 100 0.1023, 50 in 1000 0.06286.
+        for (m, n, bound) in [(1, 10, 0.3942), (5, 100, 0.1023), (50, 1000, 0.06286)] {
+            assert!((upper_bound(m, n, 0.05) - bound).abs() < 1e-4, "{m} in {n}");
+        }
+        assert!(upper_bound(0, 0, 0.05) == 1.0 && upper_bound(7, 7, 0.05) == 1.0);
+    }
+
+    proptest! {
+        #[test]
+        fn more_misses_or_confidence_raise_it_and_more_lines_lower_it(m in 0u64..50, extra in 1u64..100_000, a in 1e-6f64..0.4) {
+            let n = m + extra;
+            let b = upper_bound(m, n, a);
+            prop_assert!(b <= 1.0 && b >= m as f64 / n as f64);
+            prop_assert!(upper_bound(m + 1, n, a) >= b);
+            prop_assert!(upper_bound(m, n + 1, a) <= b + 1e-15);
+            prop_assert!(upper_bound(m, n, a * 0.5) >= b);
+        }
+    }
+}

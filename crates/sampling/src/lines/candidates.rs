@@ -1,0 +1,174 @@
+//! Candidates: what a neighbouring cell sees and this one does not, and would cover enough to matter.
+//!
+//! Sixteen candidates that lie near each other share an origin, close to the face through which the neighbours see them:
+//! a point of that face belongs to both cells. The lines go both ways.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::block::{Block, Scratch};
+use super::packet::{LANES, Packet};
+use super::sequence::Hashed;
+use super::surface::point_on;
+use super::{CellStats, Kind};
+use crate::backend::BackendError;
+use crate::cube::SKY;
+
+/// Triangles looked at by a thread at once.
+const STRIPE: usize = 4096;
+/// How deep in the cell an origin lies behind the face it is near to, as a part of the cell's size.
+const DEPTH: f32 = 0.1;
+/// A triangle seen edge-on from the cell's centre may face another of its points: its solid angle counts as at least this
+/// part of what it would be face to face.
+const LEAST_FACING: f32 = 0.25;
+/// Name of the stream of random numbers.
+const AIM: u64 = 3;
+
+impl Block<'_> {
+    /// For each of the cells `open` its candidates in Morton order: those that cover at least `least` of the sphere seen
+    /// from the cell's centre.
+    pub(super) fn candidates(&self, open: &[usize], least: &[f64]) -> Vec<Vec<u32>> {
+        let words = self.grid.words();
+        let mut wanted = vec![0u64; words];
+        let mut place = vec![u32::MAX; words * 64];
+        for (i, cell) in open.iter().enumerate() {
+            let slot = self.cells[*cell].slot;
+            wanted[slot.word as usize] |= 1 << slot.bit;
+            place[slot.index()] = i as u32;
+        }
+        // Steradians.
+        let least: Vec<f32> = least.iter().map(|l| (l * 4.0 * std::f64::consts::PI) as f32).collect();
+        let stripes: Vec<Vec<(u32, u32)>> = self
+            .tools
+            .surface
+            .morton
+            .par_chunks(STRIPE)
+            .map(|stripe| {
+                let mut found = Vec::new();
+                let mut near = vec![0u64; words];
+                for &triangle in stripe {
+                    let row = self.bits.row(triangle);
+                    if row.iter().all(|w| *w == 0) {
+                        continue;
+                    }
+                    self.grid.dilate(row, &mut near);
+                    let mut any = 0;
+                    for ((n, seen), w) in near.iter_mut().zip(row).zip(&wanted) {
+                        *n &= w & !seen;
+                        any |= *n;
+                    }
+                    if any == 0 {
+                        continue;
+                    }
+                    let v = self.tools.scene.triangles()[triangle as usize].v;
+                    let area = (v[1] - v[0]).cross(v[2] - v[0]) * 0.5;
+                    let (centre, size) = ((v[0] + v[1] + v[2]) / 3.0, area.length());
+                    for (word, bits) in near.iter().enumerate() {
+                        let mut rest = *bits;
+                        while rest != 0 {
+                            let index = word * 64 + rest.trailing_zeros() as usize;
+                            rest &= rest - 1;
+                            let i = place[index] as usize;
+                            let cell = &self.cells[open[i]];
+                            let to = cell.lo + cell.size * 0.5 - centre;
+                            // Nearer than the cell reaches, the distance from its centre says nothing.
+                            let far = to.length_squared().max(cell.size.length_squared() / 12.0);
+                            let facing = (to.dot(area).abs() / far.sqrt()).max(LEAST_FACING * size);
+                            if facing / far >= least[i] {
+                                found.push((i as u32, triangle));
+                            }
+                        }
+                    }
+                }
+                found
+            })
+            .collect();
+        let mut lists = vec![Vec::new(); open.len()];
+        for (i, triangle) in stripes.into_iter().flatten() {
+            lists[i as usize].push(triangle);
+        }
+        lists
+    }
+
+    /// Aims at each of `list` from `cell`.
+    pub(super) fn aim(
+        &self,
+        s: &mut Scratch,
+        cell: usize,
+        list: &[u32],
+        round: u32,
+    ) -> Result<CellStats, BackendError> {
+        let c = self.cells[cell];
+        let rays = self.stats[cell].rays[Kind::Candidate as usize];
+        let mut random = Hashed::new(&[self.tools.seed, c.number, u64::from(round), rays, AIM]);
+        let mut stats = CellStats::default();
+        s.next_tag();
+        let chunk = (self.tools.tracer.batch() / 2).max(1);
+        for block in list.chunks(LANES * chunk) {
+            if self.late() {
+                break;
+            }
+            s.packets.clear();
+            for group in block.chunks(LANES) {
+                let origin = c.point(self.eye_for(cell, group, &mut random));
+                let mut ahead = Packet::default();
+                for triangle in group {
+                    let to = Vec3::from(point_on(self.tools.scene, *triangle, &mut random));
+                    ahead.push(origin, (to - Vec3::from(origin)).to_array());
+                }
+                let behind = ahead.reversed(self.step);
+                s.packets.push(ahead);
+                s.packets.push(behind);
+            }
+            self.tools.tracer.trace(&mut s.packets)?;
+            let Scratch { packets, crossed, met, tag, .. } = &mut *s;
+            for both in packets.chunks_exact(2) {
+                let [ahead, behind] = both else { continue };
+                stats.rays[Kind::Candidate as usize] += 2 * ahead.count as u64;
+                for lane in 0..ahead.count {
+                    let ends = [ahead.triangle[lane], behind.triangle[lane]];
+                    if ends == [SKY; 2] {
+                        continue;
+                    }
+                    let (origin, direction) = ahead.ray(lane);
+                    let (from, to) = ahead.free(behind, lane, self.step);
+                    self.grid.walk(origin, direction, from, to, crossed);
+                    for triangle in ends.into_iter().filter(|t| *t != SKY) {
+                        self.bits.credit(triangle, crossed);
+                        if !self.bits.seen(triangle, c.slot) && met[triangle as usize] != *tag {
+                            met[triangle as usize] = *tag;
+                            stats.finds[Kind::Candidate as usize] += 1;
+                        }
+                    }
+                }
+            }
+        }
+        Ok(stats)
+    }
+
+    /// Where to look from, in fractions of the cell: behind one of the faces through which neighbours see the group, chosen
+    /// by how many of it they see.
+    fn eye_for(&self, cell: usize, group: &[u32], random: &mut Hashed) -> [f32; 3] {
+        let at = self.cells[cell].at;
+        let mut eye = [random.unit(), random.unit(), random.unit()];
+        let mut votes = [0u32; 6];
+        for (face, vote) in votes.iter_mut().enumerate() {
+            let mut next = at;
+            next[face / 2] = if face % 2 == 0 { at[face / 2] + 1 } else { at[face / 2].wrapping_sub(1) };
+            if self.grid.has(next) {
+                let slot = self.grid.slot(next);
+                *vote = group.iter().filter(|t| self.bits.seen(**t, slot)).count() as u32;
+            }
+        }
+        let mut pick = (random.unit() * votes.iter().sum::<u32>() as f32) as u32;
+        for (face, vote) in votes.into_iter().enumerate() {
+            if pick < vote {
+                let depth = eye[face / 2] * DEPTH;
+                eye[face / 2] = if face % 2 == 0 { 1.0 - depth } else { depth };
+                break;
+            }
+            pick -= vote;
+        }
+        eye
+    }
+}

@@ -1,0 +1,95 @@
+//! Uniform lines: visibility cubes whose 4×4 tiles of directions each have an origin of their own, spread over the cell.
+//!
+//! Directions are even in the pixels of a cube, which is how errors are measured. Every direction is traced both ways,
+//! so that each gives a maximal free segment; an origin shared by sixteen directions keeps the packets coherent, and a
+//! new one for the next tile keeps the samples independent.
+
+use super::block::{Block, Scratch};
+use super::packet::{LANES, Packet};
+use super::sequence::{Hashed, spread3};
+use super::{CellStats, Kind};
+use crate::backend::BackendError;
+use crate::cube::{SKY, face_basis};
+
+/// Names of the streams of random numbers.
+const SHIFT: u64 = 1;
+const JITTER: u64 = 2;
+
+/// A triangle new to the cell, and the packet whose origin saw it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Find {
+    pub(super) packet: u32,
+    pub(super) triangle: u32,
+}
+
+impl Block<'_> {
+    /// A round of uniform lines from `cell`, `tiles`² tiles on each of three pairs of cube faces, and the flood from what
+    /// they find.
+    pub(super) fn cubes(&self, s: &mut Scratch, cell: usize, tiles: u32) -> Result<CellStats, BackendError> {
+        let c = self.cells[cell];
+        let round = u64::from(self.stats[cell].rounds);
+        let mut fixed = Hashed::new(&[self.tools.seed, c.number, SHIFT]);
+        let shift = [fixed.unit(), fixed.unit(), fixed.unit()];
+        let mut random = Hashed::new(&[self.tools.seed, c.number, round, JITTER]);
+        // Rounds go on where the sequence of origins was left.
+        let base = self.stats[cell].rays[Kind::Uniform as usize] / (2 * LANES as u64);
+        let mut stats = CellStats::default();
+        s.next_tag();
+        let total = 3 * tiles * tiles;
+        let pixel = 2.0 / (4 * tiles) as f32;
+        let mut finds = Vec::new();
+        // Tiles traced between two looks at what they found.
+        let chunk = (self.tools.tracer.batch() / 2).max(1) as u32;
+        for first in (0..total).step_by(chunk as usize) {
+            if self.late() {
+                break;
+            }
+            s.packets.clear();
+            for k in first..(first + chunk).min(total) {
+                let (pair, tile) = (k / (tiles * tiles), k % (tiles * tiles));
+                let origin = c.point(spread3(base + u64::from(k), shift));
+                let [forward, right, up] = face_basis(pair * 2);
+                let mut ahead = Packet::default();
+                for lane in 0..LANES as u32 {
+                    let x = ((tile % tiles * 4 + lane % 4) as f32 + random.unit()) * pixel - 1.0;
+                    let y = ((tile / tiles * 4 + lane / 4) as f32 + random.unit()) * pixel - 1.0;
+                    ahead.push(origin, (forward + right * x + up * y).to_array());
+                }
+                let behind = ahead.reversed(self.step);
+                s.packets.push(ahead);
+                s.packets.push(behind);
+            }
+            self.tools.tracer.trace(&mut s.packets)?;
+            finds.clear();
+            let Scratch { packets, crossed, met, tag, .. } = &mut *s;
+            for (pair, both) in packets.chunks_exact(2).enumerate() {
+                let [ahead, behind] = both else { continue };
+                for lane in 0..LANES {
+                    let ends = [ahead.triangle[lane], behind.triangle[lane]];
+                    if ends == [SKY; 2] {
+                        continue;
+                    }
+                    let (origin, direction) = ahead.ray(lane);
+                    let (from, to) = ahead.free(behind, lane, self.step);
+                    self.grid.walk(origin, direction, from, to, crossed);
+                    for triangle in ends.into_iter().filter(|t| *t != SKY) {
+                        self.bits.credit(triangle, crossed);
+                        if self.bits.seen(triangle, c.slot) {
+                            continue;
+                        }
+                        stats.last_misses += 1;
+                        if met[triangle as usize] != *tag {
+                            met[triangle as usize] = *tag;
+                            finds.push(Find { packet: 2 * pair as u32, triangle });
+                        }
+                    }
+                }
+            }
+            stats.last_rays += (s.packets.len() * LANES) as u64;
+            stats.finds[Kind::Uniform as usize] += finds.len() as u64;
+            self.flood(s, cell, &mut finds, &mut random, &mut stats)?;
+        }
+        stats.rays[Kind::Uniform as usize] = stats.last_rays;
+        Ok(stats)
+    }
+}

@@ -1,0 +1,95 @@
+//! Flooding: from the origin that saw a new triangle, aim at the triangles beyond its edges that the cell has not seen.
+//!
+//! A surface that shows one triangle mostly shows the next to the same eye; other origins in the cell are far worse
+//! (they were tried). The lines go both ways, so what lies behind the eye is shown to the cells in between.
+
+use super::block::{Block, Scratch};
+use super::cubes::Find;
+use super::packet::{LANES, Packet};
+use super::sequence::Hashed;
+use super::surface::point_on;
+use super::{CellStats, Kind};
+use crate::backend::BackendError;
+use crate::cube::SKY;
+
+/// Steps from triangle to triangle.
+const STEPS: usize = 4;
+
+/// A packet aimed at triangles.
+struct Aimed {
+    packet: Packet,
+    /// The packet of the uniform round whose origin it has.
+    eye: u32,
+    targets: [u32; LANES],
+}
+
+impl Block<'_> {
+    /// Floods from `finds`; they and their origins are in `s.packets`.
+    pub(super) fn flood(
+        &self,
+        s: &mut Scratch,
+        cell: usize,
+        finds: &mut Vec<Find>,
+        random: &mut Hashed,
+        stats: &mut CellStats,
+    ) -> Result<(), BackendError> {
+        let slot = self.cells[cell].slot;
+        for _ in 0..STEPS {
+            let mut aimed: Vec<Aimed> = Vec::new();
+            for find in finds.iter() {
+                for next in self.tools.surface.neighbours[find.triangle as usize] {
+                    if next == SKY || s.met[next as usize] == s.tag || self.bits.seen(next, slot) {
+                        continue;
+                    }
+                    s.met[next as usize] = s.tag;
+                    let (eye, _) = s.packets[find.packet as usize].ray(0);
+                    let full = aimed.last().is_none_or(|a| a.eye != find.packet || a.packet.count == LANES);
+                    if full {
+                        let packet = Packet::default();
+                        aimed.push(Aimed { packet, eye: find.packet, targets: [SKY; LANES] });
+                    }
+                    let Some(last) = aimed.last_mut() else { continue };
+                    last.targets[last.packet.count] = next;
+                    let to = point_on(self.tools.scene, next, random);
+                    last.packet.push(eye, [0, 1, 2].map(|a| to[a] - eye[a]));
+                }
+            }
+            if aimed.is_empty() {
+                break;
+            }
+            s.behind.clear();
+            s.behind.extend(aimed.iter().map(|a| a.packet.clone()));
+            s.behind.extend(aimed.iter().map(|a| a.packet.reversed(self.step)));
+            self.tools.tracer.trace(&mut s.behind)?;
+            finds.clear();
+            let Scratch { behind: traced, crossed, met, tag, .. } = &mut *s;
+            let (ahead, behind) = traced.split_at(aimed.len());
+            for ((a, ahead), behind) in aimed.iter().zip(ahead).zip(behind) {
+                stats.rays[Kind::Flood as usize] += 2 * ahead.count as u64;
+                for lane in 0..ahead.count {
+                    let (hit, target) = (ahead.triangle[lane], a.targets[lane]);
+                    if hit != target {
+                        // Something is in the way; from another origin it may be seen.
+                        met[target as usize] = 0;
+                    }
+                    let (origin, direction) = ahead.ray(lane);
+                    let (from, to) = ahead.free(behind, lane, self.step);
+                    self.grid.walk(origin, direction, from, to, crossed);
+                    if behind.triangle[lane] != SKY {
+                        self.bits.credit(behind.triangle[lane], crossed);
+                    }
+                    if hit == SKY {
+                        continue;
+                    }
+                    self.bits.credit(hit, crossed);
+                    if !self.bits.seen(hit, slot) && (hit == target || met[hit as usize] != *tag) {
+                        met[hit as usize] = *tag;
+                        finds.push(Find { packet: a.eye, triangle: hit });
+                    }
+                }
+            }
+            stats.finds[Kind::Flood as usize] += finds.len() as u64;
+        }
+        Ok(())
+    }
+}

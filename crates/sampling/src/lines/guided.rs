@@ -1,0 +1,102 @@
+//! The baseline: guided rays, each cell on its own.
+//!
+//! A fixed number of rays a cell; half are aimed at unseen triangles next to seen ones, a quarter at random unseen triangles,
+//! a quarter go in random directions. Nothing is shared and every ray is traced alone. It is here to be measured against.
+
+use glam::Vec3;
+
+use super::block::{Block, Scratch};
+use super::packet::{LANES, Packet};
+use super::seeds::on_sphere;
+use super::sequence::Hashed;
+use super::surface::point_on;
+use super::{CellStats, Kind};
+use crate::backend::BackendError;
+use crate::cube::SKY;
+use crate::tile::TileError;
+
+/// Rays cast between two updates of what is next to what was seen.
+const BATCH: u64 = 1024;
+/// Draws until an unseen triangle is found, or a random direction taken instead.
+const DRAWS: u32 = 8;
+/// Name of the stream of random numbers.
+const GUIDED: u64 = 6;
+
+impl Block<'_> {
+    /// Casts `rays` rays from each cell.
+    ///
+    /// # Errors
+    /// As [`Block::sample`].
+    pub fn sample_guided(&mut self, rays: u64) -> Result<(), TileError> {
+        let work: Vec<(usize, u64)> = (0..self.cells.len()).map(|c| (c, rays)).collect();
+        self.each(&work, |block, s, (cell, rays)| block.guided(s, *cell, *rays))?;
+        self.bits.settle();
+        Ok(())
+    }
+
+    fn guided(&self, s: &mut Scratch, cell: usize, rays: u64) -> Result<CellStats, BackendError> {
+        let c = self.cells[cell];
+        let mut random = Hashed::new(&[self.tools.seed, c.number, GUIDED]);
+        let all = &self.tools.surface.morton;
+        let mut stats = CellStats::default();
+        s.next_tag();
+        // Unseen triangles next to seen ones; some have been seen since.
+        let mut border: Vec<u32> = Vec::new();
+        let mut cast = 0;
+        while cast < rays && !self.late() {
+            let batch = BATCH.min(rays - cast);
+            s.packets.clear();
+            for first in (0..batch).step_by(LANES) {
+                let mut packet = Packet::default();
+                for _ in first..batch.min(first + LANES as u64) {
+                    let origin = c.point([random.unit(), random.unit(), random.unit()]);
+                    let kind = random.unit();
+                    let mut target = None;
+                    if kind < 0.5 {
+                        for _ in 0..DRAWS {
+                            if border.is_empty() {
+                                break;
+                            }
+                            let i = (random.bits() % border.len() as u64) as usize;
+                            if s.met[border[i] as usize] == s.tag {
+                                border.swap_remove(i);
+                            } else {
+                                target = Some(border[i]);
+                                break;
+                            }
+                        }
+                    }
+                    if target.is_none() && kind < 0.75 && !all.is_empty() {
+                        target = (0..DRAWS)
+                            .map(|_| all[(random.bits() % all.len() as u64) as usize])
+                            .find(|t| s.met[*t as usize] != s.tag);
+                    }
+                    let direction = match target {
+                        Some(t) => {
+                            Vec3::from(point_on(self.tools.scene, t, &mut random)) - Vec3::from(origin)
+                        }
+                        None => on_sphere(&mut random),
+                    };
+                    packet.push(origin, direction.to_array());
+                }
+                s.packets.push(packet);
+            }
+            self.tools.tracer.trace_each(&mut s.packets)?;
+            cast += batch;
+            for packet in &s.packets {
+                for triangle in &packet.triangle[..packet.count] {
+                    if *triangle == SKY || s.met[*triangle as usize] == s.tag {
+                        continue;
+                    }
+                    s.met[*triangle as usize] = s.tag;
+                    self.bits.credit(*triangle, &[(c.slot.word, 1 << c.slot.bit)]);
+                    stats.finds[Kind::Uniform as usize] += 1;
+                    let next = self.tools.surface.neighbours[*triangle as usize];
+                    border.extend(next.iter().filter(|n| **n != SKY && s.met[**n as usize] != s.tag));
+                }
+            }
+        }
+        stats.rays[Kind::Uniform as usize] = cast;
+        Ok(stats)
+    }
+}

@@ -1,0 +1,59 @@
+//! The default sampler: sight lines shared by all the cells they cross.
+//!
+//! A maximal free segment runs from one triangle to another (or to the sky) and shows both its ends to every cell it
+//! crosses (Bittner et al. 2009, "Adaptive Global Visibility Sampling"). The cells of a block share one table of what is
+//! seen from where ([`bits`]); lines are traced in coherent packets ([`packet`]) and walked through the cells
+//! ([`grid`]). Four kinds of lines ([`Kind`]) find what is missing, in rounds ([`block`]), until a cell's own estimate of
+//! what it misses is small enough; [`bound`] then says how far that can be trusted.
+//!
+//! Results do not depend on threads: every decision reads what was known at the last barrier, or the cell's own finds.
+
+pub mod bits;
+pub mod block;
+pub mod bound;
+mod candidates;
+mod cubes;
+mod flood;
+pub mod grid;
+mod guided;
+pub mod packet;
+mod seeds;
+pub mod sequence;
+pub mod surface;
+mod tile;
+
+pub use tile::run;
+
+/// The kinds of sight lines, in the order of [`CellStats::rays`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Evenly over directions and the cell: what they miss is an estimate of what is missing.
+    Uniform,
+    /// From where a new triangle was seen to its unseen neighbours.
+    Flood,
+    /// To what the next cell sees and this one does not.
+    Candidate,
+    /// Held-out lines of a bound.
+    Check,
+}
+
+/// How a cell came to its set. Everything here is the same on every run; times are not, and are kept with the tile.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CellStats {
+    /// Rays cast from the cell by [`Kind`].
+    pub rays: [u64; 4],
+    /// Triangles they were first to show to the cell, as of the last barrier before each.
+    pub finds: [u64; 4],
+    /// Rounds it took part in.
+    pub rounds: u32,
+    /// Uniform rays of its last round.
+    pub last_rays: u64,
+    /// Those that met a triangle not yet in the set.
+    pub last_misses: u64,
+    /// Held-out lines of the last look, 0 without a bound.
+    pub bound_lines: u64,
+    /// Those that met a triangle not in the set.
+    pub bound_misses: u64,
+    /// Which look that was, from 1.
+    pub bound_look: u32,
+}

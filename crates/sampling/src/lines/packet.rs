@@ -1,0 +1,99 @@
+//! Packets of sixteen sight lines, and what traces them.
+
+use crate::backend::BackendError;
+use crate::cube::SKY;
+
+/// Lines of a packet.
+pub const LANES: usize = 16;
+
+/// Sixteen rays of roughly one direction, and the nearest triangle each meets. Arrays by axis, then lane.
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
+pub struct Packet {
+    /// Where each ray begins, world space.
+    pub origin: [[f32; LANES]; 3],
+    /// Its direction, of any length but zero.
+    pub direction: [[f32; LANES]; 3],
+    /// Out: distance of the hit in lengths of the direction, infinite when nothing is met.
+    pub distance: [f32; LANES],
+    /// Out: the triangle met, or [`SKY`].
+    pub triangle: [u32; LANES],
+    /// Lanes `0..count` are rays, the others are not looked at.
+    pub count: usize,
+}
+
+impl Default for Packet {
+    fn default() -> Self {
+        Self {
+            origin: [[0.0; LANES]; 3],
+            direction: [[0.0; LANES]; 3],
+            distance: [f32::INFINITY; LANES],
+            triangle: [SKY; LANES],
+            count: 0,
+        }
+    }
+}
+
+impl Packet {
+    /// Appends a ray; the packet must not be full.
+    pub fn push(&mut self, origin: [f32; 3], direction: [f32; 3]) {
+        for a in 0..3 {
+            self.origin[a][self.count] = origin[a];
+            self.direction[a][self.count] = direction[a];
+        }
+        self.count += 1;
+    }
+
+    /// Origin and direction of a lane.
+    pub fn ray(&self, lane: usize) -> ([f32; 3], [f32; 3]) {
+        ([0, 1, 2].map(|a| self.origin[a][lane]), [0, 1, 2].map(|a| self.direction[a][lane]))
+    }
+
+    /// The same rays the other way, begun `step` (world units, along the longest component) ahead of their origins. A
+    /// triangle that contains an origin is at distance 0, which no ray meets; from a little ahead the ray backwards meets
+    /// it, and [`Packet::free`] is then empty, so that nothing is seen through it.
+    pub fn reversed(&self, step: f32) -> Self {
+        let mut back = Self { direction: self.direction.map(|axis| axis.map(|x| -x)), ..self.clone() };
+        for lane in 0..self.count {
+            let ahead = self.advance(lane, step);
+            for a in 0..3 {
+                back.origin[a][lane] += self.direction[a][lane] * ahead;
+            }
+        }
+        back
+    }
+
+    /// How far ahead the reversed ray of a lane begins, in lengths of the direction.
+    fn advance(&self, lane: usize, step: f32) -> f32 {
+        let longest = (0..3).map(|a| self.direction[a][lane].abs()).fold(0.0, f32::max);
+        if longest > 0.0 { step / longest } else { 0.0 }
+    }
+
+    /// From where to where a lane's line is free, given what `back`, its packet [`Packet::reversed`] by `step`, met: in
+    /// lengths of the direction from the origin.
+    pub fn free(&self, back: &Self, lane: usize, step: f32) -> (f32, f32) {
+        (self.advance(lane, step) - back.distance[lane], self.distance[lane])
+    }
+}
+
+/// Finds what sight lines meet. The same packet gives the same bits on every run and thread.
+pub trait LineTracer: Send + Sync {
+    /// Fills `distance` and `triangle` of every packet. Degenerate triangles are never met.
+    ///
+    /// # Errors
+    /// [`BackendError::Failed`] when the device does.
+    fn trace(&self, packets: &mut [Packet]) -> Result<(), BackendError>;
+
+    /// Packets that are best given at once. Part of what a profile's results depend on.
+    fn batch(&self) -> usize {
+        32
+    }
+
+    /// The same for rays that do not run alike, each on its own.
+    ///
+    /// # Errors
+    /// As [`LineTracer::trace`].
+    fn trace_each(&self, packets: &mut [Packet]) -> Result<(), BackendError> {
+        self.trace(packets)
+    }
+}

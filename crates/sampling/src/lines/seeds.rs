@@ -1,0 +1,93 @@
+//! Seeds: one line from every other triangle of the scene, so that no surface is left without a line near it.
+//!
+//! What only a hidden corner shows has no neighbour to be found from; these lines begin there, and cut the worst errors
+//! most. Eight triangles next to each other in Morton order share direction and distance, which keeps packets coherent;
+//! the distance of the origin from the surface is log-uniform, as gaps have every size.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::block::{Block, Scratch};
+use super::packet::{LANES, Packet};
+use super::sequence::Hashed;
+use super::surface::point_on;
+use crate::cube::SKY;
+use crate::tile::TileError;
+
+/// One triangle in so many is a seed.
+const ONE_IN: usize = 2;
+/// Triangles a thread takes at once.
+const STRIPE: usize = 1024;
+/// Distances of origins: from a quarter of the block's size down by this many halvings.
+const HALVINGS: f32 = 16.0;
+/// Name of the stream of random numbers.
+const SEEDS: u64 = 4;
+
+impl Block<'_> {
+    /// Casts the seeds of the whole scene whose lines cross the block.
+    pub(super) fn seeds(&self) -> Result<(), TileError> {
+        let (min, max) = self.grid.bounds();
+        let extent = (max - min).length();
+        let first = self.cells.first().map_or(0, |c| c.number);
+        self.tools.surface.morton.par_chunks(STRIPE).enumerate().try_for_each(|(number, stripe)| {
+            if self.tools.watcher.cancelled() {
+                return Err(TileError::Cancelled);
+            }
+            if self.late() {
+                return Ok(());
+            }
+            self.with_scratch(|s| {
+                let mut random = Hashed::new(&[self.tools.seed, first, number as u64, SEEDS]);
+                s.packets.clear();
+                for group in stripe.chunks(LANES * ONE_IN) {
+                    let direction = on_sphere(&mut random);
+                    let halvings = (random.unit() * HALVINGS) as i32;
+                    let distance = extent * 0.25 * 2f32.powi(-halvings) * (0.5 + 0.5 * random.unit());
+                    let front = random.unit() < 0.5;
+                    let skip = (random.unit() * ONE_IN as f32) as usize;
+                    let mut down = Packet::default();
+                    for triangle in group.iter().skip(skip).step_by(ONE_IN).take(LANES) {
+                        let v = self.tools.scene.triangles()[*triangle as usize].v;
+                        let normal = (v[1] - v[0]).cross(v[2] - v[0]);
+                        let up = if (normal.dot(direction) > 0.0) == front { direction } else { -direction };
+                        let at = Vec3::from(point_on(self.tools.scene, *triangle, &mut random));
+                        down.push((at + up * distance).to_array(), (-up).to_array());
+                    }
+                    let up = down.reversed(self.step);
+                    s.packets.push(down);
+                    s.packets.push(up);
+                }
+                self.tools.tracer.trace(&mut s.packets)?;
+                let Scratch { packets, crossed, .. } = &mut *s;
+                let mut rays = 0;
+                for both in packets.chunks_exact(2) {
+                    let [down, up] = both else { continue };
+                    rays += 2 * down.count as u64;
+                    for lane in 0..down.count {
+                        let (origin, direction) = down.ray(lane);
+                        let (from, to) = down.free(up, lane, self.step);
+                        self.grid.walk(origin, direction, from, to, crossed);
+                        for triangle in [down.triangle[lane], up.triangle[lane]] {
+                            if triangle != SKY {
+                                self.bits.credit(triangle, crossed);
+                            }
+                        }
+                    }
+                }
+                self.tools.watcher.rendered(rays);
+                Ok(())
+            })
+        })
+    }
+}
+
+/// An even direction, by rejection from the cube: no function whose last bit differs between machines.
+pub(super) fn on_sphere(random: &mut Hashed) -> Vec3 {
+    loop {
+        let v = Vec3::new(random.unit(), random.unit(), random.unit()) * 2.0 - 1.0;
+        let length = v.length_squared();
+        if length <= 1.0 && length > 1e-4 {
+            return v / length.sqrt();
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! Low-discrepancy and hashed numbers: the same for the same seed on every machine, needing no state.
+
+/// Mixes 64 bits (the finaliser of Steele, Lea and Flood's SplitMix64, 2014).
+pub fn mix(mut x: u64) -> u64 {
+    x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ x >> 31
+}
+
+/// A stream of hashed numbers.
+#[derive(Clone, Copy, Debug)]
+pub struct Hashed(u64);
+
+impl Hashed {
+    /// The stream named by a list of numbers.
+    pub fn new(names: &[u64]) -> Self {
+        Self(
+            names
+                .iter()
+                .fold(0x9e37_79b9_7f4a_7c15, |h, n| mix(h ^ mix(n.wrapping_add(0x9e37_79b9_7f4a_7c15)))),
+        )
+    }
+
+    /// Sixty-four bits.
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        mix(self.0)
+    }
+
+    /// In [0, 1), with 24 bits.
+    pub fn unit(&mut self) -> f32 {
+        (self.bits() >> 40) as f32 / (1u32 << 24) as f32
+    }
+}
+
+/// The `i`-th point of the three-dimensional Kronecker sequence of the generalised golden ratio (Roberts 2018), shifted
+/// by `shift`; in [0, 1)³.
+pub fn spread3(i: u64, shift: [f32; 3]) -> [f32; 3] {
+    /// Fractions of 2³² whose multiples spread most evenly in three dimensions.
+    const STEP: [u32; 3] = [3_518_319_155, 2_882_110_345, 2_360_945_575];
+    [0, 1, 2].map(|a| {
+        let t = (i as u32).wrapping_mul(STEP[a]).wrapping_add((f64::from(shift[a]) * 4_294_967_296.0) as u32);
+        (t >> 8) as f32 / (1u32 << 24) as f32
+    })
+}

@@ -1,0 +1,97 @@
+//! What the sampler knows of the triangles' surface: neighbours over edges, areas, and an order in which triangles near
+//! each other are near each other.
+
+use glam::Vec3;
+use rayon::prelude::*;
+use sightline_scene::{Scene, Triangle};
+
+use crate::cube::SKY;
+
+/// Facts about a scene's triangles, independent of any job.
+pub struct Surface {
+    /// Across each edge (v0v1, v1v2, v2v0) the next triangle around it, or [`SKY`].
+    pub neighbours: Vec<[u32; 3]>,
+    /// Triangles with area in Morton order of their centres.
+    pub morton: Vec<u32>,
+}
+
+impl Surface {
+    /// Analyses `scene`. Vertices are the same when their coordinates are, bit for bit.
+    pub fn of(scene: &Scene) -> Self {
+        let (neighbours, morton) = rayon::join(|| neighbours(scene), || morton(scene));
+        Self { neighbours, morton }
+    }
+}
+
+fn corner_key(v: Vec3) -> [u32; 3] {
+    // Adding zero makes −0 into 0.
+    [0, 1, 2].map(|a| (v[a] + 0.0).to_bits())
+}
+
+fn neighbours(scene: &Scene) -> Vec<[u32; 3]> {
+    let all = scene.triangles();
+    // Edges by a 64-bit hash of their two ends: equal edges have equal hashes, and two different ones with the same
+    // hash would only make the sampler look next door at the wrong triangle.
+    let end = |v: Vec3| {
+        let [x, y, z] = corner_key(v);
+        super::sequence::mix(u64::from(x) << 32 | u64::from(y))
+            .wrapping_add(super::sequence::mix(u64::from(z)))
+    };
+    let mut edges: Vec<(u64, u32)> = all
+        .par_iter()
+        .enumerate()
+        .filter(|(_, t)| !t.is_degenerate())
+        .flat_map_iter(|(id, t)| {
+            let ends = t.v.map(end);
+            (0..3).map(move |k| {
+                let (a, b) = (ends[k], ends[(k + 1) % 3]);
+                (super::sequence::mix(a ^ b).wrapping_add(a.wrapping_add(b)), 3 * id as u32 + k as u32)
+            })
+        })
+        .collect();
+    edges.par_sort_unstable();
+    let mut found = vec![[SKY; 3]; all.len()];
+    for group in edges.chunk_by(|a, b| a.0 == b.0) {
+        for (i, (_, edge)) in group.iter().enumerate() {
+            let next = group[(i + 1) % group.len()].1;
+            if next / 3 != edge / 3 {
+                found[*edge as usize / 3][*edge as usize % 3] = next / 3;
+            }
+        }
+    }
+    found
+}
+
+fn morton(scene: &Scene) -> Vec<u32> {
+    let bounds = scene.bounds();
+    let scale = Vec3::splat(1023.0) / (bounds.max - bounds.min).max(Vec3::splat(f32::MIN_POSITIVE));
+    let spread = |x: u32| {
+        let x = (x | x << 16) & 0x0300_00ff;
+        let x = (x | x << 8) & 0x0300_f00f;
+        let x = (x | x << 4) & 0x030c_30c3;
+        (x | x << 2) & 0x0924_9249
+    };
+    let code = |t: &Triangle| {
+        let c = ((t.v[0] + t.v[1] + t.v[2]) / 3.0 - bounds.min) * scale;
+        spread(c.x as u32) | spread(c.y as u32) << 1 | spread(c.z as u32) << 2
+    };
+    let mut keyed: Vec<(u32, u32)> = scene
+        .triangles()
+        .par_iter()
+        .enumerate()
+        .filter(|(_, t)| !t.is_degenerate())
+        .map(|(id, t)| (code(t), id as u32))
+        .collect();
+    keyed.par_sort_unstable();
+    keyed.into_iter().map(|(_, id)| id).collect()
+}
+
+/// A random point of a triangle, even over its area but for rounding.
+pub fn point_on(scene: &Scene, triangle: u32, random: &mut super::sequence::Hashed) -> [f32; 3] {
+    let v = scene.triangles()[triangle as usize].v;
+    let (mut a, mut b) = (random.unit(), random.unit());
+    if a + b > 1.0 {
+        (a, b) = (1.0 - a, 1.0 - b);
+    }
+    (v[0] + (v[1] - v[0]) * a + (v[2] - v[0]) * b).to_array()
+}

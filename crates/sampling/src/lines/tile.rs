@@ -1,0 +1,134 @@
+//! One leaf tile of the plan sampled with sight lines: its cells as a block, and the sets that come out.
+
+use std::time::Instant;
+
+use rayon::prelude::*;
+use sightline_scene::{Aabb, overlap};
+use sightline_viewcells::{CellBox, Tile, UNITS_PER_CELL};
+
+use super::bits::SeenBits;
+use super::block::{Block, Tools};
+use super::grid::CellGrid;
+use crate::params::Sampler;
+use crate::tile::{CellSet, CellSets, JobContext, Node, TileError, Watcher};
+
+/// Runs a leaf tile of a grid.
+///
+/// # Errors
+/// [`TileError`] when it is cancelled or the backend fails.
+pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(CellSets, u64), TileError> {
+    let start = Instant::now();
+    // The hierarchy is built on one thread; the rest is got ready beside it.
+    let (tracer, ()) = rayon::join(
+        || job.backend.lines(job.scene.distinct()),
+        || {
+            job.scene.surface();
+        },
+    );
+    let tracer = tracer?;
+    tracing::debug!("ready to trace after {:?}", start.elapsed());
+    let cells = span(&tile.cell);
+    let (min, max) = tile.cell.world(&job.lattice);
+    let whole = job.lattice.units().map(|u| u64::from(u / UNITS_PER_CELL));
+    let first = tile.cell.lo.map(|u| u64::from(u / UNITS_PER_CELL));
+    let tools = Tools {
+        scene: &job.scene.scene,
+        surface: job.scene.surface(),
+        tracer: &*tracer,
+        seed: job.seed,
+        watcher,
+        deadline: job.deadline,
+    };
+    let number = |c: [u32; 3]| {
+        let [x, y, z] = [0, 1, 2].map(|a| first[a] + u64::from(c[a]));
+        (z * whole[1] + y) * whole[0] + x
+    };
+    let mut block = Block::new(tools, CellGrid::new(min, max, cells), number);
+    meeting(job, &tile.cell, block.grid(), block.bits());
+    block.bits_mut().settle();
+    tracing::debug!("know what meets each cell after {:?}", start.elapsed());
+    let params = job.params;
+    match (params.sampler, params.max_error) {
+        (Sampler::Guided, _) => block.sample_guided(params.rays)?,
+        (_, Some(most)) => block.sample_to_bound(most)?,
+        (_, None) => block.sample(params.target_error, &[])?,
+    }
+    tracing::debug!("sampled after {:?}", start.elapsed());
+    block.bits_mut().share(job.scene.duplicates());
+    let rays = block.stats().iter().flat_map(|s| s.rays).sum();
+    let sets = sets(job, tile, &block);
+    tracing::debug!("sets after {:?}", start.elapsed());
+    Ok((sets, rays))
+}
+
+/// Cells of a box along each axis.
+fn span(cell: &CellBox) -> [u32; 3] {
+    [0, 1, 2].map(|a| (cell.hi[a] - cell.lo[a]) / UNITS_PER_CELL)
+}
+
+/// Credits every cell with the triangles that meet it, I(C), decided exactly.
+fn meeting(job: &JobContext<'_>, within: &CellBox, grid: &CellGrid, bits: &SeenBits) {
+    let cells = grid.cells();
+    let planes: [Vec<f32>; 3] = std::array::from_fn(|a| {
+        (0..=cells[a]).map(|k| job.lattice.coordinate(a, within.lo[a] + k * UNITS_PER_CELL)).collect()
+    });
+    job.scene.distinct().par_iter().with_min_len(1024).for_each(|&id| {
+        let triangle = &job.scene.scene.triangles()[id as usize];
+        let bounds = triangle.bounds();
+        // Closed cells whose slab the bounds touch, along each axis.
+        let range = |a: usize| {
+            let from = planes[a][1..].partition_point(|p| *p < bounds.min[a]) as u32;
+            let to = planes[a][..cells[a] as usize].partition_point(|p| *p <= bounds.max[a]) as u32;
+            from..to
+        };
+        for z in range(2) {
+            for y in range(1) {
+                for x in range(0) {
+                    let at = [x, y, z];
+                    let corner = |c: [u32; 3]| {
+                        glam::Vec3::new(
+                            planes[0][c[0] as usize],
+                            planes[1][c[1] as usize],
+                            planes[2][c[2] as usize],
+                        )
+                    };
+                    let cell = Aabb { min: corner(at), max: corner(at.map(|c| c + 1)) };
+                    if overlap::triangle_touches_box(triangle, &cell) {
+                        let slot = grid.slot(at);
+                        bits.credit(id, &[(slot.word, 1 << slot.bit)]);
+                    }
+                }
+            }
+        }
+    });
+}
+
+/// The sets in the order of the tile's subtree.
+fn sets(job: &JobContext<'_>, tile: &Tile, block: &Block<'_>) -> CellSets {
+    let grid = block.grid();
+    let mut columns: Vec<Vec<u32>> =
+        (0..grid.words() as u32).into_par_iter().flat_map_iter(|w| block.bits().columns(w)).collect();
+    let mut out = CellSets::default();
+    let mut waiting = vec![(tile.cell, tile.depth)];
+    while let Some((cell, depth)) = waiting.pop() {
+        match job.division.split(&job.lattice, &cell, depth) {
+            Some(split) => {
+                out.nodes.push(Node::Split(split));
+                let [below, above] = cell.children(split);
+                waiting.extend([(above, depth + 1), (below, depth + 1)]);
+            }
+            None => {
+                let at = [0, 1, 2].map(|a| (cell.lo[a] - tile.cell.lo[a]) / UNITS_PER_CELL);
+                let [nx, ny, _] = grid.cells();
+                let stats = block.stats()[((at[2] * ny + at[1]) * nx + at[0]) as usize];
+                out.nodes.push(Node::Cell);
+                out.cells.push(CellSet {
+                    visible: std::mem::take(&mut columns[grid.slot(at).index()]),
+                    samples: 0,
+                    stats,
+                });
+            }
+        }
+    }
+    out
+}
