@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use crate::bench::args::BenchArgs;
 use crate::job_args::{Backend, JobArgs};
 
 /// Bakes from-region visibility: for every view cell of a static triangle scene, the triangles visible from
@@ -79,6 +80,8 @@ pub enum Command {
     Query(QueryArgs),
     /// Measure how wrong a result looks from random viewpoints or along a path.
     Measure(MeasureArgs),
+    /// Measure time against error: every sampler from coarse to fine, as table and curves.
+    Bench(BenchArgs),
 }
 
 #[derive(Args, Debug)]

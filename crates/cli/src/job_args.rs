@@ -212,12 +212,14 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
     Duration::try_from_secs_f64(seconds).ok().filter(|d| !d.is_zero()).ok_or_else(wrong)
 }
 
-fn parse_cells(text: &str) -> Result<[u32; 3], String> {
+/// A grid of cells, as in 8x8x8.
+pub fn parse_cells(text: &str) -> Result<[u32; 3], String> {
     let parts = text.split(['x', 'X']).map(|p| p.trim().parse()).collect::<Result<Vec<u32>, _>>();
     parts.ok().and_then(|p| p.try_into().ok()).ok_or_else(|| "give three numbers as in 8x8x8".to_owned())
 }
 
-fn parse_box(text: &str) -> Result<[Vec3; 2], String> {
+/// A box, as in -1,0,-1,1,2,1.
+pub fn parse_box(text: &str) -> Result<[Vec3; 2], String> {
     let parts = text.split(',').map(|p| p.trim().parse()).collect::<Result<Vec<f32>, _>>();
     match parts.as_deref() {
         Ok([x0, y0, z0, x1, y1, z1]) => Ok([Vec3::new(*x0, *y0, *z0), Vec3::new(*x1, *y1, *z1)]),

@@ -4,6 +4,7 @@
 
 mod args;
 mod bake;
+mod bench;
 mod cells;
 mod client;
 mod error;
@@ -81,5 +82,6 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Dump(a) => inspect::dump(&a),
         Command::Query(a) => inspect::query(&a, json),
         Command::Measure(a) => measuring::run(&a),
+        Command::Bench(a) => bench::run(&a, json),
     }
 }

@@ -63,7 +63,7 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
 }
 
 /// Resolves at the next SIGTERM or Ctrl-C.
-async fn stop_signal() {
+pub async fn stop_signal() {
     #[cfg(unix)]
     {
         use tokio::signal::unix::{SignalKind, signal};

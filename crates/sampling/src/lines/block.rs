@@ -27,10 +27,11 @@ const MOST_TILES: u32 = 32;
 /// Part of what a cell misses at a round's beginning that is still missing at its end, measured on scenes of every kind as
 /// 0.4 to 0.65.
 const LEFT_AFTER_ROUND: f64 = 0.5;
-/// Misses a round should count for its estimate to be worth something; a cell that is still at work after many rounds
-/// gets larger ones, so that it does not keep the others' threads waiting for long.
+/// Misses a round should count for its estimate to be worth something.
 const MISSES_WANTED: f64 = 2.0;
-const GROWTH: f64 = 1.2;
+/// Growth of the least number of tiles along a face from round to round: where much is missing for long, few rays a round
+/// would only repeat themselves.
+const GROWTH: f64 = 1.25;
 /// Candidates that would cover less than this part of what the cell misses are left.
 const CANDIDATE_PART: f64 = 1e-4;
 /// Rounds after which a cell is given up with what it has; a cell that needs more sees new triangles in every round.
@@ -106,6 +107,8 @@ pub struct Block<'a> {
     /// Beside `cells`.
     pub(super) stats: Vec<CellStats>,
     seeded: bool,
+    /// Cells said to be done.
+    told: usize,
     /// How far ahead of a line's origin its other half begins: a few units in the last place of the scene's coordinates.
     pub(super) step: f32,
     scratch: Mutex<Vec<Scratch>>,
@@ -126,7 +129,7 @@ impl<'a> Block<'a> {
         let step = largest * STEP;
         let bits = SeenBits::new(tools.scene.triangles().len(), grid.words());
         let stats = vec![CellStats::default(); cells.len()];
-        Self { tools, grid, bits, cells, stats, seeded: false, step, scratch: Mutex::default() }
+        Self { tools, grid, bits, cells, stats, seeded: false, told: 0, step, scratch: Mutex::default() }
     }
 
     /// The table of what is seen.
@@ -179,15 +182,25 @@ impl<'a> Block<'a> {
             let work: Vec<(usize, Vec<u32>)> = open.iter().copied().zip(lists).collect();
             self.each(&work, |block, scratch, (cell, list)| block.aim(scratch, *cell, list, round))?;
             self.bits.settle();
-            tracing::debug!("round {round}: {} cells", open.len());
+            let before = open.len();
             open.retain(|c| {
                 let s = &self.stats[*c];
                 // One miss more than was counted: none in a few rays is no proof of anything.
                 let left = LEFT_AFTER_ROUND * (s.last_misses as f64 + 1.0) / s.last_rays.max(1) as f64;
                 left > target
             });
+            tracing::debug!("round {round}: {before} cells, {} left", open.len());
+            self.count_done(before - open.len());
         }
+        self.count_done(open.len());
         Ok(())
+    }
+
+    /// Says that so many more cells are done, but never more than there are: a cell may be sampled again for its bound.
+    pub(super) fn count_done(&mut self, cells: usize) {
+        let more = cells.min(self.cells.len() - self.told);
+        self.told += more;
+        (0..more).for_each(|_| self.tools.watcher.cell_done());
     }
 
     /// What the cell was missing when its last round began, as far as that round could tell.
@@ -203,9 +216,10 @@ impl<'a> Block<'a> {
             return FIRST_TILES;
         }
         let expected = (self.missing(cell) * LEFT_AFTER_ROUND).max(target);
-        let rays = MISSES_WANTED * GROWTH.powi(round as i32) / expected;
+        let rays = MISSES_WANTED / expected;
         // 3·tiles² pairs of sixteen.
-        ((rays / 96.0).sqrt().ceil() as u32).clamp(FIRST_TILES, MOST_TILES)
+        let least = f64::from(FIRST_TILES) * GROWTH.powi(round as i32);
+        ((rays / 96.0).sqrt().max(least).ceil() as u32).clamp(FIRST_TILES, MOST_TILES)
     }
 
     /// Whether the time is up.

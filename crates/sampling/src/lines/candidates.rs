@@ -1,4 +1,4 @@
-//! Candidates: what a neighbouring cell sees and this one does not, and would cover enough to matter.
+//! Candidates: what a neighbouring cell sees and this one does not, next to something it sees, and large enough to matter.
 //!
 //! Sixteen candidates that lie near each other share an origin, close to the face through which the neighbours see them:
 //! a point of that face belongs to both cells. The lines go both ways.
@@ -55,6 +55,16 @@ impl Block<'_> {
                     let mut any = 0;
                     for ((n, seen), w) in near.iter_mut().zip(row).zip(&wanted) {
                         *n &= w & !seen;
+                        any |= *n;
+                    }
+                    if any == 0 {
+                        continue;
+                    }
+                    any = 0;
+                    let beside = self.tools.surface.neighbours[triangle as usize];
+                    for (word, n) in near.iter_mut().enumerate() {
+                        let seen = |t: &&u32| **t != SKY;
+                        *n &= beside.iter().filter(seen).fold(0, |all, t| all | self.bits.row(*t)[word]);
                         any |= *n;
                     }
                     if any == 0 {

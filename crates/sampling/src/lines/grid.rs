@@ -99,16 +99,18 @@ impl CellGrid {
     /// `t1` (Amanatides and Woo 1987), in order. Distances are in lengths of `direction` and may be infinite.
     pub fn walk(&self, origin: [f32; 3], direction: [f32; 3], mut t0: f32, mut t1: f32, out: &mut Crossed) {
         out.clear();
-        let start = [0, 1, 2].map(|a| (origin[a] - self.min[a]) * self.per_unit[a]);
-        let d = [0, 1, 2].map(|a| direction[a] * self.per_unit[a]);
+        let (mut start, mut d, mut inverse) = ([0.0f32; 3], [0.0f32; 3], [0.0f32; 3]);
         for a in 0..3 {
+            start[a] = (origin[a] - self.min[a]) * self.per_unit[a];
+            d[a] = direction[a] * self.per_unit[a];
+            inverse[a] = 1.0 / d[a];
             let n = self.cells[a] as f32;
             if d[a] == 0.0 {
                 if !(0.0..=n).contains(&start[a]) {
                     return;
                 }
             } else {
-                let (u, v) = (-start[a] / d[a], (n - start[a]) / d[a]);
+                let (u, v) = (-start[a] * inverse[a], (n - start[a]) * inverse[a]);
                 t0 = t0.max(u.min(v));
                 t1 = t1.min(u.max(v));
             }
@@ -118,22 +120,19 @@ impl CellGrid {
             return;
         }
         let least = MARGIN / (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
-        let (mut cell, mut step, mut next, mut delta) =
-            ([0i32; 3], [0i32; 3], [f32::INFINITY; 3], [0.0f32; 3]);
+        let (mut cell, mut step) = ([0i32; 3], [0i32; 3]);
+        let (mut next, mut delta) = ([f32::INFINITY; 3], [0.0f32; 3]);
         for a in 0..3 {
-            let x = start[a] + d[a] * t0;
-            cell[a] = (x as i32).clamp(0, self.cells[a] as i32 - 1);
-            if d[a] > 0.0 {
-                step[a] = 1;
-                delta[a] = 1.0 / d[a];
-                next[a] = ((cell[a] + 1) as f32 - start[a]) / d[a];
-            } else if d[a] < 0.0 {
-                step[a] = -1;
-                delta[a] = -1.0 / d[a];
-                next[a] = (cell[a] as f32 - start[a]) / d[a];
+            cell[a] = ((start[a] + d[a] * t0) as i32).clamp(0, self.cells[a] as i32 - 1);
+            if d[a] != 0.0 {
+                let up = d[a] > 0.0;
+                step[a] = if up { 1 } else { -1 };
+                delta[a] = inverse[a].abs();
+                next[a] = ((cell[a] + i32::from(up)) as f32 - start[a]) * inverse[a];
             }
         }
-        let mut t = t0;
+        let [bx, by, _] = self.bricks;
+        let (mut t, mut word, mut bits) = (t0, u32::MAX, 0u64);
         loop {
             let axis = if next[0] < next[1] {
                 if next[0] < next[2] { 0 } else { 2 }
@@ -144,21 +143,28 @@ impl CellGrid {
             };
             let end = next[axis].min(t1);
             if end - t > least {
-                let Slot { word, bit } = self.slot(cell.map(|c| c as u32));
-                match out.last_mut() {
-                    Some((w, bits)) if *w == word => *bits |= 1 << bit,
-                    _ => out.push((word, 1 << bit)),
+                let [x, y, z] = [cell[0] as u32, cell[1] as u32, cell[2] as u32];
+                let at = ((z / SIDE) * by + y / SIDE) * bx + x / SIDE;
+                if at != word {
+                    if bits != 0 {
+                        out.push((word, bits));
+                    }
+                    (word, bits) = (at, 0);
                 }
+                bits |= 1 << ((z % SIDE * SIDE + y % SIDE) * SIDE + x % SIDE);
             }
             if next[axis] >= t1 {
-                return;
+                break;
             }
             t = end.max(t);
             cell[axis] += step[axis];
             if cell[axis] < 0 || cell[axis] >= self.cells[axis] as i32 {
-                return;
+                break;
             }
             next[axis] += delta[axis];
+        }
+        if bits != 0 {
+            out.push((word, bits));
         }
     }
 

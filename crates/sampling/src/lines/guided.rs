@@ -31,6 +31,7 @@ impl Block<'_> {
         let work: Vec<(usize, u64)> = (0..self.cells.len()).map(|c| (c, rays)).collect();
         self.each(&work, |block, s, (cell, rays)| block.guided(s, *cell, *rays))?;
         self.bits.settle();
+        self.count_done(self.cells.len());
         Ok(())
     }
 

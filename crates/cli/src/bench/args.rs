@@ -1,0 +1,129 @@
+//! The arguments of `sightline bench`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use glam::Vec3;
+
+use crate::bench::ladder::{Ladder, Sampler};
+use crate::error::CliError;
+use crate::job_args::{parse_box, parse_cells};
+
+/// What is measured, and where it goes.
+#[derive(Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub struct BenchArgs {
+    /// The scenes: .obj, .ply, .gltf or .glb. Only --grow triangles makes its own.
+    pub scenes: Vec<PathBuf>,
+    /// A regular grid of view cells.
+    #[arg(long, value_name = "NXxNYxNZ", value_parser = parse_cells, default_value = "8x8x8")]
+    pub cells: [u32; 3],
+    /// Where viewpoints may be: x0,y0,z0,x1,y1,z1. Default: each scene's bounds.
+    #[arg(long, value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]
+    pub view_box: Option<[Vec3; 2]>,
+    /// Random viewpoints of the error measure, the same for every point. p99 wants at least 100 of them.
+    #[arg(long, value_name = "N", default_value_t = 200)]
+    pub viewpoints: u32,
+    /// Seed of the viewpoints.
+    #[arg(long, value_name = "S", default_value_t = 7)]
+    pub seed: u64,
+    /// Side of one face of the error measure in pixels, 8 to 4096.
+    #[arg(long, value_name = "PX", default_value_t = 256)]
+    pub resolution: u32,
+    /// Folder for curves.csv, curves.svg and growth.csv; it is made where it is not there.
+    #[arg(long, value_name = "DIR", default_value = "bench")]
+    pub out: PathBuf,
+    /// Which samplers to measure. Default: all; with --grow: none, only the growth.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "LIST")]
+    pub samplers: Option<Vec<Sampler>>,
+    /// How far each sampler's parameter goes.
+    #[arg(long, value_enum, default_value_t = Ladder::Quick)]
+    pub points: Ladder,
+    /// Leave out a sampler's finer points, and a growth's greater ones, after one that took longer than this.
+    #[arg(long, value_name = "S", default_value_t = 60.0)]
+    pub max_seconds: f64,
+    /// Measure how time and memory grow: bakes with --sampler lines --target-error 0.001.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "LIST")]
+    pub grow: Vec<Growth>,
+    /// Also write everything as Markdown, with the machine and the command line.
+    #[arg(long, value_name = "FILE.md")]
+    pub results: Option<PathBuf>,
+}
+
+const EXAMPLES: &str = "\
+Each point is one `sightline bake --backend cpu` of its own, from an empty store, timed from start to exit; \
+`sightline measure` then says how wrong its result looks. The table answers what the curves show: how long a sampler \
+needs for a given mean error, interpolated between measured points and never beyond them. `≤` is before a sampler's \
+fastest point when that one is better already, `-` means that no point was that good. The baseline is guided: a fixed \
+number of rays for each cell on its own.\n\n\
+  sightline bench level.glb                                  time against error, some minutes\n  \
+  sightline bench level.glb town.glb --points full --max-seconds 600 --results RESULTS.md\n  \
+  sightline bench level.glb --samplers lines,guided          two curves only\n  \
+  sightline bench --grow triangles                           generated forests, no scene needed\n  \
+  sightline bench level.glb --grow cells,workers\n\n\
+Other work on the machine shows in the times; compare those of one run.";
+
+/// What grows while the rest stays.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Growth {
+    /// Generated forests of 10 000 to 1 000 000 triangles (10 000 000 with --points full).
+    Triangles,
+    /// 2x2x2 to 16x16x16 cells (32x32x32 with --points full) on each scene.
+    Cells,
+    /// 1, 2 and 4 workers on each scene.
+    Workers,
+}
+
+impl BenchArgs {
+    /// The samplers to measure, each once.
+    pub fn samplers(&self) -> Vec<Sampler> {
+        let asked = match &self.samplers {
+            Some(asked) => asked.as_slice(),
+            None if self.grow.is_empty() => Sampler::value_variants(),
+            None => &[],
+        };
+        let mut once = Vec::new();
+        for &sampler in asked {
+            if !once.contains(&sampler) {
+                once.push(sampler);
+            }
+        }
+        once
+    }
+
+    /// Refuses what would fail only after bakes, or measure nothing.
+    pub fn check(&self) -> Result<(), CliError> {
+        let refuse = |what: &str| Err(CliError::Usage(what.to_owned()));
+        let needs_scene = !self.samplers().is_empty() || self.grow.iter().any(|g| *g != Growth::Triangles);
+        if needs_scene && self.scenes.is_empty() {
+            return refuse("name a scene to measure; only --grow triangles needs none");
+        }
+        if !(8..=4096).contains(&self.resolution) {
+            return refuse(&format!("--resolution {} is not between 8 and 4096", self.resolution));
+        }
+        if self.viewpoints == 0 {
+            return refuse("--viewpoints 0 measures nothing; give at least 1");
+        }
+        if self.max_seconds.is_nan() || self.max_seconds <= 0.0 {
+            return refuse(&format!("--max-seconds {} is not above 0", self.max_seconds));
+        }
+        Ok(())
+    }
+
+    /// A grid, as `bake` takes it.
+    pub fn grid([x, y, z]: [u32; 3]) -> [String; 2] {
+        ["--cells".to_owned(), format!("{x}x{y}x{z}")]
+    }
+
+    /// A grid and the view box, as `bake` takes them.
+    pub fn division(&self, cells: [u32; 3]) -> Vec<String> {
+        let mut flags = Self::grid(cells).to_vec();
+        if let Some([least, most]) = self.view_box {
+            // Rust prints the shortest number that reads as the same one.
+            let numbers = least.to_array().into_iter().chain(most.to_array()).map(|n| n.to_string());
+            flags.push(format!("--view-box={}", numbers.collect::<Vec<_>>().join(",")));
+        }
+        flags
+    }
+}

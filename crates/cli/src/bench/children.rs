@@ -1,0 +1,145 @@
+//! Runs this program again as a child: whole commands are what is timed, and a fresh process has a peak memory of its own.
+
+use std::ffi::OsStr;
+use std::io::Read as _;
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+use crate::error::CliError;
+use crate::serve;
+
+/// What the waiting thread is woken by.
+enum Event {
+    /// The child closed its stdout, after writing this.
+    Said(Vec<u8>),
+    /// Ctrl-C or SIGTERM.
+    Stop,
+}
+
+/// Starts children, one at a time.
+pub struct Children {
+    program: PathBuf,
+    events: Receiver<Event>,
+    sender: Sender<Event>,
+    /// Listens for signals as long as it lives.
+    _runtime: tokio::runtime::Runtime,
+}
+
+impl Children {
+    /// From here on Ctrl-C ends the child, and the next `run` says so.
+    pub fn new() -> Result<Self, CliError> {
+        let program = std::env::current_exe()
+            .map_err(|e| CliError::Internal(format!("this program's own file is not known: {e}")))?;
+        let (sender, events) = channel();
+        let runtime = serve::runtime()?;
+        let stop = sender.clone();
+        runtime.spawn(async move {
+            serve::stop_signal().await;
+            // Nobody listens when the command is ending anyway.
+            let _ = stop.send(Event::Stop);
+        });
+        Ok(Self { program, events, sender, _runtime: runtime })
+    }
+
+    /// Runs `sightline --json ARGUMENTS…`; what it printed, and its time from start to exit.
+    pub fn run<I: IntoIterator<Item: AsRef<OsStr>>>(
+        &self,
+        arguments: I,
+    ) -> Result<(Value, Duration), CliError> {
+        if self.events.try_recv().is_ok() {
+            return Err(interrupted());
+        }
+        let mut command = Command::new(&self.program);
+        command.arg("--json").args(arguments);
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let start = Instant::now();
+        let mut child = command
+            .spawn()
+            .map_err(|e| CliError::Internal(format!("{} cannot be started: {e}", self.program.display())))?;
+        let complaints = self.listen(&mut child);
+        let event = self.events.recv();
+        if !matches!(event, Ok(Event::Said(_))) {
+            // It has ended already when it cannot be killed.
+            let _ = child.kill();
+        }
+        let status = child.wait().map_err(CliError::internal)?;
+        let took = start.elapsed();
+        let Ok(Event::Said(said)) = event else { return Err(interrupted()) };
+        if !status.success() {
+            let complaints = complaints.and_then(|c| c.join().ok()).unwrap_or_default();
+            return Err(failure(status.code(), &String::from_utf8_lossy(&complaints), &command));
+        }
+        let value = serde_json::from_slice(&said)
+            .map_err(|e| CliError::Internal(format!("{} printed no JSON: {e}", shown(&command))))?;
+        Ok((value, took))
+    }
+
+    /// Reads what the child says, each stream on a thread: neither pipe may fill up while the other is waited for.
+    fn listen(&self, child: &mut Child) -> Option<std::thread::JoinHandle<Vec<u8>>> {
+        let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
+        let sender = self.sender.clone();
+        std::thread::spawn(move || {
+            let mut said = Vec::new();
+            // A pipe that breaks ends what is said; the JSON is then found to be cut short.
+            let _ = stdout.map(|mut s| s.read_to_end(&mut said));
+            let _ = sender.send(Event::Said(said));
+        });
+        stderr.map(|mut stderr| {
+            std::thread::spawn(move || {
+                let mut said = Vec::new();
+                let _ = stderr.read_to_end(&mut said);
+                said
+            })
+        })
+    }
+}
+
+fn interrupted() -> CliError {
+    CliError::Interrupted(
+        "interrupted; files hold what was complete by then; --samplers and --points make it shorter".into(),
+    )
+}
+
+/// The child's own words, with the exit code that it chose.
+fn failure(code: Option<i32>, complaints: &str, command: &Command) -> CliError {
+    let last = complaints.lines().rev().find_map(|l| l.strip_prefix("error: "));
+    let why = format!("{}: {}", shown(command), last.unwrap_or(complaints.trim()));
+    match code {
+        Some(2) => CliError::Usage(why),
+        Some(3) => CliError::Input(why),
+        Some(4) => CliError::Coordinator(why),
+        Some(5) => CliError::Job(why),
+        // At a terminal Ctrl-C reaches the child as well, and it may be first.
+        Some(130) => interrupted(),
+        Some(_) => CliError::Internal(why),
+        None => CliError::Internal(format!("{} was killed; was there enough memory?", shown(command))),
+    }
+}
+
+fn shown(command: &Command) -> String {
+    let words = command.get_args().map(|a| a.to_string_lossy()).collect::<Vec<_>>();
+    format!("sightline {}", words.join(" "))
+}
+
+/// A number of a child's JSON.
+pub fn number(value: &Value, key: &str) -> Result<f64, CliError> {
+    value[key].as_f64().ok_or_else(|| CliError::Internal(format!("the output has no number {key}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_childs_failure_keeps_its_kind_and_its_words() {
+        let command = Command::new("sightline");
+        let e = failure(Some(3), "noise\nerror: a.glb: not there\n", &command);
+        assert!(matches!(&e, CliError::Input(m) if m.ends_with("a.glb: not there")), "{e}");
+        assert!(matches!(failure(Some(130), "", &command), CliError::Interrupted(_)));
+        assert!(matches!(failure(None, "", &command), CliError::Internal(_)));
+    }
+}

@@ -1,0 +1,173 @@
+//! Time against error: bakes a scene with every sampler from coarse to fine and measures each result.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::bench::args::BenchArgs;
+use crate::bench::children::{Children, number};
+use crate::bench::frontier::{self, Needed};
+use crate::bench::ladder::{Rung, Sampler};
+use crate::bench::table::percent;
+use crate::error::CliError;
+use crate::progress::say;
+
+/// One bake and what it came to.
+#[derive(Clone, Debug, Serialize)]
+pub struct Point {
+    /// How it was sampled.
+    pub sampler: Sampler,
+    /// With which parameter.
+    pub parameter: String,
+    /// The whole command, start to exit.
+    pub seconds: f64,
+    /// Wrong pixels, as fractions.
+    pub mean_error: f64,
+    /// Of the frame that 99 % of the frames are no worse than.
+    pub p99_error: f64,
+    /// Of the worst frame.
+    pub max_error: f64,
+    /// `None` where the system does not tell.
+    pub peak_mb: Option<f64>,
+    /// Of the sets.
+    pub bytes_per_cell: f64,
+    /// Rays or cubes, whatever the sampler counts.
+    pub samples: f64,
+    /// Triangles in a cell's set.
+    pub mean_visible: f64,
+}
+
+/// A scene's points.
+#[derive(Clone, Debug, Serialize)]
+pub struct SceneCurves {
+    /// As tables and files call it.
+    pub scene: String,
+    /// How many it has.
+    pub triangles: u32,
+    /// The samplers asked for.
+    pub samplers: Vec<Sampler>,
+    /// All points, by sampler, coarse to fine.
+    pub points: Vec<Point>,
+}
+
+/// A scene to measure.
+pub struct Input {
+    /// Its file.
+    pub path: PathBuf,
+    /// As tables and files call it.
+    pub name: String,
+    /// How many it has.
+    pub triangles: u32,
+}
+
+impl SceneCurves {
+    /// A sampler's points.
+    pub fn of(&self, sampler: Sampler) -> impl Iterator<Item = &Point> {
+        self.points.iter().filter(move |p| p.sampler == sampler)
+    }
+
+    /// Seconds a sampler needs for a mean error.
+    pub fn needed(&self, sampler: Sampler, error: f64) -> Needed {
+        let points: Vec<_> = self.of(sampler).map(|p| (p.seconds, p.mean_error)).collect();
+        frontier::needed(&points, error)
+    }
+
+    /// How many times longer the baseline takes than lines.
+    pub fn ratio(&self, error: f64) -> Option<f64> {
+        frontier::ratio(self.needed(Sampler::Guided, error), self.needed(Sampler::Lines, error))
+    }
+}
+
+/// Reads every scene once: faults show before the first bake, and no bake waits for the disk.
+pub fn inputs(paths: &[PathBuf]) -> Result<Vec<Input>, CliError> {
+    let stem = |p: &Path| p.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let mut inputs = Vec::new();
+    for path in paths {
+        let alone = paths.iter().filter(|p| stem(p) == stem(path)).count() == 1;
+        let name = if alone { stem(path) } else { path.display().to_string() };
+        inputs.push(Input { path: path.clone(), name, triangles: sightline_scene::load(path)?.len() });
+    }
+    Ok(inputs)
+}
+
+/// Measures a scene with all samplers.
+pub fn measure(args: &BenchArgs, children: &Children, input: &Input) -> Result<SceneCurves, CliError> {
+    let samplers = args.samplers();
+    let mut points = Vec::new();
+    for &sampler in &samplers {
+        let mut rungs = sampler.rungs(args.points).into_iter().peekable();
+        while let Some(rung) = rungs.next() {
+            let point = point(args, children, input, sampler, rung)?;
+            say(&format!(
+                "{}, {} {}: {} s, mean error {}, p99 {}",
+                input.name,
+                sampler.name(),
+                point.parameter,
+                frontier::seconds(point.seconds),
+                percent(point.mean_error),
+                percent(point.p99_error)
+            ));
+            let over = point.seconds > args.max_seconds;
+            points.push(point);
+            if over && rungs.peek().is_some() {
+                say(&format!(
+                    "{}, {}: finer points are left out, as this one took more than {} s (--max-seconds)",
+                    input.name,
+                    sampler.name(),
+                    args.max_seconds
+                ));
+                break;
+            }
+        }
+    }
+    Ok(SceneCurves { scene: input.name.clone(), triangles: input.triangles, samplers, points })
+}
+
+fn point(
+    args: &BenchArgs,
+    children: &Children,
+    input: &Input,
+    sampler: Sampler,
+    rung: Rung,
+) -> Result<Point, CliError> {
+    let folder = tempfile::tempdir().map_err(CliError::internal)?;
+    let result = folder.path().join("out.pvs");
+    let mut line = bake_line(&input.path, folder.path());
+    line.extend(args.division(args.cells).into_iter().chain(rung.flags).map(OsString::from));
+    let (bake, took) = children.run(line)?;
+    let mut line: Vec<OsString> = vec!["measure".into(), input.path.clone().into(), result.into()];
+    let flags = [
+        ("--viewpoints", args.viewpoints.to_string()),
+        ("--seed", args.seed.to_string()),
+        ("--resolution", args.resolution.to_string()),
+    ];
+    line.extend(flags.into_iter().flat_map(|(flag, value)| [flag.into(), value.into()]));
+    let (measured, _) = children.run(line)?;
+    Ok(Point {
+        sampler,
+        parameter: rung.parameter,
+        seconds: took.as_secs_f64(),
+        mean_error: number(&measured, "mean_error")?,
+        p99_error: number(&measured, "p99_error")?,
+        max_error: number(&measured, "max_error")?,
+        peak_mb: bake["peak_memory_bytes"].as_f64().map(|b| b / 1e6),
+        bytes_per_cell: number(&bake, "bytes_per_cell")?,
+        samples: number(&bake, "samples")?,
+        mean_visible: number(&bake, "mean_visible")?,
+    })
+}
+
+/// A bake of `scene` to `folder`/out.pvs from an empty store.
+pub fn bake_line(scene: &Path, folder: &Path) -> Vec<OsString> {
+    vec![
+        "bake".into(),
+        scene.into(),
+        "-o".into(),
+        folder.join("out.pvs").into(),
+        "--data-dir".into(),
+        folder.join("store").into(),
+        "--backend".into(),
+        "cpu".into(),
+    ]
+}

@@ -1,0 +1,143 @@
+//! How long a sampler needs for a given error: the lower envelope of its points, interpolated, never extrapolated.
+
+use serde::Serialize;
+
+/// The mean errors that tables answer for.
+pub const ERRORS: [f64; 5] = [0.01, 0.003, 0.001, 0.0003, 0.0001];
+
+/// Seconds needed for an error.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Needed {
+    /// Between two measured points.
+    Seconds(f64),
+    /// A measured point is better already, and nothing was measured (or has a logarithm) on the other side.
+    AtMost(f64),
+    /// No point is that good.
+    NotReached,
+}
+
+impl Needed {
+    /// As tables show it.
+    pub fn text(self) -> String {
+        match self {
+            Self::Seconds(s) => seconds(s),
+            Self::AtMost(s) => format!("≤ {}", seconds(s)),
+            Self::NotReached => "-".to_owned(),
+        }
+    }
+}
+
+/// Three digits, as times are not known better.
+pub fn seconds(s: f64) -> String {
+    match s {
+        s if s < 10.0 => format!("{s:.2}"),
+        s if s < 100.0 => format!("{s:.1}"),
+        s => format!("{s:.0}"),
+    }
+}
+
+/// The points (seconds, error) that count: one does only if no faster point has at most its error. Fastest first, so that
+/// errors strictly fall.
+pub fn envelope(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let mut sorted = points.to_vec();
+    sorted.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    let mut kept: Vec<(f64, f64)> = Vec::new();
+    for point in sorted {
+        if kept.last().is_none_or(|last| point.1 < last.1) {
+            kept.push(point);
+        }
+    }
+    kept
+}
+
+/// Seconds needed for `error` by a sampler with these points, on a straight line between logarithms.
+pub fn needed(points: &[(f64, f64)], error: f64) -> Needed {
+    let kept = envelope(points);
+    // Errors fall: the first that is good enough has the last that is not before it.
+    let Some(i) = kept.iter().position(|p| p.1 <= error) else { return Needed::NotReached };
+    let (s, e) = kept[i];
+    if e >= error {
+        return Needed::Seconds(s);
+    }
+    match i.checked_sub(1).map(|before| kept[before]) {
+        // No error at all has no logarithm to interpolate to.
+        Some((slower, worse)) if e > 0.0 && slower > 0.0 => {
+            let share = (worse / error).ln() / (worse / e).ln();
+            Needed::Seconds((slower.ln() + share * (s / slower).ln()).exp())
+        }
+        _ => Needed::AtMost(s),
+    }
+}
+
+/// How many times longer the baseline takes; only where both are known.
+pub fn ratio(baseline: Needed, other: Needed) -> Option<f64> {
+    match (baseline, other) {
+        (Needed::Seconds(b), Needed::Seconds(o)) if o > 0.0 => Some(b / o),
+        _ => None,
+    }
+}
+
+/// The geometric mean; none of nothing.
+pub fn geometric_mean(values: &[f64]) -> Option<f64> {
+    let sum: f64 = values.iter().map(|v| v.ln()).sum();
+    (!values.is_empty()).then(|| (sum / values.len() as f64).exp())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn assert_seconds(n: Needed, expected: f64) {
+        assert!(
+            matches!(n, Needed::Seconds(s) if (s / expected - 1.0).abs() < 1e-12),
+            "{n:?}, not {expected}"
+        );
+    }
+
+    #[test]
+    fn a_power_law_is_met_exactly() {
+        // error = 0.1 / seconds^2
+        let points: Vec<_> = [1.0, 3.0, 10.0, 50.0].iter().map(|&s| (s, 0.1 / (s * s))).collect();
+        for error in [0.05, 0.01, 0.003, 0.001, 0.0001] {
+            assert_seconds(needed(&points, error), f64::sqrt(0.1 / error));
+        }
+    }
+
+    #[test]
+    fn nothing_is_extrapolated() {
+        let points = [(1.0, 0.01), (10.0, 0.001)];
+        assert_eq!(needed(&points, 0.000_999), Needed::NotReached);
+        assert_eq!(needed(&points, 0.02), Needed::AtMost(1.0));
+        assert_eq!(needed(&points, 0.01), Needed::Seconds(1.0));
+        assert_eq!(needed(&points, 0.001), Needed::Seconds(10.0));
+        assert_eq!(needed(&[], 0.01), Needed::NotReached);
+        assert_eq!(needed(&[(2.0, 0.01)], 0.01), Needed::Seconds(2.0));
+        assert_eq!(needed(&[(2.0, 0.01)], 0.1), Needed::AtMost(2.0));
+        assert_eq!(needed(&[(2.0, 0.01)], 0.001), Needed::NotReached);
+    }
+
+    #[test]
+    fn a_point_counts_only_if_no_faster_one_is_as_good() {
+        // Slower and worse, slower and equal, as fast and worse; in no order.
+        let points = [(10.0, 0.001), (2.0, 0.02), (1.0, 0.01), (11.0, 0.001), (10.0, 0.005), (5.0, 0.01)];
+        assert_eq!(envelope(&points), [(1.0, 0.01), (10.0, 0.001)]);
+        assert_seconds(needed(&points, f64::sqrt(1e-5)), f64::sqrt(10.0));
+    }
+
+    #[test]
+    fn no_error_at_all_is_reached_but_not_interpolated_to() {
+        let points = [(1.0, 0.01), (4.0, 0.0)];
+        assert_eq!(needed(&points, 0.001), Needed::AtMost(4.0));
+        assert_eq!(needed(&points, 0.01), Needed::Seconds(1.0));
+    }
+
+    #[test]
+    fn ratios_want_both_and_means_are_geometric() {
+        assert_eq!(ratio(Needed::Seconds(6.0), Needed::Seconds(2.0)), Some(3.0));
+        assert_eq!(ratio(Needed::Seconds(6.0), Needed::AtMost(2.0)), None);
+        assert_eq!(ratio(Needed::NotReached, Needed::Seconds(2.0)), None);
+        assert!((geometric_mean(&[2.0, 8.0]).unwrap() - 4.0).abs() < 1e-12);
+        assert_eq!(geometric_mean(&[]), None);
+    }
+}

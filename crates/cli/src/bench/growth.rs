@@ -1,0 +1,137 @@
+//! How time and memory grow with triangles, cells and workers, one at a time.
+
+use std::ffi::OsString;
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::bench::args::{BenchArgs, Growth};
+use crate::bench::children::{Children, number};
+use crate::bench::curves::{Input, bake_line};
+use crate::bench::frontier::seconds;
+use crate::bench::ladder::Ladder;
+use crate::error::CliError;
+use crate::progress::say;
+
+/// How every one of these bakes is sampled.
+const SAMPLER: [&str; 4] = ["--sampler", "lines", "--target-error", "0.001"];
+
+/// One bake.
+#[derive(Clone, Debug, Serialize)]
+pub struct Grown {
+    /// What is different from the row before.
+    pub grows: Growth,
+    /// As tables call it.
+    pub scene: String,
+    /// That the scene has.
+    pub triangles: f64,
+    /// Of the result.
+    pub cells: f64,
+    /// `None`: one a core.
+    pub workers: Option<u32>,
+    /// The whole command, start to exit.
+    pub seconds: f64,
+    /// `None` where the system does not tell.
+    pub peak_mb: Option<f64>,
+    /// Of the sets.
+    pub bytes_per_cell: f64,
+}
+
+impl Growth {
+    /// As the command line names it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Triangles => "triangles",
+            Self::Cells => "cells",
+            Self::Workers => "workers",
+        }
+    }
+
+    /// The values, from small to great.
+    fn values(self, ladder: Ladder) -> &'static [u32] {
+        match (self, ladder) {
+            (Self::Triangles, Ladder::Quick) => &[10_000, 100_000, 1_000_000],
+            (Self::Triangles, Ladder::Full) => &[10_000, 100_000, 1_000_000, 10_000_000],
+            (Self::Cells, Ladder::Quick) => &[2, 4, 8, 16],
+            (Self::Cells, Ladder::Full) => &[2, 4, 8, 16, 32],
+            (Self::Workers, _) => &[1, 2, 4],
+        }
+    }
+}
+
+/// Measures one growth, on all scenes that it is for.
+pub fn measure(
+    args: &BenchArgs,
+    children: &Children,
+    inputs: &[Input],
+    grows: Growth,
+) -> Result<Vec<Grown>, CliError> {
+    let scenes: Vec<Option<&Input>> = match grows {
+        Growth::Triangles => vec![None],
+        Growth::Cells | Growth::Workers => inputs.iter().map(Some).collect(),
+    };
+    let mut rows = Vec::new();
+    for scene in scenes {
+        let mut values = grows.values(args.points).iter().peekable();
+        while let Some(&value) = values.next() {
+            let row = bake(args, children, scene, grows, value)?;
+            say(&format!("growth of {}, {} at {value}: {} s", grows.name(), row.scene, seconds(row.seconds)));
+            let over = row.seconds > args.max_seconds;
+            rows.push(row);
+            // More workers should not take longer.
+            if over && grows != Growth::Workers && values.peek().is_some() {
+                say(&format!(
+                    "growth of {}: greater ones are left out, as this one took more than {} s (--max-seconds)",
+                    grows.name(),
+                    args.max_seconds
+                ));
+                break;
+            }
+        }
+    }
+    Ok(rows)
+}
+
+fn bake(
+    args: &BenchArgs,
+    children: &Children,
+    scene: Option<&Input>,
+    grows: Growth,
+    value: u32,
+) -> Result<Grown, CliError> {
+    let folder = tempfile::tempdir().map_err(CliError::internal)?;
+    let (name, path) = match scene {
+        Some(input) => (input.name.clone(), input.path.clone()),
+        None => ("forest".to_owned(), forest(children, folder.path(), value)?),
+    };
+    let mut line = bake_line(&path, folder.path());
+    line.extend(SAMPLER.map(OsString::from));
+    let cells = if grows == Growth::Cells { [value; 3] } else { args.cells };
+    let division = match scene {
+        Some(_) => args.division(cells),
+        // The view box is of the given scenes.
+        None => BenchArgs::grid(cells).to_vec(),
+    };
+    line.extend(division.into_iter().map(OsString::from));
+    let workers = (grows == Growth::Workers).then_some(value);
+    line.extend(workers.into_iter().flat_map(|w| [OsString::from("--workers"), w.to_string().into()]));
+    let (baked, took) = children.run(line)?;
+    Ok(Grown {
+        grows,
+        scene: name,
+        triangles: number(&baked, "triangles")?,
+        cells: number(&baked, "cells")?,
+        workers,
+        seconds: took.as_secs_f64(),
+        peak_mb: baked["peak_memory_bytes"].as_f64().map(|b| b / 1e6),
+        bytes_per_cell: number(&baked, "bytes_per_cell")?,
+    })
+}
+
+fn forest(children: &Children, folder: &Path, triangles: u32) -> Result<std::path::PathBuf, CliError> {
+    let path = folder.join("forest.glb");
+    let words = ["generate", "forest", "--triangles"].map(OsString::from);
+    let rest = [triangles.to_string().into(), "-o".into(), path.clone().into()];
+    children.run(words.into_iter().chain(rest))?;
+    Ok(path)
+}

@@ -1,0 +1,164 @@
+//! The tables, as Markdown that also reads well in a terminal.
+
+use crate::bench::curves::SceneCurves;
+use crate::bench::frontier::{ERRORS, geometric_mean, seconds};
+use crate::bench::growth::Grown;
+use crate::bench::ladder::Sampler;
+
+/// A header and rows of as many cells.
+#[derive(Debug)]
+pub struct Table {
+    header: Vec<String>,
+    rows: Vec<Vec<String>>,
+}
+
+impl Table {
+    fn new<const N: usize>(header: [&str; N]) -> Self {
+        Self { header: header.map(str::to_owned).to_vec(), rows: Vec::new() }
+    }
+
+    /// Markdown with columns of even width: the first to the left, the others, numbers mostly, to the right.
+    pub fn markdown(&self) -> String {
+        let all = || std::iter::once(&self.header).chain(&self.rows);
+        let escaped = |text: &str| text.replace('|', "\\|");
+        let width = |column: usize| {
+            let widths = all().filter_map(|r| r.get(column)).map(|c| escaped(c).chars().count());
+            widths.max().unwrap_or(0).max(3)
+        };
+        let widths: Vec<_> = (0..self.header.len()).map(width).collect();
+        let line = |row: &Vec<String>| {
+            let cells = row.iter().zip(&widths).enumerate().map(|(i, (cell, &width))| match i {
+                0 => format!(" {:<width$} |", escaped(cell)),
+                _ => format!(" {:>width$} |", escaped(cell)),
+            });
+            format!("|{}\n", cells.collect::<String>())
+        };
+        let rule = widths.iter().enumerate().map(|(i, &width)| match i {
+            0 => format!("-{}-|", "-".repeat(width)),
+            _ => format!("-{}:|", "-".repeat(width)),
+        });
+        let rule = format!("|{}\n", rule.collect::<String>());
+        std::iter::once(line(&self.header)).chain([rule]).chain(self.rows.iter().map(line)).collect()
+    }
+}
+
+/// A fraction in percent with three digits that count.
+pub fn percent(fraction: f64) -> String {
+    let p = 100.0 * fraction;
+    if p <= 0.0 {
+        return "0 %".to_owned();
+    }
+    let decimals = (2 - p.log10().floor() as i32).clamp(0, 9) as usize;
+    format!("{p:.decimals$} %")
+}
+
+fn megabytes(mb: Option<f64>) -> String {
+    mb.map_or("?".to_owned(), |mb| format!("{mb:.0}"))
+}
+
+fn times(ratio: Option<f64>) -> String {
+    ratio.map_or("-".to_owned(), |r| format!("{r:.2}"))
+}
+
+/// The geometric mean over scenes of how many times longer the baseline takes than lines, for each of [`ERRORS`], with
+/// the number of scenes that it is known for.
+pub fn mean_ratios(scenes: &[SceneCurves]) -> Vec<(f64, Option<f64>, usize)> {
+    let ratios = |error| scenes.iter().filter_map(|s| s.ratio(error)).collect::<Vec<_>>();
+    ERRORS.iter().map(|&e| (e, geometric_mean(&ratios(e)), ratios(e).len())).collect()
+}
+
+/// Seconds each sampler needs for an error.
+pub fn needed(scenes: &[SceneCurves]) -> Table {
+    let samplers = scenes.first().map_or(&[][..], |s| &s.samplers);
+    let compares = [Sampler::Guided, Sampler::Lines].iter().all(|s| samplers.contains(s));
+    let mut table = Table::new(["scene", "mean error"]);
+    table.header.extend(samplers.iter().map(|s| format!("{} s", s.name())));
+    if compares {
+        table.header.push("guided / lines".to_owned());
+    }
+    for scene in scenes {
+        for error in ERRORS {
+            let mut row = vec![scene.scene.clone(), target(error)];
+            row.extend(samplers.iter().map(|&s| scene.needed(s, error).text()));
+            if compares {
+                row.push(times(scene.ratio(error)));
+            }
+            table.rows.push(row);
+        }
+    }
+    if compares && scenes.len() > 1 {
+        for (error, mean, of) in mean_ratios(scenes) {
+            let mut row = vec![format!("geometric mean of {of} scenes"), target(error)];
+            row.extend(samplers.iter().map(|_| String::new()));
+            row.push(times(mean));
+            table.rows.push(row);
+        }
+    }
+    table
+}
+
+/// One of [`ERRORS`], as short as it is.
+fn target(error: f64) -> String {
+    format!("{} %", (error * 1e6).round() / 1e4)
+}
+
+/// All points of a scene.
+pub fn points(scene: &SceneCurves) -> Table {
+    let mut table =
+        Table::new(["sampler", "parameter", "s", "mean", "p99", "max", "MB", "B/cell", "samples", "visible"]);
+    table.rows.extend(scene.points.iter().map(|p| {
+        vec![
+            p.sampler.name().to_owned(),
+            p.parameter.clone(),
+            seconds(p.seconds),
+            percent(p.mean_error),
+            percent(p.p99_error),
+            percent(p.max_error),
+            megabytes(p.peak_mb),
+            format!("{:.0}", p.bytes_per_cell),
+            format!("{:.0}", p.samples),
+            format!("{:.0}", p.mean_visible),
+        ]
+    }));
+    table
+}
+
+/// How time and memory grow.
+pub fn growth(rows: &[Grown]) -> Table {
+    let mut table = Table::new(["grows", "scene", "triangles", "cells", "workers", "s", "MB", "B/cell"]);
+    table.rows.extend(rows.iter().map(|g| {
+        vec![
+            g.grows.name().to_owned(),
+            g.scene.clone(),
+            g.triangles.to_string(),
+            g.cells.to_string(),
+            g.workers.map_or("one a core".to_owned(), |w| w.to_string()),
+            seconds(g.seconds),
+            megabytes(g.peak_mb),
+            format!("{:.0}", g.bytes_per_cell),
+        ]
+    }));
+    table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percents_have_three_digits() {
+        for (fraction, text) in
+            [(0.0, "0 %"), (0.5, "50.0 %"), (0.0123, "1.23 %"), (0.000_012_34, "0.00123 %"), (1.0, "100 %")]
+        {
+            assert_eq!(percent(fraction), text);
+        }
+        assert_eq!(ERRORS.map(target), ["1 %", "0.3 %", "0.1 %", "0.03 %", "0.01 %"]);
+    }
+
+    #[test]
+    fn columns_are_even_and_bars_escaped() {
+        let mut table = Table::new(["scene", "s"]);
+        table.rows.push(vec!["a|b".to_owned(), "12.5".to_owned()]);
+        assert_eq!(table.markdown(), "| scene |    s |\n|-------|-----:|\n| a\\|b  | 12.5 |\n");
+    }
+}
