@@ -88,6 +88,8 @@ impl Coordinator {
                 samples = samples.saturating_add(stats.samples);
             }
         }
+        // What a cell that was set aside shows; stand-ins do not repeat it for every cell.
+        let all: Vec<u32> = (0..scene.triangles).collect();
         let set_aside = leaves().filter(|(_, s)| matches!(s, TileState::SetAside { .. })).count();
         let objects = scene
             .objects
@@ -110,8 +112,11 @@ impl Coordinator {
             };
             for cell in sets.cells {
                 // What is shown because its tile failed was neither seen nor proved hidden.
-                let undecided: &[u32] = if aside { &cell.visible } else { &[] };
-                builder.push_cell(&cell.visible, undecided, if aside { SET_ASIDE } else { 0 })?;
+                if aside {
+                    builder.push_cell(&all, &all, SET_ASIDE)?;
+                } else {
+                    builder.push_cell(&cell.visible, &[], 0)?;
+                }
                 statistics.push(&cell);
             }
         }
@@ -142,7 +147,8 @@ impl Coordinator {
         Ok(sets)
     }
 
-    /// Stores what is shipped for a tile that was given up: every cell sees every triangle. For a tile that should
+    /// Stores what stands for a tile that was given up: its cells, without their sets, as every cell will show every triangle,
+    /// those without area too. For a tile that should
     /// have given samples, none.
     pub(crate) fn stand_in(
         &self,
@@ -151,11 +157,8 @@ impl Coordinator {
         tile: &sightline_viewcells::Tile,
     ) -> Result<(Digest, u64), AssembleError> {
         let output = if tile.kind == TileKind::Leaf {
-            // All of them, those without area too: that is what the result file's flag promises.
-            let triangles = self.store.scene(&spec.scene)?.map_or(0, |s| s.triangles);
-            let all: Vec<u32> = (0..triangles).collect();
             let mut sets = CellSets::default();
-            everything(&spec.division, lattice, &tile.cell, tile.depth, &all, &mut sets);
+            everything(&spec.division, lattice, &tile.cell, tile.depth, &mut sets);
             TileOutput::Cells(sets)
         } else {
             TileOutput::Pack(tile::Pack::default())
@@ -174,23 +177,24 @@ pub(crate) fn expected_nodes(
 ) -> Option<Vec<tile::Node>> {
     matches!(d, Division::Grid(_)).then(|| {
         let mut sets = CellSets::default();
-        everything(d, l, cell, depth, &[], &mut sets);
+        everything(d, l, cell, depth, &mut sets);
         sets.nodes
     })
 }
 
-fn everything(d: &Division, l: &Lattice, cell: &CellBox, depth: u32, all: &[u32], out: &mut CellSets) {
+/// The tree of a tile's cells, with empty sets.
+fn everything(d: &Division, l: &Lattice, cell: &CellBox, depth: u32, out: &mut CellSets) {
     let grid = matches!(d, Division::Grid(_));
     match d.split(l, cell, depth).filter(|_| grid) {
         Some(split) => {
             out.nodes.push(tile::Node::Split(split));
             for child in cell.children(split) {
-                everything(d, l, &child, depth + 1, all, out);
+                everything(d, l, &child, depth + 1, out);
             }
         }
         None => {
             out.nodes.push(tile::Node::Cell);
-            out.cells.push(CellSet { visible: all.to_vec(), samples: 0, stats: CellStats::default() });
+            out.cells.push(CellSet { visible: Vec::new(), samples: 0, stats: CellStats::default() });
         }
     }
 }

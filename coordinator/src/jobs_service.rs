@@ -34,9 +34,10 @@ pub(crate) async fn blocking<T: Send + 'static>(
     f: impl FnOnce(&Arc<Coordinator>) -> Result<T, Status> + Send + 'static,
 ) -> Result<T, Status> {
     let c = Arc::clone(c);
-    tokio::task::spawn_blocking(move || f(&c))
-        .await
-        .map_err(|e| status::internal(&format!("a request panicked: {e}")))?
+    tokio::task::spawn_blocking(move || f(&c)).await.map_err(|e| match e.is_cancelled() {
+        true => Status::unavailable("the coordinator is ending; ask again when it is back"),
+        false => status::internal(&format!("a request panicked: {e}")),
+    })?
 }
 
 /// A digest from the wire.
@@ -295,7 +296,9 @@ impl Coordinator {
             objects: r.objects,
         };
         let of_blob = |e| status::of_blob(&e);
+        // A scene of one chunk has its chunk's digest, and chunks are not synced: it is written again below.
         if let Some(known) = self.store.scene(&whole).map_err(|e| status::of_store(&e))?
+            && parts != [whole]
             && self.blobs.has(&whole).map_err(of_blob)?
         {
             match self.blobs.read(&whole) {
@@ -319,7 +322,8 @@ impl Coordinator {
             match self.blobs.read(part) {
                 Ok(bytes) => writer.append(&bytes).map_err(of_blob)?,
                 // Chunks are not synced to the disk: after a power failure one may be there in part.
-                Err(BlobError::Damaged { .. }) => {
+                Err(e @ BlobError::Damaged { .. }) => {
+                    tracing::warn!("{e}; it is uploaded again now");
                     self.blobs.remove(part).map_err(of_blob)?;
                     return Err(Status::failed_precondition(
                         "a chunk of the scene was damaged and is gone; ask MissingChunks which, put it, and try again",

@@ -100,7 +100,7 @@ impl Job {
         let open = self.slots.iter().filter(|s| matches!(s.state, TileState::Open)).count().max(1) as u64;
         let spent = crate::core::now_ms().saturating_sub(self.record.submitted_at_ms);
         // A tenth is kept for putting the result together.
-        let share = budget.saturating_sub(spent) * 9 / 10 * workers.clamp(1, open) / open;
+        let share = (budget.saturating_sub(spent) / 10 * 9).saturating_mul(workers.clamp(1, open)) / open;
         (budget > 0).then(|| share.max(budget / (8 * self.slots.len().max(1) as u64)))
     }
 
@@ -370,7 +370,11 @@ impl Scheduler {
     /// Gives one tile to a worker, or asks it to time its backends. Answers whether it got a tile.
     fn give(&mut self, number: u64, store: &dyn Store, now: Instant) -> Result<bool, StoreError> {
         use v1::coordinator_message::Message;
-        let workers = self.workers.len() as u64;
+        // Workers that can run each profile.
+        let mut able: BTreeMap<String, u64> = BTreeMap::new();
+        for profile in self.workers.values().flat_map(|w| &w.profiles) {
+            *able.entry(profile.clone()).or_default() += 1;
+        }
         let Some(worker) = self.workers.get_mut(&number) else { return Ok(false) };
         if worker.wants == 0 || worker.draining {
             return Ok(false);
@@ -410,9 +414,9 @@ impl Scheduler {
             let grant = v1::Grant {
                 lease: Some(lease_of(*id, tile, lease)),
                 spec: Some(job.spec.to_proto()),
-                profile,
                 packs: job.packs(tile),
-                millis: job.millis_for_a_tile(workers),
+                millis: job.millis_for_a_tile(able.get(&profile).copied().unwrap_or(1)),
+                profile,
             };
             if !worker.send(Message::Grant(grant)) {
                 return Ok(false);

@@ -183,3 +183,55 @@ fn without_embree_the_gpu_is_taken_and_the_reason_told() {
         serde_json::from_str(&run.code(0).says("note: cpu backend: Embree is not installed").out).unwrap();
     assert!(made["info"]["profile"].as_str().unwrap().starts_with("gpu/"), "{made}");
 }
+
+/// Sight lines cross cells and blocks are made by different workers: two blocks, killed in the middle, by one worker and
+/// by three.
+#[test]
+fn sight_lines_give_the_same_bytes_however_they_are_traced() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(ROOMS);
+    let job = "rooms.glb --cells 12x8x8 --backend cpu --max-error 0.003";
+    let one = sandbox.json(&format!("bake {job} -o one.pvs --data-dir one --workers 1"));
+    assert_eq!(one["cells_bounded"], 768, "{one}");
+    assert!(one["greatest_bound"].as_f64().unwrap() <= 0.003, "{one}");
+    let bake = sandbox.start(&format!("bake {job} -o three.pvs --data-dir three --workers 3"));
+    wait_for("work under way", || (sandbox.files_below("three/blobs") > 0).then_some(()));
+    bake.kill();
+    sandbox.ok(&format!("bake {job} -o three.pvs --data-dir three --workers 3"));
+    assert_same(
+        &sandbox.read("one.pvs"),
+        &sandbox.read("three.pvs"),
+        "one worker, and three of which all were killed",
+    );
+
+    let shown = sandbox.json("info one.pvs --cells");
+    let cells = shown["per_cell"].as_array().unwrap();
+    assert_eq!(cells.len(), 768);
+    for cell in cells {
+        assert!(cell["rays_uniform"].as_u64().unwrap() > 0, "{cell}");
+        assert!(cell["bound"].as_f64().unwrap() <= 0.003, "{cell}");
+    }
+}
+
+#[test]
+fn a_time_budget_ends_with_a_result() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(ROOMS);
+    let start = std::time::Instant::now();
+    let made = sandbox.json(
+        "bake rooms.glb --cells 8x8x8 --backend cpu --target-error 1e-6 --time-budget 1500ms -o out.pvs --data-dir data",
+    );
+    // Without the budget this takes minutes; what is over it is the machine's affair.
+    assert!(start.elapsed() < std::time::Duration::from_secs(30));
+    assert!(made["min_visible"].as_u64().unwrap() > 0, "{made}");
+    sandbox.run("bake rooms.glb --time-budget 0s -o no.pvs --data-dir data").code(2);
+    sandbox
+        .run("bake rooms.glb --sampler cubes --max-error 0.1 -o no.pvs --data-dir data")
+        .code(2)
+        .says("--sampler lines");
+    sandbox.run("bake rooms.glb --sampler cubes --time-budget 1s -o no.pvs --data-dir data").code(2);
+    sandbox
+        .run("bake rooms.glb --triangle-budget 9 --sampler lines -o no.pvs --data-dir data")
+        .code(2)
+        .says("cubes");
+}

@@ -15,7 +15,7 @@ use std::time::Duration;
 use tokio::sync::watch;
 
 pub use backends::{Backends, Choice};
-pub use scenes::SceneCache;
+pub use scenes::{Loaded, SceneCache};
 
 /// How a worker is set up.
 #[derive(Clone)]

@@ -20,6 +20,30 @@ pub struct Loaded {
 }
 
 impl Loaded {
+    /// A scene that is at hand.
+    ///
+    /// # Errors
+    /// [`SceneError`] when it has too many triangles to sample.
+    pub fn new(scene: Arc<Scene>) -> Result<Self, SceneError> {
+        Ok(Self { prepared: PreparedScene::new(scene)?, backends: Mutex::default() })
+    }
+
+    /// Makes ready to trace sight lines on the cpu, if this machine can: what the first tile would wait for. What cannot
+    /// be done now is done, and complained of, when it is needed.
+    pub fn warm(&self, backends: &Backends, spec: CubeSpec) {
+        let cpu = backends.profiles().into_iter().find(|p| p.starts_with("cpu/"));
+        let Some(backend) = cpu.and_then(|profile| self.backend(backends, &profile, spec, "").ok()) else {
+            return;
+        };
+        let distinct = self.prepared.distinct();
+        std::thread::scope(|scope| {
+            scope.spawn(|| self.prepared.surface());
+            if let Err(e) = backend.lines(distinct) {
+                tracing::debug!("not made ready: {e}");
+            }
+        });
+    }
+
     /// The backend with `profile` for cubes as in `spec`, made on first use. A software gpu belongs to one `owner`
     /// alone, because such a device keeps only one core busy.
     ///
@@ -65,14 +89,9 @@ pub struct SceneCache {
 }
 
 impl SceneCache {
-    /// A cache that has `scene` already.
-    ///
-    /// # Errors
-    /// [`SceneError`] when it has too many triangles to sample.
-    pub fn holding(digest: [u8; 32], scene: &Arc<Scene>) -> Result<Self, SceneError> {
-        let prepared = PreparedScene::new(Arc::clone(scene))?;
-        let loaded = Arc::new(Loaded { prepared, backends: Mutex::default() });
-        Ok(Self { scenes: tokio::sync::Mutex::new(vec![(digest, loaded)]) })
+    /// A cache that has a scene already.
+    pub fn holding(digest: [u8; 32], loaded: Arc<Loaded>) -> Self {
+        Self { scenes: tokio::sync::Mutex::new(vec![(digest, loaded)]) }
     }
 
     /// The scene with `digest`, fetched with `fetch` when it is not at hand. Two tiles that ask at once fetch once.
@@ -97,8 +116,7 @@ impl SceneCache {
             }
             let scene = Scene::from_blob("scene from the coordinator", &bytes).map_err(|e| e.to_string())?;
             drop(bytes);
-            let prepared = PreparedScene::new(Arc::new(scene)).map_err(|e| e.to_string())?;
-            Ok(Arc::new(Loaded { prepared, backends: Mutex::default() }))
+            Ok(Arc::new(Loaded::new(Arc::new(scene)).map_err(|e| e.to_string())?))
         })
         .await
         .map_err(|e| format!("the scene could not be analysed: {e}"))??;

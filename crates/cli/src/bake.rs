@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use sightline_coordinator::{Config, Coordinator, OpenError};
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
-use sightline_scene::Scene;
-use sightline_worker::{Backends, SceneCache, Stop};
+use sightline_sampling::Sampler;
+use sightline_worker::{Backends, Loaded, SceneCache, Stop};
 use tokio::sync::watch;
 use tonic::transport::Channel;
 
@@ -35,6 +35,9 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
         human(start.elapsed())
     ));
     check_output(&args.output)?;
+    let loaded = Arc::new(Loaded::new(Arc::clone(&scene))?);
+    serve::use_threads(threads(None))?;
+    let probing = probing.then_warm(&loaded, &spec);
     let data_dir = match &args.data_dir {
         Some(dir) => dir.clone(),
         None => default_data_dir()?,
@@ -45,7 +48,7 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     })?;
     let runtime = serve::runtime()?;
     let outcome = runtime.block_on(async {
-        let work = bake(&args, coordinator, &scene, &spec, probing);
+        let work = bake(&args, coordinator, &loaded, &spec, probing);
         tokio::select! {
             r = work => r,
             _ = tokio::signal::ctrl_c() => Err(CliError::Interrupted(format!(
@@ -60,15 +63,30 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     report(&args, &outcome, start.elapsed(), json)
 }
 
-/// The look for backends, on a thread of its own.
-struct Probing(Option<std::thread::JoinHandle<Backends>>);
+/// The look for backends, and what can be got ready once they are known, on a thread of its own.
+struct Probing(Option<std::thread::JoinHandle<Arc<Backends>>>);
 
 impl Probing {
     fn begin(choice: sightline_worker::Choice) -> Self {
-        Self(Some(std::thread::spawn(move || Backends::probe(choice, Default::default()))))
+        Self(Some(std::thread::spawn(move || Arc::new(Backends::probe(choice, Default::default())))))
     }
 
-    fn end(&mut self) -> Result<Backends, CliError> {
+    /// Then makes ready to trace, while the scene is uploaded and the job planned.
+    fn then_warm(mut self, loaded: &Arc<Loaded>, spec: &sightline_job::JobSpec) -> Self {
+        if spec.sampling.sampler != Sampler::Cubes
+            && let Some(probe) = self.0.take()
+        {
+            let (loaded, spec) = (Arc::clone(loaded), spec.sampling.cube_spec());
+            self.0 = Some(std::thread::spawn(move || {
+                let backends = probe.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+                loaded.warm(&backends, spec);
+                backends
+            }));
+        }
+        self
+    }
+
+    fn end(mut self) -> Result<Arc<Backends>, CliError> {
         let panicked = || CliError::Internal("looking for backends panicked".to_owned());
         self.0.take().ok_or_else(panicked)?.join().map_err(|_| panicked())
     }
@@ -93,9 +111,9 @@ struct Outcome {
 async fn bake(
     args: &BakeArgs,
     coordinator: Arc<Coordinator>,
-    scene: &Arc<Scene>,
+    loaded: &Arc<Loaded>,
     spec: &sightline_job::JobSpec,
-    mut probing: Probing,
+    probing: Probing,
 ) -> Result<Outcome, CliError> {
     let listener = sightline_coordinator::server::listen(([127, 0, 0, 1], 0).into(), false)
         .await
@@ -107,7 +125,7 @@ async fn bake(
         std::future::pending(),
     ));
     let mut client = JobsClient::new(client::channel(&url).await?);
-    client::upload(&mut client, scene).await?;
+    client::upload(&mut client, &loaded.prepared.scene).await?;
     let mut answer = submit(&mut client, args, spec).await?;
     let mut job = answer.job.take().unwrap_or_default();
     if job.state() == v1::JobState::Done && job.tiles_set_aside > 0 {
@@ -119,7 +137,6 @@ async fn bake(
     if job.state() != v1::JobState::Done {
         let probed =
             tokio::task::spawn_blocking(move || probing.end()).await.map_err(CliError::internal)??;
-        let probed = Arc::new(probed);
         serve::say_missing(&probed)?;
         if !job.profile.is_empty() && !probed.profiles().contains(&job.profile) {
             say(&format!(
@@ -145,7 +162,7 @@ async fn bake(
         if answer.existing {
             say(&format!("going on: {} of {} tiles are done", job.tiles_done, job.tiles_total));
         }
-        let (stop, workers) = start_workers(args, &url, &backends, scene, spec)?;
+        let (stop, workers) = start_workers(args, &url, &backends, loaded, spec)?;
         job = tokio::select! {
             j = client::follow(&mut client, job.id) => j?,
             e = workers => return Err(e),
@@ -180,7 +197,7 @@ fn start_workers(
     args: &BakeArgs,
     url: &str,
     backends: &Arc<Backends>,
-    scene: &Arc<Scene>,
+    loaded: &Arc<Loaded>,
     spec: &sightline_job::JobSpec,
 ) -> Result<(watch::Sender<Stop>, impl Future<Output = CliError> + use<>), CliError> {
     let cores = threads(None);
@@ -188,9 +205,8 @@ fn start_workers(
     if count == 0 || count > 256 {
         return Err(CliError::Usage(format!("{count} workers cannot be started; use --workers 1 to 256")));
     }
-    serve::use_threads(cores)?;
     // The scene is in this process already.
-    let scenes = Arc::new(SceneCache::holding(spec.scene, scene).map_err(CliError::internal)?);
+    let scenes = Arc::new(SceneCache::holding(spec.scene, Arc::clone(loaded)));
     let (stop, stopped) = watch::channel(Stop::No);
     let mut set = tokio::task::JoinSet::new();
     for i in 0..count {

@@ -89,7 +89,7 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
     }
     let kinds = ["rays_uniform", "rays_flood", "rays_candidate", "rays_check", "samples"];
     let finds = ["finds_uniform", "finds_flood", "finds_candidate", "finds_check"];
-    let cost = |cell: usize| kinds.iter().map(|k| at(k, cell)).sum::<u64>();
+    let cost = |cell: usize| kinds.iter().fold(0u64, |sum, k| sum.saturating_add(at(k, cell)));
     let mut order: Vec<usize> = (0..pvs.cells() as usize).collect();
     order.sort_by_key(|c| (std::cmp::Reverse(cost(*c)), *c));
     let mut lines = vec![

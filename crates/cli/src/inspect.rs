@@ -111,7 +111,7 @@ impl Summary {
             ),
             match (self.greatest_bound, self.mean_bound) {
                 (Some(greatest), Some(mean)) => format!(
-                    "missed sight lines, bounded at 95 % for {} cells: at most {:.4} % in any, {:.4} % on average",
+                    "missed sight lines, bounds of {} cells at 95 % each: the greatest {:.4} %, {:.4} % on average",
                     self.cells_bounded,
                     greatest * 100.0,
                     mean * 100.0

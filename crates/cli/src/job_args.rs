@@ -199,7 +199,9 @@ impl JobArgs {
 }
 
 fn parse_duration(text: &str) -> Result<Duration, String> {
-    let wrong = || "give a duration as in 500ms, 30s, 5m or 2h".to_owned();
+    /// A year.
+    const MOST: Duration = Duration::from_secs(366 * 24 * 3600);
+    let wrong = || "give a duration of at most a year, as in 500ms, 30s, 5m or 2h".to_owned();
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
     let unit = match &text[digits.len()..] {
         "ms" => 1e-3,
@@ -209,7 +211,7 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
         _ => return Err(wrong()),
     };
     let seconds = digits.trim().parse::<f64>().map_err(|_| wrong())? * unit;
-    Duration::try_from_secs_f64(seconds).ok().filter(|d| !d.is_zero()).ok_or_else(wrong)
+    Duration::try_from_secs_f64(seconds).ok().filter(|d| !d.is_zero() && *d <= MOST).ok_or_else(wrong)
 }
 
 /// A grid of cells, as in 8x8x8.

@@ -13,7 +13,10 @@ use sightline_viewcells::{Division, DivisionError, Lattice, Layout, Plan};
 
 /// Changes whenever the same specification would give other bytes, so that stored results are never mistaken for
 /// those of another version.
-pub const ALGORITHM_VERSION: u32 = 2;
+pub const ALGORITHM_VERSION: u32 = 3;
+
+/// Longest time budget, ten years.
+const MAX_BUDGET_MS: u64 = 10 * 366 * 24 * 3600 * 1000;
 
 /// A checked specification.
 #[derive(Clone, Debug, PartialEq)]
@@ -115,6 +118,9 @@ impl JobSpec {
         }
         if spec.sampling.max_error.is_some() && spec.sampling.sampler != Sampler::Lines {
             return Err(SpecError::Field("max-error", "only the sampler lines refines to a bound"));
+        }
+        if spec.time_budget_ms > MAX_BUDGET_MS {
+            return Err(SpecError::Field("time-budget", "give at most ten years"));
         }
         if spec.time_budget_ms > 0 && cubes {
             return Err(SpecError::Field("time-budget", "the sampler cubes cannot stop early"));

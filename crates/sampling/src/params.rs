@@ -127,8 +127,8 @@ impl SamplingParams {
                 Err(ParamsError { name, value, least, most })
             }
         };
-        within("target-error", self.target_error, 1e-7, 1.0)?;
-        within("max-error", self.max_error.unwrap_or(1.0), 1e-6, 1.0)?;
+        within("target-error", self.target_error, 1e-6, 1.0)?;
+        within("max-error", self.max_error.unwrap_or(1.0), 1e-5, 1.0)?;
         within("rays", self.rays as f64, 1.0, 1e12)?;
         within("resolution", f64::from(self.resolution), 8.0, 4096.0)?;
         within("error-threshold", self.error_threshold, 0.0, 1.0)?;

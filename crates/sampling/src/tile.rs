@@ -72,7 +72,8 @@ impl PreparedScene {
 
     /// Neighbours over edges and the order in space.
     pub fn surface(&self) -> &Surface {
-        self.surface.get_or_init(|| Surface::of(&self.scene))
+        let distinct = self.distinct();
+        self.surface.get_or_init(|| Surface::of(&self.scene, distinct))
     }
 }
 

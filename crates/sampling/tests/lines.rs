@@ -82,7 +82,7 @@ fn with_block<R>(
     seed: u64,
     f: impl FnOnce(&mut Block<'_>) -> R,
 ) -> R {
-    let surface = Surface::of(scene);
+    let surface = Surface::of(scene, &all(scene));
     let tools = Tools { scene, surface: &surface, tracer, seed, watcher: &Silent, deadline: None };
     let [nx, ny, _] = cells.map(u64::from);
     let number = |c: [u32; 3]| (u64::from(c[2]) * ny + u64::from(c[1])) * nx + u64::from(c[0]);

@@ -23,6 +23,9 @@ const MAX_CELLS_PER_TILE: u64 = 64;
 /// workers find one (docs/decisions/0005-sight-lines.md).
 const BLOCK_CELLS: u64 = 512;
 
+/// Most bricks of 4×4×4 cells that touch a block: flat blocks fill few of each, and a block's memory goes with its bricks.
+const BLOCK_BRICKS: u64 = 32;
+
 /// How a job is cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
@@ -145,7 +148,10 @@ impl Plan {
 
     fn add_blocks(&mut self, division: &Division, lattice: &Lattice, cell: CellBox, depth: u32) {
         let cells = grid_cells(division, &cell);
-        match division.split(lattice, &cell, depth).filter(|_| cells > BLOCK_CELLS) {
+        match division
+            .split(lattice, &cell, depth)
+            .filter(|_| cells > BLOCK_CELLS || bricks(&cell) > BLOCK_BRICKS)
+        {
             Some(split) => {
                 self.outline.push(Outline::Split(split));
                 for child in cell.children(split) {
@@ -163,6 +169,11 @@ impl Plan {
     pub fn leaves(&self) -> impl Iterator<Item = u32> + '_ {
         self.tiles.iter().enumerate().filter(|(_, t)| t.kind == TileKind::Leaf).map(|(i, _)| i as u32)
     }
+}
+
+/// Bricks of 4×4×4 cells that a box of grid cells needs.
+fn bricks(cell: &CellBox) -> u64 {
+    (0..3).map(|a| u64::from((cell.hi[a] - cell.lo[a]) / crate::UNITS_PER_CELL).div_ceil(4)).product()
 }
 
 /// Grid cells in a box; 1 for an adaptive division, whose number is not known before it is baked.

@@ -20,13 +20,18 @@ use super::{CellStats, Kind};
 use crate::backend::BackendError;
 use crate::tile::{TileError, Watcher};
 
-/// Uniform tiles of the first round along a cube face: 27 packet pairs, 864 rays.
+/// Uniform tiles of the first round along a cube face: 27 packet pairs, 864 rays; 12 where little accuracy is wanted.
 const FIRST_TILES: u32 = 3;
-/// Most tiles along a face in a round.
-const MOST_TILES: u32 = 32;
+const FIRST_COARSE: u32 = 2;
+/// Targets above this are coarse.
+const COARSE: f64 = 5e-3;
+/// Most tiles along a face in a round: 1.6 million rays, of which one miss is well below the least target there is.
+const MOST_TILES: u32 = 128;
 /// Part of what a cell misses at a round's beginning that is still missing at its end, measured on scenes of every kind as
 /// 0.4 to 0.65.
 const LEFT_AFTER_ROUND: f64 = 0.5;
+/// The same for the first round, which begins with next to nothing and floods far: 0.01 to 0.06.
+const LEFT_AFTER_FIRST: f64 = 0.1;
 /// Misses a round should count for its estimate to be worth something.
 const MISSES_WANTED: f64 = 2.0;
 /// Growth of the least number of tiles along a face from round to round: where much is missing for long, few rays a round
@@ -39,8 +44,8 @@ const MOST_ROUNDS: u32 = 24;
 /// Seeds from all surfaces are worth their time below this target.
 const SEEDS_BELOW: f64 = 3e-3;
 
-/// Part of the scene's greatest coordinate by which the two halves of a line overlap: four units in the last place.
-const STEP: f32 = 1.0 / (1 << 21) as f32;
+/// Part of the block's size by which the two halves of a line overlap at least ([`Packet::reversed`]).
+const LEAST_STEP: f32 = 1.0 / (1 << 24) as f32;
 
 /// What a block's sampling is done with.
 pub struct Tools<'a> {
@@ -109,7 +114,7 @@ pub struct Block<'a> {
     seeded: bool,
     /// Cells said to be done.
     told: usize,
-    /// How far ahead of a line's origin its other half begins: a few units in the last place of the scene's coordinates.
+    /// How far ahead of a line's origin its other half begins at least.
     pub(super) step: f32,
     scratch: Mutex<Vec<Scratch>>,
 }
@@ -124,9 +129,8 @@ impl<'a> Block<'a> {
                 Cell { at, slot: grid.slot(at), lo, size, number: number(at) }
             })
             .collect();
-        let bounds = tools.scene.bounds();
-        let largest = bounds.min.abs().max(bounds.max.abs()).max_element();
-        let step = largest * STEP;
+        let (min, max) = grid.bounds();
+        let step = (max - min).max_element() * LEAST_STEP;
         let bits = SeenBits::new(tools.scene.triangles().len(), grid.words());
         let stats = vec![CellStats::default(); cells.len()];
         Self { tools, grid, bits, cells, stats, seeded: false, told: 0, step, scratch: Mutex::default() }
@@ -176,6 +180,12 @@ impl<'a> Block<'a> {
             if self.late() {
                 break;
             }
+            {
+                // Where the first round is was good enough, aiming at candidates would be for nothing.
+                let before = open.len();
+                open.retain(|c| self.stats[*c].rounds > 1 || self.left(*c, LEFT_AFTER_FIRST) > target);
+                self.count_done(before - open.len());
+            }
             let least: Vec<f64> =
                 open.iter().map(|c| (self.missing(*c) * CANDIDATE_PART).max(1e-12)).collect();
             let lists = self.candidates(&open, &least);
@@ -183,12 +193,7 @@ impl<'a> Block<'a> {
             self.each(&work, |block, scratch, (cell, list)| block.aim(scratch, *cell, list, round))?;
             self.bits.settle();
             let before = open.len();
-            open.retain(|c| {
-                let s = &self.stats[*c];
-                // One miss more than was counted: none in a few rays is no proof of anything.
-                let left = LEFT_AFTER_ROUND * (s.last_misses as f64 + 1.0) / s.last_rays.max(1) as f64;
-                left > target
-            });
+            open.retain(|c| self.left(*c, LEFT_AFTER_ROUND) > target);
             tracing::debug!("round {round}: {before} cells, {} left", open.len());
             self.count_done(before - open.len());
         }
@@ -203,6 +208,13 @@ impl<'a> Block<'a> {
         (0..more).for_each(|_| self.tools.watcher.cell_done());
     }
 
+    /// What the cell is expected to miss after a round that leaves `part` of what was missing.
+    fn left(&self, cell: usize, part: f64) -> f64 {
+        let s = &self.stats[cell];
+        // One miss more than was counted: none in a few rays is no proof of anything.
+        part * (s.last_misses as f64 + 1.0) / s.last_rays.max(1) as f64
+    }
+
     /// What the cell was missing when its last round began, as far as that round could tell.
     fn missing(&self, cell: usize) -> f64 {
         let s = &self.stats[cell];
@@ -213,7 +225,7 @@ impl<'a> Block<'a> {
     fn tiles_for(&self, cell: usize, target: f64, round: u32) -> u32 {
         let s = &self.stats[cell];
         if s.last_rays == 0 {
-            return FIRST_TILES;
+            return if target > COARSE { FIRST_COARSE } else { FIRST_TILES };
         }
         let expected = (self.missing(cell) * LEFT_AFTER_ROUND).max(target);
         let rays = MISSES_WANTED / expected;
@@ -245,6 +257,9 @@ impl<'a> Block<'a> {
                     return Ok(CellStats::default());
                 }
                 let stats = this.with_scratch(|scratch| f(this, scratch, w))?;
+                if this.tools.watcher.cancelled() {
+                    return Err(TileError::Cancelled);
+                }
                 this.tools.watcher.rendered(stats.rays.iter().sum());
                 Ok(stats)
             })

@@ -31,6 +31,9 @@ const BATCH: usize = 1 << 14;
 /// Name of the stream of random numbers.
 const CHECK: u64 = 5;
 
+/// Misses beyond which no bound is computed: with as many, it is of no use.
+const MOST_COUNTED: u64 = 1_000_000;
+
 /// α of look `look`, from 1.
 pub fn alpha_of(look: u32) -> f64 {
     ALPHA * 0.5f64.powi(look.min(1000) as i32)
@@ -39,7 +42,8 @@ pub fn alpha_of(look: u32) -> f64 {
 /// The largest rate p at which `misses` or fewer in `lines` have a probability of at least `alpha` (Clopper–Pearson's
 /// one-sided upper limit); 1 without lines.
 pub fn upper_bound(misses: u64, lines: u64, alpha: f64) -> f64 {
-    if misses >= lines {
+    // Counts that no look ever comes to may stand in a damaged or foreign file.
+    if misses >= lines || misses > MOST_COUNTED || lines > 1 << 53 {
         return 1.0;
     }
     let (n, m) = (lines as f64, misses as f64);

@@ -7,9 +7,11 @@ use glam::Vec3;
 
 /// Cells of a brick along one axis.
 const SIDE: u32 = 4;
-/// Part of a cell's size that a segment must cross before the cell is credited with what it shows. Rounding moves an
-/// end of a segment by some 2⁻²⁰ of the scene, far less than this, so a cell that is credited was crossed.
+/// Part of a cell's size that a segment must cross, at least, before the cell is credited with what it shows.
 const MARGIN: f32 = 1.0 / 1024.0;
+
+/// Units in the last place by which rounding may move the end of a segment, with room to spare.
+const ROUNDING: f32 = 8.0;
 
 /// A block of equal cells.
 #[derive(Clone, Debug)]
@@ -19,6 +21,8 @@ pub struct CellGrid {
     min: Vec3,
     max: Vec3,
     per_unit: [f32; 3],
+    /// What a segment must cross of a cell, in cells.
+    margin: f32,
 }
 
 /// Where a cell's bit is.
@@ -44,7 +48,11 @@ impl CellGrid {
     /// A block of `cells` cells a side between two corners.
     pub fn new(min: Vec3, max: Vec3, cells: [u32; 3]) -> Self {
         let per_unit = [0, 1, 2].map(|a| cells[a] as f32 / (max[a] - min[a]));
-        Self { cells, bricks: cells.map(|c| c.div_ceil(SIDE)), min, max, per_unit }
+        // Where coordinates are few, rounding moves the ends of a segment by more than that part of a cell.
+        let largest = min.abs().max(max.abs()).max_element();
+        let finest = per_unit.into_iter().fold(0.0, f32::max);
+        let margin = MARGIN.max(largest * f32::EPSILON * ROUNDING * finest);
+        Self { cells, bricks: cells.map(|c| c.div_ceil(SIDE)), min, max, per_unit, margin }
     }
 
     /// Cells along each axis.
@@ -119,7 +127,7 @@ impl CellGrid {
         if t0.partial_cmp(&t1) != Some(std::cmp::Ordering::Less) {
             return;
         }
-        let least = MARGIN / (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
+        let least = self.margin / (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
         let (mut cell, mut step) = ([0i32; 3], [0i32; 3]);
         let (mut next, mut delta) = ([f32::INFINITY; 3], [0.0f32; 3]);
         for a in 0..3 {

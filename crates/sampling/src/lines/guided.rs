@@ -44,7 +44,7 @@ impl Block<'_> {
         // Unseen triangles next to seen ones; some have been seen since.
         let mut border: Vec<u32> = Vec::new();
         let mut cast = 0;
-        while cast < rays && !self.late() {
+        while cast < rays && !self.late() && !self.tools.watcher.cancelled() {
             let batch = BATCH.min(rays - cast);
             s.packets.clear();
             for first in (0..batch).step_by(LANES) {

@@ -6,6 +6,9 @@ use crate::cube::SKY;
 /// Lines of a packet.
 pub const LANES: usize = 16;
 
+/// Part of an origin's greatest coordinate by which the two halves of a line overlap: four units in the last place.
+const OVERLAP: f32 = 1.0 / (1 << 21) as f32;
+
 /// Sixteen rays of roughly one direction, and the nearest triangle each meets. Arrays by axis, then lane.
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
@@ -49,7 +52,8 @@ impl Packet {
         ([0, 1, 2].map(|a| self.origin[a][lane]), [0, 1, 2].map(|a| self.direction[a][lane]))
     }
 
-    /// The same rays the other way, begun `step` (world units, along the longest component) ahead of their origins. A
+    /// The same rays the other way, begun a few units in the last place of their origins, and at least `step` (world units,
+    /// along the longest component of the direction), ahead of them. A
     /// triangle that contains an origin is at distance 0, which no ray meets; from a little ahead the ray backwards meets
     /// it, and [`Packet::free`] is then empty, so that nothing is seen through it.
     pub fn reversed(&self, step: f32) -> Self {
@@ -66,7 +70,8 @@ impl Packet {
     /// How far ahead the reversed ray of a lane begins, in lengths of the direction.
     fn advance(&self, lane: usize, step: f32) -> f32 {
         let longest = (0..3).map(|a| self.direction[a][lane].abs()).fold(0.0, f32::max);
-        if longest > 0.0 { step / longest } else { 0.0 }
+        let largest = (0..3).map(|a| self.origin[a][lane].abs()).fold(0.0, f32::max);
+        if longest > 0.0 { step.max(largest * OVERLAP) / longest } else { 0.0 }
     }
 
     /// From where to where a lane's line is free, given what `back`, its packet [`Packet::reversed`] by `step`, met: in

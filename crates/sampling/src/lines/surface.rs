@@ -16,9 +16,10 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// Analyses `scene`. Vertices are the same when their coordinates are, bit for bit.
-    pub fn of(scene: &Scene) -> Self {
-        let (neighbours, morton) = rayon::join(|| neighbours(scene), || morton(scene));
+    /// Analyses the triangles `ids` of `scene`: those that lines meet, so that no neighbour is a duplicate that they never
+    /// do. Vertices are the same when their coordinates are, bit for bit.
+    pub fn of(scene: &Scene, ids: &[u32]) -> Self {
+        let (neighbours, morton) = rayon::join(|| neighbours(scene, ids), || morton(scene, ids));
         Self { neighbours, morton }
     }
 }
@@ -28,7 +29,7 @@ fn corner_key(v: Vec3) -> [u32; 3] {
     [0, 1, 2].map(|a| (v[a] + 0.0).to_bits())
 }
 
-fn neighbours(scene: &Scene) -> Vec<[u32; 3]> {
+fn neighbours(scene: &Scene, ids: &[u32]) -> Vec<[u32; 3]> {
     let all = scene.triangles();
     // Edges by a 64-bit hash of their two ends: equal edges have equal hashes, and two different ones with the same
     // hash would only make the sampler look next door at the wrong triangle.
@@ -37,15 +38,14 @@ fn neighbours(scene: &Scene) -> Vec<[u32; 3]> {
         super::sequence::mix(u64::from(x) << 32 | u64::from(y))
             .wrapping_add(super::sequence::mix(u64::from(z)))
     };
-    let mut edges: Vec<(u64, u32)> = all
+    let mut edges: Vec<(u64, u32)> = ids
         .par_iter()
-        .enumerate()
-        .filter(|(_, t)| !t.is_degenerate())
+        .map(|id| (*id, &all[*id as usize]))
         .flat_map_iter(|(id, t)| {
             let ends = t.v.map(end);
             (0..3).map(move |k| {
                 let (a, b) = (ends[k], ends[(k + 1) % 3]);
-                (super::sequence::mix(a ^ b).wrapping_add(a.wrapping_add(b)), 3 * id as u32 + k as u32)
+                (super::sequence::mix(a ^ b).wrapping_add(a.wrapping_add(b)), 3 * id + k as u32)
             })
         })
         .collect();
@@ -62,7 +62,7 @@ fn neighbours(scene: &Scene) -> Vec<[u32; 3]> {
     found
 }
 
-fn morton(scene: &Scene) -> Vec<u32> {
+fn morton(scene: &Scene, ids: &[u32]) -> Vec<u32> {
     let bounds = scene.bounds();
     let scale = Vec3::splat(1023.0) / (bounds.max - bounds.min).max(Vec3::splat(f32::MIN_POSITIVE));
     let spread = |x: u32| {
@@ -75,13 +75,8 @@ fn morton(scene: &Scene) -> Vec<u32> {
         let c = ((t.v[0] + t.v[1] + t.v[2]) / 3.0 - bounds.min) * scale;
         spread(c.x as u32) | spread(c.y as u32) << 1 | spread(c.z as u32) << 2
     };
-    let mut keyed: Vec<(u32, u32)> = scene
-        .triangles()
-        .par_iter()
-        .enumerate()
-        .filter(|(_, t)| !t.is_degenerate())
-        .map(|(id, t)| (code(t), id as u32))
-        .collect();
+    let mut keyed: Vec<(u32, u32)> =
+        ids.par_iter().map(|id| (code(&scene.triangles()[*id as usize]), *id)).collect();
     keyed.par_sort_unstable();
     keyed.into_iter().map(|(_, id)| id).collect()
 }

@@ -18,14 +18,10 @@ use crate::tile::{CellSet, CellSets, JobContext, Node, TileError, Watcher};
 /// [`TileError`] when it is cancelled or the backend fails.
 pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(CellSets, u64), TileError> {
     let start = Instant::now();
-    // The hierarchy is built on one thread; the rest is got ready beside it.
-    let (tracer, ()) = rayon::join(
-        || job.backend.lines(job.scene.distinct()),
-        || {
-            job.scene.surface();
-        },
-    );
-    let tracer = tracer?;
+    // Here and not on a thread of rayon's: what is computed once uses rayon itself, and a pool's thread that waits inside
+    // could take up another tile's work and come back to the same lock.
+    let tracer = job.backend.lines(job.scene.distinct())?;
+    job.scene.surface();
     tracing::debug!("ready to trace after {:?}", start.elapsed());
     let cells = span(&tile.cell);
     let (min, max) = tile.cell.world(&job.lattice);
