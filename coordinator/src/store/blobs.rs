@@ -113,20 +113,16 @@ impl Blobs {
 
     /// Writes a blob; it is on the disk when this returns its digest. A damaged one of that name is replaced.
     pub fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
-        let digest = *blake3::hash(bytes).as_bytes();
-        match self.read(&digest) {
-            Ok(_) => return Ok(digest),
-            Err(BlobError::Missing { .. } | BlobError::Damaged { .. }) => {}
-            Err(other) => return Err(other),
-        }
-        let mut writer = self.put_stream()?;
-        writer.append(bytes)?;
-        writer.finish(Some(&digest))
+        self.put_whole(bytes, true)
     }
 
     /// As [`Blobs::put`], but the blob may be gone or cut short after a power failure; [`Blobs::read`] then says so. For
     /// what its sender still has.
     pub fn put_unsynced(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
+        self.put_whole(bytes, false)
+    }
+
+    fn put_whole(&self, bytes: &[u8], synced: bool) -> Result<Digest, BlobError> {
         let digest = *blake3::hash(bytes).as_bytes();
         match self.read(&digest) {
             Ok(_) => return Ok(digest),
@@ -135,7 +131,7 @@ impl Blobs {
         }
         let mut writer = self.put_stream()?;
         writer.append(bytes)?;
-        writer.place(Some(&digest), false)
+        writer.place(Some(&digest), synced)
     }
 
     /// Begins a blob that arrives in pieces. Nothing is kept of it unless it is finished.

@@ -17,10 +17,11 @@ use crate::{Aabb, Scene, Triangle};
 pub fn triangle_touches_box(t: &Triangle, b: &Aabb) -> bool {
     b.min.cmple(b.max).all()
         && t.bounds().touches(b)
-        && !edge_separates(t, b, 0, 1)
-        && !edge_separates(t, b, 1, 2)
-        && !edge_separates(t, b, 2, 0)
-        && plane_meets(t, b)
+        && (t.v.iter().any(|v| b.min.cmple(*v).all() && v.cmple(b.max).all())
+            || !edge_separates(t, b, 0, 1)
+                && !edge_separates(t, b, 1, 2)
+                && !edge_separates(t, b, 2, 0)
+                && plane_meets(t, b))
 }
 
 /// The ids of the triangles that meet `bounds`, ascending, those without area left out; of `ids` (any order,

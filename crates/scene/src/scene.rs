@@ -200,13 +200,12 @@ impl Scene {
         out.extend_from_slice(BLOB_MAGIC);
         out.extend_from_slice(&self.len().to_le_bytes());
         out.extend_from_slice(&(self.objects.len() as u32).to_le_bytes());
-        // Vertices are written one by one so that the bytes are the same on a big-endian machine.
-        for t in &self.triangles {
-            for v in &t.v {
-                for c in v.to_array() {
-                    out.extend_from_slice(&c.to_le_bytes());
-                }
-            }
+        if cfg!(target_endian = "big") {
+            let mut triangles = self.triangles.clone();
+            swap_bytes(&mut triangles);
+            out.extend_from_slice(bytemuck::cast_slice(&triangles));
+        } else {
+            out.extend_from_slice(bytemuck::cast_slice(&self.triangles));
         }
         for o in &self.objects {
             out.extend_from_slice(&o.count.to_le_bytes());
@@ -243,19 +242,11 @@ impl Scene {
             .checked_mul(36)
             .and_then(|len| bytes.get(16..16usize.checked_add(len)?))
             .ok_or_else(|| bad("triangles", "the header counts more than there are"))?;
-        let triangles = body
-            .chunks_exact(36)
-            .map(|t| {
-                let f = |i: usize| f32::from_le_bytes([t[4 * i], t[4 * i + 1], t[4 * i + 2], t[4 * i + 3]]);
-                Triangle {
-                    v: [
-                        Vec3::new(f(0), f(1), f(2)),
-                        Vec3::new(f(3), f(4), f(5)),
-                        Vec3::new(f(6), f(7), f(8)),
-                    ],
-                }
-            })
-            .collect();
+        let mut triangles = vec![Triangle::zeroed(); n as usize];
+        bytemuck::cast_slice_mut(&mut triangles).copy_from_slice(body);
+        if cfg!(target_endian = "big") {
+            swap_bytes(&mut triangles);
+        }
         let mut at = 16 + body.len();
         // Each object takes at least eight bytes, so the count is checked against what is left.
         if (m as usize) > (bytes.len() - at) / 8 {
@@ -289,5 +280,12 @@ impl Scene {
     /// BLAKE3 of [`Scene::to_blob`].
     pub fn digest(&self) -> SceneDigest {
         SceneDigest(*blake3::hash(&self.to_blob()).as_bytes())
+    }
+}
+
+/// Turns coordinates from this machine's byte order into the file's, or back, where the two differ.
+fn swap_bytes(triangles: &mut [Triangle]) {
+    for bits in bytemuck::cast_slice_mut::<_, u32>(triangles) {
+        *bits = bits.swap_bytes();
     }
 }

@@ -23,12 +23,14 @@ pub struct SeenBits {
 impl SeenBits {
     /// Nothing seen yet: `rows` triangles, `words` words of cells each.
     pub fn new(rows: usize, words: usize) -> Self {
-        let zeros = || AtomicU64::new(0);
-        let mut now = Vec::new();
-        now.resize_with(rows * words, zeros);
+        // Written, by all threads, and not left to the kernel to make zero when first read: pages that are read before they
+        // are written are mapped twice, and the second time every core has to be interrupted.
+        let all = || (0..rows * words).into_par_iter().with_min_len(1 << 16);
+        let before = all().map(|_| 0).collect();
+        let now = all().map(|_| AtomicU64::new(0)).collect();
         let mut touched = Vec::new();
         touched.resize_with(rows.div_ceil(GROUP), || AtomicU8::new(0));
-        Self { words, before: vec![0; rows * words], now, touched }
+        Self { words, before, now, touched }
     }
 
     /// Words of a row.
