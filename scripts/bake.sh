@@ -41,9 +41,9 @@ cd "$(dirname "$0")/.."
 ./scripts/setup.sh --for run
 command -v cargo >/dev/null || . "$HOME/.cargo/env"
 
-say 'building (a few minutes the first time)'
+say 'building (five minutes or so the first time)'
 cargo build --release --locked
-sightline=${CARGO_TARGET_DIR:-target}/release/sightline
+sightline=$(realpath "${CARGO_TARGET_DIR:-target}")/release/sightline
 
 mkdir -p out
 if [ -z "$scene" ]; then
@@ -56,7 +56,7 @@ if [ -z "$scene" ]; then
   fi
 fi
 name=$(basename "$scene")
-result=out/${name%.*}.pvs
+result=$PWD/out/${name%.*}.pvs
 
 say "baking $scene"
 started=$SECONDS
@@ -64,7 +64,7 @@ started=$SECONDS
 took=$((SECONDS - started))
 
 say 'measuring: frames drawn from the result against frames of the whole scene'
-"$sightline" measure "$scene" "$result" --viewpoints 200 --seed 1 --json | tee "out/${name%.*}.measure.json"
+"$sightline" measure "$scene" "$result" --viewpoints 200 --seed 1 --json >"out/${name%.*}.measure.json"
 
 number() { sed -n "s/.*\"$1\" *: *\([0-9.eE+-]*\).*/\1/p" "out/${name%.*}.measure.json" | head -n 1; }
 percent() { awk -v x="$(number "$1")" 'BEGIN { if (x == "") exit 1; printf "%.4f %%", 100 * x }'; }
@@ -75,5 +75,5 @@ cat >&2 <<END
 next:
   $sightline info $result_name       what is in it
   $sightline query --help            what is visible from a point
-  scripts/bake.sh YOUR_SCENE.glb     a scene of your own
+  $PWD/scripts/bake.sh YOUR_SCENE.glb     a scene of your own
 END

@@ -217,6 +217,7 @@ fn info(parts: &Parts, samples: u64, set_aside: usize) -> String {
         "sampling": parts.spec.sampling,
         "seed": parts.spec.seed,
         "time_budget_ms": parts.spec.time_budget_ms,
+        "block_cells": parts.spec.block_cells,
         "samples": samples,
         "tiles_set_aside": set_aside,
     })

@@ -95,7 +95,7 @@ fn every_error_measure_and_superset_choice_works() {
     for measure in ["sets", "pixels", "strata"] {
         let mut seen = Vec::new();
         for superset in ["on", "off"] {
-            let options = format!("--error-measure {measure} --superset {superset}");
+            let options = format!("--sampler cubes --error-measure {measure} --superset {superset}");
             let made = sandbox.json(&format!("bake {QUICK} {options} -o {measure}-{superset}.pvs"));
             assert_eq!(made["info"]["sampling"]["measure"], measure);
             assert_eq!(made["info"]["sampling"]["superset"], superset);
@@ -122,10 +122,61 @@ fn the_view_box_is_the_one_asked_for() {
 fn an_output_that_cannot_be_written_is_refused_before_any_work() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
-    for output in ["missing/out.pvs", "."] {
+    sandbox.write("notes", "keep me\n");
+    for output in ["missing/out.pvs", ".", "notes", "/dev/null", "-"] {
         sandbox.run(&format!("bake {QUICK} -o {output}")).code(2).says("give -o");
     }
+    for output in ["maze.glb", "./maze.glb", "out.obj"] {
+        sandbox.run(&format!("bake {QUICK} -o {output}")).code(2).says("its name promises");
+    }
     assert!(!sandbox.path("data").exists());
+    assert_eq!(sandbox.read("notes"), b"keep me\n");
+    sandbox.run("generate maze -o notes").code(2).says("give -o");
+    sandbox.run("mesh maze.glb -o maze.glb").code(2).says("its name promises");
+    sandbox.ok("mesh maze.glb -o maze.ply");
+    sandbox.run("mesh maze.ply -o maze.ply").code(2).says("the scene itself");
+}
+
+#[test]
+fn flags_of_another_sampler_are_named_and_change_nothing() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(MAZE);
+    let bake = "bake maze.glb --cells 2x2x1 --backend cpu --data-dir data";
+    sandbox.ok(&format!("{bake} -o a.pvs"));
+    let again = sandbox.run(&format!("{bake} --resolution 64 --rays 5 -o b.pvs --json")).code(0);
+    again.says("makes no use of --rays, --resolution");
+    assert_eq!(sandbox.json(&format!("{bake} --min-distance 1 -o c.pvs"))["from_store"], true);
+    // What makes no sense is wrong all the same.
+    sandbox.run(&format!("{bake} --resolution 4 -o d.pvs")).code(2);
+}
+
+#[test]
+fn smaller_tiles_let_more_workers_help_and_see_about_the_same() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(MAZE);
+    let bake = "bake maze.glb --cells 4x4x4 --backend cpu --target-error 0.001";
+    let visible = |flags: &str, name: &str| {
+        let made = sandbox.json(&format!("{bake} {flags} --data-dir {name} -o {name}.pvs"));
+        made["mean_visible"].as_f64().unwrap()
+    };
+    let (whole, cut) = (visible("", "whole"), visible("--block-cells 8 --workers 1", "cut"));
+    assert!((whole / cut - 1.0).abs() < 0.1, "{whole} and {cut} triangles");
+    visible("--block-cells 8 --workers 3", "more");
+    assert_same(&sandbox.read("cut.pvs"), &sandbox.read("more.pvs"), "one worker and three");
+    sandbox.run(&format!("{bake} --block-cells 513 -o no.pvs")).code(2);
+}
+
+#[test]
+fn what_a_time_budget_cut_short_is_said() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(MAZE);
+    let bake = "bake maze.glb --backend cpu --time-budget 1ms";
+    sandbox.ok(&format!("{bake} --data-dir a -o a.pvs"));
+    assert!(sandbox.ok("info a.pvs").contains("NOT FINISHED: 512 of 512 cells: the time budget ended first"));
+    sandbox.ok(&format!("{bake} --max-error 0.01 --data-dir b -o b.pvs"));
+    assert!(sandbox.ok("info b.pvs").contains("before any cell had its bound"));
+    sandbox.ok("bake maze.glb --backend cpu --target-error 0.03 --cells 2x2x2 --data-dir c -o c.pvs");
+    assert!(!sandbox.ok("info c.pvs").contains("NOT FINISHED"));
 }
 
 #[test]

@@ -10,7 +10,7 @@ use sightline_proto::v1::coordinator_message::Message as FromCoordinator;
 use sightline_proto::v1::worker_message::Message as ToCoordinator;
 use sightline_proto::v1::workers_client::WorkersClient;
 use tokio::sync::{Semaphore, mpsc, watch};
-use tonic::transport::{Channel, Endpoint};
+use tonic::transport::Channel;
 
 use crate::tiles::{Failure, Held, Shop, describe};
 use crate::{Config, Stop, WorkerError};
@@ -52,12 +52,10 @@ enum Finished {
 impl Worker {
     /// A worker that has not connected yet.
     pub fn new(config: Config) -> Result<Self, WorkerError> {
-        let channel: Channel = Endpoint::from_shared(config.coordinator.clone())
-            .map_err(|e| WorkerError::Address(config.coordinator.clone(), e.to_string()))?
-            .connect_timeout(Duration::from_secs(5))
+        let channel: Channel = sightline_proto::endpoint(&config.coordinator)
+            .map_err(|e| WorkerError::Address(config.coordinator.clone(), e))?
             .http2_keep_alive_interval(Duration::from_secs(10))
             .keep_alive_while_idle(true)
-            .tcp_nodelay(true)
             .connect_lazy();
         let shop = Shop {
             client: WorkersClient::new(channel),

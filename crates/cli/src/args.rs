@@ -11,7 +11,7 @@ use crate::job_args::{Backend, JobArgs};
 /// Bakes from-region visibility: for every view cell of a static triangle scene, the triangles visible from
 /// anywhere in it.
 ///
-/// Start with:  sightline generate town -o town.glb;  sightline bake town.glb -o town.pvs;
+/// Start with:  sightline generate town --triangles 20000 -o town.glb;  sightline bake town.glb -o town.pvs;
 /// then:        sightline measure town.glb town.pvs
 #[derive(Parser, Debug)]
 #[command(name = "sightline", version, max_term_width = 110, after_help = EXIT_CODES)]
@@ -93,9 +93,9 @@ pub struct BakeArgs {
     pub output: PathBuf,
     #[command(flatten)]
     pub job: JobArgs,
-    /// Workers in this process. Default: one a core.
-    #[arg(long, value_name = "N")]
-    pub workers: Option<usize>,
+    /// Workers in this process, 1 to 256: tiles in hand at once. All share all cores. Default: one a core.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub workers: Option<u16>,
     /// Where unfinished work and finished results are kept. Default: $XDG_CACHE_HOME/sightline or
     /// ~/.cache/sightline.
     #[arg(long, value_name = "DIR")]

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use sightline_coordinator::store::StoreError;
 use sightline_coordinator::{Config, Coordinator, OpenError};
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
@@ -16,12 +17,14 @@ use crate::args::BakeArgs;
 use crate::client;
 use crate::error::CliError;
 use crate::inspect::Summary;
+use crate::output::{Format, Output};
 use crate::progress::{human, say};
 use crate::serve::{self, threads};
 
 /// Runs a bake.
 pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     let start = Instant::now();
+    let output = Output::check(&args.output, Format::Pvs, Some(&args.scene))?;
     // Looking for devices takes longer than reading most scenes.
     let choice = serve::choice(args.job.backend);
     let probing = Probing::begin(choice);
@@ -34,7 +37,6 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
         scene.objects().len(),
         human(start.elapsed())
     ));
-    check_output(&args.output)?;
     let loaded = Arc::new(Loaded::new(Arc::clone(&scene))?);
     serve::use_threads(threads(None))?;
     let probing = probing.then_warm(&loaded, &spec);
@@ -43,16 +45,20 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
         None => default_data_dir()?,
     };
     let coordinator = Coordinator::open(Config::new(data_dir.clone())).map_err(|e| match e {
+        OpenError::Store(StoreError::InUse { pid, .. }) => CliError::Input(format!(
+            "{} is in use by process {pid}, probably another bake; wait for it, or give this one a --data-dir of its own",
+            data_dir.display()
+        )),
         OpenError::Store(e) => CliError::Input(format!("{e} (--data-dir names another)")),
         OpenError::Blobs(e) => CliError::Input(e.to_string()),
     })?;
     let runtime = serve::runtime()?;
     let outcome = runtime.block_on(async {
-        let work = bake(&args, coordinator, &loaded, &spec, probing);
+        let work = bake(&args, coordinator, &loaded, &spec, probing, &output);
         tokio::select! {
             r = work => r,
             _ = tokio::signal::ctrl_c() => Err(CliError::Interrupted(format!(
-                "interrupted; what is done is kept in {}: the same command goes on from there",
+                "interrupted; the tiles that are done are kept in {}: the same command goes on from there",
                 data_dir.display()
             ))),
         }
@@ -114,6 +120,7 @@ async fn bake(
     loaded: &Arc<Loaded>,
     spec: &sightline_job::JobSpec,
     probing: Probing,
+    output: &Output,
 ) -> Result<Outcome, CliError> {
     let listener = sightline_coordinator::server::listen(([127, 0, 0, 1], 0).into(), false)
         .await
@@ -173,7 +180,7 @@ async fn bake(
         say("this bake is in the store already");
     }
     client::must_be_done(&job)?;
-    client::fetch(&mut client, &job, &args.output).await?;
+    client::fetch(&mut client, &job, output).await?;
     server.abort();
     Ok(Outcome { job, from_store })
 }
@@ -200,11 +207,7 @@ fn start_workers(
     loaded: &Arc<Loaded>,
     spec: &sightline_job::JobSpec,
 ) -> Result<(watch::Sender<Stop>, impl Future<Output = CliError> + use<>), CliError> {
-    let cores = threads(None);
-    let count = args.workers.unwrap_or(cores);
-    if count == 0 || count > 256 {
-        return Err(CliError::Usage(format!("{count} workers cannot be started; use --workers 1 to 256")));
-    }
+    let count = args.workers.map_or_else(|| threads(None), usize::from);
     // The scene is in this process already.
     let scenes = Arc::new(SceneCache::holding(spec.scene, Arc::clone(loaded)));
     let (stop, stopped) = watch::channel(Stop::No);
@@ -229,19 +232,6 @@ fn start_workers(
         }
         std::future::pending().await
     }))
-}
-
-/// Refuses an output that cannot be written before hours are spent on it.
-fn check_output(path: &std::path::Path) -> Result<(), CliError> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(std::path::Path::new("."));
-    if path.is_dir() || !folder.is_dir() {
-        return Err(CliError::Usage(format!(
-            "{} cannot be written: {}; give -o a file in a folder that exists",
-            path.display(),
-            if path.is_dir() { "it is a folder" } else { "its folder does not exist" }
-        )));
-    }
-    Ok(())
 }
 
 fn default_data_dir() -> Result<PathBuf, CliError> {

@@ -36,6 +36,15 @@ fn bound(columns: &BTreeMap<String, Vec<u64>>, cell: usize) -> Option<f64> {
     (at("bound_lines") > 0).then(|| upper_bound(at("bound_misses"), at("bound_lines"), alpha_of(look)))
 }
 
+/// Cells whose sampling ended before they were done.
+///
+/// # Errors
+/// The result's own.
+pub fn unfinished(pvs: &Pvs) -> Result<usize, CliError> {
+    let columns = columns(pvs)?;
+    Ok(columns.get("unfinished").map_or(0, |c| c.iter().filter(|n| **n != 0).count()))
+}
+
 /// The bounds of a result, if it has any.
 ///
 /// # Errors
@@ -93,8 +102,8 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
     let mut order: Vec<usize> = (0..pvs.cells() as usize).collect();
     order.sort_by_key(|c| (std::cmp::Reverse(cost(*c)), *c));
     let mut lines = vec![
-        "rays and finds are of uniform, flood, candidate and held-out lines; `missed` is what the last round's uniform rays \
-         found missing when it began"
+        "the cells that took most rays. rays: uniform/flood/candidate/held-out; finds: triangles they were first to show; \
+         missed: of the last round's uniform rays, before it; bound: on what is still missed, at 95 %"
             .to_owned(),
         "  cell visible rounds cubes rays finds missed bound".to_owned(),
     ];

@@ -1,17 +1,16 @@
 //! Talking to a coordinator: connect, upload a scene, submit, follow, fetch.
 
 use std::collections::BTreeSet;
-use std::path::Path;
-use std::time::Duration;
 
 use futures::StreamExt as _;
 use sightline_proto::chunks::{Assembler, CHUNK_BYTES};
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_scene::Scene;
-use tonic::transport::{Channel, Endpoint};
+use tonic::transport::Channel;
 
 use crate::error::CliError;
+use crate::output::Output;
 use crate::progress::Progress;
 
 /// Largest result downloaded.
@@ -19,15 +18,12 @@ const MAX_RESULT: u64 = 64 << 30;
 
 /// Connects to a coordinator.
 pub async fn channel(url: &str) -> Result<Channel, CliError> {
-    let wrong = |e: &dyn std::fmt::Display| {
-        CliError::Usage(format!(
-            "{url} is not a coordinator's address ({e}); give one such as http://127.0.0.1:7600"
-        ))
-    };
-    Endpoint::from_shared(url.to_owned())
-        .map_err(|e| wrong(&e))?
-        .connect_timeout(Duration::from_secs(5))
-        .tcp_nodelay(true)
+    sightline_proto::endpoint(url)
+        .map_err(|e| {
+            CliError::Usage(format!(
+                "{url} is not a coordinator's address: {e}; give one such as http://127.0.0.1:7600"
+            ))
+        })?
         .connect()
         .await
         .map_err(|e| {
@@ -97,12 +93,19 @@ pub fn must_be_done(job: &v1::Job) -> Result<(), CliError> {
             "job {} was cancelled; `sightline retry {}` goes on with it",
             job.id, job.id
         ))),
-        other => Err(CliError::Coordinator(format!("job {} is {other:?} and has not ended", job.id))),
+        _ => Err(CliError::Coordinator(format!(
+            "job {} has not ended yet; `sightline watch {}` follows it",
+            job.id, job.id
+        ))),
     }
 }
 
-/// Downloads a result to `path`, which is replaced only when the whole has arrived and reads as a result.
-pub async fn fetch(client: &mut JobsClient<Channel>, job: &v1::Job, path: &Path) -> Result<u64, CliError> {
+/// Downloads a result to `output`, which is replaced only when the whole has arrived and reads as a result.
+pub async fn fetch(
+    client: &mut JobsClient<Channel>,
+    job: &v1::Job,
+    output: &Output,
+) -> Result<u64, CliError> {
     let request = v1::ShowRequest { job: job.id };
     let mut stream = client.fetch(request).await.map_err(|s| CliError::status(&s))?.into_inner();
     let mut whole = Assembler::new(MAX_RESULT);
@@ -115,18 +118,6 @@ pub async fn fetch(client: &mut JobsClient<Channel>, job: &v1::Job, path: &Path)
             "the result that arrived is not the job's; fetch it again".to_owned(),
         ));
     }
-    write_whole(path, &bytes)?;
+    output.write(|out| out.write_all(&bytes).map_err(|e| CliError::writing(output.path(), &e)))?;
     Ok(bytes.len() as u64)
-}
-
-/// Writes a file under another name first, so that an interrupted write leaves no half of it.
-pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
-    let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(format!(".part-{}", std::process::id()));
-    let part = path.with_file_name(name);
-    std::fs::write(&part, bytes).and_then(|()| std::fs::rename(&part, path)).map_err(|e| {
-        // The half-written file is of no use; that it cannot be removed either adds nothing.
-        let _ = std::fs::remove_file(&part);
-        CliError::writing(path, &e)
-    })
 }

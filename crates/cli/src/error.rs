@@ -59,7 +59,8 @@ impl CliError {
         match s.code() {
             tonic::Code::InvalidArgument => Self::Input(s.message().to_owned()),
             tonic::Code::DataLoss => Self::Internal(s.message().to_owned()),
-            _ => Self::Coordinator(format!("the coordinator answered: {} ({})", s.message(), s.code())),
+            code if s.message().is_empty() => Self::Coordinator(format!("the coordinator answered: {code}")),
+            _ => Self::Coordinator(format!("the coordinator answered: {}", s.message())),
         }
     }
 }

@@ -1,7 +1,5 @@
 //! `sightline mesh` and `sightline generate`: scenes out.
 
-use std::fs::File;
-use std::io::{BufWriter, Write as _};
 use std::path::Path;
 
 use sightline_scene::Scene;
@@ -10,15 +8,16 @@ use sightline_scene::glb_out::{GlbError, write_glb};
 
 use crate::args::{GenerateArgs, MeshArgs, SceneKind};
 use crate::error::CliError;
+use crate::output::{Format, Output};
 use crate::serve::print;
 
 /// Writes the triangles as the program sees them.
 pub fn mesh(args: &MeshArgs, json: bool) -> Result<(), CliError> {
+    let output = Output::check(&args.output, Format::Ply, Some(&args.scene))?;
     let scene = sightline_scene::load(&args.scene)?;
-    let mut out = create(&args.output)?;
-    sightline_scene::write_mesh_ply(&scene, &mut out)
-        .and_then(|()| out.flush())
-        .map_err(|e| CliError::writing(&args.output, &e))?;
+    output.write(|out| {
+        sightline_scene::write_mesh_ply(&scene, out).map_err(|e| CliError::writing(&args.output, &e))
+    })?;
     say_written(&args.output, &scene, json)
 }
 
@@ -39,21 +38,18 @@ pub fn generate(args: &GenerateArgs, json: bool) -> Result<(), CliError> {
         grid: args.grid,
         slit_width: args.slit_width,
     };
+    let output = Output::check(&args.output, Format::Glb, None)?;
     let scene = make(kind, &params).map_err(|e| match e {
         GenerateError::Scene(e) => CliError::internal(e),
         e => CliError::Usage(e.to_string()),
     })?;
-    let mut out = create(&args.output)?;
-    match write_glb(&scene, &mut out) {
-        Ok(()) => out.flush().map_err(|e| CliError::writing(&args.output, &e))?,
-        Err(GlbError::Io(e)) => return Err(CliError::writing(&args.output, &e)),
-        Err(e) => return Err(CliError::Usage(e.to_string())),
-    }
+    output.write(|out| {
+        write_glb(&scene, out).map_err(|e| match e {
+            GlbError::Io(e) => CliError::writing(&args.output, &e),
+            e => CliError::Usage(e.to_string()),
+        })
+    })?;
     say_written(&args.output, &scene, json)
-}
-
-fn create(path: &Path) -> Result<BufWriter<File>, CliError> {
-    File::create(path).map(BufWriter::new).map_err(|e| CliError::writing(path, &e))
 }
 
 fn say_written(path: &Path, scene: &Scene, json: bool) -> Result<(), CliError> {

@@ -14,6 +14,11 @@ use crate::serve::print;
 /// Objects listed by `info` without --json.
 const OBJECTS_SHOWN: usize = 20;
 
+/// A number of things, in words.
+fn plural(n: usize, what: &str) -> String {
+    format!("{n} {what}{}", if n == 1 { "" } else { "s" })
+}
+
 /// Opens a result; the error names the file.
 pub fn open(path: &Path) -> Result<Pvs, CliError> {
     Pvs::open(path).map_err(|e| CliError::Input(format!("{}: {e}", path.display())))
@@ -42,6 +47,10 @@ pub struct Summary {
     cells_bounded: usize,
     greatest_bound: Option<f64>,
     mean_bound: Option<f64>,
+    /// Cells whose sampling ended, by time or rounds, before they were done.
+    cells_unfinished: usize,
+    /// Cells of an adaptive tree from which more triangles than its budget are seen.
+    cells_over_budget: Option<usize>,
     info: serde_json::Value,
 }
 
@@ -49,19 +58,24 @@ impl Summary {
     /// Reads the result at `path`.
     pub fn of(path: &Path) -> Result<Self, CliError> {
         let pvs = open(path)?;
-        let (mut least, mut most, mut sum, mut undecided, mut aside) = (u64::MAX, 0, 0u64, 0u64, 0);
+        let (mut undecided, mut aside) = (0u64, 0);
+        let mut sizes: Vec<u64> = Vec::new();
         let mut ids = Vec::new();
         for cell in 0..pvs.cells() {
             pvs.visible(cell, &mut ids)?;
-            let n = ids.len() as u64;
-            (least, most, sum) = (least.min(n), most.max(n), sum + n);
+            sizes.push(ids.len() as u64);
             pvs.undecided(cell, &mut ids)?;
             undecided += ids.len() as u64;
             aside += u32::from(pvs.is_set_aside(cell)?);
         }
         let bounds = cells::bounds(&pvs)?;
+        // Whoever baked it wrote it; a result of another program may hold anything.
+        let info: serde_json::Value =
+            serde_json::from_str(pvs.info_json()).unwrap_or_else(|_| pvs.info_json().into());
+        let budget = info["division"]["adaptive"]["budget"].as_u64();
         let [file_bytes, visible, undecided_bytes] = pvs.file_bytes();
         let cells = f64::from(pvs.cells());
+        let sum: u64 = sizes.iter().sum();
         let [min, max] = pvs.tree().view_box();
         Ok(Self {
             format: "sightline.pvs",
@@ -75,26 +89,30 @@ impl Summary {
             set_bytes: visible + undecided_bytes,
             bytes_per_cell: (visible + undecided_bytes) as f64 / cells,
             mean_visible: sum as f64 / cells,
-            min_visible: least,
-            max_visible: most,
+            min_visible: sizes.iter().copied().min().unwrap_or(0),
+            max_visible: sizes.iter().copied().max().unwrap_or(0),
             mean_visible_fraction: sum as f64 / cells / f64::from(pvs.triangle_count()),
             undecided,
             cells_set_aside: aside,
             cells_bounded: bounds.as_ref().map_or(0, |b| b.cells),
             greatest_bound: bounds.as_ref().map(|b| b.greatest),
             mean_bound: bounds.as_ref().map(|b| b.mean),
-            // Whoever baked it wrote it; a result of another program may hold anything.
-            info: serde_json::from_str(pvs.info_json()).unwrap_or_else(|_| pvs.info_json().into()),
+            cells_unfinished: cells::unfinished(&pvs)?,
+            cells_over_budget: budget.map(|b| sizes.iter().filter(|n| **n > b).count()),
+            info,
         })
     }
 
     /// For people.
     pub fn lines(&self) -> Vec<String> {
         let text = |key: &str| self.info.get(key).and_then(|v| v.as_str()).unwrap_or("?").to_owned();
-        vec![
+        let mut lines = vec![
             format!(
-                "{} cells over {} triangles in {} objects, method {}",
-                self.cells, self.triangles, self.objects, self.method
+                "{} over {} in {}, method {}",
+                plural(self.cells as usize, "cell"),
+                plural(self.triangles as usize, "triangle"),
+                plural(self.objects, "object"),
+                self.method
             ),
             format!("view box {} to {}", self.view_box["min"], self.view_box["max"]),
             format!(
@@ -116,10 +134,27 @@ impl Summary {
                     greatest * 100.0,
                     mean * 100.0
                 ),
+                _ if self.info["sampling"]["max_error"].is_number() => {
+                    "missed sight lines: the time budget ended before any cell had its bound".to_owned()
+                }
                 _ => "missed sight lines: not bounded (--max-error F bounds them)".to_owned(),
             },
-            format!("numerics profile {}", text("profile")),
-        ]
+        ];
+        if self.cells_unfinished > 0 {
+            let why = match self.info["time_budget_ms"].as_u64() {
+                Some(1..) => "the time budget ended first",
+                _ => "they were given up after many rounds; info --cells lists the hardest",
+            };
+            lines.push(format!("NOT FINISHED: {} of {} cells: {why}", self.cells_unfinished, self.cells));
+        }
+        if let Some(over @ 1..) = self.cells_over_budget {
+            lines.push(format!(
+                "over the triangle budget: {over} of {} cells; they are at the deepest level (--max-depth)",
+                self.cells
+            ));
+        }
+        lines.push(format!("numerics profile {}", text("profile")));
+        lines
     }
 }
 

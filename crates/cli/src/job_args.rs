@@ -11,6 +11,7 @@ use sightline_scene::Scene;
 use sightline_viewcells::Division;
 
 use crate::error::CliError;
+use crate::progress::say;
 
 /// What is to be baked.
 #[derive(Args, Clone, Debug)]
@@ -33,41 +34,28 @@ pub struct JobArgs {
     /// How sight lines are chosen. Default: lines; with a triangle budget: cubes.
     #[arg(long, value_enum)]
     sampler: Option<SamplerArg>,
-    /// A cell is done when it is expected to miss at most this fraction of what is seen from it. An estimate, not a bound.
-    #[arg(long, value_name = "F", default_value_t = SamplingParams::default().target_error)]
-    target_error: f64,
+    /// A cell is done when it is expected to miss at most this fraction of what is seen from it; cells that take many times
+    /// the work of the others are allowed more. An estimate, not a bound. Default: 0.0001, or what --max-error says.
+    #[arg(long, value_name = "F", allow_negative_numbers = true)]
+    target_error: Option<f64>,
     /// Refine each cell until its 95 % bound on missed sight lines, from lines that took no part in the search, is at most
-    /// this. The bound is kept in the result; it holds on average over the cell, not for the worst view.
-    #[arg(long, value_name = "F")]
+    /// this. The bound is kept in the result; it holds on average over the cell, not for the worst view. With
+    /// --target-error as well, both must hold.
+    #[arg(long, value_name = "F", allow_negative_numbers = true)]
     max_error: Option<f64>,
     /// Stop sampling this long after the start, with the best result by then: 500ms, 30s, 5m, 2h. Two runs then need not
     /// give the same bytes.
     #[arg(long, value_name = "DUR", value_parser = parse_duration)]
     time_budget: Option<Duration>,
-    /// Rays a cell of the sampler guided.
-    #[arg(long, value_name = "N", default_value_t = SamplingParams::default().rays)]
-    rays: u64,
-    /// Side of one item buffer in pixels, 8 to 4096 (sampler cubes, as are the flags down to --superset).
-    #[arg(long, value_name = "PX", default_value_t = SamplingParams::default().resolution)]
-    resolution: u32,
-    /// Subdivide a sampled rectangle while its corners differ by more than this, 0 to 1.
-    #[arg(long, value_name = "E", default_value_t = SamplingParams::default().error_threshold)]
-    error_threshold: f64,
-    /// The same for samples inside closed solids, where no viewpoint is expected.
-    #[arg(long, value_name = "E", default_value_t = SamplingParams::default().interior_threshold)]
-    interior_threshold: f64,
-    /// How the corners are compared: their sets (Err), pixel by pixel (Err′), or sets in 24 directions (Err″).
-    #[arg(long, value_enum, default_value_t = Measure::Strata)]
-    error_measure: Measure,
-    /// Never subdivide rectangles of at most this fraction of a view cell's size (the mean of its sides).
-    #[arg(long, value_name = "F", default_value_t = SamplingParams::default().min_distance)]
-    min_distance: f64,
-    /// Do not judge samples inside closed solids apart.
-    #[arg(long)]
-    no_solids: bool,
-    /// Render with what the cell above saw only. auto: on the gpu, where each triangle drawn costs.
-    #[arg(long, value_enum, default_value_t = Superset::Auto)]
-    superset: Superset,
+    /// Most cells of a tile, 1 to 512: the piece of work a worker takes, and what is lost when one is killed. Sight lines are
+    /// shared within a tile, so smaller ones cost more in all. Default: 512; 128 or 64 where a tile would take minutes.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(sightline_job::MOST_BLOCK_CELLS)))]
+    block_cells: Option<u32>,
+    /// Rays a cell of the sampler guided. Default: 200000.
+    #[arg(long, value_name = "N")]
+    rays: Option<u64>,
+    #[command(flatten)]
+    cubes: CubeArgs,
     /// Where cubes are rendered. auto times both on this scene and takes the faster; the gpu has to be twice as fast
     /// as the cpu, so that noise does not decide what comes out.
     #[arg(long, value_enum, default_value_t = Backend::Auto)]
@@ -75,6 +63,72 @@ pub struct JobArgs {
     /// Seed of everything random (the sampler cubes has nothing random).
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
+}
+
+/// What only the sampler cubes looks at. Options, so that it is known what was given.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Sampler cubes")]
+struct CubeArgs {
+    /// Side of one item buffer in pixels, 8 to 4096. Default: 256.
+    #[arg(long, value_name = "PX")]
+    resolution: Option<u32>,
+    /// Subdivide a sampled rectangle while its corners differ by more than this, 0 to 1. Default: 0.1.
+    #[arg(long, value_name = "E", allow_negative_numbers = true)]
+    error_threshold: Option<f64>,
+    /// The same for samples inside closed solids, where no viewpoint is expected. Default: 0.5.
+    #[arg(long, value_name = "E", allow_negative_numbers = true)]
+    interior_threshold: Option<f64>,
+    /// How the corners are compared: their sets (Err), pixel by pixel (Err′), or sets in 24 directions (Err″). Default: strata.
+    #[arg(long, value_enum)]
+    error_measure: Option<Measure>,
+    /// Never subdivide rectangles of at most this fraction of a view cell's size (the mean of its sides). Default: 0.5.
+    #[arg(long, value_name = "F", allow_negative_numbers = true)]
+    min_distance: Option<f64>,
+    /// Do not judge samples inside closed solids apart.
+    #[arg(long)]
+    no_solids: bool,
+    /// Render with what the cell above saw only. auto: on the gpu, where each triangle drawn costs. Default: auto.
+    #[arg(long, value_enum)]
+    superset: Option<Superset>,
+}
+
+impl CubeArgs {
+    /// The flags that were given.
+    fn given(&self) -> Vec<&'static str> {
+        [
+            ("--resolution", self.resolution.is_some()),
+            ("--error-threshold", self.error_threshold.is_some()),
+            ("--interior-threshold", self.interior_threshold.is_some()),
+            ("--error-measure", self.error_measure.is_some()),
+            ("--min-distance", self.min_distance.is_some()),
+            ("--no-solids", self.no_solids),
+            ("--superset", self.superset.is_some()),
+        ]
+        .into_iter()
+        .filter_map(|(flag, given)| given.then_some(flag))
+        .collect()
+    }
+
+    /// Puts them into `params`.
+    fn apply(&self, params: &mut SamplingParams) {
+        params.resolution = self.resolution.unwrap_or(params.resolution);
+        params.error_threshold = self.error_threshold.unwrap_or(params.error_threshold);
+        params.interior_threshold = self.interior_threshold.unwrap_or(params.interior_threshold);
+        params.min_distance = self.min_distance.unwrap_or(params.min_distance);
+        params.solids = !self.no_solids;
+        params.measure = match self.error_measure {
+            Some(Measure::Sets) => ErrorMeasure::Sets,
+            Some(Measure::Pixels) => ErrorMeasure::Pixels,
+            Some(Measure::Strata) => ErrorMeasure::Strata,
+            None => params.measure,
+        };
+        params.superset = match self.superset {
+            Some(Superset::Auto) => SupersetChoice::Auto,
+            Some(Superset::On) => SupersetChoice::On,
+            Some(Superset::Off) => SupersetChoice::Off,
+            None => params.superset,
+        };
+    }
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
@@ -148,6 +202,7 @@ impl JobArgs {
         if self.time_budget.is_some() && sampler == Sampler::Cubes {
             return refuse("--time-budget needs --sampler lines or guided and a grid of cells (--cells)");
         }
+        let sampling = self.sampling(sampler)?;
         let bounds = scene.bounds();
         let spec = JobSpec {
             scene: scene.digest().0,
@@ -156,27 +211,10 @@ impl JobArgs {
                 None => Division::Grid(self.cells.unwrap_or([8, 8, 8])),
             },
             view_box: self.view_box.unwrap_or([bounds.min, bounds.max]),
-            sampling: SamplingParams {
-                sampler,
-                target_error: self.target_error,
-                max_error: self.max_error,
-                rays: self.rays,
-                resolution: self.resolution,
-                measure: match self.error_measure {
-                    Measure::Sets => ErrorMeasure::Sets,
-                    Measure::Pixels => ErrorMeasure::Pixels,
-                    Measure::Strata => ErrorMeasure::Strata,
-                },
-                error_threshold: self.error_threshold,
-                interior_threshold: self.interior_threshold,
-                min_distance: self.min_distance,
-                solids: !self.no_solids,
-                superset: match self.superset {
-                    Superset::Auto => SupersetChoice::Auto,
-                    Superset::On => SupersetChoice::On,
-                    Superset::Off => SupersetChoice::Off,
-                },
-            },
+            block_cells: self
+                .block_cells
+                .unwrap_or_else(|| sightline_job::default_block_cells(scene.len(), &sampling)),
+            sampling,
             backend: match self.backend {
                 Backend::Auto => BackendChoice::Auto,
                 Backend::Gpu => BackendChoice::Gpu,
@@ -188,13 +226,53 @@ impl JobArgs {
         };
         spec.sampling.check().map_err(|e| CliError::Usage(e.to_string()))?;
         spec.lattice().map_err(|e| match self.view_box {
-            None if matches!(e, sightline_viewcells::DivisionError::Box { .. }) => CliError::Input(format!(
-                "{}: the scene is flat, so its bounds are no view box; give --view-box ({e})",
-                path.display()
-            )),
+            None if matches!(e, sightline_viewcells::DivisionError::Box { .. }) => {
+                let nothing = scene.triangles().iter().all(sightline_scene::Triangle::is_degenerate);
+                CliError::Input(format!(
+                    "{}: {}, so its bounds are no view box; give --view-box ({e})",
+                    path.display(),
+                    if nothing { "none of its triangles has an area" } else { "the scene is flat" }
+                ))
+            }
             _ => CliError::Usage(e.to_string()),
         })?;
         Ok(spec)
+    }
+
+    /// The parameters of `sampler`. Flags of another sampler are named and left out, so that they make no other job.
+    fn sampling(&self, sampler: Sampler) -> Result<SamplingParams, CliError> {
+        let mut params = SamplingParams { sampler, ..SamplingParams::default() };
+        // A value that makes no sense is wrong whoever would use it.
+        let mut all = SamplingParams {
+            target_error: self.target_error.unwrap_or(params.target_error),
+            rays: self.rays.unwrap_or(params.rays),
+            ..params.clone()
+        };
+        self.cubes.apply(&mut all);
+        all.check().map_err(|e| CliError::Usage(e.to_string()))?;
+        let mut unused = Vec::new();
+        if sampler == Sampler::Lines {
+            params.max_error = self.max_error;
+            params.target_error = self.target_error.or(self.max_error).unwrap_or(params.target_error);
+        } else {
+            unused.extend(self.target_error.map(|_| "--target-error"));
+        }
+        match self.rays {
+            Some(rays) if sampler == Sampler::Guided => params.rays = rays,
+            Some(_) => unused.push("--rays"),
+            None => {}
+        }
+        if sampler == Sampler::Cubes {
+            self.cubes.apply(&mut params);
+            unused.extend(self.block_cells.map(|_| "--block-cells"));
+        } else {
+            unused.extend(self.cubes.given());
+        }
+        if !unused.is_empty() {
+            let name = sampler.to_string();
+            say(&format!("note: the sampler {name} makes no use of {}", unused.join(", ")));
+        }
+        Ok(params)
     }
 }
 
@@ -205,7 +283,7 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
     let unit = match &text[digits.len()..] {
         "ms" => 1e-3,
-        "" | "s" => 1.0,
+        "s" => 1.0,
         "m" | "min" => 60.0,
         "h" => 3600.0,
         _ => return Err(wrong()),

@@ -12,6 +12,7 @@ mod files;
 mod inspect;
 mod job_args;
 mod measuring;
+mod output;
 mod progress;
 mod remote;
 mod serve;

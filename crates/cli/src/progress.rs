@@ -54,12 +54,20 @@ impl Drop for LogLine {
     }
 }
 
+/// Where a job stood when it was first seen.
+#[derive(Clone, Copy)]
+struct AtStart {
+    tiles: u64,
+    cells: u64,
+    samples: u64,
+}
+
 /// Shows how far a job or a count is.
 pub struct Progress {
     bar: Option<ProgressBar>,
     start: Instant,
     /// Where the count stood at the start: what an earlier run had done already.
-    first: Mutex<Option<(u64, u64)>>,
+    first: Mutex<Option<AtStart>>,
     last_line: Mutex<Option<Instant>>,
 }
 
@@ -81,31 +89,36 @@ impl Progress {
     /// Shows a job.
     pub fn job(&self, job: &v1::Job) {
         let ended = job.tiles_done + job.tiles_set_aside;
+        let ended = u64::from(ended);
         let mut first = self.first.lock().unwrap_or_else(PoisonError::into_inner);
-        let (at_start, sampled) = *first.get_or_insert((u64::from(ended), job.samples));
+        let start =
+            *first.get_or_insert(AtStart { tiles: ended, cells: job.cells_done, samples: job.samples });
         drop(first);
         let seconds = self.start.elapsed().as_secs_f64();
-        let here = u64::from(ended) - at_start.min(u64::from(ended));
         let cells = match job.cells_total {
             0 => format!("{} cells", job.cells_done),
             total => format!("{}/{total} cells", job.cells_done),
         };
-        let left = if here > 0 {
-            let per_tile = seconds / here as f64;
-            format!(
-                "about {} left",
-                human(Duration::from_secs_f64(per_tile * f64::from(job.tiles_total - ended)))
-            )
+        // Cells where their number is known: a small job may be one tile.
+        let (here, left) = match job.cells_total {
+            0 => (ended.saturating_sub(start.tiles), u64::from(job.tiles_total).saturating_sub(ended)),
+            total => (job.cells_done.saturating_sub(start.cells), total.saturating_sub(job.cells_done)),
+        };
+        let waits = matches!(job.state(), v1::JobState::Queued | v1::JobState::Running) && job.workers == 0;
+        let left = if waits {
+            "NO WORKERS: start some with `sightline worker`".to_owned()
+        } else if here > 0 {
+            format!("about {} left", human(Duration::from_secs_f64(seconds / here as f64 * left as f64)))
         } else {
             "time left not known yet".to_owned()
         };
-        let rate = job.samples.saturating_sub(sampled) as f64 / seconds.max(1e-3);
+        let rate = job.samples.saturating_sub(start.samples) as f64 / seconds.max(1e-3);
         let aside = match job.tiles_set_aside {
             0 => String::new(),
             n => format!(", {n} SET ASIDE"),
         };
         let text = format!("{cells}, {} samples ({rate:.0}/s){aside}, {left}", job.samples);
-        self.show(u64::from(ended), u64::from(job.tiles_total), "tiles", &text);
+        self.show(ended, u64::from(job.tiles_total), "tiles", &text);
     }
 
     /// Shows a count.

@@ -7,6 +7,7 @@ use tonic::transport::Channel;
 use crate::args::{FetchArgs, JobRefArgs, RemoteArgs, SubmitArgs};
 use crate::client;
 use crate::error::CliError;
+use crate::output::{Format, Output};
 use crate::progress::say;
 use crate::serve::{print, runtime};
 
@@ -128,10 +129,11 @@ pub fn turn(args: &JobRefArgs, turn: Turn, json: bool) -> Result<(), CliError> {
 /// Downloads a result.
 pub fn fetch(args: &FetchArgs, json: bool) -> Result<(), CliError> {
     let request = v1::ShowRequest { job: args.job.id };
+    let output = Output::check(&args.output, Format::Pvs, None)?;
     let bytes = with(&args.job.remote, |mut client| async move {
         let job = client.show(request).await.map_err(|s| CliError::status(&s))?.into_inner();
         client::must_be_done(&job)?;
-        client::fetch(&mut client, &job, &args.output).await
+        client::fetch(&mut client, &job, &output).await
     })?;
     if json {
         let value = serde_json::json!({"output": args.output.display().to_string(), "bytes": bytes});

@@ -9,11 +9,12 @@ use sightline_proto::v1;
 use sightline_sampling::params::{
     BackendChoice, ErrorMeasure, ParamsError, Sampler, SamplingParams, SupersetChoice,
 };
+pub use sightline_viewcells::MOST_BLOCK_CELLS;
 use sightline_viewcells::{Division, DivisionError, Lattice, Layout, Plan};
 
 /// Changes whenever the same specification would give other bytes, so that stored results are never mistaken for
 /// those of another version.
-pub const ALGORITHM_VERSION: u32 = 3;
+pub const ALGORITHM_VERSION: u32 = 4;
 
 /// Longest time budget, ten years.
 const MAX_BUDGET_MS: u64 = 10 * 366 * 24 * 3600 * 1000;
@@ -35,6 +36,21 @@ pub struct JobSpec {
     pub seed: u64,
     /// Sampling stops this many milliseconds after submission; 0 for no limit.
     pub time_budget_ms: u64,
+    /// Most grid cells of a tile of the samplers that share lines within one, 1 to [`MOST_BLOCK_CELLS`].
+    pub block_cells: u32,
+}
+
+/// Work, in triangles divided by the target error, above which a tile has fewer cells: on two cores such a tile takes
+/// minutes, and then a lost worker, a pause and a second machine count for more than the lines shared.
+const HEAVY: [(f64, u32); 2] = [(5e10, 64), (5e9, 128)];
+
+/// Most cells of a tile, where nobody asks for another number.
+pub fn default_block_cells(triangles: u32, sampling: &SamplingParams) -> u32 {
+    let work = match sampling.sampler {
+        Sampler::Lines => f64::from(triangles) / sampling.max_error.unwrap_or(1.0).min(sampling.target_error),
+        Sampler::Guided | Sampler::Cubes => 0.0,
+    };
+    HEAVY.iter().find(|(least, _)| work >= *least).map_or(MOST_BLOCK_CELLS, |(_, cells)| *cells)
 }
 
 /// Why a specification is refused.
@@ -110,8 +126,12 @@ impl JobSpec {
             backend,
             seed: m.seed,
             time_budget_ms: m.time_budget_ms,
+            block_cells: if m.block_cells == 0 { MOST_BLOCK_CELLS } else { m.block_cells },
         };
         spec.sampling.check()?;
+        if spec.block_cells > MOST_BLOCK_CELLS {
+            return Err(SpecError::Field("block-cells", "give 1 to 512 cells"));
+        }
         let cubes = spec.sampling.sampler == Sampler::Cubes;
         if matches!(division, Division::Adaptive { .. }) && !cubes {
             return Err(SpecError::Field("sampler", "an adaptive division is sampled with cubes"));
@@ -178,6 +198,7 @@ impl JobSpec {
             .into(),
             seed: self.seed,
             time_budget_ms: self.time_budget_ms,
+            block_cells: self.block_cells,
         }
     }
 
@@ -207,7 +228,7 @@ impl JobSpec {
         let lattice = self.lattice()?;
         let layout = match self.sampling.sampler {
             Sampler::Cubes => Layout::Samples,
-            Sampler::Lines | Sampler::Guided => Layout::Blocks,
+            Sampler::Lines | Sampler::Guided => Layout::Blocks(self.block_cells),
         };
         Ok((lattice, Plan::new(&self.division, &lattice, layout)))
     }
@@ -226,6 +247,7 @@ mod tests {
             backend: BackendChoice::Auto,
             seed: 3,
             time_budget_ms: 0,
+            block_cells: 64,
         }
     }
 
@@ -242,6 +264,7 @@ mod tests {
                 ..s.clone()
             },
             JobSpec { time_budget_ms: 5, ..s.clone() },
+            JobSpec { block_cells: 65, ..s.clone() },
             JobSpec {
                 sampling: SamplingParams { sampler: Sampler::Guided, ..sampling.clone() },
                 ..s.clone()
@@ -279,6 +302,7 @@ mod tests {
         assert!(refuse(v1::JobSpec { scene: vec![1], ..good.clone() }).contains("scene"));
         assert!(refuse(v1::JobSpec { division: None, ..good.clone() }).contains("division"));
         assert!(refuse(v1::JobSpec { view_box: vec![], ..good.clone() }).contains("view box"));
+        assert!(refuse(v1::JobSpec { block_cells: 513, ..good.clone() }).contains("block-cells"));
         assert!(refuse(v1::JobSpec { sampling: None, ..good.clone() }).contains("sampling"));
         let nan = v1::Sampling { error_threshold: f64::NAN, ..good.sampling.unwrap() };
         assert!(refuse(v1::JobSpec { sampling: Some(nan), ..good }).contains("error-threshold"));

@@ -6,31 +6,16 @@ use std::time::Instant;
 
 use glam::Vec3;
 use sightline_sampling::gpu::{AdapterChoice, GpuBackend, adapters};
+use sightline_sampling::lines::sequence::Hashed;
 use sightline_sampling::{Backend, CubeSpec, Strata};
 use sightline_scene::{Object, Scene, Triangle};
-
-/// A small generator (xorshift), uniform in 0…1.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> f32 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0 >> 40) as f32 / (1u32 << 24) as f32
-    }
-
-    fn point(&mut self) -> Vec3 {
-        Vec3::new(self.next(), self.next(), self.next())
-    }
-}
 
 #[allow(clippy::print_stdout, reason = "this program's output is its purpose")]
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut arguments = std::env::args().skip(1).map(|a| a.parse::<u32>());
     let mut argument = |default| arguments.next().unwrap_or(Ok(default));
     let (resolution, cubes, count) = (argument(256)?, argument(20)?.max(1), argument(100_000)?.max(1));
-    let mut random = Random(0x9e37_79b9_7f4a_7c15);
+    let mut random = Hashed::new(&[1]);
     let size = 2.0 * (count as f32).powf(-1.0 / 3.0);
     let triangles: Vec<Triangle> = (0..count)
         .map(|_| {

@@ -8,12 +8,12 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use glam::Vec3;
 use rayon::prelude::*;
 use sightline_sampling::cube::face_basis;
 use sightline_sampling::embree::CpuBackend;
 use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
 use sightline_sampling::lines::packet::{LANES, LineTracer, Packet};
+use sightline_sampling::lines::sequence::Hashed;
 use sightline_sampling::{Backend, CubeSpec, SKY, Strata};
 use sightline_scene::Aabb;
 
@@ -24,24 +24,8 @@ const CPU_CALL: usize = 256;
 /// Relative difference below which two distances are one.
 const SAME: f32 = 1e-4;
 
-/// A small generator (xorshift), uniform in 0…1.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> f32 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0 >> 40) as f32 / (1u32 << 24) as f32
-    }
-
-    fn point(&mut self) -> Vec3 {
-        Vec3::new(self.next(), self.next(), self.next())
-    }
-}
-
 /// Cubes from random points, tiles of 4 × 4 pixels.
-fn coherent(bounds: Aabb, count: usize, random: &mut Random) -> Vec<Packet> {
+fn coherent(bounds: Aabb, count: usize, random: &mut Hashed) -> Vec<Packet> {
     let mut packets = Vec::new();
     while packets.len() < count {
         let o = bounds.min + (bounds.max - bounds.min) * random.point();
@@ -64,7 +48,7 @@ fn coherent(bounds: Aabb, count: usize, random: &mut Random) -> Vec<Packet> {
 }
 
 /// From anywhere in the bounds to anywhere in them.
-fn incoherent(bounds: Aabb, count: usize, random: &mut Random) -> Vec<Packet> {
+fn incoherent(bounds: Aabb, count: usize, random: &mut Hashed) -> Vec<Packet> {
     let size = bounds.max - bounds.min;
     (0..count)
         .map(|_| {
@@ -141,7 +125,7 @@ fn measure(file: &Path, choice: &AdapterChoice, millions: f64) -> Result<(), Box
     made(&gpu)?;
     let (cpu, gpu) = (cpu.lines(&ids)?, gpu.lines(&ids)?);
     let count = (millions * 1e6) as usize / LANES;
-    let mut random = Random(0x9e37_79b9_7f4a_7c15);
+    let mut random = Hashed::new(&[1]);
     for alike in [true, false] {
         let make = if alike { coherent } else { incoherent };
         let mut a = make(scene.bounds(), count, &mut random);

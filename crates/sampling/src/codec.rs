@@ -67,7 +67,7 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
             for cell in &sets.cells {
                 put_ids(&mut raw, &cell.visible);
                 put(&mut raw, cell.samples);
-                numbers(&cell.stats).for_each(|n| put64(&mut raw, n));
+                cell.stats.numbers().into_iter().for_each(|n| put64(&mut raw, n));
             }
         }
     }
@@ -135,21 +135,6 @@ fn put64(out: &mut Vec<u8>, mut value: u64) {
         value >>= 7;
     }
     out.push(value as u8);
-}
-
-/// Numbers of a cell's statistics.
-const NUMBERS: usize = 14;
-
-fn numbers(s: &CellStats) -> impl Iterator<Item = u64> {
-    let rest = [
-        u64::from(s.rounds),
-        s.last_rays,
-        s.last_misses,
-        s.bound_lines,
-        s.bound_misses,
-        u64::from(s.bound_look),
-    ];
-    s.rays.into_iter().chain(s.finds).chain(rest)
 }
 
 /// Count, then each id's distance from the one before; ids ascend.
@@ -270,22 +255,11 @@ impl Reader<'_> {
     }
 
     fn stats(&mut self) -> Result<CellStats, CodecError> {
-        let mut n = [0; NUMBERS];
-        for number in &mut n {
-            *number = self.u64()?;
+        let mut numbers = CellStats::default().numbers();
+        for n in &mut numbers {
+            *n = self.u64()?;
         }
-        let [a, b, c, d, e, f, g, h, rounds, last_rays, last_misses, bound_lines, bound_misses, look] = n;
-        let small = |n: u64| u32::try_from(n).map_err(|_| CodecError("a number is too large"));
-        Ok(CellStats {
-            rays: [a, b, c, d],
-            finds: [e, f, g, h],
-            rounds: small(rounds)?,
-            last_rays,
-            last_misses,
-            bound_lines,
-            bound_misses,
-            bound_look: small(look)?,
-        })
+        CellStats::from_numbers(numbers).ok_or(CodecError("a cell's statistics are beyond their range"))
     }
 
     fn cells(&mut self) -> Result<CellSets, CodecError> {
@@ -358,6 +332,7 @@ mod tests {
                                 rays: [1, u64::MAX, samples.into(), 4],
                                 rounds: samples,
                                 bound_look: 3,
+                                unfinished: true,
                                 ..CellStats::default()
                             },
                         },

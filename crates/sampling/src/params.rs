@@ -54,6 +54,17 @@ pub enum Sampler {
     Guided,
 }
 
+impl std::fmt::Display for Sampler {
+    /// As the command line names it.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Lines => "lines",
+            Self::Cubes => "cubes",
+            Self::Guided => "guided",
+        })
+    }
+}
+
 /// Parameters of aggressive sampling. All of them are part of a job's key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SamplingParams {

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 use sightline_sampling::cube::face_basis;
 use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
+use sightline_sampling::lines::sequence::Hashed;
 use sightline_sampling::{Backend, BackendError, CubeImage, CubeSpec, SKY, Strata, VisibilitySample};
 use sightline_scene::{Object, Scene, Triangle};
 
@@ -49,29 +50,14 @@ fn room(centre: Vec3, h: f32) -> Vec<Triangle> {
         .collect()
 }
 
-/// Uniform numbers in 0…1 (xorshift).
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> f32 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0 >> 40) as f32 / (1u32 << 24) as f32
-    }
-
-    fn point(&mut self) -> Vec3 {
-        Vec3::new(self.next(), self.next(), self.next())
-    }
-
-    fn triangles(&mut self, count: usize, size: f32) -> Vec<Triangle> {
-        (0..count)
-            .map(|_| {
-                let c = self.point();
-                Triangle { v: [0; 3].map(|_| c + (self.point() - 0.5) * size) }
-            })
-            .collect()
-    }
+/// Random triangles in the unit cube.
+fn triangles(random: &mut Hashed, count: usize, size: f32) -> Vec<Triangle> {
+    (0..count)
+        .map(|_| {
+            let c = random.point();
+            Triangle { v: [0; 3].map(|_| c + (random.point() - 0.5) * size) }
+        })
+        .collect()
 }
 
 /// Direction of a pixel, by the formula of the cube's conventions, in f64. `dx`, `dy` move it in pixels.
@@ -180,8 +166,8 @@ fn faces_are_the_right_way_round() {
 
 #[test]
 fn random_triangles_are_seen_where_rays_meet_them() {
-    let mut random = Random(7);
-    let scene = scene(random.triangles(600, 0.35));
+    let mut random = Hashed::new(&[7]);
+    let scene = scene(triangles(&mut random, 600, 0.35));
     let Some(backend) = backend(&scene, 64, Strata::Faces, false) else { return };
     let renderer = backend.prepare(None).unwrap();
     // From inside, among triangles that cross the planes of the eye, and from outside.
@@ -232,8 +218,8 @@ fn very_small_and_very_large_coordinates_live_together() {
 
 #[test]
 fn the_device_reduces_as_the_reference_does() {
-    let mut random = Random(11);
-    let mut triangles = random.triangles(2000, 0.1);
+    let mut random = Hashed::new(&[11]);
+    let mut triangles = triangles(&mut random, 2000, 0.1);
     triangles.extend(room(Vec3::splat(0.5), 1.0).into_iter().take(5));
     let scene = scene(triangles);
     let points: Vec<_> = (0..11).map(|_| random.point()).collect();
@@ -261,8 +247,8 @@ fn the_device_reduces_as_the_reference_does() {
 
 #[test]
 fn more_triangles_than_one_read_holds_are_all_listed() {
-    let mut random = Random(5);
-    let scene = scene(random.triangles(30_000, 0.01));
+    let mut random = Hashed::new(&[5]);
+    let scene = scene(triangles(&mut random, 30_000, 0.01));
     let Some(backend) = backend(&scene, 256, Strata::Faces, false) else { return };
     let renderer = backend.prepare(None).unwrap();
     let points: Vec<_> = (0..3).map(|_| random.point()).collect();
@@ -275,8 +261,8 @@ fn more_triangles_than_one_read_holds_are_all_listed() {
 
 #[test]
 fn a_superset_shows_itself_alone() {
-    let mut random = Random(3);
-    let scene = scene(random.triangles(3000, 0.15));
+    let mut random = Hashed::new(&[3]);
+    let scene = scene(triangles(&mut random, 3000, 0.15));
     let Some(backend) = backend(&scene, 64, Strata::Quadrants, true) else { return };
     let whole = backend.prepare(None).unwrap();
     let points: Vec<_> = (0..3).map(|_| random.point()).collect();
@@ -336,8 +322,8 @@ fn degenerate_triangles_are_never_seen() {
 /// Of two triangles in one place the same one wins, whatever else is drawn.
 #[test]
 fn ties_do_not_depend_on_the_superset() {
-    let mut random = Random(23);
-    let mut triangles = random.triangles(1500, 0.1);
+    let mut random = Hashed::new(&[23]);
+    let mut triangles = triangles(&mut random, 1500, 0.1);
     let twins = triangles.clone();
     triangles.extend(twins);
     let scene = scene(triangles);

@@ -10,6 +10,7 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
 use sightline_sampling::lines::packet::{LANES, Packet};
+use sightline_sampling::lines::sequence::Hashed;
 use sightline_sampling::{Backend, BackendError, CubeSpec, SKY, Strata};
 use sightline_scene::{Object, Scene, Triangle};
 
@@ -27,25 +28,14 @@ fn backend(triangles: &[Triangle]) -> Option<GpuBackend> {
     }
 }
 
-/// Uniform numbers in 0…1 (xorshift).
-struct Random(u64);
+/// One of the numbers below `n`.
+fn below(random: &mut Hashed, n: usize) -> usize {
+    (random.bits() % n as u64) as usize
+}
 
-impl Random {
-    fn next(&mut self) -> f32 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0 >> 40) as f32 / (1u32 << 24) as f32
-    }
-
-    fn below(&mut self, n: usize) -> usize {
-        ((self.next() * n as f32) as usize).min(n - 1)
-    }
-
-    /// In the cube −1…1.
-    fn point(&mut self) -> Vec3 {
-        Vec3::new(self.next(), self.next(), self.next()) * 2.0 - 1.0
-    }
+/// In the cube −1…1.
+fn point(random: &mut Hashed) -> Vec3 {
+    random.point() * 2.0 - 1.0
 }
 
 fn packed(rays: &[(Vec3, Vec3)]) -> Vec<Packet> {
@@ -86,11 +76,11 @@ fn hit(t: &Triangle, o: DVec3, d: DVec3) -> Option<f64> {
 
 #[test]
 fn the_nearest_triangle_is_that_of_brute_force() {
-    let mut random = Random(0x1234_5678_9abc_def1);
+    let mut random = Hashed::new(&[0x1234_5678_9abc_def1]);
     let triangles: Vec<Triangle> = (0..400)
         .map(|_| {
-            let c = random.point();
-            Triangle { v: [0; 3].map(|_| c + random.point() * 0.3) }
+            let c = point(&mut random);
+            Triangle { v: [0; 3].map(|_| c + point(&mut random) * 0.3) }
         })
         .collect();
     let Some(backend) = backend(&triangles) else { return };
@@ -98,8 +88,8 @@ fn the_nearest_triangle_is_that_of_brute_force() {
         .map(|i| {
             // Directions of many lengths, some along an axis.
             let length = ((i % 41) as f32 - 20.0).exp2();
-            let d = if i % 10 == 0 { Vec3::AXES[i / 10 % 3] } else { random.point() };
-            (random.point() * 1.5, d * length)
+            let d = if i % 10 == 0 { Vec3::AXES[i / 10 % 3] } else { point(&mut random) };
+            (point(&mut random) * 1.5, d * length)
         })
         .collect();
     let (mut met, mut near_edges) = (0, 0);
@@ -112,7 +102,13 @@ fn the_nearest_triangle_is_that_of_brute_force() {
         met += u32::from(expected.0 != SKY);
         let close = |a: f64, b: f64| (a - b).abs() <= 1e-4 * b.abs();
         if id == expected.0 {
-            assert!(id == SKY || close(f64::from(distance), expected.1), "{distance} {expected:?}");
+            // How far from the triangle's plane the hit lies: along a ray that grazes it the distance itself says little.
+            let off = |t: &Triangle| {
+                let [a, b, c] = t.v.map(|v| v.as_dvec3());
+                (b - a).cross(c - a).normalize().dot(o + d * f64::from(distance) - a).abs()
+            };
+            // Coordinates are below 2, so this is a few units in their last place.
+            assert!(id == SKY || off(&triangles[id as usize]) <= 1e-6, "{distance} {expected:?}");
         } else if !(all.len() > 1 && close(all[0].0, all[1].0)) {
             // What is left: a ray within rounding of a border, which one of the two sees on the other side of.
             let shrunk = |t: &Triangle, k: f32| {
@@ -171,13 +167,13 @@ fn icosphere(cuts: u32) -> (Vec<Vec3>, Vec<[usize; 3]>) {
 
 /// The cube −1…1, each side in n × n squares of two triangles, their inner corners moved about in the plane and
 /// out of it.
-fn crumpled_box(n: i32, random: &mut Random) -> (Vec<Vec3>, Vec<[usize; 3]>) {
+fn crumpled_box(n: i32, random: &mut Hashed) -> (Vec<Vec3>, Vec<[usize; 3]>) {
     let (mut points, mut known, mut faces) = (Vec::new(), BTreeMap::new(), Vec::new());
     let mut corner = |p: [i32; 3]| {
         *known.entry(p).or_insert_with(|| {
             let exact = Vec3::from(p.map(|x| x as f32)) * 2.0 / n as f32 - 1.0;
             let moved =
-                if (p[0] + p[1] + p[2]) % 3 == 0 { random.point() * 0.3 / n as f32 } else { Vec3::ZERO };
+                if (p[0] + p[1] + p[2]) % 3 == 0 { point(random) * 0.3 / n as f32 } else { Vec3::ZERO };
             points.push(exact + moved);
             points.len() - 1
         })
@@ -207,21 +203,21 @@ fn inside_rays(
     size: f32,
     length: f32,
     count: usize,
-    random: &mut Random,
+    random: &mut Hashed,
 ) -> Vec<(Vec3, Vec3)> {
     (0..count)
         .map(|i| {
             let at_centre = i % 5 == 0;
-            let o = if at_centre { centre } else { centre + random.point() * (0.4 * size) };
-            let f = faces[random.below(faces.len())].map(|v| points[v]);
-            let k = random.below(3);
+            let o = if at_centre { centre } else { centre + point(random) * (0.4 * size) };
+            let f = faces[below(random, faces.len())].map(|v| points[v]);
+            let k = below(random, 3);
             let target = match i % 4 {
                 0 => f[k],
                 1 => (f[k] + f[(k + 1) % 3]) * 0.5,
-                2 => f[k] + (f[(k + 1) % 3] - f[k]) * random.next(),
-                _ => f[0] + (f[1] - f[0]) * (random.next() * 0.5) + (f[2] - f[0]) * (random.next() * 0.5),
+                2 => f[k] + (f[(k + 1) % 3] - f[k]) * random.unit(),
+                _ => f[0] + (f[1] - f[0]) * (random.unit() * 0.5) + (f[2] - f[0]) * (random.unit() * 0.5),
             };
-            let axis = Vec3::AXES[random.below(3)] * size;
+            let axis = Vec3::AXES[below(random, 3)] * size;
             let d = match i % 97 {
                 0 => axis,
                 1 => -axis,
@@ -234,7 +230,7 @@ fn inside_rays(
 
 #[test]
 fn no_ray_leaves_a_closed_mesh() {
-    let mut random = Random(0xfeed_beef_0bad_cafe);
+    let mut random = Hashed::new(&[0xfeed_beef_0bad_cafe]);
     let meshes = [icosphere(4), crumpled_box(24, &mut random)];
     let mut number = 0;
     for (points, faces) in &meshes {
@@ -266,15 +262,15 @@ fn no_ray_leaves_a_closed_mesh() {
 
 #[test]
 fn the_same_bits_again_and_in_other_portions() {
-    let mut random = Random(77);
+    let mut random = Hashed::new(&[77]);
     let triangles: Vec<Triangle> = (0..5_000)
         .map(|_| {
-            let c = random.point();
-            Triangle { v: [0; 3].map(|_| c + random.point() * 0.05) }
+            let c = point(&mut random);
+            Triangle { v: [0; 3].map(|_| c + point(&mut random) * 0.05) }
         })
         .collect();
     let (Some(one), Some(two)) = (backend(&triangles), backend(&triangles)) else { return };
-    let rays: Vec<_> = (0..100_003).map(|_| (random.point(), random.point())).collect();
+    let rays: Vec<_> = (0..100_003).map(|_| (point(&mut random), point(&mut random))).collect();
     let bits = |packets: &[Packet]| -> Vec<_> {
         packets.iter().map(|p| (p.distance.map(f32::to_bits), p.triangle)).collect()
     };

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use sightline_sampling::embree::CpuBackend;
 use sightline_sampling::lines::CellStats;
-use sightline_sampling::lines::block::{Block, Tools};
+use sightline_sampling::lines::block::{Block, Hard, Tools};
 use sightline_sampling::lines::grid::CellGrid;
 use sightline_sampling::lines::packet::{LineTracer, Packet};
 use sightline_sampling::lines::sequence::Hashed;
@@ -108,7 +108,7 @@ fn threads_change_nothing() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             with_block(&scene, &*tracer, [b.min, b.max], [5, 3, 2], 7, |block| {
-                block.sample_to_bound(0.01).unwrap();
+                block.sample_to_bound(1.0, 0.01).unwrap();
                 (sets(block), block.stats().to_vec())
             })
         })
@@ -125,7 +125,7 @@ fn a_convex_room_is_seen_whole() {
     let Some(backend) = backend(&scene) else { return };
     let tracer = backend.lines(&all(&scene)).unwrap();
     with_block(&scene, &*tracer, [Vec3::splat(-2.0), Vec3::splat(2.0)], [3, 3, 3], 1, |block| {
-        block.sample(1e-5, &[]).unwrap();
+        block.sample(1e-5, &[], Hard::Alike).unwrap();
         let columns = sets(block);
         for c in block.grid().each() {
             assert_eq!(columns[block.grid().slot(c).index()].len(), scene.triangles().len(), "{c:?}");
@@ -209,7 +209,7 @@ fn no_line_passes_a_closed_wall() {
         let tracer = backend.lines(&all(&scene)).unwrap();
         let view = [at(-view, -view, -view), at(view, view, view)];
         with_block(&scene, &*tracer, view, [3, 2, 2], 5, |block| {
-            block.sample(1e-4, &[]).unwrap();
+            block.sample(1e-4, &[], Hard::Alike).unwrap();
             let outside: usize = sets(block).iter().map(|s| s.iter().filter(|t| **t >= inside).count()).sum();
             assert_eq!(outside, 0, "scale {scale}, offset {offset}");
         });

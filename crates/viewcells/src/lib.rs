@@ -13,5 +13,5 @@ pub mod rect;
 pub use cell::{CellBox, Split};
 pub use division::{Division, DivisionError};
 pub use lattice::{Lattice, LatticePoint, UNITS_PER_CELL};
-pub use plan::{Layout, Outline, Plan, Tile, TileKind};
+pub use plan::{Layout, MOST_BLOCK_CELLS, Outline, Plan, Tile, TileKind};
 pub use rect::Rect;

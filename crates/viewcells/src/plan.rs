@@ -19,9 +19,8 @@ const LEAF_TILES: u64 = 64;
 /// Most grid cells of a leaf tile, so that large jobs have tiles of minutes, not hours.
 const MAX_CELLS_PER_TILE: u64 = 64;
 
-/// Most grid cells of a block: lines are shared by all cells they cross in it, so larger blocks cost less in all, but fewer
-/// workers find one (docs/decisions/0005-sight-lines.md).
-const BLOCK_CELLS: u64 = 512;
+/// Most grid cells a block may have: with its bricks goes its memory.
+pub const MOST_BLOCK_CELLS: u32 = 512;
 
 /// Most bricks of 4×4×4 cells that touch a block: flat blocks fill few of each, and a block's memory goes with its bricks.
 const BLOCK_BRICKS: u64 = 32;
@@ -31,8 +30,9 @@ const BLOCK_BRICKS: u64 = 32;
 pub enum Layout {
     /// Faces, separators and leaves that share samples on their borders.
     Samples,
-    /// Blocks that share nothing.
-    Blocks,
+    /// Blocks of at most so many cells that share nothing. Lines are shared by all cells they cross in a block, so larger
+    /// ones cost less in all, but fewer workers find one (docs/decisions/0005-sight-lines.md).
+    Blocks(u32),
 }
 
 /// A node of the kd-tree above the leaf tiles, in preorder.
@@ -84,8 +84,8 @@ impl Plan {
     pub fn new(division: &Division, lattice: &Lattice, layout: Layout) -> Self {
         let root = division.root(lattice);
         let mut plan = Self { tiles: Vec::new(), outline: Vec::new() };
-        if layout == Layout::Blocks {
-            plan.add_blocks(division, lattice, root, 0);
+        if let Layout::Blocks(most) = layout {
+            plan.add_blocks(division, lattice, root, 0, u64::from(most));
             return plan;
         }
         for f in 0..6 {
@@ -146,16 +146,13 @@ impl Plan {
         }
     }
 
-    fn add_blocks(&mut self, division: &Division, lattice: &Lattice, cell: CellBox, depth: u32) {
+    fn add_blocks(&mut self, division: &Division, lattice: &Lattice, cell: CellBox, depth: u32, most: u64) {
         let cells = grid_cells(division, &cell);
-        match division
-            .split(lattice, &cell, depth)
-            .filter(|_| cells > BLOCK_CELLS || bricks(&cell) > BLOCK_BRICKS)
-        {
+        match division.split(lattice, &cell, depth).filter(|_| cells > most || bricks(&cell) > BLOCK_BRICKS) {
             Some(split) => {
                 self.outline.push(Outline::Split(split));
                 for child in cell.children(split) {
-                    self.add_blocks(division, lattice, child, depth + 1);
+                    self.add_blocks(division, lattice, child, depth + 1, most);
                 }
             }
             None => {

@@ -96,8 +96,17 @@ pub fn measure(args: &BenchArgs, children: &Children, input: &Input) -> Result<S
     let samplers = args.samplers();
     let mut points = Vec::new();
     for &sampler in &samplers {
-        let mut rungs = sampler.rungs(args.points).into_iter().peekable();
-        while let Some(rung) = rungs.next() {
+        let rungs = sampler.rungs(args.points);
+        let count = rungs.len();
+        let mut rungs = rungs.into_iter().enumerate().peekable();
+        while let Some((i, rung)) = rungs.next() {
+            say(&format!(
+                "{}, {} {}: point {} of {count} …",
+                input.name,
+                sampler.name(),
+                rung.parameter,
+                i + 1
+            ));
             let point = point(args, children, input, sampler, rung)?;
             say(&format!(
                 "{}, {} {}: {} s, mean error {}, p99 {}",

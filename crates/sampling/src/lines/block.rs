@@ -18,6 +18,7 @@ use super::packet::{LineTracer, Packet};
 use super::surface::Surface;
 use super::{CellStats, Kind};
 use crate::backend::BackendError;
+use crate::cube::SKY;
 use crate::tile::{TileError, Watcher};
 
 /// Uniform tiles of the first round along a cube face: 27 packet pairs, 864 rays; 12 where little accuracy is wanted.
@@ -29,7 +30,7 @@ const COARSE: f64 = 5e-3;
 const MOST_TILES: u32 = 128;
 /// Part of what a cell misses at a round's beginning that is still missing at its end, measured on scenes of every kind as
 /// 0.4 to 0.65.
-const LEFT_AFTER_ROUND: f64 = 0.5;
+pub(super) const LEFT_AFTER_ROUND: f64 = 0.5;
 /// The same for the first round, which begins with next to nothing and floods far: 0.01 to 0.06.
 const LEFT_AFTER_FIRST: f64 = 0.1;
 /// Misses a round should count for its estimate to be worth something.
@@ -41,6 +42,11 @@ const GROWTH: f64 = 1.25;
 const CANDIDATE_PART: f64 = 1e-4;
 /// Rounds after which a cell is given up with what it has; a cell that needs more sees new triangles in every round.
 const MOST_ROUNDS: u32 = 24;
+/// A cell that has taken so many times the work of the average cell is allowed as many times the target as it exceeds
+/// that: its error is one of many in the mean, and the time is better spent on those. See [`Hard`].
+const HARD_FROM: f64 = 3.0;
+/// Work of an aimed ray in uniform ones: their packets run less alike.
+const AIMED_WORK: u64 = 4;
 /// Seeds from all surfaces are worth their time below this target.
 const SEEDS_BELOW: f64 = 3e-3;
 
@@ -63,6 +69,15 @@ pub struct Tools<'a> {
     pub deadline: Option<Instant>,
 }
 
+/// What becomes of cells that need many times the work of the others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hard {
+    /// They go on like any other.
+    Alike,
+    /// They are done earlier ([`HARD_FROM`]).
+    Spared,
+}
+
 /// A view cell of the block.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cell {
@@ -77,8 +92,8 @@ pub(super) struct Cell {
 
 impl Cell {
     /// A point at fractions of its size.
-    pub(super) fn point(&self, f: [f32; 3]) -> [f32; 3] {
-        (self.lo + self.size * Vec3::from(f)).to_array()
+    pub(super) fn point(&self, f: impl Into<Vec3>) -> [f32; 3] {
+        (self.lo + self.size * f.into()).to_array()
     }
 }
 
@@ -157,13 +172,16 @@ impl<'a> Block<'a> {
     }
 
     /// Samples the cells `wanted` (all when empty) until each is expected to miss at most `target`, a fraction of the
-    /// sight lines from it.
+    /// sight lines from it, or as much more as `hard` grants it.
     ///
     /// # Errors
     /// [`TileError`] when it is cancelled or the tracer fails. Running out of time is no error.
-    pub fn sample(&mut self, target: f64, wanted: &[usize]) -> Result<(), TileError> {
+    pub fn sample(&mut self, target: f64, wanted: &[usize], hard: Hard) -> Result<(), TileError> {
         let mut open: Vec<usize> =
             if wanted.is_empty() { (0..self.cells.len()).collect() } else { wanted.to_vec() };
+        for cell in &open {
+            self.stats[*cell].unfinished = false;
+        }
         for round in 0..MOST_ROUNDS {
             if open.is_empty() || self.late() {
                 break;
@@ -193,9 +211,19 @@ impl<'a> Block<'a> {
             self.each(&work, |block, scratch, (cell, list)| block.aim(scratch, *cell, list, round))?;
             self.bits.settle();
             let before = open.len();
-            open.retain(|c| self.left(*c, LEFT_AFTER_ROUND) > target);
+            let average = self.work() / self.cells.len() as f64;
+            open.retain(|c| {
+                let granted = match hard {
+                    Hard::Alike => 1.0,
+                    Hard::Spared => (self.work_of(*c) / (average * HARD_FROM)).max(1.0),
+                };
+                self.left(*c, LEFT_AFTER_ROUND) > target * granted
+            });
             tracing::debug!("round {round}: {before} cells, {} left", open.len());
             self.count_done(before - open.len());
+        }
+        for cell in &open {
+            self.stats[*cell].unfinished = true;
         }
         self.count_done(open.len());
         Ok(())
@@ -209,7 +237,7 @@ impl<'a> Block<'a> {
     }
 
     /// What the cell is expected to miss after a round that leaves `part` of what was missing.
-    fn left(&self, cell: usize, part: f64) -> f64 {
+    pub(super) fn left(&self, cell: usize, part: f64) -> f64 {
         let s = &self.stats[cell];
         // One miss more than was counted: none in a few rays is no proof of anything.
         part * (s.last_misses as f64 + 1.0) / s.last_rays.max(1) as f64
@@ -219,6 +247,17 @@ impl<'a> Block<'a> {
     fn missing(&self, cell: usize) -> f64 {
         let s = &self.stats[cell];
         (s.last_misses as f64 + 0.5) / s.last_rays.max(1) as f64
+    }
+
+    /// Work a cell has taken, in uniform rays.
+    fn work_of(&self, cell: usize) -> f64 {
+        let [uniform, flood, candidate, _] = self.stats[cell].rays;
+        (uniform + AIMED_WORK * (flood + candidate)) as f64
+    }
+
+    /// Work of all cells.
+    fn work(&self) -> f64 {
+        (0..self.cells.len()).map(|c| self.work_of(c)).sum()
     }
 
     /// Tiles along a cube face for a cell's next round: enough to see what is expected to be missing a few times.
@@ -232,6 +271,25 @@ impl<'a> Block<'a> {
         // 3·tiles² pairs of sixteen.
         let least = f64::from(FIRST_TILES) * GROWTH.powi(round as i32);
         ((rays / 96.0).sqrt().max(least).ceil() as u32).clamp(FIRST_TILES, MOST_TILES)
+    }
+
+    /// Shows both ends of a lane's line to every cell of its free part, whose other half `behind` is
+    /// ([`Packet::reversed`]), and gives them; [`SKY`] where a half meets nothing.
+    pub(super) fn credit_line(
+        &self,
+        ahead: &Packet,
+        behind: &Packet,
+        lane: usize,
+        crossed: &mut Crossed,
+    ) -> [u32; 2] {
+        let ends = [ahead.triangle[lane], behind.triangle[lane]];
+        if ends != [SKY; 2] {
+            let (origin, direction) = ahead.ray(lane);
+            let (from, to) = ahead.free(behind, lane, self.step);
+            self.grid.walk(origin, direction, from, to, crossed);
+            ends.into_iter().filter(|t| *t != SKY).for_each(|t| self.bits.credit(t, crossed));
+        }
+        ends
     }
 
     /// Whether the time is up.
@@ -274,6 +332,7 @@ impl<'a> Block<'a> {
                 all.rounds += 1;
                 (all.last_rays, all.last_misses) = (s.last_rays, s.last_misses);
             }
+            all.unfinished |= s.unfinished;
             if s.bound_lines > 0 {
                 (all.bound_lines, all.bound_misses, all.bound_look) =
                     (s.bound_lines, s.bound_misses, s.bound_look);

@@ -9,7 +9,7 @@
 //! number of looks the chance that a bound is wrong stays below α. What a look finds is added to the set, which only lowers
 //! the error.
 
-use super::block::{Block, Scratch};
+use super::block::{Block, Hard, LEFT_AFTER_ROUND, Scratch};
 use super::packet::{LANES, Packet};
 use super::sequence::Hashed;
 use super::{CellStats, Kind};
@@ -88,14 +88,15 @@ impl CellStats {
 }
 
 impl Block<'_> {
-    /// Samples until every cell's bound is at most `most`, or the time is up, or a cell has been looked at too often. A
-    /// cell's statistics say what was reached.
+    /// Samples until every cell is expected to miss at most `target` and its bound is at most `most`, or the time is up, or
+    /// a cell has been looked at too often. A cell's statistics say what was reached.
     ///
     /// # Errors
     /// As [`Block::sample`].
-    pub fn sample_to_bound(&mut self, most: f64) -> Result<(), TileError> {
-        let mut aim = most * AIM;
-        self.sample(aim, &[])?;
+    pub fn sample_to_bound(&mut self, target: f64, most: f64) -> Result<(), TileError> {
+        let mut aim = target.min(most * AIM);
+        // A hard cell has to meet its bound like any other.
+        self.sample(aim, &[], Hard::Alike)?;
         let mut open: Vec<usize> = (0..self.cells.len()).collect();
         for look in 1..=MOST_LOOKS {
             let lines = ((LINES + f64::from(look - 1)) / most).ceil() as u64;
@@ -106,7 +107,12 @@ impl Block<'_> {
             }
             aim *= 0.5;
             let again = open.clone();
-            self.sample(aim, &again)?;
+            self.sample(aim, &again, Hard::Alike)?;
+        }
+        for cell in 0..self.cells.len() {
+            // What sampling aimed at may lie below both; that it was not reached is of no account then.
+            let bounded = self.stats[cell].bound().is_some_and(|b| b <= most);
+            self.stats[cell].unfinished = !bounded || self.left(cell, LEFT_AFTER_ROUND) > target;
         }
         Ok(())
     }
@@ -148,7 +154,7 @@ impl Block<'_> {
                     let [u, v] = [random.unit(), random.unit()];
                     let [forward, right, up] = face_basis(face);
                     let d = forward + right * (2.0 * u - 1.0) + up * (2.0 * v - 1.0);
-                    let o = c.point([random.unit(), random.unit(), random.unit()]);
+                    let o = c.point(random.point());
                     let key = (face * side + (v * side as f32) as u32) * side + (u * side as f32) as u32;
                     (key, [o[0], o[1], o[2], d.x, d.y, d.z])
                 })

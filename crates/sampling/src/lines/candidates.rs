@@ -136,16 +136,11 @@ impl Block<'_> {
                 let [ahead, behind] = both else { continue };
                 stats.rays[Kind::Candidate as usize] += 2 * ahead.count as u64;
                 for lane in 0..ahead.count {
-                    let ends = [ahead.triangle[lane], behind.triangle[lane]];
-                    if ends == [SKY; 2] {
-                        continue;
-                    }
-                    let (origin, direction) = ahead.ray(lane);
-                    let (from, to) = ahead.free(behind, lane, self.step);
-                    self.grid.walk(origin, direction, from, to, crossed);
-                    for triangle in ends.into_iter().filter(|t| *t != SKY) {
-                        self.bits.credit(triangle, crossed);
-                        if !self.bits.seen(triangle, c.slot) && met[triangle as usize] != *tag {
+                    for triangle in self.credit_line(ahead, behind, lane, crossed) {
+                        if triangle != SKY
+                            && !self.bits.seen(triangle, c.slot)
+                            && met[triangle as usize] != *tag
+                        {
                             met[triangle as usize] = *tag;
                             stats.finds[Kind::Candidate as usize] += 1;
                         }
@@ -160,7 +155,7 @@ impl Block<'_> {
     /// by how many of it they see.
     fn eye_for(&self, cell: usize, group: &[u32], random: &mut Hashed) -> [f32; 3] {
         let at = self.cells[cell].at;
-        let mut eye = [random.unit(), random.unit(), random.unit()];
+        let mut eye = random.point().to_array();
         let mut votes = [0u32; 6];
         for (face, vote) in votes.iter_mut().enumerate() {
             let mut next = at;

@@ -65,16 +65,8 @@ impl Block<'_> {
             for (pair, both) in packets.chunks_exact(2).enumerate() {
                 let [ahead, behind] = both else { continue };
                 for lane in 0..LANES {
-                    let ends = [ahead.triangle[lane], behind.triangle[lane]];
-                    if ends == [SKY; 2] {
-                        continue;
-                    }
-                    let (origin, direction) = ahead.ray(lane);
-                    let (from, to) = ahead.free(behind, lane, self.step);
-                    self.grid.walk(origin, direction, from, to, crossed);
-                    for triangle in ends.into_iter().filter(|t| *t != SKY) {
-                        self.bits.credit(triangle, crossed);
-                        if self.bits.seen(triangle, c.slot) {
+                    for triangle in self.credit_line(ahead, behind, lane, crossed) {
+                        if triangle == SKY || self.bits.seen(triangle, c.slot) {
                             continue;
                         }
                         stats.last_misses += 1;

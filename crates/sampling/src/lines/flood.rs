@@ -72,17 +72,11 @@ impl Block<'_> {
                         // Something is in the way; from another origin it may be seen.
                         met[target as usize] = 0;
                     }
-                    let (origin, direction) = ahead.ray(lane);
-                    let (from, to) = ahead.free(behind, lane, self.step);
-                    self.grid.walk(origin, direction, from, to, crossed);
-                    if behind.triangle[lane] != SKY {
-                        self.bits.credit(behind.triangle[lane], crossed);
-                    }
-                    if hit == SKY {
-                        continue;
-                    }
-                    self.bits.credit(hit, crossed);
-                    if !self.bits.seen(hit, slot) && (hit == target || met[hit as usize] != *tag) {
+                    self.credit_line(ahead, behind, lane, crossed);
+                    if hit != SKY
+                        && !self.bits.seen(hit, slot)
+                        && (hit == target || met[hit as usize] != *tag)
+                    {
                         met[hit as usize] = *tag;
                         finds.push(Find { packet: a.eye, triangle: hit });
                     }

@@ -50,7 +50,7 @@ impl Block<'_> {
             for first in (0..batch).step_by(LANES) {
                 let mut packet = Packet::default();
                 for _ in first..batch.min(first + LANES as u64) {
-                    let origin = c.point([random.unit(), random.unit(), random.unit()]);
+                    let origin = c.point(random.point());
                     let kind = random.unit();
                     let mut target = None;
                     if kind < 0.5 {
@@ -98,6 +98,7 @@ impl Block<'_> {
             }
         }
         stats.rays[Kind::Uniform as usize] = cast;
+        stats.unfinished = cast < rays;
         Ok(stats)
     }
 }

@@ -56,4 +56,54 @@ pub struct CellStats {
     pub bound_misses: u64,
     /// Which look that was, from 1.
     pub bound_look: u32,
+    /// Whether the time or the rounds ended before the cell was done.
+    pub unfinished: bool,
+}
+
+impl CellStats {
+    /// Names of [`CellStats::numbers`], as results and tables have them.
+    pub const NAMES: [&'static str; 15] = [
+        "rays_uniform",
+        "rays_flood",
+        "rays_candidate",
+        "rays_check",
+        "finds_uniform",
+        "finds_flood",
+        "finds_candidate",
+        "finds_check",
+        "rounds",
+        "last_rays",
+        "last_misses",
+        "bound_lines",
+        "bound_misses",
+        "bound_look",
+        "unfinished",
+    ];
+
+    /// All of it, in the order of [`CellStats::NAMES`].
+    pub fn numbers(&self) -> [u64; 15] {
+        let ([a, b, c, d], [e, f, g, h]) = (self.rays, self.finds);
+        let [i, j, k] = [u64::from(self.rounds), self.last_rays, self.last_misses];
+        let [l, m, n] = [self.bound_lines, self.bound_misses, u64::from(self.bound_look)];
+        [a, b, c, d, e, f, g, h, i, j, k, l, m, n, u64::from(self.unfinished)]
+    }
+
+    /// Back from [`CellStats::numbers`]; `None` where one is beyond its range.
+    pub fn from_numbers([a, b, c, d, e, f, g, h, i, j, k, l, m, n, o]: [u64; 15]) -> Option<Self> {
+        Some(Self {
+            rays: [a, b, c, d],
+            finds: [e, f, g, h],
+            rounds: i.try_into().ok()?,
+            last_rays: j,
+            last_misses: k,
+            bound_lines: l,
+            bound_misses: m,
+            bound_look: n.try_into().ok()?,
+            unfinished: match o {
+                0 => false,
+                1 => true,
+                _ => return None,
+            },
+        })
+    }
 }

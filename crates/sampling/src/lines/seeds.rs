@@ -11,7 +11,6 @@ use super::block::{Block, Scratch};
 use super::packet::{LANES, Packet};
 use super::sequence::Hashed;
 use super::surface::point_on;
-use crate::cube::SKY;
 use crate::tile::TileError;
 
 /// One triangle in so many is a seed.
@@ -64,14 +63,7 @@ impl Block<'_> {
                     let [down, up] = both else { continue };
                     rays += 2 * down.count as u64;
                     for lane in 0..down.count {
-                        let (origin, direction) = down.ray(lane);
-                        let (from, to) = down.free(up, lane, self.step);
-                        self.grid.walk(origin, direction, from, to, crossed);
-                        for triangle in [down.triangle[lane], up.triangle[lane]] {
-                            if triangle != SKY {
-                                self.bits.credit(triangle, crossed);
-                            }
-                        }
+                        self.credit_line(down, up, lane, crossed);
                     }
                 }
                 self.tools.watcher.rendered(rays);
@@ -84,7 +76,7 @@ impl Block<'_> {
 /// An even direction, by rejection from the cube: no function whose last bit differs between machines.
 pub(super) fn on_sphere(random: &mut Hashed) -> Vec3 {
     loop {
-        let v = Vec3::new(random.unit(), random.unit(), random.unit()) * 2.0 - 1.0;
+        let v = random.point() * 2.0 - 1.0;
         let length = v.length_squared();
         if length <= 1.0 && length > 1e-4 {
             return v / length.sqrt();

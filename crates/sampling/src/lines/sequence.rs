@@ -1,5 +1,7 @@
 //! Low-discrepancy and hashed numbers: the same for the same seed on every machine, needing no state.
 
+use glam::Vec3;
+
 /// Mixes 64 bits (the finaliser of Steele, Lea and Flood's SplitMix64, 2014).
 pub fn mix(mut x: u64) -> u64 {
     x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -30,6 +32,11 @@ impl Hashed {
     /// In [0, 1), with 24 bits.
     pub fn unit(&mut self) -> f32 {
         (self.bits() >> 40) as f32 / (1u32 << 24) as f32
+    }
+
+    /// In the unit cube.
+    pub fn point(&mut self) -> Vec3 {
+        Vec3::new(self.unit(), self.unit(), self.unit())
     }
 }
 

@@ -7,7 +7,7 @@ use sightline_scene::{Aabb, overlap};
 use sightline_viewcells::{CellBox, Tile, UNITS_PER_CELL};
 
 use super::bits::SeenBits;
-use super::block::{Block, Tools};
+use super::block::{Block, Hard, Tools};
 use super::grid::CellGrid;
 use crate::params::Sampler;
 use crate::tile::{CellSet, CellSets, JobContext, Node, TileError, Watcher};
@@ -46,8 +46,8 @@ pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(
     let params = job.params;
     match (params.sampler, params.max_error) {
         (Sampler::Guided, _) => block.sample_guided(params.rays)?,
-        (_, Some(most)) => block.sample_to_bound(most)?,
-        (_, None) => block.sample(params.target_error, &[])?,
+        (_, Some(most)) => block.sample_to_bound(params.target_error, most)?,
+        (_, None) => block.sample(params.target_error, &[], Hard::Spared)?,
     }
     tracing::debug!("sampled after {:?}", start.elapsed());
     block.bits_mut().share(job.scene.duplicates());

@@ -1,0 +1,213 @@
+//! Files that commands write: what may be replaced, and how it is done without losing anything.
+//!
+//! A file is written under another name beside its own and then put in its place, so nobody ever sees half of one. What is
+//! in that place must be of the same kind, or nothing: `-o` next to the name of one's own model is an easy slip.
+
+use std::fs::File;
+use std::io::{BufWriter, Read as _, Write};
+use std::path::{Path, PathBuf};
+
+use crate::error::CliError;
+
+/// What a file holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// A result.
+    Pvs,
+    /// A scene as binary PLY.
+    Ply,
+    /// A scene as binary glTF.
+    Glb,
+}
+
+impl Format {
+    /// How such a file begins.
+    fn magic(self) -> &'static [u8] {
+        match self {
+            Self::Pvs => b"\x89PVS",
+            Self::Ply => b"ply\n",
+            Self::Glb => b"glTF",
+        }
+    }
+
+    fn extension(self) -> &'static str {
+        match self {
+            Self::Pvs => "pvs",
+            Self::Ply => "ply",
+            Self::Glb => "glb",
+        }
+    }
+}
+
+/// Extensions that promise another format than ours.
+const SCENES: [&str; 4] = ["obj", "ply", "gltf", "glb"];
+
+/// A place where a file may be written.
+#[derive(Debug)]
+pub struct Output {
+    /// As the user named it.
+    named: PathBuf,
+    /// Where links lead.
+    target: PathBuf,
+}
+
+impl Output {
+    /// Checks, before any work is spent, that `path` can be written and that only an older file of the same format is
+    /// replaced, never the file `input`.
+    ///
+    /// # Errors
+    /// [`CliError::Usage`] saying what is in the way.
+    pub fn check(path: &Path, format: Format, input: Option<&Path>) -> Result<Self, CliError> {
+        let refusal = |why: String| CliError::Usage(format!("{} cannot be written: {why}", path.display()));
+        let refuse = |why: String| Err(refusal(why));
+        if path.as_os_str() == "-" {
+            return refuse("results go to files, not to stdout; give -o a name".to_owned());
+        }
+        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+        if extension != format.extension() && SCENES.contains(&extension.as_str()) {
+            let ours = format.extension();
+            return refuse(format!(
+                "its name promises .{extension}, and what is written is .{ours}; name it so"
+            ));
+        }
+        let target = match std::fs::canonicalize(path) {
+            Ok(target) => target,
+            Err(_) if path.is_symlink() => {
+                return refuse("it is a link to nothing; remove it or give -o another name".to_owned());
+            }
+            Err(_) => path.to_owned(),
+        };
+        let folder = folder(&target);
+        if !folder.is_dir() {
+            return refuse(format!(
+                "there is no folder {}; make it, or give -o a file in another",
+                folder.display()
+            ));
+        }
+        if input.is_some_and(|i| std::fs::canonicalize(i).is_ok_and(|i| i == target)) {
+            return refuse("that is the scene itself; give -o another name".to_owned());
+        }
+        if let Ok(there) = std::fs::metadata(&target) {
+            if there.is_dir() {
+                return refuse("it is a folder; give -o the name of a file".to_owned());
+            }
+            if !there.is_file() {
+                return refuse(
+                    "it is no ordinary file (a device or a pipe); give -o the name of one".to_owned(),
+                );
+            }
+            let mut begins = Vec::new();
+            File::open(&target)
+                .and_then(|f| f.take(format.magic().len() as u64).read_to_end(&mut begins))
+                .map_err(|e| CliError::writing(path, &e))?;
+            if !begins.is_empty() && begins != format.magic() {
+                return refuse(format!(
+                    "there is a file that is no .{}; remove it, or give -o another name",
+                    format.extension()
+                ));
+            }
+        }
+        let output = Self { named: path.to_owned(), target };
+        // Whether the folder lets us is best found out by trying.
+        let part = output.part();
+        let tried = File::create(&part).map(drop).and_then(|()| std::fs::remove_file(&part));
+        tried.map_err(|e| refusal(format!("{e}; give -o a file in a folder where you may write")))?;
+        Ok(output)
+    }
+
+    /// As the user named it.
+    pub fn path(&self) -> &Path {
+        &self.named
+    }
+
+    /// Writes the file by `fill`, and puts it in its place when that has succeeded.
+    ///
+    /// # Errors
+    /// `fill`'s, or [`CliError::Internal`] when the disk refuses.
+    pub fn write<E: Into<CliError>>(
+        &self,
+        fill: impl FnOnce(&mut dyn Write) -> Result<(), E>,
+    ) -> Result<(), CliError> {
+        let failed = |e: std::io::Error| CliError::writing(&self.named, &e);
+        let part = self.part();
+        let written = File::create(&part).map_err(failed).and_then(|file| {
+            let mut out = BufWriter::new(file);
+            fill(&mut out).map_err(Into::into)?;
+            out.flush().map_err(failed)?;
+            std::fs::rename(&part, &self.target).map_err(failed)
+        });
+        written.inspect_err(|_| {
+            // The half-written file is of no use; that it cannot be removed either adds nothing.
+            let _ = std::fs::remove_file(&part);
+        })
+    }
+
+    fn part(&self) -> PathBuf {
+        let mut name = self.target.file_name().unwrap_or_default().to_owned();
+        name.push(format!(".part-{}", std::process::id()));
+        self.target.with_file_name(name)
+    }
+}
+
+/// The folder a file is in.
+fn folder(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn check(path: &Path) -> Result<Output, String> {
+        Output::check(path, Format::Pvs, None).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn nothing_but_an_older_result_is_replaced() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        std::fs::write(at("model"), "v 0 0 0\n").unwrap();
+        std::fs::write(at("old.pvs"), b"\x89PVS\r\n\x1a\nrest").unwrap();
+        std::fs::write(at("empty.pvs"), b"").unwrap();
+        std::fs::create_dir(at("folder")).unwrap();
+        assert!(check(&at("model")).unwrap_err().contains("no .pvs"));
+        assert!(check(&at("folder")).unwrap_err().contains("folder"));
+        assert!(check(&at("none/a.pvs")).unwrap_err().contains("there is no folder"));
+        assert!(check(&at("a.glb")).unwrap_err().contains(".glb"));
+        assert!(check(Path::new("-")).unwrap_err().contains("stdout"));
+        for name in ["old.pvs", "empty.pvs", "new.pvs", "name"] {
+            check(&at(name)).unwrap();
+            assert_eq!(at(name).exists(), name == "old.pvs" || name == "empty.pvs");
+        }
+        assert_eq!(std::fs::read_to_string(at("model")).unwrap(), "v 0 0 0\n");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn devices_are_refused_and_links_followed() {
+        assert!(check(Path::new("/dev/null")).unwrap_err().contains("no ordinary file"));
+        let dir = tempfile::tempdir().unwrap();
+        let (real, link) = (dir.path().join("real.pvs"), dir.path().join("link.pvs"));
+        std::os::unix::fs::symlink(&real, &link).unwrap();
+        assert!(check(&link).unwrap_err().contains("link to nothing"));
+        std::fs::write(&real, b"").unwrap();
+        let write = |out: &mut dyn Write| out.write_all(b"new").map_err(CliError::internal);
+        check(&link).unwrap().write(write).unwrap();
+        assert_eq!(std::fs::read(&real).unwrap(), b"new");
+        assert!(link.is_symlink());
+    }
+
+    #[test]
+    fn the_scene_itself_is_never_the_output_and_a_failed_write_leaves_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let scene = dir.path().join("scene");
+        std::fs::write(&scene, b"\x89PVS").unwrap();
+        let spelled = dir.path().join(".").join("scene");
+        let refused = Output::check(&spelled, Format::Pvs, Some(&scene)).unwrap_err();
+        assert!(refused.to_string().contains("the scene itself"), "{refused}");
+        let output = check(&dir.path().join("out.pvs")).unwrap();
+        let fail = |_: &mut dyn Write| Err(CliError::Job("no".into()));
+        assert!(matches!(output.write(fail), Err(CliError::Job(_))));
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
+    }
+}
