@@ -1,4 +1,4 @@
-//! What the sampler knows of the triangles' surface: neighbours over edges, areas, and an order in which triangles near
+//! What the sampler knows of the triangles' surface: neighbours over edges or close by, and an order in which triangles near
 //! each other are near each other.
 
 use glam::Vec3;
@@ -9,7 +9,7 @@ use crate::cube::SKY;
 
 /// Facts about a scene's triangles, independent of any job.
 pub struct Surface {
-    /// Across each edge (v0v1, v1v2, v2v0) the next triangle around it, or [`SKY`].
+    /// Across each edge (v0v1, v1v2, v2v0) the next triangle around it; where there is none, one close by, or [`SKY`].
     pub neighbours: Vec<[u32; 3]>,
     /// Triangles with area in Morton order of their centres.
     pub morton: Vec<u32>,
@@ -19,7 +19,8 @@ impl Surface {
     /// Analyses the triangles `ids` of `scene`: those that lines meet, so that no neighbour is a duplicate that they never
     /// do. Vertices are the same when their coordinates are, bit for bit.
     pub fn of(scene: &Scene, ids: &[u32]) -> Self {
-        let (neighbours, morton) = rayon::join(|| neighbours(scene, ids), || morton(scene, ids));
+        let (mut neighbours, morton) = rayon::join(|| neighbours(scene, ids), || morton(scene, ids));
+        stand_ins(scene, &morton, &mut neighbours);
         Self { neighbours, morton }
     }
 }
@@ -60,6 +61,43 @@ fn neighbours(scene: &Scene, ids: &[u32]) -> Vec<[u32; 3]> {
         }
     }
     found
+}
+
+/// Gives each edge that has no other triangle one that is close by in Morton order: leaves of a tree, or walls that
+/// meet without common vertices, are seen together as if they were joined.
+fn stand_ins(scene: &Scene, morton: &[u32], neighbours: &mut [[u32; 3]]) {
+    /// Where to look, for the first, second and third edge.
+    const STEPS: [isize; 3] = [1, -1, 2];
+    /// Places looked at: those next to it may share an edge already.
+    const LOOKS: usize = 4;
+    /// How far a stand-in may be, in lengths of the larger of both triangles; squared.
+    const NEAR: f32 = 16.0;
+    let v = |t: u32| scene.triangles()[t as usize].v;
+    let centre = |t: u32| v(t).iter().sum::<Vec3>() / 3.0;
+    let size = |t: u32| v(t)[0].distance_squared(v(t)[1]).max(v(t)[0].distance_squared(v(t)[2]));
+    let before = &*neighbours;
+    let with_stand_ins: Vec<[u32; 3]> = (0..morton.len())
+        .into_par_iter()
+        .map(|place| {
+            let t = morton[place];
+            let mut own = before[t as usize];
+            for (edge, step) in
+                STEPS.into_iter().enumerate().filter(|(edge, _)| before[t as usize][*edge] == SKY)
+            {
+                let places = (0..LOOKS as isize).map(|look| place as isize + step + look * step.signum());
+                let next = places
+                    .filter_map(|p| usize::try_from(p).ok().and_then(|p| morton.get(p)))
+                    .find(|next| !own.contains(next));
+                own[edge] = next
+                    .filter(|n| centre(**n).distance_squared(centre(t)) <= NEAR * size(t).max(size(**n)))
+                    .map_or(SKY, |n| *n);
+            }
+            own
+        })
+        .collect();
+    for (t, own) in morton.iter().zip(with_stand_ins) {
+        neighbours[*t as usize] = own;
+    }
 }
 
 fn morton(scene: &Scene, ids: &[u32]) -> Vec<u32> {
