@@ -3,16 +3,19 @@
 //! All of it is in memory and can be derived again from the store and from what workers announce. It decides; the
 //! store remembers.
 
-use std::collections::{BTreeMap, BTreeSet};
+mod binding;
+mod job;
+
+use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use prost::Message as _;
 use sightline_job::JobSpec;
 use sightline_proto::v1;
-use sightline_sampling::BackendChoice;
-use sightline_viewcells::{Lattice, Plan, TileKind};
 use tokio::sync::mpsc;
 
+use self::binding::{Binding, CLEARLY, fastest, profile_for};
+pub(crate) use self::job::{Job, LeaseId, Leased, Slot, cells_total};
 use crate::store::{JobRecord, JobState, Store, StoreError, TileRecord, TileState};
 
 /// How long a worker may take to time its backends before another is asked.
@@ -23,107 +26,6 @@ const PAUSE: Duration = Duration::from_secs(10);
 pub(crate) const MAX_ATTEMPTS: u32 = 5;
 /// Faults of machines or networks after which a tile's failures are counted against the tile all the same.
 pub(crate) const MAX_FAULTS: u32 = 12;
-
-/// How many times faster than the cpu another backend must be to be chosen by `auto`.
-const CLEARLY: f64 = 2.0;
-
-/// A lease's identity: epoch and number.
-pub(crate) type LeaseId = (u64, u64);
-
-/// A tile as the scheduler sees it.
-#[derive(Clone, Debug)]
-pub(crate) struct Slot {
-    pub(crate) state: TileState,
-    pub(crate) lease: Option<Leased>,
-    /// Failures since the coordinator started, by whatever worker.
-    pub(crate) attempts: u32,
-    /// Faults of machines and networks since then.
-    pub(crate) faults: u32,
-    /// After such a fault the tile waits a little, longer each time.
-    pub(crate) not_before: Option<Instant>,
-}
-
-impl Slot {
-    /// A tile nobody works on.
-    pub(crate) fn new(state: TileState) -> Self {
-        Self { state, lease: None, attempts: 0, faults: 0, not_before: None }
-    }
-}
-
-/// A tile in a worker's hands.
-#[derive(Clone, Debug)]
-pub(crate) struct Leased {
-    pub(crate) id: LeaseId,
-    pub(crate) worker: u64,
-    renewed: Instant,
-    moved: Instant,
-    pub(crate) cells: u64,
-    pub(crate) samples: u64,
-}
-
-/// A job that has not ended.
-pub(crate) struct Job {
-    pub(crate) record: JobRecord,
-    pub(crate) spec: JobSpec,
-    pub(crate) lattice: Lattice,
-    pub(crate) plan: Plan,
-    pub(crate) slots: Vec<Slot>,
-    /// The worker that is timing its backends, and since when.
-    timing: Option<(u64, Instant)>,
-    /// Times that timing gave nothing.
-    timing_faults: u32,
-    pub(crate) assembling: bool,
-}
-
-impl Job {
-    /// Whether every tile is done or set aside.
-    pub(crate) fn complete(&self) -> bool {
-        self.slots.iter().all(|s| !matches!(s.state, TileState::Open))
-    }
-
-    /// Whether `tile` is open, unleased, and all it needs is there.
-    fn ready(&self, tile: usize, now: Instant) -> bool {
-        let slot = &self.slots[tile];
-        matches!(slot.state, TileState::Open)
-            && slot.lease.is_none()
-            && slot.not_before.is_none_or(|t| t <= now)
-            && self.plan.tiles[tile]
-                .needs
-                .iter()
-                .all(|n| matches!(self.slots[*n as usize].state, TileState::Done { .. }))
-    }
-
-    /// Time for a tile granted now, when the job has a time budget: what is left of it, divided among the tiles still open
-    /// by as many as are worked on at once. However late it is, every tile gets a little.
-    fn millis_for_a_tile(&self, workers: u64) -> Option<u64> {
-        let budget = self.spec.time_budget_ms;
-        let open = self.slots.iter().filter(|s| matches!(s.state, TileState::Open)).count().max(1) as u64;
-        let spent = crate::core::now_ms().saturating_sub(self.record.submitted_at_ms);
-        // A tenth is kept for putting the result together.
-        let share = (budget.saturating_sub(spent) / 10 * 9).saturating_mul(workers.clamp(1, open)) / open;
-        (budget > 0).then(|| share.max(budget / (8 * self.slots.len().max(1) as u64)))
-    }
-
-    /// Digests of the packs `tile` needs, in the plan's order.
-    fn packs(&self, tile: usize) -> Vec<Vec<u8>> {
-        let digest = |n: &u32| match &self.slots[*n as usize].state {
-            TileState::Done { digest, .. } | TileState::SetAside { digest, .. } => digest.to_vec(),
-            TileState::Open => Vec::new(),
-        };
-        self.plan.tiles[tile].needs.iter().map(digest).collect()
-    }
-
-    /// `tile` and all leaf tiles that cannot be made without it.
-    pub(crate) fn lost_with(&self, tile: u32) -> BTreeSet<u32> {
-        let mut lost = BTreeSet::from([tile]);
-        for (i, t) in self.plan.tiles.iter().enumerate().skip(tile as usize + 1) {
-            if t.needs.iter().any(|n| lost.contains(n)) {
-                lost.insert(i as u32);
-            }
-        }
-        lost
-    }
-}
 
 /// A connected worker.
 pub(crate) struct Worker {
@@ -189,6 +91,9 @@ impl Scheduler {
             .and_then(|m| JobSpec::from_proto(&m, None).map_err(|e| e.to_string()))
             .and_then(|spec| spec.plan().map(|(l, p)| (spec, l, p)).map_err(|e| e.to_string()));
         let (spec, lattice, plan) = parsed.map_err(|e| format!("{e}; submit it again"))?;
+        if record.key != spec.key() {
+            return Err("it was begun by another version of this program; submit it again".to_owned());
+        }
         if plan.tiles.len() != tiles.len() {
             return Err(format!(
                 "it was planned with {} tiles and would now have {}; submit it again",
@@ -475,99 +380,6 @@ impl Scheduler {
     }
 }
 
-/// The profile to take: the fastest, but another one than the cpu's only when it is [`CLEARLY`] faster. Two runs of
-/// one bake give the same bytes only on the same profile, so noise in the timing must not decide between two that
-/// are nearly as fast.
-fn fastest(times: &[v1::ProfileTime]) -> Option<&v1::ProfileTime> {
-    let software = |t: &v1::ProfileTime| is_software(&t.profile);
-    let is_cpu = |t: &v1::ProfileTime| t.profile.starts_with("cpu/");
-    let cpu = times.iter().any(|t| is_cpu(t) && t.seconds_per_cube.is_finite());
-    let cost = |t: &v1::ProfileTime| t.seconds_per_cube * if is_cpu(t) { 1.0 } else { CLEARLY };
-    times
-        .iter()
-        .filter(|t| t.seconds_per_cube.is_finite() && t.seconds_per_cube >= 0.0 && !(cpu && software(t)))
-        .min_by(|a, b| cost(a).total_cmp(&cost(b)))
-}
-
-/// Whether a profile is that of a gpu made of software: it competes with the cpu backend for the same cores, and is for
-/// machines where that one is missing.
-fn is_software(profile: &str) -> bool {
-    ["llvmpipe", "lavapipe", "SwiftShader"].iter().any(|s| profile.contains(s))
-}
-
-enum Binding {
-    Bind(String),
-    Time,
-    Cannot,
-}
-
-/// What a job without a profile is to be bound to when a worker with `profiles` could take it.
-fn profile_for(choice: BackendChoice, profiles: &[String]) -> Binding {
-    let with = |prefix: &str| profiles.iter().find(|p| p.starts_with(prefix)).cloned();
-    let named = match choice {
-        BackendChoice::Cpu => with("cpu/"),
-        BackendChoice::Gpu => with("gpu/"),
-        BackendChoice::Auto => {
-            let cpu = with("cpu/").is_some();
-            let mut worth = profiles.iter().filter(|p| !(cpu && is_software(p)));
-            match (worth.next(), worth.next()) {
-                (Some(only), None) => Some(only.clone()),
-                (Some(_), Some(_)) => return Binding::Time,
-                (None, _) => None,
-            }
-        }
-    };
-    named.map_or(Binding::Cannot, Binding::Bind)
-}
-
 fn lease_of(job: u64, tile: usize, id: LeaseId) -> v1::Lease {
     v1::Lease { job, tile: tile as u32, epoch: id.0, lease: id.1 }
-}
-
-/// Leaf cells the plan knows of; 0 when an adaptive division decides as it goes.
-pub(crate) fn cells_total(job: &JobSpec, plan: &Plan) -> u64 {
-    match job.division {
-        sightline_viewcells::Division::Grid(_) => {
-            plan.tiles.iter().filter(|t| t.kind == TileKind::Leaf).map(|t| t.cells).sum()
-        }
-        sightline_viewcells::Division::Adaptive { .. } => 0,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn time(profile: &str, seconds_per_cube: f64) -> v1::ProfileTime {
-        v1::ProfileTime { profile: profile.to_owned(), seconds_per_cube }
-    }
-
-    #[test]
-    fn only_a_clearly_faster_gpu_displaces_the_cpu() {
-        let chosen = |times: &[v1::ProfileTime]| fastest(times).map(|t| t.profile.clone());
-        assert_eq!(chosen(&[time("cpu/a", 1.0), time("gpu/b", 0.6)]).as_deref(), Some("cpu/a"));
-        assert_eq!(chosen(&[time("cpu/a", 1.0), time("gpu/b", 0.4)]).as_deref(), Some("gpu/b"));
-        assert_eq!(chosen(&[time("gpu/b", 9.0)]).as_deref(), Some("gpu/b"));
-        assert_eq!(chosen(&[time("cpu/a", f64::NAN), time("gpu/b", 9.0)]).as_deref(), Some("gpu/b"));
-        let lavapipe = "gpu/wgpu-30/vulkan/llvmpipe (LLVM 15.0.6, 256 bits)";
-        assert_eq!(chosen(&[time("cpu/a", 1.0), time(lavapipe, 0.1)]).as_deref(), Some("cpu/a"));
-        assert_eq!(chosen(&[time(lavapipe, 0.1)]).as_deref(), Some(lavapipe));
-        assert_eq!(chosen(&[]), None);
-    }
-
-    #[test]
-    fn only_a_choice_that_is_one_is_timed() {
-        let bound = |profiles: &[&str]| {
-            let profiles: Vec<String> = profiles.iter().map(|p| (*p).to_owned()).collect();
-            match profile_for(BackendChoice::Auto, &profiles) {
-                Binding::Bind(profile) => profile,
-                Binding::Time => "timed".to_owned(),
-                Binding::Cannot => "none".to_owned(),
-            }
-        };
-        assert_eq!(bound(&["cpu/a", "gpu/llvmpipe"]), "cpu/a");
-        assert_eq!(bound(&["gpu/llvmpipe"]), "gpu/llvmpipe");
-        assert_eq!(bound(&["cpu/a", "gpu/real"]), "timed");
-        assert_eq!(bound(&[]), "none");
-    }
 }

@@ -1,0 +1,94 @@
+//! Which numerics profile a job is bound to.
+
+use sightline_proto::v1;
+use sightline_sampling::BackendChoice;
+
+/// How many times faster than the cpu another backend must be to be chosen by `auto`.
+pub(super) const CLEARLY: f64 = 2.0;
+
+/// The profile to take: the fastest, but another one than the cpu's only when it is [`CLEARLY`] faster. Two runs of
+/// one bake give the same bytes only on the same profile, so noise in the timing must not decide between two that
+/// are nearly as fast.
+pub(super) fn fastest(times: &[v1::ProfileTime]) -> Option<&v1::ProfileTime> {
+    let software = |t: &v1::ProfileTime| is_software(&t.profile);
+    let is_cpu = |t: &v1::ProfileTime| t.profile.starts_with("cpu/");
+    let cpu = times.iter().any(|t| is_cpu(t) && t.seconds_per_cube.is_finite());
+    let cost = |t: &v1::ProfileTime| t.seconds_per_cube * if is_cpu(t) { 1.0 } else { CLEARLY };
+    times
+        .iter()
+        .filter(|t| t.seconds_per_cube.is_finite() && t.seconds_per_cube >= 0.0 && !(cpu && software(t)))
+        .min_by(|a, b| cost(a).total_cmp(&cost(b)))
+}
+
+/// Whether a profile is that of a gpu made of software: it competes with the cpu backend for the same cores, and is for
+/// machines where that one is missing.
+fn is_software(profile: &str) -> bool {
+    ["llvmpipe", "lavapipe", "SwiftShader"].iter().any(|s| profile.contains(s))
+}
+
+/// What is to be done about a job that has no profile yet.
+pub(super) enum Binding {
+    /// It takes this one.
+    Bind(String),
+    /// A worker has to time what it has.
+    Time,
+    /// This worker has none that will do.
+    Cannot,
+}
+
+/// What a job without a profile is to be bound to when a worker with `profiles` could take it.
+pub(super) fn profile_for(choice: BackendChoice, profiles: &[String]) -> Binding {
+    let with = |prefix: &str| profiles.iter().find(|p| p.starts_with(prefix)).cloned();
+    let named = match choice {
+        BackendChoice::Cpu => with("cpu/"),
+        BackendChoice::Gpu => with("gpu/"),
+        BackendChoice::Auto => {
+            let cpu = with("cpu/").is_some();
+            let mut worth = profiles.iter().filter(|p| !(cpu && is_software(p)));
+            match (worth.next(), worth.next()) {
+                (Some(only), None) => Some(only.clone()),
+                (Some(_), Some(_)) => return Binding::Time,
+                (None, _) => None,
+            }
+        }
+    };
+    named.map_or(Binding::Cannot, Binding::Bind)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn time(profile: &str, seconds_per_cube: f64) -> v1::ProfileTime {
+        v1::ProfileTime { profile: profile.to_owned(), seconds_per_cube }
+    }
+
+    #[test]
+    fn only_a_clearly_faster_gpu_displaces_the_cpu() {
+        let chosen = |times: &[v1::ProfileTime]| fastest(times).map(|t| t.profile.clone());
+        assert_eq!(chosen(&[time("cpu/a", 1.0), time("gpu/b", 0.6)]).as_deref(), Some("cpu/a"));
+        assert_eq!(chosen(&[time("cpu/a", 1.0), time("gpu/b", 0.4)]).as_deref(), Some("gpu/b"));
+        assert_eq!(chosen(&[time("gpu/b", 9.0)]).as_deref(), Some("gpu/b"));
+        assert_eq!(chosen(&[time("cpu/a", f64::NAN), time("gpu/b", 9.0)]).as_deref(), Some("gpu/b"));
+        let lavapipe = "gpu/wgpu-30/vulkan/llvmpipe (LLVM 15.0.6, 256 bits)";
+        assert_eq!(chosen(&[time("cpu/a", 1.0), time(lavapipe, 0.1)]).as_deref(), Some("cpu/a"));
+        assert_eq!(chosen(&[time(lavapipe, 0.1)]).as_deref(), Some(lavapipe));
+        assert_eq!(chosen(&[]), None);
+    }
+
+    #[test]
+    fn only_a_choice_that_is_one_is_timed() {
+        let bound = |profiles: &[&str]| {
+            let profiles: Vec<String> = profiles.iter().map(|p| (*p).to_owned()).collect();
+            match profile_for(BackendChoice::Auto, &profiles) {
+                Binding::Bind(profile) => profile,
+                Binding::Time => "timed".to_owned(),
+                Binding::Cannot => "none".to_owned(),
+            }
+        };
+        assert_eq!(bound(&["cpu/a", "gpu/llvmpipe"]), "cpu/a");
+        assert_eq!(bound(&["gpu/llvmpipe"]), "gpu/llvmpipe");
+        assert_eq!(bound(&["cpu/a", "gpu/real"]), "timed");
+        assert_eq!(bound(&[]), "none");
+    }
+}

@@ -1,0 +1,117 @@
+//! A job that has not ended: its tiles, who has them, and what each of them waits for.
+
+use std::collections::BTreeSet;
+use std::time::Instant;
+
+use sightline_job::JobSpec;
+use sightline_viewcells::{Lattice, Plan, TileKind};
+
+use crate::store::{JobRecord, TileState};
+
+/// A lease's identity: epoch and number.
+pub(crate) type LeaseId = (u64, u64);
+
+/// A tile as the scheduler sees it.
+#[derive(Clone, Debug)]
+pub(crate) struct Slot {
+    pub(crate) state: TileState,
+    pub(crate) lease: Option<Leased>,
+    /// Failures since the coordinator started, by whatever worker.
+    pub(crate) attempts: u32,
+    /// Faults of machines and networks since then.
+    pub(crate) faults: u32,
+    /// After such a fault the tile waits a little, longer each time.
+    pub(crate) not_before: Option<Instant>,
+}
+
+impl Slot {
+    /// A tile nobody works on.
+    pub(crate) fn new(state: TileState) -> Self {
+        Self { state, lease: None, attempts: 0, faults: 0, not_before: None }
+    }
+}
+
+/// A tile in a worker's hands.
+#[derive(Clone, Debug)]
+pub(crate) struct Leased {
+    pub(crate) id: LeaseId,
+    pub(crate) worker: u64,
+    pub(super) renewed: Instant,
+    pub(super) moved: Instant,
+    pub(crate) cells: u64,
+    pub(crate) samples: u64,
+}
+
+/// A job that has not ended.
+pub(crate) struct Job {
+    pub(crate) record: JobRecord,
+    pub(crate) spec: JobSpec,
+    pub(crate) lattice: Lattice,
+    pub(crate) plan: Plan,
+    pub(crate) slots: Vec<Slot>,
+    /// The worker that is timing its backends, and since when.
+    pub(super) timing: Option<(u64, Instant)>,
+    /// Times that timing gave nothing.
+    pub(super) timing_faults: u32,
+    pub(crate) assembling: bool,
+}
+
+impl Job {
+    /// Whether every tile is done or set aside.
+    pub(crate) fn complete(&self) -> bool {
+        self.slots.iter().all(|s| !matches!(s.state, TileState::Open))
+    }
+
+    /// Whether `tile` is open, unleased, and all it needs is there.
+    pub(super) fn ready(&self, tile: usize, now: Instant) -> bool {
+        let slot = &self.slots[tile];
+        matches!(slot.state, TileState::Open)
+            && slot.lease.is_none()
+            && slot.not_before.is_none_or(|t| t <= now)
+            && self.plan.tiles[tile]
+                .needs
+                .iter()
+                .all(|n| matches!(self.slots[*n as usize].state, TileState::Done { .. }))
+    }
+
+    /// Time for a tile granted now, when the job has a time budget: what is left of it, divided among the tiles still open
+    /// by as many as are worked on at once. However late it is, every tile gets a little.
+    pub(super) fn millis_for_a_tile(&self, workers: u64) -> Option<u64> {
+        let budget = self.spec.time_budget_ms;
+        let open = self.slots.iter().filter(|s| matches!(s.state, TileState::Open)).count().max(1) as u64;
+        let spent = crate::core::now_ms().saturating_sub(self.record.submitted_at_ms);
+        // A tenth is kept for putting the result together.
+        let share = (budget.saturating_sub(spent) / 10 * 9).saturating_mul(workers.clamp(1, open)) / open;
+        (budget > 0).then(|| share.max(budget / (8 * self.slots.len().max(1) as u64)))
+    }
+
+    /// Digests of the packs `tile` needs, in the plan's order.
+    pub(super) fn packs(&self, tile: usize) -> Vec<Vec<u8>> {
+        let digest = |n: &u32| match &self.slots[*n as usize].state {
+            TileState::Done { digest, .. } | TileState::SetAside { digest, .. } => digest.to_vec(),
+            TileState::Open => Vec::new(),
+        };
+        self.plan.tiles[tile].needs.iter().map(digest).collect()
+    }
+
+    /// `tile` and all leaf tiles that cannot be made without it.
+    pub(crate) fn lost_with(&self, tile: u32) -> BTreeSet<u32> {
+        let mut lost = BTreeSet::from([tile]);
+        for (i, t) in self.plan.tiles.iter().enumerate().skip(tile as usize + 1) {
+            if t.needs.iter().any(|n| lost.contains(n)) {
+                lost.insert(i as u32);
+            }
+        }
+        lost
+    }
+}
+
+/// Leaf cells the plan knows of; 0 when an adaptive division decides as it goes.
+pub(crate) fn cells_total(job: &JobSpec, plan: &Plan) -> u64 {
+    match job.division {
+        sightline_viewcells::Division::Grid(_) => {
+            plan.tiles.iter().filter(|t| t.kind == TileKind::Leaf).map(|t| t.cells).sum()
+        }
+        sightline_viewcells::Division::Adaptive { .. } => 0,
+    }
+}
