@@ -313,8 +313,6 @@ impl Coordinator {
             }
         }
         let mut writer = self.blobs.put_stream().map_err(of_blob)?;
-        // As large as its chunks, which are all on the disk.
-        let mut bytes = Vec::new();
         for part in parts {
             if !self.blobs.has(part).map_err(of_blob)? {
                 return Err(Status::failed_precondition(
@@ -322,10 +320,7 @@ impl Coordinator {
                 ));
             }
             match self.blobs.read(part) {
-                Ok(chunk) => {
-                    writer.append(&chunk).map_err(of_blob)?;
-                    bytes.extend_from_slice(&chunk);
-                }
+                Ok(bytes) => writer.append(&bytes).map_err(of_blob)?,
                 // Chunks are not synced to the disk: after a power failure one may be there in part.
                 Err(e @ BlobError::Damaged { .. }) => {
                     tracing::warn!("{e}; it is uploaded again now");
@@ -341,6 +336,7 @@ impl Coordinator {
             e @ BlobError::NoSpace { .. } => status::of_blob(&e),
             e => Status::invalid_argument(e.to_string()),
         })?;
+        let bytes = self.blobs.read(&whole).map_err(of_blob)?;
         let scene = Scene::from_blob("uploaded scene", &bytes).map_err(|e| {
             // What is not a scene is not kept.
             if let Err(e) = self.blobs.remove(&whole) {

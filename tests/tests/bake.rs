@@ -148,6 +148,9 @@ fn flags_of_another_sampler_are_named_and_change_nothing() {
     assert_eq!(sandbox.json(&format!("{bake} --min-distance 1 -o c.pvs"))["from_store"], true);
     // What makes no sense is wrong all the same.
     sandbox.run(&format!("{bake} --resolution 4 -o d.pvs")).code(2);
+    let cubes = format!("{bake} --sampler cubes --resolution 32 -o e.pvs");
+    sandbox.ok(&cubes);
+    assert_eq!(sandbox.json(&format!("{cubes} --block-cells 64"))["from_store"], true);
 }
 
 #[test]
@@ -161,6 +164,7 @@ fn smaller_tiles_let_more_workers_help_and_see_about_the_same() {
     };
     let (whole, cut) = (visible("", "whole"), visible("--block-cells 8 --workers 1", "cut"));
     assert!((whole / cut - 1.0).abs() < 0.1, "{whole} and {cut} triangles");
+    assert_ne!(sandbox.read("whole.pvs"), sandbox.read("cut.pvs"), "lines are shared within a tile only");
     visible("--block-cells 8 --workers 3", "more");
     assert_same(&sandbox.read("cut.pvs"), &sandbox.read("more.pvs"), "one worker and three");
     sandbox.run(&format!("{bake} --block-cells 513 -o no.pvs")).code(2);
@@ -174,7 +178,13 @@ fn what_a_time_budget_cut_short_is_said() {
     sandbox.ok(&format!("{bake} --data-dir a -o a.pvs"));
     assert!(sandbox.ok("info a.pvs").contains("NOT FINISHED: 512 of 512 cells: the time budget ended first"));
     sandbox.ok(&format!("{bake} --max-error 0.01 --data-dir b -o b.pvs"));
-    assert!(sandbox.ok("info b.pvs").contains("before any cell had its bound"));
+    assert!(sandbox.ok("info b.pvs").contains("was not reached in any cell"));
+    sandbox.ok(&format!("{bake} --sampler guided --data-dir d -o d.pvs"));
+    assert!(sandbox.ok("info d.pvs").contains("NOT FINISHED: 512 of 512"));
+    // What was found good enough after the first round is finished, whatever the bound asked for more.
+    sandbox.ok("bake maze.glb --backend cpu --cells 2x2x2 --target-error 0.0003 --max-error 0.01 --data-dir e -o e.pvs");
+    assert!(!sandbox.ok("info e.pvs").contains("NOT FINISHED"));
+    sandbox.run("bake maze.glb --max-error 2 -o f.pvs").code(2).says("max-error is 2");
     sandbox.ok("bake maze.glb --backend cpu --target-error 0.03 --cells 2x2x2 --data-dir c -o c.pvs");
     assert!(!sandbox.ok("info c.pvs").contains("NOT FINISHED"));
 }

@@ -171,7 +171,7 @@ async fn bake(
         }
         let (stop, workers) = start_workers(args, &url, &backends, loaded, spec)?;
         job = tokio::select! {
-            j = client::follow(&mut client, job.id) => j?,
+            j = client::follow(&mut client, job.id, true) => j?,
             e = workers => return Err(e),
         };
         // The workers are gone with the process; a failed send means that they are already.

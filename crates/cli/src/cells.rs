@@ -102,8 +102,9 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
     let mut order: Vec<usize> = (0..pvs.cells() as usize).collect();
     order.sort_by_key(|c| (std::cmp::Reverse(cost(*c)), *c));
     let mut lines = vec![
-        "the cells that took most rays. rays: uniform/flood/candidate/held-out; finds: triangles they were first to show; \
-         missed: of the last round's uniform rays, before it; bound: on what is still missed, at 95 %"
+        "the cells that took most rays. rays: uniform/flood/candidate/held-out; finds: triangles they were first to show, \
+         held-out lines that met something new; missed: of the last round's uniform rays, before it; bound: on what is \
+         still missed, at 95 %; *: not finished"
             .to_owned(),
         "  cell visible rounds cubes rays finds missed bound".to_owned(),
     ];
@@ -119,8 +120,9 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
             "-".to_owned()
         };
         let bound = bound(&columns, cell).map_or("-".to_owned(), |b| format!("{:.4} %", b * 100.0));
+        let mark = if at("unfinished", cell) != 0 { " *" } else { "" };
         lines.push(format!(
-            "  {cell} {} {} {} {} {} {missed} {bound}",
+            "  {cell} {} {} {} {} {} {missed} {bound}{mark}",
             ids.len(),
             at("rounds", cell),
             at("samples", cell),

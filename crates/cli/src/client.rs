@@ -70,14 +70,19 @@ pub fn fresh_request_id() -> String {
 }
 
 /// Follows a job until it ends, showing progress; gives its last state.
-pub async fn follow(client: &mut JobsClient<Channel>, job: u64) -> Result<v1::Job, CliError> {
+/// `workers_here`: they are of this process and will come without anyone's doing.
+pub async fn follow(
+    client: &mut JobsClient<Channel>,
+    job: u64,
+    workers_here: bool,
+) -> Result<v1::Job, CliError> {
     let progress = Progress::new();
     let request = v1::ShowRequest { job };
     let mut stream = client.watch(request).await.map_err(|s| CliError::status(&s))?.into_inner();
     let mut last = None;
     while let Some(message) = stream.next().await {
         let message = message.map_err(|s| CliError::status(&s))?;
-        progress.job(&message);
+        progress.job(&message, workers_here);
         last = Some(message);
     }
     progress.end();
@@ -100,7 +105,7 @@ pub fn must_be_done(job: &v1::Job) -> Result<(), CliError> {
     }
 }
 
-/// Downloads a result to `output`, which is replaced only when the whole has arrived and reads as a result.
+/// Downloads a result to `output`, which is replaced only when the whole has arrived and has its digest.
 pub async fn fetch(
     client: &mut JobsClient<Channel>,
     job: &v1::Job,

@@ -58,21 +58,24 @@ impl Summary {
     /// Reads the result at `path`.
     pub fn of(path: &Path) -> Result<Self, CliError> {
         let pvs = open(path)?;
-        let (mut undecided, mut aside) = (0u64, 0);
+        // Whoever baked it wrote it; a result of another program may hold anything.
+        let info: serde_json::Value =
+            serde_json::from_str(pvs.info_json()).unwrap_or_else(|_| pvs.info_json().into());
+        let budget = info["division"]["adaptive"]["budget"].as_u64();
+        let (mut undecided, mut aside, mut over) = (0u64, 0, 0);
         let mut sizes: Vec<u64> = Vec::new();
         let mut ids = Vec::new();
         for cell in 0..pvs.cells() {
             pvs.visible(cell, &mut ids)?;
             sizes.push(ids.len() as u64);
+            let set_aside = pvs.is_set_aside(cell)?;
+            // A cell that was set aside shows everything, whatever its size.
+            over += usize::from(!set_aside && budget.is_some_and(|b| ids.len() as u64 > b));
             pvs.undecided(cell, &mut ids)?;
             undecided += ids.len() as u64;
-            aside += u32::from(pvs.is_set_aside(cell)?);
+            aside += u32::from(set_aside);
         }
         let bounds = cells::bounds(&pvs)?;
-        // Whoever baked it wrote it; a result of another program may hold anything.
-        let info: serde_json::Value =
-            serde_json::from_str(pvs.info_json()).unwrap_or_else(|_| pvs.info_json().into());
-        let budget = info["division"]["adaptive"]["budget"].as_u64();
         let [file_bytes, visible, undecided_bytes] = pvs.file_bytes();
         let cells = f64::from(pvs.cells());
         let sum: u64 = sizes.iter().sum();
@@ -98,7 +101,7 @@ impl Summary {
             greatest_bound: bounds.as_ref().map(|b| b.greatest),
             mean_bound: bounds.as_ref().map(|b| b.mean),
             cells_unfinished: cells::unfinished(&pvs)?,
-            cells_over_budget: budget.map(|b| sizes.iter().filter(|n| **n > b).count()),
+            cells_over_budget: budget.map(|_| over),
             info,
         })
     }
@@ -135,7 +138,7 @@ impl Summary {
                     mean * 100.0
                 ),
                 _ if self.info["sampling"]["max_error"].is_number() => {
-                    "missed sight lines: the time budget ended before any cell had its bound".to_owned()
+                    "missed sight lines: the bound asked for was not reached in any cell".to_owned()
                 }
                 _ => "missed sight lines: not bounded (--max-error F bounds them)".to_owned(),
             },
@@ -149,7 +152,7 @@ impl Summary {
         }
         if let Some(over @ 1..) = self.cells_over_budget {
             lines.push(format!(
-                "over the triangle budget: {over} of {} cells; they are at the deepest level (--max-depth)",
+                "over the triangle budget: {over} of {} cells; they are at the deepest level (--max-depth) or too thin to be halved",
                 self.cells
             ));
         }

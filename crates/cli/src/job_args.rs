@@ -213,6 +213,7 @@ impl JobArgs {
             view_box: self.view_box.unwrap_or([bounds.min, bounds.max]),
             block_cells: self
                 .block_cells
+                .filter(|_| sampler != Sampler::Cubes)
                 .unwrap_or_else(|| sightline_job::default_block_cells(scene.len(), &sampling)),
             sampling,
             backend: match self.backend {
@@ -244,6 +245,7 @@ impl JobArgs {
         let mut params = SamplingParams { sampler, ..SamplingParams::default() };
         // A value that makes no sense is wrong whoever would use it.
         let mut all = SamplingParams {
+            max_error: self.max_error,
             target_error: self.target_error.unwrap_or(params.target_error),
             rays: self.rays.unwrap_or(params.rays),
             ..params.clone()
@@ -279,7 +281,7 @@ impl JobArgs {
 fn parse_duration(text: &str) -> Result<Duration, String> {
     /// A year.
     const MOST: Duration = Duration::from_secs(366 * 24 * 3600);
-    let wrong = || "give a duration of at most a year, as in 500ms, 30s, 5m or 2h".to_owned();
+    let wrong = || "give a duration of at most a year with its unit, as in 500ms, 30s, 5m or 2h".to_owned();
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
     let unit = match &text[digits.len()..] {
         "ms" => 1e-3,

@@ -63,11 +63,14 @@ impl Output {
         if path.as_os_str() == "-" {
             return refuse("results go to files, not to stdout; give -o a name".to_owned());
         }
+        if path.as_os_str().to_string_lossy().ends_with(std::path::is_separator) {
+            return refuse("that names a folder; give -o the name of a file".to_owned());
+        }
         let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
         if extension != format.extension() && SCENES.contains(&extension.as_str()) {
             let ours = format.extension();
             return refuse(format!(
-                "its name promises .{extension}, and what is written is .{ours}; name it so"
+                "its name promises .{extension}, and what is written is .{ours}; give -o a name that ends so"
             ));
         }
         let target = match std::fs::canonicalize(path) {
@@ -99,7 +102,7 @@ impl Output {
             let mut begins = Vec::new();
             File::open(&target)
                 .and_then(|f| f.take(format.magic().len() as u64).read_to_end(&mut begins))
-                .map_err(|e| CliError::writing(path, &e))?;
+                .map_err(|e| refusal(format!("what is there cannot be read ({e}); give -o another name")))?;
             if !begins.is_empty() && begins != format.magic() {
                 return refuse(format!(
                     "there is a file that is no .{}; remove it, or give -o another name",
@@ -124,15 +127,12 @@ impl Output {
     ///
     /// # Errors
     /// `fill`'s, or [`CliError::Internal`] when the disk refuses.
-    pub fn write<E: Into<CliError>>(
-        &self,
-        fill: impl FnOnce(&mut dyn Write) -> Result<(), E>,
-    ) -> Result<(), CliError> {
+    pub fn write(&self, fill: impl FnOnce(&mut dyn Write) -> Result<(), CliError>) -> Result<(), CliError> {
         let failed = |e: std::io::Error| CliError::writing(&self.named, &e);
         let part = self.part();
         let written = File::create(&part).map_err(failed).and_then(|file| {
             let mut out = BufWriter::new(file);
-            fill(&mut out).map_err(Into::into)?;
+            fill(&mut out)?;
             out.flush().map_err(failed)?;
             std::fs::rename(&part, &self.target).map_err(failed)
         });
@@ -174,6 +174,7 @@ mod tests {
         assert!(check(&at("folder")).unwrap_err().contains("folder"));
         assert!(check(&at("none/a.pvs")).unwrap_err().contains("there is no folder"));
         assert!(check(&at("a.glb")).unwrap_err().contains(".glb"));
+        assert!(check(&dir.path().join("new/")).unwrap_err().contains("names a folder"));
         assert!(check(Path::new("-")).unwrap_err().contains("stdout"));
         for name in ["old.pvs", "empty.pvs", "new.pvs", "name"] {
             check(&at(name)).unwrap();

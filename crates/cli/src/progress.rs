@@ -86,10 +86,9 @@ impl Progress {
         Self { bar, start: Instant::now(), first: Mutex::new(None), last_line: Mutex::new(None) }
     }
 
-    /// Shows a job.
-    pub fn job(&self, job: &v1::Job) {
-        let ended = job.tiles_done + job.tiles_set_aside;
-        let ended = u64::from(ended);
+    /// Shows a job. `workers_here`: nobody has to start any.
+    pub fn job(&self, job: &v1::Job, workers_here: bool) {
+        let ended = u64::from(job.tiles_done + job.tiles_set_aside);
         let mut first = self.first.lock().unwrap_or_else(PoisonError::into_inner);
         let start =
             *first.get_or_insert(AtStart { tiles: ended, cells: job.cells_done, samples: job.samples });
@@ -104,9 +103,12 @@ impl Progress {
             0 => (ended.saturating_sub(start.tiles), u64::from(job.tiles_total).saturating_sub(ended)),
             total => (job.cells_done.saturating_sub(start.cells), total.saturating_sub(job.cells_done)),
         };
-        let waits = matches!(job.state(), v1::JobState::Queued | v1::JobState::Running) && job.workers == 0;
+        let open = matches!(job.state(), v1::JobState::Queued | v1::JobState::Running);
+        let waits = open && job.workers == 0 && !workers_here;
         let left = if waits {
             "NO WORKERS: start some with `sightline worker`".to_owned()
+        } else if left == 0 {
+            "finishing".to_owned()
         } else if here > 0 {
             format!("about {} left", human(Duration::from_secs_f64(seconds / here as f64 * left as f64)))
         } else {

@@ -81,7 +81,8 @@ pub fn submit(args: &SubmitArgs, json: bool) -> Result<(), CliError> {
 
 /// Follows a job until it ends.
 pub fn watch(args: &JobRefArgs, json: bool) -> Result<(), CliError> {
-    let job = with(&args.remote, |mut client| async move { client::follow(&mut client, args.id).await })?;
+    let job =
+        with(&args.remote, |mut client| async move { client::follow(&mut client, args.id, false).await })?;
     show_job(&job, json)?;
     client::must_be_done(&job)
 }

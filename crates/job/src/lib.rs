@@ -14,7 +14,7 @@ use sightline_viewcells::{Division, DivisionError, Lattice, Layout, Plan};
 
 /// Changes whenever the same specification would give other bytes, so that stored results are never mistaken for
 /// those of another version.
-pub const ALGORITHM_VERSION: u32 = 4;
+pub const ALGORITHM_VERSION: u32 = 5;
 
 /// Longest time budget, ten years.
 const MAX_BUDGET_MS: u64 = 10 * 366 * 24 * 3600 * 1000;
@@ -40,14 +40,21 @@ pub struct JobSpec {
     pub block_cells: u32,
 }
 
-/// Work, in triangles divided by the target error, above which a tile has fewer cells: on two cores such a tile takes
-/// minutes, and then a lost worker, a pause and a second machine count for more than the lines shared.
+/// Most blocks of a job, about: the scheduler looks through all of them.
+const MOST_BLOCKS: u64 = 1 << 16;
+
+/// Work, in triangles divided by the target error, above which a tile has fewer cells. It is a guess at what makes a tile
+/// take so long that a lost worker, a pause and a second machine count for more than the lines shared.
 const HEAVY: [(f64, u32); 2] = [(5e10, 64), (5e9, 128)];
 
 /// Most cells of a tile, where nobody asks for another number.
 pub fn default_block_cells(triangles: u32, sampling: &SamplingParams) -> u32 {
     let work = match sampling.sampler {
-        Sampler::Lines => f64::from(triangles) / sampling.max_error.unwrap_or(1.0).min(sampling.target_error),
+        Sampler::Lines => {
+            // A bound is aimed at from well below it.
+            let aim = sampling.max_error.map_or(1.0, |most| most * sightline_sampling::lines::bound::AIM);
+            f64::from(triangles) / aim.min(sampling.target_error)
+        }
         Sampler::Guided | Sampler::Cubes => 0.0,
     };
     HEAVY.iter().find(|(least, _)| work >= *least).map_or(MOST_BLOCK_CELLS, |(_, cells)| *cells)
@@ -126,11 +133,23 @@ impl JobSpec {
             backend,
             seed: m.seed,
             time_budget_ms: m.time_budget_ms,
-            block_cells: if m.block_cells == 0 { MOST_BLOCK_CELLS } else { m.block_cells },
+            // Cubes have no blocks; what they make no use of makes no other job.
+            block_cells: match m.block_cells {
+                given @ 1.. if s.sampler() != v1::Sampler::Cubes => given,
+                _ => MOST_BLOCK_CELLS,
+            },
         };
         spec.sampling.check()?;
         if spec.block_cells > MOST_BLOCK_CELLS {
             return Err(SpecError::Field("block-cells", "give 1 to 512 cells"));
+        }
+        if let Division::Grid(cells) = division
+            && cells.map(u64::from).iter().product::<u64>() / u64::from(spec.block_cells) > MOST_BLOCKS
+        {
+            return Err(SpecError::Field(
+                "block-cells",
+                "so few make too many tiles; give more cells a tile",
+            ));
         }
         let cubes = spec.sampling.sampler == Sampler::Cubes;
         if matches!(division, Division::Adaptive { .. }) && !cubes {
@@ -261,6 +280,7 @@ mod tests {
             JobSpec {
                 division: Division::Adaptive { budget: 5, max_depth: 6 },
                 sampling: SamplingParams { sampler: Sampler::Cubes, ..sampling.clone() },
+                block_cells: MOST_BLOCK_CELLS,
                 ..s.clone()
             },
             JobSpec { time_budget_ms: 5, ..s.clone() },

@@ -255,7 +255,7 @@ impl Reader<'_> {
     }
 
     fn stats(&mut self) -> Result<CellStats, CodecError> {
-        let mut numbers = CellStats::default().numbers();
+        let mut numbers = [0; CellStats::NAMES.len()];
         for n in &mut numbers {
             *n = self.u64()?;
         }

@@ -70,7 +70,8 @@ impl std::fmt::Display for Sampler {
 pub struct SamplingParams {
     /// Default lines. Those below up to `rays` are for lines, the others for cubes.
     pub sampler: Sampler,
-    /// Lines: a cell is done when it is expected to miss at most this fraction of its sight lines. Default 0.0001.
+    /// Lines: a cell is done when it is expected to miss at most this fraction of its sight lines; the hardest cells may
+    /// miss more ([`crate::lines::block::Hard`]). Default 0.0001.
     pub target_error: f64,
     /// Lines: refine each cell until its 95 % bound on missed sight lines is at most this. Default none.
     pub max_error: Option<f64>,

@@ -250,3 +250,33 @@ fn lines_that_begin_on_the_wall_stay_inside() {
         assert_eq!(crossed, 0, "scale {scale}");
     }
 }
+
+/// A closed closet full of leaves is worth less time than its cell would like; the cells around it know nothing of it.
+#[test]
+fn a_cell_far_harder_than_the_others_is_spared_and_no_other_is() {
+    let mut random = Hashed::new(&[9]);
+    let mut triangles = tessellated_box(Vec3::ZERO, Vec3::splat(10.0), 2);
+    triangles.extend(tessellated_box(Vec3::splat(7.6), Vec3::splat(9.9), 2));
+    triangles.extend((0..20_000).map(|_| {
+        let c = Vec3::splat(7.7) + random.point() * 2.1;
+        [0; 3].map(|_| c + (random.point() - 0.5) * 0.08)
+    }));
+    let scene = scene(triangles);
+    let Some(backend) = backend(&scene) else { return };
+    let tracer = backend.lines(&all(&scene)).unwrap();
+    let sampled = |hard: Hard| -> Vec<CellStats> {
+        with_block(&scene, &*tracer, [Vec3::ZERO, Vec3::splat(10.0)], [4, 4, 4], 3, |block| {
+            block.sample(1e-3, &[], hard).unwrap();
+            block.stats().to_vec()
+        })
+    };
+    let (alike, spared) = (sampled(Hard::Alike), sampled(Hard::Spared));
+    assert!(alike.iter().chain(&spared).all(|s| !s.unfinished));
+    let rays = |cell: &CellStats| cell.rays.iter().sum::<u64>();
+    let ([others_alike @ .., last_alike], [others_spared @ .., last_spared]) = (&alike[..], &spared[..])
+    else {
+        panic!("there are cells");
+    };
+    assert!(rays(last_spared) < rays(last_alike), "{last_spared:?} {last_alike:?}");
+    assert_eq!(others_alike, others_spared);
+}

@@ -8,7 +8,7 @@
 //! Samplers that share nothing between tiles have **blocks** instead: leaf tiles alone, each as large as one worker should
 //! hold at a time.
 //!
-//! The plan depends on the division alone, never on how many workers there are, and its order is the order of the
+//! The plan depends on the division and the size of blocks, never on how many workers there are, and its order is the order of the
 //! leaf tiles' cells in the result.
 
 use crate::division::FORCED_DEPTH;
@@ -19,11 +19,8 @@ const LEAF_TILES: u64 = 64;
 /// Most grid cells of a leaf tile, so that large jobs have tiles of minutes, not hours.
 const MAX_CELLS_PER_TILE: u64 = 64;
 
-/// Most grid cells a block may have: with its bricks goes its memory.
+/// Most grid cells a block may have: its memory is a bit a cell and triangle, twice.
 pub const MOST_BLOCK_CELLS: u32 = 512;
-
-/// Most bricks of 4×4×4 cells that touch a block: flat blocks fill few of each, and a block's memory goes with its bricks.
-const BLOCK_BRICKS: u64 = 32;
 
 /// How a job is cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -148,7 +145,7 @@ impl Plan {
 
     fn add_blocks(&mut self, division: &Division, lattice: &Lattice, cell: CellBox, depth: u32, most: u64) {
         let cells = grid_cells(division, &cell);
-        match division.split(lattice, &cell, depth).filter(|_| cells > most || bricks(&cell) > BLOCK_BRICKS) {
+        match division.split(lattice, &cell, depth).filter(|_| cells > most) {
             Some(split) => {
                 self.outline.push(Outline::Split(split));
                 for child in cell.children(split) {
@@ -166,11 +163,6 @@ impl Plan {
     pub fn leaves(&self) -> impl Iterator<Item = u32> + '_ {
         self.tiles.iter().enumerate().filter(|(_, t)| t.kind == TileKind::Leaf).map(|(i, _)| i as u32)
     }
-}
-
-/// Bricks of 4×4×4 cells that a box of grid cells needs.
-fn bricks(cell: &CellBox) -> u64 {
-    (0..3).map(|a| u64::from((cell.hi[a] - cell.lo[a]) / crate::UNITS_PER_CELL).div_ceil(4)).product()
 }
 
 /// Grid cells in a box; 1 for an adaptive division, whose number is not known before it is baked.

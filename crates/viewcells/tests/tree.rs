@@ -29,6 +29,22 @@ proptest! {
     }
 
     #[test]
+    fn blocks_cover_every_cell_once_and_are_no_larger_than_asked(
+        cells in prop_oneof![[1u32..20, 1u32..20, 1u32..6], [1u32..600, 1u32..2, 1u32..3]],
+        most in prop_oneof![Just(1u32), Just(8), Just(64), Just(512), 1u32..=512],
+    ) {
+        let d = Division::Grid(cells);
+        let l = d.lattice(Vec3::ZERO, Vec3::ONE).unwrap();
+        let plan = Plan::new(&d, &l, sightline_viewcells::Layout::Blocks(most));
+        let total: u64 = cells.map(u64::from).iter().product();
+        prop_assert_eq!(plan.tiles.iter().map(|t| t.cells).sum::<u64>(), total);
+        prop_assert!(plan.tiles.iter().all(|t| t.kind == TileKind::Leaf && t.needs.is_empty()));
+        prop_assert!(plan.tiles.iter().all(|t| (1..=u64::from(most)).contains(&t.cells)));
+        // Halving leaves no block less than half as large as it may be, but for odd sides.
+        prop_assert!(total > u64::from(most) || plan.tiles.len() == 1);
+    }
+
+    #[test]
     fn plans_cover_every_cell_once_and_need_only_earlier_tiles(x in 1u32..20, y in 1u32..20, z in 1u32..6) {
         let d = Division::Grid([x, y, z]);
         let l = d.lattice(Vec3::ZERO, Vec3::ONE).unwrap();

@@ -3,7 +3,7 @@
 //! A round casts uniform lines from every cell still at work, floods from what they find, and then aims at candidates.
 //! The fraction of a round's uniform rays that met something new estimates, without bias, how much the cell was missing
 //! when the round began; the round itself leaves about half of that or less. A cell is done when what it is expected to
-//! miss falls below the target.
+//! miss falls below the target, or for the hardest cells below more than that ([`Hard`]).
 
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
@@ -45,7 +45,7 @@ const MOST_ROUNDS: u32 = 24;
 /// A cell that has taken so many times the work of the average cell is allowed as many times the target as it exceeds
 /// that: its error is one of many in the mean, and the time is better spent on those. See [`Hard`].
 const HARD_FROM: f64 = 3.0;
-/// Work of an aimed ray in uniform ones: their packets run less alike.
+/// Work of an aimed ray in uniform ones: their packets run less alike, and are traced about so many times slower.
 const AIMED_WORK: u64 = 4;
 /// Seeds from all surfaces are worth their time below this target.
 const SEEDS_BELOW: f64 = 3e-3;
@@ -127,6 +127,8 @@ pub struct Block<'a> {
     /// Beside `cells`.
     pub(super) stats: Vec<CellStats>,
     seeded: bool,
+    /// Whether sampling leaves it to others to say which cells are done.
+    pub(super) silent: bool,
     /// Cells said to be done.
     told: usize,
     /// How far ahead of a line's origin its other half begins at least.
@@ -148,7 +150,18 @@ impl<'a> Block<'a> {
         let step = (max - min).max_element() * LEAST_STEP;
         let bits = SeenBits::new(tools.scene.triangles().len(), grid.words());
         let stats = vec![CellStats::default(); cells.len()];
-        Self { tools, grid, bits, cells, stats, seeded: false, told: 0, step, scratch: Mutex::default() }
+        Self {
+            tools,
+            grid,
+            bits,
+            cells,
+            stats,
+            seeded: false,
+            silent: false,
+            told: 0,
+            step,
+            scratch: Mutex::default(),
+        }
     }
 
     /// The table of what is seen.
@@ -210,6 +223,10 @@ impl<'a> Block<'a> {
             let work: Vec<(usize, Vec<u32>)> = open.iter().copied().zip(lists).collect();
             self.each(&work, |block, scratch, (cell, list)| block.aim(scratch, *cell, list, round))?;
             self.bits.settle();
+            if self.late() {
+                // Aiming was cut short, and with it what the rule below counts on.
+                break;
+            }
             let before = open.len();
             let average = self.work() / self.cells.len() as f64;
             open.retain(|c| {
@@ -229,8 +246,15 @@ impl<'a> Block<'a> {
         Ok(())
     }
 
-    /// Says that so many more cells are done, but never more than there are: a cell may be sampled again for its bound.
+    /// Says that so many more cells are done, unless something else decides that.
     pub(super) fn count_done(&mut self, cells: usize) {
+        if !self.silent {
+            self.tell_done(cells);
+        }
+    }
+
+    /// Says that so many more cells are done, but never more than there are.
+    pub(super) fn tell_done(&mut self, cells: usize) {
         let more = cells.min(self.cells.len() - self.told);
         self.told += more;
         (0..more).for_each(|_| self.tools.watcher.cell_done());
@@ -332,7 +356,6 @@ impl<'a> Block<'a> {
                 all.rounds += 1;
                 (all.last_rays, all.last_misses) = (s.last_rays, s.last_misses);
             }
-            all.unfinished |= s.unfinished;
             if s.bound_lines > 0 {
                 (all.bound_lines, all.bound_misses, all.bound_look) =
                     (s.bound_lines, s.bound_misses, s.bound_look);

@@ -25,7 +25,7 @@ const MOST_LOOKS: u32 = 12;
 /// confidence is higher. Six let one miss pass.
 const LINES: f64 = 6.0;
 /// Part of the bound that sampling aims at before the first look: few cells then need a second.
-const AIM: f64 = 0.125;
+pub const AIM: f64 = 0.125;
 /// Lines traced between two looks at the clock.
 const BATCH: usize = 1 << 14;
 /// Name of the stream of random numbers.
@@ -95,13 +95,17 @@ impl Block<'_> {
     /// As [`Block::sample`].
     pub fn sample_to_bound(&mut self, target: f64, most: f64) -> Result<(), TileError> {
         let mut aim = target.min(most * AIM);
+        // A cell is done when its bound holds, and not before.
+        self.silent = true;
         // A hard cell has to meet its bound like any other.
         self.sample(aim, &[], Hard::Alike)?;
         let mut open: Vec<usize> = (0..self.cells.len()).collect();
         for look in 1..=MOST_LOOKS {
             let lines = ((LINES + f64::from(look - 1)) / most).ceil() as u64;
             self.look_at(&open, look, lines)?;
+            let before = open.len();
             open.retain(|c| self.stats[*c].bound().is_none_or(|b| b > most));
+            self.tell_done(before - open.len());
             if open.is_empty() || self.late() {
                 break;
             }
@@ -109,10 +113,12 @@ impl Block<'_> {
             let again = open.clone();
             self.sample(aim, &again, Hard::Alike)?;
         }
+        self.tell_done(open.len());
         for cell in 0..self.cells.len() {
             // What sampling aimed at may lie below both; that it was not reached is of no account then.
             let bounded = self.stats[cell].bound().is_some_and(|b| b <= most);
-            self.stats[cell].unfinished = !bounded || self.left(cell, LEFT_AFTER_ROUND) > target;
+            let missed = self.stats[cell].unfinished && self.left(cell, LEFT_AFTER_ROUND) > target;
+            self.stats[cell].unfinished = !bounded || missed;
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! The baseline: guided rays, each cell on its own.
 //!
-//! A fixed number of rays a cell; half are aimed at unseen triangles next to seen ones, a quarter at random unseen triangles,
+//! A fixed number of rays a cell; half are aimed at unseen triangles next to seen ones (over an edge, or close by), a quarter at random unseen triangles,
 //! a quarter go in random directions. Nothing is shared and every ray is traced alone. It is here to be measured against.
 
 use glam::Vec3;
@@ -30,6 +30,9 @@ impl Block<'_> {
     pub fn sample_guided(&mut self, rays: u64) -> Result<(), TileError> {
         let work: Vec<(usize, u64)> = (0..self.cells.len()).map(|c| (c, rays)).collect();
         self.each(&work, |block, s, (cell, rays)| block.guided(s, *cell, *rays))?;
+        for stats in &mut self.stats {
+            stats.unfinished = stats.rays[Kind::Uniform as usize] < rays;
+        }
         self.bits.settle();
         self.count_done(self.cells.len());
         Ok(())
@@ -98,7 +101,6 @@ impl Block<'_> {
             }
         }
         stats.rays[Kind::Uniform as usize] = cast;
-        stats.unfinished = cast < rays;
         Ok(stats)
     }
 }

@@ -42,7 +42,8 @@ pub enum Kind {
 pub struct CellStats {
     /// Rays cast from the cell by [`Kind`].
     pub rays: [u64; 4],
-    /// Triangles they were first to show to the cell, as of the last barrier before each.
+    /// Triangles they were first to show to the cell, as of the last barrier before each; of held-out lines, how many met
+    /// something new.
     pub finds: [u64; 4],
     /// Rounds it took part in.
     pub rounds: u32,
@@ -81,7 +82,7 @@ impl CellStats {
     ];
 
     /// All of it, in the order of [`CellStats::NAMES`].
-    pub fn numbers(&self) -> [u64; 15] {
+    pub fn numbers(&self) -> [u64; Self::NAMES.len()] {
         let ([a, b, c, d], [e, f, g, h]) = (self.rays, self.finds);
         let [i, j, k] = [u64::from(self.rounds), self.last_rays, self.last_misses];
         let [l, m, n] = [self.bound_lines, self.bound_misses, u64::from(self.bound_look)];
@@ -89,7 +90,9 @@ impl CellStats {
     }
 
     /// Back from [`CellStats::numbers`]; `None` where one is beyond its range.
-    pub fn from_numbers([a, b, c, d, e, f, g, h, i, j, k, l, m, n, o]: [u64; 15]) -> Option<Self> {
+    pub fn from_numbers(
+        [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o]: [u64; Self::NAMES.len()],
+    ) -> Option<Self> {
         Some(Self {
             rays: [a, b, c, d],
             finds: [e, f, g, h],
@@ -105,5 +108,37 @@ impl CellStats {
                 _ => return None,
             },
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_have_their_names_and_come_back() {
+        let numbers: [u64; CellStats::NAMES.len()] =
+            std::array::from_fn(|i| if i == 14 { 1 } else { i as u64 + 10 });
+        let stats = CellStats::from_numbers(numbers).unwrap();
+        assert_eq!(stats.numbers(), numbers);
+        let of = |name: &str| numbers[CellStats::NAMES.iter().position(|n| *n == name).unwrap()];
+        assert_eq!(
+            [of("rays_uniform"), of("rays_flood"), of("rays_candidate"), of("rays_check")],
+            stats.rays
+        );
+        assert_eq!(
+            [of("finds_uniform"), of("finds_flood"), of("finds_candidate"), of("finds_check")],
+            stats.finds
+        );
+        assert_eq!([of("rounds"), of("bound_look")], [u64::from(stats.rounds), u64::from(stats.bound_look)]);
+        assert_eq!([of("last_rays"), of("last_misses")], [stats.last_rays, stats.last_misses]);
+        assert_eq!([of("bound_lines"), of("bound_misses")], [stats.bound_lines, stats.bound_misses]);
+        assert!(of("unfinished") == 1 && stats.unfinished);
+        // Beyond their ranges.
+        for i in [8, 13, 14] {
+            let mut wrong = numbers;
+            wrong[i] = u64::MAX;
+            assert_eq!(CellStats::from_numbers(wrong), None);
+        }
     }
 }

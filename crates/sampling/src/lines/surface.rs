@@ -128,3 +128,37 @@ pub fn point_on(scene: &Scene, triangle: u32, random: &mut super::sequence::Hash
     }
     (v[0] + (v[1] - v[0]) * a + (v[2] - v[0]) * b).to_array()
 }
+
+#[cfg(test)]
+mod tests {
+    use sightline_scene::Object;
+
+    use super::*;
+
+    #[test]
+    fn edges_have_their_neighbours_and_lone_ones_a_stand_in_that_is_near() {
+        let at = |x: f32| {
+            let p = |u: f32, v: f32| Vec3::new(x + u, v, 0.0);
+            [
+                Triangle { v: [p(0.0, 0.0), p(1.0, 0.0), p(0.0, 1.0)] },
+                Triangle { v: [p(1.0, 0.0), p(1.0, 1.0), p(0.0, 1.0)] },
+            ]
+        };
+        // Two squares of two triangles each near each other, and one triangle far away.
+        let triangles = [at(0.0), at(2.0), at(1000.0)].concat()[..5].to_vec();
+        let objects = vec![Object { name: "all".to_owned(), first: 0, count: 5 }];
+        let scene = Scene::new("test", triangles, objects).unwrap();
+        let surface = Surface::of(&scene, &[0, 1, 2, 3, 4]);
+        for (t, own) in surface.neighbours.iter().enumerate() {
+            assert!(!own.contains(&(t as u32)), "{t} is beside itself");
+        }
+        // Across the diagonal v1v2 of the first, v2v0 of the second.
+        assert_eq!([surface.neighbours[0][1], surface.neighbours[1][2]], [1, 0]);
+        assert_eq!([surface.neighbours[2][1], surface.neighbours[3][2]], [3, 2]);
+        let stand_ins =
+            |t: usize| surface.neighbours[t].iter().filter(|n| **n != SKY && **n / 2 != t as u32 / 2).count();
+        assert!((0..4).all(|t| stand_ins(t) > 0), "{:?}", surface.neighbours);
+        assert_eq!(surface.neighbours[4], [SKY; 3]);
+        assert!(surface.neighbours[..4].iter().all(|n| !n.contains(&4)));
+    }
+}
