@@ -248,7 +248,7 @@ fn the_device_reduces_as_the_reference_does() {
 #[test]
 fn more_triangles_than_one_read_holds_are_all_listed() {
     let mut random = Hashed::new(&[5]);
-    let scene = scene(triangles(&mut random, 30_000, 0.01));
+    let scene = scene(triangles(&mut random, 40_000, 0.01));
     let Some(backend) = backend(&scene, 256, Strata::Faces, false) else { return };
     let renderer = backend.prepare(None).unwrap();
     let points: Vec<_> = (0..3).map(|_| random.point()).collect();
