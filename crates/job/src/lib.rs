@@ -143,14 +143,6 @@ impl JobSpec {
         if spec.block_cells > MOST_BLOCK_CELLS {
             return Err(SpecError::Field("block-cells", "give 1 to 512 cells"));
         }
-        if let Division::Grid(cells) = division
-            && cells.map(u64::from).iter().product::<u64>() / u64::from(spec.block_cells) > MOST_BLOCKS
-        {
-            return Err(SpecError::Field(
-                "block-cells",
-                "so few make too many tiles; give more cells a tile",
-            ));
-        }
         let cubes = spec.sampling.sampler == Sampler::Cubes;
         if matches!(division, Division::Adaptive { .. }) && !cubes {
             return Err(SpecError::Field("sampler", "an adaptive division is sampled with cubes"));
@@ -165,6 +157,15 @@ impl JobSpec {
             return Err(SpecError::Field("time-budget", "the sampler cubes cannot stop early"));
         }
         spec.lattice()?;
+        // The lattice has seen to it that the product can be formed.
+        if let Division::Grid(cells) = division
+            && cells.map(u64::from).iter().product::<u64>() / u64::from(spec.block_cells) > MOST_BLOCKS
+        {
+            return Err(SpecError::Field(
+                "block-cells",
+                "so few make too many tiles; give more cells a tile",
+            ));
+        }
         Ok(spec)
     }
 
