@@ -72,6 +72,58 @@ fn a_killed_worker_changes_no_byte() {
     assert!(coordinator.process.err().contains("is taken back"), "{}", coordinator.process.err());
 }
 
+/// Slivers, duplicates, triangles without area, coplanar overlaps, T-junctions, coordinates of 1e-6 beside 1e3.
+fn ugly() -> String {
+    let mut obj = String::new();
+    let mut corners = 0;
+    let mut put = |triangle: [[f64; 3]; 3]| {
+        for [x, y, z] in triangle {
+            obj += &format!("v {x} {y} {z}\n");
+        }
+        obj += &format!("f {} {} {}\n", corners + 1, corners + 2, corners + 3);
+        corners += 3;
+    };
+    for i in 0..400 {
+        // Spread without a pattern, the same every time.
+        let at = |k: u32| f64::from((i * 7919 + k * 104_729) % 1000) / 10.0;
+        let [x, y, z] = [at(1), at(2), at(3)];
+        let wall = [[x, y, z], [x + at(4) / 5.0, y, z + 3.0], [x, y + 12.0, z + at(5) / 9.0]];
+        put(wall);
+        match i % 5 {
+            0 => put(wall),
+            1 => put([wall[0], wall[1], wall[0]]),
+            2 => put([wall[0], wall[1], [x + 30.0, y + 1e-6, z + 4.5]]),
+            3 => put(wall.map(|[x, y, z]| [x + (wall[1][0] - wall[0][0]) / 3.0, y, z + 1.0])),
+            _ => put(wall.map(|[x, y, z]| [x * 1e-6, y * 1e-6, z * 1e-6])),
+        }
+    }
+    put([[-1e3, 0.0, -1e3], [1e3, 0.0, -1e3], [0.0, 0.0, 1e3]]);
+    obj
+}
+
+/// The default sampler, whose tiles are blocks of cells, on a scene nobody would be proud of.
+#[test]
+fn a_killed_worker_changes_no_byte_of_an_ugly_scenes_sight_lines() {
+    const LINES: &str = "ugly.obj --cells 8x8x8 --view-box 0,0,0,100,100,100 --block-cells 8 --backend cpu";
+    let sandbox = Sandbox::new();
+    sandbox.write("ugly.obj", ugly());
+    sandbox.ok(&format!("bake {LINES} --data-dir alone -o alone.pvs"));
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let job = coordinator.submit(LINES);
+    let victim = coordinator.worker();
+    let before = coordinator.until(job, "the job's middle", in_the_middle);
+    assert_eq!(number(&before, "tiles_total"), 64);
+    victim.kill();
+    let _heirs = [coordinator.worker(), coordinator.worker()];
+    assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "after a worker was killed");
+    assert_eq!(coordinator.count(job, "tiles_set_aside"), 0);
+    let dump = sandbox.dump("alone.pvs");
+    assert!(
+        dump.cells.iter().all(|cell| !cell.visible.is_empty()),
+        "the ground or a wall is seen from everywhere"
+    );
+}
+
 #[test]
 fn a_killed_coordinator_goes_on_where_it_was() {
     let sandbox = sandbox();

@@ -43,12 +43,13 @@ pub struct JobArgs {
     /// --target-error as well, both must hold.
     #[arg(long, value_name = "F", allow_negative_numbers = true)]
     max_error: Option<f64>,
-    /// Stop sampling this long after the start, with the best result by then: 500ms, 30s, 5m, 2h. Two runs then need not
+    /// Stop sampling this long after the start, with the best result by then: 500ms, 30s, 5m, 2h; seconds without a
+    /// unit. Two runs then need not
     /// give the same bytes.
     #[arg(long, value_name = "DUR", value_parser = parse_duration)]
     time_budget: Option<Duration>,
     /// Most cells of a tile, 1 to 512: the piece of work a worker takes, and what is lost when one is killed. Sight lines are
-    /// shared within a tile, so smaller ones cost more in all. Default: 512; 128 or 64 where a tile would take minutes.
+    /// shared within a tile, so smaller ones cost more in all. Default: 512; fewer for large scenes and small errors.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(sightline_job::MOST_BLOCK_CELLS)))]
     block_cells: Option<u32>,
     /// Rays a cell of the sampler guided. Default: 200000.
@@ -281,11 +282,11 @@ impl JobArgs {
 fn parse_duration(text: &str) -> Result<Duration, String> {
     /// A year.
     const MOST: Duration = Duration::from_secs(366 * 24 * 3600);
-    let wrong = || "give a duration of at most a year with its unit, as in 500ms, 30s, 5m or 2h".to_owned();
+    let wrong = || "give a duration of at most a year, as in 500ms, 30s (or 30), 5m or 2h".to_owned();
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
     let unit = match &text[digits.len()..] {
         "ms" => 1e-3,
-        "s" => 1.0,
+        "" | "s" => 1.0,
         "m" | "min" => 60.0,
         "h" => 3600.0,
         _ => return Err(wrong()),

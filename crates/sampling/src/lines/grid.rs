@@ -190,9 +190,8 @@ impl CellGrid {
         let step = [1, bx, bx * by];
         let count = [bx, by, bz];
         // By axis: how far apart the bits of two neighbours are, in a brick and from its last layer to the first of the next.
-        let [sx, sy, sz] = self.side;
-        let near_by = [0, sx, sx + sy].map(|s| 1u32 << s);
-        let across = [0, 1, 2].map(|a| near_by[a] * ((1 << [sx, sy, sz][a]) - 1));
+        let near_by = [0, self.side[0], self.side[0] + self.side[1]].map(|s| 1u32 << s);
+        let across = [0, 1, 2].map(|a| near_by[a] * ((1 << self.side[a]) - 1));
         for z in 0..bz {
             for y in 0..by {
                 for x in 0..bx {
