@@ -129,7 +129,10 @@ pub fn check_size(scene: &Scene) -> Result<(), SceneError> {
 }
 
 /// A number for each corner (three a triangle), equal exactly for corners at the same position.
-fn corner_vertices(scene: &Scene) -> Result<Vec<u32>, SceneError> {
+///
+/// # Errors
+/// As [`Solids::of`].
+pub fn corner_vertices(scene: &Scene) -> Result<Vec<u32>, SceneError> {
     check_size(scene)?;
     let corners = scene.triangles().len() as u64 * 3;
     // Position in the upper 96 bits, corner in the lower 32.

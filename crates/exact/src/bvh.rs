@@ -1,0 +1,191 @@
+//! Which triangles a segment may meet: a bounding volume hierarchy whose answer is never too small.
+//!
+//! Every candidate is decided exactly afterwards, so boxes only have to be wide enough. The tests use no division:
+//! a segment misses a box when one of six axes separates them by more than a slack that covers all rounding.
+
+use glam::{DVec3, Vec3};
+
+/// Most triangles in a leaf.
+const LEAF: usize = 4;
+
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    min: Vec3,
+    /// First child, or first triangle of a leaf. The second child follows the first.
+    first: u32,
+    max: Vec3,
+    /// Triangles of a leaf; 0 for an inner node.
+    count: u32,
+}
+
+/// A hierarchy over boxes, numbered as given.
+pub struct Bvh {
+    nodes: Vec<Node>,
+    order: Vec<u32>,
+    boxes: Vec<[Vec3; 2]>,
+}
+
+impl Bvh {
+    /// Builds over the boxes (least and greatest corner) of the items in `order`.
+    pub fn new(boxes: Vec<[Vec3; 2]>, mut order: Vec<u32>) -> Self {
+        let mut nodes = Vec::with_capacity(order.len() / 2 + 1);
+        let bounds = |items: &[u32]| {
+            items.iter().fold([Vec3::INFINITY, Vec3::NEG_INFINITY], |[lo, hi], i| {
+                let [a, b] = boxes[*i as usize];
+                [lo.min(a), hi.max(b)]
+            })
+        };
+        let [min, max] = bounds(&order);
+        nodes.push(Node { min, max, first: 0, count: order.len() as u32 });
+        let mut open = vec![0usize];
+        while let Some(n) = open.pop() {
+            let (first, count) = (nodes[n].first as usize, nodes[n].count as usize);
+            if count <= LEAF {
+                continue;
+            }
+            let items = &mut order[first..first + count];
+            let half = split(&boxes, items);
+            let at = nodes.len() as u32;
+            for (start, part) in [(first, &items[..half]), (first + half, &items[half..])] {
+                let [min, max] = bounds(part);
+                nodes.push(Node { min, max, first: start as u32, count: part.len() as u32 });
+            }
+            (nodes[n].first, nodes[n].count) = (at, 0);
+            open.extend([at as usize, at as usize + 1]);
+        }
+        Self { nodes, order, boxes }
+    }
+
+    /// Appends every item whose box the segment from `p` to `q` may touch; `slack` is how far the ends may be off.
+    pub fn along(&self, p: DVec3, q: DVec3, slack: f64, out: &mut Vec<u32>) {
+        let segment = Segment::new(p, q, slack);
+        let mut open = [0u32; 96];
+        let mut len = 1;
+        if self.order.is_empty() {
+            return;
+        }
+        while len > 0 {
+            len -= 1;
+            let node = &self.nodes[open[len] as usize];
+            if !segment.touches(node.min, node.max) {
+                continue;
+            }
+            if node.count > 0 {
+                let items = &self.order[node.first as usize..(node.first + node.count) as usize];
+                out.extend(items.iter().filter(|i| {
+                    let [lo, hi] = self.boxes[**i as usize];
+                    segment.touches(lo, hi)
+                }));
+            } else {
+                // Halving keeps the depth below the logarithm of 2³² and a few.
+                open[len] = node.first;
+                open[len + 1] = node.first + 1;
+                len += 2;
+            }
+        }
+    }
+}
+
+/// Where to divide: at the cheapest of sixteen planes along the widest axis of the centres, or in the middle.
+fn split(boxes: &[[Vec3; 2]], items: &mut [u32]) -> usize {
+    const BINS: usize = 16;
+    let centre = |i: u32| {
+        let [a, b] = boxes[i as usize];
+        a * 0.5 + b * 0.5
+    };
+    let (lo, hi) = items
+        .iter()
+        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), i| (lo.min(centre(*i)), hi.max(centre(*i))));
+    let extent = hi - lo;
+    let axis = (0..3).max_by(|a, b| extent[*a].total_cmp(&extent[*b])).unwrap_or(0);
+    let middle = items.len() / 2;
+    let by_centre = |a: &u32, b: &u32| centre(*a)[axis].total_cmp(&centre(*b)[axis]).then(a.cmp(b));
+    let bin = |i: u32| (((centre(i)[axis] - lo[axis]) / extent[axis] * BINS as f32) as usize).min(BINS - 1);
+    if !(extent[axis] > 0.0 && extent[axis].is_finite()) {
+        items.select_nth_unstable_by(middle, by_centre);
+        return middle;
+    }
+    let area = |[a, b]: [Vec3; 2]| {
+        let d = (b - a).as_dvec3();
+        d.x * d.y + d.y * d.z + d.z * d.x
+    };
+    let mut bins = [([Vec3::INFINITY, Vec3::NEG_INFINITY], 0usize); BINS];
+    for i in items.iter() {
+        let ([a, b], n) = &mut bins[bin(*i)];
+        *a = a.min(boxes[*i as usize][0]);
+        *b = b.max(boxes[*i as usize][1]);
+        *n += 1;
+    }
+    let join = |x: [Vec3; 2], y: [Vec3; 2]| [x[0].min(y[0]), x[1].max(y[1])];
+    let mut best: Option<(f64, usize)> = None;
+    for k in 1..BINS {
+        let side = |part: &[([Vec3; 2], usize)]| {
+            part.iter().fold(([Vec3::INFINITY, Vec3::NEG_INFINITY], 0), |(b, n), (c, m)| (join(b, *c), n + m))
+        };
+        let ((a, n), (b, m)) = (side(&bins[..k]), side(&bins[k..]));
+        if n == 0 || m == 0 {
+            continue;
+        }
+        let cost = area(a) * n as f64 + area(b) * m as f64;
+        if best.is_none_or(|(c, _)| cost < c) {
+            best = Some((cost, k));
+        }
+    }
+    // Very uneven divisions would make the tree deep; they are left to the middle.
+    match best {
+        Some((_, k)) => {
+            let mut half = 0;
+            for i in 0..items.len() {
+                if bin(items[i]) < k {
+                    items.swap(i, half);
+                    half += 1;
+                }
+            }
+            if half.min(items.len() - half) * 16 < items.len() {
+                items.select_nth_unstable_by(middle, by_centre);
+                return middle;
+            }
+            half
+        }
+        None => {
+            items.select_nth_unstable_by(middle, by_centre);
+            middle
+        }
+    }
+}
+
+/// A segment by its middle and half its extent.
+struct Segment {
+    middle: DVec3,
+    half: DVec3,
+    size: DVec3,
+    slack: f64,
+    turn: f64,
+}
+
+impl Segment {
+    fn new(p: DVec3, q: DVec3, slack: f64) -> Self {
+        let (middle, half) = ((p + q) * 0.5, (q - p) * 0.5);
+        let size = half.abs();
+        // A cross product of the half extent with something at most (distance) long, wrong by this much of it.
+        Self { middle, half, size, slack, turn: size.max_element() }
+    }
+
+    fn touches(&self, min: Vec3, max: Vec3) -> bool {
+        let (lo, hi) = (min.as_dvec3(), max.as_dvec3());
+        let c = self.middle - (lo + hi) * 0.5;
+        let e = (hi - lo) * 0.5 + DVec3::splat(self.slack);
+        let a = c.abs();
+        if (a.cmpgt(e + self.size)).any() {
+            return false;
+        }
+        let cross = c.cross(self.half).abs();
+        let reach = DVec3::new(
+            e.y * self.size.z + e.z * self.size.y,
+            e.x * self.size.z + e.z * self.size.x,
+            e.x * self.size.y + e.y * self.size.x,
+        );
+        let slack = 4.0 * self.slack * self.turn;
+        !(cross.cmpgt(reach + DVec3::splat(slack))).any()
+    }
+}

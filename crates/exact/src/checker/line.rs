@@ -1,0 +1,71 @@
+//! Points, planes and lines in integers.
+
+use std::cmp::Ordering;
+
+use dashu_int::IBig;
+
+/// (x, y, z, w) with w > 0.
+pub type Point = [IBig; 4];
+/// (n, k): the points with n·x = k·w.
+pub type Plane = [IBig; 4];
+/// (d, m) with d = q − p and m = p × q, up to a positive factor; or any vector of the space these span.
+pub type Line = [IBig; 6];
+
+/// A point in doubles, exactly.
+pub fn point(p: [f64; 3]) -> Point {
+    // Every finite double is a multiple of 2⁻¹⁰⁷⁴; scaling by that and by what all have in common loses nothing.
+    let parts = p.map(|x| {
+        let bits = x.to_bits();
+        let field = (bits >> 52 & 0x7ff) as i32;
+        let fraction = (bits & ((1 << 52) - 1)) as i64;
+        let (m, e) = if field == 0 { (fraction, -1074) } else { (fraction + (1 << 52), field - 1075) };
+        (if x < 0.0 { -m } else { m }, e)
+    });
+    let least = parts.iter().filter(|(m, _)| *m != 0).map(|(m, e)| e + m.trailing_zeros() as i32).min().unwrap_or(0).min(0);
+    let [x, y, z] = parts.map(|(m, e)| {
+        let up = e - least;
+        if up >= 0 { IBig::from(m) << up as usize } else { IBig::from(m >> -up.max(-63)) }
+    });
+    [x, y, z, IBig::ONE << (-least) as usize]
+}
+
+/// The sign of an integer.
+pub fn sign(x: &IBig) -> Ordering {
+    x.cmp(&IBig::ZERO)
+}
+
+/// n·x − k·w.
+pub fn height(plane: &Plane, p: &Point) -> IBig {
+    &plane[0] * &p[0] + &plane[1] * &p[1] + &plane[2] * &p[2] - &plane[3] * &p[3]
+}
+
+/// The line from p to q; zero if they are the same point.
+pub fn join(p: &Point, q: &Point) -> Line {
+    let d = |i: usize| &p[3] * &q[i] - &q[3] * &p[i];
+    let m = |i: usize, j: usize| &p[i] * &q[j] - &p[j] * &q[i];
+    [d(0), d(1), d(2), m(1, 2), m(2, 0), m(0, 1)]
+}
+
+/// The line along n × n' in which two planes meet.
+pub fn meet(a: &Plane, b: &Plane) -> Line {
+    let d = |i: usize, j: usize| &a[i] * &b[j] - &a[j] * &b[i];
+    let m = |i: usize| &b[3] * &a[i] - &a[3] * &b[i];
+    [d(1, 2), d(2, 0), d(0, 1), m(0), m(1), m(2)]
+}
+
+/// The plane through three points, from whose positive side they turn counter-clockwise.
+pub fn plane(p: [&Point; 3]) -> Plane {
+    let [a, b, c] = p;
+    let (ab, ac) = (join(a, b), join(a, c));
+    // n = (b − a) × (c − a), and k = n·a; scaled by w(a).
+    let n = |i: usize, j: usize| &ab[i] * &ac[j] - &ab[j] * &ac[i];
+    let n = [n(1, 2), n(2, 0), n(0, 1)];
+    let k = &n[0] * &a[0] + &n[1] * &a[1] + &n[2] * &a[2];
+    let [x, y, z] = n.map(|c| c * &a[3]);
+    [x, y, z, k]
+}
+
+/// The Klein form d·m' + m·d'.
+pub fn klein(a: &Line, b: &Line) -> IBig {
+    (0..6).map(|i| &a[i] * &b[(i + 3) % 6]).sum()
+}

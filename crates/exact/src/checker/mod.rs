@@ -1,0 +1,364 @@
+//! The checker: whether a proof shows that one polygon is hidden from another, and whether a witness shows that it is
+//! not. Integers only; nothing here is shared with the search but the number type, the list of steps and the scene.
+//!
+//! What a proof claims, and what is checked:
+//!
+//! 1. *Parts.* Each polygon is cut along the plane of the other. Lines run between parts alone, each of which is on one
+//!    side of the other's plane. A polygon in the other's plane leaves no open set of lines.
+//! 2. *The start.* All lines from A to B are positive combinations of the lines through their vertex pairs, because
+//!    (Σλᵢaᵢ) ∧ (Σμⱼbⱼ) = Σλᵢμⱼ aᵢ∧bⱼ. So the cone of these holds them all. If the line k of both planes is among them in
+//!    both directions the cone holds a whole line; the hyperplane of the line through the first vertex of A and the first of
+//!    B off the other's plane, which does not meet k, then divides it in two.
+//! 3. *Blocked.* A cone is blocked when each of its rays, and so each line in it, passes every border edge of an occluder
+//!    on the same side (see [`crate::occluder`] for why that means crossing it), and the crossing is between A and B: all of
+//!    the occluder is on B's side of A's plane and on A's side of B's, or it lies in one plane and the cone is on the right
+//!    side of the line in which that plane meets A's or B's. Triangles in A's or B's plane block nothing.
+//! 4. *Unreal.* If the Klein form has one sign on all pairs of rays it has that sign on the cone, 0 at most on its border: no
+//!    open set of real lines.
+//! 5. *Split.* A hyperplane divides a cone into two, and what is proved of both is proved of the cone.
+
+mod cone;
+mod line;
+mod witness;
+
+use std::cmp::Ordering;
+
+use dashu_int::IBig;
+use glam::{DVec3, Vec3};
+
+use crate::proof::{Proof, Step, Which};
+use cone::Cone;
+use line::{Line, Plane, Point, height, join, meet, plane, point, sign};
+pub use witness::check_witness;
+
+/// Why a proof or a witness is refused.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Refusal {
+    /// The proof ends before everything is shown, or goes on after it.
+    #[error("it has {0} steps")]
+    Length(&'static str),
+    /// A step names something that is not there.
+    #[error("step {step} names {what}, which is not there")]
+    Unknown {
+        /// Which step.
+        step: usize,
+        /// What it names.
+        what: &'static str,
+    },
+    /// A step claims what is not so.
+    #[error("step {step}: {what}")]
+    False {
+        /// Which step.
+        step: usize,
+        /// What is not so.
+        what: &'static str,
+    },
+    /// The witness does not begin inside A or end inside B, or meets a triangle.
+    #[error("{0}")]
+    Witness(String),
+}
+
+/// A polygon given by its corners, convex and flat.
+pub type Corners = Vec<[IBig; 4]>;
+
+/// Corners in doubles as exact points.
+pub fn corners(of: &[DVec3]) -> Corners {
+    of.iter().map(|p| point(p.to_array())).collect()
+}
+
+/// Accepts a proof that `b` is hidden from `a` in the scene, or says what is wrong with it.
+///
+/// `a` and `b` are lists of convex flat polygons (a polygon that is flat up to rounding is the triangles of its fan).
+///
+/// # Errors
+/// [`Refusal`].
+pub fn check_hidden(scene: &[[Vec3; 3]], a: &[Corners], b: &[Corners], proof: &Proof) -> Result<(), Refusal> {
+    let mut occluders = Vec::with_capacity(proof.occluders.len());
+    for triangles in &proof.occluders {
+        occluders.push(Blocker::new(scene, triangles).ok_or(Refusal::Unknown { step: 0, what: "a triangle" })?);
+    }
+    let mut check = Check { steps: &proof.steps, at: 0, occluders };
+    for x in a {
+        for y in b {
+            for (x, y) in parts(x, y) {
+                check.pair(&x, &y)?;
+            }
+        }
+    }
+    if check.at < proof.steps.len() { Err(Refusal::Length("too many")) } else { Ok(()) }
+}
+
+/// An occluder, from nothing but its triangles.
+struct Blocker {
+    corners: Vec<[Point; 3]>,
+    border: Vec<Line>,
+    /// Its plane, if all triangles lie in one, turned as the first triangle is.
+    plane: Option<Plane>,
+}
+
+impl Blocker {
+    fn new(scene: &[[Vec3; 3]], triangles: &[(u32, bool)]) -> Option<Self> {
+        let mut corners = Vec::with_capacity(triangles.len());
+        for (t, turned) in triangles {
+            let [a, b, c] = *scene.get(*t as usize)?;
+            let turned = if *turned { [a, c, b] } else { [a, b, c] };
+            // The order of edges in a turned triangle: c→b is written first where b→c would be.
+            corners.push(turned.map(|v| point(v.as_dvec3().to_array())));
+        }
+        let mut left: Vec<(&Point, &Point)> = Vec::new();
+        for (k, (_, turned)) in triangles.iter().enumerate() {
+            let [x, y, z] = &corners[k];
+            // Edges in the triangle's own order: 01, 12, 20.
+            let edges = if *turned { [(z, x), (y, z), (x, y)] } else { [(x, y), (y, z), (z, x)] };
+            for (p, q) in edges {
+                match left.iter().rposition(|(r, s)| *r == q && *s == p) {
+                    Some(at) => {
+                        left.remove(at);
+                    }
+                    None => left.push((p, q)),
+                }
+            }
+        }
+        let border = left.iter().map(|(p, q)| join(p, q)).collect();
+        let first = corners.first()?;
+        let flat = plane([&first[0], &first[1], &first[2]]);
+        let in_plane = corners.iter().flatten().all(|p| height(&flat, p).is_zero());
+        Some(Self { plane: in_plane.then_some(flat), border, corners })
+    }
+}
+
+/// A polygon of a pair, and the plane it lies in.
+struct Side {
+    corners: Vec<Point>,
+    plane: Plane,
+    /// Which side of the plane the other polygon is on.
+    other: Ordering,
+}
+
+struct Check<'a> {
+    steps: &'a [Step],
+    at: usize,
+    occluders: Vec<Blocker>,
+}
+
+impl<'a> Check<'a> {
+    fn next(&mut self) -> Result<&'a Step, Refusal> {
+        let step = self.steps.get(self.at).ok_or(Refusal::Length("too few"))?;
+        self.at += 1;
+        Ok(step)
+    }
+
+    fn pair(&mut self, a: &[Point], b: &[Point]) -> Result<(), Refusal> {
+        // Divisions can be nested; each adds a step, so the stack is no longer than the proof.
+        let mut open = vec![(a.to_vec(), b.to_vec())];
+        while let Some((a, b)) = open.pop() {
+            if let Some(Step::Divide { of, from, to }) = self.steps.get(self.at) {
+                let unknown = Refusal::Unknown { step: self.at, what: "a point of a polygon" };
+                self.at += 1;
+                let whole = if *of == Which::A { &a } else { &b };
+                let [first, second] = divide(whole, *from, *to).ok_or(unknown)?;
+                let with = |half| if *of == Which::A { (half, b.clone()) } else { (a.clone(), half) };
+                open.extend([with(second), with(first)]);
+                continue;
+            }
+            let (pa, pb) = (plane([&a[0], &a[1], &a[2]]), plane([&b[0], &b[1], &b[2]]));
+            let other = |p: &Plane, c: &[Point]| {
+                c.iter().map(|x| sign(&height(p, x))).find(|s| *s != Ordering::Equal).unwrap_or(Ordering::Equal)
+            };
+            let (ahead, behind) = (other(&pa, &b), other(&pb, &a));
+            let a = Side { corners: a, plane: pa, other: ahead };
+            let b = Side { corners: b, plane: pb, other: behind };
+            for cone in start(&a, &b) {
+                self.region(&a, &b, cone)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Checks the steps about one cone.
+    fn region(&mut self, a: &Side, b: &Side, cone: Cone) -> Result<(), Refusal> {
+        let mut open = vec![Some(cone)];
+        while let Some(cone) = open.pop() {
+            let at = self.at;
+            match self.next()? {
+                Step::Unreal => {
+                    if cone.is_some_and(|c| !c.unreal()) {
+                        return Err(Refusal::False { step: at, what: "there are real lines left" });
+                    }
+                }
+                Step::Block { occluder, negative, cuts } => {
+                    let occluder = self
+                        .occluders
+                        .get(*occluder as usize)
+                        .ok_or(Refusal::Unknown { step: at, what: "an occluder" })?;
+                    let constraints = occluder.constraints(a, b, *negative).map_err(|what| Refusal::False { step: at, what })?;
+                    let mut rest = cone;
+                    let mut outside = Vec::with_capacity(cuts.len());
+                    for cut in cuts {
+                        let (_, line) = constraints
+                            .iter()
+                            .find(|(number, _)| number == cut)
+                            .ok_or(Refusal::Unknown { step: at, what: "a constraint" })?;
+                        let (inside, out) = rest.map_or((None, None), |c| c.split(line));
+                        outside.push(out);
+                        rest = inside;
+                    }
+                    if rest.is_some_and(|c| !constraints.iter().all(|(_, line)| c.within(line))) {
+                        return Err(Refusal::False { step: at, what: "the occluder does not block all of it" });
+                    }
+                    open.extend(outside.into_iter().rev());
+                }
+                Step::Divide { .. } => return Err(Refusal::False { step: at, what: "a polygon cannot be halved here" }),
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Blocker {
+    /// The half-spaces that must hold for lines from A to B to be blocked, each with its number.
+    fn constraints(&self, a: &Side, b: &Side, negative: bool) -> Result<Vec<(u16, Line)>, &'static str> {
+        let mut out: Vec<(u16, Line)> = self.border.iter().cloned().enumerate().map(|(i, l)| (i as u16, l)).collect();
+        for (k, side) in [a, b].into_iter().enumerate() {
+            let place = |p: &Point| sign(&height(&side.plane, p));
+            let in_plane = |t: &[Point; 3]| t.iter().all(|p| place(p) == Ordering::Equal);
+            if self.corners.iter().any(in_plane) {
+                return Err("a triangle in the plane of a polygon of the query blocks nothing");
+            }
+            if self.corners.iter().flatten().all(|p| place(p) != side.other.reverse()) {
+                continue;
+            }
+            let own = self.plane.as_ref().ok_or("an occluder that is not flat must be between the polygons")?;
+            let toward = if side.other == Ordering::Less { side.plane.clone().map(|c| -c) } else { side.plane.clone() };
+            out.push(((self.border.len() + k) as u16, meet(&toward, own)));
+        }
+        if negative {
+            out.iter_mut().for_each(|(_, l)| l.iter_mut().for_each(|c| *c = -std::mem::take(c)));
+        }
+        Ok(out)
+    }
+}
+
+/// The cones that hold all lines from A to B.
+fn start(a: &Side, b: &Side) -> Vec<Cone> {
+    let mut lines = Vec::new();
+    let mut along = Vec::new();
+    let mut across = None;
+    for p in &a.corners {
+        for q in &b.corners {
+            let line = join(p, q);
+            let on = [height(&b.plane, p).is_zero(), height(&a.plane, q).is_zero()];
+            if line.iter().all(IBig::is_zero) {
+                continue;
+            }
+            if on == [true, true] {
+                along.push(line.clone());
+            } else if on == [false, false] && across.is_none() {
+                across = Some(line.clone());
+            }
+            lines.push(line);
+        }
+    }
+    let k = meet(&a.plane, &b.plane);
+    // Multiples of k both of them, so the sign of any component that is not 0 tells.
+    let way = |l: &Line| l.iter().zip(&k).map(|(x, y)| sign(&(x * y))).find(|s| *s != Ordering::Equal);
+    let both = along.iter().any(|l| way(l) == Some(Ordering::Greater)) && along.iter().any(|l| way(l) == Some(Ordering::Less));
+    match (both, across) {
+        (true, Some(across)) => {
+            let at_k = line::klein(&k, &across);
+            // v·f(k) − f(v)·k lies on the hyperplane; turned so that v counts positively.
+            let base: Vec<Line> = lines
+                .iter()
+                .map(|v| {
+                    let at_v = line::klein(v, &across);
+                    let flip = sign(&at_k) == Ordering::Less;
+                    std::array::from_fn(|i| {
+                        let x = &v[i] * &at_k - &k[i] * &at_v;
+                        if flip { -x } else { x }
+                    })
+                })
+                .filter(|v: &Line| !v.iter().all(IBig::is_zero))
+                .collect();
+            [k.clone(), k.map(|c| -c)]
+                .into_iter()
+                .filter_map(|end| {
+                    let mut rays = base.clone();
+                    rays.push(end);
+                    Cone::of(rays)
+                })
+                .collect()
+        }
+        _ => Cone::of(lines).into_iter().collect(),
+    }
+}
+
+/// The parts of two polygons, each on one side of the other's plane.
+fn parts(a: &[Point], b: &[Point]) -> Vec<(Vec<Point>, Vec<Point>)> {
+    let (pa, pb) = (plane([&a[0], &a[1], &a[2]]), plane([&b[0], &b[1], &b[2]]));
+    let mut out = Vec::new();
+    for keep_a in [Ordering::Greater, Ordering::Less] {
+        for keep_b in [Ordering::Greater, Ordering::Less] {
+            if let (Some(x), Some(y)) = (clip(a, &pb, keep_a), clip(b, &pa, keep_b)) {
+                out.push((x, y));
+            }
+        }
+    }
+    out
+}
+
+/// What of a polygon is on one side of a plane; none if nothing but perhaps its border is.
+fn clip(corners: &[Point], plane: &Plane, keep: Ordering) -> Option<Vec<Point>> {
+    let heights: Vec<IBig> = corners.iter().map(|p| height(plane, p)).collect();
+    if !heights.iter().any(|h| sign(h) == keep) {
+        return None;
+    }
+    let n = corners.len();
+    let mut out = Vec::new();
+    for i in 0..n {
+        let j = (i + 1) % n;
+        if sign(&heights[i]) != keep.reverse() {
+            out.push(corners[i].clone());
+        }
+        if sign(&(&heights[i] * &heights[j])) == Ordering::Less {
+            // |h(i)| of j and |h(j)| of i: where the edge meets the plane.
+            let weight = |h: &IBig| if sign(h) == Ordering::Less { -h.clone() } else { h.clone() };
+            let (s, t) = (weight(&heights[i]), weight(&heights[j]));
+            out.push(std::array::from_fn(|k| &corners[j][k] * &s + &corners[i][k] * &t));
+        }
+    }
+    Some(out)
+}
+
+/// The parts of a polygon on both sides of the line through two of its points, as [`Step::Divide`] numbers them.
+fn divide(corners: &[Point], from: u16, to: u16) -> Option<[Vec<Point>; 2]> {
+    let n = 2 * corners.len();
+    let (from, to) = (usize::from(from), usize::from(to));
+    // The two points must not be on one edge, or a part would have no area.
+    let apart = (to + n - from) % n;
+    let edge_apart = |d: usize, at: usize| d > if at % 2 == 0 { 2 } else { 1 };
+    if from >= n || to >= n || !edge_apart(apart, from) || !edge_apart((n - apart) % n, to) {
+        return None;
+    }
+    let place = |number: usize| {
+        let (p, q) = (&corners[number / 2], &corners[(number / 2 + 1) % corners.len()]);
+        if number % 2 == 0 {
+            return p.clone();
+        }
+        let mut middle: Point = std::array::from_fn(|k| &p[k] * &q[3] + &q[k] * &p[3]);
+        middle[3] = &p[3] * &q[3] * 2;
+        middle
+    };
+    let round = |from: usize, to: usize| {
+        let mut out = vec![place(from)];
+        let mut at = (from + 1) % n;
+        while at != to {
+            if at % 2 == 0 {
+                out.push(place(at));
+            }
+            at = (at + 1) % n;
+        }
+        out.push(place(to));
+        out
+    };
+    Some([round(from, to), round(to, from)])
+}

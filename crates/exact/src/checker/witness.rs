@@ -1,0 +1,68 @@
+//! Witnesses: segments from inside A to inside B that meet no triangle in between.
+
+use std::cmp::Ordering;
+
+use glam::Vec3;
+
+use super::line::{Plane, Point, height, join, klein, plane, point, sign};
+use super::{Corners, Refusal};
+
+/// Accepts the segment from `p` to `q` as a witness that one of the polygons `b` is seen from one of `a`.
+///
+/// The ends must be inside a polygon each, not on its border, and no triangle may have a point on the segment, unless it
+/// lies in the plane of that polygon: then all segments nearby meet none either, and they are an open set.
+///
+/// # Errors
+/// [`Refusal::Witness`].
+pub fn check_witness(scene: &[[Vec3; 3]], a: &[Corners], b: &[Corners], p: &Point, q: &Point) -> Result<(), Refusal> {
+    let refuse = |what: &str| Err(Refusal::Witness(what.to_owned()));
+    let Some(from) = a.iter().find(|c| inside(c, p)) else { return refuse("the witness does not begin inside A") };
+    let Some(to) = b.iter().find(|c| inside(c, q)) else { return refuse("the witness does not end inside B") };
+    let planes = [from, to].map(|c| plane([&c[0], &c[1], &c[2]]));
+    if height(&planes[0], q).is_zero() || height(&planes[1], p).is_zero() {
+        return refuse("the witness runs in the plane of a polygon");
+    }
+    for (id, t) in scene.iter().enumerate() {
+        if meets(t, p, q, &planes) {
+            return refuse(&format!("the witness meets triangle {id}"));
+        }
+    }
+    Ok(())
+}
+
+/// Whether a point of a polygon's plane is strictly inside it.
+fn inside(corners: &[Point], p: &Point) -> bool {
+    let flat = plane([&corners[0], &corners[1], &corners[2]]);
+    if !height(&flat, p).is_zero() {
+        return false;
+    }
+    // A point off the plane makes "left of an edge" the side of a plane through that edge.
+    let off: Point = std::array::from_fn(|i| if i < 3 { &p[i] + &flat[i] * &p[3] } else { p[3].clone() });
+    let n = corners.len();
+    let sides: Vec<Ordering> =
+        (0..n).map(|i| sign(&height(&plane([&corners[i], &corners[(i + 1) % n], &off]), p))).collect();
+    sides[0] != Ordering::Equal && sides.iter().all(|s| *s == sides[0])
+}
+
+/// Whether a triangle with area has a point on the segment.
+fn meets(t: &[Vec3; 3], p: &Point, q: &Point, planes: &[Plane; 2]) -> bool {
+    let [a, b, c] = t.map(|v| point(v.as_dvec3().to_array()));
+    let own = plane([&a, &b, &c]);
+    if own[..3].iter().all(dashu_int::IBig::is_zero) {
+        return false;
+    }
+    let (x, y) = (sign(&height(&own, p)), sign(&height(&own, q)));
+    if x == y && x != Ordering::Equal {
+        return false;
+    }
+    let line = join(p, q);
+    let sides = [join(&a, &b), join(&b, &c), join(&c, &a)].map(|e| sign(&klein(&line, &e)));
+    if sides.contains(&Ordering::Greater) && sides.contains(&Ordering::Less) {
+        return false;
+    }
+    // What it touches at an end does not count if it lies in that polygon's plane.
+    let in_plane = |f: &Plane| [&a, &b, &c].iter().all(|v| height(f, v).is_zero());
+    let exempt = x == Ordering::Equal && in_plane(&planes[0]) || y == Ordering::Equal && in_plane(&planes[1]);
+    // A triangle whose plane holds the whole segment meets it only if it holds some point of it; refused either way.
+    !exempt
+}

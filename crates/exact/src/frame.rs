@@ -1,0 +1,200 @@
+//! A frame of its own for every query, in which both polygons are about as wide as they are apart.
+//!
+//! Two small polygons far from each other and from the origin have Plücker coordinates that agree in most of
+//! their bits; an affine map takes that away, and changes no sign. The map is exact by construction: an origin in
+//! doubles, rows of small integers, powers of two. It serves the filter alone: what it gives is rounded with a
+//! bound, or exact in integers.
+
+use dashu_int::IBig;
+use glam::DVec3;
+
+use crate::number::{U, homogeneous, integers, primitive};
+
+/// Rows are multiples of 1/64: turning the axes to within a degree is all that is needed.
+const STEPS: f64 = 64.0;
+
+/// The map x ↦ 2^shift · rows · (x − origin) / 64, with a positive determinant.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    origin: DVec3,
+    rows: [[i32; 3]; 3],
+    shift: [i32; 3],
+}
+
+/// A point in a frame: rounded, how far each coordinate may be off, and where it really is.
+#[derive(Clone, Debug)]
+pub struct Point {
+    /// Rounded coordinates in the frame.
+    pub at: [f64; 3],
+    /// The greatest error of any of them.
+    pub error: f64,
+    /// Where it is exactly.
+    pub place: Place,
+}
+
+/// Where a point comes from.
+#[derive(Clone, Debug)]
+pub enum Source {
+    /// Doubles in world space.
+    Given(DVec3),
+    /// Homogeneous integers in world space, w > 0.
+    Exact(Box<[IBig; 4]>),
+}
+
+/// How a point of a [`crate::vector::Space`] is known.
+#[derive(Clone, Debug)]
+pub enum Place {
+    /// By its coordinates in the world.
+    World(Source),
+    /// As Σ weight · point / Σ weight of three other points of the space.
+    Mix([u32; 3], [u32; 3]),
+}
+
+impl Frame {
+    /// A frame for what lies around `a` and `b`, both not empty.
+    pub fn around(a: &[DVec3], b: &[DVec3]) -> Self {
+        let middle = |p: &[DVec3]| p.iter().sum::<DVec3>() / p.len() as f64;
+        let (ca, cb) = (middle(a), middle(b));
+        let origin = ((ca + cb) * 0.5).as_vec3().as_dvec3();
+        let origin = if origin.is_finite() { origin } else { DVec3::ZERO };
+        let all = || a.iter().chain(b).map(|p| *p - origin);
+        let widest = all().fold(DVec3::ZERO, |m, d| if d.length_squared() > m.length_squared() { d } else { m });
+        let z = [cb - ca, widest, DVec3::Z].into_iter().find_map(DVec3::try_normalize).unwrap_or(DVec3::Z);
+        // Across the axis, the direction in which the two spread most.
+        let (u, v) = z.any_orthonormal_pair();
+        let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+        for d in all() {
+            let (s, t) = (d.dot(u), d.dot(v));
+            (xx, xy, yy) = (xx + s * s, xy + s * t, yy + t * t);
+        }
+        let angle = 0.5 * f64::atan2(2.0 * xy, xx - yy);
+        let x = u * angle.cos() + v * angle.sin();
+        let y = z.cross(x);
+        let row = |axis: DVec3| (axis * STEPS).round().to_array().map(|c| c as i32);
+        let mut rows = [row(x), row(y), row(z)];
+        if determinant(&rows) <= 0 {
+            // Cannot be for unit vectors; should the above have met an overflow, the identity serves.
+            rows = [[64, 0, 0], [0, 64, 0], [0, 0, 64]];
+        }
+        let shift = std::array::from_fn(|i| {
+            let r = DVec3::from(rows[i].map(f64::from)) / STEPS;
+            let extent = all().fold(0.0f64, |m, d| m.max(d.dot(r).abs()));
+            if extent > 0.0 && extent.is_finite() { -(extent.log2().ceil() as i32).clamp(-500, 500) } else { 0 }
+        });
+        // A pair that is flat across its axis is not to be blown up without measure.
+        let least = shift.iter().copied().min().unwrap_or(0);
+        Self { origin, rows, shift: shift.map(|s: i32| s.min(least + 24)) }
+    }
+
+    /// A point given in doubles.
+    pub fn given(&self, p: DVec3) -> Point {
+        let (at, error) = self.local(p);
+        Point { at, error, place: Place::World(Source::Given(p)) }
+    }
+
+    /// The coordinates of a point given in doubles, and how far each may be off.
+    ///
+    /// A difference, a product and two sums are rounded, each by at most u of sums of magnitudes that do not
+    /// exceed M = Σ |row · (p − origin)|, so 5uM is a bound; 8u covers computing it.
+    pub fn local(&self, p: DVec3) -> ([f64; 3], f64) {
+        let d = p - self.origin;
+        let mut error = 0.0f64;
+        let at = std::array::from_fn(|i| {
+            let scale = f64::powi(2.0, self.shift[i] - 6);
+            let terms: [f64; 3] = std::array::from_fn(|j| f64::from(self.rows[i][j]) * d[j]);
+            error = error.max(8.0 * U * scale * terms.iter().map(|t| t.abs()).sum::<f64>());
+            (terms[0] + terms[1] + terms[2]) * scale
+        });
+        (at, error)
+    }
+
+    /// A point given by homogeneous integers in world space.
+    pub fn exact(&self, p: [IBig; 4]) -> Point {
+        let mut local = self.map(&p);
+        primitive(&mut local);
+        let at = point_doubles(&local);
+        let greatest = at.iter().fold(0.0f64, |m, c| m.max(c.abs()));
+        Point { at, error: 4.0 * U * greatest, place: Place::World(Source::Exact(Box::new(p))) }
+    }
+
+    /// Exact coordinates in the frame, homogeneous.
+    pub fn integers(&self, p: &Source) -> [IBig; 4] {
+        match p {
+            Source::Given(p) => self.map(&homogeneous(p.to_array())),
+            Source::Exact(p) => self.map(p),
+        }
+    }
+
+    fn map(&self, p: &[IBig; 4]) -> [IBig; 4] {
+        let (origin, e) = integers(self.origin.to_array());
+        // Everything times 2^low, so that the origin becomes an integer.
+        let low = (-e).max(0) as usize;
+        let up = e.max(0) as usize;
+        let d: [IBig; 3] = std::array::from_fn(|j| (&p[j] << low) - (&p[3] * &origin[j] << up));
+        let least = self.shift.iter().copied().min().unwrap_or(0) - 6;
+        let [x, y, z] = std::array::from_fn(|i| {
+            let sum: IBig = (0..3).map(|j| &d[j] * self.rows[i][j]).sum();
+            sum << (self.shift[i] - 6 - least) as usize
+        });
+        let w = &p[3] << low;
+        if least < 0 { [x, y, z, w << (-least) as usize] } else { [x << least as usize, y << least as usize, z << least as usize, w] }
+    }
+}
+
+fn determinant(m: &[[i32; 3]; 3]) -> i64 {
+    let m = m.map(|r| r.map(i64::from));
+    (0..3).map(|i| m[0][i] * (m[1][(i + 1) % 3] * m[2][(i + 2) % 3] - m[1][(i + 2) % 3] * m[2][(i + 1) % 3])).sum()
+}
+
+/// A homogeneous point as doubles, each coordinate correct to 3u of itself (where it does not vanish).
+pub fn point_doubles(p: &[IBig; 4]) -> [f64; 3] {
+    std::array::from_fn(|i| ratio(&p[i], &p[3]))
+}
+
+/// n / d, correctly rounded up to 3u, for d > 0.
+pub fn ratio(n: &IBig, d: &IBig) -> f64 {
+    use dashu_int::ops::BitTest;
+    // Leading bits of both; the exponents are put back at the end.
+    let part = |x: &IBig| {
+        let cut = x.bit_len().saturating_sub(120);
+        ((x >> cut).to_f64().value(), cut as i32)
+    };
+    let ((n, en), (d, ed)) = (part(n), part(d));
+    let half = (en - ed) / 2;
+    n / d * f64::powi(2.0, half) * f64::powi(2.0, en - ed - half)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn near() -> impl Strategy<Value = DVec3> {
+        prop::array::uniform3(-1.0f32..1.0).prop_map(|a| DVec3::from(a.map(f64::from)))
+    }
+
+    proptest! {
+        #[test]
+        fn rounded_points_are_as_near_as_they_say(
+            a in prop::collection::vec(near(), 3), b in prop::collection::vec(near(), 4),
+            far in near(), scale in -40i32..40, away in -20i32..20,
+        ) {
+            let s = f64::powi(2.0, scale);
+            let t = far * f64::powi(2.0, away);
+            let place = |p: &DVec3| ((*p + t) * s).as_vec3().as_dvec3();
+            let (a, b): (Vec<_>, Vec<_>) = (a.iter().map(place).collect(), b.iter().map(place).collect());
+            let frame = Frame::around(&a, &b);
+            for p in a.iter().chain(&b) {
+                let point = frame.given(*p);
+                let exact = point_doubles(&frame.integers(&Source::Given(*p)));
+                for (x, e) in point.at.iter().zip(exact) {
+                    prop_assert!((x - e).abs() <= point.error + 4.0 * U * e.abs(), "{x} {e} {}", point.error);
+                    prop_assert!(e.abs() <= 1.5, "{e}");
+                }
+                let again = frame.exact(homogeneous(p.to_array()));
+                prop_assert_eq!(again.at, exact);
+            }
+        }
+    }
+}

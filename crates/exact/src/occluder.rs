@@ -1,0 +1,304 @@
+//! Occluders: sets of triangles that block together, known by the edges around them.
+//!
+//! Take triangles, each turned one way or the other, and strike out every edge that two of them run along in opposite
+//! directions. The signed number of times a line crosses the triangles depends on what is left alone, since two
+//! surfaces with the same border differ by a closed one. A line that has every remaining edge on the same side winds
+//! around at least once, and so crosses at least one of the triangles. So the remaining edges' half-spaces are the
+//! region of line space the set blocks, or part of it (thesis §2.4, silhouettes), whatever its shape: nothing here needs
+//! to be convex, flat or even connected to be right. Convex flat sets block most for their number of edges, and
+//! those are what [`Occluders`] looks for.
+
+use std::cmp::Ordering;
+
+use glam::Vec3;
+use sightline_scene::exact::{collinear, orient2d_sign, orient3d_sign};
+use sightline_scene::topology::corner_vertices;
+use sightline_scene::{Scene, SceneError};
+
+use crate::bvh::Bvh;
+
+/// A set of triangles in one plane that block together.
+#[derive(Clone, Debug)]
+pub struct Occluder {
+    /// The triangles, each with whether it is turned round so that all face the same way.
+    pub triangles: Vec<(u32, bool)>,
+    /// What is left of their edges, directed, in the order of the triangles and their edges.
+    pub border: Vec<[Vec3; 2]>,
+    /// Indices into `border`, one for each line; the others run along one of these.
+    pub lines: Vec<u32>,
+}
+
+/// Everything that blocks in a scene.
+pub struct Occluders {
+    triangles: Vec<[Vec3; 3]>,
+    occluders: Vec<Occluder>,
+    /// The occluder of each triangle; none for those without area.
+    of: Vec<Option<u32>>,
+    bvh: Bvh,
+    reach: f64,
+}
+
+/// Longest border of a merged occluder.
+const MOST_EDGES: usize = 24;
+
+impl Occluders {
+    /// Joins the coplanar neighbours of a scene into convex occluders and prepares for tracing.
+    ///
+    /// # Errors
+    /// As [`corner_vertices`]: when the scene has more corners than can be numbered.
+    pub fn new(scene: &Scene) -> Result<Self, SceneError> {
+        let corners = corner_vertices(scene)?;
+        let triangles: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
+        let solid: Vec<bool> = scene.triangles().iter().map(|t| !t.is_degenerate()).collect();
+        let mut faces = Faces::new(&triangles, &corners, &solid);
+        faces.merge();
+        let (occluders, of) = faces.finish();
+        let boxes = scene.triangles().iter().map(|t| [t.bounds().min, t.bounds().max]).collect();
+        let items = (0..triangles.len() as u32).filter(|i| solid[*i as usize]).collect();
+        let b = scene.bounds();
+        let reach = f64::from(b.min.abs().max(b.max.abs()).max_element());
+        Ok(Self { triangles, occluders, of, bvh: Bvh::new(boxes, items), reach })
+    }
+
+    /// A triangle's vertices.
+    pub fn triangle(&self, id: u32) -> &[Vec3; 3] {
+        &self.triangles[id as usize]
+    }
+
+    /// Number of triangles.
+    pub fn len(&self) -> usize {
+        self.triangles.len()
+    }
+
+    /// Whether there is no triangle; a scene has at least one.
+    pub fn is_empty(&self) -> bool {
+        self.triangles.is_empty()
+    }
+
+    /// The occluder a triangle is part of.
+    pub fn of(&self, triangle: u32) -> Option<u32> {
+        self.of[triangle as usize]
+    }
+
+    /// An occluder.
+    pub fn occluder(&self, id: u32) -> &Occluder {
+        &self.occluders[id as usize]
+    }
+
+    /// Number of occluders.
+    pub fn count(&self) -> usize {
+        self.occluders.len()
+    }
+
+    /// The triangles the segment may meet; its ends are off by a few units in the last place of the coordinates.
+    pub fn along(&self, p: glam::DVec3, q: glam::DVec3, out: &mut Vec<u32>) {
+        let size = self.reach.max(p.abs().max_element()).max(q.abs().max_element());
+        self.bvh.along(p, q, size * 1e-14, out);
+    }
+}
+
+/// Faces being merged: loops of vertices, counter-clockwise seen from where the first triangle's corners turn so.
+struct Faces<'a> {
+    triangles: &'a [[Vec3; 3]],
+    corners: &'a [u32],
+    /// Of each triangle its face, by union-find.
+    parent: Vec<u32>,
+    /// Of each face (a root): its triangles and border, by corner numbers and positions.
+    faces: Vec<Option<Face>>,
+    /// Neighbours in one plane, over an edge.
+    pairs: Vec<(u32, u32)>,
+}
+
+#[derive(Clone)]
+struct Face {
+    triangles: Vec<(u32, bool)>,
+    /// Directed edges by corner numbers and positions.
+    border: Vec<Edge>,
+    /// The axis to look along, and whether that sees the face turn clockwise.
+    axis: usize,
+    mirrored: bool,
+}
+
+#[derive(Clone, Copy)]
+struct Edge {
+    from: u32,
+    to: u32,
+    ends: [Vec3; 2],
+}
+
+impl<'a> Faces<'a> {
+    fn new(triangles: &'a [[Vec3; 3]], corners: &'a [u32], solid: &[bool]) -> Self {
+        let n = triangles.len();
+        let mut edges: Vec<(u32, u32, u32)> = Vec::with_capacity(3 * n);
+        for (id, c) in corners.chunks_exact(3).enumerate().filter(|(id, _)| solid[*id]) {
+            for k in 0..3 {
+                let (a, b) = (c[k], c[(k + 1) % 3]);
+                edges.push((a.min(b), a.max(b), id as u32));
+            }
+        }
+        edges.sort_unstable();
+        let mut pairs = Vec::new();
+        for group in edges.chunk_by(|a, b| a.0 == b.0 && a.1 == b.1) {
+            for pair in group.windows(2) {
+                let (s, t) = (pair[0].2, pair[1].2);
+                let v = triangles[s as usize];
+                if triangles[t as usize].iter().all(|p| orient3d_sign(v[0], v[1], v[2], *p) == Ordering::Equal) {
+                    pairs.push((s, t));
+                }
+            }
+        }
+        let faces = (0..n).map(|id| solid[id].then(|| Face::of(id as u32, &triangles[id], &corners[3 * id..3 * id + 3]))).collect();
+        Self { triangles, corners, parent: (0..n as u32).collect(), faces, pairs }
+    }
+
+    fn root(&mut self, mut id: u32) -> u32 {
+        while self.parent[id as usize] != id {
+            self.parent[id as usize] = self.parent[self.parent[id as usize] as usize];
+            id = self.parent[id as usize];
+        }
+        id
+    }
+
+    /// Joins neighbours as long as that leaves them convex.
+    fn merge(&mut self) {
+        let mut pairs = std::mem::take(&mut self.pairs);
+        loop {
+            let before = pairs.len();
+            let mut joined = false;
+            pairs.retain(|(s, t)| {
+                let (a, b) = (self.root(*s), self.root(*t));
+                if a == b {
+                    return false;
+                }
+                let (lo, hi) = (a.min(b), a.max(b));
+                let (Some(x), Some(y)) = (&self.faces[lo as usize], &self.faces[hi as usize]) else { return false };
+                match x.joined(y, self.triangles) {
+                    Some(face) => {
+                        self.faces[lo as usize] = Some(face);
+                        self.faces[hi as usize] = None;
+                        self.parent[hi as usize] = lo;
+                        joined = true;
+                        false
+                    }
+                    None => true,
+                }
+            });
+            if !joined || pairs.len() == before {
+                return;
+            }
+        }
+    }
+
+    fn finish(mut self) -> (Vec<Occluder>, Vec<Option<u32>>) {
+        let n = self.triangles.len();
+        let roots: Vec<u32> = (0..n as u32).map(|i| self.root(i)).collect();
+        let mut number = vec![None; n];
+        let mut occluders = Vec::new();
+        for (id, face) in self.faces.iter().enumerate() {
+            if let Some(face) = face {
+                number[id] = Some(occluders.len() as u32);
+                occluders.push(face.occluder(self.triangles, self.corners));
+            }
+        }
+        let of = roots.iter().map(|r| number[*r as usize]).collect();
+        (occluders, of)
+    }
+}
+
+impl Face {
+    fn of(id: u32, v: &[Vec3; 3], c: &[u32]) -> Self {
+        let border = (0..3).map(|k| Edge { from: c[k], to: c[(k + 1) % 3], ends: [v[k], v[(k + 1) % 3]] }).collect();
+        // Some axis sees the triangle with an area, since it has one; which is decided exactly.
+        let turn = |axis: usize| orient2d_sign(flat(v[0], axis), flat(v[1], axis), flat(v[2], axis));
+        let axis = (0..3).find(|k| turn(*k) != Ordering::Equal).unwrap_or(0);
+        Self { triangles: vec![(id, false)], border, axis, mirrored: turn(axis) == Ordering::Less }
+    }
+
+    /// Both faces as one, if their union is convex.
+    fn joined(&self, other: &Self, triangles: &[[Vec3; 3]]) -> Option<Self> {
+        if self.border.len() + other.border.len() > MOST_EDGES + 2 {
+            return None;
+        }
+        // Turned so that both face the same way: seen along the same axis.
+        let v = &triangles[other.triangles[0].0 as usize];
+        let turned = other.triangles[0].1;
+        let clockwise = orient2d_sign(flat(v[0], self.axis), flat(v[1], self.axis), flat(v[2], self.axis)) == Ordering::Less;
+        let flip = (clockwise != turned) != self.mirrored;
+        let mut border = self.border.clone();
+        for e in &other.border {
+            let e = if flip { Edge { from: e.to, to: e.from, ends: [e.ends[1], e.ends[0]] } } else { *e };
+            match border.iter().position(|f| f.from == e.to && f.to == e.from) {
+                Some(i) => {
+                    border.remove(i);
+                }
+                None => border.push(e),
+            }
+        }
+        if border.len() < 3 || border.len() == self.border.len() + other.border.len() {
+            return None;
+        }
+        // One loop, every turn to the left or straight on.
+        let mut at = 0;
+        for step in 1..=border.len() {
+            let mut next = border.iter().enumerate().filter(|(_, e)| e.from == border[at].to);
+            let (Some((i, e)), None) = (next.next(), next.next()) else { return None };
+            let ([a, b], c) = (border[at].ends, e.ends[1]);
+            let turn = orient2d_sign(flat(a, self.axis), flat(b, self.axis), flat(c, self.axis));
+            let right = if self.mirrored { Ordering::Greater } else { Ordering::Less };
+            if turn == right {
+                return None;
+            }
+            at = i;
+            if (at == 0) != (step == border.len()) {
+                return None;
+            }
+        }
+        let mut all = self.triangles.clone();
+        all.extend(other.triangles.iter().map(|(t, f)| (*t, *f != flip)));
+        Some(Self { triangles: all, border, axis: self.axis, mirrored: self.mirrored })
+    }
+
+    /// As an occluder, its border in the order that its triangles give.
+    fn occluder(&self, triangles: &[[Vec3; 3]], corners: &[u32]) -> Occluder {
+        let mut members = self.triangles.clone();
+        members.sort_unstable();
+        let border = border(&members, |t| {
+            let c = &corners[3 * t as usize..];
+            ([c[0], c[1], c[2]], triangles[t as usize])
+        });
+        let mut lines: Vec<u32> = Vec::new();
+        for (i, e) in border.iter().enumerate() {
+            let along = |o: &u32| {
+                let f = border[*o as usize];
+                let same_way = (0..3).all(|k| (f[1][k] > f[0][k]) == (e[1][k] > e[0][k]) && (f[1][k] < f[0][k]) == (e[1][k] < e[0][k]));
+                same_way && collinear(f[0], f[1], e[0]) && collinear(f[0], f[1], e[1])
+            };
+            if !lines.iter().any(along) {
+                lines.push(i as u32);
+            }
+        }
+        Occluder { triangles: members, border, lines }
+    }
+}
+
+/// The edges that remain when opposite ones are struck out, in the order of the triangles and of their edges.
+fn border(members: &[(u32, bool)], triangle: impl Fn(u32) -> ([u32; 3], [Vec3; 3])) -> Vec<[Vec3; 2]> {
+    let mut left: Vec<(u32, u32, [Vec3; 2])> = Vec::new();
+    for (t, turned) in members {
+        let (c, v) = triangle(*t);
+        for k in 0..3 {
+            let (i, j) = if *turned { ((k + 1) % 3, k) } else { (k, (k + 1) % 3) };
+            match left.iter().rposition(|e| e.0 == c[j] && e.1 == c[i]) {
+                Some(at) => {
+                    left.remove(at);
+                }
+                None => left.push((c[i], c[j], [v[i], v[j]])),
+            }
+        }
+    }
+    left.into_iter().map(|e| e.2).collect()
+}
+
+fn flat(p: Vec3, axis: usize) -> [f32; 2] {
+    [p[(axis + 1) % 3], p[(axis + 2) % 3]]
+}

@@ -1,0 +1,519 @@
+//! The exact query between two polygons: feedback-guided subtraction in line space (thesis ch. 5 and §6.1; the
+//! feedback after Haumont et al. 2005).
+//!
+//! Take a real line inside what is left of the lines from A to B and follow it. If it meets nothing it is a witness. Else
+//! subtract one of the occluders it met, the one that takes most of what is left, and go on with the pieces outside
+//! of it. When nothing with real lines is left, B is hidden, and the steps taken are the proof.
+
+use std::cmp::Ordering;
+
+use glam::DVec3;
+
+use crate::cone::Region;
+use crate::frame::{Frame, Source};
+use crate::klein::{Contents, contents};
+use crate::occluder::Occluders;
+use crate::polygon::Polygon;
+use crate::prism::{self, Pair};
+use crate::proof::{Proof, Step, Which};
+use crate::trace::{Met, trace};
+use crate::vector::{Decisions, Id, Space, klein};
+
+/// When a query gives up.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// Regions looked at, over all divisions.
+    pub regions: u32,
+    /// Vectors held at a time; about 400 bytes each.
+    pub vectors: u32,
+    /// How often a polygon may be halved.
+    pub divisions: u32,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { regions: 20_000, vectors: 200_000, divisions: 12 }
+    }
+}
+
+/// What is known of two polygons.
+#[derive(Clone, Debug)]
+pub enum Verdict {
+    /// Seen, along the segment between these points: inside A, inside B, and clear of all triangles in between.
+    Visible(Box<[Source; 2]>),
+    /// Not seen, with the proof.
+    Hidden(Proof),
+    /// Neither, and why.
+    Undecided(Reason),
+}
+
+/// Why a query ended without a verdict.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Reason {
+    /// More regions than [`Limits::regions`].
+    #[error("more regions of line space than the limit")]
+    Regions,
+    /// More vectors than [`Limits::vectors`].
+    #[error("more memory than the limit")]
+    Memory,
+    /// Polygons halved as often as [`Limits::divisions`] and still neither.
+    #[error("halved to the limit and still undecided")]
+    Divisions,
+}
+
+/// What a query cost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Cost {
+    /// How signs were decided.
+    pub decisions: Decisions,
+    /// Regions looked at.
+    pub regions: u64,
+    /// Lines followed.
+    pub lines: u64,
+    /// Occluders subtracted.
+    pub occluders: u64,
+    /// Times a polygon was halved.
+    pub divisions: u64,
+    /// Most vectors held.
+    pub vectors: u64,
+}
+
+impl std::ops::AddAssign for Cost {
+    fn add_assign(&mut self, o: Self) {
+        self.decisions += o.decisions;
+        self.regions += o.regions;
+        self.lines += o.lines;
+        self.occluders += o.occluders;
+        self.divisions += o.divisions;
+        self.vectors = self.vectors.max(o.vectors);
+    }
+}
+
+/// Whether any part of `b` is seen from `a`, each a convex polygon or the parts of one.
+pub fn sightlines(scene: &Occluders, a: &[Polygon], b: &[Polygon], limits: &Limits) -> (Verdict, Cost) {
+    let mut search = Search { scene, limits, cost: Cost::default(), proof: Proof::default(), numbers: Vec::new() };
+    let mut open: Option<Reason> = None;
+    for x in a {
+        for y in b {
+            match search.polygons(x, y) {
+                Ok(()) => {}
+                Err(End::Seen(witness)) => return (Verdict::Visible(witness), search.cost),
+                // Another part may still be seen.
+                Err(End::Open(reason)) => open = Some(reason),
+            }
+        }
+    }
+    let verdict = match open {
+        None => Verdict::Hidden(search.proof),
+        Some(reason) => Verdict::Undecided(reason),
+    };
+    (verdict, search.cost)
+}
+
+/// The parts of two polygons between which lines run: each on one side of the other's plane. None when both lie in
+/// one plane: the lines in it are no open set.
+pub fn parts(a: &Polygon, b: &Polygon) -> Vec<[(Polygon, Vec<Ordering>); 2]> {
+    let (of_a, of_b) = (b.sides(a), a.sides(b));
+    let mut out = Vec::new();
+    for side_a in [Ordering::Greater, Ordering::Less] {
+        for side_b in [Ordering::Greater, Ordering::Less] {
+            let cut = |p: &Polygon, other: &Polygon, sides: &[Ordering], keep: Ordering| {
+                if sides.contains(&keep.reverse()) && sides.contains(&keep) {
+                    let part = p.part(&other.plane(), sides, keep)?;
+                    let sides = other.sides(&part);
+                    Some((part, sides))
+                } else {
+                    sides.contains(&keep).then(|| (p.clone(), sides.to_vec()))
+                }
+            };
+            if let (Some(x), Some(y)) = (cut(a, b, &of_a, side_a), cut(b, a, &of_b, side_b)) {
+                out.push([x, y]);
+            }
+        }
+    }
+    out
+}
+
+/// How the search of a pair ends before it is proved hidden.
+enum End {
+    Seen(Box<[Source; 2]>),
+    Open(Reason),
+}
+
+/// The end of a whole from those of its parts: what is seen ends the search, what is open does not.
+fn worst(before: Result<(), Reason>, now: Result<(), End>) -> Result<Result<(), Reason>, End> {
+    match now {
+        Ok(()) => Ok(before),
+        Err(End::Open(reason)) => Ok(Err(reason)),
+        Err(End::Seen(witness)) => Err(End::Seen(witness)),
+    }
+}
+
+/// A region the search can do nothing with as it is: the polygons are to be halved.
+struct Stuck;
+
+struct Search<'a> {
+    scene: &'a Occluders,
+    limits: &'a Limits,
+    cost: Cost,
+    proof: Proof,
+    /// The number in the proof of each occluder used, in order of use.
+    numbers: Vec<u32>,
+}
+
+/// An occluder as half-spaces of one pair's space.
+struct Constraints {
+    occluder: u32,
+    /// Line, whether it runs the other way, and the constraint's number in a proof.
+    lines: Vec<(Id, bool, u16)>,
+}
+
+impl Search<'_> {
+    fn polygons(&mut self, a: &Polygon, b: &Polygon) -> Result<(), End> {
+        let mut result = Ok(());
+        for [x, y] in parts(a, b) {
+            result = worst(result, self.pair(&x, &y, 0))?;
+        }
+        result.map_err(End::Open)
+    }
+
+    /// Proves that no line gets from one part to the other, halving them where that does not succeed at once.
+    fn pair(&mut self, a: &(Polygon, Vec<Ordering>), b: &(Polygon, Vec<Ordering>), depth: u32) -> Result<(), End> {
+        let steps = self.proof.steps.len();
+        if self.try_pair(a, b)?.is_ok() {
+            return Ok(());
+        }
+        self.proof.steps.truncate(steps);
+        if depth == self.limits.divisions {
+            return Err(End::Open(Reason::Divisions));
+        }
+        self.cost.divisions += 1;
+        let (of, [from, to]) = widest(&a.0, &b.0);
+        self.proof.steps.push(Step::Divide { of, from, to });
+        let mut result = Ok(());
+        let (whole, other) = if of == Which::A { (&a.0, &b.0) } else { (&b.0, &a.0) };
+        for half in whole.divided(from, to) {
+            let sides = other.sides(&half);
+            // The other's sides of the half's plane are what they were: it is the same plane, perhaps turned.
+            let half_plane = half.sides(other);
+            let (half, rest) = ((half, sides), (other.clone(), half_plane));
+            let found = if of == Which::A { self.pair(&half, &rest, depth + 1) } else { self.pair(&rest, &half, depth + 1) };
+            result = worst(result, found)?;
+        }
+        result.map_err(End::Open)
+    }
+
+    fn try_pair(&mut self, a: &(Polygon, Vec<Ordering>), b: &(Polygon, Vec<Ordering>)) -> Result<Result<(), Stuck>, End> {
+        let (near_a, near_b) = (a.0.rounded(), b.0.rounded());
+        let mut space = Space::new(Frame::around(&near_a, &near_b));
+        let Ok(mut pair) = prism::stabbing(&mut space, (&a.0, &a.1), (&b.0, &b.1)) else { return Ok(Err(Stuck)) };
+        let regions = std::mem::take(&mut pair.regions);
+        let ends = [(&a.0, &near_a[..]), (&b.0, &near_b[..])];
+        let mut local = Local { space, pair, known: Vec::new(), lines: Vec::new(), ends };
+        let mut result = Ok(());
+        for region in regions {
+            result = self.region(&mut local, region)?;
+            if result.is_err() {
+                break;
+            }
+        }
+        self.cost.decisions += local.space.decisions;
+        Ok(result)
+    }
+
+    /// Takes one region apart.
+    fn region(&mut self, local: &mut Local<'_>, region: Region) -> Result<Result<(), Stuck>, End> {
+        let mut open = vec![region];
+        while let Some(region) = open.pop() {
+            self.cost.regions += 1;
+            let vectors = local.space.size()[1] as u64;
+            self.cost.vectors = self.cost.vectors.max(vectors);
+            if self.cost.regions > u64::from(self.limits.regions) {
+                self.cost.decisions += local.space.decisions;
+                return Err(End::Open(Reason::Regions));
+            }
+            if vectors > u64::from(self.limits.vectors) {
+                self.cost.decisions += local.space.decisions;
+                return Err(End::Open(Reason::Memory));
+            }
+            let lines = match contents(&mut local.space, &region, LINES) {
+                Contents::Nothing => {
+                    self.proof.steps.push(Step::Unreal);
+                    continue;
+                }
+                Contents::Unsure => return Ok(Err(Stuck)),
+                Contents::Lines(lines) => lines,
+            };
+            match self.feed_back(local, &region, &lines)? {
+                Some((step, outside)) => {
+                    self.proof.steps.push(step);
+                    // The first outer part is the next to be looked at.
+                    open.extend(outside.into_iter().rev());
+                }
+                None => return Ok(Err(Stuck)),
+            }
+        }
+        Ok(Ok(()))
+    }
+
+    /// Follows lines of a region until one is free or an occluder is found that takes something away.
+    fn feed_back(&mut self, local: &mut Local<'_>, region: &Region, lines: &[[f64; 6]]) -> Result<Option<(Step, Vec<Region>)>, End> {
+        for line in lines {
+            let Some((p, q)) = local.snap(line) else { continue };
+            self.cost.lines += 1;
+            match trace(&mut local.space, self.scene, &local.pair, (p.0, q.0), (p.1, q.1)) {
+                Met::Nothing => {
+                    self.cost.decisions += local.space.decisions;
+                    return Err(End::Seen(Box::new([local.source(p.0, 0), local.source(q.0, 1)])));
+                }
+                Met::Grazing => {}
+                Met::Blocked(triangles) => {
+                    let mut met: Vec<u32> = triangles.iter().filter_map(|t| self.scene.of(*t)).collect();
+                    met.sort_unstable();
+                    met.dedup();
+                    if let Some(found) = self.subtract_best(local, region, line, &met) {
+                        return Ok(Some(found));
+                    }
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    /// Subtracts the occluder that holds most rays of the region, or the next that takes anything away.
+    fn subtract_best(&mut self, local: &mut Local<'_>, region: &Region, line: &[f64; 6], met: &[u32]) -> Option<(Step, Vec<Region>)> {
+        let mut ranked: Vec<(usize, bool, usize)> = Vec::with_capacity(met.len());
+        for id in met {
+            let Some(known) = local.constraints(self.scene, *id) else { continue };
+            let at = |(h, flipped, _): &(Id, bool, u16), v: &[f64; 6]| {
+                let s = klein(v, local.space.rounded(*h));
+                if *flipped { -s } else { s }
+            };
+            let lines = &local.known[known].lines;
+            // Which way the line passes the occluder: all edges agree, but for rounding.
+            let negative = lines.iter().map(|c| at(c, line)).sum::<f64>() < 0.0;
+            let inside = |v: &[f64; 6]| lines.iter().all(|c| if negative { at(c, v) <= 0.0 } else { at(c, v) >= 0.0 });
+            let held = region.rays.iter().filter(|(r, _)| inside(local.space.rounded(*r))).count();
+            ranked.push((known, negative, held));
+        }
+        ranked.sort_by(|x, y| y.2.cmp(&x.2).then(local.known[x.0].lines.len().cmp(&local.known[y.0].lines.len())).then(x.0.cmp(&y.0)));
+        for (known, negative, _) in ranked {
+            if let Some((cuts, outside)) = local.subtract(region, known, negative) {
+                self.cost.occluders += 1;
+                let occluder = self.number(local.known[known].occluder);
+                return Some((Step::Block { occluder, negative, cuts }, outside));
+            }
+        }
+        None
+    }
+
+    /// An occluder's number in the proof.
+    fn number(&mut self, occluder: u32) -> u32 {
+        let at = self.numbers.iter().position(|o| *o == occluder).unwrap_or_else(|| {
+            self.numbers.push(occluder);
+            self.proof.occluders.push(self.scene.occluder(occluder).triangles.clone());
+            self.numbers.len() - 1
+        });
+        at as u32
+    }
+}
+
+/// Lines of a region that are tried before it is given up.
+const LINES: usize = 6;
+/// Weights of a snapped point add up to this.
+const WEIGHTS: u32 = 1 << 24;
+
+/// What belongs to one pair of parts.
+struct Local<'a> {
+    space: Space,
+    pair: Pair,
+    known: Vec<Constraints>,
+    /// Lines made for occluders' edges: ends as bits, the line, and whether it runs the other way.
+    lines: Vec<([u32; 6], Id, bool)>,
+    /// Both polygons, with their vertices rounded.
+    ends: [(&'a Polygon, &'a [DVec3]); 2],
+}
+
+impl Local<'_> {
+    /// A real line near `line`, between points strictly inside both polygons: points of the space and rounded ones.
+    fn snap(&mut self, line: &[f64; 6]) -> Option<((u32, DVec3), (u32, DVec3))> {
+        let p = self.snap_end(line, 0)?;
+        let q = self.snap_end(line, 1)?;
+        Some((p, q))
+    }
+
+    fn snap_end(&mut self, line: &[f64; 6], end: usize) -> Option<(u32, DVec3)> {
+        let ids = if end == 0 { &self.pair.a } else { &self.pair.b };
+        let at = prism::meets(&self.space, line, ids);
+        if !at.is_finite() {
+            return None;
+        }
+        let corner = |i: usize| DVec3::from(self.space.point_at(ids[i]).at);
+        let o = corner(0);
+        // The triangle of the fan that the point is in, or nearest to being in.
+        let mut best: Option<(f64, usize, [f64; 3])> = None;
+        for i in 1..ids.len() - 1 {
+            let (x, y, d) = (corner(i) - o, corner(i + 1) - o, at - o);
+            let n = x.cross(y);
+            let area = n.length_squared();
+            let (s, t) = (d.cross(y).dot(n) / area, x.cross(d).dot(n) / area);
+            let w = [1.0 - s - t, s, t];
+            let least = w[0].min(w[1]).min(w[2]);
+            if least.is_finite() && best.is_none_or(|(l, _, _)| least > l) {
+                best = Some((least, i, w));
+            }
+        }
+        let (_, i, w) = best?;
+        let total = f64::from(WEIGHTS);
+        // A corner's weight is at least one unit, so that the point is inside.
+        let s = ((w[1] * total).round() as i64).clamp(1, i64::from(WEIGHTS) - 2) as u32;
+        let t = ((w[2] * total).round() as i64).clamp(1, i64::from(WEIGHTS) - 1 - i64::from(s)) as u32;
+        let weights = [WEIGHTS - s - t, s, t];
+        let of = [ids[0], ids[i], ids[i + 1]];
+        let near = self.ends[end].1;
+        let share = weights.map(|w| f64::from(w) / total);
+        let near = near[0] * share[0] + near[i] * share[1] + near[i + 1] * share[2];
+        Some((self.space.mixed(of, weights), near))
+    }
+
+    /// A snapped point in world space, exactly.
+    fn source(&self, point: u32, end: usize) -> Source {
+        let crate::frame::Place::Mix(of, weights) = &self.space.point_at(point).place else {
+            unreachable!("witness ends are snapped points")
+        };
+        let (polygon, ids) = (self.ends[end].0, if end == 0 { &self.pair.a } else { &self.pair.b });
+        let corners = of.map(|o| {
+            let i = ids.iter().position(|x| *x == o).unwrap_or(0);
+            crate::predicates::integers(&polygon.points()[i])
+        });
+        let mut x = crate::vector::mix([&corners[0], &corners[1], &corners[2]], *weights);
+        crate::number::primitive(&mut x);
+        Source::Exact(Box::new(x))
+    }
+
+    /// The half-spaces of an occluder, where it is between A and B; an index into `known`.
+    fn constraints(&mut self, scene: &Occluders, id: u32) -> Option<usize> {
+        if let Some(at) = self.known.iter().position(|c| c.occluder == id) {
+            return Some(at);
+        }
+        let occluder = scene.occluder(id);
+        let before = self.space.size();
+        let planes = [(self.pair.a.clone(), self.pair.ahead), (self.pair.b.clone(), self.pair.behind)];
+        let mut beyond = [false; 2];
+        for (k, (plane, good)) in planes.iter().enumerate() {
+            let mut within = false;
+            for e in &occluder.border {
+                let point = self.space.frame().given(e[0].as_dvec3());
+                let point = self.space.point(point);
+                let side = self.space.orient(plane[0], plane[1], plane[2], point);
+                within |= side == *good;
+                beyond[k] |= side == good.reverse();
+            }
+            if !within {
+                self.space.truncate(before);
+                return None;
+            }
+        }
+        self.space.truncate(before);
+        let mut lines = Vec::with_capacity(occluder.lines.len() + 2);
+        for e in &occluder.lines {
+            let (line, flipped) = self.edge(occluder.border[*e as usize]);
+            lines.push((line, flipped, *e as u16));
+        }
+        if beyond.contains(&true) {
+            let (t, turned) = occluder.triangles[0];
+            let [a, b, c] = scene.triangle(t).map(|v| {
+                let p = self.space.frame().integers(&Source::Given(v.as_dvec3()));
+                p
+            });
+            let own = if turned { crate::predicates::plane([&a, &c, &b]) } else { crate::predicates::plane([&a, &b, &c]) };
+            for (k, (plane, good)) in planes.iter().enumerate() {
+                if !beyond[k] {
+                    continue;
+                }
+                let [x, y, z] = [0, 1, 2].map(|i| self.space.point_exact(plane[i]).clone());
+                let mut toward = crate::predicates::plane([&x, &y, &z]);
+                if *good == Ordering::Less {
+                    toward.iter_mut().for_each(|c| *c = -std::mem::take(c));
+                }
+                // The part of the occluder on the good side is to the left of n_plane × n_own, seen from n_own's side.
+                let line = self.space.meet(toward, own.clone());
+                lines.push((line, false, (occluder.border.len() + k) as u16));
+            }
+        }
+        self.known.push(Constraints { occluder: id, lines });
+        Some(self.known.len() - 1)
+    }
+
+    /// The line of an edge, one for all edges that run along it.
+    fn edge(&mut self, [p, q]: [glam::Vec3; 2]) -> (Id, bool) {
+        // −0 is 0.
+        let bits = |v: glam::Vec3| (v + glam::Vec3::ZERO).to_array().map(f32::to_bits);
+        let key = |a: [u32; 3], b: [u32; 3]| [a[0], a[1], a[2], b[0], b[1], b[2]];
+        let (there, back) = (key(bits(p), bits(q)), key(bits(q), bits(p)));
+        for (k, id, flipped) in &self.lines {
+            if *k == there {
+                return (*id, *flipped);
+            }
+            if *k == back {
+                return (*id, !*flipped);
+            }
+        }
+        let [a, b] = [p, q].map(|v| {
+            let point = self.space.frame().given(v.as_dvec3());
+            self.space.point(point)
+        });
+        let line = self.space.join(a, b);
+        // Along a line that is there already, or along an edge of A or B?
+        let mut seen: Vec<Id> = self.lines.iter().map(|l| l.1).collect();
+        seen.dedup();
+        let same = seen.into_iter().find_map(|l| self.space.same_line(line, l).map(|same| (l, !same)));
+        let (id, flipped) = same.unwrap_or((line, false));
+        self.lines.push((there, id, flipped));
+        (id, flipped)
+    }
+
+    /// Takes away from a region what an occluder blocks of it: the cuts made and the parts left outside each. Nothing when
+    /// the occluder takes nothing away.
+    fn subtract(&mut self, region: &Region, known: usize, negative: bool) -> Option<(Vec<u16>, Vec<Region>)> {
+        let mut cuts = Vec::new();
+        let mut outside = Vec::new();
+        let mut rest = region.clone();
+        let mut sides = Vec::new();
+        for k in 0..self.known[known].lines.len() {
+            let (line, flipped, number) = self.known[known].lines[k];
+            rest.sides(&mut self.space, line, &mut sides);
+            let inner = if flipped != negative { Ordering::Less } else { Ordering::Greater };
+            if !sides.contains(&inner) {
+                return None;
+            }
+            if !sides.contains(&inner.reverse()) {
+                continue;
+            }
+            let [less, greater] = rest.split(&mut self.space, line, &sides).ok()?;
+            let (inside, out) = if inner == Ordering::Less { (less, greater) } else { (greater, less) };
+            rest = inside;
+            cuts.push(number);
+            outside.push(out);
+        }
+        Some((cuts, outside))
+    }
+}
+
+/// The polygon that spreads farther, and where to halve it.
+fn widest(a: &Polygon, b: &Polygon) -> (Which, [u16; 2]) {
+    let (da, ca) = halving(a);
+    let (db, cb) = halving(b);
+    if da >= db { (Which::A, ca) } else { (Which::B, cb) }
+}
+
+/// A polygon's longest edge, and the points between which a line across it halves the polygon.
+fn halving(p: &Polygon) -> (f64, [u16; 2]) {
+    let v = p.rounded();
+    let n = v.len();
+    let length = |i: usize| (v[(i + 1) % n] - v[i]).length();
+    let longest = (0..n).max_by(|i, j| length(*i).total_cmp(&length(*j)).then(j.cmp(i))).unwrap_or(0);
+    // Opposite the middle of edge i: halfway round, a vertex or the middle of an edge.
+    let from = 2 * longest + 1;
+    (length(longest), [from as u16, ((from + n) % (2 * n)) as u16])
+}
