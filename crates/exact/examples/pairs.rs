@@ -26,7 +26,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let occluders = Occluders::new(&scene)?;
     println!("{} triangles, {} occluders in {:.2?}", scene.len(), occluders.count(), start.elapsed());
     let (lo, hi) = (scene.bounds().min.as_dvec3(), scene.bounds().max.as_dvec3());
-    let mut kinds: [(&str, Vec<Duration>, Cost); 3] = ["visible", "hidden", "undecided"].map(|n| (n, Vec::new(), Cost::default()));
+    let mut kinds: [(&str, Vec<Duration>, Cost); 3] =
+        ["visible", "hidden", "undecided"].map(|n| (n, Vec::new(), Cost::default()));
     let (mut blockers, mut proved) = (0usize, 0usize);
     let limits = Limits::default();
     let check = args.get(4).is_some_and(|a| a == "check");
@@ -52,7 +53,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let id = (random() % scene.len() as u64) as usize;
         let corners = scene.triangles()[id].v.map(|v| v.as_dvec3());
         // Only what is on the outer side of the face and no part of which is in the cell.
-        let outside = corners.iter().all(|p| if up { p[axis] > face[0][axis] } else { p[axis] < face[0][axis] });
+        let outside =
+            corners.iter().all(|p| if up { p[axis] > face[0][axis] } else { p[axis] < face[0][axis] });
         let (Ok(a), Some(b)) = (Polygon::checked(&face), Polygon::triangle(corners)) else { continue };
         if !outside {
             continue;
@@ -64,7 +66,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             Verdict::Visible(ends) => {
                 if check {
                     let [p, q] = [0, 1].map(|i| sightline_exact::predicates::integers(&ends[i]));
-                    if let Err(e) = checker::check_witness(&raw, &[checker::corners(&face)], &[checker::corners(&corners)], &p, &q) {
+                    if let Err(e) = checker::check_witness(
+                        &raw,
+                        &[checker::corners(&face)],
+                        &[checker::corners(&corners)],
+                        &p,
+                        &q,
+                    ) {
                         println!("REFUSED witness for {face:?} {id}: {e}");
                     }
                 }
@@ -73,7 +81,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             Verdict::Hidden(proof) => {
                 if check {
                     let start = Instant::now();
-                    if let Err(e) = checker::check_hidden(&raw, &[checker::corners(&face)], &[checker::corners(&corners)], proof) {
+                    if let Err(e) = checker::check_hidden(
+                        &raw,
+                        &[checker::corners(&face)],
+                        &[checker::corners(&corners)],
+                        proof,
+                    ) {
                         println!("REFUSED proof for {face:?} {id}: {e}");
                     }
                     checking += start.elapsed();
@@ -82,7 +95,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 proved += 1;
                 1
             }
-            Verdict::Undecided(_) => 2,
+            Verdict::Undecided(reason) => {
+                println!("undecided: {face:?} {corners:?} {id}: {reason}");
+                2
+            }
         };
         kinds[kind].1.push(took);
         kinds[kind].2 += cost;

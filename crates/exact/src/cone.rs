@@ -86,7 +86,9 @@ impl Region {
         let rays = self
             .rays
             .iter()
-            .map(|(r, t)| (*r, kept.iter().enumerate().fold(0, |bits, (new, old)| bits | (t >> old & 1) << new)))
+            .map(|(r, t)| {
+                (*r, kept.iter().enumerate().fold(0, |bits, (new, old)| bits | (t >> old & 1) << new))
+            })
             .collect();
         Self { rays, halves: kept.iter().map(|h| self.halves[*h]).collect() }
     }

@@ -47,7 +47,7 @@ pub enum Place {
     /// By its coordinates in the world.
     World(Source),
     /// As Σ weight · point / Σ weight of three other points of the space.
-    Mix([u32; 3], [u32; 3]),
+    Mix([u32; 3], Box<[IBig; 3]>),
 }
 
 impl Frame {
@@ -58,7 +58,8 @@ impl Frame {
         let origin = ((ca + cb) * 0.5).as_vec3().as_dvec3();
         let origin = if origin.is_finite() { origin } else { DVec3::ZERO };
         let all = || a.iter().chain(b).map(|p| *p - origin);
-        let widest = all().fold(DVec3::ZERO, |m, d| if d.length_squared() > m.length_squared() { d } else { m });
+        let widest =
+            all().fold(DVec3::ZERO, |m, d| if d.length_squared() > m.length_squared() { d } else { m });
         let z = [cb - ca, widest, DVec3::Z].into_iter().find_map(DVec3::try_normalize).unwrap_or(DVec3::Z);
         // Across the axis, the direction in which the two spread most.
         let (u, v) = z.any_orthonormal_pair();
@@ -79,7 +80,11 @@ impl Frame {
         let shift = std::array::from_fn(|i| {
             let r = DVec3::from(rows[i].map(f64::from)) / STEPS;
             let extent = all().fold(0.0f64, |m, d| m.max(d.dot(r).abs()));
-            if extent > 0.0 && extent.is_finite() { -(extent.log2().ceil() as i32).clamp(-500, 500) } else { 0 }
+            if extent > 0.0 && extent.is_finite() {
+                -(extent.log2().ceil() as i32).clamp(-500, 500)
+            } else {
+                0
+            }
         });
         // A pair that is flat across its axis is not to be blown up without measure.
         let least = shift.iter().copied().min().unwrap_or(0);
@@ -125,6 +130,54 @@ impl Frame {
         }
     }
 
+    /// A Plücker vector of the world in the frame, up to a positive factor: d' = M·d, m' = cof(M)·(m − c × d).
+    pub fn line_integers(&self, line: [f64; 6]) -> [IBig; 6] {
+        let (origin, e) = integers(self.origin.to_array());
+        let (low, up) = ((-e).max(0) as usize, e.max(0) as usize);
+        let (line, _) = integers(line);
+        let [d0, d1, d2, m0, m1, m2] = line;
+        let (d, m) = ([d0, d1, d2], [m0, m1, m2]);
+        let c: [IBig; 3] = origin.map(|c| c << up);
+        let cross = |i: usize, j: usize| &c[i] * &d[j] - &c[j] * &d[i];
+        let moment = [cross(1, 2), cross(2, 0), cross(0, 1)];
+        let moment: [IBig; 3] = std::array::from_fn(|i| (&m[i] << low) - &moment[i]);
+        let d = d.map(|c| c << low);
+        // M = 2^least · N with N of integers; then d' carries one factor 2^least and m' two.
+        let least = self.shift.iter().copied().min().unwrap_or(0) - 6;
+        let n: [[IBig; 3]; 3] = std::array::from_fn(|i| {
+            std::array::from_fn(|j| IBig::from(self.rows[i][j]) << (self.shift[i] - 6 - least) as usize)
+        });
+        let cofactor = |i: usize, j: usize| {
+            let (a, b, p, q) = ((i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3);
+            &n[a][p] * &n[b][q] - &n[a][q] * &n[b][p]
+        };
+        let (down, rise) = ((-least).max(0) as usize, least.max(0) as usize);
+        std::array::from_fn(|i| {
+            if i < 3 {
+                let sum: IBig = (0..3).map(|j| &n[i][j] * &d[j]).sum();
+                sum << down
+            } else {
+                let sum: IBig = (0..3).map(|j| cofactor(i - 3, j) * &moment[j]).sum();
+                sum << rise
+            }
+        })
+    }
+
+    /// A Plücker vector of the frame in the world, rounded, up to a positive factor.
+    pub fn line_to_world(&self, line: &[f64; 6]) -> [f64; 6] {
+        let rows = std::array::from_fn(|i| {
+            DVec3::from(self.rows[i].map(f64::from)) * f64::powi(2.0, self.shift[i] - 6)
+        });
+        let [a, b, c]: [DVec3; 3] = rows;
+        let inverse = glam::DMat3::from_cols(a, b, c).transpose().inverse();
+        let d = inverse * DVec3::new(line[0], line[1], line[2]);
+        // cof(M)⁻¹ = Mᵀ / det M.
+        let det = a.dot(b.cross(c));
+        let m = (a * line[3] + b * line[4] + c * line[5]) / det + self.origin.cross(d);
+        let [x, y, z] = d.to_array();
+        crate::number::normalised([x, y, z, m.x, m.y, m.z]).0
+    }
+
     fn map(&self, p: &[IBig; 4]) -> [IBig; 4] {
         let (origin, e) = integers(self.origin.to_array());
         // Everything times 2^low, so that the origin becomes an integer.
@@ -137,13 +190,19 @@ impl Frame {
             sum << (self.shift[i] - 6 - least) as usize
         });
         let w = &p[3] << low;
-        if least < 0 { [x, y, z, w << (-least) as usize] } else { [x << least as usize, y << least as usize, z << least as usize, w] }
+        if least < 0 {
+            [x, y, z, w << (-least) as usize]
+        } else {
+            [x << least as usize, y << least as usize, z << least as usize, w]
+        }
     }
 }
 
 fn determinant(m: &[[i32; 3]; 3]) -> i64 {
     let m = m.map(|r| r.map(i64::from));
-    (0..3).map(|i| m[0][i] * (m[1][(i + 1) % 3] * m[2][(i + 2) % 3] - m[1][(i + 2) % 3] * m[2][(i + 1) % 3])).sum()
+    (0..3)
+        .map(|i| m[0][i] * (m[1][(i + 1) % 3] * m[2][(i + 2) % 3] - m[1][(i + 2) % 3] * m[2][(i + 1) % 3]))
+        .sum()
 }
 
 /// A homogeneous point as doubles, each coordinate correct to 3u of itself (where it does not vanish).

@@ -6,8 +6,13 @@
 
 use std::cmp::Ordering;
 
+use dashu_int::IBig;
+use dashu_int::ops::BitTest as _;
+
 use crate::cone::Region;
-use crate::vector::{Id, Space, klein};
+use crate::number::U;
+use crate::predicates::sign;
+use crate::vector::{Id, Space, klein, klein_exact};
 
 /// What a region holds.
 #[derive(Clone, Debug)]
@@ -16,7 +21,7 @@ pub enum Contents {
     Nothing,
     /// Real lines: these, rounded, first the one that is deepest inside.
     Lines(Vec<[f64; 6]>),
-    /// The signs of pairs differ but no change of sign was found inside.
+    /// The signs of pairs differ but doubles show no change of sign inside.
     Unsure,
 }
 
@@ -27,18 +32,14 @@ pub fn contents(space: &mut Space, region: &Region, most: usize) -> Contents {
     let n = rays.len();
     let mut positive = false;
     let mut negative = false;
-    // The pairs whose sums are farthest from real, to either side, by the rounded form.
-    let mut extreme: [Vec<(f64, usize, usize)>; 2] = [Vec::new(), Vec::new()];
     let mut open: Vec<(Id, Id)> = Vec::new();
     for i in 0..n {
         for j in i..n {
-            let value = klein(&x[i], &x[j]);
             match space.filtered_side(rays[i], rays[j]) {
                 Some(Ordering::Greater) => positive = true,
                 Some(_) => negative = true,
                 None => open.push((rays[i], rays[j])),
             }
-            extreme[usize::from(value < 0.0)].push((value.abs(), i, j));
         }
     }
     space.decisions.filtered += ((n * (n + 1)) / 2 - open.len()) as u64;
@@ -59,12 +60,24 @@ pub fn contents(space: &mut Space, region: &Region, most: usize) -> Contents {
     }
     let centre: [f64; 6] = std::array::from_fn(|i| x.iter().map(|v| v[i]).sum::<f64>() / n as f64);
     let at_centre = klein(&centre, &centre);
-    // From the centre towards the pairs on the other side of the quadric.
-    let towards = &mut extreme[usize::from(at_centre > 0.0)];
-    towards.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)).then(a.2.cmp(&b.2)));
+    // From the centre towards the pairs on the other side of the quadric, those farthest from it first.
+    let turn = if at_centre > 0.0 { -1.0 } else { 1.0 };
+    let mut towards: Vec<(f64, usize, usize)> = Vec::with_capacity(4 * most + 1);
+    for i in 0..n {
+        for j in i..n {
+            let value = turn * klein(&x[i], &x[j]);
+            if value > 0.0 && (towards.len() < 4 * most || value > towards[towards.len() - 1].0) {
+                let at = towards.partition_point(|t| t.0 >= value);
+                towards.insert(at, (value, i, j));
+                towards.truncate(4 * most);
+            }
+        }
+    }
     let mut lines: Vec<(f64, [f64; 6])> = Vec::new();
-    for (_, i, j) in towards.iter().take(4 * most) {
-        let Some(end) = beyond(&x[*i], &x[*j], at_centre) else { continue };
+    for (_, i, j) in &towards {
+        // Values of the form below this are rounding and would lead to lines that are none.
+        let noise = 64.0 * U + 16.0 * space.error(rays[*i]).max(space.error(rays[*j]));
+        let Some(end) = beyond(&x[*i], &x[*j], at_centre, noise) else { continue };
         // K((1−t)c + te) = 0 with K(c), K(e) of different signs.
         let (c, m, e) = (at_centre, klein(&centre, &end), klein(&end, &end));
         let t = crossing(c, m, e);
@@ -82,14 +95,96 @@ pub fn contents(space: &mut Space, region: &Region, most: usize) -> Contents {
 }
 
 /// The combination of two rays on which K is farthest from the sign of `from`; none when it keeps that sign.
-fn beyond(a: &[f64; 6], b: &[f64; 6], from: f64) -> Option<[f64; 6]> {
+fn beyond(a: &[f64; 6], b: &[f64; 6], from: f64, noise: f64) -> Option<[f64; 6]> {
     let turn = if from > 0.0 { -1.0 } else { 1.0 };
     let (p, q, r) = (turn * klein(a, a), turn * klein(a, b), turn * klein(b, b));
     // p(1−t)² + 2q t(1−t) + r t², greatest where its slope vanishes if it bends downwards.
     let bend = p - 2.0 * q + r;
-    let t = if bend < 0.0 { ((p - q) / bend).clamp(0.0, 1.0) } else if p > r { 0.0 } else { 1.0 };
+    let t = if bend < 0.0 {
+        ((p - q) / bend).clamp(0.0, 1.0)
+    } else if p > r {
+        0.0
+    } else {
+        1.0
+    };
     let value = p * (1.0 - t) * (1.0 - t) + 2.0 * q * t * (1.0 - t) + r * t * t;
-    (value > 0.0).then(|| std::array::from_fn(|i| (1.0 - t) * a[i] + t * b[i]))
+    (value > noise).then(|| std::array::from_fn(|i| (1.0 - t) * a[i] + t * b[i]))
+}
+
+/// The polar of a combination of the two rays whose pair is most of the wrong sign while each alone is not: one of them is
+/// on each side of its hyperplane, and the pairs of either part are nearer to having one sign.
+pub fn polar(space: &Space, region: &Region) -> Option<[f64; 6]> {
+    let x: Vec<[f64; 6]> = region.rays.iter().map(|(r, _)| *space.rounded(*r)).collect();
+    let centre: [f64; 6] = std::array::from_fn(|i| x.iter().map(|v| v[i]).sum::<f64>() / x.len() as f64);
+    let wrong = if klein(&centre, &centre) > 0.0 { -1.0 } else { 1.0 };
+    let mut best: Option<(f64, usize, usize)> = None;
+    for i in 0..x.len() {
+        for j in i + 1..x.len() {
+            let value = wrong * klein(&x[i], &x[j]);
+            if value > 0.0 && best.is_none_or(|(v, _, _)| value > v) {
+                best = Some((value, i, j));
+            }
+        }
+    }
+    let (_, i, j) = best?;
+    // With K(a, a), K(b, b) ≥ 0 > K(a, b): K(a, b/√K(b,b) − a/√K(a,a)) < 0 < K(b, …).
+    let size = |v: &[f64; 6]| klein(v, v).abs().sqrt().max(1e-6);
+    let (p, q) = (size(&x[i]), size(&x[j]));
+    Some(std::array::from_fn(|k| x[j][k] / q - x[i][k] / p))
+}
+
+/// Bits behind the point of rays and parameters where doubles are too coarse.
+const FINE: usize = 256;
+
+/// A line inside a region, real to 2⁻²⁵⁶: for regions so thin that doubles do not show what is in them. None where no pair
+/// of rays shows a change of sign.
+pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
+    // Rays of one size, cut off far behind what doubles hold; only where to look depends on it.
+    let rays: Vec<[IBig; 6]> = region
+        .rays
+        .iter()
+        .map(|(r, _)| {
+            let x = space.exact(*r);
+            let longest = x.iter().map(|c| c.bit_len()).max().unwrap_or(0);
+            x.clone().map(|c| if longest > FINE { c >> (longest - FINE) } else { c << (FINE - longest) })
+        })
+        .collect();
+    let sum = |a: &[IBig; 6], b: &[IBig; 6]| -> [IBig; 6] { std::array::from_fn(|i| &a[i] + &b[i]) };
+    let centre = rays[1..].iter().fold(rays[0].clone(), |s, r| sum(&s, r));
+    let c = klein_exact(&centre, &centre);
+    let wrong = |x: IBig| if sign(&c) == Ordering::Greater { -x } else { x };
+    let mut best: Option<(IBig, [IBig; 6])> = None;
+    for (i, a) in rays.iter().enumerate() {
+        let p = wrong(klein_exact(a, a));
+        for b in &rays[i..] {
+            let (q, r) = (wrong(klein_exact(a, b)), wrong(klein_exact(b, b)));
+            let bend = &p - &q - &q + &r;
+            // The best mix of the two: at (p − q)/bend if it bends down and the best is between them.
+            let mixed = sign(&bend) == Ordering::Less && p < q && r < q;
+            let end: [IBig; 6] = if mixed {
+                let (s, t) = (&q - &r, &q - &p);
+                std::array::from_fn(|k| (&a[k] * &s + &b[k] * &t) / (&s + &t))
+            } else {
+                a.clone()
+            };
+            let value = wrong(klein_exact(&end, &end));
+            if sign(&value) == Ordering::Greater && best.as_ref().is_none_or(|(v, _)| value > *v) {
+                best = Some((value, end));
+            }
+        }
+    }
+    let (_, end) = best?;
+    let (m, e) = (klein_exact(&centre, &end), klein_exact(&end, &end));
+    let whole = IBig::ONE << FINE;
+    let (mut low, mut high) = (IBig::ZERO, whole.clone());
+    for _ in 0..FINE {
+        let t: IBig = (&low + &high) >> 1;
+        let s = &whole - &t;
+        let value = &c * &s * &s + (&m * &s * &t << 1) + &e * &t * &t;
+        if sign(&value) == sign(&c) { low = t } else { high = t }
+    }
+    let rest = &whole - &low;
+    Some(std::array::from_fn(|k| &centre[k] * &rest + &end[k] * &low))
 }
 
 /// The t in [0, 1] at which c(1−t)² + 2m t(1−t) + e t² vanishes, c and e having different signs.

@@ -17,7 +17,8 @@ pub fn dyadic(x: f64) -> (i64, i32) {
     let bits = x.to_bits();
     let field = (bits >> 52 & 0x7ff) as i32;
     let fraction = (bits & ((1 << 52) - 1)) as i64;
-    let (mantissa, exponent) = if field == 0 { (fraction, -1074) } else { (fraction | 1 << 52, field - 1075) };
+    let (mantissa, exponent) =
+        if field == 0 { (fraction, -1074) } else { (fraction | 1 << 52, field - 1075) };
     let zeros = mantissa.trailing_zeros() as i32;
     let odd = mantissa >> zeros;
     (if x < 0.0 { -odd } else { odd }, exponent + zeros)

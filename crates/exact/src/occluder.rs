@@ -142,12 +142,17 @@ impl<'a> Faces<'a> {
             for pair in group.windows(2) {
                 let (s, t) = (pair[0].2, pair[1].2);
                 let v = triangles[s as usize];
-                if triangles[t as usize].iter().all(|p| orient3d_sign(v[0], v[1], v[2], *p) == Ordering::Equal) {
+                if triangles[t as usize]
+                    .iter()
+                    .all(|p| orient3d_sign(v[0], v[1], v[2], *p) == Ordering::Equal)
+                {
                     pairs.push((s, t));
                 }
             }
         }
-        let faces = (0..n).map(|id| solid[id].then(|| Face::of(id as u32, &triangles[id], &corners[3 * id..3 * id + 3]))).collect();
+        let faces = (0..n)
+            .map(|id| solid[id].then(|| Face::of(id as u32, &triangles[id], &corners[3 * id..3 * id + 3])))
+            .collect();
         Self { triangles, corners, parent: (0..n as u32).collect(), faces, pairs }
     }
 
@@ -171,7 +176,9 @@ impl<'a> Faces<'a> {
                     return false;
                 }
                 let (lo, hi) = (a.min(b), a.max(b));
-                let (Some(x), Some(y)) = (&self.faces[lo as usize], &self.faces[hi as usize]) else { return false };
+                let (Some(x), Some(y)) = (&self.faces[lo as usize], &self.faces[hi as usize]) else {
+                    return false;
+                };
                 match x.joined(y, self.triangles) {
                     Some(face) => {
                         self.faces[lo as usize] = Some(face);
@@ -207,7 +214,8 @@ impl<'a> Faces<'a> {
 
 impl Face {
     fn of(id: u32, v: &[Vec3; 3], c: &[u32]) -> Self {
-        let border = (0..3).map(|k| Edge { from: c[k], to: c[(k + 1) % 3], ends: [v[k], v[(k + 1) % 3]] }).collect();
+        let border =
+            (0..3).map(|k| Edge { from: c[k], to: c[(k + 1) % 3], ends: [v[k], v[(k + 1) % 3]] }).collect();
         // Some axis sees the triangle with an area, since it has one; which is decided exactly.
         let turn = |axis: usize| orient2d_sign(flat(v[0], axis), flat(v[1], axis), flat(v[2], axis));
         let axis = (0..3).find(|k| turn(*k) != Ordering::Equal).unwrap_or(0);
@@ -222,7 +230,8 @@ impl Face {
         // Turned so that both face the same way: seen along the same axis.
         let v = &triangles[other.triangles[0].0 as usize];
         let turned = other.triangles[0].1;
-        let clockwise = orient2d_sign(flat(v[0], self.axis), flat(v[1], self.axis), flat(v[2], self.axis)) == Ordering::Less;
+        let clockwise = orient2d_sign(flat(v[0], self.axis), flat(v[1], self.axis), flat(v[2], self.axis))
+            == Ordering::Less;
         let flip = (clockwise != turned) != self.mirrored;
         let mut border = self.border.clone();
         for e in &other.border {
@@ -253,6 +262,14 @@ impl Face {
                 return None;
             }
         }
+        // Turning left all the way can also go round twice; no corner may be to the right of any edge.
+        let right = if self.mirrored { Ordering::Greater } else { Ordering::Less };
+        let outside = |e: &Edge, p: Vec3| {
+            orient2d_sign(flat(e.ends[0], self.axis), flat(e.ends[1], self.axis), flat(p, self.axis)) == right
+        };
+        if border.iter().any(|e| border.iter().any(|f| outside(e, f.ends[0]))) {
+            return None;
+        }
         let mut all = self.triangles.clone();
         all.extend(other.triangles.iter().map(|(t, f)| (*t, *f != flip)));
         Some(Self { triangles: all, border, axis: self.axis, mirrored: self.mirrored })
@@ -270,7 +287,9 @@ impl Face {
         for (i, e) in border.iter().enumerate() {
             let along = |o: &u32| {
                 let f = border[*o as usize];
-                let same_way = (0..3).all(|k| (f[1][k] > f[0][k]) == (e[1][k] > e[0][k]) && (f[1][k] < f[0][k]) == (e[1][k] < e[0][k]));
+                let same_way = (0..3).all(|k| {
+                    (f[1][k] > f[0][k]) == (e[1][k] > e[0][k]) && (f[1][k] < f[0][k]) == (e[1][k] < e[0][k])
+                });
                 same_way && collinear(f[0], f[1], e[0]) && collinear(f[0], f[1], e[1])
             };
             if !lines.iter().any(along) {

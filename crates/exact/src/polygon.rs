@@ -82,7 +82,8 @@ impl Polygon {
         if points.len() == 3 {
             return Ok(vec![Self { points }]);
         }
-        let flat = points[3..].iter().all(|p| orient([&points[0], &points[1], &points[2], p]) == Ordering::Equal);
+        let flat =
+            points[3..].iter().all(|p| orient([&points[0], &points[1], &points[2], p]) == Ordering::Equal);
         if flat {
             let one = Self { points };
             return if one.convex() { Ok(vec![one]) } else { Err(PolygonError::NotConvex) };
@@ -189,7 +190,9 @@ impl Polygon {
         };
         (0..n).all(|i| {
             let j = (i + 1) % n;
-            (0..n).filter(|k| *k != i && *k != j).all(|k| left(&exact[i], &exact[j], &exact[k]) == Ordering::Greater)
+            (0..n)
+                .filter(|k| *k != i && *k != j)
+                .all(|k| left(&exact[i], &exact[j], &exact[k]) == Ordering::Greater)
         })
     }
 }
@@ -245,17 +248,37 @@ mod tests {
     fn corners_are_checked_and_superfluous_ones_dropped() {
         let square = v(&[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0], [0.0, 1.0, 1.0]]);
         assert_eq!(Polygon::checked(&square).unwrap()[0].points().len(), 4);
-        let more = v(&[[0.0, 0.0, 1.0], [0.5, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0], [0.0, 1.0, 1.0]]);
+        let more = v(&[
+            [0.0, 0.0, 1.0],
+            [0.5, 0.0, 1.0],
+            [1.0, 0.0, 1.0],
+            [1.0, 0.0, 1.0],
+            [1.0, 1.0, 1.0],
+            [0.0, 1.0, 1.0],
+        ]);
         assert_eq!(Polygon::checked(&more).unwrap()[0].points().len(), 4);
         let error = |p: &[[f64; 3]]| Polygon::checked(&v(p)).unwrap_err();
         assert_eq!(error(&[[0.0; 3], [1.0, 1.0, 1.0], [2.0, 2.0, 2.0]]), PolygonError::NoArea);
         assert_eq!(error(&[]), PolygonError::NoArea);
         assert_eq!(error(&[[0.0; 3], [f64::NAN, 0.0, 0.0], [1.0, 0.0, 0.0]]), PolygonError::NotFinite);
-        assert_eq!(error(&[[0.0; 3], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.5]]), PolygonError::NotFlat);
-        assert_eq!(error(&[[0.0; 3], [4.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 4.0, 0.0]]), PolygonError::NotConvex);
+        assert_eq!(
+            error(&[[0.0; 3], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.5]]),
+            PolygonError::NotFlat
+        );
+        assert_eq!(
+            error(&[[0.0; 3], [4.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 4.0, 0.0]]),
+            PolygonError::NotConvex
+        );
         // Twice round a triangle with corners in between: every turn is to the left, the whole is no polygon.
-        let star: Vec<DVec3> =
-            (0..5).map(|i| DVec3::new((f64::from(i) * 2.0 * 72f64.to_radians()).cos(), (f64::from(i) * 2.0 * 72f64.to_radians()).sin(), 0.0)).collect();
+        let star: Vec<DVec3> = (0..5)
+            .map(|i| {
+                DVec3::new(
+                    (f64::from(i) * 2.0 * 72f64.to_radians()).cos(),
+                    (f64::from(i) * 2.0 * 72f64.to_radians()).sin(),
+                    0.0,
+                )
+            })
+            .collect();
         assert_eq!(Polygon::checked(&star).unwrap_err(), PolygonError::NotConvex);
         assert_eq!(Polygon::checked(&vec![DVec3::ZERO; 65]).unwrap_err(), PolygonError::TooMany);
     }
@@ -274,7 +297,8 @@ mod tests {
 
     #[test]
     fn parts_meet_in_the_plane() {
-        let square = &Polygon::checked(&v(&[[0.0; 3], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])).unwrap()[0];
+        let square =
+            &Polygon::checked(&v(&[[0.0; 3], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])).unwrap()[0];
         let wall = &Polygon::checked(&v(&[[0.3, -1.0, -1.0], [0.3, 2.0, -1.0], [0.3, 2.0, 1.0]])).unwrap()[0];
         let sides = wall.sides(square);
         let plane = wall.plane();

@@ -34,7 +34,9 @@ pub fn orient_points(p: [&Point; 4]) -> Option<Ordering> {
         (x, size, p[i].error + p[0].error + U * size)
     };
     let ((x, nx, ex), (y, ny, ey), (z, nz, ez)) = (d(1), d(2), d(3));
-    let det = x[0] * (y[1] * z[2] - y[2] * z[1]) + x[1] * (y[2] * z[0] - y[0] * z[2]) + x[2] * (y[0] * z[1] - y[1] * z[0]);
+    let det = x[0] * (y[1] * z[2] - y[2] * z[1])
+        + x[1] * (y[2] * z[0] - y[0] * z[2])
+        + x[2] * (y[0] * z[1] - y[1] * z[0]);
     let (nx, ny, nz) = (nx + ex, ny + ey, nz + ez);
     let bound = 6.1 * (ex * ny * nz + nx * ey * nz + nx * ny * ez) + 100.0 * U * nx * ny * nz;
     (det.abs() > bound).then(|| if det > 0.0 { Ordering::Greater } else { Ordering::Less })
@@ -47,6 +49,16 @@ pub fn orient_exact(p: [&[IBig; 4]; 4]) -> Ordering {
     let (x, y, z) = (d(p[1]), d(p[2]), d(p[3]));
     let minor = |i: usize, j: usize| &y[i] * &z[j] - &y[j] * &z[i];
     sign(&(&x[0] * minor(1, 2) + &x[1] * minor(2, 0) + &x[2] * minor(0, 1)))
+}
+
+/// The determinant of four homogeneous points.
+pub fn determinant(p: [&[IBig; 4]; 4]) -> IBig {
+    let [a, b, c, d] = p;
+    // By pairs of rows: Σ ± (minor of a, b) · (complementary minor of c, d).
+    let minor = |x: &[IBig; 4], y: &[IBig; 4], i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];
+    let term = |i: usize, j: usize, k: usize, l: usize| minor(a, b, i, j) * minor(c, d, k, l);
+    term(0, 1, 2, 3) - term(0, 2, 1, 3) + term(0, 3, 1, 2) + term(1, 2, 0, 3) - term(1, 3, 0, 2)
+        + term(2, 3, 0, 1)
 }
 
 /// The orientation of four points in world space.
@@ -68,7 +80,8 @@ pub fn orient_doubles(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> Option<Ordering
     let (det, magnitude) = (x.dot(m), x.abs().dot(n));
     // A normal sum of products far above the least normal double has lost nothing to underflow that matters.
     let safe = magnitude > 1e-250 && magnitude < 1e250 && x.max_element().abs() < 1e80;
-    (safe && det.abs() > 16.0 * U * magnitude + 1e-280).then(|| if det > 0.0 { Ordering::Greater } else { Ordering::Less })
+    (safe && det.abs() > 16.0 * U * magnitude + 1e-280)
+        .then(|| if det > 0.0 { Ordering::Greater } else { Ordering::Less })
 }
 
 /// A point's exact homogeneous coordinates in world space.

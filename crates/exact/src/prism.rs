@@ -59,7 +59,8 @@ pub fn stabbing(
         points.into_iter().map(|p| space.point(p)).collect()
     };
     let (pa, pb) = (add(space, a), add(space, b));
-    let off = |sides: &[Ordering]| sides.iter().copied().find(|s| *s != Ordering::Equal).unwrap_or(Ordering::Equal);
+    let off =
+        |sides: &[Ordering]| sides.iter().copied().find(|s| *s != Ordering::Equal).unwrap_or(Ordering::Equal);
     let (ahead, behind) = (off(b_sides), off(a_sides));
     let edges = |space: &mut Space, p: &[u32]| -> Vec<Id> {
         (0..p.len()).map(|i| space.join(p[i], p[(i + 1) % p.len()])).collect()
@@ -105,7 +106,8 @@ pub fn stabbing(
         }
     }
     let planes = [a, b].map(|p| {
-        let [x, y, z] = [0, 1, 2].map(|i| space.point_exact(if std::ptr::eq(p, a) { pa[i] } else { pb[i] }).clone());
+        let [x, y, z] =
+            [0, 1, 2].map(|i| space.point_exact(if std::ptr::eq(p, a) { pa[i] } else { pb[i] }).clone());
         crate::predicates::plane([&x, &y, &z])
     });
     let [plane_a, plane_b] = planes;
@@ -224,7 +226,8 @@ impl Caps {
 
     /// t·σ − φ (or φ − t·σ below), with t raised until all lines are on its positive side and k (−k) is not.
     fn cap(&self, space: &mut Space, through: &[Id], way: f64) -> Result<Id, NoCaps> {
-        let (mut t, other) = if way > 0.0 { (self.highest, self.lowest) } else { (self.lowest, self.highest) };
+        let (mut t, other) =
+            if way > 0.0 { (self.highest, self.lowest) } else { (self.lowest, self.highest) };
         let mut step = (t - other).abs().max(1e-6 * t.abs()).max(64.0 * U) * 0.02;
         let wanted_at_k = if way > 0.0 { Ordering::Less } else { Ordering::Greater };
         for _ in 0..60 {

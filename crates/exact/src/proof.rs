@@ -5,7 +5,7 @@
 //! the same way. See [`crate::checker`] for what each step claims.
 
 /// One step of a proof, in depth-first order.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Step {
     /// The region holds no real lines: the Klein form has one sign on all pairs of its rays.
     Unreal,
@@ -18,6 +18,12 @@ pub enum Step {
         negative: bool,
         /// Which constraints: border edges by number, then A's plane, then B's plane.
         cuts: Vec<u16>,
+    },
+    /// The region is split by the hyperplane polar to this vector of world space; the negative side follows, then the
+    /// positive one.
+    Split {
+        /// The Plücker vector, in doubles.
+        polar: [f64; 6],
     },
     /// The polygon `of` is divided along the line through two of its points; both halves follow, first the one that
     /// begins with `from`. Point 2i is vertex i, point 2i + 1 the middle of the edge after it.
@@ -41,7 +47,7 @@ pub enum Which {
 }
 
 /// A proof that B is hidden from A.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Proof {
     /// The occluders it speaks of: triangles, each with whether it is turned round.
     pub occluders: Vec<Vec<(u32, bool)>>,

@@ -7,17 +7,18 @@
 
 use std::cmp::Ordering;
 
+use dashu_int::IBig;
 use glam::DVec3;
 
 use crate::cone::Region;
 use crate::frame::{Frame, Source};
-use crate::klein::{Contents, contents};
+use crate::klein::{self, Contents, contents};
 use crate::occluder::Occluders;
 use crate::polygon::Polygon;
 use crate::prism::{self, Pair};
 use crate::proof::{Proof, Step, Which};
 use crate::trace::{Met, trace};
-use crate::vector::{Decisions, Id, Space, klein};
+use crate::vector::{Decisions, Id, Space};
 
 /// When a query gives up.
 #[derive(Clone, Copy, Debug)]
@@ -26,13 +27,15 @@ pub struct Limits {
     pub regions: u32,
     /// Vectors held at a time; about 400 bytes each.
     pub vectors: u32,
+    /// How often the regions of a pair may be split for the sake of the Klein form alone.
+    pub splits: u32,
     /// How often a polygon may be halved.
     pub divisions: u32,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { regions: 20_000, vectors: 200_000, divisions: 12 }
+        Self { regions: 20_000, vectors: 200_000, splits: 64, divisions: 12 }
     }
 }
 
@@ -72,6 +75,8 @@ pub struct Cost {
     pub lines: u64,
     /// Occluders subtracted.
     pub occluders: u64,
+    /// Times a region was split for the sake of the Klein form alone.
+    pub splits: u64,
     /// Times a polygon was halved.
     pub divisions: u64,
     /// Most vectors held.
@@ -84,6 +89,7 @@ impl std::ops::AddAssign for Cost {
         self.regions += o.regions;
         self.lines += o.lines;
         self.occluders += o.occluders;
+        self.splits += o.splits;
         self.divisions += o.divisions;
         self.vectors = self.vectors.max(o.vectors);
     }
@@ -91,7 +97,8 @@ impl std::ops::AddAssign for Cost {
 
 /// Whether any part of `b` is seen from `a`, each a convex polygon or the parts of one.
 pub fn sightlines(scene: &Occluders, a: &[Polygon], b: &[Polygon], limits: &Limits) -> (Verdict, Cost) {
-    let mut search = Search { scene, limits, cost: Cost::default(), proof: Proof::default(), numbers: Vec::new() };
+    let mut search =
+        Search { scene, limits, cost: Cost::default(), proof: Proof::default(), numbers: Vec::new() };
     let mut open: Option<Reason> = None;
     for x in a {
         for y in b {
@@ -149,6 +156,11 @@ fn worst(before: Result<(), Reason>, now: Result<(), End>) -> Result<Result<(), 
     }
 }
 
+/// A step of a proof, and the regions that are left to be taken apart.
+type Found = (Step, Vec<Region>);
+/// An end of a sight line: a point of the space, and its rounded place in the world.
+type Snapped = (u32, DVec3);
+
 /// A region the search can do nothing with as it is: the polygons are to be halved.
 struct Stuck;
 
@@ -178,7 +190,12 @@ impl Search<'_> {
     }
 
     /// Proves that no line gets from one part to the other, halving them where that does not succeed at once.
-    fn pair(&mut self, a: &(Polygon, Vec<Ordering>), b: &(Polygon, Vec<Ordering>), depth: u32) -> Result<(), End> {
+    fn pair(
+        &mut self,
+        a: &(Polygon, Vec<Ordering>),
+        b: &(Polygon, Vec<Ordering>),
+        depth: u32,
+    ) -> Result<(), End> {
         let steps = self.proof.steps.len();
         if self.try_pair(a, b)?.is_ok() {
             return Ok(());
@@ -197,16 +214,26 @@ impl Search<'_> {
             // The other's sides of the half's plane are what they were: it is the same plane, perhaps turned.
             let half_plane = half.sides(other);
             let (half, rest) = ((half, sides), (other.clone(), half_plane));
-            let found = if of == Which::A { self.pair(&half, &rest, depth + 1) } else { self.pair(&rest, &half, depth + 1) };
+            let found = if of == Which::A {
+                self.pair(&half, &rest, depth + 1)
+            } else {
+                self.pair(&rest, &half, depth + 1)
+            };
             result = worst(result, found)?;
         }
         result.map_err(End::Open)
     }
 
-    fn try_pair(&mut self, a: &(Polygon, Vec<Ordering>), b: &(Polygon, Vec<Ordering>)) -> Result<Result<(), Stuck>, End> {
+    fn try_pair(
+        &mut self,
+        a: &(Polygon, Vec<Ordering>),
+        b: &(Polygon, Vec<Ordering>),
+    ) -> Result<Result<(), Stuck>, End> {
         let (near_a, near_b) = (a.0.rounded(), b.0.rounded());
         let mut space = Space::new(Frame::around(&near_a, &near_b));
-        let Ok(mut pair) = prism::stabbing(&mut space, (&a.0, &a.1), (&b.0, &b.1)) else { return Ok(Err(Stuck)) };
+        let Ok(mut pair) = prism::stabbing(&mut space, (&a.0, &a.1), (&b.0, &b.1)) else {
+            return Ok(Err(Stuck));
+        };
         let regions = std::mem::take(&mut pair.regions);
         let ends = [(&a.0, &near_a[..]), (&b.0, &near_b[..])];
         let mut local = Local { space, pair, known: Vec::new(), lines: Vec::new(), ends };
@@ -224,6 +251,7 @@ impl Search<'_> {
     /// Takes one region apart.
     fn region(&mut self, local: &mut Local<'_>, region: Region) -> Result<Result<(), Stuck>, End> {
         let mut open = vec![region];
+        let mut splits = 0;
         while let Some(region) = open.pop() {
             self.cost.regions += 1;
             let vectors = local.space.size()[1] as u64;
@@ -236,67 +264,105 @@ impl Search<'_> {
                 self.cost.decisions += local.space.decisions;
                 return Err(End::Open(Reason::Memory));
             }
-            let lines = match contents(&mut local.space, &region, LINES) {
+            let mut found = match contents(&mut local.space, &region, LINES) {
                 Contents::Nothing => {
                     self.proof.steps.push(Step::Unreal);
                     continue;
                 }
-                Contents::Unsure => return Ok(Err(Stuck)),
-                Contents::Lines(lines) => lines,
+                Contents::Unsure => None,
+                Contents::Lines(lines) => self.feed_back(local, &region, &lines)?,
             };
-            match self.feed_back(local, &region, &lines)? {
-                Some((step, outside)) => {
-                    self.proof.steps.push(step);
-                    // The first outer part is the next to be looked at.
-                    open.extend(outside.into_iter().rev());
-                }
-                None => return Ok(Err(Stuck)),
+            if found.is_none() {
+                found = self.feed_back_precisely(local, &region)?;
             }
+            if found.is_none() && splits < self.limits.splits {
+                splits += 1;
+                self.cost.splits += 1;
+                found = klein::polar(&local.space, &region).and_then(|p| local.split(&region, &p));
+            }
+            let Some((step, outside)) = found else { return Ok(Err(Stuck)) };
+            self.proof.steps.push(step);
+            // The first part is the next to be looked at.
+            open.extend(outside.into_iter().rev());
         }
         Ok(Ok(()))
     }
 
     /// Follows lines of a region until one is free or an occluder is found that takes something away.
-    fn feed_back(&mut self, local: &mut Local<'_>, region: &Region, lines: &[[f64; 6]]) -> Result<Option<(Step, Vec<Region>)>, End> {
+    fn feed_back(
+        &mut self,
+        local: &mut Local<'_>,
+        region: &Region,
+        lines: &[[f64; 6]],
+    ) -> Result<Option<Found>, End> {
         for line in lines {
-            let Some((p, q)) = local.snap(line) else { continue };
-            self.cost.lines += 1;
-            match trace(&mut local.space, self.scene, &local.pair, (p.0, q.0), (p.1, q.1)) {
-                Met::Nothing => {
-                    self.cost.decisions += local.space.decisions;
-                    return Err(End::Seen(Box::new([local.source(p.0, 0), local.source(q.0, 1)])));
-                }
-                Met::Grazing => {}
-                Met::Blocked(triangles) => {
-                    let mut met: Vec<u32> = triangles.iter().filter_map(|t| self.scene.of(*t)).collect();
-                    met.sort_unstable();
-                    met.dedup();
-                    if let Some(found) = self.subtract_best(local, region, line, &met) {
-                        return Ok(Some(found));
-                    }
-                }
+            let Some(ends) = local.snap(line) else { continue };
+            if let Some(found) = self.follow(local, region, line, ends)? {
+                return Ok(Some(found));
             }
         }
         Ok(None)
     }
 
+    /// The same with a line that is in a region too thin for doubles.
+    fn feed_back_precisely(&mut self, local: &mut Local<'_>, region: &Region) -> Result<Option<Found>, End> {
+        let Some(line) = klein::precise(&mut local.space, region) else { return Ok(None) };
+        let Some(ends) = local.snap_precisely(&line) else { return Ok(None) };
+        self.follow(local, region, &crate::number::rounded(&line), ends)
+    }
+
+    /// Follows one sight line.
+    fn follow(
+        &mut self,
+        local: &mut Local<'_>,
+        region: &Region,
+        line: &[f64; 6],
+        (p, q): (Snapped, Snapped),
+    ) -> Result<Option<Found>, End> {
+        self.cost.lines += 1;
+        match trace(&mut local.space, self.scene, &local.pair, (p.0, q.0), (p.1, q.1)) {
+            Met::Nothing => {
+                self.cost.decisions += local.space.decisions;
+                Err(End::Seen(Box::new([local.source(p.0, 0), local.source(q.0, 1)])))
+            }
+            Met::Grazing => Ok(None),
+            Met::Blocked(triangles) => {
+                let mut met: Vec<u32> = triangles.iter().filter_map(|t| self.scene.of(*t)).collect();
+                met.sort_unstable();
+                met.dedup();
+                Ok(self.subtract_best(local, region, line, &met))
+            }
+        }
+    }
+
     /// Subtracts the occluder that holds most rays of the region, or the next that takes anything away.
-    fn subtract_best(&mut self, local: &mut Local<'_>, region: &Region, line: &[f64; 6], met: &[u32]) -> Option<(Step, Vec<Region>)> {
+    fn subtract_best(
+        &mut self,
+        local: &mut Local<'_>,
+        region: &Region,
+        line: &[f64; 6],
+        met: &[u32],
+    ) -> Option<Found> {
         let mut ranked: Vec<(usize, bool, usize)> = Vec::with_capacity(met.len());
         for id in met {
             let Some(known) = local.constraints(self.scene, *id) else { continue };
             let at = |(h, flipped, _): &(Id, bool, u16), v: &[f64; 6]| {
-                let s = klein(v, local.space.rounded(*h));
+                let s = crate::vector::klein(v, local.space.rounded(*h));
                 if *flipped { -s } else { s }
             };
             let lines = &local.known[known].lines;
             // Which way the line passes the occluder: all edges agree, but for rounding.
             let negative = lines.iter().map(|c| at(c, line)).sum::<f64>() < 0.0;
-            let inside = |v: &[f64; 6]| lines.iter().all(|c| if negative { at(c, v) <= 0.0 } else { at(c, v) >= 0.0 });
+            let inside =
+                |v: &[f64; 6]| lines.iter().all(|c| if negative { at(c, v) <= 0.0 } else { at(c, v) >= 0.0 });
             let held = region.rays.iter().filter(|(r, _)| inside(local.space.rounded(*r))).count();
             ranked.push((known, negative, held));
         }
-        ranked.sort_by(|x, y| y.2.cmp(&x.2).then(local.known[x.0].lines.len().cmp(&local.known[y.0].lines.len())).then(x.0.cmp(&y.0)));
+        ranked.sort_by(|x, y| {
+            y.2.cmp(&x.2)
+                .then(local.known[x.0].lines.len().cmp(&local.known[y.0].lines.len()))
+                .then(x.0.cmp(&y.0))
+        });
         for (known, negative, _) in ranked {
             if let Some((cuts, outside)) = local.subtract(region, known, negative) {
                 self.cost.occluders += 1;
@@ -321,7 +387,10 @@ impl Search<'_> {
 /// Lines of a region that are tried before it is given up.
 const LINES: usize = 6;
 /// Weights of a snapped point add up to this.
-const WEIGHTS: u32 = 1 << 24;
+const WEIGHTS: u64 = 1 << 50;
+
+/// Bits of the weights of a point that is snapped precisely.
+const FINE: usize = 240;
 
 /// What belongs to one pair of parts.
 struct Local<'a> {
@@ -336,13 +405,13 @@ struct Local<'a> {
 
 impl Local<'_> {
     /// A real line near `line`, between points strictly inside both polygons: points of the space and rounded ones.
-    fn snap(&mut self, line: &[f64; 6]) -> Option<((u32, DVec3), (u32, DVec3))> {
+    fn snap(&mut self, line: &[f64; 6]) -> Option<(Snapped, Snapped)> {
         let p = self.snap_end(line, 0)?;
         let q = self.snap_end(line, 1)?;
         Some((p, q))
     }
 
-    fn snap_end(&mut self, line: &[f64; 6], end: usize) -> Option<(u32, DVec3)> {
+    fn snap_end(&mut self, line: &[f64; 6], end: usize) -> Option<Snapped> {
         let ids = if end == 0 { &self.pair.a } else { &self.pair.b };
         let at = prism::meets(&self.space, line, ids);
         if !at.is_finite() {
@@ -364,16 +433,69 @@ impl Local<'_> {
             }
         }
         let (_, i, w) = best?;
-        let total = f64::from(WEIGHTS);
+        let total = WEIGHTS as f64;
         // A corner's weight is at least one unit, so that the point is inside.
-        let s = ((w[1] * total).round() as i64).clamp(1, i64::from(WEIGHTS) - 2) as u32;
-        let t = ((w[2] * total).round() as i64).clamp(1, i64::from(WEIGHTS) - 1 - i64::from(s)) as u32;
+        let s = ((w[1] * total) as i64).clamp(1, WEIGHTS as i64 - 2) as u64;
+        let t = ((w[2] * total) as i64).clamp(1, (WEIGHTS - 1 - s) as i64) as u64;
         let weights = [WEIGHTS - s - t, s, t];
+        Some(self.mixed(end, i, weights.map(IBig::from), weights.map(|w| w as f64 / total)))
+    }
+
+    /// A point of the `i`-th triangle of a polygon's fan.
+    fn mixed(&mut self, end: usize, i: usize, weights: [IBig; 3], shares: [f64; 3]) -> Snapped {
+        let ids = if end == 0 { &self.pair.a } else { &self.pair.b };
         let of = [ids[0], ids[i], ids[i + 1]];
         let near = self.ends[end].1;
-        let share = weights.map(|w| f64::from(w) / total);
-        let near = near[0] * share[0] + near[i] * share[1] + near[i + 1] * share[2];
-        Some((self.space.mixed(of, weights), near))
+        let near = near[0] * shares[0] + near[i] * shares[1] + near[i + 1] * shares[2];
+        (self.space.mixed(of, weights, shares), near)
+    }
+
+    /// As [`Local::snap`], for a line in integers, to [`FINE`] bits.
+    fn snap_precisely(&mut self, line: &[IBig; 6]) -> Option<(Snapped, Snapped)> {
+        let p = self.snap_end_precisely(line, 0)?;
+        let q = self.snap_end_precisely(line, 1)?;
+        Some((p, q))
+    }
+
+    fn snap_end_precisely(&mut self, line: &[IBig; 6], end: usize) -> Option<Snapped> {
+        let ids = if end == 0 { self.pair.a.clone() } else { self.pair.b.clone() };
+        let corners: Vec<[IBig; 4]> = ids.iter().map(|i| self.space.point_exact(*i).clone()).collect();
+        let plane = crate::predicates::plane([&corners[0], &corners[1], &corners[2]]);
+        // x = (n × m + k d) / (n · d).
+        let (d, m) = (&line[..3], &line[3..]);
+        let cross = |i: usize, j: usize| &plane[i] * &m[j] - &plane[j] * &m[i];
+        let w: IBig = (0..3).map(|i| &plane[i] * &d[i]).sum();
+        let mut at = [cross(1, 2), cross(2, 0), cross(0, 1), w];
+        (0..3).for_each(|i| at[i] += &plane[3] * &d[i]);
+        if crate::predicates::sign(&at[3]) == Ordering::Less {
+            at.iter_mut().for_each(|c| *c = -std::mem::take(c));
+        }
+        if at[3].is_zero() {
+            return None;
+        }
+        // Against a point off the plane, the determinants of (x, b, c, off), … are x's weights, times w.
+        let off: [IBig; 4] = std::array::from_fn(|k| {
+            if k < 3 { &corners[0][k] + &plane[k] * &corners[0][3] } else { corners[0][3].clone() }
+        });
+        for i in 1..corners.len() - 1 {
+            let of = [&corners[0], &corners[i], &corners[i + 1]];
+            let parts: [IBig; 3] = std::array::from_fn(|k| {
+                let mut with = of;
+                with[k] = &at;
+                crate::predicates::determinant([with[0], with[1], with[2], &off]) * &of[k][3]
+            });
+            let total: IBig = parts.iter().sum();
+            if total.is_zero()
+                || parts.iter().any(|p| crate::predicates::sign(p) != crate::predicates::sign(&total))
+            {
+                continue;
+            }
+            let weights = parts.map(|p| ((p << FINE) / &total).max(IBig::ONE));
+            let sum: IBig = weights.iter().sum();
+            let shares = [0, 1, 2].map(|k| crate::frame::ratio(&weights[k], &sum));
+            return Some(self.mixed(end, i, weights, shares));
+        }
+        None
     }
 
     /// A snapped point in world space, exactly.
@@ -386,7 +508,7 @@ impl Local<'_> {
             let i = ids.iter().position(|x| *x == o).unwrap_or(0);
             crate::predicates::integers(&polygon.points()[i])
         });
-        let mut x = crate::vector::mix([&corners[0], &corners[1], &corners[2]], *weights);
+        let mut x = crate::vector::mix([&corners[0], &corners[1], &corners[2]], weights);
         crate::number::primitive(&mut x);
         Source::Exact(Box::new(x))
     }
@@ -426,7 +548,11 @@ impl Local<'_> {
                 let p = self.space.frame().integers(&Source::Given(v.as_dvec3()));
                 p
             });
-            let own = if turned { crate::predicates::plane([&a, &c, &b]) } else { crate::predicates::plane([&a, &b, &c]) };
+            let own = if turned {
+                crate::predicates::plane([&a, &c, &b])
+            } else {
+                crate::predicates::plane([&a, &b, &c])
+            };
             for (k, (plane, good)) in planes.iter().enumerate() {
                 if !beyond[k] {
                     continue;
@@ -471,6 +597,23 @@ impl Local<'_> {
         let (id, flipped) = same.unwrap_or((line, false));
         self.lines.push((there, id, flipped));
         (id, flipped)
+    }
+
+    /// Splits a region by the hyperplane polar to a vector of the frame, or rather to that vector rounded in the world.
+    fn split(&mut self, region: &Region, polar: &[f64; 6]) -> Option<Found> {
+        let polar = self.space.frame().line_to_world(polar);
+        if !polar.iter().all(|c| c.is_finite()) || polar.iter().all(|c| *c == 0.0) {
+            return None;
+        }
+        let exact = self.space.frame().line_integers(polar);
+        let line = self.space.fixed(exact);
+        let mut sides = Vec::new();
+        region.sides(&mut self.space, line, &mut sides);
+        if !sides.contains(&Ordering::Less) || !sides.contains(&Ordering::Greater) {
+            return None;
+        }
+        let parts = region.split(&mut self.space, line, &sides).ok()?;
+        Some((Step::Split { polar }, parts.into()))
     }
 
     /// Takes away from a region what an occluder blocks of it: the cuts made and the parts left outside each. Nothing when

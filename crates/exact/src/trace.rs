@@ -22,7 +22,13 @@ pub enum Met {
 /// Follows the segment from `p` to `q`, points of the space inside A and B and close to the doubles given.
 ///
 /// Triangles in the plane of A or of B do not count, and neither does what the segment reaches only at its ends.
-pub fn trace(space: &mut Space, scene: &Occluders, pair: &Pair, (p, q): (u32, u32), (near_p, near_q): (DVec3, DVec3)) -> Met {
+pub fn trace(
+    space: &mut Space,
+    scene: &Occluders,
+    pair: &Pair,
+    (p, q): (u32, u32),
+    (near_p, near_q): (DVec3, DVec3),
+) -> Met {
     let mut candidates = Vec::new();
     scene.along(near_p, near_q, &mut candidates);
     let mut blocked = Vec::new();

@@ -63,6 +63,9 @@ impl std::ops::AddAssign for Decisions {
     }
 }
 
+/// Rays with a greater error are computed exactly at once.
+const COARSE: f64 = 1e-9;
+
 /// All points and vectors of one query, and its frame.
 pub struct Space {
     frame: Frame,
@@ -79,18 +82,14 @@ pub fn klein(a: &[f64; 6], b: &[f64; 6]) -> f64 {
 }
 
 /// Σ weight · point / Σ weight, homogeneous.
-pub fn mix(corners: [&[IBig; 4]; 3], weights: [u32; 3]) -> [IBig; 4] {
+pub fn mix(corners: [&[IBig; 4]; 3], weights: &[IBig; 3]) -> [IBig; 4] {
     let [a, b, c] = corners;
-    let factors = [
-        &b[3] * &c[3] * IBig::from(weights[0]),
-        &a[3] * &c[3] * IBig::from(weights[1]),
-        &a[3] * &b[3] * IBig::from(weights[2]),
-    ];
+    let factors = [&b[3] * &c[3] * &weights[0], &a[3] * &c[3] * &weights[1], &a[3] * &b[3] * &weights[2]];
     std::array::from_fn(|k| &a[k] * &factors[0] + &b[k] * &factors[1] + &c[k] * &factors[2])
 }
 
-/// The Klein form of two six-vectors.
-fn klein_exact(a: &[IBig; 6], b: &[IBig; 6]) -> IBig {
+/// The Klein form of two six-vectors, exactly.
+pub fn klein_exact(a: &[IBig; 6], b: &[IBig; 6]) -> IBig {
     (0..6).map(|i| &a[i] * &b[(i + 3) % 6]).sum()
 }
 
@@ -130,16 +129,13 @@ impl Space {
         (self.points.len() - 1) as u32
     }
 
-    /// Adds Σ weight · point / Σ weight; the weights are positive and add up to a power of two.
-    pub fn mixed(&mut self, of: [u32; 3], weights: [u32; 3]) -> u32 {
-        let total = f64::from(weights[0]) + f64::from(weights[1]) + f64::from(weights[2]);
+    /// Adds Σ weight · point / Σ weight, the weights positive and `shares` their shares in the sum, rounded.
+    pub fn mixed(&mut self, of: [u32; 3], weights: [IBig; 3], shares: [f64; 3]) -> u32 {
         let [a, b, c] = of.map(|i| &self.points[i as usize]);
         let size = [a, b, c].iter().flat_map(|p| p.at).fold(0.0f64, |m, x| m.max(x.abs()));
-        let at = std::array::from_fn(|k| {
-            (f64::from(weights[0]) * a.at[k] + f64::from(weights[1]) * b.at[k] + f64::from(weights[2]) * c.at[k]) / total
-        });
-        let error = a.error.max(b.error).max(c.error) + 8.0 * U * size;
-        self.point(Point { at, error, place: Place::Mix(of, weights) })
+        let at = std::array::from_fn(|k| shares[0] * a.at[k] + shares[1] * b.at[k] + shares[2] * c.at[k]);
+        let error = a.error.max(b.error).max(c.error) + 16.0 * U * size;
+        self.point(Point { at, error, place: Place::Mix(of, Box::new(weights)) })
     }
 
     /// A point, rounded.
@@ -155,7 +151,7 @@ impl Space {
                 Place::World(source) => self.frame.integers(&source),
                 Place::Mix(of, weights) => {
                     let corners = of.map(|i| self.point_exact(i).clone());
-                    mix([&corners[0], &corners[1], &corners[2]], weights)
+                    mix([&corners[0], &corners[1], &corners[2]], &weights)
                 }
             };
             primitive(&mut x);
@@ -230,7 +226,8 @@ impl Space {
     /// component exceeds 1): 6u·S. The errors of the vectors add e·S' + e'·S + 6ee'.
     fn form(&self, a: Id, b: Id) -> (f64, f64) {
         let (v, w) = (&self.vectors[a as usize], &self.vectors[b as usize]);
-        let bound = 8.0 * U * v.sum.min(w.sum) + 1.01 * (v.error * w.sum + w.error * v.sum + 6.0 * v.error * w.error);
+        let bound =
+            8.0 * U * v.sum.min(w.sum) + 1.01 * (v.error * w.sum + w.error * v.sum + 6.0 * v.error * w.error);
         (klein(&v.x, &w.x), bound)
     }
 
@@ -354,9 +351,13 @@ impl Space {
         let bound = es.max(et);
         let room = total - 2.0 * bound;
         let apart = (0..6).fold(0.0f64, |m, i| m.max((v.x[i] - w.x[i]).abs())) + v.error + w.error;
-        let error = if room > 0.0 { v.error.max(w.error) + 1.01 * bound / room * apart + 8.0 * U } else { f64::INFINITY };
-        // A ray that is nothing but error would never be told from another by a filter.
-        let hopeless = !(error < 1e-3);
+        let error = if room > 0.0 {
+            v.error.max(w.error) + 1.01 * bound / room * apart + 8.0 * U
+        } else {
+            f64::INFINITY
+        };
+        // A ray that is mostly error is of no use to filters, nor to who looks for lines.
+        let hopeless = !(error < COARSE);
         let id = self.push(x, if hopeless { f64::INFINITY } else { error }, Origin::Cut { a, b, half });
         if hopeless {
             self.sharpen(id);

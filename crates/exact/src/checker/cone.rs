@@ -72,15 +72,23 @@ impl Cone {
         let facets = dual.rays.len();
         let on = |number: usize| {
             let mut set = Vec::new();
-            dual.rays.iter().enumerate().filter(|(_, (_, t))| has(t, number)).for_each(|(f, _)| insert(&mut set, f));
+            dual.rays
+                .iter()
+                .enumerate()
+                .filter(|(_, (_, t))| has(t, number))
+                .for_each(|(f, _)| insert(&mut set, f));
             set
         };
         let sets: Vec<Vec<u64>> = (0..vectors.len()).map(on).collect();
         // A vector that is not extreme is on fewer facets than some extreme one; of parallel ones the first is kept.
         let extreme = |i: usize| {
-            (0..sets.len()).all(|j| i == j || !holds(&sets[j], &sets[i]) || (holds(&sets[i], &sets[j]) && i < j))
+            (0..sets.len())
+                .all(|j| i == j || !holds(&sets[j], &sets[i]) || (holds(&sets[i], &sets[j]) && i < j))
         };
-        let rays = (0..sets.len()).filter(|i| extreme(*i)).map(|i| (reduced(vectors[i].clone()), sets[i].clone())).collect();
+        let rays = (0..sets.len())
+            .filter(|i| extreme(*i))
+            .map(|i| (reduced(vectors[i].clone()), sets[i].clone()))
+            .collect();
         Some(Self { rays, halves: facets })
     }
 
@@ -98,7 +106,11 @@ impl Cone {
         if !sides.contains(&Ordering::Less) {
             // All inside; the rays on the hyperplane are tight there, too.
             let mut all = self;
-            all.rays.iter_mut().zip(&sides).filter(|(_, s)| **s == Ordering::Equal).for_each(|((_, t), _)| insert(t, number));
+            all.rays
+                .iter_mut()
+                .zip(&sides)
+                .filter(|(_, s)| **s == Ordering::Equal)
+                .for_each(|((_, t), _)| insert(t, number));
             return (Some(all), None);
         }
         if !sides.contains(&Ordering::Greater) {
@@ -189,7 +201,8 @@ fn independent(vectors: &[Line]) -> Option<[usize; 6]> {
 fn normal(rows: [&Line; 5]) -> Line {
     reduced(std::array::from_fn(|skip| {
         let columns: Vec<usize> = (0..6).filter(|c| *c != skip).collect();
-        let m: Vec<Vec<IBig>> = rows.iter().map(|r| columns.iter().map(|c| r[*c].clone()).collect()).collect();
+        let m: Vec<Vec<IBig>> =
+            rows.iter().map(|r| columns.iter().map(|c| r[*c].clone()).collect()).collect();
         let d = determinant(m);
         if skip % 2 == 0 { d } else { -d }
     }))

@@ -11,22 +11,30 @@ pub type Plane = [IBig; 4];
 /// (d, m) with d = q − p and m = p × q, up to a positive factor; or any vector of the space these span.
 pub type Line = [IBig; 6];
 
-/// A point in doubles, exactly.
-pub fn point(p: [f64; 3]) -> Point {
-    // Every finite double is a multiple of 2⁻¹⁰⁷⁴; scaling by that and by what all have in common loses nothing.
-    let parts = p.map(|x| {
+/// Doubles times a common power of two that makes them integers, and its exponent.
+fn scaled<const N: usize>(x: [f64; N]) -> ([IBig; N], i32) {
+    // Mantissa and exponent, zeros at the mantissa's end taken off.
+    let parts = x.map(|x| {
         let bits = x.to_bits();
         let field = (bits >> 52 & 0x7ff) as i32;
         let fraction = (bits & ((1 << 52) - 1)) as i64;
         let (m, e) = if field == 0 { (fraction, -1074) } else { (fraction + (1 << 52), field - 1075) };
-        (if x < 0.0 { -m } else { m }, e)
+        let zeros = if m == 0 { 0 } else { m.trailing_zeros() as i32 };
+        (if x < 0.0 { -(m >> zeros) } else { m >> zeros }, if m == 0 { 0 } else { e + zeros })
     });
-    let least = parts.iter().filter(|(m, _)| *m != 0).map(|(m, e)| e + m.trailing_zeros() as i32).min().unwrap_or(0).min(0);
-    let [x, y, z] = parts.map(|(m, e)| {
-        let up = e - least;
-        if up >= 0 { IBig::from(m) << up as usize } else { IBig::from(m >> -up.max(-63)) }
-    });
-    [x, y, z, IBig::ONE << (-least) as usize]
+    let up = -parts.iter().map(|p| p.1).min().unwrap_or(0).min(0);
+    (parts.map(|(m, e)| IBig::from(m) << (e + up) as usize), up)
+}
+
+/// A point in doubles, exactly.
+pub fn point(p: [f64; 3]) -> Point {
+    let ([x, y, z], up) = scaled(p);
+    [x, y, z, IBig::ONE << up as usize]
+}
+
+/// A vector in doubles, up to a positive factor.
+pub fn vector(v: [f64; 6]) -> Line {
+    scaled(v).0
 }
 
 /// The sign of an integer.

@@ -28,7 +28,7 @@ use glam::{DVec3, Vec3};
 
 use crate::proof::{Proof, Step, Which};
 use cone::Cone;
-use line::{Line, Plane, Point, height, join, meet, plane, point, sign};
+use line::{Line, Plane, Point, height, join, meet, plane, point, sign, vector};
 pub use witness::check_witness;
 
 /// Why a proof or a witness is refused.
@@ -75,7 +75,8 @@ pub fn corners(of: &[DVec3]) -> Corners {
 pub fn check_hidden(scene: &[[Vec3; 3]], a: &[Corners], b: &[Corners], proof: &Proof) -> Result<(), Refusal> {
     let mut occluders = Vec::with_capacity(proof.occluders.len());
     for triangles in &proof.occluders {
-        occluders.push(Blocker::new(scene, triangles).ok_or(Refusal::Unknown { step: 0, what: "a triangle" })?);
+        occluders
+            .push(Blocker::new(scene, triangles).ok_or(Refusal::Unknown { step: 0, what: "a triangle" })?);
     }
     let mut check = Check { steps: &proof.steps, at: 0, occluders };
     for x in a {
@@ -163,7 +164,10 @@ impl<'a> Check<'a> {
             }
             let (pa, pb) = (plane([&a[0], &a[1], &a[2]]), plane([&b[0], &b[1], &b[2]]));
             let other = |p: &Plane, c: &[Point]| {
-                c.iter().map(|x| sign(&height(p, x))).find(|s| *s != Ordering::Equal).unwrap_or(Ordering::Equal)
+                c.iter()
+                    .map(|x| sign(&height(p, x)))
+                    .find(|s| *s != Ordering::Equal)
+                    .unwrap_or(Ordering::Equal)
             };
             let (ahead, behind) = (other(&pa, &b), other(&pb, &a));
             let a = Side { corners: a, plane: pa, other: ahead };
@@ -191,7 +195,9 @@ impl<'a> Check<'a> {
                         .occluders
                         .get(*occluder as usize)
                         .ok_or(Refusal::Unknown { step: at, what: "an occluder" })?;
-                    let constraints = occluder.constraints(a, b, *negative).map_err(|what| Refusal::False { step: at, what })?;
+                    let constraints = occluder
+                        .constraints(a, b, *negative)
+                        .map_err(|what| Refusal::False { step: at, what })?;
                     let mut rest = cone;
                     let mut outside = Vec::with_capacity(cuts.len());
                     for cut in cuts {
@@ -204,11 +210,23 @@ impl<'a> Check<'a> {
                         rest = inside;
                     }
                     if rest.is_some_and(|c| !constraints.iter().all(|(_, line)| c.within(line))) {
-                        return Err(Refusal::False { step: at, what: "the occluder does not block all of it" });
+                        return Err(Refusal::False {
+                            step: at,
+                            what: "the occluder does not block all of it",
+                        });
                     }
                     open.extend(outside.into_iter().rev());
                 }
-                Step::Divide { .. } => return Err(Refusal::False { step: at, what: "a polygon cannot be halved here" }),
+                Step::Split { polar } => {
+                    if !polar.iter().all(|c| c.is_finite()) {
+                        return Err(Refusal::False { step: at, what: "a hyperplane is not finite" });
+                    }
+                    let (positive, negative) = cone.map_or((None, None), |c| c.split(&vector(*polar)));
+                    open.extend([positive, negative]);
+                }
+                Step::Divide { .. } => {
+                    return Err(Refusal::False { step: at, what: "a polygon cannot be halved here" });
+                }
             }
         }
         Ok(())
@@ -218,7 +236,8 @@ impl<'a> Check<'a> {
 impl Blocker {
     /// The half-spaces that must hold for lines from A to B to be blocked, each with its number.
     fn constraints(&self, a: &Side, b: &Side, negative: bool) -> Result<Vec<(u16, Line)>, &'static str> {
-        let mut out: Vec<(u16, Line)> = self.border.iter().cloned().enumerate().map(|(i, l)| (i as u16, l)).collect();
+        let mut out: Vec<(u16, Line)> =
+            self.border.iter().cloned().enumerate().map(|(i, l)| (i as u16, l)).collect();
         for (k, side) in [a, b].into_iter().enumerate() {
             let place = |p: &Point| sign(&height(&side.plane, p));
             let in_plane = |t: &[Point; 3]| t.iter().all(|p| place(p) == Ordering::Equal);
@@ -228,8 +247,13 @@ impl Blocker {
             if self.corners.iter().flatten().all(|p| place(p) != side.other.reverse()) {
                 continue;
             }
-            let own = self.plane.as_ref().ok_or("an occluder that is not flat must be between the polygons")?;
-            let toward = if side.other == Ordering::Less { side.plane.clone().map(|c| -c) } else { side.plane.clone() };
+            let own =
+                self.plane.as_ref().ok_or("an occluder that is not flat must be between the polygons")?;
+            let toward = if side.other == Ordering::Less {
+                side.plane.clone().map(|c| -c)
+            } else {
+                side.plane.clone()
+            };
             out.push(((self.border.len() + k) as u16, meet(&toward, own)));
         }
         if negative {
@@ -262,7 +286,8 @@ fn start(a: &Side, b: &Side) -> Vec<Cone> {
     let k = meet(&a.plane, &b.plane);
     // Multiples of k both of them, so the sign of any component that is not 0 tells.
     let way = |l: &Line| l.iter().zip(&k).map(|(x, y)| sign(&(x * y))).find(|s| *s != Ordering::Equal);
-    let both = along.iter().any(|l| way(l) == Some(Ordering::Greater)) && along.iter().any(|l| way(l) == Some(Ordering::Less));
+    let both = along.iter().any(|l| way(l) == Some(Ordering::Greater))
+        && along.iter().any(|l| way(l) == Some(Ordering::Less));
     match (both, across) {
         (true, Some(across)) => {
             let at_k = line::klein(&k, &across);

@@ -14,10 +14,20 @@ use super::{Corners, Refusal};
 ///
 /// # Errors
 /// [`Refusal::Witness`].
-pub fn check_witness(scene: &[[Vec3; 3]], a: &[Corners], b: &[Corners], p: &Point, q: &Point) -> Result<(), Refusal> {
+pub fn check_witness(
+    scene: &[[Vec3; 3]],
+    a: &[Corners],
+    b: &[Corners],
+    p: &Point,
+    q: &Point,
+) -> Result<(), Refusal> {
     let refuse = |what: &str| Err(Refusal::Witness(what.to_owned()));
-    let Some(from) = a.iter().find(|c| inside(c, p)) else { return refuse("the witness does not begin inside A") };
-    let Some(to) = b.iter().find(|c| inside(c, q)) else { return refuse("the witness does not end inside B") };
+    let Some(from) = a.iter().find(|c| inside(c, p)) else {
+        return refuse("the witness does not begin inside A");
+    };
+    let Some(to) = b.iter().find(|c| inside(c, q)) else {
+        return refuse("the witness does not end inside B");
+    };
     let planes = [from, to].map(|c| plane([&c[0], &c[1], &c[2]]));
     if height(&planes[0], q).is_zero() || height(&planes[1], p).is_zero() {
         return refuse("the witness runs in the plane of a polygon");
