@@ -80,6 +80,8 @@ pub enum Command {
     Query(QueryArgs),
     /// Measure how wrong a result looks from random viewpoints or along a path.
     Measure(MeasureArgs),
+    /// Decide exactly which polygons see each other.
+    Sightlines(SightlinesArgs),
     /// Measure time against error: every sampler from coarse to fine, as table and curves.
     Bench(BenchArgs),
 }
@@ -300,6 +302,37 @@ pub struct MeasureArgs {
     /// Write the worst frames as PNG: seen triangles green, wrong ones red.
     #[arg(long, value_name = "DIR")]
     pub images: Option<PathBuf>,
+}
+
+/// Decides for pairs of convex polygons whether one sees the other among the triangles of a scene.
+///
+/// All triangles block, except where they lie in the plane of a or b. Every line of the input is a query, and is answered
+/// by one line, in order:
+///
+///   {"id":1,"a":[[x,y,z],…],"b":[[x,y,z],…]}
+///   {"id":1,"state":"visible","witness":[[x,y,z],[x,y,z]],"micros":…}   a segment that nothing is in the way of
+///   {"id":1,"state":"hidden","blockers":[ids],"micros":…}               proved; the triangles the proof rests on
+///   {"id":1,"state":"undecided","reason":"…","micros":…}                neither, within the limits
+///
+/// No tolerance decides: a gap a millionth of a wall wide is seen through, a shared edge is not. What is seen only along
+/// single lines, such as an edge, counts as hidden.
+#[derive(Args, Debug)]
+#[command(verbatim_doc_comment)]
+pub struct SightlinesArgs {
+    /// The scene: .obj, .ply, .gltf or .glb.
+    pub scene: PathBuf,
+    /// The queries, as JSON Lines; - for stdin. Corners in order around convex flat polygons of at most 64.
+    #[arg(long, value_name = "Q.jsonl")]
+    pub queries: PathBuf,
+    /// Have a checker that shares no code with the search go over every witness and every proof, by exact arithmetic alone.
+    #[arg(long)]
+    pub check: bool,
+    /// Regions of line space a query may look at before it ends undecided.
+    #[arg(long, value_name = "N", default_value_t = 20_000)]
+    pub max_regions: u32,
+    /// Threads. Default: one a core.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub threads: Option<u16>,
 }
 
 fn parse_grid(text: &str) -> Result<[u32; 2], String> {

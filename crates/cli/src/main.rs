@@ -16,6 +16,7 @@ mod output;
 mod progress;
 mod remote;
 mod serve;
+mod sightlines;
 
 use std::io::IsTerminal as _;
 use std::process::ExitCode;
@@ -83,6 +84,7 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Dump(a) => inspect::dump(&a),
         Command::Query(a) => inspect::query(&a, json),
         Command::Measure(a) => measuring::run(&a),
+        Command::Sightlines(a) => sightlines::run(&a),
         Command::Bench(a) => bench::run(&a, json),
     }
 }

@@ -1,0 +1,234 @@
+//! `sightline sightlines`: exact visibility between pairs of polygons, a JSON line in and a JSON line out.
+
+use std::io::{BufRead as _, BufReader, Read};
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+
+use glam::DVec3;
+use rayon::prelude::*;
+use serde::Deserialize;
+use serde_json::{Value, json};
+use sightline_exact::{Cost, Limits, Occluders, Polygon, Verdict, checker, polygon, predicates, sightlines};
+
+use crate::args::SightlinesArgs;
+use crate::error::CliError;
+use crate::progress::{Progress, human, say};
+use crate::serve::{self, print, threads};
+
+/// Queries read, answered and printed at a time.
+const AT_A_TIME: usize = 4096;
+/// Bytes read ahead.
+const BUFFER: usize = 1 << 20;
+/// A line longer than this is no query.
+const LONGEST_LINE: u64 = 1 << 20;
+
+/// One line of the input.
+#[derive(Deserialize)]
+struct Line {
+    #[serde(default)]
+    id: Value,
+    a: Vec<[f64; 3]>,
+    b: Vec<[f64; 3]>,
+}
+
+/// A query, checked.
+struct Query {
+    id: Value,
+    a: Vec<Polygon>,
+    b: Vec<Polygon>,
+}
+
+/// Totals of a run.
+#[derive(Default)]
+struct Totals {
+    visible: u64,
+    hidden: u64,
+    undecided: u64,
+    cost: Cost,
+}
+
+/// Answers every query of a file, in order.
+pub fn run(args: &SightlinesArgs) -> Result<(), CliError> {
+    let scene = sightline_scene::load(&args.scene)?;
+    serve::use_threads(threads(args.threads.map(usize::from)))?;
+    let occluders = Occluders::new(&scene)?;
+    let raw: Vec<[glam::Vec3; 3]> =
+        if args.check { scene.triangles().iter().map(|t| t.v).collect() } else { Vec::new() };
+    let limits = Limits { regions: args.max_regions, ..Limits::default() };
+    let mut input = Input::open(&args.queries)?;
+    let start = Instant::now();
+    let progress = Progress::new();
+    let mut totals = Totals::default();
+    let done = AtomicU64::new(0);
+    let ended = loop {
+        // A bad line ends the run, after everything before it has been answered.
+        let (queries, failure) = input.read();
+        let last = queries.is_empty();
+        let total = input.lines;
+        let answers: Vec<Result<(Value, Verdict, Cost), CliError>> = queries
+            .into_par_iter()
+            .map(|query| {
+                let answer = answer(&occluders, &query, &limits, &raw, args.check);
+                progress.count(done.fetch_add(1, Ordering::Relaxed) + 1, total, "queries");
+                answer
+            })
+            .collect();
+        for answer in answers {
+            let (value, verdict, cost) = answer?;
+            match verdict {
+                Verdict::Visible(_) => totals.visible += 1,
+                Verdict::Hidden(_) => totals.hidden += 1,
+                Verdict::Undecided(_) => totals.undecided += 1,
+            }
+            totals.cost += cost;
+            print(&value.to_string())?;
+        }
+        match failure {
+            Some(e) => break Err(e),
+            None if last => break Ok(()),
+            None => {}
+        }
+    };
+    progress.end();
+    report(&totals, start.elapsed(), args.check);
+    ended
+}
+
+/// Says on stderr what the answers were and what they took.
+fn report(totals: &Totals, took: std::time::Duration, checked: bool) {
+    let d = totals.cost.decisions;
+    let all = (d.filtered + d.exact).max(1);
+    say(&format!(
+        "{} visible, {} hidden, {} undecided in {}{}; {} regions of line space, {} decisions, {:.2} % of them by exact arithmetic",
+        totals.visible,
+        totals.hidden,
+        totals.undecided,
+        human(took),
+        if checked { ", every witness and proof accepted by the checker" } else { "" },
+        totals.cost.regions,
+        d.filtered + d.exact,
+        100.0 * d.exact as f64 / all as f64,
+    ));
+    if totals.undecided > 0 {
+        say("undecided pairs may end with a verdict with a greater --max-regions");
+    }
+}
+
+/// One answer, as JSON and as it was found.
+fn answer(
+    scene: &Occluders,
+    query: &Query,
+    limits: &Limits,
+    raw: &[[glam::Vec3; 3]],
+    check: bool,
+) -> Result<(Value, Verdict, Cost), CliError> {
+    let start = Instant::now();
+    let (verdict, cost) = sightlines(scene, &query.a, &query.b, limits);
+    let micros = start.elapsed().as_micros() as u64;
+    if check {
+        let exact = |polygons: &[Polygon]| -> Vec<checker::Corners> {
+            polygons.iter().map(|p| p.points().iter().map(predicates::integers).collect()).collect()
+        };
+        let (a, b) = (exact(&query.a), exact(&query.b));
+        let refused = match &verdict {
+            Verdict::Visible(ends) => {
+                let [p, q] = [&ends[0], &ends[1]].map(predicates::integers);
+                checker::check_witness(raw, &a, &b, &p, &q)
+            }
+            Verdict::Hidden(proof) => checker::check_hidden(raw, &a, &b, proof),
+            Verdict::Undecided(_) => Ok(()),
+        };
+        refused.map_err(|e| {
+            CliError::Internal(format!(
+                "query {}: the checker refuses the answer: {e}; this is a fault of the program, please report it with the scene",
+                query.id
+            ))
+        })?;
+    }
+    let point = |p| polygon::rounded(p).to_array();
+    let value = match &verdict {
+        Verdict::Visible(ends) => {
+            json!({"id": query.id, "state": "visible", "witness": [point(&ends[0]), point(&ends[1])], "micros": micros})
+        }
+        Verdict::Hidden(proof) => {
+            json!({"id": query.id, "state": "hidden", "blockers": proof.blockers(), "micros": micros})
+        }
+        Verdict::Undecided(reason) => {
+            json!({"id": query.id, "state": "undecided", "reason": reason.to_string(), "micros": micros})
+        }
+    };
+    Ok((value, verdict, cost))
+}
+
+/// The queries of a file or of stdin.
+struct Input {
+    name: String,
+    reader: BufReader<Box<dyn Read>>,
+    /// Lines read so far.
+    lines: u64,
+}
+
+impl Input {
+    fn open(path: &Path) -> Result<Self, CliError> {
+        let source: Box<dyn Read> = if path.as_os_str() == "-" {
+            Box::new(std::io::stdin())
+        } else {
+            let unreadable = |e| CliError::Input(format!("{} cannot be read: {e}", path.display()));
+            Box::new(std::fs::File::open(path).map_err(unreadable)?)
+        };
+        Ok(Self {
+            name: path.display().to_string(),
+            reader: BufReader::with_capacity(BUFFER, source),
+            lines: 0,
+        })
+    }
+
+    /// The next queries, as many as are there without waiting for more but at least one, and what is wrong with the line after
+    /// them. None at the end. Whoever writes one query and waits for its answer is not kept waiting.
+    fn read(&mut self) -> (Vec<Query>, Option<CliError>) {
+        let mut queries = Vec::new();
+        while queries.is_empty() || (queries.len() < AT_A_TIME && self.reader.buffer().contains(&b'\n')) {
+            match self.next() {
+                Ok(Some(query)) => queries.push(query),
+                Ok(None) => break,
+                Err(e) => return (queries, Some(e)),
+            }
+        }
+        (queries, None)
+    }
+
+    fn next(&mut self) -> Result<Option<Query>, CliError> {
+        loop {
+            let mut text = Vec::new();
+            let mut limited = Read::take(&mut self.reader, LONGEST_LINE);
+            let read = limited
+                .read_until(b'\n', &mut text)
+                .map_err(|e| CliError::Input(format!("{} cannot be read: {e}", self.name)))?;
+            if read == 0 {
+                return Ok(None);
+            }
+            self.lines += 1;
+            let bad = |why: String| CliError::Input(format!("{}, line {}: {why}", self.name, self.lines));
+            if read as u64 == LONGEST_LINE {
+                return Err(bad(format!(
+                    "it is longer than {LONGEST_LINE} bytes; a query is two short polygons"
+                )));
+            }
+            if text.iter().all(u8::is_ascii_whitespace) {
+                continue;
+            }
+            let line: Line = serde_json::from_slice(&text).map_err(|e| {
+                bad(format!(
+                    r#"it is no query ({e}); give {{"id":1,"a":[[x,y,z],…],"b":[[x,y,z],…]}} on one line"#
+                ))
+            })?;
+            let polygon = |name: &str, corners: &[[f64; 3]]| {
+                let corners: Vec<DVec3> = corners.iter().map(|c| DVec3::from(*c)).collect();
+                Polygon::checked(&corners).map_err(|e| bad(format!("polygon {name}: {e}")))
+            };
+            let (a, b) = (polygon("a", &line.a)?, polygon("b", &line.b)?);
+            return Ok(Some(Query { id: line.id, a, b }));
+        }
+    }
+}
