@@ -98,7 +98,7 @@ pub fn run(args: &SightlinesArgs) -> Result<(), CliError> {
 /// Says on stderr what the answers were and what they took.
 fn report(totals: &Totals, took: std::time::Duration, checked: bool) {
     let d = totals.cost.decisions;
-    let all = (d.filtered + d.exact).max(1);
+    let all = (d.filtered + d.refined + d.spanned + d.exact).max(1);
     say(&format!(
         "{} visible, {} hidden, {} undecided in {}{}; {} regions of line space, {} decisions, {:.2} % of them by exact arithmetic",
         totals.visible,
@@ -107,7 +107,7 @@ fn report(totals: &Totals, took: std::time::Duration, checked: bool) {
         human(took),
         if checked { ", every witness and proof accepted by the checker" } else { "" },
         totals.cost.regions,
-        d.filtered + d.exact,
+        d.filtered + d.refined + d.spanned + d.exact,
         100.0 * d.exact as f64 / all as f64,
     ));
     if totals.undecided > 0 {

@@ -122,9 +122,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             cost.lines as f64 / n,
             cost.occluders as f64 / n,
             cost.divisions as f64 / n,
-            (d.filtered + d.exact) as f64 / n,
-            100.0 * d.exact as f64 / (d.filtered + d.exact).max(1) as f64,
-            100.0 * d.zero as f64 / (d.filtered + d.exact).max(1) as f64,
+            (d.filtered + d.refined + d.spanned + d.exact) as f64 / n,
+            100.0 * d.exact as f64 / (d.filtered + d.refined + d.spanned + d.exact).max(1) as f64,
+            100.0 * d.zero as f64 / (d.filtered + d.refined + d.spanned + d.exact).max(1) as f64,
         );
     }
     println!("checking a proof: {:.3} ms", checking.as_secs_f64() * 1e3 / proved.max(1) as f64);

@@ -18,6 +18,14 @@ struct Node {
     count: u32,
 }
 
+/// What is below a node.
+pub enum Below<'a> {
+    /// Two nodes.
+    Nodes([u32; 2]),
+    /// Items of a leaf.
+    Items(&'a [u32]),
+}
+
 /// A hierarchy over boxes, numbered as given.
 pub struct Bvh {
     nodes: Vec<Node>,
@@ -54,6 +62,32 @@ impl Bvh {
             open.extend([at as usize, at as usize + 1]);
         }
         Self { nodes, order, boxes }
+    }
+
+    /// Number of nodes; the root is 0, and children come after their parents.
+    pub fn len(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// Whether there is no item.
+    pub fn is_empty(&self) -> bool {
+        self.order.is_empty()
+    }
+
+    /// A node's box.
+    pub fn bounds(&self, node: u32) -> [Vec3; 2] {
+        let n = &self.nodes[node as usize];
+        [n.min, n.max]
+    }
+
+    /// A node's children, or the items of a leaf.
+    pub fn below(&self, node: u32) -> Below<'_> {
+        let n = &self.nodes[node as usize];
+        if n.count > 0 {
+            Below::Items(&self.order[n.first as usize..(n.first + n.count) as usize])
+        } else {
+            Below::Nodes([n.first, n.first + 1])
+        }
     }
 
     /// Appends every item whose box the segment from `p` to `q` may touch; `slack` is how far the ends may be off.

@@ -32,8 +32,17 @@ impl Region {
         out.clear();
         let known = self.halves.iter().position(|h| *h == line).map_or(0, |i| 1u128 << i);
         for (ray, tight) in &self.rays {
-            out.push(if tight & known != 0 { Ordering::Equal } else { space.side(*ray, line) });
+            out.push(if tight & known != 0 {
+                Ordering::Equal
+            } else {
+                space.ray_side(*ray, line, self.tight(*tight))
+            });
         }
+    }
+
+    /// The lines of a set.
+    pub fn tight(&self, set: Tight) -> impl Iterator<Item = Id> {
+        self.halves.iter().enumerate().filter(move |(k, _)| set >> k & 1 == 1).map(|(_, h)| *h)
     }
 
     /// The parts on the negative and on the positive side of a line, given the sides of all rays, both of which

@@ -8,7 +8,8 @@
 use dashu_int::IBig;
 use glam::DVec3;
 
-use crate::number::{U, homogeneous, integers, primitive};
+use crate::double::{Double, STEP};
+use crate::number::{U, double, homogeneous, integers, primitive};
 
 /// Rows are multiples of 1/64: turning the axes to within a degree is all that is needed.
 const STEPS: f64 = 64.0;
@@ -28,6 +29,8 @@ pub struct Point {
     pub at: [f64; 3],
     /// The greatest error of any of them.
     pub error: f64,
+    /// The coordinates in pairs of doubles, and their greatest error.
+    pub fine: ([Double; 3], f64),
     /// Where it is exactly.
     pub place: Place,
 }
@@ -92,9 +95,19 @@ impl Frame {
     }
 
     /// A point given in doubles.
+    ///
+    /// A difference is exact in pairs; three products and two sums err by a step each of at most Σ |row · (p − origin)|.
     pub fn given(&self, p: DVec3) -> Point {
         let (at, error) = self.local(p);
-        Point { at, error, place: Place::World(Source::Given(p)) }
+        let d: [Double; 3] = std::array::from_fn(|j| Double::difference(p[j], self.origin[j]));
+        let mut fine_error = 0.0f64;
+        let fine = std::array::from_fn(|i| {
+            let scale = f64::powi(2.0, self.shift[i] - 6);
+            let t: [Double; 3] = std::array::from_fn(|j| d[j].times(Double(f64::from(self.rows[i][j]), 0.0)));
+            fine_error = fine_error.max(8.0 * STEP * scale * t.iter().map(|t| t.0.abs()).sum::<f64>());
+            t[0].plus(t[1]).plus(t[2]).scaled(scale)
+        });
+        Point { at, error, fine: (fine, fine_error), place: Place::World(Source::Given(p)) }
     }
 
     /// The coordinates of a point given in doubles, and how far each may be off.
@@ -117,9 +130,10 @@ impl Frame {
     pub fn exact(&self, p: [IBig; 4]) -> Point {
         let mut local = self.map(&p);
         primitive(&mut local);
-        let at = point_doubles(&local);
+        let fine: [Double; 3] = std::array::from_fn(|i| ratio_double(&local[i], &local[3]));
+        let at = fine.map(|c| c.0);
         let greatest = at.iter().fold(0.0f64, |m, c| m.max(c.abs()));
-        Point { at, error: 4.0 * U * greatest, place: Place::World(Source::Exact(Box::new(p))) }
+        Point { at, error: 4.0 * U * greatest, fine: (fine, 8.0 * STEP * greatest), place: Place::World(Source::Exact(Box::new(p))) }
     }
 
     /// Exact coordinates in the frame, homogeneous.
@@ -223,6 +237,19 @@ pub fn ratio(n: &IBig, d: &IBig) -> f64 {
     n / d * f64::powi(2.0, half) * f64::powi(2.0, en - ed - half)
 }
 
+/// n / d to 4 steps, for d > 0.
+fn ratio_double(n: &IBig, d: &IBig) -> Double {
+    use dashu_int::ops::BitTest;
+    if n.is_zero() {
+        return Double::default();
+    }
+    // A quotient of at least 160 bits is cut off far behind the last that is kept; 2^1000 is not reached.
+    let up = (160 + d.bit_len()).saturating_sub(n.bit_len());
+    let down = n.bit_len().saturating_sub(d.bit_len() + 160);
+    let q: IBig = ((n << up) / d) >> down;
+    double(&q).scaled(f64::powi(2.0, -(up as i32) / 2)).scaled(f64::powi(2.0, -(up as i32) + up as i32 / 2 + down as i32))
+}
+
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
@@ -252,7 +279,12 @@ mod tests {
                     prop_assert!(e.abs() <= 1.5, "{e}");
                 }
                 let again = frame.exact(homogeneous(p.to_array()));
-                prop_assert_eq!(again.at, exact);
+                for (x, e) in again.at.iter().zip(exact) {
+                    prop_assert!((x - e).abs() <= again.error);
+                }
+                for ((x, y), e) in again.fine.0.iter().zip(point.fine.0).zip(exact) {
+                    prop_assert!(x.minus(y).0.abs() <= again.fine.1 + point.fine.1, "{x:?} {y:?} {e}");
+                }
             }
         }
     }

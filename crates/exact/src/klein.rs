@@ -27,25 +27,44 @@ pub enum Contents {
 
 /// Looks for real lines in a region; up to `most` of them.
 pub fn contents(space: &mut Space, region: &Region, most: usize) -> Contents {
-    let rays: Vec<Id> = region.rays.iter().map(|(r, _)| *r).collect();
-    let x: Vec<[f64; 6]> = rays.iter().map(|r| *space.rounded(*r)).collect();
-    let n = rays.len();
-    let mut positive = false;
-    let mut negative = false;
-    let mut open: Vec<(Id, Id)> = Vec::new();
+    let x: Vec<[f64; 6]> = region.rays.iter().map(|(r, _)| *space.rounded(*r)).collect();
+    let n = x.len();
+    let centre: [f64; 6] = std::array::from_fn(|i| x.iter().map(|v| v[i]).sum::<f64>() / n as f64);
+    let at_centre = klein(&centre, &centre);
+    let turn = if at_centre > 0.0 { -1.0 } else { 1.0 };
+    // No form of two of these rays is off by more: no component exceeds 1, and six of them are at most 6.
+    let error = region.rays.iter().fold(0.0f64, |m, (r, _)| m.max(space.error(*r)));
+    let bound = 48.0 * U + 13.0 * error + 7.0 * error * error;
+    let (mut right, mut wrong) = (false, false);
+    let mut open: Vec<(usize, usize)> = Vec::new();
+    // The pairs on the other side of the quadric than the centre, those farthest from it first.
+    let mut towards: Vec<(f64, usize, usize)> = Vec::with_capacity(4 * most + 1);
     for i in 0..n {
         for j in i..n {
-            match space.filtered_side(rays[i], rays[j]) {
-                Some(Ordering::Greater) => positive = true,
-                Some(_) => negative = true,
-                None => open.push((rays[i], rays[j])),
+            let value = turn * klein(&x[i], &x[j]);
+            if value < -bound {
+                right = true;
+                continue;
+            }
+            if value > bound {
+                wrong = true;
+            } else {
+                open.push((i, j));
+            }
+            if value > 0.0 && (towards.len() < 4 * most || value > towards[towards.len() - 1].0) {
+                let at = towards.partition_point(|t| t.0 >= value);
+                towards.insert(at, (value, i, j));
+                towards.truncate(4 * most);
             }
         }
     }
     space.decisions.filtered += ((n * (n + 1)) / 2 - open.len()) as u64;
-    if !(positive && negative) {
-        for (a, b) in open {
-            match space.exact_side(a, b) {
+    if !(right && wrong) {
+        // Filters show one sign at most; whether the other occurs is for integers to say.
+        let on: Vec<Vec<Id>> = region.rays.iter().map(|(_, t)| region.tight(*t).collect()).collect();
+        let (mut positive, mut negative) = (right && turn < 0.0 || wrong && turn > 0.0, right && turn > 0.0 || wrong && turn < 0.0);
+        for (i, j) in open {
+            match space.rays_side((region.rays[i].0, &on[i]), (region.rays[j].0, &on[j])) {
                 Ordering::Greater => positive = true,
                 Ordering::Less => negative = true,
                 Ordering::Equal => {}
@@ -54,29 +73,14 @@ pub fn contents(space: &mut Space, region: &Region, most: usize) -> Contents {
                 break;
             }
         }
-    }
-    if !(positive && negative) {
-        return Contents::Nothing;
-    }
-    let centre: [f64; 6] = std::array::from_fn(|i| x.iter().map(|v| v[i]).sum::<f64>() / n as f64);
-    let at_centre = klein(&centre, &centre);
-    // From the centre towards the pairs on the other side of the quadric, those farthest from it first.
-    let turn = if at_centre > 0.0 { -1.0 } else { 1.0 };
-    let mut towards: Vec<(f64, usize, usize)> = Vec::with_capacity(4 * most + 1);
-    for i in 0..n {
-        for j in i..n {
-            let value = turn * klein(&x[i], &x[j]);
-            if value > 0.0 && (towards.len() < 4 * most || value > towards[towards.len() - 1].0) {
-                let at = towards.partition_point(|t| t.0 >= value);
-                towards.insert(at, (value, i, j));
-                towards.truncate(4 * most);
-            }
+        if !(positive && negative) {
+            return Contents::Nothing;
         }
     }
     let mut lines: Vec<(f64, [f64; 6])> = Vec::new();
     for (_, i, j) in &towards {
         // Values of the form below this are rounding and would lead to lines that are none.
-        let noise = 64.0 * U + 16.0 * space.error(rays[*i]).max(space.error(rays[*j]));
+        let noise = 64.0 * U + 16.0 * error;
         let Some(end) = beyond(&x[*i], &x[*j], at_centre, noise) else { continue };
         // K((1−t)c + te) = 0 with K(c), K(e) of different signs.
         let (c, m, e) = (at_centre, klein(&centre, &end), klein(&end, &end));

@@ -5,8 +5,10 @@
 //! found. No tolerance decides anything: doubles with error bounds come first, integers where those cannot tell.
 
 pub mod bvh;
+pub mod cell;
 pub mod checker;
 pub mod cone;
+pub mod double;
 pub mod frame;
 pub mod klein;
 pub mod number;

@@ -6,6 +6,10 @@
 use dashu_int::IBig;
 use dashu_int::ops::{BitTest, Gcd, UnsignedAbs as _};
 
+use crate::double::Double;
+#[cfg(doc)]
+use crate::double::STEP;
+
 /// Half a unit in the last place of 1: the largest relative error of one rounded operation on doubles.
 pub const U: f64 = f64::EPSILON / 2.0;
 
@@ -77,6 +81,23 @@ pub fn rounded<const N: usize>(v: &[IBig; N]) -> [f64; N] {
         let x = if cut > 0 { (&v[i] >> cut).to_f64().value() } else { v[i].to_f64().value() };
         x * scale
     })
+}
+
+/// As [`rounded`], each component wrong by at most [`STEP`].
+pub fn rounded_double<const N: usize>(v: &[IBig; N]) -> [Double; N] {
+    let longest = v.iter().map(|x| x.bit_len()).max().unwrap_or(0);
+    const KEPT: usize = 160;
+    let cut = longest.saturating_sub(KEPT);
+    let scale = f64::powi(2.0, -((longest - cut) as i32));
+    std::array::from_fn(|i| if cut > 0 { double(&(&v[i] >> cut)) } else { double(&v[i]) }.scaled(scale))
+}
+
+/// An integer below 2^1000 as a pair of doubles.
+pub fn double(x: &IBig) -> Double {
+    let high = x.to_f64().value();
+    let ([n], e) = integers([high]);
+    let low = (x - (n << e.max(0) as usize)).to_f64().value();
+    Double(high, low)
 }
 
 /// The vector scaled by a power of two so that its greatest component is at least 1/2 and below 1, and the factor.

@@ -90,6 +90,11 @@ impl Occluders {
         self.occluders.len()
     }
 
+    /// The hierarchy over the triangles that have an area.
+    pub fn hierarchy(&self) -> &Bvh {
+        &self.bvh
+    }
+
     /// The triangles the segment may meet; its ends are off by a few units in the last place of the coordinates.
     pub fn along(&self, p: glam::DVec3, q: glam::DVec3, out: &mut Vec<u32>) {
         let size = self.reach.max(p.abs().max_element()).max(q.abs().max_element());

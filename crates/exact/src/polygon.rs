@@ -96,6 +96,11 @@ impl Polygon {
         Self::checked(&v).ok().and_then(|mut p| p.pop())
     }
 
+    /// A rectangle along two axes, which is flat by construction and must have an area.
+    pub fn rectangle(corners: [DVec3; 4]) -> Self {
+        Self { points: corners.map(Source::Given).into() }
+    }
+
     /// The corners, in order.
     pub fn points(&self) -> &[Source] {
         &self.points

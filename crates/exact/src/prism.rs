@@ -14,13 +14,14 @@
 //! Where both signs occur (the polygons overlap along k) the region is cut in two by a hyperplane across k, always the same.
 
 use std::cmp::Ordering;
+use std::collections::HashMap;
 
 use glam::DVec3;
 
 use crate::cone::Region;
 use crate::number::U;
 use crate::polygon::Polygon;
-use crate::vector::{Id, Space, klein};
+use crate::vector::{Id, Space, Through, klein};
 
 /// Two polygons, each on one side of the other's plane, and the lines between them.
 pub struct Pair {
@@ -34,6 +35,8 @@ pub struct Pair {
     pub behind: Ordering,
     /// The lines from A to B: one region, or two.
     pub regions: Vec<Region>,
+    /// Triangles that were asked about, and whether they lie in A's plane or in B's.
+    pub flat: HashMap<u32, [bool; 2]>,
 }
 
 /// No cap was found: the polygons are too thin, or too near to each other's planes, for doubles to fit one.
@@ -105,17 +108,11 @@ pub fn stabbing(
             }
         }
     }
-    let planes = [a, b].map(|p| {
-        let [x, y, z] =
-            [0, 1, 2].map(|i| space.point_exact(if std::ptr::eq(p, a) { pa[i] } else { pb[i] }).clone());
-        crate::predicates::plane([&x, &y, &z])
-    });
-    let [plane_a, plane_b] = planes;
-    let k = space.meet(plane_a, plane_b);
+    let plane = |p: &[u32]| Through { points: [p[0], p[1], p[2]], turned: false };
+    let k = space.meet(plane(&pa), plane(&pb));
     let same: Vec<bool> = along.iter().map(|l| space.same_line(k, *l) == Some(true)).collect();
     let (ends_up, ends_down) = (same.contains(&true), same.contains(&false));
-    let minus = space.exact(k).clone().map(|c| -c);
-    let minus = space.fixed(minus);
+    let minus = space.opposite(k);
     let mut regions = Vec::with_capacity(2);
     let apex = all(n + m, 0);
     if let (true, true, Some(middle)) = (ends_up, ends_down, across) {
@@ -148,7 +145,7 @@ pub fn stabbing(
         }
         regions.push(Region { rays, halves });
     }
-    Ok(Pair { a: pa, b: pb, ahead, behind, regions })
+    Ok(Pair { a: pa, b: pb, ahead, behind, regions, flat: HashMap::new() })
 }
 
 /// The ray of `line` + t·k that is on the hyperplane `cap`, with k and −k given.

@@ -18,7 +18,7 @@ use crate::polygon::Polygon;
 use crate::prism::{self, Pair};
 use crate::proof::{Proof, Step, Which};
 use crate::trace::{Met, trace};
-use crate::vector::{Decisions, Id, Space};
+use crate::vector::{Decisions, Id, Space, Through};
 
 /// When a query gives up.
 #[derive(Clone, Copy, Debug)]
@@ -320,7 +320,7 @@ impl Search<'_> {
         (p, q): (Snapped, Snapped),
     ) -> Result<Option<Found>, End> {
         self.cost.lines += 1;
-        match trace(&mut local.space, self.scene, &local.pair, (p.0, q.0), (p.1, q.1)) {
+        match trace(&mut local.space, self.scene, &mut local.pair, (p.0, q.0), (p.1, q.1)) {
             Met::Nothing => {
                 self.cost.decisions += local.space.decisions;
                 Err(End::Seen(Box::new([local.source(p.0, 0), local.source(q.0, 1)])))
@@ -544,26 +544,18 @@ impl Local<'_> {
         }
         if beyond.contains(&true) {
             let (t, turned) = occluder.triangles[0];
-            let [a, b, c] = scene.triangle(t).map(|v| {
-                let p = self.space.frame().integers(&Source::Given(v.as_dvec3()));
-                p
+            let points = scene.triangle(t).map(|v| {
+                let point = self.space.frame().given(v.as_dvec3());
+                self.space.point(point)
             });
-            let own = if turned {
-                crate::predicates::plane([&a, &c, &b])
-            } else {
-                crate::predicates::plane([&a, &b, &c])
-            };
+            let own = Through { points, turned };
             for (k, (plane, good)) in planes.iter().enumerate() {
                 if !beyond[k] {
                     continue;
                 }
-                let [x, y, z] = [0, 1, 2].map(|i| self.space.point_exact(plane[i]).clone());
-                let mut toward = crate::predicates::plane([&x, &y, &z]);
-                if *good == Ordering::Less {
-                    toward.iter_mut().for_each(|c| *c = -std::mem::take(c));
-                }
+                let toward = Through { points: [plane[0], plane[1], plane[2]], turned: *good == Ordering::Less };
                 // The part of the occluder on the good side is to the left of n_plane × n_own, seen from n_own's side.
-                let line = self.space.meet(toward, own.clone());
+                let line = self.space.meet(toward, own);
                 lines.push((line, false, (occluder.border.len() + k) as u16));
             }
         }

@@ -25,7 +25,7 @@ pub enum Met {
 pub fn trace(
     space: &mut Space,
     scene: &Occluders,
-    pair: &Pair,
+    pair: &mut Pair,
     (p, q): (u32, u32),
     (near_p, near_q): (DVec3, DVec3),
 ) -> Met {
@@ -55,28 +55,47 @@ enum Touch {
     Through,
 }
 
-fn meets(space: &mut Space, scene: &Occluders, pair: &Pair, (p, q): (u32, u32), id: u32) -> Touch {
+fn meets(space: &mut Space, scene: &Occluders, pair: &mut Pair, (p, q): (u32, u32), id: u32) -> Touch {
+    if pair.flat.get(&id).is_some_and(|f| f.contains(&true)) {
+        return Touch::Not;
+    }
     let corners = scene.triangle(id).map(|v| {
         let point = space.frame().given(v.as_dvec3());
         space.point(point)
     });
     let [a, b, c] = corners;
-    let (sp, sq) = (space.orient(a, b, c, p), space.orient(a, b, c, q));
-    if sp == sq && sp != Ordering::Equal {
+    let (sp, sq) = (space.filtered_orient(a, b, c, p), space.filtered_orient(a, b, c, q));
+    if sp.is_some() && sp == sq {
         return Touch::Not;
     }
     let sides = [space.orient(p, q, a, b), space.orient(p, q, b, c), space.orient(p, q, c, a)];
     if sides.contains(&Ordering::Greater) && sides.contains(&Ordering::Less) {
         return Touch::Not;
     }
-    if sp == Ordering::Equal || sq == Ordering::Equal {
-        // In the plane of A or of B it is not in between; else the segment ends on it, and touches.
-        let in_plane = |space: &mut Space, of: &[u32]| {
-            corners.iter().all(|t| space.orient(of[0], of[1], of[2], *t) == Ordering::Equal)
-        };
-        let (at_a, at_b) = (sp == Ordering::Equal, sq == Ordering::Equal);
-        let exempt = at_a && in_plane(space, &pair.a) || at_b && in_plane(space, &pair.b);
-        return if exempt { Touch::Not } else { Touch::Border };
+    let (at_a, at_b) = match (sp, sq) {
+        (Some(_), Some(_)) => (false, false),
+        _ => {
+            // An end may be on the triangle's plane, for one because the triangle is in A's plane or in B's.
+            if in_planes(space, pair, id, &corners).contains(&true) {
+                return Touch::Not;
+            }
+            let (sp, sq) = (space.orient(a, b, c, p), space.orient(a, b, c, q));
+            if sp == sq && sp != Ordering::Equal {
+                return Touch::Not;
+            }
+            (sp == Ordering::Equal, sq == Ordering::Equal)
+        }
+    };
+    if at_a || at_b || sides.contains(&Ordering::Equal) { Touch::Border } else { Touch::Through }
+}
+
+/// Whether a triangle lies in A's plane, and whether in B's: what does is not in between.
+fn in_planes(space: &mut Space, pair: &mut Pair, id: u32, corners: &[u32; 3]) -> [bool; 2] {
+    if let Some(known) = pair.flat.get(&id) {
+        return *known;
     }
-    if sides.contains(&Ordering::Equal) { Touch::Border } else { Touch::Through }
+    let flat = [&pair.a, &pair.b]
+        .map(|of| corners.iter().all(|t| space.orient(of[0], of[1], of[2], *t) == Ordering::Equal));
+    pair.flat.insert(id, flat);
+    flat
 }

@@ -6,12 +6,14 @@
 //! exactly only when a filter fails: then once.
 
 use std::cmp::Ordering;
+use std::collections::HashMap;
 
 use dashu_int::IBig;
 use dashu_int::ops::UnsignedAbs as _;
 
 use crate::frame::{Frame, Place, Point};
-use crate::number::{U, integers, normalised, primitive, rounded};
+use crate::double::{Double, STEP};
+use crate::number::{U, integers, normalised, primitive, rounded_double};
 
 /// Index of a vector in its [`Space`].
 pub type Id = u32;
@@ -21,14 +23,25 @@ pub type Id = u32;
 enum Origin {
     /// The line from one point of the space to another.
     Join(u32, u32),
-    /// The line in which two planes meet, along n × n'. Planes are (n, k) with n·x = k, in integers in the frame.
-    Meet(Box<([IBig; 4], [IBig; 4])>),
+    /// The line in which two planes meet, along n × n'.
+    Meet(Through, Through),
+    /// Another vector turned round.
+    Opposite(Id),
     /// These very doubles, in the frame.
     Given([f64; 6]),
     /// Integers, kept with the vector.
     Fixed,
     /// Where the edge between two rays meets a half-space's border: s(a)·b − s(b)·a with s(a) > 0 > s(b).
     Cut { a: Id, b: Id, half: Id },
+}
+
+/// The plane through three points of a space, its normal towards where they are seen to turn counter-clockwise.
+#[derive(Clone, Copy, Debug)]
+pub struct Through {
+    /// The points.
+    pub points: [u32; 3],
+    /// Whether the normal is turned round.
+    pub turned: bool,
 }
 
 /// A six-vector up to a positive factor.
@@ -38,10 +51,24 @@ struct Vector {
     x: [f64; 6],
     /// How far every component may be off the true vector, suitably scaled.
     error: f64,
+    /// What is missing in `x`: the components are `x + rest`, up to `fine`.
+    rest: [f64; 6],
+    /// How far `x + rest` may be off.
+    fine: f64,
     /// Sum of the magnitudes of `x`.
     sum: f64,
     origin: Origin,
     exact: Option<Box<[IBig; 6]>>,
+    /// Row in the table of meeting lines; none if it is not known to be a real line.
+    line: Option<u32>,
+}
+
+/// What is known of two lines.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Meeting {
+    NotAsked,
+    Apart,
+    Meets,
 }
 
 /// How often each stage decided a sign.
@@ -49,6 +76,10 @@ struct Vector {
 pub struct Decisions {
     /// By doubles with an error bound.
     pub filtered: u64,
+    /// By pairs of doubles with an error bound.
+    pub refined: u64,
+    /// Because the line is a combination of lines the ray is known to be on.
+    pub spanned: u64,
     /// By exact integers.
     pub exact: u64,
     /// Of the exact ones, those that were 0.
@@ -58,13 +89,16 @@ pub struct Decisions {
 impl std::ops::AddAssign for Decisions {
     fn add_assign(&mut self, o: Self) {
         self.filtered += o.filtered;
+        self.refined += o.refined;
+        self.spanned += o.spanned;
         self.exact += o.exact;
         self.zero += o.zero;
     }
 }
 
-/// Rays with a greater error are computed exactly at once.
-const COARSE: f64 = 1e-9;
+/// Rays with a greater error than this in pairs of doubles are computed exactly at once: their doubles are then as good as
+/// doubles get.
+const COARSE: f64 = 1e-15;
 
 /// All points and vectors of one query, and its frame.
 pub struct Space {
@@ -72,6 +106,12 @@ pub struct Space {
     points: Vec<Point>,
     point_integers: Vec<Option<Box<[IBig; 4]>>>,
     vectors: Vec<Vector>,
+    /// Which lines meet, as far as it was asked: a row for each line, with its predecessors.
+    meeting: Vec<Vec<Meeting>>,
+    /// Which triples of lines that meet are of one pencil, as far as it was asked.
+    pencils: HashMap<[Id; 3], bool>,
+    /// Signs that integers decided: regions share rays.
+    decided: HashMap<[Id; 2], Ordering>,
     /// How signs were decided.
     pub decisions: Decisions,
 }
@@ -101,6 +141,9 @@ impl Space {
             points: Vec::new(),
             point_integers: Vec::new(),
             vectors: Vec::new(),
+            meeting: Vec::new(),
+            pencils: HashMap::new(),
+            decided: HashMap::new(),
             decisions: Decisions::default(),
         }
     }
@@ -115,11 +158,11 @@ impl Space {
         [self.points.len(), self.vectors.len()]
     }
 
-    /// Forgets everything made since [`Space::size`] was this.
+    /// Forgets the points made since [`Space::size`] was this; no vector may have been made of them.
     pub fn truncate(&mut self, [points, vectors]: [usize; 2]) {
         self.points.truncate(points);
         self.point_integers.truncate(points);
-        self.vectors.truncate(vectors);
+        debug_assert_eq!(self.vectors.len(), vectors, "vectors would be left without their points");
     }
 
     /// Adds a point.
@@ -135,7 +178,8 @@ impl Space {
         let size = [a, b, c].iter().flat_map(|p| p.at).fold(0.0f64, |m, x| m.max(x.abs()));
         let at = std::array::from_fn(|k| shares[0] * a.at[k] + shares[1] * b.at[k] + shares[2] * c.at[k]);
         let error = a.error.max(b.error).max(c.error) + 16.0 * U * size;
-        self.point(Point { at, error, place: Place::Mix(of, Box::new(weights)) })
+        let fine = (at.map(|c| Double(c, 0.0)), error);
+        self.point(Point { at, error, fine, place: Place::Mix(of, Box::new(weights)) })
     }
 
     /// A point, rounded.
@@ -166,47 +210,90 @@ impl Space {
     /// The directed line from one point to another, which must differ.
     ///
     /// With e the points' errors and n the greatest magnitude of a coordinate, the direction is off by at most
-    /// e + e' + u|q − p|, a component of the moment by 2(ne' + n'e + ee') + 3u·2nn'; 8u covers computing that.
+    /// e + e' and a step of n + n', a component of the moment by 2(ne' + n'e + ee') and three steps of 2nn'.
     pub fn join(&mut self, p: u32, q: u32) -> Id {
         let (a, b) = (&self.points[p as usize], &self.points[q as usize]);
-        let (x, y) = (a.at, b.at);
-        let m = |i: usize, j: usize| x[i] * y[j] - x[j] * y[i];
-        let line = [y[0] - x[0], y[1] - x[1], y[2] - x[2], m(1, 2), m(2, 0), m(0, 1)];
-        let size = |v: [f64; 3]| v.iter().fold(0.0f64, |m, c| m.max(c.abs()));
+        let ((x, e), (y, f)) = (a.fine, b.fine);
+        let m = |i: usize, j: usize| x[i].times(y[j]).minus(x[j].times(y[i]));
+        let d = |i: usize| y[i].minus(x[i]);
+        let line = [d(0), d(1), d(2), m(1, 2), m(2, 0), m(0, 1)];
+        let size = |v: [Double; 3]| v.iter().fold(0.0f64, |m, c| m.max(c.0.abs()));
         let (n, k) = (size(x), size(y));
-        let direction = a.error + b.error + 2.0 * U * (n + k);
-        let moment = 2.0 * (n * b.error + k * a.error + a.error * b.error) + 8.0 * U * n * k;
+        let direction = e + f + 2.0 * STEP * (n + k);
+        let moment = 2.0 * (n * f + k * e + e * f) + 8.0 * STEP * n * k;
         let error = direction.max(moment) * (1.0 + 8.0 * U);
         self.push(line, error, Origin::Join(p, q))
     }
 
-    /// The line along n × n' in which two planes (n, k) meet, given in integers in the frame.
-    pub fn meet(&mut self, a: [IBig; 4], b: [IBig; 4]) -> Id {
-        let origin = Origin::Meet(Box::new((a, b)));
-        let exact = self.compute(&origin);
-        let x = rounded(&exact);
-        let id = self.push(x, 2.0 * U, origin);
-        self.vectors[id as usize].exact = Some(Box::new(exact));
-        id
+    /// The line along n × n' in which two planes meet.
+    pub fn meet(&mut self, a: Through, b: Through) -> Id {
+        let ((n, k, e, f), (m, l, g, h)) = (self.plane(a), self.plane(b));
+        let size = |v: [Double; 3]| v.iter().fold(0.0f64, |m, c| m.max(c.0.abs()));
+        let (sn, sm) = (size(n), size(m));
+        let d = |i: usize, j: usize| n[i].times(m[j]).minus(n[j].times(m[i]));
+        let c = |i: usize| l.times(n[i]).minus(k.times(m[i]));
+        let direction = 2.0 * (sn * g + sm * e + e * g) + 8.0 * STEP * sn * sm;
+        let (ak, al) = (k.0.abs(), l.0.abs());
+        let moment = al * e + sn * h + e * h + ak * g + sm * f + f * g + 4.0 * STEP * (al * sn + ak * sm);
+        let line = [d(1, 2), d(2, 0), d(0, 1), c(0), c(1), c(2)];
+        self.push(line, 1.01 * direction.max(moment), Origin::Meet(a, b))
+    }
+
+    /// A plane (n, k), n·x = k, and how far the components of n, and k, may be off.
+    fn plane(&self, of: Through) -> ([Double; 3], Double, f64, f64) {
+        let [a, b, c] = of.points.map(|p| &self.points[p as usize]);
+        let size = |v: [Double; 3]| v.iter().fold(0.0f64, |m, c| m.max(c.0.abs()));
+        let apart = |p: &Point| -> ([Double; 3], f64, f64) {
+            let d = std::array::from_fn(|i| p.fine.0[i].minus(a.fine.0[i]));
+            (d, size(d), p.fine.1 + a.fine.1 + 2.0 * STEP * (size(p.fine.0) + size(a.fine.0)))
+        };
+        let ((x, sx, ex), (y, sy, ey)) = (apart(b), apart(c));
+        let n = |i: usize, j: usize| x[i].times(y[j]).minus(x[j].times(y[i]));
+        let mut n = [n(1, 2), n(2, 0), n(0, 1)];
+        if of.turned {
+            n = n.map(|c| Double(-c.0, -c.1));
+        }
+        let en = 2.0 * (sx * ey + sy * ex + ex * ey) + 8.0 * STEP * sx * sy;
+        let p = a.fine.0;
+        let k = n[0].times(p[0]).plus(n[1].times(p[1])).plus(n[2].times(p[2]));
+        let (sn, sp) = (size(n), size(p));
+        let ek = 3.0 * (sp * en + sn * a.fine.1 + en * a.fine.1) + 16.0 * STEP * sn * sp;
+        (n, k, 1.01 * en, 1.01 * ek)
+    }
+
+    /// A vector turned round.
+    pub fn opposite(&mut self, v: Id) -> Id {
+        let of = &self.vectors[v as usize];
+        let x = std::array::from_fn(|i| Double(-of.x[i], -of.rest[i]));
+        self.push(x, of.fine, Origin::Opposite(v))
     }
 
     /// The vector with these components, which are not all 0.
     pub fn fixed(&mut self, mut x: [IBig; 6]) -> Id {
         primitive(&mut x);
-        let id = self.push(rounded(&x), 2.0 * U, Origin::Fixed);
+        let id = self.push(rounded_double(&x), STEP, Origin::Fixed);
         self.vectors[id as usize].exact = Some(Box::new(x));
         id
     }
 
     /// The vector with exactly these components.
     pub fn given(&mut self, x: [f64; 6]) -> Id {
-        self.push(x, 0.0, Origin::Given(x))
+        self.push(x.map(|c| Double(c, 0.0)), 0.0, Origin::Given(x))
     }
 
-    fn push(&mut self, x: [f64; 6], error: f64, origin: Origin) -> Id {
-        let (x, scale) = normalised(x);
-        let sum = x.iter().map(|c| c.abs()).sum();
-        self.vectors.push(Vector { x, error: error * scale, sum, origin, exact: None });
+    /// Adds a vector given in pairs of doubles and how far they may be off.
+    fn push(&mut self, x: [Double; 6], fine: f64, origin: Origin) -> Id {
+        let (high, scale) = normalised(x.map(|c| c.0));
+        let rest = x.map(|c| c.1 * scale);
+        let fine = fine * scale;
+        let error = fine + rest.iter().fold(0.0f64, |m, c| m.max(c.abs()));
+        let sum = high.iter().map(|c| c.abs()).sum();
+        let line = matches!(origin, Origin::Join(..) | Origin::Meet(..)).then(|| {
+            self.meeting.push(Vec::new());
+            (self.meeting.len() - 1) as u32
+        });
+        let error = error * (1.0 + 4.0 * U);
+        self.vectors.push(Vector { x: high, error, rest, fine, sum, origin, exact: None, line });
         (self.vectors.len() - 1) as Id
     }
 
@@ -231,15 +318,32 @@ impl Space {
         (klein(&v.x, &w.x), bound)
     }
 
+    /// The same in pairs of doubles: eleven operations of a step each of at most S.
+    fn fine_form(&self, a: Id, b: Id) -> (Double, f64) {
+        let (v, w) = (&self.vectors[a as usize], &self.vectors[b as usize]);
+        let term = |i: usize, j: usize| Double(v.x[i], v.rest[i]).times(Double(w.x[j], w.rest[j]));
+        let value = term(0, 3).plus(term(1, 4)).plus(term(2, 5)).plus(term(3, 0).plus(term(4, 1)).plus(term(5, 2)));
+        let bound = 16.0 * STEP * v.sum.min(w.sum) + 1.01 * (v.fine * w.sum + w.fine * v.sum + 6.0 * v.fine * w.fine);
+        (value, bound)
+    }
+
     /// The sign of the Klein form of two vectors.
     pub fn side(&mut self, a: Id, b: Id) -> Ordering {
-        match self.filtered_side(a, b) {
-            Some(sign) => {
-                self.decisions.filtered += 1;
-                sign
-            }
-            None => self.exact_side(a, b),
+        if let Some(sign) = self.filtered_side(a, b) {
+            self.decisions.filtered += 1;
+            return sign;
         }
+        self.unfiltered_side(a, b)
+    }
+
+    /// The sign where doubles could not tell: by pairs of doubles, then by integers.
+    pub fn unfiltered_side(&mut self, a: Id, b: Id) -> Ordering {
+        let (value, bound) = self.fine_form(a, b);
+        if value.0.abs() > bound {
+            self.decisions.refined += 1;
+            return if value.0 > 0.0 { Ordering::Greater } else { Ordering::Less };
+        }
+        self.exact_side(a, b)
     }
 
     /// The sign, where doubles can tell.
@@ -248,8 +352,153 @@ impl Space {
         (value.abs() > bound).then(|| if value > 0.0 { Ordering::Greater } else { Ordering::Less })
     }
 
+    /// The sign for a ray that is known to be on all of `tight`.
+    ///
+    /// Rays lie on edges of occluders, and whoever lies on three edges of one face lies on all edges in its plane. Such zeros
+    /// are most of what filters cannot decide, and lines are far smaller numbers than rays.
+    pub fn ray_side(&mut self, ray: Id, line: Id, tight: impl Iterator<Item = Id>) -> Ordering {
+        if let Some(sign) = self.filtered_side(ray, line) {
+            self.decisions.filtered += 1;
+            return sign;
+        }
+        let (value, bound) = self.fine_form(ray, line);
+        if value.0.abs() > bound {
+            self.decisions.refined += 1;
+            return if value.0 > 0.0 { Ordering::Greater } else { Ordering::Less };
+        }
+        if self.spans(line, tight) {
+            self.decisions.spanned += 1;
+            return Ordering::Equal;
+        }
+        self.exact_side(ray, line)
+    }
+
+    /// Whether `line` is seen to be a combination of some of `lines`: of two of a pencil it is in, or of three that meet
+    /// pairwise. Three lines that meet pairwise lie in a plane or pass through a point; if they are independent, a line that
+    /// meets all three lies in that plane or passes through that point, too, and the lines that do span three dimensions.
+    fn spans(&mut self, line: Id, lines: impl Iterator<Item = Id>) -> bool {
+        if !self.is_line(line) {
+            return false;
+        }
+        let mut met: Vec<Id> = Vec::with_capacity(8);
+        for l in lines {
+            if self.is_line(l) && self.meets(line, l) {
+                met.push(l);
+            }
+        }
+        for (k, a) in met.iter().enumerate() {
+            for (j, b) in met[k + 1..].iter().enumerate() {
+                if !self.meets(*a, *b) {
+                    continue;
+                }
+                if self.pencil(line, *a, *b) {
+                    return true;
+                }
+                for c in &met[k + j + 2..] {
+                    if self.meets(*a, *c) && self.meets(*b, *c) && !self.pencil(*a, *b, *c) {
+                        return true;
+                    }
+                }
+            }
+        }
+        false
+    }
+
+    /// Whether a vector is a real line by the way it was made.
+    fn is_line(&self, v: Id) -> bool {
+        self.vectors[v as usize].line.is_some()
+    }
+
+    /// Whether two vectors are lines that meet (or are the same).
+    fn meets(&mut self, a: Id, b: Id) -> bool {
+        let (Some(r), Some(s)) = (self.vectors[a as usize].line, self.vectors[b as usize].line) else { return false };
+        let (row, column) = (r.max(s) as usize, r.min(s) as usize);
+        if row == column {
+            return true;
+        }
+        match self.meeting[row].get(column) {
+            Some(Meeting::Apart) => return false,
+            Some(Meeting::Meets) => return true,
+            _ => {}
+        }
+        let meets = match self.filtered_side(a, b) {
+            Some(_) => false,
+            None => self.unfiltered_side(a, b) == Ordering::Equal,
+        };
+        let known = &mut self.meeting[row];
+        if known.len() <= column {
+            known.resize(column + 1, Meeting::NotAsked);
+        }
+        known[column] = if meets { Meeting::Meets } else { Meeting::Apart };
+        meets
+    }
+
+    /// The Klein form's sign for two rays that are known to be on all of the lines `s` and `t`, where filters cannot tell.
+    ///
+    /// It is 0 for two rays on three independent lines that meet pairwise: these span a space W of three dimensions on which
+    /// the form vanishes, W is all that is on all of W, and so both rays are in W. It is also 0 if one of the rays is itself
+    /// a line that the other is on: an extreme ray is the only one on all of its lines, so a line that meets them all is it.
+    pub fn rays_side(&mut self, (a, s): (Id, &[Id]), (b, t): (Id, &[Id])) -> Ordering {
+        let (value, bound) = self.fine_form(a, b);
+        if value.0.abs() > bound {
+            self.decisions.refined += 1;
+            return if value.0 > 0.0 { Ordering::Greater } else { Ordering::Less };
+        }
+        let common: Vec<Id> = s.iter().copied().filter(|l| self.is_line(*l) && t.contains(l)).collect();
+        if self.triple(&common) || self.is_one_of(s, t) || (a != b && self.is_one_of(t, s)) {
+            self.decisions.spanned += 1;
+            return Ordering::Equal;
+        }
+        self.exact_side(a, b)
+    }
+
+    /// Whether three of the lines are independent and meet pairwise.
+    fn triple(&mut self, lines: &[Id]) -> bool {
+        for (i, a) in lines.iter().enumerate() {
+            for (j, b) in lines[i + 1..].iter().enumerate() {
+                if !self.meets(*a, *b) {
+                    continue;
+                }
+                for c in &lines[i + j + 2..] {
+                    if self.meets(*a, *c) && self.meets(*b, *c) && !self.pencil(*a, *b, *c) {
+                        return true;
+                    }
+                }
+            }
+        }
+        false
+    }
+
+    /// Whether one of the lines meets all that an extreme ray is on, and so is that ray.
+    fn is_one_of(&mut self, ray: &[Id], lines: &[Id]) -> bool {
+        lines.iter().any(|l| ray.iter().all(|r| self.meets(*l, *r)))
+    }
+
+    /// Whether three lines that meet pairwise are dependent.
+    fn pencil(&mut self, a: Id, b: Id, c: Id) -> bool {
+        let mut key = [a, b, c];
+        key.sort_unstable();
+        if let Some(known) = self.pencils.get(&key) {
+            return *known;
+        }
+        let [x, y, z] = key.map(|l| self.exact(l).clone());
+        let minor = |i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];
+        let pivot = (0..6).flat_map(|i| (i + 1..6).map(move |j| (i, j))).find(|(i, j)| !minor(*i, *j).is_zero());
+        // Lines that are the same line span nothing more.
+        let dependent = pivot.is_none_or(|(i, j)| {
+            let d = minor(i, j);
+            (0..6).all(|k| (&d * &z[k] - minor(i, k) * &z[j] + minor(j, k) * &z[i]).is_zero())
+        });
+        self.pencils.insert(key, dependent);
+        dependent
+    }
+
     /// The sign by integers; what is computed for it makes later filters sharper.
     pub fn exact_side(&mut self, a: Id, b: Id) -> Ordering {
+        let key = [a.min(b), a.max(b)];
+        if let Some(sign) = self.decided.get(&key) {
+            return *sign;
+        }
         self.sharpen(a);
         self.sharpen(b);
         let (x, y) = (&self.vectors[a as usize].exact, &self.vectors[b as usize].exact);
@@ -258,6 +507,7 @@ impl Space {
         self.decisions.exact += 1;
         let sign = crate::predicates::sign(&value);
         self.decisions.zero += u64::from(sign == Ordering::Equal);
+        self.decided.insert(key, sign);
         sign
     }
 
@@ -279,8 +529,13 @@ impl Space {
                 open.pop();
                 continue;
             }
-            if let Origin::Cut { a, b, half } = self.vectors[id as usize].origin {
-                let missing = [a, b, half].into_iter().filter(|i| self.vectors[*i as usize].exact.is_none());
+            let parts = match self.vectors[id as usize].origin {
+                Origin::Cut { a, b, half } => [Some(a), Some(b), Some(half)],
+                Origin::Opposite(v) => [Some(v), None, None],
+                _ => [None; 3],
+            };
+            {
+                let missing = parts.into_iter().flatten().filter(|i| self.vectors[*i as usize].exact.is_none());
                 let before = open.len();
                 open.extend(missing);
                 if open.len() > before {
@@ -290,10 +545,11 @@ impl Space {
             let origin = self.vectors[id as usize].origin.clone();
             let exact = self.compute(&origin);
             let vector = &mut self.vectors[id as usize];
-            let x = rounded(&exact);
-            if vector.error > 4.0 * U {
-                (vector.x, vector.error) = (x, 2.0 * U);
-                vector.sum = x.iter().map(|c| c.abs()).sum();
+            if !(vector.fine < COARSE) {
+                let x = rounded_double(&exact);
+                (vector.x, vector.rest, vector.fine) = (x.map(|c| c.0), x.map(|c| c.1), STEP);
+                vector.error = STEP + U;
+                vector.sum = vector.x.iter().map(|c| c.abs()).sum();
             }
             vector.exact = Some(Box::new(exact));
             open.pop();
@@ -314,12 +570,17 @@ impl Space {
                 let m = |i: usize, j: usize| &p[i] * &q[j] - &p[j] * &q[i];
                 [d(0), d(1), d(2), m(1, 2), m(2, 0), m(0, 1)]
             }
-            Origin::Meet(planes) => {
-                let (a, b) = &**planes;
+            Origin::Meet(a, b) => {
+                let [a, b] = [*a, *b].map(|of| {
+                    let p = of.points.map(|p| self.point_exact(p).clone());
+                    let plane = crate::predicates::plane([&p[0], &p[1], &p[2]]);
+                    if of.turned { plane.map(|c| -c) } else { plane }
+                });
                 let d = |i: usize, j: usize| &a[i] * &b[j] - &a[j] * &b[i];
                 let m = |i: usize| &b[3] * &a[i] - &a[3] * &b[i];
                 [d(1, 2), d(2, 0), d(0, 1), m(0), m(1), m(2)]
             }
+            Origin::Opposite(v) => part(self, *v).map(|c| -c),
             Origin::Given(x) => integers(*x).0,
             Origin::Fixed => unreachable!("it came with its integers"),
             Origin::Cut { a, b, half } => {
@@ -340,24 +601,25 @@ impl Space {
     /// The ray where the edge between `a` and `b`, on different sides of `half`, meets its border.
     ///
     /// x = αb + (1 − α)a with α = s/(s + |t|). With B the bounds of the forms s and t, α is off by at most
-    /// max(B)/(s + |t| − 2 max(B)), the ray by that times |b − a| ≤ 2, besides the errors of its parents.
+    /// max(B)/(s + |t| − 2 max(B)), the ray by that times |b − a|, besides the errors of its parents and a few steps.
     pub fn cut(&mut self, a: Id, b: Id, half: Id) -> Id {
-        let ((s, es), (t, et)) = (self.form(a, half), self.form(b, half));
+        let ((s, es), (t, et)) = (self.fine_form(a, half), self.fine_form(b, half));
         let (v, w) = (&self.vectors[a as usize], &self.vectors[b as usize]);
         let (s, t) = (s.abs(), t.abs());
-        let total = s + t;
-        let alpha = s / total;
-        let x: [f64; 6] = std::array::from_fn(|i| alpha * w.x[i] + (1.0 - alpha) * v.x[i]);
+        let total = s.plus(t);
+        let alpha = s.over(total);
+        let mut apart = 0.0f64;
+        let x: [Double; 6] = std::array::from_fn(|i| {
+            let (p, q) = (Double(v.x[i], v.rest[i]), Double(w.x[i], w.rest[i]));
+            let d = q.minus(p);
+            apart = apart.max(d.0.abs());
+            p.plus(alpha.times(d))
+        });
         let bound = es.max(et);
-        let room = total - 2.0 * bound;
-        let apart = (0..6).fold(0.0f64, |m, i| m.max((v.x[i] - w.x[i]).abs())) + v.error + w.error;
-        let error = if room > 0.0 {
-            v.error.max(w.error) + 1.01 * bound / room * apart + 8.0 * U
-        } else {
-            f64::INFINITY
-        };
+        let room = total.0 - 2.0 * bound;
+        let error = v.fine.max(w.fine) + 1.01 * bound / room * (apart + v.fine + w.fine) + 16.0 * STEP;
         // A ray that is mostly error is of no use to filters, nor to who looks for lines.
-        let hopeless = !(error < COARSE);
+        let hopeless = !(room > 0.0 && error < COARSE);
         let id = self.push(x, if hopeless { f64::INFINITY } else { error }, Origin::Cut { a, b, half });
         if hopeless {
             self.sharpen(id);
@@ -386,6 +648,14 @@ impl Space {
         } else {
             None
         }
+    }
+
+    /// The orientation of four points, where doubles can tell.
+    pub fn filtered_orient(&mut self, a: u32, b: u32, c: u32, d: u32) -> Option<Ordering> {
+        let p = [a, b, c, d].map(|i| &self.points[i as usize]);
+        let sign = crate::predicates::orient_points(p);
+        self.decisions.filtered += u64::from(sign.is_some());
+        sign
     }
 
     /// The orientation of four points, the sign of (b − a) × (c − a) · (d − a).
