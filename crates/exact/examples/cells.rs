@@ -11,7 +11,8 @@ use sightline_pvs::Pvs;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().collect();
-    let [scene, result] = [1, 2].map(|i| args.get(i).cloned().ok_or("usage: cells SCENE OUT.pvs [COUNT [SEED]]"));
+    let [scene, result] =
+        [1, 2].map(|i| args.get(i).cloned().ok_or("usage: cells SCENE OUT.pvs [COUNT [SEED]]"));
     let count: usize = args.get(3).map_or(Ok(5), |s| s.parse())?;
     let seed: u64 = args.get(4).map_or(Ok(1), |s| s.parse())?;
     let scene = sightline_scene::load(std::path::Path::new(&scene?))?;
@@ -44,7 +45,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             answer.cost.lines,
             d.filtered + d.refined + d.spanned + d.exact,
             100.0 * d.exact as f64 / (d.filtered + d.refined + d.spanned + d.exact).max(1) as f64,
-            d.zero, d.spanned, d.refined,
+            d.zero,
+            d.spanned,
+            d.refined,
             answer.cost.divisions,
         );
     }

@@ -100,7 +100,13 @@ impl Work<'_> {
         let touches = min.cmple(self.cell.max).all() && max.cmpge(self.cell.min).all();
         if !self.visible[node as usize] && !touches {
             answer.queries += 1;
-            let found = from_cell(self.scene, self.cell, &faces_towards(min, max, self.cell), self.limits, &mut answer.cost);
+            let found = from_cell(
+                self.scene,
+                self.cell,
+                &faces_towards(min, max, self.cell),
+                self.limits,
+                &mut answer.cost,
+            );
             if let Found::Hidden(_) = found {
                 answer.hidden += self.count(node);
                 answer.boxes += 1;
@@ -112,16 +118,19 @@ impl Work<'_> {
                 let (x, y) = rayon::join(|| self.node(a), || self.node(b));
                 x.join(y)
             }
-            Below::Items(items) => {
-                items.iter().filter(|t| !self.known[**t as usize]).fold(Answer::default(), |all, t| all.join(self.triangle(*t)))
-            }
+            Below::Items(items) => items
+                .iter()
+                .filter(|t| !self.known[**t as usize])
+                .fold(Answer::default(), |all, t| all.join(self.triangle(*t))),
         };
         answer.join(below)
     }
 
     fn triangle(&self, id: u32) -> Answer {
         let mut answer = Answer { queries: 1, ..Answer::default() };
-        let Some(target) = Polygon::triangle(self.scene.triangle(id).map(|v| v.as_dvec3())) else { return answer };
+        let Some(target) = Polygon::triangle(self.scene.triangle(id).map(|v| v.as_dvec3())) else {
+            return answer;
+        };
         match from_cell(self.scene, self.cell, &[target], self.limits, &mut answer.cost) {
             Found::Visible(ends) => answer.seen.push((id, ends)),
             Found::Hidden(_) => answer.hidden += 1,
@@ -139,7 +148,13 @@ impl Work<'_> {
 }
 
 /// Whether any of the targets, which do not meet the cell, is seen from it.
-pub fn from_cell(scene: &Occluders, cell: Cell, targets: &[Polygon], limits: &Limits, cost: &mut Cost) -> Found {
+pub fn from_cell(
+    scene: &Occluders,
+    cell: Cell,
+    targets: &[Polygon],
+    limits: &Limits,
+    cost: &mut Cost,
+) -> Found {
     let mut proofs = Vec::new();
     let mut open = None;
     for (axis, up) in (0..6).map(|k| (k / 2, k % 2 == 1)) {

@@ -133,7 +133,12 @@ impl Frame {
         let fine: [Double; 3] = std::array::from_fn(|i| ratio_double(&local[i], &local[3]));
         let at = fine.map(|c| c.0);
         let greatest = at.iter().fold(0.0f64, |m, c| m.max(c.abs()));
-        Point { at, error: 4.0 * U * greatest, fine: (fine, 8.0 * STEP * greatest), place: Place::World(Source::Exact(Box::new(p))) }
+        Point {
+            at,
+            error: 4.0 * U * greatest,
+            fine: (fine, 8.0 * STEP * greatest),
+            place: Place::World(Source::Exact(Box::new(p))),
+        }
     }
 
     /// Exact coordinates in the frame, homogeneous.
@@ -247,7 +252,9 @@ fn ratio_double(n: &IBig, d: &IBig) -> Double {
     let up = (160 + d.bit_len()).saturating_sub(n.bit_len());
     let down = n.bit_len().saturating_sub(d.bit_len() + 160);
     let q: IBig = ((n << up) / d) >> down;
-    double(&q).scaled(f64::powi(2.0, -(up as i32) / 2)).scaled(f64::powi(2.0, -(up as i32) + up as i32 / 2 + down as i32))
+    double(&q)
+        .scaled(f64::powi(2.0, -(up as i32) / 2))
+        .scaled(f64::powi(2.0, -(up as i32) + up as i32 / 2 + down as i32))
 }
 
 #[cfg(test)]

@@ -62,7 +62,8 @@ pub fn contents(space: &mut Space, region: &Region, most: usize) -> Contents {
     if !(right && wrong) {
         // Filters show one sign at most; whether the other occurs is for integers to say.
         let on: Vec<Vec<Id>> = region.rays.iter().map(|(_, t)| region.tight(*t).collect()).collect();
-        let (mut positive, mut negative) = (right && turn < 0.0 || wrong && turn > 0.0, right && turn > 0.0 || wrong && turn < 0.0);
+        let (mut positive, mut negative) =
+            (right && turn < 0.0 || wrong && turn > 0.0, right && turn > 0.0 || wrong && turn < 0.0);
         for (i, j) in open {
             match space.rays_side((region.rays[i].0, &on[i]), (region.rays[j].0, &on[j])) {
                 Ordering::Greater => positive = true,

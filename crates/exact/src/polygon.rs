@@ -34,6 +34,9 @@ pub enum PolygonError {
     /// A coordinate that is not finite, or beyond what products of coordinates can hold.
     #[error("a coordinate is not finite or beyond ±1e60; scale the query")]
     NotFinite,
+    /// So small that products of coordinates vanish.
+    #[error("it is less than 1e-60 across; scale the query")]
+    TooSmall,
     /// Vertices far from one plane.
     #[error("its corners are not in one plane; split it into triangles")]
     NotFlat,
@@ -56,6 +59,9 @@ impl Polygon {
         }
         if corners.len() > MOST_VERTICES {
             return Err(PolygonError::TooMany);
+        }
+        if corners.len() > 1 && corners.iter().all(|p| (*p - corners[0]).abs().max_element() < 1e-60) {
+            return Err(PolygonError::TooSmall);
         }
         let mut distinct: Vec<DVec3> = Vec::new();
         for p in corners {
@@ -265,6 +271,7 @@ mod tests {
         let error = |p: &[[f64; 3]]| Polygon::checked(&v(p)).unwrap_err();
         assert_eq!(error(&[[0.0; 3], [1.0, 1.0, 1.0], [2.0, 2.0, 2.0]]), PolygonError::NoArea);
         assert_eq!(error(&[]), PolygonError::NoArea);
+        assert_eq!(error(&[[0.0; 3], [1e-70, 0.0, 0.0], [0.0, 1e-70, 0.0]]), PolygonError::TooSmall);
         assert_eq!(error(&[[0.0; 3], [f64::NAN, 0.0, 0.0], [1.0, 0.0, 0.0]]), PolygonError::NotFinite);
         assert_eq!(
             error(&[[0.0; 3], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.5]]),

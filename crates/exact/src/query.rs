@@ -553,7 +553,8 @@ impl Local<'_> {
                 if !beyond[k] {
                     continue;
                 }
-                let toward = Through { points: [plane[0], plane[1], plane[2]], turned: *good == Ordering::Less };
+                let toward =
+                    Through { points: [plane[0], plane[1], plane[2]], turned: *good == Ordering::Less };
                 // The part of the occluder on the good side is to the left of n_plane × n_own, seen from n_own's side.
                 let line = self.space.meet(toward, own);
                 lines.push((line, false, (occluder.border.len() + k) as u16));

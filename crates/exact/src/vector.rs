@@ -11,8 +11,8 @@ use std::collections::HashMap;
 use dashu_int::IBig;
 use dashu_int::ops::UnsignedAbs as _;
 
-use crate::frame::{Frame, Place, Point};
 use crate::double::{Double, STEP};
+use crate::frame::{Frame, Place, Point};
 use crate::number::{U, integers, normalised, primitive, rounded_double};
 
 /// Index of a vector in its [`Space`].
@@ -322,8 +322,10 @@ impl Space {
     fn fine_form(&self, a: Id, b: Id) -> (Double, f64) {
         let (v, w) = (&self.vectors[a as usize], &self.vectors[b as usize]);
         let term = |i: usize, j: usize| Double(v.x[i], v.rest[i]).times(Double(w.x[j], w.rest[j]));
-        let value = term(0, 3).plus(term(1, 4)).plus(term(2, 5)).plus(term(3, 0).plus(term(4, 1)).plus(term(5, 2)));
-        let bound = 16.0 * STEP * v.sum.min(w.sum) + 1.01 * (v.fine * w.sum + w.fine * v.sum + 6.0 * v.fine * w.fine);
+        let value =
+            term(0, 3).plus(term(1, 4)).plus(term(2, 5)).plus(term(3, 0).plus(term(4, 1)).plus(term(5, 2)));
+        let bound =
+            16.0 * STEP * v.sum.min(w.sum) + 1.01 * (v.fine * w.sum + w.fine * v.sum + 6.0 * v.fine * w.fine);
         (value, bound)
     }
 
@@ -411,7 +413,9 @@ impl Space {
 
     /// Whether two vectors are lines that meet (or are the same).
     fn meets(&mut self, a: Id, b: Id) -> bool {
-        let (Some(r), Some(s)) = (self.vectors[a as usize].line, self.vectors[b as usize].line) else { return false };
+        let (Some(r), Some(s)) = (self.vectors[a as usize].line, self.vectors[b as usize].line) else {
+            return false;
+        };
         let (row, column) = (r.max(s) as usize, r.min(s) as usize);
         if row == column {
             return true;
@@ -483,7 +487,8 @@ impl Space {
         }
         let [x, y, z] = key.map(|l| self.exact(l).clone());
         let minor = |i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];
-        let pivot = (0..6).flat_map(|i| (i + 1..6).map(move |j| (i, j))).find(|(i, j)| !minor(*i, *j).is_zero());
+        let pivot =
+            (0..6).flat_map(|i| (i + 1..6).map(move |j| (i, j))).find(|(i, j)| !minor(*i, *j).is_zero());
         // Lines that are the same line span nothing more.
         let dependent = pivot.is_none_or(|(i, j)| {
             let d = minor(i, j);
@@ -535,7 +540,8 @@ impl Space {
                 _ => [None; 3],
             };
             {
-                let missing = parts.into_iter().flatten().filter(|i| self.vectors[*i as usize].exact.is_none());
+                let missing =
+                    parts.into_iter().flatten().filter(|i| self.vectors[*i as usize].exact.is_none());
                 let before = open.len();
                 open.extend(missing);
                 if open.len() > before {
