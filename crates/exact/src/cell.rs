@@ -100,13 +100,8 @@ impl Work<'_> {
         let touches = min.cmple(self.cell.max).all() && max.cmpge(self.cell.min).all();
         if !self.visible[node as usize] && !touches {
             answer.queries += 1;
-            let found = from_cell(
-                self.scene,
-                self.cell,
-                &faces_towards(min, max, self.cell),
-                self.limits,
-                &mut answer.cost,
-            );
+            let faces = faces_towards(min, max, self.cell);
+            let found = from_cell(self.scene, self.cell, &faces, self.limits, &mut answer.cost);
             if let Found::Hidden(_) = found {
                 answer.hidden += self.count(node);
                 answer.boxes += 1;
@@ -131,6 +126,10 @@ impl Work<'_> {
         let Some(target) = Polygon::triangle(self.scene.triangle(id).map(|v| v.as_dvec3())) else {
             return answer;
         };
+        if behind_window(self.scene, self.cell, &target, self.limits, &mut answer.cost).is_some() {
+            answer.hidden += 1;
+            return answer;
+        }
         match from_cell(self.scene, self.cell, &[target], self.limits, &mut answer.cost) {
             Found::Visible(ends) => answer.seen.push((id, ends)),
             Found::Hidden(_) => answer.hidden += 1,
@@ -144,6 +143,62 @@ impl Work<'_> {
             Below::Nodes([a, b]) => self.count(a) + self.count(b),
             Below::Items(items) => items.len() as u64,
         }
+    }
+}
+
+/// Proves a target hidden by one query from a window: the part of the plane of one of the cell's faces that lines from anywhere
+/// in the cell cross on their way to the target. It takes the place of up to three queries, from faces that are less. None says
+/// nothing: a window shows more than the cell does.
+pub fn behind_window(
+    scene: &Occluders,
+    cell: Cell,
+    target: &Polygon,
+    limits: &Limits,
+    cost: &mut Cost,
+) -> Option<Proof> {
+    let corners = target.rounded();
+    let least = corners.iter().fold(DVec3::INFINITY, |m, p| m.min(*p));
+    let greatest = corners.iter().fold(DVec3::NEG_INFINITY, |m, p| m.max(*p));
+    let (lo, hi) = ([cell.min.as_dvec3(), least], [cell.max.as_dvec3(), greatest]);
+    // The axis along which the two are farthest apart.
+    let gap = |k: usize| (lo[1][k] - hi[0][k]).max(lo[0][k] - hi[1][k]);
+    let axis = (0..3).max_by(|a, b| gap(*a).total_cmp(&gap(*b))).unwrap_or(0);
+    if gap(axis) <= 0.0 {
+        return None;
+    }
+    let up = lo[1][axis] > hi[0][axis];
+    let at = if up { hi[0][axis] } else { lo[0][axis] };
+    let window = {
+        let mut corners = [DVec3::splat(at); 2];
+        for k in (0..3).filter(|k| *k != axis) {
+            // Lines from x = c to x = n cross x = at in shares that depend on c and n alone; what is extreme there is among
+            // the corners' shares.
+            let (mut least, mut greatest) = (f64::INFINITY, f64::NEG_INFINITY);
+            for c in [lo[0][axis], hi[0][axis]] {
+                for n in [lo[1][axis], hi[1][axis]] {
+                    let t = (at - c) / (n - c);
+                    least = least.min(lo[0][k] + t * (lo[1][k] - lo[0][k]));
+                    greatest = greatest.max(hi[0][k] + t * (hi[1][k] - hi[0][k]));
+                }
+            }
+            // Rounded outwards by more than the few operations above can err.
+            let slack =
+                1e-12 * [lo[0][k], lo[1][k], hi[0][k], hi[1][k]].iter().fold(0.0f64, |m, x| m.max(x.abs()));
+            (corners[0][k], corners[1][k]) = (least - slack, greatest + slack);
+        }
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        let corner = |s: usize, t: usize| {
+            let mut p = DVec3::splat(at);
+            (p[u], p[v]) = (corners[s][u], corners[t][v]);
+            p
+        };
+        Polygon::rectangle([corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)])
+    };
+    let (verdict, took) = sightlines(scene, &[window], std::slice::from_ref(target), limits);
+    *cost += took;
+    match verdict {
+        Verdict::Hidden(proof) => Some(proof),
+        _ => None,
     }
 }
 

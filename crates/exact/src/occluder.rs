@@ -24,6 +24,8 @@ pub struct Occluder {
     pub triangles: Vec<(u32, bool)>,
     /// What is left of their edges, directed, in the order of the triangles and their edges.
     pub border: Vec<[Vec3; 2]>,
+    /// The same by numbers of corners, equal where positions are.
+    pub rim: Vec<[u32; 2]>,
     /// Indices into `border`, one for each line; the others run along one of these.
     pub lines: Vec<u32>,
 }
@@ -34,6 +36,10 @@ pub struct Occluders {
     occluders: Vec<Occluder>,
     /// The occluder of each triangle; none for those without area.
     of: Vec<Option<u32>>,
+    /// Border edges, by lesser and greater corner: the occluder, and whether its border runs from the greater.
+    rims: Vec<([u32; 2], u32, bool)>,
+    /// Three corner numbers a triangle.
+    corners: Vec<u32>,
     bvh: Bvh,
     reach: f64,
 }
@@ -57,7 +63,12 @@ impl Occluders {
         let items = (0..triangles.len() as u32).filter(|i| solid[*i as usize]).collect();
         let b = scene.bounds();
         let reach = f64::from(b.min.abs().max(b.max.abs()).max_element());
-        Ok(Self { triangles, occluders, of, bvh: Bvh::new(boxes, items), reach })
+        let mut rims: Vec<([u32; 2], u32, bool)> = Vec::new();
+        for (id, o) in occluders.iter().enumerate() {
+            rims.extend(o.rim.iter().map(|[a, b]| ([*a.min(b), *a.max(b)], id as u32, a > b)));
+        }
+        rims.sort_unstable();
+        Ok(Self { triangles, occluders, of, rims, corners, bvh: Bvh::new(boxes, items), reach })
     }
 
     /// A triangle's vertices.
@@ -83,6 +94,18 @@ impl Occluders {
     /// An occluder.
     pub fn occluder(&self, id: u32) -> &Occluder {
         &self.occluders[id as usize]
+    }
+
+    /// The occluders with the edge between two corners on their border, and whether it runs from the first to the second.
+    pub fn at_edge(&self, [a, b]: [u32; 2]) -> impl Iterator<Item = (u32, bool)> {
+        let key = [a.min(b), a.max(b)];
+        let first = self.rims.partition_point(|r| r.0 < key);
+        self.rims[first..].iter().take_while(move |r| r.0 == key).map(move |r| (r.1, r.2 == (a > b)))
+    }
+
+    /// What is left of the edges of some triangles, each perhaps turned round, when opposite ones are struck out.
+    pub fn border(&self, members: &[(u32, bool)]) -> (Vec<[u32; 2]>, Vec<[Vec3; 2]>) {
+        border(members, &self.triangles, &self.corners)
     }
 
     /// Number of occluders.
@@ -284,10 +307,7 @@ impl Face {
     fn occluder(&self, triangles: &[[Vec3; 3]], corners: &[u32]) -> Occluder {
         let mut members = self.triangles.clone();
         members.sort_unstable();
-        let border = border(&members, |t| {
-            let c = &corners[3 * t as usize..];
-            ([c[0], c[1], c[2]], triangles[t as usize])
-        });
+        let (rim, border) = border(&members, triangles, corners);
         let mut lines: Vec<u32> = Vec::new();
         for (i, e) in border.iter().enumerate() {
             let along = |o: &u32| {
@@ -301,26 +321,30 @@ impl Face {
                 lines.push(i as u32);
             }
         }
-        Occluder { triangles: members, border, lines }
+        Occluder { triangles: members, border, rim, lines }
     }
 }
 
 /// The edges that remain when opposite ones are struck out, in the order of the triangles and of their edges.
-fn border(members: &[(u32, bool)], triangle: impl Fn(u32) -> ([u32; 3], [Vec3; 3])) -> Vec<[Vec3; 2]> {
-    let mut left: Vec<(u32, u32, [Vec3; 2])> = Vec::new();
+fn border(
+    members: &[(u32, bool)],
+    triangles: &[[Vec3; 3]],
+    corners: &[u32],
+) -> (Vec<[u32; 2]>, Vec<[Vec3; 2]>) {
+    let mut left: Vec<([u32; 2], [Vec3; 2])> = Vec::new();
     for (t, turned) in members {
-        let (c, v) = triangle(*t);
+        let (c, v) = (&corners[3 * *t as usize..], &triangles[*t as usize]);
         for k in 0..3 {
             let (i, j) = if *turned { ((k + 1) % 3, k) } else { (k, (k + 1) % 3) };
-            match left.iter().rposition(|e| e.0 == c[j] && e.1 == c[i]) {
+            match left.iter().rposition(|(e, _)| *e == [c[j], c[i]]) {
                 Some(at) => {
                     left.remove(at);
                 }
-                None => left.push((c[i], c[j], [v[i], v[j]])),
+                None => left.push(([c[i], c[j]], [v[i], v[j]])),
             }
         }
     }
-    left.into_iter().map(|e| e.2).collect()
+    left.into_iter().unzip()
 }
 
 fn flat(p: Vec3, axis: usize) -> [f32; 2] {

@@ -128,8 +128,7 @@ pub fn stabbing(
             regions.push(Region { rays, halves: [&halves[..], &[middle]].concat() });
         }
     } else {
-        let caps = Caps::fit(space, &lines, k)?;
-        let (top, bottom) = (caps.cap(space, &lines, 1.0)?, caps.cap(space, &lines, -1.0)?);
+        let (top, bottom) = caps(space, (&halves, n), &lines, k)?;
         let mut rays: Vec<(Id, u128)> = Vec::with_capacity(2 * quotient.len());
         let mut halves = halves;
         for (cap, apex_there, sign) in [(top, ends_up, true), (bottom, ends_down, false)] {
@@ -164,6 +163,54 @@ fn same_point(space: &mut Space, p: u32, q: u32) -> bool {
     x == *space.point_exact(q)
 }
 
+/// The hyperplanes above and below all lines along k.
+///
+/// The mean of the lines serves as σ where it is positive on all of them, as it is for most pairs; the sum of the edges' functionals
+/// always is, but nearly vanishes on polygons that nearly lie in one plane.
+fn caps(space: &mut Space, edges: (&[Id], usize), lines: &[Id], k: Id) -> Result<(Id, Id), NoCaps> {
+    let mut both = |space: &mut Space, sigma: [f64; 6]| {
+        let caps = Caps::fit(space, lines, k, sigma)?;
+        Ok((caps.cap(space, lines, 1.0)?, caps.cap(space, lines, -1.0)?))
+    };
+    let mean = mean(space, lines, k);
+    both(space, mean).or_else(|NoCaps| {
+        let sum = edge_sum(space, edges, lines);
+        both(space, sum)
+    })
+}
+
+/// The mean of the lines as a functional, made to vanish on k.
+fn mean(space: &Space, lines: &[Id], k: Id) -> [f64; 6] {
+    let k_at = space.rounded(k);
+    let mean: [f64; 6] = std::array::from_fn(|i| lines.iter().map(|l| space.rounded(*l)[i]).sum::<f64>());
+    let along = dot(&mean, k_at) / dot(k_at, k_at);
+    std::array::from_fn(|i| mean[i] - along * k_at[i])
+}
+
+/// The sum of the functionals of all edges, each turned so that no line is on its negative side. k is on all of them.
+fn edge_sum(space: &mut Space, (edges, of_a): (&[Id], usize), lines: &[Id]) -> [f64; 6] {
+    let mut sum = [0.0; 6];
+    for polygon in [&edges[..of_a], &edges[of_a..]] {
+        // All edges of a convex polygon are passed on the same side: whichever line is off one tells.
+        let side = polygon
+            .iter()
+            .flat_map(|e| lines.iter().map(move |l| (*e, *l)))
+            .map(|(e, l)| space.side(l, e))
+            .find(|s| *s != Ordering::Equal);
+        let turn = if side == Some(Ordering::Less) { -1.0 } else { 1.0 };
+        for e in polygon {
+            let x = space.rounded(*e);
+            // The Klein form as a scalar product.
+            (0..6).for_each(|i| sum[i] += turn * x[(i + 3) % 6]);
+        }
+    }
+    sum
+}
+
+fn dot(f: &[f64; 6], v: &[f64; 6]) -> f64 {
+    f.iter().zip(v).map(|(a, b)| a * b).sum()
+}
+
 /// The functionals whose level sets cap the extrusion: φ, as flat as can be over the vertex-pair lines with φ(k) = 1,
 /// and σ, positive on all of them with σ(k) = 0. As doubles they are exact by definition; whether they cap is checked.
 struct Caps {
@@ -175,10 +222,9 @@ struct Caps {
 }
 
 impl Caps {
-    fn fit(space: &Space, through: &[Id], k: Id) -> Result<Self, NoCaps> {
+    fn fit(space: &Space, through: &[Id], k: Id, sigma: [f64; 6]) -> Result<Self, NoCaps> {
         let at: Vec<[f64; 6]> = through.iter().map(|l| *space.rounded(*l)).collect();
         let k_at = *space.rounded(k);
-        let dot = |f: &[f64; 6], v: &[f64; 6]| f.iter().zip(v).map(|(a, b)| a * b).sum::<f64>();
         // φ minimises Σ φ(v)² subject to φ(k) = 1: φ = G⁻¹k / (k·G⁻¹k) with G = Σ v vᵀ, made regular.
         let mut g = [[0.0; 6]; 6];
         for v in &at {
@@ -196,10 +242,6 @@ impl Caps {
             return Err(NoCaps);
         }
         let phi = solved.map(|c| c / at_k);
-        // σ: the mean of the lines made orthogonal to k and positive on all of them; the directions agree best.
-        let mean: [f64; 6] = std::array::from_fn(|i| at.iter().map(|v| v[i]).sum::<f64>());
-        let along = dot(&mean, &k_at) / dot(&k_at, &k_at);
-        let sigma: [f64; 6] = std::array::from_fn(|i| mean[i] - along * k_at[i]);
         let size = sigma.iter().fold(0.0f64, |m, c| m.max(c.abs()));
         if !(size > 0.0) {
             return Err(NoCaps);

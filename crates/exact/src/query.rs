@@ -169,13 +169,16 @@ struct Search<'a> {
     limits: &'a Limits,
     cost: Cost,
     proof: Proof,
-    /// The number in the proof of each occluder used, in order of use.
-    numbers: Vec<u32>,
+    /// What each occluder of the proof is made of.
+    numbers: Vec<Vec<(u32, bool)>>,
 }
 
 /// An occluder as half-spaces of one pair's space.
 struct Constraints {
-    occluder: u32,
+    /// The occluders of the scene it is made of, each with whether it is turned round; ascending.
+    members: Vec<(u32, bool)>,
+    /// Whether all of it is between the polygons.
+    between: bool,
     /// Line, whether it runs the other way, and the constraint's number in a proof.
     lines: Vec<(Id, bool, u16)>,
 }
@@ -346,48 +349,56 @@ impl Search<'_> {
         let mut ranked: Vec<(usize, bool, usize)> = Vec::with_capacity(met.len());
         for id in met {
             let Some(known) = local.constraints(self.scene, *id) else { continue };
-            let at = |(h, flipped, _): &(Id, bool, u16), v: &[f64; 6]| {
-                let s = crate::vector::klein(v, local.space.rounded(*h));
-                if *flipped { -s } else { s }
-            };
-            let lines = &local.known[known].lines;
             // Which way the line passes the occluder: all edges agree, but for rounding.
-            let negative = lines.iter().map(|c| at(c, line)).sum::<f64>() < 0.0;
-            let inside =
-                |v: &[f64; 6]| lines.iter().all(|c| if negative { at(c, v) <= 0.0 } else { at(c, v) >= 0.0 });
-            let held = region.rays.iter().filter(|(r, _)| inside(local.space.rounded(*r))).count();
-            ranked.push((known, negative, held));
+            let negative = local.sum_of_sides(known, line) < 0.0;
+            ranked.push((known, negative, local.held(region, known, negative)));
         }
         ranked.sort_by(|x, y| {
             y.2.cmp(&x.2)
                 .then(local.known[x.0].lines.len().cmp(&local.known[y.0].lines.len()))
                 .then(x.0.cmp(&y.0))
         });
-        for (known, negative, _) in ranked {
-            if let Some((cuts, outside)) = local.subtract(region, known, negative) {
-                self.cost.occluders += 1;
-                let occluder = self.number(local.known[known].occluder);
-                return Some((Step::Block { occluder, negative, cuts }, outside));
+        for (known, negative, held) in ranked {
+            let grown = local.grow(self.scene, region, (known, negative, held));
+            for known in [grown, Some(known)].into_iter().flatten() {
+                if let Some((cuts, outside)) = local.subtract(region, known, negative) {
+                    self.cost.occluders += 1;
+                    let occluder = self.number(&local.known[known].members);
+                    return Some((Step::Block { occluder, negative, cuts }, outside));
+                }
             }
         }
         None
     }
 
     /// An occluder's number in the proof.
-    fn number(&mut self, occluder: u32) -> u32 {
-        let at = self.numbers.iter().position(|o| *o == occluder).unwrap_or_else(|| {
-            self.numbers.push(occluder);
-            self.proof.occluders.push(self.scene.occluder(occluder).triangles.clone());
+    fn number(&mut self, members: &[(u32, bool)]) -> u32 {
+        let at = self.numbers.iter().position(|m| m == members).unwrap_or_else(|| {
+            self.numbers.push(members.to_vec());
+            self.proof.occluders.push(triangles(self.scene, members));
             self.numbers.len() - 1
         });
         at as u32
     }
 }
 
+/// The triangles of some occluders, in order.
+fn triangles(scene: &Occluders, members: &[(u32, bool)]) -> Vec<(u32, bool)> {
+    members
+        .iter()
+        .flat_map(|(o, turned)| {
+            scene.occluder(*o).triangles.iter().map(move |(t, flip)| (*t, flip != turned))
+        })
+        .collect()
+}
+
 /// Lines of a region that are tried before it is given up.
 const LINES: usize = 6;
 /// Weights of a snapped point add up to this.
 const WEIGHTS: u64 = 1 << 50;
+
+/// Most occluders that are joined to one for the sake of a region.
+const MOST_MEMBERS: usize = 12;
 
 /// Bits of the weights of a point that is snapped precisely.
 const FINE: usize = 240;
@@ -515,7 +526,7 @@ impl Local<'_> {
 
     /// The half-spaces of an occluder, where it is between A and B; an index into `known`.
     fn constraints(&mut self, scene: &Occluders, id: u32) -> Option<usize> {
-        if let Some(at) = self.known.iter().position(|c| c.occluder == id) {
+        if let Some(at) = self.known.iter().position(|c| c.members == [(id, false)]) {
             return Some(at);
         }
         let occluder = scene.occluder(id);
@@ -560,8 +571,124 @@ impl Local<'_> {
                 lines.push((line, false, (occluder.border.len() + k) as u16));
             }
         }
-        self.known.push(Constraints { occluder: id, lines });
+        let between = !beyond.contains(&true);
+        self.known.push(Constraints { members: vec![(id, false)], between, lines });
         Some(self.known.len() - 1)
+    }
+
+    /// The side on which a rounded ray passes a constraint.
+    fn side(&self, (line, flipped, _): &(Id, bool, u16), ray: &[f64; 6]) -> f64 {
+        let s = crate::vector::klein(ray, self.space.rounded(*line));
+        if *flipped { -s } else { s }
+    }
+
+    fn sum_of_sides(&self, known: usize, ray: &[f64; 6]) -> f64 {
+        self.known[known].lines.iter().map(|c| self.side(c, ray)).sum()
+    }
+
+    /// How many rays of a region an occluder blocks, rounded.
+    fn held(&self, region: &Region, known: usize, negative: bool) -> usize {
+        let inside = |v: &[f64; 6]| {
+            self.known[known]
+                .lines
+                .iter()
+                .all(|c| if negative { self.side(c, v) <= 0.0 } else { self.side(c, v) >= 0.0 })
+        };
+        region.rays.iter().filter(|(r, _)| inside(self.space.rounded(*r))).count()
+    }
+
+    /// Adds neighbours to an occluder for as long as that makes it block more of a region: what lines pass in the same
+    /// direction has one silhouette (thesis §2.4). None if there is nothing to add.
+    fn grow(
+        &mut self,
+        scene: &Occluders,
+        region: &Region,
+        (known, negative, held): (usize, bool, usize),
+    ) -> Option<usize> {
+        let all = region.rays.len();
+        if !self.known[known].between || held == all {
+            return None;
+        }
+        let (mut best, mut most) = (known, held);
+        loop {
+            let members = self.known[best].members.clone();
+            if members.len() == MOST_MEMBERS {
+                break;
+            }
+            // Only over edges that part of the region passes outside of.
+            let (rim, _) = scene.border(&triangles(scene, &members));
+            let mut next: Option<(usize, usize)> = None;
+            let outer: Vec<u16> = self.known[best]
+                .lines
+                .iter()
+                .filter(|c| {
+                    region.rays.iter().any(|(r, _)| (self.side(c, self.space.rounded(*r)) < 0.0) != negative)
+                })
+                .map(|c| c.2)
+                .collect();
+            for edge in outer {
+                let [a, b] = rim[usize::from(edge)];
+                let neighbours: Vec<(u32, bool)> = scene.at_edge([a, b]).collect();
+                for (o, same_way) in neighbours {
+                    // Its border must run the other way along the edge, so turned round where it runs the same way.
+                    if members.iter().any(|m| m.0 == o) {
+                        continue;
+                    }
+                    let Some(single) = self.constraints(scene, o).filter(|k| self.known[*k].between) else {
+                        continue;
+                    };
+                    if self.in_a_plane(scene, single) {
+                        continue;
+                    }
+                    let mut with = members.clone();
+                    with.push((o, same_way));
+                    with.sort_unstable();
+                    let patch = self.patch(scene, with);
+                    let count = self.held(region, patch, negative);
+                    if count > most && next.is_none_or(|(c, _)| count > c) {
+                        next = Some((count, patch));
+                    }
+                }
+            }
+            let Some((count, patch)) = next else { break };
+            (best, most) = (patch, count);
+            if most == all {
+                break;
+            }
+        }
+        (best != known).then_some(best)
+    }
+
+    /// Whether an occluder lies in A's plane or in B's, where it blocks nothing.
+    fn in_a_plane(&mut self, scene: &Occluders, known: usize) -> bool {
+        let (o, _) = self.known[known].members[0];
+        let before = self.space.size();
+        let corners = scene.triangle(scene.occluder(o).triangles[0].0).map(|v| {
+            let point = self.space.frame().given(v.as_dvec3());
+            self.space.point(point)
+        });
+        let flat = [self.pair.a.clone(), self.pair.b.clone()]
+            .iter()
+            .any(|of| corners.iter().all(|t| self.space.orient(of[0], of[1], of[2], *t) == Ordering::Equal));
+        self.space.truncate(before);
+        flat
+    }
+
+    /// Several occluders that are all between the polygons, as one; an index into `known`.
+    fn patch(&mut self, scene: &Occluders, members: Vec<(u32, bool)>) -> usize {
+        if let Some(at) = self.known.iter().position(|c| c.members == members) {
+            return at;
+        }
+        let (_, border) = scene.border(&triangles(scene, &members));
+        let mut lines: Vec<(Id, bool, u16)> = Vec::with_capacity(border.len());
+        for (number, edge) in border.iter().enumerate() {
+            let (line, flipped) = self.edge(*edge);
+            if !lines.iter().any(|l| l.0 == line && l.1 == flipped) {
+                lines.push((line, flipped, number as u16));
+            }
+        }
+        self.known.push(Constraints { members, between: true, lines });
+        self.known.len() - 1
     }
 
     /// The line of an edge, one for all edges that run along it.

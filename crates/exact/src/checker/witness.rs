@@ -73,6 +73,27 @@ fn meets(t: &[Vec3; 3], p: &Point, q: &Point, planes: &[Plane; 2]) -> bool {
     // What it touches at an end does not count if it lies in that polygon's plane.
     let in_plane = |f: &Plane| [&a, &b, &c].iter().all(|v| height(f, v).is_zero());
     let exempt = x == Ordering::Equal && in_plane(&planes[0]) || y == Ordering::Equal && in_plane(&planes[1]);
-    // A triangle whose plane holds the whole segment meets it only if it holds some point of it; refused either way.
-    !exempt
+    if exempt {
+        return false;
+    }
+    if (x, y) != (Ordering::Equal, Ordering::Equal) {
+        return true;
+    }
+    // In one plane with the segment. Two convex sets there are apart when a line along a side of one separates them.
+    let off: Point = std::array::from_fn(|i| if i < 3 { &p[i] + &own[i] * &p[3] } else { p[3].clone() });
+    let apart = |from: &Point, to: &Point, these: &[&Point], others: &[&Point]| {
+        let along = plane([from, to, &off]);
+        let side = |v: &&Point| sign(&height(&along, v));
+        let inner = these.iter().map(side).find(|s| *s != Ordering::Equal).unwrap_or(Ordering::Equal);
+        // For the segment itself either side will do.
+        let keeps_off = |wanted: Ordering| others.iter().all(|v| side(v) == wanted);
+        match inner {
+            Ordering::Equal => keeps_off(Ordering::Less) || keeps_off(Ordering::Greater),
+            inner => keeps_off(inner.reverse()),
+        }
+    };
+    let corners = [&a, &b, &c];
+    let separated = apart(p, q, &[p, q], &corners)
+        || [(&a, &b), (&b, &c), (&c, &a)].into_iter().any(|(s, t)| apart(s, t, &corners, &[p, q]));
+    !separated
 }
