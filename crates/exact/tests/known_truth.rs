@@ -692,7 +692,7 @@ fn a_list_of_parts_is_seen_when_one_of_them_is() {
         let unseen = [part(-0.375, 0.0), part(-0.375, 2.0), part(-3.0, 2.0)];
         let ask = |a: &[&Polygon], b: &[&Polygon]| {
             let own = |p: &[&Polygon]| p.iter().map(|p| (*p).clone()).collect::<Vec<_>>();
-            world.parts_see(&own(a), &own(b))
+            world.try_parts(&own(a), &own(b)).unwrap()
         };
         assert!(ask(&[&seen[0]], &[&seen[1]]));
         assert!(!ask(&[&unseen[0]], &[&unseen[1]]));

@@ -24,8 +24,8 @@ impl World {
         Self { triangles, occluders }
     }
 
-    /// The verdict on lists of parts, after the checker has accepted it.
-    pub fn verdict(&self, a: &[Polygon], b: &[Polygon]) -> Verdict {
+    /// The verdict on lists of parts, or why the checker refuses it.
+    pub fn verdict(&self, a: &[Polygon], b: &[Polygon]) -> Result<Verdict, String> {
         let (verdict, _) = sightlines(&self.occluders, a, b, &Limits::default());
         let corners = |parts: &[Polygon]| -> Vec<checker::Corners> {
             parts.iter().map(|p| p.points().iter().map(integers).collect()).collect()
@@ -38,25 +38,30 @@ impl World {
             Verdict::Hidden(proof) => checker::check_hidden(&self.triangles, &corners(a), &corners(b), proof),
             Verdict::Undecided(_) => Ok(()),
         };
-        if let Err(refusal) = accepted {
-            panic!("refused: {refusal}\n{verdict:?}\n{}", self.described(a, b));
-        }
-        verdict
-    }
-
-    /// Whether parts of `b` are seen from parts of `a`, which must be decided.
-    pub fn parts_see(&self, a: &[Polygon], b: &[Polygon]) -> bool {
-        match self.verdict(a, b) {
-            Verdict::Visible(_) => true,
-            Verdict::Hidden(_) => false,
-            Verdict::Undecided(reason) => panic!("undecided: {reason}\n{}", self.described(a, b)),
+        match accepted {
+            Ok(()) => Ok(verdict),
+            Err(refusal) => Err(format!("refused: {refusal}\n{verdict:?}\n{}", self.described(a, b))),
         }
     }
 
-    /// Whether the convex polygon `b` is seen from `a`.
+    /// Whether parts of `b` are seen from parts of `a`, or why that is not known.
+    pub fn try_parts(&self, a: &[Polygon], b: &[Polygon]) -> Result<bool, String> {
+        match self.verdict(a, b)? {
+            Verdict::Visible(_) => Ok(true),
+            Verdict::Hidden(_) => Ok(false),
+            Verdict::Undecided(reason) => Err(format!("undecided: {reason}\n{}", self.described(a, b))),
+        }
+    }
+
+    /// Whether the convex polygon `b` is seen from `a`, or why that is not known.
+    pub fn try_sees(&self, a: &[DVec3], b: &[DVec3]) -> Result<bool, String> {
+        let polygon = |p: &[DVec3]| Polygon::checked(p).map_err(|e| format!("{e}: {p:?}"));
+        self.try_parts(&polygon(a)?, &polygon(b)?)
+    }
+
+    /// Whether the convex polygon `b` is seen from `a`, which must be decided.
     pub fn sees(&self, a: &[DVec3], b: &[DVec3]) -> bool {
-        let [a, b] = [a, b].map(|p| Polygon::checked(p).unwrap_or_else(|e| panic!("{e}: {p:?}")));
-        self.parts_see(&a, &b)
+        self.try_sees(a, b).unwrap_or_else(|why| panic!("{why}"))
     }
 
     /// The same, asked both ways.
