@@ -4,8 +4,10 @@ mod common;
 
 use std::cmp::Ordering;
 
-use common::{Corners, Random, World};
+use common::{Corners, Random, World, check};
 use glam::{DVec3, Vec3};
+use sightline_exact::proof::Step;
+use sightline_exact::{Polygon, Verdict, polygon};
 use sightline_scene::exact::orient3d_sign;
 
 /// Volumes and areas in scenes no larger than 16 are off by less than 1e-10 in doubles, and change by less when the
@@ -123,6 +125,24 @@ fn triangle(random: &mut Random, whole: bool, around: DVec3, reach: f64) -> Corn
     }
 }
 
+/// A scene of which enough is hidden, with a wall across most of it.
+fn scene(random: &mut Random, whole: bool, reach: f64) -> World {
+    let count = 5 + random.below(30);
+    let mut triangles: Vec<Corners> =
+        (0..count).map(|_| triangle(random, whole, DVec3::ZERO, reach)).collect();
+    let z = if whole { 0.0 } else { random.between(-0.5, 0.5) as f32 };
+    let corner = |x: f32, y: f32| Vec3::new(x * reach as f32, y * reach as f32, z);
+    triangles.push([corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0)]);
+    triangles.push([corner(-1.0, -1.0), corner(1.0, 1.0), corner(-0.5, 1.0)]);
+    World::new(triangles)
+}
+
+/// Small triangles on both sides of the wall, or any.
+fn ends(random: &mut Random, whole: bool, reach: f64) -> [Corners; 2] {
+    let (up, size) = if random.below(4) > 0 { (reach - 1.0, 1.4) } else { (0.0, reach) };
+    [-up, up].map(|z| triangle(random, whole, DVec3::Z * z, size))
+}
+
 #[test]
 fn no_segment_is_free_where_nothing_is_seen() {
     let (mut seen, mut hidden, mut found, mut undecided) = (0, 0, 0, Vec::new());
@@ -130,24 +150,12 @@ fn no_segment_is_free_where_nothing_is_seen() {
         let mut random = Random(seed);
         let whole = seed % 3 > 0;
         let reach = [2.0, 3.0, 4.0][random.below(3)];
-        let count = 5 + random.below(30);
-        let mut triangles: Vec<Corners> =
-            (0..count).map(|_| triangle(&mut random, whole, DVec3::ZERO, reach)).collect();
-        // A wall across most of it, so that enough is hidden.
-        let z = if whole { 0.0 } else { random.between(-0.5, 0.5) as f32 };
-        let r = reach as f32;
-        let corner = |x: f32, y: f32| Vec3::new(x * r, y * r, z);
-        triangles.push([corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0)]);
-        triangles.push([corner(-1.0, -1.0), corner(1.0, 1.0), corner(-0.5, 1.0)]);
-        let world = World::new(triangles);
+        let world = scene(&mut random, whole, reach);
         for _ in 0..4 {
-            // Small ones on both sides of the wall, or any.
-            let (up, size) = if random.below(4) > 0 { (reach - 1.0, 1.4) } else { (0.0, reach) };
-            let a = triangle(&mut random, whole, DVec3::Z * -up, size);
-            let b = triangle(&mut random, whole, DVec3::Z * up, size);
+            let [a, b] = ends(&mut random, whole, reach);
             let pair = Pair::new(&world.triangles, a, b);
-            let [a, b] = [&pair.a, &pair.b].map(|t| t.map(|p| p.as_dvec3()));
-            let free = search(&mut random, &pair, 10_000);
+            let [a, b] = [a, b].map(|t| t.map(|p| p.as_dvec3()));
+            let free = search(&mut random, &pair, 20_000);
             match world.try_sees(&a, &b) {
                 Ok(true) => {
                     seen += 1;
@@ -165,6 +173,65 @@ fn no_segment_is_free_where_nothing_is_seen() {
     // Enough of both kinds, and segments that find most of what is seen: else the above would say little.
     assert!(seen > 500 && hidden > 500, "{seen} seen, {hidden} hidden");
     assert!(found * 10 > seen * 9, "{found} of {seen} found");
+}
+
+#[test]
+fn what_a_verdict_rests_on_is_refused_where_it_is_not_so() {
+    let (mut witnesses, mut proofs) = (0, 0);
+    for seed in 0..300 {
+        let mut random = Random(1000 + seed);
+        let whole = seed % 3 > 0;
+        let world = scene(&mut random, whole, 3.0);
+        let [a, b] = ends(&mut random, whole, 3.0);
+        let [x, y] = [a, b].map(|t| [Polygon::triangle(t.map(|p| p.as_dvec3())).unwrap()]);
+        let Ok(verdict) = world.verdict(&x, &y) else { continue };
+        let mut triangles = world.triangles.clone();
+        match &verdict {
+            Verdict::Visible(ends) => {
+                // A triangle across the middle of the segment.
+                let [p, q] = [0, 1].map(|i| polygon::rounded(&ends[i]));
+                let (u, v) = (q - p).normalize().any_orthonormal_pair();
+                let at = |s: f64, t: f64| ((p + q) / 2.0 + (u * s + v * t) * 1e-3).as_vec3();
+                triangles.push([at(1.0, 0.0), at(-1.0, 1.0), at(-1.0, -1.0)]);
+                assert!(check(&triangles, &x, &y, &verdict).is_err(), "{seed}");
+                triangles.pop();
+                // The ends are not where another polygon is.
+                let away = [Polygon::triangle(b.map(|p| p.as_dvec3() + DVec3::X * 100.0)).unwrap()];
+                assert!(check(&triangles, &x, &away, &verdict).is_err(), "{seed}");
+                assert!(check(&triangles, &away, &y, &verdict).is_err(), "{seed}");
+                witnesses += 1;
+            }
+            Verdict::Hidden(proof) => {
+                for blocker in proof.blockers() {
+                    let was = triangles[blocker as usize];
+                    triangles[blocker as usize] = was.map(|p| p + Vec3::splat(100.0));
+                    if search(&mut random, &Pair::new(&triangles, a, b), 2000).is_some() {
+                        assert!(check(&triangles, &x, &y, &verdict).is_err(), "{seed} without {blocker}");
+                        proofs += 1;
+                    }
+                    triangles[blocker as usize] = was;
+                }
+                // A step more, or one less, and the parts that are left do not come out even. (What leaves one part may
+                // have been idle.)
+                for at in 0..proof.steps.len() {
+                    let mut other = proof.clone();
+                    other.steps.insert(at, Step::Unreal);
+                    assert!(check(&triangles, &x, &y, &Verdict::Hidden(other)).is_err(), "{seed}, step {at}");
+                    let parts = match &proof.steps[at] {
+                        Step::Block { cuts, .. } => cuts.len(),
+                        Step::Unreal => 0,
+                        Step::Split { .. } | Step::Divide { .. } => 2,
+                    };
+                    let mut other = proof.clone();
+                    other.steps.remove(at);
+                    let accepted = check(&triangles, &x, &y, &Verdict::Hidden(other)).is_ok();
+                    assert!(!accepted || parts == 1, "{seed} without step {at}");
+                }
+            }
+            Verdict::Undecided(_) => {}
+        }
+    }
+    assert!(witnesses > 50 && proofs > 50, "{witnesses} witnesses, {proofs} proofs");
 }
 
 #[test]

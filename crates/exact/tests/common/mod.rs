@@ -3,6 +3,7 @@
 #![allow(dead_code, clippy::panic, clippy::unwrap_used, reason = "helpers of tests, each of which uses some")]
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
+use sightline_exact::checker::Refusal;
 use sightline_exact::predicates::integers;
 use sightline_exact::{Limits, Occluders, Polygon, Verdict, checker, sightlines};
 use sightline_scene::{Object, Scene, Triangle};
@@ -27,18 +28,7 @@ impl World {
     /// The verdict on lists of parts, or why the checker refuses it.
     pub fn verdict(&self, a: &[Polygon], b: &[Polygon]) -> Result<Verdict, String> {
         let (verdict, _) = sightlines(&self.occluders, a, b, &Limits::default());
-        let corners = |parts: &[Polygon]| -> Vec<checker::Corners> {
-            parts.iter().map(|p| p.points().iter().map(integers).collect()).collect()
-        };
-        let accepted = match &verdict {
-            Verdict::Visible(ends) => {
-                let [p, q] = [0, 1].map(|i| integers(&ends[i]));
-                checker::check_witness(&self.triangles, &corners(a), &corners(b), &p, &q)
-            }
-            Verdict::Hidden(proof) => checker::check_hidden(&self.triangles, &corners(a), &corners(b), proof),
-            Verdict::Undecided(_) => Ok(()),
-        };
-        match accepted {
+        match check(&self.triangles, a, b, &verdict) {
             Ok(()) => Ok(verdict),
             Err(refusal) => Err(format!("refused: {refusal}\n{verdict:?}\n{}", self.described(a, b))),
         }
@@ -75,6 +65,21 @@ impl World {
     fn described(&self, a: &[Polygon], b: &[Polygon]) -> String {
         let points = |parts: &[Polygon]| parts.iter().map(|p| p.rounded()).collect::<Vec<_>>();
         format!("a = {:?}\nb = {:?}\ntriangles = {:?}", points(a), points(b), self.triangles)
+    }
+}
+
+/// Whether the checker accepts what a verdict rests on.
+pub fn check(scene: &[Corners], a: &[Polygon], b: &[Polygon], verdict: &Verdict) -> Result<(), Refusal> {
+    let corners = |parts: &[Polygon]| -> Vec<checker::Corners> {
+        parts.iter().map(|p| p.points().iter().map(integers).collect()).collect()
+    };
+    match verdict {
+        Verdict::Visible(ends) => {
+            let [p, q] = [0, 1].map(|i| integers(&ends[i]));
+            checker::check_witness(scene, &corners(a), &corners(b), &p, &q)
+        }
+        Verdict::Hidden(proof) => checker::check_hidden(scene, &corners(a), &corners(b), proof),
+        Verdict::Undecided(_) => Ok(()),
     }
 }
 
