@@ -92,8 +92,6 @@ pub struct Place {
     pub scale: f64,
     pub shift: f64,
     pub turn: DMat3,
-    /// Whether the turn permutes and flips axes, no more.
-    pub square: bool,
 }
 
 impl Place {
@@ -133,11 +131,11 @@ pub fn permutations() -> Vec<DMat3> {
     [[x, y, z], [y, z, x], [z, -y, x], [-x, -z, -y]].map(|[a, b, c]| DMat3::from_cols(a, b, c)).to_vec()
 }
 
-fn places(scales: &[f64], shifts: &[f64], turns: &[DMat3], square: bool) -> Vec<Place> {
+fn places(scales: &[f64], shifts: &[f64], turns: &[DMat3]) -> Vec<Place> {
     let mut out = Vec::new();
     for scale in scales {
         for shift in shifts {
-            out.extend(turns.iter().map(|t| Place { scale: *scale, shift: shift * scale, turn: *t, square }));
+            out.extend(turns.iter().map(|t| Place { scale: *scale, shift: shift * scale, turn: *t }));
         }
     }
     out
@@ -146,12 +144,12 @@ fn places(scales: &[f64], shifts: &[f64], turns: &[DMat3], square: bool) -> Vec<
 /// Places that keep multiples of small powers of two as they are.
 pub fn exact() -> Vec<Place> {
     let scales = [-60, -20, 0, 20, 60].map(|e| 2f64.powi(e));
-    places(&scales, &[0.0], &permutations(), true)
+    places(&scales, &[0.0], &permutations())
 }
 
 /// Places that keep the order of coordinates, and equal ones equal.
 pub fn ordered() -> Vec<Place> {
-    places(&[1e-30, 1e-6, 1.0, 1e6, 1e30], &[0.0, 1e3], &permutations()[..3], true)
+    places(&[1e-30, 1e-6, 1.0, 1e6, 1e30], &[0.0, 1e3], &permutations()[..3])
 }
 
 /// Places where all is rounded.
@@ -160,7 +158,7 @@ pub fn rounded() -> Vec<Place> {
         let turn = DQuat::from_rotation_x(x) * DQuat::from_rotation_y(y) * DQuat::from_rotation_z(z);
         DMat3::from_quat(turn)
     });
-    places(&[1e-6, 1.0, 1e6], &[0.0, 10.0], &turns, false)
+    places(&[1e-6, 1.0, 1e6], &[0.0, 10.0], &turns)
 }
 
 /// A scene being built in a place.
