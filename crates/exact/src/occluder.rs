@@ -3,7 +3,7 @@
 //! Take triangles, each turned one way or the other, and strike out every edge that two of them run along in opposite
 //! directions. The signed number of times a line crosses the triangles depends on what is left alone, since two
 //! surfaces with the same border differ by a closed one. A line that has every remaining edge on the same side winds
-//! around at least once, and so crosses at least one of the triangles. So the remaining edges' half-spaces are the
+//! around at least once, if any edge remains at all, and so crosses at least one of the triangles. So the remaining edges' half-spaces are the
 //! region of line space the set blocks, or part of it (thesis §2.4, silhouettes), whatever its shape: nothing here needs
 //! to be convex, flat or even connected to be right. Convex flat sets block most for their number of edges, and
 //! those are what [`Occluders`] looks for.

@@ -168,7 +168,7 @@ fn same_point(space: &mut Space, p: u32, q: u32) -> bool {
 /// The mean of the lines serves as σ where it is positive on all of them, as it is for most pairs; the sum of the edges' functionals
 /// always is, but nearly vanishes on polygons that nearly lie in one plane.
 fn caps(space: &mut Space, edges: (&[Id], usize), lines: &[Id], k: Id) -> Result<(Id, Id), NoCaps> {
-    let mut both = |space: &mut Space, sigma: [f64; 6]| {
+    let both = |space: &mut Space, sigma: [f64; 6]| {
         let caps = Caps::fit(space, lines, k, sigma)?;
         Ok((caps.cap(space, lines, 1.0)?, caps.cap(space, lines, -1.0)?))
     };

@@ -643,7 +643,8 @@ impl Local<'_> {
                     let mut with = members.clone();
                     with.push((o, same_way));
                     with.sort_unstable();
-                    let patch = self.patch(scene, with);
+                    // Two sides of one sheet leave no border, and block nothing together.
+                    let Some(patch) = self.patch(scene, with) else { continue };
                     let count = self.held(region, patch, negative);
                     if count > most && next.is_none_or(|(c, _)| count > c) {
                         next = Some((count, patch));
@@ -674,12 +675,15 @@ impl Local<'_> {
         flat
     }
 
-    /// Several occluders that are all between the polygons, as one; an index into `known`.
-    fn patch(&mut self, scene: &Occluders, members: Vec<(u32, bool)>) -> usize {
+    /// Several occluders that are all between the polygons, as one; an index into `known`. None if they have no border.
+    fn patch(&mut self, scene: &Occluders, members: Vec<(u32, bool)>) -> Option<usize> {
         if let Some(at) = self.known.iter().position(|c| c.members == members) {
-            return at;
+            return Some(at);
         }
         let (_, border) = scene.border(&triangles(scene, &members));
+        if border.is_empty() {
+            return None;
+        }
         let mut lines: Vec<(Id, bool, u16)> = Vec::with_capacity(border.len());
         for (number, edge) in border.iter().enumerate() {
             let (line, flipped) = self.edge(*edge);
@@ -688,7 +692,7 @@ impl Local<'_> {
             }
         }
         self.known.push(Constraints { members, between: true, lines });
-        self.known.len() - 1
+        Some(self.known.len() - 1)
     }
 
     /// The line of an edge, one for all edges that run along it.

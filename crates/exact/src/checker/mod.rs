@@ -10,7 +10,7 @@
 //!    both directions the cone holds a whole line; the hyperplane of the line through the first vertex of A and the first of
 //!    B off the other's plane, which does not meet k, then divides it in two.
 //! 3. *Blocked.* A cone is blocked when each of its rays, and so each line in it, passes every border edge of an occluder
-//!    on the same side (see [`crate::occluder`] for why that means crossing it), and the crossing is between A and B: all of
+//!    on the same side (see [`crate::occluder`] for why that means crossing it; there must be a border, or it means nothing), and the crossing is between A and B: all of
 //!    the occluder is on B's side of A's plane and on A's side of B's, or it lies in one plane and the cone is on the right
 //!    side of the line in which that plane meets A's or B's. Triangles in A's or B's plane block nothing.
 //! 4. *Unreal.* If the Klein form has one sign on all pairs of rays it has that sign on the cone, 0 at most on its border: no
@@ -37,6 +37,9 @@ pub enum Refusal {
     /// The proof ends before everything is shown, or goes on after it.
     #[error("it has {0} steps")]
     Length(&'static str),
+    /// An occluder of the proof names a triangle that is not there, or has no border, or an edge without length.
+    #[error("occluder {0} is none: a triangle is not in the scene or has no area, or no border is left")]
+    Occluder(usize),
     /// A step names something that is not there.
     #[error("step {step} names {what}, which is not there")]
     Unknown {
@@ -75,8 +78,7 @@ pub fn corners(of: &[DVec3]) -> Corners {
 pub fn check_hidden(scene: &[[Vec3; 3]], a: &[Corners], b: &[Corners], proof: &Proof) -> Result<(), Refusal> {
     let mut occluders = Vec::with_capacity(proof.occluders.len());
     for triangles in &proof.occluders {
-        occluders
-            .push(Blocker::new(scene, triangles).ok_or(Refusal::Unknown { step: 0, what: "a triangle" })?);
+        occluders.push(Blocker::new(scene, triangles).ok_or(Refusal::Occluder(occluders.len()))?);
     }
     let mut check = Check { steps: &proof.steps, at: 0, occluders };
     for x in a {
@@ -120,10 +122,16 @@ impl Blocker {
                 }
             }
         }
-        let border = left.iter().map(|(p, q)| join(p, q)).collect();
+        // An edge of no length turns no line round, and where nothing is left there is nothing to wind around.
+        let border: Vec<Line> = left.iter().map(|(p, q)| join(p, q)).collect();
+        if border.is_empty() || border.iter().any(|l| l.iter().all(IBig::is_zero)) {
+            return None;
+        }
         let first = corners.first()?;
         let flat = plane([&first[0], &first[1], &first[2]]);
-        let in_plane = corners.iter().flatten().all(|p| height(&flat, p).is_zero());
+        // Three corners on a line have no plane.
+        let has_plane = flat[..3].iter().any(|c| !c.is_zero());
+        let in_plane = has_plane && corners.iter().flatten().all(|p| height(&flat, p).is_zero());
         Some(Self { plane: in_plane.then_some(flat), border, corners })
     }
 }
@@ -386,4 +394,65 @@ fn divide(corners: &[Point], from: u16, to: u16) -> Option<[Vec<Point>; 2]> {
         out
     };
     Some([round(from, to), round(to, from)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two squares that face each other, 10 apart, and triangles.
+    fn squares() -> [Vec<Corners>; 2] {
+        [0.0, 10.0].map(|z| {
+            vec![corners(&[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(|[x, y]| DVec3::new(x, y, z)))]
+        })
+    }
+
+    fn refused(scene: &[[Vec3; 3]], occluder: Vec<(u32, bool)>) -> Option<Refusal> {
+        let [a, b] = squares();
+        let block = |negative| Step::Block { occluder: 0, negative, cuts: Vec::new() };
+        let proofs =
+            [false, true].map(|n| Proof { occluders: vec![occluder.clone()], steps: vec![block(n)] });
+        let [x, y] = proofs.map(|p| check_hidden(scene, &a, &b, &p));
+        x.err().and(y.err())
+    }
+
+    #[test]
+    fn a_large_triangle_blocks_and_one_that_is_aside_does_not() {
+        let v = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
+        let wall = [v(-9.0, -9.0, 5.0), v(30.0, -9.0, 5.0), v(-9.0, 30.0, 5.0)];
+        assert_eq!(refused(&[wall], vec![(0, false)]), None);
+        let aside = wall.map(|p| p + Vec3::X * 50.0);
+        assert!(matches!(refused(&[aside], vec![(0, false)]), Some(Refusal::False { .. })));
+        let behind = wall.map(|p| p + Vec3::Z * 50.0);
+        assert!(matches!(refused(&[behind], vec![(0, false)]), Some(Refusal::False { .. })));
+        // In B's plane it blocks nothing.
+        let in_plane = wall.map(|p| p + Vec3::Z * 5.0);
+        assert!(matches!(refused(&[in_plane], vec![(0, false)]), Some(Refusal::False { .. })));
+        assert_eq!(refused(&[wall], vec![(1, false)]), Some(Refusal::Occluder(0)));
+    }
+
+    #[test]
+    fn what_has_no_border_or_no_area_is_no_occluder() {
+        let v = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
+        let aside = [v(50.0, 0.0, 5.0), v(60.0, 0.0, 5.0), v(50.0, 9.0, 5.0)];
+        // Both sides of a sheet: every edge is struck out.
+        assert_eq!(refused(&[aside, aside], vec![(0, false), (1, true)]), Some(Refusal::Occluder(0)));
+        assert_eq!(refused(&[aside], vec![]), Some(Refusal::Occluder(0)));
+        let point = [v(0.5, 0.5, 5.0); 3];
+        assert_eq!(refused(&[point], vec![(0, false)]), Some(Refusal::Occluder(0)));
+        let twice = [v(0.5, 0.5, 5.0), v(0.5, 0.5, 5.0), v(2.0, 0.5, 5.0)];
+        assert_eq!(refused(&[twice], vec![(0, false)]), Some(Refusal::Occluder(0)));
+        // On a line, and through B's plane, where a plane of its own would be asked for.
+        let needle = [v(0.5, 0.5, 5.0), v(0.5, 0.5, 15.0), v(0.5, 0.5, 25.0)];
+        assert!(refused(&[needle], vec![(0, false)]).is_some());
+    }
+
+    #[test]
+    fn the_length_of_a_proof_is_checked() {
+        let [a, b] = squares();
+        assert_eq!(check_hidden(&[], &a, &b, &Proof::default()), Err(Refusal::Length("too few")));
+        let steps = vec![Step::Unreal];
+        let claim = Proof { occluders: Vec::new(), steps };
+        assert!(matches!(check_hidden(&[], &a, &b, &claim), Err(Refusal::False { step: 0, .. })));
+    }
 }
