@@ -2,6 +2,8 @@
 //!
 //! `cargo run --release -p sightline-exact --example cells -- SCENE OUT.pvs [COUNT [SEED]]`
 
+#![allow(clippy::print_stdout, reason = "it prints what it measured")]
+
 use std::time::Instant;
 
 use glam::Vec3;

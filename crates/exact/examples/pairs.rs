@@ -2,6 +2,8 @@
 //!
 //! `cargo run --release -p sightline-exact --example pairs -- SCENE [COUNT [SEED [check]]]`
 
+#![allow(clippy::print_stdout, reason = "it prints what it measured")]
+
 use std::time::{Duration, Instant};
 
 use glam::DVec3;

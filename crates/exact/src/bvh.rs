@@ -201,7 +201,6 @@ impl Segment {
     fn new(p: DVec3, q: DVec3, slack: f64) -> Self {
         let (middle, half) = ((p + q) * 0.5, (q - p) * 0.5);
         let size = half.abs();
-        // A cross product of the half extent with something at most (distance) long, wrong by this much of it.
         Self { middle, half, size, slack, turn: size.max_element() }
     }
 
@@ -219,7 +218,8 @@ impl Segment {
             e.x * self.size.z + e.z * self.size.x,
             e.x * self.size.y + e.y * self.size.x,
         );
-        let slack = 4.0 * self.slack * self.turn;
+        // Ends that are off by the slack turn the half extent by as much: times what it is multiplied with, on both sides.
+        let slack = self.slack * (4.0 * self.turn + 4.0 * (a.max_element() + e.max_element()));
         !(cross.cmpgt(reach + DVec3::splat(slack))).any()
     }
 }

@@ -47,12 +47,15 @@ impl Region {
 
     /// The parts on the negative and on the positive side of a line, given the sides of all rays, both of which
     /// must occur.
+    ///
+    /// # Errors
+    /// [`TooComplex`] when the region has as many facets as there are bits.
     pub fn split(&self, space: &mut Space, line: Id, sides: &[Ordering]) -> Result<[Self; 2], TooComplex> {
         let mut base = self;
         let compacted;
-        if self.halves.len() == MOST_HALVES {
+        if self.halves.len() >= MOST_HALVES {
             compacted = self.compact();
-            if compacted.halves.len() == MOST_HALVES {
+            if compacted.halves.len() >= MOST_HALVES {
                 return Err(TooComplex);
             }
             base = &compacted;

@@ -71,8 +71,15 @@ impl Frame {
             let (s, t) = (d.dot(u), d.dot(v));
             (xx, xy, yy) = (xx + s * s, xy + s * t, yy + t * t);
         }
-        let angle = 0.5 * f64::atan2(2.0 * xy, xx - yy);
-        let x = u * angle.cos() + v * angle.sin();
+        // Half the angle of (xx − yy, 2xy), by roots, which round the same everywhere.
+        let (c, t) = (xx - yy, 2.0 * xy);
+        let h = (c * c + t * t).sqrt();
+        let (cos, sin) = if h > 0.0 {
+            (((1.0 + c / h) * 0.5).max(0.0).sqrt(), ((1.0 - c / h) * 0.5).max(0.0).sqrt())
+        } else {
+            (1.0, 0.0)
+        };
+        let x = u * cos + v * if t < 0.0 { -sin } else { sin };
         let y = z.cross(x);
         let row = |axis: DVec3| (axis * STEPS).round().to_array().map(|c| c as i32);
         let mut rows = [row(x), row(y), row(z)];
@@ -202,7 +209,7 @@ impl Frame {
         // Everything times 2^low, so that the origin becomes an integer.
         let low = (-e).max(0) as usize;
         let up = e.max(0) as usize;
-        let d: [IBig; 3] = std::array::from_fn(|j| (&p[j] << low) - (&p[3] * &origin[j] << up));
+        let d: [IBig; 3] = std::array::from_fn(|j| (&p[j] << low) - ((&p[3] * &origin[j]) << up));
         let least = self.shift.iter().copied().min().unwrap_or(0) - 6;
         let [x, y, z] = std::array::from_fn(|i| {
             let sum: IBig = (0..3).map(|j| &d[j] * self.rows[i][j]).sum();

@@ -185,7 +185,7 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     for _ in 0..FINE {
         let t: IBig = (&low + &high) >> 1;
         let s = &whole - &t;
-        let value = &c * &s * &s + (&m * &s * &t << 1) + &e * &t * &t;
+        let value = &c * &s * &s + ((&m * &s * &t) << 1) + &e * &t * &t;
         if sign(&value) == sign(&c) { low = t } else { high = t }
     }
     let rest = &whole - &low;
@@ -194,7 +194,7 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
 
 /// The t in [0, 1] at which c(1−t)² + 2m t(1−t) + e t² vanishes, c and e having different signs.
 fn crossing(c: f64, m: f64, e: f64) -> f64 {
-    // Bisection: immune to cancellation, and twenty steps are as near as snapping needs.
+    // Bisection: immune to cancellation.
     let at = |t: f64| c * (1.0 - t) * (1.0 - t) + 2.0 * m * t * (1.0 - t) + e * t * t;
     let (mut low, mut high) = (0.0, 1.0);
     for _ in 0..52 {

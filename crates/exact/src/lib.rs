@@ -4,24 +4,27 @@
 //! that meets nothing), a proof (which [`checker`] accepts or refuses by exact arithmetic alone), or that neither was
 //! found. No tolerance decides anything: doubles with error bounds come first, integers where those cannot tell.
 
-pub mod bvh;
+mod bvh;
 pub mod cell;
 pub mod checker;
-pub mod cone;
-pub mod double;
-pub mod frame;
-pub mod klein;
-pub mod number;
+mod cone;
+mod double;
+mod frame;
+mod klein;
+mod local;
+mod number;
 pub mod occluder;
 pub mod polygon;
 pub mod predicates;
-pub mod prism;
+mod prism;
 pub mod proof;
 pub mod query;
-pub mod trace;
-pub mod vector;
+mod trace;
+mod vector;
 
+pub use frame::Source;
 pub use occluder::Occluders;
 pub use polygon::{Polygon, PolygonError};
 pub use proof::Proof;
 pub use query::{Cost, Limits, Reason, Verdict, sightlines};
+pub use vector::Decisions;

@@ -44,6 +44,8 @@ pub struct Occluders {
     reach: f64,
 }
 
+/// Most occluders at one edge that are looked at.
+const MOST_AT_EDGE: usize = 8;
 /// Longest border of a merged occluder.
 const MOST_EDGES: usize = 24;
 
@@ -96,11 +98,16 @@ impl Occluders {
         &self.occluders[id as usize]
     }
 
-    /// The occluders with the edge between two corners on their border, and whether it runs from the first to the second.
+    /// The occluders (a few, where there are many) with the edge between two corners on their border, and whether it runs from the
+    /// first to the second.
     pub fn at_edge(&self, [a, b]: [u32; 2]) -> impl Iterator<Item = (u32, bool)> {
         let key = [a.min(b), a.max(b)];
         let first = self.rims.partition_point(|r| r.0 < key);
-        self.rims[first..].iter().take_while(move |r| r.0 == key).map(move |r| (r.1, r.2 == (a > b)))
+        self.rims[first..]
+            .iter()
+            .take(MOST_AT_EDGE)
+            .take_while(move |r| r.0 == key)
+            .map(move |r| (r.1, r.2 == (a > b)))
     }
 
     /// What is left of the edges of some triangles, each perhaps turned round, when opposite ones are struck out.
@@ -118,10 +125,10 @@ impl Occluders {
         &self.bvh
     }
 
-    /// The triangles the segment may meet; its ends are off by a few units in the last place of the coordinates.
-    pub fn along(&self, p: glam::DVec3, q: glam::DVec3, out: &mut Vec<u32>) {
-        let size = self.reach.max(p.abs().max_element()).max(q.abs().max_element());
-        self.bvh.along(p, q, size * 1e-14, out);
+    /// The triangles the segment may meet. Its ends are combinations of points no coordinate of which exceeds `size`, rounded
+    /// a few times.
+    pub fn along(&self, p: glam::DVec3, q: glam::DVec3, size: f64, out: &mut Vec<u32>) {
+        self.bvh.along(p, q, self.reach.max(size) * 1e-14, out);
     }
 }
 

@@ -12,6 +12,8 @@ use crate::predicates::{height, integers, orient, plane, sign};
 
 /// Most vertices of a polygon in a query.
 pub const MOST_VERTICES: usize = 64;
+/// Corners a polygon is taken at once with: a query has two rays for every pair of corners, and its work grows with their cube.
+const MOST_AT_ONCE: usize = 8;
 /// A polygon of more than three vertices counts as flat, and is taken as the triangles it is made of, when no vertex
 /// is farther from its plane than this share of its diameter. It decides nothing but whether a query is refused.
 const FLAT: f64 = 1e-6;
@@ -35,7 +37,7 @@ pub enum PolygonError {
     #[error("a coordinate is not finite or beyond ±1e60; scale the query")]
     NotFinite,
     /// So small that products of coordinates vanish.
-    #[error("it is less than 1e-60 across; scale the query")]
+    #[error("it is less than 1e-60 across, or a coordinate is less than 1e-100 and not 0; scale the query")]
     TooSmall,
     /// Vertices far from one plane.
     #[error("its corners are not in one plane; split it into triangles")]
@@ -59,6 +61,10 @@ impl Polygon {
         }
         if corners.len() > MOST_VERTICES {
             return Err(PolygonError::TooMany);
+        }
+        let vanishing = |c: f64| c != 0.0 && c.abs() < 1e-100;
+        if corners.iter().any(|p| p.to_array().into_iter().any(vanishing)) {
+            return Err(PolygonError::TooSmall);
         }
         if corners.len() > 1 && corners.iter().all(|p| (*p - corners[0]).abs().max_element() < 1e-60) {
             return Err(PolygonError::TooSmall);
@@ -92,7 +98,7 @@ impl Polygon {
             points[3..].iter().all(|p| orient([&points[0], &points[1], &points[2], p]) == Ordering::Equal);
         if flat {
             let one = Self { points };
-            return if one.convex() { Ok(vec![one]) } else { Err(PolygonError::NotConvex) };
+            return if one.convex() { Ok(one.pieces()) } else { Err(PolygonError::NotConvex) };
         }
         fan(&points)
     }
@@ -163,7 +169,7 @@ impl Polygon {
             let mut points = vec![self.point(from)];
             let mut at = (from + 1) % n;
             while at != to {
-                if at % 2 == 0 {
+                if at.is_multiple_of(2) {
                     points.push(self.points[at / 2].clone());
                 }
                 at = (at + 1) % n;
@@ -178,7 +184,7 @@ impl Polygon {
     fn point(&self, number: usize) -> Source {
         let n = self.points.len();
         let a = &self.points[number / 2];
-        if number % 2 == 0 {
+        if number.is_multiple_of(2) {
             return a.clone();
         }
         let (p, q) = (integers(a), integers(&self.points[(number / 2 + 1) % n]));
@@ -186,6 +192,23 @@ impl Polygon {
         middle[3] = &p[3] * &q[3] * IBig::from(2);
         primitive(&mut middle);
         Source::Exact(Box::new(middle))
+    }
+
+    /// Itself, or pieces around the first corner with no more than [`MOST_AT_ONCE`] corners each.
+    fn pieces(self) -> Vec<Self> {
+        if self.points.len() <= MOST_AT_ONCE {
+            return vec![self];
+        }
+        let mut out = Vec::new();
+        let mut first = 1;
+        while first + 1 < self.points.len() {
+            let last = (first + MOST_AT_ONCE - 2).min(self.points.len() - 1);
+            let mut points = vec![self.points[0].clone()];
+            points.extend_from_slice(&self.points[first..=last]);
+            out.push(Self { points });
+            first = last;
+        }
+        out
     }
 
     /// Whether every corner is on the inner side of every edge.
@@ -293,6 +316,15 @@ mod tests {
             .collect();
         assert_eq!(Polygon::checked(&star).unwrap_err(), PolygonError::NotConvex);
         assert_eq!(Polygon::checked(&vec![DVec3::ZERO; 65]).unwrap_err(), PolygonError::TooMany);
+    }
+
+    #[test]
+    fn many_corners_become_pieces() {
+        let parabola: Vec<DVec3> = (0..64).map(f64::from).map(|i| DVec3::new(i, i * i, 1.0)).collect();
+        let pieces = Polygon::checked(&parabola).unwrap();
+        assert!(pieces.iter().all(|p| (3..=MOST_AT_ONCE).contains(&p.points().len()) && p.convex()));
+        // Triangles of the whole and of the pieces.
+        assert_eq!(pieces.iter().map(|p| p.points().len() - 2).sum::<usize>(), 62);
     }
 
     #[test]

@@ -39,7 +39,7 @@ pub fn orient_points(p: [&Point; 4]) -> Option<Ordering> {
         + x[2] * (y[0] * z[1] - y[1] * z[0]);
     let (nx, ny, nz) = (nx + ex, ny + ey, nz + ez);
     let bound = 6.1 * (ex * ny * nz + nx * ey * nz + nx * ny * ez) + 100.0 * U * nx * ny * nz;
-    (det.abs() > bound).then(|| if det > 0.0 { Ordering::Greater } else { Ordering::Less })
+    (det.abs() > bound && bound < 1e280).then_some(if det > 0.0 { Ordering::Greater } else { Ordering::Less })
 }
 
 /// The orientation of four homogeneous points with w > 0.
@@ -79,9 +79,12 @@ pub fn orient_doubles(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> Option<Ordering
     let (m, n) = (y.cross(z), y.abs().yzx() * z.abs().zxy() + y.abs().zxy() * z.abs().yzx());
     let (det, magnitude) = (x.dot(m), x.abs().dot(n));
     // A normal sum of products far above the least normal double has lost nothing to underflow that matters.
-    let safe = magnitude > 1e-250 && magnitude < 1e250 && x.max_element().abs() < 1e80;
-    (safe && det.abs() > 16.0 * U * magnitude + 1e-280)
-        .then(|| if det > 0.0 { Ordering::Greater } else { Ordering::Less })
+    let safe = magnitude > 1e-200 && magnitude < 1e250 && x.abs().max_element() < 1e80;
+    (safe && det.abs() > 16.0 * U * magnitude + 1e-280).then_some(if det > 0.0 {
+        Ordering::Greater
+    } else {
+        Ordering::Less
+    })
 }
 
 /// A point's exact homogeneous coordinates in world space.

@@ -18,10 +18,10 @@ use std::collections::HashMap;
 
 use glam::DVec3;
 
-use crate::cone::Region;
+use crate::cone::{MOST_HALVES, Region};
 use crate::number::U;
 use crate::polygon::Polygon;
-use crate::vector::{Id, Space, Through, klein};
+use crate::vector::{Id, Space, Through};
 
 /// Two polygons, each on one side of the other's plane, and the lines between them.
 pub struct Pair {
@@ -35,21 +35,30 @@ pub struct Pair {
     pub behind: Ordering,
     /// The lines from A to B: one region, or two.
     pub regions: Vec<Region>,
+    /// The greatest magnitude of a coordinate of A or B in the world.
+    pub size: f64,
     /// Triangles that were asked about, and whether they lie in A's plane or in B's.
     pub flat: HashMap<u32, [bool; 2]>,
 }
 
-/// No cap was found: the polygons are too thin, or too near to each other's planes, for doubles to fit one.
+/// The polygons have no stabbing polyhedron here: no cap was found, because they are too thin, or too near to each other's
+/// planes, for doubles to fit one; or they have more edges than a region has half-spaces. Halves of them may have one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NoCaps;
 
 /// Makes the region of lines from `a` to `b`, of which neither has vertices on both sides of the other's plane, and
 /// neither lies in it. `a_sides` are the sides of A's vertices of B's plane, `b_sides` those of B's vertices of A's.
+///
+/// # Errors
+/// [`NoCaps`]; halves of the polygons may do.
 pub fn stabbing(
     space: &mut Space,
     (a, a_sides): (&Polygon, &[Ordering]),
     (b, b_sides): (&Polygon, &[Ordering]),
 ) -> Result<Pair, NoCaps> {
+    if a.points().len() + b.points().len() + 2 > MOST_HALVES {
+        return Err(NoCaps);
+    }
     let add = |space: &mut Space, p: &Polygon| -> Vec<u32> {
         let points: Vec<_> = p
             .points()
@@ -62,6 +71,8 @@ pub fn stabbing(
         points.into_iter().map(|p| space.point(p)).collect()
     };
     let (pa, pb) = (add(space, a), add(space, b));
+    let corners = a.points().iter().chain(b.points()).map(crate::polygon::rounded);
+    let size = corners.fold(0.0f64, |m, p| m.max(p.abs().max_element()));
     let off =
         |sides: &[Ordering]| sides.iter().copied().find(|s| *s != Ordering::Equal).unwrap_or(Ordering::Equal);
     let (ahead, behind) = (off(b_sides), off(a_sides));
@@ -144,7 +155,7 @@ pub fn stabbing(
         }
         regions.push(Region { rays, halves });
     }
-    Ok(Pair { a: pa, b: pb, ahead, behind, regions, flat: HashMap::new() })
+    Ok(Pair { a: pa, b: pb, ahead, behind, regions, size, flat: HashMap::new() })
 }
 
 /// The ray of `line` + t·k that is on the hyperplane `cap`, with k and −k given.
@@ -238,12 +249,12 @@ impl Caps {
         (0..6).for_each(|i| g[i][i] += ridge);
         let solved = solve(g, k_at).ok_or(NoCaps)?;
         let at_k = dot(&solved, &k_at);
-        if !(at_k > 0.0) {
+        if at_k.is_nan() || at_k <= 0.0 {
             return Err(NoCaps);
         }
         let phi = solved.map(|c| c / at_k);
         let size = sigma.iter().fold(0.0f64, |m, c| m.max(c.abs()));
-        if !(size > 0.0) {
+        if size.is_nan() || size <= 0.0 {
             return Err(NoCaps);
         }
         let sigma = sigma.map(|c| c / size);
@@ -268,6 +279,9 @@ impl Caps {
         let (mut t, other) =
             if way > 0.0 { (self.highest, self.lowest) } else { (self.lowest, self.highest) };
         let mut step = (t - other).abs().max(1e-6 * t.abs()).max(64.0 * U) * 0.02;
+        if !t.is_finite() || !step.is_finite() {
+            return Err(NoCaps);
+        }
         let wanted_at_k = if way > 0.0 { Ordering::Less } else { Ordering::Greater };
         for _ in 0..60 {
             t += way * step;
@@ -290,7 +304,7 @@ fn solve(mut a: [[f64; 6]; 6], b: [f64; 6]) -> Option<[f64; 6]> {
             let sum: f64 = (0..j).map(|k| a[i][k] * a[j][k]).sum();
             let d = a[i][j] - sum;
             if i == j {
-                if !(d > 0.0) {
+                if d.is_nan() || d <= 0.0 {
                     return None;
                 }
                 a[j][j] = d.sqrt();
@@ -317,9 +331,4 @@ pub fn meets(space: &Space, line: &[f64; 6], polygon: &[u32]) -> DVec3 {
     let normal = (b - a).cross(c - a);
     let (d, m) = (DVec3::new(line[0], line[1], line[2]), DVec3::new(line[3], line[4], line[5]));
     (normal.cross(m) + d * normal.dot(a)) / normal.dot(d)
-}
-
-/// Twice how far a rounded line is from being real, in its own units.
-pub fn unreal(line: &[f64; 6]) -> f64 {
-    klein(line, line)
 }

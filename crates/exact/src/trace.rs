@@ -30,7 +30,7 @@ pub fn trace(
     (near_p, near_q): (DVec3, DVec3),
 ) -> Met {
     let mut candidates = Vec::new();
-    scene.along(near_p, near_q, &mut candidates);
+    scene.along(near_p, near_q, pair.size, &mut candidates);
     let mut blocked = Vec::new();
     let mut grazing = false;
     for id in candidates {

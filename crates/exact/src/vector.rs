@@ -351,7 +351,7 @@ impl Space {
     /// The sign, where doubles can tell.
     pub fn filtered_side(&self, a: Id, b: Id) -> Option<Ordering> {
         let (value, bound) = self.form(a, b);
-        (value.abs() > bound).then(|| if value > 0.0 { Ordering::Greater } else { Ordering::Less })
+        (value.abs() > bound).then_some(if value > 0.0 { Ordering::Greater } else { Ordering::Less })
     }
 
     /// The sign for a ray that is known to be on all of `tight`.
@@ -391,6 +391,10 @@ impl Space {
         for (k, a) in met.iter().enumerate() {
             for (j, b) in met[k + 1..].iter().enumerate() {
                 if !self.meets(*a, *b) {
+                    continue;
+                }
+                // An edge of A and one of B can be the same line, and span but that.
+                if self.same_line(*a, *b).is_some() {
                     continue;
                 }
                 if self.pencil(line, *a, *b) {
@@ -489,7 +493,7 @@ impl Space {
         let minor = |i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];
         let pivot =
             (0..6).flat_map(|i| (i + 1..6).map(move |j| (i, j))).find(|(i, j)| !minor(*i, *j).is_zero());
-        // Lines that are the same line span nothing more.
+        // Dependent, too, where two are the same line; whoever asks has seen to that where it matters.
         let dependent = pivot.is_none_or(|(i, j)| {
             let d = minor(i, j);
             (0..6).all(|k| (&d * &z[k] - minor(i, k) * &z[j] + minor(j, k) * &z[i]).is_zero())
@@ -551,7 +555,7 @@ impl Space {
             let origin = self.vectors[id as usize].origin.clone();
             let exact = self.compute(&origin);
             let vector = &mut self.vectors[id as usize];
-            if !(vector.fine < COARSE) {
+            if vector.fine.is_nan() || vector.fine >= COARSE {
                 let x = rounded_double(&exact);
                 (vector.x, vector.rest, vector.fine) = (x.map(|c| c.0), x.map(|c| c.1), STEP);
                 vector.error = STEP + U;

@@ -64,3 +64,22 @@ fn what_is_hidden_is_proved_to_be() {
 fn a_witness_in_the_plane_of_a_triangle_that_it_does_not_meet_is_accepted() {
     assert_eq!(VISIBLE.verdicts(), [Ok(true), Ok(true)]);
 }
+
+/// Polygons of many corners are decided piece by piece.
+#[test]
+fn polygons_of_many_corners_are_decided() {
+    let parabola = |z: f64, tilt: f64| -> Vec<DVec3> {
+        (0..20).map(f64::from).map(|i| DVec3::new(i, i * i, z + tilt * (i - 10.0))).collect()
+    };
+
+    let wall = |z: f32| [[-1e5, -1e5, z], [4e5, -1e5, z], [-1e5, 4e5, z]].map(Vec3::from);
+    let aside = [[-5.0, -5.0, 1.0], [-4.0, -5.0, 1.0], [-5.0, -4.0, 1.0]].map(Vec3::from);
+    for (tilt, b_tilt) in [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0)] {
+        let (a, b) = (parabola(0.0, tilt), parabola(100.0, b_tilt));
+        assert!(!World::new(vec![wall(50.0)]).mutual(&a, &b));
+        assert!(World::new(vec![aside]).mutual(&a, &b));
+    }
+    // The plane of each goes through the other.
+    let (a, b) = (parabola(0.0, 1.0), parabola(2.0, -1.0));
+    assert!(World::new(vec![aside]).mutual(&a, &b));
+}

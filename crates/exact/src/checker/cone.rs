@@ -3,9 +3,8 @@
 use std::cmp::Ordering;
 
 use dashu_int::IBig;
-use dashu_int::ops::{Gcd as _, UnsignedAbs as _};
 
-use super::line::{Line, klein, sign};
+use super::line::{Line, klein, reduced, sign};
 
 /// A pointed cone of full dimension by its extreme rays, and for each the half-spaces it lies on the border of.
 #[derive(Clone)]
@@ -33,15 +32,6 @@ fn common(a: &[u64], b: &[u64]) -> Vec<u64> {
 /// Whether every bit of `part` is in `whole`.
 fn holds(whole: &[u64], part: &[u64]) -> bool {
     part.iter().enumerate().all(|(i, w)| w & !whole.get(i).copied().unwrap_or(0) == 0)
-}
-
-fn reduced(mut v: Line) -> Line {
-    let mut divisor = v.iter().filter(|x| !x.is_zero()).map(|x| x.clone().unsigned_abs());
-    if let Some(first) = divisor.next() {
-        let d = IBig::from(divisor.fold(first, |a, b| a.gcd(b)));
-        v.iter_mut().for_each(|x| *x /= &d);
-    }
-    v
 }
 
 fn dot(a: &Line, b: &Line) -> IBig {

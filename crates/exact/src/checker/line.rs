@@ -3,6 +3,7 @@
 use std::cmp::Ordering;
 
 use dashu_int::IBig;
+use dashu_int::ops::{Gcd as _, UnsignedAbs as _};
 
 /// (x, y, z, w) with w > 0.
 pub type Point = [IBig; 4];
@@ -35,6 +36,16 @@ pub fn point(p: [f64; 3]) -> Point {
 /// A vector in doubles, up to a positive factor.
 pub fn vector(v: [f64; 6]) -> Line {
     scaled(v).0
+}
+
+/// Divided by what all components have in common.
+pub fn reduced<const N: usize>(mut v: [IBig; N]) -> [IBig; N] {
+    let mut sizes = v.iter().filter(|x| !x.is_zero()).map(|x| x.clone().unsigned_abs());
+    if let Some(first) = sizes.next() {
+        let d = IBig::from(sizes.fold(first, |a, b| a.gcd(b)));
+        v.iter_mut().for_each(|x| *x /= &d);
+    }
+    v
 }
 
 /// The sign of an integer.

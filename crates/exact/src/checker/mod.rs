@@ -28,7 +28,7 @@ use glam::{DVec3, Vec3};
 
 use crate::proof::{Proof, Step, Which};
 use cone::Cone;
-use line::{Line, Plane, Point, height, join, meet, plane, point, sign, vector};
+use line::{Line, Plane, Point, height, join, meet, plane, point, reduced, sign, vector};
 pub use witness::check_witness;
 
 /// Why a proof or a witness is refused.
@@ -40,6 +40,12 @@ pub enum Refusal {
     /// An occluder of the proof names a triangle that is not there, or has no border, or an edge without length.
     #[error("occluder {0} is none: a triangle is not in the scene or has no area, or no border is left")]
     Occluder(usize),
+    /// A polygon of the query is not convex, not flat, or has no area.
+    #[error("a polygon of the query is not convex and flat, or a corner of it is no point")]
+    Polygon,
+    /// The lines between two polygons do not span line space; of convex flat polygons they do.
+    #[error("the lines between two polygons are no region of line space")]
+    Start,
     /// A step names something that is not there.
     #[error("step {step} names {what}, which is not there")]
     Unknown {
@@ -76,6 +82,8 @@ pub fn corners(of: &[DVec3]) -> Corners {
 /// # Errors
 /// [`Refusal`].
 pub fn check_hidden(scene: &[[Vec3; 3]], a: &[Corners], b: &[Corners], proof: &Proof) -> Result<(), Refusal> {
+    check_polygons(a)?;
+    check_polygons(b)?;
     let mut occluders = Vec::with_capacity(proof.occluders.len());
     for triangles in &proof.occluders {
         occluders.push(Blocker::new(scene, triangles).ok_or(Refusal::Occluder(occluders.len()))?);
@@ -91,11 +99,30 @@ pub fn check_hidden(scene: &[[Vec3; 3]], a: &[Corners], b: &[Corners], proof: &P
     if check.at < proof.steps.len() { Err(Refusal::Length("too many")) } else { Ok(()) }
 }
 
+/// Refuses what is no list of convex flat polygons, none of whose corners lies on the line of two others that follow each other.
+fn check_polygons(of: &[Corners]) -> Result<(), Refusal> {
+    let sound = |c: &Corners| {
+        let n = c.len();
+        if n < 3 || c.iter().any(|p| sign(&p[3]) != Ordering::Greater) {
+            return false;
+        }
+        let flat = plane([&c[0], &c[1], &c[2]]);
+        let off: Point =
+            std::array::from_fn(|i| if i < 3 { &c[0][i] + &flat[i] * &c[0][3] } else { c[0][3].clone() });
+        let left = |i: usize, k: usize| sign(&height(&plane([&c[i], &c[(i + 1) % n], &off]), &c[k]));
+        let inner = left(0, 2);
+        inner != Ordering::Equal
+            && c.iter().all(|p| height(&flat, p).is_zero())
+            && (0..n).all(|i| (0..n).filter(|k| *k != i && *k != (i + 1) % n).all(|k| left(i, k) == inner))
+    };
+    if of.iter().all(sound) { Ok(()) } else { Err(Refusal::Polygon) }
+}
+
 /// An occluder, from nothing but its triangles.
 struct Blocker {
     corners: Vec<[Point; 3]>,
     border: Vec<Line>,
-    /// Its plane, if all triangles lie in one, turned as the first triangle is.
+    /// Its plane, if all triangles lie in one and face one way.
     plane: Option<Plane>,
 }
 
@@ -127,12 +154,14 @@ impl Blocker {
         if border.is_empty() || border.iter().any(|l| l.iter().all(IBig::is_zero)) {
             return None;
         }
-        let first = corners.first()?;
-        let flat = plane([&first[0], &first[1], &first[2]]);
-        // Three corners on a line have no plane.
-        let has_plane = flat[..3].iter().any(|c| !c.is_zero());
-        let in_plane = has_plane && corners.iter().flatten().all(|p| height(&flat, p).is_zero());
-        Some(Self { plane: in_plane.then_some(flat), border, corners })
+        // A plane only where all triangles lie in one and face one way: on which side of it a line crosses is then the same
+        // for all of them, and the same as the border says.
+        let planes: Vec<Plane> = corners.iter().map(|[a, b, c]| plane([a, b, c])).collect();
+        let flat = planes.first()?;
+        let ahead = |p: &Plane| sign(&(0..3).map(|i| &p[i] * &flat[i]).sum()) == Ordering::Greater;
+        let one = planes.iter().all(ahead) && corners.iter().flatten().all(|p| height(flat, p).is_zero());
+        let flat = one.then(|| flat.clone());
+        Some(Self { plane: flat, border, corners })
     }
 }
 
@@ -181,7 +210,7 @@ impl<'a> Check<'a> {
             let a = Side { corners: a, plane: pa, other: ahead };
             let b = Side { corners: b, plane: pb, other: behind };
             for cone in start(&a, &b) {
-                self.region(&a, &b, cone)?;
+                self.region(&a, &b, cone.ok_or(Refusal::Start)?)?;
             }
         }
         Ok(())
@@ -272,7 +301,7 @@ impl Blocker {
 }
 
 /// The cones that hold all lines from A to B.
-fn start(a: &Side, b: &Side) -> Vec<Cone> {
+fn start(a: &Side, b: &Side) -> Vec<Option<Cone>> {
     let mut lines = Vec::new();
     let mut along = Vec::new();
     let mut across = None;
@@ -314,14 +343,14 @@ fn start(a: &Side, b: &Side) -> Vec<Cone> {
                 .collect();
             [k.clone(), k.map(|c| -c)]
                 .into_iter()
-                .filter_map(|end| {
+                .map(|end| {
                     let mut rays = base.clone();
                     rays.push(end);
                     Cone::of(rays)
                 })
                 .collect()
         }
-        _ => Cone::of(lines).into_iter().collect(),
+        _ => vec![Cone::of(lines)],
     }
 }
 
@@ -356,7 +385,7 @@ fn clip(corners: &[Point], plane: &Plane, keep: Ordering) -> Option<Vec<Point>> 
             // |h(i)| of j and |h(j)| of i: where the edge meets the plane.
             let weight = |h: &IBig| if sign(h) == Ordering::Less { -h.clone() } else { h.clone() };
             let (s, t) = (weight(&heights[i]), weight(&heights[j]));
-            out.push(std::array::from_fn(|k| &corners[j][k] * &s + &corners[i][k] * &t));
+            out.push(reduced(std::array::from_fn(|k| &corners[j][k] * &s + &corners[i][k] * &t)));
         }
     }
     Some(out)
@@ -366,26 +395,30 @@ fn clip(corners: &[Point], plane: &Plane, keep: Ordering) -> Option<Vec<Point>> 
 fn divide(corners: &[Point], from: u16, to: u16) -> Option<[Vec<Point>; 2]> {
     let n = 2 * corners.len();
     let (from, to) = (usize::from(from), usize::from(to));
+    if from >= n || to >= n {
+        return None;
+    }
     // The two points must not be on one edge, or a part would have no area.
     let apart = (to + n - from) % n;
-    let edge_apart = |d: usize, at: usize| d > if at % 2 == 0 { 2 } else { 1 };
-    if from >= n || to >= n || !edge_apart(apart, from) || !edge_apart((n - apart) % n, to) {
+    let edge_apart = |d: usize, at: usize| d > if at.is_multiple_of(2) { 2 } else { 1 };
+    if !edge_apart(apart, from) || !edge_apart((n - apart) % n, to) {
         return None;
     }
     let place = |number: usize| {
         let (p, q) = (&corners[number / 2], &corners[(number / 2 + 1) % corners.len()]);
-        if number % 2 == 0 {
+        if number.is_multiple_of(2) {
             return p.clone();
         }
         let mut middle: Point = std::array::from_fn(|k| &p[k] * &q[3] + &q[k] * &p[3]);
         middle[3] = &p[3] * &q[3] * 2;
-        middle
+        // Or the numbers would double in length with every halving of what was halved.
+        reduced(middle)
     };
     let round = |from: usize, to: usize| {
         let mut out = vec![place(from)];
         let mut at = (from + 1) % n;
         while at != to {
-            if at % 2 == 0 {
+            if at.is_multiple_of(2) {
                 out.push(place(at));
             }
             at = (at + 1) % n;
@@ -445,6 +478,64 @@ mod tests {
         // On a line, and through B's plane, where a plane of its own would be asked for.
         let needle = [v(0.5, 0.5, 5.0), v(0.5, 0.5, 15.0), v(0.5, 0.5, 25.0)];
         assert!(refused(&[needle], vec![(0, false)]).is_some());
+    }
+
+    #[test]
+    fn a_plane_is_no_help_to_triangles_that_do_not_face_one_way() {
+        let v = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
+        // Behind B, and in its plane's way if the first of three copies, which is struck out, might turn the plane round.
+        let behind = [v(-9.0, -9.0, 12.0), v(30.0, -9.0, 12.0), v(-9.0, 30.0, 12.0)];
+        for first in [false, true] {
+            let occluder = vec![(0, first), (0, !first), (0, !first)];
+            assert!(matches!(refused(&[behind], occluder), Some(Refusal::False { .. })));
+        }
+        // One that goes through B's plane and is wholly beside the lines on this side of it.
+        let leaning = [v(-9.0, -9.0, 10.5), v(30.0, -9.0, 10.5), v(0.5, 90.0, 9.5)];
+        for first in [false, true] {
+            let occluder = vec![(0, first), (0, !first), (0, !first)];
+            assert!(matches!(refused(&[leaning], occluder), Some(Refusal::False { .. })));
+        }
+    }
+
+    #[test]
+    fn what_is_no_polygon_is_refused() {
+        let [a, b] = squares();
+        let in_line = [[0.0, 0.0], [0.5, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
+        let bad = [
+            corners(&in_line.map(|[x, y]| DVec3::new(x, y, 0.0))),
+            a[0][..2].to_vec(),
+            a[0].iter().map(|p| p.clone().map(|c| -c)).collect(),
+            vec![a[0][0].clone(), a[0][2].clone(), a[0][1].clone(), a[0][3].clone()],
+        ];
+        for bad in bad {
+            assert_eq!(check_hidden(&[], &[bad.clone()], &b, &Proof::default()), Err(Refusal::Polygon));
+            let [p, q] = [[0.5, 0.5, 0.0], [0.5, 0.5, 10.0]].map(point);
+            assert_eq!(check_witness(&[], &[bad], &b, &p, &q), Err(Refusal::Polygon));
+        }
+    }
+
+    #[test]
+    fn an_end_with_a_negative_weight_is_no_point() {
+        let [a, b] = squares();
+        let wall = [[-9.0, -9.0, 5.0], [30.0, -9.0, 5.0], [-9.0, 30.0, 5.0]].map(Vec3::from);
+        let [p, q] = [[0.5, 0.5, 0.0], [0.5, 0.5, 10.0]].map(point);
+        assert_eq!(check_witness(&[], &a, &b, &p, &q), Ok(()));
+        assert!(check_witness(&[wall], &a, &b, &p, &q).is_err());
+        assert!(check_witness(&[wall], &a, &b, &p, &q.map(|c| -c)).is_err());
+    }
+
+    #[test]
+    fn a_polygon_is_divided_where_it_can_be() {
+        let [a, b] = squares();
+        for (from, to) in [(65535, 0), (0, 65535), (0, 1), (0, 2), (1, 1), (1, 2), (7, 0)] {
+            let steps = vec![Step::Divide { of: Which::A, from, to }];
+            let claim = Proof { occluders: Vec::new(), steps };
+            assert!(matches!(check_hidden(&[], &a, &b, &claim), Err(Refusal::Unknown { .. })), "{from} {to}");
+        }
+        // Halved again and again, the numbers stay short and the proof too short.
+        let steps = vec![Step::Divide { of: Which::A, from: 1, to: 5 }; 200];
+        let claim = Proof { occluders: Vec::new(), steps };
+        assert_eq!(check_hidden(&[], &a, &b, &claim), Err(Refusal::Length("too few")));
     }
 
     #[test]

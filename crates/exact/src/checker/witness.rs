@@ -21,6 +21,11 @@ pub fn check_witness(
     p: &Point,
     q: &Point,
 ) -> Result<(), Refusal> {
+    super::check_polygons(a)?;
+    super::check_polygons(b)?;
+    if [p, q].iter().any(|e| sign(&e[3]) != Ordering::Greater) {
+        return Err(Refusal::Witness("an end of the witness is no point".to_owned()));
+    }
     let refuse = |what: &str| Err(Refusal::Witness(what.to_owned()));
     let Some(from) = a.iter().find(|c| inside(c, p)) else {
         return refuse("the witness does not begin inside A");
