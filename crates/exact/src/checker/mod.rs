@@ -508,7 +508,10 @@ mod tests {
             vec![a[0][0].clone(), a[0][2].clone(), a[0][1].clone(), a[0][3].clone()],
         ];
         for bad in bad {
-            assert_eq!(check_hidden(&[], &[bad.clone()], &b, &Proof::default()), Err(Refusal::Polygon));
+            assert_eq!(
+                check_hidden(&[], std::slice::from_ref(&bad), &b, &Proof::default()),
+                Err(Refusal::Polygon)
+            );
             let [p, q] = [[0.5, 0.5, 0.0], [0.5, 0.5, 10.0]].map(point);
             assert_eq!(check_witness(&[], &[bad], &b, &p, &q), Err(Refusal::Polygon));
         }
