@@ -75,7 +75,7 @@ pub fn run(args: &SightlinesArgs) -> Result<(), CliError> {
             })
             .collect();
         for answer in answers {
-            let (value, verdict, cost) = answer?;
+            let (value, verdict, cost) = answer.inspect_err(|_| progress.end())?;
             match verdict {
                 Verdict::Visible(_) => totals.visible += 1,
                 Verdict::Hidden(_) => totals.hidden += 1,

@@ -31,8 +31,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let mut known = vec![false; scene.len() as usize];
         ids.iter().for_each(|i| known[*i as usize] = true);
         let [min, max] = pvs.cell_bounds(cell).ok_or("no such cell")?.map(Vec3::from);
+        let cell_box = Cell::new(min, max).ok_or("the cell is flat")?;
         let start = Instant::now();
-        let answer = solve(&occluders, Cell { min, max }, &known, &Limits::default());
+        let answer = solve(&occluders, cell_box, &known, &Limits::default());
         let d = answer.cost.decisions;
         println!(
             "cell {cell}: {:.2?}; sampled {}, new {}, hidden {} ({} boxes), undecided {}; {} queries, {} regions, {} lines, {} decisions, {:.2} % exact ({} zero, {} spanned, {} refined), {} halvings",

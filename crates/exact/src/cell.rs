@@ -57,10 +57,15 @@ impl Answer {
 /// A view cell: a box in world space.
 #[derive(Clone, Copy, Debug)]
 pub struct Cell {
-    /// Least corner.
-    pub min: Vec3,
-    /// Greatest corner.
-    pub max: Vec3,
+    min: Vec3,
+    max: Vec3,
+}
+
+impl Cell {
+    /// The box between two corners; none if it is empty or flat: a face without area is seen through by no open set of lines.
+    pub fn new(min: Vec3, max: Vec3) -> Option<Self> {
+        min.cmplt(max).all().then_some(Self { min, max })
+    }
 }
 
 /// Decides every triangle with area that is not `known` to be visible. `known` must hold all that meet the cell.
@@ -253,7 +258,7 @@ fn outer_part(target: &Polygon, face: &Polygon, axis: usize, up: bool, at: f64) 
 }
 
 /// One face of a box.
-pub fn face(min: Vec3, max: Vec3, axis: usize, up: bool) -> Polygon {
+fn face(min: Vec3, max: Vec3, axis: usize, up: bool) -> Polygon {
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     let (lo, hi) = (min.as_dvec3(), max.as_dvec3());
     let corner = |s: bool, t: bool| {

@@ -59,7 +59,7 @@ impl Local<'_> {
 
     fn snap_end(&mut self, line: &[f64; 6], end: usize) -> Option<Snapped> {
         let ids = if end == 0 { &self.pair.a } else { &self.pair.b };
-        let at = prism::meets(&self.space, line, ids);
+        let at = prism::crossing_point(&self.space, line, ids);
         if !at.is_finite() {
             return None;
         }

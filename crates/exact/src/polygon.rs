@@ -329,12 +329,6 @@ mod tests {
 
     #[test]
     fn corners_in_one_plane_up_to_rounding_become_a_fan() {
-        let turned: Vec<DVec3> = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
-            .iter()
-            .map(|[x, y]| DVec3::new(*x * 0.1, *y * 0.3 + *x * 0.7, *y * 0.9 - 0.3 * x + 0.1))
-            .collect();
-        let n = Polygon::checked(&turned).unwrap().len();
-        assert!(n == 1 || n == 2);
         let bent = v(&[[0.0; 3], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 1e-12]]);
         assert_eq!(Polygon::checked(&bent).unwrap().len(), 2);
     }

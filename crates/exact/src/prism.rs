@@ -326,7 +326,7 @@ fn solve(mut a: [[f64; 6]; 6], b: [f64; 6]) -> Option<[f64; 6]> {
 }
 
 /// The point in which a line (rounded, in the frame) meets the plane of a polygon's first three points.
-pub fn meets(space: &Space, line: &[f64; 6], polygon: &[u32]) -> DVec3 {
+pub fn crossing_point(space: &Space, line: &[f64; 6], polygon: &[u32]) -> DVec3 {
     let [a, b, c] = [0, 1, 2].map(|i| DVec3::from(space.point_at(polygon[i]).at));
     let normal = (b - a).cross(c - a);
     let (d, m) = (DVec3::new(line[0], line[1], line[2]), DVec3::new(line[3], line[4], line[5]));

@@ -1,8 +1,8 @@
-//! Proofs that nothing is seen, and how they are kept in bytes.
+//! Proofs that nothing is seen: what a step can say.
 //!
-//! A proof for two polygons says how to take the region of lines between them apart. It names occluders and
-//! hyperplanes, no coordinates: who checks it derives everything from the scene, and the steps need not have been found
-//! the same way. See [`crate::checker`] for what each step claims.
+//! A proof for two polygons says how to take the region of lines between them apart. It names
+//! triangles, and now and then a hyperplane: who checks it derives everything else from the scene, and the steps need not
+//! have been found the same way. See [`crate::checker`] for what each step claims.
 
 /// One step of a proof, in depth-first order.
 #[derive(Clone, Debug, PartialEq)]

@@ -23,7 +23,7 @@ use crate::vector::{Decisions, Space};
 pub struct Limits {
     /// Regions looked at, over all divisions.
     pub regions: u32,
-    /// Vectors held at a time; about 400 bytes each.
+    /// Vectors held at a time; about 200 bytes each, and more where integers were needed.
     pub vectors: u32,
     /// How often the regions of a pair may be split for the sake of the Klein form alone.
     pub splits: u32,

@@ -35,7 +35,7 @@ pub fn trace(
     let mut grazing = false;
     for id in candidates {
         let before = space.size();
-        match meets(space, scene, pair, (p, q), id) {
+        match touch(space, scene, pair, (p, q), id) {
             Touch::Through => blocked.push(id),
             Touch::Border => grazing = true,
             Touch::Not => {}
@@ -55,7 +55,8 @@ enum Touch {
     Through,
 }
 
-fn meets(space: &mut Space, scene: &Occluders, pair: &mut Pair, (p, q): (u32, u32), id: u32) -> Touch {
+/// How the segment meets one triangle.
+fn touch(space: &mut Space, scene: &Occluders, pair: &mut Pair, (p, q): (u32, u32), id: u32) -> Touch {
     if pair.flat.get(&id).is_some_and(|f| f.contains(&true)) {
         return Touch::Not;
     }

@@ -11,6 +11,8 @@ use std::collections::HashMap;
 use dashu_int::IBig;
 use dashu_int::ops::UnsignedAbs as _;
 
+mod zeros;
+
 use crate::double::{Double, STEP};
 use crate::frame::{Frame, Place, Point};
 use crate::number::{U, integers, normalised, primitive, rounded_double};
@@ -340,166 +342,21 @@ impl Space {
 
     /// The sign where doubles could not tell: by pairs of doubles, then by integers.
     pub fn unfiltered_side(&mut self, a: Id, b: Id) -> Ordering {
+        self.refined_side(a, b).unwrap_or_else(|| self.exact_side(a, b))
+    }
+
+    /// The sign, where pairs of doubles can tell.
+    fn refined_side(&mut self, a: Id, b: Id) -> Option<Ordering> {
         let (value, bound) = self.fine_form(a, b);
-        if value.0.abs() > bound {
-            self.decisions.refined += 1;
-            return if value.0 > 0.0 { Ordering::Greater } else { Ordering::Less };
-        }
-        self.exact_side(a, b)
+        let sure = value.0.abs() > bound;
+        self.decisions.refined += u64::from(sure);
+        sure.then_some(if value.0 > 0.0 { Ordering::Greater } else { Ordering::Less })
     }
 
     /// The sign, where doubles can tell.
     pub fn filtered_side(&self, a: Id, b: Id) -> Option<Ordering> {
         let (value, bound) = self.form(a, b);
         (value.abs() > bound).then_some(if value > 0.0 { Ordering::Greater } else { Ordering::Less })
-    }
-
-    /// The sign for a ray that is known to be on all of `tight`.
-    ///
-    /// Rays lie on edges of occluders, and whoever lies on three edges of one face lies on all edges in its plane. Such zeros
-    /// are most of what filters cannot decide, and lines are far smaller numbers than rays.
-    pub fn ray_side(&mut self, ray: Id, line: Id, tight: impl Iterator<Item = Id>) -> Ordering {
-        if let Some(sign) = self.filtered_side(ray, line) {
-            self.decisions.filtered += 1;
-            return sign;
-        }
-        let (value, bound) = self.fine_form(ray, line);
-        if value.0.abs() > bound {
-            self.decisions.refined += 1;
-            return if value.0 > 0.0 { Ordering::Greater } else { Ordering::Less };
-        }
-        if self.spans(line, tight) {
-            self.decisions.spanned += 1;
-            return Ordering::Equal;
-        }
-        self.exact_side(ray, line)
-    }
-
-    /// Whether `line` is seen to be a combination of some of `lines`: of two of a pencil it is in, or of three that meet
-    /// pairwise. Three lines that meet pairwise lie in a plane or pass through a point; if they are independent, a line that
-    /// meets all three lies in that plane or passes through that point, too, and the lines that do span three dimensions.
-    fn spans(&mut self, line: Id, lines: impl Iterator<Item = Id>) -> bool {
-        if !self.is_line(line) {
-            return false;
-        }
-        let mut met: Vec<Id> = Vec::with_capacity(8);
-        for l in lines {
-            if self.is_line(l) && self.meets(line, l) {
-                met.push(l);
-            }
-        }
-        for (k, a) in met.iter().enumerate() {
-            for (j, b) in met[k + 1..].iter().enumerate() {
-                if !self.meets(*a, *b) {
-                    continue;
-                }
-                // An edge of A and one of B can be the same line, and span but that.
-                if self.same_line(*a, *b).is_some() {
-                    continue;
-                }
-                if self.pencil(line, *a, *b) {
-                    return true;
-                }
-                for c in &met[k + j + 2..] {
-                    if self.meets(*a, *c) && self.meets(*b, *c) && !self.pencil(*a, *b, *c) {
-                        return true;
-                    }
-                }
-            }
-        }
-        false
-    }
-
-    /// Whether a vector is a real line by the way it was made.
-    fn is_line(&self, v: Id) -> bool {
-        self.vectors[v as usize].line.is_some()
-    }
-
-    /// Whether two vectors are lines that meet (or are the same).
-    fn meets(&mut self, a: Id, b: Id) -> bool {
-        let (Some(r), Some(s)) = (self.vectors[a as usize].line, self.vectors[b as usize].line) else {
-            return false;
-        };
-        let (row, column) = (r.max(s) as usize, r.min(s) as usize);
-        if row == column {
-            return true;
-        }
-        match self.meeting[row].get(column) {
-            Some(Meeting::Apart) => return false,
-            Some(Meeting::Meets) => return true,
-            _ => {}
-        }
-        let meets = match self.filtered_side(a, b) {
-            Some(_) => false,
-            None => self.unfiltered_side(a, b) == Ordering::Equal,
-        };
-        let known = &mut self.meeting[row];
-        if known.len() <= column {
-            known.resize(column + 1, Meeting::NotAsked);
-        }
-        known[column] = if meets { Meeting::Meets } else { Meeting::Apart };
-        meets
-    }
-
-    /// The Klein form's sign for two rays that are known to be on all of the lines `s` and `t`, where filters cannot tell.
-    ///
-    /// It is 0 for two rays on three independent lines that meet pairwise: these span a space W of three dimensions on which
-    /// the form vanishes, W is all that is on all of W, and so both rays are in W. It is also 0 if one of the rays is itself
-    /// a line that the other is on: an extreme ray is the only one on all of its lines, so a line that meets them all is it.
-    pub fn rays_side(&mut self, (a, s): (Id, &[Id]), (b, t): (Id, &[Id])) -> Ordering {
-        let (value, bound) = self.fine_form(a, b);
-        if value.0.abs() > bound {
-            self.decisions.refined += 1;
-            return if value.0 > 0.0 { Ordering::Greater } else { Ordering::Less };
-        }
-        let common: Vec<Id> = s.iter().copied().filter(|l| self.is_line(*l) && t.contains(l)).collect();
-        if self.triple(&common) || self.is_one_of(s, t) || (a != b && self.is_one_of(t, s)) {
-            self.decisions.spanned += 1;
-            return Ordering::Equal;
-        }
-        self.exact_side(a, b)
-    }
-
-    /// Whether three of the lines are independent and meet pairwise.
-    fn triple(&mut self, lines: &[Id]) -> bool {
-        for (i, a) in lines.iter().enumerate() {
-            for (j, b) in lines[i + 1..].iter().enumerate() {
-                if !self.meets(*a, *b) {
-                    continue;
-                }
-                for c in &lines[i + j + 2..] {
-                    if self.meets(*a, *c) && self.meets(*b, *c) && !self.pencil(*a, *b, *c) {
-                        return true;
-                    }
-                }
-            }
-        }
-        false
-    }
-
-    /// Whether one of the lines meets all that an extreme ray is on, and so is that ray.
-    fn is_one_of(&mut self, ray: &[Id], lines: &[Id]) -> bool {
-        lines.iter().any(|l| ray.iter().all(|r| self.meets(*l, *r)))
-    }
-
-    /// Whether three lines that meet pairwise are dependent.
-    fn pencil(&mut self, a: Id, b: Id, c: Id) -> bool {
-        let mut key = [a, b, c];
-        key.sort_unstable();
-        if let Some(known) = self.pencils.get(&key) {
-            return *known;
-        }
-        let [x, y, z] = key.map(|l| self.exact(l).clone());
-        let minor = |i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];
-        let pivot =
-            (0..6).flat_map(|i| (i + 1..6).map(move |j| (i, j))).find(|(i, j)| !minor(*i, *j).is_zero());
-        // Dependent, too, where two are the same line; whoever asks has seen to that where it matters.
-        let dependent = pivot.is_none_or(|(i, j)| {
-            let d = minor(i, j);
-            (0..6).all(|k| (&d * &z[k] - minor(i, k) * &z[j] + minor(j, k) * &z[i]).is_zero())
-        });
-        self.pencils.insert(key, dependent);
-        dependent
     }
 
     /// The sign by integers; what is computed for it makes later filters sharper.

@@ -132,7 +132,6 @@ impl Blocker {
         for (t, turned) in triangles {
             let [a, b, c] = *scene.get(*t as usize)?;
             let turned = if *turned { [a, c, b] } else { [a, b, c] };
-            // The order of edges in a turned triangle: c→b is written first where b→c would be.
             corners.push(turned.map(|v| point(v.as_dvec3().to_array())));
         }
         let mut left: Vec<(&Point, &Point)> = Vec::new();

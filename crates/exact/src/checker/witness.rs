@@ -2,6 +2,7 @@
 
 use std::cmp::Ordering;
 
+use dashu_int::IBig;
 use glam::Vec3;
 
 use super::line::{Plane, Point, height, join, klein, plane, point, sign};
@@ -37,12 +38,38 @@ pub fn check_witness(
     if height(&planes[0], q).is_zero() || height(&planes[1], p).is_zero() {
         return refuse("the witness runs in the plane of a polygon");
     }
-    for (id, t) in scene.iter().enumerate() {
+    let span: [(f64, f64); 3] = std::array::from_fn(|k| {
+        let ends = [p, q].map(|e| around(&e[k], &e[3]));
+        (ends[0].0.min(ends[1].0), ends[0].1.max(ends[1].1))
+    });
+    // Comparing doubles is exact: a triangle wholly beyond the segment along an axis has no point on it.
+    let beyond = |t: &[Vec3; 3]| {
+        (0..3).any(|k| {
+            t.iter().all(|v| f64::from(v[k]) < span[k].0) || t.iter().all(|v| f64::from(v[k]) > span[k].1)
+        })
+    };
+    for (id, t) in scene.iter().enumerate().filter(|(_, t)| !beyond(t)) {
         if meets(t, p, q, &planes) {
             return refuse(&format!("the witness meets triangle {id}"));
         }
     }
     Ok(())
+}
+
+/// Doubles with x/w between them, which integers confirm; infinite where none is found nearby. w > 0.
+fn around(x: &IBig, w: &IBig) -> (f64, f64) {
+    let near = x.to_f64().value() / w.to_f64().value();
+    let (mut low, mut high) = (near, near);
+    for _ in 0..8 {
+        (low, high) = (low.next_down(), high.next_up());
+        if low.is_finite() && high.is_finite() {
+            let [[n, _, _, d], [m, _, _, e]] = [low, high].map(|c| point([c, 0.0, 0.0]));
+            if n * w <= x * d && m * w >= x * e {
+                return (low, high);
+            }
+        }
+    }
+    (f64::NEG_INFINITY, f64::INFINITY)
 }
 
 /// Whether a point of a polygon's plane is strictly inside it.
@@ -63,7 +90,7 @@ fn inside(corners: &[Point], p: &Point) -> bool {
 fn meets(t: &[Vec3; 3], p: &Point, q: &Point, planes: &[Plane; 2]) -> bool {
     let [a, b, c] = t.map(|v| point(v.as_dvec3().to_array()));
     let own = plane([&a, &b, &c]);
-    if own[..3].iter().all(dashu_int::IBig::is_zero) {
+    if own[..3].iter().all(IBig::is_zero) {
         return false;
     }
     let (x, y) = (sign(&height(&own, p)), sign(&height(&own, q)));
@@ -101,4 +128,28 @@ fn meets(t: &[Vec3; 3], p: &Point, q: &Point, planes: &[Plane; 2]) -> bool {
     let separated = apart(p, q, &[p, q], &corners)
         || [(&a, &b), (&b, &c), (&c, &a)].into_iter().any(|(s, t)| apart(s, t, &corners, &[p, q]));
     !separated
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn a_quotient_lies_between_the_doubles_around_it(x in any::<i64>(), w in 1..i64::MAX, up in 0usize..200) {
+            let (x, w) = (IBig::from(x) << up, IBig::from(w) << (up / 2));
+            let (low, high) = around(&x, &w);
+            prop_assert!(low < high && low.is_finite() && high.is_finite());
+            let [[n, _, _, d], [m, _, _, e]] = [low, high].map(|c| point([c, 0.0, 0.0]));
+            prop_assert!(n * &w <= &x * d && m * w >= x * e);
+        }
+    }
+
+    #[test]
+    fn what_no_double_is_near_is_bounded_by_nothing() {
+        let huge = IBig::ONE << 2000;
+        assert_eq!(around(&huge, &IBig::ONE), (f64::NEG_INFINITY, f64::INFINITY));
+    }
 }
