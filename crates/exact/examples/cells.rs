@@ -7,8 +7,9 @@
 use std::time::Instant;
 
 use glam::Vec3;
-use sightline_exact::cell::{Cell, solve};
-use sightline_exact::{Limits, Occluders};
+use sightline_exact::cell::Cell;
+use sightline_exact::evidence::{Witness, codec};
+use sightline_exact::{Limits, Occluders, Task, decide};
 use sightline_pvs::Pvs;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -28,30 +29,46 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let cell = ((state >> 33) % u64::from(pvs.cells())) as u32;
         let mut ids = Vec::new();
         pvs.visible(cell, &mut ids)?;
-        let mut known = vec![false; scene.len() as usize];
-        ids.iter().for_each(|i| known[*i as usize] = true);
         let [min, max] = pvs.cell_bounds(cell).ok_or("no such cell")?.map(Vec3::from);
         let cell_box = Cell::new(min, max).ok_or("the cell is flat")?;
         let start = Instant::now();
-        let answer = solve(&occluders, cell_box, &known, &Limits::default());
-        let d = answer.cost.decisions;
+        let decided = decide(&Task {
+            scene: &occluders,
+            cell: cell_box,
+            seen: &ids,
+            limits: Limits::default(),
+            seed,
+            keep: true,
+            stop: &|| false,
+            asked: &|| (),
+        });
+        let took = start.elapsed();
+        let (e, c, d) = (decided.effort, decided.effort.cost, decided.effort.cost.decisions);
+        let all = d.filtered + d.refined + d.spanned + d.exact;
+        let floats = decided.evidence.seen.iter().filter(|w| matches!(w.1, Witness::Floats(_))).count();
+        let bytes = codec::encode(&decided.evidence)?.len();
         println!(
-            "cell {cell}: {:.2?}; sampled {}, new {}, hidden {} ({} boxes), undecided {}; {} queries, {} regions, {} lines, {} decisions, {:.2} % exact ({} zero, {} spanned, {} refined), {} halvings",
-            start.elapsed(),
+            "cell {cell}: {took:.2?}; sampled {}, visible {}, missed {}, refuted {}, hidden {} ({} boxes), undecided {} {:?}; {} rays, {} of {} witnesses in floats, {} bytes of evidence; {} queries, {} regions, {} lines, {all} decisions, {:.2} % exact ({} zero, {} spanned, {} refined), {} halvings",
             ids.len(),
-            answer.seen.len(),
-            answer.hidden,
-            answer.boxes,
-            answer.undecided.len(),
-            answer.queries,
-            answer.cost.regions,
-            answer.cost.lines,
-            d.filtered + d.refined + d.spanned + d.exact,
-            100.0 * d.exact as f64 / (d.filtered + d.refined + d.spanned + d.exact).max(1) as f64,
+            decided.visible.len(),
+            e.missed,
+            e.refuted,
+            e.hidden,
+            e.boxes,
+            decided.undecided.len(),
+            e.open,
+            e.rays,
+            floats,
+            decided.evidence.seen.len(),
+            bytes,
+            e.queries,
+            c.regions,
+            c.lines,
+            100.0 * d.exact as f64 / all.max(1) as f64,
             d.zero,
             d.spanned,
             d.refined,
-            answer.cost.divisions,
+            c.divisions,
         );
     }
     Ok(())

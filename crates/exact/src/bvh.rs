@@ -120,6 +120,46 @@ impl Bvh {
     }
 }
 
+impl Bvh {
+    /// Offers the items whose boxes a ray meets, nearer nodes first, to `hit`, which is given how far the ray goes (in lengths
+    /// of its direction) and answers how far it goes now. Rounding may leave an item out: for proposals only.
+    pub fn nearest(&self, origin: DVec3, direction: DVec3, mut hit: impl FnMut(u32, f64) -> f64) {
+        let inverse = direction.recip();
+        let enter = |n: &Node| {
+            let (x, y) = ((n.min.as_dvec3() - origin) * inverse, (n.max.as_dvec3() - origin) * inverse);
+            let (near, far) = (x.min(y).max_element().max(0.0), x.max(y).min_element());
+            if near <= far { near } else { f64::INFINITY }
+        };
+        let mut limit = f64::INFINITY;
+        let mut open = [(0u32, 0.0f64); 96];
+        let mut len = usize::from(!self.order.is_empty());
+        while len > 0 {
+            len -= 1;
+            let (node, near) = open[len];
+            if near > limit {
+                continue;
+            }
+            let node = &self.nodes[node as usize];
+            if node.count > 0 {
+                for item in &self.order[node.first as usize..(node.first + node.count) as usize] {
+                    limit = hit(*item, limit);
+                }
+                continue;
+            }
+            let [mut a, mut b] = [node.first, node.first + 1].map(|c| (c, enter(&self.nodes[c as usize])));
+            if a.1 < b.1 {
+                std::mem::swap(&mut a, &mut b);
+            }
+            for child in [a, b] {
+                if child.1 < limit {
+                    open[len] = child;
+                    len += 1;
+                }
+            }
+        }
+    }
+}
+
 /// Where to divide: at the cheapest of sixteen planes along the widest axis of the centres, or in the middle.
 fn split(boxes: &[[Vec3; 2]], items: &mut [u32]) -> usize {
     const BINS: usize = 16;

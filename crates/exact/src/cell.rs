@@ -1,13 +1,11 @@
-//! Everything visible from one view cell (thesis §6.2): what sampling has not shown is decided by queries, whole boxes
-//! first.
+//! A view cell and what is asked from it: whether any of some polygons is seen from anywhere in a box.
 //!
-//! V(C) = I(C) ∪ V(∂C): what meets the cell is visible, everything else is seen through a face of the cell or not at all.
-//! A box whose faces are all hidden from all faces of the cell hides everything in it. Boxes with something visible in
-//! them are not asked about; the others are, from the root down, and only faces turned to each other.
+//! Every segment that leaves the box crosses one of its faces, so the faces are asked, and of those the ones turned to
+//! the target. How a whole cell is decided with such queries is in [`crate::decide`].
 
 use glam::{DVec3, Vec3};
 
-use crate::bvh::Below;
+use crate::evidence::faces;
 use crate::frame::Source;
 use crate::occluder::Occluders;
 use crate::polygon::Polygon;
@@ -19,39 +17,10 @@ use crate::query::{Cost, Limits, Reason, Verdict, sightlines};
 pub enum Found {
     /// Seen, along this segment from the cell.
     Visible(Box<[Source; 2]>),
-    /// Hidden from each of these faces of the cell, with the proofs.
+    /// Hidden from each of the cell's faces, with the proofs in the order of [`crate::evidence::Hidden::proofs`].
     Hidden(Vec<Proof>),
     /// Neither.
     Undecided(Reason),
-}
-
-/// What was decided about a cell.
-#[derive(Debug, Default)]
-pub struct Answer {
-    /// Triangles that sampling had missed, each with its witness.
-    pub seen: Vec<(u32, Box<[Source; 2]>)>,
-    /// Triangles neither seen nor hidden, and why.
-    pub undecided: Vec<(u32, Reason)>,
-    /// Triangles proved hidden.
-    pub hidden: u64,
-    /// Boxes proved hidden.
-    pub boxes: u64,
-    /// Boxes and triangles asked about.
-    pub queries: u64,
-    /// What it took.
-    pub cost: Cost,
-}
-
-impl Answer {
-    fn join(mut self, other: Self) -> Self {
-        self.seen.extend(other.seen);
-        self.undecided.extend(other.undecided);
-        self.hidden += other.hidden;
-        self.boxes += other.boxes;
-        self.queries += other.queries;
-        self.cost += other.cost;
-        self
-    }
 }
 
 /// A view cell: a box in world space.
@@ -62,148 +31,30 @@ pub struct Cell {
 }
 
 impl Cell {
-    /// The box between two corners; none if it is empty or flat: a face without area is seen through by no open set of lines.
+    /// The box between two corners; none if it is empty, flat or not finite: a face without area is seen through by no open set of
+    /// lines.
     pub fn new(min: Vec3, max: Vec3) -> Option<Self> {
-        min.cmplt(max).all().then_some(Self { min, max })
-    }
-}
-
-/// Decides every triangle with area that is not `known` to be visible. `known` must hold all that meet the cell.
-pub fn solve(scene: &Occluders, cell: Cell, known: &[bool], limits: &Limits) -> Answer {
-    let tree = scene.hierarchy();
-    if tree.is_empty() {
-        return Answer::default();
-    }
-    // Whether something below a node is visible; children come after their parents.
-    let mut visible = vec![false; tree.len()];
-    for node in (0..tree.len() as u32).rev() {
-        visible[node as usize] = match tree.below(node) {
-            Below::Nodes(children) => children.iter().any(|c| visible[*c as usize]),
-            Below::Items(items) => items.iter().any(|t| known[*t as usize]),
-        };
-    }
-    let work = Work { scene, cell, known, visible, limits };
-    let mut answer = work.node(0);
-    answer.seen.sort_by_key(|(t, _)| *t);
-    answer.undecided.sort_by_key(|(t, _)| *t);
-    answer
-}
-
-struct Work<'a> {
-    scene: &'a Occluders,
-    cell: Cell,
-    known: &'a [bool],
-    visible: Vec<bool>,
-    limits: &'a Limits,
-}
-
-impl Work<'_> {
-    fn node(&self, node: u32) -> Answer {
-        let mut answer = Answer::default();
-        let tree = self.scene.hierarchy();
-        let [min, max] = tree.bounds(node);
-        let touches = min.cmple(self.cell.max).all() && max.cmpge(self.cell.min).all();
-        if !self.visible[node as usize] && !touches {
-            answer.queries += 1;
-            let faces = faces_towards(min, max, self.cell);
-            let found = from_cell(self.scene, self.cell, &faces, self.limits, &mut answer.cost);
-            if let Found::Hidden(_) = found {
-                answer.hidden += self.count(node);
-                answer.boxes += 1;
-                return answer;
-            }
-        }
-        let below = match tree.below(node) {
-            Below::Nodes([a, b]) => {
-                let (x, y) = rayon::join(|| self.node(a), || self.node(b));
-                x.join(y)
-            }
-            Below::Items(items) => items
-                .iter()
-                .filter(|t| !self.known[**t as usize])
-                .fold(Answer::default(), |all, t| all.join(self.triangle(*t))),
-        };
-        answer.join(below)
+        (min.cmplt(max).all() && min.is_finite() && max.is_finite()).then_some(Self { min, max })
     }
 
-    fn triangle(&self, id: u32) -> Answer {
-        let mut answer = Answer { queries: 1, ..Answer::default() };
-        let Some(target) = Polygon::triangle(self.scene.triangle(id).map(|v| v.as_dvec3())) else {
-            return answer;
-        };
-        if behind_window(self.scene, self.cell, &target, self.limits, &mut answer.cost).is_some() {
-            answer.hidden += 1;
-            return answer;
-        }
-        match from_cell(self.scene, self.cell, &[target], self.limits, &mut answer.cost) {
-            Found::Visible(ends) => answer.seen.push((id, ends)),
-            Found::Hidden(_) => answer.hidden += 1,
-            Found::Undecided(reason) => answer.undecided.push((id, reason)),
-        }
-        answer
+    /// Least and greatest corner.
+    pub fn corners(&self) -> [Vec3; 2] {
+        [self.min, self.max]
     }
 
-    fn count(&self, node: u32) -> u64 {
-        match self.scene.hierarchy().below(node) {
-            Below::Nodes([a, b]) => self.count(a) + self.count(b),
-            Below::Items(items) => items.len() as u64,
-        }
+    /// Whether a closed box has a point in common with the closed cell.
+    pub fn touches(&self, [min, max]: [Vec3; 2]) -> bool {
+        min.cmple(self.max).all() && max.cmpge(self.min).all()
     }
-}
 
-/// Proves a target hidden by one query from a window: the part of the plane of one of the cell's faces that lines from anywhere
-/// in the cell cross on their way to the target. It takes the place of up to three queries, from faces that are less. None says
-/// nothing: a window shows more than the cell does.
-pub fn behind_window(
-    scene: &Occluders,
-    cell: Cell,
-    target: &Polygon,
-    limits: &Limits,
-    cost: &mut Cost,
-) -> Option<Proof> {
-    let corners = target.rounded();
-    let least = corners.iter().fold(DVec3::INFINITY, |m, p| m.min(*p));
-    let greatest = corners.iter().fold(DVec3::NEG_INFINITY, |m, p| m.max(*p));
-    let (lo, hi) = ([cell.min.as_dvec3(), least], [cell.max.as_dvec3(), greatest]);
-    // The axis along which the two are farthest apart.
-    let gap = |k: usize| (lo[1][k] - hi[0][k]).max(lo[0][k] - hi[1][k]);
-    let axis = (0..3).max_by(|a, b| gap(*a).total_cmp(&gap(*b))).unwrap_or(0);
-    if gap(axis) <= 0.0 {
-        return None;
-    }
-    let up = lo[1][axis] > hi[0][axis];
-    let at = if up { hi[0][axis] } else { lo[0][axis] };
-    let window = {
-        let mut corners = [DVec3::splat(at); 2];
-        for k in (0..3).filter(|k| *k != axis) {
-            // Lines from x = c to x = n cross x = at in shares that depend on c and n alone; what is extreme there is among
-            // the corners' shares.
-            let (mut least, mut greatest) = (f64::INFINITY, f64::NEG_INFINITY);
-            for c in [lo[0][axis], hi[0][axis]] {
-                for n in [lo[1][axis], hi[1][axis]] {
-                    let t = (at - c) / (n - c);
-                    least = least.min(lo[0][k] + t * (lo[1][k] - lo[0][k]));
-                    greatest = greatest.max(hi[0][k] + t * (hi[1][k] - hi[0][k]));
-                }
-            }
-            // Rounded outwards by more than the few operations above can err.
-            let slack =
-                1e-12 * [lo[0][k], lo[1][k], hi[0][k], hi[1][k]].iter().fold(0.0f64, |m, x| m.max(x.abs()));
-            (corners[0][k], corners[1][k]) = (least - slack, greatest + slack);
-        }
-        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        let corner = |s: usize, t: usize| {
-            let mut p = DVec3::splat(at);
-            (p[u], p[v]) = (corners[s][u], corners[t][v]);
-            p
-        };
-        Polygon::rectangle([corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)])
-    };
-    let (verdict, took) = sightlines(scene, &[window], std::slice::from_ref(target), limits);
-    *cost += took;
-    match verdict {
-        Verdict::Hidden(proof) => Some(proof),
-        _ => None,
+    /// How large a box looks from the cell: its surface over the square of its distance, to compare with others.
+    pub fn size_of(&self, min: Vec3, max: Vec3) -> f64 {
+        let [lo, hi, min, max] = [self.min, self.max, min, max].map(|v| v.as_dvec3());
+        let d = max - min;
+        let apart = (min - hi).max(lo - max).max(DVec3::ZERO);
+        // Half the cell's size, so that nothing is infinitely large.
+        let near = apart.length_squared() + 0.25 * (hi - lo).length_squared();
+        (d.x * d.y + d.y * d.z + d.z * d.x) / near
     }
 }
 
@@ -217,7 +68,7 @@ pub fn from_cell(
 ) -> Found {
     let mut proofs = Vec::new();
     let mut open = None;
-    for (axis, up) in (0..6).map(|k| (k / 2, k % 2 == 1)) {
+    for (axis, up) in faces() {
         let at = f64::from(if up { cell.max[axis] } else { cell.min[axis] });
         // Lines that leave through this face go to what is beyond it.
         let beyond: Vec<Polygon> = targets
@@ -272,7 +123,7 @@ fn face(min: Vec3, max: Vec3, axis: usize, up: bool) -> Polygon {
 }
 
 /// The faces of a box that lines from the cell can enter by, without those that have no area. The two do not touch.
-fn faces_towards(min: Vec3, max: Vec3, cell: Cell) -> Vec<Polygon> {
+pub fn faces_towards(min: Vec3, max: Vec3, cell: Cell) -> Vec<Polygon> {
     let mut out = Vec::with_capacity(3);
     for axis in 0..3 {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);

@@ -17,8 +17,10 @@
 //!    open set of real lines.
 //! 5. *Split.* A hyperplane divides a cone into two, and what is proved of both is proved of the cone.
 
+mod cell;
 mod cone;
 mod line;
+mod near;
 mod witness;
 
 use std::cmp::Ordering;
@@ -29,6 +31,8 @@ use glam::{DVec3, Vec3};
 use crate::proof::{Proof, Step, Which};
 use cone::Cone;
 use line::{Line, Plane, Point, height, join, meet, plane, point, reduced, sign, vector};
+pub use cell::{CellClaims, CellRefusal, Claim, check_cell};
+pub use near::Triangles;
 pub use witness::check_witness;
 
 /// Why a proof or a witness is refused.

@@ -49,7 +49,7 @@ pub fn check_witness(
         })
     };
     for (id, t) in scene.iter().enumerate().filter(|(_, t)| !beyond(t)) {
-        if meets(t, p, q, &planes) {
+        if meets(t, p, q, [Some(&planes[0]), Some(&planes[1])]) {
             return refuse(&format!("the witness meets triangle {id}"));
         }
     }
@@ -57,7 +57,7 @@ pub fn check_witness(
 }
 
 /// Doubles with x/w between them, which integers confirm; infinite where none is found nearby. w > 0.
-fn around(x: &IBig, w: &IBig) -> (f64, f64) {
+pub(super) fn around(x: &IBig, w: &IBig) -> (f64, f64) {
     let near = x.to_f64().value() / w.to_f64().value();
     let (mut low, mut high) = (near, near);
     for _ in 0..8 {
@@ -73,7 +73,7 @@ fn around(x: &IBig, w: &IBig) -> (f64, f64) {
 }
 
 /// Whether a point of a polygon's plane is strictly inside it.
-fn inside(corners: &[Point], p: &Point) -> bool {
+pub(super) fn inside(corners: &[Point], p: &Point) -> bool {
     let flat = plane([&corners[0], &corners[1], &corners[2]]);
     if !height(&flat, p).is_zero() {
         return false;
@@ -86,8 +86,8 @@ fn inside(corners: &[Point], p: &Point) -> bool {
     sides[0] != Ordering::Equal && sides.iter().all(|s| *s == sides[0])
 }
 
-/// Whether a triangle with area has a point on the segment.
-fn meets(t: &[Vec3; 3], p: &Point, q: &Point, planes: &[Plane; 2]) -> bool {
+/// Whether a triangle with area has a point on the segment; what touches an end and lies in that end's plane does not count.
+pub(super) fn meets(t: &[Vec3; 3], p: &Point, q: &Point, planes: [Option<&Plane>; 2]) -> bool {
     let [a, b, c] = t.map(|v| point(v.as_dvec3().to_array()));
     let own = plane([&a, &b, &c]);
     if own[..3].iter().all(IBig::is_zero) {
@@ -102,9 +102,8 @@ fn meets(t: &[Vec3; 3], p: &Point, q: &Point, planes: &[Plane; 2]) -> bool {
     if sides.contains(&Ordering::Greater) && sides.contains(&Ordering::Less) {
         return false;
     }
-    // What it touches at an end does not count if it lies in that polygon's plane.
-    let in_plane = |f: &Plane| [&a, &b, &c].iter().all(|v| height(f, v).is_zero());
-    let exempt = x == Ordering::Equal && in_plane(&planes[0]) || y == Ordering::Equal && in_plane(&planes[1]);
+    let in_plane = |f: Option<&Plane>| f.is_some_and(|f| [&a, &b, &c].iter().all(|v| height(f, v).is_zero()));
+    let exempt = x == Ordering::Equal && in_plane(planes[0]) || y == Ordering::Equal && in_plane(planes[1]);
     if exempt {
         return false;
     }

@@ -1,0 +1,361 @@
+//! Whether the evidence about a view cell shows what its set claims.
+//!
+//! What is claimed, and what is checked:
+//!
+//! 1. *All are accounted for.* Every triangle with area is in the set and seen, in the set and undecided, or hidden. What is seen
+//!    meets the cell (a triangle clipped to the box leaves something) or has a witness; what is not in the set is in one of the
+//!    groups of hidden triangles.
+//! 2. *Seen.* A witness begins in the cell, ends inside the triangle, and no other triangle has a point on it, but for those in the
+//!    triangle's plane. One that begins on a face of the cell and leaves through it may do so on a triangle in that face's plane.
+//! 3. *Hidden.* A group's triangles lie in its box (or are the one triangle), which has no point in common with the cell. A segment
+//!    from the cell to the box leaves the cell through some face and enters the box through one; for every pair of faces between which
+//!    that can be there is a proof ([`super::check_hidden`]) for the part of the box's face beyond the cell's. Faces without area
+//!    let no open set of lines through.
+
+use std::cmp::Ordering;
+
+use glam::Vec3;
+
+use super::line::{Plane, Point, height, plane, point, reduced, sign};
+use super::near::Triangles;
+use super::witness::{around, inside, meets};
+use super::{Corners, Refusal, check_hidden, clip};
+use crate::evidence::{Evidence, Hidden, Target, Witness, faces};
+
+/// What a result claims about one cell.
+#[derive(Clone, Copy, Debug)]
+pub struct CellClaims<'a> {
+    /// Least and greatest corner of the cell.
+    pub cell: [Vec3; 2],
+    /// The set, ascending, with what is undecided.
+    pub visible: &'a [u32],
+    /// What of it is undecided, ascending.
+    pub undecided: &'a [u32],
+    /// The reasons.
+    pub evidence: &'a Evidence,
+}
+
+/// A single claim about a cell, to be checked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Claim {
+    /// That a triangle meets the cell.
+    Meets(u32),
+    /// The witness at this place in the evidence.
+    Seen(usize),
+    /// The group of hidden triangles at this place.
+    Hidden(usize),
+}
+
+/// Why what is claimed of a cell is refused.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CellRefusal {
+    /// The cell is no box.
+    #[error("the cell is not a box with a volume")]
+    Cell,
+    /// A set is not in order, or the evidence does not fit it.
+    #[error("triangle {0}: {1}")]
+    Account(u32, &'static str),
+    /// A triangle neither meets the cell nor has a witness.
+    #[error("triangle {0} is said to be visible, but it does not meet the cell and there is no witness for it")]
+    NoWitness(u32),
+    /// A witness does not show its triangle.
+    #[error("the witness for triangle {0}: {1}")]
+    Witness(u32, String),
+    /// A group of hidden triangles.
+    #[error("the certificate for {}: {reason}", group(triangles))]
+    Hidden {
+        /// The group.
+        triangles: Vec<u32>,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+fn group(triangles: &[u32]) -> String {
+    match triangles {
+        [one] => format!("triangle {one}"),
+        [first, ..] => format!("triangle {first} and {} others", triangles.len() - 1),
+        [] => "no triangle".to_owned(),
+    }
+}
+
+/// Checks that all triangles are accounted for, then each claim that `pick` picks, and gives the number of claims checked.
+///
+/// # Errors
+/// [`CellRefusal`]: the first claim that does not hold.
+pub fn check_cell(
+    scene: &Triangles<'_>,
+    claims: &CellClaims<'_>,
+    pick: &mut dyn FnMut(Claim) -> bool,
+) -> Result<u64, CellRefusal> {
+    let [min, max] = claims.cell;
+    if !(min.cmplt(max).all() && min.is_finite() && max.is_finite()) {
+        return Err(CellRefusal::Cell);
+    }
+    let mut checked = 0;
+    for claim in account(scene, claims)? {
+        if !pick(claim) {
+            continue;
+        }
+        checked += 1;
+        match claim {
+            Claim::Meets(id) => {
+                if !meets_box(&scene.all()[id as usize], claims.cell) {
+                    return Err(CellRefusal::NoWitness(id));
+                }
+            }
+            Claim::Seen(at) => {
+                let (id, witness) = &claims.evidence.seen[at];
+                check_witness(scene, claims.cell, *id, witness).map_err(|e| CellRefusal::Witness(*id, e))?;
+            }
+            Claim::Hidden(at) => {
+                let group = &claims.evidence.hidden[at];
+                check_group(scene, claims.cell, group).map_err(|reason| CellRefusal::Hidden {
+                    triangles: group.triangles.clone(),
+                    reason,
+                })?;
+            }
+        }
+    }
+    Ok(checked)
+}
+
+/// All claims, if every triangle with area has one and only one.
+fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>, CellRefusal> {
+    let refuse = |id: u32, what| Err(CellRefusal::Account(id, what));
+    let n = scene.all().len();
+    for set in [claims.visible, claims.undecided] {
+        if let Some(w) = set.windows(2).find(|w| w[0] >= w[1]) {
+            return refuse(w[1], "a set is not in order");
+        }
+        if let Some(id) = set.last().filter(|id| **id as usize >= n) {
+            return refuse(*id, "there is no such triangle in the scene");
+        }
+    }
+    /// What is known of a triangle so far.
+    #[derive(Clone, Copy, PartialEq)]
+    enum Known {
+        Nothing,
+        Visible,
+        Undecided,
+        Accounted,
+    }
+    let mut known = vec![Known::Nothing; n];
+    claims.visible.iter().for_each(|id| known[*id as usize] = Known::Visible);
+    for id in claims.undecided {
+        if known[*id as usize] != Known::Visible {
+            return refuse(*id, "it is undecided but not in the set");
+        }
+        known[*id as usize] = Known::Undecided;
+    }
+    let mut all = Vec::new();
+    for (at, (id, _)) in claims.evidence.seen.iter().enumerate() {
+        match known.get_mut(*id as usize) {
+            Some(k @ Known::Visible) => *k = Known::Accounted,
+            _ => return refuse(*id, "it has a witness and is not said to be visible, or has two"),
+        }
+        all.push(Claim::Seen(at));
+    }
+    for (at, group) in claims.evidence.hidden.iter().enumerate() {
+        for id in &group.triangles {
+            match known.get_mut(*id as usize) {
+                Some(k @ Known::Nothing) => *k = Known::Accounted,
+                _ => return refuse(*id, "it has a proof that it is hidden and is in the set, or has two"),
+            }
+        }
+        all.push(Claim::Hidden(at));
+    }
+    for (id, (k, t)) in known.iter().zip(scene.all()).enumerate() {
+        match k {
+            Known::Visible => all.push(Claim::Meets(id as u32)),
+            Known::Nothing if has_area(t) => {
+                return refuse(id as u32, "it is not in the set, and there is no proof that it is hidden");
+            }
+            _ => {}
+        }
+    }
+    Ok(all)
+}
+
+fn exact(t: &[Vec3; 3]) -> [Point; 3] {
+    t.map(|v| point(v.as_dvec3().to_array()))
+}
+
+fn has_area(t: &[Vec3; 3]) -> bool {
+    let [a, b, c] = exact(t);
+    !plane([&a, &b, &c])[..3].iter().all(dashu_int::IBig::is_zero)
+}
+
+/// The plane of a face of a box, its normal pointing out.
+fn face_plane([min, max]: [Vec3; 2], axis: usize, up: bool) -> Plane {
+    let [x, y, z, w] = point([f64::from(if up { max[axis] } else { min[axis] }), 0.0, 0.0]);
+    debug_assert!(y.is_zero() && z.is_zero());
+    let mut out: Plane = std::array::from_fn(|_| dashu_int::IBig::ZERO);
+    (out[axis], out[3]) = (w, x);
+    if up { out } else { out.map(|c| -c) }
+}
+
+/// A face of a box, beginning at its least corner and going along the next axis first.
+fn face([min, max]: [Vec3; 2], axis: usize, up: bool) -> Corners {
+    let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+    [[false, false], [true, false], [true, true], [false, true]]
+        .into_iter()
+        .map(|[s, t]| {
+            let mut p = min.as_dvec3();
+            let max = max.as_dvec3();
+            if up {
+                p[axis] = max[axis];
+            }
+            if s {
+                p[u] = max[u];
+            }
+            if t {
+                p[v] = max[v];
+            }
+            point(p.to_array())
+        })
+        .collect()
+}
+
+/// Whether a closed triangle has a point in a closed box: what is left of it, clipped to one face after the other.
+fn meets_box(t: &[Vec3; 3], cell: [Vec3; 2]) -> bool {
+    if !has_area(t) {
+        return false;
+    }
+    let mut left: Vec<Point> = exact(t).into();
+    for (axis, up) in faces() {
+        let flat = face_plane(cell, axis, up);
+        let heights: Vec<_> = left.iter().map(|p| height(&flat, p)).collect();
+        let n = left.len();
+        let mut kept = Vec::with_capacity(n + 1);
+        for i in 0..n {
+            let j = (i + 1) % n;
+            if sign(&heights[i]) != Ordering::Greater {
+                kept.push(left[i].clone());
+            }
+            if sign(&(&heights[i] * &heights[j])) == Ordering::Less {
+                kept.push(cut(&left[i], &left[j], &flat));
+            }
+        }
+        left = kept;
+    }
+    !left.is_empty()
+}
+
+/// Where the segment between two points on different sides of a plane crosses it.
+fn cut(p: &Point, q: &Point, flat: &Plane) -> Point {
+    let weight = |x: &Point| {
+        let h = height(flat, x);
+        if sign(&h) == Ordering::Less { -h } else { h }
+    };
+    let (s, t) = (weight(p), weight(q));
+    reduced(std::array::from_fn(|k| &q[k] * &s + &p[k] * &t))
+}
+
+fn check_witness(
+    scene: &Triangles<'_>,
+    cell: [Vec3; 2],
+    id: u32,
+    witness: &Witness,
+) -> Result<(), String> {
+    let corners = exact(&scene.all()[id as usize]);
+    let own = plane([&corners[0], &corners[1], &corners[2]]);
+    let (p, q) = match witness {
+        Witness::Floats([p, q]) => {
+            let [p, q] = [p, q].map(|e| point(e.as_dvec3().to_array()));
+            let sides = [sign(&height(&own, &p)), sign(&height(&own, &q))];
+            if sides[0] == Ordering::Equal || sides[0] != sides[1].reverse() {
+                return Err("it does not cross the triangle's plane".to_owned());
+            }
+            let at = cut(&p, &q, &own);
+            (p, at)
+        }
+        Witness::Exact(ends) => (**ends).clone().into(),
+    };
+    if [&p, &q].iter().any(|e| sign(&e[3]) != Ordering::Greater) {
+        return Err("an end of it is no point".to_owned());
+    }
+    let outside = |(axis, up)| sign(&height(&face_plane(cell, axis, up), &p)) == Ordering::Greater;
+    if faces().any(outside) {
+        return Err("it does not begin in the cell".to_owned());
+    }
+    if height(&own, &p).is_zero() {
+        return Err("it runs in the triangle's plane".to_owned());
+    }
+    if !inside(&corners, &q) {
+        return Err("it does not end inside the triangle".to_owned());
+    }
+    // The face it leaves the cell through, if it begins on one.
+    let leaving = faces().map(|(axis, up)| face_plane(cell, axis, up)).find(|f| {
+        height(f, &p).is_zero() && sign(&height(f, &q)) == Ordering::Greater
+    });
+    let bounds = |e: &Point| -> [Vec3; 2] {
+        let sides: [(f64, f64); 3] = std::array::from_fn(|k| around(&e[k], &e[3]));
+        // Rounding a double to single precision moves it by at most a step.
+        let low = |x: f64| (x as f32).next_down();
+        let high = |x: f64| (x as f32).next_up();
+        let [x, y, z] = sides;
+        [Vec3::new(low(x.0), low(y.0), low(z.0)), Vec3::new(high(x.1), high(y.1), high(z.1))]
+    };
+    for other in scene.along(bounds(&p), bounds(&q)) {
+        if meets(&scene.all()[other as usize], &p, &q, [leaving.as_ref(), Some(&own)]) {
+            return Err(format!("it meets triangle {other}"));
+        }
+    }
+    Ok(())
+}
+
+fn check_group(scene: &Triangles<'_>, cell: [Vec3; 2], group: &Hidden) -> Result<(), String> {
+    let all = scene.all();
+    if group.triangles.iter().any(|id| *id as usize >= all.len()) {
+        return Err("there is no such triangle in the scene".to_owned());
+    }
+    let targets: Vec<Corners> = match group.target {
+        Target::Triangle => {
+            let [id] = group.triangles[..] else { return Err("it is not about one triangle".to_owned()) };
+            if meets_box(&all[id as usize], cell) {
+                return Err("it meets the cell".to_owned());
+            }
+            if has_area(&all[id as usize]) { vec![exact(&all[id as usize]).into()] } else { Vec::new() }
+        }
+        Target::Box([min, max]) => {
+            if !(min.is_finite() && max.is_finite() && min.cmple(max).all()) {
+                return Err("its box is none".to_owned());
+            }
+            let outside = |id: &&u32| {
+                all[**id as usize].iter().any(|v| v.cmplt(min).any() || v.cmpgt(max).any())
+            };
+            if let Some(id) = group.triangles.iter().find(outside) {
+                return Err(format!("triangle {id} is not in its box"));
+            }
+            if min.cmple(cell[1]).all() && max.cmpge(cell[0]).all() {
+                return Err("its box touches the cell".to_owned());
+            }
+            faces()
+                .filter(|(axis, up)| {
+                    let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+                    let area = min[u] < max[u] && min[v] < max[v];
+                    // Some point of the cell is on the face's outer side.
+                    let towards = if *up { cell[1][*axis] > max[*axis] } else { cell[0][*axis] < min[*axis] };
+                    area && towards
+                })
+                .map(|(axis, up)| face([min, max], axis, up))
+                .collect()
+        }
+    };
+    let mut proofs = group.proofs.iter();
+    for (axis, up) in faces() {
+        let flat = face_plane(cell, axis, up);
+        let from = face(cell, axis, up);
+        for target in &targets {
+            let Some(beyond) = clip(target, &flat, Ordering::Greater) else { continue };
+            let proof = proofs.next().ok_or("a proof is missing for a pair of faces")?;
+            match check_hidden(all, std::slice::from_ref(&from), &[beyond], proof) {
+                Ok(()) => {}
+                Err(e @ Refusal::Polygon) => return Err(format!("a face is no polygon: {e}")),
+                Err(e) => return Err(e.to_string()),
+            }
+        }
+    }
+    if proofs.next().is_some() { Err("it has more proofs than pairs of faces".to_owned()) } else { Ok(()) }
+}

@@ -1,0 +1,391 @@
+//! Evidence in bytes: numbers of seven bits a byte, floats as they are, then zstd.
+//!
+//! Equal evidence gives equal bytes. Reading trusts nothing: every count is held against the bytes that are left before
+//! anything is allocated for it, and ids against the scene.
+
+use std::io::Read as _;
+
+use dashu_int::{IBig, Sign};
+use glam::Vec3;
+
+use super::{Evidence, Hidden, Target, Witness};
+use crate::proof::{Proof, Step, Which};
+
+/// zstd's own default: higher ones take longer than they save.
+const LEVEL: i32 = 3;
+/// Most bytes the evidence of one cell may unpack to.
+const MOST: u64 = 2 << 30;
+
+/// Bytes that are no evidence.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a cell's certificates cannot be read: {0}; they were damaged or written by another version")]
+pub struct EvidenceError(&'static str);
+
+/// Writes evidence.
+///
+/// # Errors
+/// When it is larger than can be read again, or zstd's.
+pub fn encode(evidence: &Evidence) -> std::io::Result<Vec<u8>> {
+    let mut out = Vec::new();
+    put(&mut out, evidence.seen.len() as u64);
+    let mut last = 0;
+    for (id, witness) in &evidence.seen {
+        put(&mut out, u64::from(id.wrapping_sub(last)));
+        last = *id;
+        match witness {
+            Witness::Floats(ends) => {
+                out.push(0);
+                ends.iter().for_each(|e| put_point(&mut out, *e));
+            }
+            Witness::Exact(ends) => {
+                out.push(1);
+                ends.iter().flatten().for_each(|c| put_integer(&mut out, c));
+            }
+        }
+    }
+    put(&mut out, evidence.hidden.len() as u64);
+    for h in &evidence.hidden {
+        match h.target {
+            Target::Triangle => out.push(0),
+            Target::Box(corners) => {
+                out.push(1);
+                corners.iter().for_each(|c| put_point(&mut out, *c));
+            }
+        }
+        put_ids(&mut out, &h.triangles);
+        put(&mut out, h.proofs.len() as u64);
+        h.proofs.iter().for_each(|p| put_proof(&mut out, p));
+    }
+    if out.len() as u64 > MOST {
+        return Err(std::io::Error::other("the certificates of a cell are larger than 2 GiB"));
+    }
+    zstd::stream::encode_all(out.as_slice(), LEVEL)
+}
+
+/// Reads what [`encode`] wrote for a scene of so many triangles.
+///
+/// # Errors
+/// [`EvidenceError`].
+pub fn decode(bytes: &[u8], triangles: u32) -> Result<Evidence, EvidenceError> {
+    let mut raw = Vec::new();
+    zstd::stream::Decoder::new(bytes)
+        .and_then(|d| d.take(MOST + 1).read_to_end(&mut raw))
+        .map_err(|_| EvidenceError("they do not unpack"))?;
+    if raw.len() as u64 > MOST {
+        return Err(EvidenceError("they unpack to more than 2 GiB"));
+    }
+    let mut from = Reader { rest: &raw, triangles };
+    let mut evidence = Evidence::default();
+    let mut last = 0u32;
+    for k in 0..from.count(2)? {
+        let step = from.small()?;
+        if k > 0 && step == 0 {
+            return Err(EvidenceError("a triangle has two witnesses"));
+        }
+        last = last.checked_add(step).ok_or(EvidenceError("an id is out of range"))?;
+        let witness = match from.byte()? {
+            0 => Witness::Floats([from.point()?, from.point()?]),
+            1 => {
+                let mut next = || -> Result<[IBig; 4], EvidenceError> {
+                    Ok([from.integer()?, from.integer()?, from.integer()?, from.integer()?])
+                };
+                Witness::Exact(Box::new([next()?, next()?]))
+            }
+            _ => return Err(EvidenceError("a witness is of no kind there is")),
+        };
+        evidence.seen.push((from.id(last)?, witness));
+    }
+    for _ in 0..from.count(3)? {
+        let target = match from.byte()? {
+            0 => Target::Triangle,
+            1 => Target::Box([from.point()?, from.point()?]),
+            _ => return Err(EvidenceError("a proof is about nothing there is")),
+        };
+        let triangles = from.ids()?;
+        let proofs = (0..from.count(2)?).map(|_| from.proof()).collect::<Result<_, _>>()?;
+        evidence.hidden.push(Hidden { target, triangles, proofs });
+    }
+    if from.rest.is_empty() { Ok(evidence) } else { Err(EvidenceError("something follows them")) }
+}
+
+fn put(out: &mut Vec<u8>, mut x: u64) {
+    while x >= 0x80 {
+        out.push(x as u8 | 0x80);
+        x >>= 7;
+    }
+    out.push(x as u8);
+}
+
+fn put_point(out: &mut Vec<u8>, p: Vec3) {
+    p.to_array().iter().for_each(|c| out.extend(c.to_le_bytes()));
+}
+
+fn put_integer(out: &mut Vec<u8>, x: &IBig) {
+    let (sign, size) = x.clone().into_parts();
+    let bytes = size.to_le_bytes();
+    put(out, (bytes.len() as u64) << 1 | u64::from(sign == Sign::Negative));
+    out.extend_from_slice(&bytes);
+}
+
+/// The number of ids and their differences, which are at least 1 but for the first.
+fn put_ids(out: &mut Vec<u8>, ids: &[u32]) {
+    put(out, ids.len() as u64);
+    let mut last = 0;
+    for id in ids {
+        put(out, u64::from(id.wrapping_sub(last)));
+        last = *id;
+    }
+}
+
+fn put_proof(out: &mut Vec<u8>, proof: &Proof) {
+    put(out, proof.occluders.len() as u64);
+    let mut last = 0i64;
+    for occluder in &proof.occluders {
+        put(out, occluder.len() as u64);
+        for (id, turned) in occluder {
+            // The difference, its sign and the turn, so that neighbours take a byte.
+            let d = i64::from(*id) - last;
+            last = i64::from(*id);
+            put(out, (d.unsigned_abs() << 1 | u64::from(d < 0)) << 1 | u64::from(*turned));
+        }
+    }
+    put(out, proof.steps.len() as u64);
+    for step in &proof.steps {
+        match step {
+            Step::Unreal => out.push(0),
+            Step::Block { occluder, negative, cuts } => {
+                // Kinds 1 and 2 of four.
+                put(out, (u64::from(*occluder) << 2) | (1 + u64::from(*negative)));
+                put(out, cuts.len() as u64);
+                cuts.iter().for_each(|c| put(out, u64::from(*c)));
+            }
+            Step::Split { polar } => {
+                out.push(3);
+                polar.iter().for_each(|c| out.extend(c.to_le_bytes()));
+            }
+            Step::Divide { of, from, to } => {
+                out.push(7);
+                out.push(u8::from(*of == Which::B));
+                put(out, u64::from(*from));
+                put(out, u64::from(*to));
+            }
+        }
+    }
+}
+
+struct Reader<'a> {
+    rest: &'a [u8],
+    triangles: u32,
+}
+
+impl Reader<'_> {
+    fn byte(&mut self) -> Result<u8, EvidenceError> {
+        let (first, rest) = self.rest.split_first().ok_or(EvidenceError("they end too early"))?;
+        self.rest = rest;
+        Ok(*first)
+    }
+
+    fn bytes<const N: usize>(&mut self) -> Result<[u8; N], EvidenceError> {
+        let (first, rest) = self.rest.split_first_chunk().ok_or(EvidenceError("they end too early"))?;
+        self.rest = rest;
+        Ok(*first)
+    }
+
+    fn number(&mut self) -> Result<u64, EvidenceError> {
+        let mut x = 0u64;
+        for shift in (0..63).step_by(7) {
+            let byte = self.byte()?;
+            x |= u64::from(byte & 0x7f) << shift;
+            if byte < 0x80 {
+                // One form for each number.
+                let short = shift == 0 || byte != 0;
+                return if short { Ok(x) } else { Err(EvidenceError("a number has more bytes than it needs")) };
+            }
+        }
+        Err(EvidenceError("a number is too large"))
+    }
+
+    fn small<T: TryFrom<u64>>(&mut self) -> Result<T, EvidenceError> {
+        T::try_from(self.number()?).map_err(|_| EvidenceError("a number is too large"))
+    }
+
+    /// A number of things of at least `least` bytes each, all of which must still be there.
+    fn count(&mut self, least: usize) -> Result<usize, EvidenceError> {
+        let n: usize = self.small()?;
+        if n > self.rest.len() / least {
+            return Err(EvidenceError("a count does not fit what follows"));
+        }
+        Ok(n)
+    }
+
+    fn id(&self, id: u32) -> Result<u32, EvidenceError> {
+        if id < self.triangles { Ok(id) } else { Err(EvidenceError("an id is out of range")) }
+    }
+
+    fn point(&mut self) -> Result<Vec3, EvidenceError> {
+        let mut next = || Ok(f32::from_le_bytes(self.bytes()?));
+        let p = Vec3::new(next()?, next()?, next()?);
+        if p.is_finite() { Ok(p) } else { Err(EvidenceError("a point is not finite")) }
+    }
+
+    fn double(&mut self) -> Result<f64, EvidenceError> {
+        Ok(f64::from_le_bytes(self.bytes()?))
+    }
+
+    fn integer(&mut self) -> Result<IBig, EvidenceError> {
+        let head = self.number()?;
+        let length = usize::try_from(head >> 1).map_err(|_| EvidenceError("a number is too large"))?;
+        let (bytes, rest) = self.rest.split_at_checked(length).ok_or(EvidenceError("they end too early"))?;
+        self.rest = rest;
+        let canonical = bytes.last().map_or(head & 1 == 0, |b| *b != 0);
+        if !canonical {
+            return Err(EvidenceError("a number has more bytes than it needs"));
+        }
+        let size = IBig::from(dashu_int::UBig::from_le_bytes(bytes));
+        Ok(if head & 1 == 1 { -size } else { size })
+    }
+
+    fn ids(&mut self) -> Result<Vec<u32>, EvidenceError> {
+        let mut last = 0u32;
+        (0..self.count(1)?)
+            .map(|k| {
+                let step: u32 = self.small()?;
+                if k > 0 && step == 0 {
+                    return Err(EvidenceError("ids are not in order"));
+                }
+                last = last.checked_add(step).ok_or(EvidenceError("an id is out of range"))?;
+                self.id(last)
+            })
+            .collect()
+    }
+
+    fn proof(&mut self) -> Result<Proof, EvidenceError> {
+        let mut proof = Proof::default();
+        let mut last = 0i64;
+        for _ in 0..self.count(2)? {
+            let mut members = Vec::new();
+            for _ in 0..self.count(1)? {
+                let x = self.number()?;
+                let d = i64::try_from(x >> 2).map_err(|_| EvidenceError("an id is out of range"))?;
+                if d == 0 && x & 2 != 0 {
+                    return Err(EvidenceError("a difference of nothing has a sign"));
+                }
+                last = last.saturating_add(if x & 2 == 0 { d } else { -d });
+                let id = u32::try_from(last).map_err(|_| EvidenceError("an id is out of range"))?;
+                members.push((self.id(id)?, x & 1 == 1));
+            }
+            proof.occluders.push(members);
+        }
+        for _ in 0..self.count(1)? {
+            let x = self.number()?;
+            let step = match (x & 3, x >> 2) {
+                (0, 0) => Step::Unreal,
+                (kind @ (1 | 2), occluder) => Step::Block {
+                    occluder: u32::try_from(occluder)
+                        .map_err(|_| EvidenceError("an occluder is out of range"))?,
+                    negative: kind == 2,
+                    cuts: (0..self.count(1)?).map(|_| self.small()).collect::<Result<_, _>>()?,
+                },
+                (3, 0) => {
+                    let mut polar = [0.0; 6];
+                    for c in &mut polar {
+                        *c = self.double()?;
+                    }
+                    Step::Split { polar }
+                }
+                (3, 1) => {
+                    let of = match self.byte()? {
+                        0 => Which::A,
+                        1 => Which::B,
+                        _ => return Err(EvidenceError("a step is of no kind there is")),
+                    };
+                    Step::Divide { of, from: self.small()?, to: self.small()? }
+                }
+                _ => return Err(EvidenceError("a step is of no kind there is")),
+            };
+            proof.steps.push(step);
+        }
+        Ok(proof)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn integer() -> impl Strategy<Value = IBig> {
+        (any::<i64>(), 0usize..300).prop_map(|(x, up)| IBig::from(x) << up)
+    }
+
+    fn floats() -> impl Strategy<Value = Vec3> {
+        prop::array::uniform3(-1e30f32..1e30).prop_map(Vec3::from)
+    }
+
+    fn proof() -> impl Strategy<Value = Proof> {
+        let step = prop_oneof![
+            Just(Step::Unreal),
+            (any::<u32>(), any::<bool>(), prop::collection::vec(any::<u16>(), 0..5))
+                .prop_map(|(occluder, negative, cuts)| Step::Block { occluder, negative, cuts }),
+            prop::array::uniform6(-1e300f64..1e300).prop_map(|polar| Step::Split { polar }),
+            (any::<bool>(), any::<u16>(), any::<u16>()).prop_map(|(b, from, to)| Step::Divide {
+                of: if b { Which::B } else { Which::A },
+                from,
+                to
+            }),
+        ];
+        let occluder = prop::collection::vec((0u32..1000, any::<bool>()), 1..6);
+        (prop::collection::vec(occluder, 0..4), prop::collection::vec(step, 0..8))
+            .prop_map(|(occluders, steps)| Proof { occluders, steps })
+    }
+
+    prop_compose! {
+        fn evidence()(
+            seen in prop::collection::btree_map(0u32..1000, prop_oneof![
+                prop::array::uniform2(floats()).prop_map(Witness::Floats),
+                prop::array::uniform2(prop::array::uniform4(integer())).prop_map(|e| Witness::Exact(Box::new(e))),
+            ], 0..8),
+            hidden in prop::collection::vec((
+                prop_oneof![Just(Target::Triangle), prop::array::uniform2(floats()).prop_map(Target::Box)],
+                prop::collection::btree_set(0u32..1000, 0..8),
+                prop::collection::vec(proof(), 0..4),
+            ), 0..5),
+        ) -> Evidence {
+            Evidence {
+                seen: seen.into_iter().collect(),
+                hidden: hidden
+                    .into_iter()
+                    .map(|(target, ids, proofs)| Hidden { target, triangles: ids.into_iter().collect(), proofs })
+                    .collect(),
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_written_is_read(e in evidence()) {
+            let bytes = encode(&e).unwrap();
+            prop_assert_eq!(decode(&bytes, 1000).unwrap(), e);
+        }
+
+        #[test]
+        fn what_is_damaged_is_an_error_or_something_else(e in evidence(), at in any::<usize>(), value in 1u8.., cut in 0usize..3) {
+            let mut raw = zstd::stream::decode_all(encode(&e).unwrap().as_slice()).unwrap();
+            let at = at % raw.len();
+            raw[at] ^= value;
+            raw.truncate(raw.len() - cut);
+            if let Ok(other) = decode(&zstd::stream::encode_all(raw.as_slice(), 1).unwrap(), 1000) {
+                // One form for each: what can be read is written the same way.
+                let again = zstd::stream::decode_all(encode(&other).unwrap().as_slice()).unwrap();
+                prop_assert_eq!(again, raw);
+            }
+        }
+
+        #[test]
+        fn any_bytes_are_read_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+            let _ = decode(&bytes, 1000);
+            let _ = decode(&zstd::stream::encode_all(bytes.as_slice(), 1).unwrap(), 1000);
+        }
+    }
+}

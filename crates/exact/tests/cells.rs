@@ -1,0 +1,228 @@
+//! Whole view cells decided: what the checker makes of the evidence, what rays find, what tampering does, what stopping leaves.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+mod common;
+
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use glam::{DVec3, Vec3};
+use proptest::prelude::*;
+use sightline_exact::cell::Cell;
+use sightline_exact::checker::{CellClaims, CellRefusal, Triangles, check_cell};
+use sightline_exact::evidence::{Evidence, Target, Witness, codec};
+use sightline_exact::{Decided, Limits, Occluders, Task, decide};
+use sightline_scene::{Object, Scene, Triangle};
+
+type Corners = [Vec3; 3];
+
+fn occluders(triangles: &[Corners]) -> Occluders {
+    let objects = vec![Object { name: "test".into(), first: 0, count: triangles.len() as u32 }];
+    let all = triangles.iter().map(|v| Triangle { v: *v }).collect();
+    Occluders::new(&Scene::new("test", all, objects).unwrap()).unwrap()
+}
+
+fn solve(scene: &Occluders, cell: [Vec3; 2], seen: &[u32], stop: &(dyn Fn() -> bool + Sync)) -> Decided {
+    decide(&Task {
+        scene,
+        cell: Cell::new(cell[0], cell[1]).unwrap(),
+        seen,
+        limits: Limits::default(),
+        seed: 7,
+        keep: true,
+        stop,
+        asked: &|| (),
+    })
+}
+
+/// The set of a cell, as results have it: with what is undecided.
+fn set(d: &Decided) -> Vec<u32> {
+    let mut all = [d.visible.as_slice(), &d.undecided].concat();
+    all.sort_unstable();
+    all
+}
+
+fn check(triangles: &[Corners], cell: [Vec3; 2], d: &Decided, evidence: &Evidence) -> Result<u64, CellRefusal> {
+    let (visible, index) = (set(d), Triangles::new(triangles));
+    let claims = CellClaims { cell, visible: &visible, undecided: &d.undecided, evidence };
+    check_cell(&index, &claims, &mut |_| true)
+}
+
+/// A room of two chambers with a door between them, and boxes in both.
+fn chambers() -> (Vec<Corners>, [Vec3; 2]) {
+    let mut t: Vec<Corners> = Vec::new();
+    let mut quad = |a: [f32; 3], b: [f32; 3], c: [f32; 3], d: [f32; 3]| {
+        let [a, b, c, d] = [a, b, c, d].map(Vec3::from);
+        t.extend([[a, b, c], [a, c, d]]);
+    };
+    let mut block = |lo: [f32; 3], hi: [f32; 3]| {
+        let p = |x: usize, y: usize, z: usize| [[lo, hi][x][0], [lo, hi][y][1], [lo, hi][z][2]];
+        quad(p(0, 0, 0), p(0, 1, 0), p(0, 1, 1), p(0, 0, 1));
+        quad(p(1, 0, 0), p(1, 1, 0), p(1, 1, 1), p(1, 0, 1));
+        quad(p(0, 0, 0), p(1, 0, 0), p(1, 0, 1), p(0, 0, 1));
+        quad(p(0, 1, 0), p(1, 1, 0), p(1, 1, 1), p(0, 1, 1));
+        quad(p(0, 0, 0), p(1, 0, 0), p(1, 1, 0), p(0, 1, 0));
+        quad(p(0, 0, 1), p(1, 0, 1), p(1, 1, 1), p(0, 1, 1));
+    };
+    // The shell, the dividing wall with a door at y < 1, and what stands around.
+    block([0.0, 0.0, 0.0], [20.0, 10.0, 3.0]);
+    block([10.0, 1.0, 0.0], [10.5, 10.0, 3.0]);
+    for k in 0..6 {
+        let x = 11.5 + 1.25 * k as f32;
+        block([x, 2.0 + k as f32, 0.0], [x + 0.5, 2.75 + k as f32, 1.5]);
+    }
+    block([4.0, 4.0, 0.5], [5.0, 5.0, 1.0]);
+    // Outside of everything.
+    block([30.0, 0.0, 0.0], [31.0, 1.0, 1.0]);
+    (t, [Vec3::new(1.0, 6.0, 1.0), Vec3::new(3.0, 8.0, 2.0)])
+}
+
+#[test]
+fn a_room_behind_a_door_is_decided_and_every_claim_checked() {
+    let (triangles, cell) = chambers();
+    let scene = occluders(&triangles);
+    let d = solve(&scene, cell, &[], &|| false);
+    assert!(d.undecided.is_empty(), "{:?}", d.undecided);
+    assert_eq!(d.effort.hidden as usize + d.visible.len(), triangles.len());
+    assert!(d.effort.boxes > 0, "some box is hidden as a whole");
+    assert!(d.visible.iter().all(|t| (*t as usize) < triangles.len() - 12), "nothing outside is seen");
+    assert!(check(&triangles, cell, &d, &d.evidence).unwrap() > 0);
+    // Guesses change nothing but what is found by rays; wrong ones are refuted.
+    let all: Vec<u32> = (0..triangles.len() as u32).collect();
+    let guessed = solve(&scene, cell, &all, &|| false);
+    assert_eq!(guessed.visible, d.visible);
+    assert_eq!(guessed.effort.refuted, guessed.effort.hidden);
+    check(&triangles, cell, &guessed, &guessed.evidence).unwrap();
+    // The same again is the same to the last byte.
+    let again = solve(&scene, cell, &all, &|| false);
+    assert_eq!(codec::encode(&again.evidence).unwrap(), codec::encode(&guessed.evidence).unwrap());
+    let read = codec::decode(&codec::encode(&d.evidence).unwrap(), triangles.len() as u32).unwrap();
+    assert_eq!(read, d.evidence);
+}
+
+#[test]
+fn what_is_not_reached_in_time_is_undecided_and_the_rest_holds() {
+    let (triangles, cell) = chambers();
+    let scene = occluders(&triangles);
+    let whole = solve(&scene, cell, &[], &|| false);
+    for most in [0, 1, 3, 10, 20, 50] {
+        let asked = AtomicU32::new(0);
+        let d = solve(&scene, cell, &whole.visible, &|| asked.fetch_add(1, Ordering::Relaxed) >= most);
+        assert!(d.visible.iter().all(|t| whole.visible.binary_search(t).is_ok()));
+        assert!(whole.visible.iter().all(|t| set(&d).binary_search(t).is_ok()), "stopped after {most}");
+        assert_eq!(d.effort.open.iter().sum::<u64>(), d.undecided.len() as u64);
+        check(&triangles, cell, &d, &d.evidence).unwrap();
+    }
+}
+
+#[test]
+fn tampered_claims_are_refused() {
+    let (triangles, cell) = chambers();
+    let scene = occluders(&triangles);
+    let d = solve(&scene, cell, &[], &|| false);
+    let index = Triangles::new(&triangles);
+    let visible = set(&d);
+    let ask = |cell, visible: &[u32], undecided: &[u32], evidence: &Evidence| {
+        check_cell(&index, &CellClaims { cell, visible, undecided, evidence }, &mut |_| true)
+    };
+    ask(cell, &visible, &[], &d.evidence).unwrap();
+    // Hiding what is seen, and showing what is hidden.
+    let without: Vec<u32> = visible.iter().copied().filter(|t| *t != visible[3]).collect();
+    assert!(ask(cell, &without, &[], &d.evidence).is_err());
+    let hidden = d.evidence.hidden[0].triangles[0];
+    let mut with = visible.clone();
+    with.push(hidden);
+    with.sort_unstable();
+    assert!(ask(cell, &with, &[], &d.evidence).is_err());
+    let mut fewer = d.evidence.clone();
+    fewer.hidden.remove(0);
+    assert!(matches!(ask(cell, &visible, &[], &fewer), Err(CellRefusal::Account(..))));
+    let mut both = fewer.clone();
+    let (first, last) = (d.evidence.seen[0].clone(), d.evidence.seen.last().unwrap().clone());
+    both.seen = vec![(first.0, last.1)];
+    both.seen.extend(d.evidence.seen[1..].iter().cloned());
+    both.hidden = d.evidence.hidden.clone();
+    assert!(matches!(ask(cell, &visible, &[], &both), Err(CellRefusal::Witness(..))));
+    // A cell that is larger sees more: some proof must fail, or some witness begin outside.
+    let larger = [Vec3::new(1.0, 0.5, 1.0), Vec3::new(9.5, 8.0, 2.0)];
+    assert!(ask(larger, &visible, &[], &d.evidence).is_err());
+    // A proof for another box, a box that is moved, a proof too few.
+    for at in 0..d.evidence.hidden.len() {
+        let mut e = d.evidence.clone();
+        e.hidden[at].proofs.pop();
+        assert!(matches!(ask(cell, &visible, &[], &e), Err(CellRefusal::Hidden { .. })));
+        if let Target::Box([min, _]) = &mut e.hidden[at].target {
+            *min += Vec3::splat(0.25);
+            e.hidden[at].proofs = d.evidence.hidden[at].proofs.clone();
+            assert!(ask(cell, &visible, &[], &e).is_err());
+        }
+    }
+    // A witness that goes on through a wall.
+    let (at, (id, _)) = d.evidence.seen.iter().enumerate().find(|(_, w)| matches!(w.1, Witness::Floats(_))).unwrap();
+    let mut e = d.evidence.clone();
+    let Witness::Floats([p, q]) = e.seen[at].1.clone() else { unreachable!() };
+    e.seen[at].1 = Witness::Floats([p, p + (p - q)]);
+    assert!(matches!(ask(cell, &visible, &[], &e), Err(CellRefusal::Witness(t, _)) if t == *id));
+}
+
+fn grid_point(reach: i8) -> impl Strategy<Value = Vec3> {
+    prop::array::uniform3(-reach..=reach).prop_map(|p| Vec3::from(p.map(f32::from)))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+
+    /// On a coarse grid nearly everything touches, overlaps or lies in one plane with something, the cell's faces included.
+    #[test]
+    fn any_cell_is_decided_with_evidence_that_holds_and_rays_do_not_refute(
+        triangles in prop::collection::vec(prop::array::uniform3(grid_point(4)), 1..14),
+        corner in grid_point(3),
+        size in prop::array::uniform3(1i8..3),
+        guess in any::<u16>(),
+        seed in any::<u64>(),
+    ) {
+        let cell = [corner, corner + Vec3::from(size.map(f32::from))];
+        let scene = occluders(&triangles);
+        let seen: Vec<u32> = (0..triangles.len() as u32).filter(|t| guess >> t & 1 == 1).collect();
+        let d = solve(&scene, cell, &seen, &|| false);
+        prop_assert!(d.undecided.is_empty(), "{:?}", d.effort);
+        if let Err(e) = check(&triangles, cell, &d, &d.evidence) {
+            return Err(TestCaseError::fail(e.to_string()));
+        }
+        // Rays from inside the cell, in doubles: a hit well inside a triangle and clear of all edges is one it is seen by.
+        let mut state = seed;
+        let mut unit = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1u64 << 53) as f64
+        };
+        for _ in 0..400 {
+            let r = DVec3::new(unit(), unit(), unit());
+            let p = cell[0].as_dvec3() + (cell[1] - cell[0]).as_dvec3() * r;
+            let q = DVec3::new(unit(), unit(), unit()) * 8.0 - 4.0;
+            let mut hits: Vec<(f64, usize)> = Vec::new();
+            let mut clear = true;
+            for (id, t) in triangles.iter().enumerate() {
+                let [a, b, c] = t.map(|v| v.as_dvec3());
+                let n = (b - a).cross(c - a);
+                let (from, to) = (n.dot(p - a), n.dot(q - a));
+                if n == DVec3::ZERO {
+                    continue;
+                }
+                let along = from / (from - to);
+                let x = p + (q - p) * along;
+                let least = [(a, b), (b, c), (c, a)].map(|(s, t)| (t - s).cross(x - s).dot(n) / n.length());
+                let least = least.into_iter().fold(f64::INFINITY, f64::min);
+                clear &= from.abs() > 1e-6 && least.abs() > 1e-6;
+                if least > 0.0 && along > 0.0 {
+                    hits.push((along, id));
+                }
+            }
+            hits.sort_by(|x, y| x.0.total_cmp(&y.0));
+            if let (true, Some((at, _))) = (clear, hits.first()) {
+                for (_, id) in hits.iter().take_while(|h| h.0 < at + 1e-9) {
+                    prop_assert!(d.visible.contains(&(*id as u32)), "triangle {id} is seen from {p} towards {q}");
+                }
+            }
+        }
+    }
+}
