@@ -5,7 +5,6 @@
 use sightline_job::{ALGORITHM_VERSION, JobSpec};
 use sightline_pvs::{Builder, CellTree, Header, Node, Object, PvsError, SET_ASIDE};
 use sightline_sampling::codec::{self, CodecError};
-use sightline_sampling::lines::CellStats;
 use sightline_sampling::tile::{self, CellSet, CellSets, TileOutput};
 use sightline_viewcells::{CellBox, Division, Lattice, Outline, Plan, TileKind};
 
@@ -98,7 +97,7 @@ impl Coordinator {
             .collect();
         let mut builder = Builder::new(Header {
             triangles: scene.triangles,
-            method: "aggressive".to_owned(),
+            method: parts.spec.method.to_string(),
             tree: CellTree::new(parts.spec.view_box.map(|c| c.to_array()), nodes)?,
             objects,
             info_json: info(parts, samples, set_aside),
@@ -115,7 +114,11 @@ impl Coordinator {
                 if aside {
                     builder.push_cell(&all, &all, SET_ASIDE)?;
                 } else {
-                    builder.push_cell(&cell.visible, &[], 0)?;
+                    let undecided = cell.decision.as_ref().map_or(&[][..], |d| &d.undecided);
+                    builder.push_cell(&cell.visible, undecided, 0)?;
+                }
+                if parts.spec.certificates {
+                    builder.push_evidence(cell.decision.as_ref().map_or(&[], |d| &d.evidence))?;
                 }
                 statistics.push(&cell);
             }
@@ -194,7 +197,7 @@ fn everything(d: &Division, l: &Lattice, cell: &CellBox, depth: u32, out: &mut C
         }
         None => {
             out.nodes.push(tile::Node::Cell);
-            out.cells.push(CellSet { visible: Vec::new(), samples: 0, stats: CellStats::default() });
+            out.cells.push(CellSet::default());
         }
     }
 }
@@ -215,6 +218,8 @@ fn info(parts: &Parts, samples: u64, set_aside: usize) -> String {
         "profile": parts.profile,
         "division": parts.spec.division,
         "sampling": parts.spec.sampling,
+        "method": parts.spec.method.to_string(),
+        "certificates": parts.spec.certificates,
         "seed": parts.spec.seed,
         "time_budget_ms": parts.spec.time_budget_ms,
         "block_cells": parts.spec.block_cells,

@@ -1,8 +1,9 @@
 //! Scenes a worker has at hand: fetched once, analysed once, with the hierarchies built for them.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
+use sightline_exact::Occluders;
 use sightline_sampling::tile::PreparedScene;
 use sightline_sampling::{Backend, CubeSpec, Strata};
 use sightline_scene::{Scene, SceneError};
@@ -16,6 +17,8 @@ const KEPT: usize = 2;
 pub struct Loaded {
     /// The scene, analysed.
     pub prepared: PreparedScene,
+    /// What exact queries ask, once a tile needs it.
+    occluders: OnceLock<Result<Occluders, String>>,
     backends: Mutex<BTreeMap<String, Arc<dyn Backend>>>,
 }
 
@@ -25,7 +28,21 @@ impl Loaded {
     /// # Errors
     /// [`SceneError`] when it has too many triangles to sample.
     pub fn new(scene: Arc<Scene>) -> Result<Self, SceneError> {
-        Ok(Self { prepared: PreparedScene::new(scene)?, backends: Mutex::default() })
+        Ok(Self {
+            prepared: PreparedScene::new(scene)?,
+            occluders: OnceLock::new(),
+            backends: Mutex::default(),
+        })
+    }
+
+    /// What blocks in the scene, for exact queries.
+    ///
+    /// # Errors
+    /// When it has too many corners to number.
+    pub fn occluders(&self) -> Result<&Occluders, String> {
+        let found =
+            self.occluders.get_or_init(|| Occluders::new(&self.prepared.scene).map_err(|e| e.to_string()));
+        found.as_ref().map_err(Clone::clone)
     }
 
     /// Makes ready to trace sight lines on the cpu, if this machine can: what the first tile would wait for. What cannot

@@ -5,16 +5,17 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use futures::StreamExt as _;
-use sightline_job::JobSpec;
+use sightline_job::{JobSpec, Method};
 use sightline_proto::chunks::{Assembler, count, piece};
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
-use sightline_sampling::tile::{self, JobContext, Pack, TileError, Watcher};
+use sightline_sampling::tile::{self, JobContext, Pack, TileError, TileOutput, Watcher};
 use sightline_sampling::{BackendError, Sampler, auto, codec};
-use sightline_viewcells::Plan;
+use sightline_viewcells::{Plan, TileKind};
 use tonic::transport::Channel;
 
 use crate::Config;
+use crate::decide;
 use crate::packs::PackCache;
 use crate::scenes::Loaded;
 
@@ -167,7 +168,7 @@ impl Shop {
             params: &spec.sampling,
             backend: &*backend,
             seed: spec.seed,
-            deadline,
+            deadline: decide::sampling_deadline(spec.method, deadline),
         };
         let failed = |e| match e {
             TileError::Cancelled => Failure::Cancelled,
@@ -196,8 +197,20 @@ impl Shop {
             };
             decoded.push(codec::decode_pack(&bytes, triangles, &tile.cell).map_err(|e| tile_fault(&e))?);
         }
-        let (output, counters) = tile::run(&job, tile, &decoded, held).map_err(failed)?;
+        let exact = spec.method != Method::Aggressive && tile.kind == TileKind::Leaf;
+        let sampling = decide::Sampling(held);
+        let watcher: &dyn Watcher = if exact { &sampling } else { held };
+        let (mut output, counters) = tile::run(&job, tile, &decoded, watcher).map_err(failed)?;
         tracing::debug!(tile = held.lease.tile, ?counters, "tile sampled");
+        if let (true, TileOutput::Cells(sets)) = (exact, &mut output) {
+            let scene = loaded.occluders().map_err(Failure::Tile)?;
+            let work = (deadline, held as &dyn Watcher);
+            decide::cells(spec, &job.lattice, &tile.cell, sets, scene, work).map_err(Failure::Tile)?;
+            if held.cancelled() {
+                return Err(Failure::Cancelled);
+            }
+            tracing::debug!(tile = held.lease.tile, "tile decided");
+        }
         let bytes = codec::encode(&output).map_err(|e| tile_fault(&e))?;
         tracing::debug!(tile = held.lease.tile, bytes = bytes.len(), "tile encoded");
         Ok((bytes, counters.rendered))

@@ -82,6 +82,8 @@ pub enum Command {
     Measure(MeasureArgs),
     /// Decide exactly which polygons see each other.
     Sightlines(SightlinesArgs),
+    /// Check every witness and every certificate of a result again.
+    Verify(VerifyArgs),
     /// Measure time against error: every sampler from coarse to fine, as table and curves.
     Bench(BenchArgs),
 }
@@ -275,6 +277,37 @@ pub struct QueryArgs {
     /// What the set is made of.
     #[arg(long, value_enum, default_value_t = Items::Triangles)]
     pub items: Items,
+    /// Say why this triangle is in the set or is not: the witness segment along which it is seen, or the triangles that hide
+    /// it. From the result's certificates (bake --certificates), or with --scene by asking anew.
+    #[arg(long, value_name = "TRIANGLE", conflicts_with = "items")]
+    pub why: Option<u32>,
+    /// The scene the result was baked from, for --why.
+    #[arg(long, value_name = "SCENE", requires = "why")]
+    pub scene: Option<PathBuf>,
+}
+
+/// Checks what a result rests on again, with a checker that shares no code with the search.
+///
+/// Every triangle has to be accounted for in every cell: it meets the cell, or has a witness (a segment from the cell that
+/// ends on it and meets nothing else), or a certificate that it is hidden, or is said to be undecided. Integers decide, no
+/// tolerance. Exit code 3 when something does not hold.
+#[derive(Args, Debug)]
+pub struct VerifyArgs {
+    /// The scene the result was baked from.
+    pub scene: PathBuf,
+    /// The result, baked with --method exact or verified and --certificates.
+    #[arg(value_name = "OUT.pvs")]
+    pub result: PathBuf,
+    /// Check only what is claimed about this many pairs of cell and triangle, drawn evenly from all; that every triangle is
+    /// accounted for is checked all the same. Default: everything, which takes about as long as the bake.
+    #[arg(long, value_name = "N")]
+    pub sample: Option<u64>,
+    /// Seed of the draw.
+    #[arg(long, value_name = "S", default_value_t = 1, requires = "sample")]
+    pub seed: u64,
+    /// Threads. Default: one a core.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub threads: Option<u16>,
 }
 
 #[derive(Args, Debug)]

@@ -10,6 +10,7 @@ use crate::args::{DumpArgs, InfoArgs, Items, QueryArgs};
 use crate::cells;
 use crate::error::CliError;
 use crate::serve::print;
+use crate::why;
 
 /// Objects listed by `info` without --json.
 const OBJECTS_SHOWN: usize = 20;
@@ -267,6 +268,9 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
             args.result.result.display()
         )));
     };
+    if let Some(triangle) = args.why {
+        return why::why(&pvs, &args.result.result, (cell, triangle), args.scene.as_deref(), json);
+    }
     let (mut visible, mut undecided) = (Vec::new(), Vec::new());
     sets(&pvs, cell, args.items, &mut visible, &mut undecided)?;
     let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();

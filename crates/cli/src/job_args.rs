@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 use glam::Vec3;
-use sightline_job::JobSpec;
+use sightline_job::{JobSpec, Method};
 use sightline_sampling::params::{BackendChoice, ErrorMeasure, Sampler, SamplingParams, SupersetChoice};
 use sightline_scene::Scene;
 use sightline_viewcells::Division;
@@ -16,9 +16,15 @@ use crate::progress::say;
 /// What is to be baked.
 #[derive(Args, Clone, Debug)]
 pub struct JobArgs {
-    /// How visibility is found: aggressive sampling, which sees nothing that is not visible and may miss little.
-    #[arg(long, value_enum, default_value_t = Method::Aggressive)]
-    method: Method,
+    /// How far visibility is decided. aggressive: by sampling, which sees nothing that is not visible and may miss little;
+    /// exact: sampling first, then exact queries, until every triangle has a witness or a proof; verified: the same with
+    /// lower limits for single queries, to be used with --time-budget.
+    #[arg(long, value_enum, default_value_t = MethodArg::Aggressive)]
+    method: MethodArg,
+    /// Keep in the result a witness for every triangle that is seen and a proof for every one that is hidden, for `sightline
+    /// verify` and `sightline query --why`. Needs --method exact or verified; the file becomes many times larger.
+    #[arg(long)]
+    certificates: bool,
     /// A regular grid of view cells. Default, without a triangle budget: 8x8x8.
     #[arg(long, value_name = "NXxNYxNZ", value_parser = parse_cells, conflicts_with = "triangle_budget")]
     cells: Option<[u32; 3]>,
@@ -49,7 +55,8 @@ pub struct JobArgs {
     #[arg(long, value_name = "DUR", value_parser = parse_duration)]
     time_budget: Option<Duration>,
     /// Most cells of a tile, 1 to 512: the piece of work a worker takes, and what is lost when one is killed. Sight lines are
-    /// shared within a tile, so smaller ones cost more in all. Default: 512; fewer for large scenes and small errors.
+    /// shared within a tile, so smaller ones cost more in all. Default: 512; fewer for large scenes and small errors; 8 for exact
+    /// methods.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(sightline_job::MOST_BLOCK_CELLS)))]
     block_cells: Option<u32>,
     /// Rays a cell of the sampler guided. Default: 200000.
@@ -133,9 +140,13 @@ impl CubeArgs {
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-enum Method {
-    /// Sampling only.
+enum MethodArg {
+    /// Sampling only: fast.
     Aggressive,
+    /// Sampling, then exact queries about everything: seconds to minutes a cell.
+    Exact,
+    /// As exact, but gives up sooner on what is hard and says that it is undecided.
+    Verified,
 }
 
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
@@ -182,8 +193,11 @@ pub enum Backend {
 impl JobArgs {
     /// The checked specification of a bake of `scene`.
     pub fn spec(&self, path: &Path, scene: &Scene) -> Result<JobSpec, CliError> {
-        // One value until other methods exist.
-        let Method::Aggressive = self.method;
+        let method = match self.method {
+            MethodArg::Aggressive => Method::Aggressive,
+            MethodArg::Exact => Method::Exact,
+            MethodArg::Verified => Method::Verified,
+        };
         let adaptive = self.triangle_budget.is_some();
         let sampler = match self.sampler {
             None if adaptive => Sampler::Cubes,
@@ -196,6 +210,9 @@ impl JobArgs {
             return refuse(
                 "an adaptive tree (--triangle-budget) is sampled with --sampler cubes; give --cells for another",
             );
+        }
+        if self.certificates && method == Method::Aggressive {
+            return refuse("--certificates needs --method exact or verified: sampling alone proves nothing");
         }
         if self.max_error.is_some() && sampler != Sampler::Lines {
             return refuse("--max-error needs --sampler lines and a grid of cells (--cells)");
@@ -215,7 +232,7 @@ impl JobArgs {
             block_cells: self
                 .block_cells
                 .filter(|_| sampler != Sampler::Cubes)
-                .unwrap_or_else(|| sightline_job::default_block_cells(scene.len(), &sampling)),
+                .unwrap_or_else(|| sightline_job::default_block_cells(scene.len(), &sampling, method)),
             sampling,
             backend: match self.backend {
                 Backend::Auto => BackendChoice::Auto,
@@ -225,6 +242,8 @@ impl JobArgs {
             seed: self.seed,
             // At least a millisecond: nothing means no limit.
             time_budget_ms: self.time_budget.map_or(0, |d| (d.as_millis() as u64).max(1)),
+            method,
+            certificates: self.certificates,
         };
         spec.sampling.check().map_err(|e| CliError::Usage(e.to_string()))?;
         spec.lattice().map_err(|e| match self.view_box {

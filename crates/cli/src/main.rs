@@ -17,6 +17,8 @@ mod progress;
 mod remote;
 mod serve;
 mod sightlines;
+mod verify;
+mod why;
 
 use std::io::IsTerminal as _;
 use std::process::ExitCode;
@@ -85,6 +87,7 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Query(a) => inspect::query(&a, json),
         Command::Measure(a) => measuring::run(&a),
         Command::Sightlines(a) => sightlines::run(&a),
+        Command::Verify(a) => verify::run(&a, json),
         Command::Bench(a) => bench::run(&a, json),
     }
 }

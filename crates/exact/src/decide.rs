@@ -78,6 +78,56 @@ pub struct Effort {
     pub cost: Cost,
 }
 
+impl Effort {
+    /// Names of [`Effort::numbers`], as results and tables have them.
+    pub const NAMES: [&'static str; 18] = [
+        "exact_rays",
+        "exact_queries",
+        "exact_boxes_hidden",
+        "exact_hidden",
+        "exact_missed",
+        "exact_refuted",
+        "undecided_stopped",
+        "undecided_regions",
+        "undecided_memory",
+        "undecided_halvings",
+        "exact_regions",
+        "exact_lines",
+        "exact_occluders",
+        "signs_filtered",
+        "signs_refined",
+        "signs_spanned",
+        "signs_exact",
+        "exact_vectors",
+    ];
+
+    /// Most of it, in the order of [`Effort::NAMES`].
+    pub fn numbers(&self) -> [u64; Self::NAMES.len()] {
+        let ([a, b, c, d], cost) = (self.open, &self.cost);
+        let signs = &cost.decisions;
+        [
+            self.rays,
+            self.queries,
+            self.boxes,
+            self.hidden,
+            self.missed,
+            self.refuted,
+            a,
+            b,
+            c,
+            d,
+            cost.regions,
+            cost.lines,
+            cost.occluders,
+            signs.filtered,
+            signs.refined,
+            signs.spanned,
+            signs.exact,
+            cost.vectors,
+        ]
+    }
+}
+
 /// Decides every triangle with area.
 pub fn decide(task: &Task<'_>) -> Decided {
     let tree = task.scene.hierarchy();
@@ -167,9 +217,7 @@ impl Work<'_> {
     /// Finds witnesses for what sampling has shown: by rays, then by queries.
     fn show(&mut self) {
         let task = self.task;
-        let open = |id: &u32| {
-            self.state[*id as usize] == State::Open && task.scene.of(*id).is_some()
-        };
+        let open = |id: &u32| self.state[*id as usize] == State::Open && task.scene.of(*id).is_some();
         let wanted: Vec<u32> = task.seen.iter().copied().filter(open).collect();
         let (found, rays) = rays::witnesses(task.scene, &task.cell, &wanted, task.seed, task.stop);
         self.decided.effort.rays = rays;
@@ -177,8 +225,7 @@ impl Work<'_> {
         for (id, ends) in found {
             self.see(id, || Witness::Floats(ends));
         }
-        let asked: Vec<Asked> =
-            left.par_iter().map(|id| self.ask(Item::Triangle(*id))).collect();
+        let asked: Vec<Asked> = left.par_iter().map(|id| self.ask(Item::Triangle(*id))).collect();
         for answer in asked {
             if let (Item::Triangle(_), Some(Found::Hidden(_))) = (answer.of, &answer.found) {
                 self.decided.effort.refuted += 1;
@@ -230,7 +277,8 @@ impl Work<'_> {
             }
             let answers: Vec<Asked> = batch.par_iter().with_max_len(1).map(|item| self.ask(*item)).collect();
             for answer in answers {
-                if let (Item::Node(node), false) = (answer.of, matches!(answer.found, Some(Found::Hidden(_)))) {
+                if let (Item::Node(node), false) = (answer.of, matches!(answer.found, Some(Found::Hidden(_))))
+                {
                     // A single triangle is asked about as such, and nothing at all any more once it is time to stop.
                     if answer.found.is_some() {
                         expand.push(node);

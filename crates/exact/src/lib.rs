@@ -26,11 +26,11 @@ mod segment;
 mod trace;
 mod vector;
 
+pub use decide::{Decided, Effort, Task, decide};
+pub use evidence::Evidence;
 pub use frame::Source;
 pub use occluder::Occluders;
 pub use polygon::{Polygon, PolygonError};
 pub use proof::Proof;
-pub use decide::{Decided, Effort, Task, decide};
-pub use evidence::Evidence;
 pub use query::{Cost, Limits, Reason, Verdict, sightlines};
 pub use vector::Decisions;

@@ -45,8 +45,10 @@ fn crossing([a, b, c]: [Vec3; 3], p: Vec3, q: Vec3) -> Crossing {
     }
     let turns = [(a, b), (b, c), (c, a)].map(|(s, t)| orient3d_sign(p, q, s, t));
     let has = |o: Ordering| turns.contains(&o);
-    match (has(Ordering::Less) && has(Ordering::Greater), has(Ordering::Equal) || ends.contains(&Ordering::Equal))
-    {
+    match (
+        has(Ordering::Less) && has(Ordering::Greater),
+        has(Ordering::Equal) || ends.contains(&Ordering::Equal),
+    ) {
         // In the triangle's plane all turns are equal, so here the line crosses the plane, and outside of the triangle.
         (true, _) => Crossing::Not,
         (false, true) => Crossing::Touches,
@@ -83,8 +85,7 @@ mod tests {
     use super::*;
 
     fn scene(triangles: &[[[f32; 3]; 3]]) -> Occluders {
-        let triangles: Vec<Triangle> =
-            triangles.iter().map(|t| Triangle { v: t.map(Vec3::from) }).collect();
+        let triangles: Vec<Triangle> = triangles.iter().map(|t| Triangle { v: t.map(Vec3::from) }).collect();
         let object = Object { name: "all".to_owned(), first: 0, count: triangles.len() as u32 };
         Occluders::new(&Scene::new("test", triangles, vec![object]).unwrap()).unwrap()
     }

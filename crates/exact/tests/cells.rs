@@ -42,10 +42,15 @@ fn set(d: &Decided) -> Vec<u32> {
     all
 }
 
-fn check(triangles: &[Corners], cell: [Vec3; 2], d: &Decided, evidence: &Evidence) -> Result<u64, CellRefusal> {
+fn check(
+    triangles: &[Corners],
+    cell: [Vec3; 2],
+    d: &Decided,
+    evidence: &Evidence,
+) -> Result<u64, CellRefusal> {
     let (visible, index) = (set(d), Triangles::new(triangles));
     let claims = CellClaims { cell, visible: &visible, undecided: &d.undecided, evidence };
-    check_cell(&index, &claims, &mut |_| true)
+    check_cell(&index, &claims, &|_| true)
 }
 
 /// A room of two chambers with a door between them, and boxes in both.
@@ -123,7 +128,7 @@ fn tampered_claims_are_refused() {
     let index = Triangles::new(&triangles);
     let visible = set(&d);
     let ask = |cell, visible: &[u32], undecided: &[u32], evidence: &Evidence| {
-        check_cell(&index, &CellClaims { cell, visible, undecided, evidence }, &mut |_| true)
+        check_cell(&index, &CellClaims { cell, visible, undecided, evidence }, &|_| true)
     };
     ask(cell, &visible, &[], &d.evidence).unwrap();
     // Hiding what is seen, and showing what is hidden.
@@ -158,7 +163,8 @@ fn tampered_claims_are_refused() {
         }
     }
     // A witness that goes on through a wall.
-    let (at, (id, _)) = d.evidence.seen.iter().enumerate().find(|(_, w)| matches!(w.1, Witness::Floats(_))).unwrap();
+    let (at, (id, _)) =
+        d.evidence.seen.iter().enumerate().find(|(_, w)| matches!(w.1, Witness::Floats(_))).unwrap();
     let mut e = d.evidence.clone();
     let Witness::Floats([p, q]) = e.seen[at].1.clone() else { unreachable!() };
     e.seen[at].1 = Witness::Floats([p, p + (p - q)]);

@@ -14,7 +14,7 @@ use sightline_viewcells::{Division, DivisionError, Lattice, Layout, Plan};
 
 /// Changes whenever the same specification would give other bytes, so that stored results are never mistaken for
 /// those of another version.
-pub const ALGORITHM_VERSION: u32 = 5;
+pub const ALGORITHM_VERSION: u32 = 6;
 
 /// Longest time budget, ten years.
 const MAX_BUDGET_MS: u64 = 10 * 366 * 24 * 3600 * 1000;
@@ -38,6 +38,32 @@ pub struct JobSpec {
     pub time_budget_ms: u64,
     /// Most grid cells of a tile of the samplers that share lines within one, 1 to [`MOST_BLOCK_CELLS`].
     pub block_cells: u32,
+    /// How far visibility is decided.
+    pub method: Method,
+    /// Whether witnesses and certificates are kept.
+    pub certificates: bool,
+}
+
+/// How far visibility is decided.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Method {
+    /// By sampling alone.
+    #[default]
+    Aggressive,
+    /// By exact queries as well, about everything.
+    Exact,
+    /// The same with lower limits for a single query.
+    Verified,
+}
+
+impl std::fmt::Display for Method {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Aggressive => "aggressive",
+            Self::Exact => "exact",
+            Self::Verified => "verified",
+        })
+    }
 }
 
 /// Most blocks of a job, about: the scheduler looks through all of them.
@@ -47,8 +73,14 @@ const MOST_BLOCKS: u64 = 1 << 16;
 /// take so long that a lost worker, a pause and a second machine count for more than the lines shared.
 const HEAVY: [(f64, u32); 2] = [(5e10, 64), (5e9, 128)];
 
+/// Cells of a tile that are decided exactly: seconds each on real scenes, beside which what sampling saves in large blocks is nothing.
+const EXACT_BLOCK: u32 = 8;
+
 /// Most cells of a tile, where nobody asks for another number.
-pub fn default_block_cells(triangles: u32, sampling: &SamplingParams) -> u32 {
+pub fn default_block_cells(triangles: u32, sampling: &SamplingParams, method: Method) -> u32 {
+    if method != Method::Aggressive {
+        return EXACT_BLOCK;
+    }
     let work = match sampling.sampler {
         Sampler::Lines => {
             // A bound is aimed at from well below it.
@@ -138,6 +170,12 @@ impl JobSpec {
                 given @ 1.. if s.sampler() != v1::Sampler::Cubes => given,
                 _ => MOST_BLOCK_CELLS,
             },
+            method: match m.method() {
+                v1::Method::Aggressive => Method::Aggressive,
+                v1::Method::Exact => Method::Exact,
+                v1::Method::Verified => Method::Verified,
+            },
+            certificates: m.certificates,
         };
         spec.sampling.check()?;
         if spec.block_cells > MOST_BLOCK_CELLS {
@@ -149,6 +187,12 @@ impl JobSpec {
         }
         if spec.sampling.max_error.is_some() && spec.sampling.sampler != Sampler::Lines {
             return Err(SpecError::Field("max-error", "only the sampler lines refines to a bound"));
+        }
+        if spec.certificates && spec.method == Method::Aggressive {
+            return Err(SpecError::Field(
+                "certificates",
+                "sampling alone has none; give the method exact or verified",
+            ));
         }
         if spec.time_budget_ms > MAX_BUDGET_MS {
             return Err(SpecError::Field("time-budget", "give at most ten years"));
@@ -219,6 +263,13 @@ impl JobSpec {
             seed: self.seed,
             time_budget_ms: self.time_budget_ms,
             block_cells: self.block_cells,
+            method: match self.method {
+                Method::Aggressive => v1::Method::Aggressive,
+                Method::Exact => v1::Method::Exact,
+                Method::Verified => v1::Method::Verified,
+            }
+            .into(),
+            certificates: self.certificates,
         }
     }
 
@@ -268,6 +319,8 @@ mod tests {
             seed: 3,
             time_budget_ms: 0,
             block_cells: 64,
+            method: Method::Aggressive,
+            certificates: false,
         }
     }
 
@@ -286,6 +339,9 @@ mod tests {
             },
             JobSpec { time_budget_ms: 5, ..s.clone() },
             JobSpec { block_cells: 65, ..s.clone() },
+            JobSpec { method: Method::Exact, ..s.clone() },
+            JobSpec { method: Method::Exact, certificates: true, ..s.clone() },
+            JobSpec { method: Method::Verified, ..s.clone() },
             JobSpec {
                 sampling: SamplingParams { sampler: Sampler::Guided, ..sampling.clone() },
                 ..s.clone()
@@ -325,6 +381,7 @@ mod tests {
         assert!(refuse(v1::JobSpec { view_box: vec![], ..good.clone() }).contains("view box"));
         assert!(refuse(v1::JobSpec { block_cells: 513, ..good.clone() }).contains("block-cells"));
         assert!(refuse(v1::JobSpec { sampling: None, ..good.clone() }).contains("sampling"));
+        assert!(refuse(v1::JobSpec { certificates: true, ..good.clone() }).contains("certificates"));
         let nan = v1::Sampling { error_threshold: f64::NAN, ..good.sampling.unwrap() };
         assert!(refuse(v1::JobSpec { sampling: Some(nan), ..good }).contains("error-threshold"));
     }

@@ -46,6 +46,8 @@ pub struct Stats {
     pub undecided_bytes: u64,
     /// Bytes of the columns; 0 when there are none.
     pub column_bytes: u64,
+    /// Bytes of the evidence with its offsets; 0 when there is none.
+    pub evidence_bytes: u64,
     /// Sum of the sizes of the visible sets.
     pub visible_ids: u64,
     /// Sum of the sizes of the undecided sets.
@@ -60,6 +62,8 @@ pub struct Builder {
     undecided: Hierarchy,
     /// Coded; no bytes when there are none.
     columns: Vec<u8>,
+    /// Where the evidence of each cell ends, and all of it.
+    evidence: (Vec<u64>, Vec<u8>),
 }
 
 impl Builder {
@@ -86,6 +90,7 @@ impl Builder {
             visible: Hierarchy::new(nodes),
             undecided: Hierarchy::new(nodes),
             columns: Vec::new(),
+            evidence: Default::default(),
         })
     }
 
@@ -141,6 +146,24 @@ impl Builder {
         Ok(())
     }
 
+    /// Adds the reasons for the next cell's set, as bytes that are opaque here. Cells that come after the last call have none; without
+    /// any call the file has no section for them.
+    ///
+    /// # Errors
+    /// [`PvsError::CellCount`] after the last cell.
+    pub fn push_evidence(&mut self, bytes: &[u8]) -> Result<(), PvsError> {
+        let (ends, all) = &mut self.evidence;
+        if ends.len() as u64 == u64::from(self.header.tree.cells()) {
+            return Err(PvsError::CellCount {
+                expected: self.header.tree.cells(),
+                pushed: ends.len() as u64 + 1,
+            });
+        }
+        all.extend_from_slice(bytes);
+        ends.push(all.len() as u64);
+        Ok(())
+    }
+
     /// Writes the file.
     ///
     /// # Errors
@@ -156,6 +179,7 @@ impl Builder {
         let visible = self.visible.section(&tree, triangles)?;
         let undecided =
             if self.undecided.ids == 0 { Vec::new() } else { self.undecided.section(&tree, triangles)? };
+        let evidence = evidence_section(self.evidence, tree.cells());
         let all: [&[u8]; Section::ALL.len()] = [
             info_json.as_bytes(),
             method.as_bytes(),
@@ -165,9 +189,14 @@ impl Builder {
             &visible,
             &undecided,
             &self.columns,
+            &evidence,
         ];
-        // Without columns the file ends before their section, as it did when there were none.
-        let sections = if self.columns.is_empty() { &all[..Section::Columns as usize] } else { &all[..] };
+        // The file ends before the sections it does not need, as it did when there were none.
+        let sections = match (self.columns.is_empty(), evidence.is_empty()) {
+            (_, false) => &all[..],
+            (false, true) => &all[..Section::Evidence as usize],
+            (true, true) => &all[..Section::Columns as usize],
+        };
         let header = layout::header(triangles, tree.cells(), tree.nodes().len() as u32, sections);
         out.write_all(&header).map_err(PvsError::Write)?;
         for section in sections {
@@ -179,6 +208,7 @@ impl Builder {
             visible_bytes: visible.len() as u64,
             undecided_bytes: undecided.len() as u64,
             column_bytes: self.columns.len() as u64,
+            evidence_bytes: evidence.len() as u64,
             visible_ids: self.visible.ids,
             undecided_ids: self.undecided.ids,
         })
@@ -212,6 +242,18 @@ fn tree_section(tree: &CellTree) -> Vec<u8> {
         bytes.extend(at.to_le_bytes());
     }
     bytes
+}
+
+/// Offsets and bytes; no bytes at all for no evidence.
+fn evidence_section((mut ends, bytes): (Vec<u64>, Vec<u8>), cells: u32) -> Vec<u8> {
+    if ends.is_empty() {
+        return Vec::new();
+    }
+    ends.resize(cells as usize, bytes.len() as u64);
+    let offsets = std::iter::once(0).chain(ends);
+    let mut section: Vec<u8> = offsets.flat_map(u64::to_le_bytes).collect();
+    section.extend(bytes);
+    section
 }
 
 fn object_section(objects: &[Object]) -> Vec<u8> {

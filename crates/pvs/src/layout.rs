@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | 0 | 8 | `89 50 56 53 0d 0a 1a 0a`; a transfer that touches line ends or the eighth bit breaks it visibly |
 //! | 8 | 4 | [`VERSION`] |
-//! | 12 | 4 | number of sections S: 7, or 8 in a file with columns |
+//! | 12 | 4 | number of sections S: 7, 8 in a file with columns, 9 in one with evidence |
 //! | 16 | 8 | length of the file |
 //! | 24 | 4 | triangles N |
 //! | 28 | 4 | cells M |
@@ -13,8 +13,8 @@
 //! | 40 | S × 24 | for each section in the order of [`Section`]: its number (4), CRC-32C (4), offset (8), length (8) |
 //! | 40 + 24 S | | the sections, one after another, without gaps |
 //!
-//! The section of columns came later. A file without it is byte for byte what it was before, so the version
-//! is the same; a program that knows seven sections refuses a file with eight at the header's checksum.
+//! The sections of columns and evidence came later. A file without them is byte for byte what it was before, so the version
+//! is the same; a program that knows fewer sections refuses a file with more at the header's checksum.
 //!
 //! So every byte lies under exactly one checksum, and the header's covers what finds the others.
 
@@ -24,8 +24,8 @@ use crate::error::PvsError;
 pub const VERSION: u32 = 1;
 
 const MAGIC: [u8; 8] = *b"\x89PVS\r\n\x1a\n";
-/// With the columns, which a file may do without.
-const SECTIONS: usize = 8;
+/// With columns and evidence, which a file may do without.
+const SECTIONS: usize = 9;
 const LEAST_SECTIONS: usize = Section::Columns as usize;
 const CRC_AT: usize = 36;
 const TABLE_AT: usize = 40;
@@ -50,10 +50,13 @@ pub enum Section {
     /// Numbers of the baker for each cell, or no section at all. Count as u32; for each column length of its
     /// name as u32, the name in UTF-8, length of its data as u32, the data: a LEB128 number for each cell.
     Columns,
+    /// Reasons of the baker for each cell's set, opaque here, or no section at all. Cells + 1 offsets as u64, then the bytes of
+    /// the cells. In a file with this section that of the columns is there, too, and may be empty.
+    Evidence,
 }
 
 impl Section {
-    /// All of them, in order; a file without columns has all but the last.
+    /// All of them, in order; a file may do without the last or the last two.
     pub const ALL: [Self; SECTIONS] = [
         Self::Info,
         Self::Method,
@@ -63,6 +66,7 @@ impl Section {
         Self::Visible,
         Self::Undecided,
         Self::Columns,
+        Self::Evidence,
     ];
 
     /// Its name in messages.
@@ -76,6 +80,7 @@ impl Section {
             Self::Visible => "visible sets",
             Self::Undecided => "undecided sets",
             Self::Columns => "columns",
+            Self::Evidence => "evidence",
         }
     }
 
@@ -130,7 +135,7 @@ impl Layout {
         }
         let malformed = |reason: &str| PvsError::Malformed { section: "header", reason: reason.to_owned() };
         if !known {
-            return Err(malformed("it has neither seven nor eight sections"));
+            return Err(malformed("it does not have seven, eight or nine sections"));
         }
         let expected = u64_at(header, 16);
         if expected != actual {
@@ -169,7 +174,7 @@ const fn header_len(sections: usize) -> usize {
     TABLE_AT + sections * 24
 }
 
-/// The header of a file with these sections, in the order of [`Section::ALL`]; the last may be left out.
+/// The header of a file with these sections, in the order of [`Section::ALL`]; the last two may be left out.
 pub(crate) fn header(triangles: u32, cells: u32, nodes: u32, sections: &[&[u8]]) -> Vec<u8> {
     let file_len = header_len(sections.len()) as u64 + sections.iter().map(|s| s.len() as u64).sum::<u64>();
     let mut table = Vec::with_capacity(sections.len() * 24);

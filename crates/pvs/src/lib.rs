@@ -14,7 +14,8 @@
 //! - `flags`: one word a cell;
 //! - `visible`, `undecided`: for each tree node one coded set; a cell's set is the exclusive or of the sets on
 //!   its path from the root (thesis appendix B.1; [`builder`] says how the inner sets are chosen);
-//! - `columns`, only where there are any: what the baker counted in each cell, under a name each.
+//! - `columns`, only where there are any: what the baker counted in each cell, under a name each;
+//! - `evidence`, only where there is any: the reasons for each cell's set, opaque here.
 //!
 //! ```
 //! # use sightline_pvs::*;

@@ -106,7 +106,13 @@ impl Pvs {
         if !part(Section::Undecided).is_empty() {
             check_offsets(Section::Undecided, part(Section::Undecided), layout.nodes)?;
         }
-        if layout.has(Section::Columns) {
+        if layout.has(Section::Evidence) {
+            check_offsets(Section::Evidence, part(Section::Evidence), layout.cells)?;
+        }
+        // Empty only where evidence follows.
+        if layout.has(Section::Columns)
+            && !(part(Section::Columns).is_empty() && layout.has(Section::Evidence))
+        {
             columns::check(part(Section::Columns), layout.cells)?;
         }
         Ok(Self { layout, tree, objects, bytes })
@@ -185,10 +191,26 @@ impl Pvs {
     /// # Errors
     /// [`PvsError::Malformed`] for a file that was changed after opening.
     pub fn columns(&self) -> Result<Vec<Column>, PvsError> {
-        if !self.layout.has(Section::Columns) {
+        if self.part(Section::Columns).is_empty() {
             return Ok(Vec::new());
         }
         columns::decode(self.part(Section::Columns), self.layout.cells)
+    }
+
+    /// The reasons for a cell's set as the baker wrote them, opaque here; `None` when the file has none.
+    ///
+    /// # Errors
+    /// [`PvsError::NoCell`], and [`PvsError::Malformed`] for a file that was changed after opening.
+    pub fn evidence(&self, cell: u32) -> Result<Option<&[u8]>, PvsError> {
+        self.leaf(cell)?;
+        if !self.layout.has(Section::Evidence) {
+            return Ok(None);
+        }
+        let section = self.part(Section::Evidence);
+        let head = (self.layout.cells as usize + 1) * 8;
+        let [from, to] = [0, 1].map(|k| u64_at(section, (cell as usize + k) * 8) as usize);
+        let bytes = head.checked_add(from).zip(head.checked_add(to)).and_then(|(a, b)| section.get(a..b));
+        bytes.map(Some).ok_or_else(|| Section::Evidence.malformed("a cell's part is beyond its end"))
     }
 
     /// What to draw from a cell: `ids` becomes the ascending triangle ids.

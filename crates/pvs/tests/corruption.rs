@@ -6,19 +6,22 @@ use proptest::prelude::*;
 use sightline_pvs::{Builder, CellTree, Column, Header, Node, Object, Pvs, PvsError};
 
 fn small_file() -> Vec<u8> {
-    file_with(vec![])
+    file_with(vec![], &[])
 }
 
-/// The same file without columns and with two.
-fn small_files() -> [Vec<u8>; 2] {
+/// The same file without columns, with two, with evidence for some cells beside these, and with evidence alone.
+fn small_files() -> [Vec<u8>; 4] {
     let column = |name: &str, values: [u64; 3]| Column { name: name.into(), values: values.to_vec() };
+    let columns = vec![column("rays_uniform", [90, 70_000, u64::MAX]), column("bound_lines", [0, 0, 7])];
     [
         small_file(),
-        file_with(vec![column("rays_uniform", [90, 70_000, u64::MAX]), column("bound_lines", [0, 0, 7])]),
+        file_with(columns.clone(), &[]),
+        file_with(columns, &[b"seen along this", b""]),
+        file_with(vec![], &[b"", b"hidden by that", b"both"]),
     ]
 }
 
-fn file_with(columns: Vec<Column>) -> Vec<u8> {
+fn file_with(columns: Vec<Column>, evidence: &[&[u8]]) -> Vec<u8> {
     let nodes = vec![
         Node::Split { axis: 1, at: 0.5 },
         Node::Leaf,
@@ -39,9 +42,29 @@ fn file_with(columns: Vec<Column>) -> Vec<u8> {
     builder.push_cell(&[1, 2, 3, 51, 98], &[], 2).unwrap();
     builder.push_cell(&(0..100).collect::<Vec<_>>(), &[], 1).unwrap();
     builder.set_columns(columns).unwrap();
+    evidence.iter().for_each(|e| builder.push_evidence(e).unwrap());
     let mut file = Vec::new();
     builder.finish(&mut file).unwrap();
     file
+}
+
+#[test]
+fn evidence_comes_back_and_cells_without_have_none() {
+    let [without, columns, some, all] = small_files();
+    for file in [without, columns] {
+        assert_eq!(Pvs::from_bytes(file).unwrap().evidence(0).unwrap(), None);
+    }
+    let some = Pvs::from_bytes(some).unwrap();
+    let of = |pvs: &Pvs, cell| pvs.evidence(cell).unwrap().unwrap().to_vec();
+    assert_eq!([of(&some, 0), of(&some, 1), of(&some, 2)], [b"seen along this".to_vec(), vec![], vec![]]);
+    assert_eq!(some.columns().unwrap().len(), 2);
+    let all = Pvs::from_bytes(all).unwrap();
+    assert_eq!(
+        [of(&all, 0), of(&all, 1), of(&all, 2)],
+        [vec![], b"hidden by that".to_vec(), b"both".to_vec()]
+    );
+    assert!(all.columns().unwrap().is_empty());
+    assert!(matches!(all.evidence(3), Err(PvsError::NoCell { .. })));
 }
 
 #[test]
@@ -49,8 +72,8 @@ fn every_altered_byte_is_noticed() {
     for file in small_files() {
         assert!(Pvs::from_bytes(file.clone()).is_ok());
         for at in 0..file.len() {
-            // 7 and 8 sections differ by 0x0f.
-            for flip in [0x01, 0x0f, 0x80, 0xff] {
+            // 7 and 8 sections differ by 0x0f, 7 and 9 by 0x0e.
+            for flip in [0x01, 0x0e, 0x0f, 0x80, 0xff] {
                 let mut altered = file.clone();
                 altered[at] ^= flip;
                 assert!(
@@ -78,7 +101,7 @@ fn every_truncation_is_noticed() {
 #[test]
 fn an_altered_number_of_sections_is_named() {
     for file in small_files() {
-        for sections in (0..=9).chain([u8::MAX]).filter(|&n| n != file[12]) {
+        for sections in (0..=10).chain([u8::MAX]).filter(|&n| n != file[12]) {
             let mut altered = file.clone();
             altered[12] = sections;
             let error = Pvs::from_bytes(altered.clone()).unwrap_err();
@@ -89,14 +112,14 @@ fn an_altered_number_of_sections_is_named() {
         }
     }
     // A table that reaches beyond the end of the file.
-    let [_, file] = small_files();
+    let [_, file, ..] = small_files();
     assert!(matches!(Pvs::from_bytes(&file[..220]), Err(PvsError::Length { expected: 232, actual: 220 })));
 }
 
 /// A section of columns that is empty would be a second form of a file without.
 #[test]
 fn an_empty_section_of_columns_is_refused() {
-    let [without, with] = small_files();
+    let [without, with, ..] = small_files();
     let start = u64::from_le_bytes(with[216..224].try_into().unwrap()) as usize;
     assert_eq!(start, without.len() + 24);
     for columns in [&[][..], &[0; 4]] {
@@ -123,7 +146,10 @@ fn other_files_and_versions_are_named() {
 /// Writes the right checksums over whatever the file now holds.
 fn seal(file: &mut [u8]) {
     // With a number of sections that cannot be, the header is checked as one of seven.
-    let table_end = if file[12..16] == [8, 0, 0, 0] { 232 } else { 208 };
+    let table_end = match file[12..16] {
+        [sections @ 8..=9, 0, 0, 0] => 40 + usize::from(sections) * 24,
+        _ => 208,
+    };
     for entry in (40..table_end).step_by(24) {
         let number = |at: usize| u64::from_le_bytes(file[at..at + 8].try_into().unwrap());
         let (start, length) = (number(entry + 8) as usize, number(entry + 16) as usize);
@@ -146,6 +172,7 @@ fn read_all(file: Vec<u8>) -> bool {
     }
     let mut whole = true;
     for cell in 0..pvs.cells() {
+        pvs.evidence(cell).unwrap();
         for read in [Pvs::visible, Pvs::undecided] {
             match read(&pvs, cell, &mut ids) {
                 Ok(()) => {
@@ -196,7 +223,7 @@ proptest! {
     fn scrambled_columns_do_not_panic(
         changes in proptest::collection::vec((0usize..1000, any::<u8>()), 1..8),
     ) {
-        let [without, mut file] = small_files();
+        let [without, mut file, ..] = small_files();
         let start = without.len() + 24;
         let length = file.len();
         for (at, value) in changes {

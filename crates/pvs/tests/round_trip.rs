@@ -56,6 +56,7 @@ fn build_with(header: Header, cells: &[Cell], columns: &[Column]) -> Vec<u8> {
     let stats = builder.finish(&mut file).unwrap();
     assert_eq!(stats.file_bytes, file.len() as u64);
     assert_eq!(stats.column_bytes == 0, columns.is_empty());
+    assert_eq!(stats.evidence_bytes, 0);
     assert_eq!(stats.visible_ids, cells.iter().map(|c| c.0.len() as u64).sum::<u64>());
     assert_eq!(stats.undecided_ids, cells.iter().map(|c| c.1.len() as u64).sum::<u64>());
     file

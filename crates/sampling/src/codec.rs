@@ -10,7 +10,7 @@ use sightline_viewcells::{CellBox, LatticePoint, Split};
 
 use crate::cube::VisibilitySample;
 use crate::lines::CellStats;
-use crate::tile::{CellSet, CellSets, Node, Pack, TileOutput};
+use crate::tile::{CellSet, CellSets, Decision, Node, Pack, TileOutput};
 
 /// Compression level: 3 is zstd's own default; higher ones cost more time than the network saves.
 const LEVEL: i32 = 3;
@@ -68,6 +68,17 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
                 put_ids(&mut raw, &cell.visible);
                 put(&mut raw, cell.samples);
                 cell.stats.numbers().into_iter().for_each(|n| put64(&mut raw, n));
+                let Some(decision) = &cell.decision else {
+                    raw.push(0);
+                    continue;
+                };
+                raw.push(1);
+                put_ids(&mut raw, &decision.undecided);
+                put(&mut raw, decision.counts.len() as u32);
+                decision.counts.iter().for_each(|n| put64(&mut raw, *n));
+                let length = u32::try_from(decision.evidence.len()).map_err(std::io::Error::other)?;
+                put(&mut raw, length);
+                raw.extend_from_slice(&decision.evidence);
             }
         }
     }
@@ -290,9 +301,33 @@ impl Reader<'_> {
         }
         let mut sets = CellSets { nodes, cells: Vec::new() };
         for _ in 0..cells {
-            sets.cells.push(CellSet { visible: self.ids()?, samples: self.u32()?, stats: self.stats()? });
+            let (visible, samples, stats) = (self.ids()?, self.u32()?, self.stats()?);
+            let decision = self.decision(&visible)?;
+            sets.cells.push(CellSet { visible, samples, stats, decision });
         }
         Ok(sets)
+    }
+
+    fn decision(&mut self, visible: &[u32]) -> Result<Option<Decision>, CodecError> {
+        match self.byte()? {
+            0 => return Ok(None),
+            1 => {}
+            _ => return Err(CodecError("a decision is of no kind there is")),
+        }
+        let undecided = self.ids()?;
+        let mut rest = visible.iter();
+        if !undecided.iter().all(|id| rest.any(|v| v == id)) {
+            return Err(CodecError("what is undecided is not in the set"));
+        }
+        let n = self.count(1)?;
+        if n > Decision::MOST_COUNTS {
+            return Err(CodecError("a decision has too many counts"));
+        }
+        let counts = (0..n).map(|_| self.u64()).collect::<Result<_, _>>()?;
+        let length = self.count(1)?;
+        let (evidence, rest) = self.bytes.split_at(length);
+        self.bytes = rest;
+        Ok(Some(Decision { undecided, counts, evidence: evidence.to_vec() }))
     }
 }
 
@@ -335,8 +370,18 @@ mod tests {
                                 unfinished: true,
                                 ..CellStats::default()
                             },
+                            decision: None,
                         },
-                        CellSet { visible: b, samples: 7, stats: CellStats::default() },
+                        CellSet {
+                            samples: 7,
+                            decision: Some(Decision {
+                                undecided: b.iter().copied().step_by(2).collect(),
+                                counts: vec![u64::from(at), u64::MAX],
+                                evidence: samples.to_le_bytes().to_vec(),
+                            }),
+                            visible: b,
+                            ..CellSet::default()
+                        },
                     ],
                 })
             });
@@ -365,11 +410,26 @@ mod tests {
     fn ids_beyond_the_scene_are_refused() {
         let sets = CellSets {
             nodes: vec![Node::Cell],
-            cells: vec![CellSet { visible: vec![5], samples: 1, stats: CellStats::default() }],
+            cells: vec![CellSet { visible: vec![5], samples: 1, ..CellSet::default() }],
         };
         let bytes = encode(&TileOutput::Cells(sets)).unwrap();
         assert!(decode(&bytes, 6).is_ok());
         assert!(decode(&bytes, 5).is_err());
         assert!(decode(b"", 5).is_err());
+    }
+
+    #[test]
+    fn what_is_undecided_has_to_be_in_the_set() {
+        let sets = |undecided: &[u32]| {
+            let decision = Some(Decision { undecided: undecided.to_vec(), ..Decision::default() });
+            let cell = CellSet { visible: vec![2, 5], decision, ..CellSet::default() };
+            encode(&TileOutput::Cells(CellSets { nodes: vec![Node::Cell], cells: vec![cell] })).unwrap()
+        };
+        for fine in [&[][..], &[2], &[5], &[2, 5]] {
+            assert!(decode(&sets(fine), 6).is_ok());
+        }
+        for wrong in [&[1][..], &[2, 3], &[2, 3, 5]] {
+            assert!(decode(&sets(wrong), 6).is_err());
+        }
     }
 }

@@ -112,7 +112,7 @@ pub enum Node {
 }
 
 /// What is known of a view cell.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CellSet {
     /// Ids seen from it or meeting it, ascending.
     pub visible: Vec<u32>,
@@ -120,6 +120,24 @@ pub struct CellSet {
     pub samples: u32,
     /// How sight lines came to the set.
     pub stats: CellStats,
+    /// What exact queries decided beyond sampling; none when nobody asked for that.
+    pub decision: Option<Decision>,
+}
+
+/// What exact queries added to what was sampled. Their counts and their evidence are opaque here.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Decision {
+    /// Triangles of the set that were neither seen nor proved hidden, ascending.
+    pub undecided: Vec<u32>,
+    /// What was counted, at most [`Decision::MOST_COUNTS`] numbers.
+    pub counts: Vec<u64>,
+    /// Witnesses and certificates, where they are kept.
+    pub evidence: Vec<u8>,
+}
+
+impl Decision {
+    /// Most numbers a decision can have.
+    pub const MOST_COUNTS: usize = 64;
 }
 
 /// The result of a leaf tile.
@@ -293,7 +311,7 @@ impl Work<'_> {
         let Some(split) = split else {
             self.cache.finish(cell);
             out.nodes.push(Node::Cell);
-            out.cells.push(CellSet { visible: seen, samples, stats: CellStats::default() });
+            out.cells.push(CellSet { visible: seen, samples, ..CellSet::default() });
             self.watcher.cell_done();
             return Ok(());
         };

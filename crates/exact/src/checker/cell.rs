@@ -15,6 +15,7 @@
 use std::cmp::Ordering;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::line::{Plane, Point, height, plane, point, reduced, sign};
 use super::near::Triangles;
@@ -56,7 +57,9 @@ pub enum CellRefusal {
     #[error("triangle {0}: {1}")]
     Account(u32, &'static str),
     /// A triangle neither meets the cell nor has a witness.
-    #[error("triangle {0} is said to be visible, but it does not meet the cell and there is no witness for it")]
+    #[error(
+        "triangle {0} is said to be visible, but it does not meet the cell and there is no witness for it"
+    )]
     NoWitness(u32),
     /// A witness does not show its triangle.
     #[error("the witness for triangle {0}: {1}")]
@@ -86,38 +89,37 @@ fn group(triangles: &[u32]) -> String {
 pub fn check_cell(
     scene: &Triangles<'_>,
     claims: &CellClaims<'_>,
-    pick: &mut dyn FnMut(Claim) -> bool,
+    pick: &(dyn Fn(Claim) -> bool + Sync),
 ) -> Result<u64, CellRefusal> {
     let [min, max] = claims.cell;
     if !(min.cmplt(max).all() && min.is_finite() && max.is_finite()) {
         return Err(CellRefusal::Cell);
     }
-    let mut checked = 0;
-    for claim in account(scene, claims)? {
-        if !pick(claim) {
-            continue;
+    let mut picked = account(scene, claims)?;
+    picked.retain(|claim| pick(*claim));
+    // Of several that do not hold, always the same is named.
+    let refusal = picked.par_iter().with_max_len(8).find_map_first(|claim| check(scene, claims, *claim).err());
+    refusal.map_or(Ok(picked.len() as u64), Err)
+}
+
+fn check(scene: &Triangles<'_>, claims: &CellClaims<'_>, claim: Claim) -> Result<(), CellRefusal> {
+    match claim {
+        Claim::Meets(id) => {
+            if !meets_box(&scene.all()[id as usize], claims.cell) {
+                return Err(CellRefusal::NoWitness(id));
+            }
         }
-        checked += 1;
-        match claim {
-            Claim::Meets(id) => {
-                if !meets_box(&scene.all()[id as usize], claims.cell) {
-                    return Err(CellRefusal::NoWitness(id));
-                }
-            }
-            Claim::Seen(at) => {
-                let (id, witness) = &claims.evidence.seen[at];
-                check_witness(scene, claims.cell, *id, witness).map_err(|e| CellRefusal::Witness(*id, e))?;
-            }
-            Claim::Hidden(at) => {
-                let group = &claims.evidence.hidden[at];
-                check_group(scene, claims.cell, group).map_err(|reason| CellRefusal::Hidden {
-                    triangles: group.triangles.clone(),
-                    reason,
-                })?;
-            }
+        Claim::Seen(at) => {
+            let (id, witness) = &claims.evidence.seen[at];
+            check_witness(scene, claims.cell, *id, witness).map_err(|e| CellRefusal::Witness(*id, e))?;
+        }
+        Claim::Hidden(at) => {
+            let group = &claims.evidence.hidden[at];
+            check_group(scene, claims.cell, group)
+                .map_err(|reason| CellRefusal::Hidden { triangles: group.triangles.clone(), reason })?;
         }
     }
-    Ok(checked)
+    Ok(())
 }
 
 /// All claims, if every triangle with area has one and only one.
@@ -252,12 +254,7 @@ fn cut(p: &Point, q: &Point, flat: &Plane) -> Point {
     reduced(std::array::from_fn(|k| &q[k] * &s + &p[k] * &t))
 }
 
-fn check_witness(
-    scene: &Triangles<'_>,
-    cell: [Vec3; 2],
-    id: u32,
-    witness: &Witness,
-) -> Result<(), String> {
+fn check_witness(scene: &Triangles<'_>, cell: [Vec3; 2], id: u32, witness: &Witness) -> Result<(), String> {
     let corners = exact(&scene.all()[id as usize]);
     let own = plane([&corners[0], &corners[1], &corners[2]]);
     let (p, q) = match witness {
@@ -286,9 +283,9 @@ fn check_witness(
         return Err("it does not end inside the triangle".to_owned());
     }
     // The face it leaves the cell through, if it begins on one.
-    let leaving = faces().map(|(axis, up)| face_plane(cell, axis, up)).find(|f| {
-        height(f, &p).is_zero() && sign(&height(f, &q)) == Ordering::Greater
-    });
+    let leaving = faces()
+        .map(|(axis, up)| face_plane(cell, axis, up))
+        .find(|f| height(f, &p).is_zero() && sign(&height(f, &q)) == Ordering::Greater);
     let bounds = |e: &Point| -> [Vec3; 2] {
         let sides: [(f64, f64); 3] = std::array::from_fn(|k| around(&e[k], &e[3]));
         // Rounding a double to single precision moves it by at most a step.
@@ -322,9 +319,8 @@ fn check_group(scene: &Triangles<'_>, cell: [Vec3; 2], group: &Hidden) -> Result
             if !(min.is_finite() && max.is_finite() && min.cmple(max).all()) {
                 return Err("its box is none".to_owned());
             }
-            let outside = |id: &&u32| {
-                all[**id as usize].iter().any(|v| v.cmplt(min).any() || v.cmpgt(max).any())
-            };
+            let outside =
+                |id: &&u32| all[**id as usize].iter().any(|v| v.cmplt(min).any() || v.cmpgt(max).any());
             if let Some(id) = group.triangles.iter().find(outside) {
                 return Err(format!("triangle {id} is not in its box"));
             }

@@ -29,9 +29,9 @@ use dashu_int::IBig;
 use glam::{DVec3, Vec3};
 
 use crate::proof::{Proof, Step, Which};
+pub use cell::{CellClaims, CellRefusal, Claim, check_cell};
 use cone::Cone;
 use line::{Line, Plane, Point, height, join, meet, plane, point, reduced, sign, vector};
-pub use cell::{CellClaims, CellRefusal, Claim, check_cell};
 pub use near::Triangles;
 pub use witness::check_witness;
 

@@ -84,7 +84,8 @@ impl<'a> Triangles<'a> {
                 p[corner].as_dvec3() * (1.0 - t) + q[corner].as_dvec3() * t
             };
             let (a, b) = (share(piece, 0).min(share(piece + 1, 0)), share(piece, 1).max(share(piece + 1, 1)));
-            let slack = p.iter().chain(&q).fold(0.0f64, |m, v| m.max(f64::from(v.abs().max_element()))) * 1e-15;
+            let slack =
+                p.iter().chain(&q).fold(0.0f64, |m, v| m.max(f64::from(v.abs().max_element()))) * 1e-15;
             let down = |x: f64| ((x - slack) as f32).next_down();
             let up = |x: f64| ((x + slack) as f32).next_up();
             self.in_box(

@@ -199,7 +199,11 @@ impl Reader<'_> {
             if byte < 0x80 {
                 // One form for each number.
                 let short = shift == 0 || byte != 0;
-                return if short { Ok(x) } else { Err(EvidenceError("a number has more bytes than it needs")) };
+                return if short {
+                    Ok(x)
+                } else {
+                    Err(EvidenceError("a number has more bytes than it needs"))
+                };
             }
         }
         Err(EvidenceError("a number is too large"))

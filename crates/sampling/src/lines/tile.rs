@@ -122,6 +122,7 @@ fn sets(job: &JobContext<'_>, tile: &Tile, block: &Block<'_>) -> CellSets {
                     visible: std::mem::take(&mut columns[grid.slot(at).index()]),
                     samples: 0,
                     stats,
+                    decision: None,
                 });
             }
         }

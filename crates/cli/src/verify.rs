@@ -1,0 +1,178 @@
+//! `sightline verify`: every witness and every certificate of a result checked again, by the checker alone.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+
+use glam::Vec3;
+use serde_json::json;
+use sightline_exact::checker::{CellClaims, Claim, Triangles, check_cell};
+use sightline_exact::evidence::{Evidence, codec};
+use sightline_pvs::Pvs;
+use sightline_scene::Scene;
+
+use crate::args::VerifyArgs;
+use crate::error::CliError;
+use crate::inspect;
+use crate::progress::{Progress, human, say};
+use crate::serve::{self, print, threads};
+
+/// Checks a result against its scene.
+pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
+    let scene = sightline_scene::load(&args.scene)?;
+    let pvs = inspect::open(&args.result)?;
+    check_scene(&scene, &pvs, &args.scene, &args.result)?;
+    if pvs.cells() > 0 && pvs.evidence(0)?.is_none() {
+        return Err(CliError::Input(format!(
+            "{} has no certificates (method {}), so there is nothing to verify; bake it with --method exact --certificates",
+            args.result.display(),
+            pvs.method()
+        )));
+    }
+    serve::use_threads(threads(args.threads.map(usize::from)))?;
+    let raw: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
+    let triangles = Triangles::new(&raw);
+    let sample = args.sample.map(|n| draw(n, args.seed, pvs.cells(), scene.len()));
+    let progress = Progress::new();
+    let start = Instant::now();
+    let mut totals = Totals::default();
+    for cell in 0..pvs.cells() {
+        let wanted = match &sample {
+            Some(sample) => Some(sample.get(&cell).cloned().unwrap_or_default()),
+            None => None,
+        };
+        let checked = check_one(&pvs, &triangles, cell, wanted.as_ref(), &mut totals);
+        if let Err(why) = checked {
+            progress.end();
+            if json {
+                print(&json!({"accepted": false, "cell": cell, "reason": why}).to_string())?;
+            }
+            return Err(CliError::Input(format!(
+                "REFUSED: {}, cell {cell}: {why}; the result is damaged or was altered, bake it again",
+                args.result.display()
+            )));
+        }
+        progress.count(u64::from(cell) + 1, u64::from(pvs.cells()), "cells");
+    }
+    progress.end();
+    say(&format!("verified in {}", human(start.elapsed())));
+    let [witnesses, certificates, meeting] = totals.checked;
+    if json {
+        return print(
+            &json!({
+                "accepted": true,
+                "method": pvs.method(),
+                "cells": pvs.cells(),
+                "witnesses": totals.all[0],
+                "certificates": totals.all[1],
+                "meeting": totals.all[2],
+                "witnesses_checked": witnesses,
+                "certificates_checked": certificates,
+                "meeting_checked": meeting,
+                "undecided": totals.undecided,
+                "evidence_bytes": totals.bytes,
+                "sampled": args.sample.is_some(),
+            })
+            .to_string(),
+        );
+    }
+    print(&format!(
+        "accepted: {} cells; checked {witnesses} of {} witnesses, {certificates} of {} certificates, {meeting} of {} triangles that meet their cell\n\
+         undecided, and so neither: {} pairs of cell and triangle; {} bytes of evidence",
+        pvs.cells(),
+        totals.all[0],
+        totals.all[1],
+        totals.all[2],
+        totals.undecided,
+        totals.bytes,
+    ))
+}
+
+/// Refuses a scene that is not the one a result was baked from.
+pub fn check_scene(scene: &Scene, pvs: &Pvs, path: &Path, result: &Path) -> Result<(), CliError> {
+    let info: serde_json::Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
+    let of = info["scene"].as_str();
+    let digest = blake3::Hash::from_bytes(scene.digest().0).to_hex();
+    if pvs.triangle_count() != scene.len() || of != Some(digest.as_str()) {
+        return Err(CliError::Input(format!(
+            "{} was baked from another scene than {}; name the one it was baked from",
+            result.display(),
+            path.display()
+        )));
+    }
+    Ok(())
+}
+
+/// The evidence of a cell; nothing at all for one without.
+pub fn evidence(pvs: &Pvs, cell: u32) -> Result<Option<Evidence>, String> {
+    match pvs.evidence(cell).map_err(|e| e.to_string())? {
+        None => Ok(None),
+        // A cell that was set aside.
+        Some([]) => Ok(Some(Evidence::default())),
+        Some(bytes) => codec::decode(bytes, pvs.triangle_count()).map(Some).map_err(|e| e.to_string()),
+    }
+}
+
+/// What was gone through: witnesses, certificates, triangles that meet their cell.
+#[derive(Default)]
+struct Totals {
+    all: [u64; 3],
+    checked: [u64; 3],
+    undecided: u64,
+    bytes: u64,
+}
+
+/// Checks one cell, or of it only what is about the triangles `wanted`.
+fn check_one(
+    pvs: &Pvs,
+    scene: &Triangles<'_>,
+    cell: u32,
+    wanted: Option<&BTreeSet<u32>>,
+    totals: &mut Totals,
+) -> Result<(), String> {
+    let error = |e: sightline_pvs::PvsError| e.to_string();
+    let (mut visible, mut undecided) = (Vec::new(), Vec::new());
+    pvs.visible(cell, &mut visible).map_err(error)?;
+    pvs.undecided(cell, &mut undecided).map_err(error)?;
+    let bounds = pvs.cell_bounds(cell).ok_or("there is no such cell")?.map(Vec3::from);
+    let evidence = evidence(pvs, cell)?.ok_or("it has no evidence")?;
+    totals.undecided += undecided.len() as u64;
+    totals.bytes += pvs.evidence(cell).map_err(error)?.map_or(0, |e| e.len() as u64);
+    let claims = CellClaims { cell: bounds, visible: &visible, undecided: &undecided, evidence: &evidence };
+    let [all, picked] = [0, 1].map(|_| [0, 1, 2].map(|_| AtomicU64::new(0)));
+    let pick = |claim: Claim| {
+        let (kind, take) = match claim {
+            Claim::Seen(at) => (0, wanted.is_none_or(|w| w.contains(&evidence.seen[at].0))),
+            Claim::Hidden(at) => {
+                (1, wanted.is_none_or(|w| evidence.hidden[at].triangles.iter().any(|t| w.contains(t))))
+            }
+            Claim::Meets(id) => (2, wanted.is_none_or(|w| w.contains(&id))),
+        };
+        all[kind].fetch_add(1, Ordering::Relaxed);
+        picked[kind].fetch_add(u64::from(take), Ordering::Relaxed);
+        take
+    };
+    check_cell(scene, &claims, &pick).map_err(|e| e.to_string())?;
+    for kind in 0..3 {
+        totals.all[kind] += all[kind].load(Ordering::Relaxed);
+        totals.checked[kind] += picked[kind].load(Ordering::Relaxed);
+    }
+    Ok(())
+}
+
+/// So many pairs of cell and triangle, evenly from all: the triangles by cell.
+fn draw(count: u64, seed: u64, cells: u32, triangles: u32) -> BTreeMap<u32, BTreeSet<u32>> {
+    let mut state = seed;
+    let mut next = |below: u32| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        // The upper half of the product of 32 random bits and the number.
+        ((u64::from((state >> 32) as u32) * u64::from(below)) >> 32) as u32
+    };
+    let mut out: BTreeMap<u32, BTreeSet<u32>> = BTreeMap::new();
+    for _ in 0..count {
+        let cell = next(cells);
+        out.entry(cell).or_default().insert(next(triangles));
+    }
+    out
+}

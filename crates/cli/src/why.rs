@@ -1,0 +1,124 @@
+//! `sightline query --why`: the witness along which a triangle is seen from a cell, or the blockers that hide it.
+
+use std::path::Path;
+
+use glam::Vec3;
+use serde_json::{Value, json};
+use sightline_exact::cell::{Cell, Found, from_cell};
+use sightline_exact::evidence::Reason;
+use sightline_exact::{Cost, Limits, Occluders, Polygon, polygon};
+use sightline_pvs::Pvs;
+use sightline_scene::{Aabb, overlap};
+
+use crate::error::CliError;
+use crate::serve::print;
+use crate::verify;
+
+/// Blockers listed without --json.
+const SHOWN: usize = 40;
+
+/// Says why a triangle is in a cell's set, or is not: from the result's certificates, or asked anew in the scene.
+pub fn why(
+    pvs: &Pvs,
+    result: &Path,
+    (cell, triangle): (u32, u32),
+    scene: Option<&Path>,
+    json: bool,
+) -> Result<(), CliError> {
+    if triangle >= pvs.triangle_count() {
+        return Err(CliError::Usage(format!(
+            "there is no triangle {triangle}: {} was baked from a scene of {}",
+            result.display(),
+            pvs.triangle_count()
+        )));
+    }
+    let mut answer = match scene {
+        Some(path) => ask(pvs, result, path, cell, triangle)?,
+        None => look_up(pvs, result, cell, triangle)?,
+    };
+    if json {
+        (answer["cell"], answer["triangle"]) = (cell.into(), triangle.into());
+        return print(&answer.to_string());
+    }
+    let about = format!("triangle {triangle} from cell {cell}");
+    let blockers = answer["blockers"].as_array().map_or(&[][..], |b| b);
+    print(&match answer["state"].as_str() {
+        Some("visible") if answer["meets"] == true => format!("{about}: visible, it meets the cell"),
+        Some("visible") => format!("{about}: visible along {} to {}", answer["witness"][0], answer["witness"][1]),
+        Some("hidden") if answer["degenerate"] == true => format!("{about}: never visible, it has no area"),
+        Some("hidden") => {
+            let with = match answer["with"].as_u64() {
+                Some(n @ 1..) => format!(" together with {n} others in a box"),
+                _ => String::new(),
+            };
+            let list: Vec<String> = blockers.iter().take(SHOWN).map(Value::to_string).collect();
+            let more = match blockers.len().saturating_sub(SHOWN) {
+                0 => String::new(),
+                n => format!(" and {n} more (--json lists all)"),
+            };
+            format!("{about}: hidden{with} by triangles {}{more}", list.join(" "))
+        }
+        _ => format!(
+            "{about}: undecided{}; it is in the set, so that nothing visible is missing",
+            answer["reason"].as_str().map_or(String::new(), |r| format!(" ({r})"))
+        ),
+    })
+}
+
+/// From the certificates of the result.
+fn look_up(pvs: &Pvs, result: &Path, cell: u32, triangle: u32) -> Result<Value, CliError> {
+    let found = verify::evidence(pvs, cell)
+        .map_err(|e| CliError::Input(format!("{}, cell {cell}: {e}", result.display())))?;
+    let Some(evidence) = found else {
+        return Err(CliError::Input(format!(
+            "{} was baked without --certificates and does not know why; name its scene with --scene to ask anew",
+            result.display()
+        )));
+    };
+    let mut ids = Vec::new();
+    pvs.undecided(cell, &mut ids)?;
+    if ids.binary_search(&triangle).is_ok() {
+        return Ok(json!({"state": "undecided"}));
+    }
+    pvs.visible(cell, &mut ids)?;
+    Ok(match evidence.about(triangle) {
+        Some(Reason::Seen(witness)) => json!({"state": "visible", "witness": witness.rounded()}),
+        Some(Reason::Hidden(hidden)) => {
+            let mut blockers: Vec<u32> = hidden.proofs.iter().flat_map(sightline_exact::Proof::blockers).collect();
+            blockers.sort_unstable();
+            blockers.dedup();
+            json!({"state": "hidden", "blockers": blockers, "with": hidden.triangles.len() - 1})
+        }
+        None if ids.binary_search(&triangle).is_ok() => json!({"state": "visible", "meets": true}),
+        None => json!({"state": "hidden", "degenerate": true, "blockers": []}),
+    })
+}
+
+/// By a query in the scene.
+fn ask(pvs: &Pvs, result: &Path, path: &Path, cell: u32, triangle: u32) -> Result<Value, CliError> {
+    let scene = sightline_scene::load(path)?;
+    verify::check_scene(&scene, pvs, path, result)?;
+    let bounds = pvs.cell_bounds(cell).unwrap_or_default().map(Vec3::from);
+    let of = scene.triangles()[triangle as usize];
+    let Some(target) = Polygon::triangle(of.v.map(|v| v.as_dvec3())) else {
+        return Ok(json!({"state": "hidden", "degenerate": true, "blockers": []}));
+    };
+    if overlap::triangle_touches_box(&of, &Aabb { min: bounds[0], max: bounds[1] }) {
+        return Ok(json!({"state": "visible", "meets": true}));
+    }
+    let view = Cell::new(bounds[0], bounds[1])
+        .ok_or_else(|| CliError::Input(format!("cell {cell} has no volume; bake with larger cells")))?;
+    let occluders = Occluders::new(&scene)?;
+    Ok(match from_cell(&occluders, view, &[target], &Limits::default(), &mut Cost::default()) {
+        Found::Visible(ends) => {
+            json!({"state": "visible", "witness": ends.each_ref().map(|e| polygon::rounded(e).to_array())})
+        }
+        Found::Hidden(proofs) => {
+            let mut blockers: Vec<u32> = proofs.iter().flat_map(sightline_exact::Proof::blockers).collect();
+            blockers.sort_unstable();
+            blockers.dedup();
+            json!({"state": "hidden", "blockers": blockers})
+        }
+        Found::Undecided(reason) => json!({"state": "undecided", "reason": reason.to_string()}),
+    })
+}
