@@ -44,7 +44,9 @@ pub fn why(
     let blockers = answer["blockers"].as_array().map_or(&[][..], |b| b);
     print(&match answer["state"].as_str() {
         Some("visible") if answer["meets"] == true => format!("{about}: visible, it meets the cell"),
-        Some("visible") => format!("{about}: visible along {} to {}", answer["witness"][0], answer["witness"][1]),
+        Some("visible") => {
+            format!("{about}: visible along {} to {}", answer["witness"][0], answer["witness"][1])
+        }
         Some("hidden") if answer["degenerate"] == true => format!("{about}: never visible, it has no area"),
         Some("hidden") => {
             let with = match answer["with"].as_u64() {
@@ -84,7 +86,8 @@ fn look_up(pvs: &Pvs, result: &Path, cell: u32, triangle: u32) -> Result<Value, 
     Ok(match evidence.about(triangle) {
         Some(Reason::Seen(witness)) => json!({"state": "visible", "witness": witness.rounded()}),
         Some(Reason::Hidden(hidden)) => {
-            let mut blockers: Vec<u32> = hidden.proofs.iter().flat_map(sightline_exact::Proof::blockers).collect();
+            let mut blockers: Vec<u32> =
+                hidden.proofs.iter().flat_map(sightline_exact::Proof::blockers).collect();
             blockers.sort_unstable();
             blockers.dedup();
             json!({"state": "hidden", "blockers": blockers, "with": hidden.triangles.len() - 1})
@@ -109,7 +112,7 @@ fn ask(pvs: &Pvs, result: &Path, path: &Path, cell: u32, triangle: u32) -> Resul
     let view = Cell::new(bounds[0], bounds[1])
         .ok_or_else(|| CliError::Input(format!("cell {cell} has no volume; bake with larger cells")))?;
     let occluders = Occluders::new(&scene)?;
-    Ok(match from_cell(&occluders, view, &[target], &Limits::default(), &mut Cost::default()) {
+    Ok(match from_cell(&occluders, view, (&[target], None), &Limits::default(), &mut Cost::default()) {
         Found::Visible(ends) => {
             json!({"state": "visible", "witness": ends.each_ref().map(|e| polygon::rounded(e).to_array())})
         }

@@ -23,6 +23,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let start = Instant::now();
     let occluders = Occluders::new(&scene)?;
     println!("{} triangles, {} occluders in {:.2?}", scene.len(), occluders.count(), start.elapsed());
+    let start = Instant::now();
+    occluders.surfaces();
+    println!("surfaces in {:.2?}", start.elapsed());
     let mut state = seed;
     for _ in 0..count {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -48,13 +51,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let floats = decided.evidence.seen.iter().filter(|w| matches!(w.1, Witness::Floats(_))).count();
         let bytes = codec::encode(&decided.evidence)?.len();
         println!(
-            "cell {cell}: {took:.2?}; sampled {}, visible {}, missed {}, refuted {}, hidden {} ({} boxes), undecided {} {:?}; {} rays, {} of {} witnesses in floats, {} bytes of evidence; {} queries, {} regions, {} lines, {all} decisions, {:.2} % exact ({} zero, {} spanned, {} refined), {} halvings",
+            "cell {cell}: {took:.2?}; sampled {}, visible {}, missed {}, refuted {}, hidden {} ({} boxes, {} by surfaces), undecided {} {:?}; {} rays, {} of {} witnesses in floats, {} bytes of evidence; {} queries, {} regions, {} lines, {all} decisions, {:.2} % exact ({} zero, {} spanned, {} refined), {} halvings",
             ids.len(),
             decided.visible.len(),
             e.missed,
             e.refuted,
             e.hidden,
             e.boxes,
+            e.enclosed,
             decided.undecided.len(),
             e.open,
             e.rays,

@@ -90,6 +90,30 @@ impl Bvh {
         }
     }
 
+    /// Appends every item whose box has a point in common with a box.
+    pub fn in_box(&self, min: Vec3, max: Vec3, out: &mut Vec<u32>) {
+        let apart = |lo: Vec3, hi: Vec3| lo.cmpgt(max).any() || hi.cmplt(min).any();
+        let mut open = [0u32; 96];
+        let mut len = usize::from(!self.order.is_empty());
+        while len > 0 {
+            len -= 1;
+            let node = &self.nodes[open[len] as usize];
+            if apart(node.min, node.max) {
+                continue;
+            }
+            if node.count > 0 {
+                let items = &self.order[node.first as usize..(node.first + node.count) as usize];
+                out.extend(items.iter().filter(|i| {
+                    let [lo, hi] = self.boxes[**i as usize];
+                    !apart(lo, hi)
+                }));
+            } else {
+                (open[len], open[len + 1]) = (node.first, node.first + 1);
+                len += 2;
+            }
+        }
+    }
+
     /// Appends every item whose box the segment from `p` to `q` may touch; `slack` is how far the ends may be off.
     pub fn along(&self, p: DVec3, q: DVec3, slack: f64, out: &mut Vec<u32>) {
         let segment = Segment::new(p, q, slack);

@@ -3,6 +3,8 @@
 //! Every segment that leaves the box crosses one of its faces, so the faces are asked, and of those the ones turned to
 //! the target. How a whole cell is decided with such queries is in [`crate::decide`].
 
+use std::cmp::Ordering;
+
 use glam::{DVec3, Vec3};
 
 use crate::evidence::faces;
@@ -42,6 +44,12 @@ impl Cell {
         [self.min, self.max]
     }
 
+    /// All eight corners.
+    pub fn all_corners(&self) -> [Vec3; 8] {
+        let ends = self.corners();
+        std::array::from_fn(|k| Vec3::new(ends[k & 1].x, ends[k >> 1 & 1].y, ends[k >> 2].z))
+    }
+
     /// Whether a closed box has a point in common with the closed cell.
     pub fn touches(&self, [min, max]: [Vec3; 2]) -> bool {
         min.cmple(self.max).all() && max.cmpge(self.min).all()
@@ -58,11 +66,12 @@ impl Cell {
     }
 }
 
-/// Whether any of the targets, which do not meet the cell, is seen from it.
+/// Whether any of the targets, which do not meet the cell, is seen from it; from what is not on the side `hidden` of the plane of
+/// a single one, if they are known to be hidden from there.
 pub fn from_cell(
     scene: &Occluders,
     cell: Cell,
-    targets: &[Polygon],
+    (targets, hidden): (&[Polygon], Option<Ordering>),
     limits: &Limits,
     cost: &mut Cost,
 ) -> Found {
@@ -78,8 +87,13 @@ pub fn from_cell(
             .collect();
         let face = face(cell.min, cell.max, axis, up);
         for target in beyond {
+            let from = match hidden {
+                None => Some(face.clone()),
+                Some(side) => face.part(&target.plane(), &target.sides(&face), side.reverse()),
+            };
             let Some(outer) = outer_part(&target, &face, axis, up, at) else { continue };
-            let (verdict, took) = sightlines(scene, std::slice::from_ref(&face), &[outer], limits);
+            // A face that is wholly on the hidden side has a proof of nothing, so that proofs are numbered alike.
+            let (verdict, took) = sightlines(scene, from.as_slice(), &[outer], limits);
             *cost += took;
             match verdict {
                 Verdict::Visible(ends) => return Found::Visible(ends),

@@ -5,6 +5,7 @@
 //! faces are all hidden from all faces of the cell hides everything in it. Boxes that hold something visible are not asked about.
 //! Stopped at any time, what is not decided is said to be undecided, so visible ⊆ V(C) ⊆ visible ∪ undecided always.
 
+use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
 use rayon::prelude::*;
@@ -18,9 +19,12 @@ use crate::polygon::Polygon;
 use crate::query::{Cost, Limits, Reason};
 use crate::rays;
 use crate::segment::shows;
+use crate::surface::Hides;
 
 /// Nodes asked about at a time, in parallel: enough to keep a few cores busy, few enough to go by size.
 const BATCH: usize = 32;
+/// So many open triangles are asked about one by one.
+const FEW: u32 = 2;
 /// Witnesses of queries are rounded to points so far beyond the triangle, in parts of the segment's length.
 const BEYOND: f64 = 1e-5;
 
@@ -66,7 +70,9 @@ pub struct Effort {
     pub queries: u64,
     /// Boxes proved hidden as a whole.
     pub boxes: u64,
-    /// Triangles proved hidden, with those in such boxes.
+    /// Triangles hidden by the closed surface they are part of.
+    pub enclosed: u64,
+    /// Triangles proved hidden, with those in such boxes and those by surfaces.
     pub hidden: u64,
     /// Triangles that sampling had not shown and that are visible.
     pub missed: u64,
@@ -80,10 +86,11 @@ pub struct Effort {
 
 impl Effort {
     /// Names of [`Effort::numbers`], as results and tables have them.
-    pub const NAMES: [&'static str; 18] = [
+    pub const NAMES: [&'static str; 19] = [
         "exact_rays",
         "exact_queries",
         "exact_boxes_hidden",
+        "exact_enclosed",
         "exact_hidden",
         "exact_missed",
         "exact_refuted",
@@ -109,6 +116,7 @@ impl Effort {
             self.rays,
             self.queries,
             self.boxes,
+            self.enclosed,
             self.hidden,
             self.missed,
             self.refuted,
@@ -131,11 +139,17 @@ impl Effort {
 /// Decides every triangle with area.
 pub fn decide(task: &Task<'_>) -> Decided {
     let tree = task.scene.hierarchy();
-    let mut work = Work { task, state: vec![State::Open; task.scene.len()], decided: Decided::default() };
+    let mut work = Work {
+        task,
+        state: vec![State::Open; task.scene.len()],
+        halves: Vec::new(),
+        decided: Decided::default(),
+    };
     if tree.is_empty() {
         return work.decided;
     }
     work.meeting();
+    work.enclose();
     work.show();
     work.search();
     work.finish()
@@ -152,6 +166,8 @@ enum State {
 struct Work<'a> {
     task: &'a Task<'a>,
     state: Vec<State>,
+    /// Triangles that surfaces hide from one side of their planes, ascending, with that side.
+    halves: Vec<(u32, Ordering)>,
     decided: Decided,
 }
 
@@ -171,13 +187,13 @@ enum Item {
 impl Eq for Doubt {}
 
 impl Ord for Doubt {
-    fn cmp(&self, o: &Self) -> std::cmp::Ordering {
+    fn cmp(&self, o: &Self) -> Ordering {
         self.size.total_cmp(&o.size).then(o.of.cmp(&self.of))
     }
 }
 
 impl PartialOrd for Doubt {
-    fn partial_cmp(&self, o: &Self) -> Option<std::cmp::Ordering> {
+    fn partial_cmp(&self, o: &Self) -> Option<Ordering> {
         Some(self.cmp(o))
     }
 }
@@ -214,6 +230,32 @@ impl Work<'_> {
         }
     }
 
+    /// Marks what closed surfaces hide: most of what faces away.
+    fn enclose(&mut self) {
+        let task = self.task;
+        let all = 0..self.state.len() as u32;
+        let meeting: Vec<u32> = all.clone().filter(|id| self.state[*id as usize] == State::Visible).collect();
+        let from = task.scene.surfaces().seen_from(task.scene, task.cell, &meeting);
+        let open = |id: &u32| self.state[*id as usize] == State::Open;
+        let hidden: Vec<(u32, Hides)> = all
+            .into_par_iter()
+            .filter(open)
+            .map(|id| (id, from.hides(id)))
+            .filter(|h| h.1 != Hides::Nothing)
+            .collect();
+        let ids: Vec<u32> = hidden.iter().filter(|h| h.1 == Hides::All).map(|h| h.0).collect();
+        self.halves = hidden
+            .into_iter()
+            .filter_map(|(id, h)| if let Hides::From(side) = h { Some((id, side)) } else { None })
+            .collect();
+        self.decided.effort.enclosed = ids.len() as u64;
+        self.decided.effort.refuted +=
+            ids.iter().filter(|id| task.seen.binary_search(id).is_ok()).count() as u64;
+        if !ids.is_empty() {
+            self.hide(&ids, Target::Surfaces, Vec::new());
+        }
+    }
+
     /// Finds witnesses for what sampling has shown: by rays, then by queries.
     fn show(&mut self) {
         let task = self.task;
@@ -237,12 +279,21 @@ impl Work<'_> {
     /// Goes through the hierarchy, from what looks largest.
     fn search(&mut self) {
         let tree = self.task.scene.hierarchy();
-        // Whether something below a node is visible; children come after their parents.
-        let mut visible = vec![false; tree.len()];
+        // Whether something below a node is visible, and how much is open; children come after their parents.
+        let mut below = vec![(false, 0u32); tree.len()];
         for node in (0..tree.len() as u32).rev() {
-            visible[node as usize] = match tree.below(node) {
-                Below::Nodes(children) => children.iter().any(|c| visible[*c as usize]),
-                Below::Items(items) => items.iter().any(|t| self.state[*t as usize] == State::Visible),
+            below[node as usize] = match tree.below(node) {
+                Below::Nodes(children) => {
+                    let [(v, n), (w, m)] = children.map(|c| below[c as usize]);
+                    (v || w, n + m)
+                }
+                Below::Items(items) => {
+                    items.iter().fold((false, 0), |(v, n), t| match self.state[*t as usize] {
+                        State::Visible => (true, n),
+                        State::Open if self.task.scene.of(*t).is_some() => (v, n + 1),
+                        _ => (v, n),
+                    })
+                }
             };
         }
         let mut doubts = BinaryHeap::new();
@@ -254,7 +305,12 @@ impl Work<'_> {
                 match tree.below(node) {
                     Below::Nodes(children) => {
                         for child in children {
-                            if visible[child as usize] || self.task.cell.touches(tree.bounds(child)) {
+                            let (visible, open) = below[child as usize];
+                            if open == 0 {
+                                continue;
+                            }
+                            // A box has more faces than a triangle or two.
+                            if visible || open <= FEW || self.task.cell.touches(tree.bounds(child)) {
                                 expand.push(child);
                             } else {
                                 doubts.push(self.doubt(Item::Node(child)));
@@ -319,9 +375,17 @@ impl Work<'_> {
                 Polygon::triangle(self.task.scene.triangle(id).map(|v| v.as_dvec3())).into_iter().collect()
             }
         };
-        let found = from_cell(self.task.scene, self.task.cell, &targets, &self.task.limits, &mut cost);
+        let hidden = self.hidden_half(of);
+        let found =
+            from_cell(self.task.scene, self.task.cell, (&targets, hidden), &self.task.limits, &mut cost);
         (self.task.asked)();
         Asked { of, found: Some(found), cost }
+    }
+
+    /// The side of its plane from which a triangle is known to be hidden.
+    fn hidden_half(&self, of: Item) -> Option<Ordering> {
+        let Item::Triangle(id) = of else { return None };
+        self.halves.binary_search_by_key(&id, |h| h.0).ok().map(|at| self.halves[at].1)
     }
 
     /// Takes up an answer that decides.
@@ -340,7 +404,8 @@ impl Work<'_> {
             (Item::Triangle(id), Some(Found::Undecided(reason))) => self.leave(id, Some(reason)),
             (Item::Triangle(id), None) => self.leave(id, None),
             (Item::Triangle(id), Some(Found::Hidden(proofs))) => {
-                self.hide(&[id], Target::Triangle, proofs);
+                let half = self.hidden_half(of).is_some();
+                self.hide(&[id], if half { Target::Half } else { Target::Triangle }, proofs);
             }
             (Item::Node(node), Some(Found::Hidden(proofs))) => {
                 let mut ids = Vec::new();

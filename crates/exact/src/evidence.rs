@@ -41,11 +41,19 @@ pub struct Hidden {
     pub proofs: Vec<Proof>,
 }
 
+/// Edges with an odd number of triangles that a closed surface may have ([`crate::surface`]).
+pub const MOST_ODD_EDGES: usize = 64;
+
 /// What proofs are about.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Target {
     /// The one triangle.
     Triangle,
+    /// The one triangle; from one side of its plane it is hidden by the closed surface it is part of, and the proofs are about what
+    /// of the cell's faces is on the other side.
+    Half,
+    /// Any number of triangles, each by the closed surface it is part of ([`crate::surface`]); there are no proofs.
+    Surfaces,
     /// A box that does not touch the cell, by its least and greatest corner: its polygons are the faces that face the cell.
     Box([Vec3; 2]),
 }

@@ -23,6 +23,7 @@ pub mod proof;
 pub mod query;
 mod rays;
 mod segment;
+mod surface;
 mod trace;
 mod vector;
 

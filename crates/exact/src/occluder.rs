@@ -9,6 +9,7 @@
 //! those are what [`Occluders`] looks for.
 
 use std::cmp::Ordering;
+use std::sync::OnceLock;
 
 use glam::Vec3;
 use sightline_scene::exact::{collinear, orient2d_sign, orient3d_sign};
@@ -16,6 +17,7 @@ use sightline_scene::topology::corner_vertices;
 use sightline_scene::{Scene, SceneError};
 
 use crate::bvh::Bvh;
+use crate::surface::Surfaces;
 
 /// A set of triangles in one plane that block together.
 #[derive(Clone, Debug)]
@@ -42,6 +44,7 @@ pub struct Occluders {
     corners: Vec<u32>,
     bvh: Bvh,
     reach: f64,
+    surfaces: OnceLock<Surfaces>,
 }
 
 /// Most occluders at one edge that are looked at.
@@ -70,7 +73,8 @@ impl Occluders {
             rims.extend(o.rim.iter().map(|[a, b]| ([*a.min(b), *a.max(b)], id as u32, a > b)));
         }
         rims.sort_unstable();
-        Ok(Self { triangles, occluders, of, rims, corners, bvh: Bvh::new(boxes, items), reach })
+        let bvh = Bvh::new(boxes, items);
+        Ok(Self { triangles, occluders, of, rims, corners, bvh, reach, surfaces: OnceLock::new() })
     }
 
     /// A triangle's vertices.
@@ -108,6 +112,17 @@ impl Occluders {
             .take(MOST_AT_EDGE)
             .take_while(move |r| r.0 == key)
             .map(move |r| (r.1, r.2 == (a > b)))
+    }
+
+    /// The numbers of a triangle's corners, equal where positions are.
+    pub fn corners(&self, id: u32) -> [u32; 3] {
+        let at = 3 * id as usize;
+        [self.corners[at], self.corners[at + 1], self.corners[at + 2]]
+    }
+
+    /// The surfaces that enclose something, found when first asked for.
+    pub fn surfaces(&self) -> &Surfaces {
+        self.surfaces.get_or_init(|| Surfaces::new(self))
     }
 
     /// What is left of the edges of some triangles, each perhaps turned round, when opposite ones are struck out.

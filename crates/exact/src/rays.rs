@@ -36,7 +36,7 @@ impl Random {
     }
 
     /// In 0 to 1, without 1.
-    fn unit(&mut self) -> f64 {
+    pub fn unit(&mut self) -> f64 {
         (self.next() >> 11) as f64 / (1u64 << 53) as f64
     }
 

@@ -28,8 +28,9 @@ pub fn shows(scene: &Occluders, p: Vec3, q: Vec3, id: u32, scratch: &mut Vec<u32
     })
 }
 
-#[derive(PartialEq, Eq)]
-enum Crossing {
+/// How a segment and a triangle lie to each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Crossing {
     /// They have no point in common.
     Not,
     /// They have, or may have, and it is not sure to be inside both.
@@ -38,7 +39,8 @@ enum Crossing {
     Inside,
 }
 
-fn crossing([a, b, c]: [Vec3; 3], p: Vec3, q: Vec3) -> Crossing {
+/// How the segment from `p` to `q` and a triangle with area lie to each other, exactly.
+pub fn crossing([a, b, c]: [Vec3; 3], p: Vec3, q: Vec3) -> Crossing {
     let ends = [p, q].map(|e| orient3d_sign(a, b, c, e));
     if ends[0] == ends[1] && ends[0] != Ordering::Equal {
         return Crossing::Not;

@@ -8,10 +8,10 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
-use sightline_exact::cell::Cell;
+use sightline_exact::cell::{Cell, Found, from_cell};
 use sightline_exact::checker::{CellClaims, CellRefusal, Triangles, check_cell};
 use sightline_exact::evidence::{Evidence, Target, Witness, codec};
-use sightline_exact::{Decided, Limits, Occluders, Task, decide};
+use sightline_exact::{Cost, Decided, Limits, Occluders, Polygon, Task, decide};
 use sightline_scene::{Object, Scene, Triangle};
 
 type Corners = [Vec3; 3];
@@ -154,6 +154,30 @@ fn tampered_claims_are_refused() {
     // A proof for another box, a box that is moved, a proof too few.
     for at in 0..d.evidence.hidden.len() {
         let mut e = d.evidence.clone();
+        if e.hidden[at].target == Target::Surfaces {
+            // What another triangle's surface hides, and what is not all on the hidden side.
+            for other in 0..triangles.len() as u32 {
+                if !e.hidden[at].triangles.contains(&other) && visible.binary_search(&other).is_err() {
+                    let [mut taken, mut added] = [e.clone(), e.clone()];
+                    taken.hidden.iter_mut().for_each(|h| h.triangles.retain(|t| *t != other));
+                    added.hidden[at].triangles.push(other);
+                    added.hidden[at].triangles.sort_unstable();
+                    assert!(matches!(ask(cell, &visible, &[], &taken), Err(CellRefusal::Account(..))));
+                    assert!(ask(cell, &visible, &[], &added).is_err());
+                }
+            }
+            let front: Vec<u32> =
+                visible.iter().copied().filter(|t| !d.evidence.hidden[at].triangles.contains(t)).collect();
+            for seen in &front {
+                let less: Vec<u32> = visible.iter().copied().filter(|t| t != seen).collect();
+                let mut lying = e.clone();
+                lying.seen.retain(|(t, _)| t != seen);
+                lying.hidden[at].triangles.push(*seen);
+                lying.hidden[at].triangles.sort_unstable();
+                assert!(matches!(ask(cell, &less, &[], &lying), Err(CellRefusal::Hidden { .. })), "{seen}");
+            }
+            continue;
+        }
         e.hidden[at].proofs.pop();
         assert!(matches!(ask(cell, &visible, &[], &e), Err(CellRefusal::Hidden { .. })));
         if let Target::Box([min, _]) = &mut e.hidden[at].target {
@@ -169,6 +193,52 @@ fn tampered_claims_are_refused() {
     let Witness::Floats([p, q]) = e.seen[at].1.clone() else { unreachable!() };
     e.seen[at].1 = Witness::Floats([p, p + (p - q)]);
     assert!(matches!(ask(cell, &visible, &[], &e), Err(CellRefusal::Witness(t, _)) if t == *id));
+}
+
+/// The twelve triangles of a box, turned outwards: two a face, axis by axis, the lesser face first.
+fn solid(min: Vec3, max: Vec3) -> Vec<Corners> {
+    let triangle = |i: usize| {
+        let (axis, up) = (i / 4, i / 2 % 2 == 1);
+        let corner = |s: bool, t: bool| {
+            let mut p = min;
+            for (k, greater) in [(axis, up), ((axis + 1) % 3, s), ((axis + 2) % 3, t)] {
+                if greater {
+                    p[k] = max[k];
+                }
+            }
+            p
+        };
+        let (a, c) = (corner(false, false), corner(true, true));
+        let (b, d) = (corner(up, !up), corner(!up, up));
+        if i.is_multiple_of(2) { [a, b, c] } else { [a, c, d] }
+    };
+    (0..12).map(triangle).collect()
+}
+
+#[test]
+fn what_faces_away_is_hidden_without_a_query() {
+    let mut triangles = solid(Vec3::ZERO, Vec3::ONE);
+    triangles.extend(solid(Vec3::splat(2.0), Vec3::splat(4.0)));
+    let cell = [Vec3::new(-2.0, 0.25, 0.25), Vec3::new(-1.0, 0.75, 0.75)];
+    let scene = occluders(&triangles);
+    let d = solve(&scene, cell, &[], &|| false);
+    assert_eq!((d.effort.enclosed, d.effort.queries > 0), (16, true));
+    check(&triangles, cell, &d, &d.evidence).unwrap();
+    // Inside of a box nothing of it is hidden, and all of the other.
+    let inside = [Vec3::splat(0.25), Vec3::splat(0.75)];
+    let d = solve(&scene, inside, &[], &|| false);
+    assert_eq!(d.visible, (0..12).collect::<Vec<u32>>());
+    check(&triangles, inside, &d, &d.evidence).unwrap();
+    // Through a hole the inner side is seen, and what no line through the hole reaches is still hidden by the surface.
+    triangles.remove(1);
+    let scene = occluders(&triangles);
+    let d = solve(&scene, cell, &[], &|| false);
+    assert!(d.visible.iter().filter(|t| **t < 11).count() > 2, "{:?}", d.visible);
+    check(&triangles, cell, &d, &d.evidence).unwrap();
+    let beside = [Vec3::new(2.0, -2.0, 0.25), Vec3::new(3.0, -1.0, 0.75)];
+    let d = solve(&scene, beside, &[], &|| false);
+    assert!(d.effort.enclosed > 0);
+    check(&triangles, beside, &d, &d.evidence).unwrap();
 }
 
 fn grid_point(reach: i8) -> impl Strategy<Value = Vec3> {
@@ -228,6 +298,41 @@ proptest! {
                 for (_, id) in hits.iter().take_while(|h| h.0 < at + 1e-9) {
                     prop_assert!(d.visible.contains(&(*id as u32)), "triangle {id} is seen from {p} towards {q}");
                 }
+            }
+        }
+    }
+
+    /// Boxes that overlap, touch and have holes: what surfaces are said to hide is what queries find hidden.
+    #[test]
+    fn surfaces_hide_nothing_that_queries_see(
+        boxes in prop::collection::vec((grid_point(3), prop::array::uniform3(1i8..4)), 1..5),
+        missing in prop::collection::btree_set(0usize..40, 0..4),
+        corner in grid_point(5),
+        size in prop::array::uniform3(1i8..3),
+    ) {
+        let mut triangles: Vec<Corners> =
+            boxes.iter().flat_map(|(lo, s)| solid(*lo, *lo + Vec3::from(s.map(f32::from)))).collect();
+        let mut number = 0;
+        triangles.retain(|_| {
+            number += 1;
+            !missing.contains(&(number - 1))
+        });
+        prop_assume!(!triangles.is_empty());
+        // Off the grid, so that some cells touch nothing.
+        let lo = corner + Vec3::splat(0.25);
+        let cell = [lo, lo + Vec3::from(size.map(f32::from)) - Vec3::splat(0.5)];
+        let scene = occluders(&triangles);
+        let d = solve(&scene, cell, &[], &|| false);
+        prop_assert!(d.undecided.is_empty());
+        if let Err(e) = check(&triangles, cell, &d, &d.evidence) {
+            return Err(TestCaseError::fail(e.to_string()));
+        }
+        let view = Cell::new(cell[0], cell[1]).unwrap();
+        for h in d.evidence.hidden.iter().filter(|h| matches!(h.target, Target::Surfaces | Target::Half)) {
+            for id in &h.triangles {
+                let target = Polygon::triangle(triangles[*id as usize].map(|v| v.as_dvec3())).unwrap();
+                let found = from_cell(&scene, view, (&[target], None), &Limits::default(), &mut Cost::default());
+                prop_assert!(matches!(found, Found::Hidden(_)), "triangle {} is seen", id);
             }
         }
     }

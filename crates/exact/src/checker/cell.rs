@@ -10,9 +10,10 @@
 //! 3. *Hidden.* A group's triangles lie in its box (or are the one triangle), which has no point in common with the cell. A segment
 //!    from the cell to the box leaves the cell through some face and enters the box through one; for every pair of faces between which
 //!    that can be there is a proof ([`super::check_hidden`]) for the part of the box's face beyond the cell's. Faces without area
-//!    let no open set of lines through.
+//!    let no open set of lines through. What a closed surface hides needs no proof ([`super::surfaces`]).
 
 use std::cmp::Ordering;
+use std::sync::OnceLock;
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -97,12 +98,25 @@ pub fn check_cell(
     }
     let mut picked = account(scene, claims)?;
     picked.retain(|claim| pick(*claim));
+    // Only evidence that speaks of surfaces needs them.
+    let by_surface = |h: &Hidden| matches!(h.target, Target::Surfaces | Target::Half);
+    let surfaces = if claims.evidence.hidden.iter().any(by_surface) { scene.surfaces().len() } else { 0 };
+    let parity = vec![OnceLock::new(); surfaces];
     // Of several that do not hold, always the same is named.
-    let refusal = picked.par_iter().with_max_len(8).find_map_first(|claim| check(scene, claims, *claim).err());
+    let refusal =
+        picked.par_iter().with_max_len(8).find_map_first(|claim| check(scene, claims, &parity, *claim).err());
     refusal.map_or(Ok(picked.len() as u64), Err)
 }
 
-fn check(scene: &Triangles<'_>, claims: &CellClaims<'_>, claim: Claim) -> Result<(), CellRefusal> {
+/// Parities of a cell, by surface, as they are found out.
+type Parities = [OnceLock<Option<bool>>];
+
+fn check(
+    scene: &Triangles<'_>,
+    claims: &CellClaims<'_>,
+    parity: &Parities,
+    claim: Claim,
+) -> Result<(), CellRefusal> {
     match claim {
         Claim::Meets(id) => {
             if !meets_box(&scene.all()[id as usize], claims.cell) {
@@ -115,7 +129,7 @@ fn check(scene: &Triangles<'_>, claims: &CellClaims<'_>, claim: Claim) -> Result
         }
         Claim::Hidden(at) => {
             let group = &claims.evidence.hidden[at];
-            check_group(scene, claims.cell, group)
+            check_group(scene, claims.cell, parity, group)
                 .map_err(|reason| CellRefusal::Hidden { triangles: group.triangles.clone(), reason })?;
         }
     }
@@ -179,11 +193,11 @@ fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>,
     Ok(all)
 }
 
-fn exact(t: &[Vec3; 3]) -> [Point; 3] {
+pub(super) fn exact(t: &[Vec3; 3]) -> [Point; 3] {
     t.map(|v| point(v.as_dvec3().to_array()))
 }
 
-fn has_area(t: &[Vec3; 3]) -> bool {
+pub(super) fn has_area(t: &[Vec3; 3]) -> bool {
     let [a, b, c] = exact(t);
     !plane([&a, &b, &c])[..3].iter().all(dashu_int::IBig::is_zero)
 }
@@ -220,7 +234,7 @@ fn face([min, max]: [Vec3; 2], axis: usize, up: bool) -> Corners {
 }
 
 /// Whether a closed triangle has a point in a closed box: what is left of it, clipped to one face after the other.
-fn meets_box(t: &[Vec3; 3], cell: [Vec3; 2]) -> bool {
+pub(super) fn meets_box(t: &[Vec3; 3], cell: [Vec3; 2]) -> bool {
     if !has_area(t) {
         return false;
     }
@@ -244,8 +258,17 @@ fn meets_box(t: &[Vec3; 3], cell: [Vec3; 2]) -> bool {
     !left.is_empty()
 }
 
+/// Σ weight · point / Σ weight, for positive weights.
+pub(super) fn mixed(points: &[Point], weights: &[dashu_int::IBig]) -> Point {
+    let scale: dashu_int::IBig = points.iter().map(|p| &p[3]).product();
+    let parts: Vec<dashu_int::IBig> = points.iter().zip(weights).map(|(p, w)| w * &scale / &p[3]).collect();
+    let along = |k: usize| points.iter().zip(&parts).map(|(p, s)| &p[k] * s).sum();
+    let total: dashu_int::IBig = weights.iter().sum();
+    reduced([along(0), along(1), along(2), total * scale])
+}
+
 /// Where the segment between two points on different sides of a plane crosses it.
-fn cut(p: &Point, q: &Point, flat: &Plane) -> Point {
+pub(super) fn cut(p: &Point, q: &Point, flat: &Plane) -> Point {
     let weight = |x: &Point| {
         let h = height(flat, x);
         if sign(&h) == Ordering::Less { -h } else { h }
@@ -302,13 +325,45 @@ fn check_witness(scene: &Triangles<'_>, cell: [Vec3; 2], id: u32, witness: &Witn
     Ok(())
 }
 
-fn check_group(scene: &Triangles<'_>, cell: [Vec3; 2], group: &Hidden) -> Result<(), String> {
+/// Accepts that a triangle is hidden from all of a cell by its surface: all of the cell is on the hidden side of its plane, or on
+/// the plane.
+fn hidden_by_surface(
+    scene: &Triangles<'_>,
+    cell: [Vec3; 2],
+    parity: &Parities,
+    id: u32,
+) -> Result<(), &'static str> {
+    let side = scene.surfaces().hidden_side(scene, cell, parity, id)?;
+    let t = exact(&scene.all()[id as usize]);
+    let flat = plane([&t[0], &t[1], &t[2]]);
+    let corners = [face(cell, 0, false), face(cell, 0, true)].concat();
+    if corners.iter().any(|p| sign(&height(&flat, p)) == side.reverse()) {
+        return Err("the cell is not all on the hidden side of it");
+    }
+    Ok(())
+}
+
+fn check_group(
+    scene: &Triangles<'_>,
+    cell: [Vec3; 2],
+    parity: &Parities,
+    group: &Hidden,
+) -> Result<(), String> {
     let all = scene.all();
     if group.triangles.iter().any(|id| *id as usize >= all.len()) {
         return Err("there is no such triangle in the scene".to_owned());
     }
     let targets: Vec<Corners> = match group.target {
-        Target::Triangle => {
+        Target::Surfaces => {
+            if !group.proofs.is_empty() {
+                return Err("surfaces need no proofs".to_owned());
+            }
+            let refusal = group.triangles.par_iter().find_map_first(|id| {
+                hidden_by_surface(scene, cell, parity, *id).err().map(|e| format!("triangle {id}: {e}"))
+            });
+            return refusal.map_or(Ok(()), Err);
+        }
+        Target::Triangle | Target::Half => {
             let [id] = group.triangles[..] else { return Err("it is not about one triangle".to_owned()) };
             if meets_box(&all[id as usize], cell) {
                 return Err("it meets the cell".to_owned());
@@ -339,6 +394,13 @@ fn check_group(scene: &Triangles<'_>, cell: [Vec3; 2], group: &Hidden) -> Result
                 .collect()
         }
     };
+    // Where it is hidden on one side of its plane anyway, only what is on the other has to be proved.
+    let half = match (group.target, &group.triangles[..]) {
+        (Target::Half, [id]) => {
+            Some(scene.surfaces().hidden_side(scene, cell, parity, *id).map_err(str::to_owned)?)
+        }
+        _ => None,
+    };
     let mut proofs = group.proofs.iter();
     for (axis, up) in faces() {
         let flat = face_plane(cell, axis, up);
@@ -346,7 +408,11 @@ fn check_group(scene: &Triangles<'_>, cell: [Vec3; 2], group: &Hidden) -> Result
         for target in &targets {
             let Some(beyond) = clip(target, &flat, Ordering::Greater) else { continue };
             let proof = proofs.next().ok_or("a proof is missing for a pair of faces")?;
-            match check_hidden(all, std::slice::from_ref(&from), &[beyond], proof) {
+            let part = match half {
+                None => Some(from.clone()),
+                Some(side) => clip(&from, &plane([&target[0], &target[1], &target[2]]), side.reverse()),
+            };
+            match check_hidden(all, part.as_slice(), &[beyond], proof) {
                 Ok(()) => {}
                 Err(e @ Refusal::Polygon) => return Err(format!("a face is no polygon: {e}")),
                 Err(e) => return Err(e.to_string()),

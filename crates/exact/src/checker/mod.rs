@@ -21,6 +21,7 @@ mod cell;
 mod cone;
 mod line;
 mod near;
+mod surfaces;
 mod witness;
 
 use std::cmp::Ordering;

@@ -1,6 +1,10 @@
 //! Which triangles can have a point in a box: a tree of boxes, compared by single-precision numbers alone, which is exact.
 
+use std::sync::OnceLock;
+
 use glam::Vec3;
+
+use super::surfaces::Surfaces;
 
 /// The triangles of a scene, so arranged that those near a segment are found without looking at the others.
 pub struct Triangles<'a> {
@@ -10,6 +14,7 @@ pub struct Triangles<'a> {
     boxes: Vec<[Vec3; 2]>,
     order: Vec<u32>,
     depth: u32,
+    surfaces: OnceLock<Surfaces>,
 }
 
 /// About so many triangles in a leaf.
@@ -44,7 +49,12 @@ impl<'a> Triangles<'a> {
                 }
             }
         }
-        Self { all, boxes, order, depth }
+        Self { all, boxes, order, depth, surfaces: OnceLock::new() }
+    }
+
+    /// The surfaces they form, found when first asked for.
+    pub(super) fn surfaces(&self) -> &Surfaces {
+        self.surfaces.get_or_init(|| Surfaces::new(self.all))
     }
 
     /// The triangles themselves.

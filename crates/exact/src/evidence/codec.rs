@@ -47,6 +47,8 @@ pub fn encode(evidence: &Evidence) -> std::io::Result<Vec<u8>> {
     for h in &evidence.hidden {
         match h.target {
             Target::Triangle => out.push(0),
+            Target::Surfaces => out.push(2),
+            Target::Half => out.push(3),
             Target::Box(corners) => {
                 out.push(1);
                 corners.iter().for_each(|c| put_point(&mut out, *c));
@@ -99,6 +101,8 @@ pub fn decode(bytes: &[u8], triangles: u32) -> Result<Evidence, EvidenceError> {
         let target = match from.byte()? {
             0 => Target::Triangle,
             1 => Target::Box([from.point()?, from.point()?]),
+            2 => Target::Surfaces,
+            3 => Target::Half,
             _ => return Err(EvidenceError("a proof is about nothing there is")),
         };
         let triangles = from.ids()?;
@@ -351,7 +355,7 @@ mod tests {
                 prop::array::uniform2(prop::array::uniform4(integer())).prop_map(|e| Witness::Exact(Box::new(e))),
             ], 0..8),
             hidden in prop::collection::vec((
-                prop_oneof![Just(Target::Triangle), prop::array::uniform2(floats()).prop_map(Target::Box)],
+                prop_oneof![Just(Target::Triangle), Just(Target::Surfaces), Just(Target::Half), prop::array::uniform2(floats()).prop_map(Target::Box)],
                 prop::collection::btree_set(0u32..1000, 0..8),
                 prop::collection::vec(proof(), 0..4),
             ), 0..5),

@@ -1,0 +1,303 @@
+//! Whether a triangle is hidden from a cell by the closed surface it is part of; the argument is in [`crate::surface`].
+//!
+//! What is checked, all of it from the scene alone and in integers:
+//!
+//! 1. The *surface* is all triangles that hang together with this one by edges between the same positions. Edges with an odd
+//!    number of triangles, if they are few ([`MOST_ODD_EDGES`]), are closed by *patches*: for all that hang together by their ends,
+//!    the triangles of each with the corner that is least by the bits of its coordinates.
+//! 2. No triangle of the surface meets the cell, so all of the cell has one parity: that of the crossings of a segment from it to a
+//!    point outside of the surface's bounds, none of which touches a border.
+//! 3. No other triangle of the surface has points inside this one, so each of its sides has one parity: that of a segment that
+//!    ends inside of it on that side; the other side has the other.
+//! 4. No patch has a point in the convex hull of the cell and the triangle: the planes of an axis, of the patch or of the triangle
+//!    separate them.
+//!
+//! Then every segment from the cell to the inside of the triangle, on the side whose parity is not the cell's, crosses the surface
+//! on the way.
+
+use std::cmp::Ordering;
+use std::collections::BTreeMap;
+use std::sync::OnceLock;
+
+use dashu_int::IBig;
+use glam::Vec3;
+
+use super::cell::{cut, exact, has_area, meets_box};
+use super::line::{Plane, Point, height, join, klein, plane, point, sign};
+use super::near::Triangles;
+use super::witness::inside;
+use crate::evidence::MOST_ODD_EDGES;
+
+/// Segments tried for a parity, each from another point.
+const TRIES: u32 = 16;
+
+/// The surfaces of a scene, and the parities that were found out.
+pub struct Surfaces {
+    of: Vec<Option<u32>>,
+    all: Vec<Surface>,
+    front: Vec<OnceLock<Option<bool>>>,
+}
+
+struct Surface {
+    min: Vec3,
+    max: Vec3,
+    patches: Vec<[Vec3; 3]>,
+}
+
+/// A position by its bits; −0 is 0.
+fn key(v: Vec3) -> [u32; 3] {
+    (v + Vec3::ZERO).to_array().map(f32::to_bits)
+}
+
+impl Surfaces {
+    pub fn new(scene: &[[Vec3; 3]]) -> Self {
+        let mut edges: Vec<([[u32; 3]; 2], u32)> = Vec::new();
+        for (t, v) in scene.iter().enumerate().filter(|(_, v)| has_area(v)) {
+            for (i, j) in [(0, 1), (1, 2), (2, 0)] {
+                let (p, q) = (key(v[i]), key(v[j]));
+                edges.push(([p.min(q), p.max(q)], t as u32));
+            }
+        }
+        edges.sort_unstable();
+        // A triangle's surface is found by following links to ever smaller numbers.
+        let mut link: Vec<u32> = (0..scene.len() as u32).collect();
+        let find = |link: &mut Vec<u32>, mut t: u32| {
+            while link[t as usize] != t {
+                link[t as usize] = link[link[t as usize] as usize];
+                t = link[t as usize];
+            }
+            t
+        };
+        for pair in edges.windows(2).filter(|w| w[0].0 == w[1].0) {
+            let (a, b) = (find(&mut link, pair[0].1), find(&mut link, pair[1].1));
+            link[a.max(b) as usize] = a.min(b);
+        }
+        let mut odd: BTreeMap<u32, Vec<[[u32; 3]; 2]>> = BTreeMap::new();
+        for run in edges.chunk_by(|a, b| a.0 == b.0).filter(|r| r.len() % 2 == 1) {
+            odd.entry(find(&mut link, run[0].1)).or_default().push(run[0].0);
+        }
+        let mut number: BTreeMap<u32, u32> = BTreeMap::new();
+        let (mut of, mut all) = (vec![None; scene.len()], Vec::<Surface>::new());
+        for (t, v) in scene.iter().enumerate().filter(|(_, v)| has_area(v)) {
+            let root = find(&mut link, t as u32);
+            let border = odd.get(&root).map_or(&[][..], |b| b);
+            if border.len() > MOST_ODD_EDGES {
+                continue;
+            }
+            let id = *number.entry(root).or_insert_with(|| {
+                all.push(Surface { min: v[0], max: v[0], patches: patches(border) });
+                all.len() as u32 - 1
+            });
+            let s = &mut all[id as usize];
+            (s.min, s.max) = v.iter().fold((s.min, s.max), |(a, b), p| (a.min(*p), b.max(*p)));
+            of[t] = Some(id);
+        }
+        Self { of, all, front: vec![OnceLock::new(); scene.len()] }
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.all.len()
+    }
+
+    /// On which side of its plane a triangle is hidden from a cell, `parity` being where parities of the cell are kept.
+    pub fn hidden_side(
+        &self,
+        scene: &Triangles<'_>,
+        cell: [Vec3; 2],
+        parity: &[OnceLock<Option<bool>>],
+        t: u32,
+    ) -> Result<Ordering, &'static str> {
+        let s = self.of[t as usize].ok_or("it is part of no closed surface")?;
+        let of_cell = parity[s as usize]
+            .get_or_init(|| self.parity_of(scene, s, cell))
+            .ok_or("its surface meets the cell, or no parity was found")?;
+        let front = self.front[t as usize]
+            .get_or_init(|| self.parity_in_front(scene, s, t))
+            .ok_or("its surface passes through it, or no parity was found")?;
+        let v = &scene.all()[t as usize];
+        if !self.all[s as usize].patches.iter().all(|p| apart(cell, v, p)) {
+            return Err("a patch of its surface may be between");
+        }
+        Ok(if of_cell == front { Ordering::Less } else { Ordering::Greater })
+    }
+
+    /// The parity of all points of a cell.
+    fn parity_of(&self, scene: &Triangles<'_>, s: u32, cell: [Vec3; 2]) -> Option<bool> {
+        let mut near = Vec::new();
+        scene.in_box(cell, &mut near);
+        let own = |u: &&u32| self.of[**u as usize] == Some(s);
+        if near.iter().filter(own).any(|u| meets_box(&scene.all()[*u as usize], cell)) {
+            return None;
+        }
+        let middle = (cell[0].as_dvec3() + cell[1].as_dvec3()) * 0.5;
+        let from = point(middle.to_array());
+        let bounds = [cell[0], cell[1]];
+        (0..TRIES).find_map(|k| self.parity(scene, s, (&from, bounds), self.outside(s, middle, k), None))
+    }
+
+    /// The parity on the side a triangle's normal points to.
+    fn parity_in_front(&self, scene: &Triangles<'_>, s: u32, t: u32) -> Option<bool> {
+        let v = &scene.all()[t as usize];
+        let bounds = [v[0].min(v[1]).min(v[2]), v[0].max(v[1]).max(v[2])];
+        let corners = exact(v);
+        let flat = plane([&corners[0], &corners[1], &corners[2]]);
+        let mut near = Vec::new();
+        scene.in_box(bounds, &mut near);
+        let pierces = |u: &&u32| **u != t && pierces(&corners, &flat, &scene.all()[**u as usize]);
+        if near.iter().filter(|u| self.of[**u as usize] == Some(s)).any(|u| pierces(&u)) {
+            return None;
+        }
+        (0..TRIES).find_map(|k| {
+            // A point inside, by weights that are never 0.
+            let weights = [1 + k % 5, 1 + k % 3, 1 + k % 7].map(IBig::from);
+            let at = super::cell::mixed(&corners, &weights);
+            let near = (v[0].as_dvec3() + v[1].as_dvec3() + v[2].as_dvec3()) / 3.0;
+            let out = self.outside(s, near, k);
+            let side = sign(&height(&flat, &point(out)));
+            let odd = self.parity(scene, s, (&at, bounds), out, Some(t))?;
+            (side != Ordering::Equal).then_some(odd == (side == Ordering::Greater))
+        })
+    }
+
+    /// A point outside of the surface, off from another one mostly along an axis.
+    fn outside(&self, s: u32, from: glam::DVec3, k: u32) -> [f64; 3] {
+        let Surface { min, max, .. } = &self.all[s as usize];
+        let (min, max) = (min.as_dvec3().min(from), max.as_dvec3().max(from));
+        let size = (max - min).max_element();
+        let axis = k as usize % 3;
+        let mut to = from.to_array();
+        // Ever other directions, by steps that have nothing to do with each other.
+        to[(axis + 1) % 3] += size * 0.0131 * f64::from(1 + k % 5);
+        to[(axis + 2) % 3] -= size * 0.0077 * f64::from(1 + k % 7);
+        to[axis] = if k.is_multiple_of(2) { max[axis] + size } else { min[axis] - size };
+        to
+    }
+
+    /// Whether the segment from a point within some bounds to a point outside of the surface crosses it and its patches, but for the
+    /// triangle `without`, an odd number of times; none if it touches a border.
+    fn parity(
+        &self,
+        scene: &Triangles<'_>,
+        s: u32,
+        (from, bounds): (&Point, [Vec3; 2]),
+        to: [f64; 3],
+        without: Option<u32>,
+    ) -> Option<bool> {
+        let Surface { min, max, patches } = &self.all[s as usize];
+        let out = (0..3).any(|k| to[k] < f64::from(min[k]) || to[k] > f64::from(max[k]));
+        if !out || !to.iter().all(|c| c.is_finite()) {
+            return None;
+        }
+        let end = point(to);
+        let around =
+            [Vec3::from(to.map(|c| (c as f32).next_down())), Vec3::from(to.map(|c| (c as f32).next_up()))];
+        let along = scene.along(bounds, around);
+        let own = along.iter().filter(|u| self.of[**u as usize] == Some(s) && Some(**u) != without);
+        let mut odd = false;
+        for u in own.map(|u| &scene.all()[*u as usize]).chain(patches) {
+            odd ^= passes(u, from, &end)?;
+        }
+        Some(odd)
+    }
+}
+
+/// Whether a segment passes through the inside of a triangle; none if it touches it otherwise, or may.
+fn passes(t: &[Vec3; 3], p: &Point, q: &Point) -> Option<bool> {
+    let [a, b, c] = exact(t);
+    let own = plane([&a, &b, &c]);
+    let ends = [p, q].map(|e| sign(&height(&own, e)));
+    if ends[0] == ends[1] && ends[0] != Ordering::Equal {
+        return Some(false);
+    }
+    let line = join(p, q);
+    let sides = [join(&a, &b), join(&b, &c), join(&c, &a)].map(|e| sign(&klein(&line, &e)));
+    match (
+        sides.contains(&Ordering::Less) && sides.contains(&Ordering::Greater),
+        sides.contains(&Ordering::Equal),
+    ) {
+        (true, _) => Some(false),
+        (false, true) => None,
+        (false, false) => (!ends.contains(&Ordering::Equal)).then_some(true),
+    }
+}
+
+/// Whether a triangle has points inside another one: what is left of it, cut down to the other's plane and to the inner side of its
+/// edges, is not all on the border; then its middle is not, either.
+fn pierces(t: &[Point; 3], flat: &Plane, u: &[Vec3; 3]) -> bool {
+    let [a, b, c] = t;
+    let off: Point = std::array::from_fn(|i| if i < 3 { &a[i] + &flat[i] * &a[3] } else { a[3].clone() });
+    let mut left: Vec<Point> = exact(u).into();
+    let negated = |f: &Plane| f.clone().map(|c| -c);
+    let mut walls = vec![flat.clone(), negated(flat)];
+    for (p, q, r) in [(a, b, c), (b, c, a), (c, a, b)] {
+        let wall = plane([p, q, &off]);
+        walls.push(if sign(&height(&wall, r)) == Ordering::Less { negated(&wall) } else { wall });
+    }
+    for wall in &walls {
+        let heights: Vec<Ordering> = left.iter().map(|p| sign(&height(wall, p))).collect();
+        let mut kept = Vec::with_capacity(left.len() + 1);
+        for i in 0..left.len() {
+            let j = (i + 1) % left.len();
+            if heights[i] != Ordering::Less {
+                kept.push(left[i].clone());
+            }
+            if heights[i] == heights[j].reverse() && heights[i] != Ordering::Equal {
+                kept.push(cut(&left[i], &left[j], wall));
+            }
+        }
+        left = kept;
+    }
+    if left.is_empty() {
+        return false;
+    }
+    let weights = vec![IBig::ONE; left.len()];
+    inside(&t[..], &super::cell::mixed(&left, &weights))
+}
+
+/// Whether a patch has no point in the convex hull of a cell and a triangle, by one of a few planes.
+fn apart([lo, hi]: [Vec3; 2], t: &[Vec3; 3], patch: &[Vec3; 3]) -> bool {
+    let (min, max) = t.iter().fold((lo, hi), |(a, b), v| (a.min(*v), b.max(*v)));
+    if (0..3).any(|k| patch.iter().all(|p| p[k] < min[k]) || patch.iter().all(|p| p[k] > max[k])) {
+        return true;
+    }
+    let cell: Vec<Point> = (0..8)
+        .map(|k| {
+            let at = |axis: usize| f64::from(if k >> axis & 1 == 1 { hi[axis] } else { lo[axis] });
+            point([at(0), at(1), at(2)])
+        })
+        .collect();
+    let (t, patch) = (exact(t), exact(patch));
+    let side = |of: &[Point; 3], p: &Point| sign(&height(&plane([&of[0], &of[1], &of[2]]), p));
+    let first = side(&patch, &cell[0]);
+    if first != Ordering::Equal && cell.iter().chain(&t).all(|p| side(&patch, p) == first) {
+        return true;
+    }
+    let beyond = side(&t, &patch[0]);
+    beyond != Ordering::Equal
+        && patch.iter().all(|p| side(&t, p) == beyond)
+        && cell.iter().all(|p| side(&t, p) != beyond)
+}
+
+/// Triangles that close some odd edges.
+fn patches(odd: &[[[u32; 3]; 2]]) -> Vec<[Vec3; 3]> {
+    let position = |k: [u32; 3]| Vec3::from(k.map(f32::from_bits));
+    // The least corner that can be reached from each.
+    let mut least: BTreeMap<[u32; 3], [u32; 3]> = odd.iter().flatten().map(|k| (*k, *k)).collect();
+    loop {
+        let mut changed = false;
+        for [p, q] in odd {
+            let both = least[p].min(least[q]);
+            for end in [p, q] {
+                changed |= least.insert(*end, both) != Some(both);
+            }
+        }
+        if !changed {
+            break;
+        }
+    }
+    odd.iter()
+        .filter(|[p, q]| least[p] != *p && least[p] != *q)
+        .map(|[p, q]| [position(least[p]), position(*p), position(*q)])
+        .collect()
+}
