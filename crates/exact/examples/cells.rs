@@ -1,10 +1,10 @@
 //! Times exact cell queries on random cells of a baked result.
 //!
-//! `cargo run --release -p sightline-exact --example cells -- SCENE OUT.pvs [COUNT [SEED]]`
+//! `cargo run --release -p sightline-exact --example cells -- SCENE OUT.pvs [COUNT [SEED [SECONDS]]]`
 
 #![allow(clippy::print_stdout, reason = "it prints what it measured")]
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use glam::Vec3;
 use sightline_exact::cell::Cell;
@@ -15,9 +15,10 @@ use sightline_pvs::Pvs;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().collect();
     let [scene, result] =
-        [1, 2].map(|i| args.get(i).cloned().ok_or("usage: cells SCENE OUT.pvs [COUNT [SEED]]"));
+        [1, 2].map(|i| args.get(i).cloned().ok_or("usage: cells SCENE OUT.pvs [COUNT [SEED [SECONDS]]]"));
     let count: usize = args.get(3).map_or(Ok(5), |s| s.parse())?;
     let seed: u64 = args.get(4).map_or(Ok(1), |s| s.parse())?;
+    let most = Duration::from_secs(args.get(5).map_or(Ok(u64::MAX), |s| s.parse())?);
     let scene = sightline_scene::load(std::path::Path::new(&scene?))?;
     let pvs = Pvs::open(result?)?;
     let start = Instant::now();
@@ -42,7 +43,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             limits: Limits::default(),
             seed,
             keep: true,
-            stop: &|| false,
+            stop: &|| start.elapsed() > most,
             asked: &|| (),
         });
         let took = start.elapsed();

@@ -41,8 +41,11 @@ pub struct Hidden {
     pub proofs: Vec<Proof>,
 }
 
-/// Edges with an odd number of triangles that a closed surface may have ([`crate::surface`]).
-pub const MOST_ODD_EDGES: usize = 64;
+/// Whether so many edges with an odd number of triangles are few enough for a surface of so many triangles to be closed by
+/// patches ([`crate::surface`]): not more than a fourth, or the patches are most of it, and 64.
+pub fn few_odd_edges(odd: usize, triangles: usize) -> bool {
+    odd <= 64.min(triangles / 4)
+}
 
 /// What proofs are about.
 #[derive(Clone, Copy, Debug, PartialEq)]

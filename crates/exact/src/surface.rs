@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use sightline_scene::exact::{orient2d_sign, orient3d_sign};
 
 use crate::cell::Cell;
-use crate::evidence::MOST_ODD_EDGES;
+use crate::evidence::few_odd_edges;
 use crate::occluder::Occluders;
 use crate::rays::Random;
 use crate::segment::{Crossing, crossing};
@@ -88,8 +88,10 @@ impl Surfaces {
         odd.sort_unstable_by_key(|o| (o.0, o.1));
         let mut usable = vec![true; n];
         let mut patches: Vec<(u32, Vec<[Vec3; 3]>)> = Vec::new();
+        let mut members = vec![0usize; n];
+        (0..n as u32).filter(|t| solid(*t)).for_each(|t| members[sets.find(t) as usize] += 1);
         for run in odd.chunk_by(|a, b| a.0 == b.0) {
-            if run.len() > MOST_ODD_EDGES {
+            if !few_odd_edges(run.len(), members[run[0].0 as usize]) {
                 usable[run[0].0 as usize] = false;
             } else {
                 patches.push((run[0].0, cover(&run.iter().map(|o| o.2).collect::<Vec<_>>())));
@@ -356,8 +358,11 @@ fn height(t: &[Vec3; 3], p: Vec3) -> (f64, f64) {
 
 /// Whether a triangle `u` may have a point inside `t`. Their corners are numbered alike where they are at the same place.
 fn may_pierce(t: &[Vec3; 3], u: &[Vec3; 3], ct: [u32; 3], cu: [u32; 3]) -> bool {
-    let place = |of: &[Vec3; 3], p: Vec3| orient3d_sign(of[0], of[1], of[2], p);
-    let sides = u.map(|p| place(t, p));
+    // A shared corner is in the plane, and to find that out by arithmetic is what takes longest.
+    let place = |of: &[Vec3; 3], c: [u32; 3], (p, n): (Vec3, u32)| {
+        if c.contains(&n) { Ordering::Equal } else { orient3d_sign(of[0], of[1], of[2], p) }
+    };
+    let sides = [0, 1, 2].map(|k| place(t, ct, (u[k], cu[k])));
     if sides[0] != Ordering::Equal && sides.iter().all(|s| *s == sides[0]) {
         return false;
     }
@@ -384,7 +389,7 @@ fn may_pierce(t: &[Vec3; 3], u: &[Vec3; 3], ct: [u32; 3], cu: [u32; 3]) -> bool 
     });
     enters
         || edges.iter().any(|(i, j)| {
-            let ends = [place(u, t[*i]), place(u, t[*j])];
+            let ends = [i, j].map(|k| place(u, cu, (t[*k], ct[*k])));
             // Also where the edge lies in u's plane: then what u has in t's plane lies along the edge.
             let apart = ends[0] == ends[1];
             let at_corner = ends[0] == Ordering::Equal && cu.contains(&ct[*i]) && ends[1] != Ordering::Equal

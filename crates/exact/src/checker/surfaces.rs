@@ -3,7 +3,7 @@
 //! What is checked, all of it from the scene alone and in integers:
 //!
 //! 1. The *surface* is all triangles that hang together with this one by edges between the same positions. Edges with an odd
-//!    number of triangles, if they are few ([`MOST_ODD_EDGES`]), are closed by *patches*: for all that hang together by their ends,
+//!    number of triangles, if they are few ([`few_odd_edges`]), are closed by *patches*: for all that hang together by their ends,
 //!    the triangles of each with the corner that is least by the bits of its coordinates.
 //! 2. No triangle of the surface meets the cell, so all of the cell has one parity: that of the crossings of a segment from it to a
 //!    point outside of the surface's bounds, none of which touches a border.
@@ -26,7 +26,7 @@ use super::cell::{cut, exact, has_area, meets_box};
 use super::line::{Plane, Point, height, join, klein, plane, point, sign};
 use super::near::Triangles;
 use super::witness::inside;
-use crate::evidence::MOST_ODD_EDGES;
+use crate::evidence::few_odd_edges;
 
 /// Segments tried for a parity, each from another point.
 const TRIES: u32 = 16;
@@ -76,12 +76,16 @@ impl Surfaces {
         for run in edges.chunk_by(|a, b| a.0 == b.0).filter(|r| r.len() % 2 == 1) {
             odd.entry(find(&mut link, run[0].1)).or_default().push(run[0].0);
         }
+        let mut members: BTreeMap<u32, usize> = BTreeMap::new();
+        for (t, _) in scene.iter().enumerate().filter(|(_, v)| has_area(v)) {
+            *members.entry(find(&mut link, t as u32)).or_default() += 1;
+        }
         let mut number: BTreeMap<u32, u32> = BTreeMap::new();
         let (mut of, mut all) = (vec![None; scene.len()], Vec::<Surface>::new());
         for (t, v) in scene.iter().enumerate().filter(|(_, v)| has_area(v)) {
             let root = find(&mut link, t as u32);
             let border = odd.get(&root).map_or(&[][..], |b| b);
-            if border.len() > MOST_ODD_EDGES {
+            if !few_odd_edges(border.len(), members[&root]) {
                 continue;
             }
             let id = *number.entry(root).or_insert_with(|| {
