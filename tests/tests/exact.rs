@@ -1,0 +1,211 @@
+//! Bakes by exact queries: in one process and in a cluster that is disturbed, verified, tampered with, asked why, cut short.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+use std::sync::OnceLock;
+
+use serde_json::Value;
+use sightline_pvs::{Builder, Header, Pvs};
+use sightline_tests::{Sandbox, assert_same};
+
+/// Three walls with slits of a thousandth of their size: what is beyond is seen through two slits at most.
+const SCENE: &str = "generate slits --grid 3x2 --slit-width 0.001 -o slits.glb";
+const JOB: &str = "slits.glb --cells 3x2x2 --block-cells 1 --backend cpu --method exact --certificates";
+
+/// A folder with the scene in it, and with `exact.pvs`.
+fn sandbox() -> Sandbox {
+    let sandbox = Sandbox::new();
+    sandbox.ok(SCENE);
+    sandbox.write("exact.pvs", alone());
+    sandbox
+}
+
+/// What one process makes of [`JOB`].
+fn alone() -> &'static [u8] {
+    static ALONE: OnceLock<Vec<u8>> = OnceLock::new();
+    ALONE.get_or_init(|| {
+        let sandbox = Sandbox::new();
+        sandbox.ok(SCENE);
+        sandbox.ok(&format!("bake {JOB} -o alone.pvs --data-dir data"));
+        sandbox.read("alone.pvs")
+    })
+}
+
+#[test]
+fn a_cluster_that_is_disturbed_decides_the_same_to_the_last_byte() {
+    let sandbox = sandbox();
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let job = coordinator.submit(JOB);
+    let victim = coordinator.worker();
+    coordinator.until(job, "a first tile", |job| job["tiles_done"].as_u64().unwrap() > 0);
+    victim.kill();
+    let _heirs = [coordinator.worker(), coordinator.worker()];
+    assert_same(&coordinator.finish(job), alone(), "after a worker was killed");
+}
+
+#[test]
+fn everything_is_decided_and_verified_and_sampling_shows_nothing_else() {
+    let sandbox = sandbox();
+    let exact = sandbox.dump("exact.pvs");
+    assert_eq!(exact.header["method"], "exact");
+    assert!(exact.cells.iter().all(|c| c.undecided.is_empty()));
+    sandbox.ok("bake slits.glb --cells 3x2x2 --backend cpu -o sampled.pvs --data-dir data");
+    for (cell, sampled) in exact.cells.iter().zip(sandbox.dump("sampled.pvs").cells) {
+        let seen = |t: &u64| cell.visible.binary_search(t).is_ok();
+        assert!(sampled.visible.iter().all(seen), "sampling showed what is hidden");
+    }
+    let report = sandbox.json("verify slits.glb exact.pvs");
+    assert_eq!(report["accepted"], true);
+    for kind in ["witnesses", "certificates", "meeting"] {
+        assert!(report[kind].as_u64().unwrap() > 0, "{report}");
+        assert_eq!(report[kind], report[format!("{kind}_checked")], "{report}");
+    }
+    let sampled = sandbox.json("verify slits.glb exact.pvs --sample 40 --seed 3");
+    assert_eq!(sampled["witnesses"], report["witnesses"]);
+    let checked = |r: &Value| r["witnesses_checked"].as_u64().unwrap();
+    assert!(checked(&sampled) < checked(&report), "{sampled}");
+    // What was counted is there to be looked at.
+    let cells = sandbox.json("info exact.pvs --cells");
+    assert!(
+        cells["per_cell"].as_array().unwrap().iter().any(|c| c["exact_queries"].as_u64() > Some(0)),
+        "{cells}"
+    );
+}
+
+/// The result with its sets and evidence put through `change`, under right checksums.
+fn tampered(change: impl Fn(u32, &mut Vec<u32>, &mut Vec<u8>)) -> Vec<u8> {
+    let pvs = Pvs::from_bytes(alone()).unwrap();
+    let mut builder = Builder::new(Header {
+        triangles: pvs.triangle_count(),
+        method: pvs.method().to_owned(),
+        tree: pvs.tree().clone(),
+        objects: pvs.objects().to_vec(),
+        info_json: pvs.info_json().to_owned(),
+    })
+    .unwrap();
+    let mut visible = Vec::new();
+    for cell in 0..pvs.cells() {
+        pvs.visible(cell, &mut visible).unwrap();
+        let mut evidence = pvs.evidence(cell).unwrap().unwrap().to_vec();
+        change(cell, &mut visible, &mut evidence);
+        builder.push_cell(&visible, &[], 0).unwrap();
+        builder.push_evidence(&evidence).unwrap();
+    }
+    builder.set_columns(pvs.columns().unwrap()).unwrap();
+    let mut file = Vec::new();
+    builder.finish(&mut file).unwrap();
+    file
+}
+
+#[test]
+fn a_result_that_was_altered_is_refused_and_the_cell_is_named() {
+    let sandbox = sandbox();
+    assert_same(&tampered(|_, _, _| ()), alone(), "nothing changed");
+    let refuse = |what: &str, file: Vec<u8>| {
+        sandbox.write("other.pvs", file);
+        sandbox.run("verify slits.glb other.pvs").code(3).says(what);
+        let report: Value =
+            serde_json::from_str(&sandbox.run("verify slits.glb other.pvs --json").code(3).out).unwrap();
+        assert_eq!(report["accepted"], false);
+    };
+    // Something hidden that is seen, something seen that is hidden, reasons of another cell, no reasons, reasons cut short.
+    refuse("cell 5", tampered(|cell, visible, _| (cell == 5).then(|| visible.remove(1)).map_or((), |_| ())));
+    refuse(
+        "cell 5",
+        tampered(|cell, visible, _| {
+            if cell == 5 {
+                let hidden = (0..).find(|t| visible.binary_search(t).is_err()).unwrap();
+                visible.push(hidden);
+                visible.sort_unstable();
+            }
+        }),
+    );
+    let pvs = Pvs::from_bytes(alone()).unwrap();
+    let others = pvs.evidence(4).unwrap().unwrap().to_vec();
+    refuse(
+        "cell 5",
+        tampered(|cell, _, evidence| {
+            if cell == 5 {
+                evidence.clone_from(&others);
+            }
+        }),
+    );
+    refuse(
+        "cell 5",
+        tampered(|cell, _, evidence| {
+            if cell == 5 {
+                evidence.clear();
+            }
+        }),
+    );
+    refuse(
+        "cell 5",
+        tampered(|cell, _, evidence| {
+            if cell == 5 {
+                let raw = zstd::decode_all(evidence.as_slice()).unwrap();
+                *evidence = zstd::encode_all(&raw[..raw.len() - 1], 3).unwrap();
+            }
+        }),
+    );
+}
+
+#[test]
+fn who_asks_why_is_told_the_witness_or_the_blockers() {
+    let sandbox = sandbox();
+    let dump = sandbox.dump("exact.pvs");
+    let cell = &dump.cells[0];
+    let [x, y, z] = [0, 1, 2].map(|k| (cell.min[k] + cell.max[k]) / 2.0);
+    let triangles = dump.header["triangles"].as_u64().unwrap();
+    let (mut seen, mut hidden) = (0, 0);
+    for t in (0..triangles).step_by(7) {
+        let visible = cell.visible.binary_search(&t).is_ok();
+        let kept = sandbox.json(&format!("query exact.pvs {x} {y} {z} --why {t}"));
+        let asked = sandbox.json(&format!("query exact.pvs {x} {y} {z} --why {t} --scene slits.glb"));
+        assert_eq!((&kept["state"], &kept["meets"]), (&asked["state"], &asked["meets"]), "{kept} {asked}");
+        assert_eq!(kept["state"], if visible { "visible" } else { "hidden" });
+        if visible && kept["meets"] != true {
+            let from: Vec<f64> = serde_json::from_value(kept["witness"][0].clone()).unwrap();
+            assert!((0..3).all(|k| cell.min[k] <= from[k] && from[k] <= cell.max[k]), "{kept}");
+            seen += 1;
+        }
+        hidden += usize::from(!visible);
+    }
+    assert!(seen > 0 && hidden > 0);
+    sandbox
+        .run(&format!("query exact.pvs {x} {y} {z} --why 100000"))
+        .code(2)
+        .says("there is no triangle 100000");
+    let words = sandbox.run(&format!("query exact.pvs {x} {y} {z} --why {}", cell.visible[0])).code(0);
+    assert!(words.out.contains("visible"), "{}", words.out);
+}
+
+#[test]
+fn a_time_budget_leaves_a_sound_bracket() {
+    let sandbox = sandbox();
+    let exact = sandbox.dump("exact.pvs");
+    let job = "slits.glb --cells 3x2x2 --backend cpu --method verified --certificates";
+    sandbox.ok(&format!("bake {job} --time-budget 20ms -o short.pvs --data-dir data"));
+    let short = sandbox.dump("short.pvs");
+    assert_eq!(short.header["method"], "verified");
+    for (whole, cut) in exact.cells.iter().zip(&short.cells) {
+        let drawn = |t: &u64| cut.visible.binary_search(t).is_ok();
+        assert!(whole.visible.iter().all(drawn), "something visible is missing");
+        let sure = cut.visible.iter().filter(|t| cut.undecided.binary_search(t).is_err());
+        sure.for_each(|t| assert!(whole.visible.binary_search(t).is_ok(), "{t} is hidden"));
+    }
+    assert!(short.cells.iter().any(|c| !c.undecided.is_empty()), "there was time for everything");
+    let report = sandbox.json("verify slits.glb short.pvs");
+    assert_eq!(report["undecided"], short.cells.iter().map(|c| c.undecided.len() as u64).sum::<u64>());
+}
+
+#[test]
+fn what_cannot_be_verified_says_why() {
+    let sandbox = sandbox();
+    sandbox.run("bake slits.glb --certificates -o x.pvs").code(2).says("--method exact");
+    sandbox.ok("bake slits.glb --cells 1x1x1 --backend cpu -o sampled.pvs --data-dir data");
+    sandbox.run("verify slits.glb sampled.pvs").code(3).says("no certificates");
+    sandbox.run("query sampled.pvs 0 0 0.1 --why 3").code(3).says("--scene");
+    sandbox.ok("generate slits --grid 2x2 -o others.glb");
+    sandbox.run("verify others.glb exact.pvs").code(3).says("another scene");
+    sandbox.run("query exact.pvs 0 0 0.1 --why 3 --scene others.glb").code(3).says("another scene");
+}
