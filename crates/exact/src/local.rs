@@ -2,6 +2,7 @@
 //! half-spaces.
 
 use std::cmp::Ordering;
+use std::collections::{BTreeMap, HashMap};
 
 use dashu_int::IBig;
 use glam::DVec3;
@@ -38,13 +39,31 @@ pub struct Constraints {
     pub lines: Vec<(Id, bool, u16)>,
 }
 
+/// One line for all edges that run along it.
+#[derive(Default)]
+pub struct EdgeLines {
+    /// By an edge's ends as bits: its line, and whether that runs the other way.
+    edges: HashMap<[u32; 6], (Id, bool)>,
+    /// By their fingerprints: what is the same line is in the same bucket, or the next.
+    buckets: HashMap<i64, Vec<Id>>,
+}
+
+impl EdgeLines {
+    /// The lines that may be the same as one with a fingerprint.
+    fn near(&self, fingerprint: i64) -> Vec<Id> {
+        (fingerprint - 1..=fingerprint + 1).filter_map(|b| self.buckets.get(&b)).flatten().copied().collect()
+    }
+}
+
 /// What belongs to one pair of parts.
 pub struct Local<'a> {
     pub space: Space,
     pub pair: Pair,
     pub known: Vec<Constraints>,
-    /// Lines made for occluders' edges: ends as bits, the line, and whether it runs the other way.
-    pub lines: Vec<([u32; 6], Id, bool)>,
+    /// Where in `known` a set of occluders is.
+    pub places: BTreeMap<Vec<(u32, bool)>, usize>,
+    /// Lines made for occluders' edges.
+    pub lines: EdgeLines,
     /// Both polygons, with their vertices rounded.
     pub ends: [(&'a Polygon, &'a [DVec3]); 2],
 }
@@ -161,8 +180,8 @@ impl Local<'_> {
 
     /// The half-spaces of an occluder, where it is between A and B; an index into `known`.
     pub fn constraints(&mut self, scene: &Occluders, id: u32) -> Option<usize> {
-        if let Some(at) = self.known.iter().position(|c| c.members == [(id, false)]) {
-            return Some(at);
+        if let Some(at) = self.places.get(&[(id, false)][..]) {
+            return Some(*at);
         }
         let occluder = scene.occluder(id);
         let before = self.space.size();
@@ -207,8 +226,7 @@ impl Local<'_> {
             }
         }
         let between = !beyond.contains(&true);
-        self.known.push(Constraints { members: vec![(id, false)], between, lines });
-        Some(self.known.len() - 1)
+        Some(self.keep(Constraints { members: vec![(id, false)], between, lines }))
     }
 
     /// The side on which a rounded ray passes a constraint.
@@ -294,8 +312,8 @@ impl Local<'_> {
 
     /// Several occluders that are all between the polygons, as one; an index into `known`. None if they have no border.
     fn patch(&mut self, scene: &Occluders, members: Vec<(u32, bool)>) -> Option<usize> {
-        if let Some(at) = self.known.iter().position(|c| c.members == members) {
-            return Some(at);
+        if let Some(at) = self.places.get(&members) {
+            return Some(*at);
         }
         let (_, border) = scene.border(&triangles(scene, &members));
         if border.is_empty() {
@@ -308,8 +326,13 @@ impl Local<'_> {
                 lines.push((line, flipped, number as u16));
             }
         }
-        self.known.push(Constraints { members, between: true, lines });
-        Some(self.known.len() - 1)
+        Some(self.keep(Constraints { members, between: true, lines }))
+    }
+
+    fn keep(&mut self, of: Constraints) -> usize {
+        self.places.insert(of.members.clone(), self.known.len());
+        self.known.push(of);
+        self.known.len() - 1
     }
 
     /// The line of an edge, one for all edges that run along it.
@@ -318,13 +341,11 @@ impl Local<'_> {
         let bits = |v: glam::Vec3| (v + glam::Vec3::ZERO).to_array().map(f32::to_bits);
         let key = |a: [u32; 3], b: [u32; 3]| [a[0], a[1], a[2], b[0], b[1], b[2]];
         let (there, back) = (key(bits(p), bits(q)), key(bits(q), bits(p)));
-        for (k, id, flipped) in &self.lines {
-            if *k == there {
-                return (*id, *flipped);
-            }
-            if *k == back {
-                return (*id, !*flipped);
-            }
+        if let Some(known) = self.lines.edges.get(&there) {
+            return *known;
+        }
+        if let Some((id, flipped)) = self.lines.edges.get(&back) {
+            return (*id, !*flipped);
         }
         let [a, b] = [p, q].map(|v| {
             let point = self.space.frame().given(v.as_dvec3());
@@ -332,12 +353,14 @@ impl Local<'_> {
         });
         let line = self.space.join(a, b);
         // Along a line that is there already?
-        let mut seen: Vec<Id> = self.lines.iter().map(|l| l.1).collect();
-        seen.sort_unstable();
-        seen.dedup();
-        let same = seen.into_iter().find_map(|l| self.space.same_line(line, l).map(|same| (l, !same)));
+        let fingerprint = self.space.fingerprint(line);
+        let near = self.lines.near(fingerprint);
+        let same = near.into_iter().find_map(|l| self.space.same_line(line, l).map(|same| (l, !same)));
+        if same.is_none() {
+            self.lines.buckets.entry(fingerprint).or_default().push(line);
+        }
         let (id, flipped) = same.unwrap_or((line, false));
-        self.lines.push((there, id, flipped));
+        self.lines.edges.insert(there, (id, flipped));
         (id, flipped)
     }
 

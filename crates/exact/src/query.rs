@@ -6,11 +6,12 @@
 //! of it. When nothing with real lines is left, B is hidden, and the steps taken are the proof.
 
 use std::cmp::Ordering;
+use std::collections::BTreeMap;
 
 use crate::cone::Region;
 use crate::frame::{Frame, Source};
 use crate::klein::{self, Contents, contents};
-use crate::local::{Found, Local, Snapped, triangles};
+use crate::local::{EdgeLines, Found, Local, Snapped, triangles};
 use crate::occluder::Occluders;
 use crate::polygon::Polygon;
 use crate::prism;
@@ -96,7 +97,7 @@ impl std::ops::AddAssign for Cost {
 /// Whether any part of `b` is seen from `a`, each a convex polygon or the parts of one.
 pub fn sightlines(scene: &Occluders, a: &[Polygon], b: &[Polygon], limits: &Limits) -> (Verdict, Cost) {
     let mut search =
-        Search { scene, limits, cost: Cost::default(), proof: Proof::default(), members: Vec::new() };
+        Search { scene, limits, cost: Cost::default(), proof: Proof::default(), numbers: BTreeMap::new() };
     let mut open: Option<Reason> = None;
     for x in a {
         for y in b {
@@ -163,7 +164,7 @@ struct Search<'a> {
     cost: Cost,
     proof: Proof,
     /// What each occluder of the proof is made of.
-    members: Vec<Vec<(u32, bool)>>,
+    numbers: BTreeMap<Vec<(u32, bool)>, u32>,
 }
 
 impl Search<'_> {
@@ -182,14 +183,14 @@ impl Search<'_> {
         b: &(Polygon, Vec<Ordering>),
         depth: u32,
     ) -> Result<(), End> {
-        let before = (self.proof.steps.len(), self.members.len());
+        let before = (self.proof.steps.len(), self.proof.occluders.len());
         if self.try_pair(a, b)?.is_ok() {
             return Ok(());
         }
         // What was tried in vain is no part of the proof.
         self.proof.steps.truncate(before.0);
         self.proof.occluders.truncate(before.1);
-        self.members.truncate(before.1);
+        self.numbers.retain(|_, number| (*number as usize) < before.1);
         if depth == self.limits.divisions {
             return Err(End::Open(Reason::Divisions));
         }
@@ -225,7 +226,14 @@ impl Search<'_> {
         };
         let regions = std::mem::take(&mut pair.regions);
         let ends = [(&a.0, &near_a[..]), (&b.0, &near_b[..])];
-        let mut local = Local { space, pair, known: Vec::new(), lines: Vec::new(), ends };
+        let mut local = Local {
+            space,
+            pair,
+            known: Vec::new(),
+            places: BTreeMap::new(),
+            lines: EdgeLines::default(),
+            ends,
+        };
         let mut result = Ok(());
         for region in regions {
             result = self.region(&mut local, region)?;
@@ -359,12 +367,13 @@ impl Search<'_> {
 
     /// An occluder's number in the proof.
     fn number(&mut self, members: &[(u32, bool)]) -> u32 {
-        let at = self.members.iter().position(|m| m == members).unwrap_or_else(|| {
-            self.members.push(members.to_vec());
-            self.proof.occluders.push(triangles(self.scene, members));
-            self.members.len() - 1
-        });
-        at as u32
+        if let Some(number) = self.numbers.get(members) {
+            return *number;
+        }
+        let number = self.proof.occluders.len() as u32;
+        self.proof.occluders.push(triangles(self.scene, members));
+        self.numbers.insert(members.to_vec(), number);
+        number
     }
 }
 
