@@ -12,6 +12,8 @@ pub mod decide;
 mod double;
 pub mod evidence;
 mod frame;
+#[doc(hidden)]
+pub mod fuzzing;
 mod klein;
 mod local;
 mod number;

@@ -15,6 +15,8 @@ use sightline_exact::{Cost, Decided, Limits, Occluders, Polygon, Task, decide};
 use sightline_scene::{Object, Scene, Triangle};
 
 type Corners = [Vec3; 3];
+/// A scene, a cell, what was decided about it, and its evidence without compression.
+type Case = (Vec<Corners>, [Vec3; 2], Decided, Vec<u8>);
 
 fn occluders(triangles: &[Corners]) -> Occluders {
     let objects = vec![Object { name: "test".into(), first: 0, count: triangles.len() as u32 }];
@@ -241,6 +243,17 @@ fn what_faces_away_is_hidden_without_a_query() {
     check(&triangles, beside, &d, &d.evidence).unwrap();
 }
 
+/// The chambers, decided once.
+fn decided() -> &'static Case {
+    static ONCE: std::sync::OnceLock<Case> = std::sync::OnceLock::new();
+    ONCE.get_or_init(|| {
+        let (triangles, cell) = chambers();
+        let d = solve(&occluders(&triangles), cell, &[], &|| false);
+        let raw = zstd::decode_all(codec::encode(&d.evidence).unwrap().as_slice()).unwrap();
+        (triangles, cell, d, raw)
+    })
+}
+
 fn grid_point(reach: i8) -> impl Strategy<Value = Vec3> {
     prop::array::uniform3(-reach..=reach).prop_map(|p| Vec3::from(p.map(f32::from)))
 }
@@ -335,5 +348,49 @@ proptest! {
                 prop_assert!(matches!(found, Found::Hidden(_)), "triangle {} is seen", id);
             }
         }
+    }
+
+    /// Whatever is done to the evidence, a set that lacks something visible, or has something hidden, is not accepted.
+    #[test]
+    fn no_altered_evidence_makes_a_wrong_set_right(
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
+        moved in any::<prop::sample::Index>(),
+    ) {
+        let (triangles, cell, d, raw) = decided();
+        let mut bytes = raw.clone();
+        for (at, value) in &changes {
+            bytes[at.index(raw.len())] = *value;
+        }
+        if let Ok(mut evidence) = codec::decode_raw(&bytes, triangles.len() as u32) {
+            let id = moved.index(triangles.len()) as u32;
+            let mut visible = d.visible.clone();
+            match visible.binary_search(&id) {
+                // Said to be hidden, with the others of the first group.
+                Ok(at) => {
+                    visible.remove(at);
+                    evidence.seen.retain(|(t, _)| *t != id);
+                    if let Some(group) = evidence.hidden.first_mut() {
+                        group.triangles.push(id);
+                        group.triangles.sort_unstable();
+                    }
+                }
+                // Said to be visible, with the witness of another.
+                Err(at) => {
+                    visible.insert(at, id);
+                    evidence.hidden.iter_mut().for_each(|h| h.triangles.retain(|t| *t != id));
+                    if let Some((_, witness)) = evidence.seen.first().cloned() {
+                        evidence.seen.push((id, witness));
+                        evidence.seen.sort_by_key(|s| s.0);
+                    }
+                }
+            }
+            let claims = CellClaims { cell: *cell, visible: &visible, undecided: &[], evidence: &evidence };
+            prop_assert!(check_cell(&Triangles::new(triangles), &claims, &|_| true).is_err());
+        }
+    }
+
+    #[test]
+    fn any_bytes_as_evidence_are_read_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+        sightline_exact::fuzzing::evidence(&bytes);
     }
 }

@@ -76,7 +76,15 @@ pub fn decode(bytes: &[u8], triangles: u32) -> Result<Evidence, EvidenceError> {
     if raw.len() as u64 > MOST {
         return Err(EvidenceError("they unpack to more than 2 GiB"));
     }
-    let mut from = Reader { rest: &raw, triangles };
+    decode_raw(&raw, triangles)
+}
+
+/// The same without compression.
+///
+/// # Errors
+/// [`EvidenceError`].
+pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<Evidence, EvidenceError> {
+    let mut from = Reader { rest: raw, triangles };
     let mut evidence = Evidence::default();
     let mut last = 0u32;
     for k in 0..from.count(2)? {
