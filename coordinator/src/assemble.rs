@@ -59,7 +59,8 @@ impl Coordinator {
     pub(crate) fn assemble(&self, parts: &Parts) -> Result<(Digest, u64), AssembleError> {
         let scene = self.facts(&parts.spec.scene)?;
         let leaves = || parts.plan.leaves().map(|n| (n, &parts.slots[n as usize].state));
-        // The tree comes before the sets, so the tiles are read twice; they stay small on disk and in memory.
+        // The tree comes before the sets, so the tiles are read twice, one at a time; with certificates, which are most of a
+        // tile, that is their price for not all being in memory twice.
         let mut nodes = Vec::new();
         let mut samples = 0u64;
         // But for a result of one tile.

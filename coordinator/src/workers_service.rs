@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use futures::{Stream, StreamExt as _};
-use sightline_job::ALGORITHM_VERSION;
+use sightline_job::{ALGORITHM_VERSION, Method};
 use sightline_proto::chunks::Assembler;
 use sightline_proto::v1;
 use sightline_proto::v1::worker_message::Message as FromWorker;
@@ -249,7 +249,7 @@ impl Coordinator {
         if header.bytes != bytes.len() as u64 {
             return Err(Status::invalid_argument("the result has another length than announced"));
         }
-        let (triangles, kind, expected) = {
+        let (triangles, kind, expected, exact) = {
             let scheduler = self.lock();
             let job = scheduler.jobs.get(&lease.job).ok_or_else(|| {
                 Status::failed_precondition(format!("job {} has ended or is not known here", lease.job))
@@ -258,7 +258,7 @@ impl Coordinator {
             let tile = tile.ok_or_else(|| Status::invalid_argument("the job has no such tile"))?;
             let scene = self.store.scene(&job.spec.scene).map_err(|e| status::of_store(&e))?;
             let nodes = expected_nodes(&job.spec.division, &job.lattice, &tile.cell, tile.depth);
-            (scene.map_or(0, |s| s.triangles), tile.kind, nodes)
+            (scene.map_or(0, |s| s.triangles), tile.kind, nodes, job.spec.method != Method::Aggressive)
         };
         let output = codec::check(bytes, triangles).map_err(|e| Status::invalid_argument(e.to_string()))?;
         let cells = match (&output, kind) {
@@ -266,6 +266,11 @@ impl Coordinator {
                 if expected.is_some_and(|nodes| nodes != sets.nodes) {
                     return Err(Status::invalid_argument(
                         "the output's cells are not those of the tile's grid",
+                    ));
+                }
+                if sets.cells.iter().any(|c| c.decision.is_some() != exact) {
+                    return Err(Status::invalid_argument(
+                        "the output's cells are not decided by the job's method",
                     ));
                 }
                 sets.cells.len() as u64

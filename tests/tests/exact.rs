@@ -162,6 +162,9 @@ fn who_asks_why_is_told_the_witness_or_the_blockers() {
         let kept = sandbox.json(&format!("query exact.pvs {x} {y} {z} --why {t}"));
         let asked = sandbox.json(&format!("query exact.pvs {x} {y} {z} --why {t} --scene slits.glb"));
         assert_eq!((&kept["state"], &kept["meets"]), (&asked["state"], &asked["meets"]), "{kept} {asked}");
+        if !visible && kept["surface"] != true {
+            assert!(!kept["blockers"].as_array().unwrap().is_empty(), "{kept}");
+        }
         assert_eq!(kept["state"], if visible { "visible" } else { "hidden" });
         if visible && kept["meets"] != true {
             let from: Vec<f64> = serde_json::from_value(kept["witness"][0].clone()).unwrap();

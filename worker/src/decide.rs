@@ -50,6 +50,9 @@ pub fn cells(
     scene: &Occluders,
     (deadline, watcher): (Option<Instant>, &dyn Watcher),
 ) -> Result<(), String> {
+    // Here and not on a thread of rayon's: finding the surfaces uses rayon itself, and a pool's thread that waits inside could take
+    // up another cell and come back to the same lock.
+    scene.surfaces();
     let boxes = boxes(root, &sets.nodes);
     let one = |(set, at): (&mut CellSet, &CellBox), until: Option<Instant>| {
         let stop = || watcher.cancelled() || until.is_some_and(|u| Instant::now() >= u);

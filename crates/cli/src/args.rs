@@ -278,7 +278,7 @@ pub struct QueryArgs {
     #[arg(long, value_enum, default_value_t = Items::Triangles)]
     pub items: Items,
     /// Say why this triangle is in the set or is not: the witness segment along which it is seen, or the triangles that hide
-    /// it. From the result's certificates (bake --certificates), or with --scene by asking anew.
+    /// it, or that the closed surface it is part of does. From the result's certificates (bake --certificates), or with --scene by asking anew.
     #[arg(long, value_name = "TRIANGLE", conflicts_with = "items")]
     pub why: Option<u32>,
     /// The scene the result was baked from, for --why.
@@ -300,7 +300,7 @@ pub struct VerifyArgs {
     pub result: PathBuf,
     /// Check only what is claimed about this many pairs of cell and triangle, drawn evenly from all; that every triangle is
     /// accounted for is checked all the same. Default: everything, which takes about as long as the bake.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     pub sample: Option<u64>,
     /// Seed of the draw.
     #[arg(long, value_name = "S", default_value_t = 1, requires = "sample")]

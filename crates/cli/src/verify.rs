@@ -38,10 +38,7 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     let start = Instant::now();
     let mut totals = Totals::default();
     for cell in 0..pvs.cells() {
-        let wanted = match &sample {
-            Some(sample) => Some(sample.get(&cell).cloned().unwrap_or_default()),
-            None => None,
-        };
+        let wanted = sample.as_ref().map(|s| s.get(&cell).cloned().unwrap_or_default());
         let checked = check_one(&pvs, &triangles, cell, wanted.as_ref(), &mut totals);
         if let Err(why) = checked {
             progress.end();

@@ -5,7 +5,8 @@ use std::path::Path;
 use glam::Vec3;
 use serde_json::{Value, json};
 use sightline_exact::cell::{Cell, Found, from_cell};
-use sightline_exact::evidence::Reason;
+use sightline_exact::evidence::{Reason, Target};
+use sightline_exact::surface::Hides;
 use sightline_exact::{Cost, Limits, Occluders, Polygon, polygon};
 use sightline_pvs::Pvs;
 use sightline_scene::{Aabb, overlap};
@@ -48,9 +49,15 @@ pub fn why(
             format!("{about}: visible along {} to {}", answer["witness"][0], answer["witness"][1])
         }
         Some("hidden") if answer["degenerate"] == true => format!("{about}: never visible, it has no area"),
+        Some("hidden") if blockers.is_empty() => {
+            format!(
+                "{about}: hidden by the closed surface it is part of: its other side is turned to the cell"
+            )
+        }
         Some("hidden") => {
-            let with = match answer["with"].as_u64() {
-                Some(n @ 1..) => format!(" together with {n} others in a box"),
+            let with = match (answer["with"].as_u64(), answer["surface"] == true) {
+                (Some(n @ 1..), _) => format!(" together with {n} others in a box"),
+                (_, true) => " from one side by the closed surface it is part of, from the other".to_owned(),
                 _ => String::new(),
             };
             let list: Vec<String> = blockers.iter().take(SHOWN).map(Value::to_string).collect();
@@ -61,7 +68,7 @@ pub fn why(
             format!("{about}: hidden{with} by triangles {}{more}", list.join(" "))
         }
         _ => format!(
-            "{about}: undecided{}; it is in the set, so that nothing visible is missing",
+            "{about}: undecided{}; what is undecided is drawn, so that nothing visible is missing",
             answer["reason"].as_str().map_or(String::new(), |r| format!(" ({r})"))
         ),
     })
@@ -90,7 +97,9 @@ fn look_up(pvs: &Pvs, result: &Path, cell: u32, triangle: u32) -> Result<Value, 
                 hidden.proofs.iter().flat_map(sightline_exact::Proof::blockers).collect();
             blockers.sort_unstable();
             blockers.dedup();
-            json!({"state": "hidden", "blockers": blockers, "with": hidden.triangles.len() - 1})
+            let surface = matches!(hidden.target, Target::Surfaces | Target::Half);
+            let with = if matches!(hidden.target, Target::Box(_)) { hidden.triangles.len() - 1 } else { 0 };
+            json!({"state": "hidden", "blockers": blockers, "with": with, "surface": surface})
         }
         None if ids.binary_search(&triangle).is_ok() => json!({"state": "visible", "meets": true}),
         None => json!({"state": "hidden", "degenerate": true, "blockers": []}),
@@ -112,7 +121,13 @@ fn ask(pvs: &Pvs, result: &Path, path: &Path, cell: u32, triangle: u32) -> Resul
     let view = Cell::new(bounds[0], bounds[1])
         .ok_or_else(|| CliError::Input(format!("cell {cell} has no volume; bake with larger cells")))?;
     let occluders = Occluders::new(&scene)?;
-    Ok(match from_cell(&occluders, view, (&[target], None), &Limits::default(), &mut Cost::default()) {
+    let meeting = overlap::triangles_in_box(&scene, None, &Aabb { min: bounds[0], max: bounds[1] });
+    let half = match occluders.surfaces().seen_from(&occluders, view, &meeting).hides(triangle) {
+        Hides::All => return Ok(json!({"state": "hidden", "blockers": [], "surface": true})),
+        Hides::From(side) => Some(side),
+        Hides::Nothing => None,
+    };
+    Ok(match from_cell(&occluders, view, (&[target], half), &Limits::default(), &mut Cost::default()) {
         Found::Visible(ends) => {
             json!({"state": "visible", "witness": ends.each_ref().map(|e| polygon::rounded(e).to_array())})
         }
@@ -120,7 +135,7 @@ fn ask(pvs: &Pvs, result: &Path, path: &Path, cell: u32, triangle: u32) -> Resul
             let mut blockers: Vec<u32> = proofs.iter().flat_map(sightline_exact::Proof::blockers).collect();
             blockers.sort_unstable();
             blockers.dedup();
-            json!({"state": "hidden", "blockers": blockers})
+            json!({"state": "hidden", "blockers": blockers, "surface": half.is_some()})
         }
         Found::Undecided(reason) => json!({"state": "undecided", "reason": reason.to_string()}),
     })

@@ -7,6 +7,10 @@ use glam::{DVec3, Vec3};
 
 /// Most triangles in a leaf.
 const LEAF: usize = 4;
+/// From this depth on nodes are halved, whatever it costs: no more than 32 levels follow.
+const DEEP: u32 = 48;
+/// Nodes a walk can have put off: one for each level, and the next.
+const WAITING: usize = 96;
 
 #[derive(Clone, Copy, Debug)]
 struct Node {
@@ -45,21 +49,21 @@ impl Bvh {
         };
         let [min, max] = bounds(&order);
         nodes.push(Node { min, max, first: 0, count: order.len() as u32 });
-        let mut open = vec![0usize];
-        while let Some(n) = open.pop() {
+        let mut open = vec![(0usize, 0u32)];
+        while let Some((n, depth)) = open.pop() {
             let (first, count) = (nodes[n].first as usize, nodes[n].count as usize);
             if count <= LEAF {
                 continue;
             }
             let items = &mut order[first..first + count];
-            let half = split(&boxes, items);
+            let half = split(&boxes, items, depth < DEEP);
             let at = nodes.len() as u32;
             for (start, part) in [(first, &items[..half]), (first + half, &items[half..])] {
                 let [min, max] = bounds(part);
                 nodes.push(Node { min, max, first: start as u32, count: part.len() as u32 });
             }
             (nodes[n].first, nodes[n].count) = (at, 0);
-            open.extend([at as usize, at as usize + 1]);
+            open.extend([(at as usize, depth + 1), (at as usize + 1, depth + 1)]);
         }
         Self { nodes, order, boxes }
     }
@@ -93,7 +97,7 @@ impl Bvh {
     /// Appends every item whose box has a point in common with a box.
     pub fn in_box(&self, min: Vec3, max: Vec3, out: &mut Vec<u32>) {
         let apart = |lo: Vec3, hi: Vec3| lo.cmpgt(max).any() || hi.cmplt(min).any();
-        let mut open = [0u32; 96];
+        let mut open = [0u32; WAITING];
         let mut len = usize::from(!self.order.is_empty());
         while len > 0 {
             len -= 1;
@@ -117,7 +121,7 @@ impl Bvh {
     /// Appends every item whose box the segment from `p` to `q` may touch; `slack` is how far the ends may be off.
     pub fn along(&self, p: DVec3, q: DVec3, slack: f64, out: &mut Vec<u32>) {
         let segment = Segment::new(p, q, slack);
-        let mut open = [0u32; 96];
+        let mut open = [0u32; WAITING];
         let mut len = 1;
         if self.order.is_empty() {
             return;
@@ -135,7 +139,6 @@ impl Bvh {
                     segment.touches(lo, hi)
                 }));
             } else {
-                // Halving keeps the depth below the logarithm of 2³² and a few.
                 open[len] = node.first;
                 open[len + 1] = node.first + 1;
                 len += 2;
@@ -155,7 +158,7 @@ impl Bvh {
             if near <= far { near } else { f64::INFINITY }
         };
         let mut limit = f64::INFINITY;
-        let mut open = [(0u32, 0.0f64); 96];
+        let mut open = [(0u32, 0.0f64); WAITING];
         let mut len = usize::from(!self.order.is_empty());
         while len > 0 {
             len -= 1;
@@ -184,8 +187,8 @@ impl Bvh {
     }
 }
 
-/// Where to divide: at the cheapest of sixteen planes along the widest axis of the centres, or in the middle.
-fn split(boxes: &[[Vec3; 2]], items: &mut [u32]) -> usize {
+/// Where to divide: at the cheapest of sixteen planes along the widest axis of the centres, if that is allowed, or in the middle.
+fn split(boxes: &[[Vec3; 2]], items: &mut [u32], cheapest: bool) -> usize {
     const BINS: usize = 16;
     let centre = |i: u32| {
         let [a, b] = boxes[i as usize];
@@ -199,12 +202,12 @@ fn split(boxes: &[[Vec3; 2]], items: &mut [u32]) -> usize {
     let middle = items.len() / 2;
     let by_centre = |a: &u32, b: &u32| centre(*a)[axis].total_cmp(&centre(*b)[axis]).then(a.cmp(b));
     let bin = |i: u32| (((centre(i)[axis] - lo[axis]) / extent[axis] * BINS as f32) as usize).min(BINS - 1);
-    if !(extent[axis] > 0.0 && extent[axis].is_finite()) {
+    if !(cheapest && extent[axis] > 0.0 && extent[axis].is_finite()) {
         items.select_nth_unstable_by(middle, by_centre);
         return middle;
     }
     let area = |[a, b]: [Vec3; 2]| {
-        let d = (b - a).as_dvec3();
+        let d = b.as_dvec3() - a.as_dvec3();
         d.x * d.y + d.y * d.z + d.z * d.x
     };
     let mut bins = [([Vec3::INFINITY, Vec3::NEG_INFINITY], 0usize); BINS];
@@ -285,5 +288,34 @@ impl Segment {
         // Ends that are off by the slack turn the half extent by as much: times what it is multiplied with, on both sides.
         let slack = self.slack * (4.0 * self.turn + 4.0 * (a.max_element() + e.max_element()));
         !(cross.cmpgt(reach + DVec3::splat(slack))).any()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Boxes so thin that all divisions cost the same: the first plane would be taken every time, and the tree be a chain.
+    #[test]
+    fn a_tree_of_equal_costs_is_no_chain() {
+        let boxes: Vec<[Vec3; 2]> = (0..20_000)
+            .map(|i| {
+                let x = i as f32 * 1e-25;
+                [Vec3::new(x, 0.0, 0.0), Vec3::new(x, 1.0, 1.0)]
+            })
+            .collect();
+        let tree = Bvh::new(boxes.clone(), (0..boxes.len() as u32).collect());
+        let mut found = Vec::new();
+        tree.along(DVec3::new(-1.0, 0.5, 0.5), DVec3::new(1.0, 0.5, 0.5), 0.0, &mut found);
+        assert_eq!(found.len(), boxes.len());
+        found.clear();
+        tree.in_box(Vec3::ZERO, Vec3::ONE, &mut found);
+        assert_eq!(found.len(), boxes.len());
+        let mut met = 0;
+        tree.nearest(DVec3::new(-1.0, 0.5, 0.5), DVec3::X, |_, limit| {
+            met += 1;
+            limit
+        });
+        assert_eq!(met, boxes.len());
     }
 }

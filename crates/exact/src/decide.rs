@@ -136,7 +136,7 @@ impl Effort {
     }
 }
 
-/// Decides every triangle with area.
+/// Decides every triangle with area. On one of rayon's threads only after [`Occluders::surfaces`] was called elsewhere.
 pub fn decide(task: &Task<'_>) -> Decided {
     let tree = task.scene.hierarchy();
     let mut work = Work {
@@ -342,6 +342,7 @@ impl Work<'_> {
                         self.each_below(node, |work, id| work.leave(id, None));
                     }
                     self.decided.effort.cost += answer.cost;
+                    self.decided.effort.queries += u64::from(answer.found.is_some());
                     continue;
                 }
                 self.take(answer);

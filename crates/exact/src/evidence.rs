@@ -34,15 +34,15 @@ pub enum Witness {
 pub struct Hidden {
     /// What was shown to be hidden.
     pub target: Target,
-    /// The triangles in it: for a box those with area, ascending.
+    /// The triangles, ascending; at least one. For a box those in it about which nothing else was known.
     pub triangles: Vec<u32>,
     /// A proof for each pair of a face of the cell and a polygon of the target between which lines can run, in the order of the
     /// faces ([`faces`]) and, for each, of the target's polygons.
     pub proofs: Vec<Proof>,
 }
 
-/// Whether so many edges with an odd number of triangles are few enough for a surface of so many triangles to be closed by
-/// patches ([`crate::surface`]): not more than a fourth, or the patches are most of it, and 64.
+/// Whether a surface of so many triangles has few enough edges with an odd number of triangles to be closed by patches
+/// ([`crate::surface`]): at most 64, and at most one for four triangles.
 pub fn few_odd_edges(odd: usize, triangles: usize) -> bool {
     odd <= 64.min(triangles / 4)
 }

@@ -25,7 +25,7 @@ pub mod proof;
 pub mod query;
 mod rays;
 mod segment;
-mod surface;
+pub mod surface;
 mod trace;
 mod vector;
 

@@ -120,7 +120,8 @@ impl Occluders {
         [self.corners[at], self.corners[at + 1], self.corners[at + 2]]
     }
 
-    /// The surfaces that enclose something, found when first asked for.
+    /// The surfaces that enclose something, found when first asked for. That uses rayon, so ask for them before any of rayon's threads
+    /// does: one that waits inside could come back to the same lock.
     pub fn surfaces(&self) -> &Surfaces {
         self.surfaces.get_or_init(|| Surfaces::new(self))
     }

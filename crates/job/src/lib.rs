@@ -170,10 +170,16 @@ impl JobSpec {
                 given @ 1.. if s.sampler() != v1::Sampler::Cubes => given,
                 _ => MOST_BLOCK_CELLS,
             },
-            method: match m.method() {
-                v1::Method::Aggressive => Method::Aggressive,
-                v1::Method::Exact => Method::Exact,
-                v1::Method::Verified => Method::Verified,
+            method: match v1::Method::try_from(m.method) {
+                Ok(v1::Method::Aggressive) => Method::Aggressive,
+                Ok(v1::Method::Exact) => Method::Exact,
+                Ok(v1::Method::Verified) => Method::Verified,
+                Err(_) => {
+                    return Err(SpecError::Field(
+                        "method",
+                        "it is none this program knows; give aggressive, exact or verified",
+                    ));
+                }
             },
             certificates: m.certificates,
         };
@@ -381,6 +387,7 @@ mod tests {
         assert!(refuse(v1::JobSpec { view_box: vec![], ..good.clone() }).contains("view box"));
         assert!(refuse(v1::JobSpec { block_cells: 513, ..good.clone() }).contains("block-cells"));
         assert!(refuse(v1::JobSpec { sampling: None, ..good.clone() }).contains("sampling"));
+        assert!(refuse(v1::JobSpec { method: 9, ..good.clone() }).contains("method"));
         assert!(refuse(v1::JobSpec { certificates: true, ..good.clone() }).contains("certificates"));
         let nan = v1::Sampling { error_threshold: f64::NAN, ..good.sampling.unwrap() };
         assert!(refuse(v1::JobSpec { sampling: Some(nan), ..good }).contains("error-threshold"));

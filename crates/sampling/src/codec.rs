@@ -84,7 +84,7 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
     }
     if raw.len() as u64 > MAX_UNPACKED {
         return Err(std::io::Error::other(
-            "a tile's output is larger than can be sent; use more cells or a larger --min-distance",
+            "a tile's output is larger than can be sent; use fewer --block-cells, more cells or a larger --min-distance",
         ));
     }
     zstd::stream::encode_all(raw.as_slice(), LEVEL)

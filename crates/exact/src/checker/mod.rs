@@ -1,5 +1,6 @@
 //! The checker: whether a proof shows that one polygon is hidden from another, and whether a witness shows that it is
-//! not. Integers only; nothing here is shared with the search but the number type, the list of steps and the scene.
+//! not. Integers only; nothing here is shared with the search but the number type, the scene, and what evidence says: its types,
+//! the order of a box's faces, and how many odd edges a surface may have. None of these can make a false claim true.
 //!
 //! What a proof claims, and what is checked:
 //!

@@ -13,8 +13,10 @@ use crate::proof::{Proof, Step, Which};
 
 /// zstd's own default: higher ones take longer than they save.
 const LEVEL: i32 = 3;
-/// Most bytes the evidence of one cell may unpack to.
-const MOST: u64 = 2 << 30;
+/// Most bytes the evidence of one cell may unpack to: hundreds of times that of a hard cell.
+const MOST: u64 = 256 << 20;
+/// Most memory it may take once it is read; a step takes a byte or more in a file and some fifty in memory.
+const MOST_MEMORY: usize = 4 << 30;
 
 /// Bytes that are no evidence.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -59,7 +61,9 @@ pub fn encode(evidence: &Evidence) -> std::io::Result<Vec<u8>> {
         h.proofs.iter().for_each(|p| put_proof(&mut out, p));
     }
     if out.len() as u64 > MOST {
-        return Err(std::io::Error::other("the certificates of a cell are larger than 2 GiB"));
+        return Err(std::io::Error::other(
+            "the certificates of a cell are larger than 256 MiB; bake smaller cells",
+        ));
     }
     zstd::stream::encode_all(out.as_slice(), LEVEL)
 }
@@ -74,7 +78,7 @@ pub fn decode(bytes: &[u8], triangles: u32) -> Result<Evidence, EvidenceError> {
         .and_then(|d| d.take(MOST + 1).read_to_end(&mut raw))
         .map_err(|_| EvidenceError("they do not unpack"))?;
     if raw.len() as u64 > MOST {
-        return Err(EvidenceError("they unpack to more than 2 GiB"));
+        return Err(EvidenceError("they unpack to more than 256 MiB"));
     }
     decode_raw(&raw, triangles)
 }
@@ -84,10 +88,11 @@ pub fn decode(bytes: &[u8], triangles: u32) -> Result<Evidence, EvidenceError> {
 /// # Errors
 /// [`EvidenceError`].
 pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<Evidence, EvidenceError> {
-    let mut from = Reader { rest: raw, triangles };
+    let mut from = Reader { rest: raw, triangles, memory: MOST_MEMORY };
     let mut evidence = Evidence::default();
     let mut last = 0u32;
     for k in 0..from.count(2)? {
+        from.take::<(u32, Witness)>()?;
         let step = from.small()?;
         if k > 0 && step == 0 {
             return Err(EvidenceError("a triangle has two witnesses"));
@@ -106,6 +111,7 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<Evidence, EvidenceError>
         evidence.seen.push((from.id(last)?, witness));
     }
     for _ in 0..from.count(3)? {
+        from.take::<Hidden>()?;
         let target = match from.byte()? {
             0 => Target::Triangle,
             1 => Target::Box([from.point()?, from.point()?]),
@@ -114,6 +120,9 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<Evidence, EvidenceError>
             _ => return Err(EvidenceError("a proof is about nothing there is")),
         };
         let triangles = from.ids()?;
+        if triangles.is_empty() {
+            return Err(EvidenceError("a proof is about no triangle"));
+        }
         let proofs = (0..from.count(2)?).map(|_| from.proof()).collect::<Result<_, _>>()?;
         evidence.hidden.push(Hidden { target, triangles, proofs });
     }
@@ -188,6 +197,8 @@ fn put_proof(out: &mut Vec<u8>, proof: &Proof) {
 struct Reader<'a> {
     rest: &'a [u8],
     triangles: u32,
+    /// Bytes that may still be taken for what is read.
+    memory: usize,
 }
 
 impl Reader<'_> {
@@ -223,6 +234,13 @@ impl Reader<'_> {
 
     fn small<T: TryFrom<u64>>(&mut self) -> Result<T, EvidenceError> {
         T::try_from(self.number()?).map_err(|_| EvidenceError("a number is too large"))
+    }
+
+    /// Takes memory for one more thing.
+    fn take<T>(&mut self) -> Result<(), EvidenceError> {
+        let left = self.memory.checked_sub(size_of::<T>());
+        self.memory = left.ok_or(EvidenceError("they would take more than 4 GiB of memory"))?;
+        Ok(())
     }
 
     /// A number of things of at least `least` bytes each, all of which must still be there.
@@ -265,6 +283,7 @@ impl Reader<'_> {
         let mut last = 0u32;
         (0..self.count(1)?)
             .map(|k| {
+                self.take::<u32>()?;
                 let step: u32 = self.small()?;
                 if k > 0 && step == 0 {
                     return Err(EvidenceError("ids are not in order"));
@@ -278,9 +297,12 @@ impl Reader<'_> {
     fn proof(&mut self) -> Result<Proof, EvidenceError> {
         let mut proof = Proof::default();
         let mut last = 0i64;
+        self.take::<Proof>()?;
         for _ in 0..self.count(2)? {
+            self.take::<Vec<(u32, bool)>>()?;
             let mut members = Vec::new();
             for _ in 0..self.count(1)? {
+                self.take::<(u32, bool)>()?;
                 let x = self.number()?;
                 let d = i64::try_from(x >> 2).map_err(|_| EvidenceError("an id is out of range"))?;
                 if d == 0 && x & 2 != 0 {
@@ -293,6 +315,7 @@ impl Reader<'_> {
             proof.occluders.push(members);
         }
         for _ in 0..self.count(1)? {
+            self.take::<Step>()?;
             let x = self.number()?;
             let step = match (x & 3, x >> 2) {
                 (0, 0) => Step::Unreal,
@@ -300,7 +323,9 @@ impl Reader<'_> {
                     occluder: u32::try_from(occluder)
                         .map_err(|_| EvidenceError("an occluder is out of range"))?,
                     negative: kind == 2,
-                    cuts: (0..self.count(1)?).map(|_| self.small()).collect::<Result<_, _>>()?,
+                    cuts: (0..self.count(1)?)
+                        .map(|_| self.take::<u16>().and_then(|()| self.small()))
+                        .collect::<Result<_, _>>()?,
                 },
                 (3, 0) => {
                     let mut polar = [0.0; 6];
@@ -364,7 +389,7 @@ mod tests {
             ], 0..8),
             hidden in prop::collection::vec((
                 prop_oneof![Just(Target::Triangle), Just(Target::Surfaces), Just(Target::Half), prop::array::uniform2(floats()).prop_map(Target::Box)],
-                prop::collection::btree_set(0u32..1000, 0..8),
+                prop::collection::btree_set(0u32..1000, 1..8),
                 prop::collection::vec(proof(), 0..4),
             ), 0..5),
         ) -> Evidence {
