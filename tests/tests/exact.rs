@@ -65,6 +65,14 @@ fn everything_is_decided_and_verified_and_sampling_shows_nothing_else() {
     let checked = |r: &Value| r["witnesses_checked"].as_u64().unwrap();
     assert!(checked(&sampled) < checked(&report), "{sampled}");
     // What was counted is there to be looked at.
+    let info = sandbox.json("info exact.pvs");
+    let decided = &info["decided"];
+    let all = exact.cells.len() as u64 * exact.header["triangles"].as_u64().unwrap();
+    let seen: u64 = exact.cells.iter().map(|c| c.visible.len() as u64).sum();
+    assert_eq!(decided["hidden"], all - seen, "{info}");
+    assert_eq!(decided["evidence_bytes"], report["evidence_bytes"]);
+    assert_eq!(decided["cells_open"], 0);
+    assert!(sandbox.json("info sampled.pvs")["decided"].is_null());
     let cells = sandbox.json("info exact.pvs --cells");
     assert!(
         cells["per_cell"].as_array().unwrap().iter().any(|c| c["exact_queries"].as_u64() > Some(0)),

@@ -62,14 +62,20 @@ pub fn cells(
     };
     match deadline {
         None => sets.cells.par_iter_mut().zip(&boxes).with_max_len(1).try_for_each(|work| one(work, None)),
-        // One after the other, each with its share of what is left, so that no cell is left without any.
+        // As many at a time as there are threads, with their share of what is left, so that no cell is left without any.
         Some(deadline) => {
-            let cells = boxes.len() as u32;
-            sets.cells.iter_mut().zip(&boxes).enumerate().try_for_each(|(k, work)| {
+            let mut work: Vec<_> = sets.cells.iter_mut().zip(&boxes).collect();
+            let at_a_time = rayon::current_num_threads();
+            let mut left = work.len().div_ceil(at_a_time) as u32;
+            for some in work.chunks_mut(at_a_time) {
                 let now = Instant::now();
-                let share: Duration = deadline.saturating_duration_since(now) / (cells - k as u32);
-                one(work, Some(now + share))
-            })
+                let share: Duration = deadline.saturating_duration_since(now) / left;
+                left -= 1;
+                some.par_iter_mut()
+                    .with_max_len(1)
+                    .try_for_each(|(set, at)| one((&mut **set, *at), Some(now + share)))?;
+            }
+            Ok(())
         }
     }
 }

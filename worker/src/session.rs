@@ -164,7 +164,7 @@ impl Worker {
                             draining = true;
                             // A tile that has not begun is given back; the one that runs is finished.
                             self.held.values().filter(|h| !h.begun()).for_each(|h| h.cancel());
-                            tracing::info!(worker = self.shop.config.name, "finishing the tile in hand, taking no more");
+                            tracing::info!(worker = self.shop.config.name, "finishing the tile in hand, taking no more; interrupt again to stop at once");
                             if let Err(e) = send(ToCoordinator::Draining(v1::Draining {})) {
                                 return Ok(broken(&e));
                             }

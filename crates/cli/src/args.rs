@@ -290,7 +290,11 @@ pub struct QueryArgs {
 ///
 /// Every triangle has to be accounted for in every cell: it meets the cell, or has a witness (a segment from the cell that
 /// ends on it and meets nothing else), or a certificate that it is hidden, or is said to be undecided. Integers decide, no
-/// tolerance. Exit code 3 when something does not hold.
+/// tolerance. When something does not hold the cell and the reason are said (with --json as {"accepted":false,…}) and the exit
+/// code is 3, as for files that cannot be read or do not belong together.
+///
+/// A triangle that meets the witness in the plane of the one that is seen, a floor under a wall's foot say, is not in the way;
+/// neither is one in the plane of the cell's face the witness begins on.
 #[derive(Args, Debug)]
 pub struct VerifyArgs {
     /// The scene the result was baked from.
@@ -299,7 +303,7 @@ pub struct VerifyArgs {
     #[arg(value_name = "OUT.pvs")]
     pub result: PathBuf,
     /// Check only what is claimed about this many pairs of cell and triangle, drawn evenly from all; that every triangle is
-    /// accounted for is checked all the same. Default: everything, which takes about as long as the bake.
+    /// accounted for is checked all the same. At most 10000000. Default: everything, which takes about as long as the bake.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     pub sample: Option<u64>,
     /// Seed of the draw.

@@ -36,6 +36,53 @@ fn bound(columns: &BTreeMap<String, Vec<u64>>, cell: usize) -> Option<f64> {
     (at("bound_lines") > 0).then(|| upper_bound(at("bound_misses"), at("bound_lines"), alpha_of(look)))
 }
 
+/// What exact queries decided, over all cells; all of it 0 for a result of sampling alone.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+pub struct Decided {
+    /// Pairs of cell and triangle proved hidden.
+    pub hidden: u64,
+    /// Those of them that closed surfaces hide.
+    pub by_surfaces: u64,
+    /// Visible ones that sampling had missed.
+    pub missed: u64,
+    /// Ones that sampling had shown and that are hidden.
+    pub refuted: u64,
+    /// Undecided ones that there was no time for.
+    pub out_of_time: u64,
+    /// Undecided ones that exceeded a limit of a query.
+    pub beyond_limits: u64,
+    /// Cells with something undecided.
+    pub cells_open: usize,
+    /// Bytes of witnesses and certificates.
+    pub evidence_bytes: u64,
+}
+
+/// Sums up what exact queries decided.
+///
+/// # Errors
+/// The result's own.
+pub fn decided(pvs: &Pvs) -> Result<Decided, CliError> {
+    let columns = columns(pvs)?;
+    let sum = |name: &str| columns.get(name).map_or(0, |c| c.iter().fold(0u64, |a, b| a.saturating_add(*b)));
+    let reasons = ["undecided_regions", "undecided_memory", "undecided_halvings"];
+    let (mut open, mut evidence_bytes, mut ids) = (0, 0, Vec::new());
+    for cell in 0..pvs.cells() {
+        pvs.undecided(cell, &mut ids)?;
+        open += usize::from(!ids.is_empty());
+        evidence_bytes += pvs.evidence(cell)?.map_or(0, |e| e.len() as u64);
+    }
+    Ok(Decided {
+        hidden: sum("exact_hidden"),
+        by_surfaces: sum("exact_enclosed"),
+        missed: sum("exact_missed"),
+        refuted: sum("exact_refuted"),
+        out_of_time: sum("undecided_stopped"),
+        beyond_limits: reasons.iter().fold(0, |a, r| sum(r).saturating_add(a)),
+        cells_open: open,
+        evidence_bytes,
+    })
+}
+
 /// Cells whose sampling ended before they were done.
 ///
 /// # Errors
@@ -132,6 +179,29 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
     }
     if order.len() > SHOWN {
         lines.push(format!("… and {} cells that took fewer rays; --json lists all", order.len() - SHOWN));
+    }
+    if pvs.method() != "aggressive" {
+        lines.extend(exact_table(pvs, &at)?);
+    }
+    Ok(lines)
+}
+
+/// The cells that took exact queries most, by the regions of line space these looked at.
+fn exact_table(pvs: &Pvs, at: &dyn Fn(&str, usize) -> u64) -> Result<Vec<String>, CliError> {
+    let mut order: Vec<usize> = (0..pvs.cells() as usize).collect();
+    order.sort_by_key(|c| (std::cmp::Reverse(at("exact_regions", *c)), *c));
+    let mut lines = vec![
+        "the cells that took exact queries most. surfaces: hidden by the closed surface they are part of; missed: visible, and not \
+         shown by sampling; regions: of line space, what queries spend time on"
+            .to_owned(),
+        "  cell undecided hidden surfaces missed queries regions".to_owned(),
+    ];
+    let mut ids = Vec::new();
+    for cell in order.iter().copied().take(SHOWN) {
+        pvs.undecided(cell as u32, &mut ids)?;
+        let numbers = ["exact_hidden", "exact_enclosed", "exact_missed", "exact_queries", "exact_regions"]
+            .map(|name| at(name, cell).to_string());
+        lines.push(format!("  {cell} {} {}", ids.len(), numbers.join(" ")));
     }
     Ok(lines)
 }

@@ -50,6 +50,8 @@ pub struct Summary {
     mean_bound: Option<f64>,
     /// Cells whose sampling ended, by time or rounds, before they were done.
     cells_unfinished: usize,
+    /// What exact queries decided, if the method has any.
+    decided: Option<cells::Decided>,
     /// Cells of an adaptive tree from which more triangles than its budget are seen.
     cells_over_budget: Option<usize>,
     info: serde_json::Value,
@@ -102,6 +104,7 @@ impl Summary {
             greatest_bound: bounds.as_ref().map(|b| b.greatest),
             mean_bound: bounds.as_ref().map(|b| b.mean),
             cells_unfinished: cells::unfinished(&pvs)?,
+            decided: if pvs.method() == "aggressive" { None } else { Some(cells::decided(&pvs)?) },
             cells_over_budget: budget.map(|_| over),
             info,
         })
@@ -119,14 +122,23 @@ impl Summary {
                 self.method
             ),
             format!("view box {} to {}", self.view_box["min"], self.view_box["max"]),
-            format!(
-                "visible from a cell: {:.0} triangles on average ({:.2} %), {} to {}; undecided: {}",
-                self.mean_visible,
-                self.mean_visible_fraction * 100.0,
-                self.min_visible,
-                self.max_visible,
-                self.undecided
-            ),
+            match self.undecided {
+                0 => format!(
+                    "visible from a cell: {:.0} triangles on average ({:.2} %), {} to {}; undecided: 0",
+                    self.mean_visible,
+                    self.mean_visible_fraction * 100.0,
+                    self.min_visible,
+                    self.max_visible,
+                ),
+                undecided => format!(
+                    "drawn from a cell: {:.0} triangles on average ({:.2} %), {} to {}; of these {:.0} are undecided, {undecided} in all cells",
+                    self.mean_visible,
+                    self.mean_visible_fraction * 100.0,
+                    self.min_visible,
+                    self.max_visible,
+                    undecided as f64 / f64::from(self.cells),
+                ),
+            },
             format!(
                 "{} bytes, {:.0} a cell for the sets; cells set aside: {}",
                 self.file_bytes, self.bytes_per_cell, self.cells_set_aside
@@ -141,10 +153,30 @@ impl Summary {
                 _ if self.info["sampling"]["max_error"].is_number() => {
                     "missed sight lines: the bound asked for was not reached in any cell".to_owned()
                 }
+                _ if self.decided.is_some() => "missed sight lines: none but of what is undecided".to_owned(),
                 _ => "missed sight lines: not bounded (--max-error F bounds them)".to_owned(),
             },
         ];
-        if self.cells_unfinished > 0 {
+        if let Some(d) = &self.decided {
+            lines.push(format!(
+                "decided exactly, in pairs of cell and triangle: {} hidden ({} by closed surfaces), {} that sampling had missed, {} that it had shown wrongly",
+                d.hidden, d.by_surfaces, d.missed, d.refuted
+            ));
+            if d.evidence_bytes > 0 {
+                lines.push(format!(
+                    "{} bytes of witnesses and certificates; sightline verify checks them",
+                    d.evidence_bytes
+                ));
+            }
+            if d.cells_open > 0 {
+                lines.push(format!(
+                    "UNDECIDED in {} of {} cells, and drawn: {} that there was no time for, {} beyond the limits of a query",
+                    d.cells_open, self.cells, d.out_of_time, d.beyond_limits
+                ));
+            }
+        }
+        // Whatever sampling left is decided afterwards, where anything decides.
+        if self.cells_unfinished > 0 && self.decided.is_none() {
             let why = match self.info["time_budget_ms"].as_u64() {
                 Some(1..) => "the time budget ended first",
                 _ => "they were given up after many rounds; info --cells lists the hardest",

@@ -17,8 +17,8 @@ use crate::progress::say;
 #[derive(Args, Clone, Debug)]
 pub struct JobArgs {
     /// How far visibility is decided. aggressive: by sampling, which sees nothing that is not visible and may miss little;
-    /// exact: sampling first, then exact queries, until every triangle has a witness or a proof; verified: the same with
-    /// lower limits for single queries, to be used with --time-budget.
+    /// exact: sampling first, then exact queries, until every triangle has a witness or a proof; verified: the same, but single
+    /// queries that take long are given up, to be used with --time-budget. What is not decided is said to be, and drawn.
     #[arg(long, value_enum, default_value_t = MethodArg::Aggressive)]
     method: MethodArg,
     /// Keep in the result a witness for every triangle that is seen and a proof for every one that is hidden, for `sightline
@@ -49,9 +49,8 @@ pub struct JobArgs {
     /// --target-error as well, both must hold.
     #[arg(long, value_name = "F", allow_negative_numbers = true)]
     max_error: Option<f64>,
-    /// Stop sampling this long after the start, with the best result by then: 500ms, 30s, 5m, 2h; seconds without a
-    /// unit. Two runs then need not
-    /// give the same bytes.
+    /// Stop this long after the job was submitted, with the best result by then: 500ms, 30s, 5m, 2h; seconds without a
+    /// unit. The clock goes on while a bake is interrupted. Two runs then need not give the same bytes.
     #[arg(long, value_name = "DUR", value_parser = parse_duration)]
     time_budget: Option<Duration>,
     /// Most cells of a tile, 1 to 512: the piece of work a worker takes, and what is lost when one is killed. Sight lines are

@@ -8,7 +8,7 @@ use std::time::Instant;
 use glam::Vec3;
 use serde_json::json;
 use sightline_exact::checker::{CellClaims, Claim, Triangles, check_cell};
-use sightline_exact::evidence::{Evidence, codec};
+use sightline_exact::evidence::{Evidence, Target, codec};
 use sightline_pvs::Pvs;
 use sightline_scene::Scene;
 
@@ -25,9 +25,10 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     check_scene(&scene, &pvs, &args.scene, &args.result)?;
     if pvs.cells() > 0 && pvs.evidence(0)?.is_none() {
         return Err(CliError::Input(format!(
-            "{} has no certificates (method {}), so there is nothing to verify; bake it with --method exact --certificates",
+            "{} has no certificates (method {}), so there is nothing to verify; bake it with {}--certificates",
             args.result.display(),
-            pvs.method()
+            pvs.method(),
+            if pvs.method() == "aggressive" { "--method exact " } else { "" }
         )));
     }
     serve::use_threads(threads(args.threads.map(usize::from)))?;
@@ -55,19 +56,27 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     progress.end();
     say(&format!("verified in {}", human(start.elapsed())));
     let [witnesses, certificates, meeting] = totals.checked;
+    let [by_surface, in_boxes, alone] = totals.hidden;
+    let pairs = u64::from(pvs.cells()) * u64::from(scene.len());
+    let known = totals.all[0] + totals.all[2] + by_surface + in_boxes + alone + totals.undecided;
     if json {
         return print(
             &json!({
                 "accepted": true,
                 "method": pvs.method(),
                 "cells": pvs.cells(),
+                "pairs": pairs,
                 "witnesses": totals.all[0],
                 "certificates": totals.all[1],
                 "meeting": totals.all[2],
                 "witnesses_checked": witnesses,
                 "certificates_checked": certificates,
                 "meeting_checked": meeting,
+                "hidden_by_surfaces": by_surface,
+                "hidden_in_boxes": in_boxes,
+                "hidden_alone": alone,
                 "undecided": totals.undecided,
+                "without_area": pairs - known,
                 "evidence_bytes": totals.bytes,
                 "sampled": args.sample.is_some(),
             })
@@ -75,14 +84,18 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
         );
     }
     print(&format!(
-        "accepted: {} cells; checked {witnesses} of {} witnesses, {certificates} of {} certificates, {meeting} of {} triangles that meet their cell\n\
-         undecided, and so neither: {} pairs of cell and triangle; {} bytes of evidence",
+        "accepted: {pairs} pairs of cell and triangle in {} cells\n\
+         seen: {} with a witness ({witnesses} checked), {} meet their cell ({meeting} checked)\n\
+         hidden: {by_surface} by the closed surface they are part of, {in_boxes} in hidden boxes, {alone} one by one; \
+         {} certificates ({certificates} checked), {} bytes with the witnesses\n\
+         neither: {} undecided, {} without area",
         pvs.cells(),
         totals.all[0],
-        totals.all[1],
         totals.all[2],
-        totals.undecided,
+        totals.all[1],
         totals.bytes,
+        totals.undecided,
+        pairs - known,
     ))
 }
 
@@ -116,6 +129,8 @@ pub fn evidence(pvs: &Pvs, cell: u32) -> Result<Option<Evidence>, String> {
 struct Totals {
     all: [u64; 3],
     checked: [u64; 3],
+    /// Pairs hidden by surfaces, in boxes, and one by one.
+    hidden: [u64; 3],
     undecided: u64,
     bytes: u64,
 }
@@ -136,6 +151,14 @@ fn check_one(
     let evidence = evidence(pvs, cell)?.ok_or("it has no evidence")?;
     totals.undecided += undecided.len() as u64;
     totals.bytes += pvs.evidence(cell).map_err(error)?.map_or(0, |e| e.len() as u64);
+    for group in &evidence.hidden {
+        let kind = match group.target {
+            Target::Surfaces => 0,
+            Target::Box(_) => 1,
+            Target::Triangle | Target::Half => 2,
+        };
+        totals.hidden[kind] += group.triangles.len() as u64;
+    }
     let claims = CellClaims { cell: bounds, visible: &visible, undecided: &undecided, evidence: &evidence };
     let [all, picked] = [0, 1].map(|_| [0, 1, 2].map(|_| AtomicU64::new(0)));
     let pick = |claim: Claim| {

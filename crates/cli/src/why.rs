@@ -46,7 +46,10 @@ pub fn why(
     print(&match answer["state"].as_str() {
         Some("visible") if answer["meets"] == true => format!("{about}: visible, it meets the cell"),
         Some("visible") => {
-            format!("{about}: visible along {} to {}", answer["witness"][0], answer["witness"][1])
+            format!(
+                "{about}: visible, nothing is in the way on the segment from {} to {}, which ends inside the triangle or goes on just behind",
+                answer["witness"][0], answer["witness"][1]
+            )
         }
         Some("hidden") if answer["degenerate"] == true => format!("{about}: never visible, it has no area"),
         Some("hidden") if blockers.is_empty() => {
@@ -87,7 +90,7 @@ fn look_up(pvs: &Pvs, result: &Path, cell: u32, triangle: u32) -> Result<Value, 
     let mut ids = Vec::new();
     pvs.undecided(cell, &mut ids)?;
     if ids.binary_search(&triangle).is_ok() {
-        return Ok(json!({"state": "undecided"}));
+        return Ok(json!({"state": "undecided", "reason": "ask anew with --scene"}));
     }
     pvs.visible(cell, &mut ids)?;
     Ok(match evidence.about(triangle) {
