@@ -153,7 +153,7 @@ impl Summary {
                 _ if self.info["sampling"]["max_error"].is_number() => {
                     "missed sight lines: the bound asked for was not reached in any cell".to_owned()
                 }
-                _ if self.decided.is_some() => "missed sight lines: none but of what is undecided".to_owned(),
+                _ if self.decided.is_some() => "missed sight lines: none".to_owned(),
                 _ => "missed sight lines: not bounded (--max-error F bounds them)".to_owned(),
             },
         ];
