@@ -117,7 +117,14 @@ fn a_result_that_was_altered_is_refused_and_the_cell_is_named() {
         assert_eq!(report["accepted"], false);
     };
     // Something hidden that is seen, something seen that is hidden, reasons of another cell, no reasons, reasons cut short.
-    refuse("cell 5", tampered(|cell, visible, _| (cell == 5).then(|| visible.remove(1)).map_or((), |_| ())));
+    refuse(
+        "cell 5",
+        tampered(|cell, visible, _| {
+            if cell == 5 {
+                visible.remove(1);
+            }
+        }),
+    );
     refuse(
         "cell 5",
         tampered(|cell, visible, _| {

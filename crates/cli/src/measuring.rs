@@ -20,25 +20,7 @@ const WORST: usize = 8;
 pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     let pvs = inspect::open(&args.result)?;
     let scene = Arc::new(sightline_scene::load(&args.scene)?);
-    if scene.len() != pvs.triangle_count() {
-        return Err(CliError::Input(format!(
-            "{} has {} triangles and {} is of a scene of {}; measure a result against the scene it was baked from",
-            args.scene.display(),
-            scene.len(),
-            args.result.display(),
-            pvs.triangle_count()
-        )));
-    }
-    let baked_from = serde_json::from_str::<serde_json::Value>(pvs.info_json())
-        .ok()
-        .and_then(|i| i.get("scene").and_then(|s| s.as_str()).map(str::to_owned));
-    if baked_from.is_some_and(|d| d != scene.digest().to_string()) {
-        return Err(CliError::Input(format!(
-            "{} was baked from another scene than {}; measure it against its own, or bake again",
-            args.result.display(),
-            args.scene.display()
-        )));
-    }
+    inspect::check_scene(&scene, &pvs, &args.scene, &args.result)?;
     let view_box = pvs.tree().view_box();
     let views = match &args.path {
         None => Viewpoints::random(args.viewpoints, args.seed, view_box),

@@ -1,7 +1,6 @@
 //! `sightline verify`: every witness and every certificate of a result checked again, by the checker alone.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
@@ -10,7 +9,6 @@ use serde_json::json;
 use sightline_exact::checker::{CellClaims, Claim, Triangles, check_cell};
 use sightline_exact::evidence::{Evidence, Target, codec};
 use sightline_pvs::Pvs;
-use sightline_scene::Scene;
 
 use crate::args::VerifyArgs;
 use crate::error::CliError;
@@ -22,7 +20,7 @@ use crate::serve::{self, print, threads};
 pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     let scene = sightline_scene::load(&args.scene)?;
     let pvs = inspect::open(&args.result)?;
-    check_scene(&scene, &pvs, &args.scene, &args.result)?;
+    inspect::check_scene(&scene, &pvs, &args.scene, &args.result)?;
     if pvs.cells() > 0 && pvs.evidence(0)?.is_none() {
         return Err(CliError::Input(format!(
             "{} has no certificates (method {}), so there is nothing to verify; bake it with {}--certificates",
@@ -97,21 +95,6 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
         totals.undecided,
         pairs - known,
     ))
-}
-
-/// Refuses a scene that is not the one a result was baked from.
-pub fn check_scene(scene: &Scene, pvs: &Pvs, path: &Path, result: &Path) -> Result<(), CliError> {
-    let info: serde_json::Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
-    let of = info["scene"].as_str();
-    let digest = blake3::Hash::from_bytes(scene.digest().0).to_hex();
-    if pvs.triangle_count() != scene.len() || of != Some(digest.as_str()) {
-        return Err(CliError::Input(format!(
-            "{} was baked from another scene than {}; name the one it was baked from",
-            result.display(),
-            path.display()
-        )));
-    }
-    Ok(())
 }
 
 /// The evidence of a cell; nothing at all for one without.

@@ -7,11 +7,12 @@ use serde_json::{Value, json};
 use sightline_exact::cell::{Cell, Found, from_cell};
 use sightline_exact::evidence::{Reason, Target};
 use sightline_exact::surface::Hides;
-use sightline_exact::{Cost, Limits, Occluders, Polygon, polygon};
+use sightline_exact::{Cost, Limits, Occluders, Polygon, Proof, polygon};
 use sightline_pvs::Pvs;
 use sightline_scene::{Aabb, overlap};
 
 use crate::error::CliError;
+use crate::inspect;
 use crate::serve::print;
 use crate::verify;
 
@@ -96,23 +97,27 @@ fn look_up(pvs: &Pvs, result: &Path, cell: u32, triangle: u32) -> Result<Value, 
     Ok(match evidence.about(triangle) {
         Some(Reason::Seen(witness)) => json!({"state": "visible", "witness": witness.rounded()}),
         Some(Reason::Hidden(hidden)) => {
-            let mut blockers: Vec<u32> =
-                hidden.proofs.iter().flat_map(sightline_exact::Proof::blockers).collect();
-            blockers.sort_unstable();
-            blockers.dedup();
             let surface = matches!(hidden.target, Target::Surfaces | Target::Half);
             let with = if matches!(hidden.target, Target::Box(_)) { hidden.triangles.len() - 1 } else { 0 };
-            json!({"state": "hidden", "blockers": blockers, "with": with, "surface": surface})
+            json!({"state": "hidden", "blockers": blockers(&hidden.proofs), "with": with, "surface": surface})
         }
         None if ids.binary_search(&triangle).is_ok() => json!({"state": "visible", "meets": true}),
         None => json!({"state": "hidden", "degenerate": true, "blockers": []}),
     })
 }
 
+/// The triangles some proofs rest on, ascending.
+fn blockers(proofs: &[Proof]) -> Vec<u32> {
+    let mut all: Vec<u32> = proofs.iter().flat_map(Proof::blockers).collect();
+    all.sort_unstable();
+    all.dedup();
+    all
+}
+
 /// By a query in the scene.
 fn ask(pvs: &Pvs, result: &Path, path: &Path, cell: u32, triangle: u32) -> Result<Value, CliError> {
     let scene = sightline_scene::load(path)?;
-    verify::check_scene(&scene, pvs, path, result)?;
+    inspect::check_scene(&scene, pvs, path, result)?;
     let bounds = pvs.cell_bounds(cell).unwrap_or_default().map(Vec3::from);
     let of = scene.triangles()[triangle as usize];
     let Some(target) = Polygon::triangle(of.v.map(|v| v.as_dvec3())) else {
@@ -135,10 +140,7 @@ fn ask(pvs: &Pvs, result: &Path, path: &Path, cell: u32, triangle: u32) -> Resul
             json!({"state": "visible", "witness": ends.each_ref().map(|e| polygon::rounded(e).to_array())})
         }
         Found::Hidden(proofs) => {
-            let mut blockers: Vec<u32> = proofs.iter().flat_map(sightline_exact::Proof::blockers).collect();
-            blockers.sort_unstable();
-            blockers.dedup();
-            json!({"state": "hidden", "blockers": blockers, "surface": half.is_some()})
+            json!({"state": "hidden", "blockers": blockers(&proofs), "surface": half.is_some()})
         }
         Found::Undecided(reason) => json!({"state": "undecided", "reason": reason.to_string()}),
     })

@@ -10,6 +10,7 @@ pub mod checker;
 mod cone;
 pub mod decide;
 mod double;
+mod effort;
 pub mod evidence;
 mod frame;
 #[doc(hidden)]
@@ -29,7 +30,8 @@ pub mod surface;
 mod trace;
 mod vector;
 
-pub use decide::{Decided, Effort, Task, decide};
+pub use decide::{Decided, Task, decide};
+pub use effort::Effort;
 pub use evidence::Evidence;
 pub use frame::Source;
 pub use occluder::Occluders;

@@ -11,7 +11,7 @@ use crate::cell::Cell;
 use crate::occluder::Occluders;
 use crate::segment::{first, shows};
 
-/// Segments tried for one triangle. A query costs as much as a few hundred of them.
+/// Segments tried for one triangle before it is left to a query, which costs far more than all of them.
 const TRIES: u32 = 48;
 /// How far beyond the point it meets a witness reaches, in parts of its length: floats near the point have to be well beyond
 /// the triangle, and what is right behind it in the way as rarely as can be.

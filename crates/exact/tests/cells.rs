@@ -189,12 +189,16 @@ fn tampered_claims_are_refused() {
         }
     }
     // A witness that goes on through a wall.
-    let (at, (id, _)) =
-        d.evidence.seen.iter().enumerate().find(|(_, w)| matches!(w.1, Witness::Floats(_))).unwrap();
+    let (at, id, [p, q]) = d
+        .evidence
+        .seen
+        .iter()
+        .enumerate()
+        .find_map(|(at, (id, w))| if let Witness::Floats(ends) = w { Some((at, *id, *ends)) } else { None })
+        .unwrap();
     let mut e = d.evidence.clone();
-    let Witness::Floats([p, q]) = e.seen[at].1.clone() else { unreachable!() };
     e.seen[at].1 = Witness::Floats([p, p + (p - q)]);
-    assert!(matches!(ask(cell, &visible, &[], &e), Err(CellRefusal::Witness(t, _)) if t == *id));
+    assert!(matches!(ask(cell, &visible, &[], &e), Err(CellRefusal::Witness(t, _)) if t == id));
 }
 
 /// The twelve triangles of a box, turned outwards: two a face, axis by axis, the lesser face first.
