@@ -135,10 +135,10 @@ fn check_one(
     totals.undecided += undecided.len() as u64;
     totals.bytes += pvs.evidence(cell).map_err(error)?.map_or(0, |e| e.len() as u64);
     for group in &evidence.hidden {
-        let kind = match group.target {
+        let kind = match &group.target {
             Target::Surfaces => 0,
             Target::Box(_) => 1,
-            Target::Triangle | Target::Half => 2,
+            Target::Triangle | Target::Half | Target::Polygon(_) => 2,
         };
         totals.hidden[kind] += group.triangles.len() as u64;
     }

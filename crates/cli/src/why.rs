@@ -60,7 +60,7 @@ pub fn why(
         }
         Some("hidden") => {
             let with = match (answer["with"].as_u64(), answer["surface"] == true) {
-                (Some(n @ 1..), _) => format!(" together with {n} others in a box"),
+                (Some(n @ 1..), _) => format!(" together with {n} others next to it"),
                 (_, true) => " from one side by the closed surface it is part of, from the other".to_owned(),
                 _ => String::new(),
             };
@@ -98,7 +98,10 @@ fn look_up(pvs: &Pvs, result: &Path, cell: u32, triangle: u32) -> Result<Value, 
         Some(Reason::Seen(witness)) => json!({"state": "visible", "witness": witness.rounded()}),
         Some(Reason::Hidden(hidden)) => {
             let surface = matches!(hidden.target, Target::Surfaces | Target::Half);
-            let with = if matches!(hidden.target, Target::Box(_)) { hidden.triangles.len() - 1 } else { 0 };
+            let with = match hidden.target {
+                Target::Box(_) | Target::Polygon(_) => hidden.triangles.len() - 1,
+                _ => 0,
+            };
             json!({"state": "hidden", "blockers": blockers(&hidden.proofs), "with": with, "surface": surface})
         }
         None if ids.binary_search(&triangle).is_ok() => json!({"state": "visible", "meets": true}),

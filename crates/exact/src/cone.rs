@@ -5,6 +5,7 @@
 //! is tight wherever both are. No faces in between are kept (Haumont 2005). Signs are exact, so tight sets are, too.
 
 use std::cmp::Ordering;
+use std::rc::Rc;
 
 use crate::vector::{Id, Space};
 
@@ -19,7 +20,7 @@ pub struct Region {
     /// Extreme rays, and where each is tight.
     pub rays: Vec<(Id, Tight)>,
     /// The lines whose hyperplanes bound the region; a bit of [`Tight`] is an index here.
-    pub halves: Vec<Id>,
+    pub halves: Rc<[Id]>,
 }
 
 /// A region has more facets than [`MOST_HALVES`].
@@ -31,18 +32,27 @@ impl Region {
     pub fn sides(&self, space: &mut Space, line: Id, out: &mut Vec<Ordering>) {
         out.clear();
         let known = self.halves.iter().position(|h| *h == line).map_or(0, |i| 1u128 << i);
+        let mut sure = 0;
         for (ray, tight) in &self.rays {
             out.push(if tight & known != 0 {
                 Ordering::Equal
+            } else if let Some(side) = space.filtered_side(*ray, line) {
+                sure += 1;
+                side
             } else {
-                space.ray_side(*ray, line, self.tight(*tight))
+                space.unfiltered_ray_side(*ray, line, self.tight(*tight))
             });
         }
+        space.decisions.filtered += sure;
     }
 
     /// The lines of a set.
     pub fn tight(&self, set: Tight) -> impl Iterator<Item = Id> {
-        self.halves.iter().enumerate().filter(move |(k, _)| set >> k & 1 == 1).map(|(_, h)| *h)
+        Self::lines(&self.halves, set)
+    }
+
+    fn lines(halves: &[Id], set: Tight) -> impl Iterator<Item = Id> {
+        halves.iter().enumerate().filter(move |(k, _)| set >> k & 1 == 1).map(|(_, h)| *h)
     }
 
     /// The parts on the negative and on the positive side of a line, given the sides of all rays, both of which
@@ -61,8 +71,7 @@ impl Region {
             base = &compacted;
         }
         let bit = 1u128 << base.halves.len();
-        let mut halves = base.halves.clone();
-        halves.push(line);
+        let halves: Rc<[Id]> = base.halves.iter().copied().chain([line]).collect();
         let mut parts = [Ordering::Less, Ordering::Greater].map(|keep| {
             let rays = base.rays.iter().zip(sides).filter(|(_, s)| **s != keep.reverse());
             let mut rays: Vec<(Id, Tight)> =
@@ -70,19 +79,16 @@ impl Region {
             rays.reserve(8);
             Self { rays, halves: halves.clone() }
         });
+        let edges = Edges::new(base);
         for (i, (p, tp)) in base.rays.iter().enumerate() {
             if sides[i] != Ordering::Greater {
                 continue;
             }
             for (j, (n, tn)) in base.rays.iter().enumerate() {
                 let common = tp & tn;
-                // The border of an edge is four-dimensional: at least four half-spaces are tight along it.
-                if sides[j] != Ordering::Less || common.count_ones() < 4 {
-                    continue;
-                }
-                let third = |(k, (_, t)): (usize, &(Id, Tight))| k != i && k != j && t & common == common;
-                if !base.rays.iter().enumerate().any(third) {
-                    let cut = space.cut(*p, *n, line);
+                if sides[j] == Ordering::Less && edges.joined(base, [i, j], common) {
+                    let on = || Self::lines(&halves, common | bit).collect();
+                    let cut = space.cut([*p, *n], line, on);
                     parts.iter_mut().for_each(|part| part.rays.push((cut, common | bit)));
                 }
             }
@@ -103,5 +109,51 @@ impl Region {
             })
             .collect();
         Self { rays, halves: kept.iter().map(|h| self.halves[*h]).collect() }
+    }
+}
+
+/// For telling which rays share an edge.
+struct Edges {
+    /// For each half-space the rays it is tight at, if there are few enough to be bits.
+    on: Option<Vec<u128>>,
+}
+
+impl Edges {
+    fn new(region: &Region) -> Self {
+        let on = (region.rays.len() <= 128).then(|| {
+            let mut on = vec![0u128; region.halves.len()];
+            for (i, (_, tight)) in region.rays.iter().enumerate() {
+                let mut left = *tight;
+                while left != 0 {
+                    on[left.trailing_zeros() as usize] |= 1 << i;
+                    left &= left - 1;
+                }
+            }
+            on
+        });
+        Self { on }
+    }
+
+    /// Whether two rays, both tight at `common`, share an edge: no third is tight at all of it.
+    fn joined(&self, region: &Region, [i, j]: [usize; 2], common: Tight) -> bool {
+        // Along an edge at least four half-spaces are tight: it is where five dimensions less one meet in a line.
+        let mut left = common;
+        for _ in 0..3 {
+            left &= left.wrapping_sub(1);
+        }
+        if left == 0 {
+            return false;
+        }
+        let Some(on) = &self.on else {
+            let third = |(k, (_, t)): (usize, &(Id, Tight))| k != i && k != j && t & common == common;
+            return !region.rays.iter().enumerate().any(third);
+        };
+        let two = 1u128 << i | 1u128 << j;
+        let (mut rays, mut left) = (u128::MAX, common);
+        while left != 0 && rays != two {
+            rays &= on[left.trailing_zeros() as usize];
+            left &= left - 1;
+        }
+        rays == two
     }
 }

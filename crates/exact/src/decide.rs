@@ -1,31 +1,30 @@
 //! Everything visible from one view cell, decided (thesis §6.2): what sampling has shown gets a witness, the rest is asked
-//! about, whole boxes first, the largest as seen from the cell before the others.
+//! about ([`search`]), whole boxes first, the largest as seen from the cell before the others.
 //!
 //! V(C) = I(C) ∪ V(∂C): what meets the cell is visible, everything else is seen through a face of the cell or not at all. A box whose
 //! faces are all hidden from all faces of the cell hides everything in it. Boxes that hold something visible are not asked about.
 //! Stopped at any time, what is not decided is said to be undecided, so visible ⊆ V(C) ⊆ visible ∪ undecided always.
 
 use std::cmp::Ordering;
-use std::collections::BinaryHeap;
 
 use rayon::prelude::*;
 use sightline_scene::{Aabb, Triangle, overlap};
 
 use crate::bvh::Below;
-use crate::cell::{Cell, Found, faces_towards, from_cell};
+use crate::cell::{Cell, Found};
 use crate::effort::Effort;
 use crate::evidence::{Evidence, Hidden, Target, Witness};
 use crate::occluder::Occluders;
-use crate::polygon::Polygon;
-use crate::query::{Cost, Limits, Reason};
+use crate::query::{Limits, Reason};
 use crate::rays;
 use crate::segment::shows;
 use crate::surface::Hides;
 
-/// Nodes asked about at a time, in parallel: enough to keep a few cores busy, few enough to go by size.
-const BATCH: usize = 32;
-/// So many open triangles are asked about one by one.
-const FEW: u32 = 2;
+mod progress;
+mod search;
+
+use search::{Asked, Item};
+
 /// Witnesses of queries are rounded to points so far beyond the triangle, in parts of the segment's length.
 const BEYOND: f64 = 1e-5;
 
@@ -97,40 +96,6 @@ struct Work<'a> {
     decided: Decided,
 }
 
-/// A node or a triangle that is still to be asked about, by how large it looks.
-#[derive(PartialEq)]
-struct Doubt {
-    size: f64,
-    of: Item,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Item {
-    Node(u32),
-    Triangle(u32),
-}
-
-impl Eq for Doubt {}
-
-impl Ord for Doubt {
-    fn cmp(&self, o: &Self) -> Ordering {
-        self.size.total_cmp(&o.size).then(o.of.cmp(&self.of))
-    }
-}
-
-impl PartialOrd for Doubt {
-    fn partial_cmp(&self, o: &Self) -> Option<Ordering> {
-        Some(self.cmp(o))
-    }
-}
-
-/// What was found out about an item.
-struct Asked {
-    of: Item,
-    found: Option<Found>,
-    cost: Cost,
-}
-
 impl Work<'_> {
     /// Marks what meets the cell, I(C).
     fn meeting(&mut self) {
@@ -194,7 +159,8 @@ impl Work<'_> {
             self.see(id, || Witness::Floats(ends));
         }
         let asked: Vec<Asked> = left.par_iter().map(|id| self.ask(Item::Triangle(*id))).collect();
-        for answer in asked {
+        for mut answer in asked {
+            self.show_beside(&mut answer);
             if let (Item::Triangle(_), Some(Found::Hidden(_))) = (answer.of, &answer.found) {
                 self.decided.effort.refuted += 1;
             }
@@ -202,123 +168,14 @@ impl Work<'_> {
         }
     }
 
-    /// Goes through the hierarchy, from what looks largest.
-    fn search(&mut self) {
-        let tree = self.task.scene.hierarchy();
-        // Whether something below a node is visible, and how much is open; children come after their parents.
-        let mut below = vec![(false, 0u32); tree.len()];
-        for node in (0..tree.len() as u32).rev() {
-            below[node as usize] = match tree.below(node) {
-                Below::Nodes(children) => {
-                    let [(v, n), (w, m)] = children.map(|c| below[c as usize]);
-                    (v || w, n + m)
-                }
-                Below::Items(items) => {
-                    items.iter().fold((false, 0), |(v, n), t| match self.state[*t as usize] {
-                        State::Visible => (true, n),
-                        State::Open => (v, n + 1),
-                        _ => (v, n),
-                    })
-                }
-            };
-        }
-        let mut doubts = BinaryHeap::new();
-        let mut batch: Vec<Item> = Vec::new();
-        let mut expand = vec![0u32];
-        loop {
-            // What needs no query is taken apart at once.
-            while let Some(node) = expand.pop() {
-                match tree.below(node) {
-                    Below::Nodes(children) => {
-                        for child in children {
-                            let (visible, open) = below[child as usize];
-                            if open == 0 {
-                                continue;
-                            }
-                            // A box has more faces than a triangle or two.
-                            if visible || open <= FEW || self.task.cell.touches(tree.bounds(child)) {
-                                expand.push(child);
-                            } else {
-                                doubts.push(self.doubt(Item::Node(child)));
-                            }
-                        }
-                    }
-                    Below::Items(items) => {
-                        let open = items.iter().filter(|t| self.state[**t as usize] == State::Open);
-                        doubts.extend(open.map(|t| self.doubt(Item::Triangle(*t))));
-                    }
-                }
-            }
-            batch.clear();
-            while batch.len() < BATCH {
-                let Some(doubt) = doubts.pop() else { break };
-                batch.push(doubt.of);
-            }
-            if batch.is_empty() {
-                break;
-            }
-            let answers: Vec<Asked> = batch.par_iter().with_max_len(1).map(|item| self.ask(*item)).collect();
-            for answer in answers {
-                if let (Item::Node(node), false) = (answer.of, matches!(answer.found, Some(Found::Hidden(_))))
-                {
-                    // A single triangle is asked about as such, and nothing at all any more once it is time to stop.
-                    if answer.found.is_some() {
-                        expand.push(node);
-                    } else {
-                        self.each_below(node, |work, id| work.leave(id, None));
-                    }
-                    self.decided.effort.cost += answer.cost;
-                    self.decided.effort.queries += u64::from(answer.found.is_some());
-                    continue;
-                }
-                self.take(answer);
-            }
-        }
-    }
-
-    fn doubt(&self, of: Item) -> Doubt {
-        let [min, max] = match of {
-            Item::Node(node) => self.task.scene.hierarchy().bounds(node),
-            Item::Triangle(id) => {
-                let [a, b, c] = *self.task.scene.triangle(id);
-                [a.min(b).min(c), a.max(b).max(c)]
-            }
-        };
-        Doubt { size: self.task.cell.size_of(min, max), of }
-    }
-
-    /// Asks about one item; nothing is found when it is time to stop.
-    fn ask(&self, of: Item) -> Asked {
-        let mut cost = Cost::default();
-        if (self.task.stop)() {
-            return Asked { of, found: None, cost };
-        }
-        let targets = match of {
-            Item::Node(node) => {
-                let [min, max] = self.task.scene.hierarchy().bounds(node);
-                faces_towards(min, max, self.task.cell)
-            }
-            Item::Triangle(id) => {
-                Polygon::triangle(self.task.scene.triangle(id).map(|v| v.as_dvec3())).into_iter().collect()
-            }
-        };
-        let hidden = self.hidden_half(of);
-        let found =
-            from_cell(self.task.scene, self.task.cell, (&targets, hidden), &self.task.limits, &mut cost);
-        (self.task.asked)();
-        Asked { of, found: Some(found), cost }
-    }
-
-    /// The side of its plane from which a triangle is known to be hidden.
-    fn hidden_half(&self, of: Item) -> Option<Ordering> {
-        let Item::Triangle(id) = of else { return None };
-        self.halves.binary_search_by_key(&id, |h| h.0).ok().map(|at| self.halves[at].1)
-    }
-
     /// Takes up an answer that decides.
-    fn take(&mut self, Asked { of, found, cost }: Asked) {
+    fn take(&mut self, Asked { of, found, cost, .. }: Asked) {
         self.decided.effort.cost += cost;
         self.decided.effort.queries += u64::from(found.is_some());
+        // A ray may have shown it in the meantime, or a box it is in may have turned out to be hidden.
+        if matches!(of, Item::Triangle(id) if self.state[id as usize] != State::Open) {
+            return;
+        }
         match (of, found) {
             (Item::Triangle(id), Some(Found::Visible(ends))) => {
                 if self.task.seen.binary_search(&id).is_err() {
@@ -345,19 +202,28 @@ impl Work<'_> {
                 self.decided.effort.boxes += 1;
                 self.hide(&ids, Target::Box(self.task.scene.hierarchy().bounds(node)), proofs);
             }
-            (Item::Node(_), _) => {}
+            (Item::Face(face), Some(Found::Hidden(proofs))) => {
+                let mut ids = self.open_of(face);
+                ids.sort_unstable();
+                // The corners as the query had them: single-precision points of the scene.
+                let corners = self.outline(face).map_or_else(Vec::new, |p| p.rounded());
+                let corners = corners.iter().map(|c| c.as_vec3()).collect();
+                self.hide(&ids, Target::Polygon(corners), proofs);
+            }
+            (Item::Node(_) | Item::Face(_), _) => {}
         }
     }
 
-    fn each_below(&mut self, node: u32, mut f: impl FnMut(&mut Self, u32)) {
-        let tree = self.task.scene.hierarchy();
-        let mut open = vec![node];
-        while let Some(node) = open.pop() {
-            match tree.below(node) {
-                Below::Nodes(children) => open.extend(children),
-                Below::Items(items) => items.iter().for_each(|id| f(self, *id)),
-            }
+    /// Takes up witnesses that were found by the way.
+    fn show_beside(&mut self, answer: &mut Asked) -> Vec<u32> {
+        self.decided.effort.rays += answer.rays;
+        let mut beside = std::mem::take(&mut answer.beside);
+        beside.retain(|(id, _)| self.state[*id as usize] == State::Open);
+        for (id, ends) in &beside {
+            self.decided.effort.missed += u64::from(self.task.seen.binary_search(id).is_err());
+            self.see(*id, || Witness::Floats(*ends));
         }
+        beside.into_iter().map(|(id, _)| id).collect()
     }
 
     fn see(&mut self, id: u32, witness: impl FnOnce() -> Witness) {
@@ -396,7 +262,11 @@ impl Work<'_> {
             match state {
                 State::Visible => self.decided.visible.push(id),
                 State::Undecided => self.decided.undecided.push(id),
-                // Whatever has area was asked about.
+                // Whatever has area was asked about; were it not, it would not be called hidden.
+                State::Open if self.task.scene.of(id).is_some() => {
+                    debug_assert!(false, "triangle {id} was not asked about");
+                    self.decided.undecided.push(id);
+                }
                 State::Open | State::Hidden => {}
             }
         }
@@ -415,21 +285,4 @@ fn witness(scene: &Occluders, cell: &Cell, id: u32, ends: &[crate::Source; 2]) -
         return Witness::Floats([near, far]);
     }
     Witness::Exact(Box::new(ends.each_ref().map(crate::predicates::integers)))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn doubts_are_ordered_by_size_and_then_by_number() {
-        let doubt = |size, of| Doubt { size, of };
-        let mut heap = BinaryHeap::from([
-            doubt(1.0, Item::Triangle(3)),
-            doubt(2.0, Item::Node(9)),
-            doubt(2.0, Item::Node(4)),
-        ]);
-        let order: Vec<Item> = std::iter::from_fn(|| heap.pop().map(|d| d.of)).collect();
-        assert_eq!(order, [Item::Node(4), Item::Node(9), Item::Triangle(3)]);
-    }
 }

@@ -48,7 +48,7 @@ pub fn few_odd_edges(odd: usize, triangles: usize) -> bool {
 }
 
 /// What proofs are about.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Target {
     /// The one triangle.
     Triangle,
@@ -59,6 +59,8 @@ pub enum Target {
     Surfaces,
     /// A box that does not touch the cell, by its least and greatest corner: its polygons are the faces that face the cell.
     Box([Vec3; 2]),
+    /// A convex flat polygon, by its corners in order: triangles that lie in it.
+    Polygon(Box<[Vec3]>),
 }
 
 /// The faces of a box in the order proofs come in: axis by axis, the lesser first; each as axis and whether it is the greater.

@@ -27,56 +27,45 @@ pub enum Contents {
 
 /// Looks for real lines in a region; up to `most` of them.
 pub fn contents(space: &mut Space, region: &Region, most: usize) -> Contents {
+    let n = region.rays.len();
     let x: Vec<[f64; 6]> = region.rays.iter().map(|(r, _)| *space.rounded(*r)).collect();
-    let n = x.len();
     let centre: [f64; 6] = std::array::from_fn(|i| x.iter().map(|v| v[i]).sum::<f64>() / n as f64);
     let at_centre = klein(&centre, &centre);
     let turn = if at_centre > 0.0 { -1.0 } else { 1.0 };
     // No form of two of these rays is off by more: no component exceeds 1, and six of them are at most 6.
     let error = region.rays.iter().fold(0.0f64, |m, (r, _)| m.max(space.error(*r)));
     let bound = 48.0 * U + 13.0 * error + 7.0 * error * error;
+    let mut forms = Forms::new(&x, turn);
     let (mut right, mut wrong) = (false, false);
-    let mut open: Vec<(usize, usize)> = Vec::new();
     // The pairs on the other side of the quadric than the centre, those farthest from it first.
     let mut towards: Vec<(f64, usize, usize)> = Vec::with_capacity(4 * most + 1);
     for i in 0..n {
-        for j in i..n {
-            let value = turn * klein(&x[i], &x[j]);
-            if value < -bound {
-                right = true;
-                continue;
-            }
-            if value > bound {
-                wrong = true;
-            } else {
-                open.push((i, j));
-            }
-            if value > 0.0 && (towards.len() < 4 * most || value > towards[towards.len() - 1].0) {
-                let at = towards.partition_point(|t| t.0 >= value);
-                towards.insert(at, (value, i, j));
+        let row = forms.row(i);
+        let (mut least, mut greatest) = (f64::INFINITY, f64::NEG_INFINITY);
+        for value in row {
+            least = if *value < least { *value } else { least };
+            greatest = if *value > greatest { *value } else { greatest };
+        }
+        right |= least < -bound;
+        wrong |= greatest > bound;
+        let enough = |towards: &Vec<(f64, usize, usize)>| {
+            if towards.len() < 4 * most { 0.0 } else { towards[towards.len() - 1].0 }
+        };
+        if greatest <= enough(&towards) {
+            continue;
+        }
+        for (j, value) in row.iter().enumerate() {
+            if *value > enough(&towards) {
+                let at = towards.partition_point(|t| t.0 >= *value);
+                towards.insert(at, (*value, i, i + j));
                 towards.truncate(4 * most);
             }
         }
     }
-    space.decisions.filtered += ((n * (n + 1)) / 2 - open.len()) as u64;
-    if !(right && wrong) {
-        // Filters show one sign at most; whether the other occurs is for integers to say.
-        let on: Vec<Vec<Id>> = region.rays.iter().map(|(_, t)| region.tight(*t).collect()).collect();
-        let (mut positive, mut negative) =
-            (right && turn < 0.0 || wrong && turn > 0.0, right && turn > 0.0 || wrong && turn < 0.0);
-        for (i, j) in open {
-            match space.rays_side((region.rays[i].0, &on[i]), (region.rays[j].0, &on[j])) {
-                Ordering::Greater => positive = true,
-                Ordering::Less => negative = true,
-                Ordering::Equal => {}
-            }
-            if positive && negative {
-                break;
-            }
-        }
-        if !(positive && negative) {
-            return Contents::Nothing;
-        }
+    space.decisions.filtered += (n * (n + 1) / 2) as u64;
+    let both = right && wrong || both_signs(space, region, &mut forms, bound, [right, wrong]);
+    if !both {
+        return Contents::Nothing;
     }
     let mut lines: Vec<(f64, [f64; 6])> = Vec::new();
     for (_, i, j) in &towards {
@@ -97,6 +86,70 @@ pub fn contents(space: &mut Space, region: &Region, most: usize) -> Contents {
     // The nearer to the centre the better.
     lines.sort_by(|a, b| a.0.total_cmp(&b.0));
     Contents::Lines(lines.into_iter().map(|l| l.1).collect())
+}
+
+/// Whether the form has both signs on pairs of rays where filters show one at most, given which: integers say so.
+fn both_signs(
+    space: &mut Space,
+    region: &Region,
+    forms: &mut Forms,
+    bound: f64,
+    [right, wrong]: [bool; 2],
+) -> bool {
+    // The lines each ray is on, once they are needed.
+    let mut on: Vec<Vec<Id>> = vec![Vec::new(); region.rays.len()];
+    let turned = forms.turn < 0.0;
+    let (mut positive, mut negative) =
+        (right && turned || wrong && !turned, right && !turned || wrong && turned);
+    for i in 0..on.len() {
+        for (j, value) in forms.row(i).iter().enumerate().filter(|(_, v)| v.abs() <= bound || v.is_nan()) {
+            let j = i + j;
+            debug_assert!(value.is_nan() || value.abs() <= bound);
+            space.decisions.filtered -= 1;
+            for k in [i, j] {
+                if on[k].is_empty() {
+                    on[k].extend(region.tight(region.rays[k].1));
+                }
+            }
+            match space.rays_side((region.rays[i].0, &on[i]), (region.rays[j].0, &on[j])) {
+                Ordering::Greater => positive = true,
+                Ordering::Less => negative = true,
+                Ordering::Equal => {}
+            }
+            if positive && negative {
+                return true;
+            }
+        }
+    }
+    false
+}
+
+/// The form on all pairs of some rays, a row at a time.
+struct Forms {
+    /// The components of all rays, one component after the other, so that a row is computed several pairs at once.
+    columns: [Vec<f64>; 6],
+    turn: f64,
+    row: Vec<f64>,
+}
+
+impl Forms {
+    /// Of rays, times 1 or −1.
+    fn new(x: &[[f64; 6]], turn: f64) -> Self {
+        let columns = std::array::from_fn(|k| x.iter().map(|v| v[k]).collect());
+        Self { columns, turn, row: Vec::with_capacity(x.len()) }
+    }
+
+    /// The form of a ray with itself and all that follow.
+    fn row(&mut self, i: usize) -> &[f64] {
+        let [a, b, c, d, e, f] = self.columns.each_ref().map(|c| &c[i..]);
+        let [p, q, r, s, t, u] = [a[0], b[0], c[0], d[0], e[0], f[0]].map(|c| self.turn * c);
+        let n = a.len();
+        // Slices of one length need no check inside the loop.
+        let (b, c, d, e, f) = (&b[..n], &c[..n], &d[..n], &e[..n], &f[..n]);
+        self.row.clear();
+        self.row.extend((0..n).map(|j| (p * d[j] + q * e[j] + r * f[j]) + (s * a[j] + t * b[j] + u * c[j])));
+        &self.row
+    }
 }
 
 /// The combination of two rays on which K is farthest from the sign of `from`; none when it keeps that sign.

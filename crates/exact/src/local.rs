@@ -2,17 +2,19 @@
 //! half-spaces.
 
 use std::cmp::Ordering;
-use std::collections::{BTreeMap, HashMap};
 
 use dashu_int::IBig;
-use glam::DVec3;
+use glam::{DVec3, Vec3};
+use rustc_hash::FxHashMap;
 
 use crate::cone::Region;
+use crate::edges::EdgeLines;
 use crate::frame::Source;
 use crate::occluder::Occluders;
 use crate::polygon::Polygon;
 use crate::prism::{self, Pair};
 use crate::proof::Step;
+use crate::rows::Rows;
 use crate::vector::{Id, Space, Through};
 
 /// A step of a proof, and the regions that are left to be taken apart.
@@ -22,9 +24,6 @@ pub type Snapped = (u32, DVec3);
 
 /// Weights of a snapped point add up to this.
 const WEIGHTS: u64 = 1 << 50;
-
-/// Most occluders that are joined to one for the sake of a region.
-const MOST_MEMBERS: usize = 12;
 
 /// Bits of the weights of a point that is snapped precisely.
 const FINE: usize = 240;
@@ -37,22 +36,30 @@ pub struct Constraints {
     pub between: bool,
     /// Line, whether it runs the other way, and the constraint's number in a proof.
     pub lines: Vec<(Id, bool, u16)>,
+    /// All edges of the border, where all of it is between the polygons.
+    pub edges: Vec<Edge>,
 }
 
-/// One line for all edges that run along it.
-#[derive(Default)]
-pub struct EdgeLines {
-    /// By an edge's ends as bits: its line, and whether that runs the other way.
-    edges: HashMap<[u32; 6], (Id, bool)>,
-    /// By their fingerprints: what is the same line is in the same bucket, or the next.
-    buckets: HashMap<i64, Vec<Id>>,
+/// An edge of an occluder's border.
+#[derive(Clone, Copy)]
+pub struct Edge {
+    /// The numbers of its corners, in the direction of the border.
+    pub corners: [u32; 2],
+    /// Its line.
+    pub line: Id,
+    /// Whether the line runs the other way.
+    pub flipped: bool,
 }
 
-impl EdgeLines {
-    /// The lines that may be the same as one with a fingerprint.
-    fn near(&self, fingerprint: i64) -> Vec<Id> {
-        (fingerprint - 1..=fingerprint + 1).filter_map(|b| self.buckets.get(&b)).flatten().copied().collect()
+/// The lines of a border, one constraint for each.
+pub fn lines_of(edges: &[Edge]) -> Vec<(Id, bool, u16)> {
+    let mut lines: Vec<(Id, bool, u16)> = Vec::with_capacity(edges.len() + 2);
+    for (number, e) in edges.iter().enumerate() {
+        if !lines.iter().any(|l| l.0 == e.line && l.1 == e.flipped) {
+            lines.push((e.line, e.flipped, number as u16));
+        }
     }
+    lines
 }
 
 /// What belongs to one pair of parts.
@@ -60,10 +67,18 @@ pub struct Local<'a> {
     pub space: Space,
     pub pair: Pair,
     pub known: Vec<Constraints>,
-    /// Where in `known` a set of occluders is.
-    pub places: BTreeMap<Vec<(u32, bool)>, usize>,
+    /// Corners of the scene as points of the space, by number, and their sides of A's plane and of B's, if asked for.
+    pub corners: FxHashMap<u32, (u32, Option<[Ordering; 2]>)>,
+    /// Where in `known` an occluder is; none where it is not between the polygons.
+    pub places: FxHashMap<u32, Option<usize>>,
+    /// Where in `known` several occluders are that were joined.
+    pub patches: FxHashMap<Vec<(u32, bool)>, Option<usize>>,
     /// Lines made for occluders' edges.
     pub lines: EdgeLines,
+    /// On which sides of them the rays of the region at hand are.
+    pub rows: Rows,
+    /// Triangles a line may meet, kept for their memory.
+    pub candidates: Vec<u32>,
     /// Both polygons, with their vertices rounded.
     pub ends: [(&'a Polygon, &'a [DVec3]); 2],
 }
@@ -180,39 +195,62 @@ impl Local<'_> {
 
     /// The half-spaces of an occluder, where it is between A and B; an index into `known`.
     pub fn constraints(&mut self, scene: &Occluders, id: u32) -> Option<usize> {
-        if let Some(at) = self.places.get(&[(id, false)][..]) {
-            return Some(*at);
+        if let Some(at) = self.places.get(&id) {
+            return *at;
         }
+        let at = self.make_constraints(scene, id);
+        self.places.insert(id, at);
+        at
+    }
+
+    /// A corner of the scene as a point of the space.
+    pub fn corner(&mut self, number: u32, at: Vec3) -> u32 {
+        if let Some((point, _)) = self.corners.get(&number) {
+            return *point;
+        }
+        let point = self.space.frame().given(at.as_dvec3());
+        let point = self.space.point(point);
+        self.corners.insert(number, (point, None));
+        point
+    }
+
+    /// A triangle's corners as points of the space.
+    pub fn corner_points(&mut self, scene: &Occluders, triangle: u32) -> [u32; 3] {
+        let (numbers, at) = (scene.corners(triangle), scene.triangle(triangle));
+        std::array::from_fn(|k| self.corner(numbers[k], at[k]))
+    }
+
+    /// On which sides of A's plane and of B's a corner is.
+    fn corner_sides(&mut self, number: u32, at: Vec3) -> [Ordering; 2] {
+        let point = self.corner(number, at);
+        if let Some((_, Some(sides))) = self.corners.get(&number) {
+            return *sides;
+        }
+        let planes = [&self.pair.a, &self.pair.b].map(|p| [p[0], p[1], p[2]]);
+        let sides = planes.map(|[a, b, c]| self.space.orient(a, b, c, point));
+        self.corners.insert(number, (point, Some(sides)));
+        sides
+    }
+
+    fn make_constraints(&mut self, scene: &Occluders, id: u32) -> Option<usize> {
         let occluder = scene.occluder(id);
-        let before = self.space.size();
         let planes = [(self.pair.a.clone(), self.pair.ahead), (self.pair.b.clone(), self.pair.behind)];
-        let mut beyond = [false; 2];
-        for (k, (plane, good)) in planes.iter().enumerate() {
-            let mut within = false;
-            for e in &occluder.border {
-                let point = self.space.frame().given(e[0].as_dvec3());
-                let point = self.space.point(point);
-                let side = self.space.orient(plane[0], plane[1], plane[2], point);
-                within |= side == *good;
-                beyond[k] |= side == good.reverse();
-            }
-            if !within {
-                self.space.truncate(before);
-                return None;
+        let (mut within, mut beyond) = ([false; 2], [false; 2]);
+        for (number, at) in occluder.rim.iter().zip(&occluder.border) {
+            let sides = self.corner_sides(number[0], at[0]);
+            for k in 0..2 {
+                within[k] |= sides[k] == planes[k].1;
+                beyond[k] |= sides[k] == planes[k].1.reverse();
             }
         }
-        self.space.truncate(before);
-        let mut lines = Vec::with_capacity(occluder.lines.len() + 2);
-        for e in &occluder.lines {
-            let (line, flipped) = self.edge(occluder.border[*e as usize]);
-            lines.push((line, flipped, *e as u16));
+        if within.contains(&false) {
+            return None;
         }
+        let edges = self.edges(&occluder.rim, &occluder.border);
+        let mut lines = lines_of(&edges);
         if beyond.contains(&true) {
             let (t, turned) = occluder.triangles[0];
-            let points = scene.triangle(t).map(|v| {
-                let point = self.space.frame().given(v.as_dvec3());
-                self.space.point(point)
-            });
+            let points = self.corner_points(scene, t);
             let own = Through { points, turned };
             for (k, (plane, good)) in planes.iter().enumerate() {
                 if !beyond[k] {
@@ -226,142 +264,8 @@ impl Local<'_> {
             }
         }
         let between = !beyond.contains(&true);
-        Some(self.keep(Constraints { members: vec![(id, false)], between, lines }))
-    }
-
-    /// The side on which a rounded ray passes a constraint.
-    fn side(&self, (line, flipped, _): &(Id, bool, u16), ray: &[f64; 6]) -> f64 {
-        let s = crate::vector::klein(ray, self.space.rounded(*line));
-        if *flipped { -s } else { s }
-    }
-
-    pub fn sum_of_sides(&self, known: usize, ray: &[f64; 6]) -> f64 {
-        self.known[known].lines.iter().map(|c| self.side(c, ray)).sum()
-    }
-
-    /// How many rays of a region an occluder blocks, rounded.
-    pub fn held(&self, region: &Region, known: usize, negative: bool) -> usize {
-        let inside = |v: &[f64; 6]| {
-            self.known[known]
-                .lines
-                .iter()
-                .all(|c| if negative { self.side(c, v) <= 0.0 } else { self.side(c, v) >= 0.0 })
-        };
-        region.rays.iter().filter(|(r, _)| inside(self.space.rounded(*r))).count()
-    }
-
-    /// Adds neighbours to an occluder for as long as that makes it block more of a region: what lines pass in the same
-    /// direction has one silhouette (thesis §2.4). None if there is nothing to add.
-    pub fn grow(
-        &mut self,
-        scene: &Occluders,
-        region: &Region,
-        (known, negative, held): (usize, bool, usize),
-    ) -> Option<usize> {
-        let all = region.rays.len();
-        if !self.known[known].between || held == all {
-            return None;
-        }
-        let (mut best, mut most) = (known, held);
-        loop {
-            let members = self.known[best].members.clone();
-            if members.len() == MOST_MEMBERS {
-                break;
-            }
-            // Only over edges that part of the region passes outside of.
-            let (rim, _) = scene.border(&triangles(scene, &members));
-            let mut next: Option<(usize, usize)> = None;
-            let outer: Vec<u16> = self.known[best]
-                .lines
-                .iter()
-                .filter(|c| {
-                    region.rays.iter().any(|(r, _)| (self.side(c, self.space.rounded(*r)) < 0.0) != negative)
-                })
-                .map(|c| c.2)
-                .collect();
-            for edge in outer {
-                let [a, b] = rim[usize::from(edge)];
-                let neighbours: Vec<(u32, bool)> = scene.at_edge([a, b]).collect();
-                for (o, same_way) in neighbours {
-                    // Its border must run the other way along the edge, so turned round where it runs the same way.
-                    if members.iter().any(|m| m.0 == o) {
-                        continue;
-                    }
-                    let Some(_) = self.constraints(scene, o).filter(|k| self.known[*k].between) else {
-                        continue;
-                    };
-                    let mut with = members.clone();
-                    with.push((o, same_way));
-                    with.sort_unstable();
-                    // Two sides of one sheet leave no border, and block nothing together.
-                    let Some(patch) = self.patch(scene, with) else { continue };
-                    let count = self.held(region, patch, negative);
-                    if count > most && next.is_none_or(|(c, _)| count > c) {
-                        next = Some((count, patch));
-                    }
-                }
-            }
-            let Some((count, patch)) = next else { break };
-            (best, most) = (patch, count);
-            if most == all {
-                break;
-            }
-        }
-        (best != known).then_some(best)
-    }
-
-    /// Several occluders that are all between the polygons, as one; an index into `known`. None if they have no border.
-    fn patch(&mut self, scene: &Occluders, members: Vec<(u32, bool)>) -> Option<usize> {
-        if let Some(at) = self.places.get(&members) {
-            return Some(*at);
-        }
-        let (_, border) = scene.border(&triangles(scene, &members));
-        if border.is_empty() {
-            return None;
-        }
-        let mut lines: Vec<(Id, bool, u16)> = Vec::with_capacity(border.len());
-        for (number, edge) in border.iter().enumerate() {
-            let (line, flipped) = self.edge(*edge);
-            if !lines.iter().any(|l| l.0 == line && l.1 == flipped) {
-                lines.push((line, flipped, number as u16));
-            }
-        }
-        Some(self.keep(Constraints { members, between: true, lines }))
-    }
-
-    fn keep(&mut self, of: Constraints) -> usize {
-        self.places.insert(of.members.clone(), self.known.len());
-        self.known.push(of);
-        self.known.len() - 1
-    }
-
-    /// The line of an edge, one for all edges that run along it.
-    fn edge(&mut self, [p, q]: [glam::Vec3; 2]) -> (Id, bool) {
-        // −0 is 0.
-        let bits = |v: glam::Vec3| (v + glam::Vec3::ZERO).to_array().map(f32::to_bits);
-        let key = |a: [u32; 3], b: [u32; 3]| [a[0], a[1], a[2], b[0], b[1], b[2]];
-        let (there, back) = (key(bits(p), bits(q)), key(bits(q), bits(p)));
-        if let Some(known) = self.lines.edges.get(&there) {
-            return *known;
-        }
-        if let Some((id, flipped)) = self.lines.edges.get(&back) {
-            return (*id, !*flipped);
-        }
-        let [a, b] = [p, q].map(|v| {
-            let point = self.space.frame().given(v.as_dvec3());
-            self.space.point(point)
-        });
-        let line = self.space.join(a, b);
-        // Along a line that is there already?
-        let fingerprint = self.space.fingerprint(line);
-        let near = self.lines.near(fingerprint);
-        let same = near.into_iter().find_map(|l| self.space.same_line(line, l).map(|same| (l, !same)));
-        if same.is_none() {
-            self.lines.buckets.entry(fingerprint).or_default().push(line);
-        }
-        let (id, flipped) = same.unwrap_or((line, false));
-        self.lines.edges.insert(there, (id, flipped));
-        (id, flipped)
+        self.known.push(Constraints { members: vec![(id, false)], between, lines, edges });
+        Some(self.known.len() - 1)
     }
 
     /// Splits a region by the hyperplane polar to a vector of the frame, or rather to that vector rounded in the world.
@@ -393,7 +297,7 @@ impl Local<'_> {
         let mut outside = Vec::new();
         let mut rest = region.clone();
         let mut sides = Vec::new();
-        for k in 0..self.known[known].lines.len() {
+        for k in self.order(known, negative) {
             let (line, flipped, number) = self.known[known].lines[k];
             rest.sides(&mut self.space, line, &mut sides);
             let inner = if flipped != negative { Ordering::Less } else { Ordering::Greater };

@@ -107,7 +107,8 @@ pub fn normalised<const N: usize>(x: [f64; N]) -> ([f64; N], f64) {
         return (x, 1.0);
     }
     let exponent = ((greatest.to_bits() >> 52 & 0x7ff) as i32 - 1022).clamp(-1000, 1000);
-    let scale = f64::powi(2.0, -exponent);
+    // 2^−exponent, by its bits.
+    let scale = f64::from_bits(((1023 - exponent) as u64) << 52);
     (x.map(|c| c * scale), scale)
 }
 

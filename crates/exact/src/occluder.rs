@@ -32,6 +32,21 @@ pub struct Occluder {
     pub lines: Vec<u32>,
 }
 
+impl Occluder {
+    /// The corners of the convex polygon it is, in order, those on the line of their neighbours among them.
+    pub fn outline(&self) -> Vec<Vec3> {
+        let mut at = 0;
+        (0..self.border.len())
+            .map(|_| {
+                let corner = self.border[at][0];
+                // Merged faces have one loop, which goes on where an edge ends.
+                at = self.rim.iter().position(|e| e[0] == self.rim[at][1]).unwrap_or(at);
+                corner
+            })
+            .collect()
+    }
+}
+
 /// Everything that blocks in a scene.
 pub struct Occluders {
     triangles: Vec<[Vec3; 3]>,

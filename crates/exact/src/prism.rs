@@ -14,9 +14,9 @@
 //! Where both signs occur (the polygons overlap along k) the region is cut in two by a hyperplane across k, always the same.
 
 use std::cmp::Ordering;
-use std::collections::HashMap;
 
 use glam::DVec3;
+use rustc_hash::FxHashMap;
 
 use crate::cone::{MOST_HALVES, Region};
 use crate::number::U;
@@ -38,7 +38,7 @@ pub struct Pair {
     /// The greatest magnitude of a coordinate of A or B in the world.
     pub size: f64,
     /// Triangles that were asked about, and whether they lie in A's plane or in B's.
-    pub flat: HashMap<u32, [bool; 2]>,
+    pub flat: FxHashMap<u32, [bool; 2]>,
 }
 
 /// The polygons have no stabbing polyhedron here: no cap was found, because they are too thin, or too near to each other's
@@ -136,7 +136,7 @@ pub fn stabbing(
         for end in [k, minus] {
             let mut rays = base.clone();
             rays.push((end, apex));
-            regions.push(Region { rays, halves: [&halves[..], &[middle]].concat() });
+            regions.push(Region { rays, halves: [&halves[..], &[middle]].concat().into() });
         }
     } else {
         let (top, bottom) = caps(space, (&halves, n), &lines, k)?;
@@ -153,9 +153,9 @@ pub fn stabbing(
                 rays.push((onto(space, *line, [k, minus], cap), tight | bit));
             }
         }
-        regions.push(Region { rays, halves });
+        regions.push(Region { rays, halves: halves.into() });
     }
-    Ok(Pair { a: pa, b: pb, ahead, behind, regions, size, flat: HashMap::new() })
+    Ok(Pair { a: pa, b: pb, ahead, behind, regions, size, flat: FxHashMap::default() })
 }
 
 /// The ray of `line` + t·k that is on the hyperplane `cap`, with k and −k given.
@@ -166,7 +166,7 @@ fn onto(space: &mut Space, line: Id, [k, minus]: [Id; 2], cap: Id) -> Id {
     }
     // Going the way that changes the side: k if it is on the other, −k if not.
     let way = if space.side(k, cap) == side { minus } else { k };
-    space.cut(line, way, cap)
+    space.cut([line, way], cap, Vec::new)
 }
 
 fn same_point(space: &mut Space, p: u32, q: u32) -> bool {

@@ -8,15 +8,19 @@
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
+use rustc_hash::FxHashMap;
+
 use crate::cone::Region;
+use crate::edges::EdgeLines;
 use crate::frame::{Frame, Source};
 use crate::klein::{self, Contents, contents};
-use crate::local::{EdgeLines, Found, Local, Snapped, triangles};
+use crate::local::{Found, Local, Snapped, triangles};
 use crate::occluder::Occluders;
 use crate::polygon::Polygon;
 use crate::prism;
 use crate::proof::{Proof, Step, Which};
-use crate::trace::{Met, trace};
+use crate::rows::Rows;
+use crate::trace::Met;
 use crate::vector::{Decisions, Space};
 
 /// When a query gives up.
@@ -24,7 +28,7 @@ use crate::vector::{Decisions, Space};
 pub struct Limits {
     /// Regions looked at, over all divisions.
     pub regions: u32,
-    /// Vectors held at a time; about 200 bytes each, and more where integers were needed.
+    /// Vectors and points held at a time; about 200 bytes each, and more where integers were needed.
     pub vectors: u32,
     /// How often the regions of a pair may be split for the sake of the Klein form alone.
     pub splits: u32,
@@ -230,8 +234,12 @@ impl Search<'_> {
             space,
             pair,
             known: Vec::new(),
-            places: BTreeMap::new(),
+            corners: FxHashMap::default(),
+            places: FxHashMap::default(),
+            patches: FxHashMap::default(),
             lines: EdgeLines::default(),
+            rows: Rows::default(),
+            candidates: Vec::new(),
             ends,
         };
         let mut result = Ok(());
@@ -251,7 +259,7 @@ impl Search<'_> {
         let mut splits = 0;
         while let Some(region) = open.pop() {
             self.cost.regions += 1;
-            let vectors = local.space.size()[1] as u64;
+            let vectors = local.space.size() as u64;
             self.cost.vectors = self.cost.vectors.max(vectors);
             if self.cost.regions > u64::from(self.limits.regions) {
                 self.cost.decisions += local.space.decisions;
@@ -317,7 +325,7 @@ impl Search<'_> {
         (p, q): (Snapped, Snapped),
     ) -> Result<Option<Found>, End> {
         self.cost.lines += 1;
-        match trace(&mut local.space, self.scene, &mut local.pair, (p.0, q.0), (p.1, q.1)) {
+        match local.trace(self.scene, (p.0, q.0), (p.1, q.1)) {
             Met::Nothing => {
                 self.cost.decisions += local.space.decisions;
                 Err(End::Seen(Box::new([local.source(p.0, 0), local.source(q.0, 1)])))
@@ -340,12 +348,12 @@ impl Search<'_> {
         line: &[f64; 6],
         met: &[u32],
     ) -> Option<Found> {
-        let mut ranked: Vec<(usize, bool, usize)> = Vec::with_capacity(met.len());
+        local.begin(region);
+        let mut ranked: Vec<(usize, bool, u32)> = Vec::with_capacity(met.len());
         for id in met {
             let Some(known) = local.constraints(self.scene, *id) else { continue };
-            // Which way the line passes the occluder: all edges agree, but for rounding.
-            let negative = local.sum_of_sides(known, line) < 0.0;
-            ranked.push((known, negative, local.held(region, known, negative)));
+            let negative = local.passes_negatively(known, line);
+            ranked.push((known, negative, local.held(known, negative)));
         }
         ranked.sort_by(|x, y| {
             y.2.cmp(&x.2)
@@ -353,7 +361,7 @@ impl Search<'_> {
                 .then(x.0.cmp(&y.0))
         });
         for (known, negative, held) in ranked {
-            let grown = local.grow(self.scene, region, (known, negative, held));
+            let grown = local.grow(self.scene, (known, negative, held));
             for known in [grown, Some(known)].into_iter().flatten() {
                 if let Some((cuts, outside)) = local.subtract(region, known, negative) {
                     self.cost.occluders += 1;

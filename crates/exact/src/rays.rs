@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use crate::cell::Cell;
 use crate::occluder::Occluders;
@@ -48,6 +48,57 @@ impl Random {
     }
 }
 
+/// Segments tried around one that a query found.
+const AROUND: u32 = 32;
+/// How far apart these are at first, in parts of the cell and of the target, and by which factor they come nearer.
+const SPREAD: [f64; 2] = [0.25, 0.6];
+
+/// Looks for witnesses near a free segment from the cell to a target so wide: what one line shows its neighbours often do, too, and
+/// what is behind a box's face. Gives witnesses for `wanted` triangles, and how many rays were cast.
+pub fn around(
+    scene: &Occluders,
+    cell: &Cell,
+    [p, q]: [DVec3; 2],
+    wide: f64,
+    wanted: &dyn Fn(u32) -> bool,
+    mut random: Random,
+) -> (Vec<(u32, [Vec3; 2])>, u64) {
+    let mut found: Vec<(u32, [Vec3; 2])> = Vec::new();
+    let mut scratch = Vec::new();
+    let [min, max] = cell.corners();
+    let mut spread = 0.0;
+    for _ in 0..AROUND {
+        let mut off = || DVec3::new(random.unit(), random.unit(), random.unit()) * 2.0 - 1.0;
+        let near = (p + off() * (max - min).as_dvec3() * spread).as_vec3().clamp(min, max);
+        let origin = near.as_dvec3();
+        let to = q + off() * wide * spread;
+        // The segment itself comes first.
+        spread = if spread == 0.0 { SPREAD[0] } else { spread * SPREAD[1] };
+        let Some((met, at)) = first(scene, origin, to - origin) else { continue };
+        if !wanted(met) || found.iter().any(|f| f.0 == met) {
+            continue;
+        }
+        if let Some(ends) = segment(scene, near, to - origin, (met, at), &mut scratch) {
+            found.push((met, ends));
+        }
+    }
+    (found, u64::from(AROUND))
+}
+
+/// The segment from `p` along a direction to just beyond the triangle it meets there, if it shows it.
+fn segment(
+    scene: &Occluders,
+    p: Vec3,
+    direction: DVec3,
+    (met, at): (u32, f64),
+    scratch: &mut Vec<u32>,
+) -> Option<[Vec3; 2]> {
+    BEYOND.iter().find_map(|beyond| {
+        let q = (p.as_dvec3() + direction * (at * (1.0 + beyond))).as_vec3();
+        (q.is_finite() && shows(scene, p, q, met, scratch)).then_some([p, q])
+    })
+}
+
 /// Looks for witnesses of the `wanted` triangles (ascending) and gives those found.
 ///
 /// The answer depends on the scene, the cell, `wanted` and `seed` alone. `stop` is asked now and then; once it says so, what was
@@ -78,12 +129,8 @@ pub fn witnesses(
             if found.contains_key(&met) || wanted.binary_search(&met).is_err() {
                 continue;
             }
-            for beyond in BEYOND {
-                let q = (origin + (to - origin) * (at * (1.0 + beyond))).as_vec3();
-                if q.is_finite() && shows(scene, p, q, met, &mut scratch) {
-                    found.insert(met, [p, q]);
-                    break;
-                }
+            if let Some(ends) = segment(scene, p, to - origin, (met, at), &mut scratch) {
+                found.insert(met, ends);
             }
         }
         if stop() {

@@ -4,6 +4,7 @@ use std::cmp::Ordering;
 
 use glam::DVec3;
 
+use crate::local::Local;
 use crate::occluder::Occluders;
 use crate::prism::Pair;
 use crate::vector::Space;
@@ -19,33 +20,30 @@ pub enum Met {
     Grazing,
 }
 
-/// Follows the segment from `p` to `q`, points of the space inside A and B and close to the doubles given.
-///
-/// Triangles in the plane of A or of B do not count, and neither does what the segment reaches only at its ends.
-pub fn trace(
-    space: &mut Space,
-    scene: &Occluders,
-    pair: &mut Pair,
-    (p, q): (u32, u32),
-    (near_p, near_q): (DVec3, DVec3),
-) -> Met {
-    let mut candidates = Vec::new();
-    scene.along(near_p, near_q, pair.size, &mut candidates);
-    let mut blocked = Vec::new();
-    let mut grazing = false;
-    for id in candidates {
-        let before = space.size();
-        match touch(space, scene, pair, (p, q), id) {
-            Touch::Through => blocked.push(id),
-            Touch::Border => grazing = true,
-            Touch::Not => {}
+impl Local<'_> {
+    /// Follows the segment from `p` to `q`, points of the space inside A and B and close to the doubles given.
+    ///
+    /// Triangles in the plane of A or of B do not count, and neither does what the segment reaches only at its ends.
+    pub fn trace(&mut self, scene: &Occluders, (p, q): (u32, u32), (near_p, near_q): (DVec3, DVec3)) -> Met {
+        let mut candidates = std::mem::take(&mut self.candidates);
+        candidates.clear();
+        scene.along(near_p, near_q, self.pair.size, &mut candidates);
+        let mut blocked = Vec::new();
+        let mut grazing = false;
+        for id in &candidates {
+            let corners = self.corner_points(scene, *id);
+            match touch(&mut self.space, &mut self.pair, (p, q), *id, corners) {
+                Touch::Through => blocked.push(*id),
+                Touch::Border => grazing = true,
+                Touch::Not => {}
+            }
         }
-        space.truncate(before);
-    }
-    match (blocked.is_empty(), grazing) {
-        (false, _) => Met::Blocked(blocked),
-        (true, true) => Met::Grazing,
-        (true, false) => Met::Nothing,
+        self.candidates = candidates;
+        match (blocked.is_empty(), grazing) {
+            (false, _) => Met::Blocked(blocked),
+            (true, true) => Met::Grazing,
+            (true, false) => Met::Nothing,
+        }
     }
 }
 
@@ -56,14 +54,10 @@ enum Touch {
 }
 
 /// How the segment meets one triangle.
-fn touch(space: &mut Space, scene: &Occluders, pair: &mut Pair, (p, q): (u32, u32), id: u32) -> Touch {
+fn touch(space: &mut Space, pair: &mut Pair, (p, q): (u32, u32), id: u32, corners: [u32; 3]) -> Touch {
     if pair.flat.get(&id).is_some_and(|f| f.contains(&true)) {
         return Touch::Not;
     }
-    let corners = scene.triangle(id).map(|v| {
-        let point = space.frame().given(v.as_dvec3());
-        space.point(point)
-    });
     let [a, b, c] = corners;
     let (sp, sq) = (space.filtered_orient(a, b, c, p), space.filtered_orient(a, b, c, q));
     if sp.is_some() && sp == sq {

@@ -6,16 +6,20 @@
 //! exactly only when a filter fails: then once.
 
 use std::cmp::Ordering;
-use std::collections::HashMap;
 
 use dashu_int::IBig;
 use dashu_int::ops::UnsignedAbs as _;
+use rustc_hash::FxHashMap;
 
+mod rounded;
+mod solved;
+#[cfg(test)]
+mod tests;
 mod zeros;
 
 use crate::double::{Double, STEP};
 use crate::frame::{Frame, Place, Point};
-use crate::number::{U, integers, normalised, primitive, rounded_double};
+use crate::number::{U, integers, primitive, rounded_double};
 
 /// Index of a vector in its [`Space`].
 pub type Id = u32;
@@ -46,19 +50,27 @@ pub struct Through {
     pub turned: bool,
 }
 
-/// A six-vector up to a positive factor.
-#[derive(Clone, Debug)]
-struct Vector {
-    /// Rounded, its greatest component at most 1.
+/// A six-vector up to a positive factor, rounded: what filters look at, in one line of the cache.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
+struct Near {
+    /// The components, the greatest at most 1.
     x: [f64; 6],
     /// How far every component may be off the true vector, suitably scaled.
     error: f64,
-    /// What is missing in `x`: the components are `x + rest`, up to `fine`.
-    rest: [f64; 6],
-    /// How far `x + rest` may be off.
-    fine: f64,
     /// Sum of the magnitudes of `x`.
     sum: f64,
+}
+
+/// What else is known of a six-vector.
+#[derive(Clone, Debug)]
+struct Vector {
+    /// What is missing in the rounded components: with this they are right up to `fine`.
+    rest: [f64; 6],
+    /// How far they may then be off.
+    fine: f64,
+    /// Whether `rest` and `fine` were computed; of cuts, which are many, only when a filter fails.
+    refined: bool,
     origin: Origin,
     exact: Option<Box<[IBig; 6]>>,
     /// Row in the table of meeting lines; none if it is not known to be a real line.
@@ -98,22 +110,20 @@ impl std::ops::AddAssign for Decisions {
     }
 }
 
-/// Rays with a greater error than this in pairs of doubles are computed exactly at once: their doubles are then as good as
-/// doubles get.
-const COARSE: f64 = 1e-15;
-
 /// All points and vectors of one query, and its frame.
 pub struct Space {
     frame: Frame,
     points: Vec<Point>,
     point_integers: Vec<Option<Box<[IBig; 4]>>>,
     vectors: Vec<Vector>,
+    /// The vectors, rounded.
+    near: Vec<Near>,
     /// Which lines meet, as far as it was asked: a row for each line, with its predecessors.
     meeting: Vec<Vec<Meeting>>,
     /// Which triples of lines that meet are of one pencil, as far as it was asked.
-    pencils: HashMap<[Id; 3], bool>,
+    pencils: FxHashMap<[Id; 3], bool>,
     /// Signs that integers decided: regions share rays.
-    decided: HashMap<[Id; 2], Ordering>,
+    decided: FxHashMap<[Id; 2], Ordering>,
     /// How signs were decided.
     pub decisions: Decisions,
 }
@@ -143,9 +153,10 @@ impl Space {
             points: Vec::new(),
             point_integers: Vec::new(),
             vectors: Vec::new(),
+            near: Vec::new(),
             meeting: Vec::new(),
-            pencils: HashMap::new(),
-            decided: HashMap::new(),
+            pencils: FxHashMap::default(),
+            decided: FxHashMap::default(),
             decisions: Decisions::default(),
         }
     }
@@ -155,16 +166,9 @@ impl Space {
         &self.frame
     }
 
-    /// Numbers of points and of vectors so far: a measure of the memory used.
-    pub fn size(&self) -> [usize; 2] {
-        [self.points.len(), self.vectors.len()]
-    }
-
-    /// Forgets the points made since [`Space::size`] was this; no vector may have been made of them.
-    pub fn truncate(&mut self, [points, vectors]: [usize; 2]) {
-        self.points.truncate(points);
-        self.point_integers.truncate(points);
-        debug_assert_eq!(self.vectors.len(), vectors, "vectors would be left without their points");
+    /// Number of points and vectors so far: a measure of the memory used.
+    pub fn size(&self) -> usize {
+        self.points.len() + self.vectors.len()
     }
 
     /// Adds a point.
@@ -265,9 +269,8 @@ impl Space {
 
     /// A vector turned round.
     pub fn opposite(&mut self, v: Id) -> Id {
-        let of = &self.vectors[v as usize];
-        let x = std::array::from_fn(|i| Double(-of.x[i], -of.rest[i]));
-        self.push(x, of.fine, Origin::Opposite(v))
+        let x = self.fine(v).map(|c| Double(-c.0, -c.1));
+        self.push(x, self.vectors[v as usize].fine, Origin::Opposite(v))
     }
 
     /// The vector with these components, which are not all 0.
@@ -283,54 +286,6 @@ impl Space {
         self.push(x.map(|c| Double(c, 0.0)), 0.0, Origin::Given(x))
     }
 
-    /// Adds a vector given in pairs of doubles and how far they may be off.
-    fn push(&mut self, x: [Double; 6], fine: f64, origin: Origin) -> Id {
-        let (high, scale) = normalised(x.map(|c| c.0));
-        let rest = x.map(|c| c.1 * scale);
-        let fine = fine * scale;
-        let error = fine + rest.iter().fold(0.0f64, |m, c| m.max(c.abs()));
-        let sum = high.iter().map(|c| c.abs()).sum();
-        let line = matches!(origin, Origin::Join(..) | Origin::Meet(..)).then(|| {
-            self.meeting.push(Vec::new());
-            (self.meeting.len() - 1) as u32
-        });
-        let error = error * (1.0 + 4.0 * U);
-        self.vectors.push(Vector { x: high, error, rest, fine, sum, origin, exact: None, line });
-        (self.vectors.len() - 1) as Id
-    }
-
-    /// A vector's rounded components, the greatest at most 1.
-    pub fn rounded(&self, v: Id) -> &[f64; 6] {
-        &self.vectors[v as usize].x
-    }
-
-    /// How far the rounded components may be off.
-    pub fn error(&self, v: Id) -> f64 {
-        self.vectors[v as usize].error
-    }
-
-    /// The Klein form, rounded, and how far it may be off.
-    ///
-    /// Six products and five sums of magnitudes |aᵢbⱼ| whose total is at most the lesser of the two sums S (no
-    /// component exceeds 1): 6u·S. The errors of the vectors add e·S' + e'·S + 6ee'.
-    fn form(&self, a: Id, b: Id) -> (f64, f64) {
-        let (v, w) = (&self.vectors[a as usize], &self.vectors[b as usize]);
-        let bound =
-            8.0 * U * v.sum.min(w.sum) + 1.01 * (v.error * w.sum + w.error * v.sum + 6.0 * v.error * w.error);
-        (klein(&v.x, &w.x), bound)
-    }
-
-    /// The same in pairs of doubles: eleven operations of a step each of at most S.
-    fn fine_form(&self, a: Id, b: Id) -> (Double, f64) {
-        let (v, w) = (&self.vectors[a as usize], &self.vectors[b as usize]);
-        let term = |i: usize, j: usize| Double(v.x[i], v.rest[i]).times(Double(w.x[j], w.rest[j]));
-        let value =
-            term(0, 3).plus(term(1, 4)).plus(term(2, 5)).plus(term(3, 0).plus(term(4, 1)).plus(term(5, 2)));
-        let bound =
-            16.0 * STEP * v.sum.min(w.sum) + 1.01 * (v.fine * w.sum + w.fine * v.sum + 6.0 * v.fine * w.fine);
-        (value, bound)
-    }
-
     /// The sign of the Klein form of two vectors.
     pub fn side(&mut self, a: Id, b: Id) -> Ordering {
         if let Some(sign) = self.filtered_side(a, b) {
@@ -338,25 +293,6 @@ impl Space {
             return sign;
         }
         self.unfiltered_side(a, b)
-    }
-
-    /// The sign where doubles could not tell: by pairs of doubles, then by integers.
-    pub fn unfiltered_side(&mut self, a: Id, b: Id) -> Ordering {
-        self.refined_side(a, b).unwrap_or_else(|| self.exact_side(a, b))
-    }
-
-    /// The sign, where pairs of doubles can tell.
-    fn refined_side(&mut self, a: Id, b: Id) -> Option<Ordering> {
-        let (value, bound) = self.fine_form(a, b);
-        let sure = value.0.abs() > bound;
-        self.decisions.refined += u64::from(sure);
-        sure.then_some(if value.0 > 0.0 { Ordering::Greater } else { Ordering::Less })
-    }
-
-    /// The sign, where doubles can tell.
-    pub fn filtered_side(&self, a: Id, b: Id) -> Option<Ordering> {
-        let (value, bound) = self.form(a, b);
-        (value.abs() > bound).then_some(if value > 0.0 { Ordering::Greater } else { Ordering::Less })
     }
 
     /// The sign by integers; what is computed for it makes later filters sharper.
@@ -411,14 +347,8 @@ impl Space {
             }
             let origin = self.vectors[id as usize].origin.clone();
             let exact = self.compute(&origin);
-            let vector = &mut self.vectors[id as usize];
-            if vector.fine.is_nan() || vector.fine >= COARSE {
-                let x = rounded_double(&exact);
-                (vector.x, vector.rest, vector.fine) = (x.map(|c| c.0), x.map(|c| c.1), STEP);
-                vector.error = STEP + U;
-                vector.sum = vector.x.iter().map(|c| c.abs()).sum();
-            }
-            vector.exact = Some(Box::new(exact));
+            self.improve(id, &exact);
+            self.vectors[id as usize].exact = Some(Box::new(exact));
             open.pop();
         }
     }
@@ -465,33 +395,12 @@ impl Space {
         out
     }
 
-    /// The ray where the edge between `a` and `b`, on different sides of `half`, meets its border.
-    ///
-    /// x = αb + (1 − α)a with α = s/(s + |t|). With B the bounds of the forms s and t, α is off by at most
-    /// max(B)/(s + |t| − 2 max(B)), the ray by that times |b − a|, besides the errors of its parents and a few steps.
-    pub fn cut(&mut self, a: Id, b: Id, half: Id) -> Id {
-        let ((s, es), (t, et)) = (self.fine_form(a, half), self.fine_form(b, half));
-        let (v, w) = (&self.vectors[a as usize], &self.vectors[b as usize]);
-        let (s, t) = (s.abs(), t.abs());
-        let total = s.plus(t);
-        let alpha = s.over(total);
-        let mut apart = 0.0f64;
-        let x: [Double; 6] = std::array::from_fn(|i| {
-            let (p, q) = (Double(v.x[i], v.rest[i]), Double(w.x[i], w.rest[i]));
-            let d = q.minus(p);
-            apart = apart.max(d.0.abs());
-            p.plus(alpha.times(d))
-        });
-        let bound = es.max(et);
-        let room = total.0 - 2.0 * bound;
-        let error = v.fine.max(w.fine) + 1.01 * bound / room * (apart + v.fine + w.fine) + 16.0 * STEP;
-        // A ray that is mostly error is of no use to filters, nor to who looks for lines.
-        let hopeless = !(room > 0.0 && error < COARSE);
-        let id = self.push(x, if hopeless { f64::INFINITY } else { error }, Origin::Cut { a, b, half });
-        if hopeless {
-            self.sharpen(id);
+    /// A line's number among the lines of the space.
+    pub fn line_number(&self, line: Id) -> usize {
+        match self.vectors[line as usize].line {
+            Some(number) => number as usize,
+            None => unreachable!("only lines bound occluders"),
         }
-        id
     }
 
     /// A number that is the same or differs by 1 for vectors that are the same line, whichever way they run: where its unit
@@ -500,7 +409,7 @@ impl Space {
     pub fn fingerprint(&self, line: Id) -> i64 {
         const ALONG: [f64; 6] = [0.419, 0.337, 0.521, 0.263, 0.472, 0.381];
         const STEPS: f64 = (1u64 << 24) as f64;
-        let x = &self.vectors[line as usize].x;
+        let x = &self.near[line as usize].x;
         let length = x.iter().map(|c| c * c).sum::<f64>().sqrt();
         let at = x.iter().zip(ALONG).map(|(c, a)| c * a).sum::<f64>() / length;
         (at.abs() * STEPS) as i64
@@ -508,7 +417,7 @@ impl Space {
 
     /// Whether two lines are the same line, whichever way they run; `Some(true)` when they run the same way.
     pub fn same_line(&mut self, a: Id, b: Id) -> Option<bool> {
-        let (v, w) = (&self.vectors[a as usize], &self.vectors[b as usize]);
+        let (v, w) = (&self.near[a as usize], &self.near[b as usize]);
         // Compared after scaling by the component that is greatest in the first.
         let k = (0..6).max_by(|i, j| v.x[*i].abs().total_cmp(&v.x[*j].abs())).unwrap_or(0);
         let (p, q) = (v.x[k], w.x[k]);

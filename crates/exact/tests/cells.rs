@@ -154,6 +154,7 @@ fn tampered_claims_are_refused() {
     let larger = [Vec3::new(1.0, 0.5, 1.0), Vec3::new(9.5, 8.0, 2.0)];
     assert!(ask(larger, &visible, &[], &d.evidence).is_err());
     // A proof for another box, a box that is moved, a proof too few.
+    let mut polygons = 0;
     for at in 0..d.evidence.hidden.len() {
         let mut e = d.evidence.clone();
         if e.hidden[at].target == Target::Surfaces {
@@ -187,7 +188,24 @@ fn tampered_claims_are_refused() {
             e.hidden[at].proofs = d.evidence.hidden[at].proofs.clone();
             assert!(ask(cell, &visible, &[], &e).is_err());
         }
+        if let Target::Polygon(corners) = &d.evidence.hidden[at].target {
+            // A polygon that leaves a triangle out, one that is not flat, and one that is not convex.
+            let middle = corners.iter().sum::<Vec3>() / corners.len() as f32;
+            let smaller: Vec<Vec3> = corners.iter().map(|c| (*c + middle) * 0.5).collect();
+            let mut bent = corners.to_vec();
+            bent[0] += (corners[1] - corners[0]).cross(corners[2] - corners[0]);
+            let mut crossed = corners.to_vec();
+            crossed.swap(0, 1);
+            crossed.insert(1, middle);
+            for other in [smaller, bent, crossed, Vec::new()] {
+                let mut e = d.evidence.clone();
+                e.hidden[at].target = Target::Polygon(other.into());
+                assert!(matches!(ask(cell, &visible, &[], &e), Err(CellRefusal::Hidden { .. })));
+            }
+            polygons += 1;
+        }
     }
+    assert!(polygons > 0, "no triangles were hidden together in a polygon");
     // A witness that goes on through a wall.
     let (at, id, [p, q]) = d
         .evidence

@@ -7,7 +7,8 @@
 //!    groups of hidden triangles.
 //! 2. *Seen.* A witness begins in the cell, ends inside the triangle, and no other triangle has a point on it, but for those in the
 //!    triangle's plane. One that begins on a face of the cell and leaves through it may do so on a triangle in that face's plane.
-//! 3. *Hidden.* A group's triangles lie in its box (or are the one triangle), which has no point in common with the cell. A segment
+//! 3. *Hidden.* A group's triangles lie in its box (or in its polygon, or are the one triangle), and neither the box nor the
+//!    triangles have a point in common with the cell. A segment
 //!    from the cell to the box leaves the cell through some face and enters the box through one; for every pair of faces between which
 //!    that can be there is a proof ([`super::check_hidden`]) for the part of the box's face beyond the cell's. Faces without area
 //!    let no open set of lines through. What a closed surface hides needs no proof ([`super::surfaces`]).
@@ -21,7 +22,7 @@ use rayon::prelude::*;
 use super::line::{Plane, Point, height, plane, point, reduced, sign};
 use super::near::Triangles;
 use super::witness::{around, inside, meets};
-use super::{Corners, Refusal, check_hidden, clip};
+use super::{Corners, Refusal, check_hidden, check_polygons, clip};
 use crate::evidence::{Evidence, Hidden, Target, Witness, faces};
 
 /// What a result claims about one cell.
@@ -325,6 +326,19 @@ fn check_witness(scene: &Triangles<'_>, cell: [Vec3; 2], id: u32, witness: &Witn
     Ok(())
 }
 
+/// Whether a point lies in a convex flat polygon, on its border perhaps.
+fn within(polygon: &Corners, p: &Point) -> bool {
+    let n = polygon.len();
+    let flat = plane([&polygon[0], &polygon[1], &polygon[2]]);
+    // A point off the plane: with it each edge spans a plane across, on whose same side all of the polygon is.
+    let off: Point = std::array::from_fn(|i| {
+        if i < 3 { &polygon[0][i] + &flat[i] * &polygon[0][3] } else { polygon[0][3].clone() }
+    });
+    let side = |i: usize, p: &Point| sign(&height(&plane([&polygon[i], &polygon[(i + 1) % n], &off]), p));
+    let inner = side(0, &polygon[2]);
+    height(&flat, p).is_zero() && (0..n).all(|i| side(i, p) != inner.reverse())
+}
+
 /// Accepts that a triangle is hidden from all of a cell by its surface: all of the cell is on the hidden side of its plane, or on
 /// the plane.
 fn hidden_by_surface(
@@ -353,7 +367,7 @@ fn check_group(
     if group.triangles.iter().any(|id| *id as usize >= all.len()) {
         return Err("there is no such triangle in the scene".to_owned());
     }
-    let targets: Vec<Corners> = match group.target {
+    let targets: Vec<Corners> = match &group.target {
         Target::Surfaces => {
             if !group.proofs.is_empty() {
                 return Err("surfaces need no proofs".to_owned());
@@ -370,7 +384,23 @@ fn check_group(
             }
             if has_area(&all[id as usize]) { vec![exact(&all[id as usize]).into()] } else { Vec::new() }
         }
+        Target::Polygon(corners) => {
+            let corners: Corners = corners.iter().map(|c| point(c.as_dvec3().to_array())).collect();
+            let target = [corners];
+            // The checks that follow are about a polygon that is convex and flat.
+            check_polygons(&target).map_err(|e| e.to_string())?;
+            for id in &group.triangles {
+                if meets_box(&all[*id as usize], cell) {
+                    return Err(format!("triangle {id} meets the cell"));
+                }
+                if !exact(&all[*id as usize]).iter().all(|p| within(&target[0], p)) {
+                    return Err(format!("triangle {id} is not in its polygon"));
+                }
+            }
+            target.into()
+        }
         Target::Box([min, max]) => {
+            let (min, max) = (*min, *max);
             if !(min.is_finite() && max.is_finite() && min.cmple(max).all()) {
                 return Err("its box is none".to_owned());
             }
@@ -395,7 +425,7 @@ fn check_group(
         }
     };
     // Where it is hidden on one side of its plane anyway, only what is on the other has to be proved.
-    let half = match (group.target, &group.triangles[..]) {
+    let half = match (&group.target, &group.triangles[..]) {
         (Target::Half, [id]) => {
             Some(scene.surfaces().hidden_side(scene, cell, parity, *id).map_err(str::to_owned)?)
         }

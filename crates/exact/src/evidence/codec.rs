@@ -47,10 +47,15 @@ pub fn encode(evidence: &Evidence) -> std::io::Result<Vec<u8>> {
     }
     put(&mut out, evidence.hidden.len() as u64);
     for h in &evidence.hidden {
-        match h.target {
+        match &h.target {
             Target::Triangle => out.push(0),
             Target::Surfaces => out.push(2),
             Target::Half => out.push(3),
+            Target::Polygon(corners) => {
+                out.push(4);
+                put(&mut out, corners.len() as u64);
+                corners.iter().for_each(|c| put_point(&mut out, *c));
+            }
             Target::Box(corners) => {
                 out.push(1);
                 corners.iter().for_each(|c| put_point(&mut out, *c));
@@ -117,6 +122,14 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<Evidence, EvidenceError>
             1 => Target::Box([from.point()?, from.point()?]),
             2 => Target::Surfaces,
             3 => Target::Half,
+            4 => {
+                // Twelve bytes a corner.
+                let corners = (0..from.count(12)?).map(|_| {
+                    from.take::<Vec3>()?;
+                    from.point()
+                });
+                Target::Polygon(corners.collect::<Result<_, _>>()?)
+            }
             _ => return Err(EvidenceError("a proof is about nothing there is")),
         };
         let triangles = from.ids()?;
@@ -388,7 +401,7 @@ mod tests {
                 prop::array::uniform2(prop::array::uniform4(integer())).prop_map(|e| Witness::Exact(Box::new(e))),
             ], 0..8),
             hidden in prop::collection::vec((
-                prop_oneof![Just(Target::Triangle), Just(Target::Surfaces), Just(Target::Half), prop::array::uniform2(floats()).prop_map(Target::Box)],
+                prop_oneof![Just(Target::Triangle), Just(Target::Surfaces), Just(Target::Half), prop::array::uniform2(floats()).prop_map(Target::Box), prop::collection::vec(floats(), 0..5).prop_map(|c| Target::Polygon(c.into()))],
                 prop::collection::btree_set(0u32..1000, 1..8),
                 prop::collection::vec(proof(), 0..4),
             ), 0..5),

@@ -8,14 +8,10 @@ use std::cmp::Ordering;
 use super::{Id, Meeting, Space};
 
 impl Space {
-    /// The sign for a ray that is known to be on all of `tight`.
+    /// The sign for a ray that is known to be on all of `tight`, where doubles could not tell.
     ///
     /// Whoever lies on three edges of one face lies on all edges in its plane.
-    pub fn ray_side(&mut self, ray: Id, line: Id, tight: impl Iterator<Item = Id>) -> Ordering {
-        if let Some(sign) = self.filtered_side(ray, line) {
-            self.decisions.filtered += 1;
-            return sign;
-        }
+    pub fn unfiltered_ray_side(&mut self, ray: Id, line: Id, tight: impl Iterator<Item = Id>) -> Ordering {
         if let Some(sign) = self.refined_side(ray, line) {
             return sign;
         }

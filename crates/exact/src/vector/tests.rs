@@ -1,0 +1,90 @@
+//! Bounds hold: every ray is as near to its integers as it says, however it was computed.
+
+use dashu_int::IBig;
+use glam::DVec3;
+use proptest::prelude::*;
+
+use super::{Id, Space};
+use crate::cone::Region;
+use crate::double::Double;
+use crate::frame::Frame;
+use crate::number::rounded_double;
+use crate::polygon::Polygon;
+use crate::prism;
+use crate::query::parts;
+
+fn point() -> impl Strategy<Value = DVec3> {
+    prop::array::uniform3(-64i32..64).prop_map(|p| DVec3::from(p.map(f64::from)) / 64.0)
+}
+
+/// How far a vector is from integers that are it up to a factor, at most: scaled to agree in the greatest component.
+fn off(x: [Double; 6], exact: &[IBig; 6]) -> f64 {
+    let y = rounded_double(exact);
+    let k = (0..6).max_by(|i, j| y[*i].0.abs().total_cmp(&y[*j].0.abs())).unwrap();
+    let scale = x[k].over(y[k]);
+    assert!(scale.0 > 0.0, "turned round: {x:?} {y:?}");
+    (0..6).map(|i| x[i].minus(y[i].times(scale)).0.abs()).fold(0.0, f64::max)
+}
+
+/// Regions between two triangles cut by lines through points and points next to them, which meet at all angles, small ones among
+/// them.
+fn regions(a: [DVec3; 3], b: [DVec3; 3], cuts: &[(DVec3, DVec3, f64)]) -> Option<(Space, Vec<Region>)> {
+    let (a, b) = (Polygon::triangle(a)?, Polygon::triangle(b)?);
+    let [x, y] = parts(&a, &b).into_iter().next()?;
+    let mut space = Space::new(Frame::around(&x.0.rounded(), &y.0.rounded()));
+    let pair = prism::stabbing(&mut space, (&x.0, &x.1), (&y.0, &y.1)).ok()?;
+    let mut regions = pair.regions;
+    let mut sides = Vec::new();
+    for (p, q, near) in cuts {
+        for by in [0.0, *near] {
+            let ends = [*p, *q + DVec3::new(by, -by, 0.0)].map(|p| {
+                let p = space.frame().given(p);
+                space.point(p)
+            });
+            let line = space.join(ends[0], ends[1]);
+            let mut next = Vec::new();
+            for region in regions {
+                region.sides(&mut space, line, &mut sides);
+                let both =
+                    [std::cmp::Ordering::Less, std::cmp::Ordering::Greater].map(|s| sides.contains(&s));
+                if both == [true, true] {
+                    next.extend(region.split(&mut space, line, &sides).ok()?);
+                } else {
+                    next.push(region);
+                }
+            }
+            next.truncate(6);
+            regions = next;
+        }
+    }
+    Some((space, regions))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(128))]
+
+    #[test]
+    fn rays_are_as_near_as_they_say(
+        a in prop::array::uniform3(point()), b in prop::array::uniform3(point()),
+        cuts in prop::collection::vec((point(), point(), prop_oneof![Just(0.01), Just(1e-5), Just(1e-9)]), 1..7),
+    ) {
+        let Some((mut space, regions)) = regions(a, b.map(|p| p + DVec3::new(0.0, 0.0, 3.0)), &cuts) else {
+            return Ok(());
+        };
+        for region in &regions {
+            for (ray, tight) in &region.rays {
+                let x = space.rounded(*ray).map(|c| Double(c, 0.0));
+                let error = space.error(*ray);
+                let lines: Vec<Id> = region.tight(*tight).collect();
+                let solved = space.solved(*space.rounded(*ray), error, &lines);
+                let exact = space.exact(*ray).clone();
+                // What agrees in the greatest component is off by up to three times as much.
+                prop_assert!(off(x, &exact) <= 3.1 * error + 1e-30, "{} {error}", off(x, &exact));
+                if let Some((x, error)) = solved {
+                    prop_assert!(off(x, &exact) <= 3.1 * error + 1e-30, "{} {error}", off(x, &exact));
+                    prop_assert!(error < 1e-10, "{error}");
+                }
+            }
+        }
+    }
+}
