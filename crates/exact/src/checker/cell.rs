@@ -25,6 +25,9 @@ use super::witness::{around, inside, meets};
 use super::{Corners, Refusal, check_hidden, check_polygons, clip};
 use crate::evidence::{Evidence, Hidden, Target, Witness, faces};
 
+/// Most corners of a polygon that is hidden as a whole: more than any has, and few enough to check at once.
+const MOST_CORNERS: usize = 64;
+
 /// What a result claims about one cell.
 #[derive(Clone, Copy, Debug)]
 pub struct CellClaims<'a> {
@@ -385,6 +388,9 @@ fn check_group(
             if has_area(&all[id as usize]) { vec![exact(&all[id as usize]).into()] } else { Vec::new() }
         }
         Target::Polygon(corners) => {
+            if corners.len() > MOST_CORNERS {
+                return Err(format!("its polygon has more than {MOST_CORNERS} corners"));
+            }
             let corners: Corners = corners.iter().map(|c| point(c.as_dvec3().to_array())).collect();
             let target = [corners];
             // The checks that follow are about a polygon that is convex and flat.

