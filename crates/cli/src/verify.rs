@@ -84,7 +84,7 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     print(&format!(
         "accepted: {pairs} pairs of cell and triangle in {} cells\n\
          seen: {} with a witness ({witnesses} checked), {} meet their cell ({meeting} checked)\n\
-         hidden: {by_surface} by the closed surface they are part of, {in_boxes} in hidden boxes, {alone} one by one; \
+         hidden: {by_surface} by the closed surface they are part of, {in_boxes} in hidden boxes, {alone} alone or with their polygon; \
          {} certificates ({certificates} checked), {} bytes with the witnesses\n\
          neither: {} undecided, {} without area",
         pvs.cells(),
@@ -112,7 +112,7 @@ pub fn evidence(pvs: &Pvs, cell: u32) -> Result<Option<Evidence>, String> {
 struct Totals {
     all: [u64; 3],
     checked: [u64; 3],
-    /// Pairs hidden by surfaces, in boxes, and one by one.
+    /// Pairs hidden by surfaces, in boxes, and alone or with their polygon.
     hidden: [u64; 3],
     undecided: u64,
     bytes: u64,
