@@ -12,7 +12,7 @@ use std::cmp::Ordering;
 use std::sync::OnceLock;
 
 use glam::Vec3;
-use sightline_scene::exact::{collinear, orient2d_sign, orient3d_sign};
+use sightline_scene::exact::{orient2d_sign, orient3d_sign};
 use sightline_scene::topology::corner_vertices;
 use sightline_scene::{Scene, SceneError};
 
@@ -28,8 +28,6 @@ pub struct Occluder {
     pub border: Vec<[Vec3; 2]>,
     /// The same by numbers of corners, equal where positions are.
     pub rim: Vec<[u32; 2]>,
-    /// Indices into `border`, one for each line; the others run along one of these.
-    pub lines: Vec<u32>,
 }
 
 impl Occluder {
@@ -346,20 +344,7 @@ impl Face {
         let mut members = self.triangles.clone();
         members.sort_unstable();
         let (rim, border) = border(&members, triangles, corners);
-        let mut lines: Vec<u32> = Vec::new();
-        for (i, e) in border.iter().enumerate() {
-            let along = |o: &u32| {
-                let f = border[*o as usize];
-                let same_way = (0..3).all(|k| {
-                    (f[1][k] > f[0][k]) == (e[1][k] > e[0][k]) && (f[1][k] < f[0][k]) == (e[1][k] < e[0][k])
-                });
-                same_way && collinear(f[0], f[1], e[0]) && collinear(f[0], f[1], e[1])
-            };
-            if !lines.iter().any(along) {
-                lines.push(i as u32);
-            }
-        }
-        Occluder { triangles: members, border, rim, lines }
+        Occluder { triangles: members, border, rim }
     }
 }
 
