@@ -71,27 +71,38 @@ impl Region {
             base = &compacted;
         }
         let bit = 1u128 << base.halves.len();
-        let halves: Rc<[Id]> = base.halves.iter().copied().chain([line]).collect();
+        let mut halves = Vec::with_capacity(base.halves.len() + 1);
+        halves.extend_from_slice(&base.halves);
+        halves.push(line);
+        let halves: Rc<[Id]> = halves.into();
+        let kept = |keep: Ordering| sides.iter().filter(|s| **s != keep.reverse()).count();
         let mut parts = [Ordering::Less, Ordering::Greater].map(|keep| {
-            let rays = base.rays.iter().zip(sides).filter(|(_, s)| **s != keep.reverse());
-            let mut rays: Vec<(Id, Tight)> =
-                rays.map(|((r, t), s)| (*r, if *s == Ordering::Equal { t | bit } else { *t })).collect();
-            rays.reserve(8);
+            // A cut or two for each ray that is left out.
+            let most = 2 * sides.len() - kept(keep);
+            let mut rays: Vec<(Id, Tight)> = Vec::with_capacity(most);
+            rays.extend(
+                base.rays
+                    .iter()
+                    .zip(sides)
+                    .filter(|(_, s)| **s != keep.reverse())
+                    .map(|((r, t), s)| (*r, if *s == Ordering::Equal { t | bit } else { *t })),
+            );
             Self { rays, halves: halves.clone() }
         });
+        let mut cut = |i: usize, j: usize| {
+            let ((p, tp), (n, tn)) = (base.rays[i], base.rays[j]);
+            let common = tp & tn;
+            let on = || Self::lines(&halves, common | bit).collect();
+            let cut = space.cut([p, n], line, on);
+            parts.iter_mut().for_each(|part| part.rays.push((cut, common | bit)));
+        };
         let edges = Edges::new(base);
-        for (i, (p, tp)) in base.rays.iter().enumerate() {
-            if sides[i] != Ordering::Greater {
-                continue;
-            }
-            for (j, (n, tn)) in base.rays.iter().enumerate() {
-                let common = tp & tn;
-                if sides[j] == Ordering::Less && edges.joined(base, [i, j], common) {
-                    let on = || Self::lines(&halves, common | bit).collect();
-                    let cut = space.cut([*p, *n], line, on);
-                    parts.iter_mut().for_each(|part| part.rays.push((cut, common | bit)));
+        for i in (0..sides.len()).filter(|i| sides[*i] == Ordering::Greater) {
+            edges.neighbours(base, i, |j| {
+                if sides[j] == Ordering::Less {
+                    cut(i, j);
                 }
-            }
+            });
         }
         Ok(parts)
     }
@@ -134,6 +145,41 @@ impl Edges {
         Self { on }
     }
 
+    /// The rays that share an edge with the `i`-th.
+    ///
+    /// The tight half-spaces of an extreme ray have rank 5. If there are five of them each is needed, and any four are tight along an
+    /// edge and nowhere else: the one other ray where they are is its other end.
+    fn neighbours(&self, region: &Region, i: usize, mut found: impl FnMut(usize)) {
+        let tight = region.rays[i].1;
+        match &self.on {
+            Some(on) if tight.count_ones() == 5 => {
+                let mut of = [0u128; 5];
+                let mut left = tight;
+                for set in &mut of {
+                    *set = on[left.trailing_zeros() as usize];
+                    left &= left - 1;
+                }
+                let [a, b, c, d, e] = of;
+                let (ab, de) = (a & b, d & e);
+                let abc = ab & c;
+                let cde = c & de;
+                for edge in [b & cde, a & cde, ab & de, abc & e, abc & d] {
+                    let other = edge & !(1 << i);
+                    if other.is_power_of_two() {
+                        found(other.trailing_zeros() as usize);
+                    }
+                }
+            }
+            _ => {
+                for j in (0..region.rays.len()).filter(|j| *j != i) {
+                    if self.joined(region, [i, j], tight & region.rays[j].1) {
+                        found(j);
+                    }
+                }
+            }
+        }
+    }
+
     /// Whether two rays, both tight at `common`, share an edge: no third is tight at all of it.
     fn joined(&self, region: &Region, [i, j]: [usize; 2], common: Tight) -> bool {
         // Along an edge at least four half-spaces are tight: it is where five dimensions less one meet in a line.
@@ -155,5 +201,23 @@ impl Edges {
             left &= left - 1;
         }
         rays == two
+    }
+}
+
+#[cfg(test)]
+impl Region {
+    /// For each ray those that share an edge with it: as they are found, and by looking at all pairs and all third rays.
+    pub fn neighbours_twice(&self, i: usize) -> [Vec<usize>; 2] {
+        let edges = Edges::new(self);
+        let mut found = Vec::new();
+        edges.neighbours(self, i, |j| found.push(j));
+        found.sort_unstable();
+        let tight = |j: usize| self.rays[j].1;
+        let joined = |j: &usize| {
+            let common = tight(i) & tight(*j);
+            let third = |k: usize| k != i && k != *j && tight(k) & common == common;
+            *j != i && common.count_ones() >= 4 && !(0..self.rays.len()).any(third)
+        };
+        [found, (0..self.rays.len()).filter(joined).collect()]
     }
 }

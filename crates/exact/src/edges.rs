@@ -7,15 +7,22 @@ use rustc_hash::FxHashMap;
 use sightline_scene::exact::collinear;
 
 use crate::local::{Edge, Local};
+use crate::query::with_room;
 use crate::vector::Id;
 
 /// Lines made so far.
-#[derive(Default)]
 pub struct EdgeLines {
     /// By the numbers of an edge's corners, the lesser first: its line, and whether that runs from the greater.
     edges: FxHashMap<[u32; 2], (Id, bool)>,
     /// By their fingerprints: what is the same line is in the same bucket, or the next. Each with two points it goes through.
     buckets: FxHashMap<i64, Vec<(Id, [Vec3; 2])>>,
+}
+
+impl EdgeLines {
+    /// None yet.
+    pub fn new() -> Self {
+        Self { edges: with_room(64), buckets: with_room(64) }
+    }
 }
 
 impl Local<'_> {
@@ -28,7 +35,7 @@ impl Local<'_> {
         let back = corners[0] > corners[1];
         let key = if back { [corners[1], corners[0]] } else { corners };
         if let Some((line, flipped)) = self.lines.edges.get(&key) {
-            return Edge { corners, line: *line, flipped: *flipped != back };
+            return Edge { line: *line, flipped: *flipped != back };
         }
         let [a, b] = [self.corner(corners[0], p), self.corner(corners[1], q)];
         let new = self.space.join(a, b);
@@ -45,7 +52,7 @@ impl Local<'_> {
             }
         };
         self.lines.edges.insert(key, (line, flipped != back));
-        Edge { corners, line, flipped }
+        Edge { line, flipped }
     }
 }
 

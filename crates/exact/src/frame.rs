@@ -20,6 +20,8 @@ pub struct Frame {
     origin: DVec3,
     rows: [[i32; 3]; 3],
     shift: [i32; 3],
+    /// 2^(shift − 6).
+    scale: [f64; 3],
 }
 
 /// A point in a frame: rounded, how far each coordinate may be off, and where it really is.
@@ -90,47 +92,43 @@ impl Frame {
         let shift = std::array::from_fn(|i| {
             let r = DVec3::from(rows[i].map(f64::from)) / STEPS;
             let extent = all().fold(0.0f64, |m, d| m.max(d.dot(r).abs()));
-            if extent > 0.0 && extent.is_finite() {
-                -(extent.log2().ceil() as i32).clamp(-500, 500)
-            } else {
-                0
-            }
+            if extent > 0.0 && extent.is_finite() { -above(extent).clamp(-500, 500) } else { 0 }
         });
         // A pair that is flat across its axis is not to be blown up without measure.
         let least = shift.iter().copied().min().unwrap_or(0);
-        Self { origin, rows, shift: shift.map(|s: i32| s.min(least + 24)) }
+        let shift = shift.map(|s: i32| s.min(least + 24));
+        Self { origin, rows, shift, scale: shift.map(|s| f64::powi(2.0, s - 6)) }
     }
 
     /// A point given in doubles.
     ///
     /// A difference is exact in pairs; three products and two sums err by a step each of at most Σ |row · (p − origin)|.
     pub fn given(&self, p: DVec3) -> Point {
-        let (at, error) = self.local(p);
         let d: [Double; 3] = std::array::from_fn(|j| Double::difference(p[j], self.origin[j]));
         let mut fine_error = 0.0f64;
-        let fine = std::array::from_fn(|i| {
-            let scale = f64::powi(2.0, self.shift[i] - 6);
+        let fine: [Double; 3] = std::array::from_fn(|i| {
+            let scale = self.scale[i];
             let t: [Double; 3] = std::array::from_fn(|j| d[j].times(Double(f64::from(self.rows[i][j]), 0.0)));
             fine_error = fine_error.max(8.0 * STEP * scale * t.iter().map(|t| t.0.abs()).sum::<f64>());
             t[0].plus(t[1]).plus(t[2]).scaled(scale)
         });
-        Point { at, error, fine: (fine, fine_error), place: Place::World(Source::Given(p)) }
+        // Off by the second double of each, too.
+        let error = (fine.iter().fold(0.0f64, |m, c| m.max(c.1.abs())) + fine_error) * (1.0 + 4.0 * U);
+        Point {
+            at: fine.map(|c| c.0),
+            error,
+            fine: (fine, fine_error),
+            place: Place::World(Source::Given(p)),
+        }
     }
 
-    /// The coordinates of a point given in doubles, and how far each may be off.
-    ///
-    /// A difference, a product and two sums are rounded, each by at most u of sums of magnitudes that do not
-    /// exceed M = Σ |row · (p − origin)|, so 5uM is a bound; 8u covers computing it.
-    pub fn local(&self, p: DVec3) -> ([f64; 3], f64) {
+    /// The coordinates of a point given in doubles, rounded.
+    pub fn near(&self, p: DVec3) -> DVec3 {
         let d = p - self.origin;
-        let mut error = 0.0f64;
-        let at = std::array::from_fn(|i| {
-            let scale = f64::powi(2.0, self.shift[i] - 6);
-            let terms: [f64; 3] = std::array::from_fn(|j| f64::from(self.rows[i][j]) * d[j]);
-            error = error.max(8.0 * U * scale * terms.iter().map(|t| t.abs()).sum::<f64>());
-            (terms[0] + terms[1] + terms[2]) * scale
-        });
-        (at, error)
+        DVec3::from(std::array::from_fn(|i| {
+            let [x, y, z] = self.rows[i].map(f64::from);
+            (x * d.x + y * d.y + z * d.z) * self.scale[i]
+        }))
     }
 
     /// A point given by homogeneous integers in world space.
@@ -222,6 +220,12 @@ impl Frame {
             [x << least as usize, y << least as usize, z << least as usize, w]
         }
     }
+}
+
+/// The least k with x ≤ 2^k, for normal x > 0; by its bits, since logarithms are not rounded the same everywhere.
+fn above(x: f64) -> i32 {
+    let (exponent, fraction) = ((x.to_bits() >> 52) as i32 - 1023, x.to_bits() << 12);
+    exponent + i32::from(fraction != 0)
 }
 
 fn determinant(m: &[[i32; 3]; 3]) -> i64 {

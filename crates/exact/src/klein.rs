@@ -26,61 +26,53 @@ pub enum Contents {
 }
 
 /// Looks for real lines in a region; up to `most` of them.
-pub fn contents(space: &mut Space, region: &Region, most: usize) -> Contents {
+pub fn contents(space: &mut Space, region: &Region, most: usize, forms: &mut Forms) -> Contents {
     let n = region.rays.len();
-    let x: Vec<[f64; 6]> = region.rays.iter().map(|(r, _)| *space.rounded(*r)).collect();
-    let centre: [f64; 6] = std::array::from_fn(|i| x.iter().map(|v| v[i]).sum::<f64>() / n as f64);
-    let at_centre = klein(&centre, &centre);
-    let turn = if at_centre > 0.0 { -1.0 } else { 1.0 };
+    forms.begin(space, region);
+    let at_centre = klein(&forms.centre, &forms.centre);
+    forms.turn = if at_centre > 0.0 { -1.0 } else { 1.0 };
     // No form of two of these rays is off by more: no component exceeds 1, and six of them are at most 6.
     let error = region.rays.iter().fold(0.0f64, |m, (r, _)| m.max(space.error(*r)));
     let bound = 48.0 * U + 13.0 * error + 7.0 * error * error;
-    let mut forms = Forms::new(&x, turn);
     // How many signs are sure, in doubles so that several are counted at once.
     let (mut right, mut wrong, mut sure) = (false, false, 0.0f64);
-    // The pairs on the other side of the quadric than the centre, those farthest from it first.
-    let mut towards: Vec<(f64, usize, usize)> = Vec::with_capacity(4 * most + 1);
+    // How far pairs of each ray and those after it get to the other side of the quadric than the centre.
+    let mut farthest = std::mem::take(&mut forms.farthest);
+    farthest.clear();
     for i in 0..n {
-        let row = forms.row(i);
         let (mut least, mut greatest) = (f64::INFINITY, f64::NEG_INFINITY);
-        for value in row {
+        for value in forms.row(i) {
             least = if *value < least { *value } else { least };
             greatest = if *value > greatest { *value } else { greatest };
             sure += if value.abs() > bound { 1.0 } else { 0.0 };
         }
         right |= least < -bound;
         wrong |= greatest > bound;
-        let enough = |towards: &Vec<(f64, usize, usize)>| {
-            if towards.len() < 4 * most { 0.0 } else { towards[towards.len() - 1].0 }
-        };
-        if greatest <= enough(&towards) {
-            continue;
-        }
-        for (j, value) in row.iter().enumerate() {
-            if *value > enough(&towards) {
-                let at = towards.partition_point(|t| t.0 >= *value);
-                towards.insert(at, (*value, i, i + j));
-                towards.truncate(4 * most);
-            }
-        }
+        farthest.push(greatest);
     }
     space.decisions.filtered += sure as u64;
-    let both = right && wrong || both_signs(space, region, &mut forms, bound, [right, wrong]);
-    if !both {
-        return Contents::Nothing;
-    }
-    let mut lines: Vec<(f64, [f64; 6])> = Vec::new();
-    for (_, i, j) in &towards {
-        // Values of the form below this are rounding and would lead to lines that are none.
-        let noise = 64.0 * U + 16.0 * error;
-        let Some(end) = beyond(&x[*i], &x[*j], at_centre, noise) else { continue };
-        // K((1−t)c + te) = 0 with K(c), K(e) of different signs.
-        let (c, m, e) = (at_centre, klein(&centre, &end), klein(&end, &end));
-        let t = crossing(c, m, e);
-        lines.push((t, std::array::from_fn(|k| (1.0 - t) * centre[k] + t * end[k])));
-        if lines.len() == most {
+    let both = right && wrong || both_signs(space, region, forms, bound, [right, wrong]);
+    let mut lines: Vec<(f64, [f64; 6])> = Vec::with_capacity(most);
+    while both && lines.len() < most {
+        let first = |b: usize, i: usize| if farthest[i] > farthest[b] { i } else { b };
+        let i = (1..n).fold(0, first);
+        let value = std::mem::replace(&mut farthest[i], 0.0);
+        if value.is_nan() || value <= 0.0 {
             break;
         }
+        let j = i + forms.row(i).iter().position(|v| *v == value).unwrap_or(0);
+        // Values of the form below this are rounding and would lead to lines that are none.
+        let noise = 64.0 * U + 16.0 * error;
+        let (a, b) = (space.rounded(region.rays[i].0), space.rounded(region.rays[j].0));
+        let Some(end) = beyond(a, b, at_centre, noise) else { continue };
+        // K((1−t)c + te) = 0 with K(c), K(e) of different signs.
+        let (c, m, e) = (at_centre, klein(&forms.centre, &end), klein(&end, &end));
+        let t = crossing(c, m, e);
+        lines.push((t, std::array::from_fn(|k| (1.0 - t) * forms.centre[k] + t * end[k])));
+    }
+    forms.farthest = farthest;
+    if !both {
+        return Contents::Nothing;
     }
     if lines.is_empty() {
         return Contents::Unsure;
@@ -124,31 +116,59 @@ fn both_signs(
     false
 }
 
-/// The form on all pairs of some rays, a row at a time.
-struct Forms {
+/// The form on all pairs of a region's rays, a row at a time.
+#[derive(Default)]
+pub struct Forms {
     /// The components of all rays, one component after the other, so that a row is computed several pairs at once.
     columns: [Vec<f64>; 6],
+    /// Their mean.
+    centre: [f64; 6],
+    /// What the form is multiplied by: 1 or −1.
     turn: f64,
     row: Vec<f64>,
+    /// For each ray the greatest form with itself and those that follow.
+    farthest: Vec<f64>,
 }
 
 impl Forms {
-    /// Of rays, times 1 or −1.
-    fn new(x: &[[f64; 6]], turn: f64) -> Self {
-        let columns = std::array::from_fn(|k| x.iter().map(|v| v[k]).collect());
-        Self { columns, turn, row: Vec::with_capacity(x.len()) }
+    /// Goes on to another region.
+    fn begin(&mut self, space: &Space, region: &Region) {
+        self.columns.iter_mut().for_each(Vec::clear);
+        let mut sum = [0.0; 6];
+        for (ray, _) in &region.rays {
+            for ((column, x), s) in self.columns.iter_mut().zip(space.rounded(*ray)).zip(&mut sum) {
+                column.push(*x);
+                *s += x;
+            }
+        }
+        self.centre = sum.map(|s| s / region.rays.len() as f64);
+        self.turn = 1.0;
+    }
+
+    /// The form of all rays with a line.
+    pub fn against(&self, line: &[f64; 6], out: &mut Vec<f64>) {
+        forms(self.columns.each_ref().map(|c| &c[..]), *line, out);
     }
 
     /// The form of a ray with itself and all that follow.
     fn row(&mut self, i: usize) -> &[f64] {
-        let [a, b, c, d, e, f] = self.columns.each_ref().map(|c| &c[i..]);
-        let [p, q, r, s, t, u] = [a[0], b[0], c[0], d[0], e[0], f[0]].map(|c| self.turn * c);
-        let n = a.len();
-        // Slices of one length need no check inside the loop.
-        let (b, c, d, e, f) = (&b[..n], &c[..n], &d[..n], &e[..n], &f[..n]);
-        self.row.clear();
-        self.row.extend((0..n).map(|j| (p * d[j] + q * e[j] + r * f[j]) + (s * a[j] + t * b[j] + u * c[j])));
+        let columns = self.columns.each_ref().map(|c| &c[i..]);
+        let ray = columns.map(|c| self.turn * c[0]);
+        forms(columns, ray, &mut self.row);
         &self.row
+    }
+}
+
+/// The form of one vector with many, given by columns.
+fn forms(columns: [&[f64]; 6], with: [f64; 6], out: &mut Vec<f64>) {
+    let n = columns[0].len();
+    out.resize(n, 0.0);
+    // Slices of one length, so that nothing is checked inside the loop and several are computed at once.
+    let [a, b, c, d, e, f] = columns.map(|c| &c[..n]);
+    let out = &mut out[..n];
+    let [p, q, r, s, t, u] = with;
+    for j in 0..n {
+        out[j] = (p * d[j] + q * e[j] + r * f[j]) + (s * a[j] + t * b[j] + u * c[j]);
     }
 }
 
@@ -194,6 +214,9 @@ pub fn polar(space: &Space, region: &Region) -> Option<[f64; 6]> {
 /// Bits behind the point of rays and parameters where doubles are too coarse.
 const FINE: usize = 256;
 
+/// Pairs of rays that are tried where rounding has misled.
+const MOST_TRIED: usize = 8;
+
 /// A line inside a region, real to 2⁻²⁵⁶: for regions so thin that doubles do not show what is in them. None where no pair
 /// of rays shows a change of sign.
 pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
@@ -201,7 +224,9 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     let rays: Vec<[IBig; 6]> = region
         .rays
         .iter()
-        .map(|(r, _)| {
+        .map(|(r, tight)| {
+            let on: Vec<Id> = region.tight(*tight).collect();
+            space.sharpen_from(*r, &on);
             let x = space.exact(*r);
             let longest = x.iter().map(|c| c.bit_len()).max().unwrap_or(0);
             x.clone().map(|c| if longest > FINE { c >> (longest - FINE) } else { c << (FINE - longest) })
@@ -211,27 +236,39 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     let centre = rays[1..].iter().fold(rays[0].clone(), |s, r| sum(&s, r));
     let c = klein_exact(&centre, &centre);
     let wrong = |x: IBig| if sign(&c) == Ordering::Greater { -x } else { x };
-    let mut best: Option<(IBig, [IBig; 6])> = None;
+    // Which pairs get farthest to the other side, by doubles; what that comes to is decided by integers. Scaled, lest products
+    // overflow.
+    let scale = f64::powi(2.0, -2 * FINE as i32);
+    let form = |a: &[IBig; 6], b: &[IBig; 6]| wrong(klein_exact(a, b)).to_f64().value() * scale;
+    let own: Vec<f64> = rays.iter().map(|a| form(a, a)).collect();
+    let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
     for (i, a) in rays.iter().enumerate() {
-        let p = wrong(klein_exact(a, a));
-        for b in &rays[i..] {
-            let (q, r) = (wrong(klein_exact(a, b)), wrong(klein_exact(b, b)));
-            let bend = &p - &q - &q + &r;
-            // The best mix of the two: at (p − q)/bend if it bends down and the best is between them.
-            let mixed = sign(&bend) == Ordering::Less && p < q && r < q;
-            let end: [IBig; 6] = if mixed {
-                let (s, t) = (&q - &r, &q - &p);
-                std::array::from_fn(|k| (&a[k] * &s + &b[k] * &t) / (&s + &t))
-            } else {
-                a.clone()
-            };
-            let value = wrong(klein_exact(&end, &end));
-            if sign(&value) == Ordering::Greater && best.as_ref().is_none_or(|(v, _)| value > *v) {
-                best = Some((value, end));
+        pairs.push((own[i], i, i));
+        for (j, b) in rays.iter().enumerate().skip(i + 1) {
+            let (p, q, r) = (own[i], form(a, b), own[j]);
+            // The best mix of the two is between them if the form is greater on the pair than on either.
+            if p < q && r < q {
+                pairs.push(((q * q - p * r) / (2.0 * q - p - r), i, j));
             }
         }
     }
-    let (_, end) = best?;
+    // Those of which rounding does not tell among them.
+    pairs.retain(|pair| pair.0 > -1e-14);
+    pairs.sort_by(|x, y| y.0.total_cmp(&x.0));
+    let mixed = |(i, j): (usize, usize)| -> [IBig; 6] {
+        let (a, b) = (&rays[i], &rays[j]);
+        if i == j {
+            return a.clone();
+        }
+        let [p, q, r] = [(a, a), (a, b), (b, b)].map(|(x, y)| wrong(klein_exact(x, y)));
+        let (s, t) = (&q - &r, &q - &p);
+        std::array::from_fn(|k| (&a[k] * &s + &b[k] * &t) / (&s + &t))
+    };
+    let end = pairs
+        .iter()
+        .take(MOST_TRIED)
+        .map(|(_, i, j)| mixed((*i, *j)))
+        .find(|end| sign(&wrong(klein_exact(end, end))) == Ordering::Greater)?;
     let (m, e) = (klein_exact(&centre, &end), klein_exact(&end, &end));
     let whole = IBig::ONE << FINE;
     let (mut low, mut high) = (IBig::ZERO, whole.clone());
@@ -247,16 +284,9 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
 
 /// The t in [0, 1] at which c(1−t)² + 2m t(1−t) + e t² vanishes, c and e having different signs.
 fn crossing(c: f64, m: f64, e: f64) -> f64 {
-    // Bisection: immune to cancellation.
-    let at = |t: f64| c * (1.0 - t) * (1.0 - t) + 2.0 * m * t * (1.0 - t) + e * t * t;
-    let (mut low, mut high) = (0.0, 1.0);
-    for _ in 0..52 {
-        let middle = 0.5 * (low + high);
-        if (at(middle) > 0.0) == (c > 0.0) {
-            low = middle;
-        } else {
-            high = middle;
-        }
-    }
-    0.5 * (low + high)
+    // With t = s/(1 + s), s is the positive root of e s² + 2m s + c, without a difference of like numbers.
+    let root = (m * m - c * e).sqrt();
+    let s =
+        if (m > 0.0) == (e > 0.0) { -c / (m.abs() + root).copysign(e) } else { (m.abs() + root) / e.abs() };
+    if s.is_finite() { (s / (1.0 + s)).clamp(0.0, 1.0) } else { 1.0 }
 }

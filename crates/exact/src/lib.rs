@@ -27,6 +27,7 @@ mod prism;
 pub mod proof;
 pub mod query;
 mod rays;
+mod rims;
 mod rows;
 mod segment;
 pub mod surface;

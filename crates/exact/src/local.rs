@@ -10,6 +10,7 @@ use rustc_hash::FxHashMap;
 use crate::cone::Region;
 use crate::edges::EdgeLines;
 use crate::frame::Source;
+use crate::klein::Forms;
 use crate::occluder::Occluders;
 use crate::polygon::Polygon;
 use crate::prism::{self, Pair};
@@ -32,19 +33,34 @@ const FINE: usize = 240;
 pub struct Constraints {
     /// The occluders of the scene it is made of, each with whether it is turned round; ascending.
     pub members: Vec<(u32, bool)>,
-    /// Whether all of it is between the polygons.
-    pub between: bool,
-    /// Line, whether it runs the other way, and the constraint's number in a proof.
-    pub lines: Vec<(Id, bool, u16)>,
-    /// All edges of the border, where all of it is between the polygons.
-    pub edges: Vec<Edge>,
+    /// All that bounds what it blocks.
+    pub lines: Vec<Constraint>,
+}
+
+/// One half-space of an occluder.
+#[derive(Clone, Copy)]
+pub struct Constraint {
+    /// Its line.
+    pub line: Id,
+    /// Whether the border runs the other way.
+    pub flipped: bool,
+    /// Its number in a proof.
+    pub number: u16,
+    /// The rounded line of [`Rows`], and whether the border runs the other way than that; none where a plane cuts the occluder.
+    pub row: Option<(u32, bool)>,
+}
+
+/// Where an occluder is: whether part of it is on the other polygon's side of A's plane and of B's, and whether part of it is on the
+/// side that is away from it.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Extent {
+    within: [bool; 2],
+    beyond: [bool; 2],
 }
 
 /// An edge of an occluder's border.
 #[derive(Clone, Copy)]
 pub struct Edge {
-    /// The numbers of its corners, in the direction of the border.
-    pub corners: [u32; 2],
     /// Its line.
     pub line: Id,
     /// Whether the line runs the other way.
@@ -52,11 +68,12 @@ pub struct Edge {
 }
 
 /// The lines of a border, one constraint for each.
-pub fn lines_of(edges: &[Edge]) -> Vec<(Id, bool, u16)> {
-    let mut lines: Vec<(Id, bool, u16)> = Vec::with_capacity(edges.len() + 2);
-    for (number, e) in edges.iter().enumerate() {
-        if !lines.iter().any(|l| l.0 == e.line && l.1 == e.flipped) {
-            lines.push((e.line, e.flipped, number as u16));
+pub fn lines_of(edges: &[Edge], rim: &[[u32; 2]], rows: &Rows) -> Vec<Constraint> {
+    let mut lines: Vec<Constraint> = Vec::with_capacity(edges.len() + 2);
+    for (number, (e, corners)) in edges.iter().zip(rim).enumerate() {
+        if !lines.iter().any(|l| l.line == e.line && l.flipped == e.flipped) {
+            let row = rows.line(*corners).map(|row| (row, corners[0] > corners[1]));
+            lines.push(Constraint { line: e.line, flipped: e.flipped, number: number as u16, row });
         }
     }
     lines
@@ -69,6 +86,8 @@ pub struct Local<'a> {
     pub known: Vec<Constraints>,
     /// Corners of the scene as points of the space, by number, and their sides of A's plane and of B's, if asked for.
     pub corners: FxHashMap<u32, (u32, Option<[Ordering; 2]>)>,
+    /// Where occluders are that were asked about.
+    pub extents: FxHashMap<u32, Extent>,
     /// Where in `known` an occluder is; none where it is not between the polygons.
     pub places: FxHashMap<u32, Option<usize>>,
     /// Where in `known` several occluders are that were joined.
@@ -77,6 +96,10 @@ pub struct Local<'a> {
     pub lines: EdgeLines,
     /// On which sides of them the rays of the region at hand are.
     pub rows: Rows,
+    /// The Klein form on the rays of the region at hand.
+    pub forms: Forms,
+    /// Sides of rays, kept for their memory.
+    pub sides: Vec<Ordering>,
     /// Triangles a line may meet, kept for their memory.
     pub candidates: Vec<u32>,
     /// Both polygons, with their vertices rounded.
@@ -232,22 +255,40 @@ impl Local<'_> {
         sides
     }
 
-    fn make_constraints(&mut self, scene: &Occluders, id: u32) -> Option<usize> {
+    /// Where an occluder is.
+    fn extent(&mut self, scene: &Occluders, id: u32) -> Extent {
+        if let Some(known) = self.extents.get(&id) {
+            return *known;
+        }
+        let good = [self.pair.ahead, self.pair.behind];
+        let mut extent = Extent::default();
         let occluder = scene.occluder(id);
-        let planes = [(self.pair.a.clone(), self.pair.ahead), (self.pair.b.clone(), self.pair.behind)];
-        let (mut within, mut beyond) = ([false; 2], [false; 2]);
         for (number, at) in occluder.rim.iter().zip(&occluder.border) {
             let sides = self.corner_sides(number[0], at[0]);
             for k in 0..2 {
-                within[k] |= sides[k] == planes[k].1;
-                beyond[k] |= sides[k] == planes[k].1.reverse();
+                extent.within[k] |= sides[k] == good[k];
+                extent.beyond[k] |= sides[k] == good[k].reverse();
             }
         }
+        self.extents.insert(id, extent);
+        extent
+    }
+
+    /// Whether all of an occluder is between the polygons.
+    pub fn is_between(&mut self, scene: &Occluders, id: u32) -> bool {
+        let extent = self.extent(scene, id);
+        extent.within == [true; 2] && extent.beyond == [false; 2]
+    }
+
+    fn make_constraints(&mut self, scene: &Occluders, id: u32) -> Option<usize> {
+        let Extent { within, beyond } = self.extent(scene, id);
         if within.contains(&false) {
             return None;
         }
+        let occluder = scene.occluder(id);
+        let planes = [(self.pair.a.clone(), self.pair.ahead), (self.pair.b.clone(), self.pair.behind)];
         let edges = self.edges(&occluder.rim, &occluder.border);
-        let mut lines = lines_of(&edges);
+        let mut lines = lines_of(&edges, &occluder.rim, &self.rows);
         if beyond.contains(&true) {
             let (t, turned) = occluder.triangles[0];
             let points = self.corner_points(scene, t);
@@ -260,11 +301,11 @@ impl Local<'_> {
                     Through { points: [plane[0], plane[1], plane[2]], turned: *good == Ordering::Less };
                 // The part of the occluder on the good side is to the left of n_plane × n_own, seen from n_own's side.
                 let line = self.space.meet(toward, own);
-                lines.push((line, false, (occluder.border.len() + k) as u16));
+                let number = (occluder.border.len() + k) as u16;
+                lines.push(Constraint { line, flipped: false, number, row: None });
             }
         }
-        let between = !beyond.contains(&true);
-        self.known.push(Constraints { members: vec![(id, false)], between, lines, edges });
+        self.known.push(Constraints { members: vec![(id, false)], lines });
         Some(self.known.len() - 1)
     }
 
@@ -295,10 +336,11 @@ impl Local<'_> {
     ) -> Option<(Vec<u16>, Vec<Region>)> {
         let mut cuts = Vec::new();
         let mut outside = Vec::new();
-        let mut rest = region.clone();
-        let mut sides = Vec::new();
+        let mut sides = std::mem::take(&mut self.sides);
+        let mut inside: Option<Region> = None;
         for k in self.order(known, negative) {
-            let (line, flipped, number) = self.known[known].lines[k];
+            let Constraint { line, flipped, number, .. } = self.known[known].lines[k];
+            let rest = inside.as_ref().unwrap_or(region);
             rest.sides(&mut self.space, line, &mut sides);
             let inner = if flipped != negative { Ordering::Less } else { Ordering::Greater };
             if !sides.contains(&inner) {
@@ -308,11 +350,12 @@ impl Local<'_> {
                 continue;
             }
             let [less, greater] = rest.split(&mut self.space, line, &sides).ok()?;
-            let (inside, out) = if inner == Ordering::Less { (less, greater) } else { (greater, less) };
-            rest = inside;
+            let (inner, out) = if inner == Ordering::Less { (less, greater) } else { (greater, less) };
+            inside = Some(inner);
             cuts.push(number);
             outside.push(out);
         }
+        self.sides = sides;
         Some((cuts, outside))
     }
 }

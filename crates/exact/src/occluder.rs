@@ -17,6 +17,7 @@ use sightline_scene::topology::corner_vertices;
 use sightline_scene::{Scene, SceneError};
 
 use crate::bvh::Bvh;
+use crate::rims::Rims;
 use crate::surface::Surfaces;
 
 /// A set of triangles in one plane that block together.
@@ -51,8 +52,7 @@ pub struct Occluders {
     occluders: Vec<Occluder>,
     /// The occluder of each triangle; none for those without area.
     of: Vec<Option<u32>>,
-    /// Border edges, by lesser and greater corner: the occluder, and whether its border runs from the greater.
-    rims: Vec<([u32; 2], u32, bool)>,
+    rims: Rims,
     /// Three corner numbers a triangle.
     corners: Vec<u32>,
     bvh: Bvh,
@@ -60,10 +60,8 @@ pub struct Occluders {
     surfaces: OnceLock<Surfaces>,
 }
 
-/// Most occluders at one edge that are looked at.
-const MOST_AT_EDGE: usize = 8;
 /// Longest border of a merged occluder.
-const MOST_EDGES: usize = 24;
+pub const MOST_EDGES: usize = 24;
 
 impl Occluders {
     /// Joins the coplanar neighbours of a scene into convex occluders and prepares for tracing.
@@ -81,11 +79,7 @@ impl Occluders {
         let items = (0..triangles.len() as u32).filter(|i| solid[*i as usize]).collect();
         let b = scene.bounds();
         let reach = f64::from(b.min.abs().max(b.max.abs()).max_element());
-        let mut rims: Vec<([u32; 2], u32, bool)> = Vec::new();
-        for (id, o) in occluders.iter().enumerate() {
-            rims.extend(o.rim.iter().map(|[a, b]| ([*a.min(b), *a.max(b)], id as u32, a > b)));
-        }
-        rims.sort_unstable();
+        let rims = Rims::new(&occluders);
         let bvh = Bvh::new(boxes, items);
         Ok(Self { triangles, occluders, of, rims, corners, bvh, reach, surfaces: OnceLock::new() })
     }
@@ -115,16 +109,9 @@ impl Occluders {
         &self.occluders[id as usize]
     }
 
-    /// The occluders (a few, where there are many) with the edge between two corners on their border, and whether it runs from the
-    /// first to the second.
-    pub fn at_edge(&self, [a, b]: [u32; 2]) -> impl Iterator<Item = (u32, bool)> {
-        let key = [a.min(b), a.max(b)];
-        let first = self.rims.partition_point(|r| r.0 < key);
-        self.rims[first..]
-            .iter()
-            .take(MOST_AT_EDGE)
-            .take_while(move |r| r.0 == key)
-            .map(move |r| (r.1, r.2 == (a > b)))
+    /// The edges of all occluders' borders.
+    pub fn rims(&self) -> &Rims {
+        &self.rims
     }
 
     /// The numbers of a triangle's corners, equal where positions are.
@@ -157,7 +144,12 @@ impl Occluders {
     /// The triangles the segment may meet. Its ends are combinations of points no coordinate of which exceeds `size`, rounded
     /// a few times.
     pub fn along(&self, p: glam::DVec3, q: glam::DVec3, size: f64, out: &mut Vec<u32>) {
-        self.bvh.along(p, q, self.reach.max(size) * 1e-14, out);
+        self.bvh.along(p, q, self.slack(size), out);
+    }
+
+    /// How far a coordinate of such a point may be off.
+    pub fn slack(&self, size: f64) -> f64 {
+        self.reach.max(size) * 1e-14
     }
 }
 

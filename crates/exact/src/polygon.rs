@@ -4,10 +4,11 @@ use std::cmp::Ordering;
 
 use dashu_int::IBig;
 use dashu_int::ops::UnsignedAbs as _;
-use glam::DVec3;
+use glam::{DVec3, Vec3Swizzles as _};
+use sightline_scene::exact::differences;
 
 use crate::frame::{Source, point_doubles};
-use crate::number::primitive;
+use crate::number::{U, primitive};
 use crate::predicates::{height, integers, orient, plane, sign};
 
 /// Most vertices of a polygon in a query.
@@ -211,8 +212,39 @@ impl Polygon {
         out
     }
 
+    /// Whether every corner is on the inner side of every edge, where doubles can tell: in the projection along the axis nearest to the
+    /// normal, with the bound of [`surely_not_collinear`].
+    fn convex_in_doubles(&self) -> Option<bool> {
+        if self.points.iter().any(|p| matches!(p, Source::Exact(_))) {
+            return None;
+        }
+        let n = self.points.len();
+        let p = self.rounded();
+        let normal = (p[1] - p[0]).cross(p[2] - p[0]);
+        let k = (0..3).max_by(|i, j| normal[*i].abs().total_cmp(&normal[*j].abs())).unwrap_or(0);
+        let (i, j) = ((k + 1) % 3, (k + 2) % 3);
+        // All corners turn the same way, whichever it is.
+        let (mut left, mut right) = (true, true);
+        for a in 0..n {
+            let b = (a + 1) % n;
+            for c in (0..n).filter(|c| *c != a && *c != b) {
+                let [x, y] = differences(p[a], [p[b], p[c]])?;
+                let (l, r) = (x[i] * y[j], x[j] * y[i]);
+                if (l - r).abs() <= 4.0 * U * (l.abs() + r.abs()) + 1e-290 {
+                    return None;
+                }
+                left &= l > r;
+                right &= l < r;
+            }
+        }
+        Some(left || right)
+    }
+
     /// Whether every corner is on the inner side of every edge.
     fn convex(&self) -> bool {
+        if let Some(known) = self.convex_in_doubles() {
+            return known;
+        }
         let exact: Vec<[IBig; 4]> = self.points.iter().map(integers).collect();
         let normal = self.plane();
         let n = exact.len();
@@ -266,8 +298,23 @@ pub fn rounded(p: &Source) -> DVec3 {
 
 /// Whether three points are on a line.
 fn collinear(p: [&Source; 3]) -> bool {
+    if let [Source::Given(a), Source::Given(b), Source::Given(c)] = p
+        && surely_not_collinear(*a, *b, *c)
+    {
+        return false;
+    }
     let [a, b, c] = p.map(integers);
     plane([&a, &b, &c]).iter().take(3).all(IBig::is_zero)
+}
+
+/// Whether doubles show that three points are not on a line: a component of (b − a) × (c − a), the differences being exact, is off by
+/// 3u of the magnitudes of its products.
+fn surely_not_collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
+    let Some(rows) = differences(a, [b, c]) else { return false };
+    let [x, y] = rows.map(DVec3::from);
+    let (l, r) = (x.yzx() * y.zxy(), x.zxy() * y.yzx());
+    let surely = (l - r).abs().cmpgt(4.0 * U * (l.abs() + r.abs()) + DVec3::splat(1e-290));
+    surely.any()
 }
 
 #[cfg(test)]

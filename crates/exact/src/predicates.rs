@@ -6,7 +6,8 @@
 use std::cmp::Ordering;
 
 use dashu_int::{IBig, Sign};
-use glam::DVec3;
+use glam::{DVec3, Vec3Swizzles as _};
+use sightline_scene::exact::{det3_small, differences};
 
 use crate::frame::{Point, Source};
 use crate::number::{U, homogeneous};
@@ -64,7 +65,7 @@ pub fn determinant(p: [&[IBig; 4]; 4]) -> IBig {
 /// The orientation of four points in world space.
 pub fn orient(p: [&Source; 4]) -> Ordering {
     if let [Source::Given(a), Source::Given(b), Source::Given(c), Source::Given(d)] = p
-        && let Some(sign) = orient_doubles(*a, *b, *c, *d)
+        && let Some(sign) = orient_doubles(*a, *b, *c, *d).or_else(|| orient_small([*a, *b, *c, *d]))
     {
         return sign;
     }
@@ -85,6 +86,11 @@ pub fn orient_doubles(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> Option<Ordering
     } else {
         Ordering::Less
     })
+}
+
+/// The orientation of four points given in doubles, where they are integers of few bits times a power of two.
+pub fn orient_small([a, b, c, d]: [DVec3; 4]) -> Option<Ordering> {
+    differences(a, [b, c, d]).and_then(det3_small)
 }
 
 /// A point's exact homogeneous coordinates in world space.
@@ -112,20 +118,6 @@ pub fn plane(p: [&[IBig; 4]; 3]) -> [IBig; 4] {
 /// n·x − k·w, whose sign is that of the side of the plane the point is on.
 pub fn height(plane: &[IBig; 4], p: &[IBig; 4]) -> IBig {
     &plane[0] * &p[0] + &plane[1] * &p[1] + &plane[2] * &p[2] - &plane[3] * &p[3]
-}
-
-trait Swizzle {
-    fn yzx(self) -> Self;
-    fn zxy(self) -> Self;
-}
-
-impl Swizzle for DVec3 {
-    fn yzx(self) -> Self {
-        Self::new(self.y, self.z, self.x)
-    }
-    fn zxy(self) -> Self {
-        Self::new(self.z, self.x, self.y)
-    }
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@ use rustc_hash::FxHashMap;
 use crate::cone::Region;
 use crate::edges::EdgeLines;
 use crate::frame::{Frame, Source};
-use crate::klein::{self, Contents, contents};
+use crate::klein::{self, Contents, Forms, contents};
 use crate::local::{Found, Local, Snapped, triangles};
 use crate::occluder::Occluders;
 use crate::polygon::Polygon;
@@ -234,11 +234,14 @@ impl Search<'_> {
             space,
             pair,
             known: Vec::new(),
-            corners: FxHashMap::default(),
-            places: FxHashMap::default(),
+            corners: with_room(64),
+            extents: with_room(16),
+            places: with_room(16),
             patches: FxHashMap::default(),
-            lines: EdgeLines::default(),
-            rows: Rows::default(),
+            lines: EdgeLines::new(),
+            rows: Rows::new(),
+            forms: Forms::default(),
+            sides: Vec::new(),
             candidates: Vec::new(),
             ends,
         };
@@ -269,7 +272,7 @@ impl Search<'_> {
                 self.cost.decisions += local.space.decisions;
                 return Err(End::Open(Reason::Memory));
             }
-            let mut found = match contents(&mut local.space, &region, LINES) {
+            let mut found = match contents(&mut local.space, &region, LINES, &mut local.forms) {
                 Contents::Nothing => {
                     self.proof.steps.push(Step::Unreal);
                     continue;
@@ -349,21 +352,22 @@ impl Search<'_> {
         met: &[u32],
     ) -> Option<Found> {
         local.begin(region);
-        let mut ranked: Vec<(usize, bool, u32)> = Vec::with_capacity(met.len());
+        let mut ranked: Vec<(u32, bool, u32)> = Vec::with_capacity(met.len());
         for id in met {
-            let Some(known) = local.constraints(self.scene, *id) else { continue };
-            let negative = local.passes_negatively(known, line);
-            ranked.push((known, negative, local.held(known, negative)));
+            let (negative, held) = local.held(self.scene, *id, line);
+            ranked.push((*id, negative, held));
         }
         ranked.sort_by(|x, y| {
-            y.2.cmp(&x.2)
-                .then(local.known[x.0].lines.len().cmp(&local.known[y.0].lines.len()))
-                .then(x.0.cmp(&y.0))
+            let edges = |o: u32| self.scene.occluder(o).border.len();
+            y.2.cmp(&x.2).then(edges(x.0).cmp(&edges(y.0))).then(x.0.cmp(&y.0))
         });
-        for (known, negative, held) in ranked {
-            let grown = local.grow(self.scene, (known, negative, held));
-            for known in [grown, Some(known)].into_iter().flatten() {
-                if let Some((cuts, outside)) = local.subtract(region, known, negative) {
+        for (id, negative, held) in ranked {
+            let grown = local.grow(self.scene, (id, negative, held));
+            // By itself where it has not grown, or where that takes nothing away.
+            for grown in [grown, None].into_iter().skip(usize::from(grown.is_none())) {
+                let known = grown.or_else(|| local.constraints(self.scene, id));
+                let taken = known.and_then(|k| Some((k, local.subtract(region, k, negative)?)));
+                if let Some((known, (cuts, outside))) = taken {
                     self.cost.occluders += 1;
                     let occluder = self.number(&local.known[known].members);
                     return Some((Step::Block { occluder, negative, cuts }, outside));
@@ -385,8 +389,13 @@ impl Search<'_> {
     }
 }
 
+/// A map with room for so many: growing from nothing, pair after pair, takes longer than looking things up.
+pub fn with_room<K, V>(many: usize) -> FxHashMap<K, V> {
+    FxHashMap::with_capacity_and_hasher(many, rustc_hash::FxBuildHasher)
+}
+
 /// Lines of a region that are tried before it is given up.
-const LINES: usize = 6;
+const LINES: usize = 2;
 /// The polygon that spreads farther, and where to halve it.
 fn widest(a: &Polygon, b: &Polygon) -> (Which, [u16; 2]) {
     let (da, ca) = halving(a);

@@ -1,23 +1,65 @@
-//! On which side of lines the rays of a region are, as sets of bits: which occluder takes most of a region is asked of many.
+//! On which side of occluders' edges the rays of a region are, as sets of bits: which occluder takes most of a region is asked of many.
 //!
-//! Rounded and without bounds: what is taken first matters to the time a query takes, never to its answer.
+//! Rounded and without bounds: what is taken first matters to the time a query takes, never to its answer. So edges are
+//! plain doubles here, and only those of what is taken become lines of the space.
 
-use crate::cone::Region;
-use crate::vector::{Id, Space, klein};
+use std::ops::Range;
+
+use glam::DVec3;
+use rustc_hash::FxHashMap;
+
+use crate::frame::Frame;
+use crate::klein::Forms;
+use crate::number::normalised;
+use crate::occluder::Occluders;
+use crate::query::with_room;
 
 /// A set of a region's rays. Only so many are looked at; few regions have more.
 pub type Bits = [u64; 4];
 /// Rays in a [`Bits`].
 const MOST: usize = 256;
+/// Forms with a line, neither having a component above 1, that are as good as 0.
+const ON: f64 = 1e-12;
+
+/// An edge of an occluder's border, or of several together.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct RimEdge {
+    /// Its number in the scene ([`crate::rims::Rims`]).
+    pub number: u32,
+    /// The numbers of its corners, in the direction of the border.
+    pub corners: [u32; 2],
+    /// Its line, from the lesser corner to the greater.
+    line: u32,
+}
+
+impl RimEdge {
+    /// Whether it runs from the greater corner to the lesser.
+    pub fn back(&self) -> bool {
+        self.corners[0] > self.corners[1]
+    }
+
+    /// The same edge run along the other way.
+    pub fn reversed(self) -> Self {
+        Self { corners: [self.corners[1], self.corners[0]], ..self }
+    }
+}
 
 /// For each line the rays of the region at hand that pass it on either side.
 #[derive(Default)]
 pub struct Rows {
-    /// Which region they are about.
+    /// Which region they are about, and how many rays it has.
     region: u32,
-    /// By the lines' numbers.
+    rays: usize,
+    /// Corners of the scene in the frame, by number.
+    corners: FxHashMap<u32, DVec3>,
+    /// Lines by their corners, the lesser first.
+    numbers: FxHashMap<[u32; 2], u32>,
+    lines: Vec<[f64; 6]>,
     rows: Vec<Row>,
-    rays: Vec<[f64; 6]>,
+    /// Where the edges of an occluder are.
+    shapes: FxHashMap<u32, Range<usize>>,
+    edges: Vec<RimEdge>,
+    forms: Vec<f64>,
 }
 
 #[derive(Clone, Copy, Default)]
@@ -27,40 +69,119 @@ struct Row {
     sides: [Bits; 2],
 }
 
+/// Corners and lines there is room for from the start: most pairs need few more.
+const FEW: usize = 64;
+
 impl Rows {
-    /// Goes on to another region.
-    pub fn begin(&mut self, space: &Space, region: &Region) {
+    /// Nothing yet.
+    pub fn new() -> Self {
+        Self {
+            corners: with_room(FEW),
+            numbers: with_room(FEW),
+            shapes: with_room(FEW / 4),
+            lines: Vec::with_capacity(FEW),
+            rows: Vec::with_capacity(FEW),
+            edges: Vec::with_capacity(FEW),
+            ..Self::default()
+        }
+    }
+
+    /// Goes on to another region, of so many rays.
+    pub fn begin(&mut self, rays: usize) {
         self.region += 1;
-        self.rays.clear();
-        self.rays.extend(region.rays.iter().take(MOST).map(|(r, _)| *space.rounded(*r)));
+        self.rays = rays.min(MOST);
     }
 
     /// All rays.
     pub fn all(&self) -> Bits {
-        std::array::from_fn(|k| match self.rays.len().saturating_sub(64 * k) {
+        std::array::from_fn(|k| match self.rays.saturating_sub(64 * k) {
             n @ 0..64 => (1 << n) - 1,
             _ => u64::MAX,
         })
     }
 
-    /// The rays on one side of a line.
-    pub fn side(&mut self, space: &Space, line: Id, negative: bool) -> Bits {
-        let number = space.line_number(line);
-        if self.rows.len() <= number {
-            self.rows.resize(number + 1, Row::default());
+    /// The edges of an occluder, in the order of its border.
+    pub fn shape(&mut self, scene: &Occluders, frame: &Frame, id: u32) -> Range<usize> {
+        if let Some(known) = self.shapes.get(&id) {
+            return known.clone();
         }
-        if self.rows[number].region != self.region {
-            let of = space.rounded(line);
-            let mut sides = [[0; 4]; 2];
-            for (i, ray) in self.rays.iter().enumerate() {
-                let s = klein(ray, of);
-                let bit = 1u64 << (i % 64);
-                sides[0][i / 64] |= if s >= 0.0 { bit } else { 0 };
-                sides[1][i / 64] |= if s <= 0.0 { bit } else { 0 };
+        let occluder = scene.occluder(id);
+        let from = self.edges.len();
+        for (number, (rim, at)) in (scene.rims().first(id)..).zip(occluder.rim.iter().zip(&occluder.border)) {
+            let key = [rim[0].min(rim[1]), rim[0].max(rim[1])];
+            let line = match self.numbers.get(&key) {
+                Some(line) => *line,
+                None => {
+                    let mut place = |k: usize| {
+                        *self.corners.entry(rim[k]).or_insert_with(|| frame.near(at[k].as_dvec3()))
+                    };
+                    let (a, b) = (place(0), place(1));
+                    let (a, b) = if rim[0] > rim[1] { (b, a) } else { (a, b) };
+                    let (d, m) = (b - a, a.cross(b));
+                    self.lines.push(normalised([d.x, d.y, d.z, m.x, m.y, m.z]).0);
+                    self.rows.push(Row::default());
+                    let line = (self.lines.len() - 1) as u32;
+                    self.numbers.insert(key, line);
+                    line
+                }
+            };
+            self.edges.push(RimEdge { number, corners: *rim, line });
+        }
+        let range = from..self.edges.len();
+        self.shapes.insert(id, range.clone());
+        range
+    }
+
+    /// The edges of a shape.
+    pub fn edges(&self, of: Range<usize>) -> &[RimEdge] {
+        &self.edges[of]
+    }
+
+    /// Which way a line passes what has these edges: all agree, but for rounding.
+    pub fn passes_negatively(&self, edges: &[RimEdge], line: &[f64; 6]) -> bool {
+        let side = |e: &RimEdge| {
+            let s = crate::vector::klein(line, &self.lines[e.line as usize]);
+            if e.back() { -s } else { s }
+        };
+        edges.iter().map(side).sum::<f64>() < 0.0
+    }
+
+    /// The rays that are to the left of an edge, or to the right.
+    pub fn inside(&mut self, forms: &Forms, edge: RimEdge, negative: bool) -> Bits {
+        self.row(forms, edge.line)[usize::from(edge.back() != negative)]
+    }
+
+    /// The rays on the positive side of a line, by its number, and on the negative.
+    pub fn row(&mut self, forms: &Forms, line: u32) -> [Bits; 2] {
+        let at = line as usize;
+        if self.rows[at].region != self.region {
+            let line = self.lines[at];
+            let sides = self.sides_of(forms, &line);
+            self.rows[at] = Row { region: self.region, sides };
+        }
+        self.rows[at].sides
+    }
+
+    /// The rays on the positive side of any line, and on the negative; those nearly on it on both.
+    pub fn sides_of(&mut self, forms: &Forms, line: &[f64; 6]) -> [Bits; 2] {
+        forms.against(line, &mut self.forms);
+        let mut sides = [[0; 4]; 2];
+        for (k, chunk) in self.forms[..self.rays].chunks(64).enumerate() {
+            let (mut below, mut above) = (0, 0);
+            for (i, s) in chunk.iter().enumerate() {
+                // By their sign bits, so that nothing branches.
+                below |= ((s + ON).to_bits() >> 63) << i;
+                above |= ((ON - s).to_bits() >> 63) << i;
             }
-            self.rows[number] = Row { region: self.region, sides };
+            let all = u64::MAX >> (64 - chunk.len());
+            (sides[0][k], sides[1][k]) = (all & !below, all & !above);
         }
-        self.rows[number].sides[usize::from(negative)]
+        sides
+    }
+
+    /// The number of the line between two corners, which runs from the lesser to the greater, if it was asked about.
+    pub fn line(&self, corners: [u32; 2]) -> Option<u32> {
+        self.numbers.get(&[corners[0].min(corners[1]), corners[0].max(corners[1])]).copied()
     }
 }
 

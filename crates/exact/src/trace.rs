@@ -2,9 +2,10 @@
 
 use std::cmp::Ordering;
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 
 use crate::local::Local;
+use crate::number::U;
 use crate::occluder::Occluders;
 use crate::prism::Pair;
 use crate::vector::Space;
@@ -28,9 +29,13 @@ impl Local<'_> {
         let mut candidates = std::mem::take(&mut self.candidates);
         candidates.clear();
         scene.along(near_p, near_q, self.pair.size, &mut candidates);
+        let slack = scene.slack(self.pair.size);
         let mut blocked = Vec::new();
         let mut grazing = false;
         for id in &candidates {
+            if surely_missed(scene.triangle(*id), (near_p, near_q), slack) {
+                continue;
+            }
             let corners = self.corner_points(scene, *id);
             match touch(&mut self.space, &mut self.pair, (p, q), *id, corners) {
                 Touch::Through => blocked.push(*id),
@@ -45,6 +50,21 @@ impl Local<'_> {
             (true, false) => Met::Nothing,
         }
     }
+}
+
+/// Whether doubles show that a line passes a triangle on different sides of its edges, both points given to `slack`.
+///
+/// Each of the turns is a product of three differences, which are off by e = 2 slack and a rounding; with n the greatest magnitude of a
+/// difference and e added, by at most 3·6en² for what is off and 100un³ for its roundings ([`crate::predicates::orient_points`]).
+fn surely_missed(triangle: &[Vec3; 3], (p, q): (DVec3, DVec3), slack: f64) -> bool {
+    let [a, b, c] = triangle.map(|v| v.as_dvec3() - p);
+    let d = q - p;
+    let n = a.abs().max(b.abs()).max(c.abs()).max(d.abs()).max_element();
+    let e = 2.0 * slack + U * n;
+    let n = n + e;
+    let bound = (19.0 * e + 100.0 * U * n) * n * n;
+    let turns = [d.cross(a).dot(b), d.cross(b).dot(c), d.cross(c).dot(a)];
+    turns.iter().any(|t| *t > bound) && turns.iter().any(|t| *t < -bound)
 }
 
 enum Touch {
@@ -93,4 +113,35 @@ fn in_planes(space: &mut Space, pair: &mut Pair, id: u32, corners: &[u32; 3]) ->
         .map(|of| corners.iter().all(|t| space.orient(of[0], of[1], of[2], *t) == Ordering::Equal));
     pair.flat.insert(id, flat);
     flat
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::frame::Source;
+    use crate::predicates::orient;
+
+    proptest! {
+        /// What is said to be missed is missed by every line between points that are off by no more than the slack.
+        #[test]
+        fn what_is_surely_missed_is_missed(
+            p in prop::array::uniform5(prop::array::uniform3(-4i32..5)), off in prop::array::uniform6(-1.0f64..1.0),
+            scale in -140i32..100, slack in prop_oneof![Just(0.0), Just(1e-14), Just(1e-3), Just(0.3)],
+        ) {
+            let scale = f32::powi(2.0, scale);
+            let at = |i: usize| Vec3::from(p[i].map(|c| c as f32 * scale));
+            let triangle = [at(0), at(1), at(2)];
+            let ends = [at(3), at(4)].map(|v| v.as_dvec3());
+            let slack = slack * f64::from(scale);
+            if surely_missed(&triangle, (ends[0], ends[1]), slack) {
+                let moved = [DVec3::from([off[0], off[1], off[2]]), DVec3::from([off[3], off[4], off[5]])];
+                let ends: [Source; 2] = std::array::from_fn(|k| Source::Given(ends[k] + moved[k] * slack));
+                let corners = triangle.map(|v| Source::Given(v.as_dvec3()));
+                let turns = [(0, 1), (1, 2), (2, 0)].map(|(i, j)| orient([&ends[0], &ends[1], &corners[i], &corners[j]]));
+                prop_assert!(turns.contains(&Ordering::Greater) && turns.contains(&Ordering::Less), "{:?}", turns);
+            }
+        }
+    }
 }

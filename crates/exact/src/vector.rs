@@ -9,16 +9,19 @@ use std::cmp::Ordering;
 
 use dashu_int::IBig;
 use dashu_int::ops::UnsignedAbs as _;
+use glam::DVec3;
 use rustc_hash::FxHashMap;
 
+mod cross;
 mod rounded;
+mod small;
 mod solved;
 #[cfg(test)]
 mod tests;
 mod zeros;
 
 use crate::double::{Double, STEP};
-use crate::frame::{Frame, Place, Point};
+use crate::frame::{Frame, Place, Point, Source};
 use crate::number::{U, integers, primitive, rounded_double};
 
 /// Index of a vector in its [`Space`].
@@ -30,11 +33,11 @@ enum Origin {
     /// The line from one point of the space to another.
     Join(u32, u32),
     /// The line in which two planes meet, along n × n'.
-    Meet(Through, Through),
+    Meet(Box<[Through; 2]>),
     /// Another vector turned round.
     Opposite(Id),
     /// These very doubles, in the frame.
-    Given([f64; 6]),
+    Given(Box<[f64; 6]>),
     /// Integers, kept with the vector.
     Fixed,
     /// Where the edge between two rays meets a half-space's border: s(a)·b − s(b)·a with s(a) > 0 > s(b).
@@ -120,6 +123,8 @@ pub struct Space {
     near: Vec<Near>,
     /// Which lines meet, as far as it was asked: a row for each line, with its predecessors.
     meeting: Vec<Vec<Meeting>>,
+    /// Entries of these rows.
+    asked: usize,
     /// Which triples of lines that meet are of one pencil, as far as it was asked.
     pencils: FxHashMap<[Id; 3], bool>,
     /// Signs that integers decided: regions share rays.
@@ -145,16 +150,20 @@ pub fn klein_exact(a: &[IBig; 6], b: &[IBig; 6]) -> IBig {
     (0..6).map(|i| &a[i] * &b[(i + 3) % 6]).sum()
 }
 
+/// Vectors there is room for from the start: most pairs need no more.
+const FEW: usize = 256;
+
 impl Space {
     /// An empty space.
     pub fn new(frame: Frame) -> Self {
         Self {
             frame,
-            points: Vec::new(),
-            point_integers: Vec::new(),
-            vectors: Vec::new(),
-            near: Vec::new(),
+            points: Vec::with_capacity(64),
+            point_integers: Vec::with_capacity(64),
+            vectors: Vec::with_capacity(FEW),
+            near: Vec::with_capacity(FEW),
             meeting: Vec::new(),
+            asked: 0,
             pencils: FxHashMap::default(),
             decided: FxHashMap::default(),
             decisions: Decisions::default(),
@@ -166,9 +175,13 @@ impl Space {
         &self.frame
     }
 
-    /// Number of points and vectors so far: a measure of the memory used.
+    /// Number of points and vectors so far, and as much of what is remembered about them as takes the memory of one: a measure of
+    /// the memory used.
     pub fn size(&self) -> usize {
-        self.points.len() + self.vectors.len()
+        self.points.len()
+            + self.vectors.len()
+            + self.asked / 256
+            + (self.pencils.len() + self.decided.len()) / 8
     }
 
     /// Adds a point.
@@ -242,7 +255,7 @@ impl Space {
         let (ak, al) = (k.0.abs(), l.0.abs());
         let moment = al * e + sn * h + e * h + ak * g + sm * f + f * g + 4.0 * STEP * (al * sn + ak * sm);
         let line = [d(1, 2), d(2, 0), d(0, 1), c(0), c(1), c(2)];
-        self.push(line, 1.01 * direction.max(moment), Origin::Meet(a, b))
+        self.push(line, 1.01 * direction.max(moment), Origin::Meet(Box::new([a, b])))
     }
 
     /// A plane (n, k), n·x = k, and how far the components of n, and k, may be off.
@@ -283,7 +296,7 @@ impl Space {
 
     /// The vector with exactly these components.
     pub fn given(&mut self, x: [f64; 6]) -> Id {
-        self.push(x.map(|c| Double(c, 0.0)), 0.0, Origin::Given(x))
+        self.push(x.map(|c| Double(c, 0.0)), 0.0, Origin::Given(Box::new(x)))
     }
 
     /// The sign of the Klein form of two vectors.
@@ -313,7 +326,7 @@ impl Space {
         sign
     }
 
-    /// The exact components, an integer vector without a common factor.
+    /// The exact components, an integer vector; of a line one without a common factor.
     pub fn exact(&mut self, v: Id) -> &[IBig; 6] {
         self.sharpen(v);
         match &self.vectors[v as usize].exact {
@@ -367,8 +380,8 @@ impl Space {
                 let m = |i: usize, j: usize| &p[i] * &q[j] - &p[j] * &q[i];
                 [d(0), d(1), d(2), m(1, 2), m(2, 0), m(0, 1)]
             }
-            Origin::Meet(a, b) => {
-                let [a, b] = [*a, *b].map(|of| {
+            Origin::Meet(planes) => {
+                let [a, b] = planes.map(|of| {
                     let p = of.points.map(|p| self.point_exact(p).clone());
                     let plane = crate::predicates::plane([&p[0], &p[1], &p[2]]);
                     if of.turned { plane.map(|c| -c) } else { plane }
@@ -378,7 +391,7 @@ impl Space {
                 [d(1, 2), d(2, 0), d(0, 1), m(0), m(1), m(2)]
             }
             Origin::Opposite(v) => part(self, *v).map(|c| -c),
-            Origin::Given(x) => integers(*x).0,
+            Origin::Given(x) => integers(**x).0,
             Origin::Fixed => unreachable!("it came with its integers"),
             Origin::Cut { a, b, half } => {
                 let (x, y, h) = (part(self, *a), part(self, *b), part(self, *half));
@@ -393,14 +406,6 @@ impl Space {
         };
         primitive(&mut out);
         out
-    }
-
-    /// A line's number among the lines of the space.
-    pub fn line_number(&self, line: Id) -> usize {
-        match self.vectors[line as usize].line {
-            Some(number) => number as usize,
-            None => unreachable!("only lines bound occluders"),
-        }
     }
 
     /// A number that is the same or differs by 1 for vectors that are the same line, whichever way they run: where its unit
@@ -446,6 +451,21 @@ impl Space {
         sign
     }
 
+    /// The orientation of four points where they lie in the world: a frame turns none round.
+    fn orient_world(&self, p: [u32; 4]) -> Option<Ordering> {
+        self.world(p).and_then(crate::predicates::orient_small)
+    }
+
+    /// Where some points lie in the world, if they were given in doubles.
+    fn world<const N: usize>(&self, of: [u32; N]) -> Option<[DVec3; N]> {
+        let mut at = [DVec3::ZERO; N];
+        for (at, p) in at.iter_mut().zip(of) {
+            let Place::World(Source::Given(x)) = &self.points[p as usize].place else { return None };
+            *at = *x;
+        }
+        Some(at)
+    }
+
     /// The orientation of four points, the sign of (b − a) × (c − a) · (d − a).
     pub fn orient(&mut self, a: u32, b: u32, c: u32, d: u32) -> Ordering {
         if let Some(sign) = crate::predicates::orient_points([
@@ -457,9 +477,11 @@ impl Space {
             self.decisions.filtered += 1;
             return sign;
         }
-        let p = [a, b, c, d].map(|i| self.point_exact(i).clone());
         self.decisions.exact += 1;
-        let sign = crate::predicates::orient_exact([&p[0], &p[1], &p[2], &p[3]]);
+        let sign = self.orient_world([a, b, c, d]).unwrap_or_else(|| {
+            let p = [a, b, c, d].map(|i| self.point_exact(i).clone());
+            crate::predicates::orient_exact([&p[0], &p[1], &p[2], &p[3]])
+        });
         self.decisions.zero += u64::from(sign == Ordering::Equal);
         sign
     }

@@ -1,4 +1,5 @@
-//! Exact decisions about `f32` points: a filter in `f64` first, exact arithmetic when it cannot tell.
+//! Exact decisions about `f32` points: a filter in `f64` first, exact arithmetic when it cannot tell. What takes `f64` says where it
+//! cannot.
 //!
 //! Nothing here can overflow, underflow or be decided by a tolerance. A finite `f32` is a multiple of 2⁻¹⁴⁹
 //! below 2¹²⁸, so a product of three of them is a multiple of 2⁻⁴⁴⁷ below 2³⁸⁴, well inside what an `f64`
@@ -7,7 +8,7 @@
 
 use std::cmp::Ordering;
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 /// Half a unit in the last place of 1: the largest relative error of one rounded `f64` operation.
 const U: f64 = f64::EPSILON / 2.0;
@@ -50,6 +51,12 @@ pub fn orient3d_sign(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Ordering {
     if det.abs() > 16.0 * U * magnitude {
         return sign(det);
     }
+    let rows = differences(a.as_dvec3(), [b, c, p].map(Vec3::as_dvec3));
+    rows.and_then(det3_small).unwrap_or_else(|| orient3d_expanded(a, b, c, p))
+}
+
+/// As [`orient3d_sign`], for coordinates of any size.
+fn orient3d_expanded(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Ordering {
     // The determinant of differences is linear in each row, and rows with a twice vanish.
     let mut terms = [0.0; 48];
     for (chunk, (x, y, z, minus)) in
@@ -61,6 +68,72 @@ pub fn orient3d_sign(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Ordering {
         }
     }
     sum_sign(terms)
+}
+
+/// The differences of some points from one, where doubles hold them exactly.
+pub fn differences<const N: usize>(a: DVec3, p: [DVec3; N]) -> Option<[[f64; 3]; N]> {
+    let mut exact = true;
+    let mut rows = [[0.0; 3]; N];
+    let a = a.to_array();
+    for (row, x) in rows.iter_mut().zip(p) {
+        for (d, (x, a)) in row.iter_mut().zip(x.to_array().into_iter().zip(a)) {
+            let (difference, error) = two_sum(x, -a);
+            exact &= error == 0.0;
+            *d = difference;
+        }
+    }
+    exact.then_some(rows)
+}
+
+/// The sign of the determinant with the given rows, where [`small_integers`] holds them.
+pub fn det3_small(rows: [[f64; 3]; 3]) -> Option<Ordering> {
+    let [x, y, z] = small_integers(rows)?.map(|row| row.map(i128::from));
+    // Below 2⁸³, times 2⁴¹, three of them: below 2¹²⁶.
+    let minor = |i: usize, j: usize| x[i] * y[j] - x[j] * y[i];
+    Some((minor(1, 2) * z[0] + minor(2, 0) * z[1] + minor(0, 1) * z[2]).cmp(&0))
+}
+
+/// Integers below 2 to the [`MOST_BITS`], such that the given numbers are these times one power of two. None where they do not fit: where one
+/// number is far smaller than another, or needs bits far below those of another.
+pub fn small_integers<const N: usize>(rows: [[f64; 3]; N]) -> Option<[[i64; 3]; N]> {
+    let mut parts = [[(0i64, 0i32); 3]; N];
+    let mut least = i32::MAX;
+    for (x, part) in rows.as_flattened().iter().zip(parts.as_flattened_mut()) {
+        *part = mantissa(*x);
+        if part.0 != 0 {
+            least = least.min(part.1);
+        }
+    }
+    let mut integers = [[0i64; 3]; N];
+    let mut fits = rows.as_flattened().iter().all(|x| x.is_finite());
+    for ((m, e), integer) in parts.as_flattened().iter().zip(integers.as_flattened_mut()) {
+        if *m != 0 {
+            let up = e - least;
+            fits &= up < MOST_BITS && m.unsigned_abs() >> (MOST_BITS - up) == 0;
+            // Wraps where it does not fit, and then is not used.
+            *integer = m.wrapping_shl(up as u32);
+        }
+    }
+    fits.then_some(integers)
+}
+
+/// Bits of the integers of [`small_integers`].
+pub const MOST_BITS: i32 = 41;
+// Three products of three of them have a sum.
+const _: () = assert!(3 * MOST_BITS + 3 <= 126);
+
+/// A finite double as an odd integer and the power of two it is multiplied by; 0 as it is.
+fn mantissa(x: f64) -> (i64, i32) {
+    let bits = x.to_bits();
+    let field = (bits >> 52 & 0x7ff) as i32;
+    let fraction = (bits & ((1 << 52) - 1)) as i64;
+    let (m, e) = if field == 0 { (fraction, -1074) } else { (fraction | 1 << 52, field - 1075) };
+    if m == 0 {
+        return (0, 0);
+    }
+    let zeros = m.trailing_zeros();
+    let m = m >> zeros;
+    (if x < 0.0 { -m } else { m }, e + zeros as i32)
 }
 
 /// The determinant with the given rows, rounded, and the sum of the magnitudes of its six products.
@@ -202,10 +275,28 @@ mod tests {
             let v = p.map(|q| Vec3::from(q.map(|c| c as f32 * 2f32.powi(e))));
             prop_assert_eq!(orient3d_sign(v[0], v[1], v[2], v[3]), det.cmp(&0));
             prop_assert_eq!(orient3d_sign(v[1], v[0], v[2], v[3]), det.cmp(&0).reverse());
+            prop_assert_eq!(orient3d_expanded(v[0], v[1], v[2], v[3]), det.cmp(&0));
+            let rows = differences(v[0].as_dvec3(), [v[1], v[2], v[3]].map(Vec3::as_dvec3));
+            prop_assert_eq!(rows.and_then(det3_small), Some(det.cmp(&0)));
             let flat = |k: usize| [v[k].x, v[k].y];
             prop_assert_eq!(orient2d_sign(flat(0), flat(1), flat(2)), cross(0, 1).cmp(&0));
             let on_line = cross(0, 1) == 0 && cross(1, 2) == 0 && cross(2, 0) == 0;
             prop_assert_eq!(collinear(v[0], v[1], v[2]), on_line);
+        }
+
+        #[test]
+        fn small_integers_are_used_up_to_their_bits_and_no_further(
+            m in prop::array::uniform9(-(1i64 << 41) + 1..1i64 << 41), e in -200i32..200,
+        ) {
+            let rows = |m: [i64; 9]| [0, 3, 6].map(|k| [0, 1, 2].map(|i| m[k + i] as f64 * 2f64.powi(e)));
+            let at = |m: [i64; 9], i: usize, j: usize| i128::from(m[3 * i + j]);
+            let minor = |m: [i64; 9], i: usize, j: usize| at(m, 0, i) * at(m, 1, j) - at(m, 0, j) * at(m, 1, i);
+            let det = minor(m, 1, 2) * at(m, 2, 0) + minor(m, 2, 0) * at(m, 2, 1) + minor(m, 0, 1) * at(m, 2, 2);
+            prop_assert_eq!(det3_small(rows(m)), Some(det.cmp(&0)));
+            // An odd number, so that the least bit is used, beside one of a bit too many.
+            let mut wide = m;
+            (wide[0], wide[4]) = (1 << 41, m[4] | 1);
+            prop_assert_eq!(det3_small(rows(wide)), None);
         }
 
         #[test]

@@ -15,7 +15,7 @@ use crate::query::Cost;
 use crate::rays;
 
 /// Nodes asked about at a time, in parallel: enough to keep a few cores busy, few enough to go by size.
-const BATCH: usize = 32;
+const BATCH: usize = 64;
 /// So many open polygons are asked about one by one: a box has more faces, and hides less than it seems.
 const FEW: u32 = 6;
 

@@ -2,16 +2,17 @@
 //!
 //! A cut is computed in doubles from the doubles of what it is made of; only when a filter fails is it computed anew in pairs of
 //! doubles, and everything it comes from before it. That makes its doubles as good as doubles get, so errors do not add up
-//! along the chain for long.
+//! along the chain for long. Where they do, a ray is solved from the lines it is on ([`super::solved`]).
 
 use std::cmp::Ordering;
 
+use super::solved::Solved;
 use super::{Id, Near, Origin, Space, Vector, klein};
 use crate::double::{Double, STEP};
 use crate::number::{U, normalised, rounded_double};
 
-/// Rays that may be off by more than this are computed in pairs of doubles at once, and those that may be off by as much even
-/// then, exactly: who looks for lines in a region needs rays that mean something. What filters cannot tell is asked
+/// Rays that may be off by more than this are solved from the lines they are on, or computed in pairs of doubles, at once, and those
+/// that may be off by as much even then, exactly: who looks for lines in a region needs rays that mean something. What filters cannot tell is asked
 /// again more precisely, whatever this is.
 const COARSE: f64 = 1e-9;
 
@@ -123,11 +124,12 @@ impl Space {
         let total = s + t;
         let alpha = s / total;
         let mut apart = 0.0f64;
-        let x: [f64; 6] = std::array::from_fn(|i| {
-            let d = w.x[i] - v.x[i];
+        let mut x = v.x;
+        for (x, w) in x.iter_mut().zip(w.x) {
+            let d = w - *x;
             apart = apart.max(d.abs());
-            v.x[i] + alpha * d
-        });
+            *x += alpha * d;
+        }
         let bound = es.max(et);
         let room = total - 2.0 * bound;
         let off = if room > bound { 1.01 * bound / room } else { 1.0 };
@@ -148,7 +150,12 @@ impl Space {
         let good = room > 0.0 && error < COARSE;
         if !good {
             match self.solved(x, error, &on()) {
-                Some((x, fine)) if fine < COARSE => self.set(id, x, fine),
+                Some(Solved::Doubles(x, error)) => {
+                    let (x, scale) = normalised(x);
+                    let sum = x.iter().map(|c| c.abs()).sum();
+                    self.near[id as usize] = Near { x, error: error * scale, sum };
+                }
+                Some(Solved::Pairs(x, fine)) if fine < COARSE => self.set(id, x, fine),
                 _ => self.refine(id),
             }
         }

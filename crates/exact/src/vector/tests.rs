@@ -4,6 +4,7 @@ use dashu_int::IBig;
 use glam::DVec3;
 use proptest::prelude::*;
 
+use super::solved::Solved;
 use super::{Id, Space};
 use crate::cone::Region;
 use crate::double::Double;
@@ -72,14 +73,30 @@ proptest! {
             return Ok(());
         };
         for region in &regions {
+            for i in 0..region.rays.len() {
+                let [found, all] = region.neighbours_twice(i);
+                prop_assert_eq!(found, all);
+            }
             for (ray, tight) in &region.rays {
                 let x = space.rounded(*ray).map(|c| Double(c, 0.0));
                 let error = space.error(*ray);
                 let lines: Vec<Id> = region.tight(*tight).collect();
                 let solved = space.solved(*space.rounded(*ray), error, &lines);
                 let exact = space.exact(*ray).clone();
+                // From the lines it is on it is the same as by the cuts it comes from.
+                space.vectors[*ray as usize].exact = None;
+                space.sharpen_from(*ray, &lines);
+                if let Some(again) = &space.vectors[*ray as usize].exact {
+                    let k = (0..6).find(|k| !exact[*k].is_zero()).unwrap();
+                    prop_assert_eq!(exact[k].sign(), again[k].sign());
+                    prop_assert!((0..6).all(|i| &exact[i] * &again[k] == &exact[k] * &again[i]));
+                }
                 // What agrees in the greatest component is off by up to three times as much.
                 prop_assert!(off(x, &exact) <= 3.1 * error + 1e-30, "{} {error}", off(x, &exact));
+                let solved = solved.map(|s| match s {
+                    Solved::Doubles(x, error) => (x.map(|c| Double(c, 0.0)), error),
+                    Solved::Pairs(x, error) => (x, error),
+                });
                 if let Some((x, error)) = solved {
                     prop_assert!(off(x, &exact) <= 3.1 * error + 1e-30, "{} {error}", off(x, &exact));
                 }

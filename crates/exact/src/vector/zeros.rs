@@ -1,38 +1,47 @@
 //! Forms that vanish for a reason one can name: rays lie on edges of occluders, and edges share planes and corners.
 //!
 //! Such zeros are most of what filters cannot decide, and lines are far smaller numbers than rays. Every rule here
-//! proves the form to be 0 from which lines meet; what none explains is left to integers.
+//! proves the form to be 0 from which lines meet; what none explains is left to pairs of doubles and to integers.
 
 use std::cmp::Ordering;
 
-use super::{Id, Meeting, Space};
+use glam::DVec3;
+
+use super::{Id, Meeting, Origin, Space};
+use crate::number::U;
 
 impl Space {
     /// The sign for a ray that is known to be on all of `tight`, where doubles could not tell.
     ///
     /// Whoever lies on three edges of one face lies on all edges in its plane.
     pub fn unfiltered_ray_side(&mut self, ray: Id, line: Id, tight: impl Iterator<Item = Id>) -> Ordering {
-        if let Some(sign) = self.refined_side(ray, line) {
-            return sign;
-        }
-        if self.spans(line, tight) {
+        let tight: Vec<Id> = tight.collect();
+        if self.spans(line, &tight) {
             self.decisions.spanned += 1;
             return Ordering::Equal;
         }
+        // Pairs of doubles along the chain of cuts a ray comes from cost as much as its integers from the lines it is on.
+        if !self.vectors[ray as usize].refined {
+            self.sharpen_from(ray, &tight);
+        }
+        if let Some(sign) = self.refined_side(ray, line) {
+            return sign;
+        }
+        self.sharpen_from(ray, &tight);
         self.exact_side(ray, line)
     }
 
     /// Whether `line` is seen to be a combination of some of `lines`: of two of a pencil it is in, or of three that meet
     /// pairwise. Three lines that meet pairwise lie in a plane or pass through a point; if they are independent, a line that
     /// meets all three lies in that plane or passes through that point, too, and the lines that do span three dimensions.
-    fn spans(&mut self, line: Id, lines: impl Iterator<Item = Id>) -> bool {
+    fn spans(&mut self, line: Id, lines: &[Id]) -> bool {
         if !self.is_line(line) {
             return false;
         }
         let mut met: Vec<Id> = Vec::with_capacity(8);
         for l in lines {
-            if self.is_line(l) && self.meets(line, l) {
-                met.push(l);
+            if self.is_line(*l) && self.meets(line, *l) {
+                met.push(*l);
             }
         }
         for (k, a) in met.iter().enumerate() {
@@ -47,7 +56,7 @@ impl Space {
     }
 
     /// Whether a vector is a real line by the way it was made.
-    fn is_line(&self, v: Id) -> bool {
+    pub(super) fn is_line(&self, v: Id) -> bool {
         self.vectors[v as usize].line.is_some()
     }
 
@@ -65,16 +74,51 @@ impl Space {
             Some(Meeting::Meets) => return true,
             _ => {}
         }
-        let meets = match self.filtered_side(a, b) {
-            Some(_) => false,
-            None => self.unfiltered_side(a, b) == Ordering::Equal,
-        };
+        let meets = self.share_a_point(a, b)
+            || match self.filtered_side(a, b) {
+                Some(_) => false,
+                None => self.unfiltered_meets(a, b),
+            };
         let known = &mut self.meeting[row];
         if known.len() <= column {
+            self.asked += column + 1 - known.len();
             known.resize(column + 1, Meeting::NotAsked);
         }
         known[column] = if meets { Meeting::Meets } else { Meeting::Apart };
         meets
+    }
+
+    /// Whether two lines are joins of a point with others.
+    fn share_a_point(&self, a: Id, b: Id) -> bool {
+        let [a, b] = [a, b].map(|l| &self.vectors[l as usize].origin);
+        matches!((a, b), (Origin::Join(p, q), Origin::Join(r, s)) if p == r || p == s || q == r || q == s)
+    }
+
+    /// Whether two lines meet, where doubles cannot tell: those in one plane do, and two joins only then.
+    fn unfiltered_meets(&mut self, a: Id, b: Id) -> bool {
+        let [x, y] = [a, b].map(|l| self.vectors[l as usize].origin.clone());
+        match (x, y) {
+            (Origin::Join(p, q), Origin::Join(r, s)) => self.flat([p, q, r, s]),
+            (Origin::Join(p, q), Origin::Meet(planes)) | (Origin::Meet(planes), Origin::Join(p, q)) => {
+                planes.iter().any(|through| {
+                    let [r, s, t] = through.points;
+                    self.flat([r, s, t, p]) && self.flat([r, s, t, q])
+                }) || self.unfiltered_side(a, b) == Ordering::Equal
+            }
+            _ => self.unfiltered_side(a, b) == Ordering::Equal,
+        }
+    }
+
+    /// Whether four points are in a plane.
+    fn flat(&mut self, of: [u32; 4]) -> bool {
+        match self.world(of).and_then(crate::predicates::orient_small) {
+            Some(sign) => {
+                self.decisions.exact += 1;
+                self.decisions.zero += u64::from(sign == Ordering::Equal);
+                sign == Ordering::Equal
+            }
+            None => self.orient(of[0], of[1], of[2], of[3]) == Ordering::Equal,
+        }
     }
 
     /// The Klein form's sign for two rays that are known to be on all of the lines `s` and `t`, where filters cannot tell.
@@ -83,14 +127,21 @@ impl Space {
     /// the form vanishes, W is all that is on all of W, and so both rays are in W. It is also 0 if one of the rays is itself
     /// a line that the other is on: an extreme ray is the only one on all of its lines, so a line that meets them all is it.
     pub fn rays_side(&mut self, (a, s): (Id, &[Id]), (b, t): (Id, &[Id])) -> Ordering {
-        if let Some(sign) = self.refined_side(a, b) {
-            return sign;
-        }
         let common: Vec<Id> = s.iter().copied().filter(|l| self.is_line(*l) && t.contains(l)).collect();
         if self.triple(&common) || self.is_one_of(s, t) || (a != b && self.is_one_of(t, s)) {
             self.decisions.spanned += 1;
             return Ordering::Equal;
         }
+        for (ray, on) in [(a, s), (b, t)] {
+            if !self.vectors[ray as usize].refined {
+                self.sharpen_from(ray, on);
+            }
+        }
+        if let Some(sign) = self.refined_side(a, b) {
+            return sign;
+        }
+        self.sharpen_from(a, s);
+        self.sharpen_from(b, t);
         self.exact_side(a, b)
     }
 
@@ -116,12 +167,61 @@ impl Space {
         lines.iter().any(|l| ray.iter().all(|r| self.meets(*l, *r)))
     }
 
+    /// The points in the world that three lines join; a frame is linear in lines and makes none dependent.
+    fn joins(&self, of: [Id; 3]) -> Option<[[DVec3; 2]; 3]> {
+        let mut ends = [[DVec3::ZERO; 2]; 3];
+        for (ends, l) in ends.iter_mut().zip(of) {
+            let Origin::Join(p, q) = self.vectors[l as usize].origin else { return None };
+            *ends = self.world([p, q])?;
+        }
+        Some(ends)
+    }
+
+    /// Whether doubles show a 3×3 minor of three vectors that does not vanish.
+    ///
+    /// No component exceeds 1 and each is off by at most its vector's error e: a minor of six products of three is off by
+    /// 6(e + e' + e'') and what is of higher order, and its roundings by 5u of each product.
+    fn surely_independent(&self, of: [Id; 3]) -> bool {
+        let [x, y, z] = of.map(|l| &self.near[l as usize]);
+        let error = x.error + y.error + z.error;
+        if error.is_nan() || error > 1e-3 {
+            return false;
+        }
+        let bound = 6.1 * error + 40.0 * U;
+        let mut pivot = (0.0f64, 0, 1);
+        for i in 0..6 {
+            for j in i + 1..6 {
+                let m = x.x[i] * y.x[j] - x.x[j] * y.x[i];
+                if m.abs() > pivot.0.abs() {
+                    pivot = (m, i, j);
+                }
+            }
+        }
+        let (m, i, j) = pivot;
+        let minor = |a: &[f64; 6], b: &[f64; 6], i: usize, j: usize| a[i] * b[j] - a[j] * b[i];
+        (0..6).any(|k| {
+            let det = m * z.x[k] - minor(&x.x, &y.x, i, k) * z.x[j] + minor(&x.x, &y.x, j, k) * z.x[i];
+            det.abs() > bound
+        })
+    }
+
     /// Whether three lines that meet pairwise are dependent.
     fn pencil(&mut self, a: Id, b: Id, c: Id) -> bool {
         let mut key = [a, b, c];
         key.sort_unstable();
         if let Some(known) = self.pencils.get(&key) {
             return *known;
+        }
+        if self.surely_independent(key) {
+            self.decisions.filtered += 1;
+            self.pencils.insert(key, false);
+            return false;
+        }
+        if let Some(known) = self.joins(key).and_then(super::small::dependent) {
+            self.decisions.exact += 1;
+            self.decisions.zero += u64::from(known);
+            self.pencils.insert(key, known);
+            return known;
         }
         let [x, y, z] = key.map(|l| self.exact(l).clone());
         let minor = |i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];
