@@ -268,6 +268,7 @@ pub struct DumpArgs {
 }
 
 #[derive(Args, Debug)]
+#[command(override_usage = "sightline query [OPTIONS] <OUT.pvs> <X> <Y> <Z>")]
 pub struct QueryArgs {
     #[command(flatten)]
     pub result: ResultArgs,

@@ -4,7 +4,7 @@ use std::io::{BufWriter, Write as _};
 use std::path::Path;
 
 use serde::Serialize;
-use sightline_pvs::Pvs;
+use sightline_pvs::{Pvs, PvsError};
 use sightline_scene::Scene;
 
 use crate::args::{DumpArgs, InfoArgs, Items, QueryArgs};
@@ -23,7 +23,10 @@ fn plural(n: usize, what: &str) -> String {
 
 /// Opens a result; the error names the file.
 pub fn open(path: &Path) -> Result<Pvs, CliError> {
-    Pvs::open(path).map_err(|e| CliError::Input(format!("{}: {e}", path.display())))
+    Pvs::open(path).map_err(|e| match e {
+        PvsError::Open { .. } => CliError::Input(format!("{e}; name a file that `sightline bake` wrote")),
+        e => CliError::Input(format!("{}: {e}", path.display())),
+    })
 }
 
 /// Refuses a scene that is not the one a result was baked from.

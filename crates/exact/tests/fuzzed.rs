@@ -1,0 +1,77 @@
+//! Queries about triangles of any bytes: the checker accepts every answer. The same as the fuzz target `query`, without a nightly compiler;
+//! `SIGHTLINE_FUZZ_CASES` says how many of each kind, `SIGHTLINE_FUZZ_SEED` where to begin.
+
+#![allow(clippy::panic, clippy::print_stdout, reason = "tests")]
+
+use sightline_exact::fuzzing::query;
+
+/// So many bytes from a seed (splitmix64).
+fn bytes(seed: u64, count: usize) -> Vec<u8> {
+    let mut state = seed;
+    let mut next = || {
+        state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = state;
+        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ z >> 31
+    };
+    (0..count.div_ceil(8)).flat_map(|_| next().to_le_bytes()).take(count).collect()
+}
+
+fn variable(name: &str, otherwise: u64) -> u64 {
+    std::env::var(name)
+        .ok()
+        .map_or(otherwise, |v| v.parse().unwrap_or_else(|_| panic!("{name}={v} is no number")))
+}
+
+/// Random bytes of one kind; of coordinates on a grid few values, so that much is in one plane, on one line and in one place.
+fn run(kind: u8) {
+    let (cases, first) = (variable("SIGHTLINE_FUZZ_CASES", 200), variable("SIGHTLINE_FUZZ_SEED", 1));
+    let mut found = [0u64; 3];
+    for seed in first..first + cases {
+        let size = [60, 100, 160, 250][(seed % 4) as usize] * if kind == 0 { 4 } else { 1 };
+        let mut raw = bytes(seed, size);
+        raw[0] = kind;
+        let mask = [0x0f, 0x1f, 0x3f, 0xff][(seed / 4 % 4) as usize];
+        if kind != 0 {
+            // Sign and magnitude of few bits.
+            raw[1..].iter_mut().for_each(|b| *b = (*b & mask).wrapping_sub(mask / 2));
+            if seed % 2 == 0 {
+                // One small triangle on either side, and all others large and between them, where they hide something.
+                let [small, large] =
+                    [3i8, 120].map(|most| move |b: u8| ((b.cast_signed() as i32 * most as i32) / 128) as u8);
+                for (i, triangle) in raw[1..].chunks_mut(9).enumerate() {
+                    for (k, b) in triangle.iter_mut().enumerate() {
+                        *b = match (i, k % 3) {
+                            (0, 2) => (-100i8).cast_unsigned() + *b % 8,
+                            (1, 2) => 100 - *b % 8,
+                            (0 | 1, _) | (_, 2) => small(b.wrapping_mul(37)),
+                            _ => large(b.wrapping_mul(37)),
+                        };
+                    }
+                }
+            }
+        }
+        let result = std::panic::catch_unwind(|| query(&raw));
+        let Ok(verdict) = result else { panic!("kind {kind}, seed {seed}") };
+        found[verdict.map_or(2, usize::from)] += 1;
+    }
+    println!("kind {kind}: {} hidden, {} visible, {} neither", found[0], found[1], found[2]);
+    // Of any bytes few are triangles with anything between them.
+    assert!(kind == 0 || found[0] > cases / 20 && found[1] > cases / 20, "nothing was decided: {found:?}");
+}
+
+#[test]
+fn any_floats() {
+    run(0);
+}
+
+#[test]
+fn points_of_a_grid() {
+    run(1);
+}
+
+#[test]
+fn points_on_scales_of_their_own() {
+    run(2);
+}
