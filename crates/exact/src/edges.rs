@@ -7,7 +7,7 @@ use rustc_hash::FxHashMap;
 use sightline_scene::exact::collinear;
 
 use crate::local::{Edge, Local};
-use crate::query::with_room;
+use crate::maps::with_room;
 use crate::vector::Id;
 
 /// Lines made so far.

@@ -278,6 +278,14 @@ mod tests {
         prop::array::uniform3(-1.0f32..1.0).prop_map(|a| DVec3::from(a.map(f64::from)))
     }
 
+    #[test]
+    fn powers_of_two_are_their_own_least() {
+        for k in -300..300 {
+            let x = f64::powi(2.0, k);
+            assert_eq!([above(x), above(x * 1.5), above(x * (1.0 + f64::EPSILON))], [k, k + 1, k + 1]);
+        }
+    }
+
     proptest! {
         #[test]
         fn rounded_points_are_as_near_as_they_say(

@@ -26,7 +26,7 @@ pub fn evidence(raw: &[u8]) {
 }
 
 /// Reads bytes as two triangles and others between them, and asks whether one sees the other. The first byte says what coordinates are
-/// made of: any bits of floats, quarters from −32 to 31.75, or eighths of a byte on a scale of its own for each point. What was decided, if
+/// made of: any bits of floats, quarters from −32 to 31.75, or the upper half of a byte on a scale of its own for each point. What was decided, if
 /// the bytes were triangles and it was.
 ///
 /// # Panics

@@ -19,6 +19,7 @@ pub mod fuzzing;
 mod grow;
 mod klein;
 mod local;
+mod maps;
 mod number;
 pub mod occluder;
 pub mod polygon;

@@ -5,6 +5,7 @@
 
 use dashu_int::IBig;
 use dashu_int::ops::{BitTest, Gcd, UnsignedAbs as _};
+use sightline_scene::exact::dyadic;
 
 use crate::double::Double;
 #[cfg(doc)]
@@ -12,21 +13,6 @@ use crate::double::STEP;
 
 /// Half a unit in the last place of 1: the largest relative error of one rounded operation on doubles.
 pub const U: f64 = f64::EPSILON / 2.0;
-
-/// A finite double as `mantissa · 2^exponent`, the mantissa odd (or both 0).
-pub fn dyadic(x: f64) -> (i64, i32) {
-    if x == 0.0 {
-        return (0, 0);
-    }
-    let bits = x.to_bits();
-    let field = (bits >> 52 & 0x7ff) as i32;
-    let fraction = (bits & ((1 << 52) - 1)) as i64;
-    let (mantissa, exponent) =
-        if field == 0 { (fraction, -1074) } else { (fraction | 1 << 52, field - 1075) };
-    let zeros = mantissa.trailing_zeros() as i32;
-    let odd = mantissa >> zeros;
-    (if x < 0.0 { -odd } else { odd }, exponent + zeros)
-}
 
 /// Integers `n` and one exponent `e` with `xs[i] = n[i] · 2^e`.
 pub fn integers<const N: usize>(xs: [f64; N]) -> ([IBig; N], i32) {

@@ -15,6 +15,7 @@ use crate::edges::EdgeLines;
 use crate::frame::{Frame, Source};
 use crate::klein::{self, Contents, Forms, contents};
 use crate::local::{Found, Local, Snapped, triangles};
+use crate::maps::with_room;
 use crate::occluder::Occluders;
 use crate::polygon::Polygon;
 use crate::prism;
@@ -389,13 +390,9 @@ impl Search<'_> {
     }
 }
 
-/// A map with room for so many: growing from nothing, pair after pair, takes longer than looking things up.
-pub fn with_room<K, V>(many: usize) -> FxHashMap<K, V> {
-    FxHashMap::with_capacity_and_hasher(many, rustc_hash::FxBuildHasher)
-}
-
 /// Lines of a region that are tried before it is given up.
 const LINES: usize = 2;
+
 /// The polygon that spreads farther, and where to halve it.
 fn widest(a: &Polygon, b: &Polygon) -> (Which, [u16; 2]) {
     let (da, ca) = halving(a);

@@ -10,9 +10,9 @@ use rustc_hash::FxHashMap;
 
 use crate::frame::Frame;
 use crate::klein::Forms;
+use crate::maps::with_room;
 use crate::number::normalised;
 use crate::occluder::Occluders;
-use crate::query::with_room;
 
 /// A set of a region's rays. Only so many are looked at; few regions have more.
 pub type Bits = [u64; 4];

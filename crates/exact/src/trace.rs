@@ -34,6 +34,7 @@ impl Local<'_> {
         let mut grazing = false;
         for id in &candidates {
             if surely_missed(scene.triangle(*id), (near_p, near_q), slack) {
+                self.space.decisions.filtered += 1;
                 continue;
             }
             let corners = self.corner_points(scene, *id);

@@ -57,8 +57,9 @@ fn run(kind: u8) {
         found[verdict.map_or(2, usize::from)] += 1;
     }
     println!("kind {kind}: {} hidden, {} visible, {} neither", found[0], found[1], found[2]);
-    // Of any bytes few are triangles with anything between them.
-    assert!(kind == 0 || found[0] > cases / 20 && found[1] > cases / 20, "nothing was decided: {found:?}");
+    // Of any floats few hide anything.
+    let hidden = kind == 0 || found[0] > cases / 20;
+    assert!(hidden && found[1] > cases / 20, "next to nothing was decided: {found:?}");
 }
 
 #[test]

@@ -99,7 +99,7 @@ pub fn small_integers<const N: usize>(rows: [[f64; 3]; N]) -> Option<[[i64; 3]; 
     let mut parts = [[(0i64, 0i32); 3]; N];
     let mut least = i32::MAX;
     for (x, part) in rows.as_flattened().iter().zip(parts.as_flattened_mut()) {
-        *part = mantissa(*x);
+        *part = dyadic(*x);
         if part.0 != 0 {
             least = least.min(part.1);
         }
@@ -122,18 +122,19 @@ pub const MOST_BITS: i32 = 41;
 // Three products of three of them have a sum.
 const _: () = assert!(3 * MOST_BITS + 3 <= 126);
 
-/// A finite double as an odd integer and the power of two it is multiplied by; 0 as it is.
-fn mantissa(x: f64) -> (i64, i32) {
+/// A finite double as `mantissa · 2^exponent`, the mantissa odd (or both 0).
+pub fn dyadic(x: f64) -> (i64, i32) {
+    if x == 0.0 {
+        return (0, 0);
+    }
     let bits = x.to_bits();
     let field = (bits >> 52 & 0x7ff) as i32;
     let fraction = (bits & ((1 << 52) - 1)) as i64;
-    let (m, e) = if field == 0 { (fraction, -1074) } else { (fraction | 1 << 52, field - 1075) };
-    if m == 0 {
-        return (0, 0);
-    }
-    let zeros = m.trailing_zeros();
-    let m = m >> zeros;
-    (if x < 0.0 { -m } else { m }, e + zeros as i32)
+    let (mantissa, exponent) =
+        if field == 0 { (fraction, -1074) } else { (fraction | 1 << 52, field - 1075) };
+    let zeros = mantissa.trailing_zeros() as i32;
+    let odd = mantissa >> zeros;
+    (if x < 0.0 { -odd } else { odd }, exponent + zeros)
 }
 
 /// The determinant with the given rows, rounded, and the sum of the magnitudes of its six products.

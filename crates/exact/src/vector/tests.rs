@@ -103,4 +103,30 @@ proptest! {
             }
         }
     }
+
+    /// Of lines between few points, so that many meet and some are dependent.
+    #[test]
+    fn what_is_surely_independent_is(
+        points in prop::array::uniform6(prop::array::uniform3(-2i32..3)), near in prop_oneof![Just(0.0), Just(1e-3), Just(1e-15)],
+    ) {
+        let mut at = points.map(|p| DVec3::from(p.map(f64::from)));
+        at[5].x += near;
+        prop_assume!(at[0] != at[1] && at[2] != at[3] && at[4] != at[5]);
+        let mut space = Space::new(Frame::around(&at[..3], &at[3..]));
+        let lines = [0, 2, 4].map(|k| {
+            let ends = [at[k], at[k + 1]].map(|p| {
+                let p = space.frame().given(p);
+                space.point(p)
+            });
+            space.join(ends[0], ends[1])
+        });
+        if space.surely_independent(lines) {
+            let truth = super::small::dependent([[at[0], at[1]], [at[2], at[3]], [at[4], at[5]]]);
+            prop_assert!(truth != Some(true));
+        } else if near == 0.0 {
+            // Small integers are told apart by doubles: what is not sure is not so.
+            let truth = super::small::dependent([[at[0], at[1]], [at[2], at[3]], [at[4], at[5]]]);
+            prop_assert_eq!(truth, Some(true));
+        }
+    }
 }

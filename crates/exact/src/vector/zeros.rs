@@ -20,15 +20,25 @@ impl Space {
             self.decisions.spanned += 1;
             return Ordering::Equal;
         }
-        // Pairs of doubles along the chain of cuts a ray comes from cost as much as its integers from the lines it is on.
-        if !self.vectors[ray as usize].refined {
-            self.sharpen_from(ray, &tight);
+        self.unexplained_side([ray, line], &[(ray, &tight)])
+    }
+
+    /// The sign where no reason is known for its being 0, of vectors of which some are rays on these lines.
+    fn unexplained_side(&mut self, [a, b]: [Id; 2], rays: &[(Id, &[Id])]) -> Ordering {
+        // Pairs of doubles along the chain of cuts a ray comes from cost as much as its integers from the lines it is on, so only
+        // those that are there already are asked first.
+        for (ray, on) in rays {
+            if !self.vectors[*ray as usize].refined {
+                self.sharpen_from(*ray, on);
+            }
         }
-        if let Some(sign) = self.refined_side(ray, line) {
+        if let Some(sign) = self.refined_side(a, b) {
             return sign;
         }
-        self.sharpen_from(ray, &tight);
-        self.exact_side(ray, line)
+        for (ray, on) in rays {
+            self.sharpen_from(*ray, on);
+        }
+        self.exact_side(a, b)
     }
 
     /// Whether `line` is seen to be a combination of some of `lines`: of two of a pencil it is in, or of three that meet
@@ -110,15 +120,8 @@ impl Space {
     }
 
     /// Whether four points are in a plane.
-    fn flat(&mut self, of: [u32; 4]) -> bool {
-        match self.world(of).and_then(crate::predicates::orient_small) {
-            Some(sign) => {
-                self.decisions.exact += 1;
-                self.decisions.zero += u64::from(sign == Ordering::Equal);
-                sign == Ordering::Equal
-            }
-            None => self.orient(of[0], of[1], of[2], of[3]) == Ordering::Equal,
-        }
+    fn flat(&mut self, [p, q, r, s]: [u32; 4]) -> bool {
+        self.orient(p, q, r, s) == Ordering::Equal
     }
 
     /// The Klein form's sign for two rays that are known to be on all of the lines `s` and `t`, where filters cannot tell.
@@ -132,17 +135,7 @@ impl Space {
             self.decisions.spanned += 1;
             return Ordering::Equal;
         }
-        for (ray, on) in [(a, s), (b, t)] {
-            if !self.vectors[ray as usize].refined {
-                self.sharpen_from(ray, on);
-            }
-        }
-        if let Some(sign) = self.refined_side(a, b) {
-            return sign;
-        }
-        self.sharpen_from(a, s);
-        self.sharpen_from(b, t);
-        self.exact_side(a, b)
+        self.unexplained_side([a, b], &[(a, s), (b, t)])
     }
 
     /// Whether three of the lines are independent and meet pairwise.
@@ -181,7 +174,7 @@ impl Space {
     ///
     /// No component exceeds 1 and each is off by at most its vector's error e: a minor of six products of three is off by
     /// 6(e + e' + e'') and what is of higher order, and its roundings by 5u of each product.
-    fn surely_independent(&self, of: [Id; 3]) -> bool {
+    pub(super) fn surely_independent(&self, of: [Id; 3]) -> bool {
         let [x, y, z] = of.map(|l| &self.near[l as usize]);
         let error = x.error + y.error + z.error;
         if error.is_nan() || error > 1e-3 {
