@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use sightline_scene::{Aabb, Object, Scene, SceneError};
 
 use crate::core::Coordinator;
-use crate::store::{BlobError, Digest};
+use crate::store::{BlobError, Digest, SceneRecord, StoreError};
 
 /// Facts about a scene.
 pub(crate) struct SceneFacts {
@@ -35,6 +35,17 @@ pub enum FactsError {
     Scene(#[from] SceneError),
 }
 
+/// Why a scene cannot be stored.
+#[derive(Debug, thiserror::Error)]
+pub enum TakeError {
+    /// Its blob cannot be written.
+    #[error(transparent)]
+    Blob(#[from] BlobError),
+    /// It cannot be recorded.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
 impl Coordinator {
     /// Remembers a scene that is at hand anyway.
     pub(crate) fn remember(&self, digest: Digest, scene: &Scene) -> Arc<SceneFacts> {
@@ -42,6 +53,23 @@ impl Coordinator {
         *self.last_scene.0.lock().unwrap_or_else(PoisonError::into_inner) =
             Some((digest, Arc::clone(&facts)));
         facts
+    }
+
+    /// Stores a scene that is in this process, as an upload would: what takes no chunks, and no reading back.
+    ///
+    /// # Errors
+    /// When it cannot be written, or not be recorded.
+    pub fn take_scene(&self, scene: &Scene) -> Result<Digest, TakeError> {
+        let bytes = scene.to_blob();
+        let digest = self.blobs.put(&bytes)?;
+        self.remember(digest, scene);
+        self.store.record_scene(SceneRecord {
+            digest,
+            bytes: bytes.len() as u64,
+            triangles: scene.len(),
+            objects: scene.objects().len() as u32,
+        })?;
+        Ok(digest)
     }
 
     /// The facts of a stored scene.

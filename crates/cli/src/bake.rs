@@ -1,4 +1,5 @@
-//! `sightline bake`: a coordinator and workers in this process, speaking the same gRPC to each other as in a cluster.
+//! `sightline bake`: a coordinator and workers in this process, speaking the same gRPC to each other as in a cluster, but
+//! for the scene, which is in this process already.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -132,7 +133,11 @@ async fn bake(
         std::future::pending(),
     ));
     let mut client = JobsClient::new(client::channel(&url).await?);
-    client::upload(&mut client, &loaded.prepared.scene).await?;
+    let (taker, here) = (Arc::clone(&coordinator), Arc::clone(loaded));
+    tokio::task::spawn_blocking(move || taker.take_scene(&here.prepared.scene))
+        .await
+        .map_err(CliError::internal)?
+        .map_err(|e| CliError::Input(format!("{e} (--data-dir names another place)")))?;
     let mut answer = submit(&mut client, args, spec).await?;
     let mut job = answer.job.take().unwrap_or_default();
     if job.state() == v1::JobState::Done && job.tiles_set_aside > 0 {

@@ -3,6 +3,7 @@
 use std::io::{BufWriter, Write as _};
 use std::path::Path;
 
+use rayon::prelude::*;
 use serde::Serialize;
 use sightline_pvs::{Pvs, PvsError};
 use sightline_scene::Scene;
@@ -92,19 +93,20 @@ impl Summary {
         let info: serde_json::Value =
             serde_json::from_str(pvs.info_json()).unwrap_or_else(|_| pvs.info_json().into());
         let budget = info["division"]["adaptive"]["budget"].as_u64();
-        let (mut undecided, mut aside, mut over) = (0u64, 0, 0);
-        let mut sizes: Vec<u64> = Vec::new();
-        let mut ids = Vec::new();
-        for cell in 0..pvs.cells() {
-            pvs.visible(cell, &mut ids)?;
-            sizes.push(ids.len() as u64);
-            let set_aside = pvs.is_set_aside(cell)?;
-            // A cell that was set aside shows everything, whatever its size.
-            over += usize::from(!set_aside && budget.is_some_and(|b| ids.len() as u64 > b));
-            pvs.undecided(cell, &mut ids)?;
-            undecided += ids.len() as u64;
-            aside += u32::from(set_aside);
-        }
+        let sets: Vec<(u64, u64, bool)> = (0..pvs.cells())
+            .into_par_iter()
+            .map_init(Vec::new, |ids, cell| {
+                pvs.undecided(cell, ids)?;
+                let undecided = ids.len() as u64;
+                pvs.visible(cell, ids)?;
+                Ok((ids.len() as u64, undecided, pvs.is_set_aside(cell)?))
+            })
+            .collect::<Result<_, PvsError>>()?;
+        let sizes: Vec<u64> = sets.iter().map(|s| s.0).collect();
+        let undecided: u64 = sets.iter().map(|s| s.1).sum();
+        let aside = sets.iter().filter(|s| s.2).count() as u32;
+        // A cell that was set aside shows everything, whatever its size.
+        let over = sets.iter().filter(|s| !s.2 && budget.is_some_and(|b| s.0 > b)).count();
         let bounds = cells::bounds(&pvs)?;
         let [file_bytes, visible, undecided_bytes] = pvs.file_bytes();
         let cells = f64::from(pvs.cells());

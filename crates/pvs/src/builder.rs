@@ -1,20 +1,11 @@
-//! Writing a result: checks what comes in, chooses the sets of the inner tree nodes, codes everything.
-//!
-//! A cell's set is the exclusive or of the sets along its root path (thesis appendix B.1). Which averages to keep
-//! at the inner nodes is free; the thesis takes what most children see. Here they are chosen so that the number of
-//! ids stored in the whole tree is least, for each id on its own: the small parsimony problem, solved on a binary
-//! tree by Fitch's rule (1971, "Toward defining the course of evolution", Systematic Zoology 20). Going up, an id
-//! is *in* a node when it is in one child and not out of the other, *out* likewise, and *open* when the children
-//! contradict or are both open. Going down, an open id follows the node above.
-//!
-//! Cells come in depth-first order, so going up needs only the averages of the subtrees that wait for their
-//! sibling: O(depth) sets. What the way down needs of each split (where its children contradict) is kept coded.
+//! Writing a result: checks what comes in and writes the sections. Which sets the inner tree nodes have is for
+//! [`crate::hierarchy`] to choose.
 
 use std::io::Write;
 
-use crate::codec;
 use crate::columns::{self, Column};
 use crate::error::PvsError;
+use crate::hierarchy::Hierarchy;
 use crate::layout::{self, Section};
 use crate::runs;
 use crate::tree::{CellTree, Node};
@@ -83,12 +74,11 @@ impl Builder {
                 return Err(PvsError::TooLarge { what, value, limit });
             }
         }
-        let nodes = header.tree.nodes().len();
         Ok(Self {
             header,
             flags: Vec::new(),
-            visible: Hierarchy::new(nodes),
-            undecided: Hierarchy::new(nodes),
+            visible: Hierarchy::default(),
+            undecided: Hierarchy::default(),
             columns: Vec::new(),
             evidence: Default::default(),
         })
@@ -102,12 +92,10 @@ impl Builder {
     /// when a cell set aside does not draw everything; [`PvsError::CellCount`] after the last cell.
     pub fn push_cell(&mut self, visible: &[u32], undecided: &[u32], flags: u32) -> Result<(), PvsError> {
         let cell = self.flags.len() as u32;
-        let Some(leaf) = self.header.tree.leaf(cell) else {
-            return Err(PvsError::CellCount {
-                expected: self.header.tree.cells(),
-                pushed: u64::from(cell) + 1,
-            });
-        };
+        let cells = self.header.tree.cells();
+        if cell >= cells {
+            return Err(PvsError::CellCount { expected: cells, pushed: u64::from(cell) + 1 });
+        }
         let bad = |set, reason: String| PvsError::Ids { cell, set, reason };
         for (set, ids) in [("visible", visible), ("undecided", undecided)] {
             if let Some(pair) = ids.windows(2).find(|p| p[0] >= p[1]) {
@@ -128,8 +116,8 @@ impl Builder {
                 "the cell is set aside, but not all triangles are visible".to_owned(),
             ));
         }
-        self.visible.push(&self.header.tree, leaf, seen, visible.len());
-        self.undecided.push(&self.header.tree, leaf, open, undecided.len());
+        self.visible.push(&seen, visible.len());
+        self.undecided.push(&open, undecided.len());
         self.flags.push(flags);
         Ok(())
     }
@@ -176,9 +164,10 @@ impl Builder {
         let tree_bytes = tree_section(&tree);
         let object_bytes = object_section(&objects);
         let flag_bytes: Vec<u8> = self.flags.iter().flat_map(|f| f.to_le_bytes()).collect();
+        let (visible_ids, undecided_ids) = (self.visible.ids(), self.undecided.ids());
         let visible = self.visible.section(&tree, triangles)?;
         let undecided =
-            if self.undecided.ids == 0 { Vec::new() } else { self.undecided.section(&tree, triangles)? };
+            if undecided_ids == 0 { Vec::new() } else { self.undecided.section(&tree, triangles)? };
         let evidence = evidence_section(self.evidence, tree.cells());
         let all: [&[u8]; Section::ALL.len()] = [
             info_json.as_bytes(),
@@ -209,8 +198,8 @@ impl Builder {
             undecided_bytes: undecided.len() as u64,
             column_bytes: self.columns.len() as u64,
             evidence_bytes: evidence.len() as u64,
-            visible_ids: self.visible.ids,
-            undecided_ids: self.undecided.ids,
+            visible_ids,
+            undecided_ids,
         })
     }
 }
@@ -267,137 +256,4 @@ fn object_section(objects: &[Object]) -> Vec<u8> {
         bytes.extend(o.name.as_bytes());
     }
     bytes
-}
-
-/// The average of a subtree by Fitch's rule. Sets as boundaries; the two are disjoint.
-struct Average {
-    /// In it.
-    within: Vec<u32>,
-    /// As well in as out.
-    open: Vec<u32>,
-}
-
-/// The averages of one kind of set, up to the last cell pushed.
-struct Hierarchy {
-    /// Complete subtrees waiting for their upper sibling, or the root.
-    waiting: Vec<Average>,
-    /// For each split, coded: ids in its lower child and out of the upper one; the reverse.
-    contradictions: Vec<[Vec<u8>; 2]>,
-    ids: u64,
-}
-
-impl Hierarchy {
-    fn new(nodes: usize) -> Self {
-        Self { waiting: Vec::new(), contradictions: vec![[Vec::new(), Vec::new()]; nodes], ids: 0 }
-    }
-
-    fn push(&mut self, tree: &CellTree, leaf: u32, set: Vec<u32>, ids: usize) {
-        self.ids += ids as u64;
-        let mut average = Average { within: set, open: Vec::new() };
-        let mut node = leaf;
-        // As long as this completes an upper child, its lower sibling waits on top of the stack.
-        while node != 0 && tree.upper(tree.parent(node)) == Some(node) {
-            let Some(lower) = self.waiting.pop() else { break };
-            node = tree.parent(node);
-            let [within, open, lower_only, upper_only] = runs::sweep(
-                [&lower.within, &lower.open, &average.within, &average.open],
-                // Bits 0 and 1: in the lower child, open there; bits 2 and 3: the same of the upper one.
-                |m| match m {
-                    0b0101 | 0b1001 | 0b0110 => 0b0001,
-                    0b1010 => 0b0010,
-                    0b0001 => 0b0110,
-                    0b0100 => 0b1010,
-                    _ => 0,
-                },
-            );
-            let coded = &mut self.contradictions[node as usize];
-            codec::encode(&lower_only, false, &mut coded[0]);
-            codec::encode(&upper_only, false, &mut coded[1]);
-            average = Average { within, open };
-        }
-        self.waiting.push(average);
-    }
-
-    /// Offsets and coded sets of all nodes. All cells have been pushed, so the root alone is waiting.
-    fn section(&self, tree: &CellTree, triangles: u32) -> Result<Vec<u8>, PvsError> {
-        let mut forms = Vec::with_capacity(tree.nodes().len());
-        // Ids open at the root are out of it: as few ids as the other way.
-        let root = self.waiting.first().map_or(&[][..], |a| &a.within);
-        self.code(tree, triangles, 0, &[], root, &mut forms)?;
-
-        // Bytes of a node's subtree without the node when its children may refer to it; bytes of its subtree when
-        // nothing refers above it. Children come after their parents, so backwards.
-        let mut referring = vec![0usize; forms.len()];
-        let mut standing = vec![0usize; forms.len()];
-        for node in (0..forms.len()).rev() {
-            let below = tree.upper(node as u32).map(|upper| [node + 1, upper as usize]);
-            let own = forms[node].absolute.len();
-            (referring[node], standing[node]) = below.map_or((0, own), |children| {
-                let refer = children.map(|c| (forms[c].relative.len() + referring[c]).min(standing[c]));
-                let refer = refer[0] + refer[1];
-                (refer, (own + refer).min(children.iter().map(|&c| standing[c]).sum()))
-            });
-        }
-        let mut offsets = vec![0u64];
-        let mut sets: Vec<u8> = Vec::new();
-        // Whether there is something above to refer to, for each node.
-        let mut may_refer = vec![false; forms.len()];
-        for (node, form) in forms.iter().enumerate() {
-            let refers = may_refer[node] && form.relative.len() + referring[node] <= standing[node];
-            let children = tree.upper(node as u32).map(|upper| [node + 1, upper as usize]);
-            // An inner set that pays for nothing is left out: no bytes, and none below refers to it.
-            let stands = children.is_none() || form.absolute.len() + referring[node] <= standing[node];
-            if refers {
-                sets.extend(&form.relative);
-            } else if stands {
-                sets.extend(&form.absolute);
-            }
-            for child in children.into_iter().flatten() {
-                may_refer[child] = refers || stands;
-            }
-            offsets.push(sets.len() as u64);
-        }
-        let mut bytes: Vec<u8> = offsets.iter().flat_map(|o| o.to_le_bytes()).collect();
-        bytes.extend(sets);
-        Ok(bytes)
-    }
-
-    /// Codes the node's set both ways and goes on with its children, lower first. Recursion is as deep as the tree,
-    /// at most [`crate::MAX_DEPTH`].
-    fn code(
-        &self,
-        tree: &CellTree,
-        triangles: u32,
-        node: u32,
-        above: &[u32],
-        set: &[u32],
-        forms: &mut Vec<Forms>,
-    ) -> Result<(), PvsError> {
-        let [difference] = runs::sweep([above, set], |m| u32::from(m == 1 || m == 2));
-        let mut form = Forms::default();
-        codec::encode(&difference, false, &mut form.relative);
-        codec::encode(set, true, &mut form.absolute);
-        forms.push(form);
-        let Some(upper) = tree.upper(node) else { return Ok(()) };
-        let mut parts = [Vec::new(), Vec::new()];
-        for (part, coded) in parts.iter_mut().zip(&self.contradictions[node as usize]) {
-            codec::decode(coded, triangles, |start, end| part.extend([start, end]))
-                .map_err(|e| Section::Visible.malformed(e.0))?;
-        }
-        // In order: the node, lower only, upper only.
-        let [in_lower, in_upper] = runs::sweep([set, &parts[0], &parts[1]], |m| {
-            u32::from(m & 2 != 0 || m == 1) | u32::from(m & 4 != 0 || m == 1) << 1
-        });
-        self.code(tree, triangles, node + 1, set, &in_lower, forms)?;
-        self.code(tree, triangles, upper, set, &in_upper, forms)
-    }
-}
-
-/// One node's set, coded.
-#[derive(Default)]
-struct Forms {
-    /// As the difference from the node above.
-    relative: Vec<u8>,
-    /// By itself, which is shorter for what resembles nothing else (a cell set aside, say).
-    absolute: Vec<u8>,
 }

@@ -98,15 +98,23 @@ fn best_order(values: impl Iterator<Item = u32>) -> u32 {
         let ones = v.checked_shl(32 - length).unwrap_or(0).leading_ones();
         counts[length as usize][ones as usize] += 1;
     }
+    // Few of the pairs occur.
+    let kinds: Vec<(u32, u32, u64)> = (0..33u32)
+        .flat_map(|l| (0..=l).map(move |o| (l, o)))
+        .map(|(l, o)| (l, o, counts[l as usize][o as usize]))
+        .filter(|kind| kind.2 > 0)
+        .collect();
     let bits = |k: u32| -> u64 {
         let code = |length: u32, ones: u32| {
             // The logarithm of v + 2ᵏ: adding carries into a new bit when all bits from k up are ones.
             let n = if k >= length { k } else { length - u32::from(k < length - ones) };
             u64::from(2 * n - k + 1)
         };
-        (0..33u32).map(|l| (0..=l).map(|o| counts[l as usize][o as usize] * code(l, o)).sum::<u64>()).sum()
+        kinds.iter().map(|(length, ones, count)| count * code(*length, *ones)).sum()
     };
-    (0..=MAX_ORDER).min_by_key(|&k| bits(k)).unwrap_or(0)
+    // From the greatest length on every code has k + 1 bits.
+    let longest = kinds.last().map_or(0, |kind| kind.0);
+    (0..=longest.min(MAX_ORDER)).min_by_key(|&k| bits(k)).unwrap_or(0)
 }
 
 #[cfg(test)]
@@ -132,8 +140,13 @@ fn code_all(values: impl Iterator<Item = u32>, k: u32) -> Vec<u8> {
     for value in values {
         let w = u64::from(value) + (1 << k);
         let n = w.ilog2();
-        bits.put(1 << (n - k), n - k + 1);
-        bits.put(w & ((1 << n) - 1), n);
+        let (zeros, low) = (n - k, w & ((1 << n) - 1));
+        if zeros + 1 + n <= MOST_PUT {
+            bits.put((low << 1 | 1) << zeros, zeros + 1 + n);
+        } else {
+            bits.put(1 << zeros, zeros + 1);
+            bits.put(low, n);
+        }
     }
     bits.finish()
 }
@@ -158,6 +171,9 @@ fn read_varint(bytes: &[u8]) -> Option<(u64, &[u8])> {
     None
 }
 
+/// Most bits put at once: at most 31 are held before.
+const MOST_PUT: u32 = 33;
+
 struct BitWriter {
     out: Vec<u8>,
     buffer: u64,
@@ -165,22 +181,20 @@ struct BitWriter {
 }
 
 impl BitWriter {
-    /// Appends the low `count` ≤ 33 bits of `value`, whose other bits are 0.
+    /// Appends the low `count` ≤ [`MOST_PUT`] bits of `value`, whose other bits are 0.
     fn put(&mut self, value: u64, count: u32) {
-        // At most 7 bits are held between calls, so 40 fit.
         self.buffer |= value << self.held;
         self.held += count;
-        while self.held >= 8 {
-            self.out.push(self.buffer as u8);
-            self.buffer >>= 8;
-            self.held -= 8;
+        if self.held >= 32 {
+            self.out.extend_from_slice(&(self.buffer as u32).to_le_bytes());
+            self.buffer >>= 32;
+            self.held -= 32;
         }
     }
 
     fn finish(mut self) -> Vec<u8> {
-        if self.held > 0 {
-            self.out.push(self.buffer as u8);
-        }
+        let bytes = self.buffer.to_le_bytes();
+        self.out.extend_from_slice(&bytes[..self.held.div_ceil(8) as usize]);
         self.out
     }
 }

@@ -13,7 +13,7 @@
 //! - `objects`: names and triangle ranges, tiling all triangles;
 //! - `flags`: one word a cell;
 //! - `visible`, `undecided`: for each tree node one coded set; a cell's set is the exclusive or of the sets on
-//!   its path from the root (thesis appendix B.1; [`builder`] says how the inner sets are chosen);
+//!   its path from the root (thesis appendix B.1; `hierarchy.rs` says how the inner sets are chosen);
 //! - `columns`, only where there are any: what the baker counted in each cell, under a name each;
 //! - `evidence`, only where there is any: the reasons for each cell's set, opaque here.
 //!
@@ -40,6 +40,7 @@ pub mod builder;
 mod codec;
 mod columns;
 pub mod error;
+mod hierarchy;
 pub mod layout;
 mod parse;
 pub mod reader;

@@ -20,18 +20,26 @@ pub fn from_ids(ids: &[u32]) -> Vec<u32> {
 pub fn sweep<const I: usize, const O: usize>(inputs: [&[u32]; I], f: impl Fn(u32) -> u32) -> [Vec<u32>; O] {
     let mut outputs = [const { Vec::new() }; O];
     let mut next = [0usize; I];
+    // The next boundary of each input; beyond all boundaries at its end.
+    let head = |i: usize, next: usize| inputs[i].get(next).map_or(u64::MAX, |at| u64::from(*at));
+    let mut heads: [u64; I] = std::array::from_fn(|i| head(i, 0));
     let (mut inside, mut given) = (0u32, 0u32);
-    while let Some(at) = (0..I).filter_map(|i| inputs[i].get(next[i])).min().copied() {
+    loop {
+        let at = heads.iter().fold(u64::MAX, |least, at| least.min(*at));
+        if at == u64::MAX {
+            break;
+        }
         for i in 0..I {
-            if inputs[i].get(next[i]) == Some(&at) {
+            if heads[i] == at {
                 inside ^= 1 << i;
                 next[i] += 1;
+                heads[i] = head(i, next[i]);
             }
         }
         let wanted = f(inside);
         for (o, output) in outputs.iter_mut().enumerate() {
             if (wanted ^ given) >> o & 1 == 1 {
-                output.push(at);
+                output.push(at as u32);
             }
         }
         given = wanted;

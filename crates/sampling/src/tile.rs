@@ -7,6 +7,7 @@
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
+use rayon::prelude::*;
 use sightline_scene::topology::{self, Solids};
 use sightline_scene::{Aabb, Scene, SceneError, overlap};
 use sightline_viewcells::{CellBox, Division, Lattice, LatticePoint, Split, Tile, TileKind};
@@ -66,7 +67,7 @@ impl PreparedScene {
             let mut kept = vec![true; self.scene.triangles().len()];
             self.duplicates().iter().flat_map(|class| &class[1..]).for_each(|id| kept[*id as usize] = false);
             let area = |id: &u32| !self.scene.triangles()[*id as usize].is_degenerate();
-            (0..self.scene.len()).filter(|id| kept[*id as usize]).filter(area).collect()
+            (0..self.scene.len()).into_par_iter().filter(|id| kept[*id as usize]).filter(area).collect()
         })
     }
 

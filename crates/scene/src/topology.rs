@@ -5,6 +5,7 @@
 use std::cmp::Ordering;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use crate::exact::{Sum, det3, det3_terms, orient3d_sign};
 use crate::{Scene, SceneError};
@@ -38,7 +39,7 @@ impl Solids {
                 );
             }
         }
-        edges.sort_unstable();
+        edges.par_sort_unstable();
         let mut surface = Forest::new(n);
         let triangle = |key: u128| (key as u64 >> 1) as u32;
         let groups = || edges.chunk_by(|a, b| a >> 64 == b >> 64);
@@ -92,23 +93,49 @@ impl Solids {
 /// # Errors
 /// As [`Solids::of`].
 pub fn duplicates(scene: &Scene) -> Result<Vec<Vec<u32>>, SceneError> {
-    let corners = corner_vertices(scene)?;
-    let mut keys: Vec<u128> = Vec::with_capacity(scene.triangles().len());
-    for (id, (c, t)) in corners.chunks_exact(3).zip(scene.triangles()).enumerate() {
-        let mut v = [c[0], c[1], c[2]];
-        v.sort_unstable();
-        if !t.is_degenerate() {
-            keys.push(u128::from(v[0]) << 96 | u128::from(v[1]) << 64 | u128::from(v[2]) << 32 | id as u128);
-        }
-    }
-    keys.sort_unstable();
-    let mut classes: Vec<Vec<u32>> = keys
-        .chunk_by(|a, b| a >> 32 == b >> 32)
-        .filter(|class| class.len() > 1)
-        .map(|class| class.iter().map(|key| *key as u32).collect())
+    check_size(scene)?;
+    let all = scene.triangles();
+    // Sorting by a hash that does not depend on the order of the vertices brings the same triangles together, and few others.
+    let mut keys: Vec<(u64, u32)> = all
+        .par_iter()
+        .enumerate()
+        .map(|(id, t)| (t.v.iter().fold(0, |sum: u64, v| sum.wrapping_add(hash(position(*v)))), id as u32))
         .collect();
+    keys.par_sort_unstable();
+    let mut classes: Vec<Vec<u32>> = Vec::new();
+    for group in keys.chunk_by(|a, b| a.0 == b.0).filter(|group| group.len() > 1) {
+        let mut same: Vec<([u128; 3], u32)> = group
+            .iter()
+            .filter(|(_, id)| !all[*id as usize].is_degenerate())
+            .map(|(_, id)| {
+                let mut vertices = all[*id as usize].v.map(position);
+                vertices.sort_unstable();
+                (vertices, *id)
+            })
+            .collect();
+        same.sort_unstable();
+        let found = same.chunk_by(|a, b| a.0 == b.0).filter(|class| class.len() > 1);
+        classes.extend(found.map(|class| class.iter().map(|(_, id)| *id).collect()));
+    }
     classes.sort_unstable();
     Ok(classes)
+}
+
+/// A position's bits, equal exactly where its coordinates are: 96 bits, x uppermost.
+fn position(v: Vec3) -> u128 {
+    // Adding 0 turns −0 into 0 and changes nothing else.
+    let bits = |c: f32| u128::from((c + 0.0).to_bits());
+    bits(v.x) << 64 | bits(v.y) << 32 | bits(v.z)
+}
+
+/// Spreads a position over 64 bits: the finalizer of SplitMix64 (Steele et al. 2014) over each half.
+fn hash(position: u128) -> u64 {
+    let mix = |x: u64| {
+        let x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        x ^ x >> 31
+    };
+    mix(mix((position >> 64) as u64 | 1 << 63).wrapping_add(position as u64))
 }
 
 /// Whether a scene's corners can be numbered.
@@ -138,11 +165,9 @@ pub fn corner_vertices(scene: &Scene) -> Result<Vec<u32>, SceneError> {
     // Position in the upper 96 bits, corner in the lower 32.
     let mut keys: Vec<u128> = Vec::with_capacity(corners as usize);
     for v in scene.triangles().iter().flat_map(|t| &t.v) {
-        // Adding 0 turns −0 into 0 and changes nothing else.
-        let bits = |c: f32| u128::from((c + 0.0).to_bits());
-        keys.push(bits(v.x) << 96 | bits(v.y) << 64 | bits(v.z) << 32 | keys.len() as u128);
+        keys.push(position(*v) << 32 | keys.len() as u128);
     }
-    keys.sort_unstable();
+    keys.par_sort_unstable();
     let mut ids = vec![0u32; keys.len()];
     for (id, group) in keys.chunk_by(|a, b| a >> 32 == b >> 32).enumerate() {
         for key in group {

@@ -1,10 +1,13 @@
 //! The cpu backend: visibility cubes traced with Embree in coherent packets of sixteen rays (4 × 4 pixels).
 //!
-//! Bit-identical on every run: the hierarchy is built on one thread, the instruction set is pinned, and the
-//! packets are always the same sixteen pixels. Samples are spread over the threads of the current rayon pool.
+//! Bit-identical on every run: the hierarchy does not depend on how many threads build it, the instruction set is pinned, and
+//! the packets are always the same sixteen pixels. Samples are spread over the threads of the current rayon pool.
 
 mod library;
+#[cfg(test)]
+mod tests;
 
+use std::ffi::CStr;
 use std::sync::{Arc, Mutex, OnceLock};
 
 use glam::Vec3;
@@ -62,9 +65,17 @@ impl CpuBackend {
     }
 
     fn open() -> Result<Device, BackendError> {
-        // Hits at equal distance are decided by the order of the hierarchy: one thread builds it, so that it is
-        // the same on every machine; AVX-512 is left out because its packets round differently from AVX2's.
-        Device::new(c"threads=1,set_affinity=0,max_isa=avx2")
+        // All cores build the hierarchy, which is the same for any number of them
+        // (`however_many_threads_build_it_the_hierarchy_is_the_same`).
+        Self::open_with(std::thread::available_parallelism().map_or(1, usize::from))
+    }
+
+    /// So many threads build hierarchies. AVX-512 is left out because its packets round differently from AVX2's.
+    fn open_with(threads: usize) -> Result<Device, BackendError> {
+        let config = format!("threads={threads},set_affinity=0,max_isa=avx2\0");
+        let config = CStr::from_bytes_until_nul(config.as_bytes())
+            .map_err(|e| BackendError::Unavailable(format!("Embree cannot be configured: {e}")))?;
+        Device::new(config)
     }
 
     fn build(&self, superset: Option<&[u32]>) -> Result<Arc<Hierarchy>, String> {

@@ -1,6 +1,8 @@
 //! What the sampler knows of the triangles' surface: neighbours over edges or close by, and an order in which triangles near
 //! each other are near each other.
 
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+
 use glam::Vec3;
 use rayon::prelude::*;
 use sightline_scene::{Scene, Triangle};
@@ -39,28 +41,27 @@ fn neighbours(scene: &Scene, ids: &[u32]) -> Vec<[u32; 3]> {
         super::sequence::mix(u64::from(x) << 32 | u64::from(y))
             .wrapping_add(super::sequence::mix(u64::from(z)))
     };
-    let mut edges: Vec<(u64, u32)> = ids
-        .par_iter()
-        .map(|id| (*id, &all[*id as usize]))
-        .flat_map_iter(|(id, t)| {
-            let ends = t.v.map(end);
-            (0..3).map(move |k| {
-                let (a, b) = (ends[k], ends[(k + 1) % 3]);
-                (super::sequence::mix(a ^ b).wrapping_add(a.wrapping_add(b)), 3 * id + k as u32)
-            })
-        })
-        .collect();
+    let mut edges = vec![(0u64, 0u32); 3 * ids.len()];
+    edges.par_chunks_exact_mut(3).zip(ids).for_each(|(own, id)| {
+        let ends = all[*id as usize].v.map(end);
+        for (k, edge) in own.iter_mut().enumerate() {
+            let (a, b) = (ends[k], ends[(k + 1) % 3]);
+            *edge = (super::sequence::mix(a ^ b).wrapping_add(a.wrapping_add(b)), 3 * id + k as u32);
+        }
+    });
     edges.par_sort_unstable();
-    let mut found = vec![[SKY; 3]; all.len()];
-    for group in edges.chunk_by(|a, b| a.0 == b.0) {
+    // Each edge is in one group, and so each place is written once.
+    let mut places: Vec<AtomicU32> = Vec::new();
+    places.resize_with(3 * all.len(), || AtomicU32::new(SKY));
+    edges.par_chunk_by(|a, b| a.0 == b.0).for_each(|group| {
         for (i, (_, edge)) in group.iter().enumerate() {
             let next = group[(i + 1) % group.len()].1;
             if next / 3 != edge / 3 {
-                found[*edge as usize / 3][*edge as usize % 3] = next / 3;
+                places[*edge as usize].store(next / 3, Relaxed);
             }
         }
-    }
-    found
+    });
+    places.par_chunks_exact(3).map(|own| [0, 1, 2].map(|k: usize| own[k].load(Relaxed))).collect()
 }
 
 /// Gives each edge that has no other triangle one that is close by in Morton order: leaves of a tree, or walls that
@@ -113,10 +114,10 @@ fn morton(scene: &Scene, ids: &[u32]) -> Vec<u32> {
         let c = ((t.v[0] + t.v[1] + t.v[2]) / 3.0 - bounds.min) * scale;
         spread(c.x as u32) | spread(c.y as u32) << 1 | spread(c.z as u32) << 2
     };
-    let mut keyed: Vec<(u32, u32)> =
-        ids.par_iter().map(|id| (code(&scene.triangles()[*id as usize]), *id)).collect();
+    let key = |id: &u32| u64::from(code(&scene.triangles()[*id as usize])) << 32 | u64::from(*id);
+    let mut keyed: Vec<u64> = ids.par_iter().map(key).collect();
     keyed.par_sort_unstable();
-    keyed.into_iter().map(|(_, id)| id).collect()
+    keyed.into_par_iter().map(|key| key as u32).collect()
 }
 
 /// A random point of a triangle, even over its area but for rounding.

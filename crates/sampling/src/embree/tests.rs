@@ -1,0 +1,55 @@
+//! Hits at equal distance are decided by the order of the hierarchy, so that must not depend on who builds it. Embree's
+//! builders promise it for all but the high quality (embree issue 20, since 2.5).
+
+use std::sync::Arc;
+
+use super::CpuBackend;
+use super::library::{RayHit1, TriangleScene};
+use crate::backend::BackendError;
+
+/// Triangles on a coarse lattice: many lie on each other, in one plane, or are the same.
+fn soup(count: usize) -> Vec<[f32; 9]> {
+    let mut state = 7u64;
+    let mut random = move |below: u64| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) % below
+    };
+    (0..count)
+        .map(|_| {
+            let at = [random(64), random(64), random(8)];
+            let mut corner = || [0, 1, 2].map(|a| (at[a] + random(4)) as f32);
+            let [a, b, c] = [corner(), corner(), corner()];
+            [a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]]
+        })
+        .collect()
+}
+
+#[test]
+fn however_many_threads_build_it_the_hierarchy_is_the_same() {
+    let triangles = soup(150_000);
+    let mut met: Vec<Vec<(u32, u32)>> = Vec::new();
+    for threads in [1, 2, 3, 8] {
+        let device = match CpuBackend::open_with(threads) {
+            Ok(device) => Arc::new(device),
+            Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
+                eprintln!("not run: {why}");
+                return;
+            }
+            Err(e) => panic!("{e}"),
+        };
+        let scene = TriangleScene::new(&device, triangles.len(), triangles.iter().copied()).unwrap();
+        let ray = |i: u32| {
+            let (x, y) = (i % 256, i / 256);
+            // Straight down on lattice points and edges, where most is met at once, and aslant.
+            let direction = if i.is_multiple_of(2) { [0.0, 0.0, -1.0] } else { [0.25, 0.5, -1.0] };
+            let mut ray = RayHit1::new([x as f32 * 0.25, y as f32 * 0.25, 20.0], direction, 0.0);
+            scene.intersect_one(&mut ray);
+            (ray.prim, ray.tfar.to_bits())
+        };
+        met.push((0..256 * 256).map(ray).collect());
+    }
+    assert!(met[0].iter().filter(|hit| hit.0 != u32::MAX).count() > 60_000);
+    for other in &met[1..] {
+        assert_eq!(met[0], *other);
+    }
+}
