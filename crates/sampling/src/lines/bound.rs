@@ -152,7 +152,7 @@ impl Block<'_> {
             }
             let batch = left.min(BATCH as u64) as usize;
             left -= batch as u64;
-            // Drawn independently, then put in an order in which packets run alike: the order changes no count.
+            // Drawn independently, then put in an order in which lines that run alike follow each other: the order changes no count.
             let side = ((batch as f32 / 96.0).sqrt() as u32).max(1);
             let mut drawn: Vec<(u32, [f32; 6])> = (0..batch)
                 .map(|_| {
@@ -174,7 +174,7 @@ impl Block<'_> {
                 }
                 s.packets.push(packet);
             }
-            self.tools.tracer.trace(&mut s.packets)?;
+            self.tools.tracer.trace_each(&mut s.packets)?;
             for packet in &s.packets {
                 for lane in 0..packet.count {
                     let triangle = packet.triangle[lane];

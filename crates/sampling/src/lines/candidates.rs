@@ -51,7 +51,13 @@ impl Block<'_> {
                     if row.iter().all(|w| *w == 0) {
                         continue;
                     }
-                    self.grid.dilate(row, &mut near);
+                    // Where one beside it is seen and it is not: nowhere, for most.
+                    near.fill(0);
+                    for beside in self.tools.surface.neighbours[triangle as usize] {
+                        if beside != SKY {
+                            near.iter_mut().zip(self.bits.row(beside)).for_each(|(n, seen)| *n |= seen);
+                        }
+                    }
                     let mut any = 0;
                     for ((n, seen), w) in near.iter_mut().zip(row).zip(&wanted) {
                         *n &= w & !seen;
@@ -61,10 +67,8 @@ impl Block<'_> {
                         continue;
                     }
                     any = 0;
-                    let beside = self.tools.surface.neighbours[triangle as usize];
-                    for (word, n) in near.iter_mut().enumerate() {
-                        let seen = |t: &&u32| **t != SKY;
-                        *n &= beside.iter().filter(seen).fold(0, |all, t| all | self.bits.row(*t)[word]);
+                    for (word, n) in near.iter_mut().enumerate().filter(|(_, n)| **n != 0) {
+                        *n &= self.grid.dilated(row, word);
                         any |= *n;
                     }
                     if any == 0 {
@@ -130,7 +134,8 @@ impl Block<'_> {
                 s.packets.push(ahead);
                 s.packets.push(behind);
             }
-            self.tools.tracer.trace(&mut s.packets)?;
+            // Sixteen that lie near each other are still far apart for a packet.
+            self.tools.tracer.trace_each(&mut s.packets)?;
             let Scratch { packets, crossed, met, tag, .. } = &mut *s;
             for both in packets.chunks_exact(2) {
                 let [ahead, behind] = both else { continue };

@@ -15,6 +15,9 @@ use crate::cube::{SKY, face_basis};
 const SHIFT: u64 = 1;
 const JITTER: u64 = 2;
 
+/// So few tiles along a face are each so wide that their rays do not run alike.
+const WIDE_TILES: u32 = 4;
+
 /// A triangle new to the cell, and the packet whose origin saw it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Find {
@@ -59,7 +62,11 @@ impl Block<'_> {
                 s.packets.push(ahead);
                 s.packets.push(behind);
             }
-            self.tools.tracer.trace(&mut s.packets)?;
+            if tiles <= WIDE_TILES {
+                self.tools.tracer.trace_each(&mut s.packets)?;
+            } else {
+                self.tools.tracer.trace(&mut s.packets)?;
+            }
             finds.clear();
             let Scratch { packets, crossed, met, tag, .. } = &mut *s;
             for (pair, both) in packets.chunks_exact(2).enumerate() {

@@ -61,7 +61,7 @@ impl Block<'_> {
             s.behind.clear();
             s.behind.extend(aimed.iter().map(|a| a.packet.clone()));
             s.behind.extend(aimed.iter().map(|a| a.packet.reversed(self.step)));
-            self.tools.tracer.trace(&mut s.behind)?;
+            self.tools.tracer.trace_each(&mut s.behind)?;
             finds.clear();
             let Scratch { behind: traced, crossed, met, tag, .. } = &mut *s;
             let (ahead, behind) = traced.split_at(aimed.len());

@@ -184,36 +184,34 @@ impl CellGrid {
         }
     }
 
-    /// The cells of `row` and those that share a face with one of them; bits beyond the block may be set as well.
-    pub fn dilate(&self, row: &[u64], out: &mut [u64]) {
+    /// Word `at` of the cells of `row` and of those that share a face with one of them; bits beyond the block may be set as
+    /// well.
+    pub fn dilated(&self, row: &[u64], at: usize) -> u64 {
         let [bx, by, bz] = self.bricks.map(|b| b as usize);
         let step = [1, bx, bx * by];
         let count = [bx, by, bz];
-        // By axis: how far apart the bits of two neighbours are, in a brick and from its last layer to the first of the next.
-        let near_by = [0, self.side[0], self.side[0] + self.side[1]].map(|s| 1u32 << s);
-        let across = [0, 1, 2].map(|a| near_by[a] * ((1 << self.side[a]) - 1));
-        for z in 0..bz {
-            for y in 0..by {
-                for x in 0..bx {
-                    let at = (z * by + y) * bx + x;
-                    let m = row[at];
-                    let mut near = m;
-                    for (a, place) in [x, y, z].into_iter().enumerate() {
-                        let first = self.first[a];
-                        // A brick of one layer has its neighbours in other bricks alone.
-                        near |= m.checked_shl(near_by[a]).unwrap_or(0) & !first;
-                        near |= (m & !first).checked_shr(near_by[a]).unwrap_or(0);
-                        if place > 0 {
-                            near |= row[at - step[a]] >> across[a] & first;
-                        }
-                        if place + 1 < count[a] {
-                            near |= (row[at + step[a]] & first) << across[a];
-                        }
-                    }
-                    out[at] = near;
-                }
+        let places = [at % bx, at / bx % by, at / (bx * by)];
+        let m = row[at];
+        let mut near = m;
+        // How far apart the bits of two neighbours along the axis are.
+        let mut apart = 0;
+        for (a, place) in places.into_iter().enumerate() {
+            let first = self.first[a];
+            let near_by = 1u32 << apart;
+            // From a brick's last layer to the first of the next.
+            let across = near_by * ((1 << self.side[a]) - 1);
+            // A brick of one layer has its neighbours in other bricks alone.
+            near |= m.checked_shl(near_by).unwrap_or(0) & !first;
+            near |= (m & !first).checked_shr(near_by).unwrap_or(0);
+            if place > 0 {
+                near |= row[at - step[a]] >> across & first;
             }
+            if place + 1 < count[a] {
+                near |= (row[at + step[a]] & first) << across;
+            }
+            apart += self.side[a];
         }
+        near
     }
 }
 
@@ -242,8 +240,7 @@ mod tests {
                 let mut row = vec![0; g.words()];
                 let slot = g.slot(c);
                 row[slot.word as usize] |= 1 << slot.bit;
-                let mut near = vec![0; g.words()];
-                g.dilate(&row, &mut near);
+                let near: Vec<u64> = (0..g.words()).map(|at| g.dilated(&row, at)).collect();
                 for d in g.each() {
                     let apart: u32 = (0..3).map(|a| c[a].abs_diff(d[a])).sum();
                     let s = g.slot(d);
