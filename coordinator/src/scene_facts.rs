@@ -84,3 +84,31 @@ impl Coordinator {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use sightline_scene::Triangle;
+
+    use super::*;
+    use crate::core::Config;
+
+    #[test]
+    fn a_scene_that_is_handed_over_is_stored_as_an_upload_is_and_mended() {
+        let directory = tempfile::tempdir().unwrap();
+        let coordinator = Coordinator::open(Config::new(directory.path().to_owned())).unwrap();
+        let triangle = Triangle { v: [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y] };
+        let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
+        let scene = Scene::new("test", vec![triangle], objects).unwrap();
+        for broken in [false, true, false] {
+            if broken {
+                coordinator.blobs.remove(&scene.digest().0).unwrap();
+            }
+            let digest = coordinator.take_scene(&scene).unwrap();
+            assert_eq!(digest, scene.digest().0);
+            assert_eq!(coordinator.blobs.read(&digest).unwrap(), scene.to_blob());
+            assert_eq!(coordinator.facts(&digest).unwrap().triangles, 1);
+            let record = coordinator.store.scene(&digest).unwrap().unwrap();
+            assert_eq!((record.triangles, record.objects), (1, 1));
+        }
+    }
+}

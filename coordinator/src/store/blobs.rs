@@ -125,13 +125,34 @@ impl Blobs {
     fn put_whole(&self, bytes: &[u8], synced: bool) -> Result<Digest, BlobError> {
         let digest = *blake3::hash(bytes).as_bytes();
         match self.read(&digest) {
-            Ok(_) => return Ok(digest),
-            Err(BlobError::Missing { .. } | BlobError::Damaged { .. }) => {}
+            Ok(_) => {
+                if synced {
+                    self.sync(&digest)?;
+                }
+                return Ok(digest);
+            }
+            Err(BlobError::Missing { .. }) => {}
+            Err(e @ BlobError::Damaged { .. }) => tracing::warn!("{e}; it is written again now"),
             Err(other) => return Err(other),
         }
         let mut writer = self.put_stream()?;
         writer.append(bytes)?;
         writer.place(Some(&digest), synced)
+    }
+
+    /// Brings a blob that is there to the disk, where it may not be yet ([`Blobs::put_unsynced`]).
+    fn sync(&self, digest: &Digest) -> Result<(), BlobError> {
+        let place = self.path(digest);
+        File::open(&place).and_then(|file| file.sync_all()).map_err(fault("sync", &place))?;
+        self.sync_directories(&place)
+    }
+
+    /// Brings the names on the way to a blob to the disk.
+    fn sync_directories(&self, place: &Path) -> Result<(), BlobError> {
+        // Both levels lie under the root by construction of `path`.
+        let inner = place.parent().unwrap_or(&self.root);
+        let outer = inner.parent().unwrap_or(&self.root);
+        [inner, outer, &self.root].into_iter().try_for_each(sync_directory)
     }
 
     /// Begins a blob that arrives in pieces. Nothing is kept of it unless it is finished.
@@ -198,15 +219,11 @@ impl BlobWriter {
         }
         let digest = *found.as_bytes();
         let place = self.blobs.path(&digest);
-        // Both levels lie under the root by construction of `path`.
         let inner = place.parent().unwrap_or(&self.blobs.root);
-        let outer = inner.parent().unwrap_or(&self.blobs.root);
         std::fs::create_dir_all(inner).map_err(fault("create", inner))?;
         std::fs::rename(&self.path, &place).map_err(fault("move into place", &place))?;
         if sync {
-            for directory in [inner, outer, &self.blobs.root] {
-                sync_directory(directory)?;
-            }
+            self.blobs.sync_directories(&place)?;
         }
         Ok(digest)
     }

@@ -17,7 +17,7 @@ use tonic::transport::Channel;
 use crate::args::BakeArgs;
 use crate::client;
 use crate::error::CliError;
-use crate::inspect::Summary;
+use crate::inspect::{Summary, plural};
 use crate::output::{Format, Output};
 use crate::progress::{human, say};
 use crate::serve::{self, threads};
@@ -32,10 +32,10 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     let scene = Arc::new(sightline_scene::load(&args.scene)?);
     let spec = args.job.spec(&args.scene, &scene)?;
     say(&format!(
-        "{}: {} triangles, {} objects, read in {}",
+        "{}: {} in {}, read in {}",
         args.scene.display(),
-        scene.len(),
-        scene.objects().len(),
+        plural(scene.len() as usize, "triangle"),
+        plural(scene.objects().len(), "object"),
         human(start.elapsed())
     ));
     let loaded = Arc::new(Loaded::new(Arc::clone(&scene))?);
@@ -78,7 +78,7 @@ impl Probing {
         Self(Some(std::thread::spawn(move || Arc::new(Backends::probe(choice, Default::default())))))
     }
 
-    /// Then makes ready to trace, while the scene is uploaded and the job planned.
+    /// Then makes ready to trace, while the scene is stored and the job planned.
     fn then_warm(mut self, loaded: &Arc<Loaded>, spec: &sightline_job::JobSpec) -> Self {
         if spec.sampling.sampler != Sampler::Cubes
             && let Some(probe) = self.0.take()

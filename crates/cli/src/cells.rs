@@ -83,13 +83,15 @@ pub fn decided(pvs: &Pvs) -> Result<Decided, CliError> {
     })
 }
 
-/// Cells whose sampling ended before they were done.
+/// Cells whose sampling ended before they were done, and cells that were done with more than the target error left because they took
+/// far more work than the others.
 ///
 /// # Errors
 /// The result's own.
-pub fn unfinished(pvs: &Pvs) -> Result<usize, CliError> {
+pub fn unfinished_and_spared(pvs: &Pvs) -> Result<[usize; 2], CliError> {
     let columns = columns(pvs)?;
-    Ok(columns.get("unfinished").map_or(0, |c| c.iter().filter(|n| **n != 0).count()))
+    let count = |name| columns.get(name).map_or(0, |c| c.iter().filter(|n| **n != 0).count());
+    Ok(["unfinished", "spared"].map(count))
 }
 
 /// The bounds of a result, if it has any.
@@ -151,7 +153,7 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
     let mut lines = vec![
         "the cells that took most rays. rays: uniform/flood/candidate/held-out; finds: triangles they were first to show, \
          held-out lines that met something new; missed: of the last round's uniform rays, before it; bound: on what is \
-         still missed, at 95 %; *: not finished"
+         still missed, at 95 %; *: not finished; ~: done with more than the target error left"
             .to_owned(),
         "  cell visible rounds cubes rays finds missed bound".to_owned(),
     ];
@@ -167,7 +169,11 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
             "-".to_owned()
         };
         let bound = bound(&columns, cell).map_or("-".to_owned(), |b| format!("{:.4} %", b * 100.0));
-        let mark = if at("unfinished", cell) != 0 { " *" } else { "" };
+        let mark = match (at("unfinished", cell), at("spared", cell)) {
+            (1.., _) => " *",
+            (_, 1..) => " ~",
+            _ => "",
+        };
         lines.push(format!(
             "  {cell} {} {} {} {} {} {missed} {bound}{mark}",
             ids.len(),

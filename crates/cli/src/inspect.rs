@@ -18,7 +18,7 @@ use crate::why;
 const OBJECTS_SHOWN: usize = 20;
 
 /// A number of things, in words.
-fn plural(n: usize, what: &str) -> String {
+pub fn plural(n: usize, what: &str) -> String {
     format!("{n} {what}{}", if n == 1 { "" } else { "s" })
 }
 
@@ -78,6 +78,8 @@ pub struct Summary {
     mean_bound: Option<f64>,
     /// Cells whose sampling ended, by time or rounds, before they were done.
     cells_unfinished: usize,
+    /// Cells done with more than the target error left, because they took far more work than the others.
+    cells_spared: usize,
     /// What exact queries decided, if the method has any.
     decided: Option<cells::Decided>,
     /// Cells of an adaptive tree from which more triangles than its budget are seen.
@@ -93,7 +95,8 @@ impl Summary {
         let info: serde_json::Value =
             serde_json::from_str(pvs.info_json()).unwrap_or_else(|_| pvs.info_json().into());
         let budget = info["division"]["adaptive"]["budget"].as_u64();
-        let sets: Vec<(u64, u64, bool)> = (0..pvs.cells())
+        // All, and then the first error of those there are: the same one every time.
+        let sets: Vec<Result<(u64, u64, bool), PvsError>> = (0..pvs.cells())
             .into_par_iter()
             .map_init(Vec::new, |ids, cell| {
                 pvs.undecided(cell, ids)?;
@@ -101,13 +104,15 @@ impl Summary {
                 pvs.visible(cell, ids)?;
                 Ok((ids.len() as u64, undecided, pvs.is_set_aside(cell)?))
             })
-            .collect::<Result<_, PvsError>>()?;
+            .collect();
+        let sets: Vec<(u64, u64, bool)> = sets.into_iter().collect::<Result<_, _>>()?;
         let sizes: Vec<u64> = sets.iter().map(|s| s.0).collect();
         let undecided: u64 = sets.iter().map(|s| s.1).sum();
         let aside = sets.iter().filter(|s| s.2).count() as u32;
         // A cell that was set aside shows everything, whatever its size.
         let over = sets.iter().filter(|s| !s.2 && budget.is_some_and(|b| s.0 > b)).count();
         let bounds = cells::bounds(&pvs)?;
+        let [cells_unfinished, cells_spared] = cells::unfinished_and_spared(&pvs)?;
         let [file_bytes, visible, undecided_bytes] = pvs.file_bytes();
         let cells = f64::from(pvs.cells());
         let sum: u64 = sizes.iter().sum();
@@ -132,7 +137,8 @@ impl Summary {
             cells_bounded: bounds.as_ref().map_or(0, |b| b.cells),
             greatest_bound: bounds.as_ref().map(|b| b.greatest),
             mean_bound: bounds.as_ref().map(|b| b.mean),
-            cells_unfinished: cells::unfinished(&pvs)?,
+            cells_unfinished,
+            cells_spared,
             decided: if pvs.method() == "aggressive" { None } else { Some(cells::decided(&pvs)?) },
             cells_over_budget: budget.map(|_| over),
             info,
@@ -211,6 +217,13 @@ impl Summary {
                 _ => "they were given up after many rounds; info --cells lists the hardest",
             };
             lines.push(format!("NOT FINISHED: {} of {} cells: {why}", self.cells_unfinished, self.cells));
+        }
+        if self.cells_spared > 0 && self.decided.is_none() {
+            lines.push(format!(
+                "hard cells: {} of {} took so much more work than the others that they were done with more than the target error left; \
+                 --max-error spares none",
+                self.cells_spared, self.cells
+            ));
         }
         if let Some(over @ 1..) = self.cells_over_budget {
             lines.push(format!(

@@ -256,6 +256,14 @@ impl JobArgs {
             }
             _ => CliError::Usage(e.to_string()),
         })?;
+        let [min, max] = spec.view_box;
+        if max.cmplt(bounds.min).any() || min.cmpgt(bounds.max).any() {
+            // A bird's eye view is one; more often it is a mistake about units or axes.
+            say(&format!(
+                "the view box {min} to {max} lies outside of the scene, which is from {} to {}; is it in the scene's units and axes?",
+                bounds.min, bounds.max
+            ));
+        }
         Ok(spec)
     }
 

@@ -12,6 +12,7 @@ use std::cmp::Ordering;
 use std::sync::OnceLock;
 
 use glam::Vec3;
+use rayon::prelude::*;
 use sightline_scene::exact::{orient2d_sign, orient3d_sign};
 use sightline_scene::topology::corner_vertices;
 use sightline_scene::{Scene, SceneError};
@@ -64,23 +65,29 @@ pub struct Occluders {
 pub const MOST_EDGES: usize = 24;
 
 impl Occluders {
-    /// Joins the coplanar neighbours of a scene into convex occluders and prepares for tracing.
+    /// Joins the coplanar neighbours of a scene into convex occluders and prepares for tracing, on all of rayon's threads.
     ///
     /// # Errors
     /// As [`corner_vertices`]: when the scene has more corners than can be numbered.
     pub fn new(scene: &Scene) -> Result<Self, SceneError> {
         let corners = corner_vertices(scene)?;
         let triangles: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
-        let solid: Vec<bool> = scene.triangles().iter().map(|t| !t.is_degenerate()).collect();
-        let mut faces = Faces::new(&triangles, &corners, &solid);
-        faces.merge();
-        let (occluders, of) = faces.finish();
-        let boxes = scene.triangles().iter().map(|t| [t.bounds().min, t.bounds().max]).collect();
-        let items = (0..triangles.len() as u32).filter(|i| solid[*i as usize]).collect();
+        let solid: Vec<bool> = scene.triangles().par_iter().map(|t| !t.is_degenerate()).collect();
+        let joined = || {
+            let mut faces = Faces::new(&triangles, &corners, &solid);
+            faces.merge();
+            let (occluders, of) = faces.finish();
+            let rims = Rims::new(&occluders);
+            (occluders, of, rims)
+        };
+        let hierarchy = || {
+            let boxes = scene.triangles().iter().map(|t| [t.bounds().min, t.bounds().max]).collect();
+            let items = (0..triangles.len() as u32).filter(|i| solid[*i as usize]).collect();
+            Bvh::new(boxes, items)
+        };
+        let ((occluders, of, rims), bvh) = rayon::join(joined, hierarchy);
         let b = scene.bounds();
         let reach = f64::from(b.min.abs().max(b.max.abs()).max_element());
-        let rims = Rims::new(&occluders);
-        let bvh = Bvh::new(boxes, items);
         Ok(Self { triangles, occluders, of, rims, corners, bvh, reach, surfaces: OnceLock::new() })
     }
 
@@ -192,21 +199,19 @@ impl<'a> Faces<'a> {
                 edges.push((a.min(b), a.max(b), id as u32));
             }
         }
-        edges.sort_unstable();
-        let mut pairs = Vec::new();
-        for group in edges.chunk_by(|a, b| a.0 == b.0 && a.1 == b.1) {
-            for pair in group.windows(2) {
-                let (s, t) = (pair[0].2, pair[1].2);
-                let v = triangles[s as usize];
-                if triangles[t as usize]
-                    .iter()
-                    .all(|p| orient3d_sign(v[0], v[1], v[2], *p) == Ordering::Equal)
-                {
-                    pairs.push((s, t));
-                }
-            }
-        }
+        edges.par_sort_unstable();
+        let flat = |(s, t): &(u32, u32)| {
+            let v = triangles[*s as usize];
+            triangles[*t as usize].iter().all(|p| orient3d_sign(v[0], v[1], v[2], *p) == Ordering::Equal)
+        };
+        let pairs = edges
+            .par_windows(2)
+            .filter(|pair| (pair[0].0, pair[0].1) == (pair[1].0, pair[1].1))
+            .map(|pair| (pair[0].2, pair[1].2))
+            .filter(flat)
+            .collect();
         let faces = (0..n)
+            .into_par_iter()
             .map(|id| solid[id].then(|| Face::of(id as u32, &triangles[id], &corners[3 * id..3 * id + 3])))
             .collect();
         Self { triangles, corners, parent: (0..n as u32).collect(), faces, pairs }
@@ -256,13 +261,14 @@ impl<'a> Faces<'a> {
         let n = self.triangles.len();
         let roots: Vec<u32> = (0..n as u32).map(|i| self.root(i)).collect();
         let mut number = vec![None; n];
-        let mut occluders = Vec::new();
+        let mut kept = Vec::new();
         for (id, face) in self.faces.iter().enumerate() {
             if let Some(face) = face {
-                number[id] = Some(occluders.len() as u32);
-                occluders.push(face.occluder(self.triangles, self.corners));
+                number[id] = Some(kept.len() as u32);
+                kept.push(face);
             }
         }
+        let occluders = kept.par_iter().map(|face| face.occluder(self.triangles, self.corners)).collect();
         let of = roots.iter().map(|r| number[*r as usize]).collect();
         (occluders, of)
     }

@@ -1,5 +1,7 @@
 //! The edges of all occluders' borders, numbered one occluder after the other, and which of them are the same edge.
 
+use rayon::prelude::*;
+
 use crate::occluder::Occluder;
 
 /// Most occluders at one edge that are looked at.
@@ -29,7 +31,7 @@ impl Rims {
                 edges.push(([*a.min(b), *a.max(b)], id as u32, a > b, edges.len() as u32));
             }
         }
-        edges.sort_unstable();
+        edges.par_sort_unstable();
         let mut group = vec![0; edges.len()];
         let (mut groups, mut sharing) = (Vec::new(), Vec::with_capacity(edges.len()));
         for same in edges.chunk_by(|a, b| a.0 == b.0) {

@@ -165,9 +165,12 @@ impl Builder {
         let object_bytes = object_section(&objects);
         let flag_bytes: Vec<u8> = self.flags.iter().flat_map(|f| f.to_le_bytes()).collect();
         let (visible_ids, undecided_ids) = (self.visible.ids(), self.undecided.ids());
-        let visible = self.visible.section(&tree, triangles)?;
-        let undecided =
-            if undecided_ids == 0 { Vec::new() } else { self.undecided.section(&tree, triangles)? };
+        let visible = self.visible.section(Section::Visible, &tree, triangles)?;
+        let undecided = if undecided_ids == 0 {
+            Vec::new()
+        } else {
+            self.undecided.section(Section::Undecided, &tree, triangles)?
+        };
         let evidence = evidence_section(self.evidence, tree.cells());
         let all: [&[u8]; Section::ALL.len()] = [
             info_json.as_bytes(),

@@ -185,7 +185,7 @@ impl BitWriter {
     fn put(&mut self, value: u64, count: u32) {
         self.buffer |= value << self.held;
         self.held += count;
-        if self.held >= 32 {
+        while self.held >= 32 {
             self.out.extend_from_slice(&(self.buffer as u32).to_le_bytes());
             self.buffer >>= 32;
             self.held -= 32;
@@ -313,6 +313,22 @@ mod tests {
     }
 
     #[test]
+    fn long_codes_in_a_row_round_trip() {
+        // Thirty-one bits are held when codes of thirty-three come: every number of short gaps before two long ones.
+        for short in 0..64u32 {
+            let gaps = (0..short).map(|_| 1).chain([100_000, 100_000, 65_536]).chain((0..60).map(|_| 1));
+            let mut end = 0;
+            let bounds: Vec<u32> = gaps
+                .flat_map(|gap| {
+                    end += gap + 1;
+                    [end - 1, end]
+                })
+                .collect();
+            round_trip(&bounds, false, u32::MAX);
+        }
+    }
+
+    #[test]
     fn ids_beyond_the_limit_are_refused() {
         let mut bytes = Vec::new();
         encode(&[0, 11], false, &mut bytes);
@@ -331,6 +347,16 @@ mod tests {
         fn sparse_sets_round_trip(ids in proptest::collection::btree_set(0u32..u32::MAX, 0..60)) {
             let ids: Vec<u32> = ids.into_iter().collect();
             round_trip(&runs::from_ids(&ids), false, u32::MAX);
+        }
+
+        /// Many short lengths and a few long ones, as in large scenes: the order of the code is low, and long codes are long.
+        #[test]
+        fn uneven_sets_round_trip(
+            lengths in proptest::collection::vec(prop_oneof![8 => 1u32..3, 1 => (0u32..22).prop_map(|k| 1 << k), 1 => 1u32..1 << 21], 2..400),
+        ) {
+            let mut end = 0;
+            let bounds: Vec<u32> = lengths.iter().map(|l| { end += l; end }).collect();
+            round_trip(&bounds[..bounds.len() / 2 * 2], false, u32::MAX);
         }
 
         #[test]

@@ -8,7 +8,8 @@
 //! contradict or are both open. Going down, an open id follows the node above.
 //!
 //! Sets are kept coded: those of the cells, what the way down needs of each split (where its children contradict), and
-//! every node's in the two forms it can have. Subtrees have nothing to do with each other, so all cores work on them.
+//! every node's in the two forms it can have. Subtrees have nothing to do with each other, so with the feature `parallel` all
+//! cores work on them.
 
 use crate::codec;
 use crate::error::PvsError;
@@ -19,7 +20,9 @@ use crate::tree::CellTree;
 /// The sets of one kind, one a cell.
 #[derive(Default)]
 pub struct Hierarchy {
-    /// Coded to stand for themselves, in the order of the cells.
+    /// So many cells with nothing in their sets come first.
+    empty: usize,
+    /// The others, coded to stand for themselves, in the order of the cells.
     cells: Vec<Vec<u8>>,
     ids: u64,
 }
@@ -47,6 +50,10 @@ struct Coded {
 impl Hierarchy {
     /// Takes the next cell's set, given by its boundaries (see [`runs`]), of so many ids.
     pub fn push(&mut self, set: &[u32], ids: usize) {
+        if set.is_empty() && self.cells.is_empty() {
+            self.empty += 1;
+            return;
+        }
         let mut coded = Vec::new();
         codec::encode(set, true, &mut coded);
         self.cells.push(coded);
@@ -62,14 +69,17 @@ impl Hierarchy {
     ///
     /// # Errors
     /// [`PvsError::Malformed`] if what was coded here cannot be read, which would be a mistake of this crate.
-    pub fn section(self, tree: &CellTree, triangles: u32) -> Result<Vec<u8>, PvsError> {
+    pub fn section(self, of: Section, tree: &CellTree, triangles: u32) -> Result<Vec<u8>, PvsError> {
         let mut nodes = vec![Coded::default(); tree.nodes().len()];
-        for (cell, coded) in self.cells.into_iter().enumerate() {
+        let mut nothing = Vec::new();
+        codec::encode(&[], true, &mut nothing);
+        let cells = std::iter::repeat_n(nothing, self.empty).chain(self.cells);
+        for (cell, coded) in cells.enumerate() {
             if let Some(leaf) = tree.leaf(cell as u32) {
                 nodes[leaf as usize].absolute = coded;
             }
         }
-        let work = Work { tree, triangles };
+        let work = Work { of, tree, triangles };
         let average = work.up(0, &mut nodes)?;
         // Ids open at the root are out of it: as few ids as the other way.
         work.down(0, &mut nodes, &[], &average.within)?;
@@ -79,6 +89,8 @@ impl Hierarchy {
 
 /// Both ways through the tree. A subtree's nodes follow its root, the lower child's before the upper one's.
 struct Work<'a> {
+    /// What errors are about.
+    of: Section,
     tree: &'a CellTree,
     triangles: u32,
 }
@@ -90,7 +102,7 @@ impl Work<'_> {
             return Ok(Average { within: self.decoded(&nodes[0].absolute)?, open: Vec::new() });
         };
         let (own, [below, above]) = parts(nodes, node, upper);
-        let (lower, upper) = rayon::join(|| self.up(node + 1, below), || self.up(upper, above));
+        let (lower, upper) = both(|| self.up(node + 1, below), || self.up(upper, above));
         let (lower, upper) = (lower?, upper?);
         let [within, open, lower_only, upper_only] = runs::sweep(
             [&lower.within, &lower.open, &upper.within, &upper.open],
@@ -124,19 +136,25 @@ impl Work<'_> {
         let [in_lower, in_upper] = runs::sweep([set, &lower_only, &upper_only], |m| {
             u32::from(m & 2 != 0 || m == 1) | u32::from(m & 4 != 0 || m == 1) << 1
         });
-        let (lower, upper) = rayon::join(
-            || self.down(node + 1, below, set, &in_lower),
-            || self.down(upper, beyond, set, &in_upper),
-        );
+        let (lower, upper) =
+            both(|| self.down(node + 1, below, set, &in_lower), || self.down(upper, beyond, set, &in_upper));
         lower.and(upper)
     }
 
     fn decoded(&self, coded: &[u8]) -> Result<Vec<u32>, PvsError> {
         let mut bounds = Vec::new();
         codec::decode(coded, self.triangles, |start, end| bounds.extend([start, end]))
-            .map_err(|e| Section::Visible.malformed(e.0))?;
+            .map_err(|e| self.of.malformed(e.0))?;
         Ok(bounds)
     }
+}
+
+/// Does both, at the same time where that is possible.
+fn both<A: Send, B: Send>(a: impl FnOnce() -> A + Send, b: impl FnOnce() -> B + Send) -> (A, B) {
+    #[cfg(feature = "parallel")]
+    return rayon::join(a, b);
+    #[cfg(not(feature = "parallel"))]
+    (a(), b())
 }
 
 /// A split, and the nodes of its lower and its upper child's subtrees.
@@ -183,4 +201,41 @@ fn chosen(tree: &CellTree, nodes: &[Coded]) -> Vec<u8> {
     let mut bytes: Vec<u8> = offsets.iter().flat_map(|o| o.to_le_bytes()).collect();
     bytes.extend(sets);
     bytes
+}
+
+#[cfg(all(test, feature = "parallel"))]
+mod tests {
+    use super::*;
+    use crate::tree::Node;
+
+    #[test]
+    fn threads_change_no_byte() {
+        // A full tree of 64 cells along x; sets that share much, and some of nothing.
+        fn grow(nodes: &mut Vec<Node>, lo: f32, hi: f32, levels: u32) {
+            if levels == 0 {
+                return nodes.push(Node::Leaf);
+            }
+            let at = (lo + hi) * 0.5;
+            nodes.push(Node::Split { axis: 0, at });
+            grow(nodes, lo, at, levels - 1);
+            grow(nodes, at, hi, levels - 1);
+        }
+        let mut nodes = Vec::new();
+        grow(&mut nodes, 0.0, 64.0, 6);
+        let tree = CellTree::new([[0.0; 3], [64.0, 1.0, 1.0]], nodes).unwrap();
+        let section = || {
+            let mut sets = Hierarchy::default();
+            for cell in 0..64u32 {
+                let ids: Vec<u32> = (0..5000)
+                    .filter(|id| cell > 3 && (id / 7 + cell / 9) % 3 == 0 && (id * 31 + cell) % 11 != 0)
+                    .collect();
+                sets.push(&runs::from_ids(&ids), ids.len());
+            }
+            sets.section(Section::Visible, &tree, 5000).unwrap()
+        };
+        let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let alone = pool(1).install(section);
+        assert!(alone.len() > 1000);
+        assert_eq!(alone, pool(4).install(section));
+    }
 }

@@ -63,6 +63,12 @@ mod tests {
         assert_eq!(from_ids(&[0, 1, 2, 5, 7, 8]), [0, 3, 5, 6, 7, 9]);
     }
 
+    #[test]
+    fn the_last_boundary_there_can_be_is_one() {
+        let [both] = sweep([&[1, u32::MAX], &[5, 9, 20, u32::MAX]], |m| u32::from(m == 3));
+        assert_eq!(both, [5, 9, 20, u32::MAX]);
+    }
+
     proptest! {
         #[test]
         fn a_sweep_is_the_boolean_function_of_its_sets(

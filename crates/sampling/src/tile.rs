@@ -20,7 +20,8 @@ use crate::lines::{self, CellStats};
 use crate::params::{Sampler, SamplingParams, SupersetChoice};
 use crate::refine::{Exterior, SampleSource, refine};
 
-/// A scene with what tiles need of it, each computed when first asked for, once a worker.
+/// A scene with what tiles need of it, each computed when first asked for, once a worker. That uses rayon, so ask for it before any of
+/// rayon's threads does: one that waits inside could come back to the same lock.
 pub struct PreparedScene {
     /// The triangles.
     pub scene: Arc<Scene>,

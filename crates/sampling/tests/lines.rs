@@ -278,5 +278,6 @@ fn a_cell_far_harder_than_the_others_is_spared_and_no_other_is() {
         panic!("there are cells");
     };
     assert!(rays(last_spared) < rays(last_alike), "{last_spared:?} {last_alike:?}");
+    assert!(last_spared.spared && !last_alike.spared);
     assert_eq!(others_alike, others_spared);
 }

@@ -8,7 +8,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::exact::{Sum, det3, det3_terms, orient3d_sign};
-use crate::{Scene, SceneError};
+use crate::{Scene, SceneError, Triangle};
 
 /// For every triangle whether it belongs to a closed, consistently oriented surface, and which way it faces.
 ///
@@ -94,7 +94,11 @@ impl Solids {
 /// As [`Solids::of`].
 pub fn duplicates(scene: &Scene) -> Result<Vec<Vec<u32>>, SceneError> {
     check_size(scene)?;
-    let all = scene.triangles();
+    Ok(classes(scene.triangles(), hash))
+}
+
+/// [`duplicates`] with a hash of positions.
+fn classes(all: &[Triangle], hash: impl Fn(u128) -> u64 + Sync) -> Vec<Vec<u32>> {
     // Sorting by a hash that does not depend on the order of the vertices brings the same triangles together, and few others.
     let mut keys: Vec<(u64, u32)> = all
         .par_iter()
@@ -118,7 +122,7 @@ pub fn duplicates(scene: &Scene) -> Result<Vec<Vec<u32>>, SceneError> {
         classes.extend(found.map(|class| class.iter().map(|(_, id)| *id).collect()));
     }
     classes.sort_unstable();
-    Ok(classes)
+    classes
 }
 
 /// A position's bits, equal exactly where its coordinates are: 96 bits, x uppermost.
@@ -242,7 +246,7 @@ impl Forest {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Object, Triangle};
+    use crate::Object;
 
     /// The twelve triangles of a box, facing outwards.
     fn cube(at: Vec3, size: f32) -> Vec<Triangle> {
@@ -332,5 +336,20 @@ mod tests {
         soup.extend([Triangle { v: [Vec3::ONE; 3] }; 2]);
         assert_eq!(duplicates(&scene(soup)).unwrap(), [vec![2, 13], vec![7, 12, 14]]);
         assert!(duplicates(&scene(cube(Vec3::ZERO, 1.0))).unwrap().is_empty());
+    }
+
+    #[test]
+    fn duplicates_may_have_zeros_of_either_sign() {
+        let mut soup = cube(Vec3::ZERO, 1.0);
+        soup.push(Triangle { v: soup[4].v.map(|v| v.map(|c| if c == 0.0 { -0.0 } else { c })) });
+        assert_eq!(duplicates(&scene(soup)).unwrap(), [vec![4, 12]]);
+    }
+
+    #[test]
+    fn triangles_of_one_hash_are_still_told_apart() {
+        let soup = cube(Vec3::ZERO, 1.0);
+        let again = [flipped(&soup[7]), soup[2], soup[7]];
+        let soup = [soup, again.to_vec(), vec![Triangle { v: [Vec3::ONE; 3] }; 2]].concat();
+        assert_eq!(classes(&soup, |_| 0), [vec![2, 13], vec![7, 12, 14]]);
     }
 }

@@ -7,7 +7,7 @@ use serde::Serialize;
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Sampler {
-    /// Sight lines shared by the cells they cross, --target-error 0.03 to 0.00003.
+    /// Sight lines shared by the cells they cross, --target-error 0.1 to 0.00003.
     Lines,
     /// The baseline: --rays 3000 to 1000000 for each cell.
     Guided,
@@ -34,7 +34,7 @@ pub enum Ladder {
 }
 
 /// Parameters of lines, coarse to fine. Text, so that tables show what was typed.
-const TARGET_ERRORS: [&str; 7] = ["0.03", "0.01", "0.003", "0.001", "0.0003", "0.0001", "0.00003"];
+const TARGET_ERRORS: [&str; 8] = ["0.1", "0.03", "0.01", "0.003", "0.001", "0.0003", "0.0001", "0.00003"];
 /// Rays a cell of guided.
 const RAYS: [&str; 5] = ["3000", "12500", "50000", "200000", "1000000"];
 /// Least distances of cubes, in cell sizes.

@@ -237,8 +237,8 @@ impl Embree {
             // SAFETY: the caller gives the type.
             unsafe { library.get::<T>(name) }.map(|s| *s)
         }
-        // SAFETY: the types above are those of Embree's headers for both versions, but for `rtcIntersect16`,
-        // whose type is chosen by the version in the file name.
+        // SAFETY: the types above are those of Embree's headers for both versions, but for `rtcIntersect16` and
+        // `rtcIntersect1`, whose types are chosen by the version in the file name.
         unsafe {
             Ok(Self {
                 new_device: f(&library, b"rtcNewDevice\0")?,

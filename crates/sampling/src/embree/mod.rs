@@ -44,7 +44,9 @@ impl CpuBackend {
     /// # Errors
     /// [`BackendError::Unavailable`] when Embree is not installed or cannot run here.
     pub fn new(scene: Arc<Scene>, spec: CubeSpec) -> Result<Self, BackendError> {
-        let device = Self::open()?;
+        // As many threads build hierarchies as sample, which the bytes do not depend on
+        // (`however_many_threads_build_it_the_hierarchy_is_the_same`).
+        let device = Self::open(rayon::current_num_threads())?;
         let profile = profile(&device);
         Ok(Self {
             scene,
@@ -61,17 +63,12 @@ impl CpuBackend {
     /// # Errors
     /// As [`CpuBackend::new`].
     pub fn probe() -> Result<String, BackendError> {
-        Ok(profile(&Self::open()?))
-    }
-
-    fn open() -> Result<Device, BackendError> {
-        // All cores build the hierarchy, which is the same for any number of them
-        // (`however_many_threads_build_it_the_hierarchy_is_the_same`).
-        Self::open_with(std::thread::available_parallelism().map_or(1, usize::from))
+        // Asked before anybody says how many threads there are to be.
+        Ok(profile(&Self::open(1)?))
     }
 
     /// So many threads build hierarchies. AVX-512 is left out because its packets round differently from AVX2's.
-    fn open_with(threads: usize) -> Result<Device, BackendError> {
+    fn open(threads: usize) -> Result<Device, BackendError> {
         let config = format!("threads={threads},set_affinity=0,max_isa=avx2\0");
         let config = CStr::from_bytes_until_nul(config.as_bytes())
             .map_err(|e| BackendError::Unavailable(format!("Embree cannot be configured: {e}")))?;

@@ -3,9 +3,14 @@
 
 use std::sync::Arc;
 
-use super::CpuBackend;
-use super::library::{RayHit1, TriangleScene};
+use glam::Vec3;
+
+use super::library::{Device, RayHit1, TriangleScene};
+use super::{CpuBackend, CpuTracer, Hierarchy};
 use crate::backend::BackendError;
+use crate::cube::SKY;
+use crate::lines::packet::{LANES, LineTracer, Packet};
+use crate::lines::sequence::Hashed;
 
 /// Triangles on a coarse lattice: many lie on each other, in one plane, or are the same.
 fn soup(count: usize) -> Vec<[f32; 9]> {
@@ -24,19 +29,58 @@ fn soup(count: usize) -> Vec<[f32; 9]> {
         .collect()
 }
 
+/// The device, unless Embree is not here and need not be.
+fn device(threads: usize) -> Option<Arc<Device>> {
+    match CpuBackend::open(threads) {
+        Ok(device) => Some(Arc::new(device)),
+        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
+            eprintln!("not run: {why}");
+            None
+        }
+        Err(e) => panic!("{e}"),
+    }
+}
+
+#[test]
+fn rays_by_themselves_meet_what_they_meet_in_packets() {
+    let triangles = soup(20_000);
+    let Some(device) = device(1) else { return };
+    let scene = TriangleScene::new(&device, triangles.len(), triangles.iter().copied()).unwrap();
+    let hierarchy = Arc::new(Hierarchy { scene, ids: (0..triangles.len() as u32).collect() });
+    let tracer = CpuTracer { hierarchy, near: 0.0 };
+    let mut random = Hashed::new(&[3]);
+    let mut packets: Vec<Packet> = (0..1000)
+        .map(|_| {
+            let mut packet = Packet::default();
+            for _ in 0..LANES {
+                let [from, to] = [0; 2].map(|_| random.point() * Vec3::new(64.0, 64.0, 8.0));
+                packet.push(from.to_array(), (to - from).to_array());
+            }
+            packet
+        })
+        .collect();
+    let mut singly = packets.clone();
+    tracer.trace(&mut packets).unwrap();
+    tracer.trace_each(&mut singly).unwrap();
+    let (mut met, mut other) = (0, 0);
+    for (a, b) in packets.iter().zip(&singly) {
+        for lane in 0..LANES {
+            met += u32::from(a.triangle[lane] != SKY);
+            // Of the triangles that lie on each other either may be met; what is met is as far away.
+            other += u32::from(a.triangle[lane] != b.triangle[lane]);
+            let (far, near) = (a.distance[lane], b.distance[lane]);
+            assert!(far == near || (far - near).abs() <= 1e-4 * far.max(1e-2), "{far} {near}");
+        }
+    }
+    assert!(met > 10_000 && other < met / 100, "{met} {other}");
+}
+
 #[test]
 fn however_many_threads_build_it_the_hierarchy_is_the_same() {
     let triangles = soup(150_000);
     let mut met: Vec<Vec<(u32, u32)>> = Vec::new();
     for threads in [1, 2, 3, 8] {
-        let device = match CpuBackend::open_with(threads) {
-            Ok(device) => Arc::new(device),
-            Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
-                eprintln!("not run: {why}");
-                return;
-            }
-            Err(e) => panic!("{e}"),
-        };
+        let Some(device) = device(threads) else { return };
         let scene = TriangleScene::new(&device, triangles.len(), triangles.iter().copied()).unwrap();
         let ray = |i: u32| {
             let (x, y) = (i % 256, i / 256);

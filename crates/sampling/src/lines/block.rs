@@ -45,7 +45,7 @@ const MOST_ROUNDS: u32 = 24;
 /// A cell that has taken so many times the work of the average cell is allowed as many times the target as it exceeds
 /// that: its error is one of many in the mean, and the time is better spent on those. See [`Hard`].
 const HARD_FROM: f64 = 3.0;
-/// Work of an aimed ray in uniform ones: their packets run less alike, and are traced about so many times slower.
+/// Work of an aimed ray in uniform ones: it is traced by itself, they are in packets.
 const AIMED_WORK: u64 = 4;
 /// Seeds from all surfaces are worth their time below this target.
 const SEEDS_BELOW: f64 = 3e-3;
@@ -193,7 +193,7 @@ impl<'a> Block<'a> {
         let mut open: Vec<usize> =
             if wanted.is_empty() { (0..self.cells.len()).collect() } else { wanted.to_vec() };
         for cell in &open {
-            self.stats[*cell].unfinished = false;
+            (self.stats[*cell].unfinished, self.stats[*cell].spared) = (false, false);
         }
         for round in 0..MOST_ROUNDS {
             if open.is_empty() || self.late() {
@@ -229,13 +229,19 @@ impl<'a> Block<'a> {
             }
             let before = open.len();
             let average = self.work() / self.cells.len() as f64;
+            let mut spared = Vec::new();
             open.retain(|c| {
                 let granted = match hard {
                     Hard::Alike => 1.0,
                     Hard::Spared => (self.work_of(*c) / (average * HARD_FROM)).max(1.0),
                 };
-                self.left(*c, LEFT_AFTER_ROUND) > target * granted
+                let left = self.left(*c, LEFT_AFTER_ROUND);
+                if left > target && left <= target * granted {
+                    spared.push(*c);
+                }
+                left > target * granted
             });
+            spared.into_iter().for_each(|c: usize| self.stats[c].spared = true);
             tracing::debug!("round {round}: {before} cells, {} left", open.len());
             self.count_done(before - open.len());
         }

@@ -2,7 +2,7 @@
 //!
 //! A maximal free segment runs from one triangle to another (or to the sky) and shows both its ends to every cell it
 //! crosses (Bittner et al. 2009, "Adaptive Global Visibility Sampling"). The cells of a block share one table of what is
-//! seen from where ([`bits`]); lines are traced in coherent packets ([`packet`]) and walked through the cells
+//! seen from where ([`bits`]); lines are traced in packets ([`packet`]), coherent where they run alike, and walked through the cells
 //! ([`grid`]). Four kinds of lines ([`Kind`]) find what is missing, in rounds ([`block`]), until a cell's own estimate of
 //! what it misses is small enough; [`bound`] then says how far that can be trusted.
 //!
@@ -59,11 +59,14 @@ pub struct CellStats {
     pub bound_look: u32,
     /// Whether the time or the rounds ended before the cell was done.
     pub unfinished: bool,
+    /// Whether it was done with more expected to be missing than the target, because it took far more work than the others
+    /// ([`block::Hard`]).
+    pub spared: bool,
 }
 
 impl CellStats {
     /// Names of [`CellStats::numbers`], as results and tables have them.
-    pub const NAMES: [&'static str; 15] = [
+    pub const NAMES: [&'static str; 16] = [
         "rays_uniform",
         "rays_flood",
         "rays_candidate",
@@ -79,6 +82,7 @@ impl CellStats {
         "bound_misses",
         "bound_look",
         "unfinished",
+        "spared",
     ];
 
     /// All of it, in the order of [`CellStats::NAMES`].
@@ -86,13 +90,15 @@ impl CellStats {
         let ([a, b, c, d], [e, f, g, h]) = (self.rays, self.finds);
         let [i, j, k] = [u64::from(self.rounds), self.last_rays, self.last_misses];
         let [l, m, n] = [self.bound_lines, self.bound_misses, u64::from(self.bound_look)];
-        [a, b, c, d, e, f, g, h, i, j, k, l, m, n, u64::from(self.unfinished)]
+        let [o, p] = [self.unfinished, self.spared].map(u64::from);
+        [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p]
     }
 
     /// Back from [`CellStats::numbers`]; `None` where one is beyond its range.
     pub fn from_numbers(
-        [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o]: [u64; Self::NAMES.len()],
+        [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p]: [u64; Self::NAMES.len()],
     ) -> Option<Self> {
+        let flag = |number: u64| (number < 2).then_some(number == 1);
         Some(Self {
             rays: [a, b, c, d],
             finds: [e, f, g, h],
@@ -102,11 +108,8 @@ impl CellStats {
             bound_lines: l,
             bound_misses: m,
             bound_look: n.try_into().ok()?,
-            unfinished: match o {
-                0 => false,
-                1 => true,
-                _ => return None,
-            },
+            unfinished: flag(o)?,
+            spared: flag(p)?,
         })
     }
 }
@@ -118,7 +121,7 @@ mod tests {
     #[test]
     fn numbers_have_their_names_and_come_back() {
         let numbers: [u64; CellStats::NAMES.len()] =
-            std::array::from_fn(|i| if i == 14 { 1 } else { i as u64 + 10 });
+            std::array::from_fn(|i| if i >= 14 { 15 - i as u64 } else { i as u64 + 10 });
         let stats = CellStats::from_numbers(numbers).unwrap();
         assert_eq!(stats.numbers(), numbers);
         let of = |name: &str| numbers[CellStats::NAMES.iter().position(|n| *n == name).unwrap()];
@@ -133,9 +136,9 @@ mod tests {
         assert_eq!([of("rounds"), of("bound_look")], [u64::from(stats.rounds), u64::from(stats.bound_look)]);
         assert_eq!([of("last_rays"), of("last_misses")], [stats.last_rays, stats.last_misses]);
         assert_eq!([of("bound_lines"), of("bound_misses")], [stats.bound_lines, stats.bound_misses]);
-        assert!(of("unfinished") == 1 && stats.unfinished);
+        assert!(of("unfinished") == 1 && stats.unfinished && of("spared") == 0 && !stats.spared);
         // Beyond their ranges.
-        for i in [8, 13, 14] {
+        for i in [8, 13, 14, 15] {
             let mut wrong = numbers;
             wrong[i] = u64::MAX;
             assert_eq!(CellStats::from_numbers(wrong), None);
