@@ -18,6 +18,8 @@ const WORST: usize = 8;
 
 /// Measures a result and prints one JSON object.
 pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
+    // Before anything asks how many there are.
+    serve::use_threads(serve::threads(None))?;
     let pvs = inspect::open(&args.result)?;
     let scene = Arc::new(sightline_scene::load(&args.scene)?);
     inspect::check_scene(&scene, &pvs, &args.scene, &args.result)?;
@@ -48,7 +50,6 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     let renderer = backend.prepare(None).map_err(CliError::internal)?;
     let options = Options { images_dir: args.images.clone(), worst: WORST };
     let progress = Progress::new();
-    serve::use_threads(serve::threads(None))?;
     let report =
         measure(&*renderer, &pvs, &views, &options, &mut |done, total| progress.count(done, total, "frames"));
     progress.end();
