@@ -216,8 +216,10 @@ impl Scheduler {
                 let over = |l: &Leased| now - l.renewed > ttl || now - l.moved > stuck;
                 if let Some(l) = slot.lease.take_if(|l| over(l)) {
                     tracing::warn!(
-                        "tile {tile} of job {id} is taken back from worker {}: {}",
-                        self.workers.get(&l.worker).map_or("that is gone", |w| w.name.as_str()),
+                        "tile {tile} of job {id} is taken back from {}: {}",
+                        self.workers
+                            .get(&l.worker)
+                            .map_or("a worker that is gone".to_owned(), |w| format!("worker {}", w.name)),
                         if now - l.renewed > ttl { "its lease ran out" } else { "it makes no progress" }
                     );
                     revoked.push((l.worker, lease_of(*id, tile, l.id)));

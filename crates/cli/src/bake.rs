@@ -182,7 +182,13 @@ async fn bake(
         // The workers are gone with the process; a failed send means that they are already.
         let _ = stop.send(Stop::Now);
     } else {
-        say("this bake is in the store already");
+        say(match spec.time_budget_ms {
+            0 => "this bake is in the store already",
+            // Interrupted, it may have had far less of its time than it was given.
+            _ => {
+                "this bake is in the store already, as far as it got in its time; another --time-budget or --data-dir begins anew"
+            }
+        });
     }
     client::must_be_done(&job)?;
     client::fetch(&mut client, &job, output).await?;

@@ -34,9 +34,9 @@ pub fn open(path: &Path) -> Result<Pvs, CliError> {
 pub fn check_scene(scene: &Scene, pvs: &Pvs, path: &Path, result: &Path) -> Result<(), CliError> {
     if scene.len() != pvs.triangle_count() {
         return Err(CliError::Input(format!(
-            "{} has {} triangles and {} is of another scene, one of {}; name the scene it was baked from",
+            "{} has {} and {} is of another scene, one of {}; name the scene it was baked from",
             path.display(),
-            scene.len(),
+            plural(scene.len() as usize, "triangle"),
             result.display(),
             pvs.triangle_count()
         )));
@@ -348,10 +348,10 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
     let (mut visible, mut undecided) = (Vec::new(), Vec::new());
     sets(&pvs, cell, args.items, &mut visible, &mut undecided)?;
     let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
-    let what = if args.items == Items::Objects { "objects" } else { "triangles" };
+    let what = if args.items == Items::Objects { "object" } else { "triangle" };
     if json {
         let value = serde_json::json!({
-            "cell": cell, "min": min, "max": max, "items": what, "visible": visible, "undecided": undecided,
+            "cell": cell, "min": min, "max": max, "items": format!("{what}s"), "visible": visible, "undecided": undecided,
             "set_aside": pvs.is_set_aside(cell)?,
         });
         return print(&value.to_string());
@@ -366,8 +366,8 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
     let aside =
         if pvs.is_set_aside(cell)? { "; SET ASIDE: this cell failed, everything is shown" } else { "" };
     print(&format!(
-        "cell {cell}, {min:?} to {max:?}: {} {what} visible, {} of them undecided{aside}\n{}",
-        visible.len(),
+        "cell {cell}, {min:?} to {max:?}: {} visible, {} of them undecided{aside}\n{}",
+        plural(visible.len(), what),
         undecided.len(),
         list.join(if args.items == Items::Objects { "\n" } else { " " })
     ))

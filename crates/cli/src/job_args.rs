@@ -40,8 +40,8 @@ pub struct JobArgs {
     /// How sight lines are chosen. Default: lines; with a triangle budget: cubes.
     #[arg(long, value_enum)]
     sampler: Option<SamplerArg>,
-    /// A cell is done when it is expected to miss at most this fraction of what is seen from it; cells that take many times
-    /// the work of the others are allowed more. An estimate, not a bound. Default: 0.0001, or what --max-error says.
+    /// A cell is done when it is expected to miss at most this fraction of the sight lines from it, those that meet
+    /// nothing included; cells that take many times the work of the others are allowed more. An estimate, not a bound. Default: 0.0001, or what --max-error says.
     #[arg(long, value_name = "F", allow_negative_numbers = true)]
     target_error: Option<f64>,
     /// Refine each cell until its 95 % bound on missed sight lines, from lines that took no part in the search, is at most
@@ -63,7 +63,7 @@ pub struct JobArgs {
     rays: Option<u64>,
     #[command(flatten)]
     cubes: CubeArgs,
-    /// Where cubes are rendered. auto times both on this scene and takes the faster; the gpu has to be twice as fast
+    /// What traces lines and renders cubes. auto times both on this scene and takes the faster; the gpu has to be twice as fast
     /// as the cpu, so that noise does not decide what comes out.
     #[arg(long, value_enum, default_value_t = Backend::Auto)]
     pub backend: Backend,
@@ -181,7 +181,7 @@ enum Superset {
 /// Which backend.
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Backend {
-    /// The faster one on the scene at hand.
+    /// Chosen for what there is to do.
     Auto,
     /// wgpu (Vulkan; a software driver will do).
     Gpu,
@@ -260,7 +260,7 @@ impl JobArgs {
         if max.cmplt(bounds.min).any() || min.cmpgt(bounds.max).any() {
             // A bird's eye view is one; more often it is a mistake about units or axes.
             say(&format!(
-                "the view box {min} to {max} lies outside of the scene, which is from {} to {}; is it in the scene's units and axes?",
+                "note: the view box {min} to {max} lies outside of the scene, which is from {} to {}; is it in the scene's units and axes?",
                 bounds.min, bounds.max
             ));
         }
