@@ -99,9 +99,11 @@ mod tests {
         let triangle = Triangle { v: [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y] };
         let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
         let scene = Scene::new("test", vec![triangle], objects).unwrap();
-        for broken in [false, true, false] {
-            if broken {
-                coordinator.blobs.remove(&scene.digest().0).unwrap();
+        let place = coordinator.blobs.path(&scene.digest().0);
+        // Missing, there, altered, cut short.
+        for before in [None, Some(scene.to_blob()), Some(b"halls".to_vec()), Some(Vec::new())] {
+            if let Some(bytes) = before {
+                std::fs::write(&place, bytes).unwrap();
             }
             let digest = coordinator.take_scene(&scene).unwrap();
             assert_eq!(digest, scene.digest().0);

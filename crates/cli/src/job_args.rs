@@ -41,7 +41,8 @@ pub struct JobArgs {
     #[arg(long, value_enum)]
     sampler: Option<SamplerArg>,
     /// A cell is done when it is expected to miss at most this fraction of the sight lines from it, those that meet
-    /// nothing included; cells that take many times the work of the others are allowed more. An estimate, not a bound. Default: 0.0001, or what --max-error says.
+    /// nothing included; cells that take many times the work of the others are allowed more. An estimate, not a bound.
+    /// Default: 0.0001, or what --max-error says.
     #[arg(long, value_name = "F", allow_negative_numbers = true)]
     target_error: Option<f64>,
     /// Refine each cell until its 95 % bound on missed sight lines, from lines that took no part in the search, is at most

@@ -46,8 +46,8 @@ pub fn time(backend: &dyn Backend, lattice: &Lattice) -> Result<Timing, BackendE
     Ok(Timing { profile: backend.profile().to_owned(), per_cube: start.elapsed() / CUBES })
 }
 
-/// Times `backend` on sight lines instead: packets of a cube's directions from the same places, half of them ray by ray. A cube here is what
-/// [`time`] traces with item buffers of 64² pixels.
+/// Times `backend` on sight lines instead: packets of a cube's directions from the same places, half of them ray by ray.
+/// A cube here is what [`time`] traces with item buffers of 64² pixels.
 ///
 /// # Errors
 /// As [`time`].

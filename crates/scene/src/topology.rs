@@ -8,7 +8,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::exact::{Sum, det3, det3_terms, orient3d_sign};
-use crate::{Scene, SceneError, Triangle};
+use crate::{Scene, SceneError, Triangle, mix};
 
 /// For every triangle whether it belongs to a closed, consistently oriented surface, and which way it faces.
 ///
@@ -126,20 +126,15 @@ fn classes(all: &[Triangle], hash: impl Fn(u128) -> u64 + Sync) -> Vec<Vec<u32>>
 }
 
 /// A position's bits, equal exactly where its coordinates are: 96 bits, x uppermost.
-fn position(v: Vec3) -> u128 {
+pub fn position(v: Vec3) -> u128 {
     // Adding 0 turns −0 into 0 and changes nothing else.
     let bits = |c: f32| u128::from((c + 0.0).to_bits());
     bits(v.x) << 64 | bits(v.y) << 32 | bits(v.z)
 }
 
-/// Spreads a position over 64 bits: the finalizer of SplitMix64 (Steele et al. 2014) over each half.
-fn hash(position: u128) -> u64 {
-    let mix = |x: u64| {
-        let x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        x ^ x >> 31
-    };
-    mix(mix((position >> 64) as u64 | 1 << 63).wrapping_add(position as u64))
+/// Spreads a position over 64 bits: x and y, then z.
+pub fn hash(position: u128) -> u64 {
+    mix((position >> 32) as u64).wrapping_add(mix(u64::from(position as u32)))
 }
 
 /// Whether a scene's corners can be numbered.

@@ -1,13 +1,7 @@
 //! Low-discrepancy and hashed numbers: the same for the same seed on every machine, needing no state.
 
 use glam::Vec3;
-
-/// Mixes 64 bits (the finaliser of Steele, Lea and Flood's SplitMix64, 2014).
-pub fn mix(mut x: u64) -> u64 {
-    x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-    x ^ x >> 31
-}
+use sightline_scene::mix;
 
 /// A stream of hashed numbers.
 #[derive(Clone, Copy, Debug)]

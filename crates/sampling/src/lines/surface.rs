@@ -5,7 +5,8 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use glam::Vec3;
 use rayon::prelude::*;
-use sightline_scene::{Scene, Triangle};
+use sightline_scene::topology::{hash, position};
+use sightline_scene::{Scene, Triangle, mix};
 
 use crate::cube::SKY;
 
@@ -27,26 +28,17 @@ impl Surface {
     }
 }
 
-fn corner_key(v: Vec3) -> [u32; 3] {
-    // Adding zero makes −0 into 0.
-    [0, 1, 2].map(|a| (v[a] + 0.0).to_bits())
-}
-
 fn neighbours(scene: &Scene, ids: &[u32]) -> Vec<[u32; 3]> {
     let all = scene.triangles();
     // Edges by a 64-bit hash of their two ends: equal edges have equal hashes, and two different ones with the same
     // hash would only make the sampler look next door at the wrong triangle.
-    let end = |v: Vec3| {
-        let [x, y, z] = corner_key(v);
-        super::sequence::mix(u64::from(x) << 32 | u64::from(y))
-            .wrapping_add(super::sequence::mix(u64::from(z)))
-    };
+    let end = |v: Vec3| hash(position(v));
     let mut edges = vec![(0u64, 0u32); 3 * ids.len()];
     edges.par_chunks_exact_mut(3).zip(ids).for_each(|(own, id)| {
         let ends = all[*id as usize].v.map(end);
         for (k, edge) in own.iter_mut().enumerate() {
             let (a, b) = (ends[k], ends[(k + 1) % 3]);
-            *edge = (super::sequence::mix(a ^ b).wrapping_add(a.wrapping_add(b)), 3 * id + k as u32);
+            *edge = (mix(a ^ b).wrapping_add(a.wrapping_add(b)), 3 * id + k as u32);
         }
     });
     edges.par_sort_unstable();

@@ -2,6 +2,8 @@
 
 use glam::Vec3;
 
+use crate::mix;
+
 /// SplitMix64 (Steele, Lea & Flood 2014, "Fast Splittable Pseudorandom Number Generators").
 pub(super) struct Random {
     state: u64,
@@ -35,13 +37,6 @@ impl Random {
         let r = (1.0 - y * y).max(0.0).sqrt();
         Vec3::new(r * c, y, r * s)
     }
-}
-
-/// SplitMix64's finaliser.
-fn mix(mut z: u64) -> u64 {
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
 }
 
 /// Cosine and sine of a fraction of a full turn, by Taylor's series: platforms' own differ in the last bit.
