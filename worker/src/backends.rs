@@ -12,6 +12,8 @@ use sightline_scene::Scene;
 pub enum Choice {
     /// All that are there.
     Auto,
+    /// All that are there, but where Embree is, no software rasteriser: it would never be the faster one.
+    Fast,
     /// wgpu only.
     Gpu,
     /// Embree only.
@@ -32,15 +34,14 @@ impl Backends {
     pub fn probe(choice: Choice, adapter: AdapterChoice) -> Self {
         let not_asked = || Err("not asked for".to_owned());
         let say = |r: Result<String, BackendError>| r.map_err(|e| e.to_string());
-        let gpu = if choice == Choice::Cpu { not_asked() } else { say(gpu::probe(&adapter)) };
+        let cpu = if choice == Choice::Gpu { not_asked() } else { say(CpuBackend::probe()) };
+        // Starting a software driver takes longer than small bakes do.
+        let only_software = choice == Choice::Fast && cpu.is_ok() && !gpu::device_present();
+        let gpu =
+            if choice == Choice::Cpu || only_software { not_asked() } else { say(gpu::probe(&adapter)) };
         let software =
             gpu.is_ok() && gpu::adapters().iter().any(|a| a.software && gpu.as_ref() == Ok(&a.profile));
-        Self {
-            software,
-            gpu,
-            cpu: if choice == Choice::Gpu { not_asked() } else { say(CpuBackend::probe()) },
-            adapter,
-        }
+        Self { software, gpu, cpu, adapter }
     }
 
     /// Profiles of the backends that work, cpu first.

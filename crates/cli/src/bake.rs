@@ -10,7 +10,7 @@ use sightline_coordinator::{Config, Coordinator, OpenError};
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_sampling::Sampler;
-use sightline_worker::{Backends, Loaded, SceneCache, Stop};
+use sightline_worker::{Backends, Choice, Loaded, SceneCache, Stop};
 use tokio::sync::watch;
 use tonic::transport::Channel;
 
@@ -18,6 +18,7 @@ use crate::args::BakeArgs;
 use crate::client;
 use crate::error::CliError;
 use crate::inspect::{Summary, plural};
+use crate::job_args::Backend;
 use crate::output::{Format, Output};
 use crate::progress::{human, say};
 use crate::serve::{self, threads};
@@ -27,8 +28,12 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     let start = Instant::now();
     let output = Output::check(&args.output, Format::Pvs, Some(&args.scene))?;
     // Looking for devices takes longer than reading most scenes.
-    let choice = serve::choice(args.job.backend);
+    let choice = match serve::choice(args.job.backend) {
+        Choice::Auto => Choice::Fast,
+        choice => choice,
+    };
     let probing = Probing::begin(choice);
+    serve::use_threads(threads(None))?;
     let scene = Arc::new(sightline_scene::load(&args.scene)?);
     let spec = args.job.spec(&args.scene, &scene)?;
     say(&format!(
@@ -39,7 +44,6 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
         human(start.elapsed())
     ));
     let loaded = Arc::new(Loaded::new(Arc::clone(&scene))?);
-    serve::use_threads(threads(None))?;
     let probing = probing.then_warm(&loaded, &spec);
     let data_dir = match &args.data_dir {
         Some(dir) => dir.clone(),
@@ -147,8 +151,16 @@ async fn bake(
     }
     let mut backends = None;
     if job.state() != v1::JobState::Done {
-        let probed =
+        let mut probed =
             tokio::task::spawn_blocking(move || probing.end()).await.map_err(CliError::internal)??;
+        // Begun on a software rasteriser, which is only looked for when it is asked for.
+        if args.job.backend == Backend::Auto
+            && job.profile.starts_with("gpu/")
+            && !probed.profiles().contains(&job.profile)
+        {
+            let again = || Arc::new(Backends::probe(Choice::Auto, Default::default()));
+            probed = tokio::task::spawn_blocking(again).await.map_err(CliError::internal)?;
+        }
         serve::say_missing(&probed)?;
         if !job.profile.is_empty() && !probed.profiles().contains(&job.profile) {
             say(&format!(

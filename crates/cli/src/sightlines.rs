@@ -50,8 +50,8 @@ struct Totals {
 
 /// Answers every query of a file, in order.
 pub fn run(args: &SightlinesArgs) -> Result<(), CliError> {
-    let scene = sightline_scene::load(&args.scene)?;
     serve::use_threads(threads(args.threads.map(usize::from)))?;
+    let scene = sightline_scene::load(&args.scene)?;
     let occluders = Occluders::new(&scene)?;
     let raw: Vec<[glam::Vec3; 3]> =
         if args.check { scene.triangles().iter().map(|t| t.v).collect() } else { Vec::new() };

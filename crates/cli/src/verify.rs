@@ -18,6 +18,7 @@ use crate::serve::{self, print, threads};
 
 /// Checks a result against its scene.
 pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
+    serve::use_threads(threads(args.threads.map(usize::from)))?;
     let scene = sightline_scene::load(&args.scene)?;
     let pvs = inspect::open(&args.result)?;
     inspect::check_scene(&scene, &pvs, &args.scene, &args.result)?;
@@ -29,7 +30,6 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
             if pvs.method() == "aggressive" { "--method exact " } else { "" }
         )));
     }
-    serve::use_threads(threads(args.threads.map(usize::from)))?;
     let raw: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
     let triangles = Triangles::new(&raw);
     let sample = args.sample.map(|n| draw(n, args.seed, pvs.cells(), scene.len()));

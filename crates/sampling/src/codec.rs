@@ -6,14 +6,15 @@
 use std::io::Read;
 use std::sync::Arc;
 
+use rayon::prelude::*;
 use sightline_viewcells::{CellBox, LatticePoint, Split};
 
 use crate::cube::VisibilitySample;
 use crate::lines::CellStats;
 use crate::tile::{CellSet, CellSets, Decision, Node, Pack, TileOutput};
 
-/// Compression level: 3 is zstd's own default; higher ones cost more time than the network saves.
-const LEVEL: i32 = 3;
+/// Compression level: higher ones cost more time than the network saves.
+const LEVEL: i32 = 1;
 /// Most bytes one tile's output may unpack to: far above any real tile, far below a machine's memory.
 pub const MAX_UNPACKED: u64 = 4 << 30;
 
@@ -64,22 +65,9 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
                     }
                 }
             }
-            for cell in &sets.cells {
-                put_ids(&mut raw, &cell.visible);
-                put(&mut raw, cell.samples);
-                cell.stats.numbers().into_iter().for_each(|n| put64(&mut raw, n));
-                let Some(decision) = &cell.decision else {
-                    raw.push(0);
-                    continue;
-                };
-                raw.push(1);
-                put_ids(&mut raw, &decision.undecided);
-                put(&mut raw, decision.counts.len() as u32);
-                decision.counts.iter().for_each(|n| put64(&mut raw, *n));
-                let length = u32::try_from(decision.evidence.len()).map_err(std::io::Error::other)?;
-                put(&mut raw, length);
-                raw.extend_from_slice(&decision.evidence);
-            }
+            let cells: Vec<Vec<u8>> = sets.cells.par_iter().map(put_cell).collect::<Result<_, _>>()?;
+            raw.reserve(cells.iter().map(Vec::len).sum());
+            cells.iter().for_each(|cell| raw.extend_from_slice(cell));
         }
     }
     if raw.len() as u64 > MAX_UNPACKED {
@@ -129,6 +117,26 @@ fn read(bytes: &[u8], triangles: u32, keep: &dyn Fn(LatticePoint) -> bool) -> Re
         _ => return Err(CodecError("its kind is unknown")),
     };
     if r.bytes.is_empty() { Ok(output) } else { Err(CodecError("there is more than it announces")) }
+}
+
+fn put_cell(cell: &CellSet) -> Result<Vec<u8>, std::io::Error> {
+    // Most ids take a byte.
+    let mut raw = Vec::with_capacity(cell.visible.len() + cell.visible.len() / 4 + 64);
+    put_ids(&mut raw, &cell.visible);
+    put(&mut raw, cell.samples);
+    cell.stats.numbers().into_iter().for_each(|n| put64(&mut raw, n));
+    let Some(decision) = &cell.decision else {
+        raw.push(0);
+        return Ok(raw);
+    };
+    raw.push(1);
+    put_ids(&mut raw, &decision.undecided);
+    put(&mut raw, decision.counts.len() as u32);
+    decision.counts.iter().for_each(|n| put64(&mut raw, *n));
+    let length = u32::try_from(decision.evidence.len()).map_err(std::io::Error::other)?;
+    put(&mut raw, length);
+    raw.extend_from_slice(&decision.evidence);
+    Ok(raw)
 }
 
 /// LEB128.
@@ -198,15 +206,23 @@ impl Reader<'_> {
 
     fn ids(&mut self) -> Result<Vec<u32>, CodecError> {
         let n = self.count(1)?;
+        let mut ids = Vec::with_capacity(n);
         let mut next = 0u32;
-        (0..n)
-            .map(|_| {
-                let id = next.checked_add(self.u32()?).filter(|id| *id < self.triangles);
-                let id = id.ok_or(CodecError("a triangle id is out of range"))?;
-                next = id + 1;
-                Ok(id)
-            })
-            .collect()
+        for _ in 0..n {
+            // Most are of one byte.
+            let gap = match self.bytes.split_first() {
+                Some((b, rest)) if *b < 0x80 => {
+                    self.bytes = rest;
+                    u32::from(*b)
+                }
+                _ => self.u32()?,
+            };
+            let id = next.checked_add(gap).filter(|id| *id < self.triangles);
+            let id = id.ok_or(CodecError("a triangle id is out of range"))?;
+            next = id + 1;
+            ids.push(id);
+        }
+        Ok(ids)
     }
 
     fn pack(&mut self, keep: &dyn Fn(LatticePoint) -> bool) -> Result<Pack, CodecError> {

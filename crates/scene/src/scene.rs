@@ -197,22 +197,27 @@ impl Scene {
     pub fn to_blob(&self) -> Vec<u8> {
         let names: usize = self.objects.iter().map(|o| o.name.len() + 8).sum();
         let mut out = Vec::with_capacity(16 + self.triangles.len() * 36 + names);
-        out.extend_from_slice(BLOB_MAGIC);
-        out.extend_from_slice(&self.len().to_le_bytes());
-        out.extend_from_slice(&(self.objects.len() as u32).to_le_bytes());
+        self.each_part(|part| out.extend_from_slice(part));
+        out
+    }
+
+    /// The canonical bytes, in parts.
+    fn each_part(&self, mut take: impl FnMut(&[u8])) {
+        take(BLOB_MAGIC);
+        take(&self.len().to_le_bytes());
+        take(&(self.objects.len() as u32).to_le_bytes());
         if cfg!(target_endian = "big") {
             let mut triangles = self.triangles.clone();
             swap_bytes(&mut triangles);
-            out.extend_from_slice(bytemuck::cast_slice(&triangles));
+            take(bytemuck::cast_slice(&triangles));
         } else {
-            out.extend_from_slice(bytemuck::cast_slice(&self.triangles));
+            take(bytemuck::cast_slice(&self.triangles));
         }
         for o in &self.objects {
-            out.extend_from_slice(&o.count.to_le_bytes());
-            out.extend_from_slice(&(o.name.len() as u32).to_le_bytes());
-            out.extend_from_slice(o.name.as_bytes());
+            take(&o.count.to_le_bytes());
+            take(&(o.name.len() as u32).to_le_bytes());
+            take(o.name.as_bytes());
         }
-        out
     }
 
     /// Reads canonical bytes back, checking everything before allocating for it.
@@ -279,7 +284,11 @@ impl Scene {
 
     /// BLAKE3 of [`Scene::to_blob`].
     pub fn digest(&self) -> SceneDigest {
-        SceneDigest(*blake3::hash(&self.to_blob()).as_bytes())
+        let mut hasher = blake3::Hasher::new();
+        self.each_part(|part| {
+            hasher.update(part);
+        });
+        SceneDigest(*hasher.finalize().as_bytes())
     }
 }
 

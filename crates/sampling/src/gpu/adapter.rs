@@ -34,6 +34,27 @@ pub fn adapters() -> Vec<AdapterSummary> {
     find().iter().map(|adapter| summary(&adapter.get_info())).collect()
 }
 
+/// Whether this machine may have a GPU that is no software rasteriser: whether there is a device file as the drivers of GPUs
+/// need. Far cheaper than starting all drivers to ask them; true where files do not tell.
+pub fn device_present() -> bool {
+    let named = |directory: &str, is: fn(&str) -> bool| {
+        let entries = std::fs::read_dir(directory).into_iter().flatten();
+        entries.flatten().any(|e| is(&e.file_name().to_string_lossy()))
+    };
+    !cfg!(target_os = "linux") || named("/dev/dri", is_render_node) || named("/dev", is_gpu)
+}
+
+/// In `/dev/dri`: what the kernel's drivers render through.
+fn is_render_node(name: &str) -> bool {
+    name.starts_with("renderD")
+}
+
+/// In `/dev`: what drivers use that do not go through the kernel's common interface, of NVIDIA, AMD's compute driver, Windows'
+/// subsystem for Linux, ARM, Qualcomm and Imagination.
+fn is_gpu(name: &str) -> bool {
+    ["nvidia", "nvhost", "nvgpu", "kfd", "dxg", "mali", "kgsl", "pvr"].iter().any(|p| name.starts_with(p))
+}
+
 fn find() -> Vec<wgpu::Adapter> {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
     // The same in every build: the driver's validation layers cost time and change no result.
@@ -143,6 +164,13 @@ pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn gpus_are_known_by_their_device_files() {
+        assert!(["nvidia0", "nvidiactl", "kfd", "dxg", "mali0", "kgsl-3d0"].iter().all(|n| is_gpu(n)));
+        assert!(!["null", "tty0", "vda", "fb0", "dri", "kvm"].iter().any(|n| is_gpu(n)));
+        assert!(is_render_node("renderD128") && !is_render_node("card0"));
+    }
 
     #[test]
     fn profiles_are_printable_and_keep_their_fields() {

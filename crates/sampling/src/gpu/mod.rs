@@ -26,7 +26,7 @@ use std::time::Duration;
 
 use sightline_scene::Scene;
 
-pub use adapter::{AdapterChoice, AdapterSummary, adapters, probe};
+pub use adapter::{AdapterChoice, AdapterSummary, adapters, device_present, probe};
 
 use crate::backend::{Backend, BackendError, CubeRenderer};
 use crate::cube::CubeSpec;

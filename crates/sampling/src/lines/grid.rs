@@ -22,6 +22,8 @@ pub struct CellGrid {
     bricks: [u32; 3],
     /// By axis, the cells of a brick that come first along it.
     first: [u64; 3],
+    /// By axis and coordinate, what the coordinate adds to the number of a cell's bit ([`Slot::index`]).
+    part: [Vec<u32>; 3],
     min: Vec3,
     max: Vec3,
     per_unit: [f32; 3],
@@ -61,7 +63,13 @@ impl CellGrid {
         let coordinate = |bit: u32, a: usize| bit >> side[..a].iter().sum::<u32>() & ((1 << side[a]) - 1);
         let first =
             [0, 1, 2].map(|a| (0..64).filter(|bit| coordinate(*bit, a) == 0).fold(0, |m, b| m | 1 << b));
-        Self { cells, side, bricks, first, min, max, per_unit, margin }
+        let mut grid =
+            Self { cells, side, bricks, first, part: Default::default(), min, max, per_unit, margin };
+        grid.part = [0, 1, 2].map(|a| {
+            let on_axis = |x: u32| std::array::from_fn(|b| if a == b { x } else { 0 });
+            (0..cells[a]).map(|x| grid.slot(on_axis(x)).index() as u32).collect()
+        });
+        grid
     }
 
     /// Cells along each axis.
@@ -149,35 +157,40 @@ impl CellGrid {
                 next[a] = ((cell[a] + i32::from(up)) as f32 - start[a]) * inverse[a];
             }
         }
+        // In registers, and which axis comes next, which is as good as random, without a branch.
+        let ([mut nx, mut ny, mut nz], [dx, dy, dz]) = (next, delta);
+        let ([mut cx, mut cy, mut cz], [sx, sy, sz]) = (cell, step);
+        let [px, py, pz] = &self.part;
         let (mut t, mut word, mut bits) = (t0, u32::MAX, 0u64);
-        loop {
-            let axis = if next[0] < next[1] {
-                if next[0] < next[2] { 0 } else { 2 }
-            } else if next[1] < next[2] {
-                1
-            } else {
-                2
-            };
-            let end = next[axis].min(t1);
+        while let (Some(x), Some(y), Some(z)) =
+            (px.get(cx as u32 as usize), py.get(cy as u32 as usize), pz.get(cz as u32 as usize))
+        {
+            let first = if nx < ny { nx } else { ny };
+            let is_z = first >= nz;
+            let is_x = !is_z & (nx < ny);
+            let is_y = !is_z & !is_x;
+            let through = if is_z { nz } else { first };
+            let end = if t1 < through { t1 } else { through };
             if end - t > least {
-                let at = self.slot(cell.map(|c| c as u32));
-                if at.word != word {
+                let at = x + y + z;
+                if at >> 6 != word {
                     if bits != 0 {
                         out.push((word, bits));
                     }
-                    (word, bits) = (at.word, 0);
+                    (word, bits) = (at >> 6, 0);
                 }
-                bits |= 1 << at.bit;
+                bits |= 1 << (at & 63);
             }
-            if next[axis] >= t1 {
+            if through >= t1 {
                 break;
             }
-            t = end.max(t);
-            cell[axis] += step[axis];
-            if cell[axis] < 0 || cell[axis] >= self.cells[axis] as i32 {
-                break;
-            }
-            next[axis] += delta[axis];
+            t = if end > t { end } else { t };
+            nx += if is_x { dx } else { 0.0 };
+            ny += if is_y { dy } else { 0.0 };
+            nz += if is_z { dz } else { 0.0 };
+            cx += sx & -i32::from(is_x);
+            cy += sy & -i32::from(is_y);
+            cz += sz & -i32::from(is_z);
         }
         if bits != 0 {
             out.push((word, bits));

@@ -177,6 +177,10 @@ impl<'a> Accessor<'a> {
         if b.is_empty() {
             return [0.0; 3];
         }
+        // Nearly all there are.
+        if let (Component::F32, Some(&xyz)) = (self.component, b.first_chunk::<12>()) {
+            return bytemuck::cast::<_, [[u8; 4]; 3]>(xyz).map(|c| f64::from(f32::from_le_bytes(c)));
+        }
         [0, 1, 2].map(|c| self.component.number(b, c, self.normalized))
     }
 

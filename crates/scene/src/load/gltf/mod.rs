@@ -19,10 +19,13 @@ mod transform;
 
 use std::path::Path;
 
+use glam::Vec3;
+use rayon::prelude::*;
+
 use self::accessor::Accessors;
 use self::buffers::Buffers;
 use super::{EXPORT_AGAIN, Limits, names::Names, too_many_objects, too_many_triangles};
-use crate::{Object, Scene, SceneError};
+use crate::{Object, Scene, SceneError, Triangle};
 
 /// Required extensions that change nothing about which triangles exist. A prefix ends in `_`.
 const HARMLESS: &[&str] = &[
@@ -150,10 +153,22 @@ fn build(source: &Source<'_>, json: &[u8], binary: Option<&[u8]>) -> Result<Scen
             "split the scene",
         )
     })?;
-    for draw in &draws {
-        for p in 0..root.meshes[draw.mesh].primitives.len() {
-            primitive::append(source, &root, &accessors, draw, p, &mut triangles)?;
-        }
+    triangles.resize(total as usize, Triangle { v: [Vec3::ZERO; 3] });
+    // In the order in which they were counted.
+    let parts = draws.iter().flat_map(|d| (0..root.meshes[d.mesh].primitives.len()).map(move |p| (d, p)));
+    let mut rest = triangles.as_mut_slice();
+    let mut work = Vec::with_capacity(objects.len());
+    for ((draw, p), object) in parts.zip(&objects) {
+        let (own, others) = rest.split_at_mut(object.count as usize);
+        work.push((draw, p, own));
+        rest = others;
+    }
+    // Of several things that are wrong, the first is told.
+    let wrong = work
+        .into_par_iter()
+        .find_map_first(|(draw, p, own)| primitive::read(source, &root, &accessors, draw, p, own).err());
+    if let Some(wrong) = wrong {
+        return Err(wrong);
     }
     Scene::new(source.file, triangles, objects)
 }

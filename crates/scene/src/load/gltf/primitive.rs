@@ -1,12 +1,16 @@
 //! The triangles of one primitive: lists, strips and fans, with or without indices.
 
-use glam::Vec3;
+use glam::{DAffine3, DVec3, Vec3};
+use rayon::prelude::*;
 
 use super::accessor::{Accessor, Accessors, Role};
 use super::nodes::Draw;
 use super::{EXPORT_AGAIN, Source, json, transform};
 use crate::load::REPAIR_VERTEX;
 use crate::{SceneError, Triangle};
+
+/// Triangles a thread reads at a time.
+const AT_ONCE: usize = 8192;
 
 /// What a primitive draws (glTF 2.0, section 3.7.2.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -104,18 +108,18 @@ pub(super) fn count(
     }
 }
 
-/// Appends the triangles of primitive `p` of the mesh drawn, in world space.
-pub(super) fn append(
+/// Reads the triangles of primitive `p` of the mesh drawn, in world space, into `out`, which has room for as many as
+/// [`count`] says.
+pub(super) fn read(
     source: &Source<'_>,
     root: &json::Root,
     accessors: &Accessors<'_>,
     draw: &Draw,
     p: usize,
-    out: &mut Vec<Triangle>,
+    out: &mut [Triangle],
 ) -> Result<(), SceneError> {
-    let triangles = count(source, root, accessors, draw, p)?;
     let primitive = &root.meshes[draw.mesh].primitives[p];
-    let (Some(position), true) = (primitive.attributes.position, triangles > 0) else { return Ok(()) };
+    let (Some(position), false) = (primitive.attributes.position, out.is_empty()) else { return Ok(()) };
     let corners = Corners {
         source,
         draw,
@@ -123,19 +127,24 @@ pub(super) fn append(
         position,
         positions: accessors.get(Role::Positions, position),
         indices: primitive.indices.map(|i| (i, accessors.get(Role::Indices, i))),
+        still: draw.world == DAffine3::IDENTITY,
     };
     let mode = mode(primitive).map_err(|why| source.bad(label(draw, p), why))?;
-    for i in 0..triangles {
+    let triangle = |i: u64| -> Result<Triangle, SceneError> {
         let [a, b, c] = match mode {
-            Mode::NoSurface => return Ok(()),
-            Mode::Triangles => [3 * i, 3 * i + 1, 3 * i + 2],
             // Every second triangle of a strip is turned, so that all wind the same way.
             Mode::Strip => [i, i + 1 + i % 2, i + 2 - i % 2],
             Mode::Fan => [i + 1, i + 2, 0],
+            Mode::Triangles | Mode::NoSurface => [3 * i, 3 * i + 1, 3 * i + 2],
         };
-        out.push(Triangle { v: [corners.at(a)?, corners.at(b)?, corners.at(c)?] });
-    }
-    Ok(())
+        Ok(Triangle { v: [corners.at(a)?, corners.at(b)?, corners.at(c)?] })
+    };
+    // Of several things that are wrong, the first is told.
+    let wrong = out.par_chunks_mut(AT_ONCE).enumerate().find_map_first(|(k, chunk)| {
+        let mut numbered = chunk.iter_mut().zip((k * AT_ONCE) as u64..);
+        numbered.find_map(|(t, i)| triangle(i).map(|read| *t = read).err())
+    });
+    wrong.map_or(Ok(()), Err)
 }
 
 /// The corners of a primitive, one after another as the indices give them.
@@ -146,6 +155,8 @@ struct Corners<'a> {
     position: usize,
     positions: &'a Accessor<'a>,
     indices: Option<(usize, &'a Accessor<'a>)>,
+    /// Whether the transform is the identity, which keeps every bit, the sign of a zero included.
+    still: bool,
 }
 
 impl Corners<'_> {
@@ -161,7 +172,10 @@ impl Corners<'_> {
             }
         };
         let local = self.positions.position(vertex);
-        let world = transform::apply(&self.draw.world, local);
+        let world = match self.still {
+            true => DVec3::from_array(local).as_vec3(),
+            false => transform::apply(&self.draw.world, local),
+        };
         if world.is_finite() { Ok(world) } else { Err(self.bad_vertex(vertex, local)) }
     }
 
