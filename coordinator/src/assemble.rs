@@ -3,7 +3,7 @@
 //! The bytes depend on the tiles' outputs and the job alone. Tiles are read one at a time.
 
 use sightline_job::{ALGORITHM_VERSION, JobSpec};
-use sightline_pvs::{Builder, CellTree, Header, Node, Object, PvsError, SET_ASIDE};
+use sightline_pvs::{Builder, Cell, CellTree, Header, Node, Object, PvsError, SET_ASIDE};
 use sightline_sampling::codec::{self, CodecError};
 use sightline_sampling::tile::{self, CellSet, CellSets, TileOutput};
 use sightline_viewcells::{CellBox, Division, Lattice, Outline, Plan, TileKind};
@@ -110,18 +110,20 @@ impl Coordinator {
                 Some(sets) => sets,
                 None => self.leaf(number, state, cells, scene.triangles)?,
             };
-            for cell in sets.cells {
+            let shown = sets.cells.iter().map(|cell| match aside {
                 // What is shown because its tile failed was neither seen nor proved hidden.
-                if aside {
-                    builder.push_cell(&all, &all, SET_ASIDE)?;
-                } else {
+                true => Cell { visible: &all, undecided: &all, flags: SET_ASIDE },
+                false => {
                     let undecided = cell.decision.as_ref().map_or(&[][..], |d| &d.undecided);
-                    builder.push_cell(&cell.visible, undecided, 0)?;
+                    Cell { visible: &cell.visible, undecided, flags: 0 }
                 }
+            });
+            builder.push_cells(&shown.collect::<Vec<_>>())?;
+            for cell in &sets.cells {
                 if parts.spec.certificates {
                     builder.push_evidence(cell.decision.as_ref().map_or(&[], |d| &d.evidence))?;
                 }
-                statistics.push(&cell);
+                statistics.push(cell);
             }
         }
         builder.set_columns(statistics.columns())?;

@@ -5,7 +5,7 @@ use std::io::Write;
 
 use crate::columns::{self, Column};
 use crate::error::PvsError;
-use crate::hierarchy::Hierarchy;
+use crate::hierarchy::{CodedSet, Hierarchy};
 use crate::layout::{self, Section};
 use crate::runs;
 use crate::tree::{CellTree, Node};
@@ -43,6 +43,17 @@ pub struct Stats {
     pub visible_ids: u64,
     /// Sum of the sizes of the undecided sets.
     pub undecided_ids: u64,
+}
+
+/// What is known of a cell.
+#[derive(Clone, Copy, Debug)]
+pub struct Cell<'a> {
+    /// What to draw from it, ascending.
+    pub visible: &'a [u32],
+    /// The part of that neither seen nor proved hidden, ascending.
+    pub undecided: &'a [u32],
+    /// [`SET_ASIDE`]; other bits are kept as they are.
+    pub flags: u32,
 }
 
 /// Takes the cells' sets in cell order and writes the file. The same input gives the same bytes.
@@ -88,16 +99,36 @@ impl Builder {
     /// ([`SET_ASIDE`]; other bits are kept as they are).
     ///
     /// # Errors
-    /// [`PvsError::Ids`] when ids do not ascend strictly or reach N, when `undecided` is not part of `visible`, or
-    /// when a cell set aside does not draw everything; [`PvsError::CellCount`] after the last cell.
+    /// As [`Self::push_cells`].
     pub fn push_cell(&mut self, visible: &[u32], undecided: &[u32], flags: u32) -> Result<(), PvsError> {
-        let cell = self.flags.len() as u32;
-        let cells = self.header.tree.cells();
-        if cell >= cells {
-            return Err(PvsError::CellCount { expected: cells, pushed: u64::from(cell) + 1 });
+        self.push_cells(&[Cell { visible, undecided, flags }])
+    }
+
+    /// Adds the next cells; with the feature `parallel` all cores code them.
+    ///
+    /// # Errors
+    /// [`PvsError::Ids`] when ids do not ascend strictly or reach N, when `undecided` is not part of `visible`, or
+    /// when a cell set aside does not draw everything; [`PvsError::CellCount`] after the last cell. Nothing is added then.
+    pub fn push_cells(&mut self, cells: &[Cell<'_>]) -> Result<(), PvsError> {
+        let (first, expected) = (self.flags.len() as u64, self.header.tree.cells());
+        let after = first + cells.len() as u64;
+        if after > u64::from(expected) {
+            return Err(PvsError::CellCount { expected, pushed: after });
         }
+        let coded = each(cells, |i, cell| self.coded((first + i as u64) as u32, cell));
+        let coded: Vec<[CodedSet; 2]> = coded.into_iter().collect::<Result<_, _>>()?;
+        for (cell, [visible, undecided]) in cells.iter().zip(coded) {
+            self.visible.push(visible);
+            self.undecided.push(undecided);
+            self.flags.push(cell.flags);
+        }
+        Ok(())
+    }
+
+    /// A cell's visible and undecided sets, checked and coded.
+    fn coded(&self, cell: u32, of: &Cell<'_>) -> Result<[CodedSet; 2], PvsError> {
         let bad = |set, reason: String| PvsError::Ids { cell, set, reason };
-        for (set, ids) in [("visible", visible), ("undecided", undecided)] {
+        for (set, ids) in [("visible", of.visible), ("undecided", of.undecided)] {
             if let Some(pair) = ids.windows(2).find(|p| p[0] >= p[1]) {
                 return Err(bad(set, format!("{} comes before {}; ids must ascend", pair[0], pair[1])));
             }
@@ -105,21 +136,20 @@ impl Builder {
                 return Err(bad(set, format!("there is no triangle {last} among {}", self.header.triangles)));
             }
         }
-        let (seen, open) = (runs::from_ids(visible), runs::from_ids(undecided));
-        let [beyond] = runs::sweep([&seen, &open], |m| u32::from(m == 2));
-        if let Some(id) = beyond.first() {
-            return Err(bad("undecided", format!("triangle {id} is not in the visible set")));
+        let (seen, open) = (runs::from_ids(of.visible), runs::from_ids(of.undecided));
+        if !open.is_empty() {
+            let [beyond] = runs::sweep([&seen, &open], |m| u32::from(m == 2));
+            if let Some(id) = beyond.first() {
+                return Err(bad("undecided", format!("triangle {id} is not in the visible set")));
+            }
         }
-        if flags & SET_ASIDE != 0 && visible.len() as u64 != u64::from(self.header.triangles) {
+        if of.flags & SET_ASIDE != 0 && of.visible.len() as u64 != u64::from(self.header.triangles) {
             return Err(bad(
                 "visible",
                 "the cell is set aside, but not all triangles are visible".to_owned(),
             ));
         }
-        self.visible.push(&seen, visible.len());
-        self.undecided.push(&open, undecided.len());
-        self.flags.push(flags);
-        Ok(())
+        Ok([CodedSet::new(&seen, of.visible.len()), CodedSet::new(&open, of.undecided.len())])
     }
 
     /// Says what the baker counted in each cell, at any time before [`Self::finish`]. The columns are kept in
@@ -246,6 +276,17 @@ fn evidence_section((mut ends, bytes): (Vec<u64>, Vec<u8>), cells: u32) -> Vec<u
     let mut section: Vec<u8> = offsets.flat_map(u64::to_le_bytes).collect();
     section.extend(bytes);
     section
+}
+
+/// Does `f` for each cell and its place, at the same time where that is possible.
+fn each<T: Send>(cells: &[Cell<'_>], f: impl Fn(usize, &Cell<'_>) -> T + Sync) -> Vec<T> {
+    #[cfg(feature = "parallel")]
+    {
+        use rayon::prelude::*;
+        cells.par_iter().enumerate().map(|(i, cell)| f(i, cell)).collect()
+    }
+    #[cfg(not(feature = "parallel"))]
+    cells.iter().enumerate().map(|(i, cell)| f(i, cell)).collect()
 }
 
 fn object_section(objects: &[Object]) -> Vec<u8> {

@@ -27,6 +27,21 @@ pub struct Hierarchy {
     ids: u64,
 }
 
+/// A cell's set, coded to stand for itself.
+pub struct CodedSet {
+    bytes: Vec<u8>,
+    ids: usize,
+}
+
+impl CodedSet {
+    /// The set with these boundaries (see [`runs`]), of so many ids.
+    pub fn new(set: &[u32], ids: usize) -> Self {
+        let mut bytes = Vec::new();
+        codec::encode(set, true, &mut bytes);
+        Self { bytes, ids }
+    }
+}
+
 /// The average of a subtree by Fitch's rule. Sets as boundaries; the two are disjoint.
 #[derive(Default)]
 struct Average {
@@ -48,16 +63,14 @@ struct Coded {
 }
 
 impl Hierarchy {
-    /// Takes the next cell's set, given by its boundaries (see [`runs`]), of so many ids.
-    pub fn push(&mut self, set: &[u32], ids: usize) {
-        if set.is_empty() && self.cells.is_empty() {
+    /// Takes the next cell's set.
+    pub fn push(&mut self, set: CodedSet) {
+        if set.ids == 0 && self.cells.is_empty() {
             self.empty += 1;
             return;
         }
-        let mut coded = Vec::new();
-        codec::encode(set, true, &mut coded);
-        self.cells.push(coded);
-        self.ids += ids as u64;
+        self.cells.push(set.bytes);
+        self.ids += set.ids as u64;
     }
 
     /// Sum of the sizes of the sets.

@@ -47,7 +47,7 @@ pub mod reader;
 mod runs;
 pub mod tree;
 
-pub use builder::{Builder, Header, Stats};
+pub use builder::{Builder, Cell, Header, Stats};
 pub use columns::Column;
 pub use error::PvsError;
 pub use layout::VERSION;
