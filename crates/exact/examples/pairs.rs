@@ -31,6 +31,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut kinds: [(&str, Vec<Duration>, Cost); 3] =
         ["visible", "hidden", "undecided"].map(|n| (n, Vec::new(), Cost::default()));
     let (mut blockers, mut proved) = (0usize, 0usize);
+    // Of each hidden pair the effective occluders, seconds and regions.
+    let mut grown: Vec<(f64, f64, f64)> = Vec::new();
     let limits = Limits::default();
     let check = args.get(4).is_some_and(|a| a == "check");
     let mut checking = Duration::ZERO;
@@ -95,6 +97,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 }
                 blockers += proof.occluders.len();
                 proved += 1;
+                grown.push((proof.occluders.len() as f64, took.as_secs_f64(), cost.regions as f64));
                 1
             }
             Verdict::Undecided(reason) => {
@@ -131,5 +134,40 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     println!("checking a proof: {:.3} ms", checking.as_secs_f64() * 1e3 / proved.max(1) as f64);
     println!("occluders a proof: {:.2}", blockers as f64 / proved.max(1) as f64);
+    growth(&grown);
     Ok(())
+}
+
+/// How a hidden pair's cost grows with its effective occluders, m: means by classes of m, and the power of m that fits the pairs
+/// best (least squares of logarithms, from two occluders on).
+fn growth(pairs: &[(f64, f64, f64)]) {
+    let mut from = 1.0;
+    while pairs.iter().any(|p| p.0 >= from) {
+        let class: Vec<_> = pairs.iter().filter(|p| (from..2.0 * from).contains(&p.0)).collect();
+        if !class.is_empty() {
+            let mean =
+                |f: fn(&(f64, f64, f64)) -> f64| class.iter().map(|p| f(p)).sum::<f64>() / class.len() as f64;
+            println!(
+                "{from} to {} effective occluders: {} pairs, mean {:.3} ms, {:.1} regions",
+                2.0 * from - 1.0,
+                class.len(),
+                mean(|p| p.1) * 1e3,
+                mean(|p| p.2)
+            );
+        }
+        from *= 2.0;
+    }
+    let power = |f: fn(&(f64, f64, f64)) -> f64| {
+        let logs: Vec<[f64; 2]> =
+            pairs.iter().filter(|p| p.0 >= 2.0).map(|p| [p.0.ln(), f(p).ln()]).collect();
+        let n = logs.len() as f64;
+        let [mx, my] = [0, 1].map(|k| logs.iter().map(|l| l[k]).sum::<f64>() / n);
+        let over: f64 = logs.iter().map(|l| (l[0] - mx) * (l[1] - my)).sum();
+        over / logs.iter().map(|l| (l[0] - mx).powi(2)).sum::<f64>()
+    };
+    println!(
+        "growth with effective occluders m: time m^{:.2}, regions m^{:.2}",
+        power(|p| p.1),
+        power(|p| p.2)
+    );
 }

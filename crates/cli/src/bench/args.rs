@@ -42,9 +42,12 @@ pub struct BenchArgs {
     /// Leave out a sampler's finer points, and a growth's greater ones, after one that took longer than this.
     #[arg(long, value_name = "S", default_value_t = 60.0)]
     pub max_seconds: f64,
-    /// Measure how time and memory grow: bakes with --sampler lines --target-error 0.001.
+    /// Measure how time and memory grow: bakes with --sampler lines and --grow-error.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "LIST")]
     pub grow: Vec<Growth>,
+    /// The --target-error of --grow's bakes.
+    #[arg(long, value_name = "F", default_value_t = 0.001)]
+    pub grow_error: f64,
     /// Also write everything as Markdown, with the machine and the command line.
     #[arg(long, value_name = "FILE.md")]
     pub results: Option<PathBuf>,
@@ -107,6 +110,9 @@ impl BenchArgs {
         }
         if self.max_seconds.is_nan() || self.max_seconds <= 0.0 {
             return refuse(&format!("--max-seconds {} is not above 0", self.max_seconds));
+        }
+        if !(1e-6..=1.0).contains(&self.grow_error) {
+            return refuse(&format!("--grow-error {} is not between 0.000001 and 1", self.grow_error));
         }
         Ok(())
     }

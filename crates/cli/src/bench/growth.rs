@@ -14,7 +14,9 @@ use crate::error::CliError;
 use crate::progress::say;
 
 /// How every one of these bakes is sampled.
-const SAMPLER: [&str; 4] = ["--sampler", "lines", "--target-error", "0.001"];
+pub fn sampling(args: &BenchArgs) -> [String; 4] {
+    ["--sampler", "lines", "--target-error", &args.grow_error.to_string()].map(str::to_owned)
+}
 
 /// One bake.
 #[derive(Clone, Debug, Serialize)]
@@ -105,7 +107,7 @@ fn bake(
         None => ("forest".to_owned(), forest(children, folder.path(), value)?),
     };
     let mut line = bake_line(&path, folder.path());
-    line.extend(SAMPLER.map(OsString::from));
+    line.extend(sampling(args).map(OsString::from));
     let cells = if grows == Growth::Cells { [value; 3] } else { args.cells };
     let division = match scene {
         Some(_) => args.division(cells),

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::bench::args::BenchArgs;
 use crate::bench::curves::SceneCurves;
-use crate::bench::growth::Grown;
+use crate::bench::growth::{self, Grown};
 use crate::bench::machine::{Machine, command_line};
 use crate::bench::table;
 
@@ -49,7 +49,10 @@ pub fn markdown(
         }
     }
     if !growth.is_empty() {
-        text += "\n## Growth\n\nBakes with `--sampler lines --target-error 0.001`; one thing grows, the rest stays.\n\n";
+        text += &format!(
+            "\n## Growth\n\nBakes with `{}`; one thing grows, the rest stays.\n\n",
+            growth::sampling(args).join(" ")
+        );
         text += &table::growth(growth).markdown();
     }
     text
