@@ -12,7 +12,7 @@ use sightline_scene::Scene;
 pub enum Choice {
     /// All that are there.
     Auto,
-    /// All that are there, but where Embree is, no software rasteriser: it would never be the faster one.
+    /// All that a job may be bound to by itself: where Embree is, no software rasteriser, which coordinators pass over then.
     Fast,
     /// wgpu only.
     Gpu,
@@ -27,6 +27,8 @@ pub struct Backends {
     adapter: AdapterChoice,
     /// Whether the gpu is a software rasteriser.
     software: bool,
+    /// Whether software rasterisers were not looked for.
+    skipped_software: bool,
 }
 
 impl Backends {
@@ -36,17 +38,22 @@ impl Backends {
         let say = |r: Result<String, BackendError>| r.map_err(|e| e.to_string());
         let cpu = if choice == Choice::Gpu { not_asked() } else { say(CpuBackend::probe()) };
         // Starting a software driver takes longer than small bakes do.
-        let only_software = choice == Choice::Fast && cpu.is_ok() && !gpu::device_present();
+        let skipped_software = choice == Choice::Fast && cpu.is_ok() && !gpu::device_present();
         let gpu =
-            if choice == Choice::Cpu || only_software { not_asked() } else { say(gpu::probe(&adapter)) };
+            if choice == Choice::Cpu || skipped_software { not_asked() } else { say(gpu::probe(&adapter)) };
         let software =
             gpu.is_ok() && gpu::adapters().iter().any(|a| a.software && gpu.as_ref() == Ok(&a.profile));
-        Self { software, gpu, cpu, adapter }
+        Self { software, skipped_software, gpu, cpu, adapter }
     }
 
     /// Profiles of the backends that work, cpu first.
     pub fn profiles(&self) -> Vec<String> {
         [&self.cpu, &self.gpu].into_iter().filter_map(|r| r.as_ref().ok().cloned()).collect()
+    }
+
+    /// Whether software rasterisers were not looked for, as nothing would be bound to one.
+    pub fn skipped_software(&self) -> bool {
+        self.skipped_software
     }
 
     /// Whether `profile` is that of a software rasteriser.

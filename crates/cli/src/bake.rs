@@ -18,7 +18,6 @@ use crate::args::BakeArgs;
 use crate::client;
 use crate::error::CliError;
 use crate::inspect::{Summary, plural};
-use crate::job_args::Backend;
 use crate::output::{Format, Output};
 use crate::progress::{human, say};
 use crate::serve::{self, threads};
@@ -27,13 +26,13 @@ use crate::serve::{self, threads};
 pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     let start = Instant::now();
     let output = Output::check(&args.output, Format::Pvs, Some(&args.scene))?;
-    // Looking for devices takes longer than reading most scenes.
+    serve::use_threads(threads(None))?;
     let choice = match serve::choice(args.job.backend) {
         Choice::Auto => Choice::Fast,
         choice => choice,
     };
+    // Starting drivers may take longer than reading most scenes.
     let probing = Probing::begin(choice);
-    serve::use_threads(threads(None))?;
     let scene = Arc::new(sightline_scene::load(&args.scene)?);
     let spec = args.job.spec(&args.scene, &scene)?;
     say(&format!(
@@ -153,13 +152,10 @@ async fn bake(
     if job.state() != v1::JobState::Done {
         let mut probed =
             tokio::task::spawn_blocking(move || probing.end()).await.map_err(CliError::internal)??;
-        // Begun on a software rasteriser, which is only looked for when it is asked for.
-        if args.job.backend == Backend::Auto
-            && job.profile.starts_with("gpu/")
-            && !probed.profiles().contains(&job.profile)
-        {
-            let again = || Arc::new(Backends::probe(Choice::Auto, Default::default()));
-            probed = tokio::task::spawn_blocking(again).await.map_err(CliError::internal)?;
+        // It may have begun on a software rasteriser, when that was asked for.
+        if probed.skipped_software() && job.profile.starts_with("gpu/") {
+            let again = Probing::begin(Choice::Auto);
+            probed = tokio::task::spawn_blocking(move || again.end()).await.map_err(CliError::internal)??;
         }
         serve::say_missing(&probed)?;
         if !job.profile.is_empty() && !probed.profiles().contains(&job.profile) {

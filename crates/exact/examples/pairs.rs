@@ -165,6 +165,10 @@ fn growth(pairs: &[(f64, f64, f64)]) {
         let over: f64 = logs.iter().map(|l| (l[0] - mx) * (l[1] - my)).sum();
         over / logs.iter().map(|l| (l[0] - mx).powi(2)).sum::<f64>()
     };
+    if !power(|p| p.1).is_finite() {
+        println!("too few pairs to say how time grows with effective occluders");
+        return;
+    }
     println!(
         "growth with effective occluders m: time m^{:.2}, regions m^{:.2}",
         power(|p| p.1),

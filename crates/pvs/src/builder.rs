@@ -107,8 +107,8 @@ impl Builder {
     /// Adds the next cells; with the feature `parallel` all cores code them.
     ///
     /// # Errors
-    /// [`PvsError::Ids`] when ids do not ascend strictly or reach N, when `undecided` is not part of `visible`, or
-    /// when a cell set aside does not draw everything; [`PvsError::CellCount`] after the last cell. Nothing is added then.
+    /// [`PvsError::CellCount`] when these are more than there are left; [`PvsError::Ids`] when ids do not ascend strictly or reach N,
+    /// when `undecided` is not part of `visible`, or when a cell set aside does not draw everything. Nothing is added then.
     pub fn push_cells(&mut self, cells: &[Cell<'_>]) -> Result<(), PvsError> {
         let (first, expected) = (self.flags.len() as u64, self.header.tree.cells());
         let after = first + cells.len() as u64;

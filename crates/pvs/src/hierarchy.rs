@@ -242,7 +242,7 @@ mod tests {
                 let ids: Vec<u32> = (0..5000)
                     .filter(|id| cell > 3 && (id / 7 + cell / 9) % 3 == 0 && (id * 31 + cell) % 11 != 0)
                     .collect();
-                sets.push(&runs::from_ids(&ids), ids.len());
+                sets.push(CodedSet::new(&runs::from_ids(&ids), ids.len()));
             }
             sets.section(Section::Visible, &tree, 5000).unwrap()
         };

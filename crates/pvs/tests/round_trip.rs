@@ -219,6 +219,26 @@ fn bad_input_is_refused() {
 }
 
 #[test]
+fn cells_together_are_the_cells_one_by_one() {
+    let cells = fixed_cells();
+    let header = || header(500, tree(6, &[128, 40]), &[100, 0, 250]);
+    let each: Vec<sightline_pvs::Cell<'_>> = cells
+        .iter()
+        .map(|(visible, undecided, flags)| sightline_pvs::Cell { visible, undecided, flags: *flags })
+        .collect();
+    let mut together = Builder::new(header()).unwrap();
+    together.push_cells(&each[..2]).unwrap();
+    // A bad one is named by its number among all, and keeps out those that come with it.
+    let bad = sightline_pvs::Cell { visible: &[3, 2], undecided: &[], flags: 0 };
+    let refused = together.push_cells(&[each[2], bad]).unwrap_err();
+    assert!(matches!(refused, PvsError::Ids { cell: 3, .. }), "{refused}");
+    together.push_cells(&each[2..]).unwrap();
+    let mut file = Vec::new();
+    together.finish(&mut file).unwrap();
+    assert_eq!(file, build(header(), &cells));
+}
+
+#[test]
 fn columns_add_their_bytes_and_an_entry_and_nothing_else() {
     let cells = fixed_cells();
     let header = || header(500, tree(6, &[128, 40]), &[100, 0, 250]);

@@ -13,8 +13,10 @@ use crate::cube::VisibilitySample;
 use crate::lines::CellStats;
 use crate::tile::{CellSet, CellSets, Decision, Node, Pack, TileOutput};
 
-/// Compression level: higher ones cost more time than the network saves.
+/// Compression level. Differences between ids hold no long matches: level 3 takes a third longer and is a little larger.
 const LEVEL: i32 = 1;
+/// Cells of so many ids together are coded by all cores; fewer take less time than to wait for the cores.
+const MANY: usize = 1 << 20;
 /// Most bytes one tile's output may unpack to: far above any real tile, far below a machine's memory.
 pub const MAX_UNPACKED: u64 = 4 << 30;
 
@@ -65,9 +67,25 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
                     }
                 }
             }
-            let cells: Vec<Vec<u8>> = sets.cells.par_iter().map(put_cell).collect::<Result<_, _>>()?;
-            raw.reserve(cells.iter().map(Vec::len).sum());
-            cells.iter().for_each(|cell| raw.extend_from_slice(cell));
+            // Where cells are decided exactly the cores have other work, of minutes: whoever holds a lock here would wait for it.
+            let sampled = sets.cells.iter().all(|c| c.decision.is_none());
+            let ids: usize = sets.cells.iter().map(|c| c.visible.len()).sum();
+            if sampled && ids >= MANY {
+                let cells: Vec<Vec<u8>> = sets
+                    .cells
+                    .par_iter()
+                    .map(|cell| {
+                        // Most ids take a byte.
+                        let mut raw = Vec::with_capacity(cell.visible.len() + cell.visible.len() / 4 + 64);
+                        put_cell(cell, &mut raw).map(|()| raw)
+                    })
+                    .collect::<Result<_, _>>()?;
+                raw.reserve(cells.iter().map(Vec::len).sum());
+                // Each is dropped as soon as it is copied.
+                cells.into_iter().for_each(|cell| raw.extend_from_slice(&cell));
+            } else {
+                sets.cells.iter().try_for_each(|cell| put_cell(cell, &mut raw))?;
+            }
         }
     }
     if raw.len() as u64 > MAX_UNPACKED {
@@ -119,24 +137,22 @@ fn read(bytes: &[u8], triangles: u32, keep: &dyn Fn(LatticePoint) -> bool) -> Re
     if r.bytes.is_empty() { Ok(output) } else { Err(CodecError("there is more than it announces")) }
 }
 
-fn put_cell(cell: &CellSet) -> Result<Vec<u8>, std::io::Error> {
-    // Most ids take a byte.
-    let mut raw = Vec::with_capacity(cell.visible.len() + cell.visible.len() / 4 + 64);
-    put_ids(&mut raw, &cell.visible);
-    put(&mut raw, cell.samples);
-    cell.stats.numbers().into_iter().for_each(|n| put64(&mut raw, n));
+fn put_cell(cell: &CellSet, raw: &mut Vec<u8>) -> Result<(), std::io::Error> {
+    put_ids(raw, &cell.visible);
+    put(raw, cell.samples);
+    cell.stats.numbers().into_iter().for_each(|n| put64(raw, n));
     let Some(decision) = &cell.decision else {
         raw.push(0);
-        return Ok(raw);
+        return Ok(());
     };
     raw.push(1);
-    put_ids(&mut raw, &decision.undecided);
-    put(&mut raw, decision.counts.len() as u32);
-    decision.counts.iter().for_each(|n| put64(&mut raw, *n));
+    put_ids(raw, &decision.undecided);
+    put(raw, decision.counts.len() as u32);
+    decision.counts.iter().for_each(|n| put64(raw, *n));
     let length = u32::try_from(decision.evidence.len()).map_err(std::io::Error::other)?;
-    put(&mut raw, length);
+    put(raw, length);
     raw.extend_from_slice(&decision.evidence);
-    Ok(raw)
+    Ok(())
 }
 
 /// LEB128.
@@ -206,6 +222,9 @@ impl Reader<'_> {
 
     fn ids(&mut self) -> Result<Vec<u32>, CodecError> {
         let n = self.count(1)?;
+        if n > self.triangles as usize {
+            return Err(CodecError("it names more triangles than there are"));
+        }
         let mut ids = Vec::with_capacity(n);
         let mut next = 0u32;
         for _ in 0..n {
@@ -420,6 +439,25 @@ mod tests {
             raw.truncate(cut.index(raw.len()) + 1);
             let _ = decode(&zstd::stream::encode_all(raw.as_slice(), 1).unwrap(), 1000);
         }
+    }
+
+    #[test]
+    fn many_cells_are_coded_as_a_few_are() {
+        let cell = |k: u32| CellSet {
+            visible: (0..MANY as u32 / 4).map(|i| i * (k + 1)).collect(),
+            samples: k,
+            ..CellSet::default()
+        };
+        let split = |at| Node::Split(Split { axis: 0, at });
+        let nodes = vec![split(4), split(2), Node::Cell, Node::Cell, split(6), Node::Cell, Node::Cell];
+        let sets = CellSets { nodes, cells: (0..4).map(cell).collect() };
+        let mut one_by_one = Vec::new();
+        sets.cells.iter().for_each(|c| put_cell(c, &mut one_by_one).unwrap());
+        let output = TileOutput::Cells(sets);
+        let bytes = encode(&output).unwrap();
+        let raw = zstd::stream::decode_all(bytes.as_slice()).unwrap();
+        assert!(raw.ends_with(&one_by_one));
+        assert_eq!(decode(&bytes, 4 * MANY as u32).unwrap(), output);
     }
 
     #[test]

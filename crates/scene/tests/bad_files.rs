@@ -231,6 +231,23 @@ fn gltf_vertices_that_are_no_numbers() {
     refused("a.glb", &g.glb(), &["mesh 0, primitive 0", "accessor 0, vertex 1", "not finite"]);
 }
 
+/// Several threads read a scene; what is told does not depend on who is first.
+#[test]
+fn of_several_faults_the_first_is_told() {
+    let mut g = Gltf::default();
+    let bad = |at: &[usize]| {
+        let mut p = vec![[1.0f32; 3]; 3 * 20_000];
+        at.iter().for_each(|i| p[*i][1] = f32::NAN);
+        p
+    };
+    let (whole, twice, once) =
+        (g.positions(&bad(&[])), g.positions(&bad(&[40_000, 59_999])), g.positions(&bad(&[0])));
+    let nothing = g.positions(&[]);
+    let primitive = |a: usize| json!({"attributes": {"POSITION": a}});
+    g.mesh(json!([primitive(whole), primitive(nothing), primitive(twice), primitive(once)]));
+    refused("a.glb", &g.glb(), &["mesh 0, primitive 2", "vertex 40000", "not finite"]);
+}
+
 #[test]
 fn primitive_restart_is_refused() {
     let mut g = Gltf::default();

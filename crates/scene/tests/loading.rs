@@ -68,6 +68,19 @@ fn strips_and_fans_wind_as_specified() {
     assert_eq!(soup(&g.load().unwrap()), want);
 }
 
+/// Long enough to be read in several parts.
+#[test]
+fn a_long_strip_winds_as_a_short_one() {
+    let n = 20_000usize;
+    let p: Vec<[f32; 3]> = (0..n + 2).map(|i| [i as f32, (i % 2) as f32, (i % 7) as f32]).collect();
+    let mut g = Gltf::default();
+    let a = g.positions(&p);
+    g.mesh(json!([{"attributes": {"POSITION": a}, "mode": 5}]));
+    let turned = |i: usize| if i.is_multiple_of(2) { [i, i + 1, i + 2] } else { [i, i + 2, i + 1] };
+    let want = by_index(&p, &(0..n).map(turned).collect::<Vec<_>>());
+    assert_eq!(soup(&g.load().unwrap()), want);
+}
+
 #[test]
 fn points_and_lines_are_objects_without_triangles() {
     let mut g = square();

@@ -35,13 +35,15 @@ pub fn adapters() -> Vec<AdapterSummary> {
 }
 
 /// Whether this machine may have a GPU that is no software rasteriser: whether there is a device file as the drivers of GPUs
-/// need. Far cheaper than starting all drivers to ask them; true where files do not tell.
+/// need. Far cheaper than starting all drivers to ask them; true where files do not tell. A render node without a GPU behind
+/// it, as many virtual machines have, costs no more than the drivers' being asked.
 pub fn device_present() -> bool {
-    let named = |directory: &str, is: fn(&str) -> bool| {
-        let entries = std::fs::read_dir(directory).into_iter().flatten();
+    let named = |entries: std::fs::ReadDir, is: fn(&str) -> bool| {
         entries.flatten().any(|e| is(&e.file_name().to_string_lossy()))
     };
-    !cfg!(target_os = "linux") || named("/dev/dri", is_render_node) || named("/dev", is_gpu)
+    !cfg!(target_os = "linux")
+        || std::fs::read_dir("/dev").map_or(true, |entries| named(entries, is_gpu))
+        || std::fs::read_dir("/dev/dri").is_ok_and(|entries| named(entries, is_render_node))
 }
 
 /// In `/dev/dri`: what the kernel's drivers render through.

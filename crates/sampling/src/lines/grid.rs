@@ -63,6 +63,10 @@ impl CellGrid {
         let coordinate = |bit: u32, a: usize| bit >> side[..a].iter().sum::<u32>() & ((1 << side[a]) - 1);
         let first =
             [0, 1, 2].map(|a| (0..64).filter(|bit| coordinate(*bit, a) == 0).fold(0, |m, b| m | 1 << b));
+        debug_assert!(
+            bricks.iter().map(|b| u64::from(*b)).product::<u64>() <= 1 << 26,
+            "bits are numbered in 32 bits"
+        );
         let mut grid =
             Self { cells, side, bricks, first, part: Default::default(), min, max, per_unit, margin };
         grid.part = [0, 1, 2].map(|a| {
@@ -157,6 +161,9 @@ impl CellGrid {
                 next[a] = ((cell[a] + i32::from(up)) as f32 - start[a]) * inverse[a];
             }
         }
+        // The comparisons are false for what is no number (of a direction that is all but parallel to planes, begun on one): some
+        // axis is taken then, and the loop still ends where the line leaves the block.
+        //
         // In registers, and which axis comes next, which is as good as random, without a branch.
         let ([mut nx, mut ny, mut nz], [dx, dy, dz]) = (next, delta);
         let ([mut cx, mut cy, mut cz], [sx, sy, sz]) = (cell, step);
@@ -275,7 +282,72 @@ mod tests {
         }
     }
 
+    /// The walk as the paper has it, one branch a step: results rest on its bits.
+    fn plain_walk(g: &CellGrid, o: [f32; 3], dir: [f32; 3], mut t0: f32, mut t1: f32) -> Crossed {
+        let mut out = Crossed::new();
+        let start: [f32; 3] = std::array::from_fn(|a| (o[a] - g.min[a]) * g.per_unit[a]);
+        let d: [f32; 3] = std::array::from_fn(|a| dir[a] * g.per_unit[a]);
+        for a in 0..3 {
+            let n = g.cells[a] as f32;
+            if d[a] == 0.0 {
+                if !(0.0..=n).contains(&start[a]) {
+                    return out;
+                }
+                continue;
+            }
+            let (u, v) = (-start[a] * (1.0 / d[a]), (n - start[a]) * (1.0 / d[a]));
+            (t0, t1) = (t0.max(u.min(v)), t1.min(u.max(v)));
+        }
+        let least = g.margin / (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
+        let mut cell: [i32; 3] =
+            std::array::from_fn(|a| ((start[a] + d[a] * t0) as i32).clamp(0, g.cells[a] as i32 - 1));
+        let mut next: [f32; 3] = std::array::from_fn(|a| match d[a] {
+            0.0 => f32::INFINITY,
+            d => ((cell[a] + i32::from(d > 0.0)) as f32 - start[a]) * (1.0 / d),
+        });
+        let mut t = t0;
+        while t0 < t1 && (0..3).all(|a| (0..g.cells[a] as i32).contains(&cell[a])) {
+            let axis = match (next[0] < next[1], next[0] < next[2], next[1] < next[2]) {
+                (true, true, _) => 0,
+                (false, _, true) => 1,
+                _ => 2,
+            };
+            let end = next[axis].min(t1);
+            if end - t > least {
+                let slot = g.slot(cell.map(|c| c as u32));
+                match out.last_mut().filter(|(word, _)| *word == slot.word) {
+                    Some((_, bits)) => *bits |= 1 << slot.bit,
+                    None => out.push((slot.word, 1 << slot.bit)),
+                }
+            }
+            if next[axis] >= t1 {
+                break;
+            }
+            t = end.max(t);
+            cell[axis] += if d[axis] > 0.0 { 1 } else { -1 };
+            next[axis] += (1.0 / d[axis]).abs();
+        }
+        out
+    }
+
     proptest! {
+        #[test]
+        fn a_walk_is_the_plain_one_to_the_bit(
+            cells in prop_oneof![[1u32..10, 1u32..10, 1u32..10], [1u32..30, 1u32..3, 1u32..30]],
+            o in [-3f32..6.0, 0f32..7.0, -2f32..12.0],
+            d in [-1f32..1.0, -1f32..1.0, -1f32..1.0],
+            // Directions along axes and diagonals, from places on planes, make ties.
+            coarse in any::<[bool; 2]>(),
+            ends in prop_oneof![[-8f32..8.0, -8f32..8.0], Just([f32::NEG_INFINITY, f32::INFINITY])],
+        ) {
+            let g = grid(cells);
+            let o = if coarse[0] { o.map(f32::round) } else { o };
+            let d = if coarse[1] { d.map(|x| (2.0 * x).round()) } else { d };
+            let mut crossed = Crossed::new();
+            g.walk(o, d, ends[0], ends[1], &mut crossed);
+            prop_assert_eq!(crossed, plain_walk(&g, o, d, ends[0], ends[1]));
+        }
+
         /// Against clipping the line to every cell's box in doubles.
         #[test]
         fn a_walk_credits_what_is_crossed_and_nothing_else(

@@ -19,7 +19,6 @@ mod transform;
 
 use std::path::Path;
 
-use glam::Vec3;
 use rayon::prelude::*;
 
 use self::accessor::Accessors;
@@ -144,16 +143,16 @@ fn build(source: &Source<'_>, json: &[u8], binary: Option<&[u8]>) -> Result<Scen
             objects.push(Object { name, first: first as u32, count: count as u32 });
         }
     }
-    let mut triangles = Vec::new();
-    triangles.try_reserve_exact(total as usize).map_err(|_| {
-        SceneError::bad(
-            source.file,
-            "scene",
-            format!("{total} triangles do not fit in memory"),
-            "split the scene",
-        )
-    })?;
-    triangles.resize(total as usize, Triangle { v: [Vec3::ZERO; 3] });
+    // Zeroed by the system, page by page as the readers come to them.
+    let mut triangles: Vec<Triangle> =
+        bytemuck::allocation::try_zeroed_vec(total as usize).map_err(|()| {
+            SceneError::bad(
+                source.file,
+                "scene",
+                format!("{total} triangles do not fit in memory"),
+                "split the scene",
+            )
+        })?;
     // In the order in which they were counted.
     let parts = draws.iter().flat_map(|d| (0..root.meshes[d.mesh].primitives.len()).map(move |p| (d, p)));
     let mut rest = triangles.as_mut_slice();

@@ -135,6 +135,7 @@ pub(super) fn read(
             // Every second triangle of a strip is turned, so that all wind the same way.
             Mode::Strip => [i, i + 1 + i % 2, i + 2 - i % 2],
             Mode::Fan => [i + 1, i + 2, 0],
+            // Without a surface there are none.
             Mode::Triangles | Mode::NoSurface => [3 * i, 3 * i + 1, 3 * i + 2],
         };
         Ok(Triangle { v: [corners.at(a)?, corners.at(b)?, corners.at(c)?] })
