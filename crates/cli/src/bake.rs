@@ -152,7 +152,7 @@ async fn bake(
     if job.state() != v1::JobState::Done {
         let mut probed =
             tokio::task::spawn_blocking(move || probing.end()).await.map_err(CliError::internal)??;
-        // It may have begun on a software rasteriser, when that was asked for.
+        // It may have begun on a software rasteriser, before Embree was here.
         if probed.skipped_software() && job.profile.starts_with("gpu/") {
             let again = Probing::begin(Choice::Auto);
             probed = tokio::task::spawn_blocking(move || again.end()).await.map_err(CliError::internal)??;
