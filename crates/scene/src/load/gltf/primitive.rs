@@ -1,6 +1,6 @@
 //! The triangles of one primitive: lists, strips and fans, with or without indices.
 
-use glam::{DAffine3, DVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 
 use super::accessor::{Accessor, Accessors, Role};
@@ -127,7 +127,6 @@ pub(super) fn read(
         position,
         positions: accessors.get(Role::Positions, position),
         indices: primitive.indices.map(|i| (i, accessors.get(Role::Indices, i))),
-        still: draw.world == DAffine3::IDENTITY,
     };
     let mode = mode(primitive).map_err(|why| source.bad(label(draw, p), why))?;
     let triangle = |i: u64| -> Result<Triangle, SceneError> {
@@ -156,8 +155,6 @@ struct Corners<'a> {
     position: usize,
     positions: &'a Accessor<'a>,
     indices: Option<(usize, &'a Accessor<'a>)>,
-    /// Whether the transform is the identity, which keeps every bit, the sign of a zero included.
-    still: bool,
 }
 
 impl Corners<'_> {
@@ -173,10 +170,7 @@ impl Corners<'_> {
             }
         };
         let local = self.positions.position(vertex);
-        let world = match self.still {
-            true => DVec3::from_array(local).as_vec3(),
-            false => transform::apply(&self.draw.world, local),
-        };
+        let world = transform::apply(&self.draw.world, local);
         if world.is_finite() { Ok(world) } else { Err(self.bad_vertex(vertex, local)) }
     }
 

@@ -41,8 +41,10 @@ pub(super) fn local(node: &Node) -> Result<DAffine3, String> {
     if result.is_finite() { Ok(result) } else { Err("its transform is not finite".to_owned()) }
 }
 
-/// `p` in world space, rounded to `f32`; not finite when the result is out of range. Not for the identity: adding zeros would turn
-/// −0 into 0.
+/// `p` in world space, rounded to `f32`; not finite when the result is out of range.
+///
+/// The identity keeps every bit, the sign of a zero included.
 pub(super) fn apply(world: &DAffine3, p: [f64; 3]) -> Vec3 {
-    world.transform_point3(DVec3::from_array(p)).as_vec3()
+    let p = DVec3::from_array(p);
+    if *world == DAffine3::IDENTITY { p.as_vec3() } else { world.transform_point3(p).as_vec3() }
 }
