@@ -231,21 +231,33 @@ fn gltf_vertices_that_are_no_numbers() {
     refused("a.glb", &g.glb(), &["mesh 0, primitive 0", "accessor 0, vertex 1", "not finite"]);
 }
 
-/// Several threads read a scene; what is told does not depend on who is first.
+/// Several threads read a scene; what is told does not depend on who is first. One thread comes to the first fault last, another to the
+/// second fault at once.
 #[test]
 fn of_several_faults_the_first_is_told() {
-    let mut g = Gltf::default();
+    const VERTICES: usize = 3 * 200_000;
     let bad = |at: &[usize]| {
-        let mut p = vec![[1.0f32; 3]; 3 * 20_000];
+        let mut p = vec![[1.0f32; 3]; VERTICES];
         at.iter().for_each(|i| p[*i][1] = f32::NAN);
         p
     };
-    let (whole, twice, once) =
-        (g.positions(&bad(&[])), g.positions(&bad(&[40_000, 59_999])), g.positions(&bad(&[0])));
-    let nothing = g.positions(&[]);
+    let mut primitives = Gltf::default();
+    let [whole, last, start] =
+        [vec![], vec![VERTICES - 1], vec![0]].map(|at| primitives.positions(&bad(&at)));
     let primitive = |a: usize| json!({"attributes": {"POSITION": a}});
-    g.mesh(json!([primitive(whole), primitive(nothing), primitive(twice), primitive(once)]));
-    refused("a.glb", &g.glb(), &["mesh 0, primitive 2", "vertex 40000", "not finite"]);
+    let order = [whole, whole, whole, last, start, whole, whole, whole];
+    primitives.mesh(json!(order.map(primitive)));
+    // Of 25 parts of 8192 triangles the eleventh and the thirteenth.
+    let (first, second) = (3 * 8192 * 11 - 1, 3 * 8192 * 12);
+    let mut parts = Gltf::default();
+    let both = parts.positions(&bad(&[first, second]));
+    parts.mesh(json!([primitive(both)]));
+    let (primitives, parts) = (primitives.glb(), parts.glb());
+    let last = format!("vertex {}", VERTICES - 1);
+    for _ in 0..20 {
+        refused("a.glb", &primitives, &["mesh 0, primitive 3", &last, "not finite"]);
+        refused("a.glb", &parts, &["mesh 0, primitive 0", &format!("vertex {first}"), "not finite"]);
+    }
 }
 
 #[test]
