@@ -13,9 +13,11 @@ use rayon::prelude::*;
 use sightline_scene::Scene;
 
 use super::bits::SeenBits;
+use super::candidates::Candidate;
 use super::grid::{CellGrid, Crossed, Slot};
 use super::packet::{LineTracer, Packet};
 use super::surface::Surface;
+use super::yields::Yields;
 use super::{CellStats, Kind};
 use crate::backend::BackendError;
 use crate::cube::SKY;
@@ -34,7 +36,7 @@ pub(super) const LEFT_AFTER_ROUND: f64 = 0.5;
 /// The same for the first round, which begins with next to nothing and floods far: 0.01 to 0.06.
 const LEFT_AFTER_FIRST: f64 = 0.1;
 /// Misses a round should count for its estimate to be worth something.
-const MISSES_WANTED: f64 = 2.0;
+const MISSES_WANTED: f64 = 1.0;
 /// Growth of the least number of tiles along a face from round to round: where much is missing for long, few rays a round
 /// would only repeat themselves.
 const GROWTH: f64 = 1.25;
@@ -45,8 +47,8 @@ const MOST_ROUNDS: u32 = 24;
 /// A cell that has taken so many times the work of the average cell is allowed as many times the target as it exceeds
 /// that: its error is one of many in the mean, and the time is better spent on those. See [`Hard`].
 const HARD_FROM: f64 = 3.0;
-/// Work of an aimed ray in uniform ones: it is traced by itself, they are in packets.
-const AIMED_WORK: u64 = 4;
+/// Work of an aimed ray in uniform ones, which are in packets: measured as 2 (wide tiles, small scenes) to 4.5.
+const AIMED_WORK: u64 = 3;
 /// Seeds from all surfaces are worth their time below this target.
 const SEEDS_BELOW: f64 = 3e-3;
 
@@ -127,6 +129,8 @@ pub struct Block<'a> {
     /// Beside `cells`.
     pub(super) stats: Vec<CellStats>,
     seeded: bool,
+    /// What aiming at candidates brings.
+    pub(super) yields: Yields,
     /// Whether sampling leaves it to others to say which cells are done.
     pub(super) silent: bool,
     /// Cells said to be done.
@@ -157,6 +161,8 @@ impl<'a> Block<'a> {
             cells,
             stats,
             seeded: false,
+            // A try is a ray each way.
+            yields: Yields::new(2 * AIMED_WORK),
             silent: false,
             told: 0,
             step,
@@ -219,8 +225,9 @@ impl<'a> Block<'a> {
             }
             let least: Vec<f64> =
                 open.iter().map(|c| (self.missing(*c) * CANDIDATE_PART).max(1e-12)).collect();
+            self.plan_tries(&open);
             let lists = self.candidates(&open, &least);
-            let work: Vec<(usize, Vec<u32>)> = open.iter().copied().zip(lists).collect();
+            let work: Vec<(usize, Vec<Candidate>)> = open.iter().copied().zip(lists).collect();
             self.each(&work, |block, scratch, (cell, list)| block.aim(scratch, *cell, list, round))?;
             self.bits.settle();
             if self.late() {
@@ -250,6 +257,14 @@ impl<'a> Block<'a> {
         }
         self.count_done(open.len());
         Ok(())
+    }
+
+    /// Plans how often the candidates of `open` are tried, by what its uniform rays and the last tries met.
+    fn plan_tries(&mut self, open: &[usize]) {
+        let sum = |of: fn(&CellStats) -> u64| open.iter().map(|c| of(&self.stats[*c])).sum::<u64>();
+        let (misses, cast) = (sum(|s| s.last_misses), sum(|s| s.last_rays));
+        let rays = sum(|s| s.rays[Kind::Uniform as usize]) as f64 / open.len().max(1) as f64;
+        self.yields.plan(misses, cast, rays);
     }
 
     /// Says that so many more cells are done, unless something else decides that.

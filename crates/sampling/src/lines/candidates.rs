@@ -24,10 +24,18 @@ const LEAST_FACING: f32 = 0.25;
 /// Name of the stream of random numbers.
 const AIM: u64 = 3;
 
+/// What is aimed at.
+#[derive(Clone, Copy)]
+pub(super) struct Candidate {
+    triangle: u32,
+    /// Part of the sphere seen from the cell's centre that it would cover.
+    part: f32,
+}
+
 impl Block<'_> {
     /// For each of the cells `open` its candidates in Morton order: those that cover at least `least` of the sphere seen
     /// from the cell's centre.
-    pub(super) fn candidates(&self, open: &[usize], least: &[f64]) -> Vec<Vec<u32>> {
+    pub(super) fn candidates(&self, open: &[usize], least: &[f64]) -> Vec<Vec<Candidate>> {
         let words = self.grid.words();
         let mut wanted = vec![0u64; words];
         let mut place = vec![u32::MAX; words * 64];
@@ -36,9 +44,7 @@ impl Block<'_> {
             wanted[slot.word as usize] |= 1 << slot.bit;
             place[slot.index()] = i as u32;
         }
-        // Steradians.
-        let least: Vec<f32> = least.iter().map(|l| (l * 4.0 * std::f64::consts::PI) as f32).collect();
-        let stripes: Vec<Vec<(u32, u32)>> = self
+        let stripes: Vec<Vec<(u32, Candidate)>> = self
             .tools
             .surface
             .morton
@@ -88,8 +94,9 @@ impl Block<'_> {
                             // Nearer than the cell reaches, the distance from its centre says nothing.
                             let far = to.length_squared().max(cell.size.length_squared() / 12.0);
                             let facing = (to.dot(area).abs() / far.sqrt()).max(LEAST_FACING * size);
-                            if facing / far >= least[i] {
-                                found.push((i as u32, triangle));
+                            let part = facing / far / (4.0 * std::f32::consts::PI);
+                            if f64::from(part) >= least[i] {
+                                found.push((i as u32, Candidate { triangle, part }));
                             }
                         }
                     }
@@ -98,18 +105,20 @@ impl Block<'_> {
             })
             .collect();
         let mut lists = vec![Vec::new(); open.len()];
-        for (i, triangle) in stripes.into_iter().flatten() {
-            lists[i as usize].push(triangle);
+        for (i, candidate) in stripes.into_iter().flatten() {
+            lists[i as usize].push(candidate);
         }
         lists
     }
 
-    /// Aims at each of `list` from `cell`.
+    /// Aims at each of `list` from `cell`, once and as often again as [`Yields::times`] has it, but no more once it is met.
+    ///
+    /// [`Yields::times`]: super::yields::Yields::times
     pub(super) fn aim(
         &self,
         s: &mut Scratch,
         cell: usize,
-        list: &[u32],
+        list: &[Candidate],
         round: u32,
     ) -> Result<CellStats, BackendError> {
         let c = self.cells[cell];
@@ -118,47 +127,77 @@ impl Block<'_> {
         let mut stats = CellStats::default();
         s.next_tag();
         let chunk = (self.tools.tracer.batch() / 2).max(1);
-        for block in list.chunks(LANES * chunk) {
-            if self.late() {
+        let mut wanted = list.to_vec();
+        for time in 0.. {
+            if time > 0 {
+                wanted.retain(|candidate| {
+                    let more = self.yields.times(candidate.part) - f64::from(time);
+                    s.met[candidate.triangle as usize] != s.tag && more > f64::from(random.unit())
+                });
+            }
+            if wanted.is_empty() {
                 break;
             }
-            s.packets.clear();
-            for group in block.chunks(LANES) {
-                let origin = c.point(self.eye_for(cell, group, &mut random));
-                let mut ahead = Packet::default();
-                for triangle in group {
-                    let to = Vec3::from(point_on(self.tools.scene, *triangle, &mut random));
-                    ahead.push(origin, (to - Vec3::from(origin)).to_array());
+            for some in wanted.chunks(LANES * chunk) {
+                if self.late() {
+                    return Ok(stats);
                 }
-                let behind = ahead.reversed(self.step);
-                s.packets.push(ahead);
-                s.packets.push(behind);
-            }
-            // Sixteen that lie near each other are still far apart for a packet.
-            self.tools.tracer.trace_each(&mut s.packets)?;
-            let Scratch { packets, crossed, met, tag, .. } = &mut *s;
-            for both in packets.chunks_exact(2) {
-                let [ahead, behind] = both else { continue };
-                stats.rays[Kind::Candidate as usize] += 2 * ahead.count as u64;
-                for lane in 0..ahead.count {
-                    for triangle in self.credit_line(ahead, behind, lane, crossed) {
-                        if triangle != SKY
-                            && !self.bits.seen(triangle, c.slot)
-                            && met[triangle as usize] != *tag
-                        {
-                            met[triangle as usize] = *tag;
-                            stats.finds[Kind::Candidate as usize] += 1;
-                        }
-                    }
-                }
+                self.try_some(s, cell, some, time, &mut random, &mut stats)?;
             }
         }
         Ok(stats)
     }
 
+    /// Try number `time` at each of `some`.
+    fn try_some(
+        &self,
+        s: &mut Scratch,
+        cell: usize,
+        some: &[Candidate],
+        time: u32,
+        random: &mut Hashed,
+        stats: &mut CellStats,
+    ) -> Result<(), BackendError> {
+        let c = self.cells[cell];
+        let uniform = self.stats[cell].rays[Kind::Uniform as usize];
+        s.packets.clear();
+        for group in some.chunks(LANES) {
+            let origin = c.point(self.eye_for(cell, group, random));
+            let mut ahead = Packet::default();
+            for candidate in group {
+                let to = Vec3::from(point_on(self.tools.scene, candidate.triangle, random));
+                ahead.push(origin, (to - Vec3::from(origin)).to_array());
+            }
+            let behind = ahead.reversed(self.step);
+            s.packets.push(ahead);
+            s.packets.push(behind);
+        }
+        // Sixteen that lie near each other are still far apart for a packet.
+        self.tools.tracer.trace_each(&mut s.packets)?;
+        let Scratch { packets, crossed, met, tag, .. } = &mut *s;
+        for (both, group) in packets.chunks_exact(2).zip(some.chunks(LANES)) {
+            let [ahead, behind] = both else { continue };
+            stats.rays[Kind::Candidate as usize] += 2 * ahead.count as u64;
+            for (lane, candidate) in group.iter().enumerate() {
+                let found = ahead.triangle[lane] == candidate.triangle;
+                self.yields.count(candidate.part, time, uniform, found);
+                for triangle in self.credit_line(ahead, behind, lane, crossed) {
+                    if triangle != SKY
+                        && !self.bits.seen(triangle, c.slot)
+                        && met[triangle as usize] != *tag
+                    {
+                        met[triangle as usize] = *tag;
+                        stats.finds[Kind::Candidate as usize] += 1;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// Where to look from, in fractions of the cell: behind one of the faces through which neighbours see the group, chosen
     /// by how many of it they see.
-    fn eye_for(&self, cell: usize, group: &[u32], random: &mut Hashed) -> [f32; 3] {
+    fn eye_for(&self, cell: usize, group: &[Candidate], random: &mut Hashed) -> [f32; 3] {
         let at = self.cells[cell].at;
         let mut eye = random.point().to_array();
         let mut votes = [0u32; 6];
@@ -167,7 +206,7 @@ impl Block<'_> {
             next[face / 2] = if face % 2 == 0 { at[face / 2] + 1 } else { at[face / 2].wrapping_sub(1) };
             if self.grid.has(next) {
                 let slot = self.grid.slot(next);
-                *vote = group.iter().filter(|t| self.bits.seen(**t, slot)).count() as u32;
+                *vote = group.iter().filter(|t| self.bits.seen(t.triangle, slot)).count() as u32;
             }
         }
         let mut pick = (random.unit() * votes.iter().sum::<u32>() as f32) as u32;

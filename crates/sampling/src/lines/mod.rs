@@ -21,6 +21,7 @@ mod seeds;
 pub mod sequence;
 pub mod surface;
 mod tile;
+mod yields;
 
 pub use tile::run;
 

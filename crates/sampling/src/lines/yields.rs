@@ -1,0 +1,163 @@
+//! How often a candidate is aimed at in a round: as often as that finds more, for its work, than uniform rays do.
+//!
+//! A triangle that is found by attempt number a, aimed or by chance, is visible along about 1/a of the lines at it, so finding it
+//! adds about its part of the sphere over a to what is seen. The mean of that over all tries is the yield of a try. A uniform
+//! ray meets something unseen with the probability M that the next round counts, and what N rays have missed so far
+//! covers some part of 1/N ([`OF_ONE_IN`]): its yield is that part of M/N. Both yields fall with the square of the attempts, which
+//! says how many attempts make them equal.
+//!
+//! Candidates are told apart by the decade of the part of the sphere they would cover, and counted for all cells of the block:
+//! one cell's are too few. The sums are of integers, and so do not depend on the order in which threads add to them.
+
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
+/// Decades told apart; smaller candidates are in the last.
+const DECADES: usize = 8;
+/// A part of the sphere in the middle of each.
+const PARTS: [f64; DECADES] = [0.3, 0.03, 3e-3, 3e-4, 3e-5, 3e-6, 3e-7, 3e-8];
+/// Gains are counted in this part of [`PARTS`].
+const GAIN_UNIT: f64 = 1.0 / (1u64 << 30) as f64;
+/// Attempts are counted in this part of one.
+const ATTEMPT_UNIT: f64 = 1.0 / 256.0;
+/// What a uniform ray of N finds covers, in 1/N: lines of other cells have missed it as well. Of 1/8 to 1 this served the indoor level
+/// best; 1/8 takes a tenth off the time of the town at the smallest errors, and adds as much to the level's at larger ones.
+const OF_ONE_IN: f64 = 0.5;
+/// Tries a round, at most.
+const MOST: f64 = 8.0;
+
+/// What aiming at candidates of a decade has brought.
+#[derive(Default)]
+struct Decade {
+    /// Tries since the last plan.
+    tries: AtomicU64,
+    /// What they are expected to have added to what is seen, in [`GAIN_UNIT`].
+    gain: AtomicU64,
+    /// Sum over the tries of the attempts before, in [`ATTEMPT_UNIT`].
+    before: AtomicU64,
+    /// Tries at a candidate in all rounds before.
+    so_far: f64,
+    /// Tries at a candidate in this round; what is left of a whole number is the chance of another. 0 before the first.
+    times: f64,
+}
+
+/// The yields of a block's candidates.
+pub(super) struct Yields {
+    decades: [Decade; DECADES],
+    /// Uniform rays a cell had cast, on average, when the round's tries were planned.
+    rays: f64,
+    /// Work of a try in uniform rays.
+    work: f64,
+}
+
+fn decade_of(part: f32) -> usize {
+    let mut least = 0.1;
+    let mut decade = 0;
+    while part < least && decade + 1 < DECADES {
+        least *= 0.1;
+        decade += 1;
+    }
+    decade
+}
+
+impl Yields {
+    /// Nothing is known yet. `work` is that of a try in uniform rays.
+    pub(super) fn new(work: u64) -> Self {
+        Self { decades: Default::default(), rays: 0.0, work: work as f64 }
+    }
+
+    /// Tries at a candidate that would cover `part` of the sphere, in this round.
+    pub(super) fn times(&self, part: f32) -> f64 {
+        self.decades[decade_of(part)].times
+    }
+
+    /// Counts try number `time` of this round, from 0, at a candidate that would cover `part` of the sphere seen from a
+    /// cell that has cast `rays` uniform rays.
+    pub(super) fn count(&self, part: f32, time: u32, rays: u64, found: bool) {
+        let number = decade_of(part);
+        let decade = &self.decades[number];
+        let before = decade.so_far + f64::from(time) + rays as f64 * f64::from(part);
+        decade.tries.fetch_add(1, Relaxed);
+        decade.before.fetch_add((before / ATTEMPT_UNIT) as u64, Relaxed);
+        if found {
+            let gain = f64::from(part) / PARTS[number] / (before + 1.0);
+            decade.gain.fetch_add((gain / GAIN_UNIT) as u64, Relaxed);
+        }
+    }
+
+    /// Plans the tries of a round after its uniform rays, by what those of the last round brought: of `cast` uniform rays
+    /// `misses` met something unseen, and the cells have by now cast `rays` of them, on average. In the first round every
+    /// candidate is tried once.
+    pub(super) fn plan(&mut self, misses: u64, cast: u64, rays: f64) {
+        // After the last round, before this one's uniform rays.
+        let uniform = OF_ONE_IN * misses as f64 / cast.max(1) as f64 / self.rays;
+        let grown = rays / self.rays;
+        for (decade, part) in self.decades.iter_mut().zip(PARTS) {
+            let tries = std::mem::take(decade.tries.get_mut()) as f64;
+            let gain = std::mem::take(decade.gain.get_mut()) as f64 * GAIN_UNIT * part;
+            let before = std::mem::take(decade.before.get_mut()) as f64 * ATTEMPT_UNIT;
+            let mut times = 1.0;
+            if self.rays > 0.0 && tries > 0.0 && misses > 0 {
+                // Attempts in the middle of the last round's tries, and after this round's uniform rays.
+                let then = before / tries + 1.0;
+                let now = before / tries + 0.5 * (decade.times + 1.0) + (rays - self.rays) * part;
+                let ratio = gain / tries / (self.work * uniform);
+                times = (then * ratio.sqrt() * grown - now).clamp(1.0, MOST);
+            }
+            decade.so_far += decade.times;
+            decade.times = times;
+        }
+        self.rays = rays;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The tries in a second round at candidates of decade 3, after a first one of a thousand tries of which `finds` found
+    /// theirs, from cells of 1000 uniform rays, and another 1000 uniform rays of which `misses` met something unseen.
+    fn second(finds: u32, misses: u64) -> f64 {
+        let mut yields = Yields::new(6);
+        yields.plan(0, 0, 1000.0);
+        assert_eq!(yields.times(3e-4), 1.0);
+        (0..1000).for_each(|i| yields.count(3e-4, 0, 1000, i < finds));
+        yields.plan(misses, 1000, 2000.0);
+        assert!([0.3, 3e-2, 3e-3, 3e-5, 1e-9].iter().all(|other| yields.times(*other) == 1.0));
+        yields.times(3e-4)
+    }
+
+    #[test]
+    fn what_brings_more_than_uniform_rays_is_tried_until_it_does_not() {
+        let by_hand = |finds: f64, misses: f64| {
+            // 0.3 attempts by uniform rays before the first try, as many since.
+            let a_try = finds / 1000.0 * 3e-4 / 1.3;
+            let a_ray = OF_ONE_IN * misses / 1000.0 / 1000.0;
+            1.3 * (a_try / (6.0 * a_ray)).sqrt() * 2.0 - 1.3 - 0.3
+        };
+        for (finds, misses) in [(300, 20), (500, 10), (500, 5)] {
+            let (times, expected) = (second(finds, misses), by_hand(f64::from(finds), misses as f64));
+            assert!((1.0..MOST).contains(&expected) && (times - expected).abs() < 0.02, "{times} for {expected}");
+        }
+        // Not worth it: still once, as what is visible changes with what neighbours see.
+        assert!(by_hand(100.0, 100.0) < 1.0);
+        assert_eq!([second(100, 100), second(0, 2)], [1.0, 1.0]);
+        // Worth any number: no more than so many. Nothing is known without a miss.
+        assert!(by_hand(1000.0, 1e-3) > MOST);
+        let mut yields = Yields::new(6);
+        yields.plan(0, 0, 1000.0);
+        (0..1000).for_each(|_| yields.count(3e-4, 0, 1000, true));
+        yields.plan(1, 1_000_000, 2000.0);
+        assert_eq!(yields.times(3e-4), MOST);
+        (0..1000).for_each(|_| yields.count(3e-4, 0, 2000, true));
+        yields.plan(0, 1_000_000, 4000.0);
+        assert_eq!(yields.times(3e-4), 1.0);
+    }
+
+    #[test]
+    fn decades_are_of_the_part_of_the_sphere() {
+        for (decade, part) in PARTS.into_iter().enumerate() {
+            assert_eq!(decade_of(part as f32), decade);
+        }
+        assert_eq!([decade_of(1.0), decade_of(0.0), decade_of(1e-20)], [0, DECADES - 1, DECADES - 1]);
+    }
+}
