@@ -156,18 +156,22 @@ fn flags_of_another_sampler_are_named_and_change_nothing() {
 }
 
 #[test]
-fn smaller_tiles_let_more_workers_help_and_see_about_the_same() {
+fn smaller_tiles_let_more_workers_help_and_miss_no_more_than_asked() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
     let bake = "bake maze.glb --cells 4x4x4 --backend cpu --target-error 0.001";
-    let visible = |flags: &str, name: &str| {
-        let made = sandbox.json(&format!("{bake} {flags} --data-dir {name} -o {name}.pvs"));
-        made["mean_visible"].as_f64().unwrap()
+    let make = |flags: &str, name: &str| {
+        sandbox.ok(&format!("{bake} {flags} --data-dir {name} -o {name}.pvs"));
     };
-    let (whole, cut) = (visible("", "whole"), visible("--block-cells 8 --workers 1", "cut"));
-    assert!((whole / cut - 1.0).abs() < 0.1, "{whole} and {cut} triangles");
+    make("", "whole");
+    make("--block-cells 8 --workers 1", "cut");
+    for name in ["whole", "cut"] {
+        // 0.001 is what is aimed at, on average; one small scene may miss it, but not by as much again.
+        let measured = sandbox.json(&format!("measure maze.glb {name}.pvs --viewpoints 200"));
+        assert!(measured["mean_error"].as_f64().unwrap() < 0.002, "{name}: {measured}");
+    }
     assert_ne!(sandbox.read("whole.pvs"), sandbox.read("cut.pvs"), "lines are shared within a tile only");
-    visible("--block-cells 8 --workers 3", "more");
+    make("--block-cells 8 --workers 3", "more");
     assert_same(&sandbox.read("cut.pvs"), &sandbox.read("more.pvs"), "one worker and three");
     sandbox.run(&format!("{bake} --block-cells 513 -o no.pvs")).code(2);
 }
@@ -196,7 +200,7 @@ fn a_flat_scene_needs_a_view_box() {
     let sandbox = Sandbox::new();
     sandbox.write("flat.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n");
     let bake = "bake flat.obj --cells 1x1x1 --resolution 32 --backend cpu --data-dir data -o flat.pvs";
-    sandbox.run(bake).code(3).says("--view-box");
+    sandbox.run(bake).code(3).says("flat along z").says("--view-box x0");
     sandbox.ok(&format!("{bake} --view-box 0,0,1,1,1,2"));
     assert_eq!(sandbox.dump("flat.pvs").cells[0].visible, [0, 1]);
 }
@@ -217,6 +221,19 @@ fn the_gpu_backend_bakes_where_there_is_vulkan() {
     let first = sandbox.read("gpu.pvs");
     sandbox.ok(&format!("{job} --data-dir other"));
     assert_same(&sandbox.read("gpu.pvs"), &first, "two bakes on one adapter");
+}
+
+#[test]
+fn the_backend_that_is_taken_unasked_bakes_as_when_it_is_named() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(MAZE);
+    let job = "bake maze.glb --cells 2x2x1";
+    let made = sandbox.json(&format!("{job} --data-dir unasked -o unasked.pvs"));
+    let profile = made["info"]["profile"].as_str().unwrap();
+    let named = profile.split('/').next().unwrap();
+    assert!(["cpu", "gpu"].contains(&named), "{profile}");
+    sandbox.ok(&format!("{job} --backend {named} --data-dir named -o named.pvs"));
+    assert_same(&sandbox.read("unasked.pvs"), &sandbox.read("named.pvs"), profile);
 }
 
 #[cfg(target_os = "linux")]

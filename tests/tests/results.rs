@@ -88,7 +88,8 @@ fn a_point_outside_the_view_box_has_no_answer() {
         sandbox.run(&format!("query maze.pvs {point}")).code(3).says("outside the view box").says("maze.pvs");
     }
     sandbox.run("query maze.pvs 1 2").code(2);
-    sandbox.run("query maze.pvs 1 2 x").code(2);
+    sandbox.run("query maze.pvs 1 2 x").code(2).says("three numbers");
+    sandbox.run("watch maze").code(2).says("named by its number");
 }
 
 #[test]

@@ -164,7 +164,11 @@ impl Worker {
                             draining = true;
                             // A tile that has not begun is given back; the one that runs is finished.
                             self.held.values().filter(|h| !h.begun()).for_each(|h| h.cancel());
-                            tracing::info!(worker = self.shop.config.name, "finishing the tile in hand, taking no more; interrupt again to stop at once");
+                            if self.held.values().any(|h| h.begun()) {
+                                tracing::info!(worker = self.shop.config.name, "finishing the tile in hand, taking no more; interrupt again to stop at once");
+                            } else {
+                                tracing::info!(worker = self.shop.config.name, "taking no more tiles");
+                            }
                             if let Err(e) = send(ToCoordinator::Draining(v1::Draining {})) {
                                 return Ok(broken(&e));
                             }

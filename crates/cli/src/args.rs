@@ -8,13 +8,14 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use crate::bench::args::BenchArgs;
 use crate::job_args::{Backend, JobArgs};
 
-/// Bakes from-region visibility: for every view cell of a static triangle scene, the triangles visible from
-/// anywhere in it.
+/// Bakes from-region visibility: for every view cell of a static triangle scene,
+/// the triangles visible from anywhere in it.
 ///
-/// Start with:  sightline generate town --triangles 20000 -o town.glb;  sightline bake town.glb -o town.pvs;
-/// then:        sightline measure town.glb town.pvs
+/// Start with:  sightline generate town --triangles 20000 -o town.glb
+///              sightline bake town.glb -o town.pvs
+///              sightline measure town.glb town.pvs
 #[derive(Parser, Debug)]
-#[command(name = "sightline", version, max_term_width = 110, after_help = EXIT_CODES)]
+#[command(name = "sightline", version, max_term_width = 110, verbatim_doc_comment, after_help = EXIT_CODES)]
 pub struct Cli {
     /// Make stdout one JSON document.
     #[arg(long, global = true)]
@@ -164,10 +165,20 @@ pub struct SubmitArgs {
     pub request_id: Option<String>,
 }
 
+/// Reads the number of a job.
+fn job_number(text: &str) -> Result<u64, String> {
+    text.parse().map_err(|_| "a job is named by its number, as `sightline jobs` lists them".to_owned())
+}
+
+/// Reads one coordinate of a point.
+fn coordinate(text: &str) -> Result<f32, String> {
+    text.parse().map_err(|_| "give the point as three numbers, as in 1.5 0 -2".to_owned())
+}
+
 #[derive(Args, Debug)]
 pub struct JobRefArgs {
     /// The job's number, as `submit` and `jobs` print it.
-    #[arg(value_name = "JOB")]
+    #[arg(value_name = "JOB", value_parser = job_number)]
     pub id: u64,
     #[command(flatten)]
     pub remote: RemoteArgs,
@@ -273,7 +284,7 @@ pub struct QueryArgs {
     #[command(flatten)]
     pub result: ResultArgs,
     /// The viewpoint.
-    #[arg(num_args = 3, value_names = ["X", "Y", "Z"], required = true, allow_negative_numbers = true)]
+    #[arg(num_args = 3, value_names = ["X", "Y", "Z"], required = true, allow_negative_numbers = true, value_parser = coordinate)]
     pub point: Vec<f32>,
     /// What the set is made of.
     #[arg(long, value_enum, default_value_t = Items::Triangles)]

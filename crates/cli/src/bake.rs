@@ -279,13 +279,16 @@ fn report(args: &BakeArgs, outcome: &Outcome, took: Duration, json: bool) -> Res
         serve::print(&value.to_string())
     } else {
         let mut lines = summary.lines();
-        lines.push(format!(
-            "baked in {}, {} samples, peak memory {}{}",
-            human(took),
-            job.samples,
-            peak.map_or("not known here".to_owned(), |p| format!("{:.0} MB", p as f64 / 1e6)),
-            if outcome.from_store { " (answered from the store)" } else { "" }
-        ));
+        let peak = peak.map_or("not known here".to_owned(), |p| format!("{:.0} MB", p as f64 / 1e6));
+        lines.push(if outcome.from_store {
+            format!(
+                "answered from the store in {}, where it was baked before with {} samples; peak memory {peak}",
+                human(took),
+                job.samples
+            )
+        } else {
+            format!("baked in {}, {} samples, peak memory {peak}", human(took), job.samples)
+        });
         if job.tiles_set_aside > 0 {
             lines.push(format!(
                 "ATTENTION: {} tiles failed and were set aside; their cells show everything. Run the same \

@@ -246,16 +246,21 @@ impl JobArgs {
             certificates: self.certificates,
         };
         spec.sampling.check().map_err(|e| CliError::Usage(e.to_string()))?;
-        spec.lattice().map_err(|e| match self.view_box {
-            None if matches!(e, sightline_viewcells::DivisionError::Box { .. }) => {
+        spec.lattice().map_err(|e| match (self.view_box, e) {
+            (None, sightline_viewcells::DivisionError::Box { axis, .. }) => {
                 let nothing = scene.triangles().iter().all(sightline_scene::Triangle::is_degenerate);
+                let letter = ["x", "y", "z"].get(axis).unwrap_or(&"one axis");
                 CliError::Input(format!(
-                    "{}: {}, so its bounds are no view box; give --view-box ({e})",
+                    "{}: {}, so its bounds are no view box; give --view-box x0,y0,z0,x1,y1,z1 with each first below its second",
                     path.display(),
-                    if nothing { "none of its triangles has an area" } else { "the scene is flat" }
+                    if nothing {
+                        "none of its triangles has an area".to_owned()
+                    } else {
+                        format!("the scene is flat along {letter}")
+                    }
                 ))
             }
-            _ => CliError::Usage(e.to_string()),
+            (_, e) => CliError::Usage(e.to_string()),
         })?;
         let [min, max] = spec.view_box;
         if max.cmplt(bounds.min).any() || min.cmpgt(bounds.max).any() {

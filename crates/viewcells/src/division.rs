@@ -14,12 +14,18 @@ pub const MAX_DEPTH: u32 = 22;
 /// Levels of an adaptive tree that are split whatever is seen, so that the work can be shared (2^3 tiles).
 pub const FORCED_DEPTH: u32 = 3;
 
+/// The name of an axis, for people.
+fn letter(axis: usize) -> &'static str {
+    ["x", "y", "z"].get(axis).copied().unwrap_or("no axis")
+}
+
 /// Why a division cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum DivisionError {
     /// The view box is empty, inverted or not finite.
     #[error(
-        "view box from {min:?} to {max:?} along axis {axis} is empty or not finite; give x0,y0,z0,x1,y1,z1 with each first below its second"
+        "view box from {min:?} to {max:?} along {} is empty or not finite; give x0,y0,z0,x1,y1,z1 with each first below its second",
+        letter(*axis)
     )]
     Box {
         /// 0 = x, 1 = y, 2 = z.
@@ -43,7 +49,8 @@ pub enum DivisionError {
     },
     /// Cells so thin that their planes coincide in `f32`.
     #[error(
-        "{cells} cells along axis {axis} are thinner than 32-bit coordinates can tell apart there; use fewer, or move the scene nearer to the origin"
+        "{cells} cells along {} are thinner than 32-bit coordinates can tell apart there; use fewer, or move the scene nearer to the origin",
+        letter(*axis)
     )]
     TooFine {
         /// 0 = x, 1 = y, 2 = z.

@@ -90,7 +90,7 @@ fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, SceneError> {
     if !meta.is_file() {
         return Err(SceneError::bad(
             path.display().to_string(),
-            "file",
+            "whole file",
             "it is not a regular file",
             "name a scene file (.obj, .ply, .gltf or .glb)",
         ));

@@ -80,7 +80,7 @@ const LOOK: usize = 1 << 16;
 /// The kind of `bytes`, which must agree with the extension of `name` where that is a known one.
 pub(super) fn kind_of(name: &str, bytes: &[u8]) -> Result<Kind, SceneError> {
     if bytes.is_empty() {
-        return Err(SceneError::bad(name, "file", "it is empty", "export or copy it again"));
+        return Err(SceneError::bad(name, "whole file", "it is empty", "export or copy it again"));
     }
     let named = Kind::from_extension(name);
     match (named, by_content(bytes)) {
@@ -90,19 +90,19 @@ pub(super) fn kind_of(name: &str, bytes: &[u8]) -> Result<Kind, SceneError> {
         (Some(Kind::Obj), Err("text")) => Ok(Kind::Obj),
         (Some(n), Ok(kind)) => Err(SceneError::bad(
             name,
-            "file",
+            "whole file",
             format!("its name says {} but it looks like {}", n.extension(), kind.describe()),
             format!("rename it to {}, or export it again as {}", kind.extension(), n.extension()),
         )),
         (Some(n), Err(looks)) => Err(SceneError::bad(
             name,
-            "file",
+            "whole file",
             format!("its name says {} but it looks like {looks}", n.extension()),
             "export the scene as OBJ, PLY, glTF or GLB",
         )),
         (None, Err(looks)) => Err(SceneError::bad(
             name,
-            "file",
+            "whole file",
             format!("it looks like {looks}, not like a scene"),
             "export the scene as OBJ, PLY, glTF or GLB",
         )),
