@@ -182,9 +182,7 @@ impl Block<'_> {
                 let found = ahead.triangle[lane] == candidate.triangle;
                 self.yields.count(candidate.part, time, uniform, found);
                 for triangle in self.credit_line(ahead, behind, lane, crossed) {
-                    if triangle != SKY
-                        && !self.bits.seen(triangle, c.slot)
-                        && met[triangle as usize] != *tag
+                    if triangle != SKY && !self.bits.seen(triangle, c.slot) && met[triangle as usize] != *tag
                     {
                         met[triangle as usize] = *tag;
                         stats.finds[Kind::Candidate as usize] += 1;

@@ -136,7 +136,10 @@ mod tests {
         };
         for (finds, misses) in [(300, 20), (500, 10), (500, 5)] {
             let (times, expected) = (second(finds, misses), by_hand(f64::from(finds), misses as f64));
-            assert!((1.0..MOST).contains(&expected) && (times - expected).abs() < 0.02, "{times} for {expected}");
+            assert!(
+                (1.0..MOST).contains(&expected) && (times - expected).abs() < 0.02,
+                "{times} for {expected}"
+            );
         }
         // Not worth it: still once, as what is visible changes with what neighbours see.
         assert!(by_hand(100.0, 100.0) < 1.0);
