@@ -59,9 +59,9 @@ name=$(basename "$scene")
 result=$PWD/out/${name%.*}.pvs
 
 say "baking $scene"
-started=$SECONDS
+started=$(date +%s%N)
 "$sightline" bake "$scene" -o "$result" ${flags[@]+"${flags[@]}"}
-took=$((SECONDS - started))
+took=$(awk -v ns=$(($(date +%s%N) - started)) 'BEGIN { printf "%.1f", ns / 1e9 }')
 
 say 'measuring: frames drawn from the result against frames of the whole scene'
 "$sightline" measure "$scene" "$result" --viewpoints 200 --seed 1 --json >"out/${name%.*}.measure.json"
