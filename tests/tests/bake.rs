@@ -163,15 +163,18 @@ fn smaller_tiles_let_more_workers_help_and_miss_no_more_than_asked() {
     let make = |flags: &str, name: &str| {
         sandbox.ok(&format!("{bake} {flags} --data-dir {name} -o {name}.pvs"));
     };
-    make("", "whole");
-    make("--block-cells 8 --workers 1", "cut");
-    for name in ["whole", "cut"] {
-        // 0.001 is what is aimed at, on average; one small scene may miss it, but not by as much again.
-        let measured = sandbox.json(&format!("measure maze.glb {name}.pvs --viewpoints 200"));
-        assert!(measured["mean_error"].as_f64().unwrap() < 0.002, "{name}: {measured}");
+    // What was asked for is kept on average; one seed may miss it.
+    for (flags, name) in [("", "whole"), ("--block-cells 8 --workers 1", "cut")] {
+        let mut sum = 0.0;
+        for seed in 1..=4 {
+            make(&format!("{flags} --seed {seed}"), name);
+            let measured = sandbox.json(&format!("measure maze.glb {name}.pvs --viewpoints 200"));
+            sum += measured["mean_error"].as_f64().unwrap();
+        }
+        assert!(sum / 4.0 <= 0.001, "{name}: {}", sum / 4.0);
     }
     assert_ne!(sandbox.read("whole.pvs"), sandbox.read("cut.pvs"), "lines are shared within a tile only");
-    make("--block-cells 8 --workers 3", "more");
+    make("--block-cells 8 --workers 3 --seed 4", "more");
     assert_same(&sandbox.read("cut.pvs"), &sandbox.read("more.pvs"), "one worker and three");
     sandbox.run(&format!("{bake} --block-cells 513 -o no.pvs")).code(2);
 }

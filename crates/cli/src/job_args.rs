@@ -249,14 +249,13 @@ impl JobArgs {
         spec.lattice().map_err(|e| match (self.view_box, e) {
             (None, sightline_viewcells::DivisionError::Box { axis, .. }) => {
                 let nothing = scene.triangles().iter().all(sightline_scene::Triangle::is_degenerate);
-                let letter = ["x", "y", "z"].get(axis).unwrap_or(&"one axis");
                 CliError::Input(format!(
                     "{}: {}, so its bounds are no view box; give --view-box x0,y0,z0,x1,y1,z1 with each first below its second",
                     path.display(),
                     if nothing {
                         "none of its triangles has an area".to_owned()
                     } else {
-                        format!("the scene is flat along {letter}")
+                        format!("the scene is flat along {}", sightline_viewcells::axis_name(axis))
                     }
                 ))
             }

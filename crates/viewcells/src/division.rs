@@ -14,8 +14,8 @@ pub const MAX_DEPTH: u32 = 22;
 /// Levels of an adaptive tree that are split whatever is seen, so that the work can be shared (2^3 tiles).
 pub const FORCED_DEPTH: u32 = 3;
 
-/// The name of an axis, for people.
-fn letter(axis: usize) -> &'static str {
+/// The name of an axis, for people: 0 = x, 1 = y, 2 = z.
+pub fn axis_name(axis: usize) -> &'static str {
     ["x", "y", "z"].get(axis).copied().unwrap_or("no axis")
 }
 
@@ -25,7 +25,7 @@ pub enum DivisionError {
     /// The view box is empty, inverted or not finite.
     #[error(
         "view box from {min:?} to {max:?} along {} is empty or not finite; give x0,y0,z0,x1,y1,z1 with each first below its second",
-        letter(*axis)
+        axis_name(*axis)
     )]
     Box {
         /// 0 = x, 1 = y, 2 = z.
@@ -50,7 +50,7 @@ pub enum DivisionError {
     /// Cells so thin that their planes coincide in `f32`.
     #[error(
         "{cells} cells along {} are thinner than 32-bit coordinates can tell apart there; use fewer, or move the scene nearer to the origin",
-        letter(*axis)
+        axis_name(*axis)
     )]
     TooFine {
         /// 0 = x, 1 = y, 2 = z.

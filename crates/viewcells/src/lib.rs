@@ -11,7 +11,7 @@ pub mod plan;
 pub mod rect;
 
 pub use cell::{CellBox, Split};
-pub use division::{Division, DivisionError};
+pub use division::{Division, DivisionError, axis_name};
 pub use lattice::{Lattice, LatticePoint, UNITS_PER_CELL};
 pub use plan::{Layout, MOST_BLOCK_CELLS, Outline, Plan, Tile, TileKind};
 pub use rect::Rect;

@@ -19,8 +19,8 @@ const PARTS: [f64; DECADES] = [0.3, 0.03, 3e-3, 3e-4, 3e-5, 3e-6, 3e-7, 3e-8];
 const GAIN_UNIT: f64 = 1.0 / (1u64 << 30) as f64;
 /// Attempts are counted in this part of one.
 const ATTEMPT_UNIT: f64 = 1.0 / 256.0;
-/// What a uniform ray of N finds covers, in 1/N: lines of other cells have missed it as well. Of 1/8 to 1 this served the indoor level
-/// best; 1/8 takes a tenth off the time of the town at the smallest errors, and adds as much to the level's at larger ones.
+/// What a uniform ray of N finds covers, in 1/N: less than one, as lines of other cells have missed it, too. With more, candidates
+/// are hardly ever tried again; with less, an indoor level spends more on tries at middling errors than they bring.
 const OF_ONE_IN: f64 = 0.5;
 /// Tries a round, at most.
 const MOST: f64 = 8.0;
