@@ -2,21 +2,33 @@
 //!
 //! What lines pass in the same direction has one silhouette (thesis §2.4), so triangles that hang together block together.
 
-use crate::cone::Region;
 use crate::local::{Constraints, Local, lines_of, triangles};
-use crate::occluder::{MOST_EDGES, Occluders};
-use crate::rows::{RimEdge, both, count};
+use crate::occluder::Occluders;
+use crate::rows::{Bits, RimEdge, both, count};
 
 /// Most occluders that are joined to one for the sake of a region.
-const MOST_MEMBERS: usize = 12;
+const MOST_MEMBERS: usize = 256;
+/// So many that add nothing are added one after the other before that is given up, or as many as there are already.
+const IN_VAIN: usize = 8;
+
+/// An edge of the border of what grows.
+pub struct Limit {
+    edge: RimEdge,
+    /// What of the region is on its inner side, and how much.
+    inside: Bits,
+    count: u32,
+    /// Whether nothing can be added over it.
+    last: bool,
+}
 
 impl Local<'_> {
-    /// Goes on to another region: what follows is about its rays, as [`crate::klein::contents`] has left them.
-    pub fn begin(&mut self, region: &Region) {
-        self.rows.begin(region.rays.len());
+    /// Goes on to another region, of which [`crate::klein::contents`] has left the forms: what follows is about its rays, and real lines in it.
+    pub fn begin(&mut self) {
+        let many = self.forms.sample();
+        self.rows.begin(many);
     }
 
-    /// Which way a line passes an occluder, and how many rays of the region that blocks, rounded.
+    /// Which way a line passes an occluder, and how much of the region that blocks: how many of its rays and of the lines in it, rounded.
     pub fn held(&mut self, scene: &Occluders, id: u32, line: &[f64; 6]) -> (bool, u32) {
         let shape = self.rows.shape(scene, self.space.frame(), id);
         let negative = self.rows.passes_negatively(self.rows.edges(shape.clone()), line);
@@ -28,7 +40,7 @@ impl Local<'_> {
         (negative, count(rays))
     }
 
-    /// An occluder's constraints, first those that most of the region's rays are outside of: the sooner much is cut off, the less
+    /// An occluder's constraints, first those that most of the region is outside of: the sooner much is cut off, the less
     /// is cut again.
     pub fn order(&mut self, known: usize, negative: bool) -> Vec<usize> {
         let mut order: Vec<(u32, usize)> = Vec::with_capacity(self.known[known].lines.len());
@@ -46,70 +58,79 @@ impl Local<'_> {
         order.into_iter().map(|(_, k)| k).collect()
     }
 
-    /// Adds neighbours to an occluder for as long as that makes it block more of the region; an index into `known`. None if there
-    /// is nothing to add.
+    /// Adds neighbours to an occluder, always over the edge that most of the region is outside of, until some more of them add nothing;
+    /// an index into `known`. None if no neighbours make it block more of the region.
+    ///
+    /// One neighbour often adds nothing and a few do: it takes most of a curved surface's facets to block what one of them is amid.
     pub fn grow(&mut self, scene: &Occluders, (id, negative, held): (u32, bool, u32)) -> Option<usize> {
         let every = self.rows.all();
         let all = count(every);
         if held == all || !self.is_between(scene, id) {
             return None;
         }
-        let shape = self.rows.shape(scene, self.space.frame(), id);
-        let mut edges = self.rows.edges(shape).to_vec();
+        let mut border = std::mem::take(&mut self.border);
+        border.clear();
         let mut members = vec![(id, false)];
-        let mut most = held;
-        while members.len() < MOST_MEMBERS && most < all {
-            let mut next: Option<(u32, u32, bool)> = None;
-            for e in &edges {
-                // Only over edges that part of the region passes outside of.
-                if self.rows.inside(&self.forms, *e, negative) == every {
-                    continue;
-                }
-                // Its border must run the other way along the edge, so it is turned round where it runs the same way.
-                for (o, back) in scene.rims().sharing(e.number) {
-                    if members.iter().any(|m| m.0 == *o) {
-                        continue;
-                    }
-                    let turned = *back == e.back();
-                    let count = self.held_with(scene, &edges, (*o, turned), negative);
-                    if count > next.map_or(most, |n| n.0) && self.is_between(scene, *o) {
-                        next = Some((count, *o, turned));
-                    }
-                }
+        self.join(scene, &mut border, (id, false), negative);
+        let (mut most, mut best) = (held, 1);
+        while most < all && members.len() < MOST_MEMBERS.min(best + best.max(IN_VAIN)) {
+            let Some(next) = self.beyond(scene, &mut border, &members, all) else { break };
+            members.push(next);
+            self.join(scene, &mut border, next, negative);
+            let held = count(border.iter().fold(every, |all, limit| both(all, limit.inside)));
+            // Two sides of one sheet have no border and block nothing together.
+            if held > most && !border.is_empty() {
+                (most, best) = (held, members.len());
             }
-            let Some((count, o, turned)) = next else { break };
-            let shape = self.rows.shape(scene, self.space.frame(), o);
-            edges = joined(&edges, self.rows.edges(shape), turned).collect();
-            members.push((o, turned));
-            most = count;
         }
-        if members.len() == 1 {
+        self.border = border;
+        members.truncate(best);
+        if best == 1 {
             return None;
         }
         members.sort_unstable();
         self.patch(scene, members)
     }
 
-    /// How many rays an occluder would block together with another, perhaps turned round: inside all edges but those along which
-    /// the two run in opposite directions. 0 if no edge remains: two sides of one sheet block nothing together.
-    fn held_with(
+    /// Adds an occluder, perhaps turned round, to what has a border: the edges along which the two run in opposite directions go.
+    fn join(
         &mut self,
         scene: &Occluders,
-        edges: &[RimEdge],
-        (with, turned): (u32, bool),
+        border: &mut Vec<Limit>,
+        (id, turned): (u32, bool),
         negative: bool,
-    ) -> u32 {
-        let shape = self.rows.shape(scene, self.space.frame(), with);
-        let mut others = [RimEdge::default(); MOST_EDGES];
-        let n = shape.len().min(MOST_EDGES);
-        others[..n].copy_from_slice(&self.rows.edges(shape)[..n]);
-        let mut rays = self.rows.all();
-        let mut border = false;
-        for e in joined(edges, &others[..n], turned) {
-            rays = both(rays, self.rows.inside(&self.forms, e, negative));
-            border = true;
+    ) {
+        for at in self.rows.shape(scene, self.space.frame(), id) {
+            let edge = self.rows.edges(at..at + 1)[0];
+            let edge = if turned { edge.reversed() } else { edge };
+            let [from, to] = edge.corners;
+            if let Some(other) = border.iter().position(|l| l.edge.corners == [to, from]) {
+                border.remove(other);
+            } else {
+                let inside = self.rows.inside(&self.forms, edge, negative);
+                border.push(Limit { edge, inside, count: count(inside), last: false });
+            }
         }
-        if border { count(rays) } else { 0 }
+    }
+
+    /// What can be added over the edge that most of the region is outside of, and whether it is to be turned round.
+    fn beyond(
+        &mut self,
+        scene: &Occluders,
+        border: &mut [Limit],
+        members: &[(u32, bool)],
+        all: u32,
+    ) -> Option<(u32, bool)> {
+        loop {
+            let limit = border.iter_mut().filter(|l| !l.last && l.count < all).min_by_key(|l| l.count)?;
+            for (id, back) in scene.rims().sharing(limit.edge.number) {
+                if !members.iter().any(|m| m.0 == *id) && self.is_between(scene, *id) {
+                    // Its border must run the other way along the edge, so it is turned round where it runs the same way.
+                    return Some((*id, *back == limit.edge.back()));
+                }
+            }
+            limit.last = true;
+        }
     }
 
     /// Several occluders that are all between the polygons, as one; an index into `known`. None if they have no border.
@@ -127,18 +148,4 @@ impl Local<'_> {
         self.patches.insert(members, at);
         at
     }
-}
-
-/// The edges of two borders, the second perhaps turned round, but for those along which they run in opposite directions.
-fn joined<'a>(
-    own: &'a [RimEdge],
-    others: &'a [RimEdge],
-    turned: bool,
-) -> impl Iterator<Item = RimEdge> + use<'a> {
-    let turn = move |e: &RimEdge| if turned { e.reversed() } else { *e };
-    let opposite = |a: &RimEdge, b: &RimEdge| a.corners == [b.corners[1], b.corners[0]];
-    own.iter()
-        .filter(move |e| !others.iter().any(|o| opposite(e, &turn(o))))
-        .copied()
-        .chain(others.iter().map(turn).filter(move |o| !own.iter().any(|e| opposite(e, o))))
 }

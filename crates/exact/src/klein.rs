@@ -10,6 +10,7 @@ use dashu_int::IBig;
 use dashu_int::ops::BitTest as _;
 
 use crate::cone::Region;
+use crate::forms::Forms;
 use crate::number::U;
 use crate::predicates::sign;
 use crate::vector::{Id, Space, klein, klein_exact};
@@ -114,62 +115,6 @@ fn both_signs(
         }
     }
     false
-}
-
-/// The form on all pairs of a region's rays, a row at a time.
-#[derive(Default)]
-pub struct Forms {
-    /// The components of all rays, one component after the other, so that a row is computed several pairs at once.
-    columns: [Vec<f64>; 6],
-    /// Their mean.
-    centre: [f64; 6],
-    /// What the form is multiplied by: 1 or −1.
-    turn: f64,
-    row: Vec<f64>,
-    /// For each ray the greatest form with itself and those that follow.
-    farthest: Vec<f64>,
-}
-
-impl Forms {
-    /// Goes on to another region.
-    fn begin(&mut self, space: &Space, region: &Region) {
-        self.columns.iter_mut().for_each(Vec::clear);
-        let mut sum = [0.0; 6];
-        for (ray, _) in &region.rays {
-            for ((column, x), s) in self.columns.iter_mut().zip(space.rounded(*ray)).zip(&mut sum) {
-                column.push(*x);
-                *s += x;
-            }
-        }
-        self.centre = sum.map(|s| s / region.rays.len() as f64);
-        self.turn = 1.0;
-    }
-
-    /// The form of all rays with a line.
-    pub fn against(&self, line: &[f64; 6], out: &mut Vec<f64>) {
-        forms(self.columns.each_ref().map(|c| &c[..]), *line, out);
-    }
-
-    /// The form of a ray with itself and all that follow.
-    fn row(&mut self, i: usize) -> &[f64] {
-        let columns = self.columns.each_ref().map(|c| &c[i..]);
-        let ray = columns.map(|c| self.turn * c[0]);
-        forms(columns, ray, &mut self.row);
-        &self.row
-    }
-}
-
-/// The form of one vector with many, given by columns.
-fn forms(columns: [&[f64]; 6], with: [f64; 6], out: &mut Vec<f64>) {
-    let n = columns[0].len();
-    out.resize(n, 0.0);
-    // Slices of one length, so that nothing is checked inside the loop and several are computed at once.
-    let [a, b, c, d, e, f] = columns.map(|c| &c[..n]);
-    let out = &mut out[..n];
-    let [p, q, r, s, t, u] = with;
-    for j in 0..n {
-        out[j] = (p * d[j] + q * e[j] + r * f[j]) + (s * a[j] + t * b[j] + u * c[j]);
-    }
 }
 
 /// The combination of two rays on which K is farthest from the sign of `from`; none when it keeps that sign.
@@ -283,7 +228,7 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
 }
 
 /// The t in [0, 1] at which c(1−t)² + 2m t(1−t) + e t² vanishes, c and e having different signs.
-fn crossing(c: f64, m: f64, e: f64) -> f64 {
+pub fn crossing(c: f64, m: f64, e: f64) -> f64 {
     // With t = s/(1 + s), s is the positive root of e s² + 2m s + c, without a difference of like numbers.
     let root = (m * m - c * e).sqrt();
     let s =

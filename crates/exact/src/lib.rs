@@ -13,6 +13,7 @@ mod double;
 mod edges;
 mod effort;
 pub mod evidence;
+mod forms;
 mod frame;
 #[doc(hidden)]
 pub mod fuzzing;

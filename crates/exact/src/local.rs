@@ -9,8 +9,9 @@ use rustc_hash::FxHashMap;
 
 use crate::cone::Region;
 use crate::edges::EdgeLines;
+use crate::forms::Forms;
 use crate::frame::Source;
-use crate::klein::Forms;
+use crate::grow::Limit;
 use crate::occluder::Occluders;
 use crate::polygon::Polygon;
 use crate::prism::{self, Pair};
@@ -100,6 +101,8 @@ pub struct Local<'a> {
     pub forms: Forms,
     /// Sides of rays, kept for their memory.
     pub sides: Vec<Ordering>,
+    /// The border of what grows, kept for its memory.
+    pub border: Vec<Limit>,
     /// Triangles a line may meet, kept for their memory.
     pub candidates: Vec<u32>,
     /// Both polygons, with their vertices rounded.

@@ -62,7 +62,7 @@ pub struct Occluders {
 }
 
 /// Longest border of a merged occluder.
-pub const MOST_EDGES: usize = 24;
+const MOST_EDGES: usize = 24;
 
 impl Occluders {
     /// Joins the coplanar neighbours of a scene into convex occluders and prepares for tracing, on all of rayon's threads.

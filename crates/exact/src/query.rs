@@ -12,8 +12,9 @@ use rustc_hash::FxHashMap;
 
 use crate::cone::Region;
 use crate::edges::EdgeLines;
+use crate::forms::Forms;
 use crate::frame::{Frame, Source};
-use crate::klein::{self, Contents, Forms, contents};
+use crate::klein::{self, Contents, contents};
 use crate::local::{Found, Local, Snapped, triangles};
 use crate::maps::with_room;
 use crate::occluder::Occluders;
@@ -244,6 +245,7 @@ impl Search<'_> {
             forms: Forms::default(),
             sides: Vec::new(),
             candidates: Vec::new(),
+            border: Vec::new(),
             ends,
         };
         let mut result = Ok(());
@@ -352,7 +354,7 @@ impl Search<'_> {
         line: &[f64; 6],
         met: &[u32],
     ) -> Option<Found> {
-        local.begin(region);
+        local.begin();
         let mut ranked: Vec<(u32, bool, u32)> = Vec::with_capacity(met.len());
         for id in met {
             let (negative, held) = local.held(self.scene, *id, line);

@@ -1,4 +1,5 @@
-//! On which side of occluders' edges the rays of a region are, as sets of bits: which occluder takes most of a region is asked of many.
+//! On which side of occluders' edges the rays of a region are, and real lines in it, as sets of bits: which occluder takes most of a region
+//! is asked of many.
 //!
 //! Rounded and without bounds: what is taken first matters to the time a query takes, never to its answer. So edges are
 //! plain doubles here, and only those of what is taken become lines of the space.
@@ -8,15 +9,15 @@ use std::ops::Range;
 use glam::DVec3;
 use rustc_hash::FxHashMap;
 
+use crate::forms::Forms;
 use crate::frame::Frame;
-use crate::klein::Forms;
 use crate::maps::with_room;
 use crate::number::normalised;
 use crate::occluder::Occluders;
 
-/// A set of a region's rays. Only so many are looked at; few regions have more.
+/// A set of a region's rays and lines in it. Only so many are looked at; few regions have more.
 pub type Bits = [u64; 4];
-/// Rays in a [`Bits`].
+/// Rays and lines in a [`Bits`].
 const MOST: usize = 256;
 /// Forms with a line, neither having a component above 1, that are as good as 0.
 const ON: f64 = 1e-12;
@@ -44,10 +45,10 @@ impl RimEdge {
     }
 }
 
-/// For each line the rays of the region at hand that pass it on either side.
+/// For each line the rays of the region at hand, and the lines in it, that pass it on either side.
 #[derive(Default)]
 pub struct Rows {
-    /// Which region they are about, and how many rays it has.
+    /// Which region they are about, and how many rays and lines in it.
     region: u32,
     rays: usize,
     /// Corners of the scene in the frame, by number.
@@ -86,7 +87,7 @@ impl Rows {
         }
     }
 
-    /// Goes on to another region, of so many rays.
+    /// Goes on to another region, of so many rays and lines.
     pub fn begin(&mut self, rays: usize) {
         self.region += 1;
         self.rays = rays.min(MOST);

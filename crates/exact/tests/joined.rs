@@ -1,0 +1,37 @@
+//! What hangs together is taken together: proofs about what is behind curved surfaces do not grow with their facets.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+mod common;
+
+use common::{Draft, exact};
+use sightline_exact::{Polygon, Verdict};
+
+/// A sphere between two squares so much smaller that all lines pass its middle: facets are wider than the squares at first, then
+/// far smaller, and none of these blocks much by itself.
+#[test]
+fn a_finer_sphere_takes_no_more_steps() {
+    for place in exact() {
+        let steps: Vec<usize> = (0..4)
+            .map(|levels| {
+                let mut scene = Draft::new(&place);
+                scene.sphere([0.0, 0.0, 0.0], 1.0, levels);
+                let world = scene.done();
+                let square = |z| {
+                    Polygon::checked(&place.polygon(&[
+                        [-0.5, -0.5, z],
+                        [0.5, -0.5, z],
+                        [0.5, 0.5, z],
+                        [-0.5, 0.5, z],
+                    ]))
+                    .unwrap()
+                };
+                match world.verdict(&square(-2.0), &square(2.0)).unwrap() {
+                    Verdict::Hidden(proof) => proof.steps.len(),
+                    other => panic!("{other:?}"),
+                }
+            })
+            .collect();
+        // Of 1280 facets in the end, of which half face either way.
+        assert!(steps.iter().all(|s| *s <= 4), "{steps:?}");
+    }
+}
