@@ -107,6 +107,8 @@ pub struct Local<'a> {
     pub candidates: Vec<u32>,
     /// Both polygons, with their vertices rounded.
     pub ends: [(&'a Polygon, &'a [DVec3]); 2],
+    /// Whether occluders are joined with their neighbours.
+    pub joined: bool,
 }
 
 impl Local<'_> {

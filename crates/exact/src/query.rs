@@ -190,13 +190,16 @@ impl Search<'_> {
         depth: u32,
     ) -> Result<(), End> {
         let before = (self.proof.steps.len(), self.proof.occluders.len());
-        if self.try_pair(a, b)?.is_ok() {
-            return Ok(());
+        // Other cuts leave other regions: where some were of no use, there may be none with occluders as they are.
+        for joined in [true, false] {
+            if self.try_pair(a, b, joined)?.is_ok() {
+                return Ok(());
+            }
+            // What was tried in vain is no part of the proof.
+            self.proof.steps.truncate(before.0);
+            self.proof.occluders.truncate(before.1);
+            self.numbers.retain(|_, number| (*number as usize) < before.1);
         }
-        // What was tried in vain is no part of the proof.
-        self.proof.steps.truncate(before.0);
-        self.proof.occluders.truncate(before.1);
-        self.numbers.retain(|_, number| (*number as usize) < before.1);
         if depth == self.limits.divisions {
             return Err(End::Open(Reason::Divisions));
         }
@@ -220,10 +223,12 @@ impl Search<'_> {
         result.map_err(End::Open)
     }
 
+    /// The same without halving; `joined` says whether occluders are joined with their neighbours.
     fn try_pair(
         &mut self,
         a: &(Polygon, Vec<Ordering>),
         b: &(Polygon, Vec<Ordering>),
+        joined: bool,
     ) -> Result<Result<(), Stuck>, End> {
         let (near_a, near_b) = (a.0.rounded(), b.0.rounded());
         let mut space = Space::new(Frame::around(&near_a, &near_b));
@@ -247,6 +252,7 @@ impl Search<'_> {
             candidates: Vec::new(),
             border: Vec::new(),
             ends,
+            joined,
         };
         let mut result = Ok(());
         for region in regions {
@@ -365,7 +371,7 @@ impl Search<'_> {
             y.2.cmp(&x.2).then(edges(x.0).cmp(&edges(y.0))).then(x.0.cmp(&y.0))
         });
         for (id, negative, held) in ranked {
-            let grown = local.grow(self.scene, (id, negative, held));
+            let grown = if local.joined { local.grow(self.scene, (id, negative, held)) } else { None };
             // By itself where it has not grown, or where that takes nothing away.
             for grown in [grown, None].into_iter().skip(usize::from(grown.is_none())) {
                 let known = grown.or_else(|| local.constraints(self.scene, id));
