@@ -1,4 +1,4 @@
-//! How much of a region an occluder blocks, and joining it with its neighbours for as long as that blocks more.
+//! How much of a region an occluder blocks, and joining it with neighbours until many of them add nothing.
 //!
 //! What lines pass in the same direction has one silhouette (thesis §2.4), so triangles that hang together block together.
 
@@ -22,13 +22,15 @@ pub struct Limit {
 }
 
 impl Local<'_> {
-    /// Goes on to another region, of which [`crate::klein::contents`] has left the forms: what follows is about its rays, and real lines in it.
+    /// Goes on to another region, of which [`crate::klein::contents`] has left the forms: what follows is about its rays, and
+    /// real lines in it.
     pub fn begin(&mut self) {
         let many = self.forms.sample();
         self.rows.begin(many);
     }
 
-    /// Which way a line passes an occluder, and how much of the region that blocks: how many of its rays and of the lines in it, rounded.
+    /// Which way a line passes an occluder, and how much of the region that blocks: how many of its rays and of the lines in
+    /// it, rounded.
     pub fn held(&mut self, scene: &Occluders, id: u32, line: &[f64; 6]) -> (bool, u32) {
         let shape = self.rows.shape(scene, self.space.frame(), id);
         let negative = self.rows.passes_negatively(self.rows.edges(shape.clone()), line);

@@ -1,5 +1,6 @@
 //! What hangs together is taken together: proofs about what is behind curved surfaces do not grow with their facets.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests, which may")]
 
 mod common;
 
@@ -16,15 +17,7 @@ fn a_finer_sphere_takes_no_more_steps() {
                 let mut scene = Draft::new(&place);
                 scene.sphere([0.0, 0.0, 0.0], 1.0, levels);
                 let world = scene.done();
-                let square = |z| {
-                    Polygon::checked(&place.polygon(&[
-                        [-0.5, -0.5, z],
-                        [0.5, -0.5, z],
-                        [0.5, 0.5, z],
-                        [-0.5, 0.5, z],
-                    ]))
-                    .unwrap()
-                };
+                let square = |z| Polygon::checked(&place.square([0.0, 0.0, z], 0.5)).unwrap();
                 match world.verdict(&square(-2.0), &square(2.0)).unwrap() {
                     Verdict::Hidden(proof) => proof.steps.len(),
                     other => panic!("{other:?}"),
