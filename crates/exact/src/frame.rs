@@ -155,51 +155,45 @@ impl Frame {
     }
 
     /// A Plücker vector of the world in the frame, up to a positive factor: d' = M·d, m' = cof(M)·(m − c × d).
-    pub fn line_integers(&self, line: [f64; 6]) -> [IBig; 6] {
-        let (origin, e) = integers(self.origin.to_array());
-        let (low, up) = ((-e).max(0) as usize, e.max(0) as usize);
-        let (line, _) = integers(line);
-        let [d0, d1, d2, m0, m1, m2] = line;
-        let (d, m) = ([d0, d1, d2], [m0, m1, m2]);
-        let c: [IBig; 3] = origin.map(|c| c << up);
-        let cross = |i: usize, j: usize| &c[i] * &d[j] - &c[j] * &d[i];
-        let moment = [cross(1, 2), cross(2, 0), cross(0, 1)];
-        let moment: [IBig; 3] = std::array::from_fn(|i| (&m[i] << low) - &moment[i]);
-        let d = d.map(|c| c << low);
+    pub fn line_from_world(&self, line: &[IBig; 6]) -> [IBig; 6] {
+        let (c, (low, up)) = self.centre();
+        let (d, m) = halves(line);
+        let moment = cross(&c, &d);
+        let moment = std::array::from_fn(|i| (&m[i] << low) - (&moment[i] << up));
         // M = 2^least · N with N of integers; then d' carries one factor 2^least and m' two.
-        let least = self.shift.iter().copied().min().unwrap_or(0) - 6;
-        let n: [[IBig; 3]; 3] = std::array::from_fn(|i| {
-            std::array::from_fn(|j| IBig::from(self.rows[i][j]) << (self.shift[i] - 6 - least) as usize)
-        });
-        let cofactor = |i: usize, j: usize| {
-            let (a, b, p, q) = ((i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3);
-            &n[a][p] * &n[b][q] - &n[a][q] * &n[b][p]
-        };
-        let (down, rise) = ((-least).max(0) as usize, least.max(0) as usize);
-        std::array::from_fn(|i| {
-            if i < 3 {
-                let sum: IBig = (0..3).map(|j| &n[i][j] * &d[j]).sum();
-                sum << down
-            } else {
-                let sum: IBig = (0..3).map(|j| cofactor(i - 3, j) * &moment[j]).sum();
-                sum << rise
-            }
-        })
+        let (n, (down, rise)) = self.matrix();
+        let d = times(&n, &d).map(|x| x << (low + down));
+        let m = times(&cofactors(&n), &moment).map(|x| x << rise);
+        joined(d, m)
     }
 
-    /// A Plücker vector of the frame in the world, rounded, up to a positive factor.
-    pub fn line_to_world(&self, line: &[f64; 6]) -> [f64; 6] {
-        let rows = std::array::from_fn(|i| {
-            DVec3::from(self.rows[i].map(f64::from)) * f64::powi(2.0, self.shift[i] - 6)
+    /// A Plücker vector of the frame in the world, up to a positive factor: det(M)·d = cof(M)ᵀ·d' and
+    /// det(M)·m = Mᵀ·m' + c × det(M)·d.
+    pub fn line_to_world(&self, line: &[IBig; 6]) -> [IBig; 6] {
+        let (c, (low, up)) = self.centre();
+        let (n, (down, rise)) = self.matrix();
+        let (d, m) = halves(line);
+        // With N for M, d' counts for two factors 2^least and m' for one.
+        let d = times(&transposed(cofactors(&n)), &d).map(|x| x << rise);
+        let m = times(&transposed(n), &m).map(|x| x << down);
+        let moment = cross(&c, &d);
+        let m = std::array::from_fn(|i| (&m[i] << low) + (&moment[i] << up));
+        joined(d.map(|x| x << low), m)
+    }
+
+    /// The origin c as integers: c · 2^up / 2^low.
+    fn centre(&self) -> ([IBig; 3], (usize, usize)) {
+        let (c, e) = integers(self.origin.to_array());
+        (c, ((-e).max(0) as usize, e.max(0) as usize))
+    }
+
+    /// The matrix as integers N: M = N · 2^rise / 2^down.
+    fn matrix(&self) -> ([[IBig; 3]; 3], (usize, usize)) {
+        let least = self.shift.iter().copied().min().unwrap_or(0) - 6;
+        let n = std::array::from_fn(|i| {
+            std::array::from_fn(|j| IBig::from(self.rows[i][j]) << (self.shift[i] - 6 - least) as usize)
         });
-        let [a, b, c]: [DVec3; 3] = rows;
-        let inverse = glam::DMat3::from_cols(a, b, c).transpose().inverse();
-        let d = inverse * DVec3::new(line[0], line[1], line[2]);
-        // cof(M)⁻¹ = Mᵀ / det M.
-        let det = a.dot(b.cross(c));
-        let m = (a * line[3] + b * line[4] + c * line[5]) / det + self.origin.cross(d);
-        let [x, y, z] = d.to_array();
-        crate::number::normalised([x, y, z, m.x, m.y, m.z]).0
+        (n, ((-least).max(0) as usize, least.max(0) as usize))
     }
 
     fn map(&self, p: &[IBig; 4]) -> [IBig; 4] {
@@ -220,6 +214,33 @@ impl Frame {
             [x << least as usize, y << least as usize, z << least as usize, w]
         }
     }
+}
+
+/// The direction and the moment of a Plücker vector.
+fn halves([a, b, c, d, e, f]: &[IBig; 6]) -> ([IBig; 3], [IBig; 3]) {
+    let three = |x: [&IBig; 3]| x.map(Clone::clone);
+    (three([a, b, c]), three([d, e, f]))
+}
+
+fn joined([a, b, c]: [IBig; 3], [d, e, f]: [IBig; 3]) -> [IBig; 6] {
+    [a, b, c, d, e, f]
+}
+
+fn cross(a: &[IBig; 3], b: &[IBig; 3]) -> [IBig; 3] {
+    std::array::from_fn(|i| &a[(i + 1) % 3] * &b[(i + 2) % 3] - &a[(i + 2) % 3] * &b[(i + 1) % 3])
+}
+
+fn times(m: &[[IBig; 3]; 3], x: &[IBig; 3]) -> [IBig; 3] {
+    std::array::from_fn(|i| (0..3).map(|j| &m[i][j] * &x[j]).sum())
+}
+
+fn transposed(m: [[IBig; 3]; 3]) -> [[IBig; 3]; 3] {
+    std::array::from_fn(|i| std::array::from_fn(|j| m[j][i].clone()))
+}
+
+/// The matrix whose rows are the cross products of those of `m`.
+fn cofactors(m: &[[IBig; 3]; 3]) -> [[IBig; 3]; 3] {
+    std::array::from_fn(|i| cross(&m[(i + 1) % 3], &m[(i + 2) % 3]))
 }
 
 /// The least k with x ≤ 2^k, for normal x > 0; by its bits, since logarithms are not rounded the same everywhere.
@@ -312,6 +333,42 @@ mod tests {
                     prop_assert!(x.minus(y).0.abs() <= again.fine.1 + point.fine.1, "{x:?} {y:?} {e}");
                 }
             }
+        }
+
+        #[test]
+        fn lines_come_back_from_the_world(
+            a in prop::collection::vec(near(), 3), b in prop::collection::vec(near(), 4),
+            line in prop::array::uniform6(-1000i64..1000), scale in -40i32..40, far in near(), away in -20i32..20,
+        ) {
+            let t = far * f64::powi(2.0, away);
+            let place = |p: &DVec3| ((*p + t) * f64::powi(2.0, scale)).as_vec3().as_dvec3();
+            let (a, b): (Vec<_>, Vec<_>) = (a.iter().map(place).collect(), b.iter().map(place).collect());
+            let frame = Frame::around(&a, &b);
+            let mut line = line.map(IBig::from);
+            let mut again = frame.line_from_world(&frame.line_to_world(&line));
+            primitive(&mut line);
+            primitive(&mut again);
+            prop_assert_eq!(line, again);
+        }
+
+        #[test]
+        fn lines_go_where_their_points_go(
+            a in prop::collection::vec(near(), 3), b in prop::collection::vec(near(), 4),
+        ) {
+            let frame = Frame::around(&a, &b);
+            let join = |[p, q]: [[IBig; 4]; 2]| -> [IBig; 6] {
+                let d = |i: usize| &q[i] * &p[3] - &p[i] * &q[3];
+                let m = |i: usize, j: usize| &p[i] * &q[j] - &p[j] * &q[i];
+                let mut line = [d(0), d(1), d(2), m(1, 2), m(2, 0), m(0, 1)];
+                primitive(&mut line);
+                line
+            };
+            let ends = [a[0], b[0]];
+            let world = join(ends.map(|p| homogeneous(p.to_array())));
+            let local = join(ends.map(|p| frame.integers(&Source::Given(p))));
+            let mut there = frame.line_from_world(&world);
+            primitive(&mut there);
+            prop_assert_eq!(there, local);
         }
     }
 }

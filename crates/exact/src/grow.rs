@@ -29,17 +29,15 @@ impl Local<'_> {
         self.rows.begin(many);
     }
 
-    /// Which way a line passes an occluder, and how much of the region that blocks: how many of its rays and of the lines in
-    /// it, rounded.
-    pub fn held(&mut self, scene: &Occluders, id: u32, line: &[f64; 6]) -> (bool, u32) {
-        let shape = self.rows.shape(scene, self.space.frame(), id);
-        let negative = self.rows.passes_negatively(self.rows.edges(shape.clone()), line);
+    /// How much of the region an occluder blocks of lines that pass it one way: how many of its rays and of the lines in it,
+    /// rounded.
+    pub fn held(&mut self, scene: &Occluders, id: u32, negative: bool) -> u32 {
         let mut rays = self.rows.all();
-        for at in shape {
+        for at in self.rows.shape(scene, self.space.frame(), id) {
             let edge = self.rows.edges(at..at + 1)[0];
             rays = both(rays, self.rows.inside(&self.forms, edge, negative));
         }
-        (negative, count(rays))
+        count(rays)
     }
 
     /// An occluder's constraints, first those that most of the region is outside of: the sooner much is cut off, the less

@@ -134,39 +134,15 @@ fn beyond(a: &[f64; 6], b: &[f64; 6], from: f64, noise: f64) -> Option<[f64; 6]>
     (value > noise).then(|| std::array::from_fn(|i| (1.0 - t) * a[i] + t * b[i]))
 }
 
-/// The polar of a combination of the two rays whose pair is most of the wrong sign while each alone is not: one of them is
-/// on each side of its hyperplane, and the pairs of either part are nearer to having one sign.
-pub fn polar(space: &Space, region: &Region) -> Option<[f64; 6]> {
-    let x: Vec<[f64; 6]> = region.rays.iter().map(|(r, _)| *space.rounded(*r)).collect();
-    let centre: [f64; 6] = std::array::from_fn(|i| x.iter().map(|v| v[i]).sum::<f64>() / x.len() as f64);
-    let wrong = if klein(&centre, &centre) > 0.0 { -1.0 } else { 1.0 };
-    let mut best: Option<(f64, usize, usize)> = None;
-    for i in 0..x.len() {
-        for j in i + 1..x.len() {
-            let value = wrong * klein(&x[i], &x[j]);
-            if value > 0.0 && best.is_none_or(|(v, _, _)| value > v) {
-                best = Some((value, i, j));
-            }
-        }
-    }
-    let (_, i, j) = best?;
-    // With K(a, a), K(b, b) ≥ 0 > K(a, b): K(a, b/√K(b,b) − a/√K(a,a)) < 0 < K(b, …).
-    let size = |v: &[f64; 6]| klein(v, v).abs().sqrt().max(1e-6);
-    let (p, q) = (size(&x[i]), size(&x[j]));
-    Some(std::array::from_fn(|k| x[j][k] / q - x[i][k] / p))
-}
-
 /// Bits behind the point of rays and parameters where doubles are too coarse.
 const FINE: usize = 256;
 
 /// Pairs of rays that are tried where rounding has misled.
 const MOST_TRIED: usize = 8;
 
-/// A line inside a region, real to 2⁻²⁵⁶: for regions so thin that doubles do not show what is in them. None where no pair
-/// of rays shows a change of sign.
-pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
-    // Rays of one size, cut off far behind what doubles hold; only where to look depends on it.
-    let rays: Vec<[IBig; 6]> = region
+/// The rays of a region in integers of one size, cut off 256 bits behind the point: only where to look depends on them.
+pub fn fine(space: &mut Space, region: &Region) -> Vec<[IBig; 6]> {
+    region
         .rays
         .iter()
         .map(|(r, tight)| {
@@ -176,7 +152,13 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
             let longest = x.iter().map(|c| c.bit_len()).max().unwrap_or(0);
             x.clone().map(|c| if longest > FINE { c >> (longest - FINE) } else { c << (FINE - longest) })
         })
-        .collect();
+        .collect()
+}
+
+/// A line inside a region, real to 2⁻²⁵⁶: for regions so thin that doubles do not show what is in them. None where no pair
+/// of rays shows a change of sign.
+pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
+    let rays = fine(space, region);
     let sum = |a: &[IBig; 6], b: &[IBig; 6]| -> [IBig; 6] { std::array::from_fn(|i| &a[i] + &b[i]) };
     let centre = rays[1..].iter().fold(rays[0].clone(), |s, r| sum(&s, r));
     let c = klein_exact(&centre, &centre);

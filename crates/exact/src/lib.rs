@@ -23,6 +23,7 @@ mod local;
 mod maps;
 mod number;
 pub mod occluder;
+mod polar;
 pub mod polygon;
 pub mod predicates;
 mod prism;

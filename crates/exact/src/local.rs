@@ -107,8 +107,6 @@ pub struct Local<'a> {
     pub candidates: Vec<u32>,
     /// Both polygons, with their vertices rounded.
     pub ends: [(&'a Polygon, &'a [DVec3]); 2],
-    /// Whether occluders are joined with their neighbours.
-    pub joined: bool,
 }
 
 impl Local<'_> {
@@ -312,23 +310,6 @@ impl Local<'_> {
         }
         self.known.push(Constraints { members: vec![(id, false)], lines });
         Some(self.known.len() - 1)
-    }
-
-    /// Splits a region by the hyperplane polar to a vector of the frame, or rather to that vector rounded in the world.
-    pub fn split(&mut self, region: &Region, polar: &[f64; 6]) -> Option<Found> {
-        let polar = self.space.frame().line_to_world(polar);
-        if !polar.iter().all(|c| c.is_finite()) || polar.iter().all(|c| *c == 0.0) {
-            return None;
-        }
-        let exact = self.space.frame().line_integers(polar);
-        let line = self.space.fixed(exact);
-        let mut sides = Vec::new();
-        region.sides(&mut self.space, line, &mut sides);
-        if !sides.contains(&Ordering::Less) || !sides.contains(&Ordering::Greater) {
-            return None;
-        }
-        let parts = region.split(&mut self.space, line, &sides).ok()?;
-        Some((Step::Split { polar }, parts.into()))
     }
 
     /// Takes away from a region what an occluder blocks of it: the cuts made and the parts left outside each. Nothing when

@@ -53,6 +53,8 @@ pub struct Occluders {
     occluders: Vec<Occluder>,
     /// The occluder of each triangle; none for those without area.
     of: Vec<Option<u32>>,
+    /// Whether its occluder has a triangle turned round.
+    turned: Vec<bool>,
     rims: Rims,
     /// Three corner numbers a triangle.
     corners: Vec<u32>,
@@ -78,17 +80,19 @@ impl Occluders {
             faces.merge();
             let (occluders, of) = faces.finish();
             let rims = Rims::new(&occluders);
-            (occluders, of, rims)
+            let mut turned = vec![false; triangles.len()];
+            occluders.iter().flat_map(|o| &o.triangles).for_each(|(t, turn)| turned[*t as usize] = *turn);
+            (occluders, of, turned, rims)
         };
         let hierarchy = || {
             let boxes = scene.triangles().iter().map(|t| [t.bounds().min, t.bounds().max]).collect();
             let items = (0..triangles.len() as u32).filter(|i| solid[*i as usize]).collect();
             Bvh::new(boxes, items)
         };
-        let ((occluders, of, rims), bvh) = rayon::join(joined, hierarchy);
+        let ((occluders, of, turned, rims), bvh) = rayon::join(joined, hierarchy);
         let b = scene.bounds();
         let reach = f64::from(b.min.abs().max(b.max.abs()).max_element());
-        Ok(Self { triangles, occluders, of, rims, corners, bvh, reach, surfaces: OnceLock::new() })
+        Ok(Self { triangles, occluders, of, turned, rims, corners, bvh, reach, surfaces: OnceLock::new() })
     }
 
     /// A triangle's vertices.
@@ -109,6 +113,13 @@ impl Occluders {
     /// The occluder a triangle is part of.
     pub fn of(&self, triangle: u32) -> Option<u32> {
         self.of[triangle as usize]
+    }
+
+    /// The occluder a line meets that meets a triangle, from the side its corners are seen counter-clockwise from or not; and whether
+    /// it passes the occluder's edges on their negative side.
+    pub fn passed(&self, triangle: u32, front: bool) -> Option<(u32, bool)> {
+        // Down the z axis, (0, 0, −1; 0, 0, 0), with an edge around it from x to y, (−1, 1, 0; 0, 0, 1): K = −1.
+        self.of(triangle).map(|id| (id, front != self.turned[triangle as usize]))
     }
 
     /// An occluder.
@@ -370,4 +381,52 @@ fn border(
 
 fn flat(p: Vec3, axis: usize) -> [f32; 2] {
     [p[(axis + 1) % 3], p[(axis + 2) % 3]]
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+    use proptest::prelude::*;
+    use sightline_scene::{Object, Triangle};
+
+    use super::*;
+
+    proptest! {
+        /// Lines through the inside of one of two triangles that are one occluder, whichever way each is given.
+        #[test]
+        fn edges_are_passed_on_the_side_that_is_said(
+            corners in prop::array::uniform3(prop::array::uniform2(-8i32..9)), turned in prop::array::uniform2(any::<bool>()),
+            tilt in prop::array::uniform2(-3i32..4), along in prop::array::uniform3(-9i32..10), weights in prop::array::uniform3(1i32..5),
+            second in any::<bool>(),
+        ) {
+            // In a plane that is no coordinate plane; a parallelogram of both triangles, so that all are integers.
+            let at = |[x, y]: [i32; 2]| DVec3::new(f64::from(x), f64::from(y), f64::from(tilt[0] * x + tilt[1] * y));
+            let [a, b, c] = corners.map(at);
+            let d = b + c - a;
+            let normal = (b - a).cross(c - a);
+            let along = DVec3::from(along.map(f64::from));
+            prop_assume!(normal.dot(along) != 0.0);
+            let shapes: Vec<[DVec3; 3]> = [[a, b, c], [d, c, b]]
+                .into_iter()
+                .zip(turned)
+                .map(|([p, q, r], turned)| if turned { [p, r, q] } else { [p, q, r] })
+                .collect();
+            let triangles = shapes.iter().map(|t| Triangle { v: t.map(|p| p.as_vec3()) }).collect();
+            let object = Object { name: "all".to_owned(), first: 0, count: 2 };
+            let scene = Occluders::new(&Scene::new("two", triangles, vec![object]).unwrap()).unwrap();
+            prop_assert_eq!(scene.count(), 1);
+            let [p, q, r] = shapes[usize::from(second)];
+            // A point inside, times the sum of the weights, and the line through it.
+            let w = weights.map(f64::from);
+            let (x, total) = (p * w[0] + q * w[1] + r * w[2], w[0] + w[1] + w[2]);
+            let (way, moment) = (along * total, x.cross(along));
+            let front = (q - p).cross(r - p).dot(along) < 0.0;
+            let (id, negative) = scene.passed(u32::from(second), front).unwrap();
+            for [s, t] in &scene.occluder(id).border {
+                let (s, t) = (s.as_dvec3(), t.as_dvec3());
+                let form = way.dot(s.cross(t)) + moment.dot(t - s);
+                prop_assert!(form != 0.0 && (form < 0.0) == negative, "{} {}", form, negative);
+            }
+        }
+    }
 }

@@ -4,6 +4,8 @@
 //! triangles, and now and then a hyperplane: who checks it derives everything else from the scene, and the steps need not
 //! have been found the same way. See [`crate::checker`] for what each step claims.
 
+use dashu_int::IBig;
+
 /// One step of a proof, in depth-first order.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Step {
@@ -22,8 +24,8 @@ pub enum Step {
     /// The region is split by the hyperplane polar to this vector of world space; the negative side follows, then the
     /// positive one.
     Split {
-        /// The Plücker vector, in doubles.
-        polar: [f64; 6],
+        /// The Plücker vector; any multiple by a positive number says the same.
+        polar: Box<[IBig; 6]>,
     },
     /// The polygon `of` is divided along the line through two of its points; both halves follow, first the one that
     /// begins with `from`. Point 2i is vertex i, point 2i + 1 the middle of the edge after it.

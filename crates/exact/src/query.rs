@@ -18,6 +18,7 @@ use crate::klein::{self, Contents, contents};
 use crate::local::{Found, Local, Snapped, triangles};
 use crate::maps::with_room;
 use crate::occluder::Occluders;
+use crate::polar;
 use crate::polygon::Polygon;
 use crate::prism;
 use crate::proof::{Proof, Step, Which};
@@ -190,16 +191,13 @@ impl Search<'_> {
         depth: u32,
     ) -> Result<(), End> {
         let before = (self.proof.steps.len(), self.proof.occluders.len());
-        // Other cuts leave other regions: where some were of no use, there may be none with occluders as they are.
-        for joined in [true, false] {
-            if self.try_pair(a, b, joined)?.is_ok() {
-                return Ok(());
-            }
-            // What was tried in vain is no part of the proof.
-            self.proof.steps.truncate(before.0);
-            self.proof.occluders.truncate(before.1);
-            self.numbers.retain(|_, number| (*number as usize) < before.1);
+        if self.try_pair(a, b)?.is_ok() {
+            return Ok(());
         }
+        // What was tried in vain is no part of the proof.
+        self.proof.steps.truncate(before.0);
+        self.proof.occluders.truncate(before.1);
+        self.numbers.retain(|_, number| (*number as usize) < before.1);
         if depth == self.limits.divisions {
             return Err(End::Open(Reason::Divisions));
         }
@@ -223,12 +221,11 @@ impl Search<'_> {
         result.map_err(End::Open)
     }
 
-    /// The same without halving; `joined` says whether occluders are joined with their neighbours.
+    /// The same without halving.
     fn try_pair(
         &mut self,
         a: &(Polygon, Vec<Ordering>),
         b: &(Polygon, Vec<Ordering>),
-        joined: bool,
     ) -> Result<Result<(), Stuck>, End> {
         let (near_a, near_b) = (a.0.rounded(), b.0.rounded());
         let mut space = Space::new(Frame::around(&near_a, &near_b));
@@ -252,7 +249,6 @@ impl Search<'_> {
             candidates: Vec::new(),
             border: Vec::new(),
             ends,
-            joined,
         };
         let mut result = Ok(());
         for region in regions {
@@ -295,7 +291,7 @@ impl Search<'_> {
             if found.is_none() && splits < self.limits.splits {
                 splits += 1;
                 self.cost.splits += 1;
-                found = klein::polar(&local.space, &region).and_then(|p| local.split(&region, &p));
+                found = polar::split(&mut local.space, &region);
             }
             let Some((step, outside)) = found else { return Ok(Err(Stuck)) };
             self.proof.steps.push(step);
@@ -314,7 +310,7 @@ impl Search<'_> {
     ) -> Result<Option<Found>, End> {
         for line in lines {
             let Some(ends) = local.snap(line) else { continue };
-            if let Some(found) = self.follow(local, region, line, ends)? {
+            if let Some(found) = self.follow(local, region, ends)? {
                 return Ok(Some(found));
             }
         }
@@ -325,7 +321,7 @@ impl Search<'_> {
     fn feed_back_precisely(&mut self, local: &mut Local<'_>, region: &Region) -> Result<Option<Found>, End> {
         let Some(line) = klein::precise(&mut local.space, region) else { return Ok(None) };
         let Some(ends) = local.snap_precisely(&line) else { return Ok(None) };
-        self.follow(local, region, &crate::number::rounded(&line), ends)
+        self.follow(local, region, ends)
     }
 
     /// Follows one sight line.
@@ -333,7 +329,6 @@ impl Search<'_> {
         &mut self,
         local: &mut Local<'_>,
         region: &Region,
-        line: &[f64; 6],
         (p, q): (Snapped, Snapped),
     ) -> Result<Option<Found>, End> {
         self.cost.lines += 1;
@@ -344,34 +339,34 @@ impl Search<'_> {
             }
             Met::Grazing => Ok(None),
             Met::Blocked(triangles) => {
-                let mut met: Vec<u32> = triangles.iter().filter_map(|t| self.scene.of(*t)).collect();
+                let mut met: Vec<(u32, bool)> =
+                    triangles.iter().filter_map(|(t, front)| self.scene.passed(*t, *front)).collect();
                 met.sort_unstable();
-                met.dedup();
-                Ok(self.subtract_best(local, region, line, &met))
+                met.dedup_by_key(|m| m.0);
+                Ok(self.subtract_best(local, region, &met))
             }
         }
     }
 
-    /// Subtracts the occluder that holds most rays of the region, or the next that takes anything away.
+    /// Subtracts, of the occluders that a line passes, each with whether that is on the negative side of its edges, the one that holds
+    /// most of the region, or the next that takes anything away.
     fn subtract_best(
         &mut self,
         local: &mut Local<'_>,
         region: &Region,
-        line: &[f64; 6],
-        met: &[u32],
+        met: &[(u32, bool)],
     ) -> Option<Found> {
         local.begin();
         let mut ranked: Vec<(u32, bool, u32)> = Vec::with_capacity(met.len());
-        for id in met {
-            let (negative, held) = local.held(self.scene, *id, line);
-            ranked.push((*id, negative, held));
+        for (id, negative) in met {
+            ranked.push((*id, *negative, local.held(self.scene, *id, *negative)));
         }
         ranked.sort_by(|x, y| {
             let edges = |o: u32| self.scene.occluder(o).border.len();
             y.2.cmp(&x.2).then(edges(x.0).cmp(&edges(y.0))).then(x.0.cmp(&y.0))
         });
         for (id, negative, held) in ranked {
-            let grown = if local.joined { local.grow(self.scene, (id, negative, held)) } else { None };
+            let grown = local.grow(self.scene, (id, negative, held));
             // By itself where it has not grown, or where that takes nothing away.
             for grown in [grown, None].into_iter().skip(usize::from(grown.is_none())) {
                 let known = grown.or_else(|| local.constraints(self.scene, id));

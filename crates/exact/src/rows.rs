@@ -138,15 +138,6 @@ impl Rows {
         &self.edges[of]
     }
 
-    /// Which way a line passes what has these edges: all agree, but for rounding.
-    pub fn passes_negatively(&self, edges: &[RimEdge], line: &[f64; 6]) -> bool {
-        let side = |e: &RimEdge| {
-            let s = crate::vector::klein(line, &self.lines[e.line as usize]);
-            if e.back() { -s } else { s }
-        };
-        edges.iter().map(side).sum::<f64>() < 0.0
-    }
-
     /// The rays that are to the left of an edge, or to the right.
     pub fn inside(&mut self, forms: &Forms, edge: RimEdge, negative: bool) -> Bits {
         self.row(forms, edge.line)[usize::from(edge.back() != negative)]

@@ -15,8 +15,9 @@ use crate::vector::Space;
 pub enum Met {
     /// No triangle at all: a witness.
     Nothing,
-    /// It passes through the inside of these triangles.
-    Blocked(Vec<u32>),
+    /// It passes through the inside of these triangles, each with whether that is from the side its corners are seen counter-clockwise
+    /// from.
+    Blocked(Vec<(u32, bool)>),
     /// It touches a triangle's border, and passes through none.
     Grazing,
 }
@@ -39,7 +40,7 @@ impl Local<'_> {
             }
             let corners = self.corner_points(scene, *id);
             match touch(&mut self.space, &mut self.pair, (p, q), *id, corners) {
-                Touch::Through => blocked.push(*id),
+                Touch::Through(front) => blocked.push((*id, front)),
                 Touch::Border => grazing = true,
                 Touch::Not => {}
             }
@@ -71,7 +72,8 @@ fn surely_missed(triangle: &[Vec3; 3], (p, q): (DVec3, DVec3), slack: f64) -> bo
 enum Touch {
     Not,
     Border,
-    Through,
+    /// With whether it comes from the side the corners are seen counter-clockwise from.
+    Through(bool),
 }
 
 /// How the segment meets one triangle.
@@ -88,8 +90,8 @@ fn touch(space: &mut Space, pair: &mut Pair, (p, q): (u32, u32), id: u32, corner
     if sides.contains(&Ordering::Greater) && sides.contains(&Ordering::Less) {
         return Touch::Not;
     }
-    let (at_a, at_b) = match (sp, sq) {
-        (Some(_), Some(_)) => (false, false),
+    let (sp, sq) = match (sp, sq) {
+        (Some(sp), Some(sq)) => (sp, sq),
         _ => {
             // An end may be on the triangle's plane, for one because the triangle is in A's plane or in B's.
             if in_planes(space, pair, id, &corners).contains(&true) {
@@ -99,10 +101,14 @@ fn touch(space: &mut Space, pair: &mut Pair, (p, q): (u32, u32), id: u32, corner
             if sp == sq && sp != Ordering::Equal {
                 return Touch::Not;
             }
-            (sp == Ordering::Equal, sq == Ordering::Equal)
+            (sp, sq)
         }
     };
-    if at_a || at_b || sides.contains(&Ordering::Equal) { Touch::Border } else { Touch::Through }
+    if sp == Ordering::Equal || sq == Ordering::Equal || sides.contains(&Ordering::Equal) {
+        Touch::Border
+    } else {
+        Touch::Through(sp == Ordering::Greater)
+    }
 }
 
 /// Whether a triangle lies in A's plane, and whether in B's: what does is not in between.

@@ -33,11 +33,6 @@ pub fn point(p: [f64; 3]) -> Point {
     [x, y, z, IBig::ONE << up as usize]
 }
 
-/// A vector in doubles, up to a positive factor.
-pub fn vector(v: [f64; 6]) -> Line {
-    scaled(v).0
-}
-
 /// Divided by what all components have in common.
 pub fn reduced<const N: usize>(mut v: [IBig; N]) -> [IBig; N] {
     let mut sizes = v.iter().filter(|x| !x.is_zero()).map(|x| x.clone().unsigned_abs());

@@ -33,7 +33,7 @@ use glam::{DVec3, Vec3};
 use crate::proof::{Proof, Step, Which};
 pub use cell::{CellClaims, CellRefusal, Claim, check_cell};
 use cone::Cone;
-use line::{Line, Plane, Point, height, join, meet, plane, point, reduced, sign, vector};
+use line::{Line, Plane, Point, height, join, meet, plane, point, reduced, sign};
 pub use near::Triangles;
 pub use witness::check_witness;
 
@@ -260,10 +260,7 @@ impl<'a> Check<'a> {
                     open.extend(outside.into_iter().rev());
                 }
                 Step::Split { polar } => {
-                    if !polar.iter().all(|c| c.is_finite()) {
-                        return Err(Refusal::False { step: at, what: "a hyperplane is not finite" });
-                    }
-                    let (positive, negative) = cone.map_or((None, None), |c| c.split(&vector(*polar)));
+                    let (positive, negative) = cone.map_or((None, None), |c| c.split(polar));
                     open.extend([positive, negative]);
                 }
                 Step::Divide { .. } => {

@@ -15,7 +15,7 @@ use crate::proof::{Proof, Step, Which};
 const LEVEL: i32 = 3;
 /// Most bytes the evidence of one cell may unpack to: hundreds of times that of a hard cell.
 const MOST: u64 = 256 << 20;
-/// Most memory it may take once it is read; a step takes a byte or more in a file and some fifty in memory.
+/// Most memory it may take once it is read; a step takes a byte or more in a file and some thirty in memory.
 const MOST_MEMORY: usize = 4 << 30;
 
 /// Bytes that are no evidence.
@@ -194,8 +194,9 @@ fn put_proof(out: &mut Vec<u8>, proof: &Proof) {
                 cuts.iter().for_each(|c| put(out, u64::from(*c)));
             }
             Step::Split { polar } => {
-                out.push(3);
-                polar.iter().for_each(|c| out.extend(c.to_le_bytes()));
+                // Kind 3, the polar in doubles, is no longer written or read.
+                out.push(11);
+                polar.iter().for_each(|c| put_integer(out, c));
             }
             Step::Divide { of, from, to } => {
                 out.push(7);
@@ -275,10 +276,6 @@ impl Reader<'_> {
         if p.is_finite() { Ok(p) } else { Err(EvidenceError("a point is not finite")) }
     }
 
-    fn double(&mut self) -> Result<f64, EvidenceError> {
-        Ok(f64::from_le_bytes(self.bytes()?))
-    }
-
     fn integer(&mut self) -> Result<IBig, EvidenceError> {
         let head = self.number()?;
         let length = usize::try_from(head >> 1).map_err(|_| EvidenceError("a number is too large"))?;
@@ -340,10 +337,10 @@ impl Reader<'_> {
                         .map(|_| self.take::<u16>().and_then(|()| self.small()))
                         .collect::<Result<_, _>>()?,
                 },
-                (3, 0) => {
-                    let mut polar = [0.0; 6];
-                    for c in &mut polar {
-                        *c = self.double()?;
+                (3, 2) => {
+                    let mut polar = Box::new([IBig::ZERO; 6]);
+                    for c in polar.iter_mut() {
+                        *c = self.integer()?;
                     }
                     Step::Split { polar }
                 }
@@ -382,7 +379,7 @@ mod tests {
             Just(Step::Unreal),
             (any::<u32>(), any::<bool>(), prop::collection::vec(any::<u16>(), 0..5))
                 .prop_map(|(occluder, negative, cuts)| Step::Block { occluder, negative, cuts }),
-            prop::array::uniform6(-1e300f64..1e300).prop_map(|polar| Step::Split { polar }),
+            prop::array::uniform6(integer()).prop_map(|polar| Step::Split { polar: Box::new(polar) }),
             (any::<bool>(), any::<u16>(), any::<u16>()).prop_map(|(b, from, to)| Step::Divide {
                 of: if b { Which::B } else { Which::A },
                 from,

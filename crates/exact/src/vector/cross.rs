@@ -72,6 +72,19 @@ fn cross(rows: &[[IBig; 6]; 5]) -> [IBig; 6] {
 }
 
 #[cfg(test)]
+impl Space {
+    /// The cone of six independent vectors.
+    pub fn simplex(&mut self, of: &[[IBig; 6]; 6]) -> crate::cone::Region {
+        let halves = std::array::from_fn::<_, 6, _>(|without| {
+            let others = std::array::from_fn(|k| functional(&of[if k < without { k } else { k + 1 }]));
+            self.fixed(cross(&others))
+        });
+        let rays = (0..6).map(|i| (self.fixed(of[i].clone()), 0b11_1111 & !(1 << i))).collect();
+        crate::cone::Region { rays, halves: halves.into() }
+    }
+}
+
+#[cfg(test)]
 mod tests {
     use proptest::prelude::*;
 

@@ -1,0 +1,156 @@
+//! Splitting a region by a polar hyperplane, where pairs of its rays have both signs of the Klein form but the cone may have
+//! one: nothing real is in it then, but the pairs do not show it.
+//!
+//! Let K(a, a), K(b, b) < 0 < K(a, b), or all the other way round. For any α, β > 0 the hyperplane polar to βb − αa has a on one side
+//! and b on the other: K(a, βb − αa) = βK(a, b) − αK(a, a) and K(b, βb − αa) = βK(b, b) − αK(a, b) have different signs. So
+//! neither part has that pair, and new rays between the two are nearer to each.
+
+use std::cmp::Ordering;
+
+use dashu_int::IBig;
+use dashu_int::ops::BitTest as _;
+
+use crate::cone::Region;
+use crate::klein::fine;
+use crate::local::Found;
+use crate::number::{integers, primitive};
+use crate::predicates::sign;
+use crate::proof::Step;
+use crate::vector::{Space, klein, klein_exact};
+
+/// Bits of a hyperplane, unless it takes more to split a region.
+const SHORT: usize = 64;
+
+/// Splits a region, by as short a hyperplane as does.
+pub fn split(space: &mut Space, region: &Region) -> Option<Found> {
+    if let Some(polar) = rounded(space, region)
+        && let Some(found) = split_by(space, region, &integers(polar).0, SHORT)
+    {
+        return Some(found);
+    }
+    let polar = precise(space, region)?;
+    (1..4).find_map(|k| split_by(space, region, &polar, SHORT << k))
+}
+
+/// Splits a region by the hyperplane polar to a vector of the frame, or rather to that vector cut off in the world after so
+/// many bits.
+fn split_by(space: &mut Space, region: &Region, polar: &[IBig; 6], bits: usize) -> Option<Found> {
+    let mut polar = space.frame().line_to_world(polar);
+    let longest = polar.iter().map(|c| c.bit_len()).max().unwrap_or(0);
+    polar.iter_mut().for_each(|c| *c >>= longest.saturating_sub(bits));
+    if polar.iter().all(IBig::is_zero) {
+        return None;
+    }
+    primitive(&mut polar);
+    let line = space.frame().line_from_world(&polar);
+    let line = space.fixed(line);
+    let mut sides = Vec::new();
+    region.sides(space, line, &mut sides);
+    if !sides.contains(&Ordering::Less) || !sides.contains(&Ordering::Greater) {
+        return None;
+    }
+    let parts = region.split(space, line, &sides).ok()?;
+    Some((Step::Split { polar: Box::new(polar) }, parts.into()))
+}
+
+/// In doubles: for the two rays whose pair is most of the other sign than the centre.
+fn rounded(space: &Space, region: &Region) -> Option<[f64; 6]> {
+    let x: Vec<[f64; 6]> = region.rays.iter().map(|(r, _)| *space.rounded(*r)).collect();
+    let centre: [f64; 6] = std::array::from_fn(|i| x.iter().map(|v| v[i]).sum::<f64>() / x.len() as f64);
+    let wrong = if klein(&centre, &centre) > 0.0 { -1.0 } else { 1.0 };
+    let mut best: Option<(f64, usize, usize)> = None;
+    for i in 0..x.len() {
+        for j in i + 1..x.len() {
+            let value = wrong * klein(&x[i], &x[j]);
+            if value > 0.0 && best.is_none_or(|(v, _, _)| value > v) {
+                best = Some((value, i, j));
+            }
+        }
+    }
+    let (_, i, j) = best?;
+    // As long as each other by the form.
+    let size = |v: &[f64; 6]| klein(v, v).abs().sqrt().max(1e-6);
+    let (p, q) = (size(&x[i]), size(&x[j]));
+    Some(std::array::from_fn(|k| x[j][k] / q - x[i][k] / p))
+}
+
+/// In integers: for the two rays whose pair is most of the other sign than each of them alone, beside what these have.
+fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
+    let rays = fine(space, region);
+    let own: Vec<IBig> = rays.iter().map(|x| klein_exact(x, x)).collect();
+    let mut best: Option<(f64, usize, usize)> = None;
+    for (i, j) in (0..rays.len()).flat_map(|i| (i + 1..rays.len()).map(move |j| (i, j))) {
+        let pair = klein_exact(&rays[i], &rays[j]);
+        let signs = [&own[i], &own[j]].map(sign);
+        if signs[0] != signs[1] || signs[0] == Ordering::Equal || sign(&pair) != signs[0].reverse() {
+            continue;
+        }
+        // How much of the other sign, beside what the two have alone.
+        let [p, q, r] = [&own[i], &pair, &own[j]].map(|x| x.to_f64().value().abs());
+        let much = (q / p) * (q / r);
+        if best.is_none_or(|(m, _, _)| much > m) {
+            best = Some((much, i, j));
+        }
+    }
+    let (_, i, j) = best?;
+    // Roughly of one size; any factors will do.
+    let bits = |x: &IBig| x.bit_len() / 2;
+    let (p, q) = (bits(&own[i]), bits(&own[j]));
+    let (up, over) = (p.saturating_sub(q), q.saturating_sub(p));
+    Some(std::array::from_fn(|k| (&rays[j][k] << up) - (&rays[i][k] << over)))
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use crate::forms::Forms;
+    use crate::frame::Frame;
+    use crate::klein::{self, Contents, contents};
+    use crate::rays::Random;
+
+    /// Six vectors within 2^−`apart` of one real line, each a little off the quadric, to the same side.
+    fn nearly_one(random: &mut Random, apart: usize) -> [[IBig; 6]; 6] {
+        let mut any = || IBig::from((random.unit() * f64::powi(2.0, 40)) as i64) << apart;
+        std::array::from_fn(|_| {
+            let half = IBig::ONE << (39 + apart);
+            let [a, b, d, e] = std::array::from_fn(|_| any() - &half);
+            // K(x, x) = 2(ad + be + cf), negative.
+            let c = IBig::ONE << (40 + 2 * apart);
+            let f = -(&a * &d + &b * &e + (any() << (39 + apart))) / &c;
+            [a, b, c, d, e, f]
+        })
+    }
+
+    #[test]
+    fn what_no_line_is_found_in_can_be_split_until_it_shows() {
+        let square =
+            |z: f64| [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(|[x, y]| DVec3::new(x, y, z));
+        let mut random = Random::new(7, 0);
+        let (mut forms, mut finely) = (Forms::default(), 0);
+        for round in 0..2000 {
+            let mut space = Space::new(Frame::around(&square(0.0), &square(3.0)));
+            let cone = nearly_one(&mut random, 20 + round % 80);
+            let mut open = vec![space.simplex(&cone)];
+            let mut splits = 0;
+            while let Some(region) = open.pop() {
+                if !matches!(contents(&mut space, &region, 2, &mut forms), Contents::Unsure)
+                    || klein::precise(&mut space, &region).is_some()
+                {
+                    continue;
+                }
+                finely += u32::from(
+                    rounded(&space, &region)
+                        .and_then(|p| split_by(&mut space, &region, &integers(p).0, SHORT))
+                        .is_none(),
+                );
+                splits += 1;
+                assert!(splits < 500, "it does not end");
+                let (_, parts) = split(&mut space, &region).expect("a pair has the other sign");
+                open.extend(parts);
+            }
+        }
+        assert!(finely > 100, "{finely} needed integers");
+    }
+}
