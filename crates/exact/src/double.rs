@@ -42,11 +42,24 @@ fn two_product(a: f64, b: f64) -> (f64, f64) {
 }
 
 impl Double {
+    /// a + b exactly.
+    #[inline]
+    pub fn sum(a: f64, b: f64) -> Self {
+        let (s, e) = two_sum(a, b);
+        Self(s, e)
+    }
+
+    /// a·b exactly.
+    #[inline]
+    pub fn product(a: f64, b: f64) -> Self {
+        let (p, e) = two_product(a, b);
+        Self(p, e)
+    }
+
     /// a − b exactly.
     #[inline]
     pub fn difference(a: f64, b: f64) -> Self {
-        let (s, e) = two_sum(a, -b);
-        Self(s, e)
+        Self::sum(a, -b)
     }
 
     /// The sum.

@@ -7,11 +7,11 @@
 use std::cmp::Ordering;
 
 use dashu_int::IBig;
-use dashu_int::ops::BitTest as _;
+use dashu_int::ops::{Abs as _, BitTest as _, SquareRoot as _};
 
 use crate::cone::Region;
 use crate::forms::Forms;
-use crate::number::U;
+use crate::number::{U, rounded};
 use crate::predicates::sign;
 use crate::vector::{Id, Space, klein, klein_exact};
 
@@ -137,6 +137,9 @@ fn beyond(a: &[f64; 6], b: &[f64; 6], from: f64, noise: f64) -> Option<[f64; 6]>
 /// Bits behind the point of rays and parameters where doubles are too coarse.
 const FINE: usize = 256;
 
+/// A form of two rounded vectors is of the sign it seems to be if it is greater than this: as in [`contents`], with each off by u.
+const SURELY: f64 = 64.0 * U;
+
 /// Pairs of rays that are tried where rounding has misled.
 const MOST_TRIED: usize = 8;
 
@@ -162,18 +165,23 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     let sum = |a: &[IBig; 6], b: &[IBig; 6]| -> [IBig; 6] { std::array::from_fn(|i| &a[i] + &b[i]) };
     let centre = rays[1..].iter().fold(rays[0].clone(), |s, r| sum(&s, r));
     let c = klein_exact(&centre, &centre);
-    let wrong = |x: IBig| if sign(&c) == Ordering::Greater { -x } else { x };
-    // Which pairs get farthest to the other side, by doubles; what that comes to is decided by integers. Scaled, lest products
-    // overflow.
+    let turn = if sign(&c) == Ordering::Greater { -1.0 } else { 1.0 };
+    let wrong = |x: IBig| if turn < 0.0 { -x } else { x };
+    // Which pairs get farthest to the other side, by doubles; what that comes to is decided by integers.
+    let near: Vec<[f64; 6]> = rays.iter().map(rounded).collect();
+    // Scaled as these are, lest products overflow.
     let scale = f64::powi(2.0, -2 * FINE as i32);
-    let form = |a: &[IBig; 6], b: &[IBig; 6]| wrong(klein_exact(a, b)).to_f64().value() * scale;
-    let own: Vec<f64> = rays.iter().map(|a| form(a, a)).collect();
+    let form = |i: usize, j: usize| wrong(klein_exact(&rays[i], &rays[j])).to_f64().value() * scale;
+    let own: Vec<f64> = (0..rays.len()).map(|i| form(i, i)).collect();
     let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
-    for (i, a) in rays.iter().enumerate() {
+    for (i, a) in near.iter().enumerate() {
         pairs.push((own[i], i, i));
-        for (j, b) in rays.iter().enumerate().skip(i + 1) {
-            let (p, q, r) = (own[i], form(a, b), own[j]);
-            // The best mix of the two is between them if the form is greater on the pair than on either.
+        for (j, b) in near.iter().enumerate().skip(i + 1) {
+            // No mix of the two has a form above the greatest of p, q and r, and the best is between them if that is q.
+            if turn * klein(a, b) < -SURELY {
+                continue;
+            }
+            let (p, q, r) = (own[i], form(i, j), own[j]);
             if p < q && r < q {
                 pairs.push(((q * q - p * r) / (2.0 * q - p - r), i, j));
             }
@@ -196,17 +204,16 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
         .take(MOST_TRIED)
         .map(|(_, i, j)| mixed((*i, *j)))
         .find(|end| sign(&wrong(klein_exact(end, end))) == Ordering::Greater)?;
-    let (m, e) = (klein_exact(&centre, &end), klein_exact(&end, &end));
-    let whole = IBig::ONE << FINE;
-    let (mut low, mut high) = (IBig::ZERO, whole.clone());
-    for _ in 0..FINE {
-        let t: IBig = (&low + &high) >> 1;
-        let s = &whole - &t;
-        let value = &c * &s * &s + ((&m * &s * &t) << 1) + &e * &t * &t;
-        if sign(&value) == sign(&c) { low = t } else { high = t }
+    if c.is_zero() {
+        return Some(centre);
     }
-    let rest = &whole - &low;
-    Some(std::array::from_fn(|k| &centre[k] * &rest + &end[k] * &low))
+    // As in `crossing`: e s² + 2m s + c = 0 for the line through centre + s·end, s = n/d.
+    let (m, e) = (klein_exact(&centre, &end), klein_exact(&end, &end));
+    let under = &m * &m - &c * &e;
+    let up = FINE.saturating_sub(under.bit_len() / 2);
+    let root = IBig::from((under << (2 * up)).sqrt()) + (m.clone().abs() << up);
+    let (n, d) = if sign(&m) == sign(&e) { (c.abs() << up, root) } else { (root, e.abs() << up) };
+    Some(std::array::from_fn(|k| &centre[k] * &d + &end[k] * &n))
 }
 
 /// The t in [0, 1] at which c(1−t)² + 2m t(1−t) + e t² vanishes, c and e having different signs.

@@ -123,14 +123,39 @@ mod tests {
         })
     }
 
-    #[test]
-    fn what_no_line_is_found_in_can_be_split_until_it_shows() {
+    fn space() -> Space {
         let square =
             |z: f64| [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(|[x, y]| DVec3::new(x, y, z));
+        Space::new(Frame::around(&square(0.0), &square(3.0)))
+    }
+
+    #[test]
+    fn lines_that_doubles_do_not_show_are_real_and_inside() {
+        let mut random = Random::new(5, 0);
+        let mut found = 0;
+        for round in 0..800 {
+            let mut space = space();
+            let region = space.simplex(&nearly_one(&mut random, 20 + round % 80));
+            let Some(line) = klein::precise(&mut space, &region) else { continue };
+            found += 1;
+            let bits = line.iter().map(|c| c.bit_len()).max().unwrap();
+            assert!(klein_exact(&line, &line).bit_len() + 250 < 2 * bits, "round {round}");
+            // On the side of each facet that the ray off it is on.
+            for (half, (ray, _)) in region.halves.iter().zip(&region.rays) {
+                let (half, ray) = (space.exact(*half).clone(), space.exact(*ray).clone());
+                let sides = [&line, &ray].map(|x| sign(&klein_exact(x, &half)));
+                assert!(sides[0] == sides[1] || sides[0] == Ordering::Equal, "round {round}");
+            }
+        }
+        assert!(found > 100, "{found} had lines");
+    }
+
+    #[test]
+    fn what_no_line_is_found_in_can_be_split_until_it_shows() {
         let mut random = Random::new(7, 0);
         let (mut forms, mut finely) = (Forms::default(), 0);
         for round in 0..2000 {
-            let mut space = Space::new(Frame::around(&square(0.0), &square(3.0)));
+            let mut space = space();
             let cone = nearly_one(&mut random, 20 + round % 80);
             let mut open = vec![space.simplex(&cone)];
             let mut splits = 0;

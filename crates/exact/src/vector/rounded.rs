@@ -16,6 +16,9 @@ use crate::number::{U, normalised, rounded_double};
 /// again more precisely, whatever this is.
 const COARSE: f64 = 1e-9;
 
+/// Rays that are known as well as this in pairs of doubles need no integers to be told from what they are not on.
+const PRECISE: f64 = 1e-22;
+
 impl Space {
     /// Adds a vector given in pairs of doubles and how far they may be off.
     pub(super) fn push(&mut self, x: [Double; 6], fine: f64, origin: Origin) -> Id {
@@ -149,7 +152,7 @@ impl Space {
         // Not so for what is no number, either.
         let good = room > 0.0 && error < COARSE;
         if !good {
-            match self.solved(x, error, &on()) {
+            match self.solved(x, error, &on(), false) {
                 Some(Solved::Doubles(x, error)) => {
                     let (x, scale) = normalised(x);
                     let sum = x.iter().map(|c| c.abs()).sum();
@@ -160,6 +163,18 @@ impl Space {
             }
         }
         id
+    }
+
+    /// Computes a ray in pairs of doubles from the lines it is on, if that is about as good as pairs of doubles get; says whether.
+    pub(super) fn refine_from(&mut self, ray: Id, on: &[Id]) -> bool {
+        let near = &self.near[ray as usize];
+        match self.solved(near.x, near.error, on, true) {
+            Some(Solved::Pairs(x, fine)) if fine < PRECISE => {
+                self.set(ray, x, fine);
+                true
+            }
+            _ => false,
+        }
     }
 
     /// Computes a cut in pairs of doubles, and what it is made of.

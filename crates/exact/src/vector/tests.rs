@@ -5,12 +5,13 @@ use glam::DVec3;
 use proptest::prelude::*;
 
 use super::solved::Solved;
-use super::{Id, Space};
+use super::{Id, Space, klein_exact};
 use crate::cone::Region;
 use crate::double::Double;
 use crate::frame::Frame;
 use crate::number::rounded_double;
 use crate::polygon::Polygon;
+use crate::predicates::sign;
 use crate::prism;
 use crate::query::parts;
 
@@ -81,7 +82,7 @@ proptest! {
                 let x = space.rounded(*ray).map(|c| Double(c, 0.0));
                 let error = space.error(*ray);
                 let lines: Vec<Id> = region.tight(*tight).collect();
-                let solved = space.solved(*space.rounded(*ray), error, &lines);
+                let solved = [false, true].map(|best| space.solved(*space.rounded(*ray), error, &lines, best));
                 let exact = space.exact(*ray).clone();
                 // From the lines it is on it is the same as by the cuts it comes from.
                 space.vectors[*ray as usize].exact = None;
@@ -93,12 +94,38 @@ proptest! {
                 }
                 // What agrees in the greatest component is off by up to three times as much.
                 prop_assert!(off(x, &exact) <= 3.1 * error + 1e-30, "{} {error}", off(x, &exact));
-                let solved = solved.map(|s| match s {
-                    Solved::Doubles(x, error) => (x.map(|c| Double(c, 0.0)), error),
-                    Solved::Pairs(x, error) => (x, error),
-                });
-                if let Some((x, error)) = solved {
+                for solved in solved.into_iter().flatten() {
+                    let (x, error) = match solved {
+                        Solved::Doubles(x, error) => (x.map(|c| Double(c, 0.0)), error),
+                        Solved::Pairs(x, error) => (x, error),
+                    };
                     prop_assert!(off(x, &exact) <= 3.1 * error + 1e-30, "{} {error}", off(x, &exact));
+                }
+            }
+        }
+    }
+
+    /// Regions cut by edges of few points, so that many rays are lines, and combinations of those others are on.
+    #[test]
+    fn forms_that_are_0_for_a_reason_are_0(
+        points in prop::collection::vec(prop::array::uniform3(-2i32..3), 6), cuts in prop::collection::vec((0usize..6, 0usize..6), 1..6),
+    ) {
+        let at: Vec<DVec3> = points.iter().map(|p| DVec3::from(p.map(f64::from)) / 4.0 + DVec3::Z).collect();
+        let triangle = |z: f64| [[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]].map(|[x, y]| DVec3::new(x, y, z));
+        let cuts: Vec<_> = cuts.iter().filter(|(p, q)| at[*p] != at[*q]).map(|(p, q)| (at[*p], at[*q], 0.0)).collect();
+        let Some((mut space, regions)) = regions(triangle(0.0), triangle(2.0), &cuts) else { return Ok(()) };
+        for region in &regions {
+            let on: Vec<Vec<Id>> = region.rays.iter().map(|(_, t)| region.tight(*t).collect()).collect();
+            for (i, (a, _)) in region.rays.iter().enumerate() {
+                for (j, (b, _)) in region.rays.iter().enumerate().skip(i) {
+                    let side = space.rays_side((*a, &on[i]), (*b, &on[j]));
+                    let exact = [*a, *b].map(|x| space.exact(x).clone());
+                    prop_assert_eq!(side, sign(&klein_exact(&exact[0], &exact[1])));
+                }
+                for line in region.halves.iter() {
+                    let side = space.unfiltered_ray_side(*a, *line, on[i].iter().copied());
+                    let exact = [*a, *line].map(|x| space.exact(x).clone());
+                    prop_assert_eq!(side, sign(&klein_exact(&exact[0], &exact[1])));
                 }
             }
         }

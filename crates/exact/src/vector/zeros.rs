@@ -8,6 +8,7 @@ use std::cmp::Ordering;
 use glam::DVec3;
 
 use super::{Id, Meeting, Origin, Space};
+use crate::cone::Tight;
 use crate::number::U;
 
 impl Space {
@@ -25,10 +26,9 @@ impl Space {
 
     /// The sign where no reason is known for its being 0, of vectors of which some are rays on these lines.
     fn unexplained_side(&mut self, [a, b]: [Id; 2], rays: &[(Id, &[Id])]) -> Ordering {
-        // Pairs of doubles along the chain of cuts a ray comes from cost as much as its integers from the lines it is on, so only
-        // those that are there already are asked first.
+        // By pairs of doubles from the lines a ray is on: along the chain of cuts it comes from they cost as much as integers.
         for (ray, on) in rays {
-            if !self.vectors[*ray as usize].refined {
+            if !self.vectors[*ray as usize].refined && !self.refine_from(*ray, on) {
                 self.sharpen_from(*ray, on);
             }
         }
@@ -41,8 +41,8 @@ impl Space {
         self.exact_side(a, b)
     }
 
-    /// Whether `line` is seen to be a combination of some of `lines`: of two of a pencil it is in, or of three that meet
-    /// pairwise. Three lines that meet pairwise lie in a plane or pass through a point; if they are independent, a line that
+    /// Whether `line` is seen to be a combination of some of `lines`: of one that is the same (a target's edge is its neighbour's, too), of two
+    /// of a pencil it is in, or of three that meet pairwise. Three lines that meet pairwise lie in a plane or pass through a point; if they are independent, a line that
     /// meets all three lies in that plane or passes through that point, too, and the lines that do span three dimensions.
     fn spans(&mut self, line: Id, lines: &[Id]) -> bool {
         if !self.is_line(line) {
@@ -51,6 +51,9 @@ impl Space {
         let mut met: Vec<Id> = Vec::with_capacity(8);
         for l in lines {
             if self.is_line(*l) && self.meets(line, *l) {
+                if self.same_line(line, *l).is_some() {
+                    return true;
+                }
                 met.push(*l);
             }
         }
@@ -127,11 +130,11 @@ impl Space {
     /// The Klein form's sign for two rays that are known to be on all of the lines `s` and `t`, where filters cannot tell.
     ///
     /// It is 0 for two rays on three independent lines that meet pairwise: these span a space W of three dimensions on which
-    /// the form vanishes, W is all that is on all of W, and so both rays are in W. It is also 0 if one of the rays is itself
-    /// a line that the other is on: an extreme ray is the only one on all of its lines, so a line that meets them all is it.
+    /// the form vanishes, W is all that is on all of W, and so both rays are in W. It is also 0 if one of the rays is a combination of
+    /// lines that the other is on ([`Space::combines`]).
     pub fn rays_side(&mut self, (a, s): (Id, &[Id]), (b, t): (Id, &[Id])) -> Ordering {
         let common: Vec<Id> = s.iter().copied().filter(|l| self.is_line(*l) && t.contains(l)).collect();
-        if self.triple(&common) || self.is_one_of(s, t) || (a != b && self.is_one_of(t, s)) {
+        if self.triple(&common) || self.combines(s, t) || (a != b && self.combines(t, s)) {
             self.decisions.spanned += 1;
             return Ordering::Equal;
         }
@@ -155,9 +158,29 @@ impl Space {
         false
     }
 
-    /// Whether one of the lines meets all that an extreme ray is on, and so is that ray.
-    fn is_one_of(&mut self, ray: &[Id], lines: &[Id]) -> bool {
-        lines.iter().any(|l| ray.iter().all(|r| self.meets(*l, *r)))
+    /// Whether the extreme ray that is on all of `ray` is seen to be one of the lines, or a combination of two.
+    ///
+    /// An extreme ray is the only one on all of its lines. So a line that meets them all is that ray, and if two lines meet all but one
+    /// of them, the combination of the two that is on that one, too.
+    fn combines(&mut self, ray: &[Id], lines: &[Id]) -> bool {
+        // Which of the ray's lines each line does not meet, a bit each; a vector that is no line is met by none.
+        let mut missed: Vec<(Id, Tight)> = Vec::with_capacity(lines.len());
+        for l in lines.iter().filter(|l| self.is_line(**l)).copied().collect::<Vec<_>>() {
+            let miss = ray.iter().enumerate().fold(0, |m, (k, r)| m | Tight::from(!self.meets(l, *r)) << k);
+            if miss == 0 {
+                return true;
+            }
+            missed.push((l, miss));
+        }
+        for (k, (l, m)) in missed.iter().enumerate() {
+            for (o, n) in &missed[k + 1..] {
+                // Of one line twice the combination could be 0.
+                if (m | n).is_power_of_two() && self.same_line(*l, *o).is_none() {
+                    return true;
+                }
+            }
+        }
+        false
     }
 
     /// The points in the world that three lines join; a frame is linear in lines and makes none dependent.
