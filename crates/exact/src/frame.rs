@@ -354,7 +354,12 @@ mod tests {
         #[test]
         fn lines_go_where_their_points_go(
             a in prop::collection::vec(near(), 3), b in prop::collection::vec(near(), 4),
+            scale in -40i32..40, far in near(), away in -20i32..20,
         ) {
+            let t = far * f64::powi(2.0, away);
+            let place = |p: &DVec3| ((*p + t) * f64::powi(2.0, scale)).as_vec3().as_dvec3();
+            let (a, b): (Vec<_>, Vec<_>) = (a.iter().map(place).collect(), b.iter().map(place).collect());
+            prop_assume!(a[0] != b[0]);
             let frame = Frame::around(&a, &b);
             let join = |[p, q]: [[IBig; 4]; 2]| -> [IBig; 6] {
                 let d = |i: usize| &q[i] * &p[3] - &p[i] * &q[3];

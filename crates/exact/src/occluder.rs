@@ -53,7 +53,7 @@ pub struct Occluders {
     occluders: Vec<Occluder>,
     /// The occluder of each triangle; none for those without area.
     of: Vec<Option<u32>>,
-    /// Whether its occluder has a triangle turned round.
+    /// Whether each triangle is turned round in its occluder.
     turned: Vec<bool>,
     rims: Rims,
     /// Three corner numbers a triangle.
@@ -115,8 +115,8 @@ impl Occluders {
         self.of[triangle as usize]
     }
 
-    /// The occluder a line meets that meets a triangle, from the side its corners are seen counter-clockwise from or not; and whether
-    /// it passes the occluder's edges on their negative side.
+    /// The occluder of a triangle that a line goes through, and whether the line passes the occluder's edges on their negative side.
+    /// `front` says whether it comes from the side the triangle's corners are seen counter-clockwise from.
     pub fn passed(&self, triangle: u32, front: bool) -> Option<(u32, bool)> {
         // Down the z axis, (0, 0, −1; 0, 0, 0), with an edge around it from x to y, (−1, 1, 0; 0, 0, 1): K = −1.
         self.of(triangle).map(|id| (id, front != self.turned[triangle as usize]))

@@ -15,7 +15,7 @@ use crate::proof::{Proof, Step, Which};
 const LEVEL: i32 = 3;
 /// Most bytes the evidence of one cell may unpack to: hundreds of times that of a hard cell.
 const MOST: u64 = 256 << 20;
-/// Most memory it may take once it is read; a step takes a byte or more in a file and some thirty in memory.
+/// Most memory it may take once it is read; a step takes a byte or more in a file and a good thirty in memory.
 const MOST_MEMORY: usize = 4 << 30;
 
 /// Bytes that are no evidence.
@@ -106,6 +106,7 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<Evidence, EvidenceError>
         let witness = match from.byte()? {
             0 => Witness::Floats([from.point()?, from.point()?]),
             1 => {
+                from.take::<[[IBig; 4]; 2]>()?;
                 let mut next = || -> Result<[IBig; 4], EvidenceError> {
                     Ok([from.integer()?, from.integer()?, from.integer()?, from.integer()?])
                 };
@@ -338,6 +339,7 @@ impl Reader<'_> {
                         .collect::<Result<_, _>>()?,
                 },
                 (3, 2) => {
+                    self.take::<[IBig; 6]>()?;
                     let mut polar = Box::new([IBig::ZERO; 6]);
                     for c in polar.iter_mut() {
                         *c = self.integer()?;

@@ -1,8 +1,8 @@
 //! Six-vectors in doubles, with bounds on their errors: what decides nearly all signs.
 //!
-//! A cut is computed in doubles from the doubles of what it is made of; only when a filter fails is it computed anew in pairs of
-//! doubles, and everything it comes from before it. That makes its doubles as good as doubles get, so errors do not add up
-//! along the chain for long. Where they do, a ray is solved from the lines it is on ([`super::solved`]).
+//! A cut is computed in doubles from the doubles of what it is made of. Where errors have added up along the chain, or a filter fails,
+//! it is solved from the lines it is on ([`super::solved`]), in pairs of doubles if need be; where that does not do, it is computed in these from
+//! what it was cut from, and everything it comes from before it.
 
 use std::cmp::Ordering;
 
@@ -16,7 +16,7 @@ use crate::number::{U, normalised, rounded_double};
 /// again more precisely, whatever this is.
 const COARSE: f64 = 1e-9;
 
-/// Rays that are known as well as this in pairs of doubles need no integers to be told from what they are not on.
+/// Rays that are known as well as this in pairs of doubles are asked about so before integers are.
 const PRECISE: f64 = 1e-22;
 
 impl Space {

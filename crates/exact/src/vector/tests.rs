@@ -1,5 +1,7 @@
 //! Bounds hold: every ray is as near to its integers as it says, however it was computed.
 
+use std::cmp::Ordering;
+
 use dashu_int::IBig;
 use glam::DVec3;
 use proptest::prelude::*;
@@ -14,6 +16,7 @@ use crate::polygon::Polygon;
 use crate::predicates::sign;
 use crate::prism;
 use crate::query::parts;
+use crate::rays::Random;
 
 fn point() -> impl Strategy<Value = DVec3> {
     prop::array::uniform3(-64i32..64).prop_map(|p| DVec3::from(p.map(f64::from)) / 64.0)
@@ -105,32 +108,6 @@ proptest! {
         }
     }
 
-    /// Regions cut by edges of few points, so that many rays are lines, and combinations of those others are on.
-    #[test]
-    fn forms_that_are_0_for_a_reason_are_0(
-        points in prop::collection::vec(prop::array::uniform3(-2i32..3), 6), cuts in prop::collection::vec((0usize..6, 0usize..6), 1..6),
-    ) {
-        let at: Vec<DVec3> = points.iter().map(|p| DVec3::from(p.map(f64::from)) / 4.0 + DVec3::Z).collect();
-        let triangle = |z: f64| [[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]].map(|[x, y]| DVec3::new(x, y, z));
-        let cuts: Vec<_> = cuts.iter().filter(|(p, q)| at[*p] != at[*q]).map(|(p, q)| (at[*p], at[*q], 0.0)).collect();
-        let Some((mut space, regions)) = regions(triangle(0.0), triangle(2.0), &cuts) else { return Ok(()) };
-        for region in &regions {
-            let on: Vec<Vec<Id>> = region.rays.iter().map(|(_, t)| region.tight(*t).collect()).collect();
-            for (i, (a, _)) in region.rays.iter().enumerate() {
-                for (j, (b, _)) in region.rays.iter().enumerate().skip(i) {
-                    let side = space.rays_side((*a, &on[i]), (*b, &on[j]));
-                    let exact = [*a, *b].map(|x| space.exact(x).clone());
-                    prop_assert_eq!(side, sign(&klein_exact(&exact[0], &exact[1])));
-                }
-                for line in region.halves.iter() {
-                    let side = space.unfiltered_ray_side(*a, *line, on[i].iter().copied());
-                    let exact = [*a, *line].map(|x| space.exact(x).clone());
-                    prop_assert_eq!(side, sign(&klein_exact(&exact[0], &exact[1])));
-                }
-            }
-        }
-    }
-
     /// Of lines between few points, so that many meet and some are dependent.
     #[test]
     fn what_is_surely_independent_is(
@@ -156,4 +133,57 @@ proptest! {
             prop_assert_eq!(truth, Some(true));
         }
     }
+}
+
+/// Regions cut by edges of few points, corners of the polygons among them, so that many rays are lines, and combinations of those others
+/// are on; between polygons apart, and such that have edges on one line.
+#[test]
+fn forms_that_are_0_for_a_reason_are_0() {
+    let mut random = Random::new(3, 0);
+    // Forms that are 0, of two rays and of a ray with a line: in all, and for no reason that was seen.
+    let (mut zeros, mut unexplained) = ([0; 2], [0; 2]);
+    for round in 0..400 {
+        let mut any = |n: i32| (random.unit() * f64::from(n)) as i32;
+        let a = [[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]].map(|[x, y]| DVec3::new(x, y, 0.0));
+        let b = if round % 2 == 0 {
+            a.map(|p| p + 2.0 * DVec3::Z)
+        } else {
+            [DVec3::new(2.0, -1.0, 0.0), DVec3::new(3.0, -1.0, 0.0), DVec3::new(2.0, 0.0, 2.0)]
+        };
+        let middle = (a[0] + a[1] + a[2] + b[0] + b[1] + b[2]) / 6.0;
+        let mut at: Vec<DVec3> = (0..5)
+            .map(|_| middle + DVec3::from([any(5), any(5), any(5)].map(|c| f64::from(c - 2))) / 4.0)
+            .collect();
+        at.extend(a.iter().chain(&b));
+        let cuts: Vec<_> = (0..5)
+            .map(|_| (any(at.len() as i32) as usize, any(at.len() as i32) as usize))
+            .filter(|(p, q)| at[*p] != at[*q])
+            .map(|(p, q)| (at[p], at[q], 0.0))
+            .collect();
+        let Some((mut space, regions)) = regions(a, b, &cuts) else { continue };
+        for region in &regions {
+            let on: Vec<Vec<Id>> = region.rays.iter().map(|(_, t)| region.tight(*t).collect()).collect();
+            for (i, (a, _)) in region.rays.iter().enumerate() {
+                let mut check = |side: Ordering, space: &mut Space, b: Id, kind: usize, before: u64| {
+                    let [x, y] = [*a, b].map(|x| space.exact(x).clone());
+                    assert_eq!(side, sign(&klein_exact(&x, &y)), "round {round}");
+                    zeros[kind] += u32::from(side == Ordering::Equal);
+                    let seen = space.decisions.spanned > before;
+                    unexplained[kind] += u32::from(side == Ordering::Equal && !seen);
+                };
+                for (j, (b, _)) in region.rays.iter().enumerate().skip(i) {
+                    let before = space.decisions.spanned;
+                    let side = space.rays_side((*a, &on[i]), (*b, &on[j]));
+                    check(side, &mut space, *b, 0, before);
+                }
+                for line in region.halves.iter() {
+                    let before = space.decisions.spanned;
+                    let side = space.unfiltered_ray_side(*a, *line, on[i].iter().copied());
+                    check(side, &mut space, *line, 1, before);
+                }
+            }
+        }
+    }
+    // Most have one: without either rule more than a tenth has none.
+    assert!((0..2).all(|k| unexplained[k] * 10 < zeros[k]), "{unexplained:?} of {zeros:?}");
 }

@@ -41,9 +41,10 @@ impl Space {
         self.exact_side(a, b)
     }
 
-    /// Whether `line` is seen to be a combination of some of `lines`: of one that is the same (a target's edge is its neighbour's, too), of two
-    /// of a pencil it is in, or of three that meet pairwise. Three lines that meet pairwise lie in a plane or pass through a point; if they are independent, a line that
-    /// meets all three lies in that plane or passes through that point, too, and the lines that do span three dimensions.
+    /// Whether `line` is seen to be a combination of some of `lines`: of one that is the same (a target's edge is its neighbour's, too),
+    /// of two of a pencil it is in, or of three that meet pairwise. Three lines that meet pairwise lie in a plane or pass through a
+    /// point; if they are independent, a line that meets all three lies in that plane or passes through that point, too, and the lines
+    /// that do span three dimensions.
     fn spans(&mut self, line: Id, lines: &[Id]) -> bool {
         if !self.is_line(line) {
             return false;
