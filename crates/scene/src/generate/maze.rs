@@ -45,19 +45,19 @@ pub(super) fn grid(
 ) -> Result<[u32; 2], GenerateError> {
     let [cols, rows] = match (params.grid, params.triangles) {
         (Some(_), Some(_)) if kind == Kind::Maze => {
-            return Err(contradiction(kind, "the grid already fixes it"));
+            return Err(contradiction(kind, "--grid already fixes it"));
         }
         (Some(grid), _) => grid.map(u64::from),
         (None, Some(total)) => {
-            within(kind, "triangles", total, least, MAX_TRIANGLES)?;
+            within(kind, "--triangles", total, least, MAX_TRIANGLES)?;
             // The border's pillars and walls cost a strip of cells more.
             let side = isqrt(total / per_cell).saturating_sub(1).max(1);
             [side, ((total / per_cell).saturating_sub(side) / (side + 1)).max(1)]
         }
         (None, None) => default.map(u64::from),
     };
-    within(kind, "grid columns", cols, 1, MAX_SIDE)?;
-    within(kind, "grid rows", rows, 1, MAX_SIDE)?;
+    within(kind, "columns of --grid", cols, 1, MAX_SIDE)?;
+    within(kind, "rows of --grid", rows, 1, MAX_SIDE)?;
     within(kind, "columns × rows × triangles each", cols * rows * per_cell, 1, MAX_TRIANGLES)?;
     // Both are at most MAX_SIDE.
     Ok([cols as u32, rows as u32])

@@ -95,7 +95,7 @@ pub enum GenerateError {
     OutOfRange {
         /// Name of the kind.
         kind: &'static str,
-        /// The option at fault.
+        /// The option at fault, as `sightline generate` calls it.
         option: &'static str,
         /// What was given, or what the options given come to.
         value: String,
@@ -109,7 +109,7 @@ pub enum GenerateError {
     NotApplicable {
         /// Name of the kind.
         kind: &'static str,
-        /// The option at fault.
+        /// The option at fault, as `sightline generate` calls it.
         option: &'static str,
         /// Why.
         reason: &'static str,
@@ -126,10 +126,10 @@ pub enum GenerateError {
 /// [`GenerateError::NotApplicable`] for options of another kind.
 pub fn generate(kind: Kind, params: &Params) -> Result<Scene, GenerateError> {
     let foreign = [
-        ("trees", params.trees.is_some(), kind == Kind::Forest),
-        ("triangles per tree", params.triangles_per_tree.is_some(), kind == Kind::Forest),
-        ("grid", params.grid.is_some(), matches!(kind, Kind::Rooms | Kind::Maze | Kind::Slits)),
-        ("slit width", params.slit_width.is_some(), kind == Kind::Slits),
+        ("--trees", params.trees.is_some(), kind == Kind::Forest),
+        ("--triangles-per-tree", params.triangles_per_tree.is_some(), kind == Kind::Forest),
+        ("--grid", params.grid.is_some(), matches!(kind, Kind::Rooms | Kind::Maze | Kind::Slits)),
+        ("--slit-width", params.slit_width.is_some(), kind == Kind::Slits),
     ];
     for (option, given, applies) in foreign {
         if given && !applies {
@@ -169,7 +169,7 @@ fn within<T: PartialOrd + std::fmt::Display>(
 
 /// Refuses `triangles` beside options that already fix the number.
 fn contradiction(kind: Kind, reason: &'static str) -> GenerateError {
-    GenerateError::NotApplicable { kind: kind.name(), option: "triangles", reason }
+    GenerateError::NotApplicable { kind: kind.name(), option: "--triangles", reason }
 }
 
 /// The greatest integer whose square is not above `x`.
@@ -260,7 +260,7 @@ mod tests {
             assert!(with(kind, Params { grid: Some([u32::MAX; 2]), ..d }).contains("must be from"));
         }
         for w in [0.0, -1.0, f32::NAN, 1.0, 1e-9] {
-            assert!(with(Kind::Slits, Params { slit_width: Some(w), ..d }).contains("slit width is"));
+            assert!(with(Kind::Slits, Params { slit_width: Some(w), ..d }).contains("--slit-width is"));
         }
         assert!("castle".parse::<Kind>().is_err());
         assert_eq!("maze".parse::<Kind>().unwrap(), Kind::Maze);

@@ -15,7 +15,7 @@ const PIECES: u64 = 3;
 
 pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateError> {
     if let Some(total) = params.triangles {
-        within(Kind::Rooms, "triangles", total, 300, MAX_TRIANGLES)?;
+        within(Kind::Rooms, "--triangles", total, 300, MAX_TRIANGLES)?;
     }
     let [cols, rows] = maze::grid(Kind::Rooms, params, PER_ROOM, [6, 4], 300)?;
     let rooms = u64::from(cols) * u64::from(rows);

@@ -27,23 +27,23 @@ const PER_WALL: u64 = 28;
 pub fn layout(params: &Params) -> Result<Vec<Vec<[f32; 2]>>, GenerateError> {
     const KIND: Kind = Kind::Slits;
     let [walls, slits] = match (params.grid, params.triangles) {
-        (Some(_), Some(_)) => return Err(contradiction(KIND, "the grid already fixes it")),
+        (Some(_), Some(_)) => return Err(contradiction(KIND, "--grid already fixes it")),
         (Some(grid), None) => grid.map(u64::from),
         (None, Some(total)) => {
-            within(KIND, "triangles", total, 140, MAX_TRIANGLES)?;
+            within(KIND, "--triangles", total, 140, MAX_TRIANGLES)?;
             let walls = (isqrt(total) / 16).clamp(2, 64);
             [walls, ((total / (walls - 1)).saturating_sub(PER_WALL) / PER_SLIT).max(1)]
         }
         (None, None) => [5, 4],
     };
-    within(KIND, "walls", walls, 2, 10_000)?;
-    within(KIND, "slits to a wall", slits, 1, 1_000_000)?;
+    within(KIND, "walls of --grid", walls, 2, 10_000)?;
+    within(KIND, "slits of --grid", slits, 1, 1_000_000)?;
     let size = (walls - 1) * (slits * PER_SLIT + PER_WALL);
     within(KIND, "triangles of the walls and slits asked for", size, 1, MAX_TRIANGLES)?;
-    let width = within(KIND, "slit width", params.slit_width.unwrap_or(default_width(slits)), 1e-7, 0.1)?;
+    let width = within(KIND, "--slit-width", params.slit_width.unwrap_or(default_width(slits)), 1e-7, 0.1)?;
     // Each slit lies in the middle half of its own strip, so neighbours stay apart.
     let strip = 1.0 / slits as f32;
-    within(KIND, "slit width × slits to a wall", width * slits as f32, 0.0, 0.25)?;
+    within(KIND, "--slit-width times the slits to a wall", width * slits as f32, 0.0, 0.25)?;
     Ok((0..walls - 1)
         .map(|wall| {
             let mut r = Random::new(params.seed, wall);
