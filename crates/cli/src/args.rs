@@ -315,7 +315,7 @@ pub struct VerifyArgs {
     #[arg(value_name = "OUT.pvs")]
     pub result: PathBuf,
     /// Check only what is claimed about this many pairs of cell and triangle, drawn evenly from all; that every triangle is
-    /// accounted for is checked all the same. At most 10000000. Default: everything, which takes about as long as the bake.
+    /// accounted for is checked all the same. At most 10000000. Default: everything, which can take several times as long as the bake.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     pub sample: Option<u64>,
     /// Seed of the draw.
@@ -364,7 +364,7 @@ pub struct MeasureArgs {
 ///   {"id":1,"state":"undecided","reason":"…","micros":…}                neither, within the limits
 ///
 /// No tolerance decides: a gap a millionth of a wall wide is seen through, a shared edge is not. What is seen only along
-/// single lines, such as an edge, counts as hidden.
+/// single lines, such as an edge, counts as hidden; so do polygons in one plane from each other, with no blockers.
 #[derive(Args, Debug)]
 #[command(verbatim_doc_comment)]
 pub struct SightlinesArgs {

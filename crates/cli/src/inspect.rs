@@ -156,7 +156,7 @@ impl Summary {
                 plural(self.objects, "object"),
                 self.method
             ),
-            format!("view box {} to {}", self.view_box["min"], self.view_box["max"]),
+            format!("view box {} to {}", corner(&self.view_box["min"]), corner(&self.view_box["max"])),
             match self.undecided {
                 0 => format!(
                     "visible from a cell: {:.0} triangles on average ({:.2} %), {} to {}; undecided: 0",
@@ -166,12 +166,12 @@ impl Summary {
                     self.max_visible,
                 ),
                 undecided => format!(
-                    "drawn from a cell: {:.0} triangles on average ({:.2} %), {} to {}; of these {:.0} are undecided, {undecided} in all cells",
+                    "visible from a cell: between {:.0} and {:.0} triangles on average; drawn: the latter ({:.2} %), {} to {}; undecided: {undecided} in all cells",
+                    self.mean_visible - undecided as f64 / f64::from(self.cells),
                     self.mean_visible,
                     self.mean_visible_fraction * 100.0,
                     self.min_visible,
                     self.max_visible,
-                    undecided as f64 / f64::from(self.cells),
                 ),
             },
             format!(
@@ -188,7 +188,9 @@ impl Summary {
                 _ if self.info["sampling"]["max_error"].is_number() => {
                     "missed sight lines: the bound asked for was not reached in any cell".to_owned()
                 }
-                _ if self.decided.is_some() => "missed sight lines: none".to_owned(),
+                _ if self.decided.is_some() => {
+                    "missed sight lines: none, what is undecided is drawn".to_owned()
+                }
                 _ => "missed sight lines: not bounded (--max-error F bounds them)".to_owned(),
             },
         ];
@@ -371,4 +373,12 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
         undecided.len(),
         list.join(if args.items == Items::Objects { "\n" } else { " " })
     ))
+}
+
+/// A point as its coordinates are in single precision, which they were given in.
+fn corner(of: &serde_json::Value) -> String {
+    let coordinates = of.as_array().map_or(&[][..], |c| c);
+    let short: Vec<String> =
+        coordinates.iter().map(|c| c.as_f64().map_or("?".to_owned(), |c| (c as f32).to_string())).collect();
+    format!("({})", short.join(", "))
 }

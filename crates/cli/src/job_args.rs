@@ -16,7 +16,7 @@ use crate::progress::say;
 /// What is to be baked.
 #[derive(Args, Clone, Debug)]
 pub struct JobArgs {
-    /// How far visibility is decided. aggressive: by sampling, which sees nothing that is not visible and may miss little;
+    /// How far visibility is decided. aggressive: by sampling, which may miss little and, but for rays in single precision, sees nothing that is hidden;
     /// exact: sampling first, then exact queries, until every triangle has a witness or a proof; verified: the same, but single
     /// queries that take long are given up, to be used with --time-budget. What is not decided is said to be, and drawn.
     #[arg(long, value_enum, default_value_t = MethodArg::Aggressive)]

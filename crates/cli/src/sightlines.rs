@@ -91,6 +91,9 @@ pub fn run(args: &SightlinesArgs) -> Result<(), CliError> {
         }
     };
     progress.end();
+    if ended.is_err() {
+        say("only what comes before the line at fault was answered:");
+    }
     report(&totals, start.elapsed(), args.check);
     ended
 }
@@ -105,7 +108,7 @@ fn report(totals: &Totals, took: std::time::Duration, checked: bool) {
         totals.hidden,
         totals.undecided,
         human(took),
-        if checked { ", every witness and proof accepted by the checker" } else { "" },
+        if checked { ", each witness and proof of these accepted by the checker" } else { "" },
         totals.cost.regions,
         d.filtered + d.refined + d.spanned + d.exact,
         100.0 * d.exact as f64 / all as f64,
@@ -178,7 +181,7 @@ impl Input {
             Box::new(std::fs::File::open(path).map_err(unreadable)?)
         };
         Ok(Self {
-            name: path.display().to_string(),
+            name: if path.as_os_str() == "-" { "stdin".to_owned() } else { path.display().to_string() },
             reader: BufReader::with_capacity(BUFFER, source),
             lines: 0,
         })

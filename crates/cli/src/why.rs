@@ -60,7 +60,8 @@ pub fn why(
         }
         Some("hidden") => {
             let with = match (answer["with"].as_u64(), answer["surface"] == true) {
-                (Some(n @ 1..), _) => format!(" together with {n} others next to it"),
+                (Some(1), _) => " together with another next to it".to_owned(),
+                (Some(n @ 2..), _) => format!(" together with {n} others next to it"),
                 (_, true) => " from one side by the closed surface it is part of, from the other".to_owned(),
                 _ => String::new(),
             };

@@ -82,6 +82,7 @@ pub enum CellRefusal {
 fn group(triangles: &[u32]) -> String {
     match triangles {
         [one] => format!("triangle {one}"),
+        [first, _] => format!("triangle {first} and another"),
         [first, ..] => format!("triangle {first} and {} others", triangles.len() - 1),
         [] => "no triangle".to_owned(),
     }

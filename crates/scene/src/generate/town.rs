@@ -24,7 +24,8 @@ const STOREY: f32 = 2.75;
 const THICK: f32 = 0.25;
 
 pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateError> {
-    let target = within(Kind::Town, "--triangles", params.triangles.unwrap_or(DEFAULT), 2_000, MAX_TRIANGLES)?;
+    let target =
+        within(Kind::Town, "--triangles", params.triangles.unwrap_or(DEFAULT), 2_000, MAX_TRIANGLES)?;
     let houses = (target / PER_HOUSE).max(2);
     let each = target / houses;
     let columns = isqrt(houses - 1) + 1;
