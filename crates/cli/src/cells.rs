@@ -150,13 +150,15 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
     let cost = |cell: usize| kinds.iter().fold(0u64, |sum, k| sum.saturating_add(at(k, cell)));
     let mut order: Vec<usize> = (0..pvs.cells() as usize).collect();
     order.sort_by_key(|c| (std::cmp::Reverse(cost(*c)), *c));
-    let mut lines = vec![
-        "the cells that took most rays. rays: uniform/flood/candidate/held-out; finds: triangles they were first to show, \
+    let exact = pvs.method() != "aggressive";
+    let mut lines = vec![format!(
+        "the cells that took most rays{}. rays: uniform/flood/candidate/held-out; finds: triangles they were first to show, \
          held-out lines that met something new; missed: of the last round's uniform rays, before it; bound: on what is \
-         still missed, at 95 %; *: not finished; ~: done with more than the target error left"
-            .to_owned(),
-        "  cell visible rounds cubes rays finds missed bound".to_owned(),
-    ];
+         still missed, at 95 %; *: not finished; ~: done with more than the target error left",
+        if exact { " in sampling, which came first" } else { "" }
+    )];
+    let mut rows =
+        vec![["cell", "visible", "rounds", "cubes", "rays", "finds", "missed", "bound"].map(str::to_owned)];
     let mut ids = Vec::new();
     for cell in order.iter().copied().take(SHOWN) {
         pvs.visible(cell as u32, &mut ids)?;
@@ -174,19 +176,22 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
             (_, 1..) => " ~",
             _ => "",
         };
-        lines.push(format!(
-            "  {cell} {} {} {} {} {} {missed} {bound}{mark}",
-            ids.len(),
-            at("rounds", cell),
-            at("samples", cell),
+        rows.push([
+            cell.to_string(),
+            ids.len().to_string(),
+            at("rounds", cell).to_string(),
+            at("samples", cell).to_string(),
             list(&kinds[..4]),
             list(&finds),
-        ));
+            missed,
+            format!("{bound}{mark}"),
+        ]);
     }
+    lines.extend(aligned(&rows));
     if order.len() > SHOWN {
         lines.push(format!("… and {} cells that took fewer rays; --json lists all", order.len() - SHOWN));
     }
-    if pvs.method() != "aggressive" {
+    if exact {
         lines.extend(exact_table(pvs, &at)?);
     }
     Ok(lines)
@@ -200,14 +205,28 @@ fn exact_table(pvs: &Pvs, at: &dyn Fn(&str, usize) -> u64) -> Result<Vec<String>
         "the cells that took exact queries most. surfaces: hidden by the closed surface they are part of; missed: visible, and not \
          shown by sampling; regions: of line space, what queries spend time on"
             .to_owned(),
-        "  cell undecided hidden surfaces missed queries regions".to_owned(),
     ];
+    let mut rows =
+        vec![["cell", "undecided", "hidden", "surfaces", "missed", "queries", "regions"].map(str::to_owned)];
     let mut ids = Vec::new();
     for cell in order.iter().copied().take(SHOWN) {
         pvs.undecided(cell as u32, &mut ids)?;
-        let numbers = ["exact_hidden", "exact_enclosed", "exact_missed", "exact_queries", "exact_regions"]
-            .map(|name| at(name, cell).to_string());
-        lines.push(format!("  {cell} {} {}", ids.len(), numbers.join(" ")));
+        let [hidden, surfaces, missed, queries, regions] =
+            ["exact_hidden", "exact_enclosed", "exact_missed", "exact_queries", "exact_regions"]
+                .map(|name| at(name, cell).to_string());
+        rows.push([cell.to_string(), ids.len().to_string(), hidden, surfaces, missed, queries, regions]);
     }
+    lines.extend(aligned(&rows));
     Ok(lines)
+}
+
+/// Rows as lines, each column as wide as its widest entry and flush right.
+fn aligned<const N: usize>(rows: &[[String; N]]) -> Vec<String> {
+    let width = |k: usize| rows.iter().map(|r| r[k].chars().count()).max().unwrap_or(0);
+    let widths: [usize; N] = std::array::from_fn(width);
+    let line = |row: &[String; N]| {
+        let cells: Vec<String> = row.iter().zip(widths).map(|(c, w)| format!("{c:>w$}")).collect();
+        format!("  {}", cells.join("  "))
+    };
+    rows.iter().map(line).collect()
 }

@@ -110,21 +110,38 @@ impl Progress {
         } else if left == 0 {
             "finishing".to_owned()
         } else if here > 0 {
-            format!("about {} left", human(Duration::from_secs_f64(seconds / here as f64 * left as f64)))
+            // Nothing goes on beyond a time budget.
+            let budget = job.spec.as_ref().map_or(0.0, |s| s.time_budget_ms as f64 * 1e-3);
+            let rest = if budget > 0.0 { (budget - seconds).max(0.0) } else { f64::INFINITY };
+            about(rest.min(seconds / here as f64 * left as f64))
         } else {
             "time left not known yet".to_owned()
         };
-        let rate = job.samples.saturating_sub(start.samples) as f64 / seconds.max(1e-3);
+        let samples = if job.spec.as_ref().is_some_and(|s| s.method() != v1::Method::Aggressive) {
+            // Rays first, then queries: they have no common rate.
+            format!("{} rays and queries", job.samples)
+        } else {
+            let rate = job.samples.saturating_sub(start.samples) as f64 / seconds.max(1e-3);
+            format!("{} samples ({rate:.0}/s)", job.samples)
+        };
         let aside = match job.tiles_set_aside {
             0 => String::new(),
             n => format!(", {n} SET ASIDE"),
         };
-        let text = format!("{cells}, {} samples ({rate:.0}/s){aside}, {left}", job.samples);
+        let text = format!("{cells}, {samples}{aside}, {left}");
         self.show(ended, u64::from(job.tiles_total), "tiles", &text);
     }
 
-    /// Shows a count.
+    /// Shows a count of things that take about as long each.
     pub fn count(&self, done: u64, total: u64, what: &str) {
+        let seconds = self.start.elapsed().as_secs_f64();
+        let left = total.saturating_sub(done) as f64;
+        let text = if done > 0 { about(seconds / done as f64 * left) } else { String::new() };
+        self.show(done, total, what, &text);
+    }
+
+    /// Shows a count of which nobody knows how far it goes.
+    pub fn count_so_far(&self, done: u64, total: u64, what: &str) {
         self.show(done, total, what, "");
     }
 
@@ -152,6 +169,11 @@ impl Progress {
 }
 
 const TEMPLATE: &str = "{elapsed_precise} [{bar:24}] {pos}/{len} {msg}";
+
+/// Seconds that are left, as people say it.
+fn about(seconds: f64) -> String {
+    format!("about {} left", human(Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)))
+}
 
 /// A duration as people say it.
 pub fn human(d: Duration) -> String {

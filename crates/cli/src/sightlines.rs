@@ -70,7 +70,7 @@ pub fn run(args: &SightlinesArgs) -> Result<(), CliError> {
             .into_par_iter()
             .map(|query| {
                 let answer = answer(&occluders, &query, &limits, &raw, args.check);
-                progress.count(done.fetch_add(1, Ordering::Relaxed) + 1, total, "queries");
+                progress.count_so_far(done.fetch_add(1, Ordering::Relaxed) + 1, total, "queries");
                 answer
             })
             .collect();
