@@ -72,6 +72,8 @@ fn everything_is_decided_and_verified_and_sampling_shows_nothing_else() {
     assert_eq!(decided["hidden"], all - seen, "{info}");
     assert_eq!(decided["evidence_bytes"], report["evidence_bytes"]);
     assert_eq!(decided["cells_open"], 0);
+    let lines = sandbox.ok("info exact.pvs");
+    assert!(lines.lines().any(|l| l == "missed sight lines: none"), "{lines}");
     assert!(sandbox.json("info sampled.pvs")["decided"].is_null());
     let cells = sandbox.json("info exact.pvs --cells");
     assert!(
@@ -212,6 +214,11 @@ fn a_time_budget_leaves_a_sound_bracket() {
         sure.for_each(|t| assert!(whole.visible.binary_search(t).is_ok(), "{t} is hidden"));
     }
     assert!(short.cells.iter().any(|c| !c.undecided.is_empty()), "there was time for everything");
+    let lines = sandbox.ok("info short.pvs");
+    assert!(
+        lines.contains("visible from a cell: between ") && lines.contains("as what is undecided is drawn"),
+        "{lines}"
+    );
     let report = sandbox.json("verify slits.glb short.pvs");
     assert_eq!(report["undecided"], short.cells.iter().map(|c| c.undecided.len() as u64).sum::<u64>());
 }

@@ -166,7 +166,8 @@ impl Summary {
                     self.max_visible,
                 ),
                 undecided => format!(
-                    "visible from a cell: between {:.0} and {:.0} triangles on average; drawn: the latter ({:.2} %), {} to {}; undecided: {undecided} in all cells",
+                    "visible from a cell: between {:.0} and {:.0} triangles on average; \
+                     drawn: the latter ({:.2} %), {} to {}; undecided: {undecided} in all cells",
                     self.mean_visible - undecided as f64 / f64::from(self.cells),
                     self.mean_visible,
                     self.mean_visible_fraction * 100.0,
@@ -188,9 +189,10 @@ impl Summary {
                 _ if self.info["sampling"]["max_error"].is_number() => {
                     "missed sight lines: the bound asked for was not reached in any cell".to_owned()
                 }
-                _ if self.decided.is_some() => {
-                    "missed sight lines: none, what is undecided is drawn".to_owned()
+                _ if self.decided.is_some() && self.undecided > 0 => {
+                    "missed sight lines: none, as what is undecided is drawn".to_owned()
                 }
+                _ if self.decided.is_some() => "missed sight lines: none".to_owned(),
                 _ => "missed sight lines: not bounded (--max-error F bounds them)".to_owned(),
             },
         ];

@@ -16,9 +16,10 @@ use crate::progress::say;
 /// What is to be baked.
 #[derive(Args, Clone, Debug)]
 pub struct JobArgs {
-    /// How far visibility is decided. aggressive: by sampling, which may miss little and, but for rays in single precision, sees nothing that is hidden;
-    /// exact: sampling first, then exact queries, until every triangle has a witness or a proof; verified: the same, but single
-    /// queries that take long are given up, to be used with --time-budget. What is not decided is said to be, and drawn.
+    /// How far visibility is decided. aggressive: by sampling, which may miss little and, but for what single precision cannot
+    /// tell apart, sees nothing that is hidden; exact: sampling first, then exact queries, until every triangle has a witness or a
+    /// proof; verified: the same, but single queries that take long are given up, to be used with --time-budget. What is not
+    /// decided is said to be, and drawn.
     #[arg(long, value_enum, default_value_t = MethodArg::Aggressive)]
     method: MethodArg,
     /// Keep in the result a witness for every triangle that is seen and a proof for every one that is hidden, for `sightline

@@ -112,8 +112,11 @@ impl Progress {
         } else if here > 0 {
             // Nothing goes on beyond a time budget.
             let budget = job.spec.as_ref().map_or(0.0, |s| s.time_budget_ms as f64 * 1e-3);
-            let rest = if budget > 0.0 { (budget - seconds).max(0.0) } else { f64::INFINITY };
-            about(rest.min(seconds / here as f64 * left as f64))
+            match seconds / here as f64 * left as f64 {
+                _ if budget > 0.0 && seconds >= budget => "finishing".to_owned(),
+                left if budget > 0.0 => about(left.min(budget - seconds)),
+                left => about(left),
+            }
         } else {
             "time left not known yet".to_owned()
         };

@@ -74,8 +74,9 @@ fn in_doubles(space: &Space, region: &Region) -> Option<[f64; 6]> {
     Some(std::array::from_fn(|k| x[j][k] / q - x[i][k] / p))
 }
 
-/// In integers: for the two rays whose pair is most of the other sign than each of them alone, beside what these have. Where a ray of such a
-/// pair has no sign alone, or the other one, a line of the two is real, and [`crate::klein::precise`] finds it.
+/// In integers: for the two rays whose pair is most of the other sign than each of them alone, beside what these have.
+///
+/// Where a ray of such a pair has no sign alone, or the other one, a line of the two is real, and [`crate::klein::precise`] finds it.
 fn in_integers(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     let rays = fine(space, region);
     let own: Vec<IBig> = rays.iter().map(|x| klein_exact(x, x)).collect();

@@ -1,8 +1,8 @@
 //! Six-vectors in doubles, with bounds on their errors: what decides nearly all signs.
 //!
 //! A cut is computed in doubles from the doubles of what it is made of. Where errors have added up along the chain, or a filter fails,
-//! it is solved from the lines it is on ([`super::solved`]), in pairs of doubles if need be; where that does not do, it is computed in these from
-//! what it was cut from, and everything it comes from before it.
+//! it is solved from the lines it is on ([`super::solved`]), in pairs of doubles if need be; where that does not do, it is computed in
+//! these from what it was cut from, and everything it comes from before it.
 
 use std::cmp::Ordering;
 
