@@ -377,7 +377,7 @@ pub struct SightlinesArgs {
     #[arg(long)]
     pub check: bool,
     /// Regions of line space a query may look at before it ends undecided.
-    #[arg(long, value_name = "N", default_value_t = 20_000)]
+    #[arg(long, value_name = "N", default_value_t = sightline_exact::Limits::default().regions)]
     pub max_regions: u32,
     /// Threads. Default: one a core.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]

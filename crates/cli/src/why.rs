@@ -139,13 +139,21 @@ fn ask(pvs: &Pvs, result: &Path, path: &Path, cell: u32, triangle: u32) -> Resul
         Hides::From(side) => Some(side),
         Hides::Nothing => None,
     };
-    Ok(match from_cell(&occluders, view, (&[target], half), &Limits::default(), &mut Cost::default()) {
-        Found::Visible(ends) => {
-            json!({"state": "visible", "witness": ends.each_ref().map(|e| polygon::rounded(e).to_array())})
-        }
-        Found::Hidden(proofs) => {
-            json!({"state": "hidden", "blockers": blockers(&proofs), "surface": half.is_some()})
-        }
-        Found::Undecided(reason) => json!({"state": "undecided", "reason": reason.to_string()}),
-    })
+    Ok(
+        match from_cell(
+            &occluders,
+            view,
+            (&[target], half),
+            (&Limits::default(), &|| false),
+            &mut Cost::default(),
+        ) {
+            Found::Visible(ends) => {
+                json!({"state": "visible", "witness": ends.each_ref().map(|e| polygon::rounded(e).to_array())})
+            }
+            Found::Hidden(proofs) => {
+                json!({"state": "hidden", "blockers": blockers(&proofs), "surface": half.is_some()})
+            }
+            Found::Undecided(reason) => json!({"state": "undecided", "reason": reason.to_string()}),
+        },
+    )
 }

@@ -12,7 +12,7 @@ use crate::frame::Source;
 use crate::occluder::Occluders;
 use crate::polygon::Polygon;
 use crate::proof::Proof;
-use crate::query::{Cost, Limits, Reason, Verdict, sightlines};
+use crate::query::{Cost, Limits, Reason, Verdict, sightlines_until};
 
 /// What is known of a triangle or box after a query.
 #[derive(Clone, Debug)]
@@ -67,12 +67,13 @@ impl Cell {
 }
 
 /// Whether any of the targets, which do not meet the cell, is seen from it; from what is not on the side `hidden` of the plane of
-/// a single one, if they are known to be hidden from there.
+/// a single one, if they are known to be hidden from there. Undecided within the limits, and when told to stop, which is asked all the
+/// time.
 pub fn from_cell(
     scene: &Occluders,
     cell: Cell,
     (targets, hidden): (&[Polygon], Option<Ordering>),
-    limits: &Limits,
+    (limits, stop): (&Limits, &dyn Fn() -> bool),
     cost: &mut Cost,
 ) -> Found {
     let mut proofs = Vec::new();
@@ -93,7 +94,7 @@ pub fn from_cell(
             };
             let Some(outer) = outer_part(&target, &face, axis, up, at) else { continue };
             // A face that is wholly on the hidden side has a proof of nothing, so that proofs are numbered alike.
-            let (verdict, took) = sightlines(scene, from.as_slice(), &[outer], limits);
+            let (verdict, took) = sightlines_until(scene, (from.as_slice(), &[outer]), limits, stop);
             *cost += took;
             match verdict {
                 Verdict::Visible(ends) => return Found::Visible(ends),

@@ -248,7 +248,7 @@ impl Work<'_> {
         }
         self.state[id as usize] = State::Undecided;
         let kind = match reason {
-            None => 0,
+            None | Some(Reason::Stopped) => 0,
             Some(Reason::Regions) => 1,
             Some(Reason::Memory) => 2,
             Some(Reason::Divisions) => 3,

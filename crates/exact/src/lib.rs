@@ -44,5 +44,5 @@ pub use frame::Source;
 pub use occluder::Occluders;
 pub use polygon::{Polygon, PolygonError};
 pub use proof::Proof;
-pub use query::{Cost, Limits, Reason, Verdict, sightlines};
+pub use query::{Cost, Limits, Reason, Verdict, sightlines, sightlines_until};
 pub use vector::Decisions;

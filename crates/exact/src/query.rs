@@ -29,7 +29,7 @@ use crate::vector::{Decisions, Space};
 /// When a query gives up.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Regions looked at, over all divisions.
+    /// Regions looked at, over all divisions; a hundred thousand take some seconds.
     pub regions: u32,
     /// Vectors and points held at a time; about 200 bytes each, and more where integers were needed.
     pub vectors: u32,
@@ -41,7 +41,7 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { regions: 20_000, vectors: 200_000, splits: 64, divisions: 12 }
+        Self { regions: 200_000, vectors: 200_000, splits: 64, divisions: 12 }
     }
 }
 
@@ -68,6 +68,9 @@ pub enum Reason {
     /// Polygons halved as often as [`Limits::divisions`] and still neither.
     #[error("halved to the limit and still undecided")]
     Divisions,
+    /// It was told to stop.
+    #[error("stopped before it was done")]
+    Stopped,
 }
 
 /// What a query cost.
@@ -103,8 +106,24 @@ impl std::ops::AddAssign for Cost {
 
 /// Whether any part of `b` is seen from `a`, each a convex polygon or the parts of one.
 pub fn sightlines(scene: &Occluders, a: &[Polygon], b: &[Polygon], limits: &Limits) -> (Verdict, Cost) {
-    let mut search =
-        Search { scene, limits, cost: Cost::default(), proof: Proof::default(), numbers: BTreeMap::new() };
+    sightlines_until(scene, (a, b), limits, &|| false)
+}
+
+/// As [`sightlines`]; `stop` is asked before every region whether to leave it undecided.
+pub fn sightlines_until(
+    scene: &Occluders,
+    (a, b): (&[Polygon], &[Polygon]),
+    limits: &Limits,
+    stop: &dyn Fn() -> bool,
+) -> (Verdict, Cost) {
+    let mut search = Search {
+        scene,
+        limits,
+        stop,
+        cost: Cost::default(),
+        proof: Proof::default(),
+        numbers: BTreeMap::new(),
+    };
     let mut open: Option<Reason> = None;
     for x in a {
         for y in b {
@@ -168,6 +187,7 @@ struct Stuck;
 struct Search<'a> {
     scene: &'a Occluders,
     limits: &'a Limits,
+    stop: &'a dyn Fn() -> bool,
     cost: Cost,
     proof: Proof,
     /// What each occluder of the proof is made of.
@@ -276,6 +296,10 @@ impl Search<'_> {
             if vectors > u64::from(self.limits.vectors) {
                 self.cost.decisions += local.space.decisions;
                 return Err(End::Open(Reason::Memory));
+            }
+            if (self.stop)() {
+                self.cost.decisions += local.space.decisions;
+                return Err(End::Open(Reason::Stopped));
             }
             let mut found = match contents(&mut local.space, &region, LINES, &mut local.forms) {
                 Contents::Nothing => {

@@ -224,8 +224,13 @@ impl Work<'_> {
             }
         };
         let hidden = self.hidden_half(of);
-        let found =
-            from_cell(self.task.scene, self.task.cell, (&targets, hidden), &self.task.limits, &mut cost);
+        let found = from_cell(
+            self.task.scene,
+            self.task.cell,
+            (&targets, hidden),
+            (&self.task.limits, &self.task.stop),
+            &mut cost,
+        );
         (self.task.asked)();
         let (mut beside, mut rays) = (Vec::new(), 0);
         if let Found::Visible(ends) = &found {
