@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
 
 use serde_json::Value;
-use sightline_tests::{Sandbox, assert_same, in_ci, wait_for};
+use sightline_tests::{Dump, Sandbox, assert_same, in_ci, wait_for};
 
 const ROOMS: &str = "generate rooms --triangles 2000 -o rooms.glb";
 const MAZE: &str = "generate maze --grid 3x3 -o maze.glb";
@@ -66,10 +66,29 @@ fn adaptive_cells_keep_to_budget_or_depth() {
     sandbox.ok(MAZE);
     let (budget, depth) = (120, 7);
     let division = format!("--triangle-budget {budget} --max-depth {depth}");
-    sandbox.ok(&format!(
-        "bake maze.glb {division} --resolution 32 --backend cpu --data-dir data -o adaptive.pvs"
-    ));
-    let dump = sandbox.dump("adaptive.pvs");
+    for sampler in ["--sampler lines", "--sampler cubes --resolution 32"] {
+        sandbox
+            .ok(&format!("bake maze.glb {division} {sampler} --backend cpu --data-dir data -o adaptive.pvs"));
+        keeps_to(&sandbox.dump("adaptive.pvs"), budget, depth);
+    }
+    // The last are from cubes; sight lines are the default, and any number of workers gives the same bytes.
+    for workers in [1, 4] {
+        let options = format!("--backend cpu --workers {workers} --data-dir data-{workers}");
+        sandbox.ok(&format!("bake maze.glb {division} {options} -o {workers}.pvs"));
+    }
+    assert_same(&sandbox.read("1.pvs"), &sandbox.read("4.pvs"), "1 and 4 workers");
+    sandbox.run("query 1.pvs nan 1 1").code(2).says("no point");
+    assert_eq!(sandbox.json("info 1.pvs")["info"]["sampling"]["sampler"], "lines");
+    let measured = sandbox.json("measure maze.glb 1.pvs --viewpoints 20 --seed 3 --resolution 64");
+    assert!(measured["mean_error"].as_f64().unwrap() < 1e-3, "{measured}");
+    sandbox
+        .run(&format!("bake maze.glb {division} --max-error 0.01 -o no.pvs --data-dir data"))
+        .code(2)
+        .says("--cells");
+}
+
+/// Whether the cells of an adaptive tree fill the view box, and see no more than the budget where they are not at the greatest depth.
+fn keeps_to(dump: &Dump, budget: usize, depth: u32) {
     let [low, high] = dump.view_box();
     let whole: f64 = (0..3).map(|axis| high[axis] - low[axis]).product();
     let mut halved = 0;
@@ -314,7 +333,7 @@ fn a_time_budget_ends_with_a_result() {
         .says("--sampler lines");
     sandbox.run("bake rooms.glb --sampler cubes --time-budget 1s -o no.pvs --data-dir data").code(2);
     sandbox
-        .run("bake rooms.glb --triangle-budget 9 --sampler lines -o no.pvs --data-dir data")
+        .run("bake rooms.glb --triangle-budget 9 --sampler guided -o no.pvs --data-dir data")
         .code(2)
-        .says("cubes");
+        .says("lines or cubes");
 }

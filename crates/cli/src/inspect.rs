@@ -339,6 +339,11 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
     let pvs = open(&args.result.result)?;
     let point: [f32; 3] =
         args.point.as_slice().try_into().map_err(|_| CliError::Usage("give x y z".to_owned()))?;
+    if !point.iter().all(|c| c.is_finite()) {
+        return Err(CliError::Usage(format!(
+            "{point:?} is no point; give three numbers that 32-bit floats can hold"
+        )));
+    }
     let Some(cell) = pvs.find_cell(point) else {
         let [min, max] = pvs.tree().view_box();
         return Err(CliError::Input(format!(

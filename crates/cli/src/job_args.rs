@@ -38,7 +38,7 @@ pub struct JobArgs {
     /// Where viewpoints may be: x0,y0,z0,x1,y1,z1. Default: the scene's bounds.
     #[arg(long, value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]
     view_box: Option<[Vec3; 2]>,
-    /// How sight lines are chosen. Default: lines; with a triangle budget: cubes.
+    /// How sight lines are chosen. Default: lines.
     #[arg(long, value_enum)]
     sampler: Option<SamplerArg>,
     /// A cell is done when it is expected to miss at most this fraction of the sight lines from it, those that meet
@@ -201,25 +201,24 @@ impl JobArgs {
         };
         let adaptive = self.triangle_budget.is_some();
         let sampler = match self.sampler {
-            None if adaptive => Sampler::Cubes,
             None | Some(SamplerArg::Lines) => Sampler::Lines,
             Some(SamplerArg::Cubes) => Sampler::Cubes,
             Some(SamplerArg::Guided) => Sampler::Guided,
         };
         let refuse = |what: &str| Err(CliError::Usage(what.to_owned()));
-        if adaptive && sampler != Sampler::Cubes {
+        if adaptive && sampler == Sampler::Guided {
             return refuse(
-                "an adaptive tree (--triangle-budget) is sampled with --sampler cubes; give --cells for another",
+                "an adaptive tree (--triangle-budget) is sampled with --sampler lines or cubes; give --cells for another",
             );
         }
         if self.certificates && method == Method::Aggressive {
             return refuse("--certificates needs --method exact or verified: sampling alone proves nothing");
         }
-        if self.max_error.is_some() && sampler != Sampler::Lines {
+        if self.max_error.is_some() && (adaptive || sampler != Sampler::Lines) {
             return refuse("--max-error needs --sampler lines and a grid of cells (--cells)");
         }
         if self.time_budget.is_some() && sampler == Sampler::Cubes {
-            return refuse("--time-budget needs --sampler lines or guided and a grid of cells (--cells)");
+            return refuse("--time-budget needs --sampler lines or guided");
         }
         let sampling = self.sampling(sampler)?;
         let bounds = scene.bounds();

@@ -188,8 +188,12 @@ impl JobSpec {
             return Err(SpecError::Field("block-cells", "give 1 to 512 cells"));
         }
         let cubes = spec.sampling.sampler == Sampler::Cubes;
-        if matches!(division, Division::Adaptive { .. }) && !cubes {
-            return Err(SpecError::Field("sampler", "an adaptive division is sampled with cubes"));
+        let adaptive = matches!(division, Division::Adaptive { .. });
+        if adaptive && spec.sampling.sampler == Sampler::Guided {
+            return Err(SpecError::Field("sampler", "an adaptive division is sampled with lines or cubes"));
+        }
+        if adaptive && spec.sampling.max_error.is_some() {
+            return Err(SpecError::Field("max-error", "only the cells of a grid are refined to a bound"));
         }
         if spec.sampling.max_error.is_some() && spec.sampling.sampler != Sampler::Lines {
             return Err(SpecError::Field("max-error", "only the sampler lines refines to a bound"));
@@ -389,6 +393,14 @@ mod tests {
         assert!(refuse(v1::JobSpec { sampling: None, ..good.clone() }).contains("sampling"));
         assert!(refuse(v1::JobSpec { method: 9, ..good.clone() }).contains("method"));
         assert!(refuse(v1::JobSpec { certificates: true, ..good.clone() }).contains("certificates"));
+        let adaptive = JobSpec { division: Division::Adaptive { budget: 5, max_depth: 6 }, ..spec() };
+        assert_eq!(JobSpec::from_proto(&adaptive.to_proto(), None).unwrap(), adaptive);
+        let with = |sampler, max_error| {
+            let sampling = SamplingParams { sampler, max_error, ..SamplingParams::default() };
+            refuse(JobSpec { sampling, ..adaptive.clone() }.to_proto())
+        };
+        assert!(with(Sampler::Guided, None).contains("sampler"));
+        assert!(with(Sampler::Lines, Some(0.01)).contains("max-error"));
         let nan = v1::Sampling { error_threshold: f64::NAN, ..good.sampling.unwrap() };
         assert!(refuse(v1::JobSpec { sampling: Some(nan), ..good }).contains("error-threshold"));
     }

@@ -36,7 +36,9 @@ pub enum PvsError {
         actual: u64,
     },
     /// Altered bytes.
-    #[error("the {section} of the .pvs file does not match its checksum; copy it again, or bake it again")]
+    #[error(
+        "the .pvs file is damaged: what it has of the {section} does not fit its checksum; copy it again, or bake it again"
+    )]
     Checksum {
         /// Which part.
         section: &'static str,

@@ -9,11 +9,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec3;
 use sightline_sampling::embree::CpuBackend;
-use sightline_sampling::tile::{self, CellSet, JobContext, Pack, PreparedScene, TileOutput, Watcher};
-use sightline_sampling::{Backend, ErrorMeasure, SamplingParams, SupersetChoice, codec};
+use sightline_sampling::tile::{
+    self, CellSet, CellSets, JobContext, Node, Pack, PreparedScene, TileOutput, Watcher,
+};
+use sightline_sampling::{Backend, ErrorMeasure, Sampler, SamplingParams, SupersetChoice, codec};
 use sightline_scene::generate::{Kind, Params, generate};
 use sightline_scene::{Object, Scene, Triangle, overlap};
-use sightline_viewcells::{Division, Plan, TileKind};
+use sightline_viewcells::{CellBox, Division, Layout, Plan, Tile, TileKind};
 
 #[derive(Default)]
 struct Count(AtomicU64, AtomicU64);
@@ -41,18 +43,32 @@ fn backend(scene: &Arc<Scene>, params: &SamplingParams) -> Option<CpuBackend> {
     }
 }
 
-/// Runs every tile of a plan in its order; packs go through their encoding, as between machines.
+/// Runs every tile of a plan in its order and gives the sets of all cells.
 fn bake(
     scene: Scene,
     division: Division,
     params: &SamplingParams,
 ) -> Option<(Arc<Scene>, Vec<CellSet>, u64)> {
+    let (scene, tiles, count) = bake_tiles(scene, division, params)?;
+    Some((scene, tiles.into_iter().flat_map(|(_, sets)| sets.cells).collect(), count))
+}
+
+/// Leaf tiles with what they gave.
+type Leaves = Vec<(Tile, CellSets)>;
+
+/// The same by leaf tiles; packs go through their encoding, as between machines.
+fn bake_tiles(
+    scene: Scene,
+    division: Division,
+    params: &SamplingParams,
+) -> Option<(Arc<Scene>, Leaves, u64)> {
     let scene = Arc::new(scene);
     let backend = backend(&scene, params)?;
     let b = scene.bounds();
     let lattice = division.lattice(b.min, b.max).unwrap();
     let prepared = PreparedScene::new(Arc::clone(&scene)).unwrap();
-    let plan = Plan::new(&division, &lattice, sightline_viewcells::Layout::Samples);
+    let layout = if params.sampler == Sampler::Cubes { Layout::Samples } else { Layout::Blocks(512) };
+    let plan = Plan::new(&division, &lattice, layout);
     let job = JobContext {
         scene: &prepared,
         division,
@@ -63,7 +79,7 @@ fn bake(
         deadline: None,
     };
     let mut outputs: Vec<Vec<u8>> = Vec::new();
-    let mut cells = Vec::new();
+    let mut leaves = Vec::new();
     let count = Count::default();
     for tile in &plan.tiles {
         let packs: Vec<Pack> = tile
@@ -75,20 +91,15 @@ fn bake(
         assert_eq!(matches!(output, TileOutput::Cells(_)), tile.kind == TileKind::Leaf);
         outputs.push(codec::encode(&output).unwrap());
         if let TileOutput::Cells(sets) = output {
-            cells.extend(sets.cells);
+            leaves.push((tile.clone(), sets));
         }
     }
-    assert_eq!(count.1.into_inner(), cells.len() as u64);
-    Some((scene, cells, count.0.into_inner()))
+    assert_eq!(count.1.into_inner(), leaves.iter().map(|(_, sets)| sets.cells.len() as u64).sum::<u64>());
+    Some((scene, leaves, count.0.into_inner()))
 }
 
 fn coarse() -> SamplingParams {
-    SamplingParams {
-        sampler: sightline_sampling::Sampler::Cubes,
-        resolution: 64,
-        min_distance: 1.0,
-        ..SamplingParams::default()
-    }
+    SamplingParams { sampler: Sampler::Cubes, resolution: 64, min_distance: 1.0, ..SamplingParams::default() }
 }
 
 fn rooms() -> Scene {
@@ -102,7 +113,7 @@ fn a_cell_sees_what_meets_it_and_two_bakes_are_alike() {
     assert_eq!(cells.len(), 12);
     assert!(samples > 36, "at least every cell corner: {samples}");
     let lattice = division.lattice(scene.bounds().min, scene.bounds().max).unwrap();
-    let plan = Plan::new(&division, &lattice, sightline_viewcells::Layout::Samples);
+    let plan = Plan::new(&division, &lattice, Layout::Samples);
     // With twelve cells every leaf tile is one cell, in order.
     for (n, set) in plan.leaves().zip(&cells) {
         let (min, max) = plan.tiles[n as usize].cell.world(&lattice);
@@ -145,6 +156,130 @@ fn an_adaptive_tree_stops_at_its_budget_or_depth() {
     let generous = Division::Adaptive { budget: 1_000_000, max_depth: 6 };
     let (_, few, _) = bake(rooms(), generous, &coarse()).unwrap();
     assert_eq!(few.len(), 8, "the levels that are always split");
+}
+
+/// The cells of a tile with their boxes and depths.
+fn cells(tile: &Tile, sets: &CellSets) -> Vec<(CellBox, u32, CellSet)> {
+    let mut waiting = vec![(tile.cell, tile.depth)];
+    let mut sets_left = sets.cells.iter();
+    let mut out = Vec::new();
+    for node in &sets.nodes {
+        let (cell, depth) = waiting.pop().unwrap();
+        match node {
+            Node::Split(split) => {
+                let [below, above] = cell.children(*split);
+                waiting.extend([(above, depth + 1), (below, depth + 1)]);
+            }
+            Node::Cell => out.push((cell, depth, sets_left.next().unwrap().clone())),
+        }
+    }
+    assert!(waiting.is_empty() && sets_left.next().is_none());
+    out
+}
+
+/// A large hall with boxes in it, one of which is small, closed and full: from next to it little is seen, and much from inside.
+fn full_box() -> Scene {
+    let mut t = solid(Vec3::ZERO, Vec3::splat(16.0));
+    t.extend(
+        (0..4).flat_map(|i| solid(Vec3::splat(1.3 + 3.0 * i as f32), Vec3::splat(2.4 + 3.0 * i as f32))),
+    );
+    let middle = Vec3::new(5.4, 9.6, 3.4);
+    t.extend(solid(middle - 0.3, middle + 0.3));
+    for i in 0..64 {
+        let at = middle + (Vec3::new((i % 4) as f32, (i / 4 % 4) as f32, (i / 16) as f32) - 1.5) * 0.12;
+        t.push(Triangle { v: [at, at + Vec3::X * 0.02, at + Vec3::Y * 0.02] });
+    }
+    scene(t)
+}
+
+#[test]
+fn an_adaptive_tree_of_sight_lines_is_halved_where_it_must_be_and_nowhere_else() {
+    let params = SamplingParams { sampler: Sampler::Lines, target_error: 1e-3, ..SamplingParams::default() };
+    // Small cells at level 12 are sampled first; one of them has the box in it.
+    let (budget, max_depth) = (70, 14);
+    let division = Division::Adaptive { budget, max_depth };
+    let Some((scene, tiles, rays)) = bake_tiles(full_box(), division, &params) else { return };
+    assert_eq!(tiles.len(), 8);
+    let lattice = division.lattice(scene.bounds().min, scene.bounds().max).unwrap();
+    let (mut deepest, mut shallowest) = (0, max_depth);
+    let mut counted = 0;
+    for (tile, sets) in &tiles {
+        let all = cells(tile, sets);
+        for (cell, depth, set) in &all {
+            assert!(
+                set.visible.len() <= budget as usize || *depth == max_depth,
+                "{depth}: {}",
+                set.visible.len()
+            );
+            let (min, max) = cell.world(&lattice);
+            let inside = overlap::triangles_in_box(&scene, None, &sightline_scene::Aabb { min, max });
+            assert!(set.visible.is_sorted() && inside.iter().all(|id| set.visible.binary_search(id).is_ok()));
+            assert!(!set.stats.unfinished && set.stats.rays[0] > 0);
+            counted += set.stats.rays.iter().sum::<u64>();
+            (deepest, shallowest) = (deepest.max(*depth), shallowest.min(*depth));
+        }
+        // Two halves that are cells see more than the budget together.
+        for pair in all.windows(2) {
+            let [(a, da, x), (b, db, y)] = pair else { continue };
+            let halves = da == db
+                && *da > tile.depth
+                && (0..3).filter(|k| (a.lo[*k], a.hi[*k]) == (b.lo[*k], b.hi[*k])).count() == 2
+                && division
+                    .split(&lattice, &CellBox { lo: a.lo, hi: b.hi }, da - 1)
+                    .is_some_and(|s| CellBox { lo: a.lo, hi: b.hi }.children(s) == [*a, *b]);
+            if halves {
+                let mut both = [x.visible.as_slice(), &y.visible].concat();
+                both.sort_unstable();
+                both.dedup();
+                assert!(both.len() > budget as usize, "{} at {da}", both.len());
+            }
+        }
+    }
+    assert_eq!(
+        (deepest, shallowest),
+        (max_depth, 3),
+        "one cell was sampled again, and some tiles are one cell"
+    );
+    assert!(rays > counted, "what was sampled again was cast twice");
+    let (_, again, _) = bake_tiles(full_box(), division, &params).unwrap();
+    assert!(tiles.iter().zip(&again).all(|(a, b)| a.1 == b.1), "twice is not the same");
+    // What is seen from a part is seen from the whole.
+    let generous = Division::Adaptive { budget: 1000, max_depth: 12 };
+    let (_, whole, _) = bake_tiles(full_box(), generous, &params).unwrap();
+    let (_, parts, _) =
+        bake_tiles(full_box(), Division::Adaptive { budget: 1, max_depth: 12 }, &params).unwrap();
+    for ((_, whole), (_, parts)) in whole.iter().zip(&parts) {
+        assert_eq!((whole.cells.len(), parts.cells.len()), (1, 512));
+        let mut all: Vec<u32> = parts.cells.iter().flat_map(|c| c.visible.iter().copied()).collect();
+        all.sort_unstable();
+        all.dedup();
+        assert_eq!(whole.cells[0].visible, all);
+        let sum = |k: usize| parts.cells.iter().map(|c| c.stats.rays[k]).sum::<u64>();
+        assert_eq!(whole.cells[0].stats.rays, [0, 1, 2, 3].map(sum));
+    }
+}
+
+#[test]
+fn an_adaptive_tree_that_runs_out_of_time_says_where() {
+    let params = SamplingParams { sampler: Sampler::Lines, ..SamplingParams::default() };
+    let scene = Arc::new(full_box());
+    let Some(backend) = backend(&scene, &params) else { return };
+    let division = Division::Adaptive { budget: 5, max_depth: 14 };
+    let lattice = division.lattice(scene.bounds().min, scene.bounds().max).unwrap();
+    let prepared = PreparedScene::new(Arc::clone(&scene)).unwrap();
+    let plan = Plan::new(&division, &lattice, Layout::Blocks(512));
+    let now = Some(std::time::Instant::now());
+    let (params, backend) = (&params, &backend as &dyn Backend);
+    let job = JobContext { scene: &prepared, division, lattice, params, backend, seed: 0, deadline: now };
+    let TileOutput::Cells(sets) = tile::run(&job, &plan.tiles[0], &[], &Count::default()).unwrap().0 else {
+        panic!("a leaf tile gives cells")
+    };
+    for (cell, depth, set) in cells(&plan.tiles[0], &sets) {
+        assert!(set.stats.unfinished && depth <= 12);
+        let (min, max) = cell.world(&lattice);
+        let inside = overlap::triangles_in_box(&scene, None, &sightline_scene::Aabb { min, max });
+        assert!(inside.iter().all(|id| set.visible.binary_search(id).is_ok()));
+    }
 }
 
 fn tri(a: [f32; 3], b: [f32; 3], c: [f32; 3]) -> Triangle {

@@ -6,7 +6,7 @@
 //! - A **leaf tile** works through the subtree below, and gives the sets of its cells.
 //!
 //! Samplers that share nothing between tiles have **blocks** instead: leaf tiles alone, each as large as one worker should
-//! hold at a time.
+//! hold at a time; of an adaptive tree, all below the levels that are always split.
 //!
 //! The plan depends on the division and the size of blocks, never on how many workers there are, and its order is the order of the
 //! leaf tiles' cells in the result.
@@ -145,7 +145,11 @@ impl Plan {
 
     fn add_blocks(&mut self, division: &Division, lattice: &Lattice, cell: CellBox, depth: u32, most: u64) {
         let cells = grid_cells(division, &cell);
-        match division.split(lattice, &cell, depth).filter(|_| cells > most) {
+        let cut_here = match division {
+            Division::Grid(_) => cells > most,
+            Division::Adaptive { .. } => depth < FORCED_DEPTH,
+        };
+        match division.split(lattice, &cell, depth).filter(|_| cut_here) {
             Some(split) => {
                 self.outline.push(Outline::Split(split));
                 for child in cell.children(split) {

@@ -8,6 +8,7 @@
 //!
 //! Results do not depend on threads: every decision reads what was known at the last barrier, or the cell's own finds.
 
+mod adaptive;
 pub mod bits;
 pub mod block;
 pub mod bound;
@@ -85,6 +86,24 @@ impl CellStats {
         "unfinished",
         "spared",
     ];
+
+    /// Of a cell made of two, each of which was sampled by itself.
+    pub fn joined(&self, other: &Self) -> Self {
+        let sums = |a: [u64; 4], b: [u64; 4]| std::array::from_fn(|k| a[k] + b[k]);
+        Self {
+            rays: sums(self.rays, other.rays),
+            finds: sums(self.finds, other.finds),
+            rounds: self.rounds.max(other.rounds),
+            last_rays: self.last_rays + other.last_rays,
+            last_misses: self.last_misses + other.last_misses,
+            // A bound is of one cell.
+            bound_lines: 0,
+            bound_misses: 0,
+            bound_look: 0,
+            unfinished: self.unfinished || other.unfinished,
+            spared: self.spared || other.spared,
+        }
+    }
 
     /// All of it, in the order of [`CellStats::NAMES`].
     pub fn numbers(&self) -> [u64; Self::NAMES.len()] {

@@ -1,18 +1,21 @@
-//! One leaf tile of the plan sampled with sight lines: its cells as a block, and the sets that come out.
+//! One leaf tile of the plan sampled with sight lines: its cells as a block, and the sets that come out. A tile of an adaptive tree
+//! takes several blocks ([`super::adaptive`]).
 
 use std::time::Instant;
 
 use rayon::prelude::*;
 use sightline_scene::{Aabb, overlap};
-use sightline_viewcells::{CellBox, Tile, UNITS_PER_CELL};
+use sightline_viewcells::{CellBox, Division, Tile, UNITS_PER_CELL};
 
+use super::adaptive;
 use super::bits::SeenBits;
 use super::block::{Block, Hard, Tools};
 use super::grid::CellGrid;
+use super::packet::LineTracer;
 use crate::params::Sampler;
 use crate::tile::{CellSet, CellSets, JobContext, Node, TileError, Watcher};
 
-/// Runs a leaf tile of a grid.
+/// Runs a leaf tile; gives its sets, and how many rays they took.
 ///
 /// # Errors
 /// [`TileError`] when it is cancelled or the backend fails.
@@ -23,25 +26,16 @@ pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(
     let tracer = job.backend.lines(job.scene.distinct())?;
     job.scene.surface();
     tracing::debug!("ready to trace after {:?}", start.elapsed());
-    let cells = span(&tile.cell);
-    let (min, max) = tile.cell.world(&job.lattice);
+    if let Division::Adaptive { .. } = job.division {
+        return adaptive::run(job, tile, &*tracer, watcher);
+    }
     let whole = job.lattice.units().map(|u| u64::from(u / UNITS_PER_CELL));
     let first = tile.cell.lo.map(|u| u64::from(u / UNITS_PER_CELL));
-    let tools = Tools {
-        scene: &job.scene.scene,
-        surface: job.scene.surface(),
-        tracer: &*tracer,
-        seed: job.seed,
-        watcher,
-        deadline: job.deadline,
-    };
     let number = |c: [u32; 3]| {
         let [x, y, z] = [0, 1, 2].map(|a| first[a] + u64::from(c[a]));
         (z * whole[1] + y) * whole[0] + x
     };
-    let mut block = Block::new(tools, CellGrid::new(min, max, cells), number);
-    meeting(job, &tile.cell, block.grid(), block.bits());
-    block.bits_mut().settle();
+    let mut block = block(job, &*tracer, watcher, (&tile.cell, span(&tile.cell)), number);
     tracing::debug!("know what meets each cell after {:?}", start.elapsed());
     let params = job.params;
     match (params.sampler, params.max_error) {
@@ -62,11 +56,35 @@ fn span(cell: &CellBox) -> [u32; 3] {
     [0, 1, 2].map(|a| (cell.hi[a] - cell.lo[a]) / UNITS_PER_CELL)
 }
 
+/// A block of so many cells a side in a box, each of which knows what meets it.
+pub fn block<'a>(
+    job: &JobContext<'a>,
+    tracer: &'a dyn LineTracer,
+    watcher: &'a dyn Watcher,
+    (within, cells): (&CellBox, [u32; 3]),
+    number: impl Fn([u32; 3]) -> u64,
+) -> Block<'a> {
+    let tools = Tools {
+        scene: &job.scene.scene,
+        surface: job.scene.surface(),
+        tracer,
+        seed: job.seed,
+        watcher,
+        deadline: job.deadline,
+    };
+    let (min, max) = within.world(&job.lattice);
+    let mut block = Block::new(tools, CellGrid::new(min, max, cells), number);
+    meeting(job, within, block.grid(), block.bits());
+    block.bits_mut().settle();
+    block
+}
+
 /// Credits every cell with the triangles that meet it, I(C), decided exactly.
 fn meeting(job: &JobContext<'_>, within: &CellBox, grid: &CellGrid, bits: &SeenBits) {
     let cells = grid.cells();
     let planes: [Vec<f32>; 3] = std::array::from_fn(|a| {
-        (0..=cells[a]).map(|k| job.lattice.coordinate(a, within.lo[a] + k * UNITS_PER_CELL)).collect()
+        let step = (within.hi[a] - within.lo[a]) / cells[a];
+        (0..=cells[a]).map(|k| job.lattice.coordinate(a, within.lo[a] + k * step)).collect()
     });
     job.scene.distinct().par_iter().with_min_len(1024).for_each(|&id| {
         let triangle = &job.scene.scene.triangles()[id as usize];
@@ -99,11 +117,16 @@ fn meeting(job: &JobContext<'_>, within: &CellBox, grid: &CellGrid, bits: &SeenB
     });
 }
 
+/// What is seen from each cell, by the numbers of the cells' bits; ascending.
+pub fn columns(block: &Block<'_>) -> Vec<Vec<u32>> {
+    let words = block.grid().words() as u32;
+    (0..words).into_par_iter().flat_map_iter(|w| block.bits().columns(w)).collect()
+}
+
 /// The sets in the order of the tile's subtree.
 fn sets(job: &JobContext<'_>, tile: &Tile, block: &Block<'_>) -> CellSets {
     let grid = block.grid();
-    let mut columns: Vec<Vec<u32>> =
-        (0..grid.words() as u32).into_par_iter().flat_map_iter(|w| block.bits().columns(w)).collect();
+    let mut columns = columns(block);
     let mut out = CellSets::default();
     let mut waiting = vec![(tile.cell, tile.depth)];
     while let Some((cell, depth)) = waiting.pop() {

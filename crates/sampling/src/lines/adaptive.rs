@@ -1,0 +1,233 @@
+//! An adaptive tree from sight lines: small cells are sampled together, and joined again where the budget is kept.
+//!
+//! What is seen from a cell is what is seen from any of its parts, so the sets of a block of small cells give those of all nodes above
+//! them, and with them where the tree ends. A small cell that is still beyond the budget is sampled again in smaller ones. The papers
+//! go the other way, from the root down (thesis §4.2.2): with cubes on cells' surfaces a cell's set is known before those of its
+//! parts. Lines are the cheaper the more cells share them.
+
+use sightline_viewcells::{CellBox, Split, Tile};
+
+use super::CellStats;
+use super::block::Hard;
+use super::grid::CellGrid;
+use super::packet::LineTracer;
+use super::tile::{block, columns};
+use crate::tile::{CellSet, CellSets, JobContext, Node, TileError, Watcher};
+
+/// Levels of the tree that are sampled together: 8×8×8 cells, or as flat as the cell they are in.
+const LEVELS: u32 = 9;
+
+/// Runs a leaf tile of an adaptive tree.
+///
+/// # Errors
+/// [`TileError`] when it is cancelled or the tracer fails.
+pub fn run(
+    job: &JobContext<'_>,
+    tile: &Tile,
+    tracer: &dyn LineTracer,
+    watcher: &dyn Watcher,
+) -> Result<(CellSets, u64), TileError> {
+    let mut work = Work { job, tracer, watcher, rays: 0 };
+    let part = work.subtree(&tile.cell, tile.depth, false)?;
+    Ok((CellSets { nodes: part.nodes, cells: part.cells }, work.rays))
+}
+
+/// A part of the tree, in preorder.
+struct Part {
+    nodes: Vec<Node>,
+    cells: Vec<CellSet>,
+    /// How many of its cells were said to be done.
+    told: usize,
+    /// What is seen from all of it: the cells' union, but for what only a sampling by larger cells has found.
+    seen: Vec<u32>,
+    stats: CellStats,
+}
+
+struct Work<'a> {
+    job: &'a JobContext<'a>,
+    tracer: &'a dyn LineTracer,
+    watcher: &'a dyn Watcher,
+    rays: u64,
+}
+
+/// What was sampled below a cell.
+struct Sampled {
+    grid: CellGrid,
+    /// The cell, and levels below it.
+    of: CellBox,
+    levels: u32,
+    columns: Vec<Vec<u32>>,
+    stats: Vec<CellStats>,
+}
+
+impl Work<'_> {
+    /// Samples the levels below `cell`, and again below those of their cells that see too much. `beyond`: it is known that more than
+    /// the budget is seen from it, if not in this sampling, so that it is no cell of the tree.
+    fn subtree(&mut self, cell: &CellBox, depth: u32, beyond: bool) -> Result<Part, TileError> {
+        let (levels, sides) = self.regular(cell, depth);
+        let number = |c: [u32; 3]| number(self.job.lattice.units(), cell, sides, c);
+        let mut block = block(self.job, self.tracer, self.watcher, (cell, sides), number);
+        // Which of its cells will be cells of the tree is not known yet.
+        block.silent = true;
+        block.sample(self.job.params.target_error, &[], Hard::Spared)?;
+        block.bits_mut().share(self.job.scene.duplicates());
+        let mut sampled = Sampled {
+            grid: block.grid().clone(),
+            of: *cell,
+            levels,
+            columns: columns(&block),
+            stats: block.stats().to_vec(),
+        };
+        self.rays += sampled.stats.iter().flat_map(|s| s.rays).sum::<u64>();
+        drop(block);
+        let mut part = self.part(&mut sampled, cell, (depth, 0), beyond)?;
+        (part.told..part.cells.len()).for_each(|_| self.watcher.cell_done());
+        part.told = part.cells.len();
+        Ok(part)
+    }
+
+    /// The tree of a cell at a depth, so many levels below the cell of `sampled`; more than a cell if it is `beyond` the budget.
+    fn part(
+        &mut self,
+        sampled: &mut Sampled,
+        cell: &CellBox,
+        (depth, level): (u32, u32),
+        beyond: bool,
+    ) -> Result<Part, TileError> {
+        let split = self.job.division.split(&self.job.lattice, cell, depth);
+        if let Some(split) = split.filter(|_| level < sampled.levels) {
+            let [below, above] = cell.children(split);
+            let next = (depth + 1, level + 1);
+            let parts = [self.part(sampled, &below, next, false)?, self.part(sampled, &above, next, false)?];
+            return Ok(self.joined(split, depth, parts, beyond));
+        }
+        let (seen, mut stats) = sampled.take(cell);
+        if split.is_some() && self.job.division.wants_split(seen.len(), depth) {
+            if !self.late() {
+                let part = self.subtree(cell, depth, true)?;
+                return Ok(Part { seen, stats, ..part });
+            }
+            stats.unfinished = true;
+        }
+        Ok(Part::leaf(seen, stats))
+    }
+
+    /// A node of the tree, or a cell where that keeps to the budget and nothing says that it is `beyond` it.
+    fn joined(&self, split: Split, depth: u32, [below, above]: [Part; 2], beyond: bool) -> Part {
+        let seen = union(&below.seen, &above.seen);
+        let stats = below.stats.joined(&above.stats);
+        if !beyond && !self.job.division.wants_split(seen.len(), depth) {
+            return Part::leaf(seen, stats);
+        }
+        let mut nodes = vec![Node::Split(split)];
+        nodes.extend(below.nodes);
+        nodes.extend(above.nodes);
+        let mut cells = below.cells;
+        cells.extend(above.cells);
+        Part { nodes, cells, told: below.told + above.told, seen, stats }
+    }
+
+    fn late(&self) -> bool {
+        self.job.deadline.is_some_and(|d| std::time::Instant::now() >= d)
+    }
+
+    /// How many levels below a cell are regular, [`LEVELS`] at most, and how many cells the last of them has along each axis.
+    fn regular(&self, cell: &CellBox, depth: u32) -> (u32, [u32; 3]) {
+        let (mut sides, mut cells) = ([1; 3], vec![*cell]);
+        for level in 0..LEVELS {
+            let splits: Option<Vec<Split>> =
+                cells.iter().map(|c| self.job.division.split(&self.job.lattice, c, depth + level)).collect();
+            // None where the tree ends; planes may be too close to tell apart in some cells only.
+            let Some(splits) = splits else { return (level, sides) };
+            let axis = splits[0].axis;
+            let halves =
+                |(c, s): (&CellBox, &Split)| s.axis == axis && s.at - c.lo[axis] == c.hi[axis] - s.at;
+            if !cells.iter().zip(&splits).all(halves) {
+                return (level, sides);
+            }
+            sides[axis] *= 2;
+            cells = cells.iter().zip(splits).flat_map(|(c, s)| c.children(s)).collect();
+        }
+        (LEVELS, sides)
+    }
+}
+
+impl Sampled {
+    /// The set and the account of one of the small cells.
+    fn take(&mut self, cell: &CellBox) -> (Vec<u32>, CellStats) {
+        let sides = self.grid.cells();
+        let at =
+            [0, 1, 2].map(|a| (cell.lo[a] - self.of.lo[a]) / ((self.of.hi[a] - self.of.lo[a]) / sides[a]));
+        let stats = self.stats[((at[2] * sides[1] + at[1]) * sides[0] + at[0]) as usize];
+        (std::mem::take(&mut self.columns[self.grid.slot(at).index()]), stats)
+    }
+}
+
+impl Part {
+    fn leaf(seen: Vec<u32>, stats: CellStats) -> Self {
+        let cell = CellSet { visible: seen.clone(), stats, ..CellSet::default() };
+        Self { nodes: vec![Node::Cell], cells: vec![cell], told: 0, seen, stats }
+    }
+}
+
+/// A number for each cell of each level of the tree, for its random numbers: 2 to the power of the level, and which of its level
+/// it is.
+fn number(units: [u32; 3], block: &CellBox, sides: [u32; 3], c: [u32; 3]) -> u64 {
+    let step = [0, 1, 2].map(|a| (block.hi[a] - block.lo[a]) / sides[a]);
+    let many = [0, 1, 2].map(|a| u64::from(units[a] / step[a]));
+    let [x, y, z] = [0, 1, 2].map(|a| u64::from(block.lo[a] / step[a] + c[a]));
+    many.iter().product::<u64>() + (z * many[1] + y) * many[0] + x
+}
+
+/// What is in either of two ascending lists.
+fn union(a: &[u32], b: &[u32]) -> Vec<u32> {
+    let mut out = Vec::with_capacity(a.len().max(b.len()));
+    let (mut i, mut j) = (0, 0);
+    while let (Some(x), Some(y)) = (a.get(i), b.get(j)) {
+        out.push(*x.min(y));
+        (i, j) = (i + usize::from(x <= y), j + usize::from(y <= x));
+    }
+    out.extend_from_slice(&a[i..]);
+    out.extend_from_slice(&b[j..]);
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    #[test]
+    fn every_cell_of_every_level_has_a_number_of_its_own() {
+        // Halved along x, y, x, z; blocks of two levels each.
+        let units = [1 << 16; 3];
+        let root = CellBox { lo: [0; 3], hi: units };
+        let halves = |cells: &[CellBox], axis: usize| -> Vec<CellBox> {
+            let at = |c: &CellBox| c.lo[axis] + (c.hi[axis] - c.lo[axis]) / 2;
+            cells.iter().flat_map(|c| c.children(Split { axis, at: at(c) })).collect()
+        };
+        let (mut numbers, mut many) = (BTreeSet::new(), 0);
+        let mut add = |block: &CellBox, sides: [u32; 3]| {
+            for (z, y, x) in (0..sides[2])
+                .flat_map(|z| (0..sides[1]).flat_map(move |y| (0..sides[0]).map(move |x| (z, y, x))))
+            {
+                numbers.insert(number(units, block, sides, [x, y, z]));
+                many += 1;
+            }
+        };
+        add(&root, [1, 1, 1]);
+        add(&root, [2, 2, 1]);
+        for cell in halves(&halves(&[root], 0), 1) {
+            add(&cell, [2, 1, 1]);
+            add(&cell, [2, 1, 2]);
+        }
+        assert_eq!((numbers.len(), many), (1 + 4 + 8 + 16, 1 + 4 + 8 + 16));
+    }
+
+    #[test]
+    fn a_union_is_ascending_and_has_each_once() {
+        assert_eq!(union(&[1, 3, 5], &[]), [1, 3, 5]);
+        assert_eq!(union(&[1, 3, 5], &[0, 3, 4, 9]), [0, 1, 3, 4, 5, 9]);
+    }
+}
