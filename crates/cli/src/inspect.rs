@@ -230,10 +230,14 @@ impl Summary {
             ));
         }
         if let Some(over @ 1..) = self.cells_over_budget {
-            lines.push(format!(
-                "over the triangle budget: {over} of {} cells; they are at the deepest level (--max-depth) or too thin to be halved",
-                self.cells
-            ));
+            let why = if self.decided.is_some() {
+                "the tree was made by what sampling had shown"
+            } else if self.cells_unfinished > 0 {
+                "they are at the deepest level (--max-depth), too thin to be halved, or not finished"
+            } else {
+                "they are at the deepest level (--max-depth) or too thin to be halved"
+            };
+            lines.push(format!("over the triangle budget: {over} of {} cells; {why}", self.cells));
         }
         lines.push(format!("numerics profile {}", text("profile")));
         lines
@@ -339,11 +343,6 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
     let pvs = open(&args.result.result)?;
     let point: [f32; 3] =
         args.point.as_slice().try_into().map_err(|_| CliError::Usage("give x y z".to_owned()))?;
-    if !point.iter().all(|c| c.is_finite()) {
-        return Err(CliError::Usage(format!(
-            "{point:?} is no point; give three numbers that 32-bit floats can hold"
-        )));
-    }
     let Some(cell) = pvs.find_cell(point) else {
         let [min, max] = pvs.tree().view_box();
         return Err(CliError::Input(format!(

@@ -6,6 +6,7 @@ use std::time::Duration;
 use clap::{Args, ValueEnum};
 use glam::Vec3;
 use sightline_job::{JobSpec, Method};
+use sightline_sampling::lines::MOST_DEPTH;
 use sightline_sampling::params::{BackendChoice, ErrorMeasure, Sampler, SamplingParams, SupersetChoice};
 use sightline_scene::Scene;
 use sightline_viewcells::Division;
@@ -29,16 +30,17 @@ pub struct JobArgs {
     /// A regular grid of view cells. Default, without a triangle budget: 8x8x8.
     #[arg(long, value_name = "NXxNYxNZ", value_parser = parse_cells, conflicts_with = "triangle_budget")]
     cells: Option<[u32; 3]>,
-    /// Adaptive cells instead of a grid: halve a cell while more triangles than this are visible from it.
+    /// Adaptive cells instead of a grid: halve a cell while sampling shows more triangles than this from it. The first three
+    /// levels are always halved.
     #[arg(long, value_name = "T")]
     triangle_budget: Option<u32>,
-    /// Deepest level of the adaptive tree.
+    /// Deepest level of the adaptive tree, 1 to 22.
     #[arg(long, value_name = "D", default_value_t = 12, requires = "triangle_budget")]
     max_depth: u32,
     /// Where viewpoints may be: x0,y0,z0,x1,y1,z1. Default: the scene's bounds.
     #[arg(long, value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]
     view_box: Option<[Vec3; 2]>,
-    /// How sight lines are chosen. Default: lines.
+    /// How sight lines are chosen. Default: lines; for adaptive trees deeper than 12: cubes.
     #[arg(long, value_enum)]
     sampler: Option<SamplerArg>,
     /// A cell is done when it is expected to miss at most this fraction of the sight lines from it, those that meet
@@ -55,7 +57,7 @@ pub struct JobArgs {
     /// unit. The clock goes on while a bake is interrupted. Two runs then need not give the same bytes.
     #[arg(long, value_name = "DUR", value_parser = parse_duration)]
     time_budget: Option<Duration>,
-    /// Most cells of a tile, 1 to 512: the piece of work a worker takes, and what is lost when one is killed. Sight lines are
+    /// Most cells of a tile of a grid, 1 to 512: the piece of work a worker takes, and what is lost when one is killed. Sight lines are
     /// shared within a tile, so smaller ones cost more in all. Default: 512; fewer for large scenes and small errors; 8 for exact
     /// methods.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(sightline_job::MOST_BLOCK_CELLS)))]
@@ -201,6 +203,7 @@ impl JobArgs {
         };
         let adaptive = self.triangle_budget.is_some();
         let sampler = match self.sampler {
+            None if adaptive && self.max_depth > MOST_DEPTH => Sampler::Cubes,
             None | Some(SamplerArg::Lines) => Sampler::Lines,
             Some(SamplerArg::Cubes) => Sampler::Cubes,
             Some(SamplerArg::Guided) => Sampler::Guided,
@@ -209,6 +212,11 @@ impl JobArgs {
         if adaptive && sampler == Sampler::Guided {
             return refuse(
                 "an adaptive tree (--triangle-budget) is sampled with --sampler lines or cubes; give --cells for another",
+            );
+        }
+        if adaptive && sampler == Sampler::Lines && self.max_depth > MOST_DEPTH {
+            return refuse(
+                "--sampler lines makes trees of a --max-depth of at most 12; give less, or --sampler cubes, which takes far longer",
             );
         }
         if self.certificates && method == Method::Aggressive {
@@ -229,10 +237,13 @@ impl JobArgs {
                 None => Division::Grid(self.cells.unwrap_or([8, 8, 8])),
             },
             view_box: self.view_box.unwrap_or([bounds.min, bounds.max]),
-            block_cells: self
-                .block_cells
-                .filter(|_| sampler != Sampler::Cubes)
-                .unwrap_or_else(|| sightline_job::default_block_cells(scene.len(), &sampling, method)),
+            block_cells: if adaptive {
+                sightline_job::MOST_BLOCK_CELLS
+            } else {
+                self.block_cells
+                    .filter(|_| sampler != Sampler::Cubes)
+                    .unwrap_or_else(|| sightline_job::default_block_cells(scene.len(), &sampling, method))
+            },
             sampling,
             backend: match self.backend {
                 Backend::Auto => BackendChoice::Auto,
@@ -298,13 +309,16 @@ impl JobArgs {
         }
         if sampler == Sampler::Cubes {
             self.cubes.apply(&mut params);
-            unused.extend(self.block_cells.map(|_| "--block-cells"));
         } else {
             unused.extend(self.cubes.given());
         }
+        if sampler == Sampler::Cubes || self.triangle_budget.is_some() {
+            unused.extend(self.block_cells.map(|_| "--block-cells"));
+        }
         if !unused.is_empty() {
             let name = sampler.to_string();
-            say(&format!("note: the sampler {name} makes no use of {}", unused.join(", ")));
+            let tree = if self.triangle_budget.is_some() { " in an adaptive tree" } else { "" };
+            say(&format!("note: the sampler {name}{tree} makes no use of {}", unused.join(", ")));
         }
         Ok(params)
     }

@@ -6,6 +6,7 @@
 use glam::Vec3;
 use prost::Message as _;
 use sightline_proto::v1;
+use sightline_sampling::lines::MOST_DEPTH;
 use sightline_sampling::params::{
     BackendChoice, ErrorMeasure, ParamsError, Sampler, SamplingParams, SupersetChoice,
 };
@@ -165,9 +166,11 @@ impl JobSpec {
             backend,
             seed: m.seed,
             time_budget_ms: m.time_budget_ms,
-            // Cubes have no blocks; what they make no use of makes no other job.
+            // Cubes and adaptive trees have no blocks to choose; what they make no use of makes no other job.
             block_cells: match m.block_cells {
-                given @ 1.. if s.sampler() != v1::Sampler::Cubes => given,
+                given @ 1.. if s.sampler() != v1::Sampler::Cubes && matches!(division, Division::Grid(_)) => {
+                    given
+                }
                 _ => MOST_BLOCK_CELLS,
             },
             method: match v1::Method::try_from(m.method) {
@@ -191,6 +194,11 @@ impl JobSpec {
         let adaptive = matches!(division, Division::Adaptive { .. });
         if adaptive && spec.sampling.sampler == Sampler::Guided {
             return Err(SpecError::Field("sampler", "an adaptive division is sampled with lines or cubes"));
+        }
+        if matches!(division, Division::Adaptive { max_depth, .. } if max_depth > MOST_DEPTH)
+            && spec.sampling.sampler == Sampler::Lines
+        {
+            return Err(SpecError::Field("max-depth", "trees deeper than 12 are sampled with cubes"));
         }
         if adaptive && spec.sampling.max_error.is_some() {
             return Err(SpecError::Field("max-error", "only the cells of a grid are refined to a bound"));
@@ -393,7 +401,13 @@ mod tests {
         assert!(refuse(v1::JobSpec { sampling: None, ..good.clone() }).contains("sampling"));
         assert!(refuse(v1::JobSpec { method: 9, ..good.clone() }).contains("method"));
         assert!(refuse(v1::JobSpec { certificates: true, ..good.clone() }).contains("certificates"));
-        let adaptive = JobSpec { division: Division::Adaptive { budget: 5, max_depth: 6 }, ..spec() };
+        let adaptive = JobSpec {
+            division: Division::Adaptive { budget: 5, max_depth: 12 },
+            block_cells: MOST_BLOCK_CELLS,
+            ..spec()
+        };
+        let deep = JobSpec { division: Division::Adaptive { budget: 5, max_depth: 13 }, ..adaptive.clone() };
+        assert!(refuse(deep.to_proto()).contains("max-depth"));
         assert_eq!(JobSpec::from_proto(&adaptive.to_proto(), None).unwrap(), adaptive);
         let with = |sampler, max_error| {
             let sampling = SamplingParams { sampler, max_error, ..SamplingParams::default() };

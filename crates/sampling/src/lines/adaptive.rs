@@ -1,10 +1,11 @@
 //! An adaptive tree from sight lines: small cells are sampled together, and joined again where the budget is kept.
 //!
 //! What is seen from a cell is what is seen from any of its parts, so the sets of a block of small cells give those of all nodes above
-//! them, and with them where the tree ends. A small cell that is still beyond the budget is sampled again in smaller ones. The papers
-//! go the other way, from the root down (thesis §4.2.2): with cubes on cells' surfaces a cell's set is known before those of its
-//! parts. Lines are the cheaper the more cells share them.
+//! them, and with them where the tree ends. The papers go the other way, from the root down (thesis §4.2.2): with cubes on cells'
+//! surfaces a cell's set is known before those of its parts. Lines are the cheaper the more cells share them. They are not cast again
+//! from parts of the small cells, which would not find all that is known to be seen from the whole: so deep is no tree ([`MOST_DEPTH`]).
 
+use sightline_viewcells::division::FORCED_DEPTH;
 use sightline_viewcells::{CellBox, Split, Tile};
 
 use super::CellStats;
@@ -16,6 +17,10 @@ use crate::tile::{CellSet, CellSets, JobContext, Node, TileError, Watcher};
 
 /// Levels of the tree that are sampled together: 8×8×8 cells, or as flat as the cell they are in.
 const LEVELS: u32 = 9;
+/// Deepest level of a tree from sight lines.
+pub const MOST_DEPTH: u32 = FORCED_DEPTH + LEVELS;
+/// Most of a cell, in cells, that a segment may have to cross before it counts: where coordinates are few, smaller ones would lose lines.
+const MOST_MARGIN: f32 = 1.0 / 16.0;
 
 /// Runs a leaf tile of an adaptive tree.
 ///
@@ -27,27 +32,34 @@ pub fn run(
     tracer: &dyn LineTracer,
     watcher: &dyn Watcher,
 ) -> Result<(CellSets, u64), TileError> {
-    let mut work = Work { job, tracer, watcher, rays: 0 };
-    let part = work.subtree(&tile.cell, tile.depth, false)?;
-    Ok((CellSets { nodes: part.nodes, cells: part.cells }, work.rays))
+    let (levels, sides) = regular(job, &tile.cell, tile.depth);
+    let number = |c: [u32; 3]| number(job.lattice.units(), &tile.cell, sides, c);
+    let mut block = block(job, tracer, watcher, (&tile.cell, sides), number);
+    // Which of its cells will be cells of the tree is not known yet.
+    block.silent = true;
+    block.sample(job.params.target_error, &[], Hard::Spared)?;
+    block.bits_mut().share(job.scene.duplicates());
+    let mut sampled = Sampled {
+        grid: block.grid().clone(),
+        of: tile.cell,
+        levels,
+        columns: columns(&block),
+        stats: block.stats().to_vec(),
+    };
+    let rays = sampled.stats.iter().flat_map(|s| s.rays).sum();
+    drop(block);
+    let part = sampled.part(job, &tile.cell, (tile.depth, 0));
+    part.cells.iter().for_each(|_| watcher.cell_done());
+    Ok((CellSets { nodes: part.nodes, cells: part.cells }, rays))
 }
 
 /// A part of the tree, in preorder.
 struct Part {
     nodes: Vec<Node>,
     cells: Vec<CellSet>,
-    /// How many of its cells were said to be done.
-    told: usize,
-    /// What is seen from all of it: the cells' union, but for what only a sampling by larger cells has found.
+    /// What is seen from all of it.
     seen: Vec<u32>,
     stats: CellStats,
-}
-
-struct Work<'a> {
-    job: &'a JobContext<'a>,
-    tracer: &'a dyn LineTracer,
-    watcher: &'a dyn Watcher,
-    rays: u64,
 }
 
 /// What was sampled below a cell.
@@ -60,99 +72,50 @@ struct Sampled {
     stats: Vec<CellStats>,
 }
 
-impl Work<'_> {
-    /// Samples the levels below `cell`, and again below those of their cells that see too much. `beyond`: it is known that more than
-    /// the budget is seen from it, if not in this sampling, so that it is no cell of the tree.
-    fn subtree(&mut self, cell: &CellBox, depth: u32, beyond: bool) -> Result<Part, TileError> {
-        let (levels, sides) = self.regular(cell, depth);
-        let number = |c: [u32; 3]| number(self.job.lattice.units(), cell, sides, c);
-        let mut block = block(self.job, self.tracer, self.watcher, (cell, sides), number);
-        // Which of its cells will be cells of the tree is not known yet.
-        block.silent = true;
-        block.sample(self.job.params.target_error, &[], Hard::Spared)?;
-        block.bits_mut().share(self.job.scene.duplicates());
-        let mut sampled = Sampled {
-            grid: block.grid().clone(),
-            of: *cell,
-            levels,
-            columns: columns(&block),
-            stats: block.stats().to_vec(),
-        };
-        self.rays += sampled.stats.iter().flat_map(|s| s.rays).sum::<u64>();
-        drop(block);
-        let mut part = self.part(&mut sampled, cell, (depth, 0), beyond)?;
-        (part.told..part.cells.len()).for_each(|_| self.watcher.cell_done());
-        part.told = part.cells.len();
-        Ok(part)
-    }
-
-    /// The tree of a cell at a depth, so many levels below the cell of `sampled`; more than a cell if it is `beyond` the budget.
-    fn part(
-        &mut self,
-        sampled: &mut Sampled,
-        cell: &CellBox,
-        (depth, level): (u32, u32),
-        beyond: bool,
-    ) -> Result<Part, TileError> {
-        let split = self.job.division.split(&self.job.lattice, cell, depth);
-        if let Some(split) = split.filter(|_| level < sampled.levels) {
-            let [below, above] = cell.children(split);
-            let next = (depth + 1, level + 1);
-            let parts = [self.part(sampled, &below, next, false)?, self.part(sampled, &above, next, false)?];
-            return Ok(self.joined(split, depth, parts, beyond));
+/// How many levels below a cell are regular, [`LEVELS`] at most, and how many cells the last of them has along each axis.
+fn regular(job: &JobContext<'_>, cell: &CellBox, depth: u32) -> (u32, [u32; 3]) {
+    let (min, max) = cell.world(&job.lattice);
+    let (mut sides, mut cells) = ([1; 3], vec![*cell]);
+    for level in 0..LEVELS {
+        let splits: Option<Vec<Split>> =
+            cells.iter().map(|c| job.division.split(&job.lattice, c, depth + level)).collect();
+        // None where the tree ends; planes may be too close to tell apart in some cells only.
+        let Some(splits) = splits else { return (level, sides) };
+        let axis = splits[0].axis;
+        let halves = |(c, s): (&CellBox, &Split)| s.axis == axis && s.at - c.lo[axis] == c.hi[axis] - s.at;
+        let mut finer = sides;
+        finer[axis] *= 2;
+        let fine = CellGrid::new(min, max, finer).margin() > MOST_MARGIN;
+        if fine || !cells.iter().zip(&splits).all(halves) {
+            return (level, sides);
         }
-        let (seen, mut stats) = sampled.take(cell);
-        if split.is_some() && self.job.division.wants_split(seen.len(), depth) {
-            if !self.late() {
-                let part = self.subtree(cell, depth, true)?;
-                return Ok(Part { seen, stats, ..part });
-            }
-            stats.unfinished = true;
-        }
-        Ok(Part::leaf(seen, stats))
+        sides = finer;
+        cells = cells.iter().zip(splits).flat_map(|(c, s)| c.children(s)).collect();
     }
-
-    /// A node of the tree, or a cell where that keeps to the budget and nothing says that it is `beyond` it.
-    fn joined(&self, split: Split, depth: u32, [below, above]: [Part; 2], beyond: bool) -> Part {
-        let seen = union(&below.seen, &above.seen);
-        let stats = below.stats.joined(&above.stats);
-        if !beyond && !self.job.division.wants_split(seen.len(), depth) {
-            return Part::leaf(seen, stats);
-        }
-        let mut nodes = vec![Node::Split(split)];
-        nodes.extend(below.nodes);
-        nodes.extend(above.nodes);
-        let mut cells = below.cells;
-        cells.extend(above.cells);
-        Part { nodes, cells, told: below.told + above.told, seen, stats }
-    }
-
-    fn late(&self) -> bool {
-        self.job.deadline.is_some_and(|d| std::time::Instant::now() >= d)
-    }
-
-    /// How many levels below a cell are regular, [`LEVELS`] at most, and how many cells the last of them has along each axis.
-    fn regular(&self, cell: &CellBox, depth: u32) -> (u32, [u32; 3]) {
-        let (mut sides, mut cells) = ([1; 3], vec![*cell]);
-        for level in 0..LEVELS {
-            let splits: Option<Vec<Split>> =
-                cells.iter().map(|c| self.job.division.split(&self.job.lattice, c, depth + level)).collect();
-            // None where the tree ends; planes may be too close to tell apart in some cells only.
-            let Some(splits) = splits else { return (level, sides) };
-            let axis = splits[0].axis;
-            let halves =
-                |(c, s): (&CellBox, &Split)| s.axis == axis && s.at - c.lo[axis] == c.hi[axis] - s.at;
-            if !cells.iter().zip(&splits).all(halves) {
-                return (level, sides);
-            }
-            sides[axis] *= 2;
-            cells = cells.iter().zip(splits).flat_map(|(c, s)| c.children(s)).collect();
-        }
-        (LEVELS, sides)
-    }
+    (LEVELS, sides)
 }
 
 impl Sampled {
+    /// The tree of a cell at a depth, so many levels below the cell of the block.
+    fn part(&mut self, job: &JobContext<'_>, cell: &CellBox, (depth, level): (u32, u32)) -> Part {
+        let split = job.division.split(&job.lattice, cell, depth).filter(|_| level < self.levels);
+        let Some(split) = split else {
+            let (seen, stats) = self.take(cell);
+            return Part::leaf(seen, stats);
+        };
+        let [below, above] = cell.children(split).map(|c| self.part(job, &c, (depth + 1, level + 1)));
+        let seen = union(&below.seen, &above.seen);
+        let stats = below.stats.joined(&above.stats);
+        if !job.division.wants_split(seen.len(), depth) {
+            return Part::leaf(seen, stats);
+        }
+        let mut nodes = vec![Node::Split(split)];
+        nodes.extend(below.nodes.into_iter().chain(above.nodes));
+        let mut cells = below.cells;
+        cells.extend(above.cells);
+        Part { nodes, cells, seen, stats }
+    }
+
     /// The set and the account of one of the small cells.
     fn take(&mut self, cell: &CellBox) -> (Vec<u32>, CellStats) {
         let sides = self.grid.cells();
@@ -166,7 +129,7 @@ impl Sampled {
 impl Part {
     fn leaf(seen: Vec<u32>, stats: CellStats) -> Self {
         let cell = CellSet { visible: seen.clone(), stats, ..CellSet::default() };
-        Self { nodes: vec![Node::Cell], cells: vec![cell], told: 0, seen, stats }
+        Self { nodes: vec![Node::Cell], cells: vec![cell], seen, stats }
     }
 }
 

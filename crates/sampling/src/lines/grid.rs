@@ -81,6 +81,11 @@ impl CellGrid {
         self.cells
     }
 
+    /// How much of a cell a segment must cross before it counts, in cells.
+    pub fn margin(&self) -> f32 {
+        self.margin
+    }
+
     /// Cells in all.
     pub fn count(&self) -> usize {
         self.cells.iter().map(|c| *c as usize).product()

@@ -24,6 +24,7 @@ pub mod surface;
 mod tile;
 mod yields;
 
+pub use adaptive::MOST_DEPTH;
 pub use tile::run;
 
 /// The kinds of sight lines, in the order of [`CellStats::rays`].

@@ -1,5 +1,5 @@
-//! One leaf tile of the plan sampled with sight lines: its cells as a block, and the sets that come out. A tile of an adaptive tree
-//! takes several blocks ([`super::adaptive`]).
+//! One leaf tile of the plan sampled with sight lines: its cells as a block, and the sets that come out. Of an adaptive tree
+//! the cells are made of smaller ones ([`super::adaptive`]).
 
 use std::time::Instant;
 
