@@ -77,6 +77,7 @@ fn adaptive_cells_keep_to_budget_or_depth() {
         sandbox.ok(&format!("bake maze.glb {division} {options} -o {workers}.pvs"));
     }
     assert_same(&sandbox.read("1.pvs"), &sandbox.read("4.pvs"), "1 and 4 workers");
+    assert!(sandbox.ok("info 1.pvs").contains("only those of a grid"));
     assert_eq!(sandbox.json("info 1.pvs")["info"]["sampling"]["sampler"], "lines");
     let measured = sandbox.json("measure maze.glb 1.pvs --viewpoints 20 --seed 3 --resolution 64");
     assert!(measured["mean_error"].as_f64().unwrap() < 1e-3, "{measured}");

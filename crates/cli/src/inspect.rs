@@ -193,6 +193,9 @@ impl Summary {
                     "missed sight lines: none, as what is undecided is drawn".to_owned()
                 }
                 _ if self.decided.is_some() => "missed sight lines: none".to_owned(),
+                _ if self.info["division"]["adaptive"].is_object() => {
+                    "missed sight lines: not bounded (only those of a grid can be)".to_owned()
+                }
                 _ => "missed sight lines: not bounded (--max-error F bounds them)".to_owned(),
             },
         ];

@@ -67,8 +67,8 @@ impl Cell {
 }
 
 /// Whether any of the targets, which do not meet the cell, is seen from it; from what is not on the side `hidden` of the plane of
-/// a single one, if they are known to be hidden from there. Undecided within the limits, and when told to stop, which is asked all the
-/// time.
+/// a single one, if they are known to be hidden from there. Undecided beyond the limits, and where `stop`,
+/// asked before every region, says so.
 pub fn from_cell(
     scene: &Occluders,
     cell: Cell,

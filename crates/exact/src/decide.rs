@@ -42,7 +42,7 @@ pub struct Task<'a> {
     pub seed: u64,
     /// Whether to keep witnesses and proofs.
     pub keep: bool,
-    /// Asked now and then whether to stop with what there is.
+    /// Asked before every region of every query whether to stop with what there is.
     pub stop: &'a (dyn Fn() -> bool + Sync),
     /// Told after every query.
     pub asked: &'a (dyn Fn() + Sync),

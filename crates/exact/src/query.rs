@@ -29,7 +29,7 @@ use crate::vector::{Decisions, Space};
 /// When a query gives up.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Regions looked at, over all divisions; a hundred thousand take some seconds.
+    /// Regions looked at, over all divisions; so many as by default take some seconds.
     pub regions: u32,
     /// Vectors and points held at a time; about 200 bytes each, and more where integers were needed.
     pub vectors: u32,

@@ -11,7 +11,7 @@ use super::{State, Work};
 use crate::bvh::Below;
 use crate::cell::{Found, faces_towards, from_cell};
 use crate::polygon::Polygon;
-use crate::query::Cost;
+use crate::query::{Cost, Reason};
 use crate::rays;
 
 /// Nodes asked about at a time, in parallel: enough to keep a few cores busy, few enough to go by size.
@@ -231,6 +231,9 @@ impl Work<'_> {
             (&self.task.limits, &self.task.stop),
             &mut cost,
         );
+        if matches!(found, Found::Undecided(Reason::Stopped)) {
+            return Asked { of, found: None, beside: Vec::new(), rays: 0, cost };
+        }
         (self.task.asked)();
         let (mut beside, mut rays) = (Vec::new(), 0);
         if let Found::Visible(ends) = &found {
