@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use glam::Vec3;
+use rayon::prelude::*;
 use serde_json::json;
 use sightline_exact::checker::{CellClaims, Claim, Triangles, check_cell};
 use sightline_exact::evidence::{Evidence, Target, codec};
@@ -36,20 +37,30 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     let progress = Progress::new();
     let start = Instant::now();
     let mut totals = Totals::default();
-    for cell in 0..pvs.cells() {
-        let wanted = sample.as_ref().map(|s| s.get(&cell).cloned().unwrap_or_default());
-        let checked = check_one(&pvs, &triangles, cell, wanted.as_ref(), &mut totals);
-        if let Err(why) = checked {
-            progress.end();
-            if json {
-                print(&json!({"accepted": false, "cell": cell, "reason": why}).to_string())?;
+    let cells: Vec<u32> = (0..pvs.cells()).collect();
+    // A few at a time: of a sample there is little to check in each, and of any one cell a long proof may be the last.
+    for some in cells.chunks(2 * rayon::current_num_threads()) {
+        let check = |cell: &u32| {
+            let wanted = sample.as_ref().map(|s| s.get(cell).cloned().unwrap_or_default());
+            check_one(&pvs, &triangles, *cell, wanted.as_ref())
+        };
+        let checked: Vec<Result<Totals, String>> = some.par_iter().with_max_len(1).map(check).collect();
+        for (cell, checked) in some.iter().zip(checked) {
+            match checked {
+                Ok(of_cell) => totals += of_cell,
+                Err(why) => {
+                    progress.end();
+                    if json {
+                        print(&json!({"accepted": false, "cell": cell, "reason": why}).to_string())?;
+                    }
+                    return Err(CliError::Input(format!(
+                        "REFUSED: {}, cell {cell}: {why}; the result is damaged or was altered, bake it again",
+                        args.result.display()
+                    )));
+                }
             }
-            return Err(CliError::Input(format!(
-                "REFUSED: {}, cell {cell}: {why}; the result is damaged or was altered, bake it again",
-                args.result.display()
-            )));
+            progress.count(u64::from(*cell) + 1, u64::from(pvs.cells()), "cells");
         }
-        progress.count(u64::from(cell) + 1, u64::from(pvs.cells()), "cells");
     }
     progress.end();
     say(&format!("verified in {}", human(start.elapsed())));
@@ -118,15 +129,27 @@ struct Totals {
     bytes: u64,
 }
 
+impl std::ops::AddAssign for Totals {
+    fn add_assign(&mut self, o: Self) {
+        for kind in 0..3 {
+            self.all[kind] += o.all[kind];
+            self.checked[kind] += o.checked[kind];
+            self.hidden[kind] += o.hidden[kind];
+        }
+        self.undecided += o.undecided;
+        self.bytes += o.bytes;
+    }
+}
+
 /// Checks one cell, or of it only what is about the triangles `wanted`.
 fn check_one(
     pvs: &Pvs,
     scene: &Triangles<'_>,
     cell: u32,
     wanted: Option<&BTreeSet<u32>>,
-    totals: &mut Totals,
-) -> Result<(), String> {
+) -> Result<Totals, String> {
     let error = |e: sightline_pvs::PvsError| e.to_string();
+    let mut totals = Totals::default();
     let (mut visible, mut undecided) = (Vec::new(), Vec::new());
     pvs.visible(cell, &mut visible).map_err(error)?;
     pvs.undecided(cell, &mut undecided).map_err(error)?;
@@ -161,7 +184,7 @@ fn check_one(
         totals.all[kind] += all[kind].load(Ordering::Relaxed);
         totals.checked[kind] += picked[kind].load(Ordering::Relaxed);
     }
-    Ok(())
+    Ok(totals)
 }
 
 /// So many pairs of cell and triangle, evenly from all: the triangles by cell.

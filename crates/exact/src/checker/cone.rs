@@ -1,17 +1,26 @@
 //! Cones in six dimensions by the double description method, in integers.
 
+use std::cell::OnceCell;
 use std::cmp::Ordering;
 
 use dashu_int::IBig;
 
 use super::line::{Line, klein, reduced, sign};
+use super::vector::Vector;
 
-/// A pointed cone of full dimension by its extreme rays, and for each the half-spaces it lies on the border of.
+/// A pointed cone of full dimension by its extreme rays.
 #[derive(Clone)]
 pub struct Cone {
-    rays: Vec<(Line, Vec<u64>)>,
+    rays: Vec<Ray>,
     /// How many half-spaces there are.
     halves: usize,
+}
+
+/// An extreme ray, and the half-spaces it lies on the border of.
+#[derive(Clone)]
+struct Ray {
+    vector: Vector,
+    tight: Vec<u64>,
 }
 
 fn has(set: &[u64], bit: usize) -> bool {
@@ -25,13 +34,9 @@ fn insert(set: &mut Vec<u64>, bit: usize) {
     set[bit / 64] |= 1 << (bit % 64);
 }
 
-fn common(a: &[u64], b: &[u64]) -> Vec<u64> {
-    a.iter().zip(b).map(|(x, y)| x & y).collect()
-}
-
-/// Whether every bit of `part` is in `whole`.
-fn holds(whole: &[u64], part: &[u64]) -> bool {
-    part.iter().enumerate().all(|(i, w)| w & !whole.get(i).copied().unwrap_or(0) == 0)
+/// Whether every bit that is in both `a` and `b` is in `whole`.
+fn holds(whole: &[u64], a: &[u64], b: &[u64]) -> bool {
+    a.iter().zip(b).enumerate().all(|(i, (a, b))| a & b & !whole.get(i).copied().unwrap_or(0) == 0)
 }
 
 fn dot(a: &Line, b: &Line) -> IBig {
@@ -43,6 +48,7 @@ impl Cone {
     /// hyperplane. None if they do not.
     pub fn of(vectors: Vec<Line>) -> Option<Self> {
         // The dual cone {f : f·v ≥ 0 for all v} has one ray for every facet. It starts with six independent vectors.
+        let vectors: Vec<Line> = vectors.into_iter().map(reduced).collect();
         let basis = independent(&vectors)?;
         let rows: [&Line; 6] = std::array::from_fn(|k| &vectors[basis[k]]);
         let mut dual = Self { rays: Vec::new(), halves: vectors.len() };
@@ -53,10 +59,12 @@ impl Cone {
             }
             let mut tight = Vec::new();
             basis.iter().enumerate().filter(|(i, _)| *i != k).for_each(|(_, b)| insert(&mut tight, *b));
-            dual.rays.push((f, tight));
+            dual.rays.push(Ray { vector: Vector::new(f), tight });
         }
         for (number, v) in vectors.iter().enumerate().filter(|(n, _)| !basis.contains(n)) {
-            dual = dual.cut(&|f| dot(f, v), number).0?;
+            // f·v is the Klein form of f and v with its halves exchanged.
+            let turned = Vector::new(std::array::from_fn(|i| v[(i + 3) % 6].clone()));
+            dual = dual.cut(&turned, number).0?;
         }
         // Facets are the dual's rays; a vector is on those facets whose functional vanishes on it.
         let facets = dual.rays.len();
@@ -65,34 +73,32 @@ impl Cone {
             dual.rays
                 .iter()
                 .enumerate()
-                .filter(|(_, (_, t))| has(t, number))
+                .filter(|(_, ray)| has(&ray.tight, number))
                 .for_each(|(f, _)| insert(&mut set, f));
             set
         };
         let sets: Vec<Vec<u64>> = (0..vectors.len()).map(on).collect();
         // A vector that is not extreme is on fewer facets than some extreme one; of parallel ones the first is kept.
-        let extreme = |i: usize| {
-            (0..sets.len())
-                .all(|j| i == j || !holds(&sets[j], &sets[i]) || (holds(&sets[i], &sets[j]) && i < j))
-        };
+        let among = |i: usize, j: usize| holds(&sets[j], &sets[i], &sets[i]);
+        let extreme = |i: usize| (0..sets.len()).all(|j| i == j || !among(i, j) || (among(j, i) && i < j));
         let rays = (0..sets.len())
             .filter(|i| extreme(*i))
-            .map(|i| (reduced(vectors[i].clone()), sets[i].clone()))
+            .map(|i| Ray { vector: Vector::new(vectors[i].clone()), tight: sets[i].clone() })
             .collect();
         Some(Self { rays, halves: facets })
     }
 
-    /// The parts inside and outside a line's hyperplane; none for a part of lower dimension.
-    pub fn split(self, line: &Line) -> (Option<Self>, Option<Self>) {
+    /// The parts on the positive and on the negative side of a line's hyperplane; none for a part of lower dimension.
+    pub fn split(self, line: &Vector) -> (Option<Self>, Option<Self>) {
         let number = self.halves;
-        let (inside, outside) = self.cut(&|v| klein(v, line), number);
+        let (positive, negative) = self.cut(line, number);
         let with = |c: Option<Self>| c.map(|c| Self { halves: number + 1, ..c });
-        (with(inside), with(outside))
+        (with(positive), with(negative))
     }
 
-    /// Both sides of a hyperplane given by a functional on rays, as half-space `number`.
-    fn cut(self, value: &dyn Fn(&Line) -> IBig, number: usize) -> (Option<Self>, Option<Self>) {
-        let sides: Vec<Ordering> = self.rays.iter().map(|(r, _)| sign(&value(r))).collect();
+    /// Both sides of a line's hyperplane, as half-space `number`.
+    fn cut(self, line: &Vector, number: usize) -> (Option<Self>, Option<Self>) {
+        let sides: Vec<Ordering> = self.rays.iter().map(|r| r.vector.side(line)).collect();
         if !sides.contains(&Ordering::Less) {
             // All inside; the rays on the hyperplane are tight there, too.
             let mut all = self;
@@ -100,59 +106,70 @@ impl Cone {
                 .iter_mut()
                 .zip(&sides)
                 .filter(|(_, s)| **s == Ordering::Equal)
-                .for_each(|((_, t), _)| insert(t, number));
+                .for_each(|(r, _)| insert(&mut r.tight, number));
             return (Some(all), None);
         }
         if !sides.contains(&Ordering::Greater) {
             return (None, Some(self));
         }
-        let keep = |which: Ordering| -> Vec<(Line, Vec<u64>)> {
-            let kept = self.rays.iter().zip(&sides).filter(|(_, s)| **s == which || **s == Ordering::Equal);
-            kept.map(|((r, t), s)| {
-                let mut t = t.clone();
-                if *s == Ordering::Equal {
-                    insert(&mut t, number);
+        let on_edges = self.crossed(line, &sides, number);
+        let (mut inside, mut outside) = (Vec::new(), Vec::new());
+        for (mut ray, side) in self.rays.into_iter().zip(sides) {
+            match side {
+                Ordering::Greater => inside.push(ray),
+                Ordering::Less => outside.push(ray),
+                Ordering::Equal => {
+                    insert(&mut ray.tight, number);
+                    inside.push(ray.clone());
+                    outside.push(ray);
                 }
-                (r.clone(), t)
-            })
-            .collect()
-        };
-        let (mut inside, mut outside) = (keep(Ordering::Greater), keep(Ordering::Less));
-        let of = |which: Ordering| (0..sides.len()).filter(|i| sides[*i] == which).collect::<Vec<_>>();
-        for p in of(Ordering::Greater) {
-            for n in of(Ordering::Less) {
-                let ((u, s), (v, t)) = (&self.rays[p], &self.rays[n]);
-                let both = common(s, t);
-                if both.iter().map(|w| w.count_ones()).sum::<u32>() < 4 {
-                    continue;
-                }
-                if (0..sides.len()).any(|k| k != p && k != n && holds(&self.rays[k].1, &both)) {
-                    continue;
-                }
-                // Where the edge meets the hyperplane: |value(v)| of u and |value(u)| of v.
-                let (x, y) = (value(u), -value(v));
-                let ray = reduced(std::array::from_fn(|i| &v[i] * &x + &u[i] * &y));
-                let mut tight = both;
-                insert(&mut tight, number);
-                inside.push((ray.clone(), tight.clone()));
-                outside.push((ray, tight));
             }
         }
+        inside.extend(on_edges.iter().cloned());
+        outside.extend(on_edges);
         let cone = |rays| Some(Self { rays, halves: self.halves });
         (cone(inside), cone(outside))
     }
 
-    /// Whether all of it is on the positive side of a line's hyperplane, or on it.
-    pub fn within(&self, line: &Line) -> bool {
-        self.rays.iter().all(|(r, _)| sign(&klein(r, line)) != Ordering::Less)
+    /// Where the edges between rays on different sides of a line's hyperplane cross it.
+    fn crossed(&self, line: &Vector, sides: &[Ordering], number: usize) -> Vec<Ray> {
+        let of = |which: Ordering| (0..sides.len()).filter(|i| sides[*i] == which).collect::<Vec<_>>();
+        let (above, below) = (of(Ordering::Greater), of(Ordering::Less));
+        let values = vec![OnceCell::new(); sides.len()];
+        let value = |k: usize| values[k].get_or_init(|| klein(self.rays[k].vector.line(), line.line()));
+        let mut out = Vec::new();
+        for p in above {
+            for n in &below {
+                let (s, t) = (&self.rays[p].tight, &self.rays[*n].tight);
+                // Two rays share an edge if they are tight at four half-spaces or more that no third ray is all tight at.
+                if s.iter().zip(t).map(|(a, b)| (a & b).count_ones()).sum::<u32>() < 4
+                    || (0..sides.len()).any(|k| k != p && k != *n && holds(&self.rays[k].tight, s, t))
+                {
+                    continue;
+                }
+                let (u, v) = (self.rays[p].vector.line(), self.rays[*n].vector.line());
+                // |value(v)| of u and |value(u)| of v.
+                let (x, y) = (value(p), value(*n));
+                let ray = reduced(std::array::from_fn(|i| &v[i] * x - &u[i] * y));
+                let mut tight = s.iter().zip(t).map(|(a, b)| a & b).collect();
+                insert(&mut tight, number);
+                out.push(Ray { vector: Vector::new(ray), tight });
+            }
+        }
+        out
+    }
+
+    /// Whether all of it is on one side of a line's hyperplane, or on it.
+    pub fn within(&self, line: &Vector, side: Ordering) -> bool {
+        self.rays.iter().all(|r| r.vector.side(line) != side.reverse())
     }
 
     /// Whether the Klein form has one sign, or 0, on all pairs of rays.
     pub fn unreal(&self) -> bool {
         let mut seen = Ordering::Equal;
-        for (i, (u, _)) in self.rays.iter().enumerate() {
-            for (v, _) in &self.rays[i..] {
-                match (sign(&klein(u, v)), seen) {
+        for (i, u) in self.rays.iter().enumerate() {
+            for v in &self.rays[i..] {
+                match (u.vector.side(&v.vector), seen) {
                     (Ordering::Equal, _) => {}
                     (s, Ordering::Equal) => seen = s,
                     (s, before) if s != before => return false,
@@ -169,7 +186,7 @@ fn independent(vectors: &[Line]) -> Option<[usize; 6]> {
     let mut rows: Vec<(Line, usize)> = Vec::new();
     let mut found = Vec::new();
     for (number, v) in vectors.iter().enumerate() {
-        let mut v = reduced(v.clone());
+        let mut v = v.clone();
         for (row, pivot) in &rows {
             if !v[*pivot].is_zero() {
                 let (a, b) = (row[*pivot].clone(), v[*pivot].clone());

@@ -2,8 +2,8 @@
 
 use std::cmp::Ordering;
 
-use dashu_int::IBig;
 use dashu_int::ops::{Gcd as _, UnsignedAbs as _};
+use dashu_int::{IBig, UBig};
 
 /// (x, y, z, w) with w > 0.
 pub type Point = [IBig; 4];
@@ -35,10 +35,16 @@ pub fn point(p: [f64; 3]) -> Point {
 
 /// Divided by what all components have in common.
 pub fn reduced<const N: usize>(mut v: [IBig; N]) -> [IBig; N] {
-    let mut sizes = v.iter().filter(|x| !x.is_zero()).map(|x| x.clone().unsigned_abs());
-    if let Some(first) = sizes.next() {
-        let d = IBig::from(sizes.fold(first, |a, b| a.gcd(b)));
-        v.iter_mut().for_each(|x| *x /= &d);
+    let mut common = UBig::ZERO;
+    for x in v.iter().filter(|x| !x.is_zero()) {
+        common = if common.is_zero() { x.unsigned_abs() } else { (&common).gcd(x.unsigned_abs()) };
+        if common.is_one() {
+            return v;
+        }
+    }
+    if !common.is_zero() {
+        let common = IBig::from(common);
+        v.iter_mut().for_each(|x| *x /= &common);
     }
     v
 }

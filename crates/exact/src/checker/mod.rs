@@ -23,8 +23,10 @@ mod cone;
 mod line;
 mod near;
 mod surfaces;
+mod vector;
 mod witness;
 
+use std::cell::OnceCell;
 use std::cmp::Ordering;
 
 use dashu_int::IBig;
@@ -35,6 +37,7 @@ pub use cell::{CellClaims, CellRefusal, Claim, check_cell};
 use cone::Cone;
 use line::{Line, Plane, Point, height, join, meet, plane, point, reduced, sign};
 pub use near::Triangles;
+use vector::Vector;
 pub use witness::check_witness;
 
 /// Why a proof or a witness is refused.
@@ -127,7 +130,7 @@ fn check_polygons(of: &[Corners]) -> Result<(), Refusal> {
 /// An occluder, from nothing but its triangles.
 struct Blocker {
     corners: Vec<[Point; 3]>,
-    border: Vec<Line>,
+    border: Vec<Constraint>,
     /// Its plane, if all triangles lie in one and face one way.
     plane: Option<Plane>,
 }
@@ -159,6 +162,8 @@ impl Blocker {
         if border.is_empty() || border.iter().any(|l| l.iter().all(IBig::is_zero)) {
             return None;
         }
+        let numbered = border.into_iter().enumerate();
+        let border = numbered.map(|(i, l)| Constraint { number: i, line: Vector::new(l) }).collect();
         // A plane only where all triangles lie in one and face one way: on which side of it a line crosses is then the same
         // for all of them, and the same as the border says.
         let planes: Vec<Plane> = corners.iter().map(|[a, b, c]| plane([a, b, c])).collect();
@@ -214,15 +219,16 @@ impl<'a> Check<'a> {
             let (ahead, behind) = (other(&pa, &b), other(&pb, &a));
             let a = Side { corners: a, plane: pa, other: ahead };
             let b = Side { corners: b, plane: pb, other: behind };
+            let known = vec![OnceCell::new(); self.occluders.len()];
             for cone in start(&a, &b) {
-                self.region(&a, &b, cone.ok_or(Refusal::Start)?)?;
+                self.region((&a, &b), &known, cone.ok_or(Refusal::Start)?)?;
             }
         }
         Ok(())
     }
 
-    /// Checks the steps about one cone.
-    fn region(&mut self, a: &Side, b: &Side, cone: Cone) -> Result<(), Refusal> {
+    /// Checks the steps about one cone; what bounds the occluders between A and B is `known` once one was asked about.
+    fn region(&mut self, (a, b): (&Side, &Side), known: &[Known], cone: Cone) -> Result<(), Refusal> {
         let mut open = vec![Some(cone)];
         while let Some(cone) = open.pop() {
             let at = self.at;
@@ -233,25 +239,32 @@ impl<'a> Check<'a> {
                     }
                 }
                 Step::Block { occluder, negative, cuts } => {
+                    let number = *occluder as usize;
                     let occluder = self
                         .occluders
-                        .get(*occluder as usize)
+                        .get(number)
                         .ok_or(Refusal::Unknown { step: at, what: "an occluder" })?;
-                    let constraints = occluder
-                        .constraints(a, b, *negative)
-                        .map_err(|what| Refusal::False { step: at, what })?;
+                    let constraints = known[number].get_or_init(|| occluder.constraints(a, b));
+                    let constraints =
+                        constraints.as_ref().map_err(|what| Refusal::False { step: at, what })?;
+                    let inner = if *negative { Ordering::Less } else { Ordering::Greater };
                     let mut rest = cone;
                     let mut outside = Vec::with_capacity(cuts.len());
                     for cut in cuts {
-                        let (_, line) = constraints
+                        let line = &constraints
                             .iter()
-                            .find(|(number, _)| number == cut)
-                            .ok_or(Refusal::Unknown { step: at, what: "a constraint" })?;
-                        let (inside, out) = rest.map_or((None, None), |c| c.split(line));
+                            .find(|c| c.number == usize::from(*cut))
+                            .ok_or(Refusal::Unknown { step: at, what: "a constraint" })?
+                            .line;
+                        let (positive, beyond) = rest.map_or((None, None), |c| c.split(line));
+                        let (inside, out) = if *negative { (beyond, positive) } else { (positive, beyond) };
                         outside.push(out);
                         rest = inside;
                     }
-                    if rest.is_some_and(|c| !constraints.iter().all(|(_, line)| c.within(line))) {
+                    // What is left is within those it was cut by.
+                    let mut others =
+                        constraints.iter().filter(|c| !cuts.iter().any(|cut| usize::from(*cut) == c.number));
+                    if rest.is_some_and(|c| !others.all(|other| c.within(&other.line, inner))) {
                         return Err(Refusal::False {
                             step: at,
                             what: "the occluder does not block all of it",
@@ -260,7 +273,8 @@ impl<'a> Check<'a> {
                     open.extend(outside.into_iter().rev());
                 }
                 Step::Split { polar } => {
-                    let (positive, negative) = cone.map_or((None, None), |c| c.split(polar));
+                    let polar = Vector::new((**polar).clone());
+                    let (positive, negative) = cone.map_or((None, None), |c| c.split(&polar));
                     open.extend([positive, negative]);
                 }
                 Step::Divide { .. } => {
@@ -272,18 +286,27 @@ impl<'a> Check<'a> {
     }
 }
 
+/// A half-space that lines which an occluder blocks are all in, or all in the opposite of.
+#[derive(Clone)]
+struct Constraint {
+    number: usize,
+    line: Vector,
+}
+
+/// What bounds an occluder between two polygons, or why it blocks nothing there.
+type Known = OnceCell<Result<Vec<Constraint>, &'static str>>;
+
 impl Blocker {
     /// The half-spaces that must hold for lines from A to B to be blocked, each with its number.
-    fn constraints(&self, a: &Side, b: &Side, negative: bool) -> Result<Vec<(u16, Line)>, &'static str> {
-        let mut out: Vec<(u16, Line)> =
-            self.border.iter().cloned().enumerate().map(|(i, l)| (i as u16, l)).collect();
+    fn constraints(&self, a: &Side, b: &Side) -> Result<Vec<Constraint>, &'static str> {
+        let mut out = self.border.clone();
         for (k, side) in [a, b].into_iter().enumerate() {
-            let place = |p: &Point| sign(&height(&side.plane, p));
-            let in_plane = |t: &[Point; 3]| t.iter().all(|p| place(p) == Ordering::Equal);
-            if self.corners.iter().any(in_plane) {
+            let places: Vec<[Ordering; 3]> =
+                self.corners.iter().map(|t| t.each_ref().map(|p| sign(&height(&side.plane, p)))).collect();
+            if places.contains(&[Ordering::Equal; 3]) {
                 return Err("a triangle in the plane of a polygon of the query blocks nothing");
             }
-            if self.corners.iter().flatten().all(|p| place(p) != side.other.reverse()) {
+            if places.iter().flatten().all(|place| *place != side.other.reverse()) {
                 continue;
             }
             let own =
@@ -293,10 +316,8 @@ impl Blocker {
             } else {
                 side.plane.clone()
             };
-            out.push(((self.border.len() + k) as u16, meet(&toward, own)));
-        }
-        if negative {
-            out.iter_mut().for_each(|(_, l)| l.iter_mut().for_each(|c| *c = -std::mem::take(c)));
+            let number = self.border.len() + k;
+            out.push(Constraint { number, line: Vector::new(meet(&toward, own)) });
         }
         Ok(out)
     }

@@ -1,0 +1,87 @@
+//! Vectors of line space with their leading bits, which tell the sign of nearly every form that is not 0.
+//!
+//! Integers here, too, of a fixed width: what is left off a component is less than one unit of the last bit that is kept, so by
+//! how much a sum of products may be off is known, and whatever that leaves open is computed with all digits.
+
+use std::cmp::Ordering;
+
+use super::line::{Line, klein, sign};
+
+/// Bits kept of the longest component: six products of two fit an `i128`.
+const KEPT: usize = 60;
+
+/// A vector, and what its components are in units of one power of two, rounded.
+#[derive(Clone)]
+pub struct Vector {
+    line: Line,
+    leading: [i64; 6],
+    /// The sum of their sizes.
+    size: i128,
+}
+
+impl Vector {
+    /// With its leading bits.
+    pub fn new(line: Line) -> Self {
+        let longest = line.iter().map(dashu_int::ops::BitTest::bit_len).max().unwrap_or(0);
+        let unit = longest.saturating_sub(KEPT);
+        let leading = line.each_ref().map(|c| {
+            i64::try_from(c >> unit)
+                .unwrap_or_else(|_| unreachable!("no component is longer than the longest"))
+        });
+        let size = leading.iter().map(|c| i128::from(*c).abs()).sum();
+        Self { line, leading, size }
+    }
+
+    /// All of it.
+    pub fn line(&self) -> &Line {
+        &self.line
+    }
+
+    /// The sign of the Klein form.
+    pub fn side(&self, other: &Self) -> Ordering {
+        let near: i128 =
+            (0..6).map(|i| i128::from(self.leading[i]) * i128::from(other.leading[(i + 3) % 6])).sum();
+        // (a + d)(b + e) is within |a| + |b| + 1 of ab, for d and e less than 1.
+        if near.abs() >= self.size + other.size + 6 {
+            near.cmp(&0)
+        } else {
+            sign(&klein(&self.line, &other.line))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use dashu_int::IBig;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn component() -> impl Strategy<Value = IBig> {
+        (any::<i64>(), 0usize..200, 0usize..64).prop_map(|(x, up, down)| (IBig::from(x) << up) >> down)
+    }
+
+    proptest! {
+        #[test]
+        fn leading_bits_never_mislead(
+            a in prop::array::uniform6(component()),
+            mut b in prop::array::uniform6(component()),
+            nudge in -2i8..3,
+        ) {
+            let check = |a: &Line, b: &Line| {
+                let said = Vector::new(a.clone()).side(&Vector::new(b.clone()));
+                prop_assert_eq!(said, sign(&klein(a, b)));
+                Ok(())
+            };
+            check(&a, &b)?;
+            // And where the form all but vanishes: (a·y) x − (a·x) y and one more, or less.
+            let others: [IBig; 6] = std::array::from_fn(|i| b[(i + 1) % 6].clone());
+            let (x, y) = (klein(&a, &b), klein(&a, &others));
+            b = std::array::from_fn(|i| &b[i] * &y - &others[i] * &x);
+            prop_assert!(klein(&a, &b).is_zero());
+            check(&a, &b)?;
+            b[0] += nudge;
+            check(&a, &b)?;
+        }
+    }
+}
