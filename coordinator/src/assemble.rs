@@ -2,6 +2,8 @@
 //!
 //! The bytes depend on the tiles' outputs and the job alone. Tiles are read one at a time.
 
+use std::io::BufWriter;
+
 use sightline_job::{ALGORITHM_VERSION, JobSpec};
 use sightline_pvs::{Builder, Cell, CellTree, Header, Node, Object, PvsError, SET_ASIDE};
 use sightline_sampling::codec::{self, CodecError};
@@ -33,7 +35,7 @@ pub enum AssembleError {
     Scene(#[from] FactsError),
     /// The result cannot be written.
     #[error(transparent)]
-    Pvs(#[from] PvsError),
+    Pvs(PvsError),
     /// The store cannot be asked.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -44,6 +46,24 @@ pub enum AssembleError {
     #[error("a stand-in could not be compressed: {0}")]
     Compress(#[from] std::io::Error),
 }
+
+impl From<PvsError> for AssembleError {
+    fn from(e: PvsError) -> Self {
+        // What it was written to has its own reasons, such as a full disk.
+        match e {
+            PvsError::Write(e) if e.get_ref().is_some_and(|inner| inner.is::<BlobError>()) => {
+                match e.downcast::<BlobError>() {
+                    Ok(e) => Self::Blob(e),
+                    Err(e) => Self::Pvs(PvsError::Write(e)),
+                }
+            }
+            e => Self::Pvs(e),
+        }
+    }
+}
+
+/// Bytes of a result that are hashed and written at a time.
+const WRITTEN_AT_ONCE: usize = 1 << 20;
 
 /// What [`Coordinator::assemble`] works from, copied out of the scheduler.
 pub(crate) struct Parts {
@@ -103,6 +123,9 @@ impl Coordinator {
             objects,
             info_json: info(parts, samples, set_aside),
         })?;
+        if parts.spec.certificates {
+            builder.keep_evidence_in(self.blobs.scratch()?);
+        }
         for (number, state) in leaves() {
             let cells = parts.plan.tiles[number as usize].cells;
             let aside = matches!(state, TileState::SetAside { .. });
@@ -127,9 +150,9 @@ impl Coordinator {
             }
         }
         builder.set_columns(statistics.columns())?;
-        let mut file = Vec::new();
-        builder.finish(&mut file)?;
-        Ok((self.blobs.put(&file)?, file.len() as u64))
+        let mut file = self.blobs.put_stream()?;
+        let stats = builder.finish(&mut BufWriter::with_capacity(WRITTEN_AT_ONCE, &mut file))?;
+        Ok((file.finish(None)?, stats.file_bytes))
     }
 
     fn leaf(

@@ -16,6 +16,7 @@ use crate::core::{Coordinator, now_ms};
 use crate::scene_facts::FactsError;
 use crate::status;
 use crate::store::{BlobError, Digest, JobPhase, JobState, NewJob, SceneRecord, StoreError};
+use crate::streams::{ChunkStream, stream_blob};
 
 /// Chunks of one scene: 64 GiB.
 const MAX_CHUNKS: usize = 65_536;
@@ -26,7 +27,6 @@ const WATCH_EVERY: Duration = Duration::from_millis(250);
 pub(crate) struct JobsService(pub(crate) Arc<Coordinator>);
 
 type Answer<T> = Result<Response<T>, Status>;
-type ChunkStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status>> + Send>>;
 
 /// Runs what touches the disk off the async threads.
 pub(crate) async fn blocking<T: Send + 'static>(
@@ -48,21 +48,6 @@ pub(crate) fn digest(bytes: &[u8]) -> Result<Digest, Status> {
             bytes.len()
         ))
     })
-}
-
-/// A blob as a stream of chunks.
-pub(crate) async fn stream_blob(c: &Arc<Coordinator>, d: Digest) -> Result<ChunkStream, Status> {
-    // Checked against its digest once, as a whole, so that nothing damaged is ever sent.
-    let bytes = blocking(c, move |c| match c.blobs.has(&d) {
-        Ok(true) => c.blobs.read(&d).map_err(|e| Status::data_loss(e.to_string())),
-        Ok(false) => {
-            Err(Status::not_found("nothing with this digest is stored here; it may have been tidied away"))
-        }
-        Err(e) => Err(status::of_blob(&e)),
-    })
-    .await?;
-    let bytes = Arc::new(bytes);
-    Ok(Box::pin(tokio_stream::iter((0..chunks::count(&bytes)).map(move |i| Ok(chunks::piece(&bytes, i))))))
 }
 
 #[tonic::async_trait]
@@ -397,7 +382,7 @@ impl Coordinator {
         if submitted.existing
             && let Some(JobState::Done { result, .. }) =
                 self.store.job(submitted.id).map_err(of_store)?.map(|j| j.state)
-            && let Err(e) = self.blobs.read(&result)
+            && let Err(e) = self.blobs.open_checked(&result)
         {
             // Its tile outputs are gone, so the job is begun again from nothing.
             tracing::warn!("the result of job {} is lost ({e}); it is baked again", submitted.id);

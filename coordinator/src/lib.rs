@@ -13,6 +13,7 @@ pub mod server;
 mod statistics;
 mod status;
 pub mod store;
+mod streams;
 mod summary;
 mod workers_service;
 

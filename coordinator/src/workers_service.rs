@@ -19,13 +19,14 @@ use tonic::{Request, Response, Status, Streaming};
 
 use crate::assemble::{AssembleError, Parts, expected_nodes};
 use crate::core::{Coordinator, now_ms};
-use crate::jobs_service::{blocking, digest, stream_blob};
+use crate::jobs_service::{blocking, digest};
 use crate::scheduler::{MAX_ATTEMPTS, MAX_FAULTS, Scheduler, Slot};
 use crate::status;
 use crate::store::{
     BlobError, CommitOutcome, Digest, JobPhase, JobRecord, JobState, MAX_IDENTIFIER_BYTES, MAX_WORKER_BYTES,
     TileResult, TileState, TileStats,
 };
+use crate::streams::stream_blob;
 
 /// Different workers a tile must fail on before it is set aside.
 const WORKERS_TO_FAIL: u32 = 3;

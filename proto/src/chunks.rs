@@ -36,12 +36,12 @@ pub fn count(bytes: &[u8]) -> usize {
 pub fn piece(bytes: &[u8], i: usize) -> Chunk {
     let start = i.saturating_mul(CHUNK_BYTES).min(bytes.len());
     let data = &bytes[start..start.saturating_add(CHUNK_BYTES).min(bytes.len())];
-    Chunk {
-        data: data.to_vec(),
-        crc32c: crc32c::crc32c(data),
-        offset: start as u64,
-        total: if i == 0 { bytes.len() as u64 } else { 0 },
-    }
+    chunk(data.to_vec(), start as u64, bytes.len() as u64)
+}
+
+/// The chunk of these bytes, [`CHUNK_BYTES`] but for the last, which begin at `offset` of `total`.
+pub fn chunk(data: Vec<u8>, offset: u64, total: u64) -> Chunk {
+    Chunk { crc32c: crc32c::crc32c(&data), data, offset, total: if offset == 0 { total } else { 0 } }
 }
 
 /// Cuts `bytes` into chunks.
@@ -49,34 +49,67 @@ pub fn cut(bytes: &[u8]) -> impl Iterator<Item = Chunk> + '_ {
     (0..count(bytes)).map(|i| piece(bytes, i))
 }
 
-/// Puts chunks together again, checking each.
+/// Whether the chunks that arrive are those of one whole thing, wherever they are put.
 #[derive(Debug)]
-pub struct Assembler {
-    bytes: Vec<u8>,
+pub struct Sequence {
+    got: u64,
     total: Option<u64>,
     limit: u64,
 }
 
-impl Assembler {
+impl Sequence {
     /// For a thing of at most `limit` bytes.
     pub fn new(limit: u64) -> Self {
-        Self { bytes: Vec::new(), total: None, limit }
+        Self { got: 0, total: None, limit }
     }
 
-    /// Takes the next chunk. Memory grows with what arrives, not with what is announced.
+    /// Checks the next chunk.
     ///
     /// # Errors
     /// [`ChunkError`] when the chunk is not the next one, or damaged.
-    pub fn push(&mut self, chunk: &Chunk) -> Result<(), ChunkError> {
+    pub fn next(&mut self, chunk: &Chunk) -> Result<(), ChunkError> {
         check(chunk)?;
         let total = *self.total.get_or_insert(chunk.total);
         if total > self.limit {
             return Err(ChunkError::TooLarge(total, self.limit));
         }
         let end = chunk.offset.saturating_add(chunk.data.len() as u64);
-        if chunk.offset != self.bytes.len() as u64 || end > total {
+        if chunk.offset != self.got || end > total {
             return Err(ChunkError::Order(chunk.offset));
         }
+        self.got = end;
+        Ok(())
+    }
+
+    /// The length of the whole thing, when all of it was there.
+    ///
+    /// # Errors
+    /// [`ChunkError::Short`] when something is missing.
+    pub fn end(&self) -> Result<u64, ChunkError> {
+        let (got, want) = (self.got, self.total.unwrap_or(0));
+        if self.total.is_some() && got == want { Ok(got) } else { Err(ChunkError::Short { got, want }) }
+    }
+}
+
+/// Puts chunks together again, checking each.
+#[derive(Debug)]
+pub struct Assembler {
+    bytes: Vec<u8>,
+    sequence: Sequence,
+}
+
+impl Assembler {
+    /// For a thing of at most `limit` bytes.
+    pub fn new(limit: u64) -> Self {
+        Self { bytes: Vec::new(), sequence: Sequence::new(limit) }
+    }
+
+    /// Takes the next chunk. Memory grows with what arrives, not with what is announced.
+    ///
+    /// # Errors
+    /// As [`Sequence::next`].
+    pub fn push(&mut self, chunk: &Chunk) -> Result<(), ChunkError> {
+        self.sequence.next(chunk)?;
         self.bytes.extend_from_slice(&chunk.data);
         Ok(())
     }
@@ -84,14 +117,9 @@ impl Assembler {
     /// The whole thing.
     ///
     /// # Errors
-    /// [`ChunkError::Short`] when something is missing.
+    /// As [`Sequence::end`].
     pub fn finish(self) -> Result<Vec<u8>, ChunkError> {
-        let (got, want) = (self.bytes.len() as u64, self.total.unwrap_or(0));
-        if self.total.is_some() && got == want {
-            Ok(self.bytes)
-        } else {
-            Err(ChunkError::Short { got, want })
-        }
+        self.sequence.end().map(|_| self.bytes)
     }
 }
 

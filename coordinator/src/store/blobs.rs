@@ -5,7 +5,7 @@
 //! the store's records say. Open the store first: its lock keeps two coordinators off one directory.
 
 use std::fs::{File, OpenOptions};
-use std::io::{self, ErrorKind, Read, Write};
+use std::io::{self, ErrorKind, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -111,6 +111,39 @@ impl Blobs {
         if blake3::hash(&bytes).as_bytes() == digest { Ok(bytes) } else { Err(BlobError::Damaged { path }) }
     }
 
+    /// A blob that is checked but not held in memory, and its length: for what may be large.
+    pub fn open_checked(&self, digest: &Digest) -> Result<(File, u64), BlobError> {
+        let path = self.path(digest);
+        let mut file = File::open(&path).map_err(fault("read", &path))?;
+        let mut hasher = blake3::Hasher::new();
+        hasher.update_reader(&mut file).map_err(fault("read", &path))?;
+        if hasher.finalize().as_bytes() != digest {
+            return Err(BlobError::Damaged { path });
+        }
+        let length = file.stream_position().map_err(fault("read", &path))?;
+        file.rewind().map_err(fault("read", &path))?;
+        Ok((file, length))
+    }
+
+    /// A file without a name, gone when it is closed: for what is worked with and does not fit in memory.
+    pub fn scratch(&self) -> Result<File, BlobError> {
+        let path = self.aside();
+        let file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create_new(true)
+            .open(&path)
+            .map_err(fault("create", &path))?;
+        std::fs::remove_file(&path).map_err(fault("remove", &path))?;
+        Ok(file)
+    }
+
+    /// A name of its own for a file that is not in its place yet.
+    fn aside(&self) -> PathBuf {
+        let number = self.written.fetch_add(1, Ordering::Relaxed);
+        self.root.join("tmp").join(format!("{}-{number}", std::process::id()))
+    }
+
     /// Writes a blob; it is on the disk when this returns its digest. A damaged one of that name is replaced.
     pub fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
         self.put_whole(bytes, true)
@@ -157,8 +190,7 @@ impl Blobs {
 
     /// Begins a blob that arrives in pieces. Nothing is kept of it unless it is finished.
     pub fn put_stream(&self) -> Result<BlobWriter, BlobError> {
-        let number = self.written.fetch_add(1, Ordering::Relaxed);
-        let path = self.root.join("tmp").join(format!("{}-{number}", std::process::id()));
+        let path = self.aside();
         let file =
             OpenOptions::new().write(true).create_new(true).open(&path).map_err(fault("create", &path))?;
         Ok(BlobWriter { blobs: self.clone(), path, file, hasher: blake3::Hasher::new(), length: 0 })
@@ -229,6 +261,17 @@ impl BlobWriter {
     }
 }
 
+impl Write for BlobWriter {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.append(bytes).map_err(io::Error::other)?;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
 impl Drop for BlobWriter {
     fn drop(&mut self) {
         match std::fs::remove_file(&self.path) {
@@ -289,6 +332,28 @@ mod tests {
         assert_eq!(right.length(), 14);
         assert_eq!(right.finish(Some(&digest)).unwrap(), digest);
         assert_eq!(blobs.read(&digest).unwrap(), b"floor and roof");
+    }
+
+    #[test]
+    fn what_is_large_is_checked_without_being_held_and_scratch_has_no_name() {
+        let directory = tempfile::tempdir().unwrap();
+        let blobs = Blobs::open(directory.path()).unwrap();
+        let digest = blobs.put(b"walls").unwrap();
+        let (mut file, length) = blobs.open_checked(&digest).unwrap();
+        let mut read = Vec::new();
+        file.read_to_end(&mut read).unwrap();
+        assert_eq!((read.as_slice(), length), (b"walls".as_slice(), 5));
+        std::fs::write(blobs.path(&digest), b"halls").unwrap();
+        assert!(matches!(blobs.open_checked(&digest), Err(BlobError::Damaged { .. })));
+        blobs.remove(&digest).unwrap();
+        assert!(matches!(blobs.open_checked(&digest), Err(BlobError::Missing { .. })));
+        let mut scratch = blobs.scratch().unwrap();
+        scratch.write_all(b"doors").unwrap();
+        scratch.rewind().unwrap();
+        read.clear();
+        scratch.read_to_end(&mut read).unwrap();
+        assert_eq!(read, b"doors");
+        assert_eq!(files(&directory.path().join("tmp")), 0);
     }
 
     #[test]

@@ -1,9 +1,10 @@
 //! Talking to a coordinator: connect, upload a scene, submit, follow, fetch.
 
 use std::collections::BTreeSet;
+use std::io::Write as _;
 
 use futures::StreamExt as _;
-use sightline_proto::chunks::{Assembler, CHUNK_BYTES};
+use sightline_proto::chunks::{CHUNK_BYTES, Sequence};
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_scene::Scene;
@@ -113,16 +114,21 @@ pub async fn fetch(
 ) -> Result<u64, CliError> {
     let request = v1::ShowRequest { job: job.id };
     let mut stream = client.fetch(request).await.map_err(|s| CliError::status(&s))?.into_inner();
-    let mut whole = Assembler::new(MAX_RESULT);
+    // Written as it arrives: with certificates it may be more than fits in memory.
+    let mut part = output.begin()?;
+    let (mut sequence, mut hasher) = (Sequence::new(MAX_RESULT), blake3::Hasher::new());
     while let Some(chunk) = stream.next().await {
-        whole.push(&chunk.map_err(|s| CliError::status(&s))?).map_err(CliError::internal)?;
+        let chunk = chunk.map_err(|s| CliError::status(&s))?;
+        sequence.next(&chunk).map_err(CliError::internal)?;
+        hasher.update(&chunk.data);
+        part.write_all(&chunk.data).map_err(|e| CliError::writing(output.path(), &e))?;
     }
-    let bytes = whole.finish().map_err(CliError::internal)?;
-    if blake3::hash(&bytes).as_bytes().as_slice() != job.result {
+    let bytes = sequence.end().map_err(CliError::internal)?;
+    if hasher.finalize().as_bytes().as_slice() != job.result {
         return Err(CliError::Internal(
             "the result that arrived is not the job's; fetch it again".to_owned(),
         ));
     }
-    output.write(|out| out.write_all(&bytes).map_err(|e| CliError::writing(output.path(), &e)))?;
-    Ok(bytes.len() as u64)
+    part.place()?;
+    Ok(bytes)
 }

@@ -128,24 +128,61 @@ impl Output {
     /// # Errors
     /// `fill`'s, or [`CliError::Internal`] when the disk refuses.
     pub fn write(&self, fill: impl FnOnce(&mut dyn Write) -> Result<(), CliError>) -> Result<(), CliError> {
-        let failed = |e: std::io::Error| CliError::writing(&self.named, &e);
-        let part = self.part();
-        let written = File::create(&part).map_err(failed).and_then(|file| {
-            let mut out = BufWriter::new(file);
-            fill(&mut out)?;
-            out.flush().map_err(failed)?;
-            std::fs::rename(&part, &self.target).map_err(failed)
-        });
-        written.inspect_err(|_| {
-            // The half-written file is of no use; that it cannot be removed either adds nothing.
-            let _ = std::fs::remove_file(&part);
-        })
+        let mut part = self.begin()?;
+        fill(&mut part)?;
+        part.place()
+    }
+
+    /// Begins to write the file.
+    ///
+    /// # Errors
+    /// [`CliError::Internal`] when the disk refuses.
+    pub fn begin(&self) -> Result<Part<'_>, CliError> {
+        let path = self.part();
+        let file = File::create(&path).map_err(|e| CliError::writing(&self.named, &e))?;
+        Ok(Part { of: self, path, file: BufWriter::new(file) })
     }
 
     fn part(&self) -> PathBuf {
         let mut name = self.target.file_name().unwrap_or_default().to_owned();
         name.push(format!(".part-{}", std::process::id()));
         self.target.with_file_name(name)
+    }
+}
+
+/// A file that is being written beside its place. Dropped before it is there, it leaves nothing behind.
+#[derive(Debug)]
+pub struct Part<'a> {
+    of: &'a Output,
+    path: PathBuf,
+    file: BufWriter<File>,
+}
+
+impl Part<'_> {
+    /// Puts it in its place.
+    ///
+    /// # Errors
+    /// [`CliError::Internal`] when the disk refuses.
+    pub fn place(mut self) -> Result<(), CliError> {
+        let placed = self.file.flush().and_then(|()| std::fs::rename(&self.path, &self.of.target));
+        placed.map_err(|e| CliError::writing(&self.of.named, &e))
+    }
+}
+
+impl Write for Part<'_> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Drop for Part<'_> {
+    fn drop(&mut self) {
+        // Gone if it is in its place. Else it is of no use; that it cannot be removed either adds nothing.
+        let _ = std::fs::remove_file(&self.path);
     }
 }
 
@@ -209,6 +246,7 @@ mod tests {
         let output = check(&dir.path().join("out.pvs")).unwrap();
         let fail = |_: &mut dyn Write| Err(CliError::Job("no".into()));
         assert!(matches!(output.write(fail), Err(CliError::Job(_))));
+        output.begin().unwrap().write_all(b"half").unwrap();
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
     }
 }

@@ -1,12 +1,14 @@
 //! Writing a result: checks what comes in and writes the sections. Which sets the inner tree nodes have is for
 //! [`crate::hierarchy`] to choose.
 
+use std::fs::File;
 use std::io::Write;
 
 use crate::columns::{self, Column};
 use crate::error::PvsError;
+use crate::evidence::{Evidence, Kept};
 use crate::hierarchy::{CodedSet, Hierarchy};
-use crate::layout::{self, Section};
+use crate::layout::{self, Section, Written};
 use crate::runs;
 use crate::tree::{CellTree, Node};
 use crate::{Object, SET_ASIDE};
@@ -64,8 +66,7 @@ pub struct Builder {
     undecided: Hierarchy,
     /// Coded; no bytes when there are none.
     columns: Vec<u8>,
-    /// Where the evidence of each cell ends, and all of it.
-    evidence: (Vec<u64>, Vec<u8>),
+    evidence: Evidence,
 }
 
 impl Builder {
@@ -91,7 +92,7 @@ impl Builder {
             visible: Hierarchy::default(),
             undecided: Hierarchy::default(),
             columns: Vec::new(),
-            evidence: Default::default(),
+            evidence: Evidence::default(),
         })
     }
 
@@ -164,29 +165,30 @@ impl Builder {
         Ok(())
     }
 
+    /// Keeps evidence in this file, which is empty and open for reading and writing, until [`Self::finish`]: there may be more of it
+    /// than fits in memory. To be called before any is added.
+    pub fn keep_evidence_in(&mut self, file: File) {
+        self.evidence.kept = Kept::File(file);
+    }
+
     /// Adds the reasons for the next cell's set, as bytes that are opaque here. Cells that come after the last call have none; without
     /// any call the file has no section for them.
     ///
     /// # Errors
-    /// [`PvsError::CellCount`] after the last cell.
+    /// [`PvsError::CellCount`] after the last cell; [`PvsError::Write`] when it cannot be kept.
     pub fn push_evidence(&mut self, bytes: &[u8]) -> Result<(), PvsError> {
-        let (ends, all) = &mut self.evidence;
-        if ends.len() as u64 == u64::from(self.header.tree.cells()) {
-            return Err(PvsError::CellCount {
-                expected: self.header.tree.cells(),
-                pushed: ends.len() as u64 + 1,
-            });
+        let (expected, pushed) = (self.header.tree.cells(), self.evidence.ends.len() as u64 + 1);
+        if pushed > u64::from(expected) {
+            return Err(PvsError::CellCount { expected, pushed });
         }
-        all.extend_from_slice(bytes);
-        ends.push(all.len() as u64);
-        Ok(())
+        self.evidence.push(bytes).map_err(PvsError::Write)
     }
 
     /// Writes the file.
     ///
     /// # Errors
     /// [`PvsError::CellCount`] when cells are missing, [`PvsError::Write`] when writing fails.
-    pub fn finish(self, out: &mut impl Write) -> Result<Stats, PvsError> {
+    pub fn finish(mut self, out: &mut impl Write) -> Result<Stats, PvsError> {
         let Header { triangles, method, tree, objects, info_json } = self.header;
         if self.flags.len() as u64 != u64::from(tree.cells()) {
             return Err(PvsError::CellCount { expected: tree.cells(), pushed: self.flags.len() as u64 });
@@ -201,8 +203,8 @@ impl Builder {
         } else {
             self.undecided.section(Section::Undecided, &tree, triangles)?
         };
-        let evidence = evidence_section(self.evidence, tree.cells());
-        let all: [&[u8]; Section::ALL.len()] = [
+        let evidence = self.evidence.section(tree.cells()).map_err(PvsError::Write)?;
+        let whole: [&[u8]; Section::Evidence as usize] = [
             info_json.as_bytes(),
             method.as_bytes(),
             &tree_bytes,
@@ -211,26 +213,28 @@ impl Builder {
             &visible,
             &undecided,
             &self.columns,
-            &evidence,
         ];
         // The file ends before the sections it does not need, as it did when there were none.
-        let sections = match (self.columns.is_empty(), evidence.is_empty()) {
-            (_, false) => &all[..],
-            (false, true) => &all[..Section::Evidence as usize],
-            (true, true) => &all[..Section::Columns as usize],
+        let whole = match (self.columns.is_empty(), &evidence) {
+            (true, None) => &whole[..Section::Columns as usize],
+            _ => &whole[..],
         };
-        let header = layout::header(triangles, tree.cells(), tree.nodes().len() as u32, sections);
+        let sections: Vec<Written> = whole.iter().map(|s| Written::of(s)).chain(evidence).collect();
+        let header = layout::header(triangles, tree.cells(), tree.nodes().len() as u32, &sections);
         out.write_all(&header).map_err(PvsError::Write)?;
-        for section in sections {
+        for section in whole {
             out.write_all(section).map_err(PvsError::Write)?;
+        }
+        if evidence.is_some() {
+            self.evidence.write(tree.cells(), out).map_err(PvsError::Write)?;
         }
         out.flush().map_err(PvsError::Write)?;
         Ok(Stats {
-            file_bytes: (header.len() + sections.iter().map(|s| s.len()).sum::<usize>()) as u64,
+            file_bytes: header.len() as u64 + sections.iter().map(|s| s.length).sum::<u64>(),
             visible_bytes: visible.len() as u64,
             undecided_bytes: undecided.len() as u64,
             column_bytes: self.columns.len() as u64,
-            evidence_bytes: evidence.len() as u64,
+            evidence_bytes: evidence.map_or(0, |e| e.length),
             visible_ids,
             undecided_ids,
         })
@@ -264,18 +268,6 @@ fn tree_section(tree: &CellTree) -> Vec<u8> {
         bytes.extend(at.to_le_bytes());
     }
     bytes
-}
-
-/// Offsets and bytes; no bytes at all for no evidence.
-fn evidence_section((mut ends, bytes): (Vec<u64>, Vec<u8>), cells: u32) -> Vec<u8> {
-    if ends.is_empty() {
-        return Vec::new();
-    }
-    ends.resize(cells as usize, bytes.len() as u64);
-    let offsets = std::iter::once(0).chain(ends);
-    let mut section: Vec<u8> = offsets.flat_map(u64::to_le_bytes).collect();
-    section.extend(bytes);
-    section
 }
 
 /// Does `f` for each cell and its place, at the same time where that is possible.

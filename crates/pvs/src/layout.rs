@@ -174,17 +174,30 @@ const fn header_len(sections: usize) -> usize {
     TABLE_AT + sections * 24
 }
 
+/// What the header says of a section.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Written {
+    pub length: u64,
+    pub crc: u32,
+}
+
+impl Written {
+    pub fn of(bytes: &[u8]) -> Self {
+        Self { length: bytes.len() as u64, crc: crc32c::crc32c(bytes) }
+    }
+}
+
 /// The header of a file with these sections, in the order of [`Section::ALL`]; the last two may be left out.
-pub(crate) fn header(triangles: u32, cells: u32, nodes: u32, sections: &[&[u8]]) -> Vec<u8> {
-    let file_len = header_len(sections.len()) as u64 + sections.iter().map(|s| s.len() as u64).sum::<u64>();
+pub(crate) fn header(triangles: u32, cells: u32, nodes: u32, sections: &[Written]) -> Vec<u8> {
+    let file_len = header_len(sections.len()) as u64 + sections.iter().map(|s| s.length).sum::<u64>();
     let mut table = Vec::with_capacity(sections.len() * 24);
     let mut at = header_len(sections.len()) as u64;
-    for (i, bytes) in sections.iter().enumerate() {
+    for (i, section) in sections.iter().enumerate() {
         table.extend((i as u32).to_le_bytes());
-        table.extend(crc32c::crc32c(bytes).to_le_bytes());
+        table.extend(section.crc.to_le_bytes());
         table.extend(at.to_le_bytes());
-        table.extend((bytes.len() as u64).to_le_bytes());
-        at += bytes.len() as u64;
+        table.extend(section.length.to_le_bytes());
+        at += section.length;
     }
     let mut header = MAGIC.to_vec();
     header.extend(VERSION.to_le_bytes());

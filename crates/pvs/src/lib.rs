@@ -40,6 +40,7 @@ pub mod builder;
 mod codec;
 mod columns;
 pub mod error;
+mod evidence;
 mod hierarchy;
 pub mod layout;
 mod parse;
