@@ -82,6 +82,27 @@ fn everything_is_decided_and_verified_and_sampling_shows_nothing_else() {
     );
 }
 
+#[test]
+fn cells_of_an_adaptive_tree_are_decided_and_verified() {
+    let sandbox = sandbox();
+    let tree = "--triangle-budget 12 --max-depth 5 --backend cpu";
+    sandbox.ok(&format!("bake slits.glb {tree} --method exact --certificates -o tree.pvs --data-dir data"));
+    let report = sandbox.json("verify slits.glb tree.pvs");
+    assert_eq!(
+        (&report["accepted"], &report["undecided"]),
+        (&Value::from(true), &Value::from(0)),
+        "{report}"
+    );
+    sandbox.ok(&format!("bake slits.glb {tree} -o sampled.pvs --data-dir data"));
+    let [exact, sampled] = ["tree.pvs", "sampled.pvs"].map(|name| sandbox.dump(name).cells);
+    // Beyond what is always halved, and the same tree: how deep it is follows from what sampling shows.
+    assert!(exact.len() > 8, "{} cells", exact.len());
+    assert_eq!(exact.len(), sampled.len());
+    for (cell, sampled) in exact.iter().zip(sampled) {
+        assert!(sampled.visible.iter().all(|t| cell.visible.binary_search(t).is_ok()));
+    }
+}
+
 /// The result with its sets and evidence put through `change`, under right checksums.
 fn tampered(change: impl Fn(u32, &mut Vec<u32>, &mut Vec<u8>)) -> Vec<u8> {
     let pvs = Pvs::from_bytes(alone()).unwrap();

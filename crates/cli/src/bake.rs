@@ -62,7 +62,7 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
         tokio::select! {
             r = work => r,
             _ = tokio::signal::ctrl_c() => Err(CliError::Interrupted(format!(
-                "interrupted; the tiles that are done are kept in {}: the same command goes on from there",
+                "interrupted; tiles that were done by then are kept in {}: the same command goes on from there",
                 data_dir.display()
             ))),
         }

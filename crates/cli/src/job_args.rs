@@ -14,6 +14,9 @@ use sightline_viewcells::Division;
 use crate::error::CliError;
 use crate::progress::say;
 
+/// Part of a view cell that rounding may move a line by before that is worth a word.
+const MUCH_MOVED: f64 = 1.0 / 16.0;
+
 /// What is to be baked.
 #[derive(Args, Clone, Debug)]
 pub struct JobArgs {
@@ -273,6 +276,14 @@ impl JobArgs {
             (_, e) => CliError::Usage(e.to_string()),
         })?;
         let [min, max] = spec.view_box;
+        if sampler == Sampler::Lines
+            && spec.division.moved_by_rounding(min, max).is_ok_and(|m| m > MUCH_MOVED)
+        {
+            say(
+                "note: the view cells are thin where 32-bit coordinates are so large, and lines that only just cross one are not counted; \
+                 more is missed than --target-error says. Moving the scene nearer to the origin avoids that",
+            );
+        }
         if max.cmplt(bounds.min).any() || min.cmpgt(bounds.max).any() {
             // A bird's eye view is one; more often it is a mistake about units or axes.
             say(&format!(

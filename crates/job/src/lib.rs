@@ -306,7 +306,12 @@ impl JobSpec {
     /// # Errors
     /// [`DivisionError`]; never after [`JobSpec::from_proto`], which has checked it.
     pub fn lattice(&self) -> Result<Lattice, DivisionError> {
-        self.division.lattice(self.view_box[0], self.view_box[1])
+        let [min, max] = self.view_box;
+        let lattice = self.division.lattice(min, max)?;
+        if self.sampling.sampler == Sampler::Lines {
+            self.division.moved_by_rounding(min, max)?;
+        }
+        Ok(lattice)
     }
 
     /// Lattice and plan.
@@ -401,6 +406,12 @@ mod tests {
         assert!(refuse(v1::JobSpec { sampling: None, ..good.clone() }).contains("sampling"));
         assert!(refuse(v1::JobSpec { method: 9, ..good.clone() }).contains("method"));
         assert!(refuse(v1::JobSpec { certificates: true, ..good.clone() }).contains("certificates"));
+        // Two metres at five million: five steps of 32-bit coordinates.
+        let far = [Vec3::new(5e6, 0.0, 0.0), Vec3::new(5e6 + 16.0, 16.0, 16.0)];
+        let thin = JobSpec { view_box: far, division: Division::Grid([8; 3]), ..spec() };
+        assert!(refuse(thin.to_proto()).contains("too thin for sight lines"));
+        let by_cubes = SamplingParams { sampler: Sampler::Cubes, ..SamplingParams::default() };
+        assert!(JobSpec::from_proto(&JobSpec { sampling: by_cubes, ..thin }.to_proto(), None).is_ok());
         let adaptive = JobSpec {
             division: Division::Adaptive { budget: 5, max_depth: 12 },
             block_cells: MOST_BLOCK_CELLS,

@@ -14,6 +14,9 @@ pub const MAX_DEPTH: u32 = 22;
 /// Levels of an adaptive tree that are split whatever is seen, so that the work can be shared (2^3 tiles).
 pub const FORCED_DEPTH: u32 = 3;
 
+/// Units in the last place of the greatest coordinate by which rounding may move the end of a sight line, with room to spare.
+pub const ROUNDING: f32 = 8.0;
+
 /// The name of an axis, for people: 0 = x, 1 = y, 2 = z.
 pub fn axis_name(axis: usize) -> &'static str {
     ["x", "y", "z"].get(axis).copied().unwrap_or("no axis")
@@ -57,6 +60,20 @@ pub enum DivisionError {
         axis: usize,
         /// Cells asked for.
         cells: u32,
+    },
+    /// Cells so thin that rounding moves a sight line through all of one.
+    #[error(
+        "view cells {width} wide along {} are too thin for sight lines where coordinates are as large as {largest}: rounding alone moves a line \
+         that far; use fewer cells or a larger view box, move the scene nearer to the origin, or sample with cubes",
+        axis_name(*axis)
+    )]
+    TooThin {
+        /// 0 = x, 1 = y, 2 = z.
+        axis: usize,
+        /// Of a cell.
+        width: f64,
+        /// Greatest absolute coordinate of the view box.
+        largest: f32,
     },
     /// The adaptive limits make no tree.
     #[error(
@@ -122,6 +139,24 @@ impl Division {
                 }
                 Ok(Lattice::new(min, max, [1, 1, 1]))
             }
+        }
+    }
+
+    /// The part of the thinnest cell that rounding may move the end of a sight line by; nothing is seen from a cell that is moved through.
+    ///
+    /// # Errors
+    /// [`DivisionError::TooThin`] where that is all of it.
+    pub fn moved_by_rounding(&self, min: Vec3, max: Vec3) -> Result<f64, DivisionError> {
+        let cells = if let Self::Grid(cells) = *self { cells } else { [1; 3] };
+        let largest = min.abs().max(max.abs()).max_element();
+        let moved = f64::from(largest) * f64::from(f32::EPSILON) * f64::from(ROUNDING);
+        let width = |a: usize| (f64::from(max[a]) - f64::from(min[a])) / f64::from(cells[a]);
+        let thinnest = |a: usize, b: usize| if width(b) < width(a) { b } else { a };
+        let axis = (1..3).fold(0, thinnest);
+        if moved < width(axis) {
+            Ok(moved / width(axis))
+        } else {
+            Err(DivisionError::TooThin { axis, width: width(axis), largest })
         }
     }
 

@@ -4,14 +4,12 @@
 //! neighbours are mostly in the same one. A brick has 4×4×4 cells, or is as flat as the block is.
 
 use glam::Vec3;
+use sightline_viewcells::division::ROUNDING;
 
 /// Halvings of a brick along all axes together: it has 64 cells.
 const BITS: u32 = 6;
 /// Part of a cell's size that a segment must cross, at least, before the cell is credited with what it shows.
 const MARGIN: f32 = 1.0 / 1024.0;
-
-/// Units in the last place by which rounding may move the end of a segment, with room to spare.
-const ROUNDING: f32 = 8.0;
 
 /// A block of equal cells.
 #[derive(Clone, Debug)]
