@@ -14,7 +14,7 @@ use crate::core::Coordinator;
 use crate::scene_facts::FactsError;
 use crate::scheduler::Slot;
 use crate::statistics::Statistics;
-use crate::store::{BlobError, Digest, StoreError, TileState};
+use crate::store::{BlobError, Blobs, Digest, StoreError, TileState};
 
 /// Why a result could not be put together.
 #[derive(Debug, thiserror::Error)]
@@ -35,7 +35,7 @@ pub enum AssembleError {
     Scene(#[from] FactsError),
     /// The result cannot be written.
     #[error(transparent)]
-    Pvs(PvsError),
+    Pvs(#[from] PvsError),
     /// The store cannot be asked.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -47,18 +47,11 @@ pub enum AssembleError {
     Compress(#[from] std::io::Error),
 }
 
-impl From<PvsError> for AssembleError {
-    fn from(e: PvsError) -> Self {
-        // What it was written to has its own reasons, such as a full disk.
-        match e {
-            PvsError::Write(e) if e.get_ref().is_some_and(|inner| inner.is::<BlobError>()) => {
-                match e.downcast::<BlobError>() {
-                    Ok(e) => Self::Blob(e),
-                    Err(e) => Self::Pvs(PvsError::Write(e)),
-                }
-            }
-            e => Self::Pvs(e),
-        }
+/// What the disk had against a result: a full one is waited for.
+fn of_disk(blobs: &Blobs, e: PvsError) -> AssembleError {
+    match e {
+        PvsError::Write(e) => AssembleError::Blob(blobs.refused(e)),
+        e => AssembleError::Pvs(e),
     }
 }
 
@@ -144,14 +137,17 @@ impl Coordinator {
             builder.push_cells(&shown.collect::<Vec<_>>())?;
             for cell in &sets.cells {
                 if parts.spec.certificates {
-                    builder.push_evidence(cell.decision.as_ref().map_or(&[], |d| &d.evidence))?;
+                    let evidence = cell.decision.as_ref().map_or(&[][..], |d| &d.evidence);
+                    builder.push_evidence(evidence).map_err(|e| of_disk(&self.blobs, e))?;
                 }
                 statistics.push(cell);
             }
         }
         builder.set_columns(statistics.columns())?;
         let mut file = self.blobs.put_stream()?;
-        let stats = builder.finish(&mut BufWriter::with_capacity(WRITTEN_AT_ONCE, &mut file))?;
+        let stats = builder
+            .finish(&mut BufWriter::with_capacity(WRITTEN_AT_ONCE, &mut file))
+            .map_err(|e| of_disk(&self.blobs, e))?;
         Ok((file.finish(None)?, stats.file_bytes))
     }
 

@@ -138,6 +138,14 @@ impl Blobs {
         Ok(file)
     }
 
+    /// Why a [`Blobs::scratch`] file, or a [`BlobWriter`] as [`Write`], refused.
+    pub fn refused(&self, e: io::Error) -> BlobError {
+        match e.downcast::<BlobError>() {
+            Ok(e) => e,
+            Err(e) => fault("write below", &self.root.join("tmp"))(e),
+        }
+    }
+
     /// A name of its own for a file that is not in its place yet.
     fn aside(&self) -> PathBuf {
         let number = self.written.fetch_add(1, Ordering::Relaxed);
@@ -349,6 +357,9 @@ mod tests {
         assert!(matches!(blobs.open_checked(&digest), Err(BlobError::Missing { .. })));
         let mut scratch = blobs.scratch().unwrap();
         scratch.write_all(b"doors").unwrap();
+        let full = |e| matches!(blobs.refused(e), BlobError::NoSpace { .. });
+        assert!(full(ErrorKind::StorageFull.into()) && !full(ErrorKind::PermissionDenied.into()));
+        assert!(full(io::Error::other(BlobError::NoSpace { path: PathBuf::new() })));
         scratch.rewind().unwrap();
         read.clear();
         scratch.read_to_end(&mut read).unwrap();
