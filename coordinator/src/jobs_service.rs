@@ -367,6 +367,7 @@ impl Coordinator {
         let bad = |e: &dyn std::fmt::Display| Status::invalid_argument(e.to_string());
         let spec = JobSpec::from_proto(wire, bounds).map_err(|e| bad(&e))?;
         let (_, plan) = spec.plan().map_err(|e| bad(&e))?;
+        spec.moved_by_rounding().map_err(|e| bad(&e))?;
         let job = NewJob {
             key: spec.key(),
             request_id: r.request_id.clone(),
@@ -379,16 +380,26 @@ impl Coordinator {
         // Under the lock, so that a job is in the scheduler before anybody can ask for it.
         let mut scheduler = self.lock();
         let mut submitted = self.store.submit_job(job.clone()).map_err(of_store)?;
+        let result_of = |id: u64| {
+            let state = self.store.job(id).map_err(of_store)?.map(|j| j.state);
+            Ok::<_, Status>(if let Some(JobState::Done { result, .. }) = state { Some(result) } else { None })
+        };
         if submitted.existing
-            && let Some(JobState::Done { result, .. }) =
-                self.store.job(submitted.id).map_err(of_store)?.map(|j| j.state)
-            && let Err(e) = self.blobs.open_checked(&result)
+            && let Some(result) = result_of(submitted.id)?
         {
-            // Its tile outputs are gone, so the job is begun again from nothing.
-            tracing::warn!("the result of job {} is lost ({e}); it is baked again", submitted.id);
-            self.blobs.remove(&result).map_err(|e| status::of_blob(&e))?;
-            self.store.delete_job(submitted.id).map_err(of_store)?;
-            submitted = self.store.submit_job(job).map_err(of_store)?;
+            // Reading all of a large result takes its time, in which everybody else goes on.
+            drop(scheduler);
+            let lost = self.blobs.open_checked(&result).err();
+            scheduler = self.lock();
+            if let Some(e) = lost
+                && result_of(submitted.id)? == Some(result)
+            {
+                // Its tile outputs are gone, so the job is begun again from nothing.
+                tracing::warn!("the result of job {} is lost ({e}); it is baked again", submitted.id);
+                self.blobs.remove(&result).map_err(|e| status::of_blob(&e))?;
+                self.store.delete_job(submitted.id).map_err(of_store)?;
+                submitted = self.store.submit_job(job).map_err(of_store)?;
+            }
         }
         if !submitted.existing {
             let record = self

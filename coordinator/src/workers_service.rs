@@ -30,6 +30,8 @@ use crate::streams::stream_blob;
 
 /// Different workers a tile must fail on before it is set aside.
 const WORKERS_TO_FAIL: u32 = 3;
+/// Time between two attempts to put a result together that the disk has no space for.
+const SPACE_EVERY: Duration = Duration::from_secs(10);
 
 /// Serves [`v1::workers_server::Workers`].
 pub(crate) struct WorkersService(pub(crate) Arc<Coordinator>);
@@ -342,7 +344,8 @@ impl Coordinator {
             let mut scheduler = self.lock();
             for (id, job) in &mut scheduler.jobs {
                 let runs = matches!(job.record.state, JobState::Queued | JobState::Running);
-                if runs && !job.assembling && job.complete() {
+                let waits = job.no_space_until.is_some_and(|until| Instant::now() < until);
+                if runs && !job.assembling && !waits && job.complete() {
                     job.assembling = true;
                     ready.push((
                         *id,
@@ -373,9 +376,13 @@ impl Coordinator {
             match catch_unwind(AssertUnwindSafe(|| self.assemble(parts))) {
                 Ok(Err(AssembleError::Blob(e @ BlobError::NoSpace { .. }))) => {
                     tracing::error!("the result of job {id} waits for space: {e}");
-                    if let Some(job) = self.lock().jobs.get_mut(&id) {
+                    let mut scheduler = self.lock();
+                    if let Some(job) = scheduler.jobs.get_mut(&id) {
                         job.assembling = false;
+                        job.no_space_until = Some(Instant::now() + SPACE_EVERY);
                     }
+                    // There is none for what workers would send, either.
+                    scheduler.pause_leasing(Instant::now());
                     return;
                 }
                 Ok(r) => r.map_err(|e| e.to_string()),

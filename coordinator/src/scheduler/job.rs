@@ -54,6 +54,8 @@ pub(crate) struct Job {
     /// Times that timing gave nothing.
     pub(super) timing_faults: u32,
     pub(crate) assembling: bool,
+    /// When to try that again, after there was no space for it.
+    pub(crate) no_space_until: Option<Instant>,
 }
 
 impl Job {

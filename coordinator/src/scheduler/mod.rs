@@ -102,8 +102,17 @@ impl Scheduler {
             ));
         }
         let slots = tiles.into_iter().map(|t| Slot::new(t.state)).collect();
-        let job =
-            Job { record, spec, lattice, plan, slots, timing: None, timing_faults: 0, assembling: false };
+        let job = Job {
+            record,
+            spec,
+            lattice,
+            plan,
+            slots,
+            timing: None,
+            timing_faults: 0,
+            assembling: false,
+            no_space_until: None,
+        };
         self.jobs.insert(job.record.id, job);
         Ok(())
     }

@@ -61,7 +61,7 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
         let work = bake(&args, coordinator, &loaded, &spec, probing, &output);
         tokio::select! {
             r = work => r,
-            _ = tokio::signal::ctrl_c() => Err(CliError::Interrupted(format!(
+            () = serve::stop_signal() => Err(CliError::Interrupted(format!(
                 "interrupted; tiles that were done by then are kept in {}: the same command goes on from there",
                 data_dir.display()
             ))),

@@ -276,13 +276,13 @@ impl JobArgs {
             (_, e) => CliError::Usage(e.to_string()),
         })?;
         let [min, max] = spec.view_box;
-        if sampler == Sampler::Lines
-            && spec.division.moved_by_rounding(min, max).is_ok_and(|m| m > MUCH_MOVED)
-        {
-            say(
-                "note: the view cells are thin where 32-bit coordinates are so large, and lines that only just cross one are not counted; \
-                 more is missed than --target-error says. Moving the scene nearer to the origin avoids that",
-            );
+        let moved = spec.moved_by_rounding().map_err(|e| CliError::Usage(e.to_string()))?;
+        if moved > MUCH_MOVED {
+            say(&format!(
+                "note: a line has to cross {:.0} % of a view cell, where they are thinnest, to count, as rounding moves it so far where \
+                 coordinates are so large; more is missed than --target-error says. Fewer cells or smaller coordinates avoid that",
+                100.0 * moved
+            ));
         }
         if max.cmplt(bounds.min).any() || min.cmpgt(bounds.max).any() {
             // A bird's eye view is one; more often it is a mistake about units or axes.

@@ -145,7 +145,9 @@ impl Output {
 
     fn part(&self) -> PathBuf {
         let mut name = self.target.file_name().unwrap_or_default().to_owned();
-        name.push(format!(".part-{}", std::process::id()));
+        // Numbers of processes are the same in two containers that share a folder.
+        let now = std::time::UNIX_EPOCH.elapsed().map_or(0, |d| d.as_nanos());
+        name.push(format!(".part-{}-{now:x}", std::process::id()));
         self.target.with_file_name(name)
     }
 }

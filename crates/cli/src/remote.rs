@@ -36,7 +36,7 @@ fn with<T, F: Future<Output = Result<T, CliError>>>(
         };
         tokio::select! {
             r = work => r,
-            _ = tokio::signal::ctrl_c() => {
+            () = crate::serve::stop_signal() => {
                 Err(CliError::Interrupted("interrupted; the job goes on at the coordinator".to_owned()))
             }
         }

@@ -17,6 +17,9 @@ use crate::inspect;
 use crate::progress::{Progress, human, say};
 use crate::serve::{self, print, threads};
 
+/// Bytes of evidence that are decoded at the same time, but for a cell that has more.
+const AT_ONCE: usize = 16 << 20;
+
 /// Checks a result against its scene.
 pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     serve::use_threads(threads(args.threads.map(usize::from)))?;
@@ -37,9 +40,10 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     let progress = Progress::new();
     let start = Instant::now();
     let mut totals = Totals::default();
-    let cells: Vec<u32> = (0..pvs.cells()).collect();
-    // A few at a time: of a sample there is little to check in each, and of any one cell a long proof may be the last.
-    for some in cells.chunks(2 * rayon::current_num_threads()) {
+    let mut next = 0;
+    while next < pvs.cells() {
+        let some = few(&pvs, next);
+        next += some.len() as u32;
         let check = |cell: &u32| {
             let wanted = sample.as_ref().map(|s| s.get(cell).cloned().unwrap_or_default());
             check_one(&pvs, &triangles, *cell, wanted.as_ref())
@@ -59,8 +63,8 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
                     )));
                 }
             }
-            progress.count(u64::from(*cell) + 1, u64::from(pvs.cells()), "cells");
         }
+        progress.count(u64::from(next), u64::from(pvs.cells()), "cells");
     }
     progress.end();
     say(&format!("verified in {}", human(start.elapsed())));
@@ -106,6 +110,19 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
         totals.undecided,
         pairs - known,
     ))
+}
+
+/// The cells from `first` on that are checked at the same time. Of a sample there is little to check in each, and of any one cell a long
+/// proof may be the last; but all their evidence is in memory then.
+fn few(pvs: &Pvs, first: u32) -> Vec<u32> {
+    let mut bytes = 0;
+    let most = pvs.cells().min(first.saturating_add(2 * rayon::current_num_threads() as u32));
+    let fits = |cell: &u32| {
+        // What cannot be read is refused when it is its turn.
+        bytes += pvs.evidence(*cell).ok().flatten().map_or(0, <[u8]>::len);
+        *cell == first || bytes <= AT_ONCE
+    };
+    (first..most).take_while(fits).collect()
 }
 
 /// The evidence of a cell; nothing at all for one without.

@@ -99,6 +99,7 @@ pub fn from_cell(
             match verdict {
                 Verdict::Visible(ends) => return Found::Visible(ends),
                 Verdict::Hidden(proof) => proofs.push(proof),
+                Verdict::Undecided(Reason::Stopped) => return Found::Undecided(Reason::Stopped),
                 Verdict::Undecided(reason) => open = Some(reason),
             }
         }

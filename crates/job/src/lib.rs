@@ -306,12 +306,22 @@ impl JobSpec {
     /// # Errors
     /// [`DivisionError`]; never after [`JobSpec::from_proto`], which has checked it.
     pub fn lattice(&self) -> Result<Lattice, DivisionError> {
-        let [min, max] = self.view_box;
-        let lattice = self.division.lattice(min, max)?;
-        if self.sampling.sampler == Sampler::Lines {
-            self.division.moved_by_rounding(min, max)?;
+        self.division.lattice(self.view_box[0], self.view_box[1])
+    }
+
+    /// The part of a view cell, where they are thinnest, that sight lines have to cross to count, and refuses cells that are thinner than
+    /// that; 0 where nothing depends on it. Exact methods find whatever sampling misses.
+    ///
+    /// To be asked of new jobs; those of an earlier version keep their results.
+    ///
+    /// # Errors
+    /// [`DivisionError`].
+    pub fn moved_by_rounding(&self) -> Result<f64, DivisionError> {
+        let lattice = self.lattice()?;
+        match (self.sampling.sampler, self.method) {
+            (Sampler::Lines, Method::Aggressive) => self.division.moved_by_rounding(&lattice),
+            _ => Ok(0.0),
         }
-        Ok(lattice)
     }
 
     /// Lattice and plan.
@@ -396,6 +406,30 @@ mod tests {
     }
 
     #[test]
+    fn cells_thinner_than_rounding_are_refused_where_lines_decide() {
+        // Two metres at five million: five steps of 32-bit coordinates.
+        let far = |wide: f32| [Vec3::new(5e6, 0.0, 0.0), Vec3::new(5e6 + wide, wide, wide)];
+        let lines = |wide, division| JobSpec {
+            view_box: far(wide),
+            division,
+            method: Method::Aggressive,
+            certificates: false,
+            sampling: SamplingParams::default(),
+            ..spec()
+        };
+        let thin = lines(16.0, Division::Grid([8; 3]));
+        assert!(thin.moved_by_rounding().unwrap_err().to_string().contains("2.00e0 wide along x"));
+        let by_cubes = SamplingParams { sampler: Sampler::Cubes, ..SamplingParams::default() };
+        assert_eq!(JobSpec { sampling: by_cubes, ..thin.clone() }.moved_by_rounding(), Ok(0.0));
+        assert_eq!(JobSpec { method: Method::Exact, ..thin }.moved_by_rounding(), Ok(0.0));
+        let part = lines(160.0, Division::Grid([8; 3])).moved_by_rounding().unwrap();
+        assert!((0.2..0.3).contains(&part), "{part}");
+        // Halved along each axis, as such a tree is in any case.
+        let tree = |wide| lines(wide, Division::Adaptive { budget: 5, max_depth: 6 }).moved_by_rounding();
+        assert!(tree(8.0).is_err() && tree(16.0).is_ok());
+    }
+
+    #[test]
     fn nonsense_is_refused_by_field() {
         let good = spec().to_proto();
         let refuse = |m: v1::JobSpec| JobSpec::from_proto(&m, None).unwrap_err().to_string();
@@ -406,12 +440,6 @@ mod tests {
         assert!(refuse(v1::JobSpec { sampling: None, ..good.clone() }).contains("sampling"));
         assert!(refuse(v1::JobSpec { method: 9, ..good.clone() }).contains("method"));
         assert!(refuse(v1::JobSpec { certificates: true, ..good.clone() }).contains("certificates"));
-        // Two metres at five million: five steps of 32-bit coordinates.
-        let far = [Vec3::new(5e6, 0.0, 0.0), Vec3::new(5e6 + 16.0, 16.0, 16.0)];
-        let thin = JobSpec { view_box: far, division: Division::Grid([8; 3]), ..spec() };
-        assert!(refuse(thin.to_proto()).contains("too thin for sight lines"));
-        let by_cubes = SamplingParams { sampler: Sampler::Cubes, ..SamplingParams::default() };
-        assert!(JobSpec::from_proto(&JobSpec { sampling: by_cubes, ..thin }.to_proto(), None).is_ok());
         let adaptive = JobSpec {
             division: Division::Adaptive { budget: 5, max_depth: 12 },
             block_cells: MOST_BLOCK_CELLS,

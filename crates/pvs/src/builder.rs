@@ -175,7 +175,7 @@ impl Builder {
     /// any call the file has no section for them.
     ///
     /// # Errors
-    /// [`PvsError::CellCount`] after the last cell; [`PvsError::Write`] when it cannot be kept.
+    /// [`PvsError::CellCount`] after the last cell; [`PvsError::Write`] when it cannot be kept, and then the builder is of no more use.
     pub fn push_evidence(&mut self, bytes: &[u8]) -> Result<(), PvsError> {
         let (expected, pushed) = (self.header.tree.cells(), self.evidence.ends.len() as u64 + 1);
         if pushed > u64::from(expected) {

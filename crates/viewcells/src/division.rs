@@ -63,8 +63,9 @@ pub enum DivisionError {
     },
     /// Cells so thin that rounding moves a sight line through all of one.
     #[error(
-        "view cells {width} wide along {} are too thin for sight lines where coordinates are as large as {largest}: rounding alone moves a line \
-         that far; use fewer cells or a larger view box, move the scene nearer to the origin, or sample with cubes",
+        "view cells {width:.2e} wide along {} are too thin for sight lines where coordinates are as large as {largest}: rounding alone moves a \
+         line that far; give fewer cells along {} or a larger view box, smaller coordinates, or, for a grid, --sampler guided",
+        axis_name(*axis),
         axis_name(*axis)
     )]
     TooThin {
@@ -142,17 +143,29 @@ impl Division {
         }
     }
 
-    /// The part of the thinnest cell that rounding may move the end of a sight line by; nothing is seen from a cell that is moved through.
+    /// The part of a cell that rounding may move the end of a sight line by, where cells are thinnest; of an adaptive tree, the cells that
+    /// are there in any case. What crosses less of a cell than that is not seen from it.
     ///
     /// # Errors
-    /// [`DivisionError::TooThin`] where that is all of it.
-    pub fn moved_by_rounding(&self, min: Vec3, max: Vec3) -> Result<f64, DivisionError> {
-        let cells = if let Self::Grid(cells) = *self { cells } else { [1; 3] };
+    /// [`DivisionError::TooThin`] where that is the width of a cell or more.
+    pub fn moved_by_rounding(&self, lattice: &Lattice) -> Result<f64, DivisionError> {
+        let root = self.root(lattice);
+        let mut thinnest = root;
+        match self {
+            Self::Grid(_) => thinnest.hi = [UNITS_PER_CELL; 3],
+            // The first half of each split, which is as wide as the other or thinner by a unit.
+            Self::Adaptive { .. } => {
+                for depth in 0..FORCED_DEPTH {
+                    let Some(split) = self.split(lattice, &thinnest, depth) else { break };
+                    thinnest = thinnest.children(split)[0];
+                }
+            }
+        }
+        let (min, max) = root.world(lattice);
         let largest = min.abs().max(max.abs()).max_element();
         let moved = f64::from(largest) * f64::from(f32::EPSILON) * f64::from(ROUNDING);
-        let width = |a: usize| (f64::from(max[a]) - f64::from(min[a])) / f64::from(cells[a]);
-        let thinnest = |a: usize, b: usize| if width(b) < width(a) { b } else { a };
-        let axis = (1..3).fold(0, thinnest);
+        let width = |a: usize| lattice.length(a, thinnest.hi[a] - thinnest.lo[a]);
+        let axis = (1..3).fold(0, |a, b| if width(b) < width(a) { b } else { a });
         if moved < width(axis) {
             Ok(moved / width(axis))
         } else {

@@ -26,8 +26,8 @@ mod surfaces;
 mod vector;
 mod witness;
 
-use std::cell::OnceCell;
 use std::cmp::Ordering;
+use std::collections::BTreeMap;
 
 use dashu_int::IBig;
 use glam::{DVec3, Vec3};
@@ -219,16 +219,16 @@ impl<'a> Check<'a> {
             let (ahead, behind) = (other(&pa, &b), other(&pb, &a));
             let a = Side { corners: a, plane: pa, other: ahead };
             let b = Side { corners: b, plane: pb, other: behind };
-            let known = vec![OnceCell::new(); self.occluders.len()];
+            let mut known = Known::new();
             for cone in start(&a, &b) {
-                self.region((&a, &b), &known, cone.ok_or(Refusal::Start)?)?;
+                self.region((&a, &b), &mut known, cone.ok_or(Refusal::Start)?)?;
             }
         }
         Ok(())
     }
 
-    /// Checks the steps about one cone; what bounds the occluders between A and B is `known` once one was asked about.
-    fn region(&mut self, (a, b): (&Side, &Side), known: &[Known], cone: Cone) -> Result<(), Refusal> {
+    /// Checks the steps about one cone; where A and B cut an occluder is `known` once one was asked about.
+    fn region(&mut self, (a, b): (&Side, &Side), known: &mut Known, cone: Cone) -> Result<(), Refusal> {
         let mut open = vec![Some(cone)];
         while let Some(cone) = open.pop() {
             let at = self.at;
@@ -244,15 +244,14 @@ impl<'a> Check<'a> {
                         .occluders
                         .get(number)
                         .ok_or(Refusal::Unknown { step: at, what: "an occluder" })?;
-                    let constraints = known[number].get_or_init(|| occluder.constraints(a, b));
-                    let constraints =
-                        constraints.as_ref().map_err(|what| Refusal::False { step: at, what })?;
+                    let planes = known.entry(number).or_insert_with(|| occluder.planes(a, b));
+                    let planes = planes.as_ref().map_err(|what| Refusal::False { step: at, what })?;
+                    let constraints = || occluder.border.iter().chain(planes);
                     let inner = if *negative { Ordering::Less } else { Ordering::Greater };
                     let mut rest = cone;
                     let mut outside = Vec::with_capacity(cuts.len());
                     for cut in cuts {
-                        let line = &constraints
-                            .iter()
+                        let line = &constraints()
                             .find(|c| c.number == usize::from(*cut))
                             .ok_or(Refusal::Unknown { step: at, what: "a constraint" })?
                             .line;
@@ -263,7 +262,7 @@ impl<'a> Check<'a> {
                     }
                     // What is left is within those it was cut by.
                     let mut others =
-                        constraints.iter().filter(|c| !cuts.iter().any(|cut| usize::from(*cut) == c.number));
+                        constraints().filter(|c| !cuts.iter().any(|cut| usize::from(*cut) == c.number));
                     if rest.is_some_and(|c| !others.all(|other| c.within(&other.line, inner))) {
                         return Err(Refusal::False {
                             step: at,
@@ -293,13 +292,13 @@ struct Constraint {
     line: Vector,
 }
 
-/// What bounds an occluder between two polygons, or why it blocks nothing there.
-type Known = OnceCell<Result<Vec<Constraint>, &'static str>>;
+/// By occluder, where the polygons' planes cut it, or why it blocks nothing between them.
+type Known = BTreeMap<usize, Result<Vec<Constraint>, &'static str>>;
 
 impl Blocker {
-    /// The half-spaces that must hold for lines from A to B to be blocked, each with its number.
-    fn constraints(&self, a: &Side, b: &Side) -> Result<Vec<Constraint>, &'static str> {
-        let mut out = self.border.clone();
+    /// The half-spaces besides those of the border that must hold for lines from A to B to be blocked.
+    fn planes(&self, a: &Side, b: &Side) -> Result<Vec<Constraint>, &'static str> {
+        let mut out = Vec::new();
         for (k, side) in [a, b].into_iter().enumerate() {
             let places: Vec<[Ordering; 3]> =
                 self.corners.iter().map(|t| t.each_ref().map(|p| sign(&height(&side.plane, p)))).collect();
