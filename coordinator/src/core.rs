@@ -6,11 +6,15 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
 
 use crate::scene_facts::LastScene;
 use crate::scheduler::Scheduler;
 use crate::store::{BlobError, Blobs, JobPhase, JobState, SledStore, Store, StoreError};
+
+/// Downloads at a time; more wait. Half of the threads that tokio has for what blocks, so that clients that do not read stop
+/// nobody but each other.
+const MOST_DOWNLOADS: usize = 256;
 
 /// How a coordinator is set up.
 #[derive(Clone, Debug)]
@@ -50,6 +54,8 @@ pub struct Coordinator {
     /// Counts changes; watchers wait for it.
     pub(crate) changes: watch::Sender<u64>,
     pub(crate) last_scene: LastScene,
+    /// Permits for downloads, each of which keeps a thread for as long as its client takes.
+    pub(crate) downloads: Arc<Semaphore>,
 }
 
 impl Coordinator {
@@ -80,6 +86,7 @@ impl Coordinator {
             scheduler: Mutex::new(scheduler),
             changes: watch::Sender::new(0),
             last_scene: LastScene::default(),
+            downloads: Arc::new(Semaphore::new(MOST_DOWNLOADS)),
         });
         this.assemble_ready();
         Ok(this)
@@ -125,4 +132,42 @@ impl Coordinator {
 /// Milliseconds since 1970, for records people read.
 pub(crate) fn now_ms() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_millis() as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use sightline_proto::v1;
+    use sightline_proto::v1::jobs_server::Jobs as _;
+    use sightline_scene::{Object, Scene, Triangle};
+    use tonic::{Code, Request};
+
+    use super::*;
+    use crate::jobs_service::JobsService;
+    use crate::store::NewJob;
+
+    #[tokio::test]
+    async fn a_job_of_another_version_is_not_opened_again() {
+        let directory = tempfile::tempdir().unwrap();
+        let coordinator = Coordinator::open(Config::new(directory.path().to_owned())).unwrap();
+        let triangle = Triangle { v: [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y] };
+        let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
+        let scene = coordinator.take_scene(&Scene::new("test", vec![triangle], objects).unwrap()).unwrap();
+        let job = NewJob {
+            key: [1; 32],
+            request_id: String::new(),
+            name: "old".to_owned(),
+            scene,
+            spec: b"of another version".to_vec(),
+            tiles: 2,
+            submitted_at_ms: 0,
+        };
+        let id = coordinator.store.submit_job(job).unwrap().id;
+        let failed = JobState::Failed { reason: "as it was".to_owned() };
+        coordinator.store.set_job_state(id, &[JobPhase::Queued], failed.clone(), 1).unwrap();
+        let service = JobsService(Arc::clone(&coordinator));
+        let refused = service.retry(Request::new(v1::ShowRequest { job: id })).await.unwrap_err();
+        assert_eq!(refused.code(), Code::FailedPrecondition);
+        assert!(refused.message().contains("submit it again"), "{refused}");
+        assert_eq!(coordinator.store.job(id).unwrap().unwrap().state, failed);
+    }
 }

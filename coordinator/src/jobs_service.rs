@@ -14,6 +14,7 @@ use tonic::{Request, Response, Status, Streaming};
 
 use crate::core::{Coordinator, now_ms};
 use crate::scene_facts::FactsError;
+use crate::scheduler::Job;
 use crate::status;
 use crate::store::{BlobError, Digest, JobPhase, JobState, NewJob, SceneRecord, StoreError};
 use crate::streams::{ChunkStream, stream_blob};
@@ -201,11 +202,15 @@ impl v1::jobs_server::Jobs for JobsService {
             // Under the scheduler's lock, so that the job does not end in between.
             let mut scheduler = c.lock();
             let job = || c.store.job(id).and_then(|r| r.ok_or(StoreError::UnknownJob { job: id }));
-            if !job().map_err(of_store)?.state.phase().ended() {
+            let before = job().map_err(of_store)?;
+            if !before.state.phase().ended() {
                 // It is at work; asking twice is no mistake.
                 drop(scheduler);
                 return c.summary(id).map_err(of_store);
             }
+            // Or it would be open in the store, and nobody would work on it.
+            let tiles = c.store.tiles(id).map_err(of_store)?;
+            Job::of(before, tiles).map_err(Status::failed_precondition)?;
             c.store.reopen_tiles(id).map_err(of_store)?;
             let record = job().map_err(of_store)?;
             if !record.state.phase().ended() {

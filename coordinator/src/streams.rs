@@ -32,8 +32,11 @@ pub(crate) async fn stream_blob(c: &Arc<Coordinator>, d: Digest) -> Result<Chunk
         Err(e) => Err(status::of_blob(&e)),
     })
     .await?;
+    let closed = |_| Status::unavailable("the coordinator is ending; ask again when it is back");
+    let permit = Arc::clone(&c.downloads).acquire_owned().await.map_err(closed)?;
     let (send, receive) = tokio::sync::mpsc::channel(AHEAD);
     tokio::task::spawn_blocking(move || {
+        let _permit = permit;
         // Whoever has gone away wants no more.
         read_chunks(file, length, |chunk| send.blocking_send(chunk).is_ok());
     });

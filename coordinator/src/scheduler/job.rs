@@ -3,10 +3,12 @@
 use std::collections::BTreeSet;
 use std::time::Instant;
 
+use prost::Message as _;
 use sightline_job::JobSpec;
+use sightline_proto::v1;
 use sightline_viewcells::{Lattice, Plan, TileKind};
 
-use crate::store::{JobRecord, TileState};
+use crate::store::{JobRecord, TileRecord, TileState};
 
 /// A lease's identity: epoch and number.
 pub(crate) type LeaseId = (u64, u64);
@@ -59,6 +61,40 @@ pub(crate) struct Job {
 }
 
 impl Job {
+    /// A job as the store has it.
+    ///
+    /// # Errors
+    /// Why it cannot be worked on: the specification or the plan is of another version of the program.
+    pub(crate) fn of(record: JobRecord, tiles: Vec<TileRecord>) -> Result<Self, String> {
+        let parsed = v1::JobSpec::decode(record.spec.as_slice())
+            .map_err(|e| e.to_string())
+            .and_then(|m| JobSpec::from_proto(&m, None).map_err(|e| e.to_string()))
+            .and_then(|spec| spec.plan().map(|(l, p)| (spec, l, p)).map_err(|e| e.to_string()));
+        let (spec, lattice, plan) = parsed.map_err(|e| format!("{e}; submit it again"))?;
+        if record.key != spec.key() {
+            return Err("it was begun by another version of this program; submit it again".to_owned());
+        }
+        if plan.tiles.len() != tiles.len() {
+            return Err(format!(
+                "it was planned with {} tiles and would now have {}; submit it again",
+                tiles.len(),
+                plan.tiles.len()
+            ));
+        }
+        let slots = tiles.into_iter().map(|t| Slot::new(t.state)).collect();
+        Ok(Self {
+            record,
+            spec,
+            lattice,
+            plan,
+            slots,
+            timing: None,
+            timing_faults: 0,
+            assembling: false,
+            no_space_until: None,
+        })
+    }
+
     /// Whether every tile is done or set aside.
     pub(crate) fn complete(&self) -> bool {
         self.slots.iter().all(|s| !matches!(s.state, TileState::Open))

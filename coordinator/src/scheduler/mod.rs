@@ -9,8 +9,6 @@ mod job;
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use prost::Message as _;
-use sightline_job::JobSpec;
 use sightline_proto::v1;
 use tokio::sync::mpsc;
 
@@ -86,33 +84,7 @@ impl Scheduler {
     /// # Errors
     /// Why not, when the stored specification or plan is of another version of the program.
     pub fn take_up(&mut self, record: JobRecord, tiles: Vec<TileRecord>) -> Result<(), String> {
-        let parsed = v1::JobSpec::decode(record.spec.as_slice())
-            .map_err(|e| e.to_string())
-            .and_then(|m| JobSpec::from_proto(&m, None).map_err(|e| e.to_string()))
-            .and_then(|spec| spec.plan().map(|(l, p)| (spec, l, p)).map_err(|e| e.to_string()));
-        let (spec, lattice, plan) = parsed.map_err(|e| format!("{e}; submit it again"))?;
-        if record.key != spec.key() {
-            return Err("it was begun by another version of this program; submit it again".to_owned());
-        }
-        if plan.tiles.len() != tiles.len() {
-            return Err(format!(
-                "it was planned with {} tiles and would now have {}; submit it again",
-                tiles.len(),
-                plan.tiles.len()
-            ));
-        }
-        let slots = tiles.into_iter().map(|t| Slot::new(t.state)).collect();
-        let job = Job {
-            record,
-            spec,
-            lattice,
-            plan,
-            slots,
-            timing: None,
-            timing_faults: 0,
-            assembling: false,
-            no_space_until: None,
-        };
+        let job = Job::of(record, tiles)?;
         self.jobs.insert(job.record.id, job);
         Ok(())
     }
