@@ -32,7 +32,7 @@ pub(crate) fn of_blob(e: &BlobError) -> Status {
 
 /// The disk is full: worth trying again.
 fn full(text: &str) -> Status {
-    tracing::error!("{text}");
+    tracing::error!("{text}: until then tiles wait and are tried again");
     Status::resource_exhausted(format!("{text}; try again in 10 s"))
 }
 

@@ -375,7 +375,9 @@ impl Coordinator {
             // A panic must not leave the job half ended.
             match catch_unwind(AssertUnwindSafe(|| self.assemble(parts))) {
                 Ok(Err(AssembleError::Blob(e @ BlobError::NoSpace { .. }))) => {
-                    tracing::error!("the result of job {id} waits for space: {e}");
+                    tracing::error!(
+                        "the result of job {id} waits for space and is tried again every 10 s: {e}"
+                    );
                     let mut scheduler = self.lock();
                     if let Some(job) = scheduler.jobs.get_mut(&id) {
                         job.assembling = false;

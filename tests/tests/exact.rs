@@ -83,6 +83,46 @@ fn everything_is_decided_and_verified_and_sampling_shows_nothing_else() {
 }
 
 #[test]
+fn what_a_result_says_of_itself_has_to_agree_with_it() {
+    let sandbox = sandbox();
+    let pvs = Pvs::from_bytes(alone()).unwrap();
+    let said = |method: &str, info: &str, flags: u32| {
+        let mut builder = Builder::new(Header {
+            triangles: pvs.triangle_count(),
+            method: method.to_owned(),
+            tree: pvs.tree().clone(),
+            objects: pvs.objects().to_vec(),
+            info_json: info.to_owned(),
+        })
+        .unwrap();
+        let mut visible = Vec::new();
+        for cell in 0..pvs.cells() {
+            pvs.visible(cell, &mut visible).unwrap();
+            builder.push_cell(&visible, &[], flags).unwrap();
+            builder.push_evidence(pvs.evidence(cell).unwrap().unwrap()).unwrap();
+        }
+        let mut file = Vec::new();
+        builder.finish(&mut file).unwrap();
+        sandbox.write("said.pvs", &file);
+    };
+    let info = pvs.info_json();
+    said("exact", info, 0);
+    assert!(sandbox.ok("verify slits.glb said.pvs").starts_with("accepted: "));
+    let sampled = sandbox.ok("verify slits.glb said.pvs --sample 7");
+    assert!(sampled.starts_with("accepted by a sample of 7 pairs: "), "{sampled}");
+    for (method, info, flags, why) in [
+        ("trust", info.to_owned(), 0, "\"trust\" is no method"),
+        ("verified", info.to_owned(), 0, "its method is verified"),
+        ("exact", info.replace("[3,2,2]", "[3,2,3]"), 0, "its parameters say [3,2,3] cells"),
+        ("exact", info.to_owned(), 2, "cell 0 has flags 0x2"),
+    ] {
+        said(method, &info, flags);
+        let refused = sandbox.run("verify slits.glb said.pvs").code(3).err;
+        assert!(refused.contains("REFUSED") && refused.contains(why), "{refused}");
+    }
+}
+
+#[test]
 fn cells_of_an_adaptive_tree_are_decided_and_verified() {
     let sandbox = sandbox();
     let tree = "--triangle-budget 12 --max-depth 5 --backend cpu";

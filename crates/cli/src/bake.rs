@@ -289,6 +289,13 @@ fn report(args: &BakeArgs, outcome: &Outcome, took: Duration, json: bool) -> Res
         } else {
             format!("baked in {}, {} samples, peak memory {peak}", human(took), job.samples)
         });
+        if summary.sees_nothing() {
+            lines.push(
+                "ATTENTION: no triangle is seen from any cell. Is the view box where viewpoints are, in the scene's units and axes? What \
+                 looks very small from there takes --method exact."
+                    .to_owned(),
+            );
+        }
         if job.tiles_set_aside > 0 {
             lines.push(format!(
                 "ATTENTION: {} tiles failed and were set aside; their cells show everything. Run the same \

@@ -56,6 +56,13 @@ impl CliError {
 
     /// What a coordinator answered.
     pub fn status(s: &tonic::Status) -> Self {
+        // Only what the transport itself says has a source.
+        if std::error::Error::source(s).is_some() {
+            return Self::Coordinator(format!(
+                "the connection to the coordinator failed ({}); what was submitted goes on there, and the same command asks again",
+                s.message()
+            ));
+        }
         match s.code() {
             tonic::Code::InvalidArgument => Self::Input(s.message().to_owned()),
             tonic::Code::DataLoss => Self::Internal(s.message().to_owned()),

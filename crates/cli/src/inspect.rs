@@ -88,6 +88,11 @@ pub struct Summary {
 }
 
 impl Summary {
+    /// Whether no triangle is seen from any cell.
+    pub fn sees_nothing(&self) -> bool {
+        self.max_visible == 0
+    }
+
     /// Reads the result at `path`.
     pub fn of(path: &Path) -> Result<Self, CliError> {
         let pvs = open(path)?;

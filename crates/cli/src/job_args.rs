@@ -280,7 +280,7 @@ impl JobArgs {
         if moved > MUCH_MOVED {
             say(&format!(
                 "note: a line has to cross {:.0} % of a view cell, where they are thinnest, to count, as rounding moves it so far where \
-                 coordinates are so large; more is missed than --target-error says. Fewer cells or smaller coordinates avoid that",
+                 coordinates are so large; more is missed than --target-error says. Wider cells or smaller coordinates avoid that",
                 100.0 * moved
             ));
         }

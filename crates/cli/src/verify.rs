@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use serde_json::json;
 use sightline_exact::checker::{CellClaims, Claim, Triangles, check_cell};
 use sightline_exact::evidence::{Evidence, Target, codec};
-use sightline_pvs::Pvs;
+use sightline_pvs::{Pvs, SET_ASIDE};
 
 use crate::args::VerifyArgs;
 use crate::error::CliError;
@@ -32,6 +32,15 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
             args.result.display(),
             pvs.method(),
             if pvs.method() == "aggressive" { "--method exact " } else { "" }
+        )));
+    }
+    if let Err(why) = consistent(&pvs) {
+        if json {
+            print(&json!({"accepted": false, "reason": why}).to_string())?;
+        }
+        return Err(CliError::Input(format!(
+            "REFUSED: {}: {why}; the result is damaged or was altered, bake it again",
+            args.result.display()
         )));
     }
     let raw: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
@@ -92,16 +101,19 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
                 "without_area": pairs - known,
                 "evidence_bytes": totals.bytes,
                 "sampled": args.sample.is_some(),
+                "sample": args.sample,
+                "seed": args.sample.map(|_| args.seed),
             })
             .to_string(),
         );
     }
     print(&format!(
-        "accepted: {pairs} pairs of cell and triangle in {} cells\n\
+        "accepted{}: {pairs} pairs of cell and triangle in {} cells\n\
          seen: {} with a witness ({witnesses} checked), {} meet their cell ({meeting} checked)\n\
          hidden: {by_surface} by the closed surface they are part of, {in_boxes} in hidden boxes, {alone} alone or with their polygon; \
          {} certificates ({certificates} checked), {} bytes with the witnesses\n\
          neither: {} undecided, {} without area",
+        args.sample.map_or(String::new(), |n| format!(" by a sample of {n} pairs")),
         pvs.cells(),
         totals.all[0],
         totals.all[2],
@@ -110,6 +122,37 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
         totals.undecided,
         pairs - known,
     ))
+}
+
+/// Whether what a result says of itself, and of which there is no other evidence, agrees with what is in it.
+fn consistent(pvs: &Pvs) -> Result<(), String> {
+    let info: serde_json::Value =
+        serde_json::from_str(pvs.info_json()).map_err(|e| format!("its parameters are no JSON: {e}"))?;
+    let method = pvs.method();
+    if !["exact", "verified"].contains(&method) {
+        return Err(format!("{method:?} is no method that has certificates"));
+    }
+    // A result of another program need not say.
+    if info["method"].as_str().is_some_and(|m| m != method) {
+        return Err(format!("its method is {method}, and {} in its parameters", info["method"]));
+    }
+    if let Some(grid) = info["division"]["grid"].as_array() {
+        let cells = grid.iter().try_fold(1u64, |n, side| n.checked_mul(side.as_u64()?));
+        if cells != Some(u64::from(pvs.cells())) {
+            return Err(format!(
+                "its parameters say {} cells, and it has {}",
+                info["division"]["grid"],
+                pvs.cells()
+            ));
+        }
+    }
+    for cell in 0..pvs.cells() {
+        let flags = pvs.flags(cell).map_err(|e| e.to_string())?;
+        if flags & !SET_ASIDE != 0 {
+            return Err(format!("cell {cell} has flags {flags:#x}, which mean nothing"));
+        }
+    }
+    Ok(())
 }
 
 /// The cells from `first` on that are checked at the same time. Of a sample there is little to check in each, and of any one cell a long

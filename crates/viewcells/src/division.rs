@@ -64,8 +64,7 @@ pub enum DivisionError {
     /// Cells so thin that rounding moves a sight line through all of one.
     #[error(
         "view cells {width:.2e} wide along {} are too thin for sight lines where coordinates are as large as {largest}: rounding alone moves a \
-         line that far; give fewer cells along {} or a larger view box, smaller coordinates, or, for a grid, --sampler guided",
-        axis_name(*axis),
+         line that far; make them wider (a larger view box, or fewer of them), bring the coordinates nearer to 0, or use an exact method",
         axis_name(*axis)
     )]
     TooThin {
