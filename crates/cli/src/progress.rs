@@ -69,6 +69,8 @@ pub struct Progress {
     /// Where the count stood at the start: what an earlier run had done already.
     first: Mutex<Option<AtStart>>,
     last_line: Mutex<Option<Instant>>,
+    /// The job's state when it was last shown.
+    last_state: Mutex<Option<v1::JobState>>,
 }
 
 impl Progress {
@@ -83,7 +85,13 @@ impl Progress {
             bar.enable_steady_tick(Duration::from_millis(200));
             bar
         });
-        Self { bar, start: Instant::now(), first: Mutex::new(None), last_line: Mutex::new(None) }
+        Self {
+            bar,
+            start: Instant::now(),
+            first: Mutex::new(None),
+            last_line: Mutex::new(None),
+            last_state: Mutex::new(None),
+        }
     }
 
     /// Shows a job. `workers_here`: nobody has to start any.
@@ -93,6 +101,13 @@ impl Progress {
         let start =
             *first.get_or_insert(AtStart { tiles: ended, cells: job.cells_done, samples: job.samples });
         drop(first);
+        // Another state is news at once: nothing more may come for a long time.
+        let state = Some(job.state());
+        if std::mem::replace(&mut *self.last_state.lock().unwrap_or_else(PoisonError::into_inner), state)
+            != state
+        {
+            *self.last_line.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        }
         let seconds = self.start.elapsed().as_secs_f64();
         let cells = match job.cells_total {
             0 => format!("{} cells", job.cells_done),
@@ -105,7 +120,9 @@ impl Progress {
         };
         let open = matches!(job.state(), v1::JobState::Queued | v1::JobState::Running);
         let waits = open && job.workers == 0 && !workers_here;
-        let left = if waits {
+        let left = if job.state() == v1::JobState::Paused {
+            format!("PAUSED: `sightline resume {}` goes on", job.id)
+        } else if waits {
             "NO WORKERS: start some with `sightline worker`".to_owned()
         } else if left == 0 {
             "finishing".to_owned()

@@ -17,7 +17,9 @@ pub enum PvsError {
     #[error("cannot write the result: {0}")]
     Write(#[source] std::io::Error),
     /// The first bytes are not those of a result.
-    #[error("this is not a .pvs file (its first bytes are others); name a file that `sightline bake` wrote")]
+    #[error(
+        "this is not a .pvs file (it is empty, or its first bytes are others); name a file that `sightline bake` wrote"
+    )]
     NotPvs,
     /// Another version of the format.
     #[error("this .pvs file has format version {found}, this program reads version {known}; bake it again")]
