@@ -290,11 +290,14 @@ fn report(args: &BakeArgs, outcome: &Outcome, took: Duration, json: bool) -> Res
             format!("baked in {}, {} samples, peak memory {peak}", human(took), job.samples)
         });
         if summary.sees_nothing() {
-            lines.push(
-                "ATTENTION: no triangle is seen from any cell. Is the view box where viewpoints are, in the scene's units and axes? What \
-                 looks very small from there takes --method exact."
-                    .to_owned(),
-            );
+            // An exact bake has looked for what is small as well.
+            let small = match summary.is_decided() {
+                false => " What looks very small from there takes --method exact.",
+                true => "",
+            };
+            lines.push(format!(
+                "ATTENTION: no triangle is seen from any cell. Is the view box where viewpoints are, in the scene's units and axes?{small}"
+            ));
         }
         if job.tiles_set_aside > 0 {
             lines.push(format!(

@@ -88,6 +88,11 @@ pub struct Summary {
 }
 
 impl Summary {
+    /// Whether exact queries took part.
+    pub fn is_decided(&self) -> bool {
+        self.decided.is_some()
+    }
+
     /// Whether no triangle is seen from any cell.
     pub fn sees_nothing(&self) -> bool {
         self.max_visible == 0
