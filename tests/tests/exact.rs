@@ -122,6 +122,92 @@ fn what_a_result_says_of_itself_has_to_agree_with_it() {
     }
 }
 
+/// A file with everything of a result but other evidence.
+fn with_evidence(pvs: &Pvs, evidence: &[Vec<u8>]) -> Vec<u8> {
+    let mut builder = Builder::new(Header {
+        triangles: pvs.triangle_count(),
+        method: pvs.method().to_owned(),
+        tree: pvs.tree().clone(),
+        objects: pvs.objects().to_vec(),
+        info_json: pvs.info_json().to_owned(),
+    })
+    .unwrap();
+    let mut visible = Vec::new();
+    for (cell, evidence) in evidence.iter().enumerate() {
+        pvs.visible(cell as u32, &mut visible).unwrap();
+        builder.push_cell(&visible, &[], 0).unwrap();
+        builder.push_evidence(evidence).unwrap();
+    }
+    let mut file = Vec::new();
+    builder.finish(&mut file).unwrap();
+    file
+}
+
+#[test]
+fn cells_decided_together_have_the_sets_they_have_alone_and_share_certificates() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(SCENE);
+    let bake = |blocks: &str, out: &str| {
+        let job = format!("slits.glb --cells 4x4x2 --backend cpu --method exact --certificates {blocks}");
+        sandbox.ok(&format!("bake {job} -o {out} --data-dir {out}.data"));
+        (
+            sandbox.dump(out),
+            sandbox.json(&format!("verify slits.glb {out}")),
+            sandbox.json(&format!("info {out} --cells")),
+        )
+    };
+    let (alone, claims_alone, _) = bake("--block-cells 1", "alone.pvs");
+    for blocks in ["", "--block-cells 32"] {
+        let (joint, claims, info) = bake(blocks, "joint.pvs");
+        for (a, j) in alone.cells.iter().zip(&joint.cells) {
+            assert_eq!((&a.visible, &a.undecided), (&j.visible, &j.undecided));
+        }
+        assert_eq!(claims["accepted"], true);
+        assert_eq!(claims["certificates"], claims["certificates_checked"], "{claims}");
+        assert!(
+            claims["certificates"].as_u64() < claims_alone["certificates"].as_u64(),
+            "{claims} {claims_alone}"
+        );
+        assert!(claims["evidence_bytes"].as_u64() < claims_alone["evidence_bytes"].as_u64(), "{claims}");
+        let above = |c: &Value| c["exact_above"].as_u64() > Some(0);
+        assert!(info["per_cell"].as_array().unwrap().iter().all(above), "{info}");
+    }
+    // A sample looks up what is kept with another cell.
+    let sampled = sandbox.json("verify slits.glb joint.pvs --sample 60");
+    assert!(sampled["certificates_checked"].as_u64() > Some(0), "{sampled}");
+    // Asked why, a cell finds what is kept with another.
+    let triangles = alone.header["triangles"].as_u64().unwrap();
+    let middle = alone.cells[5].middle().map(|c| c.to_string()).join(" ");
+    let boxes = (0..triangles)
+        .map(|t| sandbox.json(&format!("query joint.pvs {middle} --why {t}")))
+        .filter(|why| why["from"].is_array())
+        .inspect(|why| {
+            assert!(why["state"] == "hidden" && !why["blockers"].as_array().unwrap().is_empty(), "{why}")
+        })
+        .count();
+    assert!(boxes > 0, "something is hidden from the box around the cell");
+    // Without what others keep for them, cells are refused; so are certificates that were mixed up.
+    let pvs = Pvs::from_bytes(sandbox.read("joint.pvs")).unwrap();
+    let all: Vec<Vec<u8>> = (0..pvs.cells()).map(|c| pvs.evidence(c).unwrap().unwrap().to_vec()).collect();
+    let refused = |evidence: &[Vec<u8>]| {
+        sandbox.write("altered.pvs", with_evidence(&pvs, evidence));
+        let err = sandbox.run("verify slits.glb altered.pvs").code(3).err;
+        assert!(err.contains("REFUSED"), "{err}");
+        err
+    };
+    sandbox.write("same.pvs", with_evidence(&pvs, &all));
+    sandbox.ok("verify slits.glb same.pvs");
+    let mut first_gone = all.clone();
+    first_gone[0] = Vec::new();
+    refused(&first_gone);
+    let mut rotated = all.clone();
+    rotated.rotate_left(1);
+    assert!(refused(&rotated).contains("before the first"));
+    let mut swapped = all.clone();
+    swapped.swap(0, 8);
+    refused(&swapped);
+}
+
 #[test]
 fn cells_of_an_adaptive_tree_are_decided_and_verified() {
     let sandbox = sandbox();

@@ -8,10 +8,11 @@ use glam::Vec3;
 use rayon::prelude::*;
 use serde_json::json;
 use sightline_exact::checker::{CellClaims, Claim, Triangles, check_cell};
-use sightline_exact::evidence::{Evidence, Target, codec};
+use sightline_exact::evidence::{Hidden, Target};
 use sightline_pvs::{Pvs, SET_ASIDE};
 
 use crate::args::VerifyArgs;
+use crate::certificates::Certificates;
 use crate::error::CliError;
 use crate::inspect;
 use crate::progress::{Progress, human, say};
@@ -168,16 +169,6 @@ fn few(pvs: &Pvs, first: u32) -> Vec<u32> {
     (first..most).take_while(fits).collect()
 }
 
-/// The evidence of a cell; nothing at all for one without.
-pub fn evidence(pvs: &Pvs, cell: u32) -> Result<Option<Evidence>, String> {
-    match pvs.evidence(cell).map_err(|e| e.to_string())? {
-        None => Ok(None),
-        // A cell that was set aside.
-        Some([]) => Ok(Some(Evidence::default())),
-        Some(bytes) => codec::decode(bytes, pvs.triangle_count()).map(Some).map_err(|e| e.to_string()),
-    }
-}
-
 /// What was gone through: witnesses, certificates, triangles that meet their cell.
 #[derive(Default)]
 struct Totals {
@@ -214,10 +205,11 @@ fn check_one(
     pvs.visible(cell, &mut visible).map_err(error)?;
     pvs.undecided(cell, &mut undecided).map_err(error)?;
     let bounds = pvs.cell_bounds(cell).ok_or("there is no such cell")?.map(Vec3::from);
-    let evidence = evidence(pvs, cell)?.ok_or("it has no evidence")?;
+    let certificates = Certificates::of(pvs, cell)?.ok_or("it has no evidence")?;
+    let (evidence, above) = (&certificates.own, certificates.above());
     totals.undecided += undecided.len() as u64;
     totals.bytes += pvs.evidence(cell).map_err(error)?.map_or(0, |e| e.len() as u64);
-    for group in &evidence.hidden {
+    for group in certificates.hidden() {
         let kind = match &group.target {
             Target::Surfaces => 0,
             Target::Box(_) => 1,
@@ -225,13 +217,21 @@ fn check_one(
         };
         totals.hidden[kind] += group.triangles.len() as u64;
     }
-    let claims = CellClaims { cell: bounds, visible: &visible, undecided: &undecided, evidence: &evidence };
+    let claims =
+        CellClaims { cell: bounds, visible: &visible, undecided: &undecided, evidence, above: &above };
     let [all, picked] = [0, 1].map(|_| [0, 1, 2].map(|_| AtomicU64::new(0)));
     let pick = |claim: Claim| {
+        let about =
+            |group: &Hidden, wanted: &BTreeSet<u32>| group.triangles.iter().any(|t| wanted.contains(t));
         let (kind, take) = match claim {
             Claim::Seen(at) => (0, wanted.is_none_or(|w| w.contains(&evidence.seen[at].0))),
-            Claim::Hidden(at) => {
-                (1, wanted.is_none_or(|w| evidence.hidden[at].triangles.iter().any(|t| w.contains(t))))
+            Claim::Hidden(at) => (1, wanted.is_none_or(|w| about(&evidence.hidden[at], w))),
+            // Kept with this cell for others, too: checked once, here, or where a sample has a pair that rests on it.
+            Claim::Shared(..) => (1, wanted.is_none()),
+            Claim::Above(at, group) => {
+                let take = wanted.is_some_and(|w| about(&above[at].hidden[group], w));
+                picked[1].fetch_add(u64::from(take), Ordering::Relaxed);
+                return take;
             }
             Claim::Meets(id) => (2, wanted.is_none_or(|w| w.contains(&id))),
         };

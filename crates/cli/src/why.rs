@@ -11,10 +11,10 @@ use sightline_exact::{Cost, Limits, Occluders, Polygon, Proof, polygon};
 use sightline_pvs::Pvs;
 use sightline_scene::{Aabb, overlap};
 
+use crate::certificates::Certificates;
 use crate::error::CliError;
 use crate::inspect;
 use crate::serve::print;
-use crate::verify;
 
 /// Blockers listed without --json.
 const SHOWN: usize = 40;
@@ -70,7 +70,11 @@ pub fn why(
                 0 => String::new(),
                 n => format!(" and {n} more (--json lists all)"),
             };
-            format!("{about}: hidden{with} by triangles {}{more}", list.join(" "))
+            let from = match answer["from"].as_array().map(Vec::as_slice) {
+                Some([min, max]) => format!(", as from all of the box {min} to {max} around it,"),
+                _ => String::new(),
+            };
+            format!("{about}: hidden{from}{with} by triangles {}{more}", list.join(" "))
         }
         _ => format!(
             "{about}: undecided{}; what is undecided is drawn, so that nothing visible is missing",
@@ -81,9 +85,9 @@ pub fn why(
 
 /// From the certificates of the result.
 fn look_up(pvs: &Pvs, result: &Path, cell: u32, triangle: u32) -> Result<Value, CliError> {
-    let found = verify::evidence(pvs, cell)
+    let found = Certificates::of(pvs, cell)
         .map_err(|e| CliError::Input(format!("{}, cell {cell}: {e}", result.display())))?;
-    let Some(evidence) = found else {
+    let Some(certificates) = found else {
         return Err(CliError::Input(format!(
             "{} was baked without --certificates and does not know why; name its scene with --scene to ask anew",
             result.display()
@@ -95,15 +99,18 @@ fn look_up(pvs: &Pvs, result: &Path, cell: u32, triangle: u32) -> Result<Value, 
         return Ok(json!({"state": "undecided", "reason": "ask anew with --scene"}));
     }
     pvs.visible(cell, &mut ids)?;
-    Ok(match evidence.about(triangle) {
-        Some(Reason::Seen(witness)) => json!({"state": "visible", "witness": witness.rounded()}),
-        Some(Reason::Hidden(hidden)) => {
+    Ok(match certificates.about(triangle) {
+        Some((Reason::Seen(witness), _)) => json!({"state": "visible", "witness": witness.rounded()}),
+        Some((Reason::Hidden(hidden), from)) => {
             let surface = matches!(hidden.target, Target::Surfaces | Target::Half);
             let with = match hidden.target {
                 Target::Box(_) | Target::Polygon(_) => hidden.triangles.len() - 1,
                 _ => 0,
             };
-            json!({"state": "hidden", "blockers": blockers(&hidden.proofs), "with": with, "surface": surface})
+            let from = from.map(|shared| shared.bounds.map(|corner| corner.to_array()));
+            json!({
+                "state": "hidden", "blockers": blockers(&hidden.proofs), "with": with, "surface": surface, "from": from
+            })
         }
         None if ids.binary_search(&triangle).is_ok() => json!({"state": "visible", "meets": true}),
         None => json!({"state": "hidden", "degenerate": true, "blockers": []}),

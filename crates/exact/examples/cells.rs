@@ -40,6 +40,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             scene: &occluders,
             cell: cell_box,
             seen: &ids,
+            above: &[],
             limits: Limits::default(),
             seed,
             keep: true,

@@ -3,6 +3,7 @@
 //!
 //! V(C) = I(C) ∪ V(∂C): what meets the cell is visible, everything else is seen through a face of the cell or not at all. A box whose
 //! faces are all hidden from all faces of the cell hides everything in it. Boxes that hold something visible are not asked about.
+//! What is hidden from a box around several cells is hidden from each, and asked about once ([`together`]).
 //! Stopped at any time, what is not decided is said to be undecided, so visible ⊆ V(C) ⊆ visible ∪ undecided always.
 
 use std::cmp::Ordering;
@@ -22,8 +23,10 @@ use crate::surface::Hides;
 
 mod progress;
 mod search;
+mod together;
 
 use search::{Asked, Item};
+pub use together::{Together, together};
 
 /// Witnesses of queries are rounded to points so far beyond the triangle, in parts of the segment's length.
 const BEYOND: f64 = 1e-5;
@@ -36,6 +39,8 @@ pub struct Task<'a> {
     pub cell: Cell,
     /// Triangles sampling has shown, ascending: guesses, each of which is checked.
     pub seen: &'a [u32],
+    /// Triangles that are hidden from a box around the cell, ascending: none of them meets the cell.
+    pub above: &'a [u32],
     /// When a single query gives up.
     pub limits: Limits,
     /// Seed of the rays.
@@ -64,16 +69,12 @@ pub struct Decided {
 /// Decides every triangle with area. On one of rayon's threads only after [`Occluders::surfaces`] was called elsewhere.
 pub fn decide(task: &Task<'_>) -> Decided {
     let tree = task.scene.hierarchy();
-    let mut work = Work {
-        task,
-        state: vec![State::Open; task.scene.len()],
-        halves: Vec::new(),
-        decided: Decided::default(),
-    };
+    let mut work = Work::new(task);
     if tree.is_empty() {
         return work.decided;
     }
     work.meeting();
+    work.take_over();
     work.enclose();
     work.show();
     work.search();
@@ -96,7 +97,27 @@ struct Work<'a> {
     decided: Decided,
 }
 
+impl<'a> Work<'a> {
+    fn new(task: &'a Task<'a>) -> Self {
+        let state = vec![State::Open; task.scene.len()];
+        Self { task, state, halves: Vec::new(), decided: Decided::default() }
+    }
+}
+
 impl Work<'_> {
+    /// Marks what is hidden from all around.
+    fn take_over(&mut self) {
+        let task = self.task;
+        for id in task.above {
+            debug_assert!(self.state[*id as usize] == State::Open, "triangle {id} meets the cell");
+            self.state[*id as usize] = State::Hidden;
+        }
+        let effort = &mut self.decided.effort;
+        effort.above = task.above.len() as u64;
+        effort.hidden += effort.above;
+        effort.refuted += task.above.iter().filter(|id| task.seen.binary_search(id).is_ok()).count() as u64;
+    }
+
     /// Marks what meets the cell, I(C).
     fn meeting(&mut self) {
         let [min, max] = self.task.cell.corners();

@@ -13,8 +13,10 @@ pub struct Effort {
     pub boxes: u64,
     /// Triangles hidden by the closed surface they are part of.
     pub enclosed: u64,
-    /// Triangles proved hidden, with those in such boxes and those by surfaces.
+    /// Triangles proved hidden, with those in such boxes, those by surfaces and those from boxes around several cells.
     pub hidden: u64,
+    /// Triangles hidden from a box around this cell and others. What was asked about it is counted at the first of these cells.
+    pub above: u64,
     /// Triangles that sampling had not shown and that are visible.
     pub missed: u64,
     /// Triangles that sampling had shown and that are hidden: seen through a seam.
@@ -27,7 +29,7 @@ pub struct Effort {
 
 impl Effort {
     /// Names of [`Effort::numbers`], as results and tables have them.
-    pub const NAMES: [&'static str; 19] = [
+    pub const NAMES: [&'static str; 20] = [
         "exact_rays",
         "exact_queries",
         "exact_boxes_hidden",
@@ -47,7 +49,16 @@ impl Effort {
         "signs_spanned",
         "signs_exact",
         "exact_vectors",
+        "exact_above",
     ];
+
+    /// Counts what was asked about a box around this cell and others as asked about this one.
+    pub fn add_asked(&mut self, o: &Self) {
+        self.rays += o.rays;
+        self.queries += o.queries;
+        self.boxes += o.boxes;
+        self.cost += o.cost;
+    }
 
     /// Most of it, in the order of [`Effort::NAMES`].
     pub fn numbers(&self) -> [u64; Self::NAMES.len()] {
@@ -73,6 +84,7 @@ impl Effort {
             signs.spanned,
             signs.exact,
             cost.vectors,
+            self.above,
         ]
     }
 }

@@ -16,8 +16,30 @@ use crate::proof::Proof;
 pub struct Evidence {
     /// Witnesses, ascending by triangle.
     pub seen: Vec<(u32, Witness)>,
-    /// What is hidden; no triangle is in two of them.
+    /// What is hidden; no triangle is in two of them, nor in one of those above.
     pub hidden: Vec<Hidden>,
+    /// What is hidden from boxes around this cell and some after it.
+    pub shared: Vec<Shared>,
+    /// Which of these, of this cell or of one before it, hold for this cell.
+    pub above: Vec<Above>,
+}
+
+/// What is hidden from all of a box, and so from all cells in it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shared {
+    /// The box, by its least and greatest corner.
+    pub bounds: [Vec3; 2],
+    /// What is hidden from it; no triangle is in two of them. Nothing is hidden by [`Target::Surfaces`] or [`Target::Half`] here.
+    pub hidden: Vec<Hidden>,
+}
+
+/// Where the evidence about a box around a cell is kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Above {
+    /// With the cell so many before this one in the result; 0 for this one.
+    pub back: u32,
+    /// Its place among what that cell's evidence shares.
+    pub at: u32,
 }
 
 /// A segment from the cell through the inside of a triangle that meets no other triangle, but for those in its plane.
@@ -74,8 +96,19 @@ impl Evidence {
         if let Ok(at) = self.seen.binary_search_by_key(&triangle, |(t, _)| *t) {
             return Some(Reason::Seen(&self.seen[at].1));
         }
-        self.hidden.iter().find(|h| h.triangles.binary_search(&triangle).is_ok()).map(Reason::Hidden)
+        find(&self.hidden, triangle).map(Reason::Hidden)
     }
+}
+
+impl Shared {
+    /// The evidence about one triangle.
+    pub fn about(&self, triangle: u32) -> Option<&Hidden> {
+        find(&self.hidden, triangle)
+    }
+}
+
+fn find(hidden: &[Hidden], triangle: u32) -> Option<&Hidden> {
+    hidden.iter().find(|h| h.triangles.binary_search(&triangle).is_ok())
 }
 
 /// Why a triangle is in a cell's set, or is not.

@@ -37,7 +37,7 @@ pub mod surface;
 mod trace;
 mod vector;
 
-pub use decide::{Decided, Task, decide};
+pub use decide::{Decided, Task, Together, decide, together};
 pub use effort::Effort;
 pub use evidence::Evidence;
 pub use frame::Source;

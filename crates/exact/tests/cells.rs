@@ -6,43 +6,17 @@ mod common;
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use common::Corners;
+use common::cells::{chambers, occluders, set, solve};
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use sightline_exact::cell::{Cell, Found, from_cell};
 use sightline_exact::checker::{CellClaims, CellRefusal, Triangles, check_cell};
 use sightline_exact::evidence::{Evidence, Target, Witness, codec};
-use sightline_exact::{Cost, Decided, Limits, Occluders, Polygon, Task, decide};
-use sightline_scene::{Object, Scene, Triangle};
+use sightline_exact::{Cost, Decided, Limits, Polygon};
 
-type Corners = [Vec3; 3];
 /// A scene, a cell, what was decided about it, and its evidence without compression.
 type Case = (Vec<Corners>, [Vec3; 2], Decided, Vec<u8>);
-
-fn occluders(triangles: &[Corners]) -> Occluders {
-    let objects = vec![Object { name: "test".into(), first: 0, count: triangles.len() as u32 }];
-    let all = triangles.iter().map(|v| Triangle { v: *v }).collect();
-    Occluders::new(&Scene::new("test", all, objects).unwrap()).unwrap()
-}
-
-fn solve(scene: &Occluders, cell: [Vec3; 2], seen: &[u32], stop: &(dyn Fn() -> bool + Sync)) -> Decided {
-    decide(&Task {
-        scene,
-        cell: Cell::new(cell[0], cell[1]).unwrap(),
-        seen,
-        limits: Limits::default(),
-        seed: 7,
-        keep: true,
-        stop,
-        asked: &|| (),
-    })
-}
-
-/// The set of a cell, as results have it: with what is undecided.
-fn set(d: &Decided) -> Vec<u32> {
-    let mut all = [d.visible.as_slice(), &d.undecided].concat();
-    all.sort_unstable();
-    all
-}
 
 fn check(
     triangles: &[Corners],
@@ -51,37 +25,8 @@ fn check(
     evidence: &Evidence,
 ) -> Result<u64, CellRefusal> {
     let (visible, index) = (set(d), Triangles::new(triangles));
-    let claims = CellClaims { cell, visible: &visible, undecided: &d.undecided, evidence };
+    let claims = CellClaims { cell, visible: &visible, undecided: &d.undecided, evidence, above: &[] };
     check_cell(&index, &claims, &|_| true)
-}
-
-/// A room of two chambers with a door between them, and boxes in both.
-fn chambers() -> (Vec<Corners>, [Vec3; 2]) {
-    let mut t: Vec<Corners> = Vec::new();
-    let mut quad = |a: [f32; 3], b: [f32; 3], c: [f32; 3], d: [f32; 3]| {
-        let [a, b, c, d] = [a, b, c, d].map(Vec3::from);
-        t.extend([[a, b, c], [a, c, d]]);
-    };
-    let mut block = |lo: [f32; 3], hi: [f32; 3]| {
-        let p = |x: usize, y: usize, z: usize| [[lo, hi][x][0], [lo, hi][y][1], [lo, hi][z][2]];
-        quad(p(0, 0, 0), p(0, 1, 0), p(0, 1, 1), p(0, 0, 1));
-        quad(p(1, 0, 0), p(1, 1, 0), p(1, 1, 1), p(1, 0, 1));
-        quad(p(0, 0, 0), p(1, 0, 0), p(1, 0, 1), p(0, 0, 1));
-        quad(p(0, 1, 0), p(1, 1, 0), p(1, 1, 1), p(0, 1, 1));
-        quad(p(0, 0, 0), p(1, 0, 0), p(1, 1, 0), p(0, 1, 0));
-        quad(p(0, 0, 1), p(1, 0, 1), p(1, 1, 1), p(0, 1, 1));
-    };
-    // The shell, the dividing wall with a door at y < 1, and what stands around.
-    block([0.0, 0.0, 0.0], [20.0, 10.0, 3.0]);
-    block([10.0, 1.0, 0.0], [10.5, 10.0, 3.0]);
-    for k in 0..6 {
-        let x = 11.5 + 1.25 * k as f32;
-        block([x, 2.0 + k as f32, 0.0], [x + 0.5, 2.75 + k as f32, 1.5]);
-    }
-    block([4.0, 4.0, 0.5], [5.0, 5.0, 1.0]);
-    // Outside of everything.
-    block([30.0, 0.0, 0.0], [31.0, 1.0, 1.0]);
-    (t, [Vec3::new(1.0, 6.0, 1.0), Vec3::new(3.0, 8.0, 2.0)])
 }
 
 #[test]
@@ -130,7 +75,7 @@ fn tampered_claims_are_refused() {
     let index = Triangles::new(&triangles);
     let visible = set(&d);
     let ask = |cell, visible: &[u32], undecided: &[u32], evidence: &Evidence| {
-        check_cell(&index, &CellClaims { cell, visible, undecided, evidence }, &|_| true)
+        check_cell(&index, &CellClaims { cell, visible, undecided, evidence, above: &[] }, &|_| true)
     };
     ask(cell, &visible, &[], &d.evidence).unwrap();
     // Hiding what is seen, and showing what is hidden.
@@ -406,7 +351,7 @@ proptest! {
                     }
                 }
             }
-            let claims = CellClaims { cell: *cell, visible: &visible, undecided: &[], evidence: &evidence };
+            let claims = CellClaims { cell: *cell, visible: &visible, undecided: &[], evidence: &evidence, above: &[] };
             prop_assert!(check_cell(&Triangles::new(triangles), &claims, &|_| true).is_err());
         }
     }

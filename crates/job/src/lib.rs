@@ -15,7 +15,7 @@ use sightline_viewcells::{Division, DivisionError, Lattice, Layout, Plan};
 
 /// Changes whenever the same specification would give other bytes, of a result or of a tile, so that stored results are never mistaken for
 /// those of another version.
-pub const ALGORITHM_VERSION: u32 = 15;
+pub const ALGORITHM_VERSION: u32 = 16;
 
 /// Longest time budget, ten years.
 const MAX_BUDGET_MS: u64 = 10 * 366 * 24 * 3600 * 1000;

@@ -4,7 +4,7 @@
 //!
 //! 1. *All are accounted for.* Every triangle with area is in the set and seen, in the set and undecided, or hidden. What is seen
 //!    meets the cell (a triangle clipped to the box leaves something) or has a witness; what is not in the set is in one of the
-//!    groups of hidden triangles.
+//!    groups of hidden triangles, of the cell or of a box that the cell lies in.
 //! 2. *Seen.* A witness begins in the cell, ends inside the triangle, and no other triangle has a point on it, but for those in the
 //!    triangle's plane. One that begins on a face of the cell and leaves through it may do so on a triangle in that face's plane.
 //! 3. *Hidden.* A group's triangles lie in its box (or in its polygon, or are the one triangle), and neither the box nor the
@@ -12,6 +12,7 @@
 //!    from the cell to the box leaves the cell through some face and enters the box through one; for every pair of faces between which
 //!    that can be there is a proof ([`super::check_hidden`]) for the part of the box's face beyond the cell's. Faces without area
 //!    let no open set of lines through. What a closed surface hides needs no proof ([`super::surfaces`]).
+//!    What is hidden from a box is hidden from all cells in it; of the groups of a box the same is checked, with the box for the cell.
 
 use std::cmp::Ordering;
 use std::sync::OnceLock;
@@ -23,7 +24,7 @@ use super::line::{Plane, Point, height, plane, point, reduced, sign};
 use super::near::Triangles;
 use super::witness::{around, inside, meets};
 use super::{Corners, Refusal, check_hidden, check_polygons, clip};
-use crate::evidence::{Evidence, Hidden, Target, Witness, faces};
+use crate::evidence::{Evidence, Hidden, Shared, Target, Witness, faces};
 
 /// Most corners of a polygon that is hidden as a whole: more than any has, and few enough to check at once.
 const MOST_CORNERS: usize = 64;
@@ -39,6 +40,8 @@ pub struct CellClaims<'a> {
     pub undecided: &'a [u32],
     /// The reasons.
     pub evidence: &'a Evidence,
+    /// What is hidden from boxes around the cell, as its evidence names it ([`crate::evidence::Above`]).
+    pub above: &'a [&'a Shared],
 }
 
 /// A single claim about a cell, to be checked.
@@ -50,6 +53,11 @@ pub enum Claim {
     Seen(usize),
     /// The group of hidden triangles at this place.
     Hidden(usize),
+    /// Of the box at the first place in [`Evidence::shared`] the group at the second. No other cell need be looked at to check it.
+    Shared(usize, usize),
+    /// The same of the box at the first place in [`CellClaims::above`]: who checks all cells of a result has checked it with the cell
+    /// that keeps it.
+    Above(usize, usize),
 }
 
 /// Why what is claimed of a cell is refused.
@@ -66,6 +74,9 @@ pub enum CellRefusal {
         "triangle {0} is said to be visible, but it does not meet the cell and there is no witness for it"
     )]
     NoWitness(u32),
+    /// The cell names evidence about a box that it is not in.
+    #[error("it rests on certificates for a box that it is not in")]
+    Above,
     /// A witness does not show its triangle.
     #[error("the witness for triangle {0}: {1}")]
     Witness(u32, String),
@@ -137,8 +148,24 @@ fn check(
             check_group(scene, claims.cell, parity, group)
                 .map_err(|reason| CellRefusal::Hidden { triangles: group.triangles.clone(), reason })?;
         }
+        Claim::Shared(at, group) => check_shared(scene, &claims.evidence.shared[at], group)?,
+        Claim::Above(at, group) => check_shared(scene, claims.above[at], group)?,
     }
     Ok(())
+}
+
+/// Accepts that a group of triangles is hidden from all of a box.
+fn check_shared(scene: &Triangles<'_>, shared: &Shared, group: usize) -> Result<(), CellRefusal> {
+    let group = &shared.hidden[group];
+    let [min, max] = shared.bounds;
+    let checked = if !(min.cmplt(max).all() && min.is_finite() && max.is_finite()) {
+        Err("the box it is about has no volume".to_owned())
+    } else if matches!(group.target, Target::Surfaces | Target::Half) {
+        Err("what surfaces hide is to be said for each cell".to_owned())
+    } else {
+        check_group(scene, shared.bounds, &[], group)
+    };
+    checked.map_err(|reason| CellRefusal::Hidden { triangles: group.triangles.clone(), reason })
 }
 
 /// All claims, if every triangle with area has one and only one.
@@ -186,6 +213,30 @@ fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>,
         }
         all.push(Claim::Hidden(at));
     }
+    for (at, shared) in claims.above.iter().enumerate() {
+        let [min, max] = shared.bounds;
+        if !(min.cmple(claims.cell[0]).all() && max.cmpge(claims.cell[1]).all()) {
+            return Err(CellRefusal::Above);
+        }
+        for (place, group) in shared.hidden.iter().enumerate() {
+            for id in &group.triangles {
+                match known.get_mut(*id as usize) {
+                    Some(k @ Known::Nothing) => *k = Known::Accounted,
+                    _ => {
+                        return refuse(
+                            *id,
+                            "it is hidden from a box around the cell and is in the set, or has two proofs",
+                        );
+                    }
+                }
+            }
+            all.push(Claim::Above(at, place));
+        }
+    }
+    let own = claims.evidence.shared.iter().enumerate();
+    all.extend(
+        own.flat_map(|(at, shared)| (0..shared.hidden.len()).map(move |place| Claim::Shared(at, place))),
+    );
     for (id, (k, t)) in known.iter().zip(scene.all()).enumerate() {
         match k {
             Known::Visible => all.push(Claim::Meets(id as u32)),

@@ -8,7 +8,7 @@ use std::io::Read as _;
 use dashu_int::{IBig, Sign};
 use glam::Vec3;
 
-use super::{Evidence, Hidden, Target, Witness};
+use super::{Above, Evidence, Hidden, Shared, Target, Witness};
 use crate::proof::{Proof, Step, Which};
 
 /// zstd's own default: higher ones take longer than they save.
@@ -45,25 +45,19 @@ pub fn encode(evidence: &Evidence) -> std::io::Result<Vec<u8>> {
             }
         }
     }
-    put(&mut out, evidence.hidden.len() as u64);
-    for h in &evidence.hidden {
-        match &h.target {
-            Target::Triangle => out.push(0),
-            Target::Surfaces => out.push(2),
-            Target::Half => out.push(3),
-            Target::Polygon(corners) => {
-                out.push(4);
-                put(&mut out, corners.len() as u64);
-                corners.iter().for_each(|c| put_point(&mut out, *c));
-            }
-            Target::Box(corners) => {
-                out.push(1);
-                corners.iter().for_each(|c| put_point(&mut out, *c));
-            }
+    put_hidden(&mut out, &evidence.hidden);
+    // A cell that has nothing in common with others ends here.
+    if !(evidence.shared.is_empty() && evidence.above.is_empty()) {
+        put(&mut out, evidence.shared.len() as u64);
+        for shared in &evidence.shared {
+            shared.bounds.iter().for_each(|c| put_point(&mut out, *c));
+            put_hidden(&mut out, &shared.hidden);
         }
-        put_ids(&mut out, &h.triangles);
-        put(&mut out, h.proofs.len() as u64);
-        h.proofs.iter().for_each(|p| put_proof(&mut out, p));
+        put(&mut out, evidence.above.len() as u64);
+        for above in &evidence.above {
+            put(&mut out, u64::from(above.back));
+            put(&mut out, u64::from(above.at));
+        }
     }
     if out.len() as u64 > MOST {
         return Err(std::io::Error::other(
@@ -116,31 +110,45 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<Evidence, EvidenceError>
         };
         evidence.seen.push((from.id(last)?, witness));
     }
-    for _ in 0..from.count(3)? {
-        from.take::<Hidden>()?;
-        let target = match from.byte()? {
-            0 => Target::Triangle,
-            1 => Target::Box([from.point()?, from.point()?]),
-            2 => Target::Surfaces,
-            3 => Target::Half,
-            4 => {
-                // Twelve bytes a corner.
-                let corners = (0..from.count(12)?).map(|_| {
-                    from.take::<Vec3>()?;
-                    from.point()
-                });
-                Target::Polygon(corners.collect::<Result<_, _>>()?)
-            }
-            _ => return Err(EvidenceError("a proof is about nothing there is")),
-        };
-        let triangles = from.ids()?;
-        if triangles.is_empty() {
-            return Err(EvidenceError("a proof is about no triangle"));
+    evidence.hidden = from.hidden()?;
+    if !from.rest.is_empty() {
+        // Two points and a count.
+        for _ in 0..from.count(25)? {
+            from.take::<Shared>()?;
+            evidence.shared.push(Shared { bounds: [from.point()?, from.point()?], hidden: from.hidden()? });
         }
-        let proofs = (0..from.count(2)?).map(|_| from.proof()).collect::<Result<_, _>>()?;
-        evidence.hidden.push(Hidden { target, triangles, proofs });
+        for _ in 0..from.count(2)? {
+            from.take::<Above>()?;
+            evidence.above.push(Above { back: from.small()?, at: from.small()? });
+        }
+        if evidence.shared.is_empty() && evidence.above.is_empty() {
+            return Err(EvidenceError("they name nothing in common with other cells"));
+        }
     }
     if from.rest.is_empty() { Ok(evidence) } else { Err(EvidenceError("something follows them")) }
+}
+
+fn put_hidden(out: &mut Vec<u8>, hidden: &[Hidden]) {
+    put(out, hidden.len() as u64);
+    for h in hidden {
+        match &h.target {
+            Target::Triangle => out.push(0),
+            Target::Surfaces => out.push(2),
+            Target::Half => out.push(3),
+            Target::Polygon(corners) => {
+                out.push(4);
+                put(out, corners.len() as u64);
+                corners.iter().for_each(|c| put_point(out, *c));
+            }
+            Target::Box(corners) => {
+                out.push(1);
+                corners.iter().for_each(|c| put_point(out, *c));
+            }
+        }
+        put_ids(out, &h.triangles);
+        put(out, h.proofs.len() as u64);
+        h.proofs.iter().for_each(|p| put_proof(out, p));
+    }
 }
 
 fn put(out: &mut Vec<u8>, mut x: u64) {
@@ -305,6 +313,35 @@ impl Reader<'_> {
             .collect()
     }
 
+    fn hidden(&mut self) -> Result<Vec<Hidden>, EvidenceError> {
+        let mut all = Vec::new();
+        for _ in 0..self.count(3)? {
+            self.take::<Hidden>()?;
+            let target = match self.byte()? {
+                0 => Target::Triangle,
+                1 => Target::Box([self.point()?, self.point()?]),
+                2 => Target::Surfaces,
+                3 => Target::Half,
+                4 => {
+                    // Twelve bytes a corner.
+                    let corners = (0..self.count(12)?).map(|_| {
+                        self.take::<Vec3>()?;
+                        self.point()
+                    });
+                    Target::Polygon(corners.collect::<Result<_, _>>()?)
+                }
+                _ => return Err(EvidenceError("a proof is about nothing there is")),
+            };
+            let triangles = self.ids()?;
+            if triangles.is_empty() {
+                return Err(EvidenceError("a proof is about no triangle"));
+            }
+            let proofs = (0..self.count(2)?).map(|_| self.proof()).collect::<Result<_, _>>()?;
+            all.push(Hidden { target, triangles, proofs });
+        }
+        Ok(all)
+    }
+
     fn proof(&mut self) -> Result<Proof, EvidenceError> {
         let mut proof = Proof::default();
         let mut last = 0i64;
@@ -393,24 +430,36 @@ mod tests {
             .prop_map(|(occluders, steps)| Proof { occluders, steps })
     }
 
+    fn hidden() -> impl Strategy<Value = Vec<Hidden>> {
+        let target = prop_oneof![
+            Just(Target::Triangle),
+            Just(Target::Surfaces),
+            Just(Target::Half),
+            prop::array::uniform2(floats()).prop_map(Target::Box),
+            prop::collection::vec(floats(), 0..5).prop_map(|c| Target::Polygon(c.into())),
+        ];
+        let ids = prop::collection::btree_set(0u32..1000, 1..8);
+        let one = (target, ids, prop::collection::vec(proof(), 0..4)).prop_map(|(target, ids, proofs)| {
+            Hidden { target, triangles: ids.into_iter().collect(), proofs }
+        });
+        prop::collection::vec(one, 0..5)
+    }
+
     prop_compose! {
         fn evidence()(
             seen in prop::collection::btree_map(0u32..1000, prop_oneof![
                 prop::array::uniform2(floats()).prop_map(Witness::Floats),
                 prop::array::uniform2(prop::array::uniform4(integer())).prop_map(|e| Witness::Exact(Box::new(e))),
             ], 0..8),
-            hidden in prop::collection::vec((
-                prop_oneof![Just(Target::Triangle), Just(Target::Surfaces), Just(Target::Half), prop::array::uniform2(floats()).prop_map(Target::Box), prop::collection::vec(floats(), 0..5).prop_map(|c| Target::Polygon(c.into()))],
-                prop::collection::btree_set(0u32..1000, 1..8),
-                prop::collection::vec(proof(), 0..4),
-            ), 0..5),
+            hidden in hidden(),
+            shared in prop::collection::vec((prop::array::uniform2(floats()), hidden()), 0..3),
+            above in prop::collection::vec((any::<u32>(), 0u32..3), 0..3),
         ) -> Evidence {
             Evidence {
                 seen: seen.into_iter().collect(),
-                hidden: hidden
-                    .into_iter()
-                    .map(|(target, ids, proofs)| Hidden { target, triangles: ids.into_iter().collect(), proofs })
-                    .collect(),
+                hidden,
+                shared: shared.into_iter().map(|(bounds, hidden)| Shared { bounds, hidden }).collect(),
+                above: above.into_iter().map(|(back, at)| Above { back, at }).collect(),
             }
         }
     }

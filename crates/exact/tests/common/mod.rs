@@ -2,6 +2,8 @@
 
 #![allow(dead_code, clippy::panic, clippy::unwrap_used, reason = "helpers of tests, each of which uses some")]
 
+pub mod cells;
+
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use sightline_exact::checker::Refusal;
 use sightline_exact::predicates::integers;

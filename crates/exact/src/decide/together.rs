@@ -1,0 +1,99 @@
+//! What is hidden from several cells at once: asked about the box around them, once instead of cell by cell.
+//!
+//! Growing a cell never hides, so what is hidden from a box is hidden from all in it. The other way round nothing is gained: what is
+//! seen from the box is asked about again from each cell. So nothing is asked that one of the cells is known to see, and nothing that
+//! all of them are known not to.
+
+use rayon::prelude::*;
+
+use super::{State, Task, Work};
+use crate::cell::Cell;
+use crate::effort::Effort;
+use crate::evidence::Shared;
+use crate::occluder::Occluders;
+use crate::query::Limits;
+
+/// Which cells, and how what is hidden from all of them is to be found.
+pub struct Together<'a> {
+    /// What blocks.
+    pub scene: &'a Occluders,
+    /// The cells, which fill a box.
+    pub cells: &'a [Cell],
+    /// For each, triangles that sampling has shown, ascending.
+    pub seen: &'a [&'a [u32]],
+    /// Triangles that are known to be hidden from a box around them, ascending.
+    pub above: &'a [u32],
+    /// When a single query gives up.
+    pub limits: Limits,
+    /// Seed of the rays.
+    pub seed: u64,
+    /// Whether to keep proofs.
+    pub keep: bool,
+    /// Asked before every region of every query whether to stop with what there is.
+    pub stop: &'a (dyn Fn() -> bool + Sync),
+    /// Told after every query.
+    pub asked: &'a (dyn Fn() + Sync),
+}
+
+/// The triangles proved hidden from the box around the cells, ascending and without those of [`Together::above`]; with proofs, if they
+/// are kept, and what it took. On one of rayon's threads only after [`Occluders::surfaces`] was called elsewhere.
+pub fn together(task: &Together<'_>) -> (Vec<u32>, Shared, Effort) {
+    let all = task.cells.iter().map(Cell::corners);
+    let bounds = all.reduce(|[min, max], [lo, hi]| [min.min(lo), max.max(hi)]).unwrap_or_default();
+    let nothing = |effort| (Vec::new(), Shared { bounds, hidden: Vec::new() }, effort);
+    let Some(cell) = Cell::new(bounds[0], bounds[1]) else { return nothing(Effort::default()) };
+    let whole = Task {
+        scene: task.scene,
+        cell,
+        seen: &[],
+        above: task.above,
+        limits: task.limits,
+        seed: task.seed,
+        keep: task.keep,
+        stop: task.stop,
+        asked: task.asked,
+    };
+    let mut work = Work::new(&whole);
+    if task.scene.hierarchy().is_empty() {
+        return nothing(Effort::default());
+    }
+    work.meeting();
+    work.take_over();
+    // What each cell knows without asking.
+    let known: Vec<Vec<State>> = task
+        .cells
+        .par_iter()
+        .zip(task.seen)
+        .map(|(cell, seen)| {
+            let own = Task { cell: *cell, seen, keep: false, ..whole };
+            let mut work = Work::new(&own);
+            work.meeting();
+            work.take_over();
+            work.enclose();
+            let open = |id: &&u32| work.state[**id as usize] == State::Open;
+            let seen: Vec<u32> = seen.iter().filter(open).copied().collect();
+            seen.into_iter().for_each(|id| work.state[id as usize] = State::Visible);
+            work.state
+        })
+        .collect();
+    work.state.par_iter_mut().enumerate().filter(|(_, state)| **state == State::Open).for_each(
+        |(id, state)| {
+            let of = |wanted: State| known.iter().filter(|cell| cell[id] == wanted).count();
+            if of(State::Visible) > 0 {
+                *state = State::Visible;
+            } else if of(State::Hidden) == known.len() {
+                *state = State::Hidden;
+            }
+        },
+    );
+    drop(known);
+    let before = work.state.clone();
+    work.search();
+    let found = |id: &u32| {
+        let at = *id as usize;
+        work.state[at] == State::Hidden && before[at] == State::Open
+    };
+    let hidden = (0..before.len() as u32).filter(found).collect();
+    let shared = Shared { bounds, hidden: std::mem::take(&mut work.decided.evidence.hidden) };
+    (hidden, shared, work.decided.effort)
+}

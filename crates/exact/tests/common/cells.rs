@@ -1,0 +1,64 @@
+//! Scenes with view cells, and shorthands for deciding these.
+
+use glam::Vec3;
+use sightline_exact::cell::Cell;
+use sightline_exact::{Decided, Limits, Occluders, Task, decide};
+use sightline_scene::{Object, Scene, Triangle};
+
+use super::Corners;
+
+pub fn occluders(triangles: &[Corners]) -> Occluders {
+    let objects = vec![Object { name: "test".into(), first: 0, count: triangles.len() as u32 }];
+    let all = triangles.iter().map(|v| Triangle { v: *v }).collect();
+    Occluders::new(&Scene::new("test", all, objects).unwrap()).unwrap()
+}
+
+pub fn solve(scene: &Occluders, cell: [Vec3; 2], seen: &[u32], stop: &(dyn Fn() -> bool + Sync)) -> Decided {
+    decide(&Task {
+        scene,
+        cell: Cell::new(cell[0], cell[1]).unwrap(),
+        seen,
+        above: &[],
+        limits: Limits::default(),
+        seed: 7,
+        keep: true,
+        stop,
+        asked: &|| (),
+    })
+}
+
+/// The set of a cell, as results have it: with what is undecided.
+pub fn set(d: &Decided) -> Vec<u32> {
+    let mut all = [d.visible.as_slice(), &d.undecided].concat();
+    all.sort_unstable();
+    all
+}
+
+/// A room of two chambers with a door between them, and boxes in both.
+pub fn chambers() -> (Vec<Corners>, [Vec3; 2]) {
+    let mut t: Vec<Corners> = Vec::new();
+    let mut quad = |a: [f32; 3], b: [f32; 3], c: [f32; 3], d: [f32; 3]| {
+        let [a, b, c, d] = [a, b, c, d].map(Vec3::from);
+        t.extend([[a, b, c], [a, c, d]]);
+    };
+    let mut block = |lo: [f32; 3], hi: [f32; 3]| {
+        let p = |x: usize, y: usize, z: usize| [[lo, hi][x][0], [lo, hi][y][1], [lo, hi][z][2]];
+        quad(p(0, 0, 0), p(0, 1, 0), p(0, 1, 1), p(0, 0, 1));
+        quad(p(1, 0, 0), p(1, 1, 0), p(1, 1, 1), p(1, 0, 1));
+        quad(p(0, 0, 0), p(1, 0, 0), p(1, 0, 1), p(0, 0, 1));
+        quad(p(0, 1, 0), p(1, 1, 0), p(1, 1, 1), p(0, 1, 1));
+        quad(p(0, 0, 0), p(1, 0, 0), p(1, 1, 0), p(0, 1, 0));
+        quad(p(0, 0, 1), p(1, 0, 1), p(1, 1, 1), p(0, 1, 1));
+    };
+    // The shell, the dividing wall with a door at y < 1, and what stands around.
+    block([0.0, 0.0, 0.0], [20.0, 10.0, 3.0]);
+    block([10.0, 1.0, 0.0], [10.5, 10.0, 3.0]);
+    for k in 0..6 {
+        let x = 11.5 + 1.25 * k as f32;
+        block([x, 2.0 + k as f32, 0.0], [x + 0.5, 2.75 + k as f32, 1.5]);
+    }
+    block([4.0, 4.0, 0.5], [5.0, 5.0, 1.0]);
+    // Outside of everything.
+    block([30.0, 0.0, 0.0], [31.0, 1.0, 1.0]);
+    (t, [Vec3::new(1.0, 6.0, 1.0), Vec3::new(3.0, 8.0, 2.0)])
+}
