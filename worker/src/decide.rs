@@ -1,12 +1,13 @@
 //! The exact part of a leaf tile: what sampling has shown of its cells is checked, and what it has not is asked about, first from the box
 //! around several cells, then from each.
 
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
 use sightline_exact::cell::Cell;
-use sightline_exact::evidence::{Above, Shared, codec};
+use sightline_exact::evidence::{Shared, codec};
 use sightline_exact::{Effort, Limits, Occluders, Task, Together, decide, together};
 use sightline_job::{JobSpec, Method};
 use sightline_sampling::tile::{CellSet, CellSets, Decision, Node, Watcher};
@@ -55,11 +56,11 @@ pub fn cells(
     // Here and not on a thread of rayon's: finding the surfaces uses rayon itself, and a pool's thread that waits inside could take
     // up another cell and come back to the same lock.
     scene.surfaces();
-    let (boxes, blocks) = boxes(root, &sets.nodes);
+    let (boxes, groups) = boxes(root, &sets.nodes);
     // Half of the time for what is hidden from many cells at once: it saves each of them the question.
     let half = deadline.map(|d| Instant::now() + d.saturating_duration_since(Instant::now()) / 2);
-    let around = blocks_first(spec, lattice, (&boxes, &blocks), sets, scene, (half, watcher))?;
-    let one = |((set, at), around): ((&mut CellSet, &CellBox), &Around), until: Option<Instant>| {
+    let mut around = boxes_first(spec, lattice, (&boxes, &groups), sets, scene, (half, watcher))?;
+    let one = |((set, at), around): ((&mut CellSet, &CellBox), &mut Around), until: Option<Instant>| {
         let stop = || watcher.cancelled() || until.is_some_and(|u| Instant::now() >= u);
         let done = cell(spec, lattice, (at, around), set, scene, &stop, watcher);
         watcher.cell_done();
@@ -67,12 +68,12 @@ pub fn cells(
     };
     match deadline {
         None => {
-            let work = sets.cells.par_iter_mut().zip(&boxes).zip(&around).with_max_len(1);
+            let work = sets.cells.par_iter_mut().zip(&boxes).zip(&mut around).with_max_len(1);
             work.try_for_each(|work| one(work, None))
         }
         // As many at a time as there are threads, with their share of what is left, so that no cell is left without any.
         Some(deadline) => {
-            let mut work: Vec<_> = sets.cells.iter_mut().zip(&boxes).zip(&around).collect();
+            let mut work: Vec<_> = sets.cells.iter_mut().zip(&boxes).zip(&mut around).collect();
             let at_a_time = rayon::current_num_threads();
             let mut left = work.len().div_ceil(at_a_time) as u32;
             for some in work.chunks_mut(at_a_time) {
@@ -80,7 +81,7 @@ pub fn cells(
                 let share: Duration = deadline.saturating_duration_since(now) / left;
                 left -= 1;
                 some.par_iter_mut().with_max_len(1).try_for_each(|((set, at), around)| {
-                    one(((&mut **set, *at), *around), Some(now + share))
+                    one(((&mut **set, *at), &mut **around), Some(now + share))
                 })?;
             }
             Ok(())
@@ -91,7 +92,7 @@ pub fn cells(
 fn cell(
     spec: &JobSpec,
     lattice: &Lattice,
-    (at, around): (&CellBox, &Around),
+    (at, around): (&CellBox, &mut Around),
     set: &mut CellSet,
     scene: &Occluders,
     stop: &(dyn Fn() -> bool + Sync),
@@ -109,8 +110,8 @@ fn cell(
         asked: &|| watcher.rendered(1),
     });
     decided.effort.add_asked(&around.effort);
-    decided.evidence.shared.clone_from(&around.shared);
-    decided.evidence.above.clone_from(&around.above);
+    decided.evidence.shared = around.shared.take();
+    decided.evidence.above = around.above;
     let evidence = match spec.certificates {
         true => codec::encode(&decided.evidence).map_err(|e| e.to_string())?,
         false => Vec::new(),
@@ -139,69 +140,59 @@ fn exact_cell(at: &CellBox, lattice: &Lattice) -> Result<Cell, String> {
         .ok_or_else(|| format!("the cell {min} to {max} has no volume; give fewer or larger cells"))
 }
 
-/// Fewest cells that are worth a look at the box around them, and how many times fewer than in the last box there are in the next.
-const BLOCK: usize = 4;
-const STEP: usize = 8;
+/// How many cells a box is asked about for: fewer do not win what the box takes, and for more it wins nothing more.
+const TOGETHER: RangeInclusive<usize> = 4..=8;
 
-/// What is known about a cell from the boxes around it.
-#[derive(Clone, Default)]
+/// What is known about a cell from the box around it and others.
+#[derive(Default)]
 struct Around {
-    /// The triangles hidden from them, ascending.
-    hidden: Vec<u32>,
-    /// Where the proofs are.
-    above: Vec<Above>,
-    /// The proofs themselves, and what was asked: with the first cell of each box.
-    shared: Vec<Shared>,
+    /// The triangles hidden from it, ascending; the same for all cells in it.
+    hidden: Arc<Vec<u32>>,
+    /// How many cells before this one the proofs are kept.
+    above: Option<u32>,
+    /// The proofs, and what was asked: with the first of the cells.
+    shared: Option<Shared>,
     effort: Effort,
 }
 
-/// Finds out what is hidden from boxes around several cells, the largest first.
-fn blocks_first(
+/// Finds out what is hidden from boxes around several cells.
+fn boxes_first(
     spec: &JobSpec,
     lattice: &Lattice,
-    (boxes, blocks): (&[CellBox], &[(CellBox, Range<usize>)]),
+    (cells, groups): (&[CellBox], &[(CellBox, Range<usize>)]),
     sets: &CellSets,
     scene: &Occluders,
     (until, watcher): (Option<Instant>, &dyn Watcher),
 ) -> Result<Vec<Around>, String> {
-    let cells = boxes.iter().map(|at| exact_cell(at, lattice)).collect::<Result<Vec<_>, _>>()?;
+    let cells = cells.iter().map(|at| exact_cell(at, lattice)).collect::<Result<Vec<_>, _>>()?;
     let seen: Vec<&[u32]> = sets.cells.iter().map(|set| set.visible.as_slice()).collect();
-    let mut around = vec![Around::default(); boxes.len()];
-    for (at, range) in blocks {
+    let mut around: Vec<Around> = cells.iter().map(|_| Around::default()).collect();
+    for (at, range) in groups {
         let (hidden, shared, effort) = together(&Together {
             scene,
             cells: &cells[range.clone()],
             seen: &seen[range.clone()],
-            above: &around[range.start].hidden,
             limits: limits(spec),
             seed: place(at, spec.seed),
             keep: spec.certificates,
             stop: &|| watcher.cancelled() || until.is_some_and(|u| Instant::now() >= u),
             asked: &|| watcher.rendered(1),
         });
-        let first = &mut around[range.start];
-        first.effort.add_asked(&effort);
+        around[range.start].effort = effort;
         if hidden.is_empty() {
             continue;
         }
-        let place = first.shared.len() as u32;
-        if spec.certificates {
-            first.shared.push(shared);
-        }
+        let hidden = Arc::new(hidden);
         for k in range.clone() {
-            let of = &mut around[k];
-            of.hidden.extend(&hidden);
-            of.hidden.sort_unstable();
-            if spec.certificates {
-                of.above.push(Above { back: (k - range.start) as u32, at: place });
-            }
+            around[k].hidden = Arc::clone(&hidden);
+            around[k].above = spec.certificates.then_some((k - range.start) as u32);
         }
+        around[range.start].shared = spec.certificates.then_some(shared);
     }
     Ok(around)
 }
 
-/// The boxes of a subtree's cells, in their order; and those around several that are to be looked at, each with its cells and none
-/// before one that it lies in.
+/// The boxes of a subtree's cells, in their order; and the largest boxes around no more of them than are worth it, each with its cells.
 fn boxes(root: &CellBox, nodes: &[Node]) -> (Vec<CellBox>, Vec<(CellBox, Range<usize>)>) {
     // How many cells are below each node, counted from the last.
     let mut below = vec![1; nodes.len()];
@@ -213,26 +204,23 @@ fn boxes(root: &CellBox, nodes: &[Node]) -> (Vec<CellBox>, Vec<(CellBox, Range<u
         }
         open.push(below[i]);
     }
-    let (mut cells, mut blocks) = (Vec::new(), Vec::new());
-    // Each with the fewest cells that the next box within may have too many of.
-    let mut waiting = vec![(*root, usize::MAX)];
+    let (mut cells, mut groups) = (Vec::new(), Vec::<(CellBox, Range<usize>)>::new());
+    let mut waiting = vec![*root];
     for (node, count) in nodes.iter().zip(below) {
-        let Some((cell, most)) = waiting.pop() else { break };
+        let Some(cell) = waiting.pop() else { break };
+        let within = groups.last().is_some_and(|(_, range)| range.contains(&cells.len()));
+        if !within && TOGETHER.contains(&count) {
+            groups.push((cell, cells.len()..cells.len() + count));
+        }
         match node {
             Node::Split(split) => {
-                let most = if count >= BLOCK && count <= most {
-                    blocks.push((cell, cells.len()..cells.len() + count));
-                    count / STEP
-                } else {
-                    most
-                };
                 let [below, above] = cell.children(*split);
-                waiting.extend([(above, most), (below, most)]);
+                waiting.extend([above, below]);
             }
             Node::Cell => cells.push(cell),
         }
     }
-    (cells, blocks)
+    (cells, groups)
 }
 
 #[cfg(test)]
@@ -262,20 +250,23 @@ mod tests {
     }
 
     #[test]
-    fn boxes_around_many_cells_hold_them_and_come_before_those_within() {
+    fn boxes_around_some_cells_hold_them_and_do_not_overlap() {
         for (size, sizes) in [
             ([1, 1, 1], vec![]),
             ([3, 1, 1], vec![]),
             ([2, 2, 1], vec![4]),
             ([2, 2, 2], vec![8]),
             ([5, 1, 1], vec![5]),
-            ([4, 4, 4], [vec![64], vec![8; 8]].concat()),
+            ([4, 4, 2], vec![8; 4]),
+            ([4, 4, 4], vec![8; 8]),
+            ([9, 1, 1], vec![4, 5]),
         ] {
             let (root, nodes) = grid(size);
-            let (cells, blocks) = boxes(&root, &nodes);
+            let (cells, groups) = boxes(&root, &nodes);
             assert_eq!(cells.len(), size.iter().product::<u32>() as usize);
-            assert_eq!(blocks.iter().map(|b| b.1.len()).collect::<Vec<_>>(), sizes, "{size:?}");
-            for (at, range) in &blocks {
+            assert_eq!(groups.iter().map(|b| b.1.len()).collect::<Vec<_>>(), sizes, "{size:?}");
+            assert!(groups.windows(2).all(|w| w[0].1.end <= w[1].1.start));
+            for (at, range) in &groups {
                 let volume = |b: &CellBox| (0..3).map(|a| u64::from(b.hi[a] - b.lo[a])).product::<u64>();
                 let within = |c: &CellBox| (0..3).all(|a| at.lo[a] <= c.lo[a] && c.hi[a] <= at.hi[a]);
                 assert!(cells[range.clone()].iter().all(within));

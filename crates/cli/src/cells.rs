@@ -202,19 +202,36 @@ fn exact_table(pvs: &Pvs, at: &dyn Fn(&str, usize) -> u64) -> Result<Vec<String>
     let mut order: Vec<usize> = (0..pvs.cells() as usize).collect();
     order.sort_by_key(|c| (std::cmp::Reverse(at("exact_regions", *c)), *c));
     let mut lines = vec![
-        "the cells that took exact queries most. surfaces: hidden by the closed surface they are part of; missed: visible, and not \
+        "the cells that took exact queries most; what was asked about a box around several is counted at the first of them. box: hidden \
+         from such a box; surfaces: of the others, by the closed surface they are part of; missed: visible, and not \
          shown by sampling; regions: of line space, what queries spend time on"
             .to_owned(),
     ];
-    let mut rows =
-        vec![["cell", "undecided", "hidden", "surfaces", "missed", "queries", "regions"].map(str::to_owned)];
+    let mut rows = vec![
+        ["cell", "undecided", "hidden", "box", "surfaces", "missed", "queries", "regions"].map(str::to_owned),
+    ];
     let mut ids = Vec::new();
     for cell in order.iter().copied().take(SHOWN) {
         pvs.undecided(cell as u32, &mut ids)?;
-        let [hidden, surfaces, missed, queries, regions] =
-            ["exact_hidden", "exact_enclosed", "exact_missed", "exact_queries", "exact_regions"]
-                .map(|name| at(name, cell).to_string());
-        rows.push([cell.to_string(), ids.len().to_string(), hidden, surfaces, missed, queries, regions]);
+        let [hidden, above, surfaces, missed, queries, regions] = [
+            "exact_hidden",
+            "exact_above",
+            "exact_enclosed",
+            "exact_missed",
+            "exact_queries",
+            "exact_regions",
+        ]
+        .map(|name| at(name, cell).to_string());
+        rows.push([
+            cell.to_string(),
+            ids.len().to_string(),
+            hidden,
+            above,
+            surfaces,
+            missed,
+            queries,
+            regions,
+        ]);
     }
     lines.extend(aligned(&rows));
     Ok(lines)

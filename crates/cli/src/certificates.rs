@@ -1,6 +1,6 @@
-//! The certificates of a cell of a result: its own, and those about boxes around it that are kept with cells before it.
+//! The certificates of a cell of a result: its own, and those about a box around it that are kept with it or with a cell before it.
 
-use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use sightline_exact::evidence::{Evidence, Hidden, Reason, Shared, codec};
 use sightline_pvs::Pvs;
@@ -9,42 +9,56 @@ use sightline_pvs::Pvs;
 pub struct Certificates {
     /// The cell's own.
     pub own: Evidence,
-    /// By how far before it they are, those of other cells that keep something for this one.
-    others: BTreeMap<u32, Evidence>,
+    /// The cell that keeps what is about a box around this one, if there is such a box, and what it keeps.
+    above: Option<(u32, Arc<Shared>)>,
 }
 
-impl Certificates {
-    /// Those of a cell; nothing at all for a result without.
+/// Reads certificates, and remembers what the last cell kept for others: cells that name one follow each other.
+#[derive(Default)]
+pub struct Reader(Mutex<Option<(u32, Arc<Shared>)>>);
+
+impl Reader {
+    /// The certificates of a cell; nothing at all for a result without.
     ///
     /// # Errors
     /// What is wrong with them, in words.
-    pub fn of(pvs: &Pvs, cell: u32) -> Result<Option<Self>, String> {
-        let Some(own) = read(pvs, cell)? else { return Ok(None) };
-        let mut others = BTreeMap::new();
-        for above in &own.above {
-            if above.back == 0 || others.contains_key(&above.back) {
-                continue;
+    pub fn read(&self, pvs: &Pvs, cell: u32) -> Result<Option<Certificates>, String> {
+        let Some(own) = own(pvs, cell)? else { return Ok(None) };
+        let above = match own.above {
+            None => None,
+            Some(back) => {
+                let keeper =
+                    cell.checked_sub(back).ok_or("it rests on certificates of a cell before the first")?;
+                Some((keeper, self.kept(pvs, keeper)?))
             }
-            let other =
-                cell.checked_sub(above.back).ok_or("it rests on certificates of a cell before the first")?;
-            let evidence = read(pvs, other)?.unwrap_or_default();
-            others.insert(above.back, evidence);
-        }
-        let all = Self { own, others };
-        match all.own.above.iter().all(|a| all.get(a.back, a.at).is_some()) {
-            true => Ok(Some(all)),
-            false => Err("it rests on certificates that are not there".to_owned()),
-        }
+        };
+        Ok(Some(Certificates { own, above }))
     }
 
-    fn get(&self, back: u32, at: u32) -> Option<&Shared> {
-        let evidence = if back == 0 { &self.own } else { self.others.get(&back)? };
-        evidence.shared.get(at as usize)
+    /// What a cell keeps for others. One at a time reads, the others wait for it.
+    fn kept(&self, pvs: &Pvs, keeper: u32) -> Result<Arc<Shared>, String> {
+        let mut last = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, shared)) = last.as_ref().filter(|(cell, _)| *cell == keeper) {
+            return Ok(Arc::clone(shared));
+        }
+        let evidence = own(pvs, keeper).map_err(|e| format!("it rests on those of cell {keeper}: {e}"))?;
+        let shared = evidence.and_then(|e| e.shared).map(Arc::new);
+        let shared = shared
+            .ok_or_else(|| format!("it rests on certificates of cell {keeper}, which has none for others"))?;
+        *last = Some((keeper, Arc::clone(&shared)));
+        Ok(shared)
+    }
+}
+
+impl Certificates {
+    /// What is hidden from a box around the cell.
+    pub fn above(&self) -> Option<&Shared> {
+        self.above.as_ref().map(|(_, shared)| &**shared)
     }
 
-    /// What is hidden from boxes around the cell.
-    pub fn above(&self) -> Vec<&Shared> {
-        self.own.above.iter().filter_map(|a| self.get(a.back, a.at)).collect()
+    /// The cell that keeps this.
+    pub fn keeper(&self) -> Option<u32> {
+        self.above.as_ref().map(|(keeper, _)| *keeper)
     }
 
     /// Everything that is hidden from the cell, as it is kept.
@@ -57,11 +71,12 @@ impl Certificates {
         if let Some(reason) = self.own.about(triangle) {
             return Some((reason, None));
         }
-        self.above().into_iter().find_map(|s| s.about(triangle).map(|h| (Reason::Hidden(h), Some(s))))
+        let shared = self.above()?;
+        shared.about(triangle).map(|hidden| (Reason::Hidden(hidden), Some(shared)))
     }
 }
 
-fn read(pvs: &Pvs, cell: u32) -> Result<Option<Evidence>, String> {
+fn own(pvs: &Pvs, cell: u32) -> Result<Option<Evidence>, String> {
     match pvs.evidence(cell).map_err(|e| e.to_string())? {
         None => Ok(None),
         // A cell that was set aside.

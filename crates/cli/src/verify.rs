@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use glam::Vec3;
@@ -12,7 +13,7 @@ use sightline_exact::evidence::{Hidden, Target};
 use sightline_pvs::{Pvs, SET_ASIDE};
 
 use crate::args::VerifyArgs;
-use crate::certificates::Certificates;
+use crate::certificates::Reader;
 use crate::error::CliError;
 use crate::inspect;
 use crate::progress::{Progress, human, say};
@@ -47,6 +48,7 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     let raw: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
     let triangles = Triangles::new(&raw);
     let sample = args.sample.map(|n| draw(n, args.seed, pvs.cells(), scene.len()));
+    let reader = Reader::default();
     let progress = Progress::new();
     let start = Instant::now();
     let mut totals = Totals::default();
@@ -56,7 +58,7 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
         next += some.len() as u32;
         let check = |cell: &u32| {
             let wanted = sample.as_ref().map(|s| s.get(cell).cloned().unwrap_or_default());
-            check_one(&pvs, &triangles, *cell, wanted.as_ref())
+            check_one((&pvs, &reader), &triangles, *cell, wanted.as_ref())
         };
         let checked: Vec<Result<Totals, String>> = some.par_iter().with_max_len(1).map(check).collect();
         for (cell, checked) in some.iter().zip(checked) {
@@ -78,6 +80,7 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     }
     progress.end();
     say(&format!("verified in {}", human(start.elapsed())));
+    totals.checked[1] += totals.rested.len() as u64;
     let [witnesses, certificates, meeting] = totals.checked;
     let [by_surface, in_boxes, alone] = totals.hidden;
     let pairs = u64::from(pvs.cells()) * u64::from(scene.len());
@@ -178,6 +181,8 @@ struct Totals {
     hidden: [u64; 3],
     undecided: u64,
     bytes: u64,
+    /// Certificates kept with another cell, and which, that pairs of a sample rest on: counted once.
+    rested: BTreeSet<(u32, usize)>,
 }
 
 impl std::ops::AddAssign for Totals {
@@ -189,12 +194,13 @@ impl std::ops::AddAssign for Totals {
         }
         self.undecided += o.undecided;
         self.bytes += o.bytes;
+        self.rested.extend(o.rested);
     }
 }
 
 /// Checks one cell, or of it only what is about the triangles `wanted`.
 fn check_one(
-    pvs: &Pvs,
+    (pvs, reader): (&Pvs, &Reader),
     scene: &Triangles<'_>,
     cell: u32,
     wanted: Option<&BTreeSet<u32>>,
@@ -205,32 +211,27 @@ fn check_one(
     pvs.visible(cell, &mut visible).map_err(error)?;
     pvs.undecided(cell, &mut undecided).map_err(error)?;
     let bounds = pvs.cell_bounds(cell).ok_or("there is no such cell")?.map(Vec3::from);
-    let certificates = Certificates::of(pvs, cell)?.ok_or("it has no evidence")?;
+    let certificates = reader.read(pvs, cell)?.ok_or("it has no evidence")?;
     let (evidence, above) = (&certificates.own, certificates.above());
     totals.undecided += undecided.len() as u64;
     totals.bytes += pvs.evidence(cell).map_err(error)?.map_or(0, |e| e.len() as u64);
-    for group in certificates.hidden() {
-        let kind = match &group.target {
-            Target::Surfaces => 0,
-            Target::Box(_) => 1,
-            Target::Triangle | Target::Half | Target::Polygon(_) => 2,
-        };
-        totals.hidden[kind] += group.triangles.len() as u64;
-    }
-    let claims =
-        CellClaims { cell: bounds, visible: &visible, undecided: &undecided, evidence, above: &above };
+    let claims = CellClaims { cell: bounds, visible: &visible, undecided: &undecided, evidence, above };
     let [all, picked] = [0, 1].map(|_| [0, 1, 2].map(|_| AtomicU64::new(0)));
+    let rested = Mutex::new(Vec::new());
     let pick = |claim: Claim| {
         let about =
             |group: &Hidden, wanted: &BTreeSet<u32>| group.triangles.iter().any(|t| wanted.contains(t));
         let (kind, take) = match claim {
             Claim::Seen(at) => (0, wanted.is_none_or(|w| w.contains(&evidence.seen[at].0))),
             Claim::Hidden(at) => (1, wanted.is_none_or(|w| about(&evidence.hidden[at], w))),
-            // Kept with this cell for others, too: checked once, here, or where a sample has a pair that rests on it.
-            Claim::Shared(..) => (1, wanted.is_none()),
-            Claim::Above(at, group) => {
-                let take = wanted.is_some_and(|w| about(&above[at].hidden[group], w));
-                picked[1].fetch_add(u64::from(take), Ordering::Relaxed);
+            // Kept with this cell for others, too, and checked once: here, or where a sample has a pair that rests on it.
+            Claim::Shared(_) => (1, wanted.is_none()),
+            Claim::Above(at) => {
+                let of = above.and_then(|shared| shared.hidden.get(at));
+                let take = wanted.is_some_and(|w| of.is_some_and(|group| about(group, w)));
+                if take {
+                    rested.lock().unwrap_or_else(PoisonError::into_inner).push(at);
+                }
                 return take;
             }
             Claim::Meets(id) => (2, wanted.is_none_or(|w| w.contains(&id))),
@@ -240,6 +241,17 @@ fn check_one(
         take
     };
     check_cell(scene, &claims, &pick).map_err(|e| e.to_string())?;
+    let rested = rested.into_inner().unwrap_or_else(PoisonError::into_inner);
+    totals.rested.extend(rested.into_iter().filter_map(|at| Some((certificates.keeper()?, at))));
+    // Now that no triangle is known to be in two groups.
+    for group in certificates.hidden() {
+        let kind = match &group.target {
+            Target::Surfaces => 0,
+            Target::Box(_) => 1,
+            Target::Triangle | Target::Half | Target::Polygon(_) => 2,
+        };
+        totals.hidden[kind] += group.triangles.len() as u64;
+    }
     for kind in 0..3 {
         totals.all[kind] += all[kind].load(Ordering::Relaxed);
         totals.checked[kind] += picked[kind].load(Ordering::Relaxed);

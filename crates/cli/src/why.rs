@@ -11,7 +11,7 @@ use sightline_exact::{Cost, Limits, Occluders, Polygon, Proof, polygon};
 use sightline_pvs::Pvs;
 use sightline_scene::{Aabb, overlap};
 
-use crate::certificates::Certificates;
+use crate::certificates::Reader;
 use crate::error::CliError;
 use crate::inspect;
 use crate::serve::print;
@@ -85,7 +85,8 @@ pub fn why(
 
 /// From the certificates of the result.
 fn look_up(pvs: &Pvs, result: &Path, cell: u32, triangle: u32) -> Result<Value, CliError> {
-    let found = Certificates::of(pvs, cell)
+    let found = Reader::default()
+        .read(pvs, cell)
         .map_err(|e| CliError::Input(format!("{}, cell {cell}: {e}", result.display())))?;
     let Some(certificates) = found else {
         return Err(CliError::Input(format!(
@@ -107,10 +108,13 @@ fn look_up(pvs: &Pvs, result: &Path, cell: u32, triangle: u32) -> Result<Value, 
                 Target::Box(_) | Target::Polygon(_) => hidden.triangles.len() - 1,
                 _ => 0,
             };
-            let from = from.map(|shared| shared.bounds.map(|corner| corner.to_array()));
-            json!({
-                "state": "hidden", "blockers": blockers(&hidden.proofs), "with": with, "surface": surface, "from": from
-            })
+            let mut why = json!({
+                "state": "hidden", "blockers": blockers(&hidden.proofs), "with": with, "surface": surface
+            });
+            if let Some(shared) = from {
+                why["from"] = json!(shared.bounds.map(|corner| corner.to_array()));
+            }
+            why
         }
         None if ids.binary_search(&triangle).is_ok() => json!({"state": "visible", "meets": true}),
         None => json!({"state": "hidden", "degenerate": true, "blockers": []}),

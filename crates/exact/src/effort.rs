@@ -5,17 +5,17 @@ use crate::query::Cost;
 /// What deciding a cell took. Everything here is the same on every run that is not stopped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Effort {
-    /// Rays cast for witnesses.
+    /// Rays cast for witnesses. These, queries, boxes and cost are with what was asked about a box around this cell and those after it.
     pub rays: u64,
     /// Boxes and triangles asked about.
     pub queries: u64,
     /// Boxes proved hidden as a whole.
     pub boxes: u64,
-    /// Triangles hidden by the closed surface they are part of.
+    /// Triangles hidden by the closed surface they are part of, and not from a box around several cells anyway.
     pub enclosed: u64,
     /// Triangles proved hidden, with those in such boxes, those by surfaces and those from boxes around several cells.
     pub hidden: u64,
-    /// Triangles hidden from a box around this cell and others. What was asked about it is counted at the first of these cells.
+    /// Triangles hidden from a box around this cell and others.
     pub above: u64,
     /// Triangles that sampling had not shown and that are visible.
     pub missed: u64,

@@ -18,10 +18,10 @@ pub struct Evidence {
     pub seen: Vec<(u32, Witness)>,
     /// What is hidden; no triangle is in two of them, nor in one of those above.
     pub hidden: Vec<Hidden>,
-    /// What is hidden from boxes around this cell and some after it.
-    pub shared: Vec<Shared>,
-    /// Which of these, of this cell or of one before it, hold for this cell.
-    pub above: Vec<Above>,
+    /// What is hidden from a box around this cell and some after it.
+    pub shared: Option<Shared>,
+    /// The cell so many before this one in the result, 0 for this one, keeps what is hidden from a box around both.
+    pub above: Option<u32>,
 }
 
 /// What is hidden from all of a box, and so from all cells in it.
@@ -29,17 +29,8 @@ pub struct Evidence {
 pub struct Shared {
     /// The box, by its least and greatest corner.
     pub bounds: [Vec3; 2],
-    /// What is hidden from it; no triangle is in two of them. Nothing is hidden by [`Target::Surfaces`] or [`Target::Half`] here.
+    /// What is hidden from it, at least one; no triangle is in two of them. Nothing is hidden by [`Target::Surfaces`] or [`Target::Half`] here.
     pub hidden: Vec<Hidden>,
-}
-
-/// Where the evidence about a box around a cell is kept.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Above {
-    /// With the cell so many before this one in the result; 0 for this one.
-    pub back: u32,
-    /// Its place among what that cell's evidence shares.
-    pub at: u32,
 }
 
 /// A segment from the cell through the inside of a triangle that meets no other triangle, but for those in its plane.

@@ -20,7 +20,8 @@ pub fn evidence(raw: &[u8]) {
     let index = Triangles::new(&triangles);
     for visible in [&[][..], &[0, 1], &[0, 1, 2, 3, 4, 5]] {
         let cell = [Vec3::ZERO, Vec3::splat(0.5)];
-        let claims = CellClaims { cell, visible, undecided: &[], evidence: &evidence, above: &[] };
+        let above = evidence.shared.as_ref().filter(|_| evidence.above.is_some());
+        let claims = CellClaims { cell, visible, undecided: &[], evidence: &evidence, above };
         let _ = check_cell(&index, &claims, &|_| true);
     }
 }

@@ -12,7 +12,7 @@ use glam::Vec3;
 use proptest::prelude::*;
 use sightline_exact::cell::Cell;
 use sightline_exact::checker::{CellClaims, CellRefusal, Claim, Triangles, check_cell};
-use sightline_exact::evidence::{Above, Evidence, Hidden, Shared, Target, codec};
+use sightline_exact::evidence::{Evidence, Hidden, Shared, Target, codec};
 use sightline_exact::{Decided, Limits, Occluders, Task, Together, decide, together};
 
 /// The eight cells that fill a box, the first axis changing fastest.
@@ -26,23 +26,13 @@ fn shared(
     scene: &Occluders,
     of: &[[Vec3; 2]],
     seen: &[&[u32]],
-    above: &[u32],
     stop: &(dyn Fn() -> bool + Sync),
 ) -> (Vec<u32>, Shared) {
     let cells: Vec<Cell> = of.iter().map(|[min, max]| Cell::new(*min, *max).unwrap()).collect();
     let limits = Limits::default();
-    let (hidden, shared, effort) = together(&Together {
-        scene,
-        cells: &cells,
-        seen,
-        above,
-        limits,
-        seed: 7,
-        keep: true,
-        stop,
-        asked: &|| (),
-    });
-    assert_eq!(effort.hidden, (hidden.len() + above.len()) as u64);
+    let (hidden, shared, effort) =
+        together(&Together { scene, cells: &cells, seen, limits, seed: 7, keep: true, stop, asked: &|| () });
+    assert_eq!(effort.hidden, hidden.len() as u64);
     let mut all: Vec<u32> = shared.hidden.iter().flat_map(|h| h.triangles.iter().copied()).collect();
     all.sort_unstable();
     assert_eq!(all, hidden);
@@ -68,10 +58,11 @@ fn check(
     cell: [Vec3; 2],
     d: &Decided,
     evidence: &Evidence,
-    above: &[&Shared],
+    above: Option<&Shared>,
 ) -> Result<u64, CellRefusal> {
     let (visible, index) = (set(d), Triangles::new(triangles));
-    let claims = CellClaims { cell, visible: &visible, undecided: &d.undecided, evidence, above };
+    let named = Evidence { above: above.map(|_| 0), ..evidence.clone() };
+    let claims = CellClaims { cell, visible: &visible, undecided: &d.undecided, evidence: &named, above };
     check_cell(&index, &claims, &|_| true)
 }
 
@@ -87,7 +78,7 @@ fn what_is_hidden_from_the_box_is_hidden_from_each_cell_and_all_else_stays() {
     let cells = cells(around);
     let alone: Vec<Decided> = cells.iter().map(|c| solve(&scene, *c, &[], &|| false)).collect();
     let none: [&[u32]; 8] = [&[]; 8];
-    let (hidden, shared_by_all) = shared(&scene, &cells, &none, &[], &|| false);
+    let (hidden, shared_by_all) = shared(&scene, &cells, &none, &|| false);
     assert!(hidden.len() > 20, "{hidden:?}");
     let (mut apart, mut joint) = (0, 0);
     for (cell, alone) in cells.iter().zip(&alone) {
@@ -95,18 +86,15 @@ fn what_is_hidden_from_the_box_is_hidden_from_each_cell_and_all_else_stays() {
         let d = below(&scene, *cell, &[], &hidden);
         assert_eq!((&d.visible, &d.undecided), (&alone.visible, &alone.undecided));
         assert_eq!((d.effort.hidden, d.effort.above), (alone.effort.hidden, hidden.len() as u64));
-        check(&triangles, *cell, &d, &d.evidence, &[&shared_by_all]).unwrap();
+        check(&triangles, *cell, &d, &d.evidence, Some(&shared_by_all)).unwrap();
         apart += alone.effort.queries;
         joint += d.effort.queries;
     }
     assert!(joint < apart, "{joint} queries instead of {apart}");
-    // What sampling has shown of a cell is not asked about, and what is known from a larger box is not asked again.
+    // What sampling has shown of a cell is not asked about.
     let seen: Vec<&[u32]> = alone.iter().map(|d| d.visible.as_slice()).collect();
-    let (again, _) = shared(&scene, &cells, &seen, &[], &|| false);
+    let (again, _) = shared(&scene, &cells, &seen, &|| false);
     assert_eq!(again, hidden);
-    let (rest, _) = shared(&scene, &cells[..2], &seen[..2], &hidden, &|| false);
-    assert!(rest.iter().all(|t| hidden.binary_search(t).is_err()));
-    assert!(rest.iter().all(|t| seen[..2].iter().all(|s| s.binary_search(t).is_err())));
     // Wrong guesses hide nothing less from the cells, and are refuted there.
     let all: Vec<u32> = (0..triangles.len() as u32).collect();
     let d = below(&scene, cells[0], &all, &hidden);
@@ -120,15 +108,15 @@ fn what_there_was_no_time_for_is_left_to_the_cells() {
     let scene = occluders(&triangles);
     let cells = cells(around);
     let none: [&[u32]; 8] = [&[]; 8];
-    let (whole, _) = shared(&scene, &cells, &none, &[], &|| false);
+    let (whole, _) = shared(&scene, &cells, &none, &|| false);
     for most in [0, 5, 50, 500] {
         let asked = AtomicU32::new(0);
         let stop = || asked.fetch_add(1, Ordering::Relaxed) >= most;
-        let (hidden, of) = shared(&scene, &cells, &none, &[], &stop);
+        let (hidden, of) = shared(&scene, &cells, &none, &stop);
         assert!(hidden.iter().all(|t| whole.binary_search(t).is_ok()), "stopped after {most}");
         let d = below(&scene, cells[3], &[], &hidden);
         assert!(d.undecided.is_empty());
-        check(&triangles, cells[3], &d, &d.evidence, &[&of]).unwrap();
+        check(&triangles, cells[3], &d, &d.evidence, Some(&of)).unwrap();
     }
 }
 
@@ -138,14 +126,13 @@ fn tampered_claims_about_a_box_are_refused() {
     let scene = occluders(&triangles);
     let cells = cells(around);
     let none: [&[u32]; 8] = [&[]; 8];
-    let (hidden, of) = shared(&scene, &cells, &none, &[], &|| false);
+    let (hidden, of) = shared(&scene, &cells, &none, &|| false);
     let cell = cells[0];
     let d = below(&scene, cell, &[], &hidden);
-    let ask = |of: &Shared| check(&triangles, cell, &d, &d.evidence, &[of]);
+    let ask = |of: &Shared| check(&triangles, cell, &d, &d.evidence, Some(of));
     ask(&of).unwrap();
-    // Nothing named, or twice the same.
-    assert!(matches!(check(&triangles, cell, &d, &d.evidence, &[]), Err(CellRefusal::Account(..))));
-    assert!(matches!(check(&triangles, cell, &d, &d.evidence, &[&of, &of]), Err(CellRefusal::Account(..))));
+    // Nothing named.
+    assert!(matches!(check(&triangles, cell, &d, &d.evidence, None), Err(CellRefusal::Account(..))));
     let with = |change: &dyn Fn(&mut Shared)| {
         let mut changed = of.clone();
         change(&mut changed);
@@ -177,13 +164,21 @@ fn tampered_claims_about_a_box_are_refused() {
     assert!(matches!(with(&|s| s.hidden[0].triangles.push(beyond)), Err(CellRefusal::Account(..))));
     // Kept with the cell for others, it is checked with the cell, whatever the cell itself names.
     let mut own = d.evidence.clone();
-    own.shared = vec![of.clone()];
-    own.shared[0].hidden[0].proofs.clear();
-    assert!(refused(check(&triangles, cell, &d, &own, &[&of])));
+    let mut kept = of.clone();
+    kept.hidden[0].proofs.clear();
+    (own.shared, own.above) = (Some(kept), Some(0));
+    assert!(refused(check(&triangles, cell, &d, &own, Some(&of))));
     let visible = set(&d);
-    let claims = CellClaims { cell, visible: &visible, undecided: &[], evidence: &own, above: &[&of] };
-    let others = |claim: Claim| !matches!(claim, Claim::Shared(..));
+    let claims = CellClaims { cell, visible: &visible, undecided: &[], evidence: &own, above: Some(&of) };
+    let others = |claim: Claim| !matches!(claim, Claim::Shared(_));
     check_cell(&Triangles::new(&triangles), &claims, &others).unwrap();
+    // Named and not there, or there and not named.
+    let with = |evidence: &Evidence, above| {
+        let claims = CellClaims { cell, visible: &visible, undecided: &[], evidence, above };
+        check_cell(&Triangles::new(&triangles), &claims, &|_| true)
+    };
+    assert_eq!(with(&own, None), Err(CellRefusal::Above));
+    assert_eq!(with(&d.evidence, Some(&of)), Err(CellRefusal::Above));
 }
 
 #[test]
@@ -193,12 +188,12 @@ fn evidence_without_anything_in_common_is_written_as_it_always_was() {
     let n = triangles.len() as u32;
     let raw = zstd::stream::decode_all(codec::encode(&d.evidence).unwrap().as_slice()).unwrap();
     let mut more = d.evidence.clone();
-    more.above = vec![Above { back: 3, at: 1 }];
+    more.above = Some(3);
     let longer = zstd::stream::decode_all(codec::encode(&more).unwrap().as_slice()).unwrap();
-    assert!(longer.starts_with(&raw) && longer[raw.len()..] == [0, 1, 3, 1]);
+    assert!(longer.starts_with(&raw) && longer[raw.len()..] == [4]);
     assert_eq!(codec::decode_raw(&longer, n).unwrap(), more);
     assert_eq!(codec::decode_raw(&raw, n).unwrap(), d.evidence);
-    assert!(codec::decode_raw(&[raw.as_slice(), &[0, 0]].concat(), n).is_err(), "two forms for the same");
+    assert!(codec::decode_raw(&[raw.as_slice(), &[0]].concat(), n).is_err(), "two forms for the same");
 }
 
 proptest! {
@@ -218,12 +213,12 @@ proptest! {
         let cells = cells([point(corner), point(corner) + 2.0 * point(size)]);
         let guesses: Vec<u32> = (0..triangles.len() as u32).filter(|t| guess >> t & 1 == 1).collect();
         let seen: Vec<&[u32]> = (0..8).map(|k| if k == guess as usize % 8 { guesses.as_slice() } else { &[] }).collect();
-        let (hidden, of) = shared(&scene, &cells, &seen, &[], &|| false);
+        let (hidden, of) = shared(&scene, &cells, &seen, &|| false);
         for (cell, seen) in cells.iter().zip(seen) {
             let d = below(&scene, *cell, seen, &hidden);
             prop_assert!(d.undecided.is_empty());
             prop_assert_eq!(&d.visible, &solve(&scene, *cell, seen, &|| false).visible);
-            if let Err(e) = check(&triangles, *cell, &d, &d.evidence, &[&of]) {
+            if let Err(e) = check(&triangles, *cell, &d, &d.evidence, Some(&of)) {
                 return Err(TestCaseError::fail(e.to_string()));
             }
         }

@@ -40,8 +40,8 @@ pub struct CellClaims<'a> {
     pub undecided: &'a [u32],
     /// The reasons.
     pub evidence: &'a Evidence,
-    /// What is hidden from boxes around the cell, as its evidence names it ([`crate::evidence::Above`]).
-    pub above: &'a [&'a Shared],
+    /// What is hidden from the box around the cell that its evidence names ([`Evidence::above`]).
+    pub above: Option<&'a Shared>,
 }
 
 /// A single claim about a cell, to be checked.
@@ -53,11 +53,10 @@ pub enum Claim {
     Seen(usize),
     /// The group of hidden triangles at this place.
     Hidden(usize),
-    /// Of the box at the first place in [`Evidence::shared`] the group at the second. No other cell need be looked at to check it.
-    Shared(usize, usize),
-    /// The same of the box at the first place in [`CellClaims::above`]: who checks all cells of a result has checked it with the cell
-    /// that keeps it.
-    Above(usize, usize),
+    /// The group at this place of what the evidence shares ([`Evidence::shared`]). No other cell need be looked at to check it.
+    Shared(usize),
+    /// The group at this place of [`CellClaims::above`]: who checks all cells of a result checks it with the cell that keeps it.
+    Above(usize),
 }
 
 /// Why what is claimed of a cell is refused.
@@ -75,7 +74,7 @@ pub enum CellRefusal {
     )]
     NoWitness(u32),
     /// The cell names evidence about a box that it is not in.
-    #[error("it rests on certificates for a box that it is not in")]
+    #[error("it rests on certificates for a box that it is not in, or that are not there")]
     Above,
     /// A witness does not show its triangle.
     #[error("the witness for triangle {0}: {1}")]
@@ -148,15 +147,17 @@ fn check(
             check_group(scene, claims.cell, parity, group)
                 .map_err(|reason| CellRefusal::Hidden { triangles: group.triangles.clone(), reason })?;
         }
-        Claim::Shared(at, group) => check_shared(scene, &claims.evidence.shared[at], group)?,
-        Claim::Above(at, group) => check_shared(scene, claims.above[at], group)?,
+        Claim::Shared(at) => check_shared(scene, claims.evidence.shared.as_ref(), at)?,
+        Claim::Above(at) => check_shared(scene, claims.above, at)?,
     }
     Ok(())
 }
 
 /// Accepts that a group of triangles is hidden from all of a box.
-fn check_shared(scene: &Triangles<'_>, shared: &Shared, group: usize) -> Result<(), CellRefusal> {
-    let group = &shared.hidden[group];
+fn check_shared(scene: &Triangles<'_>, shared: Option<&Shared>, at: usize) -> Result<(), CellRefusal> {
+    let Some((shared, group)) = shared.and_then(|s| Some((s, s.hidden.get(at)?))) else {
+        return Err(CellRefusal::Above);
+    };
     let [min, max] = shared.bounds;
     let checked = if !(min.cmplt(max).all() && min.is_finite() && max.is_finite()) {
         Err("the box it is about has no volume".to_owned())
@@ -213,12 +214,15 @@ fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>,
         }
         all.push(Claim::Hidden(at));
     }
-    for (at, shared) in claims.above.iter().enumerate() {
+    if claims.above.is_some() != claims.evidence.above.is_some() {
+        return Err(CellRefusal::Above);
+    }
+    if let Some(shared) = claims.above {
         let [min, max] = shared.bounds;
         if !(min.cmple(claims.cell[0]).all() && max.cmpge(claims.cell[1]).all()) {
             return Err(CellRefusal::Above);
         }
-        for (place, group) in shared.hidden.iter().enumerate() {
+        for (at, group) in shared.hidden.iter().enumerate() {
             for id in &group.triangles {
                 match known.get_mut(*id as usize) {
                     Some(k @ Known::Nothing) => *k = Known::Accounted,
@@ -230,13 +234,10 @@ fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>,
                     }
                 }
             }
-            all.push(Claim::Above(at, place));
+            all.push(Claim::Above(at));
         }
     }
-    let own = claims.evidence.shared.iter().enumerate();
-    all.extend(
-        own.flat_map(|(at, shared)| (0..shared.hidden.len()).map(move |place| Claim::Shared(at, place))),
-    );
+    all.extend((0..claims.evidence.shared.as_ref().map_or(0, |s| s.hidden.len())).map(Claim::Shared));
     for (id, (k, t)) in known.iter().zip(scene.all()).enumerate() {
         match k {
             Known::Visible => all.push(Claim::Meets(id as u32)),

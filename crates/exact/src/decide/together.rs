@@ -21,8 +21,6 @@ pub struct Together<'a> {
     pub cells: &'a [Cell],
     /// For each, triangles that sampling has shown, ascending.
     pub seen: &'a [&'a [u32]],
-    /// Triangles that are known to be hidden from a box around them, ascending.
-    pub above: &'a [u32],
     /// When a single query gives up.
     pub limits: Limits,
     /// Seed of the rays.
@@ -35,8 +33,7 @@ pub struct Together<'a> {
     pub asked: &'a (dyn Fn() + Sync),
 }
 
-/// The triangles proved hidden from the box around the cells, ascending and without those of [`Together::above`]; with proofs, if they
-/// are kept, and what it took. On one of rayon's threads only after [`Occluders::surfaces`] was called elsewhere.
+/// The triangles proved hidden from the box around the cells, ascending; with proofs, if they are kept, and what it took. On one of rayon's threads only after [`Occluders::surfaces`] was called elsewhere.
 pub fn together(task: &Together<'_>) -> (Vec<u32>, Shared, Effort) {
     let all = task.cells.iter().map(Cell::corners);
     let bounds = all.reduce(|[min, max], [lo, hi]| [min.min(lo), max.max(hi)]).unwrap_or_default();
@@ -46,7 +43,7 @@ pub fn together(task: &Together<'_>) -> (Vec<u32>, Shared, Effort) {
         scene: task.scene,
         cell,
         seen: &[],
-        above: task.above,
+        above: &[],
         limits: task.limits,
         seed: task.seed,
         keep: task.keep,
@@ -54,39 +51,33 @@ pub fn together(task: &Together<'_>) -> (Vec<u32>, Shared, Effort) {
         asked: task.asked,
     };
     let mut work = Work::new(&whole);
-    if task.scene.hierarchy().is_empty() {
+    if task.scene.hierarchy().is_empty() || (task.stop)() {
         return nothing(Effort::default());
     }
     work.meeting();
-    work.take_over();
-    // What each cell knows without asking.
-    let known: Vec<Vec<State>> = task
-        .cells
-        .par_iter()
-        .zip(task.seen)
-        .map(|(cell, seen)| {
-            let own = Task { cell: *cell, seen, keep: false, ..whole };
-            let mut work = Work::new(&own);
-            work.meeting();
-            work.take_over();
-            work.enclose();
-            let open = |id: &&u32| work.state[**id as usize] == State::Open;
-            let seen: Vec<u32> = seen.iter().filter(open).copied().collect();
-            seen.into_iter().for_each(|id| work.state[id as usize] = State::Visible);
-            work.state
-        })
-        .collect();
-    work.state.par_iter_mut().enumerate().filter(|(_, state)| **state == State::Open).for_each(
-        |(id, state)| {
-            let of = |wanted: State| known.iter().filter(|cell| cell[id] == wanted).count();
-            if of(State::Visible) > 0 {
-                *state = State::Visible;
-            } else if of(State::Hidden) == known.len() {
-                *state = State::Hidden;
-            }
-        },
-    );
-    drop(known);
+    // What the cells know without asking: a few at a time, since a large scene has many triangles and a tile may have many cells.
+    let mut seen_by_any = vec![false; work.state.len()];
+    let mut hidden_from = vec![0; work.state.len()];
+    let pairs: Vec<_> = task.cells.iter().zip(task.seen).collect();
+    for some in pairs.chunks(rayon::current_num_threads()) {
+        if (task.stop)() {
+            return nothing(Effort::default());
+        }
+        let known: Vec<Vec<State>> =
+            some.par_iter().map(|(cell, seen)| before_asking(&whole, **cell, seen)).collect();
+        let counts = seen_by_any.par_iter_mut().zip(&mut hidden_from).enumerate();
+        counts.for_each(|(id, (seen, hidden))| {
+            *seen |= known.iter().any(|cell| cell[id] == State::Visible);
+            *hidden += known.iter().filter(|cell| cell[id] == State::Hidden).count();
+        });
+    }
+    for (id, state) in work.state.iter_mut().enumerate().filter(|(_, state)| **state == State::Open) {
+        if seen_by_any[id] {
+            *state = State::Visible;
+        } else if hidden_from[id] == task.cells.len() {
+            *state = State::Hidden;
+        }
+    }
     let before = work.state.clone();
     work.search();
     let found = |id: &u32| {
@@ -96,4 +87,20 @@ pub fn together(task: &Together<'_>) -> (Vec<u32>, Shared, Effort) {
     let hidden = (0..before.len() as u32).filter(found).collect();
     let shared = Shared { bounds, hidden: std::mem::take(&mut work.decided.evidence.hidden) };
     (hidden, shared, work.decided.effort)
+}
+
+/// What is known of the triangles from one of the cells before anything is asked; what sampling has shown is taken to be visible.
+fn before_asking(whole: &Task<'_>, cell: Cell, seen: &[u32]) -> Vec<State> {
+    let own = Task { cell, seen, keep: false, ..*whole };
+    let mut work = Work::new(&own);
+    work.meeting();
+    work.enclose();
+    let mut state = work.state;
+    for id in seen {
+        let of = &mut state[*id as usize];
+        if *of == State::Open {
+            *of = State::Visible;
+        }
+    }
+    state
 }

@@ -8,7 +8,7 @@ use std::io::Read as _;
 use dashu_int::{IBig, Sign};
 use glam::Vec3;
 
-use super::{Above, Evidence, Hidden, Shared, Target, Witness};
+use super::{Evidence, Hidden, Shared, Target, Witness};
 use crate::proof::{Proof, Step, Which};
 
 /// zstd's own default: higher ones take longer than they save.
@@ -47,21 +47,16 @@ pub fn encode(evidence: &Evidence) -> std::io::Result<Vec<u8>> {
     }
     put_hidden(&mut out, &evidence.hidden);
     // A cell that has nothing in common with others ends here.
-    if !(evidence.shared.is_empty() && evidence.above.is_empty()) {
-        put(&mut out, evidence.shared.len() as u64);
-        for shared in &evidence.shared {
+    if evidence.shared.is_some() || evidence.above.is_some() {
+        put(&mut out, evidence.above.map_or(0, |back| u64::from(back) + 1));
+        if let Some(shared) = &evidence.shared {
             shared.bounds.iter().for_each(|c| put_point(&mut out, *c));
             put_hidden(&mut out, &shared.hidden);
-        }
-        put(&mut out, evidence.above.len() as u64);
-        for above in &evidence.above {
-            put(&mut out, u64::from(above.back));
-            put(&mut out, u64::from(above.at));
         }
     }
     if out.len() as u64 > MOST {
         return Err(std::io::Error::other(
-            "the certificates of a cell are larger than 256 MiB; bake smaller cells",
+            "the certificates of a cell are larger than 256 MiB; bake smaller cells, or fewer together (--block-cells)",
         ));
     }
     zstd::stream::encode_all(out.as_slice(), LEVEL)
@@ -112,16 +107,19 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<Evidence, EvidenceError>
     }
     evidence.hidden = from.hidden()?;
     if !from.rest.is_empty() {
-        // Two points and a count.
-        for _ in 0..from.count(25)? {
+        evidence.above = match from.number()? {
+            0 => None,
+            next => Some(u32::try_from(next - 1).map_err(|_| EvidenceError("a number is too large"))?),
+        };
+        if !from.rest.is_empty() {
             from.take::<Shared>()?;
-            evidence.shared.push(Shared { bounds: [from.point()?, from.point()?], hidden: from.hidden()? });
+            let shared = Shared { bounds: [from.point()?, from.point()?], hidden: from.hidden()? };
+            if shared.hidden.is_empty() {
+                return Err(EvidenceError("nothing is hidden from a box"));
+            }
+            evidence.shared = Some(shared);
         }
-        for _ in 0..from.count(2)? {
-            from.take::<Above>()?;
-            evidence.above.push(Above { back: from.small()?, at: from.small()? });
-        }
-        if evidence.shared.is_empty() && evidence.above.is_empty() {
+        if evidence.shared.is_none() && evidence.above.is_none() {
             return Err(EvidenceError("they name nothing in common with other cells"));
         }
     }
@@ -452,14 +450,14 @@ mod tests {
                 prop::array::uniform2(prop::array::uniform4(integer())).prop_map(|e| Witness::Exact(Box::new(e))),
             ], 0..8),
             hidden in hidden(),
-            shared in prop::collection::vec((prop::array::uniform2(floats()), hidden()), 0..3),
-            above in prop::collection::vec((any::<u32>(), 0u32..3), 0..3),
+            shared in prop::option::of((prop::array::uniform2(floats()), hidden()).prop_filter("empty", |s| !s.1.is_empty())),
+            above in prop::option::of(any::<u32>()),
         ) -> Evidence {
             Evidence {
                 seen: seen.into_iter().collect(),
                 hidden,
-                shared: shared.into_iter().map(|(bounds, hidden)| Shared { bounds, hidden }).collect(),
-                above: above.into_iter().map(|(back, at)| Above { back, at }).collect(),
+                shared: shared.map(|(bounds, hidden)| Shared { bounds, hidden }),
+                above,
             }
         }
     }
