@@ -122,27 +122,6 @@ fn what_a_result_says_of_itself_has_to_agree_with_it() {
     }
 }
 
-/// A file with everything of a result but other evidence.
-fn with_evidence(pvs: &Pvs, evidence: &[Vec<u8>]) -> Vec<u8> {
-    let mut builder = Builder::new(Header {
-        triangles: pvs.triangle_count(),
-        method: pvs.method().to_owned(),
-        tree: pvs.tree().clone(),
-        objects: pvs.objects().to_vec(),
-        info_json: pvs.info_json().to_owned(),
-    })
-    .unwrap();
-    let mut visible = Vec::new();
-    for (cell, evidence) in evidence.iter().enumerate() {
-        pvs.visible(cell as u32, &mut visible).unwrap();
-        builder.push_cell(&visible, &[], 0).unwrap();
-        builder.push_evidence(evidence).unwrap();
-    }
-    let mut file = Vec::new();
-    builder.finish(&mut file).unwrap();
-    file
-}
-
 #[test]
 fn cells_decided_together_have_the_sets_they_have_alone_and_share_certificates() {
     let sandbox = Sandbox::new();
@@ -172,6 +151,12 @@ fn cells_decided_together_have_the_sets_they_have_alone_and_share_certificates()
         let above = |c: &Value| c["exact_above"].as_u64() > Some(0);
         assert!(info["per_cell"].as_array().unwrap().iter().all(above), "{info}");
     }
+    // However many work at it at once.
+    for workers in [1, 4] {
+        let job = "slits.glb --cells 4x4x2 --backend cpu --method exact --certificates --block-cells 8";
+        sandbox.ok(&format!("bake {job} --workers {workers} -o by{workers}.pvs --data-dir by{workers}.data"));
+    }
+    assert_same(&sandbox.read("by1.pvs"), &sandbox.read("by4.pvs"), "by one worker and by four");
     // A sample looks up what is kept with another cell.
     let sampled = sandbox.json("verify slits.glb joint.pvs --sample 60");
     assert!(sampled["certificates_checked"].as_u64() > Some(0), "{sampled}");
@@ -187,16 +172,16 @@ fn cells_decided_together_have_the_sets_they_have_alone_and_share_certificates()
         .count();
     assert!(boxes > 0, "something is hidden from the box around the cell");
     // Without what others keep for them, cells are refused; so are certificates that were mixed up.
-    let pvs = Pvs::from_bytes(sandbox.read("joint.pvs")).unwrap();
+    let joint = sandbox.read("joint.pvs");
+    let pvs = Pvs::from_bytes(joint.clone()).unwrap();
     let all: Vec<Vec<u8>> = (0..pvs.cells()).map(|c| pvs.evidence(c).unwrap().unwrap().to_vec()).collect();
-    let refused = |evidence: &[Vec<u8>]| {
-        sandbox.write("altered.pvs", with_evidence(&pvs, evidence));
+    let refused = |others: &[Vec<u8>]| {
+        let altered = changed(&joint, |cell, _, evidence| evidence.clone_from(&others[cell as usize]));
+        sandbox.write("altered.pvs", altered);
         let err = sandbox.run("verify slits.glb altered.pvs").code(3).err;
         assert!(err.contains("REFUSED"), "{err}");
         err
     };
-    sandbox.write("same.pvs", with_evidence(&pvs, &all));
-    sandbox.ok("verify slits.glb same.pvs");
     let mut first_gone = all.clone();
     first_gone[0] = Vec::new();
     refused(&first_gone);
@@ -231,7 +216,12 @@ fn cells_of_an_adaptive_tree_are_decided_and_verified() {
 
 /// The result with its sets and evidence put through `change`, under right checksums.
 fn tampered(change: impl Fn(u32, &mut Vec<u32>, &mut Vec<u8>)) -> Vec<u8> {
-    let pvs = Pvs::from_bytes(alone()).unwrap();
+    changed(alone(), change)
+}
+
+/// The same of any result.
+fn changed(result: &[u8], change: impl Fn(u32, &mut Vec<u32>, &mut Vec<u8>)) -> Vec<u8> {
+    let pvs = Pvs::from_bytes(result).unwrap();
     let mut builder = Builder::new(Header {
         triangles: pvs.triangle_count(),
         method: pvs.method().to_owned(),

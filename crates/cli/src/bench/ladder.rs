@@ -93,7 +93,8 @@ mod tests {
     fn quick_is_full_without_the_finest_points() {
         for &sampler in Sampler::value_variants() {
             let (quick, full) = (sampler.rungs(Ladder::Quick), sampler.rungs(Ladder::Full));
-            assert!(quick.len() < full.len(), "{}", sampler.name());
+            let left_out = if sampler == Sampler::Guided { 2 } else { 1 };
+            assert_eq!(full.len() - quick.len(), left_out, "{}", sampler.name());
             assert_eq!(quick, full[..quick.len()], "{}", sampler.name());
         }
     }
