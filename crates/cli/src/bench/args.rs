@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use glam::Vec3;
 
+use crate::bench::frontier::ERRORS;
 use crate::bench::ladder::{Ladder, Sampler};
 use crate::error::CliError;
 use crate::job_args::{parse_box, parse_cells};
@@ -42,6 +43,10 @@ pub struct BenchArgs {
     /// Leave out a sampler's finer points, and a growth's greater ones, after one that took longer than this.
     #[arg(long, value_name = "S", default_value_t = 60.0)]
     pub max_seconds: f64,
+    /// Leave out a sampler's finer points after one with this mean error or less, a fraction. Default: the least that
+    /// the table answers for.
+    #[arg(long, value_name = "F", default_value_t = ERRORS[ERRORS.len() - 1])]
+    pub least_error: f64,
     /// Measure how time and memory grow: bakes with --sampler lines and --grow-error.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "LIST")]
     pub grow: Vec<Growth>,
@@ -57,8 +62,8 @@ const EXAMPLES: &str = "\
 Each point is one `sightline bake --backend cpu` of its own, from an empty store, timed from start to exit; \
 `sightline measure` then says how wrong its result looks. The table answers what the curves show: how long a sampler \
 needs for a given mean error, interpolated between measured points and never beyond them. `≤` is before a sampler's \
-fastest point when that one is better already, `-` means that no point was that good. The baseline is guided: a fixed \
-number of rays for each cell on its own.\n\n\
+fastest point when that one is better already, `>` before its slowest when none was that good; ratios of such times are \
+bounds. The baseline is guided: a fixed number of rays for each cell on its own.\n\n\
   sightline bench level.glb                                  time against error, some minutes\n  \
   sightline bench level.glb town.glb --points full --max-seconds 600 --results RESULTS.md\n  \
   sightline bench level.glb --samplers lines,guided          two curves only\n  \
@@ -110,6 +115,9 @@ impl BenchArgs {
         }
         if self.max_seconds.is_nan() || self.max_seconds <= 0.0 {
             return refuse(&format!("--max-seconds {} is not above 0", self.max_seconds));
+        }
+        if !(0.0..=1.0).contains(&self.least_error) {
+            return refuse(&format!("--least-error {} is not between 0 and 1", self.least_error));
         }
         if !(1e-6..=1.0).contains(&self.grow_error) {
             return refuse(&format!("--grow-error {} is not between 0.000001 and 1", self.grow_error));

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::bench::args::BenchArgs;
 use crate::bench::children::{Children, number};
-use crate::bench::frontier::{self, Needed};
+use crate::bench::frontier::{self, Needed, Ratio};
 use crate::bench::ladder::{Rung, Sampler};
 use crate::bench::table::percent;
 use crate::error::CliError;
@@ -74,7 +74,7 @@ impl SceneCurves {
     }
 
     /// How many times longer the baseline takes than lines.
-    pub fn ratio(&self, error: f64) -> Option<f64> {
+    pub fn ratio(&self, error: f64) -> Option<Ratio> {
         frontier::ratio(self.needed(Sampler::Guided, error), self.needed(Sampler::Lines, error))
     }
 }
@@ -117,15 +117,17 @@ pub fn measure(args: &BenchArgs, children: &Children, input: &Input) -> Result<S
                 percent(point.mean_error),
                 percent(point.p99_error)
             ));
-            let over = point.seconds > args.max_seconds;
+            let enough = if point.seconds > args.max_seconds {
+                Some(format!("took more than {} s (--max-seconds)", args.max_seconds))
+            } else if point.mean_error <= args.least_error {
+                Some(format!("has no more than {} wrong (--least-error)", percent(args.least_error)))
+            } else {
+                None
+            };
             points.push(point);
-            if over && rungs.peek().is_some() {
-                say(&format!(
-                    "{}, {}: finer points are left out, as this one took more than {} s (--max-seconds)",
-                    input.name,
-                    sampler.name(),
-                    args.max_seconds
-                ));
+            if let (Some(why), Some(_)) = (enough, rungs.peek()) {
+                let (scene, sampler) = (&input.name, sampler.name());
+                say(&format!("{scene}, {sampler}: finer points are left out, as this one {why}"));
                 break;
             }
         }

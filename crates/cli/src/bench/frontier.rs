@@ -13,8 +13,10 @@ pub enum Needed {
     Seconds(f64),
     /// A measured point is better already, and nothing was measured (or has a logarithm) on the other side.
     AtMost(f64),
-    /// No point is that good.
-    NotReached,
+    /// No point is that good, and this was the slowest.
+    MoreThan(f64),
+    /// Nothing was measured.
+    Unknown,
 }
 
 impl Needed {
@@ -23,7 +25,36 @@ impl Needed {
         match self {
             Self::Seconds(s) => seconds(s),
             Self::AtMost(s) => format!("≤ {}", seconds(s)),
-            Self::NotReached => "-".to_owned(),
+            Self::MoreThan(s) => format!("> {}", seconds(s)),
+            Self::Unknown => "-".to_owned(),
+        }
+    }
+}
+
+/// How many times longer one takes than another.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Ratio {
+    /// Both times are known.
+    Is(f64),
+    /// The baseline takes longer than is known, or the other less.
+    AtLeast(f64),
+}
+
+impl Ratio {
+    /// What is known to be exceeded or met.
+    pub fn least(self) -> f64 {
+        match self {
+            Self::Is(r) | Self::AtLeast(r) => r,
+        }
+    }
+
+    /// As tables show it.
+    pub fn text(self) -> String {
+        match self {
+            Self::Is(r) => format!("{r:.2}"),
+            // Rounded down, as it is a bound.
+            Self::AtLeast(r) => format!("≥ {:.2}", (r * 100.0).floor() / 100.0),
         }
     }
 }
@@ -55,7 +86,10 @@ pub fn envelope(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
 pub fn needed(points: &[(f64, f64)], error: f64) -> Needed {
     let kept = envelope(points);
     // Errors fall: the first that is good enough has the last that is not before it.
-    let Some(i) = kept.iter().position(|p| p.1 <= error) else { return Needed::NotReached };
+    let Some(i) = kept.iter().position(|p| p.1 <= error) else {
+        let slowest = points.iter().map(|p| p.0).max_by(f64::total_cmp);
+        return slowest.map_or(Needed::Unknown, Needed::MoreThan);
+    };
     let (s, e) = kept[i];
     if e >= error {
         return Needed::Seconds(s);
@@ -70,18 +104,23 @@ pub fn needed(points: &[(f64, f64)], error: f64) -> Needed {
     }
 }
 
-/// How many times longer the baseline takes; only where both are known.
-pub fn ratio(baseline: Needed, other: Needed) -> Option<f64> {
+/// How many times longer the baseline takes; none where nothing says so much as at least how many.
+pub fn ratio(baseline: Needed, other: Needed) -> Option<Ratio> {
     match (baseline, other) {
-        (Needed::Seconds(b), Needed::Seconds(o)) if o > 0.0 => Some(b / o),
+        (Needed::Seconds(b), Needed::Seconds(o)) if o > 0.0 => Some(Ratio::Is(b / o)),
+        (Needed::Seconds(b) | Needed::MoreThan(b), Needed::Seconds(o) | Needed::AtMost(o)) if o > 0.0 => {
+            Some(Ratio::AtLeast(b / o))
+        }
         _ => None,
     }
 }
 
-/// The geometric mean; none of nothing.
-pub fn geometric_mean(values: &[f64]) -> Option<f64> {
-    let sum: f64 = values.iter().map(|v| v.ln()).sum();
-    (!values.is_empty()).then(|| (sum / values.len() as f64).exp())
+/// The geometric mean, a bound where one of them is; none of nothing.
+pub fn geometric_mean(ratios: &[Ratio]) -> Option<Ratio> {
+    let sum: f64 = ratios.iter().map(|r| r.least().ln()).sum();
+    let mean = (sum / ratios.len() as f64).exp();
+    let known = ratios.iter().all(|r| matches!(r, Ratio::Is(_)));
+    (!ratios.is_empty()).then_some(if known { Ratio::Is(mean) } else { Ratio::AtLeast(mean) })
 }
 
 #[cfg(test)]
@@ -107,14 +146,16 @@ mod tests {
     #[test]
     fn nothing_is_extrapolated() {
         let points = [(1.0, 0.01), (10.0, 0.001)];
-        assert_eq!(needed(&points, 0.000_999), Needed::NotReached);
+        assert_eq!(needed(&points, 0.000_999), Needed::MoreThan(10.0));
         assert_eq!(needed(&points, 0.02), Needed::AtMost(1.0));
         assert_eq!(needed(&points, 0.01), Needed::Seconds(1.0));
         assert_eq!(needed(&points, 0.001), Needed::Seconds(10.0));
-        assert_eq!(needed(&[], 0.01), Needed::NotReached);
+        assert_eq!(needed(&[], 0.01), Needed::Unknown);
         assert_eq!(needed(&[(2.0, 0.01)], 0.01), Needed::Seconds(2.0));
         assert_eq!(needed(&[(2.0, 0.01)], 0.1), Needed::AtMost(2.0));
-        assert_eq!(needed(&[(2.0, 0.01)], 0.001), Needed::NotReached);
+        assert_eq!(needed(&[(2.0, 0.01)], 0.001), Needed::MoreThan(2.0));
+        // The slowest point counts, though a faster one is better.
+        assert_eq!(needed(&[(1.0, 0.01), (3.0, 0.02)], 0.001), Needed::MoreThan(3.0));
     }
 
     #[test]
@@ -133,11 +174,30 @@ mod tests {
     }
 
     #[test]
-    fn ratios_want_both_and_means_are_geometric() {
-        assert_eq!(ratio(Needed::Seconds(6.0), Needed::Seconds(2.0)), Some(3.0));
-        assert_eq!(ratio(Needed::Seconds(6.0), Needed::AtMost(2.0)), None);
-        assert_eq!(ratio(Needed::NotReached, Needed::Seconds(2.0)), None);
-        assert!((geometric_mean(&[2.0, 8.0]).unwrap() - 4.0).abs() < 1e-12);
+    fn ratios_say_what_is_known_and_means_are_geometric() {
+        use Needed::{AtMost, MoreThan, Seconds, Unknown};
+        assert_eq!(ratio(Seconds(6.0), Seconds(2.0)), Some(Ratio::Is(3.0)));
+        for (baseline, other) in
+            [(Seconds(6.0), AtMost(2.0)), (MoreThan(6.0), Seconds(2.0)), (MoreThan(6.0), AtMost(2.0))]
+        {
+            assert_eq!(ratio(baseline, other), Some(Ratio::AtLeast(3.0)));
+        }
+        // The baseline may take less, or the other more.
+        for (baseline, other) in [
+            (AtMost(6.0), Seconds(2.0)),
+            (Seconds(6.0), MoreThan(2.0)),
+            (MoreThan(6.0), MoreThan(2.0)),
+            (Unknown, Seconds(2.0)),
+            (Seconds(6.0), Unknown),
+        ] {
+            assert_eq!(ratio(baseline, other), None);
+        }
+        let mean = |ratios: &[Ratio]| geometric_mean(ratios).unwrap();
+        assert!(matches!(mean(&[Ratio::Is(2.0), Ratio::Is(8.0)]), Ratio::Is(m) if (m - 4.0).abs() < 1e-12));
+        assert!(
+            matches!(mean(&[Ratio::Is(2.0), Ratio::AtLeast(8.0)]), Ratio::AtLeast(m) if (m - 4.0).abs() < 1e-12)
+        );
         assert_eq!(geometric_mean(&[]), None);
+        assert_eq!([Ratio::Is(2.559), Ratio::AtLeast(2.559)].map(Ratio::text), ["2.56", "≥ 2.55"]);
     }
 }

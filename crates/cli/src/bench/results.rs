@@ -29,8 +29,9 @@ pub fn markdown(
             "\n## Time against error\n\nSeconds of the whole command `sightline bake --backend cpu`, from an empty store, \
              until the mean error is that of the row: interpolated on logarithmic axes between measured points, never \
              beyond them. `≤` stands before the time of a sampler's fastest point where that is better already (or of \
-             a point without any error), `-` where no point is that good. The error is the mean share of wrong pixels \
-             over {} random viewpoints (seed {}), each a cube of {} pixels a side; {} cells.\n\n",
+             a point without any error), `>` before that of its slowest where no point is that good; a ratio of such times is \
+             a bound, and so is a mean with it (`≥`), or `-` where they bound nothing. The error is the mean share of \
+             wrong pixels over {} random viewpoints (seed {}), each a cube of {} pixels a side; {} cells.\n\n",
             args.viewpoints,
             args.seed,
             args.resolution,

@@ -1,7 +1,7 @@
 //! The tables, as Markdown that also reads well in a terminal.
 
 use crate::bench::curves::SceneCurves;
-use crate::bench::frontier::{ERRORS, geometric_mean, seconds};
+use crate::bench::frontier::{ERRORS, Ratio, geometric_mean, seconds};
 use crate::bench::growth::Grown;
 use crate::bench::ladder::Sampler;
 
@@ -56,13 +56,13 @@ fn megabytes(mb: Option<f64>) -> String {
     mb.map_or("?".to_owned(), |mb| format!("{mb:.0}"))
 }
 
-fn times(ratio: Option<f64>) -> String {
-    ratio.map_or("-".to_owned(), |r| format!("{r:.2}"))
+fn times(ratio: Option<Ratio>) -> String {
+    ratio.map_or("-".to_owned(), Ratio::text)
 }
 
 /// The geometric mean over scenes of how many times longer the baseline takes than lines, for each of [`ERRORS`], with
 /// the number of scenes that it is known for.
-pub fn mean_ratios(scenes: &[SceneCurves]) -> Vec<(f64, Option<f64>, usize)> {
+pub fn mean_ratios(scenes: &[SceneCurves]) -> Vec<(f64, Option<Ratio>, usize)> {
     let ratios = |error| scenes.iter().filter_map(|s| s.ratio(error)).collect::<Vec<_>>();
     ERRORS.iter().map(|&e| (e, geometric_mean(&ratios(e)), ratios(e).len())).collect()
 }
