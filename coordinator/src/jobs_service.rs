@@ -211,7 +211,8 @@ impl v1::jobs_server::Jobs for JobsService {
             // Or it would be open in the store, and nobody would work on it.
             let tiles = c.store.tiles(id).map_err(of_store)?;
             Job::of(before, tiles).map_err(Status::failed_precondition)?;
-            c.store.reopen_tiles(id).map_err(of_store)?;
+            let reopened = c.store.reopen_tiles(id).map_err(of_store)?;
+            tracing::info!("job {id} is tried again: {reopened} tiles");
             let record = job().map_err(of_store)?;
             if !record.state.phase().ended() {
                 let tiles = c.store.tiles(id).map_err(of_store)?;
@@ -236,7 +237,7 @@ impl v1::jobs_server::Jobs for JobsService {
             match job.ok_or(StoreError::UnknownJob { job: id }).map_err(|e| status::of_store(&e))?.state {
                 JobState::Done { result, .. } => Ok(result),
                 state => Err(Status::failed_precondition(format!(
-                    "job {id} is {:?} and has no result yet; `sightline watch {id}` follows it",
+                    "job {id} is {} and has no result yet; `sightline watch {id}` follows it",
                     state.phase()
                 ))),
             }
@@ -259,6 +260,7 @@ impl JobsService {
             // Under the scheduler's lock, so that no tile is leased or committed in between.
             let mut scheduler = c.lock();
             let record = c.store.set_job_state(id, from, to, now_ms()).map_err(|e| status::of_store(&e))?;
+            tracing::info!("job {id} is {}", record.state.phase());
             if !matches!(record.state, JobState::Queued | JobState::Running) {
                 scheduler.revoke_job(id);
             }
@@ -413,6 +415,7 @@ impl Coordinator {
                 .and_then(|r| r.ok_or(StoreError::UnknownJob { job: submitted.id }));
             let tiles = self.store.tiles(submitted.id).map_err(of_store)?;
             scheduler.take_up(record.map_err(of_store)?, tiles).map_err(|e| status::internal(&e))?;
+            tracing::info!("job {} ({:?}) is submitted, {} tiles", submitted.id, r.name, plan.tiles.len());
         }
         drop(scheduler);
         let job = self.summary(submitted.id).map_err(of_store)?;

@@ -161,7 +161,7 @@ async fn session(
     }
     // Fails only when the coordinator is going down.
     let _ = blocking(&c, move |c| {
-        c.lock().leave(number);
+        c.lock().leave(number, Instant::now());
         Ok(())
     })
     .await;
@@ -408,6 +408,9 @@ impl Coordinator {
         };
         match ended {
             Ok(record) => {
+                if let JobState::Done { bytes, .. } = record.state {
+                    tracing::info!("job {id} is done, {bytes} bytes");
+                }
                 scheduler.jobs.remove(&id);
                 let whole = matches!(record.state, JobState::Done { .. })
                     && parts.slots.iter().all(|s| matches!(s.state, TileState::Done { .. }));

@@ -1,7 +1,7 @@
 //! A job that has not ended: its tiles, who has them, and what each of them waits for.
 
 use std::collections::BTreeSet;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use prost::Message as _;
 use sightline_job::JobSpec;
@@ -9,6 +9,10 @@ use sightline_proto::v1;
 use sightline_viewcells::{Lattice, Plan, TileKind};
 
 use crate::store::{JobRecord, TileRecord, TileState};
+
+/// How long a worker whose stream has ended may take to come back for its tiles. One that is still there tries after 0.2, 0.6
+/// and 1.4 s; what it brings later is taken all the same, if nobody else was faster.
+const AWAY: Duration = Duration::from_secs(2);
 
 /// A lease's identity: epoch and number.
 pub(crate) type LeaseId = (u64, u64);
@@ -40,8 +44,30 @@ pub(crate) struct Leased {
     pub(crate) worker: u64,
     pub(super) renewed: Instant,
     pub(super) moved: Instant,
+    /// When the worker's stream ended.
+    pub(super) gone: Option<Instant>,
     pub(crate) cells: u64,
     pub(crate) samples: u64,
+}
+
+impl Leased {
+    /// Given to a worker now.
+    pub(super) fn new(id: LeaseId, worker: u64, now: Instant) -> Self {
+        Self { id, worker, renewed: now, moved: now, gone: None, cells: 0, samples: 0 }
+    }
+
+    /// Why it is to be taken back, if it is.
+    pub(super) fn over(&self, now: Instant, ttl: Duration, stuck: Duration) -> Option<&'static str> {
+        if self.gone.is_some_and(|since| now - since > AWAY) {
+            Some("its worker has gone and did not come back")
+        } else if now - self.renewed > ttl {
+            Some("its lease ran out")
+        } else if now - self.moved > stuck {
+            Some("it makes no progress")
+        } else {
+            None
+        }
+    }
 }
 
 /// A job that has not ended.

@@ -109,8 +109,7 @@ impl Scheduler {
                 Some(l) => l.id == id,
             };
             if free {
-                slot.lease =
-                    Some(Leased { id, worker: number, renewed: now, moved: now, cells: 0, samples: 0 });
+                slot.lease = Some(Leased::new(id, number, now));
                 kept.push(*lease);
             }
         }
@@ -125,14 +124,17 @@ impl Scheduler {
         (number, kept)
     }
 
-    /// A worker's stream has ended. Its leases live until they expire, so that it can come back for them; a worker
+    /// A worker's stream has ended. Its leases live a little longer, so that it can come back for them; a worker
     /// that said it was draining, or held none, is simply gone.
-    pub(crate) fn leave(&mut self, worker: u64) {
+    pub(crate) fn leave(&mut self, worker: u64, now: Instant) {
         let draining = self.workers.remove(&worker).is_some_and(|w| w.draining);
         for job in self.jobs.values_mut() {
             for slot in &mut job.slots {
                 // It will not come back for a tile that was granted while it said so.
                 slot.lease.take_if(|l| draining && l.worker == worker);
+                if let Some(l) = slot.lease.as_mut().filter(|l| l.worker == worker) {
+                    l.gone = Some(now);
+                }
             }
             if job.timing.is_some_and(|(w, _)| w == worker) {
                 job.timing = None;
@@ -186,7 +188,7 @@ impl Scheduler {
         true
     }
 
-    /// Takes leases back that were not renewed for `ttl` or have not moved for `stuck`; answers how many.
+    /// Takes leases back whose worker has gone, that were not renewed for `ttl` or have not moved for `stuck`; answers how many.
     pub(crate) fn reap(&mut self, now: Instant, ttl: Duration, stuck: Duration) -> usize {
         let mut revoked = Vec::new();
         for (id, job) in &mut self.jobs {
@@ -194,17 +196,11 @@ impl Scheduler {
                 job.timing = None;
             }
             for (tile, slot) in job.slots.iter_mut().enumerate() {
-                let over = |l: &Leased| now - l.renewed > ttl || now - l.moved > stuck;
-                if let Some(l) = slot.lease.take_if(|l| over(l)) {
-                    tracing::warn!(
-                        "tile {tile} of job {id} is taken back from {}: {}",
-                        self.workers
-                            .get(&l.worker)
-                            .map_or("a worker that is gone".to_owned(), |w| format!("worker {}", w.name)),
-                        if now - l.renewed > ttl { "its lease ran out" } else { "it makes no progress" }
-                    );
-                    revoked.push((l.worker, lease_of(*id, tile, l.id)));
-                }
+                let Some(why) = slot.lease.as_ref().and_then(|l| l.over(now, ttl, stuck)) else { continue };
+                let Some(l) = slot.lease.take() else { continue };
+                let from = self.workers.get(&l.worker).map(|w| format!(" from worker {}", w.name));
+                tracing::warn!("tile {tile} of job {id} is taken back{}: {why}", from.unwrap_or_default());
+                revoked.push((l.worker, lease_of(*id, tile, l.id)));
             }
         }
         for (worker, lease) in &revoked {
@@ -310,8 +306,7 @@ impl Scheduler {
                 return Ok(false);
             }
             worker.wants -= 1;
-            job.slots[tile].lease =
-                Some(Leased { id: lease, worker: number, renewed: now, moved: now, cells: 0, samples: 0 });
+            job.slots[tile].lease = Some(Leased::new(lease, number, now));
             return Ok(true);
         }
         Ok(false)

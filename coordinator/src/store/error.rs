@@ -51,9 +51,7 @@ pub enum StoreError {
         job: u64,
     },
     /// A job is not in a state this is allowed in.
-    #[error(
-        "job {job} is {is:?}, so it cannot be {wanted}; look at its state and ask again if it still makes sense"
-    )]
+    #[error("job {job} is {is}, so it cannot be {wanted}; `sightline show {job}` says more")]
     IllegalTransition {
         /// The job.
         job: u64,

@@ -158,6 +158,19 @@ impl JobState {
     }
 }
 
+impl std::fmt::Display for JobPhase {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Queued => "queued",
+            Self::Running => "running",
+            Self::Paused => "paused",
+            Self::Cancelled => "cancelled",
+            Self::Failed => "failed",
+            Self::Done => "done",
+        })
+    }
+}
+
 impl JobPhase {
     /// Whether the job has ended (cancelled, failed or done).
     pub fn ended(self) -> bool {

@@ -287,7 +287,8 @@ pub(super) fn set_job_state(
     let (is, phase) = (record.state.phase(), to.phase());
     if !from.contains(&is) || !may_move(is, phase) {
         let wanted = match phase {
-            JobPhase::Queued => "queued",
+            // Nothing else leads back there.
+            JobPhase::Queued => "resumed",
             JobPhase::Running => "run",
             JobPhase::Paused => "paused",
             JobPhase::Cancelled => "cancelled",
