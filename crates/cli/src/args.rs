@@ -17,7 +17,7 @@ use crate::job_args::{Backend, JobArgs};
 #[derive(Parser, Debug)]
 #[command(name = "sightline", version, max_term_width = 110, verbatim_doc_comment, after_help = EXIT_CODES)]
 pub struct Cli {
-    /// Make stdout one JSON document.
+    /// Make stdout one JSON document. `dump` and `sightlines` print JSON Lines in any case.
     #[arg(long, global = true)]
     pub json: bool,
     #[command(subcommand)]
@@ -65,7 +65,7 @@ pub enum Command {
     Pause(JobRefArgs),
     /// Go on with a paused job.
     Resume(JobRefArgs),
-    /// Go on with a failed or cancelled job.
+    /// Go on with a failed or cancelled job, or try again what a finished one has set aside.
     Retry(JobRefArgs),
     /// Download a finished job's result.
     Fetch(FetchArgs),

@@ -71,7 +71,7 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Bake(a) => bake::run(a, json),
         Command::Coordinator(a) => serve::coordinator(&a),
         Command::Worker(a) => serve::worker(&a),
-        Command::Health(a) => remote::health(&a),
+        Command::Health(a) => remote::health(&a, json),
         Command::Submit(a) => remote::submit(&a, json),
         Command::Watch(a) => remote::watch(&a, json),
         Command::Jobs(a) => remote::jobs(&a, json),

@@ -44,14 +44,16 @@ fn with<T, F: Future<Output = Result<T, CliError>>>(
 }
 
 /// Asks whether a coordinator serves.
-pub fn health(args: &RemoteArgs) -> Result<(), CliError> {
+pub fn health(args: &RemoteArgs, json: bool) -> Result<(), CliError> {
     runtime()?.block_on(async {
         let channel = client::channel(&args.coordinator).await?;
         let mut health = tonic_health::pb::health_client::HealthClient::new(channel);
         let request = tonic_health::pb::HealthCheckRequest { service: "sightline.v1.Jobs".to_owned() };
         let answer = health.check(request).await.map_err(|s| CliError::status(&s))?.into_inner();
         match answer.status() {
-            tonic_health::pb::health_check_response::ServingStatus::Serving => print("serving"),
+            tonic_health::pb::health_check_response::ServingStatus::Serving => {
+                print(if json { r#"{"status":"serving"}"# } else { "serving" })
+            }
             other => Err(CliError::Coordinator(format!("the coordinator is {}", other.as_str_name()))),
         }
     })
@@ -161,8 +163,11 @@ fn state(job: &v1::Job) -> &'static str {
 
 fn line(job: &v1::Job) -> String {
     let reason = if job.reason.is_empty() { String::new() } else { format!(": {}", job.reason) };
-    let aside =
-        if job.tiles_set_aside > 0 { format!(", {} set aside", job.tiles_set_aside) } else { String::new() };
+    let aside = if job.tiles_set_aside > 0 {
+        format!(", {} SET ASIDE (`sightline retry {}` tries them again)", job.tiles_set_aside, job.id)
+    } else {
+        String::new()
+    };
     let workers = match (job.state(), job.workers) {
         (v1::JobState::Queued | v1::JobState::Running, 0) => {
             ", NO WORKERS: start some with `sightline worker`"
