@@ -117,9 +117,11 @@ impl Coordinator {
         }
     }
 
-    /// Takes back leases that were not renewed or make no progress. Called every second.
+    /// Takes back leases whose worker has gone, that were not renewed or make no progress. Called every second.
     pub(crate) fn reap(self: &Arc<Self>) {
-        let expired = self.lock().reap(Instant::now(), self.config.lease, self.config.stuck);
+        // Before waiting for the lock, for which workers that have come back may be waiting, too.
+        let now = Instant::now();
+        let expired = self.lock().reap(now, self.config.lease, self.config.stuck);
         if expired > 0 {
             self.changed();
         }

@@ -211,12 +211,12 @@ impl v1::jobs_server::Jobs for JobsService {
             // Or it would be open in the store, and nobody would work on it.
             let tiles = c.store.tiles(id).map_err(of_store)?;
             Job::of(before, tiles).map_err(Status::failed_precondition)?;
-            let reopened = c.store.reopen_tiles(id).map_err(of_store)?;
-            tracing::info!("job {id} is tried again: {reopened} tiles");
+            c.store.reopen_tiles(id).map_err(of_store)?;
             let record = job().map_err(of_store)?;
             if !record.state.phase().ended() {
                 let tiles = c.store.tiles(id).map_err(of_store)?;
                 scheduler.take_up(record, tiles).map_err(Status::failed_precondition)?;
+                tracing::info!("job {id} is tried again");
             }
             drop(scheduler);
             c.pump();

@@ -21,6 +21,9 @@ const IN_HAND: usize = 2;
 const RENEW: Duration = Duration::from_secs(1);
 /// First and longest wait before connecting again.
 const RECONNECT: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(5)];
+/// A connection that held so long was one: the waits begin anew. The coordinator keeps the leases of a worker that has gone for three
+/// seconds.
+const STEADY: Duration = Duration::from_secs(1);
 
 /// How long a tile that the machine or the network kept from being done is held back.
 const AFTER_FAILURE: Duration = Duration::from_secs(1);
@@ -80,7 +83,7 @@ impl Worker {
                 // What is in hand cannot be delivered any more.
                 return Ok(());
             }
-            if connected.elapsed() > RECONNECT[1] {
+            if connected.elapsed() > STEADY {
                 (wait, since) = (RECONNECT[0], Instant::now());
             }
             if self.shop.config.give_up_after.is_some_and(|limit| since.elapsed() > limit) {

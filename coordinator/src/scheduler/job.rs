@@ -11,8 +11,8 @@ use sightline_viewcells::{Lattice, Plan, TileKind};
 use crate::store::{JobRecord, TileRecord, TileState};
 
 /// How long a worker whose stream has ended may take to come back for its tiles. One that is still there tries after 0.2, 0.6
-/// and 1.4 s; what it brings later is taken all the same, if nobody else was faster.
-const AWAY: Duration = Duration::from_secs(2);
+/// and 1.4 s. If it comes later they may be others', and what it has done of them in vain.
+const AWAY: Duration = Duration::from_secs(3);
 
 /// A lease's identity: epoch and number.
 pub(crate) type LeaseId = (u64, u64);
@@ -177,5 +177,29 @@ pub(crate) fn cells_total(job: &JobSpec, plan: &Plan) -> u64 {
             plan.tiles.iter().filter(|t| t.kind == TileKind::Leaf).map(|t| t.cells).sum()
         }
         sightline_viewcells::Division::Adaptive { .. } => 0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lease_is_taken_back_once_its_worker_is_gone_for_long_and_not_when_it_has_come_back() {
+        let start = Instant::now();
+        let [ttl, stuck] = [10, 600].map(Duration::from_secs);
+        let after =
+            |lease: &Leased, seconds: u64| lease.over(start + Duration::from_secs(seconds), ttl, stuck);
+        let mut lease = Leased::new((1, 1), 7, start);
+        assert_eq!(after(&lease, 9), None);
+        assert_eq!(after(&lease, 11), Some("its lease ran out"));
+        lease.gone = Some(start);
+        assert_eq!(after(&lease, 2), None);
+        assert!(after(&lease, 4).is_some_and(|why| why.contains("did not come back")));
+        // Back in time: the lease is another worker number's, from then on.
+        let mut back = Leased::new(lease.id, 8, start + Duration::from_secs(2));
+        assert_eq!(after(&back, 9), None);
+        (back.renewed, back.moved) = (start + Duration::from_secs(601), start);
+        assert_eq!(after(&back, 601), Some("it makes no progress"));
     }
 }

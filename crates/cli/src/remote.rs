@@ -163,10 +163,16 @@ fn state(job: &v1::Job) -> &'static str {
 
 fn line(job: &v1::Job) -> String {
     let reason = if job.reason.is_empty() { String::new() } else { format!(": {}", job.reason) };
-    let aside = if job.tiles_set_aside > 0 {
-        format!(", {} SET ASIDE (`sightline retry {}` tries them again)", job.tiles_set_aside, job.id)
-    } else {
-        String::new()
+    // Until the job has ended there is nothing to retry.
+    let again = match job.state() {
+        v1::JobState::Done | v1::JobState::Failed | v1::JobState::Cancelled => {
+            format!(" (`sightline retry {}` tries them again)", job.id)
+        }
+        _ => String::new(),
+    };
+    let aside = match job.tiles_set_aside {
+        0 => String::new(),
+        some => format!(", {some} SET ASIDE{again}"),
     };
     let workers = match (job.state(), job.workers) {
         (v1::JobState::Queued | v1::JobState::Running, 0) => {

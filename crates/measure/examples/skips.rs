@@ -19,6 +19,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [_, scene, result] = args.as_slice() else { return Err("usage: skips SCENE OUT.pvs".into()) };
     let scene = sightline_scene::load(std::path::Path::new(scene))?;
     let pvs = Pvs::open(result)?;
+    if pvs.triangle_count() != scene.len() {
+        return Err("the result is of another scene".into());
+    }
     let solids = Solids::of(&scene)?;
     let of_solids = (0..scene.len()).filter(|id| solids.outward(*id).is_some()).count();
 

@@ -13,7 +13,7 @@ pub enum Needed {
     Seconds(f64),
     /// A measured point is better already, and nothing was measured (or has a logarithm) on the other side.
     AtMost(f64),
-    /// No point is that good, and this was the slowest.
+    /// No point is that good, and this was the slowest of those that no faster one is as good as.
     MoreThan(f64),
     /// Nothing was measured.
     Unknown,
@@ -87,8 +87,7 @@ pub fn needed(points: &[(f64, f64)], error: f64) -> Needed {
     let kept = envelope(points);
     // Errors fall: the first that is good enough has the last that is not before it.
     let Some(i) = kept.iter().position(|p| p.1 <= error) else {
-        let slowest = points.iter().map(|p| p.0).max_by(f64::total_cmp);
-        return slowest.map_or(Needed::Unknown, Needed::MoreThan);
+        return kept.last().map_or(Needed::Unknown, |slowest| Needed::MoreThan(slowest.0));
     };
     let (s, e) = kept[i];
     if e >= error {
@@ -154,8 +153,8 @@ mod tests {
         assert_eq!(needed(&[(2.0, 0.01)], 0.01), Needed::Seconds(2.0));
         assert_eq!(needed(&[(2.0, 0.01)], 0.1), Needed::AtMost(2.0));
         assert_eq!(needed(&[(2.0, 0.01)], 0.001), Needed::MoreThan(2.0));
-        // The slowest point counts, though a faster one is better.
-        assert_eq!(needed(&[(1.0, 0.01), (3.0, 0.02)], 0.001), Needed::MoreThan(3.0));
+        // A slower point that is worse says nothing.
+        assert_eq!(needed(&[(1.0, 0.01), (3.0, 0.02)], 0.001), Needed::MoreThan(1.0));
     }
 
     #[test]

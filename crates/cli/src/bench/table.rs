@@ -1,7 +1,7 @@
 //! The tables, as Markdown that also reads well in a terminal.
 
 use crate::bench::curves::SceneCurves;
-use crate::bench::frontier::{ERRORS, Ratio, geometric_mean, seconds};
+use crate::bench::frontier::{ERRORS, Needed, Ratio, geometric_mean, seconds};
 use crate::bench::growth::Grown;
 use crate::bench::ladder::Sampler;
 
@@ -61,10 +61,19 @@ fn times(ratio: Option<Ratio>) -> String {
 }
 
 /// The geometric mean over scenes of how many times longer the baseline takes than lines, for each of [`ERRORS`], with
-/// the number of scenes that it is known for.
+/// the number of scenes that it is known for. None where a scene had to be left out that the baseline gets as far in as that, and
+/// lines do not.
 pub fn mean_ratios(scenes: &[SceneCurves]) -> Vec<(f64, Option<Ratio>, usize)> {
-    let ratios = |error| scenes.iter().filter_map(|s| s.ratio(error)).collect::<Vec<_>>();
-    ERRORS.iter().map(|&e| (e, geometric_mean(&ratios(e)), ratios(e).len())).collect()
+    let lost = |s: &SceneCurves, error| {
+        matches!(s.needed(Sampler::Guided, error), Needed::Seconds(_) | Needed::AtMost(_))
+            && matches!(s.needed(Sampler::Lines, error), Needed::MoreThan(_))
+    };
+    let mean = |error| {
+        let ratios: Vec<_> = scenes.iter().filter_map(|s| s.ratio(error)).collect();
+        let known = !scenes.iter().any(|s| lost(s, error));
+        (error, geometric_mean(&ratios).filter(|_| known), ratios.len())
+    };
+    ERRORS.map(mean).to_vec()
 }
 
 /// Seconds each sampler needs for an error.
