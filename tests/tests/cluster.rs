@@ -167,6 +167,23 @@ fn a_worker_asked_to_end_finishes_its_tile_and_gives_back_the_next() {
 }
 
 #[test]
+fn a_worker_that_comes_late_takes_what_waits_in_anothers_hands() {
+    let sandbox = Sandbox::new();
+    sandbox.ok("generate rooms --triangles 19000 -o rooms.glb");
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    // Two tiles of some seconds each.
+    let job = coordinator.submit("rooms.glb --method exact --cells 4x4x4 --block-cells 32 --backend cpu");
+    let _first = coordinator.worker();
+    coordinator.until(job, "both tiles in one worker's hands", |job| number(job, "tiles_running") == 2);
+    let _second = coordinator.worker();
+    coordinator.until(job, "the waiting tile in the other's", |_| {
+        coordinator.process.err().contains("which has another, to an idle one")
+    });
+    coordinator.finish(job);
+    assert_eq!(coordinator.count(job, "tiles_set_aside"), 0);
+}
+
+#[test]
 fn submitting_again_gives_the_job_there_is() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");

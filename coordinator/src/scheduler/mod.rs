@@ -259,6 +259,17 @@ impl Scheduler {
         for profile in self.workers.values().flat_map(|w| &w.profiles) {
             *able.entry(profile.clone()).or_default() += 1;
         }
+        let mut held: BTreeMap<u64, u32> = BTreeMap::new();
+        for lease in self.jobs.values().flat_map(|j| &j.slots).filter_map(|s| s.lease.as_ref()) {
+            *held.entry(lease.worker).or_default() += 1;
+        }
+        // What others without a tile can run: tiles that are left go to them, before anybody has a second one in hand.
+        let idle: Vec<Vec<String>> = self
+            .workers
+            .iter()
+            .filter(|(n, w)| **n != number && !w.draining && !held.contains_key(n))
+            .map(|(_, w)| w.profiles.clone())
+            .collect();
         let Some(worker) = self.workers.get_mut(&number) else { return Ok(false) };
         if worker.wants == 0 || worker.draining {
             return Ok(false);
@@ -288,7 +299,19 @@ impl Scheduler {
             if !worker.profiles.contains(&profile) {
                 continue;
             }
-            let Some(tile) = (0..job.slots.len()).find(|t| job.ready(*t, now)) else { continue };
+            let idle = idle.iter().filter(|profiles| profiles.contains(&profile)).count();
+            let mut ready = (0..job.slots.len()).filter(|t| job.ready(*t, now));
+            let (first, more) = (ready.next(), ready.take(idle).count());
+            let (tile, from) = match (first, held.contains_key(&number)) {
+                (Some(_), true) if more < idle => continue,
+                (Some(tile), _) => (tile, None),
+                // Nothing is left but what others have not begun with.
+                (None, false) => match job.waiting(&held) {
+                    Some((tile, lease)) => (tile, Some((lease.worker, lease_of(*id, tile, lease.id)))),
+                    None => continue,
+                },
+                (None, true) => continue,
+            };
             if job.record.state == JobState::Queued {
                 use crate::store::JobPhase::Queued;
                 job.record = store.set_job_state(*id, &[Queued], JobState::Running, 0)?;
@@ -307,6 +330,15 @@ impl Scheduler {
             }
             worker.wants -= 1;
             job.slots[tile].lease = Some(Leased::new(lease, number, now));
+            if let Some((from, lease)) = from
+                && let Some(other) = self.workers.get(&from)
+            {
+                tracing::info!(
+                    "tile {tile} of job {id} goes from worker {}, which has another, to an idle one",
+                    other.name
+                );
+                other.send(Message::Revoke(v1::Revoke { lease: Some(lease) }));
+            }
             return Ok(true);
         }
         Ok(false)

@@ -24,7 +24,7 @@ pub struct Cli {
     pub command: Command,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal error, 2 wrong usage, 3 bad input, 4 coordinator unreachable or \
+const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal error, 2 wrong usage, 3 bad input or a result that `verify` refuses, 4 coordinator unreachable or \
 refusing, 5 job failed, 130 interrupted (run the same command again to go on).\n\
 SIGHTLINE_LOG=debug (or info, warn) sets how much is logged to stderr.";
 
@@ -61,7 +61,7 @@ pub enum Command {
     Show(JobRefArgs),
     /// End a job; what it has is kept for `retry`.
     Cancel(JobRefArgs),
-    /// Give out no more tiles of a job.
+    /// Give out no more tiles of a job, and stop those at work, which begin anew when it goes on.
     Pause(JobRefArgs),
     /// Go on with a paused job.
     Resume(JobRefArgs),
