@@ -1,6 +1,6 @@
 //! A job that has not ended: its tiles, who has them, and what each of them waits for.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use prost::Message as _;
@@ -149,16 +149,14 @@ impl Job {
         (budget > 0).then(|| share.max(budget / (8 * self.slots.len().max(1) as u64)))
     }
 
-    /// A tile that waits in the hands of a worker for the one before it, as far as is known: `held` says how many leases each has.
-    pub(super) fn waiting(&self, held: &BTreeMap<u64, u32>) -> Option<(usize, &Leased)> {
+    /// A tile that waits in the hands of a worker for another one of the job, as far as is known.
+    pub(super) fn waiting(&self) -> Option<(usize, &Leased)> {
         let leased = || self.slots.iter().enumerate().filter_map(|(t, s)| Some((t, s.lease.as_ref()?)));
         let begun = |l: &Leased| (l.cells, l.samples) != (0, 0);
         let before = |l: &Leased| {
             leased().any(|(_, o)| o.worker == l.worker && o.id != l.id && (begun(o) || o.id < l.id))
         };
-        leased().find(|(_, l)| {
-            held.get(&l.worker).is_some_and(|n| *n > 1) && l.gone.is_none() && !begun(l) && before(l)
-        })
+        leased().find(|(_, l)| l.gone.is_none() && !begun(l) && before(l))
     }
 
     /// Digests of the packs `tile` needs, in the plan's order.

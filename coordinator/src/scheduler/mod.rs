@@ -6,7 +6,7 @@
 mod binding;
 mod job;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
 use sightline_proto::v1;
@@ -254,26 +254,24 @@ impl Scheduler {
     /// Gives one tile to a worker, or asks it to time its backends. Answers whether it got a tile.
     fn give(&mut self, number: u64, store: &dyn Store, now: Instant) -> Result<bool, StoreError> {
         use v1::coordinator_message::Message;
+        if self.workers.get(&number).is_none_or(|w| w.wants == 0 || w.draining) {
+            return Ok(false);
+        }
         // Workers that can run each profile.
         let mut able: BTreeMap<String, u64> = BTreeMap::new();
         for profile in self.workers.values().flat_map(|w| &w.profiles) {
             *able.entry(profile.clone()).or_default() += 1;
         }
-        let mut held: BTreeMap<u64, u32> = BTreeMap::new();
-        for lease in self.jobs.values().flat_map(|j| &j.slots).filter_map(|s| s.lease.as_ref()) {
-            *held.entry(lease.worker).or_default() += 1;
-        }
+        let leased = self.jobs.values().flat_map(|j| &j.slots).filter_map(|s| s.lease.as_ref());
+        let busy: BTreeSet<u64> = leased.map(|l| l.worker).collect();
         // What others without a tile can run: tiles that are left go to them, before anybody has a second one in hand.
         let idle: Vec<Vec<String>> = self
             .workers
             .iter()
-            .filter(|(n, w)| **n != number && !w.draining && !held.contains_key(n))
+            .filter(|(n, w)| **n != number && !w.draining && !busy.contains(n))
             .map(|(_, w)| w.profiles.clone())
             .collect();
         let Some(worker) = self.workers.get_mut(&number) else { return Ok(false) };
-        if worker.wants == 0 || worker.draining {
-            return Ok(false);
-        }
         for (id, job) in &mut self.jobs {
             let runs = matches!(job.record.state, JobState::Queued | JobState::Running);
             if !runs || self.only.is_some_and(|only| only != *id) {
@@ -302,11 +300,11 @@ impl Scheduler {
             let idle = idle.iter().filter(|profiles| profiles.contains(&profile)).count();
             let mut ready = (0..job.slots.len()).filter(|t| job.ready(*t, now));
             let (first, more) = (ready.next(), ready.take(idle).count());
-            let (tile, from) = match (first, held.contains_key(&number)) {
+            let (tile, from) = match (first, busy.contains(&number)) {
                 (Some(_), true) if more < idle => continue,
                 (Some(tile), _) => (tile, None),
                 // Nothing is left but what others have not begun with.
-                (None, false) => match job.waiting(&held) {
+                (None, false) => match job.waiting() {
                     Some((tile, lease)) => (tile, Some((lease.worker, lease_of(*id, tile, lease.id)))),
                     None => continue,
                 },
@@ -392,4 +390,107 @@ impl Scheduler {
 
 fn lease_of(job: u64, tile: usize, id: LeaseId) -> v1::Lease {
     v1::Lease { job, tile: tile as u32, epoch: id.0, lease: id.1 }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use glam::Vec3;
+    use sightline_job::{JobSpec, Method};
+    use sightline_proto::v1::coordinator_message::Message;
+    use sightline_proto::v1::jobs_server::Jobs as _;
+    use sightline_sampling::params::{BackendChoice, SamplingParams};
+    use sightline_scene::{Object, Scene, Triangle};
+    use sightline_viewcells::Division;
+
+    use super::*;
+    use crate::core::{Config, Coordinator};
+    use crate::jobs_service::JobsService;
+
+    /// A coordinator with a job of two tiles.
+    async fn two_tiles(directory: &std::path::Path) -> Arc<Coordinator> {
+        let coordinator = Coordinator::open(Config::new(directory.to_owned())).unwrap();
+        let triangle = Triangle { v: [Vec3::ZERO, Vec3::X, Vec3::Y] };
+        let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
+        let scene = coordinator.take_scene(&Scene::new("test", vec![triangle], objects).unwrap()).unwrap();
+        let spec = JobSpec {
+            scene,
+            division: Division::Grid([2, 1, 1]),
+            view_box: [Vec3::ZERO, Vec3::ONE],
+            sampling: SamplingParams::default(),
+            backend: BackendChoice::Cpu,
+            seed: 1,
+            time_budget_ms: 0,
+            block_cells: 1,
+            method: Method::Aggressive,
+            certificates: false,
+        };
+        let request = v1::SubmitRequest {
+            request_id: "one".to_owned(),
+            name: "two tiles".to_owned(),
+            spec: Some(spec.to_proto()),
+        };
+        JobsService(Arc::clone(&coordinator)).submit(tonic::Request::new(request)).await.unwrap();
+        coordinator
+    }
+
+    type Told = mpsc::Receiver<Result<v1::CoordinatorMessage, tonic::Status>>;
+
+    /// A worker that has come: its number, and what it is told.
+    fn come(scheduler: &mut Scheduler, name: &str) -> (u64, Told) {
+        let hello =
+            v1::Hello { name: name.to_owned(), profiles: vec!["cpu/test".to_owned()], ..Default::default() };
+        let (out, told) = mpsc::channel(8);
+        (scheduler.join(&hello, out).0, told)
+    }
+
+    /// Who has each tile.
+    fn hands(scheduler: &Scheduler) -> Vec<Option<u64>> {
+        let slots = scheduler.jobs.values().flat_map(|j| &j.slots);
+        slots.map(|s| s.lease.as_ref().map(|l| l.worker)).collect()
+    }
+
+    #[tokio::test]
+    async fn nobody_gets_a_second_tile_while_another_worker_has_none() {
+        let directory = tempfile::tempdir().unwrap();
+        let coordinator = two_tiles(directory.path()).await;
+        let mut scheduler = coordinator.lock();
+        let ((a, _told_a), (b, _told_b)) = (come(&mut scheduler, "a"), come(&mut scheduler, "b"));
+        scheduler.want(a, 2);
+        scheduler.pump(&*coordinator.store, Instant::now()).unwrap();
+        assert_eq!(hands(&scheduler), [Some(a), None]);
+        scheduler.want(b, 2);
+        scheduler.pump(&*coordinator.store, Instant::now()).unwrap();
+        assert_eq!(hands(&scheduler), [Some(a), Some(b)]);
+    }
+
+    #[tokio::test]
+    async fn a_tile_that_waits_goes_to_a_worker_that_comes_late() {
+        let directory = tempfile::tempdir().unwrap();
+        let coordinator = two_tiles(directory.path()).await;
+        let mut scheduler = coordinator.lock();
+        let (a, mut told_a) = come(&mut scheduler, "a");
+        scheduler.want(a, 2);
+        scheduler.pump(&*coordinator.store, Instant::now()).unwrap();
+        assert_eq!(hands(&scheduler), [Some(a), Some(a)]);
+        let (b, mut told_b) = come(&mut scheduler, "b");
+        scheduler.want(b, 2);
+        scheduler.pump(&*coordinator.store, Instant::now()).unwrap();
+        assert_eq!(hands(&scheduler), [Some(a), Some(b)]);
+        let next = |told: &mut Told| told.try_recv().ok().and_then(|m| m.unwrap().message);
+        let mut leases = Vec::new();
+        for _ in 0..2 {
+            let Some(Message::Grant(grant)) = next(&mut told_a) else { panic!("no grant") };
+            leases.push(grant.lease);
+        }
+        assert_eq!(next(&mut told_a), Some(Message::Revoke(v1::Revoke { lease: leases[1] })));
+        let Some(Message::Grant(grant)) = next(&mut told_b) else { panic!("no grant") };
+        assert_eq!(grant.lease.unwrap().tile, leases[1].unwrap().tile);
+        // What has begun is nobody else's, and neither is a worker's only tile.
+        let (c, _told_c) = come(&mut scheduler, "c");
+        scheduler.want(c, 2);
+        scheduler.pump(&*coordinator.store, Instant::now()).unwrap();
+        assert_eq!(hands(&scheduler), [Some(a), Some(b)]);
+    }
 }

@@ -33,7 +33,8 @@ pub struct Together<'a> {
     pub asked: &'a (dyn Fn() + Sync),
 }
 
-/// The triangles proved hidden from the box around the cells, ascending; with proofs, if they are kept, and what it took. On one of rayon's threads only after [`Occluders::surfaces`] was called elsewhere.
+/// The triangles proved hidden from the box around the cells, ascending; with proofs, if they are kept, and what it took. On one of
+/// rayon's threads only after [`Occluders::surfaces`] was called elsewhere.
 pub fn together(task: &Together<'_>) -> (Vec<u32>, Shared, Effort) {
     let all = task.cells.iter().map(Cell::corners);
     let bounds = all.reduce(|[min, max], [lo, hi]| [min.min(lo), max.max(hi)]).unwrap_or_default();
