@@ -258,20 +258,7 @@ fn determinant(m: &[[i32; 3]; 3]) -> i64 {
 
 /// A homogeneous point as doubles, each coordinate correct to 3u of itself (where it does not vanish).
 pub fn point_doubles(p: &[IBig; 4]) -> [f64; 3] {
-    std::array::from_fn(|i| ratio(&p[i], &p[3]))
-}
-
-/// n / d, correctly rounded up to 3u, for d > 0.
-pub fn ratio(n: &IBig, d: &IBig) -> f64 {
-    use dashu_int::ops::BitTest;
-    // Leading bits of both; the exponents are put back at the end.
-    let part = |x: &IBig| {
-        let cut = x.bit_len().saturating_sub(120);
-        ((x >> cut).to_f64().value(), cut as i32)
-    };
-    let ((n, en), (d, ed)) = (part(n), part(d));
-    let half = (en - ed) / 2;
-    n / d * f64::powi(2.0, half) * f64::powi(2.0, en - ed - half)
+    std::array::from_fn(|i| sightline_numbers::integer::ratio(&p[i], &p[3]))
 }
 
 /// n / d to 4 steps, for d > 0.

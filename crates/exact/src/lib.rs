@@ -6,13 +6,11 @@
 
 mod bvh;
 pub mod cell;
-pub mod checker;
 mod cone;
 pub mod decide;
 mod double;
 mod edges;
 mod effort;
-pub mod evidence;
 mod forms;
 mod frame;
 #[doc(hidden)]
@@ -27,7 +25,6 @@ mod polar;
 pub mod polygon;
 pub mod predicates;
 mod prism;
-pub mod proof;
 pub mod query;
 mod rays;
 mod rims;
@@ -39,10 +36,9 @@ mod vector;
 
 pub use decide::{Decided, Task, Together, decide, together};
 pub use effort::Effort;
-pub use evidence::Evidence;
 pub use frame::Source;
 pub use occluder::Occluders;
 pub use polygon::{Polygon, PolygonError};
-pub use proof::Proof;
 pub use query::{Cost, Limits, Reason, Verdict, sightlines, sightlines_until};
+pub use sightline_certificate::{Evidence, Proof, checker, evidence, proof};
 pub use vector::Decisions;

@@ -198,7 +198,7 @@ impl Local<'_> {
             }
             let weights = parts.map(|p| ((p << FINE) / &total).max(IBig::ONE));
             let sum: IBig = weights.iter().sum();
-            let shares = [0, 1, 2].map(|k| crate::frame::ratio(&weights[k], &sum));
+            let shares = [0, 1, 2].map(|k| sightline_numbers::integer::ratio(&weights[k], &sum));
             return Some(self.mixed(end, i, weights, shares));
         }
         None

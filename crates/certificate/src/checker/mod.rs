@@ -11,7 +11,7 @@
 //!    both directions the cone holds a whole line; the hyperplane of the line through the first vertex of A and the first of
 //!    B off the other's plane, which does not meet k, then divides it in two.
 //! 3. *Blocked.* A cone is blocked when each of its rays, and so each line in it, passes every border edge of an occluder
-//!    on the same side (see [`crate::occluder`] for why that means crossing it; there must be a border, or it means nothing), and the crossing is between A and B: all of
+//!    on the same side (see the module on occluders for why that means crossing it; there must be a border, or it means nothing), and the crossing is between A and B: all of
 //!    the occluder is on B's side of A's plane and on A's side of B's, or it lies in one plane and the cone is on the right
 //!    side of the line in which that plane meets A's or B's. Triangles in A's or B's plane block nothing.
 //! 4. *Unreal.* If the Klein form has one sign on all pairs of rays it has that sign on the cone, 0 at most on its border: no

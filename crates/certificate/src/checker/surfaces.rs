@@ -1,4 +1,4 @@
-//! Whether a triangle is hidden from a cell by the closed surface it is part of; the argument is in [`crate::surface`].
+//! Whether a triangle is hidden from a cell by the closed surface it is part of; the argument is in `surfaces`.
 //!
 //! What is checked, all of it from the scene alone and in integers:
 //!

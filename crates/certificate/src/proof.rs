@@ -53,7 +53,7 @@ pub enum Which {
 pub struct Proof {
     /// The occluders it speaks of: triangles, each with whether it is turned round.
     pub occluders: Vec<Vec<(u32, bool)>>,
-    /// The steps, for each pair of parts of A and B in the order of [`crate::query::parts`], and for each region of the pair.
+    /// The steps, for each pair of parts of A and B in the order of the query, and for each region of the pair.
     pub steps: Vec<Step>,
 }
 

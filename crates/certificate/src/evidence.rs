@@ -55,7 +55,7 @@ pub struct Hidden {
 }
 
 /// Whether a surface of so many triangles has few enough edges with an odd number of triangles to be closed by patches
-/// ([`crate::surface`]): at most 64, and at most one for four triangles.
+/// (`surfaces`): at most 64, and at most one for four triangles.
 pub fn few_odd_edges(odd: usize, triangles: usize) -> bool {
     odd <= 64.min(triangles / 4)
 }
@@ -68,7 +68,7 @@ pub enum Target {
     /// The one triangle; from one side of its plane it is hidden by the closed surface it is part of, and the proofs are about what
     /// of the cell's faces is on the other side.
     Half,
-    /// Any number of triangles, each by the closed surface it is part of ([`crate::surface`]); there are no proofs.
+    /// Any number of triangles, each by the closed surface it is part of (`surfaces`); there are no proofs.
     Surfaces,
     /// A box that does not touch the cell, by its least and greatest corner: its polygons are the faces that face the cell.
     Box([Vec3; 2]),
@@ -117,7 +117,7 @@ impl Witness {
             Self::Floats(ends) => ends.map(|e| e.as_dvec3().to_array()),
             Self::Exact(ends) => {
                 let [p, q] = &**ends;
-                [p, q].map(|e| std::array::from_fn(|k| crate::frame::ratio(&e[k], &e[3])))
+                [p, q].map(|e| std::array::from_fn(|k| sightline_numbers::integer::ratio(&e[k], &e[3])))
             }
         }
     }
