@@ -4,10 +4,10 @@
 
 use std::io::BufWriter;
 
-use sightline_job::{ALGORITHM_VERSION, JobSpec};
+use sightline_model::codec::{self, CodecError};
+use sightline_model::{ALGORITHM_VERSION, JobSpec};
+use sightline_model::{CellSet, CellSets, TileOutput};
 use sightline_pvs::{Builder, Cell, CellTree, Header, Node, Object, PvsError, SET_ASIDE};
-use sightline_sampling::codec::{self, CodecError};
-use sightline_sampling::tile::{self, CellSet, CellSets, TileOutput};
 use sightline_viewcells::{CellBox, Division, Lattice, Outline, Plan, TileKind};
 
 use crate::core::Coordinator;
@@ -81,7 +81,7 @@ impl Coordinator {
         let mut statistics = Statistics::default();
         for part in &parts.plan.outline {
             match *part {
-                Outline::Split(s) => nodes.push(pvs_node(tile::Node::Split(s), &parts.lattice)),
+                Outline::Split(s) => nodes.push(pvs_node(sightline_model::Node::Split(s), &parts.lattice)),
                 Outline::Leaf(number) => {
                     let slot = &parts.slots[number as usize];
                     let cells = parts.plan.tiles[number as usize].cells;
@@ -137,7 +137,7 @@ impl Coordinator {
             builder.push_cells(&shown.collect::<Vec<_>>())?;
             for cell in &sets.cells {
                 if parts.spec.certificates {
-                    let evidence = cell.decision.as_ref().map_or(&[][..], |d| &d.evidence);
+                    let evidence = cell.decision.as_ref().map_or(&[][..], |d| &d.certificate);
                     builder.push_evidence(evidence).map_err(|e| of_disk(&self.blobs, e))?;
                 }
                 statistics.push(cell);
@@ -186,7 +186,7 @@ impl Coordinator {
             everything(&spec.division, lattice, &tile.cell, tile.depth, &mut sets);
             TileOutput::Cells(sets)
         } else {
-            TileOutput::Pack(tile::Pack::default())
+            TileOutput::Pack(sightline_model::Pack::default())
         };
         let bytes = codec::encode(&output)?;
         Ok((self.blobs.put(&bytes)?, bytes.len() as u64))
@@ -199,7 +199,7 @@ pub(crate) fn expected_nodes(
     l: &Lattice,
     cell: &CellBox,
     depth: u32,
-) -> Option<Vec<tile::Node>> {
+) -> Option<Vec<sightline_model::Node>> {
     matches!(d, Division::Grid(_)).then(|| {
         let mut sets = CellSets::default();
         everything(d, l, cell, depth, &mut sets);
@@ -212,22 +212,24 @@ fn everything(d: &Division, l: &Lattice, cell: &CellBox, depth: u32, out: &mut C
     let grid = matches!(d, Division::Grid(_));
     match d.split(l, cell, depth).filter(|_| grid) {
         Some(split) => {
-            out.nodes.push(tile::Node::Split(split));
+            out.nodes.push(sightline_model::Node::Split(split));
             for child in cell.children(split) {
                 everything(d, l, &child, depth + 1, out);
             }
         }
         None => {
-            out.nodes.push(tile::Node::Cell);
+            out.nodes.push(sightline_model::Node::Cell);
             out.cells.push(CellSet::default());
         }
     }
 }
 
-fn pvs_node(node: tile::Node, lattice: &Lattice) -> Node {
+fn pvs_node(node: sightline_model::Node, lattice: &Lattice) -> Node {
     match node {
-        tile::Node::Split(s) => Node::Split { axis: s.axis as u8, at: lattice.coordinate(s.axis, s.at) },
-        tile::Node::Cell => Node::Leaf,
+        sightline_model::Node::Split(s) => {
+            Node::Split { axis: s.axis as u8, at: lattice.coordinate(s.axis, s.at) }
+        }
+        sightline_model::Node::Cell => Node::Leaf,
     }
 }
 

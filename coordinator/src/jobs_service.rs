@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use futures::{Stream, StreamExt as _};
 use prost::Message as _;
-use sightline_job::JobSpec;
+use sightline_model::JobSpec;
 use sightline_proto::chunks;
 use sightline_proto::v1;
 use sightline_scene::Scene;

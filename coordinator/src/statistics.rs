@@ -1,14 +1,8 @@
-//! What a result keeps of how each cell was sampled, as columns of its file.
-//!
-//! Only what is the same on every run: rays and finds, not seconds. The time a tile took is in its job's record.
+//! The statistics of a result's cells, as columns of its file.
 
-use sightline_exact::Effort;
+use sightline_model::CellSet;
+use sightline_model::statistics::{COLUMNS, column_names};
 use sightline_pvs::Column;
-use sightline_sampling::lines::CellStats;
-use sightline_sampling::tile::CellSet;
-
-/// Columns: the cubes of a cell, [`CellStats::NAMES`], then those of exact queries.
-const COLUMNS: usize = 1 + CellStats::NAMES.len() + Effort::NAMES.len();
 
 /// Collects the cells in their order.
 pub(crate) struct Statistics {
@@ -24,26 +18,15 @@ impl Default for Statistics {
 impl Statistics {
     /// Adds a cell.
     pub(crate) fn push(&mut self, cell: &CellSet) {
-        let counts = cell.decision.as_ref().map_or(&[][..], |d| &d.counts);
-        // Cells without exact queries have nothing there, nor have those of a worker that counts less.
-        let exact = counts.iter().copied().chain(std::iter::repeat(0)).take(Effort::NAMES.len());
-        let row = [u64::from(cell.samples)].into_iter().chain(cell.stats.numbers()).chain(exact);
-        for (column, value) in self.values.iter_mut().zip(row) {
+        for (column, value) in self.values.iter_mut().zip(cell.row()) {
             column.push(value);
         }
     }
 
-    /// The columns; those that are zero everywhere are left out.
+    /// The columns, without those that are zero everywhere.
     pub(crate) fn columns(self) -> Vec<Column> {
         let column = |(name, values): (&str, Vec<u64>)| Column { name: name.to_owned(), values };
         let kept = |(_, values): &(&str, Vec<u64>)| values.iter().any(|v| *v != 0);
-        ["samples"]
-            .into_iter()
-            .chain(CellStats::NAMES)
-            .chain(Effort::NAMES)
-            .zip(self.values)
-            .filter(kept)
-            .map(column)
-            .collect()
+        column_names().zip(self.values).filter(kept).map(column).collect()
     }
 }

@@ -1,7 +1,7 @@
 //! A job as clients see it: derived from its record and the states of its tiles, never kept.
 
 use prost::Message as _;
-use sightline_job::JobSpec;
+use sightline_model::JobSpec;
 use sightline_proto::v1;
 
 use crate::core::Coordinator;

@@ -7,12 +7,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use futures::{Stream, StreamExt as _};
-use sightline_job::{ALGORITHM_VERSION, Method};
+use sightline_model::TileOutput;
+use sightline_model::codec::{self, MAX_UNPACKED};
+use sightline_model::{ALGORITHM_VERSION, Method};
 use sightline_proto::chunks::Assembler;
 use sightline_proto::v1;
 use sightline_proto::v1::worker_message::Message as FromWorker;
-use sightline_sampling::codec::{self, MAX_UNPACKED};
-use sightline_sampling::tile::TileOutput;
 use sightline_viewcells::TileKind;
 use tokio::sync::mpsc;
 use tonic::{Request, Response, Status, Streaming};

@@ -115,7 +115,7 @@ fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
         profiles: vec!["cpu/none".to_owned()],
         held: vec![held; 3],
         version: "0".to_owned(),
-        algorithm: sightline_job::ALGORITHM_VERSION,
+        algorithm: sightline_model::ALGORITHM_VERSION,
     };
     let submit = v1::SubmitRequest {
         request_id: "fuzz".to_owned(),

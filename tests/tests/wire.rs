@@ -148,7 +148,7 @@ async fn requests_are_refused_with_the_right_code() {
         v1::worker_message::Message::Hello(v1::Hello {
             name: name.to_owned(),
             profiles: profiles.iter().map(|p| (*p).to_owned()).collect(),
-            algorithm: sightline_job::ALGORITHM_VERSION,
+            algorithm: sightline_model::ALGORITHM_VERSION,
             ..Default::default()
         })
     };
@@ -230,7 +230,7 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     send(Said::Hello(v1::Hello {
         name: "liar".to_owned(),
         profiles,
-        algorithm: sightline_job::ALGORITHM_VERSION,
+        algorithm: sightline_model::ALGORITHM_VERSION,
         ..Default::default()
     }))
     .await;
@@ -251,7 +251,7 @@ async fn a_second_result_for_a_tile_is_kept_out() {
         }
     };
     let (_, plan) =
-        sightline_job::JobSpec::from_proto(grant.spec.as_ref().unwrap(), None).unwrap().plan().unwrap();
+        sightline_model::JobSpec::from_proto(grant.spec.as_ref().unwrap(), None).unwrap().plan().unwrap();
     let lease = grant.lease.unwrap();
     let finished = plan.tiles[lease.tile as usize].needs[0];
     let mut stream = workers
@@ -317,7 +317,7 @@ async fn fail_everywhere(channel: &Channel, profile: &str) -> u32 {
         send(Said::Hello(v1::Hello {
             name: name.to_owned(),
             profiles: vec![profile.to_owned()],
-            algorithm: sightline_job::ALGORITHM_VERSION,
+            algorithm: sightline_model::ALGORITHM_VERSION,
             ..Default::default()
         }))
         .await;

@@ -4,7 +4,6 @@
 //! results is the coordinator's business. Killing it at any moment costs the work in hand and changes no result.
 
 pub mod backends;
-mod decide;
 mod packs;
 mod scenes;
 mod session;

@@ -1,10 +1,9 @@
 //! Scenes a worker has at hand: fetched once, analysed once, with the hierarchies built for them.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
-use sightline_exact::Occluders;
-use sightline_sampling::tile::PreparedScene;
+use sightline_bake::BakeScene;
 use sightline_sampling::{Backend, CubeSpec, Strata};
 use sightline_scene::{Scene, SceneError};
 
@@ -15,34 +14,18 @@ const KEPT: usize = 2;
 
 /// A scene with its backends.
 pub struct Loaded {
-    /// The scene, analysed.
-    pub prepared: PreparedScene,
-    /// What exact queries ask, once a tile needs it.
-    occluders: OnceLock<Result<Occluders, String>>,
+    /// The scene, prepared for tiles.
+    pub scene: BakeScene,
     backends: Mutex<BTreeMap<String, Arc<dyn Backend>>>,
 }
 
 impl Loaded {
-    /// A scene that is at hand.
+    /// Takes up a scene.
     ///
     /// # Errors
     /// [`SceneError`] when it has too many triangles to sample.
     pub fn new(scene: Arc<Scene>) -> Result<Self, SceneError> {
-        Ok(Self {
-            prepared: PreparedScene::new(scene)?,
-            occluders: OnceLock::new(),
-            backends: Mutex::default(),
-        })
-    }
-
-    /// What blocks in the scene, for exact queries.
-    ///
-    /// # Errors
-    /// When it has too many corners to number.
-    pub fn occluders(&self) -> Result<&Occluders, String> {
-        let found =
-            self.occluders.get_or_init(|| Occluders::new(&self.prepared.scene).map_err(|e| e.to_string()));
-        found.as_ref().map_err(Clone::clone)
+        Ok(Self { scene: BakeScene::new(scene)?, backends: Mutex::default() })
     }
 
     /// Makes ready to trace sight lines on the cpu, if this machine can: what the first tile would wait for. What cannot
@@ -52,10 +35,10 @@ impl Loaded {
         let Some(backend) = cpu.and_then(|profile| self.backend(backends, &profile, spec, "").ok()) else {
             return;
         };
-        let distinct = self.prepared.distinct();
+        let traced = self.scene.sampling().traced();
         std::thread::scope(|scope| {
-            scope.spawn(|| self.prepared.surface());
-            if let Err(e) = backend.lines(distinct) {
+            scope.spawn(|| self.scene.sampling().for_lines());
+            if let Err(e) = backend.lines(traced) {
                 tracing::debug!("not made ready: {e}");
             }
         });
@@ -84,7 +67,7 @@ impl Loaded {
         if let Some(backend) = open.get(&key) {
             return Ok(Arc::clone(backend));
         }
-        let backend = backends.open(profile, Arc::clone(&self.prepared.scene), spec)?;
+        let backend = backends.open(profile, Arc::clone(self.scene.scene()), spec)?;
         open.insert(key, Arc::clone(&backend));
         Ok(backend)
     }

@@ -111,7 +111,7 @@ impl Worker {
             profiles: self.shop.config.backends.profiles(),
             held: self.held.values().map(|h| h.lease).collect(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            algorithm: sightline_job::ALGORITHM_VERSION,
+            algorithm: sightline_model::ALGORITHM_VERSION,
         };
         let broken = |e: &dyn std::fmt::Display| End::Broken(e.to_string());
         if let Err(e) = send(ToCoordinator::Hello(hello)) {

@@ -5,17 +5,15 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use futures::StreamExt as _;
-use sightline_job::{JobSpec, Method};
+use sightline_bake::{BakeError, Control, PackBytes, Watcher, run_tile};
+use sightline_model::{JobSpec, Sampler};
 use sightline_proto::chunks::{Assembler, count, piece};
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
-use sightline_sampling::tile::{self, JobContext, Pack, TileError, TileOutput, Watcher};
-use sightline_sampling::{BackendError, Sampler, auto, codec};
-use sightline_viewcells::{Plan, TileKind};
+use sightline_sampling::{CubeSpec, auto};
 use tonic::transport::Channel;
 
 use crate::Config;
-use crate::decide;
 use crate::packs::PackCache;
 use crate::scenes::Loaded;
 
@@ -152,68 +150,32 @@ impl Shop {
         packs: Vec<Fetched>,
         held: &Held,
     ) -> Result<(Vec<u8>, u64), Failure> {
-        let tile_fault = |e: &dyn std::fmt::Display| Failure::Tile(e.to_string());
-        let (lattice, plan) = spec.plan().map_err(|e| tile_fault(&e))?;
-        let tile = plan.tiles.get(held.lease.tile as usize);
-        let tile = tile.ok_or_else(|| Failure::Tile("the plan has no such tile".to_owned()))?;
         let owner = self.config.name.as_str();
         let backend = loaded
-            .backend(&self.config.backends, profile, spec.sampling.cube_spec(), owner)
+            .backend(&self.config.backends, profile, CubeSpec::of(&spec.sampling), owner)
             .map_err(|e| Failure::Infrastructure(e.to_string()))?;
-        let triangles = loaded.prepared.scene.len();
-        let job = JobContext {
-            scene: &loaded.prepared,
-            division: spec.division,
-            lattice,
-            params: &spec.sampling,
-            backend: &*backend,
-            seed: spec.seed,
-            deadline: decide::sampling_deadline(spec.method, deadline),
-        };
-        let failed = |e| match e {
-            TileError::Cancelled => Failure::Cancelled,
-            TileError::Backend(e) => {
-                // A device that was lost stays lost; the next tile opens it anew.
+        let packs: Vec<PackBytes<'_>> = packs
+            .iter()
+            .map(|pack| match pack {
+                Ok(bytes) => PackBytes::Present(bytes),
+                Err(digest) => PackBytes::Lost(*digest),
+            })
+            .collect();
+        let control = Control { watcher: held, deadline };
+        let done = run_tile(spec, held.lease.tile, &loaded.scene, &*backend, &packs, control);
+        let done = done.map_err(|e| match e {
+            BakeError::Cancelled => Failure::Cancelled,
+            BakeError::Backend(e) => {
+                // A lost device stays lost; the next tile opens the backend again.
                 loaded.forget(profile);
                 Failure::Infrastructure(e.to_string())
             }
-        };
-        let mut decoded = Vec::with_capacity(packs.len());
-        for (number, fetched) in tile.needs.iter().zip(packs) {
-            let bytes = match fetched {
-                Ok(bytes) => bytes,
-                Err(digest) => {
-                    tracing::warn!("the pack of tile {number} is not there any more and is computed again");
-                    let bytes = recompute(&job, &plan, *number, held).map_err(failed)?;
-                    if *blake3::hash(&bytes).as_bytes() != digest {
-                        return Err(Failure::Tile(format!(
-                            "the pack of tile {number} was computed again and came out different; a worker's \
-                             machine, driver or program differs from its profile"
-                        )));
-                    }
-                    self.packs.put(digest, bytes.clone());
-                    bytes
-                }
-            };
-            decoded.push(codec::decode_pack(&bytes, triangles, &tile.cell).map_err(|e| tile_fault(&e))?);
+            BakeError::Tile(reason) => Failure::Tile(reason),
+        })?;
+        for (digest, bytes) in done.recomputed {
+            self.packs.put(digest, bytes.into());
         }
-        let exact = spec.method != Method::Aggressive && tile.kind == TileKind::Leaf;
-        let sampling = decide::Sampling(held);
-        let watcher: &dyn Watcher = if exact { &sampling } else { held };
-        let (mut output, counters) = tile::run(&job, tile, &decoded, watcher).map_err(failed)?;
-        tracing::debug!(tile = held.lease.tile, ?counters, "tile sampled");
-        if let (true, TileOutput::Cells(sets)) = (exact, &mut output) {
-            let scene = loaded.occluders().map_err(Failure::Tile)?;
-            let work = (deadline, held as &dyn Watcher);
-            decide::cells(spec, &job.lattice, &tile.cell, sets, scene, work).map_err(Failure::Tile)?;
-            if held.cancelled() {
-                return Err(Failure::Cancelled);
-            }
-            tracing::debug!(tile = held.lease.tile, "tile decided");
-        }
-        let bytes = codec::encode(&output).map_err(|e| tile_fault(&e))?;
-        tracing::debug!(tile = held.lease.tile, bytes = bytes.len(), "tile encoded");
-        Ok((bytes, counters.rendered))
+        Ok((done.bytes, done.samples))
     }
 
     /// A scene, from the cache or the coordinator.
@@ -293,11 +255,11 @@ impl Shop {
             let mut times = Vec::new();
             for profile in config.backends.profiles() {
                 let timed = loaded
-                    .backend(&config.backends, &profile, spec.sampling.cube_spec(), &config.name)
+                    .backend(&config.backends, &profile, CubeSpec::of(&spec.sampling), &config.name)
                     .and_then(|b| match spec.sampling.sampler {
                         Sampler::Cubes => auto::time(&*b, &lattice),
                         Sampler::Lines | Sampler::Guided => {
-                            auto::time_lines(&*b, loaded.prepared.distinct(), &lattice)
+                            auto::time_lines(&*b, loaded.scene.sampling().traced(), &lattice)
                         }
                     });
                 match timed {
@@ -316,24 +278,6 @@ impl Shop {
 
 /// A pack, or the digest of one that has to be computed again.
 type Fetched = Result<bytes::Bytes, [u8; 32]>;
-
-/// The encoded output of a tile whose pack was lost, computed from nothing: its own needs are computed again too. Their
-/// number is bounded by the depth of the kd-tree, and the plan puts every tile after those it needs.
-fn recompute(job: &JobContext<'_>, plan: &Plan, number: u32, held: &Held) -> Result<bytes::Bytes, TileError> {
-    let tile = &plan.tiles[number as usize];
-    let mut packs: Vec<Pack> = Vec::with_capacity(tile.needs.len());
-    for need in &tile.needs {
-        let bytes = recompute(job, plan, *need, held)?;
-        packs.push(codec::decode_pack(&bytes, job.scene.scene.len(), &tile.cell).map_err(broken)?);
-    }
-    let (output, _) = tile::run(job, tile, &packs, held)?;
-    Ok(codec::encode(&output).map_err(broken)?.into())
-}
-
-/// What was encoded here and cannot be read here.
-fn broken(e: impl std::fmt::Display) -> TileError {
-    TileError::Backend(BackendError::Failed { profile: "this worker".to_owned(), reason: e.to_string() })
-}
 
 async fn assemble(mut stream: tonic::Streaming<v1::Chunk>) -> Result<Vec<u8>, String> {
     let mut whole = Assembler::new(MAX_FETCH);

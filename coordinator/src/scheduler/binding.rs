@@ -1,7 +1,7 @@
 //! Which numerics profile a job is bound to.
 
+use sightline_model::BackendChoice;
 use sightline_proto::v1;
-use sightline_sampling::BackendChoice;
 
 /// How many times faster than the cpu another backend must be to be chosen by `auto`.
 pub(super) const CLEARLY: f64 = 2.0;

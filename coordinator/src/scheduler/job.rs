@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use prost::Message as _;
-use sightline_job::JobSpec;
+use sightline_model::JobSpec;
 use sightline_proto::v1;
 use sightline_viewcells::{Lattice, Plan, TileKind};
 

@@ -397,10 +397,10 @@ mod tests {
     use std::sync::Arc;
 
     use glam::Vec3;
-    use sightline_job::{JobSpec, Method};
+    use sightline_model::{BackendChoice, SamplingParams};
+    use sightline_model::{JobSpec, Method};
     use sightline_proto::v1::coordinator_message::Message;
     use sightline_proto::v1::jobs_server::Jobs as _;
-    use sightline_sampling::params::{BackendChoice, SamplingParams};
     use sightline_scene::{Object, Scene, Triangle};
     use sightline_viewcells::Division;
 

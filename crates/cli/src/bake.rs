@@ -7,9 +7,10 @@ use std::time::{Duration, Instant};
 
 use sightline_coordinator::store::StoreError;
 use sightline_coordinator::{Config, Coordinator, OpenError};
+use sightline_model::Sampler;
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
-use sightline_sampling::Sampler;
+use sightline_sampling::CubeSpec;
 use sightline_worker::{Backends, Choice, Loaded, SceneCache, Stop};
 use tokio::sync::watch;
 use tonic::transport::Channel;
@@ -82,11 +83,11 @@ impl Probing {
     }
 
     /// Then makes ready to trace, while the scene is stored and the job planned.
-    fn then_warm(mut self, loaded: &Arc<Loaded>, spec: &sightline_job::JobSpec) -> Self {
+    fn then_warm(mut self, loaded: &Arc<Loaded>, spec: &sightline_model::JobSpec) -> Self {
         if spec.sampling.sampler != Sampler::Cubes
             && let Some(probe) = self.0.take()
         {
-            let (loaded, spec) = (Arc::clone(loaded), spec.sampling.cube_spec());
+            let (loaded, spec) = (Arc::clone(loaded), CubeSpec::of(&spec.sampling));
             self.0 = Some(std::thread::spawn(move || {
                 let backends = probe.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
                 loaded.warm(&backends, spec);
@@ -122,7 +123,7 @@ async fn bake(
     args: &BakeArgs,
     coordinator: Arc<Coordinator>,
     loaded: &Arc<Loaded>,
-    spec: &sightline_job::JobSpec,
+    spec: &sightline_model::JobSpec,
     probing: Probing,
     output: &Output,
 ) -> Result<Outcome, CliError> {
@@ -137,7 +138,7 @@ async fn bake(
     ));
     let mut client = JobsClient::new(client::channel(&url).await?);
     let (taker, here) = (Arc::clone(&coordinator), Arc::clone(loaded));
-    tokio::task::spawn_blocking(move || taker.take_scene(&here.prepared.scene))
+    tokio::task::spawn_blocking(move || taker.take_scene(&here.scene.scene()))
         .await
         .map_err(CliError::internal)?
         .map_err(|e| CliError::Input(format!("{e} (--data-dir names another place)")))?;
@@ -207,7 +208,7 @@ async fn bake(
 async fn submit(
     client: &mut JobsClient<Channel>,
     args: &BakeArgs,
-    spec: &sightline_job::JobSpec,
+    spec: &sightline_model::JobSpec,
 ) -> Result<v1::SubmitResponse, CliError> {
     let name = args.scene.file_name().unwrap_or_default().to_string_lossy();
     let request = v1::SubmitRequest {
@@ -224,7 +225,7 @@ fn start_workers(
     url: &str,
     backends: &Arc<Backends>,
     loaded: &Arc<Loaded>,
-    spec: &sightline_job::JobSpec,
+    spec: &sightline_model::JobSpec,
 ) -> Result<(watch::Sender<Stop>, impl Future<Output = CliError> + use<>), CliError> {
     let count = args.workers.map_or_else(|| threads(None), usize::from);
     // The scene is in this process already.

@@ -6,8 +6,8 @@
 use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
+use sightline_model::bound::{ALPHA, alpha_of, upper_bound};
 use sightline_pvs::Pvs;
-use sightline_sampling::lines::bound::{ALPHA, alpha_of, upper_bound};
 
 use crate::error::CliError;
 

@@ -5,9 +5,9 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 use glam::Vec3;
-use sightline_job::{JobSpec, Method};
-use sightline_sampling::lines::MOST_DEPTH;
-use sightline_sampling::params::{BackendChoice, ErrorMeasure, Sampler, SamplingParams, SupersetChoice};
+use sightline_model::{
+    BackendChoice, ErrorMeasure, JobSpec, MOST_LINE_DEPTH, Method, Sampler, SamplingParams, SupersetChoice,
+};
 use sightline_scene::Scene;
 use sightline_viewcells::Division;
 
@@ -63,7 +63,7 @@ pub struct JobArgs {
     /// Most cells of a tile of a grid, 1 to 512: the piece of work a worker takes, and what is lost when one is killed. Sight lines are
     /// shared within a tile, so smaller ones cost more in all. Default: 512; fewer for large scenes and small errors; 8 for exact
     /// methods.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(sightline_job::MOST_BLOCK_CELLS)))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(sightline_model::MOST_BLOCK_CELLS)))]
     block_cells: Option<u32>,
     /// Rays a cell of the sampler guided. Default: 200000.
     #[arg(long, value_name = "N")]
@@ -206,7 +206,7 @@ impl JobArgs {
         };
         let adaptive = self.triangle_budget.is_some();
         let sampler = match self.sampler {
-            None if adaptive && self.max_depth > MOST_DEPTH => Sampler::Cubes,
+            None if adaptive && self.max_depth > MOST_LINE_DEPTH => Sampler::Cubes,
             None | Some(SamplerArg::Lines) => Sampler::Lines,
             Some(SamplerArg::Cubes) => Sampler::Cubes,
             Some(SamplerArg::Guided) => Sampler::Guided,
@@ -217,7 +217,7 @@ impl JobArgs {
                 "an adaptive tree (--triangle-budget) is sampled with --sampler lines or cubes; give --cells for another",
             );
         }
-        if adaptive && sampler == Sampler::Lines && self.max_depth > MOST_DEPTH {
+        if adaptive && sampler == Sampler::Lines && self.max_depth > MOST_LINE_DEPTH {
             return refuse(
                 "--sampler lines makes trees of a --max-depth of at most 12; give less, or --sampler cubes, which takes far longer",
             );
@@ -241,11 +241,11 @@ impl JobArgs {
             },
             view_box: self.view_box.unwrap_or([bounds.min, bounds.max]),
             block_cells: if adaptive {
-                sightline_job::MOST_BLOCK_CELLS
+                sightline_model::MOST_BLOCK_CELLS
             } else {
                 self.block_cells
                     .filter(|_| sampler != Sampler::Cubes)
-                    .unwrap_or_else(|| sightline_job::default_block_cells(scene.len(), &sampling, method))
+                    .unwrap_or_else(|| sightline_model::default_block_cells(scene.len(), &sampling, method))
             },
             sampling,
             backend: match self.backend {

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use glam::Vec3;
 use sightline_sampling::gpu::{AdapterChoice, GpuBackend, adapters};
-use sightline_sampling::lines::sequence::Hashed;
+use sightline_sampling::sequence::Hashed;
 use sightline_sampling::{Backend, CubeSpec, Strata};
 use sightline_scene::{Object, Scene, Triangle};
 

@@ -12,8 +12,8 @@ use rayon::prelude::*;
 use sightline_sampling::cube::face_basis;
 use sightline_sampling::embree::CpuBackend;
 use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
-use sightline_sampling::lines::packet::{LANES, LineTracer, Packet};
-use sightline_sampling::lines::sequence::Hashed;
+use sightline_sampling::packet::{LANES, LineTracer, Packet};
+use sightline_sampling::sequence::Hashed;
 use sightline_sampling::{Backend, CubeSpec, SKY, Strata};
 use sightline_scene::Aabb;
 

@@ -6,7 +6,7 @@ use sightline_viewcells::Lattice;
 
 use crate::backend::{Backend, BackendError};
 use crate::cube::face_basis;
-use crate::lines::packet::{LANES, Packet};
+use crate::packet::{LANES, Packet};
 
 /// Cubes timed with each backend, after one that warms it up.
 const CUBES: u32 = 8;

@@ -5,8 +5,9 @@
 
 use glam::Vec3;
 
-use crate::cube::{CubeImage, VisibilitySample};
-use crate::lines::packet::LineTracer;
+use crate::cube::CubeImage;
+use crate::packet::LineTracer;
+use sightline_model::VisibilitySample;
 
 /// Why a backend cannot be had, or stopped working.
 #[derive(Debug, thiserror::Error)]

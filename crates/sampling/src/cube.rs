@@ -7,6 +7,7 @@
 //! v = (2y+1)/n − 1. A cube image stores the faces one after another, each row by row from y = 0.
 
 use glam::Vec3;
+use sightline_model::{ErrorMeasure, SamplingParams, VisibilitySample};
 
 /// The id of a pixel that sees no triangle.
 pub const SKY: u32 = u32::MAX;
@@ -20,6 +21,20 @@ pub struct CubeSpec {
     pub strata: Strata,
     /// Whether samples keep their pixels (needed by Err′ only).
     pub keep_pixels: bool,
+}
+
+impl CubeSpec {
+    /// How the parameters' error measure wants its cubes rendered.
+    pub fn of(params: &SamplingParams) -> Self {
+        Self {
+            resolution: params.resolution,
+            strata: match params.measure {
+                ErrorMeasure::Sets => Strata::One,
+                ErrorMeasure::Pixels | ErrorMeasure::Strata => Strata::Quadrants,
+            },
+            keep_pixels: params.measure == ErrorMeasure::Pixels,
+        }
+    }
 }
 
 /// How finely the sphere of directions is divided for the stratified measure Err″ (§3.5).
@@ -70,59 +85,26 @@ pub struct CubeImage {
     pub ids: Vec<u32>,
 }
 
-/// What one cube saw: the ids per angular stratum (§3.5), without the pixels.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct VisibilitySample {
-    /// Ids of the triangles seen, ascending.
-    pub ids: Vec<u32>,
-    /// For each id, the set of strata it was seen in, bit k for stratum k.
-    pub strata: Vec<u32>,
-    /// The triangle that covers most pixels, the least id among equals; `None` when only sky was seen.
-    /// It decides whether the sample is inside a solid (§3.6).
-    pub dominant: Option<u32>,
-    /// The cube's pixels, when [`CubeSpec::keep_pixels`] asks for them.
-    pub pixels: Option<std::sync::Arc<[u32]>>,
-}
-
-impl VisibilitySample {
-    /// Reduces a full cube image on the CPU. The reference for every backend's own reduction.
-    pub fn from_image(image: &CubeImage, strata: Strata, keep_pixels: bool) -> Self {
-        let n = image.resolution;
-        // (id, stratum bit, run length): runs along a row keep the list short.
-        let mut runs: Vec<(u32, u32, u32)> = Vec::new();
-        for (row, pixels) in image.ids.chunks_exact(n as usize).enumerate() {
-            let (face, y) = (row as u32 / n, row as u32 % n);
-            for (x, &id) in pixels.iter().enumerate() {
-                if id == SKY {
-                    continue;
-                }
-                let bit = 1u32 << strata.of_pixel(face, x as u32, y, n);
-                match runs.last_mut() {
-                    Some(last) if last.0 == id && last.1 == bit => last.2 += 1,
-                    _ => runs.push((id, bit, 1)),
-                }
+/// Reduces a full cube image on the CPU. The reference for every backend's own reduction.
+pub fn sample_of_image(image: &CubeImage, strata: Strata, keep_pixels: bool) -> VisibilitySample {
+    let n = image.resolution;
+    // (id, stratum bit, run length): runs along a row keep the list short.
+    let mut runs: Vec<(u32, u32, u32)> = Vec::new();
+    for (row, pixels) in image.ids.chunks_exact(n as usize).enumerate() {
+        let (face, y) = (row as u32 / n, row as u32 % n);
+        for (x, &id) in pixels.iter().enumerate() {
+            if id == SKY {
+                continue;
+            }
+            let bit = 1u32 << strata.of_pixel(face, x as u32, y, n);
+            match runs.last_mut() {
+                Some(last) if last.0 == id && last.1 == bit => last.2 += 1,
+                _ => runs.push((id, bit, 1)),
             }
         }
-        let pixels = keep_pixels.then(|| image.ids.as_slice().into());
-        Self { pixels, ..Self::from_runs(runs) }
     }
-
-    /// Gathers (id, strata mask, pixel count) entries, in any order and with repetitions, into a sample.
-    pub fn from_runs(mut runs: Vec<(u32, u32, u32)>) -> Self {
-        runs.sort_unstable_by_key(|r| r.0);
-        let mut sample = Self::default();
-        let mut best = 0u64;
-        for same in runs.chunk_by(|a, b| a.0 == b.0) {
-            let count: u64 = same.iter().map(|r| u64::from(r.2)).sum();
-            sample.ids.push(same[0].0);
-            sample.strata.push(same.iter().fold(0, |m, r| m | r.1));
-            if count > best {
-                best = count;
-                sample.dominant = Some(same[0].0);
-            }
-        }
-        sample
-    }
+    let pixels = keep_pixels.then(|| image.ids.as_slice().into());
+    VisibilitySample { pixels, ..VisibilitySample::from_runs(runs) }
 }
 
 /// Distance along a face's forward axis below which nothing is seen or blocks: 2⁻⁴⁰ of the scene's largest extent.

@@ -1,23 +1,28 @@
-//! Aggressive from-region sampling: visibility cubes on a GPU or CPU, error measures, adaptive refinement.
+//! Aggressive from-region sampling: sight lines and visibility cubes on a GPU or CPU.
 //!
-//! The algorithm is that of Nirenstein and Blake, "Hardware Accelerated Visibility Preprocessing using Adaptive
-//! Sampling" (2004), and chapter 4 of Nirenstein's thesis (2003). This crate knows nothing of jobs, leases or the
-//! network: [`tile::run`] turns a tile of the plan, and the packs of the tiles it needs, into samples or sets.
+//! [`tile::run`] turns a tile of the plan, and the packs of the tiles it needs, into samples or sets, with one of two
+//! samplers: sight lines ([`lines`]), or visibility cubes ([`cubes`]) after Nirenstein and Blake, "Hardware Accelerated
+//! Visibility Preprocessing using Adaptive Sampling" (2004). Both trace through a [`Backend`]: Embree or wgpu. This crate
+//! knows nothing of leases, stores or the network.
 
 pub mod auto;
 pub mod backend;
-pub mod cache;
-pub mod codec;
+pub mod context;
 pub mod cube;
+pub mod cubes;
 pub mod embree;
 pub mod gpu;
 pub mod lines;
-pub mod measure;
-pub mod params;
+pub mod packet;
+pub mod prepared;
 mod reduce;
-pub mod refine;
+pub mod sequence;
+pub mod surface;
 pub mod tile;
 
 pub use backend::{Backend, BackendError, CubeRenderer};
-pub use cube::{CubeImage, CubeSpec, SKY, Strata, VisibilitySample, near_distance};
-pub use params::{BackendChoice, ErrorMeasure, ParamsError, Sampler, SamplingParams, SupersetChoice};
+pub use context::{JobContext, TileError, Watcher};
+pub use cube::{CubeImage, CubeSpec, SKY, Strata, near_distance};
+pub use prepared::PreparedScene;
+pub use sightline_model::VisibilitySample;
+pub use tile::TileCounters;

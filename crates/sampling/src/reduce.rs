@@ -1,9 +1,10 @@
 //! Reduces a cube image to a sample with one pass over its pixels and dense scratch memory.
 //!
-//! Gives the same as [`VisibilitySample::from_image`], which sorts every run of pixels; here only the ids that
+//! Gives the same as [`crate::cube::sample_of_image`], which sorts every run of pixels; here only the ids that
 //! were seen are sorted.
 
-use crate::cube::{CubeImage, SKY, Strata, VisibilitySample};
+use crate::cube::{CubeImage, SKY, Strata};
+use sightline_model::VisibilitySample;
 
 /// Scratch memory for scenes of a given size: eight bytes a triangle.
 pub struct Reducer {
@@ -74,7 +75,7 @@ mod tests {
             let mut reducer = Reducer::new(9);
             for strata in [Strata::One, Strata::Faces, Strata::Quadrants] {
                 if twice { reducer.reduce(&image, strata); }
-                prop_assert_eq!(reducer.reduce(&image, strata), VisibilitySample::from_image(&image, strata, false));
+                prop_assert_eq!(reducer.reduce(&image, strata), crate::cube::sample_of_image(&image, strata, false));
             }
         }
     }

@@ -7,10 +7,10 @@
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
-use sightline_sampling::cube::face_basis;
+use sightline_sampling::cube::{face_basis, sample_of_image};
 use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
-use sightline_sampling::lines::sequence::Hashed;
-use sightline_sampling::{Backend, BackendError, CubeImage, CubeSpec, SKY, Strata, VisibilitySample};
+use sightline_sampling::sequence::Hashed;
+use sightline_sampling::{Backend, BackendError, CubeImage, CubeSpec, SKY, Strata};
 use sightline_scene::{Object, Scene, Triangle};
 
 fn scene(triangles: Vec<Triangle>) -> Arc<Scene> {
@@ -232,7 +232,7 @@ fn the_device_reduces_as_the_reference_does() {
             assert_eq!(samples.len(), points.len());
             for (point, sample) in points.iter().zip(&samples) {
                 let image = renderer.image(*point).unwrap();
-                assert_eq!(*sample, VisibilitySample::from_image(&image, strata, keep));
+                assert_eq!(*sample, sample_of_image(&image, strata, keep));
                 assert_eq!(sample.pixels.is_some(), keep);
             }
             // Again, and one by one: the same bits.
@@ -255,7 +255,7 @@ fn more_triangles_than_one_read_holds_are_all_listed() {
     for (point, sample) in points.iter().zip(renderer.samples(&points).unwrap()) {
         assert!(sample.ids.len() > 10_000, "{}", sample.ids.len());
         let image = renderer.image(*point).unwrap();
-        assert_eq!(sample, VisibilitySample::from_image(&image, Strata::Faces, false));
+        assert_eq!(sample, sample_of_image(&image, Strata::Faces, false));
     }
 }
 
@@ -294,7 +294,7 @@ fn an_empty_superset_shows_sky() {
     let image = renderer.image(Vec3::ZERO).unwrap();
     assert_eq!(image, CubeImage { resolution: 16, ids: vec![SKY; 6 * 16 * 16] });
     let sample = renderer.samples(&[Vec3::ZERO]).unwrap().remove(0);
-    assert_eq!(sample, VisibilitySample::from_image(&image, Strata::Faces, true));
+    assert_eq!(sample, sample_of_image(&image, Strata::Faces, true));
 }
 
 #[test]

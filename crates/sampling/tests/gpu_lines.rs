@@ -9,8 +9,8 @@ use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
-use sightline_sampling::lines::packet::{LANES, Packet};
-use sightline_sampling::lines::sequence::Hashed;
+use sightline_sampling::packet::{LANES, Packet};
+use sightline_sampling::sequence::Hashed;
 use sightline_sampling::{Backend, BackendError, CubeSpec, SKY, Strata};
 use sightline_scene::{Object, Scene, Triangle};
 

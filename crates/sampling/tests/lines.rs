@@ -5,14 +5,15 @@
 use std::sync::Arc;
 
 use glam::Vec3;
+use sightline_model::CellStats;
+use sightline_sampling::Watcher;
 use sightline_sampling::embree::CpuBackend;
-use sightline_sampling::lines::CellStats;
-use sightline_sampling::lines::block::{Block, Hard, Tools};
+use sightline_sampling::lines::block::{Block, Tools};
 use sightline_sampling::lines::grid::CellGrid;
-use sightline_sampling::lines::packet::{LineTracer, Packet};
-use sightline_sampling::lines::sequence::Hashed;
-use sightline_sampling::lines::surface::Surface;
-use sightline_sampling::tile::Watcher;
+use sightline_sampling::lines::rounds::Tolerance;
+use sightline_sampling::packet::{LineTracer, Packet};
+use sightline_sampling::sequence::Hashed;
+use sightline_sampling::surface::Surface;
 use sightline_sampling::{Backend, BackendError, CubeSpec, Strata};
 use sightline_scene::generate::{self, Kind, Params};
 use sightline_scene::{Object, Scene, Triangle};
@@ -125,7 +126,7 @@ fn a_convex_room_is_seen_whole() {
     let Some(backend) = backend(&scene) else { return };
     let tracer = backend.lines(&all(&scene)).unwrap();
     with_block(&scene, &*tracer, [Vec3::splat(-2.0), Vec3::splat(2.0)], [3, 3, 3], 1, |block| {
-        block.sample(1e-5, &[], Hard::Alike).unwrap();
+        block.sample(1e-5, &[], Tolerance::Equal).unwrap();
         let columns = sets(block);
         for c in block.grid().each() {
             assert_eq!(columns[block.grid().slot(c).index()].len(), scene.triangles().len(), "{c:?}");
@@ -209,7 +210,7 @@ fn no_line_passes_a_closed_wall() {
         let tracer = backend.lines(&all(&scene)).unwrap();
         let view = [at(-view, -view, -view), at(view, view, view)];
         with_block(&scene, &*tracer, view, [3, 2, 2], 5, |block| {
-            block.sample(1e-4, &[], Hard::Alike).unwrap();
+            block.sample(1e-4, &[], Tolerance::Equal).unwrap();
             let outside: usize = sets(block).iter().map(|s| s.iter().filter(|t| **t >= inside).count()).sum();
             assert_eq!(outside, 0, "scale {scale}, offset {offset}");
         });
@@ -253,7 +254,7 @@ fn lines_that_begin_on_the_wall_stay_inside() {
 
 /// A closed closet full of leaves is worth less time than its cell would like; the cells around it know nothing of it.
 #[test]
-fn a_cell_far_harder_than_the_others_is_spared_and_no_other_is() {
+fn a_cell_far_harder_than_the_others_has_a_raised_tolerance_and_no_other_has() {
     let mut random = Hashed::new(&[9]);
     let mut triangles = tessellated_box(Vec3::ZERO, Vec3::splat(10.0), 2);
     triangles.extend(tessellated_box(Vec3::splat(7.6), Vec3::splat(9.9), 2));
@@ -264,13 +265,13 @@ fn a_cell_far_harder_than_the_others_is_spared_and_no_other_is() {
     let scene = scene(triangles);
     let Some(backend) = backend(&scene) else { return };
     let tracer = backend.lines(&all(&scene)).unwrap();
-    let sampled = |hard: Hard| -> Vec<CellStats> {
+    let sampled = |tolerance: Tolerance| -> Vec<CellStats> {
         with_block(&scene, &*tracer, [Vec3::ZERO, Vec3::splat(10.0)], [4, 4, 4], 3, |block| {
-            block.sample(1e-3, &[], hard).unwrap();
+            block.sample(1e-3, &[], tolerance).unwrap();
             block.stats().to_vec()
         })
     };
-    let (alike, spared) = (sampled(Hard::Alike), sampled(Hard::Spared));
+    let (alike, spared) = (sampled(Tolerance::Equal), sampled(Tolerance::Raised));
     assert!(alike.iter().chain(&spared).all(|s| !s.unfinished));
     let rays = |cell: &CellStats| cell.rays.iter().sum::<u64>();
     let ([others_alike @ .., last_alike], [others_spared @ .., last_spared]) = (&alike[..], &spared[..])
@@ -278,6 +279,6 @@ fn a_cell_far_harder_than_the_others_is_spared_and_no_other_is() {
         panic!("there are cells");
     };
     assert!(rays(last_spared) < rays(last_alike), "{last_spared:?} {last_alike:?}");
-    assert!(last_spared.spared && !last_alike.spared);
+    assert!(last_spared.raised_tolerance && !last_alike.raised_tolerance);
     assert_eq!(others_alike, others_spared);
 }

@@ -8,11 +8,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec3;
-use sightline_sampling::embree::CpuBackend;
-use sightline_sampling::tile::{
-    self, CellSet, CellSets, JobContext, Node, Pack, PreparedScene, TileOutput, Watcher,
+use sightline_model::{
+    CellSet, CellSets, ErrorMeasure, Node, Pack, Sampler, SamplingParams, SupersetChoice, TileOutput, codec,
 };
-use sightline_sampling::{Backend, ErrorMeasure, Sampler, SamplingParams, SupersetChoice, codec};
+use sightline_sampling::embree::CpuBackend;
+use sightline_sampling::{Backend, CubeSpec, JobContext, PreparedScene, Watcher, tile};
 use sightline_scene::generate::{Kind, Params, generate};
 use sightline_scene::{Object, Scene, Triangle, overlap};
 use sightline_viewcells::{CellBox, Division, Layout, Plan, Tile, TileKind};
@@ -33,7 +33,7 @@ impl Watcher for Count {
 
 /// Embree, unless it is missing where it may be.
 fn backend(scene: &Arc<Scene>, params: &SamplingParams) -> Option<CpuBackend> {
-    match CpuBackend::new(Arc::clone(scene), params.cube_spec()) {
+    match CpuBackend::new(Arc::clone(scene), CubeSpec::of(params)) {
         Ok(b) => Some(b),
         Err(e) if std::env::var_os("CI").is_none() => {
             eprintln!("not run: {e}");

@@ -16,9 +16,10 @@ use sightline_scene::{Scene, Triangle};
 
 use self::library::{Device, RayHit1, RayHit16, TriangleScene};
 use crate::backend::{Backend, BackendError, CubeRenderer};
-use crate::cube::{CubeImage, CubeSpec, SKY, VisibilitySample, face_basis};
-use crate::lines::packet::{LineTracer, Packet};
+use crate::cube::{CubeImage, CubeSpec, SKY, face_basis};
+use crate::packet::{LineTracer, Packet};
 use crate::reduce::Reducer;
+use sightline_model::VisibilitySample;
 
 /// Embree bound to a scene.
 pub struct CpuBackend {

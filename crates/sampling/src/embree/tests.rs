@@ -9,8 +9,8 @@ use super::library::{Device, RayHit1, TriangleScene};
 use super::{CpuBackend, CpuTracer, Hierarchy};
 use crate::backend::BackendError;
 use crate::cube::SKY;
-use crate::lines::packet::{LANES, LineTracer, Packet};
-use crate::lines::sequence::Hashed;
+use crate::packet::{LANES, LineTracer, Packet};
+use crate::sequence::Hashed;
 
 /// Triangles on a coarse lattice: many lie on each other, in one plane, or are the same.
 fn soup(count: usize) -> Vec<[f32; 9]> {

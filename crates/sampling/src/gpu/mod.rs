@@ -30,7 +30,7 @@ pub use adapter::{AdapterChoice, AdapterSummary, adapters, device_present, probe
 
 use crate::backend::{Backend, BackendError, CubeRenderer};
 use crate::cube::CubeSpec;
-use crate::lines::packet::LineTracer;
+use crate::packet::LineTracer;
 use geometry::{DrawStyle, Geometry};
 use line_scene::{LineScene, Refusal};
 use pipelines::{Kit, MAX_RESOLUTION, scoped};

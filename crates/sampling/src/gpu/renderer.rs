@@ -14,7 +14,8 @@ use super::pipelines::{FACE_STRIDE, face_uniforms};
 use super::tally::{ENTRY_BYTES, LIST_HEAD, Tally};
 use super::{GpuBackend, MOST_DISTANT, PATIENCE, lock};
 use crate::backend::{BackendError, CubeRenderer};
-use crate::cube::{CubeImage, SKY, Strata, VisibilitySample};
+use crate::cube::{CubeImage, SKY, Strata};
+use sightline_model::VisibilitySample;
 
 /// Cubes in flight.
 const RING: u64 = 4;

@@ -53,7 +53,7 @@ fn pages_and_draws_change_no_pixel() {
             assert_eq!(expected, renderer.samples(&eyes).unwrap(), "{style:?}");
             for (eye, sample) in eyes.iter().zip(&expected) {
                 let image = renderer.image(*eye).unwrap();
-                assert_eq!(*sample, crate::VisibilitySample::from_image(&image, SPEC.strata, false));
+                assert_eq!(*sample, crate::cube::sample_of_image(&image, SPEC.strata, false));
             }
         }
     }

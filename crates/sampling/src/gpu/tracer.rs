@@ -13,7 +13,7 @@ use super::pipelines::scoped;
 use super::{GpuBackend, PATIENCE, lock};
 use crate::backend::BackendError;
 use crate::cube::SKY;
-use crate::lines::packet::{LANES, LineTracer, Packet};
+use crate::packet::{LANES, LineTracer, Packet};
 
 /// Batches a call has in flight.
 const RING: usize = 3;

@@ -3,22 +3,23 @@
 //! What is seen from a cell is what is seen from any of its parts, so the sets of a block of small cells give those of all nodes above
 //! them, and with them where the tree ends. The papers go the other way, from the root down (thesis §4.2.2): with cubes on cells'
 //! surfaces a cell's set is known before those of its parts. Lines are the cheaper the more cells share them. They are not cast again
-//! from parts of the small cells, which would not find all that is known to be seen from the whole: so deep is no tree ([`MOST_DEPTH`]).
+//! from parts of the small cells, which would not find all that is known to be seen from the whole: so deep is no tree ([`MOST_LINE_DEPTH`]).
 
 use sightline_viewcells::division::FORCED_DEPTH;
 use sightline_viewcells::{CellBox, Split, Tile};
 
-use super::CellStats;
-use super::block::Hard;
 use super::grid::CellGrid;
-use super::packet::LineTracer;
-use super::tile::{block, columns};
-use crate::tile::{CellSet, CellSets, JobContext, Node, TileError, Watcher};
+use super::rounds::Tolerance;
+use super::tile::{Work, columns};
+use crate::context::{JobContext, TileError};
+use sightline_model::CellStats;
+use sightline_model::{CellSet, CellSets, MOST_LINE_DEPTH, Node};
 
 /// Levels of the tree that are sampled together: 8×8×8 cells, or as flat as the cell they are in.
 const LEVELS: u32 = 9;
-/// Deepest level of a tree from sight lines.
-pub const MOST_DEPTH: u32 = FORCED_DEPTH + LEVELS;
+
+// The specification refuses deeper trees.
+const _: () = assert!(MOST_LINE_DEPTH == FORCED_DEPTH + LEVELS);
 /// Most of a cell, in cells, that a segment may have to cross before it counts: where coordinates are few, smaller ones would lose lines.
 const MOST_MARGIN: f32 = 1.0 / 16.0;
 
@@ -26,19 +27,15 @@ const MOST_MARGIN: f32 = 1.0 / 16.0;
 ///
 /// # Errors
 /// [`TileError`] when it is cancelled or the tracer fails.
-pub fn run(
-    job: &JobContext<'_>,
-    tile: &Tile,
-    tracer: &dyn LineTracer,
-    watcher: &dyn Watcher,
-) -> Result<(CellSets, u64), TileError> {
+pub fn run(work: &Work<'_>, tile: &Tile) -> Result<(CellSets, u64), TileError> {
+    let Work { job, watcher, .. } = work;
     let (levels, sides) = regular(job, &tile.cell, tile.depth);
     let number = |c: [u32; 3]| number(job.lattice.units(), &tile.cell, sides, c);
-    let mut block = block(job, tracer, watcher, (&tile.cell, sides), number);
+    let mut block = work.block(&tile.cell, sides, number);
     // Which of its cells will be cells of the tree is not known yet.
     block.silent = true;
-    block.sample(job.params.target_error, &[], Hard::Spared)?;
-    block.bits_mut().share(job.scene.duplicates());
+    block.sample(job.params.target_error, &[], Tolerance::Raised)?;
+    block.bits_mut().share(work.scene.duplicates);
     let mut sampled = Sampled {
         grid: block.grid().clone(),
         of: tile.cell,

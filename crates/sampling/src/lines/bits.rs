@@ -61,7 +61,7 @@ impl SeenBits {
     }
 
     /// A barrier: what was credited is from now on seen.
-    pub fn settle(&mut self) {
+    pub fn publish(&mut self) {
         let words = self.words;
         self.before
             .par_chunks_mut(GROUP * words)
@@ -80,7 +80,7 @@ impl SeenBits {
 
     /// Makes the triangles of each class share what any of them is credited with. Settles first.
     pub fn share(&mut self, classes: &[Vec<u32>]) {
-        self.settle();
+        self.publish();
         for class in classes {
             for word in 0..self.words {
                 let at = |t: &u32| *t as usize * self.words + word;

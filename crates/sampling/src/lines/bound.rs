@@ -9,83 +9,25 @@
 //! number of looks the chance that a bound is wrong stays below α. What a look finds is added to the set, which only lowers
 //! the error.
 
-use super::block::{Block, Hard, LEFT_AFTER_ROUND, Scratch};
-use super::packet::{LANES, Packet};
-use super::sequence::Hashed;
-use super::{CellStats, Kind};
+use super::block::{Block, Scratch};
+use super::rounds::{LEFT_AFTER_ROUND, Tolerance};
 use crate::backend::BackendError;
+use crate::context::TileError;
 use crate::cube::{SKY, face_basis};
-use crate::tile::TileError;
+use crate::packet::{LANES, Packet};
+use crate::sequence::Hashed;
+use sightline_model::params::BOUND_AIM;
+use sightline_model::{CellStats, LineKind};
 
-/// One minus the confidence of a bound over all looks.
-pub const ALPHA: f64 = 0.05;
 /// Looks after which a cell is left with the bound it has.
 const MOST_LOOKS: u32 = 12;
 /// Sight lines of the first look, in units of one over the bound asked for; each later look takes one unit more, as its
 /// confidence is higher. Six let one miss pass.
 const LINES: f64 = 6.0;
-/// Part of the bound that sampling aims at before the first look: few cells then need a second.
-pub const AIM: f64 = 0.125;
 /// Lines traced between two looks at the clock.
 const BATCH: usize = 1 << 14;
 /// Name of the stream of random numbers.
 const CHECK: u64 = 5;
-
-/// Misses beyond which no bound is computed: with as many, it is of no use.
-const MOST_COUNTED: u64 = 1_000_000;
-
-/// α of look `look`, from 1.
-pub fn alpha_of(look: u32) -> f64 {
-    ALPHA * 0.5f64.powi(look.min(1000) as i32)
-}
-
-/// The largest rate p at which `misses` or fewer in `lines` have a probability of at least `alpha` (Clopper–Pearson's
-/// one-sided upper limit); 1 without lines.
-pub fn upper_bound(misses: u64, lines: u64, alpha: f64) -> f64 {
-    // Counts that no look ever comes to may stand in a damaged or foreign file.
-    if misses >= lines || misses > MOST_COUNTED || lines > 1 << 53 {
-        return 1.0;
-    }
-    let (n, m) = (lines as f64, misses as f64);
-    let (mut low, mut high) = (m / n, 1.0);
-    // The probability falls with p; sixty halvings reach the last bit.
-    for _ in 0..60 {
-        let p = 0.5 * (low + high);
-        if at_most(misses, n, p) > alpha {
-            low = p;
-        } else {
-            high = p;
-        }
-    }
-    high
-}
-
-/// Probability of at most `m` successes in `n` trials of probability `p`.
-fn at_most(m: u64, n: f64, p: f64) -> f64 {
-    // From the largest term down: relative to it no term underflows that matters.
-    let odds = p / (1.0 - p);
-    let mut log_first = n * (-p).ln_1p();
-    for k in 0..m {
-        log_first += ((n - k as f64) / (k as f64 + 1.0) * odds).ln();
-    }
-    let (mut term, mut sum) = (1.0f64, 1.0f64);
-    for k in (1..=m).rev() {
-        term *= k as f64 / ((n - k as f64 + 1.0) * odds);
-        sum += term;
-        if term < 1e-17 * sum {
-            break;
-        }
-    }
-    (log_first + sum.ln()).exp().min(1.0)
-}
-
-impl CellStats {
-    /// The bound on the fraction of missed sight lines, with confidence 1 − [`ALPHA`]; `None` when there was no look.
-    pub fn bound(&self) -> Option<f64> {
-        (self.bound_lines > 0)
-            .then(|| upper_bound(self.bound_misses, self.bound_lines, alpha_of(self.bound_look)))
-    }
-}
 
 impl Block<'_> {
     /// Samples until every cell is expected to miss at most `target` and its bound is at most `most`, or the time is up, or
@@ -94,11 +36,11 @@ impl Block<'_> {
     /// # Errors
     /// As [`Block::sample`].
     pub fn sample_to_bound(&mut self, target: f64, most: f64) -> Result<(), TileError> {
-        let mut aim = target.min(most * AIM);
+        let mut aim = target.min(most * BOUND_AIM);
         // A cell is done when its bound holds, and not before.
         self.silent = true;
         // A hard cell has to meet its bound like any other.
-        self.sample(aim, &[], Hard::Alike)?;
+        self.sample(aim, &[], Tolerance::Equal)?;
         let mut open: Vec<usize> = (0..self.cells.len()).collect();
         for look in 1..=MOST_LOOKS {
             let lines = ((LINES + f64::from(look - 1)) / most).ceil() as u64;
@@ -111,7 +53,7 @@ impl Block<'_> {
             }
             aim *= 0.5;
             let again = open.clone();
-            self.sample(aim, &again, Hard::Alike)?;
+            self.sample(aim, &again, Tolerance::Equal)?;
         }
         self.tell_done(open.len());
         for cell in 0..self.cells.len() {
@@ -135,7 +77,7 @@ impl Block<'_> {
     fn look_at(&mut self, cells: &[usize], look: u32, lines: u64) -> Result<(), TileError> {
         let work: Vec<(usize, u64)> = cells.iter().map(|c| (*c, lines)).collect();
         self.each(&work, |block, s, (cell, lines)| block.check(s, *cell, *lines, look))?;
-        self.bits.settle();
+        self.bits.publish();
         Ok(())
     }
 
@@ -186,42 +128,10 @@ impl Block<'_> {
                     }
                 }
             }
-            stats.rays[Kind::Check as usize] += batch as u64;
+            stats.rays[LineKind::Check as usize] += batch as u64;
         }
-        stats.finds[Kind::Check as usize] = misses;
+        stats.finds[LineKind::Check as usize] = misses;
         (stats.bound_lines, stats.bound_misses, stats.bound_look) = (lines, misses, look);
         Ok(stats)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    #[test]
-    fn the_bound_is_clopper_and_pearsons() {
-        // No miss in n: 1 − α^(1/n).
-        for n in [1u64, 10, 300, 100_000] {
-            let exact = 1.0 - ALPHA.powf(1.0 / n as f64);
-            assert!((upper_bound(0, n, ALPHA) / exact - 1.0).abs() < 1e-9, "{n}");
-        }
-        // Tables: 1 in 10 at 95 % one-sided 0.3942, 5 in 100 0.1023, 50 in 1000 0.06286.
-        for (m, n, bound) in [(1, 10, 0.3942), (5, 100, 0.1023), (50, 1000, 0.06286)] {
-            assert!((upper_bound(m, n, 0.05) - bound).abs() < 1e-4, "{m} in {n}");
-        }
-        assert!(upper_bound(0, 0, 0.05) == 1.0 && upper_bound(7, 7, 0.05) == 1.0);
-    }
-
-    proptest! {
-        #[test]
-        fn more_misses_or_confidence_raise_it_and_more_lines_lower_it(m in 0u64..50, extra in 1u64..100_000, a in 1e-6f64..0.4) {
-            let n = m + extra;
-            let b = upper_bound(m, n, a);
-            prop_assert!(b <= 1.0 && b >= m as f64 / n as f64);
-            prop_assert!(upper_bound(m + 1, n, a) >= b);
-            prop_assert!(upper_bound(m, n + 1, a) <= b + 1e-15);
-            prop_assert!(upper_bound(m, n, a * 0.5) >= b);
-        }
     }
 }

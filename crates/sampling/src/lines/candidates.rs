@@ -7,12 +7,12 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::block::{Block, Scratch};
-use super::packet::{LANES, Packet};
-use super::sequence::Hashed;
-use super::surface::point_on;
-use super::{CellStats, Kind};
 use crate::backend::BackendError;
 use crate::cube::SKY;
+use crate::packet::{LANES, Packet};
+use crate::sequence::Hashed;
+use crate::surface::point_on;
+use sightline_model::{CellStats, LineKind};
 
 /// Triangles looked at by a thread at once.
 const STRIPE: usize = 4096;
@@ -122,7 +122,7 @@ impl Block<'_> {
         round: u32,
     ) -> Result<CellStats, BackendError> {
         let c = self.cells[cell];
-        let rays = self.stats[cell].rays[Kind::Candidate as usize];
+        let rays = self.stats[cell].rays[LineKind::Candidate as usize];
         let mut random = Hashed::new(&[self.tools.seed, c.number, u64::from(round), rays, AIM]);
         let mut stats = CellStats::default();
         s.next_tag();
@@ -159,7 +159,7 @@ impl Block<'_> {
         stats: &mut CellStats,
     ) -> Result<(), BackendError> {
         let c = self.cells[cell];
-        let uniform = self.stats[cell].rays[Kind::Uniform as usize];
+        let uniform = self.stats[cell].rays[LineKind::Uniform as usize];
         s.packets.clear();
         for group in some.chunks(LANES) {
             let origin = c.point(self.eye_for(cell, group, random));
@@ -177,7 +177,7 @@ impl Block<'_> {
         let Scratch { packets, crossed, met, tag, .. } = &mut *s;
         for (both, group) in packets.chunks_exact(2).zip(some.chunks(LANES)) {
             let [ahead, behind] = both else { continue };
-            stats.rays[Kind::Candidate as usize] += 2 * ahead.count as u64;
+            stats.rays[LineKind::Candidate as usize] += 2 * ahead.count as u64;
             for (lane, candidate) in group.iter().enumerate() {
                 let found = ahead.triangle[lane] == candidate.triangle;
                 self.yields.count(candidate.part, time, uniform, found);
@@ -185,7 +185,7 @@ impl Block<'_> {
                     if triangle != SKY && !self.bits.seen(triangle, c.slot) && met[triangle as usize] != *tag
                     {
                         met[triangle as usize] = *tag;
-                        stats.finds[Kind::Candidate as usize] += 1;
+                        stats.finds[LineKind::Candidate as usize] += 1;
                     }
                 }
             }

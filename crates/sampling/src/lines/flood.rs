@@ -5,13 +5,13 @@
 //! (they were tried). The lines go both ways, so what lies behind the eye is shown to the cells in between.
 
 use super::block::{Block, Scratch};
-use super::cubes::Find;
-use super::packet::{LANES, Packet};
-use super::sequence::Hashed;
-use super::surface::point_on;
-use super::{CellStats, Kind};
+use super::uniform::Find;
 use crate::backend::BackendError;
 use crate::cube::SKY;
+use crate::packet::{LANES, Packet};
+use crate::sequence::Hashed;
+use crate::surface::point_on;
+use sightline_model::{CellStats, LineKind};
 
 /// Steps from triangle to triangle.
 const STEPS: usize = 4;
@@ -66,7 +66,7 @@ impl Block<'_> {
             let Scratch { behind: traced, crossed, met, tag, .. } = &mut *s;
             let (ahead, behind) = traced.split_at(aimed.len());
             for ((a, ahead), behind) in aimed.iter().zip(ahead).zip(behind) {
-                stats.rays[Kind::Flood as usize] += 2 * ahead.count as u64;
+                stats.rays[LineKind::Flood as usize] += 2 * ahead.count as u64;
                 for lane in 0..ahead.count {
                     let (hit, target) = (ahead.triangle[lane], a.targets[lane]);
                     if hit != target {
@@ -83,7 +83,7 @@ impl Block<'_> {
                     }
                 }
             }
-            stats.finds[Kind::Flood as usize] += finds.len() as u64;
+            stats.finds[LineKind::Flood as usize] += finds.len() as u64;
         }
         Ok(())
     }

@@ -6,14 +6,14 @@
 use glam::Vec3;
 
 use super::block::{Block, Scratch};
-use super::packet::{LANES, Packet};
 use super::seeds::on_sphere;
-use super::sequence::Hashed;
-use super::surface::point_on;
-use super::{CellStats, Kind};
 use crate::backend::BackendError;
+use crate::context::TileError;
 use crate::cube::SKY;
-use crate::tile::TileError;
+use crate::packet::{LANES, Packet};
+use crate::sequence::Hashed;
+use crate::surface::point_on;
+use sightline_model::{CellStats, LineKind};
 
 /// Rays cast between two updates of what is next to what was seen.
 const BATCH: u64 = 1024;
@@ -31,9 +31,9 @@ impl Block<'_> {
         let work: Vec<(usize, u64)> = (0..self.cells.len()).map(|c| (c, rays)).collect();
         self.each(&work, |block, s, (cell, rays)| block.guided(s, *cell, *rays))?;
         for stats in &mut self.stats {
-            stats.unfinished = stats.rays[Kind::Uniform as usize] < rays;
+            stats.unfinished = stats.rays[LineKind::Uniform as usize] < rays;
         }
-        self.bits.settle();
+        self.bits.publish();
         self.count_done(self.cells.len());
         Ok(())
     }
@@ -94,13 +94,13 @@ impl Block<'_> {
                     }
                     s.met[*triangle as usize] = s.tag;
                     self.bits.credit(*triangle, &[(c.slot.word, 1 << c.slot.bit)]);
-                    stats.finds[Kind::Uniform as usize] += 1;
+                    stats.finds[LineKind::Uniform as usize] += 1;
                     let next = self.tools.surface.neighbours[*triangle as usize];
                     border.extend(next.iter().filter(|n| **n != SKY && s.met[**n as usize] != s.tag));
                 }
             }
         }
-        stats.rays[Kind::Uniform as usize] = cast;
+        stats.rays[LineKind::Uniform as usize] = cast;
         Ok(stats)
     }
 }

@@ -8,10 +8,10 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::block::{Block, Scratch};
-use super::packet::{LANES, Packet};
-use super::sequence::Hashed;
-use super::surface::point_on;
-use crate::tile::TileError;
+use crate::context::TileError;
+use crate::packet::{LANES, Packet};
+use crate::sequence::Hashed;
+use crate::surface::point_on;
 
 /// One triangle in so many is a seed.
 const ONE_IN: usize = 2;

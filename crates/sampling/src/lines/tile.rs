@@ -9,11 +9,14 @@ use sightline_viewcells::{CellBox, Division, Tile, UNITS_PER_CELL};
 
 use super::adaptive;
 use super::bits::SeenBits;
-use super::block::{Block, Hard, Tools};
+use super::block::{Block, Tools};
 use super::grid::CellGrid;
-use super::packet::LineTracer;
-use crate::params::Sampler;
-use crate::tile::{CellSet, CellSets, JobContext, Node, TileError, Watcher};
+use super::rounds::Tolerance;
+use crate::context::{JobContext, TileError, Watcher};
+use crate::packet::LineTracer;
+use crate::prepared::LineScene;
+use sightline_model::Sampler;
+use sightline_model::{CellSet, CellSets, Node};
 
 /// Runs a leaf tile; gives its sets, and how many rays they took.
 ///
@@ -21,13 +24,12 @@ use crate::tile::{CellSet, CellSets, JobContext, Node, TileError, Watcher};
 /// [`TileError`] when it is cancelled or the backend fails.
 pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(CellSets, u64), TileError> {
     let start = Instant::now();
-    // Here and not on a thread of rayon's: what is computed once uses rayon itself, and a pool's thread that waits inside
-    // could take up another tile's work and come back to the same lock.
-    let tracer = job.backend.lines(job.scene.distinct())?;
-    job.scene.surface();
+    let scene = job.scene.for_lines();
+    let tracer = job.backend.lines(scene.distinct)?;
+    let work = Work { job, scene, tracer: &*tracer, watcher };
     tracing::debug!("ready to trace after {:?}", start.elapsed());
     if let Division::Adaptive { .. } = job.division {
-        return adaptive::run(job, tile, &*tracer, watcher);
+        return adaptive::run(&work, tile);
     }
     let whole = job.lattice.units().map(|u| u64::from(u / UNITS_PER_CELL));
     let first = tile.cell.lo.map(|u| u64::from(u / UNITS_PER_CELL));
@@ -35,16 +37,16 @@ pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(
         let [x, y, z] = [0, 1, 2].map(|a| first[a] + u64::from(c[a]));
         (z * whole[1] + y) * whole[0] + x
     };
-    let mut block = block(job, &*tracer, watcher, (&tile.cell, span(&tile.cell)), number);
+    let mut block = work.block(&tile.cell, span(&tile.cell), number);
     tracing::debug!("know what meets each cell after {:?}", start.elapsed());
     let params = job.params;
     match (params.sampler, params.max_error) {
         (Sampler::Guided, _) => block.sample_guided(params.rays)?,
         (_, Some(most)) => block.sample_to_bound(params.target_error, most)?,
-        (_, None) => block.sample(params.target_error, &[], Hard::Spared)?,
+        (_, None) => block.sample(params.target_error, &[], Tolerance::Raised)?,
     }
     tracing::debug!("sampled after {:?}", start.elapsed());
-    block.bits_mut().share(job.scene.duplicates());
+    block.bits_mut().share(scene.duplicates);
     let rays = block.stats().iter().flat_map(|s| s.rays).sum();
     let sets = sets(job, tile, &block);
     tracing::debug!("sets after {:?}", start.elapsed());
@@ -56,38 +58,43 @@ fn span(cell: &CellBox) -> [u32; 3] {
     [0, 1, 2].map(|a| (cell.hi[a] - cell.lo[a]) / UNITS_PER_CELL)
 }
 
-/// A block of so many cells a side in a box, each of which knows what meets it.
-pub fn block<'a>(
-    job: &JobContext<'a>,
-    tracer: &'a dyn LineTracer,
-    watcher: &'a dyn Watcher,
-    (within, cells): (&CellBox, [u32; 3]),
-    number: impl Fn([u32; 3]) -> u64,
-) -> Block<'a> {
-    let tools = Tools {
-        scene: &job.scene.scene,
-        surface: job.scene.surface(),
-        tracer,
-        seed: job.seed,
-        watcher,
-        deadline: job.deadline,
-    };
-    let (min, max) = within.world(&job.lattice);
-    let mut block = Block::new(tools, CellGrid::new(min, max, cells), number);
-    meeting(job, within, block.grid(), block.bits());
-    block.bits_mut().settle();
-    block
+/// What the tiles of a job are sampled with: the job, the scene's facts, the tracer and the watcher.
+pub struct Work<'a> {
+    pub job: &'a JobContext<'a>,
+    pub scene: LineScene<'a>,
+    pub tracer: &'a dyn LineTracer,
+    pub watcher: &'a dyn Watcher,
+}
+
+impl Work<'_> {
+    /// A block with `cells` cells along each axis of the box `within`. Each cell's set holds the triangles that meet it.
+    /// `number` gives each cell a number that no other cell of the job has.
+    pub fn block(&self, within: &CellBox, cells: [u32; 3], number: impl Fn([u32; 3]) -> u64) -> Block<'_> {
+        let tools = Tools {
+            scene: self.scene.scene,
+            surface: self.scene.surface,
+            tracer: self.tracer,
+            seed: self.job.seed,
+            watcher: self.watcher,
+            deadline: self.job.deadline,
+        };
+        let (min, max) = within.world(&self.job.lattice);
+        let mut block = Block::new(tools, CellGrid::new(min, max, cells), number);
+        meeting(self, within, block.grid(), block.bits());
+        block.bits_mut().publish();
+        block
+    }
 }
 
 /// Credits every cell with the triangles that meet it, I(C), decided exactly.
-fn meeting(job: &JobContext<'_>, within: &CellBox, grid: &CellGrid, bits: &SeenBits) {
+fn meeting(work: &Work<'_>, within: &CellBox, grid: &CellGrid, bits: &SeenBits) {
     let cells = grid.cells();
     let planes: [Vec<f32>; 3] = std::array::from_fn(|a| {
         let step = (within.hi[a] - within.lo[a]) / cells[a];
-        (0..=cells[a]).map(|k| job.lattice.coordinate(a, within.lo[a] + k * step)).collect()
+        (0..=cells[a]).map(|k| work.job.lattice.coordinate(a, within.lo[a] + k * step)).collect()
     });
-    job.scene.distinct().par_iter().with_min_len(1024).for_each(|&id| {
-        let triangle = &job.scene.scene.triangles()[id as usize];
+    work.scene.distinct.par_iter().with_min_len(1024).for_each(|&id| {
+        let triangle = &work.scene.scene.triangles()[id as usize];
         let bounds = triangle.bounds();
         // Closed cells whose slab the bounds touch, along each axis.
         let range = |a: usize| {

@@ -5,11 +5,11 @@
 //! new one for the next tile keeps the samples independent.
 
 use super::block::{Block, Scratch};
-use super::packet::{LANES, Packet};
-use super::sequence::{Hashed, spread3};
-use super::{CellStats, Kind};
 use crate::backend::BackendError;
 use crate::cube::{SKY, face_basis};
+use crate::packet::{LANES, Packet};
+use crate::sequence::{Hashed, spread3};
+use sightline_model::{CellStats, LineKind};
 
 /// Names of the streams of random numbers.
 const SHIFT: u64 = 1;
@@ -28,14 +28,19 @@ pub(super) struct Find {
 impl Block<'_> {
     /// A round of uniform lines from `cell`, `tiles`² tiles on each of three pairs of cube faces, and the flood from what
     /// they find.
-    pub(super) fn cubes(&self, s: &mut Scratch, cell: usize, tiles: u32) -> Result<CellStats, BackendError> {
+    pub(super) fn uniform(
+        &self,
+        s: &mut Scratch,
+        cell: usize,
+        tiles: u32,
+    ) -> Result<CellStats, BackendError> {
         let c = self.cells[cell];
         let round = u64::from(self.stats[cell].rounds);
         let mut fixed = Hashed::new(&[self.tools.seed, c.number, SHIFT]);
         let shift = [fixed.unit(), fixed.unit(), fixed.unit()];
         let mut random = Hashed::new(&[self.tools.seed, c.number, round, JITTER]);
         // Rounds go on where the sequence of origins was left.
-        let base = self.stats[cell].rays[Kind::Uniform as usize] / (2 * LANES as u64);
+        let base = self.stats[cell].rays[LineKind::Uniform as usize] / (2 * LANES as u64);
         let mut stats = CellStats::default();
         s.next_tag();
         let total = 3 * tiles * tiles;
@@ -85,10 +90,10 @@ impl Block<'_> {
                 }
             }
             stats.last_rays += (s.packets.len() * LANES) as u64;
-            stats.finds[Kind::Uniform as usize] += finds.len() as u64;
+            stats.finds[LineKind::Uniform as usize] += finds.len() as u64;
             self.flood(s, cell, &mut finds, &mut random, &mut stats)?;
         }
-        stats.rays[Kind::Uniform as usize] = stats.last_rays;
+        stats.rays[LineKind::Uniform as usize] = stats.last_rays;
         Ok(stats)
     }
 }

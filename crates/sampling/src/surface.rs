@@ -9,6 +9,7 @@ use sightline_scene::topology::{hash, position};
 use sightline_scene::{Scene, Triangle, mix};
 
 use crate::cube::SKY;
+use crate::sequence::Hashed;
 
 /// Facts about a scene's triangles, independent of any job.
 pub struct Surface {
@@ -113,7 +114,7 @@ fn morton(scene: &Scene, ids: &[u32]) -> Vec<u32> {
 }
 
 /// A random point of a triangle, even over its area but for rounding.
-pub fn point_on(scene: &Scene, triangle: u32, random: &mut super::sequence::Hashed) -> [f32; 3] {
+pub fn point_on(scene: &Scene, triangle: u32, random: &mut Hashed) -> [f32; 3] {
     let v = scene.triangles()[triangle as usize].v;
     let (mut a, mut b) = (random.unit(), random.unit());
     if a + b > 1.0 {

@@ -8,9 +8,9 @@ use std::sync::Arc;
 
 use sightline_viewcells::{Lattice, LatticePoint, Rect};
 
-use crate::cube::VisibilitySample;
-use crate::measure::error;
-use crate::params::SamplingParams;
+use super::measure::error;
+use sightline_model::SamplingParams;
+use sightline_model::VisibilitySample;
 
 /// Tells samples inside closed solids from those outside.
 pub trait Exterior: Sync {

@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use sightline_viewcells::{CellBox, LatticePoint};
 
-use crate::cube::VisibilitySample;
+use sightline_model::VisibilitySample;
 
 /// What the cache did, for reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

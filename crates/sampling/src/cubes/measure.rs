@@ -1,8 +1,8 @@
 //! The error measures Err, Err′ and Err″ (2004, §3.3–3.5; thesis §4.1.3): how different the cubes at the corners
 //! of a rectangle are, from 0 (alike) to 1.
 
-use crate::cube::VisibilitySample;
-use crate::params::ErrorMeasure;
+use sightline_model::ErrorMeasure;
+use sightline_model::VisibilitySample;
 
 /// The measure over two to four samples. Fewer than two are never different.
 pub fn error(measure: ErrorMeasure, samples: &[&VisibilitySample]) -> f64 {
@@ -60,7 +60,7 @@ fn each_bit(mut mask: u32, mut f: impl FnMut(usize)) {
 /// Err′, eq. 2: the fraction of pixels whose triangle is not the same in all samples.
 ///
 /// Samples without pixels count as entirely different, which cannot happen when the cubes were rendered as
-/// [`crate::SamplingParams::cube_spec`] asks.
+/// [`crate::CubeSpec::of`] asks.
 fn strict(samples: &[&VisibilitySample]) -> f64 {
     let Some(pixels) = samples.iter().map(|s| s.pixels.as_deref()).collect::<Option<Vec<_>>>() else {
         debug_assert!(false, "Err′ needs samples with pixels");

@@ -9,9 +9,8 @@ use std::sync::Arc;
 use rayon::prelude::*;
 use sightline_viewcells::{CellBox, LatticePoint, Split};
 
-use crate::cube::VisibilitySample;
-use crate::lines::CellStats;
-use crate::tile::{CellSet, CellSets, Decision, Node, Pack, TileOutput};
+use crate::output::{CellSet, CellSets, Decision, Node, Pack, TileOutput, VisibilitySample};
+use crate::statistics::CellStats;
 
 /// Compression level. Differences between ids hold no long matches, so levels 2 and 3 take longer and give nothing smaller.
 const LEVEL: i32 = 1;
@@ -149,9 +148,9 @@ fn put_cell(cell: &CellSet, raw: &mut Vec<u8>) -> Result<(), std::io::Error> {
     put_ids(raw, &decision.undecided);
     put(raw, decision.counts.len() as u32);
     decision.counts.iter().for_each(|n| put64(raw, *n));
-    let length = u32::try_from(decision.evidence.len()).map_err(std::io::Error::other)?;
+    let length = u32::try_from(decision.certificate.len()).map_err(std::io::Error::other)?;
     put(raw, length);
-    raw.extend_from_slice(&decision.evidence);
+    raw.extend_from_slice(&decision.certificate);
     Ok(())
 }
 
@@ -360,9 +359,9 @@ impl Reader<'_> {
         }
         let counts = (0..n).map(|_| self.u64()).collect::<Result<_, _>>()?;
         let length = self.count(1)?;
-        let (evidence, rest) = self.bytes.split_at(length);
+        let (certificate, rest) = self.bytes.split_at(length);
         self.bytes = rest;
-        Ok(Some(Decision { undecided, counts, evidence: evidence.to_vec() }))
+        Ok(Some(Decision { undecided, counts, certificate: certificate.to_vec() }))
     }
 }
 
@@ -412,7 +411,7 @@ mod tests {
                             decision: Some(Decision {
                                 undecided: b.iter().copied().step_by(2).collect(),
                                 counts: vec![u64::from(at), u64::MAX],
-                                evidence: samples.to_le_bytes().to_vec(),
+                                certificate: samples.to_le_bytes().to_vec(),
                             }),
                             visible: b,
                             ..CellSet::default()

@@ -1,0 +1,187 @@
+//! The exact part of a leaf tile: every triangle of every cell is decided.
+//!
+//! Triangles that sampling showed get a witness. The others become targets of exact queries, first from the box around a
+//! cell group, then from each cell.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use rayon::prelude::*;
+use sightline_exact::cell::Cell;
+use sightline_exact::evidence::{Shared, codec};
+use sightline_exact::{Effort, Occluders, Task, Together, decide, together};
+use sightline_model::{CellSet, CellSets, Decision, DecisionStats, JobSpec};
+use sightline_sampling::Watcher;
+use sightline_viewcells::{CellBox, Lattice};
+
+use crate::choices::{box_seed, exact_limits};
+use crate::groups::{CellGroup, cells_and_groups};
+
+/// Decides the cells of a tile with the subtree of `root`. `sets` holds the sampled sets and receives the decided ones.
+///
+/// # Errors
+/// An error of the certificates' codec, or a cell without volume.
+pub fn cells(
+    spec: &JobSpec,
+    lattice: &Lattice,
+    root: &CellBox,
+    sets: &mut CellSets,
+    scene: &Occluders,
+    (deadline, watcher): (Option<Instant>, &dyn Watcher),
+) -> Result<(), String> {
+    scene.surfaces();
+    let (boxes, groups) = cells_and_groups(root, &sets.nodes);
+    // Half of the time goes to cell groups: a triangle hidden from a group is not a target for any of its cells.
+    let half = deadline.map(|d| Instant::now() + d.saturating_duration_since(Instant::now()) / 2);
+    let mut around = groups_first(spec, lattice, (&boxes, &groups), sets, scene, (half, watcher))?;
+    let one = |((set, at), around): ((&mut CellSet, &CellBox), &mut Around), until: Option<Instant>| {
+        let stop = || watcher.cancelled() || until.is_some_and(|u| Instant::now() >= u);
+        let done = cell(spec, lattice, (at, around), set, scene, &stop, watcher);
+        watcher.cell_done();
+        done
+    };
+    match deadline {
+        None => {
+            let work = sets.cells.par_iter_mut().zip(&boxes).zip(&mut around).with_max_len(1);
+            work.try_for_each(|work| one(work, None))
+        }
+        // As many cells at a time as there are threads, each with its share of the remaining time, so that every cell
+        // gets some.
+        Some(deadline) => {
+            let mut work: Vec<_> = sets.cells.iter_mut().zip(&boxes).zip(&mut around).collect();
+            let at_a_time = rayon::current_num_threads();
+            let mut left = work.len().div_ceil(at_a_time) as u32;
+            for some in work.chunks_mut(at_a_time) {
+                let now = Instant::now();
+                let share: Duration = deadline.saturating_duration_since(now) / left;
+                left -= 1;
+                some.par_iter_mut().with_max_len(1).try_for_each(|((set, at), around)| {
+                    one(((&mut **set, *at), &mut **around), Some(now + share))
+                })?;
+            }
+            Ok(())
+        }
+    }
+}
+
+fn cell(
+    spec: &JobSpec,
+    lattice: &Lattice,
+    (at, around): (&CellBox, &mut Around),
+    set: &mut CellSet,
+    scene: &Occluders,
+    stop: &(dyn Fn() -> bool + Sync),
+    watcher: &dyn Watcher,
+) -> Result<(), String> {
+    let mut decided = decide(&Task {
+        scene,
+        cell: exact_cell(at, lattice)?,
+        seen: &set.visible,
+        above: &around.hidden,
+        limits: exact_limits(spec.method),
+        seed: box_seed(at, spec.seed),
+        keep: spec.certificates,
+        stop,
+        asked: &|| watcher.rendered(1),
+    });
+    decided.effort.add_asked(&around.effort);
+    decided.evidence.shared = around.shared.take();
+    decided.evidence.above = around.above;
+    let certificate = match spec.certificates {
+        true => codec::encode(&decided.evidence).map_err(|e| e.to_string())?,
+        false => Vec::new(),
+    };
+    set.visible = decided.visible;
+    set.visible.extend(&decided.undecided);
+    set.visible.sort_unstable();
+    set.decision = Some(Decision {
+        undecided: decided.undecided,
+        counts: statistics(&decided.effort).numbers().to_vec(),
+        certificate,
+    });
+    Ok(())
+}
+
+fn exact_cell(at: &CellBox, lattice: &Lattice) -> Result<Cell, String> {
+    let (min, max) = at.world(lattice);
+    Cell::new(min, max)
+        .ok_or_else(|| format!("the cell {min} to {max} has no volume; give fewer or larger cells"))
+}
+
+/// What is known about a cell from the box around its group.
+#[derive(Default)]
+struct Around {
+    /// The triangles hidden from the box, in ascending order; the same for all cells of the group.
+    hidden: Arc<Vec<u32>>,
+    /// The number of cells back to the group's first cell, which keeps the group's certificate.
+    above: Option<u32>,
+    /// The group's certificate; the first cell has it.
+    shared: Option<Shared>,
+    /// Statistics of the group's queries; the first cell has them.
+    effort: Effort,
+}
+
+/// Finds the triangles that are hidden from the box around each cell group.
+fn groups_first(
+    spec: &JobSpec,
+    lattice: &Lattice,
+    (cells, groups): (&[CellBox], &[CellGroup]),
+    sets: &CellSets,
+    scene: &Occluders,
+    (until, watcher): (Option<Instant>, &dyn Watcher),
+) -> Result<Vec<Around>, String> {
+    let cells = cells.iter().map(|at| exact_cell(at, lattice)).collect::<Result<Vec<_>, _>>()?;
+    let seen: Vec<&[u32]> = sets.cells.iter().map(|set| set.visible.as_slice()).collect();
+    let mut around: Vec<Around> = cells.iter().map(|_| Around::default()).collect();
+    for CellGroup { around: at, cells: range } in groups {
+        let (hidden, shared, effort) = together(&Together {
+            scene,
+            cells: &cells[range.clone()],
+            seen: &seen[range.clone()],
+            limits: exact_limits(spec.method),
+            seed: box_seed(at, spec.seed),
+            keep: spec.certificates,
+            stop: &|| watcher.cancelled() || until.is_some_and(|u| Instant::now() >= u),
+            asked: &|| watcher.rendered(1),
+        });
+        around[range.start].effort = effort;
+        if hidden.is_empty() {
+            continue;
+        }
+        let hidden = Arc::new(hidden);
+        for k in range.clone() {
+            around[k].hidden = Arc::clone(&hidden);
+            around[k].above = spec.certificates.then_some((k - range.start) as u32);
+        }
+        around[range.start].shared = spec.certificates.then_some(shared);
+    }
+    Ok(around)
+}
+
+/// The statistics of a decided cell, by column.
+fn statistics(effort: &Effort) -> DecisionStats {
+    let Effort { rays, queries, boxes, enclosed, hidden, above, missed, refuted, open, cost } = *effort;
+    let [undecided_stopped, undecided_regions, undecided_memory, undecided_divisions] = open;
+    DecisionStats {
+        rays,
+        queries,
+        boxes,
+        enclosed,
+        hidden,
+        missed,
+        refuted,
+        undecided_stopped,
+        undecided_regions,
+        undecided_memory,
+        undecided_divisions,
+        regions: cost.regions,
+        lines: cost.lines,
+        occluders: cost.occluders,
+        signs_filtered: cost.decisions.filtered,
+        signs_refined: cost.decisions.refined,
+        signs_spanned: cost.decisions.spanned,
+        signs_exact: cost.decisions.exact,
+        vectors: cost.vectors,
+        above,
+    }
+}

@@ -1,0 +1,192 @@
+//! One tile from start to end: sampling, exact queries, and the bytes that come out.
+//!
+//! [`run_tile`] is the only place where choices that change bytes meet. Their values are in [`choices`], beside the
+//! version of the algorithm. This crate keeps nothing between two tiles; a worker owns scenes, backends and packs.
+
+pub mod choices;
+mod decide;
+mod groups;
+pub mod scene;
+
+use std::time::Instant;
+
+pub use scene::BakeScene;
+use sightline_model::{JobSpec, Method, Pack, TileOutput, codec};
+pub use sightline_sampling::Watcher;
+use sightline_sampling::{Backend, BackendError, JobContext, TileError, tile};
+use sightline_viewcells::{Plan, TileKind};
+
+/// BLAKE3 digest of a pack.
+pub type PackDigest = [u8; 32];
+
+/// The pack of a tile that another tile needs.
+#[derive(Clone, Copy, Debug)]
+pub enum PackBytes<'a> {
+    /// Its bytes.
+    Present(&'a [u8]),
+    /// The digest of a pack that nobody has any more: it is computed again and must have this digest.
+    Lost(PackDigest),
+}
+
+/// Who watches a tile, and when it has to end.
+#[derive(Clone, Copy)]
+pub struct Control<'a> {
+    /// Receives the progress and decides whether the tile goes on.
+    pub watcher: &'a dyn Watcher,
+    /// The end of a time budget.
+    pub deadline: Option<Instant>,
+}
+
+/// A finished tile.
+#[derive(Debug)]
+pub struct TileDone {
+    /// The tile's output, encoded.
+    pub bytes: Vec<u8>,
+    /// Cubes rendered or rays traced.
+    pub samples: u64,
+    /// Packs that were computed again, with their digests.
+    pub recomputed: Vec<(PackDigest, Vec<u8>)>,
+}
+
+/// Why a tile has no output.
+#[derive(Debug, thiserror::Error)]
+pub enum BakeError {
+    /// The watcher stopped it.
+    #[error("the tile was cancelled")]
+    Cancelled,
+    /// The backend failed; the same tile may succeed with a backend that is opened again.
+    #[error(transparent)]
+    Backend(BackendError),
+    /// The tile itself cannot be computed here.
+    #[error("{0}")]
+    Tile(String),
+}
+
+impl From<TileError> for BakeError {
+    fn from(e: TileError) -> Self {
+        match e {
+            TileError::Cancelled => Self::Cancelled,
+            TileError::Backend(e) => Self::Backend(e),
+        }
+    }
+}
+
+fn tile_error(e: impl std::fmt::Display) -> BakeError {
+    BakeError::Tile(e.to_string())
+}
+
+/// Computes tile `number` of the job's plan. `packs` holds the packs of the tiles it needs, in the plan's order.
+///
+/// The bytes are a pure function of the specification, the scene and the backend's numerics profile, unless the job has
+/// a time budget. Not to be called on a thread of rayon's pool.
+///
+/// # Errors
+/// [`BakeError`]; a cancelled tile is one.
+pub fn run_tile(
+    spec: &JobSpec,
+    number: u32,
+    scene: &BakeScene,
+    backend: &dyn Backend,
+    packs: &[PackBytes<'_>],
+    control: Control<'_>,
+) -> Result<TileDone, BakeError> {
+    let (lattice, plan) = spec.plan().map_err(tile_error)?;
+    let tile = plan.tiles.get(number as usize);
+    let tile = tile.ok_or_else(|| BakeError::Tile("the plan has no such tile".to_owned()))?;
+    let watcher = control.watcher;
+    let job = JobContext {
+        scene: scene.sampling(),
+        division: spec.division,
+        lattice,
+        params: &spec.sampling,
+        backend,
+        seed: spec.seed,
+        deadline: choices::sampling_deadline(spec.method, control.deadline),
+    };
+    let mut recomputed = Vec::new();
+    let mut decoded = Vec::with_capacity(packs.len());
+    for (needed, pack) in tile.needs.iter().zip(packs) {
+        let fresh;
+        let bytes = match pack {
+            PackBytes::Present(bytes) => *bytes,
+            PackBytes::Lost(digest) => {
+                fresh = again(&job, &plan, *needed, *digest, watcher)?;
+                recomputed.push((*digest, fresh.clone()));
+                &fresh
+            }
+        };
+        decoded.push(codec::decode_pack(bytes, scene.scene().len(), &tile.cell).map_err(tile_error)?);
+    }
+    let exact = spec.method != Method::Aggressive && tile.kind == TileKind::Leaf;
+    let sampling_only = WithoutCells(watcher);
+    let sampling_watcher: &dyn Watcher = if exact { &sampling_only } else { watcher };
+    let (mut output, counters) = tile::run(&job, tile, &decoded, sampling_watcher)?;
+    tracing::debug!(tile = number, ?counters, "tile sampled");
+    if let (true, TileOutput::Cells(sets)) = (exact, &mut output) {
+        let occluders = scene.occluders().map_err(BakeError::Tile)?;
+        let until = (control.deadline, watcher);
+        decide::cells(spec, &job.lattice, &tile.cell, sets, occluders, until).map_err(BakeError::Tile)?;
+        if watcher.cancelled() {
+            return Err(BakeError::Cancelled);
+        }
+        tracing::debug!(tile = number, "tile decided");
+    }
+    let bytes = codec::encode(&output).map_err(tile_error)?;
+    tracing::debug!(tile = number, bytes = bytes.len(), "tile encoded");
+    Ok(TileDone { bytes, samples: counters.rendered, recomputed })
+}
+
+/// The bytes of a lost pack, computed again.
+fn again(
+    job: &JobContext<'_>,
+    plan: &Plan,
+    number: u32,
+    digest: PackDigest,
+    watcher: &dyn Watcher,
+) -> Result<Vec<u8>, BakeError> {
+    tracing::warn!("the pack of tile {number} is lost and is computed again");
+    let bytes = recompute(job, plan, number, watcher)?;
+    if *blake3::hash(&bytes).as_bytes() == digest {
+        return Ok(bytes);
+    }
+    Err(BakeError::Tile(format!(
+        "the pack of tile {number} was computed again and came out different; the machine, driver or program of a \
+         worker differs from its profile"
+    )))
+}
+
+/// The encoded output of a tile, computed together with the packs that it needs. The depth of the kd-tree bounds their
+/// number, and the plan puts every tile after those it needs.
+fn recompute(
+    job: &JobContext<'_>,
+    plan: &Plan,
+    number: u32,
+    watcher: &dyn Watcher,
+) -> Result<Vec<u8>, BakeError> {
+    let tile = &plan.tiles[number as usize];
+    let mut packs: Vec<Pack> = Vec::with_capacity(tile.needs.len());
+    for need in &tile.needs {
+        let bytes = recompute(job, plan, *need, watcher)?;
+        packs.push(codec::decode_pack(&bytes, job.scene.scene().len(), &tile.cell).map_err(broken)?);
+    }
+    let (output, _) = tile::run(job, tile, &packs, watcher)?;
+    codec::encode(&output).map_err(broken)
+}
+
+/// A pack that was encoded here and cannot be read here.
+fn broken(e: impl std::fmt::Display) -> BakeError {
+    BakeError::Backend(BackendError::Failed { profile: "this worker".to_owned(), reason: e.to_string() })
+}
+
+/// Watches the sampling of a tile whose cells are finished only when they are decided.
+struct WithoutCells<'a>(&'a dyn Watcher);
+
+impl Watcher for WithoutCells<'_> {
+    fn rendered(&self, samples: u64) {
+        self.0.rendered(samples);
+    }
+    fn cell_done(&self) {}
+    fn cancelled(&self) -> bool {
+        self.0.cancelled()
+    }
+}

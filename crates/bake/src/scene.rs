@@ -1,0 +1,42 @@
+//! A scene with everything that tiles need of it, each part prepared once.
+
+use std::sync::{Arc, OnceLock};
+
+use sightline_exact::Occluders;
+use sightline_sampling::PreparedScene;
+use sightline_scene::{Scene, SceneError};
+
+/// A scene, prepared for sampling and, when a tile first needs it, for exact queries.
+pub struct BakeScene {
+    sampling: PreparedScene,
+    occluders: OnceLock<Result<Occluders, String>>,
+}
+
+impl BakeScene {
+    /// Takes up `scene`.
+    ///
+    /// # Errors
+    /// [`SceneError`] when it has too many triangles to sample.
+    pub fn new(scene: Arc<Scene>) -> Result<Self, SceneError> {
+        Ok(Self { sampling: PreparedScene::new(scene)?, occluders: OnceLock::new() })
+    }
+
+    /// The triangles.
+    pub fn scene(&self) -> &Arc<Scene> {
+        self.sampling.scene()
+    }
+
+    /// The facts for samplers.
+    pub fn sampling(&self) -> &PreparedScene {
+        &self.sampling
+    }
+
+    /// The occluders for exact queries.
+    ///
+    /// # Errors
+    /// The reason, when the scene has too many corners to number.
+    pub fn occluders(&self) -> Result<&Occluders, String> {
+        let found = self.occluders.get_or_init(|| Occluders::new(self.scene()).map_err(|e| e.to_string()));
+        found.as_ref().map_err(Clone::clone)
+    }
+}

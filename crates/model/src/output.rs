@@ -1,0 +1,104 @@
+//! What a tile yields: the samples it rendered, or the subtree of view cells and their sets.
+
+use std::sync::Arc;
+
+use sightline_viewcells::{LatticePoint, Split};
+
+use crate::statistics::CellStats;
+
+/// The result of one tile.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum TileOutput {
+    /// The samples of a face tile or a separator tile.
+    Pack(Pack),
+    /// The cells of a leaf tile.
+    Cells(CellSets),
+}
+
+/// The samples that a tile rendered and that other tiles share.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Pack {
+    /// Samples with their lattice positions, in ascending order of position.
+    pub samples: Vec<(LatticePoint, Arc<VisibilitySample>)>,
+}
+
+/// The view cells of a leaf tile.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct CellSets {
+    /// The tile's subtree of the kd-tree, in preorder.
+    pub nodes: Vec<Node>,
+    /// Its cells, in the order of their nodes.
+    pub cells: Vec<CellSet>,
+}
+
+/// A node of a leaf tile's subtree.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Node {
+    /// An inner node; its two children follow, first the one below the plane.
+    Split(Split),
+    /// A view cell.
+    Cell,
+}
+
+/// The visibility set of one view cell.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct CellSet {
+    /// Ids of the triangles seen from the cell, meeting it, or undecided, in ascending order.
+    pub visible: Vec<u32>,
+    /// Number of visibility cubes on the cell's surface.
+    pub samples: u32,
+    /// How sampling with sight lines came to the set.
+    pub stats: CellStats,
+    /// What exact queries decided; `None` with the method aggressive.
+    pub decision: Option<Decision>,
+}
+
+/// The part of a cell's result that comes from exact queries.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Decision {
+    /// Triangles of the set that were neither seen nor proved hidden, in ascending order.
+    pub undecided: Vec<u32>,
+    /// The values of [`crate::statistics::DecisionStats`], at most [`Decision::MOST_COUNTS`].
+    pub counts: Vec<u64>,
+    /// The cell's certificate in bytes; empty when the job keeps none.
+    pub certificate: Vec<u8>,
+}
+
+impl Decision {
+    /// Most counts of a decision.
+    pub const MOST_COUNTS: usize = 64;
+}
+
+/// The triangles that one visibility cube saw, with the angular strata they were seen in (Nirenstein and Blake 2004,
+/// section 3.5).
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct VisibilitySample {
+    /// Ids of the triangles seen, in ascending order.
+    pub ids: Vec<u32>,
+    /// For each id the set of strata in which it was seen: bit k for stratum k.
+    pub strata: Vec<u32>,
+    /// The triangle that covers most pixels, the least id among equals; `None` when only sky was seen. It decides whether
+    /// the sample is inside a solid (Nirenstein and Blake 2004, section 3.6).
+    pub dominant: Option<u32>,
+    /// The ids of all pixels, for the measure Err′ alone: 6·n·n ids, face by face, row by row.
+    pub pixels: Option<Arc<[u32]>>,
+}
+
+impl VisibilitySample {
+    /// Gathers (id, strata mask, pixel count) entries, in any order and with repetitions, into a sample.
+    pub fn from_runs(mut runs: Vec<(u32, u32, u32)>) -> Self {
+        runs.sort_unstable_by_key(|r| r.0);
+        let mut sample = Self::default();
+        let mut best = 0u64;
+        for same in runs.chunk_by(|a, b| a.0 == b.0) {
+            let count: u64 = same.iter().map(|r| u64::from(r.2)).sum();
+            sample.ids.push(same[0].0);
+            sample.strata.push(same.iter().fold(0, |m, r| m | r.1));
+            if count > best {
+                best = count;
+                sample.dominant = Some(same[0].0);
+            }
+        }
+        sample
+    }
+}

@@ -1,0 +1,204 @@
+//! The parameters of sampling: each with its default, its range and its place on the wire.
+//!
+//! A parameter is defined here once. A new one needs three places: a field of the message `Sampling` in the .proto
+//! file, an entry here, and a flag of the command line.
+
+use serde::{Deserialize, Serialize};
+use sightline_proto::v1;
+
+use crate::choice::{Choice, ErrorMeasure, Sampler, SupersetChoice, UnknownChoice};
+
+/// Least and greatest value of a parameter that has no range.
+const ANY: (f64, f64) = (f64::NEG_INFINITY, f64::INFINITY);
+
+/// A parameter's type: how a value is written to the wire, read from it and checked against a range.
+trait Value: Sized {
+    type Wire;
+    fn to_wire(&self) -> Self::Wire;
+    fn from_wire(wire: Self::Wire) -> Result<Self, UnknownChoice>;
+    /// The number that has to lie in the parameter's range.
+    fn number(&self) -> Option<f64>;
+}
+
+/// A type that is on the wire as it is.
+macro_rules! plain {
+    ($type:ty, $number:expr) => {
+        impl Value for $type {
+            type Wire = Self;
+            fn to_wire(&self) -> Self {
+                *self
+            }
+            fn from_wire(wire: Self) -> Result<Self, UnknownChoice> {
+                Ok(wire)
+            }
+            fn number(&self) -> Option<f64> {
+                let number: fn($type) -> Option<f64> = $number;
+                number(*self)
+            }
+        }
+    };
+}
+
+plain!(f64, Some);
+plain!(Option<f64>, |value| value);
+plain!(u64, |value| Some(value as f64));
+plain!(u32, |value| Some(f64::from(value)));
+plain!(bool, |_| None);
+
+impl<C: Choice> Value for C {
+    type Wire = i32;
+    fn to_wire(&self) -> i32 {
+        Choice::to_wire(*self)
+    }
+    fn from_wire(wire: i32) -> Result<Self, UnknownChoice> {
+        Choice::from_wire(wire)
+    }
+    fn number(&self) -> Option<f64> {
+        None
+    }
+}
+
+/// Defines the parameters: fields, defaults, ranges, and the conversions from and to the wire.
+macro_rules! parameters {
+    (
+        $(#[$about:meta])*
+        $params:ident, wire $wire:ident {
+            $( $(#[$doc:meta])+ $field:ident: $type:ty = $default:expr, $range:expr; )+
+        }
+    ) => {
+        $(#[$about])*
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+        pub struct $params {
+            $( $(#[$doc])+ pub $field: $type, )+
+        }
+
+        impl Default for $params {
+            fn default() -> Self {
+                Self { $($field: $default),+ }
+            }
+        }
+
+        impl $params {
+            /// The parameters as a message.
+            pub fn to_proto(&self) -> v1::$wire {
+                v1::$wire { $($field: Value::to_wire(&self.$field)),+ }
+            }
+
+            /// Reads the parameters of a message. [`Self::check`] checks their ranges.
+            ///
+            /// # Errors
+            /// [`UnknownChoice`] for a value that this program does not know.
+            pub fn from_proto(wire: &v1::$wire) -> Result<Self, UnknownChoice> {
+                Ok(Self { $($field: Value::from_wire(wire.$field)?),+ })
+            }
+
+            /// Checks every parameter's range.
+            ///
+            /// # Errors
+            /// [`ParamsError`] for the first parameter that is outside its range or not a number.
+            pub fn check(&self) -> Result<(), ParamsError> {
+                $(
+                    let (least, most): (f64, f64) = $range;
+                    if let Some(value) = self.$field.number()
+                        && !(least..=most).contains(&value)
+                    {
+                        return Err(ParamsError { name: stringify!($field), value, least, most });
+                    }
+                )+
+                Ok(())
+            }
+        }
+    };
+}
+
+parameters! {
+    /// Parameters of sampling. All of them are part of a job's key.
+    SamplingParams, wire Sampling {
+        /// The sampler. `target_error` and `max_error` belong to lines, `rays` to guided, the others to cubes.
+        sampler: Sampler = Sampler::Lines, ANY;
+        /// Lines: a cell is done when it is expected to miss at most this fraction of its sight lines. A cell
+        /// that takes several times the work of the average cell has a larger tolerance.
+        target_error: f64 = 1e-4, (1e-6, 1.0);
+        /// Lines: refine each cell until the 95 % bound on its missed sight lines is at most this fraction.
+        max_error: Option<f64> = None, (1e-5, 1.0);
+        /// Guided: rays of each cell.
+        rays: u64 = 200_000, (1.0, 1e12);
+        /// Side of one item buffer in pixels.
+        resolution: u32 = 256, (8.0, 4096.0);
+        /// The error measure.
+        measure: ErrorMeasure = ErrorMeasure::Strata, ANY;
+        /// A rectangle is split while the measure over its exterior samples exceeds this.
+        error_threshold: f64 = 0.1, (0.0, 1.0);
+        /// The same for its samples inside closed solids (Nirenstein and Blake 2004, section 3.6).
+        interior_threshold: f64 = 0.5, (0.0, 1.0);
+        /// A rectangle is never split when its longer side is at most this fraction of a view cell's size, the
+        /// geometric mean of the cell's three sides. The range ends where no use is known; a flat cell is halved
+        /// further along its long sides, and the lattice still has points there.
+        min_distance: f64 = 0.5, (1.0 / 1024.0, 4.0);
+        /// Whether samples inside closed solids are judged apart (Nirenstein and Blake 2004, section 3.6).
+        solids: bool = true, ANY;
+        /// Whether superset simplification is used.
+        superset: SupersetChoice = SupersetChoice::Auto, ANY;
+    }
+}
+
+/// A parameter outside its range.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{} is {value}, which is not between {least} and {most}; choose a value in that range", flag(name))]
+pub struct ParamsError {
+    /// The field of [`SamplingParams`].
+    pub name: &'static str,
+    /// The value given.
+    pub value: f64,
+    /// Least allowed value.
+    pub least: f64,
+    /// Greatest allowed value.
+    pub most: f64,
+}
+
+/// A field as the command line names it.
+fn flag(field: &str) -> String {
+    field.replace('_', "-")
+}
+
+/// Fraction of `max_error` that the sampler lines aims at before it takes the first bound, so that few cells need a
+/// second one.
+pub const BOUND_AIM: f64 = 0.125;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn defaults_are_in_range_and_every_field_comes_back_from_the_wire() {
+        let standard = SamplingParams::default();
+        assert_eq!(standard.check(), Ok(()));
+        let other = SamplingParams {
+            sampler: Sampler::Cubes,
+            target_error: 0.25,
+            max_error: Some(0.5),
+            rays: 7,
+            resolution: 64,
+            measure: ErrorMeasure::Pixels,
+            error_threshold: 0.75,
+            interior_threshold: 0.125,
+            min_distance: 2.0,
+            solids: false,
+            superset: SupersetChoice::Off,
+        };
+        for params in [standard, other] {
+            assert_eq!(SamplingParams::from_proto(&params.to_proto()), Ok(params));
+        }
+    }
+
+    #[test]
+    fn a_value_outside_its_range_is_refused_with_the_flag_and_the_range() {
+        let wrong = SamplingParams { error_threshold: f64::NAN, ..SamplingParams::default() };
+        let said = wrong.check().unwrap_err().to_string();
+        assert!(said.starts_with("error-threshold is NaN, which is not between 0 and 1;"), "{said}");
+        let wrong = SamplingParams { max_error: Some(0.0), ..SamplingParams::default() };
+        assert_eq!(wrong.check().unwrap_err().name, "max_error");
+        let unknown = v1::Sampling { sampler: 9, ..SamplingParams::default().to_proto() };
+        assert!(SamplingParams::from_proto(&unknown).unwrap_err().to_string().contains("sampler"));
+    }
+}

@@ -1,0 +1,74 @@
+//! A specification as a message of the gRPC interface, and back.
+
+use glam::Vec3;
+use sightline_proto::v1;
+use sightline_viewcells::{Division, MOST_BLOCK_CELLS};
+
+use crate::choice::{BackendChoice, Choice as _, Method, Sampler};
+use crate::params::SamplingParams;
+use crate::spec::{JobSpec, SpecError};
+
+impl JobSpec {
+    /// Reads and checks a specification. `bounds` is the view box of a message that has none: the scene's bounds in world
+    /// space.
+    ///
+    /// # Errors
+    /// [`SpecError`] naming the first field that is refused.
+    pub fn from_proto(m: &v1::JobSpec, bounds: Option<[Vec3; 2]>) -> Result<Self, SpecError> {
+        let scene = m.scene.as_slice().try_into();
+        let scene = scene.map_err(|_| SpecError::Field("scene", "give the 32 bytes of its digest"))?;
+        let division = match m.division {
+            Some(v1::job_spec::Division::Grid(g)) => Division::Grid([g.x, g.y, g.z]),
+            Some(v1::job_spec::Division::Adaptive(a)) => {
+                Division::Adaptive { budget: a.triangle_budget, max_depth: a.max_depth }
+            }
+            None => return Err(SpecError::Field("division", "give a grid or an adaptive division")),
+        };
+        let view_box = match (m.view_box.as_slice(), bounds) {
+            ([x0, y0, z0, x1, y1, z1], _) => [Vec3::new(*x0, *y0, *z0), Vec3::new(*x1, *y1, *z1)],
+            ([], Some(bounds)) => bounds,
+            _ => return Err(SpecError::Field("view box", "give x0,y0,z0,x1,y1,z1")),
+        };
+        let sampling = m.sampling.as_ref();
+        let sampling = sampling.ok_or(SpecError::Field("sampling", "give the sampling parameters"))?;
+        let sampling = SamplingParams::from_proto(sampling)?;
+        // Cubes and adaptive trees have no blocks. A number that they do not use makes no other job.
+        let has_blocks = sampling.sampler != Sampler::Cubes && matches!(division, Division::Grid(_));
+        let spec = Self {
+            scene,
+            division,
+            view_box,
+            sampling,
+            backend: BackendChoice::from_wire(m.backend)?,
+            seed: m.seed,
+            time_budget_ms: m.time_budget_ms,
+            block_cells: if has_blocks && m.block_cells > 0 { m.block_cells } else { MOST_BLOCK_CELLS },
+            method: Method::from_wire(m.method)?,
+            certificates: m.certificates,
+        };
+        spec.check()?;
+        Ok(spec)
+    }
+
+    /// The specification as a message, with every field set.
+    pub fn to_proto(&self) -> v1::JobSpec {
+        let [min, max] = self.view_box.map(|c| c.to_array());
+        v1::JobSpec {
+            scene: self.scene.to_vec(),
+            division: Some(match self.division {
+                Division::Grid([x, y, z]) => v1::job_spec::Division::Grid(v1::Grid { x, y, z }),
+                Division::Adaptive { budget, max_depth } => {
+                    v1::job_spec::Division::Adaptive(v1::Adaptive { triangle_budget: budget, max_depth })
+                }
+            }),
+            view_box: min.into_iter().chain(max).collect(),
+            sampling: Some(self.sampling.to_proto()),
+            backend: self.backend.to_wire(),
+            seed: self.seed,
+            time_budget_ms: self.time_budget_ms,
+            block_cells: self.block_cells,
+            method: self.method.to_wire(),
+            certificates: self.certificates,
+        }
+    }
+}

@@ -1,0 +1,262 @@
+//! One tile sampled with visibility cubes: its samples, or the sets of its cells (Nirenstein and Blake 2004, section 4;
+//! Nirenstein 2003, section 4.2).
+//!
+//! The tile runs on one worker, in one order; only the rendering of a level's cubes is spread over threads.
+
+use std::sync::Arc;
+
+use sightline_model::{
+    CellSet, CellSets, Node, Pack, SamplingParams, SupersetChoice, TileOutput, VisibilitySample,
+};
+use sightline_scene::topology::Solids;
+use sightline_scene::{Aabb, Scene, overlap};
+use sightline_viewcells::{CellBox, Division, Lattice, LatticePoint, Split, Tile, TileKind};
+
+use super::cache::{CacheCounters, SampleCache};
+use super::refine::{Exterior, SampleSource, refine};
+use crate::backend::{BackendError, CubeRenderer};
+use crate::context::{JobContext, TileError, Watcher};
+use crate::prepared::CubeScene;
+
+/// The work of a tile, for reports.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CubeCounters {
+    /// Cubes rendered.
+    pub rendered: u64,
+    /// The counters of the sample cache.
+    pub cache: CacheCounters,
+}
+
+/// [`SamplingParams::min_distance`] in world units. The cells of an adaptive tree are those of its deepest level.
+pub fn min_distance(params: &SamplingParams, division: &Division, lattice: &Lattice) -> f64 {
+    let sides = [0, 1, 2].map(|a| lattice.length(a, lattice.units()[a]));
+    let cells = match *division {
+        Division::Grid(cells) => cells.map(f64::from).iter().product(),
+        // The number of cells that the deepest level would have.
+        Division::Adaptive { max_depth, .. } => f64::from(1u32 << max_depth.min(31)),
+    };
+    // The mean and not the longest side: cells of a street or a storey are long and flat, and visibility changes along
+    // their long sides as fast as in a cube of the same volume.
+    let side = (sides.iter().product::<f64>() / cells).cbrt();
+    // A little more, so that a side that is meant to equal the distance does so for every last bit of the cube root.
+    side * params.min_distance * (1.0 + 1.0 / f64::from(1 << 20))
+}
+
+/// Runs `tile` with the packs of the tiles it needs.
+///
+/// # Errors
+/// [`TileError`] when it is cancelled or the backend fails.
+pub fn run(
+    job: &JobContext<'_>,
+    tile: &Tile,
+    packs: &[Pack],
+    watcher: &dyn Watcher,
+) -> Result<(TileOutput, CubeCounters), TileError> {
+    let scene = job.scene.for_cubes(job.params.solids);
+    let mut cache = SampleCache::new(tile.cell);
+    for (p, sample) in packs.iter().flat_map(|pack| &pack.samples) {
+        cache.insert(*p, Arc::clone(sample));
+    }
+    let bits = vec![0u64; job.scene.scene().triangles().len().div_ceil(64)];
+    let mut work = Work {
+        job,
+        scene,
+        min_distance: min_distance(job.params, &job.division, &job.lattice),
+        superset: match job.params.superset {
+            SupersetChoice::On => true,
+            SupersetChoice::Off => false,
+            SupersetChoice::Auto => job.backend.profile().starts_with("gpu/"),
+        },
+        cache,
+        fresh: Vec::new(),
+        rendered: 0,
+        bits,
+        watcher,
+    };
+    let output = match tile.kind {
+        TileKind::Face(f) => {
+            let renderer = job.backend.prepare(None)?;
+            work.sample(tile.cell.face(f), &*renderer)?;
+            TileOutput::Pack(work.take_pack())
+        }
+        TileKind::Separator(split) => {
+            let seen = if work.superset {
+                let inside = overlap::triangles_in_box(&job.scene.scene(), None, &work.world(&tile.cell));
+                work.seen_from(&tile.cell, &inside).0
+            } else {
+                Vec::new()
+            };
+            work.split(&tile.cell, split, &seen)?;
+            TileOutput::Pack(work.take_pack())
+        }
+        TileKind::Leaf => {
+            let inside = overlap::triangles_in_box(&job.scene.scene(), None, &work.world(&tile.cell));
+            let mut sets = CellSets::default();
+            work.subtree(&tile.cell, tile.depth, &inside, &mut sets)?;
+            TileOutput::Cells(sets)
+        }
+    };
+    Ok((output, CubeCounters { rendered: work.rendered, cache: work.cache.counters() }))
+}
+
+struct Work<'a> {
+    job: &'a JobContext<'a>,
+    scene: CubeScene<'a>,
+    min_distance: f64,
+    superset: bool,
+    cache: SampleCache,
+    /// What this tile rendered itself; kept only by tiles that publish a pack.
+    fresh: Vec<(LatticePoint, Arc<VisibilitySample>)>,
+    rendered: u64,
+    /// One bit a triangle, all zero between uses.
+    bits: Vec<u64>,
+    watcher: &'a dyn Watcher,
+}
+
+impl Work<'_> {
+    fn world(&self, cell: &CellBox) -> Aabb {
+        let (min, max) = cell.world(&self.job.lattice);
+        Aabb { min, max }
+    }
+
+    fn take_pack(&mut self) -> Pack {
+        let mut samples = std::mem::take(&mut self.fresh);
+        samples.sort_unstable_by_key(|(p, _)| *p);
+        Pack { samples }
+    }
+
+    /// V(C) = I(C) ∪ V(∂C) (eq. 4), ascending, and the number of samples on ∂C.
+    fn seen_from(&mut self, cell: &CellBox, inside: &[u32]) -> (Vec<u32>, u32) {
+        let samples = self.cache.on_surface(cell);
+        let count = samples.len() as u32;
+        let ids = samples.iter().flat_map(|s| &s.ids).chain(inside);
+        for id in ids {
+            self.bits[*id as usize / 64] |= 1 << (id % 64);
+        }
+        for class in self.scene.duplicates {
+            if class.iter().any(|id| self.bits[*id as usize / 64] >> (id % 64) & 1 == 1) {
+                class.iter().for_each(|id| self.bits[*id as usize / 64] |= 1 << (id % 64));
+            }
+        }
+        let mut seen = Vec::new();
+        for (word, bits) in self.bits.iter_mut().enumerate() {
+            let mut rest = std::mem::take(bits);
+            while rest != 0 {
+                seen.push(word as u32 * 64 + rest.trailing_zeros());
+                rest &= rest - 1;
+            }
+        }
+        (seen, count)
+    }
+
+    fn subtree(
+        &mut self,
+        cell: &CellBox,
+        depth: u32,
+        inside: &[u32],
+        out: &mut CellSets,
+    ) -> Result<(), TileError> {
+        let (seen, samples) = self.seen_from(cell, inside);
+        let division = self.job.division;
+        let split = division
+            .split(&self.job.lattice, cell, depth)
+            .filter(|_| division.wants_split(seen.len(), depth));
+        let Some(split) = split else {
+            self.cache.finish(cell);
+            out.nodes.push(Node::Cell);
+            out.cells.push(CellSet { visible: seen, samples, ..CellSet::default() });
+            self.watcher.cell_done();
+            return Ok(());
+        };
+        self.split(cell, split, &seen)?;
+        // A leaf tile publishes nothing: what it needs again is in the cache.
+        self.fresh.clear();
+        drop(seen);
+        out.nodes.push(Node::Split(split));
+        for child in cell.children(split) {
+            let within =
+                overlap::triangles_in_box(&self.job.scene.scene(), Some(inside), &self.world(&child));
+            self.subtree(&child, depth + 1, &within, out)?;
+        }
+        Ok(())
+    }
+
+    /// Samples the rectangle that splits `cell`, with V(C) only when superset simplification is on.
+    fn split(&mut self, cell: &CellBox, split: Split, seen: &[u32]) -> Result<(), TileError> {
+        let renderer = self.job.backend.prepare(self.superset.then_some(seen))?;
+        self.sample(cell.cut(split), &*renderer)
+    }
+
+    fn sample(
+        &mut self,
+        rect: sightline_viewcells::Rect,
+        renderer: &dyn CubeRenderer,
+    ) -> Result<(), TileError> {
+        let exterior = SolidExterior {
+            solids: self.scene.solids,
+            scene: self.job.scene.scene(),
+            lattice: &self.job.lattice,
+        };
+        let (job, min_distance) = (self.job, self.min_distance);
+        let mut source = CachedSource { work: self, renderer };
+        refine(rect, &job.lattice, min_distance, job.params, &exterior, &mut source)
+    }
+}
+
+/// Samples from the cache, or rendered and put there.
+struct CachedSource<'w, 'a> {
+    work: &'w mut Work<'a>,
+    renderer: &'w dyn CubeRenderer,
+}
+
+/// Cubes rendered between two looks at whether the tile is still wanted.
+const BATCH: usize = 64;
+
+impl SampleSource for CachedSource<'_, '_> {
+    type Error = TileError;
+
+    fn samples(&mut self, points: &[LatticePoint]) -> Result<Vec<Arc<VisibilitySample>>, TileError> {
+        let mut found: Vec<_> = points.iter().map(|p| self.work.cache.get(*p)).collect();
+        let missing: Vec<usize> = (0..points.len()).filter(|i| found[*i].is_none()).collect();
+        for batch in missing.chunks(BATCH) {
+            if self.work.watcher.cancelled() {
+                return Err(TileError::Cancelled);
+            }
+            let positions: Vec<_> =
+                batch.iter().map(|i| self.work.job.lattice.position(points[*i])).collect();
+            for (i, sample) in batch.iter().zip(self.renderer.samples(&positions)?) {
+                let sample = Arc::new(sample);
+                self.work.cache.insert(points[*i], Arc::clone(&sample));
+                self.work.fresh.push((points[*i], Arc::clone(&sample)));
+                found[*i] = Some(sample);
+            }
+            self.work.rendered += batch.len() as u64;
+            self.work.watcher.rendered(batch.len() as u64);
+        }
+        // A backend that gives fewer samples than it was asked for would leave holes; it is not trusted to.
+        found.into_iter().collect::<Option<Vec<_>>>().ok_or_else(|| {
+            TileError::Backend(BackendError::Failed {
+                profile: self.work.job.backend.profile().to_owned(),
+                reason: "it gave fewer samples than points".to_owned(),
+            })
+        })
+    }
+}
+
+/// §3.6: a sample is interior when the triangle that covers most of its pixels belongs to a closed solid and shows
+/// its inner side.
+struct SolidExterior<'a> {
+    solids: Option<&'a Solids>,
+    scene: &'a Scene,
+    lattice: &'a Lattice,
+}
+
+impl Exterior for SolidExterior<'_> {
+    fn is_exterior(&self, p: LatticePoint, sample: &VisibilitySample) -> bool {
+        // In the plane of the triangle, or with no solid in sight, a viewpoint may be there.
+        let judged = self.solids.zip(sample.dominant);
+        judged
+            .and_then(|(solids, id)| solids.exterior(self.scene, id, self.lattice.position(p)))
+            .unwrap_or(true)
+    }
+}
