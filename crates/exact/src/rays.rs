@@ -136,3 +136,17 @@ pub fn witnesses(
     }
     (found, cast)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn streams_are_as_in_every_version() {
+        let mut random = Random::new(5, 7);
+        let expected = [4_418_864_944_222_949u64, 1_842_781_580_995_719, 2_757_006_518_642_704];
+        for bits in expected {
+            assert_eq!(random.unit(), bits as f64 / (1u64 << 53) as f64);
+        }
+    }
+}

@@ -69,6 +69,14 @@ mod tests {
     }
 
     #[test]
+    fn streams_of_a_seed_are_as_in_every_version() {
+        let mut r = Random::new(1, 2);
+        let expected =
+            [0xbff0_3c8f_6f00_374e, 0xae6a_3a82_2371_dad8, 0xc544_66ba_2a8d_fc53, 0x5495_4d27_e350_ed73];
+        assert_eq!([r.next(), r.next(), r.next(), r.next()], expected);
+    }
+
+    #[test]
     fn turns_are_cosine_and_sine() {
         for k in -50i16..150 {
             let f = f32::from(k) / 50.0;
