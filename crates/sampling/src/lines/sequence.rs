@@ -1,31 +1,26 @@
 //! Low-discrepancy and hashed numbers: the same for the same seed on every machine, needing no state.
 
 use glam::Vec3;
-use sightline_scene::mix;
+use sightline_numbers::random::SplitMix64;
 
 /// A stream of hashed numbers.
 #[derive(Clone, Copy, Debug)]
-pub struct Hashed(u64);
+pub struct Hashed(SplitMix64);
 
 impl Hashed {
     /// The stream named by a list of numbers.
     pub fn new(names: &[u64]) -> Self {
-        Self(
-            names
-                .iter()
-                .fold(0x9e37_79b9_7f4a_7c15, |h, n| mix(h ^ mix(n.wrapping_add(0x9e37_79b9_7f4a_7c15)))),
-        )
+        Self(SplitMix64::named(names))
     }
 
     /// Sixty-four bits.
     pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        mix(self.0)
+        self.0.bits()
     }
 
     /// In [0, 1), with 24 bits.
     pub fn unit(&mut self) -> f32 {
-        (self.bits() >> 40) as f32 / (1u32 << 24) as f32
+        self.0.unit_f32()
     }
 
     /// In the unit cube.
