@@ -9,20 +9,14 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 use sightline_exact::checker;
 use sightline_exact::{Cost, Limits, Occluders, Polygon, Verdict, sightlines};
+use sightline_numbers::random::SplitMix64;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().collect();
     let path = args.get(1).ok_or("usage: pairs SCENE [COUNT [SEED [check]]]")?;
     let count: usize = args.get(2).map_or(Ok(2000), |s| s.parse())?;
-    let mut state: u64 = args.get(3).map_or(Ok(1), |s| s.parse())?;
-    let mut random = move || {
-        // splitmix64
-        state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = state;
-        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ z >> 31
-    };
+    let mut stream = SplitMix64::new(args.get(3).map_or(Ok(1), |s| s.parse())?);
+    let mut random = move || stream.bits();
     let scene = sightline_scene::load(std::path::Path::new(path))?;
     let start = Instant::now();
     let occluders = Occluders::new(&scene)?;

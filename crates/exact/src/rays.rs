@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 
 use glam::{DVec3, Vec3};
+use sightline_numbers::random::{GAMMA, SplitMix64};
 
 use crate::cell::Cell;
 use crate::occluder::Occluders;
@@ -17,24 +18,18 @@ const TRIES: u32 = 48;
 /// the triangle, and what is right behind it in the way as rarely as can be.
 const BEYOND: [f64; 2] = [1e-4, 1e-6];
 
-/// Numbers from a seed: SplitMix64 (Steele et al. 2014).
-pub struct Random(u64);
+/// A stream of random numbers.
+pub struct Random(SplitMix64);
 
 impl Random {
-    /// Numbers of their own for each pair.
+    /// Stream `stream` of `seed`; each pair has its own numbers.
     pub fn new(seed: u64, stream: u64) -> Self {
-        let mut r = Self(seed);
-        Self(r.next() ^ stream.wrapping_mul(0x9e37_79b9_7f4a_7c15))
+        Self(SplitMix64::new(SplitMix64::new(seed).bits() ^ stream.wrapping_mul(GAMMA)))
     }
 
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        sightline_scene::mix(self.0)
-    }
-
-    /// In 0 to 1, without 1.
+    /// The next number in [0, 1), a multiple of 2⁻⁵³.
     pub fn unit(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+        self.0.unit_f64()
     }
 
     fn point_in(&mut self, cell: &Cell) -> Vec3 {
@@ -135,4 +130,18 @@ pub fn witnesses(
         }
     }
     (found, cast)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn streams_are_as_in_every_version() {
+        let mut random = Random::new(5, 7);
+        let expected = [4_418_864_944_222_949u64, 1_842_781_580_995_719, 2_757_006_518_642_704];
+        for bits in expected {
+            assert_eq!(random.unit(), bits as f64 / (1u64 << 53) as f64);
+        }
+    }
 }

@@ -15,6 +15,7 @@ use std::cmp::Ordering;
 
 use glam::Vec3;
 use rayon::prelude::*;
+use sightline_numbers::union_find::UnionFind;
 use sightline_scene::exact::{orient2d_sign, orient3d_sign};
 
 use crate::cell::Cell;
@@ -73,7 +74,7 @@ impl Surfaces {
             edges.extend([(0, 1), (1, 2), (2, 0)].map(|(i, j)| ([c[i].min(c[j]), c[i].max(c[j])], t)));
         }
         edges.par_sort_unstable();
-        let mut sets = Sets::new(n);
+        let mut sets = UnionFind::new(n);
         for run in edges.chunk_by(|a, b| a.0 == b.0) {
             run.iter().skip(1).for_each(|(_, t)| sets.join(run[0].1, *t));
         }
@@ -83,13 +84,13 @@ impl Surfaces {
             let (edge, t) = run[0];
             let at = |corner: u32| scene.corners(t).iter().position(|c| *c == corner).unwrap_or(0);
             let ends = edge.map(|c| scene.triangle(t)[at(c)]);
-            odd.push((sets.find(t), edge, ends));
+            odd.push((sets.root(t), edge, ends));
         }
         odd.sort_unstable_by_key(|o| (o.0, o.1));
         let mut usable = vec![true; n];
         let mut patches: Vec<(u32, Vec<[Vec3; 3]>)> = Vec::new();
         let mut members = vec![0usize; n];
-        (0..n as u32).filter(|t| solid(*t)).for_each(|t| members[sets.find(t) as usize] += 1);
+        (0..n as u32).filter(|t| solid(*t)).for_each(|t| members[sets.root(t) as usize] += 1);
         for run in odd.chunk_by(|a, b| a.0 == b.0) {
             if !few_odd_edges(run.len(), members[run[0].0 as usize]) {
                 usable[run[0].0 as usize] = false;
@@ -100,7 +101,7 @@ impl Surfaces {
         let mut number = vec![None; n];
         let (mut of, mut surfaces) = (vec![None; n], Vec::<Surface>::new());
         for t in (0..n as u32).filter(|t| solid(*t)) {
-            let root = sets.find(t);
+            let root = sets.root(t);
             if !usable[root as usize] {
                 continue;
             }
@@ -429,28 +430,4 @@ fn enters_in_plane(t: &[Vec3; 3], a: Vec3, b: Vec3) -> bool {
         .any(|(i, j)| [a, b].iter().all(|p| turn(axis, [t[*i], t[*j], *p]) != inner));
     let along = t.map(|v| turn(axis, [a, b, v]));
     !outside && along.contains(&Ordering::Less) && along.contains(&Ordering::Greater)
-}
-
-/// Sets of triangles that are joined (union-find).
-struct Sets(Vec<u32>);
-
-impl Sets {
-    fn new(n: usize) -> Self {
-        Self((0..n as u32).collect())
-    }
-
-    fn find(&mut self, mut x: u32) -> u32 {
-        while self.0[x as usize] != x {
-            self.0[x as usize] = self.0[self.0[x as usize] as usize];
-            x = self.0[x as usize];
-        }
-        x
-    }
-
-    fn join(&mut self, x: u32, y: u32) {
-        let (x, y) = (self.find(x), self.find(y));
-        // The least is the root, so that it depends on no order.
-        let (least, other) = (x.min(y), x.max(y));
-        self.0[other as usize] = least;
-    }
 }

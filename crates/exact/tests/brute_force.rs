@@ -147,7 +147,7 @@ fn ends(random: &mut Random, whole: bool, reach: f64) -> [Corners; 2] {
 fn no_segment_is_free_where_nothing_is_seen() {
     let (mut seen, mut hidden, mut found, mut undecided) = (0, 0, 0, Vec::new());
     for seed in 0..600 {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let whole = seed % 3 > 0;
         let reach = [2.0, 3.0, 4.0][random.below(3)];
         let world = scene(&mut random, whole, reach);
@@ -179,7 +179,7 @@ fn no_segment_is_free_where_nothing_is_seen() {
 fn what_a_verdict_rests_on_is_refused_where_it_is_not_so() {
     let (mut witnesses, mut proofs) = (0, 0);
     for seed in 0..300 {
-        let mut random = Random(1000 + seed);
+        let mut random = Random::new(1000 + seed);
         let whole = seed % 3 > 0;
         let world = scene(&mut random, whole, 3.0);
         let [a, b] = ends(&mut random, whole, 3.0);

@@ -4,18 +4,12 @@
 #![allow(clippy::panic, clippy::print_stdout, reason = "tests")]
 
 use sightline_exact::fuzzing::query;
+use sightline_numbers::random::SplitMix64;
 
-/// So many bytes from a seed (splitmix64).
+/// `count` random bytes from a seed.
 fn bytes(seed: u64, count: usize) -> Vec<u8> {
-    let mut state = seed;
-    let mut next = || {
-        state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = state;
-        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ z >> 31
-    };
-    (0..count.div_ceil(8)).flat_map(|_| next().to_le_bytes()).take(count).collect()
+    let mut stream = SplitMix64::new(seed);
+    (0..count.div_ceil(8)).flat_map(|_| stream.bits().to_le_bytes()).take(count).collect()
 }
 
 fn variable(name: &str, otherwise: u64) -> u64 {

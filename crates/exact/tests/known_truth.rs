@@ -325,7 +325,7 @@ fn somewhere(random: &mut Random, centre: DVec3, radius: f64) -> [[f64; 3]; 3] {
 
 #[test]
 fn nothing_outside_a_closed_mesh_is_seen_from_inside() {
-    let mut random = Random(1);
+    let mut random = Random::new(1);
     for place in exact().iter().chain(&rounded()) {
         for sphere in [false, true] {
             let mut draft = Draft::new(place);
@@ -352,7 +352,7 @@ fn nothing_outside_a_closed_mesh_is_seen_from_inside() {
 
 #[test]
 fn of_a_ball_the_faces_turned_towards_one_are_seen() {
-    let mut random = Random(2);
+    let mut random = Random::new(2);
     for place in exact().iter().chain(&rounded()).filter(|p| p.scale == 1.0) {
         let mut draft = Draft::new(place);
         draft.sphere([0.0; 3], 1.0, 1);

@@ -3,6 +3,7 @@
 use std::io::{BufRead, Read};
 
 use glam::Vec3;
+use sightline_numbers::random::SplitMix64;
 
 use crate::error::MeasureError;
 
@@ -26,17 +27,11 @@ impl Viewpoints {
     /// bits of one output as a fraction s of 2²⁴, and min + (max − min)·s in f64, rounded to f32.
     pub fn random(n: u32, seed: u64, view_box: [[f32; 3]; 2]) -> Self {
         let [min, max] = view_box;
-        let mut state = seed;
-        let mut unit = || {
-            state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-            let z = (state ^ (state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-            ((z ^ (z >> 31)) >> 40) as f64 / f64::from(1u32 << 24)
-        };
+        let mut stream = SplitMix64::new(seed);
         let mut coordinate = |axis: usize| {
             let (lo, hi) = (f64::from(min[axis]), f64::from(max[axis]));
             // Rounding may lift a point onto the border, which still belongs to the view box.
-            (lo + (hi - lo) * unit()) as f32
+            (lo + (hi - lo) * f64::from(stream.unit_f32())) as f32
         };
         let points = (0..n).map(|_| Vec3::new(coordinate(0), coordinate(1), coordinate(2))).collect();
         Self { points, is_path: false }

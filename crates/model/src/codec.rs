@@ -7,6 +7,7 @@ use std::io::Read;
 use std::sync::Arc;
 
 use rayon::prelude::*;
+use sightline_numbers::varint::{self, VarintError};
 use sightline_viewcells::{CellBox, LatticePoint, Split};
 
 use crate::output::{CellSet, CellSets, Decision, Node, Pack, TileOutput, VisibilitySample};
@@ -139,7 +140,7 @@ fn read(bytes: &[u8], triangles: u32, keep: &dyn Fn(LatticePoint) -> bool) -> Re
 fn put_cell(cell: &CellSet, raw: &mut Vec<u8>) -> Result<(), std::io::Error> {
     put_ids(raw, &cell.visible);
     put(raw, cell.samples);
-    cell.stats.numbers().into_iter().for_each(|n| put64(raw, n));
+    cell.stats.numbers().into_iter().for_each(|n| varint::write(raw, n));
     let Some(decision) = &cell.decision else {
         raw.push(0);
         return Ok(());
@@ -147,28 +148,15 @@ fn put_cell(cell: &CellSet, raw: &mut Vec<u8>) -> Result<(), std::io::Error> {
     raw.push(1);
     put_ids(raw, &decision.undecided);
     put(raw, decision.counts.len() as u32);
-    decision.counts.iter().for_each(|n| put64(raw, *n));
+    decision.counts.iter().for_each(|n| varint::write(raw, *n));
     let length = u32::try_from(decision.certificate.len()).map_err(std::io::Error::other)?;
     put(raw, length);
     raw.extend_from_slice(&decision.certificate);
     Ok(())
 }
 
-/// LEB128.
-fn put(out: &mut Vec<u8>, mut value: u32) {
-    while value >= 0x80 {
-        out.push(value as u8 | 0x80);
-        value >>= 7;
-    }
-    out.push(value as u8);
-}
-
-fn put64(out: &mut Vec<u8>, mut value: u64) {
-    while value >= 0x80 {
-        out.push(value as u8 | 0x80);
-        value >>= 7;
-    }
-    out.push(value as u8);
+fn put(out: &mut Vec<u8>, value: u32) {
+    varint::write(out, value.into());
 }
 
 /// Count, then each id's distance from the one before; ids ascend.
@@ -198,19 +186,11 @@ impl Reader<'_> {
     }
 
     fn u64(&mut self) -> Result<u64, CodecError> {
-        let mut value = 0u64;
-        for shift in (0..64).step_by(7) {
-            let b = self.byte()?;
-            let bits = u64::from(b & 0x7f);
-            if bits << shift >> shift != bits {
-                return Err(CodecError("a number is too large"));
-            }
-            value |= bits << shift;
-            if b & 0x80 == 0 {
-                return Ok(value);
-            }
-        }
-        Err(CodecError("a number is too long"))
+        varint::read(&mut self.bytes, varint::MOST_BYTES).map_err(|e| match e {
+            VarintError::CutShort => CodecError("it is cut short"),
+            VarintError::TooLarge => CodecError("a number is too large"),
+            VarintError::TooLong | VarintError::NotShortest => CodecError("a number is too long"),
+        })
     }
 
     /// A count of things that take at least `least` bytes each.

@@ -1,31 +1,26 @@
 //! Low-discrepancy and hashed numbers: the same for the same seed on every machine, needing no state.
 
 use glam::Vec3;
-use sightline_scene::mix;
+use sightline_numbers::random::SplitMix64;
 
 /// A stream of hashed numbers.
 #[derive(Clone, Copy, Debug)]
-pub struct Hashed(u64);
+pub struct Hashed(SplitMix64);
 
 impl Hashed {
     /// The stream named by a list of numbers.
     pub fn new(names: &[u64]) -> Self {
-        Self(
-            names
-                .iter()
-                .fold(0x9e37_79b9_7f4a_7c15, |h, n| mix(h ^ mix(n.wrapping_add(0x9e37_79b9_7f4a_7c15)))),
-        )
+        Self(SplitMix64::named(names))
     }
 
     /// Sixty-four bits.
     pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        mix(self.0)
+        self.0.bits()
     }
 
     /// In [0, 1), with 24 bits.
     pub fn unit(&mut self) -> f32 {
-        (self.bits() >> 40) as f32 / (1u32 << 24) as f32
+        self.0.unit_f32()
     }
 
     /// In the unit cube.
@@ -43,4 +38,19 @@ pub fn spread3(i: u64, shift: [f32; 3]) -> [f32; 3] {
         let t = (i as u32).wrapping_mul(STEP[a]).wrapping_add((f64::from(shift[a]) * 4_294_967_296.0) as u32);
         (t >> 8) as f32 / (1u32 << 24) as f32
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hashed_streams_are_as_in_every_version() {
+        let mut none = Hashed::new(&[]);
+        assert_eq!([none.bits(), none.bits()], [0x6e78_9e6a_a1b9_65f4, 0x06c4_5d18_8009_454f]);
+        let mut three = Hashed::new(&[1, 2, 3]);
+        let expected = [0x5bc5_81b0_4a97_c4df, 0x9c4d_6541_405d_32d6, 0x4433_34da_c5d2_f022];
+        assert_eq!([three.bits(), three.bits(), three.bits()], expected);
+        assert_eq!(Hashed::new(&[1, 2, 3]).unit(), 0x005b_c581 as f32 / 16_777_216.0);
+    }
 }

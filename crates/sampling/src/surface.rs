@@ -5,8 +5,9 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use glam::Vec3;
 use rayon::prelude::*;
+use sightline_numbers::random::mix;
 use sightline_scene::topology::{hash, position};
-use sightline_scene::{Scene, Triangle, mix};
+use sightline_scene::{Scene, Triangle};
 
 use crate::cube::SKY;
 use crate::sequence::Hashed;

@@ -163,7 +163,12 @@ pub(crate) fn det3_terms(x: Vec3, y: Vec3, z: Vec3) -> [f64; 12] {
         let xy = f64::from(x[i]) * f64::from(y[j]);
         let w = if minus { -f64::from(z[k]) } else { f64::from(z[k]) };
         let rounded = xy * w;
-        pair.copy_from_slice(&[rounded, xy.mul_add(w, -rounded)]);
+        #[expect(
+            clippy::disallowed_methods,
+            reason = "a fused product minus its rounded value is the exact error"
+        )]
+        let error = xy.mul_add(w, -rounded);
+        pair.copy_from_slice(&[rounded, error]);
     }
     out
 }

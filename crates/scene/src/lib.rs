@@ -10,7 +10,6 @@ pub mod fuzzing;
 pub mod generate;
 pub mod glb_out;
 pub mod load;
-pub mod mix;
 pub mod overlap;
 pub mod ply_out;
 pub mod scene;
@@ -18,6 +17,6 @@ pub mod topology;
 
 pub use error::SceneError;
 pub use load::{load, load_bytes};
-pub use mix::mix;
 pub use ply_out::write_mesh_ply;
 pub use scene::{Aabb, Object, Scene, SceneDigest, Triangle};
+pub use sightline_numbers::random::mix;

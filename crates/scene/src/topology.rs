@@ -6,9 +6,11 @@ use std::cmp::Ordering;
 
 use glam::Vec3;
 use rayon::prelude::*;
+use sightline_numbers::random::mix;
+use sightline_numbers::union_find::UnionFind;
 
 use crate::exact::{Sum, det3, det3_terms, orient3d_sign};
-use crate::{Scene, SceneError, Triangle, mix};
+use crate::{Scene, SceneError, Triangle};
 
 /// For every triangle whether it belongs to a closed, consistently oriented surface, and which way it faces.
 ///
@@ -40,7 +42,7 @@ impl Solids {
             }
         }
         edges.par_sort_unstable();
-        let mut surface = Forest::new(n);
+        let mut surface = UnionFind::new(n);
         let triangle = |key: u128| (key as u64 >> 1) as u32;
         let groups = || edges.chunk_by(|a, b| a >> 64 == b >> 64);
         for group in groups() {
@@ -210,32 +212,6 @@ fn volume_signs(scene: &Scene, roots: &[u32], counts: impl Fn(usize) -> bool) ->
         signs[group[0].0 as usize] = sum.sign();
     }
     signs
-}
-
-/// Disjoint sets of triangles; the root of a set is its least id, so roots do not depend on the order of joins.
-struct Forest {
-    parent: Vec<u32>,
-}
-
-impl Forest {
-    fn new(n: usize) -> Self {
-        Self { parent: (0..n as u32).collect() }
-    }
-
-    fn root(&mut self, mut id: u32) -> u32 {
-        while self.parent[id as usize] != id {
-            // Path halving keeps the trees flat.
-            let above = self.parent[self.parent[id as usize] as usize];
-            self.parent[id as usize] = above;
-            id = above;
-        }
-        id
-    }
-
-    fn join(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.root(a), self.root(b));
-        self.parent[a.max(b) as usize] = a.min(b);
-    }
 }
 
 #[cfg(test)]

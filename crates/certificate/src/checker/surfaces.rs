@@ -21,6 +21,7 @@ use std::sync::OnceLock;
 
 use dashu_int::IBig;
 use glam::Vec3;
+use sightline_numbers::union_find::UnionFind;
 
 use super::cell::{cut, exact, has_area, meets_box};
 use super::line::{Plane, Point, height, join, klein, plane, point, sign};
@@ -59,31 +60,20 @@ impl Surfaces {
             }
         }
         edges.sort_unstable();
-        // A triangle's surface is found by following links to ever smaller numbers.
-        let mut link: Vec<u32> = (0..scene.len() as u32).collect();
-        let find = |link: &mut Vec<u32>, mut t: u32| {
-            while link[t as usize] != t {
-                link[t as usize] = link[link[t as usize] as usize];
-                t = link[t as usize];
-            }
-            t
-        };
-        for pair in edges.windows(2).filter(|w| w[0].0 == w[1].0) {
-            let (a, b) = (find(&mut link, pair[0].1), find(&mut link, pair[1].1));
-            link[a.max(b) as usize] = a.min(b);
-        }
+        let mut sets = UnionFind::new(scene.len());
+        edges.windows(2).filter(|w| w[0].0 == w[1].0).for_each(|w| sets.join(w[0].1, w[1].1));
         let mut odd: BTreeMap<u32, Vec<[[u32; 3]; 2]>> = BTreeMap::new();
         for run in edges.chunk_by(|a, b| a.0 == b.0).filter(|r| r.len() % 2 == 1) {
-            odd.entry(find(&mut link, run[0].1)).or_default().push(run[0].0);
+            odd.entry(sets.root(run[0].1)).or_default().push(run[0].0);
         }
         let mut members: BTreeMap<u32, usize> = BTreeMap::new();
         for (t, _) in scene.iter().enumerate().filter(|(_, v)| has_area(v)) {
-            *members.entry(find(&mut link, t as u32)).or_default() += 1;
+            *members.entry(sets.root(t as u32)).or_default() += 1;
         }
         let mut number: BTreeMap<u32, u32> = BTreeMap::new();
         let (mut of, mut all) = (vec![None; scene.len()], Vec::<Surface>::new());
         for (t, v) in scene.iter().enumerate().filter(|(_, v)| has_area(v)) {
-            let root = find(&mut link, t as u32);
+            let root = sets.root(t as u32);
             let border = odd.get(&root).map_or(&[][..], |b| b);
             if !few_odd_edges(border.len(), members[&root]) {
                 continue;

@@ -7,6 +7,7 @@ use std::io::Read as _;
 
 use dashu_int::{IBig, Sign};
 use glam::Vec3;
+use sightline_numbers::varint::{self, VarintError, write as put};
 
 use super::{Evidence, Hidden, Shared, Target, Witness};
 use crate::proof::{Proof, Step, Which};
@@ -149,14 +150,6 @@ fn put_hidden(out: &mut Vec<u8>, hidden: &[Hidden]) {
     }
 }
 
-fn put(out: &mut Vec<u8>, mut x: u64) {
-    while x >= 0x80 {
-        out.push(x as u8 | 0x80);
-        x >>= 7;
-    }
-    out.push(x as u8);
-}
-
 fn put_point(out: &mut Vec<u8>, p: Vec3) {
     p.to_array().iter().for_each(|c| out.extend(c.to_le_bytes()));
 }
@@ -236,21 +229,12 @@ impl Reader<'_> {
     }
 
     fn number(&mut self) -> Result<u64, EvidenceError> {
-        let mut x = 0u64;
-        for shift in (0..63).step_by(7) {
-            let byte = self.byte()?;
-            x |= u64::from(byte & 0x7f) << shift;
-            if byte < 0x80 {
-                // One form for each number.
-                let short = shift == 0 || byte != 0;
-                return if short {
-                    Ok(x)
-                } else {
-                    Err(EvidenceError("a number has more bytes than it needs"))
-                };
-            }
-        }
-        Err(EvidenceError("a number is too large"))
+        // Nine bytes hold 63 bits. There is one form for each number.
+        varint::read_shortest(&mut self.rest, 9).map_err(|e| match e {
+            VarintError::CutShort => EvidenceError("they end too early"),
+            VarintError::NotShortest => EvidenceError("a number has more bytes than it needs"),
+            VarintError::TooLarge | VarintError::TooLong => EvidenceError("a number is too large"),
+        })
     }
 
     fn small<T: TryFrom<u64>>(&mut self) -> Result<T, EvidenceError> {

@@ -8,6 +8,7 @@ use glam::{DMat3, DQuat, DVec3, Vec3};
 use sightline_exact::checker::Refusal;
 use sightline_exact::predicates::integers;
 use sightline_exact::{Limits, Occluders, Polygon, Verdict, checker, sightlines};
+use sightline_numbers::random::SplitMix64;
 use sightline_scene::{Object, Scene, Triangle};
 
 pub type Corners = [Vec3; 3];
@@ -278,21 +279,17 @@ impl<'a> Draft<'a> {
     }
 }
 
-/// Splitmix64.
-pub struct Random(pub u64);
+/// Random numbers and directions.
+pub struct Random(SplitMix64);
 
 impl Random {
-    pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ z >> 31
+    pub fn new(seed: u64) -> Self {
+        Self(SplitMix64::new(seed))
     }
 
-    /// In 0…1.
+    /// In [0, 1).
     pub fn unit(&mut self) -> f64 {
-        (self.bits() >> 11) as f64 / (1u64 << 53) as f64
+        self.0.unit_f64()
     }
 
     pub fn between(&mut self, lo: f64, hi: f64) -> f64 {
@@ -301,7 +298,7 @@ impl Random {
 
     /// One of the numbers below `n`.
     pub fn below(&mut self, n: usize) -> usize {
-        (self.bits() % n as u64) as usize
+        (self.0.bits() % n as u64) as usize
     }
 
     /// On the unit sphere.

@@ -1,33 +1,25 @@
-//! The generator's numbers: SplitMix64 and the unit circle, both the same on every machine.
+//! Random numbers of the generators, and sines and cosines, which are the same on every machine.
 
 use glam::Vec3;
+use sightline_numbers::random::{SplitMix64, mix};
 
-use crate::mix;
-
-/// SplitMix64 (Steele, Lea & Flood 2014, "Fast Splittable Pseudorandom Number Generators").
-pub(super) struct Random {
-    state: u64,
-}
+/// A stream of random numbers for one part of a generated scene.
+pub(super) struct Random(SplitMix64);
 
 impl Random {
-    /// The stream `index` of `seed`; streams do not depend on one another, so parts can change on their own.
+    /// Stream `index` of `seed`. Streams are independent, so one part can change without changing the others.
     pub(super) fn new(seed: u64, index: u64) -> Self {
-        Self { state: mix(seed ^ mix(index.wrapping_add(0x5157_4c49_4e45))) }
+        Self(SplitMix64::new(mix(seed ^ mix(index.wrapping_add(0x5157_4c49_4e45)))))
     }
 
-    fn next(&mut self) -> u64 {
-        self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        mix(self.state)
-    }
-
-    /// A number in 0 … n−1 (0 when n is 0).
+    /// An integer in 0 … n−1 (0 when n is 0).
     pub(super) fn below(&mut self, n: u32) -> u32 {
-        (((self.next() >> 32) * u64::from(n)) >> 32) as u32
+        (((self.0.bits() >> 32) * u64::from(n)) >> 32) as u32
     }
 
-    /// A number in [lo, hi], by steps of 2⁻²⁴ of their distance.
+    /// A number in [lo, hi], in steps of (hi − lo)·2⁻²⁴.
     pub(super) fn range(&mut self, lo: f32, hi: f32) -> f32 {
-        lo + (hi - lo) * ((self.next() >> 40) as f32 / 16_777_216.0)
+        lo + (hi - lo) * self.0.unit_f32()
     }
 
     /// A direction of length 1, uniform on the sphere.
@@ -39,13 +31,14 @@ impl Random {
     }
 }
 
-/// Cosine and sine of a fraction of a full turn, by Taylor's series: platforms' own differ in the last bit.
+/// Cosine and sine of a fraction of a full turn, by Taylor series: the platforms' own functions differ in the last
+/// bit.
 pub(super) fn turn(fraction: f32) -> (f32, f32) {
     let quarters = f64::from(fraction) * 4.0;
     let nearest = (quarters + 0.5).floor();
     let x = (quarters - nearest) * std::f64::consts::FRAC_PI_2;
     let xx = x * x;
-    // |x| ≤ π/4: the first term left out is below 1e-11, far less than an f32 shows.
+    // |x| ≤ π/4: the first omitted term is below 1e-11, far below the resolution of f32.
     let sin = x * (1.0 - xx / 6.0 * (1.0 - xx / 20.0 * (1.0 - xx / 42.0 * (1.0 - xx / 72.0))));
     let cos = 1.0 - xx / 2.0 * (1.0 - xx / 12.0 * (1.0 - xx / 30.0 * (1.0 - xx / 56.0 * (1.0 - xx / 90.0))));
     let (c, s) = match (nearest as i64).rem_euclid(4) {
@@ -62,10 +55,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_stream_is_splitmix64() {
-        // First outputs for state 0, as published with the reference code.
-        let mut r = Random { state: 0 };
-        assert_eq!([r.next(), r.next()], [0xe220_a839_7b1d_cdaf, 0x6e78_9e6a_a1b9_65f4]);
+    fn streams_of_a_seed_are_as_in_every_version() {
+        let mut r = Random::new(1, 2);
+        let expected =
+            [0xbff0_3c8f_6f00_374e, 0xae6a_3a82_2371_dad8, 0xc544_66ba_2a8d_fc53, 0x5495_4d27_e350_ed73];
+        assert_eq!([0; 4].map(|_: u64| r.0.bits()), expected);
     }
 
     #[test]

@@ -5,6 +5,8 @@
 //! and the same. The tests decode what that crate encodes. Only what positions and indices use is decoded: of the
 //! filters, EXPONENTIAL.
 
+use sightline_numbers::varint;
+
 use super::json::MeshoptView;
 
 /// The bytes of the view before compression, `count * byteStride` of them.
@@ -122,18 +124,9 @@ fn byte_group(rest: &mut &[u8], code: u8) -> Option<[u8; GROUP]> {
     Some(out)
 }
 
-/// A number of up to 32 bits in groups of seven, lowest first.
-fn varint(rest: &mut &[u8]) -> Option<u32> {
-    let mut value = 0u32;
-    for shift in [0, 7, 14, 21, 28] {
-        let (&b, tail) = rest.split_first()?;
-        *rest = tail;
-        value |= u32::from(b & 127) << shift;
-        if b < 128 {
-            return Some(value);
-        }
-    }
-    None
+/// A number of up to 32 bits; bits beyond them, which no encoder writes, are dropped.
+fn number(rest: &mut &[u8]) -> Option<u32> {
+    varint::read(rest, 5).ok().map(|v| v as u32)
 }
 
 /// `v` with its sign moved from the lowest bit.
@@ -151,7 +144,7 @@ fn index_sequence(count: usize, data: &[u8]) -> Option<Vec<u32>> {
     let mut last = [0u32; 2];
     let mut out = Vec::with_capacity(count);
     for _ in 0..count {
-        let v = varint(&mut rest)?;
+        let v = number(&mut rest)?;
         let baseline = &mut last[(v & 1) as usize];
         *baseline = baseline.wrapping_add(unzigzag(v >> 1));
         out.push(*baseline);
@@ -202,7 +195,7 @@ impl TriangleDecoder<'_> {
     }
 
     fn delta(&mut self) -> Option<u32> {
-        let v = varint(&mut self.rest)?;
+        let v = number(&mut self.rest)?;
         self.last = self.last.wrapping_add(unzigzag(v));
         Some(self.last)
     }
