@@ -11,6 +11,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     // The descriptors, for the reflection service.
     let out = PathBuf::from(std::env::var_os("OUT_DIR").ok_or("cargo sets OUT_DIR")?);
     std::fs::write(out.join("descriptors.bin"), set.encode_to_vec())?;
-    tonic_prost_build::configure().compile_fds(set)?;
+    let services = r#"#[cfg(feature = "services")]"#;
+    tonic_prost_build::configure()
+        .client_mod_attribute("sightline.v1", services)
+        .server_mod_attribute("sightline.v1", services)
+        .compile_fds(set)?;
     Ok(())
 }

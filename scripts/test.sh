@@ -83,6 +83,7 @@ command -v cargo >/dev/null || . "$HOME/.cargo/env"
 
 # `--workspace` everywhere: with other selections cargo unifies features anew and builds the dependencies again.
 phase 'format' bounded 60 cargo fmt --all --check
+phase 'line width' bounded 60 scripts/lines.sh
 phase 'clippy' bounded 1200 cargo clippy --locked --workspace --all-targets -- -D warnings
 phase 'dependencies: licences, bans, sources, advisories' dependencies
 phase 'build' bounded 1800 bash -c 'cargo build --locked --workspace && cargo test --locked --workspace --no-run'
@@ -90,6 +91,7 @@ phase 'build' bounded 1800 bash -c 'cargo build --locked --workspace && cargo te
 export SIGHTLINE_BIN=${CARGO_TARGET_DIR:-$PWD/target}/debug/sightline
 
 phase 'unit and property tests' bounded 900 cargo test --locked --workspace --lib --bins
+phase 'documentation' bounded 600 env RUSTDOCFLAGS='-D warnings' cargo doc --locked --workspace --no-deps --quiet
 phase 'documentation tests' bounded 600 cargo test --locked --workspace --doc
 phase 'integration tests' bounded 1200 cargo test --locked --workspace --test '*' -- --skip containers_
 phase 'container test' containers

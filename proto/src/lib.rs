@@ -5,14 +5,16 @@
 
 pub mod chunks;
 
+#[cfg(feature = "services")]
 use std::time::Duration;
 
+#[cfg(feature = "services")]
 use tonic::transport::Endpoint;
 
 /// Package `sightline.v1`.
 #[allow(missing_docs, clippy::all, reason = "generated; the documentation is in the .proto files")]
 pub mod v1 {
-    tonic::include_proto!("sightline.v1");
+    include!(concat!(env!("OUT_DIR"), "/sightline.v1.rs"));
 }
 
 /// The compiled descriptors of both files, for gRPC reflection.
@@ -22,6 +24,7 @@ pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descrip
 ///
 /// # Errors
 /// What is wrong with the address, in words.
+#[cfg(feature = "services")]
 pub fn endpoint(url: &str) -> Result<Endpoint, String> {
     let endpoint = Endpoint::from_shared(url.to_owned()).map_err(|e| e.to_string())?;
     match (endpoint.uri().scheme_str(), endpoint.uri().host()) {
@@ -32,7 +35,7 @@ pub fn endpoint(url: &str) -> Result<Endpoint, String> {
     Ok(endpoint.connect_timeout(Duration::from_secs(5)).tcp_nodelay(true))
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "services"))]
 mod tests {
     use super::endpoint;
 
