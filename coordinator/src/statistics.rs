@@ -2,13 +2,13 @@
 //!
 //! Only what is the same on every run: rays and finds, not seconds. The time a tile took is in its job's record.
 
-use sightline_exact::Effort;
+use sightline_exact::QueryStatistics;
 use sightline_pvs::Column;
 use sightline_sampling::lines::CellStats;
 use sightline_sampling::tile::CellSet;
 
 /// Columns: the cubes of a cell, [`CellStats::NAMES`], then those of exact queries.
-const COLUMNS: usize = 1 + CellStats::NAMES.len() + Effort::NAMES.len();
+const COLUMNS: usize = 1 + CellStats::NAMES.len() + QueryStatistics::NAMES.len();
 
 /// Collects the cells in their order.
 pub(crate) struct Statistics {
@@ -26,7 +26,7 @@ impl Statistics {
     pub(crate) fn push(&mut self, cell: &CellSet) {
         let counts = cell.decision.as_ref().map_or(&[][..], |d| &d.counts);
         // Cells without exact queries have nothing there, nor have those of a worker that counts less.
-        let exact = counts.iter().copied().chain(std::iter::repeat(0)).take(Effort::NAMES.len());
+        let exact = counts.iter().copied().chain(std::iter::repeat(0)).take(QueryStatistics::NAMES.len());
         let row = [u64::from(cell.samples)].into_iter().chain(cell.stats.numbers()).chain(exact);
         for (column, value) in self.values.iter_mut().zip(row) {
             column.push(value);
@@ -40,7 +40,7 @@ impl Statistics {
         ["samples"]
             .into_iter()
             .chain(CellStats::NAMES)
-            .chain(Effort::NAMES)
+            .chain(QueryStatistics::NAMES)
             .zip(self.values)
             .filter(kept)
             .map(column)

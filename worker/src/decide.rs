@@ -6,9 +6,10 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
-use sightline_exact::cell::Cell;
 use sightline_exact::evidence::{Shared, codec};
-use sightline_exact::{Effort, Limits, Occluders, Task, Together, decide, together};
+use sightline_exact::{
+    Cell, CellGroup, ExactScene, GroupDecided, Limits, QueryStatistics, Task, decide, decide_group,
+};
 use sightline_job::{JobSpec, Method};
 use sightline_sampling::tile::{CellSet, CellSets, Decision, Node, Watcher};
 use sightline_viewcells::{CellBox, Lattice};
@@ -50,12 +51,9 @@ pub fn cells(
     lattice: &Lattice,
     root: &CellBox,
     sets: &mut CellSets,
-    scene: &Occluders,
+    scene: &ExactScene,
     (deadline, watcher): (Option<Instant>, &dyn Watcher),
 ) -> Result<(), String> {
-    // Here and not on a thread of rayon's: finding the surfaces uses rayon itself, and a pool's thread that waits inside could take
-    // up another cell and come back to the same lock.
-    scene.surfaces();
     let (boxes, groups) = boxes(root, &sets.nodes);
     // Half of the time for what is hidden from many cells at once: it saves each of them the question.
     let half = deadline.map(|d| Instant::now() + d.saturating_duration_since(Instant::now()) / 2);
@@ -94,7 +92,7 @@ fn cell(
     lattice: &Lattice,
     (at, around): (&CellBox, &mut Around),
     set: &mut CellSet,
-    scene: &Occluders,
+    scene: &ExactScene,
     stop: &(dyn Fn() -> bool + Sync),
     watcher: &dyn Watcher,
 ) -> Result<(), String> {
@@ -109,7 +107,7 @@ fn cell(
         stop,
         asked: &|| watcher.rendered(1),
     });
-    decided.effort.add_asked(&around.effort);
+    decided.statistics.add_asked(&around.statistics);
     decided.evidence.shared = around.shared.take();
     decided.evidence.above = around.above;
     let evidence = match spec.certificates {
@@ -119,8 +117,11 @@ fn cell(
     set.visible = decided.visible;
     set.visible.extend(&decided.undecided);
     set.visible.sort_unstable();
-    set.decision =
-        Some(Decision { undecided: decided.undecided, counts: decided.effort.numbers().to_vec(), evidence });
+    set.decision = Some(Decision {
+        undecided: decided.undecided,
+        counts: decided.statistics.numbers().to_vec(),
+        evidence,
+    });
     Ok(())
 }
 
@@ -152,7 +153,7 @@ struct Around {
     above: Option<u32>,
     /// The proofs, and what was asked: with the first of the cells.
     shared: Option<Shared>,
-    effort: Effort,
+    statistics: QueryStatistics,
 }
 
 /// Finds out what is hidden from boxes around several cells.
@@ -161,14 +162,14 @@ fn boxes_first(
     lattice: &Lattice,
     (cells, groups): (&[CellBox], &[(CellBox, Range<usize>)]),
     sets: &CellSets,
-    scene: &Occluders,
+    scene: &ExactScene,
     (until, watcher): (Option<Instant>, &dyn Watcher),
 ) -> Result<Vec<Around>, String> {
     let cells = cells.iter().map(|at| exact_cell(at, lattice)).collect::<Result<Vec<_>, _>>()?;
     let seen: Vec<&[u32]> = sets.cells.iter().map(|set| set.visible.as_slice()).collect();
     let mut around: Vec<Around> = cells.iter().map(|_| Around::default()).collect();
     for (at, range) in groups {
-        let (hidden, shared, effort) = together(&Together {
+        let GroupDecided { hidden, shared, statistics } = decide_group(&CellGroup {
             scene,
             cells: &cells[range.clone()],
             seen: &seen[range.clone()],
@@ -178,7 +179,7 @@ fn boxes_first(
             stop: &|| watcher.cancelled() || until.is_some_and(|u| Instant::now() >= u),
             asked: &|| watcher.rendered(1),
         });
-        around[range.start].effort = effort;
+        around[range.start].statistics = statistics;
         if hidden.is_empty() {
             continue;
         }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use sightline_exact::Occluders;
+use sightline_exact::ExactScene;
 use sightline_sampling::tile::PreparedScene;
 use sightline_sampling::{Backend, CubeSpec, Strata};
 use sightline_scene::{Scene, SceneError};
@@ -17,8 +17,8 @@ const KEPT: usize = 2;
 pub struct Loaded {
     /// The scene, analysed.
     pub prepared: PreparedScene,
-    /// What exact queries ask, once a tile needs it.
-    occluders: OnceLock<Result<Occluders, String>>,
+    /// The scene prepared for exact queries, on the first tile that needs it.
+    exact: OnceLock<Result<ExactScene, String>>,
     backends: Mutex<BTreeMap<String, Arc<dyn Backend>>>,
 }
 
@@ -28,20 +28,16 @@ impl Loaded {
     /// # Errors
     /// [`SceneError`] when it has too many triangles to sample.
     pub fn new(scene: Arc<Scene>) -> Result<Self, SceneError> {
-        Ok(Self {
-            prepared: PreparedScene::new(scene)?,
-            occluders: OnceLock::new(),
-            backends: Mutex::default(),
-        })
+        Ok(Self { prepared: PreparedScene::new(scene)?, exact: OnceLock::new(), backends: Mutex::default() })
     }
 
-    /// What blocks in the scene, for exact queries.
+    /// The scene prepared for exact queries. Called on the thread of a tile, never on a thread of a rayon pool.
     ///
     /// # Errors
-    /// When it has too many corners to number.
-    pub fn occluders(&self) -> Result<&Occluders, String> {
+    /// When the scene has too many corners to number.
+    pub fn exact(&self) -> Result<&ExactScene, String> {
         let found =
-            self.occluders.get_or_init(|| Occluders::new(&self.prepared.scene).map_err(|e| e.to_string()));
+            self.exact.get_or_init(|| ExactScene::prepare(&self.prepared.scene).map_err(|e| e.to_string()));
         found.as_ref().map_err(Clone::clone)
     }
 

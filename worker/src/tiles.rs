@@ -203,7 +203,7 @@ impl Shop {
         let (mut output, counters) = tile::run(&job, tile, &decoded, watcher).map_err(failed)?;
         tracing::debug!(tile = held.lease.tile, ?counters, "tile sampled");
         if let (true, TileOutput::Cells(sets)) = (exact, &mut output) {
-            let scene = loaded.occluders().map_err(Failure::Tile)?;
+            let scene = loaded.exact().map_err(Failure::Tile)?;
             let work = (deadline, held as &dyn Watcher);
             decide::cells(spec, &job.lattice, &tile.cell, sets, scene, work).map_err(Failure::Tile)?;
             if held.cancelled() {

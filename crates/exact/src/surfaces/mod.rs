@@ -1,0 +1,9 @@
+//! Closed surfaces: which triangles they hide from a view cell without a query.
+
+mod closed;
+mod crossing_order;
+mod patches;
+mod piercing;
+mod union_find;
+
+pub use closed::{FromCell, Hides, Surfaces};
