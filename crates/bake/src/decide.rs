@@ -7,9 +7,10 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
-use sightline_exact::cell::Cell;
 use sightline_exact::evidence::{Shared, codec};
-use sightline_exact::{Effort, Occluders, Task, Together, decide, together};
+use sightline_exact::{
+    Cell, CellGroup as GroupTask, ExactScene, GroupDecided, QueryStatistics, Task, decide, decide_group,
+};
 use sightline_model::{CellSet, CellSets, Decision, DecisionStats, JobSpec};
 use sightline_sampling::Watcher;
 use sightline_viewcells::{CellBox, Lattice};
@@ -26,10 +27,9 @@ pub fn cells(
     lattice: &Lattice,
     root: &CellBox,
     sets: &mut CellSets,
-    scene: &Occluders,
+    scene: &ExactScene,
     (deadline, watcher): (Option<Instant>, &dyn Watcher),
 ) -> Result<(), String> {
-    scene.surfaces();
     let (boxes, groups) = cells_and_groups(root, &sets.nodes);
     // Half of the time goes to cell groups: a triangle hidden from a group is not a target for any of its cells.
     let half = deadline.map(|d| Instant::now() + d.saturating_duration_since(Instant::now()) / 2);
@@ -69,7 +69,7 @@ fn cell(
     lattice: &Lattice,
     (at, around): (&CellBox, &mut Around),
     set: &mut CellSet,
-    scene: &Occluders,
+    scene: &ExactScene,
     stop: &(dyn Fn() -> bool + Sync),
     watcher: &dyn Watcher,
 ) -> Result<(), String> {
@@ -84,7 +84,7 @@ fn cell(
         stop,
         asked: &|| watcher.rendered(1),
     });
-    decided.effort.add_asked(&around.effort);
+    decided.statistics.add_asked(&around.statistics);
     decided.evidence.shared = around.shared.take();
     decided.evidence.above = around.above;
     let certificate = match spec.certificates {
@@ -96,7 +96,7 @@ fn cell(
     set.visible.sort_unstable();
     set.decision = Some(Decision {
         undecided: decided.undecided,
-        counts: statistics(&decided.effort).numbers().to_vec(),
+        counts: statistics(&decided.statistics).numbers().to_vec(),
         certificate,
     });
     Ok(())
@@ -118,7 +118,7 @@ struct Around {
     /// The group's certificate; the first cell has it.
     shared: Option<Shared>,
     /// Statistics of the group's queries; the first cell has them.
-    effort: Effort,
+    statistics: QueryStatistics,
 }
 
 /// Finds the triangles that are hidden from the box around each cell group.
@@ -127,14 +127,14 @@ fn groups_first(
     lattice: &Lattice,
     (cells, groups): (&[CellBox], &[CellGroup]),
     sets: &CellSets,
-    scene: &Occluders,
+    scene: &ExactScene,
     (until, watcher): (Option<Instant>, &dyn Watcher),
 ) -> Result<Vec<Around>, String> {
     let cells = cells.iter().map(|at| exact_cell(at, lattice)).collect::<Result<Vec<_>, _>>()?;
     let seen: Vec<&[u32]> = sets.cells.iter().map(|set| set.visible.as_slice()).collect();
     let mut around: Vec<Around> = cells.iter().map(|_| Around::default()).collect();
     for CellGroup { around: at, cells: range } in groups {
-        let (hidden, shared, effort) = together(&Together {
+        let GroupDecided { hidden, shared, statistics } = decide_group(&GroupTask {
             scene,
             cells: &cells[range.clone()],
             seen: &seen[range.clone()],
@@ -144,7 +144,7 @@ fn groups_first(
             stop: &|| watcher.cancelled() || until.is_some_and(|u| Instant::now() >= u),
             asked: &|| watcher.rendered(1),
         });
-        around[range.start].effort = effort;
+        around[range.start].statistics = statistics;
         if hidden.is_empty() {
             continue;
         }
@@ -159,8 +159,9 @@ fn groups_first(
 }
 
 /// The statistics of a decided cell, by column.
-fn statistics(effort: &Effort) -> DecisionStats {
-    let Effort { rays, queries, boxes, enclosed, hidden, above, missed, refuted, open, cost } = *effort;
+fn statistics(taken: &QueryStatistics) -> DecisionStats {
+    let QueryStatistics { rays, queries, boxes, enclosed, hidden, above, missed, refuted, open, cost } =
+        *taken;
     let [undecided_stopped, undecided_regions, undecided_memory, undecided_divisions] = open;
     DecisionStats {
         rays,

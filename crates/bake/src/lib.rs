@@ -123,9 +123,9 @@ pub fn run_tile(
     let (mut output, counters) = tile::run(&job, tile, &decoded, sampling_watcher)?;
     tracing::debug!(tile = number, ?counters, "tile sampled");
     if let (true, TileOutput::Cells(sets)) = (exact, &mut output) {
-        let occluders = scene.occluders().map_err(BakeError::Tile)?;
+        let prepared = scene.exact().map_err(BakeError::Tile)?;
         let until = (control.deadline, watcher);
-        decide::cells(spec, &job.lattice, &tile.cell, sets, occluders, until).map_err(BakeError::Tile)?;
+        decide::cells(spec, &job.lattice, &tile.cell, sets, prepared, until).map_err(BakeError::Tile)?;
         if watcher.cancelled() {
             return Err(BakeError::Cancelled);
         }

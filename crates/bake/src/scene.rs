@@ -2,14 +2,14 @@
 
 use std::sync::{Arc, OnceLock};
 
-use sightline_exact::Occluders;
+use sightline_exact::ExactScene;
 use sightline_sampling::PreparedScene;
 use sightline_scene::{Scene, SceneError};
 
 /// A scene, prepared for sampling and, when a tile first needs it, for exact queries.
 pub struct BakeScene {
     sampling: PreparedScene,
-    occluders: OnceLock<Result<Occluders, String>>,
+    exact: OnceLock<Result<ExactScene, String>>,
 }
 
 impl BakeScene {
@@ -18,7 +18,7 @@ impl BakeScene {
     /// # Errors
     /// [`SceneError`] when it has too many triangles to sample.
     pub fn new(scene: Arc<Scene>) -> Result<Self, SceneError> {
-        Ok(Self { sampling: PreparedScene::new(scene)?, occluders: OnceLock::new() })
+        Ok(Self { sampling: PreparedScene::new(scene)?, exact: OnceLock::new() })
     }
 
     /// The triangles.
@@ -31,12 +31,12 @@ impl BakeScene {
         &self.sampling
     }
 
-    /// The occluders for exact queries.
+    /// The scene prepared for exact queries.
     ///
     /// # Errors
     /// The reason, when the scene has too many corners to number.
-    pub fn occluders(&self) -> Result<&Occluders, String> {
-        let found = self.occluders.get_or_init(|| Occluders::new(self.scene()).map_err(|e| e.to_string()));
+    pub fn exact(&self) -> Result<&ExactScene, String> {
+        let found = self.exact.get_or_init(|| ExactScene::prepare(self.scene()).map_err(|e| e.to_string()));
         found.as_ref().map_err(Clone::clone)
     }
 }

@@ -4,10 +4,8 @@ use std::path::Path;
 
 use glam::Vec3;
 use serde_json::{Value, json};
-use sightline_exact::cell::{Cell, Found, from_cell};
 use sightline_exact::evidence::{Reason, Target};
-use sightline_exact::surface::Hides;
-use sightline_exact::{Cost, Limits, Occluders, Polygon, Proof, polygon};
+use sightline_exact::{Cell, Cost, ExactScene, Found, Hides, Limits, Polygon, Proof, from_cell, polygon};
 use sightline_pvs::Pvs;
 use sightline_scene::{Aabb, overlap};
 
@@ -143,16 +141,16 @@ fn ask(pvs: &Pvs, result: &Path, path: &Path, cell: u32, triangle: u32) -> Resul
     }
     let view = Cell::new(bounds[0], bounds[1])
         .ok_or_else(|| CliError::Input(format!("cell {cell} has no volume; bake with larger cells")))?;
-    let occluders = Occluders::new(&scene)?;
+    let exact = ExactScene::prepare(&scene)?;
     let meeting = overlap::triangles_in_box(&scene, None, &Aabb { min: bounds[0], max: bounds[1] });
-    let half = match occluders.surfaces().seen_from(&occluders, view, &meeting).hides(triangle) {
+    let half = match exact.surfaces().seen_from(exact.occluders(), view, &meeting).hides(triangle) {
         Hides::All => return Ok(json!({"state": "hidden", "blockers": [], "surface": true})),
         Hides::From(side) => Some(side),
         Hides::Nothing => None,
     };
     Ok(
         match from_cell(
-            &occluders,
+            exact.occluders(),
             view,
             (&[target], half),
             (&Limits::default(), &|| false),

@@ -7,9 +7,9 @@
 use std::time::{Duration, Instant};
 
 use glam::Vec3;
-use sightline_exact::cell::Cell;
+use sightline_exact::Cell;
 use sightline_exact::evidence::{Witness, codec};
-use sightline_exact::{Limits, Occluders, Task, decide};
+use sightline_exact::{ExactScene, Limits, Task, decide};
 use sightline_pvs::Pvs;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -22,11 +22,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = sightline_scene::load(std::path::Path::new(&scene?))?;
     let pvs = Pvs::open(result?)?;
     let start = Instant::now();
-    let occluders = Occluders::new(&scene)?;
-    println!("{} triangles, {} occluders in {:.2?}", scene.len(), occluders.count(), start.elapsed());
-    let start = Instant::now();
-    occluders.surfaces();
-    println!("surfaces in {:.2?}", start.elapsed());
+    let prepared = ExactScene::prepare(&scene)?;
+    let (triangles, occluders) = (scene.len(), prepared.occluders().count());
+    println!("{triangles} triangles, {occluders} occluders, with surfaces, in {:.2?}", start.elapsed());
     let mut state = seed;
     for _ in 0..count {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -37,7 +35,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let cell_box = Cell::new(min, max).ok_or("the cell is flat")?;
         let start = Instant::now();
         let decided = decide(&Task {
-            scene: &occluders,
+            scene: &prepared,
             cell: cell_box,
             seen: &ids,
             above: &[],
@@ -48,7 +46,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             asked: &|| (),
         });
         let took = start.elapsed();
-        let (e, c, d) = (decided.effort, decided.effort.cost, decided.effort.cost.decisions);
+        let (e, c, d) = (decided.statistics, decided.statistics.cost, decided.statistics.cost.decisions);
         let all = d.filtered + d.refined + d.spanned + d.exact;
         let floats = decided.evidence.seen.iter().filter(|w| matches!(w.1, Witness::Floats(_))).count();
         let bytes = codec::encode(&decided.evidence)?.len();

@@ -65,7 +65,7 @@ pub fn query(raw: &[u8]) -> Option<bool> {
         let (a, b, ca, cb) = if back == 0 { (&a, &b, &ca, &cb) } else { (&b, &a, &cb, &ca) };
         match sightlines(&occluders, a, b, &limits).0 {
             Verdict::Visible(ends) => {
-                let [p, q] = ends.each_ref().map(crate::predicates::integers);
+                let [p, q] = ends.each_ref().map(crate::geometry::predicates::integers);
                 let checked = check_witness(&triangles, ca, cb, &p, &q);
                 assert!(checked.is_ok(), "a witness was refused: {checked:?}");
                 *verdict = Some(true);

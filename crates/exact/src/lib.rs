@@ -1,44 +1,65 @@
-//! Exact from-region visibility: queries in line space, witnesses, certificates and a checker of its own.
+//! Exact from-region visibility: queries in line space, their witnesses and proofs, and whole view cells.
 //!
-//! A query asks whether one convex polygon sees another among the triangles of a scene. The answer is a witness (a segment
-//! that meets nothing), a proof (which [`checker`] accepts or refuses by exact arithmetic alone), or that neither was
-//! found. No tolerance decides anything: doubles with error bounds come first, integers where those cannot tell.
+//! A query decides whether one convex polygon sees another among the triangles of a scene. The verdict is a witness
+//! (an unobstructed segment), a proof that [`checker`] verifies with exact arithmetic only, or "undecided" with the
+//! limit that ended the search. No tolerance decides a verdict: a sign is computed in doubles with an error bound,
+//! and in integers where the bound does not settle it. All coordinates are in the units and the frame of the scene.
+//!
+//! The crate has one module for each subject. A module depends only on those above it in this list:
+//!
+//! - [`arithmetic`]: double-doubles, big integers, signs, random numbers.
+//! - [`geometry`]: points, exact polygons, view cells, the frame of a query, the bounding volume hierarchy.
+//! - [`occluders`]: convex coplanar sets of triangles, their boundary edges, and segments among them.
+//! - [`surfaces`]: closed surfaces and the triangles that they hide without a query.
+//! - [`line_space`]: Plücker vectors, cones of lines, the Klein quadric, the stabbing polyhedron, polar splits.
+//! - [`search`]: the query between two polygons, with occluder fusion and side bitsets.
+//! - [`cells`]: queries from a view cell, all triangles of a cell, and groups of cells.
+//!
+//! ```
+//! use glam::{DVec3, Vec3};
+//! use sightline_exact::{Limits, Occluders, Polygon, Verdict, sightlines};
+//! use sightline_scene::{Object, Scene, Triangle};
+//!
+//! // A triangle perpendicular to the x axis, as wide as `size`.
+//! let corners = |x: f32, size: f32| {
+//!     [[x, -size, -size], [x, size, -size], [x, 0.0, size]].map(Vec3::from)
+//! };
+//! let polygon = |x: f32| Polygon::triangle(corners(x, 1.0).map(|v| v.as_dvec3())).unwrap();
+//! let scene = |wall: Triangle| {
+//!     let object = Object { name: "wall".to_owned(), first: 0, count: 1 };
+//!     Occluders::new(&Scene::new("example", vec![wall], vec![object]).unwrap()).unwrap()
+//! };
+//! let between = scene(Triangle { v: corners(1.0, 10.0) });
+//! let behind = scene(Triangle { v: corners(3.0, 10.0) });
+//! let (a, b) = ([polygon(0.0)], [polygon(2.0)]);
+//!
+//! // The wall stands between the two polygons: the proof names triangle 0 of the scene.
+//! let (verdict, _) = sightlines(&between, &a, &b, &Limits::default());
+//! let Verdict::Hidden(proof) = verdict else { panic!("the wall covers all lines") };
+//! assert_eq!(proof.blockers(), [0]);
+//!
+//! // The wall stands behind both polygons: the witness is a segment from one to the other.
+//! let (verdict, _) = sightlines(&behind, &a, &b, &Limits::default());
+//! assert!(matches!(verdict, Verdict::Visible(_)));
+//! ```
 
-mod bvh;
-pub mod cell;
-mod cone;
-pub mod decide;
-mod double;
-mod edges;
-mod effort;
-mod forms;
-mod frame;
+pub mod arithmetic;
+pub mod cells;
 #[doc(hidden)]
 pub mod fuzzing;
-mod grow;
-mod klein;
-mod local;
-mod maps;
-mod number;
-pub mod occluder;
-mod polar;
-pub mod polygon;
-pub mod predicates;
-mod prism;
-pub mod query;
-mod rays;
-mod rims;
-mod rows;
-mod segment;
-pub mod surface;
-mod trace;
-mod vector;
+pub mod geometry;
+pub mod line_space;
+pub mod occluders;
+pub mod search;
+pub mod surfaces;
 
-pub use decide::{Decided, Task, Together, decide, together};
-pub use effort::Effort;
-pub use frame::Source;
-pub use occluder::Occluders;
-pub use polygon::{Polygon, PolygonError};
-pub use query::{Cost, Limits, Reason, Verdict, sightlines, sightlines_until};
+pub use cells::{
+    CellGroup, Decided, ExactScene, Found, GroupDecided, QueryStatistics, Task, decide, decide_group,
+    from_cell,
+};
+pub use geometry::{Cell, Polygon, PolygonError, Source, polygon, predicates};
+pub use line_space::Decisions;
+pub use occluders::Occluders;
+pub use search::{Cost, Limits, Reason, Verdict, sightlines, sightlines_until};
 pub use sightline_certificate::{Evidence, Proof, checker, evidence, proof};
-pub use vector::Decisions;
+pub use surfaces::Hides;

@@ -7,12 +7,12 @@ mod common;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use common::Corners;
-use common::cells::{chambers, occluders, set, solve};
+use common::cells::{chambers, exact_scene, set, solve};
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
-use sightline_exact::cell::{Cell, Found, from_cell};
 use sightline_exact::checker::{CellClaims, CellRefusal, Triangles, check_cell};
 use sightline_exact::evidence::{Evidence, Target, Witness, codec};
+use sightline_exact::{Cell, Found, from_cell};
 use sightline_exact::{Cost, Decided, Limits, Polygon};
 
 /// A scene, a cell, what was decided about it, and its evidence without compression.
@@ -32,18 +32,18 @@ fn check(
 #[test]
 fn a_room_behind_a_door_is_decided_and_every_claim_checked() {
     let (triangles, cell) = chambers();
-    let scene = occluders(&triangles);
+    let scene = exact_scene(&triangles);
     let d = solve(&scene, cell, &[], &|| false);
     assert!(d.undecided.is_empty(), "{:?}", d.undecided);
-    assert_eq!(d.effort.hidden as usize + d.visible.len(), triangles.len());
-    assert!(d.effort.boxes > 0, "some box is hidden as a whole");
+    assert_eq!(d.statistics.hidden as usize + d.visible.len(), triangles.len());
+    assert!(d.statistics.boxes > 0, "some box is hidden as a whole");
     assert!(d.visible.iter().all(|t| (*t as usize) < triangles.len() - 12), "nothing outside is seen");
     assert!(check(&triangles, cell, &d, &d.evidence).unwrap() > 0);
     // Guesses change nothing but what is found by rays; wrong ones are refuted.
     let all: Vec<u32> = (0..triangles.len() as u32).collect();
     let guessed = solve(&scene, cell, &all, &|| false);
     assert_eq!(guessed.visible, d.visible);
-    assert_eq!(guessed.effort.refuted, guessed.effort.hidden);
+    assert_eq!(guessed.statistics.refuted, guessed.statistics.hidden);
     check(&triangles, cell, &guessed, &guessed.evidence).unwrap();
     // The same again is the same to the last byte.
     let again = solve(&scene, cell, &all, &|| false);
@@ -55,14 +55,14 @@ fn a_room_behind_a_door_is_decided_and_every_claim_checked() {
 #[test]
 fn what_is_not_reached_in_time_is_undecided_and_the_rest_holds() {
     let (triangles, cell) = chambers();
-    let scene = occluders(&triangles);
+    let scene = exact_scene(&triangles);
     let whole = solve(&scene, cell, &[], &|| false);
     for most in [0, 1, 3, 10, 20, 50, 200, 1000] {
         let asked = AtomicU32::new(0);
         let d = solve(&scene, cell, &whole.visible, &|| asked.fetch_add(1, Ordering::Relaxed) >= most);
         assert!(d.visible.iter().all(|t| whole.visible.binary_search(t).is_ok()));
         assert!(whole.visible.iter().all(|t| set(&d).binary_search(t).is_ok()), "stopped after {most}");
-        assert_eq!(d.effort.open.iter().sum::<u64>(), d.undecided.len() as u64);
+        assert_eq!(d.statistics.open.iter().sum::<u64>(), d.undecided.len() as u64);
         check(&triangles, cell, &d, &d.evidence).unwrap();
     }
 }
@@ -70,7 +70,7 @@ fn what_is_not_reached_in_time_is_undecided_and_the_rest_holds() {
 #[test]
 fn tampered_claims_are_refused() {
     let (triangles, cell) = chambers();
-    let scene = occluders(&triangles);
+    let scene = exact_scene(&triangles);
     let d = solve(&scene, cell, &[], &|| false);
     let index = Triangles::new(&triangles);
     let visible = set(&d);
@@ -189,9 +189,9 @@ fn what_faces_away_is_hidden_without_a_query() {
     let mut triangles = solid(Vec3::ZERO, Vec3::ONE);
     triangles.extend(solid(Vec3::splat(2.0), Vec3::splat(4.0)));
     let cell = [Vec3::new(-2.0, 0.25, 0.25), Vec3::new(-1.0, 0.75, 0.75)];
-    let scene = occluders(&triangles);
+    let scene = exact_scene(&triangles);
     let d = solve(&scene, cell, &[], &|| false);
-    assert_eq!((d.effort.enclosed, d.effort.queries > 0), (16, true));
+    assert_eq!((d.statistics.enclosed, d.statistics.queries > 0), (16, true));
     check(&triangles, cell, &d, &d.evidence).unwrap();
     // Inside of a box nothing of it is hidden, and all of the other.
     let inside = [Vec3::splat(0.25), Vec3::splat(0.75)];
@@ -200,13 +200,13 @@ fn what_faces_away_is_hidden_without_a_query() {
     check(&triangles, inside, &d, &d.evidence).unwrap();
     // Through a hole the inner side is seen, and what no line through the hole reaches is still hidden by the surface.
     triangles.remove(1);
-    let scene = occluders(&triangles);
+    let scene = exact_scene(&triangles);
     let d = solve(&scene, cell, &[], &|| false);
     assert!(d.visible.iter().filter(|t| **t < 11).count() > 2, "{:?}", d.visible);
     check(&triangles, cell, &d, &d.evidence).unwrap();
     let beside = [Vec3::new(2.0, -2.0, 0.25), Vec3::new(3.0, -1.0, 0.75)];
     let d = solve(&scene, beside, &[], &|| false);
-    assert!(d.effort.enclosed > 0);
+    assert!(d.statistics.enclosed > 0);
     check(&triangles, beside, &d, &d.evidence).unwrap();
 }
 
@@ -215,7 +215,7 @@ fn decided() -> &'static Case {
     static ONCE: std::sync::OnceLock<Case> = std::sync::OnceLock::new();
     ONCE.get_or_init(|| {
         let (triangles, cell) = chambers();
-        let d = solve(&occluders(&triangles), cell, &[], &|| false);
+        let d = solve(&exact_scene(&triangles), cell, &[], &|| false);
         let raw = zstd::decode_all(codec::encode(&d.evidence).unwrap().as_slice()).unwrap();
         (triangles, cell, d, raw)
     })
@@ -238,10 +238,10 @@ proptest! {
         seed in any::<u64>(),
     ) {
         let cell = [corner, corner + Vec3::from(size.map(f32::from))];
-        let scene = occluders(&triangles);
+        let scene = exact_scene(&triangles);
         let seen: Vec<u32> = (0..triangles.len() as u32).filter(|t| guess >> t & 1 == 1).collect();
         let d = solve(&scene, cell, &seen, &|| false);
-        prop_assert!(d.undecided.is_empty(), "{:?}", d.effort);
+        prop_assert!(d.undecided.is_empty(), "{:?}", d.statistics);
         if let Err(e) = check(&triangles, cell, &d, &d.evidence) {
             return Err(TestCaseError::fail(e.to_string()));
         }
@@ -301,7 +301,7 @@ proptest! {
         // Off the grid, so that some cells touch nothing.
         let lo = corner + Vec3::splat(0.25);
         let cell = [lo, lo + Vec3::from(size.map(f32::from)) - Vec3::splat(0.5)];
-        let scene = occluders(&triangles);
+        let scene = exact_scene(&triangles);
         let d = solve(&scene, cell, &[], &|| false);
         prop_assert!(d.undecided.is_empty());
         if let Err(e) = check(&triangles, cell, &d, &d.evidence) {
@@ -311,7 +311,7 @@ proptest! {
         for h in d.evidence.hidden.iter().filter(|h| matches!(h.target, Target::Surfaces | Target::Half)) {
             for id in &h.triangles {
                 let target = Polygon::triangle(triangles[*id as usize].map(|v| v.as_dvec3())).unwrap();
-                let found = from_cell(&scene, view, (&[target], None), (&Limits::default(), &|| false), &mut Cost::default());
+                let found = from_cell(scene.occluders(), view, (&[target], None), (&Limits::default(), &|| false), &mut Cost::default());
                 prop_assert!(matches!(found, Found::Hidden(_)), "triangle {} is seen", id);
             }
         }

@@ -1,19 +1,18 @@
 //! Scenes with view cells, and shorthands for deciding these.
 
 use glam::Vec3;
-use sightline_exact::cell::Cell;
-use sightline_exact::{Decided, Limits, Occluders, Task, decide};
+use sightline_exact::{Cell, Decided, ExactScene, Limits, Task, decide};
 use sightline_scene::{Object, Scene, Triangle};
 
 use super::Corners;
 
-pub fn occluders(triangles: &[Corners]) -> Occluders {
+pub fn exact_scene(triangles: &[Corners]) -> ExactScene {
     let objects = vec![Object { name: "test".into(), first: 0, count: triangles.len() as u32 }];
     let all = triangles.iter().map(|v| Triangle { v: *v }).collect();
-    Occluders::new(&Scene::new("test", all, objects).unwrap()).unwrap()
+    ExactScene::prepare(&Scene::new("test", all, objects).unwrap()).unwrap()
 }
 
-pub fn solve(scene: &Occluders, cell: [Vec3; 2], seen: &[u32], stop: &(dyn Fn() -> bool + Sync)) -> Decided {
+pub fn solve(scene: &ExactScene, cell: [Vec3; 2], seen: &[u32], stop: &(dyn Fn() -> bool + Sync)) -> Decided {
     decide(&Task {
         scene,
         cell: Cell::new(cell[0], cell[1]).unwrap(),

@@ -1,0 +1,140 @@
+//! The numbers that decide when doubles cannot: integers of any size, and how doubles become them and back.
+//!
+//! Every coordinate is a finite double, an integer times a power of two. Points and lines are homogeneous, so a
+//! common positive factor means nothing and everything can be kept in integers; [`primitive`] keeps them small.
+
+use dashu_int::IBig;
+use dashu_int::ops::{BitTest, Gcd, UnsignedAbs as _};
+use sightline_scene::exact::dyadic;
+
+use crate::arithmetic::double_double::DoubleDouble;
+#[cfg(doc)]
+use crate::arithmetic::double_double::STEP;
+
+/// Half a unit in the last place of 1: the largest relative error of one rounded operation on doubles.
+pub const U: f64 = f64::EPSILON / 2.0;
+
+/// Integers `n` and one exponent `e` with `xs[i] = n[i] · 2^e`.
+pub fn integers<const N: usize>(xs: [f64; N]) -> ([IBig; N], i32) {
+    let parts = xs.map(dyadic);
+    let least = parts.iter().filter(|p| p.0 != 0).map(|p| p.1).min().unwrap_or(0);
+    (parts.map(|(m, e)| if m == 0 { IBig::ZERO } else { IBig::from(m) << (e - least) as usize }), least)
+}
+
+/// The point as homogeneous integers (x, y, z, w), w a positive power of two.
+pub fn homogeneous(p: [f64; 3]) -> [IBig; 4] {
+    let ([x, y, z], e) = integers(p);
+    if e < 0 {
+        [x, y, z, IBig::ONE << (-e) as usize]
+    } else {
+        let up = e as usize;
+        [x << up, y << up, z << up, IBig::ONE]
+    }
+}
+
+/// Divides by the greatest common divisor. A vector of zeros stays.
+pub fn primitive<const N: usize>(v: &mut [IBig; N]) {
+    let Some(zeros) = v.iter().filter_map(IBig::trailing_zeros).min() else { return };
+    if zeros > 0 {
+        v.iter_mut().for_each(|x| *x >>= zeros);
+    }
+    let mut divisor: Option<dashu_int::UBig> = None;
+    for x in v.iter().filter(|x| !x.is_zero()) {
+        let next = match divisor {
+            None => x.clone().unsigned_abs(),
+            Some(d) => d.gcd(x.clone().unsigned_abs()),
+        };
+        if next.is_one() {
+            return;
+        }
+        divisor = Some(next);
+    }
+    if let Some(d) = divisor {
+        let d = IBig::from(d);
+        v.iter_mut().for_each(|x| *x /= &d);
+    }
+}
+
+/// The vector scaled by a power of two until its greatest component is at least 1/2 and at most 1, each component
+/// wrong by at most [`U`]. A vector of zeros stays.
+pub fn rounded<const N: usize>(v: &[IBig; N]) -> [f64; N] {
+    let longest = v.iter().map(|x| x.bit_len()).max().unwrap_or(0);
+    // More than a double holds, so that cutting the rest off is far below the rounding that follows.
+    const KEPT: usize = 120;
+    let cut = longest.saturating_sub(KEPT);
+    let scale = f64::powi(2.0, -((longest - cut) as i32));
+    std::array::from_fn(|i| {
+        let x = if cut > 0 { (&v[i] >> cut).to_f64().value() } else { v[i].to_f64().value() };
+        x * scale
+    })
+}
+
+/// As [`rounded`], each component wrong by at most [`STEP`].
+pub fn rounded_double_double<const N: usize>(v: &[IBig; N]) -> [DoubleDouble; N] {
+    let longest = v.iter().map(|x| x.bit_len()).max().unwrap_or(0);
+    const KEPT: usize = 160;
+    let cut = longest.saturating_sub(KEPT);
+    let scale = f64::powi(2.0, -((longest - cut) as i32));
+    std::array::from_fn(|i| {
+        if cut > 0 { double_double(&(&v[i] >> cut)) } else { double_double(&v[i]) }.scaled(scale)
+    })
+}
+
+/// An integer below 2^1000 as a pair of doubles.
+pub fn double_double(x: &IBig) -> DoubleDouble {
+    let high = x.to_f64().value();
+    let ([n], e) = integers([high]);
+    let low = (x - (n << e.max(0) as usize)).to_f64().value();
+    DoubleDouble(high, low)
+}
+
+/// The vector scaled by a power of two so that its greatest component is at least 1/2 and below 1, and the factor.
+pub fn normalised<const N: usize>(x: [f64; N]) -> ([f64; N], f64) {
+    let greatest = x.iter().fold(0.0f64, |m, c| m.max(c.abs()));
+    if greatest == 0.0 || !greatest.is_finite() {
+        return (x, 1.0);
+    }
+    let exponent = ((greatest.to_bits() >> 52 & 0x7ff) as i32 - 1022).clamp(-1000, 1000);
+    // 2^−exponent, by its bits.
+    let scale = f64::from_bits(((1023 - exponent) as u64) << 52);
+    (x.map(|c| c * scale), scale)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn doubles_become_integers_and_back(x in any::<f64>().prop_filter("finite", |x| x.is_finite())) {
+            let (m, e) = dyadic(x);
+            prop_assert!(m % 2 != 0 || x == 0.0);
+            // In two steps: 2^e alone may be below what a double holds.
+            let half = e / 2;
+            prop_assert_eq!(m as f64 * f64::powi(2.0, half) * f64::powi(2.0, e - half), x);
+        }
+
+        #[test]
+        fn rounding_is_as_near_as_it_says(v in prop::array::uniform3(any::<i64>()), up in 0usize..300) {
+            prop_assume!(v.iter().any(|x| *x != 0));
+            let big = v.map(|x| IBig::from(x) << up);
+            let near = rounded(&big);
+            let longest = v.iter().map(|x| 64 - x.unsigned_abs().leading_zeros()).max().unwrap_or(0);
+            for (x, n) in v.iter().zip(near) {
+                prop_assert!((*x as f64 / f64::powi(2.0, longest as i32) - n).abs() <= 2.0 * U);
+            }
+        }
+    }
+
+    #[test]
+    fn primitive_vectors_have_no_common_factor() {
+        let mut v = [12, -18, 0, 30].map(IBig::from);
+        primitive(&mut v);
+        assert_eq!(v, [2, -3, 0, 5].map(IBig::from));
+        let mut zero = [IBig::ZERO, IBig::ZERO];
+        primitive(&mut zero);
+        assert_eq!(zero, [IBig::ZERO, IBig::ZERO]);
+    }
+}

@@ -1,0 +1,221 @@
+//! The queries about the nodes, polygons and triangles of a scene from one cell, and what their answers decide.
+
+use std::cmp::Ordering;
+
+use glam::{DVec3, Vec3};
+
+use crate::arithmetic::random::Random;
+use crate::cells::from_cell::{Found, faces_towards, from_cell};
+use crate::cells::rays;
+use crate::cells::work::{State, Work};
+use crate::evidence::{Target, Witness};
+use crate::geometry::bvh::Below;
+use crate::geometry::polygon::{Polygon, rounded};
+use crate::geometry::{Cell, Source, predicates};
+use crate::occluders::Occluders;
+use crate::occluders::segment::shows;
+use crate::search::{Cost, Reason};
+
+/// Witnesses of queries are rounded to points so far beyond the triangle, in parts of the segment's length.
+const BEYOND: f64 = 1e-5;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Item {
+    Node(u32),
+    Triangle(u32),
+    /// Triangles in one plane that make up a convex polygon, by their occluder.
+    Face(u32),
+}
+
+/// What was found out about an item.
+pub struct Asked {
+    pub of: Item,
+    pub found: Option<Found>,
+    /// Witnesses for triangles that are seen next to where the query found a free line.
+    pub beside: Vec<(u32, [Vec3; 2])>,
+    pub rays: u64,
+    pub cost: Cost,
+}
+
+impl Work<'_> {
+    pub fn bounds(&self, of: Item) -> [Vec3; 2] {
+        match of {
+            Item::Node(node) => self.task.scene.occluders().hierarchy().bounds(node),
+            Item::Triangle(id) => {
+                let [a, b, c] = *self.task.scene.occluders().triangle(id);
+                [a.min(b).min(c), a.max(b).max(c)]
+            }
+            Item::Face(id) => self
+                .task
+                .scene
+                .occluders()
+                .occluder(id)
+                .border
+                .iter()
+                .fold([Vec3::INFINITY, Vec3::NEG_INFINITY], |[lo, hi], [p, _]| [lo.min(*p), hi.max(*p)]),
+        }
+    }
+
+    /// The polygon that an occluder's triangles make up, if it has few enough corners to be asked about at once.
+    pub fn outline(&self, occluder: u32) -> Option<Polygon> {
+        let corners: Vec<DVec3> =
+            self.task.scene.occluders().occluder(occluder).outline().iter().map(|c| c.as_dvec3()).collect();
+        let mut pieces = Polygon::checked(&corners).ok()?;
+        if pieces.len() == 1 { pieces.pop() } else { None }
+    }
+
+    /// The triangles of an occluder that are open, and not half hidden by a surface.
+    pub fn open_of(&self, occluder: u32) -> Vec<u32> {
+        let open = |id: &u32| {
+            self.state[*id as usize] == State::Open && self.hidden_half(Item::Triangle(*id)).is_none()
+        };
+        self.task
+            .scene
+            .occluders()
+            .occluder(occluder)
+            .triangles
+            .iter()
+            .map(|(id, _)| *id)
+            .filter(open)
+            .collect()
+    }
+
+    /// Asks about one item; nothing is found when it is time to stop.
+    pub fn ask(&self, of: Item) -> Asked {
+        let mut cost = Cost::default();
+        if (self.task.stop)() {
+            return Asked { of, found: None, beside: Vec::new(), rays: 0, cost };
+        }
+        let targets = match of {
+            Item::Node(node) => {
+                let [min, max] = self.task.scene.occluders().hierarchy().bounds(node);
+                faces_towards(min, max, self.task.cell)
+            }
+            Item::Face(id) => self.outline(id).into_iter().collect(),
+            Item::Triangle(id) => {
+                Polygon::triangle(self.task.scene.occluders().triangle(id).map(|v| v.as_dvec3()))
+                    .into_iter()
+                    .collect()
+            }
+        };
+        let hidden = self.hidden_half(of);
+        let found = from_cell(
+            self.task.scene.occluders(),
+            self.task.cell,
+            (&targets, hidden),
+            (&self.task.limits, &self.task.stop),
+            &mut cost,
+        );
+        if matches!(found, Found::Undecided(Reason::Stopped)) {
+            return Asked { of, found: None, beside: Vec::new(), rays: 0, cost };
+        }
+        (self.task.asked)();
+        let (mut beside, mut rays) = (Vec::new(), 0);
+        if let Found::Visible(ends) = &found {
+            let wanted = |id: u32| {
+                self.state[id as usize] == State::Open
+                    && of != Item::Triangle(id)
+                    && self.task.scene.occluders().of(id).is_some()
+            };
+            let ends = ends.each_ref().map(rounded);
+            let stream = match of {
+                Item::Node(id) => u64::from(id) << 2,
+                Item::Triangle(id) => u64::from(id) << 2 | 1,
+                Item::Face(id) => u64::from(id) << 2 | 2,
+            };
+            let [min, max] = self.bounds(of);
+            let random = Random::new(!self.task.seed, stream);
+            let wide = f64::from((max - min).length());
+            (beside, rays) =
+                rays::around(self.task.scene.occluders(), &self.task.cell, ends, wide, &wanted, random);
+        }
+        Asked { of, found: Some(found), beside, rays, cost }
+    }
+
+    /// The side of its plane from which a triangle is known to be hidden.
+    pub fn hidden_half(&self, of: Item) -> Option<Ordering> {
+        let Item::Triangle(id) = of else { return None };
+        self.halves.binary_search_by_key(&id, |h| h.0).ok().map(|at| self.halves[at].1)
+    }
+
+    pub fn each_below(&mut self, node: u32, mut f: impl FnMut(&mut Self, u32)) {
+        let tree = self.task.scene.occluders().hierarchy();
+        let mut open = vec![node];
+        while let Some(node) = open.pop() {
+            match tree.below(node) {
+                Below::Nodes(children) => open.extend(children),
+                Below::Items(items) => items.iter().for_each(|id| f(self, *id)),
+            }
+        }
+    }
+
+    /// Takes up an answer that decides.
+    pub fn take(&mut self, Asked { of, found, cost, .. }: Asked) {
+        self.decided.statistics.cost += cost;
+        self.decided.statistics.queries += u64::from(found.is_some());
+        // A ray may have shown it in the meantime, or a box it is in may have turned out to be hidden.
+        if matches!(of, Item::Triangle(id) if self.state[id as usize] != State::Open) {
+            return;
+        }
+        match (of, found) {
+            (Item::Triangle(id), Some(Found::Visible(ends))) => {
+                if self.task.seen.binary_search(&id).is_err() {
+                    self.decided.statistics.missed += 1;
+                }
+                let scene = self.task.scene.occluders();
+                let cell = self.task.cell;
+                self.see(id, || witness(scene, &cell, id, &ends));
+            }
+            (Item::Triangle(id), Some(Found::Undecided(reason))) => self.leave(id, Some(reason)),
+            (Item::Triangle(id), None) => self.leave(id, None),
+            (Item::Triangle(id), Some(Found::Hidden(proofs))) => {
+                let half = self.hidden_half(of).is_some();
+                self.hide(&[id], if half { Target::Half } else { Target::Triangle }, proofs);
+            }
+            (Item::Node(node), Some(Found::Hidden(proofs))) => {
+                let mut ids = Vec::new();
+                self.each_below(node, |work, id| {
+                    if work.state[id as usize] == State::Open {
+                        ids.push(id);
+                    }
+                });
+                ids.sort_unstable();
+                self.decided.statistics.boxes += 1;
+                self.hide(&ids, Target::Box(self.task.scene.occluders().hierarchy().bounds(node)), proofs);
+            }
+            (Item::Face(face), Some(Found::Hidden(proofs))) => {
+                let mut ids = self.open_of(face);
+                ids.sort_unstable();
+                // The corners as the query had them: single-precision points of the scene.
+                let corners = self.outline(face).map_or_else(Vec::new, |p| p.rounded());
+                let corners = corners.iter().map(|c| c.as_vec3()).collect();
+                self.hide(&ids, Target::Polygon(corners), proofs);
+            }
+            (Item::Node(_) | Item::Face(_), _) => {}
+        }
+    }
+
+    /// Takes up witnesses that were found by the way.
+    pub fn show_beside(&mut self, answer: &mut Asked) -> Vec<u32> {
+        self.decided.statistics.rays += answer.rays;
+        let mut beside = std::mem::take(&mut answer.beside);
+        beside.retain(|(id, _)| self.state[*id as usize] == State::Open);
+        for (id, ends) in &beside {
+            self.decided.statistics.missed += u64::from(self.task.seen.binary_search(id).is_err());
+            self.see(*id, || Witness::Floats(*ends));
+        }
+        beside.into_iter().map(|(id, _)| id).collect()
+    }
+}
+
+/// A query's witness as it is kept: by floats where these will do.
+fn witness(scene: &Occluders, cell: &Cell, id: u32, ends: &[Source; 2]) -> Witness {
+    let [p, q] = ends.each_ref().map(rounded);
+    let [min, max] = cell.corners();
+    let near = p.as_vec3().clamp(min, max);
+    let far = (p + (q - p) * (1.0 + BEYOND)).as_vec3();
+    if far.is_finite() && shows(scene, near, far, id, &mut Vec::new()) {
+        return Witness::Floats([near, far]);
+    }
+    Witness::Exact(Box::new(ends.each_ref().map(predicates::integers)))
+}

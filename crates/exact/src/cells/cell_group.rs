@@ -1,0 +1,122 @@
+//! What is hidden from several cells at once: asked about the box around them, once instead of cell by cell.
+//!
+//! Growing a cell never hides, so what is hidden from a box is hidden from all in it. The other way round nothing is gained: what is
+//! seen from the box is asked about again from each cell. So nothing is asked that one of the cells is known to see, and nothing that
+//! all of them are known not to.
+
+use rayon::prelude::*;
+
+use crate::cells::exact_scene::ExactScene;
+use crate::cells::statistics::QueryStatistics;
+use crate::cells::task::Task;
+use crate::cells::work::{State, Work};
+use crate::evidence::Shared;
+use crate::geometry::Cell;
+use crate::search::Limits;
+
+/// Which cells, and how what is hidden from all of them is to be found.
+pub struct CellGroup<'a> {
+    /// What blocks.
+    pub scene: &'a ExactScene,
+    /// The cells, which fill a box.
+    pub cells: &'a [Cell],
+    /// For each, triangles that sampling has shown, ascending.
+    pub seen: &'a [&'a [u32]],
+    /// When a single query gives up.
+    pub limits: Limits,
+    /// Seed of the rays.
+    pub seed: u64,
+    /// Whether to keep proofs.
+    pub keep: bool,
+    /// Asked before every region of every query whether to stop with what there is.
+    pub stop: &'a (dyn Fn() -> bool + Sync),
+    /// Told after every query.
+    pub asked: &'a (dyn Fn() + Sync),
+}
+
+/// What is hidden from a group of cells.
+#[derive(Debug, PartialEq)]
+pub struct GroupDecided {
+    /// Triangles hidden from the box around the cells, ascending.
+    pub hidden: Vec<u32>,
+    /// The box, and the proofs if they are kept.
+    pub shared: Shared,
+    /// Work done.
+    pub statistics: QueryStatistics,
+}
+
+/// The triangles proved hidden from the box around the cells, ascending; with proofs, if they are kept, and what it took.
+pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
+    let all = task.cells.iter().map(Cell::corners);
+    let bounds = all.reduce(|[min, max], [lo, hi]| [min.min(lo), max.max(hi)]).unwrap_or_default();
+    let nothing = |statistics| GroupDecided {
+        hidden: Vec::new(),
+        shared: Shared { bounds, hidden: Vec::new() },
+        statistics,
+    };
+    let Some(cell) = Cell::new(bounds[0], bounds[1]) else { return nothing(QueryStatistics::default()) };
+    let whole = Task {
+        scene: task.scene,
+        cell,
+        seen: &[],
+        above: &[],
+        limits: task.limits,
+        seed: task.seed,
+        keep: task.keep,
+        stop: task.stop,
+        asked: task.asked,
+    };
+    let mut work = Work::new(&whole);
+    if task.scene.occluders().hierarchy().is_empty() || (task.stop)() {
+        return nothing(QueryStatistics::default());
+    }
+    work.meeting();
+    // What the cells know without asking: a few at a time, since a large scene has many triangles and a tile may have many cells.
+    let mut seen_by_any = vec![false; work.state.len()];
+    let mut hidden_from = vec![0; work.state.len()];
+    let pairs: Vec<_> = task.cells.iter().zip(task.seen).collect();
+    for some in pairs.chunks(rayon::current_num_threads()) {
+        if (task.stop)() {
+            return nothing(QueryStatistics::default());
+        }
+        let known: Vec<Vec<State>> =
+            some.par_iter().map(|(cell, seen)| before_asking(&whole, **cell, seen)).collect();
+        let counts = seen_by_any.par_iter_mut().zip(&mut hidden_from).enumerate();
+        counts.for_each(|(id, (seen, hidden))| {
+            *seen |= known.iter().any(|cell| cell[id] == State::Visible);
+            *hidden += known.iter().filter(|cell| cell[id] == State::Hidden).count();
+        });
+    }
+    for (id, state) in work.state.iter_mut().enumerate().filter(|(_, state)| **state == State::Open) {
+        if seen_by_any[id] {
+            *state = State::Visible;
+        } else if hidden_from[id] == task.cells.len() {
+            *state = State::Hidden;
+        }
+    }
+    let before = work.state.clone();
+    work.search();
+    let found = |id: &u32| {
+        let at = *id as usize;
+        work.state[at] == State::Hidden && before[at] == State::Open
+    };
+    let hidden = (0..before.len() as u32).filter(found).collect();
+    let shared = Shared { bounds, hidden: std::mem::take(&mut work.decided.evidence.hidden) };
+    GroupDecided { hidden, shared, statistics: work.decided.statistics }
+}
+
+/// What is known of the triangles from one of the cells before anything is asked; what sampling has shown is taken to be visible.
+fn before_asking(whole: &Task<'_>, cell: Cell, seen: &[u32]) -> Vec<State> {
+    let own = Task { cell, seen, keep: false, ..*whole };
+    let mut work = Work::new(&own);
+    work.meeting();
+    work.enclose();
+    let mut state = work.state;
+    for id in seen {
+        let of = &mut state[*id as usize];
+        if *of == State::Open {
+            *of = State::Visible;
+        }
+    }
+    state
+}

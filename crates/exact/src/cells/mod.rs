@@ -1,0 +1,20 @@
+//! View cells: what is seen from anywhere in a box, for one polygon, for all triangles, and for groups of cells.
+
+mod ask;
+mod cell_group;
+mod decide;
+mod exact_scene;
+mod from_cell;
+mod hierarchy_search;
+mod progress;
+mod rays;
+mod statistics;
+mod task;
+mod work;
+
+pub use cell_group::{CellGroup, GroupDecided, decide_group};
+pub use decide::decide;
+pub use exact_scene::ExactScene;
+pub use from_cell::{Found, from_cell};
+pub use statistics::QueryStatistics;
+pub use task::{Decided, Task};

@@ -1,0 +1,119 @@
+//! Witnesses by rays: for each of many triangles that are likely visible, segments from random points of the cell to random
+//! points of it; whatever wanted triangle such a segment meets first has its witness.
+//!
+//! Every segment is checked exactly before it counts ([`shows`]). What a few rays do not show is left to the queries.
+
+use std::collections::BTreeMap;
+
+use glam::{DVec3, Vec3};
+
+use crate::arithmetic::random::Random;
+use crate::geometry::Cell;
+use crate::occluders::Occluders;
+use crate::occluders::segment::{first, shows};
+
+/// Segments tried for one triangle before it is left to a query, which costs far more than all of them.
+const TRIES: u32 = 48;
+/// How far beyond the point it meets a witness reaches, in parts of its length: floats near the point have to be well beyond
+/// the triangle, and what is right behind it in the way as rarely as can be.
+const BEYOND: [f64; 2] = [1e-4, 1e-6];
+
+/// Segments tried around one that a query found.
+const AROUND: u32 = 32;
+/// How far apart these are at first, in parts of the cell and of the target, and by which factor they come nearer.
+const SPREAD: [f64; 2] = [0.25, 0.6];
+
+/// Looks for witnesses near a free segment from the cell to a target so wide: what one line shows its neighbours often do, too, and
+/// what is behind a box's face. Gives witnesses for `wanted` triangles, and how many rays were cast.
+pub fn around(
+    scene: &Occluders,
+    cell: &Cell,
+    [p, q]: [DVec3; 2],
+    wide: f64,
+    wanted: &dyn Fn(u32) -> bool,
+    mut random: Random,
+) -> (Vec<(u32, [Vec3; 2])>, u64) {
+    let mut found: Vec<(u32, [Vec3; 2])> = Vec::new();
+    let mut scratch = Vec::new();
+    let [min, max] = cell.corners();
+    let mut spread = 0.0;
+    for _ in 0..AROUND {
+        let mut off = || DVec3::new(random.unit(), random.unit(), random.unit()) * 2.0 - 1.0;
+        let near = (p + off() * (max - min).as_dvec3() * spread).as_vec3().clamp(min, max);
+        let origin = near.as_dvec3();
+        let to = q + off() * wide * spread;
+        // The segment itself comes first.
+        spread = if spread == 0.0 { SPREAD[0] } else { spread * SPREAD[1] };
+        let Some((met, at)) = first(scene, origin, to - origin) else { continue };
+        if !wanted(met) || found.iter().any(|f| f.0 == met) {
+            continue;
+        }
+        if let Some(ends) = segment(scene, near, to - origin, (met, at), &mut scratch) {
+            found.push((met, ends));
+        }
+    }
+    (found, u64::from(AROUND))
+}
+
+/// The segment from `p` along a direction to just beyond the triangle it meets there, if it shows it.
+fn segment(
+    scene: &Occluders,
+    p: Vec3,
+    direction: DVec3,
+    (met, at): (u32, f64),
+    scratch: &mut Vec<u32>,
+) -> Option<[Vec3; 2]> {
+    BEYOND.iter().find_map(|beyond| {
+        let q = (p.as_dvec3() + direction * (at * (1.0 + beyond))).as_vec3();
+        (q.is_finite() && shows(scene, p, q, met, scratch)).then_some([p, q])
+    })
+}
+
+/// Looks for witnesses of the `wanted` triangles (ascending) and gives those found.
+///
+/// The answer depends on the scene, the cell, `wanted` and `seed` alone. `stop` is asked now and then; once it says so, what was
+/// found by then is the answer.
+pub fn witnesses(
+    scene: &Occluders,
+    cell: &Cell,
+    wanted: &[u32],
+    seed: u64,
+    stop: &dyn Fn() -> bool,
+) -> (BTreeMap<u32, [Vec3; 2]>, u64) {
+    let mut found = BTreeMap::new();
+    let (mut scratch, mut cast) = (Vec::new(), 0);
+    for id in wanted {
+        let mut random = Random::new(seed, u64::from(*id));
+        let [a, b, c] = scene.triangle(*id).map(|v| v.as_dvec3());
+        for _ in 0..TRIES {
+            if found.contains_key(id) {
+                break;
+            }
+            let p = point_in(cell, &mut random);
+            // Evenly over the triangle.
+            let (s, t) = (random.unit().sqrt(), random.unit());
+            let to = a * (1.0 - s) + b * (s * (1.0 - t)) + c * (s * t);
+            let origin = p.as_dvec3();
+            cast += 1;
+            let Some((met, at)) = first(scene, origin, to - origin) else { continue };
+            if found.contains_key(&met) || wanted.binary_search(&met).is_err() {
+                continue;
+            }
+            if let Some(ends) = segment(scene, p, to - origin, (met, at), &mut scratch) {
+                found.insert(met, ends);
+            }
+        }
+        if stop() {
+            break;
+        }
+    }
+    (found, cast)
+}
+
+/// A random point of the cell.
+fn point_in(cell: &Cell, random: &mut Random) -> Vec3 {
+    let [min, max] = cell.corners();
+    let r = DVec3::new(random.unit(), random.unit(), random.unit());
+    let p = (min.as_dvec3() + (max.as_dvec3() - min.as_dvec3()) * r).as_vec3();
+    p.clamp(min, max)
+}

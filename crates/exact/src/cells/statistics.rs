@@ -1,0 +1,90 @@
+//! What deciding a cell took, as numbers that results keep.
+
+use crate::search::Cost;
+
+/// What deciding a cell took. Everything here is the same on every run that is not stopped.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct QueryStatistics {
+    /// Rays cast for witnesses. These, queries, boxes and cost are with what was asked about a box around this cell and those after it.
+    pub rays: u64,
+    /// Boxes and triangles asked about.
+    pub queries: u64,
+    /// Boxes proved hidden as a whole.
+    pub boxes: u64,
+    /// Triangles hidden by the closed surface they are part of, and not from a box around several cells anyway.
+    pub enclosed: u64,
+    /// Triangles proved hidden, with those in such boxes, those by surfaces and those from boxes around several cells.
+    pub hidden: u64,
+    /// Triangles hidden from a box around this cell and others.
+    pub above: u64,
+    /// Triangles that sampling had not shown and that are visible.
+    pub missed: u64,
+    /// Triangles that sampling had shown and that are hidden: seen through a seam.
+    pub refuted: u64,
+    /// Undecided triangles by reason: stopped, too many regions, too much memory, halved too often.
+    pub open: [u64; 4],
+    /// What the queries took.
+    pub cost: Cost,
+}
+
+impl QueryStatistics {
+    /// Names of [`QueryStatistics::numbers`], as results and tables have them.
+    pub const NAMES: [&'static str; 20] = [
+        "exact_rays",
+        "exact_queries",
+        "exact_boxes_hidden",
+        "exact_enclosed",
+        "exact_hidden",
+        "exact_missed",
+        "exact_refuted",
+        "undecided_stopped",
+        "undecided_regions",
+        "undecided_memory",
+        "undecided_halvings",
+        "exact_regions",
+        "exact_lines",
+        "exact_occluders",
+        "signs_filtered",
+        "signs_refined",
+        "signs_spanned",
+        "signs_exact",
+        "exact_vectors",
+        "exact_above",
+    ];
+
+    /// Counts what was asked about a box around this cell and others as asked about this one.
+    pub fn add_asked(&mut self, o: &Self) {
+        self.rays += o.rays;
+        self.queries += o.queries;
+        self.boxes += o.boxes;
+        self.cost += o.cost;
+    }
+
+    /// Most of it, in the order of [`QueryStatistics::NAMES`].
+    pub fn numbers(&self) -> [u64; Self::NAMES.len()] {
+        let ([a, b, c, d], cost) = (self.open, &self.cost);
+        let signs = &cost.decisions;
+        [
+            self.rays,
+            self.queries,
+            self.boxes,
+            self.enclosed,
+            self.hidden,
+            self.missed,
+            self.refuted,
+            a,
+            b,
+            c,
+            d,
+            cost.regions,
+            cost.lines,
+            cost.occluders,
+            signs.filtered,
+            signs.refined,
+            signs.spanned,
+            signs.exact,
+            cost.vectors,
+            self.above,
+        ]
+    }
+}

@@ -1,0 +1,150 @@
+//! The states of all triangles while a cell is decided, and everything that needs no query.
+
+use std::cmp::Ordering;
+
+use rayon::prelude::*;
+use sightline_scene::{Aabb, Triangle, overlap};
+
+use crate::cells::task::{Decided, Task};
+use crate::evidence::{Hidden, Target, Witness};
+use crate::geometry::bvh::Below;
+use crate::proof::Proof;
+use crate::search::Reason;
+use crate::surfaces::Hides;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum State {
+    Open,
+    Visible,
+    Hidden,
+    Undecided,
+}
+
+pub struct Work<'a> {
+    pub task: &'a Task<'a>,
+    pub state: Vec<State>,
+    /// Triangles that surfaces hide from one side of their planes, ascending, with that side.
+    pub halves: Vec<(u32, Ordering)>,
+    pub decided: Decided,
+}
+
+impl<'a> Work<'a> {
+    pub fn new(task: &'a Task<'a>) -> Self {
+        let state = vec![State::Open; task.scene.occluders().len()];
+        Self { task, state, halves: Vec::new(), decided: Decided::default() }
+    }
+}
+
+impl Work<'_> {
+    /// Marks what is hidden from all around.
+    pub fn take_over(&mut self) {
+        let task = self.task;
+        for id in task.above {
+            debug_assert!(self.state[*id as usize] == State::Open, "triangle {id} meets the cell");
+            self.state[*id as usize] = State::Hidden;
+        }
+        let statistics = &mut self.decided.statistics;
+        statistics.above = task.above.len() as u64;
+        statistics.hidden += statistics.above;
+        statistics.refuted +=
+            task.above.iter().filter(|id| task.seen.binary_search(id).is_ok()).count() as u64;
+    }
+
+    /// Marks what meets the cell, I(C).
+    pub fn meeting(&mut self) {
+        let [min, max] = self.task.cell.corners();
+        let bounds = Aabb { min, max };
+        let tree = self.task.scene.occluders().hierarchy();
+        let mut open = vec![0];
+        while let Some(node) = open.pop() {
+            if !self.task.cell.touches(tree.bounds(node)) {
+                continue;
+            }
+            match tree.below(node) {
+                Below::Nodes(children) => open.extend(children),
+                Below::Items(items) => {
+                    for id in items {
+                        let triangle = Triangle { v: *self.task.scene.occluders().triangle(*id) };
+                        if overlap::triangle_touches_box(&triangle, &bounds) {
+                            self.state[*id as usize] = State::Visible;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Marks what closed surfaces hide: most of what faces away.
+    pub fn enclose(&mut self) {
+        let task = self.task;
+        let all = 0..self.state.len() as u32;
+        let meeting: Vec<u32> = all.clone().filter(|id| self.state[*id as usize] == State::Visible).collect();
+        let from = task.scene.surfaces().seen_from(task.scene.occluders(), task.cell, &meeting);
+        let open = |id: &u32| self.state[*id as usize] == State::Open;
+        let hidden: Vec<(u32, Hides)> = all
+            .into_par_iter()
+            .filter(open)
+            .map(|id| (id, from.hides(id)))
+            .filter(|h| h.1 != Hides::Nothing)
+            .collect();
+        let ids: Vec<u32> = hidden.iter().filter(|h| h.1 == Hides::All).map(|h| h.0).collect();
+        self.halves = hidden
+            .into_iter()
+            .filter_map(|(id, h)| if let Hides::From(side) = h { Some((id, side)) } else { None })
+            .collect();
+        self.decided.statistics.enclosed = ids.len() as u64;
+        self.decided.statistics.refuted +=
+            ids.iter().filter(|id| task.seen.binary_search(id).is_ok()).count() as u64;
+        if !ids.is_empty() {
+            self.hide(&ids, Target::Surfaces, Vec::new());
+        }
+    }
+
+    pub fn see(&mut self, id: u32, witness: impl FnOnce() -> Witness) {
+        self.state[id as usize] = State::Visible;
+        if self.task.keep {
+            self.decided.evidence.seen.push((id, witness()));
+        }
+    }
+
+    pub fn hide(&mut self, ids: &[u32], target: Target, proofs: Vec<Proof>) {
+        ids.iter().for_each(|id| self.state[*id as usize] = State::Hidden);
+        self.decided.statistics.hidden += ids.len() as u64;
+        if self.task.keep && !ids.is_empty() {
+            self.decided.evidence.hidden.push(Hidden { target, triangles: ids.to_vec(), proofs });
+        }
+    }
+
+    /// Leaves a triangle undecided; without a reason because it was time to stop.
+    pub fn leave(&mut self, id: u32, reason: Option<Reason>) {
+        if self.state[id as usize] != State::Open {
+            return;
+        }
+        self.state[id as usize] = State::Undecided;
+        let kind = match reason {
+            None | Some(Reason::Stopped) => 0,
+            Some(Reason::Regions) => 1,
+            Some(Reason::Memory) => 2,
+            Some(Reason::Divisions) => 3,
+        };
+        self.decided.statistics.open[kind] += 1;
+    }
+
+    pub fn finish(mut self) -> Decided {
+        for (id, state) in self.state.iter().enumerate() {
+            let id = id as u32;
+            match state {
+                State::Visible => self.decided.visible.push(id),
+                State::Undecided => self.decided.undecided.push(id),
+                // Whatever has area was asked about; were it not, it would not be called hidden.
+                State::Open if self.task.scene.occluders().of(id).is_some() => {
+                    debug_assert!(false, "triangle {id} was not asked about");
+                    self.decided.undecided.push(id);
+                }
+                State::Open | State::Hidden => {}
+            }
+        }
+        self.decided.evidence.seen.sort_by_key(|(id, _)| *id);
+        self.decided
+    }
+}

@@ -1,0 +1,147 @@
+//! On which side of a plane a point is, for points in a frame and points in the world: filtered, then exact.
+//!
+//! `sightline-scene` has the same decisions for single-precision points; here points are doubles, or lie where an
+//! edge meets a plane, and carry a bound on their rounding.
+
+use std::cmp::Ordering;
+
+use dashu_int::{IBig, Sign};
+use glam::{DVec3, Vec3Swizzles as _};
+use sightline_scene::exact::{det3_small, differences};
+
+use crate::arithmetic::number::{U, homogeneous};
+use crate::geometry::frame::{Point, Source};
+
+/// The sign of an integer.
+pub fn sign(x: &IBig) -> Ordering {
+    if x.is_zero() {
+        Ordering::Equal
+    } else if x.sign() == Sign::Positive {
+        Ordering::Greater
+    } else {
+        Ordering::Less
+    }
+}
+
+/// The orientation of four points, the sign of (b − a) × (c − a) · (d − a), where doubles can tell.
+///
+/// Differences are off by e = both points' errors and a rounding; the determinant then by at most 6 products of
+/// one difference's error and the others' sizes for each of the three, and by 16u of the products' magnitudes for
+/// its own roundings (as in `sightline_scene::exact::orient3d_sign`).
+pub fn orient_points(p: [&Point; 4]) -> Option<Ordering> {
+    let d = |i: usize| -> ([f64; 3], f64, f64) {
+        let x: [f64; 3] = std::array::from_fn(|k| p[i].at[k] - p[0].at[k]);
+        let size = x.iter().fold(0.0f64, |m, c| m.max(c.abs()));
+        (x, size, p[i].error + p[0].error + U * size)
+    };
+    let ((x, nx, ex), (y, ny, ey), (z, nz, ez)) = (d(1), d(2), d(3));
+    let det = x[0] * (y[1] * z[2] - y[2] * z[1])
+        + x[1] * (y[2] * z[0] - y[0] * z[2])
+        + x[2] * (y[0] * z[1] - y[1] * z[0]);
+    let (nx, ny, nz) = (nx + ex, ny + ey, nz + ez);
+    let bound = 6.1 * (ex * ny * nz + nx * ey * nz + nx * ny * ez) + 100.0 * U * nx * ny * nz;
+    (det.abs() > bound && bound < 1e280).then_some(if det > 0.0 { Ordering::Greater } else { Ordering::Less })
+}
+
+/// The orientation of four homogeneous points with w > 0.
+pub fn orient_exact(p: [&[IBig; 4]; 4]) -> Ordering {
+    let a = p[0];
+    let d = |q: &[IBig; 4]| -> [IBig; 3] { std::array::from_fn(|k| &q[k] * &a[3] - &a[k] * &q[3]) };
+    let (x, y, z) = (d(p[1]), d(p[2]), d(p[3]));
+    let minor = |i: usize, j: usize| &y[i] * &z[j] - &y[j] * &z[i];
+    sign(&(&x[0] * minor(1, 2) + &x[1] * minor(2, 0) + &x[2] * minor(0, 1)))
+}
+
+/// The determinant of four homogeneous points.
+pub fn determinant(p: [&[IBig; 4]; 4]) -> IBig {
+    let [a, b, c, d] = p;
+    // By pairs of rows: Σ ± (minor of a, b) · (complementary minor of c, d).
+    let minor = |x: &[IBig; 4], y: &[IBig; 4], i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];
+    let term = |i: usize, j: usize, k: usize, l: usize| minor(a, b, i, j) * minor(c, d, k, l);
+    term(0, 1, 2, 3) - term(0, 2, 1, 3) + term(0, 3, 1, 2) + term(1, 2, 0, 3) - term(1, 3, 0, 2)
+        + term(2, 3, 0, 1)
+}
+
+/// The orientation of four points in world space.
+pub fn orient(p: [&Source; 4]) -> Ordering {
+    if let [Source::Given(a), Source::Given(b), Source::Given(c), Source::Given(d)] = p
+        && let Some(sign) = orient_doubles(*a, *b, *c, *d).or_else(|| orient_small([*a, *b, *c, *d]))
+    {
+        return sign;
+    }
+    let [a, b, c, d] = p.map(integers);
+    orient_exact([&a, &b, &c, &d])
+}
+
+/// The orientation of four points given in doubles, where doubles can tell. The bound is that of
+/// [`orient_points`] with exact points; where a product could underflow, integers decide.
+pub fn orient_doubles(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> Option<Ordering> {
+    let (x, y, z) = (b - a, c - a, d - a);
+    let (m, n) = (y.cross(z), y.abs().yzx() * z.abs().zxy() + y.abs().zxy() * z.abs().yzx());
+    let (det, magnitude) = (x.dot(m), x.abs().dot(n));
+    // A normal sum of products far above the least normal double has lost nothing to underflow that matters.
+    let safe = magnitude > 1e-200 && magnitude < 1e250 && x.abs().max_element() < 1e80;
+    (safe && det.abs() > 16.0 * U * magnitude + 1e-280).then_some(if det > 0.0 {
+        Ordering::Greater
+    } else {
+        Ordering::Less
+    })
+}
+
+/// The orientation of four points given in doubles, where they are integers of few bits times a power of two.
+pub fn orient_small([a, b, c, d]: [DVec3; 4]) -> Option<Ordering> {
+    differences(a, [b, c, d]).and_then(det3_small)
+}
+
+/// A point's exact homogeneous coordinates in world space.
+pub fn integers(p: &Source) -> [IBig; 4] {
+    match p {
+        Source::Given(p) => homogeneous(p.to_array()),
+        Source::Exact(p) => (**p).clone(),
+    }
+}
+
+/// The plane (n, k), n·x = k, through three points that are not on a line; n points to where they are seen to turn
+/// counter-clockwise.
+pub fn plane(p: [&[IBig; 4]; 3]) -> [IBig; 4] {
+    // The cofactors of the 3×4 matrix of homogeneous points; with w > 0 the first three are n up to a positive factor.
+    let minor = |i: usize, j: usize, k: usize| {
+        let [a, b, c] = p;
+        &a[i] * (&b[j] * &c[k] - &b[k] * &c[j]) - &a[j] * (&b[i] * &c[k] - &b[k] * &c[i])
+            + &a[k] * (&b[i] * &c[j] - &b[j] * &c[i])
+    };
+    let mut out = [minor(1, 2, 3), minor(2, 0, 3), minor(0, 1, 3), minor(0, 1, 2)];
+    crate::arithmetic::number::primitive(&mut out);
+    out
+}
+
+/// n·x − k·w, whose sign is that of the side of the plane the point is on.
+pub fn height(plane: &[IBig; 4], p: &[IBig; 4]) -> IBig {
+    &plane[0] * &p[0] + &plane[1] * &p[1] + &plane[2] * &p[2] - &plane[3] * &p[3]
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn grid() -> impl Strategy<Value = [[i32; 3]; 4]> {
+        prop::array::uniform4(prop::array::uniform3(-4i32..5))
+    }
+
+    proptest! {
+        #[test]
+        fn orientation_agrees_with_integers(p in grid(), e in -300i32..300) {
+            let d = |k: usize, i: usize| i64::from(p[k][i] - p[0][i]);
+            let cross = |i: usize, j: usize| d(1, i) * d(2, j) - d(1, j) * d(2, i);
+            let det = cross(1, 2) * d(3, 0) + cross(2, 0) * d(3, 1) + cross(0, 1) * d(3, 2);
+            let s = p.map(|q| Source::Given(DVec3::from(q.map(|c| f64::from(c) * f64::powi(2.0, e)))));
+            prop_assert_eq!(orient([&s[0], &s[1], &s[2], &s[3]]), det.cmp(&0));
+            let x = [0, 1, 2, 3].map(|i| integers(&s[i]));
+            prop_assert_eq!(orient_exact([&x[0], &x[1], &x[2], &x[3]]), det.cmp(&0));
+            let normal = plane([&x[0], &x[1], &x[2]]);
+            prop_assert_eq!(sign(&height(&normal, &x[3])), det.cmp(&0));
+        }
+    }
+}

@@ -1,0 +1,221 @@
+//! Regions of line space: convex cones in six dimensions, kept as rays with the half-spaces tight at each.
+//!
+//! The double description method (Motzkin et al. 1953; Fukuda & Prodon 1996): a half-space splits a cone by
+//! keeping rays on its side and adding one ray on every edge it crosses. Two rays share an edge exactly when no third
+//! is tight wherever both are. No faces in between are kept (Haumont 2005). Signs are exact, so tight sets are, too.
+
+use std::cmp::Ordering;
+use std::rc::Rc;
+
+use crate::line_space::space::{Id, Space, Tight};
+
+/// Most half-spaces of a region, kept free of those that bound nothing.
+pub const MOST_HALVES: usize = 128;
+
+/// A pointed cone with inner points: a set of lines, real and not.
+#[derive(Clone, Debug)]
+pub struct Region {
+    /// Extreme rays, and where each is tight.
+    pub rays: Vec<(Id, Tight)>,
+    /// The lines whose hyperplanes bound the region; a bit of [`Tight`] is an index here.
+    pub halves: Rc<[Id]>,
+}
+
+/// A region has more facets than [`MOST_HALVES`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TooComplex;
+
+impl Region {
+    /// On which side of a line's hyperplane each ray is.
+    pub fn sides(&self, space: &mut Space, line: Id, out: &mut Vec<Ordering>) {
+        out.clear();
+        let known = self.halves.iter().position(|h| *h == line).map_or(0, |i| 1u128 << i);
+        let mut sure = 0;
+        for (ray, tight) in &self.rays {
+            out.push(if tight & known != 0 {
+                Ordering::Equal
+            } else if let Some(side) = space.filtered_side(*ray, line) {
+                sure += 1;
+                side
+            } else {
+                space.unfiltered_ray_side(*ray, line, self.tight(*tight))
+            });
+        }
+        space.decisions.filtered += sure;
+    }
+
+    /// The lines of a set.
+    pub fn tight(&self, set: Tight) -> impl Iterator<Item = Id> {
+        Self::lines(&self.halves, set)
+    }
+
+    fn lines(halves: &[Id], set: Tight) -> impl Iterator<Item = Id> {
+        halves.iter().enumerate().filter(move |(k, _)| set >> k & 1 == 1).map(|(_, h)| *h)
+    }
+
+    /// The parts on the negative and on the positive side of a line, given the sides of all rays, both of which
+    /// must occur.
+    ///
+    /// # Errors
+    /// [`TooComplex`] when the region has as many facets as there are bits.
+    pub fn split(&self, space: &mut Space, line: Id, sides: &[Ordering]) -> Result<[Self; 2], TooComplex> {
+        let mut base = self;
+        let compacted;
+        if self.halves.len() >= MOST_HALVES {
+            compacted = self.compact();
+            if compacted.halves.len() >= MOST_HALVES {
+                return Err(TooComplex);
+            }
+            base = &compacted;
+        }
+        let bit = 1u128 << base.halves.len();
+        let mut halves = Vec::with_capacity(base.halves.len() + 1);
+        halves.extend_from_slice(&base.halves);
+        halves.push(line);
+        let halves: Rc<[Id]> = halves.into();
+        let kept = |keep: Ordering| sides.iter().filter(|s| **s != keep.reverse()).count();
+        let mut parts = [Ordering::Less, Ordering::Greater].map(|keep| {
+            // A cut or two for each ray that is left out.
+            let most = 2 * sides.len() - kept(keep);
+            let mut rays: Vec<(Id, Tight)> = Vec::with_capacity(most);
+            rays.extend(
+                base.rays
+                    .iter()
+                    .zip(sides)
+                    .filter(|(_, s)| **s != keep.reverse())
+                    .map(|((r, t), s)| (*r, if *s == Ordering::Equal { t | bit } else { *t })),
+            );
+            Self { rays, halves: halves.clone() }
+        });
+        let mut cut = |i: usize, j: usize| {
+            let ((p, tp), (n, tn)) = (base.rays[i], base.rays[j]);
+            let common = tp & tn;
+            let on = || Self::lines(&halves, common | bit).collect();
+            let cut = space.cut([p, n], line, on);
+            parts.iter_mut().for_each(|part| part.rays.push((cut, common | bit)));
+        };
+        let edges = Edges::new(base);
+        for i in (0..sides.len()).filter(|i| sides[*i] == Ordering::Greater) {
+            edges.neighbours(base, i, |j| {
+                if sides[j] == Ordering::Less {
+                    cut(i, j);
+                }
+            });
+        }
+        Ok(parts)
+    }
+
+    /// Without the half-spaces that are tight at fewer than five rays and so bound nothing of full dimension.
+    pub fn compact(&self) -> Self {
+        let kept: Vec<usize> = (0..self.halves.len())
+            .filter(|h| self.rays.iter().filter(|(_, t)| t >> h & 1 == 1).take(5).count() == 5)
+            .collect();
+        let rays = self
+            .rays
+            .iter()
+            .map(|(r, t)| {
+                (*r, kept.iter().enumerate().fold(0, |bits, (new, old)| bits | (t >> old & 1) << new))
+            })
+            .collect();
+        Self { rays, halves: kept.iter().map(|h| self.halves[*h]).collect() }
+    }
+}
+
+/// For telling which rays share an edge.
+struct Edges {
+    /// For each half-space the rays it is tight at, if there are few enough to be bits.
+    on: Option<Vec<u128>>,
+}
+
+impl Edges {
+    fn new(region: &Region) -> Self {
+        let on = (region.rays.len() <= 128).then(|| {
+            let mut on = vec![0u128; region.halves.len()];
+            for (i, (_, tight)) in region.rays.iter().enumerate() {
+                let mut left = *tight;
+                while left != 0 {
+                    on[left.trailing_zeros() as usize] |= 1 << i;
+                    left &= left - 1;
+                }
+            }
+            on
+        });
+        Self { on }
+    }
+
+    /// The rays that share an edge with the `i`-th.
+    ///
+    /// The tight half-spaces of an extreme ray have rank 5. If there are five of them each is needed, and any four are tight along an
+    /// edge and nowhere else: the one other ray where they are is its other end.
+    fn neighbours(&self, region: &Region, i: usize, mut found: impl FnMut(usize)) {
+        let tight = region.rays[i].1;
+        match &self.on {
+            Some(on) if tight.count_ones() == 5 => {
+                let mut of = [0u128; 5];
+                let mut left = tight;
+                for set in &mut of {
+                    *set = on[left.trailing_zeros() as usize];
+                    left &= left - 1;
+                }
+                let [a, b, c, d, e] = of;
+                let (ab, de) = (a & b, d & e);
+                let abc = ab & c;
+                let cde = c & de;
+                for edge in [b & cde, a & cde, ab & de, abc & e, abc & d] {
+                    let other = edge & !(1 << i);
+                    if other.is_power_of_two() {
+                        found(other.trailing_zeros() as usize);
+                    }
+                }
+            }
+            _ => {
+                for j in (0..region.rays.len()).filter(|j| *j != i) {
+                    if self.joined(region, [i, j], tight & region.rays[j].1) {
+                        found(j);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Whether two rays, both tight at `common`, share an edge: no third is tight at all of it.
+    fn joined(&self, region: &Region, [i, j]: [usize; 2], common: Tight) -> bool {
+        // Along an edge at least four half-spaces are tight: it is where five dimensions less one meet in a line.
+        let mut left = common;
+        for _ in 0..3 {
+            left &= left.wrapping_sub(1);
+        }
+        if left == 0 {
+            return false;
+        }
+        let Some(on) = &self.on else {
+            let third = |(k, (_, t)): (usize, &(Id, Tight))| k != i && k != j && t & common == common;
+            return !region.rays.iter().enumerate().any(third);
+        };
+        let two = 1u128 << i | 1u128 << j;
+        let (mut rays, mut left) = (u128::MAX, common);
+        while left != 0 && rays != two {
+            rays &= on[left.trailing_zeros() as usize];
+            left &= left - 1;
+        }
+        rays == two
+    }
+}
+
+#[cfg(test)]
+impl Region {
+    /// For each ray those that share an edge with it: as they are found, and by looking at all pairs and all third rays.
+    pub fn neighbours_twice(&self, i: usize) -> [Vec<usize>; 2] {
+        let edges = Edges::new(self);
+        let mut found = Vec::new();
+        edges.neighbours(self, i, |j| found.push(j));
+        found.sort_unstable();
+        let tight = |j: usize| self.rays[j].1;
+        let joined = |j: &usize| {
+            let common = tight(i) & tight(*j);
+            let third = |k: usize| k != i && k != *j && tight(k) & common == common;
+            *j != i && common.count_ones() >= 4 && !(0..self.rays.len()).any(third)
+        };
+        [found, (0..self.rays.len()).filter(joined).collect()]
+    }
+}

@@ -1,0 +1,217 @@
+//! Which regions hold real lines: the sign of the Klein form on a cone.
+//!
+//! A ray x is a real line when K(x, x) = 0, and a region holds an open set of real lines exactly when K takes both
+//! signs on it. K ≥ 0 (or ≤ 0) on all pairs of its extreme rays makes it so on the whole cone, since every inner
+//! ray is a positive combination of them; that is the certificate that nothing real is left.
+
+use std::cmp::Ordering;
+
+use dashu_int::IBig;
+use dashu_int::ops::{Abs as _, BitTest as _, SquareRoot as _};
+
+use crate::arithmetic::number::{U, rounded};
+use crate::geometry::predicates::sign;
+use crate::line_space::cone::Region;
+use crate::line_space::forms::{Forms, crossing};
+use crate::line_space::space::{Id, Space, klein, klein_exact};
+
+/// What a region holds.
+#[derive(Clone, Debug)]
+pub enum Contents {
+    /// No open set of real lines, proved.
+    Nothing,
+    /// Real lines: these, rounded, first the one that is deepest inside.
+    Lines(Vec<[f64; 6]>),
+    /// The signs of pairs differ but doubles show no change of sign inside.
+    Unsure,
+}
+
+/// Looks for real lines in a region; up to `most` of them.
+pub fn contents(space: &mut Space, region: &Region, most: usize, forms: &mut Forms) -> Contents {
+    let n = region.rays.len();
+    forms.begin(space, region);
+    let at_centre = klein(&forms.centre, &forms.centre);
+    forms.turn = if at_centre > 0.0 { -1.0 } else { 1.0 };
+    // No form of two of these rays is off by more: no component exceeds 1, and six of them are at most 6.
+    let error = region.rays.iter().fold(0.0f64, |m, (r, _)| m.max(space.error(*r)));
+    let bound = 48.0 * U + 13.0 * error + 7.0 * error * error;
+    // How many signs are sure, in doubles so that several are counted at once.
+    let (mut right, mut wrong, mut sure) = (false, false, 0.0f64);
+    // How far pairs of each ray and those after it get to the other side of the quadric than the centre.
+    let mut farthest = std::mem::take(&mut forms.farthest);
+    farthest.clear();
+    for i in 0..n {
+        let (mut least, mut greatest) = (f64::INFINITY, f64::NEG_INFINITY);
+        for value in forms.row(i) {
+            least = if *value < least { *value } else { least };
+            greatest = if *value > greatest { *value } else { greatest };
+            sure += if value.abs() > bound { 1.0 } else { 0.0 };
+        }
+        right |= least < -bound;
+        wrong |= greatest > bound;
+        farthest.push(greatest);
+    }
+    space.decisions.filtered += sure as u64;
+    let both = right && wrong || both_signs(space, region, forms, bound, [right, wrong]);
+    let mut lines: Vec<(f64, [f64; 6])> = Vec::with_capacity(most);
+    while both && lines.len() < most {
+        let first = |b: usize, i: usize| if farthest[i] > farthest[b] { i } else { b };
+        let i = (1..n).fold(0, first);
+        let value = std::mem::replace(&mut farthest[i], 0.0);
+        if value.is_nan() || value <= 0.0 {
+            break;
+        }
+        let j = i + forms.row(i).iter().position(|v| *v == value).unwrap_or(0);
+        // Values of the form below this are rounding and would lead to lines that are none.
+        let noise = 64.0 * U + 16.0 * error;
+        let (a, b) = (space.rounded(region.rays[i].0), space.rounded(region.rays[j].0));
+        let Some(end) = beyond(a, b, at_centre, noise) else { continue };
+        // K((1−t)c + te) = 0 with K(c), K(e) of different signs.
+        let (c, m, e) = (at_centre, klein(&forms.centre, &end), klein(&end, &end));
+        let t = crossing(c, m, e);
+        lines.push((t, std::array::from_fn(|k| (1.0 - t) * forms.centre[k] + t * end[k])));
+    }
+    forms.farthest = farthest;
+    if !both {
+        return Contents::Nothing;
+    }
+    if lines.is_empty() {
+        return Contents::Unsure;
+    }
+    // The nearer to the centre the better.
+    lines.sort_by(|a, b| a.0.total_cmp(&b.0));
+    Contents::Lines(lines.into_iter().map(|l| l.1).collect())
+}
+
+/// Whether the form has both signs on pairs of rays where filters show one at most, given which: integers say so.
+fn both_signs(
+    space: &mut Space,
+    region: &Region,
+    forms: &mut Forms,
+    bound: f64,
+    [right, wrong]: [bool; 2],
+) -> bool {
+    // The lines each ray is on, once they are needed.
+    let mut on: Vec<Vec<Id>> = vec![Vec::new(); region.rays.len()];
+    let turned = forms.turn < 0.0;
+    let (mut positive, mut negative) =
+        (right && turned || wrong && !turned, right && !turned || wrong && turned);
+    for i in 0..on.len() {
+        for (j, _) in forms.row(i).iter().enumerate().filter(|(_, v)| v.abs() <= bound || v.is_nan()) {
+            let j = i + j;
+            for k in [i, j] {
+                if on[k].is_empty() {
+                    on[k].extend(region.tight(region.rays[k].1));
+                }
+            }
+            match space.rays_side((region.rays[i].0, &on[i]), (region.rays[j].0, &on[j])) {
+                Ordering::Greater => positive = true,
+                Ordering::Less => negative = true,
+                Ordering::Equal => {}
+            }
+            if positive && negative {
+                return true;
+            }
+        }
+    }
+    false
+}
+
+/// The combination of two rays on which K is farthest from the sign of `from`; none when it keeps that sign.
+fn beyond(a: &[f64; 6], b: &[f64; 6], from: f64, noise: f64) -> Option<[f64; 6]> {
+    let turn = if from > 0.0 { -1.0 } else { 1.0 };
+    let (p, q, r) = (turn * klein(a, a), turn * klein(a, b), turn * klein(b, b));
+    // p(1−t)² + 2q t(1−t) + r t², greatest where its slope vanishes if it bends downwards.
+    let bend = p - 2.0 * q + r;
+    let t = if bend < 0.0 {
+        ((p - q) / bend).clamp(0.0, 1.0)
+    } else if p > r {
+        0.0
+    } else {
+        1.0
+    };
+    let value = p * (1.0 - t) * (1.0 - t) + 2.0 * q * t * (1.0 - t) + r * t * t;
+    (value > noise).then(|| std::array::from_fn(|i| (1.0 - t) * a[i] + t * b[i]))
+}
+
+/// Bits behind the point of rays and parameters where doubles are too coarse.
+const FINE: usize = 256;
+
+/// A form of two rounded vectors is of the sign it seems to be if it is greater than this: as in [`contents`], with each off by u.
+const SURELY: f64 = 64.0 * U;
+
+/// Pairs of rays that are tried where rounding has misled.
+const MOST_TRIED: usize = 8;
+
+/// The rays of a region in integers of one size, cut off 256 bits behind the point: only where to look depends on them.
+pub fn fine(space: &mut Space, region: &Region) -> Vec<[IBig; 6]> {
+    region
+        .rays
+        .iter()
+        .map(|(r, tight)| {
+            let on: Vec<Id> = region.tight(*tight).collect();
+            space.sharpen_from(*r, &on);
+            let x = space.exact(*r);
+            let longest = x.iter().map(|c| c.bit_len()).max().unwrap_or(0);
+            x.clone().map(|c| if longest > FINE { c >> (longest - FINE) } else { c << (FINE - longest) })
+        })
+        .collect()
+}
+
+/// A line inside a region, real to 2⁻²⁵⁶: for regions so thin that doubles do not show what is in them. None where no pair
+/// of rays shows a change of sign.
+pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
+    let rays = fine(space, region);
+    let sum = |a: &[IBig; 6], b: &[IBig; 6]| -> [IBig; 6] { std::array::from_fn(|i| &a[i] + &b[i]) };
+    let centre = rays[1..].iter().fold(rays[0].clone(), |s, r| sum(&s, r));
+    let c = klein_exact(&centre, &centre);
+    let turn = if sign(&c) == Ordering::Greater { -1.0 } else { 1.0 };
+    let wrong = |x: IBig| if turn < 0.0 { -x } else { x };
+    // Which pairs get farthest to the other side, by doubles; what that comes to is decided by integers.
+    let near: Vec<[f64; 6]> = rays.iter().map(rounded).collect();
+    // Scaled as these are, lest products overflow.
+    let scale = f64::powi(2.0, -2 * FINE as i32);
+    let form = |i: usize, j: usize| wrong(klein_exact(&rays[i], &rays[j])).to_f64().value() * scale;
+    let own: Vec<f64> = (0..rays.len()).map(|i| form(i, i)).collect();
+    let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
+    for (i, a) in near.iter().enumerate() {
+        pairs.push((own[i], i, i));
+        for (j, b) in near.iter().enumerate().skip(i + 1) {
+            // No mix of the two has a form above the greatest of p, q and r, and the best is between them if that is q.
+            if turn * klein(a, b) < -SURELY {
+                continue;
+            }
+            let (p, q, r) = (own[i], form(i, j), own[j]);
+            if p < q && r < q {
+                pairs.push(((q * q - p * r) / (2.0 * q - p - r), i, j));
+            }
+        }
+    }
+    // Those of which rounding does not tell among them.
+    pairs.retain(|pair| pair.0 > -1e-14);
+    pairs.sort_by(|x, y| y.0.total_cmp(&x.0));
+    let mixed = |(i, j): (usize, usize)| -> [IBig; 6] {
+        let (a, b) = (&rays[i], &rays[j]);
+        if i == j {
+            return a.clone();
+        }
+        let [p, q, r] = [(a, a), (a, b), (b, b)].map(|(x, y)| wrong(klein_exact(x, y)));
+        let (s, t) = (&q - &r, &q - &p);
+        std::array::from_fn(|k| (&a[k] * &s + &b[k] * &t) / (&s + &t))
+    };
+    let end = pairs
+        .iter()
+        .take(MOST_TRIED)
+        .map(|(_, i, j)| mixed((*i, *j)))
+        .find(|end| sign(&wrong(klein_exact(end, end))) == Ordering::Greater)?;
+    if c.is_zero() {
+        return Some(centre);
+    }
+    // As in `crossing`: e s² + 2m s + c = 0 for the line through centre + s·end, s = n/d.
+    let (m, e) = (klein_exact(&centre, &end), klein_exact(&end, &end));
+    let under = &m * &m - &c * &e;
+    let up = FINE.saturating_sub(under.bit_len() / 2);
+    let root = IBig::from((under << (2 * up)).sqrt()) + (m.clone().abs() << up);
+    let (n, d) = if sign(&m) == sign(&e) { (c.abs() << up, root) } else { (root, e.abs() << up) };
+    Some(std::array::from_fn(|k| &centre[k] * &d + &end[k] * &n))
+}

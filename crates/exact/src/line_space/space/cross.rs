@@ -1,0 +1,135 @@
+//! Rays in integers from the lines they are on, rather than from the rays they were cut from.
+//!
+//! Along a chain of cuts integers grow with every cut, twice as long each time before common factors are found. An extreme ray is
+//! the one solution of K(x, l) = 0 for five independent lines l, whose numbers are small.
+
+use dashu_int::IBig;
+
+#[cfg(test)]
+use super::Tight;
+use super::solved::{MOST_ERROR, functional, independent};
+use super::{Id, Space};
+use crate::arithmetic::number::rounded;
+
+impl Space {
+    /// Computes a ray exactly that is on all of `lines`, at least five; leaves it as it is where doubles cannot tell which of them
+    /// determine it.
+    pub fn sharpen_from(&mut self, ray: Id, lines: &[Id]) {
+        // A ray that is a line by the way it was made has smaller integers from its points, without a common factor.
+        let near = (0.0..MOST_ERROR).contains(&self.near[ray as usize].error);
+        if self.vectors[ray as usize].exact.is_some() || self.is_line(ray) || !near {
+            return;
+        }
+        let rows = lines.iter().map(|l| functional(&self.near[*l as usize].x)).collect();
+        let Some(chosen) = independent(rows) else { return };
+        let rows = chosen.map(|k| functional(self.exact(lines[k])));
+        let mut x = cross(&rows);
+        // With x̂ the solution, rounded to components of at most 1 and one of at least 1/2, and the ray's doubles cx̂ and at most 0.05 off:
+        // c ≥ 0.45, so c|x̂|² ≥ 0.22|x̂|, and what is off changes that by at most 0.05·√6|x̂|, too little to turn it round.
+        let along: f64 = rounded(&x).iter().zip(self.rounded(ray)).map(|(a, b)| a * b).sum();
+        if along.is_nan() || along.abs() < 0.1 {
+            return;
+        }
+        let zeros = x.iter().filter_map(|c| c.trailing_zeros()).min().unwrap_or(0);
+        for c in &mut x {
+            let short: IBig = std::mem::take(c) >> zeros;
+            *c = if along < 0.0 { -short } else { short };
+        }
+        self.improve(ray, &x);
+        self.vectors[ray as usize].exact = Some(Box::new(x));
+    }
+}
+
+/// What is orthogonal to five rows: their minors of five columns, with alternating signs; 0 if they are dependent.
+fn cross(rows: &[[IBig; 6]; 5]) -> [IBig; 6] {
+    let [a, b, c, d, e] = rows;
+    let minor = |x: &[IBig; 6], y: &[IBig; 6], i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];
+    let pairs = |x: &[IBig; 6], y: &[IBig; 6]| -> [[IBig; 6]; 6] {
+        std::array::from_fn(|i| std::array::from_fn(|j| if i < j { minor(x, y, i, j) } else { IBig::ZERO }))
+    };
+    let (ab, cd) = (pairs(a, b), pairs(c, d));
+    let triple = |i: usize, j: usize, k: usize| &cd[i][j] * &e[k] - &cd[i][k] * &e[j] + &cd[j][k] * &e[i];
+    // By the columns they are of, as bits.
+    let mut triples: [IBig; 64] = std::array::from_fn(|_| IBig::ZERO);
+    for i in 0..6 {
+        for j in i + 1..6 {
+            for k in j + 1..6 {
+                triples[1 << i | 1 << j | 1 << k] = triple(i, j, k);
+            }
+        }
+    }
+    std::array::from_fn(|without| {
+        let columns: [usize; 5] = std::array::from_fn(|k| if k < without { k } else { k + 1 });
+        let mut sum = IBig::ZERO;
+        for i in 0..5 {
+            for j in i + 1..5 {
+                let rest = 63 & !(1 << without) & !(1 << columns[i]) & !(1 << columns[j]);
+                let term = &ab[columns[i]][columns[j]] * &triples[rest];
+                // Laplace, along the first two rows.
+                if (i + j) % 2 == 1 { sum += term } else { sum -= term }
+            }
+        }
+        if without % 2 == 0 { sum } else { -sum }
+    })
+}
+
+#[cfg(test)]
+impl Space {
+    /// The cone of six independent vectors.
+    pub fn simplex(&mut self, of: &[[IBig; 6]; 6]) -> (Vec<(Id, Tight)>, Vec<Id>) {
+        let halves = std::array::from_fn::<_, 6, _>(|without| {
+            let others = std::array::from_fn(|k| functional(&of[if k < without { k } else { k + 1 }]));
+            self.fixed(cross(&others))
+        });
+        let rays = (0..6).map(|i| (self.fixed(of[i].clone()), 0b11_1111 & !(1 << i))).collect();
+        (rays, halves.into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn the_cross_product_is_orthogonal_and_vanishes_only_for_dependent_rows(
+            rows in prop::array::uniform5(prop::array::uniform6(-9i64..10)), bits in 0usize..80,
+            mix in prop::array::uniform4(-2i64..3),
+        ) {
+            let wide = |rows: [[i64; 6]; 5]| rows.map(|r| r.map(|c| IBig::from(c) << bits));
+            let of = wide(rows);
+            let x = cross(&of);
+            for row in &of {
+                let sum: IBig = row.iter().zip(&x).map(|(a, b)| a * b).sum();
+                prop_assert!(sum.is_zero());
+            }
+                    prop_assert_eq!(x.iter().all(IBig::is_zero), rank(rows) < 5);
+            let mut dependent = rows;
+            dependent[4] = std::array::from_fn(|k| (0..4).map(|i| mix[i] * rows[i][k]).sum());
+            prop_assert!(cross(&wide(dependent)).iter().all(IBig::is_zero));
+        }
+    }
+
+    /// The rank of rows of small integers, by elimination without fractions (Bareiss 1968).
+    fn rank(rows: [[i64; 6]; 5]) -> usize {
+        let mut m = rows.map(|r| r.map(i128::from));
+        let (mut rank, mut before) = (0, 1);
+        for column in 0..6 {
+            let Some(pivot) = (rank..5).find(|i| m[*i][column] != 0) else { continue };
+            m.swap(rank, pivot);
+            for i in rank + 1..5 {
+                for k in (column + 1..6).chain([column]) {
+                    m[i][k] = (m[i][k] * m[rank][column] - m[i][column] * m[rank][k]) / before;
+                }
+            }
+            before = m[rank][column];
+            rank += 1;
+            if rank == 5 {
+                break;
+            }
+        }
+        rank
+    }
+}

@@ -1,0 +1,229 @@
+//! Six-vectors in doubles, with bounds on their errors: what decides nearly all signs.
+//!
+//! A cut is computed in doubles from the doubles of what it is made of. Where errors have added up along the chain, or a filter fails,
+//! it is solved from the lines it is on ([`super::solved`]), in pairs of doubles if need be; where that does not do, it is computed in
+//! these from what it was cut from, and everything it comes from before it.
+
+use std::cmp::Ordering;
+
+use super::solved::Solved;
+use super::{Id, Near, Origin, Space, Vector, klein};
+use crate::arithmetic::double_double::{DoubleDouble, STEP};
+use crate::arithmetic::number::{U, normalised, rounded_double_double};
+
+/// Rays that may be off by more than this are solved from the lines they are on, or computed in pairs of doubles, at once, and those
+/// that may be off by as much even then, exactly: who looks for lines in a region needs rays that mean something. What filters cannot tell is asked
+/// again more precisely, whatever this is.
+const COARSE: f64 = 1e-9;
+
+/// Rays that are known as well as this in pairs of doubles are asked about so before integers are.
+const PRECISE: f64 = 1e-22;
+
+impl Space {
+    /// Adds a vector given in pairs of doubles and how far they may be off.
+    pub(super) fn push(&mut self, x: [DoubleDouble; 6], fine: f64, origin: Origin) -> Id {
+        let line = matches!(origin, Origin::Join(..) | Origin::Meet(..)).then(|| {
+            self.meeting.push(Vec::new());
+            (self.meeting.len() - 1) as u32
+        });
+        let id = self.vectors.len() as Id;
+        self.near.push(Near { x: [0.0; 6], error: 0.0, sum: 0.0 });
+        self.vectors.push(Vector { rest: [0.0; 6], fine: 0.0, refined: true, origin, exact: None, line });
+        self.set(id, x, fine);
+        id
+    }
+
+    /// Sets what is known of a vector in pairs of doubles, and how far they may be off.
+    fn set(&mut self, v: Id, x: [DoubleDouble; 6], fine: f64) {
+        let (high, scale) = normalised(x.map(|c| c.0));
+        let rest = x.map(|c| c.1 * scale);
+        let fine = fine * scale;
+        let error = (fine + rest.iter().fold(0.0f64, |m, c| m.max(c.abs()))) * (1.0 + 4.0 * U);
+        self.near[v as usize] = Near { x: high, error, sum: high.iter().map(|c| c.abs()).sum() };
+        let vector = &mut self.vectors[v as usize];
+        (vector.rest, vector.fine, vector.refined) = (rest, fine, true);
+    }
+
+    /// Takes up the integers of a vector where its doubles are worse than they could be.
+    pub(super) fn improve(&mut self, v: Id, exact: &[dashu_int::IBig; 6]) {
+        let vector = &self.vectors[v as usize];
+        if !vector.refined || vector.fine.is_nan() || vector.fine >= COARSE {
+            self.set(v, rounded_double_double(exact), STEP);
+        }
+    }
+
+    /// A vector's rounded components, the greatest at most 1.
+    pub fn rounded(&self, v: Id) -> &[f64; 6] {
+        &self.near[v as usize].x
+    }
+
+    /// How far the rounded components may be off.
+    pub fn error(&self, v: Id) -> f64 {
+        self.near[v as usize].error
+    }
+
+    /// A refined vector in pairs of doubles.
+    pub(super) fn fine(&self, v: Id) -> [DoubleDouble; 6] {
+        let (x, rest) = (&self.near[v as usize].x, &self.vectors[v as usize].rest);
+        std::array::from_fn(|i| DoubleDouble(x[i], rest[i]))
+    }
+
+    /// The Klein form, rounded, and how far it may be off.
+    ///
+    /// Six products and five sums of magnitudes |aᵢbⱼ| whose total is at most the lesser of the two sums S (no
+    /// component exceeds 1): 6u·S. The errors of the vectors add e·S' + e'·S + 6ee'.
+    #[inline]
+    fn form(&self, a: Id, b: Id) -> (f64, f64) {
+        let (v, w) = (&self.near[a as usize], &self.near[b as usize]);
+        let bound =
+            8.0 * U * v.sum.min(w.sum) + 1.01 * (v.error * w.sum + w.error * v.sum + 6.0 * v.error * w.error);
+        (klein(&v.x, &w.x), bound)
+    }
+
+    /// The same of refined vectors in pairs of doubles: eleven operations of a step each of at most S.
+    fn fine_form(&self, a: Id, b: Id) -> (DoubleDouble, f64) {
+        let (x, y) = (self.fine(a), self.fine(b));
+        let term = |i: usize, j: usize| x[i].times(y[j]);
+        let value =
+            term(0, 3).plus(term(1, 4)).plus(term(2, 5)).plus(term(3, 0).plus(term(4, 1)).plus(term(5, 2)));
+        let (v, w) = (self.near[a as usize].sum, self.near[b as usize].sum);
+        let (e, f) = (self.vectors[a as usize].fine, self.vectors[b as usize].fine);
+        (value, 16.0 * STEP * v.min(w) + 1.01 * (e * w + f * v + 6.0 * e * f))
+    }
+
+    /// The sign, where doubles can tell.
+    #[inline]
+    pub fn filtered_side(&self, a: Id, b: Id) -> Option<Ordering> {
+        let (value, bound) = self.form(a, b);
+        (value.abs() > bound).then_some(if value > 0.0 { Ordering::Greater } else { Ordering::Less })
+    }
+
+    /// The sign where doubles could not tell: by pairs of doubles, then by integers.
+    pub fn unfiltered_side(&mut self, a: Id, b: Id) -> Ordering {
+        self.refined_side(a, b).unwrap_or_else(|| self.exact_side(a, b))
+    }
+
+    /// The sign, where pairs of doubles can tell.
+    pub(super) fn refined_side(&mut self, a: Id, b: Id) -> Option<Ordering> {
+        self.refine(a);
+        self.refine(b);
+        let (value, bound) = self.fine_form(a, b);
+        let sure = value.0.abs() > bound;
+        self.decisions.refined += u64::from(sure);
+        sure.then_some(if value.0 > 0.0 { Ordering::Greater } else { Ordering::Less })
+    }
+
+    /// The ray where the edge between `a` and `b`, on different sides of `half`, meets its border.
+    ///
+    /// x = αb + (1 − α)a with α = s/(s + |t|). With B the bounds of the forms s and t, α is off by at most
+    /// max(B)/(s + |t| − 2 max(B)), and by no more than 1, since it is in [0, 1] whatever s and t are; the ray is off by that times
+    /// |b − a|, besides the errors of its parents. α itself is rounded by 3u, and three operations on numbers of at most 2 follow: 16u.
+    ///
+    /// `on` gives the lines the ray is on, for when that is not enough.
+    pub fn cut(&mut self, [a, b]: [Id; 2], half: Id, on: impl FnOnce() -> Vec<Id>) -> Id {
+        let ((s, es), (t, et)) = (self.form(a, half), self.form(b, half));
+        let (v, w) = (&self.near[a as usize], &self.near[b as usize]);
+        let (s, t) = (s.abs(), t.abs());
+        let total = s + t;
+        let alpha = s / total;
+        let mut apart = 0.0f64;
+        let mut x = v.x;
+        for (x, w) in x.iter_mut().zip(w.x) {
+            let d = w - *x;
+            apart = apart.max(d.abs());
+            *x += alpha * d;
+        }
+        let bound = es.max(et);
+        let room = total - 2.0 * bound;
+        let off = if room > bound { 1.01 * bound / room } else { 1.0 };
+        let error = v.error.max(w.error) + off.min(1.0) * (apart + v.error + w.error) + 16.0 * U;
+        let id = self.vectors.len() as Id;
+        let (x, scale) = normalised(x);
+        let error = error * scale;
+        self.near.push(Near { x, error, sum: x.iter().map(|c| c.abs()).sum() });
+        self.vectors.push(Vector {
+            rest: [0.0; 6],
+            fine: f64::INFINITY,
+            refined: false,
+            origin: Origin::Cut { a, b, half },
+            exact: None,
+            line: None,
+        });
+        // Not so for what is no number, either.
+        let good = room > 0.0 && error < COARSE;
+        if !good {
+            match self.solved(x, error, &on(), false) {
+                Some(Solved::Doubles(x, error)) => {
+                    let (x, scale) = normalised(x);
+                    let sum = x.iter().map(|c| c.abs()).sum();
+                    self.near[id as usize] = Near { x, error: error * scale, sum };
+                }
+                Some(Solved::Pairs(x, fine)) if fine < COARSE => self.set(id, x, fine),
+                _ => self.refine(id),
+            }
+        }
+        id
+    }
+
+    /// Computes a ray in pairs of doubles from the lines it is on, if that is about as good as pairs of doubles get; says whether.
+    pub(super) fn refine_from(&mut self, ray: Id, on: &[Id]) -> bool {
+        let near = &self.near[ray as usize];
+        match self.solved(near.x, near.error, on, true) {
+            Some(Solved::Pairs(x, fine)) if fine < PRECISE => {
+                self.set(ray, x, fine);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// Computes a cut in pairs of doubles, and what it is made of.
+    fn refine(&mut self, v: Id) {
+        if self.vectors[v as usize].refined {
+            return;
+        }
+        // What a vector is made from was made before it, but chains can be long: no recursion.
+        let mut open = vec![v];
+        while let Some(id) = open.last().copied() {
+            let (false, Origin::Cut { a, b, half }) =
+                (self.vectors[id as usize].refined, &self.vectors[id as usize].origin)
+            else {
+                open.pop();
+                continue;
+            };
+            let parts = [*a, *b, *half];
+            let before = open.len();
+            open.extend(parts.into_iter().filter(|p| !self.vectors[*p as usize].refined));
+            if open.len() == before {
+                self.refine_cut(id, parts);
+                open.pop();
+            }
+        }
+    }
+
+    /// The same as [`Space::cut`] from refined parts, a step being what u is there.
+    fn refine_cut(&mut self, id: Id, [a, b, half]: [Id; 3]) {
+        let ((s, es), (t, et)) = (self.fine_form(a, half), self.fine_form(b, half));
+        let (p, q) = (self.fine(a), self.fine(b));
+        let (e, f) = (self.vectors[a as usize].fine, self.vectors[b as usize].fine);
+        let (s, t) = (s.abs(), t.abs());
+        let total = s.plus(t);
+        let alpha = s.over(total);
+        let mut apart = 0.0f64;
+        let x: [DoubleDouble; 6] = std::array::from_fn(|i| {
+            let d = q[i].minus(p[i]);
+            apart = apart.max(d.0.abs());
+            p[i].plus(alpha.times(d))
+        });
+        let bound = es.max(et);
+        let room = total.0 - 2.0 * bound;
+        let off = if room > bound { 1.01 * bound / room } else { 1.0 };
+        self.set(id, x, e.max(f) + off.min(1.0) * (apart + e + f) + 16.0 * STEP);
+        let good = room > 0.0 && self.vectors[id as usize].fine < COARSE;
+        if !good {
+            // A ray that is mostly error is of no use to filters, nor to who looks for lines.
+            self.vectors[id as usize].fine = f64::INFINITY;
+            self.sharpen(id);
+        }
+    }
+}

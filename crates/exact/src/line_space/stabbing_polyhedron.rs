@@ -1,0 +1,334 @@
+//! The stabbing polyhedron of two polygons: the lines from A to B as a region of line space (thesis §5.2).
+//!
+//! Every edge of A and of B bounds it, and the line k in which the two planes meet lies on all of those hyperplanes, so
+//! the polyhedron is a cone extruded along ±k (thesis theorem 5.1). In the quotient by k its extreme rays are the
+//! vertex pairs, except that a vertex on the other polygon's plane makes one ray with all of its vertices: the
+//! quotient is {(P, Q) ∈ cone A × cone B : g(P) = h(Q)}, with g and h the heights over the other's plane. What is
+//! tight where is therefore known without a computation, in touching positions, too (thesis §5.2.6).
+//!
+//! Two caps make it bounded (thesis §5.2.5): hyperplanes with all vertex-pair lines on one side and k, or −k, on the
+//! other. Any do; these are fitted to the pair. They hold on to no line: what is proved for the capped region is
+//! proved for the hull of the vertex-pair lines, which has no caps and is all that certificates speak of.
+//!
+//! Where a vertex of A and one of B lie on k, ±k is itself such a line and the cap on its side gives way to an apex.
+//! Where both signs occur (the polygons overlap along k) the region is cut in two by a hyperplane across k, always the same.
+
+use std::cmp::Ordering;
+
+use glam::DVec3;
+use rustc_hash::FxHashMap;
+
+use crate::arithmetic::number::U;
+use crate::geometry::polygon::Polygon;
+use crate::line_space::cone::{MOST_HALVES, Region};
+use crate::line_space::space::{Id, Space, Through};
+
+/// Two polygons, each on one side of the other's plane, and the lines between them.
+pub struct Pair {
+    /// The vertices of A, points of the space.
+    pub a: Vec<u32>,
+    /// The vertices of B.
+    pub b: Vec<u32>,
+    /// Which side of A's plane B is on, as [`Space::orient`] gives it for the first three vertices of A.
+    pub ahead: Ordering,
+    /// Which side of B's plane A is on.
+    pub behind: Ordering,
+    /// The lines from A to B: one region, or two.
+    pub regions: Vec<Region>,
+    /// The greatest magnitude of a coordinate of A or B in the world.
+    pub size: f64,
+    /// Triangles that were asked about, and whether they lie in A's plane or in B's.
+    pub flat: FxHashMap<u32, [bool; 2]>,
+}
+
+/// The polygons have no stabbing polyhedron here: no cap was found, because they are too thin, or too near to each other's
+/// planes, for doubles to fit one; or they have more edges than a region has half-spaces. Halves of them may have one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NoCaps;
+
+/// Makes the region of lines from `a` to `b`, of which neither has vertices on both sides of the other's plane, and
+/// neither lies in it. `a_sides` are the sides of A's vertices of B's plane, `b_sides` those of B's vertices of A's.
+///
+/// # Errors
+/// [`NoCaps`]; halves of the polygons may do.
+pub fn stabbing(
+    space: &mut Space,
+    (a, a_sides): (&Polygon, &[Ordering]),
+    (b, b_sides): (&Polygon, &[Ordering]),
+) -> Result<Pair, NoCaps> {
+    if a.points().len() + b.points().len() + 2 > MOST_HALVES {
+        return Err(NoCaps);
+    }
+    let add = |space: &mut Space, p: &Polygon| -> Vec<u32> {
+        let points: Vec<_> = p
+            .points()
+            .iter()
+            .map(|s| match s {
+                crate::geometry::frame::Source::Given(p) => space.frame().given(*p),
+                crate::geometry::frame::Source::Exact(p) => space.frame().exact((**p).clone()),
+            })
+            .collect();
+        points.into_iter().map(|p| space.point(p)).collect()
+    };
+    let (pa, pb) = (add(space, a), add(space, b));
+    let corners = a.points().iter().chain(b.points()).map(crate::geometry::polygon::rounded);
+    let size = corners.fold(0.0f64, |m, p| m.max(p.abs().max_element()));
+    let off =
+        |sides: &[Ordering]| sides.iter().copied().find(|s| *s != Ordering::Equal).unwrap_or(Ordering::Equal);
+    let (ahead, behind) = (off(b_sides), off(a_sides));
+    let edges = |space: &mut Space, p: &[u32]| -> Vec<Id> {
+        (0..p.len()).map(|i| space.join(p[i], p[(i + 1) % p.len()])).collect()
+    };
+    let mut halves = edges(space, &pa);
+    halves.extend(edges(space, &pb));
+    let (n, m) = (pa.len(), pb.len());
+    // The bits of the two edges at a vertex, and of all edges of a polygon.
+    let at = |i: usize, n: usize, first: usize| 1u128 << (first + i) | 1u128 << (first + (i + n - 1) % n);
+    let all = |n: usize, first: usize| ((1u128 << n) - 1) << first;
+    // One line for each ray of the quotient, and the edges tight there.
+    let mut quotient: Vec<(Id, u128)> = Vec::with_capacity(n * m);
+    // All lines through a vertex pair but those along k: what caps must leave in.
+    let mut lines: Vec<Id> = Vec::with_capacity(n * m);
+    let mut along: Vec<Id> = Vec::new();
+    let mut across = None;
+    for i in 0..n {
+        let mut on_plane = false;
+        for j in 0..m {
+            let (gi, hj) = (a_sides[i], b_sides[j]);
+            if gi == Ordering::Equal && hj == Ordering::Equal {
+                if !same_point(space, pa[i], pb[j]) {
+                    along.push(space.join(pa[i], pb[j]));
+                }
+                continue;
+            }
+            let tight_a = if hj == Ordering::Equal { all(n, 0) } else { at(i, n, 0) };
+            let tight_b = if gi == Ordering::Equal { all(m, n) } else { at(j, m, n) };
+            // A vertex on the other's plane makes one ray: with the first partner that is off its own.
+            let seen = if gi == Ordering::Equal {
+                std::mem::replace(&mut on_plane, true)
+            } else {
+                hj == Ordering::Equal && quotient.iter().any(|(_, t)| *t == tight_a | tight_b)
+            };
+            let line = space.join(pa[i], pb[j]);
+            lines.push(line);
+            if !seen {
+                quotient.push((line, tight_a | tight_b));
+                if gi != Ordering::Equal && hj != Ordering::Equal && across.is_none() {
+                    across = Some(line);
+                }
+            }
+        }
+    }
+    let plane = |p: &[u32]| Through { points: [p[0], p[1], p[2]], turned: false };
+    let k = space.meet(plane(&pa), plane(&pb));
+    let same: Vec<bool> = along.iter().map(|l| space.same_line(k, *l) == Some(true)).collect();
+    let (ends_up, ends_down) = (same.contains(&true), same.contains(&false));
+    let minus = space.opposite(k);
+    let mut regions = Vec::with_capacity(2);
+    let apex = all(n + m, 0);
+    if let (true, true, Some(middle)) = (ends_up, ends_down, across) {
+        // The line through a vertex of each that is off the other's plane does not meet k. The part that holds k, and the
+        // part that holds −k.
+        let mut base: Vec<(Id, u128)> = Vec::with_capacity(quotient.len());
+        for (line, tight) in &quotient {
+            base.push((onto(space, *line, [k, minus], middle), tight | 1 << (n + m)));
+        }
+        for end in [k, minus] {
+            let mut rays = base.clone();
+            rays.push((end, apex));
+            regions.push(Region { rays, halves: [&halves[..], &[middle]].concat().into() });
+        }
+    } else {
+        let (top, bottom) = caps(space, (&halves, n), &lines, k)?;
+        let mut rays: Vec<(Id, u128)> = Vec::with_capacity(2 * quotient.len());
+        let mut halves = halves;
+        for (cap, apex_there, sign) in [(top, ends_up, true), (bottom, ends_down, false)] {
+            if apex_there {
+                rays.push((if sign { k } else { minus }, apex));
+                continue;
+            }
+            let bit = 1u128 << halves.len();
+            halves.push(cap);
+            for (line, tight) in &quotient {
+                rays.push((onto(space, *line, [k, minus], cap), tight | bit));
+            }
+        }
+        regions.push(Region { rays, halves: halves.into() });
+    }
+    Ok(Pair { a: pa, b: pb, ahead, behind, regions, size, flat: FxHashMap::default() })
+}
+
+/// The ray of `line` + t·k that is on the hyperplane `cap`, with k and −k given.
+fn onto(space: &mut Space, line: Id, [k, minus]: [Id; 2], cap: Id) -> Id {
+    let side = space.side(line, cap);
+    if side == Ordering::Equal {
+        return line;
+    }
+    // Going the way that changes the side: k if it is on the other, −k if not.
+    let way = if space.side(k, cap) == side { minus } else { k };
+    space.cut([line, way], cap, Vec::new)
+}
+
+fn same_point(space: &mut Space, p: u32, q: u32) -> bool {
+    let x = space.point_exact(p).clone();
+    x == *space.point_exact(q)
+}
+
+/// The hyperplanes above and below all lines along k.
+///
+/// The mean of the lines serves as σ where it is positive on all of them, as it is for most pairs; the sum of the edges' functionals
+/// always is, but nearly vanishes on polygons that nearly lie in one plane.
+fn caps(space: &mut Space, edges: (&[Id], usize), lines: &[Id], k: Id) -> Result<(Id, Id), NoCaps> {
+    let both = |space: &mut Space, sigma: [f64; 6]| {
+        let caps = Caps::fit(space, lines, k, sigma)?;
+        Ok((caps.cap(space, lines, 1.0)?, caps.cap(space, lines, -1.0)?))
+    };
+    let mean = mean(space, lines, k);
+    both(space, mean).or_else(|NoCaps| {
+        let sum = edge_sum(space, edges, lines);
+        both(space, sum)
+    })
+}
+
+/// The mean of the lines as a functional, made to vanish on k.
+fn mean(space: &Space, lines: &[Id], k: Id) -> [f64; 6] {
+    let k_at = space.rounded(k);
+    let mean: [f64; 6] = std::array::from_fn(|i| lines.iter().map(|l| space.rounded(*l)[i]).sum::<f64>());
+    let along = dot(&mean, k_at) / dot(k_at, k_at);
+    std::array::from_fn(|i| mean[i] - along * k_at[i])
+}
+
+/// The sum of the functionals of all edges, each turned so that no line is on its negative side. k is on all of them.
+fn edge_sum(space: &mut Space, (edges, of_a): (&[Id], usize), lines: &[Id]) -> [f64; 6] {
+    let mut sum = [0.0; 6];
+    for polygon in [&edges[..of_a], &edges[of_a..]] {
+        // All edges of a convex polygon are passed on the same side: whichever line is off one tells.
+        let side = polygon
+            .iter()
+            .flat_map(|e| lines.iter().map(move |l| (*e, *l)))
+            .map(|(e, l)| space.side(l, e))
+            .find(|s| *s != Ordering::Equal);
+        let turn = if side == Some(Ordering::Less) { -1.0 } else { 1.0 };
+        for e in polygon {
+            let x = space.rounded(*e);
+            // The Klein form as a scalar product.
+            (0..6).for_each(|i| sum[i] += turn * x[(i + 3) % 6]);
+        }
+    }
+    sum
+}
+
+fn dot(f: &[f64; 6], v: &[f64; 6]) -> f64 {
+    f.iter().zip(v).map(|(a, b)| a * b).sum()
+}
+
+/// The functionals whose level sets cap the extrusion: φ, as flat as can be over the vertex-pair lines with φ(k) = 1,
+/// and σ, positive on all of them with σ(k) = 0. As doubles they are exact by definition; whether they cap is checked.
+struct Caps {
+    phi: [f64; 6],
+    sigma: [f64; 6],
+    highest: f64,
+    lowest: f64,
+    k: Id,
+}
+
+impl Caps {
+    fn fit(space: &Space, through: &[Id], k: Id, sigma: [f64; 6]) -> Result<Self, NoCaps> {
+        let at: Vec<[f64; 6]> = through.iter().map(|l| *space.rounded(*l)).collect();
+        let k_at = *space.rounded(k);
+        // φ minimises Σ φ(v)² subject to φ(k) = 1: φ = G⁻¹k / (k·G⁻¹k) with G = Σ v vᵀ, made regular.
+        let mut g = [[0.0; 6]; 6];
+        for v in &at {
+            for (i, row) in g.iter_mut().enumerate() {
+                for (j, c) in row.iter_mut().enumerate() {
+                    *c += v[i] * v[j];
+                }
+            }
+        }
+        let ridge = 1e-9 * (0..6).map(|i| g[i][i]).sum::<f64>();
+        (0..6).for_each(|i| g[i][i] += ridge);
+        let solved = solve(g, k_at).ok_or(NoCaps)?;
+        let at_k = dot(&solved, &k_at);
+        if at_k.is_nan() || at_k <= 0.0 {
+            return Err(NoCaps);
+        }
+        let phi = solved.map(|c| c / at_k);
+        let size = sigma.iter().fold(0.0f64, |m, c| m.max(c.abs()));
+        if size.is_nan() || size <= 0.0 {
+            return Err(NoCaps);
+        }
+        let sigma = sigma.map(|c| c / size);
+        let (mut highest, mut lowest) = (f64::NEG_INFINITY, f64::INFINITY);
+        for v in &at {
+            let (p, s) = (dot(&phi, v), dot(&sigma, v));
+            if s > 1e-12 {
+                highest = highest.max(p / s);
+                lowest = lowest.min(p / s);
+            }
+        }
+        Ok(Self { phi, sigma, highest, lowest, k })
+    }
+
+    /// The hyperplane of the functional `f`; [`klein`] swaps halves.
+    fn plane(space: &mut Space, f: [f64; 6]) -> Id {
+        space.given([f[3], f[4], f[5], f[0], f[1], f[2]])
+    }
+
+    /// t·σ − φ (or φ − t·σ below), with t raised until all lines are on its positive side and k (−k) is not.
+    fn cap(&self, space: &mut Space, through: &[Id], way: f64) -> Result<Id, NoCaps> {
+        let (mut t, other) =
+            if way > 0.0 { (self.highest, self.lowest) } else { (self.lowest, self.highest) };
+        let mut step = (t - other).abs().max(1e-6 * t.abs()).max(64.0 * U) * 0.02;
+        if !t.is_finite() || !step.is_finite() {
+            return Err(NoCaps);
+        }
+        let wanted_at_k = if way > 0.0 { Ordering::Less } else { Ordering::Greater };
+        for _ in 0..60 {
+            t += way * step;
+            step *= 2.0;
+            let cap = Self::plane(space, std::array::from_fn(|i| way * (t * self.sigma[i] - self.phi[i])));
+            let fits = space.side(self.k, cap) == wanted_at_k
+                && through.iter().all(|l| space.side(*l, cap) == Ordering::Greater);
+            if fits {
+                return Ok(cap);
+            }
+        }
+        Err(NoCaps)
+    }
+}
+
+/// Solves a symmetric positive definite system by Cholesky's method.
+fn solve(mut a: [[f64; 6]; 6], b: [f64; 6]) -> Option<[f64; 6]> {
+    for j in 0..6 {
+        for i in j..6 {
+            let sum: f64 = (0..j).map(|k| a[i][k] * a[j][k]).sum();
+            let d = a[i][j] - sum;
+            if i == j {
+                if d.is_nan() || d <= 0.0 {
+                    return None;
+                }
+                a[j][j] = d.sqrt();
+            } else {
+                a[i][j] = d / a[j][j];
+            }
+        }
+    }
+    let mut y = b;
+    for i in 0..6 {
+        let sum: f64 = (0..i).map(|k| a[i][k] * y[k]).sum();
+        y[i] = (y[i] - sum) / a[i][i];
+    }
+    for i in (0..6).rev() {
+        let sum: f64 = (i + 1..6).map(|k| a[k][i] * y[k]).sum();
+        y[i] = (y[i] - sum) / a[i][i];
+    }
+    Some(y)
+}
+
+/// The point in which a line (rounded, in the frame) meets the plane of a polygon's first three points.
+pub fn crossing_point(space: &Space, line: &[f64; 6], polygon: &[u32]) -> DVec3 {
+    let [a, b, c] = [0, 1, 2].map(|i| DVec3::from(space.point_at(polygon[i]).at));
+    let normal = (b - a).cross(c - a);
+    let (d, m) = (DVec3::new(line[0], line[1], line[2]), DVec3::new(line[3], line[4], line[5]));
+    (normal.cross(m) + d * normal.dot(a)) / normal.dot(d)
+}

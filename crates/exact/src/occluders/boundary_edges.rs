@@ -1,0 +1,60 @@
+//! The edges of all occluders' borders, numbered one occluder after the other, and which of them are the same edge.
+
+use rayon::prelude::*;
+
+use super::occluder::Occluder;
+
+/// Most occluders at one edge that are looked at.
+const MOST_AT_EDGE: usize = 8;
+
+/// Edges of borders.
+pub struct BoundaryEdges {
+    /// The number of each occluder's first edge.
+    first: Vec<u32>,
+    /// By number, which group an edge is in: of those between the same two corners.
+    group: Vec<u32>,
+    /// Where in `sharing` each group begins, and the end.
+    groups: Vec<u32>,
+    /// The occluders with an edge of a group, and whether their border runs from the greater corner to the lesser.
+    sharing: Vec<(u32, bool)>,
+}
+
+impl BoundaryEdges {
+    /// Numbers the edges of some occluders.
+    pub fn new(occluders: &[Occluder]) -> Self {
+        let mut first = Vec::with_capacity(occluders.len());
+        // Lesser and greater corner, occluder, direction, number.
+        let mut edges: Vec<([u32; 2], u32, bool, u32)> = Vec::new();
+        for (id, o) in occluders.iter().enumerate() {
+            first.push(edges.len() as u32);
+            for [a, b] in &o.edges {
+                edges.push(([*a.min(b), *a.max(b)], id as u32, a > b, edges.len() as u32));
+            }
+        }
+        edges.par_sort_unstable();
+        let mut group = vec![0; edges.len()];
+        let (mut groups, mut sharing) = (Vec::new(), Vec::with_capacity(edges.len()));
+        for same in edges.chunk_by(|a, b| a.0 == b.0) {
+            for (_, id, back, number) in same {
+                group[*number as usize] = groups.len() as u32;
+                sharing.push((*id, *back));
+            }
+            groups.push((sharing.len() - same.len()) as u32);
+        }
+        groups.push(sharing.len() as u32);
+        Self { first, group, groups, sharing }
+    }
+
+    /// The number of an occluder's first edge; the others follow in the order of its border.
+    pub fn first(&self, occluder: u32) -> u32 {
+        self.first[occluder as usize]
+    }
+
+    /// The occluders (a few, where there are many) that have an edge, its own among them, and whether their border runs along it from
+    /// the greater corner to the lesser.
+    pub fn sharing(&self, edge: u32) -> &[(u32, bool)] {
+        let group = self.group[edge as usize] as usize;
+        let all = &self.sharing[self.groups[group] as usize..self.groups[group + 1] as usize];
+        &all[..all.len().min(MOST_AT_EDGE)]
+    }
+}

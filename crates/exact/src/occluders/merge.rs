@@ -1,0 +1,202 @@
+//! Merging coplanar neighbours into convex faces.
+
+use std::cmp::Ordering;
+
+use glam::Vec3;
+use rayon::prelude::*;
+use sightline_scene::exact::{orient2d_sign, orient3d_sign};
+
+use super::occluder::{Occluder, border};
+
+/// Longest border of a merged occluder.
+const MOST_EDGES: usize = 24;
+
+/// Faces being merged: loops of vertices, counter-clockwise seen from where the first triangle's corners turn so.
+pub struct Faces<'a> {
+    triangles: &'a [[Vec3; 3]],
+    corners: &'a [u32],
+    /// Of each triangle its face, by union-find.
+    parent: Vec<u32>,
+    /// Of each face (a root): its triangles and border, by corner numbers and positions.
+    faces: Vec<Option<Face>>,
+    /// Neighbours in one plane, over an edge.
+    pairs: Vec<(u32, u32)>,
+}
+
+#[derive(Clone)]
+struct Face {
+    triangles: Vec<(u32, bool)>,
+    /// Directed edges by corner numbers and positions.
+    border: Vec<Edge>,
+    /// The axis to look along, and whether that sees the face turn clockwise.
+    axis: usize,
+    mirrored: bool,
+}
+
+#[derive(Clone, Copy)]
+struct Edge {
+    from: u32,
+    to: u32,
+    ends: [Vec3; 2],
+}
+
+impl<'a> Faces<'a> {
+    pub fn new(triangles: &'a [[Vec3; 3]], corners: &'a [u32], solid: &[bool]) -> Self {
+        let n = triangles.len();
+        let mut edges: Vec<(u32, u32, u32)> = Vec::with_capacity(3 * n);
+        for (id, c) in corners.chunks_exact(3).enumerate().filter(|(id, _)| solid[*id]) {
+            for k in 0..3 {
+                let (a, b) = (c[k], c[(k + 1) % 3]);
+                edges.push((a.min(b), a.max(b), id as u32));
+            }
+        }
+        edges.par_sort_unstable();
+        let flat = |(s, t): &(u32, u32)| {
+            let v = triangles[*s as usize];
+            triangles[*t as usize].iter().all(|p| orient3d_sign(v[0], v[1], v[2], *p) == Ordering::Equal)
+        };
+        let pairs = edges
+            .par_windows(2)
+            .filter(|pair| (pair[0].0, pair[0].1) == (pair[1].0, pair[1].1))
+            .map(|pair| (pair[0].2, pair[1].2))
+            .filter(flat)
+            .collect();
+        let faces = (0..n)
+            .into_par_iter()
+            .map(|id| solid[id].then(|| Face::of(id as u32, &triangles[id], &corners[3 * id..3 * id + 3])))
+            .collect();
+        Self { triangles, corners, parent: (0..n as u32).collect(), faces, pairs }
+    }
+
+    fn root(&mut self, mut id: u32) -> u32 {
+        while self.parent[id as usize] != id {
+            self.parent[id as usize] = self.parent[self.parent[id as usize] as usize];
+            id = self.parent[id as usize];
+        }
+        id
+    }
+
+    /// Joins neighbours as long as that leaves them convex.
+    pub fn merge(&mut self) {
+        let mut pairs = std::mem::take(&mut self.pairs);
+        loop {
+            let before = pairs.len();
+            let mut joined = false;
+            pairs.retain(|(s, t)| {
+                let (a, b) = (self.root(*s), self.root(*t));
+                if a == b {
+                    return false;
+                }
+                let (lo, hi) = (a.min(b), a.max(b));
+                let (Some(x), Some(y)) = (&self.faces[lo as usize], &self.faces[hi as usize]) else {
+                    return false;
+                };
+                match x.joined(y, self.triangles) {
+                    Some(face) => {
+                        self.faces[lo as usize] = Some(face);
+                        self.faces[hi as usize] = None;
+                        self.parent[hi as usize] = lo;
+                        joined = true;
+                        false
+                    }
+                    None => true,
+                }
+            });
+            if !joined || pairs.len() == before {
+                return;
+            }
+        }
+    }
+
+    pub fn finish(mut self) -> (Vec<Occluder>, Vec<Option<u32>>) {
+        let n = self.triangles.len();
+        let roots: Vec<u32> = (0..n as u32).map(|i| self.root(i)).collect();
+        let mut number = vec![None; n];
+        let mut kept = Vec::new();
+        for (id, face) in self.faces.iter().enumerate() {
+            if let Some(face) = face {
+                number[id] = Some(kept.len() as u32);
+                kept.push(face);
+            }
+        }
+        let occluders = kept.par_iter().map(|face| face.occluder(self.triangles, self.corners)).collect();
+        let of = roots.iter().map(|r| number[*r as usize]).collect();
+        (occluders, of)
+    }
+}
+
+impl Face {
+    fn of(id: u32, v: &[Vec3; 3], c: &[u32]) -> Self {
+        let border =
+            (0..3).map(|k| Edge { from: c[k], to: c[(k + 1) % 3], ends: [v[k], v[(k + 1) % 3]] }).collect();
+        // Some axis sees the triangle with an area, since it has one; which is decided exactly.
+        let turn = |axis: usize| orient2d_sign(flat(v[0], axis), flat(v[1], axis), flat(v[2], axis));
+        let axis = (0..3).find(|k| turn(*k) != Ordering::Equal).unwrap_or(0);
+        Self { triangles: vec![(id, false)], border, axis, mirrored: turn(axis) == Ordering::Less }
+    }
+
+    /// Both faces as one, if their union is convex.
+    fn joined(&self, other: &Self, triangles: &[[Vec3; 3]]) -> Option<Self> {
+        if self.border.len() + other.border.len() > MOST_EDGES + 2 {
+            return None;
+        }
+        // Turned so that both face the same way: seen along the same axis.
+        let v = &triangles[other.triangles[0].0 as usize];
+        let turned = other.triangles[0].1;
+        let clockwise = orient2d_sign(flat(v[0], self.axis), flat(v[1], self.axis), flat(v[2], self.axis))
+            == Ordering::Less;
+        let flip = (clockwise != turned) != self.mirrored;
+        let mut border = self.border.clone();
+        for e in &other.border {
+            let e = if flip { Edge { from: e.to, to: e.from, ends: [e.ends[1], e.ends[0]] } } else { *e };
+            match border.iter().position(|f| f.from == e.to && f.to == e.from) {
+                Some(i) => {
+                    border.remove(i);
+                }
+                None => border.push(e),
+            }
+        }
+        if border.len() < 3 || border.len() == self.border.len() + other.border.len() {
+            return None;
+        }
+        // One loop, every turn to the left or straight on.
+        let mut at = 0;
+        for step in 1..=border.len() {
+            let mut next = border.iter().enumerate().filter(|(_, e)| e.from == border[at].to);
+            let (Some((i, e)), None) = (next.next(), next.next()) else { return None };
+            let ([a, b], c) = (border[at].ends, e.ends[1]);
+            let turn = orient2d_sign(flat(a, self.axis), flat(b, self.axis), flat(c, self.axis));
+            let right = if self.mirrored { Ordering::Greater } else { Ordering::Less };
+            if turn == right {
+                return None;
+            }
+            at = i;
+            if (at == 0) != (step == border.len()) {
+                return None;
+            }
+        }
+        // Turning left all the way can also go round twice; no corner may be to the right of any edge.
+        let right = if self.mirrored { Ordering::Greater } else { Ordering::Less };
+        let outside = |e: &Edge, p: Vec3| {
+            orient2d_sign(flat(e.ends[0], self.axis), flat(e.ends[1], self.axis), flat(p, self.axis)) == right
+        };
+        if border.iter().any(|e| border.iter().any(|f| outside(e, f.ends[0]))) {
+            return None;
+        }
+        let mut all = self.triangles.clone();
+        all.extend(other.triangles.iter().map(|(t, f)| (*t, *f != flip)));
+        Some(Self { triangles: all, border, axis: self.axis, mirrored: self.mirrored })
+    }
+
+    /// As an occluder, its border in the order that its triangles give.
+    fn occluder(&self, triangles: &[[Vec3; 3]], corners: &[u32]) -> Occluder {
+        let mut members = self.triangles.clone();
+        members.sort_unstable();
+        let (edges, border) = border(&members, triangles, corners);
+        Occluder { triangles: members, border, edges }
+    }
+}
+
+fn flat(p: Vec3, axis: usize) -> [f32; 2] {
+    [p[(axis + 1) % 3], p[(axis + 2) % 3]]
+}

@@ -1,0 +1,11 @@
+//! Occluders: convex sets of coplanar triangles, their boundary edges, and segments among them.
+
+pub(crate) mod boundary_edges;
+mod merge;
+mod occluder;
+pub(crate) mod segment;
+mod set;
+
+pub use boundary_edges::BoundaryEdges;
+pub use occluder::Occluder;
+pub use set::Occluders;

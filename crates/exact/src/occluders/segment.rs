@@ -1,0 +1,113 @@
+//! Segments between points in single precision: what one shows, decided exactly, and what one is likely to meet.
+//!
+//! Nearly all that is visible is seen along many lines, so points that floats can name will do for a witness. What
+//! only thin pencils of lines show is left to the queries.
+
+use std::cmp::Ordering;
+
+use glam::{DVec3, Vec3};
+use sightline_scene::exact::orient3d_sign;
+
+use super::set::Occluders;
+
+/// Whether the segment from `p` to `q` passes through the inside of a triangle and no other has a point on it, but for
+/// those in that triangle's plane. Then it is a witness for the triangle: all segments near it pass through, too.
+pub fn shows(scene: &Occluders, p: Vec3, q: Vec3, id: u32, scratch: &mut Vec<u32>) -> bool {
+    let [a, b, c] = *scene.triangle(id);
+    if crossing([a, b, c], p, q) != Crossing::Inside {
+        return false;
+    }
+    scratch.clear();
+    let size = f64::from(p.abs().max(q.abs()).max_element());
+    scene.along(p.as_dvec3(), q.as_dvec3(), size, scratch);
+    scratch.iter().all(|other| {
+        let t = *scene.triangle(*other);
+        *other == id
+            || crossing(t, p, q) == Crossing::Not
+            || t.iter().all(|v| orient3d_sign(a, b, c, *v) == Ordering::Equal)
+    })
+}
+
+/// How a segment and a triangle lie to each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Crossing {
+    /// They have no point in common.
+    Not,
+    /// They have, or may have, and it is not sure to be inside both.
+    Touches,
+    /// The segment passes from one side to the other through the inside.
+    Inside,
+}
+
+/// How the segment from `p` to `q` and a triangle with area lie to each other, exactly.
+pub fn crossing([a, b, c]: [Vec3; 3], p: Vec3, q: Vec3) -> Crossing {
+    let ends = [p, q].map(|e| orient3d_sign(a, b, c, e));
+    if ends[0] == ends[1] && ends[0] != Ordering::Equal {
+        return Crossing::Not;
+    }
+    let turns = [(a, b), (b, c), (c, a)].map(|(s, t)| orient3d_sign(p, q, s, t));
+    let has = |o: Ordering| turns.contains(&o);
+    match (
+        has(Ordering::Less) && has(Ordering::Greater),
+        has(Ordering::Equal) || ends.contains(&Ordering::Equal),
+    ) {
+        // In the triangle's plane all turns are equal, so here the line crosses the plane, and outside of the triangle.
+        (true, _) => Crossing::Not,
+        (false, true) => Crossing::Touches,
+        (false, false) => Crossing::Inside,
+    }
+}
+
+/// The first triangle a ray meets as far as doubles can tell, and where, in lengths of the direction: a proposal.
+pub fn first(scene: &Occluders, origin: DVec3, direction: DVec3) -> Option<(u32, f64)> {
+    let mut best: Option<(u32, f64)> = None;
+    scene.hierarchy().nearest(origin, direction, |id, limit| {
+        let [a, b, c] = scene.triangle(id).map(|v| v.as_dvec3());
+        // Möller and Trumbore 1997.
+        let (e, f) = (b - a, c - a);
+        let h = direction.cross(f);
+        let det = e.dot(h);
+        let s = origin - a;
+        let (u, w) = (s.dot(h) / det, s.cross(e));
+        let (v, t) = (direction.dot(w) / det, f.dot(w) / det);
+        // Not for the unordered, which a triangle along the ray gives.
+        if u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0 && t < limit {
+            best = Some((id, t));
+            return t;
+        }
+        limit
+    });
+    best
+}
+
+#[cfg(test)]
+mod tests {
+    use sightline_scene::{Object, Scene, Triangle};
+
+    use super::*;
+
+    fn scene(triangles: &[[[f32; 3]; 3]]) -> Occluders {
+        let triangles: Vec<Triangle> = triangles.iter().map(|t| Triangle { v: t.map(Vec3::from) }).collect();
+        let object = Object { name: "all".to_owned(), first: 0, count: triangles.len() as u32 };
+        Occluders::new(&Scene::new("test", triangles, vec![object]).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn a_segment_shows_what_it_passes_through_first() {
+        let at = |x: f32| [[x, -1.0, -1.0], [x, 2.0, -1.0], [x, -1.0, 2.0]];
+        let s = scene(&[at(1.0), at(2.0), at(1.0)]);
+        let mut scratch = Vec::new();
+        let mut shows = |p: [f32; 3], q: [f32; 3], id| shows(&s, p.into(), q.into(), id, &mut scratch);
+        assert!(shows([0.0; 3], [1.5, 0.0, 0.0], 0) && shows([0.0; 3], [1.5, 0.0, 0.0], 2));
+        assert!(!shows([0.0; 3], [1.5, 0.0, 0.0], 1) && !shows([0.0; 3], [2.5, 0.0, 0.0], 1));
+        assert!(!shows([0.0; 3], [1.0, 0.0, 0.0], 0), "it ends on the triangle");
+        assert!(!shows([0.0, 0.5, 0.5], [1.5, 0.5, 0.5], 0), "it meets an edge");
+        assert!(!shows([0.0, 3.0, 0.0], [1.5, 3.0, 0.0], 0), "it passes outside");
+        assert!(shows([3.0, 0.0, 0.0], [1.5, 0.0, 0.0], 1), "from behind");
+        assert!(!shows([1.0, 0.0, 0.0], [2.5, 0.0, 0.0], 1), "it begins on another triangle");
+        assert!(shows([1.25, 0.0, 0.0], [2.5, 0.0, 0.0], 1));
+        assert_eq!(first(&s, DVec3::ZERO, DVec3::X).map(|(_, t)| t), Some(1.0));
+        assert_eq!(first(&s, DVec3::new(1.5, 0.0, 0.0), DVec3::X * 0.5), Some((1, 1.0)));
+        assert_eq!(first(&s, DVec3::new(2.5, 0.0, 0.0), DVec3::X), None);
+    }
+}

@@ -1,0 +1,173 @@
+//! All occluders of a scene, with the hierarchy over its triangles.
+
+use glam::Vec3;
+use rayon::prelude::*;
+use sightline_scene::topology::corner_vertices;
+use sightline_scene::{Scene, SceneError};
+
+use super::boundary_edges::BoundaryEdges;
+use super::merge::Faces;
+use super::occluder::{Occluder, border};
+use crate::geometry::bvh::Bvh;
+
+/// Everything that blocks in a scene.
+pub struct Occluders {
+    triangles: Vec<[Vec3; 3]>,
+    occluders: Vec<Occluder>,
+    /// The occluder of each triangle; none for those without area.
+    of: Vec<Option<u32>>,
+    /// Whether each triangle is turned round in its occluder.
+    turned: Vec<bool>,
+    boundary_edges: BoundaryEdges,
+    /// Three corner numbers a triangle.
+    corners: Vec<u32>,
+    bvh: Bvh,
+    reach: f64,
+}
+
+impl Occluders {
+    /// Joins the coplanar neighbours of a scene into convex occluders and prepares for tracing, on all of rayon's threads.
+    ///
+    /// # Errors
+    /// As [`corner_vertices`]: when the scene has more corners than can be numbered.
+    pub fn new(scene: &Scene) -> Result<Self, SceneError> {
+        let corners = corner_vertices(scene)?;
+        let triangles: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
+        let solid: Vec<bool> = scene.triangles().par_iter().map(|t| !t.is_degenerate()).collect();
+        let joined = || {
+            let mut faces = Faces::new(&triangles, &corners, &solid);
+            faces.merge();
+            let (occluders, of) = faces.finish();
+            let boundary_edges = BoundaryEdges::new(&occluders);
+            let mut turned = vec![false; triangles.len()];
+            occluders.iter().flat_map(|o| &o.triangles).for_each(|(t, turn)| turned[*t as usize] = *turn);
+            (occluders, of, turned, boundary_edges)
+        };
+        let hierarchy = || {
+            let boxes = scene.triangles().iter().map(|t| [t.bounds().min, t.bounds().max]).collect();
+            let items = (0..triangles.len() as u32).filter(|i| solid[*i as usize]).collect();
+            Bvh::new(boxes, items)
+        };
+        let ((occluders, of, turned, boundary_edges), bvh) = rayon::join(joined, hierarchy);
+        let b = scene.bounds();
+        let reach = f64::from(b.min.abs().max(b.max.abs()).max_element());
+        Ok(Self { triangles, occluders, of, turned, boundary_edges, corners, bvh, reach })
+    }
+
+    /// A triangle's vertices.
+    pub fn triangle(&self, id: u32) -> &[Vec3; 3] {
+        &self.triangles[id as usize]
+    }
+
+    /// Number of triangles.
+    pub fn len(&self) -> usize {
+        self.triangles.len()
+    }
+
+    /// Whether there is no triangle; a scene has at least one.
+    pub fn is_empty(&self) -> bool {
+        self.triangles.is_empty()
+    }
+
+    /// The occluder a triangle is part of.
+    pub fn of(&self, triangle: u32) -> Option<u32> {
+        self.of[triangle as usize]
+    }
+
+    /// The occluder of a triangle that a line goes through, and whether the line passes the occluder's edges on their negative side.
+    /// `front` says whether it comes from the side the triangle's corners are seen counter-clockwise from.
+    pub fn passed(&self, triangle: u32, front: bool) -> Option<(u32, bool)> {
+        // Down the z axis, (0, 0, −1; 0, 0, 0), with an edge around it from x to y, (−1, 1, 0; 0, 0, 1): K = −1.
+        self.of(triangle).map(|id| (id, front != self.turned[triangle as usize]))
+    }
+
+    /// An occluder.
+    pub fn occluder(&self, id: u32) -> &Occluder {
+        &self.occluders[id as usize]
+    }
+
+    /// The edges of all occluders' borders.
+    pub fn boundary_edges(&self) -> &BoundaryEdges {
+        &self.boundary_edges
+    }
+
+    /// The numbers of a triangle's corners, equal where positions are.
+    pub fn corners(&self, id: u32) -> [u32; 3] {
+        let at = 3 * id as usize;
+        [self.corners[at], self.corners[at + 1], self.corners[at + 2]]
+    }
+
+    /// What is left of the edges of some triangles, each perhaps turned round, when opposite ones are struck out.
+    pub fn border(&self, members: &[(u32, bool)]) -> (Vec<[u32; 2]>, Vec<[Vec3; 2]>) {
+        border(members, &self.triangles, &self.corners)
+    }
+
+    /// Number of occluders.
+    pub fn count(&self) -> usize {
+        self.occluders.len()
+    }
+
+    /// The hierarchy over the triangles that have an area.
+    pub fn hierarchy(&self) -> &Bvh {
+        &self.bvh
+    }
+
+    /// The triangles the segment may meet. Its ends are combinations of points no coordinate of which exceeds `size`, rounded
+    /// a few times.
+    pub fn along(&self, p: glam::DVec3, q: glam::DVec3, size: f64, out: &mut Vec<u32>) {
+        self.bvh.along(p, q, self.slack(size), out);
+    }
+
+    /// How far a coordinate of such a point may be off.
+    pub fn slack(&self, size: f64) -> f64 {
+        self.reach.max(size) * 1e-14
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+    use proptest::prelude::*;
+    use sightline_scene::{Object, Triangle};
+
+    use super::*;
+
+    proptest! {
+        /// Lines through the inside of one of two triangles that are one occluder, whichever way each is given.
+        #[test]
+        fn edges_are_passed_on_the_side_that_is_said(
+            corners in prop::array::uniform3(prop::array::uniform2(-8i32..9)), turned in prop::array::uniform2(any::<bool>()),
+            tilt in prop::array::uniform2(-3i32..4), along in prop::array::uniform3(-9i32..10), weights in prop::array::uniform3(1i32..5),
+            second in any::<bool>(),
+        ) {
+            // In a plane that is no coordinate plane; a parallelogram of both triangles, so that all are integers.
+            let at = |[x, y]: [i32; 2]| DVec3::new(f64::from(x), f64::from(y), f64::from(tilt[0] * x + tilt[1] * y));
+            let [a, b, c] = corners.map(at);
+            let d = b + c - a;
+            let normal = (b - a).cross(c - a);
+            let along = DVec3::from(along.map(f64::from));
+            prop_assume!(normal.dot(along) != 0.0);
+            let shapes: Vec<[DVec3; 3]> = [[a, b, c], [d, c, b]]
+                .into_iter()
+                .zip(turned)
+                .map(|([p, q, r], turned)| if turned { [p, r, q] } else { [p, q, r] })
+                .collect();
+            let triangles = shapes.iter().map(|t| Triangle { v: t.map(|p| p.as_vec3()) }).collect();
+            let object = Object { name: "all".to_owned(), first: 0, count: 2 };
+            let scene = Occluders::new(&Scene::new("two", triangles, vec![object]).unwrap()).unwrap();
+            prop_assert_eq!(scene.count(), 1);
+            let [p, q, r] = shapes[usize::from(second)];
+            // A point inside, times the sum of the weights, and the line through it.
+            let w = weights.map(f64::from);
+            let (x, total) = (p * w[0] + q * w[1] + r * w[2], w[0] + w[1] + w[2]);
+            let (way, moment) = (along * total, x.cross(along));
+            let front = (q - p).cross(r - p).dot(along) < 0.0;
+            let (id, negative) = scene.passed(u32::from(second), front).unwrap();
+            for [s, t] in &scene.occluder(id).border {
+                let (s, t) = (s.as_dvec3(), t.as_dvec3());
+                let form = way.dot(s.cross(t)) + moment.dot(t - s);
+                prop_assert!(form != 0.0 && (form < 0.0) == negative, "{} {}", form, negative);
+            }
+        }
+    }
+}

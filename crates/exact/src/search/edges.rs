@@ -1,0 +1,82 @@
+//! The lines of occluders' edges in the space of a pair: one for all edges that run along it.
+//!
+//! Rays that are on an edge's line are then known to be on those of all edges along it.
+
+use glam::Vec3;
+use rustc_hash::FxHashMap;
+use sightline_scene::exact::collinear;
+
+use crate::line_space::space::{Id, Space};
+use crate::search::corners::Corners;
+use crate::search::maps::with_room;
+
+/// An edge of an occluder's border.
+#[derive(Clone, Copy)]
+pub struct Edge {
+    /// Its line.
+    pub line: Id,
+    /// Whether the line runs the other way.
+    pub flipped: bool,
+}
+
+/// Lines made so far.
+pub struct EdgeLines {
+    /// By the numbers of an edge's corners, the lesser first: its line, and whether that runs from the greater.
+    edges: FxHashMap<[u32; 2], (Id, bool)>,
+    /// By their fingerprints: what is the same line is in the same bucket, or the next. Each with two points it goes through.
+    buckets: FxHashMap<i64, Vec<(Id, [Vec3; 2])>>,
+}
+
+impl EdgeLines {
+    /// An empty table.
+    pub fn new() -> Self {
+        Self { edges: with_room(64), buckets: with_room(64) }
+    }
+
+    /// The lines of a border, given by numbers of corners and by positions.
+    pub fn border(
+        &mut self,
+        space: &mut Space,
+        corners: &mut Corners,
+        border: &[[u32; 2]],
+        ends: &[[Vec3; 2]],
+    ) -> Vec<Edge> {
+        border.iter().zip(ends).map(|(numbers, at)| self.edge(space, corners, *numbers, *at)).collect()
+    }
+
+    fn edge(
+        &mut self,
+        space: &mut Space,
+        corners: &mut Corners,
+        numbers: [u32; 2],
+        [p, q]: [Vec3; 2],
+    ) -> Edge {
+        let back = numbers[0] > numbers[1];
+        let key = if back { [numbers[1], numbers[0]] } else { numbers };
+        if let Some((line, flipped)) = self.edges.get(&key) {
+            return Edge { line: *line, flipped: *flipped != back };
+        }
+        let a = corners.point(space, numbers[0], p);
+        let b = corners.point(space, numbers[1], q);
+        let new = space.join(a, b);
+        let fingerprint = space.fingerprint(new);
+        let same = (fingerprint - 1..=fingerprint + 1)
+            .filter_map(|f| self.buckets.get(&f))
+            .flatten()
+            .find(|(_, [r, s])| collinear(*r, *s, p) && collinear(*r, *s, q));
+        let (line, flipped) = match same {
+            Some((line, other)) => (*line, !same_way(*other, [p, q])),
+            None => {
+                self.buckets.entry(fingerprint).or_default().push((new, [p, q]));
+                (new, false)
+            }
+        };
+        self.edges.insert(key, (line, flipped != back));
+        Edge { line, flipped }
+    }
+}
+
+/// Whether two edges on one line run the same way.
+fn same_way(e: [Vec3; 2], f: [Vec3; 2]) -> bool {
+    (0..3).all(|k| (f[1][k] > f[0][k]) == (e[1][k] > e[0][k]) && (f[1][k] < f[0][k]) == (e[1][k] < e[0][k]))
+}

@@ -1,0 +1,105 @@
+//! How much of a region an occluder blocks, and joining it with neighbours until many of them add nothing.
+//!
+//! What lines pass in the same direction has one silhouette (thesis §2.4), so triangles that hang together block together.
+
+use crate::occluders::Occluders;
+use crate::search::local::{Constraints, Local, lines_of, triangles};
+use crate::search::side_bitsets::{Limit, both, count};
+
+/// Most occluders that are joined to one for the sake of a region.
+const MOST_MEMBERS: usize = 256;
+/// So many that add nothing are added one after the other before that is given up, or as many as there are already.
+const IN_VAIN: usize = 8;
+
+impl Local<'_> {
+    /// Adds neighbours to an occluder, always over the edge that most of the region is outside of, until some more of them add nothing;
+    /// an index into `known`. None if no neighbours make it block more of the region.
+    ///
+    /// One neighbour often adds nothing and a few do: it takes most of a curved surface's facets to block what one of them is amid.
+    pub fn fuse(&mut self, scene: &Occluders, (id, negative, held): (u32, bool, u32)) -> Option<usize> {
+        let every = self.side_bitsets.all();
+        let all = count(every);
+        if held == all || !self.is_between(scene, id) {
+            return None;
+        }
+        let mut border = std::mem::take(&mut self.border);
+        border.clear();
+        let mut members = vec![(id, false)];
+        self.join(scene, &mut border, (id, false), negative);
+        let (mut most, mut best) = (held, 1);
+        while most < all && members.len() < MOST_MEMBERS.min(best + best.max(IN_VAIN)) {
+            let Some(next) = self.beyond(scene, &mut border, &members, all) else { break };
+            members.push(next);
+            self.join(scene, &mut border, next, negative);
+            let held = count(border.iter().fold(every, |all, limit| both(all, limit.inside)));
+            // Two sides of one sheet have no border and block nothing together.
+            if held > most && !border.is_empty() {
+                (most, best) = (held, members.len());
+            }
+        }
+        self.border = border;
+        members.truncate(best);
+        if best == 1 {
+            return None;
+        }
+        members.sort_unstable();
+        self.patch(scene, members)
+    }
+
+    /// Adds an occluder, perhaps turned round, to what has a border: the edges along which the two run in opposite directions go.
+    fn join(
+        &mut self,
+        scene: &Occluders,
+        border: &mut Vec<Limit>,
+        (id, turned): (u32, bool),
+        negative: bool,
+    ) {
+        for at in self.side_bitsets.shape(scene, self.space.frame(), id) {
+            let edge = self.side_bitsets.edges(at..at + 1)[0];
+            let edge = if turned { edge.reversed() } else { edge };
+            let [from, to] = edge.corners;
+            if let Some(other) = border.iter().position(|l| l.edge.corners == [to, from]) {
+                border.remove(other);
+            } else {
+                let inside = self.side_bitsets.inside(&self.forms, edge, negative);
+                border.push(Limit { edge, inside, count: count(inside), last: false });
+            }
+        }
+    }
+
+    /// What can be added over the edge that most of the region is outside of, and whether it is to be turned round.
+    fn beyond(
+        &mut self,
+        scene: &Occluders,
+        border: &mut [Limit],
+        members: &[(u32, bool)],
+        all: u32,
+    ) -> Option<(u32, bool)> {
+        loop {
+            let limit = border.iter_mut().filter(|l| !l.last && l.count < all).min_by_key(|l| l.count)?;
+            for (id, back) in scene.boundary_edges().sharing(limit.edge.number) {
+                if !members.iter().any(|m| m.0 == *id) && self.is_between(scene, *id) {
+                    // Its border must run the other way along the edge, so it is turned round where it runs the same way.
+                    return Some((*id, *back == limit.edge.back()));
+                }
+            }
+            limit.last = true;
+        }
+    }
+
+    /// Several occluders that are all between the polygons, as one; an index into `known`. None if they have no border.
+    fn patch(&mut self, scene: &Occluders, members: Vec<(u32, bool)>) -> Option<usize> {
+        if let Some(at) = self.patches.get(&members) {
+            return *at;
+        }
+        let (edges, border) = scene.border(&triangles(scene, &members));
+        let lines = self.border_lines(&edges, &border);
+        let lines = lines_of(&lines, &edges, &self.side_bitsets);
+        let at = (!lines.is_empty()).then(|| {
+            self.known.push(Constraints { members: members.clone(), lines });
+            self.known.len() - 1
+        });
+        self.patches.insert(members, at);
+        at
+    }
+}

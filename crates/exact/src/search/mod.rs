@@ -1,0 +1,17 @@
+//! The query between two polygons: feedback-guided subtraction of occluders in line space.
+
+mod corners;
+mod edges;
+mod fusion;
+mod halving;
+mod local;
+mod maps;
+mod query;
+mod side_bitsets;
+mod snap;
+mod subtract;
+mod trace;
+mod verdict;
+
+pub use query::{sightlines, sightlines_until};
+pub use verdict::{Cost, Limits, Reason, Verdict};

@@ -1,0 +1,327 @@
+//! The exact query between two polygons: feedback-guided subtraction in line space (thesis ch. 5 and §6.1; the
+//! feedback after Haumont et al. 2005).
+//!
+//! Take a real line inside what is left of the lines from A to B and follow it. If it meets nothing it is a witness. Else
+//! subtract one of the occluders it met, the one that takes most of what is left, and go on with the pieces outside
+//! of it. When nothing with real lines is left, B is hidden, and the steps taken are the proof.
+
+use std::cmp::Ordering;
+use std::collections::BTreeMap;
+
+use rustc_hash::FxHashMap;
+
+use crate::geometry::frame::{Frame, Source};
+use crate::geometry::parts::parts;
+use crate::geometry::polygon::Polygon;
+use crate::line_space::cone::Region;
+use crate::line_space::forms::Forms;
+use crate::line_space::klein::{self, Contents, contents};
+use crate::line_space::polar;
+use crate::line_space::space::Space;
+use crate::line_space::stabbing_polyhedron;
+use crate::occluders::Occluders;
+use crate::proof::{Proof, Step, Which};
+use crate::search::corners::Corners;
+use crate::search::edges::EdgeLines;
+use crate::search::halving::widest;
+use crate::search::local::{Local, Snapped, triangles};
+use crate::search::maps::with_room;
+use crate::search::side_bitsets::SideBitsets;
+use crate::search::trace::Met;
+use crate::search::verdict::{Cost, Limits, Reason, Verdict};
+
+/// Whether any part of `b` is seen from `a`, each a convex polygon or the parts of one.
+pub fn sightlines(scene: &Occluders, a: &[Polygon], b: &[Polygon], limits: &Limits) -> (Verdict, Cost) {
+    sightlines_until(scene, (a, b), limits, &|| false)
+}
+
+/// As [`sightlines`]; `stop` is asked before every region whether to leave it undecided.
+pub fn sightlines_until(
+    scene: &Occluders,
+    (a, b): (&[Polygon], &[Polygon]),
+    limits: &Limits,
+    stop: &dyn Fn() -> bool,
+) -> (Verdict, Cost) {
+    let mut search = Search {
+        scene,
+        limits,
+        stop,
+        cost: Cost::default(),
+        proof: Proof::default(),
+        numbers: BTreeMap::new(),
+    };
+    let mut open: Option<Reason> = None;
+    for x in a {
+        for y in b {
+            match search.polygons(x, y) {
+                Ok(()) => {}
+                Err(End::Seen(witness)) => return (Verdict::Visible(witness), search.cost),
+                // Another part may still be seen.
+                Err(End::Open(reason)) => open = Some(reason),
+            }
+        }
+    }
+    let verdict = match open {
+        None => Verdict::Hidden(search.proof),
+        Some(reason) => Verdict::Undecided(reason),
+    };
+    (verdict, search.cost)
+}
+
+/// A step of a proof, and the regions that remain to be processed.
+type Found = (Step, Vec<Region>);
+
+/// How the search of a pair ends before it is proved hidden.
+enum End {
+    Seen(Box<[Source; 2]>),
+    Open(Reason),
+}
+
+/// The end of a whole from those of its parts: what is seen ends the search, what is open does not.
+fn worst(before: Result<(), Reason>, now: Result<(), End>) -> Result<Result<(), Reason>, End> {
+    match now {
+        Ok(()) => Ok(before),
+        Err(End::Open(reason)) => Ok(Err(reason)),
+        Err(End::Seen(witness)) => Err(End::Seen(witness)),
+    }
+}
+
+/// A region the search can do nothing with as it is: the polygons are to be halved.
+struct Stuck;
+
+struct Search<'a> {
+    scene: &'a Occluders,
+    limits: &'a Limits,
+    stop: &'a dyn Fn() -> bool,
+    cost: Cost,
+    proof: Proof,
+    /// What each occluder of the proof is made of.
+    numbers: BTreeMap<Vec<(u32, bool)>, u32>,
+}
+
+impl Search<'_> {
+    fn polygons(&mut self, a: &Polygon, b: &Polygon) -> Result<(), End> {
+        let mut result = Ok(());
+        for [x, y] in parts(a, b) {
+            result = worst(result, self.pair(&x, &y, 0))?;
+        }
+        result.map_err(End::Open)
+    }
+
+    /// Proves that no line gets from one part to the other, halving them where that does not succeed at once.
+    fn pair(
+        &mut self,
+        a: &(Polygon, Vec<Ordering>),
+        b: &(Polygon, Vec<Ordering>),
+        depth: u32,
+    ) -> Result<(), End> {
+        let before = (self.proof.steps.len(), self.proof.occluders.len());
+        if self.try_pair(a, b)?.is_ok() {
+            return Ok(());
+        }
+        // What was tried in vain is no part of the proof.
+        self.proof.steps.truncate(before.0);
+        self.proof.occluders.truncate(before.1);
+        self.numbers.retain(|_, number| (*number as usize) < before.1);
+        if depth == self.limits.divisions {
+            return Err(End::Open(Reason::Divisions));
+        }
+        self.cost.divisions += 1;
+        let (of, [from, to]) = widest(&a.0, &b.0);
+        self.proof.steps.push(Step::Divide { of, from, to });
+        let mut result = Ok(());
+        let (whole, other) = if of == Which::A { (&a.0, &b.0) } else { (&b.0, &a.0) };
+        for half in whole.divided(from, to) {
+            let sides = other.sides(&half);
+            // The other's sides of the half's plane are what they were: it is the same plane, perhaps turned.
+            let half_plane = half.sides(other);
+            let (half, rest) = ((half, sides), (other.clone(), half_plane));
+            let found = if of == Which::A {
+                self.pair(&half, &rest, depth + 1)
+            } else {
+                self.pair(&rest, &half, depth + 1)
+            };
+            result = worst(result, found)?;
+        }
+        result.map_err(End::Open)
+    }
+
+    /// The same without halving.
+    fn try_pair(
+        &mut self,
+        a: &(Polygon, Vec<Ordering>),
+        b: &(Polygon, Vec<Ordering>),
+    ) -> Result<Result<(), Stuck>, End> {
+        let (near_a, near_b) = (a.0.rounded(), b.0.rounded());
+        let mut space = Space::new(Frame::around(&near_a, &near_b));
+        let Ok(mut pair) = stabbing_polyhedron::stabbing(&mut space, (&a.0, &a.1), (&b.0, &b.1)) else {
+            return Ok(Err(Stuck));
+        };
+        let regions = std::mem::take(&mut pair.regions);
+        let ends = [(&a.0, &near_a[..]), (&b.0, &near_b[..])];
+        let mut local = Local {
+            space,
+            pair,
+            known: Vec::new(),
+            corners: Corners::new(),
+            extents: with_room(16),
+            places: with_room(16),
+            patches: FxHashMap::default(),
+            lines: EdgeLines::new(),
+            side_bitsets: SideBitsets::new(),
+            forms: Forms::default(),
+            sides: Vec::new(),
+            candidates: Vec::new(),
+            border: Vec::new(),
+            ends,
+        };
+        let mut result = Ok(());
+        for region in regions {
+            result = self.region(&mut local, region)?;
+            if result.is_err() {
+                break;
+            }
+        }
+        self.cost.decisions += local.space.decisions;
+        Ok(result)
+    }
+
+    /// Takes one region apart.
+    fn region(&mut self, local: &mut Local<'_>, region: Region) -> Result<Result<(), Stuck>, End> {
+        let mut open = vec![region];
+        let mut splits = 0;
+        while let Some(region) = open.pop() {
+            self.cost.regions += 1;
+            let vectors = local.space.size() as u64;
+            self.cost.vectors = self.cost.vectors.max(vectors);
+            if self.cost.regions > u64::from(self.limits.regions) {
+                self.cost.decisions += local.space.decisions;
+                return Err(End::Open(Reason::Regions));
+            }
+            if vectors > u64::from(self.limits.vectors) {
+                self.cost.decisions += local.space.decisions;
+                return Err(End::Open(Reason::Memory));
+            }
+            if (self.stop)() {
+                self.cost.decisions += local.space.decisions;
+                return Err(End::Open(Reason::Stopped));
+            }
+            let mut found = match contents(&mut local.space, &region, LINES, &mut local.forms) {
+                Contents::Nothing => {
+                    self.proof.steps.push(Step::Unreal);
+                    continue;
+                }
+                Contents::Unsure => None,
+                Contents::Lines(lines) => self.feed_back(local, &region, &lines)?,
+            };
+            if found.is_none() {
+                found = self.feed_back_precisely(local, &region)?;
+            }
+            if found.is_none() && splits < self.limits.splits {
+                splits += 1;
+                self.cost.splits += 1;
+                found = polar::split(&mut local.space, &region)
+                    .map(|(polar, parts)| (Step::Split { polar: Box::new(polar) }, parts.into()));
+            }
+            let Some((step, outside)) = found else { return Ok(Err(Stuck)) };
+            self.proof.steps.push(step);
+            // The first part is the next to be looked at.
+            open.extend(outside.into_iter().rev());
+        }
+        Ok(Ok(()))
+    }
+
+    /// Follows lines of a region until one is free or an occluder is found that takes something away.
+    fn feed_back(
+        &mut self,
+        local: &mut Local<'_>,
+        region: &Region,
+        lines: &[[f64; 6]],
+    ) -> Result<Option<Found>, End> {
+        for line in lines {
+            let Some(ends) = local.snap(line) else { continue };
+            if let Some(found) = self.follow(local, region, ends)? {
+                return Ok(Some(found));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The same with a line that is in a region too thin for doubles.
+    fn feed_back_precisely(&mut self, local: &mut Local<'_>, region: &Region) -> Result<Option<Found>, End> {
+        let Some(line) = klein::precise(&mut local.space, region) else { return Ok(None) };
+        let Some(ends) = local.snap_precisely(&line) else { return Ok(None) };
+        self.follow(local, region, ends)
+    }
+
+    /// Follows one sight line.
+    fn follow(
+        &mut self,
+        local: &mut Local<'_>,
+        region: &Region,
+        (p, q): (Snapped, Snapped),
+    ) -> Result<Option<Found>, End> {
+        self.cost.lines += 1;
+        match local.trace(self.scene, (p.0, q.0), (p.1, q.1)) {
+            Met::Nothing => {
+                self.cost.decisions += local.space.decisions;
+                Err(End::Seen(Box::new([local.source(p.0, 0), local.source(q.0, 1)])))
+            }
+            Met::Grazing => Ok(None),
+            Met::Blocked(triangles) => {
+                let mut met: Vec<(u32, bool)> =
+                    triangles.iter().filter_map(|(t, front)| self.scene.passed(*t, *front)).collect();
+                met.sort_unstable();
+                met.dedup_by_key(|m| m.0);
+                Ok(self.subtract_best(local, region, &met))
+            }
+        }
+    }
+
+    /// Subtracts, of the occluders that a line passes, each with whether that is on the negative side of its edges, the one that holds
+    /// most of the region, or the next that takes anything away.
+    fn subtract_best(
+        &mut self,
+        local: &mut Local<'_>,
+        region: &Region,
+        met: &[(u32, bool)],
+    ) -> Option<Found> {
+        local.begin();
+        let mut ranked: Vec<(u32, bool, u32)> = Vec::with_capacity(met.len());
+        for (id, negative) in met {
+            ranked.push((*id, *negative, local.held(self.scene, *id, *negative)));
+        }
+        ranked.sort_by(|x, y| {
+            let edges = |o: u32| self.scene.occluder(o).border.len();
+            y.2.cmp(&x.2).then(edges(x.0).cmp(&edges(y.0))).then(x.0.cmp(&y.0))
+        });
+        for (id, negative, held) in ranked {
+            let fused = local.fuse(self.scene, (id, negative, held));
+            // By itself where it has not fused, or where that takes nothing away.
+            for fused in [fused, None].into_iter().skip(usize::from(fused.is_none())) {
+                let known = fused.or_else(|| local.constraints(self.scene, id));
+                let taken = known.and_then(|k| Some((k, local.subtract(region, k, negative)?)));
+                if let Some((known, (cuts, outside))) = taken {
+                    self.cost.occluders += 1;
+                    let occluder = self.number(&local.known[known].members);
+                    return Some((Step::Block { occluder, negative, cuts }, outside));
+                }
+            }
+        }
+        None
+    }
+
+    /// An occluder's number in the proof.
+    fn number(&mut self, members: &[(u32, bool)]) -> u32 {
+        if let Some(number) = self.numbers.get(members) {
+            return *number;
+        }
+        let number = self.proof.occluders.len() as u32;
+        self.proof.occluders.push(triangles(self.scene, members));
+        self.numbers.insert(members.to_vec(), number);
+        number
+    }
+}
+
+/// Lines of a region that are tried before it is given up.
+const LINES: usize = 2;

@@ -1,0 +1,200 @@
+//! On which side of occluders' edges the rays of a region are, and real lines in it, as sets of bits: which occluder takes most of a region
+//! is asked of many.
+//!
+//! Rounded and without bounds: what is taken first matters to the time a query takes, never to its answer. So edges are
+//! plain doubles here, and only those of what is taken become lines of the space.
+
+use std::ops::Range;
+
+use glam::DVec3;
+use rustc_hash::FxHashMap;
+
+use crate::arithmetic::number::normalised;
+use crate::geometry::frame::Frame;
+use crate::line_space::forms::Forms;
+use crate::occluders::Occluders;
+use crate::search::maps::with_room;
+
+/// A set of a region's rays and lines in it. Only so many are looked at; few regions have more.
+pub type Bits = [u64; 4];
+/// Rays and lines in a [`Bits`].
+const MOST: usize = 256;
+/// Forms with a line, neither having a component above 1, that are as good as 0.
+const ON: f64 = 1e-12;
+
+/// An edge of an occluder's border, or of several together.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct BoundaryEdge {
+    /// Its number in the scene ([`crate::occluders::boundary_edges::BoundaryEdges`]).
+    pub number: u32,
+    /// The numbers of its corners, in the direction of the border.
+    pub corners: [u32; 2],
+    /// Its line, from the lesser corner to the greater.
+    line: u32,
+}
+
+impl BoundaryEdge {
+    /// Whether it runs from the greater corner to the lesser.
+    pub fn back(&self) -> bool {
+        self.corners[0] > self.corners[1]
+    }
+
+    /// The same edge run along the other way.
+    pub fn reversed(self) -> Self {
+        Self { corners: [self.corners[1], self.corners[0]], ..self }
+    }
+}
+
+/// An edge of the border of what grows.
+pub struct Limit {
+    pub edge: BoundaryEdge,
+    /// What of the region is on its inner side, and how much.
+    pub inside: Bits,
+    pub count: u32,
+    /// Whether nothing can be added over it.
+    pub last: bool,
+}
+
+/// For each line the rays of the region at hand, and the lines in it, that pass it on either side.
+#[derive(Default)]
+pub struct SideBitsets {
+    /// Which region they are about, and how many rays and lines in it.
+    region: u32,
+    rays: usize,
+    /// Corners of the scene in the frame, by number.
+    corners: FxHashMap<u32, DVec3>,
+    /// Lines by their corners, the lesser first.
+    numbers: FxHashMap<[u32; 2], u32>,
+    lines: Vec<[f64; 6]>,
+    rows: Vec<Row>,
+    /// Where the edges of an occluder are.
+    shapes: FxHashMap<u32, Range<usize>>,
+    edges: Vec<BoundaryEdge>,
+    forms: Vec<f64>,
+}
+
+#[derive(Clone, Copy, Default)]
+struct Row {
+    region: u32,
+    /// Rays on the positive side, on the negative side; on both those on the line.
+    sides: [Bits; 2],
+}
+
+/// Corners and lines there is room for from the start: most pairs need few more.
+const FEW: usize = 64;
+
+impl SideBitsets {
+    /// Nothing yet.
+    pub fn new() -> Self {
+        Self {
+            corners: with_room(FEW),
+            numbers: with_room(FEW),
+            shapes: with_room(FEW / 4),
+            lines: Vec::with_capacity(FEW),
+            rows: Vec::with_capacity(FEW),
+            edges: Vec::with_capacity(FEW),
+            ..Self::default()
+        }
+    }
+
+    /// Goes on to another region, of so many rays and lines.
+    pub fn begin(&mut self, rays: usize) {
+        self.region += 1;
+        self.rays = rays.min(MOST);
+    }
+
+    /// All rays.
+    pub fn all(&self) -> Bits {
+        std::array::from_fn(|k| match self.rays.saturating_sub(64 * k) {
+            n @ 0..64 => (1 << n) - 1,
+            _ => u64::MAX,
+        })
+    }
+
+    /// The edges of an occluder, in the order of its border.
+    pub fn shape(&mut self, scene: &Occluders, frame: &Frame, id: u32) -> Range<usize> {
+        if let Some(known) = self.shapes.get(&id) {
+            return known.clone();
+        }
+        let occluder = scene.occluder(id);
+        let from = self.edges.len();
+        for (number, (corners, at)) in
+            (scene.boundary_edges().first(id)..).zip(occluder.edges.iter().zip(&occluder.border))
+        {
+            let key = [corners[0].min(corners[1]), corners[0].max(corners[1])];
+            let line = match self.numbers.get(&key) {
+                Some(line) => *line,
+                None => {
+                    let mut place = |k: usize| {
+                        *self.corners.entry(corners[k]).or_insert_with(|| frame.near(at[k].as_dvec3()))
+                    };
+                    let (a, b) = (place(0), place(1));
+                    let (a, b) = if corners[0] > corners[1] { (b, a) } else { (a, b) };
+                    let (d, m) = (b - a, a.cross(b));
+                    self.lines.push(normalised([d.x, d.y, d.z, m.x, m.y, m.z]).0);
+                    self.rows.push(Row::default());
+                    let line = (self.lines.len() - 1) as u32;
+                    self.numbers.insert(key, line);
+                    line
+                }
+            };
+            self.edges.push(BoundaryEdge { number, corners: *corners, line });
+        }
+        let range = from..self.edges.len();
+        self.shapes.insert(id, range.clone());
+        range
+    }
+
+    /// The edges of a shape.
+    pub fn edges(&self, of: Range<usize>) -> &[BoundaryEdge] {
+        &self.edges[of]
+    }
+
+    /// The rays that are to the left of an edge, or to the right.
+    pub fn inside(&mut self, forms: &Forms, edge: BoundaryEdge, negative: bool) -> Bits {
+        self.row(forms, edge.line)[usize::from(edge.back() != negative)]
+    }
+
+    /// The rays on the positive side of a line, by its number, and on the negative.
+    pub fn row(&mut self, forms: &Forms, line: u32) -> [Bits; 2] {
+        let at = line as usize;
+        if self.rows[at].region != self.region {
+            let line = self.lines[at];
+            let sides = self.sides_of(forms, &line);
+            self.rows[at] = Row { region: self.region, sides };
+        }
+        self.rows[at].sides
+    }
+
+    /// The rays on the positive side of any line, and on the negative; those nearly on it on both.
+    pub fn sides_of(&mut self, forms: &Forms, line: &[f64; 6]) -> [Bits; 2] {
+        forms.against(line, &mut self.forms);
+        let mut sides = [[0; 4]; 2];
+        for (k, chunk) in self.forms[..self.rays].chunks(64).enumerate() {
+            let (mut below, mut above) = (0, 0);
+            for (i, s) in chunk.iter().enumerate() {
+                // By their sign bits, so that nothing branches.
+                below |= ((s + ON).to_bits() >> 63) << i;
+                above |= ((ON - s).to_bits() >> 63) << i;
+            }
+            let all = u64::MAX >> (64 - chunk.len());
+            (sides[0][k], sides[1][k]) = (all & !below, all & !above);
+        }
+        sides
+    }
+
+    /// The number of the line between two corners, which runs from the lesser to the greater, if it was asked about.
+    pub fn line(&self, corners: [u32; 2]) -> Option<u32> {
+        self.numbers.get(&[corners[0].min(corners[1]), corners[0].max(corners[1])]).copied()
+    }
+}
+
+/// What is in both sets.
+pub fn both(a: Bits, b: Bits) -> Bits {
+    std::array::from_fn(|k| a[k] & b[k])
+}
+
+/// How many rays are in a set.
+pub fn count(of: Bits) -> u32 {
+    of.iter().map(|b| b.count_ones()).sum()
+}

@@ -1,0 +1,284 @@
+//! Closed surfaces: what they hide without a query.
+//!
+//! Take the triangles that hang together by their edges. Where every edge has an even number of them they enclose
+//! something: going from place to place, the parity of the number of crossings says whether one is inside or outside, and
+//! depends on the two places alone (the boundary of a boundary is nothing, mod 2). So if a view cell that the surface does not
+//! meet has one parity, and the side of a triangle turned to it the other, then every segment from the cell to the inside of
+//! that triangle crosses the surface before: the triangle is hidden. That is so of the back of every solid, of the inside of a
+//! wall, of all that faces away.
+//!
+//! Real surfaces have holes. Edges with an odd number of triangles are closed by *patches*, a fan from one corner for all
+//! that hang together; the argument then holds for segments that miss the patches, and so for all if none of the patches meets the
+//! convex hull of cell and triangle. [`crate::checker`] decides all this again from the scene alone.
+
+use std::cmp::Ordering;
+
+use glam::Vec3;
+use rayon::prelude::*;
+use sightline_numbers::union_find::UnionFind;
+use sightline_scene::exact::orient3d_sign;
+
+use super::crossing_order::sooner;
+use super::patches::cover;
+use super::piercing::may_pierce;
+use crate::arithmetic::random::Random;
+use crate::evidence::few_odd_edges;
+use crate::geometry::Cell;
+use crate::occluders::Occluders;
+use crate::occluders::segment::{Crossing, crossing};
+
+/// Segments tried to learn a parity: most are in general position at once.
+const TRIES: u32 = 6;
+
+/// The surfaces of a scene that enclose something.
+pub struct Surfaces {
+    /// The surface a triangle is part of, and the parity on the side its normal points to; none where that is not known
+    /// or makes no sense because other triangles of the surface pass through it.
+    sides: Vec<Option<(u32, bool)>>,
+    /// The surface a triangle is part of, if it is one of these.
+    of: Vec<Option<u32>>,
+    surfaces: Vec<Surface>,
+}
+
+struct Surface {
+    min: Vec3,
+    max: Vec3,
+    patches: Vec<[Vec3; 3]>,
+}
+
+/// What the surfaces say from one view cell.
+pub struct FromCell<'a> {
+    surfaces: &'a Surfaces,
+    scene: &'a Occluders,
+    cell: Cell,
+    /// The parity of the cell by surface; none for one that meets the cell, or not to be found out.
+    parity: Vec<Option<bool>>,
+}
+
+/// What a surface hides of one of its triangles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hides {
+    /// Nothing that is known.
+    Nothing,
+    /// What is seen of it from this side of its plane, on which part of the cell is.
+    From(Ordering),
+    /// All of it.
+    All,
+}
+
+impl Surfaces {
+    /// Finds the surfaces of a scene.
+    pub fn new(scene: &Occluders) -> Self {
+        let n = scene.len();
+        let solid = |t: u32| scene.of(t).is_some();
+        let mut edges: Vec<([u32; 2], u32)> = Vec::new();
+        for t in (0..n as u32).filter(|t| solid(*t)) {
+            let c = scene.corners(t);
+            edges.extend([(0, 1), (1, 2), (2, 0)].map(|(i, j)| ([c[i].min(c[j]), c[i].max(c[j])], t)));
+        }
+        edges.par_sort_unstable();
+        let mut sets = UnionFind::new(n);
+        for run in edges.chunk_by(|a, b| a.0 == b.0) {
+            run.iter().skip(1).for_each(|(_, t)| sets.join(run[0].1, *t));
+        }
+        // Odd edges by the surface they belong to.
+        let mut odd: Vec<(u32, [u32; 2], [Vec3; 2])> = Vec::new();
+        for run in edges.chunk_by(|a, b| a.0 == b.0).filter(|r| r.len() % 2 == 1) {
+            let (edge, t) = run[0];
+            let at = |corner: u32| scene.corners(t).iter().position(|c| *c == corner).unwrap_or(0);
+            let ends = edge.map(|c| scene.triangle(t)[at(c)]);
+            odd.push((sets.root(t), edge, ends));
+        }
+        odd.sort_unstable_by_key(|o| (o.0, o.1));
+        let mut usable = vec![true; n];
+        let mut patches: Vec<(u32, Vec<[Vec3; 3]>)> = Vec::new();
+        let mut members = vec![0usize; n];
+        (0..n as u32).filter(|t| solid(*t)).for_each(|t| members[sets.root(t) as usize] += 1);
+        for run in odd.chunk_by(|a, b| a.0 == b.0) {
+            if !few_odd_edges(run.len(), members[run[0].0 as usize]) {
+                usable[run[0].0 as usize] = false;
+            } else {
+                patches.push((run[0].0, cover(&run.iter().map(|o| o.2).collect::<Vec<_>>())));
+            }
+        }
+        let mut number = vec![None; n];
+        let (mut of, mut surfaces) = (vec![None; n], Vec::<Surface>::new());
+        for t in (0..n as u32).filter(|t| solid(*t)) {
+            let root = sets.root(t);
+            if !usable[root as usize] {
+                continue;
+            }
+            let id = *number[root as usize].get_or_insert_with(|| {
+                let at = patches.binary_search_by_key(&root, |p| p.0);
+                let patches = at.map_or(Vec::new(), |at| std::mem::take(&mut patches[at].1));
+                surfaces.push(Surface { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY, patches });
+                surfaces.len() as u32 - 1
+            });
+            let s = &mut surfaces[id as usize];
+            for v in scene.triangle(t) {
+                (s.min, s.max) = (s.min.min(*v), s.max.max(*v));
+            }
+            of[t as usize] = Some(id);
+        }
+        let mut all = Self { sides: Vec::new(), of, surfaces };
+        all.sides = (0..n as u32)
+            .into_par_iter()
+            .map_init(Vec::new, |scratch, t| {
+                let s = all.of[t as usize]?;
+                if all.is_pierced(scene, s, t, scratch) {
+                    return None;
+                }
+                Some((s, all.front(scene, s, t, scratch)?))
+            })
+            .collect();
+        all
+    }
+
+    /// Whether other triangles of the surface may have points inside a triangle.
+    fn is_pierced(&self, scene: &Occluders, s: u32, t: u32, near: &mut Vec<u32>) -> bool {
+        let v = *scene.triangle(t);
+        near.clear();
+        scene.hierarchy().in_box(v[0].min(v[1]).min(v[2]), v[0].max(v[1]).max(v[2]), near);
+        near.iter().any(|u| {
+            *u != t
+                && self.of[*u as usize] == Some(s)
+                && may_pierce(&v, scene.triangle(*u), scene.corners(t), scene.corners(*u))
+        })
+    }
+
+    /// The parity on the side a triangle's normal points to.
+    fn front(&self, scene: &Occluders, s: u32, t: u32, near: &mut Vec<u32>) -> Option<bool> {
+        let [a, b, c] = *scene.triangle(t);
+        let mut random = Random::new(u64::from(s), u64::from(t));
+        for _ in 0..TRIES {
+            let (x, y) = (random.unit().sqrt() as f32, random.unit() as f32);
+            let inside = a * (1.0 - x) + b * (x * (1.0 - y)) + c * (x * y);
+            let from = self.outside(s, inside, &mut random);
+            let to = inside + (inside - from) * 1e-3;
+            if crossing([a, b, c], from, to) != Crossing::Inside {
+                continue;
+            }
+            let before = |u: &[Vec3; 3]| match sooner(u, &[a, b, c], from, to) {
+                Ordering::Less => Some(true),
+                Ordering::Greater => Some(false),
+                Ordering::Equal => None,
+            };
+            if let Some(odd) = self.crossings(scene, s, (from, to), Some(t), &before, near) {
+                return Some(odd == (orient3d_sign(a, b, c, from) == Ordering::Greater));
+            }
+        }
+        None
+    }
+
+    /// A point outside of all the surface and its patches, along an axis from some point, or nearly.
+    fn outside(&self, s: u32, from: Vec3, random: &mut Random) -> Vec3 {
+        let Surface { min, max, .. } = &self.surfaces[s as usize];
+        let size = (*max - *min).max_element();
+        let axis = (random.unit() * 3.0) as usize;
+        let mut jitter = || ((random.unit() - 0.5) * 0.02) as f32 * size;
+        let mut to = from + Vec3::new(jitter(), jitter(), jitter());
+        let past = size * 0.1 + f32::MIN_POSITIVE;
+        let up = max[axis] - from[axis] < from[axis] - min[axis];
+        to[axis] = if up { max[axis] + past } else { min[axis] - past };
+        to
+    }
+
+    /// Whether the segment crosses an odd number of triangles and patches, of those that `counts` does not leave out; none where it
+    /// touches one that it does not pass through.
+    fn crossings(
+        &self,
+        scene: &Occluders,
+        s: u32,
+        (p, q): (Vec3, Vec3),
+        without: Option<u32>,
+        counts: &dyn Fn(&[Vec3; 3]) -> Option<bool>,
+        near: &mut Vec<u32>,
+    ) -> Option<bool> {
+        near.clear();
+        let size = f64::from(p.abs().max(q.abs()).max_element());
+        scene.along(p.as_dvec3(), q.as_dvec3(), size, near);
+        let own = near.iter().filter(|u| self.of[**u as usize] == Some(s) && Some(**u) != without);
+        let mut odd = false;
+        for u in own.map(|u| scene.triangle(*u)).chain(&self.surfaces[s as usize].patches) {
+            odd ^= match crossing(*u, p, q) {
+                Crossing::Not => false,
+                Crossing::Touches => return None,
+                Crossing::Inside => counts(u)?,
+            };
+        }
+        Some(odd)
+    }
+
+    /// What the surfaces say from a cell that the triangles `meeting` meet.
+    pub fn seen_from<'a>(&'a self, scene: &'a Occluders, cell: Cell, meeting: &[u32]) -> FromCell<'a> {
+        let mut met = vec![false; self.surfaces.len()];
+        meeting.iter().filter_map(|t| self.of[*t as usize]).for_each(|s| met[s as usize] = true);
+        let [min, max] = cell.corners();
+        let middle = (min * 0.5 + max * 0.5).clamp(min, max);
+        let parity = (0..self.surfaces.len() as u32)
+            .map(|s| {
+                let Surface { min, max, .. } = &self.surfaces[s as usize];
+                if met[s as usize] {
+                    return None;
+                }
+                if middle.cmplt(*min).any() || middle.cmpgt(*max).any() {
+                    return Some(false);
+                }
+                let mut random = Random::new(u64::from(s), 0);
+                (0..TRIES).find_map(|_| {
+                    let to = self.outside(s, middle, &mut random);
+                    let out = to.cmplt(*min).any() || to.cmpgt(*max).any();
+                    let odd =
+                        || self.crossings(scene, s, (middle, to), None, &|_| Some(true), &mut Vec::new());
+                    out.then(odd).flatten()
+                })
+            })
+            .collect();
+        FromCell { surfaces: self, scene, cell, parity }
+    }
+}
+
+impl FromCell<'_> {
+    /// Whether a triangle, which does not meet the cell, is hidden by the surface it is part of.
+    pub fn hides(&self, t: u32) -> Hides {
+        let Some((s, front)) = self.surfaces.sides[t as usize] else { return Hides::Nothing };
+        let Some(cell) = self.parity[s as usize] else { return Hides::Nothing };
+        // The side it is hidden from: the one with the other parity.
+        let hidden = if cell == front { Ordering::Less } else { Ordering::Greater };
+        let v = self.scene.triangle(t);
+        let sides = self.cell.all_corners().map(|p| orient3d_sign(v[0], v[1], v[2], p));
+        if !sides.contains(&hidden)
+            || !self.surfaces.surfaces[s as usize].patches.iter().all(|p| self.apart(v, p))
+        {
+            return Hides::Nothing;
+        }
+        if sides.contains(&hidden.reverse()) { Hides::From(hidden) } else { Hides::All }
+    }
+
+    /// Whether a patch is seen to have no point in the convex hull of the cell and a triangle: some axis, the patch's plane or the
+    /// triangle's separates them.
+    fn apart(&self, t: &[Vec3; 3], patch: &[Vec3; 3]) -> bool {
+        let [lo, hi] = self.cell.corners();
+        let (min, max) = t.iter().fold((lo, hi), |(a, b), v| (a.min(*v), b.max(*v)));
+        if patch.iter().all(|p| p.x < min.x)
+            || patch.iter().all(|p| p.x > max.x)
+            || patch.iter().all(|p| p.y < min.y)
+            || patch.iter().all(|p| p.y > max.y)
+            || patch.iter().all(|p| p.z < min.z)
+            || patch.iter().all(|p| p.z > max.z)
+        {
+            return true;
+        }
+        let cell = self.cell.all_corners();
+        let side = |of: &[Vec3; 3], p: &Vec3| orient3d_sign(of[0], of[1], of[2], *p);
+        let first = side(patch, &cell[0]);
+        if first != Ordering::Equal && cell.iter().chain(t).all(|p| side(patch, p) == first) {
+            return true;
+        }
+        // The triangle's plane: all of the cell on one side or on it, all of the patch strictly on the other.
+        let beyond = side(t, &patch[0]);
+        beyond != Ordering::Equal
+            && patch.iter().all(|p| side(t, p) == beyond)
+            && cell.iter().all(|p| side(t, p) != beyond)
+    }
+}

@@ -1,0 +1,83 @@
+//! Whether one triangle of a surface may pass through another.
+
+use std::cmp::Ordering;
+
+use glam::Vec3;
+use sightline_scene::exact::{orient2d_sign, orient3d_sign};
+
+use crate::occluders::segment::{Crossing, crossing};
+
+/// Whether a triangle `u` may have a point inside `t`. Their corners are numbered alike where they are at the same place.
+pub fn may_pierce(t: &[Vec3; 3], u: &[Vec3; 3], ct: [u32; 3], cu: [u32; 3]) -> bool {
+    // A shared corner is in the plane, and to find that out by arithmetic is what takes longest.
+    let place = |of: &[Vec3; 3], c: [u32; 3], (p, n): (Vec3, u32)| {
+        if c.contains(&n) { Ordering::Equal } else { orient3d_sign(of[0], of[1], of[2], p) }
+    };
+    let sides = [0, 1, 2].map(|k| place(t, ct, (u[k], cu[k])));
+    if sides[0] != Ordering::Equal && sides.iter().all(|s| *s == sides[0]) {
+        return false;
+    }
+    if sides.iter().all(|s| *s == Ordering::Equal) {
+        return overlap_in_plane(t, u);
+    }
+    let shared = cu.iter().filter(|c| ct.contains(c)).count();
+    if shared >= 2 {
+        // Two planes with an edge in common have that line in common and no other point.
+        return false;
+    }
+    // What u has in t's plane is a segment: an end of it is inside t, or it comes in through an edge of t.
+    let edges = [(0, 1), (1, 2), (2, 0)];
+    let enters = edges.iter().any(|(i, j)| {
+        let (a, b) = (u[*i], u[*j]);
+        // A shared corner is on t's border; the rest of such an edge is off the plane, or is in it and judged by its other end.
+        let apart = sides[*i] == sides[*j] && sides[*i] != Ordering::Equal;
+        let at_corner = sides[*i] == Ordering::Equal && ct.contains(&cu[*i]) && sides[*j] != Ordering::Equal
+            || sides[*j] == Ordering::Equal && ct.contains(&cu[*j]) && sides[*i] != Ordering::Equal;
+        if sides[*i] == Ordering::Equal && sides[*j] == Ordering::Equal {
+            return enters_in_plane(t, a, b);
+        }
+        !apart && !at_corner && crossing(*t, a, b) != Crossing::Not
+    });
+    enters
+        || edges.iter().any(|(i, j)| {
+            let ends = [i, j].map(|k| place(u, cu, (t[*k], ct[*k])));
+            // Also where the edge lies in u's plane: then what u has in t's plane lies along the edge.
+            let apart = ends[0] == ends[1];
+            let at_corner = ends[0] == Ordering::Equal && cu.contains(&ct[*i]) && ends[1] != Ordering::Equal
+                || ends[1] == Ordering::Equal && cu.contains(&ct[*j]) && ends[0] != Ordering::Equal;
+            !apart && !at_corner && crossing(*u, t[*i], t[*j]) != Crossing::Not
+        })
+}
+
+/// Whether two triangles in one plane have inner points in common: no line along an edge of one has the other on its outer side.
+fn overlap_in_plane(t: &[Vec3; 3], u: &[Vec3; 3]) -> bool {
+    // Projected along an axis the plane does not contain: one in which both keep their area.
+    let turn = |k: usize, p: [Vec3; 3]| {
+        let [a, b, c] = p.map(|v| [v[(k + 1) % 3], v[(k + 2) % 3]]);
+        orient2d_sign(a, b, c)
+    };
+    let Some(axis) = (0..3).find(|k| turn(*k, *t) != Ordering::Equal) else { return true };
+    let separated = |x: &[Vec3; 3], y: &[Vec3; 3]| {
+        let inner = turn(axis, *x);
+        [(0, 1), (1, 2), (2, 0)]
+            .iter()
+            .any(|(i, j)| y.iter().all(|p| turn(axis, [x[*i], x[*j], *p]) != inner))
+    };
+    !(separated(t, u) || separated(u, t))
+}
+
+/// Whether a segment in a triangle's plane has points inside the triangle: no line along an edge has it on its outer side, nor does
+/// its own line have all of the triangle on one side.
+fn enters_in_plane(t: &[Vec3; 3], a: Vec3, b: Vec3) -> bool {
+    let turn = |k: usize, p: [Vec3; 3]| {
+        let [a, b, c] = p.map(|v| [v[(k + 1) % 3], v[(k + 2) % 3]]);
+        orient2d_sign(a, b, c)
+    };
+    let Some(axis) = (0..3).find(|k| turn(*k, *t) != Ordering::Equal) else { return true };
+    let inner = turn(axis, *t);
+    let outside = [(0, 1), (1, 2), (2, 0)]
+        .iter()
+        .any(|(i, j)| [a, b].iter().all(|p| turn(axis, [t[*i], t[*j], *p]) != inner));
+    let along = t.map(|v| turn(axis, [a, b, v]));
+    !outside && along.contains(&Ordering::Less) && along.contains(&Ordering::Greater)
+}

@@ -1,0 +1,234 @@
+//! What is hidden from several cells at once: that it is hidden from each, that nothing else changes, and what tampering does.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+mod common;
+
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use common::Corners;
+use common::cells::{chambers, exact_scene, set, solve};
+use glam::Vec3;
+use proptest::prelude::*;
+use sightline_exact::Cell;
+use sightline_exact::checker::{CellClaims, CellRefusal, Claim, Triangles, check_cell};
+use sightline_exact::evidence::{Evidence, Hidden, Shared, Target, codec};
+use sightline_exact::{CellGroup, Decided, ExactScene, GroupDecided, Limits, Task, decide, decide_group};
+
+/// The eight cells that fill a box, the first axis changing fastest.
+fn cells([min, max]: [Vec3; 2]) -> Vec<[Vec3; 2]> {
+    let middle = (min + max) * 0.5;
+    let corner = |k: usize| Vec3::new((k & 1) as f32, (k >> 1 & 1) as f32, (k >> 2) as f32);
+    (0..8).map(|k| [min + (middle - min) * corner(k), middle + (max - middle) * corner(k)]).collect()
+}
+
+fn shared(
+    scene: &ExactScene,
+    of: &[[Vec3; 2]],
+    seen: &[&[u32]],
+    stop: &(dyn Fn() -> bool + Sync),
+) -> (Vec<u32>, Shared) {
+    let cells: Vec<Cell> = of.iter().map(|[min, max]| Cell::new(*min, *max).unwrap()).collect();
+    let limits = Limits::default();
+    let GroupDecided { hidden, shared, statistics } = decide_group(&CellGroup {
+        scene,
+        cells: &cells,
+        seen,
+        limits,
+        seed: 7,
+        keep: true,
+        stop,
+        asked: &|| (),
+    });
+    assert_eq!(statistics.hidden, hidden.len() as u64);
+    let mut all: Vec<u32> = shared.hidden.iter().flat_map(|h| h.triangles.iter().copied()).collect();
+    all.sort_unstable();
+    assert_eq!(all, hidden);
+    (hidden, shared)
+}
+
+fn below(scene: &ExactScene, cell: [Vec3; 2], seen: &[u32], above: &[u32]) -> Decided {
+    decide(&Task {
+        scene,
+        cell: Cell::new(cell[0], cell[1]).unwrap(),
+        seen,
+        above,
+        limits: Limits::default(),
+        seed: 7,
+        keep: true,
+        stop: &|| false,
+        asked: &|| (),
+    })
+}
+
+fn check(
+    triangles: &[Corners],
+    cell: [Vec3; 2],
+    d: &Decided,
+    evidence: &Evidence,
+    above: Option<&Shared>,
+) -> Result<u64, CellRefusal> {
+    let (visible, index) = (set(d), Triangles::new(triangles));
+    let named = Evidence { above: above.map(|_| 0), ..evidence.clone() };
+    let claims = CellClaims { cell, visible: &visible, undecided: &d.undecided, evidence: &named, above };
+    check_cell(&index, &claims, &|_| true)
+}
+
+/// The first chamber's far part, from which half of what is behind the wall is hidden.
+fn corner() -> (Vec<Corners>, [Vec3; 2]) {
+    (chambers().0, [Vec3::new(1.0, 5.0, 0.5), Vec3::new(5.0, 9.0, 2.5)])
+}
+
+#[test]
+fn what_is_hidden_from_the_box_is_hidden_from_each_cell_and_all_else_stays() {
+    let (triangles, around) = corner();
+    let scene = exact_scene(&triangles);
+    let cells = cells(around);
+    let alone: Vec<Decided> = cells.iter().map(|c| solve(&scene, *c, &[], &|| false)).collect();
+    let none: [&[u32]; 8] = [&[]; 8];
+    let (hidden, shared_by_all) = shared(&scene, &cells, &none, &|| false);
+    assert!(hidden.len() > 20, "{hidden:?}");
+    let (mut apart, mut joint) = (0, 0);
+    for (cell, alone) in cells.iter().zip(&alone) {
+        assert!(hidden.iter().all(|t| alone.visible.binary_search(t).is_err()));
+        let d = below(&scene, *cell, &[], &hidden);
+        assert_eq!((&d.visible, &d.undecided), (&alone.visible, &alone.undecided));
+        assert_eq!((d.statistics.hidden, d.statistics.above), (alone.statistics.hidden, hidden.len() as u64));
+        check(&triangles, *cell, &d, &d.evidence, Some(&shared_by_all)).unwrap();
+        apart += alone.statistics.queries;
+        joint += d.statistics.queries;
+    }
+    assert!(joint < apart, "{joint} queries instead of {apart}");
+    // What sampling has shown of a cell is not asked about.
+    let seen: Vec<&[u32]> = alone.iter().map(|d| d.visible.as_slice()).collect();
+    let (again, _) = shared(&scene, &cells, &seen, &|| false);
+    assert_eq!(again, hidden);
+    // Wrong guesses hide nothing less from the cells, and are refuted there.
+    let all: Vec<u32> = (0..triangles.len() as u32).collect();
+    let d = below(&scene, cells[0], &all, &hidden);
+    assert_eq!(d.visible, alone[0].visible);
+    assert_eq!(d.statistics.refuted, d.statistics.hidden);
+}
+
+#[test]
+fn what_there_was_no_time_for_is_left_to_the_cells() {
+    let (triangles, around) = corner();
+    let scene = exact_scene(&triangles);
+    let cells = cells(around);
+    let none: [&[u32]; 8] = [&[]; 8];
+    let (whole, _) = shared(&scene, &cells, &none, &|| false);
+    for most in [0, 5, 50, 500] {
+        let asked = AtomicU32::new(0);
+        let stop = || asked.fetch_add(1, Ordering::Relaxed) >= most;
+        let (hidden, of) = shared(&scene, &cells, &none, &stop);
+        assert!(hidden.iter().all(|t| whole.binary_search(t).is_ok()), "stopped after {most}");
+        let d = below(&scene, cells[3], &[], &hidden);
+        assert!(d.undecided.is_empty());
+        check(&triangles, cells[3], &d, &d.evidence, Some(&of)).unwrap();
+    }
+}
+
+#[test]
+fn tampered_claims_about_a_box_are_refused() {
+    let (triangles, around) = corner();
+    let scene = exact_scene(&triangles);
+    let cells = cells(around);
+    let none: [&[u32]; 8] = [&[]; 8];
+    let (hidden, of) = shared(&scene, &cells, &none, &|| false);
+    let cell = cells[0];
+    let d = below(&scene, cell, &[], &hidden);
+    let ask = |of: &Shared| check(&triangles, cell, &d, &d.evidence, Some(of));
+    ask(&of).unwrap();
+    // Nothing named.
+    assert!(matches!(check(&triangles, cell, &d, &d.evidence, None), Err(CellRefusal::Account(..))));
+    let with = |change: &dyn Fn(&mut Shared)| {
+        let mut changed = of.clone();
+        change(&mut changed);
+        ask(&changed)
+    };
+    // A box that the cell is not in, none at all, one that is larger than what was proved.
+    for (axis, greatest) in cell[1].to_array().into_iter().enumerate() {
+        assert_eq!(with(&|s| s.bounds[0][axis] = s.bounds[0][axis].next_up()), Err(CellRefusal::Above));
+        assert_eq!(with(&|s| s.bounds[1][axis] = greatest.next_down()), Err(CellRefusal::Above));
+        for not in [f32::NAN, f32::NEG_INFINITY] {
+            assert!(with(&|s| s.bounds[0][axis] = not).is_err());
+        }
+    }
+    let refused = |r: Result<u64, CellRefusal>| matches!(r, Err(CellRefusal::Hidden { .. }));
+    assert!(refused(with(&|s| s.bounds[0] = Vec3::new(0.5, 0.25, 0.5))));
+    assert!(refused(with(&|s| s.hidden[0].proofs.clear())));
+    // What surfaces hide is said for a cell, not for a box.
+    let claimed = |target: Target| {
+        with(&move |s| {
+            let triangles = std::mem::take(&mut s.hidden[0].triangles);
+            s.hidden[0] = Hidden { target: target.clone(), triangles, proofs: Vec::new() };
+        })
+    };
+    assert!(refused(claimed(Target::Surfaces)) && refused(claimed(Target::Half)));
+    // What is seen from the cell.
+    let seen = d.evidence.seen[0].0;
+    assert!(matches!(with(&|s| s.hidden[0].triangles.push(seen)), Err(CellRefusal::Account(..))));
+    let beyond = triangles.len() as u32;
+    assert!(matches!(with(&|s| s.hidden[0].triangles.push(beyond)), Err(CellRefusal::Account(..))));
+    // Kept with the cell for others, it is checked with the cell, whatever the cell itself names.
+    let mut own = d.evidence.clone();
+    let mut kept = of.clone();
+    kept.hidden[0].proofs.clear();
+    (own.shared, own.above) = (Some(kept), Some(0));
+    assert!(refused(check(&triangles, cell, &d, &own, Some(&of))));
+    let visible = set(&d);
+    let claims = CellClaims { cell, visible: &visible, undecided: &[], evidence: &own, above: Some(&of) };
+    let others = |claim: Claim| !matches!(claim, Claim::Shared(_));
+    check_cell(&Triangles::new(&triangles), &claims, &others).unwrap();
+    // Named and not there, or there and not named.
+    let with = |evidence: &Evidence, above| {
+        let claims = CellClaims { cell, visible: &visible, undecided: &[], evidence, above };
+        check_cell(&Triangles::new(&triangles), &claims, &|_| true)
+    };
+    assert_eq!(with(&own, None), Err(CellRefusal::Above));
+    assert_eq!(with(&d.evidence, Some(&of)), Err(CellRefusal::Above));
+}
+
+#[test]
+fn evidence_without_anything_in_common_is_written_as_it_always_was() {
+    let (triangles, cell) = chambers();
+    let d = solve(&exact_scene(&triangles), cell, &[], &|| false);
+    let n = triangles.len() as u32;
+    let raw = zstd::stream::decode_all(codec::encode(&d.evidence).unwrap().as_slice()).unwrap();
+    let mut more = d.evidence.clone();
+    more.above = Some(3);
+    let longer = zstd::stream::decode_all(codec::encode(&more).unwrap().as_slice()).unwrap();
+    assert!(longer.starts_with(&raw) && longer[raw.len()..] == [4]);
+    assert_eq!(codec::decode_raw(&longer, n).unwrap(), more);
+    assert_eq!(codec::decode_raw(&raw, n).unwrap(), d.evidence);
+    assert!(codec::decode_raw(&[raw.as_slice(), &[0]].concat(), n).is_err(), "two forms for the same");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(120))]
+
+    /// On a coarse grid nearly everything touches or lies in one plane with something, the faces of box and cells included.
+    #[test]
+    fn any_cells_of_a_box_see_what_they_see_alone(
+        triangles in prop::collection::vec(prop::array::uniform3(prop::array::uniform3(-4i8..5)), 1..14),
+        corner in prop::array::uniform3(-3i8..4),
+        size in prop::array::uniform3(1i8..3),
+        guess in any::<u16>(),
+    ) {
+        let point = |p: [i8; 3]| Vec3::from(p.map(f32::from));
+        let triangles: Vec<Corners> = triangles.iter().map(|t| t.map(point)).collect();
+        let scene = exact_scene(&triangles);
+        let cells = cells([point(corner), point(corner) + 2.0 * point(size)]);
+        let guesses: Vec<u32> = (0..triangles.len() as u32).filter(|t| guess >> t & 1 == 1).collect();
+        let seen: Vec<&[u32]> = (0..8).map(|k| if k == guess as usize % 8 { guesses.as_slice() } else { &[] }).collect();
+        let (hidden, of) = shared(&scene, &cells, &seen, &|| false);
+        for (cell, seen) in cells.iter().zip(seen) {
+            let d = below(&scene, *cell, seen, &hidden);
+            prop_assert!(d.undecided.is_empty());
+            prop_assert_eq!(&d.visible, &solve(&scene, *cell, seen, &|| false).visible);
+            if let Err(e) = check(&triangles, *cell, &d, &d.evidence, Some(&of)) {
+                return Err(TestCaseError::fail(e.to_string()));
+            }
+        }
+    }
+}
