@@ -117,7 +117,7 @@ impl Coordinator {
             info_json: info(parts, samples, set_aside),
         })?;
         if parts.spec.certificates {
-            builder.keep_evidence_in(self.blobs.scratch()?);
+            builder.keep_certificates_in(self.blobs.scratch()?);
         }
         for (number, state) in leaves() {
             let cells = parts.plan.tiles[number as usize].cells;
@@ -138,7 +138,7 @@ impl Coordinator {
             for cell in &sets.cells {
                 if parts.spec.certificates {
                     let evidence = cell.decision.as_ref().map_or(&[][..], |d| &d.evidence);
-                    builder.push_evidence(evidence).map_err(|e| of_disk(&self.blobs, e))?;
+                    builder.push_certificate(evidence).map_err(|e| of_disk(&self.blobs, e))?;
                 }
                 statistics.push(cell);
             }
