@@ -117,7 +117,7 @@ impl Coordinator {
             info_json: info(parts, samples, set_aside),
         })?;
         if parts.spec.certificates {
-            builder.keep_evidence_in(self.blobs.scratch()?);
+            builder.keep_certificates_in(self.blobs.scratch()?);
         }
         for (number, state) in leaves() {
             let cells = parts.plan.tiles[number as usize].cells;
@@ -137,8 +137,8 @@ impl Coordinator {
             builder.push_cells(&shown.collect::<Vec<_>>())?;
             for cell in &sets.cells {
                 if parts.spec.certificates {
-                    let evidence = cell.decision.as_ref().map_or(&[][..], |d| &d.certificate);
-                    builder.push_evidence(evidence).map_err(|e| of_disk(&self.blobs, e))?;
+                    let certificate = cell.decision.as_ref().map_or(&[][..], |d| &d.certificate);
+                    builder.push_certificate(certificate).map_err(|e| of_disk(&self.blobs, e))?;
                 }
                 statistics.push(cell);
             }

@@ -1,45 +1,46 @@
-//! Large things as streams of checked chunks of at most 1 MiB.
+//! Blobs as streams of chunks of at most 1 MiB, each with a checksum.
 
 use crate::v1::Chunk;
 
 /// Most bytes of one chunk.
 pub const CHUNK_BYTES: usize = 1 << 20;
 
-/// A stream of chunks that is not a whole thing.
+/// Why a stream of chunks is not a whole blob.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ChunkError {
     /// A checksum does not match.
     #[error("the chunk at byte {0} arrived damaged; send it again")]
     Checksum(u64),
-    /// A chunk is too large, out of order, or beyond the length announced.
-    #[error("the chunk at byte {0} is not the one expected; send the whole again from its start")]
+    /// A chunk is too large, out of order, or beyond the announced length.
+    #[error("the chunk at byte {0} is not the next one; send all chunks again from the first")]
     Order(u64),
     /// The stream ended early.
-    #[error("the stream ended after {got} bytes of {want}; send the whole again")]
+    #[error("the stream ended after {got} bytes of {want}; send all chunks again")]
     Short {
         /// Bytes received.
         got: u64,
         /// Bytes announced.
         want: u64,
     },
-    /// More was announced than is accepted.
-    #[error("{0} bytes were announced, more than the {1} accepted here")]
+    /// The announced length is above the limit.
+    #[error("{0} bytes were announced; at most {1} are accepted")]
     TooLarge(u64, u64),
 }
 
-/// How many chunks `bytes` are cut into: at least one, so that a length of zero is announced too.
+/// The number of chunks of `bytes`: at least one, so that a length of zero is announced too.
 pub fn count(bytes: &[u8]) -> usize {
     bytes.len().div_ceil(CHUNK_BYTES).max(1)
 }
 
-/// Chunk `i` of [`count`]; beyond the end an empty one.
+/// Chunk `i` of [`count`]; an empty chunk beyond the end.
 pub fn piece(bytes: &[u8], i: usize) -> Chunk {
     let start = i.saturating_mul(CHUNK_BYTES).min(bytes.len());
     let data = &bytes[start..start.saturating_add(CHUNK_BYTES).min(bytes.len())];
     chunk(data.to_vec(), start as u64, bytes.len() as u64)
 }
 
-/// The chunk of these bytes, [`CHUNK_BYTES`] but for the last, which begin at `offset` of `total`.
+/// The chunk of `data`, which begins at byte `offset` of `total`. All chunks but the last have
+/// [`CHUNK_BYTES`].
 pub fn chunk(data: Vec<u8>, offset: u64, total: u64) -> Chunk {
     Chunk { crc32c: crc32c::crc32c(&data), data, offset, total: if offset == 0 { total } else { 0 } }
 }
@@ -49,7 +50,7 @@ pub fn cut(bytes: &[u8]) -> impl Iterator<Item = Chunk> + '_ {
     (0..count(bytes)).map(|i| piece(bytes, i))
 }
 
-/// Whether the chunks that arrive are those of one whole thing, wherever they are put.
+/// Checks that chunks arrive complete and in order. It does not keep them.
 #[derive(Debug)]
 pub struct Sequence {
     got: u64,
@@ -58,7 +59,7 @@ pub struct Sequence {
 }
 
 impl Sequence {
-    /// For a thing of at most `limit` bytes.
+    /// Starts a blob of at most `limit` bytes.
     pub fn new(limit: u64) -> Self {
         Self { got: 0, total: None, limit }
     }
@@ -66,7 +67,7 @@ impl Sequence {
     /// Checks the next chunk.
     ///
     /// # Errors
-    /// [`ChunkError`] when the chunk is not the next one, or damaged.
+    /// [`ChunkError`] when the chunk is damaged, is not the next one, or announces too many bytes.
     pub fn next(&mut self, chunk: &Chunk) -> Result<(), ChunkError> {
         check(chunk)?;
         let total = *self.total.get_or_insert(chunk.total);
@@ -81,17 +82,17 @@ impl Sequence {
         Ok(())
     }
 
-    /// The length of the whole thing, when all of it was there.
+    /// The length of the blob, when all of it arrived.
     ///
     /// # Errors
-    /// [`ChunkError::Short`] when something is missing.
+    /// [`ChunkError::Short`] when chunks are missing.
     pub fn end(&self) -> Result<u64, ChunkError> {
         let (got, want) = (self.got, self.total.unwrap_or(0));
         if self.total.is_some() && got == want { Ok(got) } else { Err(ChunkError::Short { got, want }) }
     }
 }
 
-/// Puts chunks together again, checking each.
+/// Checks chunks and assembles the blob.
 #[derive(Debug)]
 pub struct Assembler {
     bytes: Vec<u8>,
@@ -99,12 +100,12 @@ pub struct Assembler {
 }
 
 impl Assembler {
-    /// For a thing of at most `limit` bytes.
+    /// Starts a blob of at most `limit` bytes.
     pub fn new(limit: u64) -> Self {
         Self { bytes: Vec::new(), sequence: Sequence::new(limit) }
     }
 
-    /// Takes the next chunk. Memory grows with what arrives, not with what is announced.
+    /// Appends the next chunk. Memory grows with the bytes that arrive, not with the announced length.
     ///
     /// # Errors
     /// As [`Sequence::next`].
@@ -114,7 +115,7 @@ impl Assembler {
         Ok(())
     }
 
-    /// The whole thing.
+    /// The blob.
     ///
     /// # Errors
     /// As [`Sequence::end`].
@@ -126,7 +127,7 @@ impl Assembler {
 /// Checks a chunk's size and checksum.
 ///
 /// # Errors
-/// [`ChunkError`] naming the chunk's offset.
+/// [`ChunkError`] with the chunk's offset.
 pub fn check(chunk: &Chunk) -> Result<(), ChunkError> {
     if chunk.data.len() > CHUNK_BYTES {
         return Err(ChunkError::Order(chunk.offset));
@@ -139,7 +140,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn whole_again() {
+    fn blobs_come_back() {
         for n in [0, 1, CHUNK_BYTES, CHUNK_BYTES * 2 + 5] {
             let bytes: Vec<u8> = (0..n).map(|i| (i * 7) as u8).collect();
             let mut a = Assembler::new(1 << 30);

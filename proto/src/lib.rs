@@ -1,7 +1,19 @@
 //! The `sightline.v1` gRPC interface: messages, clients and servers generated from `proto/sightline/v1`.
 //!
-//! The contract is in the .proto files' comments. Beside the generated code there is only the conversion between
-//! large things and [`v1::Chunk`]s.
+//! The comments of the .proto files are the contract. Besides the generated code, this crate converts blobs
+//! to [`v1::Chunk`]s and back.
+//!
+//! ```
+//! use sightline_proto::chunks::{Assembler, cut};
+//!
+//! let blob = vec![7; 3 << 20];
+//! let mut assembler = Assembler::new(1 << 30);
+//! for chunk in cut(&blob) {
+//!     assembler.push(&chunk)?;
+//! }
+//! assert_eq!(assembler.finish()?, blob);
+//! # Ok::<(), sightline_proto::chunks::ChunkError>(())
+//! ```
 
 pub mod chunks;
 
@@ -17,20 +29,21 @@ pub mod v1 {
     include!(concat!(env!("OUT_DIR"), "/sightline.v1.rs"));
 }
 
-/// The compiled descriptors of both files, for gRPC reflection.
+/// The compiled descriptors of both .proto files, for gRPC reflection.
 pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
 
-/// How a coordinator at `url` is reached: within five seconds, without waiting to fill packets.
+/// The endpoint of a coordinator at `url`, with a connection timeout of five seconds and without Nagle's
+/// algorithm.
 ///
 /// # Errors
-/// What is wrong with the address, in words.
+/// A sentence that says what is wrong with the address.
 #[cfg(feature = "services")]
 pub fn endpoint(url: &str) -> Result<Endpoint, String> {
     let endpoint = Endpoint::from_shared(url.to_owned()).map_err(|e| e.to_string())?;
     match (endpoint.uri().scheme_str(), endpoint.uri().host()) {
         (Some("http"), Some(_)) => {}
-        (Some("https"), _) => return Err("https is not spoken yet".to_owned()),
-        _ => return Err("it does not begin with http:// and a host".to_owned()),
+        (Some("https"), _) => return Err("https is not supported".to_owned()),
+        _ => return Err("it must begin with http:// and a host".to_owned()),
     }
     Ok(endpoint.connect_timeout(Duration::from_secs(5)).tcp_nodelay(true))
 }

@@ -99,7 +99,7 @@ fn what_a_result_says_of_itself_has_to_agree_with_it() {
         for cell in 0..pvs.cells() {
             pvs.visible(cell, &mut visible).unwrap();
             builder.push_cell(&visible, &[], flags).unwrap();
-            builder.push_evidence(pvs.evidence(cell).unwrap().unwrap()).unwrap();
+            builder.push_certificate(pvs.certificate(cell).unwrap().unwrap()).unwrap();
         }
         let mut file = Vec::new();
         builder.finish(&mut file).unwrap();
@@ -174,7 +174,7 @@ fn cells_decided_together_have_the_sets_they_have_alone_and_share_certificates()
     // Without what others keep for them, cells are refused; so are certificates that were mixed up.
     let joint = sandbox.read("joint.pvs");
     let pvs = Pvs::from_bytes(joint.clone()).unwrap();
-    let all: Vec<Vec<u8>> = (0..pvs.cells()).map(|c| pvs.evidence(c).unwrap().unwrap().to_vec()).collect();
+    let all: Vec<Vec<u8>> = (0..pvs.cells()).map(|c| pvs.certificate(c).unwrap().unwrap().to_vec()).collect();
     let refused = |others: &[Vec<u8>]| {
         let altered = changed(&joint, |cell, _, evidence| evidence.clone_from(&others[cell as usize]));
         sandbox.write("altered.pvs", altered);
@@ -233,10 +233,10 @@ fn changed(result: &[u8], change: impl Fn(u32, &mut Vec<u32>, &mut Vec<u8>)) -> 
     let mut visible = Vec::new();
     for cell in 0..pvs.cells() {
         pvs.visible(cell, &mut visible).unwrap();
-        let mut evidence = pvs.evidence(cell).unwrap().unwrap().to_vec();
+        let mut evidence = pvs.certificate(cell).unwrap().unwrap().to_vec();
         change(cell, &mut visible, &mut evidence);
         builder.push_cell(&visible, &[], 0).unwrap();
-        builder.push_evidence(&evidence).unwrap();
+        builder.push_certificate(&evidence).unwrap();
     }
     builder.set_columns(pvs.columns().unwrap()).unwrap();
     let mut file = Vec::new();
@@ -275,7 +275,7 @@ fn a_result_that_was_altered_is_refused_and_the_cell_is_named() {
         }),
     );
     let pvs = Pvs::from_bytes(alone()).unwrap();
-    let others = pvs.evidence(4).unwrap().unwrap().to_vec();
+    let others = pvs.certificate(4).unwrap().unwrap().to_vec();
     refuse(
         "cell 5",
         tampered(|cell, _, evidence| {

@@ -69,7 +69,7 @@ pub fn decided(pvs: &Pvs) -> Result<Decided, CliError> {
     for cell in 0..pvs.cells() {
         pvs.undecided(cell, &mut ids)?;
         open += usize::from(!ids.is_empty());
-        evidence_bytes += pvs.evidence(cell)?.map_or(0, |e| e.len() as u64);
+        evidence_bytes += pvs.certificate(cell)?.map_or(0, |e| e.len() as u64);
     }
     Ok(Decided {
         hidden: sum("exact_hidden"),

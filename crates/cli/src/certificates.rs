@@ -77,7 +77,7 @@ impl Certificates {
 }
 
 fn own(pvs: &Pvs, cell: u32) -> Result<Option<Evidence>, String> {
-    match pvs.evidence(cell).map_err(|e| e.to_string())? {
+    match pvs.certificate(cell).map_err(|e| e.to_string())? {
         None => Ok(None),
         // A cell that was set aside.
         Some([]) => Ok(Some(Evidence::default())),

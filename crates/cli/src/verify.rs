@@ -28,7 +28,7 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     let scene = sightline_scene::load(&args.scene)?;
     let pvs = inspect::open(&args.result)?;
     inspect::check_scene(&scene, &pvs, &args.scene, &args.result)?;
-    if pvs.cells() > 0 && pvs.evidence(0)?.is_none() {
+    if pvs.cells() > 0 && pvs.certificate(0)?.is_none() {
         return Err(CliError::Input(format!(
             "{} has no certificates (method {}), so there is nothing to verify; bake it with {}--certificates",
             args.result.display(),
@@ -166,7 +166,7 @@ fn few(pvs: &Pvs, first: u32) -> Vec<u32> {
     let most = pvs.cells().min(first.saturating_add(2 * rayon::current_num_threads() as u32));
     let fits = |cell: &u32| {
         // What cannot be read is refused when it is its turn.
-        bytes += pvs.evidence(*cell).ok().flatten().map_or(0, <[u8]>::len);
+        bytes += pvs.certificate(*cell).ok().flatten().map_or(0, <[u8]>::len);
         *cell == first || bytes <= AT_ONCE
     };
     (first..most).take_while(fits).collect()
@@ -214,7 +214,7 @@ fn check_one(
     let certificates = reader.read(pvs, cell)?.ok_or("it has no evidence")?;
     let (evidence, above) = (&certificates.own, certificates.above());
     totals.undecided += undecided.len() as u64;
-    totals.bytes += pvs.evidence(cell).map_err(error)?.map_or(0, |e| e.len() as u64);
+    totals.bytes += pvs.certificate(cell).map_err(error)?.map_or(0, |e| e.len() as u64);
     let claims = CellClaims { cell: bounds, visible: &visible, undecided: &undecided, evidence, above };
     let [all, picked] = [0, 1].map(|_| [0, 1, 2].map(|_| AtomicU64::new(0)));
     let rested = Mutex::new(Vec::new());

@@ -15,16 +15,16 @@ const MAX_LINE: u64 = 4096;
 pub struct Viewpoints {
     /// The points, in the order of the frames.
     pub points: Vec<Vec3>,
-    /// Whether consecutive points are consecutive frames of a walk, so that it means something how long an error
-    /// lasts.
+    /// Whether consecutive points are consecutive frames of a walk, so that it means something how long an
+    /// error lasts.
     pub is_path: bool,
 }
 
 impl Viewpoints {
     /// `n` points uniform in the view box (min, max). The same `seed` gives the same points on every machine.
     ///
-    /// SplitMix64 (Steele, Lea and Flood 2014) starting at `seed`; for each point x, y, z in turn take the upper 24
-    /// bits of one output as a fraction s of 2²⁴, and min + (max − min)·s in f64, rounded to f32.
+    /// SplitMix64 (Steele, Lea and Flood 2014) starting at `seed`; for each point x, y, z in turn take the
+    /// upper 24 bits of one output as a fraction s of 2²⁴, and min + (max − min)·s in f64, rounded to f32.
     pub fn random(n: u32, seed: u64, view_box: [[f32; 3]; 2]) -> Self {
         let [min, max] = view_box;
         let mut stream = SplitMix64::new(seed);
@@ -37,8 +37,8 @@ impl Viewpoints {
         Self { points, is_path: false }
     }
 
-    /// A camera path: a viewpoint a line, as `x y z` (spaces or commas between) or as `{"position":[x,y,z]}` (other
-    /// keys are ignored). Empty lines and what follows `#` in a plain line are skipped.
+    /// A camera path: a viewpoint a line, as `x y z` (spaces or commas between) or as `{"position":[x,y,z]}`
+    /// (other keys are ignored). Empty lines and what follows `#` in a plain line are skipped.
     ///
     /// # Errors
     /// [`MeasureError::Read`], [`MeasureError::Line`], [`MeasureError::PathOutside`], each with its line, and

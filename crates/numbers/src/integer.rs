@@ -2,8 +2,8 @@
 
 use dashu_int::IBig;
 
-/// `n / d` for `d > 0`, with a relative error of at most about 3u, where u = 2⁻⁵³. A quotient beyond the range of
-/// `f64` becomes infinite or 0.
+/// `n / d` for `d > 0`, with a relative error of at most about 3u, where u = 2⁻⁵³. A quotient beyond the
+/// range of `f64` becomes infinite or 0.
 pub fn ratio(n: &IBig, d: &IBig) -> f64 {
     use dashu_int::ops::BitTest;
     // Only the leading bits of both are divided; their exponents are added at the end.

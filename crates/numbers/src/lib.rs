@@ -1,7 +1,7 @@
 //! Numbers, streams of numbers and sets of numbers that the other crates share.
 //!
-//! This crate depends on no other crate of the project and knows nothing of triangles, cells or results. Everything
-//! here gives the same values on every machine.
+//! This crate depends on no other crate of the project and knows nothing of triangles, cells or results.
+//! Everything here gives the same values on every machine.
 //!
 //! ```
 //! use sightline_numbers::{random::SplitMix64, union_find::UnionFind, varint};

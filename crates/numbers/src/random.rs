@@ -1,13 +1,14 @@
 //! Pseudorandom numbers that are the same on every machine and in every version.
 //!
-//! SplitMix64: Steele, Lea and Flood, "Fast Splittable Pseudorandom Number Generators", OOPSLA 2014, section 4 and
-//! figure 16 (the finaliser is David Stafford's variant 13). Results depend on these values, so they never change;
-//! the tests hold known answers.
+//! SplitMix64: Steele, Lea and Flood, "Fast Splittable Pseudorandom Number Generators", OOPSLA 2014, section
+//! 4 and figure 16 (the finaliser is David Stafford's variant 13). Results depend on these values, so they
+//! never change; the tests hold known answers.
 
 /// The increment of SplitMix64's state: 2⁶⁴ divided by the golden ratio, rounded to an odd number.
 pub const GAMMA: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// The finaliser of SplitMix64: a bijection on 64 bits in which every bit of the result depends on every bit of `z`.
+/// The finaliser of SplitMix64: a bijection on 64 bits in which every bit of the result depends on every bit
+/// of `z`.
 ///
 /// Seeds, streams and hashes of positions are mixed with it.
 #[inline]
@@ -38,7 +39,8 @@ impl SplitMix64 {
         Self { state }
     }
 
-    /// The stream named by a list of numbers, such as a seed, a tile and a cell. The order of the numbers counts.
+    /// The stream named by a list of numbers, such as a seed, a tile and a cell. The order of the numbers
+    /// counts.
     pub fn named(names: &[u64]) -> Self {
         let state = names.iter().fold(GAMMA, |state, name| mix(state ^ mix(name.wrapping_add(GAMMA))));
         Self { state }

@@ -1,10 +1,10 @@
-//! Disjoint sets of numbers (union-find with path halving; Tarjan and van Leeuwen, "Worst-case Analysis of Set Union
-//! Algorithms", 1984).
+//! Disjoint sets of numbers (union-find with path halving; Tarjan and van Leeuwen, "Worst-case Analysis of
+//! Set Union Algorithms", 1984).
 //!
 //! It is in this crate because the certificate checker needs it and depends on no other crate of the project.
 
-/// Disjoint sets of the numbers 0 … n−1. The root of a set is its least number, so roots depend on which numbers were
-/// joined and not on the order.
+/// Disjoint sets of the numbers 0 … n−1. The root of a set is its least number, so roots depend on which
+/// numbers were joined and not on the order.
 ///
 /// ```
 /// use sightline_numbers::union_find::UnionFind;

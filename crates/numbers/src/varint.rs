@@ -1,8 +1,9 @@
-//! Variable-length integers (LEB128): seven bits a byte, the least first, the top bit set on all bytes but the last.
+//! Variable-length integers (LEB128): seven bits a byte, the least first, the top bit set on all bytes but
+//! the last.
 //!
-//! The formats that use them accept different forms, and keep to what they accept. [`read`] accepts any form of a
-//! number, also one padded with zero bits; [`read_shortest`] accepts one form for each number, so that equal content
-//! has equal bytes. Both take the greatest number of bytes, which bounds the value.
+//! The formats that use them accept different forms, and keep to what they accept. [`read`] accepts any form
+//! of a number, also one padded with zero bits; [`read_shortest`] accepts one form for each number, so that
+//! equal content has equal bytes. Both take the greatest number of bytes, which bounds the value.
 
 /// The most bytes a number of 64 bits takes.
 pub const MOST_BYTES: u32 = 10;
@@ -55,8 +56,8 @@ pub fn read(from: &mut &[u8], most_bytes: u32) -> Result<u64, VarintError> {
     take(from, most_bytes, false)
 }
 
-/// Takes a number of at most `most_bytes` (1 to [`MOST_BYTES`]) bytes off the front of `from`, in its shortest form
-/// only. `from` is left as it is on an error.
+/// Takes a number of at most `most_bytes` (1 to [`MOST_BYTES`]) bytes off the front of `from`, in its
+/// shortest form only. `from` is left as it is on an error.
 ///
 /// # Errors
 /// Any [`VarintError`].

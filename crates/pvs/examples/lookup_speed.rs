@@ -1,5 +1,5 @@
-//! How long looking up takes: `lookup_speed RESULT.pvs` prints the time to open the file, to find a point's cell and
-//! to decode a cell's set, in its three forms.
+//! Times look-ups: `lookup_speed RESULT.pvs` prints the time to open the file, to find a point's cell, and to
+//! decode a cell's set in each of its three forms.
 
 #![allow(clippy::print_stdout)] // A program for people at a terminal.
 
@@ -22,7 +22,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     );
 
     let [lo, hi] = pvs.tree().view_box();
-    // Points of an additive recurrence: they jump about, so that no look-up warms the next.
+    // Points of an additive recurrence are far from each other, so that no look-up warms the cache for the
+    // next.
     let points: Vec<[f32; 3]> = (0..1_000_000u32)
         .map(|i| {
             let part = |step: u32| (i.wrapping_mul(step) >> 8) as f32 / (1 << 24) as f32;
@@ -36,7 +37,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     println!("find_cell: {:.1} ns", start.elapsed().as_secs_f64() * 1e9 / points.len() as f64);
 
-    // The least of several times for each cell: what else the machine does is not the question.
+    // The least of several times for each cell, which leaves out the other load of the machine.
     let mut ids = Vec::new();
     let mut runs = Vec::new();
     let mut bits = vec![0u64; (pvs.triangle_count() as usize).div_ceil(64)];

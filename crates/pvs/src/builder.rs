@@ -1,19 +1,19 @@
-//! Writing a result: checks what comes in and writes the sections. Which sets the inner tree nodes have is for
-//! [`crate::hierarchy`] to choose.
+//! Writing a result: the builder checks its input and writes the sections. [`crate::hierarchy`] chooses the
+//! sets of the inner tree nodes.
 
 use std::fs::File;
 use std::io::Write;
 
+use crate::certificates::{Certificates, Kept};
 use crate::columns::{self, Column};
 use crate::error::PvsError;
-use crate::evidence::{Evidence, Kept};
 use crate::hierarchy::{CodedSet, Hierarchy};
 use crate::layout::{self, Section, Written};
 use crate::runs;
 use crate::tree::{CellTree, Node};
 use crate::{Object, SET_ASIDE};
 
-/// What is known before the first cell.
+/// The parts of a result that are known before the first cell.
 #[derive(Clone, Debug)]
 pub struct Header {
     /// N, the number of triangles.
@@ -24,11 +24,11 @@ pub struct Header {
     pub tree: CellTree,
     /// The scene's objects, tiling triangles 0…N−1 in order.
     pub objects: Vec<Object>,
-    /// The baker's own account (parameters, numerics profile, counters), JSON. Not looked into here.
+    /// Parameters, numerics profile and counters of the bake as JSON; this crate does not read it.
     pub info_json: String,
 }
 
-/// What a finished file holds.
+/// Sizes of a finished file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stats {
     /// Length of the file.
@@ -39,42 +39,42 @@ pub struct Stats {
     pub undecided_bytes: u64,
     /// Bytes of the columns; 0 when there are none.
     pub column_bytes: u64,
-    /// Bytes of the evidence with its offsets; 0 when there is none.
-    pub evidence_bytes: u64,
+    /// Bytes of the certificates with their offsets; 0 when there are none.
+    pub certificate_bytes: u64,
     /// Sum of the sizes of the visible sets.
     pub visible_ids: u64,
     /// Sum of the sizes of the undecided sets.
     pub undecided_ids: u64,
 }
 
-/// What is known of a cell.
+/// The sets of a cell.
 #[derive(Clone, Copy, Debug)]
 pub struct Cell<'a> {
-    /// What to draw from it, ascending.
+    /// Ids of the triangles to draw from it, ascending.
     pub visible: &'a [u32],
-    /// The part of that neither seen nor proved hidden, ascending.
+    /// Those of `visible` that were neither seen nor proved hidden, ascending.
     pub undecided: &'a [u32],
-    /// [`SET_ASIDE`]; other bits are kept as they are.
+    /// [`SET_ASIDE`]; other bits are stored as they are.
     pub flags: u32,
 }
 
-/// Takes the cells' sets in cell order and writes the file. The same input gives the same bytes.
+/// Collects the cells' sets in cell order and writes the file. The same input gives the same bytes.
 pub struct Builder {
     header: Header,
     flags: Vec<u32>,
     visible: Hierarchy,
     undecided: Hierarchy,
-    /// Coded; no bytes when there are none.
+    /// The coded section; empty when there are no columns.
     columns: Vec<u8>,
-    evidence: Evidence,
+    certificates: Certificates,
 }
 
 impl Builder {
     /// Starts a result.
     ///
     /// # Errors
-    /// [`PvsError::Objects`] when the objects do not tile the triangles, [`PvsError::TooLarge`] for names or counts
-    /// beyond 32 bits.
+    /// [`PvsError::Objects`] when the objects do not tile the triangles, [`PvsError::TooLarge`] for names or
+    /// counts beyond 32 bits.
     pub fn new(header: Header) -> Result<Self, PvsError> {
         check_tiling(header.triangles, header.objects.iter().map(|o| (o.first, o.count)))?;
         let limit = u64::from(u32::MAX);
@@ -92,12 +92,12 @@ impl Builder {
             visible: Hierarchy::default(),
             undecided: Hierarchy::default(),
             columns: Vec::new(),
-            evidence: Evidence::default(),
+            certificates: Certificates::default(),
         })
     }
 
-    /// Adds the next cell: what to draw from it, the part of that neither seen nor proved hidden, and its flags
-    /// ([`SET_ASIDE`]; other bits are kept as they are).
+    /// Adds the next cell: the ids of the triangles to draw from it, those of them that were neither seen nor
+    /// proved hidden, and its flags; see [`Cell`].
     ///
     /// # Errors
     /// As [`Self::push_cells`].
@@ -105,11 +105,12 @@ impl Builder {
         self.push_cells(&[Cell { visible, undecided, flags }])
     }
 
-    /// Adds the next cells; with the feature `parallel` all cores code them.
+    /// Adds the next cells. With the feature `parallel` all cores code them.
     ///
     /// # Errors
-    /// [`PvsError::CellCount`] when these are more than there are left; [`PvsError::Ids`] when ids do not ascend strictly or reach N,
-    /// when `undecided` is not part of `visible`, or when a cell set aside does not draw everything. Nothing is added then.
+    /// [`PvsError::CellCount`] when the tree has fewer cells; [`PvsError::Ids`] when ids do not ascend
+    /// strictly or reach N, when `undecided` is not a subset of `visible`, or when a cell that was set aside
+    /// does not have all triangles visible. No cell is added then.
     pub fn push_cells(&mut self, cells: &[Cell<'_>]) -> Result<(), PvsError> {
         let (first, expected) = (self.flags.len() as u64, self.header.tree.cells());
         let after = first + cells.len() as u64;
@@ -153,35 +154,36 @@ impl Builder {
         Ok([CodedSet::new(&seen, of.visible.len()), CodedSet::new(&open, of.undecided.len())])
     }
 
-    /// Says what the baker counted in each cell, at any time before [`Self::finish`]. The columns are kept in
-    /// this order and replace those of an earlier call; without any the file has no section for them.
+    /// Sets the statistics of the bake, at any time before [`Self::finish`]. The file has the columns in this
+    /// order. They replace those of an earlier call; a file without columns has no section for them.
     ///
     /// # Errors
-    /// [`PvsError::Column`] for a name that is empty, longer than 64 bytes or twice there, and when a column
-    /// does not have one value for each cell of the tree; [`PvsError::TooLarge`] for data beyond 32 bits of
-    /// length. The columns of an earlier call stay then.
+    /// [`PvsError::Column`] when a name is empty, longer than 64 bytes or not unique, or when a column does
+    /// not have one value for each cell of the tree; [`PvsError::TooLarge`] when the length of its data does
+    /// not fit 32 bits. The columns of an earlier call remain then.
     pub fn set_columns(&mut self, columns: Vec<Column>) -> Result<(), PvsError> {
         self.columns = columns::encode(&columns, self.header.tree.cells())?;
         Ok(())
     }
 
-    /// Keeps evidence in this file, which is empty and open for reading and writing, until [`Self::finish`]: there may be more of it
-    /// than fits in memory. To be called before any is added.
-    pub fn keep_evidence_in(&mut self, file: File) {
-        self.evidence.kept = Kept::File(file);
+    /// Keeps certificates in `file`, which is empty and open for reading and writing, until [`Self::finish`]:
+    /// they may not fit in memory. Call it before the first [`Self::push_certificate`].
+    pub fn keep_certificates_in(&mut self, file: File) {
+        self.certificates.kept = Kept::File(file);
     }
 
-    /// Adds the reasons for the next cell's set, as bytes that are opaque here. Cells that come after the last call have none; without
-    /// any call the file has no section for them.
+    /// Adds the certificate of the next cell, as bytes that are opaque to this crate. Cells after the last
+    /// call have an empty one; without any call the file has no section for them.
     ///
     /// # Errors
-    /// [`PvsError::CellCount`] after the last cell; [`PvsError::Write`] when it cannot be kept, and then the builder is of no more use.
-    pub fn push_evidence(&mut self, bytes: &[u8]) -> Result<(), PvsError> {
-        let (expected, pushed) = (self.header.tree.cells(), self.evidence.ends.len() as u64 + 1);
+    /// [`PvsError::CellCount`] after the last cell; [`PvsError::Write`] when the scratch file cannot be
+    /// written, after which the builder cannot be used.
+    pub fn push_certificate(&mut self, bytes: &[u8]) -> Result<(), PvsError> {
+        let (expected, pushed) = (self.header.tree.cells(), self.certificates.ends.len() as u64 + 1);
         if pushed > u64::from(expected) {
             return Err(PvsError::CellCount { expected, pushed });
         }
-        self.evidence.push(bytes).map_err(PvsError::Write)
+        self.certificates.push(bytes).map_err(PvsError::Write)
     }
 
     /// Writes the file.
@@ -203,8 +205,8 @@ impl Builder {
         } else {
             self.undecided.section(Section::Undecided, &tree, triangles)?
         };
-        let evidence = self.evidence.section(tree.cells()).map_err(PvsError::Write)?;
-        let whole: [&[u8]; Section::Evidence as usize] = [
+        let certificates = self.certificates.section(tree.cells()).map_err(PvsError::Write)?;
+        let whole: [&[u8]; Section::Certificates as usize] = [
             info_json.as_bytes(),
             method.as_bytes(),
             &tree_bytes,
@@ -214,19 +216,19 @@ impl Builder {
             &undecided,
             &self.columns,
         ];
-        // The file ends before the sections it does not need, as it did when there were none.
-        let whole = match (self.columns.is_empty(), &evidence) {
+        // The file has no sections that it does not need, like the files from before these sections existed.
+        let whole = match (self.columns.is_empty(), &certificates) {
             (true, None) => &whole[..Section::Columns as usize],
             _ => &whole[..],
         };
-        let sections: Vec<Written> = whole.iter().map(|s| Written::of(s)).chain(evidence).collect();
+        let sections: Vec<Written> = whole.iter().map(|s| Written::of(s)).chain(certificates).collect();
         let header = layout::header(triangles, tree.cells(), tree.nodes().len() as u32, &sections);
         out.write_all(&header).map_err(PvsError::Write)?;
         for section in whole {
             out.write_all(section).map_err(PvsError::Write)?;
         }
-        if evidence.is_some() {
-            self.evidence.write(tree.cells(), out).map_err(PvsError::Write)?;
+        if certificates.is_some() {
+            self.certificates.write(tree.cells(), out).map_err(PvsError::Write)?;
         }
         out.flush().map_err(PvsError::Write)?;
         Ok(Stats {
@@ -234,14 +236,14 @@ impl Builder {
             visible_bytes: visible.len() as u64,
             undecided_bytes: undecided.len() as u64,
             column_bytes: self.columns.len() as u64,
-            evidence_bytes: evidence.map_or(0, |e| e.length),
+            certificate_bytes: certificates.map_or(0, |c| c.length),
             visible_ids,
             undecided_ids,
         })
     }
 }
 
-/// Checks that (first, count) ranges follow each other from 0 to `triangles`.
+/// Checks that ranges, each (first, count), tile 0 … `triangles` − 1 in order.
 pub(crate) fn check_tiling(triangles: u32, ranges: impl Iterator<Item = (u32, u32)>) -> Result<(), PvsError> {
     let (mut expected, mut object) = (0u64, 0);
     for (first, count) in ranges {
@@ -270,7 +272,7 @@ fn tree_section(tree: &CellTree) -> Vec<u8> {
     bytes
 }
 
-/// Does `f` for each cell and its place, at the same time where that is possible.
+/// The results of `f` for each index and cell; with the feature `parallel` on all cores.
 fn each<T: Send>(cells: &[Cell<'_>], f: impl Fn(usize, &Cell<'_>) -> T + Sync) -> Vec<T> {
     #[cfg(feature = "parallel")]
     {

@@ -1,22 +1,23 @@
-//! One set as bytes: alternating lengths of gaps and runs (thesis appendix B.2, extended to runs of ones), each
-//! coded as an exponential Golomb number.
+//! The bytes of a set: lengths of alternating gaps and runs (Nirenstein 2003, appendix B.2, extended to runs
+//! of ones), each as an exponential Golomb code.
 //!
-//! A set is: one byte of flags, then, unless the set is empty, one byte each for the order k of the gap code and of
-//! the run code, the number of runs and the bytes of the gap codes as varints, the codes of all gaps, the codes of
-//! all runs. Codes fill bytes from the least bit up, the last byte padded with zeros. Two streams instead of one let
-//! a processor decode a gap and a run at the same time. No bytes at all is the empty set, not absolute.
+//! A set has one byte of flags. Unless it is empty, these follow: a byte for the order k of the gap code, a
+//! byte for the order of the run code, the number of runs and the bytes of the gap codes as LEB128 numbers,
+//! the codes of all gaps, and the codes of all runs. Codes fill bytes from the least bit up; the last byte is
+//! padded with zeros. Gaps and runs are two streams so that a processor can decode a gap and a run at the
+//! same time. No bytes at all are the empty set in relative form.
 //!
-//! With w = v + 2ᵏ and n = ⌊log₂ w⌋, the code of v is n − k zeros, a one, and the low n bits of w. Gap lengths are
-//! coded less 1 except the first; runs less 1.
+//! With w = v + 2ᵏ and n = ⌊log₂ w⌋, the code of v is n − k zeros, a one, and the low n bits of w. Gap
+//! lengths are coded less 1 except the first; runs less 1.
 
-/// Flag: the set stands for itself; what lies above it on the root path does not count.
+/// Flag: the set is in absolute form; the sets above it on the root path do not count.
 const ABSOLUTE: u8 = 1;
 /// Flag: the set is empty, nothing follows.
 const EMPTY: u8 = 2;
-/// The largest order of a code that is ever useful for 32-bit numbers.
+/// The largest order of a code that is useful for 32-bit numbers.
 const MAX_ORDER: u32 = 31;
 
-/// What is wrong with a coded set.
+/// The fault of a coded set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BadSet(pub &'static str);
 
@@ -45,8 +46,8 @@ pub fn is_absolute(bytes: &[u8]) -> bool {
     bytes.first().is_some_and(|flags| flags & ABSOLUTE != 0)
 }
 
-/// Decodes a set of ids below `limit`; `each` is given the runs, ascending, ends exclusive. On an error some runs
-/// have been given already.
+/// Decodes a set of ids below `limit`. Calls `each` with the start and the exclusive end of each run,
+/// ascending. On an error `each` may have been called for some runs.
 pub fn decode(bytes: &[u8], limit: u32, mut each: impl FnMut(u32, u32)) -> Result<(), BadSet> {
     let Some((&flags, rest)) = bytes.split_first() else { return Ok(()) };
     if flags == ABSOLUTE | EMPTY && rest.is_empty() {
@@ -55,7 +56,9 @@ pub fn decode(bytes: &[u8], limit: u32, mut each: impl FnMut(u32, u32)) -> Resul
     if flags & !ABSOLUTE != 0 {
         return Err(BadSet("unknown flags"));
     }
-    let &[gap_order, run_order, ref rest @ ..] = rest else { return Err(BadSet("it ends in its head")) };
+    let &[gap_order, run_order, ref rest @ ..] = rest else {
+        return Err(BadSet("it ends within its header"));
+    };
     let (gap_order, run_order) = (u32::from(gap_order), u32::from(run_order));
     if gap_order.max(run_order) > MAX_ORDER {
         return Err(BadSet("the order of its code is above 31"));
@@ -64,12 +67,12 @@ pub fn decode(bytes: &[u8], limit: u32, mut each: impl FnMut(u32, u32)) -> Resul
     let (count, rest) = read_varint(rest).ok_or(short)?;
     let (gap_bytes, rest) = read_varint(rest).ok_or(short)?;
     let (gaps, runs) = usize::try_from(gap_bytes).ok().and_then(|n| rest.split_at_checked(n)).ok_or(short)?;
-    // Every code has a bit at least, which bounds the loop by the bytes that are there.
+    // Every code has at least one bit, so the number of bytes bounds the loop.
     if count == 0 || count > gaps.len().min(runs.len()) as u64 * 8 {
         return Err(BadSet("its count does not fit its length"));
     }
     let (mut gaps, mut runs) = (BitReader::new(gaps), BitReader::new(runs));
-    // The end of the run before; −1 before the first, so that its gap may be 0.
+    // The end of the previous run; −1 before the first run, whose gap may be 0.
     let mut end = -1i64;
     for _ in 0..count {
         let start = end + 1 + gaps.code(gap_order)?;
@@ -83,22 +86,23 @@ pub fn decode(bytes: &[u8], limit: u32, mut each: impl FnMut(u32, u32)) -> Resul
     runs.finish()
 }
 
-/// The numbers that are coded, with whether each is a run's.
+/// The numbers to code, each with whether it is a run's.
 fn lengths(bounds: &[u32]) -> impl Iterator<Item = (u32, bool)> + '_ {
-    // Boundaries ascend strictly, so only the first gap can be 0, and it is coded as it is.
+    // Boundaries ascend strictly, so only the first gap can be 0; it is coded without subtracting 1.
     bounds.iter().enumerate().map(|(i, &b)| (if i == 0 { b } else { b - bounds[i - 1] - 1 }, i % 2 == 1))
 }
 
-/// The order that codes the numbers in the fewest bits, the least among equals.
+/// The order that codes the numbers in the fewest bits; the least order among equals.
 fn best_order(values: impl Iterator<Item = u32>) -> u32 {
-    // How many numbers are `length` bits long and begin with `ones` ones: the length of every code follows from the two.
+    // The number of values with `length` bits and `ones` leading ones, which determine the length of every
+    // code.
     let mut counts = [[0u64; 33]; 33];
     for v in values {
         let length = 32 - v.leading_zeros();
         let ones = v.checked_shl(32 - length).unwrap_or(0).leading_ones();
         counts[length as usize][ones as usize] += 1;
     }
-    // Few of the pairs occur.
+    // Few of these pairs occur.
     let kinds: Vec<(u32, u32, u64)> = (0..33u32)
         .flat_map(|l| (0..=l).map(move |o| (l, o)))
         .map(|(l, o)| (l, o, counts[l as usize][o as usize]))
@@ -106,13 +110,13 @@ fn best_order(values: impl Iterator<Item = u32>) -> u32 {
         .collect();
     let bits = |k: u32| -> u64 {
         let code = |length: u32, ones: u32| {
-            // The logarithm of v + 2ᵏ: adding carries into a new bit when all bits from k up are ones.
+            // n = ⌊log₂(v + 2ᵏ)⌋: the sum carries into a new bit when all bits from k up are ones.
             let n = if k >= length { k } else { length - u32::from(k < length - ones) };
             u64::from(2 * n - k + 1)
         };
         kinds.iter().map(|(length, ones, count)| count * code(*length, *ones)).sum()
     };
-    // From the greatest length on every code has k + 1 bits.
+    // For orders from the greatest length on, every code has k + 1 bits.
     let longest = kinds.last().map_or(0, |kind| kind.0);
     (0..=longest.min(MAX_ORDER)).min_by_key(|&k| bits(k)).unwrap_or(0)
 }
@@ -124,9 +128,12 @@ mod order_tests {
 
     proptest! {
         #[test]
-        fn the_order_is_the_best_of_all(values in proptest::collection::vec((any::<u32>(), 0u32..32).prop_map(|(v, s)| v >> s), 0..40)) {
+        fn the_order_is_the_best_of_all(
+            values in proptest::collection::vec((any::<u32>(), 0u32..32).prop_map(|(v, s)| v >> s), 0..40),
+        ) {
             let bits = |k: u32| -> u64 {
-                values.iter().map(|v| (u64::from(*v) + (1 << k)).ilog2()).map(|n| u64::from(2 * n - k + 1)).sum()
+                let logarithms = values.iter().map(|v| (u64::from(*v) + (1 << k)).ilog2());
+                logarithms.map(|n| u64::from(2 * n - k + 1)).sum()
             };
             let best = (0..=MAX_ORDER).min_by_key(|k| bits(*k)).unwrap();
             prop_assert_eq!(best_order(values.iter().copied()), best);
@@ -151,7 +158,8 @@ fn code_all(values: impl Iterator<Item = u32>, k: u32) -> Vec<u8> {
     bits.finish()
 }
 
-/// Appends a number as LEB128: 7 bits a byte, the least first, the top bit set on all bytes but the last.
+/// Appends a number as LEB128: 7 bits a byte, the least first, the top bit set on all bytes but the last. The
+/// crate has its own code for it so that it depends on no other crate of the project.
 pub fn varint(mut v: u64, out: &mut Vec<u8>) {
     while v >= 0x80 {
         out.push(v as u8 | 0x80);
@@ -171,7 +179,7 @@ fn read_varint(bytes: &[u8]) -> Option<(u64, &[u8])> {
     None
 }
 
-/// Most bits put at once: at most 31 are held before.
+/// Most bits put at once: the buffer has at most 31 bits before.
 const MOST_PUT: u32 = 33;
 
 struct BitWriter {
@@ -201,7 +209,7 @@ impl BitWriter {
 
 struct BitReader<'a> {
     rest: &'a [u8],
-    /// The next bits, least first; bits from `held` on are 0 or a copy of what `rest` starts with.
+    /// The next bits, least first; bits from `held` on are 0 or a copy of the first bits of `rest`.
     buffer: u64,
     held: u32,
 }
@@ -211,7 +219,7 @@ impl<'a> BitReader<'a> {
         Self { rest, buffer: 0, held: 0 }
     }
 
-    /// Holds at least 56 bits, or all that are left.
+    /// Fills the buffer to at least 56 bits, or with all bits that are left.
     fn refill(&mut self) {
         if let Some((word, _)) = self.rest.split_first_chunk::<8>() {
             self.buffer |= u64::from_le_bytes(*word) << self.held;
@@ -229,10 +237,10 @@ impl<'a> BitReader<'a> {
         }
     }
 
-    /// One number coded with order `k` ≤ 31.
+    /// Decodes a number of order `k` ≤ 31.
     #[inline(always)]
     fn code(&mut self, k: u32) -> Result<i64, BadSet> {
-        // Every time: asking whether it is needed costs more, since the answer cannot be predicted.
+        // Unconditional: a branch on whether it is needed costs more, since it cannot be predicted.
         self.refill();
         let zeros = self.buffer.trailing_zeros();
         let n = zeros + k;
@@ -247,13 +255,13 @@ impl<'a> BitReader<'a> {
         Ok(((1 << n | low) - (1 << k)) as i64)
     }
 
-    /// The same for a code longer than the bits at hand.
+    /// Decodes a code that is longer than the buffered bits.
     #[cold]
     fn long_code(&mut self, k: u32) -> Result<i64, BadSet> {
         self.refill();
         let zeros = self.buffer.trailing_zeros();
         let n = zeros + k;
-        // 32-bit numbers need no more; a buffer of zeros alone comes out as 64.
+        // 32-bit numbers need no more bits; a buffer of zeros gives 64 zeros.
         if n > 32 {
             return Err(BadSet("a length is beyond 32 bits"));
         }
@@ -274,13 +282,13 @@ impl<'a> BitReader<'a> {
         Ok(value)
     }
 
-    /// Nothing but zeros may be left of the last byte.
+    /// Checks that only zeros are left, and less than a byte of them.
     fn finish(self) -> Result<(), BadSet> {
         let spare = self.buffer & ((1u64 << self.held.min(63)) - 1);
         if self.rest.is_empty() && self.held < 8 && spare == 0 {
             Ok(())
         } else {
-            Err(BadSet("something follows its last run"))
+            Err(BadSet("bytes follow its last run"))
         }
     }
 }
@@ -314,7 +322,7 @@ mod tests {
 
     #[test]
     fn long_codes_in_a_row_round_trip() {
-        // Thirty-one bits are held when codes of thirty-three come: every number of short gaps before two long ones.
+        // Covers 33-bit codes put while 31 bits are buffered: all numbers of short gaps before two long ones.
         for short in 0..64u32 {
             let gaps = (0..short).map(|_| 1).chain([100_000, 100_000, 65_536]).chain((0..60).map(|_| 1));
             let mut end = 0;
@@ -349,10 +357,14 @@ mod tests {
             round_trip(&runs::from_ids(&ids), false, u32::MAX);
         }
 
-        /// Many short lengths and a few long ones, as in large scenes: the order of the code is low, and long codes are long.
+        /// Many short lengths and a few long ones, as in large scenes: with a low order, long lengths have
+        /// long codes.
         #[test]
         fn uneven_sets_round_trip(
-            lengths in proptest::collection::vec(prop_oneof![8 => 1u32..3, 1 => (0u32..22).prop_map(|k| 1 << k), 1 => 1u32..1 << 21], 2..400),
+            lengths in proptest::collection::vec(
+                prop_oneof![8 => 1u32..3, 1 => (0u32..22).prop_map(|k| 1 << k), 1 => 1u32..1 << 21],
+                2..400,
+            ),
         ) {
             let mut end = 0;
             let bounds: Vec<u32> = lengths.iter().map(|l| { end += l; end }).collect();
@@ -360,7 +372,10 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_give_ascending_runs_or_an_error(bytes in proptest::collection::vec(any::<u8>(), 0..80), limit: u32) {
+        fn any_bytes_give_ascending_runs_or_an_error(
+            bytes in proptest::collection::vec(any::<u8>(), 0..80),
+            limit: u32,
+        ) {
             let mut last = -1i64;
             let mut ascending = true;
             let _ = decode(&bytes, limit, |a, b| {
@@ -371,7 +386,10 @@ mod tests {
         }
 
         #[test]
-        fn a_cut_set_is_refused(ids in proptest::collection::btree_set(0u32..3000, 1..100), part in 0.0f64..1.0) {
+        fn a_cut_set_is_refused(
+            ids in proptest::collection::btree_set(0u32..3000, 1..100),
+            part in 0.0f64..1.0,
+        ) {
             let mut bytes = Vec::new();
             encode(&runs::from_ids(&ids.into_iter().collect::<Vec<_>>()), false, &mut bytes);
             let keep = (bytes.len() as f64 * part) as usize;

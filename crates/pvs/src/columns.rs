@@ -1,9 +1,9 @@
-//! The section of columns as bytes: what the baker counted in each cell, a list of numbers for each name.
+//! The section of columns: named statistics of the bake, one value for each cell.
 //!
-//! The section is the number of columns as u32, then for each of them the length of its name as u32, the name
+//! The section has the number of columns as u32, then for each column the length of its name as u32, the name
 //! in UTF-8, the length of its data as u32, and the data: a LEB128 number for each cell in cell order, each
-//! in the fewest bytes. Most counts are small, and 7 bits a byte need no table to find them again. A file
-//! without columns has no such section rather than an empty one, so that the same contents have one form.
+//! in the fewest bytes. Most values are small. A file without columns has no such section instead of an empty
+//! one, so that equal contents have equal bytes.
 
 use std::collections::BTreeSet;
 
@@ -11,21 +11,21 @@ use crate::codec::varint;
 use crate::error::PvsError;
 use crate::layout::Section;
 
-/// The longest name in bytes: it is a word in a table's head, not a text.
+/// The longest name in bytes: a name is the head of a table's column.
 const MAX_NAME: usize = 64;
-/// What a column takes besides its name and its values: two lengths.
+/// Bytes of a column besides its name and its values: two lengths.
 const LENGTHS: u64 = 8;
 
-/// A statistic of the baker: one number for each cell.
+/// A statistic of the bake: one number for each cell.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Column {
-    /// What was counted, for example `rays_uniform`: 1 to 64 bytes, unlike the names of the other columns.
+    /// Its name, for example `rays_uniform`: 1 to 64 bytes, different from the names of the other columns.
     pub name: String,
     /// The value of each cell, in cell order.
     pub values: Vec<u64>,
 }
 
-/// Checks and codes the columns of a file with so many cells; no bytes at all for no columns.
+/// Checks and codes the columns of a file with `cells` cells; no columns give no bytes.
 pub fn encode(columns: &[Column], cells: u32) -> Result<Vec<u8>, PvsError> {
     let mut bytes = Vec::new();
     if columns.is_empty() {
@@ -51,16 +51,16 @@ pub fn encode(columns: &[Column], cells: u32) -> Result<Vec<u8>, PvsError> {
     Ok(bytes)
 }
 
-/// Whether the section of a file with so many cells can be decoded.
+/// Checks that the section of a file with `cells` cells can be decoded.
 pub fn check(bytes: &[u8], cells: u32) -> Result<(), PvsError> {
     for_each(bytes, cells, |name, data| each_value(name, data, cells, |_| ()))
 }
 
-/// The columns of a file with so many cells.
+/// The columns of a file with `cells` cells.
 pub fn decode(bytes: &[u8], cells: u32) -> Result<Vec<Column>, PvsError> {
     let mut columns = Vec::new();
     for_each(bytes, cells, |name, data| {
-        // There is a byte of data at least for each cell, so this asks for what the file can fill.
+        // The data has at least a byte for each cell, so the file bounds this allocation.
         let mut values = Vec::with_capacity(cells as usize);
         each_value(name, data, cells, |value| values.push(value))?;
         columns.push(Column { name: name.to_owned(), values });
@@ -69,7 +69,7 @@ pub fn decode(bytes: &[u8], cells: u32) -> Result<Vec<Column>, PvsError> {
     Ok(columns)
 }
 
-/// Gives the name and the data of each column, the data having at least a byte for each cell.
+/// Calls `each` with the name and the data of each column; the data has at least a byte for each cell.
 fn for_each<'a>(
     bytes: &'a [u8],
     cells: u32,
@@ -80,7 +80,7 @@ fn for_each<'a>(
     if count == 0 {
         return Err(bad("it has no columns; then there is no such section"));
     }
-    // A name and the values have a byte each at least.
+    // A name and each value have at least one byte.
     let least = u64::from(count).checked_mul(LENGTHS + 1 + u64::from(cells));
     if least.is_none_or(|least| least > rest.len() as u64) {
         return Err(bad("its count does not fit its length"));
@@ -91,31 +91,31 @@ fn for_each<'a>(
         let (data, after) = take_bytes(after).ok_or_else(|| bad("a column reaches beyond its end"))?;
         rest = after;
         let name = std::str::from_utf8(name).map_err(|e| Section::Columns.malformed(e.to_string()))?;
-        // Without naming it: the name is what is wrong, and may be of any length.
+        // The message leaves out the name, which is the fault and may have any length.
         check_name(name, &mut names).map_err(|reason| bad(&format!("of a column, {reason}")))?;
         if (data.len() as u64) < u64::from(cells) {
             return Err(bad_values(name, "it has fewer values than there are cells"));
         }
         each(name, data)?;
     }
-    if rest.is_empty() { Ok(()) } else { Err(bad("something follows its last column")) }
+    if rest.is_empty() { Ok(()) } else { Err(bad("bytes follow its last column")) }
 }
 
-/// Gives the values of a column's data, which must hold one for each cell and nothing else.
+/// Calls `each` with the values of a column's data, which must have one value for each cell and nothing else.
 fn each_value(name: &str, mut data: &[u8], cells: u32, mut each: impl FnMut(u64)) -> Result<(), PvsError> {
     for _ in 0..cells {
         let (value, rest) = take_value(data).map_err(|reason| bad_values(name, reason))?;
         each(value);
         data = rest;
     }
-    if data.is_empty() { Ok(()) } else { Err(bad_values(name, "something follows its last value")) }
+    if data.is_empty() { Ok(()) } else { Err(bad_values(name, "bytes follow its last value")) }
 }
 
 fn bad_values(name: &str, reason: &str) -> PvsError {
     Section::Columns.malformed(format!("of column {name:?}, {reason}"))
 }
 
-/// What is wrong with a name, after those in `earlier`.
+/// Checks a name, which must not be among the `earlier` ones.
 fn check_name<'a>(name: &'a str, earlier: &mut BTreeSet<&'a str>) -> Result<(), &'static str> {
     if !(1..=MAX_NAME).contains(&name.len()) {
         return Err("the name must have 1 to 64 bytes");
@@ -123,7 +123,7 @@ fn check_name<'a>(name: &'a str, earlier: &mut BTreeSet<&'a str>) -> Result<(), 
     if earlier.insert(name) { Ok(()) } else { Err("the name is that of an earlier one") }
 }
 
-/// A length as the file holds it.
+/// A length as the file has it.
 fn length(what: &'static str, value: usize) -> Result<[u8; 4], PvsError> {
     let limit = u64::from(u32::MAX);
     u32::try_from(value).map(u32::to_le_bytes).map_err(|_| PvsError::TooLarge {
@@ -133,19 +133,20 @@ fn length(what: &'static str, value: usize) -> Result<[u8; 4], PvsError> {
     })
 }
 
-/// A length, and what follows it.
+/// Takes a length off the front; also the rest.
 fn take_length(bytes: &[u8]) -> Option<(u32, &[u8])> {
     let (length, rest) = bytes.split_first_chunk()?;
     Some((u32::from_le_bytes(*length), rest))
 }
 
-/// As many bytes as the length before them says, and what follows.
+/// Takes a length and that many bytes off the front; also the rest.
 fn take_bytes(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, rest) = take_length(bytes)?;
     rest.split_at_checked(usize::try_from(length).ok()?)
 }
 
-/// A value, and what follows it. Unlike the codec's numbers these use all of 64 bits.
+/// Takes a value off the front; also the rest. Unlike the codec's numbers, values use all of 64 bits. The
+/// crate has its own code for LEB128 so that it depends on no other crate of the project.
 fn take_value(bytes: &[u8]) -> Result<(u64, &[u8]), &'static str> {
     let mut value = 0u64;
     for (i, &byte) in bytes.iter().enumerate().take(10) {
@@ -175,7 +176,7 @@ mod tests {
         Column { name: name.to_owned(), values: values.to_vec() }
     }
 
-    /// A section of columns given by name and data, whatever these are.
+    /// A section of columns, each given by its name and data, valid or not.
     fn section(columns: &[(&[u8], &[u8])]) -> Vec<u8> {
         let mut bytes = (columns.len() as u32).to_le_bytes().to_vec();
         for part in columns.iter().flat_map(|c| [c.0, c.1]) {
@@ -246,14 +247,14 @@ mod tests {
         assert!(why(&long).contains("column reaches beyond"));
         let mut more = section(&[(b"a", &[1, 2])]);
         more.push(0);
-        assert!(why(&more).contains("follows its last column"));
+        assert!(why(&more).contains("follow its last column"));
         assert!(why(&section(&[(b"a\xff", &[1, 2])])).contains("utf-8"));
         assert!(why(&section(&[(b"", &[1, 0x80, 1])])).contains("1 to 64"));
         assert!(why(&section(&[(&[b'a'; 65], &[1, 2])])).contains("1 to 64"));
         assert!(why(&section(&[(b"a", &[1, 2]), (b"a", &[1, 2])])).contains("earlier"));
         assert!(why(&section(&[(b"ab", &[1])])).contains("\"ab\", it has fewer values"));
         assert!(why(&section(&[(b"a", &[1, 0x80])])).contains("cut short"));
-        assert!(why(&section(&[(b"a", &[1, 2, 3])])).contains("follows its last value"));
+        assert!(why(&section(&[(b"a", &[1, 2, 3])])).contains("follow its last value"));
         assert!(why(&section(&[(b"a", &[1, 0x81, 0])])).contains("more bytes than it needs"));
         let mut beyond = vec![0xff; 9];
         beyond.extend([2, 1]);
@@ -270,7 +271,7 @@ mod tests {
                 proptest::collection::vec((any::<u64>(), 0u32..64), 6 * cells),
             )),
         ) {
-            // Shifted, so that values of every length are as likely.
+            // Shifted, so that values of all lengths are equally likely.
             let values: Vec<u64> = values.into_iter().map(|(value, shift)| value >> shift).collect();
             let columns: Vec<Column> =
                 names.iter().zip(values.chunks(cells)).map(|(name, v)| column(name, v)).collect();
@@ -286,7 +287,7 @@ mod tests {
             }
         }
 
-        /// What is accepted is the one form of what it says.
+        /// Bytes that are accepted are the only form of their contents.
         #[test]
         fn any_bytes_are_an_error_or_are_coded_back(
             changes in proptest::collection::vec((any::<usize>(), any::<u8>()), 0..6),

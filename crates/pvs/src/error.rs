@@ -1,8 +1,8 @@
-//! Everything that can be wrong with a result file, or with what is put into one.
+//! Errors of reading and writing result files.
 
 use std::path::PathBuf;
 
-/// Why a `.pvs` file is refused, or cannot be made.
+/// Why a `.pvs` file is refused or cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum PvsError {
     /// The file cannot be opened or mapped.
@@ -10,7 +10,7 @@ pub enum PvsError {
     Open {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
     /// The result cannot be written.
@@ -18,117 +18,118 @@ pub enum PvsError {
     Write(#[source] std::io::Error),
     /// The first bytes are not those of a result.
     #[error(
-        "this is not a .pvs file (it is empty, or its first bytes are others); name a file that `sightline bake` wrote"
+        "this is not a .pvs file (it is empty or begins otherwise); name a file that `sightline bake` wrote"
     )]
     NotPvs,
-    /// Another version of the format.
+    /// The file has another version of the format.
     #[error("this .pvs file has format version {found}, this program reads version {known}; bake it again")]
     Version {
-        /// In the file.
+        /// The version of the file.
         found: u32,
-        /// Of this crate.
+        /// The version of this crate.
         known: u32,
     },
-    /// Shorter or longer than it says.
+    /// The file is shorter or longer than its header says.
     #[error("the .pvs file should have {expected} bytes and has {actual}; copy it again, or bake it again")]
     Length {
-        /// What its header says, or the least that a header needs.
+        /// Bytes according to the header, or the least that a header needs.
         expected: u64,
-        /// What is there.
+        /// Bytes of the file.
         actual: u64,
     },
-    /// Altered bytes.
+    /// Some bytes were altered.
     #[error(
-        "the .pvs file is damaged: what it has of the {section} does not fit its checksum; copy it again, or bake it again"
+        "the .pvs file is damaged: the {section} does not match its checksum; copy it again, or bake it again"
     )]
     Checksum {
-        /// Which part.
+        /// The part of the file.
         section: &'static str,
     },
-    /// Consistent checksums around inconsistent contents.
+    /// The checksums match, but the contents contradict each other.
     #[error("the {section} of the .pvs file is malformed: {reason}; bake it again")]
     Malformed {
-        /// Which part.
+        /// The part of the file.
         section: &'static str,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
-    /// The cell tree cannot be one.
+    /// The nodes do not form a valid cell tree.
     #[error("the cell tree is not valid at node {node}: {reason}")]
     Tree {
         /// Index in depth-first order.
         node: usize,
-        /// What is wrong.
+        /// The fault.
         reason: String,
     },
     /// The objects do not tile the triangles.
     #[error(
-        "object {object} starts at triangle {first}, but the objects before it end at {expected}; objects must tile 0…N−1"
+        "object {object} starts at triangle {first}, but the objects before it end at {expected}; \
+         objects must tile 0…N−1"
     )]
     Objects {
         /// Index of the object (or the number of objects, when the last one does not end at N).
         object: usize,
-        /// Where it starts (or N).
+        /// Its first triangle (or N).
         first: u64,
-        /// Where it should.
+        /// The first triangle it must have.
         expected: u64,
     },
-    /// A cell's ids are not ascending, not below N, or `undecided` is not part of `visible`.
+    /// A cell's ids do not ascend or reach N, or `undecided` is not a subset of `visible`.
     #[error("the {set} set of cell {cell} is not valid: {reason}")]
     Ids {
         /// The cell.
         cell: u32,
         /// `visible` or `undecided`.
         set: &'static str,
-        /// What is wrong.
+        /// The fault.
         reason: String,
     },
-    /// More or fewer cells pushed than the tree has leaves.
+    /// The number of pushed cells is not the number of leaves of the tree.
     #[error("the tree has {expected} cells, and {pushed} were given")]
     CellCount {
         /// Leaves of the tree.
         expected: u32,
-        /// Given.
+        /// Cells that were pushed.
         pushed: u64,
     },
-    /// A column's name is not fit, or it does not have one value a cell.
+    /// A column's name is not valid, or the column does not have one value for each cell.
     #[error("the column {name:?} is not valid: {reason}")]
     Column {
-        /// As it was given.
+        /// The name as it was given.
         name: String,
-        /// What is wrong.
+        /// The fault.
         reason: String,
     },
-    /// A text or a count beyond what the format can hold.
+    /// A text or a count is beyond the limits of the format.
     #[error("{what} is too large for a .pvs file ({value}, at most {limit})")]
     TooLarge {
-        /// What.
+        /// Its name.
         what: &'static str,
-        /// How large.
+        /// Its size.
         value: u64,
-        /// How large it may be.
+        /// The largest size allowed.
         limit: u64,
     },
     /// There is no such cell.
     #[error("there is no cell {cell}; the file has {cells}, numbered from 0")]
     NoCell {
-        /// Asked for.
+        /// The cell that was asked for.
         cell: u32,
-        /// In the file.
+        /// The number of cells in the file.
         cells: u32,
     },
-    /// A bit set of the wrong length was handed in.
+    /// The bit set passed in has the wrong length.
     #[error("the bit set has {given} words of 64; the file's triangles need {needed}")]
     BitsLength {
-        /// Words handed in.
+        /// Words passed in.
         given: usize,
         /// Words needed.
         needed: usize,
     },
-    /// No memory for a set.
-    #[error("no memory for a set over {triangles} triangles")]
+    /// There is not enough memory for a set.
+    #[error("there is not enough memory for a set over {triangles} triangles")]
     Memory {
-        /// N.
+        /// The number of triangles, N.
         triangles: u32,
     },
 }

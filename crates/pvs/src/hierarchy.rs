@@ -1,15 +1,17 @@
-//! The sets of a result's tree: which to keep at its inner nodes, and how each is coded.
+//! The sets of a result's tree: the choice of the sets at inner nodes, and the form in which each set is
+//! coded.
 //!
-//! A cell's set is the exclusive or of the sets along its root path (thesis appendix B.1). Which averages to keep
-//! at the inner nodes is free; the thesis takes what most children see. Here they are chosen so that the number of
-//! ids stored in the whole tree is least, for each id on its own: the small parsimony problem, solved on a binary
-//! tree by Fitch's rule (1971, "Toward defining the course of evolution", Systematic Zoology 20). Going up, an id
-//! is *in* a node when it is in one child and not out of the other, *out* likewise, and *open* when the children
-//! contradict or are both open. Going down, an open id follows the node above.
+//! A cell's set is the exclusive or of the sets along its root path (Nirenstein 2003, appendix B.1). The sets
+//! at inner nodes are free: Nirenstein takes the ids that most children see. Here they are chosen for each id
+//! such that the number of ids stored in the whole tree is least. This is the small parsimony problem, which
+//! Fitch's rule solves on a binary tree (Fitch 1971, "Toward defining the course of evolution", Systematic
+//! Zoology 20). On the way up, an id is *in* a node when it is in one child and not out of the other, *out*
+//! of it likewise, and *open* when the children contradict each other or are both open. On the way down, an
+//! open id follows the parent.
 //!
-//! Sets are kept coded: those of the cells, what the way down needs of each split (where its children contradict), and
-//! every node's in the two forms it can have. Subtrees have nothing to do with each other, so with the feature `parallel` all
-//! cores work on them.
+//! Sets are kept coded to save memory: the sets of the cells, the contradictions of each split, which the way
+//! down needs, and the set of every node in both of its forms. Subtrees are independent, so with the feature
+//! `parallel` all cores work on them.
 
 use crate::codec;
 use crate::error::PvsError;
@@ -17,24 +19,24 @@ use crate::layout::Section;
 use crate::runs;
 use crate::tree::CellTree;
 
-/// The sets of one kind, one a cell.
+/// The sets of one kind (visible or undecided), one for each cell.
 #[derive(Default)]
 pub struct Hierarchy {
-    /// So many cells with nothing in their sets come first.
+    /// The number of cells with empty sets before the first other one.
     empty: usize,
-    /// The others, coded to stand for themselves, in the order of the cells.
+    /// The sets of the other cells in absolute form, in the order of the cells.
     cells: Vec<Vec<u8>>,
     ids: u64,
 }
 
-/// A cell's set, coded to stand for itself.
+/// A cell's set, coded in absolute form.
 pub struct CodedSet {
     bytes: Vec<u8>,
     ids: usize,
 }
 
 impl CodedSet {
-    /// The set with these boundaries (see [`runs`]), of so many ids.
+    /// Codes the set with these boundaries (see [`runs`]), which has `ids` ids.
     pub fn new(set: &[u32], ids: usize) -> Self {
         let mut bytes = Vec::new();
         codec::encode(set, true, &mut bytes);
@@ -45,25 +47,27 @@ impl CodedSet {
 /// The average of a subtree by Fitch's rule. Sets as boundaries; the two are disjoint.
 #[derive(Default)]
 struct Average {
-    /// In it.
+    /// Ids in the subtree.
     within: Vec<u32>,
-    /// As well in as out.
+    /// Open ids.
     open: Vec<u32>,
 }
 
-/// What is kept of a node, coded.
+/// The coded sets of a node.
 #[derive(Clone, Default)]
 struct Coded {
-    /// Its set by itself, which is shorter for what resembles nothing else (a cell set aside, say).
+    /// Its set in absolute form, which is shorter for a set that differs much from its parent (a cell set
+    /// aside, say).
     absolute: Vec<u8>,
-    /// Its set as the difference from the node above.
+    /// Its set as the difference from its parent.
     relative: Vec<u8>,
-    /// Of a split: ids in its lower child and out of the upper one; the reverse.
+    /// Of a split: the ids in its lower child and out of its upper child; the ids for which it is the
+    /// reverse.
     contradictions: [Vec<u8>; 2],
 }
 
 impl Hierarchy {
-    /// Takes the next cell's set.
+    /// Adds the next cell's set.
     pub fn push(&mut self, set: CodedSet) {
         if set.ids == 0 && self.cells.is_empty() {
             self.empty += 1;
@@ -78,10 +82,10 @@ impl Hierarchy {
         self.ids
     }
 
-    /// Offsets and coded sets of all nodes of `tree`, of whose cells each has been pushed.
+    /// Offsets and coded sets of all nodes of `tree`. The sets of all cells must have been pushed.
     ///
     /// # Errors
-    /// [`PvsError::Malformed`] if what was coded here cannot be read, which would be a mistake of this crate.
+    /// [`PvsError::Malformed`] when a set coded here cannot be decoded, which would be a bug in this crate.
     pub fn section(self, of: Section, tree: &CellTree, triangles: u32) -> Result<Vec<u8>, PvsError> {
         let mut nodes = vec![Coded::default(); tree.nodes().len()];
         let mut nothing = Vec::new();
@@ -94,22 +98,24 @@ impl Hierarchy {
         }
         let work = Work { of, tree, triangles };
         let average = work.up(0, &mut nodes)?;
-        // Ids open at the root are out of it: as few ids as the other way.
+        // Ids open at the root are out of it: either choice stores the same number of ids.
         work.down(0, &mut nodes, &[], &average.within)?;
         Ok(chosen(tree, &nodes))
     }
 }
 
-/// Both ways through the tree. A subtree's nodes follow its root, the lower child's before the upper one's.
+/// The passes up and down the tree. The nodes of a subtree follow its root, the lower child's before the
+/// upper's.
 struct Work<'a> {
-    /// What errors are about.
+    /// The section that errors name.
     of: Section,
     tree: &'a CellTree,
     triangles: u32,
 }
 
 impl Work<'_> {
-    /// The average of the subtree of `node`, whose nodes are `nodes`; keeps where children contradict.
+    /// The average of the subtree of `node`, whose nodes are `nodes`. Stores the contradictions of each
+    /// split.
     fn up(&self, node: u32, nodes: &mut [Coded]) -> Result<Average, PvsError> {
         let Some(upper) = self.tree.upper(node) else {
             return Ok(Average { within: self.decoded(&nodes[0].absolute)?, open: Vec::new() });
@@ -134,18 +140,18 @@ impl Work<'_> {
         Ok(Average { within, open })
     }
 
-    /// Codes the node's set both ways and goes on with its children. Recursion is as deep as the tree, at most
-    /// [`crate::MAX_DEPTH`].
+    /// Codes the node's set in both forms and continues with its children. The recursion is as deep as the
+    /// tree, at most [`crate::MAX_DEPTH`].
     fn down(&self, node: u32, nodes: &mut [Coded], above: &[u32], set: &[u32]) -> Result<(), PvsError> {
         let [difference] = runs::sweep([above, set], |m| u32::from(m == 1 || m == 2));
         codec::encode(&difference, false, &mut nodes[0].relative);
-        // A cell's is there already.
+        // A cell's absolute form exists already.
         let Some(upper) = self.tree.upper(node) else { return Ok(()) };
         codec::encode(set, true, &mut nodes[0].absolute);
         let (own, [below, beyond]) = parts(nodes, node, upper);
         let [lower_only, upper_only] = std::mem::take(&mut own.contradictions);
         let [lower_only, upper_only] = [self.decoded(&lower_only)?, self.decoded(&upper_only)?];
-        // In order: the node, lower only, upper only.
+        // Bit 0: the node's set; bit 1: ids in the lower child only; bit 2: ids in the upper child only.
         let [in_lower, in_upper] = runs::sweep([set, &lower_only, &upper_only], |m| {
             u32::from(m & 2 != 0 || m == 1) | u32::from(m & 4 != 0 || m == 1) << 1
         });
@@ -162,7 +168,7 @@ impl Work<'_> {
     }
 }
 
-/// Does both, at the same time where that is possible.
+/// The results of `a` and `b`; with the feature `parallel` in parallel.
 fn both<A: Send, B: Send>(a: impl FnOnce() -> A + Send, b: impl FnOnce() -> B + Send) -> (A, B) {
     #[cfg(feature = "parallel")]
     return rayon::join(a, b);
@@ -170,17 +176,18 @@ fn both<A: Send, B: Send>(a: impl FnOnce() -> A + Send, b: impl FnOnce() -> B + 
     (a(), b())
 }
 
-/// A split, and the nodes of its lower and its upper child's subtrees.
+/// Splits `nodes` into a split node and the subtrees of its lower and its upper child.
 fn parts(nodes: &mut [Coded], node: u32, upper: u32) -> (&mut Coded, [&mut [Coded]; 2]) {
     let (head, upper) = nodes.split_at_mut((upper - node) as usize);
     let (own, lower) = head.split_at_mut(1);
     (&mut own[0], [lower, upper])
 }
 
-/// The form of each node's set that makes the section least.
+/// The section with the form of each node's set that makes the section shortest.
 fn chosen(tree: &CellTree, nodes: &[Coded]) -> Vec<u8> {
-    // Bytes of a node's subtree without the node when its children may refer to it; bytes of its subtree when
-    // nothing refers above it. Children come after their parents, so backwards.
+    // `referring`: bytes of a node's subtree without the node itself, when its children may refer to it.
+    // `standing`: bytes of its subtree when no set in it refers to a node above it. Children come after their
+    // parents, so the loop runs backwards.
     let mut referring = vec![0usize; nodes.len()];
     let mut standing = vec![0usize; nodes.len()];
     let children = |node: usize| tree.upper(node as u32).map(|upper| [node + 1, upper as usize]);
@@ -194,12 +201,12 @@ fn chosen(tree: &CellTree, nodes: &[Coded]) -> Vec<u8> {
     }
     let mut offsets = vec![0u64];
     let mut sets: Vec<u8> = Vec::new();
-    // Whether there is something above to refer to, for each node.
+    // For each node, whether an ancestor's set is stored that it can refer to.
     let mut may_refer = vec![false; nodes.len()];
     for (node, coded) in nodes.iter().enumerate() {
         let refers = may_refer[node] && coded.relative.len() + referring[node] <= standing[node];
         let children = children(node);
-        // An inner set that pays for nothing is left out: no bytes, and none below refers to it.
+        // An inner set that saves no bytes is left out: it takes no bytes, and no set below refers to it.
         let stands = children.is_none() || coded.absolute.len() + referring[node] <= standing[node];
         if refers {
             sets.extend(&coded.relative);
@@ -222,8 +229,8 @@ mod tests {
     use crate::tree::Node;
 
     #[test]
-    fn threads_change_no_byte() {
-        // A full tree of 64 cells along x; sets that share much, and some of nothing.
+    fn the_bytes_do_not_depend_on_threads() {
+        // A full tree of 64 cells along x; the sets share many ids, and some are empty.
         fn grow(nodes: &mut Vec<Node>, lo: f32, hi: f32, levels: u32) {
             if levels == 0 {
                 return nodes.push(Node::Leaf);

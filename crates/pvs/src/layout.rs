@@ -1,22 +1,24 @@
-//! The bytes of the file around the sections' contents: header, section table, checksums.
+//! The bytes of the file around the contents of the sections: header, section table and checksums.
 //!
-//! | offset | bytes | what |
+//! | offset | bytes | contents |
 //! |---|---|---|
-//! | 0 | 8 | `89 50 56 53 0d 0a 1a 0a`; a transfer that touches line ends or the eighth bit breaks it visibly |
+//! | 0 | 8 | `89 50 56 53 0d 0a 1a 0a`, which transfers that change line ends or clear the eighth bit alter |
 //! | 8 | 4 | [`VERSION`] |
-//! | 12 | 4 | number of sections S: 7, 8 in a file with columns, 9 in one with evidence |
+//! | 12 | 4 | number of sections S: 7, 8 in a file with columns, 9 in one with certificates |
 //! | 16 | 8 | length of the file |
 //! | 24 | 4 | triangles N |
 //! | 28 | 4 | cells M |
 //! | 32 | 4 | tree nodes, 2M − 1 |
 //! | 36 | 4 | CRC-32C of bytes 0…35 and of the section table |
-//! | 40 | S × 24 | for each section in the order of [`Section`]: its number (4), CRC-32C (4), offset (8), length (8) |
+//! | 40 | S × 24 | for each [`Section`] in order: its number (4), CRC-32C (4), offset (8), length (8) |
 //! | 40 + 24 S | | the sections, one after another, without gaps |
 //!
-//! The sections of columns and evidence came later. A file without them is byte for byte what it was before, so the version
-//! is the same; a program that knows fewer sections refuses a file with more at the header's checksum.
+//! Every byte is covered by exactly one checksum, and the header's checksum covers the offsets of the
+//! sections.
 //!
-//! So every byte lies under exactly one checksum, and the header's covers what finds the others.
+//! Columns and certificates were added later. Files without them are unchanged, so the version is unchanged;
+//! a program that knows fewer sections refuses a file with more of them, because the checksum of its header
+//! does not match.
 
 use crate::error::PvsError;
 
@@ -24,7 +26,7 @@ use crate::error::PvsError;
 pub const VERSION: u32 = 1;
 
 const MAGIC: [u8; 8] = *b"\x89PVS\r\n\x1a\n";
-/// With columns and evidence, which a file may do without.
+/// Sections of a file with columns and certificates, which are optional.
 const SECTIONS: usize = 9;
 const LEAST_SECTIONS: usize = Section::Columns as usize;
 const CRC_AT: usize = 36;
@@ -33,11 +35,12 @@ const TABLE_AT: usize = 40;
 /// The sections in the order of the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Section {
-    /// Opaque JSON of the baker, UTF-8.
+    /// JSON of the bake, UTF-8; opaque to this crate.
     Info,
     /// How the sets were made, UTF-8.
     Method,
-    /// View box as six f32 (min, max); then 8 bytes a node: axis (3 for a leaf) as u32, plane as f32 (0 for a leaf).
+    /// View box as six f32 (min, max); then 8 bytes a node: axis (3 for a leaf) as u32, plane as f32 (0 for a
+    /// leaf).
     Tree,
     /// Count as u32; for each object first, count and length of its name as u32; then the names, UTF-8.
     Objects,
@@ -47,16 +50,16 @@ pub enum Section {
     Visible,
     /// As [`Section::Visible`]; of length 0 when nothing is undecided in any cell.
     Undecided,
-    /// Numbers of the baker for each cell, or no section at all. Count as u32; for each column length of its
-    /// name as u32, the name in UTF-8, length of its data as u32, the data: a LEB128 number for each cell.
+    /// Statistics of the bake for each cell; optional. Count as u32; for each column the length of its name
+    /// as u32, the name in UTF-8, the length of its data as u32, and the data: a LEB128 number for each cell.
     Columns,
-    /// Reasons of the baker for each cell's set, opaque here, or no section at all. Cells + 1 offsets as u64, then the bytes of
-    /// the cells. In a file with this section that of the columns is there, too, and may be empty.
-    Evidence,
+    /// A certificate for each cell, opaque to this crate; optional. Cells + 1 offsets as u64, then the bytes
+    /// of the cells. A file with this section has the section of columns, too, which may be empty.
+    Certificates,
 }
 
 impl Section {
-    /// All of them, in order; a file may do without the last or the last two.
+    /// All sections in order; the last one or the last two are optional.
     pub const ALL: [Self; SECTIONS] = [
         Self::Info,
         Self::Method,
@@ -66,7 +69,7 @@ impl Section {
         Self::Visible,
         Self::Undecided,
         Self::Columns,
-        Self::Evidence,
+        Self::Certificates,
     ];
 
     /// Its name in messages.
@@ -80,7 +83,7 @@ impl Section {
             Self::Visible => "visible sets",
             Self::Undecided => "undecided sets",
             Self::Columns => "columns",
-            Self::Evidence => "evidence",
+            Self::Certificates => "certificates",
         }
     }
 
@@ -89,7 +92,7 @@ impl Section {
     }
 }
 
-/// The sizes in the header and where each section lies, after all checks of this module.
+/// The sizes in the header and the range of each section, after all checks of this module.
 #[derive(Clone, Debug)]
 pub(crate) struct Layout {
     pub triangles: u32,
@@ -106,7 +109,7 @@ impl Layout {
         (section as usize) < self.sections
     }
 
-    /// Where a section lies in the file; nowhere, and of length 0, when the file does not have it.
+    /// The range of a section in the file; empty when the file does not have the section.
     pub fn range(&self, section: Section) -> std::ops::Range<usize> {
         self.ranges[section as usize].clone()
     }
@@ -126,7 +129,7 @@ impl Layout {
         }
         let sections = u32_at(header, 12) as usize;
         let known = (LEAST_SECTIONS..=SECTIONS).contains(&sections);
-        // A number that cannot be is most likely an altered byte; the checksum says so in either case.
+        // An impossible number is most likely an altered byte, which the checksum reports.
         let header = first(header_len(if known { sections } else { LEAST_SECTIONS }))?;
         if crc32c::crc32c_append(crc32c::crc32c(&header[..CRC_AT]), &header[TABLE_AT..])
             != u32_at(header, CRC_AT)
@@ -163,18 +166,18 @@ impl Layout {
             at += bytes.len();
         }
         if at != file.len() {
-            return Err(malformed("something follows its last section"));
+            return Err(malformed("bytes follow its last section"));
         }
         Ok(Self { triangles, cells, nodes, sections, ranges })
     }
 }
 
-/// Length of the header and the table of so many sections.
+/// Bytes of the header with a table of `sections` sections.
 const fn header_len(sections: usize) -> usize {
     TABLE_AT + sections * 24
 }
 
-/// What the header says of a section.
+/// Length and checksum of a section, as the header has them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Written {
     pub length: u64,
@@ -187,7 +190,7 @@ impl Written {
     }
 }
 
-/// The header of a file with these sections, in the order of [`Section::ALL`]; the last two may be left out.
+/// The header of a file with these sections, in the order of [`Section::ALL`]; the last two are optional.
 pub(crate) fn header(triangles: u32, cells: u32, nodes: u32, sections: &[Written]) -> Vec<u8> {
     let file_len = header_len(sections.len()) as u64 + sections.iter().map(|s| s.length).sum::<u64>();
     let mut table = Vec::with_capacity(sections.len() * 24);

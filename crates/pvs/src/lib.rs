@@ -1,28 +1,33 @@
 //! The `.pvs` result: the kd-tree of view cells, the compressed visibility sets and the look-up at run time.
 //!
-//! A [`Builder`] takes the tree and then the cells' sets, one cell after another, and writes one file. A [`Pvs`]
-//! maps such a file, checks every byte of it, finds the cell of a point and decodes the cell's set. This crate
-//! computes no visibility, knows no scene format and depends on no other crate of the workspace, so that an
-//! engine can take it alone.
+//! A [`Builder`] takes the tree and then the sets of the cells in order, and writes one file. A [`Pvs`] maps
+//! a file into memory, checks every byte of it, finds the cell of a point and decodes the cell's set. This
+//! crate computes no visibility, knows no scene format and depends on no other crate of the workspace, so
+//! that an engine can use it alone.
 //!
-//! The file, all numbers little-endian (see [`layout`] for the bytes):
+//! The file has these parts; all numbers are little-endian, and [`layout`] gives the bytes:
 //!
 //! - a header with the sizes, the file's length and a table of the sections with a CRC-32C each;
-//! - `info` and `method`: text of whoever baked it, opaque here;
-//! - `tree`: view box and nodes in depth-first order, lower child first; leaves numbered as met are the cells;
-//! - `objects`: names and triangle ranges, tiling all triangles;
-//! - `flags`: one word a cell;
-//! - `visible`, `undecided`: for each tree node one coded set; a cell's set is the exclusive or of the sets on
-//!   its path from the root (thesis appendix B.1; `hierarchy.rs` says how the inner sets are chosen);
-//! - `columns`, only where there are any: what the baker counted in each cell, under a name each;
-//! - `evidence`, only where there is any: the reasons for each cell's set, opaque here.
+//! - `info` and `method`: text about the bake, opaque to this crate;
+//! - `tree`: view box and nodes in depth-first order, lower child first; the leaves in this order are the
+//!   cells;
+//! - `objects`: names and triangle ranges, which tile all triangles;
+//! - `flags`: a word for each cell;
+//! - `visible`, `undecided`: a coded set for each tree node; a cell's set is the exclusive or of the sets on
+//!   its path from the root (Nirenstein 2003, appendix B.1; `hierarchy.rs` says how the inner sets are
+//!   chosen);
+//! - `columns`, optional: named statistics of the bake, one value for each cell;
+//! - `certificates`, optional: a certificate for each cell's set, opaque to this crate.
 //!
 //! ```
-//! # use sightline_pvs::*;
-//! let tree = CellTree::new([[0.0; 3], [2.0, 1.0, 1.0]], vec![Node::Split { axis: 0, at: 1.0 }, Node::Leaf, Node::Leaf])?;
+//! use sightline_pvs::{Builder, CellTree, Header, Node, Object, Pvs};
+//!
+//! // Two cells, below and above the plane x = 1.
+//! let nodes = vec![Node::Split { axis: 0, at: 1.0 }, Node::Leaf, Node::Leaf];
+//! let tree = CellTree::new([[0.0; 3], [2.0, 1.0, 1.0]], nodes)?;
 //! let objects = vec![Object { name: "house".into(), first: 0, count: 5 }];
-//! let mut builder =
-//!     Builder::new(Header { triangles: 5, method: "aggressive".into(), tree, objects, info_json: "{}".into() })?;
+//! let (method, info_json) = ("aggressive".into(), "{}".into());
+//! let mut builder = Builder::new(Header { triangles: 5, method, tree, objects, info_json })?;
 //! builder.push_cell(&[0, 1, 2], &[], 0)?;
 //! builder.push_cell(&[1, 2, 4], &[4], 0)?;
 //! let mut file = Vec::new();
@@ -33,14 +38,14 @@
 //! let mut ids = Vec::new();
 //! pvs.visible(cell, &mut ids)?;
 //! assert_eq!(ids, [1, 2, 4]);
-//! # Ok::<(), PvsError>(())
+//! # Ok::<(), sightline_pvs::PvsError>(())
 //! ```
 
 pub mod builder;
+mod certificates;
 mod codec;
 mod columns;
 pub mod error;
-mod evidence;
 mod hierarchy;
 pub mod layout;
 mod parse;
@@ -55,16 +60,17 @@ pub use layout::VERSION;
 pub use reader::{NodeBytes, Pvs};
 pub use tree::{CellTree, MAX_DEPTH, Node};
 
-/// Bit 0 of a cell's flags: the cell's job was set aside, and all triangles are shipped as visible.
+/// Bit 0 of a cell's flags: the cell's tile was set aside after failures, and all triangles count as visible.
 pub const SET_ASIDE: u32 = 1;
 
-/// What an engine draws: a named, contiguous range of triangles.
+/// A named, contiguous range of triangles that an engine draws at once.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Object {
-    /// Its name in the scene file (glTF node and primitive, OBJ group). May be empty, need not be unique.
+    /// Its name in the scene file (glTF node and primitive, OBJ group). It may be empty and need not be
+    /// unique.
     pub name: String,
     /// Its first triangle.
     pub first: u32,
-    /// How many triangles it has; may be 0.
+    /// The number of its triangles; may be 0.
     pub count: u32,
 }

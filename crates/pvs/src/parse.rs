@@ -1,12 +1,12 @@
-//! Reading the structured sections when a file is opened. Counts are checked against the bytes that are there
-//! before anything is allocated.
+//! Parsing the structured sections when a file is opened. Counts are checked against the length of the
+//! section before memory is allocated for them.
 
 use crate::Object;
 use crate::error::PvsError;
 use crate::layout::{Section, u32_at, u64_at};
 use crate::tree::{CellTree, Node};
 
-/// The tree section.
+/// Parses the tree section.
 pub fn read_tree(bytes: &[u8], nodes: u32) -> Result<CellTree, PvsError> {
     if bytes.len() as u64 != 24 + u64::from(nodes) * 8 {
         return Err(Section::Tree.malformed("it does not have as many nodes as the header says"));
@@ -24,7 +24,7 @@ pub fn read_tree(bytes: &[u8], nodes: u32) -> Result<CellTree, PvsError> {
     CellTree::new(view_box, nodes)
 }
 
-/// The object section; that the objects tile the triangles is not looked at.
+/// Parses the object section, without checking that the objects tile the triangles.
 pub fn read_objects(bytes: &[u8]) -> Result<Vec<Object>, PvsError> {
     let bad = |reason: &str| Section::Objects.malformed(reason);
     let (count, rest) = bytes.split_first_chunk::<4>().ok_or_else(|| bad("it has no count"))?;
@@ -43,10 +43,10 @@ pub fn read_objects(bytes: &[u8]) -> Result<Vec<Object>, PvsError> {
             std::str::from_utf8(name).map_err(|e| Section::Objects.malformed(e.to_string()))?.to_owned();
         objects.push(Object { name, first: u32_at(entry, 0), count: u32_at(entry, 4) });
     }
-    if names.is_empty() { Ok(objects) } else { Err(bad("something follows its last name")) }
+    if names.is_empty() { Ok(objects) } else { Err(bad("bytes follow its last name")) }
 }
 
-/// The offsets of the nodes' sets must ascend from 0 to the end of the section.
+/// Checks that the offsets of the nodes' sets ascend from 0 to the end of the section.
 pub fn check_offsets(section: Section, bytes: &[u8], nodes: u32) -> Result<(), PvsError> {
     let table = (u64::from(nodes) + 1) * 8;
     let sets =

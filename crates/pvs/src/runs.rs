@@ -1,7 +1,9 @@
-//! Sets of triangle ids as sorted lists of boundaries: start, end, start, end, … of maximal runs, ends exclusive.
+//! Sets of triangle ids as sorted lists of boundaries: start, end, start, end, … of maximal runs, ends
+//! exclusive.
 //!
-//! Ids near each other tend to be seen together (thesis appendix B.2), so a run is the natural unit: set
-//! operations cost what the runs cost, and the exclusive or of sets is the exclusive or of their boundaries.
+//! Triangles with close ids tend to be visible together (Nirenstein 2003, appendix B.2), so sets have few
+//! runs. Set operations take time linear in the runs, and the exclusive or of sets is the exclusive or of
+//! their boundaries.
 
 /// The boundaries of ascending ids.
 pub fn from_ids(ids: &[u32]) -> Vec<u32> {
@@ -15,12 +17,13 @@ pub fn from_ids(ids: &[u32]) -> Vec<u32> {
     bounds
 }
 
-/// Boolean combinations of up to 32 sets in one sweep over their boundaries. Bit i of the argument of `f` says
-/// whether the ids of a stretch are in input i; bit o of what it returns puts them into output o. `f(0)` must be 0.
+/// Boolean combinations of up to 32 sets in one sweep over their boundaries. Between two boundaries all ids
+/// are in the same inputs: bit i of the argument of `f` is set when they are in input i, and bit o of its
+/// result puts them into output o. `f(0)` must be 0.
 pub fn sweep<const I: usize, const O: usize>(inputs: [&[u32]; I], f: impl Fn(u32) -> u32) -> [Vec<u32>; O] {
     let mut outputs = [const { Vec::new() }; O];
     let mut next = [0usize; I];
-    // The next boundary of each input; beyond all boundaries at its end.
+    // The next boundary of each input; at the end of an input, a value above all boundaries.
     let head = |i: usize, next: usize| inputs[i].get(next).map_or(u64::MAX, |at| u64::from(*at));
     let mut heads: [u64; I] = std::array::from_fn(|i| head(i, 0));
     let (mut inside, mut given) = (0u32, 0u32);
@@ -64,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_boundary_there_can_be_is_one() {
+    fn the_largest_boundary_is_kept() {
         let [both] = sweep([&[1, u32::MAX], &[5, 9, 20, u32::MAX]], |m| u32::from(m == 3));
         assert_eq!(both, [5, 9, 20, u32::MAX]);
     }
@@ -76,8 +79,9 @@ mod tests {
             b in proptest::collection::btree_set(0u32..60, 0..40),
         ) {
             let list = |s: &BTreeSet<u32>| from_ids(&s.iter().copied().collect::<Vec<_>>());
-            let [both, either, only_a] =
-                sweep([&list(&a), &list(&b)], |m| u32::from(m == 3) | u32::from(m != 0) << 1 | u32::from(m == 1) << 2);
+            let [both, either, only_a] = sweep([&list(&a), &list(&b)], |m| {
+                u32::from(m == 3) | u32::from(m != 0) << 1 | u32::from(m == 1) << 2
+            });
             prop_assert_eq!(ids(&both), a.intersection(&b).copied().collect::<Vec<_>>());
             prop_assert_eq!(ids(&either), a.union(&b).copied().collect::<Vec<_>>());
             prop_assert_eq!(ids(&only_a), a.difference(&b).copied().collect::<Vec<_>>());

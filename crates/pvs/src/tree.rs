@@ -1,17 +1,17 @@
-//! The kd-tree of view cells as the file holds it: which cell a point lies in, and what box a cell is.
+//! The kd-tree of view cells as the file has it: the cell of a point, and the box of a cell.
 //!
-//! It does not build a good tree; that is decided where cells are subdivided.
+//! This module checks a tree and does not choose its planes.
 
 use crate::error::PvsError;
 
-/// Most planes between the root and a cell: 64 halvings go below an f32's precision on every axis but a lucky few,
-/// so no real tree is refused, and what walks a tree may recurse.
+/// Most planes between the root and a cell. Halving a box 64 times exhausts the precision of `f32` in
+/// practice, so no real tree is refused, and functions that walk a tree can recurse.
 pub const MAX_DEPTH: usize = 64;
 
-/// One node; the children of a split follow it, the lower one (with all of its descendants) first.
+/// A node. The children of a split follow it, the lower child with all of its descendants first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Node {
-    /// The box is cut by the plane where the coordinate `axis` (0, 1, 2 for x, y, z) equals `at`.
+    /// The plane where the coordinate `axis` (0, 1, 2 for x, y, z) equals `at` splits the box.
     Split {
         /// 0, 1 or 2.
         axis: u8,
@@ -22,31 +22,33 @@ pub enum Node {
     Leaf,
 }
 
-/// Kept beside each node so that walks both ways need no search.
+/// Links of a node, so that walks up and down need no search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Links {
-    /// The node above; the root's is itself.
+    /// The parent; the root is its own parent.
     parent: u32,
-    /// Of a split: its upper child. Of a leaf: its cell.
+    /// Of a split, its upper child. Of a leaf, its cell.
     upper_or_cell: u32,
 }
 
-/// A valid kd-tree over a view box. Cells are its leaves, numbered 0…M−1 depth first, lower child first.
+/// A valid kd-tree over a view box. Its leaves are the cells, numbered 0 … M−1 depth first, lower child
+/// first.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CellTree {
     view_box: [[f32; 3]; 2],
     nodes: Vec<Node>,
     links: Vec<Links>,
-    /// Node of each cell.
+    /// The node of each cell.
     leaves: Vec<u32>,
 }
 
 impl CellTree {
-    /// Takes the view box (min, max; world space) and the nodes in depth-first order, and checks them.
+    /// Checks the view box (min, max; world space) and the nodes, which are in depth-first order.
     ///
     /// # Errors
-    /// [`PvsError::Tree`]: a box that is not finite or has min > max, a plane not strictly inside its node's box,
-    /// an axis above 2, nodes missing or left over, a tree deeper than [`MAX_DEPTH`].
+    /// [`PvsError::Tree`] when the box is not finite or has min > max, a plane is not strictly inside its
+    /// node's box, an axis is above 2, nodes are missing or left over, or the tree is deeper than
+    /// [`MAX_DEPTH`]; [`PvsError::TooLarge`] for more than 2³¹ − 1 nodes.
     pub fn new(view_box: [[f32; 3]; 2], nodes: Vec<Node>) -> Result<Self, PvsError> {
         let bad = |node: usize, reason: &str| PvsError::Tree { node, reason: reason.to_owned() };
         let [lo, hi] = view_box;
@@ -62,7 +64,7 @@ impl CellTree {
         }
         let mut links = Vec::with_capacity(nodes.len());
         let mut leaves = Vec::new();
-        // Subtrees still to come, the next one on top: (parent, box, is the upper child, depth).
+        // Subtrees not read yet, the next one on top: (parent, box, is the upper child, depth).
         let mut open = vec![(0u32, view_box, false, 0usize)];
         for (i, node) in nodes.iter().enumerate() {
             let Some((parent, bounds, is_upper, depth)) = open.pop() else {
@@ -113,7 +115,7 @@ impl CellTree {
         &self.nodes
     }
 
-    /// How many cells there are, M ≥ 1.
+    /// The number of cells, M ≥ 1.
     pub fn cells(&self) -> u32 {
         self.leaves.len() as u32
     }
@@ -123,7 +125,7 @@ impl CellTree {
         let mut child = self.leaf(cell)?;
         let mut bounds = self.view_box;
         let mut known = [[false; 3]; 2];
-        // From the leaf upwards the first plane met on a side is the tightest.
+        // On the way up from the leaf, the first plane on each side is the tightest.
         while child != 0 {
             let parent = self.parent(child);
             if let Node::Split { axis, at } = self.nodes[parent as usize] {
@@ -139,8 +141,8 @@ impl CellTree {
         Some(bounds)
     }
 
-    /// The cell of a point in world space. A point on a splitting plane belongs to the upper side; the view box
-    /// is closed. `None` outside it, and for a coordinate that is not a number.
+    /// The cell of a point in world space. A point on a splitting plane belongs to the upper side; the view
+    /// box is closed. `None` outside the view box, and when a coordinate is NaN.
     pub fn find_cell(&self, point: [f32; 3]) -> Option<u32> {
         let [lo, hi] = self.view_box;
         if !(0..3).all(|a| lo[a] <= point[a] && point[a] <= hi[a]) {
@@ -159,7 +161,7 @@ impl CellTree {
         self.leaves.get(cell as usize).copied()
     }
 
-    /// The node above; the root's is itself.
+    /// The parent of a node; the root is its own parent.
     pub(crate) fn parent(&self, node: u32) -> u32 {
         self.links[node as usize].parent
     }
@@ -172,7 +174,7 @@ impl CellTree {
         }
     }
 
-    /// From a node up to the root, both included.
+    /// The nodes from `node` up to the root, both included.
     pub(crate) fn path(&self, node: u32) -> impl Iterator<Item = u32> + '_ {
         std::iter::successors(Some(node), |&n| (n != 0).then(|| self.parent(n)))
     }

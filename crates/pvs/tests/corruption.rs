@@ -1,4 +1,5 @@
-//! A truncated or altered file is refused, never misread; a file made to deceive gives an error, never a panic.
+//! A truncated or altered file is refused, never misread; a file made to deceive gives an error, never a
+//! panic.
 // Helpers of tests may unwrap as tests do; clippy's own exception covers test functions alone.
 #![allow(clippy::unwrap_used)]
 
@@ -9,7 +10,8 @@ fn small_file() -> Vec<u8> {
     file_with(vec![], &[])
 }
 
-/// The same file without columns, with two, with evidence for some cells beside these, and with evidence alone.
+/// The same file without columns, with two, with columns and certificates for some cells, and with
+/// certificates alone.
 fn small_files() -> [Vec<u8>; 4] {
     let column = |name: &str, values: [u64; 3]| Column { name: name.into(), values: values.to_vec() };
     let columns = vec![column("rays_uniform", [90, 70_000, u64::MAX]), column("bound_lines", [0, 0, 7])];
@@ -21,7 +23,7 @@ fn small_files() -> [Vec<u8>; 4] {
     ]
 }
 
-fn file_with(columns: Vec<Column>, evidence: &[&[u8]]) -> Vec<u8> {
+fn file_with(columns: Vec<Column>, certificates: &[&[u8]]) -> Vec<u8> {
     let nodes = vec![
         Node::Split { axis: 1, at: 0.5 },
         Node::Leaf,
@@ -42,20 +44,20 @@ fn file_with(columns: Vec<Column>, evidence: &[&[u8]]) -> Vec<u8> {
     builder.push_cell(&[1, 2, 3, 51, 98], &[], 2).unwrap();
     builder.push_cell(&(0..100).collect::<Vec<_>>(), &[], 1).unwrap();
     builder.set_columns(columns).unwrap();
-    evidence.iter().for_each(|e| builder.push_evidence(e).unwrap());
+    certificates.iter().for_each(|c| builder.push_certificate(c).unwrap());
     let mut file = Vec::new();
     builder.finish(&mut file).unwrap();
     file
 }
 
 #[test]
-fn evidence_comes_back_and_cells_without_have_none() {
+fn certificates_come_back_and_cells_without_one_have_none() {
     let [without, columns, some, all] = small_files();
     for file in [without, columns] {
-        assert_eq!(Pvs::from_bytes(file).unwrap().evidence(0).unwrap(), None);
+        assert_eq!(Pvs::from_bytes(file).unwrap().certificate(0).unwrap(), None);
     }
     let some = Pvs::from_bytes(some).unwrap();
-    let of = |pvs: &Pvs, cell| pvs.evidence(cell).unwrap().unwrap().to_vec();
+    let of = |pvs: &Pvs, cell| pvs.certificate(cell).unwrap().unwrap().to_vec();
     assert_eq!([of(&some, 0), of(&some, 1), of(&some, 2)], [b"seen along this".to_vec(), vec![], vec![]]);
     assert_eq!(some.columns().unwrap().len(), 2);
     let all = Pvs::from_bytes(all).unwrap();
@@ -64,7 +66,7 @@ fn evidence_comes_back_and_cells_without_have_none() {
         [vec![], b"hidden by that".to_vec(), b"both".to_vec()]
     );
     assert!(all.columns().unwrap().is_empty());
-    assert!(matches!(all.evidence(3), Err(PvsError::NoCell { .. })));
+    assert!(matches!(all.certificate(3), Err(PvsError::NoCell { .. })));
 }
 
 #[test]
@@ -172,7 +174,7 @@ fn read_all(file: Vec<u8>) -> bool {
     }
     let mut whole = true;
     for cell in 0..pvs.cells() {
-        pvs.evidence(cell).unwrap();
+        pvs.certificate(cell).unwrap();
         for read in [Pvs::visible, Pvs::undecided] {
             match read(&pvs, cell, &mut ids) {
                 Ok(()) => {

@@ -56,13 +56,14 @@ fn build_with(header: Header, cells: &[Cell], columns: &[Column]) -> Vec<u8> {
     let stats = builder.finish(&mut file).unwrap();
     assert_eq!(stats.file_bytes, file.len() as u64);
     assert_eq!(stats.column_bytes == 0, columns.is_empty());
-    assert_eq!(stats.evidence_bytes, 0);
+    assert_eq!(stats.certificate_bytes, 0);
     assert_eq!(stats.visible_ids, cells.iter().map(|c| c.0.len() as u64).sum::<u64>());
     assert_eq!(stats.undecided_ids, cells.iter().map(|c| c.1.len() as u64).sum::<u64>());
     file
 }
 
-/// Cells that resemble each other: a common base with a few ids flipped, some of them undecided; a few are all.
+/// Cells that resemble each other: a common base with a few ids flipped, some of them undecided; a few are
+/// all.
 fn cells(triangles: u32) -> impl Strategy<Value = Vec<Cell>> {
     let base = proptest::collection::vec(any::<bool>(), triangles as usize);
     let flips = proptest::collection::vec((0..triangles.max(1), any::<bool>()), 0..20);
@@ -133,7 +134,8 @@ proptest! {
             prop_assert!(runs.windows(2).all(|w| w[0].end < w[1].start));
             prop_assert_eq!(&runs.iter().cloned().flatten().collect::<Vec<_>>(), visible);
             pvs.visible_bits(cell, &mut bits).unwrap();
-            let set: Vec<u32> = (0..bits.len() as u32 * 64).filter(|&b| bits[b as usize / 64] >> (b % 64) & 1 == 1).collect();
+            let is_set = |b: &u32| bits[*b as usize / 64] >> (b % 64) & 1 == 1;
+            let set: Vec<u32> = (0..bits.len() as u32 * 64).filter(is_set).collect();
             prop_assert_eq!(&set, visible);
             pvs.undecided(cell, &mut ids).unwrap();
             prop_assert_eq!(&ids, undecided);

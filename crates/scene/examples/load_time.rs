@@ -1,4 +1,5 @@
-//! Prints the triangles, objects and load time of scene files, or of a million triangles of each kind made on the fly.
+//! Prints the triangles, objects and load time of scene files, or of a million triangles of each kind made on
+//! the fly.
 //!
 //! `cargo run --release -p sightline-scene --example load_time [FILE…]`
 #![allow(clippy::print_stdout, clippy::unwrap_used)]
@@ -74,7 +75,13 @@ fn grid_glb(w: u32, h: u32) -> Vec<u8> {
     let vertices = bin.len();
     bin.extend(faces(w, h).flatten().flat_map(u32::to_le_bytes));
     let mut json = format!(
-        r#"{{"asset":{{"version":"2.0"}},"buffers":[{{"byteLength":{}}}],"bufferViews":[{{"buffer":0,"byteLength":{vertices}}},{{"buffer":0,"byteOffset":{vertices},"byteLength":{}}}],"accessors":[{{"bufferView":0,"componentType":5126,"count":{},"type":"VEC3"}},{{"bufferView":1,"componentType":5125,"count":{},"type":"SCALAR"}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"indices":1}}]}}],"nodes":[{{"mesh":0,"scale":[2,2,2]}}]}}"#,
+        r#"{{"asset":{{"version":"2.0"}},
+"buffers":[{{"byteLength":{}}}],
+"bufferViews":[{{"buffer":0,"byteLength":{vertices}}},{{"buffer":0,"byteOffset":{vertices},"byteLength":{}}}],
+"accessors":[{{"bufferView":0,"componentType":5126,"count":{},"type":"VEC3"}},
+{{"bufferView":1,"componentType":5125,"count":{},"type":"SCALAR"}}],
+"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"indices":1}}]}}],
+"nodes":[{{"mesh":0,"scale":[2,2,2]}}]}}"#,
         bin.len(),
         bin.len() - vertices,
         (w + 1) * (h + 1),

@@ -1,28 +1,28 @@
-//! What can be wrong with a scene, said so that the reader can mend it: file, element, reason, remedy.
+//! Errors of scenes. Each names the file, the element at fault, the reason and a remedy.
 
 use std::path::{Path, PathBuf};
 
 /// Why a scene could not be loaded or accepted.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
-    /// The file could not be opened or read at all.
+    /// The file cannot be opened or read.
     #[error("{}: cannot be read: {source}; check the path and its permissions", path.display())]
     Io {
-        /// The file asked for.
+        /// The file.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// The file was read, and what is in it cannot be used.
+    /// The contents of the file cannot be used.
     #[error("{file}: {element}: {reason}; {remedy}")]
     Bad {
-        /// File name as the user gave it, or a description such as "uploaded scene".
+        /// The file name as the user gave it, or a description such as "uploaded scene".
         file: String,
         /// The element at fault, counted from 0, for example `face 17` or `accessor 3`.
         element: String,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
-        /// What the user can do.
+        /// The remedy.
         remedy: String,
     },
 }

@@ -1,10 +1,10 @@
-//! Exact decisions about `f32` points: a filter in `f64` first, exact arithmetic when it cannot tell. What takes `f64` says where it
-//! cannot.
+//! Exact predicates for `f32` points: a filter in `f64` decides most cases, exact arithmetic the others.
+//! Functions that take `f64` return `None` where they cannot decide.
 //!
-//! Nothing here can overflow, underflow or be decided by a tolerance. A finite `f32` is a multiple of 2⁻¹⁴⁹
-//! below 2¹²⁸, so a product of three of them is a multiple of 2⁻⁴⁴⁷ below 2³⁸⁴, well inside what an `f64`
-//! holds. Source of the methods: Shewchuk, "Adaptive Precision Floating-Point Arithmetic and Fast Robust
-//! Geometric Predicates", 1997, §2 (expansions) and §4 (filters).
+//! No tolerance decides anything, and nothing overflows or underflows: a finite `f32` is a multiple of 2⁻¹⁴⁹
+//! below 2¹²⁸, so a product of three of them is a multiple of 2⁻⁴⁴⁷ below 2³⁸⁴, well inside the range of
+//! `f64`. The methods are those of Shewchuk, "Adaptive Precision Floating-Point Arithmetic and Fast Robust
+//! Geometric Predicates", 1997, section 2 (expansions) and section 4 (filters).
 
 use std::cmp::Ordering;
 
@@ -22,7 +22,7 @@ pub fn collinear(a: Vec3, b: Vec3, c: Vec3) -> bool {
 
 /// The sign of (b − a) × (p − a) in the plane: `Greater` when a, b, p turn counter-clockwise.
 ///
-/// Filter: each of the two products is made of two rounded differences and one rounded product, and one
+/// Filter: each of the two products comes from two rounded differences and one rounded product, and one
 /// rounded subtraction follows, so the result differs from the truth by at most ((1+u)⁴−1)(|L|+|R|) with L, R
 /// the true products. The computed |l| is at least (1−u)³|L|, which makes that at most 5u(|l|+|r|); 8u also
 /// covers the roundings made while the bound itself is computed.
@@ -34,17 +34,19 @@ pub fn orient2d_sign(a: [f32; 2], b: [f32; 2], p: [f32; 2]) -> Ordering {
     if det.abs() > 8.0 * U * (l.abs() + r.abs()) {
         return sign(det);
     }
-    // Multiplied out; the ax·ay terms cancel. A product of two f32 has at most 48 bits and is exact.
+    // Expanded; the ax·ay terms cancel. A product of two f32 has at most 48 bits and is exact.
     let m = |x: f32, y: f32| f64::from(x) * f64::from(y);
     sum_sign([m(b[0], p[1]), -m(b[0], a[1]), -m(a[0], p[1]), -m(b[1], p[0]), m(b[1], a[0]), m(a[1], p[0])])
 }
 
-/// On which side of the plane through `a`, `b`, `c` the point `p` lies: the sign of (b − a) × (c − a) · (p − a),
-/// so `Greater` on the side the triangle's normal points to, `Equal` on the plane (or when there is no plane).
+/// On which side of the plane through `a`, `b`, `c` the point `p` lies: the sign of (b − a) × (c − a) · (p −
+/// a), so `Greater` on the side the triangle's normal points to, `Equal` on the plane (or when there is no
+/// plane).
 ///
 /// Filter: every one of the six triple products passes through three rounded differences, two rounded
 /// products and at most three rounded additions, so the error is at most ((1+u)⁸−1) times the sum of the true
-/// products' magnitudes, hence at most 10u times the sum of the computed ones; 16u covers computing the bound.
+/// products' magnitudes, hence at most 10u times the sum of the computed ones; 16u covers computing the
+/// bound.
 pub fn orient3d_sign(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Ordering {
     let d = |x: Vec3| (x.as_dvec3() - a.as_dvec3()).to_array();
     let (det, magnitude) = det3(d(b), d(c), d(p));
@@ -55,7 +57,7 @@ pub fn orient3d_sign(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Ordering {
     rows.and_then(det3_small).unwrap_or_else(|| orient3d_expanded(a, b, c, p))
 }
 
-/// As [`orient3d_sign`], for coordinates of any size.
+/// [`orient3d_sign`] for coordinates in `f64`.
 fn orient3d_expanded(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Ordering {
     // The determinant of differences is linear in each row, and rows with a twice vanish.
     let mut terms = [0.0; 48];
@@ -70,7 +72,7 @@ fn orient3d_expanded(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Ordering {
     sum_sign(terms)
 }
 
-/// The differences of some points from one, where doubles hold them exactly.
+/// The differences of some points from one point; `None` where `f64` does not hold them exactly.
 pub fn differences<const N: usize>(a: DVec3, p: [DVec3; N]) -> Option<[[f64; 3]; N]> {
     let mut exact = true;
     let mut rows = [[0.0; 3]; N];
@@ -85,7 +87,7 @@ pub fn differences<const N: usize>(a: DVec3, p: [DVec3; N]) -> Option<[[f64; 3];
     exact.then_some(rows)
 }
 
-/// The sign of the determinant with the given rows, where [`small_integers`] holds them.
+/// The sign of the determinant with the given rows; `None` where [`small_integers`] does not hold them.
 pub fn det3_small(rows: [[f64; 3]; 3]) -> Option<Ordering> {
     let [x, y, z] = small_integers(rows)?.map(|row| row.map(i128::from));
     // Below 2⁸³, times 2⁴¹, three of them: below 2¹²⁶.
@@ -93,8 +95,9 @@ pub fn det3_small(rows: [[f64; 3]; 3]) -> Option<Ordering> {
     Some((minor(1, 2) * z[0] + minor(2, 0) * z[1] + minor(0, 1) * z[2]).cmp(&0))
 }
 
-/// Integers below 2 to the [`MOST_BITS`], such that the given numbers are these times one power of two. None where they do not fit: where one
-/// number is far smaller than another, or needs bits far below those of another.
+/// Integers below 2 to the power of [`MOST_BITS`] such that the given numbers are these integers times one
+/// power of two. `None` where they do not fit: where one number is far smaller than another, or has bits far
+/// below another's.
 pub fn small_integers<const N: usize>(rows: [[f64; 3]; N]) -> Option<[[i64; 3]; N]> {
     let mut parts = [[(0i64, 0i32); 3]; N];
     let mut least = i32::MAX;
@@ -110,7 +113,7 @@ pub fn small_integers<const N: usize>(rows: [[f64; 3]; N]) -> Option<[[i64; 3]; 
         if *m != 0 {
             let up = e - least;
             fits &= up < MOST_BITS && m.unsigned_abs() >> (MOST_BITS - up) == 0;
-            // Wraps where it does not fit, and then is not used.
+            // The shift wraps where the number does not fit, and then the result is not used.
             *integer = m.wrapping_shl(up as u32);
         }
     }
@@ -119,7 +122,7 @@ pub fn small_integers<const N: usize>(rows: [[f64; 3]; N]) -> Option<[[i64; 3]; 
 
 /// Bits of the integers of [`small_integers`].
 pub const MOST_BITS: i32 = 41;
-// Three products of three of them have a sum.
+// The sum of three products of three of them fits.
 const _: () = assert!(3 * MOST_BITS + 3 <= 126);
 
 /// A finite double as `mantissa · 2^exponent`, the mantissa odd (or both 0).
@@ -148,8 +151,8 @@ pub(crate) fn det3(x: [f64; 3], y: [f64; 3], z: [f64; 3]) -> (f64, f64) {
     (det, mx.1 * z[0].abs() + my.1 * z[1].abs() + mz.1 * z[2].abs())
 }
 
-/// Twelve doubles whose exact sum is the determinant with rows `x`, `y`, `z`: each of the six products of three
-/// `f32` (72 bits) as its rounded value and the exact error of that.
+/// Twelve doubles whose exact sum is the determinant with rows `x`, `y`, `z`: each of the six products of
+/// three `f32` (72 bits) as its rounded value and the exact error of that.
 pub(crate) fn det3_terms(x: Vec3, y: Vec3, z: Vec3) -> [f64; 12] {
     let mut out = [0.0; 12];
     for (pair, (i, j, k, minus)) in out.chunks_exact_mut(2).zip([
@@ -175,8 +178,8 @@ pub(crate) fn det3_terms(x: Vec3, y: Vec3, z: Vec3) -> [f64; 12] {
 
 /// The sign of the exact sum of doubles, by growing a non-overlapping expansion.
 ///
-/// The components end up in order of growing magnitude, zeros between them, and do not overlap (Shewchuk 1997,
-/// theorem 10), so the last that is not zero outweighs all others together.
+/// The components end up in order of growing magnitude, zeros between them, and do not overlap (Shewchuk
+/// 1997, theorem 10), so the last that is not zero outweighs all others together.
 fn sum_sign<const N: usize>(terms: [f64; N]) -> Ordering {
     let mut expansion = [0.0f64; N];
     for (len, term) in terms.into_iter().enumerate() {
@@ -189,7 +192,7 @@ fn sum_sign<const N: usize>(terms: [f64; N]) -> Ordering {
     sign(expansion.iter().rev().copied().find(|e| *e != 0.0).unwrap_or(0.0))
 }
 
-/// An exact sum of any number of doubles, for totals over whole meshes.
+/// The exact sum of any number of doubles, for totals over whole meshes.
 #[derive(Default)]
 pub(crate) struct Sum {
     /// Non-overlapping, growing in magnitude, no zeros.
@@ -222,7 +225,7 @@ fn two_sum(a: f64, b: f64) -> (f64, f64) {
     (sum, (a - (sum - bb)) + (b - bb))
 }
 
-/// The sign of a double that is not NaN; no value here can be.
+/// The sign of a double that is not NaN; no value in this module is.
 fn sign(x: f64) -> Ordering {
     x.partial_cmp(&0.0).unwrap_or(Ordering::Equal)
 }
@@ -296,10 +299,10 @@ mod tests {
         ) {
             let rows = |m: [i64; 9]| [0, 3, 6].map(|k| [0, 1, 2].map(|i| m[k + i] as f64 * 2f64.powi(e)));
             let at = |m: [i64; 9], i: usize, j: usize| i128::from(m[3 * i + j]);
-            let minor = |m: [i64; 9], i: usize, j: usize| at(m, 0, i) * at(m, 1, j) - at(m, 0, j) * at(m, 1, i);
-            let det = minor(m, 1, 2) * at(m, 2, 0) + minor(m, 2, 0) * at(m, 2, 1) + minor(m, 0, 1) * at(m, 2, 2);
+            let minor = |i: usize, j: usize| at(m, 0, i) * at(m, 1, j) - at(m, 0, j) * at(m, 1, i);
+            let det = minor(1, 2) * at(m, 2, 0) + minor(2, 0) * at(m, 2, 1) + minor(0, 1) * at(m, 2, 2);
             prop_assert_eq!(det3_small(rows(m)), Some(det.cmp(&0)));
-            // An odd number, so that the least bit is used, beside one of a bit too many.
+            // An odd number, which uses the least bit, beside a number with a bit too many.
             let mut wide = m;
             (wide[0], wide[4]) = (1 << 41, m[4] | 1);
             prop_assert_eq!(det3_small(rows(wide)), None);

@@ -1,7 +1,8 @@
-//! What the fuzz targets call: one function a format, for any bytes at all.
+//! The functions of the fuzz targets: one for each format, for any bytes.
 //!
-//! Each must return, whatever the bytes, and says whether they were accepted; an accepted scene is checked further. Small limits keep
-//! the memory of one run in proportion to its input, so that a tool's memory limit means something.
+//! Each returns whether the bytes were accepted, and must return for all bytes; an accepted scene is checked
+//! further. Small limits keep the memory of a run in proportion to its input, so that a memory limit of the
+//! fuzzer is useful.
 
 use crate::load::{Limits, load_bytes_limited};
 use crate::{Scene, write_mesh_ply};
@@ -19,7 +20,7 @@ pub fn ply(bytes: &[u8]) -> bool {
     file("fuzz.ply", bytes)
 }
 
-/// Bytes as a glTF or GLB file, as their beginning says.
+/// Bytes as a glTF or GLB file, depending on the first bytes.
 pub fn gltf(bytes: &[u8]) -> bool {
     file("fuzz", bytes)
 }
@@ -27,12 +28,12 @@ pub fn gltf(bytes: &[u8]) -> bool {
 /// Bytes as a canonical scene.
 pub fn scene_blob(bytes: &[u8]) -> bool {
     let Ok(scene) = Scene::from_blob("fuzz", bytes) else { return false };
-    // The encoding is canonical: one scene, one string of bytes.
+    // The encoding is canonical: a scene has one encoding.
     assert!(scene.to_blob() == bytes, "a canonical scene must be written as it was read");
     true
 }
 
-/// Loads `bytes`, and sends an accepted scene once around both encodings.
+/// Loads `bytes`; encodes and decodes an accepted scene in both encodings.
 fn file(name: &str, bytes: &[u8]) -> bool {
     let Ok(scene) = load_bytes_limited(name, bytes, None, &LIMITS) else { return false };
     let blob = scene.to_blob();

@@ -1,8 +1,8 @@
 //! Writes a scene as binary glTF 2.0 (GLB): one node and one mesh for each object, indexed triangles.
 //!
-//! Reading the file gives the same triangles in the same order and the same objects. Only geometry and names are
-//! written; vertices are shared within an object where they are equal bit for bit. Layout: Khronos, "glTF 2.0
-//! Specification", §4 (GLB) and §3.6–3.7 (accessors, meshes).
+//! Reading the file gives the same triangles in the same order and the same objects. Only geometry and names
+//! are written; vertices are shared within an object where they are equal bit for bit. Layout: Khronos, "glTF
+//! 2.0 Specification", section 4 (GLB), sections 3.6 and 3.7 (accessors, meshes).
 
 use std::io::Write;
 
@@ -14,15 +14,13 @@ use crate::{Aabb, Scene, Triangle};
 /// Why a scene could not be written.
 #[derive(Debug, thiserror::Error)]
 pub enum GlbError {
-    /// The destination refused bytes.
+    /// The destination cannot be written.
     #[error("the GLB cannot be written: {0}; check the destination and the space left on it")]
     Io(#[from] std::io::Error),
     /// GLB counts its bytes in 32 bits.
-    #[error(
-        "the scene takes {bytes} bytes as GLB and the format ends at 4 294 967 295; write it in parts or as PLY"
-    )]
+    #[error("the scene takes {bytes} bytes as GLB; the limit is 4 294 967 295: write it in parts or as PLY")]
     TooLarge {
-        /// What the file would have had at least.
+        /// Least number of bytes of the file.
         bytes: u64,
     },
     /// The glTF structure could not be put into JSON.
@@ -33,7 +31,7 @@ pub enum GlbError {
         "object {index} ({name:?}) has no triangles, which glTF cannot express; leave it out of the scene"
     )]
     EmptyObject {
-        /// Its place in the scene's list.
+        /// Its index in the scene.
         index: usize,
         /// Its name.
         name: String,
@@ -43,7 +41,7 @@ pub enum GlbError {
 /// Writes `scene` to `out`. The bytes depend on the scene alone.
 ///
 /// # Errors
-/// [`GlbError`]: see its cases. Nothing is written before the size is known to fit.
+/// [`GlbError`]. Nothing is written unless the size fits.
 pub fn write_glb(scene: &Scene, out: &mut dyn Write) -> Result<(), GlbError> {
     let mut positions: Vec<u8> = Vec::new();
     let mut indices: Vec<u8> = Vec::with_capacity(scene.triangles().len() * 12);
@@ -61,8 +59,8 @@ pub fn write_glb(scene: &Scene, out: &mut dyn Write) -> Result<(), GlbError> {
             "type": "VEC3", "min": exact(bounds.min), "max": exact(bounds.max),
         }));
         accessors.push(json!({
-            "bufferView": 1, "byteOffset": indices.len(), "componentType": UNSIGNED_INT, "count": numbers.len(),
-            "type": "SCALAR",
+            "bufferView": 1, "byteOffset": indices.len(), "componentType": UNSIGNED_INT,
+            "count": numbers.len(), "type": "SCALAR",
         }));
         meshes.push(json!({
             "name": o.name,
@@ -83,13 +81,20 @@ pub fn write_glb(scene: &Scene, out: &mut dyn Write) -> Result<(), GlbError> {
         "meshes": meshes,
         "accessors": accessors,
         "bufferViews": [
-            { "buffer": 0, "byteOffset": 0, "byteLength": vertex_bytes, "byteStride": 12, "target": ARRAY_BUFFER },
-            { "buffer": 0, "byteOffset": vertex_bytes, "byteLength": index_bytes, "target": ELEMENT_ARRAY_BUFFER },
+            {
+                "buffer": 0, "byteOffset": 0, "byteLength": vertex_bytes, "byteStride": 12,
+                "target": ARRAY_BUFFER,
+            },
+            {
+                "buffer": 0, "byteOffset": vertex_bytes, "byteLength": index_bytes,
+                "target": ELEMENT_ARRAY_BUFFER,
+            },
         ],
         "buffers": [{ "byteLength": binary }],
     });
     let mut text = serde_json::to_vec(&document)?;
-    // Chunks are multiples of four bytes; JSON is filled up with spaces. The binary one already is a multiple.
+    // Chunks have a multiple of four bytes. JSON is padded with spaces; the binary chunk is a multiple
+    // already.
     text.resize(text.len().next_multiple_of(4), b' ');
     let total = fits(12 + 8 + text.len() as u64 + 8 + binary as u64)?;
     out.write_all(b"glTF")?;
@@ -123,7 +128,7 @@ fn exact(v: Vec3) -> Value {
     json!(v.to_array().map(f64::from))
 }
 
-/// The distinct vertices in order of first use, and three numbers into them for each triangle.
+/// The distinct vertices in order of first use, and three indices for each triangle.
 fn share(triangles: &[Triangle]) -> (Vec<Vec3>, Vec<u32>) {
     let corners: Vec<Vec3> = triangles.iter().flat_map(|t| t.v).collect();
     let bits = |v: Vec3| v.to_array().map(f32::to_bits);
@@ -140,8 +145,8 @@ fn share(triangles: &[Triangle]) -> (Vec<Vec3>, Vec<u32>) {
     let mut numbers: Vec<u32> = Vec::with_capacity(corners.len());
     for (i, v) in corners.iter().enumerate() {
         if leader[i] == i {
-            // Vertices number less than 2³²: a GLB with as many would be too large by far, and is refused
-            // before these numbers are used for anything.
+            // There are fewer than 2³² vertices: a GLB with more would be too large, and is refused before these
+            // indices are used.
             numbers.push(vertices.len() as u32);
             vertices.push(*v);
         } else {
@@ -172,7 +177,7 @@ mod tests {
         v.as_u64().unwrap() as usize
     }
 
-    /// Reads a GLB of ours by the specification alone, checking lengths, alignment and bounds on the way.
+    /// Reads a written GLB by the specification alone, and checks lengths, alignment and bounds.
     fn read(glb: &[u8]) -> (Vec<Triangle>, Vec<Object>) {
         assert_eq!((&glb[..4], u32_at(glb, 4), u32_at(glb, 8)), (&b"glTF"[..], 2, glb.len()));
         let json_len = u32_at(glb, 12);

@@ -1,7 +1,19 @@
 //! Triangle scenes: loading, checking, numbering, digesting and generating them.
 //!
-//! A [`Scene`] is a list of triangles in world space whose position in the list is their id, and the objects
-//! they belong to. This crate knows nothing of view cells, sampling or the network.
+//! A [`Scene`] is a list of triangles in world space and the objects they belong to. The index of a triangle
+//! in the list is its id. This crate knows nothing of view cells, sampling or the network.
+//!
+//! ```
+//! use sightline_scene::{load_bytes, topology::Solids};
+//!
+//! // Two triangles that share an edge, as the text of an OBJ file.
+//! let text = "o roof\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 3 2 4\n";
+//! let scene = load_bytes("roof.obj", text.as_bytes(), None)?;
+//! assert_eq!((scene.triangles().len(), scene.objects()[0].name.as_str()), (2, "roof"));
+//! // They enclose no volume.
+//! assert_eq!(Solids::of(&scene)?.outward(0), None);
+//! # Ok::<(), sightline_scene::SceneError>(())
+//! ```
 
 pub mod error;
 pub mod exact;

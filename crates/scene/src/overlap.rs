@@ -1,9 +1,9 @@
-//! Which triangles meet a box, exactly: closed triangle against closed box, touching counts.
+//! Exact overlap of triangles and boxes. Both are closed, so touching counts.
 //!
-//! Separating axes (Akenine-Möller, "Fast 3D Triangle–Box Overlap Testing", 2001): the box's three normals, the
-//! triangle's normal, and the nine cross products of their edges. Every comparison along an axis is written as
-//! an orientation of `f32` points, so [`crate::exact`] decides it: the bounds of its filters are proved there,
-//! and no epsilon enters.
+//! Separating axes (Akenine-Möller, "Fast 3D Triangle–Box Overlap Testing", 2001): the box's three normals,
+//! the triangle's normal, and the nine cross products of their edges. Every comparison along an axis is
+//! written as an orientation of `f32` points, so [`crate::exact`] decides it: the bounds of its filters are
+//! proved there, and there is no epsilon.
 
 use std::cmp::Ordering;
 
@@ -24,8 +24,8 @@ pub fn triangle_touches_box(t: &Triangle, b: &Aabb) -> bool {
                 && plane_meets(t, b))
 }
 
-/// The ids of the triangles that meet `bounds`, ascending, those without area left out; of `ids` (any order,
-/// each below the scene's length; others are ignored) or of the whole scene.
+/// The ids of the triangles with area that meet `bounds`, ascending, among `ids` (in any order; ids that are
+/// not in the scene are ignored) or in the whole scene.
 pub fn triangles_in_box(scene: &Scene, ids: Option<&[u32]>, bounds: &Aabb) -> Vec<u32> {
     let meets = |id: &u32| {
         scene.triangles().get(*id as usize).is_some_and(|t| {
@@ -43,18 +43,19 @@ pub fn triangles_in_box(scene: &Scene, ids: Option<&[u32]>, bounds: &Aabb) -> Ve
     }
 }
 
-/// Whether some line parallel to the third axis and to a triangle edge separates the two, seen along that axis:
-/// the triangle on or behind the edge, the whole rectangle strictly in front of it.
+/// Whether some line parallel to the third axis and to a triangle edge separates the two, seen along that
+/// axis: the triangle on or behind the edge, the whole rectangle strictly in front of it.
 ///
-/// Only the side the triangle does not lie on needs a look. A face of the Minkowski difference made by an edge
-/// of each has the triangle's edge as its support, that is, nothing of the triangle in front of it.
+/// Only the side that the triangle does not lie on has to be tested. A face of the Minkowski difference made
+/// by an edge of each has the triangle's edge as its support, that is, no part of the triangle is in front of
+/// it.
 fn edge_separates(t: &Triangle, b: &Aabb, i: usize, j: usize) -> bool {
     let flat = |v: Vec3| [v[i], v[j]];
     (0..3).any(|k| {
         let (p, q, r) = (flat(t.v[k]), flat(t.v[(k + 1) % 3]), flat(t.v[(k + 2) % 3]));
         let rest = orient2d_sign(p, q, r);
-        // The corner with the greatest (q−p)×(x−p) has the greater y where q−p points right, the lesser x where
-        // it points up; the corner with the least is opposite.
+        // The corner with the greatest (q−p)×(x−p) has the greater y where q−p points right, the lesser x
+        // where it points up; the corner with the least is opposite.
         let pick = |up: bool, a: usize| if up { b.max[a] } else { b.min[a] };
         let (right, up) = (q[0] > p[0], q[1] > p[1]);
         let greatest = [pick(!up, i), pick(right, j)];
@@ -152,7 +153,7 @@ mod tests {
         assert!(triangle_touches_box(&off, &unit()), "x + y = 2 passes through the corner");
         let past = tri([[far, -far + 3., 0.25], [-far + 2., far, 0.25], [far, far, 0.25]]);
         assert!(!triangle_touches_box(&past, &unit()));
-        // Nearly no area, still decided: a needle along the diagonal.
+        // A needle along the diagonal, with hardly any area.
         let needle = tri([[-1e30, -1e30, -1e30], [1e30, 1e30, 1e30], [1e30, 1e30, 1.000_000_1e30]]);
         assert!(triangle_touches_box(&needle, &unit()));
     }

@@ -1,19 +1,20 @@
-//! Writing a scene as binary little-endian PLY: the triangles exactly as the program sees them, in id order.
+//! Writes a scene as binary little-endian PLY, with the triangles in id order.
 //!
-//! Three own vertices a triangle, so that vertex 3·id + corner is that corner. Objects are not written: PLY has no
-//! word for them.
+//! Each triangle has three vertices of its own, so that vertex 3·id + corner is that corner. Objects are not
+//! written, since PLY has no element for them.
 
 use std::io::{self, Write};
 
 use crate::Scene;
 
-/// Vertices are gathered into writes of about this many bytes.
+/// Approximate number of bytes of one write.
 const CHUNK: usize = 1 << 16;
 
 /// Writes `scene` in world space as binary little-endian PLY. Read back, it has the same vertices to the bit.
 ///
 /// # Errors
-/// What `out` says, or [`io::ErrorKind::InvalidInput`] when three vertices a triangle are more than 32-bit indices name.
+/// The errors of `out`, and [`io::ErrorKind::InvalidInput`] when the vertices are too many for 32-bit
+/// indices.
 pub fn write_mesh_ply(scene: &Scene, out: &mut dyn Write) -> io::Result<()> {
     let faces = scene.len();
     let Some(vertices) = faces.checked_mul(3) else {
@@ -48,7 +49,7 @@ pub fn write_mesh_ply(scene: &Scene, out: &mut dyn Write) -> io::Result<()> {
     out.write_all(&chunk)
 }
 
-/// Hands the chunk on once it is full.
+/// Writes the chunk when it is full.
 fn flush_full(chunk: &mut Vec<u8>, out: &mut dyn Write) -> io::Result<()> {
     if chunk.len() >= CHUNK {
         out.write_all(chunk)?;

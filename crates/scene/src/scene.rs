@@ -1,14 +1,15 @@
 //! The scene itself: triangles in id order, the objects they form, their bounds, and their canonical bytes.
 //!
-//! Deliberately a soup: three own vertices a triangle, no index buffer. Ids, digests and samples then do not
-//! depend on how a file shares its vertices, and every consumer can walk the triangles without indirection.
+//! A scene is a triangle soup: each triangle has three vertices of its own, and there is no index buffer. So
+//! ids, digests and samples do not depend on how a file shares its vertices, and no indirection is needed to
+//! read triangles.
 
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
 use crate::SceneError;
 
-/// Three vertices in world space, in the file's winding. 36 bytes, no padding.
+/// A triangle: three vertices in world space, in the winding of the file. 36 bytes without padding.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Triangle {
@@ -19,8 +20,8 @@ pub struct Triangle {
 impl Triangle {
     /// Whether the triangle has no area: two vertices equal, or all three on one line, decided exactly.
     ///
-    /// Coordinates are `f32`; the differences are exact in `f64` only when exponents are near, so the cross
-    /// product is judged by expansion arithmetic in [`crate::exact`] when the filter cannot decide.
+    /// Differences of `f32` coordinates are exact in `f64` only when their exponents are close, so
+    /// [`crate::exact`] decides with expansion arithmetic when its filter cannot.
     pub fn is_degenerate(&self) -> bool {
         crate::exact::collinear(self.v[0], self.v[1], self.v[2])
     }
@@ -61,10 +62,11 @@ impl Aabb {
     }
 }
 
-/// A run of triangles an engine draws together: a glTF node's primitive, an OBJ group, a whole PLY.
+/// A run of triangles that an engine draws together: a primitive of a glTF node, an OBJ group, or a whole PLY
+/// file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Object {
-    /// The file's name for it, made unique by the loader where the file gives none.
+    /// Its name in the file, made unique by the loader; invented where the file gives none.
     pub name: String,
     /// Id of its first triangle.
     pub first: u32,
@@ -97,7 +99,7 @@ const BLOB_MAGIC: &[u8; 8] = b"SLSCENE1";
 pub const MAX_NAME_BYTES: usize = 4096;
 
 impl Scene {
-    /// Checks and takes `triangles` (in id order) and `objects` (in order, tiling the ids).
+    /// A scene of `triangles` (in id order) and `objects` (in order, tiling the ids).
     ///
     /// `file` names the source in errors.
     ///
@@ -182,7 +184,7 @@ impl Scene {
         self.triangles.len() as u32
     }
 
-    /// Never: a scene has at least one triangle.
+    /// Always false: a scene has at least one triangle.
     pub fn is_empty(&self) -> bool {
         self.triangles.is_empty()
     }
@@ -192,7 +194,7 @@ impl Scene {
         self.bounds
     }
 
-    /// The canonical bytes: what is uploaded, and what the digest is of. Little endian:
+    /// The canonical bytes, which are uploaded and digested. Little-endian:
     /// `SLSCENE1`, u32 N, u32 M, N × 9 f32, then M × (u32 count, u32 name length, name UTF-8).
     pub fn to_blob(&self) -> Vec<u8> {
         let names: usize = self.objects.iter().map(|o| o.name.len() + 8).sum();
@@ -220,7 +222,7 @@ impl Scene {
         }
     }
 
-    /// Reads canonical bytes back, checking everything before allocating for it.
+    /// Reads canonical bytes. Counts are checked before memory is allocated for them.
     ///
     /// # Errors
     /// [`SceneError::Bad`] naming `source` when the bytes are not a canonical scene.

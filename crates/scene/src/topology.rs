@@ -1,6 +1,6 @@
-//! What a triangle soup says about surfaces: which parts are closed solids, which way they face, and which
-//! triangles are the same. Vertices are the same when their coordinates are equal bit for bit (−0 = 0); nothing
-//! is welded within a distance, and intersections of solids are not looked for.
+//! Topology of a triangle soup: its closed solids, the directions they face, and duplicate triangles.
+//! Vertices are equal when their coordinates are equal bit for bit (−0 = 0); vertices within a distance are
+//! not welded, and intersections of solids are not detected.
 
 use std::cmp::Ordering;
 
@@ -14,9 +14,9 @@ use crate::{Scene, SceneError, Triangle};
 
 /// For every triangle whether it belongs to a closed, consistently oriented surface, and which way it faces.
 ///
-/// A surface is what hangs together over shared edges. It is closed when each of its edges is used by exactly
-/// two of its triangles, in opposite directions; triangles without area are ignored throughout. The inner shell
-/// of a hollow body is a surface of its own: what it encloses, the cavity, counts as its inside.
+/// A surface is a set of triangles connected by shared edges. It is closed when each of its edges is used by
+/// exactly two of its triangles, in opposite directions; triangles without area are ignored. The inner shell
+/// of a hollow body is a separate surface, and the cavity counts as its inside.
 pub struct Solids {
     /// +1: the normal points out of the solid, −1: into it, 0: no closed solid.
     facing: Vec<i8>,
@@ -30,7 +30,8 @@ impl Solids {
     pub fn of(scene: &Scene) -> Result<Self, SceneError> {
         let corners = corner_vertices(scene)?;
         let n = scene.triangles().len();
-        // One key for each directed edge: lesser vertex, greater vertex, triangle, and whether it runs upwards.
+        // One key for each directed edge: lesser vertex, greater vertex, triangle, and whether it runs
+        // upwards.
         let mut edges: Vec<u128> = Vec::with_capacity(3 * n);
         let solid: Vec<bool> = scene.triangles().iter().map(|t| !t.is_degenerate()).collect();
         for (id, c) in corners.chunks_exact(3).enumerate().filter(|(id, _)| solid[*id]) {
@@ -76,9 +77,10 @@ impl Solids {
         self.facing.get(id as usize).filter(|f| **f != 0).map(|f| f32::from(*f))
     }
 
-    /// Whether `p` lies on the outer side of triangle `id`'s plane, which decides whether a sample is an exterior
-    /// one when that triangle covers most of its pixels (Nirenstein & Blake 2004, §3.6). `None` when the
-    /// triangle bounds no closed solid, or `p` lies on its plane. `scene` is the scene `self` was made of.
+    /// Whether `p` lies on the outer side of triangle `id`'s plane. A sample whose pixels are mostly of that
+    /// triangle is then an exterior sample (Nirenstein and Blake 2004, section 3.6). `None` when the triangle
+    /// bounds no closed solid, or `p` lies on its plane. `scene` must be the scene that `self` was computed
+    /// from.
     pub fn exterior(&self, scene: &Scene, id: u32, p: Vec3) -> Option<bool> {
         let facing = *self.facing.get(id as usize)?;
         let [a, b, c] = scene.triangles().get(id as usize)?.v;
@@ -89,8 +91,8 @@ impl Solids {
     }
 }
 
-/// Classes of two or more triangles with the same three vertices in any order, each ascending, in the order of
-/// their first ids. Triangles without area are left out.
+/// Classes of two or more triangles with the same three vertices in any order, each ascending, in the order
+/// of their first ids. Triangles without area are left out.
 ///
 /// # Errors
 /// As [`Solids::of`].
@@ -101,7 +103,8 @@ pub fn duplicates(scene: &Scene) -> Result<Vec<Vec<u32>>, SceneError> {
 
 /// [`duplicates`] with a hash of positions.
 fn classes(all: &[Triangle], hash: impl Fn(u128) -> u64 + Sync) -> Vec<Vec<u32>> {
-    // Sorting by a hash that does not depend on the order of the vertices brings the same triangles together, and few others.
+    // Equal triangles become neighbours by sorting with a hash that does not depend on the order of the
+    // vertices.
     let mut keys: Vec<(u64, u32)> = all
         .par_iter()
         .enumerate()
@@ -139,7 +142,7 @@ pub fn hash(position: u128) -> u64 {
     mix((position >> 32) as u64).wrapping_add(mix(u64::from(position as u32)))
 }
 
-/// Whether a scene's corners can be numbered.
+/// Checks that the corners of a scene can be numbered with 32 bits.
 ///
 /// # Errors
 /// As [`Solids::of`].
@@ -156,7 +159,8 @@ pub fn check_size(scene: &Scene) -> Result<(), SceneError> {
     ))
 }
 
-/// A number for each corner (three a triangle), equal exactly for corners at the same position.
+/// A number for each corner (three for each triangle); corners have equal numbers exactly when their
+/// positions are equal.
 ///
 /// # Errors
 /// As [`Solids::of`].
@@ -180,10 +184,10 @@ pub fn corner_vertices(scene: &Scene) -> Result<Vec<u32>, SceneError> {
 
 /// The sign of the volume of each closed surface, at its root's index.
 ///
-/// Rounded first: with o a vertex of the surface and n triangles, each term's error is at most 10u times its
-/// products' magnitudes (see [`orient3d_sign`]) and adding n terms loses at most about nu times their sum, so
-/// (n + 16)·2u times the sum of magnitudes is a bound with room to spare for n < 2³². Where that leaves the sign
-/// open, the terms are added exactly; the reference point is then not needed.
+/// The sum is rounded at first: with o a vertex of the surface and n triangles, each term's error is at most
+/// 10u times its products' magnitudes (see [`orient3d_sign`]) and adding n terms loses at most about nu times
+/// their sum, so (n + 16)·2u times the sum of magnitudes is a safe bound for n < 2³². Where it leaves the
+/// sign open, the terms are added exactly, which needs no reference point.
 fn volume_signs(scene: &Scene, roots: &[u32], counts: impl Fn(usize) -> bool) -> Vec<Ordering> {
     let n = roots.len();
     let mut total = vec![(0.0f64, 0.0f64, 0u32); n];
@@ -197,7 +201,7 @@ fn volume_signs(scene: &Scene, roots: &[u32], counts: impl Fn(usize) -> bool) ->
     let open = |s: &(f64, f64, u32)| s.2 > 0 && s.0.abs() <= (f64::from(s.2) + 16.0) * f64::EPSILON * s.1;
     let mut signs: Vec<Ordering> =
         total.iter().map(|s| s.0.partial_cmp(&0.0).unwrap_or(Ordering::Equal)).collect();
-    // The open ones, grouped by surface.
+    // The triangles of surfaces whose sign is open, grouped by surface.
     let mut again: Vec<(u32, u32)> = (0..n)
         .filter(|id| counts(*id) && open(&total[roots[*id] as usize]))
         .map(|id| (roots[id], id as u32))

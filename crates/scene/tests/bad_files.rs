@@ -1,4 +1,5 @@
-//! What the loaders refuse, one test a kind of fault: the message must name the file, the element and the reason.
+//! Faults that the loaders refuse, one test for each kind: the message must name the file, the element and
+//! the reason.
 #![allow(clippy::unwrap_used)]
 
 mod support;
@@ -231,8 +232,8 @@ fn gltf_vertices_that_are_no_numbers() {
     refused("a.glb", &g.glb(), &["mesh 0, primitive 0", "accessor 0, vertex 1", "not finite"]);
 }
 
-/// Several threads read a scene; what is told does not depend on who is first. One thread comes to the first fault last, another to the
-/// second fault at once.
+/// Several threads read a scene; the reported fault does not depend on which thread is first. One thread
+/// comes to the first fault last, another comes to the second fault at once.
 #[test]
 fn of_several_faults_the_first_is_told() {
     const VERTICES: usize = 3 * 200_000;

@@ -1,4 +1,5 @@
-//! What the loaders accept: every feature of the formats that decides a triangle, in files made by hand.
+//! Files that the loaders accept: all features of the formats that determine triangles, in files written by
+//! hand.
 #![allow(clippy::unwrap_used)]
 
 mod support;
@@ -226,7 +227,10 @@ fn buffers_from_data_uris_and_files() {
     let (first, second) = g.bin.split_at(48);
     g.json["buffers"] = json!([
         {"byteLength": 48, "uri": "my%20points.bin"},
-        {"byteLength": second.len(), "uri": format!("data:application/octet-stream;base64,{}", encode(second))}
+        {
+            "byteLength": second.len(),
+            "uri": format!("data:application/octet-stream;base64,{}", encode(second)),
+        }
     ]);
     assert_eq!(views, 2);
     g.json["bufferViews"][1]["buffer"] = json!(1);
@@ -274,14 +278,17 @@ fn shared_scenes_have_the_triangles_their_list_says() {
 }
 
 proptest! {
-    /// Any finite coordinates come back to the bit, ids and corners in place.
+    /// All finite coordinates, ids and corners come back bit for bit.
     #[test]
     fn written_meshes_come_back_to_the_bit(
         raw in proptest::collection::vec(proptest::array::uniform9(any::<f32>()), 1..50)
     ) {
         let finite = |c: f32| if c.is_finite() { c } else { -0.0 };
         let triangles: Vec<Triangle> = raw.iter()
-            .map(|r| Triangle { v: [0, 3, 6].map(|i| glam::Vec3::new(finite(r[i]), finite(r[i + 1]), finite(r[i + 2]))) })
+            .map(|r| {
+                let at = |i: usize| glam::Vec3::new(finite(r[i]), finite(r[i + 1]), finite(r[i + 2]));
+                Triangle { v: [0, 3, 6].map(at) }
+            })
             .collect();
         let all = object("all", 0, triangles.len() as u32);
         let scene = Scene::new("test", triangles, vec![all]).unwrap();

@@ -1,8 +1,9 @@
-//! A short fuzz run with fixed seeds: small valid files, changed in a few thousand ways, must load or be refused without a
-//! panic and without memory out of proportion. Files that once crashed a parser are kept in `crashes/` and run first.
+//! A short fuzz run with fixed seeds: small valid files with a few thousand mutations must load or be refused
+//! without a panic and without excessive memory. Files that once crashed a parser are kept in `crashes/` and
+//! run first.
 //!
-//! The long runs are in `fuzz/`, with coverage; this one only guards against regressions. One test, because it
-//! watches the memory of the whole process.
+//! The long runs are in `fuzz/`, with coverage; this one only guards against regressions. One test, because
+//! it watches the memory of the whole process.
 #![allow(clippy::unwrap_used, unsafe_code)]
 
 mod support;
@@ -22,7 +23,8 @@ static PEAK: AtomicUsize = AtomicUsize::new(0);
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-// SAFETY: every call is handed to the system's allocator unchanged; counting touches no memory of the caller's.
+// SAFETY: every call is handed to the system's allocator unchanged; counting touches no memory of the
+// caller's.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         let held = HELD.fetch_add(layout.size(), Relaxed) + layout.size();
@@ -38,8 +40,8 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-/// Most memory one run may hold beyond its input: the limits of `fuzzing` allow 16384 triangles (0.6 MB), which are
-/// copied into a canonical blob and a PLY file and back.
+/// Most memory one run may hold beyond its input: the limits of `fuzzing` allow 16384 triangles (0.6 MB),
+/// which are copied into a canonical blob and a PLY file and back.
 const MOST: usize = 12 << 20;
 
 /// xorshift64*: a small generator with a fixed sequence for each seed.

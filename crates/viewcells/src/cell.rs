@@ -1,4 +1,4 @@
-//! View cells as boxes on the lattice, and where one is split.
+//! View cells as boxes on the lattice, and the planes that split them.
 
 use glam::Vec3;
 
@@ -36,7 +36,7 @@ impl CellBox {
         [below, above]
     }
 
-    /// The rectangle a plane cuts out of the box.
+    /// The rectangle that a plane cuts out of the box.
     pub fn cut(&self, split: Split) -> Rect {
         let (u, v) = Rect::in_plane_axes(split.axis);
         Rect { axis: split.axis, at: split.at, lo: [self.lo[u], self.lo[v]], hi: [self.hi[u], self.hi[v]] }
@@ -54,8 +54,8 @@ impl CellBox {
         (0..3).all(|a| self.lo[a] <= p[a] && p[a] <= self.hi[a])
     }
 
-    /// How many of the eight octants around `p` the box fills: 0 when `p` is outside, 8 inside, 4 in a face,
-    /// 2 on an edge, 1 at a corner (thesis §4.2.2, "Removing redundant samples").
+    /// The number of the eight octants around `p` that the box fills: 0 when `p` is outside, 8 inside, 4 in a
+    /// face, 2 on an edge, 1 at a corner (Nirenstein 2003, section 4.2.2, "Removing redundant samples").
     pub fn octants(&self, p: LatticePoint) -> u8 {
         if !self.contains(p) {
             return 0;

@@ -1,23 +1,25 @@
-//! How the view box is divided: a regular grid, or adaptively by triangle budget. Both are kd-trees.
+//! Divisions of the view box into cells: a regular grid, or adaptive halving by a triangle budget. Both are
+//! kd-trees.
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 use crate::{CellBox, Lattice, Split, UNITS_PER_CELL};
 
-/// Most grid cells along one axis: with 2^16 units a cell the lattice still fits `u32`.
+/// Most grid cells along an axis: with 2¹⁶ units a cell, lattice coordinates fit `u32`.
 pub const MAX_CELLS_PER_AXIS: u32 = 1 << 15;
 /// Most leaf cells of one job.
 pub const MAX_CELLS: u64 = 1 << 22;
-/// Deepest adaptive tree: 2^22 leaves.
+/// Depth of the deepest adaptive tree, which has 2²² leaves.
 pub const MAX_DEPTH: u32 = 22;
-/// Levels of an adaptive tree that are split whatever is seen, so that the work can be shared (2^3 tiles).
+/// Levels of an adaptive tree that are always split, so that workers can share the job (2³ tiles).
 pub const FORCED_DEPTH: u32 = 3;
 
-/// Units in the last place of the greatest coordinate by which rounding may move the end of a sight line, with room to spare.
+/// An upper bound on how far rounding moves the end of a sight line, in units in the last place of the
+/// greatest coordinate.
 pub const ROUNDING: f32 = 8.0;
 
-/// The name of an axis, for people: 0 = x, 1 = y, 2 = z.
+/// The name of an axis in messages: 0 = x, 1 = y, 2 = z.
 pub fn axis_name(axis: usize) -> &'static str {
     ["x", "y", "z"].get(axis).copied().unwrap_or("no axis")
 }
@@ -27,7 +29,8 @@ pub fn axis_name(axis: usize) -> &'static str {
 pub enum DivisionError {
     /// The view box is empty, inverted or not finite.
     #[error(
-        "view box from {min:?} to {max:?} along {} is empty or not finite; give x0,y0,z0,x1,y1,z1 with each first below its second",
+        "the view box from {min:?} to {max:?} along {} is empty or not finite; \
+         give x0,y0,z0,x1,y1,z1 with x0 < x1, y0 < y1 and z0 < z1",
         axis_name(*axis)
     )]
     Box {
@@ -38,9 +41,10 @@ pub enum DivisionError {
         /// Greatest coordinate.
         max: f32,
     },
-    /// No cells, or too many.
+    /// There are no cells, or too many.
     #[error(
-        "{x}x{y}x{z} view cells cannot be made; use 1 to {MAX_CELLS_PER_AXIS} along each axis and at most {MAX_CELLS} in all"
+        "{x}x{y}x{z} view cells are not possible; use 1 to {MAX_CELLS_PER_AXIS} along each axis and at most \
+         {MAX_CELLS} in all"
     )]
     Cells {
         /// Cells along x.
@@ -50,34 +54,37 @@ pub enum DivisionError {
         /// Cells along z.
         z: u32,
     },
-    /// Cells so thin that their planes coincide in `f32`.
+    /// Cells are so thin that their planes coincide in `f32`.
     #[error(
-        "{cells} cells along {} are thinner than 32-bit coordinates can tell apart there; use fewer, or move the scene nearer to the origin",
+        "{cells} cells along {} are thinner than the resolution of 32-bit coordinates there; \
+         use fewer, or move the scene nearer to the origin",
         axis_name(*axis)
     )]
     TooFine {
         /// 0 = x, 1 = y, 2 = z.
         axis: usize,
-        /// Cells asked for.
+        /// The number of cells.
         cells: u32,
     },
-    /// Cells so thin that rounding moves a sight line through all of one.
+    /// Cells are so thin that rounding can move a sight line across one.
     #[error(
-        "view cells {width:.2e} wide along {} are too thin for sight lines where coordinates are as large as {largest}: rounding alone moves a \
-         line that far; make them wider (a larger view box, or fewer of them), bring the coordinates nearer to 0, or use an exact method",
+        "view cells {width:.2e} wide along {} are too thin for sight lines where coordinates are as large as \
+         {largest}: rounding alone moves a line that far; make the cells wider (a larger view box, or \
+         fewer cells), bring the coordinates nearer to 0, or use an exact method",
         axis_name(*axis)
     )]
     TooThin {
         /// 0 = x, 1 = y, 2 = z.
         axis: usize,
-        /// Of a cell.
+        /// Width of a cell.
         width: f64,
         /// Greatest absolute coordinate of the view box.
         largest: f32,
     },
-    /// The adaptive limits make no tree.
+    /// The limits of an adaptive division are out of range.
     #[error(
-        "a triangle budget of {budget} with a depth of at most {depth} cannot be used; give a budget of at least 1 and a depth of 1 to {MAX_DEPTH}"
+        "a triangle budget of {budget} with a depth of at most {depth} is not possible; \
+         use a budget of at least 1 and a depth of 1 to {MAX_DEPTH}"
     )]
     Adaptive {
         /// Triangle budget.
@@ -87,27 +94,27 @@ pub enum DivisionError {
     },
 }
 
-/// How cells are cut.
+/// How the view box is divided into cells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Division {
     /// A regular grid with this many cells along x, y and z.
     Grid([u32; 3]),
-    /// Cells are halved until at most `budget` triangles are seen from one or the tree is `max_depth` deep
-    /// (thesis §4.2.2).
+    /// Cells are halved until at most `budget` triangles are visible from a cell or the tree is `max_depth`
+    /// deep (Nirenstein 2003, section 4.2.2).
     Adaptive {
-        /// Most triangles a cell should see.
+        /// Cells with more visible triangles are split.
         budget: u32,
-        /// Deepest level, the root being 0.
+        /// The deepest level; the root has level 0.
         max_depth: u32,
     },
 }
 
 impl Division {
-    /// Checks the division of a view box and gives its lattice.
+    /// Checks the division of a view box (`min`, `max`; world space) and returns its lattice.
     ///
     /// # Errors
-    /// [`DivisionError`] naming the value at fault.
+    /// [`DivisionError`] with the value at fault.
     pub fn lattice(&self, min: Vec3, max: Vec3) -> Result<Lattice, DivisionError> {
         for axis in 0..3 {
             let (lo, hi) = (min[axis], max[axis]);
@@ -123,7 +130,7 @@ impl Division {
                     return Err(DivisionError::Cells { x, y, z });
                 }
                 let lattice = Lattice::new(min, max, [x, y, z]);
-                // Far from the origin `f32` may not tell neighbouring planes apart.
+                // Far from the origin, neighbouring planes may round to the same `f32`.
                 let told_apart = |a: usize, cells: u32| {
                     let plane = |c: u32| lattice.coordinate(a, c * UNITS_PER_CELL);
                     (0..cells).all(|c| plane(c) < plane(c + 1))
@@ -142,17 +149,18 @@ impl Division {
         }
     }
 
-    /// The part of a cell that rounding may move the end of a sight line by, where cells are thinnest; of an adaptive tree, the cells that
-    /// are there in any case. What crosses less of a cell than that is not seen from it.
+    /// How far rounding may move the end of a sight line, as a fraction of the width of the thinnest cell; of
+    /// an adaptive tree, of the thinnest cell that always exists. A sight line that crosses less of a cell
+    /// does not count for the cell.
     ///
     /// # Errors
-    /// [`DivisionError::TooThin`] where that is the width of a cell or more.
+    /// [`DivisionError::TooThin`] when rounding may move a line by the width of a cell or more.
     pub fn moved_by_rounding(&self, lattice: &Lattice) -> Result<f64, DivisionError> {
         let root = self.root(lattice);
         let mut thinnest = root;
         match self {
             Self::Grid(_) => thinnest.hi = [UNITS_PER_CELL; 3],
-            // The first half of each split, which is as wide as the other or thinner by a unit.
+            // The lower half of each split has the width of the upper half, or a unit less.
             Self::Adaptive { .. } => {
                 for depth in 0..FORCED_DEPTH {
                     let Some(split) = self.split(lattice, &thinnest, depth) else { break };
@@ -177,8 +185,8 @@ impl Division {
         CellBox { lo: [0; 3], hi: lattice.units() }
     }
 
-    /// Where `cell` at `depth` is split, if it may be: a grid along the axis with most cells, an adaptive tree
-    /// along the longest side; the first axis among equals.
+    /// The plane that splits `cell` at `depth`, if it can be split: in a grid along the axis with most cells,
+    /// in an adaptive tree along the longest side; the first axis among equals.
     pub fn split(&self, lattice: &Lattice, cell: &CellBox, depth: u32) -> Option<Split> {
         let span = |a: usize| cell.hi[a] - cell.lo[a];
         // `max_by` keeps the last of equals; going backwards makes that the first axis.
@@ -199,7 +207,7 @@ impl Division {
         }
     }
 
-    /// Whether a cell that may be split should be, when `seen` triangles are visible from it.
+    /// Whether to split a cell that can be split, when `seen` triangles are visible from it.
     pub fn wants_split(&self, seen: usize, depth: u32) -> bool {
         match *self {
             Self::Grid(_) => true,

@@ -1,7 +1,7 @@
 //! The dyadic lattice of sample positions.
 //!
-//! Sample positions are integers; the world position is computed from them in one way only, so two cells, tiles
-//! or machines that name the same lattice point mean the same `f32` position to the bit.
+//! Sample positions are integers, and there is one way of computing world positions from them. So a lattice
+//! point has the same `f32` position, bit for bit, in all cells and tiles and on all machines.
 
 use glam::Vec3;
 
@@ -20,7 +20,8 @@ pub struct Lattice {
 }
 
 impl Lattice {
-    /// The lattice of `cells` grid cells a side over the closed box `min`…`max`. [`crate::Division`] checks both.
+    /// The lattice of `cells` grid cells along each axis over the closed box `min` … `max`.
+    /// [`crate::Division`] checks the arguments.
     pub(crate) fn new(min: Vec3, max: Vec3, cells: [u32; 3]) -> Self {
         Self { min, max, units: cells.map(|c| c * UNITS_PER_CELL) }
     }
@@ -30,7 +31,8 @@ impl Lattice {
         self.units
     }
 
-    /// The world coordinate of unit `k` along `axis`; the ends are the box's own coordinates exactly.
+    /// The world coordinate of unit `k` along `axis`; the first and the last are exactly the coordinates of
+    /// the box.
     pub fn coordinate(&self, axis: usize, k: u32) -> f32 {
         let (lo, hi) = (self.min[axis], self.max[axis]);
         if k == 0 {

@@ -1,8 +1,20 @@
-//! View cells: the integer lattice of sample positions, the boxes and rectangles on it, the kd-tree's splitting
-//! rule, and the plan that cuts a bake into tiles.
+//! View cells: the integer lattice of sample positions, the boxes and rectangles on it, the kd-tree's
+//! splitting rule, and the plan that cuts a bake into tiles.
 //!
-//! Everything here is a pure function of the view box and the division asked for. It knows nothing of
-//! triangles, samples or the network.
+//! Everything here is a pure function of the view box and its division. The crate knows nothing of triangles,
+//! samples or the network.
+//!
+//! ```
+//! use glam::Vec3;
+//! use sightline_viewcells::{Division, Layout, Plan};
+//!
+//! // A grid of 4 × 1 × 2 cells over a box of 8 × 3 × 4 metres, in blocks of at most four cells.
+//! let division = Division::Grid([4, 1, 2]);
+//! let lattice = division.lattice(Vec3::ZERO, Vec3::new(8.0, 3.0, 4.0))?;
+//! let plan = Plan::new(&division, &lattice, Layout::Blocks(4));
+//! assert_eq!(plan.tiles.iter().map(|tile| tile.cells).collect::<Vec<_>>(), [4, 4]);
+//! # Ok::<(), sightline_viewcells::DivisionError>(())
+//! ```
 
 pub mod cell;
 pub mod division;

@@ -1,73 +1,76 @@
-//! The plan of a bake: which tiles there are, and which need which.
+//! The plan of a bake: its tiles, and the tiles whose samples each tile needs.
 //!
 //! - A **face tile** samples one face of the view box.
-//! - A **separator tile** samples the rectangle that splits one of the top cells of the kd-tree; everything below
-//!   shares those samples.
-//! - A **leaf tile** works through the subtree below, and gives the sets of its cells.
+//! - A **separator tile** samples the rectangle that splits one of the top cells of the kd-tree; all cells
+//!   below share these samples.
+//! - A **leaf tile** processes the subtree below and yields the sets of its cells.
 //!
-//! Samplers that share nothing between tiles have **blocks** instead: leaf tiles alone, each as large as one worker should
-//! hold at a time; of an adaptive tree, all below the levels that are always split.
+//! For samplers that share nothing between tiles, the plan has **blocks** instead: leaf tiles only, each of a
+//! size that a worker holds at a time. In an adaptive tree a block is a subtree below the levels that are
+//! always split.
 //!
-//! The plan depends on the division and the size of blocks, never on how many workers there are, and its order is the order of the
-//! leaf tiles' cells in the result.
+//! The plan depends on the division and the size of blocks and not on the number of workers. Its order is the
+//! order of the leaf tiles' cells in the result.
 
 use crate::division::FORCED_DEPTH;
 use crate::{CellBox, Division, Lattice, Split};
 
-/// Leaf tiles a grid is cut into, at least, when it has that many cells: enough for tens of workers.
+/// Least number of leaf tiles of a grid with at least as many cells: enough for tens of workers.
 const LEAF_TILES: u64 = 64;
 /// Most grid cells of a leaf tile, so that large jobs have tiles of minutes, not hours.
 const MAX_CELLS_PER_TILE: u64 = 64;
 
-/// Most grid cells a block may have: its memory is a bit a cell and triangle, twice.
+/// Most grid cells of a block, which takes two bits of memory for each pair of a cell and a triangle.
 pub const MOST_BLOCK_CELLS: u32 = 512;
 
-/// How a job is cut.
+/// How a job is divided into tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
     /// Faces, separators and leaves that share samples on their borders.
     Samples,
-    /// Blocks of at most so many cells that share nothing. Lines are shared by all cells they cross in a block, so larger
-    /// ones cost less in all, but fewer workers find one (docs/decisions/0005-sight-lines.md).
+    /// Blocks of at most this number of cells that share nothing. All cells of a block share the lines that
+    /// cross them, so larger blocks cost less work in total but occupy fewer workers
+    /// (docs/decisions/0005-sight-lines.md).
     Blocks(u32),
 }
 
 /// A node of the kd-tree above the leaf tiles, in preorder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outline {
-    /// Its two children follow, the one below the plane first.
+    /// A split node; its two children follow, the lower one first.
     Split(Split),
-    /// The subtree of a leaf tile.
+    /// The subtree of the leaf tile with this number.
     Leaf(u32),
 }
 
-/// What a tile does.
+/// The work of a tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TileKind {
     /// Samples face `0..6` of the view box.
     Face(usize),
     /// Samples the rectangle that splits its cell.
     Separator(Split),
-    /// Gives the sets of all leaf cells in its cell.
+    /// Yields the sets of all leaf cells in its cell.
     Leaf,
 }
 
 /// One unit of work.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tile {
-    /// What it does.
+    /// The work.
     pub kind: TileKind,
     /// The cell it belongs to (the view box for a face tile).
     pub cell: CellBox,
     /// The cell's depth in the kd-tree.
     pub depth: u32,
-    /// Tiles whose packs it reads, ascending; all are before it in the plan.
+    /// Numbers of the tiles whose packs it reads, ascending; all come before it in the plan.
     pub needs: Vec<u32>,
-    /// Leaf cells below it when the division is a grid, 1 when that is not known yet, 0 for other kinds.
+    /// The number of its leaf cells in a grid, 1 in an adaptive tree, where it is not known yet; 0 for other
+    /// kinds.
     pub cells: u64,
 }
 
-/// All tiles, in an order in which every tile comes after those it needs.
+/// All tiles, each after the tiles that it needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Plan {
     /// The tiles; index = tile number.
@@ -114,7 +117,7 @@ impl Plan {
             Division::Grid(_) => cells > most,
             Division::Adaptive { .. } => depth < FORCED_DEPTH,
         };
-        // Only what touches the cell's surface can hold samples on it.
+        // Only rectangles that touch the cell's surface can have samples on it.
         let root_face = |f: usize| self.tiles[f].cell.face(f);
         let mut needs: Vec<u32> = (0..6)
             .filter(|&f| cell.face(f).at == root_face(f).at)
@@ -169,7 +172,7 @@ impl Plan {
     }
 }
 
-/// Grid cells in a box; 1 for an adaptive division, whose number is not known before it is baked.
+/// The number of grid cells in a box; 1 for an adaptive division, whose number is not known before the bake.
 fn grid_cells(division: &Division, cell: &CellBox) -> u64 {
     match division {
         Division::Grid(_) => {

@@ -1,17 +1,18 @@
-//! Axis-aligned rectangles on the lattice: the faces of cells, and what is sampled as a quadtree (thesis §4.1.3).
+//! Axis-aligned rectangles on the lattice: the faces of cells, which are sampled as quadtrees (Nirenstein
+//! 2003, section 4.1.3).
 
 use crate::{Lattice, LatticePoint, UNITS_PER_CELL};
 
 /// A closed rectangle perpendicular to `axis`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Rect {
-    /// The axis it is perpendicular to.
+    /// The axis that the rectangle is perpendicular to.
     pub axis: usize,
     /// Lattice coordinate along that axis.
     pub at: u32,
     /// Least corner along the two in-plane axes, [`Rect::in_plane_axes`].
     pub lo: [u32; 2],
-    /// Greatest corner along them.
+    /// Greatest corner along the same axes.
     pub hi: [u32; 2],
 }
 
@@ -52,9 +53,9 @@ impl Rect {
         (0..2).any(|i| self.hi[i] - self.lo[i] > UNITS_PER_CELL)
     }
 
-    /// The parts a quadtree node splits into: four, or two when one side is less than half the other, so that
-    /// the parts of a long rectangle become square. Sides of several grid cells are cut at a cell border.
-    /// Empty when neither side can be halved any more.
+    /// The parts that a quadtree node splits into: four, or two when one side is less than half the other, so
+    /// that the parts of a long rectangle become square. Sides that span several grid cells are cut at a cell
+    /// border. Empty when neither side can be halved.
     pub fn split(&self, lattice: &Lattice) -> Vec<Self> {
         let sides = self.sides(lattice);
         let longest = sides[0].max(sides[1]);

@@ -96,7 +96,8 @@ proptest! {
             hi: [(u * UNITS_PER_CELL) >> du, UNITS_PER_CELL + ((v * UNITS_PER_CELL) >> dv)],
         };
         prop_assume!(r.hi[0] > r.lo[0] && r.hi[1] > r.lo[1]);
-        let area = |r: &sightline_viewcells::Rect| u64::from(r.hi[0] - r.lo[0]) * u64::from(r.hi[1] - r.lo[1]);
+        let side = |r: &sightline_viewcells::Rect, i: usize| u64::from(r.hi[i] - r.lo[i]);
+        let area = |r: &sightline_viewcells::Rect| side(r, 0) * side(r, 1);
         let parts = r.split(&l);
         if !parts.is_empty() {
             prop_assert_eq!(parts.iter().map(area).sum::<u64>(), area(&r));

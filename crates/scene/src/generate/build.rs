@@ -1,12 +1,12 @@
-//! The solids everything is made of: slabs with openings, boxes, tubes. All are closed and face outwards, their
-//! vertices shared bit for bit.
+//! The solids of generated scenes: slabs with openings, boxes and tubes. All are closed and face outwards;
+//! vertices at the same place have the same bits.
 
 use glam::Vec3;
 
 use super::random::turn;
 use crate::{Object, Scene, SceneError, Triangle};
 
-/// Triangles and objects in the making.
+/// The triangles and objects of a scene that is being generated.
 #[derive(Default)]
 pub(super) struct Builder {
     triangles: Vec<Triangle>,
@@ -14,16 +14,16 @@ pub(super) struct Builder {
 }
 
 impl Builder {
-    /// Triangles so far.
+    /// The number of triangles so far.
     pub(super) fn len(&self) -> u64 {
         self.triangles.len() as u64
     }
 
-    /// Makes what `parts` adds one object called `name`.
+    /// Makes the triangles that `parts` adds an object called `name`.
     pub(super) fn object(&mut self, name: String, parts: impl FnOnce(&mut Self)) {
         let first = self.triangles.len();
         parts(self);
-        // Counts are below MAX_TRIANGLES and a little, which every kind checks before it builds.
+        // Counts are little above MAX_TRIANGLES at most, which every kind checks before it builds.
         let count = (self.triangles.len() - first) as u32;
         self.objects.push(Object { name, first: first as u32, count });
     }
@@ -38,7 +38,7 @@ impl Builder {
         self.triangles.push(Triangle { v: [a, b, c] });
     }
 
-    /// Two triangles; `flip` turns them round.
+    /// Two triangles; `flip` reverses their winding.
     pub(super) fn quad(&mut self, p: [Vec3; 4], flip: bool) {
         let p = if flip { [p[0], p[3], p[2], p[1]] } else { p };
         self.triangle(p[0], p[1], p[2]);
@@ -51,8 +51,8 @@ impl Builder {
     }
 
     /// A flat slab cut into cells by the ascending coordinates `us` and `vs`, from `ns[0]` to `ns[1]` thick,
-    /// without the cells that are a `hole`. `axes` says which coordinate u, v and n are. Holes must not touch
-    /// one another at a corner only, or the edge there is shared by four faces.
+    /// without the cells for which `hole` holds. `axes` says which coordinate u, v and n are. Holes must not
+    /// touch one another at a corner only, or the edge there is shared by four faces.
     pub(super) fn slab(
         &mut self,
         axes: [usize; 3],

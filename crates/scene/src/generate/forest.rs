@@ -1,7 +1,7 @@
 //! A forest: trees of an exact number of triangles each, on a jittered grid over uneven ground.
 //!
-//! A tree is a trunk, branches with twigs (closed tubes, a quarter of its triangles at most), and leaves of two
-//! triangles; the very fine, scattered geometry that from-region methods find hardest.
+//! A tree is a trunk, branches with twigs (closed tubes, a quarter of its triangles at most), and leaves of
+//! two triangles. Such fine, scattered geometry is the hardest case for from-region methods.
 
 use glam::Vec3;
 
@@ -9,11 +9,11 @@ use super::build::{Builder, tube_size};
 use super::random::{Random, turn};
 use super::{GenerateError, Kind, MAX_TRIANGLES, Params, contradiction, isqrt, within};
 
-/// Distance between trees on the average.
+/// Average distance between trees.
 const SPACING: f32 = 6.0;
-/// Cells of ground to a tree's side of its plot.
+/// Ground cells along a side of a tree's plot.
 const GROUND: u64 = 4;
-/// The least tree: a trunk of eight triangles and two leaves.
+/// Triangles of the smallest tree: eight of the trunk and two leaves.
 const LEAST_TREE: u64 = 12;
 
 pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateError> {
@@ -53,7 +53,7 @@ pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateErro
     Ok(())
 }
 
-/// Ground cells on a side.
+/// Ground cells along a side.
 fn ground_side(trees: u64) -> u64 {
     GROUND * (isqrt(trees - 1) + 1)
 }

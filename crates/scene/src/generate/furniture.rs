@@ -1,11 +1,11 @@
-//! Things to put into rooms: tables, and turned pieces (vases, lamps, columns) of any fineness.
+//! Furniture: tables, and turned pieces (vases, lamps, columns) of any number of triangles.
 
 use glam::Vec3;
 
 use super::build::{Builder, tube_size};
 use super::random::Random;
 
-/// The least piece: a turned piece of three sides and one segment.
+/// Triangles of the smallest piece: a turned piece of three sides and one segment.
 pub(super) const LEAST: u64 = 8;
 /// Triangles of a table: a top and four legs.
 const TABLE: u64 = 60;
@@ -16,8 +16,8 @@ pub(super) fn strip([min, max]: [Vec3; 2], k: u64, n: u64) -> [Vec3; 2] {
     [min.with_x(x(k)), max.with_x(x(k + 1))]
 }
 
-/// Stands a piece of about `budget` triangles (at least [`LEAST`]) somewhere on the floor between `min` and `max`,
-/// not nearer to the walls than its own size.
+/// Places a piece of about `budget` triangles (at least [`LEAST`]) at a random position on the floor between
+/// `min` and `max`, at least its own size away from the walls.
 pub(super) fn piece(b: &mut Builder, r: &mut Random, [min, max]: [Vec3; 2], budget: u64) {
     let room = (max - min).with_y(0.0);
     let size = room.x.min(room.z) * r.range(0.12, 0.2);
@@ -32,7 +32,7 @@ pub(super) fn piece(b: &mut Builder, r: &mut Random, [min, max]: [Vec3; 2], budg
     }
 }
 
-/// A free-standing piece's height for its radius.
+/// The height of a free-standing piece as a multiple of its radius.
 fn r_height(size: f32) -> f32 {
     (size * 5.0).min(1.8)
 }
@@ -52,7 +52,7 @@ fn table(b: &mut Builder, at: Vec3, half: f32, height: f32) {
 
 /// A solid of revolution about a vertical axis with a random, smooth outline.
 fn turned(b: &mut Builder, r: &mut Random, at: Vec3, radius: f32, height: f32, budget: u64) {
-    // As many sides as segments, near enough, so that triangles are not needles.
+    // About as many sides as segments, so that triangles are not needles.
     let sides = (((budget / 2).isqrt()).clamp(3, 4_000)) as u32;
     let segments =
         ((budget.saturating_sub(2 * u64::from(sides - 2)) / (2 * u64::from(sides))).clamp(1, 1 << 20)) as u32;
@@ -64,7 +64,7 @@ fn turned(b: &mut Builder, r: &mut Random, at: Vec3, radius: f32, height: f32, b
             let x = f * 6.0;
             let knot = (x as usize).min(5);
             let t = x - knot as f32;
-            // Smooth between knots: 3t² − 2t³.
+            // Interpolates smoothly between knots: 3t² − 2t³.
             let blend = t * t * (3.0 - 2.0 * t);
             let outline = knots[knot] + (knots[knot + 1] - knots[knot]) * blend;
             (at + Vec3::Y * (height * f), radius * outline)

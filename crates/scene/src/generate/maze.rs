@@ -1,5 +1,5 @@
-//! A perfect maze by depth-first search: every cell is reached by exactly one way. Walls to the full height of
-//! the scene and a floor, no ceiling: the scene's bounds end where the walls do.
+//! A perfect maze by depth-first search: exactly one path joins any two cells. It has a floor and walls but
+//! no ceiling, so the scene's bounds end at the top of the walls.
 
 use glam::Vec3;
 
@@ -8,7 +8,7 @@ use super::plan::{Place, Plan, Wall};
 use super::random::Random;
 use super::{GenerateError, Kind, MAX_TRIANGLES, Params, contradiction, isqrt, within};
 
-/// Triangles a cell costs in the limit: one wall and one pillar.
+/// Triangles of a cell in a large maze: one wall and one pillar.
 const PER_CELL: u64 = 24;
 /// Longest side in cells; beyond it, coordinates grow too large for the walls' thickness.
 const MAX_SIDE: u64 = 20_000;
@@ -35,7 +35,7 @@ pub(super) fn wall_name(p: Place) -> String {
     format!("wall {} {} {}", if p.along_z { 'z' } else { 'x' }, p.i, p.j)
 }
 
-/// Columns and rows from `params.grid`, or from its triangles at `per_cell` each.
+/// Columns and rows from `params.grid`, or from `params.triangles` with `per_cell` triangles for each cell.
 pub(super) fn grid(
     kind: Kind,
     params: &Params,
@@ -50,7 +50,7 @@ pub(super) fn grid(
         (Some(grid), _) => grid.map(u64::from),
         (None, Some(total)) => {
             within(kind, "--triangles", total, least, MAX_TRIANGLES)?;
-            // The border's pillars and walls cost a strip of cells more.
+            // The pillars and walls of the border take the triangles of another strip of cells.
             let side = isqrt(total / per_cell).saturating_sub(1).max(1);
             [side, ((total / per_cell).saturating_sub(side) / (side + 1)).max(1)]
         }
@@ -66,7 +66,7 @@ pub(super) fn grid(
 /// Which neighbouring cells are joined.
 pub(super) struct Open {
     cols: u32,
-    /// Per cell, row by row: joined to the next column, joined to the next row.
+    /// For each cell, row by row: whether it is joined to the next column, and to the next row.
     joined: Vec<[bool; 2]>,
 }
 

@@ -1,8 +1,8 @@
 //! Test scenes of any size, byte-identical for the same arguments on every machine.
 //!
-//! Lengths are metres, y is up. Only `+ − × ÷ √` of IEEE arithmetic and an integer generator of our own are
-//! used, so nothing depends on a platform's mathematics library. Deliberately no materials, no texture
-//! coordinates and no randomness besides the seed.
+//! Lengths are in metres, and y is up. The generators use only the operations + − × ÷ √ of IEEE arithmetic
+//! and integer random numbers, so nothing depends on the platform's mathematics library. Scenes have no
+//! materials and no texture coordinates, and all randomness comes from the seed.
 
 mod build;
 mod forest;
@@ -18,29 +18,30 @@ use build::Builder;
 
 use crate::{Scene, SceneError};
 
-/// Most triangles a generated scene may be asked to have.
+/// Most triangles of a generated scene.
 pub const MAX_TRIANGLES: u64 = 500_000_000;
 
-/// What to generate.
+/// The kinds of generated scenes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kind {
-    /// Trees on uneven ground, each of the same number of triangles (Nirenstein & Blake 2004, §7).
+    /// Trees on uneven ground, each of the same number of triangles (Nirenstein and Blake 2004, section 7).
     Forest,
-    /// Streets of houses honeycombed with rooms; detailed things show through doors and windows (§7 there).
+    /// Streets of houses full of rooms; detailed objects are visible through doors and windows (the same
+    /// paper, section 7).
     Town,
     /// One storey of furnished rooms joined by doors, under a ceiling.
     Rooms,
-    /// The walls of a perfect maze: exactly one way between any two places.
+    /// The walls of a perfect maze: exactly one path joins any two places.
     Maze,
     /// Parallel walls with narrow slits at known places.
     Slits,
 }
 
 impl Kind {
-    /// Every kind, in the order of their names' declaration.
+    /// All kinds, in the order of declaration.
     pub const ALL: [Self; 5] = [Self::Forest, Self::Town, Self::Rooms, Self::Maze, Self::Slits];
 
-    /// The kind's name as the command line gives it.
+    /// The kind's name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Forest => "forest",
@@ -63,17 +64,18 @@ impl std::str::FromStr for Kind {
     }
 }
 
-/// What the scene should be like. `None` leaves the choice to the kind; what does not apply to it is refused.
+/// Parameters of a scene. With `None` the kind chooses the value; a parameter that does not apply to the kind
+/// is an error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Params {
-    /// The seed; every seed gives another scene of the same kind.
+    /// The seed; each seed gives another scene of the kind.
     pub seed: u64,
-    /// About how many triangles in all, every kind. What `trees`, `triangles_per_tree` and `grid` fix together
-    /// goes before it: giving all of them and this is refused.
+    /// All kinds: the approximate number of triangles. It is an error where `trees`, `triangles_per_tree` and
+    /// `grid` determine the number already.
     pub triangles: Option<u64>,
-    /// Forest: how many trees (200).
+    /// Forest: the number of trees (default 200).
     pub trees: Option<u32>,
-    /// Forest: triangles of each tree, exactly (25 000).
+    /// Forest: the exact number of triangles of each tree (default 25 000).
     pub triangles_per_tree: Option<u32>,
     /// Rooms and maze: columns and rows of rooms or maze cells; slits: walls and slits in each.
     pub grid: Option<[u32; 2]>,
@@ -84,37 +86,37 @@ pub struct Params {
 /// Why a scene could not be generated.
 #[derive(Debug, thiserror::Error)]
 pub enum GenerateError {
-    /// No kind has that name.
+    /// There is no kind of this name.
     #[error("there is no kind of scene called {name:?}; choose forest, town, rooms, maze or slits")]
     UnknownKind {
-        /// What was asked for.
+        /// The name that was given.
         name: String,
     },
-    /// A number is outside what makes sense.
+    /// A number is out of range.
     #[error("{kind}: {option} is {value}; it must be from {least} to {most}")]
     OutOfRange {
         /// Name of the kind.
         kind: &'static str,
         /// The option at fault, as `sightline generate` calls it.
         option: &'static str,
-        /// What was given, or what the options given come to.
+        /// The value that was given, or that follows from other options.
         value: String,
         /// The least value accepted.
         least: String,
         /// The greatest value accepted.
         most: String,
     },
-    /// An option that the kind has no use for, or that contradicts others given.
+    /// An option does not apply to the kind, or contradicts other options.
     #[error("{kind}: {option} cannot be given here: {reason}; leave it out")]
     NotApplicable {
         /// Name of the kind.
         kind: &'static str,
         /// The option at fault, as `sightline generate` calls it.
         option: &'static str,
-        /// Why.
+        /// The reason.
         reason: &'static str,
     },
-    /// The finished triangles were refused as a scene.
+    /// The triangles do not form a valid scene.
     #[error(transparent)]
     Scene(#[from] SceneError),
 }
@@ -122,8 +124,8 @@ pub enum GenerateError {
 /// Generates a scene of `kind`.
 ///
 /// # Errors
-/// [`GenerateError::OutOfRange`] for zero, more than [`MAX_TRIANGLES`] and other nonsense,
-/// [`GenerateError::NotApplicable`] for options of another kind.
+/// [`GenerateError::OutOfRange`] for zero, more than [`MAX_TRIANGLES`] and other values out of range;
+/// [`GenerateError::NotApplicable`] for options that do not apply to the kind.
 pub fn generate(kind: Kind, params: &Params) -> Result<Scene, GenerateError> {
     let foreign = [
         ("--trees", params.trees.is_some(), kind == Kind::Forest),
@@ -151,7 +153,7 @@ pub fn generate(kind: Kind, params: &Params) -> Result<Scene, GenerateError> {
     Ok(b.finish(kind.name())?)
 }
 
-/// `value` when it is from `least` to `most`, else the error that says so.
+/// `value` when it is from `least` to `most`, else an error.
 fn within<T: PartialOrd + std::fmt::Display>(
     kind: Kind,
     option: &'static str,
@@ -167,7 +169,7 @@ fn within<T: PartialOrd + std::fmt::Display>(
     Err(GenerateError::OutOfRange { kind: kind.name(), option, value, least, most })
 }
 
-/// Refuses `triangles` beside options that already fix the number.
+/// Refuses `triangles` together with options that determine the number.
 fn contradiction(kind: Kind, reason: &'static str) -> GenerateError {
     GenerateError::NotApplicable { kind: kind.name(), option: "--triangles", reason }
 }
@@ -197,7 +199,7 @@ mod tests {
 
     #[test]
     fn the_bytes_are_those_of_every_other_machine() {
-        // Recorded once. A change here changes every scene that others have generated and measured.
+        // Recorded digests. A change here changes scenes on which others have measured.
         let digests = Kind::ALL.map(|kind| sized(kind, 5_000, 7).digest().to_string()[..16].to_owned());
         assert_eq!(
             digests,

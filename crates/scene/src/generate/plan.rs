@@ -1,14 +1,15 @@
 //! A floor plan on a grid: pillars at its corners, walls between them, doors and windows in the walls.
 //!
-//! Walls end at the pillars' faces, so that the solids touch without overlapping and leave no crack. Pillars are
-//! a little thicker than walls, so that no edge of one is an edge of the other and each stays a closed solid.
+//! Walls end at the pillars' faces, so that the solids touch without overlapping and leave no crack. Pillars
+//! are a little thicker than walls, so that no edge of one is an edge of the other and each stays a closed
+//! solid.
 
 use glam::Vec3;
 
 use super::build::Builder;
 use super::random::Random;
 
-/// What stands between two neighbouring pillars.
+/// The kinds of walls between two neighbouring pillars.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Wall {
     /// A wall without opening.
@@ -19,7 +20,8 @@ pub(super) enum Wall {
     Window,
 }
 
-/// Which grid line a wall lies on: along x between (i, j) and (i+1, j), or along z between (i, j) and (i, j+1).
+/// Which grid line a wall lies on: along x between (i, j) and (i+1, j), or along z between (i, j) and (i,
+/// j+1).
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) struct Place {
     pub(super) along_z: bool,
@@ -34,14 +36,14 @@ pub(super) struct Plan {
     pub(super) origin: Vec3,
     pub(super) cols: u32,
     pub(super) rows: u32,
-    /// Distance of grid lines.
+    /// Distance between grid lines.
     pub(super) cell: f32,
     pub(super) height: f32,
     pub(super) thickness: f32,
 }
 
 impl Plan {
-    /// Every place for a wall: those along x row by row, then those along z.
+    /// All places for walls: those along x row by row, then those along z.
     pub(super) fn places(&self) -> impl Iterator<Item = Place> + use<> {
         let Self { cols, rows, .. } = *self;
         let along_x = (0..=rows).flat_map(move |j| (0..cols).map(move |i| Place { along_z: false, i, j }));
@@ -49,7 +51,7 @@ impl Plan {
         along_x.chain(along_z)
     }
 
-    /// Whether a wall there is on the outside.
+    /// Whether a wall at this place is on the border.
     pub(super) fn is_outer(&self, p: Place) -> bool {
         if p.along_z { p.i == 0 || p.i == self.cols } else { p.j == 0 || p.j == self.rows }
     }
@@ -60,7 +62,7 @@ impl Plan {
         [middle - self.thickness / 2.0, middle + self.thickness / 2.0]
     }
 
-    /// The same for the pillars on it.
+    /// The same for the pillars on the grid line.
     fn pillars(&self, axis: usize, k: u32) -> [f32; 2] {
         let middle = self.origin[axis] + k as f32 * self.cell;
         [middle - self.thickness * 0.75, middle + self.thickness * 0.75]
@@ -74,7 +76,8 @@ impl Plan {
         [Vec3::new(x[0], y, z[0]), Vec3::new(x[1], y, z[1])]
     }
 
-    /// A box under or over the whole plan, `from` … `to` high above its floor, `overhang` beyond its walls.
+    /// A box below or above the whole plan, at heights `from` … `to` above its floor and `overhang` beyond
+    /// its walls.
     pub(super) fn plate(&self, b: &mut Builder, from: f32, to: f32, overhang: f32) {
         let y = self.origin.y;
         let out = Vec3::new(overhang, 0.0, overhang);

@@ -31,8 +31,8 @@ impl Random {
     }
 }
 
-/// Cosine and sine of a fraction of a full turn, by Taylor series: the platforms' own functions differ in the last
-/// bit.
+/// Cosine and sine of a fraction of a full turn, by Taylor series: the platforms' own functions differ in the
+/// last bit.
 pub(super) fn turn(fraction: f32) -> (f32, f32) {
     let quarters = f64::from(fraction) * 4.0;
     let nearest = (quarters + 0.5).floor();

@@ -1,5 +1,5 @@
-//! One storey of furnished rooms: a door for every branch of a spanning tree of the rooms and for a third of the
-//! other inner walls, a floor and a ceiling, no windows.
+//! One storey of furnished rooms: a door for every branch of a spanning tree of the rooms and for a third of
+//! the other inner walls, a floor and a ceiling, no windows.
 
 use glam::Vec3;
 
@@ -10,7 +10,7 @@ use super::{GenerateError, Kind, MAX_TRIANGLES, Params, furniture, maze, within}
 
 /// Triangles of a room when only one of size and grid is given.
 const PER_ROOM: u64 = 800;
-/// Pieces of furniture to a room.
+/// Pieces of furniture in a room.
 const PIECES: u64 = 3;
 
 pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateError> {
@@ -19,7 +19,7 @@ pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateErro
     }
     let [cols, rows] = maze::grid(Kind::Rooms, params, PER_ROOM, [6, 4], 300)?;
     let rooms = u64::from(cols) * u64::from(rows);
-    // Pillar, walls, doors and the coarsest furniture of a room, and the border's.
+    // Triangles of the pillar, walls, doors and coarsest furniture of a room, and of the border.
     let least = 150 * rooms + 30 * (u64::from(cols) + u64::from(rows));
     let target = params.triangles.unwrap_or(rooms * PER_ROOM);
     within(Kind::Rooms, "triangles for that many rooms", target, least, MAX_TRIANGLES)?;
@@ -38,7 +38,8 @@ pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateErro
         let wall = if door { Wall::Door } else { Wall::Solid };
         b.object(maze::wall_name(p), |b| plan.wall(b, p, wall, &mut r));
     }
-    // What the building left is shared by the pieces to come; what one does not use, the next ones do.
+    // The remaining triangles are shared equally by the remaining pieces; later pieces get those that a piece
+    // leaves.
     let mut left = rooms * PIECES;
     for j in 0..rows {
         for i in 0..cols {

@@ -1,9 +1,9 @@
-//! Parallel walls with narrow upright slits at known places: what is seen from between two walls, beyond them,
-//! is seen through slits alone, so the truth is known by construction.
+//! Parallel walls with narrow upright slits at known places. From between two walls, everything beyond them
+//! is visible through slits only, so visibility is known by construction.
 //!
-//! The walls are unit squares over [−½, ½]² in x and y, one behind the other along z; the scene's bounds end
-//! where they do, so no line inside the bounds passes beside a wall. The last wall has no slit. Slits are drawn
-//! at the precision of `f32` there: a width of 1e-7 is three or four steps.
+//! The walls are unit squares over [−½, ½]² in x and y, one behind the other along z. The scene's bounds are
+//! those of the walls, so no line inside the bounds passes beside a wall. The last wall has no slit. Slits
+//! are drawn at the precision of `f32` there: a width of 1e-7 is three or four steps.
 
 use super::build::Builder;
 use super::random::Random;
@@ -11,15 +11,15 @@ use super::{GenerateError, Kind, MAX_TRIANGLES, Params, contradiction, isqrt, wi
 
 /// A wall's thickness; a slit lets through directions up to its width over this away from the normal.
 pub const THICKNESS: f32 = 0.0078125;
-/// Distance from one wall's front to the next one's.
+/// Distance between the fronts of neighbouring walls.
 pub const DISTANCE: f32 = 0.25;
 /// A slit reaches from −[`HALF_HEIGHT`] to this.
 pub const HALF_HEIGHT: f32 = 0.375;
-/// Triangles a slit adds to a wall, and those of a wall with none but its cuts.
+/// Triangles that a slit adds to a wall, and triangles of a wall without slits.
 const PER_SLIT: u64 = 36;
 const PER_WALL: u64 = 28;
 
-/// Where the slits of each wall are: per wall but the last, the intervals in x, ascending and disjoint. Wall k
+/// The slits of each wall but the last as intervals in x, ascending and disjoint. Wall k
 /// stands from z = k·[`DISTANCE`] to z = k·[`DISTANCE`] + [`THICKNESS`].
 ///
 /// # Errors

@@ -1,5 +1,6 @@
-//! A town: a grid of streets, houses of one to three storeys honeycombed with rooms, each room with a door to
-//! every neighbour and windows to the street, and detailed things inside that show through them.
+//! A town: a grid of streets with houses of one to three storeys. The houses are full of rooms. Each room has
+//! a door to every neighbour, windows to the street, and detailed furniture, which is visible through the
+//! openings.
 
 use glam::Vec3;
 
@@ -8,18 +9,18 @@ use super::plan::{Plan, Wall};
 use super::random::Random;
 use super::{GenerateError, Kind, MAX_TRIANGLES, Params, furniture, isqrt, within};
 
-/// The town of the papers has about this many triangles.
+/// Approximate number of triangles of the town in Nirenstein and Blake 2004.
 const DEFAULT: u64 = 1_330_000;
-/// Triangles to a house, in a town large enough.
+/// Triangles of a house, in a town that is large enough.
 const PER_HOUSE: u64 = 20_000;
-/// Things in a room.
+/// Pieces of furniture in a room.
 const THINGS: u64 = 2;
-/// Distance of houses, street included.
+/// Distance between the fronts of neighbouring houses, street included.
 const LOT: f32 = 26.0;
 /// Side of a room.
 const ROOM: f32 = 4.0;
-/// Height of a storey's walls, and thickness of walls and floors: numbers whose sums are exact, so that storeys
-/// stand on one another without a crack.
+/// Height of a storey's walls, and thickness of walls and floors: numbers whose sums are exact, so that
+/// storeys stand on one another without a crack.
 const STOREY: f32 = 2.75;
 const THICK: f32 = 0.25;
 
@@ -38,7 +39,7 @@ pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateErro
             }
         }
     });
-    // Houses first: what they leave of the target goes into their rooms.
+    // Houses come first; furniture gets the remaining triangles.
     let mut rooms: Vec<(u64, [Vec3; 2])> = Vec::new();
     for house in 0..houses {
         let mut r = Random::new(params.seed, 1 + house);

@@ -1,8 +1,9 @@
 //! Reading scene files: OBJ, PLY, glTF and GLB become one [`Scene`] whose ids follow the order of the file.
 //!
-//! The kind of a file is told by its content and checked against its extension. Nothing is repaired: a file that
-//! breaks its format is refused with the element at fault. Deliberately absent: materials, normals, texture
-//! coordinates, skinning, morphing and animation, because none of them changes which static triangles exist.
+//! The content of a file determines its kind, which must agree with the extension. Nothing is repaired: a
+//! file that violates its format is refused with the element at fault. Materials, normals, texture
+//! coordinates, skinning, morphing and animation are ignored, because they do not change which static
+//! triangles exist.
 
 mod gltf;
 mod names;
@@ -15,14 +16,14 @@ use std::path::Path;
 use crate::{Scene, SceneError};
 pub use sniff::Kind;
 
-/// Remedy for a file that breaks its own format.
+/// Remedy for a file that violates its format.
 pub(crate) const EXPORT_AGAIN: &str =
     "the file is damaged or its exporter is at fault; export or copy it again";
 /// Remedy for a coordinate that is no finite 32-bit float.
 pub(crate) const REPAIR_VERTEX: &str =
     "remove or repair the vertex (coordinates must be finite 32-bit floats) and export again";
 
-/// How far a small file may unfold: instances and strips can name far more triangles than the file has bytes.
+/// Limits of a loaded scene. Instances and strips can name far more triangles than the file has bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Most triangles accepted.
@@ -40,10 +41,10 @@ impl Default for Limits {
 
 /// Reads the scene in `path`, whose extension must agree with its content.
 ///
-/// Buffers that a glTF names by a relative address are read from beside it.
+/// Relative URIs of buffers in a glTF file are relative to the directory of the file.
 ///
 /// # Errors
-/// [`SceneError::Io`] when a file cannot be read, [`SceneError::Bad`] when what is in it cannot be used.
+/// [`SceneError::Io`] when a file cannot be read, [`SceneError::Bad`] when its contents cannot be used.
 pub fn load(path: &Path) -> Result<Scene, SceneError> {
     let name = path.display().to_string();
     let bytes = read_file(path, u64::MAX)?;
@@ -64,7 +65,7 @@ pub fn load_bytes(name: &str, bytes: &[u8], base_dir: Option<&Path>) -> Result<S
     load_bytes_limited(name, bytes, base_dir, &Limits::default())
 }
 
-/// [`load_bytes`] with bounds of the caller's own on the number of triangles and objects.
+/// [`load_bytes`] with limits on the number of triangles and objects.
 ///
 /// # Errors
 /// As [`load`], and [`SceneError::Bad`] when the scene is beyond `limits`.

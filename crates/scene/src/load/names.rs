@@ -1,4 +1,4 @@
-//! Object names made unique: the first bearer keeps its name, later ones get `#2`, `#3`, … appended.
+//! Unique object names: the first object of a name keeps it, later ones get `#2`, `#3`, … appended.
 
 use std::collections::BTreeMap;
 

@@ -1,10 +1,11 @@
-//! Wavefront OBJ: `v`, `f`, `o` and `g`; every other statement names something that is not geometry and is skipped.
+//! Wavefront OBJ: `v`, `f`, `o` and `g`; all other statements are not geometry and are skipped.
 //!
-//! Faces keep the order of the file, an n-gon becomes the fan (v0, vi, vi+1), and each run of faces between two `o` or
-//! `g` statements is an object (a run without faces is none). Free-form surfaces (`surf`) are refused, not dropped.
+//! Faces keep the order of the file, an n-gon becomes the fan (v0, vi, vi+1), and each run of faces between
+//! two `o` or `g` statements is an object (an empty run is not). Free-form surfaces (`surf`) are refused, not
+//! dropped.
 //!
-//! Our own parser and not the crate `tobj`: that one gives errors without line numbers, splits objects where the material
-//! changes, and builds index arrays for what is not needed here.
+//! The parser is our own: the crate `tobj` gives errors without line numbers, splits objects where the
+//! material changes, and builds index arrays that are not needed here.
 
 use glam::Vec3;
 
@@ -19,7 +20,7 @@ struct Forward {
     line: usize,
 }
 
-/// What has been read so far.
+/// The state of the reader.
 struct Reader<'a> {
     file: &'a str,
     limits: &'a Limits,
@@ -32,7 +33,7 @@ struct Reader<'a> {
     group: String,
     /// Whether the next face opens a new object.
     opens: bool,
-    /// Corners of the face at hand: the vertex, from 0.
+    /// The corners of the current face as vertex indices, from 0.
     face: Vec<usize>,
 }
 
@@ -100,7 +101,7 @@ impl<'a> Iterator for Words<'a> {
     }
 }
 
-/// A token as it may be shown in a message: short, and whatever its bytes.
+/// A token of any bytes, shortened for a message.
 fn show(token: &[u8]) -> String {
     String::from_utf8_lossy(&token[..token.len().min(40)]).into_owned()
 }
@@ -183,7 +184,8 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The vertex, from 0, that a corner such as `7`, `7/1`, `7//2`, `7/1/2` or `-1` names. It may lie further down.
+    /// The vertex, from 0, that a corner such as `7`, `7/1`, `7//2`, `7/1/2` or `-1` names. It may lie
+    /// further down.
     fn corner(&self, line: usize, word: &[u8]) -> Result<usize, SceneError> {
         let mut parts = word.split(|b| *b == b'/');
         let number =

@@ -1,7 +1,7 @@
-//! Which kind of scene a file is: told by its first bytes, then held against its extension.
+//! The kind of a scene file, from its first bytes; it must agree with the extension.
 //!
-//! Deliberately strict: a file that is not what its name says is refused, since reading it as something else
-//! would hide a mistake of the user's.
+//! A file whose content does not agree with its extension is refused, since reading it as another kind would
+//! hide a mistake of the user.
 
 use std::path::Path;
 
@@ -21,7 +21,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The kind an extension promises, if it is one of ours.
+    /// The kind of an extension, if it is known.
     fn from_extension(name: &str) -> Option<Self> {
         let ext = Path::new(name).extension()?.to_str()?.to_ascii_lowercase();
         match ext.as_str() {
@@ -54,7 +54,7 @@ impl Kind {
     }
 }
 
-/// Beginnings of files that people mistake for scenes.
+/// First bytes of files that users mistake for scenes.
 const OTHERS: &[(&[u8], &str)] = &[
     (b"PK\x03\x04", "a ZIP archive"),
     (b"\x1f\x8b", "gzip-compressed data"),
@@ -86,7 +86,7 @@ pub(super) fn kind_of(name: &str, bytes: &[u8]) -> Result<Kind, SceneError> {
     match (named, by_content(bytes)) {
         (None, Ok(kind)) => Ok(kind),
         (Some(n), Ok(kind)) if n == kind => Ok(kind),
-        // A text without any OBJ statement near its start, but called .obj: its parser says what is missing.
+        // A text without OBJ statements near its start, but named .obj: the parser reports what is missing.
         (Some(Kind::Obj), Err("text")) => Ok(Kind::Obj),
         (Some(n), Ok(kind)) => Err(SceneError::bad(
             name,

@@ -1,7 +1,7 @@
 //! Accessors: typed elements in a buffer view, checked once so that reading an element cannot fail.
 //!
-//! Elements are decoded where they are used and never copied into arrays of their own: many primitives may share one
-//! accessor, and what a scene keeps is its triangles.
+//! Elements are decoded where they are used and not copied into arrays: many primitives may share an
+//! accessor, and a scene keeps only triangles.
 
 use super::buffers::Buffers;
 use super::nodes::Draw;
@@ -10,7 +10,7 @@ use super::sparse::Overlay;
 use super::{EXPORT_AGAIN, QUANTIZATION, Source, json};
 use crate::SceneError;
 
-/// What an accessor is used for.
+/// The uses of an accessor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Role {
     Positions = 0,
@@ -110,7 +110,7 @@ impl<'a> Accessor<'a> {
             None => None,
             Some(v) => {
                 let bytes = buffers.view(source, root, v)?;
-                // A compressed view says its stride in the extension as well; only there, in some files.
+                // A compressed view has its stride in the extension, too; some files have it only there.
                 let view = &root.buffer_views[v];
                 let packed = view.extensions.as_ref().and_then(|e| e.meshopt.as_ref());
                 let given = view.byte_stride.or(packed.map(|m| m.byte_stride));
@@ -142,7 +142,8 @@ impl<'a> Accessor<'a> {
             None => None,
             Some(s) => Some(Overlay::new(source, root, buffers, &label, s, a.count, size)?),
         };
-        // Stride and size fit: with two elements or more the stride is below the view's length, else it is not used.
+        // Stride and size fit: with two elements or more the stride is below the view's length, else it is
+        // not used.
         let stride = usize::try_from(stride).unwrap_or(0);
         Ok(Self {
             base,
@@ -177,7 +178,7 @@ impl<'a> Accessor<'a> {
         if b.is_empty() {
             return [0.0; 3];
         }
-        // Nearly all there are.
+        // Nearly all positions.
         if let (Component::F32, Some(&xyz)) = (self.component, b.first_chunk::<12>()) {
             return bytemuck::cast::<_, [[u8; 4]; 3]>(xyz).map(|c| f64::from(f32::from_le_bytes(c)));
         }

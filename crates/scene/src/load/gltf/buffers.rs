@@ -1,7 +1,8 @@
-//! The bytes of the buffers and buffer views that the geometry needs, from the file itself, data URIs or files beside it.
+//! The bytes of the buffers and buffer views that the geometry needs, from the file itself, data URIs or
+//! files beside it.
 //!
-//! Only buffers that a drawn primitive reaches are read: a missing texture does not stop a bake. No address leaves the
-//! directory of the scene, and nothing is fetched from a network.
+//! Only buffers that a drawn primitive reaches are read: a missing texture does not stop a bake. URIs must
+//! stay below the directory of the scene, and nothing is fetched from a network.
 
 use std::borrow::Cow;
 use std::path::{Component, Path, PathBuf};
@@ -17,12 +18,13 @@ use crate::load::read_file;
 pub(super) struct Buffers<'a> {
     data: Vec<Option<Cow<'a, [u8]>>>,
     decoded: Vec<Option<Vec<u8>>>,
-    /// Bytes of the document and all buffers read: a bound for what may be made out of nothing.
+    /// Bytes of the document and all buffers read, which bound the size of accessors without a buffer view.
     size: u64,
 }
 
 impl<'a> Buffers<'a> {
-    /// Reads what `draws` need. `binary` is the BIN chunk of a GLB, which is buffer 0 when that has no address.
+    /// Reads the buffers that `draws` need. `binary` is the BIN chunk of a GLB, which is buffer 0 when that
+    /// has no address.
     pub(super) fn read(
         source: &Source<'_>,
         root: &json::Root,
@@ -155,7 +157,7 @@ fn decode_data(rest: &str) -> Result<Vec<u8>, String> {
     if !head.ends_with(";base64") {
         return Err("its data URI is not base64".to_owned());
     }
-    // Some exporters leave out the padding.
+    // Some exporters omit the padding.
     base64::engine::GeneralPurpose::new(
         &base64::alphabet::STANDARD,
         base64::engine::GeneralPurposeConfig::new()
@@ -190,7 +192,7 @@ fn beside(source: &Source<'_>, element: &str, uri: &str, limit: u64) -> Result<V
     })
 }
 
-/// A percent-encoded relative reference as a path that stays below where it starts; `None` for anything else.
+/// A percent-encoded relative reference as a path that stays below its base; `None` for any other.
 fn relative_path(uri: &str) -> Option<PathBuf> {
     let mut bytes = Vec::with_capacity(uri.len());
     let mut rest = uri.as_bytes();

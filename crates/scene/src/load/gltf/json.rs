@@ -1,6 +1,7 @@
-//! The fields of a glTF document that decide its triangles (glTF 2.0 specification, section 5). All else is skipped.
+//! The fields of a glTF document that decide its triangles (glTF 2.0 specification, section 5). All others
+//! are skipped.
 //!
-//! Nothing here is checked beyond its JSON type: indices, counts and offsets are as the file gives them.
+//! Only JSON types are checked here: indices, counts and offsets are as the file gives them.
 
 use serde::Deserialize;
 

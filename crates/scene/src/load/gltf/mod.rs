@@ -1,12 +1,14 @@
-//! glTF 2.0, as JSON or in its binary container: the triangles of the default scene with node transforms applied.
+//! glTF 2.0, as JSON or in its binary container: the triangles of the default scene with node transforms
+//! applied.
 //!
-//! One object a (node, primitive), in the order nodes are met depth first; primitives that are points or lines, or have
-//! no POSITION, are objects of no triangles, so that object numbers follow the file. Skins and morph targets are not
-//! applied: the scene is the mesh as stored, where its node puts it. Winding is kept even when a transform mirrors.
+//! Each pair of a node and a primitive is an object, in depth-first order of the nodes. Primitives that are
+//! points or lines, or have no POSITION, are objects without triangles, so that object numbers follow the
+//! file. Skins and morph targets are not applied: the scene has the stored mesh with the transform of its
+//! node. Winding is kept even when a transform mirrors.
 //!
-//! Only the few JSON fields needed are read, into structures of our own (`json`). The `gltf` crate models and validates
-//! the whole document, so that a fault in a material would refuse a scene; and every range and count would have to be
-//! checked again here, before use, for errors that name mesh, primitive and accessor.
+//! Only the few JSON fields that are needed are read (`json`). The crate `gltf` models and validates the
+//! whole document, so that a fault in a material would refuse a scene; and all ranges and counts would have
+//! to be checked again here for errors that name mesh, primitive and accessor.
 
 mod accessor;
 mod buffers;
@@ -26,7 +28,7 @@ use self::buffers::Buffers;
 use super::{EXPORT_AGAIN, Limits, names::Names, too_many_objects, too_many_triangles};
 use crate::{Object, Scene, SceneError, Triangle};
 
-/// Required extensions that change nothing about which triangles exist. A prefix ends in `_`.
+/// Required extensions that do not change which triangles exist. A prefix ends in `_`.
 const HARMLESS: &[&str] = &[
     "KHR_materials_",
     "KHR_texture_",
@@ -99,7 +101,7 @@ pub(super) fn parse_glb(
     build(&Source { file, base_dir, limits }, json, binary)
 }
 
-/// What every part of the reader needs to know.
+/// The context of all parts of the reader.
 struct Source<'a> {
     file: &'a str,
     base_dir: Option<&'a Path>,
@@ -162,7 +164,7 @@ fn build(source: &Source<'_>, json: &[u8], binary: Option<&[u8]>) -> Result<Scen
         work.push((draw, p, own));
         rest = others;
     }
-    // Of several things that are wrong, the first is told.
+    // Of several faults, the first in the file is reported.
     let wrong = work
         .into_par_iter()
         .find_map_first(|(draw, p, own)| primitive::read(source, &root, &accessors, draw, p, own).err());

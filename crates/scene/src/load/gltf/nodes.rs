@@ -5,7 +5,7 @@ use glam::DAffine3;
 use super::{Source, json, transform};
 use crate::SceneError;
 
-/// A mesh and where a node puts it.
+/// A mesh and the transform of a node that has it.
 #[derive(Debug)]
 pub(super) struct Draw {
     pub(super) node: usize,
@@ -15,8 +15,9 @@ pub(super) struct Draw {
 
 /// All draws of the scene to show: the default one, else the first, else (without scenes) every root node.
 ///
-/// An explicit stack, so that depth costs memory in proportion to the file and never the call stack. Each node is
-/// met at most once: the format allows it one parent, which also excludes cycles.
+/// The stack is explicit, so that a deep hierarchy takes memory in proportion to the file and does not
+/// overflow the call stack. Each node is visited at most once: the format allows it one parent, which also
+/// excludes cycles.
 pub(super) fn walk(source: &Source<'_>, root: &json::Root) -> Result<Vec<Draw>, SceneError> {
     let roots = roots(source, root)?;
     let mut met = vec![false; root.nodes.len()];
@@ -48,7 +49,7 @@ pub(super) fn walk(source: &Source<'_>, root: &json::Root) -> Result<Vec<Draw>, 
     Ok(draws)
 }
 
-/// The nodes to begin with.
+/// The root nodes of the scene.
 fn roots(source: &Source<'_>, root: &json::Root) -> Result<Vec<usize>, SceneError> {
     if let Some(scene) = root.scenes.get(root.scene.unwrap_or(0)) {
         return Ok(scene.nodes.clone());

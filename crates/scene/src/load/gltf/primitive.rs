@@ -9,10 +9,10 @@ use super::{EXPORT_AGAIN, Source, json, transform};
 use crate::load::REPAIR_VERTEX;
 use crate::{SceneError, Triangle};
 
-/// Triangles a thread reads at a time.
+/// Triangles that a thread reads at a time.
 const AT_ONCE: usize = 8192;
 
-/// What a primitive draws (glTF 2.0, section 3.7.2.1).
+/// The modes of a primitive (glTF 2.0, section 3.7.2.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Mode {
     /// Points and lines of any kind: no surface.
@@ -31,7 +31,7 @@ pub(super) struct Use {
     pub(super) primitive: usize,
 }
 
-/// How a primitive is called in errors.
+/// The name of a primitive in errors.
 pub(super) fn label(draw: &Draw, p: usize) -> String {
     format!("mesh {}, primitive {p} (at node {})", draw.mesh, draw.node)
 }
@@ -82,7 +82,7 @@ fn surface(p: &json::Primitive) -> Result<Option<usize>, String> {
     Ok(if mode(p)? == Mode::NoSurface { None } else { p.attributes.position })
 }
 
-/// How many triangles primitive `p` of the mesh drawn has.
+/// The number of triangles of primitive `p` of the mesh.
 pub(super) fn count(
     source: &Source<'_>,
     root: &json::Root,
@@ -108,8 +108,8 @@ pub(super) fn count(
     }
 }
 
-/// Reads the triangles of primitive `p` of the mesh drawn, in world space, into `out`, which has room for as many as
-/// [`count`] says.
+/// Reads the triangles of primitive `p` of the mesh, in world space, into `out`, whose length is that of
+/// [`count`].
 pub(super) fn read(
     source: &Source<'_>,
     root: &json::Root,
@@ -139,7 +139,7 @@ pub(super) fn read(
         };
         Ok(Triangle { v: [corners.at(a)?, corners.at(b)?, corners.at(c)?] })
     };
-    // Of several things that are wrong, the first is told.
+    // Of several faults, the first in the file is reported.
     let wrong = out.par_chunks_mut(AT_ONCE).enumerate().find_map_first(|(k, chunk)| {
         let mut numbered = chunk.iter_mut().zip((k * AT_ONCE) as u64..);
         numbered.find_map(|(t, i)| triangle(i).map(|read| *t = read).err())
@@ -147,7 +147,7 @@ pub(super) fn read(
     wrong.map_or(Ok(()), Err)
 }
 
-/// The corners of a primitive, one after another as the indices give them.
+/// The corners of a primitive in the order of the indices.
 struct Corners<'a> {
     source: &'a Source<'a>,
     draw: &'a Draw,

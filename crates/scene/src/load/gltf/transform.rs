@@ -4,9 +4,9 @@ use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 
 use super::json::Node;
 
-/// The transform of a node relative to its parent, or what is wrong with it.
+/// The transform of a node relative to its parent, or a sentence that says what is wrong with it.
 ///
-/// A matrix must be affine; a rotation is normalised, since exporters round it to `f32` and it is meant to be unit.
+/// A matrix must be affine; a rotation is normalised, since exporters round it to `f32`.
 pub(super) fn local(node: &Node) -> Result<DAffine3, String> {
     let result = match &node.matrix {
         Some(m) => {

@@ -65,7 +65,7 @@ pub(super) struct Property {
     pub(super) list: Option<NumberKind>,
 }
 
-/// An element and how many of it the header announces (not to be trusted).
+/// An element and the count that the header announces, which is not trusted.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Element {
     pub(super) name: String,
@@ -149,7 +149,8 @@ pub(super) fn read(file: &str, bytes: &[u8]) -> Result<Header, SceneError> {
     }
 }
 
-/// The beginning of a word from the file: names are compared and shown, and none we look for is longer.
+/// The beginning of a word from the file: names are compared and shown, and no name that is looked for is
+/// longer.
 fn short(word: &str) -> String {
     word.chars().take(64).collect()
 }

@@ -1,8 +1,10 @@
-//! Stanford PLY, ascii and binary of either byte order: the elements `vertex` (x, y, z) and `face` (`vertex_indices`).
+//! Stanford PLY, ascii and binary of either byte order: the elements `vertex` (x, y, z) and `face`
+//! (`vertex_indices`).
 //!
-//! An n-gon becomes the fan (v0, vi, vi+1); the whole file is one object. Other elements and properties are stepped
-//! over. Triangle strips (`tristrips`) are not read. Our own parser: values go straight from the bytes into triangles, so
-//! that memory follows the mesh, whatever the header counts, and a fault is named by element and property.
+//! An n-gon becomes the fan (v0, vi, vi+1); the whole file is one object. Other elements and properties are
+//! stepped over. Triangle strips (`tristrips`) are not read. The parser is our own: it converts the bytes to
+//! triangles directly, so that memory is proportional to the mesh whatever the header announces, and its
+//! errors name the element and the property.
 
 mod header;
 mod value;
@@ -29,7 +31,7 @@ pub(super) fn parse(file: &str, bytes: &[u8], limits: &Limits) -> Result<Scene, 
     Scene::new(file, r.triangles, vec![whole])
 }
 
-/// What has been read so far.
+/// The state of the reader.
 struct Reader<'a> {
     file: &'a str,
     limits: &'a Limits,
@@ -48,7 +50,8 @@ impl Reader<'_> {
             if e.properties.is_empty() {
                 continue;
             }
-            // Each element takes a known least number of bytes, so the count is checked before anything is done for it.
+            // Each element takes a known least number of bytes, so the count is checked before anything is
+            // done for it.
             let least: u64 = e.properties.iter().map(|p| values.least_bytes(p)).sum();
             if e.count.checked_mul(least).is_none_or(|n| n > values.left() as u64 + 1) {
                 let reason = format!(

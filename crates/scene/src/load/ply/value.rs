@@ -2,8 +2,8 @@
 
 use super::header::{NumberKind, Property};
 
-/// A stream of numbers. Every read returns `None` when the next number is missing or malformed; [`Values::why`]
-/// then says which.
+/// A stream of numbers. Every read returns `None` when the next number is missing or malformed;
+/// [`Values::why`] then says which.
 pub(super) trait Values {
     /// The next number, rounded to `f32`.
     fn float(&mut self, kind: NumberKind) -> Option<f32>;
@@ -19,7 +19,7 @@ pub(super) trait Values {
     fn least_bytes(&self, p: &Property) -> u64 {
         self.least_value_bytes(p.list.unwrap_or(p.kind))
     }
-    /// Whether something other than padding is left.
+    /// Whether anything but padding is left.
     fn has_rest(&self) -> bool;
     /// Why the last read failed.
     fn why(&self) -> String;
@@ -166,6 +166,6 @@ impl Values for Binary<'_> {
 
 /// `x` as an integer when it is one.
 fn whole(x: f64) -> Option<i64> {
-    // Up to 2^53 every whole number is a double of its own.
+    // Up to 2⁵³ every integer is a distinct double.
     (x.fract() == 0.0 && x.abs() <= 9_007_199_254_740_992.0).then_some(x as i64)
 }

@@ -1,4 +1,5 @@
-//! The section of the cells' reasons: in memory, or in a file beside the result until that is written.
+//! The section of certificates while it is built: in memory, or in a scratch file until the result is
+//! written.
 
 use std::fs::File;
 use std::io::{self, Read as _, Seek as _, Write};
@@ -8,15 +9,15 @@ use crate::layout::Written;
 /// Bytes read back at a time.
 const AT_ONCE: usize = 1 << 20;
 
-/// What was pushed so far.
+/// The certificates pushed so far, one for each cell.
 #[derive(Debug, Default)]
-pub(crate) struct Evidence {
-    /// Where that of each cell ends.
+pub(crate) struct Certificates {
+    /// Where the certificate of each cell ends, in bytes from the first.
     pub ends: Vec<u64>,
     pub kept: Kept,
 }
 
-/// Where it is.
+/// Where the bytes are.
 #[derive(Debug)]
 pub(crate) enum Kept {
     Memory(Vec<u8>),
@@ -29,7 +30,7 @@ impl Default for Kept {
     }
 }
 
-impl Evidence {
+impl Certificates {
     pub fn push(&mut self, bytes: &[u8]) -> io::Result<()> {
         match &mut self.kept {
             Kept::Memory(all) => all.extend_from_slice(bytes),
@@ -43,7 +44,7 @@ impl Evidence {
         self.ends.last().copied().unwrap_or(0)
     }
 
-    /// Length and checksum of the section; none without evidence.
+    /// Length and checksum of the section; `None` without certificates.
     pub fn section(&mut self, cells: u32) -> io::Result<Option<Written>> {
         if self.ends.is_empty() {
             return Ok(None);
@@ -61,7 +62,7 @@ impl Evidence {
         self.each(cells, &mut |bytes| out.write_all(bytes))
     }
 
-    /// Offsets, then the bytes, to be taken in pieces.
+    /// Calls `take` with the offsets and then with the bytes, in pieces.
     fn each(&mut self, cells: u32, take: &mut dyn FnMut(&[u8]) -> io::Result<()>) -> io::Result<()> {
         let length = self.length();
         let ends = (0..cells as usize).map(|cell| self.ends.get(cell).copied().unwrap_or(length));
@@ -91,18 +92,18 @@ mod tests {
 
     #[test]
     fn a_file_gives_the_same_bytes_as_memory() {
-        // Pieces that end before, at and after what is read back at a time.
+        // Pieces that end before, at and after the number of bytes read back at a time.
         let pieces: Vec<Vec<u8>> = [AT_ONCE - 1, 1, 0, AT_ONCE, 3]
             .iter()
             .map(|n| (0..*n).map(|i| (i * 31 + n) as u8).collect())
             .collect();
         let written = |kept: Kept| {
-            let mut evidence = Evidence { ends: Vec::new(), kept };
-            assert!(evidence.section(7).unwrap().is_none());
-            pieces.iter().for_each(|p| evidence.push(p).unwrap());
-            let section = evidence.section(7).unwrap().unwrap();
+            let mut certificates = Certificates { ends: Vec::new(), kept };
+            assert!(certificates.section(7).unwrap().is_none());
+            pieces.iter().for_each(|p| certificates.push(p).unwrap());
+            let section = certificates.section(7).unwrap().unwrap();
             let mut out = Vec::new();
-            evidence.write(7, &mut out).unwrap();
+            certificates.write(7, &mut out).unwrap();
             assert_eq!((section.length, section.crc), (out.len() as u64, crc32c::crc32c(&out)));
             out
         };

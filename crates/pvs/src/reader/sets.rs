@@ -1,0 +1,266 @@
+//! Decoding a cell's sets: as ids, runs, a bit set or objects.
+//!
+//! A cell's set is the exclusive or of the sets on its path from the root, up to the first set that stands
+//! for itself. It is decoded on the boundaries of runs: each set flips the bits at which its runs start and
+//! end, and the prefix parity of these bits gives the members.
+
+use std::ops::Range;
+
+use super::Pvs;
+use crate::codec;
+use crate::error::PvsError;
+use crate::layout::{Section, u64_at};
+
+/// How many bytes the nodes on one cell's root path take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NodeBytes {
+    /// The leaf's own set.
+    pub own: u64,
+    /// All sets that are read to decode the cell, the leaf's set included.
+    pub path: u64,
+}
+
+impl Pvs {
+    /// The triangles to draw from a cell: `ids` becomes their ascending ids.
+    ///
+    /// # Errors
+    /// [`PvsError::NoCell`], [`PvsError::Memory`], and [`PvsError::Malformed`] for a file that was tampered
+    /// with.
+    pub fn visible(&self, cell: u32, ids: &mut Vec<u32>) -> Result<(), PvsError> {
+        self.ids(Section::Visible, cell, ids)
+    }
+
+    /// The triangles of the visible set that were neither seen nor proved hidden: `ids` becomes their
+    /// ascending ids.
+    ///
+    /// # Errors
+    /// As [`Self::visible`].
+    pub fn undecided(&self, cell: u32, ids: &mut Vec<u32>) -> Result<(), PvsError> {
+        self.ids(Section::Undecided, cell, ids)
+    }
+
+    /// The triangles to draw from a cell as maximal runs of consecutive ids, ascending: the ranges of draw
+    /// calls.
+    ///
+    /// # Errors
+    /// As [`Self::visible`].
+    pub fn visible_runs(&self, cell: u32, runs: &mut Vec<Range<u32>>) -> Result<(), PvsError> {
+        runs.clear();
+        self.each_run(Section::Visible, cell, |run| runs.push(run))
+    }
+
+    /// The triangles to draw from a cell as a bit set: bit `id % 64` of word `id / 64`. `bits` must have ⌈N /
+    /// 64⌉ words; all are written. This is the fastest form.
+    ///
+    /// # Errors
+    /// As [`Self::visible`], and [`PvsError::BitsLength`].
+    pub fn visible_bits(&self, cell: u32, bits: &mut [u64]) -> Result<(), PvsError> {
+        let needed = self.words();
+        if bits.len() != needed {
+            return Err(PvsError::BitsLength { given: bits.len(), needed });
+        }
+        bits.fill(0);
+        self.boundaries(Section::Visible, cell, bits)?;
+        let mut inside = 0;
+        for word in bits {
+            *word = members(*word, &mut inside);
+        }
+        Ok(())
+    }
+
+    /// The objects of which at least one triangle is visible: `objects` becomes their ascending indices.
+    ///
+    /// # Errors
+    /// As [`Self::visible`].
+    pub fn visible_objects(&self, cell: u32, objects: &mut Vec<u32>) -> Result<(), PvsError> {
+        self.objects_of(Section::Visible, cell, objects)
+    }
+
+    /// The objects of which at least one triangle is undecided: `objects` becomes their ascending indices.
+    ///
+    /// # Errors
+    /// As [`Self::visible`].
+    pub fn undecided_objects(&self, cell: u32, objects: &mut Vec<u32>) -> Result<(), PvsError> {
+        self.objects_of(Section::Undecided, cell, objects)
+    }
+
+    /// The bytes that a cell's visible set takes in the file.
+    ///
+    /// # Errors
+    /// [`PvsError::NoCell`], and [`PvsError::Malformed`] for a file that was changed after opening.
+    pub fn visible_bytes(&self, cell: u32) -> Result<NodeBytes, PvsError> {
+        let leaf = self.leaf(cell)?;
+        let own = self.set(Section::Visible, leaf)?.len() as u64;
+        let mut path = 0;
+        for node in self.tree.path(leaf) {
+            let set = self.set(Section::Visible, node)?;
+            path += set.len() as u64;
+            if codec::is_absolute(set) {
+                break;
+            }
+        }
+        Ok(NodeBytes { own, path })
+    }
+
+    /// Bytes of the whole file, of its visible sets and of its undecided sets (the sets with their offsets).
+    pub fn file_bytes(&self) -> [u64; 3] {
+        let part = |s| self.part(s).len() as u64;
+        [self.bytes.get().len() as u64, part(Section::Visible), part(Section::Undecided)]
+    }
+
+    /// The bytes of the visible sets as they are in the file, for comparing ways of coding them.
+    pub fn visible_section(&self) -> &[u8] {
+        self.part(Section::Visible)
+    }
+
+    /// Words of a bit set over all triangles.
+    fn words(&self) -> usize {
+        (self.layout.triangles as usize).div_ceil(64)
+    }
+
+    fn ids(&self, section: Section, cell: u32, ids: &mut Vec<u32>) -> Result<(), PvsError> {
+        ids.clear();
+        let words = self.marked(section, cell)?;
+        let mut inside = 0;
+        let mut part = [0u32; 64];
+        for (i, &word) in words.iter().enumerate() {
+            if word == 0 && inside == 0 {
+                continue;
+            }
+            let mut rest = members(word, &mut inside);
+            let mut count = 0;
+            while rest != 0 {
+                part[count] = i as u32 * 64 + rest.trailing_zeros();
+                count += 1;
+                rest &= rest - 1;
+            }
+            if ids.try_reserve(count).is_err() {
+                return Err(self.no_memory());
+            }
+            ids.extend_from_slice(&part[..count]);
+        }
+        Ok(())
+    }
+
+    fn no_memory(&self) -> PvsError {
+        PvsError::Memory { triangles: self.layout.triangles }
+    }
+
+    fn objects_of(&self, section: Section, cell: u32, objects: &mut Vec<u32>) -> Result<(), PvsError> {
+        objects.clear();
+        let mut next = 0;
+        self.each_run(section, cell, |run| {
+            // Objects tile the triangles in order: skip those that end before the run, take those that the
+            // run touches.
+            next += self.objects[next..].partition_point(|o| o.first + o.count <= run.start);
+            while let Some(o) = self.objects.get(next).filter(|o| o.first < run.end) {
+                if o.count > 0 {
+                    objects.push(next as u32);
+                }
+                next += 1;
+            }
+        })
+    }
+
+    /// The coded set of a node.
+    fn set(&self, section: Section, node: u32) -> Result<&[u8], PvsError> {
+        let bytes = self.part(section);
+        let table = (self.layout.nodes as usize + 1) * 8;
+        let at = |i: usize| usize::try_from(u64_at(bytes, i * 8)).ok();
+        // Checked on opening, and again here: it is cheap, and a file that was changed since then must not
+        // panic.
+        match (at(node as usize), at(node as usize + 1)) {
+            (Some(start), Some(end)) => bytes[table..].get(start..end),
+            _ => None,
+        }
+        .ok_or_else(|| section.malformed("an offset is out of range"))
+    }
+
+    /// Marks in zeroed words where the runs of a cell's set start and end. The exclusive or of sets is the
+    /// exclusive or of their boundaries, so each set on the root path flips its own. An end after the last
+    /// bit of the last word is left out: no bit beyond the last triangle is ever a member.
+    fn boundaries(&self, section: Section, cell: u32, words: &mut [u64]) -> Result<(), PvsError> {
+        let leaf = self.leaf(cell)?;
+        if self.part(section).is_empty() {
+            return Ok(());
+        }
+        for node in self.tree.path(leaf) {
+            let set = self.set(section, node)?;
+            codec::decode(set, self.layout.triangles, |start, end| {
+                let (first, last) = ((start >> 6) as usize, (end >> 6) as usize);
+                let (mark_start, mark_end) = (1u64 << (start & 63), 1u64 << (end & 63));
+                if first == last {
+                    // Most runs are short. One access is faster than two to the same word, which depend on
+                    // each other.
+                    if let Some(word) = words.get_mut(first) {
+                        *word ^= mark_start ^ mark_end;
+                    }
+                } else {
+                    if let Some(word) = words.get_mut(first) {
+                        *word ^= mark_start;
+                    }
+                    if let Some(word) = words.get_mut(last) {
+                        *word ^= mark_end;
+                    }
+                }
+            })
+            .map_err(|e| section.malformed(format!("the set of node {node}: {}", e.0)))?;
+            if codec::is_absolute(set) {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// The marks of [`Self::boundaries`] in newly allocated words.
+    fn marked(&self, section: Section, cell: u32) -> Result<Vec<u64>, PvsError> {
+        let mut words = Vec::new();
+        words.try_reserve_exact(self.words()).map_err(|_| self.no_memory())?;
+        words.resize(self.words(), 0u64);
+        self.boundaries(section, cell, &mut words)?;
+        Ok(words)
+    }
+
+    /// Calls `each` with the maximal runs of a cell's set, ascending.
+    fn each_run(
+        &self,
+        section: Section,
+        cell: u32,
+        mut each: impl FnMut(Range<u32>),
+    ) -> Result<(), PvsError> {
+        let words = self.marked(section, cell)?;
+        let mut start = None;
+        for (i, &word) in words.iter().enumerate() {
+            let mut rest = word;
+            while rest != 0 {
+                let at = i as u32 * 64 + rest.trailing_zeros();
+                rest &= rest - 1;
+                start = match start {
+                    None => Some(at),
+                    Some(from) => {
+                        each(from..at);
+                        None
+                    }
+                };
+            }
+        }
+        if let Some(from) = start {
+            each(from..self.layout.triangles);
+        }
+        Ok(())
+    }
+}
+
+/// The members of a word of marked boundaries: each bit becomes the parity of the marks at or before it.
+/// `inside` is all ones when the word before ended within a run, else 0.
+fn members(marks: u64, inside: &mut u64) -> u64 {
+    let mut x = marks;
+    if x != 0 {
+        for shift in [1, 2, 4, 8, 16, 32] {
+            x ^= x << shift;
+        }
+    }
+    x ^= *inside;
+    *inside = (x >> 63).wrapping_neg();
+    x
+}
