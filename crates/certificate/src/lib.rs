@@ -1,11 +1,16 @@
 //! Visibility certificates: what a certificate states, its bytes, and a checker.
-//!
-//! The checker uses integers, the triangles and the certificate. It shares no code with the search that finds certificates:
-//! this crate depends on no other crate of the project but the number types.
 
+pub mod certificate;
 pub mod checker;
-pub mod evidence;
+pub mod codec;
+#[doc(hidden)]
+pub mod fuzzing;
 pub mod proof;
+mod verify;
 
-pub use evidence::Evidence;
-pub use proof::Proof;
+pub use certificate::{CellCertificate, GroupCertificate, HiddenGroup, Reason, Target, Witness};
+pub use proof::{OccluderTriangle, Proof};
+pub use verify::{
+    BakedResult, CertificateReader, Certificates, Count, Hidden, OnProgress, ReadError, Refused, Report,
+    SET_ASIDE, Sample, Totals, VerifyError, VerifyOptions, verify,
+};

@@ -40,5 +40,14 @@ pub use frame::Source;
 pub use occluder::Occluders;
 pub use polygon::{Polygon, PolygonError};
 pub use query::{Cost, Limits, Reason, Verdict, sightlines, sightlines_until};
-pub use sightline_certificate::{Evidence, Proof, checker, evidence, proof};
+pub use sightline_certificate::{CellCertificate as Evidence, Proof, checker, proof};
 pub use vector::Decisions;
+
+/// The former names of the certificate's types.
+pub mod evidence {
+    pub use sightline_certificate::certificate::{faces, few_odd_edges};
+    pub use sightline_certificate::{
+        CellCertificate as Evidence, GroupCertificate as Shared, HiddenGroup as Hidden, Reason, Target,
+        Witness, codec,
+    };
+}
