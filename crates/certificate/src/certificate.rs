@@ -59,8 +59,8 @@ pub struct HiddenGroup {
 }
 
 /// Whether a surface of this many triangles has few enough edges with an odd number of triangles to be closed
-/// by patches: at most 64, and at most one for every four triangles. The rule bounds the checker's work. It is
-/// part of the definition of a surface, so the search uses it too.
+/// by patches: at most 64, and at most one for every four triangles. The rule bounds the checker's work. It
+/// is part of the definition of a surface, so the search uses it too.
 pub fn few_odd_edges(odd: usize, triangles: usize) -> bool {
     odd <= 64.min(triangles / 4)
 }
@@ -82,8 +82,8 @@ pub enum Target {
     Polygon(Box<[Vec3]>),
 }
 
-/// The six faces of a box in the order of proofs: by axis, the lesser one first. Each is its axis (0, 1, 2 for
-/// x, y, z) and whether it is the greater one.
+/// The six faces of a box in the order of proofs: by axis, the lesser one first. Each is its axis (0, 1, 2
+/// for x, y, z) and whether it is the greater one.
 pub fn faces() -> impl Iterator<Item = (usize, bool)> {
     (0..6).map(|k| (k / 2, k % 2 == 1))
 }

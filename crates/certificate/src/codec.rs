@@ -1,8 +1,8 @@
 //! The bytes of a certificate: variable-length integers and little-endian floats, compressed with zstd.
 //!
-//! `docs/formats/certificate.md` describes every byte. Equal certificates have equal bytes. The decoder accepts
-//! only the bytes that the encoder writes (before compression), checks every count against the bytes that are
-//! left before it allocates, and every triangle id against the scene.
+//! `docs/formats/certificate.md` describes every byte. Equal certificates have equal bytes. The decoder
+//! accepts only the bytes that the encoder writes (before compression), checks every count against the bytes
+//! that are left before it allocates, and every triangle id against the scene.
 
 mod read;
 #[cfg(test)]

@@ -5,9 +5,9 @@ use glam::Vec3;
 use crate::checker::{CellClaims, Triangles, check_cell};
 use crate::codec;
 
-/// Decodes bytes (without compression) as the certificate of a cell in front of three walls, and checks all its
-/// claims. Must not panic. Returns whether the bytes are a certificate; whether the checker accepts the claims does
-/// not matter here.
+/// Decodes bytes (without compression) as the certificate of a cell in front of three walls, and checks all
+/// its claims. Must not panic. Returns whether the bytes are a certificate; whether the checker accepts the
+/// claims does not matter here.
 pub fn certificate(raw: &[u8]) -> bool {
     let wall = |z: f32| {
         let [a, b, c, d] =

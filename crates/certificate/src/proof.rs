@@ -1,8 +1,8 @@
 //! Proofs that one polygon is hidden from another: the steps a proof is made of.
 //!
 //! A proof subdivides the set of lines between two polygons until each part is blocked or empty. It names
-//! triangles, edges, and sometimes a hyperplane; the checker derives everything else from the scene. The search
-//! may find the steps in any way. [`crate::checker`] says what each step claims and why that is sound.
+//! triangles, edges, and sometimes a hyperplane; the checker derives everything else from the scene. The
+//! search may find the steps in any way. [`crate::checker`] says what each step claims and why that is sound.
 
 use dashu_int::IBig;
 
@@ -11,9 +11,9 @@ use dashu_int::IBig;
 pub enum Step {
     /// The region holds no open set of real lines: the Klein form has one sign on all pairs of its rays.
     Unreal,
-    /// An occluder blocks. The region is split along the listed constraints, one after another. The outer part
-    /// of each split is left to the steps that follow, in the order of `cuts`. The part inside all of them must
-    /// be blocked by the occluder.
+    /// An occluder blocks. The region is split along the listed constraints, one after another. The outer
+    /// part of each split is left to the steps that follow, in the order of `cuts`. The part inside all of
+    /// them must be blocked by the occluder.
     Block {
         /// Index into [`Proof::occluders`].
         occluder: u32,
@@ -22,15 +22,15 @@ pub enum Step {
         /// Numbers of constraints: the boundary edges come first, then the plane of A, then the plane of B.
         cuts: Vec<u16>,
     },
-    /// The region is split by a hyperplane. The steps for the negative side follow, then those for the positive
-    /// side.
+    /// The region is split by a hyperplane. The steps for the negative side follow, then those for the
+    /// positive side.
     Split {
         /// The Plücker vector whose polar hyperplane it is. A positive multiple means the same.
         polar: Box<[IBig; 6]>,
     },
     /// A polygon is divided along the line through two of its points. The steps for both parts follow, first
-    /// the part whose boundary runs from `from` to `to`. Point 2i is vertex i; point 2i + 1 is the midpoint of
-    /// the edge from vertex i to vertex i + 1.
+    /// the part whose boundary runs from `from` to `to`. Point 2i is vertex i; point 2i + 1 is the midpoint
+    /// of the edge from vertex i to vertex i + 1.
     Divide {
         /// Which polygon.
         of: Which,

@@ -6,8 +6,6 @@ mod pvs;
 mod reader;
 mod result;
 mod sample;
-#[cfg(test)]
-mod tests;
 mod totals;
 
 use std::collections::BTreeSet;
@@ -105,7 +103,8 @@ pub struct Refused {
     pub reason: String,
 }
 
-/// Checks the witnesses and certificates of a result against the triangles of its scene, in the order of the scene.
+/// Checks the witnesses and certificates of a result against the triangles of its scene, in the order of the
+/// scene.
 ///
 /// Uses the current rayon pool. The first refused cell is the same on every run.
 ///
@@ -206,8 +205,8 @@ struct Verification<'a> {
 }
 
 impl Verification<'_> {
-    /// The cells from `first` on that are checked at the same time: enough to occupy all threads when one cell has a
-    /// long proof, few enough to hold all their certificates in memory.
+    /// The cells from `first` on that are checked at the same time: enough to occupy all threads when one
+    /// cell has a long proof, few enough to hold all their certificates in memory.
     fn batch(&self, first: u32) -> Vec<u32> {
         let mut bytes = 0;
         let end = first.saturating_add(2 * rayon::current_num_threads() as u32).min(self.result.cell_count());
@@ -245,8 +244,8 @@ impl Verification<'_> {
             let (counts, take) = match claim {
                 Claim::Seen(at) => (&witnesses, wanted.is_none_or(|w| w.contains(&own.seen[at].0))),
                 Claim::Hidden(at) => (&proofs, wanted.is_none_or(|w| any(&own.hidden[at], w))),
-                // Stored here for other cells too, and checked once: with this cell, or for the cell of a sample that
-                // relies on it.
+                // Stored here for other cells too, and checked once: with this cell, or for the cell of a
+                // sample that relies on it.
                 Claim::Shared(_) => (&proofs, wanted.is_none()),
                 Claim::Above(at) => {
                     let of = above.and_then(|shared| shared.hidden.get(at));

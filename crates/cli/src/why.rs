@@ -18,8 +18,8 @@ use crate::serve::print;
 /// Most blockers listed without --json.
 const SHOWN: usize = 40;
 
-/// Prints why a triangle is in a cell's set, or is not: from the result's certificates, or by a new query if a scene
-/// is given.
+/// Prints why a triangle is in a cell's set, or is not: from the result's certificates, or by a new query if
+/// a scene is given.
 pub fn why(
     pvs: &Pvs,
     result: &Path,
@@ -48,8 +48,8 @@ pub fn why(
         Some("visible") if answer["meets"] == true => format!("{about}: visible, because it meets the cell"),
         Some("visible") => {
             format!(
-                "{about}: visible along the segment from {} to {}, which is unobstructed up to the triangle and ends on \
-                 it or just behind it",
+                "{about}: visible along the segment from {} to {}, which is unobstructed up to the triangle \
+                 and ends on it or just behind it",
                 answer["witness"][0], answer["witness"][1]
             )
         }
@@ -80,7 +80,7 @@ pub fn why(
             format!("{about}: hidden{from}{with} by triangles {}{more}", list.join(" "))
         }
         _ => format!(
-            "{about}: undecided{}; undecided triangles are in the set, so that no visible triangle is missing",
+            "{about}: undecided{}; undecided triangles are in the set, so no visible one is missing",
             answer["reason"].as_str().map_or(String::new(), |r| format!(" ({r})"))
         ),
     })
@@ -162,7 +162,8 @@ fn ask(pvs: &Pvs, result: &Path, path: &Path, cell: u32, triangle: u32) -> Resul
             &mut Cost::default(),
         ) {
             Found::Visible(ends) => {
-                json!({"state": "visible", "witness": ends.each_ref().map(|e| polygon::rounded(e).to_array())})
+                let witness = ends.each_ref().map(|e| polygon::rounded(e).to_array());
+                json!({"state": "visible", "witness": witness})
             }
             Found::Hidden(proofs) => {
                 json!({"state": "hidden", "blockers": blockers(&proofs), "surface": half.is_some()})

@@ -6,13 +6,14 @@ use sightline_scene::{Object, Scene, Triangle};
 use crate::checker::{self, check_hidden, check_witness};
 use crate::{Limits, Occluders, Polygon, Verdict, sightlines};
 
-/// Decodes bytes as two triangles and occluding triangles, and asks whether one of the two sees the other. The first byte
-/// selects the coordinates: any bits of floats, quarters from −32 to 31.75, or the upper half of a byte on a scale of its
-/// own for each point. Returns the decision: `None` if the bytes are too short or the query stays undecided.
+/// Decodes bytes as two triangles and occluding triangles, and asks whether one of the two sees the other.
+/// The first byte selects the coordinates: any bits of floats, quarters from −32 to 31.75, or the upper half
+/// of a byte on a scale of its own for each point. Returns the decision: `None` if the bytes are too short or
+/// the query stays undecided.
 ///
 /// # Panics
-/// If the checker refuses a witness or a proof, or the queries in the two directions contradict each other. No bytes may
-/// cause that.
+/// If the checker refuses a witness or a proof, or the queries in the two directions contradict each other.
+/// No bytes may cause that.
 pub fn query(raw: &[u8]) -> Option<bool> {
     let (kind, raw) = raw.split_first()?;
     let mut bytes = raw.iter().copied();

@@ -1,7 +1,8 @@
-//! What the fuzz targets call: one function a format, for any bytes at all.
+//! The bodies of the fuzz targets of the scene parsers, which `tests/mutations.rs` calls too: one function a
+//! format.
 //!
-//! Each must return, whatever the bytes, and says whether they were accepted; an accepted scene is checked further. Small limits keep
-//! the memory of one run in proportion to its input, so that a tool's memory limit means something.
+//! Each must return for arbitrary bytes, and returns whether they were accepted. An accepted scene is checked
+//! further. Small limits keep the memory of a run in proportion to its input.
 
 use crate::load::{Limits, load_bytes_limited};
 use crate::{Scene, write_mesh_ply};
@@ -19,7 +20,7 @@ pub fn ply(bytes: &[u8]) -> bool {
     file("fuzz.ply", bytes)
 }
 
-/// Bytes as a glTF or GLB file, as their beginning says.
+/// Bytes as a glTF or GLB file; the first bytes decide which.
 pub fn gltf(bytes: &[u8]) -> bool {
     file("fuzz", bytes)
 }
@@ -27,12 +28,12 @@ pub fn gltf(bytes: &[u8]) -> bool {
 /// Bytes as a canonical scene.
 pub fn scene_blob(bytes: &[u8]) -> bool {
     let Ok(scene) = Scene::from_blob("fuzz", bytes) else { return false };
-    // The encoding is canonical: one scene, one string of bytes.
+    // The encoding is canonical: one scene has one string of bytes.
     assert!(scene.to_blob() == bytes, "a canonical scene must be written as it was read");
     true
 }
 
-/// Loads `bytes`, and sends an accepted scene once around both encodings.
+/// Loads `bytes`, and passes an accepted scene through both encodings and back.
 fn file(name: &str, bytes: &[u8]) -> bool {
     let Ok(scene) = load_bytes_limited(name, bytes, None, &LIMITS) else { return false };
     let blob = scene.to_blob();

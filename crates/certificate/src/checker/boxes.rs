@@ -40,7 +40,8 @@ pub(super) fn face([min, max]: [Vec3; 2], axis: usize, up: bool) -> Corners {
         .collect()
 }
 
-/// Whether a triangle with area has a point in a box, borders included: it is clipped to one face after another.
+/// Whether a triangle with area has a point in a box, borders included: it is clipped to one face after
+/// another.
 pub(super) fn meets_box(t: &[Vec3; 3], cell: [Vec3; 2]) -> bool {
     if !has_area(t) {
         return false;

@@ -3,20 +3,20 @@
 //! These claims are made and checked:
 //!
 //! 1. *Every triangle is accounted for.* Each triangle with area is in the set with a reason, in the set and
-//!    undecided, or hidden. The reason for a visible triangle is that it meets the cell, or a witness. A hidden
-//!    triangle is in exactly one group, of the cell or of a cell group's box that contains the cell.
-//! 2. *Seen.* A witness starts in the cell and ends inside the triangle. No other triangle has a point on it, except
-//!    triangles in the plane of this one. If it starts on a face of the cell and leaves the cell there, a triangle
-//!    in that face's plane may touch its start.
-//! 3. *Hidden.* A group's triangles lie in its box or polygon (or are its one triangle), and neither the box nor
-//!    the triangles touch the cell. A segment from the cell to the box leaves the cell through a face of the cell
-//!    and enters the box through a face of the box. For every pair of such faces there is a proof
-//!    ([`super::check_hidden`]) about the part of the box's face that is outside the cell's face. Faces without
-//!    area pass no open set of lines. A triangle hidden by its closed surface needs no proof; `surfaces.rs` has
-//!    that argument.
+//!    undecided, or hidden. The reason for a visible triangle is that it meets the cell, or a witness. A
+//!    hidden triangle is in exactly one group, of the cell or of a cell group's box that contains the cell.
+//! 2. *Seen.* A witness starts in the cell and ends inside the triangle. No other triangle has a point on it,
+//!    except triangles in the plane of this one. If it starts on a face of the cell and leaves the cell
+//!    there, a triangle in that face's plane may touch its start.
+//! 3. *Hidden.* A group's triangles lie in its box or polygon (or are its one triangle), and neither the box
+//!    nor the triangles touch the cell. A segment from the cell to the box leaves the cell through a face of
+//!    the cell and enters the box through a face of the box. For every pair of such faces there is a proof
+//!    ([`super::check_hidden`]) about the part of the box's face that is outside the cell's face. Faces
+//!    without area pass no open set of lines. A triangle hidden by its closed surface needs no proof;
+//!    `surfaces.rs` has that argument.
 //!
-//! A triangle that is hidden from a box is hidden from every cell in it. The groups of a cell group are checked
-//! like those of a cell, with the box in place of the cell.
+//! A triangle that is hidden from a box is hidden from every cell in it. The groups of a cell group are
+//! checked like those of a cell, with the box in place of the cell.
 
 use std::sync::OnceLock;
 
@@ -56,8 +56,8 @@ pub enum Claim {
     Hidden(usize),
     /// The group at this index of [`CellCertificate::shared`] is hidden. The check needs no other cell.
     Shared(usize),
-    /// The group at this index of [`CellClaims::above`] is hidden. A caller that checks every cell of a result
-    /// checks the same group as [`Claim::Shared`] of the cell that stores it.
+    /// The group at this index of [`CellClaims::above`] is hidden. A caller that checks every cell of a
+    /// result checks the same group as [`Claim::Shared`] of the cell that stores it.
     Above(usize),
 }
 
@@ -112,8 +112,8 @@ fn group(triangles: &[u32]) -> String {
     }
 }
 
-/// Checks that every triangle is accounted for, then each claim for which `pick` is true. Returns the number of
-/// claims checked. `pick` is called once for every claim.
+/// Checks that every triangle is accounted for, then each claim for which `pick` is true. Returns the number
+/// of claims checked. `pick` is called once for every claim.
 ///
 /// # Errors
 /// [`CellRefusal`]: the first claim that does not hold, in the order of the claims.

@@ -44,10 +44,11 @@ fn dot(a: &Line, b: &Line) -> IBig {
 }
 
 impl Cone {
-    /// The cone of the given vectors, none of them 0. `None` unless they span all six dimensions and are strictly on one
-    /// side of some hyperplane.
+    /// The cone of the given vectors, none of them 0. `None` unless they span all six dimensions and are
+    /// strictly on one side of some hyperplane.
     pub fn of(vectors: Vec<Line>) -> Option<Self> {
-        // The dual cone {f : f·v ≥ 0 for all v} has one ray for every facet. It starts with six independent vectors.
+        // The dual cone {f : f·v ≥ 0 for all v} has one ray for every facet. It starts with six independent
+        // vectors.
         let vectors: Vec<Line> = vectors.into_iter().map(reduced).collect();
         let basis = independent(&vectors)?;
         let rows: [&Line; 6] = std::array::from_fn(|k| &vectors[basis[k]]);
@@ -78,7 +79,8 @@ impl Cone {
             set
         };
         let sets: Vec<Vec<u64>> = (0..vectors.len()).map(on).collect();
-        // A vector that is not extreme is on fewer facets than an extreme one. Of parallel vectors the first is kept.
+        // A vector that is not extreme is on fewer facets than an extreme one. Of parallel vectors the first
+        // is kept.
         let among = |i: usize, j: usize| holds(&sets[j], &sets[i], &sets[i]);
         let extreme = |i: usize| (0..sets.len()).all(|j| i == j || !among(i, j) || (among(j, i) && i < j));
         let rays = (0..sets.len())
@@ -88,8 +90,8 @@ impl Cone {
         Some(Self { rays, halves: facets })
     }
 
-    /// The parts on the positive and on the negative side of a vector's polar hyperplane; `None` for a part without
-    /// interior.
+    /// The parts on the positive and on the negative side of a vector's polar hyperplane; `None` for a part
+    /// without interior.
     pub fn split(self, line: &Vector) -> (Option<Self>, Option<Self>) {
         let number = self.halves;
         let (positive, negative) = self.cut(line, number);
@@ -142,8 +144,8 @@ impl Cone {
         for p in above {
             for n in &below {
                 let (s, t) = (&self.rays[p].tight, &self.rays[*n].tight);
-                // Two rays span an edge if they are tight at four or more half-spaces, and no third ray is tight at all of
-                // these.
+                // Two rays span an edge if they are tight at four or more half-spaces, and no third ray is
+                // tight at all of these.
                 if s.iter().zip(t).map(|(a, b)| (a & b).count_ones()).sum::<u32>() < 4
                     || (0..sides.len()).any(|k| k != p && k != *n && holds(&self.rays[k].tight, s, t))
                 {

@@ -10,8 +10,8 @@ use glam::Vec3;
 pub type Point = [IBig; 4];
 /// (n, k): the plane of the points with n·x = k·w.
 pub type Plane = [IBig; 4];
-/// Plücker coordinates (d, m) of the line from p to q: d = q − p and m = p × q, up to a positive factor; or any
-/// vector of the six-dimensional space that these span.
+/// Plücker coordinates (d, m) of the line from p to q: d = q − p and m = p × q, up to a positive factor; or
+/// any vector of the six-dimensional space that these span.
 pub type Line = [IBig; 6];
 
 /// Doubles times the least power of two that makes all of them integers, and that power's exponent.

@@ -1,4 +1,5 @@
-//! Whether a group of triangles is hidden from a cell: by closed surfaces, or by a proof for each pair of faces.
+//! Whether a group of triangles is hidden from a cell: by closed surfaces, or by a proof for each pair of
+//! faces.
 
 use std::cmp::Ordering;
 use std::sync::OnceLock;
@@ -19,8 +20,8 @@ const MAX_CORNERS: usize = 64;
 /// The parity of a cell by surface, computed on first use; see [`super::surfaces`].
 pub(super) type Parities = [OnceLock<Option<bool>>];
 
-/// Accepts that a closed surface hides a triangle from the whole cell: no point of the cell is on the other side
-/// of its plane than the hidden one.
+/// Accepts that a closed surface hides a triangle from the whole cell: no point of the cell is on the other
+/// side of its plane than the hidden one.
 fn hidden_by_surface(
     scene: &Triangles<'_>,
     cell: [Vec3; 2],

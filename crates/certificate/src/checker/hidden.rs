@@ -90,7 +90,8 @@ impl<'a> Check<'a> {
         Ok(())
     }
 
-    /// Checks the steps about one cone. `known` keeps the constraints by the planes of A and B for each occluder.
+    /// Checks the steps about one cone. `known` keeps the constraints by the planes of A and B for each
+    /// occluder.
     fn region(&mut self, (a, b): (&Side, &Side), known: &mut Known, cone: Cone) -> Result<(), Refusal> {
         let mut open = vec![Some(cone)];
         while let Some(cone) = open.pop() {

@@ -1,59 +1,62 @@
-//! The checker: whether a proof shows that one polygon is hidden from another, and whether a witness shows that
-//! it is visible.
+//! The checker: whether a proof shows that one polygon is hidden from another, and whether a witness shows
+//! that it is visible.
 //!
-//! Every decision is a comparison of integers, or of floats where that is exact. The checker reads the scene's
-//! triangles and the certificate. Of the certificate's module it uses the types, the order of a box's faces, and
-//! the limit on odd edges; none of these can make a false claim true. `docs/formats/certificate.md` says the same
-//! at more length.
+//! Every decision is a comparison of integers, or of floats where that is exact. The checker reads the
+//! scene's triangles and the certificate. Of the certificate's module it uses the types, the order of a box's
+//! faces, and the limit on odd edges; none of these can make a false claim true.
+//! `docs/formats/certificate.md` says the same at more length.
 //!
 //! # What a proof shows
 //!
-//! A proof shows that an unobstructed line from the interior of A to the interior of B does not exist. Triangles
-//! are closed sets, so unobstructed lines form an open set; it is therefore enough to show that no *open* set of
-//! lines is unobstructed, and lines through edges or vertices do not matter. Lines are vectors of Plücker
-//! coordinates in six dimensions, up to a positive factor; the Klein form of two lines is 0 if and only if they
-//! meet, and its sign says on which side one line passes the other (Teller 1992, section 2).
+//! A proof shows that an unobstructed line from the interior of A to the interior of B does not exist.
+//! Triangles are closed sets, so unobstructed lines form an open set; it is therefore enough to show that no
+//! *open* set of lines is unobstructed, and lines through edges or vertices do not matter. Lines are vectors
+//! of Plücker coordinates in six dimensions, up to a positive factor; the Klein form of two lines is 0 if and
+//! only if they meet, and its sign says on which side one line passes the other (Teller 1992, section 2).
 //!
-//! 1. *Parts.* Each polygon is cut along the plane of the other, so each part is on one side of the other's plane.
-//!    Every line between the polygons runs between two parts. Polygons in one plane leave no open set of lines.
-//! 2. *Start.* (Σλᵢaᵢ) ∧ (Σμⱼbⱼ) = Σλᵢμⱼ(aᵢ ∧ bⱼ), so every line from A to B is a positive combination of the lines
-//!    through pairs of vertices. Their cone holds every line from A to B. If the intersection k of both planes
-//!    occurs among them in both directions, the cone contains the whole line spanned by k. The hyperplane of a
-//!    line from a vertex of A off B's plane to a vertex of B off A's plane, which does not meet k, then divides it
-//!    into two pointed cones.
+//! 1. *Parts.* Each polygon is cut along the plane of the other, so each part is on one side of the other's
+//!    plane. Every line between the polygons runs between two parts. Polygons in one plane leave no open set
+//!    of lines.
+//! 2. *Start.* (Σλᵢaᵢ) ∧ (Σμⱼbⱼ) = Σλᵢμⱼ(aᵢ ∧ bⱼ), so every line from A to B is a positive combination of the
+//!    lines through pairs of vertices. Their cone holds every line from A to B. If the intersection k of both
+//!    planes occurs among them in both directions, the cone contains the whole line spanned by k. The
+//!    hyperplane of a line from a vertex of A off B's plane to a vertex of B off A's plane, which does not
+//!    meet k, then divides it into two pointed cones.
 //! 3. *Block.* See below: an occluder blocks a cone if each extreme ray satisfies the occluder's constraints.
-//! 4. *Unreal.* Suppose that the Klein form is never negative (or never positive) on two rays of a cone. For a
-//!    vector in the interior, a positive combination of all rays, the form with itself is then 0 only if it is 0
-//!    on every two rays. But rays that span six dimensions cannot all be orthogonal in a form that is not
-//!    degenerate. So the interior holds no vector with form 0, and those are the real lines.
-//! 5. *Split and Divide.* A hyperplane divides a cone into two; a line divides a polygon into two. If the claim
-//!    holds for both parts, it holds for the whole, up to a set of lines that is not open.
+//! 4. *Unreal.* Suppose that the Klein form is never negative (or never positive) on two rays of a cone. For
+//!    a vector in the interior, a positive combination of all rays, the form with itself is then 0 only if it
+//!    is 0 on every two rays. But rays that span six dimensions cannot all be orthogonal in a form that is
+//!    not degenerate. So the interior holds no vector with form 0, and those are the real lines.
+//! 5. *Split and Divide.* A hyperplane divides a cone into two; a line divides a polygon into two. If the
+//!    claim holds for both parts, it holds for the whole, up to a set of lines that is not open.
 //!
 //! # Why an occluder blocks
 //!
-//! An occluder is a list of triangles, each with a winding. Cancel every pair of edges that two triangles traverse
-//! in opposite directions; the directed edges that are left are the *boundary edges* (the silhouette edges of
-//! Nirenstein 2003, section 2.4). They are the boundary of a chain of triangles and therefore form closed loops.
+//! An occluder is a list of triangles, each with a winding. Cancel every pair of edges that two triangles
+//! traverse in opposite directions; the directed edges that are left are the *boundary edges* (the silhouette
+//! edges of Nirenstein 2003, section 2.4). They are the boundary of a chain of triangles and therefore form
+//! closed loops.
 //!
-//! Claim: a line that passes every boundary edge on the same side, and there is at least one, meets a triangle of
-//! the occluder. Proof: project along the line onto a plane. The line becomes a point o, the boundary a set of
-//! closed loops that avoid o. The sign of the Klein form with an edge says whether the projected edge turns around
-//! o counter-clockwise or clockwise. All of them turn the same way, none by the angle 0, so the winding number of
-//! the loops around o is not 0. If no triangle met the line, the projected triangles would be a chain in the plane
-//! without o, with these loops as its boundary, and the winding number would be 0. So a triangle meets the line.
-//! Nothing here requires the occluder to be convex, flat, connected, or free of self-intersections. A triangle
-//! without area meets no open set of lines.
+//! Claim: a line that passes every boundary edge on the same side, and there is at least one, meets a
+//! triangle of the occluder. Proof: project along the line onto a plane. The line becomes a point o, the
+//! boundary a set of closed loops that avoid o. The sign of the Klein form with an edge says whether the
+//! projected edge turns around o counter-clockwise or clockwise. All of them turn the same way, none by the
+//! angle 0, so the winding number of the loops around o is not 0. If no triangle met the line, the projected
+//! triangles would be a chain in the plane without o, with these loops as its boundary, and the winding
+//! number would be 0. So a triangle meets the line. Nothing here requires the occluder to be convex, flat,
+//! connected, or free of self-intersections. A triangle without area meets no open set of lines.
 //!
-//! The crossing must also be between A and B. If no vertex of the occluder is on the far side of A's plane, as seen
-//! from B, the crossing is beyond A; and likewise for B. Otherwise the occluder must lie in one plane and its
-//! triangles must face the same way. Let a be A's plane with B on its positive side, b the occluder's plane, and k
-//! their intersection. For a line through p and q the Klein form with k is a(p)b(q) − a(q)b(p). With p on b this is
-//! a(p)b(q): its sign is the direction in which the line crosses the occluder times the side of A's plane that the
-//! crossing is on. The boundary edges fix the direction, so one more constraint, the line k with the sign of the
-//! boundary edges, puts the crossing on B's side of A's plane. A triangle in the plane of A or B is refused.
+//! The crossing must also be between A and B. If no vertex of the occluder is on the far side of A's plane,
+//! as seen from B, the crossing is beyond A; and likewise for B. Otherwise the occluder must lie in one plane
+//! and its triangles must face the same way. Let a be A's plane with B on its positive side, b the occluder's
+//! plane, and k their intersection. For a line through p and q the Klein form with k is a(p)b(q) − a(q)b(p).
+//! With p on b this is a(p)b(q): its sign is the direction in which the line crosses the occluder times the
+//! side of A's plane that the crossing is on. The boundary edges fix the direction, so one more constraint,
+//! the line k with the sign of the boundary edges, puts the crossing on B's side of A's plane. A triangle in
+//! the plane of A or B is refused.
 //!
-//! Both kinds of constraint are linear. If every extreme ray of a cone satisfies them weakly, every vector in its
-//! interior satisfies them strictly.
+//! Both kinds of constraint are linear. If every extreme ray of a cone satisfies them weakly, every vector in
+//! its interior satisfies them strictly.
 
 mod boxes;
 mod cell;

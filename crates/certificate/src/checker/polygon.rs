@@ -7,8 +7,8 @@ use dashu_int::IBig;
 use super::geometry::{Plane, Point, height, plane, reduced, sign};
 use super::{Corners, Refusal};
 
-/// Refuses polygons that are not flat and strictly convex: no corner may lie on the line of an edge that it is
-/// not an end of.
+/// Refuses polygons that are not flat and strictly convex: no corner may lie on the line of an edge that it
+/// is not an end of.
 pub(super) fn check_polygons(of: &[Corners]) -> Result<(), Refusal> {
     let sound = |c: &Corners| {
         let n = c.len();

@@ -36,7 +36,8 @@ pub(super) fn start(a: &Side, b: &Side) -> Vec<Option<Cone>> {
     match (both, across) {
         (true, Some(across)) => {
             let at_k = klein(&k, &across);
-            // v·f(k) − f(v)·k lies on the hyperplane f = 0; its sign is chosen so that v has a positive factor.
+            // v·f(k) − f(v)·k lies on the hyperplane f = 0; its sign is chosen so that v has a positive
+            // factor.
             let base: Vec<Line> = lines
                 .iter()
                 .map(|v| {

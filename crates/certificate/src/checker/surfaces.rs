@@ -2,34 +2,38 @@
 //!
 //! # The argument
 //!
-//! Let S be a finite set of triangles such that every edge, as a pair of positions, belongs to an even number of
-//! them. Then S is a cycle modulo 2. For a point off S, define its *parity* as the number of triangles that a path
-//! from the point to infinity crosses, modulo 2, in general position. Two such paths form a closed curve, and a
-//! closed curve crosses a cycle an even number of times, so the parity does not depend on the path. A segment
-//! between two points crosses S an odd number of times if and only if their parities differ.
+//! Let S be a finite set of triangles such that every edge, as a pair of positions, belongs to an even number
+//! of them. Then S is a cycle modulo 2. For a point off S, define its *parity* as the number of triangles
+//! that a path from the point to infinity crosses, modulo 2, in general position. Two such paths form a
+//! closed curve, and a closed curve crosses a cycle an even number of times, so the parity does not depend on
+//! the path. A segment between two points crosses S an odd number of times if and only if their parities
+//! differ.
 //!
-//! A real surface has holes. Its edges with an odd number of triangles form, modulo 2, a cycle of edges: every
-//! vertex is the end of an even number of them. A fan of *patches* from one vertex of each connected part has
-//! exactly these edges as its boundary, so the surface with its patches is closed. A segment that meets no patch and
-//! whose ends have different parities crosses a triangle of the surface itself.
+//! A real surface has holes. Its edges with an odd number of triangles form, modulo 2, a cycle of edges:
+//! every vertex is the end of an even number of them. A fan of *patches* from one vertex of each connected
+//! part has exactly these edges as its boundary, so the surface with its patches is closed. A segment that
+//! meets no patch and whose ends have different parities crosses a triangle of the surface itself.
 //!
-//! A cell that no triangle of S and no patch meets has one parity. The two sides of a triangle that no other triangle
-//! of S passes through have one parity each, and these differ. On the side whose parity is not that of the cell, every
-//! segment from the cell to just before the triangle crosses S: the triangle is *hidden from that side*.
+//! A cell that no triangle of S and no patch meets has one parity. The two sides of a triangle that no other
+//! triangle of S passes through have one parity each, and these differ. On the side whose parity is not that
+//! of the cell, every segment from the cell to just before the triangle crosses S: the triangle is *hidden
+//! from that side*.
 //!
 //! # What is checked
 //!
 //! All of it from the scene alone, in integers:
 //!
-//! 1. The *surface* of a triangle is the set of triangles with area that are connected to it through edges with equal
-//!    end positions. If it has few odd edges ([`few_odd_edges`]), each connected part of these is closed by patches: a
-//!    triangle from each edge to the corner of the part that is least by the bits of its coordinates.
-//! 2. No triangle of the surface meets the cell. The cell's parity is counted along a segment from its centre to a
-//!    point outside the bounds of the surface that touches no edge of a triangle or patch.
-//! 3. No other triangle of the surface has a point inside this triangle. The parity of a side is counted along a
-//!    segment that ends inside the triangle on that side.
-//! 4. No patch has a point in the convex hull of cell and triangle: an axis-parallel plane, the patch's plane, or the
-//!    triangle's plane separates them. So no patch meets the cell, the triangle, or a segment between them.
+//! 1. The *surface* of a triangle is the set of triangles with area that are connected to it through edges
+//!    with equal end positions. If it has few odd edges ([`few_odd_edges`]), each connected part of these is
+//!    closed by patches: a triangle from each edge to the corner of the part that is least by the bits of its
+//!    coordinates.
+//! 2. No triangle of the surface meets the cell. The cell's parity is counted along a segment from its centre
+//!    to a point outside the bounds of the surface that touches no edge of a triangle or patch.
+//! 3. No other triangle of the surface has a point inside this triangle. The parity of a side is counted
+//!    along a segment that ends inside the triangle on that side.
+//! 4. No patch has a point in the convex hull of cell and triangle: an axis-parallel plane, the patch's
+//!    plane, or the triangle's plane separates them. So no patch meets the cell, the triangle, or a segment
+//!    between them.
 //!
 //! If a fixed number of attempts finds no segment in general position, the claim is refused.
 
@@ -122,7 +126,8 @@ impl Surfaces {
         self.all.len()
     }
 
-    /// The side of its plane from which a triangle is hidden from a cell. `parity` caches the parities of the cell.
+    /// The side of its plane from which a triangle is hidden from a cell. `parity` caches the parities of the
+    /// cell.
     pub fn hidden_side(
         &self,
         scene: &Triangles<'_>,
@@ -196,8 +201,9 @@ impl Surfaces {
         to
     }
 
-    /// Whether the segment from a point inside `bounds` to a point outside the surface crosses the surface and its
-    /// patches an odd number of times, not counting the triangle `without`; `None` if it touches an edge.
+    /// Whether the segment from a point inside `bounds` to a point outside the surface crosses the surface
+    /// and its patches an odd number of times, not counting the triangle `without`; `None` if it touches an
+    /// edge.
     fn parity(
         &self,
         scene: &Triangles<'_>,
@@ -244,8 +250,9 @@ fn passes(t: &[Vec3; 3], p: &Point, q: &Point) -> Option<bool> {
     }
 }
 
-/// Whether triangle `u` has a point in the interior of triangle `t`. It is clipped to the plane of `t` and to the inner
-/// sides of the edges of `t`; the rest is convex, so it has a point in the interior if and only if its centre is one.
+/// Whether triangle `u` has a point in the interior of triangle `t`. It is clipped to the plane of `t` and to
+/// the inner sides of the edges of `t`; the rest is convex, so it has a point in the interior if and only if
+/// its centre is one.
 fn pierces(t: &[Point; 3], flat: &Plane, u: &[Vec3; 3]) -> bool {
     let [a, b, c] = t;
     let off: Point = std::array::from_fn(|i| if i < 3 { &a[i] + &flat[i] * &a[3] } else { a[3].clone() });
@@ -277,7 +284,8 @@ fn pierces(t: &[Point; 3], flat: &Plane, u: &[Vec3; 3]) -> bool {
     inside(&t[..], &mixed(&left, &weights))
 }
 
-/// Whether a plane of a fixed list shows that a patch has no point in the convex hull of a cell and a triangle.
+/// Whether a plane of a fixed list shows that a patch has no point in the convex hull of a cell and a
+/// triangle.
 fn apart([lo, hi]: [Vec3; 2], t: &[Vec3; 3], patch: &[Vec3; 3]) -> bool {
     let (min, max) = t.iter().fold((lo, hi), |(a, b), v| (a.min(*v), b.max(*v)));
     if (0..3).any(|k| patch.iter().all(|p| p[k] < min[k]) || patch.iter().all(|p| p[k] > max[k])) {

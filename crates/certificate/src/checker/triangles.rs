@@ -11,8 +11,8 @@ use super::surfaces::Surfaces;
 /// The triangles of a scene, indexed so that a query for those near a segment visits few others.
 pub struct Triangles<'a> {
     all: &'a [[Vec3; 3]],
-    /// A binary heap of boxes: the root at 1, the children of `i` at 2i and 2i + 1. Node k of a level holds the k-th of
-    /// equal parts of `order`.
+    /// A binary heap of boxes: the root at 1, the children of `i` at 2i and 2i + 1. Node k of a level holds
+    /// the k-th of equal parts of `order`.
     boxes: Vec<[Vec3; 2]>,
     order: Vec<u32>,
     depth: u32,
@@ -85,13 +85,14 @@ impl<'a> Triangles<'a> {
         out.dedup();
     }
 
-    /// Every triangle that may have a point on a segment between two points that lie in the boxes `p` and `q`; ascending.
+    /// Every triangle that may have a point on a segment between two points that lie in the boxes `p` and
+    /// `q`; ascending.
     pub fn along(&self, p: [Vec3; 2], q: [Vec3; 2]) -> Vec<u32> {
         let mut out = Vec::new();
         for piece in 0..PIECES {
-            // A point of the segment is (1 − t)p + tq. For t between two multiples of 1/64 its coordinates are between
-            // those of the boxes there. The weights are exact; two products and a sum err by less than 1e-15 of the
-            // largest coordinate.
+            // A point of the segment is (1 − t)p + tq. For t between two multiples of 1/64 its coordinates
+            // are between those of the boxes there. The weights are exact; two products and a sum err by less
+            // than 1e-15 of the largest coordinate.
             let share = |k: u32, corner: usize| {
                 let t = f64::from(k) / f64::from(PIECES);
                 p[corner].as_dvec3() * (1.0 - t) + q[corner].as_dvec3() * t

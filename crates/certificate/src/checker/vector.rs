@@ -1,7 +1,8 @@
 //! Vectors of line space with their leading bits, which decide the sign of most Klein forms that are not 0.
 //!
-//! The leading bits are integers of fixed width. The truncation error of a component is less than one unit of the last
-//! bit kept, which bounds the error of a sum of products. A sign within that bound is decided with all digits.
+//! The leading bits are integers of fixed width. The truncation error of a component is less than one unit of
+//! the last bit kept, which bounds the error of a sum of products. A sign within that bound is decided with
+//! all digits.
 
 use std::cmp::Ordering;
 

@@ -144,8 +144,8 @@ pub(super) fn inside(corners: &[Point], p: &Point) -> bool {
     sides[0] != Ordering::Equal && sides.iter().all(|s| *s == sides[0])
 }
 
-/// Whether a triangle with area has a point on the segment. A triangle in one of the `planes` that touches the
-/// segment at that end only (first plane: `p`, second plane: `q`) does not count.
+/// Whether a triangle with area has a point on the segment. A triangle in one of the `planes` that touches
+/// the segment at that end only (first plane: `p`, second plane: `q`) does not count.
 pub(super) fn meets(t: &[Vec3; 3], p: &Point, q: &Point, planes: [Option<&Plane>; 2]) -> bool {
     let [a, b, c] = t.map(|v| point(v.as_dvec3().to_array()));
     let own = plane([&a, &b, &c]);

@@ -55,7 +55,9 @@ prop_compose! {
             prop::array::uniform2(prop::array::uniform4(integer())).prop_map(|e| Witness::Exact(Box::new(e))),
         ], 0..8),
         hidden in hidden(),
-        shared in prop::option::of((prop::array::uniform2(floats()), hidden()).prop_filter("empty", |s| !s.1.is_empty())),
+        shared in prop::option::of(
+            (prop::array::uniform2(floats()), hidden()).prop_filter("empty", |s| !s.1.is_empty())
+        ),
         above in prop::option::of(any::<u32>()),
     ) -> CellCertificate {
         CellCertificate {
@@ -75,7 +77,12 @@ proptest! {
     }
 
     #[test]
-    fn damaged_bytes_are_refused_or_canonical(e in certificate(), at in any::<usize>(), value in 1u8.., cut in 0usize..3) {
+    fn damaged_bytes_are_refused_or_canonical(
+        e in certificate(),
+        at in any::<usize>(),
+        value in 1u8..,
+        cut in 0usize..3,
+    ) {
         let mut raw = zstd::stream::decode_all(encode(&e).unwrap().as_slice()).unwrap();
         let at = at % raw.len();
         raw[at] ^= value;

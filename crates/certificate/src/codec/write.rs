@@ -40,7 +40,8 @@ pub fn encode(certificate: &CellCertificate) -> std::io::Result<Vec<u8>> {
     }
     if out.len() as u64 > MAX_BYTES {
         return Err(std::io::Error::other(
-            "the certificate of a cell is larger than 256 MiB; bake smaller cells, or smaller groups (--block-cells)",
+            "the certificate of a cell is larger than 256 MiB; bake smaller cells or smaller groups \
+             (--block-cells)",
         ));
     }
     zstd::stream::encode_all(out.as_slice(), LEVEL)
@@ -121,7 +122,8 @@ fn put_proof(out: &mut Vec<u8>, proof: &Proof) {
                 cuts.iter().for_each(|c| put(out, u64::from(*c)));
             }
             Step::Split { polar } => {
-                // 11 is kind 3 with number 2. (3, kind 3 with number 0, was a polar in doubles; it is no longer valid.)
+                // 11 is kind 3 with number 2. (3, kind 3 with number 0, was a polar in doubles; it is no
+                // longer valid.)
                 out.push(11);
                 polar.iter().for_each(|c| put_integer(out, c));
             }

@@ -19,7 +19,8 @@ pub struct Certificates {
 #[error("{0}")]
 pub struct ReadError(String);
 
-/// Reads certificates, and caches the last certificate of a cell group: the cells that rely on one follow each other.
+/// Reads certificates, and caches the last certificate of a cell group: the cells that rely on one follow
+/// each other.
 #[derive(Default)]
 pub struct CertificateReader(Mutex<Option<(u32, Arc<GroupCertificate>)>>);
 
@@ -42,8 +43,8 @@ impl CertificateReader {
         Ok(Some(Certificates { own, above }))
     }
 
-    /// The certificate of a cell group that a cell stores. The lock is held while one thread decodes it, so that the
-    /// others wait for it instead of decoding it again.
+    /// The certificate of a cell group that a cell stores. The lock is held while one thread decodes it, so
+    /// that the others wait for it instead of decoding it again.
     fn group(&self, result: &dyn BakedResult, keeper: u32) -> Result<Arc<GroupCertificate>, ReadError> {
         let mut last = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, shared)) = last.as_ref().filter(|(cell, _)| *cell == keeper) {

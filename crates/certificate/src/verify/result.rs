@@ -38,8 +38,8 @@ pub trait BakedResult: Sync {
     /// A message if the set cannot be decoded.
     fn undecided(&self, cell: u32) -> Result<Vec<u32>, String>;
 
-    /// The bytes of a cell's certificate ([`crate::codec`]), empty for a cell that was set aside; `None` for a result
-    /// without certificates.
+    /// The bytes of a cell's certificate ([`crate::codec`]), empty for a cell that was set aside; `None` for
+    /// a result without certificates.
     ///
     /// # Errors
     /// A message if there is no such cell.

@@ -32,3 +32,19 @@ impl Sample {
         out
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_seed_always_draws_the_same_pairs() {
+        let drawn = Sample { pairs: 6, seed: 5 }.draw(3, 100);
+        let expected = Drawn::from([
+            (0, BTreeSet::from([20, 21])),
+            (1, BTreeSet::from([25, 90])),
+            (2, BTreeSet::from([14, 30])),
+        ]);
+        assert_eq!(drawn, expected);
+    }
+}
