@@ -1,4 +1,4 @@
-//! Any bytes as an OBJ file: `cargo +nightly fuzz run obj` in `fuzz/`. A crash found becomes a file in
+//! Arbitrary bytes as an OBJ file: `cargo +nightly fuzz run obj` in `fuzz/`. A crash found becomes a file in
 //! `crates/scene/tests/crashes/`.
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! Any bytes as a PLY file: `cargo +nightly fuzz run ply` in `fuzz/`. A crash found becomes a file in
+//! Arbitrary bytes as a PLY file: `cargo +nightly fuzz run ply` in `fuzz/`. A crash found becomes a file in
 //! `crates/scene/tests/crashes/`.
 #![no_main]
 

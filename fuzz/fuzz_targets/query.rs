@@ -1,5 +1,5 @@
-//! Any bytes as triangles, and whether two of them see each other, with the checker as judge: `cargo +nightly fuzz run query` in
-//! `fuzz/`. A crash found becomes a numbered case in `crates/exact/tests/fuzzed.rs`.
+//! Arbitrary bytes as triangles: do two of them see each other? The checker judges every answer: `cargo
+//! +nightly fuzz run query` in `fuzz/`. A crash found becomes a file in `crates/exact/tests/crashes/`.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {

@@ -1,11 +1,63 @@
 //! Visibility certificates: what a certificate states, its bytes, and a checker.
 //!
-//! The checker uses integers, the triangles and the certificate. It shares no code with the search that finds certificates:
-//! this crate depends on no other crate of the project but the number types.
+//! A certificate gives the reasons for the visibility set of one view cell: a witness (an unobstructed
+//! segment) for each visible triangle, and proofs for the hidden ones. [`checker`] decides with integers
+//! alone whether the reasons hold. It shares no code with the search that finds them: this crate depends on
+//! no other crate of the project but the number types. [`verify`] checks a whole result.
+//! `docs/formats/certificate.md` describes every byte and every argument, so that a second checker can be
+//! written from it.
+//!
+//! The smallest proof: a small triangle behind a wall, from a cell in front of the wall.
+//!
+//! ```
+//! use glam::Vec3;
+//! use sightline_certificate::certificate::{CellCertificate, HiddenGroup, Target};
+//! use sightline_certificate::checker::{CellClaims, CellRefusal, Triangles, check_cell};
+//! use sightline_certificate::proof::{OccluderTriangle, Proof, Step};
+//! use sightline_certificate::codec;
+//!
+//! let v = Vec3::new;
+//! let wall = [v(-30.0, -30.0, 5.0), v(60.0, -30.0, 5.0), v(-30.0, 60.0, 5.0)];
+//! let small = [v(0.0, 0.0, 10.0), v(1.0, 0.0, 10.0), v(0.0, 1.0, 10.0)];
+//! let triangles = [wall, small];
+//! let scene = Triangles::new(&triangles);
+//!
+//! // The small triangle is outside one face of the cell. The wall blocks all lines from that face to it.
+//! let occluder = vec![OccluderTriangle { triangle: 0, reversed: false }];
+//! let block = Step::Block { occluder: 0, negative: false, cuts: vec![] };
+//! let proof = Proof { occluders: vec![occluder], steps: vec![block] };
+//! let group = HiddenGroup { target: Target::Triangle, triangles: vec![1], proofs: vec![proof] };
+//! let certificate = CellCertificate { hidden: vec![group], ..CellCertificate::default() };
+//!
+//! let cell = [v(0.0, 0.0, 0.0), v(1.0, 1.0, 1.0)];
+//! // The wall itself is undecided here; a certificate need not decide everything.
+//! let claims =
+//!     CellClaims { cell, visible: &[0], undecided: &[0], certificate: &certificate, above: None };
+//! check_cell(&scene, &claims, &|_| true)?;
+//!
+//! // Encoding and decoding give the same certificate.
+//! let bytes = codec::encode(&certificate)?;
+//! assert_eq!(codec::decode(&bytes, 2)?, certificate);
+//!
+//! // An altered proof is refused: no line passes the boundary edges of the wall on their negative side.
+//! let mut altered = certificate.clone();
+//! altered.hidden[0].proofs[0].steps = vec![Step::Block { occluder: 0, negative: true, cuts: vec![] }];
+//! let claims = CellClaims { certificate: &altered, ..claims };
+//! assert!(matches!(check_cell(&scene, &claims, &|_| true), Err(CellRefusal::Hidden { .. })));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
+pub mod certificate;
 pub mod checker;
-pub mod evidence;
+pub mod codec;
+#[doc(hidden)]
+pub mod fuzzing;
 pub mod proof;
+mod verify;
 
-pub use evidence::Evidence;
-pub use proof::Proof;
+pub use certificate::{CellCertificate, GroupCertificate, HiddenGroup, Reason, Target, Witness};
+pub use proof::{OccluderTriangle, Proof};
+pub use verify::{
+    BakedResult, CertificateReader, Certificates, Count, Hidden, OnProgress, ReadError, Refused, Report,
+    SET_ASIDE, Sample, Totals, VerifyError, VerifyOptions, verify,
+};

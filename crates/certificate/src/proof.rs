@@ -1,66 +1,83 @@
-//! Proofs that nothing is seen: what a step can say.
+//! Proofs that one polygon is hidden from another: the steps a proof is made of.
 //!
-//! A proof for two polygons says how to take the region of lines between them apart. It names
-//! triangles, and now and then a hyperplane: who checks it derives everything else from the scene, and the steps need not
-//! have been found the same way. See [`crate::checker`] for what each step claims.
+//! A proof subdivides the set of lines between two polygons until each part is blocked or empty. It names
+//! triangles, edges, and sometimes a hyperplane; the checker derives everything else from the scene. The
+//! search may find the steps in any way. [`crate::checker`] says what each step claims and why that is sound.
 
 use dashu_int::IBig;
 
-/// One step of a proof, in depth-first order.
+/// One step of a proof. The steps are in depth-first order.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Step {
-    /// The region holds no real lines: the Klein form has one sign on all pairs of its rays.
+    /// The region holds no open set of real lines: the Klein form has one sign on all pairs of its rays.
     Unreal,
-    /// The occluder blocks. The region is split along the `cuts`-th of its constraints one after the other, each outer
-    /// part being the business of the steps that follow, in order; what stays inside all of them is blocked.
+    /// An occluder blocks. The region is split along the listed constraints, one after another. The outer
+    /// part of each split is left to the steps that follow, in the order of `cuts`. The part inside all of
+    /// them must be blocked by the occluder.
     Block {
         /// Index into [`Proof::occluders`].
         occluder: u32,
-        /// Whether lines pass the edges on their negative side.
+        /// Whether the blocked lines pass the boundary edges on their negative side.
         negative: bool,
-        /// Which constraints: border edges by number, then A's plane, then B's plane.
+        /// Numbers of constraints: the boundary edges come first, then the plane of A, then the plane of B.
         cuts: Vec<u16>,
     },
-    /// The region is split by the hyperplane polar to this vector of world space; the negative side follows, then the
-    /// positive one.
+    /// The region is split by a hyperplane. The steps for the negative side follow, then those for the
+    /// positive side.
     Split {
-        /// The Plücker vector; any multiple by a positive number says the same.
+        /// The Plücker vector whose polar hyperplane it is. A positive multiple means the same.
         polar: Box<[IBig; 6]>,
     },
-    /// The polygon `of` is divided along the line through two of its points; both halves follow, first the one that
-    /// begins with `from`. Point 2i is vertex i, point 2i + 1 the middle of the edge after it.
+    /// A polygon is divided along the line through two of its points. The steps for both parts follow, first
+    /// the part whose boundary runs from `from` to `to`. Point 2i is vertex i; point 2i + 1 is the midpoint
+    /// of the edge from vertex i to vertex i + 1.
     Divide {
         /// Which polygon.
         of: Which,
-        /// Where the line comes in.
+        /// The first point of the line.
         from: u16,
-        /// Where it goes out.
+        /// The second point of the line.
         to: u16,
     },
 }
 
-/// One of the polygons of a query.
+/// One of the two polygons of a query.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Which {
-    /// The one lines come from.
+    /// The polygon that the lines start from.
     A,
-    /// The one they go to.
+    /// The polygon that the lines lead to.
     B,
 }
 
-/// A proof that B is hidden from A.
+/// A triangle of an occluder with its winding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct OccluderTriangle {
+    /// Index of the triangle in the scene.
+    pub triangle: u32,
+    /// Whether the winding is the reverse of the scene's.
+    pub reversed: bool,
+}
+
+impl From<(u32, bool)> for OccluderTriangle {
+    fn from((triangle, reversed): (u32, bool)) -> Self {
+        Self { triangle, reversed }
+    }
+}
+
+/// A proof that polygon B is hidden from polygon A.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Proof {
-    /// The occluders it speaks of: triangles, each with whether it is turned round.
-    pub occluders: Vec<Vec<(u32, bool)>>,
-    /// The steps, for each pair of parts of A and B in the order of the query, and for each region of the pair.
+    /// The occluders that [`Step::Block`] refers to.
+    pub occluders: Vec<Vec<OccluderTriangle>>,
+    /// The steps, for each pair of parts of A and B, and for each starting region of the pair.
     pub steps: Vec<Step>,
 }
 
 impl Proof {
-    /// The triangles it rests on, ascending.
+    /// The triangles of all occluders, ascending and without duplicates.
     pub fn blockers(&self) -> Vec<u32> {
-        let mut out: Vec<u32> = self.occluders.iter().flatten().map(|(t, _)| *t).collect();
+        let mut out: Vec<u32> = self.occluders.iter().flatten().map(|t| t.triangle).collect();
         out.sort_unstable();
         out.dedup();
         out

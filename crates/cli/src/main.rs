@@ -6,7 +6,6 @@ mod args;
 mod bake;
 mod bench;
 mod cells;
-mod certificates;
 mod client;
 mod error;
 mod files;

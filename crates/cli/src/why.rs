@@ -1,23 +1,23 @@
-//! `sightline query --why`: the witness along which a triangle is seen from a cell, or the blockers that hide it.
+//! `sightline query --why`: the witness for a triangle visible from a cell, or the blockers that hide it.
 
 use std::path::Path;
 
 use glam::Vec3;
 use serde_json::{Value, json};
-use sightline_exact::evidence::{Reason, Target};
-use sightline_exact::{Cell, Cost, ExactScene, Found, Hides, Limits, Polygon, Proof, from_cell, polygon};
+use sightline_certificate::{CertificateReader, Proof, Reason, Target};
+use sightline_exact::{Cell, Cost, ExactScene, Found, Hides, Limits, Polygon, from_cell, polygon};
 use sightline_pvs::Pvs;
 use sightline_scene::{Aabb, overlap};
 
-use crate::certificates::Reader;
 use crate::error::CliError;
 use crate::inspect;
 use crate::serve::print;
 
-/// Blockers listed without --json.
+/// Most blockers listed without --json.
 const SHOWN: usize = 40;
 
-/// Says why a triangle is in a cell's set, or is not: from the result's certificates, or asked anew in the scene.
+/// Prints why a triangle is in a cell's set, or is not: from the result's certificates, or by a new query if
+/// a scene is given.
 pub fn why(
     pvs: &Pvs,
     result: &Path,
@@ -43,24 +43,27 @@ pub fn why(
     let about = format!("triangle {triangle} from cell {cell}");
     let blockers = answer["blockers"].as_array().map_or(&[][..], |b| b);
     print(&match answer["state"].as_str() {
-        Some("visible") if answer["meets"] == true => format!("{about}: visible, it meets the cell"),
+        Some("visible") if answer["meets"] == true => format!("{about}: visible, because it meets the cell"),
         Some("visible") => {
             format!(
-                "{about}: visible, nothing is in the way on the segment from {} to {}, which ends inside the triangle or goes on just behind",
+                "{about}: visible along the segment from {} to {}, which is unobstructed up to the triangle \
+                 and ends on it or just behind it",
                 answer["witness"][0], answer["witness"][1]
             )
         }
-        Some("hidden") if answer["degenerate"] == true => format!("{about}: never visible, it has no area"),
+        Some("hidden") if answer["degenerate"] == true => format!("{about}: hidden, because it has no area"),
         Some("hidden") if blockers.is_empty() => {
             format!(
-                "{about}: hidden by the closed surface it is part of: its other side is turned to the cell"
+                "{about}: hidden by the closed surface it belongs to, because its inner side faces the cell"
             )
         }
         Some("hidden") => {
             let with = match (answer["with"].as_u64(), answer["surface"] == true) {
-                (Some(1), _) => " together with another next to it".to_owned(),
-                (Some(n @ 2..), _) => format!(" together with {n} others next to it"),
-                (_, true) => " from one side by the closed surface it is part of, from the other".to_owned(),
+                (Some(1), _) => " together with one other triangle".to_owned(),
+                (Some(n @ 2..), _) => format!(" together with {n} other triangles"),
+                (_, true) => {
+                    " from one side by the closed surface it belongs to, from the other side".to_owned()
+                }
                 _ => String::new(),
             };
             let list: Vec<String> = blockers.iter().take(SHOWN).map(Value::to_string).collect();
@@ -69,33 +72,33 @@ pub fn why(
                 n => format!(" and {n} more (--json lists all)"),
             };
             let from = match answer["from"].as_array().map(Vec::as_slice) {
-                Some([min, max]) => format!(", as from all of the box {min} to {max} around it,"),
+                Some([min, max]) => format!(", like from the whole box {min} to {max} around the cell,"),
                 _ => String::new(),
             };
             format!("{about}: hidden{from}{with} by triangles {}{more}", list.join(" "))
         }
         _ => format!(
-            "{about}: undecided{}; what is undecided is drawn, so that nothing visible is missing",
+            "{about}: undecided{}; undecided triangles are in the set, so no visible one is missing",
             answer["reason"].as_str().map_or(String::new(), |r| format!(" ({r})"))
         ),
     })
 }
 
-/// From the certificates of the result.
+/// The answer from the certificates of the result.
 fn look_up(pvs: &Pvs, result: &Path, cell: u32, triangle: u32) -> Result<Value, CliError> {
-    let found = Reader::default()
+    let found = CertificateReader::default()
         .read(pvs, cell)
         .map_err(|e| CliError::Input(format!("{}, cell {cell}: {e}", result.display())))?;
     let Some(certificates) = found else {
         return Err(CliError::Input(format!(
-            "{} was baked without --certificates and does not know why; name its scene with --scene to ask anew",
+            "{} was baked without --certificates and stores no reasons; add --scene FILE for a new query",
             result.display()
         )));
     };
     let mut ids = Vec::new();
     pvs.undecided(cell, &mut ids)?;
     if ids.binary_search(&triangle).is_ok() {
-        return Ok(json!({"state": "undecided", "reason": "ask anew with --scene"}));
+        return Ok(json!({"state": "undecided", "reason": "add --scene for a new query"}));
     }
     pvs.visible(cell, &mut ids)?;
     Ok(match certificates.about(triangle) {
@@ -119,7 +122,7 @@ fn look_up(pvs: &Pvs, result: &Path, cell: u32, triangle: u32) -> Result<Value, 
     })
 }
 
-/// The triangles some proofs rest on, ascending.
+/// The triangles that the occluders of these proofs consist of, ascending.
 fn blockers(proofs: &[Proof]) -> Vec<u32> {
     let mut all: Vec<u32> = proofs.iter().flat_map(Proof::blockers).collect();
     all.sort_unstable();
@@ -127,7 +130,7 @@ fn blockers(proofs: &[Proof]) -> Vec<u32> {
     all
 }
 
-/// By a query in the scene.
+/// The answer of a new query in the scene.
 fn ask(pvs: &Pvs, result: &Path, path: &Path, cell: u32, triangle: u32) -> Result<Value, CliError> {
     let scene = sightline_scene::load(path)?;
     inspect::check_scene(&scene, pvs, path, result)?;
@@ -157,7 +160,8 @@ fn ask(pvs: &Pvs, result: &Path, path: &Path, cell: u32, triangle: u32) -> Resul
             &mut Cost::default(),
         ) {
             Found::Visible(ends) => {
-                json!({"state": "visible", "witness": ends.each_ref().map(|e| polygon::rounded(e).to_array())})
+                let witness = ends.each_ref().map(|e| polygon::rounded(e).to_array());
+                json!({"state": "visible", "witness": witness})
             }
             Found::Hidden(proofs) => {
                 json!({"state": "hidden", "blockers": blockers(&proofs), "surface": half.is_some()})

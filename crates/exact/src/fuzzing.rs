@@ -1,37 +1,19 @@
-//! What fuzz targets and tests feed with any bytes.
+//! The body of the fuzz target `query`, which the tests call too.
 
 use glam::{DVec3, Vec3};
 use sightline_scene::{Object, Scene, Triangle};
 
-use crate::checker::{self, CellClaims, Triangles, check_cell, check_hidden, check_witness};
-use crate::evidence::codec;
+use crate::checker::{self, check_hidden, check_witness};
 use crate::{Limits, Occluders, Polygon, Verdict, sightlines};
 
-/// Reads bytes (without their compression) as the evidence of a cell before two walls, and has everything checked that they claim.
-/// Whether that is accepted does not matter here, only that nothing panics.
-pub fn evidence(raw: &[u8]) {
-    let wall = |z: f32| {
-        let [a, b, c, d] =
-            [[-4.0, -4.0], [4.0, -4.0], [4.0, 4.0], [-4.0, 4.0]].map(|[x, y]| Vec3::new(x, y, z));
-        [[a, b, c], [a, c, d]]
-    };
-    let triangles = [wall(1.0), wall(2.0), wall(3.0)].concat();
-    let Ok(evidence) = codec::decode_raw(raw, triangles.len() as u32) else { return };
-    let index = Triangles::new(&triangles);
-    for visible in [&[][..], &[0, 1], &[0, 1, 2, 3, 4, 5]] {
-        let cell = [Vec3::ZERO, Vec3::splat(0.5)];
-        let above = evidence.shared.as_ref().filter(|_| evidence.above.is_some());
-        let claims = CellClaims { cell, visible, undecided: &[], evidence: &evidence, above };
-        let _ = check_cell(&index, &claims, &|_| true);
-    }
-}
-
-/// Reads bytes as two triangles and others between them, and asks whether one sees the other. The first byte says what coordinates are
-/// made of: any bits of floats, quarters from −32 to 31.75, or the upper half of a byte on a scale of its own for each point. What was decided, if
-/// the bytes were triangles and it was.
+/// Decodes bytes as two triangles and occluding triangles, and asks whether one of the two sees the other.
+/// The first byte selects the coordinates: any bits of floats, quarters from −32 to 31.75, or the upper half
+/// of a byte on a scale of its own for each point. Returns the decision: `None` if the bytes are too short or
+/// the query stays undecided.
 ///
 /// # Panics
-/// When the checker refuses a witness or a proof, or the two directions contradict each other: what no bytes may bring about.
+/// If the checker refuses a witness or a proof, or the queries in the two directions contradict each other.
+/// No bytes may cause that.
 pub fn query(raw: &[u8]) -> Option<bool> {
     let (kind, raw) = raw.split_first()?;
     let mut bytes = raw.iter().copied();
@@ -84,5 +66,5 @@ pub fn query(raw: &[u8]) -> Option<bool> {
     verdicts[0].or(verdicts[1])
 }
 
-/// Triangles in the way, at most: what is slow is no finding.
+/// Most occluding triangles, so that a run is fast.
 const MOST_TRIANGLES: usize = 24;

@@ -70,7 +70,7 @@ fn check(
 ) -> Result<u64, CellRefusal> {
     let (visible, index) = (set(d), Triangles::new(triangles));
     let named = Evidence { above: above.map(|_| 0), ..evidence.clone() };
-    let claims = CellClaims { cell, visible: &visible, undecided: &d.undecided, evidence: &named, above };
+    let claims = CellClaims { cell, visible: &visible, undecided: &d.undecided, certificate: &named, above };
     check_cell(&index, &claims, &|_| true)
 }
 
@@ -177,12 +177,12 @@ fn tampered_claims_about_a_box_are_refused() {
     (own.shared, own.above) = (Some(kept), Some(0));
     assert!(refused(check(&triangles, cell, &d, &own, Some(&of))));
     let visible = set(&d);
-    let claims = CellClaims { cell, visible: &visible, undecided: &[], evidence: &own, above: Some(&of) };
+    let claims = CellClaims { cell, visible: &visible, undecided: &[], certificate: &own, above: Some(&of) };
     let others = |claim: Claim| !matches!(claim, Claim::Shared(_));
     check_cell(&Triangles::new(&triangles), &claims, &others).unwrap();
     // Named and not there, or there and not named.
     let with = |evidence: &Evidence, above| {
-        let claims = CellClaims { cell, visible: &visible, undecided: &[], evidence, above };
+        let claims = CellClaims { cell, visible: &visible, undecided: &[], certificate: evidence, above };
         check_cell(&Triangles::new(&triangles), &claims, &|_| true)
     };
     assert_eq!(with(&own, None), Err(CellRefusal::Above));

@@ -25,7 +25,8 @@ fn check(
     evidence: &Evidence,
 ) -> Result<u64, CellRefusal> {
     let (visible, index) = (set(d), Triangles::new(triangles));
-    let claims = CellClaims { cell, visible: &visible, undecided: &d.undecided, evidence, above: None };
+    let claims =
+        CellClaims { cell, visible: &visible, undecided: &d.undecided, certificate: evidence, above: None };
     check_cell(&index, &claims, &|_| true)
 }
 
@@ -75,7 +76,11 @@ fn tampered_claims_are_refused() {
     let index = Triangles::new(&triangles);
     let visible = set(&d);
     let ask = |cell, visible: &[u32], undecided: &[u32], evidence: &Evidence| {
-        check_cell(&index, &CellClaims { cell, visible, undecided, evidence, above: None }, &|_| true)
+        check_cell(
+            &index,
+            &CellClaims { cell, visible, undecided, certificate: evidence, above: None },
+            &|_| true,
+        )
     };
     ask(cell, &visible, &[], &d.evidence).unwrap();
     // Hiding what is seen, and showing what is hidden.
@@ -351,13 +356,13 @@ proptest! {
                     }
                 }
             }
-            let claims = CellClaims { cell: *cell, visible: &visible, undecided: &[], evidence: &evidence, above: None };
+            let claims = CellClaims { cell: *cell, visible: &visible, undecided: &[], certificate: &evidence, above: None };
             prop_assert!(check_cell(&Triangles::new(triangles), &claims, &|_| true).is_err());
         }
     }
 
     #[test]
     fn any_bytes_as_evidence_are_read_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
-        sightline_exact::fuzzing::evidence(&bytes);
+        sightline_certificate::fuzzing::certificate(&bytes);
     }
 }

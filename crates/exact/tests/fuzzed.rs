@@ -1,5 +1,6 @@
-//! Queries about triangles of any bytes: the checker accepts every answer. The same as the fuzz target `query`, without a nightly compiler;
-//! `SIGHTLINE_FUZZ_CASES` says how many of each kind, `SIGHTLINE_FUZZ_SEED` where to begin.
+//! The body of the fuzz target `query` on random bytes, and on inputs that once crashed it: the checker
+//! accepts every answer. `SIGHTLINE_FUZZ_CASES` is the number of cases of each kind, `SIGHTLINE_FUZZ_SEED`
+//! the first seed.
 
 #![allow(clippy::panic, clippy::print_stdout, reason = "tests")]
 
@@ -18,7 +19,8 @@ fn variable(name: &str, otherwise: u64) -> u64 {
         .map_or(otherwise, |v| v.parse().unwrap_or_else(|_| panic!("{name}={v} is no number")))
 }
 
-/// Random bytes of one kind; of coordinates on a grid few values, so that much is in one plane, on one line and in one place.
+/// Random bytes of one kind; of coordinates on a grid few values, so that much is in one plane, on one line
+/// and in one place.
 fn run(kind: u8) {
     let (cases, first) = (variable("SIGHTLINE_FUZZ_CASES", 200), variable("SIGHTLINE_FUZZ_SEED", 1));
     let mut found = [0u64; 3];
@@ -31,7 +33,8 @@ fn run(kind: u8) {
             // Sign and magnitude of few bits.
             raw[1..].iter_mut().for_each(|b| *b = (*b & mask).wrapping_sub(mask / 2));
             if seed % 2 == 0 {
-                // One small triangle on either side, and all others large and between them, where they hide something.
+                // One small triangle on either side, and all others large and between them, where they hide
+                // something.
                 let [small, large] =
                     [3i8, 120].map(|most| move |b: u8| ((b.cast_signed() as i32 * most as i32) / 128) as u8);
                 for (i, triangle) in raw[1..].chunks_mut(9).enumerate() {
@@ -54,6 +57,18 @@ fn run(kind: u8) {
     // Of any floats few hide anything.
     let hidden = kind == 0 || found[0] > cases / 20;
     assert!(hidden && found[1] > cases / 20, "next to nothing was decided: {found:?}");
+}
+
+#[test]
+fn inputs_that_once_crashed_do_not() {
+    let crashes = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/crashes");
+    let entries = std::fs::read_dir(crashes).unwrap_or_else(|e| panic!("{e}"));
+    let mut kept: Vec<_> = entries.map(|e| e.unwrap_or_else(|e| panic!("{e}")).path()).collect();
+    kept.sort();
+    assert!(!kept.is_empty(), "the folder has a README at least");
+    for path in kept {
+        let _ = query(&std::fs::read(&path).unwrap_or_else(|e| panic!("{e}")));
+    }
 }
 
 #[test]

@@ -1,92 +1,106 @@
-//! Whether the evidence about a view cell shows what its set claims.
+//! Whether the certificate of a view cell shows what the cell's set claims.
 //!
-//! What is claimed, and what is checked:
+//! These claims are made and checked:
 //!
-//! 1. *All are accounted for.* Every triangle with area is in the set and seen, in the set and undecided, or hidden. What is seen
-//!    meets the cell (a triangle clipped to the box leaves something) or has a witness; what is not in the set is in one of the
-//!    groups of hidden triangles, of the cell or of a box that the cell lies in.
-//! 2. *Seen.* A witness begins in the cell, ends inside the triangle, and no other triangle has a point on it, but for those in the
-//!    triangle's plane. One that begins on a face of the cell and leaves through it may do so on a triangle in that face's plane.
-//! 3. *Hidden.* A group's triangles lie in its box (or in its polygon, or are the one triangle), and neither the box nor the
-//!    triangles have a point in common with the cell. A segment
-//!    from the cell to the box leaves the cell through some face and enters the box through one; for every pair of faces between which
-//!    that can be there is a proof ([`super::check_hidden`]) for the part of the box's face beyond the cell's. Faces without area
-//!    let no open set of lines through. What a closed surface hides needs no proof ([`super::surfaces`]).
-//!    What is hidden from a box is hidden from all cells in it; of the groups of a box the same is checked, with the box for the cell.
+//! 1. *Every triangle is accounted for.* Each triangle with area is in the set with a reason, in the set and
+//!    undecided, or hidden. The reason for a visible triangle is that it meets the cell, or a witness. A
+//!    hidden triangle is in exactly one group, of the cell or of a cell group's box that contains the cell.
+//! 2. *Seen.* A witness starts in the cell and ends inside the triangle. No other triangle has a point on it,
+//!    except triangles in the plane of this one. If it starts on a face of the cell and leaves the cell
+//!    there, a triangle in that face's plane may touch its start.
+//! 3. *Hidden.* A group's triangles lie in its box or polygon (or are its one triangle), and neither the box
+//!    nor the triangles touch the cell. A segment from the cell to the box leaves the cell through a face of
+//!    the cell and enters the box through a face of the box. For every pair of such faces there is a proof
+//!    ([`super::check_hidden`]) about the part of the box's face that is outside the cell's face. Faces
+//!    without area pass no open set of lines. A triangle hidden by its closed surface needs no proof;
+//!    `surfaces.rs` has that argument.
+//!
+//! A triangle that is hidden from a box is hidden from every cell in it. The groups of a cell group are
+//! checked like those of a cell, with the box in place of the cell.
 
-use std::cmp::Ordering;
 use std::sync::OnceLock;
 
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::line::{Plane, Point, height, plane, point, reduced, sign};
-use super::near::Triangles;
-use super::witness::{around, inside, meets};
-use super::{Corners, Refusal, check_hidden, check_polygons, clip};
-use crate::evidence::{Evidence, Hidden, Shared, Target, Witness, faces};
+use super::boxes::meets_box;
+use super::geometry::has_area;
+use super::group::{Parities, check_group};
+use super::triangles::Triangles;
+use super::witness::check_cell_witness;
+use crate::certificate::{CellCertificate, GroupCertificate, HiddenGroup, Target};
 
-/// Most corners of a polygon that is hidden as a whole: more than any has, and few enough to check at once.
-const MOST_CORNERS: usize = 64;
-
-/// What a result claims about one cell.
+/// The claims of a result about one cell.
 #[derive(Clone, Copy, Debug)]
 pub struct CellClaims<'a> {
-    /// Least and greatest corner of the cell.
+    /// Least and greatest corner of the cell, in scene coordinates.
     pub cell: [Vec3; 2],
-    /// The set, ascending, with what is undecided.
+    /// The visibility set with the undecided triangles, ascending.
     pub visible: &'a [u32],
-    /// What of it is undecided, ascending.
+    /// The undecided triangles of the set, ascending.
     pub undecided: &'a [u32],
     /// The reasons.
-    pub evidence: &'a Evidence,
-    /// What is hidden from the box around the cell that its evidence names ([`Evidence::above`]).
-    pub above: Option<&'a Shared>,
+    pub certificate: &'a CellCertificate,
+    /// The certificate of the box around the cell that [`CellCertificate::above`] refers to.
+    pub above: Option<&'a GroupCertificate>,
 }
 
-/// A single claim about a cell, to be checked.
+/// One claim about a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Claim {
-    /// That a triangle meets the cell.
+    /// This triangle meets the cell.
     Meets(u32),
-    /// The witness at this place in the evidence.
+    /// The witness at this index of [`CellCertificate::seen`] holds.
     Seen(usize),
-    /// The group of hidden triangles at this place.
+    /// The group at this index of [`CellCertificate::hidden`] is hidden.
     Hidden(usize),
-    /// The group at this place of what the evidence shares ([`Evidence::shared`]). No other cell need be looked at to check it.
+    /// The group at this index of [`CellCertificate::shared`] is hidden. The check needs no other cell.
     Shared(usize),
-    /// The group at this place of [`CellClaims::above`]: who checks all cells of a result checks it with the cell that keeps it.
+    /// The group at this index of [`CellClaims::above`] is hidden. A caller that checks every cell of a
+    /// result checks the same group as [`Claim::Shared`] of the cell that stores it.
     Above(usize),
 }
 
-/// Why what is claimed of a cell is refused.
+/// Why the claims about a cell are refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CellRefusal {
-    /// The cell is no box.
+    /// The cell is not a box with a volume.
     #[error("the cell is not a box with a volume")]
     Cell,
-    /// A set is not in order, or the evidence does not fit it.
+    /// The set is not ascending, or the certificate does not account for a triangle.
     #[error("triangle {0}: {1}")]
     Account(u32, &'static str),
-    /// A triangle neither meets the cell nor has a witness.
-    #[error(
-        "triangle {0} is said to be visible, but it does not meet the cell and there is no witness for it"
-    )]
+    /// A visible triangle neither meets the cell nor has a witness.
+    #[error("triangle {0} is in the set, but it does not meet the cell and has no witness")]
     NoWitness(u32),
-    /// The cell names evidence about a box that it is not in.
-    #[error("it rests on certificates for a box that it is not in, or that are not there")]
+    /// The cell relies on the certificate of a box that does not contain it, or that is missing.
+    #[error("the cell relies on certificates of a box that does not contain it, or that are missing")]
     Above,
     /// A witness does not show its triangle.
     #[error("the witness for triangle {0}: {1}")]
     Witness(u32, String),
-    /// A group of hidden triangles.
+    /// A group of triangles is not shown to be hidden.
     #[error("the certificate for {}: {reason}", group(triangles))]
     Hidden {
-        /// The group.
+        /// The triangles of the group.
         triangles: Vec<u32>,
-        /// What is wrong.
+        /// Why not.
         reason: String,
     },
+    /// The caller of [`check_cell_until`] cancelled the check.
+    #[error("the check was cancelled")]
+    Cancelled,
+}
+
+impl CellRefusal {
+    /// The triangles that the refused claim is about; empty if it is about the whole cell.
+    pub fn triangles(&self) -> Vec<u32> {
+        match self {
+            Self::Account(id, _) | Self::NoWitness(id) | Self::Witness(id, _) => vec![*id],
+            Self::Hidden { triangles, .. } => triangles.clone(),
+            Self::Cell | Self::Above | Self::Cancelled => Vec::new(),
+        }
+    }
 }
 
 fn group(triangles: &[u32]) -> String {
@@ -98,14 +112,28 @@ fn group(triangles: &[u32]) -> String {
     }
 }
 
-/// Checks that all triangles are accounted for, then each claim that `pick` picks, and gives the number of claims checked.
+/// Checks that every triangle is accounted for, then each claim for which `pick` is true. Returns the number
+/// of claims checked. `pick` is called once for every claim.
 ///
 /// # Errors
-/// [`CellRefusal`]: the first claim that does not hold.
+/// [`CellRefusal`]: the first claim that does not hold, in the order of the claims.
 pub fn check_cell(
     scene: &Triangles<'_>,
     claims: &CellClaims<'_>,
     pick: &(dyn Fn(Claim) -> bool + Sync),
+) -> Result<u64, CellRefusal> {
+    check_cell_until(scene, claims, pick, &|| false)
+}
+
+/// As [`check_cell`], but stops with [`CellRefusal::Cancelled`] soon after `cancelled` turns true.
+///
+/// # Errors
+/// [`CellRefusal`], as [`check_cell`].
+pub fn check_cell_until(
+    scene: &Triangles<'_>,
+    claims: &CellClaims<'_>,
+    pick: &(dyn Fn(Claim) -> bool + Sync),
+    cancelled: &(dyn Fn() -> bool + Sync),
 ) -> Result<u64, CellRefusal> {
     let [min, max] = claims.cell;
     if !(min.cmplt(max).all() && min.is_finite() && max.is_finite()) {
@@ -113,18 +141,17 @@ pub fn check_cell(
     }
     let mut picked = account(scene, claims)?;
     picked.retain(|claim| pick(*claim));
-    // Only evidence that speaks of surfaces needs them.
-    let by_surface = |h: &Hidden| matches!(h.target, Target::Surfaces | Target::Half);
-    let surfaces = if claims.evidence.hidden.iter().any(by_surface) { scene.surfaces().len() } else { 0 };
+    // Finding the surfaces of a scene takes time. Only groups that refer to surfaces need them.
+    let by_surface = |h: &HiddenGroup| matches!(h.target, Target::Surfaces | Target::Half);
+    let surfaces = if claims.certificate.hidden.iter().any(by_surface) { scene.surfaces().len() } else { 0 };
     let parity = vec![OnceLock::new(); surfaces];
-    // Of several that do not hold, always the same is named. One by one: a box can take as long as a thousand triangles.
-    let refusal =
-        picked.par_iter().with_max_len(1).find_map_first(|claim| check(scene, claims, &parity, *claim).err());
+    let refuse = |claim: &Claim| {
+        if cancelled() { Some(CellRefusal::Cancelled) } else { check(scene, claims, &parity, *claim).err() }
+    };
+    // The first refusal is deterministic. One claim a task: one box can take as long as a thousand triangles.
+    let refusal = picked.par_iter().with_max_len(1).find_map_first(refuse);
     refusal.map_or(Ok(picked.len() as u64), Err)
 }
-
-/// Parities of a cell, by surface, as they are found out.
-type Parities = [OnceLock<Option<bool>>];
 
 fn check(
     scene: &Triangles<'_>,
@@ -139,49 +166,53 @@ fn check(
             }
         }
         Claim::Seen(at) => {
-            let (id, witness) = &claims.evidence.seen[at];
-            check_witness(scene, claims.cell, *id, witness).map_err(|e| CellRefusal::Witness(*id, e))?;
+            let (id, witness) = &claims.certificate.seen[at];
+            check_cell_witness(scene, claims.cell, *id, witness).map_err(|e| CellRefusal::Witness(*id, e))?;
         }
         Claim::Hidden(at) => {
-            let group = &claims.evidence.hidden[at];
+            let group = &claims.certificate.hidden[at];
             check_group(scene, claims.cell, parity, group)
                 .map_err(|reason| CellRefusal::Hidden { triangles: group.triangles.clone(), reason })?;
         }
-        Claim::Shared(at) => check_shared(scene, claims.evidence.shared.as_ref(), at)?,
+        Claim::Shared(at) => check_shared(scene, claims.certificate.shared.as_ref(), at)?,
         Claim::Above(at) => check_shared(scene, claims.above, at)?,
     }
     Ok(())
 }
 
-/// Accepts that a group of triangles is hidden from all of a box.
-fn check_shared(scene: &Triangles<'_>, shared: Option<&Shared>, at: usize) -> Result<(), CellRefusal> {
+/// Accepts that a group of triangles is hidden from the box of a cell group.
+fn check_shared(
+    scene: &Triangles<'_>,
+    shared: Option<&GroupCertificate>,
+    at: usize,
+) -> Result<(), CellRefusal> {
     let Some((shared, group)) = shared.and_then(|s| Some((s, s.hidden.get(at)?))) else {
         return Err(CellRefusal::Above);
     };
     let [min, max] = shared.bounds;
     let checked = if !(min.cmplt(max).all() && min.is_finite() && max.is_finite()) {
-        Err("the box it is about has no volume".to_owned())
+        Err("the box of its cell group has no volume".to_owned())
     } else if matches!(group.target, Target::Surfaces | Target::Half) {
-        Err("what surfaces hide is to be said for each cell".to_owned())
+        Err("surfaces cannot hide it from a cell group".to_owned())
     } else {
         check_group(scene, shared.bounds, &[], group)
     };
     checked.map_err(|reason| CellRefusal::Hidden { triangles: group.triangles.clone(), reason })
 }
 
-/// All claims, if every triangle with area has one and only one.
+/// All claims, provided that every triangle with area has exactly one.
 fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>, CellRefusal> {
     let refuse = |id: u32, what| Err(CellRefusal::Account(id, what));
     let n = scene.all().len();
     for set in [claims.visible, claims.undecided] {
         if let Some(w) = set.windows(2).find(|w| w[0] >= w[1]) {
-            return refuse(w[1], "a set is not in order");
+            return refuse(w[1], "the set is not ascending");
         }
         if let Some(id) = set.last().filter(|id| **id as usize >= n) {
-            return refuse(*id, "there is no such triangle in the scene");
+            return refuse(*id, "it is not in the scene");
         }
     }
-    /// What is known of a triangle so far.
+    /// What the claims so far say about a triangle.
     #[derive(Clone, Copy, PartialEq)]
     enum Known {
         Nothing,
@@ -198,23 +229,28 @@ fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>,
         known[*id as usize] = Known::Undecided;
     }
     let mut all = Vec::new();
-    for (at, (id, _)) in claims.evidence.seen.iter().enumerate() {
+    for (at, (id, _)) in claims.certificate.seen.iter().enumerate() {
         match known.get_mut(*id as usize) {
             Some(k @ Known::Visible) => *k = Known::Accounted,
-            _ => return refuse(*id, "it has a witness and is not said to be visible, or has two"),
+            _ => {
+                return refuse(
+                    *id,
+                    "it has a witness but is not in the set, or is undecided, or has two witnesses",
+                );
+            }
         }
         all.push(Claim::Seen(at));
     }
-    for (at, group) in claims.evidence.hidden.iter().enumerate() {
+    for (at, group) in claims.certificate.hidden.iter().enumerate() {
         for id in &group.triangles {
             match known.get_mut(*id as usize) {
                 Some(k @ Known::Nothing) => *k = Known::Accounted,
-                _ => return refuse(*id, "it has a proof that it is hidden and is in the set, or has two"),
+                _ => return refuse(*id, "it is in a hidden group and also in the set or in another group"),
             }
         }
         all.push(Claim::Hidden(at));
     }
-    if claims.above.is_some() != claims.evidence.above.is_some() {
+    if claims.above.is_some() != claims.certificate.above.is_some() {
         return Err(CellRefusal::Above);
     }
     if let Some(shared) = claims.above {
@@ -229,7 +265,7 @@ fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>,
                     _ => {
                         return refuse(
                             *id,
-                            "it is hidden from a box around the cell and is in the set, or has two proofs",
+                            "it is hidden from the cell group and also in the set or in another group",
                         );
                     }
                 }
@@ -237,283 +273,15 @@ fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>,
             all.push(Claim::Above(at));
         }
     }
-    all.extend((0..claims.evidence.shared.as_ref().map_or(0, |s| s.hidden.len())).map(Claim::Shared));
+    all.extend((0..claims.certificate.shared.as_ref().map_or(0, |s| s.hidden.len())).map(Claim::Shared));
     for (id, (k, t)) in known.iter().zip(scene.all()).enumerate() {
         match k {
             Known::Visible => all.push(Claim::Meets(id as u32)),
             Known::Nothing if has_area(t) => {
-                return refuse(id as u32, "it is not in the set, and there is no proof that it is hidden");
+                return refuse(id as u32, "it is not in the set, and no proof shows that it is hidden");
             }
             _ => {}
         }
     }
     Ok(all)
-}
-
-pub(super) fn exact(t: &[Vec3; 3]) -> [Point; 3] {
-    t.map(|v| point(v.as_dvec3().to_array()))
-}
-
-pub(super) fn has_area(t: &[Vec3; 3]) -> bool {
-    let [a, b, c] = exact(t);
-    !plane([&a, &b, &c])[..3].iter().all(dashu_int::IBig::is_zero)
-}
-
-/// The plane of a face of a box, its normal pointing out.
-fn face_plane([min, max]: [Vec3; 2], axis: usize, up: bool) -> Plane {
-    let [x, y, z, w] = point([f64::from(if up { max[axis] } else { min[axis] }), 0.0, 0.0]);
-    debug_assert!(y.is_zero() && z.is_zero());
-    let mut out: Plane = std::array::from_fn(|_| dashu_int::IBig::ZERO);
-    (out[axis], out[3]) = (w, x);
-    if up { out } else { out.map(|c| -c) }
-}
-
-/// A face of a box, beginning at its least corner and going along the next axis first.
-fn face([min, max]: [Vec3; 2], axis: usize, up: bool) -> Corners {
-    let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-    [[false, false], [true, false], [true, true], [false, true]]
-        .into_iter()
-        .map(|[s, t]| {
-            let mut p = min.as_dvec3();
-            let max = max.as_dvec3();
-            if up {
-                p[axis] = max[axis];
-            }
-            if s {
-                p[u] = max[u];
-            }
-            if t {
-                p[v] = max[v];
-            }
-            point(p.to_array())
-        })
-        .collect()
-}
-
-/// Whether a closed triangle has a point in a closed box: what is left of it, clipped to one face after the other.
-pub(super) fn meets_box(t: &[Vec3; 3], cell: [Vec3; 2]) -> bool {
-    if !has_area(t) {
-        return false;
-    }
-    let mut left: Vec<Point> = exact(t).into();
-    for (axis, up) in faces() {
-        let flat = face_plane(cell, axis, up);
-        let heights: Vec<_> = left.iter().map(|p| height(&flat, p)).collect();
-        let n = left.len();
-        let mut kept = Vec::with_capacity(n + 1);
-        for i in 0..n {
-            let j = (i + 1) % n;
-            if sign(&heights[i]) != Ordering::Greater {
-                kept.push(left[i].clone());
-            }
-            if sign(&(&heights[i] * &heights[j])) == Ordering::Less {
-                kept.push(cut(&left[i], &left[j], &flat));
-            }
-        }
-        left = kept;
-    }
-    !left.is_empty()
-}
-
-/// Σ weight · point / Σ weight, for positive weights.
-pub(super) fn mixed(points: &[Point], weights: &[dashu_int::IBig]) -> Point {
-    let scale: dashu_int::IBig = points.iter().map(|p| &p[3]).product();
-    let parts: Vec<dashu_int::IBig> = points.iter().zip(weights).map(|(p, w)| w * &scale / &p[3]).collect();
-    let along = |k: usize| points.iter().zip(&parts).map(|(p, s)| &p[k] * s).sum();
-    let total: dashu_int::IBig = weights.iter().sum();
-    reduced([along(0), along(1), along(2), total * scale])
-}
-
-/// Where the segment between two points on different sides of a plane crosses it.
-pub(super) fn cut(p: &Point, q: &Point, flat: &Plane) -> Point {
-    let weight = |x: &Point| {
-        let h = height(flat, x);
-        if sign(&h) == Ordering::Less { -h } else { h }
-    };
-    let (s, t) = (weight(p), weight(q));
-    reduced(std::array::from_fn(|k| &q[k] * &s + &p[k] * &t))
-}
-
-fn check_witness(scene: &Triangles<'_>, cell: [Vec3; 2], id: u32, witness: &Witness) -> Result<(), String> {
-    let corners = exact(&scene.all()[id as usize]);
-    let own = plane([&corners[0], &corners[1], &corners[2]]);
-    let (p, q) = match witness {
-        Witness::Floats([p, q]) => {
-            let [p, q] = [p, q].map(|e| point(e.as_dvec3().to_array()));
-            let sides = [sign(&height(&own, &p)), sign(&height(&own, &q))];
-            if sides[0] == Ordering::Equal || sides[0] != sides[1].reverse() {
-                return Err("it does not cross the triangle's plane".to_owned());
-            }
-            let at = cut(&p, &q, &own);
-            (p, at)
-        }
-        Witness::Exact(ends) => (**ends).clone().into(),
-    };
-    if [&p, &q].iter().any(|e| sign(&e[3]) != Ordering::Greater) {
-        return Err("an end of it is no point".to_owned());
-    }
-    let outside = |(axis, up)| sign(&height(&face_plane(cell, axis, up), &p)) == Ordering::Greater;
-    if faces().any(outside) {
-        return Err("it does not begin in the cell".to_owned());
-    }
-    if height(&own, &p).is_zero() {
-        return Err("it runs in the triangle's plane".to_owned());
-    }
-    if !inside(&corners, &q) {
-        return Err("it does not end inside the triangle".to_owned());
-    }
-    // The face it leaves the cell through, if it begins on one.
-    let leaving = faces()
-        .map(|(axis, up)| face_plane(cell, axis, up))
-        .find(|f| height(f, &p).is_zero() && sign(&height(f, &q)) == Ordering::Greater);
-    let bounds = |e: &Point| -> [Vec3; 2] {
-        let sides: [(f64, f64); 3] = std::array::from_fn(|k| around(&e[k], &e[3]));
-        // Rounding a double to single precision moves it by at most a step.
-        let low = |x: f64| (x as f32).next_down();
-        let high = |x: f64| (x as f32).next_up();
-        let [x, y, z] = sides;
-        [Vec3::new(low(x.0), low(y.0), low(z.0)), Vec3::new(high(x.1), high(y.1), high(z.1))]
-    };
-    for other in scene.along(bounds(&p), bounds(&q)) {
-        if meets(&scene.all()[other as usize], &p, &q, [leaving.as_ref(), Some(&own)]) {
-            return Err(format!("it meets triangle {other}"));
-        }
-    }
-    Ok(())
-}
-
-/// Whether a point lies in a convex flat polygon, on its border perhaps.
-fn within(polygon: &Corners, p: &Point) -> bool {
-    let n = polygon.len();
-    let flat = plane([&polygon[0], &polygon[1], &polygon[2]]);
-    // A point off the plane: with it each edge spans a plane across, on whose same side all of the polygon is.
-    let off: Point = std::array::from_fn(|i| {
-        if i < 3 { &polygon[0][i] + &flat[i] * &polygon[0][3] } else { polygon[0][3].clone() }
-    });
-    let side = |i: usize, p: &Point| sign(&height(&plane([&polygon[i], &polygon[(i + 1) % n], &off]), p));
-    let inner = side(0, &polygon[2]);
-    height(&flat, p).is_zero() && (0..n).all(|i| side(i, p) != inner.reverse())
-}
-
-/// Accepts that a triangle is hidden from all of a cell by its surface: all of the cell is on the hidden side of its plane, or on
-/// the plane.
-fn hidden_by_surface(
-    scene: &Triangles<'_>,
-    cell: [Vec3; 2],
-    parity: &Parities,
-    id: u32,
-) -> Result<(), &'static str> {
-    let side = scene.surfaces().hidden_side(scene, cell, parity, id)?;
-    let t = exact(&scene.all()[id as usize]);
-    let flat = plane([&t[0], &t[1], &t[2]]);
-    let corners = [face(cell, 0, false), face(cell, 0, true)].concat();
-    if corners.iter().any(|p| sign(&height(&flat, p)) == side.reverse()) {
-        return Err("the cell is not all on the hidden side of it");
-    }
-    Ok(())
-}
-
-fn check_group(
-    scene: &Triangles<'_>,
-    cell: [Vec3; 2],
-    parity: &Parities,
-    group: &Hidden,
-) -> Result<(), String> {
-    let all = scene.all();
-    if group.triangles.iter().any(|id| *id as usize >= all.len()) {
-        return Err("there is no such triangle in the scene".to_owned());
-    }
-    let targets: Vec<Corners> = match &group.target {
-        Target::Surfaces => {
-            if !group.proofs.is_empty() {
-                return Err("surfaces need no proofs".to_owned());
-            }
-            let refusal = group.triangles.par_iter().find_map_first(|id| {
-                hidden_by_surface(scene, cell, parity, *id).err().map(|e| format!("triangle {id}: {e}"))
-            });
-            return refusal.map_or(Ok(()), Err);
-        }
-        Target::Triangle | Target::Half => {
-            let [id] = group.triangles[..] else { return Err("it is not about one triangle".to_owned()) };
-            if meets_box(&all[id as usize], cell) {
-                return Err("it meets the cell".to_owned());
-            }
-            if has_area(&all[id as usize]) { vec![exact(&all[id as usize]).into()] } else { Vec::new() }
-        }
-        Target::Polygon(corners) => {
-            if corners.len() > MOST_CORNERS {
-                return Err(format!("its polygon has more than {MOST_CORNERS} corners"));
-            }
-            let corners: Corners = corners.iter().map(|c| point(c.as_dvec3().to_array())).collect();
-            let target = [corners];
-            // The checks that follow are about a polygon that is convex and flat.
-            check_polygons(&target).map_err(|e| e.to_string())?;
-            for id in &group.triangles {
-                if meets_box(&all[*id as usize], cell) {
-                    return Err(format!("triangle {id} meets the cell"));
-                }
-                if !exact(&all[*id as usize]).iter().all(|p| within(&target[0], p)) {
-                    return Err(format!("triangle {id} is not in its polygon"));
-                }
-            }
-            target.into()
-        }
-        Target::Box([min, max]) => {
-            let (min, max) = (*min, *max);
-            if !(min.is_finite() && max.is_finite() && min.cmple(max).all()) {
-                return Err("its box is none".to_owned());
-            }
-            let outside =
-                |id: &&u32| all[**id as usize].iter().any(|v| v.cmplt(min).any() || v.cmpgt(max).any());
-            if let Some(id) = group.triangles.iter().find(outside) {
-                return Err(format!("triangle {id} is not in its box"));
-            }
-            if min.cmple(cell[1]).all() && max.cmpge(cell[0]).all() {
-                return Err("its box touches the cell".to_owned());
-            }
-            faces()
-                .filter(|(axis, up)| {
-                    let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-                    let area = min[u] < max[u] && min[v] < max[v];
-                    // Some point of the cell is on the face's outer side.
-                    let towards = if *up { cell[1][*axis] > max[*axis] } else { cell[0][*axis] < min[*axis] };
-                    area && towards
-                })
-                .map(|(axis, up)| face([min, max], axis, up))
-                .collect()
-        }
-    };
-    // Where it is hidden on one side of its plane anyway, only what is on the other has to be proved.
-    let half = match (&group.target, &group.triangles[..]) {
-        (Target::Half, [id]) => {
-            Some(scene.surfaces().hidden_side(scene, cell, parity, *id).map_err(str::to_owned)?)
-        }
-        _ => None,
-    };
-    let mut proofs = group.proofs.iter();
-    let mut shown = Vec::with_capacity(group.proofs.len());
-    for (axis, up) in faces() {
-        let flat = face_plane(cell, axis, up);
-        let from = face(cell, axis, up);
-        for target in &targets {
-            let Some(beyond) = clip(target, &flat, Ordering::Greater) else { continue };
-            let proof = proofs.next().ok_or("a proof is missing for a pair of faces")?;
-            let part = match half {
-                None => Some(from.clone()),
-                Some(side) => clip(&from, &plane([&target[0], &target[1], &target[2]]), side.reverse()),
-            };
-            shown.push((part, beyond, proof));
-        }
-    }
-    if proofs.next().is_some() {
-        return Err("it has more proofs than pairs of faces".to_owned());
-    }
-    let refusal = shown.par_iter().with_max_len(1).find_map_first(|(part, beyond, proof)| {
-        check_hidden(all, part.as_slice(), std::slice::from_ref(beyond), proof).err()
-    });
-    match refusal {
-        None => Ok(()),
-        Some(e @ Refusal::Polygon) => Err(format!("a face is no polygon: {e}")),
-        Some(e) => Err(e.to_string()),
-    }
 }

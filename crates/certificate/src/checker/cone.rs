@@ -1,22 +1,22 @@
-//! Cones in six dimensions by the double description method, in integers.
+//! Cones in six dimensions by the double description method (Motzkin et al. 1953), in integers.
 
 use std::cell::OnceCell;
 use std::cmp::Ordering;
 
 use dashu_int::IBig;
 
-use super::line::{Line, klein, reduced, sign};
+use super::geometry::{Line, klein, reduced, sign};
 use super::vector::Vector;
 
-/// A pointed cone of full dimension by its extreme rays.
+/// A pointed cone of full dimension, by its extreme rays.
 #[derive(Clone)]
 pub struct Cone {
     rays: Vec<Ray>,
-    /// How many half-spaces there are.
+    /// The number of half-spaces seen so far, which number the bits of [`Ray::tight`].
     halves: usize,
 }
 
-/// An extreme ray, and the half-spaces it lies on the border of.
+/// An extreme ray, and the half-spaces whose border it lies on, as a set of bits.
 #[derive(Clone)]
 struct Ray {
     vector: Vector,
@@ -44,10 +44,11 @@ fn dot(a: &Line, b: &Line) -> IBig {
 }
 
 impl Cone {
-    /// The cone of the given vectors (none of them 0), which span all six dimensions and are all on one side of some
-    /// hyperplane. None if they do not.
+    /// The cone of the given vectors, none of them 0. `None` unless they span all six dimensions and are
+    /// strictly on one side of some hyperplane.
     pub fn of(vectors: Vec<Line>) -> Option<Self> {
-        // The dual cone {f : f·v ≥ 0 for all v} has one ray for every facet. It starts with six independent vectors.
+        // The dual cone {f : f·v ≥ 0 for all v} has one ray for every facet. It starts with six independent
+        // vectors.
         let vectors: Vec<Line> = vectors.into_iter().map(reduced).collect();
         let basis = independent(&vectors)?;
         let rows: [&Line; 6] = std::array::from_fn(|k| &vectors[basis[k]]);
@@ -62,7 +63,7 @@ impl Cone {
             dual.rays.push(Ray { vector: Vector::new(f), tight });
         }
         for (number, v) in vectors.iter().enumerate().filter(|(n, _)| !basis.contains(n)) {
-            // f·v is the Klein form of f and v with its halves exchanged.
+            // f·v is the Klein form of f and v with the halves of v exchanged.
             let turned = Vector::new(std::array::from_fn(|i| v[(i + 3) % 6].clone()));
             dual = dual.cut(&turned, number).0?;
         }
@@ -78,7 +79,8 @@ impl Cone {
             set
         };
         let sets: Vec<Vec<u64>> = (0..vectors.len()).map(on).collect();
-        // A vector that is not extreme is on fewer facets than some extreme one; of parallel ones the first is kept.
+        // A vector that is not extreme is on fewer facets than an extreme one. Of parallel vectors the first
+        // is kept.
         let among = |i: usize, j: usize| holds(&sets[j], &sets[i], &sets[i]);
         let extreme = |i: usize| (0..sets.len()).all(|j| i == j || !among(i, j) || (among(j, i) && i < j));
         let rays = (0..sets.len())
@@ -88,7 +90,8 @@ impl Cone {
         Some(Self { rays, halves: facets })
     }
 
-    /// The parts on the positive and on the negative side of a line's hyperplane; none for a part of lower dimension.
+    /// The parts on the positive and on the negative side of a vector's polar hyperplane; `None` for a part
+    /// without interior.
     pub fn split(self, line: &Vector) -> (Option<Self>, Option<Self>) {
         let number = self.halves;
         let (positive, negative) = self.cut(line, number);
@@ -100,7 +103,7 @@ impl Cone {
     fn cut(self, line: &Vector, number: usize) -> (Option<Self>, Option<Self>) {
         let sides: Vec<Ordering> = self.rays.iter().map(|r| r.vector.side(line)).collect();
         if !sides.contains(&Ordering::Less) {
-            // All inside; the rays on the hyperplane are tight there, too.
+            // All rays are inside. Those on the hyperplane become tight there.
             let mut all = self;
             all.rays
                 .iter_mut()
@@ -131,7 +134,7 @@ impl Cone {
         (cone(inside), cone(outside))
     }
 
-    /// Where the edges between rays on different sides of a line's hyperplane cross it.
+    /// The crossings of a polar hyperplane and the edges between rays on different sides of it.
     fn crossed(&self, line: &Vector, sides: &[Ordering], number: usize) -> Vec<Ray> {
         let of = |which: Ordering| (0..sides.len()).filter(|i| sides[*i] == which).collect::<Vec<_>>();
         let (above, below) = (of(Ordering::Greater), of(Ordering::Less));
@@ -141,14 +144,15 @@ impl Cone {
         for p in above {
             for n in &below {
                 let (s, t) = (&self.rays[p].tight, &self.rays[*n].tight);
-                // Two rays share an edge if they are tight at four half-spaces or more that no third ray is all tight at.
+                // Two rays span an edge if they are tight at four or more half-spaces, and no third ray is
+                // tight at all of these.
                 if s.iter().zip(t).map(|(a, b)| (a & b).count_ones()).sum::<u32>() < 4
                     || (0..sides.len()).any(|k| k != p && k != *n && holds(&self.rays[k].tight, s, t))
                 {
                     continue;
                 }
                 let (u, v) = (self.rays[p].vector.line(), self.rays[*n].vector.line());
-                // |value(v)| of u and |value(u)| of v.
+                // |value(v)|·u + |value(u)|·v.
                 let (x, y) = (value(p), value(*n));
                 let ray = reduced(std::array::from_fn(|i| &v[i] * x - &u[i] * y));
                 let mut tight = s.iter().zip(t).map(|(a, b)| a & b).collect();
@@ -159,7 +163,7 @@ impl Cone {
         out
     }
 
-    /// Whether all of it is on one side of a line's hyperplane, or on it.
+    /// Whether no ray is on the other side of a polar hyperplane than `side`.
     pub fn within(&self, line: &Vector, side: Ordering) -> bool {
         self.rays.iter().all(|r| r.vector.side(line) != side.reverse())
     }
@@ -181,7 +185,7 @@ impl Cone {
     }
 }
 
-/// Indices of six independent vectors, by elimination.
+/// Indices of six linearly independent vectors, by elimination.
 fn independent(vectors: &[Line]) -> Option<[usize; 6]> {
     let mut rows: Vec<(Line, usize)> = Vec::new();
     let mut found = Vec::new();
@@ -215,7 +219,7 @@ fn normal(rows: [&Line; 5]) -> Line {
     }))
 }
 
-/// Bareiss's elimination, in which every division is exact.
+/// The determinant by Bareiss's elimination, in which every division is exact.
 fn determinant(mut m: Vec<Vec<IBig>>) -> IBig {
     let n = m.len();
     let mut previous = IBig::ONE;

@@ -1,19 +1,41 @@
-//! Whether a triangle is hidden from a cell by the closed surface it is part of; the argument is in `surfaces`.
+//! Whether the closed surface that a triangle belongs to hides it from a cell.
 //!
-//! What is checked, all of it from the scene alone and in integers:
+//! # The argument
 //!
-//! 1. The *surface* is all triangles that hang together with this one by edges between the same positions. Edges with an odd
-//!    number of triangles, if they are few ([`few_odd_edges`]), are closed by *patches*: for all that hang together by their ends,
-//!    the triangles of each with the corner that is least by the bits of its coordinates.
-//! 2. No triangle of the surface meets the cell, so all of the cell has one parity: that of the crossings of a segment from it to a
-//!    point outside of the surface's bounds, none of which touches a border.
-//! 3. No other triangle of the surface has points inside this one, so each of its sides has one parity: that of a segment that
-//!    ends inside of it on that side; the other side has the other.
-//! 4. No patch has a point in the convex hull of the cell and the triangle: the planes of an axis, of the patch or of the triangle
-//!    separate them.
+//! Let S be a finite set of triangles such that every edge, as a pair of positions, belongs to an even number
+//! of them. Then S is a cycle modulo 2. For a point off S, define its *parity* as the number of triangles
+//! that a path from the point to infinity crosses, modulo 2, in general position. Two such paths form a
+//! closed curve, and a closed curve crosses a cycle an even number of times, so the parity does not depend on
+//! the path. A segment between two points crosses S an odd number of times if and only if their parities
+//! differ.
 //!
-//! Then every segment from the cell to the inside of the triangle, on the side whose parity is not the cell's, crosses the surface
-//! on the way.
+//! A real surface has holes. Its edges with an odd number of triangles form, modulo 2, a cycle of edges:
+//! every vertex is the end of an even number of them. A fan of *patches* from one vertex of each connected
+//! part has exactly these edges as its boundary, so the surface with its patches is closed. A segment that
+//! meets no patch and whose ends have different parities crosses a triangle of the surface itself.
+//!
+//! A cell that no triangle of S and no patch meets has one parity. The two sides of a triangle that no other
+//! triangle of S passes through have one parity each, and these differ. On the side whose parity is not that
+//! of the cell, every segment from the cell to just before the triangle crosses S: the triangle is *hidden
+//! from that side*.
+//!
+//! # What is checked
+//!
+//! All of it from the scene alone, in integers:
+//!
+//! 1. The *surface* of a triangle is the set of triangles with area that are connected to it through edges
+//!    with equal end positions. If it has few odd edges ([`few_odd_edges`]), each connected part of these is
+//!    closed by patches: a triangle from each edge to the corner of the part that is least by the bits of its
+//!    coordinates.
+//! 2. No triangle of the surface meets the cell. The cell's parity is counted along a segment from its centre
+//!    to a point outside the bounds of the surface that touches no edge of a triangle or patch.
+//! 3. No other triangle of the surface has a point inside this triangle. The parity of a side is counted
+//!    along a segment that ends inside the triangle on that side.
+//! 4. No patch has a point in the convex hull of cell and triangle: an axis-parallel plane, the patch's
+//!    plane, or the triangle's plane separates them. So no patch meets the cell, the triangle, or a segment
+//!    between them.
+//!
+//! If a fixed number of attempts finds no segment in general position, the claim is refused.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -23,16 +45,16 @@ use dashu_int::IBig;
 use glam::Vec3;
 use sightline_numbers::union_find::UnionFind;
 
-use super::cell::{cut, exact, has_area, meets_box};
-use super::line::{Plane, Point, height, join, klein, plane, point, sign};
-use super::near::Triangles;
+use super::boxes::meets_box;
+use super::geometry::{Plane, Point, cut, exact, has_area, height, join, klein, mixed, plane, point, sign};
+use super::triangles::Triangles;
 use super::witness::inside;
-use crate::evidence::few_odd_edges;
+use crate::certificate::few_odd_edges;
 
-/// Segments tried for a parity, each from another point.
+/// Most segments tried for one parity, each in another direction.
 const TRIES: u32 = 16;
 
-/// The surfaces of a scene, and the parities that were found out.
+/// The surfaces of a scene, and the parities of their triangles, computed on first use.
 pub struct Surfaces {
     of: Vec<Option<u32>>,
     all: Vec<Surface>,
@@ -45,7 +67,7 @@ struct Surface {
     patches: Vec<[Vec3; 3]>,
 }
 
-/// A position by its bits; −0 is 0.
+/// A position by its bits, with −0 as 0.
 fn key(v: Vec3) -> [u32; 3] {
     (v + Vec3::ZERO).to_array().map(f32::to_bits)
 }
@@ -89,12 +111,13 @@ impl Surfaces {
         Self { of, all, front: vec![OnceLock::new(); scene.len()] }
     }
 
-    /// How many there are.
+    /// The number of surfaces.
     pub fn len(&self) -> usize {
         self.all.len()
     }
 
-    /// On which side of its plane a triangle is hidden from a cell, `parity` being where parities of the cell are kept.
+    /// The side of its plane from which a triangle is hidden from a cell. `parity` caches the parities of the
+    /// cell.
     pub fn hidden_side(
         &self,
         scene: &Triangles<'_>,
@@ -102,21 +125,21 @@ impl Surfaces {
         parity: &[OnceLock<Option<bool>>],
         t: u32,
     ) -> Result<Ordering, &'static str> {
-        let s = self.of[t as usize].ok_or("it is part of no closed surface")?;
+        let s = self.of[t as usize].ok_or("it belongs to no closed surface")?;
         let of_cell = parity[s as usize]
             .get_or_init(|| self.parity_of(scene, s, cell))
-            .ok_or("its surface meets the cell, or no parity was found")?;
+            .ok_or("its surface meets the cell, or the parity of the cell cannot be decided")?;
         let front = self.front[t as usize]
             .get_or_init(|| self.parity_in_front(scene, s, t))
-            .ok_or("its surface passes through it, or no parity was found")?;
+            .ok_or("its surface passes through it, or its parity cannot be decided")?;
         let v = &scene.all()[t as usize];
         if !self.all[s as usize].patches.iter().all(|p| apart(cell, v, p)) {
-            return Err("a patch of its surface may be between");
+            return Err("a patch of its surface may be between the cell and the triangle");
         }
         Ok(if of_cell == front { Ordering::Less } else { Ordering::Greater })
     }
 
-    /// The parity of all points of a cell.
+    /// The parity of a cell; `None` if the surface meets the cell or no segment is in general position.
     fn parity_of(&self, scene: &Triangles<'_>, s: u32, cell: [Vec3; 2]) -> Option<bool> {
         let mut near = Vec::new();
         scene.in_box(cell, &mut near);
@@ -130,7 +153,7 @@ impl Surfaces {
         (0..TRIES).find_map(|k| self.parity(scene, s, (&from, bounds), self.outside(s, middle, k), None))
     }
 
-    /// The parity on the side a triangle's normal points to.
+    /// The parity on the side of a triangle that its normal points to; `None` if that has no one value.
     fn parity_in_front(&self, scene: &Triangles<'_>, s: u32, t: u32) -> Option<bool> {
         let v = &scene.all()[t as usize];
         let bounds = [v[0].min(v[1]).min(v[2]), v[0].max(v[1]).max(v[2])];
@@ -143,9 +166,9 @@ impl Surfaces {
             return None;
         }
         (0..TRIES).find_map(|k| {
-            // A point inside, by weights that are never 0.
+            // A point inside the triangle: all weights are positive.
             let weights = [1 + k % 5, 1 + k % 3, 1 + k % 7].map(IBig::from);
-            let at = super::cell::mixed(&corners, &weights);
+            let at = mixed(&corners, &weights);
             let near = (v[0].as_dvec3() + v[1].as_dvec3() + v[2].as_dvec3()) / 3.0;
             let out = self.outside(s, near, k);
             let side = sign(&height(&flat, &point(out)));
@@ -154,22 +177,23 @@ impl Surfaces {
         })
     }
 
-    /// A point outside of the surface, off from another one mostly along an axis.
+    /// A point outside the bounds of the surface, displaced from another point mainly along an axis.
     fn outside(&self, s: u32, from: glam::DVec3, k: u32) -> [f64; 3] {
         let Surface { min, max, .. } = &self.all[s as usize];
         let (min, max) = (min.as_dvec3().min(from), max.as_dvec3().max(from));
         let size = (max - min).max_element();
         let axis = k as usize % 3;
         let mut to = from.to_array();
-        // Ever other directions, by steps that have nothing to do with each other.
+        // The displacements have periods 5 and 7, so the directions differ for each attempt.
         to[(axis + 1) % 3] += size * 0.0131 * f64::from(1 + k % 5);
         to[(axis + 2) % 3] -= size * 0.0077 * f64::from(1 + k % 7);
         to[axis] = if k.is_multiple_of(2) { max[axis] + size } else { min[axis] - size };
         to
     }
 
-    /// Whether the segment from a point within some bounds to a point outside of the surface crosses it and its patches, but for the
-    /// triangle `without`, an odd number of times; none if it touches a border.
+    /// Whether the segment from a point inside `bounds` to a point outside the surface crosses the surface
+    /// and its patches an odd number of times, not counting the triangle `without`; `None` if it touches an
+    /// edge.
     fn parity(
         &self,
         scene: &Triangles<'_>,
@@ -196,7 +220,7 @@ impl Surfaces {
     }
 }
 
-/// Whether a segment passes through the inside of a triangle; none if it touches it otherwise, or may.
+/// Whether a segment crosses the interior of a triangle; `None` if it touches the triangle otherwise, or may.
 fn passes(t: &[Vec3; 3], p: &Point, q: &Point) -> Option<bool> {
     let [a, b, c] = exact(t);
     let own = plane([&a, &b, &c]);
@@ -216,8 +240,9 @@ fn passes(t: &[Vec3; 3], p: &Point, q: &Point) -> Option<bool> {
     }
 }
 
-/// Whether a triangle has points inside another one: what is left of it, cut down to the other's plane and to the inner side of its
-/// edges, is not all on the border; then its middle is not, either.
+/// Whether triangle `u` has a point in the interior of triangle `t`. It is clipped to the plane of `t` and to
+/// the inner sides of the edges of `t`; the rest is convex, so it has a point in the interior if and only if
+/// its centre is one.
 fn pierces(t: &[Point; 3], flat: &Plane, u: &[Vec3; 3]) -> bool {
     let [a, b, c] = t;
     let off: Point = std::array::from_fn(|i| if i < 3 { &a[i] + &flat[i] * &a[3] } else { a[3].clone() });
@@ -246,10 +271,11 @@ fn pierces(t: &[Point; 3], flat: &Plane, u: &[Vec3; 3]) -> bool {
         return false;
     }
     let weights = vec![IBig::ONE; left.len()];
-    inside(&t[..], &super::cell::mixed(&left, &weights))
+    inside(&t[..], &mixed(&left, &weights))
 }
 
-/// Whether a patch has no point in the convex hull of a cell and a triangle, by one of a few planes.
+/// Whether a plane of a fixed list shows that a patch has no point in the convex hull of a cell and a
+/// triangle.
 fn apart([lo, hi]: [Vec3; 2], t: &[Vec3; 3], patch: &[Vec3; 3]) -> bool {
     let (min, max) = t.iter().fold((lo, hi), |(a, b), v| (a.min(*v), b.max(*v)));
     if (0..3).any(|k| patch.iter().all(|p| p[k] < min[k]) || patch.iter().all(|p| p[k] > max[k])) {
@@ -273,10 +299,10 @@ fn apart([lo, hi]: [Vec3; 2], t: &[Vec3; 3], patch: &[Vec3; 3]) -> bool {
         && cell.iter().all(|p| side(&t, p) != beyond)
 }
 
-/// Triangles that close some odd edges.
+/// The patches that close a surface with these odd edges.
 fn patches(odd: &[[[u32; 3]; 2]]) -> Vec<[Vec3; 3]> {
     let position = |k: [u32; 3]| Vec3::from(k.map(f32::from_bits));
-    // The least corner that can be reached from each.
+    // The least corner of the connected part that each corner belongs to.
     let mut least: BTreeMap<[u32; 3], [u32; 3]> = odd.iter().flatten().map(|k| (*k, *k)).collect();
     loop {
         let mut changed = false;

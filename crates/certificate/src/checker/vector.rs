@@ -1,26 +1,27 @@
-//! Vectors of line space with their leading bits, which tell the sign of nearly every form that is not 0.
+//! Vectors of line space with their leading bits, which decide the sign of most Klein forms that are not 0.
 //!
-//! Integers here, too, of a fixed width: what is left off a component is less than one unit of the last bit that is kept, so by
-//! how much a sum of products may be off is known, and whatever that leaves open is computed with all digits.
+//! The leading bits are integers of fixed width. The truncation error of a component is less than one unit of
+//! the last bit kept, which bounds the error of a sum of products. A sign within that bound is decided with
+//! all digits.
 
 use std::cmp::Ordering;
 
-use super::line::{Line, klein, sign};
+use super::geometry::{Line, klein, sign};
 
-/// Bits kept of the longest component: six products of two fit an `i128`.
+/// Bits kept of the longest component; a sum of six products of two such numbers fits an `i128`.
 const KEPT: usize = 60;
 
-/// A vector, and what its components are in units of one power of two, rounded.
+/// A vector, and its components in units of a common power of two, rounded down.
 #[derive(Clone)]
 pub struct Vector {
     line: Line,
     leading: [i64; 6],
-    /// The sum of their sizes.
+    /// The sum of the absolute values of `leading`.
     size: i128,
 }
 
 impl Vector {
-    /// With its leading bits.
+    /// Computes the leading bits.
     pub fn new(line: Line) -> Self {
         let longest = line.iter().map(dashu_int::ops::BitTest::bit_len).max().unwrap_or(0);
         let unit = longest.saturating_sub(KEPT);
@@ -32,12 +33,12 @@ impl Vector {
         Self { line, leading, size }
     }
 
-    /// All of it.
+    /// The exact vector.
     pub fn line(&self) -> &Line {
         &self.line
     }
 
-    /// The sign of the Klein form.
+    /// The sign of the Klein form with another vector.
     pub fn side(&self, other: &Self) -> Ordering {
         let near: i128 =
             (0..6).map(|i| i128::from(self.leading[i]) * i128::from(other.leading[(i + 3) % 6])).sum();
@@ -63,18 +64,18 @@ mod tests {
 
     proptest! {
         #[test]
-        fn leading_bits_never_mislead(
+        fn leading_bits_give_the_exact_sign(
             a in prop::array::uniform6(component()),
             mut b in prop::array::uniform6(component()),
             nudge in -2i8..3,
         ) {
             let check = |a: &Line, b: &Line| {
-                let said = Vector::new(a.clone()).side(&Vector::new(b.clone()));
-                prop_assert_eq!(said, sign(&klein(a, b)));
+                let found = Vector::new(a.clone()).side(&Vector::new(b.clone()));
+                prop_assert_eq!(found, sign(&klein(a, b)));
                 Ok(())
             };
             check(&a, &b)?;
-            // And where the form all but vanishes: (a·y) x − (a·x) y and one more, or less.
+            // A vector with form 0, (a·y) x − (a·x) y, and neighbours of it.
             let others: [IBig; 6] = std::array::from_fn(|i| b[(i + 1) % 6].clone());
             let (x, y) = (klein(&a, &b), klein(&a, &others));
             b = std::array::from_fn(|i| &b[i] * &y - &others[i] * &x);

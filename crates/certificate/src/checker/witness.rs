@@ -1,20 +1,24 @@
-//! Witnesses: segments from inside A to inside B that meet no triangle in between.
+//! Witnesses: segments between two polygons, or from a cell to a triangle, that no triangle obstructs.
 
 use std::cmp::Ordering;
 
 use dashu_int::IBig;
 use glam::Vec3;
 
-use super::line::{Plane, Point, height, join, klein, plane, point, sign};
+use super::boxes::face_plane;
+use super::geometry::{Plane, Point, cut, exact, height, join, klein, plane, point, sign};
+use super::polygon::check_polygons;
+use super::triangles::Triangles;
 use super::{Corners, Refusal};
+use crate::certificate::{Witness, faces};
 
-/// Accepts the segment from `p` to `q` as a witness that one of the polygons `b` is seen from one of `a`.
+/// Accepts the segment from `p` to `q` as a witness that a polygon of `b` is visible from a polygon of `a`.
 ///
-/// The ends must be inside a polygon each, not on its border, and no triangle may have a point on the segment, unless it
-/// lies in the plane of that polygon: then all segments nearby meet none either, and they are an open set.
+/// Each end must be strictly inside a polygon. No triangle may have a point on the segment, except one in the
+/// plane of such a polygon that touches the end there. Then all segments near this one are unobstructed too.
 ///
 /// # Errors
-/// [`Refusal::Witness`].
+/// [`Refusal::Witness`], or [`Refusal::Polygon`] for a polygon that is not valid.
 pub fn check_witness(
     scene: &[[Vec3; 3]],
     a: &[Corners],
@@ -22,27 +26,27 @@ pub fn check_witness(
     p: &Point,
     q: &Point,
 ) -> Result<(), Refusal> {
-    super::check_polygons(a)?;
-    super::check_polygons(b)?;
+    check_polygons(a)?;
+    check_polygons(b)?;
     if [p, q].iter().any(|e| sign(&e[3]) != Ordering::Greater) {
-        return Err(Refusal::Witness("an end of the witness is no point".to_owned()));
+        return Err(Refusal::Witness("an end of the witness has no positive weight".to_owned()));
     }
     let refuse = |what: &str| Err(Refusal::Witness(what.to_owned()));
     let Some(from) = a.iter().find(|c| inside(c, p)) else {
-        return refuse("the witness does not begin inside A");
+        return refuse("the witness does not start inside A");
     };
     let Some(to) = b.iter().find(|c| inside(c, q)) else {
         return refuse("the witness does not end inside B");
     };
     let planes = [from, to].map(|c| plane([&c[0], &c[1], &c[2]]));
     if height(&planes[0], q).is_zero() || height(&planes[1], p).is_zero() {
-        return refuse("the witness runs in the plane of a polygon");
+        return refuse("the witness lies in the plane of A or B");
     }
     let span: [(f64, f64); 3] = std::array::from_fn(|k| {
         let ends = [p, q].map(|e| around(&e[k], &e[3]));
         (ends[0].0.min(ends[1].0), ends[0].1.max(ends[1].1))
     });
-    // Comparing doubles is exact: a triangle wholly beyond the segment along an axis has no point on it.
+    // Comparisons of doubles are exact: a triangle beyond the segment along an axis has no point on it.
     let beyond = |t: &[Vec3; 3]| {
         (0..3).any(|k| {
             t.iter().all(|v| f64::from(v[k]) < span[k].0) || t.iter().all(|v| f64::from(v[k]) > span[k].1)
@@ -56,7 +60,61 @@ pub fn check_witness(
     Ok(())
 }
 
-/// Doubles with x/w between them, which integers confirm; infinite where none is found nearby. w > 0.
+/// Accepts a witness that a triangle is visible from a cell, or says why it fails.
+pub(super) fn check_cell_witness(
+    scene: &Triangles<'_>,
+    cell: [Vec3; 2],
+    id: u32,
+    witness: &Witness,
+) -> Result<(), String> {
+    let corners = exact(&scene.all()[id as usize]);
+    let own = plane([&corners[0], &corners[1], &corners[2]]);
+    let (p, q) = match witness {
+        Witness::Floats([p, q]) => {
+            let [p, q] = [p, q].map(|e| point(e.as_dvec3().to_array()));
+            let sides = [sign(&height(&own, &p)), sign(&height(&own, &q))];
+            if sides[0] == Ordering::Equal || sides[0] != sides[1].reverse() {
+                return Err("it does not cross the plane of the triangle".to_owned());
+            }
+            let at = cut(&p, &q, &own);
+            (p, at)
+        }
+        Witness::Exact(ends) => (**ends).clone().into(),
+    };
+    if [&p, &q].iter().any(|e| sign(&e[3]) != Ordering::Greater) {
+        return Err("an end has no positive weight".to_owned());
+    }
+    let outside = |(axis, up)| sign(&height(&face_plane(cell, axis, up), &p)) == Ordering::Greater;
+    if faces().any(outside) {
+        return Err("it does not start in the cell".to_owned());
+    }
+    if height(&own, &p).is_zero() {
+        return Err("it lies in the plane of the triangle".to_owned());
+    }
+    if !inside(&corners, &q) {
+        return Err("it does not end inside the triangle".to_owned());
+    }
+    // The face that it leaves the cell through, if it starts on one.
+    let leaving = faces()
+        .map(|(axis, up)| face_plane(cell, axis, up))
+        .find(|f| height(f, &p).is_zero() && sign(&height(f, &q)) == Ordering::Greater);
+    let bounds = |e: &Point| -> [Vec3; 2] {
+        let sides: [(f64, f64); 3] = std::array::from_fn(|k| around(&e[k], &e[3]));
+        // Rounding from double to single precision moves a number by less than one step.
+        let low = |x: f64| (x as f32).next_down();
+        let high = |x: f64| (x as f32).next_up();
+        let [x, y, z] = sides;
+        [Vec3::new(low(x.0), low(y.0), low(z.0)), Vec3::new(high(x.1), high(y.1), high(z.1))]
+    };
+    for other in scene.along(bounds(&p), bounds(&q)) {
+        if meets(&scene.all()[other as usize], &p, &q, [leaving.as_ref(), Some(&own)]) {
+            return Err(format!("it meets triangle {other}"));
+        }
+    }
+    Ok(())
+}
+
+/// Two doubles with x/w between them, confirmed in integers; infinite if none is found nearby. w > 0.
 pub(super) fn around(x: &IBig, w: &IBig) -> (f64, f64) {
     let near = x.to_f64().value() / w.to_f64().value();
     let (mut low, mut high) = (near, near);
@@ -86,7 +144,8 @@ pub(super) fn inside(corners: &[Point], p: &Point) -> bool {
     sides[0] != Ordering::Equal && sides.iter().all(|s| *s == sides[0])
 }
 
-/// Whether a triangle with area has a point on the segment; what touches an end and lies in that end's plane does not count.
+/// Whether a triangle with area has a point on the segment. A triangle in one of the `planes` that touches
+/// the segment at that end only (first plane: `p`, second plane: `q`) does not count.
 pub(super) fn meets(t: &[Vec3; 3], p: &Point, q: &Point, planes: [Option<&Plane>; 2]) -> bool {
     let [a, b, c] = t.map(|v| point(v.as_dvec3().to_array()));
     let own = plane([&a, &b, &c]);
@@ -110,13 +169,14 @@ pub(super) fn meets(t: &[Vec3; 3], p: &Point, q: &Point, planes: [Option<&Plane>
     if (x, y) != (Ordering::Equal, Ordering::Equal) {
         return true;
     }
-    // In one plane with the segment. Two convex sets there are apart when a line along a side of one separates them.
+    // The triangle is in one plane with the segment. Two convex sets there are disjoint if and only if a line
+    // along a side of one of them separates them.
     let off: Point = std::array::from_fn(|i| if i < 3 { &p[i] + &own[i] * &p[3] } else { p[3].clone() });
     let apart = |from: &Point, to: &Point, these: &[&Point], others: &[&Point]| {
         let along = plane([from, to, &off]);
         let side = |v: &&Point| sign(&height(&along, v));
         let inner = these.iter().map(side).find(|s| *s != Ordering::Equal).unwrap_or(Ordering::Equal);
-        // For the segment itself either side will do.
+        // Either side of the segment itself will do.
         let keeps_off = |wanted: Ordering| others.iter().all(|v| side(v) == wanted);
         match inner {
             Ordering::Equal => keeps_off(Ordering::Less) || keeps_off(Ordering::Greater),
@@ -137,7 +197,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_quotient_lies_between_the_doubles_around_it(x in any::<i64>(), w in 1..i64::MAX, up in 0usize..200) {
+        fn a_quotient_lies_between_its_bounds(x in any::<i64>(), w in 1..i64::MAX, up in 0usize..200) {
             let (x, w) = (IBig::from(x) << up, IBig::from(w) << (up / 2));
             let (low, high) = around(&x, &w);
             prop_assert!(low < high && low.is_finite() && high.is_finite());
@@ -147,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_double_is_near_is_bounded_by_nothing() {
+    fn a_quotient_beyond_doubles_has_infinite_bounds() {
         let huge = IBig::ONE << 2000;
         assert_eq!(around(&huge, &IBig::ONE), (f64::NEG_INFINITY, f64::INFINITY));
     }

@@ -317,7 +317,7 @@ impl Search<'_> {
             return *number;
         }
         let number = self.proof.occluders.len() as u32;
-        self.proof.occluders.push(triangles(self.scene, members));
+        self.proof.occluders.push(triangles(self.scene, members).into_iter().map(Into::into).collect());
         self.numbers.insert(members.to_vec(), number);
         number
     }

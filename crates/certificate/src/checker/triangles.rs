@@ -1,4 +1,6 @@
-//! Which triangles can have a point in a box: a tree of boxes, compared by single-precision numbers alone, which is exact.
+//! The triangles of a scene in a tree of boxes, to find those near a box or a segment.
+//!
+//! Boxes are compared in single precision, which is exact: the coordinates are those of the scene.
 
 use std::sync::OnceLock;
 
@@ -6,24 +8,24 @@ use glam::Vec3;
 
 use super::surfaces::Surfaces;
 
-/// The triangles of a scene, so arranged that those near a segment are found without looking at the others.
+/// The triangles of a scene, indexed so that a query for those near a segment visits few others.
 pub struct Triangles<'a> {
     all: &'a [[Vec3; 3]],
-    /// A binary heap of boxes: the root at 1, the children of `i` at 2i and 2i + 1. A leaf holds the triangles of `order` it would
-    /// reach were all split evenly.
+    /// A binary heap of boxes: the root at 1, the children of `i` at 2i and 2i + 1. Node k of a level holds
+    /// the k-th of equal parts of `order`.
     boxes: Vec<[Vec3; 2]>,
     order: Vec<u32>,
     depth: u32,
     surfaces: OnceLock<Surfaces>,
 }
 
-/// About so many triangles in a leaf.
+/// Typical number of triangles in a leaf.
 const LEAF: usize = 4;
-/// Into so many pieces a segment is cut, each with a box of its own.
+/// Number of pieces that a segment is cut into, each with a box of its own.
 const PIECES: u32 = 64;
 
 impl<'a> Triangles<'a> {
-    /// Arranges them.
+    /// Builds the tree.
     pub fn new(all: &'a [[Vec3; 3]]) -> Self {
         let mut order: Vec<u32> = (0..all.len() as u32).collect();
         let depth = (all.len() / LEAF).max(1).ilog2();
@@ -52,17 +54,17 @@ impl<'a> Triangles<'a> {
         Self { all, boxes, order, depth, surfaces: OnceLock::new() }
     }
 
-    /// The surfaces they form, found when first asked for.
+    /// The surfaces that the triangles form, found on first use.
     pub(super) fn surfaces(&self) -> &Surfaces {
         self.surfaces.get_or_init(|| Surfaces::new(self.all))
     }
 
-    /// The triangles themselves.
+    /// The triangles, in the order of the scene.
     pub fn all(&self) -> &'a [[Vec3; 3]] {
         self.all
     }
 
-    /// Ascending, every triangle that may have a point in the box.
+    /// Appends every triangle whose bounds meet the box; then sorts `out` and removes duplicates.
     pub fn in_box(&self, [min, max]: [Vec3; 2], out: &mut Vec<u32>) {
         let apart = |[lo, hi]: [Vec3; 2]| lo.cmpgt(max).any() || hi.cmplt(min).any();
         let mut open = vec![(0u32, 0usize)];
@@ -83,12 +85,14 @@ impl<'a> Triangles<'a> {
         out.dedup();
     }
 
-    /// Every triangle that may have a point on a segment between two points that lie in these boxes.
+    /// Every triangle that may have a point on a segment between two points that lie in the boxes `p` and
+    /// `q`; ascending.
     pub fn along(&self, p: [Vec3; 2], q: [Vec3; 2]) -> Vec<u32> {
         let mut out = Vec::new();
         for piece in 0..PIECES {
-            // A point of the segment is (1 − t)p + tq; with t between two multiples of 1/64 its coordinates are between those of the
-            // ends' boxes there. The shares are exact, and two products and a sum err by less than two steps of the greatest.
+            // A point of the segment is (1 − t)p + tq. For t between two multiples of 1/64 its coordinates
+            // are between those of the boxes there. The weights are exact; two products and a sum err by less
+            // than 1e-15 of the largest coordinate.
             let share = |k: u32, corner: usize| {
                 let t = f64::from(k) / f64::from(PIECES);
                 p[corner].as_dvec3() * (1.0 - t) + q[corner].as_dvec3() * t
@@ -109,7 +113,7 @@ impl<'a> Triangles<'a> {
     }
 }
 
-/// The `k`-th of the 2^level equal parts of so many items.
+/// The range of the `k`-th of 2^level equal parts of `items` items.
 fn part(items: usize, level: u32, k: usize) -> std::ops::Range<usize> {
     let at = |k: usize| ((items as u128 * k as u128) >> level) as usize;
     at(k)..at(k + 1)
@@ -127,7 +131,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn nothing_near_is_left_out(
+        fn queries_find_every_near_triangle(
             triangles in prop::collection::vec(prop::array::uniform3(point()), 0..60),
             (p, q) in (point(), point()),
         ) {
@@ -140,7 +144,7 @@ mod tests {
                 let (min, max) = (t[0].min(t[1]).min(t[2]), t[0].max(t[1]).max(t[2]));
                 let touches = min.cmple(bounds[1]).all() && max.cmpge(bounds[0]).all();
                 prop_assert_eq!(in_box.contains(&(id as u32)), touches);
-                // Points of the segment that are in the triangle's box.
+                // Whether a point of the segment is in the triangle's box.
                 let hit = (0..=640).any(|k| {
                     let x = p.as_dvec3() + (q - p).as_dvec3() * (f64::from(k) / 640.0);
                     x.cmpge(min.as_dvec3()).all() && x.cmple(max.as_dvec3()).all()

@@ -1,20 +1,22 @@
-//! Points, planes and lines in integers.
+//! Points, planes and lines in homogeneous integer coordinates.
 
 use std::cmp::Ordering;
 
 use dashu_int::ops::{Gcd as _, UnsignedAbs as _};
 use dashu_int::{IBig, UBig};
+use glam::Vec3;
 
-/// (x, y, z, w) with w > 0.
+/// The point (x/w, y/w, z/w), with w > 0.
 pub type Point = [IBig; 4];
-/// (n, k): the points with n·x = k·w.
+/// (n, k): the plane of the points with n·x = k·w.
 pub type Plane = [IBig; 4];
-/// (d, m) with d = q − p and m = p × q, up to a positive factor; or any vector of the space these span.
+/// Plücker coordinates (d, m) of the line from p to q: d = q − p and m = p × q, up to a positive factor; or
+/// any vector of the six-dimensional space that these span.
 pub type Line = [IBig; 6];
 
-/// Doubles times a common power of two that makes them integers, and its exponent.
+/// Doubles times the least power of two that makes all of them integers, and that power's exponent.
 fn scaled<const N: usize>(x: [f64; N]) -> ([IBig; N], i32) {
-    // Mantissa and exponent, zeros at the mantissa's end taken off.
+    // Mantissa and exponent, without trailing zeros of the mantissa.
     let parts = x.map(|x| {
         let bits = x.to_bits();
         let field = (bits >> 52 & 0x7ff) as i32;
@@ -27,13 +29,13 @@ fn scaled<const N: usize>(x: [f64; N]) -> ([IBig; N], i32) {
     (parts.map(|(m, e)| IBig::from(m) << (e + up) as usize), up)
 }
 
-/// A point in doubles, exactly.
+/// A point in double precision, exactly.
 pub fn point(p: [f64; 3]) -> Point {
     let ([x, y, z], up) = scaled(p);
     [x, y, z, IBig::ONE << up as usize]
 }
 
-/// Divided by what all components have in common.
+/// A vector divided by the greatest common divisor of its components.
 pub fn reduced<const N: usize>(mut v: [IBig; N]) -> [IBig; N] {
     let mut common = UBig::ZERO;
     for x in v.iter().filter(|x| !x.is_zero()) {
@@ -88,4 +90,34 @@ pub fn plane(p: [&Point; 3]) -> Plane {
 /// The Klein form d·m' + m·d'.
 pub fn klein(a: &Line, b: &Line) -> IBig {
     (0..6).map(|i| &a[i] * &b[(i + 3) % 6]).sum()
+}
+
+/// The corners of a triangle, exactly.
+pub(super) fn exact(t: &[Vec3; 3]) -> [Point; 3] {
+    t.map(|v| point(v.as_dvec3().to_array()))
+}
+
+/// Whether the corners of a triangle are not collinear.
+pub(super) fn has_area(t: &[Vec3; 3]) -> bool {
+    let [a, b, c] = exact(t);
+    !plane([&a, &b, &c])[..3].iter().all(IBig::is_zero)
+}
+
+/// The weighted mean of points, for positive weights.
+pub(super) fn mixed(points: &[Point], weights: &[IBig]) -> Point {
+    let scale: IBig = points.iter().map(|p| &p[3]).product();
+    let parts: Vec<IBig> = points.iter().zip(weights).map(|(p, w)| w * &scale / &p[3]).collect();
+    let along = |k: usize| points.iter().zip(&parts).map(|(p, s)| &p[k] * s).sum();
+    let total: IBig = weights.iter().sum();
+    reduced([along(0), along(1), along(2), total * scale])
+}
+
+/// The crossing of a plane and the segment between two points on different sides of it.
+pub(super) fn cut(p: &Point, q: &Point, flat: &Plane) -> Point {
+    let weight = |x: &Point| {
+        let h = height(flat, x);
+        if sign(&h) == Ordering::Less { -h } else { h }
+    };
+    let (s, t) = (weight(p), weight(q));
+    reduced(std::array::from_fn(|k| &q[k] * &s + &p[k] * &t))
 }

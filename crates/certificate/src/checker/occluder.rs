@@ -1,0 +1,100 @@
+//! An occluder: triangles with windings, and the constraints that say which lines it blocks.
+
+use std::cmp::Ordering;
+use std::collections::BTreeMap;
+
+use dashu_int::IBig;
+use glam::Vec3;
+
+use super::geometry::{Line, Plane, Point, height, join, meet, plane, point, sign};
+use super::hidden::Side;
+use super::vector::Vector;
+use crate::proof::OccluderTriangle;
+
+/// An occluder, derived from its triangles alone.
+pub(super) struct Occluder {
+    corners: Vec<[Point; 3]>,
+    /// The boundary edges, as constraints on lines.
+    pub boundary: Vec<Constraint>,
+    /// Its plane, if all triangles lie in one plane and face the same way.
+    plane: Option<Plane>,
+}
+
+impl Occluder {
+    /// `None` if a triangle is not in the scene, an edge has no length, or there is no boundary.
+    pub fn new(scene: &[[Vec3; 3]], triangles: &[OccluderTriangle]) -> Option<Self> {
+        let mut corners = Vec::with_capacity(triangles.len());
+        for OccluderTriangle { triangle, reversed } in triangles {
+            let [a, b, c] = *scene.get(*triangle as usize)?;
+            let wound = if *reversed { [a, c, b] } else { [a, b, c] };
+            corners.push(wound.map(|v| point(v.as_dvec3().to_array())));
+        }
+        let mut left: Vec<(&Point, &Point)> = Vec::new();
+        for (k, OccluderTriangle { reversed, .. }) in triangles.iter().enumerate() {
+            let [x, y, z] = &corners[k];
+            // Constraints are numbered by the scene's order of the edges: 01, 12, 20.
+            let edges = if *reversed { [(z, x), (y, z), (x, y)] } else { [(x, y), (y, z), (z, x)] };
+            for (p, q) in edges {
+                match left.iter().rposition(|(r, s)| *r == q && *s == p) {
+                    Some(at) => {
+                        left.remove(at);
+                    }
+                    None => left.push((p, q)),
+                }
+            }
+        }
+        // The argument needs at least one boundary edge, and a line for each.
+        let boundary: Vec<Line> = left.iter().map(|(p, q)| join(p, q)).collect();
+        if boundary.is_empty() || boundary.iter().any(|l| l.iter().all(IBig::is_zero)) {
+            return None;
+        }
+        let numbered = boundary.into_iter().enumerate();
+        let boundary = numbered.map(|(i, l)| Constraint { number: i, line: Vector::new(l) }).collect();
+        // Only if all triangles lie in one plane and face the same way does a line cross all of them from the
+        // same side, the one that the boundary edges say.
+        let planes: Vec<Plane> = corners.iter().map(|[a, b, c]| plane([a, b, c])).collect();
+        let flat = planes.first()?;
+        let ahead = |p: &Plane| sign(&(0..3).map(|i| &p[i] * &flat[i]).sum()) == Ordering::Greater;
+        let one = planes.iter().all(ahead) && corners.iter().flatten().all(|p| height(flat, p).is_zero());
+        let flat = one.then(|| flat.clone());
+        Some(Self { plane: flat, boundary, corners })
+    }
+}
+
+/// A half-space of line space. The lines that an occluder blocks are all on its positive side, or all on its
+/// negative side.
+#[derive(Clone)]
+pub(super) struct Constraint {
+    /// Its number in [`Step::Block`](crate::proof::Step::Block).
+    pub number: usize,
+    pub line: Vector,
+}
+
+/// By occluder: the constraints by the planes of A and B, or the reason why it cannot block between them.
+pub(super) type Known = BTreeMap<usize, Result<Vec<Constraint>, &'static str>>;
+
+impl Occluder {
+    /// The constraints besides those of the boundary: with them, a crossing is between A and B.
+    pub fn planes(&self, a: &Side, b: &Side) -> Result<Vec<Constraint>, &'static str> {
+        let mut out = Vec::new();
+        for (k, side) in [a, b].into_iter().enumerate() {
+            let places: Vec<[Ordering; 3]> =
+                self.corners.iter().map(|t| t.each_ref().map(|p| sign(&height(&side.plane, p)))).collect();
+            if places.contains(&[Ordering::Equal; 3]) {
+                return Err("a triangle in the plane of A or B blocks nothing");
+            }
+            if places.iter().flatten().all(|place| *place != side.other.reverse()) {
+                continue;
+            }
+            let own = self.plane.as_ref().ok_or("an occluder that is not flat is not between A and B")?;
+            let toward = if side.other == Ordering::Less {
+                side.plane.clone().map(|c| -c)
+            } else {
+                side.plane.clone()
+            };
+            let number = self.boundary.len() + k;
+            out.push(Constraint { number, line: Vector::new(meet(&toward, own)) });
+        }
+        Ok(out)
+    }
+}

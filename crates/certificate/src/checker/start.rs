@@ -1,0 +1,64 @@
+//! The region of line space between two polygons, as one or two pointed cones.
+
+use std::cmp::Ordering;
+
+use dashu_int::IBig;
+
+use super::cone::Cone;
+use super::geometry::{Line, height, join, klein, meet, sign};
+use super::hidden::Side;
+
+/// The cones that together hold all lines from A to B; `None` for one that has no interior or is not pointed.
+pub(super) fn start(a: &Side, b: &Side) -> Vec<Option<Cone>> {
+    let mut lines = Vec::new();
+    let mut along = Vec::new();
+    let mut across = None;
+    for p in &a.corners {
+        for q in &b.corners {
+            let line = join(p, q);
+            let on = [height(&b.plane, p).is_zero(), height(&a.plane, q).is_zero()];
+            if line.iter().all(IBig::is_zero) {
+                continue;
+            }
+            if on == [true, true] {
+                along.push(line.clone());
+            } else if on == [false, false] && across.is_none() {
+                across = Some(line.clone());
+            }
+            lines.push(line);
+        }
+    }
+    let k = meet(&a.plane, &b.plane);
+    // Both are multiples of k, so the sign of any component that is not 0 decides.
+    let way = |l: &Line| l.iter().zip(&k).map(|(x, y)| sign(&(x * y))).find(|s| *s != Ordering::Equal);
+    let both = along.iter().any(|l| way(l) == Some(Ordering::Greater))
+        && along.iter().any(|l| way(l) == Some(Ordering::Less));
+    match (both, across) {
+        (true, Some(across)) => {
+            let at_k = klein(&k, &across);
+            // v·f(k) − f(v)·k lies on the hyperplane f = 0; its sign is chosen so that v has a positive
+            // factor.
+            let base: Vec<Line> = lines
+                .iter()
+                .map(|v| {
+                    let at_v = klein(v, &across);
+                    let flip = sign(&at_k) == Ordering::Less;
+                    std::array::from_fn(|i| {
+                        let x = &v[i] * &at_k - &k[i] * &at_v;
+                        if flip { -x } else { x }
+                    })
+                })
+                .filter(|v: &Line| !v.iter().all(IBig::is_zero))
+                .collect();
+            [k.clone(), k.map(|c| -c)]
+                .into_iter()
+                .map(|end| {
+                    let mut rays = base.clone();
+                    rays.push(end);
+                    Cone::of(rays)
+                })
+                .collect()
+        }
+        _ => vec![Cone::of(lines)],
+    }
+}

@@ -1,0 +1,248 @@
+//! The decoder.
+
+use std::io::Read as _;
+
+use dashu_int::IBig;
+use glam::Vec3;
+use sightline_numbers::varint::{self, VarintError};
+
+use super::{CodecError, MAX_BYTES, MAX_MEMORY};
+use crate::certificate::{CellCertificate, GroupCertificate, HiddenGroup, Target, Witness};
+use crate::proof::{OccluderTriangle, Proof, Step, Which};
+
+/// Decodes what [`encode`](super::encode) wrote, for a scene of the given number of triangles.
+///
+/// # Errors
+/// [`CodecError`] if the bytes are not the compressed encoding of a certificate.
+pub fn decode(bytes: &[u8], triangles: u32) -> Result<CellCertificate, CodecError> {
+    let mut raw = Vec::new();
+    zstd::stream::Decoder::new(bytes)
+        .and_then(|d| d.take(MAX_BYTES + 1).read_to_end(&mut raw))
+        .map_err(|_| CodecError("zstd cannot decompress it"))?;
+    if raw.len() as u64 > MAX_BYTES {
+        return Err(CodecError("it has more than 256 MiB before compression"));
+    }
+    decode_raw(&raw, triangles)
+}
+
+/// As [`decode`], from bytes without compression.
+///
+/// # Errors
+/// [`CodecError`] if the bytes are not the encoding of a certificate.
+pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<CellCertificate, CodecError> {
+    let mut from = Reader { rest: raw, triangles, memory: MAX_MEMORY };
+    let mut certificate = CellCertificate::default();
+    let mut last = 0u32;
+    for k in 0..from.count(2)? {
+        from.take::<(u32, Witness)>()?;
+        let step = from.small()?;
+        if k > 0 && step == 0 {
+            return Err(CodecError("the triangles with witnesses are not ascending"));
+        }
+        last = last.checked_add(step).ok_or(CodecError("a triangle id is out of range"))?;
+        let witness = match from.byte()? {
+            0 => Witness::Floats([from.point()?, from.point()?]),
+            1 => {
+                from.take::<[[IBig; 4]; 2]>()?;
+                let mut next = || -> Result<[IBig; 4], CodecError> {
+                    Ok([from.integer()?, from.integer()?, from.integer()?, from.integer()?])
+                };
+                Witness::Exact(Box::new([next()?, next()?]))
+            }
+            _ => return Err(CodecError("the kind of a witness is unknown")),
+        };
+        certificate.seen.push((from.id(last)?, witness));
+    }
+    certificate.hidden = from.hidden()?;
+    if !from.rest.is_empty() {
+        certificate.above = match from.number()? {
+            0 => None,
+            next => Some(u32::try_from(next - 1).map_err(|_| CodecError("a number is too large"))?),
+        };
+        if !from.rest.is_empty() {
+            from.take::<GroupCertificate>()?;
+            let shared = GroupCertificate { bounds: [from.point()?, from.point()?], hidden: from.hidden()? };
+            if shared.hidden.is_empty() {
+                return Err(CodecError("the certificate of a box has no group"));
+            }
+            certificate.shared = Some(shared);
+        }
+        if certificate.shared.is_none() && certificate.above.is_none() {
+            return Err(CodecError("the part about a cell group is empty"));
+        }
+    }
+    if from.rest.is_empty() { Ok(certificate) } else { Err(CodecError("bytes follow the end")) }
+}
+
+struct Reader<'a> {
+    rest: &'a [u8],
+    triangles: u32,
+    /// Bytes of memory that the decoded values may still take.
+    memory: usize,
+}
+
+impl Reader<'_> {
+    fn byte(&mut self) -> Result<u8, CodecError> {
+        let (first, rest) = self.rest.split_first().ok_or(CodecError("it ends too early"))?;
+        self.rest = rest;
+        Ok(*first)
+    }
+
+    fn bytes<const N: usize>(&mut self) -> Result<[u8; N], CodecError> {
+        let (first, rest) = self.rest.split_first_chunk().ok_or(CodecError("it ends too early"))?;
+        self.rest = rest;
+        Ok(*first)
+    }
+
+    fn number(&mut self) -> Result<u64, CodecError> {
+        // Nine bytes hold 63 bits. Each number has one form.
+        varint::read_shortest(&mut self.rest, 9).map_err(|e| match e {
+            VarintError::CutShort => CodecError("it ends too early"),
+            VarintError::NotShortest => CodecError("a number has more bytes than it needs"),
+            VarintError::TooLarge | VarintError::TooLong => CodecError("a number is too large"),
+        })
+    }
+
+    fn small<T: TryFrom<u64>>(&mut self) -> Result<T, CodecError> {
+        T::try_from(self.number()?).map_err(|_| CodecError("a number is too large"))
+    }
+
+    /// Accounts for the memory of one more value.
+    fn take<T>(&mut self) -> Result<(), CodecError> {
+        let left = self.memory.checked_sub(size_of::<T>());
+        self.memory = left.ok_or(CodecError("it would take more than 4 GiB of memory"))?;
+        Ok(())
+    }
+
+    /// A count of values of at least `least` bytes each; that many bytes must be left.
+    fn count(&mut self, least: usize) -> Result<usize, CodecError> {
+        let n: usize = self.small()?;
+        if n > self.rest.len() / least {
+            return Err(CodecError("a count is larger than the bytes that follow allow"));
+        }
+        Ok(n)
+    }
+
+    fn id(&self, id: u32) -> Result<u32, CodecError> {
+        if id < self.triangles { Ok(id) } else { Err(CodecError("a triangle id is out of range")) }
+    }
+
+    fn point(&mut self) -> Result<Vec3, CodecError> {
+        let mut next = || Ok(f32::from_le_bytes(self.bytes()?));
+        let p = Vec3::new(next()?, next()?, next()?);
+        if p.is_finite() { Ok(p) } else { Err(CodecError("a point is not finite")) }
+    }
+
+    fn integer(&mut self) -> Result<IBig, CodecError> {
+        let head = self.number()?;
+        let length = usize::try_from(head >> 1).map_err(|_| CodecError("a number is too large"))?;
+        let (bytes, rest) = self.rest.split_at_checked(length).ok_or(CodecError("it ends too early"))?;
+        self.rest = rest;
+        let canonical = bytes.last().map_or(head & 1 == 0, |b| *b != 0);
+        if !canonical {
+            return Err(CodecError("a number has more bytes than it needs"));
+        }
+        let size = IBig::from(dashu_int::UBig::from_le_bytes(bytes));
+        Ok(if head & 1 == 1 { -size } else { size })
+    }
+
+    fn ids(&mut self) -> Result<Vec<u32>, CodecError> {
+        let mut last = 0u32;
+        (0..self.count(1)?)
+            .map(|k| {
+                self.take::<u32>()?;
+                let step: u32 = self.small()?;
+                if k > 0 && step == 0 {
+                    return Err(CodecError("triangle ids are not ascending"));
+                }
+                last = last.checked_add(step).ok_or(CodecError("a triangle id is out of range"))?;
+                self.id(last)
+            })
+            .collect()
+    }
+
+    fn hidden(&mut self) -> Result<Vec<HiddenGroup>, CodecError> {
+        let mut all = Vec::new();
+        for _ in 0..self.count(3)? {
+            self.take::<HiddenGroup>()?;
+            let target = match self.byte()? {
+                0 => Target::Triangle,
+                1 => Target::Box([self.point()?, self.point()?]),
+                2 => Target::Surfaces,
+                3 => Target::Half,
+                4 => {
+                    // A corner has twelve bytes.
+                    let corners = (0..self.count(12)?).map(|_| {
+                        self.take::<Vec3>()?;
+                        self.point()
+                    });
+                    Target::Polygon(corners.collect::<Result<_, _>>()?)
+                }
+                _ => return Err(CodecError("the kind of a target is unknown")),
+            };
+            let triangles = self.ids()?;
+            if triangles.is_empty() {
+                return Err(CodecError("a group has no triangles"));
+            }
+            let proofs = (0..self.count(2)?).map(|_| self.proof()).collect::<Result<_, _>>()?;
+            all.push(HiddenGroup { target, triangles, proofs });
+        }
+        Ok(all)
+    }
+
+    fn proof(&mut self) -> Result<Proof, CodecError> {
+        let mut proof = Proof::default();
+        let mut last = 0i64;
+        self.take::<Proof>()?;
+        for _ in 0..self.count(2)? {
+            self.take::<Vec<OccluderTriangle>>()?;
+            let mut members = Vec::new();
+            for _ in 0..self.count(1)? {
+                self.take::<OccluderTriangle>()?;
+                let x = self.number()?;
+                let d = i64::try_from(x >> 2).map_err(|_| CodecError("a triangle id is out of range"))?;
+                if d == 0 && x & 2 != 0 {
+                    return Err(CodecError("a difference of 0 has a sign"));
+                }
+                last = last.saturating_add(if x & 2 == 0 { d } else { -d });
+                let id = u32::try_from(last).map_err(|_| CodecError("a triangle id is out of range"))?;
+                members.push(OccluderTriangle { triangle: self.id(id)?, reversed: x & 1 == 1 });
+            }
+            proof.occluders.push(members);
+        }
+        for _ in 0..self.count(1)? {
+            self.take::<Step>()?;
+            let x = self.number()?;
+            let step = match (x & 3, x >> 2) {
+                (0, 0) => Step::Unreal,
+                (kind @ (1 | 2), occluder) => Step::Block {
+                    occluder: u32::try_from(occluder)
+                        .map_err(|_| CodecError("the number of an occluder is too large"))?,
+                    negative: kind == 2,
+                    cuts: (0..self.count(1)?)
+                        .map(|_| self.take::<u16>().and_then(|()| self.small()))
+                        .collect::<Result<_, _>>()?,
+                },
+                (3, 2) => {
+                    self.take::<[IBig; 6]>()?;
+                    let mut polar = Box::new([IBig::ZERO; 6]);
+                    for c in polar.iter_mut() {
+                        *c = self.integer()?;
+                    }
+                    Step::Split { polar }
+                }
+                (3, 1) => {
+                    let of = match self.byte()? {
+                        0 => Which::A,
+                        1 => Which::B,
+                        _ => return Err(CodecError("the kind of a step is unknown")),
+                    };
+                    Step::Divide { of, from: self.small()?, to: self.small()? }
+                }
+                _ => return Err(CodecError("the kind of a step is unknown")),
+            };
+            proof.steps.push(step);
+        }
+        Ok(proof)
+    }
+}

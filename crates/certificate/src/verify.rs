@@ -1,0 +1,277 @@
+//! Verification of a whole result: every witness and every certificate checked against the scene.
+
+mod consistency;
+#[cfg(feature = "pvs")]
+mod pvs;
+mod reader;
+mod result;
+mod sample;
+mod totals;
+
+use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use crate::certificate::HiddenGroup;
+use crate::checker::{CellClaims, CellRefusal, Claim, Triangles, check_cell_until};
+pub use reader::{CertificateReader, Certificates, ReadError};
+pub use result::{BakedResult, SET_ASIDE};
+use sample::Drawn;
+pub use sample::Sample;
+use totals::CellTotals;
+pub use totals::{Count, Hidden, Totals};
+
+/// Bytes of compressed certificates that are decoded at the same time. A larger cell is checked alone.
+const BATCH_BYTES: usize = 16 << 20;
+
+/// Receives the number of cells verified so far and the number of cells.
+pub type OnProgress<'a> = dyn Fn(u32, u32) + Sync + 'a;
+
+/// Options of [`verify`]. The default checks every claim.
+#[derive(Clone, Copy, Default)]
+pub struct VerifyOptions<'a> {
+    /// Check only the claims about a random sample of the pairs of cell and triangle. That every triangle is
+    /// accounted for is always checked.
+    pub sample: Option<Sample>,
+    /// Called after each batch of cells.
+    pub progress: Option<&'a OnProgress<'a>>,
+    /// Polled between claims; the verification stops soon after it turns true.
+    pub cancelled: Option<&'a (dyn Fn() -> bool + Sync)>,
+}
+
+/// An accepted verification.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Report {
+    /// The number of cells.
+    pub cells: u32,
+    /// The number of pairs of cell and triangle.
+    pub pairs: u64,
+    /// The claims found and checked.
+    pub totals: Totals,
+}
+
+impl Report {
+    /// The number of pairs whose triangle has no area; such triangles are never visible.
+    pub fn without_area(&self) -> u64 {
+        let t = &self.totals;
+        self.pairs.saturating_sub(t.witnesses.all + t.meeting.all + t.hidden.sum() + t.undecided)
+    }
+}
+
+/// Why a result is not accepted.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum VerifyError {
+    /// The result has no certificates.
+    #[error("the result has no certificates (method {method})")]
+    NoCertificates {
+        /// The method of the result.
+        method: String,
+    },
+    /// The result was baked from a scene of another size.
+    #[error("the result is about {result} triangles, and the scene has {scene}")]
+    OtherScene {
+        /// Triangles of the scene.
+        scene: usize,
+        /// Triangles of the result.
+        result: u32,
+    },
+    /// A claim does not hold.
+    #[error(transparent)]
+    Refused(#[from] Refused),
+    /// The caller cancelled the verification. All cells verified until then were accepted.
+    #[error("cancelled: {verified} of {cells} cells verified so far, all accepted")]
+    Cancelled {
+        /// Cells that were verified and accepted.
+        verified: u32,
+        /// The number of cells.
+        cells: u32,
+    },
+}
+
+/// A claim of a result that does not hold.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{}{reason}", .cell.map_or(String::new(), |cell| format!("cell {cell}: ")))]
+pub struct Refused {
+    /// The cell; `None` if the claim is about the whole result.
+    pub cell: Option<u32>,
+    /// The triangles that the claim is about; empty if it is about none or the whole cell.
+    pub triangles: Vec<u32>,
+    /// Why the claim does not hold.
+    pub reason: String,
+}
+
+/// Checks the witnesses and certificates of a result against the triangles of its scene, in the order of the
+/// scene.
+///
+/// Uses the current rayon pool. The first refused cell is the same on every run.
+///
+/// # Errors
+/// [`VerifyError`] if the result is not accepted, or not to the end.
+pub fn verify(
+    triangles: &[[Vec3; 3]],
+    result: &dyn BakedResult,
+    options: &VerifyOptions<'_>,
+) -> Result<Report, VerifyError> {
+    let cells = result.cell_count();
+    if triangles.len() as u64 != u64::from(result.triangle_count()) {
+        return Err(VerifyError::OtherScene { scene: triangles.len(), result: result.triangle_count() });
+    }
+    let whole = |reason| Refused { cell: None, triangles: Vec::new(), reason };
+    if cells > 0 && result.certificate(0).map_err(whole)?.is_none() {
+        return Err(VerifyError::NoCertificates { method: result.method().to_owned() });
+    }
+    consistency::check(result).map_err(whole)?;
+    let drawn = options.sample.map(|s| s.draw(cells, result.triangle_count()));
+    let never = || false;
+    let verification = Verification {
+        result,
+        scene: Triangles::new(triangles),
+        reader: CertificateReader::default(),
+        drawn: drawn.as_ref(),
+        cancelled: options.cancelled.unwrap_or(&never),
+    };
+    let mut totals = Totals::default();
+    let mut group_claims = BTreeSet::new();
+    let mut next = 0;
+    while next < cells {
+        let batch = verification.batch(next);
+        let check = |cell: &u32| verification.cell(*cell);
+        let checked: Vec<Result<CellTotals, Stop>> = batch.par_iter().with_max_len(1).map(check).collect();
+        let mut verified = next;
+        let mut cancelled = false;
+        for (cell, checked) in batch.iter().zip(checked) {
+            match checked {
+                Ok(of_cell) => {
+                    verified += 1;
+                    totals += of_cell.totals;
+                    group_claims.extend(of_cell.group_claims);
+                }
+                Err(Stop::Cancelled) => cancelled = true,
+                Err(Stop::Refused { triangles, reason }) => {
+                    return Err(Refused { cell: Some(*cell), triangles, reason }.into());
+                }
+            }
+        }
+        if cancelled {
+            return Err(VerifyError::Cancelled { verified, cells });
+        }
+        next += batch.len() as u32;
+        if let Some(progress) = options.progress {
+            progress(next, cells);
+        }
+    }
+    // Several cells of a sample may rely on one certificate of a cell group. It counts once.
+    totals.certificates.checked += group_claims.len() as u64;
+    Ok(Report { cells, pairs: u64::from(cells) * triangles.len() as u64, totals })
+}
+
+/// Why the check of a cell ended early.
+enum Stop {
+    Cancelled,
+    Refused { triangles: Vec<u32>, reason: String },
+}
+
+impl From<String> for Stop {
+    fn from(reason: String) -> Self {
+        Self::Refused { triangles: Vec::new(), reason }
+    }
+}
+
+impl From<ReadError> for Stop {
+    fn from(e: ReadError) -> Self {
+        e.to_string().into()
+    }
+}
+
+impl From<CellRefusal> for Stop {
+    fn from(e: CellRefusal) -> Self {
+        match e {
+            CellRefusal::Cancelled => Self::Cancelled,
+            e => Self::Refused { triangles: e.triangles(), reason: e.to_string() },
+        }
+    }
+}
+
+/// A verification in progress.
+struct Verification<'a> {
+    result: &'a dyn BakedResult,
+    scene: Triangles<'a>,
+    reader: CertificateReader,
+    drawn: Option<&'a Drawn>,
+    cancelled: &'a (dyn Fn() -> bool + Sync),
+}
+
+impl Verification<'_> {
+    /// The cells from `first` on that are checked at the same time: enough to occupy all threads when one
+    /// cell has a long proof, few enough to hold all their certificates in memory.
+    fn batch(&self, first: u32) -> Vec<u32> {
+        let mut bytes = 0;
+        let end = first.saturating_add(2 * rayon::current_num_threads() as u32).min(self.result.cell_count());
+        let fits = |cell: &u32| {
+            // A certificate that cannot be read is refused when its cell is checked.
+            bytes += self.result.certificate(*cell).ok().flatten().map_or(0, <[u8]>::len);
+            *cell == first || bytes <= BATCH_BYTES
+        };
+        (first..end).take_while(fits).collect()
+    }
+
+    /// Checks the claims of one cell that are wanted.
+    fn cell(&self, cell: u32) -> Result<CellTotals, Stop> {
+        if (self.cancelled)() {
+            return Err(Stop::Cancelled);
+        }
+        let nothing = BTreeSet::new();
+        // Without a sample, every triangle is wanted.
+        let wanted = self.drawn.map(|d| d.get(&cell).unwrap_or(&nothing));
+        let visible = self.result.visible(cell)?;
+        let undecided = self.result.undecided(cell)?;
+        let bounds = self.result.cell_bounds(cell).ok_or_else(|| "the cell has no bounds".to_owned())?;
+        let certificates =
+            self.reader.read(self.result, cell)?.ok_or_else(|| "the cell has no certificate".to_owned())?;
+        let mut out = CellTotals::default();
+        out.totals.undecided = undecided.len() as u64;
+        out.totals.bytes = self.result.certificate(cell)?.map_or(0, |e| e.len() as u64);
+        let (own, above) = (&certificates.own, certificates.above());
+        let claims =
+            CellClaims { cell: bounds, visible: &visible, undecided: &undecided, certificate: own, above };
+        let [witnesses, proofs, meeting] = [const { [const { AtomicU64::new(0) }; 2] }; 3];
+        let group_claims = Mutex::new(Vec::new());
+        let any = |group: &HiddenGroup, w: &BTreeSet<u32>| group.triangles.iter().any(|t| w.contains(t));
+        let pick = |claim: Claim| {
+            let (counts, take) = match claim {
+                Claim::Seen(at) => (&witnesses, wanted.is_none_or(|w| w.contains(&own.seen[at].0))),
+                Claim::Hidden(at) => (&proofs, wanted.is_none_or(|w| any(&own.hidden[at], w))),
+                // Stored here for other cells too, and checked once: with this cell, or for the cell of a
+                // sample that relies on it.
+                Claim::Shared(_) => (&proofs, wanted.is_none()),
+                Claim::Above(at) => {
+                    let of = above.and_then(|shared| shared.hidden.get(at));
+                    let take = wanted.is_some_and(|w| of.is_some_and(|group| any(group, w)));
+                    if take {
+                        group_claims.lock().unwrap_or_else(PoisonError::into_inner).push(at);
+                    }
+                    return take;
+                }
+                Claim::Meets(id) => (&meeting, wanted.is_none_or(|w| w.contains(&id))),
+            };
+            counts[0].fetch_add(1, Ordering::Relaxed);
+            counts[1].fetch_add(u64::from(take), Ordering::Relaxed);
+            take
+        };
+        check_cell_until(&self.scene, &claims, &pick, self.cancelled)?;
+        let group_claims = group_claims.into_inner().unwrap_or_else(PoisonError::into_inner);
+        out.group_claims =
+            group_claims.into_iter().filter_map(|at| Some((certificates.keeper()?, at))).collect();
+        // The check has shown that no triangle is in two groups.
+        certificates.hidden().for_each(|group| out.totals.hidden.add(group));
+        let count =
+            |[all, checked]: [AtomicU64; 2]| Count { all: all.into_inner(), checked: checked.into_inner() };
+        out.totals.witnesses = count(witnesses);
+        out.totals.certificates = count(proofs);
+        out.totals.meeting = count(meeting);
+        Ok(out)
+    }
+}

@@ -1,0 +1,37 @@
+//! Whether the statements of a result about itself, which no certificate covers, agree with its contents.
+
+use super::{BakedResult, SET_ASIDE};
+
+/// The methods whose results have certificates.
+const METHODS: [&str; 2] = ["exact", "verified"];
+
+/// Checks method, number of cells, and flags; a message about the first contradiction.
+pub(super) fn check(result: &dyn BakedResult) -> Result<(), String> {
+    let parameters: serde_json::Value = serde_json::from_str(result.parameters())
+        .map_err(|e| format!("its parameters are not valid JSON: {e}"))?;
+    let method = result.method();
+    if !METHODS.contains(&method) {
+        return Err(format!("{method:?} is no method that has certificates"));
+    }
+    // A result of another program need not name its method.
+    if parameters["method"].as_str().is_some_and(|m| m != method) {
+        return Err(format!("its method is {method}, and {} in its parameters", parameters["method"]));
+    }
+    if let Some(grid) = parameters["division"]["grid"].as_array() {
+        let cells = grid.iter().try_fold(1u64, |n, side| n.checked_mul(side.as_u64()?));
+        if cells != Some(u64::from(result.cell_count())) {
+            return Err(format!(
+                "its parameters say {} cells, and it has {}",
+                parameters["division"]["grid"],
+                result.cell_count()
+            ));
+        }
+    }
+    for cell in 0..result.cell_count() {
+        let flags = result.flags(cell)?;
+        if flags & !SET_ASIDE != 0 {
+            return Err(format!("cell {cell} has flags {flags:#x} with an unknown bit"));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,151 @@
+//! Verification of a result as a library call: acceptance, totals, samples, refusals, and cancellation.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+mod support;
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use glam::Vec3;
+use sightline_certificate::{
+    BakedResult, CellCertificate, Count, Hidden, Sample, VerifyError, VerifyOptions, codec, verify,
+};
+use support::{CELL, alone, relying, sharing, triangles};
+
+/// A result in memory whose cells all have the same box and set.
+struct Memory {
+    method: &'static str,
+    parameters: &'static str,
+    visible: Vec<u32>,
+    flags: u32,
+    certificates: Option<Vec<Vec<u8>>>,
+}
+
+impl Memory {
+    fn new(cells: &[CellCertificate]) -> Self {
+        let certificates = cells.iter().map(|c| codec::encode(c).unwrap()).collect();
+        Self {
+            method: "exact",
+            parameters: "{}",
+            visible: vec![0, 1],
+            flags: 0,
+            certificates: Some(certificates),
+        }
+    }
+}
+
+impl BakedResult for Memory {
+    fn method(&self) -> &str {
+        self.method
+    }
+
+    fn parameters(&self) -> &str {
+        self.parameters
+    }
+
+    fn cell_count(&self) -> u32 {
+        self.certificates.as_ref().map_or(1, |c| c.len() as u32)
+    }
+
+    fn triangle_count(&self) -> u32 {
+        6
+    }
+
+    fn cell_bounds(&self, _cell: u32) -> Option<[Vec3; 2]> {
+        Some(CELL)
+    }
+
+    fn visible(&self, _cell: u32) -> Result<Vec<u32>, String> {
+        Ok(self.visible.clone())
+    }
+
+    fn undecided(&self, _cell: u32) -> Result<Vec<u32>, String> {
+        Ok(Vec::new())
+    }
+
+    fn certificate(&self, cell: u32) -> Result<Option<&[u8]>, String> {
+        Ok(self.certificates.as_ref().map(|c| &*c[cell as usize]))
+    }
+
+    fn flags(&self, _cell: u32) -> Result<u32, String> {
+        Ok(self.flags)
+    }
+}
+
+#[test]
+fn a_sound_result_is_accepted_and_counted() {
+    let result = Memory::new(&[alone(), sharing(), relying()]);
+    let calls = Mutex::new(Vec::new());
+    let progress = |done, cells| calls.lock().unwrap().push((done, cells));
+    let options = VerifyOptions { progress: Some(&progress), ..VerifyOptions::default() };
+    let report = verify(&triangles(), &result, &options).unwrap();
+    assert_eq!((report.cells, report.pairs, report.without_area()), (3, 18, 0));
+    assert_eq!(report.totals.witnesses, Count { all: 6, checked: 6 });
+    // The groups that two cells rely on are stored, checked, and counted once.
+    assert_eq!(report.totals.certificates, Count { all: 4, checked: 4 });
+    assert_eq!(report.totals.hidden, Hidden { by_surface: 0, in_boxes: 6, alone: 6 });
+    assert_eq!(calls.lock().unwrap().last(), Some(&(3, 3)));
+}
+
+#[test]
+fn a_sample_checks_fewer_claims_of_the_same_result() {
+    let result = Memory::new(&[alone(), sharing(), relying()]);
+    let sample = Some(Sample { pairs: 3, seed: 1 });
+    let report =
+        verify(&triangles(), &result, &VerifyOptions { sample, ..VerifyOptions::default() }).unwrap();
+    let totals = report.totals;
+    assert_eq!((totals.witnesses.all, totals.certificates.all), (6, 4));
+    let checked = totals.witnesses.checked + totals.certificates.checked + totals.meeting.checked;
+    assert!((1..=3).contains(&checked), "{totals:?}");
+}
+
+#[test]
+fn a_false_claim_is_refused_with_its_cell_and_triangles() {
+    let mut false_witness = alone();
+    false_witness.seen[1].1 = false_witness.seen[0].1.clone();
+    let refused = verify(&triangles(), &Memory::new(&[alone(), false_witness]), &VerifyOptions::default());
+    let Err(VerifyError::Refused(refused)) = refused else { panic!("{refused:?}") };
+    assert_eq!((refused.cell, &*refused.triangles), (Some(1), &[1][..]));
+    assert!(!refused.reason.is_empty());
+    let mut moved = alone();
+    moved.hidden[0].proofs.pop();
+    let refused = verify(&triangles(), &Memory::new(&[moved]), &VerifyOptions::default());
+    let Err(VerifyError::Refused(refused)) = refused else { panic!("{refused:?}") };
+    assert_eq!((refused.cell, &*refused.triangles), (Some(0), &[2, 3][..]));
+    // A cell that relies on a cell without a shared certificate.
+    let refused = verify(&triangles(), &Memory::new(&[alone(), relying()]), &VerifyOptions::default());
+    assert!(matches!(refused, Err(VerifyError::Refused(r)) if r.cell == Some(1)));
+}
+
+#[test]
+fn statements_about_the_whole_result_are_checked() {
+    let check = |change: &dyn Fn(&mut Memory)| {
+        let mut result = Memory::new(&[alone()]);
+        change(&mut result);
+        verify(&triangles(), &result, &VerifyOptions::default())
+    };
+    assert!(check(&|r| r.parameters = r#"{"method":"exact","division":{"grid":[1,1,1]}}"#).is_ok());
+    let whole = |r: Result<_, VerifyError>| matches!(r, Err(VerifyError::Refused(r)) if r.cell.is_none());
+    assert!(whole(check(&|r| r.method = "trust")));
+    assert!(whole(check(&|r| r.parameters = r#"{"method":"verified"}"#)));
+    assert!(whole(check(&|r| r.parameters = r#"{"division":{"grid":[1,2,1]}}"#)));
+    assert!(whole(check(&|r| r.flags = 2)));
+    assert!(matches!(check(&|r| r.certificates = None), Err(VerifyError::NoCertificates { .. })));
+    let fewer = verify(&triangles()[..5], &Memory::new(&[alone()]), &VerifyOptions::default());
+    assert_eq!(fewer, Err(VerifyError::OtherScene { scene: 5, result: 6 }));
+}
+
+#[test]
+fn a_cancelled_verification_says_how_far_it_got() {
+    let cells = vec![alone(); 400];
+    let result = Memory::new(&cells);
+    let asked = AtomicU32::new(0);
+    let cancelled = || asked.fetch_add(1, Ordering::Relaxed) >= 900;
+    let options = VerifyOptions { cancelled: Some(&cancelled), ..VerifyOptions::default() };
+    match verify(&triangles(), &result, &options) {
+        Err(VerifyError::Cancelled { verified, cells }) => {
+            assert!(verified > 0 && verified < 400 && cells == 400)
+        }
+        other => panic!("{other:?}"),
+    }
+}
