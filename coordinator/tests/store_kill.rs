@@ -12,6 +12,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use sightline_coordinator::ids::TileIndex;
 use sightline_coordinator::store::{
     Digest, JobRecord, NewJob, SceneRecord, SledStore, Store, TileRecord, TileResult, TileState, TileStats,
 };
@@ -63,7 +64,7 @@ fn writes_until_killed() {
             for tile in done..TILES {
                 let stats = TileStats { worker: "w".to_owned(), ..TileStats::default() };
                 let digest = digest_of("tile", tile.into());
-                store.commit_tile(first, tile, TileResult { digest, bytes: 1, stats }).unwrap();
+                store.commit_tile(first, TileIndex(tile), TileResult { digest, bytes: 1, stats }).unwrap();
                 say("tile", tile.into());
             }
         });
@@ -133,8 +134,8 @@ fn killed_at_any_moment_nothing_acknowledged_is_lost() {
         }
         for tile in tiles {
             match tile.state {
-                TileState::Done { digest, .. } => assert_eq!(digest, digest_of("tile", tile.tile.into())),
-                _ => assert!(tiles[tile.tile as usize..].iter().all(|later| later.state == TileState::Open)),
+                TileState::Done { digest, .. } => assert_eq!(digest, digest_of("tile", tile.tile.0.into())),
+                _ => assert!(tiles[tile.tile.at()..].iter().all(|later| later.state == TileState::Open)),
             }
             if tile.state == TileState::Open {
                 break;

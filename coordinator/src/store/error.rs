@@ -5,7 +5,8 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::records::{Digest, JobPhase};
+use super::records::JobPhase;
+use crate::ids::{Digest, JobId, TileIndex, hex};
 
 /// A command or query that could not be answered.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -14,7 +15,7 @@ pub enum StoreError {
     #[error("job {job} is not known here; list the jobs to see which are")]
     UnknownJob {
         /// The id asked for.
-        job: u64,
+        job: JobId,
     },
     /// No such tile.
     #[error(
@@ -22,9 +23,9 @@ pub enum StoreError {
     )]
     UnknownTile {
         /// The job.
-        job: u64,
+        job: JobId,
         /// The tile asked for.
-        tile: u32,
+        tile: TileIndex,
         /// How many it has.
         tiles: u32,
     },
@@ -48,13 +49,13 @@ pub enum StoreError {
         /// The id.
         request_id: String,
         /// The job it belongs to.
-        job: u64,
+        job: JobId,
     },
     /// A job is not in a state this is allowed in.
     #[error("job {job} is {is}, so it cannot be {wanted}; `sightline show {job}` says more")]
     IllegalTransition {
         /// The job.
-        job: u64,
+        job: JobId,
         /// Its state.
         is: JobPhase,
         /// What was asked for.
@@ -64,15 +65,15 @@ pub enum StoreError {
     #[error("tile {tile} of job {job} is no longer open, so it cannot be set aside; what it has stays")]
     TileNotOpen {
         /// The job.
-        job: u64,
+        job: JobId,
         /// The tile.
-        tile: u32,
+        tile: TileIndex,
     },
     /// A job with open tiles cannot be finished.
     #[error("job {job} has {open} open tiles (of {tiles}), so it cannot be finished")]
     TilesOpen {
         /// The job.
-        job: u64,
+        job: JobId,
         /// Tiles neither done nor set aside.
         open: u32,
         /// Tiles it has.
@@ -82,7 +83,7 @@ pub enum StoreError {
     #[error("job {job} is done with result {}, not {}; its inputs or the machine are at fault", hex(.kept), hex(.offered))]
     ResultDiffers {
         /// The job.
-        job: u64,
+        job: JobId,
         /// The result that stays.
         kept: Digest,
         /// The one refused.
@@ -92,7 +93,7 @@ pub enum StoreError {
     #[error("job {job} was planned with {kept} tiles, not {offered}; a plan must not change")]
     PlanDiffers {
         /// The job.
-        job: u64,
+        job: JobId,
         /// The number that stays.
         kept: u32,
         /// The one refused.
@@ -228,8 +229,4 @@ pub enum JournalError {
         /// What the system said.
         source: Arc<std::io::Error>,
     },
-}
-
-fn hex(digest: &Digest) -> String {
-    blake3::Hash::from_bytes(*digest).to_hex().to_string()
 }

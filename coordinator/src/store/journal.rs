@@ -17,7 +17,7 @@ use std::io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::JournalError;
+use super::error::JournalError;
 
 const MAGIC: &[u8; 8] = b"SLJOURNL";
 const VERSION: u32 = 1;

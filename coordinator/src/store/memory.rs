@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
-use super::StoreError;
 use super::engine::Engine;
+use super::error::StoreError;
 use super::rules::{self, Decision};
 use super::table::{Bytes, View};
 

@@ -6,27 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::StoreError;
-
-/// A BLAKE3 digest.
-pub type Digest = [u8; 32];
-
-/// Longest request id or numerics profile, in bytes.
-pub const MAX_IDENTIFIER_BYTES: usize = 128;
-/// Longest job name, in bytes.
-pub const MAX_NAME_BYTES: usize = 128;
-/// Longest worker name, in bytes.
-pub const MAX_WORKER_BYTES: usize = 64;
-/// Reasons are cut to this many bytes.
-pub const MAX_REASON_BYTES: usize = 200;
-/// Longest opaque job specification, in bytes.
-pub const MAX_SPEC_BYTES: usize = 2048;
-/// Different workers' failures remembered of one tile.
-pub const MAX_FAILURES: usize = 8;
-/// Reasons remembered of a tile set aside.
-pub const MAX_REASONS: usize = 4;
-/// Most tiles a job may have.
-pub const MAX_TILES: u32 = 1 << 20;
+use crate::ids::{Digest, JobId, TileIndex};
 
 /// A scene the coordinator holds.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,16 +27,16 @@ pub struct SceneRecord {
 pub struct NewJob {
     /// Digest of scene and parameters: jobs of one key have one result.
     pub key: Digest,
-    /// Chosen by the client, ≤ [`MAX_IDENTIFIER_BYTES`], no control characters, quotes or backslashes;
+    /// Chosen by the client, ≤ [`MAX_IDENTIFIER_BYTES`](super::MAX_IDENTIFIER_BYTES), no control characters, quotes or backslashes;
     /// empty: the submission cannot be recognised when repeated.
     pub request_id: String,
-    /// For people; ≤ [`MAX_NAME_BYTES`], no control characters.
+    /// For people; ≤ [`MAX_NAME_BYTES`](super::MAX_NAME_BYTES), no control characters.
     pub name: String,
     /// Digest of a recorded scene.
     pub scene: Digest,
-    /// The parameters, opaque here; ≤ [`MAX_SPEC_BYTES`].
+    /// The parameters, opaque here; ≤ [`MAX_SPEC_BYTES`](super::MAX_SPEC_BYTES).
     pub spec: Vec<u8>,
-    /// Tiles of the plan, ≤ [`MAX_TILES`]; 0 if it is set later by `plan_job`.
+    /// Tiles of the plan, ≤ [`MAX_TILES`](super::MAX_TILES); 0 if it is set later by `plan_job`.
     pub tiles: u32,
     /// Milliseconds since 1970.
     pub submitted_at_ms: u64,
@@ -66,7 +46,7 @@ pub struct NewJob {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Submitted {
     /// The job that answers it.
-    pub id: u64,
+    pub id: JobId,
     /// Whether that job was there before.
     pub existing: bool,
 }
@@ -75,7 +55,7 @@ pub struct Submitted {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JobRecord {
     /// Counted from 1, never given out twice.
-    pub id: u64,
+    pub id: JobId,
     /// Digest of scene and parameters.
     #[serde(with = "hex_digest")]
     pub key: Digest,
@@ -114,7 +94,7 @@ pub enum JobState {
     Cancelled,
     /// Ended by a fault.
     Failed {
-        /// What happened, cut to [`MAX_REASON_BYTES`].
+        /// What happened, cut to [`MAX_REASON_BYTES`](super::MAX_REASON_BYTES).
         reason: String,
     },
     /// Ended with a result.
@@ -182,10 +162,10 @@ impl JobPhase {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TileRecord {
     /// Its number in the plan.
-    pub tile: u32,
+    pub tile: TileIndex,
     /// Where it stands.
     pub state: TileState,
-    /// On which workers it failed: the last reason of each, at most [`MAX_FAILURES`] workers.
+    /// On which workers it failed: the last reason of each, at most [`MAX_FAILURES`](super::MAX_FAILURES) workers.
     pub failures: Vec<TileFailure>,
     /// How many differing results were kept out after it was done. Anything but 0 is a fault to be looked into.
     pub conflicts: u32,
@@ -193,7 +173,7 @@ pub struct TileRecord {
 
 impl TileRecord {
     /// A tile nothing has happened to.
-    pub fn open(tile: u32) -> Self {
+    pub fn open(tile: TileIndex) -> Self {
         Self { tile, state: TileState::Open, failures: Vec::new(), conflicts: 0 }
     }
 }
@@ -220,7 +200,7 @@ pub enum TileState {
         digest: Digest,
         /// Size of that blob.
         bytes: u64,
-        /// Why, at most [`MAX_REASONS`].
+        /// Why, at most [`MAX_REASONS`](super::MAX_REASONS).
         reasons: Vec<String>,
     },
 }
@@ -234,7 +214,7 @@ pub struct TileStats {
     pub cells: u64,
     /// Time the worker spent, in milliseconds.
     pub millis: u64,
-    /// Who did it; ≤ [`MAX_WORKER_BYTES`], as for request ids.
+    /// Who did it; ≤ [`MAX_WORKER_BYTES`](super::MAX_WORKER_BYTES), as for request ids.
     pub worker: String,
 }
 
@@ -243,7 +223,7 @@ pub struct TileStats {
 pub struct TileFailure {
     /// The worker.
     pub worker: String,
-    /// What it said, cut to [`MAX_REASON_BYTES`].
+    /// What it said, cut to [`MAX_REASON_BYTES`](super::MAX_REASON_BYTES).
     pub reason: String,
 }
 
@@ -274,52 +254,11 @@ pub enum CommitOutcome {
     },
 }
 
-/// Refuses an identifier that is too long or that JSON would have to escape.
-pub(super) fn check_identifier(what: &'static str, text: &str, limit: usize) -> Result<(), StoreError> {
-    check_length(what, text.len(), limit)?;
-    match text.chars().find(|c| c.is_control() || matches!(c, '"' | '\\')) {
-        Some(found) => Err(StoreError::BadCharacter { what, found }),
-        None => Ok(()),
-    }
-}
-
-/// Refuses a name that is too long or holds control characters.
-pub(super) fn check_name(what: &'static str, text: &str, limit: usize) -> Result<(), StoreError> {
-    check_length(what, text.len(), limit)?;
-    match text.chars().find(|c| c.is_control()) {
-        Some(found) => Err(StoreError::BadCharacter { what, found }),
-        None => Ok(()),
-    }
-}
-
-/// Refuses what is longer than its bound, in bytes.
-pub(super) fn check_length(what: &'static str, length: usize, limit: usize) -> Result<(), StoreError> {
-    if length > limit { Err(StoreError::TooLong { what, length, limit }) } else { Ok(()) }
-}
-
-/// A reason made recordable: quotes and control characters replaced, cut at a character boundary.
-pub(super) fn clean_reason(reason: &str) -> String {
-    let mut clean = String::new();
-    for c in reason.chars() {
-        let c = match c {
-            '"' => '\'',
-            '\\' => '/',
-            c if c.is_control() => ' ',
-            c => c,
-        };
-        if clean.len() + c.len_utf8() > MAX_REASON_BYTES {
-            break;
-        }
-        clean.push(c);
-    }
-    clean
-}
-
 /// Digests as 64 hexadecimal digits: half the size of JSON's list of numbers, and what logs and file names show.
 pub(super) mod hex_digest {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
-    use super::Digest;
+    use crate::ids::Digest;
 
     pub(in crate::store) fn serialize<S: Serializer>(digest: &Digest, to: S) -> Result<S::Ok, S::Error> {
         to.serialize_str(blake3::Hash::from_bytes(*digest).to_hex().as_str())

@@ -6,13 +6,17 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::StoreError;
-use super::records::{
-    CommitOutcome, Digest, JobPhase, JobRecord, JobState, MAX_FAILURES, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES,
-    MAX_REASONS, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES, NewJob, SceneRecord, Submitted, TileFailure,
-    TileRecord, TileResult, TileState, check_identifier, check_length, check_name, clean_reason,
+use super::error::StoreError;
+use super::limits::{
+    MAX_FAILURES, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_REASONS, MAX_SPEC_BYTES, MAX_TILES,
+    MAX_WORKER_BYTES, check_identifier, check_length, check_name, clean_reason,
 };
-use super::table::{Bytes, Changes, Over, Table, View, encode, illegal, key};
+use super::records::{
+    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, SceneRecord, Submitted, TileFailure, TileRecord,
+    TileResult, TileState,
+};
+use super::table::{Bytes, Changes, Over, Table, View, encode, key};
+use crate::ids::{Digest, JobId, TileIndex};
 
 /// Something that happened.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -22,17 +26,17 @@ pub(super) enum Event {
     /// A job came in, under the next id.
     JobSubmitted(JobRecord),
     /// A submission was answered by a job that was there.
-    RequestJoined { request_id: String, job: u64 },
+    RequestJoined { request_id: String, job: JobId },
     /// A job changed: planned, bound to a profile, moved to another state.
     JobChanged(JobRecord),
     /// A tile changed: done, failed once more, set aside, a conflict counted.
-    TileChanged { job: u64, tile: TileRecord },
+    TileChanged { job: JobId, tile: TileRecord },
     /// Tiles were reopened for another try, and the job with them.
-    TilesReopened { job: JobRecord, tiles: Vec<u32> },
+    TilesReopened { job: JobRecord, tiles: Vec<TileIndex> },
     /// A coordinator started.
     EpochBegun(u64),
     /// A job was removed.
-    JobDeleted { job: u64 },
+    JobDeleted { job: JobId },
 }
 
 /// What a command comes to: perhaps an event, and the answer once that is durable.
@@ -69,7 +73,7 @@ pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, Store
             let key = key::job_of_key(&job.key, job.id);
             let value = encode(&key, &job.id)?;
             put(key, value);
-            put(key::NEXT_JOB.to_vec(), encode(key::NEXT_JOB, &job.id.saturating_add(1))?);
+            put(key::NEXT_JOB.to_vec(), encode(key::NEXT_JOB, &JobId(job.id.0.saturating_add(1)))?);
             if !job.request_id.is_empty() {
                 let key = key::request(&job.request_id);
                 let value = encode(&key, &job.id)?;
@@ -172,7 +176,7 @@ pub(super) fn submit_job(view: View<'_>, new: NewJob) -> Decided<Submitted> {
     happened(Event::JobSubmitted(job), answer)
 }
 
-pub(super) fn plan_job(view: View<'_>, job: u64, tiles: u32) -> Decided<JobRecord> {
+pub(super) fn plan_job(view: View<'_>, job: JobId, tiles: u32) -> Decided<JobRecord> {
     check_length("the plan", tiles as usize, MAX_TILES as usize)?;
     let mut record = view.known_job(job)?;
     if record.tiles == tiles {
@@ -188,7 +192,7 @@ pub(super) fn plan_job(view: View<'_>, job: u64, tiles: u32) -> Decided<JobRecor
     happened(Event::JobChanged(record.clone()), record)
 }
 
-pub(super) fn bind_profile(view: View<'_>, job: u64, profile: String) -> Decided<String> {
+pub(super) fn bind_profile(view: View<'_>, job: JobId, profile: String) -> Decided<String> {
     check_identifier("the numerics profile", &profile, MAX_IDENTIFIER_BYTES)?;
     let mut record = view.known_job(job)?;
     if let Some(bound) = record.profile {
@@ -198,7 +202,12 @@ pub(super) fn bind_profile(view: View<'_>, job: u64, profile: String) -> Decided
     happened(Event::JobChanged(record), profile)
 }
 
-pub(super) fn commit_tile(view: View<'_>, job: u64, tile: u32, result: TileResult) -> Decided<CommitOutcome> {
+pub(super) fn commit_tile(
+    view: View<'_>,
+    job: JobId,
+    tile: TileIndex,
+    result: TileResult,
+) -> Decided<CommitOutcome> {
     check_identifier("the worker's name", &result.stats.worker, MAX_WORKER_BYTES)?;
     let (record, mut found) = view.job_and_tile(job, tile)?;
     if let TileState::Done { digest: kept, .. } = found.state {
@@ -217,7 +226,13 @@ pub(super) fn commit_tile(view: View<'_>, job: u64, tile: u32, result: TileResul
     happened(Event::TileChanged { job, tile: found }, CommitOutcome::Committed)
 }
 
-pub(super) fn fail_tile(view: View<'_>, job: u64, tile: u32, worker: String, reason: &str) -> Decided<u32> {
+pub(super) fn fail_tile(
+    view: View<'_>,
+    job: JobId,
+    tile: TileIndex,
+    worker: String,
+    reason: &str,
+) -> Decided<u32> {
     check_identifier("the worker's name", &worker, MAX_WORKER_BYTES)?;
     let (record, mut found) = view.job_and_tile(job, tile)?;
     // At most MAX_FAILURES, so this cannot be cut.
@@ -238,8 +253,8 @@ pub(super) fn fail_tile(view: View<'_>, job: u64, tile: u32, worker: String, rea
 
 pub(super) fn set_aside_tile(
     view: View<'_>,
-    job: u64,
-    tile: u32,
+    job: JobId,
+    tile: TileIndex,
     digest: Digest,
     bytes: u64,
     reasons: &[String],
@@ -258,6 +273,11 @@ pub(super) fn set_aside_tile(
     happened(Event::TileChanged { job, tile: found }, ())
 }
 
+/// A refused transition.
+fn illegal(job: JobId, is: JobPhase, wanted: &'static str) -> StoreError {
+    StoreError::IllegalTransition { job, is, wanted }
+}
+
 /// Whether `set_job_state` may lead from one state to the other.
 fn may_move(from: JobPhase, to: JobPhase) -> bool {
     use JobPhase::{Cancelled, Done, Failed, Paused, Queued, Running};
@@ -271,7 +291,7 @@ fn may_move(from: JobPhase, to: JobPhase) -> bool {
 
 pub(super) fn set_job_state(
     view: View<'_>,
-    job: u64,
+    job: JobId,
     from: &[JobPhase],
     to: JobState,
     at_ms: u64,
@@ -304,7 +324,7 @@ pub(super) fn set_job_state(
 
 pub(super) fn finish_job(
     view: View<'_>,
-    job: u64,
+    job: JobId,
     result: Digest,
     bytes: u64,
     at_ms: u64,
@@ -331,12 +351,12 @@ pub(super) fn finish_job(
     happened(Event::JobChanged(record.clone()), record)
 }
 
-pub(super) fn reopen_tiles(view: View<'_>, job: u64) -> Decided<u32> {
+pub(super) fn reopen_tiles(view: View<'_>, job: JobId) -> Decided<u32> {
     let mut record = view.known_job(job)?;
     let recorded = view.recorded_tiles(job)?;
     let set_aside =
         recorded.iter().filter(|tile| matches!(tile.state, TileState::SetAside { .. })).count() as u32;
-    let tiles: Vec<u32> = recorded
+    let tiles: Vec<TileIndex> = recorded
         .iter()
         .filter(|tile| !matches!(tile.state, TileState::Done { .. }))
         .map(|tile| tile.tile)
@@ -361,7 +381,7 @@ pub(super) fn begin_epoch(view: View<'_>) -> Decided<u64> {
     happened(Event::EpochBegun(epoch), epoch)
 }
 
-pub(super) fn delete_job(view: View<'_>, job: u64) -> Decided<JobRecord> {
+pub(super) fn delete_job(view: View<'_>, job: JobId) -> Decided<JobRecord> {
     let record = view.known_job(job)?;
     if !record.state.phase().ended() {
         return Err(illegal(job, record.state.phase(), "deleted"));

@@ -21,10 +21,10 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 use super::engine::Engine;
+use super::error::{JournalError, StoreError};
 use super::journal::{HEADER_BYTES, Journal};
 use super::rules::{self, Decision, Event};
 use super::table::{Bytes, Changes, Over, Table, View, decode, encode};
-use super::{JournalError, StoreError};
 
 /// A group commit takes no more commands once its events are this long; the journal's bound is far above.
 const GROUP_BYTES: usize = 1 << 20;

@@ -18,7 +18,7 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
     let coordinator =
         Coordinator::open(Config::new(args.data_dir.clone())).map_err(|e| CliError::Input(e.to_string()))?;
     runtime()?.block_on(async {
-        let listener = sightline_coordinator::server::listen(args.listen, args.allow_plaintext)
+        let listener = sightline_coordinator::listen(args.listen, args.allow_plaintext)
             .await
             .map_err(|e| CliError::Usage(e.to_string()))?;
         let address = listener.local_addr().map_err(CliError::internal)?;
