@@ -133,10 +133,13 @@ pub fn print(text: &str) -> Result<(), CliError> {
     }
 }
 
+/// The host's name, the process and a random number: containers may share the first two.
 fn default_name() -> String {
+    use std::hash::{BuildHasher as _, RandomState};
     let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     let host: String =
         host.trim().chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').take(40).collect();
     let host = if host.is_empty() { "worker".to_owned() } else { host };
-    format!("{host}-{}", std::process::id())
+    let (process, random) = (std::process::id(), RandomState::new().hash_one(0) as u16);
+    format!("{host}-{process}-{random:04x}")
 }
