@@ -103,8 +103,8 @@ impl Leaf<'_> {
 pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), AssembleError> {
     let (scene, blobs) = (facts(c, &parts.spec.scene)?, &*c.blobs);
     let leaves = || parts.plan.leaves().map(|n| parts.leaf(n));
-    // The tree comes before the sets, so every tile is read twice, one at a time. Certificates are most of a tile:
-    // keeping all tiles in memory would cost more than the second reading.
+    // The tree comes before the sets, so every tile is read twice, one at a time. Certificates are most of a
+    // tile: keeping all tiles in memory would cost more than the second reading.
     let mut nodes = Vec::new();
     let mut samples = 0u64;
     // The cells of a plan's only tile, which is read once.
@@ -181,8 +181,8 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
     Ok((file.finish(None)?, stats.file_bytes))
 }
 
-/// Stores the stand-in of a tile that is set aside: the tree of its cells with empty sets, because every cell will show
-/// every triangle, including those without area. For a tile of samples: no samples.
+/// Stores the stand-in of a tile that is set aside: the tree of its cells with empty sets, because every cell
+/// will show every triangle, including those without area. For a tile of samples: no samples.
 pub(crate) fn stand_in(
     c: &Coordinator,
     spec: &JobSpec,
@@ -200,7 +200,8 @@ pub(crate) fn stand_in(
     Ok((c.blobs.put(&bytes)?, bytes.len() as u64))
 }
 
-/// The subtree of a grid below a leaf tile's cell; `None` for an adaptive division, whose subtree depends on the samples.
+/// The subtree of a grid below a leaf tile's cell; `None` for an adaptive division, whose subtree depends on
+/// the samples.
 pub(crate) fn expected_nodes(
     d: &Division,
     l: &Lattice,
@@ -238,7 +239,8 @@ fn pvs_node(node: tile::Node, lattice: &Lattice) -> Node {
     }
 }
 
-/// The description of the bake: everything that the result depends on, and nothing that differs between two runs.
+/// The description of the bake: everything that the result depends on, and nothing that differs between two
+/// runs.
 fn info(parts: &Parts, samples: u64, set_aside: usize) -> String {
     serde_json::json!({
         "program": concat!("sightline ", env!("CARGO_PKG_VERSION")),

@@ -167,8 +167,8 @@ fn turn(c: &Arc<Coordinator>, id: JobId, from: &[JobPhase], to: JobState) -> Res
     Ok(summary(c, id)?)
 }
 
-/// Continues a failed or cancelled job, or a done one with tiles set aside, with the tiles that it has. A job that has
-/// not ended stays as it is.
+/// Continues a failed or cancelled job, or a done one with tiles set aside, with the tiles that it has. A job
+/// that has not ended stays as it is.
 pub(crate) fn retry(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobError> {
     // Under the scheduler's lock, so that the job does not end in between.
     let mut scheduler = c.lock();

@@ -1,12 +1,13 @@
-//! The coordinator: takes scenes and jobs, divides jobs into tiles, leases tiles to workers, stores their outputs and
-//! assembles the results.
+//! The coordinator: takes scenes and jobs, divides jobs into tiles, leases tiles to workers, stores their
+//! outputs and assembles the results.
 //!
-//! Invariants: an acknowledged change is durable; a tile's first result stays; totals are derived from the states of
-//! tiles; no schedule, crash or repetition changes a result. The coordinator samples nothing itself.
+//! Invariants: an acknowledged change is durable; a tile's first result stays; totals are derived from the
+//! states of tiles; no schedule, crash or repetition changes a result. The coordinator samples nothing
+//! itself.
 //!
 //! Modules depend on each other in one direction: [`services`](serve) translate between gRPC and the subjects
-//! (`submit`, `jobs`, `sessions`, `results`, `scenes`); the subjects decide; below them are the shared state, the
-//! scheduler and the [`store`].
+//! (`submit`, `jobs`, `sessions`, `results`, `scenes`); the subjects decide; below them are the shared state,
+//! the scheduler and the [`store`].
 //!
 //! ```
 //! use sightline_coordinator::{Config, Coordinator};
@@ -17,8 +18,8 @@
 //! let triangle = Triangle { v: [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y] };
 //! let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
 //! let digest = coordinator.take_scene(&Scene::new("test", vec![triangle], objects)?)?;
-//! // Jobs can now be submitted on the scene with this digest: see `serve` for the coordinator's gRPC services.
-//! assert_ne!(digest, [0; 32]);
+//! // Jobs can now be submitted on the scene with this digest: see `serve` for the coordinator's gRPC
+//! services. assert_ne!(digest, [0; 32]);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 

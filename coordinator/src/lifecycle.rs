@@ -38,7 +38,8 @@ pub enum OpenError {
 }
 
 impl Coordinator {
-    /// Opens the store and the blobs in the data directory, which is created if it is missing, and starts on them.
+    /// Opens the store and the blobs in the data directory, which is created if it is missing, and starts on
+    /// them.
     ///
     /// # Errors
     /// [`OpenError`] when the directory is in use, damaged, or cannot be written.
@@ -76,8 +77,8 @@ impl Coordinator {
     }
 }
 
-/// Takes back leases whose worker has gone, that were not renewed or make no progress, and tries again what waited for
-/// disk space. To be called every second.
+/// Takes back leases whose worker has gone, that were not renewed or make no progress, and tries again what
+/// waited for disk space. To be called every second.
 pub(crate) fn tick(c: &Arc<Coordinator>) {
     // Taken before waiting for the lock, for which workers that have returned may be waiting, too.
     let now = c.now().at;

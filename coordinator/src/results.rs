@@ -1,5 +1,5 @@
-//! Results: committing the outputs of tiles, assembling a job's result when its tiles are complete, and removing tile
-//! outputs that no job needs any more.
+//! Results: committing the outputs of tiles, assembling a job's result when its tiles are complete, and
+//! removing tile outputs that no job needs any more.
 
 use std::collections::BTreeSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -154,8 +154,8 @@ fn commit(c: &Coordinator, announced: &Announced, bytes: &[u8]) -> Result<(), Re
         CommitOutcome::Conflict { kept, offered } => {
             scheduler.release(&lease);
             tracing::error!(
-                "TWO RESULTS for tile {tile} of job {id}: {} stays, {} is refused. A worker's memory, driver or \
-                 program differs from its profile; find out which before trusting this job",
+                "TWO RESULTS for tile {tile} of job {id}: {} stays, {} is refused. A worker's memory, \
+                 driver or program differs from its profile; find out which before trusting this job",
                 hex(&kept),
                 hex(&offered)
             );
@@ -250,8 +250,8 @@ fn finish(c: &Coordinator, id: JobId, parts: &Parts) {
     c.changed();
 }
 
-/// Removes the tile outputs of a finished job, whose result contains them, unless another job needs them: one that has
-/// not ended or that can be retried.
+/// Removes the tile outputs of a finished job, whose result contains them, unless another job needs them: one
+/// that has not ended or that can be retried.
 fn tidy(c: &Coordinator, scheduler: &Scheduler, finished: JobId, slots: &[Slot]) {
     let digest = |s: &TileState| match s {
         TileState::Done { digest, .. } | TileState::SetAside { digest, .. } => Some(*digest),

@@ -97,8 +97,8 @@ pub(crate) fn put_scene(
     {
         match c.blobs.read(&whole) {
             Ok(_) => return Ok(known),
-            // Removed, so that its chunks are missing and the client sends them again: workers would fetch the damaged
-            // scene for ever.
+            // Removed, so that its chunks are missing and the client sends them again: workers would fetch
+            // the damaged scene for ever.
             Err(e @ BlobError::Damaged { .. }) => {
                 tracing::warn!("{e}; it is uploaded again now");
                 c.blobs.remove(&whole)?;

@@ -14,7 +14,8 @@ use crate::store::{StoreError, TileState};
 
 /// Different workers that a tile must fail on before it is set aside.
 const WORKERS_TO_FAIL: u32 = 3;
-/// The wait after a first fault of a machine or network doubles with each further one, this many times at most.
+/// The wait after a first fault of a machine or network doubles with each further one, this many times at
+/// most.
 const MOST_DOUBLINGS: u32 = 6;
 
 /// A message of a worker that cannot be acted on.

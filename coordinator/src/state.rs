@@ -1,7 +1,7 @@
 //! The coordinator's shared state: store, blobs, clock, scheduler, and the signal that something changed.
 //!
-//! Nothing here decides anything: the subjects (`scenes`, `submit`, `jobs`, `sessions`, `results`) do. Most calls block
-//! on the disk; the services make them off the async threads.
+//! Nothing here decides anything: the subjects (`scenes`, `submit`, `jobs`, `sessions`, `results`) do. Most
+//! calls block on the disk; the services make them off the async threads.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -14,8 +14,8 @@ use crate::ids::{Digest, JobId};
 use crate::scheduler::Scheduler;
 use crate::store::{Blobs, Store};
 
-/// Simultaneous downloads; more wait. Half of tokio's threads for blocking work, so that clients that do not read delay
-/// only each other.
+/// Simultaneous downloads; more wait. Half of tokio's threads for blocking work, so that clients that do not
+/// read delay only each other.
 const MOST_DOWNLOADS: usize = 256;
 
 /// How long leases live.
@@ -87,8 +87,8 @@ impl Coordinator {
     }
 
     pub(crate) fn lock(&self) -> MutexGuard<'_, Scheduler> {
-        // The scheduler's state is derived from the store and checked against it with every command; a panic in the
-        // middle of a change can lose a lease, not a result.
+        // The scheduler's state is derived from the store and checked against it with every command; a panic
+        // in the middle of a change can lose a lease, not a result.
         self.scheduler.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

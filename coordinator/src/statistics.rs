@@ -1,7 +1,7 @@
 //! Statistics of each cell's sampling and queries, as columns of the result's file.
 //!
-//! Only numbers that are the same on every run: rays and triangles found, not seconds. The record of a job has the time
-//! of each tile.
+//! Only numbers that are the same on every run: rays and triangles found, not seconds. The record of a job
+//! has the time of each tile.
 
 use sightline_exact::Effort;
 use sightline_pvs::Column;
@@ -26,7 +26,8 @@ impl Statistics {
     /// Adds a cell.
     pub(crate) fn push(&mut self, cell: &CellSet) {
         let counts = cell.decision.as_ref().map_or(&[][..], |d| &d.counts);
-        // Cells without exact queries have no such numbers, and a worker may send fewer than there are columns.
+        // Cells without exact queries have no such numbers, and a worker may send fewer than there are
+        // columns.
         let exact = counts.iter().copied().chain(std::iter::repeat(0)).take(Effort::NAMES.len());
         let row = [u64::from(cell.samples)].into_iter().chain(cell.stats.numbers()).chain(exact);
         for (column, value) in self.values.iter_mut().zip(row) {

@@ -34,8 +34,8 @@ pub(crate) enum SubmitError {
     Store(#[from] StoreError),
 }
 
-/// Submits a job on a recorded scene; returns its id and whether it existed before. A done job whose result is lost is
-/// begun again.
+/// Submits a job on a recorded scene; returns its id and whether it existed before. A done job whose result
+/// is lost is begun again.
 pub(crate) fn submit(c: &Coordinator, submission: &Submission) -> Result<Submitted, SubmitError> {
     let Submission { request_id, name, spec } = submission;
     let bad = |e: &dyn std::fmt::Display| SubmitError::Spec(e.to_string());

@@ -1,4 +1,5 @@
-//! A coordinator on a memory store and memory blobs: a job from its submission to its result, retries, lease expiry.
+//! A coordinator on a memory store and memory blobs: a job from its submission to its result, retries, lease
+//! expiry.
 
 use std::sync::Arc;
 use std::time::Duration;

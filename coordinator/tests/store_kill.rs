@@ -1,10 +1,11 @@
 //! Kills a process that writes to the store, again and again, at moments drawn from a seed: everything it had
 //! been told was done must be there afterwards, and nothing half done.
 //!
-//! The test runs itself as that process. It kills the process, not the machine: what a power cut does is up to
-//! the disk's honesty about syncing, which no test here can show.
+//! The test runs itself as that process. It kills the process, not the machine: what a power cut does is up
+//! to the disk's honesty about syncing, which no test here can show.
 
-#![allow(clippy::unwrap_used)] // Helper functions of a test, which the lint's exception for tests does not reach.
+// The lint's exception for tests does not cover helper functions of a test.
+#![allow(clippy::unwrap_used)]
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Write};
@@ -49,7 +50,8 @@ fn say(what: &str, number: u64) {
 fn writes_until_killed() {
     let Ok(directory) = std::env::var(DIRECTORY) else {
         println!(
-            "writes_until_killed does nothing by itself: killed_at_any_moment_nothing_acknowledged_is_lost runs it"
+            "writes_until_killed does nothing by itself; killed_at_any_moment_nothing_acknowledged_is_lost \
+             runs it"
         );
         return;
     };

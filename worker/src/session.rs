@@ -1,4 +1,5 @@
-//! The worker's stream to its coordinator: says what it can do, takes grants, renews leases, comes back after a break.
+//! The worker's stream to its coordinator: says what it can do, takes grants, renews leases, comes back after
+//! a break.
 
 use std::collections::BTreeMap;
 use std::hash::{BuildHasher as _, RandomState};
@@ -22,8 +23,8 @@ const IN_HAND: usize = 2;
 const RENEW: Duration = Duration::from_secs(1);
 /// First and longest wait before connecting again.
 const RECONNECT: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(5)];
-/// A connection that held so long was one: the waits begin anew. The coordinator keeps the leases of a worker that has gone for three
-/// seconds.
+/// A connection that held so long was one: the waits begin anew. The coordinator keeps the leases of a worker
+/// that has gone for three seconds.
 const STEADY: Duration = Duration::from_secs(1);
 
 /// How long a tile that the machine or the network kept from being done is held back.

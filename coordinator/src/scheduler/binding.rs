@@ -7,9 +7,9 @@ use super::messages::ProfileTime;
 /// How many times faster than the cpu another backend must be to be chosen by `auto`.
 pub(super) const CLEARLY: f64 = 2.0;
 
-/// The fastest profile; one that is not the cpu's only when it is [`CLEARLY`] times as fast as the cpu's. Two runs of
-/// one bake give the same bytes only on the same profile, so noise in the timing must not decide between two profiles
-/// of nearly the same speed.
+/// The fastest profile; one that is not the cpu's only when it is [`CLEARLY`] times as fast as the cpu's. Two
+/// runs of one bake give the same bytes only on the same profile, so noise in the timing must not decide
+/// between two profiles of nearly the same speed.
 pub(super) fn fastest(times: &[ProfileTime]) -> Option<&ProfileTime> {
     let software = |t: &ProfileTime| is_software(&t.profile);
     let is_cpu = |t: &ProfileTime| t.profile.starts_with("cpu/");
@@ -21,8 +21,8 @@ pub(super) fn fastest(times: &[ProfileTime]) -> Option<&ProfileTime> {
         .min_by(|a, b| cost(a).total_cmp(&cost(b)))
 }
 
-/// Whether a profile belongs to a software rasteriser. It uses the same cores as the cpu backend and serves machines
-/// that lack that backend.
+/// Whether a profile belongs to a software rasteriser. It uses the same cores as the cpu backend and serves
+/// machines that lack that backend.
 fn is_software(profile: &str) -> bool {
     ["llvmpipe", "lavapipe", "SwiftShader"].iter().any(|s| profile.contains(s))
 }

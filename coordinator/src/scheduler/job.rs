@@ -12,8 +12,9 @@ use crate::clock::Moment;
 use crate::ids::{Digest, Lease, LeaseId, TileIndex, WorkerId};
 use crate::store::{JobRecord, TileRecord, TileState};
 
-/// How long the leases of a worker outlive its stream. A worker that lost its connection reconnects after 0.2, 0.6 and
-/// 1.4 s. When it returns later its tiles may have been granted to others, and its work on them is lost.
+/// How long the leases of a worker outlive its stream. A worker that lost its connection reconnects after
+/// 0.2, 0.6 and 1.4 s. When it returns later its tiles may have been granted to others, and its work on them
+/// is lost.
 const AWAY: Duration = Duration::from_secs(3);
 
 /// A tile as the scheduler sees it.
@@ -138,8 +139,8 @@ impl Job {
                 .all(|n| matches!(self.slots[*n as usize].state, TileState::Done { .. }))
     }
 
-    /// Milliseconds for a tile granted now, when the job has a time budget: the remaining time, divided by the open tiles
-    /// and multiplied by the workers that share them. Never zero, however late it is.
+    /// Milliseconds for a tile granted now, when the job has a time budget: the remaining time, divided by
+    /// the open tiles and multiplied by the workers that share them. Never zero, however late it is.
     pub(super) fn millis_for_a_tile(&self, workers: u64, now: Moment) -> Option<u64> {
         let budget = self.spec.time_budget_ms;
         let open = self.slots.iter().filter(|s| matches!(s.state, TileState::Open)).count().max(1) as u64;
@@ -149,7 +150,8 @@ impl Job {
         (budget > 0).then(|| share.max(budget / (8 * self.slots.len().max(1) as u64)))
     }
 
-    /// A leased tile of the job that, as far as is known, its worker has not begun because it works on another one.
+    /// A leased tile of the job that, as far as is known, its worker has not begun because it works on
+    /// another one.
     pub(super) fn waiting(&self) -> Option<(TileIndex, &Leased)> {
         let leased =
             || (0..).map(TileIndex).zip(&self.slots).filter_map(|(t, s)| Some((t, s.lease.as_ref()?)));

@@ -81,7 +81,8 @@ pub(crate) struct Grant {
     pub(crate) spec: JobSpec,
     /// The numerics profile that the tile must be computed with.
     pub(crate) profile: String,
-    /// Digests of the packs that the tile needs, in the plan's order of needed tiles; `None` for one that is not there.
+    /// Digests of the packs that the tile needs, in the plan's order of needed tiles; `None` for one that is
+    /// not there.
     pub(crate) packs: Vec<Option<Digest>>,
     /// Time for the tile in milliseconds, when the job has a time budget.
     pub(crate) millis: Option<u64>,
@@ -89,7 +90,7 @@ pub(crate) struct Grant {
 
 /// The way to one worker.
 pub(crate) trait Outbox: Send {
-    /// Sends without waiting; returns whether the message was accepted. A worker that does not read its stream loses
-    /// messages and, with time, its leases.
+    /// Sends without waiting; returns whether the message was accepted. A worker that does not read its
+    /// stream loses messages and, with time, its leases.
     fn offer(&self, order: Order) -> bool;
 }

@@ -1,7 +1,7 @@
 //! The scheduler: jobs that have not ended, their tiles, the connected workers and the leases.
 //!
-//! Its state is in memory and can be derived again from the store and from the workers' introductions. The scheduler
-//! decides which worker gets which tile; the store keeps the results.
+//! Its state is in memory and can be derived again from the store and from the workers' introductions. The
+//! scheduler decides which worker gets which tile; the store keeps the results.
 
 mod binding;
 mod job;
@@ -76,7 +76,8 @@ impl Scheduler {
         }
     }
 
-    /// From now on grants tiles of `job` alone. A bake in one process does not continue other bakes of its store.
+    /// From now on grants tiles of `job` alone. A bake in one process does not continue other bakes of its
+    /// store.
     pub(crate) fn restrict_to(&mut self, job: JobId) {
         self.only = Some(job);
     }
@@ -94,8 +95,8 @@ impl Scheduler {
     /// Adds a worker whose stream has begun. Of the leases that it names it keeps those that nobody else has.
     ///
     /// # Errors
-    /// [`NameTaken`] when another worker of this name is connected. The same worker, told by its instance, replaces its
-    /// earlier stream; workers that send no instance are all accepted.
+    /// [`NameTaken`] when another worker of this name is connected. The same worker, told by its instance,
+    /// replaces its earlier stream; workers that send no instance are all accepted.
     pub(crate) fn join(
         &mut self,
         intro: Introduction,
@@ -130,8 +131,8 @@ impl Scheduler {
         Ok(Joined { worker, epoch: self.epoch, kept })
     }
 
-    /// Removes a worker whose stream has ended. Its leases live a little longer, so that it can return for them, unless
-    /// it had said that it was draining.
+    /// Removes a worker whose stream has ended. Its leases live a little longer, so that it can return for
+    /// them, unless it had said that it was draining.
     pub(crate) fn leave(&mut self, worker: WorkerId, now: Instant) -> Departure {
         let draining = self.workers.remove(&worker).is_some_and(|w| w.draining);
         for job in self.jobs.values_mut() {
@@ -193,8 +194,8 @@ impl Scheduler {
         true
     }
 
-    /// Takes leases back whose worker has gone, that were not renewed for `ttl`, or whose tile made no progress for
-    /// `stuck`; returns how many.
+    /// Takes leases back whose worker has gone, that were not renewed for `ttl`, or whose tile made no
+    /// progress for `stuck`; returns how many.
     pub(crate) fn reap(&mut self, now: Instant, ttl: Duration, stuck: Duration) -> usize {
         let mut revoked = Vec::new();
         for (id, job) in &mut self.jobs {
@@ -268,7 +269,8 @@ impl Scheduler {
         }
         let leased = self.jobs.values().flat_map(|j| &j.slots).filter_map(|s| s.lease.as_ref());
         let busy: BTreeSet<WorkerId> = leased.map(|l| l.worker).collect();
-        // The profiles of other idle workers: these get the remaining tiles before any worker gets a second one.
+        // The profiles of other idle workers: these get the remaining tiles before any worker gets a second
+        // one.
         let idle: Vec<Vec<String>> = self
             .workers
             .iter()
@@ -345,8 +347,8 @@ impl Scheduler {
         Ok(false)
     }
 
-    /// Binds a job to the fastest backend that a worker has timed for it. After [`MAX_ATTEMPTS`] timings without a usable
-    /// backend the job fails.
+    /// Binds a job to the fastest backend that a worker has timed for it. After [`MAX_ATTEMPTS`] timings
+    /// without a usable backend the job fails.
     ///
     /// # Errors
     /// The store's, when the binding or the failure could not be written.
@@ -385,7 +387,8 @@ impl Scheduler {
             .map(|t| format!("{} {:.2} ms a cube", t.profile, t.seconds_per_cube * 1e3))
             .collect();
         tracing::info!(
-            "job {id}: {}; chosen: {} (a gpu must be {CLEARLY} times as fast as the cpu and no software rasteriser)",
+            "job {id}: {}; chosen: {} (a gpu must be {CLEARLY} times as fast as the cpu and no \
+             software rasteriser)",
             each.join(", "),
             fastest.profile
         );

@@ -23,8 +23,8 @@ const TICK: Duration = Duration::from_secs(1);
 pub enum ServeError {
     /// The address would carry plain text beyond this machine.
     #[error(
-        "{0} can be reached from other machines and traffic would not be encrypted; listen on 127.0.0.1, or say \
-         --allow-plaintext when the network is private"
+        "{0} can be reached from other machines and traffic would not be encrypted; listen on 127.0.0.1, or \
+         say --allow-plaintext when the network is private"
     )]
     Plaintext(SocketAddr),
     /// The address cannot be listened on.

@@ -48,7 +48,8 @@ impl v1::workers_server::Workers for WorkersService {
         check_hello(&hello)?;
         let (out, outbound) = mpsc::channel(WAITING);
         let (answer, joined) = oneshot::channel();
-        // A task of its own from the start: a worker that has joined must leave, even when this call is dropped.
+        // A task of its own from the start: a worker that has joined must leave, even when this call is
+        // dropped.
         tokio::spawn(session(Arc::clone(&self.0), hello, inbound, out, answer));
         let stopping = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
         joined.await.map_err(stopping)??;
@@ -108,16 +109,16 @@ fn announced(header: &v1::ResultHeader) -> Result<Announced, Status> {
 fn check_hello(hello: &v1::Hello) -> Result<(), Status> {
     if hello.algorithm != ALGORITHM_VERSION {
         return Err(Status::invalid_argument(format!(
-            "this worker ({}) samples by algorithm {}, the coordinator plans for {ALGORITHM_VERSION}; run the same \
-             version of sightline on both",
+            "this worker ({}) samples by algorithm {}, the coordinator plans for {ALGORITHM_VERSION}; run the \
+             same version of sightline on both",
             hello.version, hello.algorithm
         )));
     }
     let printable = |s: &str| s.chars().all(|c| !c.is_control() && c != '"' && c != '\\');
     if hello.name.is_empty() || hello.name.len() > MAX_WORKER_BYTES || !printable(&hello.name) {
         return Err(Status::invalid_argument(format!(
-            "a worker's name must have 1 to {MAX_WORKER_BYTES} bytes and no quotes or control characters; give \
-             another --name"
+            "a worker's name must have 1 to {MAX_WORKER_BYTES} bytes and no quotes or control characters; \
+             give another --name"
         )));
     }
     let fine = |p: &String| p.len() <= MAX_IDENTIFIER_BYTES && printable(p) && p.is_ascii();

@@ -30,7 +30,7 @@ pub trait Store: Send + Sync {
     /// The job that answered the submission with this request id (its own or one it was joined to).
     fn job_by_request(&self, request_id: &str) -> Result<Option<JobRecord>, StoreError>;
 
-    /// All tiles of a job, `0..job.tiles`; a tile nothing was recorded of is open.
+    /// All tiles of a job, `0..job.tiles`; a tile without a record is open.
     fn tiles(&self, job: JobId) -> Result<Vec<TileRecord>, StoreError>;
 
     /// One tile of a job.
@@ -39,16 +39,16 @@ pub trait Store: Send + Sync {
     /// The epoch begun last; 0 before the first.
     fn epoch(&self) -> Result<u64, StoreError>;
 
-    /// Remembers a scene. The same record again is fine; another one under the same digest is refused.
+    /// Records a scene. The same record again is accepted; another record under the same digest is refused.
     fn record_scene(&self, scene: SceneRecord) -> Result<(), StoreError>;
 
-    /// Takes in a job, or names the one that answers it already: the job this `request_id` was answered by
-    /// before, else the newest job of the same key unless that one failed or was cancelled.
-    /// The same `request_id` with another key is refused, and so is a scene that was not recorded.
+    /// Records a job, or returns the existing job that answers the submission: the job this `request_id` was
+    /// answered by before, else the newest job of the same key unless that one failed or was cancelled. The
+    /// same `request_id` with another key is refused, and so is a scene that was not recorded.
     fn submit_job(&self, job: NewJob) -> Result<Submitted, StoreError>;
 
     /// Sets the number of tiles of a job submitted with `tiles: 0`, once its plan is known.
-    /// The same number again is fine; another one is refused.
+    /// The same number again is accepted; another one is refused.
     fn plan_job(&self, job: JobId, tiles: u32) -> Result<JobRecord, StoreError>;
 
     /// Binds a job to a numerics profile. The first one wins; the answer is the one it is bound to.
@@ -63,12 +63,12 @@ pub trait Store: Send + Sync {
         result: TileResult,
     ) -> Result<CommitOutcome, StoreError>;
 
-    /// Remembers that a tile failed on a worker; answers on how many different workers it has failed
+    /// Records that a tile failed on a worker; answers on how many different workers it has failed
     /// (counted up to [`MAX_FAILURES`]). Nothing changes if the tile is no longer open or the job has ended.
     fn fail_tile(&self, job: JobId, tile: TileIndex, worker: &str, reason: &str) -> Result<u32, StoreError>;
 
-    /// Gives an open tile up: `digest` names the stand-in ("all visible") shipped for it.
-    /// The same again is fine; a tile that is done stays done ([`StoreError::TileNotOpen`]).
+    /// Sets an open tile aside: `digest` names the stand-in ("all visible") shipped for it.
+    /// The same call again is accepted; a tile that is done stays done ([`StoreError::TileNotOpen`]).
     fn set_aside_tile(
         &self,
         job: JobId,
@@ -78,7 +78,7 @@ pub trait Store: Send + Sync {
         reasons: &[String],
     ) -> Result<(), StoreError>;
 
-    /// Moves a job to another state if it is in one of `from`; it is in `to` already: fine, nothing changes.
+    /// Moves a job to another state if it is in one of `from`; a job that is in `to` stays as it is.
     /// `Done` is reached through [`Store::finish_job`] alone, and left through [`Store::reopen_tiles`] alone.
     /// `at_ms` is kept as the time of the end if `to` ends the job.
     fn set_job_state(
@@ -90,7 +90,7 @@ pub trait Store: Send + Sync {
     ) -> Result<JobRecord, StoreError>;
 
     /// Ends a queued or running job with its result, all of whose tiles must be done or set aside.
-    /// The same result again is fine; another one is refused.
+    /// The same result again is accepted; another one is refused.
     fn finish_job(&self, job: JobId, result: Digest, bytes: u64, at_ms: u64)
     -> Result<JobRecord, StoreError>;
 

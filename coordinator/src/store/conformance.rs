@@ -1,5 +1,5 @@
-//! One suite for every store: random commands against a model kept in plain maps, answer by answer and then all
-//! of the state; the store on disk is also closed, opened, and robbed of its sled in between.
+//! One suite for every store: random commands against a model kept in plain maps, answer by answer and then
+//! all of the state; the store on disk is also closed, opened, and robbed of its sled in between.
 
 use std::collections::BTreeMap;
 use std::fmt::Debug;
@@ -26,7 +26,7 @@ enum Op {
     Delete(JobId),
 }
 
-/// What happens between commands to a store on disk.
+/// An event between the sessions of a store on disk.
 #[derive(Clone, Copy, Debug)]
 enum Mishap {
     Restart,
@@ -61,7 +61,7 @@ const PHASES: [JobPhase; 6] = [
     JobPhase::Done,
 ];
 
-/// The phases a bit set names.
+/// The phases of a bit set.
 fn phases(bits: u8) -> Vec<JobPhase> {
     (0..6).filter(|i| bits >> i & 1 == 1).map(|i| PHASES[i]).collect()
 }
@@ -120,7 +120,7 @@ fn perform(store: &dyn Store, op: &Op) -> String {
     }
 }
 
-/// Everything a store can be asked.
+/// The answers to all queries of a store.
 fn everything(store: &dyn Store) -> String {
     let jobs = store.jobs().unwrap();
     let tiles: Vec<_> = jobs.iter().map(|job| store.tiles(job.id).unwrap()).collect();
@@ -140,7 +140,7 @@ fn everything(store: &dyn Store) -> String {
     )
 }
 
-/// What a store should be, in plain maps.
+/// The expected state of a store, in plain maps.
 #[derive(Default)]
 struct Model {
     scenes: BTreeMap<Digest, SceneRecord>,
@@ -404,7 +404,7 @@ fn damage_files(directory: &Path, at: f64) {
     }
 }
 
-/// Does to a closed store what the mishap says.
+/// Lets a mishap happen to a closed store.
 fn suffer(mishap: Mishap, directory: &Path) {
     let (sled, stale) = (directory.join("sled"), directory.join("stale"));
     match mishap {
@@ -433,7 +433,11 @@ proptest! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { failure_persistence: None, max_shrink_iters: 60, ..ProptestConfig::with_cases(16) })]
+    #![proptest_config(ProptestConfig {
+        failure_persistence: None,
+        max_shrink_iters: 60,
+        ..ProptestConfig::with_cases(16)
+    })]
 
     #[test]
     fn the_store_on_disk_is_the_model_through_any_mishap_to_its_view(
@@ -494,7 +498,7 @@ fn a_directory_in_use_is_refused_with_its_owner() {
 }
 
 #[test]
-fn a_view_without_its_journal_or_with_another_is_not_believed() {
+fn a_view_without_its_journal_or_with_another_journal_is_not_used() {
     let directory = tempfile::tempdir().unwrap();
     let journal = directory.path().join("journal");
     let store = SledStore::open(directory.path()).unwrap();
@@ -518,7 +522,7 @@ fn a_view_without_its_journal_or_with_another_is_not_believed() {
 }
 
 #[test]
-fn a_view_that_lost_or_changed_an_entry_is_made_anew() {
+fn a_view_that_lost_or_changed_an_entry_is_rebuilt() {
     for spoil in [None, Some(b"nonsense".as_slice())] {
         let directory = tempfile::tempdir().unwrap();
         let store = SledStore::open(directory.path()).unwrap();

@@ -1,7 +1,7 @@
 //! The trait [`Store`] for anything that can read a table and carry out a decision durably.
 //!
-//! Both stores differ in where the table lies and in what "durably" means, in nothing else; so there is one
-//! implementation of the commands, and the rules are in one place (`rules.rs`).
+//! The stores differ only in the place of their table and in how they make a change durable. The commands
+//! have one implementation here, and their rules are in `rules.rs`.
 
 use super::api::Store;
 use super::error::StoreError;
@@ -12,12 +12,12 @@ use super::rules::{self, Decision};
 use super::table::View;
 use crate::ids::{Digest, JobId, TileIndex};
 
-/// A place for the state.
+/// A place that keeps a table.
 pub(super) trait Engine: Send + Sync {
-    /// Answers a question from the durable state.
+    /// Answers a query from the durable state.
     fn query<A>(&self, ask: impl FnOnce(View<'_>) -> Result<A, StoreError>) -> Result<A, StoreError>;
 
-    /// Decides, makes the event durable and applies it, with nothing in between; then answers.
+    /// Decides, makes the event durable and applies it, as one atomic step; then answers.
     fn command<A: Send + 'static>(
         &self,
         decide: impl FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send + 'static,

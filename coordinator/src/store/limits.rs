@@ -1,8 +1,8 @@
 //! How long each stored text may be, and the checks of it.
 //!
-//! The limits keep every stored value under 4 KiB (`table.rs` checks the encoded value again). Identifiers and names
-//! that are too long are refused; reasons are shortened, because a failure must always be recordable. Characters that
-//! JSON would have to escape are refused or replaced for the same reason.
+//! The limits keep every stored value under 4 KiB (`table.rs` checks the encoded value again). Identifiers
+//! and names that are too long are refused; reasons are shortened, because a failure must always be
+//! recordable. Characters that JSON would have to escape are refused or replaced for the same reason.
 
 use super::error::StoreError;
 

@@ -1,4 +1,5 @@
-//! What a coordinator remembers across restarts: scenes, jobs, tiles and the epoch, as a trait in those words.
+//! What a coordinator remembers across restarts: scenes, jobs, tiles and the epoch, as a trait in those
+//! words.
 //!
 //! The records are small; everything large (scenes, packs, tile results, `.pvs` files) lies beside them as
 //! content-addressed files ([`Blobs`]). A record may name a blob by its digest: write the blob first.

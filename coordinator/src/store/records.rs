@@ -1,7 +1,7 @@
-//! What is remembered of scenes, jobs and tiles, and how long each text may be.
+//! The records of scenes, jobs and tiles, and how long each text may be.
 //!
-//! The bounds keep every stored value under 4 KiB (`table.rs` checks it again when it writes): identifiers and
-//! names are refused when too long, reasons are cut, since a failure must always be recordable. Text that
+//! The bounds keep every stored value under 4 KiB (`table.rs` checks it again when it writes): identifiers
+//! and names are refused when too long, reasons are cut, since a failure must always be recordable. Text that
 //! JSON would have to escape is kept out or replaced for the same reason.
 
 use serde::{Deserialize, Serialize};
@@ -27,8 +27,8 @@ pub struct SceneRecord {
 pub struct NewJob {
     /// Digest of scene and parameters: jobs of one key have one result.
     pub key: Digest,
-    /// Chosen by the client, ≤ [`MAX_IDENTIFIER_BYTES`](super::MAX_IDENTIFIER_BYTES), no control characters, quotes or backslashes;
-    /// empty: the submission cannot be recognised when repeated.
+    /// Chosen by the client, ≤ [`MAX_IDENTIFIER_BYTES`](super::MAX_IDENTIFIER_BYTES), no control characters,
+    /// quotes or backslashes; empty: the submission cannot be recognised when repeated.
     pub request_id: String,
     /// For people; ≤ [`MAX_NAME_BYTES`](super::MAX_NAME_BYTES), no control characters.
     pub name: String,
@@ -47,7 +47,7 @@ pub struct NewJob {
 pub struct Submitted {
     /// The job that answers it.
     pub id: JobId,
-    /// Whether that job was there before.
+    /// Whether that job existed before.
     pub existing: bool,
 }
 
@@ -71,7 +71,7 @@ pub struct JobRecord {
     pub spec: Vec<u8>,
     /// Number of tiles; 0 until its plan is known.
     pub tiles: u32,
-    /// Where it stands.
+    /// Its state.
     pub state: JobState,
     /// The numerics profile it is bound to, once it is.
     pub profile: Option<String>,
@@ -81,20 +81,20 @@ pub struct JobRecord {
     pub finished_at_ms: Option<u64>,
 }
 
-/// Where a job stands.
+/// The state of a job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum JobState {
     /// Waiting for its first lease.
     Queued,
-    /// Tiles are being worked on.
+    /// Tiles were leased.
     Running,
-    /// No leases are given out until it is resumed.
+    /// No tiles are leased until it is resumed.
     Paused,
     /// Ended by a client.
     Cancelled,
     /// Ended by a fault.
     Failed {
-        /// What happened, cut to [`MAX_REASON_BYTES`](super::MAX_REASON_BYTES).
+        /// The reason, cut to [`MAX_REASON_BYTES`](super::MAX_REASON_BYTES).
         reason: String,
     },
     /// Ended with a result.
@@ -107,7 +107,7 @@ pub enum JobState {
     },
 }
 
-/// [`JobState`] without what it carries.
+/// [`JobState`] without its data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum JobPhase {
     /// See [`JobState::Queued`].
@@ -125,7 +125,7 @@ pub enum JobPhase {
 }
 
 impl JobState {
-    /// The state without what it carries.
+    /// The state without its data.
     pub fn phase(&self) -> JobPhase {
         match self {
             Self::Queued => JobPhase::Queued,
@@ -163,34 +163,36 @@ impl JobPhase {
 pub struct TileRecord {
     /// Its number in the plan.
     pub tile: TileIndex,
-    /// Where it stands.
+    /// Its state.
     pub state: TileState,
-    /// On which workers it failed: the last reason of each, at most [`MAX_FAILURES`](super::MAX_FAILURES) workers.
+    /// On which workers it failed: the last reason of each, at most [`MAX_FAILURES`](super::MAX_FAILURES)
+    /// workers.
     pub failures: Vec<TileFailure>,
-    /// How many differing results were kept out after it was done. Anything but 0 is a fault to be looked into.
+    /// How many differing results were kept out after it was done. Anything but 0 is a fault to be looked
+    /// into.
     pub conflicts: u32,
 }
 
 impl TileRecord {
-    /// A tile nothing has happened to.
+    /// A tile of which nothing was recorded.
     pub fn open(tile: TileIndex) -> Self {
         Self { tile, state: TileState::Open, failures: Vec::new(), conflicts: 0 }
     }
 }
 
-/// Where a tile stands.
+/// The state of a tile.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum TileState {
-    /// To be worked on, or being worked on.
+    /// Without a result.
     Open,
-    /// Its result is in.
+    /// Its result is committed.
     Done {
         /// Digest of the result's blob.
         #[serde(with = "hex_digest")]
         digest: Digest,
         /// Size of that blob.
         bytes: u64,
-        /// What it took.
+        /// The cost of computing it.
         stats: TileStats,
     },
     /// Given up: its cells are shipped as "all visible" and marked.
@@ -205,7 +207,7 @@ pub enum TileState {
     },
 }
 
-/// What a tile's result took.
+/// The cost of a tile's result.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TileStats {
     /// Samples rendered.
@@ -214,7 +216,7 @@ pub struct TileStats {
     pub cells: u64,
     /// Time the worker spent, in milliseconds.
     pub millis: u64,
-    /// Who did it; ≤ [`MAX_WORKER_BYTES`](super::MAX_WORKER_BYTES), as for request ids.
+    /// The name of the worker; ≤ [`MAX_WORKER_BYTES`](super::MAX_WORKER_BYTES), as for request ids.
     pub worker: String,
 }
 
@@ -223,7 +225,7 @@ pub struct TileStats {
 pub struct TileFailure {
     /// The worker.
     pub worker: String,
-    /// What it said, cut to [`MAX_REASON_BYTES`](super::MAX_REASON_BYTES).
+    /// Its description, cut to [`MAX_REASON_BYTES`](super::MAX_REASON_BYTES).
     pub reason: String,
 }
 
@@ -234,11 +236,11 @@ pub struct TileResult {
     pub digest: Digest,
     /// Size of that blob.
     pub bytes: u64,
-    /// What it took.
+    /// The cost of computing it.
     pub stats: TileStats,
 }
 
-/// What became of a tile's result.
+/// The outcome of committing a tile's result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CommitOutcome {
     /// The tile is done now.
@@ -254,7 +256,8 @@ pub enum CommitOutcome {
     },
 }
 
-/// Digests as 64 hexadecimal digits: half the size of JSON's list of numbers, and what logs and file names show.
+/// Digests as 64 hexadecimal digits: half the size of JSON's list of numbers, and what logs and file names
+/// show.
 pub(super) mod hex_digest {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
@@ -270,7 +273,8 @@ pub(super) mod hex_digest {
     }
 }
 
-/// Opaque bytes as base64: 4/3 of their size, so that a job of the largest allowed specification stays under 4 KiB.
+/// Opaque bytes as base64: 4/3 of their size, so that a job of the largest allowed specification stays under
+/// 4 KiB.
 mod base64_bytes {
     use base64::{Engine, engine::general_purpose::STANDARD_NO_PAD};
     use serde::{Deserialize, Deserializer, Serializer, de::Error};

@@ -1,8 +1,8 @@
-//! The rules: what each command does to the state it meets, as events, and what each event changes.
+//! The rules: the event that each command causes in a given state, and the changes that each event makes.
 //!
 //! Deciding reads and never writes; an event holds everything its application needs, so replaying the journal
-//! needs no rule but [`changes`]. Events are what the journal keeps: names and fields here are its format. Add
-//! variants and `#[serde(default)]` fields freely; changing one needs a new journal version.
+//! needs no rule but [`changes`]. Events are what the journal keeps: names and fields here are its format.
+//! Add variants and `#[serde(default)]` fields freely; changing one needs a new journal version.
 
 use serde::{Deserialize, Serialize};
 
@@ -18,14 +18,14 @@ use super::records::{
 use super::table::{Bytes, Changes, Over, Table, View, encode, key};
 use crate::ids::{Digest, JobId, TileIndex};
 
-/// Something that happened.
+/// A change of the state, as the journal records it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Event {
-    /// A scene came in.
+    /// A scene was recorded.
     SceneRecorded(SceneRecord),
-    /// A job came in, under the next id.
+    /// A job was submitted under the next id.
     JobSubmitted(JobRecord),
-    /// A submission was answered by a job that was there.
+    /// A submission was answered with an existing job.
     RequestJoined { request_id: String, job: JobId },
     /// A job changed: planned, bound to a profile, moved to another state.
     JobChanged(JobRecord),
@@ -39,7 +39,7 @@ pub(super) enum Event {
     JobDeleted { job: JobId },
 }
 
-/// What a command comes to: perhaps an event, and the answer once that is durable.
+/// The decision on a command: its event, if it changes anything, and the answer once the event is durable.
 pub(super) struct Decision<A> {
     pub(super) event: Option<Event>,
     pub(super) answer: A,
@@ -55,7 +55,7 @@ fn happened<A>(event: Event, answer: A) -> Decided<A> {
     Ok(Decision { event: Some(event), answer })
 }
 
-/// What an event changes in the table it meets.
+/// The changes that an event makes to a table.
 pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, StoreError> {
     let view = View(table);
     let mut changes = Changes::new();
@@ -121,7 +121,7 @@ pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, Store
     Ok(changes)
 }
 
-/// Adds what an event changes to `staged`, seen over `table`.
+/// Adds the changes of an event, which happens after those in `staged`, to `staged`.
 pub(super) fn stage(event: &Event, table: &dyn Table, staged: &mut Changes) -> Result<(), StoreError> {
     let new = changes(event, &Over { under: table, changes: staged })?;
     staged.extend(new);
@@ -283,7 +283,8 @@ fn may_move(from: JobPhase, to: JobPhase) -> bool {
     use JobPhase::{Cancelled, Done, Failed, Paused, Queued, Running};
     match (from, to) {
         (Queued | Running | Paused, Queued | Running | Paused | Cancelled | Failed) => true,
-        // A client may take a cancellation back; what failed is retried through reopen_tiles, which clears the faults.
+        // A client may take a cancellation back; what failed is retried through reopen_tiles, which clears
+        // the faults.
         (Cancelled, Queued) => true,
         (Cancelled | Failed | Done, _) | (_, Done) => false,
     }
@@ -307,7 +308,7 @@ pub(super) fn set_job_state(
     let (is, phase) = (record.state.phase(), to.phase());
     if !from.contains(&is) || !may_move(is, phase) {
         let wanted = match phase {
-            // Nothing else leads back there.
+            // Only a paused job becomes queued again.
             JobPhase::Queued => "resumed",
             JobPhase::Running => "run",
             JobPhase::Paused => "paused",
@@ -340,9 +341,9 @@ pub(super) fn finish_job(
             return Err(illegal(job, record.state.phase(), "finished"));
         }
     }
-    let settled = view.recorded_tiles(job)?.iter().filter(|tile| tile.state != TileState::Open).count();
+    let ended = view.recorded_tiles(job)?.iter().filter(|tile| tile.state != TileState::Open).count();
     // No more tiles are recorded than the job has (`job_and_tile`), whose number is a u32.
-    let open = record.tiles.saturating_sub(settled as u32);
+    let open = record.tiles.saturating_sub(ended as u32);
     if open > 0 {
         return Err(StoreError::TilesOpen { job, open, tiles: record.tiles });
     }

@@ -1,7 +1,9 @@
-//! How records lie in an ordered table of bytes: keys, checksummed and versioned values, typed reading.
+//! The encoding of records in an ordered table of bytes: keys, checksummed and versioned values, typed
+//! reading.
 //!
 //! Both stores keep one such table, so both read and change it with the same code. A value is
-//! `[version u8][crc32c u32 LE][JSON]`; the checksum covers key, version and JSON, so a value under a wrong key
+//! `[version u8][crc32c u32 LE][JSON]`; the checksum covers key, version and JSON, so a value under a wrong
+//! key
 //! is found as surely as a damaged one. Nothing here decides anything (`rules.rs`) or writes to a disk.
 
 use std::collections::BTreeMap;
@@ -19,7 +21,7 @@ const VALUE_VERSION: u8 = 1;
 const VALUE_HEADER: usize = 5;
 
 pub(super) type Bytes = Vec<u8>;
-/// What an event changes: the new value of each key, `None` where the key goes.
+/// The changes of an event: the new value of each key, `None` for a key that is removed.
 pub(super) type Changes = BTreeMap<Bytes, Option<Bytes>>;
 
 /// An ordered table of bytes.
@@ -43,7 +45,7 @@ impl Table for BTreeMap<Bytes, Bytes> {
     }
 }
 
-/// Changes not yet written, seen as if they were.
+/// A table with changes that are not written yet.
 pub(super) struct Over<'a> {
     pub(super) under: &'a dyn Table,
     pub(super) changes: &'a Changes,
@@ -165,7 +167,7 @@ impl View<'_> {
         self.one(&key::job(job))
     }
 
-    /// A job that must be there.
+    /// A job that must exist.
     pub(super) fn known_job(self, job: JobId) -> Result<JobRecord, StoreError> {
         self.job(job)?.ok_or(StoreError::UnknownJob { job })
     }
@@ -214,7 +216,7 @@ impl View<'_> {
         Ok(all)
     }
 
-    /// A job and one tile of it, which must be there.
+    /// A job and one tile of it, which must exist.
     pub(super) fn job_and_tile(
         self,
         job: JobId,

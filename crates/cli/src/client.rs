@@ -30,8 +30,8 @@ pub async fn channel(url: &str) -> Result<Channel, CliError> {
         .map_err(|e| {
             let reason = std::error::Error::source(&e).map_or_else(|| e.to_string(), ToString::to_string);
             CliError::Coordinator(format!(
-                "no coordinator answers at {url} ({reason}); start one with `sightline coordinator`, or name another \
-                 with --coordinator"
+                "no coordinator answers at {url} ({reason}); start one with `sightline coordinator`, or name \
+                 another with --coordinator"
             ))
         })
 }
@@ -107,7 +107,8 @@ pub fn must_be_done(job: &v1::Job) -> Result<(), CliError> {
     }
 }
 
-/// Downloads a result to `output`, which is replaced only when all of it has arrived and has the job's digest.
+/// Downloads a result to `output`, which is replaced only when all of it has arrived and has the job's
+/// digest.
 pub async fn fetch(
     client: &mut JobsClient<Channel>,
     job: &v1::Job,

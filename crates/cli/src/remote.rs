@@ -148,8 +148,8 @@ pub fn fetch(args: &FetchArgs, json: bool) -> Result<(), CliError> {
     print(&format!("wrote {} ({bytes} bytes)", args.output.display()))
 }
 
-/// How a job ended and after how long, with the next command. A failure's reason and the command after a cancellation
-/// are in the error that the program ends with.
+/// How a job ended and after how long, with the next command. A failure's reason and the command after a
+/// cancellation are in the error that the program ends with.
 fn ending(job: &v1::Job) -> String {
     let took = Duration::from_millis(job.finished_at_ms.saturating_sub(job.submitted_at_ms));
     let next = match job.state() {

@@ -106,8 +106,9 @@ pub fn threads(asked: Option<usize>) -> usize {
     asked.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from)).clamp(1, 1024)
 }
 
-/// Sets how many threads reading scenes, sampling, queries and the coding of results are spread over, for the whole process;
-/// before any of them asks. Tiles themselves run on threads of their own, so that one never waits inside another.
+/// Sets how many threads reading scenes, sampling, queries and the coding of results are spread over, for the
+/// whole process; before any of them asks. Tiles themselves run on threads of their own, so that one never
+/// waits inside another.
 pub fn use_threads(threads: usize) -> Result<(), CliError> {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().map_err(CliError::internal)
 }

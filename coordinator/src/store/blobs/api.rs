@@ -1,7 +1,7 @@
 //! The trait of a blob store, its readers, its writers and its errors.
 //!
-//! A blob has the BLAKE3 digest of its bytes as its name. It is complete under that name or absent. A blob store does
-//! not know which blobs are still needed; the records of the [store](super::super::Store) do.
+//! A blob has the BLAKE3 digest of its bytes as its name. It is complete under that name or absent. A blob
+//! store does not know which blobs are still needed; the records of the [store](super::super::Store) do.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Read, Write};
@@ -124,8 +124,8 @@ pub trait Blobs: Send + Sync {
     /// Writes a blob, which is durable when this returns its digest. A damaged blob of that name is replaced.
     fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError>;
 
-    /// As [`Blobs::put`], but the blob may be absent or truncated after a power failure, which [`Blobs::read`] then
-    /// reports. For data that its sender still has.
+    /// As [`Blobs::put`], but the blob may be absent or truncated after a power failure, which
+    /// [`Blobs::read`] then reports. For data that its sender still has.
     fn put_unsynced(&self, bytes: &[u8]) -> Result<Digest, BlobError>;
 
     /// Begins a blob that arrives in pieces.
@@ -134,8 +134,8 @@ pub trait Blobs: Send + Sync {
     /// Removes a blob; returns whether it was present.
     fn remove(&self, digest: &Digest) -> Result<bool, BlobError>;
 
-    /// An empty, unnamed file that the system deletes when it is closed, for work that may exceed memory; `None` where
-    /// the blobs themselves are in memory.
+    /// An empty, unnamed file that the system deletes when it is closed, for work that may exceed memory;
+    /// `None` where the blobs themselves are in memory.
     fn scratch(&self) -> Result<Option<File>, BlobError>;
 
     /// The blob error behind an error of a [`Blobs::scratch`] file or of a [`BlobWriter`] used as [`Write`].

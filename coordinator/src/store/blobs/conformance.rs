@@ -1,4 +1,5 @@
-//! One suite for every blob store: random operations against a map, result by result and then all of the contents.
+//! One suite for every blob store: random operations against a map, result by result and then all of the
+//! contents.
 
 use std::collections::BTreeMap;
 use std::io::{ErrorKind, Read as _, Write as _};
