@@ -4,11 +4,10 @@
 //! header  "SLJOURNL"  version u32  id u64  crc32c u32 of the 20 bytes before      (little-endian throughout)
 //! frame   length u32  crc32c u32 of (offset of the frame u64, length u32, payload)  payload
 //! ```
-//! One frame is one group commit, written and synced whole, so that it is there or it is not. Its checksum
-//! covers where it stands, so old bytes of the file never pass for a frame elsewhere. A bad frame with
-//! nothing good after it is what a crash leaves of an unacknowledged write: it is cut off, with a warning. A
-//! bad frame with a good one after it is damage, which nobody but a person may repair: the journal is
-//! refused.
+//! One frame is one group commit, written and synced as a whole. Its checksum covers its offset, so that old
+//! bytes of the file are never taken for a frame elsewhere. A bad frame without a good one after it is an
+//! unfinished, unacknowledged write: it is cut off, with a warning. A bad frame with a good one after it is
+//! damage, which only a person may repair: the journal is refused.
 //!
 //! The journal does not interpret payloads. There is no compaction and no snapshot: the file grows by a few
 //! hundred bytes a tile, and opening it reads all of it.

@@ -1,5 +1,5 @@
-//! What a coordinator remembers across restarts: scenes, jobs, tiles and the epoch, as a trait in those
-//! words.
+//! The persistent state of a coordinator: records of scenes, jobs, tiles and the epoch, and blobs beside
+//! them.
 //!
 //! The records are small; everything large (scenes, packs, tile results, `.pvs` files) lies beside them as
 //! content-addressed files ([`Blobs`]). A record may name a blob by its digest: write the blob first.

@@ -1,8 +1,4 @@
-//! The records of scenes, jobs and tiles, and how long each text may be.
-//!
-//! The bounds keep every stored value under 4 KiB (`table.rs` checks it again when it writes): identifiers
-//! and names are refused when too long, reasons are cut, since a failure must always be recordable. Text that
-//! JSON would have to escape is kept out or replaced for the same reason.
+//! The records of scenes, jobs and tiles. `limits.rs` has the limits of their texts.
 
 use serde::{Deserialize, Serialize};
 

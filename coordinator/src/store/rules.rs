@@ -283,8 +283,8 @@ fn may_move(from: JobPhase, to: JobPhase) -> bool {
     use JobPhase::{Cancelled, Done, Failed, Paused, Queued, Running};
     match (from, to) {
         (Queued | Running | Paused, Queued | Running | Paused | Cancelled | Failed) => true,
-        // A client may take a cancellation back; what failed is retried through reopen_tiles, which clears
-        // the faults.
+        // A cancellation can be undone; a failed job is retried through reopen_tiles, which clears the
+        // failures.
         (Cancelled, Queued) => true,
         (Cancelled | Failed | Done, _) | (_, Done) => false,
     }

@@ -1,10 +1,11 @@
-//! The store on one machine's disk: the journal is the truth, sled a view of it to answer from.
+//! The store on one machine's disk: the journal holds the state, and sled is a view of it that answers
+//! queries.
 //!
 //! A command is acknowledged when the journal is synced. sled is changed after that, in one batch with the
-//! offset it now stands for (`applied`), and is never synced here: sled's own `flush` does not sync the data
-//! on Linux, and abrupt stops have been seen to damage it, so nothing may depend on what it kept. At the next
-//! start the journal is replayed from `applied`. A sled that does not open, whose entries do not add up, or
-//! that stands for another journal or more than this one holds, is moved aside and made anew from the
+//! offset of the journal that it then contains (`applied`). sled is never synced here: its own `flush` does
+//! not sync the data on Linux, and abrupt stops have damaged it, so nothing depends on its files. At the next
+//! start the journal is replayed from `applied`. A sled that does not open, whose entries do not match their
+//! sum, or that was made from another journal or from a longer one, is moved aside and rebuilt from the
 //! journal.
 //!
 //! One tree, values under 4 KiB, no background flush (sled's space grows otherwise), one writer thread: the
@@ -47,8 +48,8 @@ pub struct SledStore {
 impl SledStore {
     /// Opens or creates the store in `directory` and brings its view up to date with its journal.
     ///
-    /// Errors: the directory is in use by another process, the journal is damaged or missing, the disk
-    /// refuses.
+    /// # Errors
+    /// When another process uses the directory, the journal is damaged or missing, or the disk fails.
     pub fn open(directory: &Path) -> Result<Self, StoreError> {
         std::fs::create_dir_all(directory).map_err(fault("create", directory))?;
         let lock = lock(&directory.join("lock"))?;
@@ -324,8 +325,8 @@ impl Live {
         if let Err(error) = self.apply(end) {
             tracing::warn!(
                 %error, keys = self.waiting.len(),
-                "the store's view refused a change; the change is durable in the journal and stays in memory until \
-                 the view accepts it"
+                "the store's view refused a change; the change is durable in the journal and stays in memory \
+                 until the view accepts it"
             );
         }
     }
