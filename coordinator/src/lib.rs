@@ -1,21 +1,47 @@
-//! The coordinator: takes scenes and jobs, cuts jobs into tiles, leases tiles to workers, keeps what they give, and
-//! puts the result together.
+//! The coordinator: takes scenes and jobs, divides jobs into tiles, leases tiles to workers, stores their
+//! outputs and assembles the results.
 //!
-//! Invariants: what is acknowledged is durable; a tile's first result stays; totals are derived from tile states; no
-//! schedule, crash or repetition changes a result. It samples nothing itself.
+//! Invariants: an acknowledged change is durable; a tile's first result stays; totals are derived from the
+//! states of tiles; no schedule, crash or repetition changes a result. The coordinator samples nothing
+//! itself.
+//!
+//! Modules depend on each other in one direction: [`services`](serve) translate between gRPC and the subjects
+//! (`submit`, `jobs`, `sessions`, `results`, `scenes`); the subjects decide; below them are the shared state,
+//! the scheduler and the [`store`].
+//!
+//! ```
+//! use sightline_coordinator::{Config, Coordinator};
+//! use sightline_scene::{Object, Scene, Triangle};
+//!
+//! let directory = tempfile::tempdir()?;
+//! let coordinator = Coordinator::open(Config::new(directory.path().to_owned()))?;
+//! let triangle = Triangle { v: [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y] };
+//! let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
+//! let digest = coordinator.take_scene(&Scene::new("test", vec![triangle], objects)?)?;
+//! // Jobs can now be submitted on the scene with this digest: see `serve` for the coordinator's gRPC
+//! services. assert_ne!(digest, [0; 32]);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
-pub mod assemble;
-pub mod core;
-mod jobs_service;
-pub mod scene_facts;
-pub mod scheduler;
-pub mod server;
+mod assemble;
+pub mod clock;
+pub mod ids;
+mod jobs;
+mod lifecycle;
+mod results;
+mod scenes;
+mod scheduler;
+mod services;
+mod sessions;
+mod state;
 mod statistics;
-mod status;
 pub mod store;
-mod streams;
-mod summary;
-mod workers_service;
+mod submit;
 
-pub use crate::core::{Config, Coordinator, OpenError};
-pub use server::{ServeError, serve};
+#[cfg(test)]
+mod tests;
+
+pub use lifecycle::{Config, OpenError};
+pub use scenes::TakeError;
+pub use services::{ServeError, listen, serve};
+pub use state::{Coordinator, Leases};

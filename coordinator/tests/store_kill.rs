@@ -1,10 +1,11 @@
 //! Kills a process that writes to the store, again and again, at moments drawn from a seed: everything it had
 //! been told was done must be there afterwards, and nothing half done.
 //!
-//! The test runs itself as that process. It kills the process, not the machine: what a power cut does is up to
-//! the disk's honesty about syncing, which no test here can show.
+//! The test runs itself as that process. It kills the process, not the machine: what a power cut does is up
+//! to the disk's honesty about syncing, which no test here can show.
 
-#![allow(clippy::unwrap_used)] // Helper functions of a test, which the lint's exception for tests does not reach.
+// The lint's exception for tests does not cover helper functions of a test.
+#![allow(clippy::unwrap_used)]
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Write};
@@ -12,6 +13,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use sightline_coordinator::ids::TileIndex;
 use sightline_coordinator::store::{
     Digest, JobRecord, NewJob, SceneRecord, SledStore, Store, TileRecord, TileResult, TileState, TileStats,
 };
@@ -48,7 +50,8 @@ fn say(what: &str, number: u64) {
 fn writes_until_killed() {
     let Ok(directory) = std::env::var(DIRECTORY) else {
         println!(
-            "writes_until_killed does nothing by itself: killed_at_any_moment_nothing_acknowledged_is_lost runs it"
+            "writes_until_killed does nothing by itself; killed_at_any_moment_nothing_acknowledged_is_lost \
+             runs it"
         );
         return;
     };
@@ -63,7 +66,7 @@ fn writes_until_killed() {
             for tile in done..TILES {
                 let stats = TileStats { worker: "w".to_owned(), ..TileStats::default() };
                 let digest = digest_of("tile", tile.into());
-                store.commit_tile(first, tile, TileResult { digest, bytes: 1, stats }).unwrap();
+                store.commit_tile(first, TileIndex(tile), TileResult { digest, bytes: 1, stats }).unwrap();
                 say("tile", tile.into());
             }
         });
@@ -133,8 +136,8 @@ fn killed_at_any_moment_nothing_acknowledged_is_lost() {
         }
         for tile in tiles {
             match tile.state {
-                TileState::Done { digest, .. } => assert_eq!(digest, digest_of("tile", tile.tile.into())),
-                _ => assert!(tiles[tile.tile as usize..].iter().all(|later| later.state == TileState::Open)),
+                TileState::Done { digest, .. } => assert_eq!(digest, digest_of("tile", tile.tile.0.into())),
+                _ => assert!(tiles[tile.tile.at()..].iter().all(|later| later.state == TileState::Open)),
             }
             if tile.state == TileState::Open {
                 break;

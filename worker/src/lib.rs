@@ -22,7 +22,7 @@ pub use scenes::{Loaded, SceneCache};
 pub struct Config {
     /// The coordinator's address, such as `http://127.0.0.1:7600`.
     pub coordinator: String,
-    /// Shown to people; need not be unique.
+    /// Shown to people; unique among the workers of the coordinator.
     pub name: String,
     /// The backends it may use.
     pub backends: Arc<Backends>,

@@ -1,6 +1,8 @@
-//! The worker's stream to its coordinator: says what it can do, takes grants, renews leases, comes back after a break.
+//! The worker's stream to its coordinator: says what it can do, takes grants, renews leases, comes back after
+//! a break.
 
 use std::collections::BTreeMap;
+use std::hash::{BuildHasher as _, RandomState};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -21,12 +23,14 @@ const IN_HAND: usize = 2;
 const RENEW: Duration = Duration::from_secs(1);
 /// First and longest wait before connecting again.
 const RECONNECT: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(5)];
-/// A connection that held so long was one: the waits begin anew. The coordinator keeps the leases of a worker that has gone for three
-/// seconds.
+/// A connection that held so long was one: the waits begin anew. The coordinator keeps the leases of a worker
+/// that has gone for three seconds.
 const STEADY: Duration = Duration::from_secs(1);
 
 /// How long a tile that the machine or the network kept from being done is held back.
 const AFTER_FAILURE: Duration = Duration::from_secs(1);
+/// How long a worker that stops waits for the coordinator to have read its last messages.
+const FAREWELL: Duration = Duration::from_secs(2);
 
 type LeaseKey = (u64, u32, u64, u64);
 
@@ -43,6 +47,8 @@ enum End {
 /// A worker between and during its connections.
 pub struct Worker {
     shop: Arc<Shop>,
+    /// Random and not 0: tells this worker from another one of its name.
+    instance: u64,
     held: BTreeMap<LeaseKey, Arc<Held>>,
     finished: (mpsc::UnboundedSender<Finished>, mpsc::UnboundedReceiver<Finished>),
 }
@@ -66,7 +72,14 @@ impl Worker {
             packs: Default::default(),
             running: Semaphore::new(1),
         };
-        Ok(Self { shop: Arc::new(shop), held: BTreeMap::new(), finished: mpsc::unbounded_channel() })
+        // The standard library seeds every hash map at random.
+        let instance = RandomState::new().hash_one(std::process::id()).max(1);
+        Ok(Self {
+            shop: Arc::new(shop),
+            instance,
+            held: BTreeMap::new(),
+            finished: mpsc::unbounded_channel(),
+        })
     }
 
     /// Connects, works, and connects again, until it is told to stop.
@@ -112,6 +125,7 @@ impl Worker {
             held: self.held.values().map(|h| h.lease).collect(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             algorithm: sightline_model::ALGORITHM_VERSION,
+            instance: self.instance,
         };
         let broken = |e: &dyn std::fmt::Display| End::Broken(e.to_string());
         if let Err(e) = send(ToCoordinator::Hello(hello)) {
@@ -120,7 +134,7 @@ impl Worker {
         let stream = tokio_stream::wrappers::ReceiverStream::new(receiver);
         let mut inbound = match self.shop.client.clone().work(stream).await {
             Ok(response) => response.into_inner(),
-            Err(s) if s.code() == tonic::Code::InvalidArgument => {
+            Err(s) if matches!(s.code(), tonic::Code::InvalidArgument | tonic::Code::AlreadyExists) => {
                 return Err(WorkerError::Refused(describe(&s)));
             }
             Err(s) => return Ok(broken(&describe(&s))),
@@ -129,6 +143,12 @@ impl Worker {
         let mut draining = false;
         loop {
             if draining && self.held.is_empty() {
+                // Ends the stream; the coordinator ends its side when it has read everything.
+                drop(out);
+                let read = async { while let Some(Ok(_)) = inbound.next().await {} };
+                // A coordinator that does not answer cannot keep the worker from stopping.
+                let _ = tokio::time::timeout(FAREWELL, read).await;
+                tracing::info!(worker = self.shop.config.name, "drained: no tile is left here");
                 return Ok(End::Stopped);
             }
             tokio::select! {

@@ -1,42 +1,43 @@
-//! Which numerics profile a job is bound to.
+//! The choice of the numerics profile that a job is bound to.
 
 use sightline_model::BackendChoice;
-use sightline_proto::v1;
+
+use super::messages::ProfileTime;
 
 /// How many times faster than the cpu another backend must be to be chosen by `auto`.
 pub(super) const CLEARLY: f64 = 2.0;
 
-/// The profile to take: the fastest, but another one than the cpu's only when it is [`CLEARLY`] faster. Two runs of
-/// one bake give the same bytes only on the same profile, so noise in the timing must not decide between two that
-/// are nearly as fast.
-pub(super) fn fastest(times: &[v1::ProfileTime]) -> Option<&v1::ProfileTime> {
-    let software = |t: &v1::ProfileTime| is_software(&t.profile);
-    let is_cpu = |t: &v1::ProfileTime| t.profile.starts_with("cpu/");
+/// The fastest profile; one that is not the cpu's only when it is [`CLEARLY`] times as fast as the cpu's. Two
+/// runs of one bake give the same bytes only on the same profile, so noise in the timing must not decide
+/// between two profiles of nearly the same speed.
+pub(super) fn fastest(times: &[ProfileTime]) -> Option<&ProfileTime> {
+    let software = |t: &ProfileTime| is_software(&t.profile);
+    let is_cpu = |t: &ProfileTime| t.profile.starts_with("cpu/");
     let cpu = times.iter().any(|t| is_cpu(t) && t.seconds_per_cube.is_finite());
-    let cost = |t: &v1::ProfileTime| t.seconds_per_cube * if is_cpu(t) { 1.0 } else { CLEARLY };
+    let cost = |t: &ProfileTime| t.seconds_per_cube * if is_cpu(t) { 1.0 } else { CLEARLY };
     times
         .iter()
         .filter(|t| t.seconds_per_cube.is_finite() && t.seconds_per_cube >= 0.0 && !(cpu && software(t)))
         .min_by(|a, b| cost(a).total_cmp(&cost(b)))
 }
 
-/// Whether a profile is that of a gpu made of software: it competes with the cpu backend for the same cores, and is for
-/// machines where that one is missing.
+/// Whether a profile belongs to a software rasteriser. It uses the same cores as the cpu backend and serves
+/// machines that lack that backend.
 fn is_software(profile: &str) -> bool {
     ["llvmpipe", "lavapipe", "SwiftShader"].iter().any(|s| profile.contains(s))
 }
 
-/// What is to be done about a job that has no profile yet.
+/// The next step for a job that has no profile yet.
 pub(super) enum Binding {
-    /// It takes this one.
+    /// Bind it to this profile.
     Bind(String),
-    /// A worker has to time what it has.
+    /// Let a worker time its backends.
     Time,
-    /// This worker has none that will do.
+    /// This worker has no suitable backend.
     Cannot,
 }
 
-/// What a job without a profile is to be bound to when a worker with `profiles` could take it.
+/// The next step for a job without a profile when a worker with `profiles` is available.
 pub(super) fn profile_for(choice: BackendChoice, profiles: &[String]) -> Binding {
     let with = |prefix: &str| profiles.iter().find(|p| p.starts_with(prefix)).cloned();
     let named = match choice {
@@ -59,13 +60,13 @@ pub(super) fn profile_for(choice: BackendChoice, profiles: &[String]) -> Binding
 mod tests {
     use super::*;
 
-    fn time(profile: &str, seconds_per_cube: f64) -> v1::ProfileTime {
-        v1::ProfileTime { profile: profile.to_owned(), seconds_per_cube }
+    fn time(profile: &str, seconds_per_cube: f64) -> ProfileTime {
+        ProfileTime { profile: profile.to_owned(), seconds_per_cube }
     }
 
     #[test]
     fn only_a_clearly_faster_gpu_displaces_the_cpu() {
-        let chosen = |times: &[v1::ProfileTime]| fastest(times).map(|t| t.profile.clone());
+        let chosen = |times: &[ProfileTime]| fastest(times).map(|t| t.profile.clone());
         assert_eq!(chosen(&[time("cpu/a", 1.0), time("gpu/b", 0.6)]).as_deref(), Some("cpu/a"));
         assert_eq!(chosen(&[time("cpu/a", 1.0), time("gpu/b", 0.4)]).as_deref(), Some("gpu/b"));
         assert_eq!(chosen(&[time("gpu/b", 9.0)]).as_deref(), Some("gpu/b"));
@@ -77,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn only_a_choice_that_is_one_is_timed() {
+    fn backends_are_timed_only_when_there_are_several() {
         let bound = |profiles: &[&str]| {
             let profiles: Vec<String> = profiles.iter().map(|p| (*p).to_owned()).collect();
             match profile_for(BackendChoice::Auto, &profiles) {

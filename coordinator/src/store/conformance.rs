@@ -1,5 +1,5 @@
-//! One suite for every store: random commands against a model kept in plain maps, answer by answer and then all
-//! of the state; the store on disk is also closed, opened, and robbed of its sled in between.
+//! One suite for every store: random commands against a model kept in plain maps, answer by answer and then
+//! all of the state; the store on disk is also closed, opened, and robbed of its sled in between.
 
 use std::collections::BTreeMap;
 use std::fmt::Debug;
@@ -8,24 +8,25 @@ use std::path::Path;
 use proptest::prelude::*;
 
 use super::*;
+use crate::ids::{JobId, TileIndex};
 
 #[derive(Clone, Debug)]
 enum Op {
     Scene(u8, u32),
     Submit { key: u8, request: u8, scene: u8, tiles: u32 },
-    Plan(u64, u32),
-    Bind(u64, u8),
-    Commit(u64, u32, u8),
-    Fail(u64, u32, u8, u8),
-    SetAside(u64, u32, u8),
-    SetState(u64, u8, u8),
-    Finish(u64, u8),
-    Reopen(u64),
+    Plan(JobId, u32),
+    Bind(JobId, u8),
+    Commit(JobId, TileIndex, u8),
+    Fail(JobId, TileIndex, u8, u8),
+    SetAside(JobId, TileIndex, u8),
+    SetState(JobId, u8, u8),
+    Finish(JobId, u8),
+    Reopen(JobId),
     Epoch,
-    Delete(u64),
+    Delete(JobId),
 }
 
-/// What happens between commands to a store on disk.
+/// An event between the sessions of a store on disk.
 #[derive(Clone, Copy, Debug)]
 enum Mishap {
     Restart,
@@ -60,7 +61,7 @@ const PHASES: [JobPhase; 6] = [
     JobPhase::Done,
 ];
 
-/// The phases a bit set names.
+/// The phases of a bit set.
 fn phases(bits: u8) -> Vec<JobPhase> {
     (0..6).filter(|i| bits >> i & 1 == 1).map(|i| PHASES[i]).collect()
 }
@@ -119,7 +120,7 @@ fn perform(store: &dyn Store, op: &Op) -> String {
     }
 }
 
-/// Everything a store can be asked.
+/// The answers to all queries of a store.
 fn everything(store: &dyn Store) -> String {
     let jobs = store.jobs().unwrap();
     let tiles: Vec<_> = jobs.iter().map(|job| store.tiles(job.id).unwrap()).collect();
@@ -139,14 +140,14 @@ fn everything(store: &dyn Store) -> String {
     )
 }
 
-/// What a store should be, in plain maps.
+/// The expected state of a store, in plain maps.
 #[derive(Default)]
 struct Model {
     scenes: BTreeMap<Digest, SceneRecord>,
-    jobs: BTreeMap<u64, JobRecord>,
-    tiles: BTreeMap<(u64, u32), TileRecord>,
-    requests: BTreeMap<String, u64>,
-    last_job: u64,
+    jobs: BTreeMap<JobId, JobRecord>,
+    tiles: BTreeMap<(JobId, TileIndex), TileRecord>,
+    requests: BTreeMap<String, JobId>,
+    last_job: JobId,
     epoch: u64,
 }
 
@@ -182,7 +183,7 @@ impl Model {
                 if existing.is_none() && !self.scenes.contains_key(&new.scene) {
                     return Err("UnknownScene");
                 }
-                let id = existing.unwrap_or(self.last_job + 1);
+                let id = existing.unwrap_or(JobId(self.last_job.0 + 1));
                 if request != 0 {
                     self.requests.insert(new.request_id.clone(), id);
                 }
@@ -221,7 +222,7 @@ impl Model {
         let ended =
             matches!(job.state, JobState::Cancelled | JobState::Failed { .. } | JobState::Done { .. });
         if let Some(tile) = tile {
-            if tile >= job.tiles {
+            if tile.0 >= job.tiles {
                 return Err("UnknownTile");
             }
             let found = self.tiles.entry((job_id, tile)).or_insert_with(|| TileRecord::open(tile));
@@ -329,8 +330,10 @@ impl Model {
     fn everything(&self) -> String {
         let jobs: Vec<_> = self.jobs.values().collect();
         let one = |id, tile| self.tiles.get(&(id, tile)).cloned().unwrap_or_else(|| TileRecord::open(tile));
-        let tiles: Vec<Vec<_>> =
-            jobs.iter().map(|job| (0..job.tiles).map(|tile| one(job.id, tile)).collect()).collect();
+        let tiles: Vec<Vec<_>> = jobs
+            .iter()
+            .map(|job| (0..job.tiles).map(|tile| one(job.id, TileIndex(tile))).collect())
+            .collect();
         let keys: Vec<_> = (0..4).map(|n| self.newest(&digest(n)).map(|job| job.id)).collect();
         let requests: Vec<_> = (0..4).map(|n| self.requests.get(&request(n)).copied()).collect();
         let scenes: Vec<_> = self.scenes.values().collect();
@@ -339,16 +342,17 @@ impl Model {
 }
 
 fn op() -> impl Strategy<Value = Op> {
-    let job = || prop_oneof![8 => 1_u64..4, 1 => 0_u64..9];
+    let job = || prop_oneof![8 => 1_u64..4, 1 => 0_u64..9].prop_map(JobId);
+    let tile = || (0..4_u32).prop_map(TileIndex);
     prop_oneof![
         2 => (0..2_u8, prop_oneof![9 => Just(10_u32), 1 => Just(11)]).prop_map(|(n, t)| Op::Scene(n, t)),
         6 => (0..3_u8, 0..4_u8, 0..2_u8, 0..4_u32)
             .prop_map(|(key, request, scene, tiles)| Op::Submit { key, request, scene, tiles }),
         1 => (job(), 0..4_u32).prop_map(|(job, tiles)| Op::Plan(job, tiles)),
         1 => (job(), 0..3_u8).prop_map(|(job, n)| Op::Bind(job, n)),
-        10 => (job(), 0..4_u32, 0..3_u8).prop_map(|(job, tile, n)| Op::Commit(job, tile, n)),
-        5 => (job(), 0..4_u32, 0..12_u8, 0..2_u8).prop_map(|(job, tile, w, r)| Op::Fail(job, tile, w, r)),
-        3 => (job(), 0..4_u32, 0..3_u8).prop_map(|(job, tile, n)| Op::SetAside(job, tile, n)),
+        10 => (job(), tile(), 0..3_u8).prop_map(|(job, tile, n)| Op::Commit(job, tile, n)),
+        5 => (job(), tile(), 0..12_u8, 0..2_u8).prop_map(|(job, tile, w, r)| Op::Fail(job, tile, w, r)),
+        3 => (job(), tile(), 0..3_u8).prop_map(|(job, tile, n)| Op::SetAside(job, tile, n)),
         4 => (job(), prop_oneof![3 => Just(63_u8), 1 => 0..64_u8], 0..6_u8)
             .prop_map(|(job, from, to)| Op::SetState(job, from, to)),
         4 => (job(), 0..2_u8).prop_map(|(job, n)| Op::Finish(job, n)),
@@ -400,7 +404,7 @@ fn damage_files(directory: &Path, at: f64) {
     }
 }
 
-/// Does to a closed store what the mishap says.
+/// Lets a mishap happen to a closed store.
 fn suffer(mishap: Mishap, directory: &Path) {
     let (sled, stale) = (directory.join("sled"), directory.join("stale"));
     match mishap {
@@ -429,7 +433,11 @@ proptest! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { failure_persistence: None, max_shrink_iters: 60, ..ProptestConfig::with_cases(16) })]
+    #![proptest_config(ProptestConfig {
+        failure_persistence: None,
+        max_shrink_iters: 60,
+        ..ProptestConfig::with_cases(16)
+    })]
 
     #[test]
     fn the_store_on_disk_is_the_model_through_any_mishap_to_its_view(
@@ -462,7 +470,8 @@ fn commands_of_many_threads_are_each_carried_out_once() {
         let one = |n: u8| {
             let store = &store;
             scope.spawn(move || {
-                let mine = (0..40).map(|tile| store.commit_tile(1, tile, result(n)).unwrap());
+                let mine =
+                    (0..40).map(|tile| store.commit_tile(JobId(1), TileIndex(tile), result(n)).unwrap());
                 mine.filter(|outcome| *outcome == CommitOutcome::Committed).count()
             })
         };
@@ -470,10 +479,10 @@ fn commands_of_many_threads_are_each_carried_out_once() {
         threads.into_iter().map(|thread| thread.join().unwrap()).sum()
     });
     assert_eq!(committed, 40);
-    let tiles = store.tiles(1).unwrap();
+    let tiles = store.tiles(JobId(1)).unwrap();
     assert!(tiles.iter().all(|tile| tile.conflicts == 3 && matches!(tile.state, TileState::Done { .. })));
     drop(store);
-    assert_eq!(SledStore::open(directory.path()).unwrap().tiles(1).unwrap(), tiles);
+    assert_eq!(SledStore::open(directory.path()).unwrap().tiles(JobId(1)).unwrap(), tiles);
 }
 
 #[test]
@@ -489,7 +498,7 @@ fn a_directory_in_use_is_refused_with_its_owner() {
 }
 
 #[test]
-fn a_view_without_its_journal_or_with_another_is_not_believed() {
+fn a_view_without_its_journal_or_with_another_journal_is_not_used() {
     let directory = tempfile::tempdir().unwrap();
     let journal = directory.path().join("journal");
     let store = SledStore::open(directory.path()).unwrap();
@@ -513,7 +522,7 @@ fn a_view_without_its_journal_or_with_another_is_not_believed() {
 }
 
 #[test]
-fn a_view_that_lost_or_changed_an_entry_is_made_anew() {
+fn a_view_that_lost_or_changed_an_entry_is_rebuilt() {
     for spoil in [None, Some(b"nonsense".as_slice())] {
         let directory = tempfile::tempdir().unwrap();
         let store = SledStore::open(directory.path()).unwrap();
@@ -554,15 +563,15 @@ fn the_longest_records_fit_and_longer_ones_are_refused() {
     let spoiled = store.submit_job(NewJob { request_id: "a\nb".to_owned(), ..largest.clone() });
     assert!(matches!(spoiled, Err(StoreError::BadCharacter { .. })));
     store.submit_job(largest).unwrap();
-    store.bind_profile(1, &"p".repeat(MAX_IDENTIFIER_BYTES)).unwrap();
+    store.bind_profile(JobId(1), &"p".repeat(MAX_IDENTIFIER_BYTES)).unwrap();
     let endless = "\"\u{1}é".repeat(1000);
     for worker in 0..10 {
         let worker = worker.to_string().repeat(MAX_WORKER_BYTES);
-        let count = store.fail_tile(1, 0, &worker, &endless).unwrap();
+        let count = store.fail_tile(JobId(1), TileIndex(0), &worker, &endless).unwrap();
         assert!(count as usize <= MAX_FAILURES);
     }
-    store.set_aside_tile(1, 0, digest(255), u64::MAX, &vec![endless.clone(); 10]).unwrap();
+    store.set_aside_tile(JobId(1), TileIndex(0), digest(255), u64::MAX, &vec![endless.clone(); 10]).unwrap();
     let failed = JobState::Failed { reason: endless };
-    let job = store.set_job_state(1, &[JobPhase::Queued], failed, u64::MAX).unwrap();
+    let job = store.set_job_state(JobId(1), &[JobPhase::Queued], failed, u64::MAX).unwrap();
     assert!(matches!(job.state, JobState::Failed { reason } if reason.len() <= MAX_REASON_BYTES));
 }

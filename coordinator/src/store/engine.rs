@@ -1,22 +1,23 @@
 //! The trait [`Store`] for anything that can read a table and carry out a decision durably.
 //!
-//! Both stores differ in where the table lies and in what "durably" means, in nothing else; so there is one
-//! implementation of the commands, and the rules are in one place (`rules.rs`).
+//! The stores differ only in the place of their table and in how they make a change durable. The commands
+//! have one implementation here, and their rules are in `rules.rs`.
 
+use super::api::Store;
+use super::error::StoreError;
 use super::records::{
-    CommitOutcome, Digest, JobPhase, JobRecord, JobState, NewJob, SceneRecord, Submitted, TileRecord,
-    TileResult,
+    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, SceneRecord, Submitted, TileRecord, TileResult,
 };
 use super::rules::{self, Decision};
 use super::table::View;
-use super::{Store, StoreError};
+use crate::ids::{Digest, JobId, TileIndex};
 
-/// A place for the state.
+/// A place that keeps a table.
 pub(super) trait Engine: Send + Sync {
-    /// Answers a question from the durable state.
+    /// Answers a query from the durable state.
     fn query<A>(&self, ask: impl FnOnce(View<'_>) -> Result<A, StoreError>) -> Result<A, StoreError>;
 
-    /// Decides, makes the event durable and applies it, with nothing in between; then answers.
+    /// Decides, makes the event durable and applies it, as one atomic step; then answers.
     fn command<A: Send + 'static>(
         &self,
         decide: impl FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send + 'static,
@@ -30,7 +31,7 @@ impl<E: Engine> Store for E {
     fn scenes(&self) -> Result<Vec<SceneRecord>, StoreError> {
         self.query(|view| view.scenes())
     }
-    fn job(&self, job: u64) -> Result<Option<JobRecord>, StoreError> {
+    fn job(&self, job: JobId) -> Result<Option<JobRecord>, StoreError> {
         self.query(|view| view.job(job))
     }
     fn jobs(&self) -> Result<Vec<JobRecord>, StoreError> {
@@ -42,10 +43,10 @@ impl<E: Engine> Store for E {
     fn job_by_request(&self, request_id: &str) -> Result<Option<JobRecord>, StoreError> {
         self.query(|view| view.job_by_request(request_id))
     }
-    fn tiles(&self, job: u64) -> Result<Vec<TileRecord>, StoreError> {
+    fn tiles(&self, job: JobId) -> Result<Vec<TileRecord>, StoreError> {
         self.query(|view| view.tiles(job))
     }
-    fn tile(&self, job: u64, tile: u32) -> Result<TileRecord, StoreError> {
+    fn tile(&self, job: JobId, tile: TileIndex) -> Result<TileRecord, StoreError> {
         self.query(|view| Ok(view.job_and_tile(job, tile)?.1))
     }
     fn epoch(&self) -> Result<u64, StoreError> {
@@ -58,24 +59,29 @@ impl<E: Engine> Store for E {
     fn submit_job(&self, job: NewJob) -> Result<Submitted, StoreError> {
         self.command(|view| rules::submit_job(view, job))
     }
-    fn plan_job(&self, job: u64, tiles: u32) -> Result<JobRecord, StoreError> {
+    fn plan_job(&self, job: JobId, tiles: u32) -> Result<JobRecord, StoreError> {
         self.command(move |view| rules::plan_job(view, job, tiles))
     }
-    fn bind_profile(&self, job: u64, profile: &str) -> Result<String, StoreError> {
+    fn bind_profile(&self, job: JobId, profile: &str) -> Result<String, StoreError> {
         let profile = profile.to_owned();
         self.command(move |view| rules::bind_profile(view, job, profile))
     }
-    fn commit_tile(&self, job: u64, tile: u32, result: TileResult) -> Result<CommitOutcome, StoreError> {
+    fn commit_tile(
+        &self,
+        job: JobId,
+        tile: TileIndex,
+        result: TileResult,
+    ) -> Result<CommitOutcome, StoreError> {
         self.command(move |view| rules::commit_tile(view, job, tile, result))
     }
-    fn fail_tile(&self, job: u64, tile: u32, worker: &str, reason: &str) -> Result<u32, StoreError> {
+    fn fail_tile(&self, job: JobId, tile: TileIndex, worker: &str, reason: &str) -> Result<u32, StoreError> {
         let (worker, reason) = (worker.to_owned(), reason.to_owned());
         self.command(move |view| rules::fail_tile(view, job, tile, worker, &reason))
     }
     fn set_aside_tile(
         &self,
-        job: u64,
-        tile: u32,
+        job: JobId,
+        tile: TileIndex,
         digest: Digest,
         bytes: u64,
         reasons: &[String],
@@ -85,7 +91,7 @@ impl<E: Engine> Store for E {
     }
     fn set_job_state(
         &self,
-        job: u64,
+        job: JobId,
         from: &[JobPhase],
         to: JobState,
         at_ms: u64,
@@ -93,16 +99,22 @@ impl<E: Engine> Store for E {
         let from = from.to_vec();
         self.command(move |view| rules::set_job_state(view, job, &from, to, at_ms))
     }
-    fn finish_job(&self, job: u64, result: Digest, bytes: u64, at_ms: u64) -> Result<JobRecord, StoreError> {
+    fn finish_job(
+        &self,
+        job: JobId,
+        result: Digest,
+        bytes: u64,
+        at_ms: u64,
+    ) -> Result<JobRecord, StoreError> {
         self.command(move |view| rules::finish_job(view, job, result, bytes, at_ms))
     }
-    fn reopen_tiles(&self, job: u64) -> Result<u32, StoreError> {
+    fn reopen_tiles(&self, job: JobId) -> Result<u32, StoreError> {
         self.command(move |view| rules::reopen_tiles(view, job))
     }
     fn begin_epoch(&self) -> Result<u64, StoreError> {
         self.command(rules::begin_epoch)
     }
-    fn delete_job(&self, job: u64) -> Result<JobRecord, StoreError> {
+    fn delete_job(&self, job: JobId) -> Result<JobRecord, StoreError> {
         self.command(move |view| rules::delete_job(view, job))
     }
 }

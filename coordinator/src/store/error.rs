@@ -1,11 +1,12 @@
-//! What can go wrong in the store. Each message says what, where and what to do.
+//! The errors of the store. Each message names the fault, its place and a remedy.
 //!
 //! The errors can be cloned: one failed disk write answers every command that shared it.
 
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::records::{Digest, JobPhase};
+use super::records::JobPhase;
+use crate::ids::{Digest, JobId, TileIndex, hex};
 
 /// A command or query that could not be answered.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -13,8 +14,8 @@ pub enum StoreError {
     /// No such job.
     #[error("job {job} is not known here; list the jobs to see which are")]
     UnknownJob {
-        /// The id asked for.
-        job: u64,
+        /// The id of the request.
+        job: JobId,
     },
     /// No such tile.
     #[error(
@@ -22,10 +23,10 @@ pub enum StoreError {
     )]
     UnknownTile {
         /// The job.
-        job: u64,
-        /// The tile asked for.
-        tile: u32,
-        /// How many it has.
+        job: JobId,
+        /// The tile of the request.
+        tile: TileIndex,
+        /// The number of the job's tiles.
         tiles: u32,
     },
     /// A job names a scene that was not recorded.
@@ -34,7 +35,7 @@ pub enum StoreError {
         /// Its digest.
         scene: Digest,
     },
-    /// One digest, two descriptions.
+    /// The scene was recorded with other counts.
     #[error("scene {} was recorded before with other counts; one of the two loaders is wrong", hex(.scene))]
     SceneDiffers {
         /// Its digest.
@@ -42,47 +43,51 @@ pub enum StoreError {
     },
     /// A request id used for two different submissions.
     #[error(
-        "request id {request_id:?} was used for job {job} with another scene or other parameters; choose a fresh one"
+        "request id {request_id:?} was used for job {job} with another scene or other \
+         parameters; choose a fresh one"
     )]
     RequestIdReused {
         /// The id.
         request_id: String,
         /// The job it belongs to.
-        job: u64,
+        job: JobId,
     },
-    /// A job is not in a state this is allowed in.
+    /// The state of a job does not allow the change.
     #[error("job {job} is {is}, so it cannot be {wanted}; `sightline show {job}` says more")]
     IllegalTransition {
         /// The job.
-        job: u64,
+        job: JobId,
         /// Its state.
         is: JobPhase,
-        /// What was asked for.
+        /// The requested change.
         wanted: &'static str,
     },
     /// A tile that is no longer open cannot be set aside.
     #[error("tile {tile} of job {job} is no longer open, so it cannot be set aside; what it has stays")]
     TileNotOpen {
         /// The job.
-        job: u64,
+        job: JobId,
         /// The tile.
-        tile: u32,
+        tile: TileIndex,
     },
     /// A job with open tiles cannot be finished.
     #[error("job {job} has {open} open tiles (of {tiles}), so it cannot be finished")]
     TilesOpen {
         /// The job.
-        job: u64,
+        job: JobId,
         /// Tiles neither done nor set aside.
         open: u32,
         /// Tiles it has.
         tiles: u32,
     },
     /// A finished job has another result.
-    #[error("job {job} is done with result {}, not {}; its inputs or the machine are at fault", hex(.kept), hex(.offered))]
+    #[error(
+        "job {job} is done with result {}, not {}; its inputs or the machine are at fault",
+        hex(.kept), hex(.offered)
+    )]
     ResultDiffers {
         /// The job.
-        job: u64,
+        job: JobId,
         /// The result that stays.
         kept: Digest,
         /// The one refused.
@@ -92,16 +97,16 @@ pub enum StoreError {
     #[error("job {job} was planned with {kept} tiles, not {offered}; a plan must not change")]
     PlanDiffers {
         /// The job.
-        job: u64,
+        job: JobId,
         /// The number that stays.
         kept: u32,
         /// The one refused.
         offered: u32,
     },
-    /// Something is longer than the store keeps.
+    /// A text or list is longer than the store accepts.
     #[error("{what} is {length} long, more than the {limit} allowed; shorten it")]
     TooLong {
-        /// What.
+        /// The name of the text.
         what: &'static str,
         /// Its length.
         length: usize,
@@ -111,21 +116,24 @@ pub enum StoreError {
     /// A text holds a character it may not.
     #[error("{what} holds the character {found:?}, which is not allowed there; leave it out")]
     BadCharacter {
-        /// What.
+        /// The name of the text.
         what: &'static str,
         /// The character.
         found: char,
     },
     /// Another process has the directory open.
-    #[error("{} is in use by another coordinator (process {pid}); stop that one, or choose another data directory", .path.display())]
+    #[error(
+        "{} is in use by another coordinator (process {pid}); stop that one, or choose another data directory",
+        .path.display()
+    )]
     InUse {
         /// The lock file.
         path: PathBuf,
         /// Who holds it, as written in the lock file.
         pid: String,
     },
-    /// The journal refused. After [`JournalError::Unusable`] the command may or may not be there after the next
-    /// start; after any other it is not.
+    /// The journal refused. After [`JournalError::Unusable`] the command may or may not be there after the
+    /// next start; after any other it is not.
     #[error(transparent)]
     Journal(#[from] JournalError),
     /// The view (not the journal) cannot be read.
@@ -133,27 +141,28 @@ pub enum StoreError {
         "the store's view is damaged ({what}); restart the coordinator, it rebuilds the view from the journal"
     )]
     View {
-        /// What was found.
+        /// The fault.
         what: String,
     },
     /// The journal holds events this version does not know.
     #[error(
-        "the journal's frame before byte {before} cannot be understood ({what}); use the version that wrote it"
+        "the journal's frame before byte {before} cannot be understood ({what}); use the version that wrote \
+         it"
     )]
     Unreadable {
         /// Where the frame ends.
         before: u64,
-        /// What was found.
+        /// The fault.
         what: String,
     },
     /// A file operation on the store's directory failed.
     #[error("cannot {doing} {}: {source}; check the disk and the permissions", .path.display())]
     Io {
-        /// What was tried.
+        /// The operation.
         doing: &'static str,
-        /// On which file.
+        /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: Arc<std::io::Error>,
     },
     /// The writer thread is gone.
@@ -165,29 +174,32 @@ pub enum StoreError {
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum JournalError {
     /// Not a journal, or one of another version.
-    #[error("{} is not a journal this version reads ({what}); use the version that wrote it, or move it away", .path.display())]
+    #[error(
+        "{} is not a journal this version reads ({what}); use the version that wrote it, or move it away",
+        .path.display()
+    )]
     BadHeader {
         /// The file.
         path: PathBuf,
-        /// What was found.
+        /// The fault.
         what: String,
     },
     /// Damage before the end.
     #[error(
-        "{} is damaged at byte {offset} ({what}) and good again later; restore it from a backup, or truncate it to \
-         {offset} bytes to give up everything after", .path.display()
+        "{} is damaged at byte {offset} ({what}) and intact after that; restore it from a backup, or truncate \
+         it to {offset} bytes to give up everything after", .path.display()
     )]
     Corrupt {
         /// The file.
         path: PathBuf,
         /// Where the first bad record begins.
         offset: u64,
-        /// What was found.
+        /// The fault.
         what: String,
     },
     /// The journal is missing, but the view made from it is there.
     #[error(
-        "{} is missing but {} is there: restore the journal from a backup, or move both away to begin anew",
+        "{} is missing but {} is there: restore the journal from a backup, or move both away to begin with an empty store",
         .path.display(), .view.display()
     )]
     Missing {
@@ -207,29 +219,28 @@ pub enum JournalError {
     Write {
         /// The journal.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: Arc<std::io::Error>,
     },
     /// A sync, or the undoing of a write, failed: what is on the disk is not known.
-    #[error("{} cannot be trusted any more ({source}); check the disk and restart the coordinator", .path.display())]
+    #[error(
+        "{} cannot be trusted any more ({source}); check the disk and restart the coordinator",
+        .path.display()
+    )]
     Unusable {
         /// The journal.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: Arc<std::io::Error>,
     },
     /// A file operation failed.
     #[error("cannot {doing} {}: {source}; check the disk and the permissions", .path.display())]
     Io {
-        /// What was tried.
+        /// The operation.
         doing: &'static str,
-        /// On which file.
+        /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         source: Arc<std::io::Error>,
     },
-}
-
-fn hex(digest: &Digest) -> String {
-    blake3::Hash::from_bytes(*digest).to_hex().to_string()
 }

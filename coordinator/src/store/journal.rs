@@ -1,15 +1,15 @@
-//! The journal: an append-only file of everything that happened, and the truth the store is rebuilt from.
+//! The journal: an append-only file of all events, from which the store can be rebuilt.
 //!
 //! ```text
 //! header  "SLJOURNL"  version u32  id u64  crc32c u32 of the 20 bytes before      (little-endian throughout)
 //! frame   length u32  crc32c u32 of (offset of the frame u64, length u32, payload)  payload
 //! ```
-//! One frame is one group commit, written and synced whole, so that it is there or it is not. Its checksum
-//! covers where it stands, so old bytes of the file never pass for a frame elsewhere. A bad frame with nothing
-//! good after it is what a crash leaves of an unacknowledged write: it is cut off, with a warning. A bad frame with a
-//! good one after it is damage, which nobody but a person may repair: the journal is refused.
+//! One frame is one group commit, written and synced as a whole. Its checksum covers its offset, so that old
+//! bytes of the file are never taken for a frame elsewhere. A bad frame without a good one after it is an
+//! unfinished, unacknowledged write: it is cut off, with a warning. A bad frame with a good one after it is
+//! damage, which only a person may repair: the journal is refused.
 //!
-//! What a payload means is not known here. There is no compaction and no snapshot: the file grows by a few
+//! The journal does not interpret payloads. There is no compaction and no snapshot: the file grows by a few
 //! hundred bytes a tile, and opening it reads all of it.
 
 use std::fs::{File, OpenOptions};
@@ -17,7 +17,7 @@ use std::io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::JournalError;
+use super::error::JournalError;
 
 const MAGIC: &[u8; 8] = b"SLJOURNL";
 const VERSION: u32 = 1;
@@ -54,16 +54,16 @@ impl LogFile for File {
 pub(super) struct Journal {
     path: PathBuf,
     file: Box<dyn LogFile>,
-    /// Tells this journal from any other one.
+    /// A random number that tells this journal from others.
     id: u64,
-    /// Where the next frame goes.
+    /// The offset of the next frame.
     end: u64,
-    /// Set when what is on the disk is no longer known.
+    /// Set when the content of the file is no longer known.
     unusable: Option<Arc<io::Error>>,
 }
 
 impl Journal {
-    /// Opens the journal, or begins one; checks every frame and cuts off what a crash left at the end.
+    /// Opens or creates the journal, checks every frame, and removes an unfinished frame at the end.
     pub(super) fn open(path: &Path) -> Result<Self, JournalError> {
         if !path.try_exists().map_err(fault("look for", path))? {
             create(path)?;
@@ -269,7 +269,7 @@ impl Frames<'_> {
     }
 }
 
-/// Tells an unfinished write at the end, which is fine, from damage, which is an error.
+/// Distinguishes an unfinished write at the end, which is removed, from damage, which is an error.
 fn refuse_damage(
     file: &mut File,
     path: &Path,

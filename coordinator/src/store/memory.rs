@@ -1,14 +1,15 @@
-//! The store in memory: for tests and for measuring what durability costs. Forgets everything when dropped.
+//! The store in memory: for tests and for measuring the cost of durability. Its state is lost when it is
+//! dropped.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
-use super::StoreError;
 use super::engine::Engine;
+use super::error::StoreError;
 use super::rules::{self, Decision};
 use super::table::{Bytes, View};
 
-/// A store without a disk. Same rules, same answers.
+/// A store without a disk, with the rules and answers of the store on disk.
 #[derive(Debug, Default)]
 pub struct MemoryStore {
     table: Mutex<BTreeMap<Bytes, Bytes>>,
@@ -23,7 +24,8 @@ impl MemoryStore {
 
 impl Engine for MemoryStore {
     fn query<A>(&self, ask: impl FnOnce(View<'_>) -> Result<A, StoreError>) -> Result<A, StoreError> {
-        // Changes are computed before the first is made, so a panic elsewhere cannot leave the table half changed.
+        // Changes are computed before the first is made, so a panic elsewhere cannot leave the table half
+        // changed.
         ask(View(&*self.table.lock().unwrap_or_else(PoisonError::into_inner)))
     }
 

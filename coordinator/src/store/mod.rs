@@ -1,4 +1,5 @@
-//! What a coordinator remembers across restarts: scenes, jobs, tiles and the epoch, as a trait in those words.
+//! The persistent state of a coordinator: records of scenes, jobs, tiles and the epoch, and blobs beside
+//! them.
 //!
 //! The records are small; everything large (scenes, packs, tile results, `.pvs` files) lies beside them as
 //! content-addressed files ([`Blobs`]). A record may name a blob by its digest: write the blob first.
@@ -7,10 +8,12 @@
 //!
 //! All calls block (for about one disk sync when they change anything): call them off the async threads.
 
+mod api;
 mod blobs;
 mod engine;
 mod error;
 mod journal;
+mod limits;
 mod memory;
 mod records;
 mod rules;
@@ -20,107 +23,18 @@ mod table;
 #[cfg(test)]
 mod conformance;
 
-pub use blobs::{BlobError, BlobWriter, Blobs};
+pub use api::Store;
+pub use blobs::{BlobError, BlobReader, BlobWriter, Blobs, FileBlobs, MemoryBlobs};
 pub use error::{JournalError, StoreError};
+pub use limits::{
+    MAX_FAILURES, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_REASON_BYTES, MAX_REASONS, MAX_SPEC_BYTES,
+    MAX_TILES, MAX_WORKER_BYTES,
+};
 pub use memory::MemoryStore;
 pub use records::{
-    CommitOutcome, Digest, JobPhase, JobRecord, JobState, MAX_FAILURES, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES,
-    MAX_REASON_BYTES, MAX_REASONS, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES, NewJob, SceneRecord,
-    Submitted, TileFailure, TileRecord, TileResult, TileState, TileStats,
+    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, SceneRecord, Submitted, TileFailure, TileRecord,
+    TileResult, TileState, TileStats,
 };
 pub use sled_store::SledStore;
 
-/// The coordinator's persistent state.
-///
-/// Every command is one transaction, durable when it returns `Ok`. A command that returns an error changed
-/// nothing, with one exception named at [`StoreError::Journal`]. Commands may be called from many threads;
-/// those in flight together share one disk sync.
-pub trait Store: Send + Sync {
-    /// The scene with this digest, if it was recorded.
-    fn scene(&self, digest: &Digest) -> Result<Option<SceneRecord>, StoreError>;
-
-    /// All scenes, ascending by digest.
-    fn scenes(&self) -> Result<Vec<SceneRecord>, StoreError>;
-
-    /// One job.
-    fn job(&self, job: u64) -> Result<Option<JobRecord>, StoreError>;
-
-    /// All jobs, ascending by id, which is the order they were submitted in.
-    fn jobs(&self) -> Result<Vec<JobRecord>, StoreError>;
-
-    /// The newest job with this key, whatever its state.
-    fn job_by_key(&self, key: &Digest) -> Result<Option<JobRecord>, StoreError>;
-
-    /// The job that answered the submission with this request id (its own or one it was joined to).
-    fn job_by_request(&self, request_id: &str) -> Result<Option<JobRecord>, StoreError>;
-
-    /// All tiles of a job, `0..job.tiles`; a tile nothing was recorded of is open.
-    fn tiles(&self, job: u64) -> Result<Vec<TileRecord>, StoreError>;
-
-    /// One tile of a job.
-    fn tile(&self, job: u64, tile: u32) -> Result<TileRecord, StoreError>;
-
-    /// The epoch begun last; 0 before the first.
-    fn epoch(&self) -> Result<u64, StoreError>;
-
-    /// Remembers a scene. The same record again is fine; another one under the same digest is refused.
-    fn record_scene(&self, scene: SceneRecord) -> Result<(), StoreError>;
-
-    /// Takes in a job, or names the one that answers it already: the job this `request_id` was answered by
-    /// before, else the newest job of the same key unless that one failed or was cancelled.
-    /// The same `request_id` with another key is refused, and so is a scene that was not recorded.
-    fn submit_job(&self, job: NewJob) -> Result<Submitted, StoreError>;
-
-    /// Sets the number of tiles of a job submitted with `tiles: 0`, once its plan is known.
-    /// The same number again is fine; another one is refused.
-    fn plan_job(&self, job: u64, tiles: u32) -> Result<JobRecord, StoreError>;
-
-    /// Binds a job to a numerics profile. The first one wins; the answer is the one it is bound to.
-    fn bind_profile(&self, job: u64, profile: &str) -> Result<String, StoreError>;
-
-    /// Commits a tile's result: done if not done. A result that comes in late for a tile that was set aside
-    /// replaces its stand-in. A different digest for a tile that is done is kept out and counted.
-    fn commit_tile(&self, job: u64, tile: u32, result: TileResult) -> Result<CommitOutcome, StoreError>;
-
-    /// Remembers that a tile failed on a worker; answers on how many different workers it has failed
-    /// (counted up to [`MAX_FAILURES`]). Nothing changes if the tile is no longer open or the job has ended.
-    fn fail_tile(&self, job: u64, tile: u32, worker: &str, reason: &str) -> Result<u32, StoreError>;
-
-    /// Gives an open tile up: `digest` names the stand-in ("all visible") shipped for it.
-    /// The same again is fine; a tile that is done stays done ([`StoreError::TileNotOpen`]).
-    fn set_aside_tile(
-        &self,
-        job: u64,
-        tile: u32,
-        digest: Digest,
-        bytes: u64,
-        reasons: &[String],
-    ) -> Result<(), StoreError>;
-
-    /// Moves a job to another state if it is in one of `from`; it is in `to` already: fine, nothing changes.
-    /// `Done` is reached through [`Store::finish_job`] alone, and left through [`Store::reopen_tiles`] alone.
-    /// `at_ms` is kept as the time of the end if `to` ends the job.
-    fn set_job_state(
-        &self,
-        job: u64,
-        from: &[JobPhase],
-        to: JobState,
-        at_ms: u64,
-    ) -> Result<JobRecord, StoreError>;
-
-    /// Ends a queued or running job with its result, all of whose tiles must be done or set aside.
-    /// The same result again is fine; another one is refused.
-    fn finish_job(&self, job: u64, result: Digest, bytes: u64, at_ms: u64) -> Result<JobRecord, StoreError>;
-
-    /// Retries what failed: tiles set aside are open again, failures of open tiles are forgotten, and a job
-    /// that failed, was cancelled, or is done with tiles set aside is queued. Done tiles stay done.
-    /// Answers how many tiles were reopened.
-    fn reopen_tiles(&self, job: u64) -> Result<u32, StoreError>;
-
-    /// Begins the next epoch (once at each start of a coordinator) and answers it.
-    fn begin_epoch(&self) -> Result<u64, StoreError>;
-
-    /// Removes an ended job, its tiles and its request ids; answers what it was, so that the caller can
-    /// remove the blobs. Its id is never given out again.
-    fn delete_job(&self, job: u64) -> Result<JobRecord, StoreError>;
-}
+pub use crate::ids::Digest;

@@ -1,32 +1,8 @@
-//! What is remembered of scenes, jobs and tiles, and how long each text may be.
-//!
-//! The bounds keep every stored value under 4 KiB (`table.rs` checks it again when it writes): identifiers and
-//! names are refused when too long, reasons are cut, since a failure must always be recordable. Text that
-//! JSON would have to escape is kept out or replaced for the same reason.
+//! The records of scenes, jobs and tiles. `limits.rs` has the limits of their texts.
 
 use serde::{Deserialize, Serialize};
 
-use super::StoreError;
-
-/// A BLAKE3 digest.
-pub type Digest = [u8; 32];
-
-/// Longest request id or numerics profile, in bytes.
-pub const MAX_IDENTIFIER_BYTES: usize = 128;
-/// Longest job name, in bytes.
-pub const MAX_NAME_BYTES: usize = 128;
-/// Longest worker name, in bytes.
-pub const MAX_WORKER_BYTES: usize = 64;
-/// Reasons are cut to this many bytes.
-pub const MAX_REASON_BYTES: usize = 200;
-/// Longest opaque job specification, in bytes.
-pub const MAX_SPEC_BYTES: usize = 2048;
-/// Different workers' failures remembered of one tile.
-pub const MAX_FAILURES: usize = 8;
-/// Reasons remembered of a tile set aside.
-pub const MAX_REASONS: usize = 4;
-/// Most tiles a job may have.
-pub const MAX_TILES: u32 = 1 << 20;
+use crate::ids::{Digest, JobId, TileIndex};
 
 /// A scene the coordinator holds.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,16 +23,16 @@ pub struct SceneRecord {
 pub struct NewJob {
     /// Digest of scene and parameters: jobs of one key have one result.
     pub key: Digest,
-    /// Chosen by the client, ≤ [`MAX_IDENTIFIER_BYTES`], no control characters, quotes or backslashes;
-    /// empty: the submission cannot be recognised when repeated.
+    /// Chosen by the client, ≤ [`MAX_IDENTIFIER_BYTES`](super::MAX_IDENTIFIER_BYTES), no control characters,
+    /// quotes or backslashes; empty: the submission cannot be recognised when repeated.
     pub request_id: String,
-    /// For people; ≤ [`MAX_NAME_BYTES`], no control characters.
+    /// For people; ≤ [`MAX_NAME_BYTES`](super::MAX_NAME_BYTES), no control characters.
     pub name: String,
     /// Digest of a recorded scene.
     pub scene: Digest,
-    /// The parameters, opaque here; ≤ [`MAX_SPEC_BYTES`].
+    /// The parameters, opaque here; ≤ [`MAX_SPEC_BYTES`](super::MAX_SPEC_BYTES).
     pub spec: Vec<u8>,
-    /// Tiles of the plan, ≤ [`MAX_TILES`]; 0 if it is set later by `plan_job`.
+    /// Tiles of the plan, ≤ [`MAX_TILES`](super::MAX_TILES); 0 if it is set later by `plan_job`.
     pub tiles: u32,
     /// Milliseconds since 1970.
     pub submitted_at_ms: u64,
@@ -66,8 +42,8 @@ pub struct NewJob {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Submitted {
     /// The job that answers it.
-    pub id: u64,
-    /// Whether that job was there before.
+    pub id: JobId,
+    /// Whether that job existed before.
     pub existing: bool,
 }
 
@@ -75,7 +51,7 @@ pub struct Submitted {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JobRecord {
     /// Counted from 1, never given out twice.
-    pub id: u64,
+    pub id: JobId,
     /// Digest of scene and parameters.
     #[serde(with = "hex_digest")]
     pub key: Digest,
@@ -91,7 +67,7 @@ pub struct JobRecord {
     pub spec: Vec<u8>,
     /// Number of tiles; 0 until its plan is known.
     pub tiles: u32,
-    /// Where it stands.
+    /// Its state.
     pub state: JobState,
     /// The numerics profile it is bound to, once it is.
     pub profile: Option<String>,
@@ -101,20 +77,20 @@ pub struct JobRecord {
     pub finished_at_ms: Option<u64>,
 }
 
-/// Where a job stands.
+/// The state of a job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum JobState {
     /// Waiting for its first lease.
     Queued,
-    /// Tiles are being worked on.
+    /// Tiles were leased.
     Running,
-    /// No leases are given out until it is resumed.
+    /// No tiles are leased until it is resumed.
     Paused,
     /// Ended by a client.
     Cancelled,
     /// Ended by a fault.
     Failed {
-        /// What happened, cut to [`MAX_REASON_BYTES`].
+        /// The reason, cut to [`MAX_REASON_BYTES`](super::MAX_REASON_BYTES).
         reason: String,
     },
     /// Ended with a result.
@@ -127,7 +103,7 @@ pub enum JobState {
     },
 }
 
-/// [`JobState`] without what it carries.
+/// [`JobState`] without its data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum JobPhase {
     /// See [`JobState::Queued`].
@@ -145,7 +121,7 @@ pub enum JobPhase {
 }
 
 impl JobState {
-    /// The state without what it carries.
+    /// The state without its data.
     pub fn phase(&self) -> JobPhase {
         match self {
             Self::Queued => JobPhase::Queued,
@@ -182,35 +158,37 @@ impl JobPhase {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TileRecord {
     /// Its number in the plan.
-    pub tile: u32,
-    /// Where it stands.
+    pub tile: TileIndex,
+    /// Its state.
     pub state: TileState,
-    /// On which workers it failed: the last reason of each, at most [`MAX_FAILURES`] workers.
+    /// On which workers it failed: the last reason of each, at most [`MAX_FAILURES`](super::MAX_FAILURES)
+    /// workers.
     pub failures: Vec<TileFailure>,
-    /// How many differing results were kept out after it was done. Anything but 0 is a fault to be looked into.
+    /// How many differing results were kept out after it was done. Anything but 0 is a fault to be looked
+    /// into.
     pub conflicts: u32,
 }
 
 impl TileRecord {
-    /// A tile nothing has happened to.
-    pub fn open(tile: u32) -> Self {
+    /// A tile of which nothing was recorded.
+    pub fn open(tile: TileIndex) -> Self {
         Self { tile, state: TileState::Open, failures: Vec::new(), conflicts: 0 }
     }
 }
 
-/// Where a tile stands.
+/// The state of a tile.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum TileState {
-    /// To be worked on, or being worked on.
+    /// Without a result.
     Open,
-    /// Its result is in.
+    /// Its result is committed.
     Done {
         /// Digest of the result's blob.
         #[serde(with = "hex_digest")]
         digest: Digest,
         /// Size of that blob.
         bytes: u64,
-        /// What it took.
+        /// The cost of computing it.
         stats: TileStats,
     },
     /// Given up: its cells are shipped as "all visible" and marked.
@@ -220,12 +198,12 @@ pub enum TileState {
         digest: Digest,
         /// Size of that blob.
         bytes: u64,
-        /// Why, at most [`MAX_REASONS`].
+        /// Why, at most [`MAX_REASONS`](super::MAX_REASONS).
         reasons: Vec<String>,
     },
 }
 
-/// What a tile's result took.
+/// The cost of a tile's result.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TileStats {
     /// Samples rendered.
@@ -234,7 +212,7 @@ pub struct TileStats {
     pub cells: u64,
     /// Time the worker spent, in milliseconds.
     pub millis: u64,
-    /// Who did it; ≤ [`MAX_WORKER_BYTES`], as for request ids.
+    /// The name of the worker; ≤ [`MAX_WORKER_BYTES`](super::MAX_WORKER_BYTES), as for request ids.
     pub worker: String,
 }
 
@@ -243,7 +221,7 @@ pub struct TileStats {
 pub struct TileFailure {
     /// The worker.
     pub worker: String,
-    /// What it said, cut to [`MAX_REASON_BYTES`].
+    /// Its description, cut to [`MAX_REASON_BYTES`](super::MAX_REASON_BYTES).
     pub reason: String,
 }
 
@@ -254,11 +232,11 @@ pub struct TileResult {
     pub digest: Digest,
     /// Size of that blob.
     pub bytes: u64,
-    /// What it took.
+    /// The cost of computing it.
     pub stats: TileStats,
 }
 
-/// What became of a tile's result.
+/// The outcome of committing a tile's result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CommitOutcome {
     /// The tile is done now.
@@ -274,52 +252,12 @@ pub enum CommitOutcome {
     },
 }
 
-/// Refuses an identifier that is too long or that JSON would have to escape.
-pub(super) fn check_identifier(what: &'static str, text: &str, limit: usize) -> Result<(), StoreError> {
-    check_length(what, text.len(), limit)?;
-    match text.chars().find(|c| c.is_control() || matches!(c, '"' | '\\')) {
-        Some(found) => Err(StoreError::BadCharacter { what, found }),
-        None => Ok(()),
-    }
-}
-
-/// Refuses a name that is too long or holds control characters.
-pub(super) fn check_name(what: &'static str, text: &str, limit: usize) -> Result<(), StoreError> {
-    check_length(what, text.len(), limit)?;
-    match text.chars().find(|c| c.is_control()) {
-        Some(found) => Err(StoreError::BadCharacter { what, found }),
-        None => Ok(()),
-    }
-}
-
-/// Refuses what is longer than its bound, in bytes.
-pub(super) fn check_length(what: &'static str, length: usize, limit: usize) -> Result<(), StoreError> {
-    if length > limit { Err(StoreError::TooLong { what, length, limit }) } else { Ok(()) }
-}
-
-/// A reason made recordable: quotes and control characters replaced, cut at a character boundary.
-pub(super) fn clean_reason(reason: &str) -> String {
-    let mut clean = String::new();
-    for c in reason.chars() {
-        let c = match c {
-            '"' => '\'',
-            '\\' => '/',
-            c if c.is_control() => ' ',
-            c => c,
-        };
-        if clean.len() + c.len_utf8() > MAX_REASON_BYTES {
-            break;
-        }
-        clean.push(c);
-    }
-    clean
-}
-
-/// Digests as 64 hexadecimal digits: half the size of JSON's list of numbers, and what logs and file names show.
+/// Digests as 64 hexadecimal digits: half the size of JSON's list of numbers, and what logs and file names
+/// show.
 pub(super) mod hex_digest {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
-    use super::Digest;
+    use crate::ids::Digest;
 
     pub(in crate::store) fn serialize<S: Serializer>(digest: &Digest, to: S) -> Result<S::Ok, S::Error> {
         to.serialize_str(blake3::Hash::from_bytes(*digest).to_hex().as_str())
@@ -331,7 +269,8 @@ pub(super) mod hex_digest {
     }
 }
 
-/// Opaque bytes as base64: 4/3 of their size, so that a job of the largest allowed specification stays under 4 KiB.
+/// Opaque bytes as base64: 4/3 of their size, so that a job of the largest allowed specification stays under
+/// 4 KiB.
 mod base64_bytes {
     use base64::{Engine, engine::general_purpose::STANDARD_NO_PAD};
     use serde::{Deserialize, Deserializer, Serializer, de::Error};

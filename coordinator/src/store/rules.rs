@@ -1,41 +1,45 @@
-//! The rules: what each command does to the state it meets, as events, and what each event changes.
+//! The rules: the event that each command causes in a given state, and the changes that each event makes.
 //!
 //! Deciding reads and never writes; an event holds everything its application needs, so replaying the journal
-//! needs no rule but [`changes`]. Events are what the journal keeps: names and fields here are its format. Add
-//! variants and `#[serde(default)]` fields freely; changing one needs a new journal version.
+//! needs no rule but [`changes`]. Events are what the journal keeps: names and fields here are its format.
+//! Add variants and `#[serde(default)]` fields freely; changing one needs a new journal version.
 
 use serde::{Deserialize, Serialize};
 
-use super::StoreError;
-use super::records::{
-    CommitOutcome, Digest, JobPhase, JobRecord, JobState, MAX_FAILURES, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES,
-    MAX_REASONS, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES, NewJob, SceneRecord, Submitted, TileFailure,
-    TileRecord, TileResult, TileState, check_identifier, check_length, check_name, clean_reason,
+use super::error::StoreError;
+use super::limits::{
+    MAX_FAILURES, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_REASONS, MAX_SPEC_BYTES, MAX_TILES,
+    MAX_WORKER_BYTES, check_identifier, check_length, check_name, clean_reason,
 };
-use super::table::{Bytes, Changes, Over, Table, View, encode, illegal, key};
+use super::records::{
+    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, SceneRecord, Submitted, TileFailure, TileRecord,
+    TileResult, TileState,
+};
+use super::table::{Bytes, Changes, Over, Table, View, encode, key};
+use crate::ids::{Digest, JobId, TileIndex};
 
-/// Something that happened.
+/// A change of the state, as the journal records it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Event {
-    /// A scene came in.
+    /// A scene was recorded.
     SceneRecorded(SceneRecord),
-    /// A job came in, under the next id.
+    /// A job was submitted under the next id.
     JobSubmitted(JobRecord),
-    /// A submission was answered by a job that was there.
-    RequestJoined { request_id: String, job: u64 },
+    /// A submission was answered with an existing job.
+    RequestJoined { request_id: String, job: JobId },
     /// A job changed: planned, bound to a profile, moved to another state.
     JobChanged(JobRecord),
     /// A tile changed: done, failed once more, set aside, a conflict counted.
-    TileChanged { job: u64, tile: TileRecord },
+    TileChanged { job: JobId, tile: TileRecord },
     /// Tiles were reopened for another try, and the job with them.
-    TilesReopened { job: JobRecord, tiles: Vec<u32> },
+    TilesReopened { job: JobRecord, tiles: Vec<TileIndex> },
     /// A coordinator started.
     EpochBegun(u64),
     /// A job was removed.
-    JobDeleted { job: u64 },
+    JobDeleted { job: JobId },
 }
 
-/// What a command comes to: perhaps an event, and the answer once that is durable.
+/// The decision on a command: its event, if it changes anything, and the answer once the event is durable.
 pub(super) struct Decision<A> {
     pub(super) event: Option<Event>,
     pub(super) answer: A,
@@ -51,7 +55,7 @@ fn happened<A>(event: Event, answer: A) -> Decided<A> {
     Ok(Decision { event: Some(event), answer })
 }
 
-/// What an event changes in the table it meets.
+/// The changes that an event makes to a table.
 pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, StoreError> {
     let view = View(table);
     let mut changes = Changes::new();
@@ -69,7 +73,7 @@ pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, Store
             let key = key::job_of_key(&job.key, job.id);
             let value = encode(&key, &job.id)?;
             put(key, value);
-            put(key::NEXT_JOB.to_vec(), encode(key::NEXT_JOB, &job.id.saturating_add(1))?);
+            put(key::NEXT_JOB.to_vec(), encode(key::NEXT_JOB, &JobId(job.id.0.saturating_add(1)))?);
             if !job.request_id.is_empty() {
                 let key = key::request(&job.request_id);
                 let value = encode(&key, &job.id)?;
@@ -117,7 +121,7 @@ pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, Store
     Ok(changes)
 }
 
-/// Adds what an event changes to `staged`, seen over `table`.
+/// Adds the changes of an event, which happens after those in `staged`, to `staged`.
 pub(super) fn stage(event: &Event, table: &dyn Table, staged: &mut Changes) -> Result<(), StoreError> {
     let new = changes(event, &Over { under: table, changes: staged })?;
     staged.extend(new);
@@ -172,7 +176,7 @@ pub(super) fn submit_job(view: View<'_>, new: NewJob) -> Decided<Submitted> {
     happened(Event::JobSubmitted(job), answer)
 }
 
-pub(super) fn plan_job(view: View<'_>, job: u64, tiles: u32) -> Decided<JobRecord> {
+pub(super) fn plan_job(view: View<'_>, job: JobId, tiles: u32) -> Decided<JobRecord> {
     check_length("the plan", tiles as usize, MAX_TILES as usize)?;
     let mut record = view.known_job(job)?;
     if record.tiles == tiles {
@@ -188,7 +192,7 @@ pub(super) fn plan_job(view: View<'_>, job: u64, tiles: u32) -> Decided<JobRecor
     happened(Event::JobChanged(record.clone()), record)
 }
 
-pub(super) fn bind_profile(view: View<'_>, job: u64, profile: String) -> Decided<String> {
+pub(super) fn bind_profile(view: View<'_>, job: JobId, profile: String) -> Decided<String> {
     check_identifier("the numerics profile", &profile, MAX_IDENTIFIER_BYTES)?;
     let mut record = view.known_job(job)?;
     if let Some(bound) = record.profile {
@@ -198,7 +202,12 @@ pub(super) fn bind_profile(view: View<'_>, job: u64, profile: String) -> Decided
     happened(Event::JobChanged(record), profile)
 }
 
-pub(super) fn commit_tile(view: View<'_>, job: u64, tile: u32, result: TileResult) -> Decided<CommitOutcome> {
+pub(super) fn commit_tile(
+    view: View<'_>,
+    job: JobId,
+    tile: TileIndex,
+    result: TileResult,
+) -> Decided<CommitOutcome> {
     check_identifier("the worker's name", &result.stats.worker, MAX_WORKER_BYTES)?;
     let (record, mut found) = view.job_and_tile(job, tile)?;
     if let TileState::Done { digest: kept, .. } = found.state {
@@ -217,7 +226,13 @@ pub(super) fn commit_tile(view: View<'_>, job: u64, tile: u32, result: TileResul
     happened(Event::TileChanged { job, tile: found }, CommitOutcome::Committed)
 }
 
-pub(super) fn fail_tile(view: View<'_>, job: u64, tile: u32, worker: String, reason: &str) -> Decided<u32> {
+pub(super) fn fail_tile(
+    view: View<'_>,
+    job: JobId,
+    tile: TileIndex,
+    worker: String,
+    reason: &str,
+) -> Decided<u32> {
     check_identifier("the worker's name", &worker, MAX_WORKER_BYTES)?;
     let (record, mut found) = view.job_and_tile(job, tile)?;
     // At most MAX_FAILURES, so this cannot be cut.
@@ -238,8 +253,8 @@ pub(super) fn fail_tile(view: View<'_>, job: u64, tile: u32, worker: String, rea
 
 pub(super) fn set_aside_tile(
     view: View<'_>,
-    job: u64,
-    tile: u32,
+    job: JobId,
+    tile: TileIndex,
     digest: Digest,
     bytes: u64,
     reasons: &[String],
@@ -258,12 +273,18 @@ pub(super) fn set_aside_tile(
     happened(Event::TileChanged { job, tile: found }, ())
 }
 
+/// A refused transition.
+fn illegal(job: JobId, is: JobPhase, wanted: &'static str) -> StoreError {
+    StoreError::IllegalTransition { job, is, wanted }
+}
+
 /// Whether `set_job_state` may lead from one state to the other.
 fn may_move(from: JobPhase, to: JobPhase) -> bool {
     use JobPhase::{Cancelled, Done, Failed, Paused, Queued, Running};
     match (from, to) {
         (Queued | Running | Paused, Queued | Running | Paused | Cancelled | Failed) => true,
-        // A client may take a cancellation back; what failed is retried through reopen_tiles, which clears the faults.
+        // A cancellation can be undone; a failed job is retried through reopen_tiles, which clears the
+        // failures.
         (Cancelled, Queued) => true,
         (Cancelled | Failed | Done, _) | (_, Done) => false,
     }
@@ -271,7 +292,7 @@ fn may_move(from: JobPhase, to: JobPhase) -> bool {
 
 pub(super) fn set_job_state(
     view: View<'_>,
-    job: u64,
+    job: JobId,
     from: &[JobPhase],
     to: JobState,
     at_ms: u64,
@@ -287,7 +308,7 @@ pub(super) fn set_job_state(
     let (is, phase) = (record.state.phase(), to.phase());
     if !from.contains(&is) || !may_move(is, phase) {
         let wanted = match phase {
-            // Nothing else leads back there.
+            // Only a paused job becomes queued again.
             JobPhase::Queued => "resumed",
             JobPhase::Running => "run",
             JobPhase::Paused => "paused",
@@ -304,7 +325,7 @@ pub(super) fn set_job_state(
 
 pub(super) fn finish_job(
     view: View<'_>,
-    job: u64,
+    job: JobId,
     result: Digest,
     bytes: u64,
     at_ms: u64,
@@ -320,9 +341,9 @@ pub(super) fn finish_job(
             return Err(illegal(job, record.state.phase(), "finished"));
         }
     }
-    let settled = view.recorded_tiles(job)?.iter().filter(|tile| tile.state != TileState::Open).count();
+    let ended = view.recorded_tiles(job)?.iter().filter(|tile| tile.state != TileState::Open).count();
     // No more tiles are recorded than the job has (`job_and_tile`), whose number is a u32.
-    let open = record.tiles.saturating_sub(settled as u32);
+    let open = record.tiles.saturating_sub(ended as u32);
     if open > 0 {
         return Err(StoreError::TilesOpen { job, open, tiles: record.tiles });
     }
@@ -331,12 +352,12 @@ pub(super) fn finish_job(
     happened(Event::JobChanged(record.clone()), record)
 }
 
-pub(super) fn reopen_tiles(view: View<'_>, job: u64) -> Decided<u32> {
+pub(super) fn reopen_tiles(view: View<'_>, job: JobId) -> Decided<u32> {
     let mut record = view.known_job(job)?;
     let recorded = view.recorded_tiles(job)?;
     let set_aside =
         recorded.iter().filter(|tile| matches!(tile.state, TileState::SetAside { .. })).count() as u32;
-    let tiles: Vec<u32> = recorded
+    let tiles: Vec<TileIndex> = recorded
         .iter()
         .filter(|tile| !matches!(tile.state, TileState::Done { .. }))
         .map(|tile| tile.tile)
@@ -361,7 +382,7 @@ pub(super) fn begin_epoch(view: View<'_>) -> Decided<u64> {
     happened(Event::EpochBegun(epoch), epoch)
 }
 
-pub(super) fn delete_job(view: View<'_>, job: u64) -> Decided<JobRecord> {
+pub(super) fn delete_job(view: View<'_>, job: JobId) -> Decided<JobRecord> {
     let record = view.known_job(job)?;
     if !record.state.phase().ended() {
         return Err(illegal(job, record.state.phase(), "deleted"));

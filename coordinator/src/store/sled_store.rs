@@ -1,10 +1,12 @@
-//! The store on one machine's disk: the journal is the truth, sled a view of it to answer from.
+//! The store on one machine's disk: the journal holds the state, and sled is a view of it that answers
+//! queries.
 //!
 //! A command is acknowledged when the journal is synced. sled is changed after that, in one batch with the
-//! offset it now stands for (`applied`), and is never synced here: sled's own `flush` does not sync the data
-//! on Linux, and abrupt stops have been seen to damage it, so nothing may depend on what it kept. At the next start
-//! the journal is replayed from `applied`. A sled that does not open, whose entries do not add up, or that
-//! stands for another journal or more than this one holds, is moved aside and made anew from the journal.
+//! offset of the journal that it then contains (`applied`). sled is never synced here: its own `flush` does
+//! not sync the data on Linux, and abrupt stops have damaged it, so nothing depends on its files. At the next
+//! start the journal is replayed from `applied`. A sled that does not open, whose entries do not match their
+//! sum, or that was made from another journal or from a longer one, is moved aside and rebuilt from the
+//! journal.
 //!
 //! One tree, values under 4 KiB, no background flush (sled's space grows otherwise), one writer thread: the
 //! commands that arrive while it syncs share the next sync. Blobs are not kept here.
@@ -21,10 +23,10 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 use super::engine::Engine;
+use super::error::{JournalError, StoreError};
 use super::journal::{HEADER_BYTES, Journal};
 use super::rules::{self, Decision, Event};
 use super::table::{Bytes, Changes, Over, Table, View, decode, encode};
-use super::{JournalError, StoreError};
 
 /// A group commit takes no more commands once its events are this long; the journal's bound is far above.
 const GROUP_BYTES: usize = 1 << 20;
@@ -44,9 +46,10 @@ pub struct SledStore {
 }
 
 impl SledStore {
-    /// Opens the store in `directory`, or begins one there, and makes its view agree with its journal.
+    /// Opens or creates the store in `directory` and brings its view up to date with its journal.
     ///
-    /// Errors: the directory is in use by another process, the journal is damaged or missing, the disk refuses.
+    /// # Errors
+    /// When another process uses the directory, the journal is damaged or missing, or the disk fails.
     pub fn open(directory: &Path) -> Result<Self, StoreError> {
         std::fs::create_dir_all(directory).map_err(fault("create", directory))?;
         let lock = lock(&directory.join("lock"))?;
@@ -59,7 +62,10 @@ impl SledStore {
             Ok(live) => live,
             Err(StoreError::View { what }) => {
                 let aside = move_aside(&view)?;
-                tracing::warn!(%what, aside = %aside.display(), "the store's view is unusable; making it anew from the journal");
+                tracing::warn!(
+                    %what, aside = %aside.display(),
+                    "the store's view is unusable; it is rebuilt from the journal"
+                );
                 Live::open(&view)?.caught_up(&journal)?
             }
             Err(other) => return Err(other),
@@ -82,16 +88,19 @@ impl Drop for SledStore {
             tracing::error!("the store's writer thread had panicked; nothing acknowledged is lost");
         }
         let live = self.live.write().unwrap_or_else(PoisonError::into_inner);
-        // Not needed for durability; it only spares the next start a replay.
+        // Not needed for durability; it only shortens the next start's replay.
         if let Err(error) = guarded(|| live.db.flush()) {
-            tracing::warn!(%error, "the store's view could not be flushed; it will be brought up to date at the next start");
+            tracing::warn!(
+                %error,
+                "the store's view could not be flushed; the next start brings it up to date"
+            );
         }
     }
 }
 
 impl Engine for SledStore {
     fn query<A>(&self, ask: impl FnOnce(View<'_>) -> Result<A, StoreError>) -> Result<A, StoreError> {
-        // Only whole group commits are applied under this lock, so every answer is of one moment.
+        // Only whole group commits are applied under this lock, so every answer belongs to one state.
         ask(View(&*self.live.read().unwrap_or_else(PoisonError::into_inner)))
     }
 
@@ -107,11 +116,11 @@ impl Engine for SledStore {
     }
 }
 
-/// A command on its way through the writer thread.
+/// A command in the queue of the writer thread.
 trait Pending: Send {
     /// Decides on the state including all commands before it; the answer is kept for later.
     fn decide(&mut self, view: View<'_>) -> Option<Event>;
-    /// The event cannot be carried out after all.
+    /// The event cannot be carried out.
     fn refuse(&mut self, error: StoreError);
     /// Answers, once everything decided before is durable or has failed to be.
     fn answer(self: Box<Self>, outcome: &Result<(), StoreError>);
@@ -139,7 +148,7 @@ impl<A: Send, F: FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send> Pen
     }
 
     fn answer(self: Box<Self>, outcome: &Result<(), StoreError>) {
-        // A caller that is gone (its thread panicked) needs no answer.
+        // A caller whose thread panicked needs no answer.
         let _ = self.reply.send(outcome.clone().and(self.decided));
     }
 }
@@ -171,7 +180,8 @@ impl Writer {
                 group.push(command);
                 next = if payload.len() < GROUP_BYTES { incoming.try_recv().ok() } else { None };
             }
-            // Also a command that changed nothing waits: its answer may rest on what others of the group changed.
+            // Also a command that changed nothing waits: its answer may rest on what others of the group
+            // changed.
             let outcome = if payload.len() > 1 {
                 payload.push(b']');
                 self.commit(&payload, staged)
@@ -202,7 +212,7 @@ impl Writer {
     }
 }
 
-/// What the view stands for, kept in it.
+/// The part of the journal that the view contains; stored in the view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Applied {
     /// The journal's id.
@@ -213,7 +223,7 @@ struct Applied {
     sum: u64,
 }
 
-/// The state as queries see it: sled, and what it has not taken yet.
+/// The state as queries see it: sled, and changes that sled has not accepted yet.
 struct Live {
     db: sled::Db,
     applied: Applied,
@@ -253,12 +263,13 @@ impl Table for sled::Db {
 }
 
 impl Live {
-    /// Opens sled and checks that its entries add up.
+    /// Opens sled and checks the sum of its entries' hashes.
     fn open(path: &Path) -> Result<Self, StoreError> {
         let mut tries = 0;
         let db = loop {
             match guarded(|| sled::Config::new().path(path).flush_every_ms(None).open()) {
-                // Our own lock keeps other processes out, so this is sled's last owner in this one still letting go.
+                // Our own lock keeps other processes out, so this is sled's last owner in this one still
+                // letting go.
                 Err(StoreError::View { what }) if tries < 100 && what.contains("acquire lock") => {
                     tries += 1;
                     std::thread::sleep(Duration::from_millis(20));
@@ -279,7 +290,7 @@ impl Live {
         Ok(live)
     }
 
-    /// Applies what the journal holds beyond it.
+    /// Applies the frames of the journal that the view lacks.
     fn caught_up(mut self, journal: &Journal) -> Result<Self, StoreError> {
         if self.applied == (Applied { journal: 0, offset: 0, sum: 0 }) {
             self.applied = Applied { journal: journal.id(), offset: HEADER_BYTES, sum: 0 };
@@ -308,18 +319,19 @@ impl Live {
         Ok(self)
     }
 
-    /// Takes in what a frame that ends at `end` changed. sled may refuse; nothing is lost by that.
+    /// Applies the changes of a frame that ends at `end`. When sled refuses them, nothing is lost.
     fn take(&mut self, changes: Changes, end: u64) {
         self.waiting.extend(changes);
         if let Err(error) = self.apply(end) {
             tracing::warn!(
                 %error, keys = self.waiting.len(),
-                "the store's view refused a change; it is durable in the journal and kept in memory until the view takes it"
+                "the store's view refused a change; the change is durable in the journal and stays in memory \
+                 until the view accepts it"
             );
         }
     }
 
-    /// Hands what waits to sled, in one batch with what it then stands for.
+    /// Gives the waiting changes to sled, in one batch with the offset that the view then contains.
     fn apply(&mut self, end: u64) -> Result<(), StoreError> {
         if self.waiting.is_empty() && self.applied.offset == end {
             return Ok(());
@@ -392,7 +404,7 @@ fn lock(path: &Path) -> Result<File, StoreError> {
     Ok(file)
 }
 
-/// Moves a broken view out of the way, for a person to look at or delete.
+/// Moves a broken view aside, for a person to inspect or delete.
 fn move_aside(view: &Path) -> Result<PathBuf, StoreError> {
     let mut number = 1_u32;
     let aside = loop {

@@ -1,15 +1,19 @@
-//! How records lie in an ordered table of bytes: keys, checksummed and versioned values, typed reading.
+//! The encoding of records in an ordered table of bytes: keys, checksummed and versioned values, typed
+//! reading.
 //!
 //! Both stores keep one such table, so both read and change it with the same code. A value is
-//! `[version u8][crc32c u32 LE][JSON]`; the checksum covers key, version and JSON, so a value under a wrong key
+//! `[version u8][crc32c u32 LE][JSON]`; the checksum covers key, version and JSON, so a value under a wrong
+//! key
 //! is found as surely as a damaged one. Nothing here decides anything (`rules.rs`) or writes to a disk.
 
 use std::collections::BTreeMap;
 
 use serde::{Serialize, de::DeserializeOwned};
 
-use super::records::{Digest, JobRecord, SceneRecord, TileRecord};
-use super::{JobPhase, StoreError};
+use super::error::StoreError;
+use super::limits::check_length;
+use super::records::{JobRecord, SceneRecord, TileRecord};
+use crate::ids::{Digest, JobId, TileIndex};
 
 /// Values are kept below this, because sled's space grows on every overwrite of a large one.
 pub(super) const MAX_VALUE_BYTES: usize = 4096;
@@ -17,7 +21,7 @@ const VALUE_VERSION: u8 = 1;
 const VALUE_HEADER: usize = 5;
 
 pub(super) type Bytes = Vec<u8>;
-/// What an event changes: the new value of each key, `None` where the key goes.
+/// The changes of an event: the new value of each key, `None` for a key that is removed.
 pub(super) type Changes = BTreeMap<Bytes, Option<Bytes>>;
 
 /// An ordered table of bytes.
@@ -41,7 +45,7 @@ impl Table for BTreeMap<Bytes, Bytes> {
     }
 }
 
-/// Changes not yet written, seen as if they were.
+/// A table with changes that are not written yet.
 pub(super) struct Over<'a> {
     pub(super) under: &'a dyn Table,
     pub(super) changes: &'a Changes,
@@ -71,7 +75,8 @@ impl Table for Over<'_> {
 
 /// The keys. One letter says the kind; numbers are big-endian, so that they sort.
 pub(super) mod key {
-    use super::{Bytes, Digest};
+    use super::Bytes;
+    use crate::ids::{Digest, JobId, TileIndex};
 
     pub(in crate::store) const SCENES: &[u8] = b"s";
     pub(in crate::store) const JOBS: &[u8] = b"j";
@@ -86,24 +91,24 @@ pub(super) mod key {
     pub(in crate::store) fn scene(digest: &Digest) -> Bytes {
         join(&[SCENES, digest])
     }
-    pub(in crate::store) fn job(job: u64) -> Bytes {
-        join(&[JOBS, &job.to_be_bytes()])
+    pub(in crate::store) fn job(job: JobId) -> Bytes {
+        join(&[JOBS, &job.0.to_be_bytes()])
     }
     /// Jobs by key: an empty fact whose last eight bytes are the job's id.
     pub(in crate::store) fn jobs_of_key(key: &Digest) -> Bytes {
         join(&[b"k", key])
     }
-    pub(in crate::store) fn job_of_key(key: &Digest, job: u64) -> Bytes {
-        join(&[b"k", key, &job.to_be_bytes()])
+    pub(in crate::store) fn job_of_key(key: &Digest, job: JobId) -> Bytes {
+        join(&[b"k", key, &job.0.to_be_bytes()])
     }
     pub(in crate::store) fn request(request_id: &str) -> Bytes {
         join(&[REQUESTS, request_id.as_bytes()])
     }
-    pub(in crate::store) fn tiles(job: u64) -> Bytes {
-        join(&[b"t", &job.to_be_bytes()])
+    pub(in crate::store) fn tiles(job: JobId) -> Bytes {
+        join(&[b"t", &job.0.to_be_bytes()])
     }
-    pub(in crate::store) fn tile(job: u64, tile: u32) -> Bytes {
-        join(&[b"t", &job.to_be_bytes(), &tile.to_be_bytes()])
+    pub(in crate::store) fn tile(job: JobId, tile: TileIndex) -> Bytes {
+        join(&[b"t", &job.0.to_be_bytes(), &tile.0.to_be_bytes()])
     }
 }
 
@@ -115,7 +120,7 @@ fn checksum(key: &[u8], body: &[u8]) -> u32 {
 /// A record as the value under `key`.
 pub(super) fn encode<T: Serialize>(key: &[u8], record: &T) -> Result<Bytes, StoreError> {
     let body = serde_json::to_vec(record).map_err(|e| StoreError::View { what: e.to_string() })?;
-    super::records::check_length("the record", VALUE_HEADER + body.len(), MAX_VALUE_BYTES)?;
+    check_length("the record", VALUE_HEADER + body.len(), MAX_VALUE_BYTES)?;
     let mut value = vec![VALUE_VERSION];
     value.extend(checksum(key, &body).to_le_bytes());
     value.extend(body);
@@ -158,12 +163,12 @@ impl View<'_> {
         self.all(key::SCENES)
     }
 
-    pub(super) fn job(self, job: u64) -> Result<Option<JobRecord>, StoreError> {
+    pub(super) fn job(self, job: JobId) -> Result<Option<JobRecord>, StoreError> {
         self.one(&key::job(job))
     }
 
-    /// A job that must be there.
-    pub(super) fn known_job(self, job: u64) -> Result<JobRecord, StoreError> {
+    /// A job that must exist.
+    pub(super) fn known_job(self, job: JobId) -> Result<JobRecord, StoreError> {
         self.job(job)?.ok_or(StoreError::UnknownJob { job })
     }
 
@@ -172,7 +177,7 @@ impl View<'_> {
     }
 
     pub(super) fn job_by_key(self, digest: &Digest) -> Result<Option<JobRecord>, StoreError> {
-        let ids: Vec<u64> = self.all(&key::jobs_of_key(digest))?;
+        let ids: Vec<JobId> = self.all(&key::jobs_of_key(digest))?;
         ids.into_iter().max().map(|id| self.known_job(id)).transpose()
     }
 
@@ -180,15 +185,15 @@ impl View<'_> {
         if request_id.is_empty() {
             return Ok(None);
         }
-        let id: Option<u64> = self.one(&key::request(request_id))?;
+        let id: Option<JobId> = self.one(&key::request(request_id))?;
         id.map(|id| self.known_job(id)).transpose()
     }
 
     /// The request ids a job answers.
-    pub(super) fn requests_of(self, job: u64) -> Result<Vec<Bytes>, StoreError> {
+    pub(super) fn requests_of(self, job: JobId) -> Result<Vec<Bytes>, StoreError> {
         let mut keys = Vec::new();
         for (key, value) in self.0.scan(key::REQUESTS)? {
-            if decode::<u64>(&key, &value)? == job {
+            if decode::<JobId>(&key, &value)? == job {
                 keys.push(key);
             }
         }
@@ -196,25 +201,29 @@ impl View<'_> {
     }
 
     /// Tiles of which something was recorded, ascending.
-    pub(super) fn recorded_tiles(self, job: u64) -> Result<Vec<TileRecord>, StoreError> {
+    pub(super) fn recorded_tiles(self, job: JobId) -> Result<Vec<TileRecord>, StoreError> {
         self.all(&key::tiles(job))
     }
 
-    pub(super) fn tiles(self, job: u64) -> Result<Vec<TileRecord>, StoreError> {
+    pub(super) fn tiles(self, job: JobId) -> Result<Vec<TileRecord>, StoreError> {
         let tiles = self.known_job(job)?.tiles;
-        let mut all: Vec<TileRecord> = (0..tiles).map(TileRecord::open).collect();
+        let mut all: Vec<TileRecord> = (0..tiles).map(|tile| TileRecord::open(TileIndex(tile))).collect();
         for record in self.recorded_tiles(job)? {
-            if let Some(slot) = all.get_mut(record.tile as usize) {
+            if let Some(slot) = all.get_mut(record.tile.at()) {
                 *slot = record;
             }
         }
         Ok(all)
     }
 
-    /// A job and one tile of it, which must be there.
-    pub(super) fn job_and_tile(self, job: u64, tile: u32) -> Result<(JobRecord, TileRecord), StoreError> {
+    /// A job and one tile of it, which must exist.
+    pub(super) fn job_and_tile(
+        self,
+        job: JobId,
+        tile: TileIndex,
+    ) -> Result<(JobRecord, TileRecord), StoreError> {
         let record = self.known_job(job)?;
-        if tile >= record.tiles {
+        if tile.0 >= record.tiles {
             return Err(StoreError::UnknownTile { job, tile, tiles: record.tiles });
         }
         let found = self.one(&key::tile(job, tile))?.unwrap_or_else(|| TileRecord::open(tile));
@@ -225,12 +234,7 @@ impl View<'_> {
         Ok(self.one(key::EPOCH)?.unwrap_or(0))
     }
 
-    pub(super) fn next_job(self) -> Result<u64, StoreError> {
-        Ok(self.one(key::NEXT_JOB)?.unwrap_or(1))
+    pub(super) fn next_job(self) -> Result<JobId, StoreError> {
+        Ok(self.one(key::NEXT_JOB)?.unwrap_or(JobId(1)))
     }
-}
-
-/// A refused transition.
-pub(super) fn illegal(job: u64, is: JobPhase, wanted: &'static str) -> StoreError {
-    StoreError::IllegalTransition { job, is, wanted }
 }

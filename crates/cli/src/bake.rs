@@ -127,9 +127,8 @@ async fn bake(
     probing: Probing,
     output: &Output,
 ) -> Result<Outcome, CliError> {
-    let listener = sightline_coordinator::server::listen(([127, 0, 0, 1], 0).into(), false)
-        .await
-        .map_err(CliError::internal)?;
+    let listener =
+        sightline_coordinator::listen(([127, 0, 0, 1], 0).into(), false).await.map_err(CliError::internal)?;
     let url = format!("http://{}", listener.local_addr().map_err(CliError::internal)?);
     let server = tokio::spawn(sightline_coordinator::serve(
         Arc::clone(&coordinator),

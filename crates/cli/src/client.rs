@@ -1,4 +1,4 @@
-//! Talking to a coordinator: connect, upload a scene, submit, follow, fetch.
+//! The client's side of a coordinator: connect, upload a scene, follow a job, fetch a result.
 
 use std::collections::BTreeSet;
 use std::io::Write as _;
@@ -30,19 +30,20 @@ pub async fn channel(url: &str) -> Result<Channel, CliError> {
         .map_err(|e| {
             let reason = std::error::Error::source(&e).map_or_else(|| e.to_string(), ToString::to_string);
             CliError::Coordinator(format!(
-                "no coordinator answers at {url} ({reason}); start one with `sightline coordinator`, or name another with --coordinator"
+                "no coordinator answers at {url} ({reason}); start one with `sightline coordinator`, or name \
+                 another with --coordinator"
             ))
         })
 }
 
-/// Uploads what the coordinator lacks of a scene.
+/// Uploads the chunks of a scene that the coordinator lacks.
 pub async fn upload(client: &mut JobsClient<Channel>, scene: &Scene) -> Result<(), CliError> {
     let blob = scene.to_blob();
     let whole = blake3::hash(&blob).as_bytes().to_vec();
     let digests: Vec<Vec<u8>> =
         blob.chunks(CHUNK_BYTES).map(|p| blake3::hash(p).as_bytes().to_vec()).collect();
     let put = v1::PutSceneRequest { chunks: digests.clone(), digest: whole };
-    // A scene that is there already needs nothing but its digest.
+    // A scene that the coordinator has needs only its digest.
     match client.put_scene(put.clone()).await {
         Ok(_) => return Ok(()),
         Err(s) if s.code() == tonic::Code::FailedPrecondition => {}
@@ -52,7 +53,7 @@ pub async fn upload(client: &mut JobsClient<Channel>, scene: &Scene) -> Result<(
     let missing =
         client.missing_chunks(request).await.map_err(|s| CliError::status(&s))?.into_inner().digests;
     let missing: BTreeSet<Vec<u8>> = missing.into_iter().collect();
-    // Copied one at a time, as they are sent.
+    // Each chunk is copied when it is sent.
     let needed: Vec<usize> = (0..put.chunks.len()).filter(|i| missing.contains(&put.chunks[*i])).collect();
     let chunks = needed.into_iter().map(move |i| {
         let start = i * CHUNK_BYTES;
@@ -64,14 +65,14 @@ pub async fn upload(client: &mut JobsClient<Channel>, scene: &Scene) -> Result<(
     Ok(())
 }
 
-/// A request id nobody else has: submitting is then idempotent for this call, and the job's key finds older jobs.
+/// A unique request id: submitting is idempotent within this call, and the job's key finds older jobs.
 pub fn fresh_request_id() -> String {
     let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.as_nanos());
     format!("cli-{}-{now:x}", std::process::id())
 }
 
-/// Follows a job until it ends, showing progress; gives its last state.
-/// `workers_here`: they are of this process and will come without anyone's doing.
+/// Follows a job until it ends, showing progress; returns its last state.
+/// `workers_here`: the workers are in this process and need not be started by anybody.
 pub async fn follow(
     client: &mut JobsClient<Channel>,
     job: u64,
@@ -87,7 +88,7 @@ pub async fn follow(
         last = Some(message);
     }
     progress.end();
-    last.ok_or_else(|| CliError::Coordinator("the coordinator ended the stream without a word".to_owned()))
+    last.ok_or_else(|| CliError::Coordinator("the coordinator ended the stream without a state".to_owned()))
 }
 
 /// Turns a job that ended without a result into an error.
@@ -106,7 +107,8 @@ pub fn must_be_done(job: &v1::Job) -> Result<(), CliError> {
     }
 }
 
-/// Downloads a result to `output`, which is replaced only when the whole has arrived and has its digest.
+/// Downloads a result to `output`, which is replaced only when all of it has arrived and has the job's
+/// digest.
 pub async fn fetch(
     client: &mut JobsClient<Channel>,
     job: &v1::Job,
@@ -114,7 +116,7 @@ pub async fn fetch(
 ) -> Result<u64, CliError> {
     let request = v1::ShowRequest { job: job.id };
     let mut stream = client.fetch(request).await.map_err(|s| CliError::status(&s))?.into_inner();
-    // Written as it arrives: with certificates it may be more than fits in memory.
+    // Written as it arrives: a result with certificates may exceed memory.
     let mut part = output.begin()?;
     let (mut sequence, mut hasher) = (Sequence::new(MAX_RESULT), blake3::Hasher::new());
     while let Some(chunk) = stream.next().await {

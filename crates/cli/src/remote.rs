@@ -1,4 +1,6 @@
-//! What a client asks of a coordinator: submit, watch, jobs, show, cancel, pause, resume, retry, fetch, health.
+//! The commands of a client: submit, watch, jobs, show, cancel, pause, resume, retry, fetch, health.
+
+use std::time::Duration;
 
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
@@ -8,19 +10,19 @@ use crate::args::{FetchArgs, JobRefArgs, RemoteArgs, SubmitArgs};
 use crate::client;
 use crate::error::CliError;
 use crate::output::{Format, Output};
-use crate::progress::say;
+use crate::progress::{human, say};
 use crate::serve::{print, runtime};
 
-/// What may be done to a job.
+/// A change of a job's state.
 #[derive(Clone, Copy)]
 pub enum Turn {
     /// End it.
     Cancel,
-    /// Give out no more tiles.
+    /// Grant no more tiles.
     Pause,
-    /// Go on after a pause.
+    /// Continue after a pause.
     Resume,
-    /// Go on after a failure or an end.
+    /// Continue after a failure or a cancellation.
     Retry,
 }
 
@@ -43,7 +45,7 @@ fn with<T, F: Future<Output = Result<T, CliError>>>(
     })
 }
 
-/// Asks whether a coordinator serves.
+/// Checks whether a coordinator serves.
 pub fn health(args: &RemoteArgs, json: bool) -> Result<(), CliError> {
     runtime()?.block_on(async {
         let channel = client::channel(&args.coordinator).await?;
@@ -59,7 +61,7 @@ pub fn health(args: &RemoteArgs, json: bool) -> Result<(), CliError> {
     })
 }
 
-/// Sends a scene and a job.
+/// Uploads a scene and submits a job.
 pub fn submit(args: &SubmitArgs, json: bool) -> Result<(), CliError> {
     let scene = sightline_scene::load(&args.scene)?;
     let spec = args.job.spec(&args.scene, &scene)?;
@@ -76,15 +78,16 @@ pub fn submit(args: &SubmitArgs, json: bool) -> Result<(), CliError> {
     })?;
     let job = answer.job.unwrap_or_default();
     if answer.existing {
-        say(&format!("job {} does this already", job.id));
+        say(&format!("job {} has the same result already", job.id));
     }
     if json { print(&value(&job).to_string()) } else { print(&job.id.to_string()) }
 }
 
-/// Follows a job until it ends.
+/// Follows a job until it ends, and says how it ended.
 pub fn watch(args: &JobRefArgs, json: bool) -> Result<(), CliError> {
     let job =
         with(&args.remote, |mut client| async move { client::follow(&mut client, args.id, false).await })?;
+    say(&ending(&job));
     show_job(&job, json)?;
     client::must_be_done(&job)
 }
@@ -143,6 +146,20 @@ pub fn fetch(args: &FetchArgs, json: bool) -> Result<(), CliError> {
         return print(&value.to_string());
     }
     print(&format!("wrote {} ({bytes} bytes)", args.output.display()))
+}
+
+/// How a job ended and after how long, with the next command. A failure's reason and the command after a
+/// cancellation are in the error that the program ends with.
+fn ending(job: &v1::Job) -> String {
+    let took = Duration::from_millis(job.finished_at_ms.saturating_sub(job.submitted_at_ms));
+    let next = match job.state() {
+        v1::JobState::Done => {
+            let bytes = job.result_bytes;
+            format!("; its result has {bytes} bytes, `sightline fetch {} -o FILE.pvs` downloads it", job.id)
+        }
+        _ => String::new(),
+    };
+    format!("job {} ended as {} {} after its submission{next}", job.id, state(job), human(took))
 }
 
 fn show_job(job: &v1::Job, json: bool) -> Result<(), CliError> {
@@ -204,4 +221,26 @@ fn value(job: &v1::Job) -> serde_json::Value {
         "finished_at_ms": job.finished_at_ms, "result": hex(&job.result),
         "result_bytes": job.result_bytes, "workers": job.workers,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ending_of_a_job_names_its_state_its_time_and_the_next_command() {
+        let mut job = v1::Job {
+            id: 7,
+            submitted_at_ms: 1000,
+            finished_at_ms: 62_000,
+            result_bytes: 12,
+            ..v1::Job::default()
+        };
+        job.set_state(v1::JobState::Done);
+        let text = ending(&job);
+        assert!(text.starts_with("job 7 ended as done ") && text.contains("sightline fetch 7"), "{text}");
+        job.set_state(v1::JobState::Cancelled);
+        let text = ending(&job);
+        assert!(text.starts_with("job 7 ended as cancelled ") && !text.contains("fetch"), "{text}");
+    }
 }

@@ -18,7 +18,7 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
     let coordinator =
         Coordinator::open(Config::new(args.data_dir.clone())).map_err(|e| CliError::Input(e.to_string()))?;
     runtime()?.block_on(async {
-        let listener = sightline_coordinator::server::listen(args.listen, args.allow_plaintext)
+        let listener = sightline_coordinator::listen(args.listen, args.allow_plaintext)
             .await
             .map_err(|e| CliError::Usage(e.to_string()))?;
         let address = listener.local_addr().map_err(CliError::internal)?;
@@ -106,8 +106,9 @@ pub fn threads(asked: Option<usize>) -> usize {
     asked.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from)).clamp(1, 1024)
 }
 
-/// Sets how many threads reading scenes, sampling, queries and the coding of results are spread over, for the whole process;
-/// before any of them asks. Tiles themselves run on threads of their own, so that one never waits inside another.
+/// Sets how many threads reading scenes, sampling, queries and the coding of results are spread over, for the
+/// whole process; before any of them asks. Tiles themselves run on threads of their own, so that one never
+/// waits inside another.
 pub fn use_threads(threads: usize) -> Result<(), CliError> {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().map_err(CliError::internal)
 }
@@ -133,10 +134,13 @@ pub fn print(text: &str) -> Result<(), CliError> {
     }
 }
 
+/// The host's name, the process and a random number: containers may share the first two.
 fn default_name() -> String {
+    use std::hash::{BuildHasher as _, RandomState};
     let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     let host: String =
         host.trim().chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').take(40).collect();
     let host = if host.is_empty() { "worker".to_owned() } else { host };
-    format!("{host}-{}", std::process::id())
+    let (process, random) = (std::process::id(), RandomState::new().hash_one(0) as u16);
+    format!("{host}-{process}-{random:04x}")
 }

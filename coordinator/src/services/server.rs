@@ -1,4 +1,4 @@
-//! The coordinator on the network: the two services, health and reflection, and the clock that takes leases back.
+//! The coordinator on the network: its two services, health, reflection, and the tick of every second.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -10,19 +10,21 @@ use tokio::net::TcpListener;
 use tonic::transport::Server;
 use tonic::transport::server::TcpIncoming;
 
-use crate::core::Coordinator;
-use crate::jobs_service::JobsService;
-use crate::workers_service::WorkersService;
+use super::jobs::JobsService;
+use super::workers::WorkersService;
+use crate::lifecycle;
+use crate::state::Coordinator;
 
-/// How often leases are looked at.
+/// How often leases are checked.
 const TICK: Duration = Duration::from_secs(1);
 
-/// Why the coordinator cannot serve, or stopped.
+/// A coordinator that cannot serve, or whose server stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
-    /// Plain text beyond this machine.
+    /// The address would carry plain text beyond this machine.
     #[error(
-        "{0} can be reached from other machines and traffic would not be encrypted; listen on 127.0.0.1, or say --allow-plaintext when the network is private"
+        "{0} can be reached from other machines and traffic would not be encrypted; listen on 127.0.0.1, or \
+         say --allow-plaintext when the network is private"
     )]
     Plaintext(SocketAddr),
     /// The address cannot be listened on.
@@ -30,10 +32,10 @@ pub enum ServeError {
     Listen {
         /// The address.
         address: SocketAddr,
-        /// What the system said.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// The server broke.
+    /// The server ended by itself.
     #[error("the server stopped: {0}")]
     Broken(String),
 }
@@ -67,22 +69,20 @@ pub async fn serve(
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
         .build_v1()
         .map_err(|e| broken(&e))?;
-    let clock = {
+    let ticks = {
         let coordinator = Arc::clone(&coordinator);
         tokio::spawn(async move {
             let mut tick = tokio::time::interval(TICK);
             loop {
                 tick.tick().await;
                 let c = Arc::clone(&coordinator);
-                if let Err(e) = tokio::task::spawn_blocking(move || c.reap()).await {
-                    tracing::error!("looking at the leases panicked: {e}");
+                if let Err(e) = tokio::task::spawn_blocking(move || lifecycle::tick(&c)).await {
+                    tracing::error!("checking the leases panicked: {e}");
                 }
             }
         })
     };
-    // Streams that stay open (workers, watchers) would hold up a graceful end for ever; they are cut off, and what
-    // they were promised is already on disk.
-    // Without it every small answer waits 40 ms for the acknowledgement of the one before.
+    // Without nodelay every small answer waits 40 ms for the acknowledgement of the one before.
     let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
     let server = Server::builder()
         .http2_keepalive_interval(Some(Duration::from_secs(10)))
@@ -91,10 +91,12 @@ pub async fn serve(
         .add_service(JobsServer::new(JobsService(Arc::clone(&coordinator))))
         .add_service(WorkersServer::new(WorkersService(coordinator)))
         .serve_with_incoming(incoming);
+    // Streams that stay open (workers, watchers) would delay a graceful end for ever. They are cut off: every
+    // acknowledged change is on the disk already.
     let ended = tokio::select! {
         r = server => r.map_err(|e| broken(&e)),
         () = stop => Ok(()),
     };
-    clock.abort();
+    ticks.abort();
     ended
 }

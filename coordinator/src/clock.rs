@@ -1,0 +1,61 @@
+//! The coordinator's clock: the system's, or one that a test moves by hand.
+
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+/// A point in time on both of the clocks that the coordinator uses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Moment {
+    /// Monotonic time, for leases and waits.
+    pub at: Instant,
+    /// Milliseconds since 1970, for records that people read and for time budgets.
+    pub unix_ms: u64,
+}
+
+/// A source of time.
+pub trait Clock: Send + Sync {
+    /// The current time.
+    fn now(&self) -> Moment;
+}
+
+/// The system's clocks.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SystemClock;
+
+impl Clock for SystemClock {
+    fn now(&self) -> Moment {
+        let unix_ms = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_millis() as u64);
+        Moment { at: Instant::now(), unix_ms }
+    }
+}
+
+/// A clock that stands still until [`ManualClock::advance`] moves it. For tests.
+#[derive(Debug)]
+pub struct ManualClock(Mutex<Moment>);
+
+impl Default for ManualClock {
+    /// A clock that begins at the system's current time.
+    fn default() -> Self {
+        Self(Mutex::new(SystemClock.now()))
+    }
+}
+
+impl ManualClock {
+    /// Moves the clock forward.
+    pub fn advance(&self, by: Duration) {
+        let mut now = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        *now = Moment { at: now.at + by, unix_ms: now.unix_ms + by.as_millis() as u64 };
+    }
+}
+
+impl Clock for ManualClock {
+    fn now(&self) -> Moment {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl<C: Clock + ?Sized> Clock for std::sync::Arc<C> {
+    fn now(&self) -> Moment {
+        (**self).now()
+    }
+}

@@ -1,0 +1,193 @@
+//! Jobs after their submission: summaries, cancel, pause, resume, retry, and where their results are.
+
+use std::sync::Arc;
+
+use prost::Message as _;
+use sightline_model::JobSpec;
+use sightline_proto::v1;
+
+use crate::ids::{Digest, JobId};
+use crate::results;
+use crate::scheduler::{Job, Slot, cells_total};
+use crate::state::Coordinator;
+use crate::store::{JobPhase, JobRecord, JobState, StoreError, TileState};
+
+/// A job that cannot be changed or fetched.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum JobError {
+    /// Another version of the program began the job.
+    #[error("{0}")]
+    Outdated(String),
+    /// The job has no result yet, or will have none.
+    #[error("job {job} is {phase} and has no result yet; `sightline watch {job}` follows it")]
+    NoResult {
+        /// The job.
+        job: JobId,
+        /// Its state.
+        phase: JobPhase,
+    },
+    /// The store failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+/// A job with the totals of its tiles. Derived from its record and its tiles, never stored.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Summary {
+    pub(crate) record: JobRecord,
+    pub(crate) tiles_total: u32,
+    pub(crate) tiles_done: u32,
+    pub(crate) tiles_set_aside: u32,
+    pub(crate) tiles_running: u32,
+    pub(crate) cells_done: u64,
+    /// 0 while unknown.
+    pub(crate) cells_total: u64,
+    /// Samples of finished and of running tiles.
+    pub(crate) samples: u64,
+    /// Time that workers spent on finished tiles, in milliseconds.
+    pub(crate) tile_millis: u64,
+    /// Connected workers.
+    pub(crate) workers: u32,
+}
+
+impl Summary {
+    fn of(record: JobRecord, slots: &[Slot], cells_total: u64, workers: u32) -> Self {
+        let mut sum = Self {
+            record,
+            tiles_total: slots.len() as u32,
+            tiles_done: 0,
+            tiles_set_aside: 0,
+            tiles_running: 0,
+            cells_done: 0,
+            cells_total,
+            samples: 0,
+            tile_millis: 0,
+            workers,
+        };
+        for slot in slots {
+            match &slot.state {
+                TileState::Open => {}
+                TileState::Done { stats, .. } => {
+                    sum.tiles_done += 1;
+                    sum.cells_done = sum.cells_done.saturating_add(stats.cells);
+                    sum.samples = sum.samples.saturating_add(stats.samples);
+                    sum.tile_millis = sum.tile_millis.saturating_add(stats.millis);
+                }
+                TileState::SetAside { .. } => sum.tiles_set_aside += 1,
+            }
+            if let Some(l) = &slot.lease {
+                sum.tiles_running += 1;
+                sum.cells_done = sum.cells_done.saturating_add(l.cells);
+                sum.samples = sum.samples.saturating_add(l.samples);
+            }
+        }
+        sum
+    }
+
+    /// Whether the job has ended.
+    pub(crate) fn ended(&self) -> bool {
+        self.record.state.phase().ended()
+    }
+}
+
+/// A job's record.
+///
+/// # Errors
+/// [`StoreError::UnknownJob`], or the store's.
+fn record(c: &Coordinator, job: JobId) -> Result<JobRecord, StoreError> {
+    c.store.job(job)?.ok_or(StoreError::UnknownJob { job })
+}
+
+/// The summary of a job.
+pub(crate) fn summary(c: &Coordinator, id: JobId) -> Result<Summary, StoreError> {
+    let scheduler = c.lock();
+    let workers = scheduler.workers.len() as u32;
+    if let Some(job) = scheduler.jobs.get(&id) {
+        let total = cells_total(&job.spec, &job.plan);
+        return Ok(Summary::of(job.record.clone(), &job.slots, total, workers));
+    }
+    drop(scheduler);
+    let record = record(c, id)?;
+    let slots: Vec<Slot> = c.store.tiles(id)?.into_iter().map(|t| Slot::new(t.state)).collect();
+    // The specification of another version cannot be planned; the number of its cells is unknown then.
+    let total = v1::JobSpec::decode(record.spec.as_slice())
+        .ok()
+        .and_then(|m| JobSpec::from_proto(&m, None).ok())
+        .and_then(|s| s.plan().ok().map(|(_, plan)| cells_total(&s, &plan)))
+        .unwrap_or(0);
+    Ok(Summary::of(record, &slots, total, workers))
+}
+
+/// The summaries of all jobs, in the order of their submission.
+pub(crate) fn list(c: &Coordinator) -> Result<Vec<Summary>, StoreError> {
+    c.store.jobs()?.iter().map(|job| summary(c, job.id)).collect()
+}
+
+/// The digest of a done job's result.
+pub(crate) fn result(c: &Coordinator, job: JobId) -> Result<Digest, JobError> {
+    match record(c, job)?.state {
+        JobState::Done { result, .. } => Ok(result),
+        state => Err(JobError::NoResult { job, phase: state.phase() }),
+    }
+}
+
+/// Ends a job that has not ended.
+pub(crate) fn cancel(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobError> {
+    turn(c, job, &[JobPhase::Queued, JobPhase::Running, JobPhase::Paused], JobState::Cancelled)
+}
+
+/// Stops granting tiles of a job, and takes back those that are leased.
+pub(crate) fn pause(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobError> {
+    turn(c, job, &[JobPhase::Queued, JobPhase::Running], JobState::Paused)
+}
+
+/// Continues a paused job.
+pub(crate) fn resume(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobError> {
+    turn(c, job, &[JobPhase::Paused], JobState::Queued)
+}
+
+/// Moves a job to another state.
+fn turn(c: &Arc<Coordinator>, id: JobId, from: &[JobPhase], to: JobState) -> Result<Summary, JobError> {
+    // Under the scheduler's lock, so that no tile is leased or committed in between.
+    let mut scheduler = c.lock();
+    let record = c.store.set_job_state(id, from, to, c.now().unix_ms)?;
+    tracing::info!("job {id} is {}", record.state.phase());
+    if !matches!(record.state, JobState::Queued | JobState::Running) {
+        scheduler.revoke_job(id);
+    }
+    if record.state.phase().ended() {
+        scheduler.jobs.remove(&id);
+    } else if let Some(job) = scheduler.jobs.get_mut(&id) {
+        job.record = record;
+    }
+    drop(scheduler);
+    c.grant_tiles();
+    results::assemble_ready(c);
+    c.changed();
+    Ok(summary(c, id)?)
+}
+
+/// Continues a failed or cancelled job, or a done one with tiles set aside, with the tiles that it has. A job
+/// that has not ended stays as it is.
+pub(crate) fn retry(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobError> {
+    // Under the scheduler's lock, so that the job does not end in between.
+    let mut scheduler = c.lock();
+    let before = record(c, id)?;
+    if !before.state.phase().ended() {
+        drop(scheduler);
+        return Ok(summary(c, id)?);
+    }
+    // Checked first: otherwise the job would be open in the store and absent from the scheduler.
+    Job::of(before, c.store.tiles(id)?).map_err(JobError::Outdated)?;
+    c.store.reopen_tiles(id)?;
+    let after = record(c, id)?;
+    if !after.state.phase().ended() {
+        scheduler.take_up(after, c.store.tiles(id)?).map_err(JobError::Outdated)?;
+        tracing::info!("job {id} is tried again");
+    }
+    drop(scheduler);
+    c.grant_tiles();
+    results::assemble_ready(c);
+    c.changed();
+    Ok(summary(c, id)?)
+}

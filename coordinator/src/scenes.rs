@@ -1,0 +1,231 @@
+//! Scenes: uploaded in chunks or handed over in memory, checked, recorded, and the facts that planning needs.
+
+use std::sync::{Arc, PoisonError};
+
+use glam::Vec3;
+use sightline_scene::{Scene, SceneError};
+
+use crate::ids::Digest;
+use crate::state::{Coordinator, SceneFacts};
+use crate::store::{BlobError, SceneRecord, StoreError};
+
+/// The facts of a stored scene cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum FactsError {
+    /// The scene's blob cannot be read.
+    #[error(transparent)]
+    Blob(#[from] BlobError),
+    /// The blob is not a scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+}
+
+/// A scene cannot be stored.
+#[derive(Debug, thiserror::Error)]
+pub enum TakeError {
+    /// Its blob cannot be written.
+    #[error(transparent)]
+    Blob(#[from] BlobError),
+    /// Its record cannot be written.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+/// An upload that does not become a scene.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum UploadError {
+    /// A chunk was never uploaded.
+    #[error("a chunk of the scene is not here yet; ask MissingChunks which, put it, and try again")]
+    ChunkMissing,
+    /// A stored chunk was damaged and has been removed.
+    #[error("a chunk of the scene was damaged and is gone; ask MissingChunks which, put it, and try again")]
+    ChunkDamaged,
+    /// The chunks do not make the announced whole.
+    #[error("{0}")]
+    Mismatch(BlobError),
+    /// The whole is not a scene.
+    #[error(transparent)]
+    Scene(SceneError),
+    /// A blob cannot be read or written.
+    #[error(transparent)]
+    Blob(#[from] BlobError),
+    /// The store failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+impl Coordinator {
+    /// Stores a scene of this process as an upload would, without chunks and without reading it back.
+    ///
+    /// # Errors
+    /// When its blob or its record cannot be written.
+    pub fn take_scene(&self, scene: &Scene) -> Result<Digest, TakeError> {
+        let bytes = scene.to_blob();
+        let digest = self.blobs.put(&bytes)?;
+        remember(self, digest, scene);
+        self.store.record_scene(record_of(digest, bytes.len(), scene))?;
+        Ok(digest)
+    }
+}
+
+/// Those of the digests that name no stored blob.
+pub(crate) fn missing(c: &Coordinator, digests: Vec<Digest>) -> Result<Vec<Digest>, BlobError> {
+    let mut missing = Vec::new();
+    for digest in digests {
+        if !c.blobs.has(&digest)? {
+            missing.push(digest);
+        }
+    }
+    Ok(missing)
+}
+
+/// Stores a chunk. It need not survive a power failure: its sender still has it.
+pub(crate) fn put_chunk(c: &Coordinator, bytes: &[u8]) -> Result<Digest, BlobError> {
+    c.blobs.put_unsynced(bytes)
+}
+
+/// Joins stored chunks to a scene, checks and records it, and removes the chunks.
+pub(crate) fn put_scene(
+    c: &Coordinator,
+    whole: Digest,
+    chunks: &[Digest],
+) -> Result<SceneRecord, UploadError> {
+    // A scene of one chunk has its chunk's digest, and chunks are not synced: it is written again below.
+    if let Some(known) = c.store.scene(&whole)?
+        && chunks != [whole]
+        && c.blobs.has(&whole)?
+    {
+        match c.blobs.read(&whole) {
+            Ok(_) => return Ok(known),
+            // Removed, so that its chunks are missing and the client sends them again: workers would fetch
+            // the damaged scene for ever.
+            Err(e @ BlobError::Damaged { .. }) => {
+                tracing::warn!("{e}; it is uploaded again now");
+                c.blobs.remove(&whole)?;
+            }
+            Err(e) => return Err(e.into()),
+        }
+    }
+    join(c, whole, chunks)?;
+    let bytes = c.blobs.read(&whole)?;
+    let scene = Scene::from_blob("uploaded scene", &bytes).map_err(|e| {
+        // A blob that is not a scene is not kept.
+        remove(c, &whole);
+        UploadError::Scene(e)
+    })?;
+    remember(c, whole, &scene);
+    let record = record_of(whole, bytes.len(), &scene);
+    c.store.record_scene(record.clone())?;
+    // The whole is kept; its chunks are no longer needed. A single chunk is the whole.
+    for chunk in chunks.iter().filter(|chunk| **chunk != whole) {
+        remove(c, chunk);
+    }
+    Ok(record)
+}
+
+/// Writes stored chunks as one blob.
+fn join(c: &Coordinator, whole: Digest, chunks: &[Digest]) -> Result<(), UploadError> {
+    let mut writer = c.blobs.put_stream()?;
+    for chunk in chunks {
+        if !c.blobs.has(chunk)? {
+            return Err(UploadError::ChunkMissing);
+        }
+        match c.blobs.read(chunk) {
+            Ok(bytes) => writer.append(&bytes)?,
+            // Chunks are not synced to the disk: after a power failure one may be truncated.
+            Err(e @ BlobError::Damaged { .. }) => {
+                tracing::warn!("{e}; it is uploaded again now");
+                c.blobs.remove(chunk)?;
+                return Err(UploadError::ChunkDamaged);
+            }
+            Err(e) => return Err(e.into()),
+        }
+    }
+    writer.finish(Some(&whole)).map_err(|e| match e {
+        e @ BlobError::NoSpace { .. } => UploadError::Blob(e),
+        e => UploadError::Mismatch(e),
+    })?;
+    Ok(())
+}
+
+fn remove(c: &Coordinator, digest: &Digest) {
+    if let Err(e) = c.blobs.remove(digest) {
+        tracing::warn!("{e}");
+    }
+}
+
+fn record_of(digest: Digest, bytes: usize, scene: &Scene) -> SceneRecord {
+    let (triangles, objects) = (scene.len(), scene.objects().len() as u32);
+    SceneRecord { digest, bytes: bytes as u64, triangles, objects }
+}
+
+/// The record of a scene.
+///
+/// # Errors
+/// [`StoreError::UnknownScene`], or the store's.
+pub(crate) fn known(c: &Coordinator, scene: Digest) -> Result<SceneRecord, StoreError> {
+    c.store.scene(&scene)?.ok_or(StoreError::UnknownScene { scene })
+}
+
+/// Least and greatest corner of a stored scene's bounds.
+pub(crate) fn bounds(c: &Coordinator, scene: &Digest) -> Result<[Vec3; 2], FactsError> {
+    let facts = facts(c, scene)?;
+    Ok([facts.bounds.min, facts.bounds.max])
+}
+
+/// The facts of a stored scene.
+pub(crate) fn facts(c: &Coordinator, digest: &Digest) -> Result<Arc<SceneFacts>, FactsError> {
+    let last = c.last_scene.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    match last {
+        Some((d, facts)) if d == *digest => Ok(facts),
+        _ => {
+            let scene = Scene::from_blob("stored scene", &c.blobs.read(digest)?)?;
+            Ok(remember(c, *digest, &scene))
+        }
+    }
+}
+
+/// Keeps the facts of a scene that is in memory.
+fn remember(c: &Coordinator, digest: Digest, scene: &Scene) -> Arc<SceneFacts> {
+    let (triangles, objects) = (scene.len(), scene.objects().to_vec());
+    let facts = Arc::new(SceneFacts { triangles, objects, bounds: scene.bounds() });
+    *c.last_scene.lock().unwrap_or_else(PoisonError::into_inner) = Some((digest, Arc::clone(&facts)));
+    facts
+}
+
+#[cfg(test)]
+mod tests {
+    use sightline_scene::Triangle;
+
+    use super::*;
+    use crate::clock::SystemClock;
+    use crate::state::Leases;
+    use crate::store::{FileBlobs, MemoryStore};
+    use sightline_scene::Object;
+
+    #[test]
+    fn a_scene_handed_over_in_memory_is_stored_and_a_damaged_blob_is_repaired() {
+        let directory = tempfile::tempdir().unwrap();
+        let blobs = FileBlobs::open(directory.path()).unwrap();
+        let store = Box::new(MemoryStore::new());
+        let scheduler = crate::scheduler::Scheduler::new(crate::ids::Epoch(1));
+        let (boxed, clock) = (Box::new(blobs.clone()), Box::new(SystemClock));
+        let coordinator = Coordinator::of(Leases::default(), store, boxed, clock, scheduler);
+        let triangle = Triangle { v: [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y] };
+        let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
+        let scene = Scene::new("test", vec![triangle], objects).unwrap();
+        let place = blobs.path(&scene.digest().0);
+        // Missing, there, altered, cut short.
+        for before in [None, Some(scene.to_blob()), Some(b"halls".to_vec()), Some(Vec::new())] {
+            if let Some(bytes) = before {
+                std::fs::write(&place, bytes).unwrap();
+            }
+            let digest = coordinator.take_scene(&scene).unwrap();
+            assert_eq!(digest, scene.digest().0);
+            assert_eq!(coordinator.blobs.read(&digest).unwrap(), scene.to_blob());
+            assert_eq!(facts(&coordinator, &digest).unwrap().triangles, 1);
+            let record = coordinator.store.scene(&digest).unwrap().unwrap();
+            assert_eq!((record.triangles, record.objects), (1, 1));
+        }
+    }
+}

@@ -1,0 +1,96 @@
+//! The messages between the scheduler and the workers, apart from their wire format.
+
+use sightline_model::JobSpec;
+
+use crate::ids::{Digest, Epoch, JobId, Lease, WorkerId};
+
+/// A worker's first message.
+#[derive(Clone, Debug)]
+pub(crate) struct Introduction {
+    /// Its name, for people; unique among the connected workers.
+    pub(crate) name: String,
+    /// A random number drawn when the worker started; 0 when it sends none.
+    pub(crate) instance: u64,
+    /// The numerics profiles of its backends.
+    pub(crate) profiles: Vec<String>,
+    /// Leases that it holds from an earlier stream.
+    pub(crate) held: Vec<Lease>,
+}
+
+/// The answer to an [`Introduction`].
+#[derive(Clone, Debug)]
+pub(crate) struct Joined {
+    /// The worker's number for this stream.
+    pub(crate) worker: WorkerId,
+    /// The coordinator's epoch.
+    pub(crate) epoch: Epoch,
+    /// Those of the held leases that are still the worker's.
+    pub(crate) kept: Vec<Lease>,
+}
+
+/// Another worker of the same name is connected.
+#[derive(Clone, Debug, thiserror::Error)]
+#[error("a worker named {name:?} is connected already; give this one another --name")]
+pub(crate) struct NameTaken {
+    /// The name.
+    pub(crate) name: String,
+}
+
+/// How far a leased tile is. Renews the lease.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Progress {
+    /// The tile's lease.
+    pub(crate) lease: Lease,
+    /// Finished view cells.
+    pub(crate) cells: u64,
+    /// Samples taken.
+    pub(crate) samples: u64,
+}
+
+/// The measured speed of a backend on a job's scene.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct ProfileTime {
+    /// The backend's numerics profile.
+    pub(crate) profile: String,
+    /// Seconds for one visibility cube.
+    pub(crate) seconds_per_cube: f64,
+}
+
+/// A message to a worker.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Order {
+    /// Work on a tile.
+    Grant(Box<Grant>),
+    /// Stop working on a tile.
+    Revoke(Lease),
+    /// Measure the backends on a job's scene.
+    Time {
+        /// The job.
+        job: JobId,
+        /// Its specification.
+        spec: Box<JobSpec>,
+    },
+}
+
+/// A tile given to a worker.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Grant {
+    /// The tile and its lease.
+    pub(crate) lease: Lease,
+    /// The job's specification.
+    pub(crate) spec: JobSpec,
+    /// The numerics profile that the tile must be computed with.
+    pub(crate) profile: String,
+    /// Digests of the packs that the tile needs, in the plan's order of needed tiles; `None` for one that is
+    /// not there.
+    pub(crate) packs: Vec<Option<Digest>>,
+    /// Time for the tile in milliseconds, when the job has a time budget.
+    pub(crate) millis: Option<u64>,
+}
+
+/// The way to one worker.
+pub(crate) trait Outbox: Send {
+    /// Sends without waiting; returns whether the message was accepted. A worker that does not read its
+    /// stream loses messages and, with time, its leases.
+    fn offer(&self, order: Order) -> bool;
+}

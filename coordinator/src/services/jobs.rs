@@ -1,0 +1,224 @@
+//! The `Jobs` service: scenes in, jobs, results out.
+
+use std::pin::Pin;
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures::{Stream, StreamExt as _};
+use sightline_model::JobSpec;
+use sightline_proto::chunks;
+use sightline_proto::v1;
+use tokio::sync::{mpsc, watch};
+use tonic::{Request, Response, Status, Streaming};
+
+use super::blocking::blocking;
+use super::streams::{ChunkStream, stream_blob};
+use super::{status, wire};
+use crate::ids::JobId;
+use crate::jobs::{self, JobError, Summary};
+use crate::scenes;
+use crate::state::Coordinator;
+use crate::submit::{self, Submission};
+
+/// Chunks of one scene: 64 GiB.
+const MAX_CHUNKS: usize = 65_536;
+/// Shortest time between two messages of Watch.
+const WATCH_EVERY: Duration = Duration::from_millis(250);
+
+/// Serves [`v1::jobs_server::Jobs`].
+pub(crate) struct JobsService(pub(crate) Arc<Coordinator>);
+
+type Answer<T> = Result<Response<T>, Status>;
+
+#[tonic::async_trait]
+impl v1::jobs_server::Jobs for JobsService {
+    async fn missing_chunks(
+        &self,
+        r: Request<v1::MissingChunksRequest>,
+    ) -> Answer<v1::MissingChunksResponse> {
+        let asked = r.into_inner().digests;
+        if asked.len() > MAX_CHUNKS {
+            return Err(Status::invalid_argument(format!(
+                "{} digests were given; give at most {MAX_CHUNKS} at once",
+                asked.len()
+            )));
+        }
+        let digests = asked.iter().map(|d| wire::digest(d)).collect::<Result<Vec<_>, _>>()?;
+        blocking(&self.0, move |c| {
+            let missing = scenes::missing(c, digests).map_err(|e| status::of_blob(&e))?;
+            let digests = missing.iter().map(|d| d.to_vec()).collect();
+            Ok(Response::new(v1::MissingChunksResponse { digests }))
+        })
+        .await
+    }
+
+    async fn put_chunks(&self, r: Request<Streaming<v1::Chunk>>) -> Answer<v1::PutChunksResponse> {
+        let mut stream = r.into_inner();
+        let mut count = 0;
+        while let Some(chunk) = stream.next().await {
+            let chunk = chunk?;
+            chunks::check(&chunk).map_err(|e| Status::data_loss(e.to_string()))?;
+            blocking(&self.0, move |c| scenes::put_chunk(c, &chunk.data).map_err(|e| status::of_blob(&e)))
+                .await?;
+            count += 1;
+        }
+        Ok(Response::new(v1::PutChunksResponse { chunks: count }))
+    }
+
+    async fn put_scene(&self, r: Request<v1::PutSceneRequest>) -> Answer<v1::SceneInfo> {
+        let r = r.into_inner();
+        let whole = wire::digest(&r.digest)?;
+        if r.chunks.len() > MAX_CHUNKS {
+            return Err(Status::invalid_argument("the scene has too many chunks; split it"));
+        }
+        let parts = r.chunks.iter().map(|d| wire::digest(d)).collect::<Result<Vec<_>, _>>()?;
+        blocking(&self.0, move |c| {
+            let record = scenes::put_scene(c, whole, &parts).map_err(|e| status::of_upload(&e))?;
+            Ok(Response::new(wire::scene(&record)))
+        })
+        .await
+    }
+
+    async fn submit(&self, r: Request<v1::SubmitRequest>) -> Answer<v1::SubmitResponse> {
+        let r = r.into_inner();
+        if r.request_id.is_empty() {
+            return Err(Status::invalid_argument(
+                "request_id is empty; choose one, so that submitting again is safe",
+            ));
+        }
+        blocking(&self.0, move |c| {
+            let submission = submission(c, r)?;
+            let submitted = submit::submit(c, &submission).map_err(|e| status::of_submit(&e))?;
+            let job = jobs::summary(c, submitted.id).map_err(|e| status::of_store(&e))?;
+            let answer = v1::SubmitResponse { job: Some(wire::job(&job)), existing: submitted.existing };
+            Ok(Response::new(answer))
+        })
+        .await
+    }
+
+    async fn list(&self, _: Request<v1::ListRequest>) -> Answer<v1::ListResponse> {
+        blocking(&self.0, |c| {
+            let list = jobs::list(c).map_err(|e| status::of_store(&e))?;
+            Ok(Response::new(v1::ListResponse { jobs: list.iter().map(wire::job).collect() }))
+        })
+        .await
+    }
+
+    async fn show(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
+        let job = summary(&self.0, JobId(r.into_inner().job)).await?;
+        Ok(Response::new(wire::job(&job)))
+    }
+
+    type WatchStream = Pin<Box<dyn Stream<Item = Result<v1::Job, Status>> + Send>>;
+
+    async fn watch(&self, r: Request<v1::ShowRequest>) -> Answer<Self::WatchStream> {
+        let id = JobId(r.into_inner().job);
+        // Before the first summary, so that a change between the two is not missed.
+        let changes = self.0.changes.subscribe();
+        let first = summary(&self.0, id).await?;
+        let (out, stream) = mpsc::channel(4);
+        tokio::spawn(follow(Arc::clone(&self.0), id, first, changes, out));
+        Ok(Response::new(Box::pin(tokio_stream::wrappers::ReceiverStream::new(stream))))
+    }
+
+    async fn cancel(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
+        self.turn(r, jobs::cancel).await
+    }
+
+    async fn pause(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
+        self.turn(r, jobs::pause).await
+    }
+
+    async fn resume(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
+        self.turn(r, jobs::resume).await
+    }
+
+    async fn retry(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
+        self.turn(r, jobs::retry).await
+    }
+
+    type FetchStream = ChunkStream;
+
+    async fn fetch(&self, r: Request<v1::ShowRequest>) -> Answer<Self::FetchStream> {
+        let id = JobId(r.into_inner().job);
+        let result = blocking(&self.0, move |c| jobs::result(c, id).map_err(|e| status::of_job(&e))).await?;
+        stream_blob(&self.0, result).await.map(Response::new)
+    }
+}
+
+impl JobsService {
+    /// Changes a job and answers with its summary.
+    async fn turn(
+        &self,
+        r: Request<v1::ShowRequest>,
+        change: fn(&Arc<Coordinator>, JobId) -> Result<Summary, JobError>,
+    ) -> Answer<v1::Job> {
+        let id = JobId(r.into_inner().job);
+        blocking(&self.0, move |c| {
+            let job = change(c, id).map_err(|e| status::of_job(&e))?;
+            Ok(Response::new(wire::job(&job)))
+        })
+        .await
+    }
+}
+
+async fn summary(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, Status> {
+    blocking(c, move |c| jobs::summary(c, id).map_err(|e| status::of_store(&e))).await
+}
+
+/// A submission from the wire. A view box that is left out is the bounds of the scene.
+fn submission(c: &Coordinator, r: v1::SubmitRequest) -> Result<Submission, Status> {
+    let spec = r.spec.as_ref().ok_or_else(|| Status::invalid_argument("the job has no specification"))?;
+    let scene = wire::digest(&spec.scene)?;
+    scenes::known(c, scene).map_err(|e| status::of_store(&e))?;
+    let bounds = match spec.view_box.is_empty() {
+        true => Some(scenes::bounds(c, &scene).map_err(|e| status::of_facts(&e))?),
+        false => None,
+    };
+    let spec = JobSpec::from_proto(spec, bounds).map_err(|e| Status::invalid_argument(e.to_string()))?;
+    Ok(Submission { request_id: r.request_id, name: r.name, spec })
+}
+
+/// Sends a job's summary after every change, until the job ends or nobody reads.
+async fn follow(
+    c: Arc<Coordinator>,
+    id: JobId,
+    first: Summary,
+    mut changes: watch::Receiver<u64>,
+    out: mpsc::Sender<Result<v1::Job, Status>>,
+) {
+    let mut last = first;
+    loop {
+        if out.send(Ok(wire::job(&last))).await.is_err() || last.ended() {
+            return;
+        }
+        // A change is sent after a while, the end at once.
+        let quiet = tokio::time::sleep(WATCH_EVERY);
+        tokio::pin!(quiet);
+        let (mut quiet_over, mut news) = (false, false);
+        while !(quiet_over && news) {
+            tokio::select! {
+                () = &mut quiet, if !quiet_over => {
+                    quiet_over = true;
+                    continue;
+                }
+                () = out.closed() => return,
+                changed = changes.changed() => if changed.is_err() { return },
+            }
+            match summary(&c, id).await {
+                Ok(now) => {
+                    news |= now != last;
+                    last = now;
+                    if last.ended() {
+                        break;
+                    }
+                }
+                Err(s) => {
+                    // Fails when nobody reads any more.
+                    let _ = out.send(Err(s)).await;
+                    return;
+                }
+            }
+        }
+    }
+}

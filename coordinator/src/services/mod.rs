@@ -1,0 +1,11 @@
+//! The gRPC services: they translate between the wire and the subjects, and decide nothing.
+
+mod blocking;
+mod jobs;
+mod server;
+mod status;
+mod streams;
+mod wire;
+mod workers;
+
+pub use server::{ServeError, listen, serve};

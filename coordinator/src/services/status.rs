@@ -1,0 +1,138 @@
+//! The subjects' errors as gRPC statuses.
+
+use std::time::Duration;
+
+use tonic::{Code, Status};
+use tonic_types::{ErrorDetails, StatusExt as _};
+
+use crate::jobs::JobError;
+use crate::results::ResultError;
+use crate::scenes::{FactsError, UploadError};
+use crate::scheduler::NameTaken;
+use crate::sessions::SessionError;
+use crate::store::{BlobError, JournalError, StoreError};
+use crate::submit::SubmitError;
+
+/// When to try again after a full disk refused data.
+const AGAIN: Duration = Duration::from_secs(10);
+
+/// The status of a store error.
+pub(super) fn of_store(e: &StoreError) -> Status {
+    let text = e.to_string();
+    match e {
+        StoreError::UnknownJob { .. } | StoreError::UnknownScene { .. } => Status::not_found(text),
+        StoreError::UnknownTile { .. }
+        | StoreError::TooLong { .. }
+        | StoreError::BadCharacter { .. }
+        | StoreError::RequestIdReused { .. } => Status::invalid_argument(text),
+        StoreError::IllegalTransition { .. }
+        | StoreError::TileNotOpen { .. }
+        | StoreError::TilesOpen { .. }
+        | StoreError::PlanDiffers { .. } => Status::failed_precondition(text),
+        StoreError::Journal(JournalError::NoSpace { .. }) => full(&text),
+        _ => internal(&text),
+    }
+}
+
+/// The status of a blob error.
+pub(super) fn of_blob(e: &BlobError) -> Status {
+    match e {
+        BlobError::NoSpace { .. } => full(&e.to_string()),
+        _ => internal(&e.to_string()),
+    }
+}
+
+/// The status of an upload that fails.
+pub(super) fn of_upload(e: &UploadError) -> Status {
+    match e {
+        UploadError::ChunkMissing | UploadError::ChunkDamaged => Status::failed_precondition(e.to_string()),
+        UploadError::Mismatch(_) | UploadError::Scene(_) => Status::invalid_argument(e.to_string()),
+        UploadError::Blob(e) => of_blob(e),
+        UploadError::Store(e) => of_store(e),
+    }
+}
+
+/// The status of a scene whose facts cannot be read.
+pub(super) fn of_facts(e: &FactsError) -> Status {
+    match e {
+        FactsError::Blob(e) => of_blob(e),
+        FactsError::Scene(e) => internal(&e.to_string()),
+    }
+}
+
+/// The status of a submission that fails.
+pub(super) fn of_submit(e: &SubmitError) -> Status {
+    match e {
+        SubmitError::Spec(text) => Status::invalid_argument(text.clone()),
+        SubmitError::Schedule(text) => internal(text),
+        SubmitError::Blob(e) => of_blob(e),
+        SubmitError::Store(e) => of_store(e),
+    }
+}
+
+/// The status of a job that cannot be changed or fetched.
+pub(super) fn of_job(e: &JobError) -> Status {
+    match e {
+        JobError::Outdated(_) | JobError::NoResult { .. } => Status::failed_precondition(e.to_string()),
+        JobError::Store(e) => of_store(e),
+    }
+}
+
+/// The status of a tile's output that is not committed.
+pub(super) fn of_result(e: &ResultError) -> Status {
+    match e {
+        ResultError::Digest => Status::data_loss(e.to_string()),
+        ResultError::NoJob(_) => Status::failed_precondition(e.to_string()),
+        ResultError::Length
+        | ResultError::NoTile
+        | ResultError::Encoding(_)
+        | ResultError::Cells
+        | ResultError::Method
+        | ResultError::Kind => Status::invalid_argument(e.to_string()),
+        ResultError::Conflict => Status::aborted(e.to_string()),
+        ResultError::Blob(e) => of_blob(e),
+        ResultError::Store(e) => of_store(e),
+    }
+}
+
+/// The status of a worker's message that cannot be acted on.
+pub(super) fn of_session(e: &SessionError) -> Status {
+    match e {
+        SessionError::StandIn(e) => internal(&e.to_string()),
+        SessionError::Store(e) => of_store(e),
+    }
+}
+
+/// The status of a worker whose name is taken.
+pub(super) fn of_name(e: &NameTaken) -> Status {
+    Status::already_exists(e.to_string())
+}
+
+/// The disk is full: worth trying again.
+fn full(text: &str) -> Status {
+    tracing::error!("{text}: until then tiles wait and are tried again");
+    Status::with_error_details(
+        Code::ResourceExhausted,
+        format!("{text}; try again in {} s", AGAIN.as_secs()),
+        ErrorDetails::with_retry_info(Some(AGAIN)),
+    )
+}
+
+/// A fault that only the log explains.
+pub(super) fn internal(text: &str) -> Status {
+    tracing::error!("{text}");
+    Status::internal(text.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_disk_says_when_to_try_again_in_words_and_as_retry_info() {
+        let status = full("there is no space left");
+        assert_eq!(status.code(), Code::ResourceExhausted);
+        assert!(status.message().ends_with("try again in 10 s"), "{status}");
+        assert_eq!(status.get_details_retry_info().unwrap().retry_delay, Some(AGAIN));
+    }
+}

@@ -1,0 +1,250 @@
+//! The `Workers` service: one stream per worker, scenes and packs out, results in.
+
+use std::pin::Pin;
+use std::sync::Arc;
+
+use futures::{Stream, StreamExt as _};
+use sightline_model::ALGORITHM_VERSION;
+use sightline_model::codec::MAX_UNPACKED;
+use sightline_proto::chunks::Assembler;
+use sightline_proto::v1;
+use sightline_proto::v1::worker_message::Message as FromWorker;
+use tokio::sync::{mpsc, oneshot};
+use tonic::{Request, Response, Status, Streaming};
+
+use super::blocking::blocking;
+use super::streams::stream_blob;
+use super::{status, wire};
+use crate::ids::JobId;
+use crate::results::{self, Announced};
+use crate::scheduler::{Introduction, Joined, Order, Outbox, Progress};
+use crate::sessions::{self, Failure, Message};
+use crate::state::Coordinator;
+use crate::store::{MAX_IDENTIFIER_BYTES, MAX_WORKER_BYTES};
+
+/// Messages to a worker that wait until it reads them; further ones are lost.
+const WAITING: usize = 64;
+/// Most numerics profiles of a worker.
+const MAX_PROFILES: usize = 16;
+/// Most leases that a worker may name when it reconnects.
+const MAX_HELD: usize = 64;
+
+/// Serves [`v1::workers_server::Workers`].
+pub(crate) struct WorkersService(pub(crate) Arc<Coordinator>);
+
+type Answer<T> = Result<Response<T>, Status>;
+type Messages = mpsc::Sender<Result<v1::CoordinatorMessage, Status>>;
+
+#[tonic::async_trait]
+impl v1::workers_server::Workers for WorkersService {
+    type WorkStream = Pin<Box<dyn Stream<Item = Result<v1::CoordinatorMessage, Status>> + Send>>;
+
+    async fn work(&self, r: Request<Streaming<v1::WorkerMessage>>) -> Answer<Self::WorkStream> {
+        let mut inbound = r.into_inner();
+        let first = inbound.next().await.transpose()?.and_then(|m| m.message);
+        let Some(FromWorker::Hello(hello)) = first else {
+            return Err(Status::invalid_argument("a worker's first message must be Hello"));
+        };
+        check_hello(&hello)?;
+        let (out, outbound) = mpsc::channel(WAITING);
+        let (answer, joined) = oneshot::channel();
+        // A task of its own from the start: a worker that has joined must leave, even when this call is
+        // dropped.
+        tokio::spawn(session(Arc::clone(&self.0), hello, inbound, out, answer));
+        let stopping = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
+        joined.await.map_err(stopping)??;
+        Ok(Response::new(Box::pin(tokio_stream::wrappers::ReceiverStream::new(outbound))))
+    }
+
+    type FetchSceneStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status>> + Send>>;
+
+    async fn fetch_scene(&self, r: Request<v1::FetchSceneRequest>) -> Answer<Self::FetchSceneStream> {
+        let d = wire::digest(&r.into_inner().digest)?;
+        stream_blob(&self.0, d).await.map(Response::new)
+    }
+
+    type FetchPackStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status>> + Send>>;
+
+    async fn fetch_pack(&self, r: Request<v1::FetchPackRequest>) -> Answer<Self::FetchPackStream> {
+        let d = wire::digest(&r.into_inner().digest)?;
+        stream_blob(&self.0, d).await.map(Response::new)
+    }
+
+    async fn put_result(&self, r: Request<Streaming<v1::ResultPart>>) -> Answer<v1::PutResultResponse> {
+        let mut parts = r.into_inner();
+        let first = parts.next().await.transpose()?.and_then(|p| p.part);
+        let Some(v1::result_part::Part::Header(header)) = first else {
+            return Err(Status::invalid_argument("a result's first part must be its header"));
+        };
+        let mut whole = Assembler::new(MAX_UNPACKED);
+        while let Some(part) = parts.next().await {
+            match part?.part {
+                Some(v1::result_part::Part::Chunk(chunk)) => {
+                    whole.push(&chunk).map_err(|e| Status::data_loss(e.to_string()))?;
+                }
+                _ => return Err(Status::invalid_argument("after a result's header only chunks may come")),
+            }
+        }
+        let bytes = whole.finish().map_err(|e| Status::data_loss(e.to_string()))?;
+        blocking(&self.0, move |c| {
+            let announced = announced(&header)?;
+            results::put(c, &announced, &bytes).map_err(|e| status::of_result(&e))?;
+            Ok(Response::new(v1::PutResultResponse {}))
+        })
+        .await
+    }
+}
+
+fn announced(header: &v1::ResultHeader) -> Result<Announced, Status> {
+    let lease = header.lease.ok_or_else(|| Status::invalid_argument("a result must name its lease"))?;
+    Ok(Announced {
+        lease: wire::lease(&lease),
+        digest: wire::digest(&header.digest)?,
+        bytes: header.bytes,
+        samples: header.samples,
+        millis: header.millis,
+    })
+}
+
+fn check_hello(hello: &v1::Hello) -> Result<(), Status> {
+    if hello.algorithm != ALGORITHM_VERSION {
+        return Err(Status::invalid_argument(format!(
+            "this worker ({}) samples by algorithm {}, the coordinator plans for {ALGORITHM_VERSION}; run the \
+             same version of sightline on both",
+            hello.version, hello.algorithm
+        )));
+    }
+    let printable = |s: &str| s.chars().all(|c| !c.is_control() && c != '"' && c != '\\');
+    if hello.name.is_empty() || hello.name.len() > MAX_WORKER_BYTES || !printable(&hello.name) {
+        return Err(Status::invalid_argument(format!(
+            "a worker's name must have 1 to {MAX_WORKER_BYTES} bytes and no quotes or control characters; \
+             give another --name"
+        )));
+    }
+    let fine = |p: &String| p.len() <= MAX_IDENTIFIER_BYTES && printable(p) && p.is_ascii();
+    if hello.profiles.is_empty() || hello.profiles.len() > MAX_PROFILES || !hello.profiles.iter().all(fine) {
+        return Err(Status::invalid_argument(format!(
+            "a worker must name 1 to {MAX_PROFILES} numerics profiles in plain ASCII"
+        )));
+    }
+    if hello.held.len() > MAX_HELD {
+        return Err(Status::invalid_argument("a worker names more leases than it can hold"));
+    }
+    Ok(())
+}
+
+/// The outgoing half of a worker's stream.
+struct WireOutbox(Messages);
+
+impl Outbox for WireOutbox {
+    fn offer(&self, order: Order) -> bool {
+        self.0.try_send(Ok(wire::order(order))).is_ok()
+    }
+}
+
+/// A worker's stream, until it ends. Reports through `answer` whether the worker has joined.
+async fn session(
+    c: Arc<Coordinator>,
+    hello: v1::Hello,
+    inbound: Streaming<v1::WorkerMessage>,
+    out: Messages,
+    answer: oneshot::Sender<Result<(), Status>>,
+) {
+    let name = hello.name.clone();
+    let intro = Introduction {
+        name: hello.name,
+        instance: hello.instance,
+        profiles: hello.profiles,
+        held: hello.held.iter().map(wire::lease).collect(),
+    };
+    let outbox = Box::new(WireOutbox(out.clone()));
+    let joined =
+        blocking(&c, move |c| sessions::join(c, intro, outbox).map_err(|e| status::of_name(&e))).await;
+    let joined = match joined {
+        Ok(joined) => joined,
+        Err(s) => {
+            tracing::warn!("worker {name} is refused: {}", s.message());
+            // Nobody waits for the answer when the worker has gone.
+            let _ = answer.send(Err(s));
+            return;
+        }
+    };
+    // As above.
+    let _ = answer.send(Ok(()));
+    let worker = joined.worker;
+    listen(&c, &name, &joined, inbound, &out).await;
+    // Fails only when the coordinator is stopping.
+    let _ = blocking(&c, move |c| {
+        sessions::leave(c, worker, &name);
+        Ok(())
+    })
+    .await;
+}
+
+/// Welcomes a worker and passes its messages on, until its stream ends or a message cannot be acted on.
+async fn listen(
+    c: &Arc<Coordinator>,
+    name: &str,
+    joined: &Joined,
+    mut inbound: Streaming<v1::WorkerMessage>,
+    out: &Messages,
+) {
+    let welcome = v1::Welcome {
+        epoch: joined.epoch.0,
+        lease_millis: c.leases.ttl.as_millis() as u32,
+        kept: joined.kept.iter().map(wire::to_lease).collect(),
+    };
+    let welcome = v1::coordinator_message::Message::Welcome(welcome);
+    if out.send(Ok(v1::CoordinatorMessage { message: Some(welcome) })).await.is_err() {
+        return;
+    }
+    let worker = joined.worker;
+    while let Some(received) = inbound.next().await {
+        let received = match received {
+            Ok(m) => m.message,
+            Err(s) => {
+                tracing::info!("the stream of worker {name} broke: {}", s.message());
+                return;
+            }
+        };
+        let Some(received) = received else { continue };
+        let handled = match message(received) {
+            Ok(None) => Ok(()),
+            Ok(Some(message)) => {
+                let name = name.to_owned();
+                blocking(c, move |c| {
+                    sessions::heard(c, worker, &name, message).map_err(|e| status::of_session(&e))
+                })
+                .await
+            }
+            Err(s) => Err(s),
+        };
+        if let Err(s) = handled {
+            tracing::error!("worker {name}: {}", s.message());
+            // The worker reconnects when its stream breaks; it may have gone already.
+            let _ = out.send(Err(s)).await;
+            return;
+        }
+    }
+}
+
+/// A worker's message; `None` when it says nothing.
+fn message(message: FromWorker) -> Result<Option<Message>, Status> {
+    Ok(Some(match message {
+        FromWorker::Hello(_) => return Err(Status::invalid_argument("a second Hello on one stream")),
+        FromWorker::Want(w) => Message::Want(w.tiles),
+        FromWorker::Draining(_) => Message::Draining,
+        FromWorker::Progress(p) => {
+            let Some(lease) = p.lease else { return Ok(None) };
+            Message::Progress(Progress { lease: wire::lease(&lease), cells: p.cells, samples: p.samples })
+        }
+        FromWorker::Failed(f) => {
+            let Some(lease) = f.lease else {
+                return Err(Status::invalid_argument("a failure must name its lease"));
+            };
+            let lease = wire::lease(&lease);
+            Message::Failed(Failure { lease, reason: f.reason, infrastructure: f.infrastructure })
+        }
+        FromWorker::Timed(t) => Message::Timed(JobId(t.job), wire::times(t.times)),
+    }))
+}

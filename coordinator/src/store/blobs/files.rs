@@ -1,0 +1,310 @@
+//! Blobs as files named by their digest, two levels of directories deep.
+//!
+//! A file is written under `tmp/`, synced, renamed into place, and its directories synced: a file under its
+//! final name is complete. Open the store first: its lock keeps two coordinators out of one data directory.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, ErrorKind, Read, Seek, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::api::{BlobError, BlobReader, BlobWriter, Blobs, check_announced, fault};
+use crate::ids::{Digest, hex};
+
+/// A directory of blobs. Clones share it.
+#[derive(Clone, Debug)]
+pub struct FileBlobs {
+    root: Arc<PathBuf>,
+    written: Arc<AtomicU64>,
+}
+
+impl FileBlobs {
+    /// Opens or creates the directory and removes unfinished files of an earlier run.
+    ///
+    /// # Errors
+    /// When the directory cannot be created, listed or synced.
+    pub fn open(directory: &Path) -> Result<Self, BlobError> {
+        let unfinished = directory.join("tmp");
+        std::fs::create_dir_all(&unfinished).map_err(fault("create", &unfinished))?;
+        for entry in std::fs::read_dir(&unfinished).map_err(fault("list", &unfinished))? {
+            let path = entry.map_err(fault("list", &unfinished))?.path();
+            std::fs::remove_file(&path).map_err(fault("remove", &path))?;
+        }
+        sync_directory(directory)?;
+        Ok(Self { root: Arc::new(directory.to_owned()), written: Arc::default() })
+    }
+
+    /// The path of a blob, whether it is present or not. Do not write there.
+    pub fn path(&self, digest: &Digest) -> PathBuf {
+        let hex = hex(digest);
+        self.root.join(&hex[..2]).join(&hex[2..4]).join(&hex)
+    }
+
+    /// A fresh path for a file that is not finished.
+    fn unfinished(&self) -> PathBuf {
+        let number = self.written.fetch_add(1, Ordering::Relaxed);
+        self.root.join("tmp").join(format!("{}-{number}", std::process::id()))
+    }
+
+    fn put_whole(&self, bytes: &[u8], synced: bool) -> Result<Digest, BlobError> {
+        let digest = *blake3::hash(bytes).as_bytes();
+        match self.read(&digest) {
+            Ok(_) => {
+                if synced {
+                    self.sync(&digest)?;
+                }
+                return Ok(digest);
+            }
+            Err(BlobError::Missing { .. }) => {}
+            Err(e @ BlobError::Damaged { .. }) => tracing::warn!("{e}; it is written again now"),
+            Err(other) => return Err(other),
+        }
+        let mut writer = self.writer()?;
+        writer.append(bytes)?;
+        writer.place(Some(&digest), synced)
+    }
+
+    /// Syncs a blob that is present but may not be durable yet ([`Blobs::put_unsynced`]).
+    fn sync(&self, digest: &Digest) -> Result<(), BlobError> {
+        let place = self.path(digest);
+        File::open(&place).and_then(|file| file.sync_all()).map_err(fault("sync", &place))?;
+        self.sync_directories(&place)
+    }
+
+    /// Syncs the directories that lead to a blob.
+    fn sync_directories(&self, place: &Path) -> Result<(), BlobError> {
+        // Both levels lie under the root by construction of `path`.
+        let inner = place.parent().unwrap_or(&self.root);
+        let outer = inner.parent().unwrap_or(&self.root);
+        [inner, outer, &self.root].into_iter().try_for_each(sync_directory)
+    }
+
+    fn writer(&self) -> Result<FileWriter, BlobError> {
+        let path = self.unfinished();
+        let file =
+            OpenOptions::new().write(true).create_new(true).open(&path).map_err(fault("create", &path))?;
+        Ok(FileWriter { blobs: self.clone(), path, file, hasher: blake3::Hasher::new(), length: 0 })
+    }
+}
+
+impl Blobs for FileBlobs {
+    fn len(&self, digest: &Digest) -> Result<Option<u64>, BlobError> {
+        let path = self.path(digest);
+        match std::fs::metadata(&path) {
+            Ok(metadata) => Ok(Some(metadata.len())),
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(fault("look at", &path)(error)),
+        }
+    }
+
+    fn read(&self, digest: &Digest) -> Result<Vec<u8>, BlobError> {
+        let path = self.path(digest);
+        let mut bytes = Vec::new();
+        File::open(&path).and_then(|mut file| file.read_to_end(&mut bytes)).map_err(fault("read", &path))?;
+        if blake3::hash(&bytes).as_bytes() == digest { Ok(bytes) } else { Err(BlobError::Damaged { path }) }
+    }
+
+    fn open_checked(&self, digest: &Digest) -> Result<BlobReader, BlobError> {
+        let path = self.path(digest);
+        let mut file = File::open(&path).map_err(fault("read", &path))?;
+        let mut hasher = blake3::Hasher::new();
+        hasher.update_reader(&mut file).map_err(fault("read", &path))?;
+        if hasher.finalize().as_bytes() != digest {
+            return Err(BlobError::Damaged { path });
+        }
+        let length = file.stream_position().map_err(fault("read", &path))?;
+        file.rewind().map_err(fault("read", &path))?;
+        Ok(BlobReader { bytes: Box::new(file), length })
+    }
+
+    fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
+        self.put_whole(bytes, true)
+    }
+
+    fn put_unsynced(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
+        self.put_whole(bytes, false)
+    }
+
+    fn put_stream(&self) -> Result<Box<dyn BlobWriter>, BlobError> {
+        Ok(Box::new(self.writer()?))
+    }
+
+    fn remove(&self, digest: &Digest) -> Result<bool, BlobError> {
+        let path = self.path(digest);
+        match std::fs::remove_file(&path) {
+            Ok(()) => Ok(true),
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(false),
+            Err(error) => Err(fault("remove", &path)(error)),
+        }
+    }
+
+    fn scratch(&self) -> Result<Option<File>, BlobError> {
+        let path = self.unfinished();
+        let file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create_new(true)
+            .open(&path)
+            .map_err(fault("create", &path))?;
+        std::fs::remove_file(&path).map_err(fault("remove", &path))?;
+        Ok(Some(file))
+    }
+
+    fn io_error(&self, e: io::Error) -> BlobError {
+        e.downcast::<BlobError>().unwrap_or_else(fault("write below", &self.root.join("tmp")))
+    }
+}
+
+/// A file that is being written.
+struct FileWriter {
+    blobs: FileBlobs,
+    path: PathBuf,
+    file: File,
+    hasher: blake3::Hasher,
+    length: u64,
+}
+
+impl FileWriter {
+    fn place(self, expected: Option<&Digest>, sync: bool) -> Result<Digest, BlobError> {
+        let digest = check_announced(self.hasher.finalize(), expected)?;
+        if sync {
+            self.file.sync_all().map_err(fault("sync", &self.path))?;
+        }
+        let place = self.blobs.path(&digest);
+        let inner = place.parent().unwrap_or(&self.blobs.root);
+        std::fs::create_dir_all(inner).map_err(fault("create", inner))?;
+        std::fs::rename(&self.path, &place).map_err(fault("move into place", &place))?;
+        if sync {
+            self.blobs.sync_directories(&place)?;
+        }
+        Ok(digest)
+    }
+}
+
+impl BlobWriter for FileWriter {
+    fn append(&mut self, bytes: &[u8]) -> Result<(), BlobError> {
+        self.file.write_all(bytes).map_err(fault("write", &self.path))?;
+        self.hasher.update(bytes);
+        self.length = self.length.saturating_add(bytes.len() as u64);
+        Ok(())
+    }
+
+    fn length(&self) -> u64 {
+        self.length
+    }
+
+    fn finish(self: Box<Self>, expected: Option<&Digest>) -> Result<Digest, BlobError> {
+        self.place(expected, true)
+    }
+}
+
+impl Write for FileWriter {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.append(bytes).map_err(io::Error::other)?;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Drop for FileWriter {
+    fn drop(&mut self) {
+        match std::fs::remove_file(&self.path) {
+            // Absent: the blob was finished and renamed.
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                tracing::warn!(
+                    path = %self.path.display(), %error,
+                    "an unfinished blob cannot be removed; the next start removes it"
+                );
+            }
+            _ => {}
+        }
+    }
+}
+
+fn sync_directory(directory: &Path) -> Result<(), BlobError> {
+    File::open(directory).and_then(|opened| opened.sync_all()).map_err(fault("sync", directory))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn files(directory: &Path) -> usize {
+        std::fs::read_dir(directory).unwrap().count()
+    }
+
+    #[test]
+    fn a_blob_is_read_back_and_damage_is_found_and_repaired() {
+        let directory = tempfile::tempdir().unwrap();
+        let blobs = FileBlobs::open(directory.path()).unwrap();
+        let digest = blobs.put(b"walls").unwrap();
+        assert_eq!(digest, *blake3::hash(b"walls").as_bytes());
+        assert_eq!(blobs.read(&digest).unwrap(), b"walls");
+        assert_eq!(blobs.len(&digest).unwrap(), Some(5));
+        std::fs::write(blobs.path(&digest), b"halls").unwrap();
+        assert!(matches!(blobs.read(&digest), Err(BlobError::Damaged { .. })));
+        blobs.put(b"walls").unwrap();
+        assert_eq!(blobs.read(&digest).unwrap(), b"walls");
+        assert!(blobs.remove(&digest).unwrap());
+        assert!(!blobs.remove(&digest).unwrap() && !blobs.has(&digest).unwrap());
+        assert!(matches!(blobs.read(&digest), Err(BlobError::Missing { .. })));
+        assert_eq!(files(&directory.path().join("tmp")), 0);
+    }
+
+    #[test]
+    fn a_stream_is_kept_only_if_it_is_what_was_announced() {
+        let directory = tempfile::tempdir().unwrap();
+        let unfinished = directory.path().join("tmp");
+        let blobs = FileBlobs::open(directory.path()).unwrap();
+        let digest = *blake3::hash(b"floor and roof").as_bytes();
+        let mut wrong = blobs.put_stream().unwrap();
+        wrong.append(b"floor").unwrap();
+        assert!(matches!(wrong.finish(Some(&digest)), Err(BlobError::Mismatch { .. })));
+        assert!(!blobs.has(&digest).unwrap());
+        assert_eq!(files(&unfinished), 0);
+        let mut right = blobs.put_stream().unwrap();
+        for piece in [b"floor".as_slice(), b" and ", b"roof"] {
+            right.append(piece).unwrap();
+        }
+        assert_eq!(right.length(), 14);
+        assert_eq!(right.finish(Some(&digest)).unwrap(), digest);
+        assert_eq!(blobs.read(&digest).unwrap(), b"floor and roof");
+    }
+
+    #[test]
+    fn a_blob_is_checked_before_it_is_opened_and_scratch_files_have_no_name() {
+        let directory = tempfile::tempdir().unwrap();
+        let blobs = FileBlobs::open(directory.path()).unwrap();
+        let digest = blobs.put(b"walls").unwrap();
+        let mut opened = blobs.open_checked(&digest).unwrap();
+        let mut read = Vec::new();
+        opened.bytes.read_to_end(&mut read).unwrap();
+        assert_eq!((read.as_slice(), opened.length), (b"walls".as_slice(), 5));
+        std::fs::write(blobs.path(&digest), b"halls").unwrap();
+        assert!(matches!(blobs.open_checked(&digest), Err(BlobError::Damaged { .. })));
+        blobs.remove(&digest).unwrap();
+        assert!(matches!(blobs.open_checked(&digest), Err(BlobError::Missing { .. })));
+        let mut scratch = blobs.scratch().unwrap().unwrap();
+        scratch.write_all(b"doors").unwrap();
+        scratch.rewind().unwrap();
+        read.clear();
+        scratch.read_to_end(&mut read).unwrap();
+        assert_eq!(read, b"doors");
+        assert_eq!(files(&directory.path().join("tmp")), 0);
+    }
+
+    #[test]
+    fn unfinished_files_are_removed_at_the_next_start() {
+        let directory = tempfile::tempdir().unwrap();
+        let unfinished = directory.path().join("tmp");
+        let kept = FileBlobs::open(directory.path()).unwrap().put(b"kept").unwrap();
+        std::fs::write(unfinished.join("1-0"), b"half").unwrap();
+        let blobs = FileBlobs::open(directory.path()).unwrap();
+        assert_eq!(files(&unfinished), 0);
+        assert_eq!(blobs.read(&kept).unwrap(), b"kept");
+    }
+}

@@ -1,0 +1,107 @@
+//! Blobs in memory, for tests and for coordinators whose jobs need not survive them.
+
+use std::collections::BTreeMap;
+use std::io::{self, Cursor, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use super::api::{BlobError, BlobReader, BlobWriter, Blobs, check_announced, fault};
+use crate::ids::{Digest, hex};
+
+type Map = BTreeMap<Digest, Arc<[u8]>>;
+
+/// Blobs without a disk. Clones share them.
+#[derive(Clone, Debug, Default)]
+pub struct MemoryBlobs(Arc<Mutex<Map>>);
+
+impl MemoryBlobs {
+    /// No blobs.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    fn map(&self) -> MutexGuard<'_, Map> {
+        // Every change is one insertion or removal, so a panic elsewhere cannot leave a blob half written.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn get(&self, digest: &Digest) -> Result<Arc<[u8]>, BlobError> {
+        let path = || PathBuf::from(format!("{} in memory", hex(digest)));
+        self.map().get(digest).cloned().ok_or_else(|| BlobError::Missing { path: path() })
+    }
+}
+
+impl Blobs for MemoryBlobs {
+    fn len(&self, digest: &Digest) -> Result<Option<u64>, BlobError> {
+        Ok(self.map().get(digest).map(|bytes| bytes.len() as u64))
+    }
+
+    fn read(&self, digest: &Digest) -> Result<Vec<u8>, BlobError> {
+        Ok(self.get(digest)?.to_vec())
+    }
+
+    fn open_checked(&self, digest: &Digest) -> Result<BlobReader, BlobError> {
+        let bytes = self.get(digest)?;
+        let length = bytes.len() as u64;
+        Ok(BlobReader { bytes: Box::new(Cursor::new(bytes)), length })
+    }
+
+    fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
+        let digest = *blake3::hash(bytes).as_bytes();
+        self.map().entry(digest).or_insert_with(|| bytes.into());
+        Ok(digest)
+    }
+
+    fn put_unsynced(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
+        self.put(bytes)
+    }
+
+    fn put_stream(&self) -> Result<Box<dyn BlobWriter>, BlobError> {
+        Ok(Box::new(MemoryWriter { blobs: self.clone(), bytes: Vec::new() }))
+    }
+
+    fn remove(&self, digest: &Digest) -> Result<bool, BlobError> {
+        Ok(self.map().remove(digest).is_some())
+    }
+
+    fn scratch(&self) -> Result<Option<std::fs::File>, BlobError> {
+        Ok(None)
+    }
+
+    fn io_error(&self, e: io::Error) -> BlobError {
+        e.downcast::<BlobError>().unwrap_or_else(fault("write", Path::new("memory")))
+    }
+}
+
+/// A blob that is being collected.
+struct MemoryWriter {
+    blobs: MemoryBlobs,
+    bytes: Vec<u8>,
+}
+
+impl BlobWriter for MemoryWriter {
+    fn append(&mut self, bytes: &[u8]) -> Result<(), BlobError> {
+        self.bytes.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    fn length(&self) -> u64 {
+        self.bytes.len() as u64
+    }
+
+    fn finish(self: Box<Self>, expected: Option<&Digest>) -> Result<Digest, BlobError> {
+        check_announced(blake3::hash(&self.bytes), expected)?;
+        self.blobs.put(&self.bytes)
+    }
+}
+
+impl Write for MemoryWriter {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.bytes.extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}

@@ -1,0 +1,12 @@
+//! Large, content-addressed data beside the records: scenes, their chunks, packs, tile results, `.pvs` files.
+
+mod api;
+mod files;
+mod memory;
+
+#[cfg(test)]
+mod conformance;
+
+pub use api::{BlobError, BlobReader, BlobWriter, Blobs};
+pub use files::FileBlobs;
+pub use memory::MemoryBlobs;

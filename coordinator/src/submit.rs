@@ -1,0 +1,91 @@
+//! Submission: a checked specification becomes a job, or finds the job that has the same result.
+
+use prost::Message as _;
+use sightline_model::JobSpec;
+
+use crate::ids::{Digest, JobId};
+use crate::state::Coordinator;
+use crate::store::{BlobError, JobState, NewJob, StoreError, Submitted};
+
+/// A specification to be submitted.
+pub(crate) struct Submission {
+    /// Chosen by the client; submitting again with the same one gives the same job.
+    pub(crate) request_id: String,
+    /// For people.
+    pub(crate) name: String,
+    /// The job.
+    pub(crate) spec: JobSpec,
+}
+
+/// A submission that is refused.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum SubmitError {
+    /// The specification cannot be planned.
+    #[error("{0}")]
+    Spec(String),
+    /// The job was stored but cannot be scheduled.
+    #[error("{0}")]
+    Schedule(String),
+    /// A lost result cannot be removed.
+    #[error(transparent)]
+    Blob(#[from] BlobError),
+    /// The store failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+/// Submits a job on a recorded scene; returns its id and whether it existed before. A done job whose result
+/// is lost is begun again.
+pub(crate) fn submit(c: &Coordinator, submission: &Submission) -> Result<Submitted, SubmitError> {
+    let Submission { request_id, name, spec } = submission;
+    let bad = |e: &dyn std::fmt::Display| SubmitError::Spec(e.to_string());
+    let (_, plan) = spec.plan().map_err(|e| bad(&e))?;
+    spec.moved_by_rounding().map_err(|e| bad(&e))?;
+    let job = NewJob {
+        key: spec.key(),
+        request_id: request_id.clone(),
+        name: name.clone(),
+        scene: spec.scene,
+        spec: spec.to_proto().encode_to_vec(),
+        tiles: plan.tiles.len() as u32,
+        submitted_at_ms: c.now().unix_ms,
+    };
+    // Under the lock, so that a job is in the scheduler before anybody can see it.
+    let mut scheduler = c.lock();
+    let mut submitted = c.store.submit_job(job.clone())?;
+    if submitted.existing
+        && let Some(result) = result_of(c, submitted.id)?
+    {
+        // Reading a large result takes time; nobody else waits for it.
+        drop(scheduler);
+        let lost = c.blobs.open_checked(&result).err();
+        scheduler = c.lock();
+        if let Some(e) = lost
+            && result_of(c, submitted.id)? == Some(result)
+        {
+            // The outputs of its tiles were removed, so the job begins from nothing.
+            tracing::warn!("the result of job {} is lost ({e}); it is baked again", submitted.id);
+            c.blobs.remove(&result)?;
+            c.store.delete_job(submitted.id)?;
+            submitted = c.store.submit_job(job)?;
+        }
+    }
+    if !submitted.existing {
+        let id = submitted.id;
+        let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
+        let tiles = c.store.tiles(id)?;
+        scheduler.take_up(record, tiles).map_err(SubmitError::Schedule)?;
+        tracing::info!("job {id} ({name:?}) is submitted, {} tiles", plan.tiles.len());
+    }
+    drop(scheduler);
+    c.grant_tiles();
+    c.changed();
+    Ok(submitted)
+}
+
+fn result_of(c: &Coordinator, id: JobId) -> Result<Option<Digest>, StoreError> {
+    Ok(match c.store.job(id)?.map(|job| job.state) {
+        Some(JobState::Done { result, .. }) => Some(result),
+        _ => None,
+    })
+}

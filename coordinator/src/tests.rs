@@ -1,0 +1,172 @@
+//! A coordinator on a memory store and memory blobs: a job from its submission to its result, retries, lease
+//! expiry.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use glam::Vec3;
+use sightline_model::codec;
+use sightline_model::{BackendChoice, SamplingParams};
+use sightline_model::{CellSet, CellSets, TileOutput};
+use sightline_model::{JobSpec, Method};
+use sightline_pvs::Pvs;
+use sightline_scene::{Object, Scene, Triangle};
+use sightline_viewcells::Division;
+use tokio::sync::mpsc;
+
+use crate::assemble::expected_nodes;
+use crate::clock::ManualClock;
+use crate::ids::{Digest, JobId, WorkerId};
+use crate::jobs::{self, JobError};
+use crate::lifecycle;
+use crate::results::{self, Announced, ResultError};
+use crate::scheduler::{Grant, Introduction, Order};
+use crate::sessions::{self, Message};
+use crate::state::{Coordinator, Leases};
+use crate::store::{JobPhase, JobState, MemoryBlobs, MemoryStore, NewJob};
+use crate::submit::{Submission, submit};
+
+/// A coordinator without a disk, its clock, and the digest of a scene of one triangle.
+fn coordinator() -> (Arc<Coordinator>, Arc<ManualClock>, Digest) {
+    let clock = Arc::new(ManualClock::default());
+    let (store, blobs) = (Box::new(MemoryStore::new()), Box::new(MemoryBlobs::new()));
+    let c = Coordinator::new(Leases::default(), store, blobs, Box::new(Arc::clone(&clock))).unwrap();
+    let triangle = Triangle { v: [Vec3::ZERO, Vec3::X, Vec3::Y] };
+    let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
+    let scene = c.take_scene(&Scene::new("test", vec![triangle], objects).unwrap()).unwrap();
+    (c, clock, scene)
+}
+
+/// Submits a job of two tiles of one cell each.
+fn two_tiles(c: &Coordinator, scene: Digest) -> JobId {
+    let spec = JobSpec {
+        scene,
+        division: Division::Grid([2, 1, 1]),
+        view_box: [Vec3::ZERO, Vec3::ONE],
+        sampling: SamplingParams::default(),
+        backend: BackendChoice::Cpu,
+        seed: 1,
+        time_budget_ms: 0,
+        block_cells: 1,
+        method: Method::Aggressive,
+        certificates: false,
+    };
+    let submission = Submission { request_id: "one".to_owned(), name: "two tiles".to_owned(), spec };
+    submit(c, &submission).unwrap().id
+}
+
+/// Lets a worker join and want tiles.
+fn join(c: &Arc<Coordinator>, name: &str) -> (WorkerId, mpsc::Receiver<Order>) {
+    let (out, orders) = mpsc::channel(8);
+    let profiles = vec!["cpu/test".to_owned()];
+    let intro = Introduction { name: name.to_owned(), instance: 0, profiles, held: Vec::new() };
+    let worker = sessions::join(c, intro, Box::new(out)).unwrap().worker;
+    sessions::heard(c, worker, name, Message::Want(2)).unwrap();
+    (worker, orders)
+}
+
+fn granted(orders: &mut mpsc::Receiver<Order>) -> Grant {
+    match orders.try_recv() {
+        Ok(Order::Grant(grant)) => *grant,
+        other => panic!("no grant: {other:?}"),
+    }
+}
+
+/// The encoded output of a granted tile in which every cell sees `visible`.
+fn output(grant: &Grant, visible: &[u32]) -> Vec<u8> {
+    let (lattice, plan) = grant.spec.plan().unwrap();
+    let tile = &plan.tiles[grant.lease.tile.at()];
+    let nodes = expected_nodes(&grant.spec.division, &lattice, &tile.cell, tile.depth).unwrap();
+    let cells = (0..tile.cells).map(|_| CellSet { visible: visible.to_vec(), ..CellSet::default() });
+    codec::encode(&TileOutput::Cells(CellSets { cells: cells.collect(), nodes })).unwrap()
+}
+
+fn put(c: &Arc<Coordinator>, grant: &Grant, bytes: &[u8]) -> Result<(), ResultError> {
+    let digest = *blake3::hash(bytes).as_bytes();
+    let (bytes_announced, lease) = (bytes.len() as u64, grant.lease);
+    results::put(c, &Announced { lease, digest, bytes: bytes_announced, samples: 3, millis: 4 }, bytes)
+}
+
+#[test]
+fn a_job_runs_in_memory_from_submission_to_result() {
+    let (c, clock, scene) = coordinator();
+    let id = two_tiles(&c, scene);
+    assert_eq!(jobs::summary(&c, id).unwrap().record.state, JobState::Queued);
+    let (_, mut orders) = join(&c, "a");
+    let grants = [granted(&mut orders), granted(&mut orders)];
+    assert_eq!(jobs::summary(&c, id).unwrap().tiles_running, 2);
+    let empty = output(&grants[0], &[]);
+    assert!(matches!(put(&c, &grants[0], &empty[1..]), Err(ResultError::Encoding(_))));
+    put(&c, &grants[0], &empty).unwrap();
+    put(&c, &grants[0], &empty).unwrap();
+    assert!(matches!(put(&c, &grants[0], &output(&grants[0], &[0])), Err(ResultError::Conflict)));
+    assert!(matches!(jobs::result(&c, id), Err(JobError::NoResult { phase: JobPhase::Running, .. })));
+    clock.advance(Duration::from_secs(5));
+    put(&c, &grants[1], &output(&grants[1], &[0])).unwrap();
+    // The result is assembled on a thread of its own.
+    let mut tries = 0;
+    let done = loop {
+        let summary = jobs::summary(&c, id).unwrap();
+        if summary.ended() {
+            break summary;
+        }
+        tries += 1;
+        assert!(tries < 1000, "{summary:?}");
+        std::thread::sleep(Duration::from_millis(10));
+    };
+    assert_eq!((done.tiles_done, done.samples, done.tile_millis), (2, 6, 8));
+    assert_eq!(done.record.finished_at_ms, Some(done.record.submitted_at_ms + 5000));
+    let result = c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap();
+    let pvs = Pvs::from_bytes(result).unwrap();
+    let at = |x| {
+        let mut ids = Vec::new();
+        pvs.visible(pvs.find_cell([x, 0.5, 0.5]).unwrap(), &mut ids).unwrap();
+        ids
+    };
+    assert_eq!((at(0.25), at(0.75)), (vec![], vec![0]));
+    // The outputs of the tiles are in the result and were removed.
+    assert!(!c.blobs.has(blake3::hash(&empty).as_bytes()).unwrap());
+    // The same job again is answered with the result, and a lost result is baked again.
+    let spec = grants[0].spec.clone();
+    let again = Submission { request_id: "two".to_owned(), name: String::new(), spec };
+    let answer = submit(&c, &again).unwrap();
+    assert!(answer.existing && answer.id == id);
+    c.blobs.remove(&jobs::result(&c, id).unwrap()).unwrap();
+    let answer = submit(&c, &Submission { request_id: "three".to_owned(), ..again }).unwrap();
+    assert!(!answer.existing && answer.id != id);
+}
+
+#[test]
+fn a_lease_that_is_not_renewed_goes_to_another_worker() {
+    let (c, clock, scene) = coordinator();
+    two_tiles(&c, scene);
+    let (a, mut orders_a) = join(&c, "a");
+    let leases = [granted(&mut orders_a).lease, granted(&mut orders_a).lease];
+    sessions::heard(&c, a, "a", Message::Draining).unwrap();
+    clock.advance(Duration::from_secs(11));
+    lifecycle::tick(&c);
+    assert_eq!(leases.map(|l| orders_a.try_recv() == Ok(Order::Revoke(l))), [true, true]);
+    let (_, mut orders_b) = join(&c, "b");
+    assert_eq!(granted(&mut orders_b).lease.tile, leases[0].tile);
+}
+
+#[test]
+fn a_job_of_another_version_is_not_retried() {
+    let (c, _, scene) = coordinator();
+    let job = NewJob {
+        key: [1; 32],
+        request_id: String::new(),
+        name: "old".to_owned(),
+        scene,
+        spec: b"of another version".to_vec(),
+        tiles: 2,
+        submitted_at_ms: 0,
+    };
+    let id = c.store.submit_job(job).unwrap().id;
+    let failed = JobState::Failed { reason: "as it was".to_owned() };
+    c.store.set_job_state(id, &[JobPhase::Queued], failed.clone(), 1).unwrap();
+    let refused = jobs::retry(&c, id).unwrap_err();
+    assert!(matches!(refused, JobError::Outdated(_)), "{refused}");
+    assert!(refused.to_string().contains("submit it again"), "{refused}");
+    assert_eq!(c.store.job(id).unwrap().unwrap().state, failed);
+}
