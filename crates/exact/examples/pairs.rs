@@ -138,8 +138,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// How a hidden pair's cost grows with its effective occluders, m: means by classes of m, and the power of m that fits the pairs
-/// best (least squares of logarithms, from two occluders on).
+/// How a hidden pair's cost grows with its effective occluders, m: means by classes of m, and the power of m
+/// that fits the pairs best (least squares of logarithms, from two occluders on).
 fn growth(pairs: &[(f64, f64, f64)]) {
     let mut from = 1.0;
     while pairs.iter().any(|p| p.0 >= from) {

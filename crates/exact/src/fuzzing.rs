@@ -1,4 +1,4 @@
-//! What fuzz targets and tests feed with any bytes.
+//! Entry points for fuzz targets and property tests that accept arbitrary bytes.
 
 use glam::{DVec3, Vec3};
 use sightline_scene::{Object, Scene, Triangle};
@@ -7,8 +7,8 @@ use crate::checker::{self, CellClaims, Triangles, check_cell, check_hidden, chec
 use crate::evidence::codec;
 use crate::{Limits, Occluders, Polygon, Verdict, sightlines};
 
-/// Reads bytes (without their compression) as the evidence of a cell before two walls, and has everything checked that they claim.
-/// Whether that is accepted does not matter here, only that nothing panics.
+/// Reads bytes (without their compression) as the evidence of a cell before two walls, and has everything
+/// checked that they claim. Whether that is accepted does not matter here, only that nothing panics.
 pub fn evidence(raw: &[u8]) {
     let wall = |z: f32| {
         let [a, b, c, d] =
@@ -26,12 +26,13 @@ pub fn evidence(raw: &[u8]) {
     }
 }
 
-/// Reads bytes as two triangles and others between them, and asks whether one sees the other. The first byte says what coordinates are
-/// made of: any bits of floats, quarters from −32 to 31.75, or the upper half of a byte on a scale of its own for each point. What was decided, if
-/// the bytes were triangles and it was.
+/// Reads bytes as two triangles and others between them, and asks whether one sees the other. The first byte
+/// says what coordinates are made of: any bits of floats, quarters from −32 to 31.75, or the upper half of a
+/// byte on a scale of its own for each point. What was decided, if the bytes were triangles and it was.
 ///
 /// # Panics
-/// When the checker refuses a witness or a proof, or the two directions contradict each other: what no bytes may bring about.
+/// When the checker refuses a witness or a proof, or the two directions contradict each other: what no bytes
+/// may bring about.
 pub fn query(raw: &[u8]) -> Option<bool> {
     let (kind, raw) = raw.split_first()?;
     let mut bytes = raw.iter().copied();

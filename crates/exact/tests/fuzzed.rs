@@ -1,11 +1,12 @@
-//! Queries about triangles of any bytes: the checker accepts every answer. The same as the fuzz target `query`, without a nightly compiler;
-//! `SIGHTLINE_FUZZ_CASES` says how many of each kind, `SIGHTLINE_FUZZ_SEED` where to begin.
+//! Queries about triangles of any bytes: the checker accepts every answer. The same as the fuzz target
+//! `query`, without a nightly compiler; `SIGHTLINE_FUZZ_CASES` says how many of each kind,
+//! `SIGHTLINE_FUZZ_SEED` where to begin.
 
 #![allow(clippy::panic, clippy::print_stdout, reason = "tests")]
 
 use sightline_exact::fuzzing::query;
 
-/// So many bytes from a seed (splitmix64).
+/// Bytes from a seed (SplitMix64).
 fn bytes(seed: u64, count: usize) -> Vec<u8> {
     let mut state = seed;
     let mut next = || {
@@ -24,7 +25,8 @@ fn variable(name: &str, otherwise: u64) -> u64 {
         .map_or(otherwise, |v| v.parse().unwrap_or_else(|_| panic!("{name}={v} is no number")))
 }
 
-/// Random bytes of one kind; of coordinates on a grid few values, so that much is in one plane, on one line and in one place.
+/// Random bytes of one kind; of coordinates on a grid few values, so that much is in one plane, on one line
+/// and in one place.
 fn run(kind: u8) {
     let (cases, first) = (variable("SIGHTLINE_FUZZ_CASES", 200), variable("SIGHTLINE_FUZZ_SEED", 1));
     let mut found = [0u64; 3];
@@ -37,7 +39,8 @@ fn run(kind: u8) {
             // Sign and magnitude of few bits.
             raw[1..].iter_mut().for_each(|b| *b = (*b & mask).wrapping_sub(mask / 2));
             if seed % 2 == 0 {
-                // One small triangle on either side, and all others large and between them, where they hide something.
+                // One small triangle on either side, and all others large and between them, where they hide
+                // something.
                 let [small, large] =
                     [3i8, 120].map(|most| move |b: u8| ((b.cast_signed() as i32 * most as i32) / 128) as u8);
                 for (i, triangle) in raw[1..].chunks_mut(9).enumerate() {

@@ -107,7 +107,8 @@ fn two_slits_in_line_are_seen_through_and_two_that_are_offset_are_not() {
 
 #[test]
 fn where_one_line_alone_would_pass_nothing_is_seen() {
-    // x ≤ 0 on A, x ≥ 0 left open halfway and x ≤ `limit` on B: with limit 0 the lines with x = 0 are all there is.
+    // x ≤ 0 on A, x ≥ 0 left open halfway and x ≤ `limit` on B: with limit 0 the lines with x = 0 are all
+    // there is.
     for place in exact().iter().filter(|p| p.scale == 1.0) {
         let a = place.rectangle(0.0, [-1.0, 0.0], [-1.0, 1.0]);
         let b = place.rectangle(4.0, [-1.0, 1.0], [-1.0, 1.0]);
@@ -120,7 +121,8 @@ fn where_one_line_alone_would_pass_nothing_is_seen() {
     }
 }
 
-/// A wall in a plane z around a slit: through `centre`, `half_length` steps of `along` each way, `half_width` steps across.
+/// A wall in a plane z around a slit: through `centre`, `half_length` steps of `along` each way, `half_width`
+/// steps across.
 fn wall_around(
     draft: &mut Draft<'_>,
     z: f64,
@@ -144,8 +146,8 @@ fn wall_around(
 
 /// Slits along x at 0, along y at 1 and, moved by `aside`, along the diagonal at 2.
 ///
-/// The line from (t, 0, 0) to (0, s, 1) comes to (−t, 2s) at 2, so those through three slits without width have
-/// t = −2s: one family, which comes from (−4s, −s) at −1 and goes to (4s, 3s) at 3.
+/// The line from (t, 0, 0) to (0, s, 1) comes to (−t, 2s) at 2, so those through three slits without width
+/// have t = −2s: one family, which comes from (−4s, −s) at −1 and goes to (4s, 3s) at 3.
 fn three_slits(place: &Place, half_width: f64, aside: f64) -> World {
     let mut draft = Draft::new(place);
     wall_around(&mut draft, 0.0, [0.0, 0.0], [1.0, 0.0], 1.5, half_width);
@@ -228,7 +230,8 @@ fn the_edge_two_triangles_share_is_no_crack() {
         // The edge from (−4, −4) to (4, 4).
         draft.rectangle(1.0, [-4.0, 4.0], [-4.0, 4.0]);
         let world = draft.done();
-        // Through it, with the edge seen as a point (from the side), as a line, and from a slit of its own shape.
+        // Through it, with the edge seen as a point (from the side), as a line, and from a slit of its own
+        // shape.
         let (a, b) = (place.square([0.0, 0.0, 0.0], 1.0), place.square([0.0, 0.0, 2.0], 1.0));
         hidden(&world, &a, &b, place);
         let thin =
@@ -416,8 +419,8 @@ fn fence(draft: &mut Draft<'_>, z: f64, middle: f64, width: f64) {
 fn fences_are_seen_through_unless_they_close_each_others_gaps() {
     for place in exact().iter().filter(|p| p.scale >= 1.0) {
         let (a, b) = (place.square([0.0, 0.0, 0.0], 4.0), place.square([0.0, 0.0, 8.0], 4.0));
-        // Lines from A to B move one sideways for each forward at most. The second fence's pickets are in front of the
-        // first's gaps, half a step wide, at such a distance.
+        // Lines from A to B move one sideways for each forward at most. The second fence's pickets are in
+        // front of the first's gaps, half a step wide, at such a distance.
         let world = |fences: &[(f64, f64, f64)]| {
             let mut draft = Draft::new(place);
             fences.iter().for_each(|(z, middle, width)| fence(&mut draft, *z, *middle, *width));
@@ -439,8 +442,8 @@ fn fences_are_seen_through_unless_they_close_each_others_gaps() {
 
 #[test]
 fn what_is_seen_past_three_edges_is_hidden_when_one_moves() {
-    // At 1 what has x ≥ y/4 is closed, at 3 x ≥ −y/4, at 2 x ≤ limit. Free lines have x₂ = (x₁ + x₃)/2 < (y₁ − y₃)/8, and
-    // y₁ − y₃ = (y₀ − y₄)/2 is 1 at most: some are free exactly when the limit is below 1/8.
+    // At 1 what has x ≥ y/4 is closed, at 3 x ≥ −y/4, at 2 x ≤ limit. Free lines have x₂ = (x₁ + x₃)/2 < (y₁
+    // − y₃)/8, and y₁ − y₃ = (y₀ − y₄)/2 is 1 at most: some are free exactly when the limit is below 1/8.
     let world = |place: &Place, limit: f64, without: usize| {
         let mut draft = Draft::new(place);
         if without != 1 {
