@@ -4,6 +4,7 @@
 #![allow(dead_code, clippy::panic, clippy::unwrap_used, reason = "helpers of tests, each of which uses some")]
 
 pub mod cells;
+pub mod truth;
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use sightline_exact::checker::Refusal;
