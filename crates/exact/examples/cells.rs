@@ -51,7 +51,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let floats = decided.evidence.seen.iter().filter(|w| matches!(w.1, Witness::Floats(_))).count();
         let bytes = codec::encode(&decided.evidence)?.len();
         println!(
-            "cell {cell}: {took:.2?}; sampled {}, visible {}, missed {}, refuted {}, hidden {} ({} boxes, {} by surfaces), undecided {} {:?}; {} rays, {} of {} witnesses in floats, {} bytes of evidence; {} queries, {} regions, {} lines, {all} decisions, {:.2} % exact ({} zero, {} spanned, {} refined), {} halvings",
+            "cell {cell}: {took:.2?}; sampled {}, visible {}, missed {}, refuted {}, hidden {} ({} boxes, \
+             {} by surfaces), undecided {} {:?}; {} rays, {} of {} witnesses in floats, {} bytes of \
+             evidence; {} queries, {} regions, {} lines, {all} decisions, {:.2} % exact ({} zero, {} \
+             spanned, {} refined), {} halvings",
             ids.len(),
             decided.visible.len(),
             e.missed,

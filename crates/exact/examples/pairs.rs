@@ -111,7 +111,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let total: Duration = times.iter().sum();
         let d = cost.decisions;
         println!(
-            "{name}: {} pairs, mean {:.4} ms, p50 {:.4}, p99 {:.3}, max {:.1}; a pair: {:.1} regions, {:.1} lines, {:.1} occluders, {:.2} halvings; {:.0} decisions, {:.3} % exact ({:.3} % zero)",
+            "{name}: {} pairs, mean {:.4} ms, p50 {:.4}, p99 {:.3}, max {:.1}; a pair: {:.1} regions, \
+             {:.1} lines, {:.1} occluders, {:.2} halvings; {:.0} decisions, {:.3} % exact ({:.3} % zero)",
             times.len(),
             total.as_secs_f64() * 1e3 / n,
             times[times.len() / 2].as_secs_f64() * 1e3,
@@ -132,8 +133,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// How a hidden pair's cost grows with its effective occluders, m: means by classes of m, and the power of m that fits the pairs
-/// best (least squares of logarithms, from two occluders on).
+/// How a hidden pair's cost grows with its effective occluders, m: means by classes of m, and the power of m
+/// that fits the pairs best (least squares of logarithms, from two occluders on).
 fn growth(pairs: &[(f64, f64, f64)]) {
     let mut from = 1.0;
     while pairs.iter().any(|p| p.0 >= from) {

@@ -1,4 +1,5 @@
-//! Random small scenes against many random segments: none may be free where the verdict is that nothing is seen.
+//! Random small scenes against many random segments: none may be free where the verdict is that nothing is
+//! seen.
 
 mod common;
 
@@ -10,8 +11,9 @@ use sightline_exact::proof::Step;
 use sightline_exact::{Polygon, Verdict, polygon};
 use sightline_scene::exact::orient3d_sign;
 
-/// Volumes and areas in scenes no larger than 16 are off by less than 1e-10 in doubles, and change by less when the
-/// ends of a segment move to where they would be without rounding. What is clear by this much is clear.
+/// Volumes and areas in scenes no larger than 16 are off by less than 1e-10 in doubles, and change by less
+/// when the ends of a segment move to where they would be without rounding. What is clear by this much is
+/// clear.
 const CLEAR: f64 = 1e-7;
 
 /// Six times the volume.
@@ -211,8 +213,8 @@ fn what_a_verdict_rests_on_is_refused_where_it_is_not_so() {
                     }
                     triangles[blocker as usize] = was;
                 }
-                // A step more, or one less, and the parts that are left do not come out even. (What leaves one part may
-                // have been idle.)
+                // A step more, or one less, and the parts that are left do not come out even. (What leaves
+                // one part may have been idle.)
                 for at in 0..proof.steps.len() {
                     let mut other = proof.clone();
                     other.steps.insert(at, Step::Unreal);

@@ -1,4 +1,5 @@
-//! What is hidden from several cells at once: that it is hidden from each, that nothing else changes, and what tampering does.
+//! What is hidden from several cells at once: that it is hidden from each, that nothing else changes, and
+//! what tampering does.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
@@ -99,7 +100,7 @@ fn what_is_hidden_from_the_box_is_hidden_from_each_cell_and_all_else_stays() {
         joint += d.statistics.queries;
     }
     assert!(joint < apart, "{joint} queries instead of {apart}");
-    // What sampling has shown of a cell is not asked about.
+    // Triangles that sampling has shown from a cell are not queried.
     let seen: Vec<&[u32]> = alone.iter().map(|d| d.visible.as_slice()).collect();
     let (again, _) = shared(&scene, &cells, &seen, &|| false);
     assert_eq!(again, hidden);
@@ -207,7 +208,8 @@ fn evidence_without_anything_in_common_is_written_as_it_always_was() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(120))]
 
-    /// On a coarse grid nearly everything touches or lies in one plane with something, the faces of box and cells included.
+    /// On a coarse grid nearly everything touches or lies in one plane with something, the faces of box and
+    /// cells included.
     #[test]
     fn any_cells_of_a_box_see_what_they_see_alone(
         triangles in prop::collection::vec(prop::array::uniform3(prop::array::uniform3(-4i8..5)), 1..14),

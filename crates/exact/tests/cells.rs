@@ -1,4 +1,5 @@
-//! Whole view cells decided: what the checker makes of the evidence, what rays find, what tampering does, what stopping leaves.
+//! Whole view cells decided: what the checker makes of the evidence, what rays find, what tampering does,
+//! what stopping leaves.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
@@ -203,7 +204,8 @@ fn what_faces_away_is_hidden_without_a_query() {
     let d = solve(&scene, inside, &[], &|| false);
     assert_eq!(d.visible, (0..12).collect::<Vec<u32>>());
     check(&triangles, inside, &d, &d.evidence).unwrap();
-    // Through a hole the inner side is seen, and what no line through the hole reaches is still hidden by the surface.
+    // Through a hole the inner side is seen, and what no line through the hole reaches is still hidden by the
+    // surface.
     triangles.remove(1);
     let scene = exact_scene(&triangles);
     let d = solve(&scene, cell, &[], &|| false);
@@ -233,7 +235,8 @@ fn grid_point(reach: i8) -> impl Strategy<Value = Vec3> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
 
-    /// On a coarse grid nearly everything touches, overlaps or lies in one plane with something, the cell's faces included.
+    /// On a coarse grid nearly everything touches, overlaps or lies in one plane with something, the cell's
+    /// faces included.
     #[test]
     fn any_cell_is_decided_with_evidence_that_holds_and_rays_do_not_refute(
         triangles in prop::collection::vec(prop::array::uniform3(grid_point(4)), 1..14),
@@ -250,7 +253,8 @@ proptest! {
         if let Err(e) = check(&triangles, cell, &d, &d.evidence) {
             return Err(TestCaseError::fail(e.to_string()));
         }
-        // Rays from inside the cell, in doubles: a hit well inside a triangle and clear of all edges is one it is seen by.
+        // Rays from inside the cell, in doubles: a hit well inside a triangle and clear of all edges is one
+        // it is seen by.
         let mut state = seed;
         let mut unit = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -322,7 +326,8 @@ proptest! {
         }
     }
 
-    /// Whatever is done to the evidence, a set that lacks something visible, or has something hidden, is not accepted.
+    /// Whatever is done to the evidence, a set that lacks something visible, or has something hidden, is not
+    /// accepted.
     #[test]
     fn no_altered_evidence_makes_a_wrong_set_right(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),

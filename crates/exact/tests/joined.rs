@@ -1,4 +1,4 @@
-//! What hangs together is taken together: proofs about what is behind curved surfaces do not grow with their facets.
+//! Occluder fusion: proofs for triangles behind curved surfaces do not grow with the number of facets.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests, which may")]
 
@@ -7,8 +7,8 @@ mod common;
 use common::{Draft, exact};
 use sightline_exact::{Polygon, Verdict};
 
-/// A sphere between two squares so much smaller that all lines pass its middle: facets are wider than the squares at first, then
-/// far smaller, and none of these blocks much by itself.
+/// A sphere between two squares so much smaller that all lines pass its middle: facets are wider than the
+/// squares at first, then far smaller, and none of these blocks much by itself.
 #[test]
 fn a_finer_sphere_takes_no_more_steps() {
     for place in exact() {

@@ -1,4 +1,5 @@
-//! A query ends within what it was allowed, says which limit that was, and never calls hidden or seen what it did not decide.
+//! A query ends within what it was allowed, says which limit that was, and never calls hidden or seen what it
+//! did not decide.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests, which may")]
 
@@ -11,7 +12,8 @@ use glam::{DVec3, Vec3};
 use sightline_exact::{Cost, Limits, Occluders, Polygon, Reason, Verdict, sightlines, sightlines_until};
 use sightline_scene::{Object, Scene, Triangle};
 
-/// Two squares with two fences between that close each other's gaps, in one of the ways the axes can be turned.
+/// Two squares with two fences between that close each other's gaps, in one of the ways the axes can be
+/// turned.
 fn fences(turn: usize) -> (Occluders, [Vec<Polygon>; 2]) {
     let turn = permutations()[turn];
     let place = |p: [f64; 3]| (turn * DVec3::from(p)).as_vec3();

@@ -1,4 +1,5 @@
-//! What holds of any scene: on a coarse grid, where almost everything touches something, and on random floats.
+//! What holds of any scene: on a coarse grid, where almost everything touches something, and on random
+//! floats.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests, which may")]
 

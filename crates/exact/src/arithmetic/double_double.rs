@@ -1,9 +1,12 @@
-//! Pairs of doubles whose sum is the value: about 104 bits, for what 53 are too few and integers too slow.
+//! Double-doubles: double-doubles whose sum is the value, with about 104 significant bits.
 //!
-//! Sums and products after Dekker 1971 and Knuth; every operation here errs by at most 2⁻¹⁰¹ of the magnitudes that go
-//! into it, as long as nothing comes near the ends of a double's range.
+//! They decide signs that doubles cannot and that integers decide slowly. Sums and products follow Dekker
+//! 1971 ("A Floating-Point Technique for Extending the Available Precision") and Knuth ("The Art of Computer
+//! Programming", volume 2). Each operation errs by at most 2⁻¹⁰¹ of the magnitudes of its operands, as long
+//! as no intermediate value overflows or underflows.
 
-/// A value as the unevaluated sum of two doubles, the second at most half a unit in the last place of the first.
+/// A value as the unevaluated sum of two doubles, the second at most half a unit in the last place of the
+/// first.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DoubleDouble(pub f64, pub f64);
 

@@ -1,4 +1,4 @@
-//! Numbers: pairs of doubles, big integers, signs, and random numbers.
+//! Numbers: double-doubles, big integers, signs, and random numbers.
 
 pub(crate) mod double_double;
 pub(crate) mod number;

@@ -1,7 +1,7 @@
-//! The numbers that decide when doubles cannot: integers of any size, and how doubles become them and back.
+//! Big integers, the conversion of doubles to integers, and the rounding back.
 //!
-//! Every coordinate is a finite double, an integer times a power of two. Points and lines are homogeneous, so a
-//! common positive factor means nothing and everything can be kept in integers; [`primitive`] keeps them small.
+//! Every coordinate is a finite double: an integer times a power of two. Points and lines are homogeneous, so
+//! a common positive factor has no meaning and all values can be integers; [`primitive`] keeps them small.
 
 use dashu_int::IBig;
 use dashu_int::ops::{BitTest, Gcd, UnsignedAbs as _};
@@ -55,8 +55,8 @@ pub fn primitive<const N: usize>(v: &mut [IBig; N]) {
     }
 }
 
-/// The vector scaled by a power of two until its greatest component is at least 1/2 and at most 1, each component
-/// wrong by at most [`U`]. A vector of zeros stays.
+/// The vector scaled by a power of two until its greatest component is at least 1/2 and at most 1, each
+/// component wrong by at most [`U`]. A vector of zeros stays.
 pub fn rounded<const N: usize>(v: &[IBig; N]) -> [f64; N] {
     let longest = v.iter().map(|x| x.bit_len()).max().unwrap_or(0);
     // More than a double holds, so that cutting the rest off is far below the rounding that follows.
@@ -88,7 +88,8 @@ pub fn double_double(x: &IBig) -> DoubleDouble {
     DoubleDouble(high, low)
 }
 
-/// The vector scaled by a power of two so that its greatest component is at least 1/2 and below 1, and the factor.
+/// The vector scaled by a power of two so that its greatest component is at least 1/2 and below 1, and the
+/// factor.
 pub fn normalised<const N: usize>(x: [f64; N]) -> ([f64; N], f64) {
     let greatest = x.iter().fold(0.0f64, |m, c| m.max(c.abs()));
     if greatest == 0.0 || !greatest.is_finite() {

@@ -1,4 +1,5 @@
-//! The queries about the nodes, polygons and triangles of a scene from one cell, and what their answers decide.
+//! The queries about the nodes, polygons and triangles of a scene from one cell, and what their answers
+//! decide.
 
 use std::cmp::Ordering;
 
@@ -27,7 +28,7 @@ pub enum Item {
     Face(u32),
 }
 
-/// What was found out about an item.
+/// The answer of a query about an item.
 pub struct Asked {
     pub of: Item,
     pub found: Option<Found>,
@@ -56,7 +57,7 @@ impl Work<'_> {
         }
     }
 
-    /// The polygon that an occluder's triangles make up, if it has few enough corners to be asked about at once.
+    /// The polygon that an occluder's triangles make up, if it has few enough corners for one query.
     pub fn outline(&self, occluder: u32) -> Option<Polygon> {
         let corners: Vec<DVec3> =
             self.task.scene.occluders().occluder(occluder).outline().iter().map(|c| c.as_dvec3()).collect();
@@ -80,7 +81,7 @@ impl Work<'_> {
             .collect()
     }
 
-    /// Asks about one item; nothing is found when it is time to stop.
+    /// Runs the query of one item; no answer when stopped.
     pub fn ask(&self, of: Item) -> Asked {
         let mut cost = Cost::default();
         if (self.task.stop)() {
@@ -149,7 +150,7 @@ impl Work<'_> {
         }
     }
 
-    /// Takes up an answer that decides.
+    /// Records the answer of a query.
     pub fn take(&mut self, Asked { of, found, cost, .. }: Asked) {
         self.decided.statistics.cost += cost;
         self.decided.statistics.queries += u64::from(found.is_some());
@@ -195,7 +196,7 @@ impl Work<'_> {
         }
     }
 
-    /// Takes up witnesses that were found by the way.
+    /// Records witnesses found near the witness of a query.
     pub fn show_beside(&mut self, answer: &mut Asked) -> Vec<u32> {
         self.decided.statistics.rays += answer.rays;
         let mut beside = std::mem::take(&mut answer.beside);
@@ -208,7 +209,7 @@ impl Work<'_> {
     }
 }
 
-/// A query's witness as it is kept: by floats where these will do.
+/// A query's witness in the form that is stored: in single precision if that is a witness, else exact.
 fn witness(scene: &Occluders, cell: &Cell, id: u32, ends: &[Source; 2]) -> Witness {
     let [p, q] = ends.each_ref().map(rounded);
     let [min, max] = cell.corners();

@@ -1,8 +1,8 @@
-//! What is hidden from several cells at once: asked about the box around them, once instead of cell by cell.
+//! Cell groups: what is hidden from a box around several cells, decided once for all of them.
 //!
-//! Growing a cell never hides, so what is hidden from a box is hidden from all in it. The other way round nothing is gained: what is
-//! seen from the box is asked about again from each cell. So nothing is asked that one of the cells is known to see, and nothing that
-//! all of them are known not to.
+//! Enlarging a cell never hides a triangle, so a triangle hidden from the box is hidden from every cell in
+//! it. A triangle seen from the box is queried again from each cell. So triangles that some cell is known to
+//! see, and triangles that all cells are known not to see, are not queried from the box.
 
 use rayon::prelude::*;
 
@@ -14,23 +14,23 @@ use crate::evidence::Shared;
 use crate::geometry::Cell;
 use crate::search::Limits;
 
-/// Which cells, and how what is hidden from all of them is to be found.
+/// A group of cells whose common hidden triangles are to be found.
 pub struct CellGroup<'a> {
-    /// What blocks.
+    /// The prepared scene.
     pub scene: &'a ExactScene,
     /// The cells, which fill a box.
     pub cells: &'a [Cell],
     /// For each, triangles that sampling has shown, ascending.
     pub seen: &'a [&'a [u32]],
-    /// When a single query gives up.
+    /// The limits of a single query.
     pub limits: Limits,
     /// Seed of the rays.
     pub seed: u64,
     /// Whether to keep proofs.
     pub keep: bool,
-    /// Asked before every region of every query whether to stop with what there is.
+    /// Called before every region of every query: whether to stop with the results so far.
     pub stop: &'a (dyn Fn() -> bool + Sync),
-    /// Told after every query.
+    /// Called after every query.
     pub asked: &'a (dyn Fn() + Sync),
 }
 
@@ -45,7 +45,8 @@ pub struct GroupDecided {
     pub statistics: QueryStatistics,
 }
 
-/// The triangles proved hidden from the box around the cells, ascending; with proofs, if they are kept, and what it took.
+/// The triangles proved hidden from the box around the cells, ascending; with proofs, if they are kept, and
+/// what it took.
 pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
     let all = task.cells.iter().map(Cell::corners);
     let bounds = all.reduce(|[min, max], [lo, hi]| [min.min(lo), max.max(hi)]).unwrap_or_default();
@@ -71,7 +72,8 @@ pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
         return nothing(QueryStatistics::default());
     }
     work.meeting();
-    // What the cells know without asking: a few at a time, since a large scene has many triangles and a tile may have many cells.
+    // What the cells know without asking: a few at a time, since a large scene has many triangles and a tile
+    // may have many cells.
     let mut seen_by_any = vec![false; work.state.len()];
     let mut hidden_from = vec![0; work.state.len()];
     let pairs: Vec<_> = task.cells.iter().zip(task.seen).collect();
@@ -105,7 +107,8 @@ pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
     GroupDecided { hidden, shared, statistics: work.decided.statistics }
 }
 
-/// What is known of the triangles from one of the cells before anything is asked; what sampling has shown is taken to be visible.
+/// The states of the triangles for one of the cells before any query; triangles that sampling has shown count
+/// as visible.
 fn before_asking(whole: &Task<'_>, cell: Cell, seen: &[u32]) -> Vec<State> {
     let own = Task { cell, seen, keep: false, ..*whole };
     let mut work = Work::new(&own);

@@ -1,10 +1,14 @@
-//! Everything visible from one view cell, decided (thesis §6.2): what sampling has shown gets a witness, the rest is asked
-//! about ([`search`]), whole boxes first, the largest as seen from the cell before the others.
+//! Deciding everything visible from one view cell (Nirenstein 2003, section 6.2).
 //!
-//! V(C) = I(C) ∪ V(∂C): what meets the cell is visible, everything else is seen through a face of the cell or not at all. A box whose
-//! faces are all hidden from all faces of the cell hides everything in it. Boxes that hold something visible are not asked about.
-//! What is hidden from a box around several cells is hidden from each, and asked about once ([`together`]).
-//! Stopped at any time, what is not decided is said to be undecided, so visible ⊆ V(C) ⊆ visible ∪ undecided always.
+//! Triangles that sampling has shown get a witness. The others are queried, whole boxes of the hierarchy
+//! first, the largest as seen from the cell before the others.
+//!
+//! V(C) = I(C) ∪ V(∂C): a triangle that meets the cell is visible, and any other triangle is seen through a
+//! face of the cell or not at all. A box whose faces are all hidden from all faces of the cell hides every
+//! triangle in it. Boxes that contain a visible triangle are not queried. A triangle hidden from a box around
+//! a group of cells is hidden from each of them, and queried once ([`crate::cells::decide_group`]). When
+//! stopped, all remaining triangles are reported as undecided, so visible ⊆ V(C) ⊆ visible ∪ undecided always
+//! holds.
 
 use rayon::prelude::*;
 

@@ -7,8 +7,9 @@ use crate::surfaces::Surfaces;
 
 /// The occluders and the closed surfaces of a scene.
 ///
-/// Both are complete when the value exists: nothing is computed lazily and no lock is held later, so that cells can be
-/// decided on any thread, those of a rayon pool among them. Queries that need no surfaces take [`Occluders`] alone.
+/// Both are complete when the value exists: nothing is computed lazily and no lock is held later, so that
+/// cells can be decided on any thread, those of a rayon pool among them. Queries that need no surfaces take
+/// [`Occluders`] alone.
 pub struct ExactScene {
     occluders: Occluders,
     surfaces: Surfaces,

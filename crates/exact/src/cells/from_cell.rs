@@ -1,7 +1,7 @@
-//! A view cell and what is asked from it: whether any of some polygons is seen from anywhere in a box.
+//! Queries from a view cell: whether any of some polygons is seen from any point of a box.
 //!
-//! Every segment that leaves the box crosses one of its faces, so the faces are asked, and of those the ones turned to
-//! the target. How a whole cell is decided with such queries is in [`crate::cells::decide`].
+//! Every segment that leaves the box crosses one of its faces, so a query starts at each face that faces the
+//! target. [`crate::cells::decide()`] decides a whole cell with such queries.
 
 use std::cmp::Ordering;
 
@@ -14,20 +14,21 @@ use crate::occluders::Occluders;
 use crate::proof::Proof;
 use crate::search::{Cost, Limits, Reason, Verdict, sightlines_until};
 
-/// What is known of a triangle or box after a query.
+/// The answer to a query about a triangle or a box from a cell.
 #[derive(Clone, Debug)]
 pub enum Found {
     /// Seen, along this segment from the cell.
     Visible(Box<[Source; 2]>),
-    /// Hidden from each of the cell's faces, with the proofs in the order of [`crate::evidence::Hidden::proofs`].
+    /// Hidden from each of the cell's faces, with the proofs in the order of
+    /// [`crate::evidence::Hidden::proofs`].
     Hidden(Vec<Proof>),
     /// Neither.
     Undecided(Reason),
 }
 
-/// Whether any of the targets, which do not meet the cell, is seen from it; from what is not on the side `hidden` of the plane of
-/// a single one, if they are known to be hidden from there. Undecided beyond the limits, and where `stop`,
-/// asked before every region, says so.
+/// Whether any of the targets is seen from the cell, which none of them meets. With `hidden`, a single target
+/// is known to be hidden from that side of its plane, and only the rest of the cell's surface is queried.
+/// Undecided at the limits, and when `stop`, called before every region, returns true.
 pub fn from_cell(
     scene: &Occluders,
     cell: Cell,
@@ -53,7 +54,8 @@ pub fn from_cell(
                 Some(side) => face.part(&target.plane(), &target.sides(&face), side.reverse()),
             };
             let Some(outer) = outer_part(&target, &face, axis, up, at) else { continue };
-            // A face that is wholly on the hidden side has a proof of nothing, so that proofs are numbered alike.
+            // A face that is wholly on the hidden side has a proof of nothing, so that proofs are numbered
+            // alike.
             let (verdict, took) = sightlines_until(scene, (from.as_slice(), &[outer]), limits, stop);
             *cost += took;
             match verdict {
@@ -98,7 +100,8 @@ fn face(min: Vec3, max: Vec3, axis: usize, up: bool) -> Polygon {
     Polygon::rectangle([corner(false, false), corner(true, false), corner(true, true), corner(false, true)])
 }
 
-/// The faces of a box that lines from the cell can enter by, without those that have no area. The two do not touch.
+/// The faces of a box that lines from the cell can enter by, without those that have no area. The two do not
+/// touch.
 pub fn faces_towards(min: Vec3, max: Vec3, cell: Cell) -> Vec<Polygon> {
     let [lo, hi] = cell.corners();
     let mut out = Vec::with_capacity(3);

@@ -1,4 +1,4 @@
-//! The queries about a cell: boxes of the scene's hierarchy, polygons and triangles, what looks largest from the cell first.
+//! The order of the queries from a cell: boxes of the hierarchy, polygons and triangles, by apparent size.
 
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -11,12 +11,12 @@ use crate::cells::progress::Progress;
 use crate::cells::work::{State, Work};
 use crate::geometry::bvh::Below;
 
-/// Nodes asked about at a time, in parallel: enough to keep a few cores busy, few enough to go by size.
+/// Queries run at a time, in parallel: enough to keep a few cores busy, few enough to go by size.
 const BATCH: usize = 64;
-/// So many open polygons are asked about one by one: a box has more faces, and hides less than it seems.
+/// Up to this number of open polygons are queried one by one: a box has more faces than they have polygons.
 const FEW: u32 = 6;
 
-/// A node or a triangle that is still to be asked about, by how large it looks.
+/// A node, polygon or triangle that is still to be queried, ordered by its apparent size.
 #[derive(PartialEq)]
 struct Doubt {
     size: f64,
@@ -42,12 +42,12 @@ impl Work<'_> {
         let tree = self.task.scene.occluders().hierarchy();
         let mut below = Progress::of(self.task.scene.occluders(), &self.state);
         let mut doubts = BinaryHeap::new();
-        // Polygons that came up, and whether they were asked about as such.
+        // Polygons found so far, and whether each was queried as a whole.
         let mut faces: BTreeMap<u32, bool> = BTreeMap::new();
         let mut batch: Vec<Item> = Vec::new();
         let mut expand = vec![0u32];
         loop {
-            // What needs no query is taken apart at once.
+            // Nodes that need no query are expanded at once.
             while let Some(node) = expand.pop() {
                 match tree.below(node) {
                     Below::Nodes(children) => {
@@ -115,7 +115,7 @@ impl Work<'_> {
                 }
                 let hidden = matches!(answer.found, Some(Found::Hidden(_)));
                 match answer.of {
-                    // What is in it is asked about by itself, and nothing at all any more once it is time to stop.
+                    // The node's children are queried instead, unless the search was stopped.
                     Item::Node(node) if !hidden => {
                         if answer.found.is_some() {
                             expand.push(node);

@@ -1,21 +1,21 @@
-//! What is known below the nodes of a scene's hierarchy while its triangles are being decided.
+//! The states of the triangles below each node of the hierarchy while they are decided.
 
 use crate::cells::work::State;
 use crate::geometry::bvh::Below;
 use crate::occluders::Occluders;
 
-/// What is known below a node.
+/// The states of the triangles below a node, summarised.
 #[derive(Clone, Copy, Default)]
 pub struct Known {
     /// Whether some triangle is visible.
     pub visible: bool,
     /// Whether some triangle was open at first.
     pub open: bool,
-    /// How many triangles were open at first; of those of one polygon, which are asked about together, one counts.
+    /// How many triangles were open at first; the triangles of one polygon share a query and count once.
     pub count: u32,
 }
 
-/// What is known below the nodes of the hierarchy.
+/// A summary for each node of the hierarchy.
 pub struct Progress {
     below: Vec<Known>,
     parent: Vec<u32>,

@@ -1,7 +1,8 @@
-//! Witnesses by rays: for each of many triangles that are likely visible, segments from random points of the cell to random
-//! points of it; whatever wanted triangle such a segment meets first has its witness.
+//! Witnesses from random rays: segments from random points of the cell to random points of likely visible
+//! triangles.
 //!
-//! Every segment is checked exactly before it counts ([`shows`]). What a few rays do not show is left to the queries.
+//! The first triangle that a segment meets gets a witness if it is wanted. Every segment is checked exactly
+//! before it counts ([`shows`]). Triangles that a few rays do not show are left to queries.
 
 use std::collections::BTreeMap;
 
@@ -14,17 +15,19 @@ use crate::occluders::segment::{first, shows};
 
 /// Segments tried for one triangle before it is left to a query, which costs far more than all of them.
 const TRIES: u32 = 48;
-/// How far beyond the point it meets a witness reaches, in parts of its length: floats near the point have to be well beyond
-/// the triangle, and what is right behind it in the way as rarely as can be.
+/// How far beyond the point it meets a witness reaches, in parts of its length: floats near the point have to
+/// be well beyond the triangle, and what is right behind it in the way as rarely as can be.
 const BEYOND: [f64; 2] = [1e-4, 1e-6];
 
 /// Segments tried around one that a query found.
 const AROUND: u32 = 32;
-/// How far apart these are at first, in parts of the cell and of the target, and by which factor they come nearer.
+/// How far apart these are at first, in parts of the cell and of the target, and by which factor they come
+/// nearer.
 const SPREAD: [f64; 2] = [0.25, 0.6];
 
-/// Looks for witnesses near a free segment from the cell to a target so wide: what one line shows its neighbours often do, too, and
-/// what is behind a box's face. Gives witnesses for `wanted` triangles, and how many rays were cast.
+/// Looks for witnesses near a free segment from the cell to a target so wide: what one line shows its
+/// neighbours often do, too, and what is behind a box's face. Gives witnesses for `wanted` triangles, and how
+/// many rays were cast.
 pub fn around(
     scene: &Occluders,
     cell: &Cell,
@@ -71,8 +74,8 @@ fn segment(
 
 /// Looks for witnesses of the `wanted` triangles (ascending) and gives those found.
 ///
-/// The answer depends on the scene, the cell, `wanted` and `seed` alone. `stop` is asked now and then; once it says so, what was
-/// found by then is the answer.
+/// The answer depends on the scene, the cell, `wanted` and `seed` alone. `stop` is asked now and then; once
+/// it says so, what was found by then is the answer.
 pub fn witnesses(
     scene: &Occluders,
     cell: &Cell,

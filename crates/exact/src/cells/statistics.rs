@@ -1,19 +1,22 @@
-//! What deciding a cell took, as numbers that results keep.
+//! Query statistics: the work done for one cell, as numbers that results store.
 
 use crate::search::Cost;
 
-/// What deciding a cell took. Everything here is the same on every run that is not stopped.
+/// The work done for one cell. All counts are the same on every run that is not stopped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct QueryStatistics {
-    /// Rays cast for witnesses. These, queries, boxes and cost are with what was asked about a box around this cell and those after it.
+    /// Rays cast for witnesses. The first cell of a group also counts the rays, queries, boxes and cost of
+    /// its group.
     pub rays: u64,
-    /// Boxes and triangles asked about.
+    /// Boxes and triangles queried.
     pub queries: u64,
     /// Boxes proved hidden as a whole.
     pub boxes: u64,
-    /// Triangles hidden by the closed surface they are part of, and not from a box around several cells anyway.
+    /// Triangles hidden by the closed surface they are part of, and not from a box around several cells
+    /// anyway.
     pub enclosed: u64,
-    /// Triangles proved hidden, with those in such boxes, those by surfaces and those from boxes around several cells.
+    /// Triangles proved hidden, with those in such boxes, those by surfaces and those from boxes around
+    /// several cells.
     pub hidden: u64,
     /// Triangles hidden from a box around this cell and others.
     pub above: u64,
@@ -23,7 +26,7 @@ pub struct QueryStatistics {
     pub refuted: u64,
     /// Undecided triangles by reason: stopped, too many regions, too much memory, halved too often.
     pub open: [u64; 4],
-    /// What the queries took.
+    /// The summed cost of the queries.
     pub cost: Cost,
 }
 
@@ -52,7 +55,7 @@ impl QueryStatistics {
         "exact_above",
     ];
 
-    /// Counts what was asked about a box around this cell and others as asked about this one.
+    /// Adds the work done for the group that this cell is the first of.
     pub fn add_asked(&mut self, o: &Self) {
         self.rays += o.rays;
         self.queries += o.queries;
@@ -60,7 +63,7 @@ impl QueryStatistics {
         self.cost += o.cost;
     }
 
-    /// Most of it, in the order of [`QueryStatistics::NAMES`].
+    /// The values of the columns, in the order of [`QueryStatistics::NAMES`].
     pub fn numbers(&self) -> [u64; Self::NAMES.len()] {
         let ([a, b, c, d], cost) = (self.open, &self.cost);
         let signs = &cost.decisions;

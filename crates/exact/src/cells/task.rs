@@ -6,9 +6,9 @@ use crate::evidence::Evidence;
 use crate::geometry::Cell;
 use crate::search::Limits;
 
-/// How a cell is to be decided.
+/// The task of deciding one cell.
 pub struct Task<'a> {
-    /// What blocks.
+    /// The prepared scene.
     pub scene: &'a ExactScene,
     /// The cell.
     pub cell: Cell,
@@ -16,19 +16,19 @@ pub struct Task<'a> {
     pub seen: &'a [u32],
     /// Triangles that are hidden from a box around the cell, ascending: none of them meets the cell.
     pub above: &'a [u32],
-    /// When a single query gives up.
+    /// The limits of a single query.
     pub limits: Limits,
     /// Seed of the rays.
     pub seed: u64,
     /// Whether to keep witnesses and proofs.
     pub keep: bool,
-    /// Asked before every region of every query whether to stop with what there is.
+    /// Called before every region of every query: whether to stop with the results so far.
     pub stop: &'a (dyn Fn() -> bool + Sync),
-    /// Told after every query.
+    /// Called after every query.
     pub asked: &'a (dyn Fn() + Sync),
 }
 
-/// What was decided about a cell.
+/// The decisions about one cell.
 #[derive(Debug, Default, PartialEq)]
 pub struct Decided {
     /// Triangles seen or meeting the cell, ascending.
@@ -37,6 +37,6 @@ pub struct Decided {
     pub undecided: Vec<u32>,
     /// Witnesses and proofs, if they are kept.
     pub evidence: Evidence,
-    /// What it took.
+    /// The work done.
     pub statistics: QueryStatistics,
 }

@@ -36,7 +36,7 @@ impl<'a> Work<'a> {
 }
 
 impl Work<'_> {
-    /// Marks what is hidden from all around.
+    /// Marks the triangles hidden from the box around the cell's group.
     pub fn take_over(&mut self) {
         let task = self.task;
         for id in task.above {
@@ -50,7 +50,7 @@ impl Work<'_> {
             task.above.iter().filter(|id| task.seen.binary_search(id).is_ok()).count() as u64;
     }
 
-    /// Marks what meets the cell, I(C).
+    /// Marks the triangles that meet the cell, I(C).
     pub fn meeting(&mut self) {
         let [min, max] = self.task.cell.corners();
         let bounds = Aabb { min, max };
@@ -74,7 +74,7 @@ impl Work<'_> {
         }
     }
 
-    /// Marks what closed surfaces hide: most of what faces away.
+    /// Marks the triangles that closed surfaces hide: most of those that face away from the cell.
     pub fn enclose(&mut self) {
         let task = self.task;
         let all = 0..self.state.len() as u32;
@@ -115,7 +115,7 @@ impl Work<'_> {
         }
     }
 
-    /// Leaves a triangle undecided; without a reason because it was time to stop.
+    /// Marks a triangle undecided; no reason means that the search was stopped.
     pub fn leave(&mut self, id: u32, reason: Option<Reason>) {
         if self.state[id as usize] != State::Open {
             return;
@@ -136,7 +136,7 @@ impl Work<'_> {
             match state {
                 State::Visible => self.decided.visible.push(id),
                 State::Undecided => self.decided.undecided.push(id),
-                // Whatever has area was asked about; were it not, it would not be called hidden.
+                // Every triangle with area was queried; if one were not, it must not be reported as hidden.
                 State::Open if self.task.scene.occluders().of(id).is_some() => {
                     debug_assert!(false, "triangle {id} was not asked about");
                     self.decided.undecided.push(id);

@@ -1,7 +1,8 @@
-//! Which triangles a segment may meet: a bounding volume hierarchy whose answer is never too small.
+//! A bounding volume hierarchy that returns all triangles a segment may meet, and possibly more.
 //!
-//! Every candidate is decided exactly afterwards, so boxes only have to be wide enough. The tests use no division:
-//! a segment misses a box when one of six axes separates them by more than a slack that covers all rounding.
+//! Every candidate is decided exactly afterwards, so the boxes only have to be large enough. The tests use no
+//! division: a segment misses a box when one of six axes separates the two by more than a slack that covers
+//! all rounding errors.
 
 use glam::{DVec3, Vec3};
 
@@ -118,7 +119,8 @@ impl Bvh {
         }
     }
 
-    /// Appends every item whose box the segment from `p` to `q` may touch; `slack` is how far the ends may be off.
+    /// Appends every item whose box the segment from `p` to `q` may touch; `slack` is how far the ends may be
+    /// off.
     pub fn along(&self, p: DVec3, q: DVec3, slack: f64, out: &mut Vec<u32>) {
         let segment = Segment::new(p, q, slack);
         let mut open = [0u32; WAITING];
@@ -148,8 +150,9 @@ impl Bvh {
 }
 
 impl Bvh {
-    /// Offers the items whose boxes a ray meets, nearer nodes first, to `hit`, which is given how far the ray goes (in lengths
-    /// of its direction) and answers how far it goes now. Rounding may leave an item out: for proposals only.
+    /// Offers the items whose boxes a ray meets, nearer nodes first, to `hit`, which is given how far the ray
+    /// goes (in lengths of its direction) and answers how far it goes now. Rounding may leave an item out:
+    /// for proposals only.
     pub fn nearest(&self, origin: DVec3, direction: DVec3, mut hit: impl FnMut(u32, f64) -> f64) {
         let inverse = direction.recip();
         let enter = |n: &Node| {
@@ -187,7 +190,8 @@ impl Bvh {
     }
 }
 
-/// Where to divide: at the cheapest of sixteen planes along the widest axis of the centres, if that is allowed, or in the middle.
+/// Where to divide: at the cheapest of sixteen planes along the widest axis of the centres, if that is
+/// allowed, or in the middle.
 fn split(boxes: &[[Vec3; 2]], items: &mut [u32], cheapest: bool) -> usize {
     const BINS: usize = 16;
     let centre = |i: u32| {
@@ -285,7 +289,8 @@ impl Segment {
             e.x * self.size.z + e.z * self.size.x,
             e.x * self.size.y + e.y * self.size.x,
         );
-        // Ends that are off by the slack turn the half extent by as much: times what it is multiplied with, on both sides.
+        // Ends that are off by the slack turn the half extent by as much: times what it is multiplied with,
+        // on both sides.
         let slack = self.slack * (4.0 * self.turn + 4.0 * (a.max_element() + e.max_element()));
         !(cross.cmpgt(reach + DVec3::splat(slack))).any()
     }
@@ -295,7 +300,8 @@ impl Segment {
 mod tests {
     use super::*;
 
-    /// Boxes so thin that all divisions cost the same: the first plane would be taken every time, and the tree be a chain.
+    /// Boxes so thin that all divisions cost the same: the first plane would be taken every time, and the
+    /// tree be a chain.
     #[test]
     fn a_tree_of_equal_costs_is_no_chain() {
         let boxes: Vec<[Vec3; 2]> = (0..20_000)

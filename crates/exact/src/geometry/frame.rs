@@ -1,9 +1,9 @@
-//! A frame of its own for every query, in which both polygons are about as wide as they are apart.
+//! The frame of a query: an affine map after which both polygons are about as wide as their distance.
 //!
-//! Two small polygons far from each other and from the origin have Plücker coordinates that agree in most of
-//! their bits; an affine map takes that away, and changes no sign. The map is exact by construction: an origin in
-//! doubles, rows of small integers, powers of two. It serves the filter alone: what it gives is rounded with a
-//! bound, or exact in integers.
+//! Two small polygons that are far from each other and from the origin have Plücker coordinates that agree in
+//! most bits. The map removes this and changes no sign. It is exact by construction: an origin in doubles,
+//! rows of small integers, and powers of two. Only the filter works in the frame: coordinates in it are
+//! rounded with a bound, or exact in integers.
 
 use dashu_int::IBig;
 use glam::DVec3;
@@ -31,7 +31,7 @@ pub struct Point {
     pub at: [f64; 3],
     /// The greatest error of any of them.
     pub error: f64,
-    /// The coordinates in pairs of doubles, and their greatest error.
+    /// The coordinates in double-doubles, and their greatest error.
     pub fine: ([DoubleDouble; 3], f64),
     /// Where it is exactly.
     pub place: Place,
@@ -102,7 +102,8 @@ impl Frame {
 
     /// A point given in doubles.
     ///
-    /// A difference is exact in pairs; three products and two sums err by a step each of at most Σ |row · (p − origin)|.
+    /// A difference is exact in pairs; three products and two sums err by a step each of at most Σ |row · (p
+    /// − origin)|.
     pub fn given(&self, p: DVec3) -> Point {
         let d: [DoubleDouble; 3] = std::array::from_fn(|j| DoubleDouble::difference(p[j], self.origin[j]));
         let mut fine_error = 0.0f64;
@@ -155,7 +156,8 @@ impl Frame {
         }
     }
 
-    /// A Plücker vector of the world in the frame, up to a positive factor: d' = M·d, m' = cof(M)·(m − c × d).
+    /// A Plücker vector of the world in the frame, up to a positive factor: d' = M·d, m' = cof(M)·(m − c ×
+    /// d).
     pub fn line_from_world(&self, line: &[IBig; 6]) -> [IBig; 6] {
         let (c, (low, up)) = self.centre();
         let (d, m) = halves(line);
@@ -244,7 +246,8 @@ fn cofactors(m: &[[IBig; 3]; 3]) -> [[IBig; 3]; 3] {
     std::array::from_fn(|i| cross(&m[(i + 1) % 3], &m[(i + 2) % 3]))
 }
 
-/// The least k with x ≤ 2^k, for normal x > 0; by its bits, since logarithms are not rounded the same everywhere.
+/// The least k with x ≤ 2^k, for normal x > 0; by its bits, since logarithms are not rounded the same
+/// everywhere.
 fn above(x: f64) -> i32 {
     let (exponent, fraction) = ((x.to_bits() >> 52) as i32 - 1023, x.to_bits() << 12);
     exponent + i32::from(fraction != 0)
@@ -326,7 +329,10 @@ mod tests {
         #[test]
         fn lines_come_back_from_the_world(
             a in prop::collection::vec(near(), 3), b in prop::collection::vec(near(), 4),
-            line in prop::array::uniform6(-1000i64..1000), scale in -40i32..40, far in near(), away in -20i32..20,
+            line in prop::array::uniform6(-1000i64..1000),
+            scale in -40i32..40,
+            far in near(),
+            away in -20i32..20,
         ) {
             let t = far * f64::powi(2.0, away);
             let place = |p: &DVec3| ((*p + t) * f64::powi(2.0, scale)).as_vec3().as_dvec3();

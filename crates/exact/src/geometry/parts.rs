@@ -1,4 +1,5 @@
-//! The parts of two polygons between which lines run: each part lies on one side of the other polygon's plane.
+//! The parts of two polygons between which lines run: each part lies on one side of the other polygon's
+//! plane.
 
 use std::cmp::Ordering;
 
@@ -7,7 +8,8 @@ use super::polygon::Polygon;
 /// A polygon, and on which side of the other polygon's plane each of its corners is.
 pub type Part = (Polygon, Vec<Ordering>);
 
-/// The pairs of parts of `a` and `b`. Empty when both lie in one plane: the lines in that plane are no open set.
+/// The pairs of parts of `a` and `b`. Empty when both lie in one plane: the lines in that plane are no open
+/// set.
 pub fn parts(a: &Polygon, b: &Polygon) -> Vec<[Part; 2]> {
     let (of_a, of_b) = (b.sides(a), a.sides(b));
     let mut out = Vec::new();

@@ -13,10 +13,12 @@ use crate::geometry::predicates::{height, integers, orient, plane, sign};
 
 /// Most vertices of a polygon in a query.
 pub const MOST_VERTICES: usize = 64;
-/// Corners a polygon is taken at once with: a query has two rays for every pair of corners, and its work grows with their cube.
+/// Corners a polygon is taken at once with: a query has two rays for every pair of corners, and its work
+/// grows with their cube.
 const MOST_AT_ONCE: usize = 8;
-/// A polygon of more than three vertices counts as flat, and is taken as the triangles it is made of, when no vertex
-/// is farther from its plane than this share of its diameter. It decides nothing but whether a query is refused.
+/// A polygon of more than three vertices counts as flat, and is taken as the triangles it is made of, when no
+/// vertex is farther from its plane than this share of its diameter. It decides nothing but whether a query
+/// is refused.
 const FLAT: f64 = 1e-6;
 
 /// A convex polygon whose vertices lie exactly in one plane, no three of them on a line.
@@ -51,8 +53,9 @@ pub enum PolygonError {
 impl Polygon {
     /// Checks the corners of a convex polygon, in order either way round.
     ///
-    /// Corners that repeat or lie on the line of their neighbours are dropped. Corners that are in one plane only up
-    /// to rounding cannot bound one convex polygon exactly; the fan of triangles from the first corner is given then.
+    /// Corners that repeat or lie on the line of their neighbours are dropped. Corners that are in one plane
+    /// only up to rounding cannot bound one convex polygon exactly; the fan of triangles from the first
+    /// corner is given then.
     ///
     /// # Errors
     /// [`PolygonError`], by kind.
@@ -162,8 +165,8 @@ impl Polygon {
         Some(Self { points })
     }
 
-    /// The two parts on both sides of the line through two of its points: point 2i is vertex i, point 2i + 1 the middle
-    /// of the edge after it. The first part begins with `from`.
+    /// The two parts on both sides of the line through two of its points: point 2i is vertex i, point 2i + 1
+    /// the middle of the edge after it. The first part begins with `from`.
     pub fn divided(&self, from: u16, to: u16) -> [Self; 2] {
         let n = 2 * self.points.len();
         let part = |from: usize, to: usize| {
@@ -212,8 +215,8 @@ impl Polygon {
         out
     }
 
-    /// Whether every corner is on the inner side of every edge, where doubles can tell: in the projection along the axis nearest to the
-    /// normal, with the bound of [`surely_not_collinear`].
+    /// Whether every corner is on the inner side of every edge, where doubles can tell: in the projection
+    /// along the axis nearest to the normal, with the bound of [`surely_not_collinear`].
     fn convex_in_doubles(&self) -> Option<bool> {
         if self.points.iter().any(|p| matches!(p, Source::Exact(_))) {
             return None;
@@ -307,8 +310,8 @@ fn collinear(p: [&Source; 3]) -> bool {
     plane([&a, &b, &c]).iter().take(3).all(IBig::is_zero)
 }
 
-/// Whether doubles show that three points are not on a line: a component of (b − a) × (c − a), the differences being exact, is off by
-/// 3u of the magnitudes of its products.
+/// Whether doubles show that three points are not on a line: a component of (b − a) × (c − a), the
+/// differences being exact, is off by 3u of the magnitudes of its products.
 fn surely_not_collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
     let Some(rows) = differences(a, [b, c]) else { return false };
     let [x, y] = rows.map(DVec3::from);

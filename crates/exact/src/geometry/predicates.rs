@@ -1,7 +1,7 @@
-//! On which side of a plane a point is, for points in a frame and points in the world: filtered, then exact.
+//! On which side of a plane a point lies: in doubles with an error bound, then in integers.
 //!
-//! `sightline-scene` has the same decisions for single-precision points; here points are doubles, or lie where an
-//! edge meets a plane, and carry a bound on their rounding.
+//! `sightline-scene` has the same predicates for points in single precision. The points here are doubles or
+//! intersections of an edge with a plane, and each has a bound on its rounding error.
 
 use std::cmp::Ordering;
 
@@ -25,9 +25,9 @@ pub fn sign(x: &IBig) -> Ordering {
 
 /// The orientation of four points, the sign of (b − a) × (c − a) · (d − a), where doubles can tell.
 ///
-/// Differences are off by e = both points' errors and a rounding; the determinant then by at most 6 products of
-/// one difference's error and the others' sizes for each of the three, and by 16u of the products' magnitudes for
-/// its own roundings (as in `sightline_scene::exact::orient3d_sign`).
+/// Differences are off by e = both points' errors and a rounding; the determinant then by at most 6 products
+/// of one difference's error and the others' sizes for each of the three, and by 16u of the products'
+/// magnitudes for its own roundings (as in `sightline_scene::exact::orient3d_sign`).
 pub fn orient_points(p: [&Point; 4]) -> Option<Ordering> {
     let d = |i: usize| -> ([f64; 3], f64, f64) {
         let x: [f64; 3] = std::array::from_fn(|k| p[i].at[k] - p[0].at[k]);
@@ -101,10 +101,11 @@ pub fn integers(p: &Source) -> [IBig; 4] {
     }
 }
 
-/// The plane (n, k), n·x = k, through three points that are not on a line; n points to where they are seen to turn
-/// counter-clockwise.
+/// The plane (n, k), n·x = k, through three points that are not on a line; n points to where they are seen to
+/// turn counter-clockwise.
 pub fn plane(p: [&[IBig; 4]; 3]) -> [IBig; 4] {
-    // The cofactors of the 3×4 matrix of homogeneous points; with w > 0 the first three are n up to a positive factor.
+    // The cofactors of the 3×4 matrix of homogeneous points; with w > 0 the first three are n up to a
+    // positive factor.
     let minor = |i: usize, j: usize, k: usize| {
         let [a, b, c] = p;
         &a[i] * (&b[j] * &c[k] - &b[k] * &c[j]) - &a[j] * (&b[i] * &c[k] - &b[k] * &c[i])

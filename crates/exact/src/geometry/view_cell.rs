@@ -10,8 +10,8 @@ pub struct Cell {
 }
 
 impl Cell {
-    /// The box between its least and greatest corner. None if it is empty, flat or not finite: no open set of lines
-    /// passes through a face without area.
+    /// The box between its least and greatest corner. None if it is empty, flat or not finite: no open set of
+    /// lines passes through a face without area.
     pub fn new(min: Vec3, max: Vec3) -> Option<Self> {
         (min.cmplt(max).all() && min.is_finite() && max.is_finite()).then_some(Self { min, max })
     }
@@ -32,7 +32,8 @@ impl Cell {
         min.cmple(self.max).all() && max.cmpge(self.min).all()
     }
 
-    /// How large a box looks from the cell: half its surface over the square of its distance. Only good for comparisons.
+    /// How large a box looks from the cell: half its surface over the square of its distance. Only good for
+    /// comparisons.
     pub fn size_of(&self, min: Vec3, max: Vec3) -> f64 {
         let [lo, hi, min, max] = [self.min, self.max, min, max].map(|v| v.as_dvec3());
         let d = max - min;

@@ -1,8 +1,10 @@
-//! Regions of line space: convex cones in six dimensions, kept as rays with the half-spaces tight at each.
+//! Regions of line space: convex cones in six dimensions, stored as extreme rays with the half-spaces tight
+//! at each.
 //!
-//! The double description method (Motzkin et al. 1953; Fukuda & Prodon 1996): a half-space splits a cone by
-//! keeping rays on its side and adding one ray on every edge it crosses. Two rays share an edge exactly when no third
-//! is tight wherever both are. No faces in between are kept (Haumont 2005). Signs are exact, so tight sets are, too.
+//! The double description method (Motzkin et al. 1953; Fukuda and Prodon 1996): a half-space splits a cone by
+//! keeping the rays on its side and adding one ray on every edge that it crosses. Two rays share an edge
+//! exactly when no third ray is tight wherever both are. Faces of other dimensions are not stored (Haumont et
+//! al. 2005). Signs are exact, so tight sets are exact too.
 
 use std::cmp::Ordering;
 use std::rc::Rc;
@@ -53,8 +55,8 @@ impl Region {
         halves.iter().enumerate().filter(move |(k, _)| set >> k & 1 == 1).map(|(_, h)| *h)
     }
 
-    /// The parts on the negative and on the positive side of a line, given the sides of all rays, both of which
-    /// must occur.
+    /// The parts on the negative and on the positive side of a line, given the sides of all rays, both of
+    /// which must occur.
     ///
     /// # Errors
     /// [`TooComplex`] when the region has as many facets as there are bits.
@@ -145,8 +147,8 @@ impl Edges {
 
     /// The rays that share an edge with the `i`-th.
     ///
-    /// The tight half-spaces of an extreme ray have rank 5. If there are five of them each is needed, and any four are tight along an
-    /// edge and nowhere else: the one other ray where they are is its other end.
+    /// The tight half-spaces of an extreme ray have rank 5. If there are five of them each is needed, and any
+    /// four are tight along an edge and nowhere else: the one other ray where they are is its other end.
     fn neighbours(&self, region: &Region, i: usize, mut found: impl FnMut(usize)) {
         let tight = region.rays[i].1;
         match &self.on {
@@ -180,7 +182,8 @@ impl Edges {
 
     /// Whether two rays, both tight at `common`, share an edge: no third is tight at all of it.
     fn joined(&self, region: &Region, [i, j]: [usize; 2], common: Tight) -> bool {
-        // Along an edge at least four half-spaces are tight: it is where five dimensions less one meet in a line.
+        // Along an edge at least four half-spaces are tight: it is where five dimensions less one meet in a
+        // line.
         let mut left = common;
         for _ in 0..3 {
             left &= left.wrapping_sub(1);
@@ -204,7 +207,8 @@ impl Edges {
 
 #[cfg(test)]
 impl Region {
-    /// For each ray those that share an edge with it: as they are found, and by looking at all pairs and all third rays.
+    /// For each ray those that share an edge with it: as they are found, and by looking at all pairs and all
+    /// third rays.
     pub fn neighbours_twice(&self, i: usize) -> [Vec<usize>; 2] {
         let edges = Edges::new(self);
         let mut found = Vec::new();

@@ -1,7 +1,8 @@
-//! The Klein form of one vector with many: with all rays of a region, and with real lines spread over it.
+//! The Klein form of one vector with many: with all rays of a region, and with sampled real lines inside it.
 //!
-//! Rays lie at a region's corners. How many of them an occluder blocks says little of how much of the region it blocks: a facet
-//! before the middle of it blocks none. So real lines inside are counted, too.
+//! Rays are the corners of a region. The number of rays that an occluder blocks says little about how much of
+//! the region it blocks: a facet in front of the middle blocks no ray at all. Real lines inside are therefore
+//! counted as well.
 
 use crate::arithmetic::random::Random;
 use crate::line_space::cone::Region;
@@ -43,8 +44,8 @@ impl Forms {
         self.turn = 1.0;
     }
 
-    /// Adds real lines inside the region, the same every time; none where few of it are real. Gives how many rays and lines there are
-    /// then.
+    /// Adds real lines inside the region, the same every time; none where few of it are real. Gives how many
+    /// rays and lines there are then.
     ///
     /// Combinations of two rays each are joined across the quadric.
     pub fn sample(&mut self) -> usize {

@@ -1,8 +1,9 @@
-//! Which regions hold real lines: the sign of the Klein form on a cone.
+//! Which regions contain real lines: the signs of the Klein form on a cone.
 //!
-//! A ray x is a real line when K(x, x) = 0, and a region holds an open set of real lines exactly when K takes both
-//! signs on it. K ≥ 0 (or ≤ 0) on all pairs of its extreme rays makes it so on the whole cone, since every inner
-//! ray is a positive combination of them; that is the certificate that nothing real is left.
+//! A ray x is a real line when K(x, x) = 0, and a region contains an open set of real lines exactly when K
+//! takes both signs on it. If K ≥ 0 (or ≤ 0) on all pairs of its extreme rays, the same holds on the whole
+//! cone, since every interior ray is a positive combination of them. These signs are the certificate that the
+//! region contains no open set of real lines.
 
 use std::cmp::Ordering;
 
@@ -83,7 +84,8 @@ pub fn contents(space: &mut Space, region: &Region, most: usize, forms: &mut For
     Contents::Lines(lines.into_iter().map(|l| l.1).collect())
 }
 
-/// Whether the form has both signs on pairs of rays where filters show one at most, given which: integers say so.
+/// Whether the form has both signs on pairs of rays where filters show one at most, given which: integers say
+/// so.
 fn both_signs(
     space: &mut Space,
     region: &Region,
@@ -137,13 +139,15 @@ fn beyond(a: &[f64; 6], b: &[f64; 6], from: f64, noise: f64) -> Option<[f64; 6]>
 /// Bits behind the point of rays and parameters where doubles are too coarse.
 const FINE: usize = 256;
 
-/// A form of two rounded vectors is of the sign it seems to be if it is greater than this: as in [`contents`], with each off by u.
+/// A form of two rounded vectors is of the sign it seems to be if it is greater than this: as in
+/// [`contents`], with each off by u.
 const SURELY: f64 = 64.0 * U;
 
 /// Pairs of rays that are tried where rounding has misled.
 const MOST_TRIED: usize = 8;
 
-/// The rays of a region in integers of one size, cut off 256 bits behind the point: only where to look depends on them.
+/// The rays of a region in integers of one size, cut off 256 bits behind the point: only where to look
+/// depends on them.
 pub fn fine(space: &mut Space, region: &Region) -> Vec<[IBig; 6]> {
     region
         .rays
@@ -158,8 +162,8 @@ pub fn fine(space: &mut Space, region: &Region) -> Vec<[IBig; 6]> {
         .collect()
 }
 
-/// A line inside a region, real to 2⁻²⁵⁶: for regions so thin that doubles do not show what is in them. None where no pair
-/// of rays shows a change of sign.
+/// A line inside a region, real to 2⁻²⁵⁶: for regions so thin that doubles do not show what is in them. None
+/// where no pair of rays shows a change of sign.
 pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     let rays = fine(space, region);
     let sum = |a: &[IBig; 6], b: &[IBig; 6]| -> [IBig; 6] { std::array::from_fn(|i| &a[i] + &b[i]) };
@@ -177,7 +181,8 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     for (i, a) in near.iter().enumerate() {
         pairs.push((own[i], i, i));
         for (j, b) in near.iter().enumerate().skip(i + 1) {
-            // No mix of the two has a form above the greatest of p, q and r, and the best is between them if that is q.
+            // No mix of the two has a form above the greatest of p, q and r, and the best is between them if
+            // that is q.
             if turn * klein(a, b) < -SURELY {
                 continue;
             }

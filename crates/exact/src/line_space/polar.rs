@@ -1,9 +1,10 @@
-//! Splitting a region by a polar hyperplane, where pairs of its rays have both signs of the Klein form but the cone may have
-//! one: nothing real is in it then, but the pairs do not show it.
+//! Splitting a region by a polar hyperplane, where pairs of its rays have both signs of the Klein form and no
+//! real line inside was found.
 //!
-//! Let K(a, a), K(b, b) < 0 < K(a, b), or all the other way round. For any α, β > 0 the hyperplane polar to βb − αa has a on one side
-//! and b on the other: K(a, βb − αa) = βK(a, b) − αK(a, a) and K(b, βb − αa) = βK(b, b) − αK(a, b) have different signs. So
-//! neither part has that pair, and new rays between the two are nearer to each.
+//! Let K(a, a), K(b, b) < 0 < K(a, b), or all signs reversed. For any α, β > 0 the hyperplane polar to βb −
+//! αa has a on one side and b on the other: K(a, βb − αa) = βK(a, b) − αK(a, a) and K(b, βb − αa) = βK(b, b)
+//! − αK(a, b) have different signs. So neither part contains that pair, and the new rays between a and b are
+//! nearer to each.
 
 use std::cmp::Ordering;
 
@@ -19,10 +20,12 @@ use crate::line_space::space::{Space, klein, klein_exact};
 /// Bits of a hyperplane, unless it takes more to split a region.
 const SHORT: usize = 64;
 
-/// The Plücker vector of a hyperplane, in world space, and the parts of a region on its negative and positive side.
+/// The Plücker vector of a hyperplane, in world space, and the parts of a region on its negative and positive
+/// side.
 pub type PolarSplit = ([IBig; 6], [Region; 2]);
 
-/// Splits a region: by what doubles suggest if that does, else by as short a hyperplane from integers as does.
+/// Splits a region: by what doubles suggest if that does, else by as short a hyperplane from integers as
+/// does.
 pub fn split(space: &mut Space, region: &Region) -> Option<PolarSplit> {
     if let Some(polar) = in_doubles(space, region)
         && let Some(found) = split_by(space, region, &integers(polar).0, SHORT)
@@ -33,8 +36,8 @@ pub fn split(space: &mut Space, region: &Region) -> Option<PolarSplit> {
     (1..4).find_map(|k| split_by(space, region, &polar, SHORT << k))
 }
 
-/// Splits a region by the hyperplane polar to a vector of the frame, or rather to that vector cut off in the world after so
-/// many bits.
+/// Splits a region by the hyperplane polar to a vector of the frame, or rather to that vector cut off in the
+/// world after so many bits.
 fn split_by(space: &mut Space, region: &Region, polar: &[IBig; 6], bits: usize) -> Option<PolarSplit> {
     let mut polar = space.frame().line_to_world(polar);
     let longest = polar.iter().map(|c| c.bit_len()).max().unwrap_or(0);
@@ -75,9 +78,11 @@ fn in_doubles(space: &Space, region: &Region) -> Option<[f64; 6]> {
     Some(std::array::from_fn(|k| x[j][k] / q - x[i][k] / p))
 }
 
-/// In integers: for the two rays whose pair is most of the other sign than each of them alone, beside what these have.
+/// In integers: for the two rays whose pair is most of the other sign than each of them alone, beside what
+/// these have.
 ///
-/// Where a ray of such a pair has no sign alone, or the other one, a line of the two is real, and [`crate::line_space::klein::precise`] finds it.
+/// Where a ray of such a pair has no sign alone, or the other one, a line of the two is real, and
+/// [`crate::line_space::klein::precise`] finds it.
 fn in_integers(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     let rays = fine(space, region);
     let own: Vec<IBig> = rays.iter().map(|x| klein_exact(x, x)).collect();

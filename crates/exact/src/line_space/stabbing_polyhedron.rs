@@ -1,17 +1,21 @@
-//! The stabbing polyhedron of two polygons: the lines from A to B as a region of line space (thesis §5.2).
+//! The stabbing polyhedron of two polygons: the lines from A to B as a region of line space (Nirenstein 2003,
+//! section 5.2).
 //!
-//! Every edge of A and of B bounds it, and the line k in which the two planes meet lies on all of those hyperplanes, so
-//! the polyhedron is a cone extruded along ±k (thesis theorem 5.1). In the quotient by k its extreme rays are the
-//! vertex pairs, except that a vertex on the other polygon's plane makes one ray with all of its vertices: the
-//! quotient is {(P, Q) ∈ cone A × cone B : g(P) = h(Q)}, with g and h the heights over the other's plane. What is
-//! tight where is therefore known without a computation, in touching positions, too (thesis §5.2.6).
+//! Every edge of A and of B bounds it, and the line k in which the two planes meet lies on all of those
+//! hyperplanes, so the polyhedron is a cone extruded along ±k (Nirenstein 2003, theorem 5.1). In the quotient
+//! by k its extreme rays are the vertex pairs, except that a vertex on the other polygon's plane makes one
+//! ray with all of its vertices: the quotient is {(P, Q) ∈ cone A × cone B : g(P) = h(Q)}, with g and h the
+//! heights over the other's plane. What is tight where is therefore known without a computation, in touching
+//! positions, too (Nirenstein 2003, section 5.2.6).
 //!
-//! Two caps make it bounded (thesis §5.2.5): hyperplanes with all vertex-pair lines on one side and k, or −k, on the
-//! other. Any do; these are fitted to the pair. They hold on to no line: what is proved for the capped region is
-//! proved for the hull of the vertex-pair lines, which has no caps and is all that certificates speak of.
+//! Two caps make it bounded (Nirenstein 2003, section 5.2.5): hyperplanes with all vertex-pair lines on one
+//! side and k, or −k, on the other. Any do; these are fitted to the pair. They hold on to no line: what is
+//! proved for the capped region is proved for the hull of the vertex-pair lines, which has no caps and is all
+//! that certificates speak of.
 //!
-//! Where a vertex of A and one of B lie on k, ±k is itself such a line and the cap on its side gives way to an apex.
-//! Where both signs occur (the polygons overlap along k) the region is cut in two by a hyperplane across k, always the same.
+//! Where a vertex of A and one of B lie on k, ±k is itself such a line and the cap on its side gives way to
+//! an apex. Where both signs occur (the polygons overlap along k) the region is cut in two by a hyperplane
+//! across k, always the same.
 
 use std::cmp::Ordering;
 
@@ -37,17 +41,19 @@ pub struct Pair {
     pub regions: Vec<Region>,
     /// The greatest magnitude of a coordinate of A or B in the world.
     pub size: f64,
-    /// Triangles that were asked about, and whether they lie in A's plane or in B's.
+    /// Triangles tested so far: whether each lies in A's plane, and whether in B's.
     pub flat: FxHashMap<u32, [bool; 2]>,
 }
 
-/// The polygons have no stabbing polyhedron here: no cap was found, because they are too thin, or too near to each other's
-/// planes, for doubles to fit one; or they have more edges than a region has half-spaces. Halves of them may have one.
+/// The polygons have no stabbing polyhedron here: no cap was found, because they are too thin, or too near to
+/// each other's planes, for doubles to fit one; or they have more edges than a region has half-spaces. Halves
+/// of them may have one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NoCaps;
 
-/// Makes the region of lines from `a` to `b`, of which neither has vertices on both sides of the other's plane, and
-/// neither lies in it. `a_sides` are the sides of A's vertices of B's plane, `b_sides` those of B's vertices of A's.
+/// Makes the region of lines from `a` to `b`, of which neither has vertices on both sides of the other's
+/// plane, and neither lies in it. `a_sides` are the sides of A's vertices of B's plane, `b_sides` those of
+/// B's vertices of A's.
 ///
 /// # Errors
 /// [`NoCaps`]; halves of the polygons may do.
@@ -127,8 +133,8 @@ pub fn stabbing(
     let mut regions = Vec::with_capacity(2);
     let apex = all(n + m, 0);
     if let (true, true, Some(middle)) = (ends_up, ends_down, across) {
-        // The line through a vertex of each that is off the other's plane does not meet k. The part that holds k, and the
-        // part that holds −k.
+        // The line through a vertex of each that is off the other's plane does not meet k. The part that
+        // holds k, and the part that holds −k.
         let mut base: Vec<(Id, u128)> = Vec::with_capacity(quotient.len());
         for (line, tight) in &quotient {
             base.push((onto(space, *line, [k, minus], middle), tight | 1 << (n + m)));
@@ -176,8 +182,8 @@ fn same_point(space: &mut Space, p: u32, q: u32) -> bool {
 
 /// The hyperplanes above and below all lines along k.
 ///
-/// The mean of the lines serves as σ where it is positive on all of them, as it is for most pairs; the sum of the edges' functionals
-/// always is, but nearly vanishes on polygons that nearly lie in one plane.
+/// The mean of the lines serves as σ where it is positive on all of them, as it is for most pairs; the sum of
+/// the edges' functionals always is, but nearly vanishes on polygons that nearly lie in one plane.
 fn caps(space: &mut Space, edges: (&[Id], usize), lines: &[Id], k: Id) -> Result<(Id, Id), NoCaps> {
     let both = |space: &mut Space, sigma: [f64; 6]| {
         let caps = Caps::fit(space, lines, k, sigma)?;
@@ -198,7 +204,8 @@ fn mean(space: &Space, lines: &[Id], k: Id) -> [f64; 6] {
     std::array::from_fn(|i| mean[i] - along * k_at[i])
 }
 
-/// The sum of the functionals of all edges, each turned so that no line is on its negative side. k is on all of them.
+/// The sum of the functionals of all edges, each turned so that no line is on its negative side. k is on all
+/// of them.
 fn edge_sum(space: &mut Space, (edges, of_a): (&[Id], usize), lines: &[Id]) -> [f64; 6] {
     let mut sum = [0.0; 6];
     for polygon in [&edges[..of_a], &edges[of_a..]] {
@@ -222,8 +229,9 @@ fn dot(f: &[f64; 6], v: &[f64; 6]) -> f64 {
     f.iter().zip(v).map(|(a, b)| a * b).sum()
 }
 
-/// The functionals whose level sets cap the extrusion: φ, as flat as can be over the vertex-pair lines with φ(k) = 1,
-/// and σ, positive on all of them with σ(k) = 0. As doubles they are exact by definition; whether they cap is checked.
+/// The functionals whose level sets cap the extrusion: φ, as flat as can be over the vertex-pair lines with
+/// φ(k) = 1, and σ, positive on all of them with σ(k) = 0. As doubles they are exact by definition; whether
+/// they cap is checked.
 struct Caps {
     phi: [f64; 6],
     sigma: [f64; 6],

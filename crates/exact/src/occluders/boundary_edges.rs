@@ -1,4 +1,4 @@
-//! The edges of all occluders' borders, numbered one occluder after the other, and which of them are the same edge.
+//! The boundary edges of all occluders, numbered occluder by occluder, grouped by their two corners.
 
 use rayon::prelude::*;
 
@@ -15,7 +15,8 @@ pub struct BoundaryEdges {
     group: Vec<u32>,
     /// Where in `sharing` each group begins, and the end.
     groups: Vec<u32>,
-    /// The occluders with an edge of a group, and whether their border runs from the greater corner to the lesser.
+    /// The occluders with an edge of a group, and whether their border runs from the greater corner to the
+    /// lesser.
     sharing: Vec<(u32, bool)>,
 }
 
@@ -50,8 +51,8 @@ impl BoundaryEdges {
         self.first[occluder as usize]
     }
 
-    /// The occluders (a few, where there are many) that have an edge, its own among them, and whether their border runs along it from
-    /// the greater corner to the lesser.
+    /// The occluders (a few, where there are many) that have an edge, its own among them, and whether their
+    /// border runs along it from the greater corner to the lesser.
     pub fn sharing(&self, edge: u32) -> &[(u32, bool)] {
         let group = self.group[edge as usize] as usize;
         let all = &self.sharing[self.groups[group] as usize..self.groups[group + 1] as usize];

@@ -11,7 +11,8 @@ use super::occluder::{Occluder, border};
 /// Longest border of a merged occluder.
 const MOST_EDGES: usize = 24;
 
-/// Faces being merged: loops of vertices, counter-clockwise seen from where the first triangle's corners turn so.
+/// Faces being merged: loops of vertices, counter-clockwise seen from where the first triangle's corners turn
+/// so.
 pub struct Faces<'a> {
     triangles: &'a [[Vec3; 3]],
     corners: &'a [u32],

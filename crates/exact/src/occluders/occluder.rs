@@ -1,12 +1,13 @@
-//! Occluders: sets of triangles that block together, known by the edges around them.
+//! Occluders: sets of triangles that block together, described by their boundary edges.
 //!
-//! Take triangles, each turned one way or the other, and strike out every edge that two of them run along in opposite
-//! directions. The signed number of times a line crosses the triangles depends on what is left alone, since two
-//! surfaces with the same border differ by a closed one. A line that has every remaining edge on the same side winds
-//! around at least once, if any edge remains at all, and so crosses at least one of the triangles. So the remaining edges' half-spaces are the
-//! region of line space the set blocks, or part of it (thesis §2.4, silhouettes), whatever its shape: nothing here needs
-//! to be convex, flat or even connected to be right. Convex flat sets block most for their number of edges, and
-//! those are what [`Occluders`] looks for.
+//! Give each triangle of a set an orientation and remove every edge that two triangles run along in opposite
+//! directions. The signed number of crossings of a line with the triangles depends on the remaining edges
+//! only, since two surfaces with the same boundary differ by a closed surface. A line that has every
+//! remaining edge on the same side, if any edge remains, winds around the boundary at least once and so
+//! crosses at least one triangle. The half-spaces of the remaining edges therefore bound a region of line
+//! space that the set blocks (Nirenstein 2003, section 2.4, silhouettes). The set need not be convex, flat or
+//! connected. Convex flat sets block most for their number of edges, so [`super::Occluders`] merges triangles
+//! into those.
 
 use glam::Vec3;
 

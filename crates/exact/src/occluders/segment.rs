@@ -1,7 +1,8 @@
-//! Segments between points in single precision: what one shows, decided exactly, and what one is likely to meet.
+//! Segments between points in single precision: which triangle a segment shows (exact), and which it likely
+//! meets first.
 //!
-//! Nearly all that is visible is seen along many lines, so points that floats can name will do for a witness. What
-//! only thin pencils of lines show is left to the queries.
+//! Nearly all visible triangles are seen along an open set of many lines, so a witness with ends in single
+//! precision usually exists. Triangles that are seen along thin sets of lines only are left to queries.
 
 use std::cmp::Ordering;
 
@@ -10,8 +11,9 @@ use sightline_scene::exact::orient3d_sign;
 
 use super::set::Occluders;
 
-/// Whether the segment from `p` to `q` passes through the inside of a triangle and no other has a point on it, but for
-/// those in that triangle's plane. Then it is a witness for the triangle: all segments near it pass through, too.
+/// Whether the segment from `p` to `q` passes through the inside of a triangle and no other has a point on
+/// it, but for those in that triangle's plane. Then it is a witness for the triangle: all segments near it
+/// pass through, too.
 pub fn shows(scene: &Occluders, p: Vec3, q: Vec3, id: u32, scratch: &mut Vec<u32>) -> bool {
     let [a, b, c] = *scene.triangle(id);
     if crossing([a, b, c], p, q) != Crossing::Inside {
@@ -51,14 +53,16 @@ pub fn crossing([a, b, c]: [Vec3; 3], p: Vec3, q: Vec3) -> Crossing {
         has(Ordering::Less) && has(Ordering::Greater),
         has(Ordering::Equal) || ends.contains(&Ordering::Equal),
     ) {
-        // In the triangle's plane all turns are equal, so here the line crosses the plane, and outside of the triangle.
+        // In the triangle's plane all turns are equal, so here the line crosses the plane, and outside of the
+        // triangle.
         (true, _) => Crossing::Not,
         (false, true) => Crossing::Touches,
         (false, false) => Crossing::Inside,
     }
 }
 
-/// The first triangle a ray meets as far as doubles can tell, and where, in lengths of the direction: a proposal.
+/// The first triangle a ray meets as far as doubles can tell, and where, in lengths of the direction: a
+/// proposal.
 pub fn first(scene: &Occluders, origin: DVec3, direction: DVec3) -> Option<(u32, f64)> {
     let mut best: Option<(u32, f64)> = None;
     scene.hierarchy().nearest(origin, direction, |id, limit| {

@@ -10,7 +10,7 @@ use super::merge::Faces;
 use super::occluder::{Occluder, border};
 use crate::geometry::bvh::Bvh;
 
-/// Everything that blocks in a scene.
+/// All occluders of a scene.
 pub struct Occluders {
     triangles: Vec<[Vec3; 3]>,
     occluders: Vec<Occluder>,
@@ -26,7 +26,8 @@ pub struct Occluders {
 }
 
 impl Occluders {
-    /// Joins the coplanar neighbours of a scene into convex occluders and prepares for tracing, on all of rayon's threads.
+    /// Joins the coplanar neighbours of a scene into convex occluders and prepares for tracing, on all of
+    /// rayon's threads.
     ///
     /// # Errors
     /// As [`corner_vertices`]: when the scene has more corners than can be numbered.
@@ -74,10 +75,12 @@ impl Occluders {
         self.of[triangle as usize]
     }
 
-    /// The occluder of a triangle that a line goes through, and whether the line passes the occluder's edges on their negative side.
-    /// `front` says whether it comes from the side the triangle's corners are seen counter-clockwise from.
+    /// The occluder of a triangle that a line goes through, and whether the line passes the occluder's edges
+    /// on their negative side. `front` says whether it comes from the side the triangle's corners are seen
+    /// counter-clockwise from.
     pub fn passed(&self, triangle: u32, front: bool) -> Option<(u32, bool)> {
-        // Down the z axis, (0, 0, −1; 0, 0, 0), with an edge around it from x to y, (−1, 1, 0; 0, 0, 1): K = −1.
+        // Down the z axis, (0, 0, −1; 0, 0, 0), with an edge around it from x to y, (−1, 1, 0; 0, 0, 1): K =
+        // −1.
         self.of(triangle).map(|id| (id, front != self.turned[triangle as usize]))
     }
 
@@ -97,7 +100,8 @@ impl Occluders {
         [self.corners[at], self.corners[at + 1], self.corners[at + 2]]
     }
 
-    /// What is left of the edges of some triangles, each perhaps turned round, when opposite ones are struck out.
+    /// The boundary edges of some triangles, each perhaps reversed: the edges that remain when opposite ones
+    /// are removed.
     pub fn border(&self, members: &[(u32, bool)]) -> (Vec<[u32; 2]>, Vec<[Vec3; 2]>) {
         border(members, &self.triangles, &self.corners)
     }
@@ -112,8 +116,8 @@ impl Occluders {
         &self.bvh
     }
 
-    /// The triangles the segment may meet. Its ends are combinations of points no coordinate of which exceeds `size`, rounded
-    /// a few times.
+    /// The triangles the segment may meet. Its ends are combinations of points no coordinate of which exceeds
+    /// `size`, rounded a few times.
     pub fn along(&self, p: glam::DVec3, q: glam::DVec3, size: f64, out: &mut Vec<u32>) {
         self.bvh.along(p, q, self.slack(size), out);
     }
@@ -133,14 +137,19 @@ mod tests {
     use super::*;
 
     proptest! {
-        /// Lines through the inside of one of two triangles that are one occluder, whichever way each is given.
+        /// Lines through the inside of one of two triangles that are one occluder, whichever way each is
+        /// given.
         #[test]
         fn edges_are_passed_on_the_side_that_is_said(
-            corners in prop::array::uniform3(prop::array::uniform2(-8i32..9)), turned in prop::array::uniform2(any::<bool>()),
-            tilt in prop::array::uniform2(-3i32..4), along in prop::array::uniform3(-9i32..10), weights in prop::array::uniform3(1i32..5),
+            corners in prop::array::uniform3(prop::array::uniform2(-8i32..9)),
+            turned in prop::array::uniform2(any::<bool>()),
+            tilt in prop::array::uniform2(-3i32..4),
+            along in prop::array::uniform3(-9i32..10),
+            weights in prop::array::uniform3(1i32..5),
             second in any::<bool>(),
         ) {
-            // In a plane that is no coordinate plane; a parallelogram of both triangles, so that all are integers.
+            // In a plane that is no coordinate plane; a parallelogram of both triangles, so that all are
+            // integers.
             let at = |[x, y]: [i32; 2]| DVec3::new(f64::from(x), f64::from(y), f64::from(tilt[0] * x + tilt[1] * y));
             let [a, b, c] = corners.map(at);
             let d = b + c - a;

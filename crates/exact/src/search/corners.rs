@@ -1,4 +1,5 @@
-//! Corners of the scene as points of the space of one pair, and on which sides of the two polygons' planes they lie.
+//! Corners of the scene as points of the space of one pair, and on which sides of the two polygons' planes
+//! they lie.
 
 use std::cmp::Ordering;
 

@@ -1,6 +1,6 @@
-//! The lines of occluders' edges in the space of a pair: one for all edges that run along it.
+//! The lines of boundary edges in the space of a pair: all edges along one line share it.
 //!
-//! Rays that are on an edge's line are then known to be on those of all edges along it.
+//! A ray on the line of one edge is then known to be on the lines of all edges along it.
 
 use glam::Vec3;
 use rustc_hash::FxHashMap;
@@ -21,9 +21,11 @@ pub struct Edge {
 
 /// Lines made so far.
 pub struct EdgeLines {
-    /// By the numbers of an edge's corners, the lesser first: its line, and whether that runs from the greater.
+    /// By the numbers of an edge's corners, the lesser first: its line, and whether that runs from the
+    /// greater.
     edges: FxHashMap<[u32; 2], (Id, bool)>,
-    /// By their fingerprints: what is the same line is in the same bucket, or the next. Each with two points it goes through.
+    /// By their fingerprints: what is the same line is in the same bucket, or the next. Each with two points
+    /// it goes through.
     buckets: FxHashMap<i64, Vec<(Id, [Vec3; 2])>>,
 }
 

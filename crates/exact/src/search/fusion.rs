@@ -1,6 +1,7 @@
-//! How much of a region an occluder blocks, and joining it with neighbours until many of them add nothing.
+//! Occluder fusion: joining an occluder with its neighbours while the union blocks more of a region.
 //!
-//! What lines pass in the same direction has one silhouette (thesis §2.4), so triangles that hang together block together.
+//! Connected triangles crossed in the same direction act as one occluder, bounded by their silhouette
+//! (Nirenstein 2003, section 2.4).
 
 use crate::occluders::Occluders;
 use crate::search::local::{Constraints, Local, lines_of, triangles};
@@ -8,14 +9,17 @@ use crate::search::side_bitsets::{Limit, both, count};
 
 /// Most occluders that are joined to one for the sake of a region.
 const MOST_MEMBERS: usize = 256;
-/// So many that add nothing are added one after the other before that is given up, or as many as there are already.
+/// Consecutive members without effect after which fusion ends, or the number of members so far if that is
+/// greater.
 const IN_VAIN: usize = 8;
 
 impl Local<'_> {
-    /// Adds neighbours to an occluder, always over the edge that most of the region is outside of, until some more of them add nothing;
-    /// an index into `known`. None if no neighbours make it block more of the region.
+    /// Adds neighbours to an occluder, always over the edge that most of the region is outside of, until more
+    /// of them have no effect. Returns an index into `known`, or None if no neighbours make it block more of
+    /// the region.
     ///
-    /// One neighbour often adds nothing and a few do: it takes most of a curved surface's facets to block what one of them is amid.
+    /// One neighbour often has no effect where several have: most facets of a curved surface are needed to
+    /// block the lines around one of them.
     pub fn fuse(&mut self, scene: &Occluders, (id, negative, held): (u32, bool, u32)) -> Option<usize> {
         let every = self.side_bitsets.all();
         let all = count(every);
@@ -46,7 +50,8 @@ impl Local<'_> {
         self.patch(scene, members)
     }
 
-    /// Adds an occluder, perhaps turned round, to what has a border: the edges along which the two run in opposite directions go.
+    /// Adds an occluder, perhaps reversed, to a border: edges along which the two run in opposite directions
+    /// are removed.
     fn join(
         &mut self,
         scene: &Occluders,
@@ -67,7 +72,8 @@ impl Local<'_> {
         }
     }
 
-    /// What can be added over the edge that most of the region is outside of, and whether it is to be turned round.
+    /// What can be added over the edge that most of the region is outside of, and whether it is to be turned
+    /// round.
     fn beyond(
         &mut self,
         scene: &Occluders,
@@ -79,7 +85,8 @@ impl Local<'_> {
             let limit = border.iter_mut().filter(|l| !l.last && l.count < all).min_by_key(|l| l.count)?;
             for (id, back) in scene.boundary_edges().sharing(limit.edge.number) {
                 if !members.iter().any(|m| m.0 == *id) && self.is_between(scene, *id) {
-                    // Its border must run the other way along the edge, so it is turned round where it runs the same way.
+                    // Its border must run the other way along the edge, so it is turned round where it runs
+                    // the same way.
                     return Some((*id, *back == limit.edge.back()));
                 }
             }
@@ -87,7 +94,8 @@ impl Local<'_> {
         }
     }
 
-    /// Several occluders that are all between the polygons, as one; an index into `known`. None if they have no border.
+    /// Several occluders that are all between the polygons, as one; an index into `known`. None if they have
+    /// no border.
     fn patch(&mut self, scene: &Occluders, members: Vec<(u32, bool)>) -> Option<usize> {
         if let Some(at) = self.patches.get(&members) {
             return *at;

@@ -1,5 +1,4 @@
-//! What the search works with between two parts: their space, sight lines snapped to points of both, and occluders as
-//! half-spaces.
+//! The state of the search between two parts: their space, and the occluders as half-spaces of it.
 
 use std::cmp::Ordering;
 
@@ -20,9 +19,9 @@ pub type Snapped = (u32, DVec3);
 
 /// An occluder as half-spaces of one pair's space.
 pub struct Constraints {
-    /// The occluders of the scene it is made of, each with whether it is turned round; ascending.
+    /// The occluders of the scene in it, each with whether its orientation is reversed; ascending.
     pub members: Vec<(u32, bool)>,
-    /// All that bounds what it blocks.
+    /// The half-spaces that bound the lines it blocks.
     pub lines: Vec<Constraint>,
 }
 
@@ -35,12 +34,13 @@ pub struct Constraint {
     pub flipped: bool,
     /// Its number in a proof.
     pub number: u16,
-    /// The rounded line of [`SideBitsets`], and whether the border runs the other way than that; none where a plane cuts the occluder.
+    /// The rounded line of [`SideBitsets`], and whether the border runs the other way than that; none where a
+    /// plane cuts the occluder.
     pub row: Option<(u32, bool)>,
 }
 
-/// Where an occluder is: whether part of it is on the other polygon's side of A's plane and of B's, and whether part of it is on the
-/// side that is away from it.
+/// Where an occluder is: whether part of it is on the other polygon's side of A's plane and of B's, and
+/// whether part of it is on the side that is away from it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Extent {
     within: [bool; 2],
@@ -59,14 +59,14 @@ pub fn lines_of(edges: &[Edge], border: &[[u32; 2]], side_bitsets: &SideBitsets)
     lines
 }
 
-/// What belongs to one pair of parts.
+/// The state of the search between one pair of parts.
 pub struct Local<'a> {
     pub space: Space,
     pub pair: Pair,
     pub known: Vec<Constraints>,
     /// Corners of the scene as points of the space.
     pub corners: Corners,
-    /// Where occluders are that were asked about.
+    /// On which sides of the two planes the occluders looked up so far lie.
     pub extents: FxHashMap<u32, Extent>,
     /// Where in `known` an occluder is; none where it is not between the polygons.
     pub places: FxHashMap<u32, Option<usize>>,
@@ -74,15 +74,15 @@ pub struct Local<'a> {
     pub patches: FxHashMap<Vec<(u32, bool)>, Option<usize>>,
     /// Lines made for occluders' edges.
     pub lines: EdgeLines,
-    /// On which sides of them the rays of the region at hand are.
+    /// On which sides of boundary edges the rays of the current region are.
     pub side_bitsets: SideBitsets,
-    /// The Klein form on the rays of the region at hand.
+    /// The Klein form on the rays of the current region.
     pub forms: Forms,
-    /// Sides of rays, kept for their memory.
+    /// Sides of rays; kept to reuse its memory.
     pub sides: Vec<Ordering>,
-    /// The border of what grows, kept for its memory.
+    /// The border of the fused occluder; kept to reuse its memory.
     pub border: Vec<Limit>,
-    /// Triangles a line may meet, kept for their memory.
+    /// Triangles a line may meet; kept to reuse its memory.
     pub candidates: Vec<u32>,
     /// Both polygons, with their vertices rounded.
     pub ends: [(&'a Polygon, &'a [DVec3]); 2],
@@ -154,7 +154,8 @@ impl Local<'_> {
                 }
                 let toward =
                     Through { points: [plane[0], plane[1], plane[2]], turned: *good == Ordering::Less };
-                // The part of the occluder on the good side is to the left of n_plane × n_own, seen from n_own's side.
+                // The part of the occluder on the good side is to the left of n_plane × n_own, seen from
+                // n_own's side.
                 let line = self.space.meet(toward, own);
                 let number = (occluder.border.len() + k) as u16;
                 lines.push(Constraint { line, flipped: false, number, row: None });

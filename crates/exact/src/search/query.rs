@@ -1,9 +1,10 @@
-//! The exact query between two polygons: feedback-guided subtraction in line space (thesis ch. 5 and §6.1; the
-//! feedback after Haumont et al. 2005).
+//! The exact query between two polygons: feedback-guided subtraction in line space (Nirenstein 2003, chapter
+//! 5 and section 6.1; the feedback after Haumont et al. 2005).
 //!
-//! Take a real line inside what is left of the lines from A to B and follow it. If it meets nothing it is a witness. Else
-//! subtract one of the occluders it met, the one that takes most of what is left, and go on with the pieces outside
-//! of it. When nothing with real lines is left, B is hidden, and the steps taken are the proof.
+//! Take a real line inside the remaining region of lines from A to B and trace it. If it meets no triangle it
+//! is a witness. Otherwise subtract one of the occluders it meets, the one that covers most of the region,
+//! and continue with the pieces outside that occluder. When no piece contains real lines, B is hidden, and
+//! the steps are the proof.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -119,7 +120,7 @@ impl Search<'_> {
         if self.try_pair(a, b)?.is_ok() {
             return Ok(());
         }
-        // What was tried in vain is no part of the proof.
+        // The steps of a failed attempt are no part of the proof.
         self.proof.steps.truncate(before.0);
         self.proof.occluders.truncate(before.1);
         self.numbers.retain(|_, number| (*number as usize) < before.1);
@@ -278,8 +279,8 @@ impl Search<'_> {
         }
     }
 
-    /// Subtracts, of the occluders that a line passes, each with whether that is on the negative side of its edges, the one that holds
-    /// most of the region, or the next that takes anything away.
+    /// Subtracts, of the occluders that a line passes, each with whether that is on the negative side of its
+    /// edges, the one that holds most of the region, or the next that takes anything away.
     fn subtract_best(
         &mut self,
         local: &mut Local<'_>,

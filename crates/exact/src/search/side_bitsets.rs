@@ -1,8 +1,9 @@
-//! On which side of occluders' edges the rays of a region are, and real lines in it, as sets of bits: which occluder takes most of a region
-//! is asked of many.
+//! Side bitsets: for each boundary edge, on which side the rays of a region and the sampled lines inside it
+//! pass.
 //!
-//! Rounded and without bounds: what is taken first matters to the time a query takes, never to its answer. So edges are
-//! plain doubles here, and only those of what is taken become lines of the space.
+//! They rank occluders by how much of a region they block. They are rounded and have no error bounds: the
+//! ranking affects the time of a query, never its verdict. Edges are plain doubles here, and only the edges
+//! of the chosen occluder become lines of the space.
 
 use std::ops::Range;
 
@@ -15,7 +16,8 @@ use crate::line_space::forms::Forms;
 use crate::occluders::Occluders;
 use crate::search::maps::with_room;
 
-/// A set of a region's rays and lines in it. Only so many are looked at; few regions have more.
+/// A set of a region's rays and sampled lines, one bit each. The rest of a larger region is ignored; few are
+/// larger.
 pub type Bits = [u64; 4];
 /// Rays and lines in a [`Bits`].
 const MOST: usize = 256;
@@ -45,17 +47,17 @@ impl BoundaryEdge {
     }
 }
 
-/// An edge of the border of what grows.
+/// An edge of the border of a fused occluder.
 pub struct Limit {
     pub edge: BoundaryEdge,
-    /// What of the region is on its inner side, and how much.
+    /// The rays and lines of the region on its inner side, and their number.
     pub inside: Bits,
     pub count: u32,
     /// Whether nothing can be added over it.
     pub last: bool,
 }
 
-/// For each line the rays of the region at hand, and the lines in it, that pass it on either side.
+/// For each line, which rays and sampled lines of the current region pass it on either side.
 #[derive(Default)]
 pub struct SideBitsets {
     /// Which region they are about, and how many rays and lines in it.
@@ -97,7 +99,7 @@ impl SideBitsets {
         }
     }
 
-    /// Goes on to another region, of so many rays and lines.
+    /// Starts a region with this number of rays and lines.
     pub fn begin(&mut self, rays: usize) {
         self.region += 1;
         self.rays = rays.min(MOST);
@@ -183,7 +185,8 @@ impl SideBitsets {
         sides
     }
 
-    /// The number of the line between two corners, which runs from the lesser to the greater, if it was asked about.
+    /// The number of the line between two corners, which runs from the lesser to the greater, if it is in the
+    /// table.
     pub fn line(&self, corners: [u32; 2]) -> Option<u32> {
         self.numbers.get(&[corners[0].min(corners[1]), corners[0].max(corners[1])]).copied()
     }

@@ -19,7 +19,8 @@ const WEIGHTS: u64 = 1 << 50;
 const FINE: usize = 240;
 
 impl Local<'_> {
-    /// A real line near `line`, between points strictly inside both polygons: points of the space and rounded ones.
+    /// A real line near `line`, between points strictly inside both polygons: points of the space and rounded
+    /// ones.
     pub fn snap(&mut self, line: &[f64; 6]) -> Option<(Snapped, Snapped)> {
         let p = self.snap_end(line, 0)?;
         let q = self.snap_end(line, 1)?;

@@ -8,15 +8,15 @@ use crate::search::local::{Constraint, Local};
 use crate::search::side_bitsets::{both, count};
 
 impl Local<'_> {
-    /// Goes on to another region, of which [`crate::line_space::klein::contents`] has left the forms: what follows is about its rays, and
-    /// real lines in it.
+    /// Goes on to another region, of which [`crate::line_space::klein::contents`] has left the forms: what
+    /// follows is about its rays, and real lines in it.
     pub fn begin(&mut self) {
         let many = self.forms.sample();
         self.side_bitsets.begin(many);
     }
 
-    /// How much of the region an occluder blocks of lines that pass it one way: how many of its rays and of the lines in it,
-    /// rounded.
+    /// How much of the region an occluder blocks of lines that pass it one way: how many of its rays and of
+    /// the lines in it, rounded.
     pub fn held(&mut self, scene: &Occluders, id: u32, negative: bool) -> u32 {
         let mut rays = self.side_bitsets.all();
         for at in self.side_bitsets.shape(scene, self.space.frame(), id) {
@@ -26,8 +26,8 @@ impl Local<'_> {
         count(rays)
     }
 
-    /// An occluder's constraints, first those that most of the region is outside of: the sooner much is cut off, the less
-    /// is cut again.
+    /// An occluder's constraints, first those that most of the region is outside of: the sooner much is cut
+    /// off, the less is cut again.
     pub fn order(&mut self, known: usize, negative: bool) -> Vec<usize> {
         let mut order: Vec<(u32, usize)> = Vec::with_capacity(self.known[known].lines.len());
         for (k, c) in self.known[known].lines.iter().enumerate() {
@@ -44,8 +44,8 @@ impl Local<'_> {
         order.into_iter().map(|(_, k)| k).collect()
     }
 
-    /// Takes away from a region what an occluder blocks of it: the cuts made and the parts left outside each. Nothing when
-    /// the occluder takes nothing away.
+    /// Takes away from a region what an occluder blocks of it: the cuts made and the parts left outside each.
+    /// Nothing when the occluder takes nothing away.
     pub fn subtract(
         &mut self,
         region: &Region,

@@ -1,4 +1,4 @@
-//! What one sight line meets, decided exactly.
+//! Tracing a sight line: which triangles it meets, decided exactly.
 
 use std::cmp::Ordering;
 
@@ -15,17 +15,19 @@ use crate::search::local::Local;
 pub enum Met {
     /// No triangle at all: a witness.
     Nothing,
-    /// It passes through the inside of these triangles, each with whether that is from the side its corners are seen counter-clockwise
-    /// from.
+    /// It passes through the inside of these triangles, each with whether that is from the side its corners
+    /// are seen counter-clockwise from.
     Blocked(Vec<(u32, bool)>),
     /// It touches a triangle's border, and passes through none.
     Grazing,
 }
 
 impl Local<'_> {
-    /// Follows the segment from `p` to `q`, points of the space inside A and B and close to the doubles given.
+    /// Follows the segment from `p` to `q`, points of the space inside A and B and close to the doubles
+    /// given.
     ///
-    /// Triangles in the plane of A or of B do not count, and neither does what the segment reaches only at its ends.
+    /// Triangles in the plane of A or of B do not count, and neither does what the segment reaches only at
+    /// its ends.
     pub fn trace(&mut self, scene: &Occluders, (p, q): (u32, u32), (near_p, near_q): (DVec3, DVec3)) -> Met {
         let mut candidates = std::mem::take(&mut self.candidates);
         candidates.clear();
@@ -54,10 +56,12 @@ impl Local<'_> {
     }
 }
 
-/// Whether doubles show that a line passes a triangle on different sides of its edges, both points given to `slack`.
+/// Whether doubles show that a line passes a triangle on different sides of its edges, both points given to
+/// `slack`.
 ///
-/// Each of the turns is a product of three differences, which are off by e = 2 slack and a rounding; with n the greatest magnitude of a
-/// difference and e added, by at most 3·6en² for what is off and 100un³ for its roundings ([`crate::geometry::predicates::orient_points`]).
+/// Each of the turns is a product of three differences, which are off by e = 2 slack and a rounding; with n
+/// the greatest magnitude of a difference and e added, by at most 3·6en² for what is off and 100un³ for its
+/// roundings ([`crate::geometry::predicates::orient_points`]).
 fn surely_missed(triangle: &[Vec3; 3], (p, q): (DVec3, DVec3), slack: f64) -> bool {
     let [a, b, c] = triangle.map(|v| v.as_dvec3() - p);
     let d = q - p;
@@ -131,10 +135,12 @@ mod tests {
     use crate::geometry::predicates::orient;
 
     proptest! {
-        /// What is said to be missed is missed by every line between points that are off by no more than the slack.
+        /// What is said to be missed is missed by every line between points that are off by no more than the
+        /// slack.
         #[test]
         fn what_is_surely_missed_is_missed(
-            p in prop::array::uniform5(prop::array::uniform3(-4i32..5)), off in prop::array::uniform6(-1.0f64..1.0),
+            p in prop::array::uniform5(prop::array::uniform3(-4i32..5)),
+            off in prop::array::uniform6(-1.0f64..1.0),
             scale in -140i32..100, slack in prop_oneof![Just(0.0), Just(1e-14), Just(1e-3), Just(0.3)],
         ) {
             let scale = f32::powi(2.0, scale);

@@ -4,16 +4,16 @@ use crate::geometry::Source;
 use crate::line_space::Decisions;
 use crate::proof::Proof;
 
-/// When a query gives up.
+/// The limits at which a query ends undecided.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Regions looked at, over all divisions; so many as by default take some seconds.
+    /// Regions processed, over all divisions; the default takes some seconds.
     pub regions: u32,
-    /// Vectors and points held at a time; about 200 bytes each, and more where integers were needed.
+    /// Vectors and points stored at a time; about 200 bytes each, and more with exact integers.
     pub vectors: u32,
-    /// How often the regions of a pair may be split for the sake of the Klein form alone.
+    /// Polar splits of the regions of a pair.
     pub splits: u32,
-    /// How often a polygon may be halved; so deep does the search recurse.
+    /// How often a polygon may be halved, which is also the depth of the recursion.
     pub divisions: u32,
 }
 
@@ -23,14 +23,15 @@ impl Default for Limits {
     }
 }
 
-/// What is known of two polygons.
+/// The answer to a query.
 #[derive(Clone, Debug)]
 pub enum Verdict {
-    /// Seen, along the segment between these points: inside A, inside B, and clear of all triangles in between.
+    /// Visible along the segment between these points: the first inside A, the second inside B, and no
+    /// triangle in between.
     Visible(Box<[Source; 2]>),
-    /// Not seen, with the proof.
+    /// Hidden, with the proof.
     Hidden(Proof),
-    /// Neither, and why.
+    /// Undecided, with the reason.
     Undecided(Reason),
 }
 
@@ -46,27 +47,27 @@ pub enum Reason {
     /// Polygons halved as often as [`Limits::divisions`] and still neither.
     #[error("halved to the limit and still undecided")]
     Divisions,
-    /// It was told to stop.
+    /// The caller stopped the query.
     #[error("stopped before it was done")]
     Stopped,
 }
 
-/// What a query cost.
+/// The work of a query, in counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Cost {
     /// How signs were decided.
     pub decisions: Decisions,
-    /// Regions looked at.
+    /// Regions processed.
     pub regions: u64,
-    /// Lines followed.
+    /// Sight lines traced.
     pub lines: u64,
     /// Occluders subtracted.
     pub occluders: u64,
-    /// Times a region was split for the sake of the Klein form alone.
+    /// Polar splits.
     pub splits: u64,
     /// Times a polygon was halved.
     pub divisions: u64,
-    /// Most vectors held.
+    /// Greatest number of vectors stored at a time.
     pub vectors: u64,
 }
 

@@ -1,15 +1,16 @@
-//! Closed surfaces: what they hide without a query.
+//! Closed surfaces: triangles that are hidden without a query.
 //!
-//! Take the triangles that hang together by their edges. Where every edge has an even number of them they enclose
-//! something: going from place to place, the parity of the number of crossings says whether one is inside or outside, and
-//! depends on the two places alone (the boundary of a boundary is nothing, mod 2). So if a view cell that the surface does not
-//! meet has one parity, and the side of a triangle turned to it the other, then every segment from the cell to the inside of
-//! that triangle crosses the surface before: the triangle is hidden. That is so of the back of every solid, of the inside of a
-//! wall, of all that faces away.
+//! Take a connected set of triangles, connected by shared edges. If every edge has an even number of them,
+//! the set encloses a volume: the parity of the number of crossings along a path says whether the path goes
+//! from outside to inside, and depends on the two ends only (the boundary of a boundary is empty, modulo 2).
+//! If a view cell that the surface does not meet has one parity, and the side of a triangle that faces the
+//! cell has the other, then every segment from the cell to the interior of that triangle crosses the surface
+//! earlier: the triangle is hidden. This holds for the back of every solid and for the inside of a wall.
 //!
-//! Real surfaces have holes. Edges with an odd number of triangles are closed by *patches*, a fan from one corner for all
-//! that hang together; the argument then holds for segments that miss the patches, and so for all if none of the patches meets the
-//! convex hull of cell and triangle. [`crate::checker`] decides all this again from the scene alone.
+//! Real surfaces have holes. Edges with an odd number of triangles are closed by *patches*: a fan from one
+//! corner for each connected set of such edges. The argument then holds for segments that miss the patches,
+//! and so for all segments if no patch meets the convex hull of cell and triangle. [`crate::checker`] decides
+//! all this again from the triangles alone.
 
 use std::cmp::Ordering;
 
@@ -32,8 +33,8 @@ const TRIES: u32 = 6;
 
 /// The surfaces of a scene that enclose something.
 pub struct Surfaces {
-    /// The surface a triangle is part of, and the parity on the side its normal points to; none where that is not known
-    /// or makes no sense because other triangles of the surface pass through it.
+    /// The surface a triangle is part of, and the parity on the side its normal points to; none where that is
+    /// not known or makes no sense because other triangles of the surface pass through it.
     sides: Vec<Option<(u32, bool)>>,
     /// The surface a triangle is part of, if it is one of these.
     of: Vec<Option<u32>>,
@@ -183,8 +184,8 @@ impl Surfaces {
         to
     }
 
-    /// Whether the segment crosses an odd number of triangles and patches, of those that `counts` does not leave out; none where it
-    /// touches one that it does not pass through.
+    /// Whether the segment crosses an odd number of triangles and patches, of those that `counts` does not
+    /// leave out; none where it touches one that it does not pass through.
     fn crossings(
         &self,
         scene: &Occluders,
@@ -255,8 +256,8 @@ impl FromCell<'_> {
         if sides.contains(&hidden.reverse()) { Hides::From(hidden) } else { Hides::All }
     }
 
-    /// Whether a patch is seen to have no point in the convex hull of the cell and a triangle: some axis, the patch's plane or the
-    /// triangle's separates them.
+    /// Whether a patch is seen to have no point in the convex hull of the cell and a triangle: some axis, the
+    /// patch's plane or the triangle's separates them.
     fn apart(&self, t: &[Vec3; 3], patch: &[Vec3; 3]) -> bool {
         let [lo, hi] = self.cell.corners();
         let (min, max) = t.iter().fold((lo, hi), |(a, b), v| (a.min(*v), b.max(*v)));

@@ -10,7 +10,8 @@ use crate::geometry::predicates;
 
 /// Which of two triangles a segment that passes through both crosses first.
 pub fn sooner(u: &[Vec3; 3], t: &[Vec3; 3], from: Vec3, to: Vec3) -> Ordering {
-    // At from + s(to − from) with s = a / (a + b), a and b the distances of the ends to the plane: s(u) < s(t) when a(u) b(t) < a(t) b(u).
+    // At from + s(to − from) with s = a / (a + b), a and b the distances of the ends to the plane: s(u) <
+    // s(t) when a(u) b(t) < a(t) b(u).
     let heights = |of: &[Vec3; 3]| [from, to].map(|p| height(of, p));
     let ([(au, eau), (bu, ebu)], [(at, eat), (bt, ebt)]) = (heights(u), heights(t));
     let less = |x: (f64, f64), y: (f64, f64), z: (f64, f64), w: (f64, f64)| {
@@ -36,8 +37,8 @@ pub fn sooner(u: &[Vec3; 3], t: &[Vec3; 3], from: Vec3, to: Vec3) -> Ordering {
     (size(&au) * size(&bt)).cmp(&(size(&at) * size(&bu)))
 }
 
-/// How far a point is from a triangle's plane, times twice the area, and by how much that may be off: the determinant and bound of
-/// [`sightline_scene::exact::orient3d_sign`].
+/// How far a point is from a triangle's plane, times twice the area, and by how much that may be off: the
+/// determinant and bound of [`sightline_scene::exact::orient3d_sign`].
 fn height(t: &[Vec3; 3], p: Vec3) -> (f64, f64) {
     let [a, x, y, z] = [t[0], t[1], t[2], p].map(|v| v.as_dvec3());
     let (x, y, z) = (x - a, y - a, z - a);

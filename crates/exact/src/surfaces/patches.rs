@@ -2,9 +2,11 @@
 
 use glam::Vec3;
 
-/// Patches that close some odd edges: for all that hang together, the triangles of one corner with each of them.
+/// Patches that close some odd edges: for each connected set, the triangles of one of its corners with each
+/// edge.
 ///
-/// At every corner an even number of odd edges meet (each triangle has two edges there), so the other edges of the patches cancel.
+/// At every corner an even number of odd edges meet (each triangle has two edges there), so the other edges
+/// of the patches cancel.
 pub fn cover(odd: &[[Vec3; 2]]) -> Vec<[Vec3; 3]> {
     // −0 is 0.
     let key = |v: Vec3| (v + Vec3::ZERO).to_array().map(f32::to_bits);

@@ -7,7 +7,8 @@ use sightline_scene::exact::{orient2d_sign, orient3d_sign};
 
 use crate::occluders::segment::{Crossing, crossing};
 
-/// Whether a triangle `u` may have a point inside `t`. Their corners are numbered alike where they are at the same place.
+/// Whether a triangle `u` may have a point inside `t`. Their corners are numbered alike where they are at the
+/// same place.
 pub fn may_pierce(t: &[Vec3; 3], u: &[Vec3; 3], ct: [u32; 3], cu: [u32; 3]) -> bool {
     // A shared corner is in the plane, and to find that out by arithmetic is what takes longest.
     let place = |of: &[Vec3; 3], c: [u32; 3], (p, n): (Vec3, u32)| {
@@ -29,7 +30,8 @@ pub fn may_pierce(t: &[Vec3; 3], u: &[Vec3; 3], ct: [u32; 3], cu: [u32; 3]) -> b
     let edges = [(0, 1), (1, 2), (2, 0)];
     let enters = edges.iter().any(|(i, j)| {
         let (a, b) = (u[*i], u[*j]);
-        // A shared corner is on t's border; the rest of such an edge is off the plane, or is in it and judged by its other end.
+        // A shared corner is on t's border; the rest of such an edge is off the plane, or is in it and judged
+        // by its other end.
         let apart = sides[*i] == sides[*j] && sides[*i] != Ordering::Equal;
         let at_corner = sides[*i] == Ordering::Equal && ct.contains(&cu[*i]) && sides[*j] != Ordering::Equal
             || sides[*j] == Ordering::Equal && ct.contains(&cu[*j]) && sides[*i] != Ordering::Equal;
@@ -49,7 +51,8 @@ pub fn may_pierce(t: &[Vec3; 3], u: &[Vec3; 3], ct: [u32; 3], cu: [u32; 3]) -> b
         })
 }
 
-/// Whether two triangles in one plane have inner points in common: no line along an edge of one has the other on its outer side.
+/// Whether two triangles in one plane have inner points in common: no line along an edge of one has the other
+/// on its outer side.
 fn overlap_in_plane(t: &[Vec3; 3], u: &[Vec3; 3]) -> bool {
     // Projected along an axis the plane does not contain: one in which both keep their area.
     let turn = |k: usize, p: [Vec3; 3]| {
@@ -66,8 +69,8 @@ fn overlap_in_plane(t: &[Vec3; 3], u: &[Vec3; 3]) -> bool {
     !(separated(t, u) || separated(u, t))
 }
 
-/// Whether a segment in a triangle's plane has points inside the triangle: no line along an edge has it on its outer side, nor does
-/// its own line have all of the triangle on one side.
+/// Whether a segment in a triangle's plane has points inside the triangle: no line along an edge has it on
+/// its outer side, nor does its own line have all of the triangle on one side.
 fn enters_in_plane(t: &[Vec3; 3], a: Vec3, b: Vec3) -> bool {
     let turn = |k: usize, p: [Vec3; 3]| {
         let [a, b, c] = p.map(|v| [v[(k + 1) % 3], v[(k + 2) % 3]]);

@@ -1,8 +1,10 @@
-//! What the tests of queries share: scenes that have every verdict checked, places to put them, random numbers.
+//! What the tests of queries share: scenes that have every verdict checked, places to put them, random
+//! numbers.
 
 #![allow(dead_code, clippy::panic, clippy::unwrap_used, reason = "helpers of tests, each of which uses some")]
 
 pub mod cells;
+pub mod truth;
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use sightline_exact::checker::Refusal;
@@ -86,10 +88,11 @@ pub fn check(scene: &[Corners], a: &[Polygon], b: &[Polygon], verdict: &Verdict)
     }
 }
 
-/// Where a construction is put: its coordinates are scaled and shifted alike and rounded to single precision, then turned.
+/// Where a construction is put: its coordinates are scaled and shifted alike and rounded to single precision,
+/// then turned.
 ///
-/// Until it is turned, what was equal stays equal and what was less does not become more. Turns by permutations of
-/// the axes are exact.
+/// Until it is turned, what was equal stays equal and what was less does not become more. Turns by
+/// permutations of the axes are exact.
 #[derive(Clone, Debug)]
 pub struct Place {
     pub scale: f64,
@@ -223,7 +226,8 @@ impl<'a> Draft<'a> {
         }
     }
 
-    /// An icosahedron whose faces were divided by four `levels` times, corners on the sphere, turned outwards.
+    /// An icosahedron whose faces were divided by four `levels` times, corners on the sphere, turned
+    /// outwards.
     pub fn sphere(&mut self, centre: [f64; 3], radius: f64, levels: u32) {
         let g = (1.0 + 5f64.sqrt()) / 2.0;
         let corners: Vec<DVec3> = [[0.0, 1.0, g], [1.0, g, 0.0], [g, 0.0, 1.0]]

@@ -1,7 +1,7 @@
-//! Rays in integers from the lines they are on, rather than from the rays they were cut from.
+//! Exact rays computed from the lines they lie on, instead of from the rays they were cut from.
 //!
-//! Along a chain of cuts integers grow with every cut, twice as long each time before common factors are found. An extreme ray is
-//! the one solution of K(x, l) = 0 for five independent lines l, whose numbers are small.
+//! Along a chain of cuts the integers double in length with every cut, before common factors are removed. An
+//! extreme ray is the only solution of K(x, l) = 0 for five independent lines l, whose integers are small.
 
 use dashu_int::IBig;
 
@@ -12,10 +12,11 @@ use super::{Id, Space};
 use crate::arithmetic::number::rounded;
 
 impl Space {
-    /// Computes a ray exactly that is on all of `lines`, at least five; leaves it as it is where doubles cannot tell which of them
-    /// determine it.
+    /// Computes a ray exactly that is on all of `lines`, at least five; leaves it as it is where doubles
+    /// cannot tell which of them determine it.
     pub fn sharpen_from(&mut self, ray: Id, lines: &[Id]) {
-        // A ray that is a line by the way it was made has smaller integers from its points, without a common factor.
+        // A ray that is a real line by construction has smaller integers from its points, without a common
+        // factor.
         let near = (0.0..MOST_ERROR).contains(&self.near[ray as usize].error);
         if self.vectors[ray as usize].exact.is_some() || self.is_line(ray) || !near {
             return;
@@ -24,8 +25,9 @@ impl Space {
         let Some(chosen) = independent(rows) else { return };
         let rows = chosen.map(|k| functional(self.exact(lines[k])));
         let mut x = cross(&rows);
-        // With x̂ the solution, rounded to components of at most 1 and one of at least 1/2, and the ray's doubles cx̂ and at most 0.05 off:
-        // c ≥ 0.45, so c|x̂|² ≥ 0.22|x̂|, and what is off changes that by at most 0.05·√6|x̂|, too little to turn it round.
+        // With x̂ the solution, rounded to components of at most 1 and one of at least 1/2, and the ray's
+        // doubles cx̂ and at most 0.05 off: c ≥ 0.45, so c|x̂|² ≥ 0.22|x̂|, and what is off changes that by
+        // at most 0.05·√6|x̂|, too little to turn it round.
         let along: f64 = rounded(&x).iter().zip(self.rounded(ray)).map(|(a, b)| a * b).sum();
         if along.is_nan() || along.abs() < 0.1 {
             return;
@@ -40,7 +42,8 @@ impl Space {
     }
 }
 
-/// What is orthogonal to five rows: their minors of five columns, with alternating signs; 0 if they are dependent.
+/// What is orthogonal to five rows: their minors of five columns, with alternating signs; 0 if they are
+/// dependent.
 fn cross(rows: &[[IBig; 6]; 5]) -> [IBig; 6] {
     let [a, b, c, d, e] = rows;
     let minor = |x: &[IBig; 6], y: &[IBig; 6], i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];

@@ -1,9 +1,10 @@
-//! Lines and rays of Plücker space, rounded with a bound and exact on demand, and the decisions made with them.
+//! Lines and rays of Plücker space: rounded with a bound, exact on demand, and the signs of their Klein
+//! forms.
 //!
-//! A line through p and q has the coordinates (q − p, p × q); for another line the Klein form
-//! `d·m' + m·d'` says on which side it passes, and 0 that the two meet (thesis §3.5). Rays of a region are such
-//! six-vectors too, though most are no real lines. Every vector is made from others in a known way and is computed
-//! exactly only when a filter fails: then once.
+//! A line through p and q has the coordinates (q − p, p × q). The Klein form `d·m' + m·d'` of two lines says
+//! on which side one passes the other; it is 0 when the two meet (Nirenstein 2003, section 3.5). Extreme rays
+//! of a region are six-vectors too, though most of them are not real lines. Every vector is constructed from
+//! others, and its exact components are computed once, when a filter fails.
 
 use std::cmp::Ordering;
 
@@ -46,7 +47,8 @@ enum Origin {
     Cut { a: Id, b: Id, half: Id },
 }
 
-/// The plane through three points of a space, its normal towards where they are seen to turn counter-clockwise.
+/// The plane through three points of a space, its normal towards where they are seen to turn
+/// counter-clockwise.
 #[derive(Clone, Copy, Debug)]
 pub struct Through {
     /// The points.
@@ -82,7 +84,7 @@ struct Vector {
     line: Option<u32>,
 }
 
-/// What is known of two lines.
+/// Whether two lines meet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Meeting {
     NotAsked,
@@ -95,7 +97,7 @@ enum Meeting {
 pub struct Decisions {
     /// By doubles with an error bound.
     pub filtered: u64,
-    /// By pairs of doubles with an error bound.
+    /// By double-doubles with an error bound.
     pub refined: u64,
     /// Because the line is a combination of lines the ray is known to be on.
     pub spanned: u64,
@@ -177,8 +179,8 @@ impl Space {
         &self.frame
     }
 
-    /// Number of points and vectors so far, and as much of what is remembered about them as takes the memory of one: a measure of
-    /// the memory used.
+    /// Number of points and vectors so far, and as much of what is remembered about them as takes the memory
+    /// of one: a measure of the memory used.
     pub fn size(&self) -> usize {
         self.points.len()
             + self.vectors.len()
@@ -230,8 +232,9 @@ impl Space {
 
     /// The directed line from one point to another, which must differ.
     ///
-    /// With e the points' errors and n the greatest magnitude of a coordinate, the direction is off by at most
-    /// e + e' and a step of n + n', a component of the moment by 2(ne' + n'e + ee') and three steps of 2nn'.
+    /// With e the points' errors and n the greatest magnitude of a coordinate, the direction is off by at
+    /// most e + e' and a step of n + n', a component of the moment by 2(ne' + n'e + ee') and three steps of
+    /// 2nn'.
     pub fn join(&mut self, p: u32, q: u32) -> Id {
         let (a, b) = (&self.points[p as usize], &self.points[q as usize]);
         let ((x, e), (y, f)) = (a.fine, b.fine);
@@ -410,9 +413,10 @@ impl Space {
         out
     }
 
-    /// A number that is the same or differs by 1 for vectors that are the same line, whichever way they run: where its unit
-    /// vector is along a direction that has nothing to do with the scene. A line's vector is off by far less than a step, but
-    /// for edges far shorter than anything else; lines not recognised as the same cost exact arithmetic later, nothing else.
+    /// A number that is the same or differs by 1 for vectors that are the same line, whichever way they run:
+    /// where its unit vector is along a direction that has nothing to do with the scene. A line's vector is
+    /// off by far less than a step, but for edges far shorter than anything else; lines not recognised as the
+    /// same cost exact arithmetic later, nothing else.
     pub fn fingerprint(&self, line: Id) -> i64 {
         const ALONG: [f64; 6] = [0.419, 0.337, 0.521, 0.263, 0.472, 0.381];
         const STEPS: f64 = (1u64 << 24) as f64;

@@ -1,8 +1,9 @@
-//! Six-vectors in doubles, with bounds on their errors: what decides nearly all signs.
+//! Six-vectors in doubles with bounds on their errors: the filter that decides nearly all signs.
 //!
-//! A cut is computed in doubles from the doubles of what it is made of. Where errors have added up along the chain, or a filter fails,
-//! it is solved from the lines it is on ([`super::solved`]), in pairs of doubles if need be; where that does not do, it is computed in
-//! these from what it was cut from, and everything it comes from before it.
+//! A cut is computed in doubles from the doubles of what it is made of. Where errors have added up along the
+//! chain, or a filter fails, it is solved from the lines it is on ([`super::solved`]), in double-doubles if
+//! need be; where that does not do, it is computed in these from what it was cut from, and everything it
+//! comes from before it.
 
 use std::cmp::Ordering;
 
@@ -11,16 +12,17 @@ use super::{Id, Near, Origin, Space, Vector, klein};
 use crate::arithmetic::double_double::{DoubleDouble, STEP};
 use crate::arithmetic::number::{U, normalised, rounded_double_double};
 
-/// Rays that may be off by more than this are solved from the lines they are on, or computed in pairs of doubles, at once, and those
-/// that may be off by as much even then, exactly: who looks for lines in a region needs rays that mean something. What filters cannot tell is asked
-/// again more precisely, whatever this is.
+/// Rays that may be off by more than this are solved from the lines they are on, or computed in
+/// double-doubles, at once, and those that may be off by as much even then, exactly: who looks for lines in a
+/// region needs rays that mean something. What filters cannot tell is asked again more precisely, whatever
+/// this is.
 const COARSE: f64 = 1e-9;
 
-/// Rays that are known as well as this in pairs of doubles are asked about so before integers are.
+/// Rays with at most this error in double-doubles are tested in double-doubles before integers.
 const PRECISE: f64 = 1e-22;
 
 impl Space {
-    /// Adds a vector given in pairs of doubles and how far they may be off.
+    /// Adds a vector given in double-doubles and how far they may be off.
     pub(super) fn push(&mut self, x: [DoubleDouble; 6], fine: f64, origin: Origin) -> Id {
         let line = matches!(origin, Origin::Join(..) | Origin::Meet(..)).then(|| {
             self.meeting.push(Vec::new());
@@ -33,7 +35,7 @@ impl Space {
         id
     }
 
-    /// Sets what is known of a vector in pairs of doubles, and how far they may be off.
+    /// Sets what is known of a vector in double-doubles, and how far they may be off.
     fn set(&mut self, v: Id, x: [DoubleDouble; 6], fine: f64) {
         let (high, scale) = normalised(x.map(|c| c.0));
         let rest = x.map(|c| c.1 * scale);
@@ -62,7 +64,7 @@ impl Space {
         self.near[v as usize].error
     }
 
-    /// A refined vector in pairs of doubles.
+    /// A refined vector in double-doubles.
     pub(super) fn fine(&self, v: Id) -> [DoubleDouble; 6] {
         let (x, rest) = (&self.near[v as usize].x, &self.vectors[v as usize].rest);
         std::array::from_fn(|i| DoubleDouble(x[i], rest[i]))
@@ -70,8 +72,8 @@ impl Space {
 
     /// The Klein form, rounded, and how far it may be off.
     ///
-    /// Six products and five sums of magnitudes |aᵢbⱼ| whose total is at most the lesser of the two sums S (no
-    /// component exceeds 1): 6u·S. The errors of the vectors add e·S' + e'·S + 6ee'.
+    /// Six products and five sums of magnitudes |aᵢbⱼ| whose total is at most the lesser of the two sums S
+    /// (no component exceeds 1): 6u·S. The errors of the vectors add e·S' + e'·S + 6ee'.
     #[inline]
     fn form(&self, a: Id, b: Id) -> (f64, f64) {
         let (v, w) = (&self.near[a as usize], &self.near[b as usize]);
@@ -80,7 +82,7 @@ impl Space {
         (klein(&v.x, &w.x), bound)
     }
 
-    /// The same of refined vectors in pairs of doubles: eleven operations of a step each of at most S.
+    /// The same of refined vectors in double-doubles: eleven operations of a step each of at most S.
     fn fine_form(&self, a: Id, b: Id) -> (DoubleDouble, f64) {
         let (x, y) = (self.fine(a), self.fine(b));
         let term = |i: usize, j: usize| x[i].times(y[j]);
@@ -98,12 +100,12 @@ impl Space {
         (value.abs() > bound).then_some(if value > 0.0 { Ordering::Greater } else { Ordering::Less })
     }
 
-    /// The sign where doubles could not tell: by pairs of doubles, then by integers.
+    /// The sign where doubles could not tell: by double-doubles, then by integers.
     pub fn unfiltered_side(&mut self, a: Id, b: Id) -> Ordering {
         self.refined_side(a, b).unwrap_or_else(|| self.exact_side(a, b))
     }
 
-    /// The sign, where pairs of doubles can tell.
+    /// The sign, where double-doubles can tell.
     pub(super) fn refined_side(&mut self, a: Id, b: Id) -> Option<Ordering> {
         self.refine(a);
         self.refine(b);
@@ -116,8 +118,9 @@ impl Space {
     /// The ray where the edge between `a` and `b`, on different sides of `half`, meets its border.
     ///
     /// x = αb + (1 − α)a with α = s/(s + |t|). With B the bounds of the forms s and t, α is off by at most
-    /// max(B)/(s + |t| − 2 max(B)), and by no more than 1, since it is in [0, 1] whatever s and t are; the ray is off by that times
-    /// |b − a|, besides the errors of its parents. α itself is rounded by 3u, and three operations on numbers of at most 2 follow: 16u.
+    /// max(B)/(s + |t| − 2 max(B)), and by no more than 1, since it is in [0, 1] whatever s and t are; the
+    /// ray is off by that times |b − a|, besides the errors of its parents. α itself is rounded by 3u, and
+    /// three operations on numbers of at most 2 follow: 16u.
     ///
     /// `on` gives the lines the ray is on, for when that is not enough.
     pub fn cut(&mut self, [a, b]: [Id; 2], half: Id, on: impl FnOnce() -> Vec<Id>) -> Id {
@@ -165,7 +168,8 @@ impl Space {
         id
     }
 
-    /// Computes a ray in pairs of doubles from the lines it is on, if that is about as good as pairs of doubles get; says whether.
+    /// Computes a ray in double-doubles from the lines it is on, if that is about as good as double-doubles
+    /// get; says whether.
     pub(super) fn refine_from(&mut self, ray: Id, on: &[Id]) -> bool {
         let near = &self.near[ray as usize];
         match self.solved(near.x, near.error, on, true) {
@@ -177,7 +181,7 @@ impl Space {
         }
     }
 
-    /// Computes a cut in pairs of doubles, and what it is made of.
+    /// Computes a cut in double-doubles, and what it is made of.
     fn refine(&mut self, v: Id) {
         if self.vectors[v as usize].refined {
             return;

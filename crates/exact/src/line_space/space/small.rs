@@ -3,10 +3,12 @@
 use glam::DVec3;
 use sightline_scene::exact::{differences, small_integers};
 
-/// Whether three lines through two points each are linearly dependent as vectors, where the points are small integers from the first.
+/// Whether three lines through two points each are linearly dependent as vectors, where the points are small
+/// integers from the first.
 ///
-/// From the first point A = (d, 0), the two others have directions below 2⁴² and moments below 2⁸³. What eliminates A's pivot from
-/// them, d_k B − B_k A, is below 2¹²⁵, and A and the two are dependent if these are.
+/// From the first point A = (d, 0), the two others have directions below 2⁴² and moments below 2⁸³. What
+/// eliminates A's pivot from them, d_k B − B_k A, is below 2¹²⁵, and A and the two are dependent if these
+/// are.
 pub fn dependent([a, b, c]: [[DVec3; 2]; 3]) -> Option<bool> {
     let [d, b0, b1, c0, c1] = small_integers(differences(a[0], [a[1], b[0], b[1], c[0], c[1]])?)?;
     let Some(k) = (0..3).find(|k| d[*k] != 0) else { return Some(true) };
@@ -73,9 +75,12 @@ mod tests {
 
         #[test]
         fn small_and_large_points_agree_with_integers_of_any_size(
-            points in prop::array::uniform6(prop::array::uniform3(-3i32..4)), spread in 0i32..24, far in 0i32..2,
+            points in prop::array::uniform6(prop::array::uniform3(-3i32..4)),
+            spread in 0i32..24,
+            far in 0i32..2,
         ) {
-            // Few values, so that many lines meet, are parallel or the same; wide ones, so that all bits are used.
+            // Few values, so that many lines meet, are parallel or the same; wide ones, so that all bits are
+            // used.
             let at = |i: usize| {
                 let wide = |c: i32, k: i32| f64::from(c) * f64::powi(2.0, spread) + f64::from(far * (i as i32 * 7 + k));
                 DVec3::new(wide(points[i][0], 1), wide(points[i][1], 2), wide(points[i][2], 3))

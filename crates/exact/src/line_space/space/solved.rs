@@ -1,8 +1,9 @@
 //! Rays from the lines they are on, rather than from the rays they were cut from.
 //!
-//! Errors multiply along a chain of cuts, by the ratio of an edge's length to how far it gets from the hyperplane: a few
-//! glancing cuts use up all bits there are. But an extreme ray is the one solution of K(x, l) = 0 for the lines l it is on, which are
-//! known to the last bit, and solving that anew has one condition number and no chain.
+//! Errors multiply along a chain of cuts, by the ratio of an edge's length to how far it gets from the
+//! hyperplane: a few glancing cuts use up all bits there are. But an extreme ray is the one solution of K(x,
+//! l) = 0 for the lines l it is on, which are known to the last bit, and solving that system has one
+//! condition number and no chain.
 
 use super::{Id, Space};
 use crate::arithmetic::double_double::{DoubleDouble, STEP};
@@ -12,17 +13,21 @@ use crate::arithmetic::number::U;
 const LEAST_PIVOT: f64 = 1e-12;
 /// Rays that doubles give as well as this need no more.
 const FINE: f64 = 1e-12;
-/// Rays known no better than this have no sign to go by: they do not tell which of two opposite solutions they are.
+/// Rays known no better than this have no sign to go by: they do not tell which of two opposite solutions
+/// they are.
 pub(super) const MOST_ERROR: f64 = 0.05;
 
 impl Space {
-    /// The ray on `lines` that is near `x`, which is off by at most `error`. None where doubles are too coarse to tell.
+    /// The ray on `lines` that is near `x`, which is off by at most `error`. None where doubles are too
+    /// coarse to tell.
     ///
-    /// Let M have the functionals of five of the lines as rows and x̃ as the sixth, and N be nearly its inverse, τ ≥ ‖I − NM‖. With x
-    /// the multiple of the true ray for which x̃·x = x̃·x̃, M(x̃ − x) = r has the five forms K(x̃, l) and 0 as components, so
-    /// ‖x̃ − x‖ ≤ ‖Nr‖ / (1 − τ) if τ < 1; M is then regular and the ray unique (Krawczyk 1969). x̃ is improved by −Nr first.
+    /// Let M have the functionals of five of the lines as rows and x̃ as the sixth, and N be nearly its
+    /// inverse, τ ≥ ‖I − NM‖. With x the multiple of the true ray for which x̃·x = x̃·x̃, M(x̃ − x) = r has
+    /// the five forms K(x̃, l) and 0 as components, so ‖x̃ − x‖ ≤ ‖Nr‖ / (1 − τ) if τ < 1; M is then regular
+    /// and the ray unique (Krawczyk 1969). x̃ is improved by −Nr first.
     ///
-    /// In pairs of doubles only if it is to be as good as can be, or where doubles are not good enough, since that takes longer.
+    /// In double-doubles only if it is to be as good as can be, or where doubles are not good enough, since
+    /// that takes longer.
     pub(super) fn solved(&self, x: [f64; 6], error: f64, lines: &[Id], best: bool) -> Option<Solved> {
         if !(0.0..MOST_ERROR).contains(&error) {
             return None;
@@ -40,7 +45,8 @@ impl Space {
         }
         let n = inverse(m)?;
         let line = |k: usize| lines[chosen[k]] as usize;
-        // Of a row of NM, six products and sums of at most |n||m| each are rounded, and all rows of M but the last are off.
+        // Of a row of NM, six products and sums of at most |n||m| each are rounded, and all rows of M but the
+        // last are off.
         let mut rounding = [0.0; 6];
         for (k, r) in rounding.iter_mut().enumerate() {
             let off = if k < 5 { self.near[line(k)].error } else { 0.0 };
@@ -63,13 +69,15 @@ impl Space {
             }
             tau = tau.max(sum);
         }
-        // Still the ray that was meant and not its opposite: the greatest component is at least a half and has not changed sign.
+        // Still the ray that was meant and not its opposite: the greatest component is at least a half and
+        // has not changed sign.
         let same = |c: f64, x: f64| (c - x).abs() < 0.2;
         let bound = |r: [f64; 5]| {
             let most = n.iter().map(|row| row.iter().zip(r).map(|(c, r)| c.abs() * r).sum::<f64>());
             1.01 * most.fold(0.0f64, |m, sum| if sum > m || sum.is_nan() { sum } else { m }) / (1.0 - tau)
         };
-        // Loops rather than arrays made by closures, which are calls: this is where hard scenes spend their time.
+        // Loops rather than arrays made by closures, which are calls: this is where hard scenes spend their
+        // time.
         let residuals = |x: &[f64; 6]| -> [f64; 5] {
             let mut r = [0.0; 5];
             for (r, row) in r.iter_mut().zip(&m) {
@@ -100,8 +108,9 @@ impl Space {
         if error < FINE && !best {
             return Some(Solved::Doubles(next, error));
         }
-        // Once more, with residuals in pairs of doubles, x being the multiple whose sixth form is that of the improved x̃. After
-        // x̃ ← x̃ − N·r̃ what is left of x̃ − x is (I − NM)(x̃ − x), besides what r̃ is off and the rounding of the product.
+        // Once more, with residuals in double-doubles, x being the multiple whose sixth form is that of the
+        // improved x̃. After x̃ ← x̃ − N·r̃ what is left of x̃ − x is (I − NM)(x̃ − x), besides what r̃ is
+        // off and the rounding of the product.
         let (mut r, mut off) = ([0.0; 5], [0.0; 5]);
         for (k, (r, off)) in r.iter_mut().zip(&mut off).enumerate() {
             *r = dot(&functional(&self.fine(lines[chosen[k]])), &next);
@@ -125,9 +134,9 @@ impl Space {
     }
 }
 
-/// The scalar product, the first vector in pairs of doubles, as if computed in them and then rounded: off by at most 2u of itself and 8
-/// steps of the magnitudes that go in (Dot2, Ogita et al. 2005: u and γ² ≈ 36u² of them; the second doubles' products and sums
-/// add less than that).
+/// The scalar product, the first vector in double-doubles, as if computed in them and then rounded: off by
+/// at most 2u of itself and 8 steps of the magnitudes that go in (Dot2, Ogita et al. 2005: u and γ² ≈ 36u² of
+/// them; the second doubles' products and sums add less than that).
 fn dot(a: &[DoubleDouble; 6], b: &[f64; 6]) -> f64 {
     let mut sum = DoubleDouble::default();
     for (a, b) in a.iter().zip(b) {
@@ -142,7 +151,7 @@ fn dot(a: &[DoubleDouble; 6], b: &[f64; 6]) -> f64 {
 pub(super) enum Solved {
     /// In doubles.
     Doubles([f64; 6], f64),
-    /// In pairs of doubles.
+    /// In double-doubles.
     Pairs([DoubleDouble; 6], f64),
 }
 

@@ -22,7 +22,8 @@ fn point() -> impl Strategy<Value = DVec3> {
     prop::array::uniform3(-64i32..64).prop_map(|p| DVec3::from(p.map(f64::from)) / 64.0)
 }
 
-/// How far a vector is from integers that are it up to a factor, at most: scaled to agree in the greatest component.
+/// How far a vector is from integers that are it up to a factor, at most: scaled to agree in the greatest
+/// component.
 fn off(x: [DoubleDouble; 6], exact: &[IBig; 6]) -> f64 {
     let y = rounded_double_double(exact);
     let k = (0..6).max_by(|i, j| y[*i].0.abs().total_cmp(&y[*j].0.abs())).unwrap();
@@ -31,8 +32,8 @@ fn off(x: [DoubleDouble; 6], exact: &[IBig; 6]) -> f64 {
     (0..6).map(|i| x[i].minus(y[i].times(scale)).0.abs()).fold(0.0, f64::max)
 }
 
-/// Regions between two triangles cut by lines through points and points next to them, which meet at all angles, small ones among
-/// them.
+/// Regions between two triangles cut by lines through points and points next to them, which meet at all
+/// angles, small ones among them.
 fn regions(a: [DVec3; 3], b: [DVec3; 3], cuts: &[(DVec3, DVec3, f64)]) -> Option<(Space, Vec<Region>)> {
     let (a, b) = (Polygon::triangle(a)?, Polygon::triangle(b)?);
     let [x, y] = parts(&a, &b).into_iter().next()?;
@@ -111,7 +112,8 @@ proptest! {
     /// Of lines between few points, so that many meet and some are dependent.
     #[test]
     fn what_is_surely_independent_is(
-        points in prop::array::uniform6(prop::array::uniform3(-2i32..3)), near in prop_oneof![Just(0.0), Just(1e-3), Just(1e-15)],
+        points in prop::array::uniform6(prop::array::uniform3(-2i32..3)),
+        near in prop_oneof![Just(0.0), Just(1e-3), Just(1e-15)],
     ) {
         let mut at = points.map(|p| DVec3::from(p.map(f64::from)));
         at[5].x += near;
@@ -135,8 +137,8 @@ proptest! {
     }
 }
 
-/// Regions cut by edges of few points, corners of the polygons among them, so that many rays are lines, and combinations of those others
-/// are on; between polygons apart, and such that have edges on one line.
+/// Regions cut by edges of few points, corners of the polygons among them, so that many rays are lines, and
+/// combinations of those others are on; between polygons apart, and such that have edges on one line.
 #[test]
 fn forms_that_are_0_for_a_reason_are_0() {
     let mut random = Random::new(3, 0);

@@ -1,7 +1,9 @@
-//! Forms that vanish for a reason one can name: rays lie on edges of occluders, and edges share planes and corners.
+//! Klein forms that vanish for a geometric reason: rays lie on edges of occluders, and edges share planes and
+//! corners.
 //!
-//! Such zeros are most of what filters cannot decide, and lines are far smaller numbers than rays. Every rule here
-//! proves the form to be 0 from which lines meet; what none explains is left to pairs of doubles and to integers.
+//! Most signs that the filters cannot decide are such zeros, and lines have far smaller integers than rays.
+//! Every rule here proves that a form is 0 from the incidences of lines. A form that no rule covers is
+//! computed in double-doubles and then in integers.
 
 use std::cmp::Ordering;
 
@@ -25,7 +27,8 @@ impl Space {
 
     /// The sign where no reason is known for its being 0, of vectors of which some are rays on these lines.
     fn unexplained_side(&mut self, [a, b]: [Id; 2], rays: &[(Id, &[Id])]) -> Ordering {
-        // By pairs of doubles from the lines a ray is on: along the chain of cuts it comes from they cost as much as integers.
+        // By double-doubles from the lines a ray is on: along the chain of cuts it comes from they cost as
+        // much as integers.
         for (ray, on) in rays {
             if !self.vectors[*ray as usize].refined && !self.refine_from(*ray, on) {
                 self.sharpen_from(*ray, on);
@@ -40,10 +43,11 @@ impl Space {
         self.exact_side(a, b)
     }
 
-    /// Whether `line` is seen to be a combination of some of `lines`: of one that is the same (a target's edge is its neighbour's, too),
-    /// of two of a pencil it is in, or of three that meet pairwise. Three lines that meet pairwise lie in a plane or pass through a
-    /// point; if they are independent, a line that meets all three lies in that plane or passes through that point, too, and the lines
-    /// that do span three dimensions.
+    /// Whether `line` is seen to be a combination of some of `lines`: of one that is the same (a target's
+    /// edge is its neighbour's, too), of two of a pencil it is in, or of three that meet pairwise. Three
+    /// lines that meet pairwise lie in a plane or pass through a point; if they are independent, a line that
+    /// meets all three lies in that plane or passes through that point, too, and the lines that do span three
+    /// dimensions.
     fn spans(&mut self, line: Id, lines: &[Id]) -> bool {
         if !self.is_line(line) {
             return false;
@@ -68,7 +72,7 @@ impl Space {
         self.triple(&met)
     }
 
-    /// Whether a vector is a real line by the way it was made.
+    /// Whether a vector is a real line by its construction.
     pub(super) fn is_line(&self, v: Id) -> bool {
         self.vectors[v as usize].line.is_some()
     }
@@ -127,11 +131,12 @@ impl Space {
         self.orient(p, q, r, s) == Ordering::Equal
     }
 
-    /// The Klein form's sign for two rays that are known to be on all of the lines `s` and `t`, where filters cannot tell.
+    /// The Klein form's sign for two rays that are known to be on all of the lines `s` and `t`, where filters
+    /// cannot tell.
     ///
-    /// It is 0 for two rays on three independent lines that meet pairwise: these span a space W of three dimensions on which
-    /// the form vanishes, W is all that is on all of W, and so both rays are in W. It is also 0 if one of the rays is a combination of
-    /// lines that the other is on ([`Space::combines`]).
+    /// It is 0 for two rays on three independent lines that meet pairwise: these span a space W of three
+    /// dimensions on which the form vanishes, W is all that is on all of W, and so both rays are in W. It is
+    /// also 0 if one of the rays is a combination of lines that the other is on ([`Space::combines`]).
     pub fn rays_side(&mut self, (a, s): (Id, &[Id]), (b, t): (Id, &[Id])) -> Ordering {
         let common: Vec<Id> = s.iter().copied().filter(|l| self.is_line(*l) && t.contains(l)).collect();
         if self.triple(&common) || self.combines(s, t) || (a != b && self.combines(t, s)) {
@@ -158,12 +163,14 @@ impl Space {
         false
     }
 
-    /// Whether the extreme ray that is on all of `ray` is seen to be one of the lines, or a combination of two.
+    /// Whether the extreme ray that is on all of `ray` is seen to be one of the lines, or a combination of
+    /// two.
     ///
-    /// An extreme ray is the only one on all of its lines. So a line that meets them all is that ray, and if two lines meet all but one
-    /// of them, the combination of the two that is on that one, too.
+    /// An extreme ray is the only one on all of its lines. So a line that meets them all is that ray, and if
+    /// two lines meet all but one of them, the combination of the two that is on that one, too.
     fn combines(&mut self, ray: &[Id], lines: &[Id]) -> bool {
-        // Which of the ray's lines each line does not meet, a bit each; a vector that is no line is met by none.
+        // Which of the ray's lines each line does not meet, a bit each; a vector that is no line is met by
+        // none.
         let mut missed: Vec<(Id, Tight)> = Vec::with_capacity(lines.len());
         for l in lines.iter().filter(|l| self.is_line(**l)).copied().collect::<Vec<_>>() {
             let miss = ray.iter().enumerate().fold(0, |m, (k, r)| m | Tight::from(!self.meets(l, *r)) << k);
@@ -195,8 +202,8 @@ impl Space {
 
     /// Whether doubles show a 3×3 minor of three vectors that does not vanish.
     ///
-    /// No component exceeds 1 and each is off by at most its vector's error e: a minor of six products of three is off by
-    /// 6(e + e' + e'') and what is of higher order, and its roundings by 5u of each product.
+    /// No component exceeds 1 and each is off by at most its vector's error e: a minor of six products of
+    /// three is off by 6(e + e' + e'') and what is of higher order, and its roundings by 5u of each product.
     pub(super) fn surely_independent(&self, of: [Id; 3]) -> bool {
         let [x, y, z] = of.map(|l| &self.near[l as usize]);
         let error = x.error + y.error + z.error;
