@@ -131,8 +131,8 @@ pub struct WorkerArgs {
     /// Use the Vulkan adapter whose name contains this.
     #[arg(long, value_name = "TEXT")]
     pub adapter: Option<String>,
-    /// Threads that sample. Default: one a core.
-    #[arg(long, value_name = "N")]
+    /// Threads that sample, 1 to 1024. Default: one per core.
+    #[arg(long, value_name = "N", value_parser = thread_count)]
     pub threads: Option<usize>,
     /// Shown by the coordinator. Default: host name and process number.
     #[arg(long)]
@@ -163,6 +163,14 @@ pub struct SubmitArgs {
     /// Submitting again with the same one is answered with the same job. Default: a fresh one.
     #[arg(long, value_name = "TEXT")]
     pub request_id: Option<String>,
+}
+
+/// Reads a number of threads.
+fn thread_count(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(n @ 1..=1024) => Ok(n),
+        _ => Err("give a number from 1 to 1024, or leave --threads out for one thread per core".to_owned()),
+    }
 }
 
 /// Reads the number of a job.

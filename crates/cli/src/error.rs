@@ -54,6 +54,13 @@ impl CliError {
         ))
     }
 
+    /// Standard output that cannot be written.
+    pub fn stdout(e: &std::io::Error) -> Self {
+        Self::Internal(format!(
+            "stdout cannot be written: {e}; check the space left where it is redirected to"
+        ))
+    }
+
     /// What a coordinator answered.
     pub fn status(s: &tonic::Status) -> Self {
         // Only what the transport itself says has a source.

@@ -319,7 +319,7 @@ pub fn dump(args: &DumpArgs) -> Result<(), CliError> {
     match write() {
         Ok(()) => Ok(()),
         Err(Dumping::Out(e)) if e.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
-        Err(Dumping::Out(e)) => Err(CliError::internal(e)),
+        Err(Dumping::Out(e)) => Err(CliError::stdout(&e)),
         Err(Dumping::Pvs(e)) => Err(e.into()),
     }
 }

@@ -1,5 +1,6 @@
 //! `sightline measure`: how wrong a result looks, against full-scene item buffers.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use sightline_measure::{Options, Viewpoints, measure};
@@ -21,14 +22,16 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     // Before anything asks how many there are.
     serve::use_threads(serve::threads(None))?;
     let pvs = inspect::open(&args.result)?;
-    let scene = Arc::new(sightline_scene::load(&args.scene)?);
-    inspect::check_scene(&scene, &pvs, &args.scene, &args.result)?;
     let view_box = pvs.tree().view_box();
     let views = match &args.path {
         None => Viewpoints::random(args.viewpoints, args.seed, view_box),
         Some(path) => {
-            let file = std::fs::File::open(path)
-                .map_err(|e| CliError::Input(format!("{}: cannot be read: {e}", path.display())))?;
+            let file = std::fs::File::open(path).map_err(|e| {
+                CliError::Input(format!(
+                    "{} cannot be read: {e}; give --path a file with a viewpoint `x y z` per line",
+                    path.display()
+                ))
+            })?;
             Viewpoints::path(std::io::BufReader::new(file), view_box)
                 .map_err(|e| CliError::Input(format!("{}: {e}", path.display())))?
         }
@@ -36,6 +39,11 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     if !(8..=4096).contains(&args.resolution) {
         return Err(CliError::Usage(format!("--resolution {} is not between 8 and 4096", args.resolution)));
     }
+    if let Some(dir) = &args.images {
+        writable_folder(dir)?;
+    }
+    let scene = Arc::new(sightline_scene::load(&args.scene)?);
+    inspect::check_scene(&scene, &pvs, &args.scene, &args.result)?;
     // Frames of the whole scene are what Embree is best at; the gpu is looked for only when Embree is missing.
     let probe = |choice| sightline_worker::Backends::probe(choice, Default::default());
     let mut backends =
@@ -57,4 +65,18 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
         .map_err(CliError::internal)?;
     value["backend"] = profile.into();
     print(&value.to_string())
+}
+
+/// Makes the folder for images and writes a file there to see whether that is allowed, before any frame is rendered.
+fn writable_folder(dir: &Path) -> Result<(), CliError> {
+    let probe = dir.join(format!(".sightline-{}", std::process::id()));
+    std::fs::create_dir_all(dir)
+        .and_then(|()| std::fs::File::create(&probe))
+        .and_then(|_| std::fs::remove_file(&probe))
+        .map_err(|e| {
+            let dir = dir.display();
+            CliError::Usage(format!(
+                "{dir} cannot be written: {e}; give --images a folder where you may write"
+            ))
+        })
 }

@@ -39,8 +39,8 @@ impl Format {
     }
 }
 
-/// Extensions that promise another format than ours.
-const SCENES: [&str; 4] = ["obj", "ply", "gltf", "glb"];
+/// Extensions of well-known formats; a name with one of them promises that format.
+const KNOWN: [&str; 11] = ["obj", "ply", "gltf", "glb", "stl", "off", "fbx", "dae", "3mf", "usd", "usdz"];
 
 /// A place where a file may be written.
 #[derive(Debug)]
@@ -67,7 +67,7 @@ impl Output {
             return refuse("that names a folder; give -o the name of a file".to_owned());
         }
         let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
-        if extension != format.extension() && SCENES.contains(&extension.as_str()) {
+        if extension != format.extension() && KNOWN.contains(&extension.as_str()) {
             let ours = format.extension();
             return refuse(format!(
                 "its name promises .{extension}, and what is written is .{ours}; give -o a name that ends so"

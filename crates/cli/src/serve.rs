@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use sightline_coordinator::{Config, Coordinator};
-use sightline_sampling::gpu::AdapterChoice;
+use sightline_sampling::gpu::{AdapterChoice, adapters};
 use sightline_worker::{Backends, Choice, SceneCache, Stop, WorkerError};
 use tokio::sync::watch;
 
@@ -31,6 +31,7 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
 /// Joins a coordinator. The first SIGTERM or Ctrl-C drains, the second stops at once.
 pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
     let adapter = args.adapter.clone().map_or(AdapterChoice::AllowSoftware, AdapterChoice::Named);
+    check_adapter(args)?;
     let backends = Arc::new(Backends::probe(choice(args.backend), adapter));
     say_missing(&backends)?;
     say(&format!("backends: {}", backends.profiles().join(", ")));
@@ -60,6 +61,22 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
         WorkerError::Address(..) => CliError::Usage(e.to_string()),
         WorkerError::Unreachable { .. } | WorkerError::Refused(_) => CliError::Coordinator(e.to_string()),
     })
+}
+
+/// Refuses an `--adapter` that names no adapter of this machine, and lists the names that there are.
+fn check_adapter(args: &WorkerArgs) -> Result<(), CliError> {
+    let Some(part) = args.adapter.as_ref().filter(|_| args.backend != Backend::Cpu) else { return Ok(()) };
+    let names: Vec<String> = adapters().into_iter().map(|a| a.name).collect();
+    if names.iter().any(|name| name.to_lowercase().contains(&part.to_lowercase())) {
+        return Ok(());
+    }
+    Err(CliError::Usage(if names.is_empty() {
+        format!(
+            "--adapter {part}: this machine has no Vulkan adapter; install a driver, or use --backend cpu"
+        )
+    } else {
+        format!("--adapter {part} matches no adapter; give part of one of these names: {}", names.join(", "))
+    }))
 }
 
 /// Resolves at the next SIGTERM or Ctrl-C.
@@ -128,9 +145,9 @@ pub fn print(text: &str) -> Result<(), CliError> {
     let mut out = std::io::stdout().lock();
     match writeln!(out, "{text}").and_then(|()| out.flush()) {
         Ok(()) => Ok(()),
-        // The reader has seen enough, as in `sightline dump … | head`.
+        // The reader has closed the pipe, as in `sightline dump … | head`.
         Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
-        Err(e) => Err(CliError::internal(e)),
+        Err(e) => Err(CliError::stdout(&e)),
     }
 }
 

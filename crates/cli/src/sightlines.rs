@@ -51,12 +51,12 @@ struct Totals {
 /// Answers every query of a file, in order.
 pub fn run(args: &SightlinesArgs) -> Result<(), CliError> {
     serve::use_threads(threads(args.threads.map(usize::from)))?;
+    let mut input = Input::open(&args.queries)?;
     let scene = sightline_scene::load(&args.scene)?;
     let occluders = Occluders::new(&scene)?;
     let raw: Vec<[glam::Vec3; 3]> =
         if args.check { scene.triangles().iter().map(|t| t.v).collect() } else { Vec::new() };
     let limits = Limits { regions: args.max_regions, ..Limits::default() };
-    let mut input = Input::open(&args.queries)?;
     let start = Instant::now();
     let progress = Progress::new();
     let mut totals = Totals::default();
@@ -177,7 +177,12 @@ impl Input {
         let source: Box<dyn Read> = if path.as_os_str() == "-" {
             Box::new(std::io::stdin())
         } else {
-            let unreadable = |e| CliError::Input(format!("{} cannot be read: {e}", path.display()));
+            let unreadable = |e| {
+                CliError::Input(format!(
+                    "{} cannot be read: {e}; give --queries a file of JSON Lines, or - for stdin",
+                    path.display()
+                ))
+            };
             Box::new(std::fs::File::open(path).map_err(unreadable)?)
         };
         Ok(Self {
