@@ -145,8 +145,8 @@ fn share(triangles: &[Triangle]) -> (Vec<Vec3>, Vec<u32>) {
     let mut numbers: Vec<u32> = Vec::with_capacity(corners.len());
     for (i, v) in corners.iter().enumerate() {
         if leader[i] == i {
-            // There are fewer than 2³² vertices: a GLB with more would be too large, and is refused before these
-            // indices are used.
+            // There are fewer than 2³² vertices: a GLB with more would be too large, and is refused before
+            // these indices are used.
             numbers.push(vertices.len() as u32);
             vertices.push(*v);
         } else {
