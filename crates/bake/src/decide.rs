@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
-use sightline_exact::evidence::{Shared, codec};
+use sightline_certificate::{GroupCertificate, codec};
 use sightline_exact::{
     Cell, CellGroup as GroupTask, ExactScene, GroupDecided, QueryStatistics, Task, decide, decide_group,
 };
@@ -85,10 +85,10 @@ fn cell(
         asked: &|| watcher.rendered(1),
     });
     decided.statistics.add_asked(&around.statistics);
-    decided.evidence.shared = around.shared.take();
-    decided.evidence.above = around.above;
+    decided.certificate.shared = around.shared.take();
+    decided.certificate.above = around.above;
     let certificate = match spec.certificates {
-        true => codec::encode(&decided.evidence).map_err(|e| e.to_string())?,
+        true => codec::encode(&decided.certificate).map_err(|e| e.to_string())?,
         false => Vec::new(),
     };
     set.visible = decided.visible;
@@ -116,7 +116,7 @@ struct Around {
     /// The number of cells back to the group's first cell, which keeps the group's certificate.
     above: Option<u32>,
     /// The group's certificate; the first cell has it.
-    shared: Option<Shared>,
+    shared: Option<GroupCertificate>,
     /// Statistics of the group's queries; the first cell has them.
     statistics: QueryStatistics,
 }

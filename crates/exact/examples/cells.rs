@@ -7,8 +7,8 @@
 use std::time::{Duration, Instant};
 
 use glam::Vec3;
+use sightline_certificate::{Witness, codec};
 use sightline_exact::Cell;
-use sightline_exact::evidence::{Witness, codec};
 use sightline_exact::{ExactScene, Limits, Task, decide};
 use sightline_pvs::Pvs;
 
@@ -48,12 +48,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let took = start.elapsed();
         let (e, c, d) = (decided.statistics, decided.statistics.cost, decided.statistics.cost.decisions);
         let all = d.filtered + d.refined + d.spanned + d.exact;
-        let floats = decided.evidence.seen.iter().filter(|w| matches!(w.1, Witness::Floats(_))).count();
-        let bytes = codec::encode(&decided.evidence)?.len();
+        let floats = decided.certificate.seen.iter().filter(|w| matches!(w.1, Witness::Floats(_))).count();
+        let bytes = codec::encode(&decided.certificate)?.len();
         println!(
             "cell {cell}: {took:.2?}; sampled {}, visible {}, missed {}, refuted {}, hidden {} ({} boxes, \
              {} by surfaces), undecided {} {:?}; {} rays, {} of {} witnesses in floats, {} bytes of \
-             evidence; {} queries, {} regions, {} lines, {all} decisions, {:.2} % exact ({} zero, {} \
+             certificate; {} queries, {} regions, {} lines, {all} decisions, {:.2} % exact ({} zero, {} \
              spanned, {} refined), {} halvings",
             ids.len(),
             decided.visible.len(),
@@ -66,7 +66,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             e.open,
             e.rays,
             floats,
-            decided.evidence.seen.len(),
+            decided.certificate.seen.len(),
             bytes,
             e.queries,
             c.regions,

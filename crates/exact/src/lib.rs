@@ -62,15 +62,6 @@ pub use geometry::{Cell, Polygon, PolygonError, Source, polygon, predicates};
 pub use line_space::Decisions;
 pub use occluders::Occluders;
 pub use search::{Cost, Limits, Reason, Verdict, sightlines, sightlines_until};
-pub use sightline_certificate::{CellCertificate as Evidence, Proof, checker, proof};
-
-/// The former names of the certificate's types.
-pub mod evidence {
-    pub use sightline_certificate::certificate::{faces, few_odd_edges};
-    pub use sightline_certificate::{
-        CellCertificate as Evidence, GroupCertificate as Shared, HiddenGroup as Hidden, Reason, Target,
-        Witness, codec,
-    };
-}
+pub use sightline_certificate::{CellCertificate, Proof, checker, proof};
 
 pub use surfaces::Hides;

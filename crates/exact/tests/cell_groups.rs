@@ -11,9 +11,9 @@ use common::Corners;
 use common::cells::{chambers, exact_scene, set, solve};
 use glam::Vec3;
 use proptest::prelude::*;
+use sightline_certificate::{CellCertificate, GroupCertificate, HiddenGroup, Target, codec};
 use sightline_exact::Cell;
 use sightline_exact::checker::{CellClaims, CellRefusal, Claim, Triangles, check_cell};
-use sightline_exact::evidence::{Evidence, Hidden, Shared, Target, codec};
 use sightline_exact::{CellGroup, Decided, ExactScene, GroupDecided, Limits, Task, decide, decide_group};
 
 /// The eight cells that fill a box, the first axis changing fastest.
@@ -28,7 +28,7 @@ fn shared(
     of: &[[Vec3; 2]],
     seen: &[&[u32]],
     stop: &(dyn Fn() -> bool + Sync),
-) -> (Vec<u32>, Shared) {
+) -> (Vec<u32>, GroupCertificate) {
     let cells: Vec<Cell> = of.iter().map(|[min, max]| Cell::new(*min, *max).unwrap()).collect();
     let limits = Limits::default();
     let GroupDecided { hidden, shared, statistics } = decide_group(&CellGroup {
@@ -66,11 +66,11 @@ fn check(
     triangles: &[Corners],
     cell: [Vec3; 2],
     d: &Decided,
-    evidence: &Evidence,
-    above: Option<&Shared>,
+    certificate: &CellCertificate,
+    above: Option<&GroupCertificate>,
 ) -> Result<u64, CellRefusal> {
     let (visible, index) = (set(d), Triangles::new(triangles));
-    let named = Evidence { above: above.map(|_| 0), ..evidence.clone() };
+    let named = CellCertificate { above: above.map(|_| 0), ..certificate.clone() };
     let claims = CellClaims { cell, visible: &visible, undecided: &d.undecided, certificate: &named, above };
     check_cell(&index, &claims, &|_| true)
 }
@@ -95,7 +95,7 @@ fn what_is_hidden_from_the_box_is_hidden_from_each_cell_and_all_else_stays() {
         let d = below(&scene, *cell, &[], &hidden);
         assert_eq!((&d.visible, &d.undecided), (&alone.visible, &alone.undecided));
         assert_eq!((d.statistics.hidden, d.statistics.above), (alone.statistics.hidden, hidden.len() as u64));
-        check(&triangles, *cell, &d, &d.evidence, Some(&shared_by_all)).unwrap();
+        check(&triangles, *cell, &d, &d.certificate, Some(&shared_by_all)).unwrap();
         apart += alone.statistics.queries;
         joint += d.statistics.queries;
     }
@@ -125,7 +125,7 @@ fn what_there_was_no_time_for_is_left_to_the_cells() {
         assert!(hidden.iter().all(|t| whole.binary_search(t).is_ok()), "stopped after {most}");
         let d = below(&scene, cells[3], &[], &hidden);
         assert!(d.undecided.is_empty());
-        check(&triangles, cells[3], &d, &d.evidence, Some(&of)).unwrap();
+        check(&triangles, cells[3], &d, &d.certificate, Some(&of)).unwrap();
     }
 }
 
@@ -138,11 +138,11 @@ fn tampered_claims_about_a_box_are_refused() {
     let (hidden, of) = shared(&scene, &cells, &none, &|| false);
     let cell = cells[0];
     let d = below(&scene, cell, &[], &hidden);
-    let ask = |of: &Shared| check(&triangles, cell, &d, &d.evidence, Some(of));
+    let ask = |of: &GroupCertificate| check(&triangles, cell, &d, &d.certificate, Some(of));
     ask(&of).unwrap();
     // Nothing named.
-    assert!(matches!(check(&triangles, cell, &d, &d.evidence, None), Err(CellRefusal::Account(..))));
-    let with = |change: &dyn Fn(&mut Shared)| {
+    assert!(matches!(check(&triangles, cell, &d, &d.certificate, None), Err(CellRefusal::Account(..))));
+    let with = |change: &dyn Fn(&mut GroupCertificate)| {
         let mut changed = of.clone();
         change(&mut changed);
         ask(&changed)
@@ -162,17 +162,17 @@ fn tampered_claims_about_a_box_are_refused() {
     let claimed = |target: Target| {
         with(&move |s| {
             let triangles = std::mem::take(&mut s.hidden[0].triangles);
-            s.hidden[0] = Hidden { target: target.clone(), triangles, proofs: Vec::new() };
+            s.hidden[0] = HiddenGroup { target: target.clone(), triangles, proofs: Vec::new() };
         })
     };
     assert!(refused(claimed(Target::Surfaces)) && refused(claimed(Target::Half)));
     // What is seen from the cell.
-    let seen = d.evidence.seen[0].0;
+    let seen = d.certificate.seen[0].0;
     assert!(matches!(with(&|s| s.hidden[0].triangles.push(seen)), Err(CellRefusal::Account(..))));
     let beyond = triangles.len() as u32;
     assert!(matches!(with(&|s| s.hidden[0].triangles.push(beyond)), Err(CellRefusal::Account(..))));
     // Kept with the cell for others, it is checked with the cell, whatever the cell itself names.
-    let mut own = d.evidence.clone();
+    let mut own = d.certificate.clone();
     let mut kept = of.clone();
     kept.hidden[0].proofs.clear();
     (own.shared, own.above) = (Some(kept), Some(0));
@@ -182,26 +182,26 @@ fn tampered_claims_about_a_box_are_refused() {
     let others = |claim: Claim| !matches!(claim, Claim::Shared(_));
     check_cell(&Triangles::new(&triangles), &claims, &others).unwrap();
     // Named and not there, or there and not named.
-    let with = |evidence: &Evidence, above| {
-        let claims = CellClaims { cell, visible: &visible, undecided: &[], certificate: evidence, above };
+    let with = |certificate: &CellCertificate, above| {
+        let claims = CellClaims { cell, visible: &visible, undecided: &[], certificate, above };
         check_cell(&Triangles::new(&triangles), &claims, &|_| true)
     };
     assert_eq!(with(&own, None), Err(CellRefusal::Above));
-    assert_eq!(with(&d.evidence, Some(&of)), Err(CellRefusal::Above));
+    assert_eq!(with(&d.certificate, Some(&of)), Err(CellRefusal::Above));
 }
 
 #[test]
-fn evidence_without_anything_in_common_is_written_as_it_always_was() {
+fn a_certificate_without_a_group_is_written_as_it_always_was() {
     let (triangles, cell) = chambers();
     let d = solve(&exact_scene(&triangles), cell, &[], &|| false);
     let n = triangles.len() as u32;
-    let raw = zstd::stream::decode_all(codec::encode(&d.evidence).unwrap().as_slice()).unwrap();
-    let mut more = d.evidence.clone();
+    let raw = zstd::stream::decode_all(codec::encode(&d.certificate).unwrap().as_slice()).unwrap();
+    let mut more = d.certificate.clone();
     more.above = Some(3);
     let longer = zstd::stream::decode_all(codec::encode(&more).unwrap().as_slice()).unwrap();
     assert!(longer.starts_with(&raw) && longer[raw.len()..] == [4]);
     assert_eq!(codec::decode_raw(&longer, n).unwrap(), more);
-    assert_eq!(codec::decode_raw(&raw, n).unwrap(), d.evidence);
+    assert_eq!(codec::decode_raw(&raw, n).unwrap(), d.certificate);
     assert!(codec::decode_raw(&[raw.as_slice(), &[0]].concat(), n).is_err(), "two forms for the same");
 }
 
@@ -228,7 +228,7 @@ proptest! {
             let d = below(&scene, *cell, seen, &hidden);
             prop_assert!(d.undecided.is_empty());
             prop_assert_eq!(&d.visible, &solve(&scene, *cell, seen, &|| false).visible);
-            if let Err(e) = check(&triangles, *cell, &d, &d.evidence, Some(&of)) {
+            if let Err(e) = check(&triangles, *cell, &d, &d.certificate, Some(&of)) {
                 return Err(TestCaseError::fail(e.to_string()));
             }
         }

@@ -1,4 +1,4 @@
-//! Whole view cells decided: what the checker makes of the evidence, what rays find, what tampering does,
+//! Whole view cells decided: what the checker makes of the certificate, what rays find, what tampering does,
 //! what stopping leaves.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
@@ -11,23 +11,22 @@ use common::Corners;
 use common::cells::{chambers, exact_scene, set, solve};
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
+use sightline_certificate::{CellCertificate, Target, Witness, codec};
 use sightline_exact::checker::{CellClaims, CellRefusal, Triangles, check_cell};
-use sightline_exact::evidence::{Evidence, Target, Witness, codec};
 use sightline_exact::{Cell, Found, from_cell};
 use sightline_exact::{Cost, Decided, Limits, Polygon};
 
-/// A scene, a cell, what was decided about it, and its evidence without compression.
+/// A scene, a cell, what was decided about it, and its certificate without compression.
 type Case = (Vec<Corners>, [Vec3; 2], Decided, Vec<u8>);
 
 fn check(
     triangles: &[Corners],
     cell: [Vec3; 2],
     d: &Decided,
-    evidence: &Evidence,
+    certificate: &CellCertificate,
 ) -> Result<u64, CellRefusal> {
     let (visible, index) = (set(d), Triangles::new(triangles));
-    let claims =
-        CellClaims { cell, visible: &visible, undecided: &d.undecided, certificate: evidence, above: None };
+    let claims = CellClaims { cell, visible: &visible, undecided: &d.undecided, certificate, above: None };
     check_cell(&index, &claims, &|_| true)
 }
 
@@ -40,18 +39,18 @@ fn a_room_behind_a_door_is_decided_and_every_claim_checked() {
     assert_eq!(d.statistics.hidden as usize + d.visible.len(), triangles.len());
     assert!(d.statistics.boxes > 0, "some box is hidden as a whole");
     assert!(d.visible.iter().all(|t| (*t as usize) < triangles.len() - 12), "nothing outside is seen");
-    assert!(check(&triangles, cell, &d, &d.evidence).unwrap() > 0);
+    assert!(check(&triangles, cell, &d, &d.certificate).unwrap() > 0);
     // Guesses change nothing but what is found by rays; wrong ones are refuted.
     let all: Vec<u32> = (0..triangles.len() as u32).collect();
     let guessed = solve(&scene, cell, &all, &|| false);
     assert_eq!(guessed.visible, d.visible);
     assert_eq!(guessed.statistics.refuted, guessed.statistics.hidden);
-    check(&triangles, cell, &guessed, &guessed.evidence).unwrap();
+    check(&triangles, cell, &guessed, &guessed.certificate).unwrap();
     // The same again is the same to the last byte.
     let again = solve(&scene, cell, &all, &|| false);
-    assert_eq!(codec::encode(&again.evidence).unwrap(), codec::encode(&guessed.evidence).unwrap());
-    let read = codec::decode(&codec::encode(&d.evidence).unwrap(), triangles.len() as u32).unwrap();
-    assert_eq!(read, d.evidence);
+    assert_eq!(codec::encode(&again.certificate).unwrap(), codec::encode(&guessed.certificate).unwrap());
+    let read = codec::decode(&codec::encode(&d.certificate).unwrap(), triangles.len() as u32).unwrap();
+    assert_eq!(read, d.certificate);
 }
 
 #[test]
@@ -65,7 +64,7 @@ fn what_is_not_reached_in_time_is_undecided_and_the_rest_holds() {
         assert!(d.visible.iter().all(|t| whole.visible.binary_search(t).is_ok()));
         assert!(whole.visible.iter().all(|t| set(&d).binary_search(t).is_ok()), "stopped after {most}");
         assert_eq!(d.statistics.open.iter().sum::<u64>(), d.undecided.len() as u64);
-        check(&triangles, cell, &d, &d.evidence).unwrap();
+        check(&triangles, cell, &d, &d.certificate).unwrap();
     }
 }
 
@@ -76,38 +75,34 @@ fn tampered_claims_are_refused() {
     let d = solve(&scene, cell, &[], &|| false);
     let index = Triangles::new(&triangles);
     let visible = set(&d);
-    let ask = |cell, visible: &[u32], undecided: &[u32], evidence: &Evidence| {
-        check_cell(
-            &index,
-            &CellClaims { cell, visible, undecided, certificate: evidence, above: None },
-            &|_| true,
-        )
+    let ask = |cell, visible: &[u32], undecided: &[u32], certificate: &CellCertificate| {
+        check_cell(&index, &CellClaims { cell, visible, undecided, certificate, above: None }, &|_| true)
     };
-    ask(cell, &visible, &[], &d.evidence).unwrap();
+    ask(cell, &visible, &[], &d.certificate).unwrap();
     // Hiding what is seen, and showing what is hidden.
     let without: Vec<u32> = visible.iter().copied().filter(|t| *t != visible[3]).collect();
-    assert!(ask(cell, &without, &[], &d.evidence).is_err());
-    let hidden = d.evidence.hidden[0].triangles[0];
+    assert!(ask(cell, &without, &[], &d.certificate).is_err());
+    let hidden = d.certificate.hidden[0].triangles[0];
     let mut with = visible.clone();
     with.push(hidden);
     with.sort_unstable();
-    assert!(ask(cell, &with, &[], &d.evidence).is_err());
-    let mut fewer = d.evidence.clone();
+    assert!(ask(cell, &with, &[], &d.certificate).is_err());
+    let mut fewer = d.certificate.clone();
     fewer.hidden.remove(0);
     assert!(matches!(ask(cell, &visible, &[], &fewer), Err(CellRefusal::Account(..))));
     let mut both = fewer.clone();
-    let (first, last) = (d.evidence.seen[0].clone(), d.evidence.seen.last().unwrap().clone());
+    let (first, last) = (d.certificate.seen[0].clone(), d.certificate.seen.last().unwrap().clone());
     both.seen = vec![(first.0, last.1)];
-    both.seen.extend(d.evidence.seen[1..].iter().cloned());
-    both.hidden = d.evidence.hidden.clone();
+    both.seen.extend(d.certificate.seen[1..].iter().cloned());
+    both.hidden = d.certificate.hidden.clone();
     assert!(matches!(ask(cell, &visible, &[], &both), Err(CellRefusal::Witness(..))));
     // A cell that is larger sees more: some proof must fail, or some witness begin outside.
     let larger = [Vec3::new(1.0, 0.5, 1.0), Vec3::new(9.5, 8.0, 2.0)];
-    assert!(ask(larger, &visible, &[], &d.evidence).is_err());
+    assert!(ask(larger, &visible, &[], &d.certificate).is_err());
     // A proof for another box, a box that is moved, a proof too few.
     let mut polygons = 0;
-    for at in 0..d.evidence.hidden.len() {
-        let mut e = d.evidence.clone();
+    for at in 0..d.certificate.hidden.len() {
+        let mut e = d.certificate.clone();
         if e.hidden[at].target == Target::Surfaces {
             // What another triangle's surface hides, and what is not all on the hidden side.
             for other in 0..triangles.len() as u32 {
@@ -121,7 +116,7 @@ fn tampered_claims_are_refused() {
                 }
             }
             let front: Vec<u32> =
-                visible.iter().copied().filter(|t| !d.evidence.hidden[at].triangles.contains(t)).collect();
+                visible.iter().copied().filter(|t| !d.certificate.hidden[at].triangles.contains(t)).collect();
             for seen in &front {
                 let less: Vec<u32> = visible.iter().copied().filter(|t| t != seen).collect();
                 let mut lying = e.clone();
@@ -136,10 +131,10 @@ fn tampered_claims_are_refused() {
         assert!(matches!(ask(cell, &visible, &[], &e), Err(CellRefusal::Hidden { .. })));
         if let Target::Box([min, _]) = &mut e.hidden[at].target {
             *min += Vec3::splat(0.25);
-            e.hidden[at].proofs = d.evidence.hidden[at].proofs.clone();
+            e.hidden[at].proofs = d.certificate.hidden[at].proofs.clone();
             assert!(ask(cell, &visible, &[], &e).is_err());
         }
-        if let Target::Polygon(corners) = &d.evidence.hidden[at].target {
+        if let Target::Polygon(corners) = &d.certificate.hidden[at].target {
             // A polygon that leaves a triangle out, one that is not flat, and one that is not convex.
             let middle = corners.iter().sum::<Vec3>() / corners.len() as f32;
             let smaller: Vec<Vec3> = corners.iter().map(|c| (*c + middle) * 0.5).collect();
@@ -149,7 +144,7 @@ fn tampered_claims_are_refused() {
             crossed.swap(0, 1);
             crossed.insert(1, middle);
             for other in [smaller, bent, crossed, Vec::new()] {
-                let mut e = d.evidence.clone();
+                let mut e = d.certificate.clone();
                 e.hidden[at].target = Target::Polygon(other.into());
                 assert!(matches!(ask(cell, &visible, &[], &e), Err(CellRefusal::Hidden { .. })));
             }
@@ -159,13 +154,13 @@ fn tampered_claims_are_refused() {
     assert!(polygons > 0, "no triangles were hidden together in a polygon");
     // A witness that goes on through a wall.
     let (at, id, [p, q]) = d
-        .evidence
+        .certificate
         .seen
         .iter()
         .enumerate()
         .find_map(|(at, (id, w))| if let Witness::Floats(ends) = w { Some((at, *id, *ends)) } else { None })
         .unwrap();
-    let mut e = d.evidence.clone();
+    let mut e = d.certificate.clone();
     e.seen[at].1 = Witness::Floats([p, p + (p - q)]);
     assert!(matches!(ask(cell, &visible, &[], &e), Err(CellRefusal::Witness(t, _)) if t == id));
 }
@@ -198,23 +193,23 @@ fn what_faces_away_is_hidden_without_a_query() {
     let scene = exact_scene(&triangles);
     let d = solve(&scene, cell, &[], &|| false);
     assert_eq!((d.statistics.enclosed, d.statistics.queries > 0), (16, true));
-    check(&triangles, cell, &d, &d.evidence).unwrap();
+    check(&triangles, cell, &d, &d.certificate).unwrap();
     // Inside of a box nothing of it is hidden, and all of the other.
     let inside = [Vec3::splat(0.25), Vec3::splat(0.75)];
     let d = solve(&scene, inside, &[], &|| false);
     assert_eq!(d.visible, (0..12).collect::<Vec<u32>>());
-    check(&triangles, inside, &d, &d.evidence).unwrap();
+    check(&triangles, inside, &d, &d.certificate).unwrap();
     // Through a hole the inner side is seen, and what no line through the hole reaches is still hidden by the
     // surface.
     triangles.remove(1);
     let scene = exact_scene(&triangles);
     let d = solve(&scene, cell, &[], &|| false);
     assert!(d.visible.iter().filter(|t| **t < 11).count() > 2, "{:?}", d.visible);
-    check(&triangles, cell, &d, &d.evidence).unwrap();
+    check(&triangles, cell, &d, &d.certificate).unwrap();
     let beside = [Vec3::new(2.0, -2.0, 0.25), Vec3::new(3.0, -1.0, 0.75)];
     let d = solve(&scene, beside, &[], &|| false);
     assert!(d.statistics.enclosed > 0);
-    check(&triangles, beside, &d, &d.evidence).unwrap();
+    check(&triangles, beside, &d, &d.certificate).unwrap();
 }
 
 /// The chambers, decided once.
@@ -223,7 +218,7 @@ fn decided() -> &'static Case {
     ONCE.get_or_init(|| {
         let (triangles, cell) = chambers();
         let d = solve(&exact_scene(&triangles), cell, &[], &|| false);
-        let raw = zstd::decode_all(codec::encode(&d.evidence).unwrap().as_slice()).unwrap();
+        let raw = zstd::decode_all(codec::encode(&d.certificate).unwrap().as_slice()).unwrap();
         (triangles, cell, d, raw)
     })
 }
@@ -238,7 +233,7 @@ proptest! {
     /// On a coarse grid nearly everything touches, overlaps or lies in one plane with something, the cell's
     /// faces included.
     #[test]
-    fn any_cell_is_decided_with_evidence_that_holds_and_rays_do_not_refute(
+    fn any_cell_is_decided_with_a_certificate_that_holds_and_rays_do_not_refute(
         triangles in prop::collection::vec(prop::array::uniform3(grid_point(4)), 1..14),
         corner in grid_point(3),
         size in prop::array::uniform3(1i8..3),
@@ -250,7 +245,7 @@ proptest! {
         let seen: Vec<u32> = (0..triangles.len() as u32).filter(|t| guess >> t & 1 == 1).collect();
         let d = solve(&scene, cell, &seen, &|| false);
         prop_assert!(d.undecided.is_empty(), "{:?}", d.statistics);
-        if let Err(e) = check(&triangles, cell, &d, &d.evidence) {
+        if let Err(e) = check(&triangles, cell, &d, &d.certificate) {
             return Err(TestCaseError::fail(e.to_string()));
         }
         // Rays from inside the cell, in doubles: a hit well inside a triangle and clear of all edges is one
@@ -313,11 +308,11 @@ proptest! {
         let scene = exact_scene(&triangles);
         let d = solve(&scene, cell, &[], &|| false);
         prop_assert!(d.undecided.is_empty());
-        if let Err(e) = check(&triangles, cell, &d, &d.evidence) {
+        if let Err(e) = check(&triangles, cell, &d, &d.certificate) {
             return Err(TestCaseError::fail(e.to_string()));
         }
         let view = Cell::new(cell[0], cell[1]).unwrap();
-        for h in d.evidence.hidden.iter().filter(|h| matches!(h.target, Target::Surfaces | Target::Half)) {
+        for h in d.certificate.hidden.iter().filter(|h| matches!(h.target, Target::Surfaces | Target::Half)) {
             for id in &h.triangles {
                 let target = Polygon::triangle(triangles[*id as usize].map(|v| v.as_dvec3())).unwrap();
                 let found = from_cell(scene.occluders(), view, (&[target], None), (&Limits::default(), &|| false), &mut Cost::default());
@@ -326,10 +321,10 @@ proptest! {
         }
     }
 
-    /// Whatever is done to the evidence, a set that lacks something visible, or has something hidden, is not
+    /// Whatever is done to the certificate, a set that lacks something visible, or has something hidden, is not
     /// accepted.
     #[test]
-    fn no_altered_evidence_makes_a_wrong_set_right(
+    fn no_altered_certificate_makes_a_wrong_set_right(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
         moved in any::<prop::sample::Index>(),
     ) {
@@ -338,15 +333,15 @@ proptest! {
         for (at, value) in &changes {
             bytes[at.index(raw.len())] = *value;
         }
-        if let Ok(mut evidence) = codec::decode_raw(&bytes, triangles.len() as u32) {
+        if let Ok(mut certificate) = codec::decode_raw(&bytes, triangles.len() as u32) {
             let id = moved.index(triangles.len()) as u32;
             let mut visible = d.visible.clone();
             match visible.binary_search(&id) {
                 // Said to be hidden, with the others of the first group.
                 Ok(at) => {
                     visible.remove(at);
-                    evidence.seen.retain(|(t, _)| *t != id);
-                    if let Some(group) = evidence.hidden.first_mut() {
+                    certificate.seen.retain(|(t, _)| *t != id);
+                    if let Some(group) = certificate.hidden.first_mut() {
                         group.triangles.push(id);
                         group.triangles.sort_unstable();
                     }
@@ -354,20 +349,20 @@ proptest! {
                 // Said to be visible, with the witness of another.
                 Err(at) => {
                     visible.insert(at, id);
-                    evidence.hidden.iter_mut().for_each(|h| h.triangles.retain(|t| *t != id));
-                    if let Some((_, witness)) = evidence.seen.first().cloned() {
-                        evidence.seen.push((id, witness));
-                        evidence.seen.sort_by_key(|s| s.0);
+                    certificate.hidden.iter_mut().for_each(|h| h.triangles.retain(|t| *t != id));
+                    if let Some((_, witness)) = certificate.seen.first().cloned() {
+                        certificate.seen.push((id, witness));
+                        certificate.seen.sort_by_key(|s| s.0);
                     }
                 }
             }
-            let claims = CellClaims { cell: *cell, visible: &visible, undecided: &[], certificate: &evidence, above: None };
+            let claims = CellClaims { cell: *cell, visible: &visible, undecided: &[], certificate: &certificate, above: None };
             prop_assert!(check_cell(&Triangles::new(triangles), &claims, &|_| true).is_err());
         }
     }
 
     #[test]
-    fn any_bytes_as_evidence_are_read_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+    fn any_bytes_as_a_certificate_are_read_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
         sightline_certificate::fuzzing::certificate(&bytes);
     }
 }

@@ -9,13 +9,13 @@ use crate::arithmetic::random::Random;
 use crate::cells::from_cell::{Found, faces_towards, from_cell};
 use crate::cells::rays;
 use crate::cells::work::{State, Work};
-use crate::evidence::{Target, Witness};
 use crate::geometry::bvh::Below;
 use crate::geometry::polygon::{Polygon, rounded};
 use crate::geometry::{Cell, Source, predicates};
 use crate::occluders::Occluders;
 use crate::occluders::segment::shows;
 use crate::search::{Cost, Reason};
+use sightline_certificate::{Target, Witness};
 
 /// Witnesses of queries are rounded to points so far beyond the triangle, in parts of the segment's length.
 const BEYOND: f64 = 1e-5;

@@ -10,9 +10,9 @@ use crate::cells::exact_scene::ExactScene;
 use crate::cells::statistics::QueryStatistics;
 use crate::cells::task::Task;
 use crate::cells::work::{State, Work};
-use crate::evidence::Shared;
 use crate::geometry::Cell;
 use crate::search::Limits;
+use sightline_certificate::GroupCertificate;
 
 /// A group of cells whose common hidden triangles are to be found.
 pub struct CellGroup<'a> {
@@ -40,7 +40,7 @@ pub struct GroupDecided {
     /// Triangles hidden from the box around the cells, ascending.
     pub hidden: Vec<u32>,
     /// The box, and the proofs if they are kept.
-    pub shared: Shared,
+    pub shared: GroupCertificate,
     /// Work done.
     pub statistics: QueryStatistics,
 }
@@ -52,7 +52,7 @@ pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
     let bounds = all.reduce(|[min, max], [lo, hi]| [min.min(lo), max.max(hi)]).unwrap_or_default();
     let nothing = |statistics| GroupDecided {
         hidden: Vec::new(),
-        shared: Shared { bounds, hidden: Vec::new() },
+        shared: GroupCertificate { bounds, hidden: Vec::new() },
         statistics,
     };
     let Some(cell) = Cell::new(bounds[0], bounds[1]) else { return nothing(QueryStatistics::default()) };
@@ -103,7 +103,7 @@ pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
         work.state[at] == State::Hidden && before[at] == State::Open
     };
     let hidden = (0..before.len() as u32).filter(found).collect();
-    let shared = Shared { bounds, hidden: std::mem::take(&mut work.decided.evidence.hidden) };
+    let shared = GroupCertificate { bounds, hidden: std::mem::take(&mut work.decided.certificate.hidden) };
     GroupDecided { hidden, shared, statistics: work.decided.statistics }
 }
 

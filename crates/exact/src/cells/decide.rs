@@ -17,7 +17,7 @@ use crate::cells::from_cell::Found;
 use crate::cells::rays;
 use crate::cells::task::{Decided, Task};
 use crate::cells::work::{State, Work};
-use crate::evidence::Witness;
+use sightline_certificate::Witness;
 
 /// Decides every triangle with area.
 pub fn decide(task: &Task<'_>) -> Decided {

@@ -7,12 +7,12 @@ use std::cmp::Ordering;
 
 use glam::{DVec3, Vec3};
 
-use crate::evidence::faces;
 use crate::geometry::polygon::Polygon;
 use crate::geometry::{Cell, Source};
 use crate::occluders::Occluders;
 use crate::proof::Proof;
 use crate::search::{Cost, Limits, Reason, Verdict, sightlines_until};
+use sightline_certificate::certificate::faces;
 
 /// The answer to a query about a triangle or a box from a cell.
 #[derive(Clone, Debug)]
@@ -20,7 +20,7 @@ pub enum Found {
     /// Seen, along this segment from the cell.
     Visible(Box<[Source; 2]>),
     /// Hidden from each of the cell's faces, with the proofs in the order of
-    /// [`crate::evidence::Hidden::proofs`].
+    /// [`sightline_certificate::Hidden::proofs`].
     Hidden(Vec<Proof>),
     /// Neither.
     Undecided(Reason),

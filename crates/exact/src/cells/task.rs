@@ -2,9 +2,9 @@
 
 use crate::cells::exact_scene::ExactScene;
 use crate::cells::statistics::QueryStatistics;
-use crate::evidence::Evidence;
 use crate::geometry::Cell;
 use crate::search::Limits;
+use sightline_certificate::CellCertificate;
 
 /// The task of deciding one cell.
 pub struct Task<'a> {
@@ -36,7 +36,7 @@ pub struct Decided {
     /// Triangles neither seen nor proved hidden, ascending.
     pub undecided: Vec<u32>,
     /// Witnesses and proofs, if they are kept.
-    pub evidence: Evidence,
+    pub certificate: CellCertificate,
     /// The work done.
     pub statistics: QueryStatistics,
 }

@@ -6,11 +6,11 @@ use rayon::prelude::*;
 use sightline_scene::{Aabb, Triangle, overlap};
 
 use crate::cells::task::{Decided, Task};
-use crate::evidence::{Hidden, Target, Witness};
 use crate::geometry::bvh::Below;
 use crate::proof::Proof;
 use crate::search::Reason;
 use crate::surfaces::Hides;
+use sightline_certificate::{HiddenGroup, Target, Witness};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
@@ -103,7 +103,7 @@ impl Work<'_> {
     pub fn see(&mut self, id: u32, witness: impl FnOnce() -> Witness) {
         self.state[id as usize] = State::Visible;
         if self.task.keep {
-            self.decided.evidence.seen.push((id, witness()));
+            self.decided.certificate.seen.push((id, witness()));
         }
     }
 
@@ -111,7 +111,7 @@ impl Work<'_> {
         ids.iter().for_each(|id| self.state[*id as usize] = State::Hidden);
         self.decided.statistics.hidden += ids.len() as u64;
         if self.task.keep && !ids.is_empty() {
-            self.decided.evidence.hidden.push(Hidden { target, triangles: ids.to_vec(), proofs });
+            self.decided.certificate.hidden.push(HiddenGroup { target, triangles: ids.to_vec(), proofs });
         }
     }
 
@@ -144,7 +144,7 @@ impl Work<'_> {
                 State::Open | State::Hidden => {}
             }
         }
-        self.decided.evidence.seen.sort_by_key(|(id, _)| *id);
+        self.decided.certificate.seen.sort_by_key(|(id, _)| *id);
         self.decided
     }
 }

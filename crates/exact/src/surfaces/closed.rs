@@ -23,10 +23,10 @@ use super::crossing_order::sooner;
 use super::patches::cover;
 use super::piercing::may_pierce;
 use crate::arithmetic::random::Random;
-use crate::evidence::few_odd_edges;
 use crate::geometry::Cell;
 use crate::occluders::Occluders;
 use crate::occluders::segment::{Crossing, crossing};
+use sightline_certificate::certificate::few_odd_edges;
 
 /// Segments tried to learn a parity: most are in general position at once.
 const TRIES: u32 = 6;

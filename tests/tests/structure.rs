@@ -1,0 +1,271 @@
+//! The structure that ARCHITECTURE.md promises: which crate may depend on which, and no circle between modules.
+//!
+//! A circle is a set of source files of one crate that import each other. Re-exports (`pub use`) of a `mod.rs` or
+//! `lib.rs` do not count, since they only shorten a path; test modules do not count either.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_owned()
+}
+
+/// The names of all crates that `package` depends on, directly or not, without its tests' dependencies.
+fn dependencies(package: &str) -> BTreeSet<String> {
+    let out = Command::new(env!("CARGO"))
+        .args([
+            "tree",
+            "--offline",
+            "--locked",
+            "--package",
+            package,
+            "--edges",
+            "normal",
+            "--prefix",
+            "none",
+        ])
+        .current_dir(root())
+        .output()
+        .unwrap();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let text = String::from_utf8(out.stdout).unwrap();
+    text.lines().skip(1).filter_map(|l| l.split(' ').next()).map(str::to_owned).collect()
+}
+
+/// The crates of this workspace among [`dependencies`].
+fn ours(package: &str) -> Vec<String> {
+    dependencies(package).into_iter().filter(|d| d.starts_with("sightline")).collect()
+}
+
+#[test]
+fn the_coordinator_knows_no_tracer_and_no_search() {
+    let all = dependencies("sightline-coordinator");
+    for foreign in ["wgpu", "libloading", "sightline-sampling", "sightline-exact", "sightline-bake"] {
+        assert!(!all.contains(foreign), "sightline-coordinator depends on {foreign}");
+    }
+}
+
+#[test]
+fn the_checker_knows_number_types_alone() {
+    assert_eq!(ours("sightline-certificate"), ["sightline-numbers"]);
+    assert!(ours("sightline-numbers").is_empty());
+}
+
+#[test]
+fn the_reader_of_results_stands_alone() {
+    assert!(ours("sightline-pvs").is_empty());
+}
+
+#[test]
+fn libraries_know_no_network_and_no_store() {
+    let libraries = std::fs::read_dir(root().join("crates")).unwrap();
+    for name in libraries.map(|e| e.unwrap().file_name().into_string().unwrap()).filter(|n| n != "cli") {
+        let all = dependencies(&format!("sightline-{name}"));
+        for foreign in ["tokio", "tonic", "sled"] {
+            assert!(!all.contains(foreign), "sightline-{name} depends on {foreign}");
+        }
+    }
+}
+
+/// The source files below `dir`, by module path: `lib.rs` and `main.rs` have the empty path.
+fn modules(dir: &Path, path: &[String], out: &mut BTreeMap<Vec<String>, PathBuf>) {
+    for entry in std::fs::read_dir(dir).unwrap().map(|e| e.unwrap().path()) {
+        let stem = entry.file_stem().unwrap().to_str().unwrap().to_owned();
+        let child = || path.iter().cloned().chain([stem.clone()]).collect::<Vec<_>>();
+        if entry.is_dir() {
+            modules(&entry, &child(), out);
+        } else if entry.extension().is_some_and(|e| e == "rs") {
+            let own = matches!(stem.as_str(), "lib" | "main" | "mod");
+            out.insert(if own { path.to_vec() } else { child() }, entry);
+        }
+    }
+}
+
+/// The code of a file without comments and without its test module.
+fn code(file: &Path) -> String {
+    let text = std::fs::read_to_string(file).unwrap();
+    let text = text.split("#[cfg(test)]\nmod ").next().unwrap();
+    let lines = text.lines().map(|l| l.split("//").next().unwrap());
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+/// The paths that code names from `crate::` or `super::` on, with those in braces written out.
+fn named(text: &str, own: &[String]) -> Vec<Vec<String>> {
+    let mut out = Vec::new();
+    for (start, word) in ["crate::", "super::"].iter().flat_map(|w| text.match_indices(w)) {
+        let before = text[..start].chars().next_back();
+        if before.is_some_and(|c| c.is_alphanumeric() || c == '_' || c == ':' || c == '$') {
+            continue;
+        }
+        let mut rest = &text[start..];
+        let mut base: Vec<String> = if word == "crate::" { Vec::new() } else { own.to_vec() };
+        while let Some(more) = rest.strip_prefix("super::") {
+            base.pop();
+            rest = more;
+        }
+        rest = rest.strip_prefix("crate::").unwrap_or(rest);
+        let mut tree = String::new();
+        let mut depth = 0;
+        for c in rest.chars() {
+            match c {
+                '{' => depth += 1,
+                '}' => depth -= 1,
+                ';' | '(' | ')' | '<' | '>' | '[' | ']' | '=' | '!' | '?' | '&' | '|' => break,
+                ',' | ' ' | '\n' if depth == 0 => break,
+                _ => {}
+            }
+            if depth < 0 {
+                break;
+            }
+            tree.push(c);
+        }
+        expand(&tree, &base, &mut out);
+    }
+    out
+}
+
+/// Writes out `a::{b, c::d}` below `base`.
+fn expand(tree: &str, base: &[String], out: &mut Vec<Vec<String>>) {
+    let tree = tree.trim();
+    let (head, group) = tree.split_once('{').map_or((tree, None), |(h, g)| (h, Some(g)));
+    let head = head.split_whitespace().next().unwrap_or("");
+    let path: Vec<String> = base
+        .iter()
+        .cloned()
+        .chain(head.split("::").filter(|s| !s.is_empty() && *s != "self").map(str::to_owned))
+        .collect();
+    let Some(group) = group else {
+        out.push(path);
+        return;
+    };
+    let inner = group.trim_end().strip_suffix('}').unwrap_or(group);
+    let (mut depth, mut from) = (0, 0);
+    for (at, c) in inner.char_indices().chain([(inner.len(), ',')]) {
+        match c {
+            '{' => depth += 1,
+            '}' => depth -= 1,
+            ',' if depth == 0 => {
+                if !inner[from..at].trim().is_empty() {
+                    expand(&inner[from..at], &path, out);
+                }
+                from = (at + 1).min(inner.len());
+            }
+            _ => {}
+        }
+    }
+}
+
+/// The file in which an item of a module is: that of the module, or the one that it is re-exported from.
+fn home<'a>(
+    module: &'a Vec<String>,
+    item: Option<&String>,
+    files: &'a BTreeMap<Vec<String>, PathBuf>,
+) -> &'a Vec<String> {
+    let Some(item) = item else { return module };
+    let text = code(&files[module]);
+    if defines(&text, item) {
+        return module;
+    }
+    for statement in text.split_inclusive(';').filter(|s| s.trim_start().starts_with("pub use")) {
+        let tree = statement.trim().trim_start_matches("pub use").trim_end_matches(';').trim();
+        let (base, tree) = match tree.strip_prefix("crate::") {
+            Some(rest) => (&[][..], rest),
+            None => (&module[..], tree.strip_prefix("self::").unwrap_or(tree)),
+        };
+        let mut paths = Vec::new();
+        expand(tree, base, &mut paths);
+        for path in paths.iter().filter(|p| p.last() == Some(item)) {
+            let target = (0..path.len()).rev().find_map(|n| files.get_key_value(&path[..n].to_vec()));
+            if let Some((target, _)) = target.filter(|(t, _)| *t != module) {
+                return home(target, Some(item), files);
+            }
+        }
+    }
+    module
+}
+
+/// The files that import each other, directly or through others.
+fn circles(source: &Path) -> Vec<Vec<String>> {
+    let mut files = BTreeMap::new();
+    modules(source, &[], &mut files);
+    let mut arrows: BTreeMap<&Vec<String>, BTreeSet<&Vec<String>>> = BTreeMap::new();
+    for (module, file) in &files {
+        let text = code(file);
+        // Re-exports only shorten paths.
+        let statements = text.split_inclusive(';').filter(|s| !s.trim_start().starts_with("pub use"));
+        let text: String = statements.collect();
+        for path in named(&text, module) {
+            // The longest part of the path that is a file: what comes after it is an item of that file.
+            let target = (0..=path.len()).rev().find_map(|n| files.get_key_value(&path[..n].to_vec()));
+            if let Some((target, _)) = target.filter(|(t, _)| *t != module) {
+                let end = home(target, path.get(target.len()), &files);
+                if end != module {
+                    arrows.entry(module).or_default().insert(end);
+                }
+            }
+        }
+    }
+    let mut reach: BTreeMap<&Vec<String>, BTreeSet<&Vec<String>>> = BTreeMap::new();
+    for module in files.keys() {
+        let mut seen = BTreeSet::new();
+        let mut open: Vec<_> = arrows.get(module).into_iter().flatten().copied().collect();
+        while let Some(next) = open.pop() {
+            if seen.insert(next) {
+                open.extend(arrows.get(next).into_iter().flatten());
+            }
+        }
+        reach.insert(module, seen);
+    }
+    let mut found = BTreeSet::new();
+    for (module, seen) in &reach {
+        let circle: Vec<String> =
+            seen.iter().filter(|o| reach[*o].contains(module)).map(|o| o.join("::")).collect();
+        if !circle.is_empty() {
+            found.insert(circle);
+        }
+    }
+    found.into_iter().collect()
+}
+
+/// Whether a file defines an item of that name itself.
+fn defines(text: &str, item: &str) -> bool {
+    let words: Vec<&str> = text.split(|c: char| !(c.is_alphanumeric() || c == '_')).collect();
+    words.windows(2).any(|w| {
+        matches!(w[0], "fn" | "struct" | "enum" | "trait" | "type" | "const" | "static" | "union")
+            && w[1] == item
+    })
+}
+
+#[test]
+fn no_modules_import_each_other_in_a_circle() {
+    let root = root();
+    let mut crates: Vec<PathBuf> = ["coordinator", "worker", "proto"].iter().map(|c| root.join(c)).collect();
+    crates.extend(std::fs::read_dir(root.join("crates")).unwrap().map(|e| e.unwrap().path()));
+    crates.sort();
+    let mut found = Vec::new();
+    for one in crates {
+        for circle in circles(&one.join("src")) {
+            found.push(format!("{}: {}", one.strip_prefix(&root).unwrap().display(), circle.join(", ")));
+        }
+    }
+    assert!(found.is_empty(), "modules that import each other:\n{}", found.join("\n"));
+}
+
+#[test]
+fn a_circle_is_found_and_a_re_export_is_none() {
+    let dir = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| std::fs::write(dir.path().join(name), text).unwrap();
+    write("lib.rs", "mod a;\nmod b;\nmod c;\npub use a::{A, C};\n");
+    write("a.rs", "use crate::b::{self, B};\npub struct A(B);\n");
+    write("b.rs", "pub struct B;\n// use crate::a::A;\n");
+    write("c.rs", "use crate::A;\npub struct C(A);\n");
+    assert!(circles(dir.path()).is_empty());
+    write("b.rs", "pub struct B;\nfn f(a: &super::a::A) {}\n");
+    assert_eq!(circles(dir.path()), [["a", "b"]]);
+    write("b.rs", "pub struct B;\nfn f(c: crate::C) {}\n");
+    write("lib.rs", "mod a;\nmod b;\nmod c;\npub use a::A;\npub use c::C;\n");
+    assert_eq!(circles(dir.path()), [["a", "b", "c"]]);
+    write("b.rs", "pub struct B;\n#[cfg(test)]\nmod tests { use crate::a::A; }\n");
+    assert!(circles(dir.path()).is_empty());
+}
