@@ -78,7 +78,7 @@ pub fn submit(args: &SubmitArgs, json: bool) -> Result<(), CliError> {
     })?;
     let job = answer.job.unwrap_or_default();
     if answer.existing {
-        say(&format!("job {} has the same result already", job.id));
+        say(&format!("job {} does this already", job.id));
     }
     if json { print(&value(&job).to_string()) } else { print(&job.id.to_string()) }
 }
