@@ -177,7 +177,7 @@ fn a_worker_that_comes_late_takes_what_waits_in_anothers_hands() {
     coordinator.until(job, "both tiles in one worker's hands", |job| number(job, "tiles_running") == 2);
     let _second = coordinator.worker();
     coordinator.until(job, "the waiting tile in the other's", |_| {
-        coordinator.process.err().contains("which has another, to an idle one")
+        coordinator.process.err().contains("goes to an idle worker")
     });
     coordinator.finish(job);
     assert_eq!(coordinator.count(job, "tiles_set_aside"), 0);

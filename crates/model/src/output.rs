@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use sightline_viewcells::{LatticePoint, Split};
 
-use crate::statistics::CellStats;
+use crate::statistics::{COLUMNS, CellStats};
 
 /// The result of one tile.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -51,6 +51,20 @@ pub struct CellSet {
     pub stats: CellStats,
     /// What exact queries decided; `None` with the method aggressive.
     pub decision: Option<Decision>,
+}
+
+impl CellSet {
+    /// The cell's values, in the order of [`crate::statistics::column_names`]. A cell without exact queries has zeros in their columns, and
+    /// so has one from a worker that counts fewer of them.
+    pub fn row(&self) -> [u64; COLUMNS] {
+        let mut row = [0; COLUMNS];
+        let counts = self.decision.as_ref().map_or(&[][..], |d| &d.counts);
+        let sampled = [u64::from(self.samples)].into_iter().chain(self.stats.numbers());
+        for (place, value) in row.iter_mut().zip(sampled.chain(counts.iter().copied())) {
+            *place = value;
+        }
+        row
+    }
 }
 
 /// The part of a cell's result that comes from exact queries.

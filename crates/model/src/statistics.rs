@@ -3,8 +3,6 @@
 //! Every number is the same on every run of a job. Times differ from run to run and are kept with the tile instead.
 //! The names are those of a result's columns; a name in this file never changes its meaning.
 
-use crate::output::CellSet;
-
 /// The kinds of sight lines, in the order of [`CellStats::rays`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LineKind {
@@ -186,23 +184,9 @@ columns! {
 /// The number of a cell's columns: visibility cubes, [`CellStats`], [`DecisionStats`].
 pub const COLUMNS: usize = 1 + CellStats::NAMES.len() + DecisionStats::NAMES.len();
 
-/// The names of a cell's columns, in the order of [`CellSet::row`].
+/// The names of a cell's columns, in the order of [`crate::CellSet::row`].
 pub fn column_names() -> impl Iterator<Item = &'static str> {
     ["samples"].into_iter().chain(CellStats::NAMES).chain(DecisionStats::NAMES)
-}
-
-impl CellSet {
-    /// The cell's values, in the order of [`column_names`]. A cell without exact queries has zeros in their columns, and
-    /// so has one from a worker that counts fewer of them.
-    pub fn row(&self) -> [u64; COLUMNS] {
-        let mut row = [0; COLUMNS];
-        let counts = self.decision.as_ref().map_or(&[][..], |d| &d.counts);
-        let sampled = [u64::from(self.samples)].into_iter().chain(self.stats.numbers());
-        for (place, value) in row.iter_mut().zip(sampled.chain(counts.iter().copied())) {
-            *place = value;
-        }
-        row
-    }
 }
 
 #[cfg(test)]

@@ -4,8 +4,9 @@ use std::time::{Duration, Instant};
 
 use sightline_viewcells::Lattice;
 
-use crate::backend::{Backend, BackendError};
+use crate::backend::Backend;
 use crate::cube::face_basis;
+use crate::error::BackendError;
 use crate::packet::{LANES, Packet};
 
 /// Cubes timed with each backend, after one that warms it up.

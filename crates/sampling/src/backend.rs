@@ -6,24 +6,9 @@
 use glam::Vec3;
 
 use crate::cube::CubeImage;
+use crate::error::BackendError;
 use crate::packet::LineTracer;
 use sightline_model::VisibilitySample;
-
-/// Why a backend cannot be had, or stopped working.
-#[derive(Debug, thiserror::Error)]
-pub enum BackendError {
-    /// It is not on this machine. The text says what is missing and how to install it.
-    #[error("{0}")]
-    Unavailable(String),
-    /// The device failed while working.
-    #[error("the {profile} backend failed: {reason}")]
-    Failed {
-        /// Numerics profile of the backend.
-        profile: String,
-        /// What it reported.
-        reason: String,
-    },
-}
 
 /// A backend bound to one scene and one [`crate::cube::CubeSpec`].
 pub trait Backend: Send + Sync {

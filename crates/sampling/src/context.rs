@@ -5,7 +5,8 @@ use std::time::Instant;
 use sightline_model::SamplingParams;
 use sightline_viewcells::{Division, Lattice};
 
-use crate::backend::{Backend, BackendError};
+use crate::backend::Backend;
+use crate::error::BackendError;
 use crate::prepared::PreparedScene;
 
 /// What all tiles of a job share.

@@ -1,7 +1,7 @@
 //! Packets of sixteen sight lines, and what traces them.
 
-use crate::backend::BackendError;
 use crate::cube::SKY;
+use crate::error::BackendError;
 
 /// Lines of a packet.
 pub const LANES: usize = 16;

@@ -14,8 +14,9 @@ use sightline_viewcells::{CellBox, Division, Lattice, LatticePoint, Split, Tile,
 
 use super::cache::{CacheCounters, SampleCache};
 use super::refine::{Exterior, SampleSource, refine};
-use crate::backend::{BackendError, CubeRenderer};
+use crate::backend::CubeRenderer;
 use crate::context::{JobContext, TileError, Watcher};
+use crate::error::BackendError;
 use crate::prepared::CubeScene;
 
 /// The work of a tile, for reports.

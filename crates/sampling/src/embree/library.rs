@@ -12,7 +12,7 @@ use std::sync::{Arc, OnceLock};
 
 use libloading::Library;
 
-use crate::BackendError;
+use crate::error::BackendError;
 
 /// An opaque `RTCDevice`, `RTCScene` or `RTCGeometry`.
 pub type Handle = *mut c_void;

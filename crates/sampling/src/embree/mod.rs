@@ -15,8 +15,9 @@ use rayon::prelude::*;
 use sightline_scene::{Scene, Triangle};
 
 use self::library::{Device, RayHit1, RayHit16, TriangleScene};
-use crate::backend::{Backend, BackendError, CubeRenderer};
+use crate::backend::{Backend, CubeRenderer};
 use crate::cube::{CubeImage, CubeSpec, SKY, face_basis};
+use crate::error::BackendError;
 use crate::packet::{LineTracer, Packet};
 use crate::reduce::Reducer;
 use sightline_model::VisibilitySample;

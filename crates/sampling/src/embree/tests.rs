@@ -7,8 +7,8 @@ use glam::Vec3;
 
 use super::library::{Device, RayHit1, TriangleScene};
 use super::{CpuBackend, CpuTracer, Hierarchy};
-use crate::backend::BackendError;
 use crate::cube::SKY;
+use crate::error::BackendError;
 use crate::packet::{LANES, LineTracer, Packet};
 use crate::sequence::Hashed;
 

@@ -1,6 +1,6 @@
 //! Finding a device: which adapters there are, which to take, what to call its numerics, how to open it.
 
-use crate::backend::BackendError;
+use crate::error::BackendError;
 
 /// Which adapter to take.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

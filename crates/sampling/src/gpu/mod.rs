@@ -28,8 +28,9 @@ use sightline_scene::Scene;
 
 pub use adapter::{AdapterChoice, AdapterSummary, adapters, device_present, probe};
 
-use crate::backend::{Backend, BackendError, CubeRenderer};
+use crate::backend::{Backend, CubeRenderer};
 use crate::cube::CubeSpec;
+use crate::error::BackendError;
 use crate::packet::LineTracer;
 use geometry::{DrawStyle, Geometry};
 use line_scene::{LineScene, Refusal};

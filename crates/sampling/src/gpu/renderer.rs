@@ -13,8 +13,9 @@ use super::geometry::{Geometry, Visible};
 use super::pipelines::{FACE_STRIDE, face_uniforms};
 use super::tally::{ENTRY_BYTES, LIST_HEAD, Tally};
 use super::{GpuBackend, MOST_DISTANT, PATIENCE, lock};
-use crate::backend::{BackendError, CubeRenderer};
+use crate::backend::CubeRenderer;
 use crate::cube::{CubeImage, SKY, Strata};
+use crate::error::BackendError;
 use sightline_model::VisibilitySample;
 
 /// Cubes in flight.

@@ -11,8 +11,8 @@ use std::sync::{Arc, Mutex, mpsc};
 use super::line_scene::LineScene;
 use super::pipelines::scoped;
 use super::{GpuBackend, PATIENCE, lock};
-use crate::backend::BackendError;
 use crate::cube::SKY;
+use crate::error::BackendError;
 use crate::packet::{LANES, LineTracer, Packet};
 
 /// Batches a call has in flight.

@@ -10,7 +10,7 @@ use sightline_viewcells::{CellBox, Split, Tile};
 
 use super::grid::CellGrid;
 use super::rounds::Tolerance;
-use super::tile::{Work, columns};
+use super::work::{Work, columns};
 use crate::context::{JobContext, TileError};
 use sightline_model::CellStats;
 use sightline_model::{CellSet, CellSets, MOST_LINE_DEPTH, Node};

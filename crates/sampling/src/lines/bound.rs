@@ -11,9 +11,9 @@
 
 use super::block::{Block, Scratch};
 use super::rounds::{LEFT_AFTER_ROUND, Tolerance};
-use crate::backend::BackendError;
 use crate::context::TileError;
 use crate::cube::{SKY, face_basis};
+use crate::error::BackendError;
 use crate::packet::{LANES, Packet};
 use crate::sequence::Hashed;
 use sightline_model::params::BOUND_AIM;

@@ -7,8 +7,8 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::block::{Block, Scratch};
-use crate::backend::BackendError;
 use crate::cube::SKY;
+use crate::error::BackendError;
 use crate::packet::{LANES, Packet};
 use crate::sequence::Hashed;
 use crate::surface::point_on;

@@ -6,8 +6,8 @@
 
 use super::block::{Block, Scratch};
 use super::uniform::Find;
-use crate::backend::BackendError;
 use crate::cube::SKY;
+use crate::error::BackendError;
 use crate::packet::{LANES, Packet};
 use crate::sequence::Hashed;
 use crate::surface::point_on;

@@ -7,9 +7,9 @@ use glam::Vec3;
 
 use super::block::{Block, Scratch};
 use super::seeds::on_sphere;
-use crate::backend::BackendError;
 use crate::context::TileError;
 use crate::cube::SKY;
+use crate::error::BackendError;
 use crate::packet::{LANES, Packet};
 use crate::sequence::Hashed;
 use crate::surface::point_on;

@@ -21,6 +21,7 @@ pub mod rounds;
 mod seeds;
 mod tile;
 mod uniform;
+mod work;
 mod yields;
 
 pub use tile::run;

@@ -5,8 +5,8 @@
 //! new one for the next tile keeps the samples independent.
 
 use super::block::{Block, Scratch};
-use crate::backend::BackendError;
 use crate::cube::{SKY, face_basis};
+use crate::error::BackendError;
 use crate::packet::{LANES, Packet};
 use crate::sequence::{Hashed, spread3};
 use sightline_model::{CellStats, LineKind};

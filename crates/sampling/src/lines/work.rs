@@ -1,0 +1,84 @@
+//! The work of a leaf tile before and after its rounds: the block with the triangles that meet each cell, and the sets.
+
+use rayon::prelude::*;
+use sightline_scene::{Aabb, overlap};
+use sightline_viewcells::CellBox;
+
+use super::bits::SeenBits;
+use super::block::{Block, Tools};
+use super::grid::CellGrid;
+use crate::context::{JobContext, Watcher};
+use crate::packet::LineTracer;
+use crate::prepared::LineScene;
+
+/// What the tiles of a job are sampled with: the job, the scene's facts, the tracer and the watcher.
+pub struct Work<'a> {
+    pub job: &'a JobContext<'a>,
+    pub scene: LineScene<'a>,
+    pub tracer: &'a dyn LineTracer,
+    pub watcher: &'a dyn Watcher,
+}
+
+impl Work<'_> {
+    /// A block with `cells` cells along each axis of the box `within`. Each cell's set holds the triangles that meet it.
+    /// `number` gives each cell a number that no other cell of the job has.
+    pub fn block(&self, within: &CellBox, cells: [u32; 3], number: impl Fn([u32; 3]) -> u64) -> Block<'_> {
+        let tools = Tools {
+            scene: self.scene.scene,
+            surface: self.scene.surface,
+            tracer: self.tracer,
+            seed: self.job.seed,
+            watcher: self.watcher,
+            deadline: self.job.deadline,
+        };
+        let (min, max) = within.world(&self.job.lattice);
+        let mut block = Block::new(tools, CellGrid::new(min, max, cells), number);
+        meeting(self, within, block.grid(), block.bits());
+        block.bits_mut().publish();
+        block
+    }
+}
+
+/// Credits every cell with the triangles that meet it, I(C), decided exactly.
+fn meeting(work: &Work<'_>, within: &CellBox, grid: &CellGrid, bits: &SeenBits) {
+    let cells = grid.cells();
+    let planes: [Vec<f32>; 3] = std::array::from_fn(|a| {
+        let step = (within.hi[a] - within.lo[a]) / cells[a];
+        (0..=cells[a]).map(|k| work.job.lattice.coordinate(a, within.lo[a] + k * step)).collect()
+    });
+    work.scene.distinct.par_iter().with_min_len(1024).for_each(|&id| {
+        let triangle = &work.scene.scene.triangles()[id as usize];
+        let bounds = triangle.bounds();
+        // Closed cells whose slab the bounds touch, along each axis.
+        let range = |a: usize| {
+            let from = planes[a][1..].partition_point(|p| *p < bounds.min[a]) as u32;
+            let to = planes[a][..cells[a] as usize].partition_point(|p| *p <= bounds.max[a]) as u32;
+            from..to
+        };
+        for z in range(2) {
+            for y in range(1) {
+                for x in range(0) {
+                    let at = [x, y, z];
+                    let corner = |c: [u32; 3]| {
+                        glam::Vec3::new(
+                            planes[0][c[0] as usize],
+                            planes[1][c[1] as usize],
+                            planes[2][c[2] as usize],
+                        )
+                    };
+                    let cell = Aabb { min: corner(at), max: corner(at.map(|c| c + 1)) };
+                    if overlap::triangle_touches_box(triangle, &cell) {
+                        let slot = grid.slot(at);
+                        bits.credit(id, &[(slot.word, 1 << slot.bit)]);
+                    }
+                }
+            }
+        }
+    });
+}
+
+/// What is seen from each cell, by the numbers of the cells' bits; ascending.
+pub fn columns(block: &Block<'_>) -> Vec<Vec<u32>> {
+    let words = block.grid().words() as u32;
+    (0..words).into_par_iter().flat_map_iter(|w| block.bits().columns(w)).collect()
+}
