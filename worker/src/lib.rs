@@ -59,6 +59,9 @@ pub enum WorkerError {
         /// The last error.
         reason: String,
     },
+    /// The system has no random numbers.
+    #[error("the system gave no random number ({0}); check that /dev/urandom is there")]
+    Random(String),
     /// The coordinator refused this worker.
     #[error("the coordinator refused this worker: {0}")]
     Refused(String),

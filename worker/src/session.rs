@@ -2,7 +2,6 @@
 //! a break.
 
 use std::collections::BTreeMap;
-use std::hash::{BuildHasher as _, RandomState};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -72,8 +71,7 @@ impl Worker {
             packs: Default::default(),
             running: Semaphore::new(1),
         };
-        // The standard library seeds every hash map at random.
-        let instance = RandomState::new().hash_one(std::process::id()).max(1);
+        let instance = getrandom::u64().map_err(|e| WorkerError::Random(e.to_string()))?.max(1);
         Ok(Self {
             shop: Arc::new(shop),
             instance,

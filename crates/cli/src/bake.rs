@@ -137,7 +137,7 @@ async fn bake(
     ));
     let mut client = JobsClient::new(client::channel(&url).await?);
     let (taker, here) = (Arc::clone(&coordinator), Arc::clone(loaded));
-    tokio::task::spawn_blocking(move || taker.take_scene(&here.scene.scene()))
+    tokio::task::spawn_blocking(move || taker.take_scene(here.scene.scene()))
         .await
         .map_err(CliError::internal)?
         .map_err(|e| CliError::Input(format!("{e} (--data-dir names another place)")))?;

@@ -37,7 +37,7 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
     say(&format!("backends: {}", backends.profiles().join(", ")));
     let config = sightline_worker::Config {
         coordinator: args.coordinator.clone(),
-        name: args.name.clone().unwrap_or_else(default_name),
+        name: args.name.clone().map_or_else(default_name, Ok)?,
         backends,
         scenes: Arc::new(SceneCache::default()),
         give_up_after: args.give_up_after.map(Duration::from_secs),
@@ -59,6 +59,7 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
     runtime.shutdown_timeout(Duration::from_millis(200));
     ended.map_err(|e| match e {
         WorkerError::Address(..) => CliError::Usage(e.to_string()),
+        WorkerError::Random(_) => CliError::internal(e),
         WorkerError::Unreachable { .. } | WorkerError::Refused(_) => CliError::Coordinator(e.to_string()),
     })
 }
@@ -152,12 +153,11 @@ pub fn print(text: &str) -> Result<(), CliError> {
 }
 
 /// The host's name, the process and a random number: containers may share the first two.
-fn default_name() -> String {
-    use std::hash::{BuildHasher as _, RandomState};
+fn default_name() -> Result<String, CliError> {
     let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     let host: String =
         host.trim().chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').take(40).collect();
     let host = if host.is_empty() { "worker".to_owned() } else { host };
-    let (process, random) = (std::process::id(), RandomState::new().hash_one(0) as u16);
-    format!("{host}-{process}-{random:04x}")
+    let random = getrandom::u32().map_err(CliError::internal)? as u16;
+    Ok(format!("{host}-{}-{random:04x}", std::process::id()))
 }

@@ -62,6 +62,10 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
 }
 
 /// Lets the first Ctrl-C cancel the verification and the second one end the process.
+#[expect(
+    clippy::disallowed_methods,
+    reason = "the second Ctrl-C ends a process that keeps no temporary file"
+)]
 fn cancel_on_interrupt() -> Result<(), CliError> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()

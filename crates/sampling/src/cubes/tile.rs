@@ -82,7 +82,7 @@ pub fn run(
         }
         TileKind::Separator(split) => {
             let seen = if work.superset {
-                let inside = overlap::triangles_in_box(&job.scene.scene(), None, &work.world(&tile.cell));
+                let inside = overlap::triangles_in_box(job.scene.scene(), None, &work.world(&tile.cell));
                 work.seen_from(&tile.cell, &inside).0
             } else {
                 Vec::new()
@@ -91,7 +91,7 @@ pub fn run(
             TileOutput::Pack(work.take_pack())
         }
         TileKind::Leaf => {
-            let inside = overlap::triangles_in_box(&job.scene.scene(), None, &work.world(&tile.cell));
+            let inside = overlap::triangles_in_box(job.scene.scene(), None, &work.world(&tile.cell));
             let mut sets = CellSets::default();
             work.subtree(&tile.cell, tile.depth, &inside, &mut sets)?;
             TileOutput::Cells(sets)
@@ -175,8 +175,7 @@ impl Work<'_> {
         drop(seen);
         out.nodes.push(Node::Split(split));
         for child in cell.children(split) {
-            let within =
-                overlap::triangles_in_box(&self.job.scene.scene(), Some(inside), &self.world(&child));
+            let within = overlap::triangles_in_box(self.job.scene.scene(), Some(inside), &self.world(&child));
             self.subtree(&child, depth + 1, &within, out)?;
         }
         Ok(())
