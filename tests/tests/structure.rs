@@ -3,6 +3,8 @@
 //! A circle is a set of source files of one crate that import each other. Re-exports (`pub use`) of a `mod.rs` or
 //! `lib.rs` do not count, since they only shorten a path; test modules do not count either.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::Command;
