@@ -178,7 +178,7 @@ fn home<'a>(
         let mut paths = Vec::new();
         expand(tree, base, &mut paths);
         for path in paths.iter().filter(|p| p.last() == Some(item)) {
-            let target = (0..path.len()).rev().find_map(|n| files.get_key_value(&path[..n].to_vec()));
+            let target = (0..path.len()).rev().find_map(|n| files.get_key_value(&path[..n]));
             if let Some((target, _)) = target.filter(|(t, _)| *t != module) {
                 return home(target, Some(item), files);
             }
@@ -199,7 +199,7 @@ fn circles(source: &Path) -> Vec<Vec<String>> {
         let text: String = statements.collect();
         for path in named(&text, module) {
             // The longest part of the path that is a file: what comes after it is an item of that file.
-            let target = (0..=path.len()).rev().find_map(|n| files.get_key_value(&path[..n].to_vec()));
+            let target = (0..=path.len()).rev().find_map(|n| files.get_key_value(&path[..n]));
             if let Some((target, _)) = target.filter(|(t, _)| *t != module) {
                 let end = home(target, path.get(target.len()), &files);
                 if end != module {
