@@ -2,6 +2,11 @@
 //!
 //! Results go to stdout, everything else to stderr. Each subcommand has a file of its own.
 
+#![allow(
+    rustdoc::broken_intra_doc_links,
+    reason = "the arguments' doc comments are help texts, not Markdown"
+)]
+
 mod args;
 mod bake;
 mod bench;
@@ -12,6 +17,7 @@ mod files;
 mod inspect;
 mod job_args;
 mod measuring;
+mod opening;
 mod output;
 mod progress;
 mod remote;

@@ -9,8 +9,8 @@ use sightline_worker::Choice;
 
 use crate::args::MeasureArgs;
 use crate::error::CliError;
-use crate::inspect;
 use crate::job_args::Backend;
+use crate::opening;
 use crate::progress::Progress;
 use crate::serve::{self, print};
 
@@ -21,7 +21,7 @@ const WORST: usize = 8;
 pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     // Before anything asks how many there are.
     serve::use_threads(serve::threads(None))?;
-    let pvs = inspect::open(&args.result)?;
+    let pvs = opening::open(&args.result)?;
     let view_box = pvs.tree().view_box();
     let views = match &args.path {
         None => Viewpoints::random(args.viewpoints, args.seed, view_box),
@@ -43,7 +43,7 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
         writable_folder(dir)?;
     }
     let scene = Arc::new(sightline_scene::load(&args.scene)?);
-    inspect::check_scene(&scene, &pvs, &args.scene, &args.result)?;
+    opening::check_scene(&scene, &pvs, &args.scene, &args.result)?;
     // Frames of the whole scene are what Embree is best at; the gpu is looked for only when Embree is missing.
     let probe = |choice| sightline_worker::Backends::probe(choice, Default::default());
     let mut backends =

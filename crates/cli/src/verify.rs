@@ -11,7 +11,7 @@ use sightline_pvs::Pvs;
 
 use crate::args::VerifyArgs;
 use crate::error::CliError;
-use crate::inspect;
+use crate::opening;
 use crate::progress::{Progress, human, say};
 use crate::serve::{self, print, threads};
 
@@ -22,8 +22,8 @@ static CANCELLED: AtomicBool = AtomicBool::new(false);
 pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     serve::use_threads(threads(args.threads.map(usize::from)))?;
     let scene = sightline_scene::load(&args.scene)?;
-    let pvs = inspect::open(&args.result)?;
-    inspect::check_scene(&scene, &pvs, &args.scene, &args.result)?;
+    let pvs = opening::open(&args.result)?;
+    opening::check_scene(&scene, &pvs, &args.scene, &args.result)?;
     let triangles: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
     cancel_on_interrupt()?;
     let progress = Progress::new();

@@ -10,7 +10,7 @@ use sightline_pvs::Pvs;
 use sightline_scene::{Aabb, overlap};
 
 use crate::error::CliError;
-use crate::inspect;
+use crate::opening;
 use crate::serve::print;
 
 /// Most blockers listed without --json.
@@ -133,7 +133,7 @@ fn blockers(proofs: &[Proof]) -> Vec<u32> {
 /// The answer of a new query in the scene.
 fn ask(pvs: &Pvs, result: &Path, path: &Path, cell: u32, triangle: u32) -> Result<Value, CliError> {
     let scene = sightline_scene::load(path)?;
-    inspect::check_scene(&scene, pvs, path, result)?;
+    opening::check_scene(&scene, pvs, path, result)?;
     let bounds = pvs.cell_bounds(cell).unwrap_or_default().map(Vec3::from);
     let of = scene.triangles()[triangle as usize];
     let Some(target) = Polygon::triangle(of.v.map(|v| v.as_dvec3())) else {

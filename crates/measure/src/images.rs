@@ -10,7 +10,7 @@ use std::path::Path;
 use sightline_sampling::{CubeImage, SKY};
 
 use crate::error::MeasureError;
-use crate::measure::is_wrong;
+use crate::pixel::is_wrong;
 
 /// Colour of triangles that are in the set, before shading.
 pub const SEEN: [u8; 3] = [60, 170, 80];

@@ -11,6 +11,7 @@
 pub mod error;
 pub mod images;
 pub mod measure;
+mod pixel;
 pub mod regions;
 pub mod report;
 pub mod viewpoints;

@@ -10,6 +10,7 @@ use sightline_sampling::{CubeImage, CubeRenderer, SKY};
 
 use crate::error::MeasureError;
 use crate::images;
+use crate::pixel::is_wrong;
 use crate::regions::{Regions, regions};
 use crate::report::{Durations, Frame, Report, nearest_rank};
 use crate::viewpoints::Viewpoints;
@@ -186,9 +187,4 @@ fn visible_bits(pvs: &Pvs, cell: u32) -> Result<Vec<u64>, MeasureError> {
     let mut bits = vec![0u64; (pvs.triangle_count() as usize).div_ceil(64)];
     pvs.visible_bits(cell, &mut bits)?;
     Ok(bits)
-}
-
-/// Whether a pixel that shows `id` is wrong. `id` is sky or has its bit in `visible`.
-pub(crate) fn is_wrong(visible: &[u64], id: u32) -> bool {
-    id != SKY && visible[(id / 64) as usize] >> (id % 64) & 1 == 0
 }

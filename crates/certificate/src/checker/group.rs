@@ -28,7 +28,7 @@ fn hidden_by_surface(
     parity: &Parities,
     id: u32,
 ) -> Result<(), &'static str> {
-    let side = scene.surfaces().hidden_side(scene, cell, parity, id)?;
+    let side = scene.surfaces().hidden_side(scene.tree(), cell, parity, id)?;
     let t = exact(&scene.all()[id as usize]);
     let flat = plane([&t[0], &t[1], &t[2]]);
     let corners = [face(cell, 0, false), face(cell, 0, true)].concat();
@@ -114,7 +114,7 @@ pub(super) fn check_group(
     // If the triangle is hidden from one side of its plane, only the other side needs a proof.
     let half = match (&group.target, &group.triangles[..]) {
         (Target::Half, [id]) => {
-            Some(scene.surfaces().hidden_side(scene, cell, parity, *id).map_err(str::to_owned)?)
+            Some(scene.surfaces().hidden_side(scene.tree(), cell, parity, *id).map_err(str::to_owned)?)
         }
         _ => None,
     };

@@ -7,7 +7,7 @@ use glam::Vec3;
 use super::cone::Cone;
 use super::geometry::{Plane, Point, height, plane, sign};
 use super::occluder::{Known, Occluder};
-use super::polygon::{check_polygons, divide, parts};
+use super::polygon::{Side, check_polygons, divide, parts};
 use super::start::start;
 use super::vector::Vector;
 use super::{Corners, Refusal};
@@ -36,14 +36,6 @@ pub fn check_hidden(scene: &[[Vec3; 3]], a: &[Corners], b: &[Corners], proof: &P
         }
     }
     if check.at < proof.steps.len() { Err(Refusal::Length("too many")) } else { Ok(()) }
-}
-
-/// A polygon of a pair, and the plane it lies in.
-pub(super) struct Side {
-    pub corners: Vec<Point>,
-    pub plane: Plane,
-    /// The side of the plane that the other polygon is on.
-    pub other: Ordering,
 }
 
 struct Check<'a> {

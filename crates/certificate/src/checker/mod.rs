@@ -70,6 +70,7 @@ mod start;
 mod surfaces;
 #[cfg(test)]
 mod tests;
+mod tree;
 mod triangles;
 mod vector;
 mod witness;

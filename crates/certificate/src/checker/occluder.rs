@@ -7,7 +7,7 @@ use dashu_int::IBig;
 use glam::Vec3;
 
 use super::geometry::{Line, Plane, Point, height, join, meet, plane, point, sign};
-use super::hidden::Side;
+use super::polygon::Side;
 use super::vector::Vector;
 use crate::proof::OccluderTriangle;
 

@@ -7,6 +7,14 @@ use dashu_int::IBig;
 use super::geometry::{Plane, Point, height, plane, reduced, sign};
 use super::{Corners, Refusal};
 
+/// A polygon of a pair, and the plane it lies in.
+pub(super) struct Side {
+    pub corners: Vec<Point>,
+    pub plane: Plane,
+    /// The side of the plane that the other polygon is on.
+    pub other: Ordering,
+}
+
 /// Refuses polygons that are not flat and strictly convex: no corner may lie on the line of an edge that it
 /// is not an end of.
 pub(super) fn check_polygons(of: &[Corners]) -> Result<(), Refusal> {
@@ -114,4 +122,18 @@ pub(super) fn within(polygon: &Corners, p: &Point) -> bool {
     let side = |i: usize, p: &Point| sign(&height(&plane([&polygon[i], &polygon[(i + 1) % n], &off]), p));
     let inner = side(0, &polygon[2]);
     height(&flat, p).is_zero() && (0..n).all(|i| side(i, p) != inner.reverse())
+}
+
+/// Whether a point of a polygon's plane is strictly inside it.
+pub(super) fn inside(corners: &[Point], p: &Point) -> bool {
+    let flat = plane([&corners[0], &corners[1], &corners[2]]);
+    if !height(&flat, p).is_zero() {
+        return false;
+    }
+    // A point off the plane makes "left of an edge" the side of a plane through that edge.
+    let off: Point = std::array::from_fn(|i| if i < 3 { &p[i] + &flat[i] * &p[3] } else { p[3].clone() });
+    let n = corners.len();
+    let sides: Vec<Ordering> =
+        (0..n).map(|i| sign(&height(&plane([&corners[i], &corners[(i + 1) % n], &off]), p))).collect();
+    sides[0] != Ordering::Equal && sides.iter().all(|s| *s == sides[0])
 }

@@ -6,7 +6,7 @@ use dashu_int::IBig;
 
 use super::cone::Cone;
 use super::geometry::{Line, height, join, klein, meet, sign};
-use super::hidden::Side;
+use super::polygon::Side;
 
 /// The cones that together hold all lines from A to B; `None` for one that has no interior or is not pointed.
 pub(super) fn start(a: &Side, b: &Side) -> Vec<Option<Cone>> {

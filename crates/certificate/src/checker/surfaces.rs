@@ -47,8 +47,8 @@ use sightline_numbers::union_find::UnionFind;
 
 use super::boxes::meets_box;
 use super::geometry::{Plane, Point, cut, exact, has_area, height, join, klein, mixed, plane, point, sign};
-use super::triangles::Triangles;
-use super::witness::inside;
+use super::polygon::inside;
+use super::tree::TriangleTree;
 use crate::certificate::few_odd_edges;
 
 /// Most segments tried for one parity, each in another direction.
@@ -120,7 +120,7 @@ impl Surfaces {
     /// cell.
     pub fn hidden_side(
         &self,
-        scene: &Triangles<'_>,
+        scene: &TriangleTree<'_>,
         cell: [Vec3; 2],
         parity: &[OnceLock<Option<bool>>],
         t: u32,
@@ -140,7 +140,7 @@ impl Surfaces {
     }
 
     /// The parity of a cell; `None` if the surface meets the cell or no segment is in general position.
-    fn parity_of(&self, scene: &Triangles<'_>, s: u32, cell: [Vec3; 2]) -> Option<bool> {
+    fn parity_of(&self, scene: &TriangleTree<'_>, s: u32, cell: [Vec3; 2]) -> Option<bool> {
         let mut near = Vec::new();
         scene.in_box(cell, &mut near);
         let own = |u: &&u32| self.of[**u as usize] == Some(s);
@@ -154,7 +154,7 @@ impl Surfaces {
     }
 
     /// The parity on the side of a triangle that its normal points to; `None` if that has no one value.
-    fn parity_in_front(&self, scene: &Triangles<'_>, s: u32, t: u32) -> Option<bool> {
+    fn parity_in_front(&self, scene: &TriangleTree<'_>, s: u32, t: u32) -> Option<bool> {
         let v = &scene.all()[t as usize];
         let bounds = [v[0].min(v[1]).min(v[2]), v[0].max(v[1]).max(v[2])];
         let corners = exact(v);
@@ -196,7 +196,7 @@ impl Surfaces {
     /// edge.
     fn parity(
         &self,
-        scene: &Triangles<'_>,
+        scene: &TriangleTree<'_>,
         s: u32,
         (from, bounds): (&Point, [Vec3; 2]),
         to: [f64; 3],

@@ -7,7 +7,7 @@ use glam::Vec3;
 
 use super::boxes::face_plane;
 use super::geometry::{Plane, Point, cut, exact, height, join, klein, plane, point, sign};
-use super::polygon::check_polygons;
+use super::polygon::{check_polygons, inside};
 use super::triangles::Triangles;
 use super::{Corners, Refusal};
 use crate::certificate::{Witness, faces};
@@ -106,7 +106,7 @@ pub(super) fn check_cell_witness(
         let [x, y, z] = sides;
         [Vec3::new(low(x.0), low(y.0), low(z.0)), Vec3::new(high(x.1), high(y.1), high(z.1))]
     };
-    for other in scene.along(bounds(&p), bounds(&q)) {
+    for other in scene.tree().along(bounds(&p), bounds(&q)) {
         if meets(&scene.all()[other as usize], &p, &q, [leaving.as_ref(), Some(&own)]) {
             return Err(format!("it meets triangle {other}"));
         }
@@ -128,20 +128,6 @@ pub(super) fn around(x: &IBig, w: &IBig) -> (f64, f64) {
         }
     }
     (f64::NEG_INFINITY, f64::INFINITY)
-}
-
-/// Whether a point of a polygon's plane is strictly inside it.
-pub(super) fn inside(corners: &[Point], p: &Point) -> bool {
-    let flat = plane([&corners[0], &corners[1], &corners[2]]);
-    if !height(&flat, p).is_zero() {
-        return false;
-    }
-    // A point off the plane makes "left of an edge" the side of a plane through that edge.
-    let off: Point = std::array::from_fn(|i| if i < 3 { &p[i] + &flat[i] * &p[3] } else { p[3].clone() });
-    let n = corners.len();
-    let sides: Vec<Ordering> =
-        (0..n).map(|i| sign(&height(&plane([&corners[i], &corners[(i + 1) % n], &off]), p))).collect();
-    sides[0] != Ordering::Equal && sides.iter().all(|s| *s == sides[0])
 }
 
 /// Whether a triangle with area has a point on the segment. A triangle in one of the `planes` that touches

@@ -10,7 +10,7 @@ use std::path::{Component, Path, PathBuf};
 use base64::Engine;
 
 use super::nodes::Draw;
-use super::{Source, json, meshopt, primitive};
+use super::{Source, json, meshopt, uses};
 use crate::SceneError;
 use crate::load::read_file;
 
@@ -33,7 +33,7 @@ impl<'a> Buffers<'a> {
         draws: &[Draw],
     ) -> Result<Self, SceneError> {
         let mut wanted = vec![false; root.buffer_views.len()];
-        for a in primitive::uses(source, root, draws)?.into_iter().map(|u| u.accessor) {
+        for a in uses::uses(source, root, draws)?.into_iter().map(|u| u.accessor) {
             let accessor = &root.accessors[a];
             let sparse = accessor.sparse.as_ref();
             let views = [

@@ -12,12 +12,14 @@
 
 mod accessor;
 mod buffers;
+mod component;
 mod json;
 mod meshopt;
 mod nodes;
 mod primitive;
 mod sparse;
 mod transform;
+mod uses;
 
 use std::path::Path;
 

@@ -3,8 +3,9 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::accessor::{Accessor, Accessors, Role};
+use super::accessor::{Accessor, Accessors};
 use super::nodes::Draw;
+use super::uses::{Mode, Role, mode, surface};
 use super::{EXPORT_AGAIN, Source, json, transform};
 use crate::load::REPAIR_VERTEX;
 use crate::{SceneError, Triangle};
@@ -12,74 +13,9 @@ use crate::{SceneError, Triangle};
 /// Triangles that a thread reads at a time.
 const AT_ONCE: usize = 8192;
 
-/// The modes of a primitive (glTF 2.0, section 3.7.2.1).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Mode {
-    /// Points and lines of any kind: no surface.
-    NoSurface,
-    Triangles,
-    Strip,
-    Fan,
-}
-
-/// An accessor that drawn geometry needs, and where it is first needed.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Use {
-    pub(super) accessor: usize,
-    pub(super) role: Role,
-    pub(super) mesh: usize,
-    pub(super) primitive: usize,
-}
-
 /// The name of a primitive in errors.
 pub(super) fn label(draw: &Draw, p: usize) -> String {
     format!("mesh {}, primitive {p} (at node {})", draw.mesh, draw.node)
-}
-
-/// Every accessor that `draws` need, once for each role, in the order of meshes.
-pub(super) fn uses(source: &Source<'_>, root: &json::Root, draws: &[Draw]) -> Result<Vec<Use>, SceneError> {
-    let mut drawn = vec![false; root.meshes.len()];
-    for d in draws {
-        drawn[d.mesh] = true;
-    }
-    let mut met = [vec![false; root.accessors.len()], vec![false; root.accessors.len()]];
-    let mut uses = Vec::new();
-    for (mesh, m) in root.meshes.iter().enumerate().filter(|(m, _)| drawn[*m]) {
-        for (primitive, p) in m.primitives.iter().enumerate() {
-            let element = || format!("mesh {mesh}, primitive {primitive}");
-            let Some(position) = surface(p).map_err(|why| source.bad(element(), why))? else { continue };
-            for (role, a) in [(Role::Positions, Some(position)), (Role::Indices, p.indices)] {
-                let Some(accessor) = a else { continue };
-                match met[role as usize].get_mut(accessor) {
-                    Some(met) if *met => {}
-                    Some(met) => {
-                        *met = true;
-                        uses.push(Use { accessor, role, mesh, primitive });
-                    }
-                    None => {
-                        let reason = format!("it names accessor {accessor} of {}", root.accessors.len());
-                        return Err(source.bad(element(), reason));
-                    }
-                }
-            }
-        }
-    }
-    Ok(uses)
-}
-
-fn mode(p: &json::Primitive) -> Result<Mode, String> {
-    Ok(match p.mode.unwrap_or(4) {
-        0..=3 => Mode::NoSurface,
-        4 => Mode::Triangles,
-        5 => Mode::Strip,
-        6 => Mode::Fan,
-        other => return Err(format!("its mode is {other}, and modes are 0 to 6")),
-    })
-}
-
-/// The accessor of the positions, when the primitive has a surface at all.
-fn surface(p: &json::Primitive) -> Result<Option<usize>, String> {
-    Ok(if mode(p)? == Mode::NoSurface { None } else { p.attributes.position })
 }
 
 /// The number of triangles of primitive `p` of the mesh.

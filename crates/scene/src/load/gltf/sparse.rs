@@ -1,7 +1,7 @@
 //! Sparse accessors: a few elements that replace those of the base (glTF 2.0, section 3.6.2.3).
 
-use super::accessor::Component;
 use super::buffers::Buffers;
+use super::component::Component;
 use super::{Source, json};
 use crate::SceneError;
 

@@ -1,0 +1,146 @@
+//! The triangles of a scene in a tree of boxes, to find those near a box or a segment.
+//!
+//! Boxes are compared in single precision, which is exact: the coordinates are those of the scene.
+
+use glam::Vec3;
+
+/// The triangles of a scene, indexed so that a query for those near a segment visits few others.
+pub struct TriangleTree<'a> {
+    all: &'a [[Vec3; 3]],
+    /// A binary heap of boxes: the root at 1, the children of `i` at 2i and 2i + 1. Node k of a level holds
+    /// the k-th of equal parts of `order`.
+    boxes: Vec<[Vec3; 2]>,
+    order: Vec<u32>,
+    depth: u32,
+}
+
+/// Typical number of triangles in a leaf.
+const LEAF: usize = 4;
+/// Number of pieces that a segment is cut into, each with a box of its own.
+const PIECES: u32 = 64;
+
+impl<'a> TriangleTree<'a> {
+    /// Builds the tree.
+    pub fn new(all: &'a [[Vec3; 3]]) -> Self {
+        let mut order: Vec<u32> = (0..all.len() as u32).collect();
+        let depth = (all.len() / LEAF).max(1).ilog2();
+        let mut boxes = vec![[Vec3::INFINITY, Vec3::NEG_INFINITY]; 2 << depth];
+        let least = |t: u32| all[t as usize].iter().fold(Vec3::INFINITY, |m, v| m.min(*v));
+        let greatest = |t: u32| all[t as usize].iter().fold(Vec3::NEG_INFINITY, |m, v| m.max(*v));
+        for level in 0..=depth {
+            for k in 0..1usize << level {
+                let range = part(all.len(), level, k);
+                let items = &mut order[range];
+                let [min, max] = items.iter().fold([Vec3::INFINITY, Vec3::NEG_INFINITY], |[lo, hi], t| {
+                    [lo.min(least(*t)), hi.max(greatest(*t))]
+                });
+                boxes[(1 << level) + k] = [min, max];
+                if level < depth && !items.is_empty() {
+                    let axis = (max - min).max_position();
+                    let half = part(all.len(), level + 1, 2 * k).len();
+                    if half < items.len() {
+                        items.select_nth_unstable_by(half, |s, t| {
+                            least(*s)[axis].total_cmp(&least(*t)[axis]).then(s.cmp(t))
+                        });
+                    }
+                }
+            }
+        }
+        Self { all, boxes, order, depth }
+    }
+
+    /// The triangles, in the order of the scene.
+    pub fn all(&self) -> &'a [[Vec3; 3]] {
+        self.all
+    }
+
+    /// Appends every triangle whose bounds meet the box; then sorts `out` and removes duplicates.
+    pub fn in_box(&self, [min, max]: [Vec3; 2], out: &mut Vec<u32>) {
+        let apart = |[lo, hi]: [Vec3; 2]| lo.cmpgt(max).any() || hi.cmplt(min).any();
+        let mut open = vec![(0u32, 0usize)];
+        while let Some((level, k)) = open.pop() {
+            if apart(self.boxes[(1 << level) + k]) {
+                continue;
+            }
+            if level < self.depth {
+                open.extend([(level + 1, 2 * k), (level + 1, 2 * k + 1)]);
+                continue;
+            }
+            out.extend(self.order[part(self.all.len(), level, k)].iter().filter(|t| {
+                let [a, b, c] = self.all[**t as usize];
+                !apart([a.min(b).min(c), a.max(b).max(c)])
+            }));
+        }
+        out.sort_unstable();
+        out.dedup();
+    }
+
+    /// Every triangle that may have a point on a segment between two points that lie in the boxes `p` and
+    /// `q`; ascending.
+    pub fn along(&self, p: [Vec3; 2], q: [Vec3; 2]) -> Vec<u32> {
+        let mut out = Vec::new();
+        for piece in 0..PIECES {
+            // A point of the segment is (1 − t)p + tq. For t between two multiples of 1/64 its coordinates
+            // are between those of the boxes there. The weights are exact; two products and a sum err by less
+            // than 1e-15 of the largest coordinate.
+            let share = |k: u32, corner: usize| {
+                let t = f64::from(k) / f64::from(PIECES);
+                p[corner].as_dvec3() * (1.0 - t) + q[corner].as_dvec3() * t
+            };
+            let (a, b) = (share(piece, 0).min(share(piece + 1, 0)), share(piece, 1).max(share(piece + 1, 1)));
+            let slack =
+                p.iter().chain(&q).fold(0.0f64, |m, v| m.max(f64::from(v.abs().max_element()))) * 1e-15;
+            let down = |x: f64| ((x - slack) as f32).next_down();
+            let up = |x: f64| ((x + slack) as f32).next_up();
+            self.in_box(
+                [Vec3::new(down(a.x), down(a.y), down(a.z)), Vec3::new(up(b.x), up(b.y), up(b.z))],
+                &mut out,
+            );
+        }
+        out.sort_unstable();
+        out.dedup();
+        out
+    }
+}
+
+/// The range of the `k`-th of 2^level equal parts of `items` items.
+fn part(items: usize, level: u32, k: usize) -> std::ops::Range<usize> {
+    let at = |k: usize| ((items as u128 * k as u128) >> level) as usize;
+    at(k)..at(k + 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn point() -> impl Strategy<Value = Vec3> {
+        prop::array::uniform3(-10i8..10).prop_map(|p| Vec3::from(p.map(f32::from)))
+    }
+
+    proptest! {
+        #[test]
+        fn queries_find_every_near_triangle(
+            triangles in prop::collection::vec(prop::array::uniform3(point()), 0..60),
+            (p, q) in (point(), point()),
+        ) {
+            let tree = TriangleTree::new(&triangles);
+            let along = tree.along([p, p], [q, q]);
+            let bounds = [p.min(q), p.max(q)];
+            let mut in_box = Vec::new();
+            tree.in_box(bounds, &mut in_box);
+            for (id, t) in triangles.iter().enumerate() {
+                let (min, max) = (t[0].min(t[1]).min(t[2]), t[0].max(t[1]).max(t[2]));
+                let touches = min.cmple(bounds[1]).all() && max.cmpge(bounds[0]).all();
+                prop_assert_eq!(in_box.contains(&(id as u32)), touches);
+                // Whether a point of the segment is in the triangle's box.
+                let hit = (0..=640).any(|k| {
+                    let x = p.as_dvec3() + (q - p).as_dvec3() * (f64::from(k) / 640.0);
+                    x.cmpge(min.as_dvec3()).all() && x.cmple(max.as_dvec3()).all()
+                });
+                prop_assert!(!hit || along.contains(&(id as u32)));
+            }
+        }
+    }
+}
