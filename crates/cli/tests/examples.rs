@@ -20,7 +20,7 @@ fn sightline(folder: &Path, arguments: &str) {
 #[test]
 fn the_example_verifies_a_bake() {
     let folder = tempfile::tempdir().unwrap();
-    sightline(folder.path(), "generate slits --grid 2x2 -o s.glb");
+    sightline(folder.path(), "generate rooms --triangles 400 -o s.glb");
     sightline(
         folder.path(),
         "bake s.glb --cells 2x1x1 --backend cpu --method exact --certificates -o s.pvs --data-dir data",
