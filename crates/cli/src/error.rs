@@ -28,6 +28,20 @@ pub enum CliError {
     Interrupted(String),
 }
 
+impl From<sightline_bench::BenchError> for CliError {
+    fn from(e: sightline_bench::BenchError) -> Self {
+        use sightline_bench::BenchError as B;
+        match e {
+            B::Usage(m) => Self::Usage(m),
+            B::Input(m) => Self::Input(m),
+            B::Coordinator(m) => Self::Coordinator(m),
+            B::Job(m) => Self::Job(m),
+            B::Interrupted(m) => Self::Interrupted(m),
+            B::Internal(m) => Self::Internal(m),
+        }
+    }
+}
+
 impl CliError {
     /// The exit code.
     pub fn exit_code(&self) -> ExitCode {

@@ -1,9 +1,10 @@
 //! The tables, as Markdown that also reads well in a terminal.
 
-use crate::bench::curves::SceneCurves;
-use crate::bench::frontier::{ERRORS, Needed, Ratio, geometric_mean, seconds};
-use crate::bench::growth::Grown;
-use crate::bench::ladder::Sampler;
+use crate::curves::SceneCurves;
+use crate::frontier::{ERRORS, Needed, Ratio, geometric_mean, seconds};
+use crate::growth::Grown;
+use crate::ladder::Sampler;
+use crate::percent::percent;
 
 /// A header and rows of as many cells.
 #[derive(Debug)]
@@ -40,16 +41,6 @@ impl Table {
         let rule = format!("|{}\n", rule.collect::<String>());
         std::iter::once(line(&self.header)).chain([rule]).chain(self.rows.iter().map(line)).collect()
     }
-}
-
-/// A fraction in percent with three digits that count.
-pub fn percent(fraction: f64) -> String {
-    let p = 100.0 * fraction;
-    if p <= 0.0 {
-        return "0 %".to_owned();
-    }
-    let decimals = (2 - p.log10().floor() as i32).clamp(0, 9) as usize;
-    format!("{p:.decimals$} %")
 }
 
 fn megabytes(mb: Option<f64>) -> String {
@@ -155,12 +146,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn percents_have_three_digits() {
-        for (fraction, text) in
-            [(0.0, "0 %"), (0.5, "50.0 %"), (0.0123, "1.23 %"), (0.000_012_34, "0.00123 %"), (1.0, "100 %")]
-        {
-            assert_eq!(percent(fraction), text);
-        }
+    fn targets_are_short() {
         assert_eq!(ERRORS.map(target), ["1 %", "0.3 %", "0.1 %", "0.03 %", "0.01 %"]);
     }
 

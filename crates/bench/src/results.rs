@@ -2,15 +2,15 @@
 
 use std::path::Path;
 
-use crate::bench::args::BenchArgs;
-use crate::bench::curves::SceneCurves;
-use crate::bench::growth::{self, Grown};
-use crate::bench::machine::{Machine, command_line};
-use crate::bench::table;
+use crate::curves::SceneCurves;
+use crate::growth::{self, Grown};
+use crate::machine::{Machine, command_line};
+use crate::options::Options;
+use crate::table;
 
 /// The page as Markdown, to be put at `page`.
 pub fn markdown(
-    args: &BenchArgs,
+    args: &Options,
     machine: &Machine,
     scenes: &[SceneCurves],
     growth: &[Grown],

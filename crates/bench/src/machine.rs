@@ -3,6 +3,7 @@
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
+use sightline_sampling::embree::CpuBackend;
 
 /// What a reader needs to judge the times by.
 #[derive(Debug, Serialize)]
@@ -34,13 +35,12 @@ impl Machine {
         let system = value(&read("/etc/os-release"), "PRETTY_NAME", '=');
         let kernel = read("/proc/sys/kernel/osrelease");
         let os = format!("{}, {}", system.unwrap_or_else(|| std::env::consts::OS.to_owned()), kernel.trim());
-        let profiles = sightline_worker::Backends::probe(sightline_worker::Choice::Cpu, Default::default());
         Self {
             cpu: value(&read("/proc/cpuinfo"), "model name", ':').unwrap_or_else(unknown),
             cores: std::thread::available_parallelism().map_or(1, usize::from),
             memory,
             os: os.trim_end_matches([',', ' ']).to_owned(),
-            numerics_profile: profiles.profiles().into_iter().next().unwrap_or_else(unknown),
+            numerics_profile: CpuBackend::probe().unwrap_or_else(|_| unknown()),
             version: env!("CARGO_PKG_VERSION"),
             date: date(SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())),
         }

@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use crate::error::CliError;
-use crate::serve;
+use crate::error::BenchError;
+use crate::host::Host;
 
 /// What the waiting thread is woken by.
 enum Event {
@@ -25,31 +25,25 @@ pub struct Children {
     program: PathBuf,
     events: Receiver<Event>,
     sender: Sender<Event>,
-    /// Listens for signals as long as it lives.
-    _runtime: tokio::runtime::Runtime,
 }
 
 impl Children {
-    /// From here on Ctrl-C ends the child, and the next `run` says so.
-    pub fn new() -> Result<Self, CliError> {
-        let program = std::env::current_exe()
-            .map_err(|e| CliError::Internal(format!("this program's own file is not known: {e}")))?;
+    /// Children of the host's program. A stop of the host ends the running child, and the next `run` reports it.
+    pub fn new(host: &Host<'_>) -> Self {
         let (sender, events) = channel();
-        let runtime = serve::runtime()?;
         let stop = sender.clone();
-        runtime.spawn(async move {
-            serve::stop_signal().await;
+        (host.on_stop)(Box::new(move || {
             // Nobody listens when the command is ending anyway.
             let _ = stop.send(Event::Stop);
-        });
-        Ok(Self { program, events, sender, _runtime: runtime })
+        }));
+        Self { program: host.program.clone(), events, sender }
     }
 
     /// Runs `sightline --json ARGUMENTS…`; what it printed, and its time from start to exit.
     pub fn run<I: IntoIterator<Item: AsRef<OsStr>>>(
         &self,
         arguments: I,
-    ) -> Result<(Value, Duration), CliError> {
+    ) -> Result<(Value, Duration), BenchError> {
         if self.events.try_recv().is_ok() {
             return Err(interrupted());
         }
@@ -57,16 +51,16 @@ impl Children {
         command.arg("--json").args(arguments);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let start = Instant::now();
-        let mut child = command
-            .spawn()
-            .map_err(|e| CliError::Internal(format!("{} cannot be started: {e}", self.program.display())))?;
+        let mut child = command.spawn().map_err(|e| {
+            BenchError::Internal(format!("{} cannot be started: {e}", self.program.display()))
+        })?;
         let complaints = self.listen(&mut child);
         let event = self.events.recv();
         if !matches!(event, Ok(Event::Said(_))) {
             // It has ended already when it cannot be killed.
             let _ = child.kill();
         }
-        let status = child.wait().map_err(CliError::internal)?;
+        let status = child.wait().map_err(BenchError::internal)?;
         let took = start.elapsed();
         let Ok(Event::Said(said)) = event else { return Err(interrupted()) };
         if !status.success() {
@@ -74,7 +68,7 @@ impl Children {
             return Err(failure(status.code(), &String::from_utf8_lossy(&complaints), &command));
         }
         let value = serde_json::from_slice(&said)
-            .map_err(|e| CliError::Internal(format!("{} printed no JSON: {e}", shown(&command))))?;
+            .map_err(|e| BenchError::Internal(format!("{} printed no JSON: {e}", shown(&command))))?;
         Ok((value, took))
     }
 
@@ -98,25 +92,25 @@ impl Children {
     }
 }
 
-fn interrupted() -> CliError {
-    CliError::Interrupted(
+fn interrupted() -> BenchError {
+    BenchError::Interrupted(
         "interrupted; files hold what was complete by then; --samplers and --points make it shorter".into(),
     )
 }
 
 /// The child's own words, with the exit code that it chose.
-fn failure(code: Option<i32>, complaints: &str, command: &Command) -> CliError {
+fn failure(code: Option<i32>, complaints: &str, command: &Command) -> BenchError {
     let last = complaints.lines().rev().find_map(|l| l.strip_prefix("error: "));
     let why = format!("{}: {}", shown(command), last.unwrap_or(complaints.trim()));
     match code {
-        Some(2) => CliError::Usage(why),
-        Some(3) => CliError::Input(why),
-        Some(4) => CliError::Coordinator(why),
-        Some(5) => CliError::Job(why),
+        Some(2) => BenchError::Usage(why),
+        Some(3) => BenchError::Input(why),
+        Some(4) => BenchError::Coordinator(why),
+        Some(5) => BenchError::Job(why),
         // At a terminal Ctrl-C reaches the child as well, and it may be first.
         Some(130) => interrupted(),
-        Some(_) => CliError::Internal(why),
-        None => CliError::Internal(format!("{} was killed; was there enough memory?", shown(command))),
+        Some(_) => BenchError::Internal(why),
+        None => BenchError::Internal(format!("{} was killed; was there enough memory?", shown(command))),
     }
 }
 
@@ -126,8 +120,8 @@ fn shown(command: &Command) -> String {
 }
 
 /// A number of a child's JSON.
-pub fn number(value: &Value, key: &str) -> Result<f64, CliError> {
-    value[key].as_f64().ok_or_else(|| CliError::Internal(format!("the output has no number {key}")))
+pub fn number(value: &Value, key: &str) -> Result<f64, BenchError> {
+    value[key].as_f64().ok_or_else(|| BenchError::Internal(format!("the output has no number {key}")))
 }
 
 #[cfg(test)]
@@ -138,8 +132,8 @@ mod tests {
     fn a_childs_failure_keeps_its_kind_and_its_words() {
         let command = Command::new("sightline");
         let e = failure(Some(3), "noise\nerror: a.glb: not there\n", &command);
-        assert!(matches!(&e, CliError::Input(m) if m.ends_with("a.glb: not there")), "{e}");
-        assert!(matches!(failure(Some(130), "", &command), CliError::Interrupted(_)));
-        assert!(matches!(failure(None, "", &command), CliError::Internal(_)));
+        assert!(matches!(&e, BenchError::Input(m) if m.ends_with("a.glb: not there")), "{e}");
+        assert!(matches!(failure(Some(130), "", &command), BenchError::Interrupted(_)));
+        assert!(matches!(failure(None, "", &command), BenchError::Internal(_)));
     }
 }

@@ -1,14 +1,16 @@
-//! The arguments of `sightline bench`.
+//! `sightline bench`: the arguments, and what is printed.
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use glam::Vec3;
 
-use crate::bench::frontier::ERRORS;
-use crate::bench::ladder::{Ladder, Sampler};
+use sightline_bench::{ERRORS, Growth, Host, Ladder, Options, Sampler};
+
 use crate::error::CliError;
 use crate::job_args::{parse_box, parse_cells};
+use crate::progress::say;
+use crate::serve::{self, print};
 
 /// What is measured, and where it goes.
 #[derive(Args, Debug)]
@@ -71,73 +73,67 @@ bounds. The baseline is guided: a fixed number of rays for each cell on its own.
   sightline bench level.glb --grow cells,workers\n\n\
 Other work on the machine shows in the times; compare those of one run.";
 
-/// What grows while the rest stays.
-#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Growth {
-    /// Generated forests of 10 000 to 1 000 000 triangles (10 000 000 with --points full).
-    Triangles,
-    /// 2x2x2 to 16x16x16 cells (32x32x32 with --points full) on each scene.
-    Cells,
-    /// 1, 2 and 4 workers on each scene.
-    Workers,
+/// The options of the library.
+fn options(args: &BenchArgs) -> Options {
+    Options {
+        scenes: args.scenes.clone(),
+        cells: args.cells,
+        view_box: args.view_box,
+        viewpoints: args.viewpoints,
+        seed: args.seed,
+        resolution: args.resolution,
+        out: args.out.clone(),
+        samplers: args.samplers.clone(),
+        points: args.points,
+        max_seconds: args.max_seconds,
+        least_error: args.least_error,
+        grow: args.grow.clone(),
+        grow_error: args.grow_error,
+        results: args.results.clone(),
+    }
 }
 
-impl BenchArgs {
-    /// The samplers to measure, each once.
-    pub fn samplers(&self) -> Vec<Sampler> {
-        let asked = match &self.samplers {
-            Some(asked) => asked.as_slice(),
-            None if self.grow.is_empty() => Sampler::value_variants(),
-            None => &[],
-        };
-        let mut once = Vec::new();
-        for &sampler in asked {
-            if !once.contains(&sampler) {
-                once.push(sampler);
+/// Measures, writes the files, prints the tables.
+pub fn run(args: &BenchArgs, json: bool) -> Result<(), CliError> {
+    let program = std::env::current_exe()
+        .map_err(|e| CliError::Internal(format!("the file of this program is unknown: {e}")))?;
+    // Listens for signals as long as it lives.
+    let runtime = serve::runtime()?;
+    let on_stop = |stop: Box<dyn FnOnce() + Send>| {
+        runtime.spawn(async move {
+            serve::stop_signal().await;
+            stop();
+        });
+    };
+    let report = sightline_bench::run(&options(args), &Host { program, say: &say, on_stop: &on_stop })?;
+    print(&if json { report.document.to_string() } else { report.tables })
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::{Parser as _, ValueEnum as _};
+
+    use super::*;
+
+    #[test]
+    fn bake_accepts_every_point() {
+        for &sampler in Sampler::value_variants() {
+            for rung in sampler.rungs(Ladder::Full) {
+                let base = ["sightline", "bake", "a.glb", "-o", "a.pvs"].map(str::to_owned);
+                let line = base.into_iter().chain(rung.flags.clone());
+                crate::args::Cli::try_parse_from(line).unwrap_or_else(|e| panic!("{:?}: {e}", rung.flags));
             }
         }
-        once
     }
 
-    /// Refuses what would fail only after bakes, or measure nothing.
-    pub fn check(&self) -> Result<(), CliError> {
-        let refuse = |what: &str| Err(CliError::Usage(what.to_owned()));
-        let needs_scene = !self.samplers().is_empty() || self.grow.iter().any(|g| *g != Growth::Triangles);
-        if needs_scene && self.scenes.is_empty() {
-            return refuse("name a scene to measure; only --grow triangles needs none");
+    #[test]
+    fn the_defaults_of_the_command_line_are_those_of_the_library() {
+        #[derive(clap::Parser)]
+        struct Line {
+            #[command(flatten)]
+            bench: BenchArgs,
         }
-        if !(8..=4096).contains(&self.resolution) {
-            return refuse(&format!("--resolution {} is not between 8 and 4096", self.resolution));
-        }
-        if self.viewpoints == 0 {
-            return refuse("--viewpoints 0 measures nothing; give at least 1");
-        }
-        if self.max_seconds.is_nan() || self.max_seconds <= 0.0 {
-            return refuse(&format!("--max-seconds {} is not above 0", self.max_seconds));
-        }
-        if !(0.0..=1.0).contains(&self.least_error) {
-            return refuse(&format!("--least-error {} is not between 0 and 1", self.least_error));
-        }
-        if !(1e-6..=1.0).contains(&self.grow_error) {
-            return refuse(&format!("--grow-error {} is not between 0.000001 and 1", self.grow_error));
-        }
-        Ok(())
-    }
-
-    /// A grid, as `bake` takes it.
-    pub fn grid([x, y, z]: [u32; 3]) -> [String; 2] {
-        ["--cells".to_owned(), format!("{x}x{y}x{z}")]
-    }
-
-    /// A grid and the view box, as `bake` takes them.
-    pub fn division(&self, cells: [u32; 3]) -> Vec<String> {
-        let mut flags = Self::grid(cells).to_vec();
-        if let Some([least, most]) = self.view_box {
-            // Rust prints the shortest number that reads as the same one.
-            let numbers = least.to_array().into_iter().chain(most.to_array()).map(|n| n.to_string());
-            flags.push(format!("--view-box={}", numbers.collect::<Vec<_>>().join(",")));
-        }
-        flags
+        let line = Line::try_parse_from(["bench"]).unwrap().bench;
+        assert_eq!(options(&line), Options::default());
     }
 }

@@ -1,17 +1,17 @@
 //! Time against error: bakes a scene with every sampler from coarse to fine and measures each result.
 
 use std::ffi::OsString;
-use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::bench::args::BenchArgs;
-use crate::bench::children::{Children, number};
-use crate::bench::frontier::{self, Needed, Ratio};
-use crate::bench::ladder::{Rung, Sampler};
-use crate::bench::table::percent;
-use crate::error::CliError;
-use crate::progress::say;
+use crate::children::{Children, number};
+use crate::error::BenchError;
+use crate::frontier::{self, Needed, Ratio};
+use crate::host::Host;
+use crate::input::{Input, bake_line};
+use crate::ladder::{Rung, Sampler};
+use crate::options::Options;
+use crate::percent::percent;
 
 /// One bake and what it came to.
 #[derive(Clone, Debug, Serialize)]
@@ -51,16 +51,6 @@ pub struct SceneCurves {
     pub points: Vec<Point>,
 }
 
-/// A scene to measure.
-pub struct Input {
-    /// Its file.
-    pub path: PathBuf,
-    /// As tables and files call it.
-    pub name: String,
-    /// How many it has.
-    pub triangles: u32,
-}
-
 impl SceneCurves {
     /// A sampler's points.
     pub fn of(&self, sampler: Sampler) -> impl Iterator<Item = &Point> {
@@ -79,20 +69,13 @@ impl SceneCurves {
     }
 }
 
-/// Reads every scene once: faults show before the first bake, and no bake waits for the disk.
-pub fn inputs(paths: &[PathBuf]) -> Result<Vec<Input>, CliError> {
-    let stem = |p: &Path| p.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let mut inputs = Vec::new();
-    for path in paths {
-        let alone = paths.iter().filter(|p| stem(p) == stem(path)).count() == 1;
-        let name = if alone { stem(path) } else { path.display().to_string() };
-        inputs.push(Input { path: path.clone(), name, triangles: sightline_scene::load(path)?.len() });
-    }
-    Ok(inputs)
-}
-
 /// Measures a scene with all samplers.
-pub fn measure(args: &BenchArgs, children: &Children, input: &Input) -> Result<SceneCurves, CliError> {
+pub fn measure(
+    args: &Options,
+    host: &Host<'_>,
+    children: &Children,
+    input: &Input,
+) -> Result<SceneCurves, BenchError> {
     let samplers = args.samplers();
     let mut points = Vec::new();
     for &sampler in &samplers {
@@ -100,7 +83,7 @@ pub fn measure(args: &BenchArgs, children: &Children, input: &Input) -> Result<S
         let count = rungs.len();
         let mut rungs = rungs.into_iter().enumerate().peekable();
         while let Some((i, rung)) = rungs.next() {
-            say(&format!(
+            (host.say)(&format!(
                 "{}, {} {}: point {} of {count} …",
                 input.name,
                 sampler.name(),
@@ -108,7 +91,7 @@ pub fn measure(args: &BenchArgs, children: &Children, input: &Input) -> Result<S
                 i + 1
             ));
             let point = point(args, children, input, sampler, rung)?;
-            say(&format!(
+            (host.say)(&format!(
                 "{}, {} {}: {} s, mean error {}, p99 {}",
                 input.name,
                 sampler.name(),
@@ -127,7 +110,7 @@ pub fn measure(args: &BenchArgs, children: &Children, input: &Input) -> Result<S
             points.push(point);
             if let (Some(why), Some(_)) = (enough, rungs.peek()) {
                 let (scene, sampler) = (&input.name, sampler.name());
-                say(&format!("{scene}, {sampler}: finer points are left out, as this one {why}"));
+                (host.say)(&format!("{scene}, {sampler}: finer points are left out, as this one {why}"));
                 break;
             }
         }
@@ -136,13 +119,13 @@ pub fn measure(args: &BenchArgs, children: &Children, input: &Input) -> Result<S
 }
 
 fn point(
-    args: &BenchArgs,
+    args: &Options,
     children: &Children,
     input: &Input,
     sampler: Sampler,
     rung: Rung,
-) -> Result<Point, CliError> {
-    let folder = tempfile::tempdir().map_err(CliError::internal)?;
+) -> Result<Point, BenchError> {
+    let folder = tempfile::tempdir().map_err(BenchError::internal)?;
     let result = folder.path().join("out.pvs");
     let mut line = bake_line(&input.path, folder.path());
     line.extend(args.division(args.cells).into_iter().chain(rung.flags).map(OsString::from));
@@ -167,18 +150,4 @@ fn point(
         samples: number(&bake, "samples")?,
         mean_visible: number(&bake, "mean_visible")?,
     })
-}
-
-/// A bake of `scene` to `folder`/out.pvs from an empty store.
-pub fn bake_line(scene: &Path, folder: &Path) -> Vec<OsString> {
-    vec![
-        "bake".into(),
-        scene.into(),
-        "-o".into(),
-        folder.join("out.pvs").into(),
-        "--data-dir".into(),
-        folder.join("store").into(),
-        "--backend".into(),
-        "cpu".into(),
-    ]
 }

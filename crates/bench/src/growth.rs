@@ -5,16 +5,16 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use crate::bench::args::{BenchArgs, Growth};
-use crate::bench::children::{Children, number};
-use crate::bench::curves::{Input, bake_line};
-use crate::bench::frontier::seconds;
-use crate::bench::ladder::Ladder;
-use crate::error::CliError;
-use crate::progress::say;
+use crate::children::{Children, number};
+use crate::error::BenchError;
+use crate::frontier::seconds;
+use crate::host::Host;
+use crate::input::{Input, bake_line};
+use crate::ladder::Ladder;
+use crate::options::{Growth, Options};
 
 /// How every one of these bakes is sampled.
-pub fn sampling(args: &BenchArgs) -> [String; 4] {
+pub fn sampling(args: &Options) -> [String; 4] {
     ["--sampler", "lines", "--target-error", &args.grow_error.to_string()].map(str::to_owned)
 }
 
@@ -63,11 +63,12 @@ impl Growth {
 
 /// Measures one growth, on all scenes that it is for.
 pub fn measure(
-    args: &BenchArgs,
+    args: &Options,
+    host: &Host<'_>,
     children: &Children,
     inputs: &[Input],
     grows: Growth,
-) -> Result<Vec<Grown>, CliError> {
+) -> Result<Vec<Grown>, BenchError> {
     let scenes: Vec<Option<&Input>> = match grows {
         Growth::Triangles => vec![None],
         Growth::Cells | Growth::Workers => inputs.iter().map(Some).collect(),
@@ -77,12 +78,17 @@ pub fn measure(
         let mut values = grows.values(args.points).iter().peekable();
         while let Some(&value) = values.next() {
             let row = bake(args, children, scene, grows, value)?;
-            say(&format!("growth of {}, {} at {value}: {} s", grows.name(), row.scene, seconds(row.seconds)));
+            (host.say)(&format!(
+                "growth of {}, {} at {value}: {} s",
+                grows.name(),
+                row.scene,
+                seconds(row.seconds)
+            ));
             let over = row.seconds > args.max_seconds;
             rows.push(row);
             // More workers should not take longer.
             if over && grows != Growth::Workers && values.peek().is_some() {
-                say(&format!(
+                (host.say)(&format!(
                     "growth of {}: greater ones are left out, as this one took more than {} s (--max-seconds)",
                     grows.name(),
                     args.max_seconds
@@ -95,13 +101,13 @@ pub fn measure(
 }
 
 fn bake(
-    args: &BenchArgs,
+    args: &Options,
     children: &Children,
     scene: Option<&Input>,
     grows: Growth,
     value: u32,
-) -> Result<Grown, CliError> {
-    let folder = tempfile::tempdir().map_err(CliError::internal)?;
+) -> Result<Grown, BenchError> {
+    let folder = tempfile::tempdir().map_err(BenchError::internal)?;
     let (name, path) = match scene {
         Some(input) => (input.name.clone(), input.path.clone()),
         None => ("forest".to_owned(), forest(children, folder.path(), value)?),
@@ -112,7 +118,7 @@ fn bake(
     let division = match scene {
         Some(_) => args.division(cells),
         // The view box is of the given scenes.
-        None => BenchArgs::grid(cells).to_vec(),
+        None => Options::grid(cells).to_vec(),
     };
     line.extend(division.into_iter().map(OsString::from));
     let workers = (grows == Growth::Workers).then_some(value);
@@ -130,7 +136,7 @@ fn bake(
     })
 }
 
-fn forest(children: &Children, folder: &Path, triangles: u32) -> Result<std::path::PathBuf, CliError> {
+fn forest(children: &Children, folder: &Path, triangles: u32) -> Result<std::path::PathBuf, BenchError> {
     let path = folder.join("forest.glb");
     let words = ["generate", "forest", "--triangles"].map(OsString::from);
     let rest = [triangles.to_string().into(), "-o".into(), path.clone().into()];

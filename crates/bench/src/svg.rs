@@ -4,8 +4,8 @@
 
 use std::fmt::Write as _;
 
-use crate::bench::curves::{Point, SceneCurves};
-use crate::bench::ladder::Sampler;
+use crate::curves::{Point, SceneCurves};
+use crate::ladder::Sampler;
 
 /// A panel's plot area, and what is around it for labels.
 const PLOT: [f64; 2] = [400.0, 280.0];
@@ -239,7 +239,7 @@ pub mod tests {
     use clap::ValueEnum as _;
 
     use super::*;
-    use crate::bench::ladder::Ladder;
+    use crate::ladder::Ladder;
 
     /// A scene with all samplers; the finest point of each has no error.
     pub fn example(name: &str) -> SceneCurves {

@@ -1,0 +1,147 @@
+//! Time against error: every sampler from coarse to fine, whole command against whole command, and how time and memory
+//! grow.
+//!
+//! Every point is a bake by a child process. The process that measures only waits, so that it takes no time from what it
+//! measures. Measured times depend on the machine; compare those of one run.
+//!
+//! ```no_run
+//! use sightline_bench::{Host, Options};
+//!
+//! let options = Options { scenes: vec!["level.glb".into()], ..Options::default() };
+//! let host = Host { program: "sightline".into(), say: &|line| eprintln!("{line}"), on_stop: &|_| {} };
+//! println!("{}", sightline_bench::run(&options, &host)?.tables);
+//! # Ok::<(), sightline_bench::BenchError>(())
+//! ```
+
+mod children;
+mod csv;
+mod curves;
+mod error;
+mod frontier;
+mod growth;
+mod host;
+mod input;
+mod ladder;
+mod machine;
+mod options;
+mod percent;
+mod results;
+mod svg;
+mod table;
+
+use std::path::Path;
+
+use serde_json::{Value, json};
+
+use crate::curves::SceneCurves;
+pub use crate::error::BenchError;
+pub use crate::frontier::ERRORS;
+use crate::growth::Grown;
+pub use crate::host::Host;
+pub use crate::ladder::{Ladder, Rung, Sampler};
+use crate::machine::{Machine, command_line};
+pub use crate::options::{Growth, Options};
+
+/// The outcome of a benchmark.
+#[derive(Clone, Debug)]
+pub struct Report {
+    /// Everything that was measured.
+    pub document: Value,
+    /// The tables in Markdown.
+    pub tables: String,
+}
+
+/// Measures, and writes the files of `args.out` and `args.results`.
+///
+/// # Errors
+/// [`BenchError`]: wrong options, a bake that failed, a file that cannot be written, or a stop.
+pub fn run(args: &Options, host: &Host<'_>) -> Result<Report, BenchError> {
+    args.check()?;
+    std::fs::create_dir_all(&args.out).map_err(|e| BenchError::writing(&args.out, &e))?;
+    if let Some(page) = &args.results {
+        writable(page)?;
+    }
+    let inputs = input::inputs(&args.scenes)?;
+    let machine = Machine::here();
+    let children = children::Children::new(host);
+
+    let mut scenes = Vec::new();
+    if !args.samplers().is_empty() {
+        for input in &inputs {
+            scenes.push(curves::measure(args, host, &children, input)?);
+            // After every scene: what is measured by then survives what happens next.
+            write(host, &args.out.join("curves.csv"), &csv::curves(&scenes)?)?;
+            write(host, &args.out.join("curves.svg"), &svg::draw(&scenes))?;
+        }
+    }
+    let mut grown = Vec::new();
+    for &grows in &args.grow {
+        grown.extend(growth::measure(args, host, &children, &inputs, grows)?);
+        write(host, &args.out.join("growth.csv"), &csv::growth(&grown)?)?;
+    }
+    if let Some(page) = &args.results {
+        write(host, page, &results::markdown(args, &machine, &scenes, &grown, page))?;
+    }
+    let mut tables = Vec::new();
+    if !scenes.is_empty() {
+        tables.push(table::needed(&scenes).markdown());
+    }
+    if !grown.is_empty() {
+        tables.push(table::growth(&grown).markdown());
+    }
+    let tables = tables.join("\n").trim_end().to_owned();
+    Ok(Report { document: document(args, &machine, &scenes, &grown)?, tables })
+}
+
+/// Refuses a page that cannot be written before bakes are spent on it.
+fn writable(page: &Path) -> Result<(), BenchError> {
+    let folder = page.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if page.is_dir() || !folder.is_dir() {
+        return Err(BenchError::Usage(format!(
+            "{} cannot be written; give --results a file in a folder that exists",
+            page.display()
+        )));
+    }
+    Ok(())
+}
+
+fn write(host: &Host<'_>, path: &Path, text: &str) -> Result<(), BenchError> {
+    std::fs::write(path, text).map_err(|e| BenchError::writing(path, &e))?;
+    (host.say)(&format!("wrote {}", path.display()));
+    Ok(())
+}
+
+/// Everything as one value.
+fn document(
+    args: &Options,
+    machine: &Machine,
+    scenes: &[SceneCurves],
+    grown: &[Grown],
+) -> Result<Value, BenchError> {
+    let mut list = Vec::new();
+    for scene in scenes {
+        let mut value = serde_json::to_value(scene).map_err(BenchError::internal)?;
+        let needed = ERRORS.iter().map(|&error| {
+            let seconds =
+                scene.samplers.iter().map(|&s| (s.name().to_owned(), json!(scene.needed(s, error))));
+            let seconds: serde_json::Map<_, _> = seconds.collect();
+            json!({"mean_error": error, "needed": seconds, "guided_over_lines": scene.ratio(error)})
+        });
+        value["errors"] = needed.collect();
+        list.push(value);
+    }
+    let means = table::mean_ratios(scenes)
+        .into_iter()
+        .map(|(error, mean, of)| json!({"mean_error": error, "guided_over_lines": mean, "scenes": of}));
+    Ok(json!({
+        "machine": machine,
+        "command_line": command_line(),
+        "cells": args.cells,
+        "viewpoints": args.viewpoints,
+        "seed": args.seed,
+        "resolution": args.resolution,
+        "scenes": list,
+        "geometric_mean": means.collect::<Vec<_>>(),
+        "growth": grown,
+    }))
+}

@@ -1,0 +1,139 @@
+//! The options of a benchmark.
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use glam::Vec3;
+
+use crate::error::BenchError;
+use crate::frontier::ERRORS;
+use crate::ladder::{Ladder, Sampler};
+
+/// What is measured, and where it goes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// The scenes: .obj, .ply, .gltf or .glb. Only --grow triangles makes its own.
+    pub scenes: Vec<PathBuf>,
+    /// A regular grid of view cells.
+    pub cells: [u32; 3],
+    /// Where viewpoints may be: x0,y0,z0,x1,y1,z1. Default: each scene's bounds.
+    pub view_box: Option<[Vec3; 2]>,
+    /// Random viewpoints of the error measure, the same for every point. p99 wants at least 100 of them.
+    pub viewpoints: u32,
+    /// Seed of the viewpoints.
+    pub seed: u64,
+    /// Side of one face of the error measure in pixels, 8 to 4096.
+    pub resolution: u32,
+    /// Folder for curves.csv, curves.svg and growth.csv; it is made where it is not there.
+    pub out: PathBuf,
+    /// Which samplers to measure. Default: all; with --grow: none, only the growth.
+    pub samplers: Option<Vec<Sampler>>,
+    /// How far each sampler's parameter goes.
+    pub points: Ladder,
+    /// Leave out a sampler's finer points, and a growth's greater ones, after one that took longer than this.
+    pub max_seconds: f64,
+    /// Leave out a sampler's finer points after one with this mean error or less, a fraction. Default: the least that
+    /// the table answers for.
+    pub least_error: f64,
+    /// Measure how time and memory grow: bakes with --sampler lines and --grow-error.
+    pub grow: Vec<Growth>,
+    /// The --target-error of --grow's bakes.
+    pub grow_error: f64,
+    /// Also write everything as Markdown, with the machine and the command line.
+    pub results: Option<PathBuf>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            scenes: Vec::new(),
+            cells: [8; 3],
+            view_box: None,
+            viewpoints: 200,
+            seed: 7,
+            resolution: 256,
+            out: "bench".into(),
+            samplers: None,
+            points: Ladder::Quick,
+            max_seconds: 60.0,
+            least_error: ERRORS[ERRORS.len() - 1],
+            grow: Vec::new(),
+            grow_error: 0.001,
+            results: None,
+        }
+    }
+}
+
+/// What grows while the rest stays.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Growth {
+    /// Generated forests of 10 000 to 1 000 000 triangles (10 000 000 with --points full).
+    Triangles,
+    /// 2x2x2 to 16x16x16 cells (32x32x32 with --points full) on each scene.
+    Cells,
+    /// 1, 2 and 4 workers on each scene.
+    Workers,
+}
+
+impl Options {
+    /// The samplers to measure, each once.
+    pub fn samplers(&self) -> Vec<Sampler> {
+        let asked = match &self.samplers {
+            Some(asked) => asked.as_slice(),
+            None if self.grow.is_empty() => Sampler::value_variants(),
+            None => &[],
+        };
+        let mut once = Vec::new();
+        for &sampler in asked {
+            if !once.contains(&sampler) {
+                once.push(sampler);
+            }
+        }
+        once
+    }
+
+    /// Refuses what would fail only after bakes, or measure nothing.
+    ///
+    /// # Errors
+    /// [`BenchError::Usage`].
+    pub fn check(&self) -> Result<(), BenchError> {
+        let refuse = |what: &str| Err(BenchError::Usage(what.to_owned()));
+        let needs_scene = !self.samplers().is_empty() || self.grow.iter().any(|g| *g != Growth::Triangles);
+        if needs_scene && self.scenes.is_empty() {
+            return refuse("name a scene to measure; only --grow triangles needs none");
+        }
+        if !(8..=4096).contains(&self.resolution) {
+            return refuse(&format!("--resolution {} is not between 8 and 4096", self.resolution));
+        }
+        if self.viewpoints == 0 {
+            return refuse("--viewpoints 0 measures nothing; give at least 1");
+        }
+        if self.max_seconds.is_nan() || self.max_seconds <= 0.0 {
+            return refuse(&format!("--max-seconds {} is not above 0", self.max_seconds));
+        }
+        if !(0.0..=1.0).contains(&self.least_error) {
+            return refuse(&format!("--least-error {} is not between 0 and 1", self.least_error));
+        }
+        if !(1e-6..=1.0).contains(&self.grow_error) {
+            return refuse(&format!("--grow-error {} is not between 0.000001 and 1", self.grow_error));
+        }
+        Ok(())
+    }
+
+    /// A grid, as `bake` takes it.
+    pub fn grid([x, y, z]: [u32; 3]) -> [String; 2] {
+        ["--cells".to_owned(), format!("{x}x{y}x{z}")]
+    }
+
+    /// A grid and the view box, as `bake` takes them.
+    pub fn division(&self, cells: [u32; 3]) -> Vec<String> {
+        let mut flags = Self::grid(cells).to_vec();
+        if let Some([least, most]) = self.view_box {
+            // Rust prints the shortest number that reads as the same one.
+            let numbers = least.to_array().into_iter().chain(most.to_array()).map(|n| n.to_string());
+            flags.push(format!("--view-box={}", numbers.collect::<Vec<_>>().join(",")));
+        }
+        flags
+    }
+}
