@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
-use crate::bench::BenchArgs;
+use crate::bench_args::BenchArgs;
 use crate::job_args::{Backend, JobArgs};
 
 /// Bakes from-region visibility: for every view cell of a static triangle scene,

@@ -10,6 +10,7 @@
 mod args;
 mod bake;
 mod bench;
+mod bench_args;
 mod cells;
 mod client;
 mod error;
