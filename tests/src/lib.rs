@@ -1,11 +1,12 @@
-//! What the tests in `tests/` share: the program under test, folders to run it in, processes that are ended with the
-//! test, and results read back.
+//! What the tests in `tests/` share: the program under test, folders to run it in, processes that are ended
+//! with the test, and results read back.
 //!
-//! The program is only ever run from outside, as a user runs it; nothing here links against it. What is waited for is
-//! waited for by looking, never by sleeping a fixed time; the limits only turn a hang into a failure.
+//! The program is only ever run from outside, as a user runs it; nothing here links against it. What is
+//! waited for is waited for by looking, never by sleeping a fixed time; the limits only turn a hang into a
+//! failure.
 
-// The permissions for tests reach `#[test]` functions only; all of this runs inside of them, and a helper that panics
-// with what it saw is what makes their failures readable.
+// The permissions for tests reach `#[test]` functions only; all of this runs inside of them, and a helper
+// that panics with what it saw is what makes their failures readable.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
 mod dump;

@@ -76,7 +76,8 @@ impl Sandbox {
         command
     }
 
-    /// Starts `sightline LINE` in the folder. The line is split at spaces; files are named relative to the folder.
+    /// Starts `sightline LINE` in the folder. The line is split at spaces; files are named relative to the
+    /// folder.
     pub fn start(&self, line: &str) -> Background {
         let number = self.runs.fetch_add(1, Ordering::Relaxed);
         let [out, err] = ["out", "err"].map(|kind| self.path(&format!(".{number}.{kind}")));

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 
-/// The program: what `SIGHTLINE_BIN` names, else what `cargo build` makes of this checkout, in the profile and target
-/// folder of the running test. A program that is built already is found at once.
+/// The program: what `SIGHTLINE_BIN` names, else what `cargo build` makes of this checkout, in the profile
+/// and target folder of the running test. A program that is built already is found at once.
 pub fn program() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| match std::env::var_os("SIGHTLINE_BIN") {
@@ -31,7 +31,8 @@ fn build() -> PathBuf {
     cargo
         .args([
             "build",
-            // The whole workspace: for one package cargo would unify features anew and build its dependencies again.
+            // The whole workspace: for one package cargo would unify features anew and build its dependencies
+            // again.
             "--workspace",
             "--bins",
             "--profile",

@@ -1,4 +1,5 @@
-//! `sightline bake`: interrupted and continued, on every backend there is, with the options that change what it does.
+//! `sightline bake`: interrupted and continued, on every backend there is, with the options that change what
+//! it does.
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
 
@@ -87,7 +88,8 @@ fn adaptive_cells_keep_to_budget_or_depth() {
         .says("--cells");
 }
 
-/// Whether the cells of an adaptive tree fill the view box, and see no more than the budget where they are not at the greatest depth.
+/// Whether the cells of an adaptive tree fill the view box, and see no more than the budget where they are
+/// not at the greatest depth.
 fn keeps_to(dump: &Dump, budget: usize, depth: u32) {
     let [low, high] = dump.view_box();
     let whole: f64 = (0..3).map(|axis| high[axis] - low[axis]).product();
@@ -210,7 +212,9 @@ fn what_a_time_budget_cut_short_is_said() {
     sandbox.ok(&format!("{bake} --sampler guided --data-dir d -o d.pvs"));
     assert!(sandbox.ok("info d.pvs").contains("NOT FINISHED: 512 of 512"));
     // What was found good enough after the first round is finished, whatever the bound asked for more.
-    sandbox.ok("bake maze.glb --backend cpu --cells 2x2x2 --target-error 0.0003 --max-error 0.01 --data-dir e -o e.pvs");
+    sandbox
+        .ok("bake maze.glb --backend cpu --cells 2x2x2 --target-error 0.0003 --max-error 0.01 --data-dir \
+        e -o e.pvs");
     assert!(!sandbox.ok("info e.pvs").contains("NOT FINISHED"));
     sandbox.run("bake maze.glb --max-error 2 -o f.pvs").code(2).says("max-error is 2");
     sandbox.ok("bake maze.glb --backend cpu --target-error 0.03 --cells 2x2x2 --data-dir c -o c.pvs");
@@ -286,8 +290,8 @@ fn without_embree_the_gpu_is_taken_and_the_reason_told() {
     assert!(made["info"]["profile"].as_str().unwrap().starts_with("gpu/"), "{made}");
 }
 
-/// Sight lines cross cells and blocks are made by different workers: two blocks, killed in the middle, by one worker and
-/// by three.
+/// Sight lines cross cells and blocks are made by different workers: two blocks, killed in the middle, by one
+/// worker and by three.
 #[test]
 fn sight_lines_give_the_same_bytes_however_they_are_traced() {
     let sandbox = Sandbox::new();
@@ -321,7 +325,8 @@ fn a_time_budget_ends_with_a_result() {
     sandbox.ok(ROOMS);
     let start = std::time::Instant::now();
     let made = sandbox.json(
-        "bake rooms.glb --cells 8x8x8 --backend cpu --target-error 1e-6 --time-budget 1500ms -o out.pvs --data-dir data",
+        "bake rooms.glb --cells 8x8x8 --backend cpu --target-error 1e-6 --time-budget 1500ms -o out.pvs \
+            --data-dir data",
     );
     // Without the budget this takes minutes; what is over it is the machine's affair.
     assert!(start.elapsed() < std::time::Duration::from_secs(30));

@@ -74,7 +74,8 @@ fn a_killed_worker_changes_no_byte() {
     assert!(log.contains("is taken back: its worker has gone and did not come back"), "{log}");
 }
 
-/// Slivers, duplicates, triangles without area, coplanar overlaps, T-junctions, coordinates of 1e-6 beside 1e3.
+/// Slivers, duplicates, triangles without area, coplanar overlaps, T-junctions, coordinates of 1e-6 beside
+/// 1e3.
 fn ugly() -> String {
     let mut obj = String::new();
     let mut corners = 0;

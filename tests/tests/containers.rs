@@ -1,11 +1,13 @@
-//! The image and the compose file, brought up for real: a cluster in containers bakes, over gRPC from outside, the very
-//! bytes of a one-process bake, though it is scaled and loses a worker on the way.
+//! The image and the compose file, brought up for real: a cluster in containers bakes, over gRPC from
+//! outside, the very bytes of a one-process bake, though it is scaled and loses a worker on the way.
 //!
-//! Needs a container engine that can run Debian and a way to make the base image (`deploy/base-image.sh`). Without them
-//! it says so in one line and passes; where `CI` is set it fails instead. It judges the cluster's answer, never its speed.
+//! Needs a container engine that can run Debian and a way to make the base image (`deploy/base-image.sh`).
+//! Without them it says so in one line and passes; where `CI` is set it fails instead. It judges the
+//! cluster's answer, never its speed.
 //!
-//! Environment: `SIGHTLINE_BIN` names the program (default: the one in the target folder), `SIGHTLINE_TEST_TRIANGLES` and
-//! `SIGHTLINE_TEST_CELLS` size the job, which has to last long enough for a worker to die in the middle of it.
+//! Environment: `SIGHTLINE_BIN` names the program (default: the one in the target folder),
+//! `SIGHTLINE_TEST_TRIANGLES` and `SIGHTLINE_TEST_CELLS` size the job, which has to last long enough for a
+//! worker to die in the middle of it.
 
 // clippy.toml's permissions for tests reach `#[test]` functions only, not the helpers of an integration test.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
@@ -23,7 +25,8 @@ use std::time::{Duration, Instant};
 const DEFAULT_TRIANGLES: &str = "20000";
 const DEFAULT_CELLS: &str = "8x8x4";
 const SIZE_IT_UP: &str = "size it up by SIGHTLINE_TEST_TRIANGLES or SIGHTLINE_TEST_CELLS";
-/// All steps together may take no longer; a hung cluster is a failure that is cleaned up after, not a hung test run.
+/// All steps together may take no longer; a hung cluster is a failure that is cleaned up after, not a hung
+/// test run.
 const LIMIT: Duration = Duration::from_secs(900);
 /// When the first step began; [`LIMIT`] counts from here.
 static BEGAN: LazyLock<Instant> = LazyLock::new(Instant::now);
@@ -150,7 +153,8 @@ impl Progress {
     }
 }
 
-/// One compose project of its own name, image and port. Dropping it takes everything down again, also after a panic.
+/// One compose project of its own name, image and port. Dropping it takes everything down again, also after a
+/// panic.
 struct Compose {
     /// `docker-compose`, or `docker compose`.
     program: &'static [&'static str],
@@ -175,7 +179,8 @@ impl Compose {
         if !Command::new(root().join("deploy/base-image.sh")).status().is_ok_and(|status| status.success()) {
             return Err("the base image cannot be made here (deploy/base-image.sh says why)".into());
         }
-        // A port that is free now. Something else may take it before compose does; the test then fails saying so.
+        // A port that is free now. Something else may take it before compose does; the test then fails saying
+        // so.
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let project = format!("sightline-test-{}", std::process::id());
         let compose = Self { program, image: format!("{project}:local"), project, port };
@@ -234,8 +239,8 @@ fn profile(sightline: &Path, result: &Path) -> String {
     info["info"]["profile"].as_str().unwrap_or_else(|| panic!("no profile in {info}")).to_owned()
 }
 
-/// Runs a command to its end and returns what it printed on stdout. Panics, with all its output, when it fails or takes
-/// past [`LIMIT`].
+/// Runs a command to its end and returns what it printed on stdout. Panics, with all its output, when it
+/// fails or takes past [`LIMIT`].
 fn run(command: &mut Command) -> String {
     // Files, not pipes: nobody has to keep reading while the clock is watched.
     let (out, err) = (tempfile::NamedTempFile::new().unwrap(), tempfile::NamedTempFile::new().unwrap());

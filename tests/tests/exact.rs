@@ -1,4 +1,5 @@
-//! Bakes by exact queries: in one process and in a cluster that is disturbed, verified, tampered with, asked why, cut short.
+//! Bakes by exact queries: in one process and in a cluster that is disturbed, verified, tampered with, asked
+//! why, cut short.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -255,7 +256,8 @@ fn a_result_that_was_altered_is_refused_and_the_cell_is_named() {
             serde_json::from_str(&sandbox.run("verify slits.glb other.pvs --json").code(3).out).unwrap();
         assert_eq!(report["accepted"], false);
     };
-    // Something hidden that is seen, something seen that is hidden, reasons of another cell, no reasons, reasons cut short.
+    // Something hidden that is seen, something seen that is hidden, reasons of another cell, no reasons,
+    // reasons cut short.
     refuse(
         "cell 5",
         tampered(|cell, visible, _| {

@@ -1,5 +1,5 @@
-//! What is given to the program: bad scenes and bad arguments are refused in a way that helps, and generated scenes
-//! are the same every time.
+//! What is given to the program: bad scenes and bad arguments are refused in a way that helps, and generated
+//! scenes are the same every time.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -8,7 +8,8 @@ use sightline_tests::Sandbox;
 /// A PLY file with this many vertices and faces announced, and these bytes after the header.
 fn ply(format: &str, vertices: u64, faces: u64, body: &[u8]) -> Vec<u8> {
     let header = format!(
-        "ply\nformat {format} 1.0\nelement vertex {vertices}\nproperty float x\nproperty float y\nproperty float z\n\
+        "ply\nformat {format} 1.0\nelement vertex {vertices}\nproperty float x\nproperty float y\nproperty \
+            float z\n\
          element face {faces}\nproperty list uint uint vertex_indices\nend_header\n"
     );
     [header.as_bytes(), body].concat()
@@ -39,8 +40,8 @@ fn glb(json: &str, binary: &[u8]) -> Vec<u8> {
     out
 }
 
-/// glTF of one triangle without an index list, its three positions in the first buffer; `count` and `bytes` lie where
-/// the caller wants them to.
+/// glTF of one triangle without an index list, its three positions in the first buffer; `count` and `bytes`
+/// lie where the caller wants them to.
 fn gltf(count: u64, bytes: u64) -> String {
     serde_json::json!({
         "asset": {"version": "2.0"},
@@ -160,7 +161,8 @@ fn bad_scenes_are_refused_by_name_and_with_a_remedy() {
     }
 }
 
-/// A command that must refuse `file`: exit code 3, its name, what is wrong with it, and after a semicolon what to do.
+/// A command that must refuse `file`: exit code 3, its name, what is wrong with it, and after a semicolon
+/// what to do.
 #[track_caller]
 fn refused(sandbox: &Sandbox, command: &str, file: &str) {
     let run = sandbox.run(command).code(3);

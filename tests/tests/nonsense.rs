@@ -1,4 +1,5 @@
-//! Nonsense on every call of the gRPC interface: bent messages, random bytes, things that are no HTTP. It harms nobody.
+//! Nonsense on every call of the gRPC interface: bent messages, random bytes, things that are no HTTP. It
+//! harms nobody.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -101,7 +102,8 @@ fn calls() -> Vec<String> {
     calls
 }
 
-/// Well-formed messages, each with the call it belongs to: what is bent is better bent from something straight.
+/// Well-formed messages, each with the call it belongs to: what is bent is better bent from something
+/// straight.
 fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
     use v1::worker_message::Message;
     let digest = spec.scene.clone();

@@ -1,4 +1,5 @@
-//! `sightline sightlines`: a line in, a line out, in order; what is no query is named; every answer is checked.
+//! `sightline sightlines`: a line in, a line out, in order; what is no query is named; every answer is
+//! checked.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 

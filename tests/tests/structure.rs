@@ -1,7 +1,8 @@
-//! The structure that ARCHITECTURE.md promises: which crate may depend on which, and no circle between modules.
+//! The structure that ARCHITECTURE.md promises: which crate may depend on which, and no circle between
+//! modules.
 //!
-//! A circle is a set of source files of one crate that import each other. Re-exports (`pub use`) of a `mod.rs` or
-//! `lib.rs` do not count, since they only shorten a path; test modules do not count either.
+//! A circle is a set of source files of one crate that import each other. Re-exports (`pub use`) of a
+//! `mod.rs` or `lib.rs` do not count, since they only shorten a path; test modules do not count either.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 

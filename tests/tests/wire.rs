@@ -1,4 +1,5 @@
-//! The gRPC interface as other programs meet it: status codes, conflicting results, tiles that fail. Nonsense has a file of its own.
+//! The gRPC interface as other programs meet it: status codes, conflicting results, tiles that fail. Nonsense
+//! has a file of its own.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 

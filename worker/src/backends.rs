@@ -12,7 +12,8 @@ use sightline_scene::Scene;
 pub enum Choice {
     /// All that are there.
     Auto,
-    /// All that a job may be bound to by itself: where Embree is, no software rasteriser, which coordinators pass over then.
+    /// All that a job may be bound to by itself: where Embree is, no software rasteriser, which coordinators
+    /// pass over then.
     Fast,
     /// wgpu only.
     Gpu,
@@ -72,7 +73,8 @@ impl Backends {
     /// The backend with a profile, bound to a scene.
     ///
     /// # Errors
-    /// [`BackendError::Unavailable`] when this machine does not have the profile, or what the backend reports.
+    /// [`BackendError::Unavailable`] when this machine does not have the profile, or what the backend
+    /// reports.
     pub fn open(
         &self,
         profile: &str,

@@ -1,7 +1,8 @@
 //! A worker: leases tiles from a coordinator, samples them, and streams results back.
 //!
 //! It keeps nothing on disk and decides nothing: which tiles there are, who runs them and what becomes of the
-//! results is the coordinator's business. Killing it at any moment costs the work in hand and changes no result.
+//! results is the coordinator's business. Killing it at any moment costs the work in hand and changes no
+//! result.
 
 pub mod backends;
 mod packs;
@@ -51,7 +52,8 @@ pub enum WorkerError {
     Address(String, String),
     /// The coordinator could not be reached for too long.
     #[error(
-        "the coordinator at {address} cannot be reached: {reason}; check that `sightline coordinator` runs there and that the port is open"
+        "the coordinator at {address} cannot be reached: {reason}; check that `sightline coordinator` runs \
+            there and that the port is open"
     )]
     Unreachable {
         /// Its address.

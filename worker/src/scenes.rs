@@ -28,8 +28,8 @@ impl Loaded {
         Ok(Self { scene: BakeScene::new(scene)?, backends: Mutex::default() })
     }
 
-    /// Makes ready to trace sight lines on the cpu, if this machine can: what the first tile would wait for. What cannot
-    /// be done now is done, and complained of, when it is needed.
+    /// Makes ready to trace sight lines on the cpu, if this machine can: what the first tile would wait for.
+    /// What cannot be done now is done, and complained of, when it is needed.
     pub fn warm(&self, backends: &Backends, spec: CubeSpec) {
         let cpu = backends.profiles().into_iter().find(|p| p.starts_with("cpu/"));
         let Some(backend) = cpu.and_then(|profile| self.backend(backends, &profile, spec, "").ok()) else {
@@ -44,8 +44,8 @@ impl Loaded {
         });
     }
 
-    /// The backend with `profile` for cubes as in `spec`, made on first use. A software gpu belongs to one `owner`
-    /// alone, because such a device keeps only one core busy.
+    /// The backend with `profile` for cubes as in `spec`, made on first use. A software gpu belongs to one
+    /// `owner` alone, because such a device keeps only one core busy.
     ///
     /// # Errors
     /// What the backend reports.
@@ -94,7 +94,8 @@ impl SceneCache {
         Self { scenes: tokio::sync::Mutex::new(vec![(digest, loaded)]) }
     }
 
-    /// The scene with `digest`, fetched with `fetch` when it is not at hand. Two tiles that ask at once fetch once.
+    /// The scene with `digest`, fetched with `fetch` when it is not at hand. Two tiles that ask at once fetch
+    /// once.
     ///
     /// # Errors
     /// What `fetch` reports, or that the bytes are not that scene.

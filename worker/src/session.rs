@@ -108,7 +108,11 @@ impl Worker {
             );
             tokio::select! {
                 () = tokio::time::sleep(wait) => {}
-                changed = stop.changed() => if changed.is_err() || *stop.borrow() != Stop::No { return Ok(()) },
+                changed = stop.changed() => {
+                    if changed.is_err() || *stop.borrow() != Stop::No {
+                        return Ok(());
+                    }
+                }
             }
             wait = (wait * 2).min(RECONNECT[1]);
         }
@@ -186,7 +190,8 @@ impl Worker {
                             // A tile that has not begun is given back; the one that runs is finished.
                             self.held.values().filter(|h| !h.begun()).for_each(|h| h.cancel());
                             if self.held.values().any(|h| h.begun()) {
-                                tracing::info!(worker = self.shop.config.name, "finishing the tile in hand, taking no more; interrupt again to stop at once");
+                                tracing::info!(worker = self.shop.config.name, "finishing the tile in hand, \
+                                    taking no more; interrupt again to stop at once");
                             } else {
                                 tracing::info!(worker = self.shop.config.name, "taking no more tiles");
                             }

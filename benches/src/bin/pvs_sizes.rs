@@ -1,8 +1,9 @@
 //! How small the visible sets of a result are, beside other ways to keep them: `pvs_sizes RESULT.pvs`.
 //!
-//! Prints bytes per cell. "cells apart" is this crate's code without the hierarchy, "thesis" with the averages of
-//! thesis appendix B.1 (three levels of the tree a group, an id kept above when more than half of the children
-//! have it), "neighbour" as the difference from the cell before (which would have to be decoded first).
+//! Prints bytes per cell. "cells apart" is this crate's code without the hierarchy, "thesis" with the
+//! averages of thesis appendix B.1 (three levels of the tree a group, an id kept above when more than half of
+//! the children have it), "neighbour" as the difference from the cell before (which would have to be decoded
+//! first).
 
 #![allow(clippy::print_stdout)] // A program for people at a terminal.
 

@@ -1,9 +1,10 @@
 //! Writes a `.pvs` of a made-up world, for judging the file's size and the look-up's speed without a bake.
 //!
-//! `synthetic_pvs city|forest CELLS_PER_AXIS RAYS_PER_CELL OUT.pvs`. The world is a grid of 256×256×32 blocks, each
-//! face of an exposed block two triangles: houses and streets, or trees whose leaves are numbered in no order at all.
-//! A cell's set is what random rays from it hit first, so that it has the coherence between neighbouring cells and
-//! the ragged edges of a sampled set. It is no measure of the baker: nothing here is taken from it.
+//! `synthetic_pvs city|forest CELLS_PER_AXIS RAYS_PER_CELL OUT.pvs`. The world is a grid of 256×256×32
+//! blocks, each face of an exposed block two triangles: houses and streets, or trees whose leaves are
+//! numbered in no order at all. A cell's set is what random rays from it hit first, so that it has the
+//! coherence between neighbouring cells and the ragged edges of a sampled set. It is no measure of the baker:
+//! nothing here is taken from it.
 
 #![allow(clippy::print_stdout, clippy::print_stderr)] // A program for people at a terminal.
 
@@ -31,7 +32,8 @@ impl Random {
     }
 }
 
-/// For each block the object it belongs to + 1, or 0; and for each of its six faces the first of two triangles.
+/// For each block the object it belongs to + 1, or 0; and for each of its six faces the first of two
+/// triangles.
 struct World {
     object: Vec<u32>,
     first: Vec<[u32; 6]>,

@@ -123,7 +123,8 @@ pub enum StoreError {
     },
     /// Another process has the directory open.
     #[error(
-        "{} is in use by another coordinator (process {pid}); stop that one, or choose another data directory",
+        "{} is in use by another coordinator (process {pid}); stop that one, or choose another data \
+            directory",
         .path.display()
     )]
     InUse {
@@ -186,7 +187,8 @@ pub enum JournalError {
     },
     /// Damage before the end.
     #[error(
-        "{} is damaged at byte {offset} ({what}) and intact after that; restore it from a backup, or truncate \
+        "{} is damaged at byte {offset} ({what}) and intact after that; restore it from a backup, or \
+            truncate \
          it to {offset} bytes to give up everything after", .path.display()
     )]
     Corrupt {
@@ -199,7 +201,8 @@ pub enum JournalError {
     },
     /// The journal is missing, but the view made from it is there.
     #[error(
-        "{} is missing but {} is there: restore the journal from a backup, or move both away to begin with an empty store",
+        "{} is missing but {} is there: restore the journal from a backup, or move both away to begin with \
+            an empty store",
         .path.display(), .view.display()
     )]
     Missing {

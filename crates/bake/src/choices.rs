@@ -12,16 +12,16 @@ use sightline_viewcells::CellBox;
 
 const _: () = assert!(ALGORITHM_VERSION == 16, "the choices in this file belong to another version");
 
-/// Cells of a cell group. The queries about a group's box cost more than they save with fewer cells; with more cells fewer
-/// triangles are hidden from the box.
+/// Cells of a cell group. The queries about a group's box cost more than they save with fewer cells; with
+/// more cells fewer triangles are hidden from the box.
 pub const GROUP_CELLS: RangeInclusive<usize> = 4..=8;
 
-/// Limits of a single query with [`Method::Verified`]: far above what nearly all queries take, far below what the hardest
-/// take.
+/// Limits of a single query with [`Method::Verified`]: far above what nearly all queries take, far below what
+/// the hardest take.
 const VERIFIED: Limits = Limits { regions: 1000, vectors: 100_000, splits: 32, divisions: 6 };
 
-/// The fraction of a time budget that sampling may take, as a divisor. Sampling is fast; queries for triangles that it
-/// would still find are not.
+/// The fraction of a time budget that sampling may take, as a divisor. Sampling is fast; queries for
+/// triangles that it would still find are not.
 const SAMPLING_SHARE: u32 = 4;
 
 /// The limits of a single query.

@@ -1,7 +1,7 @@
 //! The exact part of a leaf tile: every triangle of every cell is decided.
 //!
-//! Triangles that sampling showed get a witness. The others become targets of exact queries, first from the box around a
-//! cell group, then from each cell.
+//! Triangles that sampling showed get a witness. The others become targets of exact queries, first from the
+//! box around a cell group, then from each cell.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -18,7 +18,8 @@ use sightline_viewcells::{CellBox, Lattice};
 use crate::choices::{box_seed, exact_limits};
 use crate::groups::{CellGroup, cells_and_groups};
 
-/// Decides the cells of a tile with the subtree of `root`. `sets` holds the sampled sets and receives the decided ones.
+/// Decides the cells of a tile with the subtree of `root`. `sets` holds the sampled sets and receives the
+/// decided ones.
 ///
 /// # Errors
 /// An error of the certificates' codec, or a cell without volume.
@@ -31,7 +32,8 @@ pub fn cells(
     (deadline, watcher): (Option<Instant>, &dyn Watcher),
 ) -> Result<(), String> {
     let (boxes, groups) = cells_and_groups(root, &sets.nodes);
-    // Half of the time goes to cell groups: a triangle hidden from a group is not a target for any of its cells.
+    // Half of the time goes to cell groups: a triangle hidden from a group is not a target for any of its
+    // cells.
     let half = deadline.map(|d| Instant::now() + d.saturating_duration_since(Instant::now()) / 2);
     let mut around = groups_first(spec, lattice, (&boxes, &groups), sets, scene, (half, watcher))?;
     let one = |((set, at), around): ((&mut CellSet, &CellBox), &mut Around), until: Option<Instant>| {
@@ -45,8 +47,8 @@ pub fn cells(
             let work = sets.cells.par_iter_mut().zip(&boxes).zip(&mut around).with_max_len(1);
             work.try_for_each(|work| one(work, None))
         }
-        // As many cells at a time as there are threads, each with its share of the remaining time, so that every cell
-        // gets some.
+        // As many cells at a time as there are threads, each with its share of the remaining time, so that
+        // every cell gets some.
         Some(deadline) => {
             let mut work: Vec<_> = sets.cells.iter_mut().zip(&boxes).zip(&mut around).collect();
             let at_a_time = rayon::current_num_threads();

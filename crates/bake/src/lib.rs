@@ -1,7 +1,8 @@
 //! One tile from start to end: sampling, exact queries, and the bytes that come out.
 //!
-//! [`run_tile`] is the only place where choices that change bytes meet. Their values are in [`choices`], beside the
-//! version of the algorithm. This crate keeps nothing between two tiles; a worker owns scenes, backends and packs.
+//! [`run_tile`] is the only place where choices that change bytes meet. Their values are in [`choices`],
+//! beside the version of the algorithm. This crate keeps nothing between two tiles; a worker owns scenes,
+//! backends and packs.
 
 pub mod choices;
 mod decide;
@@ -75,10 +76,11 @@ fn tile_error(e: impl std::fmt::Display) -> BakeError {
     BakeError::Tile(e.to_string())
 }
 
-/// Computes tile `number` of the job's plan. `packs` holds the packs of the tiles it needs, in the plan's order.
+/// Computes tile `number` of the job's plan. `packs` holds the packs of the tiles it needs, in the plan's
+/// order.
 ///
-/// The bytes are a pure function of the specification, the scene and the backend's numerics profile, unless the job has
-/// a time budget. Not to be called on a thread of rayon's pool.
+/// The bytes are a pure function of the specification, the scene and the backend's numerics profile, unless
+/// the job has a time budget. Not to be called on a thread of rayon's pool.
 ///
 /// # Errors
 /// [`BakeError`]; a cancelled tile is one.
@@ -150,13 +152,14 @@ fn again(
         return Ok(bytes);
     }
     Err(BakeError::Tile(format!(
-        "the pack of tile {number} was computed again and came out different; the machine, driver or program of a \
+        "the pack of tile {number} was computed again and came out different; the machine, driver or \
+            program of a \
          worker differs from its profile"
     )))
 }
 
-/// The encoded output of a tile, computed together with the packs that it needs. The depth of the kd-tree bounds their
-/// number, and the plan puts every tile after those it needs.
+/// The encoded output of a tile, computed together with the packs that it needs. The depth of the kd-tree
+/// bounds their number, and the plan puts every tile after those it needs.
 fn recompute(
     job: &JobContext<'_>,
     plan: &Plan,

@@ -1,4 +1,5 @@
-//! Runs this program again as a child: whole commands are what is timed, and a fresh process has a peak memory of its own.
+//! Runs this program again as a child: whole commands are what is timed, and a fresh process has a peak
+//! memory of its own.
 
 use std::ffi::OsStr;
 use std::io::Read as _;
@@ -28,7 +29,8 @@ pub struct Children {
 }
 
 impl Children {
-    /// Children of the host's program. A stop of the host ends the running child, and the next `run` reports it.
+    /// Children of the host's program. A stop of the host ends the running child, and the next `run` reports
+    /// it.
     pub fn new(host: &Host<'_>) -> Self {
         let (sender, events) = channel();
         let stop = sender.clone();
@@ -72,7 +74,8 @@ impl Children {
         Ok((value, took))
     }
 
-    /// Reads what the child says, each stream on a thread: neither pipe may fill up while the other is waited for.
+    /// Reads what the child says, each stream on a thread: neither pipe may fill up while the other is waited
+    /// for.
     fn listen(&self, child: &mut Child) -> Option<std::thread::JoinHandle<Vec<u8>>> {
         let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
         let sender = self.sender.clone();

@@ -1,4 +1,5 @@
-//! How long a sampler needs for a given error: the lower envelope of its points, interpolated, never extrapolated.
+//! How long a sampler needs for a given error: the lower envelope of its points, interpolated, never
+//! extrapolated.
 
 use serde::Serialize;
 
@@ -68,8 +69,8 @@ pub fn seconds(s: f64) -> String {
     }
 }
 
-/// The points (seconds, error) that count: one does only if no faster point has at most its error. Fastest first, so that
-/// errors strictly fall.
+/// The points (seconds, error) that count: one does only if no faster point has at most its error. Fastest
+/// first, so that errors strictly fall.
 pub fn envelope(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut sorted = points.to_vec();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
@@ -193,9 +194,10 @@ mod tests {
         }
         let mean = |ratios: &[Ratio]| geometric_mean(ratios).unwrap();
         assert!(matches!(mean(&[Ratio::Is(2.0), Ratio::Is(8.0)]), Ratio::Is(m) if (m - 4.0).abs() < 1e-12));
-        assert!(
-            matches!(mean(&[Ratio::Is(2.0), Ratio::AtLeast(8.0)]), Ratio::AtLeast(m) if (m - 4.0).abs() < 1e-12)
-        );
+        assert!(matches!(
+            mean(&[Ratio::Is(2.0), Ratio::AtLeast(8.0)]),
+            Ratio::AtLeast(m) if (m - 4.0).abs() < 1e-12
+        ));
         assert_eq!(geometric_mean(&[]), None);
         assert_eq!([Ratio::Is(2.559), Ratio::AtLeast(2.559)].map(Ratio::text), ["2.56", "≥ 2.55"]);
     }

@@ -89,7 +89,8 @@ pub fn measure(
             // More workers should not take longer.
             if over && grows != Growth::Workers && values.peek().is_some() {
                 (host.say)(&format!(
-                    "growth of {}: greater ones are left out, as this one took more than {} s (--max-seconds)",
+                    "growth of {}: greater ones are left out, as this one took more than {} s \
+                        (--max-seconds)",
                     grows.name(),
                     args.max_seconds
                 ));

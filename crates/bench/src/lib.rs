@@ -1,8 +1,8 @@
-//! Time against error: every sampler from coarse to fine, whole command against whole command, and how time and memory
-//! grow.
+//! Time against error: every sampler from coarse to fine, whole command against whole command, and how time
+//! and memory grow.
 //!
-//! Every point is a bake by a child process. The process that measures only waits, so that it takes no time from what it
-//! measures. Measured times depend on the machine; compare those of one run.
+//! Every point is a bake by a child process. The process that measures only waits, so that it takes no time
+//! from what it measures. Measured times depend on the machine; compare those of one run.
 //!
 //! ```no_run
 //! use sightline_bench::{Host, Options};

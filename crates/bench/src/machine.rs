@@ -53,7 +53,8 @@ fn value(text: &str, key: &str, separator: char) -> Option<String> {
     lines.find(|(k, _)| k.trim() == key).map(|(_, v)| v.trim().trim_matches('"').to_owned())
 }
 
-/// The day of a Unix time, in UTC; counted from 1 March of the year 0, so that leap days come last in their year.
+/// The day of a Unix time, in UTC; counted from 1 March of the year 0, so that leap days come last in their
+/// year.
 fn date(seconds: u64) -> String {
     let days = seconds / 86_400 + 719_468;
     let era = days / 146_097;

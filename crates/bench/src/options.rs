@@ -32,8 +32,8 @@ pub struct Options {
     pub points: Ladder,
     /// Leave out a sampler's finer points, and a growth's greater ones, after one that took longer than this.
     pub max_seconds: f64,
-    /// Leave out a sampler's finer points after one with this mean error or less, a fraction. Default: the least that
-    /// the table answers for.
+    /// Leave out a sampler's finer points after one with this mean error or less, a fraction. Default: the
+    /// least that the table answers for.
     pub least_error: f64,
     /// Measure how time and memory grow: bakes with --sampler lines and --grow-error.
     pub grow: Vec<Growth>,

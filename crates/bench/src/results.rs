@@ -26,12 +26,18 @@ pub fn markdown(
     );
     if !scenes.is_empty() {
         text += &format!(
-            "\n## Time against error\n\nSeconds of the whole command `sightline bake --backend cpu`, from an empty store, \
-             until the mean error is that of the row: interpolated on logarithmic axes between measured points, never \
-             beyond them. `≤` stands before the time of a sampler's fastest point where that is better already (or of \
-             a point without any error), `>` before that of its slowest where no point is that good; a ratio of such times is \
-             a bound, and so is a mean with it (`≥`), or `-` where they bound nothing. The error is the mean share of \
-             wrong pixels over {} random viewpoints (seed {}), each a cube of {} pixels a side; {} cells.\n\n",
+            "\n## Time against error\n\nSeconds of the whole command `sightline bake --backend cpu`, from \
+                an empty store, \
+             until the mean error is that of the row: interpolated on logarithmic axes between measured \
+             points, never \
+             beyond them. `≤` stands before the time of a sampler's fastest point where that is better \
+             already (or of \
+             a point without any error), `>` before that of its slowest where no point is that good; a \
+             ratio of such times is \
+             a bound, and so is a mean with it (`≥`), or `-` where they bound nothing. The error is the \
+             mean share of \
+             wrong pixels over {} random viewpoints (seed {}), each a cube of {} pixels a side; {} \
+             cells.\n\n",
             args.viewpoints,
             args.seed,
             args.resolution,

@@ -1,6 +1,7 @@
 //! The curves as SVG: a panel a scene, both axes logarithmic, a colour and a mark a sampler.
 //!
-//! Written by hand, since it is lines and text; a style sheet inside gives it colours for light and dark pages.
+//! Written by hand, since it is lines and text; a style sheet inside gives it colours for light and dark
+//! pages.
 
 use std::fmt::Write as _;
 
@@ -135,7 +136,8 @@ fn panel(scene: &SceneCurves) -> String {
     let name = format!("{}, {} triangles", scene.scene, scene.triangles);
     let _ = writeln!(
         svg,
-        "<text class=\"ink\" x=\"0\" y=\"-12\" fill=\"currentColor\" font-size=\"14\" font-weight=\"600\">{}</text>",
+        "<text class=\"ink\" x=\"0\" y=\"-12\" fill=\"currentColor\" font-size=\"14\" \
+            font-weight=\"600\">{}</text>",
         escaped(&name)
     );
     for &sampler in &scene.samplers {
@@ -157,7 +159,8 @@ fn axes(x: &Axis, y: &Axis) -> String {
     let [width, height] = PLOT;
     let line = |class: &str, x0: f64, y0: f64, x1: f64, y1: f64| {
         format!(
-            "<line class=\"{class}\" x1=\"{x0:.1}\" y1=\"{y0:.1}\" x2=\"{x1:.1}\" y2=\"{y1:.1}\" stroke=\"currentColor\"/>\n"
+            "<line class=\"{class}\" x1=\"{x0:.1}\" y1=\"{y0:.1}\" x2=\"{x1:.1}\" y2=\"{y1:.1}\" \
+                stroke=\"currentColor\"/>\n"
         )
     };
     let mut svg = String::new();
@@ -187,7 +190,8 @@ fn axes(x: &Axis, y: &Axis) -> String {
 
 fn label(x: f64, y: f64, anchor: &str, text: &str) -> String {
     format!(
-        "<text class=\"ink\" x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" fill=\"currentColor\">{}</text>",
+        "<text class=\"ink\" x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" \
+            fill=\"currentColor\">{}</text>",
         escaped(text)
     )
 }
@@ -198,7 +202,8 @@ fn polyline(points: &[(f64, f64)], thin: bool) -> String {
     format!("<polyline points=\"{}\" fill=\"none\" stroke=\"currentColor\" {looks}/>", points.join(" "))
 }
 
-/// A sampler's mark: its shape tells what its colour does, to those who see no colours. `filled` is its opacity.
+/// A sampler's mark: its shape tells what its colour does, to those who see no colours. `filled` is its
+/// opacity.
 fn mark(sampler: Sampler, x: f64, y: f64, filled: f64) -> String {
     let shape = match sampler {
         Sampler::Lines => {
@@ -266,7 +271,8 @@ pub mod tests {
         SceneCurves { scene: name.to_owned(), triangles: 12, samplers, points }
     }
 
-    /// Reads tags and attributes as strictly as XML does, as far as this file uses it; the text between tags comes back.
+    /// Reads tags and attributes as strictly as XML does, as far as this file uses it; the text between tags
+    /// comes back.
     fn read(xml: &str) -> String {
         let (mut open, mut text, mut rest) = (Vec::new(), String::new(), xml);
         let mut roots = 0;

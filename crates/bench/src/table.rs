@@ -51,9 +51,9 @@ fn times(ratio: Option<Ratio>) -> String {
     ratio.map_or("-".to_owned(), Ratio::text)
 }
 
-/// The geometric mean over scenes of how many times longer the baseline takes than lines, for each of [`ERRORS`], with
-/// the number of scenes that it is known for. None where a scene had to be left out that the baseline gets as far in as that, and
-/// lines do not.
+/// The geometric mean over scenes of how many times longer the baseline takes than lines, for each of
+/// [`ERRORS`], with the number of scenes that it is known for. None where a scene had to be left out that the
+/// baseline gets as far in as that, and lines do not.
 pub fn mean_ratios(scenes: &[SceneCurves]) -> Vec<(f64, Option<Ratio>, usize)> {
     let lost = |s: &SceneCurves, error| {
         matches!(s.needed(Sampler::Guided, error), Needed::Seconds(_) | Needed::AtMost(_))

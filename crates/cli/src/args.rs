@@ -24,7 +24,8 @@ pub struct Cli {
     pub command: Command,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal error, 2 wrong usage, 3 bad input or a result that `verify` refuses, 4 coordinator unreachable or \
+const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal error, 2 wrong usage, 3 bad input or a result that \
+    `verify` refuses, 4 coordinator unreachable or \
 refusing, 5 job failed, 130 interrupted (run the same command again to go on).\n\
 SIGHTLINE_LOG=debug (or info, warn) sets how much is logged to stderr.";
 
@@ -292,13 +293,15 @@ pub struct QueryArgs {
     #[command(flatten)]
     pub result: ResultArgs,
     /// The viewpoint.
-    #[arg(num_args = 3, value_names = ["X", "Y", "Z"], required = true, allow_negative_numbers = true, value_parser = coordinate)]
+    #[arg(num_args = 3, value_names = ["X", "Y", "Z"], required = true, allow_negative_numbers = true)]
+    #[arg(value_parser = coordinate)]
     pub point: Vec<f32>,
     /// What the set is made of.
     #[arg(long, value_enum, default_value_t = Items::Triangles)]
     pub items: Items,
-    /// Say why this triangle is in the set or is not: the witness segment along which it is seen, or the triangles that hide
-    /// it, or that the closed surface it is part of does. From the result's certificates (bake --certificates), or with --scene by asking anew.
+    /// Say why this triangle is in the set or is not: the witness segment along which it is seen, or the
+    /// triangles that hide it, or that the closed surface it is part of does. From the result's certificates
+    /// (bake --certificates), or with --scene by asking anew.
     #[arg(long, value_name = "TRIANGLE", conflicts_with = "items")]
     pub why: Option<u32>,
     /// The scene the result was baked from, for --why.
@@ -308,13 +311,14 @@ pub struct QueryArgs {
 
 /// Checks what a result rests on again, with a checker that shares no code with the search.
 ///
-/// Every triangle has to be accounted for in every cell: it meets the cell, or has a witness (a segment from the cell that
-/// ends on it and meets nothing else), or a certificate that it is hidden, or is said to be undecided. Integers decide, no
-/// tolerance. When something does not hold the cell and the reason are said (with --json as {"accepted":false,…}) and the exit
-/// code is 3, as for files that cannot be read or do not belong together.
+/// Every triangle has to be accounted for in every cell: it meets the cell, or has a witness (a segment from
+/// the cell that ends on it and meets nothing else), or a certificate that it is hidden, or is said to be
+/// undecided. Integers decide, no tolerance. When something does not hold the cell and the reason are said
+/// (with --json as {"accepted":false,…}) and the exit code is 3, as for files that cannot be read or do not
+/// belong together.
 ///
-/// A triangle that meets the witness in the plane of the one that is seen, a floor under a wall's foot say, is not in the way;
-/// neither is one in the plane of the cell's face the witness begins on.
+/// A triangle that meets the witness in the plane of the one that is seen, a floor under a wall's foot say,
+/// is not in the way; neither is one in the plane of the cell's face the witness begins on.
 #[derive(Args, Debug)]
 pub struct VerifyArgs {
     /// The scene the result was baked from.
@@ -322,8 +326,9 @@ pub struct VerifyArgs {
     /// The result, baked with --method exact or verified and --certificates.
     #[arg(value_name = "OUT.pvs")]
     pub result: PathBuf,
-    /// Check only what is claimed about this many pairs of cell and triangle, drawn evenly from all; that every triangle is
-    /// accounted for is checked all the same. At most 10000000. Default: everything, which can take several times as long as the bake.
+    /// Check only what is claimed about this many pairs of cell and triangle, drawn evenly from all; that
+    /// every triangle is accounted for is checked all the same. At most 10000000. Default: everything, which
+    /// can take several times as long as the bake.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     pub sample: Option<u64>,
     /// Seed of the draw.
@@ -363,16 +368,17 @@ pub struct MeasureArgs {
 
 /// Decides for pairs of convex polygons whether one sees the other among the triangles of a scene.
 ///
-/// All triangles block, except where they lie in the plane of a or b. Every line of the input is a query, and is answered
-/// by one line, in order:
+/// All triangles block, except where they lie in the plane of a or b. Every line of the input is a query, and
+/// is answered by one line, in order:
 ///
 ///   {"id":1,"a":[[x,y,z],…],"b":[[x,y,z],…]}
-///   {"id":1,"state":"visible","witness":[[x,y,z],[x,y,z]],"micros":…}   a segment that nothing is in the way of
-///   {"id":1,"state":"hidden","blockers":[ids],"micros":…}               proved; the triangles the proof rests on
-///   {"id":1,"state":"undecided","reason":"…","micros":…}                neither, within the limits
+///   {"id":1,"state":"visible","witness":[[x,y,z],[x,y,z]],"micros":…}   a segment that nothing is in the way
+///   of {"id":1,"state":"hidden","blockers":[ids],"micros":…}               proved; the triangles the proof
+///   rests on {"id":1,"state":"undecided","reason":"…","micros":…}                neither, within the limits
 ///
-/// No tolerance decides: a gap a millionth of a wall wide is seen through, a shared edge is not. What is seen only along
-/// single lines, such as an edge, counts as hidden; so do polygons in one plane from each other, with no blockers.
+/// No tolerance decides: a gap a millionth of a wall wide is seen through, a shared edge is not. What is seen
+/// only along single lines, such as an edge, counts as hidden; so do polygons in one plane from each other,
+/// with no blockers.
 #[derive(Args, Debug)]
 #[command(verbatim_doc_comment)]
 pub struct SightlinesArgs {
@@ -381,7 +387,8 @@ pub struct SightlinesArgs {
     /// The queries, as JSON Lines; - for stdin. Corners in order around convex flat polygons of at most 64.
     #[arg(long, value_name = "Q.jsonl")]
     pub queries: PathBuf,
-    /// Have a checker that shares no code with the search go over every witness and every proof, by exact arithmetic alone.
+    /// Have a checker that shares no code with the search go over every witness and every proof, by exact
+    /// arithmetic alone.
     #[arg(long)]
     pub check: bool,
     /// Regions of line space a query may look at before it ends undecided.

@@ -1,5 +1,5 @@
-//! `sightline bake`: a coordinator and workers in this process, speaking the same gRPC to each other as in a cluster, but
-//! for the scene, which is in this process already.
+//! `sightline bake`: a coordinator and workers in this process, speaking the same gRPC to each other as in a
+//! cluster, but for the scene, which is in this process already.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -52,7 +52,8 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     };
     let coordinator = Coordinator::open(Config::new(data_dir.clone())).map_err(|e| match e {
         OpenError::Store(StoreError::InUse { pid, .. }) => CliError::Input(format!(
-            "{} is in use by process {pid}, probably another bake; wait for it, or give this one a --data-dir of its own",
+            "{} is in use by process {pid}, probably another bake; wait for it, or give this one a \
+                --data-dir of its own",
             data_dir.display()
         )),
         OpenError::Store(e) => CliError::Input(format!("{e} (--data-dir names another)")),
@@ -64,7 +65,8 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
         tokio::select! {
             r = work => r,
             () = serve::stop_signal() => Err(CliError::Interrupted(format!(
-                "interrupted; tiles that were done by then are kept in {}: the same command goes on from there",
+                "interrupted; tiles that were done by then are kept in {}: the same command goes on from \
+                    there",
                 data_dir.display()
             ))),
         }
@@ -161,7 +163,8 @@ async fn bake(
         serve::say_missing(&probed)?;
         if !job.profile.is_empty() && !probed.profiles().contains(&job.profile) {
             say(&format!(
-                "an earlier run began this bake on {}, which is not here any more (or has another version now): beginning anew",
+                "an earlier run began this bake on {}, which is not here any more (or has another version \
+                    now): beginning anew",
                 job.profile
             ));
             client.cancel(v1::ShowRequest { job: job.id }).await.map_err(|s| CliError::status(&s))?;
@@ -195,7 +198,8 @@ async fn bake(
             0 => "this bake is in the store already",
             // Interrupted, it may have had far less of its time than it was given.
             _ => {
-                "this bake is in the store already, as far as it got in its time; another --time-budget or --data-dir begins anew"
+                "this bake is in the store already, as far as it got in its time; another --time-budget or \
+                    --data-dir begins anew"
             }
         });
     }
@@ -283,7 +287,8 @@ fn report(args: &BakeArgs, outcome: &Outcome, took: Duration, json: bool) -> Res
         let peak = peak.map_or("not known here".to_owned(), |p| format!("{:.0} MB", p as f64 / 1e6));
         lines.push(if outcome.from_store {
             format!(
-                "answered from the store in {}, where it was baked before with {} samples; peak memory {peak}",
+                "answered from the store in {}, where it was baked before with {} samples; peak memory \
+                    {peak}",
                 human(took),
                 job.samples
             )
@@ -297,7 +302,8 @@ fn report(args: &BakeArgs, outcome: &Outcome, took: Duration, json: bool) -> Res
                 true => "",
             };
             lines.push(format!(
-                "ATTENTION: no triangle is seen from any cell. Is the view box where viewpoints are, in the scene's units and axes?{small}"
+                "ATTENTION: no triangle is seen from any cell. Is the view box where viewpoints are, in the \
+                    scene's units and axes?{small}"
             ));
         }
         if job.tiles_set_aside > 0 {

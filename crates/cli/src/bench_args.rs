@@ -41,8 +41,8 @@ pub struct BenchArgs {
     /// Leave out a sampler's finer points, and a growth's greater ones, after one that took longer than this.
     #[arg(long, value_name = "S", default_value_t = 60.0)]
     pub max_seconds: f64,
-    /// Leave out a sampler's finer points after one with this mean error or less, a fraction. Default: the least that
-    /// the table answers for.
+    /// Leave out a sampler's finer points after one with this mean error or less, a fraction. Default: the
+    /// least that the table answers for.
     #[arg(long, value_name = "F", default_value_t = ERRORS[ERRORS.len() - 1])]
     pub least_error: f64,
     /// Measure how time and memory grow: bakes with --sampler lines and --grow-error.
@@ -58,9 +58,12 @@ pub struct BenchArgs {
 
 const EXAMPLES: &str = "\
 Each point is one `sightline bake --backend cpu` of its own, from an empty store, timed from start to exit; \
-`sightline measure` then says how wrong its result looks. The table answers what the curves show: how long a sampler \
-needs for a given mean error, interpolated between measured points and never beyond them. `≤` is before a sampler's \
-fastest point when that one is better already, `>` before its slowest when none was that good; ratios of such times are \
+`sightline measure` then says how wrong its result looks. The table answers what the curves show: how long \
+a sampler \
+needs for a given mean error, interpolated between measured points and never beyond them. `≤` is before a \
+sampler's \
+fastest point when that one is better already, `>` before its slowest when none was that good; ratios of \
+such times are \
 bounds. The baseline is guided: a fixed number of rays for each cell on its own.\n\n\
   sightline bench level.glb                                  time against error, some minutes\n  \
   sightline bench level.glb town.glb --points full --max-seconds 600 --results RESULTS.md\n  \

@@ -1,7 +1,7 @@
 //! `sightline info --cells`: how each cell was sampled, the hardest first, and the bounds that hold.
 //!
-//! The numbers are columns of the result file. They are the same on every run of a job, so there are no times among them;
-//! rays are what time was spent on.
+//! The numbers are columns of the result file. They are the same on every run of a job, so there are no times
+//! among them; rays are what time was spent on.
 
 use std::collections::BTreeMap;
 
@@ -83,8 +83,8 @@ pub fn decided(pvs: &Pvs) -> Result<Decided, CliError> {
     })
 }
 
-/// Cells whose sampling ended before they were done, and cells that were done with more than the target error left because they took
-/// far more work than the others.
+/// Cells whose sampling ended before they were done, and cells that were done with more than the target error
+/// left because they took far more work than the others.
 ///
 /// # Errors
 /// The result's own.
@@ -152,8 +152,10 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
     order.sort_by_key(|c| (std::cmp::Reverse(cost(*c)), *c));
     let exact = pvs.method() != "aggressive";
     let mut lines = vec![format!(
-        "the cells that took most rays{}. rays: uniform/flood/candidate/held-out; finds: triangles they were first to show, \
-         held-out lines that met something new; missed: of the last round's uniform rays, before it; bound: on what is \
+        "the cells that took most rays{}. rays: uniform/flood/candidate/held-out; finds: triangles they \
+            were first to show, \
+         held-out lines that met something new; missed: of the last round's uniform rays, before it; bound: \
+         on what is \
          still missed, at 95 %; *: not finished; ~: done with more than the target error left",
         if exact { " in sampling, which came first" } else { "" }
     )];
@@ -202,8 +204,10 @@ fn exact_table(pvs: &Pvs, at: &dyn Fn(&str, usize) -> u64) -> Result<Vec<String>
     let mut order: Vec<usize> = (0..pvs.cells() as usize).collect();
     order.sort_by_key(|c| (std::cmp::Reverse(at("exact_regions", *c)), *c));
     let mut lines = vec![
-        "the cells that took exact queries most; what was asked about a box around several is counted at the first of them. box: hidden \
-         from such a box; surfaces: of the others, by the closed surface they are part of; missed: visible, and not \
+        "the cells that took exact queries most; what was asked about a box around several is counted at \
+            the first of them. box: hidden \
+         from such a box; surfaces: of the others, by the closed surface they are part of; missed: visible, \
+         and not \
          shown by sampling; regions: of line space, what queries spend time on"
             .to_owned(),
     ];

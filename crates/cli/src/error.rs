@@ -80,7 +80,8 @@ impl CliError {
         // Only what the transport itself says has a source.
         if std::error::Error::source(s).is_some() {
             return Self::Coordinator(format!(
-                "the connection to the coordinator failed ({}); what was submitted goes on there, and the same command asks again",
+                "the connection to the coordinator failed ({}); what was submitted goes on there, and the \
+                    same command asks again",
                 s.message()
             ));
         }

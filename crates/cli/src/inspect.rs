@@ -155,7 +155,8 @@ impl Summary {
             ),
             match (self.greatest_bound, self.mean_bound) {
                 (Some(greatest), Some(mean)) => format!(
-                    "missed sight lines, bounds of {} cells at 95 % each: the greatest {:.4} %, {:.4} % on average",
+                    "missed sight lines, bounds of {} cells at 95 % each: the greatest {:.4} %, {:.4} % on \
+                        average",
                     self.cells_bounded,
                     greatest * 100.0,
                     mean * 100.0
@@ -175,7 +176,8 @@ impl Summary {
         ];
         if let Some(d) = &self.decided {
             lines.push(format!(
-                "decided exactly, in pairs of cell and triangle: {} hidden ({} by closed surfaces), {} that sampling had missed, {} that it had shown wrongly",
+                "decided exactly, in pairs of cell and triangle: {} hidden ({} by closed surfaces), {} that \
+                    sampling had missed, {} that it had shown wrongly",
                 d.hidden, d.by_surfaces, d.missed, d.refuted
             ));
             if d.evidence_bytes > 0 {
@@ -186,7 +188,8 @@ impl Summary {
             }
             if d.cells_open > 0 {
                 lines.push(format!(
-                    "UNDECIDED in {} of {} cells, and drawn: {} that there was no time for, {} beyond the limits of a query",
+                    "UNDECIDED in {} of {} cells, and drawn: {} that there was no time for, {} beyond the \
+                        limits of a query",
                     d.cells_open, self.cells, d.out_of_time, d.beyond_limits
                 ));
             }
@@ -201,7 +204,8 @@ impl Summary {
         }
         if self.cells_spared > 0 && self.decided.is_none() {
             lines.push(format!(
-                "hard cells: {} of {} took so much more work than the others that they were done with more than the target error left; \
+                "hard cells: {} of {} took so much more work than the others that they were done with more \
+                    than the target error left; \
                  --max-error spares none",
                 self.cells_spared, self.cells
             ));
@@ -227,7 +231,10 @@ pub fn info(args: &InfoArgs, json: bool) -> Result<(), CliError> {
     let pvs = open(&args.result.result)?;
     if json {
         let mut value = serde_json::to_value(&summary).map_err(CliError::internal)?;
-        let object = |o: &sightline_pvs::Object| serde_json::json!({"name": o.name, "first": o.first, "count": o.count});
+        let object = |o: &sightline_pvs::Object| {
+            let (name, first, count) = (&o.name, o.first, o.count);
+            serde_json::json!({"name": name, "first": first, "count": count})
+        };
         value["objects"] = pvs.objects().iter().map(object).collect();
         if args.cells {
             value["per_cell"] = cells::json(&pvs)?;
@@ -323,7 +330,8 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
     let Some(cell) = pvs.find_cell(point) else {
         let [min, max] = pvs.tree().view_box();
         return Err(CliError::Input(format!(
-            "{point:?} is outside the view box of {} ({min:?} to {max:?}); choose a point inside, or bake with a larger --view-box",
+            "{point:?} is outside the view box of {} ({min:?} to {max:?}); choose a point inside, or bake \
+                with a larger --view-box",
             args.result.result.display()
         )));
     };
@@ -336,7 +344,8 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
     let what = if args.items == Items::Objects { "object" } else { "triangle" };
     if json {
         let value = serde_json::json!({
-            "cell": cell, "min": min, "max": max, "items": format!("{what}s"), "visible": visible, "undecided": undecided,
+            "cell": cell, "min": min, "max": max, "items": format!("{what}s"),
+            "visible": visible, "undecided": undecided,
             "set_aside": pvs.is_set_aside(cell)?,
         });
         return print(&value.to_string());

@@ -20,21 +20,22 @@ const MUCH_MOVED: f64 = 1.0 / 16.0;
 /// What is to be baked.
 #[derive(Args, Clone, Debug)]
 pub struct JobArgs {
-    /// How far visibility is decided. aggressive: by sampling, which may miss little and, but for what single precision cannot
-    /// tell apart, sees nothing that is hidden; exact: sampling first, then exact queries, until every triangle has a witness or a
-    /// proof; verified: the same, but single queries that take long are given up, to be used with --time-budget. What is not
-    /// decided is said to be, and drawn.
+    /// How far visibility is decided. aggressive: by sampling, which may miss little and, but for what single
+    /// precision cannot tell apart, sees nothing that is hidden; exact: sampling first, then exact queries,
+    /// until every triangle has a witness or a proof; verified: the same, but single queries that take long
+    /// are given up, to be used with --time-budget. What is not decided is said to be, and drawn.
     #[arg(long, value_enum, default_value_t = MethodArg::Aggressive)]
     method: MethodArg,
-    /// Keep in the result a witness for every triangle that is seen and a proof for every one that is hidden, for `sightline
-    /// verify` and `sightline query --why`. Needs --method exact or verified; the file becomes many times larger.
+    /// Keep in the result a witness for every triangle that is seen and a proof for every one that is hidden,
+    /// for `sightline verify` and `sightline query --why`. Needs --method exact or verified; the file becomes
+    /// many times larger.
     #[arg(long)]
     certificates: bool,
     /// A regular grid of view cells. Default, without a triangle budget: 8x8x8.
     #[arg(long, value_name = "NXxNYxNZ", value_parser = parse_cells, conflicts_with = "triangle_budget")]
     cells: Option<[u32; 3]>,
-    /// Adaptive cells instead of a grid: halve a cell while sampling shows more triangles than this from it. The first three
-    /// levels are always halved.
+    /// Adaptive cells instead of a grid: halve a cell while sampling shows more triangles than this from it.
+    /// The first three levels are always halved.
     #[arg(long, value_name = "T")]
     triangle_budget: Option<u32>,
     /// Deepest level of the adaptive tree, 1 to 22.
@@ -46,32 +47,34 @@ pub struct JobArgs {
     /// How sight lines are chosen. Default: lines; for adaptive trees deeper than 12: cubes.
     #[arg(long, value_enum)]
     sampler: Option<SamplerArg>,
-    /// A cell is done when it is expected to miss at most this fraction of the sight lines from it, those that meet
-    /// nothing included; cells that take many times the work of the others are allowed more. An estimate, not a bound.
-    /// Default: 0.0001, or what --max-error says.
+    /// A cell is done when it is expected to miss at most this fraction of the sight lines from it, those
+    /// that meet nothing included; cells that take many times the work of the others are allowed more. An
+    /// estimate, not a bound. Default: 0.0001, or what --max-error says.
     #[arg(long, value_name = "F", allow_negative_numbers = true)]
     target_error: Option<f64>,
-    /// Refine each cell until its 95 % bound on missed sight lines, from lines that took no part in the search, is at most
-    /// this. The bound is kept in the result; it holds on average over the cell, not for the worst view. With
-    /// --target-error as well, both must hold.
+    /// Refine each cell until its 95 % bound on missed sight lines, from lines that took no part in the
+    /// search, is at most this. The bound is kept in the result; it holds on average over the cell, not for
+    /// the worst view. With --target-error as well, both must hold.
     #[arg(long, value_name = "F", allow_negative_numbers = true)]
     max_error: Option<f64>,
-    /// Stop this long after the job was submitted, with the best result by then: 500ms, 30s, 5m, 2h; seconds without a
-    /// unit. The clock goes on while a bake is interrupted. Two runs then need not give the same bytes.
+    /// Stop this long after the job was submitted, with the best result by then: 500ms, 30s, 5m, 2h; seconds
+    /// without a unit. The clock goes on while a bake is interrupted. Two runs then need not give the same
+    /// bytes.
     #[arg(long, value_name = "DUR", value_parser = parse_duration)]
     time_budget: Option<Duration>,
-    /// Most cells of a tile of a grid, 1 to 512: the piece of work a worker takes, and what is lost when one is killed. Sight lines are
-    /// shared within a tile, so smaller ones cost more in all. Default: 512; fewer for large scenes and small errors; 8 for exact
-    /// methods.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(sightline_model::MOST_BLOCK_CELLS)))]
+    /// Most cells of a tile of a grid, 1 to 512: the piece of work a worker takes, and what is lost when one
+    /// is killed. Sight lines are shared within a tile, so smaller ones cost more in all. Default: 512; fewer
+    /// for large scenes and small errors; 8 for exact methods.
+    #[arg(long, value_name = "N")]
+    #[arg(value_parser = clap::value_parser!(u32).range(1..=i64::from(sightline_model::MOST_BLOCK_CELLS)))]
     block_cells: Option<u32>,
     /// Rays a cell of the sampler guided. Default: 200000.
     #[arg(long, value_name = "N")]
     rays: Option<u64>,
     #[command(flatten)]
     cubes: CubeArgs,
-    /// What traces lines and renders cubes. auto times both on this scene and takes the faster; the gpu has to be twice as fast
-    /// as the cpu, so that noise does not decide what comes out.
+    /// What traces lines and renders cubes. auto times both on this scene and takes the faster; the gpu has
+    /// to be twice as fast as the cpu, so that noise does not decide what comes out.
     #[arg(long, value_enum, default_value_t = Backend::Auto)]
     pub backend: Backend,
     /// Seed of everything random (the sampler cubes has nothing random).
@@ -92,16 +95,19 @@ struct CubeArgs {
     /// The same for samples inside closed solids, where no viewpoint is expected. Default: 0.5.
     #[arg(long, value_name = "E", allow_negative_numbers = true)]
     interior_threshold: Option<f64>,
-    /// How the corners are compared: their sets (Err), pixel by pixel (Err′), or sets in 24 directions (Err″). Default: strata.
+    /// How the corners are compared: their sets (Err), pixel by pixel (Err′), or sets in 24 directions
+    /// (Err″). Default: strata.
     #[arg(long, value_enum)]
     error_measure: Option<Measure>,
-    /// Never subdivide rectangles of at most this fraction of a view cell's size (the mean of its sides). Default: 0.5.
+    /// Never subdivide rectangles of at most this fraction of a view cell's size (the mean of its sides).
+    /// Default: 0.5.
     #[arg(long, value_name = "F", allow_negative_numbers = true)]
     min_distance: Option<f64>,
     /// Do not judge samples inside closed solids apart.
     #[arg(long)]
     no_solids: bool,
-    /// Render with what the cell above saw only. auto: on the gpu, where each triangle drawn costs. Default: auto.
+    /// Render with what the cell above saw only. auto: on the gpu, where each triangle drawn costs. Default:
+    /// auto.
     #[arg(long, value_enum)]
     superset: Option<Superset>,
 }
@@ -214,12 +220,14 @@ impl JobArgs {
         let refuse = |what: &str| Err(CliError::Usage(what.to_owned()));
         if adaptive && sampler == Sampler::Guided {
             return refuse(
-                "an adaptive tree (--triangle-budget) is sampled with --sampler lines or cubes; give --cells for another",
+                "an adaptive tree (--triangle-budget) is sampled with --sampler lines or cubes; give \
+                 --cells for another",
             );
         }
         if adaptive && sampler == Sampler::Lines && self.max_depth > MOST_LINE_DEPTH {
             return refuse(
-                "--sampler lines makes trees of a --max-depth of at most 12; give less, or --sampler cubes, which takes far longer",
+                "--sampler lines makes trees of a --max-depth of at most 12; give less, or --sampler cubes, \
+                 which takes far longer",
             );
         }
         if self.certificates && method == Method::Aggressive {
@@ -264,7 +272,8 @@ impl JobArgs {
             (None, sightline_viewcells::DivisionError::Box { axis, .. }) => {
                 let nothing = scene.triangles().iter().all(sightline_scene::Triangle::is_degenerate);
                 CliError::Input(format!(
-                    "{}: {}, so its bounds are no view box; give --view-box x0,y0,z0,x1,y1,z1 with each first below its second",
+                    "{}: {}, so its bounds are no view box; give --view-box x0,y0,z0,x1,y1,z1 with each \
+                        first below its second",
                     path.display(),
                     if nothing {
                         "none of its triangles has an area".to_owned()
@@ -279,22 +288,26 @@ impl JobArgs {
         let moved = spec.moved_by_rounding().map_err(|e| CliError::Usage(e.to_string()))?;
         if moved > MUCH_MOVED {
             say(&format!(
-                "note: a line has to cross {:.0} % of a view cell, where they are thinnest, to count, as rounding moves it so far where \
-                 coordinates are so large; more is missed than --target-error says. Wider cells or smaller coordinates avoid that",
+                "note: a line has to cross {:.0} % of a view cell, where they are thinnest, to count, as \
+                    rounding moves it so far where \
+                 coordinates are so large; more is missed than --target-error says. Wider cells or smaller \
+                 coordinates avoid that",
                 100.0 * moved
             ));
         }
         if max.cmplt(bounds.min).any() || min.cmpgt(bounds.max).any() {
             // A bird's eye view is one; more often it is a mistake about units or axes.
             say(&format!(
-                "note: the view box {min} to {max} lies outside of the scene, which is from {} to {}; is it in the scene's units and axes?",
+                "note: the view box {min} to {max} lies outside of the scene, which is from {} to {}; is it \
+                    in the scene's units and axes?",
                 bounds.min, bounds.max
             ));
         }
         Ok(spec)
     }
 
-    /// The parameters of `sampler`. Flags of another sampler are named and left out, so that they make no other job.
+    /// The parameters of `sampler`. Flags of another sampler are named and left out, so that they make no
+    /// other job.
     fn sampling(&self, sampler: Sampler) -> Result<SamplingParams, CliError> {
         let mut params = SamplingParams { sampler, ..SamplingParams::default() };
         // A value that makes no sense is wrong whoever would use it.

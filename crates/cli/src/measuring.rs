@@ -44,7 +44,8 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     }
     let scene = Arc::new(sightline_scene::load(&args.scene)?);
     opening::check_scene(&scene, &pvs, &args.scene, &args.result)?;
-    // Frames of the whole scene are what Embree is best at; the gpu is looked for only when Embree is missing.
+    // Frames of the whole scene are what Embree is best at; the gpu is looked for only when Embree is
+    // missing.
     let probe = |choice| sightline_worker::Backends::probe(choice, Default::default());
     let mut backends =
         probe(if args.backend == Backend::Auto { Choice::Cpu } else { serve::choice(args.backend) });
@@ -67,7 +68,8 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     print(&value.to_string())
 }
 
-/// Makes the folder for images and writes a file there to see whether that is allowed, before any frame is rendered.
+/// Makes the folder for images and writes a file there to see whether that is allowed, before any frame is
+/// rendered.
 fn writable_folder(dir: &Path) -> Result<(), CliError> {
     let probe = dir.join(format!(".sightline-{}", std::process::id()));
     std::fs::create_dir_all(dir)

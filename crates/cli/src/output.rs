@@ -1,7 +1,8 @@
 //! Files that commands write: what may be replaced, and how it is done without losing anything.
 //!
-//! A file is written under another name beside its own and then put in its place, so nobody ever sees half of one. What is
-//! in that place must be of the same kind, or nothing: `-o` next to the name of one's own model is an easy slip.
+//! A file is written under another name beside its own and then put in its place, so nobody ever sees half of
+//! one. What is in that place must be of the same kind, or nothing: `-o` next to the name of one's own model
+//! is an easy slip.
 
 use std::fs::File;
 use std::io::{BufWriter, Read as _, Write};
@@ -52,8 +53,8 @@ pub struct Output {
 }
 
 impl Output {
-    /// Checks, before any work is spent, that `path` can be written and that only an older file of the same format is
-    /// replaced, never the file `input`.
+    /// Checks, before any work is spent, that `path` can be written and that only an older file of the same
+    /// format is replaced, never the file `input`.
     ///
     /// # Errors
     /// [`CliError::Usage`] saying what is in the way.

@@ -103,7 +103,8 @@ fn report(totals: &Totals, took: std::time::Duration, checked: bool) {
     let d = totals.cost.decisions;
     let all = (d.filtered + d.refined + d.spanned + d.exact).max(1);
     say(&format!(
-        "{} visible, {} hidden, {} undecided in {}{}; {} regions of line space, {} decisions, {:.2} % of them by exact arithmetic",
+        "{} visible, {} hidden, {} undecided in {}{}; {} regions of line space, {} decisions, {:.2} % of \
+            them by exact arithmetic",
         totals.visible,
         totals.hidden,
         totals.undecided,
@@ -144,7 +145,8 @@ fn answer(
         };
         refused.map_err(|e| {
             CliError::Internal(format!(
-                "query {}: the checker refuses the answer: {e}; this is a fault of the program, please report it with the scene",
+                "query {}: the checker refuses the answer: {e}; this is a fault of the program, please \
+                    report it with the scene",
                 query.id
             ))
         })?;
@@ -152,7 +154,8 @@ fn answer(
     let point = |p| polygon::rounded(p).to_array();
     let value = match &verdict {
         Verdict::Visible(ends) => {
-            json!({"id": query.id, "state": "visible", "witness": [point(&ends[0]), point(&ends[1])], "micros": micros})
+            let witness = [point(&ends[0]), point(&ends[1])];
+            json!({"id": query.id, "state": "visible", "witness": witness, "micros": micros})
         }
         Verdict::Hidden(proof) => {
             json!({"id": query.id, "state": "hidden", "blockers": proof.blockers(), "micros": micros})
@@ -192,8 +195,9 @@ impl Input {
         })
     }
 
-    /// The next queries, as many as are there without waiting for more but at least one, and what is wrong with the line after
-    /// them. None at the end. Whoever writes one query and waits for its answer is not kept waiting.
+    /// The next queries, as many as are there without waiting for more but at least one, and what is wrong
+    /// with the line after them. None at the end. Whoever writes one query and waits for its answer is not
+    /// kept waiting.
     fn read(&mut self) -> (Vec<Query>, Option<CliError>) {
         let mut queries = Vec::new();
         while queries.is_empty() || (queries.len() < AT_A_TIME && self.reader.buffer().contains(&b'\n')) {

@@ -222,7 +222,8 @@ proptest! {
         let scene = exact_scene(&triangles);
         let cells = cells([point(corner), point(corner) + 2.0 * point(size)]);
         let guesses: Vec<u32> = (0..triangles.len() as u32).filter(|t| guess >> t & 1 == 1).collect();
-        let seen: Vec<&[u32]> = (0..8).map(|k| if k == guess as usize % 8 { guesses.as_slice() } else { &[] }).collect();
+        let of = |k| if k == guess as usize % 8 { guesses.as_slice() } else { &[] };
+        let seen: Vec<&[u32]> = (0..8).map(of).collect();
         let (hidden, of) = shared(&scene, &cells, &seen, &|| false);
         for (cell, seen) in cells.iter().zip(seen) {
             let d = below(&scene, *cell, seen, &hidden);

@@ -280,7 +280,8 @@ proptest! {
             hits.sort_by(|x, y| x.0.total_cmp(&y.0));
             if let (true, Some((at, _))) = (clear, hits.first()) {
                 for (_, id) in hits.iter().take_while(|h| h.0 < at + 1e-9) {
-                    prop_assert!(d.visible.contains(&(*id as u32)), "triangle {id} is seen from {p} towards {q}");
+                    prop_assert!(d.visible.contains(&(*id as u32)), "triangle {id} is seen from {p} towards \
+                        {q}");
                 }
             }
         }
@@ -315,14 +316,17 @@ proptest! {
         for h in d.certificate.hidden.iter().filter(|h| matches!(h.target, Target::Surfaces | Target::Half)) {
             for id in &h.triangles {
                 let target = Polygon::triangle(triangles[*id as usize].map(|v| v.as_dvec3())).unwrap();
-                let found = from_cell(scene.occluders(), view, (&[target], None), (&Limits::default(), &|| false), &mut Cost::default());
+                let limits = Limits::default();
+                let goal = (&[target][..], None);
+                let found =
+                    from_cell(scene.occluders(), view, goal, (&limits, &|| false), &mut Cost::default());
                 prop_assert!(matches!(found, Found::Hidden(_)), "triangle {} is seen", id);
             }
         }
     }
 
-    /// Whatever is done to the certificate, a set that lacks something visible, or has something hidden, is not
-    /// accepted.
+    /// Whatever is done to the certificate, a set that lacks something visible, or has something hidden, is
+    /// not accepted.
     #[test]
     fn no_altered_certificate_makes_a_wrong_set_right(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
@@ -356,7 +360,13 @@ proptest! {
                     }
                 }
             }
-            let claims = CellClaims { cell: *cell, visible: &visible, undecided: &[], certificate: &certificate, above: None };
+            let claims = CellClaims {
+                cell: *cell,
+                visible: &visible,
+                undecided: &[],
+                certificate: &certificate,
+                above: None,
+            };
             prop_assert!(check_cell(&Triangles::new(triangles), &claims, &|_| true).is_err());
         }
     }

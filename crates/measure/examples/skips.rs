@@ -1,5 +1,5 @@
-//! Counts what a sampler of a scene could leave out, from a baked result: cells that no viewpoint can be in, cells that see
-//! nothing, triangles that no cell sees, and rounds that cells did not take part in.
+//! Counts what a sampler of a scene could leave out, from a baked result: cells that no viewpoint can be in,
+//! cells that see nothing, triangles that no cell sees, and rounds that cells did not take part in.
 //!
 //! `cargo run --release -p sightline-measure --example skips -- SCENE OUT.pvs`
 
@@ -45,7 +45,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         seen.iter().filter(|s| !**s).count()
     );
     println!(
-        "{} cells: {blind} see nothing, {} meet no triangle's box, {enclosed} of these are inside a closed solid",
+        "{} cells: {blind} see nothing, {} meet no triangle's box, {enclosed} of these are inside a closed \
+            solid",
         pvs.cells(),
         free.len()
     );
@@ -64,8 +65,8 @@ fn free_centre(scene: &Scene, [min, max]: [Vec3; 2]) -> Option<Vec3> {
     (!meets).then_some((min + max) * 0.5)
 }
 
-/// Whether the triangle that is seen from `p` along [`OUTWARDS`] shows the inner side of a closed solid. In single precision:
-/// it is asked of points that are away from all triangles.
+/// Whether the triangle that is seen from `p` along [`OUTWARDS`] shows the inner side of a closed solid. In
+/// single precision: it is asked of points that are away from all triangles.
 fn inside(scene: &Scene, solids: &Solids, p: Vec3) -> bool {
     let hits = (0u32..).zip(scene.triangles()).filter_map(|(id, t)| Some((distance(t.v, p)?, id)));
     let nearest = hits.min_by(|a, b| a.0.total_cmp(&b.0));

@@ -15,7 +15,8 @@ pub enum MeasureError {
     },
     /// A line of the camera path is not a viewpoint.
     #[error(
-        "line {line} of the camera path is not a viewpoint: {reason}; write `x y z` or {{\"position\":[x,y,z]}}"
+        "line {line} of the camera path is not a viewpoint: {reason}; write `x y z` or \
+            {{\"position\":[x,y,z]}}"
     )]
     Line {
         /// From 1.
@@ -25,7 +26,8 @@ pub enum MeasureError {
     },
     /// A viewpoint of the path has no cell.
     #[error(
-        "line {line} of the camera path, {point:?}, is outside the view box {min:?} … {max:?}; move it inside, or bake with a larger --view-box"
+        "line {line} of the camera path, {point:?}, is outside the view box {min:?} … {max:?}; move it \
+            inside, or bake with a larger --view-box"
     )]
     PathOutside {
         /// From 1.
@@ -50,7 +52,8 @@ pub enum MeasureError {
     NoViewpoints,
     /// The renderer shows a triangle that the result does not know.
     #[error(
-        "the scene shows triangle {id}, the result is of a scene with {triangles}; measure with the scene that was baked"
+        "the scene shows triangle {id}, the result is of a scene with {triangles}; measure with the scene \
+            that was baked"
     )]
     OtherScene {
         /// Seen.

@@ -1,7 +1,7 @@
 //! A frame as a picture: sky black, seen triangles green, wrong ones red.
 //!
-//! Three faces by two: +x +y +z above −x −y −z, each as a viewer sees it, with the face's up vector upwards. Each
-//! triangle has its own shade, so that shapes can be told apart.
+//! Three faces by two: +x +y +z above −x −y −z, each as a viewer sees it, with the face's up vector upwards.
+//! Each triangle has its own shade, so that shapes can be told apart.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -32,8 +32,8 @@ pub(crate) fn write(path: &Path, image: &CubeImage, visible: &[u64]) -> Result<(
     for row in 0..2 * n {
         line.clear();
         for column in 0..3 {
-            // Of both faces of an axis, right and up vectors are the same; seen along the positive axis that is a
-            // mirror image, turned round here.
+            // Of both faces of an axis, right and up vectors are the same; seen along the positive axis that
+            // is a mirror image, turned round here.
             let (face, mirrored) = (column * 2 + row / n, row < n);
             let y = n - 1 - row % n;
             for x in 0..n {
@@ -52,7 +52,8 @@ fn colour(id: u32, visible: &[u64]) -> [u8; 3] {
     if id == SKY {
         return [0; 3];
     }
-    // Multiplicative hashing by the golden ratio (Knuth): neighbouring ids get distant shades, 80 to 120 percent.
+    // Multiplicative hashing by the golden ratio (Knuth): neighbouring ids get distant shades, 80 to 120
+    // percent.
     let shade = 80 + (id.wrapping_mul(0x9e37_79b9) >> 16) * 41 / 65536;
     let base = if is_wrong(visible, id) { WRONG } else { SEEN };
     base.map(|c| (u32::from(c) * shade / 100).min(255) as u8)

@@ -15,8 +15,8 @@ use crate::regions::{Regions, regions};
 use crate::report::{Durations, Frame, Report, nearest_rank};
 use crate::viewpoints::Viewpoints;
 
-/// Frames rendered between two reports of progress. Frames are independent, so they are spread over the threads;
-/// what is left of each (ids, counts) is small, and a batch bounds how much of it waits.
+/// Frames rendered between two reports of progress. Frames are independent, so they are spread over the
+/// threads; what is left of each (ids, counts) is small, and a batch bounds how much of it waits.
 const BATCH: usize = 32;
 
 /// What else to do.
@@ -47,12 +47,13 @@ struct Judged {
     seen: Vec<u32>,
 }
 
-/// Measures a result from `views`. `renderer` draws the whole scene that was baked. `progress` is told how many
-/// frames are done and how many there are. The report depends on the images alone, not on threads or time.
+/// Measures a result from `views`. `renderer` draws the whole scene that was baked. `progress` is told how
+/// many frames are done and how many there are. The report depends on the images alone, not on threads or
+/// time.
 ///
 /// # Errors
-/// [`MeasureError::Outside`] when a viewpoint has no cell, [`MeasureError::OtherScene`] when the renderer shows
-/// another scene, and what the renderer, the result's decoder and the file system report.
+/// [`MeasureError::Outside`] when a viewpoint has no cell, [`MeasureError::OtherScene`] when the renderer
+/// shows another scene, and what the renderer, the result's decoder and the file system report.
 pub fn measure(
     renderer: &dyn CubeRenderer,
     pvs: &Pvs,

@@ -1,8 +1,8 @@
 //! Connected regions of wrong pixels on the surface of a visibility cube (§7.2 of the paper, "CR").
 //!
-//! Pixels touch when they share a side, also across the edge between two faces: the cube is one closed surface, and
-//! a hole does not become two because it lies on an edge. Three pixels that meet at a corner of the cube touch one
-//! another, as they do there.
+//! Pixels touch when they share a side, also across the edge between two faces: the cube is one closed
+//! surface, and a hole does not become two because it lies on an edge. Three pixels that meet at a corner of
+//! the cube touch one another, as they do there.
 
 /// Number and size of the regions in one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -13,7 +13,8 @@ pub struct Regions {
     pub largest: u32,
 }
 
-/// Finds the regions among 6·n·n pixels in the order of [`sightline_sampling::CubeImage`]. `wrong` has that length.
+/// Finds the regions among 6·n·n pixels in the order of [`sightline_sampling::CubeImage`]. `wrong` has that
+/// length.
 pub fn regions(n: u32, wrong: &[bool]) -> Regions {
     let mut parent: Vec<u32> = (0..wrong.len() as u32).collect();
     for (i, _) in wrong.iter().enumerate().filter(|p| *p.1) {
@@ -54,8 +55,9 @@ pub fn neighbours(n: u32, i: u32) -> [u32; 4] {
     [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].map(|(x, y)| pixel(n, face, x, y))
 }
 
-/// The pixel at (x, y) of a face, where one of the two may be one step off the face: then its direction, carried on
-/// in the face's plane, is looked up on the face it belongs to. In integers, so that no rounding can tear an edge.
+/// The pixel at (x, y) of a face, where one of the two may be one step off the face: then its direction,
+/// carried on in the face's plane, is looked up on the face it belongs to. In integers, so that no rounding
+/// can tear an edge.
 fn pixel(n: u32, face: u32, x: i64, y: i64) -> u32 {
     let m = i64::from(n);
     if (0..m).contains(&x) && (0..m).contains(&y) {

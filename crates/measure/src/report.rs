@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-/// The measures over all frames. A frame is one visibility cube of 6·resolution² pixels; errors and region sizes are
-/// fractions of that.
+/// The measures over all frames. A frame is one visibility cube of 6·resolution² pixels; errors and region
+/// sizes are fractions of that.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Report {
     /// Number of frames (viewpoints).
@@ -18,7 +18,8 @@ pub struct Report {
     pub max_error: f64,
     /// Mean over all frames of the number of connected wrong regions (a count).
     pub mean_regions: f64,
-    /// Mean of the largest region's size over the frames that have an error, as in the paper; 0 when none has.
+    /// Mean of the largest region's size over the frames that have an error, as in the paper; 0 when none
+    /// has.
     pub mean_max_region: f64,
     /// The largest region of all frames.
     pub max_region: f64,

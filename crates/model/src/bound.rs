@@ -1,8 +1,8 @@
 //! The statistical bound on missed sight lines: Clopper and Pearson's one-sided upper limit (1934).
 //!
-//! Of n independent sight lines from a cell, m met a triangle that is not in the cell's set. The fraction of such lines
-//! is then at most [`upper_bound`] with confidence 1 − α. Check k of a cell spends α·2⁻ᵏ, so that the chance that any of
-//! a cell's bounds is wrong stays below α.
+//! Of n independent sight lines from a cell, m met a triangle that is not in the cell's set. The fraction of
+//! such lines is then at most [`upper_bound`] with confidence 1 − α. Check k of a cell spends α·2⁻ᵏ, so that
+//! the chance that any of a cell's bounds is wrong stays below α.
 
 use crate::statistics::CellStats;
 
@@ -16,8 +16,8 @@ pub fn alpha_of(look: u32) -> f64 {
     ALPHA * 0.5f64.powi(look.min(1000) as i32)
 }
 
-/// The largest rate p at which `misses` or fewer in `lines` have a probability of at least `alpha` (Clopper–Pearson's
-/// one-sided upper limit); 1 without lines.
+/// The largest rate p at which `misses` or fewer in `lines` have a probability of at least `alpha`
+/// (Clopper–Pearson's one-sided upper limit); 1 without lines.
 pub fn upper_bound(misses: u64, lines: u64, alpha: f64) -> f64 {
     // Counts that no look ever comes to may stand in a damaged or foreign file.
     if misses >= lines || misses > MOST_COUNTED || lines > 1 << 53 {
@@ -57,7 +57,8 @@ fn at_most(m: u64, n: f64, p: f64) -> f64 {
 }
 
 impl CellStats {
-    /// The bound on the fraction of missed sight lines, with confidence 1 − [`ALPHA`]; `None` when there was no look.
+    /// The bound on the fraction of missed sight lines, with confidence 1 − [`ALPHA`]; `None` when there was
+    /// no look.
     pub fn bound(&self) -> Option<f64> {
         (self.bound_lines > 0)
             .then(|| upper_bound(self.bound_misses, self.bound_lines, alpha_of(self.bound_look)))
@@ -85,7 +86,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn more_misses_or_confidence_raise_it_and_more_lines_lower_it(m in 0u64..50, extra in 1u64..100_000, a in 1e-6f64..0.4) {
+        fn more_misses_or_confidence_raise_it_and_more_lines_lower_it(
+            m in 0u64..50,
+            extra in 1u64..100_000,
+            a in 1e-6f64..0.4,
+        ) {
             let n = m + extra;
             let b = upper_bound(m, n, a);
             prop_assert!(b <= 1.0 && b >= m as f64 / n as f64);

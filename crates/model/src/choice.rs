@@ -1,8 +1,8 @@
 //! The choices of a job: backend, sampler, method, superset simplification, error measure.
 //!
 //! Each choice is defined here once: its variants, their names on the command line and in results, and their
-//! numbers on the wire, which are those of the .proto file. A new variant needs an entry in the .proto file, an
-//! entry here, and the code that acts on it.
+//! numbers on the wire, which are those of the .proto file. A new variant needs an entry in the .proto file,
+//! an entry here, and the code that acts on it.
 
 use serde::{Deserialize, Serialize};
 use sightline_proto::v1;
@@ -168,8 +168,8 @@ choice! {
 }
 
 choice! {
-    /// The error measure that decides whether a rectangle is split (Nirenstein and Blake 2004, sections 3.3 to
-    /// 3.5).
+    /// The error measure that decides whether a rectangle is split (Nirenstein and Blake 2004, sections 3.3
+    /// to 3.5).
     ErrorMeasure("measure") {
         /// Err″: the sets in each of 24 angular strata, the worst of them (equation 3).
         Strata = "strata",

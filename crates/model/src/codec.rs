@@ -1,7 +1,7 @@
 //! Bytes for packs and cell sets: differences as variable-length integers, then zstd.
 //!
-//! Equal values give equal bytes, so the digest of the bytes identifies the content. Decoding trusts nothing: every
-//! count is checked against the bytes that are left before anything is allocated for it.
+//! Equal values give equal bytes, so the digest of the bytes identifies the content. Decoding trusts nothing:
+//! every count is checked against the bytes that are left before anything is allocated for it.
 
 use std::io::Read;
 use std::sync::Arc;
@@ -13,7 +13,8 @@ use sightline_viewcells::{CellBox, LatticePoint, Split};
 use crate::output::{CellSet, CellSets, Decision, Node, Pack, TileOutput, VisibilitySample};
 use crate::statistics::CellStats;
 
-/// Compression level. Differences between ids hold no long matches, so levels 2 and 3 take longer and give nothing smaller.
+/// Compression level. Differences between ids hold no long matches, so levels 2 and 3 take longer and give
+/// nothing smaller.
 const LEVEL: i32 = 1;
 /// Cells of so many ids together are coded by all cores; fewer take less time than to wait for the cores.
 const MANY: usize = 1 << 20;
@@ -67,7 +68,8 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
                     }
                 }
             }
-            // Where cells are decided exactly the cores have other work, of minutes: whoever holds a lock here would wait for it.
+            // Where cells are decided exactly the cores have other work, of minutes: whoever holds a lock
+            // here would wait for it.
             let sampled = sets.cells.iter().all(|c| c.decision.is_none());
             let ids: usize = sets.cells.iter().map(|c| c.visible.len()).sum();
             if sampled && ids >= MANY {
@@ -90,7 +92,8 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
     }
     if raw.len() as u64 > MAX_UNPACKED {
         return Err(std::io::Error::other(
-            "a tile's output is larger than can be sent; use fewer --block-cells, more cells or a larger --min-distance",
+            "a tile's output is larger than can be sent; use fewer --block-cells, more cells or a larger \
+                --min-distance",
         ));
     }
     zstd::stream::encode_all(raw.as_slice(), LEVEL)
@@ -112,7 +115,8 @@ pub fn check(bytes: &[u8], triangles: u32) -> Result<TileOutput, CodecError> {
     read(bytes, triangles, &|_| false)
 }
 
-/// Decodes a pack, keeping only the samples in the closed box `within`: a leaf tile needs few of a face's samples.
+/// Decodes a pack, keeping only the samples in the closed box `within`: a leaf tile needs few of a face's
+/// samples.
 ///
 /// # Errors
 /// [`CodecError`] when the bytes are no pack; also those parts that are not kept are checked.
@@ -410,7 +414,12 @@ mod tests {
         }
 
         #[test]
-        fn damage_never_panics(output in outputs(), at in any::<prop::sample::Index>(), with in any::<u8>(), cut in any::<prop::sample::Index>()) {
+        fn damage_never_panics(
+            output in outputs(),
+            at in any::<prop::sample::Index>(),
+            with in any::<u8>(),
+            cut in any::<prop::sample::Index>(),
+        ) {
             // Damage under the compression, where zstd's own checks do not stop it.
             let mut raw = zstd::stream::decode_all(encode(&output).unwrap().as_slice()).unwrap();
             let i = at.index(raw.len());

@@ -1,9 +1,10 @@
 //! What a job is and what a tile yields.
 //!
-//! The coordinator, the workers and the clients agree on a job through this crate. It holds parameters and methods
-//! ([`choice`], [`params`]), the checked specification of a job with its key and its plan ([`spec`]), the outputs of tiles
-//! with their bytes ([`output`], [`codec`]), and the statistics of cells as named columns ([`statistics`], [`bound`]).
-//! It samples nothing, decides nothing, and knows no tracer and no network connection.
+//! The coordinator, the workers and the clients agree on a job through this crate. It holds parameters and
+//! methods ([`choice`], [`params`]), the checked specification of a job with its key and its plan ([`spec`]),
+//! the outputs of tiles with their bytes ([`output`], [`codec`]), and the statistics of cells as named
+//! columns ([`statistics`], [`bound`]). It samples nothing, decides nothing, and knows no tracer and no
+//! network connection.
 //!
 //! ```
 //! use glam::Vec3;

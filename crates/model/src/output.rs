@@ -54,8 +54,8 @@ pub struct CellSet {
 }
 
 impl CellSet {
-    /// The cell's values, in the order of [`crate::statistics::column_names`]. A cell without exact queries has zeros in their columns, and
-    /// so has one from a worker that counts fewer of them.
+    /// The cell's values, in the order of [`crate::statistics::column_names`]. A cell without exact queries
+    /// has zeros in their columns, and so has one from a worker that counts fewer of them.
     pub fn row(&self) -> [u64; COLUMNS] {
         let mut row = [0; COLUMNS];
         let counts = self.decision.as_ref().map_or(&[][..], |d| &d.counts);
@@ -83,16 +83,16 @@ impl Decision {
     pub const MOST_COUNTS: usize = 64;
 }
 
-/// The triangles that one visibility cube saw, with the angular strata they were seen in (Nirenstein and Blake 2004,
-/// section 3.5).
+/// The triangles that one visibility cube saw, with the angular strata they were seen in (Nirenstein and
+/// Blake 2004, section 3.5).
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct VisibilitySample {
     /// Ids of the triangles seen, in ascending order.
     pub ids: Vec<u32>,
     /// For each id the set of strata in which it was seen: bit k for stratum k.
     pub strata: Vec<u32>,
-    /// The triangle that covers most pixels, the least id among equals; `None` when only sky was seen. It decides whether
-    /// the sample is inside a solid (Nirenstein and Blake 2004, section 3.6).
+    /// The triangle that covers most pixels, the least id among equals; `None` when only sky was seen. It
+    /// decides whether the sample is inside a solid (Nirenstein and Blake 2004, section 3.6).
     pub dominant: Option<u32>,
     /// The ids of all pixels, for the measure Err′ alone: 6·n·n ids, face by face, row by row.
     pub pixels: Option<Arc<[u32]>>,

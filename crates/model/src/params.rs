@@ -1,7 +1,7 @@
 //! The parameters of sampling: each with its default, its range and its place on the wire.
 //!
-//! A parameter is defined here once. A new one needs three places: a field of the message `Sampling` in the .proto
-//! file, an entry here, and a flag of the command line.
+//! A parameter is defined here once. A new one needs three places: a field of the message `Sampling` in the
+//! .proto file, an entry here, and a flag of the command line.
 
 use serde::{Deserialize, Serialize};
 use sightline_proto::v1;
@@ -114,7 +114,8 @@ macro_rules! parameters {
 parameters! {
     /// Parameters of sampling. All of them are part of a job's key.
     SamplingParams, wire Sampling {
-        /// The sampler. `target_error` and `max_error` belong to lines, `rays` to guided, the others to cubes.
+        /// The sampler. `target_error` and `max_error` belong to lines, `rays` to guided, the others to
+        /// cubes.
         sampler: Sampler = Sampler::Lines, ANY;
         /// Lines: a cell is done when it is expected to miss at most this fraction of its sight lines. A cell
         /// that takes several times the work of the average cell has a larger tolerance.
@@ -131,9 +132,9 @@ parameters! {
         error_threshold: f64 = 0.1, (0.0, 1.0);
         /// The same for its samples inside closed solids (Nirenstein and Blake 2004, section 3.6).
         interior_threshold: f64 = 0.5, (0.0, 1.0);
-        /// A rectangle is never split when its longer side is at most this fraction of a view cell's size, the
-        /// geometric mean of the cell's three sides. The range ends where no use is known; a flat cell is halved
-        /// further along its long sides, and the lattice still has points there.
+        /// A rectangle is never split when its longer side is at most this fraction of a view cell's size,
+        /// the geometric mean of the cell's three sides. The range ends where no use is known; a flat cell is
+        /// halved further along its long sides, and the lattice still has points there.
         min_distance: f64 = 0.5, (1.0 / 1024.0, 4.0);
         /// Whether samples inside closed solids are judged apart (Nirenstein and Blake 2004, section 3.6).
         solids: bool = true, ANY;
@@ -161,8 +162,8 @@ fn flag(field: &str) -> String {
     field.replace('_', "-")
 }
 
-/// Fraction of `max_error` that the sampler lines aims at before it takes the first bound, so that few cells need a
-/// second one.
+/// Fraction of `max_error` that the sampler lines aims at before it takes the first bound, so that few cells
+/// need a second one.
 pub const BOUND_AIM: f64 = 0.125;
 
 #[cfg(test)]

@@ -7,9 +7,9 @@ use sightline_viewcells::{Division, DivisionError, Lattice, Layout, MOST_BLOCK_C
 use crate::choice::{BackendChoice, Method, Sampler, UnknownChoice};
 use crate::params::{BOUND_AIM, ParamsError, SamplingParams};
 
-/// The version of everything that decides bytes. It changes whenever the same specification would give other bytes, of a
-/// result or of a tile's output, so that a stored result is never taken for one of another version. The choices that it
-/// stands for are in `crates/bake/src/choices.rs`.
+/// The version of everything that decides bytes. It changes whenever the same specification would give other
+/// bytes, of a result or of a tile's output, so that a stored result is never taken for one of another
+/// version. The choices that it stands for are in `crates/bake/src/choices.rs`.
 pub const ALGORITHM_VERSION: u32 = 16;
 
 /// Longest time budget, in milliseconds: ten years.
@@ -21,12 +21,13 @@ const MOST_BLOCKS: u64 = 1 << 16;
 /// Deepest adaptive tree that sight lines sample; visibility cubes make deeper ones.
 pub const MOST_LINE_DEPTH: u32 = 12;
 
-/// Work, in triangles divided by the target error, above which a tile has fewer cells, with the number of cells. A
-/// guess at the work from which a lost worker, a pause and a second machine matter more than the lines that are shared.
+/// Work, in triangles divided by the target error, above which a tile has fewer cells, with the number of
+/// cells. A guess at the work from which a lost worker, a pause and a second machine matter more than the
+/// lines that are shared.
 const HEAVY: [(f64, u32); 2] = [(5e10, 64), (5e9, 128)];
 
-/// Cells of a tile that are decided exactly. Each takes seconds on real scenes; the time that sampling saves in large
-/// blocks is nothing beside that.
+/// Cells of a tile that are decided exactly. Each takes seconds on real scenes; the time that sampling saves
+/// in large blocks is nothing beside that.
 const EXACT_BLOCK: u32 = 8;
 
 /// A checked specification.
@@ -148,8 +149,8 @@ impl JobSpec {
         Ok(())
     }
 
-    /// The job's key: the digest of everything that its result depends on except the numerics profile, which is bound
-    /// when the job first runs and is then part of the result.
+    /// The job's key: the digest of everything that its result depends on except the numerics profile, which
+    /// is bound when the job first runs and is then part of the result.
     pub fn key(&self) -> [u8; 32] {
         let mut hasher = blake3::Hasher::new_derive_key("sightline 2026 job key");
         hasher.update(&ALGORITHM_VERSION.to_le_bytes());
@@ -166,8 +167,9 @@ impl JobSpec {
         self.division.lattice(self.view_box[0], self.view_box[1])
     }
 
-    /// The fraction of the thinnest view cell by which rounding to single precision can move a sight line; 0 for jobs whose
-    /// sets do not depend on it, because exact queries find the triangles that sampling misses.
+    /// The fraction of the thinnest view cell by which rounding to single precision can move a sight line; 0
+    /// for jobs whose sets do not depend on it, because exact queries find the triangles that sampling
+    /// misses.
     ///
     /// The coordinator checks it for new jobs only: a stored job of an earlier version keeps its result.
     ///

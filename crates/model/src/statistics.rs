@@ -1,12 +1,13 @@
 //! Statistics of a cell as named columns: how sampling and exact queries came to its set.
 //!
-//! Every number is the same on every run of a job. Times differ from run to run and are kept with the tile instead.
-//! The names are those of a result's columns; a name in this file never changes its meaning.
+//! Every number is the same on every run of a job. Times differ from run to run and are kept with the tile
+//! instead. The names are those of a result's columns; a name in this file never changes its meaning.
 
 /// The kinds of sight lines, in the order of [`CellStats::rays`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LineKind {
-    /// Spread evenly over directions and the cell: the fraction that meets something new estimates the missing part.
+    /// Spread evenly over directions and the cell: the fraction that meets something new estimates the
+    /// missing part.
     Uniform,
     /// From the eye that saw a new triangle to the triangle's unseen neighbours.
     Flood,
@@ -21,8 +22,8 @@ pub enum LineKind {
 pub struct CellStats {
     /// Rays cast from the cell, by [`LineKind`].
     pub rays: [u64; 4],
-    /// Triangles that these rays were the first to show to the cell, as of the last barrier before each ray; for
-    /// held-out lines, the number of lines that met a triangle outside the set.
+    /// Triangles that these rays were the first to show to the cell, as of the last barrier before each ray;
+    /// for held-out lines, the number of lines that met a triangle outside the set.
     pub finds: [u64; 4],
     /// Rounds in which the cell took part.
     pub rounds: u32,
@@ -38,8 +39,8 @@ pub struct CellStats {
     pub bound_look: u32,
     /// Whether the time or the rounds ended before the cell reached the target.
     pub unfinished: bool,
-    /// Whether the cell ended within a tolerance above the target, because it took several times the work of the
-    /// average cell. The column's name is `spared`.
+    /// Whether the cell ended within a tolerance above the target, because it took several times the work of
+    /// the average cell. The column's name is `spared`.
     pub raised_tolerance: bool,
 }
 
@@ -136,7 +137,8 @@ macro_rules! columns {
 }
 
 columns! {
-    /// How exact queries decided a cell. Queries about the box around a cell group count with the group's first cell.
+    /// How exact queries decided a cell. Queries about the box around a cell group count with the group's
+    /// first cell.
     DecisionStats {
         /// Rays cast for witnesses.
         rays = "exact_rays",

@@ -9,8 +9,8 @@ use crate::params::SamplingParams;
 use crate::spec::{JobSpec, SpecError};
 
 impl JobSpec {
-    /// Reads and checks a specification. `bounds` is the view box of a message that has none: the scene's bounds in world
-    /// space.
+    /// Reads and checks a specification. `bounds` is the view box of a message that has none: the scene's
+    /// bounds in world space.
     ///
     /// # Errors
     /// [`SpecError`] naming the first field that is refused.

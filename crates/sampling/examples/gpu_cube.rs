@@ -1,5 +1,6 @@
 //! Time of a cube on the GPU backend: `gpu_cube [resolution] [cubes] [triangles]`, random triangles in a box,
-//! the whole scene and a superset of 10 000. The digests are of what was seen: the same on every run of a profile.
+//! the whole scene and a superset of 10 000. The digests are of what was seen: the same on every run of a
+//! profile.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -49,7 +50,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let digest =
             words.fold(0xcbf2_9ce4_8422_2325u64, |h, w| (h ^ u64::from(*w)).wrapping_mul(0x0100_0000_01b3));
         println!(
-            "{name}: prepared in {prepared:.1} ms, {each:.2} ms a cube of {resolution}², {seen} seen, {digest:016x}"
+            "{name}: prepared in {prepared:.1} ms, {each:.2} ms a cube of {resolution}², {seen} seen, \
+                {digest:016x}"
         );
     }
     Ok(())

@@ -1,8 +1,9 @@
-//! How fast lines are traced: `gpu_lines [--adapter name] [--millions n] scene...`, Embree against the GPU, rays of
-//! cube tiles (coherent) and rays with nothing in common, and how often the two meet different triangles.
+//! How fast lines are traced: `gpu_lines [--adapter name] [--millions n] scene...`, Embree against the GPU,
+//! rays of cube tiles (coherent) and rays with nothing in common, and how often the two meet different
+//! triangles.
 //!
-//! It bakes nothing and judges no picture. Times are of the tracers' calls alone, the best of three: Embree's on all
-//! threads, the GPU's one call from one thread.
+//! It bakes nothing and judges no picture. Times are of the tracers' calls alone, the best of three: Embree's
+//! on all threads, the GPU's one call from one thread.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -148,7 +149,8 @@ fn measure(file: &Path, choice: &AdapterChoice, millions: f64) -> Result<(), Box
         let (ids, distances, holes) = differing(&a, &b);
         let rays = count * LANES;
         println!(
-            "  {}: Embree {embree:.2} Mrays/s, compute {compute:.2} Mrays/s; of {rays} rays {ids} meet another \
+            "  {}: Embree {embree:.2} Mrays/s, compute {compute:.2} Mrays/s; of {rays} rays {ids} meet \
+                another \
              triangle, {distances} of them elsewhere, {holes} only Embree's",
             if alike { "coherent" } else { "incoherent" },
         );

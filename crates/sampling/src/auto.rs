@@ -21,7 +21,8 @@ pub struct Timing {
     pub per_cube: Duration,
 }
 
-/// Places spread evenly over the view box: a Kronecker sequence (generalised golden ratio in three dimensions).
+/// Places spread evenly over the view box: a Kronecker sequence (generalised golden ratio in three
+/// dimensions).
 fn places(lattice: &Lattice) -> impl Iterator<Item = glam::Vec3> + '_ {
     let units = lattice.units();
     let step = [0.819_172_5, 0.671_043_6, 0.549_700_5f64];
@@ -34,7 +35,8 @@ fn places(lattice: &Lattice) -> impl Iterator<Item = glam::Vec3> + '_ {
     })
 }
 
-/// Times `backend` at fixed places spread over the view box. Building its geometry is not counted: it is done once.
+/// Times `backend` at fixed places spread over the view box. Building its geometry is not counted: it is done
+/// once.
 ///
 /// # Errors
 /// The backend's own failure.
@@ -47,8 +49,8 @@ pub fn time(backend: &dyn Backend, lattice: &Lattice) -> Result<Timing, BackendE
     Ok(Timing { profile: backend.profile().to_owned(), per_cube: start.elapsed() / CUBES })
 }
 
-/// Times `backend` on sight lines instead: packets of a cube's directions from the same places, half of them ray by ray.
-/// A cube here is what [`time`] traces with item buffers of 64² pixels.
+/// Times `backend` on sight lines instead: packets of a cube's directions from the same places, half of them
+/// ray by ray. A cube here is what [`time`] traces with item buffers of 64² pixels.
 ///
 /// # Errors
 /// As [`time`].

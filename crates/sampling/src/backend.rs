@@ -16,14 +16,15 @@ pub trait Backend: Send + Sync {
     /// same bits. Printable ASCII.
     fn profile(&self) -> &str;
 
-    /// Makes ready to render the triangles in `superset` (ascending ids) and no others, or the whole scene when
-    /// `None` (superset simplification, §4.2.1).
+    /// Makes ready to render the triangles in `superset` (ascending ids) and no others, or the whole scene
+    /// when `None` (superset simplification, §4.2.1).
     ///
     /// # Errors
     /// [`BackendError::Failed`] when the device cannot hold the geometry.
     fn prepare(&self, superset: Option<&[u32]>) -> Result<Box<dyn CubeRenderer + '_>, BackendError>;
 
-    /// Makes ready to trace sight lines through the triangles `distinct` (ascending ids, the same in every call).
+    /// Makes ready to trace sight lines through the triangles `distinct` (ascending ids, the same in every
+    /// call).
     ///
     /// # Errors
     /// [`BackendError`] when the device cannot, or cannot hold the geometry.

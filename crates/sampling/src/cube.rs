@@ -1,9 +1,9 @@
-//! The visibility cube (thesis §4.1.1; Nirenstein and Blake 2004, §3.1): its geometry, its pixels' directions,
-//! and the sample made from it.
+//! The visibility cube (thesis §4.1.1; Nirenstein and Blake 2004, §3.1): its geometry, its pixels'
+//! directions, and the sample made from it.
 //!
 //! All backends share the conventions here. Face `f` looks along axis `f / 2`, positively when `f` is even.
-//! Its right vector is the next axis, its up vector the one after (cyclically), for both signs. Pixel
-//! (x, y) of a face with side n has the direction forward + u·right + v·up with u = (2x+1)/n − 1 and
+//! Its right vector is the next axis, its up vector the one after (cyclically), for both signs. Pixel (x, y)
+//! of a face with side n has the direction forward + u·right + v·up with u = (2x+1)/n − 1 and
 //! v = (2y+1)/n − 1. A cube image stores the faces one after another, each row by row from y = 0.
 
 use glam::Vec3;
@@ -107,11 +107,13 @@ pub fn sample_of_image(image: &CubeImage, strata: Strata, keep_pixels: bool) -> 
     VisibilitySample { pixels, ..VisibilitySample::from_runs(runs) }
 }
 
-/// Distance along a face's forward axis below which nothing is seen or blocks: 2⁻⁴⁰ of the scene's largest extent.
+/// Distance along a face's forward axis below which nothing is seen or blocks: 2⁻⁴⁰ of the scene's largest
+/// extent.
 ///
-/// A sample in the plane of an axis-aligned wall, which is where view cells and walls meet, has that wall at distance
-/// zero exactly, and looks along both its sides instead of into it. The distance is far below what `f32` coordinates
-/// of the scene can place before the eye, so nothing else is clipped. All backends use this value.
+/// A sample in the plane of an axis-aligned wall, which is where view cells and walls meet, has that wall at
+/// distance zero exactly, and looks along both its sides instead of into it. The distance is far below what
+/// `f32` coordinates of the scene can place before the eye, so nothing else is clipped. All backends use this
+/// value.
 pub fn near_distance(bounds: sightline_scene::Aabb) -> f32 {
     let extent = (bounds.max.as_dvec3() - bounds.min.as_dvec3()).max_element();
     // A scene is not a point unless all of it is degenerate, and then nothing is seen.

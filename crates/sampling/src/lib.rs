@@ -1,9 +1,9 @@
 //! Aggressive from-region sampling: sight lines and visibility cubes on a GPU or CPU.
 //!
-//! [`tile::run`] turns a tile of the plan, and the packs of the tiles it needs, into samples or sets, with one of two
-//! samplers: sight lines ([`lines`]), or visibility cubes ([`cubes`]) after Nirenstein and Blake, "Hardware Accelerated
-//! Visibility Preprocessing using Adaptive Sampling" (2004). Both trace through a [`Backend`]: Embree or wgpu. This crate
-//! knows nothing of leases, stores or the network.
+//! [`tile::run`] turns a tile of the plan, and the packs of the tiles it needs, into samples or sets, with
+//! one of two samplers: sight lines ([`lines`]), or visibility cubes ([`cubes`]) after Nirenstein and Blake,
+//! "Hardware Accelerated Visibility Preprocessing using Adaptive Sampling" (2004). Both trace through a
+//! [`Backend`]: Embree or wgpu. This crate knows nothing of leases, stores or the network.
 
 pub mod auto;
 pub mod backend;

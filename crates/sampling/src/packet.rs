@@ -6,7 +6,8 @@ use crate::error::BackendError;
 /// Lines of a packet.
 pub const LANES: usize = 16;
 
-/// Part of an origin's greatest coordinate by which the two halves of a line overlap: four units in the last place.
+/// Part of an origin's greatest coordinate by which the two halves of a line overlap: four units in the last
+/// place.
 const OVERLAP: f32 = 1.0 / (1 << 21) as f32;
 
 /// Sixteen rays of roughly one direction, and the nearest triangle each meets. Arrays by axis, then lane.
@@ -52,10 +53,10 @@ impl Packet {
         ([0, 1, 2].map(|a| self.origin[a][lane]), [0, 1, 2].map(|a| self.direction[a][lane]))
     }
 
-    /// The same rays the other way, begun a few units in the last place of their origins, and at least `step` (world units,
-    /// along the longest component of the direction), ahead of them. A
-    /// triangle that contains an origin is at distance 0, which no ray meets; from a little ahead the ray backwards meets
-    /// it, and [`Packet::free`] is then empty, so that nothing is seen through it.
+    /// The same rays the other way, begun a few units in the last place of their origins, and at least `step`
+    /// (world units, along the longest component of the direction), ahead of them. A triangle that contains
+    /// an origin is at distance 0, which no ray meets; from a little ahead the ray backwards meets it, and
+    /// [`Packet::free`] is then empty, so that nothing is seen through it.
     pub fn reversed(&self, step: f32) -> Self {
         let mut back = Self { direction: self.direction.map(|axis| axis.map(|x| -x)), ..self.clone() };
         for lane in 0..self.count {
@@ -74,8 +75,8 @@ impl Packet {
         if longest > 0.0 { step.max(largest * OVERLAP) / longest } else { 0.0 }
     }
 
-    /// From where to where a lane's line is free, given what `back`, its packet [`Packet::reversed`] by `step`, met: in
-    /// lengths of the direction from the origin.
+    /// From where to where a lane's line is free, given what `back`, its packet [`Packet::reversed`] by
+    /// `step`, met: in lengths of the direction from the origin.
     pub fn free(&self, back: &Self, lane: usize, step: f32) -> (f32, f32) {
         (self.advance(lane, step) - back.distance[lane], self.distance[lane])
     }

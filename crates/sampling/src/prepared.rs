@@ -1,9 +1,9 @@
 //! A scene with the facts about its triangles that samplers need, each computed once.
 //!
-//! The facts are computed on all threads of rayon's pool. A thread of the pool that waits for such a computation can take
-//! up other work meanwhile, reach the same lock and wait for itself. So a sampler gets all facts before its work is
-//! spread over threads: [`PreparedScene::for_lines`] and [`PreparedScene::for_cubes`] are the only ways to them, and both
-//! refuse to run on a thread of the pool.
+//! The facts are computed on all threads of rayon's pool. A thread of the pool that waits for such a
+//! computation can take up other work meanwhile, reach the same lock and wait for itself. So a sampler gets
+//! all facts before its work is spread over threads: [`PreparedScene::for_lines`] and
+//! [`PreparedScene::for_cubes`] are the only ways to them, and both refuse to run on a thread of the pool.
 
 use std::sync::{Arc, OnceLock};
 

@@ -29,8 +29,8 @@ impl Hashed {
     }
 }
 
-/// The `i`-th point of the three-dimensional Kronecker sequence of the generalised golden ratio (Roberts 2018), shifted
-/// by `shift`; in [0, 1)³.
+/// The `i`-th point of the three-dimensional Kronecker sequence of the generalised golden ratio (Roberts
+/// 2018), shifted by `shift`; in [0, 1)³.
 pub fn spread3(i: u64, shift: [f32; 3]) -> [f32; 3] {
     /// Fractions of 2³² whose multiples spread most evenly in three dimensions.
     const STEP: [u32; 3] = [3_518_319_155, 2_882_110_345, 2_360_945_575];

@@ -1,5 +1,5 @@
-//! What the sampler knows of the triangles' surface: neighbours over edges or close by, and an order in which triangles near
-//! each other are near each other.
+//! What the sampler knows of the triangles' surface: neighbours over edges or close by, and an order in which
+//! triangles near each other are near each other.
 
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
@@ -14,15 +14,16 @@ use crate::sequence::Hashed;
 
 /// Facts about a scene's triangles, independent of any job.
 pub struct Surface {
-    /// Across each edge (v0v1, v1v2, v2v0) the next triangle around it; where there is none, one close by, or [`SKY`].
+    /// Across each edge (v0v1, v1v2, v2v0) the next triangle around it; where there is none, one close by, or
+    /// [`SKY`].
     pub neighbours: Vec<[u32; 3]>,
     /// Triangles with area in Morton order of their centres.
     pub morton: Vec<u32>,
 }
 
 impl Surface {
-    /// Analyses the triangles `ids` of `scene`: those that lines meet, so that no neighbour is a duplicate that they never
-    /// do. Vertices are the same when their coordinates are, bit for bit.
+    /// Analyses the triangles `ids` of `scene`: those that lines meet, so that no neighbour is a duplicate
+    /// that they never do. Vertices are the same when their coordinates are, bit for bit.
     pub fn of(scene: &Scene, ids: &[u32]) -> Self {
         let (mut neighbours, morton) = rayon::join(|| neighbours(scene, ids), || morton(scene, ids));
         stand_ins(scene, &morton, &mut neighbours);
@@ -32,8 +33,8 @@ impl Surface {
 
 fn neighbours(scene: &Scene, ids: &[u32]) -> Vec<[u32; 3]> {
     let all = scene.triangles();
-    // Edges by a 64-bit hash of their two ends: equal edges have equal hashes, and two different ones with the same
-    // hash would only make the sampler look next door at the wrong triangle.
+    // Edges by a 64-bit hash of their two ends: equal edges have equal hashes, and two different ones with
+    // the same hash would only make the sampler look next door at the wrong triangle.
     let end = |v: Vec3| hash(position(v));
     let mut edges = vec![(0u64, 0u32); 3 * ids.len()];
     edges.par_chunks_exact_mut(3).zip(ids).for_each(|(own, id)| {
@@ -58,8 +59,8 @@ fn neighbours(scene: &Scene, ids: &[u32]) -> Vec<[u32; 3]> {
     places.par_chunks_exact(3).map(|own| [0, 1, 2].map(|k: usize| own[k].load(Relaxed))).collect()
 }
 
-/// Gives each edge that has no other triangle one that is close by in Morton order: leaves of a tree, or walls that
-/// meet without common vertices, are seen together as if they were joined.
+/// Gives each edge that has no other triangle one that is close by in Morton order: leaves of a tree, or
+/// walls that meet without common vertices, are seen together as if they were joined.
 fn stand_ins(scene: &Scene, morton: &[u32], neighbours: &mut [[u32; 3]]) {
     /// Where to look, for the first, second and third edge.
     const STEPS: [isize; 3] = [1, -1, 2];

@@ -1,7 +1,7 @@
 //! One tile sampled, by the sampler of its job: the dispatcher above [`crate::lines`] and [`crate::cubes`].
 //!
-//! A tile's output is a pure function of the scene, the parameters, the backend's numerics profile and the packs of the
-//! tiles it needs.
+//! A tile's output is a pure function of the scene, the parameters, the backend's numerics profile and the
+//! packs of the tiles it needs.
 
 use sightline_model::{Pack, Sampler, TileOutput};
 use sightline_viewcells::Tile;
@@ -20,7 +20,8 @@ pub struct TileCounters {
     pub cache: CacheCounters,
 }
 
-/// Runs `tile` with the packs of the tiles it needs, in the plan's order. Not to be called on a thread of rayon's pool.
+/// Runs `tile` with the packs of the tiles it needs, in the plan's order. Not to be called on a thread of
+/// rayon's pool.
 ///
 /// # Errors
 /// [`TileError`] when the tile is cancelled or the backend fails.

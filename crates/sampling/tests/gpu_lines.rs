@@ -102,7 +102,8 @@ fn the_nearest_triangle_is_that_of_brute_force() {
         met += u32::from(expected.0 != SKY);
         let close = |a: f64, b: f64| (a - b).abs() <= 1e-4 * b.abs();
         if id == expected.0 {
-            // How far from the triangle's plane the hit lies: along a ray that grazes it the distance itself says little.
+            // How far from the triangle's plane the hit lies: along a ray that grazes it the distance itself
+            // says little.
             let off = |t: &Triangle| {
                 let [a, b, c] = t.v.map(|v| v.as_dvec3());
                 (b - a).cross(c - a).normalize().dot(o + d * f64::from(distance) - a).abs()
@@ -110,7 +111,8 @@ fn the_nearest_triangle_is_that_of_brute_force() {
             // Coordinates are below 2, so this is a few units in their last place.
             assert!(id == SKY || off(&triangles[id as usize]) <= 1e-6, "{distance} {expected:?}");
         } else if !(all.len() > 1 && close(all[0].0, all[1].0)) {
-            // What is left: a ray within rounding of a border, which one of the two sees on the other side of.
+            // What is left: a ray within rounding of a border, which one of the two sees on the other side
+            // of.
             let shrunk = |t: &Triangle, k: f32| {
                 let c = (t.v[0] + t.v[1] + t.v[2]) / 3.0;
                 Triangle { v: t.v.map(|v| c + (v - c) * k) }
@@ -129,7 +131,8 @@ fn the_nearest_triangle_is_that_of_brute_force() {
     assert!(near_edges <= 5, "{near_edges}");
 }
 
-/// A sphere of radius 1: an icosahedron, each triangle cut into four `cuts` times. Vertices are shared to the bit.
+/// A sphere of radius 1: an icosahedron, each triangle cut into four `cuts` times. Vertices are shared to the
+/// bit.
 fn icosphere(cuts: u32) -> (Vec<Vec3>, Vec<[usize; 3]>) {
     let g = f32::midpoint(1.0, 5f32.sqrt());
     let mut points: Vec<Vec3> = Vec::new();
@@ -165,8 +168,8 @@ fn icosphere(cuts: u32) -> (Vec<Vec3>, Vec<[usize; 3]>) {
     (points, faces)
 }
 
-/// The cube −1…1, each side in n × n squares of two triangles, their inner corners moved about in the plane and
-/// out of it.
+/// The cube −1…1, each side in n × n squares of two triangles, their inner corners moved about in the plane
+/// and out of it.
 fn crumpled_box(n: i32, random: &mut Hashed) -> (Vec<Vec3>, Vec<[usize; 3]>) {
     let (mut points, mut known, mut faces) = (Vec::new(), BTreeMap::new(), Vec::new());
     let mut corner = |p: [i32; 3]| {
@@ -194,8 +197,8 @@ fn crumpled_box(n: i32, random: &mut Hashed) -> (Vec<Vec3>, Vec<[usize; 3]>) {
     (points, faces)
 }
 
-/// Rays from inside at vertices, along edges and into triangles, and along the axes; `length` times what reaches
-/// the surface.
+/// Rays from inside at vertices, along edges and into triangles, and along the axes; `length` times what
+/// reaches the surface.
 fn inside_rays(
     points: &[Vec3],
     faces: &[[usize; 3]],
@@ -236,8 +239,8 @@ fn no_ray_leaves_a_closed_mesh() {
     for (points, faces) in &meshes {
         for (scale, offset) in [(1.0, 0.0), (1e-6, 0.0), (1e6, 0.0), (1.0, 300.0), (1e-28, 0.0), (1e25, 0.0)]
         {
-            // An offset coarsens the vertices, alike for all triangles that share them. The nearest distance that
-            // counts grows with the scene, but is in lengths of the direction.
+            // An offset coarsens the vertices, alike for all triangles that share them. The nearest distance
+            // that counts grows with the scene, but is in lengths of the direction.
             let length = if scale > 1e10 { 1.0 / scale } else { 1.0 };
             let centre = Vec3::new(offset, -0.7 * offset, 0.3 * offset) * scale;
             let points: Vec<Vec3> = points.iter().map(|p| *p * scale + centre).collect();

@@ -1,4 +1,5 @@
-//! Sight lines: the same on any number of threads, sound, complete where that can be known, and bounded as promised.
+//! Sight lines: the same on any number of threads, sound, complete where that can be known, and bounded as
+//! promised.
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
 
@@ -134,8 +135,9 @@ fn a_convex_room_is_seen_whole() {
     });
 }
 
-/// Over hundreds of seeds the bound is below the truth no more often than one in twenty. The room is convex, so the truth
-/// is known: every triangle is visible, and how often sight lines meet it is found once by brute force.
+/// Over hundreds of seeds the bound is below the truth no more often than one in twenty. The room is convex,
+/// so the truth is known: every triangle is visible, and how often sight lines meet it is found once by brute
+/// force.
 #[test]
 fn bounds_hold_as_often_as_they_say() {
     const SEEDS: u64 = 250;
@@ -192,16 +194,19 @@ fn bounds_hold_as_often_as_they_say() {
     assert!(useful * 2 > looks, "the bounds are far above the truth: {useful} of {looks}");
 }
 
-/// Slivers, a T-free closed wall far from square, coordinates small and large together: nothing outside is seen.
+/// Slivers, a T-free closed wall far from square, coordinates small and large together: nothing outside is
+/// seen.
 #[test]
 fn no_line_passes_a_closed_wall() {
-    // The view box ends a little before the wall; where coordinates are few, far enough that rounding does not put it there.
+    // The view box ends a little before the wall; where coordinates are few, far enough that rounding does
+    // not put it there.
     for (scale, offset, view) in
         [(1.0, 0.0, 0.99), (1e-6, 0.0, 0.99), (1e6, 0.0, 0.99), (1e-6, 1.0, 0.7), (1.0, 1e5, 0.7)]
     {
         let at = |x: f32, y: f32, z: f32| Vec3::new(x, y, z) * scale + Vec3::splat(offset);
         let mut triangles = tessellated_box(at(-1.0, -1.0, -1.0), at(1.0, 1.0, 1.0), 7);
-        // Slivers: one side's squares cut into fans from a corner far away would overlap; a thin inner prism does not.
+        // Slivers: one side's squares cut into fans from a corner far away would overlap; a thin inner prism
+        // does not.
         triangles.extend(tessellated_box(at(-0.9, -1e-4, -0.9), at(0.9, 1e-4, 0.9), 3));
         let inside = triangles.len() as u32;
         triangles.extend(tessellated_box(at(-3.0, -3.0, -3.0), at(3.0, 3.0, 3.0), 5));
@@ -252,7 +257,8 @@ fn lines_that_begin_on_the_wall_stay_inside() {
     }
 }
 
-/// A closed closet full of leaves is worth less time than its cell would like; the cells around it know nothing of it.
+/// A closed closet full of leaves is worth less time than its cell would like; the cells around it know
+/// nothing of it.
 #[test]
 fn a_cell_far_harder_than_the_others_has_a_raised_tolerance_and_no_other_has() {
     let mut random = Hashed::new(&[9]);

@@ -139,7 +139,8 @@ fn each_measure_and_superset_gives_a_result_and_more_samples_see_no_less() {
         let (_, cells, _) = bake(rooms(), division, &SamplingParams { measure, ..coarse() }).unwrap();
         assert_eq!(cells.len(), 4);
     }
-    // Rendering only what the cell above saw must not lose more than a little of what it would have seen otherwise.
+    // Rendering only what the cell above saw must not lose more than a little of what it would have seen
+    // otherwise.
     let simplified = SamplingParams { superset: SupersetChoice::On, ..finer };
     let (_, simplified, _) = bake(rooms(), division, &simplified).unwrap();
     for (a, b) in more.iter().zip(&simplified) {
@@ -177,7 +178,8 @@ fn cells(tile: &Tile, sets: &CellSets) -> Vec<(CellBox, u32, CellSet)> {
     out
 }
 
-/// A large hall with boxes in it, one of which is small, closed and full: from next to it little is seen, and much from inside.
+/// A large hall with boxes in it, one of which is small, closed and full: from next to it little is seen, and
+/// much from inside.
 fn full_box() -> Scene {
     let mut t = solid(Vec3::ZERO, Vec3::splat(16.0));
     t.extend(

@@ -1,4 +1,5 @@
-//! The triangles of a scene with the facts about them that the checker needs: a tree of boxes, and the closed surfaces.
+//! The triangles of a scene with the facts about them that the checker needs: a tree of boxes, and the closed
+//! surfaces.
 
 use std::sync::OnceLock;
 
@@ -14,7 +15,8 @@ pub struct Triangles<'a> {
 }
 
 impl<'a> Triangles<'a> {
-    /// Prepares the triangles of a scene, in the order of their ids. The closed surfaces are found on first use.
+    /// Prepares the triangles of a scene, in the order of their ids. The closed surfaces are found on first
+    /// use.
     pub fn new(all: &'a [[Vec3; 3]]) -> Self {
         Self { tree: TriangleTree::new(all), surfaces: OnceLock::new() }
     }

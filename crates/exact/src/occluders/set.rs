@@ -150,7 +150,9 @@ mod tests {
         ) {
             // In a plane that is no coordinate plane; a parallelogram of both triangles, so that all are
             // integers.
-            let at = |[x, y]: [i32; 2]| DVec3::new(f64::from(x), f64::from(y), f64::from(tilt[0] * x + tilt[1] * y));
+            let at = |[x, y]: [i32; 2]| {
+                DVec3::new(f64::from(x), f64::from(y), f64::from(tilt[0] * x + tilt[1] * y))
+            };
             let [a, b, c] = corners.map(at);
             let d = b + c - a;
             let normal = (b - a).cross(c - a);

@@ -152,8 +152,10 @@ mod tests {
                 let moved = [DVec3::from([off[0], off[1], off[2]]), DVec3::from([off[3], off[4], off[5]])];
                 let ends: [Source; 2] = std::array::from_fn(|k| Source::Given(ends[k] + moved[k] * slack));
                 let corners = triangle.map(|v| Source::Given(v.as_dvec3()));
-                let turns = [(0, 1), (1, 2), (2, 0)].map(|(i, j)| orient([&ends[0], &ends[1], &corners[i], &corners[j]]));
-                prop_assert!(turns.contains(&Ordering::Greater) && turns.contains(&Ordering::Less), "{:?}", turns);
+                let turn = |(i, j): (usize, usize)| orient([&ends[0], &ends[1], &corners[i], &corners[j]]);
+                let turns = [(0, 1), (1, 2), (2, 0)].map(turn);
+                let both = turns.contains(&Ordering::Greater) && turns.contains(&Ordering::Less);
+                prop_assert!(both, "{:?}", turns);
             }
         }
     }

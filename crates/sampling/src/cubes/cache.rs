@@ -1,9 +1,9 @@
 //! The sample cache of one tile, with the counters that say when a sample is final (thesis §4.2.2).
 //!
-//! Every sample touches eight octants. A finished cell adds the octants it fills: four for a sample in its face,
-//! two on an edge, one at a corner. At eight no unfinished cell can ask for the sample, and it is dropped. Octants
-//! outside the tile are counted from the start. Samples are kept by lattice position, in its order, so that
-//! nothing depends on when they came.
+//! Every sample touches eight octants. A finished cell adds the octants it fills: four for a sample in its
+//! face, two on an edge, one at a corner. At eight no unfinished cell can ask for the sample, and it is
+//! dropped. Octants outside the tile are counted from the start. Samples are kept by lattice position, in its
+//! order, so that nothing depends on when they came.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -43,8 +43,8 @@ impl SampleCache {
         Self { tile, entries: BTreeMap::new(), counters: CacheCounters::default() }
     }
 
-    /// Puts a sample in. The first for a position stays: all samples of one position are equally valid, and the
-    /// order of insertion is fixed.
+    /// Puts a sample in. The first for a position stays: all samples of one position are equally valid, and
+    /// the order of insertion is fixed.
     pub fn insert(&mut self, p: LatticePoint, sample: Arc<VisibilitySample>) {
         let outside = 8 - self.tile.octants(p);
         if outside == 8 {

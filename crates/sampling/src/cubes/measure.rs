@@ -1,5 +1,5 @@
-//! The error measures Err, Err′ and Err″ (2004, §3.3–3.5; thesis §4.1.3): how different the cubes at the corners
-//! of a rectangle are, from 0 (alike) to 1.
+//! The error measures Err, Err′ and Err″ (2004, §3.3–3.5; thesis §4.1.3): how different the cubes at the
+//! corners of a rectangle are, from 0 (alike) to 1.
 
 use sightline_model::ErrorMeasure;
 use sightline_model::VisibilitySample;
@@ -18,8 +18,8 @@ pub fn error(measure: ErrorMeasure, samples: &[&VisibilitySample]) -> f64 {
 
 /// Err″, eq. 3: the worst stratum's 1 − min over i of |∩ s_j(k)| / |s_i(k)|.
 ///
-/// A sample that sees nothing in a stratum has no ratio there; if the others see something the intersection is
-/// empty and theirs make the measure 1, if none does the stratum is alike.
+/// A sample that sees nothing in a stratum has no ratio there; if the others see something the intersection
+/// is empty and theirs make the measure 1, if none does the stratum is alike.
 fn stratified(samples: &[&VisibilitySample]) -> f64 {
     let mut common = [0u32; 32];
     let mut sizes = [[0u32; 32]; 4];

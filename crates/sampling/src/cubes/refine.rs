@@ -1,7 +1,7 @@
 //! Adaptive sampling of one rectangle (2004, §3.2; thesis §4.1.3).
 //!
-//! The quadtree is grown level by level instead of depth first: which rectangles are split does not depend on the
-//! order, and a level's samples can be rendered together.
+//! The quadtree is grown level by level instead of depth first: which rectangles are split does not depend on
+//! the order, and a level's samples can be rendered together.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -69,8 +69,8 @@ pub fn refine<S: SampleSource>(
     Ok(())
 }
 
-/// The three conditions of §3.6: a single exterior sample, exterior samples that differ, interior samples that
-/// differ.
+/// The three conditions of §3.6: a single exterior sample, exterior samples that differ, interior samples
+/// that differ.
 fn wants_split(
     corners: &[(LatticePoint, &VisibilitySample)],
     params: &SamplingParams,

@@ -1,5 +1,5 @@
-//! One tile sampled with visibility cubes: its samples, or the sets of its cells (Nirenstein and Blake 2004, section 4;
-//! Nirenstein 2003, section 4.2).
+//! One tile sampled with visibility cubes: its samples, or the sets of its cells (Nirenstein and Blake 2004,
+//! section 4; Nirenstein 2003, section 4.2).
 //!
 //! The tile runs on one worker, in one order; only the rendering of a level's cubes is spread over threads.
 
@@ -28,7 +28,8 @@ pub struct CubeCounters {
     pub cache: CacheCounters,
 }
 
-/// [`SamplingParams::min_distance`] in world units. The cells of an adaptive tree are those of its deepest level.
+/// [`SamplingParams::min_distance`] in world units. The cells of an adaptive tree are those of its deepest
+/// level.
 pub fn min_distance(params: &SamplingParams, division: &Division, lattice: &Lattice) -> f64 {
     let sides = [0, 1, 2].map(|a| lattice.length(a, lattice.units()[a]));
     let cells = match *division {
@@ -36,10 +37,11 @@ pub fn min_distance(params: &SamplingParams, division: &Division, lattice: &Latt
         // The number of cells that the deepest level would have.
         Division::Adaptive { max_depth, .. } => f64::from(1u32 << max_depth.min(31)),
     };
-    // The mean and not the longest side: cells of a street or a storey are long and flat, and visibility changes along
-    // their long sides as fast as in a cube of the same volume.
+    // The mean and not the longest side: cells of a street or a storey are long and flat, and visibility
+    // changes along their long sides as fast as in a cube of the same volume.
     let side = (sides.iter().product::<f64>() / cells).cbrt();
-    // A little more, so that a side that is meant to equal the distance does so for every last bit of the cube root.
+    // A little more, so that a side that is meant to equal the distance does so for every last bit of the
+    // cube root.
     side * params.min_distance * (1.0 + 1.0 / f64::from(1 << 20))
 }
 
@@ -243,8 +245,8 @@ impl SampleSource for CachedSource<'_, '_> {
     }
 }
 
-/// §3.6: a sample is interior when the triangle that covers most of its pixels belongs to a closed solid and shows
-/// its inner side.
+/// §3.6: a sample is interior when the triangle that covers most of its pixels belongs to a closed solid and
+/// shows its inner side.
 struct SolidExterior<'a> {
     solids: Option<&'a Solids>,
     scene: &'a Scene,

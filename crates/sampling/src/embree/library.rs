@@ -2,8 +2,8 @@
 //!
 //! The library is opened with `dlopen`, so one program serves Embree 3 and 4, builds where neither is
 //! installed, and can say plainly what is missing (docs/decisions/0001-embree-at-run-time.md). Only the dozen
-//! functions the sampler calls are bound. Layouts follow `rtcore_ray.h` and `rtcore_common.h` of both versions;
-//! where newer versions append fields, the structures here are larger than any of them.
+//! functions the sampler calls are bound. Layouts follow `rtcore_ray.h` and `rtcore_common.h` of both
+//! versions; where newer versions append fields, the structures here are larger than any of them.
 
 #![allow(unsafe_code, reason = "a C library is called; each call says what it relies on")]
 
@@ -223,7 +223,8 @@ impl Embree {
         }
         Err(format!(
             "Embree is not installed, so the cpu backend cannot run. Install it with `apt-get install \
-             libembree3-3` (Debian 12) or `apt-get install libembree4-4` (newer), or use --backend gpu. Tried: {}",
+             libembree3-3` (Debian 12) or `apt-get install libembree4-4` (newer), or use --backend gpu. \
+             Tried: {}",
             tried.join("; ")
         ))
     }
@@ -237,8 +238,8 @@ impl Embree {
             // SAFETY: the caller gives the type.
             unsafe { library.get::<T>(name) }.map(|s| *s)
         }
-        // SAFETY: the types above are those of Embree's headers for both versions, but for `rtcIntersect16` and
-        // `rtcIntersect1`, whose types are chosen by the version in the file name.
+        // SAFETY: the types above are those of Embree's headers for both versions, but for `rtcIntersect16`
+        // and `rtcIntersect1`, whose types are chosen by the version in the file name.
         unsafe {
             Ok(Self {
                 new_device: f(&library, b"rtcNewDevice\0")?,
@@ -289,7 +290,8 @@ impl Device {
             // SAFETY: a null device asks for the error of device creation.
             let code = unsafe { (embree.get_device_error)(std::ptr::null_mut()) };
             return Err(BackendError::Unavailable(format!(
-                "Embree could not start (error {code}; 5 means that the processor is not supported); use --backend gpu"
+                "Embree could not start (error {code}; 5 means that the processor is not supported); use \
+                    --backend gpu"
             )));
         }
         Ok(Self { embree, handle })

@@ -1,7 +1,8 @@
 //! The cpu backend: visibility cubes traced with Embree in coherent packets of sixteen rays (4 × 4 pixels).
 //!
-//! Bit-identical on every run: the hierarchy does not depend on how many threads build it, the instruction set is pinned, and
-//! the packets are always the same sixteen pixels. Samples are spread over the threads of the current rayon pool.
+//! Bit-identical on every run: the hierarchy does not depend on how many threads build it, the instruction
+//! set is pinned, and the packets are always the same sixteen pixels. Samples are spread over the threads of
+//! the current rayon pool.
 
 mod library;
 #[cfg(test)]
@@ -69,7 +70,8 @@ impl CpuBackend {
         Ok(profile(&Self::open(1)?))
     }
 
-    /// So many threads build hierarchies. AVX-512 is left out because its packets round differently from AVX2's.
+    /// So many threads build hierarchies. AVX-512 is left out because its packets round differently from
+    /// AVX2's.
     fn open(threads: usize) -> Result<Device, BackendError> {
         let config = format!("threads={threads},set_affinity=0,max_isa=avx2\0");
         let config = CStr::from_bytes_until_nul(config.as_bytes())
@@ -94,7 +96,8 @@ fn profile(device: &Device) -> String {
     format!("cpu/embree-{}/{}/{}", device.version(), instruction_set(), vendor())
 }
 
-/// The processor's maker: Embree's reciprocals start from an approximation in hardware that makers do differently.
+/// The processor's maker: Embree's reciprocals start from an approximation in hardware that makers do
+/// differently.
 fn vendor() -> String {
     #[cfg(target_arch = "x86_64")]
     {
@@ -250,7 +253,8 @@ impl CpuRenderer {
 
     fn sample(&self, point: Vec3) -> VisibilitySample {
         let image = self.trace(point);
-        // A poisoned lock only means that another sample panicked; the scratch memory is then simply made anew.
+        // A poisoned lock only means that another sample panicked; the scratch memory is then simply made
+        // anew.
         let pop = || self.reducers.lock().ok().and_then(|mut r| r.pop());
         let mut reducer = pop().unwrap_or_else(|| Reducer::new(self.hierarchy.ids.len()));
         let mut sample = reducer.reduce(&image, self.spec.strata);

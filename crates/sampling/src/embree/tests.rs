@@ -1,5 +1,5 @@
-//! Hits at equal distance are decided by the order of the hierarchy, so that must not depend on who builds it. Embree's
-//! builders promise it for all but the high quality (embree issue 20, since 2.5).
+//! Hits at equal distance are decided by the order of the hierarchy, so that must not depend on who builds
+//! it. Embree's builders promise it for all but the high quality (embree issue 20, since 2.5).
 
 use std::sync::Arc;
 

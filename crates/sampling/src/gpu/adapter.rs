@@ -34,9 +34,10 @@ pub fn adapters() -> Vec<AdapterSummary> {
     find().iter().map(|adapter| summary(&adapter.get_info())).collect()
 }
 
-/// Whether this machine may have a GPU that is no software rasteriser: whether there is a device file as the drivers of GPUs
-/// need. Far cheaper than starting all drivers to ask them; true where files do not tell. A render node without a GPU behind
-/// it, as many virtual machines have, costs no more than the drivers' being asked.
+/// Whether this machine may have a GPU that is no software rasteriser: whether there is a device file as the
+/// drivers of GPUs need. Far cheaper than starting all drivers to ask them; true where files do not tell. A
+/// render node without a GPU behind it, as many virtual machines have, costs no more than the drivers' being
+/// asked.
 pub fn device_present() -> bool {
     let named = |entries: std::fs::ReadDir, is: fn(&str) -> bool| {
         entries.flatten().any(|e| is(&e.file_name().to_string_lossy()))
@@ -51,8 +52,8 @@ fn is_render_node(name: &str) -> bool {
     name.starts_with("renderD")
 }
 
-/// In `/dev`: what drivers use that do not go through the kernel's common interface, of NVIDIA, AMD's compute driver, Windows'
-/// subsystem for Linux, ARM, Qualcomm and Imagination.
+/// In `/dev`: what drivers use that do not go through the kernel's common interface, of NVIDIA, AMD's compute
+/// driver, Windows' subsystem for Linux, ARM, Qualcomm and Imagination.
 fn is_gpu(name: &str) -> bool {
     ["nvidia", "nvhost", "nvgpu", "kfd", "dxg", "mali", "kgsl", "pvr"].iter().any(|p| name.starts_with(p))
 }
@@ -117,7 +118,8 @@ pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
     let adapters = find();
     if adapters.is_empty() {
         return Err(BackendError::Unavailable(
-            "no Vulkan adapter: install a driver (for example `apt-get install mesa-vulkan-drivers libvulkan1`) \
+            "no Vulkan adapter: install a driver (for example `apt-get install mesa-vulkan-drivers \
+                libvulkan1`) \
              or use --backend cpu"
                 .to_owned(),
         ));

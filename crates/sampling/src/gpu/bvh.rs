@@ -1,13 +1,13 @@
 //! The hierarchy of boxes the line tracer walks: binary, binned surface area heuristic, built on the CPU.
 //!
 //! It orders triangles and bounds them; it knows nothing of devices, rays or units, splits no triangle and is
-//! never refitted. The same triangles give the same nodes on every machine and thread count: subtrees are built
-//! in parallel, but where each goes follows from the split alone.
+//! never refitted. The same triangles give the same nodes on every machine and thread count: subtrees are
+//! built in parallel, but where each goes follows from the split alone.
 //!
-//! **Depth.** A node of n triangles at depth d is split by the heuristic only while d + 1 + [`levels`]\(n − 1) is
-//! at most [`MAX_DEPTH`], else at the median, which makes [`levels`] one less. So d + levels(n) never exceeds
-//! [`MAX_DEPTH`], and a traversal that goes down one child and puts the other aside never has more than
-//! [`MAX_DEPTH`] put aside. [`Bvh::build`] measures the depth all the same and refuses a deeper tree.
+//! **Depth.** A node of n triangles at depth d is split by the heuristic only while
+//! d + 1 + [`levels`]\(n − 1) is at most [`MAX_DEPTH`], else at the median, which makes [`levels`] one less.
+//! So d + levels(n) never exceeds [`MAX_DEPTH`], and a traversal that goes down one child and puts the other aside never has more
+//! than [`MAX_DEPTH`] put aside. [`Bvh::build`] measures the depth all the same and refuses a deeper tree.
 //!
 //! It shares no builder with the hierarchy of the crate exact, because nearly every rule differs: the axes
 //! tried, the precision of costs, leaves, depth, uneven splits and the layout of nodes.
@@ -36,7 +36,8 @@ const PARALLEL: usize = 8192;
 #[repr(C)]
 pub(super) struct Node {
     pub(super) low: Vec3,
-    /// In the upper 28 bits the left child and 0 below, or the first triangle of a leaf and their number below.
+    /// In the upper 28 bits the left child and 0 below, or the first triangle of a leaf and their number
+    /// below.
     pub(super) child: u32,
     pub(super) high: Vec3,
     unused: u32,

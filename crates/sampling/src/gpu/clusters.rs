@@ -7,8 +7,8 @@ use glam::Vec3;
 use rayon::prelude::*;
 use sightline_scene::{Aabb, Scene, Triangle};
 
-/// Triangles in a cluster, but for the last. Small, for most of a cluster that a face's border cuts is drawn in
-/// vain; of 32 to 256, 64 measured best.
+/// Triangles in a cluster, but for the last. Small, for most of a cluster that a face's border cuts is drawn
+/// in vain; of 32 to 256, 64 measured best.
 pub(super) const CLUSTER: usize = 64;
 
 /// Bits of the Morton code for each axis.
@@ -78,6 +78,8 @@ pub(super) fn faces_touched(bounds: &Aabb, eye: Vec3) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use sightline_scene::Object;
+
     use super::*;
 
     #[test]
@@ -131,12 +133,13 @@ mod tests {
                 .map(|i| Triangle { v: [vertex(i), vertex(i * 7 + 1), vertex(i * 5 + 2)] })
                 .collect();
             let objects =
-                vec![sightline_scene::Object { name: String::new(), first: 0, count: triangles.len() as u32 }];
+                vec![Object { name: String::new(), first: 0, count: triangles.len() as u32 }];
             let scene = Scene::new("test", triangles.clone(), objects).unwrap();
             let order = drawing_order(&scene);
             let mut sorted = order.clone();
             sorted.sort_unstable();
-            let visible: Vec<u32> = (0..scene.len()).filter(|i| !triangles[*i as usize].is_degenerate()).collect();
+            let area = |i: &u32| !triangles[*i as usize].is_degenerate();
+            let visible: Vec<u32> = (0..scene.len()).filter(area).collect();
             proptest::prop_assert_eq!(sorted, visible);
             let place = |id: u32| order.iter().position(|o| *o == id);
             for (a, b) in (0..scene.len()).flat_map(|a| (0..a).map(move |b| (b, a))) {

@@ -25,8 +25,9 @@ impl DrawStyle {
     /// For GPUs: a draw costs more than a few clusters.
     pub(super) const HARDWARE: Self = Self { bridge: 4 * CLUSTER as u32, longest: u32::MAX };
 
-    /// For lavapipe: a draw costs little, and one with a single clipped triangle takes a slow path whose time grows
-    /// with the square of the draw's length (up to some thousand vertices). One cluster a draw halves the time.
+    /// For lavapipe: a draw costs little, and one with a single clipped triangle takes a slow path whose time
+    /// grows with the square of the draw's length (up to some thousand vertices). One cluster a draw halves
+    /// the time.
     pub(super) const SOFTWARE: Self = Self { bridge: 0, longest: CLUSTER as u32 };
 }
 

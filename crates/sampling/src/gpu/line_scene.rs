@@ -2,8 +2,8 @@
 //!
 //! It traces nothing itself (`tracer.rs` does) and holds nothing of the raster path.
 //!
-//! **Limits.** A storage binding may be small, 128 MiB on some devices; nodes and triangles are each spread over
-//! up to [`PAGES`] of them. A scene that does not fit even so is refused, with the limit named.
+//! **Limits.** A storage binding may be small, 128 MiB on some devices; nodes and triangles are each spread
+//! over up to [`PAGES`] of them. A scene that does not fit even so is refused, with the limit named.
 
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;

@@ -1,11 +1,11 @@
 //! The GPU backend: item buffers drawn by wgpu, reduced on the device, read back as short lists.
 //!
-//! It draws triangles with the ordinary raster pipeline. Beside it stands a compute path that traces sight lines
-//! (`tracer.rs`) and shares only the device. Nothing here is needed to read a result: a machine without a driver
-//! uses the CPU backend.
+//! It draws triangles with the ordinary raster pipeline. Beside it stands a compute path that traces sight
+//! lines (`tracer.rs`) and shares only the device. Nothing here is needed to read a result: a machine without
+//! a driver uses the CPU backend.
 //!
-//! **Near plane.** A cube's frusta begin at [`crate::near_distance`]. Depth is reversed floating point, near /
-//! distance, which has the same relative precision at any distance.
+//! **Near plane.** A cube's frusta begin at [`crate::near_distance`]. Depth is reversed floating point, near
+//! / distance, which has the same relative precision at any distance.
 //!
 //! **Same bits.** Triangles are drawn in one fixed order, the first at a depth wins; the reduction is made of
 //! integer sums and unions, whose order does not matter; its list is sorted before use.
@@ -74,8 +74,8 @@ impl GpuBackend {
     /// Opens a device and copies `scene` to it.
     ///
     /// # Errors
-    /// [`BackendError::Unavailable`] when there is no fitting adapter, or it or this backend cannot do `spec` or
-    /// the scene; [`BackendError::Failed`] when the device cannot hold the scene.
+    /// [`BackendError::Unavailable`] when there is no fitting adapter, or it or this backend cannot do `spec`
+    /// or the scene; [`BackendError::Failed`] when the device cannot hold the scene.
     pub fn new(scene: Arc<Scene>, spec: CubeSpec, choice: AdapterChoice) -> Result<Self, BackendError> {
         Self::with_pages(scene, spec, &choice, PAGE_BYTES)
     }
@@ -102,7 +102,8 @@ impl GpuBackend {
         let limits = device.limits();
         if 3 * spec.resolution > limits.max_texture_dimension_2d {
             return Err(BackendError::Unavailable(format!(
-                "the adapter {} renders cubes of at most {} pixels a side, not {}; choose fewer or use --backend cpu",
+                "the adapter {} renders cubes of at most {} pixels a side, not {}; choose fewer or use \
+                    --backend cpu",
                 summary.name,
                 limits.max_texture_dimension_2d / 3,
                 spec.resolution
@@ -150,8 +151,8 @@ impl GpuBackend {
         }
     }
 
-    /// Waits until the device has done `submission`, and its buffers' maps with it. The news of a map may still be
-    /// on its way here by another thread's wait; receive it with [`PATIENCE`].
+    /// Waits until the device has done `submission`, and its buffers' maps with it. The news of a map may
+    /// still be on its way here by another thread's wait; receive it with [`PATIENCE`].
     fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), BackendError> {
         let poll = wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(PATIENCE) };
         // wgpu panics here when the device is lost while it waits; a lost device is an error like any other.

@@ -1,8 +1,8 @@
 // Reduces the six item buffers to one entry a visible slot: (slot, strata mask, pixel count).
 //
 // `reduce` adds to masks and counts, which are all zero before, and lists every slot it touches first;
-// `gather` completes the list and sets what was touched back to zero. The order of the list is left to chance:
-// the reader sorts it.
+// `gather` completes the list and sets what was touched back to zero. The order of the list is left to
+// chance: the reader sorts it.
 
 struct Params {
     // Side of a face in pixels.

@@ -34,7 +34,8 @@ impl Tally {
         // Rounded up so that supersets of like size share one allocation.
         let slots = slots.checked_next_power_of_two().unwrap_or(u32::MAX).min(most_slots(&limits)).max(1);
         let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-        // A cube shows no more triangles than it has pixels, so only a list cut by the device's limits can run over.
+        // A cube shows no more triangles than it has pixels, so only a list cut by the device's limits can
+        // run over.
         let room = u32::try_from(bytes.saturating_sub(LIST_HEAD) / ENTRY_BYTES).unwrap_or(u32::MAX);
         let capacity = slots.min(pixels).min(room);
         scoped(device, || {

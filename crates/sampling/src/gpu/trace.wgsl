@@ -4,20 +4,20 @@
 // Units. The scene is scaled by a power of two to about one, each direction to a largest component of 1 to 2.
 // Both are exact, so that scenes and directions of any size are traced alike.
 //
-// Watertight (after Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection", 2013). Vertices are moved and
-// sheared so that the ray is the third axis: the same function of vertex and ray for every triangle that shares the
-// vertex. On which side of the axis an edge lies is then decided exactly, so whether a triangle is met is an exact
-// statement about the moved vertices, and no ray slips between two triangles that share an edge or a vertex. It does
-// not matter whether the device contracts products and sums: only rounded products are compared, and rounding keeps
-// order; equal ones are compared in integers.
+// Watertight (after Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection", 2013). Vertices are moved
+// and sheared so that the ray is the third axis: the same function of vertex and ray for every triangle that
+// shares the vertex. On which side of the axis an edge lies is then decided exactly, so whether a triangle is
+// met is an exact statement about the moved vertices, and no ray slips between two triangles that share an
+// edge or a vertex. It does not matter whether the device contracts products and sums: only rounded products
+// are compared, and rounding keeps order; equal ones are compared in integers.
 //
-// Boxes are widened by 2^-19 of the distance to the scene's farthest corner: shearing moves a vertex by at most
-// 10 · 2^-24 of it (subtraction 1, its error sheared 1, quotient of 2.5 ulp 5, product 1, sum 2), and the slabs'
-// arithmetic is off by at most 7 · 2^-24 (subtraction 1, reciprocal 5, product 1). 32 are taken.
+// Boxes are widened by 2^-19 of the distance to the scene's farthest corner: shearing moves a vertex by at
+// most 10 · 2^-24 of it (subtraction 1, its error sheared 1, quotient of 2.5 ulp 5, product 1, sum 2), and
+// the slabs' arithmetic is off by at most 7 · 2^-24 (subtraction 1, reciprocal 5, product 1). 32 are taken.
 //
-// Order. A hit's distance is clamped to the span of the triangle's own box. Spans are monotone in the box, also
-// rounded, so no box is skipped that holds a hit at most as far as the nearest; among equals the least id wins. The
-// order of the walk therefore changes no result.
+// Order. A hit's distance is clamped to the span of the triangle's own box. Spans are monotone in the box,
+// also rounded, so no box is skipped that holds a hit at most as far as the nearest; among equals the least
+// id wins. The order of the walk therefore changes no result.
 
 struct Scene {
     low: vec3<f32>,
@@ -273,7 +273,8 @@ fn trace(@builtin(global_invocation_id) id: vec3<u32>) {
     ray.direction = given * shortening;
     let size = abs(ray.direction);
     let tiny = size < vec3<f32>(LEAST_DIRECTION);
-    let signed_least = select(vec3<f32>(LEAST_DIRECTION), vec3<f32>(-LEAST_DIRECTION), ray.direction < vec3<f32>(0.0));
+    let signed_least =
+        select(vec3<f32>(LEAST_DIRECTION), vec3<f32>(-LEAST_DIRECTION), ray.direction < vec3<f32>(0.0));
     ray.inverse = vec3<f32>(1.0) / select(ray.direction, signed_least, tiny);
     ray.backwards = ray.inverse < vec3<f32>(0.0);
     let corner = max(abs(scene.low - ray.origin), abs(scene.high - ray.origin));

@@ -1,9 +1,9 @@
-//! Tracing packets on the device: uploads, dispatches and read-backs in a ring, so that the host copies one batch
-//! while the device traces another.
+//! Tracing packets on the device: uploads, dispatches and read-backs in a ring, so that the host copies one
+//! batch while the device traces another.
 //!
-//! It neither sorts rays nor changes them: a packet's lanes go as they are and come back in their place, so no
-//! batch size or number of threads reaches a result. Several threads may trace at once; each has batches of its
-//! own, taken from a common pool.
+//! It neither sorts rays nor changes them: a packet's lanes go as they are and come back in their place, so
+//! no batch size or number of threads reaches a result. Several threads may trace at once; each has batches
+//! of its own, taken from a common pool.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, mpsc};
@@ -122,7 +122,8 @@ impl Slot {
         })
     }
 
-    /// Copies the packets' rays into the upload, lanes that are none as rays without a direction, and unmaps it.
+    /// Copies the packets' rays into the upload, lanes that are none as rays without a direction, and unmaps
+    /// it.
     fn fill(&self, packets: &[Packet]) -> Result<(), wgpu::MapRangeError> {
         {
             let bytes = 4 * RAY_WORDS;
@@ -196,7 +197,8 @@ impl<'a> GpuTracer<'a> {
             pass.set_pipeline(&self.kit.scene.pipeline);
             pass.set_bind_group(0, &self.kit.scene.group, &[]);
             pass.set_bind_group(1, &slot.group, &[]);
-            // The last group may trace what an earlier batch left; nobody reads it. At most `most` / GROUP groups.
+            // The last group may trace what an earlier batch left; nobody reads it. At most `most` / GROUP
+            // groups.
             pass.dispatch_workgroups(packets.len().div_ceil(GROUP) as u32, 1, 1);
         }
         encoder.copy_buffer_to_buffer(&slot.hits, 0, &slot.read_back, 0, bytes(HIT_WORDS));

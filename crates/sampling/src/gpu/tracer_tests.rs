@@ -1,5 +1,5 @@
-//! What cannot be seen of the line tracer from outside the crate: batches and pages. What it meets is tested in
-//! `tests/gpu_lines.rs`.
+//! What cannot be seen of the line tracer from outside the crate: batches and pages. What it meets is tested
+//! in `tests/gpu_lines.rs`.
 
 use glam::Vec3;
 use sightline_scene::{Object, Scene, Triangle};

@@ -1,9 +1,12 @@
-//! An adaptive tree from sight lines: small cells are sampled together, and joined again where the budget is kept.
+//! An adaptive tree from sight lines: small cells are sampled together, and joined again where the budget is
+//! kept.
 //!
-//! What is seen from a cell is what is seen from any of its parts, so the sets of a block of small cells give those of all nodes above
-//! them, and with them where the tree ends. The papers go the other way, from the root down (thesis §4.2.2): with cubes on cells'
-//! surfaces a cell's set is known before those of its parts. Lines are the cheaper the more cells share them. They are not cast again
-//! from parts of the small cells, which would not find all that is known to be seen from the whole: so deep is no tree ([`MOST_LINE_DEPTH`]).
+//! What is seen from a cell is what is seen from any of its parts, so the sets of a block of small cells give
+//! those of all nodes above them, and with them where the tree ends. The papers go the other way, from the
+//! root down (thesis §4.2.2): with cubes on cells' surfaces a cell's set is known before those of its parts.
+//! Lines are the cheaper the more cells share them. They are not cast again from parts of the small cells,
+//! which would not find all that is known to be seen from the whole: so deep is no tree
+//! ([`MOST_LINE_DEPTH`]).
 
 use sightline_viewcells::division::FORCED_DEPTH;
 use sightline_viewcells::{CellBox, Split, Tile};
@@ -20,7 +23,8 @@ const LEVELS: u32 = 9;
 
 // The specification refuses deeper trees.
 const _: () = assert!(MOST_LINE_DEPTH == FORCED_DEPTH + LEVELS);
-/// Most of a cell, in cells, that a segment may have to cross before it counts: where coordinates are few, smaller ones would lose lines.
+/// Most of a cell, in cells, that a segment may have to cross before it counts: where coordinates are few,
+/// smaller ones would lose lines.
 const MOST_MARGIN: f32 = 1.0 / 16.0;
 
 /// Runs a leaf tile of an adaptive tree.
@@ -69,7 +73,8 @@ struct Sampled {
     stats: Vec<CellStats>,
 }
 
-/// How many levels below a cell are regular, [`LEVELS`] at most, and how many cells the last of them has along each axis.
+/// How many levels below a cell are regular, [`LEVELS`] at most, and how many cells the last of them has
+/// along each axis.
 fn regular(job: &JobContext<'_>, cell: &CellBox, depth: u32) -> (u32, [u32; 3]) {
     let (min, max) = cell.world(&job.lattice);
     let (mut sides, mut cells) = ([1; 3], vec![*cell]);
@@ -130,8 +135,8 @@ impl Part {
     }
 }
 
-/// A number for each cell of each level of the tree, for its random numbers: 2 to the power of the level, and which of its level
-/// it is.
+/// A number for each cell of each level of the tree, for its random numbers: 2 to the power of the level, and
+/// which of its level it is.
 fn number(units: [u32; 3], block: &CellBox, sides: [u32; 3], c: [u32; 3]) -> u64 {
     let step = [0, 1, 2].map(|a| (block.hi[a] - block.lo[a]) / sides[a]);
     let many = [0, 1, 2].map(|a| u64::from(units[a] / step[a]));

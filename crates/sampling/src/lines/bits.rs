@@ -1,7 +1,8 @@
 //! Which triangle is seen from which cell: one row of bits a triangle, twice over.
 //!
-//! Decisions read the state of the last barrier; finds go to the other copy. So what is found does not depend on the
-//! order in which threads find it: or-ing commutes, and nobody reads what is written until all have written.
+//! Decisions read the state of the last barrier; finds go to the other copy. So what is found does not depend
+//! on the order in which threads find it: or-ing commutes, and nobody reads what is written until all have
+//! written.
 
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering::Relaxed};
 
@@ -23,8 +24,9 @@ pub struct SeenBits {
 impl SeenBits {
     /// Nothing seen yet: `rows` triangles, `words` words of cells each.
     pub fn new(rows: usize, words: usize) -> Self {
-        // Written, by all threads, and not left to the kernel to make zero when first read: pages that are read before they
-        // are written are mapped twice, and the second time every core has to be interrupted.
+        // Written, by all threads, and not left to the kernel to make zero when first read: pages that are
+        // read before they are written are mapped twice, and the second time every core has to be
+        // interrupted.
         let all = || (0..rows * words).into_par_iter().with_min_len(1 << 16);
         let before = all().map(|_| 0).collect();
         let now = all().map(|_| AtomicU64::new(0)).collect();

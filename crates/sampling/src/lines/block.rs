@@ -1,4 +1,5 @@
-//! A block of cells that are sampled together: the cells, the table of what each sees, and the work spread over threads.
+//! A block of cells that are sampled together: the cells, the table of what each sees, and the work spread
+//! over threads.
 //!
 //! A block knows nothing of the order in which lines are cast; that is in [`super::rounds`].
 
@@ -19,7 +20,8 @@ use crate::packet::{LineTracer, Packet};
 use crate::surface::Surface;
 use sightline_model::{CellStats, LineKind};
 
-/// Work of an aimed ray in uniform ones, which are in packets: measured as 2 (wide tiles, small scenes) to 4.5.
+/// Work of an aimed ray in uniform ones, which are in packets: measured as 2 (wide tiles, small scenes) to
+/// 4.5.
 pub(super) const AIMED_WORK: u64 = 3;
 
 /// Part of the block's size by which the two halves of a line overlap at least ([`Packet::reversed`]).
@@ -102,7 +104,8 @@ pub struct Block<'a> {
 }
 
 impl<'a> Block<'a> {
-    /// A block with nothing seen. `number` gives each of its cells a number that no other cell of the job has.
+    /// A block with nothing seen. `number` gives each of its cells a number that no other cell of the job
+    /// has.
     pub fn new(tools: Tools<'a>, grid: CellGrid, number: impl Fn([u32; 3]) -> u64) -> Self {
         let cells: Vec<Cell> = grid
             .each()

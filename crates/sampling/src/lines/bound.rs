@@ -1,13 +1,13 @@
 //! How far a set can be trusted: held-out sight lines and the bound they give.
 //!
-//! From a cell, n independent sight lines are cast that took no part in the search: the origin even in the cell, the
-//! direction even in the pixels of a visibility cube. When m of them meet a triangle that is not in the cell's set, the
-//! fraction of such lines that would is at most [`upper_bound`] with confidence 1 − α (Clopper and Pearson 1934). It bounds
-//! the average over the cell, not the worst view.
+//! From a cell, n independent sight lines are cast that took no part in the search: the origin even in the
+//! cell, the direction even in the pixels of a visibility cube. When m of them meet a triangle that is not in
+//! the cell's set, the fraction of such lines that would is at most [`upper_bound`] with confidence 1 − α
+//! (Clopper and Pearson 1934). It bounds the average over the cell, not the worst view.
 //!
-//! A cell that does not pass is sampled further and looked at again with fresh lines. Look k spends α·2⁻ᵏ, so that over any
-//! number of looks the chance that a bound is wrong stays below α. What a look finds is added to the set, which only lowers
-//! the error.
+//! A cell that does not pass is sampled further and looked at again with fresh lines. Look k spends α·2⁻ᵏ, so
+//! that over any number of looks the chance that a bound is wrong stays below α. What a look finds is added
+//! to the set, which only lowers the error.
 
 use super::block::{Block, Scratch};
 use super::rounds::{LEFT_AFTER_ROUND, Tolerance};
@@ -21,8 +21,8 @@ use sightline_model::{CellStats, LineKind};
 
 /// Looks after which a cell is left with the bound it has.
 const MOST_LOOKS: u32 = 12;
-/// Sight lines of the first look, in units of one over the bound asked for; each later look takes one unit more, as its
-/// confidence is higher. Six let one miss pass.
+/// Sight lines of the first look, in units of one over the bound asked for; each later look takes one unit
+/// more, as its confidence is higher. Six let one miss pass.
 const LINES: f64 = 6.0;
 /// Lines traced between two looks at the clock.
 const BATCH: usize = 1 << 14;
@@ -30,8 +30,8 @@ const BATCH: usize = 1 << 14;
 const CHECK: u64 = 5;
 
 impl Block<'_> {
-    /// Samples until every cell is expected to miss at most `target` and its bound is at most `most`, or the time is up, or
-    /// a cell has been looked at too often. A cell's statistics say what was reached.
+    /// Samples until every cell is expected to miss at most `target` and its bound is at most `most`, or the
+    /// time is up, or a cell has been looked at too often. A cell's statistics say what was reached.
     ///
     /// # Errors
     /// As [`Block::sample`].
@@ -94,7 +94,8 @@ impl Block<'_> {
             }
             let batch = left.min(BATCH as u64) as usize;
             left -= batch as u64;
-            // Drawn independently, then put in an order in which lines that run alike follow each other: the order changes no count.
+            // Drawn independently, then put in an order in which lines that run alike follow each other: the
+            // order changes no count.
             let side = ((batch as f32 / 96.0).sqrt() as u32).max(1);
             let mut drawn: Vec<(u32, [f32; 6])> = (0..batch)
                 .map(|_| {

@@ -1,7 +1,8 @@
-//! Candidates: what a neighbouring cell sees and this one does not, next to something it sees, and large enough to matter.
+//! Candidates: what a neighbouring cell sees and this one does not, next to something it sees, and large
+//! enough to matter.
 //!
-//! Sixteen candidates that lie near each other share an origin, close to the face through which the neighbours see them:
-//! a point of that face belongs to both cells. The lines go both ways.
+//! Sixteen candidates that lie near each other share an origin, close to the face through which the
+//! neighbours see them: a point of that face belongs to both cells. The lines go both ways.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -18,8 +19,8 @@ use sightline_model::{CellStats, LineKind};
 const STRIPE: usize = 4096;
 /// How deep in the cell an origin lies behind the face it is near to, as a part of the cell's size.
 const DEPTH: f32 = 0.1;
-/// A triangle seen edge-on from the cell's centre may face another of its points: its solid angle counts as at least this
-/// part of what it would be face to face.
+/// A triangle seen edge-on from the cell's centre may face another of its points: its solid angle counts as
+/// at least this part of what it would be face to face.
 const LEAST_FACING: f32 = 0.25;
 /// Name of the stream of random numbers.
 const AIM: u64 = 3;
@@ -33,8 +34,8 @@ pub(super) struct Candidate {
 }
 
 impl Block<'_> {
-    /// For each of the cells `open` its candidates in Morton order: those that cover at least `least` of the sphere seen
-    /// from the cell's centre.
+    /// For each of the cells `open` its candidates in Morton order: those that cover at least `least` of the
+    /// sphere seen from the cell's centre.
     pub(super) fn candidates(&self, open: &[usize], least: &[f64]) -> Vec<Vec<Candidate>> {
         let words = self.grid.words();
         let mut wanted = vec![0u64; words];
@@ -111,7 +112,8 @@ impl Block<'_> {
         lists
     }
 
-    /// Aims at each of `list` from `cell`, once and as often again as [`Yields::times`] has it, but no more once it is met.
+    /// Aims at each of `list` from `cell`, once and as often again as [`Yields::times`] has it, but no more
+    /// once it is met.
     ///
     /// [`Yields::times`]: super::yields::Yields::times
     pub(super) fn aim(
@@ -193,8 +195,8 @@ impl Block<'_> {
         Ok(())
     }
 
-    /// Where to look from, in fractions of the cell: behind one of the faces through which neighbours see the group, chosen
-    /// by how many of it they see.
+    /// Where to look from, in fractions of the cell: behind one of the faces through which neighbours see the
+    /// group, chosen by how many of it they see.
     fn eye_for(&self, cell: usize, group: &[Candidate], random: &mut Hashed) -> [f32; 3] {
         let at = self.cells[cell].at;
         let mut eye = random.point().to_array();

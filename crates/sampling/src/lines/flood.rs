@@ -1,8 +1,9 @@
 //! Flooding: from the origin that saw a new triangle, aim at the triangles beyond its edges, or close by
 //! where an edge has none, that the cell has not seen.
 //!
-//! A surface that shows one triangle mostly shows the next to the same eye; other origins in the cell are far worse
-//! (they were tried). The lines go both ways, so what lies behind the eye is shown to the cells in between.
+//! A surface that shows one triangle mostly shows the next to the same eye; other origins in the cell are far
+//! worse (they were tried). The lines go both ways, so what lies behind the eye is shown to the cells in
+//! between.
 
 use super::block::{Block, Scratch};
 use super::uniform::Find;

@@ -1,7 +1,8 @@
 //! The cells of a block and how a segment walks through them.
 //!
-//! Cells are numbered in bricks, one 64-bit word each: a segment that crosses a dozen cells touches three or four words, and
-//! neighbours are mostly in the same one. A brick has 4×4×4 cells, or is as flat as the block is.
+//! Cells are numbered in bricks, one 64-bit word each: a segment that crosses a dozen cells touches three or
+//! four words, and neighbours are mostly in the same one. A brick has 4×4×4 cells, or is as flat as the block
+//! is.
 
 use glam::Vec3;
 use sightline_viewcells::division::ROUNDING;
@@ -128,8 +129,9 @@ impl CellGrid {
         (0..3).all(|a| c[a] < self.cells[a])
     }
 
-    /// The cells crossed by the part of the line through `origin` along `direction` between the distances `t0` and
-    /// `t1` (Amanatides and Woo 1987), in order. Distances are in lengths of `direction` and may be infinite.
+    /// The cells crossed by the part of the line through `origin` along `direction` between the distances
+    /// `t0` and `t1` (Amanatides and Woo 1987), in order. Distances are in lengths of `direction` and may be
+    /// infinite.
     pub fn walk(&self, origin: [f32; 3], direction: [f32; 3], mut t0: f32, mut t1: f32, out: &mut Crossed) {
         out.clear();
         let (mut start, mut d, mut inverse) = ([0.0f32; 3], [0.0f32; 3], [0.0f32; 3]);
@@ -164,8 +166,8 @@ impl CellGrid {
                 next[a] = ((cell[a] + i32::from(up)) as f32 - start[a]) * inverse[a];
             }
         }
-        // The comparisons are false for what is no number (of a direction that is all but parallel to planes, begun on one): some
-        // axis is taken then, and the loop still ends where the line leaves the block.
+        // The comparisons are false for what is no number (of a direction that is all but parallel to planes,
+        // begun on one): some axis is taken then, and the loop still ends where the line leaves the block.
         //
         // In registers, and which axis comes next, which is as good as random, without a branch.
         let ([mut nx, mut ny, mut nz], [dx, dy, dz]) = (next, delta);
@@ -207,8 +209,8 @@ impl CellGrid {
         }
     }
 
-    /// Word `at` of the cells of `row` and of those that share a face with one of them; bits beyond the block may be set as
-    /// well.
+    /// Word `at` of the cells of `row` and of those that share a face with one of them; bits beyond the block
+    /// may be set as well.
     pub fn dilated(&self, row: &[u64], at: usize) -> u64 {
         let [bx, by, bz] = self.bricks.map(|b| b as usize);
         let step = [1, bx, bx * by];
@@ -238,7 +240,8 @@ impl CellGrid {
     }
 }
 
-/// Binary logarithms of the sides of bricks that cover a block with as few words as can be; among those, the most even.
+/// Binary logarithms of the sides of bricks that cover a block with as few words as can be; among those, the
+/// most even.
 fn brick(cells: [u32; 3]) -> [u32; 3] {
     let all = (0..=BITS).flat_map(|x| (0..=BITS - x).map(move |y| [x, y, BITS - x - y]));
     let words =
@@ -362,7 +365,8 @@ mod tests {
             sky in any::<[bool; 2]>(),
         ) {
             let g = grid(cells);
-            let d: [f32; 3] = std::array::from_fn(|a| if flat >> a & 1 == 1 && flat != 7 { 0.0 } else { d[a] });
+            let zero = |a: usize| flat >> a & 1 == 1 && flat != 7;
+            let d: [f32; 3] = std::array::from_fn(|a| if zero(a) { 0.0 } else { d[a] });
             prop_assume!(d.iter().any(|x| x.abs() > 1e-3));
             let t0 = if sky[0] { f32::NEG_INFINITY } else { -ends[0] };
             let t1 = if sky[1] { f32::INFINITY } else { ends[1] };
@@ -378,7 +382,8 @@ mod tests {
                         if !(lo..=lo + size).contains(&f64::from(o[k])) { b = f64::NEG_INFINITY; }
                         continue;
                     }
-                    let (u, v) = ((lo - f64::from(o[k])) / f64::from(d[k]), (lo + size - f64::from(o[k])) / f64::from(d[k]));
+                    let (from, along) = (f64::from(o[k]), f64::from(d[k]));
+                    let (u, v) = ((lo - from) / along, (lo + size - from) / along);
                     a = a.max(u.min(v));
                     b = b.min(u.max(v));
                 }

@@ -1,7 +1,8 @@
 //! The baseline: guided rays, each cell on its own.
 //!
-//! A fixed number of rays a cell; half are aimed at unseen triangles next to seen ones (over an edge, or close by), a quarter at random unseen triangles,
-//! a quarter go in random directions. Nothing is shared and every ray is traced alone. It is here to be measured against.
+//! A fixed number of rays a cell; half are aimed at unseen triangles next to seen ones (over an edge, or
+//! close by), a quarter at random unseen triangles, a quarter go in random directions. Nothing is shared and
+//! every ray is traced alone. It is here to be measured against.
 
 use glam::Vec3;
 

@@ -1,13 +1,14 @@
 //! The default sampler: sight lines that are shared by all cells they cross.
 //!
-//! A maximal free segment runs from one triangle to another (or to the sky) and shows both its ends to every cell it
-//! crosses (Bittner et al. 2009, "Adaptive Global Visibility Sampling"). The cells of a block share one table of the
-//! triangles seen from each ([`bits`]). Lines are traced in packets ([`crate::packet`]), coherent where their directions
-//! are alike, and walked through the cells ([`grid`]). Four kinds of lines ([`sightline_model::LineKind`]) find missing triangles, in rounds
-//! ([`rounds`]), until a cell's own estimate of its missing part is small enough; [`bound`] then takes a bound from
-//! held-out lines.
+//! A maximal free segment runs from one triangle to another (or to the sky) and shows both its ends to every
+//! cell it crosses (Bittner et al. 2009, "Adaptive Global Visibility Sampling"). The cells of a block share
+//! one table of the triangles seen from each ([`bits`]). Lines are traced in packets ([`crate::packet`]),
+//! coherent where their directions are alike, and walked through the cells ([`grid`]). Four kinds of lines
+//! ([`sightline_model::LineKind`]) find missing triangles, in rounds ([`rounds`]), until a cell's own
+//! estimate of its missing part is small enough; [`bound`] then takes a bound from held-out lines.
 //!
-//! A result does not depend on threads: every decision reads the state of the last barrier, or the cell's own finds.
+//! A result does not depend on threads: every decision reads the state of the last barrier, or the cell's own
+//! finds.
 
 mod adaptive;
 pub mod bits;

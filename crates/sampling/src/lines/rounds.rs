@@ -1,38 +1,43 @@
 //! Rounds of sight lines, until every cell of a block misses little enough.
 //!
-//! A round casts uniform lines from every open cell, floods from their finds, and then aims at candidates. The fraction
-//! of a round's uniform rays that met a new triangle estimates, without bias, the part that the cell was missing when the
-//! round began; the round itself leaves about half of that or less. A cell is done when the part that it is expected to
-//! miss falls below its tolerance: the target, or more for the hardest cells ([`Tolerance`]).
+//! A round casts uniform lines from every open cell, floods from their finds, and then aims at candidates.
+//! The fraction of a round's uniform rays that met a new triangle estimates, without bias, the part that the
+//! cell was missing when the round began; the round itself leaves about half of that or less. A cell is done
+//! when the part that it is expected to miss falls below its tolerance: the target, or more for the hardest
+//! cells ([`Tolerance`]).
 
 use super::block::{AIMED_WORK, Block};
 use super::candidates::Candidate;
 use crate::context::TileError;
 use sightline_model::{CellStats, LineKind};
 
-/// Uniform tiles of the first round along a cube face: 27 packet pairs, 864 rays; 12 where little accuracy is wanted.
+/// Uniform tiles of the first round along a cube face: 27 packet pairs, 864 rays; 12 where little accuracy is
+/// wanted.
 const FIRST_TILES: u32 = 3;
 const FIRST_COARSE: u32 = 2;
 /// Targets above this are coarse.
 const COARSE: f64 = 5e-3;
-/// Most tiles along a face in a round: 1.6 million rays, of which one miss is well below the least target there is.
+/// Most tiles along a face in a round: 1.6 million rays, of which one miss is well below the least target
+/// there is.
 const MOST_TILES: u32 = 128;
-/// Part of what a cell misses at a round's beginning that is still missing at its end, measured on scenes of every kind as
-/// 0.4 to 0.65.
+/// Part of what a cell misses at a round's beginning that is still missing at its end, measured on scenes of
+/// every kind as 0.4 to 0.65.
 pub(super) const LEFT_AFTER_ROUND: f64 = 0.5;
 /// The same for the first round, which begins with next to nothing and floods far: 0.01 to 0.06.
 const LEFT_AFTER_FIRST: f64 = 0.1;
 /// Misses a round should count for its estimate to be worth something.
 const MISSES_WANTED: f64 = 1.0;
-/// Growth of the least number of tiles along a face from round to round: where much is missing for long, few rays a round
-/// would only repeat themselves.
+/// Growth of the least number of tiles along a face from round to round: where much is missing for long, few
+/// rays a round would only repeat themselves.
 const GROWTH: f64 = 1.25;
 /// Candidates that would cover less than this part of what the cell misses are left.
 const CANDIDATE_PART: f64 = 1e-4;
-/// Rounds after which a cell is given up with what it has; a cell that needs more sees new triangles in every round.
+/// Rounds after which a cell is given up with what it has; a cell that needs more sees new triangles in every
+/// round.
 const MOST_ROUNDS: u32 = 24;
-/// A cell that has taken so many times the work of the average cell is allowed as many times the target as it exceeds
-/// that: its error is one of many in the mean, and the time is better spent on those. See [`Tolerance`].
+/// A cell that has taken so many times the work of the average cell is allowed as many times the target as it
+/// exceeds that: its error is one of many in the mean, and the time is better spent on those. See
+/// [`Tolerance`].
 const HARD_FROM: f64 = 3.0;
 /// Seeds from all surfaces are worth their time below this target.
 const SEEDS_BELOW: f64 = 3e-3;
@@ -47,8 +52,8 @@ pub enum Tolerance {
 }
 
 impl Block<'_> {
-    /// Samples the cells `wanted` (all when empty) until each is expected to miss at most `target`, a fraction of the
-    /// sight lines from it, or as much more as `hard` grants it.
+    /// Samples the cells `wanted` (all when empty) until each is expected to miss at most `target`, a
+    /// fraction of the sight lines from it, or as much more as `hard` grants it.
     ///
     /// # Errors
     /// [`TileError`] when it is cancelled or the tracer fails. Running out of time is no error.
@@ -148,7 +153,8 @@ impl Block<'_> {
         (0..self.cells.len()).map(|c| self.work_of(c)).sum()
     }
 
-    /// Tiles along a cube face for a cell's next round: enough to see what is expected to be missing a few times.
+    /// Tiles along a cube face for a cell's next round: enough to see what is expected to be missing a few
+    /// times.
     fn tiles_for(&self, cell: usize, target: f64, round: u32) -> u32 {
         let s = &self.stats[cell];
         if s.last_rays == 0 {

@@ -1,8 +1,9 @@
 //! Seeds: one line from every other triangle of the scene, so that no surface is left without a line near it.
 //!
-//! What only a hidden corner shows has no neighbour to be found from; these lines begin there, and cut the worst errors
-//! most. Eight triangles next to each other in Morton order share direction and distance, which keeps packets coherent;
-//! the distance of the origin from the surface is log-uniform, as gaps have every size.
+//! What only a hidden corner shows has no neighbour to be found from; these lines begin there, and cut the
+//! worst errors most. Eight triangles next to each other in Morton order share direction and distance, which
+//! keeps packets coherent; the distance of the origin from the surface is log-uniform, as gaps have every
+//! size.
 
 use glam::Vec3;
 use rayon::prelude::*;

@@ -1,5 +1,5 @@
-//! One leaf tile of the plan sampled with sight lines: its cells as a block, and the sets that come out. The cells of an
-//! adaptive tree are joined from smaller ones ([`super::adaptive`]).
+//! One leaf tile of the plan sampled with sight lines: its cells as a block, and the sets that come out. The
+//! cells of an adaptive tree are joined from smaller ones ([`super::adaptive`]).
 
 use std::time::Instant;
 

@@ -1,8 +1,9 @@
-//! Uniform lines: visibility cubes whose 4×4 tiles of directions each have an origin of their own, spread over the cell.
+//! Uniform lines: visibility cubes whose 4×4 tiles of directions each have an origin of their own, spread
+//! over the cell.
 //!
-//! Directions are even in the pixels of a cube, which is how errors are measured. Every direction is traced both ways,
-//! so that each gives a maximal free segment; an origin shared by sixteen directions keeps the packets coherent, and a
-//! new one for the next tile keeps the samples independent.
+//! Directions are even in the pixels of a cube, which is how errors are measured. Every direction is traced
+//! both ways, so that each gives a maximal free segment; an origin shared by sixteen directions keeps the
+//! packets coherent, and a new one for the next tile keeps the samples independent.
 
 use super::block::{Block, Scratch};
 use crate::cube::{SKY, face_basis};
@@ -26,8 +27,8 @@ pub(super) struct Find {
 }
 
 impl Block<'_> {
-    /// A round of uniform lines from `cell`, `tiles`² tiles on each of three pairs of cube faces, and the flood from what
-    /// they find.
+    /// A round of uniform lines from `cell`, `tiles`² tiles on each of three pairs of cube faces, and the
+    /// flood from what they find.
     pub(super) fn uniform(
         &self,
         s: &mut Scratch,

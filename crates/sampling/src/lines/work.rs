@@ -1,4 +1,5 @@
-//! The work of a leaf tile before and after its rounds: the block with the triangles that meet each cell, and the sets.
+//! The work of a leaf tile before and after its rounds: the block with the triangles that meet each cell, and
+//! the sets.
 
 use rayon::prelude::*;
 use sightline_scene::{Aabb, overlap};
@@ -20,8 +21,8 @@ pub struct Work<'a> {
 }
 
 impl Work<'_> {
-    /// A block with `cells` cells along each axis of the box `within`. Each cell's set holds the triangles that meet it.
-    /// `number` gives each cell a number that no other cell of the job has.
+    /// A block with `cells` cells along each axis of the box `within`. Each cell's set holds the triangles
+    /// that meet it. `number` gives each cell a number that no other cell of the job has.
     pub fn block(&self, within: &CellBox, cells: [u32; 3], number: impl Fn([u32; 3]) -> u64) -> Block<'_> {
         let tools = Tools {
             scene: self.scene.scene,

@@ -1,13 +1,16 @@
-//! How often a candidate is aimed at in a round: as often as that finds more, for its work, than uniform rays do.
+//! How often a candidate is aimed at in a round: as often as that finds more, for its work, than uniform rays
+//! do.
 //!
-//! A triangle that is found by attempt number a, aimed or by chance, is visible along about 1/a of the lines at it, so finding it
-//! adds about its part of the sphere over a to what is seen. The mean of that over all tries is the yield of a try. A uniform
-//! ray meets something unseen with the probability M that the next round counts, and what N rays have missed so far
-//! covers some part of 1/N ([`OF_ONE_IN`]): its yield is that part of M/N. Both yields fall with the square of the attempts, which
-//! says how many attempts make them equal.
+//! A triangle that is found by attempt number a, aimed or by chance, is visible along about 1/a of the lines
+//! at it, so finding it adds about its part of the sphere over a to what is seen. The mean of that over all
+//! tries is the yield of a try. A uniform ray meets something unseen with the probability M that the next
+//! round counts, and what N rays have missed so far covers some part of 1/N ([`OF_ONE_IN`]): its yield is
+//! that part of M/N. Both yields fall with the square of the attempts, which says how many attempts make them
+//! equal.
 //!
-//! Candidates are told apart by the decade of the part of the sphere they would cover, and counted for all cells of the block:
-//! one cell's are too few. The sums are of integers, and so do not depend on the order in which threads add to them.
+//! Candidates are told apart by the decade of the part of the sphere they would cover, and counted for all
+//! cells of the block: one cell's are too few. The sums are of integers, and so do not depend on the order in
+//! which threads add to them.
 
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
@@ -19,8 +22,9 @@ const PARTS: [f64; DECADES] = [0.3, 0.03, 3e-3, 3e-4, 3e-5, 3e-6, 3e-7, 3e-8];
 const GAIN_UNIT: f64 = 1.0 / (1u64 << 30) as f64;
 /// Attempts are counted in this part of one.
 const ATTEMPT_UNIT: f64 = 1.0 / 256.0;
-/// What a uniform ray of N finds covers, in 1/N: less than one, as lines of other cells have missed it, too. With more, candidates
-/// are hardly ever tried again; with less, an indoor level spends more on tries at middling errors than they bring.
+/// What a uniform ray of N finds covers, in 1/N: less than one, as lines of other cells have missed it, too.
+/// With more, candidates are hardly ever tried again; with less, an indoor level spends more on tries at
+/// middling errors than they bring.
 const OF_ONE_IN: f64 = 0.5;
 /// Tries a round, at most.
 const MOST: f64 = 8.0;
@@ -36,7 +40,8 @@ struct Decade {
     before: AtomicU64,
     /// Tries at a candidate in all rounds before.
     so_far: f64,
-    /// Tries at a candidate in this round; what is left of a whole number is the chance of another. 0 before the first.
+    /// Tries at a candidate in this round; what is left of a whole number is the chance of another. 0 before
+    /// the first.
     times: f64,
 }
 
@@ -70,8 +75,8 @@ impl Yields {
         self.decades[decade_of(part)].times
     }
 
-    /// Counts try number `time` of this round, from 0, at a candidate that would cover `part` of the sphere seen from a
-    /// cell that has cast `rays` uniform rays.
+    /// Counts try number `time` of this round, from 0, at a candidate that would cover `part` of the sphere
+    /// seen from a cell that has cast `rays` uniform rays.
     pub(super) fn count(&self, part: f32, time: u32, rays: u64, found: bool) {
         let number = decade_of(part);
         let decade = &self.decades[number];
@@ -84,9 +89,9 @@ impl Yields {
         }
     }
 
-    /// Plans the tries of a round after its uniform rays, by what those of the last round brought: of `cast` uniform rays
-    /// `misses` met something unseen, and the cells have by now cast `rays` of them, on average. In the first round every
-    /// candidate is tried once.
+    /// Plans the tries of a round after its uniform rays, by what those of the last round brought: of `cast`
+    /// uniform rays `misses` met something unseen, and the cells have by now cast `rays` of them, on average.
+    /// In the first round every candidate is tried once.
     pub(super) fn plan(&mut self, misses: u64, cast: u64, rays: f64) {
         // After the last round, before this one's uniform rays.
         let uniform = OF_ONE_IN * misses as f64 / cast.max(1) as f64 / self.rays;
@@ -114,8 +119,9 @@ impl Yields {
 mod tests {
     use super::*;
 
-    /// The tries in a second round at candidates of decade 3, after a first one of a thousand tries of which `finds` found
-    /// theirs, from cells of 1000 uniform rays, and another 1000 uniform rays of which `misses` met something unseen.
+    /// The tries in a second round at candidates of decade 3, after a first one of a thousand tries of which
+    /// `finds` found theirs, from cells of 1000 uniform rays, and another 1000 uniform rays of which `misses`
+    /// met something unseen.
     fn second(finds: u32, misses: u64) -> f64 {
         let mut yields = Yields::new(6);
         yields.plan(0, 0, 1000.0);

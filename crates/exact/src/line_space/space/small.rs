@@ -82,7 +82,9 @@ mod tests {
             // Few values, so that many lines meet, are parallel or the same; wide ones, so that all bits are
             // used.
             let at = |i: usize| {
-                let wide = |c: i32, k: i32| f64::from(c) * f64::powi(2.0, spread) + f64::from(far * (i as i32 * 7 + k));
+                let wide = |c: i32, k: i32| {
+                    f64::from(c) * f64::powi(2.0, spread) + f64::from(far * (i as i32 * 7 + k))
+                };
                 DVec3::new(wide(points[i][0], 1), wide(points[i][1], 2), wide(points[i][2], 3))
             };
             let of = [[at(0), at(1)], [at(2), at(3)], [at(4), at(5)]];
@@ -90,11 +92,14 @@ mod tests {
                 prop_assert_eq!(known, truth(of));
             }
             // From the least to the greatest that fits: pencils, and lines one unit off.
-            let d = |i: usize| DVec3::from(points[i].map(|c| (f64::from(c) * f64::powi(2.0, 36)).round() + f64::from(c * 5 + 1)));
+            let large = |c: i32| (f64::from(c) * f64::powi(2.0, 36)).round() + f64::from(c * 5 + 1);
+            let d = |i: usize| DVec3::from(points[i].map(large));
             for off in [0.0, 1.0] {
-                let of = [[DVec3::ZERO, d(0)], [DVec3::ZERO, d(1)], [DVec3::ZERO, d(0) * 2.0 + d(1) + DVec3::X * off]];
+                let third = d(0) * 2.0 + d(1) + DVec3::X * off;
+                let of = [[DVec3::ZERO, d(0)], [DVec3::ZERO, d(1)], [DVec3::ZERO, third]];
                 prop_assert_eq!(dependent(of), Some(truth(of)));
-                let of = [[d(2), d(3)], [d(4), d(4) + d(3) - d(2)], [d(2) * 2.0 - d(4) + DVec3::Y * off, d(2) - d(4) + d(3)]];
+                let third = [d(2) * 2.0 - d(4) + DVec3::Y * off, d(2) - d(4) + d(3)];
+                let of = [[d(2), d(3)], [d(4), d(4) + d(3) - d(2)], third];
                 if let Some(known) = dependent(of) {
                     prop_assert_eq!(known, truth(of));
                 }
@@ -103,7 +108,8 @@ mod tests {
             let v = DVec3::new(1.0, 2.0, 3.0) * f64::from(spread + 1);
             let (p, q) = (at(0), at(1));
             prop_assert_eq!(dependent([[p, q], [p, p + v], [p, p + v + (q - p)]]), Some(true));
-            prop_assert_eq!(dependent([[p, p + v], [q, q + v], [p + (q - p) * 4.0, p + (q - p) * 4.0 + v]]), Some(true));
+            let r = p + (q - p) * 4.0;
+            prop_assert_eq!(dependent([[p, p + v], [q, q + v], [r, r + v]]), Some(true));
         }
     }
 }

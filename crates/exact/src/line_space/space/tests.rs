@@ -72,7 +72,10 @@ proptest! {
     #[test]
     fn rays_are_as_near_as_they_say(
         a in prop::array::uniform3(point()), b in prop::array::uniform3(point()),
-        cuts in prop::collection::vec((point(), point(), prop_oneof![Just(0.01), Just(1e-5), Just(1e-9)]), 1..7),
+        cuts in prop::collection::vec(
+            (point(), point(), prop_oneof![Just(0.01), Just(1e-5), Just(1e-9)]),
+            1..7,
+        ),
     ) {
         let Some((mut space, regions)) = regions(a, b.map(|p| p + DVec3::new(0.0, 0.0, 3.0)), &cuts) else {
             return Ok(());
@@ -86,7 +89,8 @@ proptest! {
                 let x = space.rounded(*ray).map(|c| DoubleDouble(c, 0.0));
                 let error = space.error(*ray);
                 let lines: Vec<Id> = region.tight(*tight).collect();
-                let solved = [false, true].map(|best| space.solved(*space.rounded(*ray), error, &lines, best));
+                let near = *space.rounded(*ray);
+                let solved = [false, true].map(|best| space.solved(near, error, &lines, best));
                 let exact = space.exact(*ray).clone();
                 // From the lines it is on it is the same as by the cuts it comes from.
                 space.vectors[*ray as usize].exact = None;

@@ -47,7 +47,9 @@ proptest! {
     }
 
     #[test]
-    fn wide_vertices_come_back(v in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 256), 1..70)) {
+    fn wide_vertices_come_back(
+        v in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 256), 1..70),
+    ) {
         let v: Vec<[u8; 256]> = v.into_iter().map(|e| e.try_into().unwrap()).collect();
         let got = decode(&view("ATTRIBUTES", v.len(), 256, None), &pack_vertices(&v)).unwrap();
         prop_assert_eq!(got, v.concat());
