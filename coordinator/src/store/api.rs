@@ -64,7 +64,7 @@ pub trait Store: Send + Sync {
     ) -> Result<CommitOutcome, StoreError>;
 
     /// Records that a tile failed on a worker; answers on how many different workers it has failed
-    /// (counted up to [`MAX_FAILURES`]). Nothing changes if the tile is no longer open or the job has ended.
+    /// (counted up to a limit). Nothing changes if the tile is no longer open or the job has ended.
     fn fail_tile(&self, job: JobId, tile: TileIndex, worker: &str, reason: &str) -> Result<u32, StoreError>;
 
     /// Sets an open tile aside: `digest` names the stand-in ("all visible") shipped for it.

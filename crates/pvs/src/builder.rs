@@ -1,4 +1,4 @@
-//! Writing a result: the builder checks its input and writes the sections. [`crate::hierarchy`] chooses the
+//! Writing a result: the builder checks its input and writes the sections. The module `hierarchy` chooses the
 //! sets of the inner tree nodes.
 
 use std::fs::File;

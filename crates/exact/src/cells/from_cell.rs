@@ -20,7 +20,7 @@ pub enum Found {
     /// Seen, along this segment from the cell.
     Visible(Box<[Source; 2]>),
     /// Hidden from each of the cell's faces, with the proofs in the order of
-    /// [`sightline_certificate::Hidden::proofs`].
+    /// [`sightline_certificate::HiddenGroup::proofs`].
     Hidden(Vec<Proof>),
     /// Neither.
     Undecided(Reason),

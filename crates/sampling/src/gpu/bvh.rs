@@ -6,7 +6,8 @@
 //!
 //! **Depth.** A node of n triangles at depth d is split by the heuristic only while
 //! d + 1 + [`levels`]\(n − 1) is at most [`MAX_DEPTH`], else at the median, which makes [`levels`] one less.
-//! So d + levels(n) never exceeds [`MAX_DEPTH`], and a traversal that goes down one child and puts the other aside never has more
+//! So d + levels(n) never exceeds [`MAX_DEPTH`], and a traversal that goes down one child and puts the other
+//! aside never has more
 //! than [`MAX_DEPTH`] put aside. [`Bvh::build`] measures the depth all the same and refuses a deeper tree.
 //!
 //! It shares no builder with the hierarchy of the crate exact, because nearly every rule differs: the axes

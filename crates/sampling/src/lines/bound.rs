@@ -2,8 +2,8 @@
 //!
 //! From a cell, n independent sight lines are cast that took no part in the search: the origin even in the
 //! cell, the direction even in the pixels of a visibility cube. When m of them meet a triangle that is not in
-//! the cell's set, the fraction of such lines that would is at most [`upper_bound`] with confidence 1 − α
-//! (Clopper and Pearson 1934). It bounds the average over the cell, not the worst view.
+//! the cell's set, the fraction of such lines that would is at most [`sightline_model::bound::upper_bound`]
+//! with confidence 1 − α (Clopper and Pearson 1934). It bounds the average over the cell, not the worst view.
 //!
 //! A cell that does not pass is sampled further and looked at again with fresh lines. Look k spends α·2⁻ᵏ, so
 //! that over any number of looks the chance that a bound is wrong stays below α. What a look finds is added

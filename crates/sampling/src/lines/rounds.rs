@@ -42,12 +42,12 @@ const HARD_FROM: f64 = 3.0;
 /// Seeds from all surfaces are worth their time below this target.
 const SEEDS_BELOW: f64 = 3e-3;
 
-/// What becomes of cells that need many times the work of the others.
+/// The part that a cell may still miss when it is done, for cells that need far more work than the others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tolerance {
-    /// They go on like any other.
+    /// Every cell has the target as its tolerance.
     Equal,
-    /// They are done earlier ([`HARD_FROM`]).
+    /// A cell that takes several times the work of the average cell has a larger tolerance, in proportion.
     Raised,
 }
 
