@@ -4,9 +4,11 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use sightline_model::BackendChoice;
 
 use crate::bench_args::BenchArgs;
-use crate::job_args::{Backend, JobArgs};
+use crate::choices::choice;
+use crate::job_args::JobArgs;
 
 /// Bakes from-region visibility: for every view cell of a static triangle scene,
 /// the triangles visible from anywhere in it.
@@ -127,8 +129,8 @@ pub struct WorkerArgs {
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7600")]
     pub coordinator: String,
     /// Backends this worker offers; auto: all that work here.
-    #[arg(long, value_enum, default_value_t = Backend::Auto)]
-    pub backend: Backend,
+    #[arg(long, value_parser = choice::<BackendChoice>(), default_value_t)]
+    pub backend: BackendChoice,
     /// Use the Vulkan adapter whose name contains this.
     #[arg(long, value_name = "TEXT")]
     pub adapter: Option<String>,
@@ -359,8 +361,8 @@ pub struct MeasureArgs {
     #[arg(long, value_name = "PX", default_value_t = 256)]
     pub resolution: u32,
     /// What renders the frames; auto: cpu where Embree is there.
-    #[arg(long, value_enum, default_value_t = Backend::Auto)]
-    pub backend: Backend,
+    #[arg(long, value_parser = choice::<BackendChoice>(), default_value_t)]
+    pub backend: BackendChoice,
     /// Write the worst frames as PNG: seen triangles green, wrong ones red.
     #[arg(long, value_name = "DIR")]
     pub images: Option<PathBuf>,

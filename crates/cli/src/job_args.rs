@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::Duration;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use glam::Vec3;
 use sightline_model::{
     BackendChoice, ErrorMeasure, JobSpec, MOST_LINE_DEPTH, Method, Sampler, SamplingParams, SupersetChoice,
@@ -11,6 +11,7 @@ use sightline_model::{
 use sightline_scene::Scene;
 use sightline_viewcells::Division;
 
+use crate::choices::choice;
 use crate::error::CliError;
 use crate::progress::say;
 
@@ -20,12 +21,12 @@ const MUCH_MOVED: f64 = 1.0 / 16.0;
 /// What is to be baked.
 #[derive(Args, Clone, Debug)]
 pub struct JobArgs {
-    /// How far visibility is decided. aggressive: by sampling, which may miss little and, but for what single
-    /// precision cannot tell apart, sees nothing that is hidden; exact: sampling first, then exact queries,
-    /// until every triangle has a witness or a proof; verified: the same, but single queries that take long
-    /// are given up, to be used with --time-budget. What is not decided is said to be, and drawn.
-    #[arg(long, value_enum, default_value_t = MethodArg::Aggressive)]
-    method: MethodArg,
+    /// How much of a cell's visibility is decided. aggressive: sampling alone, which may miss a few triangles and
+    /// reports no hidden ones, up to single precision; exact: sampling, then exact queries, until every
+    /// triangle has a witness or a proof; verified: the same with lower limits for a single query, meant for
+    /// --time-budget. An undecided triangle is reported, and drawn.
+    #[arg(long, value_parser = choice::<Method>(), default_value_t)]
+    method: Method,
     /// Keep in the result a witness for every triangle that is seen and a proof for every one that is hidden,
     /// for `sightline verify` and `sightline query --why`. Needs --method exact or verified; the file becomes
     /// many times larger.
@@ -45,8 +46,8 @@ pub struct JobArgs {
     #[arg(long, value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]
     view_box: Option<[Vec3; 2]>,
     /// How sight lines are chosen. Default: lines; for adaptive trees deeper than 12: cubes.
-    #[arg(long, value_enum)]
-    sampler: Option<SamplerArg>,
+    #[arg(long, value_parser = choice::<Sampler>())]
+    sampler: Option<Sampler>,
     /// A cell is done when it is expected to miss at most this fraction of the sight lines from it, those
     /// that meet nothing included; cells that take many times the work of the others are allowed more. An
     /// estimate, not a bound. Default: 0.0001, or what --max-error says.
@@ -75,8 +76,8 @@ pub struct JobArgs {
     cubes: CubeArgs,
     /// What traces lines and renders cubes. auto times both on this scene and takes the faster; the gpu has
     /// to be twice as fast as the cpu, so that noise does not decide what comes out.
-    #[arg(long, value_enum, default_value_t = Backend::Auto)]
-    pub backend: Backend,
+    #[arg(long, value_parser = choice::<BackendChoice>(), default_value_t)]
+    pub backend: BackendChoice,
     /// Seed of everything random (the sampler cubes has nothing random).
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
@@ -97,8 +98,8 @@ struct CubeArgs {
     interior_threshold: Option<f64>,
     /// How the corners are compared: their sets (Err), pixel by pixel (Err′), or sets in 24 directions
     /// (Err″). Default: strata.
-    #[arg(long, value_enum)]
-    error_measure: Option<Measure>,
+    #[arg(long, value_parser = choice::<ErrorMeasure>())]
+    error_measure: Option<ErrorMeasure>,
     /// Never subdivide rectangles of at most this fraction of a view cell's size (the mean of its sides).
     /// Default: 0.5.
     #[arg(long, value_name = "F", allow_negative_numbers = true)]
@@ -108,8 +109,8 @@ struct CubeArgs {
     no_solids: bool,
     /// Render with what the cell above saw only. auto: on the gpu, where each triangle drawn costs. Default:
     /// auto.
-    #[arg(long, value_enum)]
-    superset: Option<Superset>,
+    #[arg(long, value_parser = choice::<SupersetChoice>())]
+    superset: Option<SupersetChoice>,
 }
 
 impl CubeArgs {
@@ -136,86 +137,20 @@ impl CubeArgs {
         params.interior_threshold = self.interior_threshold.unwrap_or(params.interior_threshold);
         params.min_distance = self.min_distance.unwrap_or(params.min_distance);
         params.solids = !self.no_solids;
-        params.measure = match self.error_measure {
-            Some(Measure::Sets) => ErrorMeasure::Sets,
-            Some(Measure::Pixels) => ErrorMeasure::Pixels,
-            Some(Measure::Strata) => ErrorMeasure::Strata,
-            None => params.measure,
-        };
-        params.superset = match self.superset {
-            Some(Superset::Auto) => SupersetChoice::Auto,
-            Some(Superset::On) => SupersetChoice::On,
-            Some(Superset::Off) => SupersetChoice::Off,
-            None => params.superset,
-        };
+        params.measure = self.error_measure.unwrap_or(params.measure);
+        params.superset = self.superset.unwrap_or(params.superset);
     }
-}
-
-#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-enum MethodArg {
-    /// Sampling only: fast.
-    Aggressive,
-    /// Sampling, then exact queries about everything: seconds to minutes a cell.
-    Exact,
-    /// As exact, but gives up sooner on what is hard and says that it is undecided.
-    Verified,
-}
-
-#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-enum SamplerArg {
-    /// Sight lines, each shared by all the cells it crosses, guided by what was found.
-    Lines,
-    /// The papers' adaptive visibility cubes.
-    Cubes,
-    /// A fixed number of guided rays for each cell on its own; to compare with.
-    Guided,
-}
-
-#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-enum Measure {
-    /// Err.
-    Sets,
-    /// Err′.
-    Pixels,
-    /// Err″.
-    Strata,
-}
-
-#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-enum Superset {
-    /// On the gpu only.
-    Auto,
-    /// Always.
-    On,
-    /// Never.
-    Off,
-}
-
-/// Which backend.
-#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Backend {
-    /// Chosen for what there is to do.
-    Auto,
-    /// wgpu (Vulkan; a software driver will do).
-    Gpu,
-    /// Embree.
-    Cpu,
 }
 
 impl JobArgs {
     /// The checked specification of a bake of `scene`.
     pub fn spec(&self, path: &Path, scene: &Scene) -> Result<JobSpec, CliError> {
-        let method = match self.method {
-            MethodArg::Aggressive => Method::Aggressive,
-            MethodArg::Exact => Method::Exact,
-            MethodArg::Verified => Method::Verified,
-        };
+        let method = self.method;
         let adaptive = self.triangle_budget.is_some();
         let sampler = match self.sampler {
             None if adaptive && self.max_depth > MOST_LINE_DEPTH => Sampler::Cubes,
-            None | Some(SamplerArg::Lines) => Sampler::Lines,
-            Some(SamplerArg::Cubes) => Sampler::Cubes,
-            Some(SamplerArg::Guided) => Sampler::Guided,
+            Some(sampler) => sampler,
+            None => Sampler::Lines,
         };
         let refuse = |what: &str| Err(CliError::Usage(what.to_owned()));
         if adaptive && sampler == Sampler::Guided {
@@ -256,11 +191,7 @@ impl JobArgs {
                     .unwrap_or_else(|| sightline_model::default_block_cells(scene.len(), &sampling, method))
             },
             sampling,
-            backend: match self.backend {
-                Backend::Auto => BackendChoice::Auto,
-                Backend::Gpu => BackendChoice::Gpu,
-                Backend::Cpu => BackendChoice::Cpu,
-            },
+            backend: self.backend,
             seed: self.seed,
             // At least a millisecond: nothing means no limit.
             time_budget_ms: self.time_budget.map_or(0, |d| (d.as_millis() as u64).max(1)),

@@ -12,6 +12,7 @@ mod bake;
 mod bench;
 mod bench_args;
 mod cells;
+mod choices;
 mod client;
 mod error;
 mod files;

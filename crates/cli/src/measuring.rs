@@ -4,12 +4,12 @@ use std::path::Path;
 use std::sync::Arc;
 
 use sightline_measure::{Options, Viewpoints, measure};
+use sightline_model::BackendChoice;
 use sightline_sampling::{CubeSpec, Strata};
 use sightline_worker::Choice;
 
 use crate::args::MeasureArgs;
 use crate::error::CliError;
-use crate::job_args::Backend;
 use crate::opening;
 use crate::progress::Progress;
 use crate::serve::{self, print};
@@ -48,8 +48,8 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     // missing.
     let probe = |choice| sightline_worker::Backends::probe(choice, Default::default());
     let mut backends =
-        probe(if args.backend == Backend::Auto { Choice::Cpu } else { serve::choice(args.backend) });
-    if args.backend == Backend::Auto && backends.profiles().is_empty() {
+        probe(if args.backend == BackendChoice::Auto { Choice::Cpu } else { serve::choice(args.backend) });
+    if args.backend == BackendChoice::Auto && backends.profiles().is_empty() {
         backends = probe(Choice::Auto);
     }
     serve::say_missing(&backends)?;

@@ -4,13 +4,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use sightline_coordinator::{Config, Coordinator};
+use sightline_model::BackendChoice;
 use sightline_sampling::gpu::{AdapterChoice, adapters};
 use sightline_worker::{Backends, Choice, SceneCache, Stop, WorkerError};
 use tokio::sync::watch;
 
 use crate::args::{CoordinatorArgs, WorkerArgs};
 use crate::error::CliError;
-use crate::job_args::Backend;
 use crate::progress::say;
 
 /// Serves as coordinator until SIGTERM or Ctrl-C.
@@ -66,7 +66,9 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
 
 /// Refuses an `--adapter` that names no adapter of this machine, and lists the names that there are.
 fn check_adapter(args: &WorkerArgs) -> Result<(), CliError> {
-    let Some(part) = args.adapter.as_ref().filter(|_| args.backend != Backend::Cpu) else { return Ok(()) };
+    let Some(part) = args.adapter.as_ref().filter(|_| args.backend != BackendChoice::Cpu) else {
+        return Ok(());
+    };
     let names: Vec<String> = adapters().into_iter().map(|a| a.name).collect();
     if names.iter().any(|name| name.to_lowercase().contains(&part.to_lowercase())) {
         return Ok(());
@@ -111,11 +113,11 @@ pub fn say_missing(backends: &Backends) -> Result<(), CliError> {
 }
 
 /// The worker's way of saying it.
-pub fn choice(backend: Backend) -> Choice {
+pub fn choice(backend: BackendChoice) -> Choice {
     match backend {
-        Backend::Auto => Choice::Auto,
-        Backend::Gpu => Choice::Gpu,
-        Backend::Cpu => Choice::Cpu,
+        BackendChoice::Auto => Choice::Auto,
+        BackendChoice::Gpu => Choice::Gpu,
+        BackendChoice::Cpu => Choice::Cpu,
     }
 }
 
