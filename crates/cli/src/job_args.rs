@@ -21,8 +21,8 @@ const MUCH_MOVED: f64 = 1.0 / 16.0;
 /// What is to be baked.
 #[derive(Args, Clone, Debug)]
 pub struct JobArgs {
-    /// How much of a cell's visibility is decided. aggressive: sampling alone, which may miss a few triangles and
-    /// reports no hidden ones, up to single precision; exact: sampling, then exact queries, until every
+    /// How much of a cell's visibility is decided. aggressive: sampling alone, which may miss a few triangles
+    /// and reports no hidden ones, up to single precision; exact: sampling, then exact queries, until every
     /// triangle has a witness or a proof; verified: the same with lower limits for a single query, meant for
     /// --time-budget. An undecided triangle is reported, and drawn.
     #[arg(long, value_parser = choice::<Method>(), default_value_t)]
