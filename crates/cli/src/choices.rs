@@ -1,4 +1,5 @@
-//! The choices of a job as values of arguments. Their names and help lines are those of [`sightline_model::Choice`].
+//! The choices of a job as values of arguments. Their names and help lines are those of
+//! [`sightline_model::Choice`].
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use sightline_model::Choice;

@@ -1,13 +1,13 @@
-//! Draws a scene from outside with the set of one view cell: the triangles in the set in colour, the others grey,
-//! the cell as a box.
+//! Draws a scene from outside with the set of one view cell: the triangles in the set in colour, the others
+//! grey, the cell as a box.
 //!
 //! ```sh
 //! cargo run --release -p sightline-measure --example picture -- \
 //!     SCENE OUT.pvs CELL EX,EY,EZ TX,TY,TZ OUT.png
 //! ```
 //!
-//! The eye is at EX,EY,EZ and looks at TX,TY,TZ, in the scene's units and axes; y is up. The picture is sampled
-//! from a cube of item buffers, so that the eye sees the same triangles as the error measures do.
+//! The eye is at EX,EY,EZ and looks at TX,TY,TZ, in the scene's units and axes; y is up. The picture is
+//! sampled from a cube of item buffers, so that the eye sees the same triangles as the error measures do.
 
 use std::path::Path;
 use std::sync::Arc;
