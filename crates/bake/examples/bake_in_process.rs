@@ -1,0 +1,55 @@
+//! Bakes one tile of a generated scene in this process and prints the size of each cell's set.
+//!
+//! `cargo run --release -p sightline-bake --example bake_in_process`
+
+#![allow(clippy::print_stdout, reason = "an example prints its result")]
+
+use std::error::Error;
+use std::sync::Arc;
+
+use sightline_bake::{BakeScene, Control, Watcher, run_tile};
+use sightline_model::{CellSets, JobSpec, TileOutput, codec};
+use sightline_sampling::CubeSpec;
+use sightline_sampling::embree::CpuBackend;
+use sightline_scene::generate::{Kind, Params, generate};
+use sightline_viewcells::Division;
+
+/// Watches nothing and never stops the tile.
+struct Unwatched;
+
+impl Watcher for Unwatched {
+    fn rendered(&self, _samples: u64) {}
+    fn cell_done(&self) {}
+    fn cancelled(&self) -> bool {
+        false
+    }
+}
+
+/// The cells of the first tile of a bake of a few rooms, 4×2×4 cells over their bounds.
+///
+/// # Errors
+/// Embree is missing, or the bake failed.
+pub fn bake() -> Result<CellSets, Box<dyn Error>> {
+    let params = Params { triangles: Some(2000), ..Params::default() };
+    let scene = Arc::new(generate(Kind::Rooms, &params)?);
+    let bounds = scene.bounds();
+    // The defaults: sight lines, a target error of 0.0001, blocks of up to 512 cells, so one tile here.
+    let division = Division::Grid([4, 2, 4]);
+    let spec = JobSpec::new(scene.digest().0, division, [bounds.min, bounds.max]);
+    spec.check()?;
+    let backend = CpuBackend::new(Arc::clone(&scene), CubeSpec::of(&spec.sampling))?;
+    let control = Control { watcher: &Unwatched, deadline: None };
+    let done = run_tile(&spec, 0, &BakeScene::new(Arc::clone(&scene))?, &backend, &[], control)?;
+    // A worker sends these bytes to its coordinator; here they are decoded at once.
+    match codec::decode(&done.bytes, scene.len())? {
+        TileOutput::Cells(cells) => Ok(cells),
+        TileOutput::Pack(_) => Err("only tiles of visibility cubes have packs".into()),
+    }
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    for (number, cell) in bake()?.cells.iter().enumerate() {
+        println!("cell {number}: {} triangles", cell.visible.len());
+    }
+    Ok(())
+}
