@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Makes docs/picture.png: a generated town from above, one view cell as a box, and in colour the triangles in its set.
+# Makes docs/picture.png: a generated town from above, one view cell as a box, and the triangles of its set in
+# colour.
 #
 #   scripts/picture.sh
 #

@@ -18,8 +18,8 @@
 //! let triangle = Triangle { v: [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y] };
 //! let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
 //! let digest = coordinator.take_scene(&Scene::new("test", vec![triangle], objects)?)?;
-//! // Jobs can now be submitted on the scene with this digest: see `serve` for the coordinator's gRPC
-//! services. assert_ne!(digest, [0; 32]);
+//! // Jobs can now be submitted on the scene with this digest; `serve` offers the gRPC services for that.
+//! assert_ne!(digest, [0; 32]);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
