@@ -3,6 +3,27 @@
 //! It keeps nothing on disk and decides nothing: which tiles there are, who runs them and what becomes of the
 //! results is the coordinator's business. Killing it at any moment costs the work in hand and changes no
 //! result.
+//!
+//! ```no_run
+//! use std::sync::Arc;
+//!
+//! use sightline_sampling::gpu::AdapterChoice;
+//! use sightline_worker::{Backends, Choice, Config, SceneCache, Stop};
+//!
+//! # async fn example() -> Result<(), sightline_worker::WorkerError> {
+//! let config = Config {
+//!     coordinator: "http://127.0.0.1:7600".to_owned(),
+//!     name: "worker 1".to_owned(),
+//!     backends: Arc::new(Backends::probe(Choice::Auto, AdapterChoice::default())),
+//!     scenes: Arc::new(SceneCache::default()),
+//!     give_up_after: None,
+//! };
+//! let (stop, stopped) = tokio::sync::watch::channel(Stop::No);
+//! sightline_worker::run(config, stopped).await?;
+//! # drop(stop);
+//! # Ok(())
+//! # }
+//! ```
 
 pub mod backends;
 mod packs;

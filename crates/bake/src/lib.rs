@@ -3,6 +3,33 @@
 //! [`run_tile`] is the only place where choices that change bytes meet. Their values are in [`choices`],
 //! beside the version of the algorithm. This crate keeps nothing between two tiles; a worker owns scenes,
 //! backends and packs.
+//!
+//! ```no_run
+//! use std::sync::Arc;
+//!
+//! use sightline_bake::{BakeScene, Control, Watcher, run_tile};
+//! use sightline_model::JobSpec;
+//! use sightline_sampling::{CubeSpec, embree::CpuBackend};
+//! use sightline_viewcells::Division;
+//!
+//! struct Unwatched;
+//! impl Watcher for Unwatched {
+//!     fn rendered(&self, _samples: u64) {}
+//!     fn cell_done(&self) {}
+//!     fn cancelled(&self) -> bool {
+//!         false
+//!     }
+//! }
+//!
+//! let scene = Arc::new(sightline_scene::load("level.glb".as_ref())?);
+//! let bounds = scene.bounds();
+//! let spec = JobSpec::new(scene.digest().0, Division::Grid([8, 8, 8]), [bounds.min, bounds.max]);
+//! let backend = CpuBackend::new(Arc::clone(&scene), CubeSpec::of(&spec.sampling))?;
+//! let control = Control { watcher: &Unwatched, deadline: None };
+//! let done = run_tile(&spec, 0, &BakeScene::new(scene)?, &backend, &[], control)?;
+//! println!("{} bytes from {} rays", done.bytes.len(), done.samples);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub mod choices;
 mod decide;

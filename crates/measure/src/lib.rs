@@ -1,4 +1,4 @@
-//! How wrong a result looks: the error measures of Nirenstein and Blake (2004), §7.2.
+//! How wrong a result looks: the error measures of Nirenstein and Blake 2004, section 7.2.
 //!
 //! From many viewpoints, all around, the whole scene is drawn with triangle ids (a visibility cube). A pixel
 //! is *wrong* when its triangle is not in the visible set of the viewpoint's cell: drawing the set alone
@@ -7,6 +7,24 @@
 //!
 //! This crate draws nothing itself (a [`sightline_sampling::CubeRenderer`] does) and judges the image, not
 //! the set: a triangle that is in a set without need costs time when drawn, and is no error here.
+//!
+//! ```no_run
+//! use std::sync::Arc;
+//!
+//! use sightline_measure::{Options, Viewpoints, measure};
+//! use sightline_pvs::Pvs;
+//! use sightline_sampling::{Backend as _, CubeSpec, Strata, embree::CpuBackend};
+//!
+//! let scene = Arc::new(sightline_scene::load("level.glb".as_ref())?);
+//! let pvs = Pvs::open("level.pvs")?;
+//! let views = Viewpoints::random(200, 7, pvs.tree().view_box());
+//! let spec = CubeSpec { resolution: 256, strata: Strata::One, keep_pixels: false };
+//! let backend = CpuBackend::new(scene, spec)?;
+//! let renderer = backend.prepare(None)?;
+//! let report = measure(&*renderer, &pvs, &views, &Options::default(), &mut |_, _| {})?;
+//! println!("{}", serde_json::to_string(&report)?);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub mod error;
 pub mod images;
