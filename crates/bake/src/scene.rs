@@ -31,11 +31,15 @@ impl BakeScene {
         &self.sampling
     }
 
-    /// The scene prepared for exact queries.
+    /// The scene prepared for exact queries, which takes all threads of rayon's pool the first time.
+    ///
+    /// # Panics
+    /// On a thread of rayon's pool: it could wait for itself.
     ///
     /// # Errors
     /// The reason, when the scene has too many corners to number.
     pub fn exact(&self) -> Result<&ExactScene, String> {
+        assert!(rayon::current_thread_index().is_none(), "a thread of the pool could wait for itself here");
         let found = self.exact.get_or_init(|| ExactScene::prepare(self.scene()).map_err(|e| e.to_string()));
         found.as_ref().map_err(Clone::clone)
     }
