@@ -141,7 +141,7 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
     let mut builder = Builder::new(Header {
         triangles: scene.triangles,
         method: parts.spec.method.to_string(),
-        tree: CellTree::new(parts.spec.view_box.map(|c| c.to_array()), nodes)?,
+        tree: CellTree::new(parts.spec.view_box.corners().map(|c| c.to_array()), nodes)?,
         objects,
         info_json: info(parts, samples, set_aside),
     })?;

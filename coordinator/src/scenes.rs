@@ -2,8 +2,7 @@
 
 use std::sync::{Arc, PoisonError};
 
-use glam::Vec3;
-use sightline_scene::{Scene, SceneError};
+use sightline_scene::{Aabb, Scene, SceneError};
 
 use crate::ids::Digest;
 use crate::state::{Coordinator, SceneFacts};
@@ -167,10 +166,10 @@ pub(crate) fn known(c: &Coordinator, scene: Digest) -> Result<SceneRecord, Store
     c.store.scene(&scene)?.ok_or(StoreError::UnknownScene { scene })
 }
 
-/// Least and greatest corner of a stored scene's bounds.
-pub(crate) fn bounds(c: &Coordinator, scene: &Digest) -> Result<[Vec3; 2], FactsError> {
+/// The bounds of a stored scene.
+pub(crate) fn bounds(c: &Coordinator, scene: &Digest) -> Result<Aabb, FactsError> {
     let facts = facts(c, scene)?;
-    Ok([facts.bounds.min, facts.bounds.max])
+    Ok(facts.bounds)
 }
 
 /// The facts of a stored scene.

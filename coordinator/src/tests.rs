@@ -10,7 +10,7 @@ use sightline_model::{BackendChoice, SamplingParams};
 use sightline_model::{CellSet, CellSets, TileOutput};
 use sightline_model::{JobSpec, Method};
 use sightline_pvs::Pvs;
-use sightline_scene::{Object, Scene, Triangle};
+use sightline_scene::{Aabb, Object, Scene, Triangle};
 use sightline_viewcells::Division;
 use tokio::sync::mpsc;
 
@@ -42,7 +42,7 @@ fn two_tiles(c: &Coordinator, scene: Digest) -> JobId {
     let spec = JobSpec {
         scene,
         division: Division::Grid([2, 1, 1]),
-        view_box: [Vec3::ZERO, Vec3::ONE],
+        view_box: Aabb::new(Vec3::ZERO, Vec3::ONE),
         sampling: SamplingParams::default(),
         backend: BackendChoice::Cpu,
         seed: 1,

@@ -4,6 +4,7 @@ use glam::Vec3;
 use prost::Message as _;
 use sightline_model::{BackendChoice, SamplingParams};
 use sightline_model::{JobSpec, Method};
+use sightline_scene::Aabb;
 use sightline_viewcells::Division;
 use tokio::sync::mpsc;
 
@@ -22,7 +23,7 @@ fn two_tiles() -> (Scheduler, MemoryStore) {
     let spec = JobSpec {
         scene: [7; 32],
         division: Division::Grid([2, 1, 1]),
-        view_box: [Vec3::ZERO, Vec3::ONE],
+        view_box: Aabb::new(Vec3::ZERO, Vec3::ONE),
         sampling: SamplingParams::default(),
         backend: BackendChoice::Cpu,
         seed: 1,

@@ -32,10 +32,9 @@ impl Watcher for Unwatched {
 pub fn bake() -> Result<CellSets, Box<dyn Error>> {
     let params = Params { triangles: Some(2000), ..Params::default() };
     let scene = Arc::new(generate(Kind::Rooms, &params)?);
-    let bounds = scene.bounds();
     // The defaults: sight lines, a target error of 0.0001, blocks of up to 512 cells, so one tile here.
     let division = Division::Grid([4, 2, 4]);
-    let spec = JobSpec::new(scene.digest().0, division, [bounds.min, bounds.max]);
+    let spec = JobSpec::new(scene.digest().0, division, scene.bounds());
     spec.check()?;
     let backend = CpuBackend::new(Arc::clone(&scene), CubeSpec::of(&spec.sampling))?;
     let control = Control { watcher: &Unwatched, deadline: None };

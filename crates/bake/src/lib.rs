@@ -22,8 +22,7 @@
 //! }
 //!
 //! let scene = Arc::new(sightline_scene::load("level.glb".as_ref())?);
-//! let bounds = scene.bounds();
-//! let spec = JobSpec::new(scene.digest().0, Division::Grid([8, 8, 8]), [bounds.min, bounds.max]);
+//! let spec = JobSpec::new(scene.digest().0, Division::Grid([8, 8, 8]), scene.bounds());
 //! let backend = CpuBackend::new(Arc::clone(&scene), CubeSpec::of(&spec.sampling))?;
 //! let control = Control { watcher: &Unwatched, deadline: None };
 //! let done = run_tile(&spec, 0, &BakeScene::new(scene)?, &backend, &[], control)?;

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use glam::Vec3;
+use sightline_scene::Aabb;
 
 use crate::error::BenchError;
 use crate::frontier::ERRORS;
@@ -17,7 +17,7 @@ pub struct Options {
     /// A regular grid of view cells.
     pub cells: [u32; 3],
     /// Where viewpoints may be: x0,y0,z0,x1,y1,z1. Default: each scene's bounds.
-    pub view_box: Option<[Vec3; 2]>,
+    pub view_box: Option<Aabb>,
     /// Random viewpoints of the error measure, the same for every point. p99 wants at least 100 of them.
     pub viewpoints: u32,
     /// Seed of the viewpoints.
@@ -129,9 +129,9 @@ impl Options {
     /// A grid and the view box, as `bake` takes them.
     pub fn division(&self, cells: [u32; 3]) -> Vec<String> {
         let mut flags = Self::grid(cells).to_vec();
-        if let Some([least, most]) = self.view_box {
+        if let Some(Aabb { min, max }) = self.view_box {
             // Rust prints the shortest number that reads as the same one.
-            let numbers = least.to_array().into_iter().chain(most.to_array()).map(|n| n.to_string());
+            let numbers = min.to_array().into_iter().chain(max.to_array()).map(|n| n.to_string());
             flags.push(format!("--view-box={}", numbers.collect::<Vec<_>>().join(",")));
         }
         flags

@@ -6,6 +6,7 @@
 
 use dashu_int::IBig;
 use glam::Vec3;
+use sightline_numbers::Aabb;
 
 use crate::proof::Proof;
 
@@ -26,8 +27,8 @@ pub struct CellCertificate {
 /// The certificate of a cell group: triangles that are hidden from a box, and so from every cell in it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GroupCertificate {
-    /// Least and greatest corner of the box, in scene coordinates.
-    pub bounds: [Vec3; 2],
+    /// The box, in scene coordinates.
+    pub bounds: Aabb,
     /// Groups of triangles that are hidden from the box, at least one. No triangle is in two groups.
     /// [`Target::Surfaces`] and [`Target::Half`] are not allowed here.
     pub hidden: Vec<HiddenGroup>,
@@ -75,9 +76,9 @@ pub enum Target {
     Half,
     /// Any number of triangles, each hidden by the closed surface that it belongs to. There are no proofs.
     Surfaces,
-    /// A box that does not touch the cell and contains the triangles, by least and greatest corner. Its
+    /// A box that does not touch the cell and contains the triangles. Its
     /// polygons are the faces with area that face the cell, in the order of [`faces`].
-    Box([Vec3; 2]),
+    Box(Aabb),
     /// A convex flat polygon that contains the triangles, by its corners in order.
     Polygon(Box<[Vec3]>),
 }

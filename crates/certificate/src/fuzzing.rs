@@ -1,6 +1,7 @@
 //! The body of the fuzz target `certificate`, which the tests call too.
 
 use glam::Vec3;
+use sightline_numbers::Aabb;
 
 use crate::checker::{CellClaims, Triangles, check_cell};
 use crate::codec;
@@ -18,7 +19,7 @@ pub fn certificate(raw: &[u8]) -> bool {
     let Ok(certificate) = codec::decode_raw(raw, triangles.len() as u32) else { return false };
     let index = Triangles::new(&triangles);
     for visible in [&[][..], &[0, 1], &[0, 1, 2, 3, 4, 5]] {
-        let cell = [Vec3::ZERO, Vec3::splat(0.5)];
+        let cell = Aabb::new(Vec3::ZERO, Vec3::splat(0.5));
         let above = certificate.shared.as_ref().filter(|_| certificate.above.is_some());
         let claims = CellClaims { cell, visible, undecided: &[], certificate: &certificate, above };
         let _ = check_cell(&index, &claims, &|_| true);

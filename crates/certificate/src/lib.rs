@@ -15,6 +15,7 @@
 //! use sightline_certificate::checker::{CellClaims, CellRefusal, Triangles, check_cell};
 //! use sightline_certificate::proof::{OccluderTriangle, Proof, Step};
 //! use sightline_certificate::codec;
+//! use sightline_numbers::Aabb;
 //!
 //! let v = Vec3::new;
 //! let wall = [v(-30.0, -30.0, 5.0), v(60.0, -30.0, 5.0), v(-30.0, 60.0, 5.0)];
@@ -29,7 +30,7 @@
 //! let group = HiddenGroup { target: Target::Triangle, triangles: vec![1], proofs: vec![proof] };
 //! let certificate = CellCertificate { hidden: vec![group], ..CellCertificate::default() };
 //!
-//! let cell = [v(0.0, 0.0, 0.0), v(1.0, 1.0, 1.0)];
+//! let cell = Aabb::new(v(0.0, 0.0, 0.0), v(1.0, 1.0, 1.0));
 //! // The wall itself is undecided here; a certificate need not decide everything.
 //! let claims =
 //!     CellClaims { cell, visible: &[0], undecided: &[0], certificate: &certificate, above: None };

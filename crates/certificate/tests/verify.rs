@@ -6,10 +6,10 @@ mod support;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use glam::Vec3;
 use sightline_certificate::{
     BakedResult, CellCertificate, Count, Hidden, Sample, VerifyError, VerifyOptions, codec, verify,
 };
+use sightline_numbers::Aabb;
 use support::{CELL, alone, relying, sharing, triangles};
 
 /// A result in memory whose cells all have the same box and set.
@@ -51,7 +51,7 @@ impl BakedResult for Memory {
         6
     }
 
-    fn cell_bounds(&self, _cell: u32) -> Option<[Vec3; 2]> {
+    fn cell_bounds(&self, _cell: u32) -> Option<Aabb> {
         Some(CELL)
     }
 

@@ -32,8 +32,7 @@ pub async fn bake_at(url: &str, path: &Path) -> Result<Vec<u8>, Box<dyn Error>> 
     client.put_scene(v1::PutSceneRequest { digest: digest.to_vec(), chunks: digests }).await?;
 
     // A request with the same id again is answered with the same job.
-    let bounds = scene.bounds();
-    let spec = JobSpec::new(digest, Division::Grid([4, 2, 4]), [bounds.min, bounds.max]);
+    let spec = JobSpec::new(digest, Division::Grid([4, 2, 4]), scene.bounds());
     let request_id = format!("example {}", std::process::id());
     let request = v1::SubmitRequest { request_id, name: "example".to_owned(), spec: Some(spec.to_proto()) };
     let job = client.submit(request).await?.into_inner().job.ok_or("the answer has no job")?;

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use glam::Vec3;
 use sightline_bench::{ERRORS, Growth, Ladder, Sampler};
+use sightline_scene::Aabb;
 
 use crate::job_args::{parse_box, parse_cells};
 
@@ -19,7 +19,7 @@ pub struct BenchArgs {
     pub cells: [u32; 3],
     /// Where viewpoints may be: x0,y0,z0,x1,y1,z1. Default: each scene's bounds.
     #[arg(long, value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]
-    pub view_box: Option<[Vec3; 2]>,
+    pub view_box: Option<Aabb>,
     /// Random viewpoints of the error measure, the same for every point. p99 wants at least 100 of them.
     #[arg(long, value_name = "N", default_value_t = 200)]
     pub viewpoints: u32,

@@ -8,7 +8,7 @@ use glam::Vec3;
 use sightline_model::{
     BackendChoice, ErrorMeasure, JobSpec, MOST_LINE_DEPTH, Method, Sampler, SamplingParams, SupersetChoice,
 };
-use sightline_scene::Scene;
+use sightline_scene::{Aabb, Scene};
 use sightline_viewcells::Division;
 
 use crate::choices::choice;
@@ -44,7 +44,7 @@ pub struct JobArgs {
     max_depth: u32,
     /// Where viewpoints may be: x0,y0,z0,x1,y1,z1. Default: the scene's bounds.
     #[arg(long, value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]
-    view_box: Option<[Vec3; 2]>,
+    view_box: Option<Aabb>,
     /// How sight lines are chosen. Default: lines; for adaptive trees deeper than 12: cubes.
     #[arg(long, value_parser = choice::<Sampler>())]
     sampler: Option<Sampler>,
@@ -182,7 +182,7 @@ impl JobArgs {
                 Some(budget) => Division::Adaptive { budget, max_depth: self.max_depth },
                 None => Division::Grid(self.cells.unwrap_or([8, 8, 8])),
             },
-            view_box: self.view_box.unwrap_or([bounds.min, bounds.max]),
+            view_box: self.view_box.unwrap_or(bounds),
             block_cells: if adaptive {
                 sightline_model::MOST_BLOCK_CELLS
             } else {
@@ -215,7 +215,7 @@ impl JobArgs {
             }
             (_, e) => CliError::Usage(e.to_string()),
         })?;
-        let [min, max] = spec.view_box;
+        let Aabb { min, max } = spec.view_box;
         let moved = spec.moved_by_rounding().map_err(|e| CliError::Usage(e.to_string()))?;
         if moved > MUCH_MOVED {
             say(&format!(
@@ -302,10 +302,10 @@ pub fn parse_cells(text: &str) -> Result<[u32; 3], String> {
 }
 
 /// A box, as in -1,0,-1,1,2,1.
-pub fn parse_box(text: &str) -> Result<[Vec3; 2], String> {
+pub fn parse_box(text: &str) -> Result<Aabb, String> {
     let parts = text.split(',').map(|p| p.trim().parse()).collect::<Result<Vec<f32>, _>>();
     match parts.as_deref() {
-        Ok([x0, y0, z0, x1, y1, z1]) => Ok([Vec3::new(*x0, *y0, *z0), Vec3::new(*x1, *y1, *z1)]),
+        Ok([x0, y0, z0, x1, y1, z1]) => Ok(Aabb::new(Vec3::new(*x0, *y0, *z0), Vec3::new(*x1, *y1, *z1))),
         _ => Err("give six numbers as in -1,0,-1,1,2,1".to_owned()),
     }
 }

@@ -113,7 +113,7 @@ fn look_up(pvs: &Pvs, result: &Path, cell: u32, triangle: u32) -> Result<Value, 
                 "state": "hidden", "blockers": blockers(&hidden.proofs), "with": with, "surface": surface
             });
             if let Some(shared) = from {
-                why["from"] = json!(shared.bounds.map(|corner| corner.to_array()));
+                why["from"] = json!(shared.bounds.corners().map(|corner| corner.to_array()));
             }
             why
         }

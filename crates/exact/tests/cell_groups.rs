@@ -15,21 +15,22 @@ use sightline_certificate::{CellCertificate, GroupCertificate, HiddenGroup, Targ
 use sightline_exact::Cell;
 use sightline_exact::checker::{CellClaims, CellRefusal, Claim, Triangles, check_cell};
 use sightline_exact::{CellGroup, Decided, ExactScene, GroupDecided, Limits, Task, decide, decide_group};
+use sightline_scene::Aabb;
 
 /// The eight cells that fill a box, the first axis changing fastest.
-fn cells([min, max]: [Vec3; 2]) -> Vec<[Vec3; 2]> {
+fn cells(Aabb { min, max }: Aabb) -> Vec<Aabb> {
     let middle = (min + max) * 0.5;
     let corner = |k: usize| Vec3::new((k & 1) as f32, (k >> 1 & 1) as f32, (k >> 2) as f32);
-    (0..8).map(|k| [min + (middle - min) * corner(k), middle + (max - middle) * corner(k)]).collect()
+    (0..8).map(|k| Aabb::new(min + (middle - min) * corner(k), middle + (max - middle) * corner(k))).collect()
 }
 
 fn shared(
     scene: &ExactScene,
-    of: &[[Vec3; 2]],
+    of: &[Aabb],
     seen: &[&[u32]],
     stop: &(dyn Fn() -> bool + Sync),
 ) -> (Vec<u32>, GroupCertificate) {
-    let cells: Vec<Cell> = of.iter().map(|[min, max]| Cell::new(*min, *max).unwrap()).collect();
+    let cells: Vec<Cell> = of.iter().map(|b| Cell::new(b.min, b.max).unwrap()).collect();
     let limits = Limits::default();
     let GroupDecided { hidden, shared, statistics } = decide_group(&CellGroup {
         scene,
@@ -48,10 +49,10 @@ fn shared(
     (hidden, shared)
 }
 
-fn below(scene: &ExactScene, cell: [Vec3; 2], seen: &[u32], above: &[u32]) -> Decided {
+fn below(scene: &ExactScene, cell: Aabb, seen: &[u32], above: &[u32]) -> Decided {
     decide(&Task {
         scene,
-        cell: Cell::new(cell[0], cell[1]).unwrap(),
+        cell: Cell::new(cell.min, cell.max).unwrap(),
         seen,
         above,
         limits: Limits::default(),
@@ -64,7 +65,7 @@ fn below(scene: &ExactScene, cell: [Vec3; 2], seen: &[u32], above: &[u32]) -> De
 
 fn check(
     triangles: &[Corners],
-    cell: [Vec3; 2],
+    cell: Aabb,
     d: &Decided,
     certificate: &CellCertificate,
     above: Option<&GroupCertificate>,
@@ -76,8 +77,8 @@ fn check(
 }
 
 /// The first chamber's far part, from which half of what is behind the wall is hidden.
-fn corner() -> (Vec<Corners>, [Vec3; 2]) {
-    (chambers().0, [Vec3::new(1.0, 5.0, 0.5), Vec3::new(5.0, 9.0, 2.5)])
+fn corner() -> (Vec<Corners>, Aabb) {
+    (chambers().0, Aabb::new(Vec3::new(1.0, 5.0, 0.5), Vec3::new(5.0, 9.0, 2.5)))
 }
 
 #[test]
@@ -148,15 +149,15 @@ fn tampered_claims_about_a_box_are_refused() {
         ask(&changed)
     };
     // A box that the cell is not in, none at all, one that is larger than what was proved.
-    for (axis, greatest) in cell[1].to_array().into_iter().enumerate() {
-        assert_eq!(with(&|s| s.bounds[0][axis] = s.bounds[0][axis].next_up()), Err(CellRefusal::Above));
-        assert_eq!(with(&|s| s.bounds[1][axis] = greatest.next_down()), Err(CellRefusal::Above));
+    for (axis, greatest) in cell.max.to_array().into_iter().enumerate() {
+        assert_eq!(with(&|s| s.bounds.min[axis] = s.bounds.min[axis].next_up()), Err(CellRefusal::Above));
+        assert_eq!(with(&|s| s.bounds.max[axis] = greatest.next_down()), Err(CellRefusal::Above));
         for not in [f32::NAN, f32::NEG_INFINITY] {
-            assert!(with(&|s| s.bounds[0][axis] = not).is_err());
+            assert!(with(&|s| s.bounds.min[axis] = not).is_err());
         }
     }
     let refused = |r: Result<u64, CellRefusal>| matches!(r, Err(CellRefusal::Hidden { .. }));
-    assert!(refused(with(&|s| s.bounds[0] = Vec3::new(0.5, 0.25, 0.5))));
+    assert!(refused(with(&|s| s.bounds.min = Vec3::new(0.5, 0.25, 0.5))));
     assert!(refused(with(&|s| s.hidden[0].proofs.clear())));
     // What surfaces hide is said for a cell, not for a box.
     let claimed = |target: Target| {
@@ -220,7 +221,7 @@ proptest! {
         let point = |p: [i8; 3]| Vec3::from(p.map(f32::from));
         let triangles: Vec<Corners> = triangles.iter().map(|t| t.map(point)).collect();
         let scene = exact_scene(&triangles);
-        let cells = cells([point(corner), point(corner) + 2.0 * point(size)]);
+        let cells = cells(Aabb::new(point(corner), point(corner) + 2.0 * point(size)));
         let guesses: Vec<u32> = (0..triangles.len() as u32).filter(|t| guess >> t & 1 == 1).collect();
         let of = |k| if k == guess as usize % 8 { guesses.as_slice() } else { &[] };
         let seen: Vec<&[u32]> = (0..8).map(of).collect();

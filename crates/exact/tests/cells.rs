@@ -15,13 +15,14 @@ use sightline_certificate::{CellCertificate, Target, Witness, codec};
 use sightline_exact::checker::{CellClaims, CellRefusal, Triangles, check_cell};
 use sightline_exact::{Cell, Found, from_cell};
 use sightline_exact::{Cost, Decided, Limits, Polygon};
+use sightline_scene::Aabb;
 
 /// A scene, a cell, what was decided about it, and its certificate without compression.
-type Case = (Vec<Corners>, [Vec3; 2], Decided, Vec<u8>);
+type Case = (Vec<Corners>, Aabb, Decided, Vec<u8>);
 
 fn check(
     triangles: &[Corners],
-    cell: [Vec3; 2],
+    cell: Aabb,
     d: &Decided,
     certificate: &CellCertificate,
 ) -> Result<u64, CellRefusal> {
@@ -97,7 +98,7 @@ fn tampered_claims_are_refused() {
     both.hidden = d.certificate.hidden.clone();
     assert!(matches!(ask(cell, &visible, &[], &both), Err(CellRefusal::Witness(..))));
     // A cell that is larger sees more: some proof must fail, or some witness begin outside.
-    let larger = [Vec3::new(1.0, 0.5, 1.0), Vec3::new(9.5, 8.0, 2.0)];
+    let larger = Aabb::new(Vec3::new(1.0, 0.5, 1.0), Vec3::new(9.5, 8.0, 2.0));
     assert!(ask(larger, &visible, &[], &d.certificate).is_err());
     // A proof for another box, a box that is moved, a proof too few.
     let mut polygons = 0;
@@ -129,7 +130,7 @@ fn tampered_claims_are_refused() {
         }
         e.hidden[at].proofs.pop();
         assert!(matches!(ask(cell, &visible, &[], &e), Err(CellRefusal::Hidden { .. })));
-        if let Target::Box([min, _]) = &mut e.hidden[at].target {
+        if let Target::Box(Aabb { min, .. }) = &mut e.hidden[at].target {
             *min += Vec3::splat(0.25);
             e.hidden[at].proofs = d.certificate.hidden[at].proofs.clone();
             assert!(ask(cell, &visible, &[], &e).is_err());
@@ -189,13 +190,13 @@ fn solid(min: Vec3, max: Vec3) -> Vec<Corners> {
 fn what_faces_away_is_hidden_without_a_query() {
     let mut triangles = solid(Vec3::ZERO, Vec3::ONE);
     triangles.extend(solid(Vec3::splat(2.0), Vec3::splat(4.0)));
-    let cell = [Vec3::new(-2.0, 0.25, 0.25), Vec3::new(-1.0, 0.75, 0.75)];
+    let cell = Aabb::new(Vec3::new(-2.0, 0.25, 0.25), Vec3::new(-1.0, 0.75, 0.75));
     let scene = exact_scene(&triangles);
     let d = solve(&scene, cell, &[], &|| false);
     assert_eq!((d.statistics.enclosed, d.statistics.queries > 0), (16, true));
     check(&triangles, cell, &d, &d.certificate).unwrap();
     // Inside of a box nothing of it is hidden, and all of the other.
-    let inside = [Vec3::splat(0.25), Vec3::splat(0.75)];
+    let inside = Aabb::new(Vec3::splat(0.25), Vec3::splat(0.75));
     let d = solve(&scene, inside, &[], &|| false);
     assert_eq!(d.visible, (0..12).collect::<Vec<u32>>());
     check(&triangles, inside, &d, &d.certificate).unwrap();
@@ -206,7 +207,7 @@ fn what_faces_away_is_hidden_without_a_query() {
     let d = solve(&scene, cell, &[], &|| false);
     assert!(d.visible.iter().filter(|t| **t < 11).count() > 2, "{:?}", d.visible);
     check(&triangles, cell, &d, &d.certificate).unwrap();
-    let beside = [Vec3::new(2.0, -2.0, 0.25), Vec3::new(3.0, -1.0, 0.75)];
+    let beside = Aabb::new(Vec3::new(2.0, -2.0, 0.25), Vec3::new(3.0, -1.0, 0.75));
     let d = solve(&scene, beside, &[], &|| false);
     assert!(d.statistics.enclosed > 0);
     check(&triangles, beside, &d, &d.certificate).unwrap();
@@ -240,7 +241,7 @@ proptest! {
         guess in any::<u16>(),
         seed in any::<u64>(),
     ) {
-        let cell = [corner, corner + Vec3::from(size.map(f32::from))];
+        let cell = Aabb::new(corner, corner + Vec3::from(size.map(f32::from)));
         let scene = exact_scene(&triangles);
         let seen: Vec<u32> = (0..triangles.len() as u32).filter(|t| guess >> t & 1 == 1).collect();
         let d = solve(&scene, cell, &seen, &|| false);
@@ -257,7 +258,7 @@ proptest! {
         };
         for _ in 0..400 {
             let r = DVec3::new(unit(), unit(), unit());
-            let p = cell[0].as_dvec3() + (cell[1] - cell[0]).as_dvec3() * r;
+            let p = cell.min.as_dvec3() + (cell.max - cell.min).as_dvec3() * r;
             let q = DVec3::new(unit(), unit(), unit()) * 8.0 - 4.0;
             let mut hits: Vec<(f64, usize)> = Vec::new();
             let mut clear = true;
@@ -305,14 +306,14 @@ proptest! {
         prop_assume!(!triangles.is_empty());
         // Off the grid, so that some cells touch nothing.
         let lo = corner + Vec3::splat(0.25);
-        let cell = [lo, lo + Vec3::from(size.map(f32::from)) - Vec3::splat(0.5)];
+        let cell = Aabb::new(lo, lo + Vec3::from(size.map(f32::from)) - Vec3::splat(0.5));
         let scene = exact_scene(&triangles);
         let d = solve(&scene, cell, &[], &|| false);
         prop_assert!(d.undecided.is_empty());
         if let Err(e) = check(&triangles, cell, &d, &d.certificate) {
             return Err(TestCaseError::fail(e.to_string()));
         }
-        let view = Cell::new(cell[0], cell[1]).unwrap();
+        let view = Cell::new(cell.min, cell.max).unwrap();
         for h in d.certificate.hidden.iter().filter(|h| matches!(h.target, Target::Surfaces | Target::Half)) {
             for id in &h.triangles {
                 let target = Polygon::triangle(triangles[*id as usize].map(|v| v.as_dvec3())).unwrap();

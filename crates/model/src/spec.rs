@@ -1,7 +1,7 @@
 //! The specification of a job: what is baked and how, with its key and its plan.
 
-use glam::Vec3;
 use prost::Message as _;
+use sightline_numbers::Aabb;
 use sightline_viewcells::{Division, DivisionError, Lattice, Layout, MOST_BLOCK_CELLS, Plan};
 
 use crate::choice::{BackendChoice, Method, Sampler, UnknownChoice};
@@ -38,7 +38,7 @@ pub struct JobSpec {
     /// How the view box is divided into cells.
     pub division: Division,
     /// Least and greatest corner of the view box, in world space.
-    pub view_box: [Vec3; 2],
+    pub view_box: Aabb,
     /// Sampling parameters.
     pub sampling: SamplingParams,
     /// The backend.
@@ -90,7 +90,7 @@ pub enum SpecError {
 
 impl JobSpec {
     /// A specification with the defaults of everything but the scene, the division and the view box.
-    pub fn new(scene: [u8; 32], division: Division, view_box: [Vec3; 2]) -> Self {
+    pub fn new(scene: [u8; 32], division: Division, view_box: Aabb) -> Self {
         Self {
             scene,
             division,
@@ -164,7 +164,7 @@ impl JobSpec {
     /// # Errors
     /// [`DivisionError`]; never after [`JobSpec::from_proto`], which has checked it.
     pub fn lattice(&self) -> Result<Lattice, DivisionError> {
-        self.division.lattice(self.view_box[0], self.view_box[1])
+        self.division.lattice(self.view_box.min, self.view_box.max)
     }
 
     /// The fraction of the thinnest view cell by which rounding to single precision can move a sight line; 0
@@ -199,6 +199,7 @@ impl JobSpec {
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec3;
     use sightline_proto::v1;
 
     use super::*;
@@ -208,7 +209,7 @@ mod tests {
         JobSpec {
             scene: [7; 32],
             division: Division::Grid([4, 3, 2]),
-            view_box: [Vec3::ZERO, Vec3::ONE],
+            view_box: Aabb::new(Vec3::ZERO, Vec3::ONE),
             sampling: SamplingParams::default(),
             backend: BackendChoice::Auto,
             seed: 3,
@@ -244,7 +245,7 @@ mod tests {
             JobSpec { sampling: SamplingParams { target_error: 0.01, ..sampling.clone() }, ..s.clone() },
             JobSpec { sampling: SamplingParams { max_error: Some(0.01), ..sampling.clone() }, ..s.clone() },
             JobSpec { sampling: SamplingParams { rays: 5, ..sampling.clone() }, ..s.clone() },
-            JobSpec { view_box: [Vec3::ZERO, Vec3::new(1.0, 1.0, 2.0)], ..s.clone() },
+            JobSpec { view_box: Aabb::new(Vec3::ZERO, Vec3::new(1.0, 1.0, 2.0)), ..s.clone() },
             JobSpec { backend: BackendChoice::Gpu, ..s.clone() },
             JobSpec { seed: 4, ..s.clone() },
             JobSpec { sampling: SamplingParams { resolution: 64, ..sampling.clone() }, ..s.clone() },
@@ -270,7 +271,7 @@ mod tests {
     #[test]
     fn cells_thinner_than_rounding_are_refused_where_lines_decide() {
         // Two metres at five million: five steps of 32-bit coordinates.
-        let far = |wide: f32| [Vec3::new(5e6, 0.0, 0.0), Vec3::new(5e6 + wide, wide, wide)];
+        let far = |wide: f32| Aabb::new(Vec3::new(5e6, 0.0, 0.0), Vec3::new(5e6 + wide, wide, wide));
         let lines = |wide, division| JobSpec {
             view_box: far(wide),
             division,

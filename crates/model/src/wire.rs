@@ -1,6 +1,7 @@
 //! A specification as a message of the gRPC interface, and back.
 
 use glam::Vec3;
+use sightline_numbers::Aabb;
 use sightline_proto::v1;
 use sightline_viewcells::{Division, MOST_BLOCK_CELLS};
 
@@ -14,7 +15,7 @@ impl JobSpec {
     ///
     /// # Errors
     /// [`SpecError`] naming the first field that is refused.
-    pub fn from_proto(m: &v1::JobSpec, bounds: Option<[Vec3; 2]>) -> Result<Self, SpecError> {
+    pub fn from_proto(m: &v1::JobSpec, bounds: Option<Aabb>) -> Result<Self, SpecError> {
         let scene = m.scene.as_slice().try_into();
         let scene = scene.map_err(|_| SpecError::Field("scene", "give the 32 bytes of its digest"))?;
         let division = match m.division {
@@ -25,7 +26,7 @@ impl JobSpec {
             None => return Err(SpecError::Field("division", "give a grid or an adaptive division")),
         };
         let view_box = match (m.view_box.as_slice(), bounds) {
-            ([x0, y0, z0, x1, y1, z1], _) => [Vec3::new(*x0, *y0, *z0), Vec3::new(*x1, *y1, *z1)],
+            ([x0, y0, z0, x1, y1, z1], _) => Aabb::new(Vec3::new(*x0, *y0, *z0), Vec3::new(*x1, *y1, *z1)),
             ([], Some(bounds)) => bounds,
             _ => return Err(SpecError::Field("view box", "give x0,y0,z0,x1,y1,z1")),
         };
@@ -52,7 +53,7 @@ impl JobSpec {
 
     /// The specification as a message, with every field set.
     pub fn to_proto(&self) -> v1::JobSpec {
-        let [min, max] = self.view_box.map(|c| c.to_array());
+        let [min, max] = self.view_box.corners().map(|c| c.to_array());
         v1::JobSpec {
             scene: self.scene.to_vec(),
             division: Some(match self.division {

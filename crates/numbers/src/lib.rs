@@ -17,7 +17,10 @@
 //! assert_eq!(varint::read(&mut rest, varint::MOST_BYTES), Ok(0));
 //! ```
 
+mod aabb;
 pub mod integer;
 pub mod random;
 pub mod union_find;
 pub mod varint;
+
+pub use aabb::Aabb;

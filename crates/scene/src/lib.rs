@@ -30,4 +30,5 @@ pub mod topology;
 pub use error::SceneError;
 pub use load::{load, load_bytes};
 pub use ply_out::write_mesh_ply;
-pub use scene::{Aabb, Object, Scene, SceneDigest, Triangle};
+pub use scene::{Object, Scene, SceneDigest, Triangle};
+pub use sightline_numbers::Aabb;

@@ -6,6 +6,7 @@
 
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
+use sightline_numbers::Aabb;
 
 use crate::SceneError;
 
@@ -28,37 +29,7 @@ impl Triangle {
 
     /// The box around the three vertices.
     pub fn bounds(&self) -> Aabb {
-        Aabb { min: self.v[0].min(self.v[1]).min(self.v[2]), max: self.v[0].max(self.v[1]).max(self.v[2]) }
-    }
-}
-
-/// A closed axis-aligned box in world space.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Aabb {
-    /// The least corner.
-    pub min: Vec3,
-    /// The greatest corner.
-    pub max: Vec3,
-}
-
-impl Aabb {
-    /// The box that contains nothing: its union with any box is that box.
-    pub const EMPTY: Self = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
-
-    /// The least box around both.
-    #[must_use]
-    pub fn union(self, other: Self) -> Self {
-        Self { min: self.min.min(other.min), max: self.max.max(other.max) }
-    }
-
-    /// Whether `p` is inside or on the border.
-    pub fn contains(&self, p: Vec3) -> bool {
-        p.cmpge(self.min).all() && p.cmple(self.max).all()
-    }
-
-    /// Whether the two closed boxes share a point.
-    pub fn touches(&self, other: &Self) -> bool {
-        self.min.cmple(other.max).all() && self.max.cmpge(other.min).all()
+        Aabb::around(self.v)
     }
 }
 

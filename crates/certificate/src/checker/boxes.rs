@@ -4,13 +4,14 @@ use std::cmp::Ordering;
 
 use dashu_int::IBig;
 use glam::Vec3;
+use sightline_numbers::Aabb;
 
 use super::Corners;
 use super::geometry::{Plane, Point, cut, exact, has_area, height, point, sign};
 use crate::certificate::faces;
 
 /// The plane of a face of a box, with its normal pointing out of the box.
-pub(super) fn face_plane([min, max]: [Vec3; 2], axis: usize, up: bool) -> Plane {
+pub(super) fn face_plane(Aabb { min, max }: Aabb, axis: usize, up: bool) -> Plane {
     let [x, y, z, w] = point([f64::from(if up { max[axis] } else { min[axis] }), 0.0, 0.0]);
     debug_assert!(y.is_zero() && z.is_zero());
     let mut out: Plane = std::array::from_fn(|_| IBig::ZERO);
@@ -19,7 +20,7 @@ pub(super) fn face_plane([min, max]: [Vec3; 2], axis: usize, up: bool) -> Plane 
 }
 
 /// The corners of a face of a box: from its least corner, first along the next axis (x, y, z, x).
-pub(super) fn face([min, max]: [Vec3; 2], axis: usize, up: bool) -> Corners {
+pub(super) fn face(Aabb { min, max }: Aabb, axis: usize, up: bool) -> Corners {
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     [[false, false], [true, false], [true, true], [false, true]]
         .into_iter()
@@ -42,7 +43,7 @@ pub(super) fn face([min, max]: [Vec3; 2], axis: usize, up: bool) -> Corners {
 
 /// Whether a triangle with area has a point in a box, borders included: it is clipped to one face after
 /// another.
-pub(super) fn meets_box(t: &[Vec3; 3], cell: [Vec3; 2]) -> bool {
+pub(super) fn meets_box(t: &[Vec3; 3], cell: Aabb) -> bool {
     if !has_area(t) {
         return false;
     }

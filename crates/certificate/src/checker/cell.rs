@@ -20,8 +20,8 @@
 
 use std::sync::OnceLock;
 
-use glam::Vec3;
 use rayon::prelude::*;
+use sightline_numbers::Aabb;
 
 use super::boxes::meets_box;
 use super::geometry::has_area;
@@ -34,7 +34,7 @@ use crate::certificate::{CellCertificate, GroupCertificate, HiddenGroup, Target}
 #[derive(Clone, Copy, Debug)]
 pub struct CellClaims<'a> {
     /// Least and greatest corner of the cell, in scene coordinates.
-    pub cell: [Vec3; 2],
+    pub cell: Aabb,
     /// The visibility set with the undecided triangles, ascending.
     pub visible: &'a [u32],
     /// The undecided triangles of the set, ascending.
@@ -135,7 +135,7 @@ pub fn check_cell_until(
     pick: &(dyn Fn(Claim) -> bool + Sync),
     cancelled: &(dyn Fn() -> bool + Sync),
 ) -> Result<u64, CellRefusal> {
-    let [min, max] = claims.cell;
+    let Aabb { min, max } = claims.cell;
     if !(min.cmplt(max).all() && min.is_finite() && max.is_finite()) {
         return Err(CellRefusal::Cell);
     }
@@ -189,7 +189,7 @@ fn check_shared(
     let Some((shared, group)) = shared.and_then(|s| Some((s, s.hidden.get(at)?))) else {
         return Err(CellRefusal::Above);
     };
-    let [min, max] = shared.bounds;
+    let Aabb { min, max } = shared.bounds;
     let checked = if !(min.cmplt(max).all() && min.is_finite() && max.is_finite()) {
         Err("the box of its cell group has no volume".to_owned())
     } else if matches!(group.target, Target::Surfaces | Target::Half) {
@@ -254,8 +254,8 @@ fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>,
         return Err(CellRefusal::Above);
     }
     if let Some(shared) = claims.above {
-        let [min, max] = shared.bounds;
-        if !(min.cmple(claims.cell[0]).all() && max.cmpge(claims.cell[1]).all()) {
+        let Aabb { min, max } = shared.bounds;
+        if !(min.cmple(claims.cell.min).all() && max.cmpge(claims.cell.max).all()) {
             return Err(CellRefusal::Above);
         }
         for (at, group) in shared.hidden.iter().enumerate() {

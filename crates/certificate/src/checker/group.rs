@@ -4,8 +4,8 @@
 use std::cmp::Ordering;
 use std::sync::OnceLock;
 
-use glam::Vec3;
 use rayon::prelude::*;
+use sightline_numbers::Aabb;
 
 use super::boxes::{face, face_plane, meets_box};
 use super::geometry::{exact, has_area, height, plane, point, sign};
@@ -24,7 +24,7 @@ pub(super) type Parities = [OnceLock<Option<bool>>];
 /// side of its plane than the hidden one.
 fn hidden_by_surface(
     scene: &Triangles<'_>,
-    cell: [Vec3; 2],
+    cell: Aabb,
     parity: &Parities,
     id: u32,
 ) -> Result<(), &'static str> {
@@ -41,7 +41,7 @@ fn hidden_by_surface(
 /// Accepts that a group of triangles is hidden from a cell, or says why that is not shown.
 pub(super) fn check_group(
     scene: &Triangles<'_>,
-    cell: [Vec3; 2],
+    cell: Aabb,
     parity: &Parities,
     group: &HiddenGroup,
 ) -> Result<(), String> {
@@ -86,8 +86,8 @@ pub(super) fn check_group(
             }
             target.into()
         }
-        Target::Box([min, max]) => {
-            let (min, max) = (*min, *max);
+        Target::Box(of) => {
+            let Aabb { min, max } = *of;
             if !(min.is_finite() && max.is_finite() && min.cmple(max).all()) {
                 return Err("its box is not finite or its corners are not in order".to_owned());
             }
@@ -96,7 +96,7 @@ pub(super) fn check_group(
             if let Some(id) = group.triangles.iter().find(outside) {
                 return Err(format!("triangle {id} is not in its box"));
             }
-            if min.cmple(cell[1]).all() && max.cmpge(cell[0]).all() {
+            if of.touches(&cell) {
                 return Err("its box touches the cell".to_owned());
             }
             faces()
@@ -104,10 +104,11 @@ pub(super) fn check_group(
                     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
                     let area = min[u] < max[u] && min[v] < max[v];
                     // Whether a point of the cell is on the outer side of the face.
-                    let towards = if *up { cell[1][*axis] > max[*axis] } else { cell[0][*axis] < min[*axis] };
+                    let towards =
+                        if *up { cell.max[*axis] > max[*axis] } else { cell.min[*axis] < min[*axis] };
                     area && towards
                 })
-                .map(|(axis, up)| face([min, max], axis, up))
+                .map(|(axis, up)| face(*of, axis, up))
                 .collect()
         }
     };

@@ -43,6 +43,7 @@ use std::sync::OnceLock;
 
 use dashu_int::IBig;
 use glam::Vec3;
+use sightline_numbers::Aabb;
 use sightline_numbers::union_find::UnionFind;
 
 use super::boxes::meets_box;
@@ -121,7 +122,7 @@ impl Surfaces {
     pub fn hidden_side(
         &self,
         scene: &TriangleTree<'_>,
-        cell: [Vec3; 2],
+        cell: Aabb,
         parity: &[OnceLock<Option<bool>>],
         t: u32,
     ) -> Result<Ordering, &'static str> {
@@ -140,23 +141,22 @@ impl Surfaces {
     }
 
     /// The parity of a cell; `None` if the surface meets the cell or no segment is in general position.
-    fn parity_of(&self, scene: &TriangleTree<'_>, s: u32, cell: [Vec3; 2]) -> Option<bool> {
+    fn parity_of(&self, scene: &TriangleTree<'_>, s: u32, cell: Aabb) -> Option<bool> {
         let mut near = Vec::new();
         scene.in_box(cell, &mut near);
         let own = |u: &&u32| self.of[**u as usize] == Some(s);
         if near.iter().filter(own).any(|u| meets_box(&scene.all()[*u as usize], cell)) {
             return None;
         }
-        let middle = (cell[0].as_dvec3() + cell[1].as_dvec3()) * 0.5;
+        let middle = (cell.min.as_dvec3() + cell.max.as_dvec3()) * 0.5;
         let from = point(middle.to_array());
-        let bounds = [cell[0], cell[1]];
-        (0..TRIES).find_map(|k| self.parity(scene, s, (&from, bounds), self.outside(s, middle, k), None))
+        (0..TRIES).find_map(|k| self.parity(scene, s, (&from, cell), self.outside(s, middle, k), None))
     }
 
     /// The parity on the side of a triangle that its normal points to; `None` if that has no one value.
     fn parity_in_front(&self, scene: &TriangleTree<'_>, s: u32, t: u32) -> Option<bool> {
         let v = &scene.all()[t as usize];
-        let bounds = [v[0].min(v[1]).min(v[2]), v[0].max(v[1]).max(v[2])];
+        let bounds = Aabb::around(*v);
         let corners = exact(v);
         let flat = plane([&corners[0], &corners[1], &corners[2]]);
         let mut near = Vec::new();
@@ -198,7 +198,7 @@ impl Surfaces {
         &self,
         scene: &TriangleTree<'_>,
         s: u32,
-        (from, bounds): (&Point, [Vec3; 2]),
+        (from, bounds): (&Point, Aabb),
         to: [f64; 3],
         without: Option<u32>,
     ) -> Option<bool> {
@@ -209,7 +209,7 @@ impl Surfaces {
         }
         let end = point(to);
         let around =
-            [Vec3::from(to.map(|c| (c as f32).next_down())), Vec3::from(to.map(|c| (c as f32).next_up()))];
+            Aabb::new(to.map(|c| (c as f32).next_down()).into(), to.map(|c| (c as f32).next_up()).into());
         let along = scene.along(bounds, around);
         let own = along.iter().filter(|u| self.of[**u as usize] == Some(s) && Some(**u) != without);
         let mut odd = false;
@@ -276,7 +276,7 @@ fn pierces(t: &[Point; 3], flat: &Plane, u: &[Vec3; 3]) -> bool {
 
 /// Whether a plane of a fixed list shows that a patch has no point in the convex hull of a cell and a
 /// triangle.
-fn apart([lo, hi]: [Vec3; 2], t: &[Vec3; 3], patch: &[Vec3; 3]) -> bool {
+fn apart(Aabb { min: lo, max: hi }: Aabb, t: &[Vec3; 3], patch: &[Vec3; 3]) -> bool {
     let (min, max) = t.iter().fold((lo, hi), |(a, b), v| (a.min(*v), b.max(*v)));
     if (0..3).any(|k| patch.iter().all(|p| p[k] < min[k]) || patch.iter().all(|p| p[k] > max[k])) {
         return true;

@@ -3,13 +3,14 @@
 //! Boxes are compared in single precision, which is exact: the coordinates are those of the scene.
 
 use glam::Vec3;
+use sightline_numbers::Aabb;
 
 /// The triangles of a scene, indexed so that a query for those near a segment visits few others.
 pub struct TriangleTree<'a> {
     all: &'a [[Vec3; 3]],
     /// A binary heap of boxes: the root at 1, the children of `i` at 2i and 2i + 1. Node k of a level holds
     /// the k-th of equal parts of `order`.
-    boxes: Vec<[Vec3; 2]>,
+    boxes: Vec<Aabb>,
     order: Vec<u32>,
     depth: u32,
 }
@@ -24,19 +25,16 @@ impl<'a> TriangleTree<'a> {
     pub fn new(all: &'a [[Vec3; 3]]) -> Self {
         let mut order: Vec<u32> = (0..all.len() as u32).collect();
         let depth = (all.len() / LEAF).max(1).ilog2();
-        let mut boxes = vec![[Vec3::INFINITY, Vec3::NEG_INFINITY]; 2 << depth];
+        let mut boxes = vec![Aabb::EMPTY; 2 << depth];
         let least = |t: u32| all[t as usize].iter().fold(Vec3::INFINITY, |m, v| m.min(*v));
-        let greatest = |t: u32| all[t as usize].iter().fold(Vec3::NEG_INFINITY, |m, v| m.max(*v));
         for level in 0..=depth {
             for k in 0..1usize << level {
                 let range = part(all.len(), level, k);
                 let items = &mut order[range];
-                let [min, max] = items.iter().fold([Vec3::INFINITY, Vec3::NEG_INFINITY], |[lo, hi], t| {
-                    [lo.min(least(*t)), hi.max(greatest(*t))]
-                });
-                boxes[(1 << level) + k] = [min, max];
+                let bounds = Aabb::around(items.iter().flat_map(|t| all[*t as usize]));
+                boxes[(1 << level) + k] = bounds;
                 if level < depth && !items.is_empty() {
-                    let axis = (max - min).max_position();
+                    let axis = (bounds.max - bounds.min).max_position();
                     let half = part(all.len(), level + 1, 2 * k).len();
                     if half < items.len() {
                         items.select_nth_unstable_by(half, |s, t| {
@@ -55,21 +53,18 @@ impl<'a> TriangleTree<'a> {
     }
 
     /// Appends every triangle whose bounds meet the box; then sorts `out` and removes duplicates.
-    pub fn in_box(&self, [min, max]: [Vec3; 2], out: &mut Vec<u32>) {
-        let apart = |[lo, hi]: [Vec3; 2]| lo.cmpgt(max).any() || hi.cmplt(min).any();
+    pub fn in_box(&self, of: Aabb, out: &mut Vec<u32>) {
         let mut open = vec![(0u32, 0usize)];
         while let Some((level, k)) = open.pop() {
-            if apart(self.boxes[(1 << level) + k]) {
+            if !self.boxes[(1 << level) + k].touches(&of) {
                 continue;
             }
             if level < self.depth {
                 open.extend([(level + 1, 2 * k), (level + 1, 2 * k + 1)]);
                 continue;
             }
-            out.extend(self.order[part(self.all.len(), level, k)].iter().filter(|t| {
-                let [a, b, c] = self.all[**t as usize];
-                !apart([a.min(b).min(c), a.max(b).max(c)])
-            }));
+            let leaf = &self.order[part(self.all.len(), level, k)];
+            out.extend(leaf.iter().filter(|t| Aabb::around(self.all[**t as usize]).touches(&of)));
         }
         out.sort_unstable();
         out.dedup();
@@ -77,8 +72,9 @@ impl<'a> TriangleTree<'a> {
 
     /// Every triangle that may have a point on a segment between two points that lie in the boxes `p` and
     /// `q`; ascending.
-    pub fn along(&self, p: [Vec3; 2], q: [Vec3; 2]) -> Vec<u32> {
+    pub fn along(&self, p: Aabb, q: Aabb) -> Vec<u32> {
         let mut out = Vec::new();
+        let (p, q) = (p.corners(), q.corners());
         for piece in 0..PIECES {
             // A point of the segment is (1 − t)p + tq. For t between two multiples of 1/64 its coordinates
             // are between those of the boxes there. The weights are exact; two products and a sum err by less
@@ -93,7 +89,10 @@ impl<'a> TriangleTree<'a> {
             let down = |x: f64| ((x - slack) as f32).next_down();
             let up = |x: f64| ((x + slack) as f32).next_up();
             self.in_box(
-                [Vec3::new(down(a.x), down(a.y), down(a.z)), Vec3::new(up(b.x), up(b.y), up(b.z))],
+                Aabb {
+                    min: Vec3::new(down(a.x), down(a.y), down(a.z)),
+                    max: Vec3::new(up(b.x), up(b.y), up(b.z)),
+                },
                 &mut out,
             );
         }
@@ -126,13 +125,13 @@ mod tests {
             (p, q) in (point(), point()),
         ) {
             let tree = TriangleTree::new(&triangles);
-            let along = tree.along([p, p], [q, q]);
-            let bounds = [p.min(q), p.max(q)];
+            let along = tree.along(Aabb::new(p, p), Aabb::new(q, q));
+            let bounds = Aabb::around([p, q]);
             let mut in_box = Vec::new();
             tree.in_box(bounds, &mut in_box);
             for (id, t) in triangles.iter().enumerate() {
                 let (min, max) = (t[0].min(t[1]).min(t[2]), t[0].max(t[1]).max(t[2]));
-                let touches = min.cmple(bounds[1]).all() && max.cmpge(bounds[0]).all();
+                let touches = min.cmple(bounds.max).all() && max.cmpge(bounds.min).all();
                 prop_assert_eq!(in_box.contains(&(id as u32)), touches);
                 // Whether a point of the segment is in the triangle's box.
                 let hit = (0..=640).any(|k| {

@@ -4,6 +4,7 @@ use std::cmp::Ordering;
 
 use dashu_int::IBig;
 use glam::Vec3;
+use sightline_numbers::Aabb;
 
 use super::boxes::face_plane;
 use super::geometry::{Plane, Point, cut, exact, height, join, klein, plane, point, sign};
@@ -63,7 +64,7 @@ pub fn check_witness(
 /// Accepts a witness that a triangle is visible from a cell, or says why it fails.
 pub(super) fn check_cell_witness(
     scene: &Triangles<'_>,
-    cell: [Vec3; 2],
+    cell: Aabb,
     id: u32,
     witness: &Witness,
 ) -> Result<(), String> {
@@ -98,13 +99,13 @@ pub(super) fn check_cell_witness(
     let leaving = faces()
         .map(|(axis, up)| face_plane(cell, axis, up))
         .find(|f| height(f, &p).is_zero() && sign(&height(f, &q)) == Ordering::Greater);
-    let bounds = |e: &Point| -> [Vec3; 2] {
+    let bounds = |e: &Point| -> Aabb {
         let sides: [(f64, f64); 3] = std::array::from_fn(|k| around(&e[k], &e[3]));
         // Rounding from double to single precision moves a number by less than one step.
         let low = |x: f64| (x as f32).next_down();
         let high = |x: f64| (x as f32).next_up();
         let [x, y, z] = sides;
-        [Vec3::new(low(x.0), low(y.0), low(z.0)), Vec3::new(high(x.1), high(y.1), high(z.1))]
+        Aabb::new(Vec3::new(low(x.0), low(y.0), low(z.0)), Vec3::new(high(x.1), high(y.1), high(z.1)))
     };
     for other in scene.tree().along(bounds(&p), bounds(&q)) {
         if meets(&scene.all()[other as usize], &p, &q, [leaving.as_ref(), Some(&own)]) {

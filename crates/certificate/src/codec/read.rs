@@ -4,6 +4,7 @@ use std::io::Read as _;
 
 use dashu_int::IBig;
 use glam::Vec3;
+use sightline_numbers::Aabb;
 use sightline_numbers::varint::{self, VarintError};
 
 use super::{CodecError, MAX_BYTES, MAX_MEMORY};
@@ -61,7 +62,10 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<CellCertificate, CodecEr
         };
         if !from.rest.is_empty() {
             from.take::<GroupCertificate>()?;
-            let shared = GroupCertificate { bounds: [from.point()?, from.point()?], hidden: from.hidden()? };
+            let shared = GroupCertificate {
+                bounds: Aabb { min: from.point()?, max: from.point()? },
+                hidden: from.hidden()?,
+            };
             if shared.hidden.is_empty() {
                 return Err(CodecError("the certificate of a box has no group"));
             }
@@ -167,7 +171,7 @@ impl Reader<'_> {
             self.take::<HiddenGroup>()?;
             let target = match self.byte()? {
                 0 => Target::Triangle,
-                1 => Target::Box([self.point()?, self.point()?]),
+                1 => Target::Box(Aabb { min: self.point()?, max: self.point()? }),
                 2 => Target::Surfaces,
                 3 => Target::Half,
                 4 => {

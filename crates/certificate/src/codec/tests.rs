@@ -3,6 +3,7 @@
 use dashu_int::IBig;
 use glam::Vec3;
 use proptest::prelude::*;
+use sightline_numbers::Aabb;
 
 use super::{decode, encode};
 use crate::certificate::{CellCertificate, GroupCertificate, HiddenGroup, Target, Witness};
@@ -33,12 +34,16 @@ fn proof() -> impl Strategy<Value = Proof> {
         .prop_map(|(occluders, steps)| Proof { occluders, steps })
 }
 
+fn bounds() -> impl Strategy<Value = Aabb> {
+    (floats(), floats()).prop_map(|(min, max)| Aabb { min, max })
+}
+
 fn hidden() -> impl Strategy<Value = Vec<HiddenGroup>> {
     let target = prop_oneof![
         Just(Target::Triangle),
         Just(Target::Surfaces),
         Just(Target::Half),
-        prop::array::uniform2(floats()).prop_map(Target::Box),
+        bounds().prop_map(Target::Box),
         prop::collection::vec(floats(), 0..5).prop_map(|c| Target::Polygon(c.into())),
     ];
     let ids = prop::collection::btree_set(0u32..1000, 1..8);
@@ -56,7 +61,7 @@ prop_compose! {
         ], 0..8),
         hidden in hidden(),
         shared in prop::option::of(
-            (prop::array::uniform2(floats()), hidden()).prop_filter("empty", |s| !s.1.is_empty())
+            (bounds(), hidden()).prop_filter("empty", |s| !s.1.is_empty())
         ),
         above in prop::option::of(any::<u32>()),
     ) -> CellCertificate {

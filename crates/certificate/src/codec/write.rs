@@ -35,7 +35,7 @@ pub fn encode(certificate: &CellCertificate) -> std::io::Result<Vec<u8>> {
     if certificate.shared.is_some() || certificate.above.is_some() {
         put(&mut out, certificate.above.map_or(0, |back| u64::from(back) + 1));
         if let Some(shared) = &certificate.shared {
-            shared.bounds.iter().for_each(|c| put_point(&mut out, *c));
+            shared.bounds.corners().iter().for_each(|c| put_point(&mut out, *c));
             put_hidden(&mut out, &shared.hidden);
         }
     }
@@ -60,9 +60,9 @@ fn put_hidden(out: &mut Vec<u8>, hidden: &[HiddenGroup]) {
                 put(out, corners.len() as u64);
                 corners.iter().for_each(|c| put_point(out, *c));
             }
-            Target::Box(corners) => {
+            Target::Box(of) => {
                 out.push(1);
-                corners.iter().for_each(|c| put_point(out, *c));
+                of.corners().iter().for_each(|c| put_point(out, *c));
             }
         }
         put_ids(out, &h.triangles);

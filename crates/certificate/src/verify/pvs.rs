@@ -1,6 +1,7 @@
 //! `.pvs` files as results to verify.
 
 use glam::Vec3;
+use sightline_numbers::Aabb;
 use sightline_pvs::{Pvs, PvsError};
 
 use super::BakedResult;
@@ -26,8 +27,9 @@ impl BakedResult for Pvs {
         self.triangle_count()
     }
 
-    fn cell_bounds(&self, cell: u32) -> Option<[Vec3; 2]> {
-        Some(self.cell_bounds(cell)?.map(Vec3::from))
+    fn cell_bounds(&self, cell: u32) -> Option<Aabb> {
+        let [min, max] = self.cell_bounds(cell)?.map(Vec3::from);
+        Some(Aabb { min, max })
     }
 
     fn visible(&self, cell: u32) -> Result<Vec<u32>, String> {

@@ -1,6 +1,6 @@
 //! The interface of a baked result that [`verify`](super::verify) reads.
 
-use glam::Vec3;
+use sightline_numbers::Aabb;
 
 /// The bit of a cell's flags that says that its bake failed and all triangles are in its set as undecided.
 pub const SET_ASIDE: u32 = 1;
@@ -24,7 +24,7 @@ pub trait BakedResult: Sync {
     fn triangle_count(&self) -> u32;
 
     /// Least and greatest corner of a cell, in scene coordinates; `None` if there is no such cell.
-    fn cell_bounds(&self, cell: u32) -> Option<[Vec3; 2]>;
+    fn cell_bounds(&self, cell: u32) -> Option<Aabb>;
 
     /// The visibility set of a cell with its undecided triangles, ascending.
     ///

@@ -6,9 +6,10 @@ use dashu_int::IBig;
 use glam::Vec3;
 use sightline_certificate::proof::{OccluderTriangle, Proof, Step};
 use sightline_certificate::{CellCertificate, GroupCertificate, HiddenGroup, Target, Witness};
+use sightline_numbers::Aabb;
 
 /// The cell.
-pub const CELL: [Vec3; 2] = [Vec3::ZERO, Vec3::splat(0.5)];
+pub const CELL: Aabb = Aabb::new(Vec3::ZERO, Vec3::splat(0.5));
 
 /// The corners of the wall at a height.
 pub fn corners(z: f32) -> [Vec3; 4] {
@@ -42,7 +43,11 @@ pub fn hidden() -> Vec<HiddenGroup> {
     let [least, _, greatest, _] = corners(3.0);
     vec![
         HiddenGroup { target: polygon, triangles: vec![2, 3], proofs: proofs() },
-        HiddenGroup { target: Target::Box([least, greatest]), triangles: vec![4, 5], proofs: proofs() },
+        HiddenGroup {
+            target: Target::Box(Aabb::new(least, greatest)),
+            triangles: vec![4, 5],
+            proofs: proofs(),
+        },
     ]
 }
 

@@ -4,6 +4,7 @@
 use std::cmp::Ordering;
 
 use glam::{DVec3, Vec3};
+use sightline_numbers::Aabb;
 
 use crate::arithmetic::random::Random;
 use crate::cells::from_cell::{Found, faces_towards, from_cell};
@@ -39,21 +40,13 @@ pub struct Asked {
 }
 
 impl Work<'_> {
-    pub fn bounds(&self, of: Item) -> [Vec3; 2] {
+    pub fn bounds(&self, of: Item) -> Aabb {
         match of {
             Item::Node(node) => self.task.scene.occluders().hierarchy().bounds(node),
-            Item::Triangle(id) => {
-                let [a, b, c] = *self.task.scene.occluders().triangle(id);
-                [a.min(b).min(c), a.max(b).max(c)]
+            Item::Triangle(id) => Aabb::around(*self.task.scene.occluders().triangle(id)),
+            Item::Face(id) => {
+                Aabb::around(self.task.scene.occluders().occluder(id).border.iter().map(|[p, _]| *p))
             }
-            Item::Face(id) => self
-                .task
-                .scene
-                .occluders()
-                .occluder(id)
-                .border
-                .iter()
-                .fold([Vec3::INFINITY, Vec3::NEG_INFINITY], |[lo, hi], [p, _]| [lo.min(*p), hi.max(*p)]),
         }
     }
 
@@ -89,7 +82,7 @@ impl Work<'_> {
         }
         let targets = match of {
             Item::Node(node) => {
-                let [min, max] = self.task.scene.occluders().hierarchy().bounds(node);
+                let Aabb { min, max } = self.task.scene.occluders().hierarchy().bounds(node);
                 faces_towards(min, max, self.task.cell)
             }
             Item::Face(id) => self.outline(id).into_iter().collect(),
@@ -124,7 +117,7 @@ impl Work<'_> {
                 Item::Triangle(id) => u64::from(id) << 2 | 1,
                 Item::Face(id) => u64::from(id) << 2 | 2,
             };
-            let [min, max] = self.bounds(of);
+            let Aabb { min, max } = self.bounds(of);
             let random = Random::new(!self.task.seed, stream);
             let wide = f64::from((max - min).length());
             (beside, rays) =

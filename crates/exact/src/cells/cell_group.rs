@@ -13,6 +13,7 @@ use crate::cells::work::{State, Work};
 use crate::geometry::Cell;
 use crate::search::Limits;
 use sightline_certificate::GroupCertificate;
+use sightline_numbers::Aabb;
 
 /// A group of cells whose common hidden triangles are to be found.
 pub struct CellGroup<'a> {
@@ -48,14 +49,13 @@ pub struct GroupDecided {
 /// The triangles proved hidden from the box around the cells, ascending; with proofs, if they are kept, and
 /// what it took.
 pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
-    let all = task.cells.iter().map(Cell::corners);
-    let bounds = all.reduce(|[min, max], [lo, hi]| [min.min(lo), max.max(hi)]).unwrap_or_default();
+    let bounds = task.cells.iter().fold(Aabb::EMPTY, |all: Aabb, cell| all.union(cell.bounds()));
     let nothing = |statistics| GroupDecided {
         hidden: Vec::new(),
         shared: GroupCertificate { bounds, hidden: Vec::new() },
         statistics,
     };
-    let Some(cell) = Cell::new(bounds[0], bounds[1]) else { return nothing(QueryStatistics::default()) };
+    let Some(cell) = Cell::new(bounds.min, bounds.max) else { return nothing(QueryStatistics::default()) };
     let whole = Task {
         scene: task.scene,
         cell,

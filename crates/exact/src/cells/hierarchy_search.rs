@@ -4,6 +4,7 @@ use std::cmp::Ordering;
 use std::collections::{BTreeMap, BinaryHeap};
 
 use rayon::prelude::*;
+use sightline_numbers::Aabb;
 
 use crate::cells::ask::{Asked, Item};
 use crate::cells::from_cell::Found;
@@ -140,7 +141,7 @@ impl Work<'_> {
     }
 
     fn doubt(&self, of: Item) -> Doubt {
-        let [min, max] = self.bounds(of);
+        let Aabb { min, max } = self.bounds(of);
         Doubt { size: self.task.cell.size_of(min, max), of }
     }
 

@@ -8,6 +8,7 @@
 //! tried, the precision of costs, leaves, depth, uneven splits and the layout of nodes.
 
 use glam::{DVec3, Vec3};
+use sightline_numbers::Aabb;
 
 /// Most triangles in a leaf.
 const LEAF: usize = 4;
@@ -38,20 +39,16 @@ pub enum Below<'a> {
 pub struct Bvh {
     nodes: Vec<Node>,
     order: Vec<u32>,
-    boxes: Vec<[Vec3; 2]>,
+    boxes: Vec<Aabb>,
 }
 
 impl Bvh {
-    /// Builds over the boxes (least and greatest corner) of the items in `order`.
-    pub fn new(boxes: Vec<[Vec3; 2]>, mut order: Vec<u32>) -> Self {
+    /// Builds over the boxes of the items in `order`.
+    pub fn new(boxes: Vec<Aabb>, mut order: Vec<u32>) -> Self {
         let mut nodes = Vec::with_capacity(order.len() / 2 + 1);
-        let bounds = |items: &[u32]| {
-            items.iter().fold([Vec3::INFINITY, Vec3::NEG_INFINITY], |[lo, hi], i| {
-                let [a, b] = boxes[*i as usize];
-                [lo.min(a), hi.max(b)]
-            })
-        };
-        let [min, max] = bounds(&order);
+        let bounds =
+            |items: &[u32]| items.iter().fold(Aabb::EMPTY, |all: Aabb, i| all.union(boxes[*i as usize]));
+        let Aabb { min, max } = bounds(&order);
         nodes.push(Node { min, max, first: 0, count: order.len() as u32 });
         let mut open = vec![(0usize, 0u32)];
         while let Some((n, depth)) = open.pop() {
@@ -63,7 +60,7 @@ impl Bvh {
             let half = split(&boxes, items, depth < DEEP);
             let at = nodes.len() as u32;
             for (start, part) in [(first, &items[..half]), (first + half, &items[half..])] {
-                let [min, max] = bounds(part);
+                let Aabb { min, max } = bounds(part);
                 nodes.push(Node { min, max, first: start as u32, count: part.len() as u32 });
             }
             (nodes[n].first, nodes[n].count) = (at, 0);
@@ -83,9 +80,9 @@ impl Bvh {
     }
 
     /// A node's box.
-    pub fn bounds(&self, node: u32) -> [Vec3; 2] {
+    pub fn bounds(&self, node: u32) -> Aabb {
         let n = &self.nodes[node as usize];
-        [n.min, n.max]
+        Aabb { min: n.min, max: n.max }
     }
 
     /// A node's children, or the items of a leaf.
@@ -112,8 +109,8 @@ impl Bvh {
             if node.count > 0 {
                 let items = &self.order[node.first as usize..(node.first + node.count) as usize];
                 out.extend(items.iter().filter(|i| {
-                    let [lo, hi] = self.boxes[**i as usize];
-                    !apart(lo, hi)
+                    let b = self.boxes[**i as usize];
+                    !apart(b.min, b.max)
                 }));
             } else {
                 (open[len], open[len + 1]) = (node.first, node.first + 1);
@@ -140,8 +137,8 @@ impl Bvh {
             if node.count > 0 {
                 let items = &self.order[node.first as usize..(node.first + node.count) as usize];
                 out.extend(items.iter().filter(|i| {
-                    let [lo, hi] = self.boxes[**i as usize];
-                    segment.touches(lo, hi)
+                    let b = self.boxes[**i as usize];
+                    segment.touches(b.min, b.max)
                 }));
             } else {
                 open[len] = node.first;
@@ -195,11 +192,11 @@ impl Bvh {
 
 /// Where to divide: at the cheapest of sixteen planes along the widest axis of the centres, if that is
 /// allowed, or in the middle.
-fn split(boxes: &[[Vec3; 2]], items: &mut [u32], cheapest: bool) -> usize {
+fn split(boxes: &[Aabb], items: &mut [u32], cheapest: bool) -> usize {
     const BINS: usize = 16;
     let centre = |i: u32| {
-        let [a, b] = boxes[i as usize];
-        a * 0.5 + b * 0.5
+        let b = boxes[i as usize];
+        b.min * 0.5 + b.max * 0.5
     };
     let (lo, hi) = items
         .iter()
@@ -213,22 +210,20 @@ fn split(boxes: &[[Vec3; 2]], items: &mut [u32], cheapest: bool) -> usize {
         items.select_nth_unstable_by(middle, by_centre);
         return middle;
     }
-    let area = |[a, b]: [Vec3; 2]| {
-        let d = b.as_dvec3() - a.as_dvec3();
+    let area = |b: Aabb| {
+        let d = b.max.as_dvec3() - b.min.as_dvec3();
         d.x * d.y + d.y * d.z + d.z * d.x
     };
-    let mut bins = [([Vec3::INFINITY, Vec3::NEG_INFINITY], 0usize); BINS];
+    let mut bins = [(Aabb::EMPTY, 0usize); BINS];
     for i in items.iter() {
-        let ([a, b], n) = &mut bins[bin(*i)];
-        *a = a.min(boxes[*i as usize][0]);
-        *b = b.max(boxes[*i as usize][1]);
+        let (all, n) = &mut bins[bin(*i)];
+        *all = all.union(boxes[*i as usize]);
         *n += 1;
     }
-    let join = |x: [Vec3; 2], y: [Vec3; 2]| [x[0].min(y[0]), x[1].max(y[1])];
     let mut best: Option<(f64, usize)> = None;
     for k in 1..BINS {
-        let side = |part: &[([Vec3; 2], usize)]| {
-            part.iter().fold(([Vec3::INFINITY, Vec3::NEG_INFINITY], 0), |(b, n), (c, m)| (join(b, *c), n + m))
+        let side = |part: &[(Aabb, usize)]| {
+            part.iter().fold((Aabb::EMPTY, 0), |(b, n), (c, m)| (b.union(*c), n + m))
         };
         let ((a, n), (b, m)) = (side(&bins[..k]), side(&bins[k..]));
         if n == 0 || m == 0 {
@@ -307,10 +302,10 @@ mod tests {
     /// tree be a chain.
     #[test]
     fn a_tree_of_equal_costs_is_no_chain() {
-        let boxes: Vec<[Vec3; 2]> = (0..20_000)
+        let boxes: Vec<Aabb> = (0..20_000)
             .map(|i| {
                 let x = i as f32 * 1e-25;
-                [Vec3::new(x, 0.0, 0.0), Vec3::new(x, 1.0, 1.0)]
+                Aabb { min: Vec3::new(x, 0.0, 0.0), max: Vec3::new(x, 1.0, 1.0) }
             })
             .collect();
         let tree = Bvh::new(boxes.clone(), (0..boxes.len() as u32).collect());

@@ -1,6 +1,7 @@
 //! A view cell: the box that all of a cell's lines of sight start in.
 
 use glam::{DVec3, Vec3};
+use sightline_numbers::Aabb;
 
 /// A view cell: an axis-aligned box in world space with a positive volume.
 #[derive(Clone, Copy, Debug)]
@@ -16,6 +17,11 @@ impl Cell {
         (min.cmplt(max).all() && min.is_finite() && max.is_finite()).then_some(Self { min, max })
     }
 
+    /// The box.
+    pub fn bounds(&self) -> Aabb {
+        Aabb { min: self.min, max: self.max }
+    }
+
     /// Least and greatest corner.
     pub fn corners(&self) -> [Vec3; 2] {
         [self.min, self.max]
@@ -28,8 +34,8 @@ impl Cell {
     }
 
     /// Whether a closed box has a point in common with the closed cell.
-    pub fn touches(&self, [min, max]: [Vec3; 2]) -> bool {
-        min.cmple(self.max).all() && max.cmpge(self.min).all()
+    pub fn touches(&self, of: Aabb) -> bool {
+        self.bounds().touches(&of)
     }
 
     /// How large a box looks from the cell: half its surface over the square of its distance. Only good for

@@ -4,6 +4,7 @@ use std::cmp::Ordering;
 
 use glam::Vec3;
 use rayon::prelude::*;
+use sightline_numbers::union_find::UnionFind;
 use sightline_scene::exact::{orient2d_sign, orient3d_sign};
 
 use super::occluder::{Occluder, border};
@@ -17,7 +18,7 @@ pub struct Faces<'a> {
     triangles: &'a [[Vec3; 3]],
     corners: &'a [u32],
     /// Of each triangle its face, by union-find.
-    parent: Vec<u32>,
+    sets: UnionFind,
     /// Of each face (a root): its triangles and border, by corner numbers and positions.
     faces: Vec<Option<Face>>,
     /// Neighbours in one plane, over an edge.
@@ -66,15 +67,7 @@ impl<'a> Faces<'a> {
             .into_par_iter()
             .map(|id| solid[id].then(|| Face::of(id as u32, &triangles[id], &corners[3 * id..3 * id + 3])))
             .collect();
-        Self { triangles, corners, parent: (0..n as u32).collect(), faces, pairs }
-    }
-
-    fn root(&mut self, mut id: u32) -> u32 {
-        while self.parent[id as usize] != id {
-            self.parent[id as usize] = self.parent[self.parent[id as usize] as usize];
-            id = self.parent[id as usize];
-        }
-        id
+        Self { triangles, corners, sets: UnionFind::new(n), faces, pairs }
     }
 
     /// Joins neighbours as long as that leaves them convex.
@@ -84,7 +77,7 @@ impl<'a> Faces<'a> {
             let before = pairs.len();
             let mut joined = false;
             pairs.retain(|(s, t)| {
-                let (a, b) = (self.root(*s), self.root(*t));
+                let (a, b) = (self.sets.root(*s), self.sets.root(*t));
                 if a == b {
                     return false;
                 }
@@ -96,7 +89,7 @@ impl<'a> Faces<'a> {
                     Some(face) => {
                         self.faces[lo as usize] = Some(face);
                         self.faces[hi as usize] = None;
-                        self.parent[hi as usize] = lo;
+                        self.sets.join(lo, hi);
                         joined = true;
                         false
                     }
@@ -111,7 +104,7 @@ impl<'a> Faces<'a> {
 
     pub fn finish(mut self) -> (Vec<Occluder>, Vec<Option<u32>>) {
         let n = self.triangles.len();
-        let roots: Vec<u32> = (0..n as u32).map(|i| self.root(i)).collect();
+        let roots: Vec<u32> = (0..n as u32).map(|i| self.sets.root(i)).collect();
         let mut number = vec![None; n];
         let mut kept = Vec::new();
         for (id, face) in self.faces.iter().enumerate() {

@@ -45,7 +45,7 @@ impl Occluders {
             (occluders, of, turned, boundary_edges)
         };
         let hierarchy = || {
-            let boxes = scene.triangles().iter().map(|t| [t.bounds().min, t.bounds().max]).collect();
+            let boxes = scene.triangles().iter().map(|t| t.bounds()).collect();
             let items = (0..triangles.len() as u32).filter(|i| solid[*i as usize]).collect();
             Bvh::new(boxes, items)
         };

@@ -2,6 +2,7 @@
 
 use glam::Vec3;
 use sightline_exact::{Cell, Decided, ExactScene, Limits, Task, decide};
+use sightline_scene::Aabb;
 use sightline_scene::{Object, Scene, Triangle};
 
 use super::Corners;
@@ -12,10 +13,10 @@ pub fn exact_scene(triangles: &[Corners]) -> ExactScene {
     ExactScene::prepare(&Scene::new("test", all, objects).unwrap()).unwrap()
 }
 
-pub fn solve(scene: &ExactScene, cell: [Vec3; 2], seen: &[u32], stop: &(dyn Fn() -> bool + Sync)) -> Decided {
+pub fn solve(scene: &ExactScene, cell: Aabb, seen: &[u32], stop: &(dyn Fn() -> bool + Sync)) -> Decided {
     decide(&Task {
         scene,
-        cell: Cell::new(cell[0], cell[1]).unwrap(),
+        cell: Cell::new(cell.min, cell.max).unwrap(),
         seen,
         above: &[],
         limits: Limits::default(),
@@ -34,7 +35,7 @@ pub fn set(d: &Decided) -> Vec<u32> {
 }
 
 /// A room of two chambers with a door between them, and boxes in both.
-pub fn chambers() -> (Vec<Corners>, [Vec3; 2]) {
+pub fn chambers() -> (Vec<Corners>, Aabb) {
     let mut t: Vec<Corners> = Vec::new();
     let mut quad = |a: [f32; 3], b: [f32; 3], c: [f32; 3], d: [f32; 3]| {
         let [a, b, c, d] = [a, b, c, d].map(Vec3::from);
@@ -59,5 +60,5 @@ pub fn chambers() -> (Vec<Corners>, [Vec3; 2]) {
     block([4.0, 4.0, 0.5], [5.0, 5.0, 1.0]);
     // Outside of everything.
     block([30.0, 0.0, 0.0], [31.0, 1.0, 1.0]);
-    (t, [Vec3::new(1.0, 6.0, 1.0), Vec3::new(3.0, 8.0, 2.0)])
+    (t, Aabb::new(Vec3::new(1.0, 6.0, 1.0), Vec3::new(3.0, 8.0, 2.0)))
 }
