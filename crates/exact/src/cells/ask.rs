@@ -13,8 +13,8 @@ use crate::cells::work::{State, Work};
 use crate::geometry::bvh::Below;
 use crate::geometry::polygon::{Polygon, rounded};
 use crate::geometry::{Cell, Source, predicates};
-use crate::occluders::Occluders;
 use crate::occluders::segment::shows;
+use crate::occluders::{OccluderId, Occluders};
 use crate::search::{Cost, Reason};
 use sightline_certificate::{Target, Witness};
 
@@ -26,7 +26,7 @@ pub enum Item {
     Node(u32),
     Triangle(u32),
     /// Triangles in one plane that make up a convex polygon, by their occluder.
-    Face(u32),
+    Face(OccluderId),
 }
 
 /// The answer of a query about an item.
@@ -51,7 +51,7 @@ impl Work<'_> {
     }
 
     /// The polygon that an occluder's triangles make up, if it has few enough corners for one query.
-    pub fn outline(&self, occluder: u32) -> Option<Polygon> {
+    pub fn outline(&self, occluder: OccluderId) -> Option<Polygon> {
         let corners: Vec<DVec3> =
             self.task.scene.occluders().occluder(occluder).outline().iter().map(|c| c.as_dvec3()).collect();
         let mut pieces = Polygon::checked(&corners).ok()?;
@@ -59,7 +59,7 @@ impl Work<'_> {
     }
 
     /// The triangles of an occluder that are open, and not half hidden by a surface.
-    pub fn open_of(&self, occluder: u32) -> Vec<u32> {
+    pub fn open_of(&self, occluder: OccluderId) -> Vec<u32> {
         let open = |id: &u32| {
             self.state[*id as usize] == State::Open && self.hidden_half(Item::Triangle(*id)).is_none()
         };
@@ -69,7 +69,7 @@ impl Work<'_> {
             .occluder(occluder)
             .triangles
             .iter()
-            .map(|(id, _)| *id)
+            .map(|t| t.triangle)
             .filter(open)
             .collect()
     }
@@ -115,7 +115,7 @@ impl Work<'_> {
             let stream = match of {
                 Item::Node(id) => u64::from(id) << 2,
                 Item::Triangle(id) => u64::from(id) << 2 | 1,
-                Item::Face(id) => u64::from(id) << 2 | 2,
+                Item::Face(id) => u64::from(id.0) << 2 | 2,
             };
             let Aabb { min, max } = self.bounds(of);
             let random = Random::new(!self.task.seed, stream);

@@ -11,6 +11,7 @@ use crate::cells::from_cell::Found;
 use crate::cells::progress::Progress;
 use crate::cells::work::{State, Work};
 use crate::geometry::bvh::Below;
+use crate::occluders::OccluderId;
 
 /// Queries run at a time, in parallel: enough to keep a few cores busy, few enough to go by size.
 const BATCH: usize = 64;
@@ -44,7 +45,7 @@ impl Work<'_> {
         let mut below = Progress::of(self.task.scene.occluders(), &self.state);
         let mut doubts = BinaryHeap::new();
         // Polygons found so far, and whether each was queried as a whole.
-        let mut faces: BTreeMap<u32, bool> = BTreeMap::new();
+        let mut faces: BTreeMap<OccluderId, bool> = BTreeMap::new();
         let mut batch: Vec<Item> = Vec::new();
         let mut expand = vec![0u32];
         loop {
@@ -146,11 +147,11 @@ impl Work<'_> {
     }
 
     /// Whether all of an occluder's polygon may well be hidden, and there is more than one triangle to win.
-    fn worth_asking(&self, occluder: u32) -> bool {
+    fn worth_asking(&self, occluder: OccluderId) -> bool {
         let members = &self.task.scene.occluders().occluder(occluder).triangles;
         let hidden = |id: u32| matches!(self.state[id as usize], State::Open | State::Hidden);
         members.len() > 1
-            && members.iter().all(|(id, _)| hidden(*id))
+            && members.iter().all(|t| hidden(t.triangle))
             && self.open_of(occluder).len() > 1
             && self.outline(occluder).is_some()
     }

@@ -28,7 +28,7 @@ impl Progress {
         let open = |id: &u32| state[*id as usize] == State::Open;
         let first = |id: u32| {
             let members = scene.of(id).map(|o| &scene.occluder(o).triangles);
-            members.is_none_or(|m| m.iter().map(|(t, _)| *t).find(|t| open(t)) == Some(id))
+            members.is_none_or(|m| m.iter().map(|t| t.triangle).find(|t| open(t)) == Some(id))
         };
         let mut out = Self {
             below: vec![Known::default(); tree.len()],

@@ -9,7 +9,7 @@
 use std::cmp::Ordering;
 use std::rc::Rc;
 
-use crate::line_space::space::{Id, Space, Tight};
+use crate::line_space::space::{Space, Tight, VectorId};
 
 /// Most half-spaces of a region, kept free of those that bound nothing.
 pub const MOST_HALVES: usize = 128;
@@ -18,9 +18,9 @@ pub const MOST_HALVES: usize = 128;
 #[derive(Clone, Debug)]
 pub struct Region {
     /// Extreme rays, and where each is tight.
-    pub rays: Vec<(Id, Tight)>,
+    pub rays: Vec<(VectorId, Tight)>,
     /// The lines whose hyperplanes bound the region; a bit of [`Tight`] is an index here.
-    pub halves: Rc<[Id]>,
+    pub halves: Rc<[VectorId]>,
 }
 
 /// A region has more facets than [`MOST_HALVES`].
@@ -29,7 +29,7 @@ pub struct TooComplex;
 
 impl Region {
     /// On which side of a line's hyperplane each ray is.
-    pub fn sides(&self, space: &mut Space, line: Id, out: &mut Vec<Ordering>) {
+    pub fn sides(&self, space: &mut Space, line: VectorId, out: &mut Vec<Ordering>) {
         out.clear();
         let known = self.halves.iter().position(|h| *h == line).map_or(0, |i| 1u128 << i);
         let mut sure = 0;
@@ -47,11 +47,11 @@ impl Region {
     }
 
     /// The lines of a set.
-    pub fn tight(&self, set: Tight) -> impl Iterator<Item = Id> {
+    pub fn tight(&self, set: Tight) -> impl Iterator<Item = VectorId> {
         Self::lines(&self.halves, set)
     }
 
-    fn lines(halves: &[Id], set: Tight) -> impl Iterator<Item = Id> {
+    fn lines(halves: &[VectorId], set: Tight) -> impl Iterator<Item = VectorId> {
         halves.iter().enumerate().filter(move |(k, _)| set >> k & 1 == 1).map(|(_, h)| *h)
     }
 
@@ -60,7 +60,12 @@ impl Region {
     ///
     /// # Errors
     /// [`TooComplex`] when the region has as many facets as there are bits.
-    pub fn split(&self, space: &mut Space, line: Id, sides: &[Ordering]) -> Result<[Self; 2], TooComplex> {
+    pub fn split(
+        &self,
+        space: &mut Space,
+        line: VectorId,
+        sides: &[Ordering],
+    ) -> Result<[Self; 2], TooComplex> {
         let mut base = self;
         let compacted;
         if self.halves.len() >= MOST_HALVES {
@@ -74,12 +79,12 @@ impl Region {
         let mut halves = Vec::with_capacity(base.halves.len() + 1);
         halves.extend_from_slice(&base.halves);
         halves.push(line);
-        let halves: Rc<[Id]> = halves.into();
+        let halves: Rc<[VectorId]> = halves.into();
         let kept = |keep: Ordering| sides.iter().filter(|s| **s != keep.reverse()).count();
         let mut parts = [Ordering::Less, Ordering::Greater].map(|keep| {
             // A cut or two for each ray that is left out.
             let most = 2 * sides.len() - kept(keep);
-            let mut rays: Vec<(Id, Tight)> = Vec::with_capacity(most);
+            let mut rays: Vec<(VectorId, Tight)> = Vec::with_capacity(most);
             rays.extend(
                 base.rays
                     .iter()
@@ -192,7 +197,7 @@ impl Edges {
             return false;
         }
         let Some(on) = &self.on else {
-            let third = |(k, (_, t)): (usize, &(Id, Tight))| k != i && k != j && t & common == common;
+            let third = |(k, (_, t)): (usize, &(VectorId, Tight))| k != i && k != j && t & common == common;
             return !region.rays.iter().enumerate().any(third);
         };
         let two = 1u128 << i | 1u128 << j;

@@ -14,7 +14,7 @@ use crate::arithmetic::number::{U, rounded};
 use crate::geometry::predicates::sign;
 use crate::line_space::cone::Region;
 use crate::line_space::forms::{Forms, crossing};
-use crate::line_space::space::{Id, Space, klein, klein_exact};
+use crate::line_space::space::{Space, VectorId, klein, klein_exact};
 
 /// What a region holds.
 #[derive(Clone, Debug)]
@@ -94,7 +94,7 @@ fn both_signs(
     [right, wrong]: [bool; 2],
 ) -> bool {
     // The lines each ray is on, once they are needed.
-    let mut on: Vec<Vec<Id>> = vec![Vec::new(); region.rays.len()];
+    let mut on: Vec<Vec<VectorId>> = vec![Vec::new(); region.rays.len()];
     let turned = forms.turn < 0.0;
     let (mut positive, mut negative) =
         (right && turned || wrong && !turned, right && !turned || wrong && turned);
@@ -153,7 +153,7 @@ pub fn fine(space: &mut Space, region: &Region) -> Vec<[IBig; 6]> {
         .rays
         .iter()
         .map(|(r, tight)| {
-            let on: Vec<Id> = region.tight(*tight).collect();
+            let on: Vec<VectorId> = region.tight(*tight).collect();
             space.sharpen_from(*r, &on);
             let x = space.exact(*r);
             let longest = x.iter().map(|c| c.bit_len()).max().unwrap_or(0);

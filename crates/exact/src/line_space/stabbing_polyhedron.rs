@@ -25,7 +25,7 @@ use rustc_hash::FxHashMap;
 use crate::arithmetic::number::U;
 use crate::geometry::polygon::Polygon;
 use crate::line_space::cone::{MOST_HALVES, Region};
-use crate::line_space::space::{Id, Space, Through};
+use crate::line_space::space::{Space, Through, VectorId};
 
 /// Two polygons, each on one side of the other's plane, and the lines between them.
 pub struct Pair {
@@ -82,7 +82,7 @@ pub fn stabbing(
     let off =
         |sides: &[Ordering]| sides.iter().copied().find(|s| *s != Ordering::Equal).unwrap_or(Ordering::Equal);
     let (ahead, behind) = (off(b_sides), off(a_sides));
-    let edges = |space: &mut Space, p: &[u32]| -> Vec<Id> {
+    let edges = |space: &mut Space, p: &[u32]| -> Vec<VectorId> {
         (0..p.len()).map(|i| space.join(p[i], p[(i + 1) % p.len()])).collect()
     };
     let mut halves = edges(space, &pa);
@@ -92,10 +92,10 @@ pub fn stabbing(
     let at = |i: usize, n: usize, first: usize| 1u128 << (first + i) | 1u128 << (first + (i + n - 1) % n);
     let all = |n: usize, first: usize| ((1u128 << n) - 1) << first;
     // One line for each ray of the quotient, and the edges tight there.
-    let mut quotient: Vec<(Id, u128)> = Vec::with_capacity(n * m);
+    let mut quotient: Vec<(VectorId, u128)> = Vec::with_capacity(n * m);
     // All lines through a vertex pair but those along k: what caps must leave in.
-    let mut lines: Vec<Id> = Vec::with_capacity(n * m);
-    let mut along: Vec<Id> = Vec::new();
+    let mut lines: Vec<VectorId> = Vec::with_capacity(n * m);
+    let mut along: Vec<VectorId> = Vec::new();
     let mut across = None;
     for i in 0..n {
         let mut on_plane = false;
@@ -135,7 +135,7 @@ pub fn stabbing(
     if let (true, true, Some(middle)) = (ends_up, ends_down, across) {
         // The line through a vertex of each that is off the other's plane does not meet k. The part that
         // holds k, and the part that holds −k.
-        let mut base: Vec<(Id, u128)> = Vec::with_capacity(quotient.len());
+        let mut base: Vec<(VectorId, u128)> = Vec::with_capacity(quotient.len());
         for (line, tight) in &quotient {
             base.push((onto(space, *line, [k, minus], middle), tight | 1 << (n + m)));
         }
@@ -146,7 +146,7 @@ pub fn stabbing(
         }
     } else {
         let (top, bottom) = caps(space, (&halves, n), &lines, k)?;
-        let mut rays: Vec<(Id, u128)> = Vec::with_capacity(2 * quotient.len());
+        let mut rays: Vec<(VectorId, u128)> = Vec::with_capacity(2 * quotient.len());
         let mut halves = halves;
         for (cap, apex_there, sign) in [(top, ends_up, true), (bottom, ends_down, false)] {
             if apex_there {
@@ -165,7 +165,7 @@ pub fn stabbing(
 }
 
 /// The ray of `line` + t·k that is on the hyperplane `cap`, with k and −k given.
-fn onto(space: &mut Space, line: Id, [k, minus]: [Id; 2], cap: Id) -> Id {
+fn onto(space: &mut Space, line: VectorId, [k, minus]: [VectorId; 2], cap: VectorId) -> VectorId {
     let side = space.side(line, cap);
     if side == Ordering::Equal {
         return line;
@@ -184,7 +184,12 @@ fn same_point(space: &mut Space, p: u32, q: u32) -> bool {
 ///
 /// The mean of the lines serves as σ where it is positive on all of them, as it is for most pairs; the sum of
 /// the edges' functionals always is, but nearly vanishes on polygons that nearly lie in one plane.
-fn caps(space: &mut Space, edges: (&[Id], usize), lines: &[Id], k: Id) -> Result<(Id, Id), NoCaps> {
+fn caps(
+    space: &mut Space,
+    edges: (&[VectorId], usize),
+    lines: &[VectorId],
+    k: VectorId,
+) -> Result<(VectorId, VectorId), NoCaps> {
     let both = |space: &mut Space, sigma: [f64; 6]| {
         let caps = Caps::fit(space, lines, k, sigma)?;
         Ok((caps.cap(space, lines, 1.0)?, caps.cap(space, lines, -1.0)?))
@@ -197,7 +202,7 @@ fn caps(space: &mut Space, edges: (&[Id], usize), lines: &[Id], k: Id) -> Result
 }
 
 /// The mean of the lines as a functional, made to vanish on k.
-fn mean(space: &Space, lines: &[Id], k: Id) -> [f64; 6] {
+fn mean(space: &Space, lines: &[VectorId], k: VectorId) -> [f64; 6] {
     let k_at = space.rounded(k);
     let mean: [f64; 6] = std::array::from_fn(|i| lines.iter().map(|l| space.rounded(*l)[i]).sum::<f64>());
     let along = dot(&mean, k_at) / dot(k_at, k_at);
@@ -206,7 +211,7 @@ fn mean(space: &Space, lines: &[Id], k: Id) -> [f64; 6] {
 
 /// The sum of the functionals of all edges, each turned so that no line is on its negative side. k is on all
 /// of them.
-fn edge_sum(space: &mut Space, (edges, of_a): (&[Id], usize), lines: &[Id]) -> [f64; 6] {
+fn edge_sum(space: &mut Space, (edges, of_a): (&[VectorId], usize), lines: &[VectorId]) -> [f64; 6] {
     let mut sum = [0.0; 6];
     for polygon in [&edges[..of_a], &edges[of_a..]] {
         // All edges of a convex polygon are passed on the same side: whichever line is off one tells.
@@ -237,11 +242,11 @@ struct Caps {
     sigma: [f64; 6],
     highest: f64,
     lowest: f64,
-    k: Id,
+    k: VectorId,
 }
 
 impl Caps {
-    fn fit(space: &Space, through: &[Id], k: Id, sigma: [f64; 6]) -> Result<Self, NoCaps> {
+    fn fit(space: &Space, through: &[VectorId], k: VectorId, sigma: [f64; 6]) -> Result<Self, NoCaps> {
         let at: Vec<[f64; 6]> = through.iter().map(|l| *space.rounded(*l)).collect();
         let k_at = *space.rounded(k);
         // φ minimises Σ φ(v)² subject to φ(k) = 1: φ = G⁻¹k / (k·G⁻¹k) with G = Σ v vᵀ, made regular.
@@ -278,12 +283,12 @@ impl Caps {
     }
 
     /// The hyperplane of the functional `f`; [`klein`] swaps halves.
-    fn plane(space: &mut Space, f: [f64; 6]) -> Id {
+    fn plane(space: &mut Space, f: [f64; 6]) -> VectorId {
         space.given([f[3], f[4], f[5], f[0], f[1], f[2]])
     }
 
     /// t·σ − φ (or φ − t·σ below), with t raised until all lines are on its positive side and k (−k) is not.
-    fn cap(&self, space: &mut Space, through: &[Id], way: f64) -> Result<Id, NoCaps> {
+    fn cap(&self, space: &mut Space, through: &[VectorId], way: f64) -> Result<VectorId, NoCaps> {
         let (mut t, other) =
             if way > 0.0 { (self.highest, self.lowest) } else { (self.lowest, self.highest) };
         let mut step = (t - other).abs().max(1e-6 * t.abs()).max(64.0 * U) * 0.02;

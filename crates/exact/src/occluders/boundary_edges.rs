@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::occluder::Occluder;
+use super::occluder::{Occluder, OccluderId};
 
 /// Most occluders at one edge that are looked at.
 const MOST_AT_EDGE: usize = 8;
@@ -17,7 +17,7 @@ pub struct BoundaryEdges {
     groups: Vec<u32>,
     /// The occluders with an edge of a group, and whether their border runs from the greater corner to the
     /// lesser.
-    sharing: Vec<(u32, bool)>,
+    sharing: Vec<(OccluderId, bool)>,
 }
 
 impl BoundaryEdges {
@@ -25,11 +25,11 @@ impl BoundaryEdges {
     pub fn new(occluders: &[Occluder]) -> Self {
         let mut first = Vec::with_capacity(occluders.len());
         // Lesser and greater corner, occluder, direction, number.
-        let mut edges: Vec<([u32; 2], u32, bool, u32)> = Vec::new();
+        let mut edges: Vec<([u32; 2], OccluderId, bool, u32)> = Vec::new();
         for (id, o) in occluders.iter().enumerate() {
             first.push(edges.len() as u32);
             for [a, b] in &o.edges {
-                edges.push(([*a.min(b), *a.max(b)], id as u32, a > b, edges.len() as u32));
+                edges.push(([*a.min(b), *a.max(b)], OccluderId(id as u32), a > b, edges.len() as u32));
             }
         }
         edges.par_sort_unstable();
@@ -47,13 +47,13 @@ impl BoundaryEdges {
     }
 
     /// The number of an occluder's first edge; the others follow in the order of its border.
-    pub fn first(&self, occluder: u32) -> u32 {
-        self.first[occluder as usize]
+    pub fn first(&self, occluder: OccluderId) -> u32 {
+        self.first[occluder.0 as usize]
     }
 
     /// The occluders (a few, where there are many) that have an edge, its own among them, and whether their
     /// border runs along it from the greater corner to the lesser.
-    pub fn sharing(&self, edge: u32) -> &[(u32, bool)] {
+    pub fn sharing(&self, edge: u32) -> &[(OccluderId, bool)] {
         let group = self.group[edge as usize] as usize;
         let all = &self.sharing[self.groups[group] as usize..self.groups[group + 1] as usize];
         &all[..all.len().min(MOST_AT_EDGE)]

@@ -4,10 +4,11 @@ use std::cmp::Ordering;
 
 use glam::Vec3;
 use rayon::prelude::*;
+use sightline_certificate::proof::OccluderTriangle;
 use sightline_numbers::union_find::UnionFind;
 use sightline_scene::exact::{orient2d_sign, orient3d_sign};
 
-use super::occluder::{Occluder, border};
+use super::occluder::{Occluder, OccluderId, border};
 
 /// Longest border of a merged occluder.
 const MOST_EDGES: usize = 24;
@@ -27,7 +28,7 @@ pub struct Faces<'a> {
 
 #[derive(Clone)]
 struct Face {
-    triangles: Vec<(u32, bool)>,
+    triangles: Vec<OccluderTriangle>,
     /// Directed edges by corner numbers and positions.
     border: Vec<Edge>,
     /// The axis to look along, and whether that sees the face turn clockwise.
@@ -102,14 +103,14 @@ impl<'a> Faces<'a> {
         }
     }
 
-    pub fn finish(mut self) -> (Vec<Occluder>, Vec<Option<u32>>) {
+    pub fn finish(mut self) -> (Vec<Occluder>, Vec<Option<OccluderId>>) {
         let n = self.triangles.len();
         let roots: Vec<u32> = (0..n as u32).map(|i| self.sets.root(i)).collect();
         let mut number = vec![None; n];
         let mut kept = Vec::new();
         for (id, face) in self.faces.iter().enumerate() {
             if let Some(face) = face {
-                number[id] = Some(kept.len() as u32);
+                number[id] = Some(OccluderId(kept.len() as u32));
                 kept.push(face);
             }
         }
@@ -126,7 +127,12 @@ impl Face {
         // Some axis sees the triangle with an area, since it has one; which is decided exactly.
         let turn = |axis: usize| orient2d_sign(flat(v[0], axis), flat(v[1], axis), flat(v[2], axis));
         let axis = (0..3).find(|k| turn(*k) != Ordering::Equal).unwrap_or(0);
-        Self { triangles: vec![(id, false)], border, axis, mirrored: turn(axis) == Ordering::Less }
+        Self {
+            triangles: vec![OccluderTriangle { triangle: id, reversed: false }],
+            border,
+            axis,
+            mirrored: turn(axis) == Ordering::Less,
+        }
     }
 
     /// Both faces as one, if their union is convex.
@@ -135,11 +141,11 @@ impl Face {
             return None;
         }
         // Turned so that both face the same way: seen along the same axis.
-        let v = &triangles[other.triangles[0].0 as usize];
-        let turned = other.triangles[0].1;
+        let OccluderTriangle { triangle, reversed } = other.triangles[0];
+        let v = &triangles[triangle as usize];
         let clockwise = orient2d_sign(flat(v[0], self.axis), flat(v[1], self.axis), flat(v[2], self.axis))
             == Ordering::Less;
-        let flip = (clockwise != turned) != self.mirrored;
+        let flip = (clockwise != reversed) != self.mirrored;
         let mut border = self.border.clone();
         for e in &other.border {
             let e = if flip { Edge { from: e.to, to: e.from, ends: [e.ends[1], e.ends[0]] } } else { *e };
@@ -178,7 +184,7 @@ impl Face {
             return None;
         }
         let mut all = self.triangles.clone();
-        all.extend(other.triangles.iter().map(|(t, f)| (*t, *f != flip)));
+        all.extend(other.triangles.iter().map(|t| OccluderTriangle { reversed: t.reversed != flip, ..*t }));
         Some(Self { triangles: all, border, axis: self.axis, mirrored: self.mirrored })
     }
 

@@ -7,5 +7,5 @@ pub(crate) mod segment;
 mod set;
 
 pub use boundary_edges::BoundaryEdges;
-pub use occluder::Occluder;
+pub use occluder::{Occluder, OccluderId, OrientedOccluder};
 pub use set::Occluders;

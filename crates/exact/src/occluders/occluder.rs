@@ -10,12 +10,26 @@
 //! into those.
 
 use glam::Vec3;
+use sightline_certificate::proof::OccluderTriangle;
+
+/// An occluder of a scene, by its index there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct OccluderId(pub u32);
+
+/// An occluder of a scene with its winding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct OrientedOccluder {
+    /// The occluder.
+    pub id: OccluderId,
+    /// Whether the winding is the reverse of the scene's.
+    pub reversed: bool,
+}
 
 /// A set of triangles in one plane that block together.
 #[derive(Clone, Debug)]
 pub struct Occluder {
-    /// The triangles, each with whether it is turned round so that all face the same way.
-    pub triangles: Vec<(u32, bool)>,
+    /// The triangles, reversed where that makes all face the same way.
+    pub triangles: Vec<OccluderTriangle>,
     /// What is left of their edges, directed, in the order of the triangles and their edges.
     pub border: Vec<[Vec3; 2]>,
     /// The same by numbers of corners, equal where positions are.
@@ -39,15 +53,15 @@ impl Occluder {
 
 /// The edges that remain when opposite ones are struck out, in the order of the triangles and of their edges.
 pub fn border(
-    members: &[(u32, bool)],
+    members: &[OccluderTriangle],
     triangles: &[[Vec3; 3]],
     corners: &[u32],
 ) -> (Vec<[u32; 2]>, Vec<[Vec3; 2]>) {
     let mut left: Vec<([u32; 2], [Vec3; 2])> = Vec::new();
-    for (t, turned) in members {
-        let (c, v) = (&corners[3 * *t as usize..], &triangles[*t as usize]);
+    for OccluderTriangle { triangle, reversed } in members {
+        let (c, v) = (&corners[3 * *triangle as usize..], &triangles[*triangle as usize]);
         for k in 0..3 {
-            let (i, j) = if *turned { ((k + 1) % 3, k) } else { (k, (k + 1) % 3) };
+            let (i, j) = if *reversed { ((k + 1) % 3, k) } else { (k, (k + 1) % 3) };
             match left.iter().rposition(|(e, _)| *e == [c[j], c[i]]) {
                 Some(at) => {
                     left.remove(at);

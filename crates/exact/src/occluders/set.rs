@@ -2,12 +2,13 @@
 
 use glam::Vec3;
 use rayon::prelude::*;
+use sightline_certificate::proof::OccluderTriangle;
 use sightline_scene::topology::corner_vertices;
 use sightline_scene::{Scene, SceneError};
 
 use super::boundary_edges::BoundaryEdges;
 use super::merge::Faces;
-use super::occluder::{Occluder, border};
+use super::occluder::{Occluder, OccluderId, border};
 use crate::geometry::bvh::Bvh;
 
 /// All occluders of a scene.
@@ -15,7 +16,7 @@ pub struct Occluders {
     triangles: Vec<[Vec3; 3]>,
     occluders: Vec<Occluder>,
     /// The occluder of each triangle; none for those without area.
-    of: Vec<Option<u32>>,
+    of: Vec<Option<OccluderId>>,
     /// Whether each triangle is turned round in its occluder.
     turned: Vec<bool>,
     boundary_edges: BoundaryEdges,
@@ -41,7 +42,10 @@ impl Occluders {
             let (occluders, of) = faces.finish();
             let boundary_edges = BoundaryEdges::new(&occluders);
             let mut turned = vec![false; triangles.len()];
-            occluders.iter().flat_map(|o| &o.triangles).for_each(|(t, turn)| turned[*t as usize] = *turn);
+            occluders
+                .iter()
+                .flat_map(|o| &o.triangles)
+                .for_each(|t| turned[t.triangle as usize] = t.reversed);
             (occluders, of, turned, boundary_edges)
         };
         let hierarchy = || {
@@ -71,22 +75,22 @@ impl Occluders {
     }
 
     /// The occluder a triangle is part of.
-    pub fn of(&self, triangle: u32) -> Option<u32> {
+    pub fn of(&self, triangle: u32) -> Option<OccluderId> {
         self.of[triangle as usize]
     }
 
     /// The occluder of a triangle that a line goes through, and whether the line passes the occluder's edges
     /// on their negative side. `front` says whether it comes from the side the triangle's corners are seen
     /// counter-clockwise from.
-    pub fn passed(&self, triangle: u32, front: bool) -> Option<(u32, bool)> {
+    pub fn passed(&self, triangle: u32, front: bool) -> Option<(OccluderId, bool)> {
         // Down the z axis, (0, 0, −1; 0, 0, 0), with an edge around it from x to y, (−1, 1, 0; 0, 0, 1): K =
         // −1.
         self.of(triangle).map(|id| (id, front != self.turned[triangle as usize]))
     }
 
     /// An occluder.
-    pub fn occluder(&self, id: u32) -> &Occluder {
-        &self.occluders[id as usize]
+    pub fn occluder(&self, id: OccluderId) -> &Occluder {
+        &self.occluders[id.0 as usize]
     }
 
     /// The edges of all occluders' borders.
@@ -102,7 +106,7 @@ impl Occluders {
 
     /// The boundary edges of some triangles, each perhaps reversed: the edges that remain when opposite ones
     /// are removed.
-    pub fn border(&self, members: &[(u32, bool)]) -> (Vec<[u32; 2]>, Vec<[Vec3; 2]>) {
+    pub fn border(&self, members: &[OccluderTriangle]) -> (Vec<[u32; 2]>, Vec<[Vec3; 2]>) {
         border(members, &self.triangles, &self.corners)
     }
 

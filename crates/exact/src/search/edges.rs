@@ -6,7 +6,7 @@ use glam::Vec3;
 use rustc_hash::FxHashMap;
 use sightline_scene::exact::collinear;
 
-use crate::line_space::space::{Id, Space};
+use crate::line_space::space::{Space, VectorId};
 use crate::search::corners::Corners;
 use crate::search::maps::with_room;
 
@@ -14,7 +14,7 @@ use crate::search::maps::with_room;
 #[derive(Clone, Copy)]
 pub struct Edge {
     /// Its line.
-    pub line: Id,
+    pub line: VectorId,
     /// Whether the line runs the other way.
     pub flipped: bool,
 }
@@ -23,10 +23,10 @@ pub struct Edge {
 pub struct EdgeLines {
     /// By the numbers of an edge's corners, the lesser first: its line, and whether that runs from the
     /// greater.
-    edges: FxHashMap<[u32; 2], (Id, bool)>,
+    edges: FxHashMap<[u32; 2], (VectorId, bool)>,
     /// By their fingerprints: what is the same line is in the same bucket, or the next. Each with two points
     /// it goes through.
-    buckets: FxHashMap<i64, Vec<(Id, [Vec3; 2])>>,
+    buckets: FxHashMap<i64, Vec<(VectorId, [Vec3; 2])>>,
 }
 
 impl EdgeLines {

@@ -3,7 +3,7 @@
 //! Connected triangles crossed in the same direction act as one occluder, bounded by their silhouette
 //! (Nirenstein 2003, section 2.4).
 
-use crate::occluders::Occluders;
+use crate::occluders::{OccluderId, Occluders, OrientedOccluder};
 use crate::search::local::{Constraints, Local, lines_of, triangles};
 use crate::search::side_bitsets::{Limit, both, count};
 
@@ -20,7 +20,11 @@ impl Local<'_> {
     ///
     /// One neighbour often has no effect where several have: most facets of a curved surface are needed to
     /// block the lines around one of them.
-    pub fn fuse(&mut self, scene: &Occluders, (id, negative, held): (u32, bool, u32)) -> Option<usize> {
+    pub fn fuse(
+        &mut self,
+        scene: &Occluders,
+        (id, negative, held): (OccluderId, bool, u32),
+    ) -> Option<usize> {
         let every = self.side_bitsets.all();
         let all = count(every);
         if held == all || !self.is_between(scene, id) {
@@ -28,8 +32,9 @@ impl Local<'_> {
         }
         let mut border = std::mem::take(&mut self.border);
         border.clear();
-        let mut members = vec![(id, false)];
-        self.join(scene, &mut border, (id, false), negative);
+        let first = OrientedOccluder { id, reversed: false };
+        let mut members = vec![first];
+        self.join(scene, &mut border, first, negative);
         let (mut most, mut best) = (held, 1);
         while most < all && members.len() < MOST_MEMBERS.min(best + best.max(IN_VAIN)) {
             let Some(next) = self.beyond(scene, &mut border, &members, all) else { break };
@@ -56,12 +61,12 @@ impl Local<'_> {
         &mut self,
         scene: &Occluders,
         border: &mut Vec<Limit>,
-        (id, turned): (u32, bool),
+        OrientedOccluder { id, reversed }: OrientedOccluder,
         negative: bool,
     ) {
         for at in self.side_bitsets.shape(scene, self.space.frame(), id) {
             let edge = self.side_bitsets.edges(at..at + 1)[0];
-            let edge = if turned { edge.reversed() } else { edge };
+            let edge = if reversed { edge.reversed() } else { edge };
             let [from, to] = edge.corners;
             if let Some(other) = border.iter().position(|l| l.edge.corners == [to, from]) {
                 border.remove(other);
@@ -78,16 +83,16 @@ impl Local<'_> {
         &mut self,
         scene: &Occluders,
         border: &mut [Limit],
-        members: &[(u32, bool)],
+        members: &[OrientedOccluder],
         all: u32,
-    ) -> Option<(u32, bool)> {
+    ) -> Option<OrientedOccluder> {
         loop {
             let limit = border.iter_mut().filter(|l| !l.last && l.count < all).min_by_key(|l| l.count)?;
             for (id, back) in scene.boundary_edges().sharing(limit.edge.number) {
-                if !members.iter().any(|m| m.0 == *id) && self.is_between(scene, *id) {
+                if !members.iter().any(|m| m.id == *id) && self.is_between(scene, *id) {
                     // Its border must run the other way along the edge, so it is turned round where it runs
                     // the same way.
-                    return Some((*id, *back == limit.edge.back()));
+                    return Some(OrientedOccluder { id: *id, reversed: *back == limit.edge.back() });
                 }
             }
             limit.last = true;
@@ -96,7 +101,7 @@ impl Local<'_> {
 
     /// Several occluders that are all between the polygons, as one; an index into `known`. None if they have
     /// no border.
-    fn patch(&mut self, scene: &Occluders, members: Vec<(u32, bool)>) -> Option<usize> {
+    fn patch(&mut self, scene: &Occluders, members: Vec<OrientedOccluder>) -> Option<usize> {
         if let Some(at) = self.patches.get(&members) {
             return *at;
         }

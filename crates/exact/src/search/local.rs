@@ -7,9 +7,10 @@ use rustc_hash::FxHashMap;
 
 use crate::geometry::polygon::Polygon;
 use crate::line_space::forms::Forms;
-use crate::line_space::space::{Id, Space, Through};
+use crate::line_space::space::{Space, Through, VectorId};
 use crate::line_space::stabbing_polyhedron::Pair;
-use crate::occluders::Occluders;
+use crate::occluders::{OccluderId, Occluders, OrientedOccluder};
+use crate::proof::OccluderTriangle;
 use crate::search::corners::Corners;
 use crate::search::edges::{Edge, EdgeLines};
 use crate::search::side_bitsets::{Limit, SideBitsets};
@@ -19,8 +20,8 @@ pub type Snapped = (u32, DVec3);
 
 /// An occluder as half-spaces of one pair's space.
 pub struct Constraints {
-    /// The occluders of the scene in it, each with whether its orientation is reversed; ascending.
-    pub members: Vec<(u32, bool)>,
+    /// The occluders of the scene in it, ascending.
+    pub members: Vec<OrientedOccluder>,
     /// The half-spaces that bound the lines it blocks.
     pub lines: Vec<Constraint>,
 }
@@ -29,7 +30,7 @@ pub struct Constraints {
 #[derive(Clone, Copy)]
 pub struct Constraint {
     /// Its line.
-    pub line: Id,
+    pub line: VectorId,
     /// Whether the border runs the other way.
     pub flipped: bool,
     /// Its number in a proof.
@@ -67,11 +68,11 @@ pub struct Local<'a> {
     /// Corners of the scene as points of the space.
     pub corners: Corners,
     /// On which sides of the two planes the occluders looked up so far lie.
-    pub extents: FxHashMap<u32, Extent>,
+    pub extents: FxHashMap<OccluderId, Extent>,
     /// Where in `known` an occluder is; none where it is not between the polygons.
-    pub places: FxHashMap<u32, Option<usize>>,
+    pub places: FxHashMap<OccluderId, Option<usize>>,
     /// Where in `known` several occluders are that were joined.
-    pub patches: FxHashMap<Vec<(u32, bool)>, Option<usize>>,
+    pub patches: FxHashMap<Vec<OrientedOccluder>, Option<usize>>,
     /// Lines made for occluders' edges.
     pub lines: EdgeLines,
     /// On which sides of boundary edges the rays of the current region are.
@@ -90,7 +91,7 @@ pub struct Local<'a> {
 
 impl Local<'_> {
     /// The half-spaces of an occluder, where it is between A and B; an index into `known`.
-    pub fn constraints(&mut self, scene: &Occluders, id: u32) -> Option<usize> {
+    pub fn constraints(&mut self, scene: &Occluders, id: OccluderId) -> Option<usize> {
         if let Some(at) = self.places.get(&id) {
             return *at;
         }
@@ -111,7 +112,7 @@ impl Local<'_> {
     }
 
     /// Where an occluder is.
-    fn extent(&mut self, scene: &Occluders, id: u32) -> Extent {
+    fn extent(&mut self, scene: &Occluders, id: OccluderId) -> Extent {
         if let Some(known) = self.extents.get(&id) {
             return *known;
         }
@@ -130,12 +131,12 @@ impl Local<'_> {
     }
 
     /// Whether all of an occluder is between the polygons.
-    pub fn is_between(&mut self, scene: &Occluders, id: u32) -> bool {
+    pub fn is_between(&mut self, scene: &Occluders, id: OccluderId) -> bool {
         let extent = self.extent(scene, id);
         extent.within == [true; 2] && extent.beyond == [false; 2]
     }
 
-    fn make_constraints(&mut self, scene: &Occluders, id: u32) -> Option<usize> {
+    fn make_constraints(&mut self, scene: &Occluders, id: OccluderId) -> Option<usize> {
         let Extent { within, beyond } = self.extent(scene, id);
         if within.contains(&false) {
             return None;
@@ -145,8 +146,8 @@ impl Local<'_> {
         let edges = self.border_lines(&occluder.edges, &occluder.border);
         let mut lines = lines_of(&edges, &occluder.edges, &self.side_bitsets);
         if beyond.contains(&true) {
-            let (t, turned) = occluder.triangles[0];
-            let points = self.corner_points(scene, t);
+            let OccluderTriangle { triangle, reversed: turned } = occluder.triangles[0];
+            let points = self.corner_points(scene, triangle);
             let own = Through { points, turned };
             for (k, (plane, good)) in planes.iter().enumerate() {
                 if !beyond[k] {
@@ -161,17 +162,21 @@ impl Local<'_> {
                 lines.push(Constraint { line, flipped: false, number, row: None });
             }
         }
-        self.known.push(Constraints { members: vec![(id, false)], lines });
+        self.known.push(Constraints { members: vec![OrientedOccluder { id, reversed: false }], lines });
         Some(self.known.len() - 1)
     }
 }
 
 /// The triangles of some occluders, in order.
-pub fn triangles(scene: &Occluders, members: &[(u32, bool)]) -> Vec<(u32, bool)> {
+pub fn triangles(scene: &Occluders, members: &[OrientedOccluder]) -> Vec<OccluderTriangle> {
     members
         .iter()
-        .flat_map(|(o, turned)| {
-            scene.occluder(*o).triangles.iter().map(move |(t, flip)| (*t, flip != turned))
+        .flat_map(|of| {
+            scene
+                .occluder(of.id)
+                .triangles
+                .iter()
+                .map(move |t| OccluderTriangle { triangle: t.triangle, reversed: t.reversed != of.reversed })
         })
         .collect()
 }

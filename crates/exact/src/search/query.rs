@@ -20,7 +20,7 @@ use crate::line_space::klein::{self, Contents, contents};
 use crate::line_space::polar;
 use crate::line_space::space::Space;
 use crate::line_space::stabbing_polyhedron;
-use crate::occluders::Occluders;
+use crate::occluders::{OccluderId, Occluders, OrientedOccluder};
 use crate::proof::{Proof, Step, Which};
 use crate::search::corners::Corners;
 use crate::search::edges::EdgeLines;
@@ -97,7 +97,7 @@ struct Search<'a> {
     cost: Cost,
     proof: Proof,
     /// What each occluder of the proof is made of.
-    numbers: BTreeMap<Vec<(u32, bool)>, u32>,
+    numbers: BTreeMap<Vec<OrientedOccluder>, u32>,
 }
 
 impl Search<'_> {
@@ -270,7 +270,7 @@ impl Search<'_> {
             }
             Met::Grazing => Ok(None),
             Met::Blocked(triangles) => {
-                let mut met: Vec<(u32, bool)> =
+                let mut met: Vec<(OccluderId, bool)> =
                     triangles.iter().filter_map(|(t, front)| self.scene.passed(*t, *front)).collect();
                 met.sort_unstable();
                 met.dedup_by_key(|m| m.0);
@@ -285,15 +285,15 @@ impl Search<'_> {
         &mut self,
         local: &mut Local<'_>,
         region: &Region,
-        met: &[(u32, bool)],
+        met: &[(OccluderId, bool)],
     ) -> Option<Found> {
         local.begin();
-        let mut ranked: Vec<(u32, bool, u32)> = Vec::with_capacity(met.len());
+        let mut ranked: Vec<(OccluderId, bool, u32)> = Vec::with_capacity(met.len());
         for (id, negative) in met {
             ranked.push((*id, *negative, local.held(self.scene, *id, *negative)));
         }
         ranked.sort_by(|x, y| {
-            let edges = |o: u32| self.scene.occluder(o).border.len();
+            let edges = |o: OccluderId| self.scene.occluder(o).border.len();
             y.2.cmp(&x.2).then(edges(x.0).cmp(&edges(y.0))).then(x.0.cmp(&y.0))
         });
         for (id, negative, held) in ranked {
@@ -313,12 +313,12 @@ impl Search<'_> {
     }
 
     /// An occluder's number in the proof.
-    fn number(&mut self, members: &[(u32, bool)]) -> u32 {
+    fn number(&mut self, members: &[OrientedOccluder]) -> u32 {
         if let Some(number) = self.numbers.get(members) {
             return *number;
         }
         let number = self.proof.occluders.len() as u32;
-        self.proof.occluders.push(triangles(self.scene, members).into_iter().map(Into::into).collect());
+        self.proof.occluders.push(triangles(self.scene, members));
         self.numbers.insert(members.to_vec(), number);
         number
     }

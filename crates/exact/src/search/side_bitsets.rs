@@ -13,7 +13,7 @@ use rustc_hash::FxHashMap;
 use crate::arithmetic::number::normalised;
 use crate::geometry::frame::Frame;
 use crate::line_space::forms::Forms;
-use crate::occluders::Occluders;
+use crate::occluders::{OccluderId, Occluders};
 use crate::search::maps::with_room;
 
 /// A set of a region's rays and sampled lines, one bit each. The rest of a larger region is ignored; few are
@@ -70,7 +70,7 @@ pub struct SideBitsets {
     lines: Vec<[f64; 6]>,
     rows: Vec<Row>,
     /// Where the edges of an occluder are.
-    shapes: FxHashMap<u32, Range<usize>>,
+    shapes: FxHashMap<OccluderId, Range<usize>>,
     edges: Vec<BoundaryEdge>,
     forms: Vec<f64>,
 }
@@ -114,7 +114,7 @@ impl SideBitsets {
     }
 
     /// The edges of an occluder, in the order of its border.
-    pub fn shape(&mut self, scene: &Occluders, frame: &Frame, id: u32) -> Range<usize> {
+    pub fn shape(&mut self, scene: &Occluders, frame: &Frame, id: OccluderId) -> Range<usize> {
         if let Some(known) = self.shapes.get(&id) {
             return known.clone();
         }

@@ -3,7 +3,7 @@
 use std::cmp::Ordering;
 
 use crate::line_space::cone::Region;
-use crate::occluders::Occluders;
+use crate::occluders::{OccluderId, Occluders};
 use crate::search::local::{Constraint, Local};
 use crate::search::side_bitsets::{both, count};
 
@@ -17,7 +17,7 @@ impl Local<'_> {
 
     /// How much of the region an occluder blocks of lines that pass it one way: how many of its rays and of
     /// the lines in it, rounded.
-    pub fn held(&mut self, scene: &Occluders, id: u32, negative: bool) -> u32 {
+    pub fn held(&mut self, scene: &Occluders, id: OccluderId, negative: bool) -> u32 {
         let mut rays = self.side_bitsets.all();
         for at in self.side_bitsets.shape(scene, self.space.frame(), id) {
             let edge = self.side_bitsets.edges(at..at + 1)[0];

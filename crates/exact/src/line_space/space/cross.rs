@@ -8,20 +8,20 @@ use dashu_int::IBig;
 #[cfg(test)]
 use super::Tight;
 use super::solved::{MOST_ERROR, functional, independent};
-use super::{Id, Space};
+use super::{Space, VectorId};
 use crate::arithmetic::number::rounded;
 
 impl Space {
     /// Computes a ray exactly that is on all of `lines`, at least five; leaves it as it is where doubles
     /// cannot tell which of them determine it.
-    pub fn sharpen_from(&mut self, ray: Id, lines: &[Id]) {
+    pub fn sharpen_from(&mut self, ray: VectorId, lines: &[VectorId]) {
         // A ray that is a real line by construction has smaller integers from its points, without a common
         // factor.
-        let near = (0.0..MOST_ERROR).contains(&self.near[ray as usize].error);
-        if self.vectors[ray as usize].exact.is_some() || self.is_line(ray) || !near {
+        let near = (0.0..MOST_ERROR).contains(&self.near[ray.index()].error);
+        if self.vectors[ray.index()].exact.is_some() || self.is_line(ray) || !near {
             return;
         }
-        let rows = lines.iter().map(|l| functional(&self.near[*l as usize].x)).collect();
+        let rows = lines.iter().map(|l| functional(&self.near[l.index()].x)).collect();
         let Some(chosen) = independent(rows) else { return };
         let rows = chosen.map(|k| functional(self.exact(lines[k])));
         let mut x = cross(&rows);
@@ -38,7 +38,7 @@ impl Space {
             *c = if along < 0.0 { -short } else { short };
         }
         self.improve(ray, &x);
-        self.vectors[ray as usize].exact = Some(Box::new(x));
+        self.vectors[ray.index()].exact = Some(Box::new(x));
     }
 }
 
@@ -79,7 +79,7 @@ fn cross(rows: &[[IBig; 6]; 5]) -> [IBig; 6] {
 #[cfg(test)]
 impl Space {
     /// The cone of six independent vectors.
-    pub fn simplex(&mut self, of: &[[IBig; 6]; 6]) -> (Vec<(Id, Tight)>, Vec<Id>) {
+    pub fn simplex(&mut self, of: &[[IBig; 6]; 6]) -> (Vec<(VectorId, Tight)>, Vec<VectorId>) {
         let halves = std::array::from_fn::<_, 6, _>(|without| {
             let others = std::array::from_fn(|k| functional(&of[if k < without { k } else { k + 1 }]));
             self.fixed(cross(&others))

@@ -25,8 +25,16 @@ use crate::arithmetic::double_double::{DoubleDouble, STEP};
 use crate::arithmetic::number::{U, integers, primitive, rounded_double_double};
 use crate::geometry::frame::{Frame, Place, Point, Source};
 
-/// Index of a vector in its [`Space`].
-pub type Id = u32;
+/// A vector of a [`Space`], by its index there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct VectorId(u32);
+
+impl VectorId {
+    const fn index(self) -> usize {
+        self.0 as usize
+    }
+}
+
 /// A set of half-spaces of a region, one bit each.
 pub type Tight = u128;
 
@@ -38,13 +46,13 @@ enum Origin {
     /// The line in which two planes meet, along n × n'.
     Meet(Box<[Through; 2]>),
     /// Another vector turned round.
-    Opposite(Id),
+    Opposite(VectorId),
     /// These very doubles, in the frame.
     Given(Box<[f64; 6]>),
     /// Integers, kept with the vector.
     Fixed,
     /// Where the edge between two rays meets a half-space's border: s(a)·b − s(b)·a with s(a) > 0 > s(b).
-    Cut { a: Id, b: Id, half: Id },
+    Cut { a: VectorId, b: VectorId, half: VectorId },
 }
 
 /// The plane through three points of a space, its normal towards where they are seen to turn
@@ -130,9 +138,9 @@ pub struct Space {
     /// Entries of these rows.
     asked: usize,
     /// Which triples of lines that meet are of one pencil, as far as it was asked.
-    pencils: FxHashMap<[Id; 3], bool>,
+    pencils: FxHashMap<[VectorId; 3], bool>,
     /// Signs that integers decided: regions share rays.
-    decided: FxHashMap<[Id; 2], Ordering>,
+    decided: FxHashMap<[VectorId; 2], Ordering>,
     /// How signs were decided.
     pub decisions: Decisions,
 }
@@ -235,7 +243,7 @@ impl Space {
     /// With e the points' errors and n the greatest magnitude of a coordinate, the direction is off by at
     /// most e + e' and a step of n + n', a component of the moment by 2(ne' + n'e + ee') and three steps of
     /// 2nn'.
-    pub fn join(&mut self, p: u32, q: u32) -> Id {
+    pub fn join(&mut self, p: u32, q: u32) -> VectorId {
         let (a, b) = (&self.points[p as usize], &self.points[q as usize]);
         let ((x, e), (y, f)) = (a.fine, b.fine);
         let m = |i: usize, j: usize| x[i].times(y[j]).minus(x[j].times(y[i]));
@@ -250,7 +258,7 @@ impl Space {
     }
 
     /// The line along n × n' in which two planes meet.
-    pub fn meet(&mut self, a: Through, b: Through) -> Id {
+    pub fn meet(&mut self, a: Through, b: Through) -> VectorId {
         let ((n, k, e, f), (m, l, g, h)) = (self.plane(a), self.plane(b));
         let size = |v: [DoubleDouble; 3]| v.iter().fold(0.0f64, |m, c| m.max(c.0.abs()));
         let (sn, sm) = (size(n), size(m));
@@ -286,26 +294,26 @@ impl Space {
     }
 
     /// A vector turned round.
-    pub fn opposite(&mut self, v: Id) -> Id {
+    pub fn opposite(&mut self, v: VectorId) -> VectorId {
         let x = self.fine(v).map(|c| DoubleDouble(-c.0, -c.1));
-        self.push(x, self.vectors[v as usize].fine, Origin::Opposite(v))
+        self.push(x, self.vectors[v.index()].fine, Origin::Opposite(v))
     }
 
     /// The vector with these components, which are not all 0.
-    pub fn fixed(&mut self, mut x: [IBig; 6]) -> Id {
+    pub fn fixed(&mut self, mut x: [IBig; 6]) -> VectorId {
         primitive(&mut x);
         let id = self.push(rounded_double_double(&x), STEP, Origin::Fixed);
-        self.vectors[id as usize].exact = Some(Box::new(x));
+        self.vectors[id.index()].exact = Some(Box::new(x));
         id
     }
 
     /// The vector with exactly these components.
-    pub fn given(&mut self, x: [f64; 6]) -> Id {
+    pub fn given(&mut self, x: [f64; 6]) -> VectorId {
         self.push(x.map(|c| DoubleDouble(c, 0.0)), 0.0, Origin::Given(Box::new(x)))
     }
 
     /// The sign of the Klein form of two vectors.
-    pub fn side(&mut self, a: Id, b: Id) -> Ordering {
+    pub fn side(&mut self, a: VectorId, b: VectorId) -> Ordering {
         if let Some(sign) = self.filtered_side(a, b) {
             self.decisions.filtered += 1;
             return sign;
@@ -314,14 +322,14 @@ impl Space {
     }
 
     /// The sign by integers; what is computed for it makes later filters sharper.
-    pub fn exact_side(&mut self, a: Id, b: Id) -> Ordering {
+    pub fn exact_side(&mut self, a: VectorId, b: VectorId) -> Ordering {
         let key = [a.min(b), a.max(b)];
         if let Some(sign) = self.decided.get(&key) {
             return *sign;
         }
         self.sharpen(a);
         self.sharpen(b);
-        let (x, y) = (&self.vectors[a as usize].exact, &self.vectors[b as usize].exact);
+        let (x, y) = (&self.vectors[a.index()].exact, &self.vectors[b.index()].exact);
         let (Some(x), Some(y)) = (x, y) else { unreachable!("both were just computed") };
         let value = klein_exact(x, y);
         self.decisions.exact += 1;
@@ -332,48 +340,47 @@ impl Space {
     }
 
     /// The exact components, an integer vector; of a line one without a common factor.
-    pub fn exact(&mut self, v: Id) -> &[IBig; 6] {
+    pub fn exact(&mut self, v: VectorId) -> &[IBig; 6] {
         self.sharpen(v);
-        match &self.vectors[v as usize].exact {
+        match &self.vectors[v.index()].exact {
             Some(x) => x,
             None => unreachable!("it was just computed"),
         }
     }
 
     /// Computes a vector exactly, and everything it is made from.
-    fn sharpen(&mut self, v: Id) {
+    fn sharpen(&mut self, v: VectorId) {
         // What a vector is made from was made before it, but chains can be long: no recursion.
         let mut open = vec![v];
         while let Some(id) = open.last().copied() {
-            if self.vectors[id as usize].exact.is_some() {
+            if self.vectors[id.index()].exact.is_some() {
                 open.pop();
                 continue;
             }
-            let parts = match self.vectors[id as usize].origin {
+            let parts = match self.vectors[id.index()].origin {
                 Origin::Cut { a, b, half } => [Some(a), Some(b), Some(half)],
                 Origin::Opposite(v) => [Some(v), None, None],
                 _ => [None; 3],
             };
             {
-                let missing =
-                    parts.into_iter().flatten().filter(|i| self.vectors[*i as usize].exact.is_none());
+                let missing = parts.into_iter().flatten().filter(|i| self.vectors[i.index()].exact.is_none());
                 let before = open.len();
                 open.extend(missing);
                 if open.len() > before {
                     continue;
                 }
             }
-            let origin = self.vectors[id as usize].origin.clone();
+            let origin = self.vectors[id.index()].origin.clone();
             let exact = self.compute(&origin);
             self.improve(id, &exact);
-            self.vectors[id as usize].exact = Some(Box::new(exact));
+            self.vectors[id.index()].exact = Some(Box::new(exact));
             open.pop();
         }
     }
 
     /// What `origin` says, its parts being there exactly.
     fn compute(&mut self, origin: &Origin) -> [IBig; 6] {
-        let part = |space: &Self, v: Id| match &space.vectors[v as usize].exact {
+        let part = |space: &Self, v: VectorId| match &space.vectors[v.index()].exact {
             Some(x) => x.clone(),
             None => unreachable!("parts are computed first"),
         };
@@ -417,18 +424,18 @@ impl Space {
     /// where its unit vector is along a direction that has nothing to do with the scene. A line's vector is
     /// off by far less than a step, but for edges far shorter than anything else; lines not recognised as the
     /// same cost exact arithmetic later, nothing else.
-    pub fn fingerprint(&self, line: Id) -> i64 {
+    pub fn fingerprint(&self, line: VectorId) -> i64 {
         const ALONG: [f64; 6] = [0.419, 0.337, 0.521, 0.263, 0.472, 0.381];
         const STEPS: f64 = (1u64 << 24) as f64;
-        let x = &self.near[line as usize].x;
+        let x = &self.near[line.index()].x;
         let length = x.iter().map(|c| c * c).sum::<f64>().sqrt();
         let at = x.iter().zip(ALONG).map(|(c, a)| c * a).sum::<f64>() / length;
         (at.abs() * STEPS) as i64
     }
 
     /// Whether two lines are the same line, whichever way they run; `Some(true)` when they run the same way.
-    pub fn same_line(&mut self, a: Id, b: Id) -> Option<bool> {
-        let (v, w) = (&self.near[a as usize], &self.near[b as usize]);
+    pub fn same_line(&mut self, a: VectorId, b: VectorId) -> Option<bool> {
+        let (v, w) = (&self.near[a.index()], &self.near[b.index()]);
         // Compared after scaling by the component that is greatest in the first.
         let k = (0..6).max_by(|i, j| v.x[*i].abs().total_cmp(&v.x[*j].abs())).unwrap_or(0);
         let (p, q) = (v.x[k], w.x[k]);

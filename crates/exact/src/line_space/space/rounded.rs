@@ -8,7 +8,7 @@
 use std::cmp::Ordering;
 
 use super::solved::Solved;
-use super::{Id, Near, Origin, Space, Vector, klein};
+use super::{Near, Origin, Space, Vector, VectorId, klein};
 use crate::arithmetic::double_double::{DoubleDouble, STEP};
 use crate::arithmetic::number::{U, normalised, rounded_double_double};
 
@@ -23,12 +23,12 @@ const PRECISE: f64 = 1e-22;
 
 impl Space {
     /// Adds a vector given in double-doubles and how far they may be off.
-    pub(super) fn push(&mut self, x: [DoubleDouble; 6], fine: f64, origin: Origin) -> Id {
+    pub(super) fn push(&mut self, x: [DoubleDouble; 6], fine: f64, origin: Origin) -> VectorId {
         let line = matches!(origin, Origin::Join(..) | Origin::Meet(..)).then(|| {
             self.meeting.push(Vec::new());
             (self.meeting.len() - 1) as u32
         });
-        let id = self.vectors.len() as Id;
+        let id = VectorId(self.vectors.len() as u32);
         self.near.push(Near { x: [0.0; 6], error: 0.0, sum: 0.0 });
         self.vectors.push(Vector { rest: [0.0; 6], fine: 0.0, refined: true, origin, exact: None, line });
         self.set(id, x, fine);
@@ -36,37 +36,37 @@ impl Space {
     }
 
     /// Sets what is known of a vector in double-doubles, and how far they may be off.
-    fn set(&mut self, v: Id, x: [DoubleDouble; 6], fine: f64) {
+    fn set(&mut self, v: VectorId, x: [DoubleDouble; 6], fine: f64) {
         let (high, scale) = normalised(x.map(|c| c.0));
         let rest = x.map(|c| c.1 * scale);
         let fine = fine * scale;
         let error = (fine + rest.iter().fold(0.0f64, |m, c| m.max(c.abs()))) * (1.0 + 4.0 * U);
-        self.near[v as usize] = Near { x: high, error, sum: high.iter().map(|c| c.abs()).sum() };
-        let vector = &mut self.vectors[v as usize];
+        self.near[v.index()] = Near { x: high, error, sum: high.iter().map(|c| c.abs()).sum() };
+        let vector = &mut self.vectors[v.index()];
         (vector.rest, vector.fine, vector.refined) = (rest, fine, true);
     }
 
     /// Takes up the integers of a vector where its doubles are worse than they could be.
-    pub(super) fn improve(&mut self, v: Id, exact: &[dashu_int::IBig; 6]) {
-        let vector = &self.vectors[v as usize];
+    pub(super) fn improve(&mut self, v: VectorId, exact: &[dashu_int::IBig; 6]) {
+        let vector = &self.vectors[v.index()];
         if !vector.refined || vector.fine.is_nan() || vector.fine >= COARSE {
             self.set(v, rounded_double_double(exact), STEP);
         }
     }
 
     /// A vector's rounded components, the greatest at most 1.
-    pub fn rounded(&self, v: Id) -> &[f64; 6] {
-        &self.near[v as usize].x
+    pub fn rounded(&self, v: VectorId) -> &[f64; 6] {
+        &self.near[v.index()].x
     }
 
     /// How far the rounded components may be off.
-    pub fn error(&self, v: Id) -> f64 {
-        self.near[v as usize].error
+    pub fn error(&self, v: VectorId) -> f64 {
+        self.near[v.index()].error
     }
 
     /// A refined vector in double-doubles.
-    pub(super) fn fine(&self, v: Id) -> [DoubleDouble; 6] {
-        let (x, rest) = (&self.near[v as usize].x, &self.vectors[v as usize].rest);
+    pub(super) fn fine(&self, v: VectorId) -> [DoubleDouble; 6] {
+        let (x, rest) = (&self.near[v.index()].x, &self.vectors[v.index()].rest);
         std::array::from_fn(|i| DoubleDouble(x[i], rest[i]))
     }
 
@@ -75,38 +75,38 @@ impl Space {
     /// Six products and five sums of magnitudes |aᵢbⱼ| whose total is at most the lesser of the two sums S
     /// (no component exceeds 1): 6u·S. The errors of the vectors add e·S' + e'·S + 6ee'.
     #[inline]
-    fn form(&self, a: Id, b: Id) -> (f64, f64) {
-        let (v, w) = (&self.near[a as usize], &self.near[b as usize]);
+    fn form(&self, a: VectorId, b: VectorId) -> (f64, f64) {
+        let (v, w) = (&self.near[a.index()], &self.near[b.index()]);
         let bound =
             8.0 * U * v.sum.min(w.sum) + 1.01 * (v.error * w.sum + w.error * v.sum + 6.0 * v.error * w.error);
         (klein(&v.x, &w.x), bound)
     }
 
     /// The same of refined vectors in double-doubles: eleven operations of a step each of at most S.
-    fn fine_form(&self, a: Id, b: Id) -> (DoubleDouble, f64) {
+    fn fine_form(&self, a: VectorId, b: VectorId) -> (DoubleDouble, f64) {
         let (x, y) = (self.fine(a), self.fine(b));
         let term = |i: usize, j: usize| x[i].times(y[j]);
         let value =
             term(0, 3).plus(term(1, 4)).plus(term(2, 5)).plus(term(3, 0).plus(term(4, 1)).plus(term(5, 2)));
-        let (v, w) = (self.near[a as usize].sum, self.near[b as usize].sum);
-        let (e, f) = (self.vectors[a as usize].fine, self.vectors[b as usize].fine);
+        let (v, w) = (self.near[a.index()].sum, self.near[b.index()].sum);
+        let (e, f) = (self.vectors[a.index()].fine, self.vectors[b.index()].fine);
         (value, 16.0 * STEP * v.min(w) + 1.01 * (e * w + f * v + 6.0 * e * f))
     }
 
     /// The sign, where doubles can tell.
     #[inline]
-    pub fn filtered_side(&self, a: Id, b: Id) -> Option<Ordering> {
+    pub fn filtered_side(&self, a: VectorId, b: VectorId) -> Option<Ordering> {
         let (value, bound) = self.form(a, b);
         (value.abs() > bound).then_some(if value > 0.0 { Ordering::Greater } else { Ordering::Less })
     }
 
     /// The sign where doubles could not tell: by double-doubles, then by integers.
-    pub fn unfiltered_side(&mut self, a: Id, b: Id) -> Ordering {
+    pub fn unfiltered_side(&mut self, a: VectorId, b: VectorId) -> Ordering {
         self.refined_side(a, b).unwrap_or_else(|| self.exact_side(a, b))
     }
 
     /// The sign, where double-doubles can tell.
-    pub(super) fn refined_side(&mut self, a: Id, b: Id) -> Option<Ordering> {
+    pub(super) fn refined_side(&mut self, a: VectorId, b: VectorId) -> Option<Ordering> {
         self.refine(a);
         self.refine(b);
         let (value, bound) = self.fine_form(a, b);
@@ -123,9 +123,14 @@ impl Space {
     /// three operations on numbers of at most 2 follow: 16u.
     ///
     /// `on` gives the lines the ray is on, for when that is not enough.
-    pub fn cut(&mut self, [a, b]: [Id; 2], half: Id, on: impl FnOnce() -> Vec<Id>) -> Id {
+    pub fn cut(
+        &mut self,
+        [a, b]: [VectorId; 2],
+        half: VectorId,
+        on: impl FnOnce() -> Vec<VectorId>,
+    ) -> VectorId {
         let ((s, es), (t, et)) = (self.form(a, half), self.form(b, half));
-        let (v, w) = (&self.near[a as usize], &self.near[b as usize]);
+        let (v, w) = (&self.near[a.index()], &self.near[b.index()]);
         let (s, t) = (s.abs(), t.abs());
         let total = s + t;
         let alpha = s / total;
@@ -140,7 +145,7 @@ impl Space {
         let room = total - 2.0 * bound;
         let off = if room > bound { 1.01 * bound / room } else { 1.0 };
         let error = v.error.max(w.error) + off.min(1.0) * (apart + v.error + w.error) + 16.0 * U;
-        let id = self.vectors.len() as Id;
+        let id = VectorId(self.vectors.len() as u32);
         let (x, scale) = normalised(x);
         let error = error * scale;
         self.near.push(Near { x, error, sum: x.iter().map(|c| c.abs()).sum() });
@@ -159,7 +164,7 @@ impl Space {
                 Some(Solved::Doubles(x, error)) => {
                     let (x, scale) = normalised(x);
                     let sum = x.iter().map(|c| c.abs()).sum();
-                    self.near[id as usize] = Near { x, error: error * scale, sum };
+                    self.near[id.index()] = Near { x, error: error * scale, sum };
                 }
                 Some(Solved::Pairs(x, fine)) if fine < COARSE => self.set(id, x, fine),
                 _ => self.refine(id),
@@ -170,8 +175,8 @@ impl Space {
 
     /// Computes a ray in double-doubles from the lines it is on, if that is about as good as double-doubles
     /// get; says whether.
-    pub(super) fn refine_from(&mut self, ray: Id, on: &[Id]) -> bool {
-        let near = &self.near[ray as usize];
+    pub(super) fn refine_from(&mut self, ray: VectorId, on: &[VectorId]) -> bool {
+        let near = &self.near[ray.index()];
         match self.solved(near.x, near.error, on, true) {
             Some(Solved::Pairs(x, fine)) if fine < PRECISE => {
                 self.set(ray, x, fine);
@@ -182,22 +187,22 @@ impl Space {
     }
 
     /// Computes a cut in double-doubles, and what it is made of.
-    fn refine(&mut self, v: Id) {
-        if self.vectors[v as usize].refined {
+    fn refine(&mut self, v: VectorId) {
+        if self.vectors[v.index()].refined {
             return;
         }
         // What a vector is made from was made before it, but chains can be long: no recursion.
         let mut open = vec![v];
         while let Some(id) = open.last().copied() {
             let (false, Origin::Cut { a, b, half }) =
-                (self.vectors[id as usize].refined, &self.vectors[id as usize].origin)
+                (self.vectors[id.index()].refined, &self.vectors[id.index()].origin)
             else {
                 open.pop();
                 continue;
             };
             let parts = [*a, *b, *half];
             let before = open.len();
-            open.extend(parts.into_iter().filter(|p| !self.vectors[*p as usize].refined));
+            open.extend(parts.into_iter().filter(|p| !self.vectors[p.index()].refined));
             if open.len() == before {
                 self.refine_cut(id, parts);
                 open.pop();
@@ -206,10 +211,10 @@ impl Space {
     }
 
     /// The same as [`Space::cut`] from refined parts, a step being what u is there.
-    fn refine_cut(&mut self, id: Id, [a, b, half]: [Id; 3]) {
+    fn refine_cut(&mut self, id: VectorId, [a, b, half]: [VectorId; 3]) {
         let ((s, es), (t, et)) = (self.fine_form(a, half), self.fine_form(b, half));
         let (p, q) = (self.fine(a), self.fine(b));
-        let (e, f) = (self.vectors[a as usize].fine, self.vectors[b as usize].fine);
+        let (e, f) = (self.vectors[a.index()].fine, self.vectors[b.index()].fine);
         let (s, t) = (s.abs(), t.abs());
         let total = s.plus(t);
         let alpha = s.over(total);
@@ -223,10 +228,10 @@ impl Space {
         let room = total.0 - 2.0 * bound;
         let off = if room > bound { 1.01 * bound / room } else { 1.0 };
         self.set(id, x, e.max(f) + off.min(1.0) * (apart + e + f) + 16.0 * STEP);
-        let good = room > 0.0 && self.vectors[id as usize].fine < COARSE;
+        let good = room > 0.0 && self.vectors[id.index()].fine < COARSE;
         if !good {
             // A ray that is mostly error is of no use to filters, nor to who looks for lines.
-            self.vectors[id as usize].fine = f64::INFINITY;
+            self.vectors[id.index()].fine = f64::INFINITY;
             self.sharpen(id);
         }
     }

@@ -5,7 +5,7 @@
 //! l) = 0 for the lines l it is on, which are known to the last bit, and solving that system has one
 //! condition number and no chain.
 
-use super::{Id, Space};
+use super::{Space, VectorId};
 use crate::arithmetic::double_double::{DoubleDouble, STEP};
 use crate::arithmetic::number::U;
 
@@ -28,11 +28,11 @@ impl Space {
     ///
     /// In double-doubles only if it is to be as good as can be, or where doubles are not good enough, since
     /// that takes longer.
-    pub(super) fn solved(&self, x: [f64; 6], error: f64, lines: &[Id], best: bool) -> Option<Solved> {
+    pub(super) fn solved(&self, x: [f64; 6], error: f64, lines: &[VectorId], best: bool) -> Option<Solved> {
         if !(0.0..MOST_ERROR).contains(&error) {
             return None;
         }
-        let row = |k: usize| functional(&self.near[lines[k] as usize].x);
+        let row = |k: usize| functional(&self.near[lines[k].index()].x);
         let chosen = match lines.len() {
             0..5 => return None,
             // Most rays are on five lines, which are independent then.
@@ -44,7 +44,7 @@ impl Space {
             *row_of_m = row(k);
         }
         let n = inverse(m)?;
-        let line = |k: usize| lines[chosen[k]] as usize;
+        let line = |k: usize| lines[chosen[k]].index();
         // Of a row of NM, six products and sums of at most |n||m| each are rounded, and all rows of M but the
         // last are off.
         let mut rounding = [0.0; 6];

@@ -7,7 +7,7 @@ use glam::DVec3;
 use proptest::prelude::*;
 
 use super::solved::Solved;
-use super::{Id, Space, klein_exact};
+use super::{Space, VectorId, klein_exact};
 use crate::arithmetic::double_double::DoubleDouble;
 use crate::arithmetic::number::rounded_double_double;
 use crate::arithmetic::random::Random;
@@ -88,14 +88,14 @@ proptest! {
             for (ray, tight) in &region.rays {
                 let x = space.rounded(*ray).map(|c| DoubleDouble(c, 0.0));
                 let error = space.error(*ray);
-                let lines: Vec<Id> = region.tight(*tight).collect();
+                let lines: Vec<VectorId> = region.tight(*tight).collect();
                 let near = *space.rounded(*ray);
                 let solved = [false, true].map(|best| space.solved(near, error, &lines, best));
                 let exact = space.exact(*ray).clone();
                 // From the lines it is on it is the same as by the cuts it comes from.
-                space.vectors[*ray as usize].exact = None;
+                space.vectors[ray.index()].exact = None;
                 space.sharpen_from(*ray, &lines);
-                if let Some(again) = &space.vectors[*ray as usize].exact {
+                if let Some(again) = &space.vectors[ray.index()].exact {
                     let k = (0..6).find(|k| !exact[*k].is_zero()).unwrap();
                     prop_assert_eq!(exact[k].sign(), again[k].sign());
                     prop_assert!((0..6).all(|i| &exact[i] * &again[k] == &exact[k] * &again[i]));
@@ -168,9 +168,10 @@ fn forms_that_are_0_for_a_reason_are_0() {
             .collect();
         let Some((mut space, regions)) = regions(a, b, &cuts) else { continue };
         for region in &regions {
-            let on: Vec<Vec<Id>> = region.rays.iter().map(|(_, t)| region.tight(*t).collect()).collect();
+            let on: Vec<Vec<VectorId>> =
+                region.rays.iter().map(|(_, t)| region.tight(*t).collect()).collect();
             for (i, (a, _)) in region.rays.iter().enumerate() {
-                let mut check = |side: Ordering, space: &mut Space, b: Id, kind: usize, before: u64| {
+                let mut check = |side: Ordering, space: &mut Space, b: VectorId, kind: usize, before: u64| {
                     let [x, y] = [*a, b].map(|x| space.exact(x).clone());
                     assert_eq!(side, sign(&klein_exact(&x, &y)), "round {round}");
                     zeros[kind] += u32::from(side == Ordering::Equal);

@@ -9,15 +9,20 @@ use std::cmp::Ordering;
 
 use glam::DVec3;
 
-use super::{Id, Meeting, Origin, Space, Tight};
+use super::{Meeting, Origin, Space, Tight, VectorId};
 use crate::arithmetic::number::U;
 
 impl Space {
     /// The sign for a ray that is known to be on all of `tight`, where doubles could not tell.
     ///
     /// Whoever lies on three edges of one face lies on all edges in its plane.
-    pub fn unfiltered_ray_side(&mut self, ray: Id, line: Id, tight: impl Iterator<Item = Id>) -> Ordering {
-        let tight: Vec<Id> = tight.collect();
+    pub fn unfiltered_ray_side(
+        &mut self,
+        ray: VectorId,
+        line: VectorId,
+        tight: impl Iterator<Item = VectorId>,
+    ) -> Ordering {
+        let tight: Vec<VectorId> = tight.collect();
         if self.spans(line, &tight) {
             self.decisions.spanned += 1;
             return Ordering::Equal;
@@ -26,11 +31,11 @@ impl Space {
     }
 
     /// The sign where no reason is known for its being 0, of vectors of which some are rays on these lines.
-    fn unexplained_side(&mut self, [a, b]: [Id; 2], rays: &[(Id, &[Id])]) -> Ordering {
+    fn unexplained_side(&mut self, [a, b]: [VectorId; 2], rays: &[(VectorId, &[VectorId])]) -> Ordering {
         // By double-doubles from the lines a ray is on: along the chain of cuts it comes from they cost as
         // much as integers.
         for (ray, on) in rays {
-            if !self.vectors[*ray as usize].refined && !self.refine_from(*ray, on) {
+            if !self.vectors[ray.index()].refined && !self.refine_from(*ray, on) {
                 self.sharpen_from(*ray, on);
             }
         }
@@ -48,11 +53,11 @@ impl Space {
     /// lines that meet pairwise lie in a plane or pass through a point; if they are independent, a line that
     /// meets all three lies in that plane or passes through that point, too, and the lines that do span three
     /// dimensions.
-    fn spans(&mut self, line: Id, lines: &[Id]) -> bool {
+    fn spans(&mut self, line: VectorId, lines: &[VectorId]) -> bool {
         if !self.is_line(line) {
             return false;
         }
-        let mut met: Vec<Id> = Vec::with_capacity(8);
+        let mut met: Vec<VectorId> = Vec::with_capacity(8);
         for l in lines {
             if self.is_line(*l) && self.meets(line, *l) {
                 if self.same_line(line, *l).is_some() {
@@ -73,13 +78,13 @@ impl Space {
     }
 
     /// Whether a vector is a real line by its construction.
-    pub(super) fn is_line(&self, v: Id) -> bool {
-        self.vectors[v as usize].line.is_some()
+    pub(super) fn is_line(&self, v: VectorId) -> bool {
+        self.vectors[v.index()].line.is_some()
     }
 
     /// Whether two vectors are lines that meet (or are the same).
-    fn meets(&mut self, a: Id, b: Id) -> bool {
-        let (Some(r), Some(s)) = (self.vectors[a as usize].line, self.vectors[b as usize].line) else {
+    fn meets(&mut self, a: VectorId, b: VectorId) -> bool {
+        let (Some(r), Some(s)) = (self.vectors[a.index()].line, self.vectors[b.index()].line) else {
             return false;
         };
         let (row, column) = (r.max(s) as usize, r.min(s) as usize);
@@ -106,14 +111,14 @@ impl Space {
     }
 
     /// Whether two lines are joins of a point with others.
-    fn share_a_point(&self, a: Id, b: Id) -> bool {
-        let [a, b] = [a, b].map(|l| &self.vectors[l as usize].origin);
+    fn share_a_point(&self, a: VectorId, b: VectorId) -> bool {
+        let [a, b] = [a, b].map(|l| &self.vectors[l.index()].origin);
         matches!((a, b), (Origin::Join(p, q), Origin::Join(r, s)) if p == r || p == s || q == r || q == s)
     }
 
     /// Whether two lines meet, where doubles cannot tell: those in one plane do, and two joins only then.
-    fn unfiltered_meets(&mut self, a: Id, b: Id) -> bool {
-        let [x, y] = [a, b].map(|l| self.vectors[l as usize].origin.clone());
+    fn unfiltered_meets(&mut self, a: VectorId, b: VectorId) -> bool {
+        let [x, y] = [a, b].map(|l| self.vectors[l.index()].origin.clone());
         match (x, y) {
             (Origin::Join(p, q), Origin::Join(r, s)) => self.flat([p, q, r, s]),
             (Origin::Join(p, q), Origin::Meet(planes)) | (Origin::Meet(planes), Origin::Join(p, q)) => {
@@ -137,8 +142,12 @@ impl Space {
     /// It is 0 for two rays on three independent lines that meet pairwise: these span a space W of three
     /// dimensions on which the form vanishes, W is all that is on all of W, and so both rays are in W. It is
     /// also 0 if one of the rays is a combination of lines that the other is on ([`Space::combines`]).
-    pub fn rays_side(&mut self, (a, s): (Id, &[Id]), (b, t): (Id, &[Id])) -> Ordering {
-        let common: Vec<Id> = s.iter().copied().filter(|l| self.is_line(*l) && t.contains(l)).collect();
+    pub fn rays_side(
+        &mut self,
+        (a, s): (VectorId, &[VectorId]),
+        (b, t): (VectorId, &[VectorId]),
+    ) -> Ordering {
+        let common: Vec<VectorId> = s.iter().copied().filter(|l| self.is_line(*l) && t.contains(l)).collect();
         if self.triple(&common) || self.combines(s, t) || (a != b && self.combines(t, s)) {
             self.decisions.spanned += 1;
             return Ordering::Equal;
@@ -147,7 +156,7 @@ impl Space {
     }
 
     /// Whether three of the lines are independent and meet pairwise.
-    fn triple(&mut self, lines: &[Id]) -> bool {
+    fn triple(&mut self, lines: &[VectorId]) -> bool {
         for (i, a) in lines.iter().enumerate() {
             for (j, b) in lines[i + 1..].iter().enumerate() {
                 if !self.meets(*a, *b) {
@@ -168,10 +177,10 @@ impl Space {
     ///
     /// An extreme ray is the only one on all of its lines. So a line that meets them all is that ray, and if
     /// two lines meet all but one of them, the combination of the two that is on that one, too.
-    fn combines(&mut self, ray: &[Id], lines: &[Id]) -> bool {
+    fn combines(&mut self, ray: &[VectorId], lines: &[VectorId]) -> bool {
         // Which of the ray's lines each line does not meet, a bit each; a vector that is no line is met by
         // none.
-        let mut missed: Vec<(Id, Tight)> = Vec::with_capacity(lines.len());
+        let mut missed: Vec<(VectorId, Tight)> = Vec::with_capacity(lines.len());
         for l in lines.iter().filter(|l| self.is_line(**l)).copied().collect::<Vec<_>>() {
             let miss = ray.iter().enumerate().fold(0, |m, (k, r)| m | Tight::from(!self.meets(l, *r)) << k);
             if miss == 0 {
@@ -191,10 +200,10 @@ impl Space {
     }
 
     /// The points in the world that three lines join; a frame is linear in lines and makes none dependent.
-    fn joins(&self, of: [Id; 3]) -> Option<[[DVec3; 2]; 3]> {
+    fn joins(&self, of: [VectorId; 3]) -> Option<[[DVec3; 2]; 3]> {
         let mut ends = [[DVec3::ZERO; 2]; 3];
         for (ends, l) in ends.iter_mut().zip(of) {
-            let Origin::Join(p, q) = self.vectors[l as usize].origin else { return None };
+            let Origin::Join(p, q) = self.vectors[l.index()].origin else { return None };
             *ends = self.world([p, q])?;
         }
         Some(ends)
@@ -204,8 +213,8 @@ impl Space {
     ///
     /// No component exceeds 1 and each is off by at most its vector's error e: a minor of six products of
     /// three is off by 6(e + e' + e'') and what is of higher order, and its roundings by 5u of each product.
-    pub(super) fn surely_independent(&self, of: [Id; 3]) -> bool {
-        let [x, y, z] = of.map(|l| &self.near[l as usize]);
+    pub(super) fn surely_independent(&self, of: [VectorId; 3]) -> bool {
+        let [x, y, z] = of.map(|l| &self.near[l.index()]);
         let error = x.error + y.error + z.error;
         if error.is_nan() || error > 1e-3 {
             return false;
@@ -229,7 +238,7 @@ impl Space {
     }
 
     /// Whether three lines that meet pairwise are dependent.
-    fn pencil(&mut self, a: Id, b: Id, c: Id) -> bool {
+    fn pencil(&mut self, a: VectorId, b: VectorId, c: VectorId) -> bool {
         let mut key = [a, b, c];
         key.sort_unstable();
         if let Some(known) = self.pencils.get(&key) {
