@@ -9,9 +9,11 @@
 //! ```
 //! use glam::Vec3;
 //! use sightline_model::{JobSpec, Method, SamplingParams};
+//! use sightline_numbers::Aabb;
 //! use sightline_viewcells::Division;
 //!
-//! let spec = JobSpec::new([7; 32], Division::Grid([8, 8, 8]), [Vec3::ZERO, Vec3::ONE]);
+//! let view_box = Aabb::new(Vec3::ZERO, Vec3::ONE);
+//! let spec = JobSpec::new([7; 32], Division::Grid([8, 8, 8]), view_box);
 //! let spec = JobSpec { method: Method::Exact, block_cells: 64, ..spec };
 //! let (_, plan) = spec.plan()?;
 //! assert_eq!(plan.tiles.len(), 8);

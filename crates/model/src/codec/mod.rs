@@ -1,0 +1,68 @@
+//! Bytes for packs and cell sets: differences as variable-length integers, then zstd.
+//!
+//! Equal values give equal bytes, so the digest of the bytes identifies the content. Decoding trusts nothing:
+//! every count is checked against the remaining bytes before anything is allocated for it.
+
+mod read;
+#[cfg(test)]
+mod tests;
+mod write;
+
+use std::io::Read as _;
+
+use sightline_viewcells::{CellBox, LatticePoint};
+
+use crate::output::{Pack, TileOutput};
+use read::Reader;
+
+pub use write::encode;
+
+/// Most bytes one tile's output may unpack to: far above any real tile, far below a machine's memory.
+pub const MAX_UNPACKED: u64 = 4 << 30;
+
+/// The bytes are not a tile's output.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("a tile's output cannot be read: {0}; it was damaged or written by another version")]
+pub struct CodecError(&'static str);
+
+/// Decodes a tile's output for a scene of `triangles` triangles.
+///
+/// # Errors
+/// [`CodecError`] saying what is wrong.
+pub fn decode(bytes: &[u8], triangles: u32) -> Result<TileOutput, CodecError> {
+    read(bytes, triangles, &|_| true)
+}
+
+/// Checks a tile's output without keeping its samples: a pack comes back empty, however much it unpacks to.
+///
+/// # Errors
+/// [`CodecError`] saying what is wrong.
+pub fn check(bytes: &[u8], triangles: u32) -> Result<TileOutput, CodecError> {
+    read(bytes, triangles, &|_| false)
+}
+
+/// Decodes a pack, keeping only the samples in the closed box `within`: a leaf tile needs few of a face's
+/// samples.
+///
+/// # Errors
+/// [`CodecError`] when the bytes are no pack; also those parts that are not kept are checked.
+pub fn decode_pack(bytes: &[u8], triangles: u32, within: &CellBox) -> Result<Pack, CodecError> {
+    match read(bytes, triangles, &|p| within.contains(p))? {
+        TileOutput::Pack(pack) => Ok(pack),
+        TileOutput::Cells(_) => Err(CodecError("it holds cells and not samples")),
+    }
+}
+
+fn read(bytes: &[u8], triangles: u32, keep: &dyn Fn(LatticePoint) -> bool) -> Result<TileOutput, CodecError> {
+    let mut raw = Vec::new();
+    zstd::stream::Decoder::new(bytes)
+        .and_then(|d| d.take(MAX_UNPACKED).read_to_end(&mut raw))
+        .map_err(|_| CodecError("it is not zstd data"))?;
+    let mut r = Reader { bytes: &raw, triangles };
+    let output = match r.byte()? {
+        b'P' => TileOutput::Pack(r.pack(keep)?),
+        b'C' => TileOutput::Cells(r.cells()?),
+        _ => return Err(CodecError("its kind is unknown")),
+    };
+    if r.bytes.is_empty() { Ok(output) } else { Err(CodecError("there is more than it announces")) }
+}

@@ -1,0 +1,186 @@
+//! The decoder of a tile's output.
+
+use std::sync::Arc;
+
+use sightline_numbers::varint::{self, VarintError};
+use sightline_viewcells::{LatticePoint, Split};
+
+use super::CodecError;
+use crate::output::{CellSet, CellSets, Decision, Node, Pack, VisibilitySample};
+use crate::statistics::CellStats;
+
+pub(super) struct Reader<'a> {
+    pub(super) bytes: &'a [u8],
+    pub(super) triangles: u32,
+}
+
+impl Reader<'_> {
+    pub(super) fn byte(&mut self) -> Result<u8, CodecError> {
+        let (first, rest) = self.bytes.split_first().ok_or(CodecError("it is cut short"))?;
+        self.bytes = rest;
+        Ok(*first)
+    }
+
+    fn u32(&mut self) -> Result<u32, CodecError> {
+        u32::try_from(self.u64()?).map_err(|_| CodecError("a number is too large"))
+    }
+
+    fn u64(&mut self) -> Result<u64, CodecError> {
+        varint::read(&mut self.bytes, varint::MOST_BYTES).map_err(|e| match e {
+            VarintError::CutShort => CodecError("it is cut short"),
+            VarintError::TooLarge => CodecError("a number is too large"),
+            VarintError::TooLong | VarintError::NotShortest => CodecError("a number is too long"),
+        })
+    }
+
+    /// A count of things that take at least `least` bytes each.
+    fn count(&mut self, least: usize) -> Result<usize, CodecError> {
+        let n = self.u32()? as usize;
+        if n <= self.bytes.len() / least { Ok(n) } else { Err(CodecError("it announces more than there is")) }
+    }
+
+    fn ids(&mut self) -> Result<Vec<u32>, CodecError> {
+        let n = self.count(1)?;
+        if n > self.triangles as usize {
+            return Err(CodecError("it names more triangles than there are"));
+        }
+        let mut ids = Vec::with_capacity(n);
+        let mut next = 0u32;
+        for _ in 0..n {
+            // Most are of one byte.
+            let gap = match self.bytes.split_first() {
+                Some((b, rest)) if *b < 0x80 => {
+                    self.bytes = rest;
+                    u32::from(*b)
+                }
+                _ => self.u32()?,
+            };
+            let id = next.checked_add(gap).filter(|id| *id < self.triangles);
+            let id = id.ok_or(CodecError("a triangle id is out of range"))?;
+            next = id + 1;
+            ids.push(id);
+        }
+        Ok(ids)
+    }
+
+    pub(super) fn pack(&mut self, keep: &dyn Fn(LatticePoint) -> bool) -> Result<Pack, CodecError> {
+        let n = self.count(6)?;
+        let mut samples = Vec::new();
+        let mut before = None;
+        for _ in 0..n {
+            let p = [self.u32()?, self.u32()?, self.u32()?];
+            if before.is_some_and(|q| q >= p) {
+                return Err(CodecError("samples are out of order"));
+            }
+            before = Some(p);
+            let ids = self.ids()?;
+            let mut last = 0;
+            let strata = ids
+                .iter()
+                .map(|_| {
+                    last ^= self.u32()?;
+                    Ok(last)
+                })
+                .collect::<Result<_, CodecError>>()?;
+            let dominant = self.u32()?.checked_sub(1);
+            if dominant.is_some_and(|d| d >= self.triangles) {
+                return Err(CodecError("a triangle id is out of range"));
+            }
+            let keep = keep(p);
+            let pixels = self.pixels(keep)?;
+            if keep {
+                samples.push((p, Arc::new(VisibilitySample { ids, strata, dominant, pixels })));
+            }
+        }
+        Ok(Pack { samples })
+    }
+
+    fn pixels(&mut self, keep: bool) -> Result<Option<Arc<[u32]>>, CodecError> {
+        let n = self.u32()? as usize;
+        if n == 0 {
+            return Ok(None);
+        }
+        // The largest cube that parameters allow.
+        if n > 6 * 4096 * 4096 {
+            return Err(CodecError("a cube has too many pixels"));
+        }
+        let (mut pixels, mut read) = (Vec::new(), 0);
+        while read < n {
+            let run = self.u32()? as usize;
+            let id = self.u32()?.wrapping_sub(1);
+            if run == 0 || run > n - read {
+                return Err(CodecError("a run of pixels is too long"));
+            }
+            read += run;
+            if keep {
+                pixels.resize(read, id);
+            }
+        }
+        Ok(Some(pixels.into()))
+    }
+
+    fn stats(&mut self) -> Result<CellStats, CodecError> {
+        let mut numbers = [0; CellStats::NAMES.len()];
+        for n in &mut numbers {
+            *n = self.u64()?;
+        }
+        CellStats::from_numbers(numbers).ok_or(CodecError("a cell's statistics are beyond their range"))
+    }
+
+    pub(super) fn cells(&mut self) -> Result<CellSets, CodecError> {
+        let n = self.count(1)?;
+        let mut nodes = Vec::with_capacity(n);
+        let mut cells = 0usize;
+        // Subtrees still to be read: a preorder that is a tree uses up exactly its nodes.
+        let mut open = 1usize;
+        for _ in 0..n {
+            if open == 0 {
+                return Err(CodecError("its tree has too many nodes"));
+            }
+            match self.byte()? {
+                3 => {
+                    nodes.push(Node::Cell);
+                    cells += 1;
+                    open -= 1;
+                }
+                axis @ 0..3 => {
+                    nodes.push(Node::Split(Split { axis: axis.into(), at: self.u32()? }));
+                    open += 1;
+                }
+                _ => return Err(CodecError("a node's kind is unknown")),
+            }
+        }
+        if open != 0 {
+            return Err(CodecError("its tree is not whole"));
+        }
+        let mut sets = CellSets { nodes, cells: Vec::new() };
+        for _ in 0..cells {
+            let (visible, samples, stats) = (self.ids()?, self.u32()?, self.stats()?);
+            let decision = self.decision(&visible)?;
+            sets.cells.push(CellSet { visible, samples, stats, decision });
+        }
+        Ok(sets)
+    }
+
+    fn decision(&mut self, visible: &[u32]) -> Result<Option<Decision>, CodecError> {
+        match self.byte()? {
+            0 => return Ok(None),
+            1 => {}
+            _ => return Err(CodecError("a decision is of no kind there is")),
+        }
+        let undecided = self.ids()?;
+        let mut rest = visible.iter();
+        if !undecided.iter().all(|id| rest.any(|v| v == id)) {
+            return Err(CodecError("what is undecided is not in the set"));
+        }
+        let n = self.count(1)?;
+        if n > Decision::MOST_COUNTS {
+            return Err(CodecError("a decision has too many counts"));
+        }
+        let counts = (0..n).map(|_| self.u64()).collect::<Result<_, _>>()?;
+        let length = self.count(1)?;
+        let (certificate, rest) = self.bytes.split_at(length);
+        self.bytes = rest;
+        Ok(Some(Decision { undecided, counts, certificate: certificate.to_vec() }))
+    }
+}

@@ -1,0 +1,132 @@
+//! What is encoded is decoded, and damaged bytes are refused.
+
+use std::sync::Arc;
+
+use sightline_viewcells::Split;
+
+use super::write::{MANY, put_cell};
+use super::*;
+use crate::output::{CellSet, CellSets, Decision, Node, VisibilitySample};
+use crate::statistics::CellStats;
+use proptest::prelude::*;
+
+fn ids() -> impl Strategy<Value = Vec<u32>> {
+    proptest::collection::btree_set(0u32..1000, 0..20).prop_map(|s| s.into_iter().collect())
+}
+
+fn sample() -> impl Strategy<Value = VisibilitySample> {
+    (ids(), any::<u32>(), proptest::option::of(0u32..1000), proptest::option::of(1usize..30)).prop_map(
+        |(ids, seed, dominant, pixels)| VisibilitySample {
+            strata: ids.iter().map(|i| i.wrapping_mul(seed)).collect(),
+            ids,
+            dominant,
+            pixels: pixels.map(|n| (0..n as u32).map(|i| (i / 3).wrapping_sub(1)).collect()),
+        },
+    )
+}
+
+fn outputs() -> impl Strategy<Value = TileOutput> {
+    let pack = proptest::collection::btree_map(any::<[u32; 3]>(), sample(), 0..6).prop_map(|m| {
+        TileOutput::Pack(Pack { samples: m.into_iter().map(|(p, s)| (p, Arc::new(s))).collect() })
+    });
+    let cells =
+        (ids(), ids(), 0usize..3, any::<u32>(), any::<u32>()).prop_map(|(a, b, axis, at, samples)| {
+            TileOutput::Cells(CellSets {
+                nodes: vec![Node::Split(Split { axis, at }), Node::Cell, Node::Cell],
+                cells: vec![
+                    CellSet {
+                        visible: a,
+                        samples,
+                        stats: CellStats {
+                            rays: [1, u64::MAX, samples.into(), 4],
+                            rounds: samples,
+                            bound_look: 3,
+                            unfinished: true,
+                            ..CellStats::default()
+                        },
+                        decision: None,
+                    },
+                    CellSet {
+                        samples: 7,
+                        decision: Some(Decision {
+                            undecided: b.iter().copied().step_by(2).collect(),
+                            counts: vec![u64::from(at), u64::MAX],
+                            certificate: samples.to_le_bytes().to_vec(),
+                        }),
+                        visible: b,
+                        ..CellSet::default()
+                    },
+                ],
+            })
+        });
+    prop_oneof![pack, cells]
+}
+
+proptest! {
+    #[test]
+    fn what_is_encoded_is_decoded(output in outputs()) {
+        let bytes = encode(&output).unwrap();
+        prop_assert_eq!(decode(&bytes, 1000).unwrap(), output);
+    }
+
+    #[test]
+    fn damage_never_panics(
+        output in outputs(),
+        at in any::<prop::sample::Index>(),
+        with in any::<u8>(),
+        cut in any::<prop::sample::Index>(),
+    ) {
+        // Damage under the compression, where zstd's own checks do not stop it.
+        let mut raw = zstd::stream::decode_all(encode(&output).unwrap().as_slice()).unwrap();
+        let i = at.index(raw.len());
+        raw[i] = with;
+        raw.truncate(cut.index(raw.len()) + 1);
+        let _ = decode(&zstd::stream::encode_all(raw.as_slice(), 1).unwrap(), 1000);
+    }
+}
+
+#[test]
+fn many_cells_are_coded_as_a_few_are() {
+    let cell = |k: u32| CellSet {
+        visible: (0..MANY as u32 / 4).map(|i| i * (k + 1)).collect(),
+        samples: k,
+        ..CellSet::default()
+    };
+    let split = |at| Node::Split(Split { axis: 0, at });
+    let nodes = vec![split(4), split(2), Node::Cell, Node::Cell, split(6), Node::Cell, Node::Cell];
+    let sets = CellSets { nodes, cells: (0..4).map(cell).collect() };
+    let mut one_by_one = Vec::new();
+    sets.cells.iter().for_each(|c| put_cell(c, &mut one_by_one).unwrap());
+    let output = TileOutput::Cells(sets);
+    let bytes = encode(&output).unwrap();
+    let raw = zstd::stream::decode_all(bytes.as_slice()).unwrap();
+    assert!(raw.ends_with(&one_by_one));
+    assert_eq!(decode(&bytes, 4 * MANY as u32).unwrap(), output);
+}
+
+#[test]
+fn ids_beyond_the_scene_are_refused() {
+    let sets = CellSets {
+        nodes: vec![Node::Cell],
+        cells: vec![CellSet { visible: vec![5], samples: 1, ..CellSet::default() }],
+    };
+    let bytes = encode(&TileOutput::Cells(sets)).unwrap();
+    assert!(decode(&bytes, 6).is_ok());
+    assert!(decode(&bytes, 5).is_err());
+    assert!(decode(b"", 5).is_err());
+}
+
+#[test]
+fn what_is_undecided_has_to_be_in_the_set() {
+    let sets = |undecided: &[u32]| {
+        let decision = Some(Decision { undecided: undecided.to_vec(), ..Decision::default() });
+        let cell = CellSet { visible: vec![2, 5], decision, ..CellSet::default() };
+        encode(&TileOutput::Cells(CellSets { nodes: vec![Node::Cell], cells: vec![cell] })).unwrap()
+    };
+    for fine in [&[][..], &[2], &[5], &[2, 5]] {
+        assert!(decode(&sets(fine), 6).is_ok());
+    }
+    for wrong in [&[1][..], &[2, 3], &[2, 3, 5]] {
+        assert!(decode(&sets(wrong), 6).is_err());
+    }
+}

@@ -1,0 +1,118 @@
+//! The encoder of a tile's output.
+
+use rayon::prelude::*;
+use sightline_numbers::varint;
+
+use super::MAX_UNPACKED;
+use crate::output::{CellSet, Node, TileOutput};
+
+/// Compression level. Differences between ids hold no long matches, so levels 2 and 3 take longer and give
+/// nothing smaller.
+const LEVEL: i32 = 1;
+/// Cells of so many ids together are coded by all cores; fewer take less time than to wait for the cores.
+pub(super) const MANY: usize = 1 << 20;
+
+/// Encodes a tile's output.
+pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
+    let mut raw = Vec::new();
+    match output {
+        TileOutput::Pack(pack) => {
+            raw.push(b'P');
+            put(&mut raw, pack.samples.len() as u32);
+            for (p, s) in &pack.samples {
+                p.iter().for_each(|c| put(&mut raw, *c));
+                put_ids(&mut raw, &s.ids);
+                // Neighbouring ids are mostly seen in the same strata.
+                let mut last = 0;
+                for m in &s.strata {
+                    put(&mut raw, m ^ last);
+                    last = *m;
+                }
+                put(&mut raw, s.dominant.map_or(0, |d| d.wrapping_add(1)));
+                match &s.pixels {
+                    None => put(&mut raw, 0),
+                    Some(pixels) => {
+                        put(&mut raw, pixels.len() as u32);
+                        // Runs along the rows, as the paper stores its samples (2004, §4.2.2).
+                        for run in pixels.chunk_by(|a, b| a == b) {
+                            put(&mut raw, run.len() as u32);
+                            put(&mut raw, run[0].wrapping_add(1));
+                        }
+                    }
+                }
+            }
+        }
+        TileOutput::Cells(sets) => {
+            raw.push(b'C');
+            put(&mut raw, sets.nodes.len() as u32);
+            for node in &sets.nodes {
+                match node {
+                    Node::Cell => raw.push(3),
+                    Node::Split(s) => {
+                        raw.push(s.axis as u8);
+                        put(&mut raw, s.at);
+                    }
+                }
+            }
+            // Where cells are decided exactly the cores have other work, of minutes: whoever holds a lock
+            // here would wait for it.
+            let sampled = sets.cells.iter().all(|c| c.decision.is_none());
+            let ids: usize = sets.cells.iter().map(|c| c.visible.len()).sum();
+            if sampled && ids >= MANY {
+                let cells: Vec<Vec<u8>> = sets
+                    .cells
+                    .par_iter()
+                    .map(|cell| {
+                        // Most ids take a byte.
+                        let mut raw = Vec::with_capacity(cell.visible.len() + cell.visible.len() / 4 + 64);
+                        put_cell(cell, &mut raw).map(|()| raw)
+                    })
+                    .collect::<Result<_, _>>()?;
+                raw.reserve(cells.iter().map(Vec::len).sum());
+                // Each is dropped as soon as it is copied.
+                cells.into_iter().for_each(|cell| raw.extend_from_slice(&cell));
+            } else {
+                sets.cells.iter().try_for_each(|cell| put_cell(cell, &mut raw))?;
+            }
+        }
+    }
+    if raw.len() as u64 > MAX_UNPACKED {
+        return Err(std::io::Error::other(
+            "a tile's output is larger than can be sent; use fewer --block-cells, more cells or a larger \
+                --min-distance",
+        ));
+    }
+    zstd::stream::encode_all(raw.as_slice(), LEVEL)
+}
+
+pub(super) fn put_cell(cell: &CellSet, raw: &mut Vec<u8>) -> Result<(), std::io::Error> {
+    put_ids(raw, &cell.visible);
+    put(raw, cell.samples);
+    cell.stats.numbers().into_iter().for_each(|n| varint::write(raw, n));
+    let Some(decision) = &cell.decision else {
+        raw.push(0);
+        return Ok(());
+    };
+    raw.push(1);
+    put_ids(raw, &decision.undecided);
+    put(raw, decision.counts.len() as u32);
+    decision.counts.iter().for_each(|n| varint::write(raw, *n));
+    let length = u32::try_from(decision.certificate.len()).map_err(std::io::Error::other)?;
+    put(raw, length);
+    raw.extend_from_slice(&decision.certificate);
+    Ok(())
+}
+
+fn put(out: &mut Vec<u8>, value: u32) {
+    varint::write(out, value.into());
+}
+
+/// Count, then each id's distance from the one before; ids ascend.
+fn put_ids(out: &mut Vec<u8>, ids: &[u32]) {
+    put(out, ids.len() as u32);
+    let mut next = 0;
+    for id in ids {
+        put(out, id - next);
+        next = id + 1;
+    }
+}
