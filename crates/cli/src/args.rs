@@ -1,4 +1,4 @@
-//! The command line, as clap reads it. Its help texts are the manual.
+//! The command line, as clap reads it. The doc comments are the text of `--help`.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -19,27 +19,28 @@ use crate::job_args::JobArgs;
 #[derive(Parser, Debug)]
 #[command(name = "sightline", version, max_term_width = 110, verbatim_doc_comment, after_help = EXIT_CODES)]
 pub struct Cli {
-    /// Make stdout one JSON document. `dump` and `sightlines` print JSON Lines in any case.
+    /// Print one JSON document to stdout. `dump` and `sightlines` always print JSON Lines.
     #[arg(long, global = true)]
     pub json: bool,
     #[command(subcommand)]
     pub command: Command,
 }
 
-const EXIT_CODES: &str = "Exit codes: 0 done, 1 internal error, 2 wrong usage, 3 bad input or a result that \
-    `verify` refuses, 4 coordinator unreachable or \
-refusing, 5 job failed, 130 interrupted (run the same command again to go on).\n\
+const EXIT_CODES: &str = "\
+Exit codes: 0 done, 1 internal error, 2 wrong usage, 3 bad input or a result that `verify` refuses, \
+4 coordinator unreachable or refusing, 5 job failed, 130 interrupted (run the same command again to \
+continue).\n\
 SIGHTLINE_LOG=debug (or info, warn) sets how much is logged to stderr.";
 
 impl Cli {
-    /// Whether the command runs until it is stopped, so that its log wants times.
+    /// Whether the command runs until it is stopped. The log of such a command has times.
     pub fn serves(&self) -> bool {
         matches!(self.command, Command::Coordinator(_) | Command::Worker(_))
     }
 
-    /// How much is logged when nobody says: servers tell what happens, commands only what is wrong.
+    /// The log filter without SIGHTLINE_LOG: servers log events, other commands only warnings.
     pub fn default_log(&self) -> &'static str {
-        // The scheduler tells which backend was chosen, and why.
+        // The scheduler logs which backend it chose, and why.
         if self.serves() { "info" } else { "warn,sightline_coordinator::scheduler=info" }
     }
 }
@@ -48,47 +49,47 @@ impl Cli {
 pub enum Command {
     /// Bake a scene on this machine.
     Bake(BakeArgs),
-    /// Serve as coordinator of a cluster.
+    /// Run the coordinator of a cluster, which keeps jobs and gives their tiles to workers.
     Coordinator(CoordinatorArgs),
-    /// Join a coordinator as worker.
+    /// Run a worker, which bakes tiles for a coordinator.
     Worker(WorkerArgs),
-    /// Ask whether a coordinator serves.
+    /// Check that a coordinator is serving.
     Health(RemoteArgs),
     /// Send a scene and a job to a coordinator; prints the job's number.
     Submit(SubmitArgs),
     /// Follow a job until it ends.
     Watch(JobRefArgs),
-    /// List a coordinator's jobs.
+    /// List the jobs of a coordinator.
     Jobs(RemoteArgs),
     /// Show one job.
     Show(JobRefArgs),
-    /// End a job; what it has is kept for `retry`.
+    /// End a job. Its finished tiles are kept for `retry`.
     Cancel(JobRefArgs),
-    /// Give out no more tiles of a job, and stop those at work, which begin anew when it goes on.
+    /// Pause a job: give out no more of its tiles and stop the running ones, which start over after `resume`.
     Pause(JobRefArgs),
-    /// Go on with a paused job.
+    /// Continue a paused job.
     Resume(JobRefArgs),
-    /// Go on with a failed or cancelled job, or try again what a finished one has set aside.
+    /// Continue a failed or cancelled job, or bake again the tiles that a finished job has set aside.
     Retry(JobRefArgs),
-    /// Download a finished job's result.
+    /// Download the result of a finished job.
     Fetch(FetchArgs),
-    /// Write a scene's triangles as the program numbers them.
+    /// Write the triangles of a scene to a PLY file, in the order of their ids.
     Mesh(MeshArgs),
-    /// Make a test scene.
+    /// Generate a test scene.
     Generate(GenerateArgs),
-    /// Say what is in a result.
+    /// Summarise a result.
     Info(InfoArgs),
-    /// Print a result's sets as JSON Lines.
+    /// Print the sets of a result as JSON Lines.
     Dump(DumpArgs),
-    /// Print what is visible from a point's cell.
+    /// Print the set of the cell that contains a point, or why a triangle is in this set or not.
     Query(QueryArgs),
-    /// Measure how wrong a result looks from random viewpoints or along a path.
+    /// Measure the fraction of wrong pixels from random viewpoints or along a camera path.
     Measure(MeasureArgs),
-    /// Decide exactly which polygons see each other.
+    /// Decide exactly for pairs of polygons whether one sees the other.
     Sightlines(SightlinesArgs),
-    /// Check every witness and every certificate of a result again.
+    /// Check every witness and every certificate of a result with an independent checker.
     Verify(VerifyArgs),
-    /// Measure time against error: every sampler from coarse to fine, as table and curves.
+    /// Measure time against error for every sampler, from coarse to fine, as a table and curves.
     Bench(BenchArgs),
 }
 
@@ -96,15 +97,16 @@ pub enum Command {
 pub struct BakeArgs {
     /// The scene: .obj, .ply, .gltf or .glb.
     pub scene: PathBuf,
-    /// Where the result goes.
+    /// The result file to write.
     #[arg(short, long, value_name = "OUT.pvs")]
     pub output: PathBuf,
     #[command(flatten)]
     pub job: JobArgs,
-    /// Workers in this process, 1 to 256: tiles in hand at once. All share all cores. Default: one a core.
+    /// Workers in this process, 1 to 256. Each bakes one tile at a time, and all share all cores. Default:
+    /// one per core.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     pub workers: Option<u16>,
-    /// Where unfinished work and finished results are kept. Default: $XDG_CACHE_HOME/sightline or
+    /// Directory for unfinished work and finished results. Default: $XDG_CACHE_HOME/sightline or
     /// ~/.cache/sightline.
     #[arg(long, value_name = "DIR")]
     pub data_dir: Option<PathBuf>,
@@ -112,42 +114,42 @@ pub struct BakeArgs {
 
 #[derive(Args, Debug)]
 pub struct CoordinatorArgs {
-    /// Address to listen on; port 0 takes any free one.
+    /// Address to listen on. Port 0 takes any free port; the address is printed to stdout.
     #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:7600")]
     pub listen: SocketAddr,
-    /// Where jobs, scenes and results are kept.
+    /// Directory for jobs, scenes and results.
     #[arg(long, value_name = "DIR", default_value = "sightline-data")]
     pub data_dir: PathBuf,
-    /// Serve without encryption beyond this machine; only for private networks.
+    /// Allow connections from other machines. They are not encrypted, so the network has to be private.
     #[arg(long)]
     pub allow_plaintext: bool,
 }
 
 #[derive(Args, Debug)]
 pub struct WorkerArgs {
-    /// The coordinator.
+    /// Address of the coordinator.
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7600")]
     pub coordinator: String,
-    /// Backends this worker offers; auto: all that work here.
+    /// Backends that this worker offers; auto: every backend that works on this machine.
     #[arg(long, value_parser = choice::<BackendChoice>(), default_value_t)]
     pub backend: BackendChoice,
-    /// Use the Vulkan adapter whose name contains this.
+    /// Use the Vulkan adapter whose name contains this text.
     #[arg(long, value_name = "TEXT")]
     pub adapter: Option<String>,
-    /// Threads that sample, 1 to 1024. Default: one per core.
+    /// Threads for sampling and queries, 1 to 1024. Default: one per core.
     #[arg(long, value_name = "N", value_parser = thread_count)]
     pub threads: Option<usize>,
-    /// Shown by the coordinator. Default: host name and process number.
+    /// Name that the coordinator shows. Default: host name, process number and a random number.
     #[arg(long)]
     pub name: Option<String>,
-    /// Stop when the coordinator cannot be reached for this many seconds. Default: go on trying.
+    /// Stop when the coordinator cannot be reached for this many seconds. Default: keep trying.
     #[arg(long, value_name = "S")]
     pub give_up_after: Option<u64>,
 }
 
 #[derive(Args, Debug, Clone)]
 pub struct RemoteArgs {
-    /// The coordinator.
+    /// Address of the coordinator.
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7600")]
     pub coordinator: String,
 }
@@ -160,10 +162,11 @@ pub struct SubmitArgs {
     pub remote: RemoteArgs,
     #[command(flatten)]
     pub job: JobArgs,
-    /// Shown beside the job's number. Default: the file's name.
+    /// Name shown beside the job's number, cut to 32 characters. Default: the scene's file name.
     #[arg(long)]
     pub name: Option<String>,
-    /// Submitting again with the same one is answered with the same job. Default: a fresh one.
+    /// Makes `submit` safe to repeat: submitting again with the same text gives the same job. Default: a new
+    /// text each time.
     #[arg(long, value_name = "TEXT")]
     pub request_id: Option<String>,
 }
@@ -178,7 +181,7 @@ fn thread_count(text: &str) -> Result<usize, String> {
 
 /// Reads the number of a job.
 fn job_number(text: &str) -> Result<u64, String> {
-    text.parse().map_err(|_| "a job is named by its number, as `sightline jobs` lists them".to_owned())
+    text.parse().map_err(|_| "a job is named by its number; `sightline jobs` lists the numbers".to_owned())
 }
 
 /// Reads one coordinate of a point.
@@ -199,7 +202,7 @@ pub struct JobRefArgs {
 pub struct FetchArgs {
     #[command(flatten)]
     pub job: JobRefArgs,
-    /// Where the result goes.
+    /// The result file to write.
     #[arg(short, long, value_name = "OUT.pvs")]
     pub output: PathBuf,
 }
@@ -208,35 +211,35 @@ pub struct FetchArgs {
 pub struct MeshArgs {
     /// The scene: .obj, .ply, .gltf or .glb.
     pub scene: PathBuf,
-    /// Binary PLY, three own vertices a triangle, in id order, world space.
+    /// The binary PLY file to write: three vertices for each triangle, in id order, in world space.
     #[arg(short, long, value_name = "OUT.ply")]
     pub output: PathBuf,
 }
 
 #[derive(Args, Debug)]
 pub struct GenerateArgs {
-    /// What kind of scene.
+    /// The kind of scene.
     #[arg(value_enum)]
     pub kind: SceneKind,
-    /// Where it goes.
+    /// The scene file to write, as binary glTF.
     #[arg(short, long, value_name = "OUT.glb")]
     pub output: PathBuf,
-    /// About how many triangles it should have. Default: the papers' size of its kind.
+    /// Approximate number of triangles. Default: the size of the papers' scene of this kind.
     #[arg(long, value_name = "N")]
     pub triangles: Option<u64>,
-    /// The same seed and size give the same bytes.
+    /// Seed of the scene. The same seed and size give the same bytes.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Forest: how many trees.
+    /// Forest: number of trees.
     #[arg(long)]
     pub trees: Option<u32>,
-    /// Forest: triangles of one tree.
+    /// Forest: triangles in each tree.
     #[arg(long)]
     pub triangles_per_tree: Option<u32>,
-    /// Rooms and maze: columns and rows; slits: walls and slits in each.
+    /// Rooms and maze: columns and rows; slits: walls, and slits in each wall.
     #[arg(long, value_name = "NxM", value_parser = parse_grid)]
     pub grid: Option<[u32; 2]>,
-    /// Slits: width as a fraction of the wall, 1e-7 to 0.1.
+    /// Slits: width of a slit as a fraction of the wall, 1e-7 to 0.1.
     #[arg(long)]
     pub slit_width: Option<f32>,
 }
@@ -266,12 +269,12 @@ pub struct ResultArgs {
 pub struct InfoArgs {
     #[command(flatten)]
     pub result: ResultArgs,
-    /// How each cell was sampled, the hardest first, and its bound on what it misses.
+    /// Print how each cell was sampled, the hardest cells first, and the bounds on missed sight lines.
     #[arg(long)]
     pub cells: bool,
 }
 
-/// What sets are made of.
+/// The kind of ids in a set.
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Items {
     /// Triangle ids.
@@ -284,7 +287,7 @@ pub enum Items {
 pub struct DumpArgs {
     #[command(flatten)]
     pub result: ResultArgs,
-    /// What the sets are made of.
+    /// The kind of ids in the sets.
     #[arg(long, value_enum, default_value_t = Items::Triangles)]
     pub items: Items,
 }
@@ -294,33 +297,34 @@ pub struct DumpArgs {
 pub struct QueryArgs {
     #[command(flatten)]
     pub result: ResultArgs,
-    /// The viewpoint.
+    /// The viewpoint, in world space.
     #[arg(num_args = 3, value_names = ["X", "Y", "Z"], required = true, allow_negative_numbers = true)]
     #[arg(value_parser = coordinate)]
     pub point: Vec<f32>,
-    /// What the set is made of.
+    /// The kind of ids in the set.
     #[arg(long, value_enum, default_value_t = Items::Triangles)]
     pub items: Items,
-    /// Say why this triangle is in the set or is not: the witness segment along which it is seen, or the
-    /// triangles that hide it, or that the closed surface it is part of does. From the result's certificates
-    /// (bake --certificates), or with --scene by asking anew.
+    /// Print why this triangle is in the set or not: the witness, a segment along which it is visible; or the
+    /// triangles that hide it; or that the closed surface it belongs to hides it. The reasons come from the
+    /// result's certificates (bake --certificates) or, with --scene, from a new query.
     #[arg(long, value_name = "TRIANGLE", conflicts_with = "items")]
     pub why: Option<u32>,
-    /// The scene the result was baked from, for --why.
+    /// The scene the result was baked from, for a new query of --why.
     #[arg(long, value_name = "SCENE", requires = "why")]
     pub scene: Option<PathBuf>,
 }
 
-/// Checks what a result rests on again, with a checker that shares no code with the search.
+/// Checks every claim of a result with a checker that shares no code with the search.
 ///
-/// Every triangle has to be accounted for in every cell: it meets the cell, or has a witness (a segment from
-/// the cell that ends on it and meets nothing else), or a certificate that it is hidden, or is said to be
-/// undecided. Integers decide, no tolerance. When something does not hold the cell and the reason are said
-/// (with --json as {"accepted":false,…}) and the exit code is 3, as for files that cannot be read or do not
-/// belong together.
+/// In every cell each triangle with an area must be accounted for: it meets the cell, or it has a witness (an
+/// unobstructed segment from the cell to the triangle), or it has a certificate that it is hidden, or it is
+/// listed as undecided. Integers decide, without any tolerance. If a claim does not hold, the cell and the
+/// reason are printed (with --json as {"accepted":false,…}) and the exit code is 3, as for files that cannot
+/// be read or do not belong together.
 ///
-/// A triangle that meets the witness in the plane of the one that is seen, a floor under a wall's foot say,
-/// is not in the way; neither is one in the plane of the cell's face the witness begins on.
+/// A triangle that a witness touches only in the plane of the visible triangle, such as a floor at the foot
+/// of a wall, does not obstruct the witness. Neither does a triangle in the plane of the cell's face on which
+/// the witness begins.
 #[derive(Args, Debug)]
 pub struct VerifyArgs {
     /// The scene the result was baked from.
@@ -328,15 +332,15 @@ pub struct VerifyArgs {
     /// The result, baked with --method exact or verified and --certificates.
     #[arg(value_name = "OUT.pvs")]
     pub result: PathBuf,
-    /// Check only what is claimed about this many pairs of cell and triangle, drawn evenly from all; that
-    /// every triangle is accounted for is checked all the same. At most 10000000. Default: everything, which
-    /// can take several times as long as the bake.
+    /// Check only the claims about this many pairs of cell and triangle, drawn uniformly from all pairs. That
+    /// every triangle is accounted for is checked in any case. At most 10000000. Default: check every claim,
+    /// which can take several times as long as the bake.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     pub sample: Option<u64>,
-    /// Seed of the draw.
+    /// Seed of the sample.
     #[arg(long, value_name = "S", default_value_t = 1, requires = "sample")]
     pub seed: u64,
-    /// Threads. Default: one a core.
+    /// Threads, 1 to 256. Default: one per core.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     pub threads: Option<u16>,
 }
@@ -348,55 +352,56 @@ pub struct MeasureArgs {
     /// The result.
     #[arg(value_name = "OUT.pvs")]
     pub result: PathBuf,
-    /// Random viewpoints, uniform in the view box; each is a full cube.
+    /// Number of random viewpoints, uniform in the view box. Each frame is a full cube around a viewpoint.
     #[arg(long, value_name = "N", default_value_t = 200, conflicts_with = "path")]
     pub viewpoints: u32,
     /// Seed of the viewpoints.
     #[arg(long, value_name = "S", default_value_t = 1)]
     pub seed: u64,
-    /// Viewpoints along a camera path instead: a file of lines `x y z`.
+    /// Measure along a camera path instead: a file with one viewpoint `x y z` per line.
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
-    /// Side of one face in pixels.
+    /// Side of one face of a cube in pixels, 8 to 4096.
     #[arg(long, value_name = "PX", default_value_t = 256)]
     pub resolution: u32,
-    /// What renders the frames; auto: cpu where Embree is there.
+    /// The backend that renders the frames; auto: the cpu if Embree is installed, else the gpu.
     #[arg(long, value_parser = choice::<BackendChoice>(), default_value_t)]
     pub backend: BackendChoice,
-    /// Write the worst frames as PNG: seen triangles green, wrong ones red.
+    /// Write the eight worst frames to this folder as PNG: correct pixels green, wrong pixels red.
     #[arg(long, value_name = "DIR")]
     pub images: Option<PathBuf>,
 }
 
 /// Decides for pairs of convex polygons whether one sees the other among the triangles of a scene.
 ///
-/// All triangles block, except where they lie in the plane of a or b. Every line of the input is a query, and
-/// is answered by one line, in order:
+/// Every triangle obstructs, except a triangle in the plane of a or of b. Each line of the input is a query
+/// and gets one line as its answer, in order. The time of a query is in microseconds.
 ///
-///   {"id":1,"a":[[x,y,z],…],"b":[[x,y,z],…]}
-///   {"id":1,"state":"visible","witness":[[x,y,z],[x,y,z]],"micros":…}   a segment that nothing is in the way
-///   of {"id":1,"state":"hidden","blockers":[ids],"micros":…}               proved; the triangles the proof
-///   rests on {"id":1,"state":"undecided","reason":"…","micros":…}                neither, within the limits
+///   {"id":1,"a":[[x,y,z],…],"b":[[x,y,z],…]}                           a query
+///   {"id":1,"state":"visible","witness":[[x,y,z],[x,y,z]],"micros":…}  an unobstructed segment from a to b
+///   {"id":1,"state":"hidden","blockers":[ids],"micros":…}              proved; the triangles the proof names
+///   {"id":1,"state":"undecided","reason":"…","micros":…}               the limits did not suffice
 ///
-/// No tolerance decides: a gap a millionth of a wall wide is seen through, a shared edge is not. What is seen
-/// only along single lines, such as an edge, counts as hidden; so do polygons in one plane from each other,
-/// with no blockers.
+/// No tolerance decides: a gap of a millionth of a wall's width transmits sight, the common edge of two
+/// triangles does not. A polygon that is visible only along single lines, such as along an edge, counts as
+/// hidden. Two polygons in one plane are hidden from each other, with no blockers.
 #[derive(Args, Debug)]
 #[command(verbatim_doc_comment)]
 pub struct SightlinesArgs {
     /// The scene: .obj, .ply, .gltf or .glb.
     pub scene: PathBuf,
-    /// The queries, as JSON Lines; - for stdin. Corners in order around convex flat polygons of at most 64.
+    /// The queries as JSON Lines; - for stdin. Polygons are convex and planar, with at most 64 corners in
+    /// order around them.
     #[arg(long, value_name = "Q.jsonl")]
     pub queries: PathBuf,
-    /// Have a checker that shares no code with the search go over every witness and every proof, by exact
+    /// Check every witness and every proof with a checker that shares no code with the search and uses exact
     /// arithmetic alone.
     #[arg(long)]
     pub check: bool,
-    /// Regions of line space a query may look at before it ends undecided.
+    /// Regions of line space that a query may visit before it ends as undecided.
     #[arg(long, value_name = "N", default_value_t = sightline_exact::Limits::default().regions)]
     pub max_regions: u32,
-    /// Threads. Default: one a core.
+    /// Threads, 1 to 256. Default: one per core.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     pub threads: Option<u16>,
 }

@@ -1,5 +1,5 @@
-//! `sightline bake`: a coordinator and workers in this process, speaking the same gRPC to each other as in a
-//! cluster, but for the scene, which is in this process already.
+//! `sightline bake`: a coordinator and workers in one process. They speak the same gRPC as in a cluster,
+//! except that the scene is shared in memory.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -52,8 +52,8 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     };
     let coordinator = Coordinator::open(Config::new(data_dir.clone())).map_err(|e| match e {
         OpenError::Store(StoreError::InUse { pid, .. }) => CliError::Input(format!(
-            "{} is in use by process {pid}, probably another bake; wait for it, or give this one a \
-                --data-dir of its own",
+            "{} is in use by process {pid}, probably another bake; wait for it, or give this one another \
+             --data-dir",
             data_dir.display()
         )),
         OpenError::Store(e) => CliError::Input(format!("{e} (--data-dir names another)")),
@@ -65,19 +65,18 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
         tokio::select! {
             r = work => r,
             () = serve::stop_signal() => Err(CliError::Interrupted(format!(
-                "interrupted; tiles that were done by then are kept in {}: the same command goes on from \
-                    there",
+                "interrupted; finished tiles are kept in {}: the same command goes on from there",
                 data_dir.display()
             ))),
         }
     });
-    // Tiles in hand are dropped, not waited for.
+    // Running tiles are abandoned; waiting for them could take minutes.
     runtime.shutdown_timeout(Duration::from_millis(200));
     let outcome = outcome?;
     report(&args, &outcome, start.elapsed(), json)
 }
 
-/// The look for backends, and what can be got ready once they are known, on a thread of its own.
+/// The search for backends, and the preparations that need its outcome, on a separate thread.
 struct Probing(Option<std::thread::JoinHandle<Arc<Backends>>>);
 
 impl Probing {
@@ -85,7 +84,7 @@ impl Probing {
         Self(Some(std::thread::spawn(move || Arc::new(Backends::probe(choice, Default::default())))))
     }
 
-    /// Then makes ready to trace, while the scene is stored and the job planned.
+    /// After the search, prepares the tracing of sight lines while the scene is stored and the job planned.
     fn then_warm(mut self, loaded: &Arc<Loaded>, spec: &sightline_model::JobSpec) -> Self {
         if spec.sampling.sampler != Sampler::Cubes
             && let Some(probe) = self.0.take()
@@ -107,16 +106,16 @@ impl Probing {
 }
 
 impl Drop for Probing {
-    /// A driver that is being started must not be cut off by the end of the process: some crash then.
+    /// Waits for the thread, because some drivers crash when the process ends while they start.
     fn drop(&mut self) {
         if let Some(thread) = self.0.take() {
-            // Nobody asks for the outcome any more.
+            // The outcome is no longer needed.
             drop(thread.join());
         }
     }
 }
 
-/// What a bake came to.
+/// The end of a bake: its job, and whether the store had the result already.
 struct Outcome {
     job: v1::Job,
     from_store: bool,
@@ -155,7 +154,7 @@ async fn bake(
     if job.state() != v1::JobState::Done {
         let mut probed =
             tokio::task::spawn_blocking(move || probing.end()).await.map_err(CliError::internal)??;
-        // It may have begun on a software rasteriser, before Embree was here.
+        // An earlier run may have begun the job on a software rasteriser, before Embree was installed.
         if probed.skipped_software() && job.profile.starts_with("gpu/") {
             let again = Probing::begin(Choice::Auto);
             probed = tokio::task::spawn_blocking(move || again.end()).await.map_err(CliError::internal)??;
@@ -163,8 +162,8 @@ async fn bake(
         serve::say_missing(&probed)?;
         if !job.profile.is_empty() && !probed.profiles().contains(&job.profile) {
             say(&format!(
-                "an earlier run began this bake on {}, which is not here any more (or has another version \
-                    now): beginning anew",
+                "an earlier run began this bake on {}, which is gone or has another version now; the bake \
+                 starts over",
                 job.profile
             ));
             client.cancel(v1::ShowRequest { job: job.id }).await.map_err(|s| CliError::status(&s))?;
@@ -191,15 +190,15 @@ async fn bake(
             j = client::follow(&mut client, job.id, true) => j?,
             e = workers => return Err(e),
         };
-        // The workers are gone with the process; a failed send means that they are already.
+        // The send fails only if all workers have ended already.
         let _ = stop.send(Stop::Now);
     } else {
         say(match spec.time_budget_ms {
             0 => "this bake is in the store already",
-            // Interrupted, it may have had far less of its time than it was given.
+            // The time runs on while a bake is interrupted, so the result may come from far less work.
             _ => {
-                "this bake is in the store already, as far as it got in its time; another --time-budget or \
-                    --data-dir begins anew"
+                "this bake is in the store already, with the result of its time budget; another \
+                 --time-budget or --data-dir starts a new bake"
             }
         });
     }
@@ -288,7 +287,7 @@ fn report(args: &BakeArgs, outcome: &Outcome, took: Duration, json: bool) -> Res
         lines.push(if outcome.from_store {
             format!(
                 "answered from the store in {}, where it was baked before with {} samples; peak memory \
-                    {peak}",
+                 {peak}",
                 human(took),
                 job.samples
             )
@@ -296,14 +295,14 @@ fn report(args: &BakeArgs, outcome: &Outcome, took: Duration, json: bool) -> Res
             format!("baked in {}, {} samples, peak memory {peak}", human(took), job.samples)
         });
         if summary.sees_nothing() {
-            // An exact bake has looked for what is small as well.
+            // An exact bake finds small triangles too.
             let small = match summary.is_decided() {
-                false => " What looks very small from there takes --method exact.",
+                false => " Triangles that look very small from there need --method exact.",
                 true => "",
             };
             lines.push(format!(
                 "ATTENTION: no triangle is seen from any cell. Is the view box where viewpoints are, in the \
-                    scene's units and axes?{small}"
+                 scene's units and axes?{small}"
             ));
         }
         if job.tiles_set_aside > 0 {
@@ -318,7 +317,7 @@ fn report(args: &BakeArgs, outcome: &Outcome, took: Duration, json: bool) -> Res
     }
 }
 
-/// Most memory this process has held, from the kernel; `None` where it does not tell.
+/// The peak memory of this process in bytes, from Linux's /proc; `None` on other systems.
 pub fn peak_memory() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;

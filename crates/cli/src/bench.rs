@@ -7,7 +7,7 @@ use crate::error::CliError;
 use crate::progress::say;
 use crate::serve::{self, print};
 
-/// The options of the library.
+/// The arguments as options of the library.
 fn options(args: &BenchArgs) -> Options {
     Options {
         scenes: args.scenes.clone(),
@@ -31,7 +31,7 @@ fn options(args: &BenchArgs) -> Options {
 pub fn run(args: &BenchArgs, json: bool) -> Result<(), CliError> {
     let program = std::env::current_exe()
         .map_err(|e| CliError::Internal(format!("the file of this program is unknown: {e}")))?;
-    // Listens for signals as long as it lives.
+    // The runtime listens for signals until it is dropped.
     let runtime = serve::runtime()?;
     let on_stop = |stop: Box<dyn FnOnce() + Send>| {
         runtime.spawn(async move {

@@ -1,7 +1,7 @@
-//! `sightline info --cells`: how each cell was sampled, the hardest first, and the bounds that hold.
+//! `sightline info --cells`: how each cell was sampled, the hardest cells first, and their bounds.
 //!
-//! The numbers are columns of the result file. They are the same on every run of a job, so there are no times
-//! among them; rays are what time was spent on.
+//! The numbers are columns of the result file and the same on every run of a job. So no times are among them;
+//! the number of rays stands for the time.
 
 use std::collections::BTreeMap;
 
@@ -14,9 +14,9 @@ use crate::error::CliError;
 /// Cells listed without --json.
 const SHOWN: usize = 20;
 
-/// Bounds of a result: how many cells have one, and the greatest and the mean of them.
+/// Bounds of a result on the fraction of missed sight lines.
 pub struct Bounds {
-    /// Cells that were looked at.
+    /// Number of cells that have a bound.
     pub cells: usize,
     /// The greatest bound.
     pub greatest: f64,
@@ -36,31 +36,32 @@ fn bound(columns: &BTreeMap<String, Vec<u64>>, cell: usize) -> Option<f64> {
     (at("bound_lines") > 0).then(|| upper_bound(at("bound_misses"), at("bound_lines"), alpha_of(look)))
 }
 
-/// What exact queries decided, over all cells; all of it 0 for a result of sampling alone.
+/// Totals over all cells of what exact queries decided, in pairs of cell and triangle; 0 for a result of
+/// sampling alone.
 #[derive(Clone, Copy, Debug, serde::Serialize)]
 pub struct Decided {
-    /// Pairs of cell and triangle proved hidden.
+    /// Pairs proved hidden.
     pub hidden: u64,
-    /// Those of them that closed surfaces hide.
+    /// Hidden pairs whose triangle is hidden by the closed surface it belongs to.
     pub by_surfaces: u64,
-    /// Visible ones that sampling had missed.
+    /// Visible pairs that sampling had missed.
     pub missed: u64,
-    /// Ones that sampling had shown and that are hidden.
+    /// Hidden pairs that sampling had shown.
     pub refuted: u64,
-    /// Undecided ones that there was no time for.
+    /// Pairs undecided because the time ended.
     pub out_of_time: u64,
-    /// Undecided ones that exceeded a limit of a query.
+    /// Pairs undecided because a query exceeded a limit.
     pub beyond_limits: u64,
-    /// Cells with something undecided.
+    /// Cells with undecided triangles.
     pub cells_open: usize,
     /// Bytes of witnesses and certificates.
     pub evidence_bytes: u64,
 }
 
-/// Sums up what exact queries decided.
+/// Sums what exact queries decided over all cells.
 ///
 /// # Errors
-/// The result's own.
+/// [`CliError::Input`] when the result cannot be read.
 pub fn decided(pvs: &Pvs) -> Result<Decided, CliError> {
     let columns = columns(pvs)?;
     let sum = |name: &str| columns.get(name).map_or(0, |c| c.iter().fold(0u64, |a, b| a.saturating_add(*b)));
@@ -83,11 +84,11 @@ pub fn decided(pvs: &Pvs) -> Result<Decided, CliError> {
     })
 }
 
-/// Cells whose sampling ended before they were done, and cells that were done with more than the target error
-/// left because they took far more work than the others.
+/// The number of cells whose sampling ended before they reached their target, and the number of cells with a
+/// per-cell tolerance above the target error.
 ///
 /// # Errors
-/// The result's own.
+/// [`CliError::Input`] when the result cannot be read.
 pub fn unfinished_and_spared(pvs: &Pvs) -> Result<[usize; 2], CliError> {
     let columns = columns(pvs)?;
     let count = |name| columns.get(name).map_or(0, |c| c.iter().filter(|n| **n != 0).count());
@@ -97,7 +98,7 @@ pub fn unfinished_and_spared(pvs: &Pvs) -> Result<[usize; 2], CliError> {
 /// The bounds of a result, if it has any.
 ///
 /// # Errors
-/// The result's own.
+/// [`CliError::Input`] when the result cannot be read.
 pub fn bounds(pvs: &Pvs) -> Result<Option<Bounds>, CliError> {
     let columns = columns(pvs)?;
     let all: Vec<f64> = (0..pvs.cells() as usize).filter_map(|c| bound(&columns, c)).collect();
@@ -109,10 +110,10 @@ pub fn bounds(pvs: &Pvs) -> Result<Option<Bounds>, CliError> {
     }))
 }
 
-/// One object a cell.
+/// A JSON array with one object per cell.
 ///
 /// # Errors
-/// The result's own.
+/// [`CliError::Input`] when the result cannot be read.
 pub fn json(pvs: &Pvs) -> Result<Value, CliError> {
     let columns = columns(pvs)?;
     let mut ids = Vec::new();
@@ -133,10 +134,10 @@ pub fn json(pvs: &Pvs) -> Result<Value, CliError> {
     Ok(cells.into())
 }
 
-/// The cells that took most rays, as a table.
+/// The cells that took the most rays, as a table.
 ///
 /// # Errors
-/// The result's own.
+/// [`CliError::Input`] when the result cannot be read.
 pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
     let columns = columns(pvs)?;
     let none = Vec::new();
@@ -152,11 +153,11 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
     order.sort_by_key(|c| (std::cmp::Reverse(cost(*c)), *c));
     let exact = pvs.method() != "aggressive";
     let mut lines = vec![format!(
-        "the cells that took most rays{}. rays: uniform/flood/candidate/held-out; finds: triangles they \
-            were first to show, \
-         held-out lines that met something new; missed: of the last round's uniform rays, before it; bound: \
-         on what is \
-         still missed, at 95 %; *: not finished; ~: done with more than the target error left",
+        "the cells that took the most rays{}. rays: uniform/flood/candidate/held-out; finds: triangles that \
+         such rays were the first to show (held-out: lines that met a triangle outside the set); missed: \
+         fraction of the last round's uniform rays that met a triangle outside the set before that round; \
+         bound: on the fraction still missed, at 95 %; *: not finished; ~: finished with a tolerance above \
+         the target error",
         if exact { " in sampling, which came first" } else { "" }
     )];
     let mut rows =
@@ -199,16 +200,15 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
     Ok(lines)
 }
 
-/// The cells that took exact queries most, by the regions of line space these looked at.
+/// The cells whose exact queries visited the most regions of line space, as a table.
 fn exact_table(pvs: &Pvs, at: &dyn Fn(&str, usize) -> u64) -> Result<Vec<String>, CliError> {
     let mut order: Vec<usize> = (0..pvs.cells() as usize).collect();
     order.sort_by_key(|c| (std::cmp::Reverse(at("exact_regions", *c)), *c));
     let mut lines = vec![
-        "the cells that took exact queries most; what was asked about a box around several is counted at \
-            the first of them. box: hidden \
-         from such a box; surfaces: of the others, by the closed surface they are part of; missed: visible, \
-         and not \
-         shown by sampling; regions: of line space, what queries spend time on"
+        "the cells whose exact queries took the most work; queries about the box around a cell group count \
+         with its first cell. box: hidden from such a box; surfaces: of the other hidden triangles, those \
+         hidden by the closed surface they belong to; missed: visible and not shown by sampling; regions: \
+         visited regions of line space, on which queries spend their time"
             .to_owned(),
     ];
     let mut rows = vec![

@@ -14,7 +14,7 @@ use crate::error::CliError;
 use crate::output::Output;
 use crate::progress::Progress;
 
-/// Largest result downloaded.
+/// Most bytes of a downloaded result.
 const MAX_RESULT: u64 = 64 << 30;
 
 /// Connects to a coordinator.
@@ -65,14 +65,15 @@ pub async fn upload(client: &mut JobsClient<Channel>, scene: &Scene) -> Result<(
     Ok(())
 }
 
-/// A unique request id: submitting is idempotent within this call, and the job's key finds older jobs.
+/// A new request id. It makes one submission safe to repeat; the coordinator recognises the same job of
+/// another submission by the job's key.
 pub fn fresh_request_id() -> String {
     let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.as_nanos());
     format!("cli-{}-{now:x}", std::process::id())
 }
 
-/// Follows a job until it ends, showing progress; returns its last state.
-/// `workers_here`: the workers are in this process and need not be started by anybody.
+/// Follows a job until it ends, showing progress; returns its last state. `workers_here`: the workers run in
+/// this process, so the user need not start any.
 pub async fn follow(
     client: &mut JobsClient<Channel>,
     job: u64,
@@ -97,7 +98,7 @@ pub fn must_be_done(job: &v1::Job) -> Result<(), CliError> {
         v1::JobState::Done => Ok(()),
         v1::JobState::Failed => Err(CliError::Job(format!("job {} failed: {}", job.id, job.reason))),
         v1::JobState::Cancelled => Err(CliError::Job(format!(
-            "job {} was cancelled; `sightline retry {}` goes on with it",
+            "job {} was cancelled; `sightline retry {}` continues it",
             job.id, job.id
         ))),
         _ => Err(CliError::Coordinator(format!(

@@ -1,29 +1,29 @@
-//! What ends the program early, and the exit code for it (the contract's table).
+//! The errors that end a command, and their exit codes (the table of `docs/interfaces.md`).
 
 use std::path::Path;
 use std::process::ExitCode;
 
 use sightline_scene::SceneError;
 
-/// Why a command did not do what was asked.
+/// Why a command failed.
 #[derive(Debug, thiserror::Error)]
 pub enum CliError {
-    /// 1: a fault of the program or the machine.
+    /// Exit code 1: a fault of the program or the machine.
     #[error("{0}")]
     Internal(String),
-    /// 2: the arguments.
+    /// Exit code 2: wrong arguments.
     #[error("{0}")]
     Usage(String),
-    /// 3: a file or stored thing that cannot be used.
+    /// Exit code 3: a file or stored data that cannot be used.
     #[error("{0}")]
     Input(String),
-    /// 4: the coordinator is not there or refuses.
+    /// Exit code 4: the coordinator is unreachable or refuses.
     #[error("{0}")]
     Coordinator(String),
-    /// 5: the job ended without a result.
+    /// Exit code 5: the job ended without a result.
     #[error("{0}")]
     Job(String),
-    /// 130: Ctrl-C.
+    /// Exit code 130: Ctrl-C or SIGTERM.
     #[error("{0}")]
     Interrupted(String),
 }
@@ -75,13 +75,13 @@ impl CliError {
         ))
     }
 
-    /// What a coordinator answered.
+    /// A gRPC status: an answer of the coordinator, or an error of the connection to it.
     pub fn status(s: &tonic::Status) -> Self {
-        // Only what the transport itself says has a source.
+        // Only errors of the transport have a source.
         if std::error::Error::source(s).is_some() {
             return Self::Coordinator(format!(
-                "the connection to the coordinator failed ({}); what was submitted goes on there, and the \
-                    same command asks again",
+                "the connection to the coordinator failed ({}); submitted jobs continue there, and the same \
+                 command connects again",
                 s.message()
             ));
         }

@@ -1,4 +1,4 @@
-//! `sightline mesh` and `sightline generate`: scenes out.
+//! `sightline mesh` and `sightline generate`: the commands that write scenes.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use crate::error::CliError;
 use crate::output::{Format, Output};
 use crate::serve::print;
 
-/// Writes the triangles as the program sees them.
+/// Writes the triangles of a scene as the program reads and numbers them.
 pub fn mesh(args: &MeshArgs, json: bool) -> Result<(), CliError> {
     let output = Output::check(&args.output, Format::Ply, Some(&args.scene))?;
     let scene = sightline_scene::load(&args.scene)?;

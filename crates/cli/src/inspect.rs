@@ -1,4 +1,4 @@
-//! `sightline info`, `dump` and `query`: what is in a result.
+//! `sightline info`, `dump` and `query`: print the content of a result.
 
 use std::io::{BufWriter, Write as _};
 use std::path::Path;
@@ -17,7 +17,7 @@ use crate::why;
 /// Objects listed by `info` without --json.
 const OBJECTS_SHOWN: usize = 20;
 
-/// What `info` and the end of a bake say.
+/// The summary of a result that `info` and the end of a bake print.
 #[derive(Serialize)]
 pub struct Summary {
     format: &'static str,
@@ -36,17 +36,18 @@ pub struct Summary {
     mean_visible_fraction: f64,
     undecided: u64,
     cells_set_aside: u32,
-    /// Cells with a bound on what they miss, at 95 % confidence, and the greatest and mean of those.
+    /// Cells with a bound on their missed sight lines, at 95 % confidence; then the greatest and the mean
+    /// bound.
     cells_bounded: usize,
     greatest_bound: Option<f64>,
     mean_bound: Option<f64>,
-    /// Cells whose sampling ended, by time or rounds, before they were done.
+    /// Cells whose sampling ended, by time or rounds, before they reached their target.
     cells_unfinished: usize,
-    /// Cells done with more than the target error left, because they took far more work than the others.
+    /// Cells with a per-cell tolerance above the target error, because they took far more work than others.
     cells_spared: usize,
-    /// What exact queries decided, if the method has any.
+    /// What exact queries decided; `None` for the method aggressive.
     decided: Option<cells::Decided>,
-    /// Cells of an adaptive tree from which more triangles than its budget are seen.
+    /// Cells of an adaptive tree that see more triangles than its budget; `None` for a grid.
     cells_over_budget: Option<usize>,
     info: serde_json::Value,
 }
@@ -65,11 +66,11 @@ impl Summary {
     /// Reads the result at `path`.
     pub fn of(path: &Path) -> Result<Self, CliError> {
         let pvs = open(path)?;
-        // Whoever baked it wrote it; a result of another program may hold anything.
+        // Another program may have written the result, so its parameters may be anything.
         let info: serde_json::Value =
             serde_json::from_str(pvs.info_json()).unwrap_or_else(|_| pvs.info_json().into());
         let budget = info["division"]["adaptive"]["budget"].as_u64();
-        // All, and then the first error of those there are: the same one every time.
+        // Collected before the error is taken, so that the first damaged cell is reported on every run.
         let sets: Vec<Result<(u64, u64, bool), PvsError>> = (0..pvs.cells())
             .into_par_iter()
             .map_init(Vec::new, |ids, cell| {
@@ -83,7 +84,7 @@ impl Summary {
         let sizes: Vec<u64> = sets.iter().map(|s| s.0).collect();
         let undecided: u64 = sets.iter().map(|s| s.1).sum();
         let aside = sets.iter().filter(|s| s.2).count() as u32;
-        // A cell that was set aside shows everything, whatever its size.
+        // A cell that was set aside shows all triangles; this does not count as over the budget.
         let over = sets.iter().filter(|s| !s.2 && budget.is_some_and(|b| s.0 > b)).count();
         let bounds = cells::bounds(&pvs)?;
         let [cells_unfinished, cells_spared] = cells::unfinished_and_spared(&pvs)?;
@@ -119,7 +120,7 @@ impl Summary {
         })
     }
 
-    /// For people.
+    /// The summary as lines for people.
     pub fn lines(&self) -> Vec<String> {
         let text = |key: &str| self.info.get(key).and_then(|v| v.as_str()).unwrap_or("?").to_owned();
         let mut lines = vec![
@@ -156,7 +157,7 @@ impl Summary {
             match (self.greatest_bound, self.mean_bound) {
                 (Some(greatest), Some(mean)) => format!(
                     "missed sight lines, bounds of {} cells at 95 % each: the greatest {:.4} %, {:.4} % on \
-                        average",
+                     average",
                     self.cells_bounded,
                     greatest * 100.0,
                     mean * 100.0
@@ -176,8 +177,8 @@ impl Summary {
         ];
         if let Some(d) = &self.decided {
             lines.push(format!(
-                "decided exactly, in pairs of cell and triangle: {} hidden ({} by closed surfaces), {} that \
-                    sampling had missed, {} that it had shown wrongly",
+                "decided exactly, in pairs of cell and triangle: {} hidden ({} by closed surfaces), {} \
+                 visible that sampling had missed, {} hidden that sampling had shown",
                 d.hidden, d.by_surfaces, d.missed, d.refuted
             ));
             if d.evidence_bytes > 0 {
@@ -188,31 +189,30 @@ impl Summary {
             }
             if d.cells_open > 0 {
                 lines.push(format!(
-                    "UNDECIDED in {} of {} cells, and drawn: {} that there was no time for, {} beyond the \
-                        limits of a query",
+                    "UNDECIDED in {} of {} cells, and drawn: {} because the time ended, {} beyond the limits \
+                     of a query",
                     d.cells_open, self.cells, d.out_of_time, d.beyond_limits
                 ));
             }
         }
-        // Whatever sampling left is decided afterwards, where anything decides.
+        // Exact queries decide afterwards whatever sampling leaves, so unfinished cells do not matter then.
         if self.cells_unfinished > 0 && self.decided.is_none() {
             let why = match self.info["time_budget_ms"].as_u64() {
                 Some(1..) => "the time budget ended first",
-                _ => "they were given up after many rounds; info --cells lists the hardest",
+                _ => "sampling gave up after many rounds; info --cells lists the hardest cells",
             };
             lines.push(format!("NOT FINISHED: {} of {} cells: {why}", self.cells_unfinished, self.cells));
         }
         if self.cells_spared > 0 && self.decided.is_none() {
             lines.push(format!(
-                "hard cells: {} of {} took so much more work than the others that they were done with more \
-                    than the target error left; \
-                 --max-error spares none",
+                "hard cells: {} of {} took far more work than the others and were finished with a tolerance \
+                 above the target error; --max-error allows no such tolerance",
                 self.cells_spared, self.cells
             ));
         }
         if let Some(over @ 1..) = self.cells_over_budget {
             let why = if self.decided.is_some() {
-                "the tree was made by what sampling had shown"
+                "the tree was built from what sampling had shown"
             } else if self.cells_unfinished > 0 {
                 "they are at the deepest level (--max-depth), too thin to be halved, or not finished"
             } else {
@@ -225,7 +225,7 @@ impl Summary {
     }
 }
 
-/// Says what is in a result.
+/// Prints a summary of a result.
 pub fn info(args: &InfoArgs, json: bool) -> Result<(), CliError> {
     let summary = Summary::of(&args.result.result)?;
     let pvs = open(&args.result.result)?;
@@ -257,7 +257,7 @@ pub fn info(args: &InfoArgs, json: bool) -> Result<(), CliError> {
     print(&lines.join("\n"))
 }
 
-/// Prints a result as JSON Lines: a header, then a line a cell.
+/// Prints a result as JSON Lines: a header, then one line per cell.
 pub fn dump(args: &DumpArgs) -> Result<(), CliError> {
     let summary = Summary::of(&args.result.result)?;
     let pvs = open(&args.result.result)?;
@@ -322,7 +322,7 @@ fn sets(
     }
 }
 
-/// Prints what is visible from a point's cell.
+/// Prints the set of the cell that contains a point.
 pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
     let pvs = open(&args.result.result)?;
     let point: [f32; 3] =
@@ -331,7 +331,7 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
         let [min, max] = pvs.tree().view_box();
         return Err(CliError::Input(format!(
             "{point:?} is outside the view box of {} ({min:?} to {max:?}); choose a point inside, or bake \
-                with a larger --view-box",
+             with a larger --view-box",
             args.result.result.display()
         )));
     };
@@ -367,7 +367,7 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
     ))
 }
 
-/// A point as its coordinates are in single precision, which they were given in.
+/// A point in text. Its coordinates come from single precision, so they are printed in single precision.
 fn corner(of: &serde_json::Value) -> String {
     let coordinates = of.as_array().map_or(&[][..], |c| c);
     let short: Vec<String> =

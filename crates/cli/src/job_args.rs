@@ -1,4 +1,4 @@
-//! The arguments that say what is to be baked, shared by `bake` and `submit`.
+//! The arguments of a job, shared by `bake` and `submit`.
 
 use std::path::Path;
 use std::time::Duration;
@@ -15,100 +15,104 @@ use crate::choices::choice;
 use crate::error::CliError;
 use crate::progress::say;
 
-/// Part of a view cell that rounding may move a line by before that is worth a word.
+/// Fraction of a view cell by which rounding may move a sight line before a note is printed.
 const MUCH_MOVED: f64 = 1.0 / 16.0;
 
-/// What is to be baked.
+/// What to bake, and how.
 #[derive(Args, Clone, Debug)]
 pub struct JobArgs {
     /// How much of a cell's visibility is decided. aggressive: sampling alone, which may miss a few triangles
     /// and reports no hidden ones, up to single precision; exact: sampling, then exact queries, until every
     /// triangle has a witness or a proof; verified: the same with lower limits for a single query, meant for
-    /// --time-budget. An undecided triangle is reported, and drawn.
+    /// --time-budget. Undecided triangles are reported and drawn.
     #[arg(long, value_parser = choice::<Method>(), default_value_t)]
     method: Method,
-    /// Keep in the result a witness for every triangle that is seen and a proof for every one that is hidden,
-    /// for `sightline verify` and `sightline query --why`. Needs --method exact or verified; the file becomes
+    /// Keep a witness for every visible triangle and a proof for every hidden triangle in the result, for
+    /// `sightline verify` and `sightline query --why`. Needs --method exact or verified. The file becomes
     /// many times larger.
     #[arg(long)]
     certificates: bool,
-    /// A regular grid of view cells. Default, without a triangle budget: 8x8x8.
+    /// A regular grid of view cells: their numbers along x, y and z. Default, without a triangle budget:
+    /// 8x8x8.
     #[arg(long, value_name = "NXxNYxNZ", value_parser = parse_cells, conflicts_with = "triangle_budget")]
     cells: Option<[u32; 3]>,
-    /// Adaptive cells instead of a grid: halve a cell while sampling shows more triangles than this from it.
-    /// The first three levels are always halved.
+    /// Adaptive cells instead of a grid: halve a cell while sampling shows more than this many triangles from
+    /// it. The first three levels are always halved.
     #[arg(long, value_name = "T")]
     triangle_budget: Option<u32>,
     /// Deepest level of the adaptive tree, 1 to 22.
     #[arg(long, value_name = "D", default_value_t = 12, requires = "triangle_budget")]
     max_depth: u32,
-    /// Where viewpoints may be: x0,y0,z0,x1,y1,z1. Default: the scene's bounds.
+    /// The box that holds all viewpoints, in world space: x0,y0,z0,x1,y1,z1. Default: the scene's bounds.
     #[arg(long, value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]
     view_box: Option<Aabb>,
-    /// How sight lines are chosen. Default: lines; for adaptive trees deeper than 12: cubes.
+    /// How visibility is sampled. Default: lines; for adaptive trees deeper than 12: cubes.
     #[arg(long, value_parser = choice::<Sampler>())]
     sampler: Option<Sampler>,
-    /// A cell is done when it is expected to miss at most this fraction of the sight lines from it, those
-    /// that meet nothing included; cells that take many times the work of the others are allowed more. An
-    /// estimate, not a bound. Default: 0.0001, or what --max-error says.
+    /// A cell is finished when it is expected to miss at most this fraction of the sight lines from it,
+    /// including lines that meet nothing. A cell that takes many times the work of the others has a larger
+    /// tolerance. The fraction is an estimate, not a bound. Default: 0.0001, or the value of --max-error.
     #[arg(long, value_name = "F", allow_negative_numbers = true)]
     target_error: Option<f64>,
-    /// Refine each cell until its 95 % bound on missed sight lines, from lines that took no part in the
-    /// search, is at most this. The bound is kept in the result; it holds on average over the cell, not for
-    /// the worst view. With --target-error as well, both must hold.
+    /// Refine each cell until the 95 % bound on the fraction of its missed sight lines is at most this. The
+    /// bound comes from lines that took no part in the search and is kept in the result. It holds on average
+    /// over the cell, not for the worst viewpoint. With --target-error as well, both must hold. Needs
+    /// --sampler lines and a grid.
     #[arg(long, value_name = "F", allow_negative_numbers = true)]
     max_error: Option<f64>,
-    /// Stop this long after the job was submitted, with the best result by then: 500ms, 30s, 5m, 2h; seconds
-    /// without a unit. The clock goes on while a bake is interrupted. Two runs then need not give the same
-    /// bytes.
+    /// Stop this long after the submission of the job, with the best result by then: 500ms, 30s, 5m, 2h; a
+    /// number without a unit is in seconds. The clock keeps running while a bake is interrupted. With a time
+    /// budget, two runs need not give the same bytes. Not for --sampler cubes.
     #[arg(long, value_name = "DUR", value_parser = parse_duration)]
     time_budget: Option<Duration>,
-    /// Most cells of a tile of a grid, 1 to 512: the piece of work a worker takes, and what is lost when one
-    /// is killed. Sight lines are shared within a tile, so smaller ones cost more in all. Default: 512; fewer
-    /// for large scenes and small errors; 8 for exact methods.
+    /// Most cells in a tile of a grid, 1 to 512. A tile is the unit of work of a worker; a killed worker
+    /// loses its unfinished tile. Sight lines are shared within a tile, so smaller tiles cost more in total.
+    /// Default: 512; fewer for large scenes and small errors; 8 for exact methods.
     #[arg(long, value_name = "N")]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=i64::from(sightline_model::MOST_BLOCK_CELLS)))]
     block_cells: Option<u32>,
-    /// Rays a cell of the sampler guided. Default: 200000.
+    /// Rays per cell of the sampler guided. Default: 200000.
     #[arg(long, value_name = "N")]
     rays: Option<u64>,
     #[command(flatten)]
     cubes: CubeArgs,
-    /// What traces lines and renders cubes. auto times both on this scene and takes the faster; the gpu has
-    /// to be twice as fast as the cpu, so that noise does not decide what comes out.
+    /// The backend that traces sight lines and renders cubes. auto times both on this scene and takes the
+    /// faster one; the gpu has to be twice as fast as the cpu, so that timing noise does not decide which is
+    /// used.
     #[arg(long, value_parser = choice::<BackendChoice>(), default_value_t)]
     pub backend: BackendChoice,
-    /// Seed of everything random (the sampler cubes has nothing random).
+    /// Seed of all random numbers. The sampler cubes uses none.
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
 }
 
-/// What only the sampler cubes looks at. Options, so that it is known what was given.
+/// The parameters of the sampler cubes. They are Options, so that `given` can list the given flags.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Sampler cubes")]
 struct CubeArgs {
-    /// Side of one item buffer in pixels, 8 to 4096. Default: 256.
+    /// Side of one item buffer (a face of a cube) in pixels, 8 to 4096. Default: 256.
     #[arg(long, value_name = "PX")]
     resolution: Option<u32>,
-    /// Subdivide a sampled rectangle while its corners differ by more than this, 0 to 1. Default: 0.1.
+    /// Subdivide a sampled rectangle while the cubes at its corners differ by more than this, 0 to 1.
+    /// Default: 0.1.
     #[arg(long, value_name = "E", allow_negative_numbers = true)]
     error_threshold: Option<f64>,
-    /// The same for samples inside closed solids, where no viewpoint is expected. Default: 0.5.
+    /// The same threshold for cubes inside closed solids, where no viewpoint is expected. Default: 0.5.
     #[arg(long, value_name = "E", allow_negative_numbers = true)]
     interior_threshold: Option<f64>,
-    /// How the corners are compared: their sets (Err), pixel by pixel (Err′), or sets in 24 directions
-    /// (Err″). Default: strata.
+    /// How the cubes at the corners are compared: by their sets (Err), pixel by pixel (Err′), or by their
+    /// sets in each of 24 groups of directions (Err″). Default: strata.
     #[arg(long, value_parser = choice::<ErrorMeasure>())]
     error_measure: Option<ErrorMeasure>,
-    /// Never subdivide rectangles of at most this fraction of a view cell's size (the mean of its sides).
-    /// Default: 0.5.
+    /// Never subdivide a rectangle whose longer side is at most this fraction of a view cell's size (the
+    /// geometric mean of its three sides). Default: 0.5.
     #[arg(long, value_name = "F", allow_negative_numbers = true)]
     min_distance: Option<f64>,
-    /// Do not judge samples inside closed solids apart.
+    /// Apply --error-threshold to all cubes, also to those inside closed solids.
     #[arg(long)]
     no_solids: bool,
-    /// Render with what the cell above saw only. auto: on the gpu, where each triangle drawn costs. Default:
-    /// auto.
+    /// Render the cubes of a cell with only the triangles that its parent cell saw. auto: on for the gpu,
+    /// where each drawn triangle costs time. Default: auto.
     #[arg(long, value_parser = choice::<SupersetChoice>())]
     superset: Option<SupersetChoice>,
 }
@@ -130,7 +134,7 @@ impl CubeArgs {
         .collect()
     }
 
-    /// Puts them into `params`.
+    /// Copies the flags into `params`; a flag that was not given leaves its parameter as it is.
     fn apply(&self, params: &mut SamplingParams) {
         params.resolution = self.resolution.unwrap_or(params.resolution);
         params.error_threshold = self.error_threshold.unwrap_or(params.error_threshold);
@@ -155,14 +159,14 @@ impl JobArgs {
         let refuse = |what: &str| Err(CliError::Usage(what.to_owned()));
         if adaptive && sampler == Sampler::Guided {
             return refuse(
-                "an adaptive tree (--triangle-budget) is sampled with --sampler lines or cubes; give \
-                 --cells for another",
+                "an adaptive tree (--triangle-budget) needs --sampler lines or cubes; give --cells for \
+                 another sampler",
             );
         }
         if adaptive && sampler == Sampler::Lines && self.max_depth > MOST_LINE_DEPTH {
             return refuse(
-                "--sampler lines makes trees of a --max-depth of at most 12; give less, or --sampler cubes, \
-                 which takes far longer",
+                "--sampler lines supports a --max-depth of at most 12; give a smaller one, or --sampler \
+                 cubes, which takes far longer",
             );
         }
         if self.certificates && method == Method::Aggressive {
@@ -193,7 +197,7 @@ impl JobArgs {
             sampling,
             backend: self.backend,
             seed: self.seed,
-            // At least a millisecond: nothing means no limit.
+            // At least one millisecond, because 0 stands for no limit.
             time_budget_ms: self.time_budget.map_or(0, |d| (d.as_millis() as u64).max(1)),
             method,
             certificates: self.certificates,
@@ -203,8 +207,8 @@ impl JobArgs {
             (None, sightline_viewcells::DivisionError::Box { axis, .. }) => {
                 let nothing = scene.triangles().iter().all(sightline_scene::Triangle::is_degenerate);
                 CliError::Input(format!(
-                    "{}: {}, so its bounds are no view box; give --view-box x0,y0,z0,x1,y1,z1 with each \
-                        first below its second",
+                    "{}: {}, so its bounds are no view box; give --view-box x0,y0,z0,x1,y1,z1 with x0 < x1, \
+                     y0 < y1 and z0 < z1",
                     path.display(),
                     if nothing {
                         "none of its triangles has an area".to_owned()
@@ -219,29 +223,28 @@ impl JobArgs {
         let moved = spec.moved_by_rounding().map_err(|e| CliError::Usage(e.to_string()))?;
         if moved > MUCH_MOVED {
             say(&format!(
-                "note: a line has to cross {:.0} % of a view cell, where they are thinnest, to count, as \
-                    rounding moves it so far where \
-                 coordinates are so large; more is missed than --target-error says. Wider cells or smaller \
-                 coordinates avoid that",
+                "note: coordinates are so large that rounding can move a sight line by {:.0} % of the \
+                 thinnest view cell. A line counts only if it crosses at least as much of a cell, so more is \
+                 missed than --target-error says. Wider cells or smaller coordinates avoid this",
                 100.0 * moved
             ));
         }
         if max.cmplt(bounds.min).any() || min.cmpgt(bounds.max).any() {
-            // A bird's eye view is one; more often it is a mistake about units or axes.
+            // Views from above need such a box; more often it is a mistake about units or axes.
             say(&format!(
-                "note: the view box {min} to {max} lies outside of the scene, which is from {} to {}; is it \
-                    in the scene's units and axes?",
+                "note: the view box {min} to {max} lies outside of the scene, which extends from {} to {}; \
+                 is the view box in the scene's units and axes?",
                 bounds.min, bounds.max
             ));
         }
         Ok(spec)
     }
 
-    /// The parameters of `sampler`. Flags of another sampler are named and left out, so that they make no
-    /// other job.
+    /// The parameters of `sampler`. A note names given flags of other samplers; they are left out, because a
+    /// parameter without effect would still change the job's key.
     fn sampling(&self, sampler: Sampler) -> Result<SamplingParams, CliError> {
         let mut params = SamplingParams { sampler, ..SamplingParams::default() };
-        // A value that makes no sense is wrong whoever would use it.
+        // A value outside its range is refused even if the sampler does not use it.
         let mut all = SamplingParams {
             max_error: self.max_error,
             target_error: self.target_error.unwrap_or(params.target_error),

@@ -1,6 +1,7 @@
-//! The `sightline` command: reads arguments, runs what they ask for, and turns the outcome into an exit code.
+//! The `sightline` command: reads the arguments, runs the subcommand and turns its outcome into an exit code.
 //!
-//! Results go to stdout, everything else to stderr. Each subcommand has a file of its own.
+//! Results go to stdout, everything else to stderr. A file of this crate holds one subcommand or a few
+//! related ones.
 
 #![allow(
     rustdoc::broken_intra_doc_links,
@@ -60,7 +61,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Gives Mesa's Vulkan loader the run-time directory it complains of on stderr when there is none.
+/// Sets a run-time directory if there is none, because Mesa's Vulkan drivers would complain on stderr.
 #[allow(
     unsafe_code,
     reason = "set_var is unsafe where threads may read the environment; here there are none yet"

@@ -1,4 +1,4 @@
-//! `sightline measure`: how wrong a result looks, against full-scene item buffers.
+//! `sightline measure`: wrong pixels of a result, compared with item buffers of the full scene.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -14,12 +14,12 @@ use crate::opening;
 use crate::progress::Progress;
 use crate::serve::{self, print};
 
-/// Worst frames written with --images.
+/// Number of worst frames that --images writes.
 const WORST: usize = 8;
 
 /// Measures a result and prints one JSON object.
 pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
-    // Before anything asks how many there are.
+    // Before the first use of the thread pool.
     serve::use_threads(serve::threads(None))?;
     let pvs = opening::open(&args.result)?;
     let view_box = pvs.tree().view_box();
@@ -44,8 +44,7 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     }
     let scene = Arc::new(sightline_scene::load(&args.scene)?);
     opening::check_scene(&scene, &pvs, &args.scene, &args.result)?;
-    // Frames of the whole scene are what Embree is best at; the gpu is looked for only when Embree is
-    // missing.
+    // Embree renders frames of the whole scene well, so the gpu is probed only when Embree is missing.
     let probe = |choice| sightline_worker::Backends::probe(choice, Default::default());
     let mut backends =
         probe(if args.backend == BackendChoice::Auto { Choice::Cpu } else { serve::choice(args.backend) });
@@ -68,7 +67,7 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     print(&value.to_string())
 }
 
-/// Makes the folder for images and writes a file there to see whether that is allowed, before any frame is
+/// Creates the folder for images and checks, by writing a file, that it is writable, before any frame is
 /// rendered.
 fn writable_folder(dir: &Path) -> Result<(), CliError> {
     let probe = dir.join(format!(".sightline-{}", std::process::id()));

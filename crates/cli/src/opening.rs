@@ -1,4 +1,4 @@
-//! Opening a result, and checking that a scene is the one it was baked from.
+//! Opening a result, and checking that it was baked from a given scene.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use sightline_scene::Scene;
 
 use crate::error::CliError;
 
-/// A number of things, in words.
+/// A number with its noun, in the plural unless the number is 1.
 pub fn plural(n: usize, what: &str) -> String {
     format!("{n} {what}{}", if n == 1 { "" } else { "s" })
 }
@@ -24,7 +24,7 @@ pub fn open(path: &Path) -> Result<Pvs, CliError> {
 pub fn check_scene(scene: &Scene, pvs: &Pvs, path: &Path, result: &Path) -> Result<(), CliError> {
     if scene.len() != pvs.triangle_count() {
         return Err(CliError::Input(format!(
-            "{} has {} and {} is of another scene, one of {}; name the scene it was baked from",
+            "{} has {}, but {} was baked from another scene, one of {}; name that scene",
             path.display(),
             plural(scene.len() as usize, "triangle"),
             result.display(),
@@ -32,10 +32,10 @@ pub fn check_scene(scene: &Scene, pvs: &Pvs, path: &Path, result: &Path) -> Resu
         )));
     }
     let info: serde_json::Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
-    // A result of another program need not say.
+    // A result written by another program may lack the digest.
     if info["scene"].as_str().is_some_and(|digest| digest != scene.digest().to_string()) {
         return Err(CliError::Input(format!(
-            "{} was baked from another scene than {}; name its own, or bake again",
+            "{} was baked from another scene than {}; name that scene, or bake again",
             result.display(),
             path.display()
         )));

@@ -1,8 +1,8 @@
-//! Files that commands write: what may be replaced, and how it is done without losing anything.
+//! Output files: which existing files may be replaced, and how a file is replaced without loss.
 //!
-//! A file is written under another name beside its own and then put in its place, so nobody ever sees half of
-//! one. What is in that place must be of the same kind, or nothing: `-o` next to the name of one's own model
-//! is an easy slip.
+//! A file is written under a temporary name in the same folder and then renamed, so nobody ever sees an
+//! incomplete file. Only a file of the same format is replaced, because a user may give `-o` the name of the
+//! model by mistake.
 
 use std::fs::File;
 use std::io::{BufWriter, Read as _, Write};
@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use crate::error::CliError;
 
-/// What a file holds.
+/// The format of an output file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// A result.
@@ -22,7 +22,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// How such a file begins.
+    /// The first bytes of a file of this format.
     fn magic(self) -> &'static [u8] {
         match self {
             Self::Pvs => b"\x89PVS",
@@ -46,9 +46,9 @@ const KNOWN: [&str; 11] = ["obj", "ply", "gltf", "glb", "stl", "off", "fbx", "da
 /// A place where a file may be written.
 #[derive(Debug)]
 pub struct Output {
-    /// As the user named it.
+    /// The path as the user gave it.
     named: PathBuf,
-    /// Where links lead.
+    /// The path with links resolved.
     target: PathBuf,
 }
 
@@ -57,7 +57,7 @@ impl Output {
     /// format is replaced, never the file `input`.
     ///
     /// # Errors
-    /// [`CliError::Usage`] saying what is in the way.
+    /// [`CliError::Usage`] with the reason.
     pub fn check(path: &Path, format: Format, input: Option<&Path>) -> Result<Self, CliError> {
         let refusal = |why: String| CliError::Usage(format!("{} cannot be written: {why}", path.display()));
         let refuse = |why: String| Err(refusal(why));
@@ -71,7 +71,7 @@ impl Output {
         if extension != format.extension() && KNOWN.contains(&extension.as_str()) {
             let ours = format.extension();
             return refuse(format!(
-                "its name promises .{extension}, and what is written is .{ours}; give -o a name that ends so"
+                "its name promises .{extension}, but the file is a .{ours}; give -o a name with this ending"
             ));
         }
         let target = match std::fs::canonicalize(path) {
@@ -97,47 +97,47 @@ impl Output {
             }
             if !there.is_file() {
                 return refuse(
-                    "it is no ordinary file (a device or a pipe); give -o the name of one".to_owned(),
+                    "it is no ordinary file (a device or a pipe); give -o another name".to_owned(),
                 );
             }
             let mut begins = Vec::new();
             File::open(&target)
                 .and_then(|f| f.take(format.magic().len() as u64).read_to_end(&mut begins))
-                .map_err(|e| refusal(format!("what is there cannot be read ({e}); give -o another name")))?;
+                .map_err(|e| refusal(format!("the file there cannot be read ({e}); give -o another name")))?;
             if !begins.is_empty() && begins != format.magic() {
                 return refuse(format!(
-                    "there is a file that is no .{}; remove it, or give -o another name",
+                    "the file there is no .{}; remove it, or give -o another name",
                     format.extension()
                 ));
             }
         }
         let output = Self { named: path.to_owned(), target };
-        // Whether the folder lets us is best found out by trying.
+        // Only an attempt shows reliably whether the folder is writable.
         let part = output.part();
         let tried = File::create(&part).map(drop).and_then(|()| std::fs::remove_file(&part));
         tried.map_err(|e| refusal(format!("{e}; give -o a file in a folder where you may write")))?;
         Ok(output)
     }
 
-    /// As the user named it.
+    /// The path as the user gave it.
     pub fn path(&self) -> &Path {
         &self.named
     }
 
-    /// Writes the file by `fill`, and puts it in its place when that has succeeded.
+    /// Writes the file with `fill`, and moves it to its place if `fill` succeeds.
     ///
     /// # Errors
-    /// `fill`'s, or [`CliError::Internal`] when the disk refuses.
+    /// The error of `fill`, or [`CliError::Internal`] when the file cannot be written.
     pub fn write(&self, fill: impl FnOnce(&mut dyn Write) -> Result<(), CliError>) -> Result<(), CliError> {
         let mut part = self.begin()?;
         fill(&mut part)?;
         part.place()
     }
 
-    /// Begins to write the file.
+    /// Begins to write the file, under a temporary name.
     ///
     /// # Errors
-    /// [`CliError::Internal`] when the disk refuses.
+    /// [`CliError::Internal`] when the file cannot be created.
     pub fn begin(&self) -> Result<Part<'_>, CliError> {
         let path = self.part();
         let file = File::create(&path).map_err(|e| CliError::writing(&self.named, &e))?;
@@ -146,14 +146,14 @@ impl Output {
 
     fn part(&self) -> PathBuf {
         let mut name = self.target.file_name().unwrap_or_default().to_owned();
-        // Numbers of processes are the same in two containers that share a folder.
+        // Processes of two containers that share a folder may have the same number, so the time is added.
         let now = std::time::UNIX_EPOCH.elapsed().map_or(0, |d| d.as_nanos());
         name.push(format!(".part-{}-{now:x}", std::process::id()));
         self.target.with_file_name(name)
     }
 }
 
-/// A file that is being written beside its place. Dropped before it is there, it leaves nothing behind.
+/// A file that is being written under a temporary name. Dropped before [`Part::place`], it is removed.
 #[derive(Debug)]
 pub struct Part<'a> {
     of: &'a Output,
@@ -162,10 +162,10 @@ pub struct Part<'a> {
 }
 
 impl Part<'_> {
-    /// Puts it in its place.
+    /// Moves the complete file to its place.
     ///
     /// # Errors
-    /// [`CliError::Internal`] when the disk refuses.
+    /// [`CliError::Internal`] when the file cannot be written or moved.
     pub fn place(mut self) -> Result<(), CliError> {
         let placed = self.file.flush().and_then(|()| std::fs::rename(&self.path, &self.of.target));
         placed.map_err(|e| CliError::writing(&self.of.named, &e))
@@ -184,12 +184,13 @@ impl Write for Part<'_> {
 
 impl Drop for Part<'_> {
     fn drop(&mut self) {
-        // Gone if it is in its place. Else it is of no use; that it cannot be removed either adds nothing.
+        // After `place` no file has this name. Otherwise an error was reported already; a second one would
+        // not help.
         let _ = std::fs::remove_file(&self.path);
     }
 }
 
-/// The folder a file is in.
+/// The folder that contains a file.
 fn folder(path: &Path) -> &Path {
     path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }

@@ -1,4 +1,4 @@
-//! Progress on stderr: a bar on a terminal, else a line every few seconds.
+//! Progress on stderr: a bar on a terminal, otherwise a line every few seconds.
 
 use std::io::{IsTerminal as _, Write as _};
 use std::sync::{LazyLock, Mutex, PoisonError};
@@ -7,23 +7,23 @@ use std::time::{Duration, Instant};
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use sightline_proto::v1;
 
-/// Bars and lines share stderr; whatever writes to it goes through here, so that bars are not torn.
+/// Bars and lines share stderr. Every line has to go through this, because it would break a bar otherwise.
 static BARS: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
 
-/// Time between two lines where there is no terminal.
+/// Time between two lines when stderr is not a terminal.
 const LINE_EVERY: Duration = Duration::from_secs(5);
 
 /// Prints a line to stderr.
 pub fn say(text: &str) {
     if std::io::stderr().is_terminal() {
-        // Fails only when stderr is gone, and then there is nobody to tell.
+        // Fails only when stderr is closed; then the error cannot be shown either.
         let _ = BARS.println(text);
     } else {
         let _ = writeln!(std::io::stderr(), "{text}");
     }
 }
 
-/// Where log lines go.
+/// Makes writers of log lines that do not break a bar.
 pub struct LogWriter;
 
 impl<'a> tracing_subscriber::fmt::MakeWriter<'a> for LogWriter {
@@ -33,7 +33,7 @@ impl<'a> tracing_subscriber::fmt::MakeWriter<'a> for LogWriter {
     }
 }
 
-/// One log line, printed when it is whole.
+/// One log line, collected and printed when it is dropped.
 pub struct LogLine(Vec<u8>);
 
 impl std::io::Write for LogLine {
@@ -54,7 +54,7 @@ impl Drop for LogLine {
     }
 }
 
-/// Where a job stood when it was first seen.
+/// The counts of a job when it was first shown.
 #[derive(Clone, Copy)]
 struct AtStart {
     tiles: u64,
@@ -62,11 +62,11 @@ struct AtStart {
     samples: u64,
 }
 
-/// Shows how far a job or a count is.
+/// Shows the progress of a job or of a count.
 pub struct Progress {
     bar: Option<ProgressBar>,
     start: Instant,
-    /// Where the count stood at the start: what an earlier run had done already.
+    /// The counts at the start: what earlier runs had done already.
     first: Mutex<Option<AtStart>>,
     last_line: Mutex<Option<Instant>>,
     /// The job's state when it was last shown.
@@ -74,7 +74,7 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// A bar, or nothing yet.
+    /// Shows an empty bar on a terminal, otherwise nothing yet.
     pub fn new() -> Self {
         let bar = std::io::stderr().is_terminal().then(|| {
             let bar = BARS.add(ProgressBar::new(0));
@@ -94,14 +94,14 @@ impl Progress {
         }
     }
 
-    /// Shows a job. `workers_here`: nobody has to start any.
+    /// Shows a job. `workers_here`: the workers run in this process, so the user need not start any.
     pub fn job(&self, job: &v1::Job, workers_here: bool) {
         let ended = u64::from(job.tiles_done + job.tiles_set_aside);
         let mut first = self.first.lock().unwrap_or_else(PoisonError::into_inner);
         let start =
             *first.get_or_insert(AtStart { tiles: ended, cells: job.cells_done, samples: job.samples });
         drop(first);
-        // Another state is news at once: nothing more may come for a long time.
+        // A change of state is shown at once, because the next message may come much later.
         let state = Some(job.state());
         if std::mem::replace(&mut *self.last_state.lock().unwrap_or_else(PoisonError::into_inner), state)
             != state
@@ -113,7 +113,7 @@ impl Progress {
             0 => format!("{} cells", job.cells_done),
             total => format!("{}/{total} cells", job.cells_done),
         };
-        // Cells where their number is known: a small job may be one tile.
+        // Cells are counted if their total is known, because a small job may be a single tile.
         let (here, left) = match job.cells_total {
             0 => (ended.saturating_sub(start.tiles), u64::from(job.tiles_total).saturating_sub(ended)),
             total => (job.cells_done.saturating_sub(start.cells), total.saturating_sub(job.cells_done)),
@@ -121,13 +121,13 @@ impl Progress {
         let open = matches!(job.state(), v1::JobState::Queued | v1::JobState::Running);
         let waits = open && job.workers == 0 && !workers_here;
         let left = if job.state() == v1::JobState::Paused {
-            format!("PAUSED: `sightline resume {}` goes on", job.id)
+            format!("PAUSED: `sightline resume {}` continues it", job.id)
         } else if waits {
             "NO WORKERS: start some with `sightline worker`".to_owned()
         } else if left == 0 {
             "finishing".to_owned()
         } else if here > 0 {
-            // Nothing goes on beyond a time budget.
+            // No job runs much longer than its time budget.
             let budget = job.spec.as_ref().map_or(0.0, |s| s.time_budget_ms as f64 * 1e-3);
             match seconds / here as f64 * left as f64 {
                 _ if budget > 0.0 && seconds >= budget => "finishing".to_owned(),
@@ -138,7 +138,7 @@ impl Progress {
             "time left not known yet".to_owned()
         };
         let samples = if job.spec.as_ref().is_some_and(|s| s.method() != v1::Method::Aggressive) {
-            // Rays first, then queries: they have no common rate.
+            // Rays come first and queries later; one rate for both would mean nothing.
             format!("{} rays and queries", job.samples)
         } else {
             let rate = job.samples.saturating_sub(start.samples) as f64 / seconds.max(1e-3);
@@ -152,7 +152,7 @@ impl Progress {
         self.show(ended, u64::from(job.tiles_total), "tiles", &text);
     }
 
-    /// Shows a count of things that take about as long each.
+    /// Shows a count of things that take about the same time each, with the time left.
     pub fn count(&self, done: u64, total: u64, what: &str) {
         let seconds = self.start.elapsed().as_secs_f64();
         let left = total.saturating_sub(done) as f64;
@@ -160,7 +160,7 @@ impl Progress {
         self.show(done, total, what, &text);
     }
 
-    /// Shows a count of which nobody knows how far it goes.
+    /// Shows a count whose total still grows, without a time left.
     pub fn count_so_far(&self, done: u64, total: u64, what: &str) {
         self.show(done, total, what, "");
     }
@@ -180,7 +180,7 @@ impl Progress {
         }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn end(&self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();
@@ -190,12 +190,12 @@ impl Progress {
 
 const TEMPLATE: &str = "{elapsed_precise} [{bar:24}] {pos}/{len} {msg}";
 
-/// Seconds that are left, as people say it.
+/// The time left, in words.
 fn about(seconds: f64) -> String {
     format!("about {} left", human(Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)))
 }
 
-/// A duration as people say it.
+/// A duration with a unit that suits its length.
 pub fn human(d: Duration) -> String {
     let s = d.as_secs_f64();
     match s {

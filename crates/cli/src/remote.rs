@@ -33,13 +33,13 @@ fn with<T, F: Future<Output = Result<T, CliError>>>(
 ) -> Result<T, CliError> {
     runtime()?.block_on(async {
         let work = async {
-            // Lists of jobs are the largest single messages; the default of 4 MiB holds thousands.
+            // Lists of jobs are the largest messages; gRPC's default limit of 4 MiB holds thousands of jobs.
             f(JobsClient::new(client::channel(&remote.coordinator).await?)).await
         };
         tokio::select! {
             r = work => r,
             () = crate::serve::stop_signal() => {
-                Err(CliError::Interrupted("interrupted; the job goes on at the coordinator".to_owned()))
+                Err(CliError::Interrupted("interrupted; the job continues at the coordinator".to_owned()))
             }
         }
     })
@@ -148,8 +148,8 @@ pub fn fetch(args: &FetchArgs, json: bool) -> Result<(), CliError> {
     print(&format!("wrote {} ({bytes} bytes)", args.output.display()))
 }
 
-/// How a job ended and after how long, with the next command. A failure's reason and the command after a
-/// cancellation are in the error that the program ends with.
+/// How a job ended, after how long, and the next command. For a failed or cancelled job, the error at the end
+/// of the program gives the reason or the next command.
 fn ending(job: &v1::Job) -> String {
     let took = Duration::from_millis(job.finished_at_ms.saturating_sub(job.submitted_at_ms));
     let next = match job.state() {
@@ -180,7 +180,7 @@ fn state(job: &v1::Job) -> &'static str {
 
 fn line(job: &v1::Job) -> String {
     let reason = if job.reason.is_empty() { String::new() } else { format!(": {}", job.reason) };
-    // Until the job has ended there is nothing to retry.
+    // Only a job that has ended can be retried.
     let again = match job.state() {
         v1::JobState::Done | v1::JobState::Failed | v1::JobState::Cancelled => {
             format!(" (`sightline retry {}` tries them again)", job.id)

@@ -1,4 +1,4 @@
-//! `sightline coordinator` and `sightline worker`, and what `bake` shares with them.
+//! `sightline coordinator` and `sightline worker`, and the functions that other commands share with them.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -22,13 +22,13 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
             .await
             .map_err(|e| CliError::Usage(e.to_string()))?;
         let address = listener.local_addr().map_err(CliError::internal)?;
-        // On stdout, so that a script that asked for port 0 can read it.
+        // On stdout, so that a script that gave port 0 can read the address.
         print(&format!("listening on http://{address}"))?;
         sightline_coordinator::serve(coordinator, listener, stop_signal()).await.map_err(CliError::internal)
     })
 }
 
-/// Joins a coordinator. The first SIGTERM or Ctrl-C drains, the second stops at once.
+/// Runs a worker. The first SIGTERM or Ctrl-C lets it finish its tiles, the second one stops it at once.
 pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
     let adapter = args.adapter.clone().map_or(AdapterChoice::AllowSoftware, AdapterChoice::Named);
     check_adapter(args)?;
@@ -49,7 +49,7 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
         tokio::spawn(async move {
             for next in [Stop::Drain, Stop::Now] {
                 stop_signal().await;
-                // The worker has ended already when nobody listens.
+                // The send fails only if the worker has ended already.
                 let _ = stop.send(next);
             }
             std::future::pending::<()>().await;
@@ -64,7 +64,7 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
     })
 }
 
-/// Refuses an `--adapter` that names no adapter of this machine, and lists the names that there are.
+/// Refuses an `--adapter` that matches no adapter of this machine; the error lists the names.
 fn check_adapter(args: &WorkerArgs) -> Result<(), CliError> {
     let Some(part) = args.adapter.as_ref().filter(|_| args.backend != BackendChoice::Cpu) else {
         return Ok(());
@@ -95,11 +95,11 @@ pub async fn stop_signal() {
             return;
         }
     }
-    // Where SIGTERM cannot be caught, Ctrl-C still can.
+    // Ctrl-C can be caught even where SIGTERM cannot.
     let _ = tokio::signal::ctrl_c().await;
 }
 
-/// Tells what is missing; an error when nothing is left.
+/// Prints a note for each backend that does not work here; an error if none works.
 pub fn say_missing(backends: &Backends) -> Result<(), CliError> {
     let missing = backends.missing();
     if backends.profiles().is_empty() {
@@ -112,7 +112,7 @@ pub fn say_missing(backends: &Backends) -> Result<(), CliError> {
     Ok(())
 }
 
-/// The worker's way of saying it.
+/// A backend choice as the type of the worker crate.
 pub fn choice(backend: BackendChoice) -> Choice {
     match backend {
         BackendChoice::Auto => Choice::Auto,
@@ -121,19 +121,19 @@ pub fn choice(backend: BackendChoice) -> Choice {
     }
 }
 
-/// Threads to sample with: what was asked for, else one a core.
+/// The number of threads to use: the given one, otherwise one per core; 1 to 1024.
 pub fn threads(asked: Option<usize>) -> usize {
     asked.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from)).clamp(1, 1024)
 }
 
-/// Sets how many threads reading scenes, sampling, queries and the coding of results are spread over, for the
-/// whole process; before any of them asks. Tiles themselves run on threads of their own, so that one never
-/// waits inside another.
+/// Sets the size of the process's thread pool, which reads scenes, samples, answers queries and codes
+/// results. Call it before the first use of the pool. Tiles run on separate threads, so that no tile waits
+/// inside another one.
 pub fn use_threads(threads: usize) -> Result<(), CliError> {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().map_err(CliError::internal)
 }
 
-/// The async runtime; its few threads only move bytes.
+/// The async runtime. Its two threads only move bytes.
 pub fn runtime() -> Result<tokio::runtime::Runtime, CliError> {
     tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)

@@ -1,4 +1,4 @@
-//! `sightline sightlines`: exact visibility between pairs of polygons, a JSON line in and a JSON line out.
+//! `sightline sightlines`: exact visibility between pairs of polygons, one JSON line in, one JSON line out.
 
 use std::io::{BufRead as _, BufReader, Read};
 use std::path::Path;
@@ -16,11 +16,11 @@ use crate::error::CliError;
 use crate::progress::{Progress, human, say};
 use crate::serve::{self, print, threads};
 
-/// Queries read, answered and printed at a time.
+/// Most queries that are read, answered and printed together.
 const AT_A_TIME: usize = 4096;
-/// Bytes read ahead.
+/// Size of the read buffer in bytes.
 const BUFFER: usize = 1 << 20;
-/// A line longer than this is no query.
+/// Lines of this many bytes or more are refused.
 const LONGEST_LINE: u64 = 1 << 20;
 
 /// One line of the input.
@@ -32,7 +32,7 @@ struct Line {
     b: Vec<[f64; 3]>,
 }
 
-/// A query, checked.
+/// A checked query.
 struct Query {
     id: Value,
     a: Vec<Polygon>,
@@ -62,7 +62,7 @@ pub fn run(args: &SightlinesArgs) -> Result<(), CliError> {
     let mut totals = Totals::default();
     let done = AtomicU64::new(0);
     let ended = loop {
-        // A bad line ends the run, after everything before it has been answered.
+        // A bad line ends the run after all queries before it have been answered.
         let (queries, failure) = input.read();
         let last = queries.is_empty();
         let total = input.lines;
@@ -92,19 +92,19 @@ pub fn run(args: &SightlinesArgs) -> Result<(), CliError> {
     };
     progress.end();
     if ended.is_err() {
-        say("only what comes before the line at fault was answered:");
+        say("only the queries before the bad line were answered:");
     }
     report(&totals, start.elapsed(), args.check);
     ended
 }
 
-/// Says on stderr what the answers were and what they took.
+/// Prints the totals of the answers and their query statistics to stderr.
 fn report(totals: &Totals, took: std::time::Duration, checked: bool) {
     let d = totals.cost.decisions;
     let all = (d.filtered + d.refined + d.spanned + d.exact).max(1);
     say(&format!(
         "{} visible, {} hidden, {} undecided in {}{}; {} regions of line space, {} decisions, {:.2} % of \
-            them by exact arithmetic",
+         them by exact arithmetic",
         totals.visible,
         totals.hidden,
         totals.undecided,
@@ -115,11 +115,11 @@ fn report(totals: &Totals, took: std::time::Duration, checked: bool) {
         100.0 * d.exact as f64 / all as f64,
     ));
     if totals.undecided > 0 {
-        say("undecided pairs may end with a verdict with a greater --max-regions");
+        say("a greater --max-regions may decide the undecided pairs");
     }
 }
 
-/// One answer, as JSON and as it was found.
+/// Answers one query; returns the answer as JSON, the verdict and its cost.
 fn answer(
     scene: &Occluders,
     query: &Query,
@@ -146,7 +146,7 @@ fn answer(
         refused.map_err(|e| {
             CliError::Internal(format!(
                 "query {}: the checker refuses the answer: {e}; this is a fault of the program, please \
-                    report it with the scene",
+                 report it with the scene",
                 query.id
             ))
         })?;
@@ -195,9 +195,9 @@ impl Input {
         })
     }
 
-    /// The next queries, as many as are there without waiting for more but at least one, and what is wrong
-    /// with the line after them. None at the end. Whoever writes one query and waits for its answer is not
-    /// kept waiting.
+    /// The next queries, and the error of the line after them if it is bad. Reads at least one query, and
+    /// more only if they are buffered already, because a program may wait for each answer before it writes
+    /// the next query. At the end of the input there are no queries.
     fn read(&mut self) -> (Vec<Query>, Option<CliError>) {
         let mut queries = Vec::new();
         while queries.is_empty() || (queries.len() < AT_A_TIME && self.reader.buffer().contains(&b'\n')) {

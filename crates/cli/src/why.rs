@@ -27,7 +27,7 @@ pub fn why(
 ) -> Result<(), CliError> {
     if triangle >= pvs.triangle_count() {
         return Err(CliError::Usage(format!(
-            "there is no triangle {triangle}: {} was baked from a scene of {}",
+            "there is no triangle {triangle}: {} was baked from a scene of {} triangles",
             result.display(),
             pvs.triangle_count()
         )));
