@@ -1,12 +1,12 @@
-//! An adaptive tree from sight lines: small cells are sampled together, and joined again where the budget is
-//! kept.
+//! An adaptive tree from sight lines: a block of small cells is sampled at once, and cells are joined where
+//! their union keeps the triangle budget.
 //!
-//! What is seen from a cell is what is seen from any of its parts, so the sets of a block of small cells give
-//! those of all nodes above them, and with them where the tree ends. The papers go the other way, from the
-//! root down (thesis §4.2.2): with cubes on cells' surfaces a cell's set is known before those of its parts.
-//! Lines are the cheaper the more cells share them. They are not cast again from parts of the small cells,
-//! which would not find all that is known to be seen from the whole: so deep is no tree
-//! ([`MOST_LINE_DEPTH`]).
+//! The set of a cell is the union of the sets of its parts. So the sets of the small cells give the sets of
+//! all nodes above them, and these decide where the tree ends. Nirenstein 2003 (section 4.2.2) grows the tree
+//! from the root: a set from cubes on a cell's surface is known before the sets of the cell's parts. A line,
+//! in contrast, costs less per cell when more cells share it. The small cells are not divided further,
+//! because new lines from their parts would miss triangles that the whole cell is known to see; hence the
+//! greatest depth [`MOST_LINE_DEPTH`].
 
 use sightline_viewcells::division::FORCED_DEPTH;
 use sightline_viewcells::{CellBox, Split, Tile};
@@ -18,13 +18,13 @@ use crate::context::{JobContext, TileError};
 use sightline_model::CellStats;
 use sightline_model::{CellSet, CellSets, MOST_LINE_DEPTH, Node};
 
-/// Levels of the tree that are sampled together: 8×8×8 cells, or as flat as the cell they are in.
+/// Levels of the tree that one block samples: 8×8×8 cells, fewer along the short axes of a flat cell.
 const LEVELS: u32 = 9;
 
 // The specification refuses deeper trees.
 const _: () = assert!(MOST_LINE_DEPTH == FORCED_DEPTH + LEVELS);
-/// Most of a cell, in cells, that a segment may have to cross before it counts: where coordinates are few,
-/// smaller ones would lose lines.
+/// Greatest margin of a grid, in cells: smaller cells are not made where the rounding of coordinates would
+/// lose more lines than this.
 const MOST_MARGIN: f32 = 1.0 / 16.0;
 
 /// Runs a leaf tile of an adaptive tree.
@@ -36,7 +36,7 @@ pub fn run(work: &Work<'_>, tile: &Tile) -> Result<(CellSets, u64), TileError> {
     let (levels, sides) = regular(job, &tile.cell, tile.depth);
     let number = |c: [u32; 3]| number(job.lattice.units(), &tile.cell, sides, c);
     let mut block = work.block(&tile.cell, sides, number);
-    // Which of its cells will be cells of the tree is not known yet.
+    // The number of finished cells is unknown until the tree is built.
     block.silent = true;
     block.sample(job.params.target_error, &[], Tolerance::Raised)?;
     block.bits_mut().share(work.scene.duplicates);
@@ -58,12 +58,12 @@ pub fn run(work: &Work<'_>, tile: &Tile) -> Result<(CellSets, u64), TileError> {
 struct Part {
     nodes: Vec<Node>,
     cells: Vec<CellSet>,
-    /// What is seen from all of it.
+    /// Ids of the triangles seen from this part, ascending.
     seen: Vec<u32>,
     stats: CellStats,
 }
 
-/// What was sampled below a cell.
+/// The sampled cells below a cell.
 struct Sampled {
     grid: CellGrid,
     /// The cell, and levels below it.
@@ -73,7 +73,7 @@ struct Sampled {
     stats: Vec<CellStats>,
 }
 
-/// How many levels below a cell are regular, [`LEVELS`] at most, and how many cells the last of them has
+/// The number of regular levels below a cell, at most [`LEVELS`], and the number of cells of the last one
 /// along each axis.
 fn regular(job: &JobContext<'_>, cell: &CellBox, depth: u32) -> (u32, [u32; 3]) {
     let (min, max) = cell.world(&job.lattice);
@@ -81,7 +81,7 @@ fn regular(job: &JobContext<'_>, cell: &CellBox, depth: u32) -> (u32, [u32; 3]) 
     for level in 0..LEVELS {
         let splits: Option<Vec<Split>> =
             cells.iter().map(|c| job.division.split(&job.lattice, c, depth + level)).collect();
-        // None where the tree ends; planes may be too close to tell apart in some cells only.
+        // The tree ends where no plane is left; this can happen in some cells of a level only.
         let Some(splits) = splits else { return (level, sides) };
         let axis = splits[0].axis;
         let halves = |(c, s): (&CellBox, &Split)| s.axis == axis && s.at - c.lo[axis] == c.hi[axis] - s.at;
@@ -98,7 +98,7 @@ fn regular(job: &JobContext<'_>, cell: &CellBox, depth: u32) -> (u32, [u32; 3]) 
 }
 
 impl Sampled {
-    /// The tree of a cell at a depth, so many levels below the cell of the block.
+    /// The tree of a cell at a depth, `level` levels below the cell of the block.
     fn part(&mut self, job: &JobContext<'_>, cell: &CellBox, (depth, level): (u32, u32)) -> Part {
         let split = job.division.split(&job.lattice, cell, depth).filter(|_| level < self.levels);
         let Some(split) = split else {
@@ -118,7 +118,7 @@ impl Sampled {
         Part { nodes, cells, seen, stats }
     }
 
-    /// The set and the account of one of the small cells.
+    /// The set and the statistics of one of the small cells.
     fn take(&mut self, cell: &CellBox) -> (Vec<u32>, CellStats) {
         let sides = self.grid.cells();
         let at =
@@ -135,8 +135,8 @@ impl Part {
     }
 }
 
-/// A number for each cell of each level of the tree, for its random numbers: 2 to the power of the level, and
-/// which of its level it is.
+/// A number for each cell of each level of the tree, for its random numbers: 2 to the power of the level plus
+/// the cell's index in the level.
 fn number(units: [u32; 3], block: &CellBox, sides: [u32; 3], c: [u32; 3]) -> u64 {
     let step = [0, 1, 2].map(|a| (block.hi[a] - block.lo[a]) / sides[a]);
     let many = [0, 1, 2].map(|a| u64::from(units[a] / step[a]));
@@ -144,7 +144,7 @@ fn number(units: [u32; 3], block: &CellBox, sides: [u32; 3], c: [u32; 3]) -> u64
     many.iter().product::<u64>() + (z * many[1] + y) * many[0] + x
 }
 
-/// What is in either of two ascending lists.
+/// The union of two ascending lists.
 fn union(a: &[u32], b: &[u32]) -> Vec<u32> {
     let mut out = Vec::with_capacity(a.len().max(b.len()));
     let (mut i, mut j) = (0, 0);

@@ -1,8 +1,8 @@
-//! Which triangle is seen from which cell: one row of bits a triangle, twice over.
+//! The table of triangles and cells: two copies of a row per triangle with a bit per cell.
 //!
-//! Decisions read the state of the last barrier; finds go to the other copy. So what is found does not depend
-//! on the order in which threads find it: or-ing commutes, and nobody reads what is written until all have
-//! written.
+//! Decisions read the copy published at the last barrier; finds are written to the other copy. So the result
+//! does not depend on the order of the threads: the bitwise or commutes, and no thread reads the written copy
+//! before all threads have finished the phase.
 
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering::Relaxed};
 
@@ -10,10 +10,10 @@ use rayon::prelude::*;
 
 use super::grid::Slot;
 
-/// Rows that share a mark saying that something in them is new.
+/// Number of rows that share one mark of change.
 const GROUP: usize = 16;
 
-/// Bits by triangle and cell.
+/// A bit for each triangle and cell.
 pub struct SeenBits {
     words: usize,
     before: Vec<u64>,
@@ -22,11 +22,10 @@ pub struct SeenBits {
 }
 
 impl SeenBits {
-    /// Nothing seen yet: `rows` triangles, `words` words of cells each.
+    /// An empty table of `rows` triangles with `words` words of 64 cells each.
     pub fn new(rows: usize, words: usize) -> Self {
-        // Written, by all threads, and not left to the kernel to make zero when first read: pages that are
-        // read before they are written are mapped twice, and the second time every core has to be
-        // interrupted.
+        // All threads write the zeros. A page that is read before it is written is mapped twice, and the
+        // second mapping interrupts every core.
         let all = || (0..rows * words).into_par_iter().with_min_len(1 << 16);
         let before = all().map(|_| 0).collect();
         let now = all().map(|_| AtomicU64::new(0)).collect();
@@ -50,7 +49,7 @@ impl SeenBits {
         self.before[triangle as usize * self.words + slot.word as usize] >> slot.bit & 1 == 1
     }
 
-    /// Credits cells with a triangle; read after the next barrier.
+    /// Credits cells with a triangle; visible to readers after the next barrier.
     pub fn credit(&self, triangle: u32, crossed: &[(u32, u64)]) {
         let row = triangle as usize * self.words;
         for (word, bits) in crossed {
@@ -62,7 +61,7 @@ impl SeenBits {
         }
     }
 
-    /// A barrier: what was credited is from now on seen.
+    /// Publishes all credits since the last barrier.
     pub fn publish(&mut self) {
         let words = self.words;
         self.before
@@ -80,7 +79,7 @@ impl SeenBits {
             });
     }
 
-    /// Makes the triangles of each class share what any of them is credited with. Settles first.
+    /// Publishes, and gives all triangles of each class the union of their rows.
     pub fn share(&mut self, classes: &[Vec<u32>]) {
         self.publish();
         for class in classes {

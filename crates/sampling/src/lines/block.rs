@@ -1,7 +1,7 @@
-//! A block of cells that are sampled together: the cells, the table of what each sees, and the work spread
-//! over threads.
+//! A block of cells that share their sight lines: the cells, the table of the triangles each cell sees, and
+//! the distribution of work over threads.
 //!
-//! A block knows nothing of the order in which lines are cast; that is in [`super::rounds`].
+//! The order in which lines are cast is in [`super::rounds`].
 
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
@@ -20,26 +20,26 @@ use crate::packet::{LineTracer, Packet};
 use crate::surface::Surface;
 use sightline_model::{CellStats, LineKind};
 
-/// Work of an aimed ray in uniform ones, which are in packets: measured as 2 (wide tiles, small scenes) to
-/// 4.5.
+/// Work of an aimed ray in units of a uniform ray, which is traced in a packet: measured as 2 (wide tiles,
+/// small scenes) to 4.5.
 pub(super) const AIMED_WORK: u64 = 3;
 
 /// Part of the block's size by which the two halves of a line overlap at least ([`Packet::reversed`]).
 const LEAST_STEP: f32 = 1.0 / (1 << 24) as f32;
 
-/// What a block's sampling is done with.
+/// The inputs of a block's sampling.
 pub struct Tools<'a> {
     /// The scene.
     pub scene: &'a Scene,
     /// Facts about its triangles.
     pub surface: &'a Surface,
-    /// What traces.
+    /// The tracer of the lines.
     pub tracer: &'a dyn LineTracer,
     /// Seed of all choices.
     pub seed: u64,
-    /// Told of progress; asked whether to go on.
+    /// Receives the progress and can cancel the work.
     pub watcher: &'a dyn Watcher,
-    /// When to stop with what there is.
+    /// When sampling stops with the sets found by then.
     pub deadline: Option<Instant>,
 }
 
@@ -62,7 +62,7 @@ impl Cell {
     }
 }
 
-/// What a thread works with.
+/// The scratch memory of a thread.
 pub(super) struct Scratch {
     /// For each triangle the last tag under which it was met.
     pub(super) met: Vec<u32>,
@@ -73,7 +73,7 @@ pub(super) struct Scratch {
 }
 
 impl Scratch {
-    /// Forgets what was met.
+    /// Forgets all marks of triangles.
     pub(super) fn next_tag(&mut self) {
         self.tag = self.tag.wrapping_add(1);
         if self.tag == 0 {
@@ -83,22 +83,22 @@ impl Scratch {
     }
 }
 
-/// Cells and what is seen from them.
+/// The cells of a block and the triangles seen from each.
 pub struct Block<'a> {
     pub(super) tools: Tools<'a>,
     pub(super) grid: CellGrid,
     pub(super) bits: SeenBits,
     pub(super) cells: Vec<Cell>,
-    /// Beside `cells`.
+    /// One for each of `cells`.
     pub(super) stats: Vec<CellStats>,
     pub(super) seeded: bool,
-    /// What aiming at candidates brings.
+    /// The yields of aiming at candidates.
     pub(super) yields: Yields,
-    /// Whether sampling leaves it to others to say which cells are done.
+    /// Whether the caller of the sampling, not the sampling itself, reports finished cells.
     pub(super) silent: bool,
-    /// Cells said to be done.
+    /// Number of cells reported as finished.
     told: usize,
-    /// How far ahead of a line's origin its other half begins at least.
+    /// Least distance between the origin of a line and the start of its other half, in world units.
     pub(super) step: f32,
     scratch: Mutex<Vec<Scratch>>,
 }
@@ -125,7 +125,7 @@ impl<'a> Block<'a> {
             cells,
             stats,
             seeded: false,
-            // A try is a ray each way.
+            // A try casts one ray in each of two opposite directions.
             yields: Yields::new(2 * AIMED_WORK),
             silent: false,
             told: 0,
@@ -134,12 +134,12 @@ impl<'a> Block<'a> {
         }
     }
 
-    /// The table of what is seen.
+    /// The table of the triangles seen from each cell.
     pub fn bits(&self) -> &SeenBits {
         &self.bits
     }
 
-    /// As [`Block::bits`], to put in what is known.
+    /// As [`Block::bits`], for writing.
     pub fn bits_mut(&mut self) -> &mut SeenBits {
         &mut self.bits
     }
@@ -149,27 +149,28 @@ impl<'a> Block<'a> {
         &self.grid
     }
 
-    /// How each cell came to its set, in the order of [`CellGrid::each`].
+    /// The statistics of each cell, in the order of [`CellGrid::each`].
     pub fn stats(&self) -> &[CellStats] {
         &self.stats
     }
 
-    /// Says that so many more cells are done, unless something else decides that.
+    /// Reports `n` more finished cells, unless the caller of the sampling reports them.
     pub(super) fn count_done(&mut self, cells: usize) {
         if !self.silent {
             self.tell_done(cells);
         }
     }
 
-    /// Says that so many more cells are done, but never more than there are.
+    /// Reports `n` more finished cells, but never more than the block has.
     pub(super) fn tell_done(&mut self, cells: usize) {
         let more = cells.min(self.cells.len() - self.told);
         self.told += more;
         (0..more).for_each(|_| self.tools.watcher.cell_done());
     }
 
-    /// Shows both ends of a lane's line to every cell of its free part, whose other half `behind` is
-    /// ([`Packet::reversed`]), and gives them; [`SKY`] where a half meets nothing.
+    /// Credits every cell that the free part of a lane's line crosses with the triangles at both ends of it,
+    /// and returns these triangles; [`SKY`] where a half of the line meets nothing. `behind` holds the other
+    /// half ([`Packet::reversed`]).
     pub(super) fn credit_line(
         &self,
         ahead: &Packet,
@@ -192,7 +193,7 @@ impl<'a> Block<'a> {
         self.tools.deadline.is_some_and(|d| Instant::now() >= d)
     }
 
-    /// Does `f` for each piece of work on some thread and adds what it counted to the cell's account.
+    /// Calls `f` for each piece of work on a thread of the pool and adds its counts to the cell's statistics.
     pub(super) fn each<W, F>(&mut self, work: &[W], f: F) -> Result<(), TileError>
     where
         W: Sync + HasCell,
@@ -251,7 +252,7 @@ impl<'a> Block<'a> {
     }
 }
 
-/// Work on a cell of the block.
+/// A piece of work on one cell of the block.
 pub(super) trait HasCell {
     /// Its place in `Block::cells`.
     fn cell(&self) -> usize;

@@ -1,13 +1,14 @@
-//! How far a set can be trusted: held-out sight lines and the bound they give.
+//! The bound on missed sight lines, from held-out lines.
 //!
-//! From a cell, n independent sight lines are cast that took no part in the search: the origin even in the
-//! cell, the direction even in the pixels of a visibility cube. When m of them meet a triangle that is not in
-//! the cell's set, the fraction of such lines that would is at most [`sightline_model::bound::upper_bound`]
-//! with confidence 1 − α (Clopper and Pearson 1934). It bounds the average over the cell, not the worst view.
+//! From a cell, n independent sight lines are cast that took no part in the search: origins are uniform in
+//! the cell, directions uniform in the pixels of a visibility cube. When m of them meet a triangle outside
+//! the cell's set, the fraction of all such lines is at most [`sightline_model::bound::upper_bound`] with
+//! confidence 1 − α (Clopper and Pearson 1934). The bound holds for the average over the cell, not for the
+//! worst viewpoint.
 //!
-//! A cell that does not pass is sampled further and looked at again with fresh lines. Look k spends α·2⁻ᵏ, so
-//! that over any number of looks the chance that a bound is wrong stays below α. What a look finds is added
-//! to the set, which only lowers the error.
+//! A cell that does not pass is sampled further and tested again with new lines. Test k has the error
+//! probability α·2⁻ᵏ, so over any number of tests the probability of a wrong bound stays below α. Triangles
+//! found by a test are added to the set, which only lowers the error.
 
 use super::block::{Block, Scratch};
 use super::rounds::{LEFT_AFTER_ROUND, Tolerance};
@@ -19,27 +20,27 @@ use crate::sequence::Hashed;
 use sightline_model::params::BOUND_AIM;
 use sightline_model::{CellStats, LineKind};
 
-/// Looks after which a cell is left with the bound it has.
+/// Number of tests after which a cell keeps the bound it has.
 const MOST_LOOKS: u32 = 12;
-/// Sight lines of the first look, in units of one over the bound asked for; each later look takes one unit
-/// more, as its confidence is higher. Six let one miss pass.
+/// Sight lines of the first test, in units of one over the required bound. Each later test takes one unit
+/// more, because its confidence is higher. With six units a cell passes with one miss.
 const LINES: f64 = 6.0;
-/// Lines traced between two looks at the clock.
+/// Lines traced between two checks of the clock.
 const BATCH: usize = 1 << 14;
 /// Name of the stream of random numbers.
 const CHECK: u64 = 5;
 
 impl Block<'_> {
-    /// Samples until every cell is expected to miss at most `target` and its bound is at most `most`, or the
-    /// time is up, or a cell has been looked at too often. A cell's statistics say what was reached.
+    /// Samples until every cell is expected to miss at most `target` and its bound is at most `most`, until
+    /// the time is up, or until a cell has had [`MOST_LOOKS`] tests. The statistics of a cell hold its bound.
     ///
     /// # Errors
     /// As [`Block::sample`].
     pub fn sample_to_bound(&mut self, target: f64, most: f64) -> Result<(), TileError> {
         let mut aim = target.min(most * BOUND_AIM);
-        // A cell is done when its bound holds, and not before.
+        // A cell is finished when its bound holds.
         self.silent = true;
-        // A hard cell has to meet its bound like any other.
+        // The bound has no per-cell tolerance.
         self.sample(aim, &[], Tolerance::Equal)?;
         let mut open: Vec<usize> = (0..self.cells.len()).collect();
         for look in 1..=MOST_LOOKS {
@@ -57,7 +58,7 @@ impl Block<'_> {
         }
         self.tell_done(open.len());
         for cell in 0..self.cells.len() {
-            // What sampling aimed at may lie below both; that it was not reached is of no account then.
+            // Sampling may have aimed below both limits; a missed aim does not matter then.
             let bounded = self.stats[cell].bound().is_some_and(|b| b <= most);
             let missed = self.stats[cell].unfinished && self.left(cell, LEFT_AFTER_ROUND) > target;
             self.stats[cell].unfinished = !bounded || missed;
@@ -65,7 +66,7 @@ impl Block<'_> {
         Ok(())
     }
 
-    /// Look number `look`: casts `lines` held-out lines from every cell.
+    /// Test number `look`: casts `lines` held-out lines from every cell.
     ///
     /// # Errors
     /// As [`Block::sample`].
@@ -81,7 +82,7 @@ impl Block<'_> {
         Ok(())
     }
 
-    /// Casts `lines` held-out lines from `cell` and counts those that meet what is not in its set.
+    /// Casts `lines` held-out lines from `cell` and counts those that meet a triangle outside its set.
     fn check(&self, s: &mut Scratch, cell: usize, lines: u64, look: u32) -> Result<CellStats, BackendError> {
         let c = self.cells[cell];
         let mut random = Hashed::new(&[self.tools.seed, c.number, u64::from(look), CHECK]);
@@ -89,13 +90,13 @@ impl Block<'_> {
         let (mut left, mut misses) = (lines, 0);
         while left > 0 {
             if self.late() {
-                // Half a look is none.
+                // An incomplete test gives no bound.
                 return Ok(CellStats { rays: stats.rays, ..CellStats::default() });
             }
             let batch = left.min(BATCH as u64) as usize;
             left -= batch as u64;
-            // Drawn independently, then put in an order in which lines that run alike follow each other: the
-            // order changes no count.
+            // Drawn independently, then sorted so that consecutive lines have similar directions; the order
+            // changes no count.
             let side = ((batch as f32 / 96.0).sqrt() as u32).max(1);
             let mut drawn: Vec<(u32, [f32; 6])> = (0..batch)
                 .map(|_| {

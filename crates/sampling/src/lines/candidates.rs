@@ -1,8 +1,8 @@
-//! Candidates: what a neighbouring cell sees and this one does not, next to something it sees, and large
-//! enough to matter.
+//! Candidates of a cell: triangles that a neighbouring cell sees and this cell does not, adjacent to a
+//! triangle that this cell sees, and large enough as seen from it.
 //!
-//! Sixteen candidates that lie near each other share an origin, close to the face through which the
-//! neighbours see them: a point of that face belongs to both cells. The lines go both ways.
+//! Sixteen nearby candidates share an origin close to the face through which the neighbours see them: a point
+//! of that face belongs to both cells. Each line is traced in both directions.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -15,17 +15,17 @@ use crate::sequence::Hashed;
 use crate::surface::point_on;
 use sightline_model::{CellStats, LineKind};
 
-/// Triangles looked at by a thread at once.
+/// Triangles that a thread examines at a time.
 const STRIPE: usize = 4096;
-/// How deep in the cell an origin lies behind the face it is near to, as a part of the cell's size.
+/// Greatest distance of an origin from the face it is close to, as a part of the cell's size.
 const DEPTH: f32 = 0.1;
-/// A triangle seen edge-on from the cell's centre may face another of its points: its solid angle counts as
-/// at least this part of what it would be face to face.
+/// Least cosine in a triangle's solid angle: a triangle seen edge-on from the cell's centre may face another
+/// point of the cell.
 const LEAST_FACING: f32 = 0.25;
 /// Name of the stream of random numbers.
 const AIM: u64 = 3;
 
-/// What is aimed at.
+/// A triangle to aim at.
 #[derive(Clone, Copy)]
 pub(super) struct Candidate {
     triangle: u32,
@@ -34,8 +34,8 @@ pub(super) struct Candidate {
 }
 
 impl Block<'_> {
-    /// For each of the cells `open` its candidates in Morton order: those that cover at least `least` of the
-    /// sphere seen from the cell's centre.
+    /// The candidates of each cell of `open` in Morton order: those that cover at least the part `least` of
+    /// the sphere as seen from the cell's centre.
     pub(super) fn candidates(&self, open: &[usize], least: &[f64]) -> Vec<Vec<Candidate>> {
         let words = self.grid.words();
         let mut wanted = vec![0u64; words];
@@ -58,7 +58,7 @@ impl Block<'_> {
                     if row.iter().all(|w| *w == 0) {
                         continue;
                     }
-                    // Where one beside it is seen and it is not: nowhere, for most.
+                    // The cells that see a neighbour of the triangle and not the triangle: none, for most.
                     near.fill(0);
                     for beside in self.tools.surface.neighbours[triangle as usize] {
                         if beside != SKY {
@@ -92,7 +92,7 @@ impl Block<'_> {
                             let i = place[index] as usize;
                             let cell = &self.cells[open[i]];
                             let to = cell.lo + cell.size * 0.5 - centre;
-                            // Nearer than the cell reaches, the distance from its centre says nothing.
+                            // Within the cell's own extent the distance from its centre means nothing.
                             let far = to.length_squared().max(cell.size.length_squared() / 12.0);
                             let facing = (to.dot(area).abs() / far.sqrt()).max(LEAST_FACING * size);
                             let part = facing / far / (4.0 * std::f32::consts::PI);
@@ -112,8 +112,8 @@ impl Block<'_> {
         lists
     }
 
-    /// Aims at each of `list` from `cell`, once and as often again as [`Yields::times`] has it, but no more
-    /// once it is met.
+    /// Aims at each of `list` from `cell`, as often as [`Yields::times`] says but at least once, until it is
+    /// met.
     ///
     /// [`Yields::times`]: super::yields::Yields::times
     pub(super) fn aim(
@@ -174,7 +174,7 @@ impl Block<'_> {
             s.packets.push(ahead);
             s.packets.push(behind);
         }
-        // Sixteen that lie near each other are still far apart for a packet.
+        // The directions to sixteen nearby candidates still differ too much for a packet.
         self.tools.tracer.trace_each(&mut s.packets)?;
         let Scratch { packets, crossed, met, tag, .. } = &mut *s;
         for (both, group) in packets.chunks_exact(2).zip(some.chunks(LANES)) {
@@ -195,8 +195,8 @@ impl Block<'_> {
         Ok(())
     }
 
-    /// Where to look from, in fractions of the cell: behind one of the faces through which neighbours see the
-    /// group, chosen by how many of it they see.
+    /// The origin of a group's lines, in fractions of the cell: close to one of the faces through which
+    /// neighbours see the group, drawn by the number of candidates they see.
     fn eye_for(&self, cell: usize, group: &[Candidate], random: &mut Hashed) -> [f32; 3] {
         let at = self.cells[cell].at;
         let mut eye = random.point().to_array();

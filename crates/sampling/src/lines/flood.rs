@@ -1,9 +1,9 @@
-//! Flooding: from the origin that saw a new triangle, aim at the triangles beyond its edges, or close by
-//! where an edge has none, that the cell has not seen.
+//! Flooding: from the origin that saw a new triangle, aim at the neighbours of the triangle that the cell has
+//! not seen: the triangles across its edges, or close by where an edge has no other triangle.
 //!
-//! A surface that shows one triangle mostly shows the next to the same eye; other origins in the cell are far
-//! worse (they were tried). The lines go both ways, so what lies behind the eye is shown to the cells in
-//! between.
+//! A point that sees one triangle of a surface mostly sees the next one too; other origins in the cell were
+//! tried and find far less. Each line is traced in both directions, so the triangles behind the origin are
+//! credited as well.
 
 use super::block::{Block, Scratch};
 use super::uniform::Find;
@@ -14,19 +14,19 @@ use crate::sequence::Hashed;
 use crate::surface::point_on;
 use sightline_model::{CellStats, LineKind};
 
-/// Steps from triangle to triangle.
+/// Most steps from triangle to triangle.
 const STEPS: usize = 4;
 
 /// A packet aimed at triangles.
 struct Aimed {
     packet: Packet,
-    /// The packet of the uniform round whose origin it has.
+    /// The packet of the uniform round that has the same origin.
     eye: u32,
     targets: [u32; LANES],
 }
 
 impl Block<'_> {
-    /// Floods from `finds`; they and their origins are in `s.packets`.
+    /// Floods from `finds`, whose origins are in `s.packets`.
     pub(super) fn flood(
         &self,
         s: &mut Scratch,
@@ -71,7 +71,7 @@ impl Block<'_> {
                 for lane in 0..ahead.count {
                     let (hit, target) = (ahead.triangle[lane], a.targets[lane]);
                     if hit != target {
-                        // Something is in the way; from another origin it may be seen.
+                        // Another triangle obstructs it; from another origin it may be visible.
                         met[target as usize] = 0;
                     }
                     self.credit_line(ahead, behind, lane, crossed);

@@ -1,15 +1,15 @@
-//! The cells of a block and how a segment walks through them.
+//! The cells of a block and the walk of a segment through them.
 //!
-//! Cells are numbered in bricks, one 64-bit word each: a segment that crosses a dozen cells touches three or
-//! four words, and neighbours are mostly in the same one. A brick has 4×4×4 cells, or is as flat as the block
-//! is.
+//! Cells are numbered in bricks of one 64-bit word: a segment that crosses a dozen cells touches three or
+//! four words, and neighbours are mostly in the same word. A brick has 4×4×4 cells, fewer along the short
+//! axes of a flat block.
 
 use glam::Vec3;
 use sightline_viewcells::division::ROUNDING;
 
-/// Halvings of a brick along all axes together: it has 64 cells.
+/// Binary logarithm of the number of cells in a brick, 64.
 const BITS: u32 = 6;
-/// Part of a cell's size that a segment must cross, at least, before the cell is credited with what it shows.
+/// Least part of a cell's size that a segment must cross for the cell to be credited.
 const MARGIN: f32 = 1.0 / 1024.0;
 
 /// A block of equal cells.
@@ -19,18 +19,18 @@ pub struct CellGrid {
     /// Binary logarithms of a brick's sides.
     side: [u32; 3],
     bricks: [u32; 3],
-    /// By axis, the cells of a brick that come first along it.
+    /// By axis, a mask of the first cells of a brick along the axis.
     first: [u64; 3],
-    /// By axis and coordinate, what the coordinate adds to the number of a cell's bit ([`Slot::index`]).
+    /// By axis and coordinate, the summand of the coordinate in a cell's [`Slot::index`].
     part: [Vec<u32>; 3],
     min: Vec3,
     max: Vec3,
     per_unit: [f32; 3],
-    /// What a segment must cross of a cell, in cells.
+    /// Least part of a cell that a segment must cross, in cells.
     margin: f32,
 }
 
-/// Where a cell's bit is.
+/// The place of a cell's bit in a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Slot {
     /// Word of the row.
@@ -40,7 +40,7 @@ pub struct Slot {
 }
 
 impl Slot {
-    /// Its number when all words' bits are counted through.
+    /// Its index among all bits of a row.
     pub fn index(self) -> usize {
         self.word as usize * 64 + self.bit as usize
     }
@@ -80,17 +80,17 @@ impl CellGrid {
         self.cells
     }
 
-    /// How much of a cell a segment must cross before it counts, in cells.
+    /// Least part of a cell that a segment must cross to be credited, in cells.
     pub fn margin(&self) -> f32 {
         self.margin
     }
 
-    /// Cells in all.
+    /// Number of cells.
     pub fn count(&self) -> usize {
         self.cells.iter().map(|c| *c as usize).product()
     }
 
-    /// Words of 64 cells.
+    /// Number of words of a row.
     pub fn words(&self) -> usize {
         self.bricks.iter().map(|c| *c as usize).product()
     }
@@ -166,10 +166,10 @@ impl CellGrid {
                 next[a] = ((cell[a] + i32::from(up)) as f32 - start[a]) * inverse[a];
             }
         }
-        // The comparisons are false for what is no number (of a direction that is all but parallel to planes,
-        // begun on one): some axis is taken then, and the loop still ends where the line leaves the block.
+        // Comparisons with NaN are false; NaN arises when a direction is almost parallel to a plane and
+        // begins on it. Some axis is taken then, and the loop still ends where the line leaves the block.
         //
-        // In registers, and which axis comes next, which is as good as random, without a branch.
+        // All state is in registers. The choice of the next axis is unpredictable, so it has no branch.
         let ([mut nx, mut ny, mut nz], [dx, dy, dz]) = (next, delta);
         let ([mut cx, mut cy, mut cz], [sx, sy, sz]) = (cell, step);
         let [px, py, pz] = &self.part;
@@ -209,8 +209,8 @@ impl CellGrid {
         }
     }
 
-    /// Word `at` of the cells of `row` and of those that share a face with one of them; bits beyond the block
-    /// may be set as well.
+    /// Word `at` of the union of the cells in `row` and their face neighbours; bits outside the block may be
+    /// set too.
     pub fn dilated(&self, row: &[u64], at: usize) -> u64 {
         let [bx, by, bz] = self.bricks.map(|b| b as usize);
         let step = [1, bx, bx * by];
@@ -218,14 +218,14 @@ impl CellGrid {
         let places = [at % bx, at / bx % by, at / (bx * by)];
         let m = row[at];
         let mut near = m;
-        // How far apart the bits of two neighbours along the axis are.
+        // The distance between the bits of two neighbours along the axis.
         let mut apart = 0;
         for (a, place) in places.into_iter().enumerate() {
             let first = self.first[a];
             let near_by = 1u32 << apart;
             // From a brick's last layer to the first of the next.
             let across = near_by * ((1 << self.side[a]) - 1);
-            // A brick of one layer has its neighbours in other bricks alone.
+            // The neighbours of a brick with one layer are all in other bricks.
             near |= m.checked_shl(near_by).unwrap_or(0) & !first;
             near |= (m & !first).checked_shr(near_by).unwrap_or(0);
             if place > 0 {
@@ -240,8 +240,8 @@ impl CellGrid {
     }
 }
 
-/// Binary logarithms of the sides of bricks that cover a block with as few words as can be; among those, the
-/// most even.
+/// Binary logarithms of the brick sides that cover a block with the fewest words; among these, the sides that
+/// differ least.
 fn brick(cells: [u32; 3]) -> [u32; 3] {
     let all = (0..=BITS).flat_map(|x| (0..=BITS - x).map(move |y| [x, y, BITS - x - y]));
     let words =
@@ -288,7 +288,8 @@ mod tests {
         }
     }
 
-    /// The walk as the paper has it, one branch a step: results rest on its bits.
+    /// The walk of Amanatides and Woo 1987 with one branch per step, which [`CellGrid::walk`] must equal bit
+    /// for bit.
     fn plain_walk(g: &CellGrid, o: [f32; 3], dir: [f32; 3], mut t0: f32, mut t1: f32) -> Crossed {
         let mut out = Crossed::new();
         let start: [f32; 3] = std::array::from_fn(|a| (o[a] - g.min[a]) * g.per_unit[a]);
@@ -354,7 +355,7 @@ mod tests {
             prop_assert_eq!(crossed, plain_walk(&g, o, d, ends[0], ends[1]));
         }
 
-        /// Against clipping the line to every cell's box in doubles.
+        /// Compares with clipping the line to the box of every cell in double precision.
         #[test]
         fn a_walk_credits_what_is_crossed_and_nothing_else(
             cells in prop_oneof![[1u32..10, 1u32..10, 1u32..10], [1u32..30, 1u32..3, 1u32..30]],

@@ -1,8 +1,8 @@
-//! The baseline: guided rays, each cell on its own.
+//! The baseline of measurements: guided rays, for each cell separately.
 //!
-//! A fixed number of rays a cell; half are aimed at unseen triangles next to seen ones (over an edge, or
-//! close by), a quarter at random unseen triangles, a quarter go in random directions. Nothing is shared and
-//! every ray is traced alone. It is here to be measured against.
+//! Each cell has a fixed number of rays. Half are aimed at unseen triangles adjacent to seen ones (across an
+//! edge, or close by), a quarter at random unseen triangles, and a quarter have random directions. Cells
+//! share nothing, and every ray is traced by itself.
 
 use glam::Vec3;
 
@@ -16,9 +16,9 @@ use crate::sequence::Hashed;
 use crate::surface::point_on;
 use sightline_model::{CellStats, LineKind};
 
-/// Rays cast between two updates of what is next to what was seen.
+/// Rays cast between two updates of the list of unseen neighbours.
 const BATCH: u64 = 1024;
-/// Draws until an unseen triangle is found, or a random direction taken instead.
+/// Most draws of a random unseen triangle before a random direction is taken instead.
 const DRAWS: u32 = 8;
 /// Name of the stream of random numbers.
 const GUIDED: u64 = 6;

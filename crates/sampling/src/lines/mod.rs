@@ -5,10 +5,10 @@
 //! one table of the triangles seen from each ([`bits`]). Lines are traced in packets ([`crate::packet`]),
 //! coherent where their directions are alike, and walked through the cells ([`grid`]). Four kinds of lines
 //! ([`sightline_model::LineKind`]) find missing triangles, in rounds ([`rounds`]), until a cell's own
-//! estimate of its missing part is small enough; [`bound`] then takes a bound from held-out lines.
+//! estimate of its missing part is small enough; [`bound`] then computes a bound from held-out lines.
 //!
-//! A result does not depend on threads: every decision reads the state of the last barrier, or the cell's own
-//! finds.
+//! A result does not depend on the number or timing of threads: every decision reads the state of the last
+//! barrier or the finds of its own cell.
 
 mod adaptive;
 pub mod bits;

@@ -1,48 +1,48 @@
-//! Rounds of sight lines, until every cell of a block misses little enough.
+//! Rounds of sight lines, until the expected error of every cell of a block is within its tolerance.
 //!
 //! A round casts uniform lines from every open cell, floods from their finds, and then aims at candidates.
-//! The fraction of a round's uniform rays that met a new triangle estimates, without bias, the part that the
-//! cell was missing when the round began; the round itself leaves about half of that or less. A cell is done
-//! when the part that it is expected to miss falls below its tolerance: the target, or more for the hardest
-//! cells ([`Tolerance`]).
+//! The fraction of a round's uniform rays that meet a new triangle is an unbiased estimate of the fraction of
+//! sight lines that the cell's set missed when the round began. The round itself leaves about half of this
+//! fraction or less. A cell is finished when the expected fraction is at most its tolerance: the target, or
+//! more for the hardest cells ([`Tolerance`]).
 
 use super::block::{AIMED_WORK, Block};
 use super::candidates::Candidate;
 use crate::context::TileError;
 use sightline_model::{CellStats, LineKind};
 
-/// Uniform tiles of the first round along a cube face: 27 packet pairs, 864 rays; 12 where little accuracy is
-/// wanted.
+/// Uniform tiles of the first round along a cube face: 3 give 27 pairs of packets, 864 rays; 2 give 12 pairs,
+/// for coarse targets.
 const FIRST_TILES: u32 = 3;
 const FIRST_COARSE: u32 = 2;
 /// Targets above this are coarse.
 const COARSE: f64 = 5e-3;
-/// Most tiles along a face in a round: 1.6 million rays, of which one miss is well below the least target
-/// there is.
+/// Most tiles along a face in a round: 1.6 million rays, of which one miss is well below the least allowed
+/// target.
 const MOST_TILES: u32 = 128;
-/// Part of what a cell misses at a round's beginning that is still missing at its end, measured on scenes of
-/// every kind as 0.4 to 0.65.
+/// The missed fraction at the end of a round as a part of the missed fraction at its beginning; measured on
+/// scenes of every kind as 0.4 to 0.65.
 pub(super) const LEFT_AFTER_ROUND: f64 = 0.5;
-/// The same for the first round, which begins with next to nothing and floods far: 0.01 to 0.06.
+/// The same for the first round, which begins with an almost empty set and floods far: measured as 0.01 to
+/// 0.06.
 const LEFT_AFTER_FIRST: f64 = 0.1;
-/// Misses a round should count for its estimate to be worth something.
+/// Expected number of misses for which a round's size is chosen, so that its estimate is meaningful.
 const MISSES_WANTED: f64 = 1.0;
-/// Growth of the least number of tiles along a face from round to round: where much is missing for long, few
-/// rays a round would only repeat themselves.
+/// Growth of the least number of tiles along a face from round to round: in a cell that misses much for many
+/// rounds, small rounds would repeat each other.
 const GROWTH: f64 = 1.25;
-/// Candidates that would cover less than this part of what the cell misses are left.
+/// Candidates that cover less than this part of the cell's missed fraction are not tried.
 const CANDIDATE_PART: f64 = 1e-4;
-/// Rounds after which a cell is given up with what it has; a cell that needs more sees new triangles in every
-/// round.
+/// Most rounds of a cell. A cell that needs more still finds new triangles in every round and is marked as
+/// unfinished.
 const MOST_ROUNDS: u32 = 24;
-/// A cell that has taken so many times the work of the average cell is allowed as many times the target as it
-/// exceeds that: its error is one of many in the mean, and the time is better spent on those. See
-/// [`Tolerance`].
+/// Multiple of the average cell's work from which a cell's tolerance grows in proportion to its work. Its
+/// error is one of many in the mean error, and the other cells use the time better. See [`Tolerance`].
 const HARD_FROM: f64 = 3.0;
-/// Seeds from all surfaces are worth their time below this target.
+/// Seeds are cast for targets below this one; above it they cost more than they gain.
 const SEEDS_BELOW: f64 = 3e-3;
 
-/// The part that a cell may still miss when it is done, for cells that need far more work than the others.
+/// The fraction of sight lines that a finished cell may miss, for cells that take far more work than others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tolerance {
     /// Every cell has the target as its tolerance.
@@ -52,8 +52,8 @@ pub enum Tolerance {
 }
 
 impl Block<'_> {
-    /// Samples the cells `wanted` (all when empty) until each is expected to miss at most `target`, a
-    /// fraction of the sight lines from it, or as much more as `hard` grants it.
+    /// Samples the cells `wanted` (all when empty) until each is expected to miss at most its tolerance, a
+    /// fraction of the sight lines from it: `target`, raised for some cells by [`Tolerance::Raised`].
     ///
     /// # Errors
     /// [`TileError`] when it is cancelled or the tracer fails. Running out of time is no error.
@@ -80,7 +80,7 @@ impl Block<'_> {
                 break;
             }
             {
-                // Where the first round is was good enough, aiming at candidates would be for nothing.
+                // A cell that the first round has finished needs no candidates.
                 let before = open.len();
                 open.retain(|c| self.stats[*c].rounds > 1 || self.left(*c, LEFT_AFTER_FIRST) > target);
                 self.count_done(before - open.len());
@@ -93,7 +93,7 @@ impl Block<'_> {
             self.each(&work, |block, scratch, (cell, list)| block.aim(scratch, *cell, list, round))?;
             self.bits.publish();
             if self.late() {
-                // Aiming was cut short, and with it what the rule below counts on.
+                // Aiming was cut short, so the rule below does not hold.
                 break;
             }
             let before = open.len();
@@ -121,7 +121,8 @@ impl Block<'_> {
         Ok(())
     }
 
-    /// Plans how often the candidates of `open` are tried, by what its uniform rays and the last tries met.
+    /// Plans the number of tries at the candidates of `open` from the misses of its uniform rays and the
+    /// gains of the last tries.
     fn plan_tries(&mut self, open: &[usize]) {
         let sum = |of: fn(&CellStats) -> u64| open.iter().map(|c| of(&self.stats[*c])).sum::<u64>();
         let (misses, cast) = (sum(|s| s.last_misses), sum(|s| s.last_rays));
@@ -129,32 +130,31 @@ impl Block<'_> {
         self.yields.plan(misses, cast, rays);
     }
 
-    /// What the cell is expected to miss after a round that leaves `part` of what was missing.
+    /// The expected missed fraction after a round that leaves the part `part` of the missed fraction.
     pub(super) fn left(&self, cell: usize, part: f64) -> f64 {
         let s = &self.stats[cell];
-        // One miss more than was counted: none in a few rays is no proof of anything.
+        // One more miss than was counted, because no miss in a few rays is weak evidence.
         part * (s.last_misses as f64 + 1.0) / s.last_rays.max(1) as f64
     }
 
-    /// What the cell was missing when its last round began, as far as that round could tell.
+    /// The missed fraction when the cell's last round began, estimated by that round.
     fn missing(&self, cell: usize) -> f64 {
         let s = &self.stats[cell];
         (s.last_misses as f64 + 0.5) / s.last_rays.max(1) as f64
     }
 
-    /// Work a cell has taken, in uniform rays.
+    /// The work of a cell so far, in units of a uniform ray.
     fn work_of(&self, cell: usize) -> f64 {
         let [uniform, flood, candidate, _] = self.stats[cell].rays;
         (uniform + AIMED_WORK * (flood + candidate)) as f64
     }
 
-    /// Work of all cells.
+    /// The work of all cells so far, in units of a uniform ray.
     fn work(&self) -> f64 {
         (0..self.cells.len()).map(|c| self.work_of(c)).sum()
     }
 
-    /// Tiles along a cube face for a cell's next round: enough to see what is expected to be missing a few
-    /// times.
+    /// Tiles along a cube face for a cell's next round: enough to expect [`MISSES_WANTED`] misses.
     fn tiles_for(&self, cell: usize, target: f64, round: u32) -> u32 {
         let s = &self.stats[cell];
         if s.last_rays == 0 {

@@ -1,9 +1,9 @@
-//! Seeds: one line from every other triangle of the scene, so that no surface is left without a line near it.
+//! Seeds: one line from every second triangle of the scene, so that every surface has a line near it.
 //!
-//! What only a hidden corner shows has no neighbour to be found from; these lines begin there, and cut the
-//! worst errors most. Eight triangles next to each other in Morton order share direction and distance, which
-//! keeps packets coherent; the distance of the origin from the surface is log-uniform, as gaps have every
-//! size.
+//! A triangle that is visible only from a hidden corner has no seen neighbour to be found from. Seeds begin
+//! at such triangles and lower the worst errors most. Eight consecutive triangles in Morton order share
+//! direction and distance, which keeps packets coherent. The distance of the origin from the surface is
+//! log-uniform, because gaps have all sizes.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -14,7 +14,7 @@ use crate::packet::{LANES, Packet};
 use crate::sequence::Hashed;
 use crate::surface::point_on;
 
-/// One triangle in so many is a seed.
+/// One triangle in this many is a seed.
 const ONE_IN: usize = 2;
 /// Triangles a thread takes at once.
 const STRIPE: usize = 1024;
@@ -74,7 +74,8 @@ impl Block<'_> {
     }
 }
 
-/// An even direction, by rejection from the cube: no function whose last bit differs between machines.
+/// A uniform direction, by rejection from the cube: it uses no function whose last bit differs between
+/// machines.
 pub(super) fn on_sphere(random: &mut Hashed) -> Vec3 {
     loop {
         let v = random.point() * 2.0 - 1.0;

@@ -1,5 +1,5 @@
-//! One leaf tile of the plan sampled with sight lines: its cells as a block, and the sets that come out. The
-//! cells of an adaptive tree are joined from smaller ones ([`super::adaptive`]).
+//! Samples one leaf tile of the plan with sight lines: its cells are a block. The cells of an adaptive tree
+//! are joined from smaller ones ([`super::adaptive`]).
 
 use std::time::Instant;
 
@@ -12,7 +12,7 @@ use super::rounds::Tolerance;
 use super::work::{Work, columns};
 use crate::context::{JobContext, TileError, Watcher};
 
-/// Runs a leaf tile; gives its sets and the number of rays.
+/// Samples a leaf tile; returns its sets and the number of rays.
 ///
 /// # Errors
 /// [`TileError`] when it is cancelled or the backend fails.

@@ -1,9 +1,8 @@
-//! Uniform lines: visibility cubes whose 4×4 tiles of directions each have an origin of their own, spread
-//! over the cell.
+//! Uniform lines: visibility cubes in which each 4×4 tile of directions has its own origin in the cell.
 //!
-//! Directions are even in the pixels of a cube, which is how errors are measured. Every direction is traced
-//! both ways, so that each gives a maximal free segment; an origin shared by sixteen directions keeps the
-//! packets coherent, and a new one for the next tile keeps the samples independent.
+//! Directions are uniform in the pixels of a cube, as in the error measure. Each direction is traced both
+//! ways, so that each line gives a maximal free segment. Sixteen directions share an origin, which keeps the
+//! packets coherent; a new origin for each tile keeps the samples independent.
 
 use super::block::{Block, Scratch};
 use crate::cube::{SKY, face_basis};
@@ -16,7 +15,7 @@ use sightline_model::{CellStats, LineKind};
 const SHIFT: u64 = 1;
 const JITTER: u64 = 2;
 
-/// So few tiles along a face are each so wide that their rays do not run alike.
+/// With at most this many tiles along a face, the rays of a tile differ too much for a packet.
 const WIDE_TILES: u32 = 4;
 
 /// A triangle new to the cell, and the packet whose origin saw it.
@@ -40,14 +39,14 @@ impl Block<'_> {
         let mut fixed = Hashed::new(&[self.tools.seed, c.number, SHIFT]);
         let shift = [fixed.unit(), fixed.unit(), fixed.unit()];
         let mut random = Hashed::new(&[self.tools.seed, c.number, round, JITTER]);
-        // Rounds go on where the sequence of origins was left.
+        // Each round continues the sequence of origins of the last one.
         let base = self.stats[cell].rays[LineKind::Uniform as usize] / (2 * LANES as u64);
         let mut stats = CellStats::default();
         s.next_tag();
         let total = 3 * tiles * tiles;
         let pixel = 2.0 / (4 * tiles) as f32;
         let mut finds = Vec::new();
-        // Tiles traced between two looks at what they found.
+        // Tiles traced before their finds are processed.
         let chunk = (self.tools.tracer.batch() / 2).max(1) as u32;
         for first in (0..total).step_by(chunk as usize) {
             if self.late() {

@@ -1,5 +1,5 @@
-//! The work of a leaf tile before and after its rounds: the block with the triangles that meet each cell, and
-//! the sets.
+//! The first and the last step of a leaf tile: a block with the triangles that meet each cell, and the sets
+//! of the sampled block.
 
 use rayon::prelude::*;
 use sightline_scene::{Aabb, overlap};
@@ -12,7 +12,7 @@ use crate::context::{JobContext, Watcher};
 use crate::packet::LineTracer;
 use crate::prepared::LineScene;
 
-/// What the tiles of a job are sampled with: the job, the scene's facts, the tracer and the watcher.
+/// The inputs of a tile's sampling: the job, the scene's facts, the tracer and the watcher.
 pub struct Work<'a> {
     pub job: &'a JobContext<'a>,
     pub scene: LineScene<'a>,
@@ -50,7 +50,7 @@ fn meeting(work: &Work<'_>, within: &CellBox, grid: &CellGrid, bits: &SeenBits) 
     work.scene.distinct.par_iter().with_min_len(1024).for_each(|&id| {
         let triangle = &work.scene.scene.triangles()[id as usize];
         let bounds = triangle.bounds();
-        // Closed cells whose slab the bounds touch, along each axis.
+        // The cells whose closed slab the bounds touch, along each axis.
         let range = |a: usize| {
             let from = planes[a][1..].partition_point(|p| *p < bounds.min[a]) as u32;
             let to = planes[a][..cells[a] as usize].partition_point(|p| *p <= bounds.max[a]) as u32;
@@ -78,7 +78,7 @@ fn meeting(work: &Work<'_>, within: &CellBox, grid: &CellGrid, bits: &SeenBits) 
     });
 }
 
-/// What is seen from each cell, by the numbers of the cells' bits; ascending.
+/// The triangles seen from each cell, ascending; indexed by [`super::grid::Slot::index`].
 pub fn columns(block: &Block<'_>) -> Vec<Vec<u32>> {
     let words = block.grid().words() as u32;
     (0..words).into_par_iter().flat_map_iter(|w| block.bits().columns(w)).collect()

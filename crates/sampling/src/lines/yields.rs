@@ -1,20 +1,18 @@
-//! How often a candidate is aimed at in a round: as often as that finds more, for its work, than uniform rays
-//! do.
+//! The number of tries at a candidate in a round: as many as find more per unit of work than uniform rays.
 //!
 //! A triangle that is found by attempt number a, aimed or by chance, is visible along about 1/a of the lines
-//! at it, so finding it adds about its part of the sphere over a to what is seen. The mean of that over all
-//! tries is the yield of a try. A uniform ray meets something unseen with the probability M that the next
-//! round counts, and what N rays have missed so far covers some part of 1/N ([`OF_ONE_IN`]): its yield is
-//! that part of M/N. Both yields fall with the square of the attempts, which says how many attempts make them
-//! equal.
+//! to it, so finding it adds about 1/a of its part of the sphere to the seen part. The mean of this gain over
+//! all tries is the yield of a try. A uniform ray meets an unseen triangle with the probability M that the
+//! next round counts, and a triangle that N rays have missed covers some part of 1/N ([`OF_ONE_IN`]): the
+//! yield of a uniform ray is that part of M/N. Both yields fall with the square of the number of attempts,
+//! which gives the number at which they are equal.
 //!
-//! Candidates are told apart by the decade of the part of the sphere they would cover, and counted for all
-//! cells of the block: one cell's are too few. The sums are of integers, and so do not depend on the order in
-//! which threads add to them.
+//! Candidates are classed by the decade of their part of the sphere and counted over all cells of the block,
+//! because one cell has too few. The sums are integers, so they do not depend on the order of the threads.
 
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-/// Decades told apart; smaller candidates are in the last.
+/// Number of decades; smaller candidates are in the last.
 const DECADES: usize = 8;
 /// A part of the sphere in the middle of each.
 const PARTS: [f64; DECADES] = [0.3, 0.03, 3e-3, 3e-4, 3e-5, 3e-6, 3e-7, 3e-8];
@@ -22,26 +20,26 @@ const PARTS: [f64; DECADES] = [0.3, 0.03, 3e-3, 3e-4, 3e-5, 3e-6, 3e-7, 3e-8];
 const GAIN_UNIT: f64 = 1.0 / (1u64 << 30) as f64;
 /// Attempts are counted in this part of one.
 const ATTEMPT_UNIT: f64 = 1.0 / 256.0;
-/// What a uniform ray of N finds covers, in 1/N: less than one, as lines of other cells have missed it, too.
-/// With more, candidates are hardly ever tried again; with less, an indoor level spends more on tries at
-/// middling errors than they bring.
+/// The part of the sphere that a find of the N-th uniform ray covers, in units of 1/N: less than one, because
+/// lines of other cells have missed the triangle too. A larger value hardly ever repeats a try; with a
+/// smaller one an indoor level loses time at medium errors.
 const OF_ONE_IN: f64 = 0.5;
-/// Tries a round, at most.
+/// Most tries at a candidate in a round.
 const MOST: f64 = 8.0;
 
-/// What aiming at candidates of a decade has brought.
+/// The gains of aiming at candidates of a decade.
 #[derive(Default)]
 struct Decade {
     /// Tries since the last plan.
     tries: AtomicU64,
-    /// What they are expected to have added to what is seen, in [`GAIN_UNIT`].
+    /// Expected gain of these tries in seen parts of the sphere, in [`GAIN_UNIT`].
     gain: AtomicU64,
-    /// Sum over the tries of the attempts before, in [`ATTEMPT_UNIT`].
+    /// Sum over these tries of the attempts before each, in [`ATTEMPT_UNIT`].
     before: AtomicU64,
     /// Tries at a candidate in all rounds before.
     so_far: f64,
-    /// Tries at a candidate in this round; what is left of a whole number is the chance of another. 0 before
-    /// the first.
+    /// Tries at a candidate in this round; the fractional part is the probability of one more. 0 before the
+    /// first round.
     times: f64,
 }
 
@@ -65,7 +63,7 @@ fn decade_of(part: f32) -> usize {
 }
 
 impl Yields {
-    /// Nothing is known yet. `work` is that of a try in uniform rays.
+    /// Yields before the first round. `work` is the work of a try in units of a uniform ray.
     pub(super) fn new(work: u64) -> Self {
         Self { decades: Default::default(), rays: 0.0, work: work as f64 }
     }
@@ -89,9 +87,9 @@ impl Yields {
         }
     }
 
-    /// Plans the tries of a round after its uniform rays, by what those of the last round brought: of `cast`
-    /// uniform rays `misses` met something unseen, and the cells have by now cast `rays` of them, on average.
-    /// In the first round every candidate is tried once.
+    /// Plans the tries of a round after its uniform rays, from the gains of the last round's tries. Of the
+    /// round's `cast` uniform rays, `misses` met an unseen triangle; the cells have cast `rays` uniform rays
+    /// on average. In the first round every candidate is tried once.
     pub(super) fn plan(&mut self, misses: u64, cast: u64, rays: f64) {
         // After the last round, before this one's uniform rays.
         let uniform = OF_ONE_IN * misses as f64 / cast.max(1) as f64 / self.rays;
