@@ -16,7 +16,7 @@ use crate::statistics::CellStats;
 /// Compression level. Differences between ids hold no long matches, so levels 2 and 3 take longer and give
 /// nothing smaller.
 const LEVEL: i32 = 1;
-/// Cells of so many ids together are coded by all cores; fewer take less time than to wait for the cores.
+/// From this number of ids on, cells are coded on all cores; below it, waiting for the cores takes longer.
 const MANY: usize = 1 << 20;
 /// Most bytes one tile's output may unpack to: far above any real tile, far below a machine's memory.
 pub const MAX_UNPACKED: u64 = 4 << 30;
