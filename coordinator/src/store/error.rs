@@ -133,8 +133,8 @@ pub enum StoreError {
         /// Who holds it, as written in the lock file.
         pid: String,
     },
-    /// The journal refused. After [`JournalError::Unusable`] the command may or may not be there after the
-    /// next start; after any other it is not.
+    /// The journal refused the command. After [`JournalError::Unusable`] the command may or may not take
+    /// effect at the next start; after any other error it does not.
     #[error(transparent)]
     Journal(#[from] JournalError),
     /// The view (not the journal) cannot be read.
