@@ -242,7 +242,7 @@ fn profile(sightline: &Path, result: &Path) -> String {
 /// Runs a command to its end and returns what it printed on stdout. Panics, with all its output, when it
 /// fails or takes past [`LIMIT`].
 fn run(command: &mut Command) -> String {
-    // Files, not pipes: nobody has to keep reading while the clock is watched.
+    // Files, not pipes: a pipe would need a reader while this thread watches the time.
     let (out, err) = (tempfile::NamedTempFile::new().unwrap(), tempfile::NamedTempFile::new().unwrap());
     let began = *BEGAN;
     let mut child = command

@@ -225,7 +225,7 @@ pub enum JournalError {
         /// The system's error.
         source: Arc<std::io::Error>,
     },
-    /// A sync, or the undoing of a write, failed: what is on the disk is not known.
+    /// A sync, or the undoing of a write, failed: the content of the disk is unknown.
     #[error(
         "{} cannot be trusted any more ({source}); check the disk and restart the coordinator",
         .path.display()

@@ -1,4 +1,4 @@
-//! Cell groups: what is hidden from a box around several cells, decided once for all of them.
+//! Cell groups: the triangles hidden from a box around several cells, decided once for all of them.
 //!
 //! Enlarging a cell never hides a triangle, so a triangle hidden from the box is hidden from every cell in
 //! it. A triangle seen from the box is queried again from each cell. So triangles that some cell is known to

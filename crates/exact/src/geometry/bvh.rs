@@ -26,7 +26,7 @@ struct Node {
     count: u32,
 }
 
-/// What is below a node.
+/// The children of a node, or the items of a leaf.
 pub enum Below<'a> {
     /// Two nodes.
     Nodes([u32; 2]),
