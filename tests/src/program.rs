@@ -31,8 +31,8 @@ fn build() -> PathBuf {
     cargo
         .args([
             "build",
-            // The whole workspace: for one package cargo would unify features anew and build its dependencies
-            // again.
+            // The whole workspace: for one package cargo would choose other features and build the
+            // dependencies again.
             "--workspace",
             "--bins",
             "--profile",

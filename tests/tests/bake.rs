@@ -1,5 +1,5 @@
-//! `sightline bake`: interrupted and continued, on every backend there is, with the options that change what
-//! it does.
+//! `sightline bake`: interrupted and continued, on every available backend, with the options that change its
+//! behaviour.
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
 
@@ -8,7 +8,7 @@ use sightline_tests::{Dump, Sandbox, assert_same, in_ci, wait_for};
 
 const ROOMS: &str = "generate rooms --triangles 2000 -o rooms.glb";
 const MAZE: &str = "generate maze --grid 3x3 -o maze.glb";
-/// A bake of a second.
+/// A bake that takes about a second.
 const QUICK: &str = "maze.glb --cells 2x2x1 --resolution 32 --backend cpu --data-dir data";
 
 #[test]
@@ -17,11 +17,11 @@ fn an_interrupted_bake_goes_on_and_gives_the_same_bytes() {
     sandbox.ok(ROOMS);
     let job = "rooms.glb --sampler cubes --cells 4x4x2 --resolution 96 --backend cpu";
     let whole = sandbox.json(&format!("bake {job} -o whole.pvs --data-dir whole"));
-    // Ctrl-C and the machine's end, each from a fresh start.
+    // Ctrl-C and a kill, each from a fresh start.
     for signal in ["INT", "KILL"] {
         let again = format!("bake {job} -o {signal}.pvs --data-dir {signal}");
         let bake = sandbox.start(&again);
-        // The scene and some finished tiles; what the files are is the store's business.
+        // The scene and some finished tiles.
         wait_for("finished tiles", || (sandbox.files_below(&format!("{signal}/blobs")) > 8).then_some(()));
         bake.signal(signal);
         if signal == "INT" {
@@ -40,7 +40,7 @@ fn an_interrupted_bake_goes_on_and_gives_the_same_bytes() {
         assert!(0 < done && done < total, "{done} of {total} tiles were kept");
         assert_same(&sandbox.read(&output), &sandbox.read("whole.pvs"), signal);
 
-        // Once more: nothing left to do.
+        // Another run has nothing left to do.
         let stored = sandbox.run(&format!("{again} --json")).code(0).says("in the store already");
         let stored: Value = serde_json::from_str(&stored.out).unwrap();
         assert_eq!(stored["from_store"], true);
@@ -72,7 +72,7 @@ fn adaptive_cells_keep_to_budget_or_depth() {
             .ok(&format!("bake maze.glb {division} {sampler} --backend cpu --data-dir data -o adaptive.pvs"));
         keeps_to(&sandbox.dump("adaptive.pvs"), budget, depth);
     }
-    // The last are from cubes; sight lines are the default, and any number of workers gives the same bytes.
+    // The default sampler, sight lines, gives the same bytes for any number of workers.
     for workers in [1, 4] {
         let options = format!("--backend cpu --workers {workers} --data-dir data-{workers}");
         sandbox.ok(&format!("bake maze.glb {division} {options} -o {workers}.pvs"));
@@ -88,8 +88,8 @@ fn adaptive_cells_keep_to_budget_or_depth() {
         .says("--cells");
 }
 
-/// Whether the cells of an adaptive tree fill the view box, and see no more than the budget where they are
-/// not at the greatest depth.
+/// Checks that the cells of an adaptive tree fill the view box, and that only cells at the greatest depth see
+/// more triangles than the budget.
 fn keeps_to(dump: &Dump, budget: usize, depth: u32) {
     let [low, high] = dump.view_box();
     let whole: f64 = (0..3).map(|axis| high[axis] - low[axis]).product();
@@ -169,7 +169,7 @@ fn flags_of_another_sampler_are_named_and_change_nothing() {
     let again = sandbox.run(&format!("{bake} --resolution 64 --rays 5 -o b.pvs --json")).code(0);
     again.says("makes no use of --rays, --resolution");
     assert_eq!(sandbox.json(&format!("{bake} --min-distance 1 -o c.pvs"))["from_store"], true);
-    // What makes no sense is wrong all the same.
+    // Invalid values are refused even for flags without effect.
     sandbox.run(&format!("{bake} --resolution 4 -o d.pvs")).code(2);
     let cubes = format!("{bake} --sampler cubes --resolution 32 -o e.pvs");
     sandbox.ok(&cubes);
@@ -184,7 +184,7 @@ fn smaller_tiles_let_more_workers_help_and_miss_no_more_than_asked() {
     let make = |flags: &str, name: &str| {
         sandbox.ok(&format!("{bake} {flags} --data-dir {name} -o {name}.pvs"));
     };
-    // What was asked for is kept on average; one seed may miss it.
+    // The target error is kept on average; one seed may miss it.
     for (flags, name) in [("", "whole"), ("--block-cells 8 --workers 1", "cut")] {
         let mut sum = 0.0;
         for seed in 1..=4 {
@@ -211,7 +211,7 @@ fn what_a_time_budget_cut_short_is_said() {
     assert!(sandbox.ok("info b.pvs").contains("was not reached in any cell"));
     sandbox.ok(&format!("{bake} --sampler guided --data-dir d -o d.pvs"));
     assert!(sandbox.ok("info d.pvs").contains("NOT FINISHED: 512 of 512"));
-    // What was found good enough after the first round is finished, whatever the bound asked for more.
+    // Cells that reach the target error count as finished, even if the bound asked for more lines.
     sandbox
         .ok("bake maze.glb --backend cpu --cells 2x2x2 --target-error 0.0003 --max-error 0.01 --data-dir \
         e -o e.pvs");
@@ -267,7 +267,7 @@ fn the_backend_that_is_taken_unasked_bakes_as_when_it_is_named() {
 fn without_embree_the_gpu_is_taken_and_the_reason_told() {
     let mut sandbox = Sandbox::new();
     sandbox.ok(MAZE);
-    // The loader finds these first and cannot use them: as good as no Embree.
+    // The loader finds these files first and cannot load them, as if Embree were missing.
     std::fs::create_dir(sandbox.path("hidden")).unwrap();
     for name in ["libembree4.so.4", "libembree3.so.3", "libembree4.so", "libembree3.so"] {
         sandbox.write(&format!("hidden/{name}"), "not a library");
@@ -290,8 +290,8 @@ fn without_embree_the_gpu_is_taken_and_the_reason_told() {
     assert!(made["info"]["profile"].as_str().unwrap().starts_with("gpu/"), "{made}");
 }
 
-/// Sight lines cross cells and blocks are made by different workers: two blocks, killed in the middle, by one
-/// worker and by three.
+/// Sight lines cross cells, and different workers bake different blocks: one worker gives the same bytes as
+/// three workers that are killed in the middle and started again.
 #[test]
 fn sight_lines_give_the_same_bytes_however_they_are_traced() {
     let sandbox = Sandbox::new();
@@ -328,7 +328,7 @@ fn a_time_budget_ends_with_a_result() {
         "bake rooms.glb --cells 8x8x8 --backend cpu --target-error 1e-6 --time-budget 1500ms -o out.pvs \
             --data-dir data",
     );
-    // Without the budget this takes minutes; what is over it is the machine's affair.
+    // Without the budget this takes minutes. The limit leaves time for slow machines.
     assert!(start.elapsed() < std::time::Duration::from_secs(30));
     assert!(made["min_visible"].as_u64().unwrap() > 0, "{made}");
     sandbox.run("bake rooms.glb --time-budget 0s -o no.pvs --data-dir data").code(2);

@@ -30,7 +30,7 @@ fn missing_inputs_and_unwritable_folders_are_found_before_the_scene_is_read() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
     sandbox.ok(BAKE);
-    // The scene is missing as well: the message names the file that was looked at first.
+    // The scene is missing as well: the message names the file that is read first.
     sandbox.run("sightlines gone.glb --queries gone.jsonl").code(3).says("gone.jsonl").says("--queries");
     sandbox.run("measure gone.glb maze.pvs --path gone.txt").code(3).says("gone.txt").says("--path");
     sandbox.run("measure gone.glb maze.pvs --images maze.glb/x").code(2).says("--images");

@@ -1,4 +1,5 @@
-//! A cluster of real processes: whoever dies and whenever, the result is the one a single process gives.
+//! A cluster of real processes: whichever process dies, and at any time, the result is that of a single
+//! process.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -7,7 +8,8 @@ use std::sync::OnceLock;
 use serde_json::Value;
 use sightline_tests::{Sandbox, assert_same, wait_for};
 
-/// What is baked throughout: 69 tiles of some ten milliseconds each, so that a job can be met in its middle.
+/// The scene of all jobs here: 69 tiles of some ten milliseconds each, so that a test can act in the middle
+/// of a job.
 const SCENE: &str = "generate rooms --triangles 2000 -o rooms.glb";
 const JOB: &str = "rooms.glb --sampler cubes --cells 4x4x2 --resolution 96 --backend cpu";
 
@@ -18,7 +20,7 @@ fn sandbox() -> Sandbox {
     sandbox
 }
 
-/// What one process makes of [`JOB`].
+/// The result of [`JOB`] in one process.
 fn alone() -> &'static [u8] {
     static ALONE: OnceLock<Vec<u8>> = OnceLock::new();
     ALONE.get_or_init(|| {
@@ -32,7 +34,7 @@ fn number(job: &Value, key: &str) -> u64 {
     job[key].as_u64().unwrap_or_else(|| panic!("no number '{key}' in {job}"))
 }
 
-/// Whether a job is in its middle, with tiles in somebody's hands.
+/// Whether a job has both done tiles and leased tiles.
 fn in_the_middle(job: &Value) -> bool {
     let (done, total) = (number(job, "tiles_done"), number(job, "tiles_total"));
     assert!(done < total, "the job was over before it could be disturbed; make it larger: {job}");
@@ -61,7 +63,7 @@ fn a_killed_worker_changes_no_byte() {
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
     let victim = coordinator.worker();
-    // Alone, so that the tiles running are surely the victim's.
+    // The victim is the only worker, so the running tiles are its tiles.
     let before = coordinator.until(job, "the job's middle", in_the_middle);
     victim.kill();
     let after = coordinator.json(&format!("show {job}"));
@@ -69,7 +71,7 @@ fn a_killed_worker_changes_no_byte() {
     assert!(number(&after, "tiles_done") >= number(&before, "tiles_done"));
     let _heir = coordinator.worker();
     assert_same(&coordinator.finish(job), alone(), "after a worker was killed");
-    // At once, not when its leases run out.
+    // The tiles are taken back at once, not when the leases expire.
     let log = coordinator.process.err();
     assert!(log.contains("is taken back: its worker has gone and did not come back"), "{log}");
 }
@@ -104,7 +106,7 @@ fn ugly() -> String {
     obj
 }
 
-/// The default sampler, whose tiles are blocks of cells, on a scene nobody would be proud of.
+/// The default sampler, whose tiles are blocks of cells, on a scene full of degenerate geometry.
 #[test]
 fn a_killed_worker_changes_no_byte_of_an_ugly_scenes_sight_lines() {
     const LINES: &str = "ugly.obj --cells 8x8x8 --view-box 0,0,0,100,100,100 --block-cells 8 --backend cpu";
@@ -142,7 +144,7 @@ fn a_killed_coordinator_goes_on_where_it_was() {
 
     let coordinator = sandbox.coordinator("data", &address);
     let after = coordinator.json(&format!("show {job}"));
-    // What was shown as done had been acknowledged.
+    // Tiles shown as done had been acknowledged.
     assert!(number(&after, "tiles_done") >= number(&before, "tiles_done"), "{before} then {after}");
     assert_same(&coordinator.finish(job), alone(), "after the coordinator was killed");
     assert!(workers.iter_mut().all(|w| w.runs()), "the same workers finished it");
@@ -160,7 +162,7 @@ fn a_worker_asked_to_end_finishes_its_tile_and_gives_back_the_next() {
     worker.end().code(0).says("finishing");
     let after = coordinator.json(&format!("show {job}"));
     assert!(number(&after, "tiles_done") >= number(&before, "tiles_done"), "{before} then {after}");
-    // It was the only worker: nothing is left in anybody's hands, and nobody waits for a lease to run out.
+    // It was the only worker, so no tile is leased, and the job waits for no lease to expire.
     assert_eq!(number(&after, "tiles_running"), 0, "{after}");
     assert!(number(&after, "tiles_done") < number(&after, "tiles_total"), "it took more tiles: {after}");
     let _heir = coordinator.worker();
@@ -190,11 +192,11 @@ fn submitting_again_gives_the_job_there_is() {
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let first = coordinator.submit(&format!("{JOB} --request-id one --name first"));
     assert_eq!(coordinator.submit(&format!("{JOB} --request-id one --name first")), first);
-    // Another request for the same thing, under another name.
+    // Another request for the same job, under another name.
     let again = coordinator.run(&format!("submit {JOB} --request-id two --name second")).code(0);
     assert_eq!(again.out.trim(), first.to_string());
     again.says("does this already");
-    // The same request for another thing is a mistake.
+    // The same request id for another job is an error.
     coordinator.run(&format!("submit {JOB} --seed 7 --request-id one")).code(3).says("request");
     let other = coordinator.submit(&format!("{JOB} --seed 7"));
     assert_ne!(other, first);
@@ -224,7 +226,7 @@ fn jobs_can_be_paused_resumed_cancelled_and_retried() {
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
     let state = |line: &str| coordinator.json(&format!("{line} {job}"))["state"].clone();
-    // What is so already is no mistake.
+    // A command that changes nothing is no error.
     for (turn, then) in [("pause", "paused"), ("resume", "queued"), ("retry", "queued")] {
         assert_eq!(state(turn), then);
         assert_eq!(state(turn), then);
@@ -270,12 +272,12 @@ fn a_finished_job_outlives_its_coordinator() {
     coordinator.process.signal("TERM");
     coordinator.process.end().code(0);
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
-    // All but the workers there are now.
+    // Everything except the number of workers.
     let mut after = coordinator.json(&format!("show {job}"));
     after["workers"] = before["workers"].clone();
     assert_eq!(after, before);
     assert_same(&coordinator.finish(job), alone(), "fetched from the next coordinator");
-    // The same bake is answered from there.
+    // The same submission is answered with the stored job.
     assert_eq!(coordinator.submit(JOB), job);
 }
 
@@ -295,7 +297,7 @@ fn plain_text_stays_on_this_machine_unless_said_otherwise() {
 #[test]
 fn a_coordinator_that_is_not_there_is_said_to_be_missing() {
     let sandbox = sandbox();
-    // Bound and closed again: nobody is there.
+    // The port was bound and closed again, so no coordinator listens on it.
     let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let nobody = format!("--coordinator http://{free}");
     let commands = [
@@ -339,14 +341,14 @@ fn a_damaged_scene_is_uploaded_again() {
     let mut bytes = sandbox.read(&blob);
     bytes[100] ^= 1;
     sandbox.write(&blob, bytes);
-    // Whoever submits the scene next mends it, and the job that waits for it is served.
+    // The next submission of the scene replaces the damaged blob, and the waiting job continues.
     assert_eq!(coordinator.submit(JOB), first);
     let _worker = coordinator.worker();
     assert_same(&coordinator.finish(first), alone(), "after the scene was damaged");
     assert!(coordinator.process.err().contains("is damaged"), "{}", coordinator.process.err());
 }
 
-/// Removes all packs from a coordinator's blobs; gives how many there were.
+/// Removes all packs from a coordinator's blobs; returns their number.
 fn lose_packs(folder: &std::path::Path) -> usize {
     let mut lost = 0;
     for entry in std::fs::read_dir(folder).unwrap() {

@@ -1,9 +1,9 @@
-//! The image and the compose file, brought up for real: a cluster in containers bakes, over gRPC from
-//! outside, the very bytes of a one-process bake, though it is scaled and loses a worker on the way.
+//! The image and the compose file, tested in a real engine: a cluster in containers, used over gRPC from
+//! outside, gives the same bytes as one process, although it is scaled and loses a worker meanwhile.
 //!
 //! Needs a container engine that can run Debian and a way to make the base image (`deploy/base-image.sh`).
-//! Without them it says so in one line and passes; where `CI` is set it fails instead. It judges the
-//! cluster's answer, never its speed.
+//! Without them it says so in one line and passes; where `CI` is set it fails instead. The test checks the
+//! cluster's result, never its speed.
 //!
 //! Environment: `SIGHTLINE_BIN` names the program (default: the one in the target folder),
 //! `SIGHTLINE_TEST_TRIANGLES` and `SIGHTLINE_TEST_CELLS` size the job, which has to last long enough for a
@@ -47,7 +47,7 @@ fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
     let scene = folder.path().join("town.glb");
     let triangles = setting("SIGHTLINE_TEST_TRIANGLES", DEFAULT_TRIANGLES);
     let cells = setting("SIGHTLINE_TEST_CELLS", DEFAULT_CELLS);
-    // Every parameter is part of the result's name, so both bakes have to be asked for in the same words.
+    // Every parameter is part of the job's key, so both bakes need the same flags.
     let job_flags = ["--cells", &cells, "--sampler", "cubes", "--backend", "cpu", "--resolution", "192"];
     run(Command::new(&sightline)
         .args(["generate", "town", "--seed", "1", "--triangles", &triangles, "-o"])
@@ -83,7 +83,7 @@ fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
     let progress = || Progress::parse(&client(&["show", &job, "--json"]));
     let before = loop {
         let now = progress();
-        // In the middle: something is committed, and the coordinator gives all three something to do.
+        // In the middle of the job: tiles are committed, and all three workers have tiles.
         if now.done > 0 && now.workers == 3 && now.running >= 3 {
             break now;
         }
@@ -203,7 +203,7 @@ impl Compose {
         command
     }
 
-    /// Starts what is missing for one coordinator and `workers` workers; leaves alone what runs.
+    /// Starts the containers that are missing for one coordinator and `workers` workers; running ones stay.
     fn up(&self, workers: usize) {
         let scale = format!("worker={workers}");
         run(self.command().args(["up", "--detach", "--no-recreate", "--scale", &scale]));
@@ -242,7 +242,7 @@ fn profile(sightline: &Path, result: &Path) -> String {
 /// Runs a command to its end and returns what it printed on stdout. Panics, with all its output, when it
 /// fails or takes past [`LIMIT`].
 fn run(command: &mut Command) -> String {
-    // Files, not pipes: nobody has to keep reading while the clock is watched.
+    // Files, not pipes: a pipe would need a reader while this thread watches the time.
     let (out, err) = (tempfile::NamedTempFile::new().unwrap(), tempfile::NamedTempFile::new().unwrap());
     let began = *BEGAN;
     let mut child = command

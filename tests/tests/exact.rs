@@ -1,5 +1,5 @@
-//! Bakes by exact queries: in one process and in a cluster that is disturbed, verified, tampered with, asked
-//! why, cut short.
+//! Bakes by exact queries: in one process and in a cluster with failures. Results are verified, altered,
+//! queried for reasons, and cut short by a time budget.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -9,7 +9,8 @@ use serde_json::Value;
 use sightline_pvs::{Builder, Header, Pvs};
 use sightline_tests::{Sandbox, assert_same};
 
-/// Three walls with slits of a thousandth of their size: what is beyond is seen through two slits at most.
+/// Three walls with slits of a thousandth of their size: triangles beyond the walls are seen through at most
+/// two slits.
 const SCENE: &str = "generate slits --grid 3x2 --slit-width 0.001 -o slits.glb";
 const JOB: &str = "slits.glb --cells 3x2x2 --block-cells 1 --backend cpu --method exact --certificates";
 
@@ -21,7 +22,7 @@ fn sandbox() -> Sandbox {
     sandbox
 }
 
-/// What one process makes of [`JOB`].
+/// The result of [`JOB`] in one process.
 fn alone() -> &'static [u8] {
     static ALONE: OnceLock<Vec<u8>> = OnceLock::new();
     ALONE.get_or_init(|| {
@@ -65,7 +66,7 @@ fn everything_is_decided_and_verified_and_sampling_shows_nothing_else() {
     assert_eq!(sampled["witnesses"], report["witnesses"]);
     let checked = |r: &Value| r["witnesses_checked"].as_u64().unwrap();
     assert!(checked(&sampled) < checked(&report), "{sampled}");
-    // What was counted is there to be looked at.
+    // The query statistics are part of the result.
     let info = sandbox.json("info exact.pvs");
     let decided = &info["decided"];
     let all = exact.cells.len() as u64 * exact.header["triangles"].as_u64().unwrap();
@@ -152,16 +153,16 @@ fn cells_decided_together_have_the_sets_they_have_alone_and_share_certificates()
         let above = |c: &Value| c["exact_above"].as_u64() > Some(0);
         assert!(info["per_cell"].as_array().unwrap().iter().all(above), "{info}");
     }
-    // However many work at it at once.
+    // The number of workers changes no byte.
     for workers in [1, 4] {
         let job = "slits.glb --cells 4x4x2 --backend cpu --method exact --certificates --block-cells 8";
         sandbox.ok(&format!("bake {job} --workers {workers} -o by{workers}.pvs --data-dir by{workers}.data"));
     }
     assert_same(&sandbox.read("by1.pvs"), &sandbox.read("by4.pvs"), "by one worker and by four");
-    // A sample looks up what is kept with another cell.
+    // A sample looks up the certificate of a cell group, which is kept with the group's first cell.
     let sampled = sandbox.json("verify slits.glb joint.pvs --sample 60");
     assert!(sampled["certificates_checked"].as_u64() > Some(0), "{sampled}");
-    // Asked why, a cell finds what is kept with another.
+    // `query --why` finds a group's certificate that is kept with another cell.
     let triangles = alone.header["triangles"].as_u64().unwrap();
     let middle = alone.cells[5].middle().map(|c| c.to_string()).join(" ");
     let boxes = (0..triangles)
@@ -172,7 +173,7 @@ fn cells_decided_together_have_the_sets_they_have_alone_and_share_certificates()
         })
         .count();
     assert!(boxes > 0, "something is hidden from the box around the cell");
-    // Without what others keep for them, cells are refused; so are certificates that were mixed up.
+    // Cells are refused without their group's certificate, and so are exchanged certificates.
     let joint = sandbox.read("joint.pvs");
     let pvs = Pvs::from_bytes(joint.clone()).unwrap();
     let all: Vec<Vec<u8>> = (0..pvs.cells()).map(|c| pvs.certificate(c).unwrap().unwrap().to_vec()).collect();
@@ -207,7 +208,8 @@ fn cells_of_an_adaptive_tree_are_decided_and_verified() {
     );
     sandbox.ok(&format!("bake slits.glb {tree} -o sampled.pvs --data-dir data"));
     let [exact, sampled] = ["tree.pvs", "sampled.pvs"].map(|name| sandbox.dump(name).cells);
-    // Beyond what is always halved, and the same tree: how deep it is follows from what sampling shows.
+    // The tree is deeper than the splits that are always made, and is the same for both methods, since
+    // sampling determines it.
     assert!(exact.len() > 8, "{} cells", exact.len());
     assert_eq!(exact.len(), sampled.len());
     for (cell, sampled) in exact.iter().zip(sampled) {
@@ -215,12 +217,12 @@ fn cells_of_an_adaptive_tree_are_decided_and_verified() {
     }
 }
 
-/// The result with its sets and evidence put through `change`, under right checksums.
+/// The result with its sets and certificates altered by `change`, under correct checksums.
 fn tampered(change: impl Fn(u32, &mut Vec<u32>, &mut Vec<u8>)) -> Vec<u8> {
     changed(alone(), change)
 }
 
-/// The same of any result.
+/// As [`tampered`], for any result.
 fn changed(result: &[u8], change: impl Fn(u32, &mut Vec<u32>, &mut Vec<u8>)) -> Vec<u8> {
     let pvs = Pvs::from_bytes(result).unwrap();
     let mut builder = Builder::new(Header {
@@ -256,8 +258,8 @@ fn a_result_that_was_altered_is_refused_and_the_cell_is_named() {
             serde_json::from_str(&sandbox.run("verify slits.glb other.pvs --json").code(3).out).unwrap();
         assert_eq!(report["accepted"], false);
     };
-    // Something hidden that is seen, something seen that is hidden, reasons of another cell, no reasons,
-    // reasons cut short.
+    // A visible triangle reported as hidden, a hidden one reported as visible, the certificate of another
+    // cell, an empty certificate, a truncated one.
     refuse(
         "cell 5",
         tampered(|cell, visible, _| {

@@ -1,4 +1,4 @@
-//! What is given to the program: bad scenes and bad arguments are refused in a way that helps, and generated
+//! The program's inputs: bad scenes and bad arguments are refused with a helpful message, and generated
 //! scenes are the same every time.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
@@ -98,14 +98,14 @@ fn bad_scenes_are_refused_by_name_and_with_a_remedy() {
     let short = |bytes: &[u8]| bytes[..bytes.len() - 3].to_vec();
 
     let table: Vec<(&str, Vec<u8>)> = vec![
-        // Nothing in it.
+        // Scenes without a triangle.
         ("empty.obj", vec![]),
         ("empty.ply", vec![]),
         ("empty.gltf", vec![]),
         ("empty.glb", vec![]),
         ("no-face.obj", b"v 0 0 0\nv 1 0 0\n".into()),
         ("no-face.ply", little(3, 0, &floats(&CORNERS))),
-        // Ends too early.
+        // Files that end too early.
         ("short.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2".into()),
         ("short-vertex.obj", b"v 0 0\nf 1 1 1\n".into()),
         ("short.ply", short(&good_ply)),
@@ -114,19 +114,19 @@ fn bad_scenes_are_refused_by_name_and_with_a_remedy() {
         ("short.gltf", gltf(3, 36)[..60].into()),
         ("short.glb", short(&good_glb)),
         ("short-header.glb", good_glb[..10].to_vec()),
-        // No finite number.
+        // Coordinates that are not finite.
         ("nan.obj", b"v 0 0 0\nv 1 nan 0\nv 0 1 0\nf 1 2 3\n".into()),
         ("inf.obj", b"v 0 0 0\nv 1e39 0 0\nv 0 1 0\nf 1 2 3\n".into()),
         ("nan.ply", little(3, 1, &[floats(&nan), face(&[3, 0, 1, 2])].concat())),
         ("nan.glb", glb(&gltf(3, 36), &floats(&nan))),
-        // A corner that is not there.
+        // References to elements that do not exist.
         ("index.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n".into()),
         ("index-zero.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n".into()),
         ("index-negative.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -1 -2 -4\n".into()),
         ("index.ply", little(3, 1, &[floats(&CORNERS), face(&[3, 0, 1, 3])].concat())),
         ("index-text.ply", ply("ascii", 3, 1, b"0 0 0\n1 0 0\n0 1 0\n3 0 1 -1\n")),
         ("index.glb", glb(&gltf(3, 36).replace("\"mesh\":0", "\"mesh\":7"), &floats(&CORNERS))),
-        // Counts of four thousand million with nothing behind them.
+        // Huge counts without data.
         ("count-vertices.ply", little(4_294_967_295, 1, &body)),
         ("count-faces.ply", little(3, 4_294_967_295, &body)),
         ("count-larger.ply", little(u64::MAX, 1, &body)),
@@ -135,7 +135,7 @@ fn bad_scenes_are_refused_by_name_and_with_a_remedy() {
         ("count-view.glb", glb(&gltf(3, 4_294_967_295), &floats(&CORNERS))),
         ("count-total.glb", long_glb),
         ("count-chunk.glb", long_chunk),
-        // Called what they are not.
+        // Files with the extension of another format, and files that are no scene.
         ("wrong.obj", good_ply.clone()),
         ("wrong.ply", good_glb.clone()),
         ("wrong.glb", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n".into()),
@@ -161,8 +161,8 @@ fn bad_scenes_are_refused_by_name_and_with_a_remedy() {
     }
 }
 
-/// A command that must refuse `file`: exit code 3, its name, what is wrong with it, and after a semicolon
-/// what to do.
+/// A command that must refuse `file`: exit code 3, and a message with the file's name, the fault and, after a
+/// semicolon, the remedy.
 #[track_caller]
 fn refused(sandbox: &Sandbox, command: &str, file: &str) {
     let run = sandbox.run(command).code(3);
@@ -180,7 +180,7 @@ fn huge_announced_counts_take_no_memory() {
     sandbox.write("vertices.ply", ply("binary_little_endian", 1 << 40, 1, b""));
     sandbox.write("count.glb", glb(&gltf(1 << 31, 36), &floats(&CORNERS)));
     for file in ["vertices.ply", "count.glb"] {
-        // An address space of 400 MB is less than either announces by far.
+        // An address space of 400 MB is far less than either file announces.
         let program = sightline_tests::program().display();
         let shell = format!("ulimit -v 400000; exec '{program}' mesh {file} -o out.ply");
         let run = std::process::Command::new("sh")
@@ -262,7 +262,7 @@ fn generated_scenes_depend_on_their_parameters_alone() {
         let first = make(1, "first.glb");
         assert_eq!(make(1, "second.glb"), first, "{kind}: the same seed");
         assert_ne!(make(2, "third.glb"), first, "{kind}: another seed");
-        // What is written can be read.
+        // The program can read the file that it wrote.
         sandbox.ok("mesh first.glb -o mesh.ply");
     }
 }

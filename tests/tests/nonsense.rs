@@ -1,5 +1,5 @@
-//! Nonsense on every call of the gRPC interface: bent messages, random bytes, things that are no HTTP. It
-//! harms nobody.
+//! Nonsense on every call of the gRPC interface: altered messages, random bytes, data that is no HTTP. The
+//! coordinator stays intact.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -88,7 +88,7 @@ struct Call {
     name: String,
 }
 
-/// Paths of all calls there are.
+/// Paths of all calls.
 fn calls() -> Vec<String> {
     let mut calls = Vec::new();
     for file in Descriptors::decode(sightline_proto::DESCRIPTORS).unwrap().files {
@@ -102,8 +102,7 @@ fn calls() -> Vec<String> {
     calls
 }
 
-/// Well-formed messages, each with the call it belongs to: what is bent is better bent from something
-/// straight.
+/// Well-formed messages, each with its call: the messages to alter.
 fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
     use v1::worker_message::Message;
     let digest = spec.scene.clone();
@@ -161,7 +160,7 @@ fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
     ]
 }
 
-/// One way of bending a message.
+/// One alteration of a message.
 #[derive(Clone, Debug)]
 enum Bend {
     Flip(Index, u8),
@@ -205,7 +204,7 @@ impl Bend {
     }
 }
 
-/// Makes a call with these frames, and listens to the answer for a while. What it is does not matter.
+/// Makes a call with these frames and reads the answer for a while, whatever it is.
 async fn call(channel: &Channel, path: &str, frames: Vec<Vec<u8>>) {
     let mut grpc = tonic::client::Grpc::new(channel.clone());
     grpc.ready().await.unwrap();
@@ -217,7 +216,7 @@ async fn call(channel: &Channel, path: &str, frames: Vec<Vec<u8>>) {
             while let Some(Ok(_)) = answer.next().await {}
         }
     };
-    // Watching a job that does not end would go on for ever.
+    // The answer to a watch of a job that does not end has no end.
     let _ = tokio::time::timeout(Duration::from_millis(200), conversation).await;
 }
 
@@ -235,7 +234,7 @@ async fn nonsense_on_every_call_harms_nobody() {
     let mut jobs = JobsClient::new(channel.clone());
     let spec = jobs.show(v1::ShowRequest { job }).await.unwrap().into_inner().spec.unwrap();
 
-    // Always the same cases, so that a failure can be looked into.
+    // Always the same cases, so that a failure can be reproduced.
     let mut runner = TestRunner::deterministic();
     let (calls, straight) = (calls(), straight(job, &spec));
     for path in &calls {
@@ -254,7 +253,7 @@ async fn nonsense_on_every_call_harms_nobody() {
         let (first, elsewhere, more, bends) = case.new_tree(&mut runner).unwrap().current();
         let (name, message) = first.get(&straight);
         let mut frames = vec![bent(message, &bends)];
-        // What follows on a stream belongs to the same call.
+        // Later messages of a stream belong to the same call.
         let same: Vec<_> = straight.iter().filter(|(other, _)| other == name).collect();
         frames.extend(more.iter().map(|(which, bends)| bent(&which.get(&same).1, bends)));
         let path = match elsewhere {
@@ -263,14 +262,14 @@ async fn nonsense_on_every_call_harms_nobody() {
         };
         call(&channel, &path, frames).await;
     }
-    // And what is no gRPC at all.
+    // Bytes that are not gRPC.
     for bytes in [
         &b"GET / HTTP/1.1\r\n\r\n"[..],
         b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\xff\xff\xff\xff\xff\xff",
         &[0xa5; 5000],
     ] {
         let mut stream = std::net::TcpStream::connect(coordinator.address()).unwrap();
-        // It may hang up in the middle.
+        // The coordinator may close the connection meanwhile.
         let _ = stream.write_all(bytes);
     }
 
@@ -278,7 +277,7 @@ async fn nonsense_on_every_call_harms_nobody() {
     let log = coordinator.process.err();
     assert!(!log.contains("panicked"), "{log}");
     assert_eq!(coordinator.ok("health").trim(), "serving");
-    // The jobs that came of it are ended, so that a worker has time for a real one.
+    // The jobs that the calls created are cancelled, so that a worker has time for a real one.
     for job in coordinator.json("jobs").as_array().unwrap() {
         if !["done", "failed", "cancelled"].contains(&job["state"].as_str().unwrap()) {
             coordinator.ok(&format!("cancel {}", job["job"]));

@@ -1,4 +1,4 @@
-//! What is in a result: every way of asking gives the same answer, and a damaged file gives none.
+//! The content of a result: every command gives the same answer, and a damaged file gives none.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -105,7 +105,7 @@ fn a_damaged_result_is_refused() {
         let mut bad = whole.clone();
         bad[at] ^= 0xff;
         sandbox.write("bad.pvs", &bad);
-        // Each way in has its turn.
+        // The commands take turns.
         let command = ["info bad.pvs", "dump bad.pvs", "query bad.pvs 1 1 1"][i % 3];
         let refused = sandbox.run(command).code(3).says("bad.pvs");
         assert_eq!(refused.out, "", "nothing is shown of a result damaged at byte {at}");
@@ -136,7 +136,7 @@ fn a_scene_and_its_mesh_are_the_same_triangles() {
     assert_eq!(triangles.len() as u64, dump.header["triangles"]);
     bake(&sandbox, "mesh.ply", "mesh.pvs");
     assert_eq!(sandbox.dump("mesh.pvs").cells, dump.cells);
-    // And the mesh of the mesh is the mesh.
+    // The mesh of the mesh is the same mesh.
     sandbox.ok("mesh mesh.ply -o again.ply");
     assert_eq!(sandbox.read("again.ply"), sandbox.read("mesh.ply"));
 }

@@ -1,5 +1,5 @@
-//! `sightline sightlines`: a line in, a line out, in order; what is no query is named; every answer is
-//! checked.
+//! `sightline sightlines`: one line of output for each line of input, in order. Invalid queries are named,
+//! and every answer is checked.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 

@@ -159,7 +159,8 @@ fn expand(tree: &str, base: &[String], out: &mut Vec<Vec<String>>) {
     }
 }
 
-/// The file in which an item of a module is: that of the module, or the one that it is re-exported from.
+/// The file that defines an item of a module: the module's own file, or the file that the item is re-exported
+/// from.
 fn home<'a>(
     module: &'a Vec<String>,
     item: Option<&String>,
@@ -199,7 +200,7 @@ fn circles(source: &Path) -> Vec<Vec<String>> {
         let statements = text.split_inclusive(';').filter(|s| !s.trim_start().starts_with("pub use"));
         let text: String = statements.collect();
         for path in named(&text, module) {
-            // The longest part of the path that is a file: what comes after it is an item of that file.
+            // The longest part of the path that is a file: the rest of the path is an item of that file.
             let target = (0..=path.len()).rev().find_map(|n| files.get_key_value(&path[..n]));
             if let Some((target, _)) = target.filter(|(t, _)| *t != module) {
                 let end = home(target, path.get(target.len()), &files);

@@ -1,5 +1,5 @@
-//! The gRPC interface as other programs meet it: status codes, conflicting results, tiles that fail. Nonsense
-//! has a file of its own.
+//! The gRPC interface as other programs use it: status codes, conflicting results, tiles that fail. Tests
+//! with malformed messages are in `nonsense.rs`.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -56,7 +56,7 @@ async fn requests_are_refused_with_the_right_code() {
     assert!(missing(&mut jobs).await.is_empty());
     refused(jobs.put_chunks(tokio_stream::iter([chunk(&vec![0; (1 << 20) + 1])])).await, Code::DataLoss);
 
-    // Digests: malformed, of nothing, of what is no scene.
+    // Digests: malformed, of no blob, of a blob that is no scene.
     for length in [0, 1, 31, 33, 1000] {
         let bad = vec![7; length];
         let request = v1::MissingChunksRequest { digests: vec![digest.clone(), bad.clone()] };
@@ -80,7 +80,7 @@ async fn requests_are_refused_with_the_right_code() {
     refused(jobs.put_scene(put(&[&digest], &nothing)).await, Code::InvalidArgument);
     refused(jobs.put_scene(put(&[&digest], &digest)).await, Code::InvalidArgument);
 
-    // Jobs that are not there.
+    // Jobs that do not exist.
     let unknown = || v1::ShowRequest { job: 4711 };
     refused(jobs.show(unknown()).await, Code::NotFound);
     refused(jobs.watch(unknown()).await, Code::NotFound);
@@ -90,7 +90,7 @@ async fn requests_are_refused_with_the_right_code() {
     refused(jobs.retry(unknown()).await, Code::NotFound);
     assert!(refused(jobs.fetch(unknown()).await, Code::NotFound).contains("4711"));
 
-    // Jobs that cannot be.
+    // Invalid jobs.
     let good = coordinator.submit(&format!("{JOB} --request-id good"));
     let spec = jobs.show(v1::ShowRequest { job: good }).await.unwrap().into_inner().spec.unwrap();
     refused(jobs.fetch(v1::ShowRequest { job: good }).await, Code::FailedPrecondition);
@@ -119,7 +119,7 @@ async fn requests_are_refused_with_the_right_code() {
     }
     let no_spec = v1::SubmitRequest { request_id: "i".to_owned(), name: String::new(), spec: None };
     refused(jobs.clone().submit(no_spec).await, Code::InvalidArgument);
-    // An empty view box stands for the scene's bounds, which is what the command line said.
+    // An empty view box stands for the scene's bounds, as on the command line.
     let answer = submit("j", &|s| s.view_box.clear()).await.unwrap().into_inner();
     assert!(answer.existing && answer.job.unwrap().id == good);
 
@@ -221,7 +221,7 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     assert_eq!(shown["state"], "paused", "the job was over before it could be disturbed: {shown}");
     coordinator.ok(&format!("resume {job}"));
 
-    // This worker claims to be of the same kind and asks for tiles until one comes that needs finished ones.
+    // This worker claims the same profile and asks for tiles until it gets one that needs finished tiles.
     use v1::coordinator_message::Message as Heard;
     use v1::worker_message::Message as Said;
     let mut workers = WorkersClient::new(connect(&coordinator).await);
@@ -282,7 +282,7 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     // A well-formed pack of no samples: a zstd frame of one raw block.
     let empty = b"\x28\xb5\x2f\xfd\x20\x02\x11\x00\x00P\x00";
     refused(put(finished, empty, empty).await, Code::Aborted);
-    // The same again is no harm.
+    // The same result again is accepted.
     put(finished, &genuine, &genuine).await.unwrap();
     for tile in [finished, lease.tile] {
         refused(put(tile, b"garbage", b"garbage").await, Code::InvalidArgument);
@@ -291,12 +291,12 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     }
     refused(put(u32::MAX, empty, empty).await, Code::InvalidArgument);
     if plan.tiles[lease.tile as usize].kind == sightline_viewcells::TileKind::Leaf {
-        // Samples where cells are due.
+        // Samples in place of cells.
         refused(put(lease.tile, empty, empty).await, Code::InvalidArgument);
     }
     assert!(coordinator.process.err().contains("TWO RESULTS"), "{}", coordinator.process.err());
 
-    // It leaves for good, so its tiles are free at once, and an honest worker finishes.
+    // The worker leaves for good, so its tiles are free at once, and an honest worker finishes the job.
     assert_eq!(coordinator.count(job, "tiles_running"), leases);
     send(Said::Draining(v1::Draining {})).await;
     drop(say);
@@ -307,7 +307,7 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     assert_eq!(coordinator.count(job, "tiles_set_aside"), 0);
 }
 
-/// Three workers get the same tile one after the other, and none can do it; gives its number.
+/// Three workers get the same tile one after the other and fail; returns its number.
 async fn fail_everywhere(channel: &Channel, profile: &str) -> u32 {
     use v1::coordinator_message::Message as Heard;
     use v1::worker_message::Message as Said;
@@ -340,7 +340,7 @@ async fn fail_everywhere(channel: &Channel, profile: &str) -> u32 {
         }
         send(Said::Draining(v1::Draining {})).await;
         drop(say);
-        // Its end of the stream is the sign that all of it was heard.
+        // The coordinator ends the stream after it has read all messages.
         while heard.next().await.is_some() {}
     }
     assert!(tiles.iter().all(|t| *t == tiles[0]), "{tiles:?}");
@@ -368,7 +368,7 @@ async fn a_tile_that_fails_everywhere_is_set_aside_and_can_be_retried() {
     let lacking = coordinator.finish(job);
     sandbox.write("lacking.pvs", &lacking);
     let info = sandbox.json("info lacking.pvs");
-    // Only tiles with cells are left in a result; the job counts those that gave samples, too.
+    // A result counts tiles with cells only; the job also counts tiles with samples.
     assert!((1..=aside).contains(&info["info"]["tiles_set_aside"].as_u64().unwrap()), "{info}");
     let dump = sandbox.dump("lacking.pvs");
     let all: Vec<u64> = (0..dump.header["triangles"].as_u64().unwrap()).collect();
@@ -376,7 +376,7 @@ async fn a_tile_that_fails_everywhere_is_set_aside_and_can_be_retried() {
     assert!(everything > 0, "cells that failed show everything, undecided");
     assert_eq!(info["cells_set_aside"], everything);
 
-    // Another try gives what was wanted in the first place.
+    // A retry gives the full result.
     assert_ne!(coordinator.json(&format!("retry {job}"))["state"], "done");
     assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "after another try");
     assert_eq!(coordinator.count(job, "tiles_set_aside"), 0);
@@ -390,7 +390,7 @@ async fn a_job_of_which_nothing_is_left_fails_and_can_be_retried() {
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
     let channel = connect(&coordinator).await;
-    // Without the first face the root cannot be split, and nothing below it.
+    // Without the first face, neither the root nor any node below it can be split.
     assert_eq!(fail_everywhere(&channel, alone["info"]["profile"].as_str().unwrap()).await, 0);
     let _worker = coordinator.worker();
     coordinator.until(job, "the end", |j| j["state"] == "failed");

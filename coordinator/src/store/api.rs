@@ -51,10 +51,11 @@ pub trait Store: Send + Sync {
     /// The same number again is accepted; another one is refused.
     fn plan_job(&self, job: JobId, tiles: u32) -> Result<JobRecord, StoreError>;
 
-    /// Binds a job to a numerics profile. The first one wins; the answer is the one it is bound to.
+    /// Binds a job to a numerics profile. The first profile wins; returns the profile that the job is bound
+    /// to.
     fn bind_profile(&self, job: JobId, profile: &str) -> Result<String, StoreError>;
 
-    /// Commits a tile's result: done if not done. A result that comes in late for a tile that was set aside
+    /// Commits a tile's result and marks the tile as done. A late result for a tile that was set aside
     /// replaces its stand-in. A different digest for a tile that is done is kept out and counted.
     fn commit_tile(
         &self,
@@ -63,7 +64,7 @@ pub trait Store: Send + Sync {
         result: TileResult,
     ) -> Result<CommitOutcome, StoreError>;
 
-    /// Records that a tile failed on a worker; answers on how many different workers it has failed
+    /// Records that a tile failed on a worker; returns the number of different workers on which it has failed
     /// (counted up to a limit). Nothing changes if the tile is no longer open or the job has ended.
     fn fail_tile(&self, job: JobId, tile: TileIndex, worker: &str, reason: &str) -> Result<u32, StoreError>;
 
@@ -94,15 +95,15 @@ pub trait Store: Send + Sync {
     fn finish_job(&self, job: JobId, result: Digest, bytes: u64, at_ms: u64)
     -> Result<JobRecord, StoreError>;
 
-    /// Retries what failed: tiles set aside are open again, failures of open tiles are forgotten, and a job
-    /// that failed, was cancelled, or is done with tiles set aside is queued. Done tiles stay done.
-    /// Answers how many tiles were reopened.
+    /// Retries failed tiles: tiles set aside are open again, failures of open tiles are forgotten, and a job
+    /// that failed, was cancelled, or is done with tiles set aside is queued. Done tiles stay done. Returns
+    /// the number of reopened tiles.
     fn reopen_tiles(&self, job: JobId) -> Result<u32, StoreError>;
 
-    /// Begins the next epoch (once at each start of a coordinator) and answers it.
+    /// Begins the next epoch (once at each start of a coordinator) and returns it.
     fn begin_epoch(&self) -> Result<u64, StoreError>;
 
-    /// Removes an ended job, its tiles and its request ids; answers what it was, so that the caller can
-    /// remove the blobs. Its id is never given out again.
+    /// Removes an ended job, its tiles and its request ids; returns its record, so that the caller can remove
+    /// the blobs. Its id is never used again.
     fn delete_job(&self, job: JobId) -> Result<JobRecord, StoreError>;
 }

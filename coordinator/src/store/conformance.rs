@@ -1,5 +1,5 @@
 //! One suite for every store: random commands against a model kept in plain maps, answer by answer and then
-//! all of the state; the store on disk is also closed, opened, and robbed of its sled in between.
+//! all of the state; the store on disk is also closed and opened in between, and loses its sled files.
 
 use std::collections::BTreeMap;
 use std::fmt::Debug;
@@ -404,7 +404,7 @@ fn damage_files(directory: &Path, at: f64) {
     }
 }
 
-/// Lets a mishap happen to a closed store.
+/// Applies a mishap to a closed store.
 fn suffer(mishap: Mishap, directory: &Path) {
     let (sled, stale) = (directory.join("sled"), directory.join("stale"));
     match mishap {
@@ -508,7 +508,7 @@ fn a_view_without_its_journal_or_with_another_journal_is_not_used() {
     std::fs::remove_file(&journal).unwrap();
     let missing = SledStore::open(directory.path());
     assert!(matches!(missing, Err(StoreError::Journal(JournalError::Missing { .. }))), "{missing:?}");
-    // Another journal that is longer: only its id gives it away.
+    // Another journal that is longer: only its id shows that it is another one.
     let other = tempfile::tempdir().unwrap();
     let store = SledStore::open(other.path()).unwrap();
     (0..5).for_each(|_| drop(perform(&store, &Op::Epoch)));
@@ -516,7 +516,7 @@ fn a_view_without_its_journal_or_with_another_journal_is_not_used() {
     std::fs::copy(other.path().join("journal"), &journal).unwrap();
     assert_eq!(SledStore::open(directory.path()).unwrap().epoch().unwrap(), 5);
     assert!(directory.path().join("sled.broken-1").exists());
-    // And the first one cut short, behind a view that is ahead of it.
+    // The first journal cut short, with a view that is ahead of it.
     std::fs::write(&journal, &kept[..24]).unwrap();
     assert_eq!(SledStore::open(directory.path()).unwrap().epoch().unwrap(), 0);
 }

@@ -133,8 +133,8 @@ pub enum StoreError {
         /// Who holds it, as written in the lock file.
         pid: String,
     },
-    /// The journal refused. After [`JournalError::Unusable`] the command may or may not be there after the
-    /// next start; after any other it is not.
+    /// The journal refused the command. After [`JournalError::Unusable`] the command may or may not take
+    /// effect at the next start; after any other error it does not.
     #[error(transparent)]
     Journal(#[from] JournalError),
     /// The view (not the journal) cannot be read.
@@ -225,7 +225,7 @@ pub enum JournalError {
         /// The system's error.
         source: Arc<std::io::Error>,
     },
-    /// A sync, or the undoing of a write, failed: what is on the disk is not known.
+    /// A sync, or the undoing of a write, failed: the content of the disk is unknown.
     #[error(
         "{} cannot be trusted any more ({source}); check the disk and restart the coordinator",
         .path.display()

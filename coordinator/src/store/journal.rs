@@ -103,8 +103,8 @@ impl Journal {
         self.end
     }
 
-    /// Hands out the payloads of all frames from `from` on, each with the offset behind it. Answers `false`,
-    /// having handed out nothing, if no frame begins or ends at `from`.
+    /// Calls `visit` for the payloads of all frames from `from` on, each with the offset of the frame's end.
+    /// Returns `false` without a call if no frame begins or ends at `from`.
     pub(super) fn replay<E: From<JournalError>>(
         &self,
         from: u64,
@@ -134,8 +134,8 @@ impl Journal {
         }
     }
 
-    /// Appends a frame; it is on the disk when this returns its end. After an error the journal is as before,
-    /// or it is unusable and says so from then on.
+    /// Appends a frame; the frame is on the disk when this returns its end. After an error the journal is as
+    /// before, or it is unusable and returns that error from then on.
     pub(super) fn append(&mut self, payload: &[u8]) -> Result<u64, JournalError> {
         if let Some(source) = &self.unusable {
             return Err(JournalError::Unusable { path: self.path.clone(), source: source.clone() });
@@ -202,7 +202,7 @@ fn create(path: &Path) -> Result<(), JournalError> {
     Ok(())
 }
 
-/// Checks the header; answers the journal's id.
+/// Checks the header; returns the journal's id.
 fn read_header(file: &mut File, path: &Path) -> Result<u64, JournalError> {
     let bad = |what: &str| JournalError::BadHeader { path: path.to_owned(), what: what.to_owned() };
     let mut header = [0; HEADER_BYTES as usize];
@@ -231,7 +231,7 @@ enum Next {
     Bad(String),
 }
 
-/// Reads frame after frame.
+/// Reads the frames in order.
 struct Frames<'a> {
     path: &'a Path,
     reader: BufReader<&'a File>,

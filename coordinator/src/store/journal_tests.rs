@@ -37,7 +37,7 @@ fn cut_anywhere_it_is_a_prefix_or_refused() {
             Ok(found) => {
                 assert!(length >= HEADER_BYTES as usize);
                 assert_eq!(found, sample()[..found.len()]);
-                // Only what was cut into is gone, and what is left can be appended to.
+                // Only the truncated frame is gone, and a frame can be appended to the rest.
                 let kept = HEADER_BYTES as usize + found.iter().map(|p| p.len() + 8).sum::<usize>();
                 assert!(kept <= length && length < kept + 8 + sample()[found.len()].len());
                 Journal::open(&path).unwrap().append(b"more").unwrap();
@@ -147,7 +147,7 @@ fn a_full_disk_refuses_and_leaves_the_journal_as_it_was() {
     let mut journal = on_small_disk(&path, 20, false);
     assert!(matches!(journal.append(&[7; 13]), Err(JournalError::NoSpace { .. })));
     assert_eq!(std::fs::read(&path).unwrap(), whole);
-    // What still fits goes on being accepted.
+    // Payloads that still fit are accepted.
     journal.append(&[7; 12]).unwrap();
     assert_eq!(payloads(&path).unwrap().last().unwrap(), &[7; 12]);
 }

@@ -41,7 +41,7 @@ pub(super) fn check_name(what: &'static str, text: &str, limit: usize) -> Result
     }
 }
 
-/// Refuses what is longer than its bound, in bytes.
+/// Refuses data longer than its bound, in bytes.
 pub(super) fn check_length(what: &'static str, length: usize, limit: usize) -> Result<(), StoreError> {
     if length > limit { Err(StoreError::TooLong { what, length, limit }) } else { Ok(()) }
 }

@@ -164,13 +164,13 @@ pub struct TileRecord {
     /// On which workers it failed: the last reason of each, at most [`MAX_FAILURES`](super::MAX_FAILURES)
     /// workers.
     pub failures: Vec<TileFailure>,
-    /// How many differing results were kept out after it was done. Anything but 0 is a fault to be looked
-    /// into.
+    /// How many differing results were kept out after it was done. Any number but 0 is a fault to
+    /// investigate.
     pub conflicts: u32,
 }
 
 impl TileRecord {
-    /// A tile of which nothing was recorded.
+    /// A tile without a record.
     pub fn open(tile: TileIndex) -> Self {
         Self { tile, state: TileState::Open, failures: Vec::new(), conflicts: 0 }
     }
@@ -252,8 +252,8 @@ pub enum CommitOutcome {
     },
 }
 
-/// Digests as 64 hexadecimal digits: half the size of JSON's list of numbers, and what logs and file names
-/// show.
+/// Digests as 64 hexadecimal digits: half the size of JSON's list of numbers, and the form in logs and file
+/// names.
 pub(super) mod hex_digest {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
 

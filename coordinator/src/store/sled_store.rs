@@ -180,8 +180,8 @@ impl Writer {
                 group.push(command);
                 next = if payload.len() < GROUP_BYTES { incoming.try_recv().ok() } else { None };
             }
-            // Also a command that changed nothing waits: its answer may rest on what others of the group
-            // changed.
+            // A command that changed nothing waits, too: its answer may depend on changes of other commands
+            // in the group.
             let outcome = if payload.len() > 1 {
                 payload.push(b']');
                 self.commit(&payload, staged)
@@ -268,8 +268,8 @@ impl Live {
         let mut tries = 0;
         let db = loop {
             match guarded(|| sled::Config::new().path(path).flush_every_ms(None).open()) {
-                // Our own lock keeps other processes out, so this is sled's last owner in this one still
-                // letting go.
+                // The directory's lock keeps other processes out, so sled's previous handle in this process
+                // is still being closed.
                 Err(StoreError::View { what }) if tries < 100 && what.contains("acquire lock") => {
                     tries += 1;
                     std::thread::sleep(Duration::from_millis(20));

@@ -1,10 +1,9 @@
 //! The encoding of records in an ordered table of bytes: keys, checksummed and versioned values, typed
 //! reading.
 //!
-//! Both stores keep one such table, so both read and change it with the same code. A value is
+//! Both stores keep one such table, so both read and change it with the same code. The layout of a value is
 //! `[version u8][crc32c u32 LE][JSON]`; the checksum covers key, version and JSON, so a value under a wrong
-//! key
-//! is found as surely as a damaged one. Nothing here decides anything (`rules.rs`) or writes to a disk.
+//! key is detected like a damaged one. Nothing here decides anything (`rules.rs`) or writes to a disk.
 
 use std::collections::BTreeMap;
 
@@ -200,7 +199,7 @@ impl View<'_> {
         Ok(keys)
     }
 
-    /// Tiles of which something was recorded, ascending.
+    /// Tiles that have a record, ascending.
     pub(super) fn recorded_tiles(self, job: JobId) -> Result<Vec<TileRecord>, StoreError> {
         self.all(&key::tiles(job))
     }

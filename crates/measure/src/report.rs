@@ -126,7 +126,7 @@ mod tests {
         for wrong in [&[1, 5][..], &[5, 9], &[5], &[], &[1, 5]] {
             d.push(wrong);
         }
-        // 1 for one frame, 5 for three, 9 for one, then 1 and 5 anew.
+        // 1 for one frame, 5 for three, 9 for one, then 1 and 5 for one frame each.
         assert_eq!(d.report(), PathReport { errors: 5, mean_frames: 7.0 / 5.0, max_frames: 3 });
         assert_eq!(Durations::default().report(), PathReport { errors: 0, mean_frames: 0.0, max_frames: 0 });
     }

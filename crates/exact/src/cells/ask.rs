@@ -1,5 +1,4 @@
-//! The queries about the nodes, polygons and triangles of a scene from one cell, and what their answers
-//! decide.
+//! The queries from one cell to the nodes, polygons and triangles of a scene, and the use of their answers.
 
 use std::cmp::Ordering;
 
@@ -18,14 +17,14 @@ use crate::occluders::{OccluderId, Occluders};
 use crate::search::{Cost, Reason};
 use sightline_certificate::{Target, Witness};
 
-/// Witnesses of queries are rounded to points so far beyond the triangle, in parts of the segment's length.
+/// How far a rounded witness extends beyond the triangle, as a fraction of the segment's length.
 const BEYOND: f64 = 1e-5;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Item {
     Node(u32),
     Triangle(u32),
-    /// Triangles in one plane that make up a convex polygon, by their occluder.
+    /// Coplanar triangles that form a convex polygon, by their occluder.
     Face(OccluderId),
 }
 
@@ -33,7 +32,7 @@ pub enum Item {
 pub struct Asked {
     pub of: Item,
     pub found: Option<Found>,
-    /// Witnesses for triangles that are seen next to where the query found a free line.
+    /// Witnesses for triangles that rays near the query's witness have shown.
     pub beside: Vec<(u32, [Vec3; 2])>,
     pub rays: u64,
     pub cost: Cost,
@@ -50,7 +49,7 @@ impl Work<'_> {
         }
     }
 
-    /// The polygon that an occluder's triangles make up, if it has few enough corners for one query.
+    /// The polygon that an occluder's triangles form, if it has few enough corners for one query.
     pub fn outline(&self, occluder: OccluderId) -> Option<Polygon> {
         let corners: Vec<DVec3> =
             self.task.scene.occluders().occluder(occluder).outline().iter().map(|c| c.as_dvec3()).collect();
@@ -58,7 +57,7 @@ impl Work<'_> {
         if pieces.len() == 1 { pieces.pop() } else { None }
     }
 
-    /// The triangles of an occluder that are open, and not half hidden by a surface.
+    /// The open triangles of an occluder, except those that a surface hides from one side.
     pub fn open_of(&self, occluder: OccluderId) -> Vec<u32> {
         let open = |id: &u32| {
             self.state[*id as usize] == State::Open && self.hidden_half(Item::Triangle(*id)).is_none()
@@ -147,7 +146,7 @@ impl Work<'_> {
     pub fn take(&mut self, Asked { of, found, cost, .. }: Asked) {
         self.decided.statistics.cost += cost;
         self.decided.statistics.queries += u64::from(found.is_some());
-        // A ray may have shown it in the meantime, or a box it is in may have turned out to be hidden.
+        // Meanwhile a ray may have shown the triangle, or a box around it may have been proved hidden.
         if matches!(of, Item::Triangle(id) if self.state[id as usize] != State::Open) {
             return;
         }
@@ -202,7 +201,8 @@ impl Work<'_> {
     }
 }
 
-/// A query's witness in the form that is stored: in single precision if that is a witness, else exact.
+/// A query's witness in the form that is stored: in single precision if the rounded segment is a witness,
+/// else exact.
 fn witness(scene: &Occluders, cell: &Cell, id: u32, ends: &[Source; 2]) -> Witness {
     let [p, q] = ends.each_ref().map(rounded);
     let [min, max] = cell.corners();

@@ -1,4 +1,4 @@
-//! Cell groups: what is hidden from a box around several cells, decided once for all of them.
+//! Cell groups: the triangles hidden from a box around several cells, decided once for all of them.
 //!
 //! Enlarging a cell never hides a triangle, so a triangle hidden from the box is hidden from every cell in
 //! it. A triangle seen from the box is queried again from each cell. So triangles that some cell is known to
@@ -21,7 +21,7 @@ pub struct CellGroup<'a> {
     pub scene: &'a ExactScene,
     /// The cells, which fill a box.
     pub cells: &'a [Cell],
-    /// For each, triangles that sampling has shown, ascending.
+    /// For each cell, triangles that sampling has shown, ascending.
     pub seen: &'a [&'a [u32]],
     /// The limits of a single query.
     pub limits: Limits,
@@ -35,7 +35,7 @@ pub struct CellGroup<'a> {
     pub asked: &'a (dyn Fn() + Sync),
 }
 
-/// What is hidden from a group of cells.
+/// The decisions about a group of cells.
 #[derive(Debug, PartialEq)]
 pub struct GroupDecided {
     /// Triangles hidden from the box around the cells, ascending.
@@ -46,8 +46,8 @@ pub struct GroupDecided {
     pub statistics: QueryStatistics,
 }
 
-/// The triangles proved hidden from the box around the cells, ascending; with proofs, if they are kept, and
-/// what it took.
+/// The triangles proved hidden from the box around the cells, ascending; with the proofs, if they are kept,
+/// and the query statistics.
 pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
     let bounds = task.cells.iter().fold(Aabb::EMPTY, |all: Aabb, cell| all.union(cell.bounds()));
     let nothing = |statistics| GroupDecided {
@@ -72,8 +72,8 @@ pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
         return nothing(QueryStatistics::default());
     }
     work.meeting();
-    // What the cells know without asking: a few at a time, since a large scene has many triangles and a tile
-    // may have many cells.
+    // The states before any query, for a few cells at a time: a large scene has many triangles and a tile may
+    // have many cells, so all states at once would take much memory.
     let mut seen_by_any = vec![false; work.state.len()];
     let mut hidden_from = vec![0; work.state.len()];
     let pairs: Vec<_> = task.cells.iter().zip(task.seen).collect();

@@ -35,7 +35,7 @@ pub fn decide(task: &Task<'_>) -> Decided {
 }
 
 impl Work<'_> {
-    /// Finds witnesses for what sampling has shown: by rays, then by queries.
+    /// Finds witnesses for the triangles that sampling has shown: by rays, then by queries.
     fn show(&mut self) {
         let task = self.task;
         let open =

@@ -22,13 +22,13 @@ pub enum Found {
     /// Hidden from each of the cell's faces, with the proofs in the order of
     /// [`sightline_certificate::HiddenGroup::proofs`].
     Hidden(Vec<Proof>),
-    /// Neither.
+    /// Undecided, with the reason.
     Undecided(Reason),
 }
 
-/// Whether any of the targets is seen from the cell, which none of them meets. With `hidden`, a single target
-/// is known to be hidden from that side of its plane, and only the rest of the cell's surface is queried.
-/// Undecided at the limits, and when `stop`, called before every region, returns true.
+/// Whether any of the targets is seen from the cell. No target may meet the cell. With `hidden`, a single
+/// target is known to be hidden from that side of its plane, and only the rest of the cell's surface is
+/// queried. Undecided at the limits, and when `stop`, called before every region, returns true.
 pub fn from_cell(
     scene: &Occluders,
     cell: Cell,
@@ -41,7 +41,7 @@ pub fn from_cell(
     let mut open = None;
     for (axis, up) in faces() {
         let at = f64::from(if up { max[axis] } else { min[axis] });
-        // Lines that leave through this face go to what is beyond it.
+        // Lines that leave through this face reach only targets beyond its plane.
         let beyond: Vec<Polygon> = targets
             .iter()
             .filter(|t| t.rounded().iter().any(|p| if up { p[axis] > at } else { p[axis] < at }))
@@ -54,8 +54,7 @@ pub fn from_cell(
                 Some(side) => face.part(&target.plane(), &target.sides(&face), side.reverse()),
             };
             let Some(outer) = outer_part(&target, &face, axis, up, at) else { continue };
-            // A face that is wholly on the hidden side has a proof of nothing, so that proofs are numbered
-            // alike.
+            // A face wholly on the hidden side gets an empty proof, so that the proofs keep their order.
             let (verdict, took) = sightlines_until(scene, (from.as_slice(), &[outer]), limits, stop);
             *cost += took;
             match verdict {
@@ -72,14 +71,14 @@ pub fn from_cell(
     }
 }
 
-/// What of a polygon is on the outer side of a face of a box.
+/// The part of a polygon on the outer side of a box's face.
 fn outer_part(target: &Polygon, face: &Polygon, axis: usize, up: bool, at: f64) -> Option<Polygon> {
     let inner = |p: &DVec3| if up { p[axis] < at } else { p[axis] > at };
     if !target.rounded().iter().any(inner) {
         return Some(target.clone());
     }
     let sides = face.sides(target);
-    // The side of the face's plane the axis points to, or away from.
+    // The outer side of the face's plane: the side to which the axis points, or the opposite side.
     let normal = face.plane();
     let along = crate::geometry::predicates::sign(&normal[axis]);
     let keep = if up { along } else { along.reverse() };
@@ -100,8 +99,8 @@ fn face(min: Vec3, max: Vec3, axis: usize, up: bool) -> Polygon {
     Polygon::rectangle([corner(false, false), corner(true, false), corner(true, true), corner(false, true)])
 }
 
-/// The faces of a box that lines from the cell can enter by, without those that have no area. The two do not
-/// touch.
+/// The faces of a box through which lines from the cell can enter, except faces without area. Box and cell
+/// must not touch.
 pub fn faces_towards(min: Vec3, max: Vec3, cell: Cell) -> Vec<Polygon> {
     let [lo, hi] = cell.corners();
     let mut out = Vec::with_capacity(3);

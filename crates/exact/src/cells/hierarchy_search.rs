@@ -13,9 +13,10 @@ use crate::cells::work::{State, Work};
 use crate::geometry::bvh::Below;
 use crate::occluders::OccluderId;
 
-/// Queries run at a time, in parallel: enough to keep a few cores busy, few enough to go by size.
+/// Number of queries that run in parallel: enough to keep a few cores busy, few enough to keep the order by
+/// size.
 const BATCH: usize = 64;
-/// Up to this number of open polygons are queried one by one: a box has more faces than they have polygons.
+/// Up to this number, open polygons are queried one by one: their box has no fewer faces.
 const FEW: u32 = 6;
 
 /// A node, polygon or triangle that is still to be queried, ordered by its apparent size.
@@ -39,7 +40,7 @@ impl PartialOrd for Doubt {
     }
 }
 impl Work<'_> {
-    /// Goes through the hierarchy, from what looks largest.
+    /// Queries the open items of the hierarchy, those of the largest apparent size first.
     pub fn search(&mut self) {
         let tree = self.task.scene.occluders().hierarchy();
         let mut below = Progress::of(self.task.scene.occluders(), &self.state);
@@ -58,7 +59,8 @@ impl Work<'_> {
                             if !known.open {
                                 continue;
                             }
-                            // A box has more faces than a polygon or two.
+                            // A query of the box cannot succeed or costs more than queries of its few
+                            // polygons.
                             if known.visible
                                 || known.count <= FEW
                                 || self.task.cell.touches(tree.bounds(child))
@@ -78,7 +80,8 @@ impl Work<'_> {
                                     continue;
                                 }
                             };
-                            // The first triangle of a polygon brings it up, and with it the others.
+                            // The first triangle of a polygon queues the whole polygon, which includes the
+                            // others.
                             let known = *faces.entry(face).or_insert_with(|| {
                                 let worth = self.worth_asking(face);
                                 if worth {
@@ -96,7 +99,7 @@ impl Work<'_> {
             batch.clear();
             while batch.len() < BATCH {
                 let Some(doubt) = doubts.pop() else { break };
-                // Rays may have shown since what it is about, or something in it.
+                // Since the item was queued, rays may have shown it or a triangle in it.
                 match doubt.of {
                     Item::Triangle(id) if self.state[id as usize] != State::Open => {}
                     Item::Node(node) if below.of_node(node).visible => expand.push(node),
@@ -146,7 +149,8 @@ impl Work<'_> {
         Doubt { size: self.task.cell.size_of(min, max), of }
     }
 
-    /// Whether all of an occluder's polygon may well be hidden, and there is more than one triangle to win.
+    /// Whether to query an occluder's polygon as a whole: all its triangles may be hidden, and more than one
+    /// is open.
     fn worth_asking(&self, occluder: OccluderId) -> bool {
         let members = &self.task.scene.occluders().occluder(occluder).triangles;
         let hidden = |id: u32| matches!(self.state[id as usize], State::Open | State::Hidden);

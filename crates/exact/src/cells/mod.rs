@@ -1,5 +1,4 @@
-//! View cells: what is seen from anywhere in a box, for one polygon, for all triangles, and for groups of
-//! cells.
+//! View cells: visibility from a box, for one polygon, for all triangles, and for groups of cells.
 
 mod ask;
 mod cell_group;

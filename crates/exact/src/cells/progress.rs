@@ -67,7 +67,7 @@ impl Progress {
     /// A triangle was seen.
     pub fn show(&mut self, triangle: u32) {
         let mut node = self.leaf[triangle as usize];
-        // Above what is known to hold something visible all do.
+        // All ancestors of a node that has a visible triangle are marked already.
         while !self.below[node as usize].visible {
             self.below[node as usize].visible = true;
             node = self.parent[node as usize];

@@ -15,19 +15,19 @@ use crate::occluders::segment::{first, shows};
 
 /// Segments tried for one triangle before it is left to a query, which costs far more than all of them.
 const TRIES: u32 = 48;
-/// How far beyond the point it meets a witness reaches, in parts of its length: floats near the point have to
-/// be well beyond the triangle, and what is right behind it in the way as rarely as can be.
+/// How far a witness extends beyond the triangle, as fractions of its length, in the order tried: far enough
+/// that its rounded end is beyond the triangle, not so far that it often meets another triangle.
 const BEYOND: [f64; 2] = [1e-4, 1e-6];
 
-/// Segments tried around one that a query found.
+/// Segments tried around a witness that a query found.
 const AROUND: u32 = 32;
-/// How far apart these are at first, in parts of the cell and of the target, and by which factor they come
-/// nearer.
+/// The first distance of these segments from the witness, as a fraction of the cell and of the target, and
+/// the factor by which it shrinks.
 const SPREAD: [f64; 2] = [0.25, 0.6];
 
-/// Looks for witnesses near a free segment from the cell to a target so wide: what one line shows its
-/// neighbours often do, too, and what is behind a box's face. Gives witnesses for `wanted` triangles, and how
-/// many rays were cast.
+/// Looks for witnesses near an unobstructed segment from the cell to a target of width `wide`. Nearby lines
+/// often show the same triangle, or triangles behind the face of a box. Returns witnesses for `wanted`
+/// triangles and the number of rays cast.
 pub fn around(
     scene: &Occluders,
     cell: &Cell,
@@ -58,7 +58,7 @@ pub fn around(
     (found, u64::from(AROUND))
 }
 
-/// The segment from `p` along a direction to just beyond the triangle it meets there, if it shows it.
+/// The segment from `p` along a direction to just beyond the triangle it meets there, if it is a witness.
 fn segment(
     scene: &Occluders,
     p: Vec3,
@@ -74,8 +74,8 @@ fn segment(
 
 /// Looks for witnesses of the `wanted` triangles (ascending) and gives those found.
 ///
-/// The answer depends on the scene, the cell, `wanted` and `seed` alone. `stop` is asked now and then; once
-/// it says so, what was found by then is the answer.
+/// The answer depends on the scene, the cell, `wanted` and `seed` alone. `stop` is called after each
+/// triangle; when it returns true, the answer is the witnesses found so far.
 pub fn witnesses(
     scene: &Occluders,
     cell: &Cell,
@@ -93,7 +93,7 @@ pub fn witnesses(
                 break;
             }
             let p = point_in(cell, &mut random);
-            // Evenly over the triangle.
+            // Uniform over the triangle.
             let (s, t) = (random.unit().sqrt(), random.unit());
             let to = a * (1.0 - s) + b * (s * (1.0 - t)) + c * (s * t);
             let origin = p.as_dvec3();

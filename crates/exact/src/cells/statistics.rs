@@ -12,13 +12,13 @@ pub struct QueryStatistics {
     pub queries: u64,
     /// Boxes proved hidden as a whole.
     pub boxes: u64,
-    /// Triangles hidden by the closed surface they are part of, and not from a box around several cells
-    /// anyway.
+    /// Triangles hidden by the closed surface they are part of, except those hidden from the box of the cell
+    /// group.
     pub enclosed: u64,
-    /// Triangles proved hidden, with those in such boxes, those by surfaces and those from boxes around
-    /// several cells.
+    /// Triangles proved hidden, including those in hidden boxes, those hidden by surfaces and those hidden
+    /// from the box of the cell group.
     pub hidden: u64,
-    /// Triangles hidden from a box around this cell and others.
+    /// Triangles hidden from the box of the cell group.
     pub above: u64,
     /// Triangles that sampling had not shown and that are visible.
     pub missed: u64,

@@ -1,4 +1,4 @@
-//! What is decided about one view cell: the task and its result.
+//! The task of deciding one view cell, and its result.
 
 use crate::cells::exact_scene::ExactScene;
 use crate::cells::statistics::QueryStatistics;
@@ -12,9 +12,9 @@ pub struct Task<'a> {
     pub scene: &'a ExactScene,
     /// The cell.
     pub cell: Cell,
-    /// Triangles sampling has shown, ascending: guesses, each of which is checked.
+    /// Triangles that sampling has shown, ascending. Each is checked.
     pub seen: &'a [u32],
-    /// Triangles that are hidden from a box around the cell, ascending: none of them meets the cell.
+    /// Triangles hidden from the box of the cell group, ascending. None of them meets the cell.
     pub above: &'a [u32],
     /// The limits of a single query.
     pub limits: Limits,

@@ -1,4 +1,4 @@
-//! The states of all triangles while a cell is decided, and everything that needs no query.
+//! The states of all triangles while a cell is decided, and the decisions that need no query.
 
 use std::cmp::Ordering;
 

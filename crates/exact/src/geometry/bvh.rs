@@ -12,9 +12,9 @@ use sightline_numbers::Aabb;
 
 /// Most triangles in a leaf.
 const LEAF: usize = 4;
-/// From this depth on nodes are halved, whatever it costs: no more than 32 levels follow.
+/// From this depth on nodes are split in the middle at any cost, so that at most 32 levels follow.
 const DEEP: u32 = 48;
-/// Nodes a walk can have put off: one for each level, and the next.
+/// Capacity of a traversal's stack: one node for each level, and the next.
 const WAITING: usize = 96;
 
 #[derive(Clone, Copy, Debug)]
@@ -27,7 +27,7 @@ struct Node {
     count: u32,
 }
 
-/// What is below a node.
+/// The children of a node, or the items of a leaf.
 pub enum Below<'a> {
     /// Two nodes.
     Nodes([u32; 2]),
@@ -43,7 +43,7 @@ pub struct Bvh {
 }
 
 impl Bvh {
-    /// Builds over the boxes of the items in `order`.
+    /// Builds a hierarchy over the boxes of the items in `order`.
     pub fn new(boxes: Vec<Aabb>, mut order: Vec<u32>) -> Self {
         let mut nodes = Vec::with_capacity(order.len() / 2 + 1);
         let bounds =
@@ -150,9 +150,9 @@ impl Bvh {
 }
 
 impl Bvh {
-    /// Offers the items whose boxes a ray meets, nearer nodes first, to `hit`, which is given how far the ray
-    /// goes (in lengths of its direction) and answers how far it goes now. Rounding may leave an item out:
-    /// for proposals only.
+    /// Calls `hit` for the items whose boxes a ray meets, nearer nodes first. `hit` receives the end of the
+    /// ray, in lengths of its direction, and returns the new end. Rounding may leave an item out, so the
+    /// results are proposals.
     pub fn nearest(&self, origin: DVec3, direction: DVec3, mut hit: impl FnMut(u32, f64) -> f64) {
         let inverse = direction.recip();
         let enter = |n: &Node| {
@@ -190,8 +190,8 @@ impl Bvh {
     }
 }
 
-/// Where to divide: at the cheapest of sixteen planes along the widest axis of the centres, if that is
-/// allowed, or in the middle.
+/// Splits the items at the cheapest of sixteen planes along the widest axis of the centres if `cheapest`,
+/// else in the middle.
 fn split(boxes: &[Aabb], items: &mut [u32], cheapest: bool) -> usize {
     const BINS: usize = 16;
     let centre = |i: u32| {
@@ -234,7 +234,7 @@ fn split(boxes: &[Aabb], items: &mut [u32], cheapest: bool) -> usize {
             best = Some((cost, k));
         }
     }
-    // Very uneven divisions would make the tree deep; they are left to the middle.
+    // Very uneven splits would make the tree deep; the middle replaces them.
     match best {
         Some((_, k)) => {
             let mut half = 0;
@@ -287,8 +287,8 @@ impl Segment {
             e.x * self.size.z + e.z * self.size.x,
             e.x * self.size.y + e.y * self.size.x,
         );
-        // Ends that are off by the slack turn the half extent by as much: times what it is multiplied with,
-        // on both sides.
+        // Ends that are off by the slack change the half extent by as much; the error is this times the
+        // factors of the half extent in `cross` and `reach`.
         let slack = self.slack * (4.0 * self.turn + 4.0 * (a.max_element() + e.max_element()));
         !(cross.cmpgt(reach + DVec3::splat(slack))).any()
     }
@@ -298,8 +298,8 @@ impl Segment {
 mod tests {
     use super::*;
 
-    /// Boxes so thin that all divisions cost the same: the first plane would be taken every time, and the
-    /// tree be a chain.
+    /// All splits of such thin boxes cost the same. Taking the first plane every time would make the tree a
+    /// chain.
     #[test]
     fn a_tree_of_equal_costs_is_no_chain() {
         let boxes: Vec<Aabb> = (0..20_000)

@@ -11,7 +11,7 @@ use glam::DVec3;
 use crate::arithmetic::double_double::{DoubleDouble, STEP};
 use crate::arithmetic::number::{U, double_double, homogeneous, integers, primitive};
 
-/// SideBitsets are multiples of 1/64: turning the axes to within a degree is all that is needed.
+/// Entries of the rows are multiples of 1/64, which turns the axes to within a degree.
 const STEPS: f64 = 64.0;
 
 /// The map x ↦ 2^shift · rows · (x − origin) / 64, with a positive determinant.
@@ -24,7 +24,7 @@ pub struct Frame {
     scale: [f64; 3],
 }
 
-/// A point in a frame: rounded, how far each coordinate may be off, and where it really is.
+/// A point in a frame: rounded, with a bound on the error of each coordinate, and exact.
 #[derive(Clone, Debug)]
 pub struct Point {
     /// Rounded coordinates in the frame.
@@ -33,7 +33,7 @@ pub struct Point {
     pub error: f64,
     /// The coordinates in double-doubles, and their greatest error.
     pub fine: ([DoubleDouble; 3], f64),
-    /// Where it is exactly.
+    /// The exact position.
     pub place: Place,
 }
 
@@ -56,7 +56,7 @@ pub enum Place {
 }
 
 impl Frame {
-    /// A frame for what lies around `a` and `b`, both not empty.
+    /// A frame for the points `a` and `b`, neither of which is empty.
     pub fn around(a: &[DVec3], b: &[DVec3]) -> Self {
         let middle = |p: &[DVec3]| p.iter().sum::<DVec3>() / p.len() as f64;
         let (ca, cb) = (middle(a), middle(b));
@@ -73,7 +73,7 @@ impl Frame {
             let (s, t) = (d.dot(u), d.dot(v));
             (xx, xy, yy) = (xx + s * s, xy + s * t, yy + t * t);
         }
-        // Half the angle of (xx − yy, 2xy), by roots, which round the same everywhere.
+        // Half the angle of (xx − yy, 2xy), by square roots, which round the same on every machine.
         let (c, t) = (xx - yy, 2.0 * xy);
         let h = (c * c + t * t).sqrt();
         let (cos, sin) = if h > 0.0 {
@@ -86,7 +86,7 @@ impl Frame {
         let row = |axis: DVec3| (axis * STEPS).round().to_array().map(|c| c as i32);
         let mut rows = [row(x), row(y), row(z)];
         if determinant(&rows) <= 0 {
-            // Cannot be for unit vectors; should the above have met an overflow, the identity serves.
+            // Impossible for unit vectors; after an overflow above, the identity is used.
             rows = [[64, 0, 0], [0, 64, 0], [0, 0, 64]];
         }
         let shift = std::array::from_fn(|i| {
@@ -94,7 +94,7 @@ impl Frame {
             let extent = all().fold(0.0f64, |m, d| m.max(d.dot(r).abs()));
             if extent > 0.0 && extent.is_finite() { -above(extent).clamp(-500, 500) } else { 0 }
         });
-        // A pair that is flat across its axis is not to be blown up without measure.
+        // Bounds the scale of a pair that is flat across its axis.
         let least = shift.iter().copied().min().unwrap_or(0);
         let shift = shift.map(|s: i32| s.min(least + 24));
         Self { origin, rows, shift, scale: shift.map(|s| f64::powi(2.0, s - 6)) }
@@ -102,8 +102,8 @@ impl Frame {
 
     /// A point given in doubles.
     ///
-    /// A difference is exact in pairs; three products and two sums err by a step each of at most Σ |row · (p
-    /// − origin)|.
+    /// A difference is exact as a double-double. Three products and two sums are off by a step each of at
+    /// most Σ |row · (p − origin)|.
     pub fn given(&self, p: DVec3) -> Point {
         let d: [DoubleDouble; 3] = std::array::from_fn(|j| DoubleDouble::difference(p[j], self.origin[j]));
         let mut fine_error = 0.0f64;
@@ -114,7 +114,7 @@ impl Frame {
             fine_error = fine_error.max(8.0 * STEP * scale * t.iter().map(|t| t.0.abs()).sum::<f64>());
             t[0].plus(t[1]).plus(t[2]).scaled(scale)
         });
-        // Off by the second double of each, too.
+        // The second double of each coordinate counts as error, too.
         let error = (fine.iter().fold(0.0f64, |m, c| m.max(c.1.abs())) + fine_error) * (1.0 + 4.0 * U);
         Point {
             at: fine.map(|c| c.0),
@@ -246,8 +246,8 @@ fn cofactors(m: &[[IBig; 3]; 3]) -> [[IBig; 3]; 3] {
     std::array::from_fn(|i| cross(&m[(i + 1) % 3], &m[(i + 2) % 3]))
 }
 
-/// The least k with x ≤ 2^k, for normal x > 0; by its bits, since logarithms are not rounded the same
-/// everywhere.
+/// The least k with x ≤ 2^k, for normal x > 0; by its bits, since logarithms round differently from machine
+/// to machine.
 fn above(x: f64) -> i32 {
     let (exponent, fraction) = ((x.to_bits() >> 52) as i32 - 1023, x.to_bits() << 12);
     exponent + i32::from(fraction != 0)
@@ -271,7 +271,7 @@ fn ratio_double_double(n: &IBig, d: &IBig) -> DoubleDouble {
     if n.is_zero() {
         return DoubleDouble::default();
     }
-    // A quotient of at least 160 bits is cut off far behind the last that is kept; 2^1000 is not reached.
+    // The quotient has at least 160 bits, far more than are kept; 2^1000 is not reached.
     let up = (160 + d.bit_len()).saturating_sub(n.bit_len());
     let down = n.bit_len().saturating_sub(d.bit_len() + 160);
     let q: IBig = ((n << up) / d) >> down;

@@ -13,12 +13,11 @@ use crate::geometry::predicates::{height, integers, orient, plane, sign};
 
 /// Most vertices of a polygon in a query.
 pub const MOST_VERTICES: usize = 64;
-/// Corners a polygon is taken at once with: a query has two rays for every pair of corners, and its work
-/// grows with their cube.
+/// Maximum number of corners of a polygon in one query: a query has two rays for every pair of corners, and
+/// its work grows with the cube of their number.
 const MOST_AT_ONCE: usize = 8;
-/// A polygon of more than three vertices counts as flat, and is taken as the triangles it is made of, when no
-/// vertex is farther from its plane than this share of its diameter. It decides nothing but whether a query
-/// is refused.
+/// A polygon of more than three vertices counts as flat, and is split into triangles, if no vertex is farther
+/// from its plane than this fraction of its diameter. The constant decides only whether a query is refused.
 const FLAT: f64 = 1e-6;
 
 /// A convex polygon whose vertices lie exactly in one plane, no three of them on a line.
@@ -54,8 +53,8 @@ impl Polygon {
     /// Checks the corners of a convex polygon, in order either way round.
     ///
     /// Corners that repeat or lie on the line of their neighbours are dropped. Corners that are in one plane
-    /// only up to rounding cannot bound one convex polygon exactly; the fan of triangles from the first
-    /// corner is given then.
+    /// only up to rounding cannot bound one convex polygon exactly; the result is then the fan of triangles
+    /// from the first corner.
     ///
     /// # Errors
     /// [`PolygonError`], by kind.
@@ -85,7 +84,7 @@ impl Polygon {
             distinct.pop();
         }
         let mut points: Vec<Source> = distinct.into_iter().map(Source::Given).collect();
-        // Dropping a corner can put its neighbours in line.
+        // Dropping a corner can make its neighbours collinear.
         while let Some(i) = (0..points.len()).find(|i| {
             let n = points.len();
             n >= 3 && collinear([&points[(i + n - 1) % n], &points[*i], &points[(i + 1) % n]])
@@ -127,7 +126,7 @@ impl Polygon {
         self.points.iter().map(rounded).collect()
     }
 
-    /// Its plane (n, k), n towards where the corners are seen to turn counter-clockwise.
+    /// Its plane (n, k); n points to the side from which the corners appear counter-clockwise.
     pub fn plane(&self) -> [IBig; 4] {
         let [a, b, c] = [0, 1, 2].map(|i| integers(&self.points[i]));
         plane([&a, &b, &c])
@@ -139,7 +138,7 @@ impl Polygon {
         other.points.iter().map(|p| orient([a, b, c, p])).collect()
     }
 
-    /// What is on the side `keep` of the plane, given each corner's side; nothing when no corner is.
+    /// The part on the side `keep` of the plane, given each corner's side; None if no corner is on that side.
     pub fn part(&self, plane: &[IBig; 4], sides: &[Ordering], keep: Ordering) -> Option<Self> {
         if !sides.contains(&keep) {
             return None;
@@ -226,7 +225,7 @@ impl Polygon {
         let normal = (p[1] - p[0]).cross(p[2] - p[0]);
         let k = (0..3).max_by(|i, j| normal[*i].abs().total_cmp(&normal[*j].abs())).unwrap_or(0);
         let (i, j) = ((k + 1) % 3, (k + 2) % 3);
-        // All corners turn the same way, whichever it is.
+        // All corners turn the same way, left or right.
         let (mut left, mut right) = (true, true);
         for a in 0..n {
             let b = (a + 1) % n;
@@ -266,7 +265,7 @@ impl Polygon {
     }
 }
 
-/// The triangles of a polygon that is flat but for rounding.
+/// The triangles of a polygon that is flat up to rounding.
 fn fan(points: &[Source]) -> Result<Vec<Polygon>, PolygonError> {
     let p: Vec<DVec3> = points.iter().map(rounded).collect();
     let n = p.len();
@@ -354,7 +353,7 @@ mod tests {
             error(&[[0.0; 3], [4.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 4.0, 0.0]]),
             PolygonError::NotConvex
         );
-        // Twice round a triangle with corners in between: every turn is to the left, the whole is no polygon.
+        // A star winds twice: every turn is to the left, but it is no convex polygon.
         let star: Vec<DVec3> = (0..5)
             .map(|i| {
                 DVec3::new(

@@ -25,9 +25,9 @@ pub fn sign(x: &IBig) -> Ordering {
 
 /// The orientation of four points, the sign of (b − a) × (c − a) · (d − a), where doubles can tell.
 ///
-/// Differences are off by e = both points' errors and a rounding; the determinant then by at most 6 products
-/// of one difference's error and the others' sizes for each of the three, and by 16u of the products'
-/// magnitudes for its own roundings (as in `sightline_scene::exact::orient3d_sign`).
+/// A difference is off by at most e: the errors of both points and a rounding. The determinant is then off by
+/// at most 6 products of one difference's error and the others' sizes for each of the three differences, and
+/// by 16u of the products' magnitudes for its own roundings (as in `sightline_scene::exact::orient3d_sign`).
 pub fn orient_points(p: [&Point; 4]) -> Option<Ordering> {
     let d = |i: usize| -> ([f64; 3], f64, f64) {
         let x: [f64; 3] = std::array::from_fn(|k| p[i].at[k] - p[0].at[k]);
@@ -79,7 +79,7 @@ pub fn orient_doubles(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> Option<Ordering
     let (x, y, z) = (b - a, c - a, d - a);
     let (m, n) = (y.cross(z), y.abs().yzx() * z.abs().zxy() + y.abs().zxy() * z.abs().yzx());
     let (det, magnitude) = (x.dot(m), x.abs().dot(n));
-    // A normal sum of products far above the least normal double has lost nothing to underflow that matters.
+    // Underflow is negligible if the sum of products is far above the least normal double.
     let safe = magnitude > 1e-200 && magnitude < 1e250 && x.abs().max_element() < 1e80;
     (safe && det.abs() > 16.0 * U * magnitude + 1e-280).then_some(if det > 0.0 {
         Ordering::Greater
@@ -101,8 +101,8 @@ pub fn integers(p: &Source) -> [IBig; 4] {
     }
 }
 
-/// The plane (n, k), n·x = k, through three points that are not on a line; n points to where they are seen to
-/// turn counter-clockwise.
+/// The plane (n, k), n·x = k, through three points that are not on a line; n points to the side from which
+/// they appear counter-clockwise.
 pub fn plane(p: [&[IBig; 4]; 3]) -> [IBig; 4] {
     // The cofactors of the 3×4 matrix of homogeneous points; with w > 0 the first three are n up to a
     // positive factor.
@@ -116,7 +116,7 @@ pub fn plane(p: [&[IBig; 4]; 3]) -> [IBig; 4] {
     out
 }
 
-/// n·x − k·w, whose sign is that of the side of the plane the point is on.
+/// n·x − k·w, whose sign says on which side of the plane the point is.
 pub fn height(plane: &[IBig; 4], p: &[IBig; 4]) -> IBig {
     &plane[0] * &p[0] + &plane[1] * &p[1] + &plane[2] * &p[2] - &plane[3] * &p[3]
 }

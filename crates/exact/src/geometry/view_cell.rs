@@ -1,4 +1,4 @@
-//! A view cell: the box that all of a cell's lines of sight start in.
+//! A view cell: the box that contains the viewpoints.
 
 use glam::{DVec3, Vec3};
 use sightline_numbers::Aabb;
@@ -38,8 +38,8 @@ impl Cell {
         self.bounds().touches(&of)
     }
 
-    /// How large a box looks from the cell: half its surface over the square of its distance. Only good for
-    /// comparisons.
+    /// How large a box looks from the cell: half its surface over the square of its distance. For comparisons
+    /// only.
     pub fn size_of(&self, min: Vec3, max: Vec3) -> f64 {
         let [lo, hi, min, max] = [self.min, self.max, min, max].map(|v| v.as_dvec3());
         let d = max - min;

@@ -11,13 +11,13 @@ use std::rc::Rc;
 
 use crate::line_space::space::{Space, Tight, VectorId};
 
-/// Most half-spaces of a region, kept free of those that bound nothing.
+/// Maximum number of half-spaces of a region; redundant ones are removed before a region is refused.
 pub const MOST_HALVES: usize = 128;
 
-/// A pointed cone with inner points: a set of lines, real and not.
+/// A pointed cone with interior points. Its vectors need not be real lines.
 #[derive(Clone, Debug)]
 pub struct Region {
-    /// Extreme rays, and where each is tight.
+    /// Extreme rays, each with the half-spaces that are tight at it.
     pub rays: Vec<(VectorId, Tight)>,
     /// The lines whose hyperplanes bound the region; a bit of [`Tight`] is an index here.
     pub halves: Rc<[VectorId]>,
@@ -46,7 +46,7 @@ impl Region {
         space.decisions.filtered += sure;
     }
 
-    /// The lines of a set.
+    /// The lines of a set of half-spaces.
     pub fn tight(&self, set: Tight) -> impl Iterator<Item = VectorId> {
         Self::lines(&self.halves, set)
     }
@@ -55,8 +55,8 @@ impl Region {
         halves.iter().enumerate().filter(move |(k, _)| set >> k & 1 == 1).map(|(_, h)| *h)
     }
 
-    /// The parts on the negative and on the positive side of a line, given the sides of all rays, both of
-    /// which must occur.
+    /// Splits the region into the parts on the negative and on the positive side of a line. `sides` holds the
+    /// side of each ray; both sides must occur.
     ///
     /// # Errors
     /// [`TooComplex`] when the region has as many facets as there are bits.
@@ -82,7 +82,7 @@ impl Region {
         let halves: Rc<[VectorId]> = halves.into();
         let kept = |keep: Ordering| sides.iter().filter(|s| **s != keep.reverse()).count();
         let mut parts = [Ordering::Less, Ordering::Greater].map(|keep| {
-            // A cut or two for each ray that is left out.
+            // Room for two cuts for each ray that is removed.
             let most = 2 * sides.len() - kept(keep);
             let mut rays: Vec<(VectorId, Tight)> = Vec::with_capacity(most);
             rays.extend(
@@ -112,7 +112,7 @@ impl Region {
         Ok(parts)
     }
 
-    /// Without the half-spaces that are tight at fewer than five rays and so bound nothing of full dimension.
+    /// The region without the half-spaces that are tight at fewer than five rays; these bound no facet.
     pub fn compact(&self) -> Self {
         let kept: Vec<usize> = (0..self.halves.len())
             .filter(|h| self.rays.iter().filter(|(_, t)| t >> h & 1 == 1).take(5).count() == 5)
@@ -128,9 +128,9 @@ impl Region {
     }
 }
 
-/// For telling which rays share an edge.
+/// Tells which rays share an edge.
 struct Edges {
-    /// For each half-space the rays it is tight at, if there are few enough to be bits.
+    /// For each half-space, the rays at which it is tight, as bits; `None` for more than 128 rays.
     on: Option<Vec<u128>>,
 }
 
@@ -150,10 +150,11 @@ impl Edges {
         Self { on }
     }
 
-    /// The rays that share an edge with the `i`-th.
+    /// Calls `found` with each ray that shares an edge with ray `i`.
     ///
-    /// The tight half-spaces of an extreme ray have rank 5. If there are five of them each is needed, and any
-    /// four are tight along an edge and nowhere else: the one other ray where they are is its other end.
+    /// The tight half-spaces of an extreme ray have rank 5. If exactly five are tight, any four of them are
+    /// tight along one edge and nowhere else, and the only other ray at which these four are tight is the
+    /// other end of the edge.
     fn neighbours(&self, region: &Region, i: usize, mut found: impl FnMut(usize)) {
         let tight = region.rays[i].1;
         match &self.on {
@@ -185,10 +186,10 @@ impl Edges {
         }
     }
 
-    /// Whether two rays, both tight at `common`, share an edge: no third is tight at all of it.
+    /// Whether two rays share an edge: whether `common`, the half-spaces tight at both, are all tight at no
+    /// third ray.
     fn joined(&self, region: &Region, [i, j]: [usize; 2], common: Tight) -> bool {
-        // Along an edge at least four half-spaces are tight: it is where five dimensions less one meet in a
-        // line.
+        // Along an edge at least four half-spaces are tight: an edge is a face of two of the six dimensions.
         let mut left = common;
         for _ in 0..3 {
             left &= left.wrapping_sub(1);
@@ -212,8 +213,8 @@ impl Edges {
 
 #[cfg(test)]
 impl Region {
-    /// For each ray those that share an edge with it: as they are found, and by looking at all pairs and all
-    /// third rays.
+    /// The rays that share an edge with ray `i`: as [`Edges`] finds them, and by testing all pairs against
+    /// all third rays.
     pub fn neighbours_twice(&self, i: usize) -> [Vec<usize>; 2] {
         let edges = Edges::new(self);
         let mut found = Vec::new();

@@ -1,35 +1,36 @@
 //! The Klein form of one vector with many: with all rays of a region, and with sampled real lines inside it.
 //!
 //! Rays are the corners of a region. The number of rays that an occluder blocks says little about how much of
-//! the region it blocks: a facet in front of the middle blocks no ray at all. Real lines inside are therefore
-//! counted as well.
+//! the region it blocks: an occluder in front of the middle may block no ray at all. Real lines inside the
+//! region are therefore counted as well.
 
 use crate::arithmetic::random::Random;
 use crate::line_space::cone::Region;
 use crate::line_space::space::{Space, klein};
 
-/// Combinations of rays that are looked at for real lines: half as many lines or more, or none.
+/// Combinations of two rays that are tried when real lines are sampled. Sampling gives at least half this
+/// number of lines, or none.
 const MIXED: usize = 32;
 
-/// What forms are asked of for a region, one component after the other, so that several are computed at once.
+/// The vectors of a region, stored by component so that loops over them vectorise.
 #[derive(Default)]
 pub struct Forms {
-    /// The components of all rays, and after them of the lines inside.
+    /// The components of all rays, followed by those of the sampled lines.
     columns: [Vec<f64>; 6],
     rays: usize,
     /// The mean of the rays.
     pub centre: [f64; 6],
-    /// What the form is multiplied by: 1 or −1.
+    /// The factor of the forms in [`Forms::row`]: 1 or −1.
     pub turn: f64,
     row: Vec<f64>,
-    /// For each ray the greatest form with itself and those that follow, kept for its memory.
+    /// For each ray, its greatest form with itself and the rays after it; kept to reuse its memory.
     pub farthest: Vec<f64>,
-    /// Combinations of rays on either side of the quadric, with their forms, kept for their memory.
+    /// Combinations of rays on either side of the quadric, with their forms; kept to reuse the memory.
     mixed: [Vec<(f64, [f64; 6])>; 2],
 }
 
 impl Forms {
-    /// Goes on to another region.
+    /// Starts with another region.
     pub fn begin(&mut self, space: &Space, region: &Region) {
         self.columns.iter_mut().for_each(Vec::clear);
         self.rays = region.rays.len();
@@ -44,10 +45,10 @@ impl Forms {
         self.turn = 1.0;
     }
 
-    /// Adds real lines inside the region, the same every time; none where few of it are real. Gives how many
-    /// rays and lines there are then.
+    /// Adds real lines inside the region, the same on every call; adds none if all combinations are on one
+    /// side of the quadric. Returns the number of rays and lines.
     ///
-    /// Combinations of two rays each are joined across the quadric.
+    /// Each line is the point in which the segment between combinations on different sides meets the quadric.
     pub fn sample(&mut self) -> usize {
         self.columns.iter_mut().for_each(|c| c.truncate(self.rays));
         let mut random = Random::new(0, 0);
@@ -74,12 +75,12 @@ impl Forms {
         self.columns[0].len()
     }
 
-    /// The form of all rays, and of the lines inside if there are any yet, with a line.
+    /// The forms of all rays, and of the lines sampled so far, with a line.
     pub fn against(&self, line: &[f64; 6], out: &mut Vec<f64>) {
         forms(self.columns.each_ref().map(|c| &c[..]), *line, out);
     }
 
-    /// The form of a ray with itself and all that follow.
+    /// The forms of ray `i` with itself and all rays after it.
     pub fn row(&mut self, i: usize) -> &[f64] {
         let columns = self.columns.each_ref().map(|c| &c[i..self.rays]);
         let ray = columns.map(|c| self.turn * c[0]);
@@ -88,11 +89,11 @@ impl Forms {
     }
 }
 
-/// The form of one vector with many, given by columns.
+/// The forms of one vector with many, given by columns.
 fn forms(columns: [&[f64]; 6], with: [f64; 6], out: &mut Vec<f64>) {
     let n = columns[0].len();
     out.resize(n, 0.0);
-    // Slices of one length, so that nothing is checked inside the loop and several are computed at once.
+    // Slices of equal length, so that the loop has no bounds checks and vectorises.
     let [a, b, c, d, e, f] = columns.map(|c| &c[..n]);
     let out = &mut out[..n];
     let [p, q, r, s, t, u] = with;
@@ -103,7 +104,7 @@ fn forms(columns: [&[f64]; 6], with: [f64; 6], out: &mut Vec<f64>) {
 
 /// The t in [0, 1] at which c(1−t)² + 2m t(1−t) + e t² vanishes, c and e having different signs.
 pub fn crossing(c: f64, m: f64, e: f64) -> f64 {
-    // With t = s/(1 + s), s is the positive root of e s² + 2m s + c, without a difference of like numbers.
+    // With t = s/(1 + s), s is the positive root of e s² + 2m s + c, computed without cancellation.
     let root = (m * m - c * e).sqrt();
     let s =
         if (m > 0.0) == (e > 0.0) { -c / (m.abs() + root).copysign(e) } else { (m.abs() + root) / e.abs() };
@@ -117,7 +118,7 @@ mod tests {
     use super::*;
     use crate::geometry::frame::Frame;
 
-    /// A region with these rays; where they are tight does not matter here.
+    /// The forms of a region with these rays; their tight half-spaces do not matter here.
     fn forms_of(rays: &[[f64; 6]]) -> Forms {
         let corners = [DVec3::ZERO, DVec3::X, DVec3::Y].map(|p| p + DVec3::Z);
         let mut space = Space::new(Frame::around(&[DVec3::ZERO, DVec3::X, DVec3::Y], &corners));
@@ -144,7 +145,7 @@ mod tests {
             assert!(line[..5].iter().all(|c| *c >= 0.0) && line[5] <= 0.0, "{line:?}");
             assert!(line.iter().any(|c| *c != 0.0));
         }
-        // Again for the next, not on top.
+        // A second call replaces the lines.
         assert_eq!(forms.sample(), many);
     }
 

@@ -16,14 +16,14 @@ use crate::line_space::cone::Region;
 use crate::line_space::forms::{Forms, crossing};
 use crate::line_space::space::{Space, VectorId, klein, klein_exact};
 
-/// What a region holds.
+/// The result of the search for real lines in a region.
 #[derive(Clone, Debug)]
 pub enum Contents {
     /// No open set of real lines, proved.
     Nothing,
-    /// Real lines: these, rounded, first the one that is deepest inside.
+    /// Real lines, rounded; the one deepest inside comes first.
     Lines(Vec<[f64; 6]>),
-    /// The signs of pairs differ but doubles show no change of sign inside.
+    /// The signs of pairs of rays differ, but doubles find no real line inside.
     Unsure,
 }
 
@@ -33,12 +33,13 @@ pub fn contents(space: &mut Space, region: &Region, most: usize, forms: &mut For
     forms.begin(space, region);
     let at_centre = klein(&forms.centre, &forms.centre);
     forms.turn = if at_centre > 0.0 { -1.0 } else { 1.0 };
-    // No form of two of these rays is off by more: no component exceeds 1, and six of them are at most 6.
+    // The greatest error of a form of two rays: no component exceeds 1, and the sum of six is at most 6.
     let error = region.rays.iter().fold(0.0f64, |m, (r, _)| m.max(space.error(*r)));
     let bound = 48.0 * U + 13.0 * error + 7.0 * error * error;
-    // How many signs are sure, in doubles so that several are counted at once.
+    // The number of certain signs is a double so that the loop vectorises.
     let (mut right, mut wrong, mut sure) = (false, false, 0.0f64);
-    // How far pairs of each ray and those after it get to the other side of the quadric than the centre.
+    // For each ray, how far its pairs with itself and later rays reach to the side of the quadric opposite
+    // the centre.
     let mut farthest = std::mem::take(&mut forms.farthest);
     farthest.clear();
     for i in 0..n {
@@ -63,7 +64,7 @@ pub fn contents(space: &mut Space, region: &Region, most: usize, forms: &mut For
             break;
         }
         let j = i + forms.row(i).iter().position(|v| *v == value).unwrap_or(0);
-        // Values of the form below this are rounding and would lead to lines that are none.
+        // Smaller values of the form are rounding errors and would give lines that are not real.
         let noise = 64.0 * U + 16.0 * error;
         let (a, b) = (space.rounded(region.rays[i].0), space.rounded(region.rays[j].0));
         let Some(end) = beyond(a, b, at_centre, noise) else { continue };
@@ -79,13 +80,13 @@ pub fn contents(space: &mut Space, region: &Region, most: usize, forms: &mut For
     if lines.is_empty() {
         return Contents::Unsure;
     }
-    // The nearer to the centre the better.
+    // Lines nearer to the centre come first.
     lines.sort_by(|a, b| a.0.total_cmp(&b.0));
     Contents::Lines(lines.into_iter().map(|l| l.1).collect())
 }
 
-/// Whether the form has both signs on pairs of rays where filters show one at most, given which: integers say
-/// so.
+/// Whether the form has both signs on pairs of rays, where filters have shown at most one of them (`right` or
+/// `wrong`). Integers decide the remaining pairs.
 fn both_signs(
     space: &mut Space,
     region: &Region,
@@ -93,7 +94,7 @@ fn both_signs(
     bound: f64,
     [right, wrong]: [bool; 2],
 ) -> bool {
-    // The lines each ray is on, once they are needed.
+    // The lines each ray is on, filled when first needed.
     let mut on: Vec<Vec<VectorId>> = vec![Vec::new(); region.rays.len()];
     let turned = forms.turn < 0.0;
     let (mut positive, mut negative) =
@@ -136,18 +137,17 @@ fn beyond(a: &[f64; 6], b: &[f64; 6], from: f64, noise: f64) -> Option<[f64; 6]>
     (value > noise).then(|| std::array::from_fn(|i| (1.0 - t) * a[i] + t * b[i]))
 }
 
-/// Bits behind the point of rays and parameters where doubles are too coarse.
+/// Bits of rays and parameters where doubles are too coarse.
 const FINE: usize = 256;
 
-/// A form of two rounded vectors is of the sign it seems to be if it is greater than this: as in
-/// [`contents`], with each off by u.
+/// The form of two rounded vectors has the right sign if its magnitude exceeds this: the bound of
+/// [`contents`] with an error of u for each vector.
 const SURELY: f64 = 64.0 * U;
 
-/// Pairs of rays that are tried where rounding has misled.
+/// Pairs of rays that are tried in integers, since rounding may rank them wrongly.
 const MOST_TRIED: usize = 8;
 
-/// The rays of a region in integers of one size, cut off 256 bits behind the point: only where to look
-/// depends on them.
+/// The rays of a region as integers truncated to 256 bits. They affect where the search looks and no verdict.
 pub fn fine(space: &mut Space, region: &Region) -> Vec<[IBig; 6]> {
     region
         .rays
@@ -162,8 +162,8 @@ pub fn fine(space: &mut Space, region: &Region) -> Vec<[IBig; 6]> {
         .collect()
 }
 
-/// A line inside a region, real to 2⁻²⁵⁶: for regions so thin that doubles do not show what is in them. None
-/// where no pair of rays shows a change of sign.
+/// A line inside a region, on the quadric up to 2⁻²⁵⁶, for regions too thin for doubles. None if no pair of
+/// rays shows a change of sign.
 pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     let rays = fine(space, region);
     let sum = |a: &[IBig; 6], b: &[IBig; 6]| -> [IBig; 6] { std::array::from_fn(|i| &a[i] + &b[i]) };
@@ -171,9 +171,9 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     let c = klein_exact(&centre, &centre);
     let turn = if sign(&c) == Ordering::Greater { -1.0 } else { 1.0 };
     let wrong = |x: IBig| if turn < 0.0 { -x } else { x };
-    // Which pairs get farthest to the other side, by doubles; what that comes to is decided by integers.
+    // Doubles rank the pairs by how far they reach to the other side; integers decide the signs.
     let near: Vec<[f64; 6]> = rays.iter().map(rounded).collect();
-    // Scaled as these are, lest products overflow.
+    // Scaled like the doubles, so that products do not overflow.
     let scale = f64::powi(2.0, -2 * FINE as i32);
     let form = |i: usize, j: usize| wrong(klein_exact(&rays[i], &rays[j])).to_f64().value() * scale;
     let own: Vec<f64> = (0..rays.len()).map(|i| form(i, i)).collect();
@@ -181,8 +181,8 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     for (i, a) in near.iter().enumerate() {
         pairs.push((own[i], i, i));
         for (j, b) in near.iter().enumerate().skip(i + 1) {
-            // No mix of the two has a form above the greatest of p, q and r, and the best is between them if
-            // that is q.
+            // No combination of the two rays has a form above max(p, q, r), and the greatest form is between
+            // the rays only if q is this maximum.
             if turn * klein(a, b) < -SURELY {
                 continue;
             }
@@ -192,7 +192,7 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
             }
         }
     }
-    // Those of which rounding does not tell among them.
+    // Pairs whose sign is within the rounding error are kept, too.
     pairs.retain(|pair| pair.0 > -1e-14);
     pairs.sort_by(|x, y| y.0.total_cmp(&x.0));
     let mixed = |(i, j): (usize, usize)| -> [IBig; 6] {

@@ -17,15 +17,15 @@ use crate::line_space::cone::Region;
 use crate::line_space::klein::fine;
 use crate::line_space::space::{Space, klein, klein_exact};
 
-/// Bits of a hyperplane, unless it takes more to split a region.
+/// Bits of a hyperplane's components, unless the split needs more.
 const SHORT: usize = 64;
 
 /// The Plücker vector of a hyperplane, in world space, and the parts of a region on its negative and positive
 /// side.
 pub type PolarSplit = ([IBig; 6], [Region; 2]);
 
-/// Splits a region: by what doubles suggest if that does, else by as short a hyperplane from integers as
-/// does.
+/// Splits a region by a hyperplane chosen in doubles or, if that one does not split it, by the shortest
+/// working hyperplane chosen in integers.
 pub fn split(space: &mut Space, region: &Region) -> Option<PolarSplit> {
     if let Some(polar) = in_doubles(space, region)
         && let Some(found) = split_by(space, region, &integers(polar).0, SHORT)
@@ -36,8 +36,7 @@ pub fn split(space: &mut Space, region: &Region) -> Option<PolarSplit> {
     (1..4).find_map(|k| split_by(space, region, &polar, SHORT << k))
 }
 
-/// Splits a region by the hyperplane polar to a vector of the frame, or rather to that vector cut off in the
-/// world after so many bits.
+/// Splits a region by the hyperplane polar to a vector of the frame, truncated in world space to `bits` bits.
 fn split_by(space: &mut Space, region: &Region, polar: &[IBig; 6], bits: usize) -> Option<PolarSplit> {
     let mut polar = space.frame().line_to_world(polar);
     let longest = polar.iter().map(|c| c.bit_len()).max().unwrap_or(0);
@@ -57,7 +56,7 @@ fn split_by(space: &mut Space, region: &Region, polar: &[IBig; 6], bits: usize) 
     Some((polar, parts))
 }
 
-/// In doubles: for the two rays whose pair is most of the other sign than the centre.
+/// In doubles: the hyperplane for the two rays whose form is farthest from the sign of the centre.
 fn in_doubles(space: &Space, region: &Region) -> Option<[f64; 6]> {
     let x: Vec<[f64; 6]> = region.rays.iter().map(|(r, _)| *space.rounded(*r)).collect();
     let centre: [f64; 6] = std::array::from_fn(|i| x.iter().map(|v| v[i]).sum::<f64>() / x.len() as f64);
@@ -72,17 +71,17 @@ fn in_doubles(space: &Space, region: &Region) -> Option<[f64; 6]> {
         }
     }
     let (_, i, j) = best?;
-    // As long as each other by the form.
+    // Both rays are scaled to the same length in the form.
     let size = |v: &[f64; 6]| klein(v, v).abs().sqrt().max(1e-6);
     let (p, q) = (size(&x[i]), size(&x[j]));
     Some(std::array::from_fn(|k| x[j][k] / q - x[i][k] / p))
 }
 
-/// In integers: for the two rays whose pair is most of the other sign than each of them alone, beside what
-/// these have.
+/// In integers: the hyperplane for the two rays whose mutual form has the sign opposite to both of their own
+/// forms and is greatest relative to these.
 ///
-/// Where a ray of such a pair has no sign alone, or the other one, a line of the two is real, and
-/// [`crate::line_space::klein::precise`] finds it.
+/// If the own form of a ray is 0 or the two own forms have different signs, a combination of the two rays is
+/// a real line, and [`crate::line_space::klein::precise`] finds it.
 fn in_integers(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     let rays = fine(space, region);
     let own: Vec<IBig> = rays.iter().map(|x| klein_exact(x, x)).collect();
@@ -93,7 +92,7 @@ fn in_integers(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
         if signs[0] != signs[1] || signs[0] == Ordering::Equal || sign(&pair) != signs[0].reverse() {
             continue;
         }
-        // How much of the other sign, beside what the two have alone.
+        // The form of the pair relative to the own forms of the two rays.
         let [p, q, r] = [&own[i], &pair, &own[j]].map(|x| x.to_f64().value().abs());
         let much = (q / p) * (q / r);
         if best.is_none_or(|(m, _, _)| much > m) {
@@ -101,7 +100,7 @@ fn in_integers(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
         }
     }
     let (_, i, j) = best?;
-    // Roughly of one size; any factors will do.
+    // Scaled to about the same size; the split is correct for any factors.
     let bits = |x: &IBig| x.bit_len() / 2;
     let (p, q) = (bits(&own[i]), bits(&own[j]));
     let (up, over) = (p.saturating_sub(q), q.saturating_sub(p));
@@ -153,7 +152,7 @@ mod tests {
             found += 1;
             let bits = line.iter().map(|c| c.bit_len()).max().unwrap();
             assert!(klein_exact(&line, &line).bit_len() + 250 < 2 * bits, "round {round}");
-            // On the side of each facet that the ray off it is on.
+            // The line is on the same side of each facet as the ray opposite the facet.
             for (half, (ray, _)) in region.halves.iter().zip(&region.rays) {
                 let (half, ray) = (space.exact(*half).clone(), space.exact(*ray).clone());
                 let sides = [&line, &ray].map(|x| sign(&klein_exact(x, &half)));

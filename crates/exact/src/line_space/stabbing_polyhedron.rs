@@ -5,17 +5,17 @@
 //! hyperplanes, so the polyhedron is a cone extruded along ±k (Nirenstein 2003, theorem 5.1). In the quotient
 //! by k its extreme rays are the vertex pairs, except that a vertex on the other polygon's plane makes one
 //! ray with all of its vertices: the quotient is {(P, Q) ∈ cone A × cone B : g(P) = h(Q)}, with g and h the
-//! heights over the other's plane. What is tight where is therefore known without a computation, in touching
-//! positions, too (Nirenstein 2003, section 5.2.6).
+//! heights over the other's plane. The tight half-spaces of each ray are therefore known without a
+//! computation, also where the polygons touch each other's planes (Nirenstein 2003, section 5.2.6).
 //!
 //! Two caps make it bounded (Nirenstein 2003, section 5.2.5): hyperplanes with all vertex-pair lines on one
-//! side and k, or −k, on the other. Any do; these are fitted to the pair. They hold on to no line: what is
-//! proved for the capped region is proved for the hull of the vertex-pair lines, which has no caps and is all
-//! that certificates speak of.
+//! side and k, or −k, on the other. Any such hyperplanes are correct; these are fitted to the pair. No
+//! vertex-pair line lies on or beyond a cap, so a proof for the capped region also holds for the hull of the
+//! vertex-pair lines, the region that certificates refer to.
 //!
-//! Where a vertex of A and one of B lie on k, ±k is itself such a line and the cap on its side gives way to
-//! an apex. Where both signs occur (the polygons overlap along k) the region is cut in two by a hyperplane
-//! across k, always the same.
+//! Where a vertex of A and a vertex of B lie on k, k or −k is itself a vertex-pair line, and an apex replaces
+//! the cap on its side. Where both occur (the polygons overlap along k), a hyperplane across k cuts the
+//! region in two.
 
 use std::cmp::Ordering;
 
@@ -45,18 +45,18 @@ pub struct Pair {
     pub flat: FxHashMap<u32, [bool; 2]>,
 }
 
-/// The polygons have no stabbing polyhedron here: no cap was found, because they are too thin, or too near to
-/// each other's planes, for doubles to fit one; or they have more edges than a region has half-spaces. Halves
-/// of them may have one.
+/// No stabbing polyhedron was constructed: the polygons are too thin, or too near to each other's planes, for
+/// doubles to fit a cap, or they have more edges than a region may have half-spaces. Their halves may
+/// succeed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NoCaps;
 
-/// Makes the region of lines from `a` to `b`, of which neither has vertices on both sides of the other's
-/// plane, and neither lies in it. `a_sides` are the sides of A's vertices of B's plane, `b_sides` those of
-/// B's vertices of A's.
+/// Constructs the region of lines from `a` to `b`. Neither polygon may lie in the other's plane or have
+/// vertices on both sides of it. `a_sides` holds the sides of B's plane on which A's vertices lie, `b_sides`
+/// the sides of A's plane on which B's vertices lie.
 ///
 /// # Errors
-/// [`NoCaps`]; halves of the polygons may do.
+/// [`NoCaps`]; halves of the polygons may succeed.
 pub fn stabbing(
     space: &mut Space,
     (a, a_sides): (&Polygon, &[Ordering]),
@@ -93,7 +93,7 @@ pub fn stabbing(
     let all = |n: usize, first: usize| ((1u128 << n) - 1) << first;
     // One line for each ray of the quotient, and the edges tight there.
     let mut quotient: Vec<(VectorId, u128)> = Vec::with_capacity(n * m);
-    // All lines through a vertex pair but those along k: what caps must leave in.
+    // All vertex-pair lines except those along k. The caps must keep them.
     let mut lines: Vec<VectorId> = Vec::with_capacity(n * m);
     let mut along: Vec<VectorId> = Vec::new();
     let mut across = None;
@@ -109,7 +109,8 @@ pub fn stabbing(
             }
             let tight_a = if hj == Ordering::Equal { all(n, 0) } else { at(i, n, 0) };
             let tight_b = if gi == Ordering::Equal { all(m, n) } else { at(j, m, n) };
-            // A vertex on the other's plane makes one ray: with the first partner that is off its own.
+            // A vertex on the other polygon's plane makes one ray, with the first partner that is off its own
+            // plane.
             let seen = if gi == Ordering::Equal {
                 std::mem::replace(&mut on_plane, true)
             } else {
@@ -133,8 +134,8 @@ pub fn stabbing(
     let mut regions = Vec::with_capacity(2);
     let apex = all(n + m, 0);
     if let (true, true, Some(middle)) = (ends_up, ends_down, across) {
-        // The line through a vertex of each that is off the other's plane does not meet k. The part that
-        // holds k, and the part that holds −k.
+        // `middle` joins two vertices, each off the other polygon's plane, so it does not meet k. Its
+        // hyperplane separates the part with k from the part with −k.
         let mut base: Vec<(VectorId, u128)> = Vec::with_capacity(quotient.len());
         for (line, tight) in &quotient {
             base.push((onto(space, *line, [k, minus], middle), tight | 1 << (n + m)));
@@ -170,7 +171,7 @@ fn onto(space: &mut Space, line: VectorId, [k, minus]: [VectorId; 2], cap: Vecto
     if side == Ordering::Equal {
         return line;
     }
-    // Going the way that changes the side: k if it is on the other, −k if not.
+    // The direction that changes the side: k if k is on the other side, −k if not.
     let way = if space.side(k, cap) == side { minus } else { k };
     space.cut([line, way], cap, Vec::new)
 }
@@ -214,7 +215,8 @@ fn mean(space: &Space, lines: &[VectorId], k: VectorId) -> [f64; 6] {
 fn edge_sum(space: &mut Space, (edges, of_a): (&[VectorId], usize), lines: &[VectorId]) -> [f64; 6] {
     let mut sum = [0.0; 6];
     for polygon in [&edges[..of_a], &edges[of_a..]] {
-        // All edges of a convex polygon are passed on the same side: whichever line is off one tells.
+        // A line passes all edges of a convex polygon on the same side, so the first line found off an edge
+        // tells the side.
         let side = polygon
             .iter()
             .flat_map(|e| lines.iter().map(move |l| (*e, *l)))
@@ -234,9 +236,9 @@ fn dot(f: &[f64; 6], v: &[f64; 6]) -> f64 {
     f.iter().zip(v).map(|(a, b)| a * b).sum()
 }
 
-/// The functionals whose level sets cap the extrusion: φ, as flat as can be over the vertex-pair lines with
-/// φ(k) = 1, and σ, positive on all of them with σ(k) = 0. As doubles they are exact by definition; whether
-/// they cap is checked.
+/// The functionals whose level sets cap the extrusion: φ with φ(k) = 1, as small as possible on the
+/// vertex-pair lines, and σ with σ(k) = 0, positive on all of them. Their doubles are exact by definition;
+/// each cap is checked.
 struct Caps {
     phi: [f64; 6],
     sigma: [f64; 6],
@@ -249,7 +251,7 @@ impl Caps {
     fn fit(space: &Space, through: &[VectorId], k: VectorId, sigma: [f64; 6]) -> Result<Self, NoCaps> {
         let at: Vec<[f64; 6]> = through.iter().map(|l| *space.rounded(*l)).collect();
         let k_at = *space.rounded(k);
-        // φ minimises Σ φ(v)² subject to φ(k) = 1: φ = G⁻¹k / (k·G⁻¹k) with G = Σ v vᵀ, made regular.
+        // φ minimises Σ φ(v)² subject to φ(k) = 1: φ = G⁻¹k / (k·G⁻¹k) with G = Σ v vᵀ, regularised.
         let mut g = [[0.0; 6]; 6];
         for v in &at {
             for (i, row) in g.iter_mut().enumerate() {

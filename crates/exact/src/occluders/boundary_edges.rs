@@ -4,16 +4,16 @@ use rayon::prelude::*;
 
 use super::occluder::{Occluder, OccluderId};
 
-/// Most occluders at one edge that are looked at.
+/// Maximum number of occluders considered at one edge.
 const MOST_AT_EDGE: usize = 8;
 
-/// Edges of borders.
+/// The boundary edges of all occluders.
 pub struct BoundaryEdges {
     /// The number of each occluder's first edge.
     first: Vec<u32>,
-    /// By number, which group an edge is in: of those between the same two corners.
+    /// The group of each edge, by number. A group holds the edges between the same two corners.
     group: Vec<u32>,
-    /// Where in `sharing` each group begins, and the end.
+    /// The start of each group in `sharing`, followed by the end of the last.
     groups: Vec<u32>,
     /// The occluders with an edge of a group, and whether their border runs from the greater corner to the
     /// lesser.
@@ -51,8 +51,8 @@ impl BoundaryEdges {
         self.first[occluder.0 as usize]
     }
 
-    /// The occluders (a few, where there are many) that have an edge, its own among them, and whether their
-    /// border runs along it from the greater corner to the lesser.
+    /// The occluders with this edge, at most eight of them, each with whether its border runs along the edge
+    /// from the greater corner to the lesser.
     pub fn sharing(&self, edge: u32) -> &[(OccluderId, bool)] {
         let group = self.group[edge as usize] as usize;
         let all = &self.sharing[self.groups[group] as usize..self.groups[group + 1] as usize];

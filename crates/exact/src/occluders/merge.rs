@@ -13,16 +13,15 @@ use super::occluder::{Occluder, OccluderId, border};
 /// Longest border of a merged occluder.
 const MOST_EDGES: usize = 24;
 
-/// Faces being merged: loops of vertices, counter-clockwise seen from where the first triangle's corners turn
-/// so.
+/// Faces being merged: loops of vertices in the orientation of the first triangle.
 pub struct Faces<'a> {
     triangles: &'a [[Vec3; 3]],
     corners: &'a [u32],
-    /// Of each triangle its face, by union-find.
+    /// The face of each triangle, by union-find.
     sets: UnionFind,
-    /// Of each face (a root): its triangles and border, by corner numbers and positions.
+    /// The faces, stored at their roots.
     faces: Vec<Option<Face>>,
-    /// Neighbours in one plane, over an edge.
+    /// Pairs of coplanar triangles that share an edge.
     pairs: Vec<(u32, u32)>,
 }
 
@@ -31,7 +30,7 @@ struct Face {
     triangles: Vec<OccluderTriangle>,
     /// Directed edges by corner numbers and positions.
     border: Vec<Edge>,
-    /// The axis to look along, and whether that sees the face turn clockwise.
+    /// The axis of projection, and whether the projected face is clockwise.
     axis: usize,
     mirrored: bool,
 }
@@ -71,7 +70,7 @@ impl<'a> Faces<'a> {
         Self { triangles, corners, sets: UnionFind::new(n), faces, pairs }
     }
 
-    /// Joins neighbours as long as that leaves them convex.
+    /// Merges neighbours while their union is convex.
     pub fn merge(&mut self) {
         let mut pairs = std::mem::take(&mut self.pairs);
         loop {
@@ -124,7 +123,7 @@ impl Face {
     fn of(id: u32, v: &[Vec3; 3], c: &[u32]) -> Self {
         let border =
             (0..3).map(|k| Edge { from: c[k], to: c[(k + 1) % 3], ends: [v[k], v[(k + 1) % 3]] }).collect();
-        // Some axis sees the triangle with an area, since it has one; which is decided exactly.
+        // A triangle with area has area in at least one projection along an axis; the choice is exact.
         let turn = |axis: usize| orient2d_sign(flat(v[0], axis), flat(v[1], axis), flat(v[2], axis));
         let axis = (0..3).find(|k| turn(*k) != Ordering::Equal).unwrap_or(0);
         Self {
@@ -140,7 +139,7 @@ impl Face {
         if self.border.len() + other.border.len() > MOST_EDGES + 2 {
             return None;
         }
-        // Turned so that both face the same way: seen along the same axis.
+        // Reversed if needed, so that both have the same orientation in the projection.
         let OccluderTriangle { triangle, reversed } = other.triangles[0];
         let v = &triangles[triangle as usize];
         let clockwise = orient2d_sign(flat(v[0], self.axis), flat(v[1], self.axis), flat(v[2], self.axis))
@@ -175,7 +174,7 @@ impl Face {
                 return None;
             }
         }
-        // Turning left all the way can also go round twice; no corner may be to the right of any edge.
+        // A loop with left turns only may wind twice, so no corner may be to the right of any edge.
         let right = if self.mirrored { Ordering::Greater } else { Ordering::Less };
         let outside = |e: &Edge, p: Vec3| {
             orient2d_sign(flat(e.ends[0], self.axis), flat(e.ends[1], self.axis), flat(p, self.axis)) == right
@@ -188,7 +187,7 @@ impl Face {
         Some(Self { triangles: all, border, axis: self.axis, mirrored: self.mirrored })
     }
 
-    /// As an occluder, its border in the order that its triangles give.
+    /// The face as an occluder, with its border in the order of its triangles.
     fn occluder(&self, triangles: &[[Vec3; 3]], corners: &[u32]) -> Occluder {
         let mut members = self.triangles.clone();
         members.sort_unstable();

@@ -1,4 +1,4 @@
-//! Occluders: sets of triangles that block together, described by their boundary edges.
+//! Occluders: sets of triangles that block a region of line space, described by their boundary edges.
 //!
 //! Give each triangle of a set an orientation and remove every edge that two triangles run along in opposite
 //! directions. The signed number of crossings of a line with the triangles depends on the remaining edges
@@ -25,25 +25,25 @@ pub struct OrientedOccluder {
     pub reversed: bool,
 }
 
-/// A set of triangles in one plane that block together.
+/// A convex set of coplanar triangles.
 #[derive(Clone, Debug)]
 pub struct Occluder {
     /// The triangles, reversed where that makes all face the same way.
     pub triangles: Vec<OccluderTriangle>,
-    /// What is left of their edges, directed, in the order of the triangles and their edges.
+    /// The boundary edges, directed, in the order of the triangles and their edges.
     pub border: Vec<[Vec3; 2]>,
-    /// The same by numbers of corners, equal where positions are.
+    /// The same edges by corner numbers; equal positions have equal numbers.
     pub edges: Vec<[u32; 2]>,
 }
 
 impl Occluder {
-    /// The corners of the convex polygon it is, in order, those on the line of their neighbours among them.
+    /// The corners of its convex polygon in order, including corners on the line through their neighbours.
     pub fn outline(&self) -> Vec<Vec3> {
         let mut at = 0;
         (0..self.border.len())
             .map(|_| {
                 let corner = self.border[at][0];
-                // Merged faces have one loop, which goes on where an edge ends.
+                // A merged face has one loop: the next edge starts where this one ends.
                 at = self.edges.iter().position(|e| e[0] == self.edges[at][1]).unwrap_or(at);
                 corner
             })
@@ -51,7 +51,7 @@ impl Occluder {
     }
 }
 
-/// The edges that remain when opposite ones are struck out, in the order of the triangles and of their edges.
+/// The edges that remain when opposite edges are struck out, in the order of the triangles and their edges.
 pub fn border(
     members: &[OccluderTriangle],
     triangles: &[[Vec3; 3]],

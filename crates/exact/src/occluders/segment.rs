@@ -11,9 +11,9 @@ use sightline_scene::exact::orient3d_sign;
 
 use super::set::Occluders;
 
-/// Whether the segment from `p` to `q` passes through the inside of a triangle and no other has a point on
-/// it, but for those in that triangle's plane. Then it is a witness for the triangle: all segments near it
-/// pass through, too.
+/// Whether the segment from `p` to `q` passes through the interior of a triangle and meets no other triangle,
+/// except triangles in the same plane. Such a segment is a witness: all nearby segments pass through the
+/// triangle, too.
 pub fn shows(scene: &Occluders, p: Vec3, q: Vec3, id: u32, scratch: &mut Vec<u32>) -> bool {
     let [a, b, c] = *scene.triangle(id);
     if crossing([a, b, c], p, q) != Crossing::Inside {
@@ -30,18 +30,19 @@ pub fn shows(scene: &Occluders, p: Vec3, q: Vec3, id: u32, scratch: &mut Vec<u32
     })
 }
 
-/// How a segment and a triangle lie to each other.
+/// The relation of a segment to a triangle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Crossing {
     /// They have no point in common.
     Not,
-    /// They have, or may have, and it is not sure to be inside both.
+    /// They have, or may have, a common point, which may be on the triangle's border or at an end of the
+    /// segment.
     Touches,
-    /// The segment passes from one side to the other through the inside.
+    /// The segment passes from one side to the other through the interior.
     Inside,
 }
 
-/// How the segment from `p` to `q` and a triangle with area lie to each other, exactly.
+/// The relation of the segment from `p` to `q` to a triangle with area, decided exactly.
 pub fn crossing([a, b, c]: [Vec3; 3], p: Vec3, q: Vec3) -> Crossing {
     let ends = [p, q].map(|e| orient3d_sign(a, b, c, e));
     if ends[0] == ends[1] && ends[0] != Ordering::Equal {
@@ -53,16 +54,16 @@ pub fn crossing([a, b, c]: [Vec3; 3], p: Vec3, q: Vec3) -> Crossing {
         has(Ordering::Less) && has(Ordering::Greater),
         has(Ordering::Equal) || ends.contains(&Ordering::Equal),
     ) {
-        // In the triangle's plane all turns are equal, so here the line crosses the plane, and outside of the
-        // triangle.
+        // For a line in the triangle's plane all turns are equal, so this line crosses the plane, outside of
+        // the triangle.
         (true, _) => Crossing::Not,
         (false, true) => Crossing::Touches,
         (false, false) => Crossing::Inside,
     }
 }
 
-/// The first triangle a ray meets as far as doubles can tell, and where, in lengths of the direction: a
-/// proposal.
+/// The first triangle a ray meets, computed in doubles without a bound, and its distance in lengths of the
+/// direction. A proposal only.
 pub fn first(scene: &Occluders, origin: DVec3, direction: DVec3) -> Option<(u32, f64)> {
     let mut best: Option<(u32, f64)> = None;
     scene.hierarchy().nearest(origin, direction, |id, limit| {
@@ -74,7 +75,7 @@ pub fn first(scene: &Occluders, origin: DVec3, direction: DVec3) -> Option<(u32,
         let s = origin - a;
         let (u, w) = (s.dot(h) / det, s.cross(e));
         let (v, t) = (direction.dot(w) / det, f.dot(w) / det);
-        // Not for the unordered, which a triangle along the ray gives.
+        // False for NaN, which a triangle parallel to the ray gives.
         if u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0 && t < limit {
             best = Some((id, t));
             return t;

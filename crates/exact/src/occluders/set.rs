@@ -17,7 +17,7 @@ pub struct Occluders {
     occluders: Vec<Occluder>,
     /// The occluder of each triangle; none for those without area.
     of: Vec<Option<OccluderId>>,
-    /// Whether each triangle is turned round in its occluder.
+    /// Whether each triangle is reversed in its occluder.
     turned: Vec<bool>,
     boundary_edges: BoundaryEdges,
     /// Three corner numbers a triangle.
@@ -27,7 +27,7 @@ pub struct Occluders {
 }
 
 impl Occluders {
-    /// Joins the coplanar neighbours of a scene into convex occluders and prepares for tracing, on all of
+    /// Merges the coplanar neighbours of a scene into convex occluders and builds the hierarchy, on all of
     /// rayon's threads.
     ///
     /// # Errors
@@ -80,8 +80,8 @@ impl Occluders {
     }
 
     /// The occluder of a triangle that a line goes through, and whether the line passes the occluder's edges
-    /// on their negative side. `front` says whether it comes from the side the triangle's corners are seen
-    /// counter-clockwise from.
+    /// on their negative side. `front` says whether the line comes from the side from which the triangle's
+    /// corners appear counter-clockwise.
     pub fn passed(&self, triangle: u32, front: bool) -> Option<(OccluderId, bool)> {
         // Down the z axis, (0, 0, −1; 0, 0, 0), with an edge around it from x to y, (−1, 1, 0; 0, 0, 1): K =
         // −1.
@@ -98,7 +98,7 @@ impl Occluders {
         &self.boundary_edges
     }
 
-    /// The numbers of a triangle's corners, equal where positions are.
+    /// The numbers of a triangle's corners; equal positions have equal numbers.
     pub fn corners(&self, id: u32) -> [u32; 3] {
         let at = 3 * id as usize;
         [self.corners[at], self.corners[at + 1], self.corners[at + 2]]
@@ -120,13 +120,13 @@ impl Occluders {
         &self.bvh
     }
 
-    /// The triangles the segment may meet. Its ends are combinations of points no coordinate of which exceeds
-    /// `size`, rounded a few times.
+    /// Appends the triangles that the segment may meet. Its ends are rounded combinations of points whose
+    /// coordinates are at most `size`.
     pub fn along(&self, p: glam::DVec3, q: glam::DVec3, size: f64, out: &mut Vec<u32>) {
         self.bvh.along(p, q, self.slack(size), out);
     }
 
-    /// How far a coordinate of such a point may be off.
+    /// Bound on the rounding error of a coordinate of such an end.
     pub fn slack(&self, size: f64) -> f64 {
         self.reach.max(size) * 1e-14
     }
@@ -141,8 +141,8 @@ mod tests {
     use super::*;
 
     proptest! {
-        /// Lines through the inside of one of two triangles that are one occluder, whichever way each is
-        /// given.
+        /// Lines through the interior of one of two triangles that form one occluder, for both orientations
+        /// of each.
         #[test]
         fn edges_are_passed_on_the_side_that_is_said(
             corners in prop::array::uniform3(prop::array::uniform2(-8i32..9)),
@@ -152,8 +152,7 @@ mod tests {
             weights in prop::array::uniform3(1i32..5),
             second in any::<bool>(),
         ) {
-            // In a plane that is no coordinate plane; a parallelogram of both triangles, so that all are
-            // integers.
+            // The two triangles form a parallelogram in a tilted plane, with integer coordinates.
             let at = |[x, y]: [i32; 2]| {
                 DVec3::new(f64::from(x), f64::from(y), f64::from(tilt[0] * x + tilt[1] * y))
             };

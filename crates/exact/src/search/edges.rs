@@ -21,11 +21,11 @@ pub struct Edge {
 
 /// Lines made so far.
 pub struct EdgeLines {
-    /// By the numbers of an edge's corners, the lesser first: its line, and whether that runs from the
-    /// greater.
+    /// Keyed by the numbers of an edge's corners, the lesser first: the line of the edge, and whether the
+    /// line runs from the greater corner to the lesser.
     edges: FxHashMap<[u32; 2], (VectorId, bool)>,
-    /// By their fingerprints: what is the same line is in the same bucket, or the next. Each with two points
-    /// it goes through.
+    /// Lines by fingerprint, each with two points on it. Equal lines are in the same bucket or in adjacent
+    /// ones.
     buckets: FxHashMap<i64, Vec<(VectorId, [Vec3; 2])>>,
 }
 

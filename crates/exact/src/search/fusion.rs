@@ -7,16 +7,16 @@ use crate::occluders::{OccluderId, Occluders, OrientedOccluder};
 use crate::search::local::{Constraints, Local, lines_of, triangles};
 use crate::search::side_bitsets::{Limit, both, count};
 
-/// Most occluders that are joined to one for the sake of a region.
+/// Maximum number of occluders in a fused occluder.
 const MOST_MEMBERS: usize = 256;
 /// Consecutive members without effect after which fusion ends, or the number of members so far if that is
 /// greater.
 const IN_VAIN: usize = 8;
 
 impl Local<'_> {
-    /// Adds neighbours to an occluder, always over the edge that most of the region is outside of, until more
-    /// of them have no effect. Returns an index into `known`, or None if no neighbours make it block more of
-    /// the region.
+    /// Adds neighbours to an occluder, always across the edge with the largest part of the region outside it,
+    /// until further neighbours have no effect. Returns an index into `known`, or None if no neighbours make
+    /// it block more of the region.
     ///
     /// One neighbour often has no effect where several have: most facets of a curved surface are needed to
     /// block the lines around one of them.
@@ -77,8 +77,8 @@ impl Local<'_> {
         }
     }
 
-    /// What can be added over the edge that most of the region is outside of, and whether it is to be turned
-    /// round.
+    /// The next occluder to add, across the edge with the largest part of the region outside it, and whether
+    /// the occluder must be reversed.
     fn beyond(
         &mut self,
         scene: &Occluders,
@@ -90,8 +90,8 @@ impl Local<'_> {
             let limit = border.iter_mut().filter(|l| !l.last && l.count < all).min_by_key(|l| l.count)?;
             for (id, back) in scene.boundary_edges().sharing(limit.edge.number) {
                 if !members.iter().any(|m| m.id == *id) && self.is_between(scene, *id) {
-                    // Its border must run the other way along the edge, so it is turned round where it runs
-                    // the same way.
+                    // The borders must run along the edge in opposite directions, so an occluder that runs
+                    // the same way is reversed.
                     return Some(OrientedOccluder { id: *id, reversed: *back == limit.edge.back() });
                 }
             }
@@ -99,8 +99,8 @@ impl Local<'_> {
         }
     }
 
-    /// Several occluders that are all between the polygons, as one; an index into `known`. None if they have
-    /// no border.
+    /// Fuses occluders that all lie between the polygons. Returns an index into `known`, or None if the union
+    /// has no border.
     fn patch(&mut self, scene: &Occluders, members: Vec<OrientedOccluder>) -> Option<usize> {
         if let Some(at) = self.patches.get(&members) {
             return *at;

@@ -3,7 +3,7 @@
 use crate::geometry::polygon::Polygon;
 use crate::proof::Which;
 
-/// The polygon that spreads farther, and where to halve it.
+/// The polygon with the longest edge, and where to halve it.
 pub fn widest(a: &Polygon, b: &Polygon) -> (Which, [u16; 2]) {
     let (da, ca) = halving(a);
     let (db, cb) = halving(b);
@@ -16,7 +16,7 @@ fn halving(p: &Polygon) -> (f64, [u16; 2]) {
     let n = v.len();
     let length = |i: usize| (v[(i + 1) % n] - v[i]).length();
     let longest = (0..n).max_by(|i, j| length(*i).total_cmp(&length(*j)).then(j.cmp(i))).unwrap_or(0);
-    // Opposite the middle of edge i: halfway round, a vertex or the middle of an edge.
+    // The middle of edge i, and the vertex or middle of an edge halfway round from there.
     let from = 2 * longest + 1;
     (length(longest), [from as u16, ((from + n) % (2 * n)) as u16])
 }

@@ -35,13 +35,13 @@ pub struct Constraint {
     pub flipped: bool,
     /// Its number in a proof.
     pub number: u16,
-    /// The rounded line of [`SideBitsets`], and whether the border runs the other way than that; none where a
-    /// plane cuts the occluder.
+    /// The number of its line in [`SideBitsets`], and whether the border runs the other way than that line;
+    /// none where a polygon's plane cuts the occluder.
     pub row: Option<(u32, bool)>,
 }
 
-/// Where an occluder is: whether part of it is on the other polygon's side of A's plane and of B's, and
-/// whether part of it is on the side that is away from it.
+/// Position of an occluder relative to A's plane and to B's plane: `within` says whether part of it is on the
+/// side of the other polygon, `beyond` whether part of it is on the opposite side.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Extent {
     within: [bool; 2],
@@ -69,9 +69,9 @@ pub struct Local<'a> {
     pub corners: Corners,
     /// On which sides of the two planes the occluders looked up so far lie.
     pub extents: FxHashMap<OccluderId, Extent>,
-    /// Where in `known` an occluder is; none where it is not between the polygons.
+    /// The index of an occluder in `known`; none if no part of it is between the polygons.
     pub places: FxHashMap<OccluderId, Option<usize>>,
-    /// Where in `known` several occluders are that were joined.
+    /// The index of a fused occluder in `known`, by its members.
     pub patches: FxHashMap<Vec<OrientedOccluder>, Option<usize>>,
     /// Lines made for occluders' edges.
     pub lines: EdgeLines,
@@ -90,7 +90,8 @@ pub struct Local<'a> {
 }
 
 impl Local<'_> {
-    /// The half-spaces of an occluder, where it is between A and B; an index into `known`.
+    /// The half-spaces of the part of an occluder between A and B, as an index into `known`; none if no part
+    /// is.
     pub fn constraints(&mut self, scene: &Occluders, id: OccluderId) -> Option<usize> {
         if let Some(at) = self.places.get(&id) {
             return *at;
@@ -111,7 +112,7 @@ impl Local<'_> {
         std::array::from_fn(|k| self.corners.point(&mut self.space, numbers[k], at[k]))
     }
 
-    /// Where an occluder is.
+    /// The extent of an occluder.
     fn extent(&mut self, scene: &Occluders, id: OccluderId) -> Extent {
         if let Some(known) = self.extents.get(&id) {
             return *known;

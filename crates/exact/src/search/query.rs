@@ -36,7 +36,7 @@ pub fn sightlines(scene: &Occluders, a: &[Polygon], b: &[Polygon], limits: &Limi
     sightlines_until(scene, (a, b), limits, &|| false)
 }
 
-/// As [`sightlines`]; `stop` is asked before every region whether to leave it undecided.
+/// As [`sightlines`]; `stop` is called before every region; the query ends undecided when it returns true.
 pub fn sightlines_until(
     scene: &Occluders,
     (a, b): (&[Polygon], &[Polygon]),
@@ -78,7 +78,8 @@ enum End {
     Open(Reason),
 }
 
-/// The end of a whole from those of its parts: what is seen ends the search, what is open does not.
+/// Combines the result of a part with the result so far: a visible part ends the search, an open part does
+/// not.
 fn worst(before: Result<(), Reason>, now: Result<(), End>) -> Result<Result<(), Reason>, End> {
     match now {
         Ok(()) => Ok(before),
@@ -87,7 +88,7 @@ fn worst(before: Result<(), Reason>, now: Result<(), End>) -> Result<Result<(), 
     }
 }
 
-/// A region the search can do nothing with as it is: the polygons are to be halved.
+/// The search cannot process a region: the polygons must be halved.
 struct Stuck;
 
 struct Search<'a> {
@@ -96,7 +97,7 @@ struct Search<'a> {
     stop: &'a dyn Fn() -> bool,
     cost: Cost,
     proof: Proof,
-    /// What each occluder of the proof is made of.
+    /// The number of each occluder of the proof, by its members.
     numbers: BTreeMap<Vec<OrientedOccluder>, u32>,
 }
 
@@ -109,7 +110,7 @@ impl Search<'_> {
         result.map_err(End::Open)
     }
 
-    /// Proves that no line gets from one part to the other, halving them where that does not succeed at once.
+    /// Proves that no unobstructed line connects two parts, and halves them if the first attempt fails.
     fn pair(
         &mut self,
         a: &(Polygon, Vec<Ordering>),
@@ -134,7 +135,7 @@ impl Search<'_> {
         let (whole, other) = if of == Which::A { (&a.0, &b.0) } else { (&b.0, &a.0) };
         for half in whole.divided(from, to) {
             let sides = other.sides(&half);
-            // The other's sides of the half's plane are what they were: it is the same plane, perhaps turned.
+            // The half lies in the plane of the whole, but its normal may be reversed.
             let half_plane = half.sides(other);
             let (half, rest) = ((half, sides), (other.clone(), half_plane));
             let found = if of == Which::A {
@@ -147,7 +148,7 @@ impl Search<'_> {
         result.map_err(End::Open)
     }
 
-    /// The same without halving.
+    /// As [`Search::pair`], without halving.
     fn try_pair(
         &mut self,
         a: &(Polygon, Vec<Ordering>),
@@ -187,7 +188,7 @@ impl Search<'_> {
         Ok(result)
     }
 
-    /// Takes one region apart.
+    /// Processes one region until none of its pieces remains.
     fn region(&mut self, local: &mut Local<'_>, region: Region) -> Result<Result<(), Stuck>, End> {
         let mut open = vec![region];
         let mut splits = 0;
@@ -226,13 +227,14 @@ impl Search<'_> {
             }
             let Some((step, outside)) = found else { return Ok(Err(Stuck)) };
             self.proof.steps.push(step);
-            // The first part is the next to be looked at.
+            // The first part is processed next.
             open.extend(outside.into_iter().rev());
         }
         Ok(Ok(()))
     }
 
-    /// Follows lines of a region until one is free or an occluder is found that takes something away.
+    /// Traces lines of a region until one is unobstructed or meets an occluder that blocks part of the
+    /// region.
     fn feed_back(
         &mut self,
         local: &mut Local<'_>,
@@ -248,14 +250,14 @@ impl Search<'_> {
         Ok(None)
     }
 
-    /// The same with a line that is in a region too thin for doubles.
+    /// As [`Search::feed_back`], for a region too thin for doubles.
     fn feed_back_precisely(&mut self, local: &mut Local<'_>, region: &Region) -> Result<Option<Found>, End> {
         let Some(line) = klein::precise(&mut local.space, region) else { return Ok(None) };
         let Some(ends) = local.snap_precisely(&line) else { return Ok(None) };
         self.follow(local, region, ends)
     }
 
-    /// Follows one sight line.
+    /// Traces one sight line.
     fn follow(
         &mut self,
         local: &mut Local<'_>,
@@ -279,8 +281,9 @@ impl Search<'_> {
         }
     }
 
-    /// Subtracts, of the occluders that a line passes, each with whether that is on the negative side of its
-    /// edges, the one that holds most of the region, or the next that takes anything away.
+    /// Subtracts one of the occluders that a line meets: the one that blocks most of the region or, if its
+    /// subtraction fails, the next. `met` says for each occluder whether the line passes its edges on their
+    /// negative side.
     fn subtract_best(
         &mut self,
         local: &mut Local<'_>,
@@ -298,7 +301,7 @@ impl Search<'_> {
         });
         for (id, negative, held) in ranked {
             let fused = local.fuse(self.scene, (id, negative, held));
-            // By itself where it has not fused, or where that takes nothing away.
+            // If there is no fused occluder or its subtraction fails, the occluder is tried alone.
             for fused in [fused, None].into_iter().skip(usize::from(fused.is_none())) {
                 let known = fused.or_else(|| local.constraints(self.scene, id));
                 let taken = known.and_then(|k| Some((k, local.subtract(region, k, negative)?)));
@@ -324,5 +327,5 @@ impl Search<'_> {
     }
 }
 
-/// Lines of a region that are tried before it is given up.
+/// Maximum number of lines in doubles that are traced for one region.
 const LINES: usize = 2;

@@ -16,15 +16,15 @@ use crate::line_space::forms::Forms;
 use crate::occluders::{OccluderId, Occluders};
 use crate::search::maps::with_room;
 
-/// A set of a region's rays and sampled lines, one bit each. The rest of a larger region is ignored; few are
-/// larger.
+/// A set of a region's rays and sampled lines, one bit each. Rays and lines beyond the first 256 are ignored;
+/// few regions have more.
 pub type Bits = [u64; 4];
-/// Rays and lines in a [`Bits`].
+/// Capacity of a [`Bits`].
 const MOST: usize = 256;
-/// Forms with a line, neither having a component above 1, that are as good as 0.
+/// Forms up to this magnitude count as 0; no component of either vector exceeds 1.
 const ON: f64 = 1e-12;
 
-/// An edge of an occluder's border, or of several together.
+/// An edge in the border of an occluder or of a fused occluder.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct BoundaryEdge {
     /// Its number in the scene ([`crate::occluders::boundary_edges::BoundaryEdges`]).
@@ -53,14 +53,14 @@ pub struct Limit {
     /// The rays and lines of the region on its inner side, and their number.
     pub inside: Bits,
     pub count: u32,
-    /// Whether nothing can be added over it.
+    /// Whether no occluder can be added across it.
     pub last: bool,
 }
 
 /// For each line, which rays and sampled lines of the current region pass it on either side.
 #[derive(Default)]
 pub struct SideBitsets {
-    /// Which region they are about, and how many rays and lines in it.
+    /// The number of the current region, and the number of its rays and lines.
     region: u32,
     rays: usize,
     /// Corners of the scene in the frame, by number.
@@ -69,7 +69,7 @@ pub struct SideBitsets {
     numbers: FxHashMap<[u32; 2], u32>,
     lines: Vec<[f64; 6]>,
     rows: Vec<Row>,
-    /// Where the edges of an occluder are.
+    /// The range of an occluder's edges in `edges`.
     shapes: FxHashMap<OccluderId, Range<usize>>,
     edges: Vec<BoundaryEdge>,
     forms: Vec<f64>,
@@ -78,15 +78,15 @@ pub struct SideBitsets {
 #[derive(Clone, Copy, Default)]
 struct Row {
     region: u32,
-    /// Rays on the positive side, on the negative side; on both those on the line.
+    /// Rays on the positive side and on the negative side; rays on the line are in both sets.
     sides: [Bits; 2],
 }
 
-/// Corners and lines there is room for from the start: most pairs need few more.
+/// Initial capacity for corners and lines; most pairs need few more.
 const FEW: usize = 64;
 
 impl SideBitsets {
-    /// Nothing yet.
+    /// Empty tables.
     pub fn new() -> Self {
         Self {
             corners: with_room(FEW),
@@ -113,7 +113,7 @@ impl SideBitsets {
         })
     }
 
-    /// The edges of an occluder, in the order of its border.
+    /// The range of an occluder's edges, in the order of its border.
     pub fn shape(&mut self, scene: &Occluders, frame: &Frame, id: OccluderId) -> Range<usize> {
         if let Some(known) = self.shapes.get(&id) {
             return known.clone();
@@ -147,17 +147,17 @@ impl SideBitsets {
         range
     }
 
-    /// The edges of a shape.
+    /// The edges in a range.
     pub fn edges(&self, of: Range<usize>) -> &[BoundaryEdge] {
         &self.edges[of]
     }
 
-    /// The rays that are to the left of an edge, or to the right.
+    /// The rays on the positive side of an edge or, if `negative`, on its negative side.
     pub fn inside(&mut self, forms: &Forms, edge: BoundaryEdge, negative: bool) -> Bits {
         self.row(forms, edge.line)[usize::from(edge.back() != negative)]
     }
 
-    /// The rays on the positive side of a line, by its number, and on the negative.
+    /// The rays on the positive side and on the negative side of the line with this number.
     pub fn row(&mut self, forms: &Forms, line: u32) -> [Bits; 2] {
         let at = line as usize;
         if self.rows[at].region != self.region {
@@ -168,14 +168,15 @@ impl SideBitsets {
         self.rows[at].sides
     }
 
-    /// The rays on the positive side of any line, and on the negative; those nearly on it on both.
+    /// The rays on the positive side and on the negative side of a line; rays nearly on the line are in both
+    /// sets.
     pub fn sides_of(&mut self, forms: &Forms, line: &[f64; 6]) -> [Bits; 2] {
         forms.against(line, &mut self.forms);
         let mut sides = [[0; 4]; 2];
         for (k, chunk) in self.forms[..self.rays].chunks(64).enumerate() {
             let (mut below, mut above) = (0, 0);
             for (i, s) in chunk.iter().enumerate() {
-                // By their sign bits, so that nothing branches.
+                // The sign bits are used to avoid branches.
                 below |= ((s + ON).to_bits() >> 63) << i;
                 above |= ((ON - s).to_bits() >> 63) << i;
             }
@@ -192,12 +193,12 @@ impl SideBitsets {
     }
 }
 
-/// What is in both sets.
+/// The intersection of two sets.
 pub fn both(a: Bits, b: Bits) -> Bits {
     std::array::from_fn(|k| a[k] & b[k])
 }
 
-/// How many rays are in a set.
+/// The number of rays in a set.
 pub fn count(of: Bits) -> u32 {
     of.iter().map(|b| b.count_ones()).sum()
 }

@@ -19,8 +19,8 @@ const WEIGHTS: u64 = 1 << 50;
 const FINE: usize = 240;
 
 impl Local<'_> {
-    /// A real line near `line`, between points strictly inside both polygons: points of the space and rounded
-    /// ones.
+    /// A real line near `line`, between points strictly inside both polygons. Each end is given as a point of
+    /// the space and rounded.
     pub fn snap(&mut self, line: &[f64; 6]) -> Option<(Snapped, Snapped)> {
         let p = self.snap_end(line, 0)?;
         let q = self.snap_end(line, 1)?;
@@ -35,7 +35,7 @@ impl Local<'_> {
         }
         let corner = |i: usize| DVec3::from(self.space.point_at(ids[i]).at);
         let o = corner(0);
-        // The triangle of the fan that the point is in, or nearest to being in.
+        // The triangle of the fan that contains the point or comes closest to containing it.
         let mut best: Option<(f64, usize, [f64; 3])> = None;
         for i in 1..ids.len() - 1 {
             let (x, y, d) = (corner(i) - o, corner(i + 1) - o, at - o);
@@ -89,7 +89,7 @@ impl Local<'_> {
         if at[3].is_zero() {
             return None;
         }
-        // Against a point off the plane, the determinants of (x, b, c, off), … are x's weights, times w.
+        // With a point `off` the plane, the determinants of (x, b, c, off), … are x's weights, times w.
         let off: [IBig; 4] = std::array::from_fn(|k| {
             if k < 3 { &corners[0][k] + &plane[k] * &corners[0][3] } else { corners[0][3].clone() }
         });

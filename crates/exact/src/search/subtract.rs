@@ -8,15 +8,15 @@ use crate::search::local::{Constraint, Local};
 use crate::search::side_bitsets::{both, count};
 
 impl Local<'_> {
-    /// Goes on to another region, of which [`crate::line_space::klein::contents`] has left the forms: what
-    /// follows is about its rays, and real lines in it.
+    /// Starts with the region whose forms [`crate::line_space::klein::contents`] computed last. Later calls
+    /// use its rays and the real lines sampled here.
     pub fn begin(&mut self) {
         let many = self.forms.sample();
         self.side_bitsets.begin(many);
     }
 
-    /// How much of the region an occluder blocks of lines that pass it one way: how many of its rays and of
-    /// the lines in it, rounded.
+    /// How much of the region an occluder blocks among the lines that pass it in one direction: the number of
+    /// blocked rays and sampled lines, by rounded signs.
     pub fn held(&mut self, scene: &Occluders, id: OccluderId, negative: bool) -> u32 {
         let mut rays = self.side_bitsets.all();
         for at in self.side_bitsets.shape(scene, self.space.frame(), id) {
@@ -26,8 +26,8 @@ impl Local<'_> {
         count(rays)
     }
 
-    /// An occluder's constraints, first those that most of the region is outside of: the sooner much is cut
-    /// off, the less is cut again.
+    /// An occluder's constraints; those with the largest part of the region outside come first, since large
+    /// early cuts leave less to cut later.
     pub fn order(&mut self, known: usize, negative: bool) -> Vec<usize> {
         let mut order: Vec<(u32, usize)> = Vec::with_capacity(self.known[known].lines.len());
         for (k, c) in self.known[known].lines.iter().enumerate() {
@@ -44,8 +44,8 @@ impl Local<'_> {
         order.into_iter().map(|(_, k)| k).collect()
     }
 
-    /// Takes away from a region what an occluder blocks of it: the cuts made and the parts left outside each.
-    /// Nothing when the occluder takes nothing away.
+    /// Subtracts from a region the part that an occluder blocks. Returns the cuts made and the part outside
+    /// each cut; None if the occluder blocks nothing or a part becomes too complex.
     pub fn subtract(
         &mut self,
         region: &Region,

@@ -15,19 +15,18 @@ use crate::search::local::Local;
 pub enum Met {
     /// No triangle at all: a witness.
     Nothing,
-    /// It passes through the inside of these triangles, each with whether that is from the side its corners
-    /// are seen counter-clockwise from.
+    /// It passes through the interior of these triangles. The flag says whether it comes from the front, the
+    /// side from which the corners appear counter-clockwise.
     Blocked(Vec<(u32, bool)>),
-    /// It touches a triangle's border, and passes through none.
+    /// It touches the border of a triangle and passes through the interior of none.
     Grazing,
 }
 
 impl Local<'_> {
-    /// Follows the segment from `p` to `q`, points of the space inside A and B and close to the doubles
-    /// given.
+    /// Traces the segment from `p` to `q`, points of the space inside A and B and close to `near_p` and
+    /// `near_q`.
     ///
-    /// Triangles in the plane of A or of B do not count, and neither does what the segment reaches only at
-    /// its ends.
+    /// Triangles in the plane of A or of B do not count.
     pub fn trace(&mut self, scene: &Occluders, (p, q): (u32, u32), (near_p, near_q): (DVec3, DVec3)) -> Met {
         let mut candidates = std::mem::take(&mut self.candidates);
         candidates.clear();
@@ -56,12 +55,12 @@ impl Local<'_> {
     }
 }
 
-/// Whether doubles show that a line passes a triangle on different sides of its edges, both points given to
-/// `slack`.
+/// Whether doubles show that a line passes a triangle's edges on different sides and so misses the triangle.
+/// Both points may be off by `slack`.
 ///
-/// Each of the turns is a product of three differences, which are off by e = 2 slack and a rounding; with n
-/// the greatest magnitude of a difference and e added, by at most 3·6en² for what is off and 100un³ for its
-/// roundings ([`crate::geometry::predicates::orient_points`]).
+/// Each turn is a product of three differences, each off by at most e = 2 slack and a rounding. With n the
+/// greatest magnitude of a difference plus e, the turn is off by at most 3·6en² for these errors and 100un³
+/// for its own roundings ([`crate::geometry::predicates::orient_points`]).
 fn surely_missed(triangle: &[Vec3; 3], (p, q): (DVec3, DVec3), slack: f64) -> bool {
     let [a, b, c] = triangle.map(|v| v.as_dvec3() - p);
     let d = q - p;
@@ -76,7 +75,7 @@ fn surely_missed(triangle: &[Vec3; 3], (p, q): (DVec3, DVec3), slack: f64) -> bo
 enum Touch {
     Not,
     Border,
-    /// With whether it comes from the side the corners are seen counter-clockwise from.
+    /// Whether it comes from the side from which the corners appear counter-clockwise.
     Through(bool),
 }
 
@@ -97,7 +96,8 @@ fn touch(space: &mut Space, pair: &mut Pair, (p, q): (u32, u32), id: u32, corner
     let (sp, sq) = match (sp, sq) {
         (Some(sp), Some(sq)) => (sp, sq),
         _ => {
-            // An end may be on the triangle's plane, for one because the triangle is in A's plane or in B's.
+            // An end may be on the triangle's plane, for example because the triangle is in A's plane or in
+            // B's.
             if in_planes(space, pair, id, &corners).contains(&true) {
                 return Touch::Not;
             }
@@ -115,7 +115,7 @@ fn touch(space: &mut Space, pair: &mut Pair, (p, q): (u32, u32), id: u32, corner
     }
 }
 
-/// Whether a triangle lies in A's plane, and whether in B's: what does is not in between.
+/// Whether a triangle lies in A's plane, and whether in B's; such a triangle is not between A and B.
 fn in_planes(space: &mut Space, pair: &mut Pair, id: u32, corners: &[u32; 3]) -> [bool; 2] {
     if let Some(known) = pair.flat.get(&id) {
         return *known;
@@ -135,7 +135,7 @@ mod tests {
     use crate::geometry::predicates::orient;
 
     proptest! {
-        /// What is said to be missed is missed by every line between points that are off by no more than the
+        /// A triangle reported as missed is missed by every line between points that are off by at most the
         /// slack.
         #[test]
         fn what_is_surely_missed_is_missed(

@@ -1,4 +1,4 @@
-//! What a query between two polygons takes and gives: limits, verdict and cost.
+//! Limits, verdict and cost of a query between two polygons.
 
 use crate::geometry::Source;
 use crate::line_space::Decisions;
@@ -44,7 +44,7 @@ pub enum Reason {
     /// More vectors than [`Limits::vectors`].
     #[error("more memory than the limit")]
     Memory,
-    /// Polygons halved as often as [`Limits::divisions`] and still neither.
+    /// Polygons halved as often as [`Limits::divisions`] allows and still undecided.
     #[error("halved to the limit and still undecided")]
     Divisions,
     /// The caller stopped the query.

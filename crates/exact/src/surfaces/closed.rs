@@ -28,15 +28,15 @@ use crate::occluders::Occluders;
 use crate::occluders::segment::{Crossing, crossing};
 use sightline_certificate::certificate::few_odd_edges;
 
-/// Segments tried to learn a parity: most are in general position at once.
+/// Segments tried to find a parity; most first ones are in general position.
 const TRIES: u32 = 6;
 
-/// The surfaces of a scene that enclose something.
+/// The closed surfaces of a scene.
 pub struct Surfaces {
-    /// The surface a triangle is part of, and the parity on the side its normal points to; none where that is
-    /// not known or makes no sense because other triangles of the surface pass through it.
+    /// For each triangle, its surface and the parity on the side of its normal; none where the parity was not
+    /// found, or is undefined because other triangles of the surface pass through the triangle.
     sides: Vec<Option<(u32, bool)>>,
-    /// The surface a triangle is part of, if it is one of these.
+    /// For each triangle, its closed surface, if it has one.
     of: Vec<Option<u32>>,
     surfaces: Vec<Surface>,
 }
@@ -47,23 +47,23 @@ struct Surface {
     patches: Vec<[Vec3; 3]>,
 }
 
-/// What the surfaces say from one view cell.
+/// The parities of one view cell.
 pub struct FromCell<'a> {
     surfaces: &'a Surfaces,
     scene: &'a Occluders,
     cell: Cell,
-    /// The parity of the cell by surface; none for one that meets the cell, or not to be found out.
+    /// The parity of the cell by surface; none if the surface meets the cell or no parity was found.
     parity: Vec<Option<bool>>,
 }
 
-/// What a surface hides of one of its triangles.
+/// From which part of a cell a surface hides one of its triangles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hides {
-    /// Nothing that is known.
+    /// No part, as far as known.
     Nothing,
-    /// What is seen of it from this side of its plane, on which part of the cell is.
+    /// The part on this side of the triangle's plane.
     From(Ordering),
-    /// All of it.
+    /// The whole cell.
     All,
 }
 
@@ -171,7 +171,7 @@ impl Surfaces {
         None
     }
 
-    /// A point outside of all the surface and its patches, along an axis from some point, or nearly.
+    /// A point outside of the surface and its patches, nearly along an axis from a point.
     fn outside(&self, s: u32, from: Vec3, random: &mut Random) -> Vec3 {
         let Surface { min, max, .. } = &self.surfaces[s as usize];
         let size = (*max - *min).max_element();
@@ -184,8 +184,8 @@ impl Surfaces {
         to
     }
 
-    /// Whether the segment crosses an odd number of triangles and patches, of those that `counts` does not
-    /// leave out; none where it touches one that it does not pass through.
+    /// Whether the segment crosses an odd number of the triangles and patches for which `counts` is true;
+    /// none where it only touches one, or where `counts` is none.
     fn crossings(
         &self,
         scene: &Occluders,
@@ -210,7 +210,7 @@ impl Surfaces {
         Some(odd)
     }
 
-    /// What the surfaces say from a cell that the triangles `meeting` meet.
+    /// The parities of a cell. `meeting` holds the triangles that meet the cell.
     pub fn seen_from<'a>(&'a self, scene: &'a Occluders, cell: Cell, meeting: &[u32]) -> FromCell<'a> {
         let mut met = vec![false; self.surfaces.len()];
         meeting.iter().filter_map(|t| self.of[*t as usize]).for_each(|s| met[s as usize] = true);
@@ -240,7 +240,7 @@ impl Surfaces {
 }
 
 impl FromCell<'_> {
-    /// Whether a triangle, which does not meet the cell, is hidden by the surface it is part of.
+    /// From which part of the cell a triangle that does not meet the cell is hidden by its surface.
     pub fn hides(&self, t: u32) -> Hides {
         let Some((s, front)) = self.surfaces.sides[t as usize] else { return Hides::Nothing };
         let Some(cell) = self.parity[s as usize] else { return Hides::Nothing };
@@ -256,8 +256,8 @@ impl FromCell<'_> {
         if sides.contains(&hidden.reverse()) { Hides::From(hidden) } else { Hides::All }
     }
 
-    /// Whether a patch is seen to have no point in the convex hull of the cell and a triangle: some axis, the
-    /// patch's plane or the triangle's separates them.
+    /// Whether an axis, the patch's plane or the triangle's plane separates a patch from the convex hull of
+    /// the cell and a triangle.
     fn apart(&self, t: &[Vec3; 3], patch: &[Vec3; 3]) -> bool {
         let [lo, hi] = self.cell.corners();
         let (min, max) = t.iter().fold((lo, hi), |(a, b), v| (a.min(*v), b.max(*v)));

@@ -15,7 +15,8 @@ pub fn sooner(u: &[Vec3; 3], t: &[Vec3; 3], from: Vec3, to: Vec3) -> Ordering {
     let heights = |of: &[Vec3; 3]| [from, to].map(|p| height(of, p));
     let ([(au, eau), (bu, ebu)], [(at, eat), (bt, ebt)]) = (heights(u), heights(t));
     let less = |x: (f64, f64), y: (f64, f64), z: (f64, f64), w: (f64, f64)| {
-        // Products of what is at most and at least; a few roundings are far below 1e-15.
+        // Compares the upper bound of a product with the lower bound of another; the roundings are below
+        // 1e-15.
         (x.0 + x.1) * (y.0 + y.1) * (1.0 + 1e-15) < (z.0 - z.1).max(0.0) * (w.0 - w.1).max(0.0)
     };
     if less((au, eau), (bt, ebt), (at, eat), (bu, ebu)) {
@@ -28,7 +29,7 @@ pub fn sooner(u: &[Vec3; 3], t: &[Vec3; 3], from: Vec3, to: Vec3) -> Ordering {
         let point = |v: Vec3| homogeneous(v.as_dvec3().to_array());
         let [a, b, c] = of.map(point);
         let flat = predicates::plane([&a, &b, &c]);
-        // One scale for both ends: that of the other end's w.
+        // Multiplying by the other end's w gives both heights one scale.
         let (p, q) = (point(from), point(to));
         [predicates::height(&flat, &p) * &q[3], predicates::height(&flat, &q) * &p[3]]
     };

@@ -2,13 +2,13 @@
 
 use glam::Vec3;
 
-/// Patches that close some odd edges: for each connected set, the triangles of one of its corners with each
-/// edge.
+/// Patches that close some odd edges: for each connected set, the triangles between one of its corners and
+/// each edge.
 ///
 /// At every corner an even number of odd edges meet (each triangle has two edges there), so the other edges
 /// of the patches cancel.
 pub fn cover(odd: &[[Vec3; 2]]) -> Vec<[Vec3; 3]> {
-    // −0 is 0.
+    // Adding 0 turns −0 into 0.
     let key = |v: Vec3| (v + Vec3::ZERO).to_array().map(f32::to_bits);
     let mut group: Vec<usize> = (0..odd.len()).collect();
     loop {

@@ -7,10 +7,10 @@ use sightline_scene::exact::{orient2d_sign, orient3d_sign};
 
 use crate::occluders::segment::{Crossing, crossing};
 
-/// Whether a triangle `u` may have a point inside `t`. Their corners are numbered alike where they are at the
-/// same place.
+/// Whether a triangle `u` may have a point inside `t`. `ct` and `cu` number the corners; equal positions have
+/// equal numbers.
 pub fn may_pierce(t: &[Vec3; 3], u: &[Vec3; 3], ct: [u32; 3], cu: [u32; 3]) -> bool {
-    // A shared corner is in the plane, and to find that out by arithmetic is what takes longest.
+    // A shared corner is in the plane; exact arithmetic would take longest to show this.
     let place = |of: &[Vec3; 3], c: [u32; 3], (p, n): (Vec3, u32)| {
         if c.contains(&n) { Ordering::Equal } else { orient3d_sign(of[0], of[1], of[2], p) }
     };
@@ -23,15 +23,15 @@ pub fn may_pierce(t: &[Vec3; 3], u: &[Vec3; 3], ct: [u32; 3], cu: [u32; 3]) -> b
     }
     let shared = cu.iter().filter(|c| ct.contains(c)).count();
     if shared >= 2 {
-        // Two planes with an edge in common have that line in common and no other point.
+        // Two different planes through a common edge meet only in its line.
         return false;
     }
-    // What u has in t's plane is a segment: an end of it is inside t, or it comes in through an edge of t.
+    // u meets t's plane in a segment. If it enters t, an end of the segment is inside t or an edge of t
+    // crosses u.
     let edges = [(0, 1), (1, 2), (2, 0)];
     let enters = edges.iter().any(|(i, j)| {
         let (a, b) = (u[*i], u[*j]);
-        // A shared corner is on t's border; the rest of such an edge is off the plane, or is in it and judged
-        // by its other end.
+        // A shared corner is on t's border; if the other end is off the plane, so is the rest of the edge.
         let apart = sides[*i] == sides[*j] && sides[*i] != Ordering::Equal;
         let at_corner = sides[*i] == Ordering::Equal && ct.contains(&cu[*i]) && sides[*j] != Ordering::Equal
             || sides[*j] == Ordering::Equal && ct.contains(&cu[*j]) && sides[*i] != Ordering::Equal;
@@ -43,7 +43,7 @@ pub fn may_pierce(t: &[Vec3; 3], u: &[Vec3; 3], ct: [u32; 3], cu: [u32; 3]) -> b
     enters
         || edges.iter().any(|(i, j)| {
             let ends = [i, j].map(|k| place(u, cu, (t[*k], ct[*k])));
-            // Also where the edge lies in u's plane: then what u has in t's plane lies along the edge.
+            // Also true of an edge in u's plane: u then meets t's plane along that edge.
             let apart = ends[0] == ends[1];
             let at_corner = ends[0] == Ordering::Equal && cu.contains(&ct[*i]) && ends[1] != Ordering::Equal
                 || ends[1] == Ordering::Equal && cu.contains(&ct[*j]) && ends[0] != Ordering::Equal;
@@ -69,8 +69,8 @@ fn overlap_in_plane(t: &[Vec3; 3], u: &[Vec3; 3]) -> bool {
     !(separated(t, u) || separated(u, t))
 }
 
-/// Whether a segment in a triangle's plane has points inside the triangle: no line along an edge has it on
-/// its outer side, nor does its own line have all of the triangle on one side.
+/// Whether a segment in a triangle's plane has points inside the triangle: it is on the outer side of no
+/// edge, and its own line has corners of the triangle on both sides.
 fn enters_in_plane(t: &[Vec3; 3], a: Vec3, b: Vec3) -> bool {
     let turn = |k: usize, p: [Vec3; 3]| {
         let [a, b, c] = p.map(|v| [v[(k + 1) % 3], v[(k + 2) % 3]]);

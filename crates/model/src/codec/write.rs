@@ -9,7 +9,7 @@ use crate::output::{CellSet, Node, TileOutput};
 /// Compression level. Differences between ids hold no long matches, so levels 2 and 3 take longer and give
 /// nothing smaller.
 const LEVEL: i32 = 1;
-/// Cells of so many ids together are coded by all cores; fewer take less time than to wait for the cores.
+/// From this number of ids on, cells are coded on all cores; below it, waiting for the cores takes longer.
 pub(super) const MANY: usize = 1 << 20;
 
 /// Encodes a tile's output.

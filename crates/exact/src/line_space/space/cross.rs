@@ -12,8 +12,8 @@ use super::{Space, VectorId};
 use crate::arithmetic::number::rounded;
 
 impl Space {
-    /// Computes a ray exactly that is on all of `lines`, at least five; leaves it as it is where doubles
-    /// cannot tell which of them determine it.
+    /// Computes a ray exactly from `lines`, the lines it is on, of which there are at least five. Leaves the
+    /// ray unchanged if doubles cannot tell which lines determine it.
     pub fn sharpen_from(&mut self, ray: VectorId, lines: &[VectorId]) {
         // A ray that is a real line by construction has smaller integers from its points, without a common
         // factor.
@@ -25,9 +25,9 @@ impl Space {
         let Some(chosen) = independent(rows) else { return };
         let rows = chosen.map(|k| functional(self.exact(lines[k])));
         let mut x = cross(&rows);
-        // With x̂ the solution, rounded to components of at most 1 and one of at least 1/2, and the ray's
-        // doubles cx̂ and at most 0.05 off: c ≥ 0.45, so c|x̂|² ≥ 0.22|x̂|, and what is off changes that by
-        // at most 0.05·√6|x̂|, too little to turn it round.
+        // Let x̂ be the solution, rounded to components of at most 1 and one of at least 1/2, and let the
+        // ray's doubles be cx̂ up to an error of 0.05. Then c ≥ 0.45, so c|x̂|² ≥ 0.22|x̂|. The error changes
+        // this by at most 0.05·√6|x̂|, which does not change the sign.
         let along: f64 = rounded(&x).iter().zip(self.rounded(ray)).map(|(a, b)| a * b).sum();
         if along.is_nan() || along.abs() < 0.1 {
             return;
@@ -42,8 +42,8 @@ impl Space {
     }
 }
 
-/// What is orthogonal to five rows: their minors of five columns, with alternating signs; 0 if they are
-/// dependent.
+/// The vector orthogonal to five rows: their minors of five columns, with alternating signs; 0 if the rows
+/// are dependent.
 fn cross(rows: &[[IBig; 6]; 5]) -> [IBig; 6] {
     let [a, b, c, d, e] = rows;
     let minor = |x: &[IBig; 6], y: &[IBig; 6], i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];
@@ -52,7 +52,7 @@ fn cross(rows: &[[IBig; 6]; 5]) -> [IBig; 6] {
     };
     let (ab, cd) = (pairs(a, b), pairs(c, d));
     let triple = |i: usize, j: usize, k: usize| &cd[i][j] * &e[k] - &cd[i][k] * &e[j] + &cd[j][k] * &e[i];
-    // By the columns they are of, as bits.
+    // Indexed by the set of columns, as bits.
     let mut triples: [IBig; 64] = std::array::from_fn(|_| IBig::ZERO);
     for i in 0..6 {
         for j in i + 1..6 {

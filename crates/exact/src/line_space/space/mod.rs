@@ -2,9 +2,9 @@
 //! forms.
 //!
 //! A line through p and q has the coordinates (q − p, p × q). The Klein form `d·m' + m·d'` of two lines says
-//! on which side one passes the other; it is 0 when the two meet (Nirenstein 2003, section 3.5). Extreme rays
-//! of a region are six-vectors too, though most of them are not real lines. Every vector is constructed from
-//! others, and its exact components are computed once, when a filter fails.
+//! on which side one passes the other; it is 0 when the two meet (Nirenstein 2003, section 3.1.5). Extreme
+//! rays of a region are six-vectors too, though most of them are not real lines. Every vector is constructed
+//! from others, and its exact components are computed once, when a filter fails.
 
 use std::cmp::Ordering;
 
@@ -38,16 +38,16 @@ impl VectorId {
 /// A set of half-spaces of a region, one bit each.
 pub type Tight = u128;
 
-/// How a vector is made.
+/// The construction of a vector.
 #[derive(Clone, Debug)]
 enum Origin {
     /// The line from one point of the space to another.
     Join(u32, u32),
     /// The line in which two planes meet, along n × n'.
     Meet(Box<[Through; 2]>),
-    /// Another vector turned round.
+    /// The negative of another vector.
     Opposite(VectorId),
-    /// These very doubles, in the frame.
+    /// Exactly these doubles, in the frame.
     Given(Box<[f64; 6]>),
     /// Integers, kept with the vector.
     Fixed,
@@ -55,17 +55,17 @@ enum Origin {
     Cut { a: VectorId, b: VectorId, half: VectorId },
 }
 
-/// The plane through three points of a space, its normal towards where they are seen to turn
+/// The plane through three points of a space. Its normal points to the side from which the points appear
 /// counter-clockwise.
 #[derive(Clone, Copy, Debug)]
 pub struct Through {
     /// The points.
     pub points: [u32; 3],
-    /// Whether the normal is turned round.
+    /// Whether the normal is reversed.
     pub turned: bool,
 }
 
-/// A six-vector up to a positive factor, rounded: what filters look at, in one line of the cache.
+/// A six-vector up to a positive factor, rounded, with all data of a filter in one cache line.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
 struct Near {
@@ -77,14 +77,14 @@ struct Near {
     sum: f64,
 }
 
-/// What else is known of a six-vector.
+/// The other data of a six-vector.
 #[derive(Clone, Debug)]
 struct Vector {
-    /// What is missing in the rounded components: with this they are right up to `fine`.
+    /// The remainder of the rounded components: with it, they are off by at most `fine`.
     rest: [f64; 6],
-    /// How far they may then be off.
+    /// The greatest error of a component with its remainder.
     fine: f64,
-    /// Whether `rest` and `fine` were computed; of cuts, which are many, only when a filter fails.
+    /// Whether `rest` and `fine` were computed; for cuts, only after a filter failed.
     refined: bool,
     origin: Origin,
     exact: Option<Box<[IBig; 6]>>,
@@ -133,13 +133,13 @@ pub struct Space {
     vectors: Vec<Vector>,
     /// The vectors, rounded.
     near: Vec<Near>,
-    /// Which lines meet, as far as it was asked: a row for each line, with its predecessors.
+    /// Which lines meet, as far as tested: a row for each line, with an entry for each line before it.
     meeting: Vec<Vec<Meeting>>,
-    /// Entries of these rows.
+    /// The number of entries of these rows.
     asked: usize,
-    /// Which triples of lines that meet are of one pencil, as far as it was asked.
+    /// Which triples of meeting lines belong to one pencil, as far as tested.
     pencils: FxHashMap<[VectorId; 3], bool>,
-    /// Signs that integers decided: regions share rays.
+    /// Signs that integers decided; kept since regions share rays.
     decided: FxHashMap<[VectorId; 2], Ordering>,
     /// How signs were decided.
     pub decisions: Decisions,
@@ -162,7 +162,7 @@ pub fn klein_exact(a: &[IBig; 6], b: &[IBig; 6]) -> IBig {
     (0..6).map(|i| &a[i] * &b[(i + 3) % 6]).sum()
 }
 
-/// Vectors there is room for from the start: most pairs need no more.
+/// Initial capacity for vectors; most pairs need no more.
 const FEW: usize = 256;
 
 impl Space {
@@ -187,8 +187,8 @@ impl Space {
         &self.frame
     }
 
-    /// Number of points and vectors so far, and as much of what is remembered about them as takes the memory
-    /// of one: a measure of the memory used.
+    /// A measure of the memory used: the number of points and vectors, plus the tables about them in units of
+    /// a vector's memory.
     pub fn size(&self) -> usize {
         self.points.len()
             + self.vectors.len()
@@ -293,7 +293,7 @@ impl Space {
         (n, k, 1.01 * en, 1.01 * ek)
     }
 
-    /// A vector turned round.
+    /// The negative of a vector.
     pub fn opposite(&mut self, v: VectorId) -> VectorId {
         let x = self.fine(v).map(|c| DoubleDouble(-c.0, -c.1));
         self.push(x, self.vectors[v.index()].fine, Origin::Opposite(v))
@@ -321,7 +321,7 @@ impl Space {
         self.unfiltered_side(a, b)
     }
 
-    /// The sign by integers; what is computed for it makes later filters sharper.
+    /// The sign by integers. The integers also improve the doubles of later filters.
     pub fn exact_side(&mut self, a: VectorId, b: VectorId) -> Ordering {
         let key = [a.min(b), a.max(b)];
         if let Some(sign) = self.decided.get(&key) {
@@ -339,7 +339,7 @@ impl Space {
         sign
     }
 
-    /// The exact components, an integer vector; of a line one without a common factor.
+    /// The exact components as integers; those of a line have no common factor.
     pub fn exact(&mut self, v: VectorId) -> &[IBig; 6] {
         self.sharpen(v);
         match &self.vectors[v.index()].exact {
@@ -348,9 +348,9 @@ impl Space {
         }
     }
 
-    /// Computes a vector exactly, and everything it is made from.
+    /// Computes the exact components of a vector and of all vectors it is constructed from.
     fn sharpen(&mut self, v: VectorId) {
-        // What a vector is made from was made before it, but chains can be long: no recursion.
+        // Chains of constructions can be long, so there is no recursion.
         let mut open = vec![v];
         while let Some(id) = open.last().copied() {
             if self.vectors[id.index()].exact.is_some() {
@@ -378,7 +378,7 @@ impl Space {
         }
     }
 
-    /// What `origin` says, its parts being there exactly.
+    /// The exact vector of `origin`, whose parts are exact already.
     fn compute(&mut self, origin: &Origin) -> [IBig; 6] {
         let part = |space: &Self, v: VectorId| match &space.vectors[v.index()].exact {
             Some(x) => x.clone(),
@@ -408,7 +408,7 @@ impl Space {
             Origin::Cut { a, b, half } => {
                 let (x, y, h) = (part(self, *a), part(self, *b), part(self, *half));
                 let (s, t) = (klein_exact(&x, &h), klein_exact(&y, &h));
-                // Whichever way the half-space is turned, the two have different signs.
+                // The two have different signs for either orientation of the half-space.
                 let (s, t) = (s.unsigned_abs(), t.unsigned_abs());
                 {
                     let (s, t) = (IBig::from(s), IBig::from(t));
@@ -420,10 +420,10 @@ impl Space {
         out
     }
 
-    /// A number that is the same or differs by 1 for vectors that are the same line, whichever way they run:
-    /// where its unit vector is along a direction that has nothing to do with the scene. A line's vector is
-    /// off by far less than a step, but for edges far shorter than anything else; lines not recognised as the
-    /// same cost exact arithmetic later, nothing else.
+    /// A number that is equal or differs by 1 for vectors of the same line, in either direction: the
+    /// magnitude of the unit vector's component along a fixed direction. A line's vector is off by far less
+    /// than a step, except for extremely short edges. Equal lines that are not recognised only cost exact
+    /// arithmetic later.
     pub fn fingerprint(&self, line: VectorId) -> i64 {
         const ALONG: [f64; 6] = [0.419, 0.337, 0.521, 0.263, 0.472, 0.381];
         const STEPS: f64 = (1u64 << 24) as f64;
@@ -433,7 +433,8 @@ impl Space {
         (at.abs() * STEPS) as i64
     }
 
-    /// Whether two lines are the same line, whichever way they run; `Some(true)` when they run the same way.
+    /// Whether two lines are the same line, in either direction; `Some(true)` when they have the same
+    /// direction.
     pub fn same_line(&mut self, a: VectorId, b: VectorId) -> Option<bool> {
         let (v, w) = (&self.near[a.index()], &self.near[b.index()]);
         // Compared after scaling by the component that is greatest in the first.
@@ -464,12 +465,12 @@ impl Space {
         sign
     }
 
-    /// The orientation of four points where they lie in the world: a frame turns none round.
+    /// The orientation of four points, computed in world space: the frame keeps orientations.
     fn orient_world(&self, p: [u32; 4]) -> Option<Ordering> {
         self.world(p).and_then(crate::geometry::predicates::orient_small)
     }
 
-    /// Where some points lie in the world, if they were given in doubles.
+    /// World positions of points, if all were given in doubles.
     fn world<const N: usize>(&self, of: [u32; N]) -> Option<[DVec3; N]> {
         let mut at = [DVec3::ZERO; N];
         for (at, p) in at.iter_mut().zip(of) {

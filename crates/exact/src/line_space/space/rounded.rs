@@ -1,9 +1,9 @@
 //! Six-vectors in doubles with bounds on their errors: the filter that decides nearly all signs.
 //!
-//! A cut is computed in doubles from the doubles of what it is made of. Where errors have added up along the
-//! chain, or a filter fails, it is solved from the lines it is on ([`super::solved`]), in double-doubles if
-//! need be; where that does not do, it is computed in these from what it was cut from, and everything it
-//! comes from before it.
+//! A cut is computed in doubles from the doubles of its parents. Where errors have added up along the chain,
+//! or a filter fails, the cut is solved from the lines it is on ([`super::solved`]), in double-doubles if
+//! needed. Where that fails, the cut is computed in double-doubles from its parents, after all vectors they
+//! are constructed from.
 
 use std::cmp::Ordering;
 
@@ -13,16 +13,16 @@ use crate::arithmetic::double_double::{DoubleDouble, STEP};
 use crate::arithmetic::number::{U, normalised, rounded_double_double};
 
 /// Rays that may be off by more than this are solved from the lines they are on, or computed in
-/// double-doubles, at once, and those that may be off by as much even then, exactly: who looks for lines in a
-/// region needs rays that mean something. What filters cannot tell is asked again more precisely, whatever
-/// this is.
+/// double-doubles, at once; rays that are still off by as much are computed exactly. The search for lines in
+/// a region needs rays with small errors. This threshold affects no sign: signs that a filter leaves open are
+/// decided with more precision.
 const COARSE: f64 = 1e-9;
 
 /// Rays with at most this error in double-doubles are tested in double-doubles before integers.
 const PRECISE: f64 = 1e-22;
 
 impl Space {
-    /// Adds a vector given in double-doubles and how far they may be off.
+    /// Adds a vector given in double-doubles, with a bound on their errors.
     pub(super) fn push(&mut self, x: [DoubleDouble; 6], fine: f64, origin: Origin) -> VectorId {
         let line = matches!(origin, Origin::Join(..) | Origin::Meet(..)).then(|| {
             self.meeting.push(Vec::new());
@@ -35,7 +35,7 @@ impl Space {
         id
     }
 
-    /// Sets what is known of a vector in double-doubles, and how far they may be off.
+    /// Sets the double-doubles of a vector, with a bound on their errors.
     fn set(&mut self, v: VectorId, x: [DoubleDouble; 6], fine: f64) {
         let (high, scale) = normalised(x.map(|c| c.0));
         let rest = x.map(|c| c.1 * scale);
@@ -46,7 +46,7 @@ impl Space {
         (vector.rest, vector.fine, vector.refined) = (rest, fine, true);
     }
 
-    /// Takes up the integers of a vector where its doubles are worse than they could be.
+    /// Replaces the doubles of a vector by its rounded integers if the doubles are coarse.
     pub(super) fn improve(&mut self, v: VectorId, exact: &[dashu_int::IBig; 6]) {
         let vector = &self.vectors[v.index()];
         if !vector.refined || vector.fine.is_nan() || vector.fine >= COARSE {
@@ -70,7 +70,7 @@ impl Space {
         std::array::from_fn(|i| DoubleDouble(x[i], rest[i]))
     }
 
-    /// The Klein form, rounded, and how far it may be off.
+    /// The Klein form, rounded, with a bound on its error.
     ///
     /// Six products and five sums of magnitudes |aᵢbⱼ| whose total is at most the lesser of the two sums S
     /// (no component exceeds 1): 6u·S. The errors of the vectors add e·S' + e'·S + 6ee'.
@@ -82,7 +82,8 @@ impl Space {
         (klein(&v.x, &w.x), bound)
     }
 
-    /// The same of refined vectors in double-doubles: eleven operations of a step each of at most S.
+    /// As [`Space::form`], of refined vectors in double-doubles: eleven operations of a step each of at most
+    /// S.
     fn fine_form(&self, a: VectorId, b: VectorId) -> (DoubleDouble, f64) {
         let (x, y) = (self.fine(a), self.fine(b));
         let term = |i: usize, j: usize| x[i].times(y[j]);
@@ -118,11 +119,11 @@ impl Space {
     /// The ray where the edge between `a` and `b`, on different sides of `half`, meets its border.
     ///
     /// x = αb + (1 − α)a with α = s/(s + |t|). With B the bounds of the forms s and t, α is off by at most
-    /// max(B)/(s + |t| − 2 max(B)), and by no more than 1, since it is in [0, 1] whatever s and t are; the
-    /// ray is off by that times |b − a|, besides the errors of its parents. α itself is rounded by 3u, and
+    /// max(B)/(s + |t| − 2 max(B)), and by no more than 1, since it is always in [0, 1]; the ray is off by
+    /// this error times |b − a|, in addition to the errors of its parents. α itself is rounded by 3u, and
     /// three operations on numbers of at most 2 follow: 16u.
     ///
-    /// `on` gives the lines the ray is on, for when that is not enough.
+    /// `on` returns the lines the ray is on; it is called when this error is too large.
     pub fn cut(
         &mut self,
         [a, b]: [VectorId; 2],
@@ -157,7 +158,7 @@ impl Space {
             exact: None,
             line: None,
         });
-        // Not so for what is no number, either.
+        // False for NaN, too.
         let good = room > 0.0 && error < COARSE;
         if !good {
             match self.solved(x, error, &on(), false) {
@@ -173,8 +174,8 @@ impl Space {
         id
     }
 
-    /// Computes a ray in double-doubles from the lines it is on, if that is about as good as double-doubles
-    /// get; says whether.
+    /// Computes a ray in double-doubles from the lines it is on, if the error is then below [`PRECISE`];
+    /// returns whether it is.
     pub(super) fn refine_from(&mut self, ray: VectorId, on: &[VectorId]) -> bool {
         let near = &self.near[ray.index()];
         match self.solved(near.x, near.error, on, true) {
@@ -186,12 +187,12 @@ impl Space {
         }
     }
 
-    /// Computes a cut in double-doubles, and what it is made of.
+    /// Computes a cut and the vectors it is constructed from in double-doubles.
     fn refine(&mut self, v: VectorId) {
         if self.vectors[v.index()].refined {
             return;
         }
-        // What a vector is made from was made before it, but chains can be long: no recursion.
+        // Chains of constructions can be long, so there is no recursion.
         let mut open = vec![v];
         while let Some(id) = open.last().copied() {
             let (false, Origin::Cut { a, b, half }) =
@@ -210,7 +211,7 @@ impl Space {
         }
     }
 
-    /// The same as [`Space::cut`] from refined parts, a step being what u is there.
+    /// As [`Space::cut`], from refined parts, with a step in place of u.
     fn refine_cut(&mut self, id: VectorId, [a, b, half]: [VectorId; 3]) {
         let ((s, es), (t, et)) = (self.fine_form(a, half), self.fine_form(b, half));
         let (p, q) = (self.fine(a), self.fine(b));
@@ -230,7 +231,7 @@ impl Space {
         self.set(id, x, e.max(f) + off.min(1.0) * (apart + e + f) + 16.0 * STEP);
         let good = room > 0.0 && self.vectors[id.index()].fine < COARSE;
         if !good {
-            // A ray that is mostly error is of no use to filters, nor to who looks for lines.
+            // A ray that is mostly error is of no use to filters or to the search for lines.
             self.vectors[id.index()].fine = f64::INFINITY;
             self.sharpen(id);
         }

@@ -1,14 +1,15 @@
-//! Whether three lines are dependent, in integers of fixed width: scenes are full of pencils.
+//! Whether three lines are dependent, in integers of fixed width. The test is frequent, since scenes contain
+//! many pencils.
 
 use glam::DVec3;
 use sightline_scene::exact::{differences, small_integers};
 
-/// Whether three lines through two points each are linearly dependent as vectors, where the points are small
-/// integers from the first.
+/// Whether three lines through two points each are linearly dependent as vectors, if all points are small
+/// integers relative to the first; None otherwise.
 ///
-/// From the first point A = (d, 0), the two others have directions below 2⁴² and moments below 2⁸³. What
-/// eliminates A's pivot from them, d_k B − B_k A, is below 2¹²⁵, and A and the two are dependent if these
-/// are.
+/// From the first point A = (d, 0), the two others have directions below 2⁴² and moments below 2⁸³. The
+/// vectors d_k B − B_k A, without A's pivot, are below 2¹²⁵. The three lines are dependent if these two
+/// vectors are.
 pub fn dependent([a, b, c]: [[DVec3; 2]; 3]) -> Option<bool> {
     let [d, b0, b1, c0, c1] = small_integers(differences(a[0], [a[1], b[0], b[1], c[0], c[1]])?)?;
     let Some(k) = (0..3).find(|k| d[*k] != 0) else { return Some(true) };
@@ -79,8 +80,7 @@ mod tests {
             spread in 0i32..24,
             far in 0i32..2,
         ) {
-            // Few values, so that many lines meet, are parallel or the same; wide ones, so that all bits are
-            // used.
+            // Few values make many lines meet, be parallel or be equal; large values use all bits.
             let at = |i: usize| {
                 let wide = |c: i32, k: i32| {
                     f64::from(c) * f64::powi(2.0, spread) + f64::from(far * (i as i32 * 7 + k))
@@ -91,7 +91,7 @@ mod tests {
             if let Some(known) = dependent(of) {
                 prop_assert_eq!(known, truth(of));
             }
-            // From the least to the greatest that fits: pencils, and lines one unit off.
+            // Large values: pencils, and lines one unit off.
             let large = |c: i32| (f64::from(c) * f64::powi(2.0, 36)).round() + f64::from(c * 5 + 1);
             let d = |i: usize| DVec3::from(points[i].map(large));
             for off in [0.0, 1.0] {

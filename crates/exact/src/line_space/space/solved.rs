@@ -1,9 +1,9 @@
-//! Rays from the lines they are on, rather than from the rays they were cut from.
+//! Rays solved from the lines they are on, rather than from the rays they were cut from.
 //!
-//! Errors multiply along a chain of cuts, by the ratio of an edge's length to how far it gets from the
-//! hyperplane: a few glancing cuts use up all bits there are. But an extreme ray is the one solution of K(x,
-//! l) = 0 for the lines l it is on, which are known to the last bit, and solving that system has one
-//! condition number and no chain.
+//! Errors multiply along a chain of cuts, by the ratio of an edge's length to its distance from the
+//! hyperplane: a few glancing cuts use up all bits. But an extreme ray is the one solution of K(x, l) = 0 for
+//! the lines l it is on, which are known to the last bit, and solving that system has one condition number
+//! and no chain.
 
 use super::{Space, VectorId};
 use crate::arithmetic::double_double::{DoubleDouble, STEP};
@@ -11,10 +11,9 @@ use crate::arithmetic::number::U;
 
 /// Pivots below this mean that the lines do not determine the ray, as far as doubles can tell.
 const LEAST_PIVOT: f64 = 1e-12;
-/// Rays that doubles give as well as this need no more.
+/// Rays with at most this error in doubles need no double-doubles.
 const FINE: f64 = 1e-12;
-/// Rays known no better than this have no sign to go by: they do not tell which of two opposite solutions
-/// they are.
+/// Rays with a greater error do not tell which of two opposite solutions is meant.
 pub(super) const MOST_ERROR: f64 = 0.05;
 
 impl Space {
@@ -26,8 +25,7 @@ impl Space {
     /// the five forms K(x̃, l) and 0 as components, so ‖x̃ − x‖ ≤ ‖Nr‖ / (1 − τ) if τ < 1; M is then regular
     /// and the ray unique (Krawczyk 1969). x̃ is improved by −Nr first.
     ///
-    /// In double-doubles only if it is to be as good as can be, or where doubles are not good enough, since
-    /// that takes longer.
+    /// Double-doubles take longer. They are used only if `best`, or where doubles are too coarse.
     pub(super) fn solved(&self, x: [f64; 6], error: f64, lines: &[VectorId], best: bool) -> Option<Solved> {
         if !(0.0..MOST_ERROR).contains(&error) {
             return None;
@@ -69,15 +67,15 @@ impl Space {
             }
             tau = tau.max(sum);
         }
-        // Still the ray that was meant and not its opposite: the greatest component is at least a half and
-        // has not changed sign.
+        // Checks that the solution is the ray and not its opposite: the greatest component is at least a half
+        // and has not changed sign.
         let same = |c: f64, x: f64| (c - x).abs() < 0.2;
         let bound = |r: [f64; 5]| {
             let most = n.iter().map(|row| row.iter().zip(r).map(|(c, r)| c.abs() * r).sum::<f64>());
             1.01 * most.fold(0.0f64, |m, sum| if sum > m || sum.is_nan() { sum } else { m }) / (1.0 - tau)
         };
-        // Loops rather than arrays made by closures, which are calls: this is where hard scenes spend their
-        // time.
+        // Loops rather than closures that build arrays, which become calls: hard scenes spend most of their
+        // time here.
         let residuals = |x: &[f64; 6]| -> [f64; 5] {
             let mut r = [0.0; 5];
             for (r, row) in r.iter_mut().zip(&m) {
@@ -98,7 +96,7 @@ impl Space {
             return None;
         }
         let size = next.iter().fold(0.0f64, |m, c| m.max(c.abs()));
-        // Six products and their sums, and what the lines are off.
+        // The error of six products and their sums, and the errors of the lines.
         let mut r = residuals(&next);
         for (k, r) in r.iter_mut().enumerate() {
             let line = &self.near[line(k)];
@@ -109,8 +107,8 @@ impl Space {
             return Some(Solved::Doubles(next, error));
         }
         // Once more, with residuals in double-doubles, x being the multiple whose sixth form is that of the
-        // improved x̃. After x̃ ← x̃ − N·r̃ what is left of x̃ − x is (I − NM)(x̃ − x), besides what r̃ is
-        // off and the rounding of the product.
+        // improved x̃. After x̃ ← x̃ − N·r̃, the remaining x̃ − x is (I − NM)(x̃ − x), in addition to the
+        // error of r̃ and the rounding of the product.
         let (mut r, mut off) = ([0.0; 5], [0.0; 5]);
         for (k, (r, off)) in r.iter_mut().zip(&mut off).enumerate() {
             *r = dot(&functional(&self.fine(lines[chosen[k]])), &next);
@@ -147,7 +145,7 @@ fn dot(a: &[DoubleDouble; 6], b: &[f64; 6]) -> f64 {
     sum.0 + sum.1
 }
 
-/// A ray that was solved, and how far its components may be off.
+/// A solved ray, with a bound on the error of its components.
 pub(super) enum Solved {
     /// In doubles.
     Doubles([f64; 6], f64),
@@ -155,13 +153,13 @@ pub(super) enum Solved {
     Pairs([DoubleDouble; 6], f64),
 }
 
-/// What a six-vector does to another in the Klein form, as a scalar product.
+/// The vector whose scalar product with another vector is their Klein form.
 pub(super) fn functional<T: Clone>(x: &[T; 6]) -> [T; 6] {
     let [a, b, c, d, e, f] = x.clone();
     [d, e, f, a, b, c]
 }
 
-/// Five rows that are far from dependent: elimination with the greatest pivot there is.
+/// Five rows that are far from dependent, chosen by elimination with the greatest pivot.
 pub(super) fn independent(mut left: Vec<[f64; 6]>) -> Option<[usize; 5]> {
     let mut chosen = [usize::MAX; 5];
     for k in 0..5 {

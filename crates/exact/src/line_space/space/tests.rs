@@ -134,7 +134,7 @@ proptest! {
             let truth = super::small::dependent([[at[0], at[1]], [at[2], at[3]], [at[4], at[5]]]);
             prop_assert!(truth != Some(true));
         } else if near == 0.0 {
-            // Small integers are told apart by doubles: what is not sure is not so.
+            // Doubles decide small integers: a triple that is not surely independent is dependent.
             let truth = super::small::dependent([[at[0], at[1]], [at[2], at[3]], [at[4], at[5]]]);
             prop_assert_eq!(truth, Some(true));
         }

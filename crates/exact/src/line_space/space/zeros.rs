@@ -15,7 +15,7 @@ use crate::arithmetic::number::U;
 impl Space {
     /// The sign for a ray that is known to be on all of `tight`, where doubles could not tell.
     ///
-    /// Whoever lies on three edges of one face lies on all edges in its plane.
+    /// For example, a ray on three edges of one face is on all edges in its plane.
     pub fn unfiltered_ray_side(
         &mut self,
         ray: VectorId,
@@ -30,9 +30,10 @@ impl Space {
         self.unexplained_side([ray, line], &[(ray, &tight)])
     }
 
-    /// The sign where no reason is known for its being 0, of vectors of which some are rays on these lines.
+    /// The sign of a form that no rule shows to be 0. `rays` holds the vectors that are rays, with lines they
+    /// are on.
     fn unexplained_side(&mut self, [a, b]: [VectorId; 2], rays: &[(VectorId, &[VectorId])]) -> Ordering {
-        // By double-doubles from the lines a ray is on: along the chain of cuts it comes from they cost as
+        // In double-doubles from the lines a ray is on: along its chain of cuts, double-doubles would cost as
         // much as integers.
         for (ray, on) in rays {
             if !self.vectors[ray.index()].refined && !self.refine_from(*ray, on) {
@@ -48,10 +49,10 @@ impl Space {
         self.exact_side(a, b)
     }
 
-    /// Whether `line` is seen to be a combination of some of `lines`: of one that is the same (a target's
-    /// edge is its neighbour's, too), of two of a pencil it is in, or of three that meet pairwise. Three
+    /// Whether `line` is shown to be a combination of some of `lines`: of one equal line (neighbouring
+    /// targets share edges), of two lines in a pencil with it, or of three lines that meet pairwise. Three
     /// lines that meet pairwise lie in a plane or pass through a point; if they are independent, a line that
-    /// meets all three lies in that plane or passes through that point, too, and the lines that do span three
+    /// meets all three also lies in that plane or passes through that point, and all such lines span three
     /// dimensions.
     fn spans(&mut self, line: VectorId, lines: &[VectorId]) -> bool {
         if !self.is_line(line) {
@@ -68,7 +69,7 @@ impl Space {
         }
         for (k, a) in met.iter().enumerate() {
             for b in &met[k + 1..] {
-                // An edge of A and one of B can be the same line, and span but that.
+                // An edge of A and an edge of B can be the same line, and then span that line only.
                 if self.meets(*a, *b) && self.same_line(*a, *b).is_none() && self.pencil(line, *a, *b) {
                     return true;
                 }
@@ -110,13 +111,14 @@ impl Space {
         meets
     }
 
-    /// Whether two lines are joins of a point with others.
+    /// Whether two lines are joins with a common point.
     fn share_a_point(&self, a: VectorId, b: VectorId) -> bool {
         let [a, b] = [a, b].map(|l| &self.vectors[l.index()].origin);
         matches!((a, b), (Origin::Join(p, q), Origin::Join(r, s)) if p == r || p == s || q == r || q == s)
     }
 
-    /// Whether two lines meet, where doubles cannot tell: those in one plane do, and two joins only then.
+    /// Whether two lines meet, where doubles cannot tell: lines in one plane meet, and two joins meet only in
+    /// that case.
     fn unfiltered_meets(&mut self, a: VectorId, b: VectorId) -> bool {
         let [x, y] = [a, b].map(|l| self.vectors[l.index()].origin.clone());
         match (x, y) {
@@ -140,8 +142,8 @@ impl Space {
     /// cannot tell.
     ///
     /// It is 0 for two rays on three independent lines that meet pairwise: these span a space W of three
-    /// dimensions on which the form vanishes, W is all that is on all of W, and so both rays are in W. It is
-    /// also 0 if one of the rays is a combination of lines that the other is on ([`Space::combines`]).
+    /// dimensions on which the form vanishes, W is its own orthogonal complement, and so both rays are in W.
+    /// It is also 0 if one of the rays is a combination of lines that the other is on ([`Space::combines`]).
     pub fn rays_side(
         &mut self,
         (a, s): (VectorId, &[VectorId]),
@@ -172,13 +174,13 @@ impl Space {
         false
     }
 
-    /// Whether the extreme ray that is on all of `ray` is seen to be one of the lines, or a combination of
-    /// two.
+    /// Whether the extreme ray that is on all lines of `ray` is shown to be one of `lines`, or a combination
+    /// of two of them.
     ///
-    /// An extreme ray is the only one on all of its lines. So a line that meets them all is that ray, and if
-    /// two lines meet all but one of them, the combination of the two that is on that one, too.
+    /// An extreme ray is the only one on all of its lines. So a line that meets them all is that ray. If two
+    /// lines both meet all but the same one, the ray is the combination of the two that is on that one, too.
     fn combines(&mut self, ray: &[VectorId], lines: &[VectorId]) -> bool {
-        // Which of the ray's lines each line does not meet, a bit each; a vector that is no line is met by
+        // For each line, the ray's lines that it does not meet, as bits; a vector that is no real line meets
         // none.
         let mut missed: Vec<(VectorId, Tight)> = Vec::with_capacity(lines.len());
         for l in lines.iter().filter(|l| self.is_line(**l)).copied().collect::<Vec<_>>() {
@@ -190,7 +192,7 @@ impl Space {
         }
         for (k, (l, m)) in missed.iter().enumerate() {
             for (o, n) in &missed[k + 1..] {
-                // Of one line twice the combination could be 0.
+                // The combination of two equal lines could be 0.
                 if (m | n).is_power_of_two() && self.same_line(*l, *o).is_none() {
                     return true;
                 }
@@ -199,7 +201,8 @@ impl Space {
         false
     }
 
-    /// The points in the world that three lines join; a frame is linear in lines and makes none dependent.
+    /// The points in world space that three lines join; the frame's map of lines is linear and regular, so it
+    /// keeps their rank.
     fn joins(&self, of: [VectorId; 3]) -> Option<[[DVec3; 2]; 3]> {
         let mut ends = [[DVec3::ZERO; 2]; 3];
         for (ends, l) in ends.iter_mut().zip(of) {
@@ -212,7 +215,8 @@ impl Space {
     /// Whether doubles show a 3×3 minor of three vectors that does not vanish.
     ///
     /// No component exceeds 1 and each is off by at most its vector's error e: a minor of six products of
-    /// three is off by 6(e + e' + e'') and what is of higher order, and its roundings by 5u of each product.
+    /// three factors is off by 6(e + e' + e'') and terms of higher order, and by 5u of each product for the
+    /// roundings.
     pub(super) fn surely_independent(&self, of: [VectorId; 3]) -> bool {
         let [x, y, z] = of.map(|l| &self.near[l.index()]);
         let error = x.error + y.error + z.error;
@@ -259,7 +263,7 @@ impl Space {
         let minor = |i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];
         let pivot =
             (0..6).flat_map(|i| (i + 1..6).map(move |j| (i, j))).find(|(i, j)| !minor(*i, *j).is_zero());
-        // Dependent, too, where two are the same line; whoever asks has seen to that where it matters.
+        // Two equal lines also count as dependent; callers exclude this case where it matters.
         let dependent = pivot.is_none_or(|(i, j)| {
             let d = minor(i, j);
             (0..6).all(|k| (&d * &z[k] - minor(i, k) * &z[j] + minor(j, k) * &z[i]).is_zero())
