@@ -1,4 +1,4 @@
-//! Which backend is faster here: a few cubes, or as many sight lines, of the scene at hand, timed with each.
+//! Times the backends on a few cubes, or on as many sight lines, of a scene, to choose the faster backend.
 
 use std::time::{Duration, Instant};
 
@@ -9,7 +9,7 @@ use crate::cube::face_basis;
 use crate::error::BackendError;
 use crate::packet::{LANES, Packet};
 
-/// Cubes timed with each backend, after one that warms it up.
+/// Cubes timed with each backend, after one cube to warm up.
 const CUBES: u32 = 8;
 
 /// The time one cube takes.
@@ -21,7 +21,7 @@ pub struct Timing {
     pub per_cube: Duration,
 }
 
-/// Places spread evenly over the view box: a Kronecker sequence (generalised golden ratio in three
+/// Points spread evenly over the view box: a Kronecker sequence (generalised golden ratio in three
 /// dimensions).
 fn places(lattice: &Lattice) -> impl Iterator<Item = glam::Vec3> + '_ {
     let units = lattice.units();
@@ -35,8 +35,8 @@ fn places(lattice: &Lattice) -> impl Iterator<Item = glam::Vec3> + '_ {
     })
 }
 
-/// Times `backend` at fixed places spread over the view box. Building its geometry is not counted: it is done
-/// once.
+/// Times `backend` at fixed points spread over the view box. The time excludes building the geometry, which
+/// happens once.
 ///
 /// # Errors
 /// The backend's own failure.
@@ -49,8 +49,8 @@ pub fn time(backend: &dyn Backend, lattice: &Lattice) -> Result<Timing, BackendE
     Ok(Timing { profile: backend.profile().to_owned(), per_cube: start.elapsed() / CUBES })
 }
 
-/// Times `backend` on sight lines instead: packets of a cube's directions from the same places, half of them
-/// ray by ray. A cube here is what [`time`] traces with item buffers of 64² pixels.
+/// Times `backend` on sight lines: packets of a cube's directions from the same points, half of them traced
+/// ray by ray. A cube has as many lines as an item buffer cube with faces of 64² pixels.
 ///
 /// # Errors
 /// As [`time`].
@@ -76,7 +76,7 @@ pub fn time_lines(
             }
         }
     }
-    // Half as uniform lines are traced, half as aimed ones are: about what sampling does.
+    // Half as uniform lines, half as aimed lines: about the proportion in sampling.
     let half = packets.len() / 2;
     let mut both = || {
         let (packets, singly) = packets.split_at_mut(half);

@@ -1,7 +1,7 @@
-//! What a sampling backend is: something that renders visibility cubes of a scene, or of a part of it.
+//! The interface of a sampling backend, which renders visibility cubes and traces sight lines of a scene.
 //!
-//! Both backends give the same bits for the same input on every run and thread count; between backends a few
-//! pixels differ, which is why a job names its numerics profile.
+//! A backend gives the same bits for the same input on every run and thread count. Two backends differ in a
+//! few pixels, so a job names its numerics profile.
 
 use glam::Vec3;
 
@@ -16,14 +16,14 @@ pub trait Backend: Send + Sync {
     /// same bits. Printable ASCII.
     fn profile(&self) -> &str;
 
-    /// Makes ready to render the triangles in `superset` (ascending ids) and no others, or the whole scene
-    /// when `None` (superset simplification, §4.2.1).
+    /// Prepares the rendering of the triangles in `superset` (ascending ids) only, or of the whole scene when
+    /// `None` (superset simplification; Nirenstein and Blake 2004, section 4.2.1).
     ///
     /// # Errors
     /// [`BackendError::Failed`] when the device cannot hold the geometry.
     fn prepare(&self, superset: Option<&[u32]>) -> Result<Box<dyn CubeRenderer + '_>, BackendError>;
 
-    /// Makes ready to trace sight lines through the triangles `distinct` (ascending ids, the same in every
+    /// Prepares the tracing of sight lines among the triangles `distinct` (ascending ids, the same in every
     /// call).
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! What every sampler is given for a tile: the job, the scene, the backend, and who watches.
+//! The inputs of every sampler for a tile: the job, the scene, the backend and the watcher.
 
 use std::time::Instant;
 
@@ -9,11 +9,11 @@ use crate::backend::Backend;
 use crate::error::BackendError;
 use crate::prepared::PreparedScene;
 
-/// What all tiles of a job share.
+/// The inputs that all tiles of a job share.
 pub struct JobContext<'a> {
     /// The scene.
     pub scene: &'a PreparedScene,
-    /// How the view box is divided.
+    /// The division of the view box.
     pub division: Division,
     /// The division's lattice.
     pub lattice: Lattice,
@@ -23,14 +23,14 @@ pub struct JobContext<'a> {
     pub backend: &'a dyn Backend,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// When sampling stops with the result by then; the sampler cubes ignores it.
+    /// When sampling stops with the sets found by then; the sampler cubes ignores it.
     pub deadline: Option<Instant>,
 }
 
 /// Why a tile did not finish.
 #[derive(Debug, thiserror::Error)]
 pub enum TileError {
-    /// Its lease was taken back.
+    /// The coordinator took the lease back.
     #[error("the tile was cancelled")]
     Cancelled,
     /// The backend failed.
@@ -38,7 +38,7 @@ pub enum TileError {
     Backend(#[from] BackendError),
 }
 
-/// Receives the progress of a tile and decides whether it goes on.
+/// Receives the progress of a tile and can cancel it.
 pub trait Watcher: Sync {
     /// `samples` more cubes were rendered, or rays traced.
     fn rendered(&self, samples: u64);

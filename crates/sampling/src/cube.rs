@@ -1,7 +1,7 @@
-//! The visibility cube (thesis §4.1.1; Nirenstein and Blake 2004, §3.1): its geometry, its pixels'
-//! directions, and the sample made from it.
+//! The visibility cube (Nirenstein 2003, section 4.1.1; Nirenstein and Blake 2004, section 3.1): its
+//! geometry, the directions of its pixels, and its reduction to a sample.
 //!
-//! All backends share the conventions here. Face `f` looks along axis `f / 2`, positively when `f` is even.
+//! All backends share these conventions. Face `f` looks along axis `f / 2`, positively when `f` is even.
 //! Its right vector is the next axis, its up vector the one after (cyclically), for both signs. Pixel (x, y)
 //! of a face with side n has the direction forward + u·right + v·up with u = (2x+1)/n − 1 and
 //! v = (2y+1)/n − 1. A cube image stores the faces one after another, each row by row from y = 0.
@@ -12,7 +12,7 @@ use sightline_model::{ErrorMeasure, SamplingParams, VisibilitySample};
 /// The id of a pixel that sees no triangle.
 pub const SKY: u32 = u32::MAX;
 
-/// How cubes are rendered.
+/// The parameters of rendered cubes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CubeSpec {
     /// Side of one face in pixels, 1…4096.
@@ -24,7 +24,7 @@ pub struct CubeSpec {
 }
 
 impl CubeSpec {
-    /// How the parameters' error measure wants its cubes rendered.
+    /// The cubes that the error measure of `params` needs.
     pub fn of(params: &SamplingParams) -> Self {
         Self {
             resolution: params.resolution,
@@ -37,19 +37,19 @@ impl CubeSpec {
     }
 }
 
-/// How finely the sphere of directions is divided for the stratified measure Err″ (§3.5).
+/// The strata of directions for the error measure Err″ (Nirenstein and Blake 2004, section 3.5).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Strata {
     /// One stratum: Err″ is Err.
     One,
-    /// One a face, 6.
+    /// One stratum for each face: 6.
     Faces,
-    /// Two by two a face, 24.
+    /// Two by two strata for each face: 24.
     Quadrants,
 }
 
 impl Strata {
-    /// How many there are.
+    /// The number of strata.
     pub fn count(self) -> u32 {
         match self {
             Self::One => 1,
@@ -110,12 +110,11 @@ pub fn sample_of_image(image: &CubeImage, strata: Strata, keep_pixels: bool) -> 
 /// Distance along a face's forward axis below which nothing is seen or blocks: 2⁻⁴⁰ of the scene's largest
 /// extent.
 ///
-/// A sample in the plane of an axis-aligned wall, which is where view cells and walls meet, has that wall at
-/// distance zero exactly, and looks along both its sides instead of into it. The distance is far below what
-/// `f32` coordinates of the scene can place before the eye, so nothing else is clipped. All backends use this
-/// value.
+/// A sample in the plane of an axis-aligned wall, as on a face where a view cell meets a wall, has that wall
+/// at distance zero exactly and sees along both its sides. `f32` coordinates of the scene cannot place a
+/// vertex this close to a sample otherwise, so nothing else is clipped. All backends use this value.
 pub fn near_distance(bounds: sightline_scene::Aabb) -> f32 {
     let extent = (bounds.max.as_dvec3() - bounds.min.as_dvec3()).max_element();
-    // A scene is not a point unless all of it is degenerate, and then nothing is seen.
+    // The extent is 0 only if all triangles are degenerate, and then none is visible.
     ((extent * 2f64.powi(-40)) as f32).max(1e-30)
 }

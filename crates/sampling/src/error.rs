@@ -11,7 +11,7 @@ pub enum BackendError {
     Failed {
         /// Numerics profile of the backend.
         profile: String,
-        /// What it reported.
+        /// The report of the device.
         reason: String,
     },
 }

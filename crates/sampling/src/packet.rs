@@ -1,4 +1,4 @@
-//! Packets of sixteen sight lines, and what traces them.
+//! Packets of sixteen sight lines, and the interface of their tracer.
 
 use crate::cube::SKY;
 use crate::error::BackendError;
@@ -6,7 +6,7 @@ use crate::error::BackendError;
 /// Lines of a packet.
 pub const LANES: usize = 16;
 
-/// Part of an origin's greatest coordinate by which the two halves of a line overlap: four units in the last
+/// Overlap of the two halves of a line, as a part of the origin's greatest coordinate: four units in the last
 /// place.
 const OVERLAP: f32 = 1.0 / (1 << 21) as f32;
 
@@ -22,7 +22,7 @@ pub struct Packet {
     pub distance: [f32; LANES],
     /// Out: the triangle met, or [`SKY`].
     pub triangle: [u32; LANES],
-    /// Lanes `0..count` are rays, the others are not looked at.
+    /// Lanes `0..count` are rays; the others are ignored.
     pub count: usize,
 }
 
@@ -53,10 +53,11 @@ impl Packet {
         ([0, 1, 2].map(|a| self.origin[a][lane]), [0, 1, 2].map(|a| self.direction[a][lane]))
     }
 
-    /// The same rays the other way, begun a few units in the last place of their origins, and at least `step`
-    /// (world units, along the longest component of the direction), ahead of them. A triangle that contains
-    /// an origin is at distance 0, which no ray meets; from a little ahead the ray backwards meets it, and
-    /// [`Packet::free`] is then empty, so that nothing is seen through it.
+    /// The same rays in the opposite directions. They start ahead of the origins of the forward rays: by a
+    /// few units in the last place of the origins, and at least by `step` (world units, along the longest
+    /// component of the direction). A triangle that contains an origin is at distance 0, where no ray meets
+    /// it. The backward ray starts ahead of such a triangle and meets it, and [`Packet::free`] is then empty,
+    /// so no line passes through the triangle.
     pub fn reversed(&self, step: f32) -> Self {
         let mut back = Self { direction: self.direction.map(|axis| axis.map(|x| -x)), ..self.clone() };
         for lane in 0..self.count {
@@ -68,21 +69,22 @@ impl Packet {
         back
     }
 
-    /// How far ahead the reversed ray of a lane begins, in lengths of the direction.
+    /// Distance from the origin of a lane to the start of its reversed ray, in lengths of the direction.
     fn advance(&self, lane: usize, step: f32) -> f32 {
         let longest = (0..3).map(|a| self.direction[a][lane].abs()).fold(0.0, f32::max);
         let largest = (0..3).map(|a| self.origin[a][lane].abs()).fold(0.0, f32::max);
         if longest > 0.0 { step.max(largest * OVERLAP) / longest } else { 0.0 }
     }
 
-    /// From where to where a lane's line is free, given what `back`, its packet [`Packet::reversed`] by
-    /// `step`, met: in lengths of the direction from the origin.
+    /// The free part of a lane's line, as distances from the origin in lengths of the direction. `back` is
+    /// the traced packet [`Packet::reversed`] by `step`.
     pub fn free(&self, back: &Self, lane: usize, step: f32) -> (f32, f32) {
         (self.advance(lane, step) - back.distance[lane], self.distance[lane])
     }
 }
 
-/// Finds what sight lines meet. The same packet gives the same bits on every run and thread.
+/// Finds the nearest triangles along sight lines. The same packet gives the same bits on every run and
+/// thread.
 pub trait LineTracer: Send + Sync {
     /// Fills `distance` and `triangle` of every packet. Degenerate triangles are never met.
     ///
@@ -90,12 +92,12 @@ pub trait LineTracer: Send + Sync {
     /// [`BackendError::Failed`] when the device does.
     fn trace(&self, packets: &mut [Packet]) -> Result<(), BackendError>;
 
-    /// Packets that are best given at once. Part of what a profile's results depend on.
+    /// The best number of packets per call. Results of a profile depend on it.
     fn batch(&self) -> usize {
         32
     }
 
-    /// The same for rays that do not run alike, each on its own.
+    /// The same for rays of different directions, each traced by itself.
     ///
     /// # Errors
     /// As [`LineTracer::trace`].

@@ -1,9 +1,9 @@
 //! A scene with the facts about its triangles that samplers need, each computed once.
 //!
 //! The facts are computed on all threads of rayon's pool. A thread of the pool that waits for such a
-//! computation can take up other work meanwhile, reach the same lock and wait for itself. So a sampler gets
-//! all facts before its work is spread over threads: [`PreparedScene::for_lines`] and
-//! [`PreparedScene::for_cubes`] are the only ways to them, and both refuse to run on a thread of the pool.
+//! computation can run another task meanwhile, reach the same lock and wait for itself. So a sampler gets all
+//! facts before it distributes work over threads: [`PreparedScene::for_lines`] and
+//! [`PreparedScene::for_cubes`] are the only access to them, and both panic on a thread of the pool.
 
 use std::sync::{Arc, OnceLock};
 
@@ -44,11 +44,11 @@ pub struct CubeScene<'a> {
     pub solids: Option<&'a Solids>,
 }
 
-/// Why an analysis cannot fail.
+/// The reason why an analysis cannot fail.
 const CHECKED: &str = "the number of triangles was checked when the scene was prepared";
 
 impl PreparedScene {
-    /// Takes up `scene`. Nothing is computed yet.
+    /// Prepares `scene` without computing any fact yet.
     ///
     /// # Errors
     /// [`SceneError::Bad`] when it has too many triangles to analyse.
@@ -90,7 +90,7 @@ impl PreparedScene {
         CubeScene { duplicates: self.duplicates(), solids }
     }
 
-    /// The triangles that sight lines are traced through; less than [`Self::for_lines`] computes.
+    /// The triangles among which sight lines are traced; computes less than [`Self::for_lines`].
     ///
     /// # Panics
     /// On a thread of rayon's pool (see the module's documentation).

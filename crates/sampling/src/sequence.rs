@@ -1,4 +1,4 @@
-//! Low-discrepancy and hashed numbers: the same for the same seed on every machine, needing no state.
+//! Low-discrepancy and hashed numbers. They are functions of a seed and an index, the same on every machine.
 
 use glam::Vec3;
 use sightline_numbers::random::SplitMix64;

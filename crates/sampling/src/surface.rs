@@ -1,5 +1,5 @@
-//! What the sampler knows of the triangles' surface: neighbours over edges or close by, and an order in which
-//! triangles near each other are near each other.
+//! Neighbourhoods of triangles: neighbours across edges or close by, and the Morton order of the centres, in
+//! which nearby triangles are mostly close to each other.
 
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
@@ -14,16 +14,16 @@ use crate::sequence::Hashed;
 
 /// Facts about a scene's triangles, independent of any job.
 pub struct Surface {
-    /// Across each edge (v0v1, v1v2, v2v0) the next triangle around it; where there is none, one close by, or
-    /// [`SKY`].
+    /// For each edge (v0v1, v1v2, v2v0) the next triangle around the edge; if there is none, a triangle close
+    /// by, or [`SKY`].
     pub neighbours: Vec<[u32; 3]>,
     /// Triangles with area in Morton order of their centres.
     pub morton: Vec<u32>,
 }
 
 impl Surface {
-    /// Analyses the triangles `ids` of `scene`: those that lines meet, so that no neighbour is a duplicate
-    /// that they never do. Vertices are the same when their coordinates are, bit for bit.
+    /// Analyses the triangles `ids` of `scene`. These are the triangles that lines can meet, so no neighbour
+    /// is a duplicate, which no line meets. Two vertices are the same if their coordinates are, bit for bit.
     pub fn of(scene: &Scene, ids: &[u32]) -> Self {
         let (mut neighbours, morton) = rayon::join(|| neighbours(scene, ids), || morton(scene, ids));
         stand_ins(scene, &morton, &mut neighbours);
@@ -33,8 +33,8 @@ impl Surface {
 
 fn neighbours(scene: &Scene, ids: &[u32]) -> Vec<[u32; 3]> {
     let all = scene.triangles();
-    // Edges by a 64-bit hash of their two ends: equal edges have equal hashes, and two different ones with
-    // the same hash would only make the sampler look next door at the wrong triangle.
+    // Edges by a 64-bit hash of their two ends: equal edges have equal hashes. Two different edges with the
+    // same hash would only make the sampler aim at the wrong neighbour.
     let end = |v: Vec3| hash(position(v));
     let mut edges = vec![(0u64, 0u32); 3 * ids.len()];
     edges.par_chunks_exact_mut(3).zip(ids).for_each(|(own, id)| {
@@ -59,14 +59,14 @@ fn neighbours(scene: &Scene, ids: &[u32]) -> Vec<[u32; 3]> {
     places.par_chunks_exact(3).map(|own| [0, 1, 2].map(|k: usize| own[k].load(Relaxed))).collect()
 }
 
-/// Gives each edge that has no other triangle one that is close by in Morton order: leaves of a tree, or
-/// walls that meet without common vertices, are seen together as if they were joined.
+/// Gives each edge without another triangle a triangle close by in Morton order: leaves of a tree, or walls
+/// that meet without common vertices, are then flooded as if they were connected.
 fn stand_ins(scene: &Scene, morton: &[u32], neighbours: &mut [[u32; 3]]) {
-    /// Where to look, for the first, second and third edge.
+    /// Offsets in Morton order to try, for the first, second and third edge.
     const STEPS: [isize; 3] = [1, -1, 2];
-    /// Places looked at: those next to it may share an edge already.
+    /// Number of offsets tried: the nearest triangles may share an edge already.
     const LOOKS: usize = 4;
-    /// How far a stand-in may be, in lengths of the larger of both triangles; squared.
+    /// Square of the greatest distance of a substitute, in lengths of the larger of both triangles.
     const NEAR: f32 = 16.0;
     let v = |t: u32| scene.triangles()[t as usize].v;
     let centre = |t: u32| v(t).iter().sum::<Vec3>() / 3.0;
@@ -115,7 +115,7 @@ fn morton(scene: &Scene, ids: &[u32]) -> Vec<u32> {
     keyed.into_par_iter().map(|key| key as u32).collect()
 }
 
-/// A random point of a triangle, even over its area but for rounding.
+/// A random point of a triangle, uniform over its area up to rounding.
 pub fn point_on(scene: &Scene, triangle: u32, random: &mut Hashed) -> [f32; 3] {
     let v = scene.triangles()[triangle as usize].v;
     let (mut a, mut b) = (random.unit(), random.unit());

@@ -1,9 +1,10 @@
-//! The sample cache of one tile, with the counters that say when a sample is final (thesis §4.2.2).
+//! The sample cache of one tile, with counters that tell when a sample is final (Nirenstein 2003, section
+//! 4.2.2).
 //!
 //! Every sample touches eight octants. A finished cell adds the octants it fills: four for a sample in its
-//! face, two on an edge, one at a corner. At eight no unfinished cell can ask for the sample, and it is
-//! dropped. Octants outside the tile are counted from the start. Samples are kept by lattice position, in its
-//! order, so that nothing depends on when they came.
+//! face, two on an edge, one at a corner. At eight no unfinished cell can need the sample, and it is dropped.
+//! Octants outside the tile count from the start. Samples are kept in the order of their lattice positions,
+//! so the result does not depend on the order of insertion.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -12,14 +13,14 @@ use sightline_viewcells::{CellBox, LatticePoint};
 
 use sightline_model::VisibilitySample;
 
-/// What the cache did, for reports.
+/// Counters of the cache, for reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CacheCounters {
-    /// Samples put in.
+    /// Inserted samples.
     pub inserted: u64,
-    /// Times a sample was asked for and there.
+    /// Requests for a sample that was in the cache.
     pub hits: u64,
-    /// Samples dropped because all their octants were final.
+    /// Samples dropped because all their octants were finished.
     pub dropped: u64,
     /// Most samples held at once.
     pub most_held: u64,
@@ -43,7 +44,7 @@ impl SampleCache {
         Self { tile, entries: BTreeMap::new(), counters: CacheCounters::default() }
     }
 
-    /// Puts a sample in. The first for a position stays: all samples of one position are equally valid, and
+    /// Inserts a sample. The first for a position stays: all samples of one position are equally valid, and
     /// the order of insertion is fixed.
     pub fn insert(&mut self, p: LatticePoint, sample: Arc<VisibilitySample>) {
         let outside = 8 - self.tile.octants(p);
@@ -57,7 +58,7 @@ impl SampleCache {
         self.counters.most_held = self.counters.most_held.max(self.entries.len() as u64);
     }
 
-    /// The sample at `p`, if it is still held.
+    /// The sample at `p`, if the cache holds one.
     pub fn get(&mut self, p: LatticePoint) -> Option<Arc<VisibilitySample>> {
         let found = self.entries.get(&p).map(|e| Arc::clone(&e.sample));
         self.counters.hits += u64::from(found.is_some());
@@ -87,17 +88,17 @@ impl SampleCache {
         self.counters.dropped += (before - self.entries.len()) as u64;
     }
 
-    /// Counters so far.
+    /// The counters so far.
     pub fn counters(&self) -> CacheCounters {
         self.counters
     }
 
-    /// Samples held now.
+    /// Number of samples in the cache.
     pub fn len(&self) -> usize {
         self.entries.len()
     }
 
-    /// Whether none is held.
+    /// Whether the cache holds no sample.
     pub fn is_empty(&self) -> bool {
         self.entries.is_empty()
     }

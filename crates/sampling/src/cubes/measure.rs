@@ -1,5 +1,5 @@
-//! The error measures Err, Err′ and Err″ (2004, §3.3–3.5; thesis §4.1.3): how different the cubes at the
-//! corners of a rectangle are, from 0 (alike) to 1.
+//! The error measures Err, Err′ and Err″ (Nirenstein and Blake 2004, sections 3.3–3.5; Nirenstein 2003,
+//! section 4.1.3): how different the cubes at the corners of a rectangle are, from 0 (equal) to 1.
 
 use sightline_model::ErrorMeasure;
 use sightline_model::VisibilitySample;
@@ -16,10 +16,11 @@ pub fn error(measure: ErrorMeasure, samples: &[&VisibilitySample]) -> f64 {
     }
 }
 
-/// Err″, eq. 3: the worst stratum's 1 − min over i of |∩ s_j(k)| / |s_i(k)|.
+/// Err″ (Nirenstein and Blake 2004, equation 3): the maximum over the strata k of 1 − min over i of
+/// |∩ s_j(k)| / |s_i(k)|.
 ///
-/// A sample that sees nothing in a stratum has no ratio there; if the others see something the intersection
-/// is empty and theirs make the measure 1, if none does the stratum is alike.
+/// A sample that sees nothing in a stratum has no ratio there. If other samples see something, the
+/// intersection is empty and the measure is 1; if none does, the stratum counts as equal.
 fn stratified(samples: &[&VisibilitySample]) -> f64 {
     let mut common = [0u32; 32];
     let mut sizes = [[0u32; 32]; 4];
@@ -57,10 +58,11 @@ fn each_bit(mut mask: u32, mut f: impl FnMut(usize)) {
     }
 }
 
-/// Err′, eq. 2: the fraction of pixels whose triangle is not the same in all samples.
+/// Err′ (Nirenstein and Blake 2004, equation 2): the fraction of pixels whose triangle is not the same in all
+/// samples.
 ///
-/// Samples without pixels count as entirely different, which cannot happen when the cubes were rendered as
-/// [`crate::CubeSpec::of`] asks.
+/// Samples without pixels count as entirely different. Cubes with the parameters of [`crate::CubeSpec::of`]
+/// have pixels.
 fn strict(samples: &[&VisibilitySample]) -> f64 {
     let Some(pixels) = samples.iter().map(|s| s.pixels.as_deref()).collect::<Option<Vec<_>>>() else {
         debug_assert!(false, "Err′ needs samples with pixels");

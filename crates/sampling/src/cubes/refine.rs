@@ -1,7 +1,8 @@
-//! Adaptive sampling of one rectangle (2004, §3.2; thesis §4.1.3).
+//! Adaptive sampling of one rectangle (Nirenstein and Blake 2004, section 3.2; Nirenstein 2003, section
+//! 4.1.3).
 //!
-//! The quadtree is grown level by level instead of depth first: which rectangles are split does not depend on
-//! the order, and a level's samples can be rendered together.
+//! The quadtree grows level by level instead of depth first: the set of split rectangles does not depend on
+//! the order, and the samples of a level can be rendered at once.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -12,15 +13,15 @@ use super::measure::error;
 use sightline_model::SamplingParams;
 use sightline_model::VisibilitySample;
 
-/// Tells samples inside closed solids from those outside.
+/// Distinguishes samples inside closed solids from samples outside.
 pub trait Exterior: Sync {
-    /// Whether the sample taken at `p` is a place a viewpoint can be.
+    /// Whether a viewpoint can be at the sample taken at `p`.
     fn is_exterior(&self, p: LatticePoint, sample: &VisibilitySample) -> bool;
 }
 
-/// What the refinement asks samples from.
+/// The source of the refinement's samples.
 pub trait SampleSource {
-    /// Why a sample could not be had.
+    /// The error of a request for samples.
     type Error;
 
     /// The samples at `points`, in their order, cached or rendered.
@@ -30,7 +31,8 @@ pub trait SampleSource {
     fn samples(&mut self, points: &[LatticePoint]) -> Result<Vec<Arc<VisibilitySample>>, Self::Error>;
 }
 
-/// Samples `rect` until its quadtree's leaves are alike, small enough, or cannot be halved.
+/// Samples `rect` until the leaves of its quadtree are below the error threshold, small enough, or cannot be
+/// halved.
 ///
 /// # Errors
 /// The source's, unchanged.
@@ -69,8 +71,8 @@ pub fn refine<S: SampleSource>(
     Ok(())
 }
 
-/// The three conditions of §3.6: a single exterior sample, exterior samples that differ, interior samples
-/// that differ.
+/// The three conditions of Nirenstein and Blake 2004, section 3.6: a single exterior sample, exterior samples
+/// that differ, interior samples that differ.
 fn wants_split(
     corners: &[(LatticePoint, &VisibilitySample)],
     params: &SamplingParams,

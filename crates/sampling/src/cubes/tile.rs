@@ -1,7 +1,7 @@
-//! One tile sampled with visibility cubes: its samples, or the sets of its cells (Nirenstein and Blake 2004,
+//! Samples one tile with visibility cubes: its samples, or the sets of its cells (Nirenstein and Blake 2004,
 //! section 4; Nirenstein 2003, section 4.2).
 //!
-//! The tile runs on one worker, in one order; only the rendering of a level's cubes is spread over threads.
+//! The tile runs on one worker, in one order; only the cubes of a level are rendered by several threads.
 
 use std::sync::Arc;
 
@@ -40,8 +40,8 @@ pub fn min_distance(params: &SamplingParams, division: &Division, lattice: &Latt
     // The mean and not the longest side: cells of a street or a storey are long and flat, and visibility
     // changes along their long sides as fast as in a cube of the same volume.
     let side = (sides.iter().product::<f64>() / cells).cbrt();
-    // A little more, so that a side that is meant to equal the distance does so for every last bit of the
-    // cube root.
+    // Slightly more, so that a side meant to equal the distance is not above it by the rounding of the cube
+    // root.
     side * params.min_distance * (1.0 + 1.0 / f64::from(1 << 20))
 }
 
@@ -108,7 +108,7 @@ struct Work<'a> {
     min_distance: f64,
     superset: bool,
     cache: SampleCache,
-    /// What this tile rendered itself; kept only by tiles that publish a pack.
+    /// The samples that this tile rendered itself; kept only by tiles that publish a pack.
     fresh: Vec<(LatticePoint, Arc<VisibilitySample>)>,
     rendered: u64,
     /// One bit a triangle, all zero between uses.
@@ -128,7 +128,8 @@ impl Work<'_> {
         Pack { samples }
     }
 
-    /// V(C) = I(C) ∪ V(∂C) (eq. 4), ascending, and the number of samples on ∂C.
+    /// V(C) = I(C) ∪ V(∂C) (Nirenstein and Blake 2004, equation 4), ascending, and the number of samples on
+    /// ∂C.
     fn seen_from(&mut self, cell: &CellBox, inside: &[u32]) -> (Vec<u32>, u32) {
         let samples = self.cache.on_surface(cell);
         let count = samples.len() as u32;
@@ -172,7 +173,7 @@ impl Work<'_> {
             return Ok(());
         };
         self.split(cell, split, &seen)?;
-        // A leaf tile publishes nothing: what it needs again is in the cache.
+        // A leaf tile publishes nothing: the samples it needs again are in the cache.
         self.fresh.clear();
         drop(seen);
         out.nodes.push(Node::Split(split));
@@ -205,13 +206,13 @@ impl Work<'_> {
     }
 }
 
-/// Samples from the cache, or rendered and put there.
+/// Samples from the cache; missing ones are rendered and inserted.
 struct CachedSource<'w, 'a> {
     work: &'w mut Work<'a>,
     renderer: &'w dyn CubeRenderer,
 }
 
-/// Cubes rendered between two looks at whether the tile is still wanted.
+/// Cubes rendered between two checks of whether the tile is cancelled.
 const BATCH: usize = 64;
 
 impl SampleSource for CachedSource<'_, '_> {
@@ -235,7 +236,7 @@ impl SampleSource for CachedSource<'_, '_> {
             self.work.rendered += batch.len() as u64;
             self.work.watcher.rendered(batch.len() as u64);
         }
-        // A backend that gives fewer samples than it was asked for would leave holes; it is not trusted to.
+        // A backend that returns fewer samples than requested would leave holes without an error.
         found.into_iter().collect::<Option<Vec<_>>>().ok_or_else(|| {
             TileError::Backend(BackendError::Failed {
                 profile: self.work.job.backend.profile().to_owned(),
@@ -245,8 +246,8 @@ impl SampleSource for CachedSource<'_, '_> {
     }
 }
 
-/// §3.6: a sample is interior when the triangle that covers most of its pixels belongs to a closed solid and
-/// shows its inner side.
+/// A sample is interior when the triangle that covers most of its pixels belongs to a closed solid and
+/// shows its inner side (Nirenstein and Blake 2004, section 3.6).
 struct SolidExterior<'a> {
     solids: Option<&'a Solids>,
     scene: &'a Scene,
@@ -255,7 +256,7 @@ struct SolidExterior<'a> {
 
 impl Exterior for SolidExterior<'_> {
     fn is_exterior(&self, p: LatticePoint, sample: &VisibilitySample) -> bool {
-        // In the plane of the triangle, or with no solid in sight, a viewpoint may be there.
+        // In the plane of the triangle, or without a visible solid, the sample counts as exterior.
         let judged = self.solids.zip(sample.dominant);
         judged
             .and_then(|(solids, id)| solids.exterior(self.scene, id, self.lattice.position(p)))
