@@ -1,7 +1,7 @@
-//! The curves as SVG: a panel a scene, both axes logarithmic, a colour and a mark a sampler.
+//! The curves as SVG: one panel for each scene, logarithmic axes, one colour and mark for each sampler.
 //!
-//! Written by hand, since it is lines and text; a style sheet inside gives it colours for light and dark
-//! pages.
+//! The file has a style sheet with colours for light and dark pages. The crate plotters writes a fixed colour
+//! into every element and has no style sheets, so this module writes the SVG itself.
 
 use std::fmt::Write as _;
 

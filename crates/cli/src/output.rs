@@ -1,8 +1,8 @@
 //! Output files: which existing files may be replaced, and how a file is replaced without loss.
 //!
 //! A file is written under a temporary name in the same folder and then renamed, so nobody ever sees an
-//! incomplete file. Only a file of the same format is replaced, because a user may give `-o` the name of the
-//! model by mistake.
+//! incomplete file; the crate tempfile would replace only the choice of that name. Only a file of the same
+//! format is replaced, because a user may give `-o` the name of the model by mistake.
 
 use std::fs::File;
 use std::io::{BufWriter, Read as _, Write};

@@ -1,7 +1,8 @@
 //! Blobs as files named by their digest, two levels of directories deep.
 //!
 //! A file is written under `tmp/`, synced, renamed into place, and its directories synced: a file under its
-//! final name is complete. Open the store first: its lock keeps two coordinators out of one data directory.
+//! final name is complete. The crate tempfile syncs nothing and would replace only the choice of the
+//! temporary name. Open the store first: its lock keeps two coordinators out of one data directory.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, ErrorKind, Read, Seek, Write};
