@@ -88,15 +88,26 @@ fn modules(dir: &Path, path: &[String], out: &mut BTreeMap<Vec<String>, PathBuf>
 /// The code of a file without comments and without its test module.
 fn code(file: &Path) -> String {
     let text = std::fs::read_to_string(file).unwrap();
-    let text = text.split("#[cfg(test)]\nmod ").next().unwrap();
+    // A test module in the file is its last part; one in another file is only declared.
+    let cuts =
+        ["#[cfg(test)]\nmod ", "#[cfg(test)]\npub mod "].into_iter().flat_map(|m| text.match_indices(m));
+    let inline =
+        |at: &usize| text[*at..].find(['{', ';']).is_some_and(|end| text[*at + end..].starts_with('{'));
+    let text = &text[..cuts.map(|(at, _)| at).filter(inline).min().unwrap_or(text.len())];
     let lines = text.lines().map(|l| l.split("//").next().unwrap());
     lines.collect::<Vec<_>>().join("\n")
 }
 
-/// The paths that code names from `crate::` or `super::` on, with those in braces written out.
-fn named(text: &str, own: &[String]) -> Vec<Vec<String>> {
+/// The paths that code names from `crate::`, `super::` or one of its child modules on, with those in braces
+/// written out.
+fn named(text: &str, own: &[String], children: &[&String]) -> Vec<Vec<String>> {
     let mut out = Vec::new();
-    for (start, word) in ["crate::", "super::"].iter().flat_map(|w| text.match_indices(w)) {
+    let words: Vec<String> = ["crate", "super"]
+        .into_iter()
+        .chain(children.iter().map(|c| c.as_str()))
+        .map(|w| format!("{w}::"))
+        .collect();
+    for (start, word) in words.iter().flat_map(|w| text.match_indices(w.as_str())) {
         let before = text[..start].chars().next_back();
         if before.is_some_and(|c| c.is_alphanumeric() || c == '_' || c == ':' || c == '$') {
             continue;
@@ -199,7 +210,9 @@ fn circles(source: &Path) -> Vec<Vec<String>> {
         // Re-exports only shorten paths.
         let statements = text.split_inclusive(';').filter(|s| !s.trim_start().starts_with("pub use"));
         let text: String = statements.collect();
-        for path in named(&text, module) {
+        let children = files.keys().filter(|f| f.len() == module.len() + 1 && f.starts_with(module));
+        let children: Vec<&String> = children.filter_map(|f| f.last()).collect();
+        for path in named(&text, module, &children) {
             // The longest part of the path that is a file: the rest of the path is an item of that file.
             let target = (0..=path.len()).rev().find_map(|n| files.get_key_value(&path[..n]));
             if let Some((target, _)) = target.filter(|(t, _)| *t != module) {

@@ -13,8 +13,8 @@ use sightline_proto::v1::workers_client::WorkersClient;
 use tokio::sync::{Semaphore, mpsc, watch};
 use tonic::transport::Channel;
 
+use crate::config::{Config, Stop, WorkerError};
 use crate::tiles::{Failure, Held, Shop, describe};
-use crate::{Config, Stop, WorkerError};
 
 /// Tiles in hand: one running, one being fetched.
 const IN_HAND: usize = 2;
@@ -37,10 +37,16 @@ fn key(l: &v1::Lease) -> LeaseKey {
     (l.job, l.tile, l.epoch, l.lease)
 }
 
+/// How long a worker whose name is taken tries again. The other worker may be its own predecessor on a machine
+/// that vanished: the coordinator ends such a connection after 30 s without an answer to its pings.
+const NAME_TAKEN: Duration = Duration::from_secs(40);
+
 /// How one connection ended.
 enum End {
     Stopped,
     Broken(String),
+    /// Another worker of this name is connected.
+    NameTaken(String),
 }
 
 /// A worker between and during its connections.
@@ -84,11 +90,21 @@ impl Worker {
     pub async fn run(mut self, mut stop: watch::Receiver<Stop>) -> Result<(), WorkerError> {
         let mut wait = RECONNECT[0];
         let mut since = Instant::now();
+        let mut taken: Option<Instant> = None;
         loop {
             let connected = Instant::now();
             let reason = match self.connection(&mut stop).await? {
                 End::Stopped => return Ok(()),
-                End::Broken(reason) => reason,
+                End::Broken(reason) => {
+                    taken = None;
+                    reason
+                }
+                End::NameTaken(reason) => {
+                    if taken.get_or_insert_with(Instant::now).elapsed() > NAME_TAKEN {
+                        return Err(WorkerError::Refused(reason));
+                    }
+                    reason
+                }
             };
             if *stop.borrow() != Stop::No {
                 // What is in hand cannot be delivered any more.
@@ -136,9 +152,10 @@ impl Worker {
         let stream = tokio_stream::wrappers::ReceiverStream::new(receiver);
         let mut inbound = match self.shop.client.clone().work(stream).await {
             Ok(response) => response.into_inner(),
-            Err(s) if matches!(s.code(), tonic::Code::InvalidArgument | tonic::Code::AlreadyExists) => {
+            Err(s) if s.code() == tonic::Code::InvalidArgument => {
                 return Err(WorkerError::Refused(describe(&s)));
             }
+            Err(s) if s.code() == tonic::Code::AlreadyExists => return Ok(End::NameTaken(describe(&s))),
             Err(s) => return Ok(broken(&describe(&s))),
         };
         let mut renew = tokio::time::interval(RENEW);

@@ -13,7 +13,7 @@ use sightline_proto::v1::workers_client::WorkersClient;
 use sightline_sampling::{CubeSpec, auto};
 use tonic::transport::Channel;
 
-use crate::Config;
+use crate::config::Config;
 use crate::packs::PackCache;
 use crate::scenes::Loaded;
 

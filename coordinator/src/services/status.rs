@@ -129,6 +129,12 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_job_of_another_version_is_a_failed_precondition() {
+        let outdated = of_job(&JobError::Outdated("another version began it".to_owned()));
+        assert_eq!(outdated.code(), Code::FailedPrecondition);
+    }
+
+    #[test]
     fn a_full_disk_says_when_to_try_again_in_words_and_as_retry_info() {
         let status = full("there is no space left");
         assert_eq!(status.code(), Code::ResourceExhausted);

@@ -15,7 +15,7 @@ use sightline_model::{CellSet, CellSets, Decision, DecisionStats, JobSpec};
 use sightline_sampling::Watcher;
 use sightline_viewcells::{CellBox, Lattice};
 
-use crate::choices::{box_seed, exact_limits};
+use crate::choices::{GROUP_SHARE, box_seed, exact_limits};
 use crate::groups::{CellGroup, cells_and_groups};
 
 /// Decides the cells of a tile with the subtree of `root`. `sets` holds the sampled sets and receives the
@@ -32,9 +32,8 @@ pub fn cells(
     (deadline, watcher): (Option<Instant>, &dyn Watcher),
 ) -> Result<(), String> {
     let (boxes, groups) = cells_and_groups(root, &sets.nodes);
-    // Half of the time goes to cell groups: a triangle hidden from a group is not a target for any of its
-    // cells.
-    let half = deadline.map(|d| Instant::now() + d.saturating_duration_since(Instant::now()) / 2);
+    let share = |d: Instant| d.saturating_duration_since(Instant::now()) / GROUP_SHARE;
+    let half = deadline.map(|d| Instant::now() + share(d));
     let mut around = groups_first(spec, lattice, (&boxes, &groups), sets, scene, (half, watcher))?;
     let one = |((set, at), around): ((&mut CellSet, &CellBox), &mut Around), until: Option<Instant>| {
         let stop = || watcher.cancelled() || until.is_some_and(|u| Instant::now() >= u);

@@ -106,10 +106,13 @@ fn tile_error(e: impl std::fmt::Display) -> BakeError {
 /// order.
 ///
 /// The bytes are a pure function of the specification, the scene and the backend's numerics profile, unless
-/// the job has a time budget. Not to be called on a thread of rayon's pool.
+/// the job has a time budget.
 ///
 /// # Errors
 /// [`BakeError`]; a cancelled tile is one.
+///
+/// # Panics
+/// On a thread of rayon's pool, which could wait for itself.
 pub fn run_tile(
     spec: &JobSpec,
     number: u32,
@@ -131,6 +134,13 @@ pub fn run_tile(
         seed: spec.seed,
         deadline: choices::sampling_deadline(spec.method, control.deadline),
     };
+    if packs.len() != tile.needs.len() {
+        return Err(BakeError::Tile(format!(
+            "it needs {} packs and was given {}; give one for each tile that it needs",
+            tile.needs.len(),
+            packs.len()
+        )));
+    }
     let mut recomputed = Vec::new();
     let mut decoded = Vec::with_capacity(packs.len());
     for (needed, pack) in tile.needs.iter().zip(packs) {

@@ -9,7 +9,8 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::{Value, json};
-use sightline_exact::{Cost, Limits, Occluders, Polygon, Verdict, checker, polygon, predicates, sightlines};
+use sightline_certificate::checker;
+use sightline_exact::{Cost, Limits, Occluders, Polygon, Verdict, polygon, predicates, sightlines};
 
 use crate::args::SightlinesArgs;
 use crate::error::CliError;

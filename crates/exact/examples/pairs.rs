@@ -7,7 +7,7 @@
 use std::time::{Duration, Instant};
 
 use glam::DVec3;
-use sightline_exact::checker;
+use sightline_certificate::checker;
 use sightline_exact::{Cost, Limits, Occluders, Polygon, Verdict, sightlines};
 use sightline_numbers::random::SplitMix64;
 

@@ -44,15 +44,15 @@
 //! assert!(matches!(verdict, Verdict::Visible(_)));
 //! ```
 
-pub mod arithmetic;
-pub mod cells;
+mod arithmetic;
+mod cells;
 #[doc(hidden)]
 pub mod fuzzing;
-pub mod geometry;
-pub mod line_space;
-pub mod occluders;
-pub mod search;
-pub mod surfaces;
+mod geometry;
+mod line_space;
+mod occluders;
+mod search;
+mod surfaces;
 
 pub use cells::{
     CellGroup, Decided, ExactScene, Found, GroupDecided, QueryStatistics, Task, decide, decide_group,
@@ -62,6 +62,5 @@ pub use geometry::{Cell, Polygon, PolygonError, Source, polygon, predicates};
 pub use line_space::Decisions;
 pub use occluders::Occluders;
 pub use search::{Cost, Limits, Reason, Verdict, sightlines, sightlines_until};
-pub use sightline_certificate::{CellCertificate, Proof, checker, proof};
 
 pub use surfaces::Hides;

@@ -7,7 +7,7 @@ use std::cmp::Ordering;
 
 use common::{Corners, Random, World, check};
 use glam::{DVec3, Vec3};
-use sightline_exact::proof::Step;
+use sightline_certificate::proof::Step;
 use sightline_exact::{Polygon, Verdict, polygon};
 use sightline_scene::exact::orient3d_sign;
 

@@ -11,9 +11,9 @@ use common::Corners;
 use common::cells::{chambers, exact_scene, set, solve};
 use glam::Vec3;
 use proptest::prelude::*;
+use sightline_certificate::checker::{CellClaims, CellRefusal, Claim, Triangles, check_cell};
 use sightline_certificate::{CellCertificate, GroupCertificate, HiddenGroup, Target, codec};
 use sightline_exact::Cell;
-use sightline_exact::checker::{CellClaims, CellRefusal, Claim, Triangles, check_cell};
 use sightline_exact::{CellGroup, Decided, ExactScene, GroupDecided, Limits, Task, decide, decide_group};
 use sightline_scene::Aabb;
 

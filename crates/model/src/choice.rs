@@ -170,7 +170,7 @@ choice! {
 choice! {
     /// The error measure that decides whether a rectangle is split (Nirenstein and Blake 2004, sections 3.3
     /// to 3.5).
-    ErrorMeasure("measure") {
+    ErrorMeasure("error-measure") {
         /// Err″: the sets in each of 24 angular strata, the worst of them (equation 3).
         Strata = "strata",
         /// Err: the sets of the four cubes (equation 1).

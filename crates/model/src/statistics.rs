@@ -176,7 +176,7 @@ columns! {
         signs_spanned = "signs_spanned",
         /// Signs decided in integers.
         signs_exact = "signs_exact",
-        /// Vectors of line space that the queries made.
+        /// Greatest number of vectors of line space that a query held at once.
         vectors = "exact_vectors",
         /// Triangles hidden from the box around the cell's group.
         above = "exact_above",

@@ -21,16 +21,16 @@
 //! ```
 
 pub mod auto;
-pub mod backend;
-pub mod context;
+mod backend;
+mod context;
 pub mod cube;
-pub mod cubes;
+mod cubes;
 pub mod embree;
-pub mod error;
+mod error;
 pub mod gpu;
 pub mod lines;
 pub mod packet;
-pub mod prepared;
+mod prepared;
 mod reduce;
 pub mod sequence;
 pub mod surface;

@@ -115,7 +115,7 @@ impl PreparedScene {
 }
 
 /// Refuses threads of rayon's pool.
-fn outside_the_pool() {
+pub(crate) fn outside_the_pool() {
     assert!(rayon::current_thread_index().is_none(), "a thread of the pool could wait for itself here");
 }
 
@@ -146,7 +146,14 @@ mod tests {
     fn a_thread_of_the_pool_gets_no_facts() {
         let scene = scene();
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-        let refused = std::panic::AssertUnwindSafe(|| pool.install(|| scene.for_lines().distinct.len()));
-        assert!(std::panic::catch_unwind(refused).is_err());
+        let uses: [&(dyn Fn() -> usize + Sync); 3] =
+            [&|| scene.for_lines().distinct.len(), &|| scene.for_cubes(true).duplicates.len(), &|| {
+                scene.traced().len()
+            }];
+        for one in uses {
+            assert!(one() > 0);
+            let refused = std::panic::AssertUnwindSafe(|| pool.install(one));
+            assert!(std::panic::catch_unwind(refused).is_err());
+        }
     }
 }

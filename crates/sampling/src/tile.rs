@@ -20,11 +20,13 @@ pub struct TileCounters {
     pub cache: CacheCounters,
 }
 
-/// Runs `tile` with the packs of the tiles it needs, in the plan's order. Not to be called on a thread of
-/// rayon's pool.
+/// Runs `tile` with the packs of the tiles it needs, in the plan's order.
 ///
 /// # Errors
 /// [`TileError`] when the tile is cancelled or the backend fails.
+///
+/// # Panics
+/// On a thread of rayon's pool, which could wait for itself.
 pub fn run(
     job: &JobContext<'_>,
     tile: &Tile,

@@ -10,9 +10,9 @@ use glam::{DVec3, Vec3};
 use crate::geometry::polygon::Polygon;
 use crate::geometry::{Cell, Source};
 use crate::occluders::Occluders;
-use crate::proof::Proof;
 use crate::search::{Cost, Limits, Reason, Verdict, sightlines_until};
 use sightline_certificate::certificate::faces;
+use sightline_certificate::proof::Proof;
 
 /// The answer to a query about a triangle or a box from a cell.
 #[derive(Clone, Debug)]

@@ -31,63 +31,11 @@ pub struct QueryStatistics {
 }
 
 impl QueryStatistics {
-    /// Names of [`QueryStatistics::numbers`], as results and tables have them.
-    pub const NAMES: [&'static str; 20] = [
-        "exact_rays",
-        "exact_queries",
-        "exact_boxes_hidden",
-        "exact_enclosed",
-        "exact_hidden",
-        "exact_missed",
-        "exact_refuted",
-        "undecided_stopped",
-        "undecided_regions",
-        "undecided_memory",
-        "undecided_halvings",
-        "exact_regions",
-        "exact_lines",
-        "exact_occluders",
-        "signs_filtered",
-        "signs_refined",
-        "signs_spanned",
-        "signs_exact",
-        "exact_vectors",
-        "exact_above",
-    ];
-
     /// Adds the work done for the group that this cell is the first of.
     pub fn add_asked(&mut self, o: &Self) {
         self.rays += o.rays;
         self.queries += o.queries;
         self.boxes += o.boxes;
         self.cost += o.cost;
-    }
-
-    /// The values of the columns, in the order of [`QueryStatistics::NAMES`].
-    pub fn numbers(&self) -> [u64; Self::NAMES.len()] {
-        let ([a, b, c, d], cost) = (self.open, &self.cost);
-        let signs = &cost.decisions;
-        [
-            self.rays,
-            self.queries,
-            self.boxes,
-            self.enclosed,
-            self.hidden,
-            self.missed,
-            self.refuted,
-            a,
-            b,
-            c,
-            d,
-            cost.regions,
-            cost.lines,
-            cost.occluders,
-            signs.filtered,
-            signs.refined,
-            signs.spanned,
-            signs.exact,
-            cost.vectors,
-            self.above,
-        ]
     }
 }

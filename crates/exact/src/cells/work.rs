@@ -7,9 +7,9 @@ use sightline_scene::{Aabb, Triangle, overlap};
 
 use crate::cells::task::{Decided, Task};
 use crate::geometry::bvh::Below;
-use crate::proof::Proof;
 use crate::search::Reason;
 use crate::surfaces::Hides;
+use sightline_certificate::proof::Proof;
 use sightline_certificate::{HiddenGroup, Target, Witness};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -183,7 +183,7 @@ mod tests {
                         .is_none(),
                 );
                 splits += 1;
-                assert!(splits <= 64, "a query would end before, by the default limit of splits");
+                assert!(splits <= crate::search::Limits::default().splits, "a query would end before");
                 let (_, parts) = split(&mut space, &region).expect("a pair has the other sign");
                 open.extend(parts);
             }

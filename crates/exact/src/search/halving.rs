@@ -1,7 +1,7 @@
 //! Which polygon of a pair to halve, and where.
 
 use crate::geometry::polygon::Polygon;
-use crate::proof::Which;
+use sightline_certificate::proof::Which;
 
 /// The polygon with the longest edge, and where to halve it.
 pub fn widest(a: &Polygon, b: &Polygon) -> (Which, [u16; 2]) {

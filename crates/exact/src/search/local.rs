@@ -10,10 +10,10 @@ use crate::line_space::forms::Forms;
 use crate::line_space::space::{Space, Through, VectorId};
 use crate::line_space::stabbing_polyhedron::Pair;
 use crate::occluders::{OccluderId, Occluders, OrientedOccluder};
-use crate::proof::OccluderTriangle;
 use crate::search::corners::Corners;
 use crate::search::edges::{Edge, EdgeLines};
 use crate::search::side_bitsets::{Limit, SideBitsets};
+use sightline_certificate::proof::OccluderTriangle;
 
 /// An end of a sight line: a point of the space, and its rounded place in the world.
 pub type Snapped = (u32, DVec3);

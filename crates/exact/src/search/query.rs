@@ -21,7 +21,6 @@ use crate::line_space::polar;
 use crate::line_space::space::Space;
 use crate::line_space::stabbing_polyhedron;
 use crate::occluders::{OccluderId, Occluders, OrientedOccluder};
-use crate::proof::{Proof, Step, Which};
 use crate::search::corners::Corners;
 use crate::search::edges::EdgeLines;
 use crate::search::halving::widest;
@@ -30,6 +29,7 @@ use crate::search::maps::with_room;
 use crate::search::side_bitsets::SideBitsets;
 use crate::search::trace::Met;
 use crate::search::verdict::{Cost, Limits, Reason, Verdict};
+use sightline_certificate::proof::{Proof, Step, Which};
 
 /// Whether any part of `b` is seen from `a`, each a convex polygon or the parts of one.
 pub fn sightlines(scene: &Occluders, a: &[Polygon], b: &[Polygon], limits: &Limits) -> (Verdict, Cost) {

@@ -2,7 +2,7 @@
 
 use crate::geometry::Source;
 use crate::line_space::Decisions;
-use crate::proof::Proof;
+use sightline_certificate::proof::Proof;
 
 /// The limits at which a query ends undecided.
 #[derive(Clone, Copy, Debug)]

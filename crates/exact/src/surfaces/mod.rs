@@ -5,4 +5,4 @@ mod crossing_order;
 mod patches;
 mod piercing;
 
-pub use closed::{FromCell, Hides, Surfaces};
+pub use closed::{Hides, Surfaces};

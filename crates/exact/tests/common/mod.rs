@@ -7,9 +7,10 @@ pub mod cells;
 pub mod truth;
 
 use glam::{DMat3, DQuat, DVec3, Vec3};
-use sightline_exact::checker::Refusal;
+use sightline_certificate::checker;
+use sightline_certificate::checker::Refusal;
 use sightline_exact::predicates::integers;
-use sightline_exact::{Limits, Occluders, Polygon, Verdict, checker, sightlines};
+use sightline_exact::{Limits, Occluders, Polygon, Verdict, sightlines};
 use sightline_numbers::random::SplitMix64;
 use sightline_scene::{Object, Scene, Triangle};
 

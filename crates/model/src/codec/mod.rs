@@ -3,6 +3,7 @@
 //! Equal values give equal bytes, so the digest of the bytes identifies the content. Decoding trusts nothing:
 //! every count is checked against the remaining bytes before anything is allocated for it.
 
+mod error;
 mod read;
 #[cfg(test)]
 mod tests;
@@ -15,15 +16,11 @@ use sightline_viewcells::{CellBox, LatticePoint};
 use crate::output::{Pack, TileOutput};
 use read::Reader;
 
+pub use error::CodecError;
 pub use write::encode;
 
 /// Most bytes one tile's output may unpack to: far above any real tile, far below a machine's memory.
 pub const MAX_UNPACKED: u64 = 4 << 30;
-
-/// The bytes are not a tile's output.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("a tile's output cannot be read: {0}; it was damaged or written by another version")]
-pub struct CodecError(&'static str);
 
 /// Decodes a tile's output for a scene of `triangles` triangles.
 ///

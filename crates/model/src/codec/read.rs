@@ -5,7 +5,7 @@ use std::sync::Arc;
 use sightline_numbers::varint::{self, VarintError};
 use sightline_viewcells::{LatticePoint, Split};
 
-use super::CodecError;
+use super::error::CodecError;
 use crate::output::{CellSet, CellSets, Decision, Node, Pack, VisibilitySample};
 use crate::statistics::CellStats;
 

@@ -65,11 +65,6 @@ impl SampleCache {
         found
     }
 
-    /// Whether there is a sample at `p`.
-    pub fn contains(&self, p: LatticePoint) -> bool {
-        self.entries.contains_key(&p)
-    }
-
     /// The samples on the surface of `cell`, by position.
     pub fn on_surface(&self, cell: &CellBox) -> Vec<&VisibilitySample> {
         let x = |x: u32| [x, 0, 0];
@@ -91,16 +86,6 @@ impl SampleCache {
     /// The counters so far.
     pub fn counters(&self) -> CacheCounters {
         self.counters
-    }
-
-    /// Number of samples in the cache.
-    pub fn len(&self) -> usize {
-        self.entries.len()
-    }
-
-    /// Whether the cache holds no sample.
-    pub fn is_empty(&self) -> bool {
-        self.entries.is_empty()
     }
 }
 
@@ -128,10 +113,10 @@ mod tests {
             cells = cells.iter().flat_map(|c| c.children(Split { axis, at: 2 })).collect();
         }
         for (i, cell) in cells.iter().enumerate() {
-            assert!(!cache.is_empty(), "cell {i} finds its samples");
+            assert!(!cache.entries.is_empty(), "cell {i} finds its samples");
             cache.finish(cell);
         }
-        assert!(cache.is_empty());
+        assert!(cache.entries.is_empty());
         let c = cache.counters();
         assert_eq!(c.inserted, c.dropped);
     }
@@ -140,6 +125,6 @@ mod tests {
     fn what_lies_outside_the_tile_is_not_kept() {
         let mut cache = SampleCache::new(CellBox { lo: [0; 3], hi: [4; 3] });
         cache.insert([5, 0, 0], Arc::default());
-        assert!(cache.is_empty());
+        assert!(cache.entries.is_empty());
     }
 }

@@ -13,6 +13,7 @@
 mod adapter;
 mod bvh;
 mod clusters;
+mod device;
 mod geometry;
 mod line_scene;
 mod pipelines;
@@ -20,9 +21,7 @@ mod renderer;
 mod tally;
 mod tracer;
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, OnceLock};
 
 use sightline_scene::Scene;
 
@@ -32,39 +31,27 @@ use crate::backend::{Backend, CubeRenderer};
 use crate::cube::CubeSpec;
 use crate::error::BackendError;
 use crate::packet::LineTracer;
+use device::Gpu;
 use geometry::{DrawStyle, Geometry};
 use line_scene::{LineScene, Refusal};
-use pipelines::{Kit, MAX_RESOLUTION, scoped};
 use renderer::{GpuRenderer, Work};
 use tracer::{GpuTracer, LineKit};
 
 /// Rank of a triangle that is never drawn.
 const NEVER: u32 = u32::MAX;
-/// Largest coordinate drawn: differences and their projections stay finite in `f32`.
-const MOST_DISTANT: f32 = 1e30;
 /// Bytes of triangles in one vertex buffer, if the device allows as much.
 const PAGE_BYTES: u64 = 1 << 30;
-/// How long the device may take for one cube before it is given up.
-const PATIENCE: Duration = Duration::from_secs(300);
-
 /// A device bound to one scene and one [`CubeSpec`].
 pub struct GpuBackend {
+    gpu: Gpu,
     scene: Arc<Scene>,
-    spec: CubeSpec,
-    profile: String,
-    device: wgpu::Device,
-    queue: wgpu::Queue,
-    kit: Kit,
-    near: f32,
     page_bytes: u64,
     style: DrawStyle,
     /// The whole scene, in drawing order.
     whole: Arc<Geometry>,
     /// For each triangle its place in the drawing order, or [`NEVER`].
     ranks: Vec<u32>,
-    /// First thing the device complained of outside an error scope.
-    fault: Arc<Mutex<Option<String>>>,
-    /// What one batch of cubes uses at a time.
+    /// The buffers of one batch of cubes.
     work: Mutex<Work>,
     /// The scene as lines are traced through it, once they are.
     lines: OnceLock<Result<Arc<LineKit>, Refusal>>,
@@ -86,100 +73,43 @@ impl GpuBackend {
         choice: &AdapterChoice,
         page_bytes: u64,
     ) -> Result<Self, BackendError> {
-        if !(1..=MAX_RESOLUTION).contains(&spec.resolution) {
-            return Err(BackendError::Unavailable(format!(
-                "a cube of {} pixels a side cannot be rendered; choose 1 to {MAX_RESOLUTION}",
-                spec.resolution
-            )));
-        }
-        let bounds = scene.bounds();
-        if bounds.min.abs().max(bounds.max.abs()).max_element() > MOST_DISTANT {
-            return Err(BackendError::Unavailable(format!(
-                "the scene's coordinates go beyond {MOST_DISTANT:e}; scale it down"
-            )));
-        }
-        let adapter::Opened { device, queue, summary } = adapter::open(choice)?;
-        let limits = device.limits();
-        if 3 * spec.resolution > limits.max_texture_dimension_2d {
-            return Err(BackendError::Unavailable(format!(
-                "the adapter {} renders cubes of at most {} pixels a side, not {}; choose fewer or use \
-                    --backend cpu",
-                summary.name,
-                limits.max_texture_dimension_2d / 3,
-                spec.resolution
-            )));
-        }
-        let fault = watch(&device);
-        let failed = |reason| BackendError::Failed { profile: summary.profile.clone(), reason };
-        let kit = scoped(&device, || Ok(Kit::new(&device, spec.resolution))).map_err(failed)?;
-        let page_bytes = page_bytes.min(limits.max_buffer_size);
+        let (gpu, software) = Gpu::open(&scene, spec, choice)?;
+        let page_bytes = page_bytes.min(gpu.device.limits().max_buffer_size);
         let order = clusters::drawing_order(&scene);
         let mut ranks = vec![NEVER; scene.triangles().len()];
         for (rank, id) in (0..).zip(&order) {
             ranks[*id as usize] = rank;
         }
-        let style = if summary.software { DrawStyle::SOFTWARE } else { DrawStyle::HARDWARE };
-        let whole = Geometry::upload(&device, scene.triangles(), order, page_bytes, style).map_err(failed)?;
-        let near = crate::near_distance(bounds);
+        let style = if software { DrawStyle::SOFTWARE } else { DrawStyle::HARDWARE };
+        let whole = Geometry::upload(&gpu.device, scene.triangles(), order, page_bytes, style);
+        let whole = whole.map_err(|reason| gpu.failed(reason))?;
         Ok(Self {
-            profile: summary.profile,
+            gpu,
             whole: Arc::new(whole),
             work: Mutex::default(),
             lines: OnceLock::new(),
             scene,
-            spec,
-            device,
-            queue,
-            kit,
-            near,
             page_bytes,
             style,
             ranks,
-            fault,
         })
-    }
-
-    fn failed(&self, reason: impl Into<String>) -> BackendError {
-        BackendError::Failed { profile: self.profile.clone(), reason: reason.into() }
-    }
-
-    /// Whether the device has complained since it was opened. It does not get better again.
-    fn check(&self) -> Result<(), BackendError> {
-        match &*lock(&self.fault) {
-            Some(reason) => Err(self.failed(reason.clone())),
-            None => Ok(()),
-        }
-    }
-
-    /// Waits until the device has done `submission`, and its buffers' maps with it. The news of a map may
-    /// still be on its way here by another thread's wait; receive it with [`PATIENCE`].
-    fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), BackendError> {
-        let poll = wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(PATIENCE) };
-        // wgpu panics here when the device is lost while it waits; a lost device is an error like any other.
-        let polled = catch_unwind(AssertUnwindSafe(|| self.device.poll(poll)));
-        self.check()?;
-        match polled {
-            Ok(Ok(_)) => Ok(()),
-            Ok(Err(error)) => Err(self.failed(format!("waiting for the device: {error}"))),
-            Err(_) => Err(self.failed("the device was lost while it worked")),
-        }
     }
 }
 
 impl Backend for GpuBackend {
     fn profile(&self) -> &str {
-        &self.profile
+        &self.gpu.profile
     }
 
     fn prepare(&self, superset: Option<&[u32]>) -> Result<Box<dyn CubeRenderer + '_>, BackendError> {
-        self.check()?;
+        self.gpu.check()?;
         let geometry = match superset {
             None => Arc::clone(&self.whole),
             Some(ids) => {
                 let mut places = Vec::with_capacity(ids.len());
                 for id in ids {
                     let place = self.ranks.get(*id as usize).ok_or_else(|| {
-                        self.failed(format!(
+                        self.gpu.failed(format!(
                             "the superset names triangle {id} of a scene of {}",
                             self.ranks.len()
                         ))
@@ -189,52 +119,41 @@ impl Backend for GpuBackend {
                 places.sort_unstable();
                 places.dedup();
                 let ids = places.into_iter().map(|place| self.whole.ids[place as usize]).collect();
-                let made =
-                    Geometry::upload(&self.device, self.scene.triangles(), ids, self.page_bytes, self.style);
-                Arc::new(made.map_err(|reason| self.failed(reason))?)
+                let made = Geometry::upload(
+                    &self.gpu.device,
+                    self.scene.triangles(),
+                    ids,
+                    self.page_bytes,
+                    self.style,
+                );
+                Arc::new(made.map_err(|reason| self.gpu.failed(reason))?)
             }
         };
-        let most = tally::most_slots(&self.device.limits());
+        let most = tally::most_slots(&self.gpu.device.limits());
         if geometry.slots() > most {
-            return Err(self.failed(format!(
+            return Err(self.gpu.failed(format!(
                 "{} triangles at once are more than the {most} this device can count; \
                  give it a smaller superset or use --backend cpu",
                 geometry.slots()
             )));
         }
-        Ok(Box::new(GpuRenderer::new(self, geometry)))
+        Ok(Box::new(GpuRenderer::new(&self.gpu, &self.work, geometry)))
     }
 
     fn lines(&self, distinct: &[u32]) -> Result<Box<dyn LineTracer + '_>, BackendError> {
-        self.check()?;
+        self.gpu.check()?;
+        // The hierarchy is built by all threads of the pool.
+        crate::prepared::outside_the_pool();
         let made = self.lines.get_or_init(|| {
-            LineScene::new(&self.device, &self.scene, distinct, u64::MAX)
+            LineScene::new(&self.gpu.device, &self.scene, distinct, u64::MAX)
                 .map(|scene| Arc::new(LineKit::new(scene)))
         });
         match made {
-            Ok(kit) => Ok(Box::new(GpuTracer::new(self, Arc::clone(kit)))),
+            Ok(kit) => Ok(Box::new(GpuTracer::new(&self.gpu, Arc::clone(kit)))),
             Err(Refusal::Unavailable(why)) => Err(BackendError::Unavailable(why.clone())),
-            Err(Refusal::Failed(reason)) => Err(self.failed(reason.clone())),
+            Err(Refusal::Failed(reason)) => Err(self.gpu.failed(reason.clone())),
         }
     }
-}
-
-/// Notes the first error `device` reports, and its loss.
-fn watch(device: &wgpu::Device) -> Arc<Mutex<Option<String>>> {
-    let fault = Arc::new(Mutex::new(None));
-    let (errors, losses) = (Arc::clone(&fault), Arc::clone(&fault));
-    device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
-        lock(&errors).get_or_insert_with(|| error.to_string());
-    }));
-    device.set_device_lost_callback(move |reason, text| {
-        lock(&losses).get_or_insert_with(|| format!("the device was lost ({reason:?}): {text}"));
-    });
-    fault
-}
-
-/// Locks, also after a panic elsewhere: what is guarded here is whole between any two statements.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

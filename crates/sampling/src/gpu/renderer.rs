@@ -5,14 +5,14 @@
 //! been enough so far; a cube that shows more is rendered again with enough.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, mpsc};
+use std::sync::{Arc, Mutex, mpsc};
 
 use glam::Vec3;
 
+use super::device::{Gpu, MOST_DISTANT, PATIENCE, lock};
 use super::geometry::{Geometry, Visible};
 use super::pipelines::{FACE_STRIDE, face_uniforms};
 use super::tally::{ENTRY_BYTES, LIST_HEAD, Tally};
-use super::{GpuBackend, MOST_DISTANT, PATIENCE, lock};
 use crate::backend::CubeRenderer;
 use crate::cube::{CubeImage, SKY, Strata};
 use crate::error::BackendError;
@@ -74,18 +74,20 @@ struct Flight {
 
 /// Renders the triangles of one [`Geometry`].
 pub(super) struct GpuRenderer<'a> {
-    backend: &'a GpuBackend,
+    gpu: &'a Gpu,
+    /// The buffers of one batch, shared by all renderers of the device.
+    work: &'a Mutex<Work>,
     geometry: Arc<Geometry>,
 }
 
 impl<'a> GpuRenderer<'a> {
-    pub(super) fn new(backend: &'a GpuBackend, geometry: Arc<Geometry>) -> Self {
-        Self { backend, geometry }
+    pub(super) fn new(gpu: &'a Gpu, work: &'a Mutex<Work>, geometry: Arc<Geometry>) -> Self {
+        Self { gpu, work, geometry }
     }
 
     fn pixels(&self) -> u32 {
         // At most 6 · 4096².
-        6 * self.backend.spec.resolution * self.backend.spec.resolution
+        6 * self.gpu.spec.resolution * self.gpu.spec.resolution
     }
 
     /// Renders a cube from each point and gives what was wanted of it to `take`, in any order.
@@ -95,11 +97,11 @@ impl<'a> GpuRenderer<'a> {
         want: Want,
         take: &mut dyn FnMut(usize, Runs, Option<Vec<u32>>),
     ) -> Result<(), BackendError> {
-        self.backend.check()?;
+        self.gpu.check()?;
         for p in points {
             // Also refuses NaN.
             if !p.abs().cmple(Vec3::splat(MOST_DISTANT)).all() {
-                return Err(self.backend.failed(format!("a cube at {p} cannot be rendered")));
+                return Err(self.gpu.failed(format!("a cube at {p} cannot be rendered")));
             }
         }
         if self.geometry.slots() == 0 {
@@ -107,7 +109,7 @@ impl<'a> GpuRenderer<'a> {
             (0..points.len()).for_each(|i| take(i, Runs::new(), sky.clone()));
             return Ok(());
         }
-        let mut work = lock(&self.backend.work);
+        let mut work = lock(self.work);
         let result = self.render_all(&mut work, points, want, take);
         if result.is_err() {
             // Counts may have stayed behind, and buffers mapped.
@@ -169,7 +171,7 @@ impl<'a> GpuRenderer<'a> {
 
     /// Has buffers for this geometry's slots, and tells the reduction about them.
     fn make_room(&self, work: &mut Work) -> Result<(), BackendError> {
-        let b = self.backend;
+        let b = self.gpu;
         if work.tally.as_ref().is_none_or(|t| t.slots < self.geometry.slots()) {
             // The old one goes first: there may not be room for both.
             work.tally = None;
@@ -192,7 +194,7 @@ impl<'a> GpuRenderer<'a> {
     }
 
     fn layout(&self, work: &Work, want: Want) -> Layout {
-        let n = self.backend.spec.resolution;
+        let n = self.gpu.spec.resolution;
         let list_bytes = if want.list { LIST_HEAD + u64::from(work.entries) * ENTRY_BYTES } else { 0 };
         let row_bytes = (3 * n * 4).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
         let pixels_at = list_bytes.next_multiple_of(u64::from(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT));
@@ -209,7 +211,7 @@ impl<'a> GpuRenderer<'a> {
         layout: Layout,
         want: Want,
     ) -> Result<Flight, BackendError> {
-        let b = self.backend;
+        let b = self.gpu;
         let buffer = work.spare.pop().unwrap_or_else(|| {
             b.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some("read-back"),
@@ -246,13 +248,13 @@ impl<'a> GpuRenderer<'a> {
         let (sender, mapped) = mpsc::channel();
         // Nobody listens any more when a cube before this one failed.
         buffer.map_async(wgpu::MapMode::Read, .., move |result| drop(sender.send(result)));
-        self.backend.check()?;
+        self.gpu.check()?;
         Ok(Flight { index, buffer, submission, mapped })
     }
 
     fn record_faces(&self, encoder: &mut wgpu::CommandEncoder, visible: &Visible) {
-        let kit = &self.backend.kit;
-        let n = self.backend.spec.resolution;
+        let kit = &self.gpu.kit;
+        let n = self.gpu.spec.resolution;
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("cube"),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
@@ -290,8 +292,8 @@ impl<'a> GpuRenderer<'a> {
     }
 
     fn record_reduction(&self, encoder: &mut wgpu::CommandEncoder, tally: &Tally) {
-        let kit = &self.backend.kit;
-        let n = self.backend.spec.resolution;
+        let kit = &self.gpu.kit;
+        let n = self.gpu.spec.resolution;
         encoder.clear_buffer(&tally.list, 0, Some(LIST_HEAD));
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         pass.set_bind_group(0, &tally.group, &[]);
@@ -309,7 +311,7 @@ impl<'a> GpuRenderer<'a> {
         layout: Layout,
         want: Want,
     ) -> Result<Landed, BackendError> {
-        let b = self.backend;
+        let b = self.gpu;
         b.wait(flight.submission)?;
         match flight.mapped.recv_timeout(PATIENCE) {
             Ok(Ok(())) => {}
@@ -336,7 +338,7 @@ impl<'a> GpuRenderer<'a> {
             count = words[0];
             let capacity = work.tally.as_ref().map_or(0, |t| t.capacity);
             if count > capacity {
-                return Err(self.backend.failed(format!(
+                return Err(self.gpu.failed(format!(
                     "a cube shows {count} triangles, more than the {capacity} the device can list; \
                      lower the resolution or use --backend cpu"
                 )));
@@ -361,7 +363,7 @@ impl<'a> GpuRenderer<'a> {
 
     /// The cube image in the order [`CubeImage`] keeps it, from the atlas.
     fn faces_of(&self, atlas: &[u32], row_bytes: u32) -> Result<Vec<u32>, BackendError> {
-        let (n, pitch) = (self.backend.spec.resolution as usize, row_bytes as usize / 4);
+        let (n, pitch) = (self.gpu.spec.resolution as usize, row_bytes as usize / 4);
         let mut ids = Vec::with_capacity(self.pixels() as usize);
         for row in 0..6 * n {
             let (face, y) = (row / n, row % n);
@@ -377,14 +379,14 @@ impl<'a> GpuRenderer<'a> {
     }
 
     fn stray(&self, slot: u32) -> BackendError {
-        self.backend.failed(format!("it saw triangle {slot} of {} drawn", self.geometry.slots()))
+        self.gpu.failed(format!("it saw triangle {slot} of {} drawn", self.geometry.slots()))
     }
 }
 
 impl CubeRenderer for GpuRenderer<'_> {
     fn samples(&self, points: &[Vec3]) -> Result<Vec<VisibilitySample>, BackendError> {
         let mut samples = vec![VisibilitySample::default(); points.len()];
-        let want = Want { list: true, pixels: self.backend.spec.keep_pixels };
+        let want = Want { list: true, pixels: self.gpu.spec.keep_pixels };
         self.render(points, want, &mut |index, runs, pixels| {
             samples[index] =
                 VisibilitySample { pixels: pixels.map(Into::into), ..VisibilitySample::from_runs(runs) };
@@ -397,6 +399,6 @@ impl CubeRenderer for GpuRenderer<'_> {
         self.render(&[point], Want { list: false, pixels: true }, &mut |_, _, pixels| {
             ids = pixels.unwrap_or_default();
         })?;
-        Ok(CubeImage { resolution: self.backend.spec.resolution, ids })
+        Ok(CubeImage { resolution: self.gpu.spec.resolution, ids })
     }
 }

@@ -3,6 +3,7 @@
 use glam::Vec3;
 use sightline_scene::Object;
 
+use super::pipelines::MAX_RESOLUTION;
 use super::*;
 use crate::cube::Strata;
 
@@ -48,8 +49,9 @@ fn pages_and_draws_change_no_pixel() {
         for style in [DrawStyle::HARDWARE, DrawStyle::SOFTWARE] {
             let ids = backend.whole.ids.clone();
             let geometry =
-                Geometry::upload(&backend.device, scene.triangles(), ids, backend.page_bytes, style).unwrap();
-            let renderer = GpuRenderer::new(backend, Arc::new(geometry));
+                Geometry::upload(&backend.gpu.device, scene.triangles(), ids, backend.page_bytes, style)
+                    .unwrap();
+            let renderer = GpuRenderer::new(&backend.gpu, &backend.work, Arc::new(geometry));
             assert_eq!(expected, renderer.samples(&eyes).unwrap(), "{style:?}");
             for (eye, sample) in eyes.iter().zip(&expected) {
                 let image = renderer.image(*eye).unwrap();
@@ -64,7 +66,7 @@ fn a_lost_device_is_an_error() {
     let Some(backend) = backend(&shell(200), PAGE_BYTES) else { return };
     let renderer = backend.prepare(None).unwrap();
     renderer.samples(&[Vec3::ZERO]).unwrap();
-    backend.device.destroy();
+    backend.gpu.device.destroy();
     for _ in 0..2 {
         let error = renderer.samples(&[Vec3::ZERO; 6]).unwrap_err();
         assert!(matches!(error, BackendError::Failed { .. }), "{error}");

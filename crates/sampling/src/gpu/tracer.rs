@@ -8,9 +8,9 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, mpsc};
 
+use super::device::{Gpu, PATIENCE, lock};
 use super::line_scene::LineScene;
 use super::pipelines::scoped;
-use super::{GpuBackend, PATIENCE, lock};
 use crate::cube::SKY;
 use crate::error::BackendError;
 use crate::packet::{LANES, LineTracer, Packet};
@@ -144,27 +144,27 @@ impl Slot {
     }
 }
 
-/// Traces lines through the whole scene of a [`GpuBackend`].
+/// Traces lines through the whole scene of a [`super::GpuBackend`].
 pub(super) struct GpuTracer<'a> {
-    backend: &'a GpuBackend,
+    gpu: &'a Gpu,
     kit: Arc<LineKit>,
     /// Most packets of a batch.
     most: usize,
 }
 
 impl<'a> GpuTracer<'a> {
-    pub(super) fn new(backend: &'a GpuBackend, kit: Arc<LineKit>) -> Self {
-        let limits = backend.device.limits();
+    pub(super) fn new(gpu: &'a Gpu, kit: Arc<LineKit>) -> Self {
+        let limits = gpu.device.limits();
         let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
         let room = usize::try_from(bytes / (4 * RAY_WORDS as u64)).unwrap_or(MOST_BATCH);
         let groups = limits.max_compute_workgroups_per_dimension as usize * GROUP;
         // A power of two, as the slots are.
         let most = (room.min(groups).clamp(GROUP, MOST_BATCH) + 1).next_power_of_two() / 2;
-        Self { backend, kit, most }
+        Self { gpu, kit, most }
     }
 
     fn trace_in(&self, packets: &mut [Packet], batch: usize) -> Result<(), BackendError> {
-        self.backend.check()?;
+        self.gpu.check()?;
         if self.kit.scene.empty {
             for packet in packets {
                 packet.distance = [f32::INFINITY; LANES];
@@ -186,7 +186,7 @@ impl<'a> GpuTracer<'a> {
 
     /// Records and submits one batch.
     fn launch<'p>(&self, packets: &'p mut [Packet]) -> Result<Flight<'p>, BackendError> {
-        let b = self.backend;
+        let b = self.gpu;
         let slot = self.kit.slot(&b.device, packets.len()).map_err(|reason| b.failed(reason))?;
         slot.fill(packets).map_err(|e| b.failed(format!("writing rays: {e}")))?;
         let mut encoder = b.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
@@ -214,7 +214,7 @@ impl<'a> GpuTracer<'a> {
 
     /// Waits for a batch and reads it. A slot is put back only when all went well.
     fn land(&self, flight: Flight<'_>) -> Result<(), BackendError> {
-        let b = self.backend;
+        let b = self.gpu;
         let Flight { packets, slot, submission, mapped } = flight;
         b.wait(submission)?;
         for _ in 0..2 {

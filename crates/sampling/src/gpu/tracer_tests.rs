@@ -8,6 +8,7 @@ use super::*;
 use crate::backend::Backend;
 use crate::cube::{CubeSpec, Strata};
 use crate::gpu::AdapterChoice;
+use crate::gpu::GpuBackend;
 use crate::gpu::line_scene::Refusal;
 
 /// Numbers in −1…1 that look random.
@@ -65,9 +66,9 @@ fn batches_pages_and_threads_change_no_bit() {
     let Some(backend) = backend(&scene) else { return };
     let tracer = |page_bytes| {
         let scene =
-            LineScene::new(&backend.device, &scene, &(0..scene.len()).collect::<Vec<_>>(), page_bytes)
+            LineScene::new(&backend.gpu.device, &scene, &(0..scene.len()).collect::<Vec<_>>(), page_bytes)
                 .unwrap();
-        GpuTracer::new(&backend, Arc::new(LineKit::new(scene)))
+        GpuTracer::new(&backend.gpu, Arc::new(LineKit::new(scene)))
     };
     let one = tracer(u64::MAX);
     let mut expected = packets(700);
@@ -101,7 +102,8 @@ fn batches_pages_and_threads_change_no_bit() {
 fn a_scene_that_does_not_fit_is_refused_with_the_limit() {
     let scene = soup(500);
     let Some(backend) = backend(&scene) else { return };
-    let refused = LineScene::new(&backend.device, &scene, &(0..scene.len()).collect::<Vec<_>>(), 100 * 48);
+    let refused =
+        LineScene::new(&backend.gpu.device, &scene, &(0..scene.len()).collect::<Vec<_>>(), 100 * 48);
     assert!(matches!(refused, Err(Refusal::Unavailable(why)) if why.contains("4800 bytes")));
 }
 
@@ -110,7 +112,7 @@ fn a_lost_device_is_an_error() {
     let Some(backend) = backend(&soup(50)) else { return };
     let tracer = backend.lines(&(0..backend.scene.len()).collect::<Vec<_>>()).unwrap();
     tracer.trace(&mut packets(20)).unwrap();
-    backend.device.destroy();
+    backend.gpu.device.destroy();
     for _ in 0..2 {
         let error = tracer.trace(&mut packets(20)).unwrap_err();
         assert!(matches!(error, BackendError::Failed { .. }), "{error}");

@@ -6,8 +6,8 @@
 use glam::Vec3;
 
 use super::build::{Builder, tube_size};
+use super::params::{GenerateError, Kind, MAX_TRIANGLES, Params, contradiction, isqrt, within};
 use super::random::{Random, turn};
-use super::{GenerateError, Kind, MAX_TRIANGLES, Params, contradiction, isqrt, within};
 
 /// Average distance between trees.
 const SPACING: f32 = 6.0;

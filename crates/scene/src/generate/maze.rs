@@ -4,9 +4,9 @@
 use glam::Vec3;
 
 use super::build::Builder;
+use super::params::{GenerateError, Kind, MAX_TRIANGLES, Params, contradiction, isqrt, within};
 use super::plan::{Place, Plan, Wall};
 use super::random::Random;
-use super::{GenerateError, Kind, MAX_TRIANGLES, Params, contradiction, isqrt, within};
 
 /// Triangles of a cell in a large maze: one wall and one pillar.
 const PER_CELL: u64 = 24;

@@ -4,9 +4,10 @@
 use glam::Vec3;
 
 use super::build::Builder;
+use super::params::{GenerateError, Kind, MAX_TRIANGLES, Params, within};
 use super::plan::{Plan, Wall};
 use super::random::Random;
-use super::{GenerateError, Kind, MAX_TRIANGLES, Params, furniture, maze, within};
+use super::{furniture, maze};
 
 /// Triangles of a room when only one of size and grid is given.
 const PER_ROOM: u64 = 800;

@@ -6,8 +6,8 @@
 //! are drawn at the precision of `f32` there: a width of 1e-7 is three or four steps.
 
 use super::build::Builder;
+use super::params::{GenerateError, Kind, MAX_TRIANGLES, Params, contradiction, isqrt, within};
 use super::random::Random;
-use super::{GenerateError, Kind, MAX_TRIANGLES, Params, contradiction, isqrt, within};
 
 /// A wall's thickness; a slit lets through directions up to its width over this away from the normal.
 pub const THICKNESS: f32 = 0.0078125;

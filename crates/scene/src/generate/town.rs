@@ -5,9 +5,10 @@
 use glam::Vec3;
 
 use super::build::Builder;
+use super::furniture;
+use super::params::{GenerateError, Kind, MAX_TRIANGLES, Params, isqrt, within};
 use super::plan::{Plan, Wall};
 use super::random::Random;
-use super::{GenerateError, Kind, MAX_TRIANGLES, Params, furniture, isqrt, within};
 
 /// Approximate number of triangles of the town in Nirenstein and Blake 2004.
 const DEFAULT: u64 = 1_330_000;

@@ -9,7 +9,8 @@
 
 use glam::Vec3;
 
-use super::{EXPORT_AGAIN, Limits, REPAIR_VERTEX, names::Names, too_many_objects, too_many_triangles};
+use super::limits::{EXPORT_AGAIN, Limits, REPAIR_VERTEX, too_many_objects, too_many_triangles};
+use super::names::Names;
 use crate::{Object, Scene, SceneError, Triangle};
 
 /// A corner that names a vertex further down the file; filled in at the end.

@@ -7,10 +7,12 @@ use super::buffers::Buffers;
 use super::component::Component;
 use super::nodes::Draw;
 
+use super::json;
+use super::source::{QUANTIZATION, Source};
 use super::sparse::Overlay;
 use super::uses::{Role, Use, uses};
-use super::{EXPORT_AGAIN, QUANTIZATION, Source, json};
 use crate::SceneError;
+use crate::load::limits::EXPORT_AGAIN;
 
 /// A checked accessor.
 pub(super) struct Accessor<'a> {

@@ -10,9 +10,10 @@ use std::path::{Component, Path, PathBuf};
 use base64::Engine;
 
 use super::nodes::Draw;
-use super::{Source, json, meshopt, uses};
+use super::source::Source;
+use super::{json, meshopt, uses};
 use crate::SceneError;
-use crate::load::read_file;
+use crate::load::limits::read_file;
 
 /// The buffers and the decoded views that are needed; the others stay empty.
 pub(super) struct Buffers<'a> {

@@ -17,6 +17,7 @@ mod json;
 mod meshopt;
 mod nodes;
 mod primitive;
+mod source;
 mod sparse;
 mod transform;
 mod uses;
@@ -27,7 +28,9 @@ use rayon::prelude::*;
 
 use self::accessor::Accessors;
 use self::buffers::Buffers;
-use super::{EXPORT_AGAIN, Limits, names::Names, too_many_objects, too_many_triangles};
+use self::source::{QUANTIZATION, Source};
+use super::limits::{EXPORT_AGAIN, Limits, too_many_objects, too_many_triangles};
+use super::names::Names;
 use crate::{Object, Scene, SceneError, Triangle};
 
 /// Required extensions that do not change which triangles exist. A prefix ends in `_`.
@@ -44,8 +47,6 @@ const HARMLESS: &[&str] = &[
 
 /// Required extensions that are implemented here.
 const IMPLEMENTED: &[&str] = &[QUANTIZATION, MESHOPT];
-/// Integer positions.
-const QUANTIZATION: &str = "KHR_mesh_quantization";
 /// Compressed buffer views.
 const MESHOPT: &str = "EXT_meshopt_compression";
 
@@ -101,19 +102,6 @@ pub(super) fn parse_glb(
     }
     let json = json.ok_or_else(|| bad("GLB chunk 0", "it is not the JSON chunk".to_owned()))?;
     build(&Source { file, base_dir, limits }, json, binary)
-}
-
-/// The context of all parts of the reader.
-struct Source<'a> {
-    file: &'a str,
-    base_dir: Option<&'a Path>,
-    limits: &'a Limits,
-}
-
-impl Source<'_> {
-    fn bad(&self, element: impl Into<String>, reason: impl Into<String>) -> SceneError {
-        SceneError::bad(self.file, element, reason, EXPORT_AGAIN)
-    }
 }
 
 fn build(source: &Source<'_>, json: &[u8], binary: Option<&[u8]>) -> Result<Scene, SceneError> {

@@ -2,7 +2,8 @@
 
 use glam::DAffine3;
 
-use super::{Source, json, transform};
+use super::source::Source;
+use super::{json, transform};
 use crate::SceneError;
 
 /// A mesh and the transform of a node that has it.

@@ -5,9 +5,10 @@ use rayon::prelude::*;
 
 use super::accessor::{Accessor, Accessors};
 use super::nodes::Draw;
+use super::source::Source;
 use super::uses::{Mode, Role, mode, surface};
-use super::{EXPORT_AGAIN, Source, json, transform};
-use crate::load::REPAIR_VERTEX;
+use super::{json, transform};
+use crate::load::limits::{EXPORT_AGAIN, REPAIR_VERTEX};
 use crate::{SceneError, Triangle};
 
 /// Triangles that a thread reads at a time.

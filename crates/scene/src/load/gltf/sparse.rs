@@ -2,7 +2,8 @@
 
 use super::buffers::Buffers;
 use super::component::Component;
-use super::{Source, json};
+use super::json;
+use super::source::Source;
 use crate::SceneError;
 
 /// The replaced elements, found by binary search.

@@ -1,7 +1,8 @@
 //! The accessors that drawn geometry needs, and the modes of primitives.
 
+use super::json;
 use super::nodes::Draw;
-use super::{Source, json};
+use super::source::Source;
 use crate::SceneError;
 
 /// The uses of an accessor.

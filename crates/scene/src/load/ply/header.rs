@@ -1,7 +1,7 @@
 //! The header of a PLY file: its format, and the elements with their counts and properties.
 
 use crate::SceneError;
-use crate::load::EXPORT_AGAIN;
+use crate::load::limits::EXPORT_AGAIN;
 
 /// How the values after the header are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

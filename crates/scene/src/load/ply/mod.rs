@@ -13,7 +13,7 @@ use glam::Vec3;
 
 use self::header::{Element, Format, Header, Property};
 use self::value::{Ascii, Binary, Values};
-use super::{EXPORT_AGAIN, Limits, REPAIR_VERTEX, too_many_triangles};
+use super::limits::{EXPORT_AGAIN, Limits, REPAIR_VERTEX, too_many_triangles};
 use crate::{Object, Scene, SceneError, Triangle};
 
 /// Reads a PLY file.

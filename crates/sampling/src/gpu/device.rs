@@ -1,0 +1,115 @@
+//! An open device with its pipelines: it notes faults, and waits for submissions.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use sightline_scene::Scene;
+
+use super::adapter::{self, AdapterChoice};
+use super::pipelines::{Kit, MAX_RESOLUTION, scoped};
+use crate::cube::CubeSpec;
+use crate::error::BackendError;
+
+/// Largest coordinate drawn: differences and their projections stay finite in `f32`.
+pub(super) const MOST_DISTANT: f32 = 1e30;
+/// How long the device may take for one cube before it is given up.
+pub(super) const PATIENCE: Duration = Duration::from_secs(300);
+
+/// A device with the pipelines for cubes of one [`CubeSpec`].
+pub(super) struct Gpu {
+    pub(super) spec: CubeSpec,
+    pub(super) profile: String,
+    pub(super) device: wgpu::Device,
+    pub(super) queue: wgpu::Queue,
+    pub(super) kit: Kit,
+    /// Distance of the near plane, world units.
+    pub(super) near: f32,
+    /// The first error that the device reported outside an error scope.
+    fault: Arc<Mutex<Option<String>>>,
+}
+
+impl Gpu {
+    /// Opens the adapter of `choice` for `scene`; returns the device, and whether it is a software rasteriser.
+    ///
+    /// # Errors
+    /// [`BackendError::Unavailable`] when there is no fitting adapter, or it cannot do `spec` or the scene.
+    pub(super) fn open(
+        scene: &Scene,
+        spec: CubeSpec,
+        choice: &AdapterChoice,
+    ) -> Result<(Self, bool), BackendError> {
+        if !(1..=MAX_RESOLUTION).contains(&spec.resolution) {
+            return Err(BackendError::Unavailable(format!(
+                "a cube of {} pixels a side cannot be rendered; choose 1 to {MAX_RESOLUTION}",
+                spec.resolution
+            )));
+        }
+        let bounds = scene.bounds();
+        if bounds.min.abs().max(bounds.max.abs()).max_element() > MOST_DISTANT {
+            return Err(BackendError::Unavailable(format!(
+                "the scene's coordinates go beyond {MOST_DISTANT:e}; scale it down"
+            )));
+        }
+        let adapter::Opened { device, queue, summary } = adapter::open(choice)?;
+        let limits = device.limits();
+        if 3 * spec.resolution > limits.max_texture_dimension_2d {
+            return Err(BackendError::Unavailable(format!(
+                "the adapter {} renders cubes of at most {} pixels a side, not {}; choose fewer or use \
+                    --backend cpu",
+                summary.name,
+                limits.max_texture_dimension_2d / 3,
+                spec.resolution
+            )));
+        }
+        let fault = watch(&device);
+        let failed = |reason| BackendError::Failed { profile: summary.profile.clone(), reason };
+        let kit = scoped(&device, || Ok(Kit::new(&device, spec.resolution))).map_err(failed)?;
+        let near = crate::near_distance(bounds);
+        Ok((Self { spec, profile: summary.profile, device, queue, kit, near, fault }, summary.software))
+    }
+
+    pub(super) fn failed(&self, reason: impl Into<String>) -> BackendError {
+        BackendError::Failed { profile: self.profile.clone(), reason: reason.into() }
+    }
+
+    /// Whether the device has complained since it was opened. It does not get better again.
+    pub(super) fn check(&self) -> Result<(), BackendError> {
+        match &*lock(&self.fault) {
+            Some(reason) => Err(self.failed(reason.clone())),
+            None => Ok(()),
+        }
+    }
+
+    /// Waits until the device has done `submission`, and its buffers' maps with it. The news of a map may
+    /// still be on its way here by another thread's wait; receive it with [`PATIENCE`].
+    pub(super) fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), BackendError> {
+        let poll = wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(PATIENCE) };
+        // wgpu panics here when the device is lost while it waits; a lost device is an error like any other.
+        let polled = catch_unwind(AssertUnwindSafe(|| self.device.poll(poll)));
+        self.check()?;
+        match polled {
+            Ok(Ok(_)) => Ok(()),
+            Ok(Err(error)) => Err(self.failed(format!("waiting for the device: {error}"))),
+            Err(_) => Err(self.failed("the device was lost while it worked")),
+        }
+    }
+}
+
+/// Notes the first error `device` reports, and its loss.
+fn watch(device: &wgpu::Device) -> Arc<Mutex<Option<String>>> {
+    let fault = Arc::new(Mutex::new(None));
+    let (errors, losses) = (Arc::clone(&fault), Arc::clone(&fault));
+    device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+        lock(&errors).get_or_insert_with(|| error.to_string());
+    }));
+    device.set_device_lost_callback(move |reason, text| {
+        lock(&losses).get_or_insert_with(|| format!("the device was lost ({reason:?}): {text}"));
+    });
+    fault
+}
+
+/// Locks, also after a panic elsewhere: what is guarded here is whole between any two statements.
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
