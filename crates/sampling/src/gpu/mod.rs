@@ -1,14 +1,13 @@
 //! The GPU backend: item buffers drawn by wgpu, reduced on the device, read back as short lists.
 //!
-//! It draws triangles with the ordinary raster pipeline. Beside it stands a compute path that traces sight
-//! lines (`tracer.rs`) and shares only the device. Nothing here is needed to read a result: a machine without
-//! a driver uses the CPU backend.
+//! Cubes are drawn with the raster pipeline. Sight lines are traced by a compute shader (`tracer.rs`), which
+//! shares only the device with the raster path. A machine without a GPU driver uses the CPU backend.
 //!
-//! **Near plane.** A cube's frusta begin at [`crate::near_distance`]. Depth is reversed floating point, near
-//! / distance, which has the same relative precision at any distance.
+//! **Near plane.** The six frusta of a cube begin at [`crate::near_distance`]. Depth is reversed floating
+//! point, near / distance, which has the same relative precision at every distance.
 //!
-//! **Same bits.** Triangles are drawn in one fixed order, the first at a depth wins; the reduction is made of
-//! integer sums and unions, whose order does not matter; its list is sorted before use.
+//! **Same bits.** Triangles are drawn in one fixed order, and the first of equal depth wins. The reduction
+//! uses integer sums and unions, which do not depend on the order, and its list is sorted before use.
 
 mod adapter;
 mod bvh;
@@ -38,13 +37,13 @@ use pipelines::{Kit, MAX_RESOLUTION, scoped};
 use renderer::{GpuRenderer, Work};
 use tracer::{GpuTracer, LineKit};
 
-/// Rank of a triangle that is never drawn.
+/// Rank of a degenerate triangle, which is never drawn.
 const NEVER: u32 = u32::MAX;
-/// Largest coordinate drawn: differences and their projections stay finite in `f32`.
+/// Largest coordinate drawn; differences and their projections stay finite in `f32`.
 const MOST_DISTANT: f32 = 1e30;
-/// Bytes of triangles in one vertex buffer, if the device allows as much.
+/// Most bytes of triangles in one vertex buffer; the device may allow fewer.
 const PAGE_BYTES: u64 = 1 << 30;
-/// How long the device may take for one cube before it is given up.
+/// How long to wait for one submission before the device counts as failed.
 const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A device bound to one scene and one [`CubeSpec`].
@@ -60,13 +59,13 @@ pub struct GpuBackend {
     style: DrawStyle,
     /// The whole scene, in drawing order.
     whole: Arc<Geometry>,
-    /// For each triangle its place in the drawing order, or [`NEVER`].
+    /// For each triangle, its place in the drawing order, or [`NEVER`].
     ranks: Vec<u32>,
-    /// First thing the device complained of outside an error scope.
+    /// The first error that the device reported outside an error scope.
     fault: Arc<Mutex<Option<String>>>,
-    /// What one batch of cubes uses at a time.
+    /// Buffers for rendering cubes; used by one batch at a time.
     work: Mutex<Work>,
-    /// The scene as lines are traced through it, once they are.
+    /// The scene of the line tracer, made at the first call of `lines`.
     lines: OnceLock<Result<Arc<LineKit>, Refusal>>,
 }
 
@@ -74,8 +73,9 @@ impl GpuBackend {
     /// Opens a device and copies `scene` to it.
     ///
     /// # Errors
-    /// [`BackendError::Unavailable`] when there is no fitting adapter, or it or this backend cannot do `spec`
-    /// or the scene; [`BackendError::Failed`] when the device cannot hold the scene.
+    /// [`BackendError::Unavailable`] when no adapter fits, or when the adapter or this backend does not
+    /// support `spec` or the scene's coordinates; [`BackendError::Failed`] when the device cannot hold the
+    /// scene.
     pub fn new(scene: Arc<Scene>, spec: CubeSpec, choice: AdapterChoice) -> Result<Self, BackendError> {
         Self::with_pages(scene, spec, &choice, PAGE_BYTES)
     }
@@ -143,7 +143,7 @@ impl GpuBackend {
         BackendError::Failed { profile: self.profile.clone(), reason: reason.into() }
     }
 
-    /// Whether the device has complained since it was opened. It does not get better again.
+    /// Fails when the device has reported an error since it was opened. Such an error is permanent.
     fn check(&self) -> Result<(), BackendError> {
         match &*lock(&self.fault) {
             Some(reason) => Err(self.failed(reason.clone())),
@@ -151,11 +151,11 @@ impl GpuBackend {
         }
     }
 
-    /// Waits until the device has done `submission`, and its buffers' maps with it. The news of a map may
-    /// still be on its way here by another thread's wait; receive it with [`PATIENCE`].
+    /// Waits until the device has finished `submission` and mapped its buffers. The callback of a mapping may
+    /// still run in another thread that waits; receive its message with [`PATIENCE`] as the limit.
     fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), BackendError> {
         let poll = wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(PATIENCE) };
-        // wgpu panics here when the device is lost while it waits; a lost device is an error like any other.
+        // wgpu panics when the device is lost during the wait; here that becomes an error like any other.
         let polled = catch_unwind(AssertUnwindSafe(|| self.device.poll(poll)));
         self.check()?;
         match polled {
@@ -219,7 +219,7 @@ impl Backend for GpuBackend {
     }
 }
 
-/// Notes the first error `device` reports, and its loss.
+/// Records the first error or the loss that `device` reports.
 fn watch(device: &wgpu::Device) -> Arc<Mutex<Option<String>>> {
     let fault = Arc::new(Mutex::new(None));
     let (errors, losses) = (Arc::clone(&fault), Arc::clone(&fault));
@@ -232,7 +232,7 @@ fn watch(device: &wgpu::Device) -> Arc<Mutex<Option<String>>> {
     fault
 }
 
-/// Locks, also after a panic elsewhere: what is guarded here is whole between any two statements.
+/// Locks a mutex, also after a panic in another thread: the guarded data is consistent after every statement.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
