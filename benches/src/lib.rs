@@ -1,1 +1,1 @@
-//! What the benchmarks share. The programs are in `src/bin/`, one question each.
+//! Programs that measure the result format; each program in `src/bin/` answers one question.

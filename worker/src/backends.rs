@@ -1,4 +1,4 @@
-//! Which sampling backends this machine has, by numerics profile.
+//! The sampling backends of this machine, by numerics profile.
 
 use std::sync::Arc;
 
@@ -10,10 +10,10 @@ use sightline_scene::Scene;
 /// Which backends a worker may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Choice {
-    /// All that are there.
+    /// All backends of this machine.
     Auto,
-    /// All that a job may be bound to by itself: where Embree is, no software rasteriser, which coordinators
-    /// pass over then.
+    /// As `Auto`, but where Embree works and no GPU is present, software rasterisers are not started: a
+    /// coordinator does not bind a job to one if a worker has Embree.
     Fast,
     /// wgpu only.
     Gpu,
@@ -21,24 +21,24 @@ pub enum Choice {
     Cpu,
 }
 
-/// The backends that work here, and why the others do not.
+/// The profiles of the backends that work on this machine, and the reasons why the others do not.
 pub struct Backends {
     cpu: Result<String, String>,
     gpu: Result<String, String>,
     adapter: AdapterChoice,
-    /// Whether the gpu is a software rasteriser.
+    /// Whether the gpu backend is a software rasteriser.
     software: bool,
-    /// Whether software rasterisers were not looked for.
+    /// Whether no software rasteriser was looked for.
     skipped_software: bool,
 }
 
 impl Backends {
-    /// Looks at the machine.
+    /// Tries the backends of `choice` on this machine.
     pub fn probe(choice: Choice, adapter: AdapterChoice) -> Self {
         let not_asked = || Err("not asked for".to_owned());
         let say = |r: Result<String, BackendError>| r.map_err(|e| e.to_string());
         let cpu = if choice == Choice::Gpu { not_asked() } else { say(CpuBackend::probe()) };
-        // Starting a software driver takes longer than small bakes do.
+        // Starting a software driver takes longer than a small bake.
         let skipped_software = choice == Choice::Fast && cpu.is_ok() && !gpu::device_present();
         let gpu =
             if choice == Choice::Cpu || skipped_software { not_asked() } else { say(gpu::probe(&adapter)) };
@@ -52,17 +52,17 @@ impl Backends {
         [&self.cpu, &self.gpu].into_iter().filter_map(|r| r.as_ref().ok().cloned()).collect()
     }
 
-    /// Whether software rasterisers were not looked for, as nothing would be bound to one.
+    /// Whether no software rasteriser was looked for, because no job would be bound to one.
     pub fn skipped_software(&self) -> bool {
         self.skipped_software
     }
 
-    /// Whether `profile` is that of a software rasteriser.
+    /// Whether `profile` belongs to a software rasteriser.
     pub fn is_software(&self, profile: &str) -> bool {
         self.software && self.gpu.as_deref() == Ok(profile)
     }
 
-    /// What is missing, for people: one line for each backend that was asked for and does not work.
+    /// One line for users for each requested backend that does not work.
     pub fn missing(&self) -> Vec<String> {
         let line = |name: &str, r: &Result<String, String>| {
             r.as_ref().err().filter(|e| *e != "not asked for").map(|e| format!("{name} backend: {e}"))
@@ -70,11 +70,11 @@ impl Backends {
         [line("cpu", &self.cpu), line("gpu", &self.gpu)].into_iter().flatten().collect()
     }
 
-    /// The backend with a profile, bound to a scene.
+    /// Opens the backend with the numerics profile `profile` for a scene.
     ///
     /// # Errors
-    /// [`BackendError::Unavailable`] when this machine does not have the profile, or what the backend
-    /// reports.
+    /// [`BackendError::Unavailable`] when this machine does not have the profile; otherwise the error of the
+    /// backend.
     pub fn open(
         &self,
         profile: &str,

@@ -6,39 +6,39 @@ use std::time::Duration;
 use crate::backends::Backends;
 use crate::scenes::SceneCache;
 
-/// How a worker is set up.
+/// The configuration of a worker.
 #[derive(Clone)]
 pub struct Config {
     /// The coordinator's address, such as `http://127.0.0.1:7600`.
     pub coordinator: String,
-    /// Shown to people; unique among the workers of the coordinator.
+    /// Shown to users; unique among the workers of the coordinator.
     pub name: String,
-    /// The backends it may use.
+    /// The backends that the worker may use.
     pub backends: Arc<Backends>,
-    /// Scenes and their hierarchies, shared by the workers of one process.
+    /// Cache of scenes and their hierarchies, shared by the workers of one process.
     pub scenes: Arc<SceneCache>,
-    /// How long to go on trying when the coordinator cannot be reached; `None` for ever.
+    /// How long to retry when the coordinator cannot be reached; `None` for no limit.
     pub give_up_after: Option<Duration>,
 }
 
-/// How a worker is told to stop.
+/// Tells a worker whether and how to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stop {
-    /// It goes on.
+    /// Continue.
     No,
-    /// It finishes the tiles it holds and takes no more (SIGTERM).
+    /// Finish the running tile, give back tiles that have not begun, and take no more (SIGTERM).
     Drain,
-    /// It drops what it holds.
+    /// Stop at once; the held tiles are lost.
     Now,
 }
 
 /// Why a worker ended before it was told to.
 #[derive(Debug, thiserror::Error)]
 pub enum WorkerError {
-    /// The coordinator's address is not one.
+    /// The given address is not valid.
     #[error("{0} is not a coordinator's address: {1}; give one such as http://127.0.0.1:7600")]
     Address(String, String),
-    /// The coordinator could not be reached for too long.
+    /// The coordinator could not be reached for longer than `give_up_after`.
     #[error(
         "the coordinator at {address} cannot be reached: {reason}; check that `sightline coordinator` runs \
             there and that the port is open"

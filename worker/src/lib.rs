@@ -1,8 +1,7 @@
-//! A worker: leases tiles from a coordinator, samples them, and streams results back.
+//! A worker: leases tiles from a coordinator, computes them, and streams the results back.
 //!
-//! It keeps nothing on disk and decides nothing: which tiles there are, who runs them and what becomes of the
-//! results is the coordinator's business. Killing it at any moment costs the work in hand and changes no
-//! result.
+//! A worker stores nothing on disk and decides nothing: the coordinator plans tiles, assigns them and
+//! assembles their results. Killing a worker at any moment loses the work on its tiles and changes no result.
 //!
 //! ```no_run
 //! use std::sync::Arc;
@@ -38,10 +37,10 @@ pub use backends::{Backends, Choice};
 pub use config::{Config, Stop, WorkerError};
 pub use scenes::{Loaded, SceneCache};
 
-/// Runs a worker until it is told to stop.
+/// Runs a worker until `stop` tells it to stop.
 ///
 /// # Errors
-/// [`WorkerError`] when the coordinator cannot be reached or refuses it.
+/// [`WorkerError`] when the coordinator cannot be reached or refuses the worker.
 pub async fn run(config: Config, stop: watch::Receiver<Stop>) -> Result<(), WorkerError> {
     session::Worker::new(config)?.run(stop).await
 }

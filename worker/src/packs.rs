@@ -1,9 +1,9 @@
-//! Packs fetched from the coordinator, kept compressed as long as there is room.
+//! Cache of packs from the coordinator, kept compressed.
 
 use std::collections::VecDeque;
 use std::sync::{Mutex, PoisonError};
 
-/// Compressed bytes kept: neighbouring tiles need mostly the same packs.
+/// Most compressed bytes kept. The cache pays since neighbouring tiles need mostly the same packs.
 const ROOM: usize = 256 << 20;
 
 /// Packs by digest; the oldest are dropped first.
@@ -13,13 +13,13 @@ pub struct PackCache {
 }
 
 impl PackCache {
-    /// The pack, if it is here.
+    /// The pack, if it is in the cache.
     pub fn get(&self, digest: &[u8; 32]) -> Option<bytes::Bytes> {
         let packs = self.packs.lock().unwrap_or_else(PoisonError::into_inner);
         packs.iter().find(|(d, _)| d == digest).map(|(_, b)| b.clone())
     }
 
-    /// Keeps a pack.
+    /// Adds a pack, unless it is larger than the cache.
     pub fn put(&self, digest: [u8; 32], pack: bytes::Bytes) {
         let mut packs = self.packs.lock().unwrap_or_else(PoisonError::into_inner);
         if pack.len() > ROOM || packs.iter().any(|(d, _)| *d == digest) {

@@ -1,4 +1,4 @@
-//! Scenes a worker has at hand: fetched once, analysed once, with the hierarchies built for them.
+//! Cache of the scenes of a worker: each is fetched once and analysed once, and keeps its backends.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -9,10 +9,10 @@ use sightline_scene::{Scene, SceneError};
 
 use crate::backends::Backends;
 
-/// Scenes kept at once: the one at work and the one that comes next.
+/// Most scenes kept: the current one and the next one.
 const KEPT: usize = 2;
 
-/// A scene with its backends.
+/// A scene with the backends opened for it.
 pub struct Loaded {
     /// The scene, prepared for tiles.
     pub scene: BakeScene,
@@ -20,7 +20,7 @@ pub struct Loaded {
 }
 
 impl Loaded {
-    /// Takes up a scene.
+    /// Prepares a scene for tiles.
     ///
     /// # Errors
     /// [`SceneError`] when it has too many triangles to sample.
@@ -28,8 +28,9 @@ impl Loaded {
         Ok(Self { scene: BakeScene::new(scene)?, backends: Mutex::default() })
     }
 
-    /// Makes ready to trace sight lines on the cpu, if this machine can: what the first tile would wait for.
-    /// What cannot be done now is done, and complained of, when it is needed.
+    /// Builds the hierarchy for sight lines on the cpu backend, if this machine has one, so that the first
+    /// tile does not wait for it. Errors are ignored here: the tile that needs the hierarchy tries again and
+    /// reports them.
     pub fn warm(&self, backends: &Backends, spec: CubeSpec) {
         let cpu = backends.profiles().into_iter().find(|p| p.starts_with("cpu/"));
         let Some(backend) = cpu.and_then(|profile| self.backend(backends, &profile, spec, "").ok()) else {
@@ -44,11 +45,11 @@ impl Loaded {
         });
     }
 
-    /// The backend with `profile` for cubes as in `spec`, made on first use. A software gpu belongs to one
-    /// `owner` alone, because such a device keeps only one core busy.
+    /// The backend with `profile` for the cubes of `spec`, opened at first use. Each `owner` has a software
+    /// gpu for itself, because such a device uses only one core.
     ///
     /// # Errors
-    /// What the backend reports.
+    /// The error of the backend.
     pub fn backend(
         &self,
         backends: &Backends,
@@ -74,7 +75,7 @@ impl Loaded {
 }
 
 impl Loaded {
-    /// Drops the backends with `profile`: the next tile that needs one opens it anew.
+    /// Drops the backends with `profile`, so that the next tile opens them again.
     pub fn forget(&self, profile: &str) {
         let mut open = self.backends.lock().unwrap_or_else(PoisonError::into_inner);
         open.retain(|key, _| !key.starts_with(&format!("{profile}|")));
@@ -84,21 +85,21 @@ impl Loaded {
 /// The scenes of one process, by digest.
 #[derive(Default)]
 pub struct SceneCache {
-    // Most recently used last.
+    // The most recently used scene is last.
     scenes: tokio::sync::Mutex<Vec<([u8; 32], Arc<Loaded>)>>,
 }
 
 impl SceneCache {
-    /// A cache that has a scene already.
+    /// A cache that holds one scene.
     pub fn holding(digest: [u8; 32], loaded: Arc<Loaded>) -> Self {
         Self { scenes: tokio::sync::Mutex::new(vec![(digest, loaded)]) }
     }
 
-    /// The scene with `digest`, fetched with `fetch` when it is not at hand. Two tiles that ask at once fetch
-    /// once.
+    /// The scene with `digest`; `fetch` is called when it is not in the cache. Simultaneous calls for a scene
+    /// fetch it once.
     ///
     /// # Errors
-    /// What `fetch` reports, or that the bytes are not that scene.
+    /// The error of `fetch`, or a message when the bytes are not the scene.
     pub async fn get<F>(&self, digest: [u8; 32], fetch: F) -> Result<Arc<Loaded>, String>
     where
         F: Future<Output = Result<Vec<u8>, String>>,

@@ -1,5 +1,5 @@
-//! The worker's stream to its coordinator: says what it can do, takes grants, renews leases, comes back after
-//! a break.
+//! The worker's stream to its coordinator: sends the worker's profiles, takes grants, renews leases, and
+//! reconnects after a broken connection.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -16,19 +16,19 @@ use tonic::transport::Channel;
 use crate::config::{Config, Stop, WorkerError};
 use crate::tiles::{Failure, Held, Shop, describe};
 
-/// Tiles in hand: one running, one being fetched.
+/// Most tiles held at once: one that runs and one whose data is fetched.
 const IN_HAND: usize = 2;
-/// How often leases are renewed.
+/// Interval between renewals of leases.
 const RENEW: Duration = Duration::from_secs(1);
-/// First and longest wait before connecting again.
+/// First and longest wait before a reconnection.
 const RECONNECT: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(5)];
-/// A connection that held so long was one: the waits begin anew. The coordinator keeps the leases of a worker
-/// that has gone for three seconds.
+/// After a connection that lasted this long, waits start at the shortest again. Short waits matter, since the
+/// coordinator keeps the leases of a disconnected worker for only three seconds.
 const STEADY: Duration = Duration::from_secs(1);
 
-/// How long a tile that the machine or the network kept from being done is held back.
+/// Delay before a tile is reported as failed because of the machine or the network.
 const AFTER_FAILURE: Duration = Duration::from_secs(1);
-/// How long a worker that stops waits for the coordinator to have read its last messages.
+/// How long a draining worker waits until the coordinator has read its last messages.
 const FAREWELL: Duration = Duration::from_secs(2);
 
 type LeaseKey = (u64, u32, u64, u64);
@@ -49,10 +49,10 @@ enum End {
     NameTaken(String),
 }
 
-/// A worker between and during its connections.
+/// A worker; it lives longer than a connection.
 pub struct Worker {
     shop: Arc<Shop>,
-    /// Random and not 0: tells this worker from another one of its name.
+    /// Random and not 0; distinguishes this worker from another worker of the same name.
     instance: u64,
     held: BTreeMap<LeaseKey, Arc<Held>>,
     finished: (mpsc::UnboundedSender<Finished>, mpsc::UnboundedReceiver<Finished>),
@@ -64,7 +64,7 @@ enum Finished {
 }
 
 impl Worker {
-    /// A worker that has not connected yet.
+    /// A worker without a connection.
     pub fn new(config: Config) -> Result<Self, WorkerError> {
         let channel: Channel = sightline_proto::endpoint(&config.coordinator)
             .map_err(|e| WorkerError::Address(config.coordinator.clone(), e))?
@@ -86,7 +86,7 @@ impl Worker {
         })
     }
 
-    /// Connects, works, and connects again, until it is told to stop.
+    /// Connects and works until `stop` tells the worker to stop; reconnects after a broken connection.
     pub async fn run(mut self, mut stop: watch::Receiver<Stop>) -> Result<(), WorkerError> {
         let mut wait = RECONNECT[0];
         let mut since = Instant::now();
@@ -107,7 +107,7 @@ impl Worker {
                 }
             };
             if *stop.borrow() != Stop::No {
-                // What is in hand cannot be delivered any more.
+                // Without a connection, finished tiles cannot be delivered.
                 return Ok(());
             }
             if connected.elapsed() > STEADY {
@@ -162,10 +162,10 @@ impl Worker {
         let mut draining = false;
         loop {
             if draining && self.held.is_empty() {
-                // Ends the stream; the coordinator ends its side when it has read everything.
+                // Ends the stream; the coordinator ends its side after it has read everything.
                 drop(out);
                 let read = async { while let Some(Ok(_)) = inbound.next().await {} };
-                // A coordinator that does not answer cannot keep the worker from stopping.
+                // The worker stops even if the coordinator does not answer.
                 let _ = tokio::time::timeout(FAREWELL, read).await;
                 tracing::info!(worker = self.shop.config.name, "drained: no tile is left here");
                 return Ok(End::Stopped);
@@ -227,11 +227,11 @@ impl Worker {
         }
     }
 
-    /// Acts on what the coordinator says; gives what to answer at once.
+    /// Handles a message from the coordinator; returns the immediate answer, if any.
     fn heard(&mut self, message: FromCoordinator, draining: bool) -> Option<ToCoordinator> {
         match message {
             FromCoordinator::Welcome(w) => {
-                // What is no longer this worker's is stopped.
+                // Tiles whose lease was not kept are stopped.
                 for (k, h) in &self.held {
                     if !w.kept.iter().any(|l| key(l) == *k) {
                         h.cancel();
@@ -248,10 +248,10 @@ impl Worker {
                 tokio::spawn(async move {
                     let result = shop.work(grant, held).await;
                     if matches!(result, Err(Failure::Infrastructure(_))) {
-                        // What ails the machine may take a while to pass.
+                        // A fault of the machine or the network may need some time to pass.
                         tokio::time::sleep(AFTER_FAILURE).await;
                     }
-                    // The session may have ended; then nobody is left to tell.
+                    // Fails only when the worker has ended.
                     let _ = report.send(Finished::Tile(lease, result));
                 });
                 None
@@ -270,7 +270,7 @@ impl Worker {
                         tracing::warn!("the backends could not be timed: {e}");
                         Vec::new()
                     });
-                    // As above.
+                    // Fails only when the worker has ended.
                     let _ = report.send(Finished::Timed(v1::Timed { job: t.job, times }));
                 });
                 None
@@ -278,7 +278,7 @@ impl Worker {
         }
     }
 
-    /// What to say about something finished.
+    /// The messages to send after a tile or a timing has finished.
     fn done(&mut self, done: Finished, draining: bool) -> Vec<ToCoordinator> {
         let (lease, result) = match done {
             Finished::Timed(t) => return vec![ToCoordinator::Timed(t)],

@@ -1,4 +1,4 @@
-//! One tile from grant to commit: fetch what it needs, run it, stream the output back.
+//! One tile from grant to commit: fetches its scene and packs, runs it, and uploads its output.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -17,13 +17,13 @@ use crate::config::Config;
 use crate::packs::PackCache;
 use crate::scenes::Loaded;
 
-/// Largest scene or pack accepted from a coordinator.
+/// Largest scene or pack accepted from a coordinator, in bytes.
 const MAX_FETCH: u64 = 64 << 30;
-/// How often an upload is tried again, and how long to wait before the first time; the wait doubles.
+/// Most attempts at an upload, and the wait after the first failure; the wait doubles with each failure.
 const UPLOAD_TRIES: u32 = 8;
 const UPLOAD_WAIT: Duration = Duration::from_millis(250);
 
-/// A lease in hand, watched by the session and the tile that runs under it.
+/// A held lease, shared by the session and the tile that runs under it.
 pub struct Held {
     /// The lease.
     pub lease: v1::Lease,
@@ -34,7 +34,7 @@ pub struct Held {
 }
 
 impl Held {
-    /// A fresh lease.
+    /// The state of a new lease.
     pub fn new(lease: v1::Lease) -> Self {
         Self {
             lease,
@@ -50,12 +50,12 @@ impl Held {
         self.cancelled.store(true, Ordering::Relaxed);
     }
 
-    /// Whether the tile is running, and not still waiting for what it needs or its turn.
+    /// Whether the tile runs. Before that it fetches its data and waits for the tile before it.
     pub fn begun(&self) -> bool {
         self.begun.load(Ordering::Relaxed)
     }
 
-    /// How far the tile is.
+    /// The progress of the tile, as the message that renews the lease.
     pub fn progress(&self) -> v1::Progress {
         v1::Progress {
             lease: Some(self.lease),
@@ -79,21 +79,21 @@ impl Watcher for Held {
 
 /// Why a tile was not committed.
 pub enum Failure {
-    /// The lease was taken back; nothing to report.
+    /// The lease was revoked, the job has ended, or the worker stops.
     Cancelled,
-    /// The network or the machine.
+    /// A fault of the network or the machine.
     Infrastructure(String),
-    /// The tile itself.
+    /// A fault of the tile itself.
     Tile(String),
 }
 
-/// What tiles share.
+/// State that the tiles of one worker share.
 pub struct Shop {
-    /// The worker's set-up.
+    /// The worker's configuration.
     pub config: Config,
-    /// Packs at hand.
+    /// Cache of packs.
     pub packs: PackCache,
-    /// One tile runs at a time; the next one fetches meanwhile.
+    /// One tile runs at a time, while the next one fetches its data.
     pub running: tokio::sync::Semaphore,
     /// Connection to the coordinator.
     pub client: WorkersClient<Channel>,
@@ -140,7 +140,7 @@ impl Shop {
         self.upload(header, bytes.into(), &held).await
     }
 
-    /// The part that computes, on a thread of its own.
+    /// Computes the tile on the current thread; returns the output's bytes and the number of samples.
     fn run(
         &self,
         spec: &JobSpec,
@@ -189,7 +189,7 @@ impl Shop {
         self.config.scenes.get(digest, fetch).await
     }
 
-    /// A pack; `None` when the coordinator has lost it.
+    /// A pack; `None` when the coordinator has lost it or its bytes are damaged.
     async fn pack(&self, digest: [u8; 32]) -> Result<Option<bytes::Bytes>, String> {
         if let Some(pack) = self.packs.get(&digest) {
             return Ok(Some(pack));
@@ -222,7 +222,7 @@ impl Shop {
             }
             let first = v1::ResultPart { part: Some(v1::result_part::Part::Header(header.clone())) };
             let body = bytes.clone();
-            // Cut lazily, so that one chunk at a time is copied.
+            // The chunks are made lazily, so only one is in memory at a time.
             let chunks = (0..count(&body))
                 .map(move |i| v1::ResultPart { part: Some(v1::result_part::Part::Chunk(piece(&body, i))) });
             let parts = tokio_stream::iter(std::iter::once(first).chain(chunks));
@@ -232,7 +232,7 @@ impl Shop {
                     tonic::Code::Aborted | tonic::Code::InvalidArgument | tonic::Code::OutOfRange => {
                         return Err(Failure::Tile(describe(&s)));
                     }
-                    // The job is gone or cancelled: nobody wants this tile any more.
+                    // The job was deleted or has ended, so the tile is not needed any more.
                     tonic::Code::NotFound | tonic::Code::FailedPrecondition => {
                         return Err(Failure::Cancelled);
                     }
@@ -276,7 +276,7 @@ impl Shop {
     }
 }
 
-/// A pack, or the digest of one that has to be computed again.
+/// A pack, or the digest of a lost pack that has to be computed again.
 type Fetched = Result<bytes::Bytes, [u8; 32]>;
 
 async fn assemble(mut stream: tonic::Streaming<v1::Chunk>) -> Result<Vec<u8>, String> {
@@ -287,7 +287,7 @@ async fn assemble(mut stream: tonic::Streaming<v1::Chunk>) -> Result<Vec<u8>, St
     whole.finish().map_err(|e| e.to_string())
 }
 
-/// A status as people read it.
+/// A status as text for users.
 pub fn describe(status: &tonic::Status) -> String {
     format!("{} ({})", status.message(), status.code())
 }

@@ -1,10 +1,10 @@
-//! Writes a `.pvs` of a made-up world, for judging the file's size and the look-up's speed without a bake.
+//! Writes a `.pvs` of a synthetic world, to measure file size and look-up time without a bake.
 //!
-//! `synthetic_pvs city|forest CELLS_PER_AXIS RAYS_PER_CELL OUT.pvs`. The world is a grid of 256×256×32
-//! blocks, each face of an exposed block two triangles: houses and streets, or trees whose leaves are
-//! numbered in no order at all. A cell's set is what random rays from it hit first, so that it has the
-//! coherence between neighbouring cells and the ragged edges of a sampled set. It is no measure of the baker:
-//! nothing here is taken from it.
+//! `synthetic_pvs city|forest CELLS_PER_AXIS RAYS_PER_CELL OUT.pvs`. The world is a grid of 256×256×32 blocks
+//! with two triangles for each face of a block: houses and streets, which have exposed faces only, or trees
+//! whose leaves are numbered in random order. A cell's set holds the triangles that random rays from the cell
+//! hit first. So neighbouring cells have similar sets, and the sets have the gaps of sampling. The program
+//! uses no code of the baker and says nothing about it.
 
 #![allow(clippy::print_stdout, clippy::print_stderr)] // A program for people at a terminal.
 
@@ -14,7 +14,7 @@ type AnyError = Box<dyn std::error::Error>;
 
 const SIZE: [usize; 3] = [256, 256, 32];
 
-/// SplitMix64 (Steele, Lea and Flood 2014).
+/// SplitMix64 (Steele et al. 2014).
 struct Random(u64);
 
 impl Random {
@@ -32,8 +32,8 @@ impl Random {
     }
 }
 
-/// For each block the object it belongs to + 1, or 0; and for each of its six faces the first of two
-/// triangles.
+/// A grid of blocks. `object` holds for each block its object's index, or 0 for an empty block; `first` holds
+/// the first of the two triangles of each face.
 struct World {
     object: Vec<u32>,
     first: Vec<[u32; 6]>,
@@ -98,7 +98,8 @@ fn world(forest: bool, random: &mut Random) -> World {
                 let mut q = p;
                 q[axis] = if up { q[axis] + 1 } else { q[axis].wrapping_sub(1) };
                 let exposed = q[axis] >= SIZE[axis] || object[at(q)] == 0;
-                // A leaf's six faces stay together; a house is numbered side by side.
+                // In a forest the six faces of a block have consecutive ids; in a city the faces of one side
+                // of a house do.
                 if exposed && !forest {
                     first[at(p)][face] = triangles;
                     triangles += 2;
@@ -117,7 +118,8 @@ fn world(forest: bool, random: &mut Random) -> World {
 }
 
 impl World {
-    /// The first triangle hit from `p` along `d`; steps from block to block (Amanatides and Woo 1987).
+    /// The first triangle that the ray from `p` along `d` hits; walks from block to block (Amanatides and Woo
+    /// 1987).
     fn trace(&self, p: [f32; 3], d: [f32; 3]) -> Option<u32> {
         let mut cell = p.map(|c| c as usize);
         if self.object[at(cell)] != 0 {
@@ -144,7 +146,7 @@ impl World {
     }
 }
 
-/// The planes of a regular grid as a kd-tree: the axis with most cells is halved.
+/// Writes a regular grid as a kd-tree, halving the axis with the most cells.
 fn grid(bounds: [[f32; 3]; 2], cells: [usize; 3], nodes: &mut Vec<Node>) {
     let axis = (0..3).fold(0, |best, a| if cells[a] > cells[best] { a } else { best });
     if cells[axis] <= 1 {

@@ -1,6 +1,6 @@
-//! The GPU backend against a ray caster in f64 and against the reference reduction.
+//! Compares the cubes of the GPU backend with a ray caster in f64 and with the reference reduction.
 //!
-//! Without a Vulkan adapter each test prints one line and ends, except where `CI` is set: there it fails.
+//! Without a Vulkan adapter each test prints one line and returns; under `CI` it fails.
 
 #![allow(clippy::print_stdout, clippy::panic, clippy::unwrap_used, reason = "helpers of tests, which may")]
 
@@ -37,8 +37,8 @@ fn triangle(a: [f32; 3], b: [f32; 3], c: [f32; 3]) -> Triangle {
     Triangle { v: [a.into(), b.into(), c.into()] }
 }
 
-/// Two triangles a side of the cube of half side `h` around `centre`; side s (as the faces are numbered) has
-/// the ids 2s and 2s + 1.
+/// The cube of half side `h` around `centre`, with two triangles for each side. Side s, numbered as the faces
+/// are, has the ids 2s and 2s + 1.
 fn room(centre: Vec3, h: f32) -> Vec<Triangle> {
     (0..6)
         .flat_map(|face| {
@@ -60,14 +60,14 @@ fn triangles(random: &mut Hashed, count: usize, size: f32) -> Vec<Triangle> {
         .collect()
 }
 
-/// Direction of a pixel, by the formula of the cube's conventions, in f64. `dx`, `dy` move it in pixels.
+/// Direction of the point (`x`, `y`) of a face, in pixels, by the cube's conventions, in f64.
 fn direction(face: u32, x: f64, y: f64, n: u32) -> DVec3 {
     let [f, r, u] = face_basis(face).map(|v| v.as_dvec3());
     let n = f64::from(n);
     f + r * ((2.0 * x + 1.0) / n - 1.0) + u * ((2.0 * y + 1.0) / n - 1.0)
 }
 
-/// Where along `d` the triangle is met. Any side counts, edges included.
+/// The distance along `d` at which the ray hits the triangle. Hits count on both sides and on edges.
 fn hit(t: &Triangle, eye: DVec3, d: DVec3) -> Option<f64> {
     let [a, b, c] = t.v.map(|v| v.as_dvec3() - eye);
     let volumes = [d.dot(b.cross(c)), d.dot(c.cross(a)), d.dot(a.cross(b))];
@@ -91,8 +91,8 @@ fn cast(triangles: &[Triangle], eye: DVec3, d: DVec3) -> u32 {
     best.1
 }
 
-/// Compares a cube with the ray caster: how many pixels differ. Each that does must be explained by a ray
-/// within `slack` of a pixel that sees what the cube shows.
+/// Compares a cube with the ray caster and returns the number of pixels that differ. For each such pixel, a
+/// ray within `slack` pixels of its centre must hit the triangle that the cube shows.
 fn differing(triangles: &[Triangle], eye: Vec3, image: &CubeImage, slack: f64) -> usize {
     let n = image.resolution;
     let eye = eye.as_dvec3();
@@ -134,7 +134,7 @@ fn each_face_of_a_room_shows_its_wall() {
     }
 }
 
-/// A small quad off centre tells left from right and top from bottom on each face.
+/// A small quad off centre on each face shows whether left and right, or top and bottom, are swapped.
 #[test]
 fn faces_are_the_right_way_round() {
     let n = 32;
@@ -170,7 +170,7 @@ fn random_triangles_are_seen_where_rays_meet_them() {
     let scene = scene(triangles(&mut random, 600, 0.35));
     let Some(backend) = backend(&scene, 64, Strata::Faces, false) else { return };
     let renderer = backend.prepare(None).unwrap();
-    // From inside, among triangles that cross the planes of the eye, and from outside.
+    // Inside, among triangles that cross the eye's planes, and outside.
     for eye in [random.point(), random.point(), Vec3::new(-1.5, 0.4, 2.5)] {
         let image = renderer.image(eye).unwrap();
         let wrong = differing(scene.triangles(), eye, &image, 1.0 / 64.0);
@@ -179,7 +179,7 @@ fn random_triangles_are_seen_where_rays_meet_them() {
     }
 }
 
-/// Huge triangles that pass above, below and beside the eye, cut by every face's eye plane.
+/// Huge triangles above, below and beside the eye, which cross the eye plane of every face.
 #[test]
 fn triangles_that_cross_the_eye_plane_are_clipped_rightly() {
     let far = 1000.0;
@@ -202,7 +202,7 @@ fn triangles_that_cross_the_eye_plane_are_clipped_rightly() {
 
 #[test]
 fn very_small_and_very_large_coordinates_live_together() {
-    // A room of a millimetre without ceiling inside one of a thousand kilometres.
+    // With metres as units: four walls two millimetres apart, inside a room of two thousand kilometres.
     let mut triangles = room(Vec3::ZERO, 1e6);
     triangles.extend(room(Vec3::ZERO, 1e-3).into_iter().take(8));
     let scene = scene(triangles);
@@ -224,7 +224,8 @@ fn the_device_reduces_as_the_reference_does() {
     let scene = scene(triangles);
     let points: Vec<_> = (0..11).map(|_| random.point()).collect();
     for strata in [Strata::One, Strata::Faces, Strata::Quadrants] {
-        // 37: rows that no segment length divides, a middle column, padded read-back rows.
+        // A side of 37 pixels is no multiple of the segment length, has a middle column and needs padded
+        // rows in the read-back.
         for (resolution, keep) in [(64, true), (37, false), (37, true), (1, true)] {
             let Some(backend) = backend(&scene, resolution, strata, keep) else { return };
             let renderer = backend.prepare(None).unwrap();
@@ -235,7 +236,7 @@ fn the_device_reduces_as_the_reference_does() {
                 assert_eq!(*sample, sample_of_image(&image, strata, keep));
                 assert_eq!(sample.pixels.is_some(), keep);
             }
-            // Again, and one by one: the same bits.
+            // A second call, and a call for each point, give the same bits.
             assert_eq!(samples, renderer.samples(&points).unwrap());
             for (point, sample) in points.iter().zip(&samples) {
                 assert_eq!(std::slice::from_ref(sample), renderer.samples(&[*point]).unwrap());
@@ -268,7 +269,7 @@ fn a_superset_shows_itself_alone() {
     let points: Vec<_> = (0..3).map(|_| random.point()).collect();
     for point in &points {
         let seen = whole.samples(&[*point]).unwrap().remove(0);
-        // What is visible, rendered alone, gives the same cube.
+        // Rendering only the visible triangles gives the same cube.
         let alone = backend.prepare(Some(&seen.ids)).unwrap();
         assert_eq!(alone.samples(&[*point]).unwrap().remove(0), seen);
     }
@@ -277,7 +278,7 @@ fn a_superset_shows_itself_alone() {
     for sample in part.samples(&points).unwrap() {
         assert!(!sample.ids.is_empty() && sample.ids.iter().all(|id| id % 3 == 0));
     }
-    // Two renderers of one backend take turns without disturbing each other.
+    // Two renderers of one backend can be used at the same time.
     let before = whole.samples(&points).unwrap();
     std::thread::scope(|scope| {
         let other = scope.spawn(|| part.samples(&points).unwrap());
@@ -319,7 +320,7 @@ fn degenerate_triangles_are_never_seen() {
     assert_eq!(renderer.samples(&[Vec3::ZERO]).unwrap()[0].ids, Vec::<u32>::new());
 }
 
-/// Of two triangles in one place the same one wins, whatever else is drawn.
+/// The winner of two coincident triangles does not depend on the other triangles drawn.
 #[test]
 fn ties_do_not_depend_on_the_superset() {
     let mut random = Hashed::new(&[23]);

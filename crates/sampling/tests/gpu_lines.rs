@@ -1,6 +1,6 @@
-//! The GPU line tracer against a brute-force tracer in f64, and against leaks.
+//! Compares the GPU line tracer with a brute-force tracer in f64 and tests that no ray leaves a closed mesh.
 //!
-//! Without a Vulkan adapter each test prints one line and ends, except where `CI` is set: there it fails.
+//! Without a Vulkan adapter each test prints one line and returns; under `CI` it fails.
 
 #![allow(clippy::print_stdout, clippy::panic, clippy::unwrap_used, reason = "helpers of tests, which may")]
 
@@ -28,12 +28,12 @@ fn backend(triangles: &[Triangle]) -> Option<GpuBackend> {
     }
 }
 
-/// One of the numbers below `n`.
+/// A random number below `n`.
 fn below(random: &mut Hashed, n: usize) -> usize {
     (random.bits() % n as u64) as usize
 }
 
-/// In the cube −1…1.
+/// A random point of the cube −1…1.
 fn point(random: &mut Hashed) -> Vec3 {
     random.point() * 2.0 - 1.0
 }
@@ -48,7 +48,7 @@ fn packed(rays: &[(Vec3, Vec3)]) -> Vec<Packet> {
         .collect()
 }
 
-/// More ids than any scene here has; those it lacks are ignored.
+/// More ids than any scene here has; ids that the scene lacks are ignored.
 fn any() -> Vec<u32> {
     (0..1 << 20).collect()
 }
@@ -60,7 +60,7 @@ fn traced(backend: &GpuBackend, rays: &[(Vec3, Vec3)]) -> Vec<(u32, f32)> {
     packets.iter().flat_map(|p| (0..p.count).map(|l| (p.triangle[l], p.distance[l]))).collect()
 }
 
-/// Möller and Trumbore's test.
+/// The distance of a hit (Möller and Trumbore 1997).
 fn hit(t: &Triangle, o: DVec3, d: DVec3) -> Option<f64> {
     let [a, b, c] = t.v.map(|v| v.as_dvec3());
     let (e, f) = (b - a, c - a);
@@ -102,17 +102,16 @@ fn the_nearest_triangle_is_that_of_brute_force() {
         met += u32::from(expected.0 != SKY);
         let close = |a: f64, b: f64| (a - b).abs() <= 1e-4 * b.abs();
         if id == expected.0 {
-            // How far from the triangle's plane the hit lies: along a ray that grazes it the distance itself
-            // says little.
+            // The distance of the hit from the triangle's plane. Along grazing rays the hit distance itself
+            // is inaccurate.
             let off = |t: &Triangle| {
                 let [a, b, c] = t.v.map(|v| v.as_dvec3());
                 (b - a).cross(c - a).normalize().dot(o + d * f64::from(distance) - a).abs()
             };
-            // Coordinates are below 2, so this is a few units in their last place.
+            // Coordinates are below 2, so the limit is a few units in the last place.
             assert!(id == SKY || off(&triangles[id as usize]) <= 1e-6, "{distance} {expected:?}");
         } else if !(all.len() > 1 && close(all[0].0, all[1].0)) {
-            // What is left: a ray within rounding of a border, which one of the two sees on the other side
-            // of.
+            // The other differences are rays so near a triangle's border that rounding decides the side.
             let shrunk = |t: &Triangle, k: f32| {
                 let c = (t.v[0] + t.v[1] + t.v[2]) / 3.0;
                 Triangle { v: t.v.map(|v| c + (v - c) * k) }
@@ -131,8 +130,8 @@ fn the_nearest_triangle_is_that_of_brute_force() {
     assert!(near_edges <= 5, "{near_edges}");
 }
 
-/// A sphere of radius 1: an icosahedron, each triangle cut into four `cuts` times. Vertices are shared to the
-/// bit.
+/// A sphere of radius 1: an icosahedron whose triangles are divided into four `cuts` times. Triangles share
+/// vertices to the bit.
 fn icosphere(cuts: u32) -> (Vec<Vec3>, Vec<[usize; 3]>) {
     let g = f32::midpoint(1.0, 5f32.sqrt());
     let mut points: Vec<Vec3> = Vec::new();
@@ -168,8 +167,8 @@ fn icosphere(cuts: u32) -> (Vec<Vec3>, Vec<[usize; 3]>) {
     (points, faces)
 }
 
-/// The cube −1…1, each side in n × n squares of two triangles, their inner corners moved about in the plane
-/// and out of it.
+/// The cube −1…1 with n × n squares of two triangles on each side. A third of the corners are moved at
+/// random.
 fn crumpled_box(n: i32, random: &mut Hashed) -> (Vec<Vec3>, Vec<[usize; 3]>) {
     let (mut points, mut known, mut faces) = (Vec::new(), BTreeMap::new(), Vec::new());
     let mut corner = |p: [i32; 3]| {
@@ -197,8 +196,8 @@ fn crumpled_box(n: i32, random: &mut Hashed) -> (Vec<Vec3>, Vec<[usize; 3]>) {
     (points, faces)
 }
 
-/// Rays from inside at vertices, along edges and into triangles, and along the axes; `length` times what
-/// reaches the surface.
+/// Rays from inside at vertices, edges and triangles, and along the axes. A direction is `length` times the
+/// vector from the origin to the target.
 fn inside_rays(
     points: &[Vec3],
     faces: &[[usize; 3]],
@@ -239,8 +238,8 @@ fn no_ray_leaves_a_closed_mesh() {
     for (points, faces) in &meshes {
         for (scale, offset) in [(1.0, 0.0), (1e-6, 0.0), (1e6, 0.0), (1.0, 300.0), (1e-28, 0.0), (1e25, 0.0)]
         {
-            // An offset coarsens the vertices, alike for all triangles that share them. The nearest distance
-            // that counts grows with the scene, but is in lengths of the direction.
+            // An offset rounds the vertices, in the same way for all triangles that share them. The near
+            // distance grows with the scene but is measured in lengths of the direction.
             let length = if scale > 1e10 { 1.0 / scale } else { 1.0 };
             let centre = Vec3::new(offset, -0.7 * offset, 0.3 * offset) * scale;
             let points: Vec<Vec3> = points.iter().map(|p| *p * scale + centre).collect();
@@ -307,7 +306,7 @@ fn ties_degenerate_triangles_and_walls_the_ray_begins_in() {
     let Some(backend) = backend(&triangles) else { return };
     let below = Vec3::new(0.0, 0.3, -0.2);
     let rays = [
-        // Begins in the wall at 0, passes the line at 1, meets two coincident walls at 2.
+        // Begins in the wall at 0, passes the degenerate triangle at 1, hits two coincident walls at 2.
         (below, Vec3::X),
         (below, Vec3::new(1.0, 0.1, 0.05)),
         (below, Vec3::new(0.01, 0.02, -0.5)),
@@ -316,7 +315,7 @@ fn ties_degenerate_triangles_and_walls_the_ray_begins_in() {
         (below, Vec3::ZERO),
         (below, Vec3::NAN),
         (Vec3::splat(f32::INFINITY), Vec3::X),
-        // In the planes of walls, which are their own borders.
+        // Rays in the plane of a wall see it edge-on.
         (Vec3::new(3.0, 5.0, 0.0), Vec3::Y),
         (Vec3::new(0.0, -5.0, 0.0), Vec3::Y),
     ];

@@ -1,9 +1,9 @@
-//! Embree's C interface, found at run time.
+//! Embree's C interface, loaded at run time.
 //!
-//! The library is opened with `dlopen`, so one program serves Embree 3 and 4, builds where neither is
-//! installed, and can say plainly what is missing (docs/decisions/0001-embree-at-run-time.md). Only the dozen
-//! functions the sampler calls are bound. Layouts follow `rtcore_ray.h` and `rtcore_common.h` of both
-//! versions; where newer versions append fields, the structures here are larger than any of them.
+//! The library is opened with `dlopen`. So one program works with Embree 3 and 4, compiles where neither is
+//! installed, and can report what is missing (docs/decisions/0001-embree-at-run-time.md). Only the functions
+//! that the sampler calls are bound. Layouts follow `rtcore_ray.h` and `rtcore_common.h` of both versions.
+//! Newer versions append fields to some structures; the structures here are larger than every such version.
 
 #![allow(unsafe_code, reason = "a C library is called; each call says what it relies on")]
 
@@ -25,12 +25,12 @@ const VERTEX: c_int = 1;
 /// `RTC_FORMAT_UINT3` and `RTC_FORMAT_FLOAT3`.
 const UINT3: c_int = 0x5003;
 const FLOAT3: c_int = 0x9003;
-/// `RTC_SCENE_FLAG_ROBUST`: no ray slips through a shared edge.
+/// `RTC_SCENE_FLAG_ROBUST`: no ray passes between two triangles that share an edge.
 const ROBUST: c_int = 1 << 2;
 /// `RTC_DEVICE_PROPERTY_VERSION_{MAJOR,MINOR,PATCH}`.
 const VERSION: [c_int; 3] = [1, 2, 3];
 
-/// Sixteen rays and their hits, `RTCRayHit16`, with room for the fields Embree 4.4 appends.
+/// Sixteen rays and their hits, `RTCRayHit16`, with room for the fields that Embree 4.4 appends.
 #[repr(C, align(64))]
 pub struct RayHit16 {
     /// Origins.
@@ -56,7 +56,7 @@ pub struct RayHit16 {
 }
 
 impl RayHit16 {
-    /// Rays that start nowhere and have hit nothing.
+    /// Sixteen rays without a direction and without hits.
     pub fn new() -> Self {
         Self {
             org: [[0.0; 16]; 3],
@@ -77,7 +77,7 @@ impl RayHit16 {
     }
 }
 
-/// One ray and its hit, `RTCRayHit`, with room for the fields Embree 4.4 appends.
+/// One ray and its hit, `RTCRayHit`, with room for the fields that Embree 4.4 appends.
 #[repr(C, align(64))]
 pub struct RayHit1 {
     /// Origin.
@@ -102,7 +102,7 @@ pub struct RayHit1 {
 }
 
 impl RayHit1 {
-    /// A ray that has hit nothing.
+    /// A ray without a hit.
     pub fn new(org: [f32; 3], dir: [f32; 3], tnear: f32) -> Self {
         Self {
             org,
@@ -122,7 +122,7 @@ impl RayHit1 {
     }
 }
 
-/// Per-query context, `RTCIntersectContext` (3) and `RTCRayQueryContext` (4), with room to spare.
+/// Context of a query: `RTCIntersectContext` of Embree 3, with spare room.
 #[repr(C, align(16))]
 struct Context3 {
     flags: c_uint,
@@ -136,7 +136,7 @@ impl Context3 {
     }
 }
 
-/// `RTCIntersectArguments` (4).
+/// `RTCIntersectArguments` of Embree 4, with spare room.
 #[repr(C, align(16))]
 struct Arguments4 {
     flags: c_uint,
@@ -160,7 +160,7 @@ impl Arguments4 {
     }
 }
 
-/// Coherent rays: bit 0 in Embree 3, bit 16 in Embree 4.
+/// The flag for coherent rays: bit 0 in Embree 3, bit 16 in Embree 4.
 const COHERENT_3: c_uint = 1;
 const COHERENT_4: c_uint = 1 << 16;
 
@@ -169,13 +169,13 @@ type Single4 = unsafe extern "C" fn(Handle, *mut RayHit1, *mut Arguments4);
 type Intersect3 = unsafe extern "C" fn(*const c_int, Handle, *mut Context3, *mut RayHit16);
 type Intersect4 = unsafe extern "C" fn(*const c_int, Handle, *mut RayHit16, *mut Arguments4);
 
-/// The two generations of the queries: a packet, and one ray.
+/// The query functions of Embree 3 or 4: for a packet, and for one ray.
 enum Intersect {
     V3(Intersect3, Single3),
     V4(Intersect4, Single4),
 }
 
-/// The functions used, by their C names without the `rtc` prefix.
+/// The functions of a loaded library, by their C names without the `rtc` prefix.
 pub struct Embree {
     new_device: unsafe extern "C" fn(*const c_char) -> Handle,
     release_device: unsafe extern "C" fn(Handle),
@@ -191,19 +191,19 @@ pub struct Embree {
     set_new_geometry_buffer: unsafe extern "C" fn(Handle, c_int, c_uint, c_int, usize, usize) -> *mut c_void,
     commit_geometry: unsafe extern "C" fn(Handle),
     intersect: Intersect,
-    // Last, so that it outlives the functions above.
+    // Keeps the library loaded as long as the functions are used.
     _library: Library,
 }
 
-/// File names tried, newest first.
+/// File names in the order tried, with Embree's major version.
 const NAMES: [(&str, u32); 4] =
     [("libembree4.so.4", 4), ("libembree3.so.3", 3), ("libembree4.so", 4), ("libembree3.so", 3)];
 
 impl Embree {
-    /// The library of this machine, opened once.
+    /// The library of this machine, opened at the first call.
     ///
     /// # Errors
-    /// [`BackendError::Unavailable`] saying which files were looked for and what to install.
+    /// [`BackendError::Unavailable`] with the file names tried and the package to install.
     pub fn get() -> Result<&'static Self, BackendError> {
         static LIBRARY: OnceLock<Result<Embree, String>> = OnceLock::new();
         LIBRARY.get_or_init(Self::open).as_ref().map_err(|e| BackendError::Unavailable(e.clone()))
@@ -230,7 +230,7 @@ impl Embree {
     }
 
     fn bind(library: Library, major: u32) -> Result<Self, libloading::Error> {
-        /// Looks one function up.
+        /// Looks up one function.
         ///
         /// # Safety
         /// `T` must be the function's type.
@@ -238,8 +238,8 @@ impl Embree {
             // SAFETY: the caller gives the type.
             unsafe { library.get::<T>(name) }.map(|s| *s)
         }
-        // SAFETY: the types above are those of Embree's headers for both versions, but for `rtcIntersect16`
-        // and `rtcIntersect1`, whose types are chosen by the version in the file name.
+        // SAFETY: the types are those of Embree's headers, which are the same in both versions except for
+        // `rtcIntersect16` and `rtcIntersect1`. The version in the file name chooses the types of these two.
         unsafe {
             Ok(Self {
                 new_device: f(&library, b"rtcNewDevice\0")?,
@@ -278,16 +278,16 @@ unsafe impl Send for Device {}
 unsafe impl Sync for Device {}
 
 impl Device {
-    /// A device with Embree's configuration string.
+    /// Opens a device with a configuration string of Embree.
     ///
     /// # Errors
-    /// [`BackendError::Unavailable`] when there is no Embree or it refuses this processor.
+    /// [`BackendError::Unavailable`] when Embree is not installed or does not support this processor.
     pub fn new(config: &CStr) -> Result<Self, BackendError> {
         let embree = Embree::get()?;
         // SAFETY: `config` is a C string that outlives the call.
         let handle = unsafe { (embree.new_device)(config.as_ptr()) };
         if handle.is_null() {
-            // SAFETY: a null device asks for the error of device creation.
+            // SAFETY: a null device is allowed; the call then returns the error of device creation.
             let code = unsafe { (embree.get_device_error)(std::ptr::null_mut()) };
             return Err(BackendError::Unavailable(format!(
                 "Embree could not start (error {code}; 5 means that the processor is not supported); use \
@@ -297,7 +297,7 @@ impl Device {
         Ok(Self { embree, handle })
     }
 
-    /// Version as `major.minor.patch`.
+    /// Embree's version as `major.minor.patch`.
     pub fn version(&self) -> String {
         let part = |p: c_int| {
             // SAFETY: the handle is a live device.
@@ -323,7 +323,7 @@ impl Drop for Device {
     }
 }
 
-/// A committed Embree scene of triangles; triangle `i` is the `i`-th given.
+/// A committed Embree scene of triangles, numbered in the order given to [`TriangleScene::new`].
 pub struct TriangleScene {
     device: Arc<Device>,
     handle: Handle,
@@ -335,18 +335,18 @@ unsafe impl Send for TriangleScene {}
 unsafe impl Sync for TriangleScene {}
 
 impl TriangleScene {
-    /// Builds the hierarchy over `count` triangles, each nine floats.
+    /// Builds the hierarchy over `count` triangles; the nine floats of each are its three vertices.
     ///
     /// # Errors
-    /// What Embree reported, usually too little memory.
+    /// Embree's error, usually too little memory.
     pub fn new(
         device: &Arc<Device>,
         count: usize,
         triangles: impl Iterator<Item = [f32; 9]>,
     ) -> Result<Self, String> {
         let e = device.embree;
-        // SAFETY: all handles are made and used here; both buffers are filled to the size they were asked for
-        // before they are committed, and `scene` takes over the geometry it is attached to.
+        // SAFETY: all handles are created here and live; both buffers are filled to their whole size before
+        // the geometry is committed, and the scene holds a reference to the geometry after it is attached.
         unsafe {
             let scene = Self { device: Arc::clone(device), handle: (e.new_scene)(device.handle) };
             (e.set_scene_flags)(scene.handle, ROBUST);
@@ -375,16 +375,16 @@ impl TriangleScene {
         }
     }
 
-    /// Finds the nearest hit of each ray whose `valid` entry is −1. The rays should run alike.
+    /// Finds the nearest hit of each ray whose `valid` entry is −1. Rays with similar directions are fastest.
     pub fn intersect(&self, valid: &[i32; 16], rays: &mut RayHit16) {
-        /// `valid` as Embree wants it: aligned to 64 bytes.
+        /// `valid` with the alignment that Embree requires, 64 bytes.
         #[repr(align(64))]
         struct Valid([i32; 16]);
         let valid = Valid(*valid);
         match self.device.embree.intersect {
             Intersect::V3(f, _) => {
                 let mut context = Context3::new(COHERENT_3);
-                // SAFETY: all three structures are as large and as aligned as Embree 3 reads or writes.
+                // SAFETY: all three structures have at least the size and alignment that Embree 3 needs.
                 unsafe { f(valid.0.as_ptr(), self.handle, &raw mut context, rays) }
             }
             Intersect::V4(f, _) => {
@@ -400,7 +400,7 @@ impl TriangleScene {
         match self.device.embree.intersect {
             Intersect::V3(_, f) => {
                 let mut context = Context3::new(0);
-                // SAFETY: both structures are as large and as aligned as Embree 3 reads or writes.
+                // SAFETY: both structures have at least the size and alignment that Embree 3 needs.
                 unsafe { f(self.handle, &raw mut context, ray) }
             }
             Intersect::V4(_, f) => {

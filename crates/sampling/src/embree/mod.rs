@@ -1,8 +1,9 @@
-//! The cpu backend: visibility cubes traced with Embree in coherent packets of sixteen rays (4 × 4 pixels).
+//! The cpu backend: visibility cubes and sight lines traced with Embree. Cubes use coherent packets of
+//! sixteen rays (4 × 4 pixels).
 //!
-//! Bit-identical on every run: the hierarchy does not depend on how many threads build it, the instruction
-//! set is pinned, and the packets are always the same sixteen pixels. Samples are spread over the threads of
-//! the current rayon pool.
+//! Results are the same to the bit on every run: the hierarchy does not depend on the number of threads that
+//! build it, the instruction set is fixed, and a packet always holds the same sixteen pixels. Samples are
+//! spread over the threads of the current rayon pool.
 
 mod library;
 #[cfg(test)]
@@ -30,14 +31,14 @@ pub struct CpuBackend {
     device: Arc<Device>,
     profile: String,
     whole: OnceLock<Result<Arc<Hierarchy>, String>>,
-    /// Of the triangles that sight lines meet.
+    /// Hierarchy over the triangles that sight lines can hit.
     distinct: OnceLock<Result<Arc<Hierarchy>, String>>,
 }
 
-/// A committed hierarchy, and how its triangles are numbered.
+/// A committed hierarchy and the ids of its triangles.
 struct Hierarchy {
     scene: TriangleScene,
-    /// Embree's number → triangle id, ascending.
+    /// Triangle id for each of Embree's triangle numbers; ascending.
     ids: Vec<u32>,
 }
 
@@ -47,8 +48,8 @@ impl CpuBackend {
     /// # Errors
     /// [`BackendError::Unavailable`] when Embree is not installed or cannot run here.
     pub fn new(scene: Arc<Scene>, spec: CubeSpec) -> Result<Self, BackendError> {
-        // As many threads build hierarchies as sample, which the bytes do not depend on
-        // (`however_many_threads_build_it_the_hierarchy_is_the_same`).
+        // The number of threads that build the hierarchy does not change the bytes
+        // (test `however_many_threads_build_it_the_hierarchy_is_the_same`).
         let device = Self::open(rayon::current_num_threads())?;
         let profile = profile(&device);
         Ok(Self {
@@ -61,17 +62,17 @@ impl CpuBackend {
         })
     }
 
-    /// The numerics profile this machine would have.
+    /// The numerics profile of this backend on this machine.
     ///
     /// # Errors
     /// As [`CpuBackend::new`].
     pub fn probe() -> Result<String, BackendError> {
-        // Asked before anybody says how many threads there are to be.
+        // The number of threads is not part of the profile.
         Ok(profile(&Self::open(1)?))
     }
 
-    /// So many threads build hierarchies. AVX-512 is left out because its packets round differently from
-    /// AVX2's.
+    /// Opens Embree with `threads` threads for building hierarchies. AVX-512 is excluded because its packets
+    /// round differently from those of AVX2.
     fn open(threads: usize) -> Result<Device, BackendError> {
         let config = format!("threads={threads},set_affinity=0,max_isa=avx2\0");
         let config = CStr::from_bytes_until_nul(config.as_bytes())
@@ -96,8 +97,8 @@ fn profile(device: &Device) -> String {
     format!("cpu/embree-{}/{}/{}", device.version(), instruction_set(), vendor())
 }
 
-/// The processor's maker: Embree's reciprocals start from an approximation in hardware that makers do
-/// differently.
+/// The maker of the processor. It is part of the profile because Embree computes reciprocals from a hardware
+/// approximation that differs between makers.
 fn vendor() -> String {
     #[cfg(target_arch = "x86_64")]
     {
@@ -111,7 +112,7 @@ fn vendor() -> String {
     }
 }
 
-/// The instruction set Embree will choose under `max_isa=avx2`.
+/// The instruction set that Embree chooses with `max_isa=avx2`.
 fn instruction_set() -> &'static str {
     #[cfg(target_arch = "x86_64")]
     {
@@ -200,12 +201,12 @@ struct CpuRenderer {
     hierarchy: Arc<Hierarchy>,
     spec: CubeSpec,
     near: f32,
-    /// Scratch memory of the reduction, one for each thread that is sampling.
+    /// Scratch memory of the reduction, one for each thread that samples.
     reducers: Mutex<Vec<Reducer>>,
 }
 
 impl CpuRenderer {
-    /// Traces one cube; `ids` are Embree's numbers, not yet triangle ids.
+    /// Traces one cube. The image holds Embree's triangle numbers; [`Self::to_ids`] maps them to ids.
     fn trace(&self, point: Vec3) -> CubeImage {
         let n = self.spec.resolution;
         let mut ids = vec![SKY; (6 * n * n) as usize];
@@ -226,7 +227,7 @@ impl CpuRenderer {
                         let l = lane as usize;
                         if x < n && y < n {
                             valid[l] = -1;
-                            // One component is ±1 and the others u and v: the sum is exact.
+                            // The components are ±1, u and v in some order, so the sum is exact.
                             let d = forward + right * at(x) + up * at(y);
                             for a in 0..3 {
                                 rays.dir[a][l] = d[a];
@@ -253,15 +254,14 @@ impl CpuRenderer {
 
     fn sample(&self, point: Vec3) -> VisibilitySample {
         let image = self.trace(point);
-        // A poisoned lock only means that another sample panicked; the scratch memory is then simply made
-        // anew.
+        // The lock is poisoned when another sample panicked; then new scratch memory is allocated.
         let pop = || self.reducers.lock().ok().and_then(|mut r| r.pop());
         let mut reducer = pop().unwrap_or_else(|| Reducer::new(self.hierarchy.ids.len()));
         let mut sample = reducer.reduce(&image, self.spec.strata);
         if let Ok(mut pool) = self.reducers.lock() {
             pool.push(reducer);
         }
-        // `ids` ascends, so mapping keeps the order, and the least among equals stays the least.
+        // The hierarchy's `ids` ascend, so the mapping keeps the order, and the least of equals stays least.
         for id in &mut sample.ids {
             *id = self.hierarchy.ids[*id as usize];
         }

@@ -1,5 +1,6 @@
-//! Hits at equal distance are decided by the order of the hierarchy, so that must not depend on who builds
-//! it. Embree's builders promise it for all but the high quality (embree issue 20, since 2.5).
+//! Tests of determinism: the order of the hierarchy decides between hits at equal distance, so the hierarchy
+//! must not depend on the number of threads that build it. Embree promises this since version 2.5 for all
+//! builders except the one of high quality (Embree issue 20).
 
 use std::sync::Arc;
 
@@ -12,7 +13,7 @@ use crate::error::BackendError;
 use crate::packet::{LANES, LineTracer, Packet};
 use crate::sequence::Hashed;
 
-/// Triangles on a coarse lattice: many lie on each other, in one plane, or are the same.
+/// Triangles on a coarse lattice: many overlap, are coplanar or are equal.
 fn soup(count: usize) -> Vec<[f32; 9]> {
     let mut state = 7u64;
     let mut random = move |below: u64| {
@@ -29,7 +30,7 @@ fn soup(count: usize) -> Vec<[f32; 9]> {
         .collect()
 }
 
-/// The device, unless Embree is not here and need not be.
+/// The device, or `None` without Embree. Under `CI` a missing Embree is a failure.
 fn device(threads: usize) -> Option<Arc<Device>> {
     match CpuBackend::open(threads) {
         Ok(device) => Some(Arc::new(device)),
@@ -66,7 +67,7 @@ fn rays_by_themselves_meet_what_they_meet_in_packets() {
     for (a, b) in packets.iter().zip(&singly) {
         for lane in 0..LANES {
             met += u32::from(a.triangle[lane] != SKY);
-            // Of the triangles that lie on each other either may be met; what is met is as far away.
+            // Of overlapping triangles either one may be hit, but at the same distance.
             other += u32::from(a.triangle[lane] != b.triangle[lane]);
             let (far, near) = (a.distance[lane], b.distance[lane]);
             assert!(far == near || (far - near).abs() <= 1e-4 * far.max(1e-2), "{far} {near}");
@@ -84,7 +85,8 @@ fn however_many_threads_build_it_the_hierarchy_is_the_same() {
         let scene = TriangleScene::new(&device, triangles.len(), triangles.iter().copied()).unwrap();
         let ray = |i: u32| {
             let (x, y) = (i % 256, i / 256);
-            // Straight down on lattice points and edges, where most is met at once, and aslant.
+            // Vertical rays through lattice points and edges, where many triangles are hit at equal
+            // distance, and oblique rays.
             let direction = if i.is_multiple_of(2) { [0.0, 0.0, -1.0] } else { [0.25, 0.5, -1.0] };
             let mut ray = RayHit1::new([x as f32 * 0.25, y as f32 * 0.25, 20.0], direction, 0.0);
             scene.intersect_one(&mut ray);

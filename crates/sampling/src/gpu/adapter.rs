@@ -1,8 +1,8 @@
-//! Finding a device: which adapters there are, which to take, what to call its numerics, how to open it.
+//! Lists the adapters of this machine, chooses one, names its numerics profile and opens its device.
 
 use crate::error::BackendError;
 
-/// Which adapter to take.
+/// Which adapter to use.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum AdapterChoice {
     /// A GPU; software rasterisers do not count.
@@ -10,7 +10,7 @@ pub enum AdapterChoice {
     /// A GPU if there is one, else a software rasteriser such as lavapipe.
     #[default]
     AllowSoftware,
-    /// The first whose name contains this text, upper and lower case alike.
+    /// The first adapter whose name contains this text, ignoring case.
     Named(String),
 }
 
@@ -21,7 +21,7 @@ pub struct AdapterSummary {
     pub name: String,
     /// Name and version of the driver.
     pub driver: String,
-    /// The graphics interface it is reached through, for example `vulkan`.
+    /// The graphics interface of the driver, for example `vulkan`.
     pub interface: String,
     /// Whether it rasterises on the CPU.
     pub software: bool,
@@ -34,10 +34,10 @@ pub fn adapters() -> Vec<AdapterSummary> {
     find().iter().map(|adapter| summary(&adapter.get_info())).collect()
 }
 
-/// Whether this machine may have a GPU that is no software rasteriser: whether there is a device file as the
-/// drivers of GPUs need. Far cheaper than starting all drivers to ask them; true where files do not tell. A
-/// render node without a GPU behind it, as many virtual machines have, costs no more than the drivers' being
-/// asked.
+/// Whether this machine may have a hardware GPU: whether a device file exists that GPU drivers need. This
+/// test is far cheaper than starting all drivers. It returns true on systems other than Linux and where
+/// `/dev` cannot be read. Many virtual machines have a render node without a GPU; there the drivers are
+/// started in vain, but the result is right.
 pub fn device_present() -> bool {
     let named = |entries: std::fs::ReadDir, is: fn(&str) -> bool| {
         entries.flatten().any(|e| is(&e.file_name().to_string_lossy()))
@@ -47,25 +47,25 @@ pub fn device_present() -> bool {
         || std::fs::read_dir("/dev/dri").is_ok_and(|entries| named(entries, is_render_node))
 }
 
-/// In `/dev/dri`: what the kernel's drivers render through.
+/// Whether `name` in `/dev/dri` is a render node of a kernel driver.
 fn is_render_node(name: &str) -> bool {
     name.starts_with("renderD")
 }
 
-/// In `/dev`: what drivers use that do not go through the kernel's common interface, of NVIDIA, AMD's compute
-/// driver, Windows' subsystem for Linux, ARM, Qualcomm and Imagination.
+/// Whether `name` in `/dev` belongs to a driver that does not use render nodes: NVIDIA, AMD's compute driver,
+/// Windows Subsystem for Linux, ARM, Qualcomm, Imagination.
 fn is_gpu(name: &str) -> bool {
     ["nvidia", "nvhost", "nvgpu", "kfd", "dxg", "mali", "kgsl", "pvr"].iter().any(|p| name.starts_with(p))
 }
 
 fn find() -> Vec<wgpu::Adapter> {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
-    // The same in every build: the driver's validation layers cost time and change no result.
+    // No validation layers, in debug builds too: they cost time and change no result.
     descriptor.flags = wgpu::InstanceFlags::empty();
     descriptor.backends = wgpu::Backends::PRIMARY;
     let instance = wgpu::Instance::new(descriptor);
     let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
-    // Stable: adapters of a kind stay in the driver's order.
+    // The sort is stable: adapters of the same kind stay in the driver's order.
     adapters.sort_by_key(|adapter| match adapter.get_info().device_type {
         wgpu::DeviceType::DiscreteGpu => 0,
         wgpu::DeviceType::IntegratedGpu => 1,
@@ -86,34 +86,34 @@ fn summary(info: &wgpu::AdapterInfo) -> AdapterSummary {
     AdapterSummary { name: info.name.clone(), driver, interface, software, profile }
 }
 
-/// Printable ASCII without the profile's separator; never empty.
+/// `text` as printable ASCII without the profile's separator; never empty.
 fn sanitised(text: &str) -> String {
     let plain: String = text
         .trim()
         .chars()
         .map(|c| if matches!(c, ' '..='~') && !matches!(c, '/' | '"' | '\\') { c } else { '_' })
         .collect();
-    // Short enough for a profile of three such fields.
+    // A profile has three such fields, so each is kept short.
     let plain: String = plain.chars().take(40).collect();
     if plain.is_empty() { "unknown".to_owned() } else { plain }
 }
 
-/// An open device and what it is.
+/// An open device with its queue and the summary of its adapter.
 pub(super) struct Opened {
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     pub(super) summary: AdapterSummary,
 }
 
-/// The numerics profile of the adapter `choice` takes here.
+/// The numerics profile of the adapter that `choice` selects on this machine.
 ///
 /// # Errors
-/// [`BackendError::Unavailable`] when there is no fitting adapter or it cannot be opened.
+/// [`BackendError::Unavailable`] when no adapter fits or the adapter cannot be opened.
 pub fn probe(choice: &AdapterChoice) -> Result<String, BackendError> {
     open(choice).map(|o| o.summary.profile)
 }
 
-/// Takes the adapter `choice` asks for and opens it with all its limits.
+/// Opens the adapter that `choice` selects, with the largest limits that the adapter supports.
 pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
     let adapters = find();
     if adapters.is_empty() {

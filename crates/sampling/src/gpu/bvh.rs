@@ -1,44 +1,45 @@
-//! The hierarchy of boxes the line tracer walks: binary, binned surface area heuristic, built on the CPU.
+//! The bounding volume hierarchy of the line tracer: a binary tree, built on the CPU with the binned surface
+//! area heuristic.
 //!
-//! It orders triangles and bounds them; it knows nothing of devices, rays or units, splits no triangle and is
-//! never refitted. The same triangles give the same nodes on every machine and thread count: subtrees are
-//! built in parallel, but where each goes follows from the split alone.
+//! This file knows nothing of devices, rays or units. No triangle is split, and a built tree never changes.
+//! The same triangles give the same nodes on every machine and with every number of threads: subtrees are
+//! built in parallel, but the split alone decides the place of each subtree.
 //!
 //! **Depth.** A node of n triangles at depth d is split by the heuristic only while
-//! d + 1 + [`levels`]\(n − 1) is at most [`MAX_DEPTH`], else at the median, which makes [`levels`] one less.
-//! So d + levels(n) never exceeds [`MAX_DEPTH`], and a traversal that goes down one child and puts the other
-//! aside never has more
-//! than [`MAX_DEPTH`] put aside. [`Bvh::build`] measures the depth all the same and refuses a deeper tree.
+//! d + 1 + [`levels`]\(n − 1) is at most [`MAX_DEPTH`]. Otherwise it is split at the median, which reduces
+//! [`levels`] by one. So d + levels(n) never exceeds [`MAX_DEPTH`], and a traversal that descends into one
+//! child and pushes the other never has more than [`MAX_DEPTH`] entries on its stack. [`Bvh::build`] measures
+//! the depth nevertheless and refuses a deeper tree.
 //!
-//! It shares no builder with the hierarchy of the crate exact, because nearly every rule differs: the axes
-//! tried, the precision of costs, leaves, depth, uneven splits and the layout of nodes.
+//! The crate exact has a builder of its own, because nearly every rule differs: the axes tried, the precision
+//! of costs, leaves, depth, uneven splits and the layout of nodes.
 
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use sightline_scene::Aabb;
 
-/// Most nodes from the root to a leaf, the root not counted; entries of the shader's stack.
+/// Greatest depth of a leaf, where the root has depth 0; the number of entries of the shader's stack.
 pub(super) const MAX_DEPTH: u32 = 40;
-/// Most triangles of a leaf.
+/// Most triangles in a leaf.
 const MAX_LEAF: usize = 4;
-/// Bits of [`Node::child`] that hold a leaf's count.
+/// Low bits of [`Node::child`] that hold a leaf's number of triangles.
 const COUNT_BITS: u32 = 4;
-/// Nodes and triangles are numbered with the bits left.
+/// Node and triangle indices must fit in the other bits.
 const MOST: usize = 1 << (32 - COUNT_BITS);
-/// Bins an axis.
+/// Bins along each axis.
 const BINS: usize = 16;
-/// What testing two boxes costs, in triangle tests.
+/// Cost of testing two boxes, in triangle tests.
 const STEP_COST: f32 = 1.0;
-/// Subtrees of fewer triangles are built on one thread.
+/// A subtree of fewer triangles is built on one thread.
 const PARALLEL: usize = 8192;
 
-/// A box and what is in it, as `trace.wgsl` reads it. Siblings are neighbours, the left one at an even place.
+/// A node in the layout that `trace.wgsl` reads. Siblings are adjacent, the left one at an even index.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Node {
     pub(super) low: Vec3,
-    /// In the upper 28 bits the left child and 0 below, or the first triangle of a leaf and their number
-    /// below.
+    /// Inner node: the index of the left child in the upper 28 bits, 0 in the lower 4. Leaf: the place of its
+    /// first triangle in the upper 28 bits, the number of its triangles in the lower 4.
     pub(super) child: u32,
     pub(super) high: Vec3,
     unused: u32,
@@ -47,13 +48,13 @@ pub(super) struct Node {
 /// A built hierarchy.
 #[derive(Debug)]
 pub(super) struct Bvh {
-    /// The root, a filler, then pairs of siblings. Empty when there is nothing to bound.
+    /// The root, an unused node, then pairs of siblings. Empty when there are no boxes.
     pub(super) nodes: Vec<Node>,
-    /// For each place in the leaves' order the number of its box in the input.
+    /// For each place in the leaves' order, the index of its box in the input.
     pub(super) order: Vec<u32>,
 }
 
-/// A box to be sorted into the tree.
+/// An input box and its index.
 #[derive(Clone, Copy)]
 struct Item {
     bounds: Aabb,
@@ -62,12 +63,13 @@ struct Item {
 
 impl Item {
     fn centre(&self) -> Vec3 {
-        // Halved first: no sum overflows.
+        // Both terms are halved first, so the sum cannot overflow.
         self.bounds.min * 0.5 + self.bounds.max * 0.5
     }
 }
 
-/// A node in preorder: its left child follows it, its right child lies `right` places after it; 0 for a leaf.
+/// A node in preorder: its left child follows it, its right child lies `right` places after it. A leaf has
+/// `right` 0.
 #[derive(Clone, Copy)]
 struct Flat {
     bounds: Aabb,
@@ -76,26 +78,25 @@ struct Flat {
     count: u32,
 }
 
-/// Where and along which axis to split.
+/// A split: items whose bin on `axis` is less than `bin` go to the left child.
 struct Split {
     axis: usize,
-    /// Bins below go left.
     bin: usize,
     cost: f32,
 }
 
-/// Halvings at the median until leaves are small enough.
+/// Levels that n triangles need when every node is split at the median, until each leaf is small enough.
 fn levels(n: usize) -> u32 {
     n.div_ceil(MAX_LEAF).max(1).next_power_of_two().trailing_zeros()
 }
 
 impl Bvh {
-    /// Builds over `boxes`, none of them empty.
+    /// Builds the hierarchy over `boxes`, none of which is empty.
     ///
     /// # Errors
-    /// In words, when there are more boxes than the nodes can number.
+    /// A message, when there are more boxes than the nodes can number.
     pub(super) fn build(boxes: &[Aabb]) -> Result<Self, String> {
-        // A binary tree has fewer than two nodes a leaf, and there is the filler.
+        // A binary tree has fewer than two nodes for each leaf, plus the unused node.
         if boxes.len() >= MOST / 2 {
             return Err(format!(
                 "{} triangles are more than the {} a line tracer's hierarchy can number",
@@ -116,7 +117,7 @@ impl Bvh {
     }
 }
 
-/// The tree over `items`, of which the first will have place `first`, in preorder.
+/// The tree over `items` in preorder. The leaves' order begins at place `first`.
 fn subtree(items: &mut [Item], first: usize, depth: u32) -> Vec<Flat> {
     let bounds = items.iter().fold(Aabb::EMPTY, |b, i| b.union(i.bounds));
     let leaf = Flat { bounds, right: 0, first: first as u32, count: items.len() as u32 };
@@ -152,7 +153,7 @@ fn subtree(items: &mut [Item], first: usize, depth: u32) -> Vec<Flat> {
     all
 }
 
-/// Half the surface; 0 for the empty box.
+/// Half the surface area; 0 for the empty box.
 fn half_area(b: &Aabb) -> f32 {
     let e = (b.max - b.min).max(Vec3::ZERO);
     e.x * e.y + e.y * e.z + e.z * e.x
@@ -160,15 +161,15 @@ fn half_area(b: &Aabb) -> f32 {
 
 fn bin_of(centre: Vec3, centres: &Aabb, axis: usize) -> usize {
     let extent = centres.max[axis] - centres.min[axis];
-    // The cast saturates; NaN cannot be, for axes without extent are not asked for.
+    // The cast saturates. The quotient is no NaN, since `best_split` skips axes without extent.
     (((centre[axis] - centres.min[axis]) / extent * BINS as f32) as usize).min(BINS - 1)
 }
 
-/// The cheapest split that leaves something on both sides; the first axis and bin among equals.
+/// The cheapest split with items on both sides. Among equal costs, the first axis and bin win.
 fn best_split(items: &[Item], centres: &Aabb) -> Option<Split> {
     let mut best: Option<Split> = None;
     for axis in 0..3 {
-        // Also refuses extents so small that bins could not be told apart.
+        // Also skips extents too small to be divided into bins.
         if centres.max[axis] - centres.min[axis] <= f32::MIN_POSITIVE * BINS as f32 {
             continue;
         }
@@ -197,7 +198,7 @@ fn best_split(items: &[Item], centres: &Aabb) -> Option<Split> {
     best
 }
 
-/// Brings the items `left` holds for to the front; how many they are.
+/// Moves the items for which `left` holds to the front and returns their number.
 fn partition(items: &mut [Item], left: impl Fn(&Item) -> bool) -> usize {
     let mut middle = 0;
     for i in 0..items.len() {
@@ -209,7 +210,7 @@ fn partition(items: &mut [Item], left: impl Fn(&Item) -> bool) -> usize {
     middle
 }
 
-/// Splits at the median centre along the widest axis, lesser numbers first among equals.
+/// Splits at the median centre along the widest axis. Among equal centres, smaller ids come first.
 fn halve(items: &mut [Item], centres: &Aabb) -> usize {
     let extent = centres.max - centres.min;
     let axis = (1..3).fold(0, |a, b| if extent[b] > extent[a] { b } else { a });
@@ -220,13 +221,13 @@ fn halve(items: &mut [Item], centres: &Aabb) -> usize {
     middle
 }
 
-/// Nodes with siblings side by side, and the depth.
+/// The nodes with siblings adjacent, and the depth of the tree.
 fn paired(flat: &[Flat]) -> (Vec<Node>, u32) {
     let node = |f: &Flat, child| Node { low: f.bounds.min, child, high: f.bounds.max, unused: 0 };
     let mut nodes = Vec::with_capacity(flat.len() + 1);
     nodes.extend([Node::zeroed(); 2]);
     let mut deepest = 0;
-    // (where it is in `flat`, where it goes, its depth)
+    // (index in `flat`, index in `nodes`, depth)
     let mut todo = vec![(0usize, 0usize, 0u32)];
     while let Some((from, to, depth)) = todo.pop() {
         let f = &flat[from];
@@ -248,7 +249,7 @@ fn paired(flat: &[Flat]) -> (Vec<Node>, u32) {
 mod tests {
     use super::*;
 
-    /// Checks that every box is in one leaf and in every box above it; the depth.
+    /// Checks that every box is in exactly one leaf and inside the boxes of all ancestors; returns the depth.
     fn check(boxes: &[Aabb], bvh: &Bvh) -> u32 {
         let mut met = vec![0; boxes.len()];
         let mut deepest = 0;
@@ -297,7 +298,8 @@ mod tests {
         assert!(Bvh::build(&[]).unwrap().nodes.is_empty());
     }
 
-    /// Sizes and distances that double from one to the next make the heuristic peel off one after another.
+    /// With boxes whose sizes and distances grow geometrically, the heuristic splits off a few boxes at a
+    /// time.
     #[test]
     fn the_depth_is_bounded_where_the_heuristic_would_go_deep() {
         let boxes: Vec<Aabb> = (0..4000)

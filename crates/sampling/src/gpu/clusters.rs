@@ -1,20 +1,22 @@
-//! The order triangles are drawn in, and the boxes of the runs that are culled together.
+//! The drawing order of triangles, and the culling of clusters (runs of that order) against the faces of a
+//! cube.
 //!
-//! The order is a property of the scene: big triangles first (they hide most), then along a Morton curve, ids
-//! last. A superset keeps it, so that which of two coincident triangles wins never depends on the superset.
+//! The order is a property of the scene: large triangles first, since they hide most, then along a Morton
+//! curve, then by id. A superset is drawn in the same order, so that the winner of two coincident triangles
+//! does not depend on the superset.
 
 use glam::Vec3;
 use rayon::prelude::*;
 use sightline_scene::{Aabb, Scene, Triangle};
 
-/// Triangles in a cluster, but for the last. Small, for most of a cluster that a face's border cuts is drawn
-/// in vain; of 32 to 256, 64 measured best.
+/// Triangles in a cluster; the last cluster may have fewer. Small, since most triangles of a cluster at the
+/// border of a face are drawn in vain. Of the sizes from 32 to 256, 64 was the fastest.
 pub(super) const CLUSTER: usize = 64;
 
 /// Bits of the Morton code for each axis.
 const BITS: u32 = 20;
 
-/// Ids of the triangles that can be seen (not degenerate), in drawing order.
+/// Ids of the triangles that are not degenerate, in drawing order.
 pub(super) fn drawing_order(scene: &Scene) -> Vec<u32> {
     let bounds = scene.bounds();
     let mut keyed: Vec<(u64, u32)> = scene
@@ -28,8 +30,8 @@ pub(super) fn drawing_order(scene: &Scene) -> Vec<u32> {
     keyed.into_iter().map(|(_, id)| id).collect()
 }
 
-/// Size class above the Morton code of the box's centre. Classes keep a few large triangles from blowing up
-/// the boxes of clusters of small ones.
+/// Sort key: the size class, then the Morton code of the centre of the triangle's box. Without classes, a few
+/// large triangles would enlarge the boxes of clusters of small triangles.
 fn key(triangle: &Triangle, bounds: Aabb) -> u64 {
     let of = |v: Vec3| v.as_dvec3();
     let (size, b) = (of(bounds.max) - of(bounds.min), triangle.bounds());
@@ -54,17 +56,18 @@ fn spread(x: u64) -> u64 {
     (x | (x << 2)) & 0x1249_2492_4924_9249
 }
 
-/// The six faces a box may be seen on from `eye`, bit f for face f.
+/// The faces on which a box may be visible from `eye`; bit f stands for face f.
 ///
-/// Conservative: rounding is monotone, so the differences here bound those the vertex shader takes, and a
-/// vertex it puts inside a pyramid lies inside here.
+/// Conservative: rounding is monotone, so the differences here bound the differences of the vertex shader. A
+/// vertex that the shader places inside a face's pyramid is inside by this test, too.
 pub(super) fn faces_touched(bounds: &Aabb, eye: Vec3) -> u32 {
     let (lo, hi) = (bounds.min - eye, bounds.max - eye);
     let mut faces = 0;
     for axis in 0..3 {
         let (r, u) = ((axis + 1) % 3, (axis + 2) % 3);
         for (side, forward) in [hi[axis], -lo[axis]].into_iter().enumerate() {
-            // Greatest forward distance against least |right| and |up|: all four sides of the pyramid.
+            // The greatest forward distance against the least |right| and |up|, for the four sides of the
+            // pyramid.
             let inside = forward > 0.0
                 && forward >= lo[r]
                 && forward >= -hi[r]
@@ -102,7 +105,7 @@ mod tests {
     }
 
     proptest::proptest! {
-        /// A vertex the shader's arithmetic puts in a face's pyramid lies in a box that is kept for it.
+        /// The box of a vertex that the shader places in a face's pyramid is kept for that face.
         #[test]
         fn no_visible_vertex_is_culled(
             eye in proptest::array::uniform3(-1e3f32..1e3),
@@ -123,7 +126,7 @@ mod tests {
             }
         }
 
-        /// Every triangle that is not degenerate is drawn once, coincident ones in id order.
+        /// Every triangle that is not degenerate is drawn once; coincident triangles are drawn in id order.
         #[test]
         fn the_order_is_a_permutation(
             points in proptest::collection::vec(proptest::array::uniform3(-2i8..3), 3..60),

@@ -11,9 +11,9 @@ use super::pipelines::{Kit, MAX_RESOLUTION, scoped};
 use crate::cube::CubeSpec;
 use crate::error::BackendError;
 
-/// Largest coordinate drawn: differences and their projections stay finite in `f32`.
+/// Largest coordinate drawn; differences and their projections stay finite in `f32`.
 pub(super) const MOST_DISTANT: f32 = 1e30;
-/// How long the device may take for one cube before it is given up.
+/// How long to wait for one submission before the device counts as failed.
 pub(super) const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A device with the pipelines for cubes of one [`CubeSpec`].
@@ -73,7 +73,7 @@ impl Gpu {
         BackendError::Failed { profile: self.profile.clone(), reason: reason.into() }
     }
 
-    /// Whether the device has complained since it was opened. It does not get better again.
+    /// Fails when the device has reported an error since it was opened. Such an error is permanent.
     pub(super) fn check(&self) -> Result<(), BackendError> {
         match &*lock(&self.fault) {
             Some(reason) => Err(self.failed(reason.clone())),
@@ -81,11 +81,11 @@ impl Gpu {
         }
     }
 
-    /// Waits until the device has done `submission`, and its buffers' maps with it. The news of a map may
-    /// still be on its way here by another thread's wait; receive it with [`PATIENCE`].
+    /// Waits until the device has finished `submission` and mapped its buffers. The callback of a mapping may
+    /// still run in another thread that waits; receive its message with [`PATIENCE`] as the limit.
     pub(super) fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), BackendError> {
         let poll = wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(PATIENCE) };
-        // wgpu panics here when the device is lost while it waits; a lost device is an error like any other.
+        // wgpu panics when the device is lost during the wait; here that becomes an error like any other.
         let polled = catch_unwind(AssertUnwindSafe(|| self.device.poll(poll)));
         self.check()?;
         match polled {
@@ -96,7 +96,7 @@ impl Gpu {
     }
 }
 
-/// Notes the first error `device` reports, and its loss.
+/// Records the first error or the loss that `device` reports.
 fn watch(device: &wgpu::Device) -> Arc<Mutex<Option<String>>> {
     let fault = Arc::new(Mutex::new(None));
     let (errors, losses) = (Arc::clone(&fault), Arc::clone(&fault));
@@ -109,7 +109,7 @@ fn watch(device: &wgpu::Device) -> Arc<Mutex<Option<String>>> {
     fault
 }
 
-/// Locks, also after a panic elsewhere: what is guarded here is whole between any two statements.
+/// Locks a mutex, also after a panic in another thread: the guarded data is consistent after every statement.
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

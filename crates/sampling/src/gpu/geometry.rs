@@ -1,5 +1,5 @@
-//! Triangles on the device: vertex buffers in drawing order, the ids behind their slots, and what of them to
-//! draw for each face. A slot is a triangle's place in that order.
+//! Triangles on the device: vertex buffers in drawing order, the triangle id of each slot, and the ranges of
+//! slots to draw for each face. A slot is the place of a triangle in the drawing order.
 
 use std::ops::Range;
 
@@ -9,40 +9,40 @@ use sightline_scene::{Aabb, Triangle};
 use super::clusters::{CLUSTER, faces_touched};
 use super::pipelines::scoped;
 
-/// Bytes of a triangle in a vertex buffer: three positions.
+/// Bytes of a triangle in a vertex buffer: three positions of three floats.
 pub(super) const TRIANGLE_BYTES: u64 = 36;
 
-/// How ranges of slots become draws. No choice changes a pixel.
+/// How ranges of slots become draw calls. The style changes the speed and no pixel.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct DrawStyle {
-    /// Slots between two ranges of a face that are drawn along rather than paid for with another draw.
+    /// Two ranges with at most this many slots between them are drawn as one, with the slots between.
     bridge: u32,
-    /// Most slots in a draw.
+    /// Most slots in a draw call.
     longest: u32,
 }
 
 impl DrawStyle {
-    /// For GPUs: a draw costs more than a few clusters.
+    /// For GPUs: a draw call costs more than a few clusters.
     pub(super) const HARDWARE: Self = Self { bridge: 4 * CLUSTER as u32, longest: u32::MAX };
 
-    /// For lavapipe: a draw costs little, and one with a single clipped triangle takes a slow path whose time
-    /// grows with the square of the draw's length (up to some thousand vertices). One cluster a draw halves
-    /// the time.
+    /// For lavapipe: a draw call costs little, but a single clipped triangle sends the whole call down a slow
+    /// path, whose time grows with the square of the call's length (up to some thousand vertices). One
+    /// cluster for each call halves the time.
     pub(super) const SOFTWARE: Self = Self { bridge: 0, longest: CLUSTER as u32 };
 }
 
-/// What can be drawn, on the device and shared by every renderer of it.
+/// Triangles on the device, shared by all renderers that draw them.
 pub(super) struct Geometry {
     /// Triangle id of each slot.
     pub(super) ids: Vec<u32>,
     clusters: Vec<Aabb>,
     pages: Vec<wgpu::Buffer>,
-    /// Slots a page, a multiple of [`CLUSTER`]; the last page may hold fewer.
+    /// Slots in a page, a multiple of [`CLUSTER`]; the last page may hold fewer.
     page_slots: u32,
     style: DrawStyle,
 }
 
-/// For each face, ascending and disjoint ranges of slots.
+/// For each face, ascending disjoint ranges of slots.
 pub(super) type Visible = [Vec<Range<u32>>; 6];
 
 impl Geometry {
@@ -58,7 +58,7 @@ impl Geometry {
         style: DrawStyle,
     ) -> Result<Self, String> {
         let cluster_bytes = CLUSTER as u64 * TRIANGLE_BYTES;
-        // At least one cluster; at most what vertex numbers (three a slot) can count in 32 bits.
+        // At least one cluster; few enough that vertex indices, three for each slot, fit in 32 bits.
         let page_clusters = (page_bytes / cluster_bytes).clamp(1, (1 << 30) / CLUSTER as u64);
         let page_slots = page_clusters as u32 * CLUSTER as u32;
         let clusters = ids
@@ -71,12 +71,13 @@ impl Geometry {
         Ok(Self { clusters, pages, page_slots, ids, style })
     }
 
-    /// Number of slots. Ids are `u32` and unique, so it fits.
+    /// Number of slots. It fits in `u32`, since ids are unique `u32`.
     pub(super) fn slots(&self) -> u32 {
         self.ids.len() as u32
     }
 
-    /// What may be seen from `eye`, face by face: whole clusters, near neighbours joined.
+    /// For each face, the ranges of slots that may be visible from `eye`: whole clusters, joined where
+    /// [`DrawStyle::bridge`] allows.
     pub(super) fn visible(&self, eye: Vec3) -> Visible {
         let mut visible = Visible::default();
         let mut first = 0;
@@ -96,7 +97,7 @@ impl Geometry {
         visible
     }
 
-    /// Draws `ranges` in order, with the pipeline and the face already set.
+    /// Draws `ranges` in order. The pipeline and the face's bindings must be set.
     pub(super) fn draw(&self, pass: &mut wgpu::RenderPass<'_>, ranges: &[Range<u32>]) {
         let mut bound = None;
         for range in ranges {
@@ -110,7 +111,7 @@ impl Geometry {
                     pass.set_vertex_buffer(0, self.pages[page as usize].slice(..));
                     bound = Some(page);
                 }
-                // The instance number brings the page's first slot to the shader.
+                // The instance index tells the shader the first slot of the page.
                 pass.draw((start - base) * 3..(end - base) * 3, base..base + 1);
                 start = end;
             }

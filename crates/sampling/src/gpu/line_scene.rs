@@ -1,9 +1,8 @@
-//! A scene as the line tracer's shader reads it: hierarchy and triangles on the device, and the pipeline.
+//! The scene of the line tracer on the device: hierarchy, triangles and pipeline, in the layout of
+//! `trace.wgsl`. `tracer.rs` traces lines through it.
 //!
-//! It traces nothing itself (`tracer.rs` does) and holds nothing of the raster path.
-//!
-//! **Limits.** A storage binding may be small, 128 MiB on some devices; nodes and triangles are each spread
-//! over up to [`PAGES`] of them. A scene that does not fit even so is refused, with the limit named.
+//! **Limits.** A storage binding may be as small as 128 MiB, so nodes and triangles are each spread over up
+//! to [`PAGES`] bindings. A scene that still does not fit is refused with an error that names the limit.
 
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
@@ -13,12 +12,12 @@ use sightline_scene::{Aabb, Scene, Triangle};
 use super::bvh::{Bvh, Node};
 use super::pipelines::{buffer, entry, scoped};
 
-/// Bindings for the nodes, and for the triangles. With rays and hits these are eight storage bindings, which
-/// every device has.
+/// Bindings for the nodes, and as many for the triangles. With rays and hits these are eight storage
+/// bindings, which every device has.
 const PAGES: u64 = 3;
 const NODE_BYTES: u64 = size_of::<Node>() as u64;
 const CORNERS_BYTES: u64 = size_of::<Corners>() as u64;
-/// Bytes written to a page at a time.
+/// Bytes converted and written at a time.
 const PIECE: usize = 1 << 20;
 
 /// Why lines cannot be traced.
@@ -26,11 +25,11 @@ const PIECE: usize = 1 << 20;
 pub(super) enum Refusal {
     /// The scene does not fit this device.
     Unavailable(String),
-    /// The device complained.
+    /// The device reported an error.
     Failed(String),
 }
 
-/// A triangle as the shader reads it: its vertices, scaled, and its id.
+/// A triangle in the shader's layout: its scaled vertices and its id.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct Corners {
@@ -54,28 +53,30 @@ struct Uniform {
     unused: [u32; 3],
 }
 
-/// What is on the device.
+/// A scene on the device.
 pub(super) struct LineScene {
     pub(super) pipeline: wgpu::ComputePipeline,
     /// The scene's bindings.
     pub(super) group: wgpu::BindGroup,
     /// Layout of the rays' bindings.
     pub(super) rays_layout: wgpu::BindGroupLayout,
-    /// Whether there is a triangle to meet.
+    /// Whether the scene has no triangle to hit.
     pub(super) empty: bool,
 }
 
-/// The greatest power of two that is at most `x`, and its inverse, both normal numbers.
+/// The greatest power of two that is at most `x`, and its inverse; both are normal numbers. Extreme `x` give
+/// the nearest such power.
 fn power_below(x: f32) -> (f32, f32) {
     let exponent = ((x.to_bits() >> 23) & 0xff).clamp(1, 253);
     (f32::from_bits(exponent << 23), f32::from_bits((254 - exponent) << 23))
 }
 
 impl LineScene {
-    /// Builds the hierarchy of `scene` and copies it to the device, at most `page_bytes` in a binding.
+    /// Builds the hierarchy over the triangles `distinct` of `scene` and copies it to the device, at most
+    /// `page_bytes` in a binding.
     ///
     /// # Errors
-    /// When the scene does not fit, or the device complains.
+    /// When the scene does not fit, or the device reports an error.
     pub(super) fn new(
         device: &wgpu::Device,
         scene: &Scene,
@@ -90,7 +91,7 @@ impl LineScene {
         let ids: Vec<u32> = distinct.par_iter().copied().filter(with_area).collect();
         let limits = device.limits();
         let page_bytes = page_bytes.min(limits.max_storage_buffer_binding_size).min(limits.max_buffer_size);
-        // Pairs of nodes stay together.
+        // An even number, so that siblings are in the same page.
         let node_page = (page_bytes / (2 * NODE_BYTES) * 2).max(2);
         let triangle_page = (page_bytes / CORNERS_BYTES).max(1);
         let fits = |what: &str, count: usize, page: u64| {
@@ -128,7 +129,8 @@ impl LineScene {
             let triangles = pages(device, "line triangles", &bvh.order, triangle_page, corners)?;
             let scene = filled(device, "line scene", wgpu::BufferUsages::UNIFORM, &[uniform], |u| *u)?;
             let paged = nodes.len() > 1 || triangles.len() > 1;
-            // A binding without a page of its own shows the first one's, which is then not read through it.
+            // Every binding needs a buffer; unused bindings get the first page, and the shader does not read
+            // them.
             let page = |pages: &[wgpu::Buffer], i: usize| pages.get(i).or(pages.first()).cloned();
             let mut bound = vec![scene];
             for of in [&nodes, &triangles] {
@@ -187,7 +189,7 @@ impl LineScene {
     }
 }
 
-/// `items` as `convert` makes them, `page` a buffer; one small buffer when there are none.
+/// Buffers with the converted `items`, `page` items in each; one small buffer when there are no items.
 fn pages<T: Sync, P: Pod + Send>(
     device: &wgpu::Device,
     label: &str,
@@ -198,7 +200,7 @@ fn pages<T: Sync, P: Pod + Send>(
     if items.is_empty() {
         return Ok(vec![filled(device, label, wgpu::BufferUsages::STORAGE, &[()], |()| P::zeroed())?]);
     }
-    // A page larger than memory can count holds everything.
+    // A page larger than the address space holds all items.
     let page = usize::try_from(page).unwrap_or(usize::MAX);
     items.chunks(page).map(|run| filled(device, label, wgpu::BufferUsages::STORAGE, run, &convert)).collect()
 }

@@ -1,14 +1,13 @@
 //! The GPU backend: item buffers drawn by wgpu, reduced on the device, read back as short lists.
 //!
-//! It draws triangles with the ordinary raster pipeline. Beside it stands a compute path that traces sight
-//! lines (`tracer.rs`) and shares only the device. Nothing here is needed to read a result: a machine without
-//! a driver uses the CPU backend.
+//! Cubes are drawn with the raster pipeline. Sight lines are traced by a compute shader (`tracer.rs`), which
+//! shares only the device with the raster path. A machine without a GPU driver uses the CPU backend.
 //!
-//! **Near plane.** A cube's frusta begin at [`crate::near_distance`]. Depth is reversed floating point, near
-//! / distance, which has the same relative precision at any distance.
+//! **Near plane.** The six frusta of a cube begin at [`crate::near_distance`]. Depth is reversed floating
+//! point, near / distance, which has the same relative precision at every distance.
 //!
-//! **Same bits.** Triangles are drawn in one fixed order, the first at a depth wins; the reduction is made of
-//! integer sums and unions, whose order does not matter; its list is sorted before use.
+//! **Same bits.** Triangles are drawn in one fixed order, and the first of equal depth wins. The reduction
+//! uses integer sums and unions, which do not depend on the order, and its list is sorted before use.
 
 mod adapter;
 mod bvh;
@@ -37,9 +36,9 @@ use line_scene::{LineScene, Refusal};
 use renderer::{GpuRenderer, Work};
 use tracer::{GpuTracer, LineKit};
 
-/// Rank of a triangle that is never drawn.
+/// Rank of a degenerate triangle, which is never drawn.
 const NEVER: u32 = u32::MAX;
-/// Bytes of triangles in one vertex buffer, if the device allows as much.
+/// Most bytes of triangles in one vertex buffer; the device may allow fewer.
 const PAGE_BYTES: u64 = 1 << 30;
 /// A device bound to one scene and one [`CubeSpec`].
 pub struct GpuBackend {
@@ -49,11 +48,11 @@ pub struct GpuBackend {
     style: DrawStyle,
     /// The whole scene, in drawing order.
     whole: Arc<Geometry>,
-    /// For each triangle its place in the drawing order, or [`NEVER`].
+    /// For each triangle, its place in the drawing order, or [`NEVER`].
     ranks: Vec<u32>,
     /// The buffers of one batch of cubes.
     work: Mutex<Work>,
-    /// The scene as lines are traced through it, once they are.
+    /// The scene of the line tracer, made at the first call of `lines`.
     lines: OnceLock<Result<Arc<LineKit>, Refusal>>,
 }
 
@@ -61,8 +60,9 @@ impl GpuBackend {
     /// Opens a device and copies `scene` to it.
     ///
     /// # Errors
-    /// [`BackendError::Unavailable`] when there is no fitting adapter, or it or this backend cannot do `spec`
-    /// or the scene; [`BackendError::Failed`] when the device cannot hold the scene.
+    /// [`BackendError::Unavailable`] when no adapter fits, or when the adapter or this backend does not
+    /// support `spec` or the scene's coordinates; [`BackendError::Failed`] when the device cannot hold the
+    /// scene.
     pub fn new(scene: Arc<Scene>, spec: CubeSpec, choice: AdapterChoice) -> Result<Self, BackendError> {
         Self::with_pages(scene, spec, &choice, PAGE_BYTES)
     }

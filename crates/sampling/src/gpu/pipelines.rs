@@ -1,20 +1,20 @@
-//! What is made once a device: pipelines, the item buffers' atlas, and the small uniform buffers.
+//! Objects created once for each device: pipelines, the atlas of the item buffers, and small uniform buffers.
 //!
-//! The six faces lie in one texture, three beside each other in two rows, so that a cube is one render pass
-//! with one clear. Face f has its origin at column (f mod 3)·n, row (f div 3)·n.
+//! The six faces lie in one texture, in two rows of three, so that a cube is one render pass with one clear.
+//! Face f has its origin at column (f mod 3)·n, row (f div 3)·n.
 
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
 use crate::cube::face_basis;
 
-/// Distance between two faces' uniforms: the largest offset alignment a device may ask for.
+/// Bytes between the uniforms of two faces: the largest offset alignment that a device may require.
 pub(super) const FACE_STRIDE: u64 = 256;
 
-/// Largest side of a face, from [`crate::CubeSpec`].
+/// Largest side of a face in pixels, from [`crate::CubeSpec`].
 pub(super) const MAX_RESOLUTION: u32 = 4096;
 
-/// One face's uniforms, as `raster.wgsl` declares them.
+/// The uniforms of one face, in the layout of `raster.wgsl`.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct FaceUniform {
@@ -28,7 +28,7 @@ struct FaceUniform {
     unused_c: f32,
 }
 
-/// The uniforms of the six faces seen from `eye`, [`FACE_STRIDE`] apart.
+/// The uniforms of the six faces of a cube around `eye`, [`FACE_STRIDE`] bytes apart.
 pub(super) fn face_uniforms(eye: Vec3, near: f32) -> [u8; 6 * FACE_STRIDE as usize] {
     let mut bytes = [0; 6 * FACE_STRIDE as usize];
     for (face, to) in (0..6).zip(bytes.chunks_exact_mut(FACE_STRIDE as usize)) {
@@ -39,7 +39,7 @@ pub(super) fn face_uniforms(eye: Vec3, near: f32) -> [u8; 6 * FACE_STRIDE as usi
     bytes
 }
 
-/// Runs `make` and returns the device's first complaint about it, if any, as an error.
+/// Runs `make`. Returns the first error that the device reports about it, if any.
 pub(super) fn scoped<T>(
     device: &wgpu::Device,
     make: impl FnOnce() -> Result<T, String>,
@@ -48,7 +48,7 @@ pub(super) fn scoped<T>(
     let memory = device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
     let validation = device.push_error_scope(wgpu::ErrorFilter::Validation);
     let made = make();
-    // All are popped, innermost first, before any is looked at.
+    // Every scope is popped, innermost first, even when one holds an error.
     let errors = [
         pollster::block_on(validation.pop()),
         pollster::block_on(memory.pop()),
@@ -77,7 +77,7 @@ pub(super) struct Kit {
 }
 
 impl Kit {
-    /// Makes everything for faces of `n` pixels a side.
+    /// Creates pipelines and targets for faces of `n` by `n` pixels.
     pub(super) fn new(device: &wgpu::Device, n: u32) -> Self {
         let raster_code = device.create_shader_module(wgpu::include_wgsl!("raster.wgsl"));
         let reduce_code = device.create_shader_module(wgpu::include_wgsl!("reduce.wgsl"));
@@ -169,8 +169,8 @@ impl Kit {
     }
 }
 
-/// Both sides of every triangle, nearest first come first kept: reversed depth cleared to 0 and compared with
-/// "greater", so that of two triangles at the same depth the one drawn first stays.
+/// Draws both sides of every triangle. Reversed depth is cleared to 0 and compared with "greater", so the
+/// nearest triangle wins, and of two triangles at the same depth the first one drawn.
 fn raster_pipeline(
     device: &wgpu::Device,
     code: &wgpu::ShaderModule,

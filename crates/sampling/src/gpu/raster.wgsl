@@ -1,4 +1,4 @@
-// Draws triangles into one face of the item buffer. A pixel gets the triangle's slot plus one; 0 stays sky.
+// Draws triangles into one face of the item buffer. A pixel holds the triangle's slot plus one, or 0 for sky.
 
 struct Face {
     // xyz: the face's right, up and forward vectors; right.w: distance of the near plane.
@@ -15,7 +15,7 @@ struct Corner {
     @location(0) @interpolate(flat, either) item: u32,
 }
 
-// The draw's first instance carries the first slot of the vertex buffer, so that vertex numbers give slots.
+// The first instance of a draw call is the first slot of its vertex buffer, so slot = base + vertex / 3.
 @vertex
 fn corner(
     @location(0) world: vec3f,
@@ -23,8 +23,8 @@ fn corner(
     @builtin(instance_index) base: u32,
 ) -> Corner {
     let d = world - face.eye.xyz;
-    // Framebuffer rows run down while the pixels' v runs up with y: row y is v = (2y+1)/n - 1, hence the
-    // minus. 90 degrees, infinite far plane, reversed depth near / forward.
+    // Row y of the framebuffer shows v = (2y+1)/n - 1, but clip space has y pointing up, hence the minus.
+    // The frustum has 90 degrees, an infinite far plane, and reversed depth near / forward.
     let position =
         vec4f(dot(d, face.right.xyz), -dot(d, face.up.xyz), face.right.w, dot(d, face.forward.xyz));
     return Corner(position, base + vertex / 3u + 1u);

@@ -1,15 +1,15 @@
-// Reduces the six item buffers to one entry a visible slot: (slot, strata mask, pixel count).
+// Reduces the six item buffers to one entry for each visible slot: (slot, strata mask, pixel count).
 //
-// `reduce` adds to masks and counts, which are all zero before, and lists every slot it touches first;
-// `gather` completes the list and sets what was touched back to zero. The order of the list is left to
-// chance: the reader sorts it.
+// All masks and counts are zero before `reduce`. `reduce` adds to them and lists each slot at its first
+// touch. `gather` copies masks and counts to the list and sets them back to zero. The order of the list
+// differs between runs; the reader sorts it.
 
 struct Params {
     // Side of a face in pixels.
     n: u32,
-    // Entries the list can hold.
+    // Most entries of the list.
     capacity: u32,
-    // 0: one stratum, 1: one a face, 2: quadrants of the faces.
+    // 0: one stratum, 1: one for each face, 2: four for each face (quadrants).
     strata: u32,
     unused: u32,
 }
@@ -19,7 +19,7 @@ struct List {
     unused_a: u32,
     unused_b: u32,
     unused_c: u32,
-    // Three words an entry.
+    // Three words for each entry.
     entries: array<u32>,
 }
 
@@ -29,7 +29,7 @@ struct List {
 @group(0) @binding(3) var<storage, read_write> list: List;
 @group(0) @binding(4) var<uniform> params: Params;
 
-// Pixels of a row that one invocation walks; runs inside cost one pair of atomics.
+// Pixels of a row that one invocation reads; a run of equal pixels among them costs one pair of atomics.
 const SEGMENT: u32 = 16u;
 
 fn stratum_bit(face: u32, x: u32, y: u32) -> u32 {
@@ -48,7 +48,7 @@ fn add(item: u32, bit: u32, run: u32) {
         return;
     }
     let slot = item - 1u;
-    // Most runs find their bit set already, and a load is much cheaper than the atomic.
+    // The bit is mostly set already, and a load is much cheaper than an atomic or.
     if (atomicLoad(&masks[slot]) & bit) == 0u {
         atomicOr(&masks[slot], bit);
     }

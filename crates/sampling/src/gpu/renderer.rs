@@ -1,8 +1,9 @@
-//! Rendering a batch of cubes: several are in flight at once, each with its own read-back buffer, so that the
-//! CPU culls and records the next while the device draws, and reads the one before.
+//! Rendering a batch of cubes: several are in flight at once, each with a read-back buffer. While the device
+//! draws a cube, the CPU culls and records the next one and reads the previous one.
 //!
-//! How many triangles a cube shows is known only afterwards. So the list's first part is read, as long as has
-//! been enough so far; a cube that shows more is rendered again with enough.
+//! The number of triangles in a cube is known only after it is rendered. So the first part of the list is
+//! read back, as long as earlier cubes needed; a cube with more triangles is rendered again with a longer
+//! part.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, mpsc};
@@ -20,29 +21,30 @@ use sightline_model::VisibilitySample;
 
 /// Cubes in flight.
 const RING: u64 = 4;
-/// Most bytes of read-back buffers in flight; above, fewer cubes are.
+/// Most bytes of read-back buffers in flight; large buffers reduce the number of cubes in flight.
 const RING_BYTES: u64 = 1 << 28;
-/// Entries read of the first list.
+/// Entries of the list that are read back for the first cube.
 const FIRST_READ: u32 = 8192;
-/// Pixels of a row an invocation of the reduction walks, and its workgroup's side; as in `reduce.wgsl`.
+/// Pixels of a row that one invocation of the reduction reads, and the side of its workgroup; as in
+/// `reduce.wgsl`.
 const SEGMENT: u32 = 16;
 const REDUCE_SIDE: u32 = 8;
-/// Workgroups of the gathering pass, each walking the list in strides.
+/// Workgroups of the gathering pass; each goes through the list in strides.
 const GATHER_GROUPS: u32 = 64;
 
 /// (triangle id, strata mask, pixel count), in any order.
 type Runs = Vec<(u32, u32, u32)>;
 
-/// How many triangles a cube shows, and the parts wanted of it unless its list was cut short.
+/// The number of triangles in a cube, and its wanted parts; `None` when the list was cut short.
 type Landed = (u32, Option<(Runs, Option<Vec<u32>>)>);
 
-/// What one batch uses at a time.
+/// Buffers for rendering cubes; used by one batch at a time.
 #[derive(Default)]
 pub(super) struct Work {
     tally: Option<Tally>,
-    /// Entries to read of a list; 0 before the first cube.
+    /// Entries of a list to read back; 0 before the first cube.
     entries: u32,
-    /// Read-back buffers not in flight, all of one size.
+    /// Read-back buffers that are not in flight, all of `spare_bytes` bytes.
     spare: Vec<wgpu::Buffer>,
     spare_bytes: u64,
 }
@@ -54,17 +56,16 @@ struct Want {
     pixels: bool,
 }
 
-/// Where the parts lie in a read-back buffer.
+/// Offsets and sizes of the parts of a read-back buffer, in bytes.
 #[derive(Clone, Copy)]
 struct Layout {
     list_bytes: u64,
-    /// 0 when pixels are not wanted.
     pixels_at: u64,
     row_bytes: u32,
     bytes: u64,
 }
 
-/// A cube the device works on.
+/// A cube that was submitted to the device.
 struct Flight {
     index: usize,
     buffer: wgpu::Buffer,
@@ -90,7 +91,7 @@ impl<'a> GpuRenderer<'a> {
         6 * self.gpu.spec.resolution * self.gpu.spec.resolution
     }
 
-    /// Renders a cube from each point and gives what was wanted of it to `take`, in any order.
+    /// Renders a cube at each point and passes its wanted parts to `take`, in any order.
     fn render(
         &self,
         points: &[Vec3],
@@ -112,7 +113,7 @@ impl<'a> GpuRenderer<'a> {
         let mut work = lock(self.work);
         let result = self.render_all(&mut work, points, want, take);
         if result.is_err() {
-            // Counts may have stayed behind, and buffers mapped.
+            // Counts may not be zero, and buffers may still be mapped.
             *work = Work::default();
         }
         result
@@ -160,7 +161,7 @@ impl<'a> GpuRenderer<'a> {
             }
             let capacity = work.tally.as_ref().map_or(0, |t| t.capacity);
             if most > work.entries {
-                // A quarter more than seen, so that its neighbours fit too.
+                // A quarter more than needed, so that nearby cubes fit, too.
                 work.entries =
                     most.saturating_add(most / 4).checked_next_power_of_two().unwrap_or(most).min(capacity);
             }
@@ -169,11 +170,11 @@ impl<'a> GpuRenderer<'a> {
         Ok(())
     }
 
-    /// Has buffers for this geometry's slots, and tells the reduction about them.
+    /// Makes buffers for this geometry's slots, if they are missing, and sets the reduction's parameters.
     fn make_room(&self, work: &mut Work) -> Result<(), BackendError> {
         let b = self.gpu;
         if work.tally.as_ref().is_none_or(|t| t.slots < self.geometry.slots()) {
-            // The old one goes first: there may not be room for both.
+            // The old buffers are freed first, since there may not be room for both.
             work.tally = None;
             let tally = Tally::new(&b.device, &b.kit, self.geometry.slots(), self.pixels());
             work.tally = Some(tally.map_err(|reason| b.failed(reason))?);
@@ -246,7 +247,7 @@ impl<'a> GpuRenderer<'a> {
         }
         let submission = b.queue.submit([encoder.finish()]);
         let (sender, mapped) = mpsc::channel();
-        // Nobody listens any more when a cube before this one failed.
+        // The receiver is gone when an earlier cube failed.
         buffer.map_async(wgpu::MapMode::Read, .., move |result| drop(sender.send(result)));
         self.gpu.check()?;
         Ok(Flight { index, buffer, submission, mapped })
@@ -303,7 +304,7 @@ impl<'a> GpuRenderer<'a> {
         pass.dispatch_workgroups(GATHER_GROUPS, 1, 1);
     }
 
-    /// Waits for a cube and reads it.
+    /// Waits for a cube and reads its parts.
     fn land(
         &self,
         work: &mut Work,
@@ -343,7 +344,8 @@ impl<'a> GpuRenderer<'a> {
                      lower the resolution or use --backend cpu"
                 )));
             }
-            // `entries` only grows between batches, so this is the length the layout was made with.
+            // `entries` changes only after all flights of a layout have landed, so the layout has this
+            // length.
             if count > work.entries {
                 return Ok((count, None));
             }
@@ -361,7 +363,7 @@ impl<'a> GpuRenderer<'a> {
         Ok((count, Some((runs, pixels))))
     }
 
-    /// The cube image in the order [`CubeImage`] keeps it, from the atlas.
+    /// Triangle ids from the pixels of the atlas, in the order of [`CubeImage`].
     fn faces_of(&self, atlas: &[u32], row_bytes: u32) -> Result<Vec<u32>, BackendError> {
         let (n, pitch) = (self.gpu.spec.resolution as usize, row_bytes as usize / 4);
         let mut ids = Vec::with_capacity(self.pixels() as usize);

@@ -1,24 +1,24 @@
-//! The reduction's buffers: a strata mask and a pixel count for each slot, and the list of slots seen.
+//! The reduction's buffers: a strata mask and a pixel count for each slot, and the list of visible slots.
 //!
-//! Masks and counts are zero between cubes: the device makes them so, and the reduction puts them back.
+//! Masks and counts are zero between cubes: new buffers are zero, and the reduction resets them.
 
 use super::pipelines::{Kit, scoped};
 
 /// Bytes before the list's entries: the counter, padded.
 pub(super) const LIST_HEAD: u64 = 16;
-/// Bytes of an entry: slot, mask, count.
+/// Bytes of an entry: slot, strata mask, pixel count.
 pub(super) const ENTRY_BYTES: u64 = 12;
 
 /// Buffers for up to `slots` slots.
 pub(super) struct Tally {
     pub(super) slots: u32,
-    /// Entries the list holds.
+    /// Most entries of the list.
     pub(super) capacity: u32,
     pub(super) list: wgpu::Buffer,
     pub(super) group: wgpu::BindGroup,
 }
 
-/// Most slots a device can count: one word of a storage binding each.
+/// Most slots for which a device can hold masks and counts: one word of a storage binding for each slot.
 pub(super) fn most_slots(limits: &wgpu::Limits) -> u32 {
     let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
     u32::try_from(bytes / 4).unwrap_or(u32::MAX)
@@ -31,11 +31,11 @@ impl Tally {
     /// What the device says when it has no room.
     pub(super) fn new(device: &wgpu::Device, kit: &Kit, slots: u32, pixels: u32) -> Result<Self, String> {
         let limits = device.limits();
-        // Rounded up so that supersets of like size share one allocation.
+        // Rounded up, so that supersets of similar size share one allocation.
         let slots = slots.checked_next_power_of_two().unwrap_or(u32::MAX).min(most_slots(&limits)).max(1);
         let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-        // A cube shows no more triangles than it has pixels, so only a list cut by the device's limits can
-        // run over.
+        // A cube shows at most as many triangles as it has pixels, so a list can overflow only where the
+        // device's limits shorten it.
         let room = u32::try_from(bytes.saturating_sub(LIST_HEAD) / ENTRY_BYTES).unwrap_or(u32::MAX);
         let capacity = slots.min(pixels).min(room);
         scoped(device, || {

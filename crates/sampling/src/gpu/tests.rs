@@ -1,4 +1,4 @@
-//! What cannot be seen from outside the crate: paging, and losing the device.
+//! Tests of the raster path that need private items: paging, and the loss of the device.
 
 use glam::Vec3;
 use sightline_scene::Object;
@@ -7,7 +7,7 @@ use super::pipelines::MAX_RESOLUTION;
 use super::*;
 use crate::cube::Strata;
 
-/// Small triangles all around the origin, deterministic.
+/// Small triangles around the origin; the same at every call.
 fn shell(count: u32) -> Arc<Scene> {
     let triangles: Vec<_> = (0..count)
         .map(|i| {
@@ -37,7 +37,7 @@ fn backend(scene: &Arc<Scene>, page_bytes: u64) -> Option<GpuBackend> {
     }
 }
 
-/// Neither how triangles are split over buffers and draws nor which clusters are left out changes a bit.
+/// Neither the division of triangles into buffers and draw calls nor the culling of clusters changes a bit.
 #[test]
 fn pages_and_draws_change_no_pixel() {
     let scene = shell(1000);

@@ -1,35 +1,35 @@
-// The nearest triangle along each of many rays: a walk through the hierarchy of bvh.rs with a stack. It draws
-// nothing, has no any-hit query, and does not sort or compact rays.
+// Finds the nearest triangle along each ray: a traversal of the hierarchy of bvh.rs with a stack.
 //
-// Units. The scene is scaled by a power of two to about one, each direction to a largest component of 1 to 2.
-// Both are exact, so that scenes and directions of any size are traced alike.
+// Units. The scene is scaled by a power of two to about one, and each direction so that its largest component
+// is 1 to 2. Both scalings are exact, so the size of scenes and directions does not matter.
 //
-// Watertight (after Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection", 2013). Vertices are moved
-// and sheared so that the ray is the third axis: the same function of vertex and ray for every triangle that
-// shares the vertex. On which side of the axis an edge lies is then decided exactly, so whether a triangle is
-// met is an exact statement about the moved vertices, and no ray slips between two triangles that share an
-// edge or a vertex. It does not matter whether the device contracts products and sums: only rounded products
-// are compared, and rounding keeps order; equal ones are compared in integers.
+// Watertight (Woop et al. 2013). Vertices are translated and sheared so that the ray becomes the third axis.
+// The result depends on vertex and ray only, so all triangles that share a vertex agree on it. The side of
+// the axis on which an edge lies is then decided exactly. So a hit is an exact statement about the
+// transformed vertices, and no ray passes between two triangles that share an edge or a vertex. The device
+// may fuse products and sums: only rounded products are compared, rounding is monotone, and equal rounded
+// products are compared in integers.
 //
-// Boxes are widened by 2^-19 of the distance to the scene's farthest corner: shearing moves a vertex by at
-// most 10 · 2^-24 of it (subtraction 1, its error sheared 1, quotient of 2.5 ulp 5, product 1, sum 2), and
-// the slabs' arithmetic is off by at most 7 · 2^-24 (subtraction 1, reciprocal 5, product 1). 32 are taken.
+// Boxes are widened by 2^-19 of the distance to the scene's farthest corner. Of that distance, shearing moves
+// a vertex by at most 10 · 2^-24 (subtraction 1, its error sheared 1, quotient of 2.5 ulp 5, product 1, sum
+// 2), and the slab test is wrong by at most 7 · 2^-24 (subtraction 1, reciprocal 5, product 1). The widening
+// is 32 · 2^-24.
 //
-// Order. A hit's distance is clamped to the span of the triangle's own box. Spans are monotone in the box,
-// also rounded, so no box is skipped that holds a hit at most as far as the nearest; among equals the least
-// id wins. The order of the walk therefore changes no result.
+// Order. The distance of a hit is clamped to the span of the triangle's own box. Spans are monotone in the
+// box, also after rounding, so no box is skipped that holds a hit at least as near as the nearest known.
+// Among equal distances the least id wins. So the order of the traversal does not change the result.
 
 struct Scene {
     low: vec3<f32>,
-    // Powers of two: scene units to the scale of one, and back.
+    // Powers of two that scale scene units to about one, and back.
     scale: f32,
     high: vec3<f32>,
     unscale: f32,
-    // Hits must be farther, in scaled lengths.
+    // Hits must be farther than this, in scaled units.
     near: f32,
 }
 
-// Whether there is more than one page, and what a page holds.
+// Whether there is more than one page; nodes and triangles in a page.
 override PAGED: bool = false;
 override NODE_PAGE: u32 = 1u;
 override TRIANGLE_PAGE: u32 = 1u;
@@ -41,28 +41,29 @@ const COUNT_MASK: u32 = 15u;
 
 const SKY: u32 = 0xffffffffu;
 const INFINITE: u32 = 0x7f800000u;
-// Stands for "nothing met yet"; no scaled distance is as great.
+// Distance of a ray without a hit; greater than every scaled distance.
 const FAR: f32 = 3e38;
-// 2^60: origins farther away meet nothing. Products of two moved coordinates stay finite.
+// 2^60: a ray from an origin farther away hits nothing. Products of two translated coordinates stay finite.
 const MOST_DISTANT: f32 = 1152921504606846976.0;
-// 2^-60: components of a direction are at least that for boxes. 2^-100: sheared coordinates below are zero.
+// 2^-60: smaller components of a direction are replaced by this in box tests. 2^-100: smaller sheared
+// coordinates become zero.
 const LEAST_DIRECTION: f32 = 8.673617379884035e-19;
 const LEAST_SHEARED: f32 = 7.888609052210118e-31;
 // 2^-19.
 const WIDENING: f32 = 0.0000019073486328125;
 
 @group(0) @binding(0) var<uniform> scene: Scene;
-// Two a node: low corner and child, high corner and nothing.
+// Two elements for each node: low corner and child; high corner and an unused word.
 @group(0) @binding(1) var<storage, read> nodes_a: array<vec4<u32>>;
 @group(0) @binding(2) var<storage, read> nodes_b: array<vec4<u32>>;
 @group(0) @binding(3) var<storage, read> nodes_c: array<vec4<u32>>;
-// Three a triangle: the vertices, and beside the first the id.
+// Three elements for each triangle: the vertices; the first also holds the id.
 @group(0) @binding(4) var<storage, read> triangles_a: array<vec4<u32>>;
 @group(0) @binding(5) var<storage, read> triangles_b: array<vec4<u32>>;
 @group(0) @binding(6) var<storage, read> triangles_c: array<vec4<u32>>;
-// A packet: origins by axis and lane, directions by axis and lane.
+// For each packet: origins by axis and lane, then directions by axis and lane.
 @group(1) @binding(0) var<storage, read> rays: array<f32>;
-// A packet: distances by lane, ids by lane.
+// For each packet: distances by lane, then ids by lane.
 @group(1) @binding(1) var<storage, read_write> hits: array<u32>;
 
 struct Node {
@@ -81,11 +82,11 @@ struct Corners {
 struct Ray {
     origin: vec3<f32>,
     direction: vec3<f32>,
-    // For boxes.
+    // For box tests.
     inverse: vec3<f32>,
     widening: vec3<f32>,
     backwards: vec3<bool>,
-    // For triangles: the axis of the greatest component, and the two others' shear along it.
+    // For triangle tests: the axis of the direction's largest component, and the shear of the other two axes.
     major: u32,
     shear: vec2<f32>,
     near: f32,
@@ -131,7 +132,7 @@ fn corners_at(index: u32) -> Corners {
     return Corners(bitcast<vec3<f32>>(a.xyz), bitcast<vec3<f32>>(b.xyz), bitcast<vec3<f32>>(c.xyz), a.w);
 }
 
-// Where the ray enters and leaves the widened box; entering after leaving when it misses it.
+// The distances at which the ray enters and leaves the widened box. A ray that misses has enter > leave.
 fn span(ray: Ray, low: vec3<f32>, high: vec3<f32>) -> vec2<f32> {
     let first = select(low, high, ray.backwards) - ray.origin;
     let last = select(high, low, ray.backwards) - ray.origin;
@@ -140,19 +141,19 @@ fn span(ray: Ray, low: vec3<f32>, high: vec3<f32>) -> vec2<f32> {
     return vec2<f32>(max(max(enter.x, enter.y), enter.z), min(min(leave.x, leave.y), leave.z));
 }
 
-// The greatest component's axis last.
+// Rotates the axes so that `major` comes last.
 fn turned(v: vec3<f32>, major: u32) -> vec3<f32> {
     return select(select(v.xyz, v.zxy, major == 1u), v.yzx, major == 0u);
 }
 
-// A vertex as the ray sees it. The fused form is asked for so that every vertex is rounded alike.
+// The vertex in the sheared frame of the ray. An explicit fma rounds every vertex in the same way.
 fn sheared(ray: Ray, vertex: vec3<f32>) -> vec2<f32> {
     let v = turned(vertex - ray.origin, ray.major);
     let s = fma(-ray.shear, v.zz, v.xy);
     return select(s, vec2<f32>(0.0), abs(s) < vec2<f32>(LEAST_SHEARED));
 }
 
-// A product in full: its sign (0 for nothing), exponent, and 48 bits, the greatest set.
+// An exact product: its sign (0 for zero), its exponent, and 48 bits of which the highest is set.
 struct Product {
     sign: i32,
     exponent: u32,
@@ -202,7 +203,7 @@ fn exact_order(a: f32, b: f32, c: f32, d: f32) -> i32 {
     return 0;
 }
 
-// On which side of the edge from p to q the origin lies.
+// The side of the edge from p to q on which the origin lies: −1, 0 or 1.
 fn side(p: vec2<f32>, q: vec2<f32>) -> i32 {
     let u = p.x * q.y;
     let v = p.y * q.x;
@@ -215,7 +216,7 @@ fn side(p: vec2<f32>, q: vec2<f32>) -> i32 {
     return exact_order(p.x, q.y, p.y, q.x);
 }
 
-// The scaled distance of the triangle along the ray; FAR when it is not met.
+// The scaled distance of the triangle along the ray; FAR without a hit.
 fn meet(ray: Ray, t: Corners) -> f32 {
     let a = sheared(ray, t.a);
     let b = sheared(ray, t.b);
@@ -225,11 +226,11 @@ fn meet(ray: Ray, t: Corners) -> f32 {
     let w = side(a, b);
     let least = min(min(u, v), w);
     let most = max(max(u, v), w);
-    // Both sides of a triangle count, and its border; seen edge on it is its neighbours'.
+    // Hits count on both sides and on the border. A triangle seen edge-on is not hit; its neighbours are.
     if (least == 0 && most == 0) || (least < 0 && most > 0) {
         return FAR;
     }
-    // From the plane: exactly zero where the ray begins in the plane of an axis-aligned wall.
+    // The distance to the plane; exactly zero where the ray begins in the plane of an axis-aligned wall.
     let normal = cross(t.b - t.a, t.c - t.a);
     let height = dot(normal, t.a - ray.origin);
     let slope = dot(normal, ray.direction);
@@ -253,7 +254,7 @@ fn trace(@builtin(global_invocation_id) id: vec3<u32>) {
     hits[out] = INFINITE;
     hits[out + 16u] = SKY;
 
-    // Numbers that are not finite are told by their bits: a device may assume there are none.
+    // Infinities and NaN are recognised by their bits, since a device may assume that they do not occur.
     let origin_exponents = (bitcast<vec3<u32>>(given_origin) >> vec3<u32>(23u)) & vec3<u32>(0xffu);
     let exponents = (bitcast<vec3<u32>>(given) >> vec3<u32>(23u)) & vec3<u32>(0xffu);
     let exponent = max(max(exponents.x, exponents.y), exponents.z);
@@ -261,7 +262,7 @@ fn trace(@builtin(global_invocation_id) id: vec3<u32>) {
     if exponent == 0u || exponent == 0xffu || origin_exponent == 0xffu {
         return;
     }
-    // Powers of two: a largest component of 1 to 2 (to 4 for the very longest), and back.
+    // Powers of two that scale the largest component to 1 to 2 (to 4 for the longest directions), and back.
     let shortening = bitcast<f32>((254u - min(exponent, 253u)) << 23u);
     let lengthening = bitcast<f32>(min(exponent, 253u) << 23u);
 

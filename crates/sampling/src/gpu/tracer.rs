@@ -1,9 +1,9 @@
 //! Tracing packets on the device: uploads, dispatches and read-backs in a ring, so that the host copies one
 //! batch while the device traces another.
 //!
-//! It neither sorts rays nor changes them: a packet's lanes go as they are and come back in their place, so
-//! no batch size or number of threads reaches a result. Several threads may trace at once; each has batches
-//! of its own, taken from a common pool.
+//! Rays are neither sorted nor changed, and each hit returns to the lane of its ray, so batch sizes and
+//! thread numbers do not change a result. Several threads may trace at once; each takes its buffers from a
+//! common pool.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, mpsc};
@@ -15,28 +15,28 @@ use crate::cube::SKY;
 use crate::error::BackendError;
 use crate::packet::{LANES, LineTracer, Packet};
 
-/// Batches a call has in flight.
+/// Batches of one call that are in flight.
 const RING: usize = 3;
-/// Calls are cut into this many batches, if that makes none smaller than [`LEAST_BATCH`].
+/// Batches into which a call is divided, unless they become smaller than [`LEAST_BATCH`].
 const CUTS: usize = 6;
-/// Packets of a batch worth its submission.
+/// Fewest packets for which a submission is worth its cost.
 const LEAST_BATCH: usize = 2048;
-/// Most packets of a batch: a million rays, some tens of milliseconds of a slow GPU.
+/// Most packets of a batch: a million rays, which take a slow GPU some tens of milliseconds.
 const MOST_BATCH: usize = 1 << 16;
-/// Buffers kept for later calls.
+/// Slots kept for later calls.
 const KEPT: usize = 16;
 /// Packets of a workgroup, as in `trace.wgsl`.
 const GROUP: usize = 4;
-/// Words of a packet's rays: origins and directions.
+/// 32-bit words of a packet's rays: origins and directions.
 const RAY_WORDS: usize = 6 * LANES;
-/// Words of a packet's hits: distances and ids.
+/// 32-bit words of a packet's hits: distances and ids.
 const HIT_WORDS: usize = 2 * LANES;
 
 /// Buffers of one batch.
 struct Slot {
-    /// Packets it has room for, whole workgroups.
+    /// Packets that fit, in whole workgroups.
     capacity: usize,
-    /// Mapped for writing while the slot is in nobody's hands.
+    /// Mapped for writing while the slot is in the pool.
     upload: wgpu::Buffer,
     rays: wgpu::Buffer,
     hits: wgpu::Buffer,
@@ -44,16 +44,16 @@ struct Slot {
     group: wgpu::BindGroup,
 }
 
-/// A batch the device works on.
+/// A batch that was submitted to the device.
 struct Flight<'p> {
     packets: &'p mut [Packet],
     slot: Slot,
     submission: wgpu::SubmissionIndex,
-    /// Twice heard from: the read-back, and the upload for the next batch.
+    /// Receives two messages: the read-back is mapped; the upload is mapped for the next batch.
     mapped: mpsc::Receiver<Result<(), wgpu::BufferAsyncError>>,
 }
 
-/// A scene on the device, and the buffers to trace it with.
+/// A scene on the device, and a pool of buffers for batches.
 pub(super) struct LineKit {
     scene: LineScene,
     pool: Mutex<Vec<Slot>>,
@@ -64,7 +64,7 @@ impl LineKit {
         Self { scene, pool: Mutex::default() }
     }
 
-    /// A slot for `packets`, from the pool or new.
+    /// A slot for this number of packets, from the pool or new.
     fn slot(&self, device: &wgpu::Device, packets: usize) -> Result<Slot, String> {
         let spare = {
             let mut pool = lock(&self.pool);
@@ -122,8 +122,8 @@ impl Slot {
         })
     }
 
-    /// Copies the packets' rays into the upload, lanes that are none as rays without a direction, and unmaps
-    /// it.
+    /// Copies the packets' rays into the upload buffer and unmaps it. Unused lanes get the direction zero,
+    /// which hits nothing.
     fn fill(&self, packets: &[Packet]) -> Result<(), wgpu::MapRangeError> {
         {
             let bytes = 4 * RAY_WORDS;
@@ -158,7 +158,7 @@ impl<'a> GpuTracer<'a> {
         let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
         let room = usize::try_from(bytes / (4 * RAY_WORDS as u64)).unwrap_or(MOST_BATCH);
         let groups = limits.max_compute_workgroups_per_dimension as usize * GROUP;
-        // A power of two, as the slots are.
+        // A power of two, like the capacities of slots.
         let most = (room.min(groups).clamp(GROUP, MOST_BATCH) + 1).next_power_of_two() / 2;
         Self { gpu, kit, most }
     }
@@ -197,22 +197,22 @@ impl<'a> GpuTracer<'a> {
             pass.set_pipeline(&self.kit.scene.pipeline);
             pass.set_bind_group(0, &self.kit.scene.group, &[]);
             pass.set_bind_group(1, &slot.group, &[]);
-            // The last group may trace what an earlier batch left; nobody reads it. At most `most` / GROUP
-            // groups.
+            // The last group may also trace rays of an earlier batch; their hits are not read. There are at
+            // most `most` / GROUP groups.
             pass.dispatch_workgroups(packets.len().div_ceil(GROUP) as u32, 1, 1);
         }
         encoder.copy_buffer_to_buffer(&slot.hits, 0, &slot.read_back, 0, bytes(HIT_WORDS));
         let submission = b.queue.submit([encoder.finish()]);
         let (sender, mapped) = mpsc::channel();
         let again = sender.clone();
-        // Nobody listens any more when a batch before this one failed.
+        // The receiver is gone when an earlier batch failed.
         slot.read_back.map_async(wgpu::MapMode::Read, ..bytes(HIT_WORDS), move |r| drop(sender.send(r)));
         slot.upload.map_async(wgpu::MapMode::Write, .., move |r| drop(again.send(r)));
         b.check()?;
         Ok(Flight { packets, slot, submission, mapped })
     }
 
-    /// Waits for a batch and reads it. A slot is put back only when all went well.
+    /// Waits for a batch and reads its hits. The slot returns to the pool only on success.
     fn land(&self, flight: Flight<'_>) -> Result<(), BackendError> {
         let b = self.gpu;
         let Flight { packets, slot, submission, mapped } = flight;

@@ -1,5 +1,4 @@
-//! What cannot be seen of the line tracer from outside the crate: batches and pages. What it meets is tested
-//! in `tests/gpu_lines.rs`.
+//! Tests of the line tracer that need private items: batches and pages. `tests/gpu_lines.rs` tests the hits.
 
 use glam::Vec3;
 use sightline_scene::{Object, Scene, Triangle};
@@ -11,7 +10,7 @@ use crate::gpu::AdapterChoice;
 use crate::gpu::GpuBackend;
 use crate::gpu::line_scene::Refusal;
 
-/// Numbers in −1…1 that look random.
+/// Pseudo-random number in −1…1.
 fn noise(i: u32) -> f32 {
     let x = i.wrapping_mul(0x9e37_79b9) ^ 0x85eb_ca6b;
     let x = (x ^ (x >> 15)).wrapping_mul(0x2c1b_3c6d);
@@ -78,7 +77,8 @@ fn batches_pages_and_threads_change_no_bit() {
         assert!(p.triangle[p.count..].iter().all(|t| *t == SKY));
         assert!(p.triangle.iter().zip(p.distance).all(|(t, d)| (*t == SKY) == d.is_infinite()));
     }
-    // Three pages of 224 triangles, and of 336 nodes, of which there are at most twice as many as triangles.
+    // Three pages of 224 triangles each, and of 336 nodes each; there are at most twice as many nodes as
+    // triangles.
     let many = tracer(336 * 32);
     for (tracer, batch) in [(&one, 1), (&one, 64), (&many, 1024), (&many, 37)] {
         let mut again = packets(700);
