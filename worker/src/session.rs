@@ -37,8 +37,8 @@ fn key(l: &v1::Lease) -> LeaseKey {
     (l.job, l.tile, l.epoch, l.lease)
 }
 
-/// How long a worker whose name is taken tries again. The other worker may be its own predecessor on a machine
-/// that vanished: the coordinator ends such a connection after 30 s without an answer to its pings.
+/// How long a worker whose name is taken tries again. The other worker may be its own predecessor on a
+/// machine that vanished: the coordinator ends such a connection after 30 s without an answer to its pings.
 const NAME_TAKEN: Duration = Duration::from_secs(40);
 
 /// How one connection ended.

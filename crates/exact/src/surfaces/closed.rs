@@ -9,8 +9,8 @@
 //!
 //! Real surfaces have holes. Edges with an odd number of triangles are closed by *patches*: a fan from one
 //! corner for each connected set of such edges. The argument then holds for segments that miss the patches,
-//! and so for all segments if no patch meets the convex hull of cell and triangle. [`sightline_certificate::checker`] decides
-//! all this again from the triangles alone.
+//! and so for all segments if no patch meets the convex hull of cell and triangle.
+//! [`sightline_certificate::checker`] decides all this again from the triangles alone.
 
 use std::cmp::Ordering;
 

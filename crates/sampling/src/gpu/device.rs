@@ -30,7 +30,8 @@ pub(super) struct Gpu {
 }
 
 impl Gpu {
-    /// Opens the adapter of `choice` for `scene`; returns the device, and whether it is a software rasteriser.
+    /// Opens the adapter of `choice` for `scene`; returns the device, and whether it is a software
+    /// rasteriser.
     ///
     /// # Errors
     /// [`BackendError::Unavailable`] when there is no fitting adapter, or it cannot do `spec` or the scene.
