@@ -357,7 +357,8 @@ fn a_time_budget_leaves_a_sound_bracket() {
     assert!(short.cells.iter().any(|c| !c.undecided.is_empty()), "there was time for everything");
     let lines = sandbox.ok("info short.pvs");
     assert!(
-        lines.contains("visible from a cell: between ") && lines.contains("as what is undecided is drawn"),
+        lines.contains("visible from a cell: between ")
+            && lines.contains("because undecided triangles are drawn"),
         "{lines}"
     );
     let report = sandbox.json("verify slits.glb short.pvs");

@@ -53,7 +53,7 @@ pub enum StoreError {
         job: JobId,
     },
     /// The state of a job does not allow the change.
-    #[error("job {job} is {is}, so it cannot be {wanted}; `sightline show {job}` says more")]
+    #[error("job {job} is {is}, so it cannot be {wanted}; {}", remedy(.job, .is))]
     IllegalTransition {
         /// The job.
         job: JobId,
@@ -246,4 +246,13 @@ pub enum JournalError {
         /// The system's error.
         source: Arc<std::io::Error>,
     },
+}
+
+/// What a user can do with a job in a state.
+fn remedy(job: &JobId, is: &JobPhase) -> String {
+    match is {
+        JobPhase::Cancelled | JobPhase::Failed => format!("`sightline retry {job}` continues it"),
+        JobPhase::Paused => format!("`sightline resume {job}` continues it"),
+        _ => format!("`sightline show {job}` says more"),
+    }
 }

@@ -114,7 +114,8 @@ pub struct BakeArgs {
 
 #[derive(Args, Debug)]
 pub struct CoordinatorArgs {
-    /// Address to listen on. Port 0 takes any free port; the address is printed to stdout.
+    /// Address to listen on, such as 127.0.0.1:7600. Port 0 takes any free port; the address is printed to
+    /// stdout.
     #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:7600")]
     pub listen: SocketAddr,
     /// Directory for jobs, scenes and results.
@@ -130,8 +131,8 @@ pub struct WorkerArgs {
     /// Address of the coordinator.
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7600")]
     pub coordinator: String,
-    /// Backends that this worker offers; auto: every backend that works on this machine.
-    #[arg(long, value_parser = choice::<BackendChoice>(), default_value_t)]
+    /// Backends that this worker offers: cpu, gpu, or auto, every backend that works on this machine.
+    #[arg(long, value_parser = choice::<BackendChoice>(), default_value_t, hide_possible_values = true)]
     pub backend: BackendChoice,
     /// Use the Vulkan adapter whose name contains this text.
     #[arg(long, value_name = "TEXT")]
@@ -364,8 +365,8 @@ pub struct MeasureArgs {
     /// Side of one face of a cube in pixels, 8 to 4096.
     #[arg(long, value_name = "PX", default_value_t = 256)]
     pub resolution: u32,
-    /// The backend that renders the frames; auto: the cpu if Embree is installed, else the gpu.
-    #[arg(long, value_parser = choice::<BackendChoice>(), default_value_t)]
+    /// The backend that renders the frames: cpu, gpu, or auto, the cpu if Embree is installed, else the gpu.
+    #[arg(long, value_parser = choice::<BackendChoice>(), default_value_t, hide_possible_values = true)]
     pub backend: BackendChoice,
     /// Write the eight worst frames to this folder as PNG: correct pixels green, wrong pixels red.
     #[arg(long, value_name = "DIR")]

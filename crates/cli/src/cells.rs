@@ -206,13 +206,14 @@ fn exact_table(pvs: &Pvs, at: &dyn Fn(&str, usize) -> u64) -> Result<Vec<String>
     order.sort_by_key(|c| (std::cmp::Reverse(at("exact_regions", *c)), *c));
     let mut lines = vec![
         "the cells whose exact queries took the most work; queries about the box around a cell group count \
-         with its first cell. box: hidden from such a box; surfaces: of the other hidden triangles, those \
+         with its first cell. group: hidden from such a box; surfaces: of the other hidden triangles, those \
          hidden by the closed surface they belong to; missed: visible and not shown by sampling; regions: \
          visited regions of line space, on which queries spend their time"
             .to_owned(),
     ];
     let mut rows = vec![
-        ["cell", "undecided", "hidden", "box", "surfaces", "missed", "queries", "regions"].map(str::to_owned),
+        ["cell", "undecided", "hidden", "group", "surfaces", "missed", "queries", "regions"]
+            .map(str::to_owned),
     ];
     let mut ids = Vec::new();
     for cell in order.iter().copied().take(SHOWN) {

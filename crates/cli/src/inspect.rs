@@ -133,12 +133,14 @@ impl Summary {
             ),
             format!("view box {} to {}", corner(&self.view_box["min"]), corner(&self.view_box["max"])),
             match self.undecided {
+                // Sampling alone decides nothing, so it has no number of undecided triangles.
                 0 => format!(
-                    "visible from a cell: {:.0} triangles on average ({:.2} %), {} to {}; undecided: 0",
+                    "visible from a cell: {:.0} triangles on average ({:.2} %), {} to {}{}",
                     self.mean_visible,
                     self.mean_visible_fraction * 100.0,
                     self.min_visible,
                     self.max_visible,
+                    if self.decided.is_some() { "; undecided: 0" } else { "" },
                 ),
                 undecided => format!(
                     "visible from a cell: between {:.0} and {:.0} triangles on average; \
@@ -155,6 +157,11 @@ impl Summary {
                 self.file_bytes, self.bytes_per_cell, self.cells_set_aside
             ),
             match (self.greatest_bound, self.mean_bound) {
+                // The bounds are those of sampling, before exact queries found the rest.
+                _ if self.decided.is_some() && self.undecided > 0 => {
+                    "missed sight lines: none, because undecided triangles are drawn".to_owned()
+                }
+                _ if self.decided.is_some() => "missed sight lines: none".to_owned(),
                 (Some(greatest), Some(mean)) => format!(
                     "missed sight lines, bounds of {} cells at 95 % each: the greatest {:.4} %, {:.4} % on \
                      average",
@@ -165,10 +172,6 @@ impl Summary {
                 _ if self.info["sampling"]["max_error"].is_number() => {
                     "missed sight lines: the bound asked for was not reached in any cell".to_owned()
                 }
-                _ if self.decided.is_some() && self.undecided > 0 => {
-                    "missed sight lines: none, as what is undecided is drawn".to_owned()
-                }
-                _ if self.decided.is_some() => "missed sight lines: none".to_owned(),
                 _ if self.info["division"]["adaptive"].is_object() => {
                     "missed sight lines: not bounded (only those of a grid can be)".to_owned()
                 }
@@ -360,9 +363,12 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
     let aside =
         if pvs.is_set_aside(cell)? { "; SET ASIDE: this cell failed, everything is shown" } else { "" };
     print(&format!(
-        "cell {cell}, {min:?} to {max:?}: {} visible, {} of them undecided{aside}\n{}",
+        "cell {cell}, {min:?} to {max:?}: {} to draw{}{aside}\n{}",
         plural(visible.len(), what),
-        undecided.len(),
+        match undecided.len() {
+            0 => String::new(),
+            n => format!(": {} visible, {n} undecided", visible.len() - n),
+        },
         list.join(if args.items == Items::Objects { "\n" } else { " " })
     ))
 }

@@ -46,8 +46,8 @@ pub fn why(
         Some("visible") if answer["meets"] == true => format!("{about}: visible, because it meets the cell"),
         Some("visible") => {
             format!(
-                "{about}: visible along the segment from {} to {}, which is unobstructed up to the triangle \
-                 and ends on it or just behind it",
+                "{about}: visible along the segment from {} to {}, which crosses the triangle at its end and \
+                 meets no other triangle before",
                 answer["witness"][0], answer["witness"][1]
             )
         }
