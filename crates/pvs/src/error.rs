@@ -39,7 +39,8 @@ pub enum PvsError {
     },
     /// Some bytes were altered.
     #[error(
-        "the .pvs file is damaged: the bytes of its {section} do not match their checksum; copy it again, or bake it again"
+        "the .pvs file is damaged: the bytes of its {section} do not match their checksum; copy it again, or \
+         bake it again"
     )]
     Checksum {
         /// The part of the file.
