@@ -4,7 +4,7 @@
 //! further. Small limits keep the memory of a run in proportion to its input, so that a memory limit of the
 //! fuzzer is useful.
 
-use crate::load::{Limits, load_bytes_limited};
+use crate::load::{Limits, Options, load_bytes_with};
 use crate::{Scene, write_mesh_ply};
 
 /// Limits of one run.
@@ -35,14 +35,15 @@ pub fn scene_blob(bytes: &[u8]) -> bool {
 
 /// Loads `bytes`; encodes and decodes an accepted scene in both encodings.
 fn file(name: &str, bytes: &[u8]) -> bool {
-    let Ok(scene) = load_bytes_limited(name, bytes, None, &LIMITS) else { return false };
+    let options = Options { limits: LIMITS, rules: Vec::new() };
+    let Ok(scene) = load_bytes_with(name, bytes, None, &options).map(|l| l.scene) else { return false };
     let blob = scene.to_blob();
     let again = Scene::from_blob("fuzz", &blob).map(|s| s.to_blob());
     assert!(again.is_ok_and(|b| b == blob), "a loaded scene must survive its canonical bytes");
     let mut ply = Vec::new();
     let written = write_mesh_ply(&scene, &mut ply);
     assert!(written.is_ok(), "memory does not refuse writes");
-    let again = load_bytes_limited("fuzz.ply", &ply, None, &LIMITS);
+    let again = load_bytes_with("fuzz.ply", &ply, None, &options).map(|l| l.scene);
     let same = again.is_ok_and(|s| bits(&s) == bits(&scene));
     assert!(same, "a written mesh must load with the same vertices");
     true

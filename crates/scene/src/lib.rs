@@ -21,6 +21,7 @@ pub mod exact;
 pub mod fuzzing;
 pub mod generate;
 pub mod glb_out;
+pub mod kinds;
 pub mod load;
 pub mod overlap;
 pub mod ply_out;
@@ -28,7 +29,8 @@ pub mod scene;
 pub mod topology;
 
 pub use error::SceneError;
-pub use load::{load, load_bytes};
+pub use kinds::{Kind, Kinds, Rule};
+pub use load::{load, load_bytes, load_with};
 pub use ply_out::write_mesh_ply;
 pub use scene::{Object, Scene, SceneDigest, Triangle};
 pub use sightline_numbers::Aabb;

@@ -9,6 +9,7 @@ use glam::Vec3;
 use sightline_numbers::Aabb;
 
 use crate::SceneError;
+use crate::kinds::{self, Kinds};
 
 /// A triangle: three vertices in world space, in the winding of the file. 36 bytes without padding.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -62,10 +63,13 @@ pub struct Scene {
     triangles: Vec<Triangle>,
     objects: Vec<Object>,
     bounds: Aabb,
+    kinds: Kinds,
 }
 
-/// First bytes of a canonical scene: name and version of the encoding.
+/// First bytes of a canonical scene of opaque triangles: name and version of the encoding.
 const BLOB_MAGIC: &[u8; 8] = b"SLSCENE1";
+/// The same for a scene with kinds.
+const BLOB_MAGIC_KINDS: &[u8; 8] = b"SLSCENE2";
 /// Longest object name kept in a scene, in bytes; longer names are refused by [`Scene::new`].
 pub const MAX_NAME_BYTES: usize = 4096;
 
@@ -136,7 +140,31 @@ impl Scene {
                 "every triangle must belong to one object",
             ));
         }
-        Ok(Self { triangles, objects, bounds })
+        Ok(Self { triangles, objects, bounds, kinds: Kinds::opaque() })
+    }
+
+    /// The scene with other kinds of triangles.
+    ///
+    /// # Errors
+    /// [`SceneError::Bad`] when the kinds are those of another number of triangles.
+    pub fn with_kinds(self, file: &str, kinds: Kinds) -> Result<Self, SceneError> {
+        kinds.check(file, self.len())?;
+        Ok(Self { kinds, ..self })
+    }
+
+    /// The kinds of the triangles.
+    pub fn kinds(&self) -> &Kinds {
+        &self.kinds
+    }
+
+    /// Whether triangle `id` ends sight lines: it has an area, and its kind blocks.
+    pub fn blocks(&self, id: u32) -> bool {
+        self.kinds.kind(id).blocks() && !self.triangles[id as usize].is_degenerate()
+    }
+
+    /// Whether triangle `id` can be in a visibility set: it has an area, and its kind shows.
+    pub fn shows(&self, id: u32) -> bool {
+        self.kinds.kind(id).shows() && !self.triangles[id as usize].is_degenerate()
     }
 
     /// The triangles; index = id.
@@ -166,7 +194,9 @@ impl Scene {
     }
 
     /// The canonical bytes, which are uploaded and digested. Little-endian:
-    /// `SLSCENE1`, u32 N, u32 M, N × 9 f32, then M × (u32 count, u32 name length, name UTF-8).
+    /// `SLSCENE1`, u32 N, u32 M, N × 9 f32, then M × (u32 count, u32 name length, name UTF-8). A scene with
+    /// kinds begins with `SLSCENE2`, and its kinds follow the objects: u32 R, R × (u8 kind, glob), u32 S,
+    /// S × reason, u32 K, K × (u32 count, u8 kind, u32 reason), a glob or reason as u32 length and UTF-8.
     pub fn to_blob(&self) -> Vec<u8> {
         let names: usize = self.objects.iter().map(|o| o.name.len() + 8).sum();
         let mut out = Vec::with_capacity(16 + self.triangles.len() * 36 + names);
@@ -176,7 +206,8 @@ impl Scene {
 
     /// The canonical bytes, in parts.
     fn each_part(&self, mut take: impl FnMut(&[u8])) {
-        take(BLOB_MAGIC);
+        let with_kinds = self.kinds != Kinds::opaque();
+        take(if with_kinds { BLOB_MAGIC_KINDS } else { BLOB_MAGIC });
         take(&self.len().to_le_bytes());
         take(&(self.objects.len() as u32).to_le_bytes());
         if cfg!(target_endian = "big") {
@@ -190,6 +221,11 @@ impl Scene {
             take(&o.count.to_le_bytes());
             take(&(o.name.len() as u32).to_le_bytes());
             take(o.name.as_bytes());
+        }
+        if with_kinds {
+            let mut bytes = Vec::new();
+            kinds::write(&self.kinds, &mut bytes);
+            take(&bytes);
         }
     }
 
@@ -210,9 +246,11 @@ impl Scene {
             let b = bytes.get(at..at.checked_add(4)?)?;
             Some(u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
         };
-        if bytes.get(..8) != Some(BLOB_MAGIC.as_slice()) {
-            return Err(bad("header", "it is not a canonical scene"));
-        }
+        let with_kinds = match bytes.first_chunk::<8>() {
+            Some(BLOB_MAGIC) => false,
+            Some(BLOB_MAGIC_KINDS) => true,
+            _ => return Err(bad("header", "it is not a canonical scene")),
+        };
         let (Some(n), Some(m)) = (u32_at(8), u32_at(12)) else {
             return Err(bad("header", "it is cut short"));
         };
@@ -249,7 +287,12 @@ impl Scene {
                 .filter(|f| *f <= n)
                 .ok_or_else(|| bad(&element, "it names more triangles than there are"))?;
         }
-        if at != bytes.len() {
+        let rest = &bytes[at..];
+        if with_kinds {
+            let kinds = kinds::read(rest, n).map_err(|why| bad("kinds", why))?;
+            return Self::new(source, triangles, objects)?.with_kinds(source, kinds);
+        }
+        if !rest.is_empty() {
             return Err(bad("end", "there are bytes after the last object"));
         }
         Self::new(source, triangles, objects)

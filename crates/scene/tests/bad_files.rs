@@ -183,12 +183,13 @@ fn four_gigabytes_out_of_nothing() {
 
 #[test]
 fn instances_beyond_the_limit() {
-    use sightline_scene::load::{Limits, load_bytes_limited};
+    use sightline_scene::load::{Limits, Options, load_bytes_with};
     let mut g = square();
     g.json["nodes"] = json!(vec![json!({"mesh": 0}); 10]);
     g.json["scenes"][0]["nodes"] = json!((0..10).collect::<Vec<_>>());
     let load = |triangles, objects| {
-        load_bytes_limited("a.glb", &g.glb(), None, &Limits { triangles, objects }).map(|s| s.len())
+        let options = Options { limits: Limits { triangles, objects }, ..Options::default() };
+        load_bytes_with("a.glb", &g.glb(), None, &options).map(|l| l.scene.len())
     };
     assert_eq!(load(20, 10).unwrap(), 20);
     assert!(

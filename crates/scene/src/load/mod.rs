@@ -1,12 +1,14 @@
 //! Reading scene files: OBJ, PLY, glTF and GLB become one [`Scene`] whose ids follow the order of the file.
 //!
 //! The content of a file determines its kind, which must agree with the extension. Nothing is repaired: a
-//! file that violates its format is refused with the element at fault. Materials, normals, texture
-//! coordinates, skinning, morphing and animation are ignored, because they do not change which static
-//! triangles exist.
+//! file that violates its format is refused with the element at fault. Materials, animations and skins decide
+//! the kinds of triangles ([`mod@crate::kinds`]), unless a rule of the user does. Normals, texture coordinates
+//! and morph targets are ignored.
 
 mod gltf;
 mod limits;
+mod marks;
+mod mtl;
 mod names;
 mod obj;
 mod ply;
@@ -14,10 +16,29 @@ mod sniff;
 
 use std::path::Path;
 
-use crate::{Scene, SceneError};
+use self::marks::Marks;
+use crate::{Rule, Scene, SceneError};
 pub use limits::Limits;
 use limits::read_file;
 pub use sniff::Kind;
+
+/// Options of loading.
+#[derive(Clone, Debug, Default)]
+pub struct Options {
+    /// Limits of the scene.
+    pub limits: Limits,
+    /// Rules about the kinds of triangles, which go before the file; of several that match, the last counts.
+    pub rules: Vec<Rule>,
+}
+
+/// A loaded scene.
+#[derive(Clone, Debug)]
+pub struct Loaded {
+    /// The scene.
+    pub scene: Scene,
+    /// Faults that did not stop the loading: a missing material library, a rule that matches nothing.
+    pub warnings: Vec<String>,
+}
 
 /// Reads the scene in `path`, whose extension must agree with its content.
 ///
@@ -26,6 +47,14 @@ pub use sniff::Kind;
 /// # Errors
 /// [`SceneError::Io`] when a file cannot be read, [`SceneError::Bad`] when its contents cannot be used.
 pub fn load(path: &Path) -> Result<Scene, SceneError> {
+    load_with(path, &Options::default()).map(|l| l.scene)
+}
+
+/// [`load`] with options; returns warnings as well.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_with(path: &Path, options: &Options) -> Result<Loaded, SceneError> {
     let name = path.display().to_string();
     let bytes = read_file(path, u64::MAX)?;
     // The empty parent of a bare file name is the current directory.
@@ -33,7 +62,7 @@ pub fn load(path: &Path) -> Result<Scene, SceneError> {
         Some(p) if !p.as_os_str().is_empty() => p,
         _ => Path::new("."),
     };
-    load_bytes(&name, &bytes, Some(base))
+    load_bytes_with(&name, &bytes, Some(base), options)
 }
 
 /// Reads a scene held in memory. `name` appears in errors and gives the extension; a name without a known
@@ -42,23 +71,27 @@ pub fn load(path: &Path) -> Result<Scene, SceneError> {
 /// # Errors
 /// As [`load`].
 pub fn load_bytes(name: &str, bytes: &[u8], base_dir: Option<&Path>) -> Result<Scene, SceneError> {
-    load_bytes_limited(name, bytes, base_dir, &Limits::default())
+    load_bytes_with(name, bytes, base_dir, &Options::default()).map(|l| l.scene)
 }
 
-/// [`load_bytes`] with limits on the number of triangles and objects.
+/// [`load_bytes`] with options; returns warnings as well.
 ///
 /// # Errors
-/// As [`load`], and [`SceneError::Bad`] when the scene is beyond `limits`.
-pub fn load_bytes_limited(
+/// As [`load`], and [`SceneError::Bad`] when the scene is beyond the limits.
+pub fn load_bytes_with(
     name: &str,
     bytes: &[u8],
     base_dir: Option<&Path>,
-    limits: &Limits,
-) -> Result<Scene, SceneError> {
-    match sniff::kind_of(name, bytes)? {
-        Kind::Obj => obj::parse(name, bytes, limits),
-        Kind::Ply => ply::parse(name, bytes, limits),
-        Kind::Gltf => gltf::parse_json(name, bytes, base_dir, limits),
-        Kind::Glb => gltf::parse_glb(name, bytes, base_dir, limits),
-    }
+    options: &Options,
+) -> Result<Loaded, SceneError> {
+    let mut marks = Marks::new(name, &options.rules)?;
+    let limits = &options.limits;
+    let scene = match sniff::kind_of(name, bytes)? {
+        Kind::Obj => obj::parse(name, bytes, base_dir, limits, &mut marks),
+        Kind::Ply => ply::parse(name, bytes, limits, &mut marks),
+        Kind::Gltf => gltf::parse_json(name, bytes, base_dir, limits, &mut marks),
+        Kind::Glb => gltf::parse_glb(name, bytes, base_dir, limits, &mut marks),
+    }?;
+    let (kinds, warnings) = marks.finish();
+    Ok(Loaded { scene: scene.with_kinds(name, kinds)?, warnings })
 }

@@ -1,4 +1,4 @@
-//! Wavefront OBJ: `v`, `f`, `o` and `g`; all other statements are not geometry and are skipped.
+//! Wavefront OBJ: `v`, `f`, `o`, `g`, `mtllib` and `usemtl`; all other statements are skipped.
 //!
 //! Faces keep the order of the file, an n-gon becomes the fan (v0, vi, vi+1), and each run of faces between
 //! two `o` or `g` statements is an object (an empty run is not). Free-form surfaces (`surf`) are refused, not
@@ -7,9 +7,13 @@
 //! The parser is our own: the crate `tobj` gives errors without line numbers, splits objects where the
 //! material changes, and builds index arrays that are not needed here.
 
+use std::path::Path;
+
 use glam::Vec3;
 
 use super::limits::{EXPORT_AGAIN, Limits, REPAIR_VERTEX, too_many_objects, too_many_triangles};
+use super::marks::{Mark, Marks};
+use super::mtl::Materials;
 use super::names::Names;
 use crate::{Object, Scene, SceneError, Triangle};
 
@@ -36,10 +40,24 @@ struct Reader<'a> {
     opens: bool,
     /// The corners of the current face as vertex indices, from 0.
     face: Vec<usize>,
+    base_dir: Option<&'a Path>,
+    materials: Materials,
+    marks: &'a mut Marks,
+    material: Vec<u8>,
+    /// The mark of the current material.
+    mark: Mark,
+    /// Triangles since the object or the material last changed.
+    run: u32,
 }
 
 /// Reads an OBJ file.
-pub(super) fn parse(file: &str, bytes: &[u8], limits: &Limits) -> Result<Scene, SceneError> {
+pub(super) fn parse(
+    file: &str,
+    bytes: &[u8],
+    base_dir: Option<&Path>,
+    limits: &Limits,
+    marks: &mut Marks,
+) -> Result<Scene, SceneError> {
     let mut r = Reader {
         file,
         limits,
@@ -52,6 +70,12 @@ pub(super) fn parse(file: &str, bytes: &[u8], limits: &Limits) -> Result<Scene, 
         group: String::new(),
         opens: true,
         face: Vec::new(),
+        base_dir,
+        materials: Materials::default(),
+        marks,
+        material: Vec::new(),
+        mark: Mark::DEFAULT,
+        run: 0,
     };
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     // Very old exporters end lines with a carriage return alone.
@@ -121,8 +145,34 @@ impl Reader<'_> {
             Some(word @ (b"o" | b"g")) => {
                 let name = text.trim_ascii().strip_prefix(word).unwrap_or_default().trim_ascii();
                 let name = String::from_utf8_lossy(name).into_owned();
+                self.end_run();
                 *(if word == b"o" { &mut self.object } else { &mut self.group }) = name;
                 self.opens = true;
+                Ok(())
+            }
+            Some(b"mtllib") => {
+                let names = text.trim_ascii().strip_prefix(b"mtllib").unwrap_or_default().trim_ascii();
+                self.materials.read(self.base_dir, names, self.marks);
+                Ok(())
+            }
+            Some(b"usemtl") => {
+                self.end_run();
+                let name = text.trim_ascii().strip_prefix(b"usemtl").unwrap_or_default().trim_ascii();
+                self.material = name.to_vec();
+                self.mark = self.materials.get(name).cloned().unwrap_or_else(|| {
+                    self.marks.warn(match self.materials.any {
+                        true => format!(
+                            "the material {:?} is in no library that was read; it is taken as opaque",
+                            show(name)
+                        ),
+                        false => {
+                            "the scene uses materials, but no material library was read; all are taken as \
+                                  opaque"
+                                .to_owned()
+                        }
+                    });
+                    Mark::DEFAULT
+                });
                 Ok(())
             }
             Some(b"surf") => Err(self.bad(
@@ -181,6 +231,7 @@ impl Reader<'_> {
                 }
             }
             self.triangles.push(Triangle { v });
+            self.run += 1;
         }
         Ok(())
     }
@@ -228,8 +279,19 @@ impl Reader<'_> {
         Ok(())
     }
 
+    /// Marks the triangles since the object or the material last changed.
+    fn end_run(&mut self) {
+        if let (Some(object), 1..) = (self.objects.last(), self.run) {
+            let material = String::from_utf8_lossy(&self.material);
+            let names = [object.name.as_str(), &self.object, &self.group, &material];
+            self.marks.push(self.run, &names, &self.mark);
+        }
+        self.run = 0;
+    }
+
     /// Sets the count of the last object to all triangles since its first.
     fn close_object(&mut self) {
+        self.end_run();
         if let Some(last) = self.objects.last_mut() {
             last.count = self.triangles.len() as u32 - last.first;
         }

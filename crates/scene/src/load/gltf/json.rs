@@ -4,6 +4,7 @@
 //! Only JSON types are checked here: indices, counts and offsets are as the file gives them.
 
 use serde::Deserialize;
+use serde_json::Value;
 
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
@@ -16,6 +17,11 @@ pub(super) struct Root {
     pub(super) nodes: Vec<Node>,
     #[serde(default)]
     pub(super) meshes: Vec<Mesh>,
+    /// Of materials and animations any JSON is read, so that a fault there does not refuse the scene.
+    #[serde(default)]
+    pub(super) materials: Vec<Value>,
+    #[serde(default)]
+    pub(super) animations: Vec<Value>,
     #[serde(default)]
     pub(super) accessors: Vec<Accessor>,
     #[serde(default)]
@@ -47,6 +53,8 @@ pub(super) struct Node {
     #[serde(default)]
     pub(super) children: Vec<usize>,
     pub(super) mesh: Option<usize>,
+    pub(super) skin: Option<Value>,
+    pub(super) extras: Option<Box<Value>>,
     /// Column-major. Boxed, as few nodes have one.
     pub(super) matrix: Option<Box<[f64; 16]>>,
     pub(super) translation: Option<Box<[f64; 3]>>,
@@ -58,6 +66,7 @@ pub(super) struct Node {
 #[derive(Debug, Deserialize)]
 pub(super) struct Mesh {
     pub(super) name: Option<String>,
+    pub(super) extras: Option<Box<Value>>,
     pub(super) primitives: Vec<Primitive>,
 }
 
@@ -65,6 +74,7 @@ pub(super) struct Mesh {
 pub(super) struct Primitive {
     pub(super) attributes: Attributes,
     pub(super) indices: Option<usize>,
+    pub(super) material: Option<Value>,
     pub(super) mode: Option<u32>,
 }
 

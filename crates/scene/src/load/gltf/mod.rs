@@ -14,6 +14,7 @@ mod accessor;
 mod buffers;
 mod component;
 mod json;
+mod kinds;
 mod meshopt;
 mod nodes;
 mod primitive;
@@ -30,6 +31,7 @@ use self::accessor::Accessors;
 use self::buffers::Buffers;
 use self::source::{QUANTIZATION, Source};
 use super::limits::{EXPORT_AGAIN, Limits, too_many_objects, too_many_triangles};
+use super::marks::Marks;
 use super::names::Names;
 use crate::{Object, Scene, SceneError, Triangle};
 
@@ -56,8 +58,9 @@ pub(super) fn parse_json(
     bytes: &[u8],
     base_dir: Option<&Path>,
     limits: &Limits,
+    marks: &mut Marks,
 ) -> Result<Scene, SceneError> {
-    build(&Source { file, base_dir, limits }, bytes, None)
+    build(&Source { file, base_dir, limits }, bytes, None, marks)
 }
 
 /// Reads a `.glb` file: a header, a chunk of JSON and at most one chunk of binary data that buffer 0 means.
@@ -67,6 +70,7 @@ pub(super) fn parse_glb(
     bytes: &[u8],
     base_dir: Option<&Path>,
     limits: &Limits,
+    marks: &mut Marks,
 ) -> Result<Scene, SceneError> {
     let bad = |element: &str, reason: String| SceneError::bad(file, element, reason, EXPORT_AGAIN);
     let word = |at: usize| bytes.get(at..)?.first_chunk::<4>().map(|b| u32::from_le_bytes(*b));
@@ -101,17 +105,23 @@ pub(super) fn parse_glb(
         at += len;
     }
     let json = json.ok_or_else(|| bad("GLB chunk 0", "it is not the JSON chunk".to_owned()))?;
-    build(&Source { file, base_dir, limits }, json, binary)
+    build(&Source { file, base_dir, limits }, json, binary, marks)
 }
 
-fn build(source: &Source<'_>, json: &[u8], binary: Option<&[u8]>) -> Result<Scene, SceneError> {
+fn build(
+    source: &Source<'_>,
+    json: &[u8],
+    binary: Option<&[u8]>,
+    marks: &mut Marks,
+) -> Result<Scene, SceneError> {
     let json = json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(json);
     let root: json::Root =
         serde_json::from_slice(json).map_err(|e| source.bad("glTF JSON", e.to_string()))?;
     check_version(source, &root)?;
     check_extensions(source, &root)?;
 
-    let draws = nodes::walk(source, &root)?;
+    let materials = kinds::materials(&root, marks);
+    let draws = nodes::walk(source, &root, marks)?;
     let buffers = Buffers::read(source, &root, json, binary, &draws)?;
     let accessors = Accessors::resolve(source, &root, &buffers, &draws)?;
 
@@ -120,7 +130,9 @@ fn build(source: &Source<'_>, json: &[u8], binary: Option<&[u8]>) -> Result<Scen
     let mut objects = Vec::new();
     let mut names = Names::default();
     for draw in &draws {
-        for p in 0..root.meshes[draw.mesh].primitives.len() {
+        let mesh = &root.meshes[draw.mesh];
+        let extras = kinds::Extras::read(mesh.extras.as_deref(), || format!("mesh {}", draw.mesh), marks);
+        for (p, part) in mesh.primitives.iter().enumerate() {
             if objects.len() >= source.limits.objects as usize {
                 return Err(too_many_objects(source.file, primitive::label(draw, p), source.limits));
             }
@@ -131,6 +143,16 @@ fn build(source: &Source<'_>, json: &[u8], binary: Option<&[u8]>) -> Result<Scen
                 return Err(too_many_triangles(source.file, primitive::label(draw, p), source.limits));
             }
             let name = names.unique(object_name(&root, draw, p));
+            let material = kinds::material_of(part, &materials, || primitive::label(draw, p), marks);
+            let mark = kinds::mark((draw.skinned, draw.animated), (draw.extras, extras), material);
+            let own = |name: &'_ Option<String>| name.clone().unwrap_or_default();
+            let (node, material) =
+                (own(&root.nodes[draw.node].name), material.map_or("", |m| m.name.as_str()));
+            marks.push(
+                count as u32,
+                &[name.as_str(), node.as_str(), own(&mesh.name).as_str(), material],
+                &mark,
+            );
             // Both are at most `limits.triangles`, a u32.
             objects.push(Object { name, first: first as u32, count: count as u32 });
         }

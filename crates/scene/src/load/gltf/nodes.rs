@@ -2,9 +2,11 @@
 
 use glam::DAffine3;
 
+use super::kinds::{self, Extras};
 use super::source::Source;
 use super::{json, transform};
 use crate::SceneError;
+use crate::load::marks::Marks;
 
 /// A mesh and the transform of a node that has it.
 #[derive(Debug)]
@@ -12,6 +14,12 @@ pub(super) struct Draw {
     pub(super) node: usize,
     pub(super) mesh: usize,
     pub(super) world: DAffine3,
+    /// Whether an animation moves the node or an ancestor.
+    pub(super) animated: bool,
+    /// Whether a skin deforms the mesh.
+    pub(super) skinned: bool,
+    /// The extras of the node and its ancestors.
+    pub(super) extras: Extras,
 }
 
 /// All draws of the scene to show: the default one, else the first, else (without scenes) every root node.
@@ -19,12 +27,18 @@ pub(super) struct Draw {
 /// The stack is explicit, so that a deep hierarchy takes memory in proportion to the file and does not
 /// overflow the call stack. Each node is visited at most once: the format allows it one parent, which also
 /// excludes cycles.
-pub(super) fn walk(source: &Source<'_>, root: &json::Root) -> Result<Vec<Draw>, SceneError> {
+pub(super) fn walk(
+    source: &Source<'_>,
+    root: &json::Root,
+    marks: &mut Marks,
+) -> Result<Vec<Draw>, SceneError> {
     let roots = roots(source, root)?;
     let mut met = vec![false; root.nodes.len()];
     let mut draws = Vec::new();
-    let mut stack: Vec<(usize, DAffine3)> = roots.iter().rev().map(|n| (*n, DAffine3::IDENTITY)).collect();
-    while let Some((n, parent)) = stack.pop() {
+    let moved = kinds::animated(root);
+    let start = |n: &usize| (*n, DAffine3::IDENTITY, false, Extras::default());
+    let mut stack: Vec<(usize, DAffine3, bool, Extras)> = roots.iter().rev().map(start).collect();
+    while let Some((n, parent, moves, outer)) = stack.pop() {
         let element = format!("node {n}");
         let Some(node) = root.nodes.get(n) else {
             return Err(source.bad(element, format!("it is named, but there are {} nodes", root.nodes.len())));
@@ -38,14 +52,17 @@ pub(super) fn walk(source: &Source<'_>, root: &json::Root) -> Result<Vec<Draw>, 
         if !world.is_finite() {
             return Err(source.bad(element, "its transform, with those of its parents, is not finite"));
         }
+        let animated = moves || moved[n];
+        let extras = Extras::read(node.extras.as_deref(), || element.clone(), marks).or(outer);
         if let Some(mesh) = node.mesh {
             if mesh >= root.meshes.len() {
                 let reason = format!("it names mesh {mesh} of {}", root.meshes.len());
                 return Err(source.bad(element, reason));
             }
-            draws.push(Draw { node: n, mesh, world });
+            let skinned = node.skin.is_some();
+            draws.push(Draw { node: n, mesh, world, animated, skinned, extras });
         }
-        stack.extend(node.children.iter().rev().map(|c| (*c, world)));
+        stack.extend(node.children.iter().rev().map(|c| (*c, world, animated, extras)));
     }
     Ok(draws)
 }

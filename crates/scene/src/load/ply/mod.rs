@@ -14,10 +14,16 @@ use glam::Vec3;
 use self::header::{Element, Format, Header, Property};
 use self::value::{Ascii, Binary, Values};
 use super::limits::{EXPORT_AGAIN, Limits, REPAIR_VERTEX, too_many_triangles};
+use super::marks::{Mark, Marks};
 use crate::{Object, Scene, SceneError, Triangle};
 
 /// Reads a PLY file.
-pub(super) fn parse(file: &str, bytes: &[u8], limits: &Limits) -> Result<Scene, SceneError> {
+pub(super) fn parse(
+    file: &str,
+    bytes: &[u8],
+    limits: &Limits,
+    marks: &mut Marks,
+) -> Result<Scene, SceneError> {
     let header = header::read(file, bytes)?;
     let body = &bytes[header.body..];
     let mut r = Reader { file, limits, vertices: Vec::new(), triangles: Vec::new() };
@@ -28,6 +34,7 @@ pub(super) fn parse(file: &str, bytes: &[u8], limits: &Limits) -> Result<Scene, 
     }
     // The number of triangles is at most `limits.triangles`, a u32.
     let whole = Object { name: "mesh".to_owned(), first: 0, count: r.triangles.len() as u32 };
+    marks.push(whole.count, &[whole.name.as_str()], &Mark::DEFAULT);
     Scene::new(file, r.triangles, vec![whole])
 }
 

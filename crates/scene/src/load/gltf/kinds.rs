@@ -1,0 +1,150 @@
+//! The kinds of a glTF file's triangles: from materials, animations, skins and extras.
+//!
+//! A material with `alphaMode` MASK or BLEND, or with transmission, is see-through. The mesh of a node that
+//! an animation moves, or that has such an ancestor, and a skinned mesh are moving. `extras.sightline` with
+//! the fields `blocks` and `shows` goes before both; of several the one nearest to the triangles counts, for
+//! each field: that of the material, then of the mesh, the node, and the node's ancestors.
+
+use serde_json::Value;
+
+use super::json;
+use crate::kinds::Kind;
+use crate::load::marks::{Mark, Marks};
+
+/// The fields of `extras.sightline`, where they are given.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Extras {
+    blocks: Option<bool>,
+    shows: Option<bool>,
+}
+
+impl Extras {
+    /// These fields, and those of `outer` where they are not given.
+    pub(super) fn or(self, outer: Self) -> Self {
+        Self { blocks: self.blocks.or(outer.blocks), shows: self.shows.or(outer.shows) }
+    }
+
+    /// The fields of an element's extras. `element` names it in warnings.
+    pub(super) fn read(extras: Option<&Value>, element: impl Fn() -> String, marks: &mut Marks) -> Self {
+        let mut out = Self::default();
+        let Some(own) = extras.and_then(|e| e.get("sightline")) else { return out };
+        let Some(fields) = own.as_object() else {
+            marks.warn(format!(
+                "{}: extras.sightline is no object; give {{\"blocks\": …, \"shows\": …}}",
+                element()
+            ));
+            return out;
+        };
+        for (key, value) in fields {
+            let field = match key.as_str() {
+                "blocks" => &mut out.blocks,
+                "shows" => &mut out.shows,
+                _ => {
+                    let shown: String = key.chars().take(40).collect();
+                    marks.warn(format!(
+                        "{}: extras.sightline has the unknown field {shown:?}; it can have blocks and shows",
+                        element()
+                    ));
+                    continue;
+                }
+            };
+            *field = value.as_bool();
+            if field.is_none() {
+                marks.warn(format!("{}: extras.sightline.{key} is neither true nor false", element()));
+            }
+        }
+        out
+    }
+}
+
+/// The part of a material that decides the kind of its triangles.
+pub(super) struct Material {
+    pub(super) name: String,
+    see_through: Option<&'static str>,
+    extras: Extras,
+}
+
+/// The materials of a file.
+pub(super) fn materials(root: &json::Root, marks: &mut Marks) -> Vec<Material> {
+    let materials = root.materials.iter().enumerate();
+    materials
+        .map(|(number, m)| {
+            let factor = |extension: &str, factor: &str| -> bool {
+                let given = m.get("extensions").and_then(|e| e.get(extension)).and_then(|e| e.get(factor));
+                given.and_then(Value::as_f64).is_some_and(|f| f > 0.0)
+            };
+            let see_through = match m.get("alphaMode").and_then(Value::as_str) {
+                Some("MASK") => Some("alphaMode MASK"),
+                Some("BLEND") => Some("alphaMode BLEND"),
+                _ if factor("KHR_materials_transmission", "transmissionFactor") => {
+                    Some("KHR_materials_transmission")
+                }
+                _ if factor("KHR_materials_diffuse_transmission", "diffuseTransmissionFactor") => {
+                    Some("KHR_materials_diffuse_transmission")
+                }
+                _ => None,
+            };
+            let name = m.get("name").and_then(Value::as_str).unwrap_or_default().to_owned();
+            let extras = Extras::read(m.get("extras"), || format!("material {number}"), marks);
+            Material { name, see_through, extras }
+        })
+        .collect()
+}
+
+/// Whether an animation moves each node itself; its descendants move with it.
+pub(super) fn animated(root: &json::Root) -> Vec<bool> {
+    let mut moved = vec![false; root.nodes.len()];
+    let channels = root.animations.iter().filter_map(|a| a.get("channels")?.as_array()).flatten();
+    for target in channels.filter_map(|c| c.get("target")) {
+        let pointer = || {
+            let pointer = target.get("extensions")?.get("KHR_animation_pointer")?.get("pointer")?.as_str()?;
+            pointer.strip_prefix("/nodes/")?.split('/').next()?.parse::<u64>().ok()
+        };
+        let node = target.get("node").and_then(Value::as_u64).or_else(pointer);
+        if let Some(moved) = node.and_then(|n| moved.get_mut(usize::try_from(n).ok()?)) {
+            *moved = true;
+        }
+    }
+    moved
+}
+
+/// The material of a primitive, if it has one that is there.
+pub(super) fn material_of<'a>(
+    primitive: &json::Primitive,
+    materials: &'a [Material],
+    label: impl Fn() -> String,
+    marks: &mut Marks,
+) -> Option<&'a Material> {
+    let given = primitive.material.as_ref()?;
+    let found = given.as_u64().and_then(|m| materials.get(usize::try_from(m).ok()?));
+    if found.is_none() {
+        marks.warn(format!("{}: it names material {given} of {}", label(), materials.len()));
+    }
+    found
+}
+
+/// The mark of a primitive's triangles.
+///
+/// `node` holds the extras of the node and its ancestors; `skinned` and `animated` tell how it moves.
+pub(super) fn mark(
+    (skinned, animated): (bool, bool),
+    (node, mesh): (Extras, Extras),
+    material: Option<&Material>,
+) -> Mark {
+    let file = if skinned {
+        Mark::of(Kind::Moving, "skinned mesh")
+    } else if animated {
+        Mark::of(Kind::Moving, "animated node")
+    } else if let Some(reason) = material.and_then(|m| m.see_through) {
+        Mark::of(Kind::SeeThrough, reason)
+    } else {
+        Mark::DEFAULT
+    };
+    let extras = material.map(|m| m.extras).unwrap_or_default().or(mesh).or(node);
+    if extras == Extras::default() {
+        return file;
+    }
+    let (blocks, shows) =
+        (extras.blocks.unwrap_or(file.kind.blocks()), extras.shows.unwrap_or(file.kind.shows()));
+    Mark::of(Kind::of(blocks, shows), "extras.sightline")
+}

@@ -1,0 +1,154 @@
+//! The kinds of triangles that loaders find in materials, animations, skins and extras.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+mod support;
+
+use serde_json::{Value, json};
+use sightline_scene::kinds::{Kind, Rule};
+use sightline_scene::load::{Loaded, Options, load_bytes_with, load_with};
+use support::Gltf;
+
+/// A file with as many nodes as `nodes`, each with a mesh of one triangle: `changes` sees the document.
+fn load(nodes: usize, change: impl FnOnce(&mut Value)) -> Loaded {
+    let mut g = Gltf::default();
+    let p = g.positions(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+    for _ in 0..nodes {
+        g.mesh(json!([{"attributes": {"POSITION": p}}]));
+    }
+    g.json["nodes"] = (0..nodes).map(|n| json!({"mesh": n})).collect();
+    g.json["scenes"][0]["nodes"] = (0..nodes).collect();
+    change(&mut g.json);
+    load_bytes_with("test.glb", &g.glb(), None, &Options::default()).unwrap()
+}
+
+fn kinds(loaded: &Loaded) -> Vec<Kind> {
+    (0..loaded.scene.len()).map(|t| loaded.scene.kinds().kind(t)).collect()
+}
+
+#[test]
+fn materials_with_holes_or_transmission_are_see_through() {
+    use Kind::{Opaque, SeeThrough};
+    let loaded = load(7, |j| {
+        j["materials"] = json!([
+            {"alphaMode": "OPAQUE"}, {"alphaMode": "MASK"}, {"alphaMode": "BLEND"},
+            {"extensions": {"KHR_materials_transmission": {"transmissionFactor": 0.5}}},
+            {"extensions": {"KHR_materials_transmission": {}}},
+            {"extensions": {"KHR_materials_diffuse_transmission": {"diffuseTransmissionFactor": 1}}},
+            // A fault in a material refuses no scene.
+            {"alphaMode": 7, "extensions": []},
+        ]);
+        for m in 0..7 {
+            j["meshes"][m]["primitives"][0]["material"] = json!(m);
+        }
+    });
+    assert_eq!(kinds(&loaded), [Opaque, SeeThrough, SeeThrough, SeeThrough, Opaque, SeeThrough, Opaque]);
+    assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
+    let reasons: Vec<String> = loaded.scene.kinds().counts().into_iter().map(|c| c.reason).collect();
+    assert!(reasons.contains(&"alphaMode MASK".to_owned()), "{reasons:?}");
+    // The kinds are part of the canonical bytes.
+    let again = sightline_scene::Scene::from_blob("blob", &loaded.scene.to_blob()).unwrap();
+    assert_eq!(again.kinds(), loaded.scene.kinds());
+    assert_ne!(again.digest(), load(7, |_| {}).scene.digest());
+}
+
+#[test]
+fn what_moves_neither_blocks_nor_shows() {
+    use Kind::{Moving, Opaque};
+    // 0 is animated, 1 hangs below 0, 2 is skinned, 3 is animated through a pointer, 4 stands still.
+    let loaded = load(5, |j| {
+        j["scenes"][0]["nodes"] = json!([0, 2, 3, 4]);
+        j["nodes"][0]["children"] = json!([1]);
+        j["nodes"][2]["skin"] = json!(0);
+        let pointer = json!({"KHR_animation_pointer": {"pointer": "/nodes/3/translation"}});
+        j["animations"] = json!([{"channels": [
+            {"sampler": 0, "target": {"node": 0, "path": "rotation"}},
+            {"sampler": 0, "target": {"path": "pointer", "extensions": pointer}},
+            {"sampler": 0, "target": {"node": 99, "path": "rotation"}}, {}, 7,
+        ]}, {}]);
+    });
+    assert_eq!(kinds(&loaded), [Moving, Moving, Moving, Moving, Opaque]);
+}
+
+#[test]
+fn the_nearest_extras_count_for_each_field() {
+    use Kind::{Moving, OccluderOnly, Opaque, SeeThrough};
+    let extras = |blocks: Value, shows: Value| json!({"sightline": {"blocks": blocks, "shows": shows}});
+    let loaded = load(6, |j| {
+        j["scenes"][0]["nodes"] = json!([0, 2, 3, 4, 5]);
+        j["materials"] = json!([
+            {"alphaMode": "BLEND", "extras": {"sightline": {"blocks": true}}},
+            {"extras": {"sightline": {"shows": false}}},
+        ]);
+        // An ancestor's extras reach its children; the mesh is nearer than the node, the material nearest.
+        j["nodes"][0]["extras"] = extras(json!(false), json!(true));
+        j["nodes"][0]["children"] = json!([1]);
+        j["meshes"][1]["extras"] = json!({"sightline": {"shows": false}});
+        j["nodes"][2]["extras"] = json!({"sightline": {"blocks": false}});
+        j["meshes"][2]["primitives"][0]["material"] = json!(0);
+        j["meshes"][3]["primitives"][0]["material"] = json!(1);
+        // Faults are named and change nothing.
+        j["nodes"][4]["extras"] = json!({"sightline": {"blocks": "no", "hides": true}});
+        j["nodes"][5]["extras"] = json!({"sightline": 7});
+    });
+    assert_eq!(kinds(&loaded), [SeeThrough, Moving, Opaque, OccluderOnly, Opaque, Opaque]);
+    let warnings = loaded.warnings.join("\n");
+    for part in ["node 4: extras.sightline.blocks is neither", "unknown field \"hides\"", "node 5"] {
+        assert!(warnings.contains(part), "{part} in {warnings}");
+    }
+}
+
+#[test]
+fn rules_match_names_of_objects_nodes_meshes_and_materials() {
+    let names = |j: &mut Value| {
+        j["materials"] = json!([{"name": "brick"}]);
+        for (n, name) in ["hall", "door", "tree"].iter().enumerate() {
+            j["nodes"][n]["name"] = json!(name);
+        }
+        j["meshes"][2]["name"] = json!("leaves");
+        j["meshes"][0]["primitives"][0]["material"] = json!(0);
+    };
+    let mut g = Gltf::default();
+    let p = g.positions(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+    (0..3).for_each(|_| {
+        g.mesh(json!([{"attributes": {"POSITION": p}}]));
+    });
+    g.json["nodes"] = (0..3).map(|n| json!({"mesh": n})).collect();
+    g.json["scenes"][0]["nodes"] = json!([0, 1, 2]);
+    names(&mut g.json);
+    let with = |rules: &[(Kind, &str)]| {
+        let rules = rules.iter().map(|(kind, glob)| Rule::new(*kind, glob).unwrap()).collect();
+        let options = Options { rules, ..Options::default() };
+        load_bytes_with("test.glb", &g.glb(), None, &options).unwrap()
+    };
+    use Kind::{Moving, OccluderOnly, Opaque, SeeThrough};
+    let loaded = with(&[(Moving, "door"), (SeeThrough, "leaves"), (OccluderOnly, "br?ck")]);
+    assert_eq!(kinds(&loaded), [OccluderOnly, Moving, SeeThrough]);
+    let loaded = with(&[(SeeThrough, "*"), (Opaque, "hall/*")]);
+    assert_eq!(kinds(&loaded), [Opaque, SeeThrough, SeeThrough]);
+    let loaded = with(&[(SeeThrough, "leafs")]);
+    assert!(loaded.warnings[0].ends_with("names like it: leaves"), "{:?}", loaded.warnings);
+}
+
+#[test]
+fn obj_materials_decide_by_face_and_a_missing_library_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let obj = "mtllib my glass.mtl gone.mtl\nmtllib ../out.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\no a\nusemtl pane\n\
+               f 1 2 3\nusemtl wall\nf 1 2 3\nf 1 2 3\no b\nf 1 2 3\nusemtl nowhere\nf 1 2 3\n";
+    let path = dir.path().join("a.obj");
+    std::fs::write(&path, obj.replace("my glass.mtl gone.mtl", "my.mtl gone.mtl")).unwrap();
+    std::fs::write(dir.path().join("my.mtl"), "newmtl pane\nd 0.3\nnewmtl wall\nKd 1 0 0\n").unwrap();
+    let loaded = load_with(&path, &Options::default()).unwrap();
+    use Kind::{Opaque, SeeThrough};
+    assert_eq!(kinds(&loaded), [SeeThrough, Opaque, Opaque, Opaque, Opaque]);
+    let warnings = loaded.warnings.join("\n");
+    for part in ["\"gone.mtl\" is missing", "\"../out.mtl\" is not read", "\"nowhere\" is in no library"] {
+        assert!(warnings.contains(part), "{part} in {warnings}");
+    }
+    // A library whose name has spaces, and rules about materials of OBJ files.
+    std::fs::write(&path, obj.replace("my glass.mtl gone.mtl", "my glass.mtl")).unwrap();
+    std::fs::write(dir.path().join("my glass.mtl"), "newmtl pane\nillum 4\nnewmtl wall\n").unwrap();
+    let rules = vec![Rule::new(Kind::Moving, "wall").unwrap(), Rule::new(SeeThrough, "b").unwrap()];
+    let loaded = load_with(&path, &Options { rules, ..Options::default() }).unwrap();
+    assert_eq!(kinds(&loaded), [SeeThrough, Kind::Moving, Kind::Moving, SeeThrough, SeeThrough]);
+}
