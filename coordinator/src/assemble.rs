@@ -16,6 +16,8 @@ use crate::scheduler::Slot;
 use crate::state::Coordinator;
 use crate::statistics::Statistics;
 use crate::store::{BlobError, Blobs, TileState};
+use sightline_scene::Kinds;
+use sightline_scene::kinds::KindCount;
 
 /// A result that cannot be assembled.
 #[derive(Debug, thiserror::Error)]
@@ -131,7 +133,7 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
         }
     }
     // The visible set of every cell of a tile that was set aside; stand-ins do not repeat it for every cell.
-    let all: Vec<u32> = (0..scene.triangles).collect();
+    let all: Vec<u32> = (0..scene.triangles).filter(|t| scene.kinds.kind(*t).shows()).collect();
     let set_aside = leaves().filter(|l| matches!(l.state, TileState::SetAside { .. })).count();
     let objects = scene
         .objects
@@ -143,7 +145,7 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
         method: parts.spec.method.to_string(),
         tree: CellTree::new(parts.spec.view_box.corners().map(|c| c.to_array()), nodes)?,
         objects,
-        info_json: info(parts, samples, set_aside),
+        info_json: info(parts, &scene.kinds, samples, set_aside),
     })?;
     if parts.spec.certificates
         && let Some(file) = blobs.scratch()?
@@ -243,8 +245,8 @@ fn pvs_node(node: sightline_model::Node, lattice: &Lattice) -> Node {
 
 /// The description of the bake: everything that the result depends on, and nothing that differs between two
 /// runs.
-fn info(parts: &Parts, samples: u64, set_aside: usize) -> String {
-    serde_json::json!({
+fn info(parts: &Parts, kinds: &Kinds, samples: u64, set_aside: usize) -> String {
+    let mut info = serde_json::json!({
         "program": concat!("sightline ", env!("CARGO_PKG_VERSION")),
         "algorithm": ALGORITHM_VERSION,
         "scene": blake3::Hash::from_bytes(parts.spec.scene).to_hex().as_str(),
@@ -258,6 +260,18 @@ fn info(parts: &Parts, samples: u64, set_aside: usize) -> String {
         "block_cells": parts.spec.block_cells,
         "samples": samples,
         "tiles_set_aside": set_aside,
-    })
-    .to_string()
+    });
+    // Absent for opaque scenes, whose results keep their bytes.
+    if *kinds != Kinds::opaque() {
+        let count = |c: KindCount| {
+            let kind = c.kind.name();
+            serde_json::json!({"kind": kind, "reason": c.reason, "triangles": c.triangles})
+        };
+        let counts: Vec<_> = kinds.counts().into_iter().map(count).collect();
+        let rules = kinds.rules().iter();
+        let rules: Vec<_> =
+            rules.map(|r| serde_json::json!({"kind": r.kind.name(), "glob": r.glob})).collect();
+        info["kinds"] = serde_json::json!({"counts": counts, "rules": rules});
+    }
+    info.to_string()
 }

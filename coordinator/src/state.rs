@@ -6,7 +6,7 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use sightline_scene::{Aabb, Object};
+use sightline_scene::{Aabb, Kinds, Object};
 use tokio::sync::{Semaphore, watch};
 
 use crate::clock::{Clock, Moment};
@@ -38,6 +38,7 @@ pub(crate) struct SceneFacts {
     pub(crate) triangles: u32,
     pub(crate) objects: Vec<Object>,
     pub(crate) bounds: Aabb,
+    pub(crate) kinds: Kinds,
 }
 
 /// A coordinator without its network. [`serve`](crate::serve) puts it on the network.

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use sightline_bake::BakeScene;
+use sightline_sampling::sight::Sight;
 use sightline_sampling::{Backend, CubeSpec, Strata};
 use sightline_scene::{Scene, SceneError};
 
@@ -39,7 +40,7 @@ impl Loaded {
         let traced = self.scene.sampling().traced();
         std::thread::scope(|scope| {
             scope.spawn(|| self.scene.sampling().for_lines());
-            if let Err(e) = backend.lines(traced) {
+            if let Err(e) = Sight::new(&*backend, traced) {
                 tracing::debug!("not made ready: {e}");
             }
         });

@@ -259,7 +259,7 @@ impl Shop {
                     .and_then(|b| match spec.sampling.sampler {
                         Sampler::Cubes => auto::time(&*b, &lattice),
                         Sampler::Lines | Sampler::Guided => {
-                            auto::time_lines(&*b, loaded.scene.sampling().traced(), &lattice)
+                            auto::time_lines(&*b, loaded.scene.sampling().traced().distinct, &lattice)
                         }
                     });
                 match timed {

@@ -16,7 +16,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::certificate::HiddenGroup;
-use crate::checker::{CellClaims, CellRefusal, Claim, Triangles, check_cell_until};
+use crate::checker::{CellClaims, CellRefusal, Claim, Kinds, Triangles, check_cell_until};
 pub use reader::{CertificateReader, Certificates, ReadError};
 pub use result::{BakedResult, SET_ASIDE};
 use sample::Drawn;
@@ -33,6 +33,8 @@ pub type OnProgress<'a> = dyn Fn(u32, u32) + Sync + 'a;
 /// Options of [`verify`]. The default checks every claim.
 #[derive(Clone, Copy, Default)]
 pub struct VerifyOptions<'a> {
+    /// Which triangles block and which show; by default all do both.
+    pub kinds: Kinds<'a>,
     /// Check only the claims about a random sample of the pairs of cell and triangle. That every triangle is
     /// accounted for is always checked.
     pub sample: Option<Sample>,
@@ -128,7 +130,7 @@ pub fn verify(
     let never = || false;
     let verification = Verification {
         result,
-        scene: Triangles::new(triangles),
+        scene: Triangles::with_kinds(triangles, options.kinds),
         reader: CertificateReader::default(),
         drawn: drawn.as_ref(),
         cancelled: options.cancelled.unwrap_or(&never),

@@ -9,6 +9,7 @@ use sightline_model::BackendChoice;
 use crate::bench_args::BenchArgs;
 use crate::choices::choice;
 use crate::job_args::JobArgs;
+use crate::kind_args::KindArgs;
 
 /// Bakes from-region visibility: for every view cell of a static triangle scene,
 /// the triangles visible from anywhere in it.
@@ -101,6 +102,8 @@ pub struct BakeArgs {
     #[arg(short, long, value_name = "OUT.pvs")]
     pub output: PathBuf,
     #[command(flatten)]
+    pub kinds: KindArgs,
+    #[command(flatten)]
     pub job: JobArgs,
     /// Workers in this process, 1 to 256. Each bakes one tile at a time, and all share all cores. Default:
     /// one per core.
@@ -159,6 +162,8 @@ pub struct RemoteArgs {
 pub struct SubmitArgs {
     /// The scene: .obj, .ply, .gltf or .glb.
     pub scene: PathBuf,
+    #[command(flatten)]
+    pub kinds: KindArgs,
     #[command(flatten)]
     pub remote: RemoteArgs,
     #[command(flatten)]
@@ -313,6 +318,8 @@ pub struct QueryArgs {
     /// The scene the result was baked from, for a new query of --why.
     #[arg(long, value_name = "SCENE", requires = "why")]
     pub scene: Option<PathBuf>,
+    #[command(flatten)]
+    pub kinds: KindArgs,
 }
 
 /// Checks every claim of a result with a checker that shares no code with the search.
@@ -333,6 +340,8 @@ pub struct VerifyArgs {
     /// The result, baked with --method exact or verified and --certificates.
     #[arg(value_name = "OUT.pvs")]
     pub result: PathBuf,
+    #[command(flatten)]
+    pub kinds: KindArgs,
     /// Check only the claims about this many pairs of cell and triangle, drawn uniformly from all pairs. That
     /// every triangle is accounted for is checked in any case. At most 10000000. Default: check every claim,
     /// which can take several times as long as the bake.
@@ -353,6 +362,8 @@ pub struct MeasureArgs {
     /// The result.
     #[arg(value_name = "OUT.pvs")]
     pub result: PathBuf,
+    #[command(flatten)]
+    pub kinds: KindArgs,
     /// Number of random viewpoints, uniform in the view box. Each frame is a full cube around a viewpoint.
     #[arg(long, value_name = "N", default_value_t = 200, conflicts_with = "path")]
     pub viewpoints: u32,
@@ -375,8 +386,8 @@ pub struct MeasureArgs {
 
 /// Decides for pairs of convex polygons whether one sees the other among the triangles of a scene.
 ///
-/// Every triangle obstructs, except a triangle in the plane of a or of b. Each line of the input is a query
-/// and gets one line as its answer, in order. The time of a query is in microseconds.
+/// Every blocking triangle obstructs, except a triangle in the plane of a or of b. Each line of the input is
+/// a query and gets one line as its answer, in order. The time of a query is in microseconds.
 ///
 ///   {"id":1,"a":[[x,y,z],…],"b":[[x,y,z],…]}                           a query
 ///   {"id":1,"state":"visible","witness":[[x,y,z],[x,y,z]],"micros":…}  an unobstructed segment from a to b
@@ -395,6 +406,8 @@ pub struct SightlinesArgs {
     /// order around them.
     #[arg(long, value_name = "Q.jsonl")]
     pub queries: PathBuf,
+    #[command(flatten)]
+    pub kinds: KindArgs,
     /// Check every witness and every proof with a checker that shares no code with the search and uses exact
     /// arithmetic alone.
     #[arg(long)]

@@ -19,7 +19,7 @@ use crate::args::BakeArgs;
 use crate::client;
 use crate::error::CliError;
 use crate::inspect::Summary;
-use crate::opening::plural;
+use crate::opening::{self, plural};
 use crate::output::{Format, Output};
 use crate::progress::{human, say};
 use crate::serve::{self, threads};
@@ -35,7 +35,7 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     };
     // Starting drivers may take longer than reading most scenes.
     let probing = Probing::begin(choice);
-    let scene = Arc::new(sightline_scene::load(&args.scene)?);
+    let scene = Arc::new(opening::scene(&args.scene, &args.kinds.rules)?);
     let spec = args.job.spec(&args.scene, &scene)?;
     say(&format!(
         "{}: {} in {}, read in {}",
@@ -44,6 +44,7 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
         plural(scene.objects().len(), "object"),
         human(start.elapsed())
     ));
+    opening::kinds_in_words(&scene.kinds().counts()).iter().for_each(|line| say(line));
     let loaded = Arc::new(Loaded::new(Arc::clone(&scene))?);
     let probing = probing.then_warm(&loaded, &spec);
     let data_dir = match &args.data_dir {

@@ -10,7 +10,7 @@ use sightline_pvs::{Pvs, PvsError};
 use crate::args::{DumpArgs, InfoArgs, Items, QueryArgs};
 use crate::cells;
 use crate::error::CliError;
-use crate::opening::{open, plural};
+use crate::opening::{self, open, plural};
 use crate::serve::print;
 use crate::why;
 
@@ -132,6 +132,7 @@ impl Summary {
                 self.method
             ),
             format!("view box {} to {}", corner(&self.view_box["min"]), corner(&self.view_box["max"])),
+            opening::kinds_in_words(&opening::counts_of(&self.info)).join("; "),
             match self.undecided {
                 // Sampling alone decides nothing, so it has no number of undecided triangles.
                 0 => format!(
@@ -339,7 +340,13 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
         )));
     };
     if let Some(triangle) = args.why {
-        return why::why(&pvs, &args.result.result, (cell, triangle), args.scene.as_deref(), json);
+        return why::why(
+            &pvs,
+            &args.result.result,
+            (cell, triangle),
+            (args.scene.as_deref(), &args.kinds.rules),
+            json,
+        );
     }
     let (mut visible, mut undecided) = (Vec::new(), Vec::new());
     sets(&pvs, cell, args.items, &mut visible, &mut undecided)?;

@@ -19,6 +19,7 @@ mod error;
 mod files;
 mod inspect;
 mod job_args;
+mod kind_args;
 mod measuring;
 mod opening;
 mod output;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use sightline_measure::{Options, Viewpoints, measure};
 use sightline_model::BackendChoice;
-use sightline_sampling::{CubeSpec, Strata};
+use sightline_sampling::{CubeSpec, PreparedScene, Strata, layers};
 use sightline_worker::Choice;
 
 use crate::args::MeasureArgs;
@@ -42,8 +42,7 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     if let Some(dir) = &args.images {
         writable_folder(dir)?;
     }
-    let scene = Arc::new(sightline_scene::load(&args.scene)?);
-    opening::check_scene(&scene, &pvs, &args.scene, &args.result)?;
+    let scene = Arc::new(opening::scene_of(&args.scene, &args.kinds.rules, &pvs, &args.result)?);
     // Embree renders frames of the whole scene well, so the gpu is probed only when Embree is missing.
     let probe = |choice| sightline_worker::Backends::probe(choice, Default::default());
     let mut backends =
@@ -55,7 +54,8 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     let spec = CubeSpec { resolution: args.resolution, strata: Strata::One, keep_pixels: false };
     let profile = backends.profiles().into_iter().next().unwrap_or_default();
     let backend = backends.open(&profile, Arc::clone(&scene), spec).map_err(CliError::internal)?;
-    let renderer = backend.prepare(None).map_err(CliError::internal)?;
+    let prepared = PreparedScene::new(scene)?;
+    let renderer = layers::renderer(&*backend, &prepared, spec, None).map_err(CliError::internal)?;
     let options = Options { images_dir: args.images.clone(), worst: WORST };
     let progress = Progress::new();
     let report =

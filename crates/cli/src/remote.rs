@@ -9,6 +9,7 @@ use tonic::transport::Channel;
 use crate::args::{FetchArgs, JobRefArgs, RemoteArgs, SubmitArgs};
 use crate::client;
 use crate::error::CliError;
+use crate::opening;
 use crate::output::{Format, Output};
 use crate::progress::{human, say};
 use crate::serve::{print, runtime};
@@ -63,7 +64,8 @@ pub fn health(args: &RemoteArgs, json: bool) -> Result<(), CliError> {
 
 /// Uploads a scene and submits a job.
 pub fn submit(args: &SubmitArgs, json: bool) -> Result<(), CliError> {
-    let scene = sightline_scene::load(&args.scene)?;
+    let scene = opening::scene(&args.scene, &args.kinds.rules)?;
+    opening::kinds_in_words(&scene.kinds().counts()).iter().for_each(|line| say(line));
     let spec = args.job.spec(&args.scene, &scene)?;
     let file_name = || args.scene.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let name = args.name.clone().unwrap_or_else(file_name);

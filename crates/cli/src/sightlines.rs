@@ -11,9 +11,11 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 use sightline_certificate::checker;
 use sightline_exact::{Cost, Limits, Occluders, Polygon, Verdict, polygon, predicates, sightlines};
+use sightline_scene::Scene;
 
 use crate::args::SightlinesArgs;
 use crate::error::CliError;
+use crate::opening;
 use crate::progress::{Progress, human, say};
 use crate::serve::{self, print, threads};
 
@@ -40,6 +42,25 @@ struct Query {
     b: Vec<Polygon>,
 }
 
+/// The blocking triangles of a scene for the checker.
+#[derive(Default)]
+struct Blocking {
+    only: Vec<[glam::Vec3; 3]>,
+    /// All triangles by id, those that do not block without area, so that they form no occluder.
+    by_id: Vec<[glam::Vec3; 3]>,
+}
+
+impl Blocking {
+    fn of(scene: &Scene) -> Self {
+        let blocks = |t: u32| scene.kinds().kind(t).blocks();
+        let each = (0..).zip(scene.triangles());
+        Self {
+            only: each.clone().filter(|(t, _)| blocks(*t)).map(|(_, t)| t.v).collect(),
+            by_id: each.map(|(t, v)| if blocks(t) { v.v } else { [v.v[0]; 3] }).collect(),
+        }
+    }
+}
+
 /// Totals of a run.
 #[derive(Default)]
 struct Totals {
@@ -53,10 +74,9 @@ struct Totals {
 pub fn run(args: &SightlinesArgs) -> Result<(), CliError> {
     serve::use_threads(threads(args.threads.map(usize::from)))?;
     let mut input = Input::open(&args.queries)?;
-    let scene = sightline_scene::load(&args.scene)?;
+    let scene = opening::scene(&args.scene, &args.kinds.rules)?;
     let occluders = Occluders::new(&scene)?;
-    let raw: Vec<[glam::Vec3; 3]> =
-        if args.check { scene.triangles().iter().map(|t| t.v).collect() } else { Vec::new() };
+    let raw = if args.check { Blocking::of(&scene) } else { Blocking::default() };
     let limits = Limits { regions: args.max_regions, ..Limits::default() };
     let start = Instant::now();
     let progress = Progress::new();
@@ -125,7 +145,7 @@ fn answer(
     scene: &Occluders,
     query: &Query,
     limits: &Limits,
-    raw: &[[glam::Vec3; 3]],
+    raw: &Blocking,
     check: bool,
 ) -> Result<(Value, Verdict, Cost), CliError> {
     let start = Instant::now();
@@ -139,9 +159,9 @@ fn answer(
         let refused = match &verdict {
             Verdict::Visible(ends) => {
                 let [p, q] = [&ends[0], &ends[1]].map(predicates::integers);
-                checker::check_witness(raw, &a, &b, &p, &q)
+                checker::check_witness(&raw.only, &a, &b, &p, &q)
             }
-            Verdict::Hidden(proof) => checker::check_hidden(raw, &a, &b, proof),
+            Verdict::Hidden(proof) => checker::check_hidden(&raw.by_id, &a, &b, proof),
             Verdict::Undecided(_) => Ok(()),
         };
         refused.map_err(|e| {

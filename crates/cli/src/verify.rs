@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use glam::Vec3;
 use serde_json::{Value, json};
+use sightline_certificate::checker::Kinds;
 use sightline_certificate::{Refused, Report, Sample, VerifyError, VerifyOptions, verify};
 use sightline_pvs::Pvs;
 
@@ -21,10 +22,12 @@ static CANCELLED: AtomicBool = AtomicBool::new(false);
 /// Checks a result against its scene.
 pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     serve::use_threads(threads(args.threads.map(usize::from)))?;
-    let scene = sightline_scene::load(&args.scene)?;
     let pvs = opening::open(&args.result)?;
-    opening::check_scene(&scene, &pvs, &args.scene, &args.result)?;
+    let scene = opening::scene_of(&args.scene, &args.kinds.rules, &pvs, &args.result)?;
     let triangles: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
+    // The digest of the scene, which the result names, covers the kinds.
+    let (blocks, shows): (Vec<bool>, Vec<bool>) =
+        scene.kinds().by_triangle().iter().map(|k| (k.blocks(), k.shows())).unzip();
     cancel_on_interrupt()?;
     let progress = Progress::new();
     let start = Instant::now();
@@ -32,6 +35,7 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
         &triangles,
         &pvs,
         &VerifyOptions {
+            kinds: Kinds { blocks: &blocks, shows: &shows },
             sample: args.sample.map(|pairs| Sample { pairs, seed: args.seed }),
             progress: Some(&|done, cells| progress.count(u64::from(done), u64::from(cells), "cells")),
             cancelled: Some(&|| CANCELLED.load(Ordering::Relaxed)),

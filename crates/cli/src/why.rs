@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use sightline_certificate::{CertificateReader, Proof, Reason, Target};
 use sightline_exact::{Cell, Cost, ExactScene, Found, Hides, Limits, Polygon, from_cell, polygon};
 use sightline_pvs::Pvs;
-use sightline_scene::{Aabb, overlap};
+use sightline_scene::{Aabb, Rule, overlap};
 
 use crate::error::CliError;
 use crate::opening;
@@ -22,7 +22,7 @@ pub fn why(
     pvs: &Pvs,
     result: &Path,
     (cell, triangle): (u32, u32),
-    scene: Option<&Path>,
+    (scene, rules): (Option<&Path>, &[Rule]),
     json: bool,
 ) -> Result<(), CliError> {
     if triangle >= pvs.triangle_count() {
@@ -33,7 +33,7 @@ pub fn why(
         )));
     }
     let mut answer = match scene {
-        Some(path) => ask(pvs, result, path, cell, triangle)?,
+        Some(path) => ask(pvs, result, (path, rules), cell, triangle)?,
         None => look_up(pvs, result, cell, triangle)?,
     };
     if json {
@@ -50,6 +50,9 @@ pub fn why(
                  meets no other triangle before",
                 answer["witness"][0], answer["witness"][1]
             )
+        }
+        Some("hidden") if answer["kind"].is_string() => {
+            format!("{about}: in no set, because it is {}", answer["kind"].as_str().unwrap_or_default())
         }
         Some("hidden") if answer["degenerate"] == true => format!("{about}: hidden, because it has no area"),
         Some("hidden") if blockers.is_empty() => {
@@ -131,9 +134,18 @@ fn blockers(proofs: &[Proof]) -> Vec<u32> {
 }
 
 /// The answer of a new query in the scene.
-fn ask(pvs: &Pvs, result: &Path, path: &Path, cell: u32, triangle: u32) -> Result<Value, CliError> {
-    let scene = sightline_scene::load(path)?;
-    opening::check_scene(&scene, pvs, path, result)?;
+fn ask(
+    pvs: &Pvs,
+    result: &Path,
+    (path, rules): (&Path, &[Rule]),
+    cell: u32,
+    triangle: u32,
+) -> Result<Value, CliError> {
+    let scene = opening::scene_of(path, rules, pvs, result)?;
+    let kind = scene.kinds().kind(triangle);
+    if !kind.shows() {
+        return Ok(json!({"state": "hidden", "kind": kind.name(), "blockers": []}));
+    }
     let bounds = pvs.cell_bounds(cell).unwrap_or_default().map(Vec3::from);
     let of = scene.triangles()[triangle as usize];
     let Some(target) = Polygon::triangle(of.v.map(|v| v.as_dvec3())) else {

@@ -1,20 +1,20 @@
 //! Exact from-region visibility: queries in line space, their witnesses and proofs, and whole view cells.
 //!
 //! A query decides whether one convex polygon sees another among the triangles of a scene. The verdict is a
-//! witness (an unobstructed segment), a proof that [`checker`] verifies with exact arithmetic only, or
+//! witness (an unobstructed segment), a proof that [`sightline_certificate::checker`] verifies with exact arithmetic only, or
 //! "undecided" with the limit that ended the search. No tolerance decides a verdict: a sign is computed in
 //! doubles with an error bound, and in integers where the bound leaves it open. All coordinates are in the
 //! units and the frame of the scene.
 //!
 //! The crate has one module for each subject. A module depends only on those above it in this list:
 //!
-//! - [`arithmetic`]: double-doubles, big integers, signs, random numbers.
-//! - [`geometry`]: points, exact polygons, view cells, the frame of a query, the bounding volume hierarchy.
-//! - [`occluders`]: convex coplanar sets of triangles, their boundary edges, and segments among them.
-//! - [`surfaces`]: closed surfaces and the triangles that they hide without a query.
-//! - [`line_space`]: Plücker vectors, cones, the Klein quadric, the stabbing polyhedron, polar splits.
-//! - [`search`]: the query between two polygons, with occluder fusion and side bitsets.
-//! - [`cells`]: queries from a view cell, all triangles of a cell, and groups of cells.
+//! - `arithmetic`: double-doubles, big integers, signs, random numbers.
+//! - `geometry`: points, exact polygons, view cells, the frame of a query, the bounding volume hierarchy.
+//! - `occluders`: convex coplanar sets of triangles, their boundary edges, and segments among them.
+//! - `surfaces`: closed surfaces and the triangles that they hide without a query.
+//! - `line_space`: Plücker vectors, cones, the Klein quadric, the stabbing polyhedron, polar splits.
+//! - `search`: the query between two polygons, with occluder fusion and side bitsets.
+//! - `cells`: queries from a view cell, all triangles of a cell, and groups of cells.
 //!
 //! ```
 //! use glam::{DVec3, Vec3};

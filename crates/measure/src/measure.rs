@@ -35,6 +35,9 @@ impl Default for Options {
     }
 }
 
+/// A cube image, and the see-through triangles in front of it by pixel.
+type Layers = (CubeImage, Vec<(u32, u32)>);
+
 /// What is left of a frame once its image is gone.
 struct Judged {
     cell: u32,
@@ -120,8 +123,13 @@ pub fn measure(
     if let Some(dir) = &options.images_dir {
         for (rank, frame) in frames.iter_mut().enumerate() {
             let path = dir.join(format!("worst_{:02}_frame_{:06}.png", rank + 1, frame.frame));
-            let image = render(renderer, pvs, Vec3::from(frame.viewpoint))?;
-            images::write(&path, &image, &visible_bits(pvs, frame.cell)?)?;
+            let (mut image, passed) = render(renderer, pvs, Vec3::from(frame.viewpoint))?;
+            let visible = visible_bits(pvs, frame.cell)?;
+            // A missing see-through triangle is drawn in front of what it does not hide.
+            for (pixel, id) in passed.into_iter().filter(|p| is_wrong(&visible, p.1)) {
+                image.ids[pixel as usize] = id;
+            }
+            images::write(&path, &image, &visible)?;
             frame.image = Some(path);
         }
     }
@@ -151,10 +159,14 @@ fn pixels_of(resolution: u32) -> f64 {
 fn judge(renderer: &dyn CubeRenderer, pvs: &Pvs, frame: usize, point: Vec3) -> Result<Judged, MeasureError> {
     let point = point.to_array();
     let cell = pvs.find_cell(point).ok_or(MeasureError::Outside { frame, point })?;
-    let image = render(renderer, pvs, Vec3::from(point))?;
+    let (image, passed) = render(renderer, pvs, Vec3::from(point))?;
     let visible = visible_bits(pvs, cell)?;
-    let wrong_pixels: Vec<bool> = image.ids.iter().map(|&id| is_wrong(&visible, id)).collect();
+    let mut wrong_pixels: Vec<bool> = image.ids.iter().map(|&id| is_wrong(&visible, id)).collect();
+    for (pixel, id) in &passed {
+        wrong_pixels[*pixel as usize] |= is_wrong(&visible, *id);
+    }
     let mut seen = image.ids;
+    seen.extend(passed.iter().map(|p| p.1));
     // Neighbouring pixels mostly agree; without repetitions there is little left to sort.
     seen.dedup();
     seen.sort_unstable();
@@ -170,17 +182,18 @@ fn judge(renderer: &dyn CubeRenderer, pvs: &Pvs, frame: usize, point: Vec3) -> R
     })
 }
 
-/// The image from a point; every id in it is sky or a triangle of the result.
-fn render(renderer: &dyn CubeRenderer, pvs: &Pvs, point: Vec3) -> Result<CubeImage, MeasureError> {
-    let image = renderer.image(point)?;
+/// The layers from a point; every id in them is sky or a triangle of the result.
+fn render(renderer: &dyn CubeRenderer, pvs: &Pvs, point: Vec3) -> Result<Layers, MeasureError> {
+    let (image, passed) = renderer.layers(point)?;
     let (resolution, pixels) = (image.resolution, image.ids.len());
     if resolution == 0 || pixels as u64 != 6 * u64::from(resolution) * u64::from(resolution) {
         return Err(MeasureError::ImageSize { resolution, pixels });
     }
     let triangles = pvs.triangle_count();
-    match image.ids.iter().find(|&&id| id != SKY && id >= triangles) {
-        Some(&id) => Err(MeasureError::OtherScene { id, triangles }),
-        None => Ok(image),
+    let mut ids = image.ids.iter().copied().chain(passed.iter().map(|p| p.1));
+    match ids.find(|&id| id != SKY && id >= triangles) {
+        Some(id) => Err(MeasureError::OtherScene { id, triangles }),
+        None => Ok((image, passed)),
     }
 }
 

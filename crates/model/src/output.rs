@@ -115,4 +115,13 @@ impl VisibilitySample {
         }
         sample
     }
+
+    /// The sample with more triangles, as (id, strata mask) with repetitions. Pixels and the triangle that
+    /// covers most of them stay.
+    #[must_use]
+    pub fn with(self, more: impl Iterator<Item = (u32, u32)>) -> Self {
+        let Self { ids, strata, dominant, pixels } = self;
+        let runs = ids.into_iter().zip(strata).chain(more).map(|(id, mask)| (id, mask, 0));
+        Self { dominant, pixels, ..Self::from_runs(runs.collect()) }
+    }
 }

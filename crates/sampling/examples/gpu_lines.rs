@@ -15,7 +15,7 @@ use sightline_sampling::embree::CpuBackend;
 use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
 use sightline_sampling::packet::{LANES, LineTracer, Packet};
 use sightline_sampling::sequence::Hashed;
-use sightline_sampling::{Backend, CubeSpec, SKY, Strata};
+use sightline_sampling::{Backend, CubeSpec, LineSet, SKY, Strata};
 use sightline_scene::Aabb;
 
 /// Pixels a side of a cube's face.
@@ -118,13 +118,13 @@ fn measure(file: &Path, choice: &AdapterChoice, millions: f64) -> Result<(), Box
     let ids: Vec<u32> = (0..scene.len()).collect();
     let made = |backend: &dyn Backend| -> Result<(), Box<dyn std::error::Error>> {
         let start = Instant::now();
-        backend.lines(&ids)?;
+        backend.lines(LineSet::Blocking, &ids)?;
         println!("  {}: ready in {:.3} s", backend.profile(), start.elapsed().as_secs_f64());
         Ok(())
     };
     made(&cpu)?;
     made(&gpu)?;
-    let (cpu, gpu) = (cpu.lines(&ids)?, gpu.lines(&ids)?);
+    let (cpu, gpu) = (cpu.lines(LineSet::Blocking, &ids)?, gpu.lines(LineSet::Blocking, &ids)?);
     let count = (millions * 1e6) as usize / LANES;
     let mut random = Hashed::new(&[1]);
     for alike in [true, false] {

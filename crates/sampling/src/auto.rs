@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use sightline_viewcells::Lattice;
 
-use crate::backend::Backend;
+use crate::backend::{Backend, LineSet};
 use crate::cube::face_basis;
 use crate::error::BackendError;
 use crate::packet::{LANES, Packet};
@@ -60,7 +60,7 @@ pub fn time_lines(
     lattice: &Lattice,
 ) -> Result<Timing, BackendError> {
     const SIDE: u32 = 16;
-    let tracer = backend.lines(distinct)?;
+    let tracer = backend.lines(LineSet::Blocking, distinct)?;
     let mut packets = Vec::new();
     for point in places(lattice).take(CUBES as usize) {
         for face in 0..6 {

@@ -10,6 +10,15 @@ use crate::error::BackendError;
 use crate::packet::LineTracer;
 use sightline_model::VisibilitySample;
 
+/// The triangles among which sight lines are traced.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LineSet {
+    /// Those that end a line.
+    Blocking = 0,
+    /// Those that a line passes.
+    SeeThrough = 1,
+}
+
 /// A backend bound to one scene and one [`crate::cube::CubeSpec`].
 pub trait Backend: Send + Sync {
     /// The numerics profile: backend, library and version, device. Two workers with the same profile give the
@@ -23,12 +32,12 @@ pub trait Backend: Send + Sync {
     /// [`BackendError::Failed`] when the device cannot hold the geometry.
     fn prepare(&self, superset: Option<&[u32]>) -> Result<Box<dyn CubeRenderer + '_>, BackendError>;
 
-    /// Prepares the tracing of sight lines among the triangles `distinct` (ascending ids, the same in every
-    /// call).
+    /// Prepares the tracing of sight lines among the triangles `ids` (ascending, the same in every call with
+    /// the same set).
     ///
     /// # Errors
     /// [`BackendError`] when the device cannot, or cannot hold the geometry.
-    fn lines(&self, distinct: &[u32]) -> Result<Box<dyn LineTracer + '_>, BackendError>;
+    fn lines(&self, set: LineSet, ids: &[u32]) -> Result<Box<dyn LineTracer + '_>, BackendError>;
 }
 
 /// Renders cubes of the geometry given to [`Backend::prepare`]. Degenerate triangles are never seen.
@@ -44,4 +53,13 @@ pub trait CubeRenderer: Send + Sync {
     /// # Errors
     /// [`BackendError::Failed`] when the device does.
     fn image(&self, point: Vec3) -> Result<CubeImage, BackendError>;
+
+    /// The full item buffers, and the see-through triangles in front of them as (pixel, id) pairs. The ids in
+    /// the buffers are those of blocking triangles that show.
+    ///
+    /// # Errors
+    /// [`BackendError::Failed`] when the device does.
+    fn layers(&self, point: Vec3) -> Result<(CubeImage, Vec<(u32, u32)>), BackendError> {
+        Ok((self.image(point)?, Vec::new()))
+    }
 }

@@ -70,7 +70,7 @@ impl Packet {
     }
 
     /// Distance from the origin of a lane to the start of its reversed ray, in lengths of the direction.
-    fn advance(&self, lane: usize, step: f32) -> f32 {
+    pub(crate) fn advance(&self, lane: usize, step: f32) -> f32 {
         let longest = (0..3).map(|a| self.direction[a][lane].abs()).fold(0.0, f32::max);
         let largest = (0..3).map(|a| self.origin[a][lane].abs()).fold(0.0, f32::max);
         if longest > 0.0 { step.max(largest * OVERLAP) / longest } else { 0.0 }
@@ -103,5 +103,14 @@ pub trait LineTracer: Send + Sync {
     /// As [`LineTracer::trace`].
     fn trace_each(&self, packets: &mut [Packet]) -> Result<(), BackendError> {
         self.trace(packets)
+    }
+
+    /// [`LineTracer::trace`] or, when the rays are not `coherent`, [`LineTracer::trace_each`] up to the
+    /// `distance` that each lane has on entry. A tracer may find hits beyond that, too.
+    ///
+    /// # Errors
+    /// As [`LineTracer::trace`].
+    fn trace_within(&self, packets: &mut [Packet], coherent: bool) -> Result<(), BackendError> {
+        if coherent { self.trace(packets) } else { self.trace_each(packets) }
     }
 }

@@ -9,7 +9,7 @@ use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 use sightline_scene::topology::{self, Solids};
-use sightline_scene::{Scene, SceneError};
+use sightline_scene::{Kind, Scene, SceneError};
 
 use crate::surface::Surface;
 
@@ -17,9 +17,24 @@ use crate::surface::Surface;
 pub struct PreparedScene {
     scene: Arc<Scene>,
     solids: OnceLock<Solids>,
+    /// Classes of triangles with the same three vertices.
+    classes: OnceLock<Vec<Vec<u32>>>,
     duplicates: OnceLock<Vec<Vec<u32>>>,
     distinct: OnceLock<Vec<u32>>,
+    see_through: OnceLock<Vec<u32>>,
+    shown: OnceLock<Vec<u32>>,
     surface: OnceLock<Surface>,
+}
+
+/// The triangles among which sight lines are traced.
+#[derive(Clone, Copy)]
+pub struct Traced<'a> {
+    /// The triangles.
+    pub scene: &'a Scene,
+    /// Ids of the blocking triangles with area, one of each class of duplicates, in ascending order.
+    pub distinct: &'a [u32],
+    /// The same for see-through triangles.
+    pub see_through: &'a [u32],
 }
 
 /// The facts that sight lines need.
@@ -27,9 +42,14 @@ pub struct PreparedScene {
 pub struct LineScene<'a> {
     /// The triangles.
     pub scene: &'a Scene,
-    /// Ids of the triangles with area, without those that duplicate an earlier one, in ascending order.
+    /// Ids of the blocking triangles with area, one of each class of duplicates, in ascending order.
     pub distinct: &'a [u32],
-    /// Classes of triangles with the same three vertices, which are seen together or not at all.
+    /// The same for see-through triangles.
+    pub see_through: &'a [u32],
+    /// The triangles of both that show, in ascending order.
+    pub shown: &'a [u32],
+    /// Classes of showing triangles of one kind with the same three vertices, which are seen together or not
+    /// at all.
     pub duplicates: &'a [Vec<u32>],
     /// Neighbours over edges, and the triangles' order in space.
     pub surface: &'a Surface,
@@ -57,8 +77,11 @@ impl PreparedScene {
         Ok(Self {
             scene,
             solids: OnceLock::new(),
+            classes: OnceLock::new(),
             duplicates: OnceLock::new(),
             distinct: OnceLock::new(),
+            see_through: OnceLock::new(),
+            shown: OnceLock::new(),
             surface: OnceLock::new(),
         })
     }
@@ -74,9 +97,10 @@ impl PreparedScene {
     /// On a thread of rayon's pool (see the module's documentation).
     pub fn for_lines(&self) -> LineScene<'_> {
         outside_the_pool();
-        let (duplicates, distinct) = (self.duplicates(), self.distinct());
-        let surface = self.surface.get_or_init(|| Surface::of(&self.scene, distinct));
-        LineScene { scene: &self.scene, distinct, duplicates, surface }
+        let (duplicates, distinct, see_through) = (self.duplicates(), self.distinct(), self.see_through());
+        let shown = self.shown(distinct, see_through);
+        let surface = self.surface.get_or_init(|| Surface::of(&self.scene, shown));
+        LineScene { scene: &self.scene, distinct, see_through, shown, duplicates, surface }
     }
 
     /// The facts that visibility cubes need.
@@ -94,23 +118,69 @@ impl PreparedScene {
     ///
     /// # Panics
     /// On a thread of rayon's pool (see the module's documentation).
-    pub fn traced(&self) -> &[u32] {
+    pub fn traced(&self) -> Traced<'_> {
         outside_the_pool();
-        self.distinct()
+        Traced { scene: &self.scene, distinct: self.distinct(), see_through: self.see_through() }
     }
 
     #[expect(clippy::expect_used, reason = "new() has checked the only thing that can fail")]
+    fn classes(&self) -> &[Vec<u32>] {
+        self.classes.get_or_init(|| topology::duplicates(&self.scene).expect(CHECKED))
+    }
+
     fn duplicates(&self) -> &[Vec<u32>] {
-        self.duplicates.get_or_init(|| topology::duplicates(&self.scene).expect(CHECKED))
+        let kinds = self.scene.kinds();
+        if kinds.all_opaque() {
+            return self.classes();
+        }
+        self.duplicates.get_or_init(|| {
+            let of = |kind: Kind, class: &[u32]| -> Vec<u32> {
+                class.iter().copied().filter(|t| kinds.kind(*t) == kind).collect()
+            };
+            let classes = self.classes().iter();
+            let parts = classes.flat_map(|c| [of(Kind::Opaque, c), of(Kind::SeeThrough, c)]);
+            parts.filter(|class| class.len() > 1).collect()
+        })
     }
 
     fn distinct(&self) -> &[u32] {
-        self.distinct.get_or_init(|| {
-            let mut kept = vec![true; self.scene.triangles().len()];
-            self.duplicates().iter().flat_map(|class| &class[1..]).for_each(|id| kept[*id as usize] = false);
-            let area = |id: &u32| !self.scene.triangles()[*id as usize].is_degenerate();
-            (0..self.scene.len()).into_par_iter().filter(|id| kept[*id as usize]).filter(area).collect()
+        // An occluder-only triangle in the place of an opaque one must not hide it.
+        self.distinct.get_or_init(|| self.one_of_each(&[Kind::Opaque, Kind::OccluderOnly]))
+    }
+
+    fn see_through(&self) -> &[u32] {
+        self.see_through.get_or_init(|| match self.scene.kinds().all_opaque() {
+            true => Vec::new(),
+            false => self.one_of_each(&[Kind::SeeThrough]),
         })
+    }
+
+    fn shown<'a>(&'a self, distinct: &'a [u32], see_through: &[u32]) -> &'a [u32] {
+        let kinds = self.scene.kinds();
+        if kinds.all_opaque() {
+            return distinct;
+        }
+        self.shown.get_or_init(|| {
+            let shows = |t: &u32| kinds.kind(*t).shows();
+            let mut shown: Vec<u32> = distinct.iter().chain(see_through).copied().filter(shows).collect();
+            shown.sort_unstable();
+            shown
+        })
+    }
+
+    /// The triangles with area of some kinds, in ascending order; of a class of duplicates only the first of
+    /// the first of these kinds that is in it.
+    fn one_of_each(&self, wanted: &[Kind]) -> Vec<u32> {
+        let kinds = self.scene.kinds();
+        let rank = |t: u32| wanted.iter().position(|k| *k == kinds.kind(t));
+        let mut kept = vec![true; self.scene.triangles().len()];
+        for class in self.classes() {
+            let first = class.iter().copied().filter(|t| rank(*t).is_some()).min_by_key(|t| (rank(*t), *t));
+            class.iter().filter(|t| Some(**t) != first).for_each(|t| kept[*t as usize] = false);
+        }
+        let area = |id: &u32| !self.scene.triangles()[*id as usize].is_degenerate();
+        let of_these = |id: &u32| kept[*id as usize] && rank(*id).is_some();
+        (0..self.scene.len()).into_par_iter().filter(of_these).filter(area).collect()
     }
 }
 
@@ -139,7 +209,7 @@ mod tests {
         let facts = scene.for_lines();
         assert_eq!(facts.distinct, [0]);
         assert_eq!(facts.duplicates, [vec![0, 2]]);
-        assert_eq!(scene.traced(), [0]);
+        assert_eq!(scene.traced().distinct, [0]);
     }
 
     #[test]
@@ -148,7 +218,7 @@ mod tests {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
         let uses: [&(dyn Fn() -> usize + Sync); 3] =
             [&|| scene.for_lines().distinct.len(), &|| scene.for_cubes(true).duplicates.len(), &|| {
-                scene.traced().len()
+                scene.traced().distinct.len()
             }];
         for one in uses {
             assert!(one() > 0);

@@ -1,4 +1,4 @@
-//! Samples one tile with the sampler of its job: the dispatcher above [`crate::lines`] and [`crate::cubes`].
+//! Samples one tile with the sampler of its job: the dispatcher above [`crate::lines`] and `crate::cubes`.
 //!
 //! A tile's output is a pure function of the scene, the parameters, the backend's numerics profile and the
 //! packs of the tiles it needs.

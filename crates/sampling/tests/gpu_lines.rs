@@ -11,7 +11,7 @@ use glam::{DVec3, Vec3};
 use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
 use sightline_sampling::packet::{LANES, Packet};
 use sightline_sampling::sequence::Hashed;
-use sightline_sampling::{Backend, BackendError, CubeSpec, SKY, Strata};
+use sightline_sampling::{Backend, BackendError, CubeSpec, LineSet, SKY, Strata};
 use sightline_scene::{Object, Scene, Triangle};
 
 fn backend(triangles: &[Triangle]) -> Option<GpuBackend> {
@@ -56,7 +56,7 @@ fn any() -> Vec<u32> {
 /// (triangle, distance) of each ray.
 fn traced(backend: &GpuBackend, rays: &[(Vec3, Vec3)]) -> Vec<(u32, f32)> {
     let mut packets = packed(rays);
-    backend.lines(&any()).unwrap().trace(&mut packets).unwrap();
+    backend.lines(LineSet::Blocking, &any()).unwrap().trace(&mut packets).unwrap();
     packets.iter().flat_map(|p| (0..p.count).map(|l| (p.triangle[l], p.distance[l]))).collect()
 }
 
@@ -277,11 +277,11 @@ fn the_same_bits_again_and_in_other_portions() {
         packets.iter().map(|p| (p.distance.map(f32::to_bits), p.triangle)).collect()
     };
     let mut whole = packed(&rays);
-    one.lines(&any()).unwrap().trace(&mut whole).unwrap();
+    one.lines(LineSet::Blocking, &any()).unwrap().trace(&mut whole).unwrap();
     assert!(whole.iter().filter(|p| p.triangle[0] != SKY).count() > 1000);
     for (backend, portion) in [(&one, usize::MAX), (&two, 7000), (&two, 501), (&one, 13_000)] {
         let mut again = packed(&rays);
-        let tracer = backend.lines(&any()).unwrap();
+        let tracer = backend.lines(LineSet::Blocking, &any()).unwrap();
         again.chunks_mut(portion).for_each(|run| tracer.trace_each(run).unwrap());
         assert!(bits(&whole) == bits(&again), "portions of {portion}");
     }

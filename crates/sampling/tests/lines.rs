@@ -12,10 +12,11 @@ use sightline_sampling::embree::CpuBackend;
 use sightline_sampling::lines::block::{Block, Tools};
 use sightline_sampling::lines::grid::CellGrid;
 use sightline_sampling::lines::rounds::Tolerance;
-use sightline_sampling::packet::{LineTracer, Packet};
+use sightline_sampling::packet::Packet;
 use sightline_sampling::sequence::Hashed;
+use sightline_sampling::sight::{Passed, Sight};
 use sightline_sampling::surface::Surface;
-use sightline_sampling::{Backend, BackendError, CubeSpec, Strata};
+use sightline_sampling::{Backend, BackendError, CubeSpec, LineSet, Strata};
 use sightline_scene::generate::{self, Kind, Params};
 use sightline_scene::{Object, Scene, Triangle};
 
@@ -78,14 +79,14 @@ fn tessellated_box(min: Vec3, max: Vec3, n: u32) -> Vec<[Vec3; 3]> {
 
 fn with_block<R>(
     scene: &Arc<Scene>,
-    tracer: &dyn LineTracer,
+    sight: &Sight<'_>,
     view: [Vec3; 2],
     cells: [u32; 3],
     seed: u64,
     f: impl FnOnce(&mut Block<'_>) -> R,
 ) -> R {
     let surface = Surface::of(scene, &all(scene));
-    let tools = Tools { scene, surface: &surface, tracer, seed, watcher: &Silent, deadline: None };
+    let tools = Tools { scene, surface: &surface, sight, seed, watcher: &Silent, deadline: None };
     let [nx, ny, _] = cells.map(u64::from);
     let number = |c: [u32; 3]| (u64::from(c[2]) * ny + u64::from(c[1])) * nx + u64::from(c[0]);
     f(&mut Block::new(tools, CellGrid::new(view[0], view[1], cells), number))
@@ -104,12 +105,12 @@ fn threads_change_nothing() {
     let params = Params { triangles: Some(3000), ..Params::default() };
     let scene = Arc::new(generate::generate(Kind::Rooms, &params).unwrap());
     let Some(backend) = backend(&scene) else { return };
-    let tracer = backend.lines(&all(&scene)).unwrap();
+    let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
     let b = scene.bounds();
     let run = |threads: usize| -> (Vec<Vec<u32>>, Vec<CellStats>) {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            with_block(&scene, &*tracer, [b.min, b.max], [5, 3, 2], 7, |block| {
+            with_block(&scene, &sight, [b.min, b.max], [5, 3, 2], 7, |block| {
                 block.sample_to_bound(1.0, 0.01).unwrap();
                 (sets(block), block.stats().to_vec())
             })
@@ -125,8 +126,8 @@ fn threads_change_nothing() {
 fn a_convex_room_is_seen_whole() {
     let scene = scene(tessellated_box(Vec3::splat(-3.0), Vec3::splat(3.0), 12));
     let Some(backend) = backend(&scene) else { return };
-    let tracer = backend.lines(&all(&scene)).unwrap();
-    with_block(&scene, &*tracer, [Vec3::splat(-2.0), Vec3::splat(2.0)], [3, 3, 3], 1, |block| {
+    let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
+    with_block(&scene, &sight, [Vec3::splat(-2.0), Vec3::splat(2.0)], [3, 3, 3], 1, |block| {
         block.sample(1e-5, &[], Tolerance::Equal).unwrap();
         let columns = sets(block);
         for c in block.grid().each() {
@@ -144,7 +145,7 @@ fn bounds_hold_as_often_as_they_say() {
     const CELLS: [u32; 3] = [2, 2, 1];
     let scene = scene(tessellated_box(Vec3::splat(-3.0), Vec3::splat(3.0), 24));
     let Some(backend) = backend(&scene) else { return };
-    let tracer = backend.lines(&all(&scene)).unwrap();
+    let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
     let view = [Vec3::splat(-2.5), Vec3::splat(2.5)];
     let grid = CellGrid::new(view[0], view[1], CELLS);
     // How often a sight line of each cell meets each triangle.
@@ -165,7 +166,7 @@ fn bounds_hold_as_often_as_they_say() {
                     let o = lo + size * Vec3::new(random.unit(), random.unit(), random.unit());
                     p[0].push(o.to_array(), d.to_array());
                 }
-                tracer.trace(&mut p).unwrap();
+                sight.trace(&mut p, &mut Passed::default(), 0.0).unwrap();
                 p[0].triangle.iter().for_each(|t| hits[*t as usize] += 1);
             }
             hits.into_iter().map(|h| h as f64 / (16.0 * f64::from(packets))).collect()
@@ -173,7 +174,7 @@ fn bounds_hold_as_often_as_they_say() {
         .collect();
     let (mut looks, mut wrong, mut useful) = (0u32, 0u32, 0u32);
     for seed in 0..SEEDS {
-        with_block(&scene, &*tracer, view, CELLS, seed, |block| {
+        with_block(&scene, &sight, view, CELLS, seed, |block| {
             // Stopping early, so that something is missing when the bound is taken.
             block.sample_guided(600).unwrap();
             let before = sets(block);
@@ -212,9 +213,9 @@ fn no_line_passes_a_closed_wall() {
         triangles.extend(tessellated_box(at(-3.0, -3.0, -3.0), at(3.0, 3.0, 3.0), 5));
         let scene = scene(triangles);
         let Some(backend) = backend(&scene) else { return };
-        let tracer = backend.lines(&all(&scene)).unwrap();
+        let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
         let view = [at(-view, -view, -view), at(view, view, view)];
-        with_block(&scene, &*tracer, view, [3, 2, 2], 5, |block| {
+        with_block(&scene, &sight, view, [3, 2, 2], 5, |block| {
             block.sample(1e-4, &[], Tolerance::Equal).unwrap();
             let outside: usize = sets(block).iter().map(|s| s.iter().filter(|t| **t >= inside).count()).sum();
             assert_eq!(outside, 0, "scale {scale}, offset {offset}");
@@ -232,7 +233,7 @@ fn lines_that_begin_on_the_wall_stay_inside() {
         triangles.extend(tessellated_box(min * 2.0, max * 2.0, 3));
         let scene = scene(triangles);
         let Some(backend) = backend(&scene) else { return };
-        let tracer = backend.lines(&all(&scene)).unwrap();
+        let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
         let mut random = Hashed::new(&[3]);
         let mut crossed = 0;
         for id in 0..wall {
@@ -249,7 +250,7 @@ fn lines_that_begin_on_the_wall_stay_inside() {
                     }
                     packets.push(p);
                 }
-                tracer.trace(&mut packets).unwrap();
+                sight.trace(&mut packets, &mut Passed::default(), 0.0).unwrap();
                 crossed += packets.iter().flat_map(|p| p.triangle).filter(|t| *t >= wall).count();
             }
         }
@@ -270,9 +271,9 @@ fn a_cell_far_harder_than_the_others_has_a_raised_tolerance_and_no_other_has() {
     }));
     let scene = scene(triangles);
     let Some(backend) = backend(&scene) else { return };
-    let tracer = backend.lines(&all(&scene)).unwrap();
+    let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
     let sampled = |tolerance: Tolerance| -> Vec<CellStats> {
-        with_block(&scene, &*tracer, [Vec3::ZERO, Vec3::splat(10.0)], [4, 4, 4], 3, |block| {
+        with_block(&scene, &sight, [Vec3::ZERO, Vec3::splat(10.0)], [4, 4, 4], 3, |block| {
             block.sample(1e-3, &[], tolerance).unwrap();
             block.stats().to_vec()
         })

@@ -220,6 +220,9 @@ fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>,
         Undecided,
         Accounted,
     }
+    if let Some(id) = claims.visible.iter().find(|id| !scene.shows(**id)) {
+        return refuse(*id, "it is in the set, but its kind is not shown");
+    }
     let mut known = vec![Known::Nothing; n];
     claims.visible.iter().for_each(|id| known[*id as usize] = Known::Visible);
     for id in claims.undecided {
@@ -277,7 +280,7 @@ fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>,
     for (id, (k, t)) in known.iter().zip(scene.all()).enumerate() {
         match k {
             Known::Visible => all.push(Claim::Meets(id as u32)),
-            Known::Nothing if has_area(t) => {
+            Known::Nothing if has_area(t) && scene.shows(id as u32) => {
                 return refuse(id as u32, "it is not in the set, and no proof shows that it is hidden");
             }
             _ => {}

@@ -138,7 +138,7 @@ pub(super) fn check_group(
         return Err("it has more proofs than pairs of faces".to_owned());
     }
     let refusal = shown.par_iter().with_max_len(1).find_map_first(|(part, beyond, proof)| {
-        check_hidden(all, part.as_slice(), std::slice::from_ref(beyond), proof).err()
+        check_hidden(scene.blocking(), part.as_slice(), std::slice::from_ref(beyond), proof).err()
     });
     match refusal {
         None => Ok(()),

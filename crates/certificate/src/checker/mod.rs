@@ -80,7 +80,7 @@ use glam::DVec3;
 
 pub use cell::{CellClaims, CellRefusal, Claim, check_cell, check_cell_until};
 pub use hidden::check_hidden;
-pub use triangles::Triangles;
+pub use triangles::{Kinds, Triangles};
 pub use witness::check_witness;
 
 /// Why a proof or a witness is refused.
@@ -91,7 +91,8 @@ pub enum Refusal {
     Length(&'static str),
     /// An occluder names a triangle that is not in the scene, or has no boundary edge, or one without length.
     #[error(
-        "occluder {0} blocks nothing: a triangle is not in the scene, or the boundary is empty or degenerate"
+        "occluder {0} blocks nothing: a triangle is not in the scene or does not block, or the boundary \
+         is empty or degenerate"
     )]
     Occluder(usize),
     /// A polygon of the query is not convex or not flat, or has no area.

@@ -21,21 +21,21 @@ const LEAF: usize = 4;
 const PIECES: u32 = 64;
 
 impl<'a> TriangleTree<'a> {
-    /// Builds the tree.
-    pub fn new(all: &'a [[Vec3; 3]]) -> Self {
-        let mut order: Vec<u32> = (0..all.len() as u32).collect();
-        let depth = (all.len() / LEAF).max(1).ilog2();
+    /// Builds the tree of some of the triangles.
+    pub fn new(all: &'a [[Vec3; 3]], mut order: Vec<u32>) -> Self {
+        let count = order.len();
+        let depth = (count / LEAF).max(1).ilog2();
         let mut boxes = vec![Aabb::EMPTY; 2 << depth];
         let least = |t: u32| all[t as usize].iter().fold(Vec3::INFINITY, |m, v| m.min(*v));
         for level in 0..=depth {
             for k in 0..1usize << level {
-                let range = part(all.len(), level, k);
+                let range = part(count, level, k);
                 let items = &mut order[range];
                 let bounds = Aabb::around(items.iter().flat_map(|t| all[*t as usize]));
                 boxes[(1 << level) + k] = bounds;
                 if level < depth && !items.is_empty() {
                     let axis = (bounds.max - bounds.min).max_position();
-                    let half = part(all.len(), level + 1, 2 * k).len();
+                    let half = part(count, level + 1, 2 * k).len();
                     if half < items.len() {
                         items.select_nth_unstable_by(half, |s, t| {
                             least(*s)[axis].total_cmp(&least(*t)[axis]).then(s.cmp(t))
@@ -52,7 +52,7 @@ impl<'a> TriangleTree<'a> {
         self.all
     }
 
-    /// Appends every triangle whose bounds meet the box; then sorts `out` and removes duplicates.
+    /// Appends every triangle of the tree whose bounds meet the box; then sorts `out` and removes duplicates.
     pub fn in_box(&self, of: Aabb, out: &mut Vec<u32>) {
         let mut open = vec![(0u32, 0usize)];
         while let Some((level, k)) = open.pop() {
@@ -63,15 +63,15 @@ impl<'a> TriangleTree<'a> {
                 open.extend([(level + 1, 2 * k), (level + 1, 2 * k + 1)]);
                 continue;
             }
-            let leaf = &self.order[part(self.all.len(), level, k)];
+            let leaf = &self.order[part(self.order.len(), level, k)];
             out.extend(leaf.iter().filter(|t| Aabb::around(self.all[**t as usize]).touches(&of)));
         }
         out.sort_unstable();
         out.dedup();
     }
 
-    /// Every triangle that may have a point on a segment between two points that lie in the boxes `p` and
-    /// `q`; ascending.
+    /// Every triangle of the tree that may have a point on a segment between two points that lie in the boxes
+    /// `p` and `q`; ascending.
     pub fn along(&self, p: Aabb, q: Aabb) -> Vec<u32> {
         let mut out = Vec::new();
         let (p, q) = (p.corners(), q.corners());
@@ -124,7 +124,7 @@ mod tests {
             triangles in prop::collection::vec(prop::array::uniform3(point()), 0..60),
             (p, q) in (point(), point()),
         ) {
-            let tree = TriangleTree::new(&triangles);
+            let tree = TriangleTree::new(&triangles, (0..triangles.len() as u32).collect());
             let along = tree.along(Aabb::new(p, p), Aabb::new(q, q));
             let bounds = Aabb::around([p, q]);
             let mut in_box = Vec::new();

@@ -41,7 +41,7 @@ pub struct Asked {
 impl Work<'_> {
     pub fn bounds(&self, of: Item) -> Aabb {
         match of {
-            Item::Node(node) => self.task.scene.occluders().hierarchy().bounds(node),
+            Item::Node(node) => self.task.scene.occluders().targets().bounds(node),
             Item::Triangle(id) => Aabb::around(*self.task.scene.occluders().triangle(id)),
             Item::Face(id) => {
                 Aabb::around(self.task.scene.occluders().occluder(id).border.iter().map(|[p, _]| *p))
@@ -81,7 +81,7 @@ impl Work<'_> {
         }
         let targets = match of {
             Item::Node(node) => {
-                let Aabb { min, max } = self.task.scene.occluders().hierarchy().bounds(node);
+                let Aabb { min, max } = self.task.scene.occluders().targets().bounds(node);
                 faces_towards(min, max, self.task.cell)
             }
             Item::Face(id) => self.outline(id).into_iter().collect(),
@@ -108,7 +108,7 @@ impl Work<'_> {
             let wanted = |id: u32| {
                 self.state[id as usize] == State::Open
                     && of != Item::Triangle(id)
-                    && self.task.scene.occluders().of(id).is_some()
+                    && self.task.scene.occluders().is_target(id)
             };
             let ends = ends.each_ref().map(rounded);
             let stream = match of {
@@ -132,7 +132,7 @@ impl Work<'_> {
     }
 
     pub fn each_below(&mut self, node: u32, mut f: impl FnMut(&mut Self, u32)) {
-        let tree = self.task.scene.occluders().hierarchy();
+        let tree = self.task.scene.occluders().targets();
         let mut open = vec![node];
         while let Some(node) = open.pop() {
             match tree.below(node) {
@@ -174,7 +174,7 @@ impl Work<'_> {
                 });
                 ids.sort_unstable();
                 self.decided.statistics.boxes += 1;
-                self.hide(&ids, Target::Box(self.task.scene.occluders().hierarchy().bounds(node)), proofs);
+                self.hide(&ids, Target::Box(self.task.scene.occluders().targets().bounds(node)), proofs);
             }
             (Item::Face(face), Some(Found::Hidden(proofs))) => {
                 let mut ids = self.open_of(face);

@@ -68,7 +68,7 @@ pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
         asked: task.asked,
     };
     let mut work = Work::new(&whole);
-    if task.scene.occluders().hierarchy().is_empty() || (task.stop)() {
+    if task.scene.occluders().targets().is_empty() || (task.stop)() {
         return nothing(QueryStatistics::default());
     }
     work.meeting();

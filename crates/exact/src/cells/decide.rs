@@ -21,7 +21,7 @@ use sightline_certificate::Witness;
 
 /// Decides every triangle with area.
 pub fn decide(task: &Task<'_>) -> Decided {
-    let tree = task.scene.occluders().hierarchy();
+    let tree = task.scene.occluders().targets();
     let mut work = Work::new(task);
     if tree.is_empty() {
         return work.decided;
@@ -39,7 +39,7 @@ impl Work<'_> {
     fn show(&mut self) {
         let task = self.task;
         let open =
-            |id: &u32| self.state[*id as usize] == State::Open && task.scene.occluders().of(*id).is_some();
+            |id: &u32| self.state[*id as usize] == State::Open && task.scene.occluders().is_target(*id);
         let wanted: Vec<u32> = task.seen.iter().copied().filter(open).collect();
         let (found, rays) =
             rays::witnesses(task.scene.occluders(), &task.cell, &wanted, task.seed, task.stop);

@@ -42,7 +42,7 @@ impl PartialOrd for Doubt {
 impl Work<'_> {
     /// Queries the open items of the hierarchy, those of the largest apparent size first.
     pub fn search(&mut self) {
-        let tree = self.task.scene.occluders().hierarchy();
+        let tree = self.task.scene.occluders().targets();
         let mut below = Progress::of(self.task.scene.occluders(), &self.state);
         let mut doubts = BinaryHeap::new();
         // Polygons found so far, and whether each was queried as a whole.

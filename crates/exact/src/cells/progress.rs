@@ -24,7 +24,7 @@ pub struct Progress {
 
 impl Progress {
     pub fn of(scene: &Occluders, state: &[State]) -> Self {
-        let tree = scene.hierarchy();
+        let tree = scene.targets();
         let open = |id: &u32| state[*id as usize] == State::Open;
         let first = |id: u32| {
             let members = scene.of(id).map(|o| &scene.occluder(o).triangles);

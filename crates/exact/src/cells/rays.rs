@@ -98,7 +98,10 @@ pub fn witnesses(
             let to = a * (1.0 - s) + b * (s * (1.0 - t)) + c * (s * t);
             let origin = p.as_dvec3();
             cast += 1;
-            let Some((met, at)) = first(scene, origin, to - origin) else { continue };
+            // A triangle that does not block is met where the segment was aimed.
+            let met =
+                if scene.of(*id).is_some() { first(scene, origin, to - origin) } else { Some((*id, 1.0)) };
+            let Some((met, at)) = met else { continue };
             if found.contains_key(&met) || wanted.binary_search(&met).is_err() {
                 continue;
             }

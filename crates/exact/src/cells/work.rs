@@ -3,10 +3,10 @@
 use std::cmp::Ordering;
 
 use rayon::prelude::*;
-use sightline_scene::{Aabb, Triangle, overlap};
+use sightline_scene::{Triangle, overlap};
 
 use crate::cells::task::{Decided, Task};
-use crate::geometry::bvh::Below;
+use crate::geometry::bvh::{Below, Bvh};
 use crate::search::Reason;
 use crate::surfaces::Hides;
 use sightline_certificate::proof::Proof;
@@ -30,7 +30,12 @@ pub struct Work<'a> {
 
 impl<'a> Work<'a> {
     pub fn new(task: &'a Task<'a>) -> Self {
-        let state = vec![State::Open; task.scene.occluders().len()];
+        let scene = task.scene.occluders();
+        let first = |id: u32| {
+            // A blocking triangle that cannot be in a set counts as hidden, without a proof.
+            if scene.of(id).is_some() && !scene.is_target(id) { State::Hidden } else { State::Open }
+        };
+        let state = (0..scene.len() as u32).map(first).collect();
         Self { task, state, halves: Vec::new(), decided: Decided::default() }
     }
 }
@@ -52,10 +57,16 @@ impl Work<'_> {
 
     /// Marks the triangles that meet the cell, I(C).
     pub fn meeting(&mut self) {
-        let [min, max] = self.task.cell.corners();
-        let bounds = Aabb { min, max };
-        let tree = self.task.scene.occluders().hierarchy();
-        let mut open = vec![0];
+        for id in self.meeting_in(self.task.scene.occluders().targets()) {
+            self.state[id as usize] = State::Visible;
+        }
+    }
+
+    /// The triangles of a hierarchy that meet the cell.
+    fn meeting_in(&self, tree: &Bvh) -> Vec<u32> {
+        let bounds = self.task.cell.bounds();
+        let mut meeting = Vec::new();
+        let mut open = if tree.is_empty() { Vec::new() } else { vec![0] };
         while let Some(node) = open.pop() {
             if !self.task.cell.touches(tree.bounds(node)) {
                 continue;
@@ -66,19 +77,21 @@ impl Work<'_> {
                     for id in items {
                         let triangle = Triangle { v: *self.task.scene.occluders().triangle(*id) };
                         if overlap::triangle_touches_box(&triangle, &bounds) {
-                            self.state[*id as usize] = State::Visible;
+                            meeting.push(*id);
                         }
                     }
                 }
             }
         }
+        meeting
     }
 
     /// Marks the triangles that closed surfaces hide: most of those that face away from the cell.
     pub fn enclose(&mut self) {
         let task = self.task;
         let all = 0..self.state.len() as u32;
-        let meeting: Vec<u32> = all.clone().filter(|id| self.state[*id as usize] == State::Visible).collect();
+        // Surfaces consist of all blocking triangles, those that cannot be in a set included.
+        let meeting = self.meeting_in(task.scene.occluders().hierarchy());
         let from = task.scene.surfaces().seen_from(task.scene.occluders(), task.cell, &meeting);
         let open = |id: &u32| self.state[*id as usize] == State::Open;
         let hidden: Vec<(u32, Hides)> = all
@@ -137,8 +150,8 @@ impl Work<'_> {
                 State::Visible => self.decided.visible.push(id),
                 State::Undecided => self.decided.undecided.push(id),
                 // Every triangle with area was queried; if one were not, it must not be reported as hidden.
-                State::Open if self.task.scene.occluders().of(id).is_some() => {
-                    debug_assert!(false, "triangle {id} was not asked about");
+                State::Open if self.task.scene.occluders().is_target(id) => {
+                    debug_assert!(false, "triangle {id} was not queried");
                     self.decided.undecided.push(id);
                 }
                 State::Open | State::Hidden => {}

@@ -15,15 +15,24 @@ use crate::geometry::bvh::Bvh;
 pub struct Occluders {
     triangles: Vec<[Vec3; 3]>,
     occluders: Vec<Occluder>,
-    /// The occluder of each triangle; none for those without area.
+    /// The occluder of each triangle; none for those without area and those that do not block.
     of: Vec<Option<OccluderId>>,
     /// Whether each triangle is reversed in its occluder.
     turned: Vec<bool>,
     boundary_edges: BoundaryEdges,
     /// Three corner numbers a triangle.
     corners: Vec<u32>,
+    /// The hierarchy over the blocking triangles.
     bvh: Bvh,
+    /// The hierarchy over the triangles that can be in a set; none if these are the blocking ones.
+    targets: Option<Targets>,
     reach: f64,
+}
+
+/// The triangles that can be in a set, where some of these do not block or some that block are not shown.
+struct Targets {
+    bvh: Bvh,
+    is_target: Vec<bool>,
 }
 
 impl Occluders {
@@ -35,7 +44,10 @@ impl Occluders {
     pub fn new(scene: &Scene) -> Result<Self, SceneError> {
         let corners = corner_vertices(scene)?;
         let triangles: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
-        let solid: Vec<bool> = scene.triangles().par_iter().map(|t| !t.is_degenerate()).collect();
+        let ids = (0..scene.len()).into_par_iter();
+        let solid: Vec<bool> = ids.clone().map(|t| scene.blocks(t)).collect();
+        let shown: Option<Vec<bool>> =
+            (!scene.kinds().all_opaque()).then(|| ids.map(|t| scene.shows(t)).collect());
         let joined = || {
             let mut faces = Faces::new(&triangles, &corners, &solid);
             faces.merge();
@@ -48,15 +60,19 @@ impl Occluders {
                 .for_each(|t| turned[t.triangle as usize] = t.reversed);
             (occluders, of, turned, boundary_edges)
         };
-        let hierarchy = || {
+        let hierarchy = |of: &[bool]| {
             let boxes = scene.triangles().iter().map(|t| t.bounds()).collect();
-            let items = (0..triangles.len() as u32).filter(|i| solid[*i as usize]).collect();
+            let items = (0..triangles.len() as u32).filter(|i| of[*i as usize]).collect();
             Bvh::new(boxes, items)
         };
-        let ((occluders, of, turned, boundary_edges), bvh) = rayon::join(joined, hierarchy);
+        let hierarchies = || {
+            let targets = shown.map(|is_target| Targets { bvh: hierarchy(&is_target), is_target });
+            (hierarchy(&solid), targets)
+        };
+        let ((occluders, of, turned, boundary_edges), (bvh, targets)) = rayon::join(joined, hierarchies);
         let b = scene.bounds();
         let reach = f64::from(b.min.abs().max(b.max.abs()).max_element());
-        Ok(Self { triangles, occluders, of, turned, boundary_edges, corners, bvh, reach })
+        Ok(Self { triangles, occluders, of, turned, boundary_edges, corners, bvh, targets, reach })
     }
 
     /// A triangle's vertices.
@@ -115,7 +131,20 @@ impl Occluders {
         self.occluders.len()
     }
 
-    /// The hierarchy over the triangles that have an area.
+    /// The hierarchy over the triangles with an area that can be in a set.
+    pub fn targets(&self) -> &Bvh {
+        self.targets.as_ref().map_or(&self.bvh, |t| &t.bvh)
+    }
+
+    /// Whether a triangle has an area and can be in a set.
+    pub fn is_target(&self, triangle: u32) -> bool {
+        match &self.targets {
+            None => self.of(triangle).is_some(),
+            Some(targets) => targets.is_target[triangle as usize],
+        }
+    }
+
+    /// The hierarchy over the blocking triangles with an area.
     pub fn hierarchy(&self) -> &Bvh {
         &self.bvh
     }

@@ -16,7 +16,9 @@ use super::cache::{CacheCounters, SampleCache};
 use super::refine::{Exterior, SampleSource, refine};
 use crate::backend::CubeRenderer;
 use crate::context::{JobContext, TileError, Watcher};
+use crate::cube::CubeSpec;
 use crate::error::BackendError;
+use crate::layers;
 use crate::prepared::CubeScene;
 
 /// The work of a tile, for reports.
@@ -78,13 +80,13 @@ pub fn run(
     };
     let output = match tile.kind {
         TileKind::Face(f) => {
-            let renderer = job.backend.prepare(None)?;
+            let renderer = renderer(job, None)?;
             work.sample(tile.cell.face(f), &*renderer)?;
             TileOutput::Pack(work.take_pack())
         }
         TileKind::Separator(split) => {
             let seen = if work.superset {
-                let inside = overlap::triangles_in_box(job.scene.scene(), None, &work.world(&tile.cell));
+                let inside = work.inside(&tile.cell);
                 work.seen_from(&tile.cell, &inside).0
             } else {
                 Vec::new()
@@ -93,13 +95,21 @@ pub fn run(
             TileOutput::Pack(work.take_pack())
         }
         TileKind::Leaf => {
-            let inside = overlap::triangles_in_box(job.scene.scene(), None, &work.world(&tile.cell));
+            let inside = work.inside(&tile.cell);
             let mut sets = CellSets::default();
             work.subtree(&tile.cell, tile.depth, &inside, &mut sets)?;
             TileOutput::Cells(sets)
         }
     };
     Ok((output, CubeCounters { rendered: work.rendered, cache: work.cache.counters() }))
+}
+
+/// The renderer of a job's cubes.
+fn renderer<'a>(
+    job: &JobContext<'a>,
+    superset: Option<&[u32]>,
+) -> Result<Box<dyn CubeRenderer + 'a>, BackendError> {
+    layers::renderer(job.backend, job.scene, CubeSpec::of(job.params), superset)
 }
 
 struct Work<'a> {
@@ -120,6 +130,14 @@ impl Work<'_> {
     fn world(&self, cell: &CellBox) -> Aabb {
         let (min, max) = cell.world(&self.job.lattice);
         Aabb { min, max }
+    }
+
+    /// The triangles that show and meet a cell, I(C), ascending.
+    fn inside(&self, cell: &CellBox) -> Vec<u32> {
+        let scene = self.job.scene.scene();
+        let mut inside = overlap::triangles_in_box(scene, None, &self.world(cell));
+        inside.retain(|t| scene.kinds().kind(*t).shows());
+        inside
     }
 
     fn take_pack(&mut self) -> Pack {
@@ -186,7 +204,7 @@ impl Work<'_> {
 
     /// Samples the rectangle that splits `cell`, with V(C) only when superset simplification is on.
     fn split(&mut self, cell: &CellBox, split: Split, seen: &[u32]) -> Result<(), TileError> {
-        let renderer = self.job.backend.prepare(self.superset.then_some(seen))?;
+        let renderer = renderer(self.job, self.superset.then_some(seen))?;
         self.sample(cell.cut(split), &*renderer)
     }
 

@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use sightline_scene::{Scene, Triangle};
 
 use self::library::{Device, RayHit1, RayHit16, TriangleScene};
-use crate::backend::{Backend, CubeRenderer};
+use crate::backend::{Backend, CubeRenderer, LineSet};
 use crate::cube::{CubeImage, CubeSpec, SKY, face_basis};
 use crate::error::BackendError;
 use crate::packet::{LineTracer, Packet};
@@ -31,8 +31,8 @@ pub struct CpuBackend {
     device: Arc<Device>,
     profile: String,
     whole: OnceLock<Result<Arc<Hierarchy>, String>>,
-    /// Hierarchy over the triangles that sight lines can hit.
-    distinct: OnceLock<Result<Arc<Hierarchy>, String>>,
+    /// Hierarchies over the triangles that sight lines can hit, by [`LineSet`].
+    lines: [OnceLock<Result<Arc<Hierarchy>, String>>; 2],
 }
 
 /// A committed hierarchy and the ids of its triangles.
@@ -58,7 +58,7 @@ impl CpuBackend {
             device: Arc::new(device),
             profile,
             whole: OnceLock::new(),
-            distinct: OnceLock::new(),
+            lines: Default::default(),
         })
     }
 
@@ -135,10 +135,9 @@ impl Backend for CpuBackend {
         &self.profile
     }
 
-    fn lines(&self, distinct: &[u32]) -> Result<Box<dyn LineTracer + '_>, BackendError> {
-        let hierarchy = self
-            .distinct
-            .get_or_init(|| self.build(Some(distinct)))
+    fn lines(&self, set: LineSet, ids: &[u32]) -> Result<Box<dyn LineTracer + '_>, BackendError> {
+        let hierarchy = self.lines[set as usize]
+            .get_or_init(|| self.build(Some(ids)))
             .clone()
             .map_err(|reason| BackendError::Failed { profile: self.profile.clone(), reason })?;
         Ok(Box::new(CpuTracer { hierarchy, near: crate::near_distance(self.scene.bounds()) }))
@@ -161,35 +160,56 @@ struct CpuTracer {
     near: f32,
 }
 
+impl CpuTracer {
+    /// Traces a packet up to a distance for each lane.
+    fn packet(&self, rays: &mut RayHit16, p: &mut Packet, until: [f32; 16]) {
+        rays.org = p.origin;
+        rays.dir = p.direction;
+        rays.tnear = [self.near; 16];
+        rays.tfar = until;
+        rays.geom = [u32::MAX; 16];
+        let valid = std::array::from_fn(|l| if l < p.count { -1 } else { 0 });
+        self.hierarchy.scene.intersect(&valid, rays);
+        p.distance = rays.tfar;
+        for l in 0..16 {
+            p.triangle[l] =
+                if rays.geom[l] == u32::MAX { SKY } else { self.hierarchy.ids[rays.prim[l] as usize] };
+        }
+    }
+
+    /// Traces one lane up to a distance.
+    fn lane(&self, p: &mut Packet, l: usize, until: f32) {
+        let at = |v: &[[f32; 16]; 3]| [v[0][l], v[1][l], v[2][l]];
+        let mut ray = RayHit1::new(at(&p.origin), at(&p.direction), self.near);
+        ray.tfar = until;
+        self.hierarchy.scene.intersect_one(&mut ray);
+        p.distance[l] = ray.tfar;
+        p.triangle[l] = if ray.geom == u32::MAX { SKY } else { self.hierarchy.ids[ray.prim as usize] };
+    }
+}
+
 impl LineTracer for CpuTracer {
     fn trace(&self, packets: &mut [Packet]) -> Result<(), BackendError> {
         let mut rays = RayHit16::new();
-        for p in packets {
-            rays.org = p.origin;
-            rays.dir = p.direction;
-            rays.tnear = [self.near; 16];
-            rays.tfar = [f32::INFINITY; 16];
-            rays.geom = [u32::MAX; 16];
-            let valid = std::array::from_fn(|l| if l < p.count { -1 } else { 0 });
-            self.hierarchy.scene.intersect(&valid, &mut rays);
-            p.distance = rays.tfar;
-            for l in 0..16 {
-                p.triangle[l] =
-                    if rays.geom[l] == u32::MAX { SKY } else { self.hierarchy.ids[rays.prim[l] as usize] };
-            }
-        }
+        packets.iter_mut().for_each(|p| self.packet(&mut rays, p, [f32::INFINITY; 16]));
         Ok(())
     }
 
     fn trace_each(&self, packets: &mut [Packet]) -> Result<(), BackendError> {
         for p in packets {
-            for l in 0..p.count {
-                let at = |v: &[[f32; 16]; 3]| [v[0][l], v[1][l], v[2][l]];
-                let mut ray = RayHit1::new(at(&p.origin), at(&p.direction), self.near);
-                self.hierarchy.scene.intersect_one(&mut ray);
-                p.distance[l] = ray.tfar;
-                p.triangle[l] =
-                    if ray.geom == u32::MAX { SKY } else { self.hierarchy.ids[ray.prim as usize] };
+            (0..p.count).for_each(|l| self.lane(p, l, f32::INFINITY));
+        }
+        Ok(())
+    }
+
+    fn trace_within(&self, packets: &mut [Packet], coherent: bool) -> Result<(), BackendError> {
+        let mut rays = RayHit16::new();
+        for p in packets {
+            let until = p.distance;
+            if coherent {
+                self.packet(&mut rays, p, until);
+            } else {
+                (0..p.count).for_each(|l| self.lane(p, l, until[l]));
             }
         }
         Ok(())

@@ -26,7 +26,7 @@ use sightline_scene::Scene;
 
 pub use adapter::{AdapterChoice, AdapterSummary, adapters, device_present, probe};
 
-use crate::backend::{Backend, CubeRenderer};
+use crate::backend::{Backend, CubeRenderer, LineSet};
 use crate::cube::CubeSpec;
 use crate::error::BackendError;
 use crate::packet::LineTracer;
@@ -53,7 +53,7 @@ pub struct GpuBackend {
     /// The buffers of one batch of cubes.
     work: Mutex<Work>,
     /// The scene of the line tracer, made at the first call of `lines`.
-    lines: OnceLock<Result<Arc<LineKit>, Refusal>>,
+    lines: [OnceLock<Result<Arc<LineKit>, Refusal>>; 2],
 }
 
 impl GpuBackend {
@@ -87,7 +87,7 @@ impl GpuBackend {
             gpu,
             whole: Arc::new(whole),
             work: Mutex::default(),
-            lines: OnceLock::new(),
+            lines: Default::default(),
             scene,
             page_bytes,
             style,
@@ -140,12 +140,12 @@ impl Backend for GpuBackend {
         Ok(Box::new(GpuRenderer::new(&self.gpu, &self.work, geometry)))
     }
 
-    fn lines(&self, distinct: &[u32]) -> Result<Box<dyn LineTracer + '_>, BackendError> {
+    fn lines(&self, set: LineSet, ids: &[u32]) -> Result<Box<dyn LineTracer + '_>, BackendError> {
         self.gpu.check()?;
         // The hierarchy is built by all threads of the pool.
         crate::prepared::outside_the_pool();
-        let made = self.lines.get_or_init(|| {
-            LineScene::new(&self.gpu.device, &self.scene, distinct, u64::MAX)
+        let made = self.lines[set as usize].get_or_init(|| {
+            LineScene::new(&self.gpu.device, &self.scene, ids, u64::MAX)
                 .map(|scene| Arc::new(LineKit::new(scene)))
         });
         match made {

@@ -110,7 +110,8 @@ fn a_scene_that_does_not_fit_is_refused_with_the_limit() {
 #[test]
 fn a_lost_device_is_an_error() {
     let Some(backend) = backend(&soup(50)) else { return };
-    let tracer = backend.lines(&(0..backend.scene.len()).collect::<Vec<_>>()).unwrap();
+    let tracer =
+        backend.lines(crate::LineSet::Blocking, &(0..backend.scene.len()).collect::<Vec<_>>()).unwrap();
     tracer.trace(&mut packets(20)).unwrap();
     backend.gpu.device.destroy();
     for _ in 0..2 {

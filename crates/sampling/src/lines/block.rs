@@ -16,7 +16,8 @@ use super::yields::Yields;
 use crate::context::{TileError, Watcher};
 use crate::cube::SKY;
 use crate::error::BackendError;
-use crate::packet::{LineTracer, Packet};
+use crate::packet::Packet;
+use crate::sight::{Passed, Sight};
 use crate::surface::Surface;
 use sightline_model::{CellStats, LineKind};
 
@@ -34,7 +35,7 @@ pub struct Tools<'a> {
     /// Facts about its triangles.
     pub surface: &'a Surface,
     /// The tracer of the lines.
-    pub tracer: &'a dyn LineTracer,
+    pub sight: &'a Sight<'a>,
     /// Seed of all choices.
     pub seed: u64,
     /// Receives the progress and can cancel the work.
@@ -69,6 +70,8 @@ pub(super) struct Scratch {
     pub(super) tag: u32,
     pub(super) packets: Vec<Packet>,
     pub(super) behind: Vec<Packet>,
+    /// The see-through triangles on the lines traced last.
+    pub(super) passed: Passed,
     pub(super) crossed: Crossed,
 }
 
@@ -168,22 +171,27 @@ impl<'a> Block<'a> {
         (0..more).for_each(|_| self.tools.watcher.cell_done());
     }
 
-    /// Credits every cell that the free part of a lane's line crosses with the triangles at both ends of it,
-    /// and returns these triangles; [`SKY`] where a half of the line meets nothing. `behind` holds the other
-    /// half ([`Packet::reversed`]).
+    /// Credits every cell that the free part of a lane's line crosses with the triangles on it: those at both
+    /// ends, and the see-through ones in between. Returns those at the ends; [`SKY`] where a half of the line
+    /// meets nothing that shows. `packets` holds both halves ([`Packet::reversed`]), at the places `ahead`
+    /// and `behind`, and `passed` the see-through triangles on them.
     pub(super) fn credit_line(
         &self,
-        ahead: &Packet,
-        behind: &Packet,
+        packets: &[Packet],
+        passed: &Passed,
+        halves: [usize; 2],
         lane: usize,
         crossed: &mut Crossed,
     ) -> [u32; 2] {
+        let [ahead, behind] = halves.map(|k| &packets[k]);
         let ends = [ahead.triangle[lane], behind.triangle[lane]];
-        if ends != [SKY; 2] {
+        let mut between = passed.on_both(halves, lane).peekable();
+        if ends != [SKY; 2] || between.peek().is_some() {
             let (origin, direction) = ahead.ray(lane);
             let (from, to) = ahead.free(behind, lane, self.step);
             self.grid.walk(origin, direction, from, to, crossed);
             ends.into_iter().filter(|t| *t != SKY).for_each(|t| self.bits.credit(t, crossed));
+            between.for_each(|t| self.bits.credit(t, crossed));
         }
         ends
     }
@@ -244,6 +252,7 @@ impl<'a> Block<'a> {
             tag: 0,
             packets: Vec::new(),
             behind: Vec::new(),
+            passed: Passed::default(),
             crossed: Vec::new(),
         });
         let result = f(&mut scratch);

@@ -32,7 +32,7 @@ const CHECK: u64 = 5;
 
 impl Block<'_> {
     /// Samples until every cell is expected to miss at most `target` and its bound is at most `most`, until
-    /// the time is up, or until a cell has had [`MOST_LOOKS`] tests. The statistics of a cell hold its bound.
+    /// the time is up, or until a cell has had its most tests. The statistics of a cell hold its bound.
     ///
     /// # Errors
     /// As [`Block::sample`].
@@ -118,15 +118,16 @@ impl Block<'_> {
                 }
                 s.packets.push(packet);
             }
-            self.tools.tracer.trace_each(&mut s.packets)?;
-            for packet in &s.packets {
+            self.tools.sight.trace_each(&mut s.packets, &mut s.passed, self.step)?;
+            for (k, packet) in s.packets.iter().enumerate() {
                 for lane in 0..packet.count {
-                    let triangle = packet.triangle[lane];
-                    if triangle != SKY && !self.bits.seen(triangle, c.slot) {
+                    let shown = std::iter::once(packet.triangle[lane]).chain(s.passed.on(k, lane));
+                    let mut new = shown.filter(|t| *t != SKY && !self.bits.seen(*t, c.slot)).peekable();
+                    if new.peek().is_some() {
                         misses += 1;
                         let (origin, direction) = packet.ray(lane);
                         self.grid.walk(origin, direction, 0.0, packet.distance[lane], &mut s.crossed);
-                        self.bits.credit(triangle, &s.crossed);
+                        new.for_each(|t| self.bits.credit(t, &s.crossed));
                     }
                 }
             }

@@ -128,7 +128,7 @@ impl Block<'_> {
         let mut random = Hashed::new(&[self.tools.seed, c.number, u64::from(round), rays, AIM]);
         let mut stats = CellStats::default();
         s.next_tag();
-        let chunk = (self.tools.tracer.batch() / 2).max(1);
+        let chunk = (self.tools.sight.batch() / 2).max(1);
         let mut wanted = list.to_vec();
         for time in 0.. {
             if time > 0 {
@@ -175,15 +175,18 @@ impl Block<'_> {
             s.packets.push(behind);
         }
         // The directions to sixteen nearby candidates still differ too much for a packet.
-        self.tools.tracer.trace_each(&mut s.packets)?;
-        let Scratch { packets, crossed, met, tag, .. } = &mut *s;
-        for (both, group) in packets.chunks_exact(2).zip(some.chunks(LANES)) {
-            let [ahead, behind] = both else { continue };
+        self.tools.sight.trace_each(&mut s.packets, &mut s.passed, self.step)?;
+        let Scratch { packets, passed, crossed, met, tag, .. } = &mut *s;
+        for (pair, group) in some.chunks(LANES).enumerate() {
+            let halves = [2 * pair, 2 * pair + 1];
+            let ahead = &packets[halves[0]];
             stats.rays[LineKind::Candidate as usize] += 2 * ahead.count as u64;
             for (lane, candidate) in group.iter().enumerate() {
-                let found = ahead.triangle[lane] == candidate.triangle;
+                let found = ahead.triangle[lane] == candidate.triangle
+                    || passed.on(halves[0], lane).any(|t| t == candidate.triangle);
                 self.yields.count(candidate.part, time, uniform, found);
-                for triangle in self.credit_line(ahead, behind, lane, crossed) {
+                let ends = self.credit_line(packets, passed, halves, lane, crossed);
+                for triangle in ends.into_iter().chain(passed.on_both(halves, lane)) {
                     if triangle != SKY && !self.bits.seen(triangle, c.slot) && met[triangle as usize] != *tag
                     {
                         met[triangle as usize] = *tag;

@@ -62,25 +62,28 @@ impl Block<'_> {
             s.behind.clear();
             s.behind.extend(aimed.iter().map(|a| a.packet.clone()));
             s.behind.extend(aimed.iter().map(|a| a.packet.reversed(self.step)));
-            self.tools.tracer.trace_each(&mut s.behind)?;
+            self.tools.sight.trace_each(&mut s.behind, &mut s.passed, self.step)?;
             finds.clear();
-            let Scratch { behind: traced, crossed, met, tag, .. } = &mut *s;
-            let (ahead, behind) = traced.split_at(aimed.len());
-            for ((a, ahead), behind) in aimed.iter().zip(ahead).zip(behind) {
+            let Scratch { behind: traced, passed, crossed, met, tag, .. } = &mut *s;
+            for (k, a) in aimed.iter().enumerate() {
+                let ahead = &traced[k];
                 stats.rays[LineKind::Flood as usize] += 2 * ahead.count as u64;
                 for lane in 0..ahead.count {
-                    let (hit, target) = (ahead.triangle[lane], a.targets[lane]);
-                    if hit != target {
+                    let (end, target) = (ahead.triangle[lane], a.targets[lane]);
+                    let hits = || std::iter::once(end).chain(passed.on(k, lane));
+                    if hits().all(|hit| hit != target) {
                         // Another triangle obstructs it; from another origin it may be visible.
                         met[target as usize] = 0;
                     }
-                    self.credit_line(ahead, behind, lane, crossed);
-                    if hit != SKY
-                        && !self.bits.seen(hit, slot)
-                        && (hit == target || met[hit as usize] != *tag)
-                    {
-                        met[hit as usize] = *tag;
-                        finds.push(Find { packet: a.eye, triangle: hit });
+                    self.credit_line(traced, passed, [k, k + aimed.len()], lane, crossed);
+                    for hit in hits() {
+                        if hit != SKY
+                            && !self.bits.seen(hit, slot)
+                            && (hit == target || met[hit as usize] != *tag)
+                        {
+                            met[hit as usize] = *tag;
+                            finds.push(Find { packet: a.eye, triangle: hit });
+                        }
                     }
                 }
             }

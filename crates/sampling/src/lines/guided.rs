@@ -86,17 +86,19 @@ impl Block<'_> {
                 }
                 s.packets.push(packet);
             }
-            self.tools.tracer.trace_each(&mut s.packets)?;
+            self.tools.sight.trace_each(&mut s.packets, &mut s.passed, self.step)?;
             cast += batch;
-            for packet in &s.packets {
-                for triangle in &packet.triangle[..packet.count] {
-                    if *triangle == SKY || s.met[*triangle as usize] == s.tag {
+            for (k, packet) in s.packets.iter().enumerate() {
+                let ends = (0..packet.count)
+                    .flat_map(|l| std::iter::once(packet.triangle[l]).chain(s.passed.on(k, l)));
+                for triangle in ends {
+                    if triangle == SKY || s.met[triangle as usize] == s.tag {
                         continue;
                     }
-                    s.met[*triangle as usize] = s.tag;
-                    self.bits.credit(*triangle, &[(c.slot.word, 1 << c.slot.bit)]);
+                    s.met[triangle as usize] = s.tag;
+                    self.bits.credit(triangle, &[(c.slot.word, 1 << c.slot.bit)]);
                     stats.finds[LineKind::Uniform as usize] += 1;
-                    let next = self.tools.surface.neighbours[*triangle as usize];
+                    let next = self.tools.surface.neighbours[triangle as usize];
                     border.extend(next.iter().filter(|n| **n != SKY && s.met[**n as usize] != s.tag));
                 }
             }

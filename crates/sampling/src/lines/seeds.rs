@@ -57,14 +57,14 @@ impl Block<'_> {
                     s.packets.push(down);
                     s.packets.push(up);
                 }
-                self.tools.tracer.trace(&mut s.packets)?;
-                let Scratch { packets, crossed, .. } = &mut *s;
+                self.tools.sight.trace(&mut s.packets, &mut s.passed, self.step)?;
+                let Scratch { packets, passed, crossed, .. } = &mut *s;
                 let mut rays = 0;
-                for both in packets.chunks_exact(2) {
-                    let [down, up] = both else { continue };
-                    rays += 2 * down.count as u64;
-                    for lane in 0..down.count {
-                        self.credit_line(down, up, lane, crossed);
+                for pair in 0..packets.len() / 2 {
+                    let halves = [2 * pair, 2 * pair + 1];
+                    rays += 2 * packets[halves[0]].count as u64;
+                    for lane in 0..packets[halves[0]].count {
+                        self.credit_line(packets, passed, halves, lane, crossed);
                     }
                 }
                 self.tools.watcher.rendered(rays);

@@ -11,6 +11,7 @@ use super::block::Block;
 use super::rounds::Tolerance;
 use super::work::{Work, columns};
 use crate::context::{JobContext, TileError, Watcher};
+use crate::sight::Sight;
 
 /// Samples a leaf tile; returns its sets and the number of rays.
 ///
@@ -19,8 +20,8 @@ use crate::context::{JobContext, TileError, Watcher};
 pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(CellSets, u64), TileError> {
     let start = Instant::now();
     let scene = job.scene.for_lines();
-    let tracer = job.backend.lines(scene.distinct)?;
-    let work = Work { job, scene, tracer: &*tracer, watcher };
+    let sight = Sight::new(job.backend, job.scene.traced())?;
+    let work = Work { job, scene, sight: &sight, watcher };
     tracing::debug!("ready to trace after {:?}", start.elapsed());
     if let Division::Adaptive { .. } = job.division {
         return adaptive::run(&work, tile);

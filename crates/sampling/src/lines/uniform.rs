@@ -47,7 +47,7 @@ impl Block<'_> {
         let pixel = 2.0 / (4 * tiles) as f32;
         let mut finds = Vec::new();
         // Tiles traced before their finds are processed.
-        let chunk = (self.tools.tracer.batch() / 2).max(1) as u32;
+        let chunk = (self.tools.sight.batch() / 2).max(1) as u32;
         for first in (0..total).step_by(chunk as usize) {
             if self.late() {
                 break;
@@ -68,16 +68,17 @@ impl Block<'_> {
                 s.packets.push(behind);
             }
             if tiles <= WIDE_TILES {
-                self.tools.tracer.trace_each(&mut s.packets)?;
+                self.tools.sight.trace_each(&mut s.packets, &mut s.passed, self.step)?;
             } else {
-                self.tools.tracer.trace(&mut s.packets)?;
+                self.tools.sight.trace(&mut s.packets, &mut s.passed, self.step)?;
             }
             finds.clear();
-            let Scratch { packets, crossed, met, tag, .. } = &mut *s;
-            for (pair, both) in packets.chunks_exact(2).enumerate() {
-                let [ahead, behind] = both else { continue };
+            let Scratch { packets, passed, crossed, met, tag, .. } = &mut *s;
+            for pair in 0..packets.len() / 2 {
                 for lane in 0..LANES {
-                    for triangle in self.credit_line(ahead, behind, lane, crossed) {
+                    let halves = [2 * pair, 2 * pair + 1];
+                    let ends = self.credit_line(packets, passed, halves, lane, crossed);
+                    for triangle in ends.into_iter().chain(passed.on_both(halves, lane)) {
                         if triangle == SKY || self.bits.seen(triangle, c.slot) {
                             continue;
                         }

@@ -9,14 +9,14 @@ use super::bits::SeenBits;
 use super::block::{Block, Tools};
 use super::grid::CellGrid;
 use crate::context::{JobContext, Watcher};
-use crate::packet::LineTracer;
 use crate::prepared::LineScene;
+use crate::sight::Sight;
 
 /// The inputs of a tile's sampling: the job, the scene's facts, the tracer and the watcher.
 pub struct Work<'a> {
     pub job: &'a JobContext<'a>,
     pub scene: LineScene<'a>,
-    pub tracer: &'a dyn LineTracer,
+    pub sight: &'a Sight<'a>,
     pub watcher: &'a dyn Watcher,
 }
 
@@ -27,7 +27,7 @@ impl Work<'_> {
         let tools = Tools {
             scene: self.scene.scene,
             surface: self.scene.surface,
-            tracer: self.tracer,
+            sight: self.sight,
             seed: self.job.seed,
             watcher: self.watcher,
             deadline: self.job.deadline,
@@ -47,7 +47,7 @@ fn meeting(work: &Work<'_>, within: &CellBox, grid: &CellGrid, bits: &SeenBits) 
         let step = (within.hi[a] - within.lo[a]) / cells[a];
         (0..=cells[a]).map(|k| work.job.lattice.coordinate(a, within.lo[a] + k * step)).collect()
     });
-    work.scene.distinct.par_iter().with_min_len(1024).for_each(|&id| {
+    work.scene.shown.par_iter().with_min_len(1024).for_each(|&id| {
         let triangle = &work.scene.scene.triangles()[id as usize];
         let bounds = triangle.bounds();
         // The cells whose closed slab the bounds touch, along each axis.

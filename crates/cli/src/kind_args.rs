@@ -1,0 +1,100 @@
+//! The flags that decide what blocks and what shows, in the order in which they are given.
+
+use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches};
+use sightline_scene::kinds::{Kind, Rule};
+
+/// The rules of the user; of several that match a name, the last one counts.
+#[derive(Clone, Debug, Default)]
+pub struct KindArgs {
+    pub rules: Vec<Rule>,
+}
+
+const FLAGS: [(Kind, &str); 4] = [
+    (
+        Kind::SeeThrough,
+        "Objects and materials whose name matches are see-through: a sight line passes them and shows them. \
+         Goes before the file, which makes materials with transmission or with alphaMode MASK or BLEND \
+         see-through (OBJ: d, Tr, map_d, illum). Of several flags about a name the last counts. * stands for \
+         any text",
+    ),
+    (
+        Kind::OccluderOnly,
+        "Objects and materials whose name matches block sight lines and are in no set, like an engine's \
+         proxy meshes",
+    ),
+    (
+        Kind::Moving,
+        "Objects and materials whose name matches neither block nor show, because they move at run time. The \
+         file makes animated nodes and skinned meshes moving",
+    ),
+    (Kind::Opaque, "Objects and materials whose name matches block and show. Without a glob: all of them"),
+];
+
+impl Args for KindArgs {
+    fn augment_args(command: Command) -> Command {
+        FLAGS.into_iter().fold(command, |command, (kind, help)| {
+            let arg = Arg::new(kind.name())
+                .long(kind.name())
+                .value_name("GLOB")
+                .action(ArgAction::Append)
+                .value_parser(move |glob: &str| Rule::new(kind, glob))
+                .help_heading("What blocks and what shows")
+                .help(help);
+            // `--opaque` alone is about everything.
+            let all = kind == Kind::Opaque;
+            command.arg(if all { arg.num_args(0..=1).default_missing_value("*") } else { arg.num_args(1) })
+        })
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}
+
+impl FromArgMatches for KindArgs {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let mut rules: Vec<(usize, Rule)> = Vec::new();
+        for (kind, _) in FLAGS {
+            let given = matches.get_many::<Rule>(kind.name()).unwrap_or_default();
+            rules.extend(matches.indices_of(kind.name()).unwrap_or_default().zip(given.cloned()));
+        }
+        rules.sort_by_key(|(at, _)| *at);
+        Ok(Self { rules: rules.into_iter().map(|(_, rule)| rule).collect() })
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Line {
+        scene: String,
+        #[command(flatten)]
+        kinds: KindArgs,
+    }
+
+    #[test]
+    fn rules_keep_the_order_of_the_flags() {
+        let line =
+            ["x", "a.glb", "--see-through", "glass*", "--opaque", "--see-through=*pane", "--moving", "door"];
+        let line = Line::try_parse_from(line).unwrap();
+        let rules: Vec<(Kind, String)> = line.kinds.rules.into_iter().map(|r| (r.kind, r.glob)).collect();
+        let expected = [
+            (Kind::SeeThrough, "glass*"),
+            (Kind::Opaque, "*"),
+            (Kind::SeeThrough, "*pane"),
+            (Kind::Moving, "door"),
+        ];
+        assert_eq!(rules, expected.map(|(k, g)| (k, g.to_owned())));
+        assert_eq!(line.scene, "a.glb");
+        assert!(Line::try_parse_from(["x", "a.glb", "--moving", "a["]).is_err());
+    }
+}

@@ -1,0 +1,104 @@
+//! Visibility cubes of scenes with kinds: item buffers of the blocking triangles, and the see-through
+//! triangles in front of each pixel.
+//!
+//! The cubes are traced as sight lines, on either backend: rasterised item buffers have one layer. Scenes of
+//! opaque triangles keep their backend's own renderer.
+
+use glam::Vec3;
+use rayon::prelude::*;
+use sightline_model::VisibilitySample;
+
+use crate::backend::{Backend, CubeRenderer};
+use crate::cube::{CubeImage, CubeSpec, SKY, face_basis, sample_of_image};
+use crate::error::BackendError;
+use crate::packet::{LANES, Packet};
+use crate::prepared::PreparedScene;
+use crate::sight::{Passed, Sight};
+
+/// Packets traced at a time.
+const BATCH: usize = 1024;
+
+/// Prepares the rendering of a scene of any kinds: [`Backend::prepare`] for opaque scenes; else the whole
+/// scene is traced, whatever the superset.
+///
+/// # Errors
+/// As [`Backend::prepare`].
+pub fn renderer<'a>(
+    backend: &'a dyn Backend,
+    scene: &'a PreparedScene,
+    spec: CubeSpec,
+    superset: Option<&[u32]>,
+) -> Result<Box<dyn CubeRenderer + 'a>, BackendError> {
+    if scene.scene().kinds().all_opaque() {
+        return backend.prepare(superset);
+    }
+    let bounds = scene.scene().bounds();
+    let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
+    Ok(Box::new(Layered { sight: Sight::new(backend, scene.traced())?, spec, step }))
+}
+
+struct Layered<'a> {
+    sight: Sight<'a>,
+    spec: CubeSpec,
+    /// See [`Sight::trace`].
+    step: f32,
+}
+
+impl CubeRenderer for Layered<'_> {
+    fn samples(&self, points: &[Vec3]) -> Result<Vec<VisibilitySample>, BackendError> {
+        points
+            .par_iter()
+            .map(|p| {
+                let (image, passed) = self.layers(*p)?;
+                let sample = sample_of_image(&image, self.spec.strata, self.spec.keep_pixels);
+                let n = image.resolution;
+                let runs = passed.iter().map(|(pixel, triangle)| {
+                    let (face, y, x) = (pixel / (n * n), pixel / n % n, pixel % n);
+                    (*triangle, 1 << self.spec.strata.of_pixel(face, x, y, n))
+                });
+                Ok(sample.with(runs))
+            })
+            .collect()
+    }
+
+    fn image(&self, point: Vec3) -> Result<CubeImage, BackendError> {
+        Ok(self.layers(point)?.0)
+    }
+
+    fn layers(&self, point: Vec3) -> Result<(CubeImage, Vec<(u32, u32)>), BackendError> {
+        let n = self.spec.resolution;
+        let at = |x: u32| (2 * x + 1) as f32 / n as f32 - 1.0;
+        // Tiles of 4×4 pixels keep packets coherent.
+        let tiles = n.div_ceil(4);
+        let mut ids = vec![SKY; (6 * n * n) as usize];
+        let mut between = Vec::new();
+        let (mut packets, mut passed) = (Vec::new(), Passed::default());
+        let mut pixels: Vec<[u32; LANES]> = Vec::new();
+        for first in (0..6 * tiles * tiles).step_by(BATCH) {
+            packets.clear();
+            pixels.clear();
+            for k in first..(first + BATCH as u32).min(6 * tiles * tiles) {
+                let (face, tile) = (k / (tiles * tiles), k % (tiles * tiles));
+                let [forward, right, up] = face_basis(face);
+                let (mut packet, mut own) = (Packet::default(), [0; LANES]);
+                for lane in 0..LANES as u32 {
+                    let (x, y) = (tile % tiles * 4 + lane % 4, tile / tiles * 4 + lane / 4);
+                    if x < n && y < n {
+                        own[packet.count] = (face * n + y) * n + x;
+                        packet.push(point.to_array(), (forward + right * at(x) + up * at(y)).to_array());
+                    }
+                }
+                packets.push(packet);
+                pixels.push(own);
+            }
+            self.sight.trace(&mut packets, &mut passed, self.step)?;
+            for (k, (packet, own)) in packets.iter().zip(&pixels).enumerate() {
+                for lane in 0..packet.count {
+                    ids[own[lane] as usize] = packet.triangle[lane];
+                    between.extend(passed.on(k, lane).map(|t| (own[lane], t)));
+                }
+            }
+        }
+        Ok((CubeImage { resolution: n, ids }, between))
+    }
+}
