@@ -1,0 +1,191 @@
+//! What blocks and what shows, from the file or the flags to results, measures and proofs.
+
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+
+use std::collections::BTreeSet;
+use std::fmt::Write as _;
+
+use sightline_tests::{Dump, Sandbox, assert_same};
+
+/// Faces of an OBJ file.
+#[derive(Default)]
+struct Obj {
+    text: String,
+    vertices: usize,
+}
+
+impl Obj {
+    fn quad(&mut self, corners: [[f32; 3]; 4]) {
+        for [x, y, z] in corners {
+            writeln!(self.text, "v {x} {y} {z}").unwrap();
+        }
+        let v = self.vertices;
+        writeln!(self.text, "f {} {} {} {}", v + 1, v + 2, v + 3, v + 4).unwrap();
+        self.vertices += 4;
+    }
+
+    fn part(&mut self, name: &str, material: &str) {
+        writeln!(self.text, "o {name}\nusemtl {material}").unwrap();
+    }
+
+    /// The part of the plane x = `x` between two corners (y, z).
+    fn across(&mut self, x: f32, [y0, z0]: [f32; 2], [y1, z1]: [f32; 2]) {
+        self.quad([[x, y0, z0], [x, y1, z0], [x, y1, z1], [x, y0, z1]]);
+    }
+
+    fn block(&mut self, [x0, y0, z0]: [f32; 3], [x1, y1, z1]: [f32; 3]) {
+        for x in [x0, x1] {
+            self.across(x, [y0, z0], [y1, z1]);
+        }
+        for y in [y0, y1] {
+            self.quad([[x0, y, z0], [x1, y, z0], [x1, y, z1], [x0, y, z1]]);
+        }
+        for z in [z0, z1] {
+            self.quad([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]]);
+        }
+    }
+}
+
+/// A closed room whose dividing wall has a window with a pane, a second pane behind it, and a crate behind
+/// both. The last twelve triangles are the crate's; the viewpoints are in front of the wall.
+fn room() -> (String, u64) {
+    let mut o = Obj::default();
+    o.text.push_str("mtllib room.mtl\n");
+    o.part("room", "wall");
+    o.block([0.0, 0.0, 0.0], [8.0, 4.0, 4.0]);
+    o.part("divider", "wall");
+    for (from, to) in [
+        ([0.0, 0.0], [4.0, 1.0]),
+        ([0.0, 3.0], [4.0, 4.0]),
+        ([0.0, 1.0], [1.0, 3.0]),
+        ([3.0, 1.0], [4.0, 3.0]),
+    ] {
+        o.across(4.0, from, to);
+    }
+    o.part("pane", "glass");
+    o.across(4.0, [1.0, 1.0], [3.0, 3.0]);
+    o.part("second pane", "glass");
+    o.across(5.0, [0.0, 0.0], [4.0, 4.0]);
+    let before = o.vertices as u64 / 4 * 2;
+    o.part("crate", "wood");
+    // At no round numbers, where rays of cubes meet edges exactly.
+    o.block([6.03, 1.57, 1.49], [7.01, 2.43, 2.52]);
+    (o.text, before)
+}
+
+const MTL: &str = "newmtl wall\nnewmtl wood\nnewmtl glass\nd 0.2\n";
+const JOB: &str = "room.obj --cells 2x2x2 --view-box 0.5,0.5,0.5,3.5,3.5,3.5";
+
+fn sandbox() -> (Sandbox, u64) {
+    let sandbox = Sandbox::new();
+    let (text, before) = room();
+    sandbox.write("room.obj", text);
+    sandbox.write("room.mtl", MTL);
+    (sandbox, before)
+}
+
+fn shown(dump: &Dump) -> Vec<BTreeSet<u64>> {
+    dump.cells.iter().map(|c| c.visible.iter().copied().collect()).collect()
+}
+
+#[test]
+fn behind_glass_everything_is_seen_by_every_method_sampler_and_backend() {
+    let (sandbox, before) = sandbox();
+    let bake = |name: &str, flags: &str| {
+        sandbox.run(&format!("bake {JOB} -o {name}.pvs --data-dir {name} {flags}")).code(0);
+        shown(&sandbox.dump(&format!("{name}.pvs")))
+    };
+    let exact = bake("exact", "--method exact --certificates");
+    assert!(exact.iter().all(|cell| cell.iter().any(|t| *t >= before)), "the crate is seen");
+    sandbox.ok("verify room.obj exact.pvs");
+    let ways = [
+        ("lines", "--backend cpu"),
+        ("guided", "--backend cpu --sampler guided"),
+        ("cubes", "--backend cpu --sampler cubes --resolution 64"),
+        ("bound", "--backend cpu --max-error 0.01"),
+        ("lines-gpu", "--backend gpu"),
+        ("cubes-gpu", "--backend gpu --sampler cubes --resolution 32"),
+        ("verified", "--method verified"),
+    ];
+    for (name, flags) in ways {
+        let sampled = bake(name, flags);
+        for (cell, (sampled, exact)) in sampled.iter().zip(&exact).enumerate() {
+            let extra: Vec<_> = sampled.difference(exact).collect();
+            assert!(extra.is_empty(), "{name}, cell {cell}: {extra:?} are hidden");
+            let missed: Vec<_> = exact.difference(sampled).collect();
+            // Everything here is large; a coarse bound and coarse cubes may miss the crate's thin sides.
+            let coarse = name.starts_with("cubes") || name == "bound";
+            assert!(missed.is_empty() || coarse, "{name}, cell {cell}: {missed:?} missed");
+            assert!(sampled.iter().any(|t| *t >= before), "{name}: the crate is seen");
+        }
+        let report = sandbox.json(&format!("measure room.obj {name}.pvs --viewpoints 8 --resolution 64"));
+        assert!(report["mean_error"].as_f64().unwrap() < 1e-3, "{name}: {report}");
+    }
+    // The same file with all opaque, by a flag: nothing behind the window, and the measure sees no more.
+    let opaque = bake("opaque", "--opaque");
+    assert!(opaque.iter().all(|cell| cell.iter().all(|t| *t < before)), "the crate is hidden");
+    assert!(opaque.iter().zip(&exact).all(|(o, e)| o.is_subset(e)), "see-through never hides");
+    let report = sandbox.json("measure room.obj opaque.pvs --viewpoints 8 --resolution 64");
+    assert_eq!(report["mean_error"], 0.0, "measured with the flags of the result");
+}
+
+#[test]
+fn flags_go_before_the_file_and_results_name_them() {
+    let (sandbox, before) = sandbox();
+    let exact = |name: &str, flags: &str| {
+        let line =
+            format!("bake {JOB} -o {name}.pvs --data-dir {name} --method exact --certificates {flags}");
+        let run = sandbox.run(&line).code(0);
+        (shown(&sandbox.dump(&format!("{name}.pvs"))), run.err)
+    };
+    // An occluder-only wall blocks and is in no set; a moving pane neither blocks nor is in one.
+    let (sets, said) = exact("proxy", "--occluder-only divider --moving pane* --see-through second*");
+    assert!(said.contains("occluder-only: 8 triangles (8 --occluder-only divider)"), "{said}");
+    for set in &sets {
+        assert!((12..20).all(|t| !set.contains(&t)), "the divider is in no set");
+        assert!((20..22).all(|t| !set.contains(&t)), "nor the moving pane");
+        assert!(set.iter().any(|t| *t >= before), "the crate is seen through the window");
+    }
+    sandbox.ok("verify room.obj proxy.pvs");
+    let why = sandbox.ok("query proxy.pvs 1 1 1 --why 13 --scene room.obj");
+    assert!(why.contains("in no set, because it is occluder-only"), "{why}");
+    let info = sandbox.json("info proxy.pvs");
+    assert_eq!(info["info"]["kinds"]["rules"][1]["glob"], "pane*", "{info}");
+    // Other flags are another scene, and a result of it is refused.
+    sandbox.run("verify room.obj proxy.pvs --opaque").code(3).says("other flags");
+    // A moving crate is in no set; a glob without a match is a warning with names like it.
+    let (sets, said) = exact("moving", "--moving crate --see-through glas");
+    assert!(sets.iter().all(|set| set.iter().all(|t| *t < before)));
+    assert!(said.contains("\"glas\" matches no object and no material; names like it: glass"), "{said}");
+    sandbox.run(&format!("bake {JOB} -o x.pvs --see-through a[")).code(2).says("a[");
+    // Queries between polygons pass glass, unless a flag says otherwise.
+    let triangle = |x: f32| format!("[[{x},1.9,1.9],[{x},2.1,1.9],[{x},2.1,2.1]]");
+    sandbox.write("q.jsonl", format!(r#"{{"id":1,"a":{},"b":{}}}"#, triangle(1.0), triangle(5.9)));
+    let line = "sightlines room.obj --queries q.jsonl --check";
+    assert!(sandbox.ok(line).contains("\"visible\""));
+    assert!(sandbox.ok(&format!("{line} --opaque")).contains("\"hidden\""));
+}
+
+#[test]
+fn a_cluster_gives_the_bytes_of_a_bake() {
+    let (sandbox, _) = sandbox();
+    let flags = "--backend cpu --see-through divider --target-error 0.01";
+    sandbox.ok(&format!("bake {JOB} {flags} -o alone.pvs --data-dir alone"));
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let worker = coordinator.worker();
+    let job = coordinator.submit(&format!("{JOB} {flags}"));
+    assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "cluster");
+    drop(worker);
+}
+
+#[test]
+fn an_opaque_scene_says_so_and_a_missing_library_is_a_warning() {
+    let (sandbox, _) = sandbox();
+    std::fs::remove_file(sandbox.path("room.mtl")).unwrap();
+    sandbox
+        .run(&format!("bake {JOB} -o a.pvs --data-dir d --target-error 0.05"))
+        .code(0)
+        .says("room.mtl\" is missing")
+        .says("all triangles are opaque");
+    assert!(sandbox.ok("info a.pvs").contains("all triangles are opaque"));
+}
