@@ -1,10 +1,10 @@
 //! Exact from-region visibility: queries in line space, their witnesses and proofs, and whole view cells.
 //!
 //! A query decides whether one convex polygon sees another among the triangles of a scene. The verdict is a
-//! witness (an unobstructed segment), a proof that [`sightline_certificate::checker`] verifies with exact arithmetic only, or
-//! "undecided" with the limit that ended the search. No tolerance decides a verdict: a sign is computed in
-//! doubles with an error bound, and in integers where the bound leaves it open. All coordinates are in the
-//! units and the frame of the scene.
+//! witness (an unobstructed segment), a proof that [`sightline_certificate::checker`] verifies with exact
+//! arithmetic only, or "undecided" with the limit that ended the search. No tolerance decides a verdict: a
+//! sign is computed in doubles with an error bound, and in integers where the bound leaves it open. All
+//! coordinates are in the units and the frame of the scene.
 //!
 //! The crate has one module for each subject. A module depends only on those above it in this list:
 //!

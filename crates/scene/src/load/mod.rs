@@ -2,8 +2,8 @@
 //!
 //! The content of a file determines its kind, which must agree with the extension. Nothing is repaired: a
 //! file that violates its format is refused with the element at fault. Materials, animations and skins decide
-//! the kinds of triangles ([`mod@crate::kinds`]), unless a rule of the user does. Normals, texture coordinates
-//! and morph targets are ignored.
+//! the kinds of triangles ([`mod@crate::kinds`]), unless a rule of the user does. Normals, texture
+//! coordinates and morph targets are ignored.
 
 mod gltf;
 mod limits;

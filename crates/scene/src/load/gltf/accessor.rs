@@ -34,13 +34,13 @@ impl<'a> Accessor<'a> {
         used: Use,
     ) -> Result<Self, SceneError> {
         let a = &root.accessors[used.accessor];
-        let label = format!("mesh {}, primitive {}, accessor {}", used.mesh, used.primitive, used.accessor);
+        let label = format!("{}, accessor {}", used.by, used.accessor);
         let bad = |why: String| source.bad(label.as_str(), why);
         let Some(component) = Component::from_number(a.component_type) else {
             return Err(bad(format!("its component type {} is unknown", a.component_type)));
         };
         check_type(source, root, &label, a, component, used.role)?;
-        let size = component.size() * if used.role == Role::Positions { 3 } else { 1 };
+        let size = component.size() * used.role.shape().1;
         let mut stride = size;
         let base = match a.buffer_view {
             None if a.count > buffers.size() => {
@@ -124,6 +124,15 @@ impl<'a> Accessor<'a> {
         [0, 1, 2].map(|c| self.component.number(b, c, self.normalized))
     }
 
+    /// Element `i` as a quaternion x, y, z, w.
+    pub(super) fn quaternion(&self, i: u64) -> [f64; 4] {
+        let b = self.element(i);
+        if b.is_empty() {
+            return [0.0; 4];
+        }
+        [0, 1, 2, 3].map(|c| self.component.number(b, c, self.normalized))
+    }
+
     /// Element `i` as an index.
     pub(super) fn index(&self, i: u64) -> u64 {
         self.component.unsigned(self.element(i))
@@ -149,7 +158,7 @@ fn check_type(
     role: Role,
 ) -> Result<(), SceneError> {
     use Component::{F32, I8, I16, U8, U16, U32};
-    let shape = if role == Role::Positions { "VEC3" } else { "SCALAR" };
+    let (shape, _) = role.shape();
     if a.shape != shape {
         let given: String = a.shape.chars().take(20).collect();
         return Err(source.bad(label, format!("its type is {given}, and must be {shape}")));
@@ -157,7 +166,12 @@ fn check_type(
     match (role, component) {
         (Role::Indices, U8 | U16 | U32) if !a.normalized => Ok(()),
         (Role::Indices, _) => Err(source.bad(label, "indices must be unsigned integers, not normalised")),
-        (Role::Positions, F32) => Ok(()),
+        (Role::Positions | Role::Offsets | Role::Rotations, F32) => Ok(()),
+        (Role::Rotations, I8 | I16) if a.normalized => Ok(()),
+        (Role::Offsets, _) => Err(source.bad(label, "translations and scales of instances must be floats")),
+        (Role::Rotations, _) => {
+            Err(source.bad(label, "rotations of instances must be floats or normalised signed integers"))
+        }
         (Role::Positions, I8 | U8 | I16 | U16) => {
             let declared = root.extensions_used.iter().chain(&root.extensions_required);
             if declared.into_iter().any(|e| e == QUANTIZATION) {
@@ -172,7 +186,7 @@ fn check_type(
 
 /// The accessors that drawn geometry needs, by role and number.
 pub(super) struct Accessors<'a> {
-    by_role: [Vec<Option<Accessor<'a>>>; 2],
+    by_role: [Vec<Option<Accessor<'a>>>; Role::COUNT],
     none: Accessor<'a>,
 }
 
@@ -185,7 +199,7 @@ impl<'a> Accessors<'a> {
         draws: &[Draw],
     ) -> Result<Self, SceneError> {
         let slots = || root.accessors.iter().map(|_| None).collect::<Vec<_>>();
-        let mut by_role = [slots(), slots()];
+        let mut by_role: [_; Role::COUNT] = std::array::from_fn(|_| slots());
         for used in uses(source, root, draws)? {
             by_role[used.role as usize][used.accessor] = Some(Accessor::new(source, root, buffers, used)?);
         }

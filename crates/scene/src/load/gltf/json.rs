@@ -54,6 +54,7 @@ pub(super) struct Node {
     pub(super) children: Vec<usize>,
     pub(super) mesh: Option<usize>,
     pub(super) skin: Option<Value>,
+    pub(super) extensions: Option<Box<NodeExtensions>>,
     pub(super) extras: Option<Box<Value>>,
     /// Column-major. Boxed, as few nodes have one.
     pub(super) matrix: Option<Box<[f64; 16]>>,
@@ -61,6 +62,34 @@ pub(super) struct Node {
     /// Quaternion x, y, z, w.
     pub(super) rotation: Option<Box<[f64; 4]>>,
     pub(super) scale: Option<Box<[f64; 3]>>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct NodeExtensions {
+    #[serde(rename = "EXT_mesh_gpu_instancing")]
+    pub(super) instancing: Option<Instancing>,
+}
+
+/// Instances of a node's mesh (EXT_mesh_gpu_instancing).
+#[derive(Debug, Deserialize)]
+pub(super) struct Instancing {
+    pub(super) attributes: InstanceAttributes,
+}
+
+/// The accessors of the instances' transforms.
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "UPPERCASE")]
+pub(super) struct InstanceAttributes {
+    pub(super) translation: Option<usize>,
+    pub(super) rotation: Option<usize>,
+    pub(super) scale: Option<usize>,
+}
+
+impl Node {
+    /// The instances of the node's mesh, if the node has some.
+    pub(super) fn instances(&self) -> Option<&InstanceAttributes> {
+        Some(&self.extensions.as_ref()?.instancing.as_ref()?.attributes)
+    }
 }
 
 #[derive(Debug, Deserialize)]

@@ -1,10 +1,11 @@
 //! glTF 2.0, as JSON or in its binary container: the triangles of the default scene with node transforms
 //! applied.
 //!
-//! Each pair of a node and a primitive is an object, in depth-first order of the nodes. Primitives that are
-//! points or lines, or have no POSITION, are objects without triangles, so that object numbers follow the
-//! file. Skins and morph targets are not applied: the scene has the stored mesh with the transform of its
-//! node. Winding is kept even when a transform mirrors.
+//! Each pair of a node and a primitive is an object, in depth-first order of the nodes; of a node with
+//! instances (EXT_mesh_gpu_instancing), each pair of an instance and a primitive. Primitives that are points
+//! or lines, or have no POSITION, are objects without triangles, so that object numbers follow the file.
+//! Skins and morph targets are not applied: the scene has the stored mesh with the transform of its node.
+//! Winding is kept even when a transform mirrors.
 //!
 //! Only the few JSON fields that are needed are read (`json`). The crate `gltf` models and validates the
 //! whole document, so that a fault in a material would refuse a scene; and all ranges and counts would have
@@ -13,6 +14,7 @@
 mod accessor;
 mod buffers;
 mod component;
+mod instances;
 mod json;
 mod kinds;
 mod meshopt;
@@ -48,7 +50,9 @@ const HARMLESS: &[&str] = &[
 ];
 
 /// Required extensions that are implemented here.
-const IMPLEMENTED: &[&str] = &[QUANTIZATION, MESHOPT];
+const IMPLEMENTED: &[&str] = &[QUANTIZATION, MESHOPT, "EXT_mesh_gpu_instancing"];
+/// Compressed primitives, which are not supported, also where a file has other geometry to fall back on.
+const DRACO: &str = "KHR_draco_mesh_compression";
 /// Compressed buffer views.
 const MESHOPT: &str = "EXT_meshopt_compression";
 
@@ -124,6 +128,7 @@ fn build(
     let draws = nodes::walk(source, &root, marks)?;
     let buffers = Buffers::read(source, &root, json, binary, &draws)?;
     let accessors = Accessors::resolve(source, &root, &buffers, &draws)?;
+    let draws = instances::expand(source, &root, &accessors, draws)?;
 
     // Count first, so that the triangles are allocated once and never beyond the limit.
     let mut total = 0u64;
@@ -205,7 +210,8 @@ fn check_version(source: &Source<'_>, root: &json::Root) -> Result<(), SceneErro
 fn check_extensions(source: &Source<'_>, root: &json::Root) -> Result<(), SceneError> {
     let harmless =
         |name: &str| HARMLESS.iter().any(|h| if h.ends_with('_') { name.starts_with(h) } else { name == *h });
-    for name in &root.extensions_required {
+    let draco = root.extensions_used.iter().filter(|name| *name == DRACO);
+    for name in root.extensions_required.iter().chain(draco) {
         if !IMPLEMENTED.contains(&name.as_str()) && !harmless(name) {
             let shown: String = name.chars().take(80).collect();
             return Err(SceneError::bad(
@@ -219,13 +225,16 @@ fn check_extensions(source: &Source<'_>, root: &json::Root) -> Result<(), SceneE
     Ok(())
 }
 
-/// `node/mesh#primitive`, with numbers for what has no name.
+/// `node/mesh#primitive`, with numbers for what has no name, and `node[instance]` for a node with instances.
 fn object_name(root: &json::Root, draw: &nodes::Draw, p: usize) -> String {
     let or_number = |name: &Option<String>, what: &str, number: usize| match name {
         Some(n) if !n.is_empty() => n.clone(),
         _ => format!("{what}{number}"),
     };
-    let node = or_number(&root.nodes[draw.node].name, "node", draw.node);
+    let mut node = or_number(&root.nodes[draw.node].name, "node", draw.node);
+    if let Some(instance) = draw.instance {
+        node = format!("{node}[{instance}]");
+    }
     let mesh = or_number(&root.meshes[draw.mesh].name, "mesh", draw.mesh);
     format!("{node}/{mesh}#{p}")
 }

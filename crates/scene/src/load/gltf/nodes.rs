@@ -9,9 +9,11 @@ use crate::SceneError;
 use crate::load::marks::Marks;
 
 /// A mesh and the transform of a node that has it.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Draw {
     pub(super) node: usize,
+    /// The number of the instance, of a node with instances.
+    pub(super) instance: Option<u64>,
     pub(super) mesh: usize,
     pub(super) world: DAffine3,
     /// Whether an animation moves the node or an ancestor.
@@ -60,7 +62,7 @@ pub(super) fn walk(
                 return Err(source.bad(element, reason));
             }
             let skinned = node.skin.is_some();
-            draws.push(Draw { node: n, mesh, world, animated, skinned, extras });
+            draws.push(Draw { node: n, instance: None, mesh, world, animated, skinned, extras });
         }
         stack.extend(node.children.iter().rev().map(|c| (*c, world, animated, extras)));
     }

@@ -20,25 +20,36 @@ pub(super) fn local(node: &Node) -> Result<DAffine3, String> {
             DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }
         }
         None => {
-            let rotation = match &node.rotation {
-                None => DQuat::IDENTITY,
-                Some(r) => {
-                    let q = DQuat::from_array(**r);
-                    let length = q.length();
-                    if !(length.is_finite() && length > 1e-6) {
-                        return Err("its rotation is not a unit quaternion".to_owned());
-                    }
-                    q / length
-                }
-            };
-            DAffine3::from_scale_rotation_translation(
-                node.scale.as_ref().map_or(DVec3::ONE, |s| DVec3::from_array(**s)),
-                rotation,
-                node.translation.as_ref().map_or(DVec3::ZERO, |t| DVec3::from_array(**t)),
-            )
+            let of = |v: &Option<Box<[f64; 3]>>| v.as_ref().map(|v| **v);
+            compose(of(&node.translation), node.rotation.as_ref().map(|r| **r), of(&node.scale))
+                .ok_or("its rotation is not a unit quaternion")?
         }
     };
     if result.is_finite() { Ok(result) } else { Err("its transform is not finite".to_owned()) }
+}
+
+/// A transform from its parts, the identity where one is missing; none if the rotation is no quaternion.
+pub(super) fn compose(
+    translation: Option<[f64; 3]>,
+    rotation: Option<[f64; 4]>,
+    scale: Option<[f64; 3]>,
+) -> Option<DAffine3> {
+    let rotation = match rotation {
+        None => DQuat::IDENTITY,
+        Some(r) => {
+            let q = DQuat::from_array(r);
+            let length = q.length();
+            if !(length.is_finite() && length > 1e-6) {
+                return None;
+            }
+            q / length
+        }
+    };
+    Some(DAffine3::from_scale_rotation_translation(
+        scale.map_or(DVec3::ONE, DVec3::from_array),
+        rotation,
+        translation.map_or(DVec3::ZERO, DVec3::from_array),
+    ))
 }
 
 /// `p` in world space, rounded to `f32`; not finite when the result is out of range.

@@ -10,6 +10,24 @@ use crate::SceneError;
 pub(super) enum Role {
     Positions = 0,
     Indices = 1,
+    /// Translations and scales of instances.
+    Offsets = 2,
+    /// Rotations of instances.
+    Rotations = 3,
+}
+
+impl Role {
+    /// The number of roles.
+    pub(super) const COUNT: usize = 4;
+
+    /// The type of an accessor in this role, and the number of its components.
+    pub(super) fn shape(self) -> (&'static str, u64) {
+        match self {
+            Self::Positions | Self::Offsets => ("VEC3", 3),
+            Self::Indices => ("SCALAR", 1),
+            Self::Rotations => ("VEC4", 4),
+        }
+    }
 }
 
 /// The modes of a primitive (glTF 2.0, section 3.7.2.1).
@@ -27,8 +45,23 @@ pub(super) enum Mode {
 pub(super) struct Use {
     pub(super) accessor: usize,
     pub(super) role: Role,
-    pub(super) mesh: usize,
-    pub(super) primitive: usize,
+    pub(super) by: User,
+}
+
+/// The element that needs an accessor.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum User {
+    Primitive { mesh: usize, primitive: usize },
+    Instances { node: usize },
+}
+
+impl std::fmt::Display for User {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Primitive { mesh, primitive } => write!(f, "mesh {mesh}, primitive {primitive}"),
+            Self::Instances { node } => write!(f, "node {node}, EXT_mesh_gpu_instancing"),
+        }
+    }
 }
 
 /// Every accessor that `draws` need, once for each role, in the order of meshes.
@@ -37,26 +70,38 @@ pub(super) fn uses(source: &Source<'_>, root: &json::Root, draws: &[Draw]) -> Re
     for d in draws {
         drawn[d.mesh] = true;
     }
-    let mut met = [vec![false; root.accessors.len()], vec![false; root.accessors.len()]];
+    let mut met: [Vec<bool>; Role::COUNT] = std::array::from_fn(|_| vec![false; root.accessors.len()]);
     let mut uses = Vec::new();
+    let mut add = |accessor: usize, role: Role, by: User| match met[role as usize].get_mut(accessor) {
+        Some(met) => {
+            if !std::mem::replace(met, true) {
+                uses.push(Use { accessor, role, by });
+            }
+            Ok(())
+        }
+        None => {
+            let reason = format!("it names accessor {accessor} of {}", root.accessors.len());
+            Err(source.bad(by.to_string(), reason))
+        }
+    };
     for (mesh, m) in root.meshes.iter().enumerate().filter(|(m, _)| drawn[*m]) {
         for (primitive, p) in m.primitives.iter().enumerate() {
-            let element = || format!("mesh {mesh}, primitive {primitive}");
-            let Some(position) = surface(p).map_err(|why| source.bad(element(), why))? else { continue };
-            for (role, a) in [(Role::Positions, Some(position)), (Role::Indices, p.indices)] {
-                let Some(accessor) = a else { continue };
-                match met[role as usize].get_mut(accessor) {
-                    Some(met) if *met => {}
-                    Some(met) => {
-                        *met = true;
-                        uses.push(Use { accessor, role, mesh, primitive });
-                    }
-                    None => {
-                        let reason = format!("it names accessor {accessor} of {}", root.accessors.len());
-                        return Err(source.bad(element(), reason));
-                    }
-                }
+            let by = User::Primitive { mesh, primitive };
+            let Some(position) = surface(p).map_err(|why| source.bad(by.to_string(), why))? else { continue };
+            add(position, Role::Positions, by)?;
+            if let Some(indices) = p.indices {
+                add(indices, Role::Indices, by)?;
             }
+        }
+    }
+    for draw in draws {
+        let Some(attributes) = root.nodes[draw.node].instances() else { continue };
+        let by = User::Instances { node: draw.node };
+        for offsets in [attributes.translation, attributes.scale].into_iter().flatten() {
+            add(offsets, Role::Offsets, by)?;
+        }
+        if let Some(rotation) = attributes.rotation {
+            add(rotation, Role::Rotations, by)?;
         }
     }
     Ok(uses)
