@@ -142,6 +142,24 @@ fn the_view_box_is_the_one_asked_for() {
 }
 
 #[test]
+fn a_cell_size_gives_the_fewest_cells_with_such_sides() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(MAZE);
+    let bake = |flags: &str| sandbox.run(&format!("bake maze.glb --data-dir data -o sized.pvs {flags}"));
+    bake("--view-box 0.5,0.25,0.5,1.5,1.25,2.5 --cell-size 0.6 --target-error 0.1").code(0);
+    assert_eq!(sandbox.dump("sized.pvs").cells.len(), 2 * 2 * 4);
+    for bad in [
+        "--cell-size 0",
+        "--cell-size -1",
+        "--cell-size x",
+        "--cell-size 1 --cells 2x2x2",
+        "--cell-size 1e-9",
+    ] {
+        bake(bad).code(2);
+    }
+}
+
+#[test]
 fn an_output_that_cannot_be_written_is_refused_before_any_work() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);

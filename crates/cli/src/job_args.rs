@@ -36,6 +36,11 @@ pub struct JobArgs {
     /// 8x8x8.
     #[arg(long, value_name = "NXxNYxNZ", value_parser = parse_cells, conflicts_with = "triangle_budget")]
     cells: Option<[u32; 3]>,
+    /// A regular grid of view cells with sides of at most this length, in the scene's units, instead of a
+    /// number of cells.
+    #[arg(long, value_name = "M", value_parser = parse_size, allow_negative_numbers = true)]
+    #[arg(conflicts_with_all = ["cells", "triangle_budget"])]
+    cell_size: Option<f64>,
     /// Adaptive cells instead of a grid: halve a cell while sampling shows more than this many triangles from
     /// it. The first three levels are always halved.
     #[arg(long, value_name = "T")]
@@ -180,13 +185,17 @@ impl JobArgs {
         }
         let sampling = self.sampling(sampler)?;
         let bounds = scene.bounds();
+        let view_box = self.view_box.unwrap_or(bounds);
         let spec = JobSpec {
             scene: scene.digest().0,
             division: match self.triangle_budget {
                 Some(budget) => Division::Adaptive { budget, max_depth: self.max_depth },
-                None => Division::Grid(self.cells.unwrap_or([8, 8, 8])),
+                None => Division::Grid(match self.cell_size {
+                    Some(size) => cells_of_size(view_box, size),
+                    None => self.cells.unwrap_or([8, 8, 8]),
+                }),
             },
-            view_box: self.view_box.unwrap_or(bounds),
+            view_box,
             block_cells: if adaptive {
                 sightline_model::MOST_BLOCK_CELLS
             } else {
@@ -296,6 +305,18 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
     };
     let seconds = digits.trim().parse::<f64>().map_err(|_| wrong())? * unit;
     Duration::try_from_secs_f64(seconds).ok().filter(|d| !d.is_zero() && *d <= MOST).ok_or_else(wrong)
+}
+
+/// The length of a cell's side.
+fn parse_size(text: &str) -> Result<f64, String> {
+    let size = text.parse::<f64>().ok().filter(|s| s.is_finite() && *s > 0.0);
+    size.ok_or_else(|| "give a length above 0, as in 2.5".to_owned())
+}
+
+/// The fewest cells along each axis of a box whose sides are at most `size`.
+fn cells_of_size(of: Aabb, size: f64) -> [u32; 3] {
+    // The cast saturates; a grid that is too fine is refused with its numbers.
+    (of.max.as_dvec3() - of.min.as_dvec3()).to_array().map(|extent| ((extent / size).ceil() as u32).max(1))
 }
 
 /// A grid of cells, as in 8x8x8.
