@@ -17,6 +17,8 @@ use crate::prepared::Traced;
 pub struct Passed {
     /// Line (packet · 16 + lane) and triangle, ascending by line, then along the line.
     found: Vec<(u32, u32)>,
+    /// For each line the place of its first triangle in `found`, and the end; empty when none was found.
+    starts: Vec<u32>,
     /// The rays of the next step; kept to reuse its memory.
     probes: Vec<Packet>,
 }
@@ -24,14 +26,17 @@ pub struct Passed {
 impl Passed {
     /// The see-through triangles that a line passes before its end.
     pub fn on(&self, packet: usize, lane: usize) -> impl Iterator<Item = u32> + Clone + use<'_> {
-        let line = (packet * LANES + lane) as u32;
-        let from = if self.found.is_empty() { 0 } else { self.found.partition_point(|f| f.0 < line) };
-        self.found[from..].iter().take_while(move |f| f.0 == line).map(|f| f.1)
+        let line = packet * LANES + lane;
+        let range = match self.starts.get(line..line + 2) {
+            Some([from, to]) => *from as usize..*to as usize,
+            _ => 0..0,
+        };
+        self.found[range].iter().map(|f| f.1)
     }
 
     /// The same for both halves of a line.
     pub fn on_both(&self, [ahead, behind]: [usize; 2], lane: usize) -> impl Iterator<Item = u32> {
-        let some = if self.found.is_empty() { 0 } else { 2 };
+        let some = if self.starts.is_empty() { 0 } else { 2 };
         [ahead, behind].into_iter().take(some).flat_map(move |packet| self.on(packet, lane))
     }
 }
@@ -102,6 +107,7 @@ impl<'a> Sight<'a> {
         coherent: bool,
     ) -> Result<(), BackendError> {
         passed.found.clear();
+        passed.starts.clear();
         if self.kinds.is_empty() {
             return Ok(());
         }
@@ -155,6 +161,15 @@ impl<'a> Sight<'a> {
             }
             // Stable, so along each line the order stays.
             passed.found.sort_by_key(|f| f.0);
+            if !passed.found.is_empty() {
+                let mut at = 0;
+                for line in 0..=(packets.len() * LANES) as u32 {
+                    while passed.found.get(at).is_some_and(|f| f.0 < line) {
+                        at += 1;
+                    }
+                    passed.starts.push(at as u32);
+                }
+            }
         }
         for packet in packets {
             for triangle in packet.triangle.iter_mut().filter(|t| **t != SKY) {
