@@ -5,19 +5,24 @@
 use std::io::BufWriter;
 
 use sightline_model::codec::{self, CodecError};
-use sightline_model::{ALGORITHM_VERSION, JobSpec};
+use sightline_model::{ALGORITHM_VERSION, Granularity, JobSpec};
 use sightline_model::{CellSet, CellSets, TileOutput};
-use sightline_pvs::{Builder, Cell, CellTree, Header, Node, Object, PvsError, SET_ASIDE};
+use sightline_pvs::{
+    Builder, Cell, CellTree, Contribution, Header, Items, NOT_REACHED, Node, Object, PvsError, SET_ASIDE,
+    Source,
+};
 use sightline_viewcells::{CellBox, Division, Lattice, Outline, Plan, Tile, TileKind};
 
+use crate::assemble_pairs::PairJoin;
 use crate::ids::{Digest, TileIndex};
 use crate::scenes::{FactsError, facts};
 use crate::scheduler::Slot;
-use crate::state::Coordinator;
+use crate::state::{Coordinator, SceneFacts};
 use crate::statistics::Statistics;
 use crate::store::{BlobError, Blobs, TileState};
-use sightline_scene::Kinds;
+use sightline_scene::clusters::clusters;
 use sightline_scene::kinds::KindCount;
+use sightline_scene::{Kinds, Scene, SceneError};
 
 /// A result that cannot be assembled.
 #[derive(Debug, thiserror::Error)]
@@ -35,7 +40,10 @@ pub(crate) enum AssembleError {
     },
     /// The scene cannot be read.
     #[error(transparent)]
-    Scene(#[from] FactsError),
+    Facts(#[from] FactsError),
+    /// The scene's blob is not a scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
     /// The result cannot be written.
     #[error(transparent)]
     Pvs(#[from] PvsError),
@@ -84,13 +92,13 @@ struct Leaf<'a> {
 }
 
 impl Leaf<'_> {
-    /// Reads the tile's cells.
-    fn read(self, blobs: &dyn Blobs, triangles: u32) -> Result<CellSets, AssembleError> {
+    /// Reads the tile's cells, whose sets name at most `items` items.
+    fn read(self, blobs: &dyn Blobs, items: u32) -> Result<CellSets, AssembleError> {
         let wrong = |reason| AssembleError::Tile { tile: self.tile, reason };
         let (TileState::Done { digest, .. } | TileState::SetAside { digest, .. }) = self.state else {
             return Err(wrong("it is not done"));
         };
-        let TileOutput::Cells(sets) = codec::decode(&blobs.read(digest)?, triangles)? else {
+        let TileOutput::Cells(sets) = codec::decode(&blobs.read(digest)?, items)? else {
             return Err(wrong("it holds samples and not cells"));
         };
         // An adaptive tile counts as one cell in the plan, however many it has.
@@ -104,6 +112,7 @@ impl Leaf<'_> {
 /// Builds the `.pvs` file of a complete job and stores it; returns its digest and length.
 pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), AssembleError> {
     let (scene, blobs) = (facts(c, &parts.spec.scene)?, &*c.blobs);
+    let most = most_items(&parts.spec, scene.triangles, scene.objects.len() as u32);
     let leaves = || parts.plan.leaves().map(|n| parts.leaf(n));
     // The tree comes before the sets, so every tile is read twice, one at a time. Certificates are most of a
     // tile: keeping all tiles in memory would cost more than the second reading.
@@ -118,7 +127,7 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
             Outline::Leaf(number) => {
                 let sets = match kept.take() {
                     Some(sets) => sets,
-                    None => parts.leaf(number).read(blobs, scene.triangles)?,
+                    None => parts.leaf(number).read(blobs, most)?,
                 };
                 nodes.extend(sets.nodes.iter().map(|n| pvs_node(*n, &parts.lattice)));
                 if parts.plan.outline.len() == 1 {
@@ -132,21 +141,41 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
             samples = samples.saturating_add(stats.samples);
         }
     }
+    let items = items(c, &parts.spec)?;
     // The visible set of every cell of a tile that was set aside; stand-ins do not repeat it for every cell.
-    let all: Vec<u32> = (0..scene.triangles).filter(|t| scene.kinds.kind(*t).shows()).collect();
+    let all: Vec<u32> = match &items {
+        None => (0..scene.triangles).filter(|t| scene.kinds.kind(*t).shows()).collect(),
+        Some(Items::Clusters(all)) => (0..all.len() as u32).collect(),
+        Some(Items::Objects { .. }) => (0..scene.objects.len() as u32).collect(),
+    };
     let set_aside = leaves().filter(|l| matches!(l.state, TileState::SetAside { .. })).count();
     let objects = scene
         .objects
         .iter()
-        .map(|o| Object { name: o.name.clone(), first: o.first, count: o.count })
+        .enumerate()
+        .map(|(i, o)| {
+            let source = scene.sources.get(i).map(|s| Source {
+                node: s.node,
+                mesh: s.mesh,
+                primitive: s.primitive,
+                instance: s.instance,
+            });
+            Object { name: o.name.clone(), first: o.first, count: o.count, source }
+        })
         .collect();
+    let tree = CellTree::new(parts.spec.view_box.corners().map(|c| c.to_array()), nodes)?;
+    let cells = tree.cells();
     let mut builder = Builder::new(Header {
         triangles: scene.triangles,
         method: parts.spec.method.to_string(),
-        tree: CellTree::new(parts.spec.view_box.corners().map(|c| c.to_array()), nodes)?,
+        tree,
         objects,
-        info_json: info(parts, &scene.kinds, samples, set_aside),
+        info_json: info(parts, &scene, samples, set_aside),
     })?;
+    if let Some(items) = &items {
+        builder.set_items(items)?;
+    }
+    let mut pairs = PairJoin::new(&parts.spec, &parts.lattice, cells);
     if parts.spec.certificates
         && let Some(file) = blobs.scratch()?
     {
@@ -154,16 +183,18 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
     }
     for leaf in leaves() {
         let aside = matches!(leaf.state, TileState::SetAside { .. });
+        let wrong = |reason| AssembleError::Tile { tile: leaf.tile, reason };
         let sets = match kept.take() {
             Some(sets) => sets,
-            None => leaf.read(blobs, scene.triangles)?,
+            None => leaf.read(blobs, most)?,
         };
         let shown = sets.cells.iter().map(|cell| match aside {
             // Triangles of a failed tile were neither seen nor proved hidden.
             true => Cell { visible: &all, undecided: &all, flags: SET_ASIDE },
             false => {
                 let undecided = cell.decision.as_ref().map_or(&[][..], |d| &d.undecided);
-                Cell { visible: &cell.visible, undecided, flags: 0 }
+                let flags = if cell.unreached { NOT_REACHED } else { 0 };
+                Cell { visible: &cell.visible, undecided, flags }
             }
         });
         builder.push_cells(&shown.collect::<Vec<_>>())?;
@@ -172,8 +203,24 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
                 let evidence = cell.decision.as_ref().map_or(&[][..], |d| &d.certificate);
                 builder.push_certificate(evidence).map_err(|e| of_disk(blobs, e))?;
             }
+            if parts.spec.sampling.contributions {
+                let of = contributions(cell, if aside { all.len() } else { cell.visible.len() });
+                builder.push_contributions(&of.ok_or_else(|| wrong("it lacks contributions"))?)?;
+            }
             statistics.push(cell);
         }
+        if let Some(join) = &mut pairs {
+            if let Some(tile) = &sets.pairs
+                && !join.add_tile(tile)
+            {
+                return Err(wrong("its pairs are those of another number of cells"));
+            }
+            let boxes = boxes(&parts.plan.tiles[leaf.tile.0 as usize].cell, &sets.nodes);
+            boxes.iter().zip(&sets.cells).for_each(|(at, cell)| join.add_cell(at, !cell.unreached, aside));
+        }
+    }
+    if let Some(pairs) = &pairs {
+        builder.set_pairs(&pairs.finish()?)?;
     }
     builder.set_columns(statistics.columns())?;
     let mut file = blobs.put_stream()?;
@@ -181,6 +228,59 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
         .finish(&mut BufWriter::with_capacity(WRITTEN_AT_ONCE, &mut file))
         .map_err(|e| of_disk(blobs, e))?;
     Ok((file.finish(None)?, stats.file_bytes))
+}
+
+/// An upper limit on the numbers that the sets of a job's tiles name. There are at most as many clusters as
+/// triangles; objects may have none.
+pub(crate) fn most_items(spec: &JobSpec, triangles: u32, objects: u32) -> u32 {
+    match spec.sampling.granularity {
+        Granularity::Triangles | Granularity::Clusters => triangles,
+        Granularity::Objects => objects,
+    }
+}
+
+/// What the sets of a job name; `None` for triangles.
+fn items(c: &Coordinator, spec: &JobSpec) -> Result<Option<Items>, AssembleError> {
+    let scene = || -> Result<Scene, AssembleError> {
+        Ok(Scene::from_blob("stored scene", &c.blobs.read(&spec.scene)?)?)
+    };
+    Ok(match spec.sampling.granularity {
+        Granularity::Triangles => None,
+        Granularity::Clusters => Some(Items::Clusters(clusters(&scene()?))),
+        Granularity::Objects => {
+            let scene = scene()?;
+            Some(Items::Objects { never: (0..scene.len()).filter(|t| !scene.shows(*t)).collect() })
+        }
+    })
+}
+
+/// How much of the view each of `items` visible items takes; `None` when the tile counted another number.
+fn contributions(cell: &CellSet, items: usize) -> Option<Vec<Contribution>> {
+    let Some(hits) = &cell.hits else {
+        // Nothing was measured in a tile that was set aside.
+        return Some(vec![Contribution::new(0.0, 0.0); items]);
+    };
+    let all = f64::from(hits.viewpoints) * f64::from(hits.lines);
+    let of = |[hit, most]: &[u32; 2]| {
+        Contribution::new(f64::from(*hit) / all, f64::from(*most) / f64::from(hits.lines))
+    };
+    (hits.counts.len() == items).then(|| hits.counts.iter().map(of).collect())
+}
+
+/// The boxes of a subtree's cells, in preorder.
+fn boxes(root: &CellBox, nodes: &[sightline_model::Node]) -> Vec<CellBox> {
+    let (mut boxes, mut open) = (Vec::new(), vec![*root]);
+    for node in nodes {
+        let Some(at) = open.pop() else { break };
+        match node {
+            sightline_model::Node::Split(split) => {
+                let [below, above] = at.children(*split);
+                open.extend([above, below]);
+            }
+            sightline_model::Node::Cell => boxes.push(at),
+        }
+    }
+    boxes
 }
 
 /// Stores the stand-in of a tile that is set aside: the tree of its cells with empty sets, because every cell
@@ -245,7 +345,8 @@ fn pvs_node(node: sightline_model::Node, lattice: &Lattice) -> Node {
 
 /// The description of the bake: everything that the result depends on, and nothing that differs between two
 /// runs.
-fn info(parts: &Parts, kinds: &Kinds, samples: u64, set_aside: usize) -> String {
+fn info(parts: &Parts, scene: &SceneFacts, samples: u64, set_aside: usize) -> String {
+    let kinds = &scene.kinds;
     let mut info = serde_json::json!({
         "program": concat!("sightline ", env!("CARGO_PKG_VERSION")),
         "algorithm": ALGORITHM_VERSION,
@@ -261,7 +362,18 @@ fn info(parts: &Parts, kinds: &Kinds, samples: u64, set_aside: usize) -> String 
         "samples": samples,
         "tiles_set_aside": set_aside,
     });
-    // Absent for opaque scenes, whose results keep their bytes.
+    if let Some(up) = parts.spec.up {
+        info["up"] = up.to_string().into();
+    }
+    if let Some(marks) = &parts.spec.viewpoints {
+        info["viewpoints"] = serde_json::json!({
+            "cells_reached": marks.reached(), "cells": marks.count(), "parts": marks.marked(),
+        });
+    }
+    if scene.culled {
+        info["cull_back_faces"] = true.into();
+    }
+    // Absent for opaque scenes.
     if *kinds != Kinds::opaque() {
         let count = |c: KindCount| {
             let kind = c.kind.name();
@@ -272,6 +384,9 @@ fn info(parts: &Parts, kinds: &Kinds, samples: u64, set_aside: usize) -> String 
         let rules: Vec<_> =
             rules.map(|r| serde_json::json!({"kind": r.kind.name(), "glob": r.glob})).collect();
         info["kinds"] = serde_json::json!({"counts": counts, "rules": rules});
+        if kinds.alpha_textures() {
+            info["kinds"]["alpha_textures"] = true.into();
+        }
     }
     info.to_string()
 }

@@ -24,6 +24,7 @@
 //! ```
 
 mod assemble;
+mod assemble_pairs;
 pub mod clock;
 pub mod ids;
 mod jobs;

@@ -11,7 +11,7 @@ use sightline_model::TileOutput;
 use sightline_model::codec;
 use sightline_viewcells::TileKind;
 
-use crate::assemble::{AssembleError, Parts, assemble, expected_nodes};
+use crate::assemble::{AssembleError, Parts, assemble, expected_nodes, most_items};
 use crate::ids::{Digest, JobId, Lease, hex};
 use crate::scheduler::{Scheduler, Slot};
 use crate::state::Coordinator;
@@ -60,6 +60,9 @@ pub(crate) enum ResultError {
     /// The cells were decided by another method.
     #[error("the output's cells are not decided by the job's method")]
     Method,
+    /// Pairs of cells are missing, or over other cells.
+    #[error("the output's pairs of cells are not over the cells of the job")]
+    Pairs,
     /// Samples in place of cells, or cells in place of samples.
     #[error("the output is not of the tile's kind")]
     Kind,
@@ -92,15 +95,20 @@ fn check(c: &Coordinator, announced: &Announced, bytes: &[u8]) -> Result<u64, Re
         return Err(ResultError::Length);
     }
     let Lease { job: id, tile, .. } = announced.lease;
-    let (triangles, kind, expected, exact) = {
+    let (items, kind, expected, exact, pairs) = {
         let scheduler = c.lock();
         let job = scheduler.jobs.get(&id).ok_or(ResultError::NoJob(id))?;
         let tile = job.plan.tiles.get(tile.at()).ok_or(ResultError::NoTile)?;
         let scene = c.store.scene(&job.spec.scene)?;
         let nodes = expected_nodes(&job.spec.division, &job.lattice, &tile.cell, tile.depth);
-        (scene.map_or(0, |s| s.triangles), tile.kind, nodes, job.spec.method != Method::Aggressive)
+        let items = scene.map_or(0, |s| match tile.kind {
+            TileKind::Leaf => most_items(&job.spec, s.triangles, s.objects),
+            TileKind::Face(_) | TileKind::Separator(_) => s.triangles,
+        });
+        let pairs = job.spec.pair_cells().map(|sides| sides.iter().product::<u32>());
+        (items, tile.kind, nodes, job.spec.method != Method::Aggressive, pairs)
     };
-    let output = codec::check(bytes, triangles).map_err(|e| ResultError::Encoding(e.to_string()))?;
+    let output = codec::check(bytes, items).map_err(|e| ResultError::Encoding(e.to_string()))?;
     match (&output, kind) {
         (TileOutput::Cells(sets), TileKind::Leaf) => {
             if expected.is_some_and(|nodes| nodes != sets.nodes) {
@@ -108,6 +116,9 @@ fn check(c: &Coordinator, announced: &Announced, bytes: &[u8]) -> Result<u64, Re
             }
             if sets.cells.iter().any(|c| c.decision.is_some() != exact) {
                 return Err(ResultError::Method);
+            }
+            if sets.pairs.as_ref().map(|p| p.seen.cells()) != pairs {
+                return Err(ResultError::Pairs);
             }
             Ok(sets.cells.len() as u64)
         }

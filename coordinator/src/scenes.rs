@@ -187,8 +187,9 @@ pub(crate) fn facts(c: &Coordinator, digest: &Digest) -> Result<Arc<SceneFacts>,
 /// Keeps the facts of a scene that is in memory.
 fn remember(c: &Coordinator, digest: Digest, scene: &Scene) -> Arc<SceneFacts> {
     let (triangles, objects) = (scene.len(), scene.objects().to_vec());
-    let facts =
-        Arc::new(SceneFacts { triangles, objects, bounds: scene.bounds(), kinds: scene.kinds().clone() });
+    let (bounds, kinds, sources) = (scene.bounds(), scene.kinds().clone(), scene.sources().to_vec());
+    let culled = !scene.sides().are_both();
+    let facts = Arc::new(SceneFacts { triangles, objects, bounds, kinds, sources, culled });
     *c.last_scene.lock().unwrap_or_else(PoisonError::into_inner) = Some((digest, Arc::clone(&facts)));
     facts
 }

@@ -6,7 +6,7 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use sightline_scene::{Aabb, Kinds, Object};
+use sightline_scene::{Aabb, Kinds, Object, Source};
 use tokio::sync::{Semaphore, watch};
 
 use crate::clock::{Clock, Moment};
@@ -39,6 +39,10 @@ pub(crate) struct SceneFacts {
     pub(crate) objects: Vec<Object>,
     pub(crate) bounds: Aabb,
     pub(crate) kinds: Kinds,
+    /// The places of the objects in their glTF file; empty for other files.
+    pub(crate) sources: Vec<Source>,
+    /// Whether some triangles have one side.
+    pub(crate) culled: bool,
 }
 
 /// A coordinator without its network. [`serve`](crate::serve) puts it on the network.

@@ -1,9 +1,10 @@
 //! Submission: a checked specification becomes a job, or finds the job that has the same result.
 
 use prost::Message as _;
-use sightline_model::JobSpec;
+use sightline_model::{JobSpec, Method};
 
 use crate::ids::{Digest, JobId};
+use crate::scenes::{self, FactsError};
 use crate::state::Coordinator;
 use crate::store::{BlobError, JobState, NewJob, StoreError, Submitted};
 
@@ -26,6 +27,9 @@ pub(crate) enum SubmitError {
     /// The job was stored but cannot be scheduled.
     #[error("{0}")]
     Schedule(String),
+    /// The kinds of the scene's triangles cannot be read.
+    #[error(transparent)]
+    Facts(#[from] FactsError),
     /// A lost result cannot be removed.
     #[error(transparent)]
     Blob(#[from] BlobError),
@@ -41,6 +45,16 @@ pub(crate) fn submit(c: &Coordinator, submission: &Submission) -> Result<Submitt
     let bad = |e: &dyn std::fmt::Display| SubmitError::Spec(e.to_string());
     let (_, plan) = spec.plan().map_err(|e| bad(&e))?;
     spec.moved_by_rounding().map_err(|e| bad(&e))?;
+    if spec.method != Method::Aggressive {
+        let facts = scenes::facts(c, &spec.scene)?;
+        if facts.kinds.any_masked() {
+            return Err(SubmitError::Spec(
+                "exact queries do not read the alpha masks of this scene; submit with the method aggressive, \
+                 or a scene that was read without alpha textures"
+                    .to_owned(),
+            ));
+        }
+    }
     let job = NewJob {
         key: spec.key(),
         request_id: request_id.clone(),

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use glam::Vec3;
 use sightline_model::codec;
-use sightline_model::{BackendChoice, SamplingParams};
+use sightline_model::{BackendChoice, CellToCell, SamplingParams};
 use sightline_model::{CellSet, CellSets, TileOutput};
 use sightline_model::{JobSpec, Method};
 use sightline_pvs::Pvs;
@@ -24,7 +24,7 @@ use crate::scheduler::{Grant, Introduction, Order};
 use crate::sessions::{self, Message};
 use crate::state::{Coordinator, Leases};
 use crate::store::{JobPhase, JobState, MemoryBlobs, MemoryStore, NewJob};
-use crate::submit::{Submission, submit};
+use crate::submit::{Submission, SubmitError, submit};
 
 /// A coordinator without a disk, its clock, and the digest of a scene of one triangle.
 fn coordinator() -> (Arc<Coordinator>, Arc<ManualClock>, Digest) {
@@ -37,19 +37,50 @@ fn coordinator() -> (Arc<Coordinator>, Arc<ManualClock>, Digest) {
     (c, clock, scene)
 }
 
+/// A triangle whose alpha mask is open everywhere.
+const MASKED: &str = r#"{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "material": 0}]}],
+        "materials": [{"alphaMode": "MASK", "pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 0.2]}}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 3}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"byteLength": 36,
+            "uri": "data:;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA"}]
+    }"#;
+
+#[test]
+fn a_scene_with_masks_is_refused_by_exact_methods() {
+    let (c, ..) = coordinator();
+    let options = sightline_scene::load::Options { alpha_textures: true, ..Default::default() };
+    let loaded = sightline_scene::load::load_bytes_with("mask.gltf", MASKED.as_bytes(), None, &options);
+    let scene = c.take_scene(&loaded.unwrap().scene).unwrap();
+    let job = |method: Method| {
+        let view = Aabb::new(Vec3::ZERO, Vec3::ONE);
+        let spec = JobSpec { method, ..JobSpec::new(scene, Division::Grid([1, 1, 1]), view) };
+        let submission = Submission { request_id: method.to_string(), name: "masked".to_owned(), spec };
+        submit(&c, &submission)
+    };
+    assert!(job(Method::Aggressive).is_ok());
+    for method in [Method::Exact, Method::Verified] {
+        let why = job(method).unwrap_err();
+        assert!(matches!(&why, SubmitError::Spec(text) if text.contains("the method aggressive")), "{why}");
+    }
+}
+
 /// Submits a job of two tiles of one cell each.
 fn two_tiles(c: &Coordinator, scene: Digest) -> JobId {
     let spec = JobSpec {
         scene,
         division: Division::Grid([2, 1, 1]),
         view_box: Aabb::new(Vec3::ZERO, Vec3::ONE),
-        sampling: SamplingParams::default(),
+        sampling: SamplingParams { cell_to_cell: CellToCell::Off, ..SamplingParams::default() },
         backend: BackendChoice::Cpu,
         seed: 1,
         time_budget_ms: 0,
         block_cells: 1,
         method: Method::Aggressive,
         certificates: false,
+        viewpoints: None,
+        up: None,
     };
     let submission = Submission { request_id: "one".to_owned(), name: "two tiles".to_owned(), spec };
     submit(c, &submission).unwrap().id
@@ -78,7 +109,7 @@ fn output(grant: &Grant, visible: &[u32]) -> Vec<u8> {
     let tile = &plan.tiles[grant.lease.tile.at()];
     let nodes = expected_nodes(&grant.spec.division, &lattice, &tile.cell, tile.depth).unwrap();
     let cells = (0..tile.cells).map(|_| CellSet { visible: visible.to_vec(), ..CellSet::default() });
-    codec::encode(&TileOutput::Cells(CellSets { cells: cells.collect(), nodes })).unwrap()
+    codec::encode(&TileOutput::Cells(CellSets { cells: cells.collect(), nodes, pairs: None })).unwrap()
 }
 
 fn put(c: &Arc<Coordinator>, grant: &Grant, bytes: &[u8]) -> Result<(), ResultError> {

@@ -24,6 +24,8 @@ pub struct Cell {
     pub visible: Vec<u64>,
     /// The part of it that was neither seen nor proved hidden.
     pub undecided: Vec<u64>,
+    /// Whether viewpoints can be in it.
+    pub reached: bool,
 }
 
 impl Dump {
@@ -48,7 +50,9 @@ impl Dump {
                     max: point(&line["max"]),
                     visible: ids(&line["visible"], all),
                     undecided: ids(&line["undecided"], all),
+                    reached: line["reached"].as_bool().unwrap_or(true),
                 };
+                assert!(cell.reached || cell.visible.is_empty(), "cell {i} has no viewpoints");
                 for axis in 0..3 {
                     assert!(
                         low[axis] <= cell.min[axis]

@@ -135,7 +135,7 @@ fn the_view_box_is_the_one_asked_for() {
     sandbox.ok(&format!("bake {QUICK} --view-box 0.5,0.25,0.5,1.5,1.25,2.5 -o boxed.pvs"));
     assert_eq!(sandbox.dump("boxed.pvs").view_box(), [[0.5, 0.25, 0.5], [1.5, 1.25, 2.5]]);
     let far = format!("bake {QUICK} --view-box 1000,1000,1000,1001,1001,1001 -o far.pvs");
-    sandbox.run(&far).code(0).says("outside of the scene");
+    sandbox.run(&far).code(0).says("holds nothing of the scene");
     for bad in ["0,0,0,0,1,1", "1,1,1,0,0,0", "0,0,0,1,1,inf", "0,0,0,1,nan,1", "0,0,0,1,1"] {
         sandbox.run(&format!("bake {QUICK} --view-box {bad} -o no.pvs")).code(2);
     }

@@ -103,6 +103,7 @@ fn what_a_result_says_of_itself_has_to_agree_with_it() {
             builder.push_cell(&visible, &[], flags).unwrap();
             builder.push_certificate(pvs.certificate(cell).unwrap().unwrap()).unwrap();
         }
+        builder.set_pairs(pvs.cell_pairs().unwrap().unwrap()).unwrap();
         let mut file = Vec::new();
         builder.finish(&mut file).unwrap();
         sandbox.write("said.pvs", &file);
@@ -116,7 +117,7 @@ fn what_a_result_says_of_itself_has_to_agree_with_it() {
         ("trust", info.to_owned(), 0, "\"trust\" is no method"),
         ("verified", info.to_owned(), 0, "its method is verified"),
         ("exact", info.replace("[3,2,2]", "[3,2,3]"), 0, "its parameters say [3,2,3] cells"),
-        ("exact", info.to_owned(), 2, "cell 0 has flags 0x2"),
+        ("exact", info.to_owned(), 4, "cell 0 has flags 0x4"),
     ] {
         said(method, &info, flags);
         let refused = sandbox.run("verify slits.glb said.pvs").code(3).err;
@@ -242,6 +243,7 @@ fn changed(result: &[u8], change: impl Fn(u32, &mut Vec<u32>, &mut Vec<u8>)) -> 
         builder.push_certificate(&evidence).unwrap();
     }
     builder.set_columns(pvs.columns().unwrap()).unwrap();
+    builder.set_pairs(pvs.cell_pairs().unwrap().unwrap()).unwrap();
     let mut file = Vec::new();
     builder.finish(&mut file).unwrap();
     file

@@ -119,6 +119,14 @@ async fn requests_are_refused_with_the_right_code() {
     }
     let no_spec = v1::SubmitRequest { request_id: "i".to_owned(), name: String::new(), spec: None };
     refused(jobs.clone().submit(no_spec).await, Code::InvalidArgument);
+    // Exact queries take triangles as seen from both sides.
+    let culled = coordinator.submit(&format!("{JOB} --cull-back-faces --request-id culled"));
+    let culled = jobs.clone().show(v1::ShowRequest { job: culled }).await.unwrap().into_inner().spec.unwrap();
+    assert_ne!(culled.scene, spec.scene);
+    let exact = |s: &mut v1::JobSpec| {
+        (s.scene, s.method) = (culled.scene.clone(), v1::Method::Exact as i32);
+    };
+    assert!(refused(submit("k", &exact).await, Code::InvalidArgument).contains("culled"));
     // An empty view box stands for the scene's bounds, as on the command line.
     let answer = submit("j", &|s| s.view_box.clear()).await.unwrap().into_inner();
     assert!(answer.existing && answer.job.unwrap().id == good);

@@ -18,7 +18,7 @@ fn coded(triangles: u32, ids: &[u32]) -> Result<u64, AnyError> {
         triangles,
         method: String::new(),
         tree: CellTree::new([[0.0; 3]; 2], vec![Node::Leaf])?,
-        objects: vec![Object { name: String::new(), first: 0, count: triangles }],
+        objects: vec![Object { name: String::new(), first: 0, count: triangles, source: None }],
         info_json: String::new(),
     })?;
     builder.push_cell(ids, &[], 0)?;

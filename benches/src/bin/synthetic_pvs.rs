@@ -112,7 +112,12 @@ fn world(forest: bool, random: &mut Random) -> World {
                 }
             }
         }
-        objects.push(Object { name: format!("object {i}"), first: start, count: triangles - start });
+        objects.push(Object {
+            name: format!("object {i}"),
+            first: start,
+            count: triangles - start,
+            source: None,
+        });
     }
     World { object, first, triangles, objects }
 }

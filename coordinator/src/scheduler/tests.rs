@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 use prost::Message as _;
-use sightline_model::{BackendChoice, SamplingParams};
+use sightline_model::{BackendChoice, CellToCell, SamplingParams};
 use sightline_model::{JobSpec, Method};
 use sightline_scene::Aabb;
 use sightline_viewcells::Division;
@@ -24,13 +24,15 @@ fn two_tiles() -> (Scheduler, MemoryStore) {
         scene: [7; 32],
         division: Division::Grid([2, 1, 1]),
         view_box: Aabb::new(Vec3::ZERO, Vec3::ONE),
-        sampling: SamplingParams::default(),
+        sampling: SamplingParams { cell_to_cell: CellToCell::Off, ..SamplingParams::default() },
         backend: BackendChoice::Cpu,
         seed: 1,
         time_budget_ms: 0,
         block_cells: 1,
         method: Method::Aggressive,
         certificates: false,
+        viewpoints: None,
+        up: None,
     };
     let store = MemoryStore::new();
     store.record_scene(SceneRecord { digest: spec.scene, bytes: 1, triangles: 1, objects: 1 }).unwrap();

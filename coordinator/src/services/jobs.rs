@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::{Stream, StreamExt as _};
-use sightline_model::JobSpec;
+use sightline_model::{JobSpec, Method};
 use sightline_proto::chunks;
 use sightline_proto::v1;
 use tokio::sync::{mpsc, watch};
@@ -176,6 +176,13 @@ fn submission(c: &Coordinator, r: v1::SubmitRequest) -> Result<Submission, Statu
         false => None,
     };
     let spec = JobSpec::from_proto(spec, bounds).map_err(|e| Status::invalid_argument(e.to_string()))?;
+    let is_culled = || scenes::facts(c, &scene).map(|f| f.culled).map_err(|e| status::of_facts(&e));
+    if spec.method != Method::Aggressive && is_culled()? {
+        return Err(Status::invalid_argument(
+            "back faces of the scene are culled, and exact queries take every triangle as seen from both \
+             sides; give the method aggressive, or a scene without culling",
+        ));
+    }
     Ok(Submission { request_id: r.request_id, name: r.name, spec })
 }
 

@@ -65,6 +65,7 @@ pub(super) fn of_submit(e: &SubmitError) -> Status {
     match e {
         SubmitError::Spec(text) => Status::invalid_argument(text.clone()),
         SubmitError::Schedule(text) => internal(text),
+        SubmitError::Facts(e) => of_facts(e),
         SubmitError::Blob(e) => of_blob(e),
         SubmitError::Store(e) => of_store(e),
     }
@@ -88,6 +89,7 @@ pub(super) fn of_result(e: &ResultError) -> Status {
         | ResultError::Encoding(_)
         | ResultError::Cells
         | ResultError::Method
+        | ResultError::Pairs
         | ResultError::Kind => Status::invalid_argument(e.to_string()),
         ResultError::Conflict => Status::aborted(e.to_string()),
         ResultError::Blob(e) => of_blob(e),

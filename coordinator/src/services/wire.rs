@@ -69,8 +69,11 @@ pub(super) fn job(summary: &Summary) -> v1::Job {
     let mut job = v1::Job {
         id: record.id.0,
         name: record.name.clone(),
-        // An unreadable specification is shown as absent; the record keeps its bytes.
-        spec: v1::JobSpec::decode(record.spec.as_slice()).ok(),
+        // An unreadable specification is shown as absent; the record keeps its bytes. The viewpoints may be
+        // large, and a list has many jobs.
+        spec: v1::JobSpec::decode(record.spec.as_slice())
+            .ok()
+            .map(|spec| v1::JobSpec { viewpoints: Vec::new(), ..spec }),
         profile: record.profile.clone().unwrap_or_default(),
         tiles_total: summary.tiles_total,
         tiles_done: summary.tiles_done,

@@ -6,16 +6,19 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use glam::Vec3;
 use rayon::prelude::*;
-use sightline_certificate::{GroupCertificate, codec};
+use sightline_certificate::{CellCertificate, GroupCertificate, HiddenBox, codec};
 use sightline_exact::{
     Cell, CellGroup as GroupTask, ExactScene, GroupDecided, QueryStatistics, Task, decide, decide_group,
 };
 use sightline_model::{CellSet, CellSets, Decision, DecisionStats, JobSpec};
+use sightline_numbers::Aabb;
 use sightline_sampling::Watcher;
 use sightline_viewcells::{CellBox, Lattice};
 
 use crate::choices::{GROUP_SHARE, box_seed, exact_limits};
+use crate::decide_pairs;
 use crate::groups::{CellGroup, cells_and_groups};
 
 /// Decides the cells of a tile with the subtree of `root`. `sets` holds the sampled sets and receives the
@@ -31,10 +34,17 @@ pub fn cells(
     scene: &ExactScene,
     (deadline, watcher): (Option<Instant>, &dyn Watcher),
 ) -> Result<(), String> {
-    let (boxes, groups) = cells_and_groups(root, &sets.nodes);
+    let (boxes, mut groups) = cells_and_groups(root, &sets.nodes);
+    // From cells without viewpoints nothing is asked, so they share nothing.
+    groups.retain(|group| sets.cells[group.cells.clone()].iter().all(|cell| !cell.unreached));
     let share = |d: Instant| d.saturating_duration_since(Instant::now()) / GROUP_SHARE;
     let half = deadline.map(|d| Instant::now() + share(d));
+    let exact_cells: Vec<(CellBox, Cell)> =
+        boxes.iter().map(|at| Ok((*at, exact_cell(at, lattice)?))).collect::<Result<_, String>>()?;
+    let stop = || watcher.cancelled() || half.is_some_and(|u| Instant::now() >= u);
+    let apart = decide_pairs::decide(spec, lattice, &exact_cells, sets, scene, &stop);
     let mut around = groups_first(spec, lattice, (&boxes, &groups), sets, scene, (half, watcher))?;
+    around.iter_mut().zip(apart).for_each(|(around, apart)| around.apart = apart);
     let one = |((set, at), around): ((&mut CellSet, &CellBox), &mut Around), until: Option<Instant>| {
         let stop = || watcher.cancelled() || until.is_some_and(|u| Instant::now() >= u);
         let done = cell(spec, lattice, (at, around), set, scene, &stop, watcher);
@@ -74,6 +84,17 @@ fn cell(
     stop: &(dyn Fn() -> bool + Sync),
     watcher: &dyn Watcher,
 ) -> Result<(), String> {
+    let apart = std::mem::take(&mut around.apart);
+    if set.unreached {
+        // Nothing is asked about triangles.
+        let certificate = match apart.is_empty() {
+            true => Vec::new(),
+            false => codec::encode(&CellCertificate { apart, ..CellCertificate::default() })
+                .map_err(|e| e.to_string())?,
+        };
+        set.decision = Some(Decision { certificate, ..Decision::default() });
+        return Ok(());
+    }
     let mut decided = decide(&Task {
         scene,
         cell: exact_cell(at, lattice)?,
@@ -88,6 +109,7 @@ fn cell(
     decided.statistics.add_asked(&around.statistics);
     decided.certificate.shared = around.shared.take();
     decided.certificate.above = around.above;
+    decided.certificate.apart = apart;
     let certificate = match spec.certificates {
         true => codec::encode(&decided.certificate).map_err(|e| e.to_string())?,
         false => Vec::new(),
@@ -95,12 +117,29 @@ fn cell(
     set.visible = decided.visible;
     set.visible.extend(&decided.undecided);
     set.visible.sort_unstable();
+    if let Some(far) = spec.sampling.far {
+        let near = |id: &u32| is_within(scene, *id, at.world(lattice), far);
+        set.visible.retain(near);
+        decided.undecided.retain(near);
+    }
     set.decision = Some(Decision {
         undecided: decided.undecided,
         counts: statistics(&decided.statistics).numbers().to_vec(),
         certificate,
     });
     Ok(())
+}
+
+/// Whether a triangle may be within a distance of a cell: whether the box around it is. The squares of
+/// differences of single-precision numbers have relative errors of a few units in the last place of a double,
+/// which the factor more than covers.
+fn is_within(scene: &ExactScene, id: u32, (min, max): (Vec3, Vec3), far: f64) -> bool {
+    let of = Aabb::around(*scene.occluders().triangle(id));
+    let apart = (0..3).map(|a| {
+        let gap = f64::from(of.min[a]) - f64::from(max[a]);
+        gap.max(f64::from(min[a]) - f64::from(of.max[a])).max(0.0)
+    });
+    apart.map(|gap| gap * gap).sum::<f64>() <= far * far * (1.0 + 1e-12)
 }
 
 fn exact_cell(at: &CellBox, lattice: &Lattice) -> Result<Cell, String> {
@@ -118,6 +157,8 @@ struct Around {
     above: Option<u32>,
     /// The group's certificate; the first cell has it.
     shared: Option<GroupCertificate>,
+    /// The boxes around other cells that are hidden from the cell.
+    apart: Vec<HiddenBox>,
     /// Statistics of the group's queries; the first cell has them.
     statistics: QueryStatistics,
 }

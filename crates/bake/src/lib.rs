@@ -32,6 +32,7 @@
 
 pub mod choices;
 mod decide;
+mod decide_pairs;
 mod groups;
 pub mod scene;
 
@@ -40,6 +41,7 @@ use std::time::Instant;
 pub use scene::BakeScene;
 use sightline_model::{JobSpec, Method, Pack, TileOutput, codec};
 pub use sightline_sampling::Watcher;
+use sightline_sampling::lines::hits;
 use sightline_sampling::{Backend, BackendError, JobContext, TileError, tile};
 use sightline_viewcells::{Plan, TileKind};
 
@@ -125,11 +127,20 @@ pub fn run_tile(
     let tile = plan.tiles.get(number as usize);
     let tile = tile.ok_or_else(|| BakeError::Tile("the plan has no such tile".to_owned()))?;
     let watcher = control.watcher;
+    if spec.method != Method::Aggressive && scene.scene().kinds().any_masked() {
+        return Err(BakeError::Tile(
+            "the method decides exactly, and exact queries do not read alpha masks; use the method \
+             aggressive, or a scene whose masked triangles are see-through"
+                .to_owned(),
+        ));
+    }
     let job = JobContext {
         scene: scene.sampling(),
         division: spec.division,
         lattice,
         params: &spec.sampling,
+        viewpoints: spec.viewpoints.as_deref(),
+        pairs: spec.pair_cells(),
         backend,
         seed: spec.seed,
         deadline: choices::sampling_deadline(spec.method, control.deadline),
@@ -169,9 +180,14 @@ pub fn run_tile(
         }
         tracing::debug!(tile = number, "tile decided");
     }
+    let mut samples = counters.rendered;
+    if let (true, TileOutput::Cells(sets)) = (spec.sampling.contributions, &mut output) {
+        let (boxes, _) = groups::cells_and_groups(&tile.cell, &sets.nodes);
+        samples += hits::count(&job, &boxes, &mut sets.cells, watcher)?;
+    }
     let bytes = codec::encode(&output).map_err(tile_error)?;
     tracing::debug!(tile = number, bytes = bytes.len(), "tile encoded");
-    Ok(TileDone { bytes, samples: counters.rendered, recomputed })
+    Ok(TileDone { bytes, samples, recomputed })
 }
 
 /// The bytes of a lost pack, computed again.

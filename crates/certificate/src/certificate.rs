@@ -22,6 +22,17 @@ pub struct CellCertificate {
     /// Where the certificate of a box around this cell is stored: that many cells before this one in the
     /// result, 0 for this cell itself. `None` if this cell relies on no such certificate.
     pub above: Option<u32>,
+    /// Boxes that are hidden from the cell, around other cells of the result.
+    pub apart: Vec<HiddenBox>,
+}
+
+/// A box of which no point is seen from the cell. The box and the cell share no volume and no part of a face.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HiddenBox {
+    /// The box, in scene coordinates.
+    pub bounds: Aabb,
+    /// As [`HiddenGroup::proofs`] for [`Target::Box`].
+    pub proofs: Vec<Proof>,
 }
 
 /// The certificate of a cell group: triangles that are hidden from a box, and so from every cell in it.

@@ -20,6 +20,9 @@ const MAX_BYTES: u64 = 256 << 20;
 /// Most memory that a decoded certificate may take. A step of one byte takes over thirty bytes in memory.
 const MAX_MEMORY: usize = 4 << 30;
 
+/// Added to the first number of the tail when hidden boxes follow; numbers without them are smaller.
+const APART: u64 = 1 << 33;
+
 /// Bytes that are not a valid certificate.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the cell's certificate cannot be read: {0}; it is damaged or was written by another version")]

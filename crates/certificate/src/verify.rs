@@ -1,5 +1,6 @@
 //! Verification of a whole result: every witness and every certificate checked against the scene.
 
+mod apart;
 mod consistency;
 #[cfg(feature = "pvs")]
 mod pvs;
@@ -18,7 +19,7 @@ use rayon::prelude::*;
 use crate::certificate::HiddenGroup;
 use crate::checker::{CellClaims, CellRefusal, Claim, Kinds, Triangles, check_cell_until};
 pub use reader::{CertificateReader, Certificates, ReadError};
-pub use result::{BakedResult, SET_ASIDE};
+pub use result::{BakedResult, NOT_REACHED, SET_ASIDE};
 use sample::Drawn;
 pub use sample::Sample;
 use totals::CellTotals;
@@ -137,6 +138,7 @@ pub fn verify(
     };
     let mut totals = Totals::default();
     let mut group_claims = BTreeSet::new();
+    let mut apart = Vec::new();
     let mut next = 0;
     while next < cells {
         let batch = verification.batch(next);
@@ -150,6 +152,7 @@ pub fn verify(
                     verified += 1;
                     totals += of_cell.totals;
                     group_claims.extend(of_cell.group_claims);
+                    apart.push(of_cell.apart);
                 }
                 Err(Stop::Cancelled) => cancelled = true,
                 Err(Stop::Refused { triangles, reason }) => {
@@ -165,6 +168,11 @@ pub fn verify(
             progress(next, cells);
         }
     }
+    totals.cells_apart = apart::check(result, &apart).map_err(|(cell, reason)| Refused {
+        cell: Some(cell),
+        triangles: Vec::new(),
+        reason,
+    })?;
     // Several cells of a sample may rely on one certificate of a cell group. It counts once.
     totals.certificates.checked += group_claims.len() as u64;
     Ok(Report { cells, pairs: u64::from(cells) * triangles.len() as u64, totals })
@@ -230,6 +238,10 @@ impl Verification<'_> {
         let wanted = self.drawn.map(|d| d.get(&cell).unwrap_or(&nothing));
         let visible = self.result.visible(cell)?;
         let undecided = self.result.undecided(cell)?;
+        let unreached = self.result.flags(cell)? & NOT_REACHED != 0;
+        if unreached && !visible.is_empty() {
+            return Err("no viewpoint is in the cell, but its set is not empty".to_owned().into());
+        }
         let bounds = self.result.cell_bounds(cell).ok_or_else(|| "the cell has no bounds".to_owned())?;
         let certificates =
             self.reader.read(self.result, cell)?.ok_or_else(|| "the cell has no certificate".to_owned())?;
@@ -239,7 +251,7 @@ impl Verification<'_> {
         let (own, above) = (&certificates.own, certificates.above());
         let claims =
             CellClaims { cell: bounds, visible: &visible, undecided: &undecided, certificate: own, above };
-        let [witnesses, proofs, meeting] = [const { [const { AtomicU64::new(0) }; 2] }; 3];
+        let [witnesses, proofs, meeting, boxes] = [const { [const { AtomicU64::new(0) }; 2] }; 4];
         let group_claims = Mutex::new(Vec::new());
         let any = |group: &HiddenGroup, w: &BTreeSet<u32>| group.triangles.iter().any(|t| w.contains(t));
         let pick = |claim: Claim| {
@@ -258,12 +270,28 @@ impl Verification<'_> {
                     return take;
                 }
                 Claim::Meets(id) => (&meeting, wanted.is_none_or(|w| w.contains(&id))),
+                Claim::Apart(_) => (&boxes, false),
             };
             counts[0].fetch_add(1, Ordering::Relaxed);
             counts[1].fetch_add(u64::from(take), Ordering::Relaxed);
             take
         };
-        check_cell_until(&self.scene, &claims, &pick, self.cancelled)?;
+        let pick = |claim: Claim| match claim {
+            // With a sample, as many boxes of a cell as pairs were drawn.
+            Claim::Apart(at) => {
+                let take = wanted.is_none_or(|w| at < w.len());
+                boxes[0].fetch_add(1, Ordering::Relaxed);
+                boxes[1].fetch_add(u64::from(take), Ordering::Relaxed);
+                take
+            }
+            claim => pick(claim),
+        };
+        if unreached {
+            // Nothing is claimed about triangles, only about other cells.
+            apart::check_boxes(&self.scene, &claims, &pick, self.cancelled)?;
+        } else {
+            check_cell_until(&self.scene, &claims, &pick, self.cancelled)?;
+        }
         let group_claims = group_claims.into_inner().unwrap_or_else(PoisonError::into_inner);
         out.group_claims =
             group_claims.into_iter().filter_map(|at| Some((certificates.keeper()?, at))).collect();
@@ -274,6 +302,8 @@ impl Verification<'_> {
         out.totals.witnesses = count(witnesses);
         out.totals.certificates = count(proofs);
         out.totals.meeting = count(meeting);
+        out.totals.apart = count(boxes);
+        out.apart = certificates.own.apart.iter().map(|of| of.bounds).collect();
         Ok(out)
     }
 }

@@ -7,7 +7,8 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use sightline_certificate::{
-    BakedResult, CellCertificate, Count, Hidden, Sample, VerifyError, VerifyOptions, codec, verify,
+    BakedResult, CellCertificate, Count, Hidden, NOT_REACHED, Sample, VerifyError, VerifyOptions, codec,
+    verify,
 };
 use sightline_numbers::Aabb;
 use support::{CELL, alone, relying, sharing, triangles};
@@ -129,7 +130,10 @@ fn statements_about_the_whole_result_are_checked() {
     assert!(whole(check(&|r| r.method = "trust")));
     assert!(whole(check(&|r| r.parameters = r#"{"method":"verified"}"#)));
     assert!(whole(check(&|r| r.parameters = r#"{"division":{"grid":[1,2,1]}}"#)));
-    assert!(whole(check(&|r| r.flags = 2)));
+    assert!(whole(check(&|r| r.flags = 4)));
+    // A cell without viewpoints has an empty set.
+    let refused = check(&|r| r.flags = NOT_REACHED);
+    assert!(matches!(refused, Err(VerifyError::Refused(r)) if r.cell == Some(0)));
     assert!(matches!(check(&|r| r.certificates = None), Err(VerifyError::NoCertificates { .. })));
     let fewer = verify(&triangles()[..5], &Memory::new(&[alone()]), &VerifyOptions::default());
     assert_eq!(fewer, Err(VerifyError::OtherScene { scene: 5, result: 6 }));

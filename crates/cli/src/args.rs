@@ -10,6 +10,7 @@ use crate::bench_args::BenchArgs;
 use crate::choices::choice;
 use crate::job_args::JobArgs;
 use crate::kind_args::KindArgs;
+use crate::place_args::parse_box;
 
 /// Bakes from-region visibility: for every view cell of a static triangle scene,
 /// the triangles visible from anywhere in it.
@@ -287,6 +288,22 @@ pub enum Items {
     Triangles,
     /// Object ids: glTF node and primitive, OBJ group; `info` lists them.
     Objects,
+    /// Cluster ids of a result baked with --granularity clusters; the first line lists their triangles.
+    Clusters,
+    /// The cells that a cell sees.
+    Cells,
+}
+
+impl Items {
+    /// Its name on the command line and in JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Triangles => "triangles",
+            Self::Objects => "objects",
+            Self::Clusters => "clusters",
+            Self::Cells => "cells",
+        }
+    }
 }
 
 #[derive(Args, Debug)]
@@ -296,17 +313,37 @@ pub struct DumpArgs {
     /// The kind of ids in the sets.
     #[arg(long, value_enum, default_value_t = Items::Triangles)]
     pub items: Items,
+    /// Add to each cell how much of the view each of its visible items takes: the mean over the cell and the
+    /// greatest from one viewpoint, each as a least and a greatest share of all directions, in the order of
+    /// "visible". Needs a result baked with --contributions, and the items of its sets.
+    #[arg(long)]
+    pub contributions: bool,
 }
 
 #[derive(Args, Debug)]
-#[command(override_usage = "sightline query [OPTIONS] <OUT.pvs> <X> <Y> <Z>")]
+#[command(
+    override_usage = "sightline query [OPTIONS] <OUT.pvs> <X> <Y> <Z> [--sees <X> <Y> <Z> | --box <BOX> | \
+                      --cell <I>]"
+)]
 pub struct QueryArgs {
     #[command(flatten)]
     pub result: ResultArgs,
     /// The viewpoint, in world space.
-    #[arg(num_args = 3, value_names = ["X", "Y", "Z"], required = true, allow_negative_numbers = true)]
-    #[arg(value_parser = coordinate)]
+    #[arg(num_args = 3, value_names = ["X", "Y", "Z"], required_unless_present = "cell")]
+    #[arg(value_parser = coordinate, allow_negative_numbers = true)]
     pub point: Vec<f32>,
+    /// Print whether the viewpoint's cell sees the cell of this point.
+    #[arg(long, num_args = 3, value_names = ["X", "Y", "Z"], allow_negative_numbers = true)]
+    #[arg(value_parser = coordinate, conflicts_with_all = ["to_box", "cell", "why", "items"])]
+    pub sees: Vec<f32>,
+    /// Print whether the viewpoint's cell sees a cell that meets this box, as of a moving thing:
+    /// x0,y0,z0,x1,y1,z1 in world space. A box that reaches beyond the view box counts as seen.
+    #[arg(long = "box", value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]
+    #[arg(conflicts_with_all = ["cell", "why", "items"])]
+    pub to_box: Option<sightline_scene::Aabb>,
+    /// Print whether the viewpoint's cell sees this cell; without a viewpoint, the set of this cell.
+    #[arg(long, value_name = "I")]
+    pub cell: Option<u32>,
     /// The kind of ids in the set.
     #[arg(long, value_enum, default_value_t = Items::Triangles)]
     pub items: Items,
@@ -364,15 +401,25 @@ pub struct MeasureArgs {
     pub result: PathBuf,
     #[command(flatten)]
     pub kinds: KindArgs,
-    /// Number of random viewpoints, uniform in the view box. Each frame is a full cube around a viewpoint.
+    /// Number of random viewpoints, uniform in the cells with viewpoints. Each frame is a full cube around a
+    /// viewpoint.
     #[arg(long, value_name = "N", default_value_t = 200, conflicts_with = "path")]
     pub viewpoints: u32,
+    /// Measure at the viewpoints of a file instead: a line `x y z` or `x y z weight` for each. The mean error
+    /// is weighted. Of more than --viewpoints lines, so many are drawn by their weights.
+    #[arg(long, value_name = "FILE", conflicts_with = "path")]
+    pub viewpoints_file: Option<PathBuf>,
     /// Seed of the viewpoints.
     #[arg(long, value_name = "S", default_value_t = 1)]
     pub seed: u64,
     /// Measure along a camera path instead: a file with one viewpoint `x y z` per line.
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
+    /// Also measure which cells see which: draw this many pairs of points, uniform in the view box, and print
+    /// of those that an unobstructed segment joins the fraction whose cells are said not to see each other.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(value_parser = clap::value_parser!(u64).range(0..=10_000_000_000))]
+    pub pairs: u64,
     /// Side of one face of a cube in pixels, 8 to 4096.
     #[arg(long, value_name = "PX", default_value_t = 256)]
     pub resolution: u32,

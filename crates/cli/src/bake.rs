@@ -16,6 +16,7 @@ use tokio::sync::watch;
 use tonic::transport::Channel;
 
 use crate::args::BakeArgs;
+use crate::backends;
 use crate::client;
 use crate::error::CliError;
 use crate::inspect::Summary;
@@ -29,13 +30,13 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     let start = Instant::now();
     let output = Output::check(&args.output, Format::Pvs, Some(&args.scene))?;
     serve::use_threads(threads(None))?;
-    let choice = match serve::choice(args.job.backend) {
+    let choice = match backends::choice(args.job.backend) {
         Choice::Auto => Choice::Fast,
         choice => choice,
     };
     // Starting drivers may take longer than reading most scenes.
     let probing = Probing::begin(choice);
-    let scene = Arc::new(opening::scene(&args.scene, &args.kinds.rules)?);
+    let scene = Arc::new(opening::scene(&args.scene, &args.kinds)?);
     let spec = args.job.spec(&args.scene, &scene)?;
     say(&format!(
         "{}: {} in {}, read in {}",
@@ -44,7 +45,7 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
         plural(scene.objects().len(), "object"),
         human(start.elapsed())
     ));
-    opening::kinds_in_words(&scene.kinds().counts()).iter().for_each(|line| say(line));
+    opening::scene_in_words(&scene).iter().for_each(|line| say(line));
     let loaded = Arc::new(Loaded::new(Arc::clone(&scene))?);
     let probing = probing.then_warm(&loaded, &spec);
     let data_dir = match &args.data_dir {
@@ -160,7 +161,7 @@ async fn bake(
             let again = Probing::begin(Choice::Auto);
             probed = tokio::task::spawn_blocking(move || again.end()).await.map_err(CliError::internal)??;
         }
-        serve::say_missing(&probed)?;
+        backends::say_missing(&probed)?;
         if !job.profile.is_empty() && !probed.profiles().contains(&job.profile) {
             say(&format!(
                 "an earlier run began this bake on {}, which is gone or has another version now; the bake \

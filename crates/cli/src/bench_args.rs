@@ -6,7 +6,8 @@ use clap::Args;
 use sightline_bench::{ERRORS, Growth, Ladder, Sampler};
 use sightline_scene::Aabb;
 
-use crate::job_args::{parse_box, parse_cells};
+use crate::job_args::parse_cells;
+use crate::place_args::parse_box;
 
 /// What to measure, and where to write it.
 #[derive(Args, Debug)]

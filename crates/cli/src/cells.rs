@@ -30,10 +30,10 @@ fn columns(pvs: &Pvs) -> Result<BTreeMap<String, Vec<u64>>, CliError> {
 }
 
 /// A cell's bound on the fraction of sight lines it misses, with confidence 95 %.
-fn bound(columns: &BTreeMap<String, Vec<u64>>, cell: usize) -> Option<f64> {
+fn bound(columns: &BTreeMap<String, Vec<u64>>, misses: &str, cell: usize) -> Option<f64> {
     let at = |name: &str| columns.get(name).and_then(|c| c.get(cell)).copied().unwrap_or(0);
     let look = u32::try_from(at("bound_look")).unwrap_or(u32::MAX);
-    (at("bound_lines") > 0).then(|| upper_bound(at("bound_misses"), at("bound_lines"), alpha_of(look)))
+    (at("bound_lines") > 0).then(|| upper_bound(at(misses), at("bound_lines"), alpha_of(look)))
 }
 
 /// Totals over all cells of what exact queries decided, in pairs of cell and triangle; 0 for a result of
@@ -100,8 +100,21 @@ pub fn unfinished_and_spared(pvs: &Pvs) -> Result<[usize; 2], CliError> {
 /// # Errors
 /// [`CliError::Input`] when the result cannot be read.
 pub fn bounds(pvs: &Pvs) -> Result<Option<Bounds>, CliError> {
+    bounds_of(pvs, "bound_misses")
+}
+
+/// The bounds on the fraction of sight lines that cross a cell which is no pair with their own, if there are
+/// any.
+///
+/// # Errors
+/// [`CliError::Input`] when the result cannot be read.
+pub fn pair_bounds(pvs: &Pvs) -> Result<Option<Bounds>, CliError> {
+    bounds_of(pvs, "bound_cell_misses")
+}
+
+fn bounds_of(pvs: &Pvs, misses: &str) -> Result<Option<Bounds>, CliError> {
     let columns = columns(pvs)?;
-    let all: Vec<f64> = (0..pvs.cells() as usize).filter_map(|c| bound(&columns, c)).collect();
+    let all: Vec<f64> = (0..pvs.cells() as usize).filter_map(|c| bound(&columns, misses, c)).collect();
     let sum: f64 = all.iter().sum();
     Ok((!all.is_empty()).then(|| Bounds {
         cells: all.len(),
@@ -125,7 +138,7 @@ pub fn json(pvs: &Pvs) -> Result<Value, CliError> {
         for (name, values) in &columns {
             line[name] = values[cell as usize].into();
         }
-        if let Some(bound) = bound(&columns, cell as usize) {
+        if let Some(bound) = bound(&columns, "bound_misses", cell as usize) {
             line["bound"] = bound.into();
             line["confidence"] = (1.0 - ALPHA).into();
         }
@@ -173,7 +186,8 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
         } else {
             "-".to_owned()
         };
-        let bound = bound(&columns, cell).map_or("-".to_owned(), |b| format!("{:.4} %", b * 100.0));
+        let bound =
+            bound(&columns, "bound_misses", cell).map_or("-".to_owned(), |b| format!("{:.4} %", b * 100.0));
         let mark = match (at("unfinished", cell), at("spared", cell)) {
             (1.., _) => " *",
             (_, 1..) => " ~",

@@ -1,32 +1,38 @@
-//! `sightline info`, `dump` and `query`: print the content of a result.
+//! `sightline info`: the summary of a result.
 
-use std::io::{BufWriter, Write as _};
 use std::path::Path;
 
 use rayon::prelude::*;
 use serde::Serialize;
-use sightline_pvs::{Pvs, PvsError};
+use sightline_pvs::{Granularity, Pvs, PvsError};
 
-use crate::args::{DumpArgs, InfoArgs, Items, QueryArgs};
+use crate::args::InfoArgs;
 use crate::cells;
 use crate::error::CliError;
 use crate::opening::{self, open, plural};
 use crate::serve::print;
-use crate::why;
 
+/// The version of what `info` and `dump` print.
+const DUMP_VERSION: u32 = 1;
 /// Objects listed by `info` without --json.
 const OBJECTS_SHOWN: usize = 20;
 
 /// The summary of a result that `info` and the end of a bake print.
 #[derive(Serialize)]
 pub struct Summary {
-    format: &'static str,
-    version: u32,
-    method: String,
-    triangles: u32,
-    objects: usize,
-    cells: u32,
-    view_box: serde_json::Value,
+    pub format: &'static str,
+    pub version: u32,
+    pub method: String,
+    pub triangles: u32,
+    pub objects: usize,
+    /// What the sets name: triangles, clusters or objects.
+    granularity: &'static str,
+    /// How many there are.
+    pub items: u32,
+    pub cells: u32,
+    /// Cells in which viewpoints can be. Only these count in means.
+    cells_reached: u32,
+    pub view_box: serde_json::Value,
     file_bytes: u64,
     set_bytes: u64,
     bytes_per_cell: f64,
@@ -45,11 +51,49 @@ pub struct Summary {
     cells_unfinished: usize,
     /// Cells with a per-cell tolerance above the target error, because they took far more work than others.
     cells_spared: usize,
+    /// Which cells see which; `None` when the result does not say.
+    cell_to_cell: Option<CellToCell>,
     /// What exact queries decided; `None` for the method aggressive.
     decided: Option<cells::Decided>,
     /// Cells of an adaptive tree that see more triangles than its budget; `None` for a grid.
     cells_over_budget: Option<usize>,
-    info: serde_json::Value,
+    pub info: serde_json::Value,
+}
+
+/// How many cells see which.
+#[derive(Serialize)]
+struct CellToCell {
+    /// Pairs of different cells that see each other, the undecided ones included.
+    pairs: u64,
+    /// Their part of all pairs of different cells of which one at least is reached.
+    density: f64,
+    undecided: u64,
+    bytes: u64,
+    /// The greatest and the mean bound, at 95 %, on the fraction of sight lines from a cell that cross a cell
+    /// which is no pair with it.
+    greatest_bound: Option<f64>,
+    mean_bound: Option<f64>,
+}
+
+impl CellToCell {
+    fn of(pvs: &Pvs) -> Result<Option<Self>, CliError> {
+        let Some(found) = pvs.cell_pairs()? else { return Ok(None) };
+        let cells = u64::from(pvs.cells());
+        let reached = (0..pvs.cells()).map(|c| pvs.is_reached(c)).collect::<Result<Vec<_>, _>>()?;
+        let reached = reached.iter().filter(|r| **r).count() as u64;
+        let own = (0..pvs.cells()).filter(|c| found.visible.has(*c, *c)).count() as u64;
+        let pairs = found.visible.pairs() - own;
+        let all = reached * (cells - reached) + reached * reached.saturating_sub(1) / 2;
+        let bounds = cells::pair_bounds(pvs)?;
+        Ok(Some(Self {
+            pairs,
+            density: pairs as f64 / all.max(1) as f64,
+            undecided: found.undecided.as_ref().map_or(0, sightline_pvs::Relation::pairs),
+            bytes: pvs.pair_bytes(),
+            greatest_bound: bounds.as_ref().map(|b| b.greatest),
+            mean_bound: bounds.as_ref().map(|b| b.mean),
+        }))
+    }
 }
 
 impl Summary {
@@ -71,16 +115,22 @@ impl Summary {
             serde_json::from_str(pvs.info_json()).unwrap_or_else(|_| pvs.info_json().into());
         let budget = info["division"]["adaptive"]["budget"].as_u64();
         // Collected before the error is taken, so that the first damaged cell is reported on every run.
-        let sets: Vec<Result<(u64, u64, bool), PvsError>> = (0..pvs.cells())
+        let sets: Vec<Result<(u64, u64, bool, bool), PvsError>> = (0..pvs.cells())
             .into_par_iter()
             .map_init(Vec::new, |ids, cell| {
                 pvs.undecided(cell, ids)?;
                 let undecided = ids.len() as u64;
                 pvs.visible(cell, ids)?;
-                Ok((ids.len() as u64, undecided, pvs.is_set_aside(cell)?))
+                Ok((ids.len() as u64, undecided, pvs.is_set_aside(cell)?, pvs.is_reached(cell)?))
             })
             .collect();
-        let sets: Vec<(u64, u64, bool)> = sets.into_iter().collect::<Result<_, _>>()?;
+        let sets: Vec<(u64, u64, bool, bool)> = sets.into_iter().collect::<Result<_, _>>()?;
+        // Cells without viewpoints count in nothing.
+        let sets: Vec<(u64, u64, bool)> = sets
+            .into_iter()
+            .filter(|s| s.3)
+            .map(|(visible, open, aside, _)| (visible, open, aside))
+            .collect();
         let sizes: Vec<u64> = sets.iter().map(|s| s.0).collect();
         let undecided: u64 = sets.iter().map(|s| s.1).sum();
         let aside = sets.iter().filter(|s| s.2).count() as u32;
@@ -89,16 +139,19 @@ impl Summary {
         let bounds = cells::bounds(&pvs)?;
         let [cells_unfinished, cells_spared] = cells::unfinished_and_spared(&pvs)?;
         let [file_bytes, visible, undecided_bytes] = pvs.file_bytes();
-        let cells = f64::from(pvs.cells());
+        let cells = sets.len().max(1) as f64;
         let sum: u64 = sizes.iter().sum();
         let [min, max] = pvs.tree().view_box();
         Ok(Self {
             format: "sightline.pvs",
-            version: sightline_pvs::VERSION,
+            version: DUMP_VERSION,
             method: pvs.method().to_owned(),
             triangles: pvs.triangle_count(),
             objects: pvs.objects().len(),
+            granularity: pvs.granularity().name(),
+            items: pvs.item_count(),
             cells: pvs.cells(),
+            cells_reached: sets.len() as u32,
             view_box: serde_json::json!({"min": min, "max": max}),
             file_bytes,
             set_bytes: visible + undecided_bytes,
@@ -114,6 +167,7 @@ impl Summary {
             mean_bound: bounds.as_ref().map(|b| b.mean),
             cells_unfinished,
             cells_spared,
+            cell_to_cell: CellToCell::of(&pvs)?,
             decided: if pvs.method() == "aggressive" { None } else { Some(cells::decided(&pvs)?) },
             cells_over_budget: budget.map(|_| over),
             info,
@@ -131,8 +185,24 @@ impl Summary {
                 plural(self.objects, "object"),
                 self.method
             ),
+            match self.granularity == Granularity::Triangles.name() {
+                true => String::new(),
+                false => format!("the sets name {} {}", self.items, self.granularity),
+            },
+            match self.cells_reached == self.cells {
+                true => String::new(),
+                false => format!(
+                    "viewpoints are in {} of {}; the others were not sampled",
+                    self.cells_reached,
+                    plural(self.cells as usize, "cell")
+                ),
+            },
             format!("view box {} to {}", corner(&self.view_box["min"]), corner(&self.view_box["max"])),
             opening::kinds_in_words(&opening::counts_of(&self.info)).join("; "),
+            match self.info["cull_back_faces"] == true {
+                true => opening::sides_in_words(None),
+                false => String::new(),
+            },
             match self.undecided {
                 // Sampling alone decides nothing, so it has no number of undecided triangles.
                 0 => format!(
@@ -146,7 +216,7 @@ impl Summary {
                 undecided => format!(
                     "visible from a cell: between {:.0} and {:.0} triangles on average; \
                      drawn: the latter ({:.2} %), {} to {}; undecided: {undecided} in all cells",
-                    self.mean_visible - undecided as f64 / f64::from(self.cells),
+                    self.mean_visible - undecided as f64 / f64::from(self.cells_reached.max(1)),
                     self.mean_visible,
                     self.mean_visible_fraction * 100.0,
                     self.min_visible,
@@ -179,6 +249,25 @@ impl Summary {
                 _ => "missed sight lines: not bounded (--max-error F bounds them)".to_owned(),
             },
         ];
+        lines.retain(|line| !line.is_empty());
+        lines.extend(self.cell_to_cell.as_ref().map(|c| {
+            let bound = match (c.greatest_bound, self.decided.is_some()) {
+                (Some(bound), false) => {
+                    format!("; missed at most {:.4} % in any cell, at 95 %", bound * 100.0)
+                }
+                _ => String::new(),
+            };
+            let open = match c.undecided {
+                0 => String::new(),
+                n => format!(", {n} of them undecided"),
+            };
+            format!(
+                "cell to cell: {} pairs see each other ({:.1} %){open}, {} bytes{bound}",
+                c.pairs,
+                c.density * 100.0,
+                c.bytes
+            )
+        }));
         if let Some(d) = &self.decided {
             lines.push(format!(
                 "decided exactly, in pairs of cell and triangle: {} hidden ({} by closed surfaces), {} \
@@ -237,7 +326,14 @@ pub fn info(args: &InfoArgs, json: bool) -> Result<(), CliError> {
         let mut value = serde_json::to_value(&summary).map_err(CliError::internal)?;
         let object = |o: &sightline_pvs::Object| {
             let (name, first, count) = (&o.name, o.first, o.count);
-            serde_json::json!({"name": name, "first": first, "count": count})
+            let mut object = serde_json::json!({"name": name, "first": first, "count": count});
+            if let Some(source) = o.source {
+                object["node"] = source.node.into();
+                object["mesh"] = source.mesh.into();
+                object["primitive"] = source.primitive.into();
+                object["instance"] = source.instance.into();
+            }
+            object
         };
         value["objects"] = pvs.objects().iter().map(object).collect();
         if args.cells {
@@ -259,125 +355,6 @@ pub fn info(args: &InfoArgs, json: bool) -> Result<(), CliError> {
         lines.push(format!("… and {} more objects; --json lists all", pvs.objects().len() - OBJECTS_SHOWN));
     }
     print(&lines.join("\n"))
-}
-
-/// Prints a result as JSON Lines: a header, then one line per cell.
-pub fn dump(args: &DumpArgs) -> Result<(), CliError> {
-    let summary = Summary::of(&args.result.result)?;
-    let pvs = open(&args.result.result)?;
-    let mut out = BufWriter::new(std::io::stdout().lock());
-    let mut write = || -> Result<(), Dumping> {
-        let mut header = serde_json::json!({
-            "format": summary.format, "version": summary.version, "triangles": summary.triangles,
-            "method": summary.method, "cells": summary.cells, "view_box": summary.view_box,
-            "objects": summary.objects, "info": summary.info,
-        });
-        if args.items == Items::Objects {
-            header["items"] = "objects".into();
-        }
-        writeln!(out, "{header}")?;
-        let (mut visible, mut undecided) = (Vec::new(), Vec::new());
-        for cell in 0..pvs.cells() {
-            sets(&pvs, cell, args.items, &mut visible, &mut undecided)?;
-            let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
-            let mut line = serde_json::json!({
-                "cell": cell, "min": min, "max": max, "visible": visible, "undecided": undecided,
-            });
-            if pvs.is_set_aside(cell)? {
-                line["set_aside"] = true.into();
-            }
-            writeln!(out, "{line}")?;
-        }
-        out.flush()?;
-        Ok(())
-    };
-    match write() {
-        Ok(()) => Ok(()),
-        Err(Dumping::Out(e)) if e.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
-        Err(Dumping::Out(e)) => Err(CliError::stdout(&e)),
-        Err(Dumping::Pvs(e)) => Err(e.into()),
-    }
-}
-
-#[derive(Debug, thiserror::Error)]
-enum Dumping {
-    #[error(transparent)]
-    Out(#[from] std::io::Error),
-    #[error(transparent)]
-    Pvs(#[from] sightline_pvs::PvsError),
-}
-
-fn sets(
-    pvs: &Pvs,
-    cell: u32,
-    items: Items,
-    visible: &mut Vec<u32>,
-    undecided: &mut Vec<u32>,
-) -> Result<(), sightline_pvs::PvsError> {
-    match items {
-        Items::Triangles => {
-            pvs.visible(cell, visible)?;
-            pvs.undecided(cell, undecided)
-        }
-        Items::Objects => {
-            pvs.visible_objects(cell, visible)?;
-            pvs.undecided_objects(cell, undecided)
-        }
-    }
-}
-
-/// Prints the set of the cell that contains a point.
-pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
-    let pvs = open(&args.result.result)?;
-    let point: [f32; 3] =
-        args.point.as_slice().try_into().map_err(|_| CliError::Usage("give x y z".to_owned()))?;
-    let Some(cell) = pvs.find_cell(point) else {
-        let [min, max] = pvs.tree().view_box();
-        return Err(CliError::Input(format!(
-            "{point:?} is outside the view box of {} ({min:?} to {max:?}); choose a point inside, or bake \
-             with a larger --view-box",
-            args.result.result.display()
-        )));
-    };
-    if let Some(triangle) = args.why {
-        return why::why(
-            &pvs,
-            &args.result.result,
-            (cell, triangle),
-            (args.scene.as_deref(), &args.kinds.rules),
-            json,
-        );
-    }
-    let (mut visible, mut undecided) = (Vec::new(), Vec::new());
-    sets(&pvs, cell, args.items, &mut visible, &mut undecided)?;
-    let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
-    let what = if args.items == Items::Objects { "object" } else { "triangle" };
-    if json {
-        let value = serde_json::json!({
-            "cell": cell, "min": min, "max": max, "items": format!("{what}s"),
-            "visible": visible, "undecided": undecided,
-            "set_aside": pvs.is_set_aside(cell)?,
-        });
-        return print(&value.to_string());
-    }
-    let list: Vec<String> = visible
-        .iter()
-        .map(|id| match args.items {
-            Items::Triangles => id.to_string(),
-            Items::Objects => format!("{id} {}", pvs.objects()[*id as usize].name),
-        })
-        .collect();
-    let aside =
-        if pvs.is_set_aside(cell)? { "; SET ASIDE: this cell failed, everything is shown" } else { "" };
-    print(&format!(
-        "cell {cell}, {min:?} to {max:?}: {} to draw{}{aside}\n{}",
-        plural(visible.len(), what),
-        match undecided.len() {
-            0 => String::new(),
-            n => format!(": {} visible, {n} undecided", visible.len() - n),
-        },
-        list.join(if args.items == Items::Objects { "\n" } else { " " })
-    ))
 }
 
 /// A point in text. Its coordinates come from single precision, so they are printed in single precision.

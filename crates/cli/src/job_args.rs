@@ -1,18 +1,21 @@
 //! The arguments of a job, shared by `bake` and `submit`.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
 use clap::Args;
-use glam::Vec3;
 use sightline_model::{
-    BackendChoice, ErrorMeasure, JobSpec, MOST_LINE_DEPTH, Method, Sampler, SamplingParams, SupersetChoice,
+    BackendChoice, CellToCell, ErrorMeasure, Granularity, JobSpec, MOST_LINE_DEPTH, Method, Sampler,
+    SamplingParams, SupersetChoice,
 };
 use sightline_scene::{Aabb, Scene};
 use sightline_viewcells::Division;
 
 use crate::choices::choice;
 use crate::error::CliError;
+use crate::opening;
+use crate::place_args::PlaceArgs;
 use crate::progress::say;
 
 /// Fraction of a view cell by which rounding may move a sight line before a note is printed.
@@ -48,9 +51,6 @@ pub struct JobArgs {
     /// Deepest level of the adaptive tree, 1 to 22.
     #[arg(long, value_name = "D", default_value_t = 12, requires = "triangle_budget")]
     max_depth: u32,
-    /// The box that holds all viewpoints, in world space: x0,y0,z0,x1,y1,z1. Default: the scene's bounds.
-    #[arg(long, value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]
-    view_box: Option<Aabb>,
     /// How visibility is sampled. Default: lines; for adaptive trees deeper than 12: cubes.
     #[arg(long, value_parser = choice::<Sampler>())]
     sampler: Option<Sampler>,
@@ -79,6 +79,30 @@ pub struct JobArgs {
     /// Rays per cell of the sampler guided. Default: 200000.
     #[arg(long, value_name = "N")]
     rays: Option<u64>,
+    /// What the sets name. With clusters (at most 128 neighbouring triangles of an object) or objects, fewer
+    /// items are looked for, the tables and the file are smaller, and a cell draws a whole item when it sees
+    /// a part of it. Needs --method aggressive.
+    #[arg(long, value_parser = choice::<Granularity>(), default_value_t)]
+    granularity: Granularity,
+    /// Search until each item that takes this share of the sight lines from a cell is found with a
+    /// probability of at least 95 %: 0.001 for a thousandth of the view. Replaces --target-error. Two seeds
+    /// then agree on all but smaller items.
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    min_share: Option<f64>,
+    /// Measure, for each cell, the mean and the greatest share of the view that each visible item takes, and
+    /// keep them in the result (dump --contributions).
+    #[arg(long)]
+    contributions: bool,
+    /// Sight lines end at this distance from the viewpoint, in the scene's units: what is farther counts as
+    /// not visible.
+    #[arg(long, value_name = "D", allow_negative_numbers = true)]
+    far: Option<f64>,
+    /// Whether the result says which cells see which (dump --items cells, query --sees). auto: with at most
+    /// 4096 cells; on: with at most 32768.
+    #[arg(long, value_parser = choice::<CellToCell>(), default_value_t)]
+    cell_to_cell: CellToCell,
+    #[command(flatten)]
+    pub places: PlaceArgs,
     #[command(flatten)]
     cubes: CubeArgs,
     /// The backend that traces sight lines and renders cubes. auto times both on this scene and takes the
@@ -153,7 +177,7 @@ impl CubeArgs {
 
 impl JobArgs {
     /// The checked specification of a bake of `scene`.
-    pub fn spec(&self, path: &Path, scene: &Scene) -> Result<JobSpec, CliError> {
+    pub fn spec(&self, path: &Path, scene: &Arc<Scene>) -> Result<JobSpec, CliError> {
         let method = self.method;
         let adaptive = self.triangle_budget.is_some();
         let sampler = match self.sampler {
@@ -177,6 +201,9 @@ impl JobArgs {
         if self.certificates && method == Method::Aggressive {
             return refuse("--certificates needs --method exact or verified: sampling alone proves nothing");
         }
+        if method != Method::Aggressive {
+            opening::without_masks(scene)?;
+        }
         if self.max_error.is_some() && (adaptive || sampler != Sampler::Lines) {
             return refuse("--max-error needs --sampler lines and a grid of cells (--cells)");
         }
@@ -184,9 +211,29 @@ impl JobArgs {
             return refuse("--time-budget needs --sampler lines or guided");
         }
         let sampling = self.sampling(sampler)?;
-        let bounds = scene.bounds();
-        let view_box = self.view_box.unwrap_or(bounds);
-        let spec = JobSpec {
+        if self.granularity != Granularity::Triangles && method != Method::Aggressive {
+            return refuse(
+                "--granularity clusters and objects need --method aggressive: exact queries decide \
+                 triangles. `dump --items objects` lists the objects of an exact result",
+            );
+        }
+        if self.min_share.is_some() && (sampler != Sampler::Lines || self.max_error.is_some()) {
+            return refuse("--min-share needs --sampler lines, and cannot be given with --max-error");
+        }
+        if !scene.sides().are_both() && method != Method::Aggressive {
+            return refuse(
+                "--cull-back-faces needs --method aggressive: exact queries take every triangle as seen from \
+                 both sides",
+            );
+        }
+        if self.far.is_some() && self.certificates {
+            return refuse(
+                "--far has no certificates: they prove that triangles are hidden, and not that they are far; \
+                 leave one of them out",
+            );
+        }
+        let view_box = self.places.bounds(scene)?;
+        let mut spec = JobSpec {
             scene: scene.digest().0,
             division: match self.triangle_budget {
                 Some(budget) => Division::Adaptive { budget, max_depth: self.max_depth },
@@ -210,9 +257,11 @@ impl JobArgs {
             time_budget_ms: self.time_budget.map_or(0, |d| (d.as_millis() as u64).max(1)),
             method,
             certificates: self.certificates,
+            viewpoints: None,
+            up: self.places.up(),
         };
         spec.sampling.check().map_err(|e| CliError::Usage(e.to_string()))?;
-        spec.lattice().map_err(|e| match (self.view_box, e) {
+        let lattice = spec.lattice().map_err(|e| match (self.places.view_box.first(), e) {
             (None, sightline_viewcells::DivisionError::Box { axis, .. }) => {
                 let nothing = scene.triangles().iter().all(sightline_scene::Triangle::is_degenerate);
                 CliError::Input(format!(
@@ -228,7 +277,8 @@ impl JobArgs {
             }
             (_, e) => CliError::Usage(e.to_string()),
         })?;
-        let Aabb { min, max } = spec.view_box;
+        spec.viewpoints = self.places.marks(path, scene, (spec.division, &lattice))?;
+        spec.check().map_err(|e| CliError::Usage(e.to_string()))?;
         let moved = spec.moved_by_rounding().map_err(|e| CliError::Usage(e.to_string()))?;
         if moved > MUCH_MOVED {
             say(&format!(
@@ -238,21 +288,23 @@ impl JobArgs {
                 100.0 * moved
             ));
         }
-        if max.cmplt(bounds.min).any() || min.cmpgt(bounds.max).any() {
-            // Views from above need such a box; more often it is a mistake about units or axes.
-            say(&format!(
-                "note: the view box {min} to {max} lies outside of the scene, which extends from {} to {}; \
-                 is the view box in the scene's units and axes?",
-                bounds.min, bounds.max
-            ));
-        }
+        // Views from above need such a box; more often it is a mistake about units or axes.
+        self.places.warn_of_empty(scene);
         Ok(spec)
     }
 
     /// The parameters of `sampler`. A note names given flags of other samplers; they are left out, because a
     /// parameter without effect would still change the job's key.
     fn sampling(&self, sampler: Sampler) -> Result<SamplingParams, CliError> {
-        let mut params = SamplingParams { sampler, ..SamplingParams::default() };
+        let mut params = SamplingParams {
+            sampler,
+            granularity: self.granularity,
+            min_share: self.min_share,
+            far: self.far,
+            cell_to_cell: self.cell_to_cell,
+            contributions: self.contributions,
+            ..SamplingParams::default()
+        };
         // A value outside its range is refused even if the sampler does not use it.
         let mut all = SamplingParams {
             max_error: self.max_error,
@@ -323,13 +375,4 @@ fn cells_of_size(of: Aabb, size: f64) -> [u32; 3] {
 pub fn parse_cells(text: &str) -> Result<[u32; 3], String> {
     let parts = text.split(['x', 'X']).map(|p| p.trim().parse()).collect::<Result<Vec<u32>, _>>();
     parts.ok().and_then(|p| p.try_into().ok()).ok_or_else(|| "give three numbers as in 8x8x8".to_owned())
-}
-
-/// A box, as in -1,0,-1,1,2,1.
-pub fn parse_box(text: &str) -> Result<Aabb, String> {
-    let parts = text.split(',').map(|p| p.trim().parse()).collect::<Result<Vec<f32>, _>>();
-    match parts.as_deref() {
-        Ok([x0, y0, z0, x1, y1, z1]) => Ok(Aabb::new(Vec3::new(*x0, *y0, *z0), Vec3::new(*x1, *y1, *z1))),
-        _ => Err("give six numbers as in -1,0,-1,1,2,1".to_owned()),
-    }
 }

@@ -1,13 +1,33 @@
-//! The flags that decide what blocks and what shows, in the order in which they are given.
+//! The flags that decide what blocks and what shows: rules in the order in which they are given, and the
+//! culling of back faces.
 
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches};
 use sightline_scene::kinds::{Kind, Rule};
 
-/// The rules of the user; of several that match a name, the last one counts.
+/// The names of the flags below.
+const ALPHA: &str = "alpha-textures";
+const CULL: &str = "cull-back-faces";
+
+/// What the user says about kinds and sides.
 #[derive(Clone, Debug, Default)]
 pub struct KindArgs {
+    /// Of several rules that match a name, the last one counts.
     pub rules: Vec<Rule>,
+    /// Whether the textures of masked materials are read.
+    pub alpha_textures: bool,
+    /// Whether triangles are met from their front alone.
+    pub cull_back_faces: bool,
 }
+
+impl KindArgs {
+    /// Whether no flag is given.
+    pub fn is_empty(&self) -> bool {
+        self.rules.is_empty() && !self.alpha_textures && !self.cull_back_faces
+    }
+}
+
+/// The heading of these flags in `--help`.
+const HEADING: &str = "What blocks and what shows";
 
 const FLAGS: [(Kind, &str); 4] = [
     (
@@ -32,18 +52,30 @@ const FLAGS: [(Kind, &str); 4] = [
 
 impl Args for KindArgs {
     fn augment_args(command: Command) -> Command {
-        FLAGS.into_iter().fold(command, |command, (kind, help)| {
+        let alpha = Arg::new(ALPHA).long(ALPHA).action(ArgAction::SetTrue).help_heading(HEADING).help(
+            "Read the PNG and JPEG textures of glTF materials with alphaMode MASK: a sight line passes \
+                 where the texel is below alphaCutoff, and ends where it is not. Needs --method aggressive. \
+                 Without the flag such materials are see-through as a whole, which loses nothing",
+        );
+        let command = FLAGS.into_iter().fold(command, |command, (kind, help)| {
             let arg = Arg::new(kind.name())
                 .long(kind.name())
                 .value_name("GLOB")
                 .action(ArgAction::Append)
                 .value_parser(move |glob: &str| Rule::new(kind, glob))
-                .help_heading("What blocks and what shows")
+                .help_heading(HEADING)
                 .help(help);
             // `--opaque` alone is about everything.
             let all = kind == Kind::Opaque;
             command.arg(if all { arg.num_args(0..=1).default_missing_value("*") } else { arg.num_args(1) })
-        })
+        });
+        command.arg(alpha).arg(
+            Arg::new(CULL).long(CULL).action(ArgAction::SetTrue).help_heading(HEADING).help(
+                "Triangles neither show nor block from behind. The front is where the vertices run \
+                     counter-clockwise, in glTF after the transforms of the nodes. Materials with \
+                     doubleSided keep both sides. Needs --method aggressive",
+            ),
+        )
     }
 
     fn augment_args_for_update(command: Command) -> Command {
@@ -59,7 +91,9 @@ impl FromArgMatches for KindArgs {
             rules.extend(matches.indices_of(kind.name()).unwrap_or_default().zip(given.cloned()));
         }
         rules.sort_by_key(|(at, _)| *at);
-        Ok(Self { rules: rules.into_iter().map(|(_, rule)| rule).collect() })
+        let rules = rules.into_iter().map(|(_, rule)| rule).collect();
+        let [alpha_textures, cull_back_faces] = [ALPHA, CULL].map(|flag| matches.get_flag(flag));
+        Ok(Self { rules, alpha_textures, cull_back_faces })
     }
 
     fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
@@ -95,6 +129,11 @@ mod tests {
         ];
         assert_eq!(rules, expected.map(|(k, g)| (k, g.to_owned())));
         assert_eq!(line.scene, "a.glb");
+        assert!(!line.kinds.cull_back_faces);
+        let culled = Line::try_parse_from(["x", "a.glb", "--cull-back-faces"]).unwrap().kinds;
+        assert!(culled.cull_back_faces && culled.rules.is_empty() && !culled.is_empty());
         assert!(Line::try_parse_from(["x", "a.glb", "--moving", "a["]).is_err());
+        let line = Line::try_parse_from(["x", "--alpha-textures", "a.glb"]).unwrap();
+        assert!(line.kinds.alpha_textures && !line.kinds.is_empty() && line.kinds.rules.is_empty());
     }
 }

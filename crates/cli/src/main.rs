@@ -9,12 +9,14 @@
 )]
 
 mod args;
+mod backends;
 mod bake;
 mod bench;
 mod bench_args;
 mod cells;
 mod choices;
 mod client;
+mod dump;
 mod error;
 mod files;
 mod inspect;
@@ -23,7 +25,10 @@ mod kind_args;
 mod measuring;
 mod opening;
 mod output;
+mod place_args;
+mod places;
 mod progress;
+mod query;
 mod remote;
 mod serve;
 mod sightlines;
@@ -93,8 +98,8 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Mesh(a) => files::mesh(&a, json),
         Command::Generate(a) => files::generate(&a, json),
         Command::Info(a) => inspect::info(&a, json),
-        Command::Dump(a) => inspect::dump(&a),
-        Command::Query(a) => inspect::query(&a, json),
+        Command::Dump(a) => dump::dump(&a),
+        Command::Query(a) => query::query(&a, json),
         Command::Measure(a) => measuring::run(&a),
         Command::Sightlines(a) => sightlines::run(&a),
         Command::Verify(a) => verify::run(&a, json),

@@ -3,15 +3,16 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use sightline_measure::{Options, Viewpoints, measure};
-use sightline_model::BackendChoice;
+use sightline_measure::{Options, Viewpoints, measure, measure_pairs};
+use sightline_sampling::sight::Sight;
 use sightline_sampling::{CubeSpec, PreparedScene, Strata, layers};
-use sightline_worker::Choice;
 
 use crate::args::MeasureArgs;
+use crate::backends::open_backend;
 use crate::error::CliError;
 use crate::opening;
-use crate::progress::Progress;
+use crate::places::read_viewpoints;
+use crate::progress::{Progress, say};
 use crate::serve::{self, print};
 
 /// Number of worst frames that --images writes.
@@ -23,9 +24,15 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     serve::use_threads(serve::threads(None))?;
     let pvs = opening::open(&args.result)?;
     let view_box = pvs.tree().view_box();
-    let views = match &args.path {
-        None => Viewpoints::random(args.viewpoints, args.seed, view_box),
-        Some(path) => {
+    let is_place = |p: [f32; 3]| pvs.find_cell(p).is_some_and(|c| pvs.is_reached(c).unwrap_or(false));
+    let views = match (&args.path, &args.viewpoints_file) {
+        (None, Some(file)) => listed(args, file, &is_place)?,
+        (None, None) if (0..pvs.cells()).all(|c| pvs.is_reached(c).unwrap_or(true)) => {
+            Viewpoints::random(args.viewpoints, args.seed, view_box)
+        }
+        // Viewpoints are only in some of the cells.
+        (None, None) => Viewpoints::random_where(args.viewpoints, args.seed, view_box, is_place),
+        (Some(path), _) => {
             let file = std::fs::File::open(path).map_err(|e| {
                 CliError::Input(format!(
                     "{} cannot be read: {e}; give --path a file with a viewpoint `x y z` per line",
@@ -42,29 +49,64 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     if let Some(dir) = &args.images {
         writable_folder(dir)?;
     }
-    let scene = Arc::new(opening::scene_of(&args.scene, &args.kinds.rules, &pvs, &args.result)?);
-    // Embree renders frames of the whole scene well, so the gpu is probed only when Embree is missing.
-    let probe = |choice| sightline_worker::Backends::probe(choice, Default::default());
-    let mut backends =
-        probe(if args.backend == BackendChoice::Auto { Choice::Cpu } else { serve::choice(args.backend) });
-    if args.backend == BackendChoice::Auto && backends.profiles().is_empty() {
-        backends = probe(Choice::Auto);
-    }
-    serve::say_missing(&backends)?;
+    let scene = Arc::new(opening::scene_of(&args.scene, &args.kinds, &pvs, &args.result)?);
     let spec = CubeSpec { resolution: args.resolution, strata: Strata::One, keep_pixels: false };
-    let profile = backends.profiles().into_iter().next().unwrap_or_default();
-    let backend = backends.open(&profile, Arc::clone(&scene), spec).map_err(CliError::internal)?;
+    let (profile, backend) = open_backend(args.backend, &scene, spec)?;
+    let bounds = scene.bounds();
     let prepared = PreparedScene::new(scene)?;
-    let renderer = layers::renderer(&*backend, &prepared, spec, None).map_err(CliError::internal)?;
+    // A result whose lines end at a distance is judged up to that distance.
+    let info: serde_json::Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
+    let far = info["sampling"]["far"].as_f64();
+    let renderer = layers::renderer(&*backend, &prepared, spec, None, far).map_err(CliError::internal)?;
     let options = Options { images_dir: args.images.clone(), worst: WORST };
     let progress = Progress::new();
     let report =
         measure(&*renderer, &pvs, &views, &options, &mut |done, total| progress.count(done, total, "frames"));
     progress.end();
+    let pairs = match args.pairs {
+        0 => None,
+        count => {
+            let sight = Sight::new(&*backend, prepared.traced()).map_err(CliError::internal)?.up_to(far);
+            let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
+            let found = measure_pairs(&sight, &pvs, count, args.seed, step);
+            Some(found.map_err(|e| CliError::Input(format!("{}: {e}", args.result.display())))?)
+        }
+    };
     let mut value = serde_json::to_value(report.map_err(|e| CliError::Input(e.to_string()))?)
         .map_err(CliError::internal)?;
     value["backend"] = profile.into();
+    if let Some(pairs) = pairs {
+        value["cell_to_cell"] = serde_json::to_value(pairs).map_err(CliError::internal)?;
+    }
     print(&value.to_string())
+}
+
+/// The viewpoints of --viewpoints-file that are in reached cells.
+fn listed(
+    args: &MeasureArgs,
+    file: &Path,
+    is_place: &dyn Fn([f32; 3]) -> bool,
+) -> Result<Viewpoints, CliError> {
+    let all = read_viewpoints(file)?;
+    let inside: Vec<([f32; 3], f64)> =
+        all.iter().filter(|w| is_place(w.point)).map(|w| (w.point, w.weight)).collect();
+    if inside.is_empty() {
+        return Err(CliError::Input(format!(
+            "{}: none of its viewpoints is in a cell with viewpoints of {}; are they in the scene's units \
+             and axes?",
+            file.display(),
+            args.result.display()
+        )));
+    }
+    if inside.len() < all.len() {
+        say(&format!(
+            "warning: {}: {} of {} are outside the cells of the result and left out",
+            file.display(),
+            all.len() - inside.len(),
+            opening::plural(all.len(), "viewpoint")
+        ));
+    }
+    Ok(Viewpoints::weighted(&inside, args.viewpoints, args.seed))
 }
 
 /// Creates the folder for images and checks, by writing a file, that it is writable, before any frame is

@@ -7,6 +7,7 @@ use sightline_scene::kinds::{Kind, KindCount};
 use sightline_scene::{Rule, Scene};
 
 use crate::error::CliError;
+use crate::kind_args::KindArgs;
 use crate::progress::say;
 
 /// A number with its noun, in the plural unless the number is 1.
@@ -22,30 +23,33 @@ pub fn open(path: &Path) -> Result<Pvs, CliError> {
     })
 }
 
-/// Reads a scene with the rules of the user, and prints the warnings.
-pub fn scene(path: &Path, rules: &[Rule]) -> Result<Scene, CliError> {
-    let options = sightline_scene::load::Options { rules: rules.to_vec(), ..Default::default() };
+/// Reads a scene with the flags of the user about kinds and sides, and prints the warnings.
+pub fn scene(path: &Path, kinds: &KindArgs) -> Result<Scene, CliError> {
+    let KindArgs { rules, alpha_textures, cull_back_faces } = kinds.clone();
+    let limits = sightline_scene::load::Limits::default();
+    let options = sightline_scene::load::Options { limits, rules, alpha_textures, cull_back_faces };
     let loaded = sightline_scene::load_with(path, &options)?;
     loaded.warnings.iter().for_each(|w| say(&format!("warning: {}: {w}", path.display())));
     Ok(loaded.scene)
 }
 
-/// Reads the scene of a result: with the rules of the user, or else with those that the result was baked
+/// Reads the scene of a result: with the flags of the user, or else with those that the result was baked
 /// with.
-pub fn scene_of(path: &Path, rules: &[Rule], pvs: &Pvs, result: &Path) -> Result<Scene, CliError> {
+pub fn scene_of(path: &Path, kinds: &KindArgs, pvs: &Pvs, result: &Path) -> Result<Scene, CliError> {
     let scene =
-        if rules.is_empty() { self::scene(path, &rules_of(pvs, result)?)? } else { scene(path, rules)? };
+        if kinds.is_empty() { self::scene(path, &flags_of(pvs, result)?)? } else { scene(path, kinds)? };
     check_scene(&scene, pvs, path, result)?;
     Ok(scene)
 }
 
-/// The rules that a result was baked with.
-fn rules_of(pvs: &Pvs, result: &Path) -> Result<Vec<Rule>, CliError> {
+/// The flags that a result was baked with.
+fn flags_of(pvs: &Pvs, result: &Path) -> Result<KindArgs, CliError> {
     let info: serde_json::Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
+    let cull_back_faces = info["cull_back_faces"] == true;
     let rules = info["kinds"]["rules"].as_array().map_or(&[][..], |r| r);
     let rule =
         |r: &serde_json::Value| Rule::new(Kind::from_name(r["kind"].as_str()?)?, r["glob"].as_str()?).ok();
-    rules
+    let rules = rules
         .iter()
         .map(|r| {
             rule(r).ok_or_else(|| {
@@ -55,7 +59,21 @@ fn rules_of(pvs: &Pvs, result: &Path) -> Result<Vec<Rule>, CliError> {
                 ))
             })
         })
-        .collect()
+        .collect::<Result<_, _>>()?;
+    let alpha_textures = info["kinds"]["alpha_textures"] == true;
+    Ok(KindArgs { rules, alpha_textures, cull_back_faces })
+}
+
+/// Refuses a scene with alpha masks where exact queries are asked for.
+pub fn without_masks(scene: &Scene) -> Result<(), CliError> {
+    if scene.kinds().any_masked() {
+        return Err(CliError::Usage(
+            "exact queries do not read alpha textures; leave out --alpha-textures, so that masked geometry \
+             is see-through as a whole, or bake with --method aggressive"
+                .to_owned(),
+        ));
+    }
+    Ok(())
 }
 
 /// The counts of kinds in the description of a result.
@@ -69,6 +87,22 @@ pub fn counts_of(info: &serde_json::Value) -> Vec<KindCount> {
         })
     };
     counts.iter().filter_map(count).collect()
+}
+
+/// The kinds and sides of a scene in words, one line each.
+pub fn scene_in_words(scene: &Scene) -> Vec<String> {
+    let mut lines = kinds_in_words(&scene.kinds().counts());
+    let one_sided = scene.sides().one_sided();
+    if one_sided > 0 {
+        lines.push(sides_in_words(Some(one_sided)));
+    }
+    lines
+}
+
+/// Says that back faces are culled, and how many triangles have one side where that is known.
+pub fn sides_in_words(one_sided: Option<u64>) -> String {
+    let count = one_sided.map_or(String::new(), |n| format!(" ({n} triangles)"));
+    format!("back faces are culled: triangles without a double-sided material have one side{count}")
 }
 
 /// The kinds of a scene in words, one line each.
@@ -100,7 +134,11 @@ pub fn check_scene(scene: &Scene, pvs: &Pvs, path: &Path, result: &Path) -> Resu
     }
     let info: serde_json::Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
     // A result written by another program may lack the digest.
-    if info["scene"].as_str().is_some_and(|digest| digest != scene.digest().to_string()) {
+    let is_of = |digest: &str| {
+        // Results of earlier versions name the scene without the places of its objects in a glTF file.
+        digest == scene.digest().to_string() || digest == scene.digest_without_sources().to_string()
+    };
+    if info["scene"].as_str().is_some_and(|digest| !is_of(digest)) {
         return Err(CliError::Input(format!(
             "{} was baked from another scene than {}, or with other flags about what blocks and shows; name \
              that scene, or bake again",

@@ -1,5 +1,6 @@
 //! The commands of a client: submit, watch, jobs, show, cancel, pause, resume, retry, fetch, health.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use sightline_proto::v1;
@@ -64,8 +65,8 @@ pub fn health(args: &RemoteArgs, json: bool) -> Result<(), CliError> {
 
 /// Uploads a scene and submits a job.
 pub fn submit(args: &SubmitArgs, json: bool) -> Result<(), CliError> {
-    let scene = opening::scene(&args.scene, &args.kinds.rules)?;
-    opening::kinds_in_words(&scene.kinds().counts()).iter().for_each(|line| say(line));
+    let scene = Arc::new(opening::scene(&args.scene, &args.kinds)?);
+    opening::scene_in_words(&scene).iter().for_each(|line| say(line));
     let spec = args.job.spec(&args.scene, &scene)?;
     let file_name = || args.scene.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let name = args.name.clone().unwrap_or_else(file_name);

@@ -6,10 +6,11 @@ use std::time::Duration;
 use sightline_coordinator::{Config, Coordinator};
 use sightline_model::BackendChoice;
 use sightline_sampling::gpu::{AdapterChoice, adapters};
-use sightline_worker::{Backends, Choice, SceneCache, Stop, WorkerError};
+use sightline_worker::{Backends, SceneCache, Stop, WorkerError};
 use tokio::sync::watch;
 
 use crate::args::{CoordinatorArgs, WorkerArgs};
+use crate::backends::{choice, say_missing};
 use crate::error::CliError;
 use crate::progress::say;
 
@@ -97,28 +98,6 @@ pub async fn stop_signal() {
     }
     // Ctrl-C can be caught even where SIGTERM cannot.
     let _ = tokio::signal::ctrl_c().await;
-}
-
-/// Prints a note for each backend that does not work here; an error if none works.
-pub fn say_missing(backends: &Backends) -> Result<(), CliError> {
-    let missing = backends.missing();
-    if backends.profiles().is_empty() {
-        return Err(CliError::Internal(format!(
-            "no backend can sample on this machine:\n{}",
-            missing.join("\n")
-        )));
-    }
-    missing.iter().for_each(|m| say(&format!("note: {m}")));
-    Ok(())
-}
-
-/// A backend choice as the type of the worker crate.
-pub fn choice(backend: BackendChoice) -> Choice {
-    match backend {
-        BackendChoice::Auto => Choice::Auto,
-        BackendChoice::Gpu => Choice::Gpu,
-        BackendChoice::Cpu => Choice::Cpu,
-    }
 }
 
 /// The number of threads to use: the given one, otherwise one per core; 1 to 1024.

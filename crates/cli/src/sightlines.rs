@@ -74,7 +74,8 @@ struct Totals {
 pub fn run(args: &SightlinesArgs) -> Result<(), CliError> {
     serve::use_threads(threads(args.threads.map(usize::from)))?;
     let mut input = Input::open(&args.queries)?;
-    let scene = opening::scene(&args.scene, &args.kinds.rules)?;
+    let scene = opening::scene(&args.scene, &args.kinds)?;
+    opening::without_masks(&scene)?;
     let occluders = Occluders::new(&scene)?;
     let raw = if args.check { Blocking::of(&scene) } else { Blocking::default() };
     let limits = Limits { regions: args.max_regions, ..Limits::default() };

@@ -23,7 +23,15 @@ static CANCELLED: AtomicBool = AtomicBool::new(false);
 pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     serve::use_threads(threads(args.threads.map(usize::from)))?;
     let pvs = opening::open(&args.result)?;
-    let scene = opening::scene_of(&args.scene, &args.kinds.rules, &pvs, &args.result)?;
+    let scene = opening::scene_of(&args.scene, &args.kinds, &pvs, &args.result)?;
+    if !scene.sides().are_both() {
+        return Err(CliError::Input(format!(
+            "back faces of {} are culled for {}, and certificates are about triangles that are seen from \
+             both sides; verify a result of a bake without --cull-back-faces",
+            args.scene.display(),
+            args.result.display()
+        )));
+    }
     let triangles: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
     // The digest of the scene, which the result names, covers the kinds.
     let (blocks, shows): (Vec<bool>, Vec<bool>) =
@@ -133,6 +141,9 @@ fn report_json(report: &Report, pvs: &Pvs, args: &VerifyArgs) -> Value {
         "hidden_in_boxes": t.hidden.in_boxes,
         "hidden_alone": t.hidden.alone,
         "undecided": t.undecided,
+        "cell_pairs_hidden": t.cells_apart,
+        "cell_boxes": t.apart.all,
+        "cell_boxes_checked": t.apart.checked,
         "without_area": report.without_area(),
         "evidence_bytes": t.bytes,
         "sampled": args.sample.is_some(),
@@ -148,7 +159,7 @@ fn report_text(report: &Report, args: &VerifyArgs) -> String {
          visible: {} with a witness ({} checked), {} meet their cell ({} checked)\n\
          hidden: {} by the closed surface they belong to, {} in hidden boxes, {} alone or with a polygon; \
          {} certificates ({} checked), {} bytes with the witnesses\n\
-         neither: {} undecided, {} without area",
+         neither: {} undecided, {} without area{}",
         args.sample.map_or(String::new(), |n| format!(" by a sample of {n} pairs")),
         report.pairs,
         report.cells,
@@ -164,5 +175,12 @@ fn report_text(report: &Report, args: &VerifyArgs) -> String {
         t.bytes,
         t.undecided,
         report.without_area(),
+        match t.cells_apart {
+            0 => String::new(),
+            apart => format!(
+                "\ncells: {apart} pairs do not see each other, by {} hidden boxes ({} checked)",
+                t.apart.all, t.apart.checked
+            ),
+        },
     )
 }

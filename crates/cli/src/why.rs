@@ -7,9 +7,10 @@ use serde_json::{Value, json};
 use sightline_certificate::{CertificateReader, Proof, Reason, Target};
 use sightline_exact::{Cell, Cost, ExactScene, Found, Hides, Limits, Polygon, from_cell, polygon};
 use sightline_pvs::Pvs;
-use sightline_scene::{Aabb, Rule, overlap};
+use sightline_scene::{Aabb, overlap};
 
 use crate::error::CliError;
+use crate::kind_args::KindArgs;
 use crate::opening;
 use crate::serve::print;
 
@@ -22,7 +23,7 @@ pub fn why(
     pvs: &Pvs,
     result: &Path,
     (cell, triangle): (u32, u32),
-    (scene, rules): (Option<&Path>, &[Rule]),
+    (scene, kinds): (Option<&Path>, &KindArgs),
     json: bool,
 ) -> Result<(), CliError> {
     if triangle >= pvs.triangle_count() {
@@ -33,7 +34,7 @@ pub fn why(
         )));
     }
     let mut answer = match scene {
-        Some(path) => ask(pvs, result, (path, rules), cell, triangle)?,
+        Some(path) => ask(pvs, result, (path, kinds), cell, triangle)?,
         None => look_up(pvs, result, cell, triangle)?,
     };
     if json {
@@ -137,11 +138,18 @@ fn blockers(proofs: &[Proof]) -> Vec<u32> {
 fn ask(
     pvs: &Pvs,
     result: &Path,
-    (path, rules): (&Path, &[Rule]),
+    (path, kinds): (&Path, &KindArgs),
     cell: u32,
     triangle: u32,
 ) -> Result<Value, CliError> {
-    let scene = opening::scene_of(path, rules, pvs, result)?;
+    let scene = opening::scene_of(path, kinds, pvs, result)?;
+    if !scene.sides().are_both() {
+        return Err(CliError::Input(format!(
+            "{} was baked with --cull-back-faces, and exact queries take every triangle as seen from both \
+             sides; --why answers for results without culling",
+            result.display()
+        )));
+    }
     let kind = scene.kinds().kind(triangle);
     if !kind.shows() {
         return Ok(json!({"state": "hidden", "kind": kind.name(), "blockers": []}));
@@ -154,6 +162,7 @@ fn ask(
     if overlap::triangle_touches_box(&of, &Aabb { min: bounds[0], max: bounds[1] }) {
         return Ok(json!({"state": "visible", "meets": true}));
     }
+    opening::without_masks(&scene)?;
     let view = Cell::new(bounds[0], bounds[1])
         .ok_or_else(|| CliError::Input(format!("cell {cell} has no volume; bake with larger cells")))?;
     let exact = ExactScene::prepare(&scene)?;

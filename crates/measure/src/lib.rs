@@ -29,6 +29,7 @@
 pub mod error;
 pub mod images;
 pub mod measure;
+pub mod pairs;
 mod pixel;
 pub mod regions;
 pub mod report;
@@ -36,5 +37,6 @@ pub mod viewpoints;
 
 pub use error::MeasureError;
 pub use measure::{Options, measure};
+pub use pairs::{PairReport, measure_pairs};
 pub use report::{Frame, PathReport, Report};
 pub use viewpoints::Viewpoints;

@@ -116,6 +116,12 @@ pub fn measure(
     // Sums of whole pixels: no order of additions can change them.
     let pixels = pixels_of(resolution);
     let mean = |sum: u64, count: u64| if count == 0 { 0.0 } else { sum as f64 / count as f64 };
+    // With weights the mean is weighted, in the order of the frames; the rest is over frames.
+    let weighted = (!views.weights.is_empty()).then(|| {
+        let sum: f64 = views.weights.iter().sum();
+        let wrong = wrong_counts.iter().zip(&views.weights).map(|(wrong, weight)| *wrong as f64 * weight);
+        wrong.sum::<f64>() / sum
+    });
     let wrong_sum: u64 = wrong_counts.iter().sum();
     wrong_counts.sort_unstable();
     frames.sort_by(|a, b| b.error.total_cmp(&a.error).then(a.frame.cmp(&b.frame)));
@@ -136,7 +142,7 @@ pub fn measure(
     Ok(Report {
         frames: total,
         resolution,
-        mean_error: mean(wrong_sum, total) / pixels,
+        mean_error: weighted.unwrap_or_else(|| mean(wrong_sum, total)) / pixels,
         p99_error: nearest_rank(&wrong_counts, 99).unwrap_or(0) as f64 / pixels,
         max_error: wrong_counts.last().copied().unwrap_or(0) as f64 / pixels,
         mean_regions: mean(region_counts, total),

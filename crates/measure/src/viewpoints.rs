@@ -15,6 +15,8 @@ const MAX_LINE: u64 = 4096;
 pub struct Viewpoints {
     /// The points, in the order of the frames.
     pub points: Vec<Vec3>,
+    /// How much each point counts in the means; empty when all count alike.
+    pub weights: Vec<f64>,
     /// Whether consecutive points are consecutive frames of a walk, so that it means something how long an
     /// error lasts.
     pub is_path: bool,
@@ -34,7 +36,54 @@ impl Viewpoints {
             (lo + (hi - lo) * f64::from(stream.unit_f32())) as f32
         };
         let points = (0..n).map(|_| Vec3::new(coordinate(0), coordinate(1), coordinate(2))).collect();
-        Self { points, is_path: false }
+        Self { points, weights: Vec::new(), is_path: false }
+    }
+
+    /// The same where `is_place` holds: of up to a thousand times as many points as wanted, the first `n`
+    /// such points, or fewer when hardly any are.
+    pub fn random_where(
+        n: u32,
+        seed: u64,
+        view_box: [[f32; 3]; 2],
+        is_place: impl Fn([f32; 3]) -> bool,
+    ) -> Self {
+        const TRIES: u64 = 1000;
+        let [min, max] = view_box;
+        let mut stream = SplitMix64::new(seed);
+        let mut points = Vec::new();
+        for _ in 0..u64::from(n) * TRIES {
+            if points.len() == n as usize {
+                break;
+            }
+            let mut coordinate = |axis: usize| {
+                let (lo, hi) = (f64::from(min[axis]), f64::from(max[axis]));
+                (lo + (hi - lo) * f64::from(stream.unit_f32())) as f32
+            };
+            let point = [coordinate(0), coordinate(1), coordinate(2)];
+            if is_place(point) {
+                points.push(point.into());
+            }
+        }
+        Self { points, weights: Vec::new(), is_path: false }
+    }
+
+    /// Given points with weights. When there are more than `n`, `n` of them are drawn by their weights, at
+    /// equal steps of the sum of all weights before them; these count alike.
+    pub fn weighted(all: &[([f32; 3], f64)], n: u32, seed: u64) -> Self {
+        if all.len() <= n as usize {
+            let (points, weights) = all.iter().map(|(p, w)| (Vec3::from(*p), *w)).unzip();
+            return Self { points, weights, is_path: false };
+        }
+        let sum: f64 = all.iter().map(|(_, w)| w).sum();
+        let start = f64::from(SplitMix64::new(seed).unit_f32());
+        let (mut points, mut before) = (Vec::new(), 0.0);
+        for (point, weight) in all {
+            before += weight;
+            while points.len() < n as usize && (points.len() as f64 + start) * sum / f64::from(n) < before {
+                points.push(Vec3::from(*point));
+            }
+        }
+        Self { points, weights: Vec::new(), is_path: false }
     }
 
     /// A camera path: a viewpoint a line, as `x y z` (spaces or commas between) or as `{"position":[x,y,z]}`
@@ -64,7 +113,11 @@ impl Viewpoints {
             }
             points.push(Vec3::from(point));
         }
-        if points.is_empty() { Err(MeasureError::NoViewpoints) } else { Ok(Self { points, is_path: true }) }
+        if points.is_empty() {
+            Err(MeasureError::NoViewpoints)
+        } else {
+            Ok(Self { points, weights: Vec::new(), is_path: true })
+        }
     }
 }
 

@@ -33,7 +33,7 @@ impl CubeRenderer for Fake {
 fn pvs() -> Pvs {
     let nodes = vec![Node::Split { axis: 0, at: 1.0 }, Node::Leaf, Node::Leaf];
     let tree = CellTree::new([[0.0; 3], [100.0, 1.0, 1.0]], nodes).unwrap();
-    let objects = vec![Object { name: "all".into(), first: 0, count: TRIANGLES }];
+    let objects = vec![Object { name: "all".into(), first: 0, count: TRIANGLES, source: None }];
     let header =
         Header { triangles: TRIANGLES, method: "aggressive".into(), tree, objects, info_json: "{}".into() };
     let mut builder = Builder::new(header).unwrap();
@@ -61,7 +61,7 @@ fn image(pixels: &[(usize, u32)]) -> Vec<u32> {
 fn run(images: Vec<Vec<u32>>, is_path: bool, options: &Options) -> Result<Report, MeasureError> {
     let points = (0..images.len()).map(|i| Vec3::new(i as f32 + 0.5, 0.5, 0.5)).collect();
     let fake = Fake((0..).zip(images).collect());
-    measure(&fake, &pvs(), &Viewpoints { points, is_path }, options, &mut |_, _| ())
+    measure(&fake, &pvs(), &Viewpoints { points, weights: Vec::new(), is_path }, options, &mut |_, _| ())
 }
 
 #[test]
@@ -143,7 +143,7 @@ fn progress_ends_at_all_frames() {
     let fake = Fake((0..70).map(|i| (i, image(&[]))).collect());
     let points = (0..70).map(|i| Vec3::new(i as f32 + 0.5, 0.5, 0.5)).collect();
     let mut told = Vec::new();
-    let views = Viewpoints { points, is_path: false };
+    let views = Viewpoints { points, weights: Vec::new(), is_path: false };
     measure(&fake, &pvs(), &views, &Options::default(), &mut |done, total| told.push((done, total))).unwrap();
     assert_eq!(told.last(), Some(&(70, 70)));
     assert!(told.is_sorted() && told.len() > 1, "{told:?}");
@@ -151,7 +151,8 @@ fn progress_ends_at_all_frames() {
 
 #[test]
 fn what_cannot_be_measured_is_refused() {
-    let one = |x: f32| Viewpoints { points: vec![Vec3::new(x, 0.5, 0.5)], is_path: false };
+    let one =
+        |x: f32| Viewpoints { points: vec![Vec3::new(x, 0.5, 0.5)], weights: Vec::new(), is_path: false };
     let go = |ids: Vec<u32>, views: &Viewpoints| {
         let fake = Fake(BTreeMap::from([(0, ids)]));
         measure(&fake, &pvs(), views, &Options::default(), &mut |_, _| ()).unwrap_err()
@@ -160,7 +161,7 @@ fn what_cannot_be_measured_is_refused() {
     assert!(matches!(go(image(&[]), &one(7.0)), MeasureError::Backend(_)));
     assert!(matches!(go(image(&[(3, 20)]), &one(0.5)), MeasureError::OtherScene { id: 20, triangles: 20 }));
     assert!(matches!(go(vec![0; 7], &one(0.5)), MeasureError::ImageSize { pixels: 7, .. }));
-    let none = Viewpoints { points: vec![], is_path: false };
+    let none = Viewpoints { points: vec![], weights: Vec::new(), is_path: false };
     assert!(matches!(go(image(&[]), &none), MeasureError::NoViewpoints));
 }
 

@@ -181,6 +181,43 @@ choice! {
     wire ErrorMeasure, default Strata
 }
 
+choice! {
+    /// What the sets of a result name.
+    Granularity("granularity") {
+        /// Triangles.
+        Triangles = "triangles",
+        /// Clusters of at most 128 neighbouring triangles of one object.
+        Clusters = "clusters",
+        /// Objects: glTF node and primitive, OBJ group.
+        Objects = "objects",
+    }
+    wire Granularity, default Triangles
+}
+
+choice! {
+    /// Whether the result says which cells see which.
+    CellToCell("cell-to-cell") {
+        /// On with at most 4096 cells.
+        Auto = "auto",
+        /// On; with at most 32768 cells.
+        On = "on",
+        /// Off.
+        Off = "off",
+    }
+    wire CellToCell, default Auto
+}
+
+choice! {
+    /// The axis that points up.
+    Up("up") {
+        /// The y axis, as in glTF.
+        Y = "y",
+        /// The z axis.
+        Z = "z",
+    }
+    wire Up, default Y
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -203,5 +240,8 @@ mod tests {
         names_and_numbers_lead_back::<BackendChoice>();
         names_and_numbers_lead_back::<SupersetChoice>();
         names_and_numbers_lead_back::<ErrorMeasure>();
+        names_and_numbers_lead_back::<Granularity>();
+        names_and_numbers_lead_back::<CellToCell>();
+        names_and_numbers_lead_back::<Up>();
     }
 }

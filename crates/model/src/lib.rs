@@ -26,13 +26,18 @@ pub mod bound;
 pub mod choice;
 pub mod codec;
 pub mod output;
+pub mod pairs;
 pub mod params;
 pub mod spec;
 pub mod statistics;
 mod wire;
 
-pub use choice::{BackendChoice, Choice, ErrorMeasure, Method, Sampler, SupersetChoice, UnknownChoice};
-pub use output::{CellSet, CellSets, Decision, Node, Pack, TileOutput, VisibilitySample};
+pub use choice::{
+    BackendChoice, CellToCell, Choice, ErrorMeasure, Granularity, Method, Sampler, SupersetChoice,
+    UnknownChoice, Up,
+};
+pub use output::{CellSet, CellSets, Decision, Hits, Node, Pack, TileOutput, VisibilitySample};
+pub use pairs::{MOST_PAIR_CELLS, PairTable, TilePairs};
 pub use params::{ParamsError, SamplingParams};
 pub use sightline_viewcells::MOST_BLOCK_CELLS;
 pub use spec::{ALGORITHM_VERSION, JobSpec, MOST_LINE_DEPTH, SpecError, default_block_cells};

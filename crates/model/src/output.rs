@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use sightline_viewcells::{LatticePoint, Split};
 
+use crate::pairs::TilePairs;
 use crate::statistics::{COLUMNS, CellStats};
 
 /// The result of one tile.
@@ -29,6 +30,9 @@ pub struct CellSets {
     pub nodes: Vec<Node>,
     /// Its cells, in the order of their nodes.
     pub cells: Vec<CellSet>,
+    /// Which cells of the whole division see which, as far as this tile's lines show; `None` when the job
+    /// does not ask.
+    pub pairs: Option<TilePairs>,
 }
 
 /// A node of a leaf tile's subtree.
@@ -43,7 +47,8 @@ pub enum Node {
 /// The visibility set of one view cell.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CellSet {
-    /// Ids of the triangles seen from the cell, meeting it, or undecided, in ascending order.
+    /// The items (triangles, unless the job has another granularity) seen from the cell, meeting it, or
+    /// undecided, in ascending order.
     pub visible: Vec<u32>,
     /// Number of visibility cubes on the cell's surface.
     pub samples: u32,
@@ -51,6 +56,21 @@ pub struct CellSet {
     pub stats: CellStats,
     /// What exact queries decided; `None` with the method aggressive.
     pub decision: Option<Decision>,
+    /// Whether no viewpoint is in the cell. It was not sampled then, and its set is empty.
+    pub unreached: bool,
+    /// How many lines met each item of `visible`; `None` when the job does not ask.
+    pub hits: Option<Hits>,
+}
+
+/// How many lines from a cell met each item of its set: the item's share of the view.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Hits {
+    /// Number of viewpoints from which lines were cast.
+    pub viewpoints: u32,
+    /// Lines from each viewpoint.
+    pub lines: u32,
+    /// For each item of the set, the lines of all viewpoints that met it, and the most from one viewpoint.
+    pub counts: Vec<[u32; 2]>,
 }
 
 impl CellSet {

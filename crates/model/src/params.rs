@@ -6,7 +6,7 @@
 use serde::{Deserialize, Serialize};
 use sightline_proto::v1;
 
-use crate::choice::{Choice, ErrorMeasure, Sampler, SupersetChoice, UnknownChoice};
+use crate::choice::{CellToCell, Choice, ErrorMeasure, Granularity, Sampler, SupersetChoice, UnknownChoice};
 
 /// Least and greatest value of a parameter that has no range.
 const ANY: (f64, f64) = (f64::NEG_INFINITY, f64::INFINITY);
@@ -140,6 +140,17 @@ parameters! {
         solids: bool = true, ANY;
         /// Whether superset simplification is used.
         superset: SupersetChoice = SupersetChoice::Auto, ANY;
+        /// What the sets name.
+        granularity: Granularity = Granularity::Triangles, ANY;
+        /// Lines: an item with at least this share of a cell's sight lines is met by a uniform line with a
+        /// probability of 95 %. Replaces `target_error`.
+        min_share: Option<f64> = None, (1e-6, 1.0);
+        /// Sight lines end at this distance from the viewpoint, in the scene's units.
+        far: Option<f64> = None, (f32::MIN_POSITIVE as f64, f32::MAX as f64);
+        /// Whether the result says which cells see which.
+        cell_to_cell: CellToCell = CellToCell::Auto, ANY;
+        /// Whether the share of the view that each visible item takes is measured.
+        contributions: bool = false, ANY;
     }
 }
 
@@ -186,6 +197,11 @@ mod tests {
             min_distance: 2.0,
             solids: false,
             superset: SupersetChoice::Off,
+            granularity: Granularity::Objects,
+            min_share: Some(0.01),
+            far: Some(100.0),
+            cell_to_cell: CellToCell::Off,
+            contributions: true,
         };
         for params in [standard, other] {
             assert_eq!(SamplingParams::from_proto(&params.to_proto()), Ok(params));

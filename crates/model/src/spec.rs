@@ -1,16 +1,20 @@
 //! The specification of a job: what is baked and how, with its key and its plan.
 
+use std::sync::Arc;
+
 use prost::Message as _;
 use sightline_numbers::Aabb;
 use sightline_viewcells::{Division, DivisionError, Lattice, Layout, MOST_BLOCK_CELLS, Plan};
+use sightline_viewcells::{Viewpoints, ViewpointsError, viewpoints};
 
-use crate::choice::{BackendChoice, Method, Sampler, UnknownChoice};
+use crate::choice::{BackendChoice, CellToCell, Granularity, Method, Sampler, UnknownChoice, Up};
+use crate::pairs::MOST_PAIR_CELLS;
 use crate::params::{BOUND_AIM, ParamsError, SamplingParams};
 
 /// The version of everything that decides bytes. It changes whenever the same specification would give other
 /// bytes, of a result or of a tile's output, so that a stored result is never taken for one of another
 /// version. The choices that it stands for are in `crates/bake/src/choices.rs`.
-pub const ALGORITHM_VERSION: u32 = 16;
+pub const ALGORITHM_VERSION: u32 = 17;
 
 /// Longest time budget, in milliseconds: ten years.
 const MAX_BUDGET_MS: u64 = 10 * 366 * 24 * 3600 * 1000;
@@ -53,7 +57,14 @@ pub struct JobSpec {
     pub method: Method,
     /// Whether witnesses and certificates are kept.
     pub certificates: bool,
+    /// Where in the cells of a grid viewpoints can be; `None` for everywhere.
+    pub viewpoints: Option<Arc<Viewpoints>>,
+    /// The axis that points up, if it is known. It changes no set.
+    pub up: Option<Up>,
 }
+
+/// Most cells of a job that says which cells see which without being asked.
+const FEW_PAIR_CELLS: u64 = 1 << 12;
 
 /// Most cells of a tile when the user gives no number.
 pub fn default_block_cells(triangles: u32, sampling: &SamplingParams, method: Method) -> u32 {
@@ -86,6 +97,9 @@ pub enum SpecError {
     /// A sampling parameter.
     #[error(transparent)]
     Params(#[from] ParamsError),
+    /// The viewpoints.
+    #[error(transparent)]
+    Viewpoints(#[from] ViewpointsError),
 }
 
 impl JobSpec {
@@ -102,6 +116,8 @@ impl JobSpec {
             block_cells: MOST_BLOCK_CELLS,
             method: Method::Aggressive,
             certificates: false,
+            viewpoints: None,
+            up: None,
         }
     }
 
@@ -139,7 +155,33 @@ impl JobSpec {
         if self.time_budget_ms > 0 && sampler == Sampler::Cubes {
             return refuse("time-budget", "the sampler cubes cannot stop early");
         }
+        if self.sampling.min_share.is_some() && sampler != Sampler::Lines {
+            return refuse("min-share", "only the sampler lines searches until items of a share are found");
+        }
+        if self.sampling.min_share.is_some() && self.sampling.max_error.is_some() {
+            return refuse("min-share", "give either a least share of items or max-error");
+        }
+        if self.sampling.far.is_some() && self.certificates {
+            return refuse("far", "certificates prove that triangles are hidden, not that they are far");
+        }
+        if self.sampling.granularity != Granularity::Triangles && self.method != Method::Aggressive {
+            return refuse(
+                "granularity",
+                "exact methods decide triangles; `dump --items objects` lists the objects of their sets",
+            );
+        }
         self.lattice()?;
+        if let Some(marks) = &self.viewpoints {
+            if self.division != Division::Grid(marks.cells()) {
+                return refuse("viewpoints", "give them for the cells of the job's grid");
+            }
+            if marks.encode().len() > viewpoints::MOST_BYTES {
+                return refuse("viewpoints", "they are too finely divided; use fewer or larger cells");
+            }
+        }
+        if self.sampling.cell_to_cell == CellToCell::On && self.pair_grid_cells() > MOST_PAIR_CELLS {
+            return refuse("cell-to-cell", "at most 32768 cells can have it; give fewer cells, or off");
+        }
         // The lattice exists, so the product does not overflow.
         if let Division::Grid(cells) = self.division
             && cells.map(u64::from).iter().product::<u64>() / u64::from(self.block_cells) > MOST_BLOCKS
@@ -157,6 +199,43 @@ impl JobSpec {
         // Prost writes fields in the order of their numbers, so equal specifications give equal bytes.
         hasher.update(&self.to_proto().encode_to_vec());
         *hasher.finalize().as_bytes()
+    }
+
+    /// The cells over which a tile says which see which: the regular grid over the view box with this many
+    /// cells along each axis, or `None` when the job does not ask. An adaptive tree has a grid of the cells
+    /// of its deepest level, at most [`MOST_LINE_DEPTH`]; each of its cells holds whole cells of this grid,
+    /// or, with deeper trees, several are in one.
+    pub fn pair_cells(&self) -> Option<[u32; 3]> {
+        let asked = match self.sampling.cell_to_cell {
+            CellToCell::Auto => self.pair_grid_cells() <= FEW_PAIR_CELLS,
+            CellToCell::On => true,
+            CellToCell::Off => false,
+        };
+        asked.then(|| self.pair_grid())
+    }
+
+    /// Number of cells of [`Self::pair_grid`].
+    fn pair_grid_cells(&self) -> u64 {
+        // At most 2²² by the division's check, which comes before.
+        self.pair_grid().into_iter().map(u64::from).product()
+    }
+
+    fn pair_grid(&self) -> [u32; 3] {
+        match self.division {
+            Division::Grid(cells) => cells,
+            Division::Adaptive { max_depth, .. } => {
+                // An adaptive tree halves the longest side.
+                let Aabb { min, max } = self.view_box;
+                let size = [0, 1, 2].map(|a| f64::from(max[a]) - f64::from(min[a]));
+                let mut cells = [1u32; 3];
+                for _ in 0..max_depth.min(MOST_LINE_DEPTH) {
+                    let side = |a: usize| size[a] / f64::from(cells[a]);
+                    let axis = (1..3).fold(0, |longest, a| if side(a) > side(longest) { a } else { longest });
+                    cells[axis] *= 2;
+                }
+                cells
+            }
+        }
     }
 
     /// The lattice of sample positions.
@@ -217,6 +296,8 @@ mod tests {
             block_cells: 64,
             method: Method::Aggressive,
             certificates: false,
+            viewpoints: None,
+            up: None,
         }
     }
 
@@ -234,6 +315,27 @@ mod tests {
                 ..s.clone()
             },
             JobSpec { time_budget_ms: 5, ..s.clone() },
+            JobSpec {
+                viewpoints: Some({
+                    let mut marks = Viewpoints::none([4, 3, 2]);
+                    marks.mark([5, 6, 7]);
+                    Arc::new(marks)
+                }),
+                ..s.clone()
+            },
+            JobSpec { up: Some(Up::Y), ..s.clone() },
+            JobSpec { up: Some(Up::Z), ..s.clone() },
+            JobSpec {
+                sampling: SamplingParams { granularity: Granularity::Clusters, ..sampling.clone() },
+                ..s.clone()
+            },
+            JobSpec { sampling: SamplingParams { min_share: Some(0.5), ..sampling.clone() }, ..s.clone() },
+            JobSpec { sampling: SamplingParams { far: Some(9.0), ..sampling.clone() }, ..s.clone() },
+            JobSpec {
+                sampling: SamplingParams { cell_to_cell: CellToCell::Off, ..sampling.clone() },
+                ..s.clone()
+            },
+            JobSpec { sampling: SamplingParams { contributions: true, ..sampling.clone() }, ..s.clone() },
             JobSpec { block_cells: 65, ..s.clone() },
             JobSpec { method: Method::Exact, ..s.clone() },
             JobSpec { method: Method::Exact, certificates: true, ..s.clone() },

@@ -35,6 +35,8 @@ pub struct CellStats {
     pub bound_lines: u64,
     /// Those of them that met a triangle outside the set.
     pub bound_misses: u64,
+    /// Those of them that crossed a cell that is no pair with this one.
+    pub bound_cell_misses: u64,
     /// The number of that check, from 1.
     pub bound_look: u32,
     /// Whether the time or the rounds ended before the cell reached the target.
@@ -46,7 +48,7 @@ pub struct CellStats {
 
 impl CellStats {
     /// The columns' names, in the order of [`CellStats::numbers`].
-    pub const NAMES: [&'static str; 16] = [
+    pub const NAMES: [&'static str; 17] = [
         "rays_uniform",
         "rays_flood",
         "rays_candidate",
@@ -63,6 +65,7 @@ impl CellStats {
         "bound_look",
         "unfinished",
         "spared",
+        "bound_cell_misses",
     ];
 
     /// The statistics of a cell that was joined from two cells, each of which was sampled alone.
@@ -77,6 +80,7 @@ impl CellStats {
             // A bound belongs to one cell alone.
             bound_lines: 0,
             bound_misses: 0,
+            bound_cell_misses: 0,
             bound_look: 0,
             unfinished: self.unfinished || other.unfinished,
             raised_tolerance: self.raised_tolerance || other.raised_tolerance,
@@ -89,12 +93,12 @@ impl CellStats {
         let [i, j, k] = [u64::from(self.rounds), self.last_rays, self.last_misses];
         let [l, m, n] = [self.bound_lines, self.bound_misses, u64::from(self.bound_look)];
         let [o, p] = [self.unfinished, self.raised_tolerance].map(u64::from);
-        [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p]
+        [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p, self.bound_cell_misses]
     }
 
     /// The inverse of [`CellStats::numbers`]; `None` when a number is outside its field's range.
     pub fn from_numbers(
-        [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p]: [u64; Self::NAMES.len()],
+        [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p, q]: [u64; Self::NAMES.len()],
     ) -> Option<Self> {
         let flag = |number: u64| (number < 2).then_some(number == 1);
         Some(Self {
@@ -108,6 +112,7 @@ impl CellStats {
             bound_look: n.try_into().ok()?,
             unfinished: flag(o)?,
             raised_tolerance: flag(p)?,
+            bound_cell_misses: q,
         })
     }
 }
@@ -198,7 +203,7 @@ mod tests {
     #[test]
     fn numbers_have_their_names_and_come_back() {
         let numbers: [u64; CellStats::NAMES.len()] =
-            std::array::from_fn(|i| if i >= 14 { 15 - i as u64 } else { i as u64 + 10 });
+            std::array::from_fn(|i| if (14..16).contains(&i) { 15 - i as u64 } else { i as u64 + 10 });
         let stats = CellStats::from_numbers(numbers).unwrap();
         assert_eq!(stats.numbers(), numbers);
         let of = |name: &str| numbers[CellStats::NAMES.iter().position(|n| *n == name).unwrap()];
@@ -213,6 +218,7 @@ mod tests {
         assert_eq!([of("rounds"), of("bound_look")], [u64::from(stats.rounds), u64::from(stats.bound_look)]);
         assert_eq!([of("last_rays"), of("last_misses")], [stats.last_rays, stats.last_misses]);
         assert_eq!([of("bound_lines"), of("bound_misses")], [stats.bound_lines, stats.bound_misses]);
+        assert_eq!(of("bound_cell_misses"), stats.bound_cell_misses);
         assert!(of("unfinished") == 1 && stats.unfinished && of("spared") == 0 && !stats.raised_tolerance);
         // Beyond their ranges.
         for i in [8, 13, 14, 15] {

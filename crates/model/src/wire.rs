@@ -1,11 +1,13 @@
 //! A specification as a message of the gRPC interface, and back.
 
+use std::sync::Arc;
+
 use glam::Vec3;
 use sightline_numbers::Aabb;
 use sightline_proto::v1;
-use sightline_viewcells::{Division, MOST_BLOCK_CELLS};
+use sightline_viewcells::{Division, MOST_BLOCK_CELLS, Viewpoints};
 
-use crate::choice::{BackendChoice, Choice as _, Method, Sampler};
+use crate::choice::{BackendChoice, Choice, Method, Sampler, Up};
 use crate::params::SamplingParams;
 use crate::spec::{JobSpec, SpecError};
 
@@ -35,6 +37,21 @@ impl JobSpec {
         let sampling = SamplingParams::from_proto(sampling)?;
         // Cubes and adaptive trees have no blocks. A number that they do not use makes no other job.
         let has_blocks = sampling.sampler != Sampler::Cubes && matches!(division, Division::Grid(_));
+        let viewpoints = match (m.viewpoints.as_slice(), division) {
+            ([], _) => None,
+            (bytes, Division::Grid(cells)) => {
+                // The number of cells is checked before memory is taken for them.
+                division.lattice(view_box.min, view_box.max)?;
+                Some(Arc::new(Viewpoints::decode(bytes, cells)?))
+            }
+            (_, Division::Adaptive { .. }) => {
+                return Err(SpecError::Field("viewpoints", "only the cells of a grid can have them"));
+            }
+        };
+        let up = match m.up() {
+            v1::Up::Unspecified if m.up == 0 => None,
+            _ => Some(Up::from_wire(m.up)?),
+        };
         let spec = Self {
             scene,
             division,
@@ -46,6 +63,8 @@ impl JobSpec {
             block_cells: if has_blocks && m.block_cells > 0 { m.block_cells } else { MOST_BLOCK_CELLS },
             method: Method::from_wire(m.method)?,
             certificates: m.certificates,
+            viewpoints,
+            up,
         };
         spec.check()?;
         Ok(spec)
@@ -70,6 +89,8 @@ impl JobSpec {
             block_cells: self.block_cells,
             method: self.method.to_wire(),
             certificates: self.certificates,
+            viewpoints: self.viewpoints.as_ref().map_or_else(Vec::new, |marks| marks.encode()),
+            up: self.up.map_or(0, Choice::to_wire),
         }
     }
 }

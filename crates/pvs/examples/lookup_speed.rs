@@ -37,6 +37,24 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     println!("find_cell: {:.1} ns", start.elapsed().as_secs_f64() * 1e9 / points.len() as f64);
 
+    if pvs.cell_pairs()?.is_some() {
+        let cells: Vec<u32> = points.iter().filter_map(|p| pvs.find_cell(*p)).collect();
+        let pairs = || cells.iter().zip(cells.iter().rev()).zip(&points);
+        let start = Instant::now();
+        for ((a, b), _) in pairs() {
+            black_box(pvs.sees(black_box(*a), black_box(*b))?);
+        }
+        println!("sees: {:.1} ns", start.elapsed().as_secs_f64() * 1e9 / points.len() as f64);
+        // Boxes of a fiftieth of the view box, as of moving things.
+        let size: [f32; 3] = std::array::from_fn(|a| (hi[a] - lo[a]) / 50.0);
+        let start = Instant::now();
+        for ((a, _), p) in pairs() {
+            let far: [f32; 3] = std::array::from_fn(|k| (p[k] + size[k]).min(hi[k]));
+            black_box(pvs.sees_box(black_box(*a), *p, far)?);
+        }
+        println!("sees_box: {:.1} ns", start.elapsed().as_secs_f64() * 1e9 / points.len() as f64);
+    }
+
     // The least of several times for each cell, which leaves out the other load of the machine.
     let mut ids = Vec::new();
     let mut runs = Vec::new();

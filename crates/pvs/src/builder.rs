@@ -9,9 +9,8 @@ use crate::columns::{self, Column};
 use crate::error::PvsError;
 use crate::hierarchy::{CodedSet, Hierarchy};
 use crate::layout::{self, Section, Written};
-use crate::runs;
 use crate::tree::{CellTree, Node};
-use crate::{Object, SET_ASIDE};
+use crate::{CellPairs, Contribution, Items, NOT_REACHED, Object, SET_ASIDE, parse, runs};
 
 /// The parts of a result that are known before the first cell.
 #[derive(Clone, Debug)]
@@ -41,20 +40,25 @@ pub struct Stats {
     pub column_bytes: u64,
     /// Bytes of the certificates with their offsets; 0 when there are none.
     pub certificate_bytes: u64,
+    /// Bytes of the relations between cells; 0 when there are none.
+    pub pair_bytes: u64,
+    /// Bytes of the contributions with their offsets; 0 when there are none.
+    pub contribution_bytes: u64,
     /// Sum of the sizes of the visible sets.
     pub visible_ids: u64,
     /// Sum of the sizes of the undecided sets.
     pub undecided_ids: u64,
 }
 
-/// The sets of a cell.
+/// The sets of a cell, which name the items of the result: triangles, unless [`Builder::set_items`] was
+/// called.
 #[derive(Clone, Copy, Debug)]
 pub struct Cell<'a> {
-    /// Ids of the triangles to draw from it, ascending.
+    /// The items to draw from it, ascending.
     pub visible: &'a [u32],
     /// Those of `visible` that were neither seen nor proved hidden, ascending.
     pub undecided: &'a [u32],
-    /// [`SET_ASIDE`]; other bits are stored as they are.
+    /// [`SET_ASIDE`] and [`NOT_REACHED`]; other bits are stored as they are.
     pub flags: u32,
 }
 
@@ -67,6 +71,21 @@ pub struct Builder {
     /// The coded section; empty when there are no columns.
     columns: Vec<u8>,
     certificates: Certificates,
+    /// The coded section of items; empty when the sets name triangles.
+    items: Vec<u8>,
+    /// How many items there are.
+    item_count: u32,
+    /// The coded section; empty when the result does not say which cells see which.
+    pairs: Vec<u8>,
+    contributions: Contributions,
+}
+
+/// The contributions pushed so far.
+#[derive(Default)]
+struct Contributions {
+    /// Where those of each cell end.
+    ends: Vec<u64>,
+    bytes: Vec<u8>,
 }
 
 impl Builder {
@@ -87,13 +106,62 @@ impl Builder {
             }
         }
         Ok(Self {
-            header,
             flags: Vec::new(),
             visible: Hierarchy::default(),
             undecided: Hierarchy::default(),
             columns: Vec::new(),
             certificates: Certificates::default(),
+            items: Vec::new(),
+            item_count: header.triangles,
+            pairs: Vec::new(),
+            contributions: Contributions::default(),
+            header,
         })
+    }
+
+    /// Sets what the sets name, before the first cell.
+    ///
+    /// # Errors
+    /// [`PvsError::Malformed`] when the triangles of an item do not ascend or reach N, and after a cell.
+    pub fn set_items(&mut self, items: &Items) -> Result<(), PvsError> {
+        if !self.flags.is_empty() {
+            return Err(Section::Items.malformed("the items come before the first cell"));
+        }
+        let Header { triangles, objects, .. } = &self.header;
+        self.items = items.encode(*triangles, objects.len())?;
+        // `encode` has checked that the count fits.
+        self.item_count = match items {
+            Items::Clusters(clusters) => clusters.len() as u32,
+            Items::Objects { .. } => objects.len() as u32,
+        };
+        Ok(())
+    }
+
+    /// Sets which cells see which, at any time before [`Self::finish`].
+    ///
+    /// # Errors
+    /// [`PvsError::Malformed`] when the relations are over another number of cells, or a pair is undecided
+    /// and not visible.
+    pub fn set_pairs(&mut self, pairs: &CellPairs) -> Result<(), PvsError> {
+        pairs.check(self.header.tree.cells())?;
+        self.pairs = pairs.encode();
+        Ok(())
+    }
+
+    /// Adds the contributions of the items visible from the next cell, in the order of its visible set. Call
+    /// it for every cell or for none.
+    ///
+    /// # Errors
+    /// [`PvsError::CellCount`] after the last cell.
+    pub fn push_contributions(&mut self, of: &[Contribution]) -> Result<(), PvsError> {
+        let all = &mut self.contributions;
+        let (expected, pushed) = (self.header.tree.cells(), all.ends.len() as u64 + 1);
+        if pushed > u64::from(expected) {
+            return Err(PvsError::CellCount { expected, pushed });
+        }
+        all.bytes.extend(of.iter().map(|c| c.byte()));
+        all.ends.push(all.bytes.len() as u64);
+        Ok(())
     }
 
     /// Adds the next cell: the ids of the triangles to draw from it, those of them that were neither seen nor
@@ -130,26 +198,31 @@ impl Builder {
     /// A cell's visible and undecided sets, checked and coded.
     fn coded(&self, cell: u32, of: &Cell<'_>) -> Result<[CodedSet; 2], PvsError> {
         let bad = |set, reason: String| PvsError::Ids { cell, set, reason };
+        let count = self.item_count;
+        let what = if self.items.is_empty() { "triangle" } else { "item" };
         for (set, ids) in [("visible", of.visible), ("undecided", of.undecided)] {
             if let Some(pair) = ids.windows(2).find(|p| p[0] >= p[1]) {
                 return Err(bad(set, format!("{} comes before {}; ids must ascend", pair[0], pair[1])));
             }
-            if let Some(&last) = ids.last().filter(|&&last| last >= self.header.triangles) {
-                return Err(bad(set, format!("there is no triangle {last} among {}", self.header.triangles)));
+            if let Some(&last) = ids.last().filter(|&&last| last >= count) {
+                return Err(bad(set, format!("there is no {what} {last} among {count}")));
             }
         }
         let (seen, open) = (runs::from_ids(of.visible), runs::from_ids(of.undecided));
         if !open.is_empty() {
             let [beyond] = runs::sweep([&seen, &open], |m| u32::from(m == 2));
             if let Some(id) = beyond.first() {
-                return Err(bad("undecided", format!("triangle {id} is not in the visible set")));
+                return Err(bad("undecided", format!("{what} {id} is not in the visible set")));
             }
         }
-        if of.flags & SET_ASIDE != 0 && of.visible.len() as u64 != u64::from(self.header.triangles) {
-            return Err(bad(
-                "visible",
-                "the cell is set aside, but not all triangles are visible".to_owned(),
-            ));
+        if of.flags & SET_ASIDE != 0
+            && of.visible != of.undecided
+            && of.visible.len() as u64 != u64::from(count)
+        {
+            return Err(bad("visible", format!("the cell is set aside, but not all {what}s are visible")));
+        }
+        if of.flags & NOT_REACHED != 0 && !of.visible.is_empty() {
+            return Err(bad("visible", "no viewpoint is in the cell, but its set is not empty".to_owned()));
         }
         Ok([CodedSet::new(&seen, of.visible.len()), CodedSet::new(&open, of.undecided.len())])
     }
@@ -199,37 +272,46 @@ impl Builder {
         let object_bytes = object_section(&objects);
         let flag_bytes: Vec<u8> = self.flags.iter().flat_map(|f| f.to_le_bytes()).collect();
         let (visible_ids, undecided_ids) = (self.visible.ids(), self.undecided.ids());
-        let visible = self.visible.section(Section::Visible, &tree, triangles)?;
+        let visible = self.visible.section(Section::Visible, &tree, self.item_count)?;
         let undecided = if undecided_ids == 0 {
             Vec::new()
         } else {
-            self.undecided.section(Section::Undecided, &tree, triangles)?
+            self.undecided.section(Section::Undecided, &tree, self.item_count)?
         };
+        let contributions = self.contributions.section(tree.cells())?;
         let certificates = self.certificates.section(tree.cells()).map_err(PvsError::Write)?;
-        let whole: [&[u8]; Section::Certificates as usize] = [
-            info_json.as_bytes(),
-            method.as_bytes(),
-            &tree_bytes,
-            &object_bytes,
-            &flag_bytes,
-            &visible,
-            &undecided,
-            &self.columns,
+        // Files have no sections that they do not need. A file of version 1 has no certificates without
+        // columns, so it has an empty section of columns then.
+        let columns = !self.columns.is_empty() || certificates.is_some();
+        let sources = parse::source_section(&objects);
+        let before: [(Section, &[u8], bool); 8] = [
+            (Section::Info, info_json.as_bytes(), true),
+            (Section::Method, method.as_bytes(), true),
+            (Section::Tree, &tree_bytes, true),
+            (Section::Objects, &object_bytes, true),
+            (Section::Flags, &flag_bytes, true),
+            (Section::Visible, &visible, true),
+            (Section::Undecided, &undecided, true),
+            (Section::Columns, &self.columns, columns),
         ];
-        // The file has no sections that it does not need, like the files from before these sections existed.
-        let whole = match (self.columns.is_empty(), &certificates) {
-            (true, None) => &whole[..Section::Columns as usize],
-            _ => &whole[..],
-        };
-        let sections: Vec<Written> = whole.iter().map(|s| Written::of(s)).chain(certificates).collect();
+        let after: [(Section, &[u8]); 4] = [
+            (Section::CellPairs, &self.pairs),
+            (Section::Items, &self.items),
+            (Section::Contributions, &contributions),
+            (Section::Sources, &sources),
+        ];
+        let before = || before.iter().filter(|s| s.2).map(|s| (s.0, s.1));
+        let after = || after.iter().filter(|s| !s.1.is_empty()).copied();
+        let written = |(section, bytes): (Section, &[u8])| Written::of(section, bytes);
+        let sections: Vec<Written> =
+            before().map(written).chain(certificates).chain(after().map(written)).collect();
         let header = layout::header(triangles, tree.cells(), tree.nodes().len() as u32, &sections);
         out.write_all(&header).map_err(PvsError::Write)?;
-        for section in whole {
-            out.write_all(section).map_err(PvsError::Write)?;
-        }
+        before().try_for_each(|(_, bytes)| out.write_all(bytes)).map_err(PvsError::Write)?;
         if certificates.is_some() {
             self.certificates.write(tree.cells(), out).map_err(PvsError::Write)?;
         }
+        after().try_for_each(|(_, bytes)| out.write_all(bytes)).map_err(PvsError::Write)?;
         out.flush().map_err(PvsError::Write)?;
         Ok(Stats {
             file_bytes: header.len() as u64 + sections.iter().map(|s| s.length).sum::<u64>(),
@@ -237,9 +319,27 @@ impl Builder {
             undecided_bytes: undecided.len() as u64,
             column_bytes: self.columns.len() as u64,
             certificate_bytes: certificates.map_or(0, |c| c.length),
+            pair_bytes: self.pairs.len() as u64,
+            contribution_bytes: contributions.len() as u64,
             visible_ids,
             undecided_ids,
         })
+    }
+}
+
+impl Contributions {
+    /// Offsets and bytes; empty without contributions.
+    fn section(&self, cells: u32) -> Result<Vec<u8>, PvsError> {
+        if self.ends.is_empty() {
+            return Ok(Vec::new());
+        }
+        if self.ends.len() != cells as usize {
+            return Err(PvsError::CellCount { expected: cells, pushed: self.ends.len() as u64 });
+        }
+        let offsets = std::iter::once(0).chain(self.ends.iter().copied());
+        let mut bytes: Vec<u8> = offsets.flat_map(u64::to_le_bytes).collect();
+        bytes.extend_from_slice(&self.bytes);
+        Ok(bytes)
     }
 }
 

@@ -4,7 +4,7 @@
 use std::fs::File;
 use std::io::{self, Read as _, Seek as _, Write};
 
-use crate::layout::Written;
+use crate::layout::{Section, Written};
 
 /// Bytes read back at a time.
 const AT_ONCE: usize = 1 << 20;
@@ -49,7 +49,7 @@ impl Certificates {
         if self.ends.is_empty() {
             return Ok(None);
         }
-        let mut section = Written { length: 0, crc: 0 };
+        let mut section = Written::of(Section::Certificates, &[]);
         self.each(cells, &mut |bytes| {
             section.length += bytes.len() as u64;
             section.crc = crc32c::crc32c_append(section.crc, bytes);

@@ -168,7 +168,7 @@ pub fn varint(mut v: u64, out: &mut Vec<u8>) {
     out.push(v as u8);
 }
 
-fn read_varint(bytes: &[u8]) -> Option<(u64, &[u8])> {
+pub fn read_varint(bytes: &[u8]) -> Option<(u64, &[u8])> {
     let mut v = 0u64;
     for (i, &b) in bytes.iter().enumerate().take(9) {
         v |= u64::from(b & 0x7f) << (7 * i);

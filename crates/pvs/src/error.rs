@@ -119,6 +119,12 @@ pub enum PvsError {
         /// The number of cells in the file.
         cells: u32,
     },
+    /// The file does not say which cells see which.
+    #[error(
+        "the file does not say which cells see which; bake it again without --cell-to-cell off, with at most \
+         32768 view cells"
+    )]
+    NoPairs,
     /// The bit set passed in has the wrong length.
     #[error("the bit set has {given} words of 64; the file's triangles need {needed}")]
     BitsLength {

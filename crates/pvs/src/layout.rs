@@ -3,8 +3,8 @@
 //! | offset | bytes | contents |
 //! |---|---|---|
 //! | 0 | 8 | `89 50 56 53 0d 0a 1a 0a`, which transfers that change line ends or clear the eighth bit alter |
-//! | 8 | 4 | [`VERSION`] |
-//! | 12 | 4 | number of sections S: 7, 8 in a file with columns, 9 in one with certificates |
+//! | 8 | 4 | version: 1, or 2 in a file with a section from [`Section::CellPairs`] on |
+//! | 12 | 4 | number of sections S |
 //! | 16 | 8 | length of the file |
 //! | 24 | 4 | triangles N |
 //! | 28 | 4 | cells M |
@@ -16,19 +16,22 @@
 //! Every byte is covered by exactly one checksum, and the header's checksum covers the offsets of the
 //! sections.
 //!
-//! Columns and certificates were added later. Files without them are unchanged, so the version is unchanged;
-//! a program that knows fewer sections refuses a file with more of them, because the checksum of its header
-//! does not match.
+//! The sections up to [`Section::Undecided`] are in every file. A file of version 1 has the sections 0 to
+//! S − 1: seven, eight with columns, nine with certificates. A file of version 2 has any of the optional
+//! sections, in the order of their numbers.
 
 use crate::error::PvsError;
 
-/// The version this crate writes and reads.
-pub const VERSION: u32 = 1;
+/// The newest version that this crate reads. It writes the oldest version that has the sections of a file.
+pub const VERSION: u32 = 2;
 
 const MAGIC: [u8; 8] = *b"\x89PVS\r\n\x1a\n";
-/// Sections of a file with columns and certificates, which are optional.
-const SECTIONS: usize = 9;
+/// All sections there are.
+const SECTIONS: usize = 13;
+/// Sections that every file has: those before the columns.
 const LEAST_SECTIONS: usize = Section::Columns as usize;
+/// Most sections of a file of version 1.
+const SECTIONS_OF_1: usize = Section::CellPairs as usize;
 const CRC_AT: usize = 36;
 const TABLE_AT: usize = 40;
 
@@ -56,10 +59,19 @@ pub enum Section {
     /// A certificate for each cell, opaque to this crate; optional. Cells + 1 offsets as u64, then the bytes
     /// of the cells. A file with this section has the section of columns, too, which may be empty.
     Certificates,
+    /// Which cells see which; optional. See the module `pairs`.
+    CellPairs,
+    /// The items that the sets name instead of triangles; optional. See the module `items`.
+    Items,
+    /// How much of the view each visible item takes; optional. See the module `contributions`.
+    Contributions,
+    /// Where each object is in its glTF file; optional. For each object the indices of node, mesh, primitive
+    /// and instance as four u32; `u32::MAX` where there is none.
+    Sources,
 }
 
 impl Section {
-    /// All sections in order; the last one or the last two are optional.
+    /// All sections in order; those from the columns on are optional.
     pub const ALL: [Self; SECTIONS] = [
         Self::Info,
         Self::Method,
@@ -70,6 +82,10 @@ impl Section {
         Self::Undecided,
         Self::Columns,
         Self::Certificates,
+        Self::CellPairs,
+        Self::Items,
+        Self::Contributions,
+        Self::Sources,
     ];
 
     /// Its name in messages.
@@ -84,6 +100,10 @@ impl Section {
             Self::Undecided => "undecided sets",
             Self::Columns => "columns",
             Self::Certificates => "certificates",
+            Self::CellPairs => "pairs of cells",
+            Self::Items => "items",
+            Self::Contributions => "contributions",
+            Self::Sources => "sources of objects",
         }
     }
 
@@ -98,15 +118,15 @@ pub(crate) struct Layout {
     pub triangles: u32,
     pub cells: u32,
     pub nodes: u32,
-    /// How many sections the file has.
-    sections: usize,
+    /// Bit i: the file has section i.
+    present: u32,
     ranges: [std::ops::Range<usize>; SECTIONS],
 }
 
 impl Layout {
     /// Whether the file has a section.
     pub fn has(&self, section: Section) -> bool {
-        (section as usize) < self.sections
+        self.present >> section as u32 & 1 == 1
     }
 
     /// The range of a section in the file; empty when the file does not have the section.
@@ -124,11 +144,11 @@ impl Layout {
             |length: usize| file.get(..length).ok_or(PvsError::Length { expected: length as u64, actual });
         let header = first(header_len(LEAST_SECTIONS))?;
         let found = u32_at(header, 8);
-        if found != VERSION {
+        if !(1..=VERSION).contains(&found) {
             return Err(PvsError::Version { found, known: VERSION });
         }
         let sections = u32_at(header, 12) as usize;
-        let known = (LEAST_SECTIONS..=SECTIONS).contains(&sections);
+        let known = (LEAST_SECTIONS..=if found == 1 { SECTIONS_OF_1 } else { SECTIONS }).contains(&sections);
         // An impossible number is most likely an altered byte, which the checksum reports.
         let header = first(header_len(if known { sections } else { LEAST_SECTIONS }))?;
         if crc32c::crc32c_append(crc32c::crc32c(&header[..CRC_AT]), &header[TABLE_AT..])
@@ -138,7 +158,7 @@ impl Layout {
         }
         let malformed = |reason: &str| PvsError::Malformed { section: "header", reason: reason.to_owned() };
         if !known {
-            return Err(malformed("it does not have seven, eight or nine sections"));
+            return Err(malformed("it has fewer or more sections than there are"));
         }
         let expected = u64_at(header, 16);
         if expected != actual {
@@ -150,10 +170,16 @@ impl Layout {
         }
         let mut at = header.len();
         let mut ranges = [const { 0..0 }; SECTIONS];
-        for (i, section) in Section::ALL.into_iter().take(sections).enumerate() {
+        let (mut present, mut least) = (0u32, 0);
+        for i in 0..sections {
             let entry = TABLE_AT + i * 24;
-            if u32_at(header, entry) != section as u32 || u64_at(header, entry + 8) != at as u64 {
-                return Err(malformed("its sections are not in order, one after another"));
+            let number = u32_at(header, entry) as usize;
+            let section = Section::ALL
+                .get(number)
+                .filter(|_| number >= least && (number == i || (found > 1 && i >= LEAST_SECTIONS)));
+            let section = section.ok_or_else(|| malformed("its sections are not those of its version"))?;
+            if u64_at(header, entry + 8) != at as u64 {
+                return Err(malformed("its sections do not follow one another"));
             }
             let bytes = usize::try_from(u64_at(header, entry + 16))
                 .ok()
@@ -162,13 +188,15 @@ impl Layout {
             if crc32c::crc32c(bytes) != u32_at(header, entry + 4) {
                 return Err(PvsError::Checksum { section: section.name() });
             }
-            ranges[i] = at..at + bytes.len();
+            ranges[number] = at..at + bytes.len();
+            present |= 1 << number;
+            least = number + 1;
             at += bytes.len();
         }
         if at != file.len() {
             return Err(malformed("bytes follow its last section"));
         }
-        Ok(Self { triangles, cells, nodes, sections, ranges })
+        Ok(Self { triangles, cells, nodes, present, ranges })
     }
 }
 
@@ -177,33 +205,36 @@ const fn header_len(sections: usize) -> usize {
     TABLE_AT + sections * 24
 }
 
-/// Length and checksum of a section, as the header has them.
+/// Number, length and checksum of a section, as the header has them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Written {
+    pub section: Section,
     pub length: u64,
     pub crc: u32,
 }
 
 impl Written {
-    pub fn of(bytes: &[u8]) -> Self {
-        Self { length: bytes.len() as u64, crc: crc32c::crc32c(bytes) }
+    pub fn of(section: Section, bytes: &[u8]) -> Self {
+        Self { section, length: bytes.len() as u64, crc: crc32c::crc32c(bytes) }
     }
 }
 
-/// The header of a file with these sections, in the order of [`Section::ALL`]; the last two are optional.
+/// The header of a file with these sections, in the order of [`Section::ALL`].
 pub(crate) fn header(triangles: u32, cells: u32, nodes: u32, sections: &[Written]) -> Vec<u8> {
     let file_len = header_len(sections.len()) as u64 + sections.iter().map(|s| s.length).sum::<u64>();
     let mut table = Vec::with_capacity(sections.len() * 24);
     let mut at = header_len(sections.len()) as u64;
-    for (i, section) in sections.iter().enumerate() {
-        table.extend((i as u32).to_le_bytes());
+    let newest = sections.last().map_or(0, |s| s.section as usize);
+    let version: u32 = if newest < SECTIONS_OF_1 { 1 } else { 2 };
+    for section in sections {
+        table.extend((section.section as u32).to_le_bytes());
         table.extend(section.crc.to_le_bytes());
         table.extend(at.to_le_bytes());
         table.extend(section.length.to_le_bytes());
         at += section.length;
     }
     let mut header = MAGIC.to_vec();
-    header.extend(VERSION.to_le_bytes());
+    header.extend(version.to_le_bytes());
     header.extend((sections.len() as u32).to_le_bytes());
     header.extend(file_len.to_le_bytes());
     for n in [triangles, cells, nodes] {

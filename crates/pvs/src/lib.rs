@@ -17,7 +17,11 @@
 //!   its path from the root (Nirenstein 2003, appendix B.1; `hierarchy.rs` says how the inner sets are
 //!   chosen);
 //! - `columns`, optional: named statistics of the bake, one value for each cell;
-//! - `certificates`, optional: a certificate for each cell's set, opaque to this crate.
+//! - `certificates`, optional: a certificate for each cell's set, opaque to this crate;
+//! - `pairs`, optional: which cells see which ([`Pvs::sees`]);
+//! - `items`, optional: the clusters or objects that the sets name instead of triangles ([`Granularity`]);
+//! - `contributions`, optional: how much of the view each item takes, for each cell ([`Contribution`]);
+//! - `sources`, optional: where each object is in its glTF file ([`Source`]).
 //!
 //! ```
 //! use sightline_pvs::{Builder, CellTree, Header, Node, Object, Pvs};
@@ -25,7 +29,7 @@
 //! // Two cells, below and above the plane x = 1.
 //! let nodes = vec![Node::Split { axis: 0, at: 1.0 }, Node::Leaf, Node::Leaf];
 //! let tree = CellTree::new([[0.0; 3], [2.0, 1.0, 1.0]], nodes)?;
-//! let objects = vec![Object { name: "house".into(), first: 0, count: 5 }];
+//! let objects = vec![Object { name: "house".into(), first: 0, count: 5, source: None }];
 //! let (method, info_json) = ("aggressive".into(), "{}".into());
 //! let mut builder = Builder::new(Header { triangles: 5, method, tree, objects, info_json })?;
 //! builder.push_cell(&[0, 1, 2], &[], 0)?;
@@ -45,9 +49,12 @@ pub mod builder;
 mod certificates;
 mod codec;
 mod columns;
+mod contributions;
 pub mod error;
 mod hierarchy;
+pub mod items;
 pub mod layout;
+pub mod pairs;
 mod parse;
 pub mod reader;
 mod runs;
@@ -55,13 +62,19 @@ pub mod tree;
 
 pub use builder::{Builder, Cell, Header, Stats};
 pub use columns::Column;
+pub use contributions::Contribution;
 pub use error::PvsError;
+pub use items::{Granularity, Items};
 pub use layout::VERSION;
+pub use pairs::{CellPairs, MOST_PAIR_CELLS, Relation};
 pub use reader::{NodeBytes, Pvs};
 pub use tree::{CellTree, MAX_DEPTH, Node};
 
 /// Bit 0 of a cell's flags: the cell's tile was set aside after failures, and all triangles count as visible.
 pub const SET_ASIDE: u32 = 1;
+
+/// Bit 1 of a cell's flags: no viewpoint is in the cell, so it was not sampled and its sets are empty.
+pub const NOT_REACHED: u32 = 2;
 
 /// A named, contiguous range of triangles that an engine draws at once.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -73,4 +86,19 @@ pub struct Object {
     pub first: u32,
     /// The number of its triangles; may be 0.
     pub count: u32,
+    /// Where it is in its glTF file; `None` for other files, and in results that do not say.
+    pub source: Option<Source>,
+}
+
+/// The place of an object in its glTF file, as indices of the file's arrays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Source {
+    /// Of the node.
+    pub node: u32,
+    /// Of the mesh.
+    pub mesh: u32,
+    /// Of the primitive in its mesh.
+    pub primitive: u32,
+    /// Of the instance, for a node with `EXT_mesh_gpu_instancing`.
+    pub instance: Option<u32>,
 }

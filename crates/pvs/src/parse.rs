@@ -1,10 +1,10 @@
 //! Parsing the structured sections when a file is opened. Counts are checked against the length of the
 //! section before memory is allocated for them.
 
-use crate::Object;
 use crate::error::PvsError;
 use crate::layout::{Section, u32_at, u64_at};
 use crate::tree::{CellTree, Node};
+use crate::{Object, Source};
 
 /// Parses the tree section.
 pub fn read_tree(bytes: &[u8], nodes: u32) -> Result<CellTree, PvsError> {
@@ -41,10 +41,42 @@ pub fn read_objects(bytes: &[u8]) -> Result<Vec<Object>, PvsError> {
         names = after;
         let name =
             std::str::from_utf8(name).map_err(|e| Section::Objects.malformed(e.to_string()))?.to_owned();
-        objects.push(Object { name, first: u32_at(entry, 0), count: u32_at(entry, 4) });
+        objects.push(Object { name, first: u32_at(entry, 0), count: u32_at(entry, 4), source: None });
     }
     if names.is_empty() { Ok(objects) } else { Err(bad("bytes follow its last name")) }
 }
+
+/// Reads where the objects are in their glTF file.
+pub fn read_sources(bytes: &[u8], objects: &mut [Object]) -> Result<(), PvsError> {
+    if bytes.len() != objects.len() * SOURCE_BYTES {
+        return Err(Section::Sources.malformed("it does not have one entry an object"));
+    }
+    let there = |index: u32| (index != u32::MAX).then_some(index);
+    for (object, entry) in objects.iter_mut().zip(bytes.chunks_exact(SOURCE_BYTES)) {
+        let [node, mesh, primitive, instance] = [0, 4, 8, 12].map(|at| there(u32_at(entry, at)));
+        object.source = match (node, mesh, primitive) {
+            (Some(node), Some(mesh), Some(primitive)) => Some(Source { node, mesh, primitive, instance }),
+            (None, None, None) => None,
+            _ => return Err(Section::Sources.malformed("an object has a part of a source")),
+        };
+    }
+    Ok(())
+}
+
+/// The section that [`read_sources`] reads; empty when no object has a source.
+pub fn source_section(objects: &[Object]) -> Vec<u8> {
+    if objects.iter().all(|o| o.source.is_none()) {
+        return Vec::new();
+    }
+    let entry = |o: &Object| match o.source {
+        Some(s) => [s.node, s.mesh, s.primitive, s.instance.unwrap_or(u32::MAX)],
+        None => [u32::MAX; 4],
+    };
+    objects.iter().flat_map(entry).flat_map(u32::to_le_bytes).collect()
+}
+
+/// Bytes of an object's source.
+const SOURCE_BYTES: usize = 16;
 
 /// Checks that the offsets of the nodes' sets ascend from 0 to the end of the section.
 pub fn check_offsets(section: Section, bytes: &[u8], nodes: u32) -> Result<(), PvsError> {

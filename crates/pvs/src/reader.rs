@@ -4,18 +4,21 @@
 //! so that a file that was tampered with (wrong contents under right checksums) gives an error and never a
 //! panic.
 
+mod cells;
 mod sets;
 
 use std::fs::File;
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use crate::builder::check_tiling;
 use crate::error::PvsError;
+use crate::items::ItemTable;
 use crate::layout::{Layout, Section, u32_at, u64_at};
-use crate::parse::{check_offsets, read_objects, read_tree};
+use crate::parse::{check_offsets, read_objects, read_sources, read_tree};
 use crate::tree::CellTree;
-use crate::{Column, Object, SET_ASIDE, columns};
+use crate::{CellPairs, Column, Contribution, Granularity, NOT_REACHED, Object, SET_ASIDE};
+use crate::{columns, contributions};
 
 pub use sets::NodeBytes;
 
@@ -25,6 +28,9 @@ pub struct Pvs {
     layout: Layout,
     tree: CellTree,
     objects: Vec<Object>,
+    items: ItemTable,
+    /// Decoded when they are first asked for.
+    pairs: OnceLock<Option<CellPairs>>,
 }
 
 enum Bytes {
@@ -93,8 +99,15 @@ impl Pvs {
         if tree.cells() != layout.cells {
             return Err(Section::Tree.malformed("it does not have as many cells as the header says"));
         }
-        let objects = read_objects(part(Section::Objects))?;
+        let mut objects = read_objects(part(Section::Objects))?;
         check_tiling(layout.triangles, objects.iter().map(|o| (o.first, o.count)))?;
+        if layout.has(Section::Sources) {
+            read_sources(part(Section::Sources), &mut objects)?;
+        }
+        let items = match layout.has(Section::Items) {
+            true => ItemTable::decode(part(Section::Items), layout.triangles, &objects)?,
+            false => ItemTable::Triangles,
+        };
         if part(Section::Flags).len() as u64 != u64::from(layout.cells) * 4 {
             return Err(Section::Flags.malformed("it does not have one word a cell"));
         }
@@ -111,7 +124,10 @@ impl Pvs {
         {
             columns::check(part(Section::Columns), layout.cells)?;
         }
-        Ok(Self { layout, tree, objects, bytes })
+        if layout.has(Section::Contributions) {
+            check_offsets(Section::Contributions, part(Section::Contributions), layout.cells)?;
+        }
+        Ok(Self { layout, tree, objects, items, bytes, pairs: OnceLock::new() })
     }
 
     fn part(&self, section: Section) -> &[u8] {
@@ -179,6 +195,49 @@ impl Pvs {
     /// [`PvsError::NoCell`].
     pub fn is_set_aside(&self, cell: u32) -> Result<bool, PvsError> {
         Ok(self.flags(cell)? & SET_ASIDE != 0)
+    }
+
+    /// Whether a viewpoint can be in the cell. A cell where none can be was not sampled, and its sets are
+    /// empty.
+    ///
+    /// # Errors
+    /// [`PvsError::NoCell`].
+    pub fn is_reached(&self, cell: u32) -> Result<bool, PvsError> {
+        Ok(self.flags(cell)? & NOT_REACHED == 0)
+    }
+
+    /// What the sets of the result name.
+    pub fn granularity(&self) -> Granularity {
+        self.items.granularity()
+    }
+
+    /// The number of items that the sets name, K.
+    pub fn item_count(&self) -> u32 {
+        self.items.count(self.layout.triangles, &self.objects)
+    }
+
+    /// Whether the file says how much of the view each item takes.
+    pub fn has_contributions(&self) -> bool {
+        self.layout.has(Section::Contributions)
+    }
+
+    /// How much of the view each item visible from a cell takes, in the order of [`Self::visible_items`];
+    /// `None` when the file does not say.
+    ///
+    /// # Errors
+    /// [`PvsError::NoCell`], and [`PvsError::Malformed`] when a cell does not have as many as visible items.
+    pub fn contributions(&self, cell: u32) -> Result<Option<Vec<Contribution>>, PvsError> {
+        self.leaf(cell)?;
+        if !self.has_contributions() {
+            return Ok(None);
+        }
+        let bytes = contributions::of_cell(self.part(Section::Contributions), cell, self.layout.cells)?;
+        let mut items = Vec::new();
+        self.visible_items(cell, &mut items)?;
+        if items.len() != bytes.len() {
+            return Err(Section::Contributions.malformed("a cell has more or fewer than visible items"));
+        }
+        Ok(Some(bytes.iter().map(|b| Contribution::from_byte(*b)).collect()))
     }
 
     /// The statistics of the bake, one value for each cell, in the order they were given to the builder;

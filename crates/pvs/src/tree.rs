@@ -29,6 +29,9 @@ struct Links {
     parent: u32,
     /// Of a split, its upper child. Of a leaf, its cell.
     upper_or_cell: u32,
+    /// The first cell below it, and the one after the last.
+    first: u32,
+    end: u32,
 }
 
 /// A valid kd-tree over a view box. Its leaves are the cells, numbered 0 … M−1 depth first, lower child
@@ -76,7 +79,8 @@ impl CellTree {
             }
             match *node {
                 Node::Leaf => {
-                    links.push(Links { parent, upper_or_cell: leaves.len() as u32 });
+                    let cell = leaves.len() as u32;
+                    links.push(Links { parent, upper_or_cell: cell, first: cell, end: cell + 1 });
                     leaves.push(i as u32);
                 }
                 Node::Split { axis, at } => {
@@ -90,7 +94,7 @@ impl CellTree {
                     if depth >= MAX_DEPTH {
                         return Err(bad(i, "the tree is too deep"));
                     }
-                    links.push(Links { parent, upper_or_cell: 0 });
+                    links.push(Links { parent, upper_or_cell: 0, first: leaves.len() as u32, end: 0 });
                     let (mut lower, mut upper) = (bounds, bounds);
                     lower[1][a] = at;
                     upper[0][a] = at;
@@ -101,6 +105,12 @@ impl CellTree {
         }
         if !open.is_empty() {
             return Err(bad(nodes.len(), "nodes are missing at the end"));
+        }
+        // Children follow their parents, so going backwards every child is finished before its parent.
+        for i in (0..nodes.len()).rev() {
+            if let Node::Split { .. } = nodes[i] {
+                links[i].end = links[links[i].upper_or_cell as usize].end;
+            }
         }
         Ok(Self { view_box, nodes, links, leaves })
     }
@@ -172,6 +182,11 @@ impl CellTree {
             Node::Split { .. } => Some(self.links[node as usize].upper_or_cell),
             Node::Leaf => None,
         }
+    }
+
+    /// The first cell below a node, and the one after the last.
+    pub(crate) fn cells_below(&self, node: u32) -> [u32; 2] {
+        [self.links[node as usize].first, self.links[node as usize].end]
     }
 
     /// The nodes from `node` up to the root, both included.

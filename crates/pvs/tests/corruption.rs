@@ -33,15 +33,15 @@ fn file_with(columns: Vec<Column>, certificates: &[&[u8]]) -> Vec<u8> {
     ];
     let tree = CellTree::new([[0.0; 3], [1.0; 3]], nodes).unwrap();
     let objects = vec![
-        Object { name: "wall".into(), first: 0, count: 60 },
-        Object { name: "tree".into(), first: 60, count: 40 },
+        Object { name: "wall".into(), first: 0, count: 60, source: None },
+        Object { name: "tree".into(), first: 60, count: 40, source: None },
     ];
     let info_json = r#"{"resolution":256}"#.into();
     let mut builder =
         Builder::new(Header { triangles: 100, method: "aggressive".into(), tree, objects, info_json })
             .unwrap();
     builder.push_cell(&[1, 2, 3, 50, 99], &[3], 0).unwrap();
-    builder.push_cell(&[1, 2, 3, 51, 98], &[], 2).unwrap();
+    builder.push_cell(&[1, 2, 3, 51, 98], &[], 4).unwrap();
     builder.push_cell(&(0..100).collect::<Vec<_>>(), &[], 1).unwrap();
     builder.set_columns(columns).unwrap();
     certificates.iter().for_each(|c| builder.push_certificate(c).unwrap());
@@ -141,8 +141,8 @@ fn other_files_and_versions_are_named() {
     assert!(matches!(Pvs::from_bytes(&b"solid cube"[..]), Err(PvsError::NotPvs)));
     assert!(matches!(Pvs::from_bytes(&b""[..]), Err(PvsError::NotPvs)));
     let mut newer = small_file();
-    newer[8] = 2;
-    assert!(matches!(Pvs::from_bytes(newer), Err(PvsError::Version { found: 2, known: 1 })));
+    newer[8] = 3;
+    assert!(matches!(Pvs::from_bytes(newer), Err(PvsError::Version { found: 3, known: 2 })));
 }
 
 /// Writes the right checksums over whatever the file now holds.

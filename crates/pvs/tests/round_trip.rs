@@ -33,10 +33,10 @@ fn header(triangles: u32, tree: CellTree, sizes: &[u32]) -> Header {
     let mut first = 0;
     for (i, &size) in sizes.iter().enumerate() {
         let count = size.min(triangles - first);
-        objects.push(Object { name: format!("part {i} ü"), first, count });
+        objects.push(Object { name: format!("part {i} ü"), first, count, source: None });
         first += count;
     }
-    objects.push(Object { name: String::new(), first, count: triangles - first });
+    objects.push(Object { name: String::new(), first, count: triangles - first, source: None });
     Header { triangles, method: "aggressive".into(), tree, objects, info_json: r#"{"seed":1}"#.into() }
 }
 
@@ -214,9 +214,9 @@ fn bad_input_is_refused() {
     assert!(matches!(builder.push_cell(&[2], &[], 0), Err(PvsError::CellCount { expected: 2, pushed: 3 })));
 
     let mut gap = header(10, tree(1, &[0]), &[]);
-    gap.objects = vec![Object { name: "a".into(), first: 1, count: 9 }];
+    gap.objects = vec![Object { name: "a".into(), first: 1, count: 9, source: None }];
     assert!(matches!(Builder::new(gap.clone()), Err(PvsError::Objects { object: 0, .. })));
-    gap.objects = vec![Object { name: "a".into(), first: 0, count: 9 }];
+    gap.objects = vec![Object { name: "a".into(), first: 0, count: 9, source: None }];
     assert!(matches!(Builder::new(gap), Err(PvsError::Objects { object: 1, .. })));
 }
 

@@ -17,6 +17,13 @@ pub enum LineSet {
     Blocking = 0,
     /// Those that a line passes.
     SeeThrough = 1,
+    /// Those whose masks decide whether a line passes.
+    Masked = 2,
+}
+
+impl LineSet {
+    /// The number of sets.
+    pub const COUNT: usize = 3;
 }
 
 /// A backend bound to one scene and one [`crate::cube::CubeSpec`].

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use sightline_model::SamplingParams;
-use sightline_viewcells::{Division, Lattice};
+use sightline_viewcells::{Division, Lattice, Viewpoints};
 
 use crate::backend::Backend;
 use crate::error::BackendError;
@@ -19,12 +19,23 @@ pub struct JobContext<'a> {
     pub lattice: Lattice,
     /// The sampling parameters.
     pub params: &'a SamplingParams,
+    /// Where in the cells of a grid viewpoints can be; `None` for everywhere.
+    pub viewpoints: Option<&'a Viewpoints>,
+    /// The grid over which pairs of cells are looked for; `None` when the job does not ask.
+    pub pairs: Option<[u32; 3]>,
     /// The backend that traces and renders.
     pub backend: &'a dyn Backend,
     /// Seed of all random numbers.
     pub seed: u64,
     /// When sampling stops with the sets found by then; the sampler cubes ignores it.
     pub deadline: Option<Instant>,
+}
+
+impl JobContext<'_> {
+    /// Whether sampling has to stop.
+    pub fn is_late(&self) -> bool {
+        self.deadline.is_some_and(|d| Instant::now() >= d)
+    }
 }
 
 /// Why a tile did not finish.

@@ -1,8 +1,8 @@
-//! Visibility cubes of scenes with kinds: item buffers of the blocking triangles, and the see-through
-//! triangles in front of each pixel.
+//! Visibility cubes of scenes with kinds or sides: item buffers of the blocking triangles, and the
+//! see-through triangles in front of each pixel.
 //!
 //! The cubes are traced as sight lines, on either backend: rasterised item buffers have one layer. Scenes of
-//! opaque triangles keep their backend's own renderer.
+//! opaque triangles with two sides keep their backend's own renderer.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -18,8 +18,9 @@ use crate::sight::{Passed, Sight};
 /// Packets traced at a time.
 const BATCH: usize = 1024;
 
-/// Prepares the rendering of a scene of any kinds: [`Backend::prepare`] for opaque scenes; else the whole
-/// scene is traced, whatever the superset.
+/// Prepares the rendering of a scene of any kinds and sides, up to the distance `far`: [`Backend::prepare`]
+/// for opaque scenes with two sides and without such a distance; else the whole scene is traced, whatever the
+/// superset.
 ///
 /// # Errors
 /// As [`Backend::prepare`].
@@ -28,13 +29,15 @@ pub fn renderer<'a>(
     scene: &'a PreparedScene,
     spec: CubeSpec,
     superset: Option<&[u32]>,
+    far: Option<f64>,
 ) -> Result<Box<dyn CubeRenderer + 'a>, BackendError> {
-    if scene.scene().kinds().all_opaque() {
+    let plain = scene.scene().kinds().all_opaque() && scene.scene().sides().are_both();
+    if plain && far.is_none() {
         return backend.prepare(superset);
     }
     let bounds = scene.scene().bounds();
     let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
-    Ok(Box::new(Layered { sight: Sight::new(backend, scene.traced())?, spec, step }))
+    Ok(Box::new(Layered { sight: Sight::new(backend, scene.traced())?.up_to(far), spec, step }))
 }
 
 struct Layered<'a> {

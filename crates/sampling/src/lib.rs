@@ -33,6 +33,7 @@ pub mod lines;
 pub mod packet;
 mod prepared;
 mod reduce;
+pub mod rows;
 pub mod sequence;
 pub mod sight;
 pub mod surface;

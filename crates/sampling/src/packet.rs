@@ -53,6 +53,12 @@ impl Packet {
         ([0, 1, 2].map(|a| self.origin[a][lane]), [0, 1, 2].map(|a| self.direction[a][lane]))
     }
 
+    /// Length of the direction of a lane.
+    pub fn length(&self, lane: usize) -> f32 {
+        let [x, y, z] = [0, 1, 2].map(|a| self.direction[a][lane]);
+        (x * x + y * y + z * z).sqrt()
+    }
+
     /// The same rays in the opposite directions. They start ahead of the origins of the forward rays: by a
     /// few units in the last place of the origins, and at least by `step` (world units, along the longest
     /// component of the direction). A triangle that contains an origin is at distance 0, where no ray meets

@@ -9,9 +9,11 @@ use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 use sightline_scene::topology::{self, Solids};
-use sightline_scene::{Kind, Scene, SceneError};
+use sightline_scene::{Kind, Scene, SceneError, Side};
 
+use crate::rows::Rows;
 use crate::surface::Surface;
+use sightline_model::Granularity;
 
 /// A scene and the facts about it that are known so far.
 pub struct PreparedScene {
@@ -22,8 +24,11 @@ pub struct PreparedScene {
     duplicates: OnceLock<Vec<Vec<u32>>>,
     distinct: OnceLock<Vec<u32>>,
     see_through: OnceLock<Vec<u32>>,
+    masked: OnceLock<(Vec<u32>, Vec<Vec<u32>>)>,
     shown: OnceLock<Vec<u32>>,
     surface: OnceLock<Surface>,
+    /// By granularity.
+    rows: [OnceLock<Rows>; 3],
 }
 
 /// The triangles among which sight lines are traced.
@@ -31,10 +36,16 @@ pub struct PreparedScene {
 pub struct Traced<'a> {
     /// The triangles.
     pub scene: &'a Scene,
-    /// Ids of the blocking triangles with area, one of each class of duplicates, in ascending order.
+    /// Ids of the blocking triangles with area, one of each class of duplicates (two if it has triangles of
+    /// one side with opposite fronts), in ascending order.
     pub distinct: &'a [u32],
     /// The same for see-through triangles.
     pub see_through: &'a [u32],
+    /// The same for masked triangles.
+    pub masked: &'a [u32],
+    /// The classes of masked triangles with the same three vertices, whose masks may differ; ascending by
+    /// their first triangle, which is the one in `masked`.
+    pub coincident: &'a [Vec<u32>],
 }
 
 /// The facts that sight lines need.
@@ -46,10 +57,11 @@ pub struct LineScene<'a> {
     pub distinct: &'a [u32],
     /// The same for see-through triangles.
     pub see_through: &'a [u32],
-    /// The triangles of both that show, in ascending order.
+    /// The triangles of both that show, and all masked ones with area, in ascending order.
     pub shown: &'a [u32],
-    /// Classes of showing triangles of one kind with the same three vertices, which are seen together or not
-    /// at all.
+    /// Classes of opaque or of see-through triangles with the same three vertices, which are seen together or
+    /// not at all: those of one side are seen with those of both sides, if there are any, else with those of
+    /// the same front. Masked ones are found one by one, since their masks may differ.
     pub duplicates: &'a [Vec<u32>],
     /// Neighbours over edges, and the triangles' order in space.
     pub surface: &'a Surface,
@@ -81,8 +93,10 @@ impl PreparedScene {
             duplicates: OnceLock::new(),
             distinct: OnceLock::new(),
             see_through: OnceLock::new(),
+            masked: OnceLock::new(),
             shown: OnceLock::new(),
             surface: OnceLock::new(),
+            rows: Default::default(),
         })
     }
 
@@ -103,6 +117,20 @@ impl PreparedScene {
         LineScene { scene: &self.scene, distinct, see_through, shown, duplicates, surface }
     }
 
+    /// The rows of the table of what cells see.
+    ///
+    /// # Panics
+    /// On a thread of rayon's pool (see the module's documentation).
+    pub fn rows(&self, granularity: Granularity) -> &Rows {
+        outside_the_pool();
+        let place = &self.rows[match granularity {
+            Granularity::Triangles => 0,
+            Granularity::Clusters => 1,
+            Granularity::Objects => 2,
+        }];
+        place.get_or_init(|| Rows::new(&self.scene, granularity, self.duplicates()))
+    }
+
     /// The facts that visibility cubes need.
     ///
     /// # Panics
@@ -120,7 +148,9 @@ impl PreparedScene {
     /// On a thread of rayon's pool (see the module's documentation).
     pub fn traced(&self) -> Traced<'_> {
         outside_the_pool();
-        Traced { scene: &self.scene, distinct: self.distinct(), see_through: self.see_through() }
+        let (distinct, see_through) = (self.distinct(), self.see_through());
+        let (masked, coincident) = self.masked();
+        Traced { scene: &self.scene, distinct, see_through, masked, coincident }
     }
 
     #[expect(clippy::expect_used, reason = "new() has checked the only thing that can fail")]
@@ -130,7 +160,7 @@ impl PreparedScene {
 
     fn duplicates(&self) -> &[Vec<u32>] {
         let kinds = self.scene.kinds();
-        if kinds.all_opaque() {
+        if kinds.all_opaque() && self.scene.sides().are_both() {
             return self.classes();
         }
         self.duplicates.get_or_init(|| {
@@ -139,6 +169,7 @@ impl PreparedScene {
             };
             let classes = self.classes().iter();
             let parts = classes.flat_map(|c| [of(Kind::Opaque, c), of(Kind::SeeThrough, c)]);
+            let parts = parts.flat_map(|class| self.seen_together(class));
             parts.filter(|class| class.len() > 1).collect()
         })
     }
@@ -155,6 +186,23 @@ impl PreparedScene {
         })
     }
 
+    /// See [`Traced::masked`] and [`Traced::coincident`].
+    fn masked(&self) -> &(Vec<u32>, Vec<Vec<u32>>) {
+        self.masked.get_or_init(|| {
+            let kinds = self.scene.kinds();
+            if !kinds.any_masked() {
+                return Default::default();
+            }
+            let of = |class: &Vec<u32>| -> Vec<u32> {
+                class.iter().copied().filter(|t| kinds.kind(*t) == Kind::Masked).collect()
+            };
+            let mut classes: Vec<Vec<u32>> = self.classes().iter().map(of).filter(|c| c.len() > 1).collect();
+            classes.iter_mut().for_each(|c| c.sort_unstable());
+            classes.sort_unstable();
+            (self.one_of_each(&[Kind::Masked]), classes)
+        })
+    }
+
     fn shown<'a>(&'a self, distinct: &'a [u32], see_through: &[u32]) -> &'a [u32] {
         let kinds = self.scene.kinds();
         if kinds.all_opaque() {
@@ -163,25 +211,53 @@ impl PreparedScene {
         self.shown.get_or_init(|| {
             let shows = |t: &u32| kinds.kind(*t).shows();
             let mut shown: Vec<u32> = distinct.iter().chain(see_through).copied().filter(shows).collect();
+            // Of masked triangles in one place each has its own holes.
+            shown.extend((0..self.scene.len()).filter(|t| {
+                kinds.kind(*t) == Kind::Masked && !self.scene.triangles()[*t as usize].is_degenerate()
+            }));
             shown.sort_unstable();
             shown
         })
     }
 
+    /// A class of duplicates of one kind, or its two parts of opposite fronts when all have one side.
+    fn seen_together(&self, class: Vec<u32>) -> [Vec<u32>; 2] {
+        let faces = |t: &u32, wanted: bool| front(&self.scene, *t) == Some(wanted);
+        if class.iter().any(|t| front(&self.scene, *t).is_none()) {
+            return [class, Vec::new()];
+        }
+        [true, false].map(|wanted| class.iter().copied().filter(|t| faces(t, wanted)).collect())
+    }
+
     /// The triangles with area of some kinds, in ascending order; of a class of duplicates only the first of
-    /// the first of these kinds that is in it.
+    /// the first of these kinds that is in it, for each side of its plane.
     fn one_of_each(&self, wanted: &[Kind]) -> Vec<u32> {
         let kinds = self.scene.kinds();
         let rank = |t: u32| wanted.iter().position(|k| *k == kinds.kind(t));
         let mut kept = vec![true; self.scene.triangles().len()];
         for class in self.classes() {
-            let first = class.iter().copied().filter(|t| rank(*t).is_some()).min_by_key(|t| (rank(*t), *t));
-            class.iter().filter(|t| Some(**t) != first).for_each(|t| kept[*t as usize] = false);
+            let first = [true, false].map(|side| {
+                let met = class.iter().copied().filter(|t| rank(*t).is_some());
+                let met = met.map(|t| (t, front(&self.scene, t))).filter(|(_, f)| *f != Some(!side));
+                // One with both sides spares the other side's.
+                met.min_by_key(|(t, front)| (rank(*t), front.is_some(), *t)).map(|(t, _)| t)
+            });
+            class.iter().filter(|t| !first.contains(&Some(**t))).for_each(|t| kept[*t as usize] = false);
         }
         let area = |id: &u32| !self.scene.triangles()[*id as usize].is_degenerate();
         let of_these = |id: &u32| kept[*id as usize] && rank(*id).is_some();
         (0..self.scene.len()).into_par_iter().filter(of_these).filter(area).collect()
     }
+}
+
+/// On which side of its plane a triangle is met, the same for triangles with the same vertices in any order;
+/// none when it is met from both.
+fn front(scene: &Scene, triangle: u32) -> Option<bool> {
+    let side = scene.sides().side(triangle);
+    let [a, b, c] = scene.triangles()[triangle as usize].v.map(topology::position);
+    // Vertices that are sorted by position run one way around, up to the choice of the first.
+    let sorted = [a < b, b < c, c < a].into_iter().filter(|ascends| *ascends).count() == 2;
+    (side != Side::Both).then_some(sorted == (side == Side::CounterClockwise))
 }
 
 /// Refuses threads of rayon's pool.

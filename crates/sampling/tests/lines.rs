@@ -13,6 +13,7 @@ use sightline_sampling::lines::block::{Block, Tools};
 use sightline_sampling::lines::grid::CellGrid;
 use sightline_sampling::lines::rounds::Tolerance;
 use sightline_sampling::packet::Packet;
+use sightline_sampling::rows::Rows;
 use sightline_sampling::sequence::Hashed;
 use sightline_sampling::sight::{Passed, Sight};
 use sightline_sampling::surface::Surface;
@@ -86,10 +87,13 @@ fn with_block<R>(
     f: impl FnOnce(&mut Block<'_>) -> R,
 ) -> R {
     let surface = Surface::of(scene, &all(scene));
-    let tools = Tools { scene, surface: &surface, sight, seed, watcher: &Silent, deadline: None };
+    let rows = Rows::triangles(scene);
+    let (watcher, deadline) = (&Silent, None);
+    let tools = Tools { scene, surface: &surface, rows: &rows, sight, seed, watcher, deadline };
     let [nx, ny, _] = cells.map(u64::from);
     let number = |c: [u32; 3]| (u64::from(c[2]) * ny + u64::from(c[1])) * nx + u64::from(c[0]);
-    f(&mut Block::new(tools, CellGrid::new(view[0], view[1], cells), number))
+    let grid = CellGrid::new(view[0], view[1], cells);
+    f(&mut Block::new(tools, grid.clone(), number, |_| u64::MAX, Some(grid)))
 }
 
 fn sets(block: &Block<'_>) -> Vec<Vec<u32>> {

@@ -74,6 +74,8 @@ fn bake_tiles(
         division,
         lattice,
         params,
+        viewpoints: None,
+        pairs: None,
         backend: &backend as &dyn Backend,
         seed: 0,
         deadline: None,
@@ -280,7 +282,17 @@ fn an_adaptive_tree_that_runs_out_of_time_says_where() {
     let plan = Plan::new(&division, &lattice, Layout::Blocks(512));
     let now = Some(std::time::Instant::now());
     let (params, backend) = (&params, &backend as &dyn Backend);
-    let job = JobContext { scene: &prepared, division, lattice, params, backend, seed: 0, deadline: now };
+    let job = JobContext {
+        scene: &prepared,
+        division,
+        lattice,
+        params,
+        viewpoints: None,
+        pairs: None,
+        backend,
+        seed: 0,
+        deadline: now,
+    };
     let TileOutput::Cells(sets) = tile::run(&job, &plan.tiles[0], &[], &Count::default()).unwrap().0 else {
         panic!("a leaf tile gives cells")
     };

@@ -35,7 +35,7 @@ pub fn scene_blob(bytes: &[u8]) -> bool {
 
 /// Loads `bytes`; encodes and decodes an accepted scene in both encodings.
 fn file(name: &str, bytes: &[u8]) -> bool {
-    let options = Options { limits: LIMITS, rules: Vec::new() };
+    let options = Options { limits: LIMITS, rules: Vec::new(), alpha_textures: true, cull_back_faces: true };
     let Ok(scene) = load_bytes_with(name, bytes, None, &options).map(|l| l.scene) else { return false };
     let blob = scene.to_blob();
     let again = Scene::from_blob("fuzz", &blob).map(|s| s.to_blob());

@@ -20,13 +20,16 @@ pub enum Kind {
     OccluderOnly = 2,
     /// Neither blocks nor shows, because its place at run time is unknown: a door, a character.
     Moving = 3,
+    /// Shows, and blocks where the texel of its alpha mask does ([`crate::masks`]): a fence, a leaf.
+    Masked = 4,
 }
 
 impl Kind {
     /// All kinds, by number.
-    pub const ALL: [Self; 4] = [Self::Opaque, Self::SeeThrough, Self::OccluderOnly, Self::Moving];
+    pub const ALL: [Self; 5] =
+        [Self::Opaque, Self::SeeThrough, Self::OccluderOnly, Self::Moving, Self::Masked];
 
-    /// The kind that blocks and shows as given.
+    /// The kind that blocks and shows as given, everywhere.
     pub const fn of(blocks: bool, shows: bool) -> Self {
         match (blocks, shows) {
             (true, true) => Self::Opaque,
@@ -36,14 +39,14 @@ impl Kind {
         }
     }
 
-    /// Whether a sight line ends at the triangle.
+    /// Whether every sight line ends at the triangle. Of a masked triangle only some do.
     pub const fn blocks(self) -> bool {
         matches!(self, Self::Opaque | Self::OccluderOnly)
     }
 
     /// Whether the triangle can be in a visibility set.
     pub const fn shows(self) -> bool {
-        matches!(self, Self::Opaque | Self::SeeThrough)
+        matches!(self, Self::Opaque | Self::SeeThrough | Self::Masked)
     }
 
     /// The name in messages and files.
@@ -53,6 +56,7 @@ impl Kind {
             Self::SeeThrough => "see-through",
             Self::OccluderOnly => "occluder-only",
             Self::Moving => "moving",
+            Self::Masked => "masked",
         }
     }
 
@@ -99,6 +103,8 @@ pub struct Kinds {
     pub(crate) runs: Vec<Run>,
     pub(crate) reasons: Vec<String>,
     pub(crate) rules: Vec<Rule>,
+    /// Whether alpha textures decided about some triangles.
+    pub(crate) alpha_textures: bool,
 }
 
 /// Most bytes of a reason or a glob.
@@ -119,6 +125,22 @@ impl Kinds {
         parts: impl IntoIterator<Item = (u32, Kind, R)>,
         rules: Vec<Rule>,
     ) -> Self {
+        Self::collect(parts, rules, false)
+    }
+
+    /// The same where alpha textures decided about some triangles, be they masked or alike everywhere.
+    pub fn from_textures<R: AsRef<str>>(
+        parts: impl IntoIterator<Item = (u32, Kind, R)>,
+        rules: Vec<Rule>,
+    ) -> Self {
+        Self::collect(parts, rules, true)
+    }
+
+    fn collect<R: AsRef<str>>(
+        parts: impl IntoIterator<Item = (u32, Kind, R)>,
+        rules: Vec<Rule>,
+        alpha_textures: bool,
+    ) -> Self {
         let mut runs: Vec<Run> = Vec::new();
         let mut reasons: Vec<String> = Vec::new();
         for (count, kind, reason) in parts.into_iter().filter(|p| p.0 > 0) {
@@ -133,10 +155,10 @@ impl Kinds {
                 _ => runs.push(Run { count, kind, reason }),
             }
         }
-        if rules.is_empty() && runs.iter().all(|r| r.kind == Kind::Opaque) {
+        if rules.is_empty() && !alpha_textures && runs.iter().all(|r| r.kind == Kind::Opaque) {
             return Self::opaque();
         }
-        Self { of: expanded(&runs), runs, reasons, rules }
+        Self { of: expanded(&runs), runs, reasons, rules, alpha_textures }
     }
 
     /// The kind of a triangle.
@@ -152,6 +174,32 @@ impl Kinds {
     /// The kinds by triangle; empty when all triangles are opaque.
     pub fn by_triangle(&self) -> &[Kind] {
         &self.of
+    }
+
+    /// Whether a triangle is masked, so that only its texture says where it blocks.
+    pub fn any_masked(&self) -> bool {
+        self.runs.iter().any(|r| r.kind == Kind::Masked)
+    }
+
+    /// Whether alpha textures decided about some triangles.
+    pub fn alpha_textures(&self) -> bool {
+        self.alpha_textures
+    }
+
+    /// The masked triangles as ranges (first, count), ascending; adjacent ranges are joined.
+    pub(crate) fn masked(&self) -> Vec<(u64, u64)> {
+        let mut ranges: Vec<(u64, u64)> = Vec::new();
+        let mut at = 0;
+        for run in &self.runs {
+            let count = u64::from(run.count);
+            match ranges.last_mut() {
+                _ if run.kind != Kind::Masked => {}
+                Some((first, n)) if *first + *n == at => *n += count,
+                _ => ranges.push((at, count)),
+            }
+            at += count;
+        }
+        ranges
     }
 
     /// The rules of the user that were applied, in order.
@@ -186,6 +234,12 @@ impl Kinds {
         let covered: u64 = self.runs.iter().map(|r| u64::from(r.count)).sum();
         if !self.runs.is_empty() && covered != u64::from(triangles) {
             return Err(bad(format!("they are given for {covered} triangles of {triangles}")));
+        }
+        if self.any_masked() && !self.alpha_textures {
+            return Err(bad("triangles are masked, but no texture was read".to_owned()));
+        }
+        if self.rules.iter().any(|r| r.kind == Kind::Masked) {
+            return Err(bad("a rule makes triangles masked, which only a texture does".to_owned()));
         }
         let mut texts = self.reasons.iter().chain(self.rules.iter().map(|r| &r.glob));
         if texts.any(|t| t.len() > MAX_TEXT) {
@@ -228,8 +282,12 @@ pub(crate) fn write(kinds: &Kinds, out: &mut Vec<u8>) {
     }
 }
 
-/// Reads the section that [`write`] appends, which must be all of `bytes`. `triangles` bounds the runs.
-pub(crate) fn read(bytes: &[u8], triangles: u32) -> Result<Kinds, &'static str> {
+/// Reads the section that [`write`] appends, and returns the bytes after it. `triangles` bounds the runs.
+pub(crate) fn read(
+    bytes: &[u8],
+    triangles: u32,
+    alpha_textures: bool,
+) -> Result<(Kinds, &[u8]), &'static str> {
     let mut r = Reader(bytes);
     let mut rules = Vec::new();
     for _ in 0..r.count(5)? {
@@ -252,19 +310,16 @@ pub(crate) fn read(bytes: &[u8], triangles: u32) -> Result<Kinds, &'static str> 
         }
         runs.push(run);
     }
-    if !r.0.is_empty() {
-        return Err("there are bytes after the kinds");
-    }
     if covered != u64::from(triangles) {
         return Err("the kinds do not cover all triangles");
     }
     // One scene has one encoding: no run is split, no reason unused, and opaque scenes have no kinds.
     let parts = runs.iter().map(|r| (r.count, r.kind, &reasons[r.reason as usize]));
-    let kinds = Kinds::from_runs(parts, rules);
+    let kinds = Kinds::collect(parts, rules, alpha_textures);
     if kinds.runs != runs || kinds.reasons != reasons {
         return Err("the kinds are not in their canonical form");
     }
-    Ok(kinds)
+    Ok((kinds, r.0))
 }
 
 /// Reads numbers and texts; every count is checked against the remaining bytes.
@@ -301,51 +356,5 @@ impl Reader<'_> {
 }
 
 #[cfg(test)]
-mod tests {
-    use proptest::prelude::*;
-
-    use super::*;
-
-    fn kind() -> impl Strategy<Value = Kind> {
-        (0usize..4).prop_map(|k| Kind::ALL[k])
-    }
-
-    proptest! {
-        #[test]
-        fn kinds_are_read_as_they_were_written(
-            parts in prop::collection::vec((1u32..50, kind(), "[a-c]{0,3}"), 1..20),
-            rules in prop::collection::vec((kind(), "[*a-c]{0,5}"), 0..4),
-            cut in any::<prop::sample::Index>(),
-        ) {
-            let triangles = parts.iter().map(|p| p.0).sum();
-            let rules: Vec<Rule> = rules.into_iter().map(|(kind, glob)| Rule { kind, glob }).collect();
-            let kinds = Kinds::from_runs(parts.iter().map(|(n, k, r)| (*n, *k, r.as_str())), rules.clone());
-            let truth: Vec<Kind> =
-                parts.iter().flat_map(|(n, k, _)| std::iter::repeat_n(*k, *n as usize)).collect();
-            for (id, k) in truth.iter().enumerate() {
-                prop_assert_eq!(kinds.kind(id as u32), *k);
-            }
-            prop_assert_eq!(kinds.all_opaque(), truth.iter().all(|k| *k == Kind::Opaque));
-            let mut bytes = Vec::new();
-            write(&kinds, &mut bytes);
-            if !kinds.runs.is_empty() {
-                prop_assert_eq!(&read(&bytes, triangles), &Ok(kinds.clone()));
-                let counted: u64 = kinds.counts().iter().map(|c| c.triangles).sum();
-                prop_assert_eq!(counted, u64::from(triangles));
-                // Cut anywhere, or for another scene, the bytes are refused.
-                prop_assert!(read(&bytes[..cut.index(bytes.len())], triangles).is_err());
-                prop_assert!(read(&bytes, triangles + 1).is_err());
-            }
-        }
-    }
-
-    #[test]
-    fn a_kind_blocks_and_shows_by_its_definition() {
-        let truth = [(true, true), (false, true), (true, false), (false, false)];
-        for (kind, (blocks, shows)) in Kind::ALL.into_iter().zip(truth) {
-            assert_eq!((kind.blocks(), kind.shows()), (blocks, shows), "{kind:?}");
-            assert_eq!(Kind::of(blocks, shows), kind);
-            assert_eq!(Kind::from_name(kind.name()), Some(kind));
-        }
-    }
-}
+#[path = "kinds_tests.rs"]
+mod tests;

@@ -15,6 +15,7 @@
 //! # Ok::<(), sightline_scene::SceneError>(())
 //! ```
 
+pub mod clusters;
 pub mod error;
 pub mod exact;
 #[doc(hidden)]
@@ -23,14 +24,20 @@ pub mod generate;
 pub mod glb_out;
 pub mod kinds;
 pub mod load;
+pub mod masks;
 pub mod overlap;
 pub mod ply_out;
 pub mod scene;
+pub mod sides;
+pub mod sources;
 pub mod topology;
+mod turn;
 
 pub use error::SceneError;
 pub use kinds::{Kind, Kinds, Rule};
 pub use load::{load, load_bytes, load_with};
 pub use ply_out::write_mesh_ply;
 pub use scene::{Object, Scene, SceneDigest, Triangle};
+pub use sides::{Side, Sides};
 pub use sightline_numbers::Aabb;
+pub use sources::Source;

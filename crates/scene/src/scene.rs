@@ -5,11 +5,14 @@
 //! read triangles.
 
 use bytemuck::{Pod, Zeroable};
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use sightline_numbers::Aabb;
 
 use crate::SceneError;
 use crate::kinds::{self, Kinds};
+use crate::masks::{self, Masks};
+use crate::sides::{self, Side, Sides};
+use crate::sources::{self, Source};
 
 /// A triangle: three vertices in world space, in the winding of the file. 36 bytes without padding.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -64,12 +67,26 @@ pub struct Scene {
     objects: Vec<Object>,
     bounds: Aabb,
     kinds: Kinds,
+    masks: Masks,
+    /// One for each object, or none.
+    sources: Vec<Source>,
+    sides: Sides,
 }
 
 /// First bytes of a canonical scene of opaque triangles: name and version of the encoding.
 const BLOB_MAGIC: &[u8; 8] = b"SLSCENE1";
 /// The same for a scene with kinds.
 const BLOB_MAGIC_KINDS: &[u8; 8] = b"SLSCENE2";
+/// The same for a scene with kinds whose alpha textures were read.
+const BLOB_MAGIC_MASKS: &[u8; 8] = b"SLSCENE4";
+/// The same for a scene with sides, or that says where its objects are in a glTF file. A u32 of flags
+/// follows.
+const BLOB_MAGIC_FLAGS: &[u8; 8] = b"SLSCENE5";
+/// Flags of such a scene: it has kinds, its alpha textures were read, it has sides, it has sources.
+const HAS_KINDS: u32 = 1;
+const HAS_MASKS: u32 = 2;
+const HAS_SIDES: u32 = 4;
+const HAS_SOURCES: u32 = 8;
 /// Longest object name kept in a scene, in bytes; longer names are refused by [`Scene::new`].
 pub const MAX_NAME_BYTES: usize = 4096;
 
@@ -140,16 +157,48 @@ impl Scene {
                 "every triangle must belong to one object",
             ));
         }
-        Ok(Self { triangles, objects, bounds, kinds: Kinds::opaque() })
+        Ok(Self {
+            triangles,
+            objects,
+            bounds,
+            kinds: Kinds::opaque(),
+            masks: Masks::none(),
+            sources: Vec::new(),
+            sides: Sides::both(),
+        })
+    }
+
+    /// The scene with the places of its objects in a glTF file, one for each, or none.
+    ///
+    /// # Errors
+    /// [`SceneError::Bad`] when there is another number of them.
+    pub fn with_sources(self, file: &str, sources: Vec<Source>) -> Result<Self, SceneError> {
+        sources::check(file, &sources, self.objects.len())?;
+        Ok(Self { sources, ..self })
+    }
+
+    /// The places of the objects in their glTF file, in the order of the objects; empty for other files.
+    pub fn sources(&self) -> &[Source] {
+        &self.sources
     }
 
     /// The scene with other kinds of triangles.
     ///
     /// # Errors
-    /// [`SceneError::Bad`] when the kinds are those of another number of triangles.
+    /// [`SceneError::Bad`] when the kinds are those of another number of triangles, or when some are masked.
     pub fn with_kinds(self, file: &str, kinds: Kinds) -> Result<Self, SceneError> {
+        self.with_masks(file, kinds, Masks::none())
+    }
+
+    /// The scene with other kinds of triangles, and the masks of the masked ones.
+    ///
+    /// # Errors
+    /// [`SceneError::Bad`] when the kinds are those of another number of triangles, or the masks are not
+    /// those of the masked triangles.
+    pub fn with_masks(self, file: &str, kinds: Kinds, masks: Masks) -> Result<Self, SceneError> {
         kinds.check(file, self.len())?;
-        Ok(Self { kinds, ..self })
+        masks.check(file, &kinds)?;
+        Ok(Self { kinds, masks, ..self })
     }
 
     /// The kinds of the triangles.
@@ -157,7 +206,47 @@ impl Scene {
         &self.kinds
     }
 
-    /// Whether triangle `id` ends sight lines: it has an area, and its kind blocks.
+    /// The masks of the masked triangles.
+    pub fn masks(&self) -> &Masks {
+        &self.masks
+    }
+
+    /// Whether masked triangle `id` blocks the line from `origin` along `direction` where the line meets it.
+    pub fn mask_blocks(&self, id: u32, origin: [f32; 3], direction: [f32; 3]) -> bool {
+        self.masks.block(id, self.triangles[id as usize].v, origin, direction)
+    }
+
+    /// The scene with other sides of triangles.
+    ///
+    /// # Errors
+    /// [`SceneError::Bad`] when the sides are those of another number of triangles.
+    pub fn with_sides(self, file: &str, sides: Sides) -> Result<Self, SceneError> {
+        sides.check(file, self.len())?;
+        Ok(Self { sides, ..self })
+    }
+
+    /// From which side each triangle is met.
+    pub fn sides(&self) -> &Sides {
+        &self.sides
+    }
+
+    /// The normal of triangle `id` towards its front, of any length; zero when it is met from both sides.
+    ///
+    /// Lines whose direction has a positive product with it meet the triangle from behind. The cross product
+    /// of the edges e and f is rounded in `f64`, with an error of less than 2⁻⁵⁰ |e| |f|. So the sign can be
+    /// wrong only for lines within an angle of 2⁻⁵⁰ |e| |f| / |e × f| of the plane, which meet the triangle
+    /// edge-on: they are far fewer than those that single precision cannot tell from its border.
+    pub fn front(&self, id: u32) -> DVec3 {
+        let side = self.sides.side(id);
+        if side == Side::Both {
+            return DVec3::ZERO;
+        }
+        let [a, b, c] = self.triangles[id as usize].v.map(|v| v.as_dvec3());
+        let normal = (b - a).cross(c - a);
+        if side == Side::Clockwise { -normal } else { normal }
+    }
+
+    /// Whether triangle `id` ends all sight lines: it has an area, and its kind blocks.
     pub fn blocks(&self, id: u32) -> bool {
         self.kinds.kind(id).blocks() && !self.triangles[id as usize].is_degenerate()
     }
@@ -193,21 +282,45 @@ impl Scene {
         self.bounds
     }
 
-    /// The canonical bytes, which are uploaded and digested. Little-endian:
-    /// `SLSCENE1`, u32 N, u32 M, N × 9 f32, then M × (u32 count, u32 name length, name UTF-8). A scene with
-    /// kinds begins with `SLSCENE2`, and its kinds follow the objects: u32 R, R × (u8 kind, glob), u32 S,
-    /// S × reason, u32 K, K × (u32 count, u8 kind, u32 reason), a glob or reason as u32 length and UTF-8.
+    /// The canonical bytes, which are uploaded and digested. Little-endian: `SLSCENE1`, u32 N, u32 M, N × 9
+    /// f32, then M × (u32 count, u32 name length, name UTF-8). A scene with kinds begins with `SLSCENE2`,
+    /// and its kinds follow the objects: u32 R, R × (u8 kind, glob), u32 S, S × reason, u32 K, K × (u32
+    /// count, u8 kind, u32 reason), a glob or reason as u32 length and UTF-8. A scene whose alpha textures
+    /// were read begins with `SLSCENE4`, and its masks follow the kinds: u32 M, M × (u32 width, u32 height,
+    /// 2 × u8 wrap, one bit a texel), u32 P, P × (u32 first, u32 count, u32 mask), then six f32 a masked
+    /// triangle. A scene with sides, or that says where its objects are in a glTF file, begins with
+    /// `SLSCENE5` and u32 flags (1: with kinds, 2: with masks, 4: with sides, 8: with sources). Its sides
+    /// follow the objects: u32 R and R × (u32 count, u8 side). Its sources end it: M × (u32 node, u32 mesh,
+    /// u32 primitive, u32 instance or 2³² − 1).
     pub fn to_blob(&self) -> Vec<u8> {
         let names: usize = self.objects.iter().map(|o| o.name.len() + 8).sum();
-        let mut out = Vec::with_capacity(16 + self.triangles.len() * 36 + names);
-        self.each_part(|part| out.extend_from_slice(part));
+        let mut out = Vec::with_capacity(20 + self.triangles.len() * 36 + names);
+        self.each_part(true, |part| out.extend_from_slice(part));
         out
     }
 
     /// The canonical bytes, in parts.
-    fn each_part(&self, mut take: impl FnMut(&[u8])) {
+    fn each_part(&self, with_sources: bool, mut take: impl FnMut(&[u8])) {
         let with_kinds = self.kinds != Kinds::opaque();
-        take(if with_kinds { BLOB_MAGIC_KINDS } else { BLOB_MAGIC });
+        let with_sources = with_sources && !self.sources.is_empty();
+        let with_sides = !self.sides.are_both();
+        let flagged = with_sources || with_sides;
+        take(match with_kinds {
+            _ if flagged => BLOB_MAGIC_FLAGS,
+            true if self.kinds.alpha_textures => BLOB_MAGIC_MASKS,
+            true => BLOB_MAGIC_KINDS,
+            false => BLOB_MAGIC,
+        });
+        if flagged {
+            let flags = [
+                (with_kinds, HAS_KINDS),
+                (with_kinds && self.kinds.alpha_textures, HAS_MASKS),
+                (with_sides, HAS_SIDES),
+                (with_sources, HAS_SOURCES),
+            ];
+            let flags = flags.iter().filter(|(has, _)| *has).fold(0, |all, (_, flag)| all | flag);
+            take(&flags.to_le_bytes());
+        }
         take(&self.len().to_le_bytes());
         take(&(self.objects.len() as u32).to_le_bytes());
         if cfg!(target_endian = "big") {
@@ -222,10 +335,21 @@ impl Scene {
             take(&(o.name.len() as u32).to_le_bytes());
             take(o.name.as_bytes());
         }
+        if !self.sides.are_both() {
+            let mut bytes = Vec::new();
+            sides::write(&self.sides, &mut bytes);
+            take(&bytes);
+        }
         if with_kinds {
             let mut bytes = Vec::new();
             kinds::write(&self.kinds, &mut bytes);
             take(&bytes);
+        }
+        if self.kinds.alpha_textures {
+            masks::write(&self.masks, &mut take);
+        }
+        if with_sources {
+            take(&sources::write(&self.sources));
         }
     }
 
@@ -246,24 +370,29 @@ impl Scene {
             let b = bytes.get(at..at.checked_add(4)?)?;
             Some(u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
         };
-        let with_kinds = match bytes.first_chunk::<8>() {
-            Some(BLOB_MAGIC) => false,
-            Some(BLOB_MAGIC_KINDS) => true,
+        let (flagged, flags) = match (bytes.first_chunk::<8>(), u32_at(8)) {
+            (Some(BLOB_MAGIC), _) => (false, 0),
+            (Some(BLOB_MAGIC_KINDS), _) => (false, HAS_KINDS),
+            (Some(BLOB_MAGIC_MASKS), _) => (false, HAS_KINDS | HAS_MASKS),
+            // Sides or sources are there, and masks only with kinds.
+            (Some(BLOB_MAGIC_FLAGS), Some(flags @ 4..16)) if flags & 3 != HAS_MASKS => (true, flags),
             _ => return Err(bad("header", "it is not a canonical scene")),
         };
-        let (Some(n), Some(m)) = (u32_at(8), u32_at(12)) else {
+        let head = if flagged { 12 } else { 8 };
+        let (Some(n), Some(m)) = (u32_at(head), u32_at(head + 4)) else {
             return Err(bad("header", "it is cut short"));
         };
+        let head = head + 8;
         let body = (n as usize)
             .checked_mul(36)
-            .and_then(|len| bytes.get(16..16usize.checked_add(len)?))
+            .and_then(|len| bytes.get(head..head.checked_add(len)?))
             .ok_or_else(|| bad("triangles", "the header counts more than there are"))?;
         let mut triangles = vec![Triangle::zeroed(); n as usize];
         bytemuck::cast_slice_mut(&mut triangles).copy_from_slice(body);
         if cfg!(target_endian = "big") {
             swap_bytes(&mut triangles);
         }
-        let mut at = 16 + body.len();
+        let mut at = head + body.len();
         // Each object takes at least eight bytes, so the count is checked against what is left.
         if (m as usize) > (bytes.len() - at) / 8 {
             return Err(bad("objects", "the header counts more than there are"));
@@ -287,21 +416,49 @@ impl Scene {
                 .filter(|f| *f <= n)
                 .ok_or_else(|| bad(&element, "it names more triangles than there are"))?;
         }
-        let rest = &bytes[at..];
-        if with_kinds {
-            let kinds = kinds::read(rest, n).map_err(|why| bad("kinds", why))?;
-            return Self::new(source, triangles, objects)?.with_kinds(source, kinds);
-        }
+        let has = |flag: u32| flags & flag != 0;
+        let count = objects.len();
+        let scene = Self::new(source, triangles, objects)?;
+        let end = match has(HAS_SOURCES) {
+            true => (bytes.len() - at).checked_sub(sources::length(count)).map(|length| at + length),
+            false => Some(bytes.len()),
+        };
+        let end = end.ok_or_else(|| bad("sources", "there is not one source for each object"))?;
+        let places = sources::read(&bytes[end..], if has(HAS_SOURCES) { count } else { 0 })
+            .map_err(|why| bad("sources", why))?;
+        let (sides, rest) = match has(HAS_SIDES) {
+            true => sides::read(&bytes[at..end], n).map_err(|why| bad("sides", why))?,
+            false => (Sides::both(), &bytes[at..end]),
+        };
+        let (kinds, rest) = match has(HAS_KINDS) {
+            true => kinds::read(rest, n, has(HAS_MASKS)).map_err(|why| bad("kinds", why))?,
+            false => (Kinds::opaque(), rest),
+        };
+        let (masks, rest) = match has(HAS_MASKS) {
+            true => (masks::read(rest).map_err(|why| bad("masks", why))?, &[][..]),
+            false => (Masks::none(), rest),
+        };
         if !rest.is_empty() {
-            return Err(bad("end", "there are bytes after the last object"));
+            return Err(bad("end", "there are bytes after the scene"));
         }
-        Self::new(source, triangles, objects)
+        let scene = scene.with_sources(source, places)?.with_sides(source, sides)?;
+        scene.with_masks(source, kinds, masks)
     }
 
     /// BLAKE3 of [`Scene::to_blob`].
     pub fn digest(&self) -> SceneDigest {
+        self.digest_of(true)
+    }
+
+    /// The digest that versions of the program had which did not keep where objects are in a glTF file.
+    /// Results of these versions name it.
+    pub fn digest_without_sources(&self) -> SceneDigest {
+        self.digest_of(false)
+    }
+
+    fn digest_of(&self, with_sources: bool) -> SceneDigest {
         let mut hasher = blake3::Hasher::new();
-        self.each_part(|part| {
+        self.each_part(with_sources, |part| {
             hasher.update(part);
         });
         SceneDigest(*hasher.finalize().as_bytes())

@@ -11,6 +11,7 @@ mod support;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
+use sightline_scene::load::{Options, load_bytes_with};
 use sightline_scene::{fuzzing, load_bytes};
 use support::*;
 
@@ -166,15 +167,26 @@ fn mutated_files_load_or_are_refused() {
         j.to_string().into_bytes()
     };
     let blob = load_bytes("a.obj", OBJ.as_bytes(), None).unwrap().to_blob();
+    let masked = card(&[0, 5], |_| {});
+    let options = Options { alpha_textures: true, ..Options::default() };
+    let masked_blob = load_bytes_with("a.glb", &masked.glb(), None, &options).unwrap().scene.to_blob();
     let families: [(Target, &str, Vec<Vec<u8>>); 4] = [
         (fuzzing::obj, "obj", vec![OBJ.into()]),
         (fuzzing::ply, "ply", vec![PLY.into(), binary_ply(false, &SQUARE, 3), binary_ply(true, &SQUARE, 3)]),
         (
             fuzzing::gltf,
             "gltf",
-            vec![json(&rich()), json(&packed_square()), rich().glb(), packed_square().glb(), square().glb()],
+            vec![
+                json(&rich()),
+                json(&packed_square()),
+                rich().glb(),
+                packed_square().glb(),
+                square().glb(),
+                json(&masked),
+                masked.glb(),
+            ],
         ),
-        (fuzzing::scene_blob, "scene_blob", vec![blob]),
+        (fuzzing::scene_blob, "scene_blob", vec![blob, masked_blob]),
     ];
     for (target, name, seeds) in families {
         for (s, seed) in seeds.iter().enumerate() {

@@ -21,9 +21,11 @@ pub mod division;
 pub mod lattice;
 pub mod plan;
 pub mod rect;
+pub mod viewpoints;
 
 pub use cell::{CellBox, Split};
 pub use division::{Division, DivisionError, axis_name};
 pub use lattice::{Lattice, LatticePoint, UNITS_PER_CELL};
 pub use plan::{Layout, MOST_BLOCK_CELLS, Outline, Plan, Tile, TileKind};
 pub use rect::Rect;
+pub use viewpoints::{Viewpoints, ViewpointsError};

@@ -25,7 +25,7 @@ use sightline_numbers::Aabb;
 
 use super::boxes::meets_box;
 use super::geometry::has_area;
-use super::group::{Parities, check_group};
+use super::group::{Parities, check_apart, check_group};
 use super::triangles::Triangles;
 use super::witness::check_cell_witness;
 use crate::certificate::{CellCertificate, GroupCertificate, HiddenGroup, Target};
@@ -59,10 +59,12 @@ pub enum Claim {
     /// The group at this index of [`CellClaims::above`] is hidden. A caller that checks every cell of a
     /// result checks the same group as [`Claim::Shared`] of the cell that stores it.
     Above(usize),
+    /// The box at this index of [`CellCertificate::apart`] is hidden.
+    Apart(usize),
 }
 
 /// Why the claims about a cell are refused.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CellRefusal {
     /// The cell is not a box with a volume.
     #[error("the cell is not a box with a volume")]
@@ -87,6 +89,14 @@ pub enum CellRefusal {
         /// Why not.
         reason: String,
     },
+    /// A box is not shown to be hidden.
+    #[error("the certificate for the box {} to {}: {reason}", bounds.min, bounds.max)]
+    Apart {
+        /// The box.
+        bounds: Aabb,
+        /// Why not.
+        reason: String,
+    },
     /// The caller of [`check_cell_until`] cancelled the check.
     #[error("the check was cancelled")]
     Cancelled,
@@ -98,7 +108,7 @@ impl CellRefusal {
         match self {
             Self::Account(id, _) | Self::NoWitness(id) | Self::Witness(id, _) => vec![*id],
             Self::Hidden { triangles, .. } => triangles.clone(),
-            Self::Cell | Self::Above | Self::Cancelled => Vec::new(),
+            Self::Cell | Self::Above | Self::Apart { .. } | Self::Cancelled => Vec::new(),
         }
     }
 }
@@ -176,8 +186,23 @@ fn check(
         }
         Claim::Shared(at) => check_shared(scene, claims.certificate.shared.as_ref(), at)?,
         Claim::Above(at) => check_shared(scene, claims.above, at)?,
+        Claim::Apart(at) => check_box_claim(scene, claims, at)?,
     }
     Ok(())
+}
+
+/// Accepts that the box at an index of [`CellCertificate::apart`] is hidden from the cell.
+///
+/// # Errors
+/// [`CellRefusal::Apart`], or [`CellRefusal::Cell`] when the cell has no volume.
+pub fn check_box_claim(scene: &Triangles<'_>, claims: &CellClaims<'_>, at: usize) -> Result<(), CellRefusal> {
+    let Aabb { min, max } = claims.cell;
+    if !(min.cmplt(max).all() && min.is_finite() && max.is_finite()) {
+        return Err(CellRefusal::Cell);
+    }
+    let apart = &claims.certificate.apart[at];
+    check_apart(scene, claims.cell, apart)
+        .map_err(|reason| CellRefusal::Apart { bounds: apart.bounds, reason })
 }
 
 /// Accepts that a group of triangles is hidden from the box of a cell group.
@@ -276,6 +301,7 @@ fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>,
             all.push(Claim::Above(at));
         }
     }
+    all.extend((0..claims.certificate.apart.len()).map(Claim::Apart));
     all.extend((0..claims.certificate.shared.as_ref().map_or(0, |s| s.hidden.len())).map(Claim::Shared));
     for (id, (k, t)) in known.iter().zip(scene.all()).enumerate() {
         match k {

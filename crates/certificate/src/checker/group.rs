@@ -12,7 +12,8 @@ use super::geometry::{exact, has_area, height, plane, point, sign};
 use super::polygon::{check_polygons, clip, within};
 use super::triangles::Triangles;
 use super::{Corners, Refusal, check_hidden};
-use crate::certificate::{HiddenGroup, Target, faces};
+use crate::certificate::{HiddenBox, HiddenGroup, Target, faces};
+use crate::proof::Proof;
 
 /// Most corners of a target polygon. No search makes more, and the check of convexity is quadratic.
 const MAX_CORNERS: usize = 64;
@@ -88,9 +89,7 @@ pub(super) fn check_group(
         }
         Target::Box(of) => {
             let Aabb { min, max } = *of;
-            if !(min.is_finite() && max.is_finite() && min.cmple(max).all()) {
-                return Err("its box is not finite or its corners are not in order".to_owned());
-            }
+            check_box(*of)?;
             let outside =
                 |id: &&u32| all[**id as usize].iter().any(|v| v.cmplt(min).any() || v.cmpgt(max).any());
             if let Some(id) = group.triangles.iter().find(outside) {
@@ -99,17 +98,7 @@ pub(super) fn check_group(
             if of.touches(&cell) {
                 return Err("its box touches the cell".to_owned());
             }
-            faces()
-                .filter(|(axis, up)| {
-                    let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-                    let area = min[u] < max[u] && min[v] < max[v];
-                    // Whether a point of the cell is on the outer side of the face.
-                    let towards =
-                        if *up { cell.max[*axis] > max[*axis] } else { cell.min[*axis] < min[*axis] };
-                    area && towards
-                })
-                .map(|(axis, up)| face(*of, axis, up))
-                .collect()
+            faces_towards(*of, cell)
         }
     };
     // If the triangle is hidden from one side of its plane, only the other side needs a proof.
@@ -119,12 +108,61 @@ pub(super) fn check_group(
         }
         _ => None,
     };
-    let mut proofs = group.proofs.iter();
-    let mut shown = Vec::with_capacity(group.proofs.len());
+    check_proofs(scene, cell, (&targets, half), &group.proofs)
+}
+
+/// Accepts that a box is hidden from a cell, or says why that is not shown. A segment from the cell to the
+/// box leaves the cell through a face and enters the box through a face. Where both share an edge or a
+/// corner, the segments through it form no open set; where they share a part of a face, segments pass it
+/// without being between the faces, so that is refused.
+pub(super) fn check_apart(scene: &Triangles<'_>, cell: Aabb, apart: &HiddenBox) -> Result<(), String> {
+    let of = apart.bounds;
+    check_box(of)?;
+    let common: Vec<f32> = (0..3).map(|a| of.max[a].min(cell.max[a]) - of.min[a].max(cell.min[a])).collect();
+    let apart_or_touching = common.iter().filter(|length| **length <= 0.0).count();
+    if common.iter().all(|length| *length >= 0.0) && apart_or_touching < 2 {
+        return Err("the box and the cell share a volume or a part of a face".to_owned());
+    }
+    check_proofs(scene, cell, (&faces_towards(of, cell), None), &apart.proofs)
+}
+
+fn check_box(Aabb { min, max }: Aabb) -> Result<(), String> {
+    match min.is_finite() && max.is_finite() && min.cmple(max).all() {
+        true => Ok(()),
+        false => Err("its box is not finite or its corners are not in order".to_owned()),
+    }
+}
+
+/// The faces with area of a box through which segments from a cell can enter it.
+fn faces_towards(of: Aabb, cell: Aabb) -> Vec<Corners> {
+    let Aabb { min, max } = of;
+    faces()
+        .filter(|(axis, up)| {
+            let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+            let area = min[u] < max[u] && min[v] < max[v];
+            // Whether a point of the cell is on the outer side of the face.
+            let towards = if *up { cell.max[*axis] > max[*axis] } else { cell.min[*axis] < min[*axis] };
+            area && towards
+        })
+        .map(|(axis, up)| face(of, axis, up))
+        .collect()
+}
+
+/// Accepts that target polygons are hidden from a cell: there is a proof for each pair of a face of the cell
+/// and a target that has a part beyond the face. With `half`, only the part of the cell on the other side of
+/// the target's plane needs one.
+fn check_proofs(
+    scene: &Triangles<'_>,
+    cell: Aabb,
+    (targets, half): (&[Corners], Option<Ordering>),
+    proofs: &[Proof],
+) -> Result<(), String> {
+    let mut shown = Vec::with_capacity(proofs.len());
+    let mut proofs = proofs.iter();
     for (axis, up) in faces() {
         let flat = face_plane(cell, axis, up);
         let from = face(cell, axis, up);
-        for target in &targets {
+        for target in targets {
             let Some(beyond) = clip(target, &flat, Ordering::Greater) else { continue };
             let proof = proofs.next().ok_or("a proof is missing for a pair of faces")?;
             let part = match half {

@@ -78,7 +78,7 @@ mod witness;
 use dashu_int::IBig;
 use glam::DVec3;
 
-pub use cell::{CellClaims, CellRefusal, Claim, check_cell, check_cell_until};
+pub use cell::{CellClaims, CellRefusal, Claim, check_box_claim, check_cell, check_cell_until};
 pub use hidden::check_hidden;
 pub use triangles::{Kinds, Triangles};
 pub use witness::check_witness;

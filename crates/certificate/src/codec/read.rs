@@ -7,8 +7,8 @@ use glam::Vec3;
 use sightline_numbers::Aabb;
 use sightline_numbers::varint::{self, VarintError};
 
-use super::{CodecError, MAX_BYTES, MAX_MEMORY};
-use crate::certificate::{CellCertificate, GroupCertificate, HiddenGroup, Target, Witness};
+use super::{APART, CodecError, MAX_BYTES, MAX_MEMORY};
+use crate::certificate::{CellCertificate, GroupCertificate, HiddenBox, HiddenGroup, Target, Witness};
 use crate::proof::{OccluderTriangle, Proof, Step, Which};
 
 /// Decodes what [`encode`](super::encode) wrote, for a scene of the given number of triangles.
@@ -56,11 +56,21 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<CellCertificate, CodecEr
     }
     certificate.hidden = from.hidden()?;
     if !from.rest.is_empty() {
-        certificate.above = match from.number()? {
+        let number = from.number()?;
+        let apart = number >= APART;
+        certificate.above = match if apart { number - APART } else { number } {
             0 => None,
             next => Some(u32::try_from(next - 1).map_err(|_| CodecError("a number is too large"))?),
         };
-        if !from.rest.is_empty() {
+        let shared = match apart {
+            false => !from.rest.is_empty(),
+            true => match from.byte()? {
+                0 => false,
+                1 => true,
+                _ => return Err(CodecError("it neither has nor lacks the certificate of a box")),
+            },
+        };
+        if shared {
             from.take::<GroupCertificate>()?;
             let shared = GroupCertificate {
                 bounds: Aabb { min: from.point()?, max: from.point()? },
@@ -71,7 +81,17 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<CellCertificate, CodecEr
             }
             certificate.shared = Some(shared);
         }
-        if certificate.shared.is_none() && certificate.above.is_none() {
+        if apart {
+            for _ in 0..from.count(25)? {
+                from.take::<HiddenBox>()?;
+                let bounds = Aabb { min: from.point()?, max: from.point()? };
+                certificate.apart.push(HiddenBox { bounds, proofs: from.proofs()? });
+            }
+            if certificate.apart.is_empty() {
+                return Err(CodecError("the list of hidden boxes is empty"));
+            }
+        }
+        if !apart && certificate.shared.is_none() && certificate.above.is_none() {
             return Err(CodecError("the part about a cell group is empty"));
         }
     }
@@ -188,10 +208,14 @@ impl Reader<'_> {
             if triangles.is_empty() {
                 return Err(CodecError("a group has no triangles"));
             }
-            let proofs = (0..self.count(2)?).map(|_| self.proof()).collect::<Result<_, _>>()?;
+            let proofs = self.proofs()?;
             all.push(HiddenGroup { target, triangles, proofs });
         }
         Ok(all)
+    }
+
+    fn proofs(&mut self) -> Result<Vec<Proof>, CodecError> {
+        (0..self.count(2)?).map(|_| self.proof()).collect()
     }
 
     fn proof(&mut self) -> Result<Proof, CodecError> {

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use sightline_numbers::Aabb;
 
 use super::{decode, encode};
-use crate::certificate::{CellCertificate, GroupCertificate, HiddenGroup, Target, Witness};
+use crate::certificate::{CellCertificate, GroupCertificate, HiddenBox, HiddenGroup, Target, Witness};
 use crate::proof::{OccluderTriangle, Proof, Step, Which};
 
 fn integer() -> impl Strategy<Value = IBig> {
@@ -64,12 +64,14 @@ prop_compose! {
             (bounds(), hidden()).prop_filter("empty", |s| !s.1.is_empty())
         ),
         above in prop::option::of(any::<u32>()),
+        apart in prop::collection::vec((bounds(), prop::collection::vec(proof(), 0..3)), 0..3),
     ) -> CellCertificate {
         CellCertificate {
             seen: seen.into_iter().collect(),
             hidden,
             shared: shared.map(|(bounds, hidden)| GroupCertificate { bounds, hidden }),
             above,
+            apart: apart.into_iter().map(|(bounds, proofs)| HiddenBox { bounds, proofs }).collect(),
         }
     }
 }

@@ -4,7 +4,7 @@ use dashu_int::{IBig, Sign};
 use glam::Vec3;
 use sightline_numbers::varint::write as put;
 
-use super::{LEVEL, MAX_BYTES};
+use super::{APART, LEVEL, MAX_BYTES};
 use crate::certificate::{CellCertificate, HiddenGroup, Target, Witness};
 use crate::proof::{OccluderTriangle, Proof, Step, Which};
 
@@ -31,9 +31,23 @@ pub fn encode(certificate: &CellCertificate) -> std::io::Result<Vec<u8>> {
         }
     }
     put_hidden(&mut out, &certificate.hidden);
-    // The certificate of a cell that is in no group ends here.
-    if certificate.shared.is_some() || certificate.above.is_some() {
-        put(&mut out, certificate.above.map_or(0, |back| u64::from(back) + 1));
+    // The certificate of a cell that is in no group, and from which no box is hidden, ends here.
+    let above = certificate.above.map_or(0, |back| u64::from(back) + 1);
+    if !certificate.apart.is_empty() {
+        put(&mut out, above + APART);
+        out.push(u8::from(certificate.shared.is_some()));
+        if let Some(shared) = &certificate.shared {
+            shared.bounds.corners().iter().for_each(|c| put_point(&mut out, *c));
+            put_hidden(&mut out, &shared.hidden);
+        }
+        put(&mut out, certificate.apart.len() as u64);
+        for of in &certificate.apart {
+            of.bounds.corners().iter().for_each(|c| put_point(&mut out, *c));
+            put(&mut out, of.proofs.len() as u64);
+            of.proofs.iter().for_each(|p| put_proof(&mut out, p));
+        }
+    } else if certificate.shared.is_some() || certificate.above.is_some() {
+        put(&mut out, above);
         if let Some(shared) = &certificate.shared {
             shared.bounds.corners().iter().for_each(|c| put_point(&mut out, *c));
             put_hidden(&mut out, &shared.hidden);

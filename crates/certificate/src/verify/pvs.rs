@@ -48,6 +48,11 @@ impl BakedResult for Pvs {
         self.certificate(cell).map_err(message)
     }
 
+    fn seen_cells(&self, cell: u32) -> Result<Option<Vec<u32>>, String> {
+        let pairs = self.cell_pairs().map_err(message)?;
+        Ok(pairs.filter(|_| cell < self.cells()).map(|p| p.visible.partners(cell).collect()))
+    }
+
     fn flags(&self, cell: u32) -> Result<u32, String> {
         self.flags(cell).map_err(message)
     }

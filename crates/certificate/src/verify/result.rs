@@ -4,6 +4,8 @@ use sightline_numbers::Aabb;
 
 /// The bit of a cell's flags that says that its bake failed and all triangles are in its set as undecided.
 pub const SET_ASIDE: u32 = 1;
+/// The bit of a cell's flags that says that no viewpoint is in the cell, so that its set is empty.
+pub const NOT_REACHED: u32 = 2;
 
 /// A baked result with certificates. Cells are numbered from 0, triangles in the order of the scene.
 ///
@@ -45,7 +47,16 @@ pub trait BakedResult: Sync {
     /// A message if there is no such cell.
     fn certificate(&self, cell: u32) -> Result<Option<&[u8]>, String>;
 
-    /// The flags of a cell: [`SET_ASIDE`] or 0.
+    /// The cells that a cell sees, ascending, with the undecided ones; `None` for a result that does not say
+    /// which cells see which.
+    ///
+    /// # Errors
+    /// A message if there is no such cell.
+    fn seen_cells(&self, _cell: u32) -> Result<Option<Vec<u32>>, String> {
+        Ok(None)
+    }
+
+    /// The flags of a cell: [`SET_ASIDE`], [`NOT_REACHED`] or 0.
     ///
     /// # Errors
     /// A message if there is no such cell.

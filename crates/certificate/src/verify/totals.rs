@@ -2,6 +2,8 @@
 
 use std::ops::AddAssign;
 
+use sightline_numbers::Aabb;
+
 use crate::certificate::{HiddenGroup, Target};
 
 /// Claims of one kind.
@@ -54,6 +56,10 @@ pub struct Totals {
     pub hidden: Hidden,
     /// Pairs that are undecided.
     pub undecided: u64,
+    /// Boxes around other cells that are hidden from a cell.
+    pub apart: Count,
+    /// Pairs of cells that do not see each other.
+    pub cells_apart: u64,
     /// Bytes of the certificates in the result.
     pub bytes: u64,
 }
@@ -74,6 +80,8 @@ impl AddAssign for Totals {
         self.hidden.in_boxes += o.hidden.in_boxes;
         self.hidden.alone += o.hidden.alone;
         self.undecided += o.undecided;
+        self.apart += o.apart;
+        self.cells_apart += o.cells_apart;
         self.bytes += o.bytes;
     }
 }
@@ -84,4 +92,6 @@ pub(super) struct CellTotals {
     pub totals: Totals,
     /// Groups of a cell group that pairs of a sample rely on: the cell that stores each, and its index there.
     pub group_claims: Vec<(u32, usize)>,
+    /// The boxes that are hidden from the cell.
+    pub apart: Vec<Aabb>,
 }

@@ -1,5 +1,6 @@
 //! View cells: visibility from a box, for one polygon, for all triangles, and for groups of cells.
 
+mod apart;
 mod ask;
 mod cell_group;
 mod decide;
@@ -12,6 +13,7 @@ mod statistics;
 mod task;
 mod work;
 
+pub use apart::box_from_cell;
 pub use cell_group::{CellGroup, GroupDecided, decide_group};
 pub use decide::decide;
 pub use exact_scene::ExactScene;

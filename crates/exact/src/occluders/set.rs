@@ -40,8 +40,17 @@ impl Occluders {
     /// rayon's threads.
     ///
     /// # Errors
-    /// As [`corner_vertices`]: when the scene has more corners than can be numbered.
+    /// As [`corner_vertices`]: when the scene has more corners than can be numbered. Also when some triangles
+    /// have one side: occluders, silhouettes and closed surfaces block from both.
     pub fn new(scene: &Scene) -> Result<Self, SceneError> {
+        if !scene.sides().are_both() {
+            return Err(SceneError::bad(
+                "scene",
+                "sides",
+                "its back faces are culled, and exact queries take every triangle as seen from both sides",
+                "leave --cull-back-faces out, or give --method aggressive",
+            ));
+        }
         let corners = corner_vertices(scene)?;
         let triangles: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
         let ids = (0..scene.len()).into_par_iter();

@@ -6,7 +6,8 @@ use sightline_numbers::varint::{self, VarintError};
 use sightline_viewcells::{LatticePoint, Split};
 
 use super::error::CodecError;
-use crate::output::{CellSet, CellSets, Decision, Node, Pack, VisibilitySample};
+use crate::output::{CellSet, CellSets, Decision, Hits, Node, Pack, VisibilitySample};
+use crate::pairs::{MOST_PAIR_CELLS, PairTable, TilePairs};
 use crate::statistics::CellStats;
 
 pub(super) struct Reader<'a> {
@@ -40,8 +41,13 @@ impl Reader<'_> {
     }
 
     fn ids(&mut self) -> Result<Vec<u32>, CodecError> {
+        self.ids_below(self.triangles)
+    }
+
+    /// Ascending numbers below `limit`.
+    fn ids_below(&mut self, limit: u32) -> Result<Vec<u32>, CodecError> {
         let n = self.count(1)?;
-        if n > self.triangles as usize {
+        if n > limit as usize {
             return Err(CodecError("it names more triangles than there are"));
         }
         let mut ids = Vec::with_capacity(n);
@@ -55,7 +61,7 @@ impl Reader<'_> {
                 }
                 _ => self.u32()?,
             };
-            let id = next.checked_add(gap).filter(|id| *id < self.triangles);
+            let id = next.checked_add(gap).filter(|id| *id < limit);
             let id = id.ok_or(CodecError("a triangle id is out of range"))?;
             next = id + 1;
             ids.push(id);
@@ -153,13 +159,72 @@ impl Reader<'_> {
         if open != 0 {
             return Err(CodecError("its tree is not whole"));
         }
-        let mut sets = CellSets { nodes, cells: Vec::new() };
+        let mut sets = CellSets { nodes, cells: Vec::new(), pairs: None };
         for _ in 0..cells {
             let (visible, samples, stats) = (self.ids()?, self.u32()?, self.stats()?);
+            let unreached = match self.byte()? {
+                0 => false,
+                1 if visible.is_empty() => true,
+                _ => return Err(CodecError("a cell without viewpoints sees something")),
+            };
+            let hits = self.hits(visible.len())?;
             let decision = self.decision(&visible)?;
-            sets.cells.push(CellSet { visible, samples, stats, decision });
+            sets.cells.push(CellSet { visible, samples, stats, decision, unreached, hits });
         }
+        sets.pairs = self.pairs()?;
         Ok(sets)
+    }
+
+    fn hits(&mut self, items: usize) -> Result<Option<Hits>, CodecError> {
+        match self.byte()? {
+            0 => return Ok(None),
+            1 => {}
+            _ => return Err(CodecError("hits are of no kind there is")),
+        }
+        let (viewpoints, lines) = (self.u32()?, self.u32()?);
+        let all = viewpoints.checked_mul(lines).filter(|all| *all > 0);
+        let all = all.ok_or(CodecError("hits of no lines, or of too many"))?;
+        if items > self.bytes.len() / 2 {
+            return Err(CodecError("it announces more than there is"));
+        }
+        let mut counts = Vec::with_capacity(items);
+        for _ in 0..items {
+            let count = [self.u32()?, self.u32()?];
+            if count[0] > all || count[1] > lines || count[1] > count[0] {
+                return Err(CodecError("an item was met by more lines than there are"));
+            }
+            counts.push(count);
+        }
+        Ok(Some(Hits { viewpoints, lines, counts }))
+    }
+
+    fn pairs(&mut self) -> Result<Option<TilePairs>, CodecError> {
+        let hidden = match self.byte()? {
+            0 => return Ok(None),
+            1 => false,
+            2 => true,
+            _ => return Err(CodecError("pairs are of no kind there is")),
+        };
+        // Each row has at least a byte, and the limit bounds the memory.
+        let cells = self.count(1)? as u32;
+        if u64::from(cells) > MOST_PAIR_CELLS {
+            return Err(CodecError("it has pairs of too many cells"));
+        }
+        let seen = self.pair_table(cells)?;
+        let hidden = if hidden { Some(self.pair_table(cells)?) } else { None };
+        Ok(Some(TilePairs { seen, hidden }))
+    }
+
+    fn pair_table(&mut self, cells: u32) -> Result<PairTable, CodecError> {
+        let mut table = PairTable::empty(cells);
+        for cell in 0..cells {
+            let bounds = self.ids_below(cells + 1)?;
+            if bounds.len() % 2 != 0 || bounds.first().is_some_and(|first| *first < cell) {
+                return Err(CodecError("a row of pairs is malformed"));
+            }
+            bounds.chunks_exact(2).flat_map(|run| run[0]..run[1]).for_each(|b| table.insert(cell, b));
+        }
+        Ok(table)
     }
 
     fn decision(&mut self, visible: &[u32]) -> Result<Option<Decision>, CodecError> {

@@ -5,6 +5,7 @@ use sightline_numbers::varint;
 
 use super::MAX_UNPACKED;
 use crate::output::{CellSet, Node, TileOutput};
+use crate::pairs::PairTable;
 
 /// Compression level. Differences between ids hold no long matches, so levels 2 and 3 take longer and give
 /// nothing smaller.
@@ -74,6 +75,15 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
             } else {
                 sets.cells.iter().try_for_each(|cell| put_cell(cell, &mut raw))?;
             }
+            match &sets.pairs {
+                None => raw.push(0),
+                Some(pairs) => {
+                    raw.push(if pairs.hidden.is_some() { 2 } else { 1 });
+                    put(&mut raw, pairs.seen.cells());
+                    put_pairs(&mut raw, &pairs.seen);
+                    pairs.hidden.iter().for_each(|hidden| put_pairs(&mut raw, hidden));
+                }
+            }
         }
     }
     if raw.len() as u64 > MAX_UNPACKED {
@@ -89,6 +99,16 @@ pub(super) fn put_cell(cell: &CellSet, raw: &mut Vec<u8>) -> Result<(), std::io:
     put_ids(raw, &cell.visible);
     put(raw, cell.samples);
     cell.stats.numbers().into_iter().for_each(|n| varint::write(raw, n));
+    raw.push(u8::from(cell.unreached));
+    match &cell.hits {
+        None => raw.push(0),
+        Some(hits) => {
+            raw.push(1);
+            put(raw, hits.viewpoints);
+            put(raw, hits.lines);
+            hits.counts.iter().flatten().for_each(|n| put(raw, *n));
+        }
+    }
     let Some(decision) = &cell.decision else {
         raw.push(0);
         return Ok(());
@@ -101,6 +121,11 @@ pub(super) fn put_cell(cell: &CellSet, raw: &mut Vec<u8>) -> Result<(), std::io:
     put(raw, length);
     raw.extend_from_slice(&decision.certificate);
     Ok(())
+}
+
+/// For each cell the runs of later cells that are its pairs.
+fn put_pairs(out: &mut Vec<u8>, pairs: &PairTable) {
+    (0..pairs.cells()).for_each(|cell| put_ids(out, &pairs.later(cell)));
 }
 
 fn put(out: &mut Vec<u8>, value: u32) {

@@ -1,4 +1,4 @@
-//! Decoding a cell's sets: as ids, runs, a bit set or objects.
+//! Decoding a cell's sets: as ids, runs, a bit set, objects, or the items that the result names.
 //!
 //! A cell's set is the exclusive or of the sets on its path from the root, up to the first set that stands
 //! for itself. It is decoded on the boundaries of runs: each set flips the bits at which its runs start and
@@ -9,6 +9,7 @@ use std::ops::Range;
 use super::Pvs;
 use crate::codec;
 use crate::error::PvsError;
+use crate::items::ItemTable;
 use crate::layout::{Section, u64_at};
 
 /// How many bytes the nodes on one cell's root path take.
@@ -28,6 +29,34 @@ impl Pvs {
     /// with.
     pub fn visible(&self, cell: u32, ids: &mut Vec<u32>) -> Result<(), PvsError> {
         self.ids(Section::Visible, cell, ids)
+    }
+
+    /// The items to draw from a cell: `items` becomes their ascending numbers. They are triangles, clusters
+    /// or objects, as [`Self::granularity`] says.
+    ///
+    /// # Errors
+    /// As [`Self::visible`].
+    pub fn visible_items(&self, cell: u32, items: &mut Vec<u32>) -> Result<(), PvsError> {
+        self.item_ids(Section::Visible, cell, items)
+    }
+
+    /// The items of the visible set that were neither seen nor proved hidden: `items` becomes their ascending
+    /// numbers.
+    ///
+    /// # Errors
+    /// As [`Self::visible`].
+    pub fn undecided_items(&self, cell: u32, items: &mut Vec<u32>) -> Result<(), PvsError> {
+        self.item_ids(Section::Undecided, cell, items)
+    }
+
+    /// The triangles of an item: `ids` becomes their ascending ids. Triangles that are never visible are left
+    /// out. An item that does not exist has none.
+    pub fn item_triangles(&self, item: u32, ids: &mut Vec<u32>) {
+        ids.clear();
+        if item < self.item_count() {
+            let bounds = self.items.triangles(&[item, item + 1], &self.objects);
+            ids.extend(bounds.chunks_exact(2).flat_map(|run| run[0]..run[1]));
+        }
     }
 
     /// The triangles of the visible set that were neither seen nor proved hidden: `ids` becomes their
@@ -60,7 +89,17 @@ impl Pvs {
             return Err(PvsError::BitsLength { given: bits.len(), needed });
         }
         bits.fill(0);
-        self.boundaries(Section::Visible, cell, bits)?;
+        match self.items {
+            ItemTable::Triangles => self.boundaries(Section::Visible, cell, bits)?,
+            // A run flips the bit at its start and the bit at its end, as in the coded sets.
+            _ => self.each_run(Section::Visible, cell, |run| {
+                for at in [run.start, run.end] {
+                    if let Some(word) = bits.get_mut((at >> 6) as usize) {
+                        *word ^= 1 << (at & 63);
+                    }
+                }
+            })?,
+        }
         let mut inside = 0;
         for word in bits {
             *word = members(*word, &mut inside);
@@ -118,7 +157,27 @@ impl Pvs {
         (self.layout.triangles as usize).div_ceil(64)
     }
 
+    /// Words of a bit set over all items.
+    fn item_words(&self) -> usize {
+        (self.item_count() as usize).div_ceil(64)
+    }
+
     fn ids(&self, section: Section, cell: u32, ids: &mut Vec<u32>) -> Result<(), PvsError> {
+        if let ItemTable::Triangles = self.items {
+            return self.item_ids(section, cell, ids);
+        }
+        ids.clear();
+        let mut fits = true;
+        self.each_run(section, cell, |run| {
+            fits = fits && ids.try_reserve(run.len()).is_ok();
+            if fits {
+                ids.extend(run);
+            }
+        })?;
+        if fits { Ok(()) } else { Err(self.no_memory()) }
+    }
+
+    fn item_ids(&self, section: Section, cell: u32, ids: &mut Vec<u32>) -> Result<(), PvsError> {
         ids.clear();
         let words = self.marked(section, cell)?;
         let mut inside = 0;
@@ -147,6 +206,9 @@ impl Pvs {
     }
 
     fn objects_of(&self, section: Section, cell: u32, objects: &mut Vec<u32>) -> Result<(), PvsError> {
+        if let ItemTable::Objects { .. } = self.items {
+            return self.item_ids(section, cell, objects);
+        }
         objects.clear();
         let mut next = 0;
         self.each_run(section, cell, |run| {
@@ -186,7 +248,7 @@ impl Pvs {
         }
         for node in self.tree.path(leaf) {
             let set = self.set(section, node)?;
-            codec::decode(set, self.layout.triangles, |start, end| {
+            codec::decode(set, self.item_count(), |start, end| {
                 let (first, last) = ((start >> 6) as usize, (end >> 6) as usize);
                 let (mark_start, mark_end) = (1u64 << (start & 63), 1u64 << (end & 63));
                 if first == last {
@@ -215,14 +277,31 @@ impl Pvs {
     /// The marks of [`Self::boundaries`] in newly allocated words.
     fn marked(&self, section: Section, cell: u32) -> Result<Vec<u64>, PvsError> {
         let mut words = Vec::new();
-        words.try_reserve_exact(self.words()).map_err(|_| self.no_memory())?;
-        words.resize(self.words(), 0u64);
+        words.try_reserve_exact(self.item_words()).map_err(|_| self.no_memory())?;
+        words.resize(self.item_words(), 0u64);
         self.boundaries(section, cell, &mut words)?;
         Ok(words)
     }
 
-    /// Calls `each` with the maximal runs of a cell's set, ascending.
+    /// Calls `each` with the maximal runs of the triangles of a cell's set, ascending.
     fn each_run(
+        &self,
+        section: Section,
+        cell: u32,
+        mut each: impl FnMut(Range<u32>),
+    ) -> Result<(), PvsError> {
+        if let ItemTable::Triangles = self.items {
+            return self.each_item_run(section, cell, each);
+        }
+        let mut items = Vec::new();
+        self.each_item_run(section, cell, |run| items.extend([run.start, run.end]))?;
+        let bounds = self.items.triangles(&items, &self.objects);
+        bounds.chunks_exact(2).for_each(|run| each(run[0]..run[1]));
+        Ok(())
+    }
+
+    /// The same for the items of a cell's set.
+    fn each_item_run(
         &self,
         section: Section,
         cell: u32,
@@ -245,7 +324,7 @@ impl Pvs {
             }
         }
         if let Some(from) = start {
-            each(from..self.layout.triangles);
+            each(from..self.item_count());
         }
         Ok(())
     }

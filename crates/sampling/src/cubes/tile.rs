@@ -6,11 +6,11 @@
 use std::sync::Arc;
 
 use sightline_model::{
-    CellSet, CellSets, Node, Pack, SamplingParams, SupersetChoice, TileOutput, VisibilitySample,
+    CellSet, CellSets, Granularity, Node, Pack, SamplingParams, SupersetChoice, TileOutput, VisibilitySample,
 };
 use sightline_scene::topology::Solids;
 use sightline_scene::{Aabb, Scene, overlap};
-use sightline_viewcells::{CellBox, Division, Lattice, LatticePoint, Split, Tile, TileKind};
+use sightline_viewcells::{CellBox, Division, Lattice, LatticePoint, Split, Tile, TileKind, UNITS_PER_CELL};
 
 use super::cache::{CacheCounters, SampleCache};
 use super::refine::{Exterior, SampleSource, refine};
@@ -19,6 +19,7 @@ use crate::context::{JobContext, TileError, Watcher};
 use crate::cube::CubeSpec;
 use crate::error::BackendError;
 use crate::layers;
+use crate::lines::joining;
 use crate::prepared::CubeScene;
 
 /// The work of a tile, for reports.
@@ -98,6 +99,17 @@ pub fn run(
             let inside = work.inside(&tile.cell);
             let mut sets = CellSets::default();
             work.subtree(&tile.cell, tile.depth, &inside, &mut sets)?;
+            if job.params.granularity != Granularity::Triangles {
+                let rows = job.scene.rows(job.params.granularity);
+                for cell in &mut sets.cells {
+                    cell.visible.iter_mut().for_each(|t| *t = rows.item(*t));
+                    cell.visible.sort_unstable();
+                    cell.visible.dedup();
+                }
+            }
+            let (pairs, rays) = joining::search(job, tile, watcher)?;
+            sets.pairs = pairs;
+            work.rendered += rays;
             TileOutput::Cells(sets)
         }
     };
@@ -109,7 +121,7 @@ fn renderer<'a>(
     job: &JobContext<'a>,
     superset: Option<&[u32]>,
 ) -> Result<Box<dyn CubeRenderer + 'a>, BackendError> {
-    layers::renderer(job.backend, job.scene, CubeSpec::of(job.params), superset)
+    layers::renderer(job.backend, job.scene, CubeSpec::of(job.params), superset, job.params.far)
 }
 
 struct Work<'a> {
@@ -171,6 +183,15 @@ impl Work<'_> {
         (seen, count)
     }
 
+    /// Whether a grid cell within a box has viewpoints.
+    fn is_reached(&self, within: &CellBox) -> bool {
+        let Some(marks) = self.job.viewpoints else { return true };
+        let [nx, ny, _] = marks.cells();
+        let range = |a: usize| within.lo[a] / UNITS_PER_CELL..within.hi[a] / UNITS_PER_CELL;
+        let index = |x: u32, y: u32, z: u32| ((z * ny + y) * nx + x) as usize;
+        range(2).any(|z| range(1).any(|y| range(0).any(|x| marks.of(index(x, y, z)) != 0)))
+    }
+
     fn subtree(
         &mut self,
         cell: &CellBox,
@@ -185,12 +206,17 @@ impl Work<'_> {
             .filter(|_| division.wants_split(seen.len(), depth));
         let Some(split) = split else {
             self.cache.finish(cell);
+            let unreached = !self.is_reached(cell);
+            let visible = if unreached { Vec::new() } else { seen };
             out.nodes.push(Node::Cell);
-            out.cells.push(CellSet { visible: seen, samples, ..CellSet::default() });
+            out.cells.push(CellSet { visible, samples, unreached, ..CellSet::default() });
             self.watcher.cell_done();
             return Ok(());
         };
-        self.split(cell, split, &seen)?;
+        // Where no cell has viewpoints nothing is sampled; the tree has its cells all the same.
+        if self.is_reached(cell) {
+            self.split(cell, split, &seen)?;
+        }
         // A leaf tile publishes nothing: the samples it needs again are in the cache.
         self.fresh.clear();
         drop(seen);

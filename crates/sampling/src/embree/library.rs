@@ -12,6 +12,7 @@ use std::sync::{Arc, OnceLock};
 
 use libloading::Library;
 
+use super::culling::{Filter, Fronts, cull};
 use crate::error::BackendError;
 
 /// An opaque `RTCDevice`, `RTCScene` or `RTCGeometry`.
@@ -29,6 +30,9 @@ const FLOAT3: c_int = 0x9003;
 const ROBUST: c_int = 1 << 2;
 /// `RTC_DEVICE_PROPERTY_VERSION_{MAJOR,MINOR,PATCH}`.
 const VERSION: [c_int; 3] = [1, 2, 3];
+
+/// `RTC_DEVICE_PROPERTY_FILTER_FUNCTION_SUPPORTED`.
+const FILTERS: c_int = 66;
 
 /// Sixteen rays and their hits, `RTCRayHit16`, with room for the fields that Embree 4.4 appends.
 #[repr(C, align(64))]
@@ -190,6 +194,8 @@ pub struct Embree {
     release_geometry: unsafe extern "C" fn(Handle),
     set_new_geometry_buffer: unsafe extern "C" fn(Handle, c_int, c_uint, c_int, usize, usize) -> *mut c_void,
     commit_geometry: unsafe extern "C" fn(Handle),
+    set_geometry_user_data: unsafe extern "C" fn(Handle, *const c_void),
+    set_geometry_intersect_filter_function: unsafe extern "C" fn(Handle, Filter),
     intersect: Intersect,
     // Keeps the library loaded as long as the functions are used.
     _library: Library,
@@ -255,6 +261,11 @@ impl Embree {
                 release_geometry: f(&library, b"rtcReleaseGeometry\0")?,
                 set_new_geometry_buffer: f(&library, b"rtcSetNewGeometryBuffer\0")?,
                 commit_geometry: f(&library, b"rtcCommitGeometry\0")?,
+                set_geometry_user_data: f(&library, b"rtcSetGeometryUserData\0")?,
+                set_geometry_intersect_filter_function: f(
+                    &library,
+                    b"rtcSetGeometryIntersectFilterFunction\0",
+                )?,
                 intersect: if major == 3 {
                     Intersect::V3(f(&library, b"rtcIntersect16\0")?, f(&library, b"rtcIntersect1\0")?)
                 } else {
@@ -306,6 +317,12 @@ impl Device {
         VERSION.map(|p| part(p).to_string()).join(".")
     }
 
+    /// Whether filters are called.
+    fn has_filters(&self) -> bool {
+        // SAFETY: the handle is a live device.
+        unsafe { (self.embree.get_device_property)(self.handle, FILTERS) != 0 }
+    }
+
     fn check(&self) -> Result<(), String> {
         // SAFETY: the handle is a live device.
         match unsafe { (self.embree.get_device_error)(self.handle) } {
@@ -327,6 +344,8 @@ impl Drop for Device {
 pub struct TriangleScene {
     device: Arc<Device>,
     handle: Handle,
+    /// Read by the filter, whose user data points to it; released after the scene.
+    _fronts: Option<Arc<Fronts>>,
 }
 
 // SAFETY: a committed scene is read-only and may be queried from many threads (manual, "Scene Object").
@@ -335,7 +354,8 @@ unsafe impl Send for TriangleScene {}
 unsafe impl Sync for TriangleScene {}
 
 impl TriangleScene {
-    /// Builds the hierarchy over `count` triangles; the nine floats of each are its three vertices.
+    /// Builds the hierarchy over `count` triangles; the nine floats of each are its three vertices. With
+    /// `fronts`, one for each triangle, rays do not meet a triangle from behind.
     ///
     /// # Errors
     /// Embree's error, usually too little memory.
@@ -343,12 +363,21 @@ impl TriangleScene {
         device: &Arc<Device>,
         count: usize,
         triangles: impl Iterator<Item = [f32; 9]>,
+        fronts: Option<Fronts>,
     ) -> Result<Self, String> {
         let e = device.embree;
+        if fronts.is_some() && !device.has_filters() {
+            return Err("this Embree was built without filter functions, which --cull-back-faces needs; \
+                        install another build of it, or use --backend gpu"
+                .to_owned());
+        }
+        let fronts = fronts.map(Arc::new);
         // SAFETY: all handles are created here and live; both buffers are filled to their whole size before
         // the geometry is committed, and the scene holds a reference to the geometry after it is attached.
+        // The fronts live as long as the scene, and `cull` only reads them.
         unsafe {
-            let scene = Self { device: Arc::clone(device), handle: (e.new_scene)(device.handle) };
+            let handle = (e.new_scene)(device.handle);
+            let scene = Self { device: Arc::clone(device), handle, _fronts: fronts.clone() };
             (e.set_scene_flags)(scene.handle, ROBUST);
             let geometry = (e.new_geometry)(device.handle, TRIANGLES);
             let vertices = (e.set_new_geometry_buffer)(geometry, VERTEX, 0, FLOAT3, 12, count * 3);
@@ -366,6 +395,10 @@ impl TriangleScene {
                 written += 1;
             }
             assert_eq!(written, count, "as many triangles as announced");
+            if let Some(fronts) = &fronts {
+                (e.set_geometry_user_data)(geometry, Arc::as_ptr(fronts).cast());
+                (e.set_geometry_intersect_filter_function)(geometry, cull);
+            }
             (e.commit_geometry)(geometry);
             (e.attach_geometry)(scene.handle, geometry);
             (e.release_geometry)(geometry);

@@ -5,6 +5,7 @@
 //! build it, the instruction set is fixed, and a packet always holds the same sixteen pixels. Samples are
 //! spread over the threads of the current rayon pool.
 
+mod culling;
 mod library;
 #[cfg(test)]
 mod tests;
@@ -32,7 +33,7 @@ pub struct CpuBackend {
     profile: String,
     whole: OnceLock<Result<Arc<Hierarchy>, String>>,
     /// Hierarchies over the triangles that sight lines can hit, by [`LineSet`].
-    lines: [OnceLock<Result<Arc<Hierarchy>, String>>; 2],
+    lines: [OnceLock<Result<Arc<Hierarchy>, String>>; LineSet::COUNT],
 }
 
 /// A committed hierarchy and the ids of its triangles.
@@ -88,7 +89,9 @@ impl CpuBackend {
             None => (0..self.scene.len()).filter(seen).collect(),
         };
         let flat = |id: &u32| -> [f32; 9] { bytemuck::cast::<Triangle, [f32; 9]>(all[*id as usize]) };
-        let scene = TriangleScene::new(&self.device, ids.len(), ids.iter().map(flat))?;
+        let one_sided = !self.scene.sides().are_both();
+        let fronts = one_sided.then(|| ids.iter().map(|id| self.scene.front(*id).to_array()).collect());
+        let scene = TriangleScene::new(&self.device, ids.len(), ids.iter().map(flat), fronts)?;
         Ok(Arc::new(Hierarchy { scene, ids }))
     }
 }

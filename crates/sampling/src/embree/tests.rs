@@ -46,7 +46,7 @@ fn device(threads: usize) -> Option<Arc<Device>> {
 fn rays_by_themselves_meet_what_they_meet_in_packets() {
     let triangles = soup(20_000);
     let Some(device) = device(1) else { return };
-    let scene = TriangleScene::new(&device, triangles.len(), triangles.iter().copied()).unwrap();
+    let scene = TriangleScene::new(&device, triangles.len(), triangles.iter().copied(), None).unwrap();
     let hierarchy = Arc::new(Hierarchy { scene, ids: (0..triangles.len() as u32).collect() });
     let tracer = CpuTracer { hierarchy, near: 0.0 };
     let mut random = Hashed::new(&[3]);
@@ -82,7 +82,7 @@ fn however_many_threads_build_it_the_hierarchy_is_the_same() {
     let mut met: Vec<Vec<(u32, u32)>> = Vec::new();
     for threads in [1, 2, 3, 8] {
         let Some(device) = device(threads) else { return };
-        let scene = TriangleScene::new(&device, triangles.len(), triangles.iter().copied()).unwrap();
+        let scene = TriangleScene::new(&device, triangles.len(), triangles.iter().copied(), None).unwrap();
         let ray = |i: u32| {
             let (x, y) = (i % 256, i / 256);
             // Vertical rays through lattice points and edges, where many triangles are hit at equal

@@ -29,14 +29,14 @@ pub(super) enum Refusal {
     Failed(String),
 }
 
-/// A triangle in the shader's layout: its scaled vertices and its id.
+/// A triangle in the shader's layout: its scaled vertices, its id and the number of its side.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct Corners {
     a: Vec3,
     id: u32,
     b: Vec3,
-    unused_b: u32,
+    side: u32,
     c: Vec3,
     unused_c: u32,
 }
@@ -122,11 +122,12 @@ impl LineScene {
         let corners = |place: &u32| {
             let id = ids[*place as usize];
             let [a, b, c] = scaled(id);
-            Corners { a, id, b, unused_b: 0, c, unused_c: 0 }
+            Corners { a, id, b, side: scene.sides().side(id) as u32, c, unused_c: 0 }
         };
         scoped(device, || {
             let nodes = pages(device, "line nodes", &bvh.nodes, node_page, |n| *n)?;
             let triangles = pages(device, "line triangles", &bvh.order, triangle_page, corners)?;
+            let one_sided = !scene.sides().are_both();
             let scene = filled(device, "line scene", wgpu::BufferUsages::UNIFORM, &[uniform], |u| *u)?;
             let paged = nodes.len() > 1 || triangles.len() > 1;
             // Every binding needs a buffer; unused bindings get the first page, and the shader does not read
@@ -139,15 +140,20 @@ impl LineScene {
             Ok(Self::bind(
                 device,
                 &bound,
-                [f64::from(u8::from(paged)), node_page as f64, triangle_page as f64],
+                [
+                    ("PAGED", f64::from(u8::from(paged))),
+                    ("NODE_PAGE", node_page as f64),
+                    ("TRIANGLE_PAGE", triangle_page as f64),
+                    ("CULL", f64::from(u8::from(one_sided))),
+                ],
             ))
         })
         .map(|made| Self { empty: ids.is_empty(), ..made })
         .map_err(Refusal::Failed)
     }
 
-    /// The pipeline and the scene's bindings, `bound` in the shader's order.
-    fn bind(device: &wgpu::Device, bound: &[wgpu::Buffer], pages: [f64; 3]) -> Self {
+    /// The pipeline with the shader's `constants`, and the scene's bindings, `bound` in the shader's order.
+    fn bind(device: &wgpu::Device, bound: &[wgpu::Buffer], constants: [(&str, f64); 4]) -> Self {
         let stage = wgpu::ShaderStages::COMPUTE;
         let storage = |read_only| buffer(wgpu::BufferBindingType::Storage { read_only }, false);
         let uniform = buffer(wgpu::BufferBindingType::Uniform, false);
@@ -180,7 +186,7 @@ impl LineScene {
             module: &device.create_shader_module(wgpu::include_wgsl!("trace.wgsl")),
             entry_point: Some("trace"),
             compilation_options: wgpu::PipelineCompilationOptions {
-                constants: &[("PAGED", pages[0]), ("NODE_PAGE", pages[1]), ("TRIANGLE_PAGE", pages[2])],
+                constants: &constants,
                 ..Default::default()
             },
             cache: None,

@@ -53,7 +53,7 @@ pub struct GpuBackend {
     /// The buffers of one batch of cubes.
     work: Mutex<Work>,
     /// The scene of the line tracer, made at the first call of `lines`.
-    lines: [OnceLock<Result<Arc<LineKit>, Refusal>>; 2],
+    lines: [OnceLock<Result<Arc<LineKit>, Refusal>>; LineSet::COUNT],
 }
 
 impl GpuBackend {

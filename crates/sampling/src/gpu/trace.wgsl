@@ -33,6 +33,8 @@ struct Scene {
 override PAGED: bool = false;
 override NODE_PAGE: u32 = 1u;
 override TRIANGLE_PAGE: u32 = 1u;
+// Whether some triangles are met from one side alone.
+override CULL: bool = false;
 
 // As in bvh.rs.
 const STACK: u32 = 40u;
@@ -57,7 +59,7 @@ const WIDENING: f32 = 0.0000019073486328125;
 @group(0) @binding(1) var<storage, read> nodes_a: array<vec4<u32>>;
 @group(0) @binding(2) var<storage, read> nodes_b: array<vec4<u32>>;
 @group(0) @binding(3) var<storage, read> nodes_c: array<vec4<u32>>;
-// Three elements for each triangle: the vertices; the first also holds the id.
+// Three elements for each triangle: the vertices; the first also holds the id, the second the side.
 @group(0) @binding(4) var<storage, read> triangles_a: array<vec4<u32>>;
 @group(0) @binding(5) var<storage, read> triangles_b: array<vec4<u32>>;
 @group(0) @binding(6) var<storage, read> triangles_c: array<vec4<u32>>;
@@ -77,6 +79,8 @@ struct Corners {
     b: vec3<f32>,
     c: vec3<f32>,
     id: u32,
+    // 0: met from both sides. 1: from where the vertices run counter-clockwise; 2: clockwise.
+    side: u32,
 }
 
 struct Ray {
@@ -89,6 +93,8 @@ struct Ray {
     // For triangle tests: the axis of the direction's largest component, and the shear of the other two axes.
     major: u32,
     shear: vec2<f32>,
+    // Whether the ray goes up that axis.
+    upwards: bool,
     near: f32,
 }
 
@@ -129,7 +135,13 @@ fn corners_at(index: u32) -> Corners {
         b = triangles_c[at + 1u];
         c = triangles_c[at + 2u];
     }
-    return Corners(bitcast<vec3<f32>>(a.xyz), bitcast<vec3<f32>>(b.xyz), bitcast<vec3<f32>>(c.xyz), a.w);
+    return Corners(
+        bitcast<vec3<f32>>(a.xyz),
+        bitcast<vec3<f32>>(b.xyz),
+        bitcast<vec3<f32>>(c.xyz),
+        a.w,
+        b.w,
+    );
 }
 
 // The distances at which the ray enters and leaves the widened box. A ray that misses has enter > leave.
@@ -230,6 +242,11 @@ fn meet(ray: Ray, t: Corners) -> f32 {
     if (least == 0 && most == 0) || (least < 0 && most > 0) {
         return FAR;
     }
+    // The turned axes are right-handed, so the vertices run counter-clockwise as seen from up the third axis
+    // when the origin is on the left of each edge. A ray that goes up meets such a triangle from behind.
+    if CULL && t.side != 0u && ((most > 0) == ray.upwards) == (t.side == 1u) {
+        return FAR;
+    }
     // The distance to the plane; exactly zero where the ray begins in the plane of an axis-aligned wall.
     let normal = cross(t.b - t.a, t.c - t.a);
     let height = dot(normal, t.a - ray.origin);
@@ -283,6 +300,7 @@ fn trace(@builtin(global_invocation_id) id: vec3<u32>) {
     ray.major = select(select(2u, 1u, size.y >= size.z), 0u, size.x >= size.y && size.x >= size.z);
     let d = turned(ray.direction, ray.major);
     ray.shear = d.xy / d.z;
+    ray.upwards = d.z > 0.0;
     ray.near = scene.near * lengthening;
 
     var nearest = FAR;

@@ -12,8 +12,10 @@ use sightline_viewcells::division::FORCED_DEPTH;
 use sightline_viewcells::{CellBox, Split, Tile};
 
 use super::grid::CellGrid;
+use super::joining;
+use super::pairs;
 use super::rounds::Tolerance;
-use super::work::{Work, columns};
+use super::work::{Work, columns, share};
 use crate::context::{JobContext, TileError};
 use sightline_model::CellStats;
 use sightline_model::{CellSet, CellSets, MOST_LINE_DEPTH, Node};
@@ -35,11 +37,11 @@ pub fn run(work: &Work<'_>, tile: &Tile) -> Result<(CellSets, u64), TileError> {
     let Work { job, watcher, .. } = work;
     let (levels, sides) = regular(job, &tile.cell, tile.depth);
     let number = |c: [u32; 3]| number(job.lattice.units(), &tile.cell, sides, c);
-    let mut block = work.block(&tile.cell, sides, number);
+    let mut block = work.block(&tile.cell, sides, number, |_| u64::MAX);
     // The number of finished cells is unknown until the tree is built.
     block.silent = true;
     block.sample(job.params.target_error, &[], Tolerance::Raised)?;
-    block.bits_mut().share(work.scene.duplicates);
+    share(work, &mut block);
     let mut sampled = Sampled {
         grid: block.grid().clone(),
         of: tile.cell,
@@ -47,11 +49,13 @@ pub fn run(work: &Work<'_>, tile: &Tile) -> Result<(CellSets, u64), TileError> {
         columns: columns(&block),
         stats: block.stats().to_vec(),
     };
-    let rays = sampled.stats.iter().flat_map(|s| s.rays).sum();
+    let rays = sampled.stats.iter().flat_map(|s| s.rays).sum::<u64>();
+    let more = joining::finish(job, &block, *watcher)?;
+    let pairs = pairs::of_tile(job, block.pairs());
     drop(block);
     let part = sampled.part(job, &tile.cell, (tile.depth, 0));
     part.cells.iter().for_each(|_| watcher.cell_done());
-    Ok((CellSets { nodes: part.nodes, cells: part.cells }, rays))
+    Ok((CellSets { nodes: part.nodes, cells: part.cells, pairs }, rays + more))
 }
 
 /// A part of the tree, in preorder.

@@ -91,6 +91,19 @@ impl SeenBits {
         }
     }
 
+    /// Publishes, adds each row after the first `items` to the rows that `shared` names for it, and drops
+    /// these rows.
+    pub fn share_rows(&mut self, items: u32, shared: &[Vec<u32>]) {
+        self.publish();
+        for (row, with) in (items as usize..).zip(shared) {
+            for word in 0..self.words {
+                let bits = self.before[row * self.words + word];
+                with.iter().for_each(|item| self.before[*item as usize * self.words + word] |= bits);
+            }
+        }
+        self.before.truncate(items as usize * self.words);
+    }
+
     /// The triangles seen from each cell of a word, ascending.
     pub fn columns(&self, word: u32) -> Vec<Vec<u32>> {
         let mut columns = vec![Vec::new(); 64];

@@ -11,6 +11,7 @@
 //! found by a test are added to the set, which only lowers the error.
 
 use super::block::{Block, Scratch};
+use super::pairs::Pairs;
 use super::rounds::{LEFT_AFTER_ROUND, Tolerance};
 use crate::context::TileError;
 use crate::cube::{SKY, face_basis};
@@ -42,12 +43,12 @@ impl Block<'_> {
         self.silent = true;
         // The bound has no per-cell tolerance.
         self.sample(aim, &[], Tolerance::Equal)?;
-        let mut open: Vec<usize> = (0..self.cells.len()).collect();
+        let mut open: Vec<usize> = self.active();
         for look in 1..=MOST_LOOKS {
             let lines = ((LINES + f64::from(look - 1)) / most).ceil() as u64;
             self.look_at(&open, look, lines)?;
             let before = open.len();
-            open.retain(|c| self.stats[*c].bound().is_none_or(|b| b > most));
+            open.retain(|c| !self.is_bounded(*c, most));
             self.tell_done(before - open.len());
             if open.is_empty() || self.late() {
                 break;
@@ -57,13 +58,21 @@ impl Block<'_> {
             self.sample(aim, &again, Tolerance::Equal)?;
         }
         self.tell_done(open.len());
-        for cell in 0..self.cells.len() {
+        for cell in self.active() {
             // Sampling may have aimed below both limits; a missed aim does not matter then.
-            let bounded = self.stats[cell].bound().is_some_and(|b| b <= most);
+            let bounded = self.is_bounded(cell, most);
             let missed = self.stats[cell].unfinished && self.left(cell, LEFT_AFTER_ROUND) > target;
             self.stats[cell].unfinished = !bounded || missed;
         }
         Ok(())
+    }
+
+    /// Whether the bounds of a cell are at most `most`: on its missed sight lines, and on those that join it
+    /// with a cell that is no pair with it.
+    fn is_bounded(&self, cell: usize, most: f64) -> bool {
+        let stats = &self.stats[cell];
+        let within = |bound: Option<f64>| bound.is_some_and(|b| b <= most);
+        within(stats.bound()) && (self.pairs.is_none() || within(stats.cell_bound()))
     }
 
     /// Test number `look`: casts `lines` held-out lines from every cell.
@@ -71,11 +80,12 @@ impl Block<'_> {
     /// # Errors
     /// As [`Block::sample`].
     pub fn look(&mut self, look: u32, lines: u64) -> Result<(), TileError> {
-        let all: Vec<usize> = (0..self.cells.len()).collect();
+        let all = self.active();
         self.look_at(&all, look, lines)
     }
 
     fn look_at(&mut self, cells: &[usize], look: u32, lines: u64) -> Result<(), TileError> {
+        self.held = self.pairs.as_ref().map_or_else(Vec::new, Pairs::copy);
         let work: Vec<(usize, u64)> = cells.iter().map(|c| (*c, lines)).collect();
         self.each(&work, |block, s, (cell, lines)| block.check(s, *cell, *lines, look))?;
         self.bits.publish();
@@ -87,7 +97,8 @@ impl Block<'_> {
         let c = self.cells[cell];
         let mut random = Hashed::new(&[self.tools.seed, c.number, u64::from(look), CHECK]);
         let mut stats = CellStats::default();
-        let (mut left, mut misses) = (lines, 0);
+        let (mut left, mut misses, mut cell_misses) = (lines, 0, 0);
+        let pairs = self.pairs.as_ref().zip(self.pair_slot(&c));
         while left > 0 {
             if self.late() {
                 // An incomplete test gives no bound.
@@ -121,13 +132,24 @@ impl Block<'_> {
             self.tools.sight.trace_each(&mut s.packets, &mut s.passed, self.step)?;
             for (k, packet) in s.packets.iter().enumerate() {
                 for lane in 0..packet.count {
-                    let shown = std::iter::once(packet.triangle[lane]).chain(s.passed.on(k, lane));
-                    let mut new = shown.filter(|t| *t != SKY && !self.bits.seen(*t, c.slot)).peekable();
+                    if let Some((pairs, slot)) = pairs {
+                        let to = packet.distance[lane];
+                        pairs.join_line(packet.ray(lane), 0.0, to, &mut s.joined);
+                        cell_misses += u64::from(pairs.is_new(&self.held, slot.index(), &s.joined));
+                    }
+                    let end = (packet.triangle[lane], packet.distance[lane]);
+                    let shown = std::iter::once(end).chain(s.passed.on_at(k, lane));
+                    let mut new = shown.filter(|(t, _)| *t != SKY && !self.seen(*t, c.slot)).peekable();
                     if new.peek().is_some() {
                         misses += 1;
                         let (origin, direction) = packet.ray(lane);
-                        self.grid.walk(origin, direction, 0.0, packet.distance[lane], &mut s.crossed);
-                        new.for_each(|t| self.bits.credit(t, &s.crossed));
+                        for (triangle, at) in new {
+                            // A triangle of one side is not seen from beyond it.
+                            let to = if self.tools.sight.is_one_way() { at } else { end.1 };
+                            self.grid.walk(origin, direction, 0.0, to, &mut s.crossed);
+                            self.only_reached(&mut s.crossed);
+                            self.credit(triangle, &s.crossed);
+                        }
                     }
                 }
             }
@@ -135,6 +157,7 @@ impl Block<'_> {
         }
         stats.finds[LineKind::Check as usize] = misses;
         (stats.bound_lines, stats.bound_misses, stats.bound_look) = (lines, misses, look);
+        stats.bound_cell_misses = cell_misses;
         Ok(stats)
     }
 }

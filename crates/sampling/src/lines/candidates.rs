@@ -7,7 +7,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::block::{Block, Scratch};
+use super::block::{Block, JOINED_LANES, Scratch};
 use crate::cube::SKY;
 use crate::error::BackendError;
 use crate::packet::{LANES, Packet};
@@ -22,6 +22,8 @@ const DEPTH: f32 = 0.1;
 /// Least cosine in a triangle's solid angle: a triangle seen edge-on from the cell's centre may face another
 /// point of the cell.
 const LEAST_FACING: f32 = 0.25;
+/// Most candidates of an item that is not a triangle, in a round.
+const TRIES_OF_ITEM: usize = 8;
 /// Name of the stream of random numbers.
 const AIM: u64 = 3;
 
@@ -54,7 +56,7 @@ impl Block<'_> {
                 let mut found = Vec::new();
                 let mut near = vec![0u64; words];
                 for &triangle in stripe {
-                    let row = self.bits.row(triangle);
+                    let row = self.bits.row(self.row(triangle));
                     if row.iter().all(|w| *w == 0) {
                         continue;
                     }
@@ -62,7 +64,9 @@ impl Block<'_> {
                     near.fill(0);
                     for beside in self.tools.surface.neighbours[triangle as usize] {
                         if beside != SKY {
-                            near.iter_mut().zip(self.bits.row(beside)).for_each(|(n, seen)| *n |= seen);
+                            near.iter_mut()
+                                .zip(self.bits.row(self.row(beside)))
+                                .for_each(|(n, seen)| *n |= seen);
                         }
                     }
                     let mut any = 0;
@@ -109,7 +113,26 @@ impl Block<'_> {
         for (i, candidate) in stripes.into_iter().flatten() {
             lists[i as usize].push(candidate);
         }
+        if !self.tools.rows.are_triangles() {
+            lists.par_iter_mut().for_each(|list| self.largest_of_each(list));
+        }
         lists
+    }
+
+    /// Keeps of the candidates of each item only the largest few, in the same order.
+    fn largest_of_each(&self, list: &mut Vec<Candidate>) {
+        let mut order: Vec<u32> = (0..list.len() as u32).collect();
+        let of = |i: &u32| &list[*i as usize];
+        order.sort_by(|a, b| {
+            let (a, b) = (of(a), of(b));
+            self.row(a.triangle).cmp(&self.row(b.triangle)).then(b.part.total_cmp(&a.part))
+        });
+        let mut kept: Vec<u32> = Vec::new();
+        for item in order.chunk_by(|a, b| self.row(of(a).triangle) == self.row(of(b).triangle)) {
+            kept.extend(item.iter().take(TRIES_OF_ITEM));
+        }
+        kept.sort_unstable();
+        *list = kept.iter().map(|i| list[*i as usize]).collect();
     }
 
     /// Aims at each of `list` from `cell`, as often as [`Yields::times`] says but at least once, until it is
@@ -134,7 +157,7 @@ impl Block<'_> {
             if time > 0 {
                 wanted.retain(|candidate| {
                     let more = self.yields.times(candidate.part) - f64::from(time);
-                    s.met[candidate.triangle as usize] != s.tag && more > f64::from(random.unit())
+                    s.met[self.row(candidate.triangle) as usize] != s.tag && more > f64::from(random.unit())
                 });
             }
             if wanted.is_empty() {
@@ -144,7 +167,14 @@ impl Block<'_> {
                 if self.late() {
                     return Ok(stats);
                 }
-                self.try_some(s, cell, some, time, &mut random, &mut stats)?;
+                if self.tools.rows.are_triangles() {
+                    self.try_some(s, cell, some, time, &mut random, &mut stats)?;
+                } else {
+                    // Another triangle of the item may have been met since.
+                    let unmet = |c: &&Candidate| s.met[self.row(c.triangle) as usize] != s.tag;
+                    let some: Vec<Candidate> = some.iter().filter(unmet).copied().collect();
+                    self.try_some(s, cell, &some, time, &mut random, &mut stats)?;
+                }
             }
         }
         Ok(stats)
@@ -176,7 +206,7 @@ impl Block<'_> {
         }
         // The directions to sixteen nearby candidates still differ too much for a packet.
         self.tools.sight.trace_each(&mut s.packets, &mut s.passed, self.step)?;
-        let Scratch { packets, passed, crossed, met, tag, .. } = &mut *s;
+        let Scratch { packets, passed, crossed, joined, met, tag, .. } = &mut *s;
         for (pair, group) in some.chunks(LANES).enumerate() {
             let halves = [2 * pair, 2 * pair + 1];
             let ahead = &packets[halves[0]];
@@ -185,11 +215,14 @@ impl Block<'_> {
                 let found = ahead.triangle[lane] == candidate.triangle
                     || passed.on(halves[0], lane).any(|t| t == candidate.triangle);
                 self.yields.count(candidate.part, time, uniform, found);
-                let ends = self.credit_line(packets, passed, halves, lane, crossed);
+                let ends = self.credit_line(packets, passed, halves, lane, crossed, (joined, JOINED_LANES));
                 for triangle in ends.into_iter().chain(passed.on_both(halves, lane)) {
-                    if triangle != SKY && !self.bits.seen(triangle, c.slot) && met[triangle as usize] != *tag
-                    {
-                        met[triangle as usize] = *tag;
+                    if triangle == SKY {
+                        continue;
+                    }
+                    let row = self.row(triangle);
+                    if !self.bits.seen(row, c.slot) && met[row as usize] != *tag {
+                        met[row as usize] = *tag;
                         stats.finds[LineKind::Candidate as usize] += 1;
                     }
                 }
@@ -203,13 +236,17 @@ impl Block<'_> {
     fn eye_for(&self, cell: usize, group: &[Candidate], random: &mut Hashed) -> [f32; 3] {
         let at = self.cells[cell].at;
         let mut eye = random.point().to_array();
+        if !self.cells[cell].is_whole() {
+            // Its viewpoints need not reach the faces.
+            return eye;
+        }
         let mut votes = [0u32; 6];
         for (face, vote) in votes.iter_mut().enumerate() {
             let mut next = at;
             next[face / 2] = if face % 2 == 0 { at[face / 2] + 1 } else { at[face / 2].wrapping_sub(1) };
             if self.grid.has(next) {
                 let slot = self.grid.slot(next);
-                *vote = group.iter().filter(|t| self.bits.seen(t.triangle, slot)).count() as u32;
+                *vote = group.iter().filter(|t| self.seen(t.triangle, slot)).count() as u32;
             }
         }
         let mut pick = (random.unit() * votes.iter().sum::<u32>() as f32) as u32;

@@ -5,7 +5,7 @@
 //! tried and find far less. Each line is traced in both directions, so the triangles behind the origin are
 //! credited as well.
 
-use super::block::{Block, Scratch};
+use super::block::{Block, JOINED_LANES, Scratch};
 use super::uniform::Find;
 use crate::cube::SKY;
 use crate::error::BackendError;
@@ -40,10 +40,14 @@ impl Block<'_> {
             let mut aimed: Vec<Aimed> = Vec::new();
             for find in finds.iter() {
                 for next in self.tools.surface.neighbours[find.triangle as usize] {
-                    if next == SKY || s.met[next as usize] == s.tag || self.bits.seen(next, slot) {
+                    if next == SKY {
                         continue;
                     }
-                    s.met[next as usize] = s.tag;
+                    let row = self.row(next);
+                    if s.met[row as usize] == s.tag || self.bits.seen(row, slot) {
+                        continue;
+                    }
+                    s.met[row as usize] = s.tag;
                     let (eye, _) = s.packets[find.packet as usize].ray(0);
                     let full = aimed.last().is_none_or(|a| a.eye != find.packet || a.packet.count == LANES);
                     if full {
@@ -64,7 +68,7 @@ impl Block<'_> {
             s.behind.extend(aimed.iter().map(|a| a.packet.reversed(self.step)));
             self.tools.sight.trace_each(&mut s.behind, &mut s.passed, self.step)?;
             finds.clear();
-            let Scratch { behind: traced, passed, crossed, met, tag, .. } = &mut *s;
+            let Scratch { behind: traced, passed, crossed, joined, met, tag, .. } = &mut *s;
             for (k, a) in aimed.iter().enumerate() {
                 let ahead = &traced[k];
                 stats.rays[LineKind::Flood as usize] += 2 * ahead.count as u64;
@@ -73,15 +77,23 @@ impl Block<'_> {
                     let hits = || std::iter::once(end).chain(passed.on(k, lane));
                     if hits().all(|hit| hit != target) {
                         // Another triangle obstructs it; from another origin it may be visible.
-                        met[target as usize] = 0;
+                        met[self.row(target) as usize] = 0;
                     }
-                    self.credit_line(traced, passed, [k, k + aimed.len()], lane, crossed);
+                    self.credit_line(
+                        traced,
+                        passed,
+                        [k, k + aimed.len()],
+                        lane,
+                        crossed,
+                        (joined, JOINED_LANES),
+                    );
                     for hit in hits() {
-                        if hit != SKY
-                            && !self.bits.seen(hit, slot)
-                            && (hit == target || met[hit as usize] != *tag)
-                        {
-                            met[hit as usize] = *tag;
+                        if hit == SKY {
+                            continue;
+                        }
+                        let row = self.row(hit);
+                        if !self.bits.seen(row, slot) && (hit == target || met[row as usize] != *tag) {
+                            met[row as usize] = *tag;
                             finds.push(Find { packet: a.eye, triangle: hit });
                         }
                     }

@@ -113,6 +113,12 @@ impl CellGrid {
         (self.min + size * vec(c), size)
     }
 
+    /// The cell of a point within the bounds.
+    pub fn cell_at(&self, point: Vec3) -> [u32; 3] {
+        let at = (point - self.min).to_array();
+        [0, 1, 2].map(|a| ((at[a] * self.per_unit[a]) as u32).min(self.cells[a] - 1))
+    }
+
     /// Where a cell's bit is.
     pub fn slot(&self, c: [u32; 3]) -> Slot {
         let ([sx, sy, sz], [bx, by, _]) = (self.side, self.bricks);

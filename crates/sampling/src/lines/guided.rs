@@ -29,9 +29,10 @@ impl Block<'_> {
     /// # Errors
     /// As [`Block::sample`].
     pub fn sample_guided(&mut self, rays: u64) -> Result<(), TileError> {
-        let work: Vec<(usize, u64)> = (0..self.cells.len()).map(|c| (c, rays)).collect();
+        let work: Vec<(usize, u64)> = self.active().into_iter().map(|c| (c, rays)).collect();
         self.each(&work, |block, s, (cell, rays)| block.guided(s, *cell, *rays))?;
-        for stats in &mut self.stats {
+        for cell in self.active() {
+            let stats = &mut self.stats[cell];
             stats.unfinished = stats.rays[LineKind::Uniform as usize] < rays;
         }
         self.bits.publish();
@@ -63,7 +64,7 @@ impl Block<'_> {
                                 break;
                             }
                             let i = (random.bits() % border.len() as u64) as usize;
-                            if s.met[border[i] as usize] == s.tag {
+                            if s.met[self.row(border[i]) as usize] == s.tag {
                                 border.swap_remove(i);
                             } else {
                                 target = Some(border[i]);
@@ -74,7 +75,7 @@ impl Block<'_> {
                     if target.is_none() && kind < 0.75 && !all.is_empty() {
                         target = (0..DRAWS)
                             .map(|_| all[(random.bits() % all.len() as u64) as usize])
-                            .find(|t| s.met[*t as usize] != s.tag);
+                            .find(|t| s.met[self.row(*t) as usize] != s.tag);
                     }
                     let direction = match target {
                         Some(t) => {
@@ -92,14 +93,15 @@ impl Block<'_> {
                 let ends = (0..packet.count)
                     .flat_map(|l| std::iter::once(packet.triangle[l]).chain(s.passed.on(k, l)));
                 for triangle in ends {
-                    if triangle == SKY || s.met[triangle as usize] == s.tag {
+                    if triangle == SKY || s.met[self.row(triangle) as usize] == s.tag {
                         continue;
                     }
-                    s.met[triangle as usize] = s.tag;
-                    self.bits.credit(triangle, &[(c.slot.word, 1 << c.slot.bit)]);
+                    s.met[self.row(triangle) as usize] = s.tag;
+                    self.credit(triangle, &[(c.slot.word, 1 << c.slot.bit)]);
                     stats.finds[LineKind::Uniform as usize] += 1;
                     let next = self.tools.surface.neighbours[triangle as usize];
-                    border.extend(next.iter().filter(|n| **n != SKY && s.met[**n as usize] != s.tag));
+                    let unmet = |n: &&u32| **n != SKY && s.met[self.row(**n) as usize] != s.tag;
+                    border.extend(next.iter().filter(unmet));
                 }
             }
         }

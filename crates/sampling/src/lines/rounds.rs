@@ -8,6 +8,7 @@
 
 use super::block::{AIMED_WORK, Block};
 use super::candidates::Candidate;
+use super::pairs::Pairs;
 use crate::context::TileError;
 use sightline_model::{CellStats, LineKind};
 
@@ -58,17 +59,21 @@ impl Block<'_> {
     /// # Errors
     /// [`TileError`] when it is cancelled or the tracer fails. Running out of time is no error.
     pub fn sample(&mut self, target: f64, wanted: &[usize], hard: Tolerance) -> Result<(), TileError> {
-        let mut open: Vec<usize> =
-            if wanted.is_empty() { (0..self.cells.len()).collect() } else { wanted.to_vec() };
+        let mut open: Vec<usize> = if wanted.is_empty() { self.active() } else { wanted.to_vec() };
         for cell in &open {
             (self.stats[*cell].unfinished, self.stats[*cell].raised_tolerance) = (false, false);
         }
+        let enough = self.enough;
         for round in 0..MOST_ROUNDS {
             if open.is_empty() || self.late() {
                 break;
             }
-            let sizes: Vec<u32> = open.iter().map(|c| self.tiles_for(*c, target, round)).collect();
+            let sizes: Vec<u32> = match enough {
+                None => open.iter().map(|c| self.tiles_for(*c, target, round)).collect(),
+                Some(rays) => open.iter().map(|c| self.tiles_up_to(*c, rays)).collect(),
+            };
             let work: Vec<(usize, u32)> = open.iter().copied().zip(sizes).collect();
+            self.held = self.pairs.as_ref().map_or_else(Vec::new, Pairs::copy);
             self.each(&work, |block, scratch, (cell, tiles)| block.uniform(scratch, *cell, *tiles))?;
             self.bits.publish();
             if round == 1 && !self.seeded && target < SEEDS_BELOW {
@@ -79,7 +84,7 @@ impl Block<'_> {
             if self.late() {
                 break;
             }
-            {
+            if enough.is_none() {
                 // A cell that the first round has finished needs no candidates.
                 let before = open.len();
                 open.retain(|c| self.stats[*c].rounds > 1 || self.left(*c, LEFT_AFTER_FIRST) > target);
@@ -97,13 +102,16 @@ impl Block<'_> {
                 break;
             }
             let before = open.len();
-            let average = self.work() / self.cells.len() as f64;
+            let average = self.work() / self.active().len().max(1) as f64;
             let mut spared = Vec::new();
             open.retain(|c| {
                 let granted = match hard {
                     Tolerance::Equal => 1.0,
                     Tolerance::Raised => (self.work_of(*c) / (average * HARD_FROM)).max(1.0),
                 };
+                if let Some(rays) = enough {
+                    return self.stats[*c].rays[LineKind::Uniform as usize] < rays;
+                }
                 let left = self.left(*c, LEFT_AFTER_ROUND);
                 if left > target && left <= target * granted {
                     spared.push(*c);
@@ -152,6 +160,14 @@ impl Block<'_> {
     /// The work of all cells so far, in units of a uniform ray.
     fn work(&self) -> f64 {
         (0..self.cells.len()).map(|c| self.work_of(c)).sum()
+    }
+
+    /// Tiles along a cube face for a cell's next round towards `enough` uniform rays: a third of them, so
+    /// that candidates of the first finds are tried before the rest, then all that are left.
+    fn tiles_up_to(&self, cell: usize, enough: u64) -> u32 {
+        let cast = self.stats[cell].rays[LineKind::Uniform as usize];
+        let wanted = if cast == 0 { enough / 3 } else { enough.saturating_sub(cast) };
+        ((wanted as f64 / 96.0).sqrt().ceil() as u32).clamp(FIRST_TILES, MOST_TILES)
     }
 
     /// Tiles along a cube face for a cell's next round: enough to expect [`MISSES_WANTED`] misses.

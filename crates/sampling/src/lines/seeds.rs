@@ -5,10 +5,10 @@
 //! direction and distance, which keeps packets coherent. The distance of the origin from the surface is
 //! log-uniform, because gaps have all sizes.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::block::{Block, Scratch};
+use super::block::{Block, JOINED_LANES, Scratch};
 use crate::context::TileError;
 use crate::packet::{LANES, Packet};
 use crate::sequence::Hashed;
@@ -47,9 +47,7 @@ impl Block<'_> {
                     let skip = (random.unit() * ONE_IN as f32) as usize;
                     let mut down = Packet::default();
                     for triangle in group.iter().skip(skip).step_by(ONE_IN).take(LANES) {
-                        let v = self.tools.scene.triangles()[*triangle as usize].v;
-                        let normal = (v[1] - v[0]).cross(v[2] - v[0]);
-                        let up = if (normal.dot(direction) > 0.0) == front { direction } else { -direction };
+                        let up = if self.is_up(*triangle, direction, front) { direction } else { -direction };
                         let at = Vec3::from(point_on(self.tools.scene, *triangle, &mut random));
                         down.push((at + up * distance).to_array(), (-up).to_array());
                     }
@@ -58,19 +56,33 @@ impl Block<'_> {
                     s.packets.push(up);
                 }
                 self.tools.sight.trace(&mut s.packets, &mut s.passed, self.step)?;
-                let Scratch { packets, passed, crossed, .. } = &mut *s;
+                let Scratch { packets, passed, crossed, joined, .. } = &mut *s;
                 let mut rays = 0;
                 for pair in 0..packets.len() / 2 {
                     let halves = [2 * pair, 2 * pair + 1];
                     rays += 2 * packets[halves[0]].count as u64;
                     for lane in 0..packets[halves[0]].count {
-                        self.credit_line(packets, passed, halves, lane, crossed);
+                        self.credit_line(packets, passed, halves, lane, crossed, (joined, JOINED_LANES));
                     }
                 }
                 self.tools.watcher.rendered(rays);
                 Ok(())
             })
         })
+    }
+}
+
+impl Block<'_> {
+    /// Whether a direction points to the side of a triangle from which its seed looks: its front if it has
+    /// one side, else the side that `front` chooses.
+    fn is_up(&self, triangle: u32, direction: Vec3, front: bool) -> bool {
+        let one_sided = self.tools.scene.front(triangle);
+        if one_sided != DVec3::ZERO {
+            return one_sided.dot(direction.as_dvec3()) > 0.0;
+        }
+        let v = self.tools.scene.triangles()[triangle as usize].v;
+        let normal = (v[1] - v[0]).cross(v[2] - v[0]);
+        (normal.dot(direction) > 0.0) == front
     }
 }
 

@@ -6,10 +6,11 @@ use std::time::Instant;
 use sightline_model::{CellSet, CellSets, Node, Sampler};
 use sightline_viewcells::{CellBox, Division, Tile, UNITS_PER_CELL};
 
-use super::adaptive;
 use super::block::Block;
+use super::pairs;
 use super::rounds::Tolerance;
-use super::work::{Work, columns};
+use super::work::{Work, columns, share};
+use super::{adaptive, joining};
 use crate::context::{JobContext, TileError, Watcher};
 use crate::sight::Sight;
 
@@ -20,8 +21,8 @@ use crate::sight::Sight;
 pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(CellSets, u64), TileError> {
     let start = Instant::now();
     let scene = job.scene.for_lines();
-    let sight = Sight::new(job.backend, job.scene.traced())?;
-    let work = Work { job, scene, sight: &sight, watcher };
+    let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.params.far);
+    let work = Work { job, scene, sight: &sight, watcher, pairs: job.pairs };
     tracing::debug!("ready to trace after {:?}", start.elapsed());
     if let Division::Adaptive { .. } = job.division {
         return adaptive::run(&work, tile);
@@ -32,18 +33,32 @@ pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(
         let [x, y, z] = [0, 1, 2].map(|a| first[a] + u64::from(c[a]));
         (z * whole[1] + y) * whole[0] + x
     };
-    let mut block = work.block(&tile.cell, span(&tile.cell), number);
+    let parts = |c: [u32; 3]| job.viewpoints.map_or(u64::MAX, |marks| marks.of(number(c) as usize));
+    let mut block = work.block(&tile.cell, span(&tile.cell), number, parts);
     tracing::debug!("know what meets each cell after {:?}", start.elapsed());
     let params = job.params;
+    if let Some(share) = params.min_share {
+        block.search_for_share(share);
+    }
     match (params.sampler, params.max_error) {
         (Sampler::Guided, _) => block.sample_guided(params.rays)?,
         (_, Some(most)) => block.sample_to_bound(params.target_error, most)?,
         (_, None) => block.sample(params.target_error, &[], Tolerance::Raised)?,
     }
     tracing::debug!("sampled after {:?}", start.elapsed());
-    block.bits_mut().share(scene.duplicates);
-    let rays = block.stats().iter().flat_map(|s| s.rays).sum();
-    let sets = sets(job, tile, &block);
+    share(&work, &mut block);
+    let rays: u64 = block.stats().iter().flat_map(|s| s.rays).sum();
+    let mut sets = sets(job, tile, &block);
+    // The rays of the sampler guided are credited to their own cell alone.
+    let joining = match params.sampler {
+        Sampler::Guided => joining::search(job, tile, watcher)?,
+        Sampler::Lines | Sampler::Cubes => {
+            let rays = joining::finish(job, &block, watcher)?;
+            (pairs::of_tile(job, block.pairs()), rays)
+        }
+    };
+    sets.pairs = joining.0;
+    let rays = rays + joining.1;
     tracing::debug!("sets after {:?}", start.elapsed());
     Ok((sets, rays))
 }
@@ -69,13 +84,13 @@ fn sets(job: &JobContext<'_>, tile: &Tile, block: &Block<'_>) -> CellSets {
             None => {
                 let at = [0, 1, 2].map(|a| (cell.lo[a] - tile.cell.lo[a]) / UNITS_PER_CELL);
                 let [nx, ny, _] = grid.cells();
-                let stats = block.stats()[((at[2] * ny + at[1]) * nx + at[0]) as usize];
+                let place = ((at[2] * ny + at[1]) * nx + at[0]) as usize;
                 out.nodes.push(Node::Cell);
                 out.cells.push(CellSet {
                     visible: std::mem::take(&mut columns[grid.slot(at).index()]),
-                    samples: 0,
-                    stats,
-                    decision: None,
+                    stats: block.stats()[place],
+                    unreached: !block.is_reached(place),
+                    ..CellSet::default()
                 });
             }
         }

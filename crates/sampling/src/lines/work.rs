@@ -5,7 +5,6 @@ use rayon::prelude::*;
 use sightline_scene::{Aabb, overlap};
 use sightline_viewcells::CellBox;
 
-use super::bits::SeenBits;
 use super::block::{Block, Tools};
 use super::grid::CellGrid;
 use crate::context::{JobContext, Watcher};
@@ -18,30 +17,43 @@ pub struct Work<'a> {
     pub scene: LineScene<'a>,
     pub sight: &'a Sight<'a>,
     pub watcher: &'a dyn Watcher,
+    /// The grid over which pairs of cells are looked for; `None` when the job does not ask.
+    pub pairs: Option<[u32; 3]>,
 }
 
 impl Work<'_> {
     /// A block with `cells` cells along each axis of the box `within`. Each cell's set holds the triangles
     /// that meet it. `number` gives each cell a number that no other cell of the job has.
-    pub fn block(&self, within: &CellBox, cells: [u32; 3], number: impl Fn([u32; 3]) -> u64) -> Block<'_> {
+    /// `parts` gives the parts of each cell that hold viewpoints.
+    pub fn block(
+        &self,
+        within: &CellBox,
+        cells: [u32; 3],
+        number: impl Fn([u32; 3]) -> u64,
+        parts: impl Fn([u32; 3]) -> u64,
+    ) -> Block<'_> {
         let tools = Tools {
             scene: self.scene.scene,
             surface: self.scene.surface,
+            rows: self.job.scene.rows(self.job.params.granularity),
             sight: self.sight,
             seed: self.job.seed,
             watcher: self.watcher,
             deadline: self.job.deadline,
         };
         let (min, max) = within.world(&self.job.lattice);
-        let mut block = Block::new(tools, CellGrid::new(min, max, cells), number);
-        meeting(self, within, block.grid(), block.bits());
+        let (all_min, all_max) = self.job.division.root(&self.job.lattice).world(&self.job.lattice);
+        let division = self.pairs.map(|cells| CellGrid::new(all_min, all_max, cells));
+        let mut block = Block::new(tools, CellGrid::new(min, max, cells), number, parts, division);
+        meeting(self, within, &block);
         block.bits_mut().publish();
         block
     }
 }
 
 /// Credits every cell with the triangles that meet it, I(C), decided exactly.
-fn meeting(work: &Work<'_>, within: &CellBox, grid: &CellGrid, bits: &SeenBits) {
+fn meeting(work: &Work<'_>, within: &CellBox, block: &Block<'_>) {
+    let grid = block.grid();
     let cells = grid.cells();
     let planes: [Vec<f32>; 3] = std::array::from_fn(|a| {
         let step = (within.hi[a] - within.lo[a]) / cells[a];
@@ -70,7 +82,7 @@ fn meeting(work: &Work<'_>, within: &CellBox, grid: &CellGrid, bits: &SeenBits) 
                     let cell = Aabb { min: corner(at), max: corner(at.map(|c| c + 1)) };
                     if overlap::triangle_touches_box(triangle, &cell) {
                         let slot = grid.slot(at);
-                        bits.credit(id, &[(slot.word, 1 << slot.bit)]);
+                        block.credit_one(id, slot);
                     }
                 }
             }
@@ -82,4 +94,13 @@ fn meeting(work: &Work<'_>, within: &CellBox, grid: &CellGrid, bits: &SeenBits) 
 pub fn columns(block: &Block<'_>) -> Vec<Vec<u32>> {
     let words = block.grid().words() as u32;
     (0..words).into_par_iter().flat_map_iter(|w| block.bits().columns(w)).collect()
+}
+
+/// Gives triangles that are seen together the union of their rows: duplicates, and the items that share one.
+pub fn share(work: &Work<'_>, block: &mut Block<'_>) {
+    let rows = work.job.scene.rows(work.job.params.granularity);
+    match rows.are_triangles() {
+        true => block.bits_mut().share(work.scene.duplicates),
+        false => block.bits_mut().share_rows(rows.items(), rows.shared()),
+    }
 }

@@ -31,22 +31,9 @@ impl Random {
     }
 }
 
-/// Cosine and sine of a fraction of a full turn, by Taylor series: the platforms' own functions differ in the
-/// last bit.
+/// Cosine and sine of a fraction of a full turn.
 pub(super) fn turn(fraction: f32) -> (f32, f32) {
-    let quarters = f64::from(fraction) * 4.0;
-    let nearest = (quarters + 0.5).floor();
-    let x = (quarters - nearest) * std::f64::consts::FRAC_PI_2;
-    let xx = x * x;
-    // |x| ≤ π/4: the first omitted term is below 1e-11, far below the resolution of f32.
-    let sin = x * (1.0 - xx / 6.0 * (1.0 - xx / 20.0 * (1.0 - xx / 42.0 * (1.0 - xx / 72.0))));
-    let cos = 1.0 - xx / 2.0 * (1.0 - xx / 12.0 * (1.0 - xx / 30.0 * (1.0 - xx / 56.0 * (1.0 - xx / 90.0))));
-    let (c, s) = match (nearest as i64).rem_euclid(4) {
-        0 => (cos, sin),
-        1 => (-sin, cos),
-        2 => (-cos, -sin),
-        _ => (sin, -cos),
-    };
+    let (c, s) = crate::turn::of_quarters(f64::from(fraction) * 4.0);
     (c as f32, s as f32)
 }
 

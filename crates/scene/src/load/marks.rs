@@ -1,4 +1,4 @@
-//! The kinds of triangles that a loader finds, and the rules of the user, which go before the file.
+//! The kinds and sides of triangles that a loader finds, and the rules of the user, which go before the file.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -7,6 +7,8 @@ use globset::{GlobBuilder, GlobMatcher};
 
 use crate::SceneError;
 use crate::kinds::{Kind, Kinds, MAX_TEXT, Rule};
+use crate::masks::Masks;
+use crate::sides::{Side, Sides};
 
 /// The reason of triangles about which neither file nor rule says anything.
 const DEFAULT: &str = "by default";
@@ -51,19 +53,23 @@ impl Rule {
     }
 }
 
-/// Collects the kinds of a scene's triangles, in id order.
+/// Collects the kinds and the sides of a scene's triangles, in id order.
 pub(super) struct Marks {
     rules: Vec<(Rule, GlobMatcher, bool)>,
     /// All names, when there are rules: for the names near a glob that matches nothing.
     names: BTreeSet<String>,
     runs: Vec<(u32, Mark)>,
+    /// Whether the textures of masked materials are read, and whether a material asked for that.
+    alpha: (bool, bool),
+    masks: Masks,
+    sides: Vec<(u32, Side)>,
     warnings: Vec<String>,
 }
 
 impl Marks {
     /// # Errors
     /// [`SceneError::Bad`] when a rule's glob is none.
-    pub(super) fn new(file: &str, rules: &[Rule]) -> Result<Self, SceneError> {
+    pub(super) fn new(file: &str, rules: &[Rule], alpha_textures: bool) -> Result<Self, SceneError> {
         let compiled = rules.iter().map(|rule| {
             let matcher = matcher(&rule.glob).map_err(|why| {
                 SceneError::bad(
@@ -79,6 +85,9 @@ impl Marks {
             rules: compiled.collect::<Result<_, SceneError>>()?,
             names: BTreeSet::new(),
             runs: Vec::new(),
+            alpha: (alpha_textures, false),
+            masks: Masks::none(),
+            sides: Vec::new(),
             warnings: Vec::new(),
         })
     }
@@ -86,6 +95,12 @@ impl Marks {
     /// Adds the next `count` triangles, which have these names (object, node, mesh, material), and the mark
     /// of the file unless a rule matches a name. Of several rules the last one counts.
     pub(super) fn push(&mut self, count: u32, names: &[&str], mark: &Mark) {
+        let ruled = self.ruled(names);
+        self.add(count, ruled.as_ref().unwrap_or(mark));
+    }
+
+    /// The mark of the last rule that matches one of these names.
+    pub(super) fn ruled(&mut self, names: &[&str]) -> Option<Mark> {
         let mut decided: Option<usize> = None;
         if !self.rules.is_empty() {
             for name in names.iter().copied().filter(|n| !n.is_empty()) {
@@ -100,15 +115,49 @@ impl Marks {
                 }
             }
         }
-        let decided = decided.map(|at| {
+        decided.map(|at| {
             let rule = &self.rules[at].0;
             Mark { kind: rule.kind, reason: format!("--{} {}", rule.kind.name(), rule.glob).into() }
-        });
-        let mark = decided.as_ref().unwrap_or(mark);
+        })
+    }
+
+    /// Adds the next `count` triangles with a mark.
+    pub(super) fn add(&mut self, count: u32, mark: &Mark) {
         match self.runs.last_mut() {
             Some((n, last)) if last == mark => *n += count,
             _ => self.runs.push((count, mark.clone())),
         }
+    }
+
+    /// Whether the textures of masked materials are read.
+    pub(super) fn reads_alpha(&self) -> bool {
+        self.alpha.0
+    }
+
+    /// Notes that a material's mask was asked for.
+    pub(super) fn met_alpha(&mut self) {
+        self.alpha.1 = true;
+    }
+
+    /// The masks of the triangles that are marked as masked.
+    pub(super) fn set_masks(&mut self, masks: Masks) {
+        self.masks = masks;
+    }
+
+    /// Adds the side of the next `count` triangles.
+    pub(super) fn push_side(&mut self, count: u32, side: Side) {
+        match self.sides.last_mut() {
+            Some((n, last)) if *last == side => *n += count,
+            _ => self.sides.push((count, side)),
+        }
+    }
+
+    /// The sides of the scene's `triangles` triangles. Formats without materials of two sides and without
+    /// transforms give none; their triangles are all met from where their vertices run counter-clockwise.
+    pub(super) fn sides(&self, triangles: u32) -> Sides {
+        let given: u32 = self.sides.iter().map(|(count, _)| count).sum();
+        let others = (triangles.saturating_sub(given), Side::CounterClockwise);
+        Sides::from_runs(self.sides.iter().copied().chain([others]))
     }
 
     /// Adds a warning, once.
@@ -119,8 +168,15 @@ impl Marks {
         }
     }
 
-    /// The kinds and the warnings.
-    pub(super) fn finish(mut self) -> (Kinds, Vec<String>) {
+    /// The kinds, the masks of masked triangles, and the warnings.
+    pub(super) fn finish(mut self) -> (Kinds, Masks, Vec<String>) {
+        if self.alpha == (true, false) {
+            self.warnings.push(
+                "--alpha-textures changes nothing: no triangle has a glTF material with alphaMode MASK that \
+                 decides its kind"
+                    .to_owned(),
+            );
+        }
         for (rule, _, hit) in &self.rules {
             if !hit {
                 let near = near(&rule.glob, &self.names);
@@ -138,7 +194,9 @@ impl Marks {
         }
         let rules = self.rules.into_iter().map(|(rule, ..)| rule).collect();
         let runs = self.runs.iter().map(|(count, mark)| (*count, mark.kind, &mark.reason));
-        (Kinds::from_runs(runs, rules), self.warnings)
+        let kinds =
+            if self.alpha.1 { Kinds::from_textures(runs, rules) } else { Kinds::from_runs(runs, rules) };
+        (kinds, self.masks, self.warnings)
     }
 }
 
@@ -163,10 +221,10 @@ mod tests {
     #[test]
     fn the_last_rule_that_matches_a_name_goes_before_the_file() {
         let rules = [rule(Kind::Opaque, "*"), rule(Kind::SeeThrough, "glass*"), rule(Kind::Moving, "Windw")];
-        let mut marks = Marks::new("test", &rules).unwrap();
+        let mut marks = Marks::new("test", &rules, false).unwrap();
         marks.push(3, &["hall/window#0", "glass pane"], &Mark::DEFAULT);
         marks.push(2, &["hall/wall#0", "brick"], &Mark::of(Kind::Moving, "animated node"));
-        let (kinds, warnings) = marks.finish();
+        let (kinds, _, warnings) = marks.finish();
         assert_eq!((0..5).map(|t| kinds.kind(t) as u8).collect::<Vec<_>>(), [1, 1, 1, 0, 0]);
         assert_eq!(kinds.counts()[1].reason, "--see-through glass*");
         assert_eq!(kinds.rules(), rules);
@@ -176,16 +234,16 @@ mod tests {
 
     #[test]
     fn a_glob_that_matches_nothing_is_answered_with_names_like_it() {
-        let mut marks = Marks::new("test", &[rule(Kind::SeeThrough, "windos*")]).unwrap();
+        let mut marks = Marks::new("test", &[rule(Kind::SeeThrough, "windos*")], false).unwrap();
         marks.push(1, &["windows", "door"], &Mark::DEFAULT);
-        assert!(marks.finish().1[0].ends_with("names like it: windows"));
+        assert!(marks.finish().2[0].ends_with("names like it: windows"));
         assert!(Rule::new(Kind::Opaque, "a[").is_err());
     }
 
     #[test]
     fn without_marks_all_triangles_are_opaque_and_no_kind_is_kept() {
-        let mut marks = Marks::new("test", &[]).unwrap();
+        let mut marks = Marks::new("test", &[], false).unwrap();
         marks.push(4, &["a"], &Mark::DEFAULT);
-        assert_eq!(marks.finish(), (Kinds::opaque(), Vec::new()));
+        assert_eq!(marks.finish(), (Kinds::opaque(), Masks::none(), Vec::new()));
     }
 }

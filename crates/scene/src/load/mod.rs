@@ -3,7 +3,7 @@
 //! The content of a file determines its kind, which must agree with the extension. Nothing is repaired: a
 //! file that violates its format is refused with the element at fault. Materials, animations and skins decide
 //! the kinds of triangles ([`mod@crate::kinds`]), unless a rule of the user does. Normals, texture
-//! coordinates and morph targets are ignored.
+//! coordinates (except those of masks) and morph targets are ignored.
 
 mod gltf;
 mod limits;
@@ -17,7 +17,7 @@ mod sniff;
 use std::path::Path;
 
 use self::marks::Marks;
-use crate::{Rule, Scene, SceneError};
+use crate::{Rule, Scene, SceneError, Sides};
 pub use limits::Limits;
 use limits::read_file;
 pub use sniff::Kind;
@@ -29,6 +29,11 @@ pub struct Options {
     pub limits: Limits,
     /// Rules about the kinds of triangles, which go before the file; of several that match, the last counts.
     pub rules: Vec<Rule>,
+    /// Whether the textures of glTF materials with `alphaMode` MASK are read, so that their triangles are
+    /// masked. Otherwise these triangles are see-through as a whole.
+    pub alpha_textures: bool,
+    /// Whether triangles are met from their front alone, unless their material is double-sided.
+    pub cull_back_faces: bool,
 }
 
 /// A loaded scene.
@@ -84,7 +89,7 @@ pub fn load_bytes_with(
     base_dir: Option<&Path>,
     options: &Options,
 ) -> Result<Loaded, SceneError> {
-    let mut marks = Marks::new(name, &options.rules)?;
+    let mut marks = Marks::new(name, &options.rules, options.alpha_textures)?;
     let limits = &options.limits;
     let scene = match sniff::kind_of(name, bytes)? {
         Kind::Obj => obj::parse(name, bytes, base_dir, limits, &mut marks),
@@ -92,6 +97,7 @@ pub fn load_bytes_with(
         Kind::Gltf => gltf::parse_json(name, bytes, base_dir, limits, &mut marks),
         Kind::Glb => gltf::parse_glb(name, bytes, base_dir, limits, &mut marks),
     }?;
-    let (kinds, warnings) = marks.finish();
-    Ok(Loaded { scene: scene.with_kinds(name, kinds)?, warnings })
+    let sides = if options.cull_back_faces { marks.sides(scene.len()) } else { Sides::both() };
+    let (kinds, masks, warnings) = marks.finish();
+    Ok(Loaded { scene: scene.with_masks(name, kinds, masks)?.with_sides(name, sides)?, warnings })
 }

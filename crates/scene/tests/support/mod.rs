@@ -45,6 +45,11 @@ impl Gltf {
         self.accessor(&bytes, 5126, "VEC3", p.len())
     }
 
+    pub fn pairs(&mut self, p: &[[f32; 2]]) -> usize {
+        let bytes: Vec<u8> = p.iter().flatten().flat_map(|c| c.to_le_bytes()).collect();
+        self.accessor(&bytes, 5126, "VEC2", p.len())
+    }
+
     /// Indices of a component type: 5121, 5123 or 5125.
     pub fn indices(&mut self, component: u32, i: &[u32]) -> usize {
         let width = match component {
@@ -191,4 +196,33 @@ pub fn soup(s: &Scene) -> Vec<[[f32; 3]; 3]> {
 /// The triangles of `points` by their indices.
 pub fn by_index(points: &[[f32; 3]], t: &[[usize; 3]]) -> Vec<[[f32; 3]; 3]> {
     t.iter().map(|t| t.map(|i| points[i])).collect()
+}
+
+/// A PNG file of black texels with these alphas.
+pub fn png([width, height]: [u32; 2], alpha: &[u8]) -> Vec<u8> {
+    let mut out = Vec::new();
+    let mut encoder = png::Encoder::new(&mut out, width, height);
+    encoder.set_color(png::ColorType::GrayscaleAlpha);
+    let texels: Vec<u8> = alpha.iter().flat_map(|a| [0, *a]).collect();
+    encoder.write_header().unwrap().write_image_data(&texels).unwrap();
+    out
+}
+
+/// A unit square with a texture of 4 × 2 texels, of which `open` have no alpha; v points down as in glTF.
+/// `change` sees the document.
+pub fn card(open: &[usize], change: impl FnOnce(&mut Gltf)) -> Gltf {
+    let mut g = square();
+    let uv = g.pairs(&[[0., 1.], [1., 1.], [1., 0.], [0., 0.]]);
+    let alpha: Vec<u8> = (0..8).map(|t| if open.contains(&t) { 0 } else { 255 }).collect();
+    let view = g.view(&png([4, 2], &alpha));
+    g.json["images"] = json!([{"bufferView": view, "mimeType": "image/png"}]);
+    g.json["textures"] = json!([{"source": 0}]);
+    g.json["materials"] = json!([
+        {"name": "fence", "alphaMode": "MASK", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    ]);
+    let primitive = &mut g.json["meshes"][0]["primitives"][0];
+    primitive["attributes"]["TEXCOORD_0"] = json!(uv);
+    primitive["material"] = json!(0);
+    change(&mut g);
+    g
 }

@@ -5,9 +5,9 @@
 
 use super::buffers::Buffers;
 use super::component::Component;
-use super::nodes::Draw;
-
 use super::json;
+use super::kinds::Material;
+use super::nodes::Draw;
 use super::source::{QUANTIZATION, Source};
 use super::sparse::Overlay;
 use super::uses::{Role, Use, uses};
@@ -133,6 +133,21 @@ impl<'a> Accessor<'a> {
         [0, 1, 2, 3].map(|c| self.component.number(b, c, self.normalized))
     }
 
+    /// Element `i` as texture coordinates.
+    pub(super) fn coordinates(&self, i: u64) -> [f64; 2] {
+        let b = self.element(i);
+        if b.is_empty() {
+            return [0.0; 2];
+        }
+        [0, 1].map(|c| self.component.number(b, c, self.normalized))
+    }
+
+    /// The alpha of element `i`, a colour.
+    pub(super) fn alpha(&self, i: u64) -> f64 {
+        let b = self.element(i);
+        if b.is_empty() { 0.0 } else { self.component.number(b, 3, self.normalized) }
+    }
+
     /// Element `i` as an index.
     pub(super) fn index(&self, i: u64) -> u64 {
         self.component.unsigned(self.element(i))
@@ -172,6 +187,12 @@ fn check_type(
         (Role::Rotations, _) => {
             Err(source.bad(label, "rotations of instances must be floats or normalised signed integers"))
         }
+        (Role::Coordinates, F32 | I8 | U8 | I16 | U16) | (Role::Colors, F32) => Ok(()),
+        (Role::Colors, U8 | U16) if a.normalized => Ok(()),
+        (Role::Coordinates, U32) => Err(source.bad(label, "texture coordinates cannot be 32-bit integers")),
+        (Role::Colors, _) => {
+            Err(source.bad(label, "vertex colours must be floats or normalised unsigned integers"))
+        }
         (Role::Positions, I8 | U8 | I16 | U16) => {
             let declared = root.extensions_used.iter().chain(&root.extensions_required);
             if declared.into_iter().any(|e| e == QUANTIZATION) {
@@ -197,10 +218,11 @@ impl<'a> Accessors<'a> {
         root: &json::Root,
         buffers: &'a Buffers<'_>,
         draws: &[Draw],
+        materials: &[Material],
     ) -> Result<Self, SceneError> {
         let slots = || root.accessors.iter().map(|_| None).collect::<Vec<_>>();
         let mut by_role: [_; Role::COUNT] = std::array::from_fn(|_| slots());
-        for used in uses(source, root, draws)? {
+        for used in uses(source, root, draws, materials)? {
             by_role[used.role as usize][used.accessor] = Some(Accessor::new(source, root, buffers, used)?);
         }
         let none = Accessor {

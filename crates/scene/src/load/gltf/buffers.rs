@@ -1,7 +1,8 @@
 //! The bytes of the buffers and buffer views that the geometry needs, from the file itself, data URIs or
 //! files beside it.
 //!
-//! Only buffers that a drawn primitive reaches are read: a missing texture does not stop a bake. URIs must
+//! Only buffers that a drawn primitive reaches are read, and images only when masks need them: a missing
+//! texture does not stop another bake. URIs must
 //! stay below the directory of the scene, and nothing is fetched from a network.
 
 use std::borrow::Cow;
@@ -9,6 +10,7 @@ use std::path::{Component, Path, PathBuf};
 
 use base64::Engine;
 
+use super::kinds::Material;
 use super::nodes::Draw;
 use super::source::Source;
 use super::{json, meshopt, uses};
@@ -24,17 +26,18 @@ pub(super) struct Buffers<'a> {
 }
 
 impl<'a> Buffers<'a> {
-    /// Reads the buffers that `draws` need. `binary` is the BIN chunk of a GLB, which is buffer 0 when that
-    /// has no address.
+    /// Reads the buffers that `draws` and the buffer views `images` need. `binary` is the BIN chunk of a
+    /// GLB, which is buffer 0 when that has no address.
     pub(super) fn read(
         source: &Source<'_>,
         root: &json::Root,
         text: &[u8],
         binary: Option<&'a [u8]>,
         draws: &[Draw],
+        (materials, images): (&[Material], &[usize]),
     ) -> Result<Self, SceneError> {
         let mut wanted = vec![false; root.buffer_views.len()];
-        for a in uses::uses(source, root, draws)?.into_iter().map(|u| u.accessor) {
+        for a in uses::uses(source, root, draws, materials)?.into_iter().map(|u| u.accessor) {
             let accessor = &root.accessors[a];
             let sparse = accessor.sparse.as_ref();
             let views = [
@@ -50,6 +53,12 @@ impl<'a> Buffers<'a> {
                         return Err(source.bad(format!("accessor {a}"), reason));
                     }
                 }
+            }
+        }
+        // A view that is not there is reported with its image.
+        for view in images {
+            if let Some(w) = wanted.get_mut(*view) {
+                *w = true;
             }
         }
         let mut this = Self {
@@ -151,7 +160,7 @@ fn one_buffer<'a>(
 }
 
 /// The bytes of a data URI, after `data:`.
-fn decode_data(rest: &str) -> Result<Vec<u8>, String> {
+pub(super) fn decode_data(rest: &str) -> Result<Vec<u8>, String> {
     let Some((head, data)) = rest.split_once(',') else {
         return Err("its data URI has no comma".to_owned());
     };
@@ -169,13 +178,18 @@ fn decode_data(rest: &str) -> Result<Vec<u8>, String> {
 }
 
 /// At most `limit` bytes of the file `uri` names relative to the scene.
-fn beside(source: &Source<'_>, element: &str, uri: &str, limit: u64) -> Result<Vec<u8>, SceneError> {
+pub(super) fn beside(
+    source: &Source<'_>,
+    element: &str,
+    uri: &str,
+    limit: u64,
+) -> Result<Vec<u8>, SceneError> {
     let shown: String = uri.chars().take(80).collect();
     let refuse = |reason: String, remedy: &str| SceneError::bad(source.file, element, reason, remedy);
     let Some(path) = relative_path(uri) else {
         return Err(refuse(
             format!("its uri \"{shown}\" is not a plain path below the directory of the scene"),
-            "put the buffer beside the scene, or export as GLB",
+            "put the file beside the scene, or export as GLB",
         ));
     };
     let Some(base) = source.base_dir else {
@@ -187,7 +201,7 @@ fn beside(source: &Source<'_>, element: &str, uri: &str, limit: u64) -> Result<V
     read_file(&base.join(path), limit).map_err(|e| match e {
         SceneError::Io { path, source: why } => refuse(
             format!("{} cannot be read: {why}", path.display()),
-            "put the buffer beside the scene, or export as GLB",
+            "put the file beside the scene, or export as GLB",
         ),
         other => other,
     })

@@ -1,13 +1,16 @@
-//! The kinds of a glTF file's triangles: from materials, animations, skins and extras.
+//! The kinds and sides of a glTF file's triangles: from materials, animations, skins and extras.
 //!
-//! A material with `alphaMode` MASK or BLEND, or with transmission, is see-through. The mesh of a node that
-//! an animation moves, or that has such an ancestor, and a skinned mesh are moving. `extras.sightline` with
-//! the fields `blocks` and `shows` goes before both; of several the one nearest to the triangles counts, for
-//! each field: that of the material, then of the mesh, the node, and the node's ancestors.
+//! A material with `alphaMode` MASK or BLEND, or with transmission, is see-through; one with MASK is masked
+//! when textures are read. The mesh of a node that an animation moves, or that has such an ancestor, and a
+//! skinned mesh are moving. `extras.sightline` with the fields `blocks` and `shows` goes before both; of
+//! several the one nearest to the triangles counts, for each field: that of the material, then of the mesh,
+//! the node, and the node's ancestors.
 
 use serde_json::Value;
 
+use super::alpha::{Alpha, MASK};
 use super::json;
+use super::source::Source;
 use crate::kinds::Kind;
 use crate::load::marks::{Mark, Marks};
 
@@ -57,15 +60,20 @@ impl Extras {
     }
 }
 
-/// The part of a material that decides the kind of its triangles.
+/// The part of a material that decides the kind and the sides of its triangles.
 pub(super) struct Material {
     pub(super) name: String,
+    /// Its number and name in errors.
+    pub(super) label: String,
+    pub(super) double_sided: bool,
     see_through: Option<&'static str>,
+    /// What a material with a mask says about alpha, or the fault in it; only when textures are read.
+    pub(super) alpha: Option<Result<Alpha, String>>,
     extras: Extras,
 }
 
 /// The materials of a file.
-pub(super) fn materials(root: &json::Root, marks: &mut Marks) -> Vec<Material> {
+pub(super) fn materials(source: &Source<'_>, root: &json::Root, marks: &mut Marks) -> Vec<Material> {
     let materials = root.materials.iter().enumerate();
     materials
         .map(|(number, m)| {
@@ -74,7 +82,7 @@ pub(super) fn materials(root: &json::Root, marks: &mut Marks) -> Vec<Material> {
                 given.and_then(Value::as_f64).is_some_and(|f| f > 0.0)
             };
             let see_through = match m.get("alphaMode").and_then(Value::as_str) {
-                Some("MASK") => Some("alphaMode MASK"),
+                Some("MASK") => Some(MASK),
                 Some("BLEND") => Some("alphaMode BLEND"),
                 _ if factor("KHR_materials_transmission", "transmissionFactor") => {
                     Some("KHR_materials_transmission")
@@ -86,7 +94,14 @@ pub(super) fn materials(root: &json::Root, marks: &mut Marks) -> Vec<Material> {
             };
             let name = m.get("name").and_then(Value::as_str).unwrap_or_default().to_owned();
             let extras = Extras::read(m.get("extras"), || format!("material {number}"), marks);
-            Material { name, see_through, extras }
+            let masked = source.alpha_textures && see_through == Some(MASK);
+            let label = match name.as_str() {
+                "" => format!("material {number}"),
+                name => format!("material {number} ({})", name.chars().take(80).collect::<String>()),
+            };
+            let double_sided = m.get("doubleSided").and_then(Value::as_bool) == Some(true);
+            let alpha = masked.then(|| Alpha::read(m));
+            Material { name, label, double_sided, see_through, alpha, extras }
         })
         .collect()
 }
@@ -123,7 +138,13 @@ pub(super) fn material_of<'a>(
     found
 }
 
-/// The mark of a primitive's triangles.
+/// What the material of a primitive says about alpha, when textures are read and it has a mask.
+pub(super) fn alpha_of<'a>(primitive: &json::Primitive, materials: &'a [Material]) -> Option<&'a Alpha> {
+    let number = primitive.material.as_ref()?.as_u64()?;
+    materials.get(usize::try_from(number).ok()?)?.alpha.as_ref()?.as_ref().ok()
+}
+
+/// The mark of a primitive's triangles. Those whose mask is to be read are [`Kind::Masked`].
 ///
 /// `node` holds the extras of the node and its ancestors; `skinned` and `animated` tell how it moves.
 pub(super) fn mark(
@@ -135,13 +156,15 @@ pub(super) fn mark(
         Mark::of(Kind::Moving, "skinned mesh")
     } else if animated {
         Mark::of(Kind::Moving, "animated node")
-    } else if let Some(reason) = material.and_then(|m| m.see_through) {
-        Mark::of(Kind::SeeThrough, reason)
+    } else if let Some((m, reason)) = material.and_then(|m| Some((m, m.see_through?))) {
+        Mark::of(if m.alpha.is_some() { Kind::Masked } else { Kind::SeeThrough }, reason)
     } else {
         Mark::DEFAULT
     };
     let extras = material.map(|m| m.extras).unwrap_or_default().or(mesh).or(node);
-    if extras == Extras::default() {
+    // Extras that leave open whether it blocks, and let it show, say nothing against a mask.
+    let masked = file.kind == Kind::Masked && extras.blocks.is_none() && extras.shows != Some(false);
+    if extras == Extras::default() || masked {
         return file;
     }
     let (blocks, shows) =

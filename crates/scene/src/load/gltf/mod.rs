@@ -5,15 +5,18 @@
 //! instances (EXT_mesh_gpu_instancing), each pair of an instance and a primitive. Primitives that are points
 //! or lines, or have no POSITION, are objects without triangles, so that object numbers follow the file.
 //! Skins and morph targets are not applied: the scene has the stored mesh with the transform of its node.
-//! Winding is kept even when a transform mirrors.
+//! Vertices keep their order when a transform mirrors; the side of a triangle tells its front
+//! ([`mod@crate::sides`]).
 //!
 //! Only the few JSON fields that are needed are read (`json`). The crate `gltf` models and validates the
 //! whole document, so that a fault in a material would refuse a scene; and all ranges and counts would have
 //! to be checked again here for errors that name mesh, primitive and accessor.
 
 mod accessor;
+mod alpha;
 mod buffers;
 mod component;
+mod images;
 mod instances;
 mod json;
 mod kinds;
@@ -22,6 +25,8 @@ mod nodes;
 mod primitive;
 mod source;
 mod sparse;
+mod texels;
+mod textures;
 mod transform;
 mod uses;
 
@@ -31,11 +36,15 @@ use rayon::prelude::*;
 
 use self::accessor::Accessors;
 use self::buffers::Buffers;
+use self::images::Document;
 use self::source::{QUANTIZATION, Source};
+use self::textures::{Resolved, Textures};
 use super::limits::{EXPORT_AGAIN, Limits, too_many_objects, too_many_triangles};
 use super::marks::Marks;
 use super::names::Names;
-use crate::{Object, Scene, SceneError, Triangle};
+use crate::kinds::Kind;
+use crate::masks::{Masks, Part};
+use crate::{Object, Scene, SceneError, Side, Triangle};
 
 /// Required extensions that do not change which triangles exist. A prefix ends in `_`.
 const HARMLESS: &[&str] = &[
@@ -64,7 +73,8 @@ pub(super) fn parse_json(
     limits: &Limits,
     marks: &mut Marks,
 ) -> Result<Scene, SceneError> {
-    build(&Source { file, base_dir, limits }, bytes, None, marks)
+    let alpha_textures = marks.reads_alpha();
+    build(&Source { file, base_dir, limits, alpha_textures }, bytes, None, marks)
 }
 
 /// Reads a `.glb` file: a header, a chunk of JSON and at most one chunk of binary data that buffer 0 means.
@@ -109,7 +119,8 @@ pub(super) fn parse_glb(
         at += len;
     }
     let json = json.ok_or_else(|| bad("GLB chunk 0", "it is not the JSON chunk".to_owned()))?;
-    build(&Source { file, base_dir, limits }, json, binary, marks)
+    let alpha_textures = marks.reads_alpha();
+    build(&Source { file, base_dir, limits, alpha_textures }, json, binary, marks)
 }
 
 fn build(
@@ -124,16 +135,20 @@ fn build(
     check_version(source, &root)?;
     check_extensions(source, &root)?;
 
-    let materials = kinds::materials(&root, marks);
+    let materials = kinds::materials(source, &root, marks);
+    let document = if source.alpha_textures { Document::read(source, json)? } else { Document::default() };
+    let images = document.views(materials.iter().filter_map(|m| m.alpha.as_ref()?.as_ref().ok()?.texture));
     let draws = nodes::walk(source, &root, marks)?;
-    let buffers = Buffers::read(source, &root, json, binary, &draws)?;
-    let accessors = Accessors::resolve(source, &root, &buffers, &draws)?;
+    let buffers = Buffers::read(source, &root, json, binary, &draws, (&materials, &images))?;
+    let accessors = Accessors::resolve(source, &root, &buffers, &draws, &materials)?;
     let draws = instances::expand(source, &root, &accessors, draws)?;
 
     // Count first, so that the triangles are allocated once and never beyond the limit.
     let mut total = 0u64;
-    let mut objects = Vec::new();
+    let (mut objects, mut sources) = (Vec::new(), Vec::new());
     let mut names = Names::default();
+    let mut textures = Textures::new(source, &root, &buffers, &document);
+    let mut masked = Vec::new();
     for draw in &draws {
         let mesh = &root.meshes[draw.mesh];
         let extras = kinds::Extras::read(mesh.extras.as_deref(), || format!("mesh {}", draw.mesh), marks);
@@ -151,15 +166,33 @@ fn build(
             let material = kinds::material_of(part, &materials, || primitive::label(draw, p), marks);
             let mark = kinds::mark((draw.skinned, draw.animated), (draw.extras, extras), material);
             let own = |name: &'_ Option<String>| name.clone().unwrap_or_default();
-            let (node, material) =
+            let (node, material_name) =
                 (own(&root.nodes[draw.node].name), material.map_or("", |m| m.name.as_str()));
-            marks.push(
-                count as u32,
-                &[name.as_str(), node.as_str(), own(&mesh.name).as_str(), material],
-                &mark,
-            );
+            let alpha = material.and_then(|m| Some((m, m.alpha.as_ref()?)));
+            let double_sided = material.is_some_and(|m| m.double_sided);
+            marks.push_side(count as u32, Side::of(double_sided, draw.mirrors()));
             // Both are at most `limits.triangles`, a u32.
-            objects.push(Object { name, first: first as u32, count: count as u32 });
+            let (first, count) = (first as u32, count as u32);
+            let ruled = marks.ruled(&[name.as_str(), node.as_str(), own(&mesh.name).as_str(), material_name]);
+            let mut mark = ruled.unwrap_or(mark);
+            if let (Kind::Masked, true, Some((of, given))) = (mark.kind, count > 0, alpha) {
+                match textures.resolve(&accessors, draw, p, (&of.label, given), marks)? {
+                    Resolved::Whole(whole) => mark = whole,
+                    Resolved::Mask(mask) => {
+                        masked.push((draw, p, given, Part { first, count, mask }));
+                    }
+                }
+            }
+            marks.add(count, &mark);
+            objects.push(Object { name, first, count });
+            // All are below the numbers of objects and bytes of a file, which the limits bound.
+            let index = |i: usize| u32::try_from(i).unwrap_or(u32::MAX);
+            sources.push(crate::Source {
+                node: index(draw.node),
+                mesh: index(draw.mesh),
+                primitive: index(p),
+                instance: draw.instance.map(|i| u32::try_from(i).unwrap_or(u32::MAX)),
+            });
         }
     }
     // Zeroed by the system, page by page as the readers come to them.
@@ -188,7 +221,15 @@ fn build(
     if let Some(wrong) = wrong {
         return Err(wrong);
     }
-    Scene::new(source.file, triangles, objects)
+    let mut coordinates = Vec::new();
+    for (draw, p, alpha, part) in &masked {
+        // A fault in the material was reported when its texture was read.
+        let Ok(alpha) = alpha else { continue };
+        let which = (*draw, *p, part.count);
+        primitive::coordinates(source, &root, &accessors, which, alpha, &mut coordinates)?;
+    }
+    marks.set_masks(Masks::new(textures.into_masks(), masked.iter().map(|m| m.3).collect(), coordinates));
+    Scene::new(source.file, triangles, objects)?.with_sources(source.file, sources)
 }
 
 fn check_version(source: &Source<'_>, root: &json::Root) -> Result<(), SceneError> {

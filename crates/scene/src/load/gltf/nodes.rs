@@ -24,6 +24,15 @@ pub(super) struct Draw {
     pub(super) extras: Extras,
 }
 
+impl Draw {
+    /// Whether its transform turns the winding around: front faces are wound counter-clockwise when the
+    /// determinant is positive, else clockwise (glTF 2.0, section 3.7.4).
+    pub(super) fn mirrors(&self) -> bool {
+        let determinant = self.world.matrix3.determinant();
+        determinant.partial_cmp(&0.0) != Some(std::cmp::Ordering::Greater)
+    }
+}
+
 /// All draws of the scene to show: the default one, else the first, else (without scenes) every root node.
 ///
 /// The stack is explicit, so that a deep hierarchy takes memory in proportion to the file and does not

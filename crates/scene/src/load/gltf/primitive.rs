@@ -4,11 +4,13 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::accessor::{Accessor, Accessors};
+use super::alpha::Alpha;
 use super::nodes::Draw;
 use super::source::Source;
 use super::uses::{Mode, Role, mode, surface};
 use super::{json, transform};
 use crate::load::limits::{EXPORT_AGAIN, REPAIR_VERTEX};
+use crate::masks::Coordinates;
 use crate::{SceneError, Triangle};
 
 /// Triangles that a thread reads at a time.
@@ -67,13 +69,7 @@ pub(super) fn read(
     };
     let mode = mode(primitive).map_err(|why| source.bad(label(draw, p), why))?;
     let triangle = |i: u64| -> Result<Triangle, SceneError> {
-        let [a, b, c] = match mode {
-            // Every second triangle of a strip is turned, so that all wind the same way.
-            Mode::Strip => [i, i + 1 + i % 2, i + 2 - i % 2],
-            Mode::Fan => [i + 1, i + 2, 0],
-            // Without a surface there are none.
-            Mode::Triangles | Mode::NoSurface => [3 * i, 3 * i + 1, 3 * i + 2],
-        };
+        let [a, b, c] = corners_of(mode, i);
         Ok(Triangle { v: [corners.at(a)?, corners.at(b)?, corners.at(c)?] })
     };
     // Of several faults, the first in the file is reported.
@@ -82,6 +78,53 @@ pub(super) fn read(
         numbered.find_map(|(t, i)| triangle(i).map(|read| *t = read).err())
     });
     wrong.map_or(Ok(()), Err)
+}
+
+/// The corners of a triangle.
+fn corners_of(mode: Mode, i: u64) -> [u64; 3] {
+    match mode {
+        // Every second triangle of a strip is turned, so that all wind the same way.
+        Mode::Strip => [i, i + 1 + i % 2, i + 2 - i % 2],
+        Mode::Fan => [i + 1, i + 2, 0],
+        // Without a surface there are none.
+        Mode::Triangles | Mode::NoSurface => [3 * i, 3 * i + 1, 3 * i + 2],
+    }
+}
+
+/// Adds the texture coordinates of the `count` triangles of primitive `p`, as `alpha` places its texture, to
+/// `out`; zeros without a texture.
+pub(super) fn coordinates(
+    source: &Source<'_>,
+    root: &json::Root,
+    accessors: &Accessors<'_>,
+    (draw, p, count): (&Draw, usize, u32),
+    alpha: &Alpha,
+    out: &mut Vec<Coordinates>,
+) -> Result<(), SceneError> {
+    let primitive = &root.meshes[draw.mesh].primitives[p];
+    let set = alpha.texture.and_then(|_| primitive.attributes.coordinates(alpha.set));
+    let Some(set) = set else {
+        out.resize(out.len() + count as usize, Coordinates::default());
+        return Ok(());
+    };
+    let bad = |why: String| source.bad(format!("{}, accessor {set}", label(draw, p)), why);
+    let given = accessors.get(Role::Coordinates, set);
+    let indices = primitive.indices.map(|i| accessors.get(Role::Indices, i));
+    let mode = mode(primitive).map_err(|why| source.bad(label(draw, p), why))?;
+    for i in 0..u64::from(count) {
+        let mut of = Coordinates::default();
+        for (corner, uv) in corners_of(mode, i).into_iter().zip(&mut of) {
+            let vertex = indices.map_or(corner, |indices| indices.index(corner));
+            if vertex >= given.count() {
+                let n = given.count();
+                return Err(bad(format!("vertex {vertex} has no texture coordinates, there are {n}")));
+            }
+            let placed = alpha.placed(given.coordinates(vertex));
+            *uv = placed.ok_or_else(|| bad(format!("the coordinates of vertex {vertex} are not finite")))?;
+        }
+        out.push(of);
+    }
+    Ok(())
 }
 
 /// The corners of a primitive in the order of the indices.

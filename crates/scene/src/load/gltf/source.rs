@@ -13,6 +13,8 @@ pub(super) struct Source<'a> {
     pub(super) file: &'a str,
     pub(super) base_dir: Option<&'a Path>,
     pub(super) limits: &'a Limits,
+    /// Whether the textures of masked materials are read.
+    pub(super) alpha_textures: bool,
 }
 
 impl Source<'_> {

@@ -1,6 +1,7 @@
 //! The accessors that drawn geometry needs, and the modes of primitives.
 
 use super::json;
+use super::kinds::{self, Material};
 use super::nodes::Draw;
 use super::source::Source;
 use crate::SceneError;
@@ -14,18 +15,23 @@ pub(super) enum Role {
     Offsets = 2,
     /// Rotations of instances.
     Rotations = 3,
+    /// Texture coordinates of masked primitives.
+    Coordinates = 4,
+    /// Vertex colours with alpha of masked primitives.
+    Colors = 5,
 }
 
 impl Role {
     /// The number of roles.
-    pub(super) const COUNT: usize = 4;
+    pub(super) const COUNT: usize = 6;
 
     /// The type of an accessor in this role, and the number of its components.
     pub(super) fn shape(self) -> (&'static str, u64) {
         match self {
             Self::Positions | Self::Offsets => ("VEC3", 3),
             Self::Indices => ("SCALAR", 1),
-            Self::Rotations => ("VEC4", 4),
+            Self::Coordinates => ("VEC2", 2),
+            Self::Rotations | Self::Colors => ("VEC4", 4),
         }
     }
 }
@@ -65,7 +71,12 @@ impl std::fmt::Display for User {
 }
 
 /// Every accessor that `draws` need, once for each role, in the order of meshes.
-pub(super) fn uses(source: &Source<'_>, root: &json::Root, draws: &[Draw]) -> Result<Vec<Use>, SceneError> {
+pub(super) fn uses(
+    source: &Source<'_>,
+    root: &json::Root,
+    draws: &[Draw],
+    materials: &[Material],
+) -> Result<Vec<Use>, SceneError> {
     let mut drawn = vec![false; root.meshes.len()];
     for d in draws {
         drawn[d.mesh] = true;
@@ -91,6 +102,14 @@ pub(super) fn uses(source: &Source<'_>, root: &json::Root, draws: &[Draw]) -> Re
             add(position, Role::Positions, by)?;
             if let Some(indices) = p.indices {
                 add(indices, Role::Indices, by)?;
+            }
+            let Some(alpha) = kinds::alpha_of(p, materials) else { continue };
+            if let Some(coordinates) = alpha.texture.and_then(|_| p.attributes.coordinates(alpha.set)) {
+                add(coordinates, Role::Coordinates, by)?;
+            }
+            let with_alpha = |c: &usize| root.accessors.get(*c).is_none_or(|a| a.shape == "VEC4");
+            if let Some(colors) = p.attributes.color_0.filter(with_alpha) {
+                add(colors, Role::Colors, by)?;
             }
         }
     }

@@ -1,0 +1,103 @@
+//! Which cells of a result see which: the relations of all tiles, joined and renumbered.
+//!
+//! A tile numbers cells by a regular grid over the view box ([`JobSpec::pair_cells`]); a result numbers them
+//! in the order of its tree. A cell of an adaptive tree holds several cells of that grid, or is a part of
+//! one.
+
+use sightline_model::{JobSpec, Method, PairTable, TilePairs};
+use sightline_pvs::{CellPairs, MOST_PAIR_CELLS, PvsError, Relation};
+use sightline_viewcells::{CellBox, Lattice};
+
+/// The relations of the tiles read so far, and the cells of the result.
+pub(crate) struct PairJoin {
+    sides: [u32; 3],
+    units: [u32; 3],
+    seen: PairTable,
+    hidden: Option<PairTable>,
+    /// For each cell of the result, its cells of the grid.
+    cells: Vec<Vec<u32>>,
+    /// For each cell of the result, whether viewpoints are in it, and whether its tile was set aside.
+    states: Vec<(bool, bool)>,
+}
+
+impl PairJoin {
+    /// Begins; `None` when the job does not ask for pairs, or has more cells than can have them.
+    pub(crate) fn new(spec: &JobSpec, lattice: &Lattice, cells: u32) -> Option<Self> {
+        let sides = spec.pair_cells().filter(|_| cells <= MOST_PAIR_CELLS)?;
+        let count = sides.iter().product();
+        Some(Self {
+            sides,
+            units: lattice.units(),
+            seen: PairTable::empty(count),
+            hidden: (spec.method != Method::Aggressive).then(|| PairTable::empty(count)),
+            cells: Vec::new(),
+            states: Vec::new(),
+        })
+    }
+
+    /// Adds the relations of a tile; false when they are over other cells.
+    pub(crate) fn add_tile(&mut self, pairs: &TilePairs) -> bool {
+        if pairs.seen.cells() != self.seen.cells() {
+            return false;
+        }
+        self.seen.extend(&pairs.seen);
+        if let (Some(all), Some(hidden)) = (&mut self.hidden, &pairs.hidden) {
+            all.extend(hidden);
+        }
+        true
+    }
+
+    /// Adds the next cell of the result.
+    pub(crate) fn add_cell(&mut self, at: &CellBox, reached: bool, aside: bool) {
+        let range = |a: usize| {
+            let [lo, hi, sides, units] = [at.lo[a], at.hi[a], self.sides[a], self.units[a]].map(u64::from);
+            (lo * sides / units) as u32..(hi * sides).div_ceil(units) as u32
+        };
+        let [nx, ny, _] = self.sides;
+        let row = |y: u32, z: u32| range(0).map(move |x| (z * ny + y) * nx + x);
+        let all = range(2).flat_map(|z| range(1).flat_map(move |y| row(y, z)));
+        self.cells.push(all.collect());
+        self.states.push((reached, aside));
+    }
+
+    /// The relations between the cells of the result.
+    pub(crate) fn finish(&self) -> Result<CellPairs, PvsError> {
+        let count = self.cells.len() as u32;
+        let (mut visible, mut undecided) = (Relation::empty(count)?, Relation::empty(count)?);
+        for (a, cells) in self.cells.iter().enumerate() {
+            let union = |table: &PairTable| {
+                let mut row = vec![0u64; table.row(0).len()];
+                for cell in cells {
+                    row.iter_mut().zip(table.row(*cell)).for_each(|(r, bits)| *r |= bits);
+                }
+                row
+            };
+            let seen = union(&self.seen);
+            // A pair of larger cells is hidden when all pairs of their parts are.
+            let hidden = self.hidden.as_ref().map(|hidden| {
+                let mut row = vec![u64::MAX; hidden.row(0).len()];
+                for cell in cells {
+                    row.iter_mut().zip(hidden.row(*cell)).for_each(|(r, bits)| *r &= bits);
+                }
+                row
+            });
+            let has = |row: &[u64], cell: u32| row[cell as usize / 64] >> (cell % 64) & 1 == 1;
+            for (b, others) in self.cells.iter().enumerate().skip(a) {
+                let ((reached_a, aside_a), (reached_b, aside_b)) = (self.states[a], self.states[b]);
+                if !reached_a && !reached_b {
+                    continue;
+                }
+                let is_hidden = hidden.as_ref().is_some_and(|row| others.iter().all(|c| has(row, *c)));
+                let is_seen = a == b || others.iter().any(|c| has(&seen, *c));
+                let open = aside_a || aside_b || (hidden.is_some() && !is_seen);
+                if a == b || (!is_hidden && (is_seen || open)) {
+                    visible.insert(a as u32, b as u32);
+                    if !is_seen {
+                        undecided.insert(a as u32, b as u32);
+                    }
+                }
+            }
+        }
+        Ok(CellPairs { visible, undecided: Some(undecided).filter(|u| u.pairs() > 0) })
+    }
+}

@@ -1,0 +1,146 @@
+//! Which cells of the division see the cells of a tile, decided exactly where sampling has joined none.
+//!
+//! From each cell the division's tree is walked from its root. A box of the tree around cells that sampling
+//! has not joined with the cell is the target of one query: when it is hidden, so is every cell in it. A pair
+//! is decided by the tile of its cell with the lower number. Adaptive trees are left undecided: a tile does
+//! not know the cells of the other tiles.
+
+use std::ops::ControlFlow;
+
+use rayon::prelude::*;
+use sightline_certificate::HiddenBox;
+use sightline_exact::{Cell, Cost, ExactScene, Found, Limits, box_from_cell};
+use sightline_model::{CellSets, JobSpec, PairTable};
+use sightline_numbers::Aabb;
+use sightline_viewcells::{CellBox, Division, Lattice, UNITS_PER_CELL};
+
+use crate::choices::exact_limits;
+
+/// What is found from one cell.
+#[derive(Default)]
+struct Decided {
+    hidden: Vec<u32>,
+    seen: Vec<u32>,
+    proofs: Vec<HiddenBox>,
+}
+
+/// Decides the pairs of a tile's cells, adds them to `sets`, and returns the proofs of each cell.
+pub fn decide(
+    spec: &JobSpec,
+    lattice: &Lattice,
+    cells: &[(CellBox, Cell)],
+    sets: &mut CellSets,
+    scene: &ExactScene,
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Vec<Vec<HiddenBox>> {
+    let nothing = || cells.iter().map(|_| Vec::new()).collect();
+    let Some(pairs) = &mut sets.pairs else { return nothing() };
+    let mut hidden = PairTable::empty(pairs.seen.cells());
+    let Division::Grid(sides) = spec.division else {
+        pairs.hidden = Some(hidden);
+        return nothing();
+    };
+    let walk =
+        Walk { spec, lattice, sides, seen: &pairs.seen, scene, stop, limits: exact_limits(spec.method) };
+    let found: Vec<Decided> =
+        cells.par_iter().with_max_len(1).map(|(at, cell)| walk.from(at, *cell)).collect();
+    let mut proofs = Vec::with_capacity(found.len());
+    for ((at, _), decided) in cells.iter().zip(found) {
+        let own = walk.number(at);
+        decided.hidden.iter().for_each(|other| hidden.insert(own, *other));
+        proofs.push((own, decided.seen, decided.proofs));
+    }
+    let mut out = Vec::with_capacity(proofs.len());
+    for (own, seen, proofs) in proofs {
+        seen.into_iter().for_each(|other| pairs.seen.insert(own, other));
+        out.push(proofs);
+    }
+    pairs.hidden = Some(hidden);
+    out
+}
+
+struct Walk<'a> {
+    spec: &'a JobSpec,
+    lattice: &'a Lattice,
+    sides: [u32; 3],
+    seen: &'a PairTable,
+    scene: &'a ExactScene,
+    stop: &'a (dyn Fn() -> bool + Sync),
+    limits: Limits,
+}
+
+impl Walk<'_> {
+    /// The number of a grid cell.
+    fn number(&self, at: &CellBox) -> u32 {
+        let [x, y, z] = at.lo.map(|u| u / UNITS_PER_CELL);
+        (z * self.sides[1] + y) * self.sides[0] + x
+    }
+
+    /// The numbers of the grid cells in a box.
+    fn numbers(&self, of: &CellBox) -> impl Iterator<Item = u32> + use<> {
+        let [xs, ys, zs] = [0, 1, 2].map(|a| of.lo[a] / UNITS_PER_CELL..of.hi[a] / UNITS_PER_CELL);
+        let [nx, ny, _] = self.sides;
+        zs.flat_map(move |z| {
+            let xs = xs.clone();
+            ys.clone().flat_map(move |y| xs.clone().map(move |x| (z * ny + y) * nx + x))
+        })
+    }
+
+    fn is_reached(&self, cell: u32) -> bool {
+        self.spec.viewpoints.as_ref().is_none_or(|marks| marks.of(cell as usize) != 0)
+    }
+
+    fn from(&self, at: &CellBox, cell: Cell) -> Decided {
+        let mut out = Decided::default();
+        let own = self.number(at);
+        // A stop leaves the rest undecided.
+        let _ = self.below(&self.spec.division.root(self.lattice), 0, (own, cell), &mut out);
+        out
+    }
+
+    fn below(
+        &self,
+        of: &CellBox,
+        depth: u32,
+        (own, cell): (u32, Cell),
+        out: &mut Decided,
+    ) -> ControlFlow<()> {
+        if (self.stop)() {
+            return ControlFlow::Break(());
+        }
+        let (mut any, mut all) = (false, true);
+        for other in self.numbers(of) {
+            let known = other == own || self.seen.has(own, other);
+            // Pairs with lower cells are decided elsewhere, and pairs without viewpoints nowhere.
+            any |= !known && other > own && (self.is_reached(own) || self.is_reached(other));
+            all &= !known;
+        }
+        if !any {
+            return ControlFlow::Continue(());
+        }
+        let split = self.spec.division.split(self.lattice, of, depth);
+        let (min, max) = of.world(self.lattice);
+        if all {
+            let mut cost = Cost::default();
+            let limits = (&self.limits, self.stop as &dyn Fn() -> bool);
+            let bounds = Aabb { min, max };
+            match box_from_cell(self.scene.occluders(), cell, bounds, limits, &mut cost) {
+                Some(Found::Hidden(proofs)) => {
+                    out.hidden.extend(self.numbers(of));
+                    if self.spec.certificates {
+                        out.proofs.push(HiddenBox { bounds, proofs });
+                    }
+                    return ControlFlow::Continue(());
+                }
+                Some(Found::Visible(_)) if split.is_none() => out.seen.push(self.number(of)),
+                Some(Found::Visible(_) | Found::Undecided(_)) | None => {}
+            }
+        }
+        if let Some(split) = split {
+            for child in of.children(split) {
+                self.below(&child, depth + 1, (own, cell), out)?;
+            }
+        }
+        ControlFlow::Continue(())
+    }
+}

@@ -1,0 +1,58 @@
+//! Exact methods refuse scenes with alpha masks.
+
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "a test")]
+
+use std::sync::Arc;
+
+use sightline_bake::{BakeError, BakeScene, Control, Watcher, run_tile};
+use sightline_model::{JobSpec, Method};
+use sightline_sampling::{BackendError, CubeSpec, embree::CpuBackend};
+use sightline_scene::load::{Options, load_bytes_with};
+use sightline_viewcells::Division;
+
+struct Silent;
+
+impl Watcher for Silent {
+    fn rendered(&self, _: u64) {}
+    fn cell_done(&self) {}
+    fn cancelled(&self) -> bool {
+        false
+    }
+}
+
+/// A triangle whose mask is open everywhere.
+const FILE: &str = r#"{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "material": 0}]}],
+        "materials": [{"alphaMode": "MASK", "pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 0.2]}}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 3}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"byteLength": 36,
+            "uri": "data:;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA"}]}"#;
+
+#[test]
+fn a_tile_is_sampled_and_not_decided() {
+    let options = Options { alpha_textures: true, ..Options::default() };
+    let scene = load_bytes_with("mask.gltf", FILE.as_bytes(), None, &options).unwrap().scene;
+    assert!(scene.kinds().any_masked());
+    let scene = Arc::new(scene);
+    let view = sightline_scene::Aabb::new([2.0; 3].into(), [3.0; 3].into());
+    let aggressive = JobSpec::new(scene.digest().0, Division::Grid([1, 1, 1]), view);
+    let backend = match CpuBackend::new(Arc::clone(&scene), CubeSpec::of(&aggressive.sampling)) {
+        Ok(backend) => backend,
+        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
+            eprintln!("not run: {why}");
+            return;
+        }
+        Err(e) => panic!("{e}"),
+    };
+    let scene = BakeScene::new(scene).unwrap();
+    let control = Control { watcher: &Silent, deadline: None };
+    let run = |spec: &JobSpec| run_tile(spec, 0, &scene, &backend, &[], control);
+    assert!(run(&aggressive).is_ok());
+    for method in [Method::Exact, Method::Verified] {
+        match run(&JobSpec { method, ..aggressive.clone() }) {
+            Err(BakeError::Tile(why)) => assert!(why.contains("use the method aggressive"), "{why}"),
+            other => panic!("{other:?}"),
+        }
+    }
+}

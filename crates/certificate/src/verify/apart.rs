@@ -1,0 +1,57 @@
+//! Whether every pair of cells that do not see each other is proved: one of the two lies in a box that is
+//! hidden from the other.
+
+use sightline_numbers::Aabb;
+
+use super::{BakedResult, NOT_REACHED, SET_ASIDE};
+use crate::checker::{CellClaims, CellRefusal, Claim, Triangles, check_box_claim};
+
+/// Checks the coverage. `boxes` holds the hidden boxes of each cell, whose proofs are checked with the cell.
+/// Returns the number of pairs that do not see each other; else the cell and the reason.
+pub(super) fn check(result: &dyn BakedResult, boxes: &[Vec<Aabb>]) -> Result<u64, (u32, String)> {
+    let cells = boxes.len() as u32;
+    let mut bounds = Vec::with_capacity(boxes.len());
+    let mut reached = Vec::with_capacity(boxes.len());
+    for cell in 0..cells {
+        let flags = result.flags(cell).map_err(|e| (cell, e))?;
+        bounds.push(result.cell_bounds(cell).ok_or_else(|| (cell, "the cell has no bounds".to_owned()))?);
+        reached.push(flags & NOT_REACHED == 0);
+    }
+    let holds = |of: &Aabb, cell: u32| {
+        let Aabb { min, max } = bounds[cell as usize];
+        of.min.cmple(min).all() && of.max.cmpge(max).all()
+    };
+    let covered = |a: u32, b: u32| boxes[a as usize].iter().any(|of| holds(of, b));
+    let mut apart = 0;
+    for a in 0..cells {
+        let Some(seen) = result.seen_cells(a).map_err(|e| (a, e))? else { return Ok(0) };
+        let aside = result.flags(a).map_err(|e| (a, e))? & SET_ASIDE != 0;
+        let mut seen = seen.into_iter().filter(|b| *b >= a).peekable();
+        for b in a..cells {
+            if seen.next_if_eq(&b).is_some() || !(reached[a as usize] || reached[b as usize]) {
+                continue;
+            }
+            if aside || a == b || !(covered(a, b) || covered(b, a)) {
+                return Err((a, format!("it is said not to see cell {b}, and no proof shows that")));
+            }
+            apart += 1;
+        }
+    }
+    Ok(apart)
+}
+
+/// Checks the wanted boxes of a cell about whose triangles nothing is claimed.
+pub(super) fn check_boxes(
+    scene: &Triangles<'_>,
+    claims: &CellClaims<'_>,
+    wanted: &(dyn Fn(Claim) -> bool + Sync),
+    cancelled: &(dyn Fn() -> bool + Sync),
+) -> Result<(), CellRefusal> {
+    for at in (0..claims.certificate.apart.len()).filter(|at| wanted(Claim::Apart(*at))) {
+        if cancelled() {
+            return Err(CellRefusal::Cancelled);
+        }
+        check_box_claim(scene, claims, at)?;
+    }
+    Ok(())
+}

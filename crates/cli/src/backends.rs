@@ -1,0 +1,51 @@
+//! Backends on this machine: which work, and opening one for a whole scene.
+
+use std::sync::Arc;
+
+use sightline_model::BackendChoice;
+use sightline_sampling::{Backend, CubeSpec};
+use sightline_scene::Scene;
+use sightline_worker::{Backends, Choice};
+
+use crate::error::CliError;
+use crate::progress::say;
+
+/// Prints a note for each backend that does not work here; an error if none works.
+pub fn say_missing(backends: &Backends) -> Result<(), CliError> {
+    let missing = backends.missing();
+    if backends.profiles().is_empty() {
+        return Err(CliError::Internal(format!(
+            "no backend can sample on this machine:\n{}",
+            missing.join("\n")
+        )));
+    }
+    missing.iter().for_each(|m| say(&format!("note: {m}")));
+    Ok(())
+}
+
+/// A backend choice as the type of the worker crate.
+pub fn choice(backend: BackendChoice) -> Choice {
+    match backend {
+        BackendChoice::Auto => Choice::Auto,
+        BackendChoice::Gpu => Choice::Gpu,
+        BackendChoice::Cpu => Choice::Cpu,
+    }
+}
+
+/// Opens a backend that draws or traces a whole scene here; also its numerics profile. Embree does that well,
+/// so with `auto` the gpu is probed only when Embree is missing.
+pub fn open_backend(
+    wanted: BackendChoice,
+    scene: &Arc<Scene>,
+    spec: CubeSpec,
+) -> Result<(String, Arc<dyn Backend>), CliError> {
+    let probe = |of| sightline_worker::Backends::probe(of, Default::default());
+    let mut backends = probe(if wanted == BackendChoice::Auto { Choice::Cpu } else { choice(wanted) });
+    if wanted == BackendChoice::Auto && backends.profiles().is_empty() {
+        backends = probe(Choice::Auto);
+    }
+    say_missing(&backends)?;
+    let profile = backends.profiles().into_iter().next().unwrap_or_default();
+    let backend = backends.open(&profile, Arc::clone(scene), spec).map_err(CliError::internal)?;
+    Ok((profile, backend))
+}

@@ -1,0 +1,188 @@
+//! Where viewpoints can be, from the arguments to the marks of a job's cells.
+
+use std::io::BufReader;
+use std::path::Path;
+use std::sync::Arc;
+
+use sightline_model::{BackendChoice, Up};
+use sightline_places::reach::Tracing;
+use sightline_places::{Parts, PlacesError, Viewpoints, both, boxes, mesh, points, reach};
+use sightline_sampling::{CubeSpec, PreparedScene, Strata, sight::Sight};
+use sightline_scene::{Aabb, Scene, overlap};
+use sightline_viewcells::{Division, Lattice};
+
+use crate::backends::open_backend;
+use crate::error::CliError;
+use crate::kind_args::KindArgs;
+use crate::opening::{self, plural};
+use crate::place_args::PlaceArgs;
+use crate::progress::{Progress, say};
+
+impl PlaceArgs {
+    /// The axis that points up.
+    pub fn up(&self) -> Option<Up> {
+        self.up
+    }
+
+    /// The box that the cells divide: around all boxes, else around the mesh, else the scene's bounds.
+    pub fn bounds(&self, scene: &Scene) -> Result<Aabb, CliError> {
+        if let Some(first) = self.view_box.first() {
+            return Ok(self.view_box.iter().fold(*first, |all, b| all.union(*b)));
+        }
+        if let Some(path) = &self.view_mesh {
+            let mesh = opening::scene(path, &KindArgs::default())?;
+            return Ok(match self.eye_heights {
+                Some(heights) => mesh::bounds_above(&mesh, self.axis(), heights),
+                None => mesh.bounds(),
+            });
+        }
+        Ok(scene.bounds())
+    }
+
+    fn axis(&self) -> usize {
+        match self.up.unwrap_or_default() {
+            Up::Y => 1,
+            Up::Z => 2,
+        }
+    }
+
+    /// Whether the flags leave out a part of the view box.
+    fn restrict(&self) -> bool {
+        self.view_box.len() > 1
+            || self.view_mesh.is_some()
+            || self.viewpoints.is_some()
+            || !self.reachable_from.is_empty()
+    }
+
+    /// The parts of the cells that hold viewpoints; `None` for all of them.
+    pub fn marks(
+        &self,
+        path: &Path,
+        scene: &Arc<Scene>,
+        (division, lattice): (Division, &Lattice),
+    ) -> Result<Option<Arc<Viewpoints>>, CliError> {
+        if !self.restrict() {
+            return Ok(None);
+        }
+        let Division::Grid(cells) = division else {
+            return Err(CliError::Usage(
+                "several view boxes, --view-mesh, --viewpoints and --reachable-from need a grid of cells; \
+                 give --cells or --cell-size in place of --triangle-budget"
+                    .to_owned(),
+            ));
+        };
+        let parts = Parts::new(lattice, cells);
+        let mut all: Option<Viewpoints> = None;
+        let mut restrict = |marks: Viewpoints| {
+            all = Some(match all.take() {
+                Some(all) => both(&all, &marks),
+                None => marks,
+            });
+        };
+        if self.view_box.len() > 1 {
+            restrict(boxes::mark(&parts, cells, &self.view_box));
+        }
+        if let Some(file) = &self.view_mesh {
+            let mesh = opening::scene(file, &KindArgs::default())?;
+            restrict(match self.eye_heights {
+                Some(heights) => mesh::mark_above(&parts, cells, &mesh, self.axis(), heights),
+                None => mesh::mark_closed(&parts, cells, &mesh).map_err(|e| of_file(file, &e))?,
+            });
+        }
+        if self.viewpoints.is_some() || !self.reachable_from.is_empty() {
+            for marks in self.traced(scene, &parts, cells)? {
+                restrict(marks);
+            }
+        }
+        let Some(marks) = all else { return Ok(None) };
+        if marks.reached() == 0 {
+            return Err(CliError::Input(format!(
+                "{}: no viewpoint is left: what the flags allow shares no part of the view box; give fewer \
+                 of --view-box, --view-mesh, --viewpoints and --reachable-from",
+                path.display()
+            )));
+        }
+        let parts = cells.map(u64::from).iter().product::<u64>() * 64;
+        say(&format!(
+            "viewpoints: in {} of {}, in {:.1} % of the view box",
+            marks.reached(),
+            plural(marks.count(), "cell"),
+            100.0 * marks.marked() as f64 / parts as f64
+        ));
+        Ok(Some(Arc::new(marks)))
+    }
+
+    /// The marks that need a tracer.
+    fn traced(
+        &self,
+        scene: &Arc<Scene>,
+        parts: &Parts,
+        cells: [u32; 3],
+    ) -> Result<Vec<Viewpoints>, CliError> {
+        let spec = CubeSpec { resolution: 256, strata: Strata::One, keep_pixels: false };
+        let (_, backend) = open_backend(BackendChoice::Auto, scene, spec)?;
+        let prepared = PreparedScene::new(Arc::clone(scene))?;
+        let sight = Sight::new(&*backend, prepared.traced()).map_err(CliError::internal)?;
+        let bounds = scene.bounds();
+        let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
+        let tracing = Tracing { scene, sight: &sight, parts, cells, step };
+        let mut out = Vec::new();
+        if let Some(file) = &self.viewpoints {
+            let read = read_viewpoints(file)?;
+            let all: Vec<[f32; 3]> = read.iter().map(|w| w.point).collect();
+            let (marks, outside) = reach::mark_around(&tracing, &all, self.reach.unwrap_or(0.0))
+                .map_err(|e| of_file(file, &e))?;
+            if outside > 0 {
+                say(&format!(
+                    "warning: {}: {outside} of {} are outside the view box and left out",
+                    file.display(),
+                    plural(all.len(), "viewpoint")
+                ));
+            }
+            out.push(marks);
+        }
+        if !self.reachable_from.is_empty() {
+            let progress = Progress::new();
+            let total = cells.map(u64::from).iter().product::<u64>() * 64;
+            let marks = reach::mark_reachable(&tracing, &self.reachable_from, &mut |done| {
+                progress.count(done, total, "parts of cells reached");
+            });
+            progress.end();
+            out.push(marks.map_err(|e| match e {
+                PlacesError::Backend(e) => CliError::internal(e),
+                e => CliError::Input(format!("--reachable-from: {e}")),
+            })?);
+        }
+        Ok(out)
+    }
+
+    /// Warns of view boxes that hold nothing of the scene.
+    pub fn warn_of_empty(&self, scene: &Scene) {
+        for of in &self.view_box {
+            let bounds = scene.bounds();
+            let holds = |t| overlap::triangle_touches_box(t, of);
+            if (0..3).all(|a| of.min[a] <= of.max[a]) && !scene.triangles().iter().any(holds) {
+                say(&format!(
+                    "warning: the view box {} to {} holds nothing of the scene, which extends from {} to {}; \
+                     is it in the scene's units and axes?",
+                    of.min, of.max, bounds.min, bounds.max
+                ));
+            }
+        }
+    }
+}
+
+/// Reads a file of viewpoints.
+pub fn read_viewpoints(path: &Path) -> Result<Vec<points::Weighted>, CliError> {
+    let file = std::fs::File::open(path).map_err(|e| {
+        CliError::Input(format!(
+            "{} cannot be read: {e}; give a file with a viewpoint `x y z` or `x y z weight` per line",
+            path.display()
+        ))
+    })?;
+    points::read(BufReader::new(file)).map_err(|e| of_file(path, &e))
+}
+
+fn of_file(path: &Path, e: &PlacesError) -> CliError {
+    CliError::Input(format!("{}: {e}", path.display()))
+}

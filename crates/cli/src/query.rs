@@ -1,0 +1,148 @@
+//! `sightline query`: the set of the cell that contains a point, or whether the cell sees a place.
+
+use serde_json::{Value, json};
+use sightline_pvs::{Granularity, Pvs, PvsError};
+
+use crate::args::{Items, QueryArgs};
+use crate::dump::sets;
+use crate::error::CliError;
+use crate::opening::{open, plural};
+use crate::serve::print;
+use crate::why;
+
+/// Answers a query.
+pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
+    let pvs = open(&args.result.result)?;
+    let (cell, target) = match (args.point.is_empty(), args.cell) {
+        (true, Some(cell)) if args.sees.is_empty() && args.to_box.is_none() => (cell, None),
+        (true, _) => {
+            return Err(CliError::Usage(
+                "give the viewpoint as three numbers X Y Z, or --cell alone".to_owned(),
+            ));
+        }
+        (false, to) => {
+            let cell = cell_of(&pvs, args, &args.point)?;
+            (cell, target(&pvs, args, to)?)
+        }
+    };
+    if cell >= pvs.cells() {
+        return Err(PvsError::NoCell { cell, cells: pvs.cells() }.into());
+    }
+    if !pvs.is_reached(cell)? {
+        return Err(CliError::Input(format!(
+            "no viewpoint can be in cell {cell}: the bake left it out (--view-box, --view-mesh, \
+             --viewpoints, --reachable-from); choose another point, or bake with more viewpoints"
+        )));
+    }
+    if let Some(target) = target {
+        return sees(&pvs, cell, &target, json);
+    }
+    if let Some(triangle) = args.why {
+        return why::why(
+            &pvs,
+            &args.result.result,
+            (cell, triangle),
+            (args.scene.as_deref(), &args.kinds),
+            json,
+        );
+    }
+    set(&pvs, cell, args, json)
+}
+
+/// The cell of a point.
+fn cell_of(pvs: &Pvs, args: &QueryArgs, point: &[f32]) -> Result<u32, CliError> {
+    let point: [f32; 3] =
+        point.try_into().map_err(|_| CliError::Usage("give a point as three numbers X Y Z".to_owned()))?;
+    pvs.find_cell(point).ok_or_else(|| {
+        let [min, max] = pvs.tree().view_box();
+        CliError::Input(format!(
+            "{point:?} is outside the view box of {} ({min:?} to {max:?}); choose a point inside, or bake \
+             with a larger --view-box",
+            args.result.result.display()
+        ))
+    })
+}
+
+/// What a cell may see.
+enum Target {
+    Cell(u32),
+    Box([f32; 3], [f32; 3]),
+}
+
+fn target(pvs: &Pvs, args: &QueryArgs, to: Option<u32>) -> Result<Option<Target>, CliError> {
+    Ok(match (args.sees.is_empty(), args.to_box, to) {
+        (false, ..) => Some(Target::Cell(cell_of(pvs, args, &args.sees)?)),
+        (true, Some(b), _) => Some(Target::Box(b.min.to_array(), b.max.to_array())),
+        (true, None, Some(cell)) if cell < pvs.cells() => Some(Target::Cell(cell)),
+        (true, None, Some(cell)) => return Err(PvsError::NoCell { cell, cells: pvs.cells() }.into()),
+        (true, None, None) => None,
+    })
+}
+
+/// Prints whether a cell sees a cell or a box.
+fn sees(pvs: &Pvs, cell: u32, target: &Target, json: bool) -> Result<(), CliError> {
+    let (seen, mut answer, words): (bool, Value, String) = match target {
+        Target::Cell(to) => {
+            let pairs = pvs.cell_pairs()?.ok_or(PvsError::NoPairs)?;
+            let open = pairs.undecided.as_ref().is_some_and(|u| u.has(cell, *to));
+            let seen = pvs.sees(cell, *to)?;
+            let state = match (seen, open, pvs.method()) {
+                (_, true, _) => "undecided",
+                (true, false, _) => "visible",
+                (false, false, "aggressive") => "not seen",
+                (false, false, _) => "hidden",
+            };
+            (seen, json!({"to_cell": to, "state": state}), format!("cell {to} ({state})"))
+        }
+        Target::Box(min, max) => {
+            let seen = pvs.sees_box(cell, *min, *max)?;
+            (seen, json!({"box": {"min": min, "max": max}}), format!("the box {min:?} to {max:?}"))
+        }
+    };
+    answer["cell"] = cell.into();
+    answer["sees"] = seen.into();
+    if json {
+        return print(&answer.to_string());
+    }
+    print(&format!("cell {cell} {} {words}", if seen { "sees" } else { "does not see" }))
+}
+
+/// Prints the set of a cell.
+fn set(pvs: &Pvs, cell: u32, args: &QueryArgs, json: bool) -> Result<(), CliError> {
+    if args.items == Items::Clusters && pvs.granularity() != Granularity::Clusters {
+        return Err(CliError::Input(
+            "the sets name no clusters; bake with --granularity clusters".to_owned(),
+        ));
+    }
+    let (mut visible, mut undecided) = (Vec::new(), Vec::new());
+    sets(pvs, cell, args.items, &mut visible, &mut undecided)?;
+    let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
+    if json {
+        let value = json!({
+            "cell": cell, "min": min, "max": max, "items": args.items.name(),
+            "visible": visible, "undecided": undecided,
+            "set_aside": pvs.is_set_aside(cell)?,
+        });
+        return print(&value.to_string());
+    }
+    let list: Vec<String> = visible
+        .iter()
+        .map(|id| match args.items {
+            Items::Objects => format!("{id} {}", pvs.objects()[*id as usize].name),
+            _ => id.to_string(),
+        })
+        .collect();
+    let aside =
+        if pvs.is_set_aside(cell)? { "; SET ASIDE: this cell failed, everything is shown" } else { "" };
+    let what = args.items.name().trim_end_matches('s');
+    print(&format!(
+        "cell {cell}, {min:?} to {max:?}: {} {}{}{aside}\n{}",
+        plural(visible.len(), what),
+        if args.items == Items::Cells { "that it sees" } else { "to draw" },
+        match undecided.len() {
+            0 => String::new(),
+            n => format!(": {} visible, {n} undecided", visible.len() - n),
+        },
+        list.join(if args.items == Items::Objects { "\n" } else { " " })
+    ))
+}

@@ -1,0 +1,82 @@
+//! Which cells see which, as far as one tile shows: symmetric relations over the cells of the whole division.
+//!
+//! Cells are numbered by [`JobSpec::pair_cells`]: those of a grid by their index, x fastest, then y, then z.
+//! A pair of cells is in the relation *seen* when a line of the tile crossed both before anything blocked it,
+//! and in the relation *hidden* when it was proved that no such line exists.
+//!
+//! [`JobSpec::pair_cells`]: crate::JobSpec::pair_cells
+
+/// Most cells of a job whose result says which cells see which: a table takes cells² / 8 bytes.
+pub const MOST_PAIR_CELLS: u64 = 1 << 15;
+
+/// A symmetric relation over cells: one bit for each ordered pair.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PairTable {
+    cells: u32,
+    words: usize,
+    rows: Vec<u64>,
+}
+
+impl PairTable {
+    /// The relation without any pair over at most [`MOST_PAIR_CELLS`] cells.
+    pub fn empty(cells: u32) -> Self {
+        let words = (cells as usize).div_ceil(64);
+        Self { cells, words, rows: vec![0; words * cells as usize] }
+    }
+
+    /// Number of cells.
+    pub fn cells(&self) -> u32 {
+        self.cells
+    }
+
+    /// Adds the pair of two cells; both must be below [`Self::cells`].
+    pub fn insert(&mut self, a: u32, b: u32) {
+        for (a, b) in [(a, b), (b, a)] {
+            self.rows[a as usize * self.words + b as usize / 64] |= 1 << (b % 64);
+        }
+    }
+
+    /// Whether two cells are a pair; both must be below [`Self::cells`].
+    pub fn has(&self, a: u32, b: u32) -> bool {
+        self.row(a)[b as usize / 64] >> (b % 64) & 1 == 1
+    }
+
+    /// The cells that are a pair with `cell`: bit `b % 64` of word `b / 64`.
+    pub fn row(&self, cell: u32) -> &[u64] {
+        &self.rows[cell as usize * self.words..][..self.words]
+    }
+
+    /// Adds all pairs of another relation over as many cells.
+    pub fn extend(&mut self, other: &Self) {
+        self.rows.iter_mut().zip(&other.rows).for_each(|(a, b)| *a |= b);
+    }
+
+    /// The cells from `cell` on that are a pair with it, as the boundaries of runs: start, end, start, end.
+    pub(crate) fn later(&self, cell: u32) -> Vec<u32> {
+        let mut bounds: Vec<u32> = Vec::new();
+        for (w, bits) in self.row(cell).iter().enumerate().skip(cell as usize / 64) {
+            let mut rest = *bits;
+            while rest != 0 {
+                let at = w as u32 * 64 + rest.trailing_zeros();
+                rest &= rest - 1;
+                if at < cell {
+                    continue;
+                }
+                match bounds.last_mut() {
+                    Some(end) if *end == at => *end = at + 1,
+                    _ => bounds.extend([at, at + 1]),
+                }
+            }
+        }
+        bounds
+    }
+}
+
+/// The relations of a tile.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TilePairs {
+    /// The pairs that a line joined.
+    pub seen: PairTable,
+    /// The pairs that were proved hidden; `None` with the method aggressive.
+    pub hidden: Option<PairTable>,
+}

@@ -1,0 +1,100 @@
+//! Files of viewpoints: a line `x y z` or `x y z weight` for each, as telemetry or a camera path has them.
+
+use std::io::{BufRead, Read as _};
+
+use crate::PlacesError;
+
+/// The longest line in bytes; no viewpoint needs more.
+const MOST_LINE: u64 = 4096;
+/// Most viewpoints of a file.
+const MOST_POINTS: usize = 10_000_000;
+
+/// A viewpoint and how much it counts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Weighted {
+    /// World space.
+    pub point: [f32; 3],
+    /// At least 0; viewpoints of weight 0 do not count. 1 in a line without one.
+    pub weight: f64,
+}
+
+/// Reads viewpoints. Spaces, tabs or commas are between numbers; empty lines and what follows `#` are
+/// skipped, and so are viewpoints of weight 0.
+///
+/// # Errors
+/// [`PlacesError::Read`] and [`PlacesError::Line`] with the line, and [`PlacesError::None`].
+pub fn read(mut from: impl BufRead) -> Result<Vec<Weighted>, PlacesError> {
+    let (mut points, mut bytes) = (Vec::new(), Vec::new());
+    for line in 1.. {
+        bytes.clear();
+        let read = (&mut from).take(MOST_LINE + 1).read_until(b'\n', &mut bytes);
+        if read.map_err(|source| PlacesError::Read { line, source })? == 0 {
+            break;
+        }
+        let bad = |reason: &str| PlacesError::Line { line, reason: reason.to_owned() };
+        if bytes.len() as u64 > MOST_LINE {
+            return Err(bad("it is longer than 4096 bytes"));
+        }
+        let text = std::str::from_utf8(&bytes).map_err(|_| bad("it is not text"))?;
+        let text = text.split('#').next().unwrap_or_default();
+        let words = text.split(|c: char| c == ',' || c.is_whitespace()).filter(|w| !w.is_empty());
+        let numbers: Vec<f64> = words
+            .map(|w| w.parse().map_err(|_| bad(&format!("“{w}” is not a number"))))
+            .collect::<Result<_, _>>()?;
+        let (point, weight) = match numbers.as_slice() {
+            [] => continue,
+            [x, y, z] => ([*x, *y, *z], 1.0),
+            [x, y, z, weight] => ([*x, *y, *z], *weight),
+            some => return Err(bad(&format!("it has {} numbers", some.len()))),
+        };
+        let point = point.map(|c| c as f32);
+        if point.iter().any(|c| !c.is_finite()) {
+            return Err(bad("a coordinate is not finite"));
+        }
+        if !weight.is_finite() || weight < 0.0 {
+            return Err(bad("its weight is negative or not finite"));
+        }
+        if points.len() == MOST_POINTS {
+            return Err(bad("the file has more than 10 000 000 viewpoints; leave some out"));
+        }
+        if weight > 0.0 {
+            points.push(Weighted { point, weight });
+        }
+    }
+    match points.is_empty() {
+        true => Err(PlacesError::None("the file has no viewpoints with a weight above 0".to_owned())),
+        false => Ok(points),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_with_and_without_weights_are_read() {
+        let text = "# telemetry\n1 2 3\n\n4,5,6 , 0.5 # often\r\n0 0 0 0\n";
+        let points = read(text.as_bytes()).unwrap();
+        let expected = [([1.0, 2.0, 3.0], 1.0), ([4.0, 5.0, 6.0], 0.5)];
+        assert_eq!(points, expected.map(|(point, weight)| Weighted { point, weight }));
+    }
+
+    #[test]
+    fn bad_lines_are_named() {
+        for (text, part) in [
+            ("0 0 3\n0 0", "line 2"),
+            ("1 2 3 4 5", "5 numbers"),
+            ("0 zero 3", "“zero”"),
+            ("0 0 nan", "finite"),
+            ("0 0 1e99", "finite"),
+            ("0 0 0 -1", "weight"),
+            ("0 0 0 inf", "weight"),
+            ("# none", "no viewpoints"),
+            ("1 1 1 0", "no viewpoints"),
+        ] {
+            let message = read(text.as_bytes()).unwrap_err().to_string();
+            assert!(message.contains(part), "{message}");
+        }
+        assert!(read(&b"1 1 \xff"[..]).is_err() && read("7".repeat(5000).as_bytes()).is_err());
+    }
+}

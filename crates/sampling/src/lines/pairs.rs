@@ -1,0 +1,99 @@
+//! Which cells see which: a free segment joins all cells it crosses, over the whole division and not only in
+//! the tile's block.
+//!
+//! Lines write to the table by or, in any order. Nothing reads it before all lines of a phase are traced, so
+//! the order of threads changes nothing.
+
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
+use sightline_model::{PairTable, TilePairs};
+
+use super::grid::{CellGrid, Crossed};
+use crate::context::JobContext;
+
+/// The table of pairs while lines are traced.
+pub struct Pairs {
+    grid: CellGrid,
+    words: usize,
+    /// A row of bits for each slot of the grid.
+    rows: Vec<AtomicU64>,
+}
+
+impl Pairs {
+    /// A table without any pair over the cells of `grid`.
+    pub fn new(grid: CellGrid) -> Self {
+        let words = grid.words();
+        let mut rows = Vec::new();
+        rows.resize_with(words * 64 * words, || AtomicU64::new(0));
+        Self { grid, words, rows }
+    }
+
+    /// The grid of the whole division.
+    pub fn grid(&self) -> &CellGrid {
+        &self.grid
+    }
+
+    /// Joins all cells that a free segment crosses.
+    pub fn join(&self, crossed: &[(u32, u64)]) {
+        for (word, bits) in crossed {
+            let mut rest = *bits;
+            while rest != 0 {
+                let cell = *word as usize * 64 + rest.trailing_zeros() as usize;
+                rest &= rest - 1;
+                let row = &self.rows[cell * self.words..][..self.words];
+                for (at, bits) in crossed {
+                    let place = &row[*at as usize];
+                    if bits & !place.load(Relaxed) != 0 {
+                        place.fetch_or(*bits, Relaxed);
+                    }
+                }
+            }
+        }
+    }
+
+    /// As [`Self::join`] for the part of a line between two distances; `crossed` is scratch memory.
+    pub fn join_line(&self, line: ([f32; 3], [f32; 3]), from: f32, to: f32, crossed: &mut Crossed) {
+        self.grid.walk(line.0, line.1, from, to, crossed);
+        self.join(crossed);
+    }
+
+    /// A copy of the table, to be read while lines write to it.
+    pub fn copy(&self) -> Vec<u64> {
+        self.rows.iter().map(|w| w.load(Relaxed)).collect()
+    }
+
+    /// Whether a segment that crosses `crossed` joins the cell with slot number `slot` with a cell that is no
+    /// pair with it in `copy`.
+    pub fn is_new(&self, copy: &[u64], slot: usize, crossed: &[(u32, u64)]) -> bool {
+        let row = &copy[slot * self.words..][..self.words];
+        crossed.iter().any(|(at, bits)| bits & !row[*at as usize] != 0)
+    }
+
+    /// The pairs of cells by their index, x fastest. Every cell is a pair with itself. `counts` says which
+    /// cells do; pairs of two others are left out.
+    pub fn table(&self, counts: impl Fn(u32) -> bool) -> PairTable {
+        let mut table = PairTable::empty(self.grid.count() as u32);
+        let slots: Vec<usize> = self.grid.each().map(|c| self.grid.slot(c).index()).collect();
+        for (a, slot) in slots.iter().enumerate() {
+            let row = &self.rows[slot * self.words..][..self.words];
+            let a = a as u32;
+            if !counts(a) {
+                continue;
+            }
+            table.insert(a, a);
+            for (b, other) in slots.iter().enumerate() {
+                if row[other / 64].load(Relaxed) >> (other % 64) & 1 == 1 {
+                    table.insert(a, b as u32);
+                }
+            }
+        }
+        table
+    }
+}
+
+/// The pairs of a tile's lines. With restricted viewpoints, those of two cells without viewpoints are left
+/// out.
+pub fn of_tile(job: &JobContext<'_>, pairs: Option<&Pairs>) -> Option<TilePairs> {
+    let counts = |cell: u32| job.viewpoints.is_none_or(|marks| marks.of(cell as usize) != 0);
+    pairs.map(|pairs| TilePairs { seen: pairs.table(counts), hidden: None })
+}

@@ -1,0 +1,190 @@
+//! From which side a triangle is met: from both, or from its front alone when back faces are culled.
+//!
+//! A triangle with one side neither shows nor blocks along a line that meets it from behind. Its front is the
+//! side from which its vertices run counter-clockwise. A node whose transform mirrors turns that around (glTF
+//! 2.0, section 3.7.4, "Instantiation"); vertices keep their order, and the side is stored instead. Loaders
+//! find the sides, and only when the user asks for culling.
+
+use crate::SceneError;
+
+/// From which side a triangle is met.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[repr(u8)]
+pub enum Side {
+    /// From both.
+    #[default]
+    Both = 0,
+    /// From where its vertices run counter-clockwise.
+    CounterClockwise = 1,
+    /// From where its vertices run clockwise: a mirrored triangle.
+    Clockwise = 2,
+}
+
+impl Side {
+    /// All sides, by number.
+    pub const ALL: [Self; 3] = [Self::Both, Self::CounterClockwise, Self::Clockwise];
+
+    /// The side of a triangle that a transform mirrors or not.
+    pub const fn of(double_sided: bool, mirrored: bool) -> Self {
+        match (double_sided, mirrored) {
+            (true, _) => Self::Both,
+            (false, false) => Self::CounterClockwise,
+            (false, true) => Self::Clockwise,
+        }
+    }
+}
+
+/// The sides of all triangles of a scene.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Sides {
+    /// By triangle; empty when all are met from both sides.
+    of: Vec<Side>,
+}
+
+impl Sides {
+    /// All triangles are met from both sides.
+    pub fn both() -> Self {
+        Self::default()
+    }
+
+    /// The sides given by runs of (number of triangles, side) in id order.
+    pub fn from_runs(runs: impl IntoIterator<Item = (u32, Side)>) -> Self {
+        let mut of = Vec::new();
+        runs.into_iter().for_each(|(count, side)| of.resize(of.len() + count as usize, side));
+        match of.iter().all(|s| *s == Side::Both) {
+            true => Self::both(),
+            false => Self { of },
+        }
+    }
+
+    /// The side of a triangle.
+    pub fn side(&self, triangle: u32) -> Side {
+        self.of.get(triangle as usize).copied().unwrap_or_default()
+    }
+
+    /// Whether every triangle is met from both sides.
+    pub fn are_both(&self) -> bool {
+        self.of.is_empty()
+    }
+
+    /// How many triangles have one side.
+    pub fn one_sided(&self) -> u64 {
+        self.of.iter().filter(|s| **s != Side::Both).count() as u64
+    }
+
+    /// Checks that there are sides for `triangles` triangles.
+    pub(crate) fn check(&self, file: &str, triangles: u32) -> Result<(), SceneError> {
+        if self.of.is_empty() || self.of.len() == triangles as usize {
+            return Ok(());
+        }
+        Err(SceneError::bad(
+            file,
+            "sides",
+            format!("they are given for {} triangles of {triangles}", self.of.len()),
+            "upload the scene again with this version of the program",
+        ))
+    }
+}
+
+/// Bytes of an encoded run.
+const RUN_BYTES: usize = 5;
+
+/// Appends the section of a scene's canonical bytes. Little-endian: u32 R, then R runs of (u32 count,
+/// u8 side).
+pub(crate) fn write(sides: &Sides, out: &mut Vec<u8>) {
+    let runs = sides.of.chunk_by(|a, b| a == b);
+    out.extend_from_slice(&(runs.clone().count() as u32).to_le_bytes());
+    for run in runs {
+        out.extend_from_slice(&(run.len() as u32).to_le_bytes());
+        out.push(run[0] as u8);
+    }
+}
+
+/// Reads the section that [`write`] appends from the beginning of `bytes`; returns the bytes after it too.
+pub(crate) fn read(bytes: &[u8], triangles: u32) -> Result<(Sides, &[u8]), &'static str> {
+    let short = "the sides are cut short";
+    let (head, rest) = bytes.split_first_chunk::<4>().ok_or(short)?;
+    let length = (u32::from_le_bytes(*head) as usize).checked_mul(RUN_BYTES).ok_or(short)?;
+    let (runs, rest) = rest.split_at_checked(length).ok_or(short)?;
+    let mut read: Vec<(u32, Side)> = Vec::with_capacity(runs.len() / RUN_BYTES);
+    let mut covered = 0u64;
+    for run in runs.chunks_exact(RUN_BYTES) {
+        let count = u32::from_le_bytes([run[0], run[1], run[2], run[3]]);
+        let side = Side::ALL.get(usize::from(run[4])).copied().ok_or("a side is unknown")?;
+        covered += u64::from(count);
+        if count == 0 || covered > u64::from(triangles) {
+            return Err("a run of sides is empty or reaches beyond the triangles");
+        }
+        // One scene has one encoding.
+        if read.last().is_some_and(|last| last.1 == side) {
+            return Err("the sides are not in their canonical form");
+        }
+        read.push((count, side));
+    }
+    if covered != u64::from(triangles) {
+        return Err("the sides do not cover all triangles");
+    }
+    let sides = Sides::from_runs(read);
+    match sides.are_both() {
+        // Such a scene has no section.
+        true => Err("the sides are not in their canonical form"),
+        false => Ok((sides, rest)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn sides_are_read_as_they_were_written(
+            runs in prop::collection::vec((1u32..50, (0usize..3).prop_map(|s| Side::ALL[s])), 1..20),
+            cut in any::<prop::sample::Index>(),
+        ) {
+            let truth: Vec<Side> = runs.iter().flat_map(|(n, s)| vec![*s; *n as usize]).collect();
+            let triangles = truth.len() as u32;
+            let sides = Sides::from_runs(runs);
+            (0..triangles).for_each(|t| assert_eq!(sides.side(t), truth[t as usize]));
+            prop_assert_eq!(sides.one_sided(), truth.iter().filter(|s| **s != Side::Both).count() as u64);
+            let mut bytes = Vec::new();
+            write(&sides, &mut bytes);
+            let length = bytes.len();
+            bytes.extend_from_slice(b"after");
+            if sides.are_both() {
+                prop_assert!(read(&bytes, triangles).is_err());
+            } else {
+                prop_assert_eq!(read(&bytes, triangles), Ok((sides, &b"after"[..])));
+                prop_assert!(read(&bytes[..cut.index(length)], triangles).is_err());
+                prop_assert!(read(&bytes, triangles + 1).is_err());
+                prop_assert!(read(&bytes, triangles - 1).is_err());
+            }
+        }
+    }
+
+    #[test]
+    fn bytes_that_are_not_canonical_sides_are_refused() {
+        let run = |count: u32, side: u8| [&count.to_le_bytes()[..], &[side]].concat();
+        let section = |runs: &[Vec<u8>]| [&(runs.len() as u32).to_le_bytes()[..], &runs.concat()].concat();
+        assert!(read(&section(&[run(2, 1), run(1, 0)]), 3).is_ok());
+        for bad in [
+            section(&[run(3, 0)]),
+            section(&[run(1, 1), run(2, 1)]),
+            section(&[run(3, 1), run(0, 0)]),
+            section(&[run(2, 3), run(1, 0)]),
+            section(&[]),
+            u32::MAX.to_le_bytes().to_vec(),
+        ] {
+            assert!(read(&bad, 3).is_err(), "{bad:?}");
+        }
+    }
+
+    #[test]
+    fn a_mirrored_triangle_is_turned_unless_it_has_both_sides() {
+        assert_eq!(Side::of(false, false), Side::CounterClockwise);
+        assert_eq!(Side::of(false, true), Side::Clockwise);
+        assert_eq!([Side::of(true, false), Side::of(true, true)], [Side::Both; 2]);
+    }
+}

@@ -1,0 +1,162 @@
+//! Where viewpoints can be: for each cell of a grid, which of its 4×4×4 equal parts hold viewpoints.
+//!
+//! A part is marked when a viewpoint may be in it, so the marked parts hold all viewpoints and a margin of at
+//! most a part around them. Cells without a marked part are not sampled. How parts come to be marked (boxes,
+//! meshes, points, reachability) is not this module's business.
+
+use sightline_numbers::varint;
+
+/// Parts along each side of a cell.
+pub const PARTS: u32 = 4;
+
+/// Most bytes of an encoded set of viewpoints: well below the size of a message.
+pub const MOST_BYTES: usize = 1 << 20;
+
+/// The marked parts of the cells of a grid. Cells are in the order of their index: x fastest, then y, then z.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Viewpoints {
+    cells: [u32; 3],
+    /// A word for each cell; bit (z·4 + y)·4 + x for the part x, y, z.
+    parts: Vec<u64>,
+}
+
+/// Bytes that are no marks of the cells of a grid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the viewpoints cannot be read: {0}")]
+pub struct ViewpointsError(&'static str);
+
+impl Viewpoints {
+    /// No marks for a grid of this many cells, which [`crate::Division`] has checked.
+    pub fn none(cells: [u32; 3]) -> Self {
+        let count: usize = cells.iter().map(|c| *c as usize).product();
+        Self { cells, parts: vec![0; count] }
+    }
+
+    /// Cells along each axis.
+    pub fn cells(&self) -> [u32; 3] {
+        self.cells
+    }
+
+    /// Parts along each axis.
+    pub fn sides(&self) -> [u32; 3] {
+        self.cells.map(|c| c * PARTS)
+    }
+
+    /// Marks a part; coordinates are below [`Self::sides`].
+    pub fn mark(&mut self, part: [u32; 3]) {
+        let (cell, bit) = self.place(part);
+        self.parts[cell] |= 1 << bit;
+    }
+
+    /// Whether a part is marked.
+    pub fn has(&self, part: [u32; 3]) -> bool {
+        let (cell, bit) = self.place(part);
+        self.parts[cell] >> bit & 1 == 1
+    }
+
+    fn place(&self, part: [u32; 3]) -> (usize, u32) {
+        let ([x, y, z], [nx, ny, _]) = (part.map(|p| (p / PARTS) as usize), self.cells.map(|c| c as usize));
+        let [px, py, pz] = part.map(|p| p % PARTS);
+        ((z * ny + y) * nx + x, (pz * PARTS + py) * PARTS + px)
+    }
+
+    /// The marks of the cell with an index.
+    pub fn of(&self, cell: usize) -> u64 {
+        self.parts[cell]
+    }
+
+    /// Number of cells with a marked part.
+    pub fn reached(&self) -> usize {
+        self.parts.iter().filter(|p| **p != 0).count()
+    }
+
+    /// Number of cells.
+    pub fn count(&self) -> usize {
+        self.parts.len()
+    }
+
+    /// Number of marked parts.
+    pub fn marked(&self) -> u64 {
+        self.parts.iter().map(|p| u64::from(p.count_ones())).sum()
+    }
+
+    /// The marks as bytes: runs of equal words, each a LEB128 length and the word.
+    pub fn encode(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        for run in self.parts.chunk_by(|a, b| a == b) {
+            varint::write(&mut bytes, run.len() as u64);
+            bytes.extend(run[0].to_le_bytes());
+        }
+        bytes
+    }
+
+    /// Reads the marks of a grid of this many cells, which [`crate::Division`] has checked.
+    ///
+    /// # Errors
+    /// [`ViewpointsError`] when the bytes are not those of [`Self::encode`], or no part is marked.
+    pub fn decode(mut bytes: &[u8], cells: [u32; 3]) -> Result<Self, ViewpointsError> {
+        if bytes.len() > MOST_BYTES {
+            return Err(ViewpointsError("they have too many bytes; use fewer or larger cells"));
+        }
+        let mut marks = Self::none(cells);
+        let (mut at, mut before) = (0usize, None);
+        while !bytes.is_empty() {
+            let length = varint::read(&mut bytes, varint::MOST_BYTES);
+            let length = length.map_err(|_| ViewpointsError("a length is malformed"))?;
+            let (word, rest) = bytes.split_first_chunk::<8>().ok_or(ViewpointsError("they are cut short"))?;
+            bytes = rest;
+            let word = u64::from_le_bytes(*word);
+            let end = usize::try_from(length).ok().and_then(|n| at.checked_add(n));
+            let run = end.and_then(|end| marks.parts.get_mut(at..end));
+            let run = run.ok_or(ViewpointsError("they are for more cells than there are"))?;
+            // One way of writing each value, because the bytes are part of a job's key.
+            if run.is_empty() || before == Some(word) {
+                return Err(ViewpointsError("a run is empty or goes on after its end"));
+            }
+            run.fill(word);
+            (at, before) = (at + run.len(), Some(word));
+        }
+        if at != marks.parts.len() {
+            return Err(ViewpointsError("they are for fewer cells than there are"));
+        }
+        if marks.reached() == 0 {
+            return Err(ViewpointsError("no part of any cell is marked; mark at least one"));
+        }
+        Ok(marks)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn marks_come_back_and_damage_never_panics(
+            cells in [1u32..5, 1u32..5, 1u32..5],
+            places in proptest::collection::vec([any::<u32>(), any::<u32>(), any::<u32>()], 1..40),
+            at in any::<prop::sample::Index>(),
+            with in any::<u8>(),
+        ) {
+            let mut marks = Viewpoints::none(cells);
+            let part = |p: [u32; 3]| [0, 1, 2].map(|a| p[a] % (cells[a] * PARTS));
+            places.iter().for_each(|p| marks.mark(part(*p)));
+            prop_assert!(places.iter().all(|p| marks.has(part(*p))));
+            let mut bytes = marks.encode();
+            prop_assert_eq!(Viewpoints::decode(&bytes, cells), Ok(marks));
+            prop_assert!(Viewpoints::decode(&bytes[..bytes.len() - 1], cells).is_err());
+            let at = at.index(bytes.len());
+            bytes[at] = with;
+            let _ = Viewpoints::decode(&bytes, cells);
+        }
+    }
+
+    #[test]
+    fn a_part_belongs_to_its_cell() {
+        let mut marks = Viewpoints::none([2, 2, 1]);
+        marks.mark([5, 3, 1]);
+        assert_eq!((0..4).map(|c| marks.of(c)).collect::<Vec<_>>(), [0, 1 << (16 + 12 + 1), 0, 0]);
+        assert!(Viewpoints::decode(&Viewpoints::none([2, 2, 1]).encode(), [2, 2, 1]).is_err());
+    }
+}

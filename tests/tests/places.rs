@@ -1,0 +1,179 @@
+//! Where viewpoints can be: boxes, meshes, points and what they reach, from the flags to results and
+//! measures.
+
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+
+use std::fmt::Write as _;
+
+use sightline_tests::{Dump, Sandbox, assert_same};
+
+/// Faces of an OBJ file.
+#[derive(Default)]
+struct Obj {
+    text: String,
+    vertices: usize,
+}
+
+impl Obj {
+    fn quad(&mut self, corners: [[f32; 3]; 4]) {
+        for [x, y, z] in corners {
+            writeln!(self.text, "v {x} {y} {z}").unwrap();
+        }
+        let v = self.vertices;
+        writeln!(self.text, "f {} {} {} {}", v + 1, v + 2, v + 3, v + 4).unwrap();
+        self.vertices += 4;
+    }
+
+    /// The surface of a box, wound to be seen from outside.
+    fn block(&mut self, name: &str, [x0, y0, z0]: [f32; 3], [x1, y1, z1]: [f32; 3]) {
+        writeln!(self.text, "o {name}").unwrap();
+        self.quad([[x0, y0, z0], [x0, y0, z1], [x0, y1, z1], [x0, y1, z0]]);
+        self.quad([[x1, y0, z0], [x1, y1, z0], [x1, y1, z1], [x1, y0, z1]]);
+        self.quad([[x0, y0, z0], [x1, y0, z0], [x1, y0, z1], [x0, y0, z1]]);
+        self.quad([[x0, y1, z0], [x0, y1, z1], [x1, y1, z1], [x1, y1, z0]]);
+        self.quad([[x0, y0, z0], [x0, y1, z0], [x1, y1, z0], [x1, y0, z0]]);
+        self.quad([[x0, y0, z1], [x1, y0, z1], [x1, y1, z1], [x0, y1, z1]]);
+    }
+}
+
+/// A closed hall of 8×2×2 with a thick wall across at x = 3.6 to 4.4, which may have a door.
+fn hall(door: bool) -> String {
+    let mut o = Obj::default();
+    o.block("hall", [0.0, 0.0, 0.0], [8.0, 2.0, 2.0]);
+    match door {
+        false => o.block("wall", [3.6, 0.0, 0.0], [4.4, 2.0, 2.0]),
+        true => {
+            o.block("wall", [3.6, 0.0, 0.0], [4.4, 2.0, 0.8]);
+            o.block("other wall", [3.6, 0.0, 1.2], [4.4, 2.0, 2.0]);
+        }
+    }
+    o.text
+}
+
+const CELLS: &str = "--cells 8x2x2 --view-box 0,0,0,8,2,2";
+
+fn sandbox() -> Sandbox {
+    let sandbox = Sandbox::new();
+    sandbox.write("shut.obj", hall(false));
+    sandbox.write("open.obj", hall(true));
+    sandbox
+}
+
+/// For each of the eight columns of cells along x, whether any of its cells is reached.
+fn columns(dump: &Dump) -> Vec<bool> {
+    let column = |x: usize| dump.cells.iter().filter(move |c| c.min[0] as usize == x);
+    (0..8).map(|x| column(x).any(|c| c.reached)).collect()
+}
+
+#[test]
+fn only_what_is_reached_is_baked() {
+    let sandbox = sandbox();
+    let reach = "--reachable-from 1,1,1";
+    sandbox.ok(&format!("bake shut.obj -o shut.pvs --data-dir a {CELLS} {reach} --workers 1"));
+    sandbox.ok(&format!("bake shut.obj -o four.pvs --data-dir b {CELLS} {reach} --workers 4"));
+    assert_same(&sandbox.read("shut.pvs"), &sandbox.read("four.pvs"), "one worker and four");
+    sandbox.ok(&format!("bake open.obj -o open.pvs --data-dir c {CELLS} {reach}"));
+    let [shut, open] = ["shut.pvs", "open.pvs"].map(|file| sandbox.dump(file));
+    assert_eq!(columns(&shut), [true, true, true, true, false, false, false, false]);
+    assert_eq!(columns(&open), [true; 8]);
+    let info = sandbox.json("info shut.pvs");
+    assert_eq!((info["cells"].as_u64(), info["cells_reached"].as_u64()), (Some(32), Some(16)));
+    sandbox.run("query shut.pvs 7 1 1").code(3).says("no viewpoint");
+    // Viewpoints of a measure are where viewpoints are, inside the hall and not in its wall.
+    let report = sandbox.json("measure shut.obj shut.pvs --viewpoints 40 --resolution 32");
+    assert_eq!(report["frames"], 40);
+    assert!(report["mean_error"].as_f64().unwrap() < 1e-3, "{report}");
+    // A cell may look at cells without viewpoints, but not through the wall.
+    let pairs = sandbox.json("query shut.pvs 1 1 1 --sees 7 1 1");
+    assert_eq!(pairs["sees"], false);
+    for (seed, why) in [("4,1,1", "inside the closed surface"), ("9,1,1", "outside the view box")] {
+        sandbox.run(&format!("bake shut.obj -o x.pvs {CELLS} --reachable-from {seed}")).code(3).says(why);
+    }
+}
+
+#[test]
+fn exact_cells_without_viewpoints_are_empty_and_verified() {
+    let sandbox = sandbox();
+    let flags = format!("{CELLS} --reachable-from 1,1,1 --method exact --certificates");
+    sandbox.ok(&format!("bake shut.obj -o exact.pvs --data-dir a {flags}"));
+    let dump = sandbox.dump("exact.pvs");
+    assert_eq!(columns(&dump), [true, true, true, true, false, false, false, false]);
+    sandbox.ok("verify shut.obj exact.pvs");
+}
+
+#[test]
+fn boxes_meshes_and_points_say_where_viewpoints_are() {
+    let sandbox = sandbox();
+    let bake = |name: &str, flags: &str| -> Vec<bool> {
+        sandbox.ok(&format!("bake open.obj -o {name}.pvs --data-dir {name} {flags}"));
+        columns(&sandbox.dump(&format!("{name}.pvs")))
+    };
+    let two = bake("boxes", "--cells 8x2x2 --view-box 0,0,0,1,2,2 --view-box 7,0,0,8,2,2");
+    assert_eq!(two, [true, false, false, false, false, false, false, true]);
+    // A closed volume in the fourth and fifth column, and one that is open.
+    let mut volume = Obj::default();
+    volume.block("volume", [3.1, 0.2, 0.2], [4.9, 1.8, 1.8]);
+    sandbox.write("volume.obj", &volume.text);
+    let in_mesh = bake("mesh", &format!("{CELLS} --view-mesh volume.obj"));
+    assert_eq!(in_mesh, [false, false, false, true, true, false, false, false]);
+    let without_side = volume.text.rsplit_once("\nf ").unwrap().0;
+    sandbox.write("unclosed.obj", format!("{without_side}\n"));
+    sandbox
+        .run(&format!("bake open.obj -o x.pvs {CELLS} --view-mesh unclosed.obj"))
+        .code(3)
+        .says("not closed");
+    // A floor to walk on in the first two columns; the eyes are in the upper half.
+    let mut floor = Obj::default();
+    floor.quad([[0.1, 0.0, 0.1], [1.9, 0.0, 0.1], [1.9, 0.0, 1.9], [0.1, 0.0, 1.9]]);
+    sandbox.write("floor.obj", floor.text);
+    let walk = bake("walk", &format!("{CELLS} --view-mesh floor.obj --eye-heights 1.3,1.6 --up y"));
+    assert_eq!(walk, [true, true, false, false, false, false, false, false]);
+    let upper = sandbox.dump("walk.pvs").cells.iter().all(|c| !c.reached || c.min[1] >= 1.0);
+    assert!(upper, "eyes are above the middle");
+    assert_eq!(sandbox.json("info walk.pvs")["info"]["up"], "y");
+    // Telemetry: one place often, one rarely, one never.
+    sandbox.write("eyes.txt", "0.5 0.5 0.5 9\n2.5 0.5 0.5 1\n6.5 0.5 0.5 0\n");
+    let points = bake("points", &format!("{CELLS} --viewpoints eyes.txt"));
+    assert_eq!(points, [true, false, true, false, false, false, false, false]);
+    let around = bake("around", &format!("{CELLS} --viewpoints eyes.txt --reach 1.2"));
+    assert_eq!(around, [true, true, true, true, false, false, false, false]);
+    let report = sandbox.json("measure open.obj around.pvs --viewpoints-file eyes.txt --resolution 32");
+    assert_eq!(report["frames"], 2);
+    assert!(report["mean_error"].as_f64().unwrap() < 1e-3);
+    sandbox.run("measure open.obj points.pvs --viewpoints-file eyes.txt --resolution 16").code(0);
+    sandbox.write("far.txt", "99 0 0\n");
+    sandbox.run(&format!("bake open.obj -o x.pvs {CELLS} --viewpoints far.txt")).code(3).says("view box");
+    sandbox.write("bad.txt", "1 2\n");
+    sandbox.run(&format!("bake open.obj -o x.pvs {CELLS} --viewpoints bad.txt")).code(3).says("line 1");
+    sandbox
+        .run("bake open.obj -o x.pvs --triangle-budget 10 --reachable-from 1,1,1")
+        .code(2)
+        .says("need a grid");
+    let empty =
+        sandbox.run("bake open.obj -o empty.pvs --data-dir e --cells 1x1x1 --view-box 20,20,20,21,21,21");
+    empty.code(0).says("holds nothing");
+}
+
+#[test]
+fn lines_end_at_the_distance() {
+    let sandbox = sandbox();
+    let seen = |name: &str, flags: &str| -> Vec<usize> {
+        sandbox.ok(&format!("bake open.obj -o {name}.pvs --data-dir {name} {CELLS} {flags}"));
+        sandbox.dump(&format!("{name}.pvs")).cells.iter().map(|c| c.visible.len()).collect()
+    };
+    let all = seen("all", "");
+    for (name, sampler) in
+        [("lines", ""), ("guided", "--sampler guided"), ("cubes", "--sampler cubes --resolution 16")]
+    {
+        let near = seen(name, &format!("--far 0.9 {sampler}"));
+        assert!(near.iter().zip(&all).all(|(near, all)| near <= all), "{name}");
+        // The first column of cells is farther than that from the far end's wall.
+        assert!(near.iter().sum::<usize>() < all.iter().sum::<usize>(), "{name}");
+        let report = sandbox.json(&format!("measure open.obj {name}.pvs --viewpoints 40 --resolution 32"));
+        assert!(report["mean_error"].as_f64().unwrap() < 5e-3, "{name}: {report}");
+    }
+    sandbox
+        .run(&format!("bake open.obj -o x.pvs {CELLS} --far 1 --method exact --certificates"))
+        .code(2)
+        .says("--far");
+}
