@@ -179,8 +179,10 @@ fn mutated_files_load_or_are_refused() {
             vec![
                 json(&rich()),
                 json(&packed_square()),
+                json(&draco_square()),
                 rich().glb(),
                 packed_square().glb(),
+                draco_square().glb(),
                 square().glb(),
                 json(&masked),
                 masked.glb(),

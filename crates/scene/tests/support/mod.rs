@@ -159,6 +159,69 @@ pub fn packed_square() -> Gltf {
     g
 }
 
+/// A mesh of `faces` compressed with Draco: positions as attribute 0, and texture coordinates as attribute 1 if
+/// there are some. Returns the bytes and the numbers of points and faces.
+pub fn draco(
+    positions: &[[f32; 3]],
+    uvs: &[[f32; 2]],
+    faces: &[[u32; 3]],
+    options: &draco_core::EncoderOptions,
+) -> (Vec<u8>, usize, usize) {
+    use draco_core::{DataType, EncoderBuffer, GeometryAttributeType, Mesh, MeshEncoder, PointAttribute};
+    let mut mesh = Mesh::new();
+    mesh.set_num_points(positions.len());
+    let mut attribute = |kind, components: u8, values: &[f32]| {
+        let mut a = PointAttribute::new();
+        a.init(kind, components, DataType::Float32, false, positions.len());
+        a.buffer_mut().update_f32s_le(0, values);
+        mesh.add_attribute(a);
+    };
+    attribute(GeometryAttributeType::Position, 3, positions.as_flattened());
+    if !uvs.is_empty() {
+        attribute(GeometryAttributeType::TexCoord, 2, uvs.as_flattened());
+    }
+    mesh.set_num_faces(faces.len());
+    mesh.set_faces_from_flat_indices(faces.as_flattened());
+    let (mut encoder, mut out) = (MeshEncoder::new(), EncoderBuffer::new());
+    encoder.set_mesh(mesh);
+    encoder.encode(options, &mut out).unwrap();
+    let mut read = Mesh::new();
+    let mut buffer = draco_core::DecoderBuffer::new(out.data());
+    draco_core::MeshDecoder::new().decode(&mut buffer, &mut read).unwrap();
+    (out.data().to_vec(), read.num_points(), read.num_faces())
+}
+
+/// Replaces the data of a primitive of mesh 0 by compressed data with these numbers of points and faces.
+pub fn compress_primitive(
+    g: &mut Gltf,
+    p: usize,
+    (bytes, points, faces): &(Vec<u8>, usize, usize),
+    attributes: Value,
+) {
+    let view = g.view(bytes);
+    let primitive = g.json["meshes"][0]["primitives"][p].clone();
+    let mut change = |accessor: &Value, count: usize| {
+        let accessor = &mut g.json["accessors"][accessor.as_u64().unwrap() as usize];
+        accessor.as_object_mut().unwrap().remove("bufferView");
+        accessor["count"] = json!(count);
+    };
+    change(&primitive["indices"], faces * 3);
+    for name in attributes.as_object().unwrap().keys() {
+        change(&primitive["attributes"][name], *points);
+    }
+    g.json["meshes"][0]["primitives"][p]["extensions"] =
+        json!({"KHR_draco_mesh_compression": {"bufferView": view, "attributes": attributes}});
+    g.json["extensionsRequired"] = json!(["KHR_draco_mesh_compression"]);
+}
+
+/// [`square`] compressed with Draco.
+pub fn draco_square() -> Gltf {
+    let mut g = square();
+    let packed = draco(&SQUARE, &[], &[[0, 1, 2], [0, 2, 3]], &draco_core::EncoderOptions::new());
+    compress_primitive(&mut g, 0, &packed, json!({"POSITION": 0}));
+    g
+}
+
 /// An OBJ with groups, negative indices, an n-gon, a continuation and a forward reference.
 pub const OBJ: &str = "# a comment\nv 0 0 0\nv 1 0 0 1.0\nv 1 1 0\no house\ng wall\nf 1/1/1 2/2/2 3//3\n\
     g roof\nv 0 1 0\nf -4 -3 \\\n -2 -1\nf 1 2 5\nv 5e0 .5 -1.25E-1\nusemtl x\nl 1 2\n";

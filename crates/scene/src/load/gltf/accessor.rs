@@ -5,12 +5,11 @@
 
 use super::buffers::Buffers;
 use super::component::Component;
+use super::draco::{Decoded, Elements};
 use super::json;
-use super::kinds::Material;
-use super::nodes::Draw;
 use super::source::{QUANTIZATION, Source};
 use super::sparse::Overlay;
-use super::uses::{Role, Use, uses};
+use super::uses::{Role, Use};
 use crate::SceneError;
 use crate::load::limits::EXPORT_AGAIN;
 
@@ -93,6 +92,13 @@ impl<'a> Accessor<'a> {
             normalized: a.normalized,
             sparse,
         })
+    }
+
+    /// An accessor with decoded elements, which have its number, component type and type.
+    fn decoded(of: &'a Elements, role: Role, normalized: bool) -> Self {
+        let size = (of.component.size() * role.shape().1) as usize;
+        let (base, count, component) = (Some(of.bytes.as_slice()), of.count, of.component);
+        Self { base, stride: size, size, count, component, normalized, sparse: None }
     }
 
     /// Number of elements.
@@ -212,18 +218,26 @@ pub(super) struct Accessors<'a> {
 }
 
 impl<'a> Accessors<'a> {
-    /// Checks every accessor that `draws` need.
+    /// Checks every accessor that is used.
     pub(super) fn resolve(
         source: &Source<'_>,
         root: &json::Root,
-        buffers: &'a Buffers<'_>,
-        draws: &[Draw],
-        materials: &[Material],
+        (buffers, decoded): (&'a Buffers<'_>, &'a Decoded),
+        used: &[Use],
     ) -> Result<Self, SceneError> {
         let slots = || root.accessors.iter().map(|_| None).collect::<Vec<_>>();
         let mut by_role: [_; Role::COUNT] = std::array::from_fn(|_| slots());
-        for used in uses(source, root, draws, materials)? {
-            by_role[used.role as usize][used.accessor] = Some(Accessor::new(source, root, buffers, used)?);
+        for used in used {
+            let accessor = match decoded.get(used.role, used.accessor) {
+                None => Accessor::new(source, root, buffers, *used)?,
+                Some(elements) => {
+                    let a = &root.accessors[used.accessor];
+                    let label = format!("{}, accessor {}", used.by, used.accessor);
+                    check_type(source, root, &label, a, elements.component, used.role)?;
+                    Accessor::decoded(elements, used.role, a.normalized)
+                }
+            };
+            by_role[used.role as usize][used.accessor] = Some(accessor);
         }
         let none = Accessor {
             base: None,

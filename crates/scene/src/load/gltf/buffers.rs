@@ -37,7 +37,8 @@ impl<'a> Buffers<'a> {
         (materials, images): (&[Material], &[usize]),
     ) -> Result<Self, SceneError> {
         let mut wanted = vec![false; root.buffer_views.len()];
-        for a in uses::uses(source, root, draws, materials)?.into_iter().map(|u| u.accessor) {
+        let used = uses::uses(source, root, draws, materials)?;
+        for a in used.iter().map(|u| u.accessor) {
             let accessor = &root.accessors[a];
             let sparse = accessor.sparse.as_ref();
             let views = [
@@ -53,6 +54,17 @@ impl<'a> Buffers<'a> {
                         return Err(source.bad(format!("accessor {a}"), reason));
                     }
                 }
+            }
+        }
+        for mesh in used.iter().filter_map(|u| u.by.mesh()) {
+            let compressed = root.meshes[mesh].primitives.iter().enumerate();
+            for (p, of) in compressed.filter_map(|(p, primitive)| Some((p, primitive.draco()?))) {
+                let views = wanted.len();
+                *wanted.get_mut(of.buffer_view).ok_or_else(|| {
+                    let by = uses::User::Primitive { mesh, primitive: p };
+                    let reason = format!("it names buffer view {} of {views}", of.buffer_view);
+                    source.bad(format!("{by}, KHR_draco_mesh_compression"), reason)
+                })? = true;
             }
         }
         // A view that is not there is reported with its image.

@@ -3,6 +3,8 @@
 //!
 //! Only JSON types are checked here: indices, counts and offsets are as the file gives them.
 
+use std::collections::BTreeMap;
+
 use serde::Deserialize;
 use serde_json::Value;
 
@@ -105,6 +107,30 @@ pub(super) struct Primitive {
     pub(super) indices: Option<usize>,
     pub(super) material: Option<Value>,
     pub(super) mode: Option<u32>,
+    pub(super) extensions: Option<Box<PrimitiveExtensions>>,
+}
+
+impl Primitive {
+    /// Its compressed data, if it is compressed.
+    pub(super) fn draco(&self) -> Option<&Draco> {
+        self.extensions.as_ref()?.draco.as_ref()
+    }
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct PrimitiveExtensions {
+    #[serde(rename = "KHR_draco_mesh_compression")]
+    pub(super) draco: Option<Draco>,
+}
+
+/// A compressed primitive (KHR_draco_mesh_compression).
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Draco {
+    pub(super) buffer_view: usize,
+    /// By the name of a glTF attribute the id of the attribute in the compressed data.
+    #[serde(default)]
+    pub(super) attributes: BTreeMap<String, u32>,
 }
 
 #[derive(Debug, Deserialize)]

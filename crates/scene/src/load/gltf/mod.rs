@@ -16,6 +16,7 @@ mod accessor;
 mod alpha;
 mod buffers;
 mod component;
+mod draco;
 mod images;
 mod instances;
 mod json;
@@ -36,6 +37,7 @@ use rayon::prelude::*;
 
 use self::accessor::Accessors;
 use self::buffers::Buffers;
+use self::draco::Decoded;
 use self::images::Document;
 use self::source::{QUANTIZATION, Source};
 use self::textures::{Resolved, Textures};
@@ -49,19 +51,32 @@ use crate::{Object, Scene, SceneError, Side, Triangle};
 /// Required extensions that do not change which triangles exist. A prefix ends in `_`.
 const HARMLESS: &[&str] = &[
     "KHR_materials_",
+    "EXT_materials_",
+    "ADOBE_materials_",
     "KHR_texture_",
     "EXT_texture_",
     "MSFT_texture_dds",
+    "MSFT_packing_",
     "KHR_lights_",
     "EXT_lights_",
+    "KHR_animation_pointer",
+    "KHR_audio",
+    "KHR_interactivity",
+    "KHR_node_hoverability",
+    "KHR_node_selectability",
     "KHR_xmp",
     "KHR_xmp_json_ld",
+    "EXT_mesh_features",
+    "EXT_instance_features",
+    "EXT_structural_metadata",
+    "CESIUM_primitive_outline",
+    "AGI_",
+    "VRMC_",
 ];
 
 /// Required extensions that are implemented here.
-const IMPLEMENTED: &[&str] = &[QUANTIZATION, MESHOPT, "EXT_mesh_gpu_instancing"];
-/// Compressed primitives, which are not supported, also where a file has other geometry to fall back on.
-const DRACO: &str = "KHR_draco_mesh_compression";
+const IMPLEMENTED: &[&str] =
+    &[QUANTIZATION, MESHOPT, "EXT_mesh_gpu_instancing", "KHR_draco_mesh_compression"];
 /// Compressed buffer views.
 const MESHOPT: &str = "EXT_meshopt_compression";
 
@@ -140,7 +155,9 @@ fn build(
     let images = document.views(materials.iter().filter_map(|m| m.alpha.as_ref()?.as_ref().ok()?.texture));
     let draws = nodes::walk(source, &root, marks)?;
     let buffers = Buffers::read(source, &root, json, binary, &draws, (&materials, &images))?;
-    let accessors = Accessors::resolve(source, &root, &buffers, &draws, &materials)?;
+    let used = uses::uses(source, &root, &draws, &materials)?;
+    let decoded = Decoded::read(source, &root, &buffers, &used)?;
+    let accessors = Accessors::resolve(source, &root, (&buffers, &decoded), &used)?;
     let draws = instances::expand(source, &root, &accessors, draws)?;
 
     // Count first, so that the triangles are allocated once and never beyond the limit.
@@ -251,8 +268,7 @@ fn check_version(source: &Source<'_>, root: &json::Root) -> Result<(), SceneErro
 fn check_extensions(source: &Source<'_>, root: &json::Root) -> Result<(), SceneError> {
     let harmless =
         |name: &str| HARMLESS.iter().any(|h| if h.ends_with('_') { name.starts_with(h) } else { name == *h });
-    let draco = root.extensions_used.iter().filter(|name| *name == DRACO);
-    for name in root.extensions_required.iter().chain(draco) {
+    for name in &root.extensions_required {
         if !IMPLEMENTED.contains(&name.as_str()) && !harmless(name) {
             let shown: String = name.chars().take(80).collect();
             return Err(SceneError::bad(

@@ -61,6 +61,16 @@ pub(super) enum User {
     Instances { node: usize },
 }
 
+impl User {
+    /// The mesh of a primitive.
+    pub(super) fn mesh(self) -> Option<usize> {
+        match self {
+            Self::Primitive { mesh, .. } => Some(mesh),
+            Self::Instances { .. } => None,
+        }
+    }
+}
+
 impl std::fmt::Display for User {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
