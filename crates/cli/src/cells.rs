@@ -30,11 +30,17 @@ fn columns(pvs: &Pvs) -> Result<BTreeMap<String, Vec<u64>>, CliError> {
 }
 
 /// A cell's bound on the fraction of sight lines it misses, with confidence 95 %.
-fn bound(columns: &BTreeMap<String, Vec<u64>>, misses: &str, cell: usize) -> Option<f64> {
+fn bound(columns: &BTreeMap<String, Vec<u64>>, of: [&str; 3], cell: usize) -> Option<f64> {
     let at = |name: &str| columns.get(name).and_then(|c| c.get(cell)).copied().unwrap_or(0);
-    let look = u32::try_from(at("bound_look")).unwrap_or(u32::MAX);
-    (at("bound_lines") > 0).then(|| upper_bound(at(misses), at("bound_lines"), alpha_of(look)))
+    let [lines, misses, look] = of.map(at);
+    let look = u32::try_from(look).unwrap_or(u32::MAX);
+    (lines > 0).then(|| upper_bound(misses, lines, alpha_of(look)))
 }
+
+/// The columns of the bound on missed triangles: held-out lines, those that missed, and the number of the look.
+const OF_TRIANGLES: [&str; 3] = ["bound_lines", "bound_misses", "bound_look"];
+/// The same of the bound on missed cells.
+const OF_CELLS: [&str; 3] = ["bound_cell_lines", "bound_cell_misses", "bound_cell_look"];
 
 /// Totals over all cells of what exact queries decided, in pairs of cell and triangle; 0 for a result of
 /// sampling alone.
@@ -100,7 +106,7 @@ pub fn unfinished_and_spared(pvs: &Pvs) -> Result<[usize; 2], CliError> {
 /// # Errors
 /// [`CliError::Input`] when the result cannot be read.
 pub fn bounds(pvs: &Pvs) -> Result<Option<Bounds>, CliError> {
-    bounds_of(pvs, "bound_misses")
+    bounds_of(pvs, OF_TRIANGLES)
 }
 
 /// The bounds on the fraction of sight lines that cross a cell which is no pair with their own, if there are
@@ -109,12 +115,12 @@ pub fn bounds(pvs: &Pvs) -> Result<Option<Bounds>, CliError> {
 /// # Errors
 /// [`CliError::Input`] when the result cannot be read.
 pub fn pair_bounds(pvs: &Pvs) -> Result<Option<Bounds>, CliError> {
-    bounds_of(pvs, "bound_cell_misses")
+    bounds_of(pvs, OF_CELLS)
 }
 
-fn bounds_of(pvs: &Pvs, misses: &str) -> Result<Option<Bounds>, CliError> {
+fn bounds_of(pvs: &Pvs, of: [&str; 3]) -> Result<Option<Bounds>, CliError> {
     let columns = columns(pvs)?;
-    let all: Vec<f64> = (0..pvs.cells() as usize).filter_map(|c| bound(&columns, misses, c)).collect();
+    let all: Vec<f64> = (0..pvs.cells() as usize).filter_map(|c| bound(&columns, of, c)).collect();
     let sum: f64 = all.iter().sum();
     Ok((!all.is_empty()).then(|| Bounds {
         cells: all.len(),
@@ -138,7 +144,7 @@ pub fn json(pvs: &Pvs) -> Result<Value, CliError> {
         for (name, values) in &columns {
             line[name] = values[cell as usize].into();
         }
-        if let Some(bound) = bound(&columns, "bound_misses", cell as usize) {
+        if let Some(bound) = bound(&columns, OF_TRIANGLES, cell as usize) {
             line["bound"] = bound.into();
             line["confidence"] = (1.0 - ALPHA).into();
         }
@@ -187,7 +193,7 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
             "-".to_owned()
         };
         let bound =
-            bound(&columns, "bound_misses", cell).map_or("-".to_owned(), |b| format!("{:.4} %", b * 100.0));
+            bound(&columns, OF_TRIANGLES, cell).map_or("-".to_owned(), |b| format!("{:.4} %", b * 100.0));
         let mark = match (at("unfinished", cell), at("spared", cell)) {
             (1.., _) => " *",
             (_, 1..) => " ~",

@@ -98,7 +98,7 @@ pub struct JobArgs {
     #[arg(long, value_name = "D", allow_negative_numbers = true)]
     far: Option<f64>,
     /// Whether the result says which cells see which (dump --items cells, query --sees). auto: with at most
-    /// 4096 cells; on: with at most 32768.
+    /// 512 cells; on: with at most 32768.
     #[arg(long, value_parser = choice::<CellToCell>(), default_value_t)]
     cell_to_cell: CellToCell,
     #[command(flatten)]

@@ -197,7 +197,7 @@ choice! {
 choice! {
     /// Whether the result says which cells see which.
     CellToCell("cell-to-cell") {
-        /// On with at most 4096 cells.
+        /// On with at most 512 cells.
         Auto = "auto",
         /// On; with at most 32768 cells.
         On = "on",

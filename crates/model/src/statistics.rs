@@ -35,10 +35,14 @@ pub struct CellStats {
     pub bound_lines: u64,
     /// Those of them that met a triangle outside the set.
     pub bound_misses: u64,
+    /// The number of that check, from 1.
+    pub bound_look: u32,
+    /// Held-out lines of the last check of the cells that this one sees, 0 without a bound.
+    pub bound_cell_lines: u64,
     /// Those of them that crossed a cell that is no pair with this one.
     pub bound_cell_misses: u64,
     /// The number of that check, from 1.
-    pub bound_look: u32,
+    pub bound_cell_look: u32,
     /// Whether the time or the rounds ended before the cell reached the target.
     pub unfinished: bool,
     /// Whether the cell ended within a tolerance above the target, because it took several times the work of
@@ -48,7 +52,7 @@ pub struct CellStats {
 
 impl CellStats {
     /// The columns' names, in the order of [`CellStats::numbers`].
-    pub const NAMES: [&'static str; 17] = [
+    pub const NAMES: [&'static str; 19] = [
         "rays_uniform",
         "rays_flood",
         "rays_candidate",
@@ -66,6 +70,8 @@ impl CellStats {
         "unfinished",
         "spared",
         "bound_cell_misses",
+        "bound_cell_lines",
+        "bound_cell_look",
     ];
 
     /// The statistics of a cell that was joined from two cells, each of which was sampled alone.
@@ -80,8 +86,10 @@ impl CellStats {
             // A bound belongs to one cell alone.
             bound_lines: 0,
             bound_misses: 0,
-            bound_cell_misses: 0,
             bound_look: 0,
+            bound_cell_lines: 0,
+            bound_cell_misses: 0,
+            bound_cell_look: 0,
             unfinished: self.unfinished || other.unfinished,
             raised_tolerance: self.raised_tolerance || other.raised_tolerance,
         }
@@ -93,12 +101,13 @@ impl CellStats {
         let [i, j, k] = [u64::from(self.rounds), self.last_rays, self.last_misses];
         let [l, m, n] = [self.bound_lines, self.bound_misses, u64::from(self.bound_look)];
         let [o, p] = [self.unfinished, self.raised_tolerance].map(u64::from);
-        [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p, self.bound_cell_misses]
+        let [q, r, s] = [self.bound_cell_misses, self.bound_cell_lines, u64::from(self.bound_cell_look)];
+        [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p, q, r, s]
     }
 
     /// The inverse of [`CellStats::numbers`]; `None` when a number is outside its field's range.
     pub fn from_numbers(
-        [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p, q]: [u64; Self::NAMES.len()],
+        [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p, q, r, s]: [u64; Self::NAMES.len()],
     ) -> Option<Self> {
         let flag = |number: u64| (number < 2).then_some(number == 1);
         Some(Self {
@@ -113,6 +122,8 @@ impl CellStats {
             unfinished: flag(o)?,
             raised_tolerance: flag(p)?,
             bound_cell_misses: q,
+            bound_cell_lines: r,
+            bound_cell_look: s.try_into().ok()?,
         })
     }
 }
@@ -218,10 +229,12 @@ mod tests {
         assert_eq!([of("rounds"), of("bound_look")], [u64::from(stats.rounds), u64::from(stats.bound_look)]);
         assert_eq!([of("last_rays"), of("last_misses")], [stats.last_rays, stats.last_misses]);
         assert_eq!([of("bound_lines"), of("bound_misses")], [stats.bound_lines, stats.bound_misses]);
-        assert_eq!(of("bound_cell_misses"), stats.bound_cell_misses);
+        let cells = [of("bound_cell_lines"), of("bound_cell_misses"), of("bound_cell_look")];
+        let own = [stats.bound_cell_lines, stats.bound_cell_misses, u64::from(stats.bound_cell_look)];
+        assert_eq!(cells, own);
         assert!(of("unfinished") == 1 && stats.unfinished && of("spared") == 0 && !stats.raised_tolerance);
         // Beyond their ranges.
-        for i in [8, 13, 14, 15] {
+        for i in [8, 13, 14, 15, 18] {
             let mut wrong = numbers;
             wrong[i] = u64::MAX;
             assert_eq!(CellStats::from_numbers(wrong), None);

@@ -121,7 +121,7 @@ pub enum PvsError {
     },
     /// The file does not say which cells see which.
     #[error(
-        "the file does not say which cells see which; bake it again without --cell-to-cell off, with at most \
+        "the file does not say which cells see which; bake it again with --cell-to-cell on, with at most \
          32768 view cells"
     )]
     NoPairs,

@@ -64,9 +64,9 @@ impl Rows {
         Self { of, items, count, shared }
     }
 
-    /// The row of a triangle.
-    pub fn of(&self, triangle: u32) -> u32 {
-        if self.of.is_empty() { triangle } else { self.of[triangle as usize] }
+    /// The row of each triangle; empty when a triangle's row is its id.
+    pub fn of_triangles(&self) -> &[u32] {
+        &self.of
     }
 
     /// The item of a triangle that can be visible.

@@ -44,10 +44,18 @@ impl Passed {
         self.found[range].iter().map(|f| (f.1, f.2))
     }
 
-    /// The same for both halves of a line.
-    pub fn on_both(&self, [ahead, behind]: [usize; 2], lane: usize) -> impl Iterator<Item = u32> {
-        let some = if self.starts.is_empty() { 0 } else { 2 };
-        [ahead, behind].into_iter().take(some).flat_map(move |packet| self.on(packet, lane))
+    /// Whether no line shows any.
+    #[inline]
+    pub fn is_empty(&self) -> bool {
+        self.starts.is_empty()
+    }
+
+    /// Calls `each` with those of both halves of a line.
+    #[inline]
+    pub fn each_on_both(&self, halves: [usize; 2], lane: usize, mut each: impl FnMut(u32)) {
+        if !self.is_empty() {
+            halves.into_iter().flat_map(|packet| self.on(packet, lane)).for_each(&mut each);
+        }
     }
 }
 

@@ -11,6 +11,7 @@ use sightline_sampling::Watcher;
 use sightline_sampling::embree::CpuBackend;
 use sightline_sampling::lines::block::{Block, Tools};
 use sightline_sampling::lines::grid::CellGrid;
+use sightline_sampling::lines::pairs::Pairs;
 use sightline_sampling::lines::rounds::Tolerance;
 use sightline_sampling::packet::Packet;
 use sightline_sampling::rows::Rows;
@@ -89,11 +90,13 @@ fn with_block<R>(
     let surface = Surface::of(scene, &all(scene));
     let rows = Rows::triangles(scene);
     let (watcher, deadline) = (&Silent, None);
-    let tools = Tools { scene, surface: &surface, rows: &rows, sight, seed, watcher, deadline };
+    let grid = CellGrid::new(view[0], view[1], cells);
+    let pairs = Pairs::new(grid.clone());
+    let pairs = Some(&pairs);
+    let tools = Tools { scene, surface: &surface, rows: &rows, sight, seed, watcher, deadline, pairs };
     let [nx, ny, _] = cells.map(u64::from);
     let number = |c: [u32; 3]| (u64::from(c[2]) * ny + u64::from(c[1])) * nx + u64::from(c[0]);
-    let grid = CellGrid::new(view[0], view[1], cells);
-    f(&mut Block::new(tools, grid.clone(), number, |_| u64::MAX, Some(grid)))
+    f(&mut Block::new(tools, grid, number, |_| u64::MAX))
 }
 
 fn sets(block: &Block<'_>) -> Vec<Vec<u32>> {
@@ -115,13 +118,16 @@ fn threads_change_nothing() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             with_block(&scene, &sight, [b.min, b.max], [5, 3, 2], 7, |block| {
+                block.sample_before_bound(1.0, 0.01).unwrap();
                 block.sample_to_bound(1.0, 0.01).unwrap();
+                block.join_to_bound(0.01).unwrap();
                 (sets(block), block.stats().to_vec())
             })
         })
     };
     let one = run(1);
-    assert!(one.1.iter().all(|s| s.bound().unwrap() <= 0.01), "the bounds asked for are reached");
+    let within = |b: Option<f64>| b.unwrap() <= 0.01;
+    assert!(one.1.iter().all(|s| within(s.bound()) && within(s.cell_bound())), "the bounds are reached");
     assert_eq!(one, run(2));
     assert_eq!(one, run(5));
 }

@@ -20,7 +20,9 @@ use crate::cube::CubeSpec;
 use crate::error::BackendError;
 use crate::layers;
 use crate::lines::joining;
+use crate::lines::pairs::of_tile;
 use crate::prepared::CubeScene;
+use crate::sight::Sight;
 
 /// The work of a tile, for reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -107,9 +109,12 @@ pub fn run(
                     cell.visible.dedup();
                 }
             }
-            let (pairs, rays) = joining::search(job, tile, watcher)?;
-            sets.pairs = pairs;
-            work.rendered += rays;
+            if let Some(pairs) = joining::table(job) {
+                let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.params.far);
+                work.rendered +=
+                    joining::search(job, &sight, &pairs, (&tile.cell, joining::MANY_ROUNDS), watcher)?;
+                sets.pairs = of_tile(job, Some(&pairs));
+            }
             TileOutput::Cells(sets)
         }
     };

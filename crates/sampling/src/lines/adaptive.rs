@@ -12,8 +12,6 @@ use sightline_viewcells::division::FORCED_DEPTH;
 use sightline_viewcells::{CellBox, Split, Tile};
 
 use super::grid::CellGrid;
-use super::joining;
-use super::pairs;
 use super::rounds::Tolerance;
 use super::work::{Work, columns, share};
 use crate::context::{JobContext, TileError};
@@ -50,12 +48,10 @@ pub fn run(work: &Work<'_>, tile: &Tile) -> Result<(CellSets, u64), TileError> {
         stats: block.stats().to_vec(),
     };
     let rays = sampled.stats.iter().flat_map(|s| s.rays).sum::<u64>();
-    let more = joining::finish(job, &block, *watcher)?;
-    let pairs = pairs::of_tile(job, block.pairs());
     drop(block);
     let part = sampled.part(job, &tile.cell, (tile.depth, 0));
     part.cells.iter().for_each(|_| watcher.cell_done());
-    Ok((CellSets { nodes: part.nodes, cells: part.cells, pairs }, rays + more))
+    Ok((CellSets { nodes: part.nodes, cells: part.cells, pairs: None }, rays))
 }
 
 /// A part of the tree, in preorder.

@@ -3,7 +3,6 @@
 //!
 //! The order in which lines are cast is in [`super::rounds`].
 
-use std::sync::atomic::AtomicU64;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
@@ -29,10 +28,12 @@ use sightline_viewcells::viewpoints::PARTS;
 /// small scenes) to 4.5.
 pub(super) const AIMED_WORK: u64 = 3;
 
-/// One lane in this many joins the cells that its line crosses, in all rounds but a cell's first ones:
-/// neighbouring lanes cross about the same cells, and joining takes longer than tracing where a line crosses
-/// many. The first rounds are a small part of a long bake and all of a short one.
+/// One lane in this many joins the cells that its line crosses: neighbouring lanes cross about the same cells,
+/// and joining takes longer than tracing where a line crosses many. In a block that is a part of the division
+/// it takes a walk of its own, so only the first lane of a packet does.
 pub(super) const JOINED_LANES: usize = 4;
+/// The same for aimed lines, which are many and join fewer cells for the first time.
+pub(super) const JOINED_AIMED_LANES: usize = 16;
 
 /// Part of the block's size by which the two halves of a line overlap at least ([`Packet::reversed`]).
 pub(super) const LEAST_STEP: f32 = 1.0 / (1 << 24) as f32;
@@ -53,6 +54,8 @@ pub struct Tools<'a> {
     pub watcher: &'a dyn Watcher,
     /// When sampling stops with the sets found by then.
     pub deadline: Option<Instant>,
+    /// Which cells see which; `None` when the job does not ask.
+    pub pairs: Option<&'a Pairs>,
 }
 
 /// A view cell of the block.
@@ -131,17 +134,17 @@ pub struct Block<'a> {
     pub(super) cells: Vec<Cell>,
     /// One for each of `cells`.
     pub(super) stats: Vec<CellStats>,
+    /// Row of each triangle; empty when it is the triangle's id. Copied here because every line asks.
+    rows: &'a [u32],
     /// The words of a row without the cells that have no viewpoint; empty when all have one.
     reached: Vec<u64>,
-    /// Which cells see which; `None` when the job does not ask.
-    pub(super) pairs: Option<Pairs>,
-    /// The pairs before the lines that are being cast.
+    /// The pairs before the held-out lines that are being cast.
     pub(super) held: Vec<u64>,
-    /// For each cell, of the joined lines of its last uniform round: those that joined it with another cell
-    /// for the first time, and all.
-    pub(super) joins: Vec<[AtomicU64; 2]>,
     /// Whether the block is the whole division.
     is_whole: bool,
+    /// Whether lines end at a distance or some triangles have one side, so that the halves of a line are
+    /// credited by themselves.
+    in_halves: bool,
     pub(super) seeded: bool,
     /// Uniform rays after which a cell is finished, whatever they met; `None` when the expected error
     /// decides.
@@ -159,14 +162,12 @@ pub struct Block<'a> {
 
 impl<'a> Block<'a> {
     /// A block with nothing seen. `number` gives each of its cells a number that no other cell of the job
-    /// has, and `parts` the parts of the cell that hold viewpoints. Pairs of cells are looked for over
-    /// `division`, the grid of the whole division.
+    /// has, and `parts` the parts of the cell that hold viewpoints.
     pub fn new(
         tools: Tools<'a>,
         grid: CellGrid,
         number: impl Fn([u32; 3]) -> u64,
         parts: impl Fn([u32; 3]) -> u64,
-        division: Option<CellGrid>,
     ) -> Self {
         let cells: Vec<Cell> = grid
             .each()
@@ -181,24 +182,25 @@ impl<'a> Block<'a> {
             let with = cells.iter().filter(|c| c.parts != 0);
             with.for_each(|c| reached[c.slot.word as usize] |= 1 << c.slot.bit);
         }
-        let same = |d: &CellGrid| d.bounds() == grid.bounds() && d.cells() == grid.cells();
-        let is_whole = division.as_ref().is_some_and(same);
         let (min, max) = grid.bounds();
         let step = (max - min).max_element() * LEAST_STEP;
         let bits = SeenBits::new(tools.rows.count(), grid.words());
+        let same = |d: &CellGrid| d.bounds() == grid.bounds() && d.cells() == grid.cells();
+        let is_whole = tools.pairs.is_some_and(|pairs| same(pairs.grid()));
+        let in_halves = tools.sight.far() < f32::INFINITY || tools.sight.is_one_way();
         let count = cells.len();
         let stats = vec![CellStats::default(); count];
         Self {
+            rows: tools.rows.of_triangles(),
             tools,
             grid,
             bits,
             cells,
             stats,
             reached,
-            pairs: division.map(Pairs::new),
             held: Vec::new(),
-            joins: std::iter::repeat_with(Default::default).take(count).collect(),
             is_whole,
+            in_halves,
             seeded: false,
             enough: None,
             // A try casts one ray in each of two opposite directions.
@@ -233,11 +235,6 @@ impl<'a> Block<'a> {
         &self.grid
     }
 
-    /// Which cells see which; `None` when the job does not ask.
-    pub fn pairs(&self) -> Option<&Pairs> {
-        self.pairs.as_ref()
-    }
-
     /// Whether a viewpoint is in a cell, by its place in [`CellGrid::each`].
     pub fn is_reached(&self, cell: usize) -> bool {
         self.cells[cell].parts != 0
@@ -249,8 +246,9 @@ impl<'a> Block<'a> {
     }
 
     /// The row of a triangle.
+    #[inline]
     pub(super) fn row(&self, triangle: u32) -> u32 {
-        self.tools.rows.of(triangle)
+        if self.rows.is_empty() { triangle } else { self.rows[triangle as usize] }
     }
 
     /// Whether a triangle's item was seen from a cell at the last barrier.
@@ -298,79 +296,105 @@ impl<'a> Block<'a> {
 
     /// Credits every cell that the free part of a lane's line crosses with the triangles on it: those at both
     /// ends, and the see-through ones in between. Returns those at the ends; [`SKY`] where a half of the line
-    /// meets nothing that shows. `packets` holds both halves ([`Packet::reversed`]), at the places `ahead`
-    /// and `behind`, and `passed` the see-through triangles on them.
+    /// meets nothing that shows. `halves` are the places in `packets` of both halves ([`Packet::reversed`]),
+    /// and `passed` holds the see-through triangles on them. If `joins`, the cells that the line crosses are
+    /// joined.
+    #[inline(always)]
     pub(super) fn credit_line(
         &self,
         packets: &[Packet],
         passed: &Passed,
         halves: [usize; 2],
         lane: usize,
-        crossed: &mut Crossed,
-        (joined, one_in): (&mut Crossed, usize),
+        (crossed, joined): (&mut Crossed, &mut Crossed),
+        joins: bool,
     ) -> [u32; 2] {
         let [ahead, behind] = halves.map(|k| &packets[k]);
         let ends = [ahead.triangle[lane], behind.triangle[lane]];
-        let mut between = passed.on_both(halves, lane).peekable();
-        let any = ends != [SKY; 2] || between.peek().is_some();
-        let pairs = self.pairs.as_ref().filter(|_| lane.is_multiple_of(one_in));
-        if !any && pairs.is_none() {
-            return ends;
-        }
-        let (origin, direction) = ahead.ray(lane);
-        let (from, to) = ahead.free(behind, lane, self.step);
-        let far = self.tools.sight.far() / ahead.length(lane);
-        let one_way = self.tools.sight.is_one_way();
-        if far < f32::INFINITY || one_way {
-            // Each triangle shows up to that distance on both sides of it, and cells that far apart do not
-            // see each other. With triangles of one side, each half is free in its own direction alone: what
-            // lies ahead is seen from the origin on, what lies behind from the origin back, and a triangle
-            // that is passed is not seen from beyond it.
-            let half = ahead.advance(lane, self.step);
-            let on = [(ends[0], to, true), (ends[1], from, false)].into_iter();
-            let on = on.chain(passed.on_at(halves[0], lane).map(|(t, d)| (t, d, true)));
-            let on = on.chain(passed.on_at(halves[1], lane).map(|(t, d)| (t, half - d, false)));
-            for (triangle, at, is_ahead) in on.filter(|(t, ..)| *t != SKY) {
-                let (least, most) = match (one_way, is_ahead) {
-                    (false, _) => (from, to),
-                    (true, true) => (from.max(0.0), at),
-                    (true, false) => (at, to.min(0.0)),
-                };
-                self.grid.walk(origin, direction, least.max(at - far), most.min(at + far), crossed);
-                self.only_reached(crossed);
-                self.credit(triangle, crossed);
+        if self.in_halves {
+            self.credit_halves(packets, passed, halves, lane, crossed);
+            if joins {
+                self.join_halves([ahead, behind], lane, joined);
             }
-            if let Some(pairs) = pairs {
-                for (from, to) in [(from.max(-far), to.min(0.0)), (from.max(0.0), to.min(far))] {
-                    pairs.join_line((origin, direction), from, to, joined);
-                }
+        } else if ends != [SKY; 2] || joins || !passed.is_empty() {
+            let (origin, direction) = ahead.ray(lane);
+            let (from, to) = ahead.free(behind, lane, self.step);
+            self.grid.walk(origin, direction, from, to, crossed);
+            if joins && (self.is_whole || lane == 0) {
+                self.join((origin, direction), (from, to), crossed, joined);
             }
-            return ends;
-        }
-        self.grid.walk(origin, direction, from, to, crossed);
-        if let Some(pairs) = pairs {
-            joined.clear();
-            match self.is_whole {
-                true => {
-                    pairs.join(crossed);
-                    joined.extend_from_slice(crossed);
-                }
-                false => pairs.join_line((origin, direction), from, to, joined),
-            }
-        }
-        if any {
             self.only_reached(crossed);
             ends.into_iter().filter(|t| *t != SKY).for_each(|t| self.credit(t, crossed));
-            between.for_each(|t| self.credit(t, crossed));
+            passed.each_on_both(halves, lane, |t| self.credit(t, crossed));
         }
         ends
     }
 
-    /// The slot of one of its cells in the grid of the pairs; `None` when the job does not ask for pairs.
-    pub(super) fn pair_slot(&self, cell: &Cell) -> Option<Slot> {
-        let grid = self.pairs.as_ref()?.grid();
-        let at = grid.cell_at(cell.lo + cell.size * 0.5);
-        Some(grid.slot(at))
+    /// Joins the cells of the division that a line crosses; `crossed` are the cells of the block.
+    #[inline(never)]
+    fn join(
+        &self,
+        (origin, direction): ([f32; 3], [f32; 3]),
+        (from, to): (f32, f32),
+        crossed: &Crossed,
+        joined: &mut Crossed,
+    ) {
+        match self.tools.pairs {
+            Some(pairs) if self.is_whole => pairs.join(crossed),
+            Some(pairs) => pairs.join_line((origin, direction), from, to, joined),
+            None => {}
+        }
+    }
+
+    /// As [`Self::credit_line`] where lines end at a distance or some triangles have one side. Each triangle
+    /// shows up to that distance on both sides of it. With triangles of one side, each half is free in its own
+    /// direction alone: what lies ahead is seen from the origin on, what lies behind from the origin back, and
+    /// a triangle that is passed is not seen from beyond it.
+    #[cold]
+    fn credit_halves(
+        &self,
+        packets: &[Packet],
+        passed: &Passed,
+        halves: [usize; 2],
+        lane: usize,
+        crossed: &mut Crossed,
+    ) {
+        let [ahead, behind] = halves.map(|k| &packets[k]);
+        let (origin, direction) = ahead.ray(lane);
+        let (from, to) = ahead.free(behind, lane, self.step);
+        let far = self.tools.sight.far() / ahead.length(lane);
+        let half = ahead.advance(lane, self.step);
+        let on = [(ahead.triangle[lane], to, true), (behind.triangle[lane], from, false)].into_iter();
+        let on = on.chain(passed.on_at(halves[0], lane).map(|(t, d)| (t, d, true)));
+        let on = on.chain(passed.on_at(halves[1], lane).map(|(t, d)| (t, half - d, false)));
+        for (triangle, at, is_ahead) in on.filter(|(t, ..)| *t != SKY) {
+            let (least, most) = match (self.tools.sight.is_one_way(), is_ahead) {
+                (false, _) => (from, to),
+                (true, true) => (from.max(0.0), at),
+                (true, false) => (at, to.min(0.0)),
+            };
+            self.grid.walk(origin, direction, least.max(at - far), most.min(at + far), crossed);
+            self.only_reached(crossed);
+            self.credit(triangle, crossed);
+        }
+    }
+
+    /// Joins the cells that each half of a line crosses by itself.
+    #[cold]
+    fn join_halves(&self, [ahead, behind]: [&Packet; 2], lane: usize, joined: &mut Crossed) {
+        let Some(pairs) = self.tools.pairs else { return };
+        let (from, to) = ahead.free(behind, lane, self.step);
+        let far = self.tools.sight.far() / ahead.length(lane);
+        for (from, to) in [(from.max(-far), to.min(0.0)), (from.max(0.0), to.min(far))] {
+            pairs.join_line(ahead.ray(lane), from, to, joined);
+        }
+    }
+
+    /// The pairs, and the slot of one of its cells in their grid; `None` when the job does not ask for pairs.
+    pub(super) fn pairs_of(&self, cell: &Cell) -> Option<(&Pairs, Slot)> {
+        let pairs = self.tools.pairs?;
+        let at = pairs.grid().cell_at(cell.lo + cell.size * 0.5);
+        Some((pairs, pairs.grid().slot(at)))
     }
 
     /// Whether the time is up.
@@ -416,7 +440,10 @@ impl<'a> Block<'a> {
             if s.bound_lines > 0 {
                 (all.bound_lines, all.bound_misses, all.bound_look) =
                     (s.bound_lines, s.bound_misses, s.bound_look);
-                all.bound_cell_misses = s.bound_cell_misses;
+            }
+            if s.bound_cell_lines > 0 {
+                (all.bound_cell_lines, all.bound_cell_misses, all.bound_cell_look) =
+                    (s.bound_cell_lines, s.bound_cell_misses, s.bound_cell_look);
             }
         }
         Ok(())

@@ -28,21 +28,36 @@ const MOST_LOOKS: u32 = 12;
 const LINES: f64 = 6.0;
 /// Lines traced between two checks of the clock.
 const BATCH: usize = 1 << 14;
-/// Name of the stream of random numbers.
+/// Names of the streams of random numbers.
 const CHECK: u64 = 5;
+const CHECK_CELLS: u64 = 10;
+const JOIN_MORE: u64 = 11;
+
+/// The expected error at which the tests begin.
+fn first_aim(target: f64, most: f64) -> f64 {
+    target.min(most * BOUND_AIM)
+}
 
 impl Block<'_> {
+    /// Samples for [`Self::sample_to_bound`] before the first test.
+    ///
+    /// # Errors
+    /// As [`Block::sample`].
+    pub fn sample_before_bound(&mut self, target: f64, most: f64) -> Result<(), TileError> {
+        // A cell is finished when its bound holds.
+        self.silent = true;
+        // The bound has no per-cell tolerance.
+        self.sample(first_aim(target, most), &[], Tolerance::Equal)
+    }
+
     /// Samples until every cell is expected to miss at most `target` and its bound is at most `most`, until
     /// the time is up, or until a cell has had its most tests. The statistics of a cell hold its bound.
+    /// [`Self::sample_before_bound`] comes before.
     ///
     /// # Errors
     /// As [`Block::sample`].
     pub fn sample_to_bound(&mut self, target: f64, most: f64) -> Result<(), TileError> {
-        let mut aim = target.min(most * BOUND_AIM);
-        // A cell is finished when its bound holds.
-        self.silent = true;
-        // The bound has no per-cell tolerance.
-        self.sample(aim, &[], Tolerance::Equal)?;
+        let mut aim = first_aim(target, most);
         let mut open: Vec<usize> = self.active();
         for look in 1..=MOST_LOOKS {
             let lines = ((LINES + f64::from(look - 1)) / most).ceil() as u64;
@@ -67,12 +82,82 @@ impl Block<'_> {
         Ok(())
     }
 
-    /// Whether the bounds of a cell are at most `most`: on its missed sight lines, and on those that join it
-    /// with a cell that is no pair with it.
     fn is_bounded(&self, cell: usize, most: f64) -> bool {
-        let stats = &self.stats[cell];
-        let within = |bound: Option<f64>| bound.is_some_and(|b| b <= most);
-        within(stats.bound()) && (self.pairs.is_none() || within(stats.cell_bound()))
+        self.stats[cell].bound().is_some_and(|b| b <= most)
+    }
+
+    /// Joins cells until of every cell the bound on the sight lines that cross a cell which is no pair with it
+    /// is at most `most`, too, until the time is up, or until a cell has had its most tests. The tests of
+    /// [`Self::sample_to_bound`] have counted these lines as well, so few cells are left. It changes no set of
+    /// triangles.
+    ///
+    /// # Errors
+    /// As [`Block::sample`].
+    pub fn join_to_bound(&mut self, most: f64) -> Result<(), TileError> {
+        if self.tools.pairs.is_none() {
+            return Ok(());
+        }
+        let mut open = self.active();
+        for _ in 1..MOST_LOOKS {
+            let above = |b: Option<f64>| b.is_some_and(|b| b > most);
+            open.retain(|c| {
+                above(self.stats[*c].cell_bound()) && self.stats[*c].bound_cell_look < MOST_LOOKS
+            });
+            if open.is_empty() || self.late() {
+                break;
+            }
+            let of = |c: &usize| {
+                let look = self.stats[*c].bound_cell_look + 1;
+                (*c, (look, ((LINES + f64::from(look - 1)) / most).ceil() as u64))
+            };
+            let work: Vec<(usize, (u32, u64))> = open.iter().map(of).collect();
+            self.each(&work, |block, s, (cell, (look, lines))| block.join_more(s, *cell, *look, *lines))?;
+            self.held = self.tools.pairs.map_or_else(Vec::new, Pairs::copy);
+            self.each(&work, |block, s, (cell, (look, lines))| block.check_cells(s, *cell, *look, *lines))?;
+        }
+        for cell in self.active() {
+            self.stats[cell].unfinished |= self.stats[cell].cell_bound().is_none_or(|b| b > most);
+        }
+        Ok(())
+    }
+
+    /// Casts lines from a cell that do nothing but join cells.
+    fn join_more(
+        &self,
+        s: &mut Scratch,
+        cell: usize,
+        look: u32,
+        lines: u64,
+    ) -> Result<CellStats, BackendError> {
+        let Some((pairs, _)) = self.pairs_of(&self.cells[cell]) else { return Ok(CellStats::default()) };
+        self.cast(s, cell, (look, JOIN_MORE), lines, |_, s, packet, lane| {
+            let (line, end) = (s.packets[packet].ray(lane), s.packets[packet].distance[lane]);
+            pairs.join_line(line, 0.0, end, &mut s.joined);
+        })?;
+        Ok(CellStats::default())
+    }
+
+    /// Casts held-out lines from a cell and counts those that cross a cell which is no pair with it.
+    fn check_cells(
+        &self,
+        s: &mut Scratch,
+        cell: usize,
+        look: u32,
+        lines: u64,
+    ) -> Result<CellStats, BackendError> {
+        let mut stats = CellStats::default();
+        let Some((pairs, slot)) = self.pairs_of(&self.cells[cell]) else { return Ok(stats) };
+        let cast = self.cast(s, cell, (look, CHECK_CELLS), lines, |_, s, packet, lane| {
+            let (line, end) = (s.packets[packet].ray(lane), s.packets[packet].distance[lane]);
+            pairs.join_line(line, 0.0, end, &mut s.joined);
+            stats.bound_cell_misses += u64::from(pairs.is_new(&self.held, slot, &s.joined));
+        })?;
+        if cast < lines {
+            // An incomplete test gives no bound.
+            return Ok(CellStats::default());
+        }
+        (stats.bound_cell_lines, stats.bound_cell_look) = (lines, look);
+        Ok(stats)
     }
 
     /// Test number `look`: casts `lines` held-out lines from every cell.
@@ -85,27 +170,70 @@ impl Block<'_> {
     }
 
     fn look_at(&mut self, cells: &[usize], look: u32, lines: u64) -> Result<(), TileError> {
-        self.held = self.pairs.as_ref().map_or_else(Vec::new, Pairs::copy);
+        self.held = self.tools.pairs.map_or_else(Vec::new, Pairs::copy);
         let work: Vec<(usize, u64)> = cells.iter().map(|c| (*c, lines)).collect();
         self.each(&work, |block, s, (cell, lines)| block.check(s, *cell, *lines, look))?;
         self.bits.publish();
         Ok(())
     }
 
-    /// Casts `lines` held-out lines from `cell` and counts those that meet a triangle outside its set.
+    /// Casts `lines` held-out lines from `cell`; counts those that meet a triangle outside its set, and those
+    /// that cross a cell which is no pair with it.
     fn check(&self, s: &mut Scratch, cell: usize, lines: u64, look: u32) -> Result<CellStats, BackendError> {
         let c = self.cells[cell];
-        let mut random = Hashed::new(&[self.tools.seed, c.number, u64::from(look), CHECK]);
-        let mut stats = CellStats::default();
-        let (mut left, mut misses, mut cell_misses) = (lines, 0, 0);
-        let pairs = self.pairs.as_ref().zip(self.pair_slot(&c));
-        while left > 0 {
-            if self.late() {
-                // An incomplete test gives no bound.
-                return Ok(CellStats { rays: stats.rays, ..CellStats::default() });
+        let (mut misses, mut cell_misses) = (0, 0);
+        let pairs = self.pairs_of(&c);
+        let cast = self.cast(s, cell, (look, CHECK), lines, |block, s, k, lane| {
+            let packet = &s.packets[k];
+            if let Some((pairs, slot)) = pairs {
+                pairs.join_line(packet.ray(lane), 0.0, packet.distance[lane], &mut s.joined);
+                cell_misses += u64::from(pairs.is_new(&block.held, slot, &s.joined));
             }
-            let batch = left.min(BATCH as u64) as usize;
-            left -= batch as u64;
+            let end = (packet.triangle[lane], packet.distance[lane]);
+            let shown = std::iter::once(end).chain(s.passed.on_at(k, lane));
+            let mut new = shown.filter(|(t, _)| *t != SKY && !block.seen(*t, c.slot)).peekable();
+            if new.peek().is_some() {
+                misses += 1;
+                let (origin, direction) = packet.ray(lane);
+                for (triangle, at) in new {
+                    // A triangle of one side is not seen from beyond it.
+                    let to = if block.tools.sight.is_one_way() { at } else { end.1 };
+                    block.grid.walk(origin, direction, 0.0, to, &mut s.crossed);
+                    block.only_reached(&mut s.crossed);
+                    block.credit(triangle, &s.crossed);
+                }
+            }
+        })?;
+        let mut stats = CellStats::default();
+        stats.rays[LineKind::Check as usize] = cast;
+        if cast < lines {
+            // An incomplete test gives no bound.
+            return Ok(stats);
+        }
+        stats.finds[LineKind::Check as usize] = misses;
+        (stats.bound_lines, stats.bound_misses, stats.bound_look) = (lines, misses, look);
+        if pairs.is_some() {
+            (stats.bound_cell_lines, stats.bound_cell_misses, stats.bound_cell_look) =
+                (lines, cell_misses, look);
+        }
+        Ok(stats)
+    }
+
+    /// Casts `lines` independent lines from `cell`, of the stream of random numbers with this name, and calls
+    /// `each` with the packet and the lane of each. Returns their number, which is less when the time is up.
+    fn cast(
+        &self,
+        s: &mut Scratch,
+        cell: usize,
+        (look, stream): (u32, u64),
+        lines: u64,
+        mut each: impl FnMut(&Self, &mut Scratch, usize, usize),
+    ) -> Result<u64, BackendError> {
+        let c = self.cells[cell];
+        let mut random = Hashed::new(&[self.tools.seed, c.number, u64::from(look), stream]);
+        let mut cast = 0;
+        while cast < lines && !self.late() {
+            let batch = (lines - cast).min(BATCH as u64) as usize;
             // Drawn independently, then sorted so that consecutive lines have similar directions; the order
             // changes no count.
             let side = ((batch as f32 / 96.0).sqrt() as u32).max(1);
@@ -130,34 +258,13 @@ impl Block<'_> {
                 s.packets.push(packet);
             }
             self.tools.sight.trace_each(&mut s.packets, &mut s.passed, self.step)?;
-            for (k, packet) in s.packets.iter().enumerate() {
-                for lane in 0..packet.count {
-                    if let Some((pairs, slot)) = pairs {
-                        let to = packet.distance[lane];
-                        pairs.join_line(packet.ray(lane), 0.0, to, &mut s.joined);
-                        cell_misses += u64::from(pairs.is_new(&self.held, slot.index(), &s.joined));
-                    }
-                    let end = (packet.triangle[lane], packet.distance[lane]);
-                    let shown = std::iter::once(end).chain(s.passed.on_at(k, lane));
-                    let mut new = shown.filter(|(t, _)| *t != SKY && !self.seen(*t, c.slot)).peekable();
-                    if new.peek().is_some() {
-                        misses += 1;
-                        let (origin, direction) = packet.ray(lane);
-                        for (triangle, at) in new {
-                            // A triangle of one side is not seen from beyond it.
-                            let to = if self.tools.sight.is_one_way() { at } else { end.1 };
-                            self.grid.walk(origin, direction, 0.0, to, &mut s.crossed);
-                            self.only_reached(&mut s.crossed);
-                            self.credit(triangle, &s.crossed);
-                        }
-                    }
+            for k in 0..s.packets.len() {
+                for lane in 0..s.packets[k].count {
+                    each(self, s, k, lane);
                 }
             }
-            stats.rays[LineKind::Check as usize] += batch as u64;
+            cast += batch as u64;
         }
-        stats.finds[LineKind::Check as usize] = misses;
-        (stats.bound_lines, stats.bound_misses, stats.bound_look) = (lines, misses, look);
-        stats.bound_cell_misses = cell_misses;
-        Ok(stats)
+        Ok(cast)
     }
 }

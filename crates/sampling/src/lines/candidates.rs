@@ -7,7 +7,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::block::{Block, JOINED_LANES, Scratch};
+use super::block::{Block, JOINED_AIMED_LANES, Scratch};
 use crate::cube::SKY;
 use crate::error::BackendError;
 use crate::packet::{LANES, Packet};
@@ -213,19 +213,22 @@ impl Block<'_> {
             stats.rays[LineKind::Candidate as usize] += 2 * ahead.count as u64;
             for (lane, candidate) in group.iter().enumerate() {
                 let found = ahead.triangle[lane] == candidate.triangle
-                    || passed.on(halves[0], lane).any(|t| t == candidate.triangle);
+                    || !passed.is_empty() && passed.on(halves[0], lane).any(|t| t == candidate.triangle);
                 self.yields.count(candidate.part, time, uniform, found);
-                let ends = self.credit_line(packets, passed, halves, lane, crossed, (joined, JOINED_LANES));
-                for triangle in ends.into_iter().chain(passed.on_both(halves, lane)) {
+                let joins = lane.is_multiple_of(JOINED_AIMED_LANES);
+                let ends = self.credit_line(packets, passed, halves, lane, (crossed, joined), joins);
+                let mut meet = |triangle| {
                     if triangle == SKY {
-                        continue;
+                        return;
                     }
                     let row = self.row(triangle);
                     if !self.bits.seen(row, c.slot) && met[row as usize] != *tag {
                         met[row as usize] = *tag;
                         stats.finds[LineKind::Candidate as usize] += 1;
                     }
-                }
+                };
+                ends.into_iter().for_each(&mut meet);
+                passed.each_on_both(halves, lane, meet);
             }
         }
         Ok(())

@@ -5,7 +5,7 @@
 //! tried and find far less. Each line is traced in both directions, so the triangles behind the origin are
 //! credited as well.
 
-use super::block::{Block, JOINED_LANES, Scratch};
+use super::block::{Block, JOINED_AIMED_LANES, Scratch};
 use super::uniform::Find;
 use crate::cube::SKY;
 use crate::error::BackendError;
@@ -74,28 +74,26 @@ impl Block<'_> {
                 stats.rays[LineKind::Flood as usize] += 2 * ahead.count as u64;
                 for lane in 0..ahead.count {
                     let (end, target) = (ahead.triangle[lane], a.targets[lane]);
-                    let hits = || std::iter::once(end).chain(passed.on(k, lane));
-                    if hits().all(|hit| hit != target) {
+                    let found = end == target || passed.on(k, lane).any(|t| t == target);
+                    if !found {
                         // Another triangle obstructs it; from another origin it may be visible.
                         met[self.row(target) as usize] = 0;
                     }
-                    self.credit_line(
-                        traced,
-                        passed,
-                        [k, k + aimed.len()],
-                        lane,
-                        crossed,
-                        (joined, JOINED_LANES),
-                    );
-                    for hit in hits() {
+                    let joins = lane.is_multiple_of(JOINED_AIMED_LANES);
+                    self.credit_line(traced, passed, [k, k + aimed.len()], lane, (crossed, joined), joins);
+                    let mut meet = |hit| {
                         if hit == SKY {
-                            continue;
+                            return;
                         }
                         let row = self.row(hit);
                         if !self.bits.seen(row, slot) && (hit == target || met[row as usize] != *tag) {
                             met[row as usize] = *tag;
                             finds.push(Find { packet: a.eye, triangle: hit });
                         }
+                    };
+                    meet(end);
+                    if !passed.is_empty() {
+                        passed.on(k, lane).for_each(meet);
                     }
                 }
             }

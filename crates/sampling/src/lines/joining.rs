@@ -1,186 +1,226 @@
-//! Uniform lines that do nothing but join the cells they cross: from every cell for the samplers whose rays
-//! are not shared, and for the sampler lines from the cells whose last round still joined many.
+//! Which cells see which, by segments between random points of two cells that no segment has joined yet.
 //!
-//! A cell is finished when the lines that joined it with another cell for the first time are few: half of
-//! their fraction is expected to remain after the round, as in [`super::rounds`].
-
-use std::sync::atomic::Ordering::Relaxed;
+//! A segment is free up to the first triangle that blocks it, and joins all cells that it crosses until then,
+//! beyond its target as well. The first two rounds cast at all open pairs, the later ones at those of which a
+//! neighbour is joined, because what is missed lies there. Some segments at any cells tell how many pairs of
+//! points see each other; those at open pairs that reach their target tell which part of these the relation
+//! still misses. It ends when that part is small.
+//!
+//! Lines that look for triangles have joined the cells that they cross before. They find narrow openings, but
+//! few of them lead from one end of a flat division to the other (`docs/experiments/cell-to-cell.md`).
 
 use rayon::prelude::*;
-use sightline_model::TilePairs;
-use sightline_viewcells::Tile;
+use sightline_viewcells::CellBox;
 
-use super::block::{Block, Cell};
+use super::block::{Cell, LEAST_STEP};
 use super::grid::{CellGrid, Crossed};
-use super::pairs::{Pairs, of_tile};
+use super::pairs::Pairs;
 use super::rounds::LEFT_AFTER_ROUND;
 use crate::context::{JobContext, TileError, Watcher};
-use crate::cube::face_basis;
 use crate::packet::{LANES, Packet};
-use crate::sequence::{Hashed, spread3};
+use crate::sequence::Hashed;
 use crate::sight::{Passed, Sight};
 
-/// Tiles of directions along a cube face in the first round, and their growth from round to round.
-const FIRST_TILES: f64 = 4.0;
-const GROWTH: f64 = 1.5;
-/// Most rounds of a cell; the last one has tiles of 4×4 directions as many as the largest round of sampling.
-const MOST_ROUNDS: u32 = 9;
-/// Pairs of packets traced at a time.
-const BATCH: u32 = 16;
-/// Lines of a round that say something about its cell.
-const LEAST_LINES: u64 = 200;
-/// No cell is searched for a smaller fraction of new pairs.
-const LEAST_TOLERANCE: f64 = 5e-5;
-/// Name of the stream of random numbers.
+/// Most segments from a cell in a round; of more open pairs a part is drawn.
+const MOST_SEGMENTS: usize = 512;
+/// Least segments in a round from all cells together; fewer open pairs are cast at more than once.
+const LEAST_SEGMENTS: usize = 1 << 16;
+/// Segments from each cell at any later cell, which estimate how many pairs of points see each other.
+const FREE_SEGMENTS: usize = 32;
+/// Rounds that cast at all open pairs.
+const WHOLE_ROUNDS: u32 = 2;
+/// Most rounds after lines that have joined cells.
+pub const FEW_ROUNDS: u32 = 8;
+/// Most rounds after other rays.
+pub const MANY_ROUNDS: u32 = 32;
+/// The part of the free pairs of points that may be missed after the last round, and the least that is
+/// searched for.
+const TOLERANCE: f64 = 1e-4;
+/// Names of the streams of random numbers.
 const JOIN: u64 = 7;
+const FREE: u64 = 12;
 
-/// The pairs of cells that lines from a tile join; `None` when the job does not ask. Also the number of rays.
+/// An empty table for the pairs of a job; `None` when it does not ask.
+pub fn table(job: &JobContext<'_>) -> Option<Pairs> {
+    let (min, max) = job.division.root(&job.lattice).world(&job.lattice);
+    job.pairs.map(|sides| Pairs::new(CellGrid::new(min, max, sides)))
+}
+
+/// Joins the cells of the part `within` of the division with those that they see, in at most `rounds` rounds.
+/// Of two cells, the one with the lower number casts. Returns the number of rays.
 ///
 /// # Errors
 /// [`TileError`] when it is cancelled or the backend fails.
 pub fn search(
     job: &JobContext<'_>,
-    tile: &Tile,
-    watcher: &dyn Watcher,
-) -> Result<(Option<TilePairs>, u64), TileError> {
-    let Some(sides) = job.pairs else { return Ok((None, 0)) };
-    let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.params.far);
-    let (min, max) = job.division.root(&job.lattice).world(&job.lattice);
-    let pairs = Pairs::new(CellGrid::new(min, max, sides));
-    let step = (max - min).max_element() * super::block::LEAST_STEP;
-    let units = job.lattice.units();
-    let inside = |at: [u32; 3]| {
-        (0..3).all(|a| {
-            let middle = (u64::from(at[a]) * 2 + 1) * u64::from(units[a]) / (2 * u64::from(sides[a]));
-            (u64::from(tile.cell.lo[a])..u64::from(tile.cell.hi[a])).contains(&middle)
-        })
-    };
-    let grid = pairs.grid();
-    let cells = grid.each().enumerate().filter(|(_, at)| inside(*at)).map(|(number, at)| {
-        let (lo, size) = grid.cell_box(at);
-        let parts = job.viewpoints.map_or(u64::MAX, |marks| marks.of(number));
-        Cell { at, slot: grid.slot(at), lo, size, number: number as u64, parts }
-    });
-    let open: Vec<(Cell, u64)> = cells.filter(|c| c.parts != 0).map(|cell| (cell, 0)).collect();
-    let rays = rounds(job, (&sight, &pairs, step), open, watcher)?;
-    Ok((of_tile(job, Some(&pairs)), rays))
-}
-
-/// Goes on joining the cells of a sampled block of which the last round of sampling still joined many for the
-/// first time. Returns the number of rays.
-///
-/// # Errors
-/// As [`search`].
-pub fn finish(job: &JobContext<'_>, block: &Block<'_>, watcher: &dyn Watcher) -> Result<u64, TileError> {
-    let Some(pairs) = &block.pairs else { return Ok(0) };
-    let open = block.active().into_iter().filter_map(|cell| {
-        let [new, lines] = [0, 1].map(|k| block.joins[cell][k].load(Relaxed));
-        let enough = lines >= LEAST_LINES && LEFT_AFTER_ROUND * new as f64 <= tolerance(job) * lines as f64;
-        let own = block.cells[cell];
-        let slot = block.pair_slot(&own).filter(|_| !enough)?;
-        Some((Cell { slot, ..own }, 0))
-    });
-    rounds(job, (block.tools.sight, pairs, block.step), open.collect(), watcher)
-}
-
-/// The fraction of a cell's lines that may join it with another cell for the first time after the last round.
-fn tolerance(job: &JobContext<'_>) -> f64 {
-    (0.5 * job.params.target_error).max(LEAST_TOLERANCE)
-}
-
-/// Casts lines from cells, each of which has cast some, until few of them join their cell with another one
-/// for the first time. The slots of the cells are those in the grid of the pairs. Returns the number of rays.
-fn rounds(
-    job: &JobContext<'_>,
-    (sight, pairs, step): (&Sight<'_>, &Pairs, f32),
-    mut open: Vec<(Cell, u64)>,
+    sight: &Sight<'_>,
+    pairs: &Pairs,
+    (within, rounds): (&CellBox, u32),
     watcher: &dyn Watcher,
 ) -> Result<u64, TileError> {
-    let mut rays = 0;
-    for round in 0..MOST_ROUNDS {
-        if open.is_empty() || job.is_late() {
+    let grid = pairs.grid();
+    let cells: Vec<Cell> = grid
+        .each()
+        .enumerate()
+        .map(|(number, at)| {
+            let (lo, size) = grid.cell_box(at);
+            let parts = job.viewpoints.map_or(u64::MAX, |marks| marks.of(number));
+            Cell { at, slot: grid.slot(at), lo, size, number: number as u64, parts }
+        })
+        .collect();
+    let (units, sides) = (job.lattice.units(), grid.cells());
+    let inside = |cell: &&Cell| {
+        (0..3).all(|a| {
+            let middle = (u64::from(cell.at[a]) * 2 + 1) * u64::from(units[a]) / (2 * u64::from(sides[a]));
+            (u64::from(within.lo[a])..u64::from(within.hi[a])).contains(&middle)
+        })
+    };
+    let own: Vec<&Cell> = cells.iter().filter(inside).collect();
+    let (min, max) = grid.bounds();
+    let step = (max - min).max_element() * LEAST_STEP;
+    let (mut rays, mut all_free) = (0, 0.0);
+    for round in 0..rounds {
+        if job.is_late() {
             break;
         }
-        let tiles = (FIRST_TILES * GROWTH.powi(round as i32)) as u32;
         let before = pairs.copy();
-        let lines = Lines { sight, pairs, before: &before, step, seed: job.seed };
-        let new: Vec<u64> = open
-            .par_iter()
-            .with_max_len(2)
-            .map(|(cell, cast)| match watcher.cancelled() {
-                true => Err(TileError::Cancelled),
-                false => lines.from(cell, *cast, (round, tiles)),
-            })
-            .collect::<Result<_, TileError>>()?;
-        let cast = u64::from(3 * tiles * tiles) * LANES as u64;
-        rays += 2 * cast * open.len() as u64;
-        watcher.rendered(2 * cast * open.len() as u64);
-        let mut new = new.into_iter();
-        open.retain_mut(|(_, before)| {
-            *before += cast;
-            LEFT_AFTER_ROUND * new.next().unwrap_or(0) as f64 / cast as f64 > tolerance(job)
-        });
+        let segments = Segments { sight, pairs, before: &before, cells: &cells, step, seed: job.seed, round };
+        let mut cast = |at: &Cast<'_>| {
+            let found: Vec<(u64, f64)> = own
+                .par_iter()
+                .with_max_len(2)
+                .map(|cell| match watcher.cancelled() {
+                    true => Err(TileError::Cancelled),
+                    false => at(&segments, cell),
+                })
+                .collect::<Result<_, TileError>>()?;
+            let count: u64 = found.iter().map(|f| f.0).sum();
+            rays += count;
+            watcher.rendered(count);
+            tracing::debug!("joining, round {round}: {count} segments");
+            // In the order of the cells, so the sum is the same on every run.
+            Ok::<f64, TileError>(found.iter().map(|f| f.1).sum())
+        };
+        if round == 0 {
+            all_free = cast(&|segments, cell| segments.at_any(cell))?;
+        }
+        let missed = cast(&|segments, cell| segments.at_open(cell))?;
+        tracing::debug!("joining, round {round}: {missed:.0} of {all_free:.0} missed before");
+        if LEFT_AFTER_ROUND * missed <= TOLERANCE * all_free {
+            break;
+        }
     }
     Ok(rays)
 }
 
+/// Casts segments from a cell; their number, and how many pairs of points see each other as far as these tell.
+type Cast<'a> = dyn Fn(&Segments<'_>, &Cell) -> Result<(u64, f64), TileError> + Sync + 'a;
+
 /// The inputs of a round.
-struct Lines<'a> {
+struct Segments<'a> {
     sight: &'a Sight<'a>,
     pairs: &'a Pairs,
     /// The pairs before the round.
     before: &'a [u64],
+    /// All cells of the division, by number.
+    cells: &'a [Cell],
     step: f32,
     seed: u64,
+    round: u32,
 }
 
-impl Lines<'_> {
-    /// Casts 3 · tiles² · 16 lines from a cell that has cast `cast` lines; returns how many of them joined it
-    /// with another cell for the first time.
-    fn from(&self, cell: &Cell, cast: u64, (round, tiles): (u32, u32)) -> Result<u64, TileError> {
-        let mut random = Hashed::new(&[self.seed, cell.number, u64::from(round), JOIN]);
-        let shift = [random.unit(), random.unit(), random.unit()];
-        let pixel = 2.0 / (4 * tiles) as f32;
-        let total = 3 * tiles * tiles;
-        let (mut packets, mut passed) = (Vec::new(), Passed::default());
-        let (mut crossed, mut new) = (Crossed::new(), 0);
-        for first in (0..total).step_by(BATCH as usize) {
-            packets.clear();
-            for k in first..(first + BATCH).min(total) {
-                let (pair, tile) = (k / (tiles * tiles), k % (tiles * tiles));
-                let origin = cell.point(spread3(cast / LANES as u64 + u64::from(k), shift));
-                let [forward, right, up] = face_basis(pair * 2);
-                let mut ahead = Packet::default();
-                for lane in 0..LANES as u32 {
-                    let x = ((tile % tiles * 4 + lane % 4) as f32 + random.unit()) * pixel - 1.0;
-                    let y = ((tile / tiles * 4 + lane / 4) as f32 + random.unit()) * pixel - 1.0;
-                    ahead.push(origin, (forward + right * x + up * y).to_array());
-                }
-                let behind = ahead.reversed(self.step);
-                packets.push(ahead);
-                packets.push(behind);
+impl Segments<'_> {
+    /// Casts segments from a cell at some of the later cells. Returns their number, and of how many later
+    /// cells a point sees a point of the cell, as far as these tell.
+    fn at_any(&self, cell: &Cell) -> Result<(u64, f64), TileError> {
+        let later: Vec<&Cell> = self.later(cell).collect();
+        self.cast(cell, &later, FREE_SEGMENTS, FREE)
+    }
+
+    /// Casts segments from a cell at the later cells that it is no pair with, or at a part of them. Returns
+    /// their number, and how many of these pairs of points see each other, as far as these tell.
+    fn at_open(&self, cell: &Cell) -> Result<(u64, f64), TileError> {
+        self.cast(cell, &self.open(cell), MOST_SEGMENTS, JOIN)
+    }
+
+    fn cast(&self, cell: &Cell, at: &[&Cell], most: usize, stream: u64) -> Result<(u64, f64), TileError> {
+        let mut random = Hashed::new(&[self.seed, cell.number, u64::from(self.round), stream]);
+        // Evenly among them, beginning at a random one.
+        let every = at.len().div_ceil(most).max(1);
+        let first = (random.bits() % every as u64) as usize;
+        let times = LEAST_SEGMENTS.div_ceil(self.cells.len()).div_ceil(at.len().max(1)).min(most);
+        let drawn = at.iter().skip(first).step_by(every);
+        let (mut packets, mut passed): (Vec<Packet>, _) = (Vec::new(), Passed::default());
+        let mut count = 0u64;
+        for other in drawn.flat_map(|other| std::iter::repeat_n(other, times)) {
+            let [mut from, mut to] = [cell, *other].map(|c| viewpoint(c, &mut random));
+            if self.round % 2 == 1 {
+                // Where triangles have one side, the two directions differ.
+                std::mem::swap(&mut from, &mut to);
             }
-            self.sight.trace(&mut packets, &mut passed, self.step)?;
-            for both in packets.chunks_exact(2) {
-                for lane in 0..LANES {
-                    let (from, to) = both[0].free(&both[1], lane, self.step);
-                    let ray = both[0].ray(lane);
-                    let far = self.sight.far() / both[0].length(lane);
-                    // As when sight lines are credited.
-                    let in_halves = far < f32::INFINITY || self.sight.is_one_way();
-                    let halves = match in_halves {
-                        false => [(from, to); 2],
-                        true => [(from.max(-far), to.min(0.0)), (from.max(0.0), to.min(far))],
-                    };
-                    let mut is_new = false;
-                    for (from, to) in halves.into_iter().take(if in_halves { 2 } else { 1 }) {
-                        self.pairs.join_line(ray, from, to, &mut crossed);
-                        is_new |= self.pairs.is_new(self.before, cell.slot.index(), &crossed);
-                    }
-                    new += u64::from(is_new);
-                }
+            let direction = [0, 1, 2].map(|a| to[a] - from[a]);
+            if direction == [0.0; 3] {
+                continue;
+            }
+            if packets.last().is_none_or(|p| p.count == LANES) {
+                packets.push(Packet::default());
+            }
+            if let Some(packet) = packets.last_mut() {
+                packet.push(from, direction);
+                count += 1;
             }
         }
-        Ok(new)
+        self.sight.trace_each(&mut packets, &mut passed, self.step)?;
+        let (mut free, mut crossed) = (0u64, Crossed::new());
+        for packet in &packets {
+            for lane in 0..packet.count {
+                let end = packet.distance[lane];
+                self.pairs.join_line(packet.ray(lane), 0.0, end, &mut crossed);
+                // The direction is the segment.
+                free += u64::from(end >= 1.0);
+            }
+        }
+        Ok((count, free as f64 * at.len() as f64 / count.max(1) as f64))
     }
+
+    /// The later cells that are no pair with a cell; in late rounds, only those of which a neighbour is a pair
+    /// with the cell, or that are pairs with a neighbour of the cell.
+    fn open(&self, cell: &Cell) -> Vec<&Cell> {
+        let grid = self.pairs.grid();
+        let row = self.pairs.row_of(self.before, cell.slot);
+        let near = (self.round >= WHOLE_ROUNDS).then(|| {
+            let mut near: Vec<u64> = (0..row.len()).map(|word| grid.dilated(row, word)).collect();
+            for axis in 0..3 {
+                for next in [cell.at[axis].wrapping_sub(1), cell.at[axis] + 1] {
+                    let mut at = cell.at;
+                    at[axis] = next;
+                    if grid.has(at) {
+                        let row = self.pairs.row_of(self.before, grid.slot(at));
+                        near.iter_mut().zip(row).for_each(|(n, bits)| *n |= bits);
+                    }
+                }
+            }
+            near
+        });
+        let has = |row: &[u64], of: &Cell| row[of.slot.word as usize] >> of.slot.bit & 1 == 1;
+        self.later(cell)
+            .filter(|other| !has(row, other) && near.as_ref().is_none_or(|near| has(near, other)))
+            .collect()
+    }
+
+    /// The cells with greater numbers; without viewpoints in a cell, those that have some.
+    fn later<'b>(&'b self, cell: &Cell) -> impl Iterator<Item = &'b Cell> + use<'b> {
+        let unreached = cell.parts == 0;
+        let later = self.cells[cell.number as usize..].iter().skip(1);
+        later.filter(move |other| !unreached || other.parts != 0)
+    }
+}
+
+/// A random point of a cell: where viewpoints are, or anywhere in a cell without viewpoints.
+fn viewpoint(cell: &Cell, random: &mut Hashed) -> [f32; 3] {
+    let cell = match cell.parts {
+        0 => Cell { parts: u64::MAX, ..*cell },
+        _ => *cell,
+    };
+    cell.point(random.point())
 }

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use sightline_model::{PairTable, TilePairs};
 
-use super::grid::{CellGrid, Crossed};
+use super::grid::{CellGrid, Crossed, Slot};
 use crate::context::JobContext;
 
 /// The table of pairs while lines are traced.
@@ -57,15 +57,20 @@ impl Pairs {
         self.join(crossed);
     }
 
+    /// The row of the cell at `slot` in a copy of the table.
+    pub fn row_of<'b>(&self, copy: &'b [u64], slot: Slot) -> &'b [u64] {
+        &copy[slot.index() * self.words..][..self.words]
+    }
+
     /// A copy of the table, to be read while lines write to it.
     pub fn copy(&self) -> Vec<u64> {
         self.rows.iter().map(|w| w.load(Relaxed)).collect()
     }
 
-    /// Whether a segment that crosses `crossed` joins the cell with slot number `slot` with a cell that is no
-    /// pair with it in `copy`.
-    pub fn is_new(&self, copy: &[u64], slot: usize, crossed: &[(u32, u64)]) -> bool {
-        let row = &copy[slot * self.words..][..self.words];
+    /// Whether a segment that crosses `crossed` joins the cell at `slot` with a cell that is no pair with it in
+    /// `copy`.
+    pub fn is_new(&self, copy: &[u64], slot: Slot, crossed: &[(u32, u64)]) -> bool {
+        let row = self.row_of(copy, slot);
         crossed.iter().any(|(at, bits)| bits & !row[*at as usize] != 0)
     }
 

@@ -8,7 +8,6 @@
 
 use super::block::{AIMED_WORK, Block};
 use super::candidates::Candidate;
-use super::pairs::Pairs;
 use crate::context::TileError;
 use sightline_model::{CellStats, LineKind};
 
@@ -73,7 +72,6 @@ impl Block<'_> {
                 Some(rays) => open.iter().map(|c| self.tiles_up_to(*c, rays)).collect(),
             };
             let work: Vec<(usize, u32)> = open.iter().copied().zip(sizes).collect();
-            self.held = self.pairs.as_ref().map_or_else(Vec::new, Pairs::copy);
             self.each(&work, |block, scratch, (cell, tiles)| block.uniform(scratch, *cell, *tiles))?;
             self.bits.publish();
             if round == 1 && !self.seeded && target < SEEDS_BELOW {

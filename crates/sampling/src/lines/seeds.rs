@@ -8,7 +8,7 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::block::{Block, JOINED_LANES, Scratch};
+use super::block::{Block, JOINED_AIMED_LANES, Scratch};
 use crate::context::TileError;
 use crate::packet::{LANES, Packet};
 use crate::sequence::Hashed;
@@ -62,7 +62,8 @@ impl Block<'_> {
                     let halves = [2 * pair, 2 * pair + 1];
                     rays += 2 * packets[halves[0]].count as u64;
                     for lane in 0..packets[halves[0]].count {
-                        self.credit_line(packets, passed, halves, lane, crossed, (joined, JOINED_LANES));
+                        let joins = lane.is_multiple_of(JOINED_AIMED_LANES);
+                        self.credit_line(packets, passed, halves, lane, (crossed, joined), joins);
                     }
                 }
                 self.tools.watcher.rendered(rays);

@@ -7,7 +7,7 @@ use sightline_model::{CellSet, CellSets, Node, Sampler};
 use sightline_viewcells::{CellBox, Division, Tile, UNITS_PER_CELL};
 
 use super::block::Block;
-use super::pairs;
+use super::pairs::of_tile;
 use super::rounds::Tolerance;
 use super::work::{Work, columns, share};
 use super::{adaptive, joining};
@@ -22,10 +22,23 @@ pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(
     let start = Instant::now();
     let scene = job.scene.for_lines();
     let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.params.far);
-    let work = Work { job, scene, sight: &sight, watcher, pairs: job.pairs };
+    let pairs = joining::table(job);
+    // After the lines that look for triangles, which leave less to be joined. The rays of the sampler guided
+    // join none.
+    let rounds = match job.params.sampler {
+        Sampler::Guided => joining::MANY_ROUNDS,
+        Sampler::Lines | Sampler::Cubes => joining::FEW_ROUNDS,
+    };
+    let join = || match &pairs {
+        Some(pairs) => joining::search(job, &sight, pairs, (&tile.cell, rounds), watcher),
+        None => Ok(0),
+    };
+    let work = Work { job, scene, sight: &sight, watcher, pairs: pairs.as_ref() };
     tracing::debug!("ready to trace after {:?}", start.elapsed());
     if let Division::Adaptive { .. } = job.division {
-        return adaptive::run(&work, tile);
+        let (sets, rays) = adaptive::run(&work, tile)?;
+        let joined = join()?;
+        return Ok((CellSets { pairs: of_tile(job, pairs.as_ref()), ..sets }, rays + joined));
     }
     let whole = job.lattice.units().map(|u| u64::from(u / UNITS_PER_CELL));
     let first = tile.cell.lo.map(|u| u64::from(u / UNITS_PER_CELL));
@@ -40,25 +53,29 @@ pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(
     if let Some(share) = params.min_share {
         block.search_for_share(share);
     }
-    match (params.sampler, params.max_error) {
-        (Sampler::Guided, _) => block.sample_guided(params.rays)?,
-        (_, Some(most)) => block.sample_to_bound(params.target_error, most)?,
-        (_, None) => block.sample(params.target_error, &[], Tolerance::Raised)?,
-    }
+    let joined = match (params.sampler, params.max_error) {
+        (Sampler::Guided, _) => {
+            block.sample_guided(params.rays)?;
+            join()?
+        }
+        (_, Some(most)) => {
+            block.sample_before_bound(params.target_error, most)?;
+            let joined = join()?;
+            block.sample_to_bound(params.target_error, most)?;
+            block.join_to_bound(most)?;
+            joined
+        }
+        (_, None) => {
+            block.sample(params.target_error, &[], Tolerance::Raised)?;
+            join()?
+        }
+    };
     tracing::debug!("sampled after {:?}", start.elapsed());
     share(&work, &mut block);
     let rays: u64 = block.stats().iter().flat_map(|s| s.rays).sum();
     let mut sets = sets(job, tile, &block);
-    // The rays of the sampler guided are credited to their own cell alone.
-    let joining = match params.sampler {
-        Sampler::Guided => joining::search(job, tile, watcher)?,
-        Sampler::Lines | Sampler::Cubes => {
-            let rays = joining::finish(job, &block, watcher)?;
-            (pairs::of_tile(job, block.pairs()), rays)
-        }
-    };
-    sets.pairs = joining.0;
-    let rays = rays + joining.1;
+    sets.pairs = of_tile(job, pairs.as_ref());
+    let rays = rays + joined;
     tracing::debug!("sets after {:?}", start.elapsed());
     Ok((sets, rays))
 }

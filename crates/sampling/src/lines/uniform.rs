@@ -4,8 +4,6 @@
 //! ways, so that each line gives a maximal free segment. Sixteen directions share an origin, which keeps the
 //! packets coherent; a new origin for each tile keeps the samples independent.
 
-use std::sync::atomic::Ordering::Relaxed;
-
 use super::block::{Block, JOINED_LANES, Scratch};
 use crate::cube::{SKY, face_basis};
 use crate::error::BackendError;
@@ -16,9 +14,6 @@ use sightline_model::{CellStats, LineKind};
 /// Names of the streams of random numbers.
 const SHIFT: u64 = 1;
 const JITTER: u64 = 2;
-
-/// Rounds of a cell in which all lanes join the cells that their lines cross.
-const ALL_JOINED_ROUNDS: u64 = 2;
 
 /// With at most this many tiles along a face, the rays of a tile differ too much for a packet.
 const WIDE_TILES: u32 = 4;
@@ -51,9 +46,6 @@ impl Block<'_> {
         let total = 3 * tiles * tiles;
         let pixel = 2.0 / (4 * tiles) as f32;
         let mut finds = Vec::new();
-        let pairs = self.pairs.as_ref().zip(self.pair_slot(&c));
-        let mut joins = [0u64; 2];
-        let one_in = if round < ALL_JOINED_ROUNDS { 1 } else { JOINED_LANES };
         // Tiles traced before their finds are processed.
         let chunk = (self.tools.sight.batch() / 2).max(1) as u32;
         for first in (0..total).step_by(chunk as usize) {
@@ -85,14 +77,11 @@ impl Block<'_> {
             for pair in 0..packets.len() / 2 {
                 for lane in 0..LANES {
                     let halves = [2 * pair, 2 * pair + 1];
-                    let ends = self.credit_line(packets, passed, halves, lane, crossed, (joined, one_in));
-                    if let Some((pairs, slot)) = pairs.filter(|_| lane.is_multiple_of(one_in)) {
-                        joins[0] += u64::from(pairs.is_new(&self.held, slot.index(), joined));
-                        joins[1] += 1;
-                    }
-                    for triangle in ends.into_iter().chain(passed.on_both(halves, lane)) {
+                    let joins = lane.is_multiple_of(JOINED_LANES);
+                    let ends = self.credit_line(packets, passed, halves, lane, (crossed, joined), joins);
+                    let mut meet = |triangle| {
                         if triangle == SKY || self.seen(triangle, c.slot) {
-                            continue;
+                            return;
                         }
                         stats.last_misses += 1;
                         let met = &mut met[self.row(triangle) as usize];
@@ -100,15 +89,14 @@ impl Block<'_> {
                             *met = *tag;
                             finds.push(Find { packet: 2 * pair as u32, triangle });
                         }
-                    }
+                    };
+                    ends.into_iter().for_each(&mut meet);
+                    passed.each_on_both(halves, lane, meet);
                 }
             }
             stats.last_rays += (s.packets.len() * LANES) as u64;
             stats.finds[LineKind::Uniform as usize] += finds.len() as u64;
             self.flood(s, cell, &mut finds, &mut random, &mut stats)?;
-        }
-        for (place, count) in self.joins[cell].iter().zip(joins) {
-            place.store(count, Relaxed);
         }
         stats.rays[LineKind::Uniform as usize] = stats.last_rays;
         Ok(stats)

@@ -7,6 +7,7 @@ use sightline_viewcells::CellBox;
 
 use super::block::{Block, Tools};
 use super::grid::CellGrid;
+use super::pairs::Pairs;
 use crate::context::{JobContext, Watcher};
 use crate::prepared::LineScene;
 use crate::sight::Sight;
@@ -17,8 +18,8 @@ pub struct Work<'a> {
     pub scene: LineScene<'a>,
     pub sight: &'a Sight<'a>,
     pub watcher: &'a dyn Watcher,
-    /// The grid over which pairs of cells are looked for; `None` when the job does not ask.
-    pub pairs: Option<[u32; 3]>,
+    /// Which cells see which; `None` when the job does not ask.
+    pub pairs: Option<&'a Pairs>,
 }
 
 impl Work<'_> {
@@ -40,11 +41,10 @@ impl Work<'_> {
             seed: self.job.seed,
             watcher: self.watcher,
             deadline: self.job.deadline,
+            pairs: self.pairs,
         };
         let (min, max) = within.world(&self.job.lattice);
-        let (all_min, all_max) = self.job.division.root(&self.job.lattice).world(&self.job.lattice);
-        let division = self.pairs.map(|cells| CellGrid::new(all_min, all_max, cells));
-        let mut block = Block::new(tools, CellGrid::new(min, max, cells), number, parts, division);
+        let mut block = Block::new(tools, CellGrid::new(min, max, cells), number, parts);
         meeting(self, within, &block);
         block.bits_mut().publish();
         block
