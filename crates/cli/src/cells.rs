@@ -37,7 +37,8 @@ fn bound(columns: &BTreeMap<String, Vec<u64>>, of: [&str; 3], cell: usize) -> Op
     (lines > 0).then(|| upper_bound(misses, lines, alpha_of(look)))
 }
 
-/// The columns of the bound on missed triangles: held-out lines, those that missed, and the number of the look.
+/// The columns of the bound on missed triangles: held-out lines, those that missed, and the number of the
+/// look.
 const OF_TRIANGLES: [&str; 3] = ["bound_lines", "bound_misses", "bound_look"];
 /// The same of the bound on missed cells.
 const OF_CELLS: [&str; 3] = ["bound_cell_lines", "bound_cell_misses", "bound_cell_look"];

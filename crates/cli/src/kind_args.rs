@@ -1,6 +1,9 @@
 //! The flags that decide what blocks and what shows: rules in the order in which they are given, and the
 //! culling of back faces.
 
+use std::ffi::OsString;
+use std::path::Path;
+
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches};
 use sightline_scene::kinds::{Kind, Rule};
 
@@ -49,6 +52,25 @@ const FLAGS: [(Kind, &str); 4] = [
     ),
     (Kind::Opaque, "Objects and materials whose name matches block and show. Without a glob: all of them"),
 ];
+
+/// Endings of the files that commands take.
+const FILES: [&str; 5] = [".obj", ".ply", ".gltf", ".glb", ".pvs"];
+
+/// The arguments of the command line, where a file that follows `--opaque` is not taken as its glob: the
+/// flags go before the file, and `--opaque` needs no glob.
+pub fn with_opaque_alone(arguments: impl Iterator<Item = OsString>) -> Vec<OsString> {
+    let mut arguments: Vec<OsString> = arguments.collect();
+    let is_file = |text: &OsString| {
+        let lower = text.to_string_lossy().to_ascii_lowercase();
+        FILES.iter().any(|end| lower.ends_with(end)) || Path::new(text).is_file()
+    };
+    for at in 1..arguments.len() {
+        if arguments[at - 1] == "--opaque" && is_file(&arguments[at]) {
+            arguments[at - 1] = "--opaque=*".into();
+        }
+    }
+    arguments
+}
 
 impl Args for KindArgs {
     fn augment_args(command: Command) -> Command {
@@ -133,6 +155,13 @@ mod tests {
         let culled = Line::try_parse_from(["x", "a.glb", "--cull-back-faces"]).unwrap().kinds;
         assert!(culled.cull_back_faces && culled.rules.is_empty() && !culled.is_empty());
         assert!(Line::try_parse_from(["x", "a.glb", "--moving", "a["]).is_err());
+        for (given, glob) in
+            [(&["x", "--opaque", "a.GLB"][..], "*"), (&["x", "--opaque", "wall*", "a.GLB"], "wall*")]
+        {
+            let line = with_opaque_alone(given.iter().map(OsString::from));
+            let line = Line::try_parse_from(line).unwrap();
+            assert_eq!((line.scene.as_str(), line.kinds.rules[0].glob.as_str()), ("a.GLB", glob));
+        }
         let line = Line::try_parse_from(["x", "--alpha-textures", "a.glb"]).unwrap();
         assert!(line.kinds.alpha_textures && !line.kinds.is_empty() && line.kinds.rules.is_empty());
     }

@@ -45,7 +45,7 @@ use crate::error::CliError;
 
 fn main() -> ExitCode {
     quiet_vulkan();
-    let cli = Cli::parse();
+    let cli = Cli::parse_from(kind_args::with_opaque_alone(std::env::args_os()));
     let filter = tracing_subscriber::EnvFilter::try_from_env("SIGHTLINE_LOG")
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(cli.default_log()));
     let log = tracing_subscriber::fmt()

@@ -63,8 +63,8 @@ pub struct JobSpec {
     pub up: Option<Up>,
 }
 
-/// Most cells of a job that says which cells see which without being asked: those of a tile. With several tiles,
-/// each walks its lines through the whole division once more.
+/// Most cells of a job that says which cells see which without being asked: those of a tile. With several
+/// tiles, each walks its lines through the whole division once more.
 const FEW_PAIR_CELLS: u64 = MOST_BLOCK_CELLS as u64;
 
 /// Most cells of a tile when the user gives no number.

@@ -28,9 +28,9 @@ use sightline_viewcells::viewpoints::PARTS;
 /// small scenes) to 4.5.
 pub(super) const AIMED_WORK: u64 = 3;
 
-/// One lane in this many joins the cells that its line crosses: neighbouring lanes cross about the same cells,
-/// and joining takes longer than tracing where a line crosses many. In a block that is a part of the division
-/// it takes a walk of its own, so only the first lane of a packet does.
+/// One lane in this many joins the cells that its line crosses: neighbouring lanes cross about the same
+/// cells, and joining takes longer than tracing where a line crosses many. In a block that is a part of
+/// the division it takes a walk of its own, so only the first lane of a packet does.
 pub(super) const JOINED_LANES: usize = 4;
 /// The same for aimed lines, which are many and join fewer cells for the first time.
 pub(super) const JOINED_AIMED_LANES: usize = 16;
@@ -346,10 +346,10 @@ impl<'a> Block<'a> {
         }
     }
 
-    /// As [`Self::credit_line`] where lines end at a distance or some triangles have one side. Each triangle
-    /// shows up to that distance on both sides of it. With triangles of one side, each half is free in its own
-    /// direction alone: what lies ahead is seen from the origin on, what lies behind from the origin back, and
-    /// a triangle that is passed is not seen from beyond it.
+    /// As [`Self::credit_line`] where lines end at a distance or some triangles have one side. Each
+    /// triangle shows up to that distance on both sides of it. With triangles of one side, each half is
+    /// free in its own direction alone: what lies ahead is seen from the origin on, what lies behind from
+    /// the origin back, and a triangle that is passed is not seen from beyond it.
     #[cold]
     fn credit_halves(
         &self,

@@ -86,10 +86,10 @@ impl Block<'_> {
         self.stats[cell].bound().is_some_and(|b| b <= most)
     }
 
-    /// Joins cells until of every cell the bound on the sight lines that cross a cell which is no pair with it
-    /// is at most `most`, too, until the time is up, or until a cell has had its most tests. The tests of
-    /// [`Self::sample_to_bound`] have counted these lines as well, so few cells are left. It changes no set of
-    /// triangles.
+    /// Joins cells until of every cell the bound on the sight lines that cross a cell which is no pair
+    /// with it is at most `most`, too, until the time is up, or until a cell has had its most tests. The
+    /// tests of [`Self::sample_to_bound`] have counted these lines as well, so few cells are left. It
+    /// changes no set of triangles.
     ///
     /// # Errors
     /// As [`Block::sample`].

@@ -113,7 +113,8 @@ pub fn search(
     Ok(rays)
 }
 
-/// Casts segments from a cell; their number, and how many pairs of points see each other as far as these tell.
+/// Casts segments from a cell; their number, and how many pairs of points see each other as far as these
+/// tell.
 type Cast<'a> = dyn Fn(&Segments<'_>, &Cell) -> Result<(u64, f64), TileError> + Sync + 'a;
 
 /// The inputs of a round.
@@ -183,8 +184,8 @@ impl Segments<'_> {
         Ok((count, free as f64 * at.len() as f64 / count.max(1) as f64))
     }
 
-    /// The later cells that are no pair with a cell; in late rounds, only those of which a neighbour is a pair
-    /// with the cell, or that are pairs with a neighbour of the cell.
+    /// The later cells that are no pair with a cell; in late rounds, only those of which a neighbour is a
+    /// pair with the cell, or that are pairs with a neighbour of the cell.
     fn open(&self, cell: &Cell) -> Vec<&Cell> {
         let grid = self.pairs.grid();
         let row = self.pairs.row_of(self.before, cell.slot);

@@ -67,8 +67,8 @@ impl Pairs {
         self.rows.iter().map(|w| w.load(Relaxed)).collect()
     }
 
-    /// Whether a segment that crosses `crossed` joins the cell at `slot` with a cell that is no pair with it in
-    /// `copy`.
+    /// Whether a segment that crosses `crossed` joins the cell at `slot` with a cell that is no pair with
+    /// it in `copy`.
     pub fn is_new(&self, copy: &[u64], slot: Slot, crossed: &[(u32, u64)]) -> bool {
         let row = self.row_of(copy, slot);
         crossed.iter().any(|(at, bits)| bits & !row[*at as usize] != 0)

@@ -159,8 +159,8 @@ pub fn packed_square() -> Gltf {
     g
 }
 
-/// A mesh of `faces` compressed with Draco: positions as attribute 0, and texture coordinates as attribute 1 if
-/// there are some. Returns the bytes and the numbers of points and faces.
+/// A mesh of `faces` compressed with Draco: positions as attribute 0, and texture coordinates as
+/// attribute 1 if there are some. Returns the bytes and the numbers of points and faces.
 pub fn draco(
     positions: &[[f32; 3]],
     uvs: &[[f32; 2]],
