@@ -98,7 +98,8 @@ fn exact_cells_without_viewpoints_are_empty_and_verified() {
     sandbox.ok(&format!("bake shut.obj -o exact.pvs --data-dir a {flags}"));
     let dump = sandbox.dump("exact.pvs");
     assert_eq!(columns(&dump), [true, true, true, true, false, false, false, false]);
-    sandbox.ok("verify shut.obj exact.pvs");
+    let report = sandbox.ok("verify shut.obj exact.pvs");
+    assert!(report.contains("no viewpoint is in 16 of the cells"), "{report}");
 }
 
 #[test]

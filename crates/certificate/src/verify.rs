@@ -286,6 +286,7 @@ impl Verification<'_> {
             }
             claim => pick(claim),
         };
+        out.totals.cells_unreached = u64::from(unreached);
         if unreached {
             // Nothing is claimed about triangles, only about other cells.
             apart::check_boxes(&self.scene, &claims, &pick, self.cancelled)?;

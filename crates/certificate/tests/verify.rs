@@ -131,8 +131,12 @@ fn statements_about_the_whole_result_are_checked() {
     assert!(whole(check(&|r| r.parameters = r#"{"method":"verified"}"#)));
     assert!(whole(check(&|r| r.parameters = r#"{"division":{"grid":[1,2,1]}}"#)));
     assert!(whole(check(&|r| r.flags = 4)));
-    // A cell without viewpoints has an empty set.
-    let refused = check(&|r| r.flags = NOT_REACHED);
+    // A cell is said to have no viewpoints only where the parameters say how many have some, and has an empty
+    // set then.
+    assert!(whole(check(&|r| r.flags = NOT_REACHED)));
+    let refused = check(&|r| {
+        (r.flags, r.parameters) = (NOT_REACHED, r#"{"viewpoints":{"cells_reached":0}}"#);
+    });
     assert!(matches!(refused, Err(VerifyError::Refused(r)) if r.cell == Some(0)));
     assert!(matches!(check(&|r| r.certificates = None), Err(VerifyError::NoCertificates { .. })));
     let fewer = verify(&triangles()[..5], &Memory::new(&[alone()]), &VerifyOptions::default());

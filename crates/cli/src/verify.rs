@@ -141,6 +141,7 @@ fn report_json(report: &Report, pvs: &Pvs, args: &VerifyArgs) -> Value {
         "hidden_in_boxes": t.hidden.in_boxes,
         "hidden_alone": t.hidden.alone,
         "undecided": t.undecided,
+        "cells_not_reached": t.cells_unreached,
         "cell_pairs_hidden": t.cells_apart,
         "cell_boxes": t.apart.all,
         "cell_boxes_checked": t.apart.checked,
@@ -159,7 +160,7 @@ fn report_text(report: &Report, args: &VerifyArgs) -> String {
          visible: {} with a witness ({} checked), {} meet their cell ({} checked)\n\
          hidden: {} by the closed surface they belong to, {} in hidden boxes, {} alone or with a polygon; \
          {} certificates ({} checked), {} bytes with the witnesses\n\
-         neither: {} undecided, {} without area{}",
+         neither: {} undecided, {} without area{}{}",
         args.sample.map_or(String::new(), |n| format!(" by a sample of {n} pairs")),
         report.pairs,
         report.cells,
@@ -175,6 +176,10 @@ fn report_text(report: &Report, args: &VerifyArgs) -> String {
         t.bytes,
         t.undecided,
         report.without_area(),
+        match t.cells_unreached {
+            0 => String::new(),
+            n => format!("\nno viewpoint is in {n} of the cells, and nothing is claimed about what they see"),
+        },
         match t.cells_apart {
             0 => String::new(),
             apart => format!(

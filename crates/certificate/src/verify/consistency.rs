@@ -27,11 +27,25 @@ pub(super) fn check(result: &dyn BakedResult) -> Result<(), String> {
             ));
         }
     }
+    let mut reached = 0;
     for cell in 0..result.cell_count() {
         let flags = result.flags(cell)?;
+        reached += u64::from(flags & NOT_REACHED == 0);
         if flags & !(SET_ASIDE | NOT_REACHED) != 0 {
             return Err(format!("cell {cell} has flags {flags:#x} with an unknown bit"));
         }
+    }
+    // Nothing is claimed about a cell that no viewpoint reaches, so the parameters have to say how many
+    // these are.
+    let expected = match &parameters["viewpoints"] {
+        serde_json::Value::Null => Some(u64::from(result.cell_count())),
+        given => given["cells_reached"].as_u64(),
+    };
+    if expected != Some(reached) {
+        return Err(format!(
+            "viewpoints are in {reached} of its cells by their flags, and in {} by its parameters",
+            expected.map_or("an unknown number".to_owned(), |n| n.to_string())
+        ));
     }
     Ok(())
 }

@@ -60,6 +60,8 @@ pub struct Totals {
     pub apart: Count,
     /// Pairs of cells that do not see each other.
     pub cells_apart: u64,
+    /// Cells without viewpoints; nothing is claimed about triangles seen from them.
+    pub cells_unreached: u64,
     /// Bytes of the certificates in the result.
     pub bytes: u64,
 }
@@ -82,6 +84,7 @@ impl AddAssign for Totals {
         self.undecided += o.undecided;
         self.apart += o.apart;
         self.cells_apart += o.cells_apart;
+        self.cells_unreached += o.cells_unreached;
         self.bytes += o.bytes;
     }
 }
