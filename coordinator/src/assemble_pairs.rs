@@ -84,7 +84,7 @@ impl PairJoin {
             let has = |row: &[u64], cell: u32| row[cell as usize / 64] >> (cell % 64) & 1 == 1;
             for (b, others) in self.cells.iter().enumerate().skip(a) {
                 let ((reached_a, aside_a), (reached_b, aside_b)) = (self.states[a], self.states[b]);
-                if !reached_a && !reached_b {
+                if !reached_a && !reached_b && a != b {
                     continue;
                 }
                 let is_hidden = hidden.as_ref().is_some_and(|row| others.iter().all(|c| has(row, *c)));

@@ -2,13 +2,12 @@
 
 use std::sync::Arc;
 
-use prost::Message as _;
 use sightline_model::JobSpec;
-use sightline_proto::v1;
 
 use crate::ids::{Digest, JobId};
 use crate::results;
 use crate::scheduler::{Job, Slot, cells_total};
+use crate::specs;
 use crate::state::Coordinator;
 use crate::store::{JobPhase, JobRecord, JobState, StoreError, TileState};
 
@@ -110,9 +109,9 @@ pub(crate) fn summary(c: &Coordinator, id: JobId) -> Result<Summary, StoreError>
     let record = record(c, id)?;
     let slots: Vec<Slot> = c.store.tiles(id)?.into_iter().map(|t| Slot::new(t.state)).collect();
     // The specification of another version cannot be planned; the number of its cells is unknown then.
-    let total = v1::JobSpec::decode(record.spec.as_slice())
+    let total = specs::part(&record.spec)
         .ok()
-        .and_then(|m| JobSpec::from_proto(&m, None).ok())
+        .and_then(|(m, _)| JobSpec::from_proto(&m, None).ok())
         .and_then(|s| s.plan().ok().map(|(_, plan)| cells_total(&s, &plan)))
         .unwrap_or(0);
     Ok(Summary::of(record, &slots, total, workers))
@@ -178,11 +177,12 @@ pub(crate) fn retry(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobError
         return Ok(summary(c, id)?);
     }
     // Checked first: otherwise the job would be open in the store and absent from the scheduler.
-    Job::of(before, c.store.tiles(id)?).map_err(JobError::Outdated)?;
+    let spec = specs::whole(&*c.blobs, &before.spec).map_err(JobError::Outdated)?;
+    Job::of(before, &spec, c.store.tiles(id)?).map_err(JobError::Outdated)?;
     c.store.reopen_tiles(id)?;
     let after = record(c, id)?;
     if !after.state.phase().ended() {
-        scheduler.take_up(after, c.store.tiles(id)?).map_err(JobError::Outdated)?;
+        scheduler.take_up(after, &spec, c.store.tiles(id)?).map_err(JobError::Outdated)?;
         tracing::info!("job {id} is tried again");
     }
     drop(scheduler);

@@ -34,6 +34,7 @@ mod scenes;
 mod scheduler;
 mod services;
 mod sessions;
+mod specs;
 mod state;
 mod statistics;
 pub mod store;

@@ -7,6 +7,7 @@ use crate::clock::{Clock, SystemClock};
 use crate::ids::Epoch;
 use crate::results;
 use crate::scheduler::Scheduler;
+use crate::specs;
 use crate::state::{Coordinator, Leases};
 use crate::store::{BlobError, Blobs, FileBlobs, JobPhase, JobState, SledStore, Store, StoreError};
 
@@ -63,7 +64,8 @@ impl Coordinator {
         for record in store.jobs()? {
             if !record.state.phase().ended() {
                 let (id, tiles) = (record.id, store.tiles(record.id)?);
-                if let Err(reason) = scheduler.take_up(record, tiles) {
+                let spec = specs::whole(&*blobs, &record.spec);
+                if let Err(reason) = spec.and_then(|spec| scheduler.take_up(record, &spec, tiles)) {
                     // The job ends, so that submitting it again begins a new one.
                     tracing::error!("job {id} cannot be continued: {reason}");
                     let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];

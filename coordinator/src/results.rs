@@ -6,10 +6,9 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Duration;
 
-use sightline_model::Method;
-use sightline_model::TileOutput;
 use sightline_model::codec;
-use sightline_viewcells::TileKind;
+use sightline_model::{CellSet, JobSpec, Method, Node, TileOutput};
+use sightline_viewcells::{CellBox, TileKind, UNITS_PER_CELL};
 
 use crate::assemble::{AssembleError, Parts, assemble, expected_nodes, most_items};
 use crate::ids::{Digest, JobId, Lease, hex};
@@ -57,6 +56,12 @@ pub(crate) enum ResultError {
     /// The tree of the cells is not the tile's.
     #[error("the output's cells are not those of the tile's grid")]
     Cells,
+    /// The cells without viewpoints are not those of the job.
+    #[error("the output's cells without viewpoints are not those of the job")]
+    Viewpoints,
+    /// The job asks for contributions and the output has none, or the other way round.
+    #[error("the output has no contributions and the job asks for them, or has some and the job does not")]
+    Contributions,
     /// The cells were decided by another method.
     #[error("the output's cells are not decided by the job's method")]
     Method,
@@ -95,7 +100,7 @@ fn check(c: &Coordinator, announced: &Announced, bytes: &[u8]) -> Result<u64, Re
         return Err(ResultError::Length);
     }
     let Lease { job: id, tile, .. } = announced.lease;
-    let (items, kind, expected, exact, pairs) = {
+    let (items, kind, expected, exact, pairs, (unreached, hits)) = {
         let scheduler = c.lock();
         let job = scheduler.jobs.get(&id).ok_or(ResultError::NoJob(id))?;
         let tile = job.plan.tiles.get(tile.at()).ok_or(ResultError::NoTile)?;
@@ -106,7 +111,9 @@ fn check(c: &Coordinator, announced: &Announced, bytes: &[u8]) -> Result<u64, Re
             TileKind::Face(_) | TileKind::Separator(_) => s.triangles,
         });
         let pairs = job.spec.pair_cells().map(|sides| sides.iter().product::<u32>());
-        (items, tile.kind, nodes, job.spec.method != Method::Aggressive, pairs)
+        let unreached = nodes.as_ref().map_or_else(Vec::new, |nodes| unreached(&job.spec, &tile.cell, nodes));
+        let exact = job.spec.method != Method::Aggressive;
+        (items, tile.kind, nodes, exact, pairs, (unreached, job.spec.sampling.contributions))
     };
     let output = codec::check(bytes, items).map_err(|e| ResultError::Encoding(e.to_string()))?;
     match (&output, kind) {
@@ -117,14 +124,45 @@ fn check(c: &Coordinator, announced: &Announced, bytes: &[u8]) -> Result<u64, Re
             if sets.cells.iter().any(|c| c.decision.is_some() != exact) {
                 return Err(ResultError::Method);
             }
-            if sets.pairs.as_ref().map(|p| p.seen.cells()) != pairs {
+            if sets.pairs.as_ref().map(|p| (p.seen.cells(), p.hidden.is_some())) != pairs.map(|n| (n, exact))
+            {
                 return Err(ResultError::Pairs);
+            }
+            let as_asked = |(cell, unreached): (&CellSet, &bool)| cell.unreached == *unreached;
+            if !unreached.is_empty() && !sets.cells.iter().zip(&unreached).all(as_asked)
+                || unreached.is_empty() && sets.cells.iter().any(|c| c.unreached)
+            {
+                return Err(ResultError::Viewpoints);
+            }
+            if sets.cells.iter().any(|c| c.hits.is_some() != hits) {
+                return Err(ResultError::Contributions);
             }
             Ok(sets.cells.len() as u64)
         }
         (TileOutput::Pack(_), TileKind::Face(_) | TileKind::Separator(_)) => Ok(0),
         _ => Err(ResultError::Kind),
     }
+}
+
+/// Whether no viewpoint is in each cell of a tile with these nodes; empty when viewpoints are everywhere.
+fn unreached(spec: &JobSpec, of: &CellBox, nodes: &[Node]) -> Vec<bool> {
+    let Some(marks) = &spec.viewpoints else { return Vec::new() };
+    let [nx, ny, _] = marks.cells().map(|n| n as usize);
+    let (mut open, mut out) = (vec![*of], Vec::new());
+    for node in nodes {
+        let Some(cell) = open.pop() else { break };
+        match node {
+            Node::Split(split) => {
+                let [below, above] = cell.children(*split);
+                open.extend([above, below]);
+            }
+            Node::Cell => {
+                let [x, y, z] = cell.lo.map(|u| (u / UNITS_PER_CELL) as usize);
+                out.push(marks.of((z * ny + y) * nx + x) == 0);
+            }
+        }
+    }
+    out
 }
 
 /// Checks a tile's output and commits it, unless the tile is done.

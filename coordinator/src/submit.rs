@@ -1,10 +1,10 @@
 //! Submission: a checked specification becomes a job, or finds the job that has the same result.
 
-use prost::Message as _;
 use sightline_model::{JobSpec, Method};
 
 use crate::ids::{Digest, JobId};
 use crate::scenes::{self, FactsError};
+use crate::specs;
 use crate::state::Coordinator;
 use crate::store::{BlobError, JobState, NewJob, StoreError, Submitted};
 
@@ -30,7 +30,7 @@ pub(crate) enum SubmitError {
     /// The kinds of the scene's triangles cannot be read.
     #[error(transparent)]
     Facts(#[from] FactsError),
-    /// A lost result cannot be removed.
+    /// A lost result cannot be removed, or the viewpoints cannot be stored.
     #[error(transparent)]
     Blob(#[from] BlobError),
     /// The store failed.
@@ -60,7 +60,7 @@ pub(crate) fn submit(c: &Coordinator, submission: &Submission) -> Result<Submitt
         request_id: request_id.clone(),
         name: name.clone(),
         scene: spec.scene,
-        spec: spec.to_proto().encode_to_vec(),
+        spec: specs::stored(&*c.blobs, spec)?,
         tiles: plan.tiles.len() as u32,
         submitted_at_ms: c.now().unix_ms,
     };
@@ -88,7 +88,7 @@ pub(crate) fn submit(c: &Coordinator, submission: &Submission) -> Result<Submitt
         let id = submitted.id;
         let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
         let tiles = c.store.tiles(id)?;
-        scheduler.take_up(record, tiles).map_err(SubmitError::Schedule)?;
+        scheduler.take_up(record, &spec.to_proto(), tiles).map_err(SubmitError::Schedule)?;
         tracing::info!("job {id} ({name:?}) is submitted, {} tiles", plan.tiles.len());
     }
     drop(scheduler);

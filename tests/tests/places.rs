@@ -178,3 +178,34 @@ fn lines_end_at_the_distance() {
         .code(2)
         .says("--far");
 }
+
+/// The marks of many cells exceed what a job's record may hold.
+#[test]
+fn scattered_viewpoints_are_baked_and_a_solid_beside_others_is_no_place() {
+    let sandbox = sandbox();
+    let points: String = (0..900)
+        .map(|i| {
+            format!(
+                "{} {} {}\n",
+                (i * 37 % 801) as f32 / 100.0,
+                (i * 53 % 199) as f32 / 100.0,
+                (i * 71 % 197) as f32 / 100.0
+            )
+        })
+        .collect();
+    sandbox.write("points.txt", points);
+    let bake =
+        "bake open.obj --view-box 0,0,0,8,2,2 --cells 16x8x8 --viewpoints points.txt --target-error 0.01";
+    sandbox.ok(&format!("{bake} -o many.pvs --data-dir many"));
+    let dump = sandbox.dump("many.pvs");
+    assert!(dump.cells.iter().any(|c| !c.visible.is_empty()));
+    // Two boxes that share a face, so that neither is a closed surface by itself.
+    let mut o = Obj::default();
+    o.block("hall", [0.0, 0.0, 0.0], [8.0, 2.0, 2.0]);
+    o.block("pier", [3.0, 0.5, 0.5], [4.0, 1.5, 1.5]);
+    o.block("lintel", [4.0, 0.5, 0.5], [5.0, 1.5, 1.5]);
+    sandbox.write("piers.obj", o.text);
+    let inside = sandbox.run(&format!("bake piers.obj -o x.pvs {CELLS} --reachable-from 3.5,1,1")).code(3);
+    inside.says("\"pier\"");
+    sandbox.ok(&format!("bake piers.obj -o y.pvs {CELLS} --reachable-from 1,1,1 --data-dir y"));
+}

@@ -3,7 +3,6 @@
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-use prost::Message as _;
 use sightline_model::JobSpec;
 use sightline_proto::v1;
 use sightline_viewcells::{Lattice, Plan, TileKind};
@@ -88,14 +87,13 @@ pub(crate) struct Job {
 }
 
 impl Job {
-    /// The job of a store's record.
+    /// The job of a store's record, whose specification is `spec`.
     ///
     /// # Errors
     /// The reason, when the specification or the plan was made by another version of the program.
-    pub(crate) fn of(record: JobRecord, tiles: Vec<TileRecord>) -> Result<Self, String> {
-        let parsed = v1::JobSpec::decode(record.spec.as_slice())
+    pub(crate) fn of(record: JobRecord, spec: &v1::JobSpec, tiles: Vec<TileRecord>) -> Result<Self, String> {
+        let parsed = JobSpec::from_proto(spec, None)
             .map_err(|e| e.to_string())
-            .and_then(|m| JobSpec::from_proto(&m, None).map_err(|e| e.to_string()))
             .and_then(|spec| spec.plan().map(|(l, p)| (spec, l, p)).map_err(|e| e.to_string()));
         let (spec, lattice, plan) = parsed.map_err(|e| format!("{e}; submit it again"))?;
         if record.key != spec.key() {

@@ -17,6 +17,8 @@ pub(crate) use self::job::{Job, Leased, Slot, cells_total};
 pub(crate) use self::messages::{
     Grant, Introduction, Joined, NameTaken, Order, Outbox, ProfileTime, Progress,
 };
+use sightline_proto::v1;
+
 use crate::clock::Moment;
 use crate::ids::{Epoch, JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::store::{JobPhase, JobRecord, JobState, Store, StoreError, TileRecord, TileState};
@@ -86,8 +88,13 @@ impl Scheduler {
     ///
     /// # Errors
     /// The reason, when the stored specification or plan was made by another version of the program.
-    pub(crate) fn take_up(&mut self, record: JobRecord, tiles: Vec<TileRecord>) -> Result<(), String> {
-        let job = Job::of(record, tiles)?;
+    pub(crate) fn take_up(
+        &mut self,
+        record: JobRecord,
+        spec: &v1::JobSpec,
+        tiles: Vec<TileRecord>,
+    ) -> Result<(), String> {
+        let job = Job::of(record, spec, tiles)?;
         self.jobs.insert(job.record.id, job);
         Ok(())
     }

@@ -47,7 +47,7 @@ fn two_tiles() -> (Scheduler, MemoryStore) {
     };
     let id = store.submit_job(job).unwrap().id;
     let mut scheduler = Scheduler::new(Epoch(1));
-    scheduler.take_up(store.job(id).unwrap().unwrap(), store.tiles(id).unwrap()).unwrap();
+    scheduler.take_up(store.job(id).unwrap().unwrap(), &spec.to_proto(), store.tiles(id).unwrap()).unwrap();
     (scheduler, store)
 }
 

@@ -90,6 +90,8 @@ pub(super) fn of_result(e: &ResultError) -> Status {
         | ResultError::Cells
         | ResultError::Method
         | ResultError::Pairs
+        | ResultError::Viewpoints
+        | ResultError::Contributions
         | ResultError::Kind => Status::invalid_argument(e.to_string()),
         ResultError::Conflict => Status::aborted(e.to_string()),
         ResultError::Blob(e) => of_blob(e),

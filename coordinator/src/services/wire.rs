@@ -1,12 +1,12 @@
 //! Translation of values between the wire format and the coordinator's types.
 
-use prost::Message as _;
 use sightline_proto::v1;
 use tonic::Status;
 
 use crate::ids::{Digest, Epoch, JobId, Lease, LeaseId, TileIndex};
 use crate::jobs::Summary;
 use crate::scheduler::{Order, ProfileTime};
+use crate::specs;
 use crate::store::{JobState, SceneRecord};
 
 /// A digest from the wire.
@@ -71,9 +71,7 @@ pub(super) fn job(summary: &Summary) -> v1::Job {
         name: record.name.clone(),
         // An unreadable specification is shown as absent; the record keeps its bytes. The viewpoints may be
         // large, and a list has many jobs.
-        spec: v1::JobSpec::decode(record.spec.as_slice())
-            .ok()
-            .map(|spec| v1::JobSpec { viewpoints: Vec::new(), ..spec }),
+        spec: specs::part(&record.spec).ok().map(|(spec, _)| v1::JobSpec { viewpoints: Vec::new(), ..spec }),
         profile: record.profile.clone().unwrap_or_default(),
         tiles_total: summary.tiles_total,
         tiles_done: summary.tiles_done,

@@ -7,6 +7,7 @@
 
 use std::ops::ControlFlow;
 
+use glam::Vec3;
 use rayon::prelude::*;
 use sightline_certificate::HiddenBox;
 use sightline_exact::{Cell, Cost, ExactScene, Found, Limits, box_from_cell};
@@ -15,6 +16,9 @@ use sightline_numbers::Aabb;
 use sightline_viewcells::{CellBox, Division, Lattice, UNITS_PER_CELL};
 
 use crate::choices::exact_limits;
+
+/// Part of a distance that covers the rounding of its computation in doubles.
+const MARGIN: f64 = 1e-12;
 
 /// What is found from one cell.
 #[derive(Default)]
@@ -94,15 +98,34 @@ impl Walk<'_> {
         let mut out = Decided::default();
         let own = self.number(at);
         // A stop leaves the rest undecided.
-        let _ = self.below(&self.spec.division.root(self.lattice), 0, (own, cell), &mut out);
+        let _ = self.below(&self.spec.division.root(self.lattice), 0, (at, own, cell), &mut out);
         out
+    }
+
+    /// Whether every point of a box is farther from every point of another one than the job's lines reach.
+    fn is_beyond(&self, a: &CellBox, b: &CellBox) -> bool {
+        let gap = |a: [f64; 2], b: [f64; 2]| (b[0] - a[1]).max(a[0] - b[1]).max(0.0);
+        self.spec.sampling.far.is_some_and(|far| self.distance(a, b, gap) > far * (1.0 + MARGIN))
+    }
+
+    /// Whether all their points are so near to each other that lines between them are not ended.
+    fn is_within(&self, a: &CellBox, b: &CellBox) -> bool {
+        let most = |a: [f64; 2], b: [f64; 2]| (b[1] - a[0]).max(a[1] - b[0]);
+        self.spec.sampling.far.is_none_or(|far| self.distance(a, b, most) < far * (1.0 - MARGIN))
+    }
+
+    /// The length of the vector whose components `of` gives from the sides of two boxes along each axis.
+    fn distance(&self, a: &CellBox, b: &CellBox, of: impl Fn([f64; 2], [f64; 2]) -> f64) -> f64 {
+        let [a, b] = [a, b].map(|of| of.world(self.lattice));
+        let sides = |(min, max): (Vec3, Vec3), axis: usize| [f64::from(min[axis]), f64::from(max[axis])];
+        (0..3).map(|axis| of(sides(a, axis), sides(b, axis))).map(|x| x * x).sum::<f64>().sqrt()
     }
 
     fn below(
         &self,
         of: &CellBox,
         depth: u32,
-        (own, cell): (u32, Cell),
+        (at, own, cell): (&CellBox, u32, Cell),
         out: &mut Decided,
     ) -> ControlFlow<()> {
         if (self.stop)() {
@@ -120,6 +143,10 @@ impl Walk<'_> {
         }
         let split = self.spec.division.split(self.lattice, of, depth);
         let (min, max) = of.world(self.lattice);
+        if all && self.is_beyond(at, of) {
+            out.hidden.extend(self.numbers(of));
+            return ControlFlow::Continue(());
+        }
         if all {
             let mut cost = Cost::default();
             let limits = (&self.limits, self.stop as &dyn Fn() -> bool);
@@ -132,13 +159,16 @@ impl Walk<'_> {
                     }
                     return ControlFlow::Continue(());
                 }
-                Some(Found::Visible(_)) if split.is_none() => out.seen.push(self.number(of)),
+                // A segment longer than the job's distance shows nothing.
+                Some(Found::Visible(_)) if split.is_none() && self.is_within(at, of) => {
+                    out.seen.push(self.number(of));
+                }
                 Some(Found::Visible(_) | Found::Undecided(_)) | None => {}
             }
         }
         if let Some(split) = split {
             for child in of.children(split) {
-                self.below(&child, depth + 1, (own, cell), out)?;
+                self.below(&child, depth + 1, (at, own, cell), out)?;
             }
         }
         ControlFlow::Continue(())

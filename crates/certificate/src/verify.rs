@@ -16,7 +16,7 @@ use std::sync::{Mutex, PoisonError};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::certificate::HiddenGroup;
+use crate::certificate::{CellCertificate, HiddenGroup};
 use crate::checker::{CellClaims, CellRefusal, Claim, Kinds, Triangles, check_cell_until};
 pub use reader::{CertificateReader, Certificates, ReadError};
 pub use result::{BakedResult, NOT_REACHED, SET_ASIDE};
@@ -245,6 +245,12 @@ impl Verification<'_> {
         let bounds = self.result.cell_bounds(cell).ok_or_else(|| "the cell has no bounds".to_owned())?;
         let certificates =
             self.reader.read(self.result, cell)?.ok_or_else(|| "the cell has no certificate".to_owned())?;
+        // What such a cell stores is not checked as that of other cells, so they must not rely on it.
+        let only_boxes =
+            CellCertificate { apart: certificates.own.apart.clone(), ..CellCertificate::default() };
+        if unreached && (certificates.own != only_boxes || !undecided.is_empty()) {
+            return Err("no viewpoint is in the cell, but it has claims about triangles".to_owned().into());
+        }
         let mut out = CellTotals::default();
         out.totals.undecided = undecided.len() as u64;
         out.totals.bytes = self.result.certificate(cell)?.map_or(0, |e| e.len() as u64);
@@ -270,21 +276,12 @@ impl Verification<'_> {
                     return take;
                 }
                 Claim::Meets(id) => (&meeting, wanted.is_none_or(|w| w.contains(&id))),
-                Claim::Apart(_) => (&boxes, false),
+                // With a sample, as many boxes of a cell as pairs were drawn, beginning anywhere.
+                Claim::Apart(at) => (&boxes, wanted.is_none_or(|w| drawn_box(at, own.apart.len(), w))),
             };
             counts[0].fetch_add(1, Ordering::Relaxed);
             counts[1].fetch_add(u64::from(take), Ordering::Relaxed);
             take
-        };
-        let pick = |claim: Claim| match claim {
-            // With a sample, as many boxes of a cell as pairs were drawn.
-            Claim::Apart(at) => {
-                let take = wanted.is_none_or(|w| at < w.len());
-                boxes[0].fetch_add(1, Ordering::Relaxed);
-                boxes[1].fetch_add(u64::from(take), Ordering::Relaxed);
-                take
-            }
-            claim => pick(claim),
         };
         out.totals.cells_unreached = u64::from(unreached);
         if unreached {
@@ -307,4 +304,11 @@ impl Verification<'_> {
         out.apart = certificates.own.apart.iter().map(|of| of.bounds).collect();
         Ok(out)
     }
+}
+
+/// Whether a sample has the box `at` of `count`: as many boxes as pairs of the cell were drawn, in order
+/// from a place that these pairs give.
+fn drawn_box(at: usize, count: usize, wanted: &BTreeSet<u32>) -> bool {
+    let from = wanted.iter().fold(0usize, |sum, id| sum.wrapping_mul(31).wrapping_add(*id as usize)) % count;
+    (at + count - from) % count < wanted.len()
 }

@@ -138,6 +138,16 @@ fn statements_about_the_whole_result_are_checked() {
         (r.flags, r.parameters) = (NOT_REACHED, r#"{"viewpoints":{"cells_reached":0}}"#);
     });
     assert!(matches!(refused, Err(VerifyError::Refused(r)) if r.cell == Some(0)));
+    // It stores nothing that another cell could rely on, because nothing but its boxes is checked.
+    for stored in [alone(), sharing()] {
+        let mut result = Memory::new(&[stored]);
+        (result.flags, result.parameters) = (NOT_REACHED, r#"{"viewpoints":{"cells_reached":0}}"#);
+        result.visible.clear();
+        let refused = verify(&triangles(), &result, &VerifyOptions::default());
+        assert!(
+            matches!(refused, Err(VerifyError::Refused(r)) if r.reason.contains("claims about triangles"))
+        );
+    }
     assert!(matches!(check(&|r| r.certificates = None), Err(VerifyError::NoCertificates { .. })));
     let fewer = verify(&triangles()[..5], &Memory::new(&[alone()]), &VerifyOptions::default());
     assert_eq!(fewer, Err(VerifyError::OtherScene { scene: 5, result: 6 }));

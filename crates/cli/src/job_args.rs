@@ -15,7 +15,7 @@ use sightline_viewcells::Division;
 use crate::choices::choice;
 use crate::error::CliError;
 use crate::opening;
-use crate::place_args::PlaceArgs;
+use crate::place_args::{PlaceArgs, parse_length};
 use crate::progress::say;
 
 /// Fraction of a view cell by which rounding may move a sight line before a note is printed.
@@ -95,8 +95,8 @@ pub struct JobArgs {
     contributions: bool,
     /// Sight lines end at this distance from the viewpoint, in the scene's units: what is farther counts as
     /// not visible.
-    #[arg(long, value_name = "D", allow_negative_numbers = true)]
-    far: Option<f64>,
+    #[arg(long, value_name = "D", allow_negative_numbers = true, value_parser = parse_length)]
+    far: Option<f32>,
     /// Whether the result says which cells see which (dump --items cells, query --sees). auto: with at most
     /// 512 cells; on: with at most 32768.
     #[arg(long, value_parser = choice::<CellToCell>(), default_value_t)]
@@ -263,6 +263,14 @@ impl JobArgs {
         spec.sampling.check().map_err(|e| CliError::Usage(e.to_string()))?;
         let lattice = spec.lattice().map_err(|e| match (self.places.view_box.first(), e) {
             (None, sightline_viewcells::DivisionError::Box { axis, .. }) => {
+                let along = sightline_viewcells::axis_name(axis);
+                if let Some(mesh) = &self.places.view_mesh {
+                    return CliError::Input(format!(
+                        "{}: the places of viewpoints are flat along {along}, so they are no view box; give \
+                         --view-box, and for a navigation mesh --eye-heights LO,HI with LO < HI and --up",
+                        mesh.display()
+                    ));
+                }
                 let nothing = scene.triangles().iter().all(sightline_scene::Triangle::is_degenerate);
                 CliError::Input(format!(
                     "{}: {}, so its bounds are no view box; give --view-box x0,y0,z0,x1,y1,z1 with x0 < x1, \
@@ -271,7 +279,7 @@ impl JobArgs {
                     if nothing {
                         "none of its triangles has an area".to_owned()
                     } else {
-                        format!("the scene is flat along {}", sightline_viewcells::axis_name(axis))
+                        format!("the scene is flat along {along}")
                     }
                 ))
             }
@@ -300,7 +308,7 @@ impl JobArgs {
             sampler,
             granularity: self.granularity,
             min_share: self.min_share,
-            far: self.far,
+            far: self.far.map(f64::from),
             cell_to_cell: self.cell_to_cell,
             contributions: self.contributions,
             ..SamplingParams::default()

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use sightline_measure::{Options, Viewpoints, measure, measure_pairs};
+use sightline_pvs::PvsError;
 use sightline_sampling::sight::Sight;
 use sightline_sampling::{CubeSpec, PreparedScene, Strata, layers};
 
@@ -48,6 +49,9 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     }
     if let Some(dir) = &args.images {
         writable_folder(dir)?;
+    }
+    if args.pairs > 0 && pvs.cell_pairs()?.is_none() {
+        return Err(CliError::Input(format!("{}: {}", args.result.display(), PvsError::NoPairs)));
     }
     let scene = Arc::new(opening::scene_of(&args.scene, &args.kinds, &pvs, &args.result)?);
     let spec = CubeSpec { resolution: args.resolution, strata: Strata::One, keep_pixels: false };

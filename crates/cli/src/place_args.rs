@@ -59,7 +59,8 @@ fn parse_heights(text: &str) -> Result<[f32; 2], String> {
     numbers(text).filter(|[lo, hi]| lo <= hi).ok_or_else(wrong)
 }
 
-fn parse_length(text: &str) -> Result<f32, String> {
+/// A length above 0, as in 2.5.
+pub fn parse_length(text: &str) -> Result<f32, String> {
     let length = text.parse::<f32>().ok().filter(|r| r.is_finite() && *r > 0.0);
     length.ok_or_else(|| "give a length above 0, as in 2.5".to_owned())
 }

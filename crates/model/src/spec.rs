@@ -87,7 +87,7 @@ pub fn default_block_cells(triangles: u32, sampling: &SamplingParams, method: Me
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SpecError {
     /// A field is missing, has the wrong length, or does not go with the others.
-    #[error("the job's {0} is missing or malformed; {1}")]
+    #[error("the job's {0} cannot be used: {1}")]
     Field(&'static str, &'static str),
     /// A choice has a value that this program does not know.
     #[error(transparent)]

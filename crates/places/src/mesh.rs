@@ -150,8 +150,9 @@ fn check_closed(mesh: &Scene) -> Result<(), PlacesError> {
     }
 }
 
-/// How often the triangles wind around a point.
-fn winding(triangles: &[Triangle], point: DVec3) -> f64 {
+/// How often the triangles wind around a point: the sum of their solid angles over 4π (Van Oosterom and
+/// Strackee 1983).
+pub(crate) fn winding(triangles: &[Triangle], point: DVec3) -> f64 {
     let angle = |t: &Triangle| {
         let [a, b, c] = t.v.map(|v| v.as_dvec3() - point);
         let (la, lb, lc) = (a.length(), b.length(), c.length());
@@ -159,7 +160,7 @@ fn winding(triangles: &[Triangle], point: DVec3) -> f64 {
         let under = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
         2.0 * over.atan2(under)
     };
-    triangles.iter().map(angle).sum::<f64>() / (4.0 * std::f64::consts::PI)
+    triangles.iter().filter(|t| !t.is_degenerate()).map(angle).sum::<f64>() / (4.0 * std::f64::consts::PI)
 }
 
 #[cfg(test)]

@@ -11,10 +11,10 @@ use sightline_sampling::cube::{SKY, face_basis};
 use sightline_sampling::packet::{LANES, Packet};
 use sightline_sampling::sequence::Hashed;
 use sightline_sampling::sight::{Passed, Sight};
-use sightline_scene::topology::Solids;
-use sightline_scene::{Aabb, Scene, SceneError};
+use sightline_scene::{Aabb, Scene};
 use sightline_viewcells::Viewpoints;
 
+use crate::mesh::winding;
 use crate::{Parts, PlacesError, walk};
 
 /// Tiles of 4×4 directions along a cube face, in the first and in the last round from a point.
@@ -196,35 +196,30 @@ fn each_ray(
     Ok(())
 }
 
-/// Refuses a point inside something solid: most rays from it meet the back of a closed surface, as the file
-/// winds its triangles, and the object they belong to does not enclose the whole scene. A closed room is no
+/// Refuses a point inside something solid: most rays from it meet a back, as the file winds its
+/// triangles, and an object that does not enclose the whole scene winds around it. A closed room is no
 /// solid: it is wound to be seen from inside, or it encloses all there is.
 fn check_free(t: &Tracing<'_>, point: [f32; 3]) -> Result<(), PlacesError> {
-    let solids = Solids::of(t.scene).map_err(|e: SceneError| PlacesError::None(e.to_string()))?;
-    let (mut backs, mut others, mut within) = (0u32, 0u32, None);
+    let (mut backs, mut others) = (0u32, 0u32);
     each_ray(t, point, FIRST_TILES, &mut |packet, lane| {
         let triangle = packet.triangle[lane];
         let back = triangle != SKY && {
             let (_, direction) = packet.ray(lane);
             let v = t.scene.triangles()[triangle as usize].v;
-            let normal = (v[1] - v[0]).cross(v[2] - v[0]);
-            solids.outward(triangle) == Some(1.0) && normal.dot(direction.into()) > 0.0
+            (v[1] - v[0]).cross(v[2] - v[0]).dot(direction.into()) > 0.0
         };
-        if back {
-            backs += 1;
-            within.get_or_insert(triangle);
-        } else {
-            others += 1;
-        }
+        if back { backs += 1 } else { others += 1 }
     })?;
-    let object = within.filter(|_| backs > others).and_then(|triangle| {
-        t.scene.objects().iter().find(|o| (o.first..o.first + o.count).contains(&triangle))
-    });
-    let Some(object) = object else { return Ok(()) };
-    let own = &t.scene.triangles()[object.first as usize..(object.first + object.count) as usize];
-    let bounds = own.iter().fold(Aabb::EMPTY, |all, t| all.union(t.bounds()));
-    if bounds == t.scene.bounds() {
+    if backs <= others {
         return Ok(());
     }
-    Err(PlacesError::Solid { point, object: object.name.clone() })
+    for object in t.scene.objects() {
+        let own = &t.scene.triangles()[object.first as usize..(object.first + object.count) as usize];
+        let bounds = own.iter().fold(Aabb::EMPTY, |all, t| all.union(t.bounds()));
+        let around = winding(own, glam::Vec3::from(point).as_dvec3());
+        if around > 0.5 && bounds != t.scene.bounds() {
+            return Err(PlacesError::Solid { point, object: object.name.clone() });
+        }
+    }
+    Ok(())
 }

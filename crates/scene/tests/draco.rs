@@ -76,7 +76,7 @@ fn faults_are_refused_with_the_primitive() {
     let of = "mesh 0, primitive 0, KHR_draco_mesh_compression";
     refused(&|j| extension(j)["bufferView"] = json!(99), &[of, "buffer view 99"]);
     refused(&|j| extension(j)["bufferView"] = json!(0), &[of, "cannot be decoded"]);
-    refused(&|j| extension(j)["attributes"]["POSITION"] = json!(7), &[of, "POSITION", "no attribute 7"]);
+    refused(&|j| extension(j)["attributes"]["POSITION"] = json!(7), &[of, "attribute 7", "no attribute 7"]);
     refused(&|j| j["accessors"][0]["count"] = json!(5), &[of, "accessor 0 has 5 elements, and 4"]);
     refused(&|j| j["accessors"][0]["componentType"] = json!(5123), &[of, "do not fit accessor 0"]);
     refused(&|j| j["meshes"][0]["primitives"][0]["mode"] = json!(5), &[of, "mode must be 4"]);

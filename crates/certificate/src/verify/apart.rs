@@ -3,7 +3,7 @@
 
 use sightline_numbers::Aabb;
 
-use super::{BakedResult, NOT_REACHED, SET_ASIDE};
+use super::{BakedResult, NOT_REACHED};
 use crate::checker::{CellClaims, CellRefusal, Claim, Triangles, check_box_claim};
 
 /// Checks the coverage. `boxes` holds the hidden boxes of each cell, whose proofs are checked with the cell.
@@ -25,13 +25,12 @@ pub(super) fn check(result: &dyn BakedResult, boxes: &[Vec<Aabb>]) -> Result<u64
     let mut apart = 0;
     for a in 0..cells {
         let Some(seen) = result.seen_cells(a).map_err(|e| (a, e))? else { return Ok(0) };
-        let aside = result.flags(a).map_err(|e| (a, e))? & SET_ASIDE != 0;
         let mut seen = seen.into_iter().filter(|b| *b >= a).peekable();
         for b in a..cells {
             if seen.next_if_eq(&b).is_some() || !(reached[a as usize] || reached[b as usize]) {
                 continue;
             }
-            if aside || a == b || !(covered(a, b) || covered(b, a)) {
+            if a == b || !(covered(a, b) || covered(b, a)) {
                 return Err((a, format!("it is said not to see cell {b}, and no proof shows that")));
             }
             apart += 1;

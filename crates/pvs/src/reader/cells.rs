@@ -26,25 +26,31 @@ impl Pvs {
     }
 
     /// Whether a point of cell `a` and a point of cell `b` may see each other: a segment between them was
-    /// free, or it is undecided whether there is one. Every cell sees itself.
+    /// free, or it is undecided whether there is one. Every cell sees itself. Nothing is known of two cells
+    /// without viewpoints, so they count as seeing each other.
     ///
     /// # Errors
     /// [`PvsError::NoCell`], [`PvsError::NoPairs`], and as [`Self::cell_pairs`].
     pub fn sees(&self, a: u32, b: u32) -> Result<bool, PvsError> {
         self.leaf(a)?;
         self.leaf(b)?;
-        Ok(self.pairs()?.visible.has(a, b))
+        let unknown = !self.is_reached(a)? && !self.is_reached(b)?;
+        Ok(self.pairs()?.visible.has(a, b) || unknown)
     }
 
-    /// Whether a point of a cell and a point of the box from `min` to `max` (world space) may see each other,
-    /// by the cells that the box meets. Nothing is known of places outside the view box, so a box that
-    /// reaches beyond it counts as seen, and so does one with a coordinate that is not a number.
+    /// Whether a point of a cell and a point of the box from `min` to `max` (world space) may see each
+    /// other, by the cells that the box meets. Nothing is known of places outside the view box, so a box
+    /// that reaches beyond it counts as seen, and so does one with a coordinate that is not a number, and
+    /// everything from a cell without viewpoints.
     ///
     /// # Errors
     /// As [`Self::sees`].
     pub fn sees_box(&self, cell: u32, min: [f32; 3], max: [f32; 3]) -> Result<bool, PvsError> {
         self.leaf(cell)?;
         let visible = &self.pairs()?.visible;
+        if !self.is_reached(cell)? {
+            return Ok(true);
+        }
         let [lo, hi] = self.tree.view_box();
         if !(0..3).all(|a| lo[a] <= min[a] && min[a] <= max[a] && max[a] <= hi[a]) {
             return Ok(true);

@@ -91,6 +91,7 @@ pub fn search(
                 .with_max_len(2)
                 .map(|cell| match watcher.cancelled() {
                     true => Err(TileError::Cancelled),
+                    false if job.is_late() => Ok((0, 0.0)),
                     false => at(&segments, cell),
                 })
                 .collect::<Result<_, TileError>>()?;

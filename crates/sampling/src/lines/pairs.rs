@@ -79,16 +79,18 @@ impl Pairs {
     pub fn table(&self, counts: impl Fn(u32) -> bool) -> PairTable {
         let mut table = PairTable::empty(self.grid.count() as u32);
         let slots: Vec<usize> = self.grid.each().map(|c| self.grid.slot(c).index()).collect();
-        for (a, slot) in slots.iter().enumerate() {
-            let row = &self.rows[slot * self.words..][..self.words];
-            let a = a as u32;
+        let mut numbers = vec![0u32; self.words * 64];
+        slots.iter().zip(0..).for_each(|(slot, number)| numbers[*slot] = number);
+        for (slot, a) in slots.iter().zip(0..) {
             if !counts(a) {
                 continue;
             }
             table.insert(a, a);
-            for (b, other) in slots.iter().enumerate() {
-                if row[other / 64].load(Relaxed) >> (other % 64) & 1 == 1 {
-                    table.insert(a, b as u32);
+            for (word, bits) in self.rows[slot * self.words..][..self.words].iter().enumerate() {
+                let mut rest = bits.load(Relaxed);
+                while rest != 0 {
+                    table.insert(a, numbers[word * 64 + rest.trailing_zeros() as usize]);
+                    rest &= rest - 1;
                 }
             }
         }

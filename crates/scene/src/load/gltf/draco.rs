@@ -18,6 +18,9 @@ use crate::SceneError;
 
 /// Most bytes of a vertex with all its attributes: 64 numbers of 8 bytes.
 const MOST_VERTEX_BYTES: u64 = 512;
+/// Decoded bytes for each triangle that a scene may have, all primitives together: three vertices with
+/// positions, texture coordinates and colours, and their indices.
+const MOST_TRIANGLE_BYTES: u64 = 3 * (12 + 8 + 16 + 4);
 
 /// The decoded elements of an accessor, without gaps.
 pub(super) struct Elements {
@@ -29,8 +32,11 @@ pub(super) struct Elements {
 }
 
 /// The elements of all accessors that compressed primitives need, by role and number.
-#[derive(Default)]
-pub(super) struct Decoded(BTreeMap<(usize, usize), Elements>);
+pub(super) struct Decoded {
+    elements: BTreeMap<(usize, usize), Elements>,
+    /// Bytes that may still be decoded.
+    left: u64,
+}
 
 impl Decoded {
     /// Decodes the compressed primitives among the users in `uses`.
@@ -40,7 +46,8 @@ impl Decoded {
         buffers: &Buffers<'_>,
         uses: &[Use],
     ) -> Result<Self, SceneError> {
-        let mut this = Self::default();
+        let left = u64::from(source.limits.triangles) * MOST_TRIANGLE_BYTES;
+        let mut this = Self { elements: BTreeMap::new(), left };
         let drawn: BTreeSet<usize> = uses.iter().filter_map(|u| u.by.mesh()).collect();
         let roles: BTreeSet<(usize, usize)> = uses.iter().map(|u| (u.role as usize, u.accessor)).collect();
         for mesh in drawn {
@@ -57,7 +64,7 @@ impl Decoded {
 
     /// The decoded elements of an accessor; `None` when it is not compressed.
     pub(super) fn get(&self, role: Role, accessor: usize) -> Option<&Elements> {
-        self.0.get(&(role as usize, accessor))
+        self.elements.get(&(role as usize, accessor))
     }
 
     fn add(
@@ -73,11 +80,22 @@ impl Decoded {
         }
         let indices = p.indices.ok_or("the primitive has no indices")?;
         let position = p.attributes.position.ok_or("the primitive has no POSITION")?;
+        let wanted = || {
+            let read = of.attributes.iter().filter_map(|(name, id)| Some((named(&p.attributes, name)?, *id)));
+            read.filter(|((role, a), _)| roles.contains(&(*role as usize, *a)))
+        };
+        // Primitives may share all of it.
+        let has = |role, accessor, from| self.get(role, accessor).is_some_and(|e: &Elements| e.from == from);
+        if has(Role::Indices, indices, (of.buffer_view, None))
+            && wanted().all(|((role, a), id)| has(role, a, (of.buffer_view, Some(id))))
+        {
+            return Ok(());
+        }
         let count = |a: usize| root.accessors.get(a).map_or(0, |a| a.count);
         let limits = DecodeLimits::default()
             .with_max_faces((count(indices) / 3).min(u64::from(source.limits.triangles)))
-            .with_max_points(count(position))
-            .with_max_decoded_bytes(count(position).saturating_mul(MOST_VERTEX_BYTES).min(4 << 30));
+            .with_max_points(count(position).min(3 * u64::from(source.limits.triangles)))
+            .with_max_decoded_bytes(count(position).saturating_mul(MOST_VERTEX_BYTES).min(self.left));
         let mut mesh = Mesh::new();
         MeshDecoder::new()
             .decode(&mut DecoderBuffer::new(bytes).with_limits(limits), &mut mesh)
@@ -90,13 +108,9 @@ impl Decoded {
             from: (of.buffer_view, None),
         };
         self.insert((Role::Indices, indices), elements, root.accessors.get(indices))?;
-        for (name, id) in &of.attributes {
-            let Some((role, accessor)) = named(&p.attributes, name) else { continue };
-            if !roles.contains(&(role as usize, accessor)) {
-                continue;
-            }
-            let elements = attribute(&mesh, *id, root, (role, accessor), of.buffer_view)
-                .map_err(|why| format!("{name}: {why}"))?;
+        for ((role, accessor), id) in wanted() {
+            let elements = attribute(&mesh, id, root, (role, accessor), of.buffer_view)
+                .map_err(|why| format!("attribute {id}: {why}"))?;
             self.insert((role, accessor), elements, root.accessors.get(accessor))?;
         }
         Ok(())
@@ -118,11 +132,13 @@ impl Decoded {
         if sparse {
             return Err(format!("accessor {accessor} is sparse, which a compressed one cannot be"));
         }
-        let before = self.0.get(&(role as usize, accessor)).map(|e| e.from);
+        let bytes = elements.bytes.len() as u64;
+        self.left = self.left.checked_sub(bytes).ok_or("the compressed primitives are too large together")?;
+        let before = self.elements.get(&(role as usize, accessor)).map(|e| e.from);
         if before.is_some_and(|from| from != elements.from) {
             return Err(format!("accessor {accessor} belongs to another compressed primitive as well"));
         }
-        self.0.insert((role as usize, accessor), elements);
+        self.elements.insert((role as usize, accessor), elements);
         Ok(())
     }
 }
