@@ -24,8 +24,8 @@ const VERIFIED: Limits = Limits { regions: 1000, vectors: 100_000, splits: 32, d
 /// triangles that it would still find are not.
 const SAMPLING_SHARE: u32 = 4;
 
-/// The fraction of a cell query's time that cell groups may take, as a divisor: a triangle hidden from a
-/// group is not a target for any of its cells.
+/// The fraction of a cell query's time that cell groups may take, and then of what is left that pairs of
+/// cells may take, as a divisor: a triangle hidden from a group is not a target for any of its cells.
 pub const GROUP_SHARE: u32 = 2;
 
 /// The limits of a single query.

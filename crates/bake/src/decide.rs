@@ -41,9 +41,11 @@ pub fn cells(
     let half = deadline.map(|d| Instant::now() + share(d));
     let exact_cells: Vec<(CellBox, Cell)> =
         boxes.iter().map(|at| Ok((*at, exact_cell(at, lattice)?))).collect::<Result<_, String>>()?;
+    let mut around = groups_first(spec, lattice, (&boxes, &groups), sets, scene, (half, watcher))?;
+    // Pairs of cells have the same share of what is left then.
+    let half = deadline.map(|d| Instant::now() + share(d));
     let stop = || watcher.cancelled() || half.is_some_and(|u| Instant::now() >= u);
     let apart = decide_pairs::decide(spec, lattice, &exact_cells, sets, scene, &stop);
-    let mut around = groups_first(spec, lattice, (&boxes, &groups), sets, scene, (half, watcher))?;
     around.iter_mut().zip(apart).for_each(|(around, apart)| around.apart = apart);
     let one = |((set, at), around): ((&mut CellSet, &CellBox), &mut Around), until: Option<Instant>| {
         let stop = || watcher.cancelled() || until.is_some_and(|u| Instant::now() >= u);
