@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use glam::Vec3;
 use sightline_model::codec;
-use sightline_model::{BackendChoice, CellToCell, SamplingParams};
+use sightline_model::{BackendChoice, CellToCell, Hits, SamplingParams};
 use sightline_model::{CellSet, CellSets, TileOutput};
 use sightline_model::{JobSpec, Method};
 use sightline_pvs::Pvs;
@@ -105,10 +105,15 @@ fn granted(orders: &mut mpsc::Receiver<Order>) -> Grant {
 
 /// The encoded output of a granted tile in which every cell sees `visible`.
 fn output(grant: &Grant, visible: &[u32]) -> Vec<u8> {
+    output_of(grant, &CellSet { visible: visible.to_vec(), ..CellSet::default() })
+}
+
+/// The same with this cell in place of every cell.
+fn output_of(grant: &Grant, cell: &CellSet) -> Vec<u8> {
     let (lattice, plan) = grant.spec.plan().unwrap();
     let tile = &plan.tiles[grant.lease.tile.at()];
     let nodes = expected_nodes(&grant.spec.division, &lattice, &tile.cell, tile.depth).unwrap();
-    let cells = (0..tile.cells).map(|_| CellSet { visible: visible.to_vec(), ..CellSet::default() });
+    let cells = (0..tile.cells).map(|_| cell.clone());
     codec::encode(&TileOutput::Cells(CellSets { cells: cells.collect(), nodes, pairs: None })).unwrap()
 }
 
@@ -128,6 +133,12 @@ fn a_job_runs_in_memory_from_submission_to_result() {
     assert_eq!(jobs::summary(&c, id).unwrap().tiles_running, 2);
     let empty = output(&grants[0], &[]);
     assert!(matches!(put(&c, &grants[0], &empty[1..]), Err(ResultError::Encoding(_))));
+    // The job has viewpoints in all cells, and asks for no contributions.
+    let unreached = output_of(&grants[0], &CellSet { unreached: true, ..CellSet::default() });
+    assert!(matches!(put(&c, &grants[0], &unreached), Err(ResultError::Viewpoints)));
+    let hits = Some(Hits { viewpoints: 1, lines: 1, counts: Vec::new() });
+    let hits = output_of(&grants[0], &CellSet { hits, ..CellSet::default() });
+    assert!(matches!(put(&c, &grants[0], &hits), Err(ResultError::Contributions)));
     put(&c, &grants[0], &empty).unwrap();
     put(&c, &grants[0], &empty).unwrap();
     assert!(matches!(put(&c, &grants[0], &output(&grants[0], &[0])), Err(ResultError::Conflict)));

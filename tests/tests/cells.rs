@@ -125,3 +125,27 @@ fn a_wall_is_between_two_rooms_and_queries_say_so() {
     sandbox.run("query off.pvs 1 1 1 --sees 3 1 1").code(3).says("--cell-to-cell");
     sandbox.run("bake rooms.obj -o x.pvs --cells 64x64x16 --cell-to-cell on").code(2).says("32768");
 }
+
+#[test]
+fn exact_pairs_are_no_farther_apart_than_lines_reach() {
+    let sandbox = maze();
+    let job = "bake maze.glb --cells 4x2x4 --view-box 0,0.05,0,16,2.3,16 --far 3";
+    sandbox.ok(&format!("{job} -o lines.pvs --data-dir lines"));
+    sandbox.ok(&format!("{job} -o exact.pvs --data-dir exact --method exact"));
+    let dump = sandbox.dump("exact.pvs");
+    let [sampled, exact] = ["lines.pvs", "exact.pvs"].map(|file| cells(&sandbox, file));
+    let mut apart = 0;
+    for (a, ((sampled, _), (exact, _))) in sampled.iter().zip(&exact).enumerate() {
+        assert!(sampled.is_subset(exact), "cell {a}");
+        for (b, other) in dump.cells.iter().enumerate() {
+            let gap = |k: usize| {
+                (other.min[k] - dump.cells[a].max[k]).max(dump.cells[a].min[k] - other.max[k]).max(0.0)
+            };
+            if (0..3).map(|k| gap(k).powi(2)).sum::<f64>().sqrt() > 3.0 {
+                assert!(!exact.contains(&(b as u64)), "cells {a} and {b} are farther apart");
+                apart += 1;
+            }
+        }
+    }
+    assert!(apart > 0);
+}

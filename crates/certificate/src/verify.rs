@@ -312,3 +312,21 @@ fn drawn_box(at: usize, count: usize, wanted: &BTreeSet<u32>) -> bool {
     let from = wanted.iter().fold(0usize, |sum, id| sum.wrapping_mul(31).wrapping_add(*id as usize)) % count;
     (at + count - from) % count < wanted.len()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sample_draws_as_many_boxes_as_pairs_and_none_is_always_left_out() {
+        let mut ever = BTreeSet::new();
+        for id in 0..40 {
+            let wanted = BTreeSet::from([id, id + 7]);
+            let drawn: Vec<usize> = (0..9).filter(|at| drawn_box(*at, 9, &wanted)).collect();
+            assert_eq!(drawn.len(), 2, "{drawn:?}");
+            ever.extend(drawn);
+        }
+        assert_eq!(ever.len(), 9);
+        assert!((0..9).all(|at| !drawn_box(at, 9, &BTreeSet::new())));
+    }
+}

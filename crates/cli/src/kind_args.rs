@@ -50,7 +50,11 @@ const FLAGS: [(Kind, &str); 4] = [
         "Objects and materials whose name matches neither block nor show, because they move at run time. The \
          file makes animated nodes and skinned meshes moving",
     ),
-    (Kind::Opaque, "Objects and materials whose name matches block and show. Without a glob: all of them"),
+    (
+        Kind::Opaque,
+        "Objects and materials whose name matches block and show. Without a glob: all of them. A file \
+         that follows is not taken as the glob",
+    ),
 ];
 
 /// Endings of the files that commands take.

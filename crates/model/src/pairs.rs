@@ -4,6 +4,9 @@
 //! A pair of cells is in the relation *seen* when a line of the tile crossed both before anything blocked it,
 //! and in the relation *hidden* when it was proved that no such line exists.
 //!
+//! The crate `sightline_pvs` has the relation of a result in a type of its own, because it depends on no
+//! other crate of the project.
+//!
 //! [`JobSpec::pair_cells`]: crate::JobSpec::pair_cells
 
 /// Most cells of a job whose result says which cells see which: a table takes cells² / 8 bytes.

@@ -130,6 +130,21 @@ fn contributions_pairs_and_sources_come_back() {
 }
 
 #[test]
+fn nothing_is_known_of_cells_without_viewpoints_so_they_count_as_seen() {
+    let mut b = builder(1, false);
+    b.set_pairs(&CellPairs { visible: relation(2, &[(0, 0), (1, 1)]), undecided: None }).unwrap();
+    b.push_cell(&[], &[], sightline_pvs::NOT_REACHED).unwrap();
+    b.push_cell(&[0], &[], 0).unwrap();
+    let pvs = Pvs::from_bytes(finished(b)).unwrap();
+    let [lo, hi] = pvs.cell_bounds(0).unwrap();
+    // Cell 1 has viewpoints, so it is known that it does not see cell 0.
+    assert!(!pvs.sees(0, 1).unwrap() && pvs.sees(0, 0).unwrap());
+    let middle = [0, 1, 2].map(|k| 0.5 * (lo[k] + hi[k]));
+    assert!(!pvs.sees_box(1, middle, middle).unwrap());
+    assert!(pvs.sees_box(0, middle, middle).unwrap());
+}
+
+#[test]
 fn what_contradicts_itself_is_refused() {
     let mut b = builder(1, false);
     assert!(b.push_cell(&[0], &[], sightline_pvs::NOT_REACHED).is_err());

@@ -152,9 +152,10 @@ impl Block<'_> {
             pairs.join_line(line, 0.0, end, &mut s.joined);
             stats.bound_cell_misses += u64::from(pairs.is_new(&self.held, slot, &s.joined));
         })?;
+        stats.rays[LineKind::Check as usize] = cast;
         if cast < lines {
             // An incomplete test gives no bound.
-            return Ok(CellStats::default());
+            return Ok(CellStats { rays: stats.rays, ..CellStats::default() });
         }
         (stats.bound_cell_lines, stats.bound_cell_look) = (lines, look);
         Ok(stats)
