@@ -7,7 +7,7 @@ use glam::Vec3;
 
 use crate::cube::CubeImage;
 use crate::error::BackendError;
-use crate::packet::LineTracer;
+use crate::packet::{LineTracer, PassingTracer};
 use sightline_model::VisibilitySample;
 
 /// The triangles among which sight lines are traced.
@@ -45,6 +45,19 @@ pub trait Backend: Send + Sync {
     /// # Errors
     /// [`BackendError`] when the device cannot, or cannot hold the geometry.
     fn lines(&self, set: LineSet, ids: &[u32]) -> Result<Box<dyn LineTracer + '_>, BackendError>;
+
+    /// Prepares the tracing of lines among those that end them and those that they pass at once; `None` when
+    /// the backend traces among one set of triangles only. The ids are as in [`Backend::lines`].
+    ///
+    /// # Errors
+    /// As [`Backend::lines`].
+    fn passing(
+        &self,
+        _blocking: &[u32],
+        _see_through: &[u32],
+    ) -> Result<Option<Box<dyn PassingTracer + '_>>, BackendError> {
+        Ok(None)
+    }
 }
 
 /// Renders cubes of the geometry given to [`Backend::prepare`]. Degenerate triangles are never seen.

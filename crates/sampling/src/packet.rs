@@ -120,3 +120,20 @@ pub trait LineTracer: Send + Sync {
         if coherent { self.trace(packets) } else { self.trace_each(packets) }
     }
 }
+
+/// Finds the ends of sight lines and the see-through triangles before them in one traversal.
+pub trait PassingTracer: Send + Sync {
+    /// Fills `distance` and `triangle` of every packet, up to the `distance` that each lane has on entry, and
+    /// appends the triangles that each line passes before its end: line (packet · [`LANES`] + lane), triangle
+    /// and distance, ascending by packet, in any order within one, some perhaps twice. Rays that are not
+    /// `coherent` are traced each by itself.
+    ///
+    /// # Errors
+    /// [`BackendError::Failed`] when the device does.
+    fn trace_passing(
+        &self,
+        packets: &mut [Packet],
+        coherent: bool,
+        found: &mut Vec<(u32, u32, f32)>,
+    ) -> Result<(), BackendError>;
+}

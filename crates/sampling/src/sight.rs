@@ -12,7 +12,7 @@ use sightline_scene::{Kind, Scene};
 use crate::backend::{Backend, LineSet};
 use crate::cube::SKY;
 use crate::error::BackendError;
-use crate::packet::{LANES, LineTracer, Packet};
+use crate::packet::{LANES, LineTracer, Packet, PassingTracer};
 use crate::prepared::Traced;
 
 /// The triangles that the lines of the packets traced last show before their ends: see-through ones. At the
@@ -62,7 +62,7 @@ impl Passed {
 /// Traces sight lines through a scene.
 pub struct Sight<'a> {
     blocking: Box<dyn LineTracer + 'a>,
-    see_through: Option<Box<dyn LineTracer + 'a>>,
+    see_through: SeeThrough<'a>,
     masked: Option<Masked<'a>>,
     /// By triangle; empty when all are opaque.
     kinds: &'a [Kind],
@@ -70,6 +70,16 @@ pub struct Sight<'a> {
     one_way: bool,
     /// Lines end at this distance from their origin, in world units; infinite when they do not.
     far: f32,
+}
+
+/// How the see-through triangles of a scene are found.
+enum SeeThrough<'a> {
+    /// There are none.
+    Absent,
+    /// By themselves, when the ends of the lines are known.
+    After(Box<dyn LineTracer + 'a>),
+    /// Together with the ends.
+    Together(Box<dyn PassingTracer + 'a>),
 }
 
 /// The masked triangles of a scene.
@@ -108,8 +118,11 @@ impl<'a> Sight<'a> {
     pub fn new(backend: &'a dyn Backend, scene: Traced<'a>) -> Result<Self, BackendError> {
         let blocking = backend.lines(LineSet::Blocking, scene.distinct)?;
         let see_through = match scene.see_through {
-            [] => None,
-            ids => Some(backend.lines(LineSet::SeeThrough, ids)?),
+            [] => SeeThrough::Absent,
+            ids => match backend.passing(scene.distinct, ids)? {
+                Some(tracer) => SeeThrough::Together(tracer),
+                None => SeeThrough::After(backend.lines(LineSet::SeeThrough, ids)?),
+            },
         };
         let masked = match scene.masked {
             [] => None,
@@ -126,7 +139,14 @@ impl<'a> Sight<'a> {
 
     /// A tracer of opaque triangles.
     pub fn opaque(blocking: Box<dyn LineTracer + 'a>) -> Self {
-        Self { blocking, see_through: None, masked: None, kinds: &[], one_way: false, far: f32::INFINITY }
+        Self {
+            blocking,
+            see_through: SeeThrough::Absent,
+            masked: None,
+            kinds: &[],
+            one_way: false,
+            far: f32::INFINITY,
+        }
     }
 
     /// The same, with lines that end at a distance from their origin, in world units.
@@ -159,7 +179,7 @@ impl<'a> Sight<'a> {
     /// # Errors
     /// [`BackendError::Failed`] when the device does.
     pub fn trace(&self, packets: &mut [Packet], passed: &mut Passed, step: f32) -> Result<(), BackendError> {
-        self.block(packets, true)?;
+        self.block(packets, passed, true)?;
         self.pass(packets, passed, step, true)
     }
 
@@ -173,24 +193,35 @@ impl<'a> Sight<'a> {
         passed: &mut Passed,
         step: f32,
     ) -> Result<(), BackendError> {
-        self.block(packets, false)?;
+        self.block(packets, passed, false)?;
         self.pass(packets, passed, step, false)
     }
 
-    /// Finds where each line ends.
-    fn block(&self, packets: &mut [Packet], coherent: bool) -> Result<(), BackendError> {
-        if self.far == f32::INFINITY {
-            return match coherent {
-                true => self.blocking.trace(packets),
-                false => self.blocking.trace_each(packets),
-            };
-        }
-        for packet in packets.iter_mut() {
+    /// Finds where each line ends, and the see-through triangles before that if both are found together.
+    fn block(&self, packets: &mut [Packet], passed: &mut Passed, coherent: bool) -> Result<(), BackendError> {
+        passed.found.clear();
+        passed.starts.clear();
+        let is_bounded = self.far < f32::INFINITY;
+        for packet in packets.iter_mut().filter(|_| is_bounded) {
             for lane in 0..packet.count {
                 packet.distance[lane] = self.far / packet.length(lane);
             }
         }
-        self.blocking.trace_within(packets, coherent)?;
+        match (&self.see_through, is_bounded) {
+            (SeeThrough::Together(tracer), true) => {
+                tracer.trace_passing(packets, coherent, &mut passed.found)?;
+            }
+            (SeeThrough::Together(tracer), false) => {
+                packets.iter_mut().for_each(|p| p.distance = [f32::INFINITY; LANES]);
+                tracer.trace_passing(packets, coherent, &mut passed.found)?;
+            }
+            (_, true) => self.blocking.trace_within(packets, coherent)?,
+            (_, false) if coherent => self.blocking.trace(packets)?,
+            (_, false) => self.blocking.trace_each(packets)?,
+        }
+        if !is_bounded {
+            return Ok(());
+        }
         for packet in packets {
             for lane in 0..packet.count {
                 let end = self.far / packet.length(lane);
@@ -210,8 +241,6 @@ impl<'a> Sight<'a> {
         step: f32,
         coherent: bool,
     ) -> Result<(), BackendError> {
-        passed.found.clear();
-        passed.starts.clear();
         if self.kinds.is_empty() {
             return Ok(());
         }
@@ -234,16 +263,28 @@ impl<'a> Sight<'a> {
                 false
             })?;
         }
-        if let Some(tracer) = &self.see_through {
-            let found = &mut passed.found;
+        let found = &mut passed.found;
+        if let SeeThrough::After(tracer) = &self.see_through {
             search(&**tracer, packets, &mut passed.probes, step, coherent, |_, _, met| {
                 found.push((met.line, met.triangle, met.at));
                 true
             })?;
         }
+        if let SeeThrough::Together(_) = &self.see_through {
+            if self.masked.is_some() {
+                // Masked triangles can have ended the lines sooner.
+                let end = |line: usize| packets[line / LANES].distance[line % LANES];
+                found.retain(|f| f.2 <= end(f.0 as usize));
+            }
+            found.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.2.total_cmp(&b.2)).then(a.1.cmp(&b.1)));
+            found.dedup_by_key(|f| (f.0, f.1));
+        }
+        let is_sorted = matches!(self.see_through, SeeThrough::Together(_)) && beside.is_empty();
         passed.found.append(&mut beside);
-        // Stable, so along each line the order stays.
-        passed.found.sort_by_key(|f| f.0);
+        if !is_sorted {
+            // Stable, so along each line the order stays.
+            passed.found.sort_by_key(|f| f.0);
+        }
         if !passed.found.is_empty() {
             let mut at = 0;
             for line in 0..=(packets.len() * LANES) as u32 {

@@ -12,7 +12,7 @@ use std::sync::{Arc, OnceLock};
 
 use libloading::Library;
 
-use super::culling::{Filter, Fronts, cull};
+use super::filters::{Context, Filter, Fronts, Passes, collect, cull};
 use crate::error::BackendError;
 
 /// An opaque `RTCDevice`, `RTCScene` or `RTCGeometry`.
@@ -47,7 +47,8 @@ pub struct RayHit16 {
     /// End of each ray; the hit distance afterwards.
     pub tfar: [f32; 16],
     mask: [u32; 16],
-    id: [u32; 16],
+    /// The number of each ray, for filters.
+    pub id: [u32; 16],
     flags: [u32; 16],
     ng: [[f32; 16]; 3],
     uv: [[f32; 16]; 2],
@@ -94,7 +95,8 @@ pub struct RayHit1 {
     /// End of the ray; the hit distance afterwards.
     pub tfar: f32,
     mask: u32,
-    id: u32,
+    /// The number of the ray, for filters.
+    pub id: u32,
     flags: u32,
     ng: [f32; 3],
     uv: [f32; 2],
@@ -126,20 +128,6 @@ impl RayHit1 {
     }
 }
 
-/// Context of a query: `RTCIntersectContext` of Embree 3, with spare room.
-#[repr(C, align(16))]
-struct Context3 {
-    flags: c_uint,
-    filter: *const c_void,
-    rest: [u32; 16],
-}
-
-impl Context3 {
-    fn new(flags: c_uint) -> Self {
-        Self { flags, filter: std::ptr::null(), rest: [u32::MAX; 16] }
-    }
-}
-
 /// `RTCIntersectArguments` of Embree 4, with spare room.
 #[repr(C, align(16))]
 struct Arguments4 {
@@ -152,11 +140,11 @@ struct Arguments4 {
 }
 
 impl Arguments4 {
-    fn new(flags: c_uint) -> Self {
+    fn new(flags: c_uint, context: &mut Context) -> Self {
         Self {
             flags,
             feature_mask: u32::MAX,
-            context: std::ptr::null_mut(),
+            context: (&raw mut *context).cast(),
             filter: std::ptr::null(),
             intersect: std::ptr::null(),
             rest: [0; 16],
@@ -168,9 +156,9 @@ impl Arguments4 {
 const COHERENT_3: c_uint = 1;
 const COHERENT_4: c_uint = 1 << 16;
 
-type Single3 = unsafe extern "C" fn(Handle, *mut Context3, *mut RayHit1);
+type Single3 = unsafe extern "C" fn(Handle, *mut Context, *mut RayHit1);
 type Single4 = unsafe extern "C" fn(Handle, *mut RayHit1, *mut Arguments4);
-type Intersect3 = unsafe extern "C" fn(*const c_int, Handle, *mut Context3, *mut RayHit16);
+type Intersect3 = unsafe extern "C" fn(*const c_int, Handle, *mut Context, *mut RayHit16);
 type Intersect4 = unsafe extern "C" fn(*const c_int, Handle, *mut RayHit16, *mut Arguments4);
 
 /// The query functions of Embree 3 or 4: for a packet, and for one ray.
@@ -318,7 +306,7 @@ impl Device {
     }
 
     /// Whether filters are called.
-    fn has_filters(&self) -> bool {
+    pub fn has_filters(&self) -> bool {
         // SAFETY: the handle is a live device.
         unsafe { (self.embree.get_device_property)(self.handle, FILTERS) != 0 }
     }
@@ -340,12 +328,24 @@ impl Drop for Device {
     }
 }
 
-/// A committed Embree scene of triangles, numbered in the order given to [`TriangleScene::new`].
+/// The triangles of one of Embree's geometries.
+pub struct Layer<I> {
+    /// Their number.
+    pub count: usize,
+    /// The nine floats of each are its three vertices.
+    pub triangles: I,
+    /// Rays do not meet a triangle from behind when there is one for each.
+    pub fronts: Option<Fronts>,
+    /// Rays go on behind these triangles, and list them.
+    pub is_passed: bool,
+}
+
+/// A committed Embree scene of triangles, numbered in each layer in the order given to [`Self::new`].
 pub struct TriangleScene {
     device: Arc<Device>,
     handle: Handle,
-    /// Read by the filter, whose user data points to it; released after the scene.
-    _fronts: Option<Arc<Fronts>>,
+    /// Read by the filters, whose user data points to them; released after the scene.
+    fronts: Vec<Arc<Fronts>>,
 }
 
 // SAFETY: a committed scene is read-only and may be queried from many threads (manual, "Scene Object").
@@ -354,91 +354,108 @@ unsafe impl Send for TriangleScene {}
 unsafe impl Sync for TriangleScene {}
 
 impl TriangleScene {
-    /// Builds the hierarchy over `count` triangles; the nine floats of each are its three vertices. With
-    /// `fronts`, one for each triangle, rays do not meet a triangle from behind.
+    /// Builds the hierarchy over all layers. Embree numbers the geometries in their order.
     ///
     /// # Errors
     /// Embree's error, usually too little memory.
-    pub fn new(
+    pub fn new<I: Iterator<Item = [f32; 9]>>(
         device: &Arc<Device>,
-        count: usize,
-        triangles: impl Iterator<Item = [f32; 9]>,
-        fronts: Option<Fronts>,
+        layers: impl IntoIterator<Item = Layer<I>>,
     ) -> Result<Self, String> {
         let e = device.embree;
-        if fronts.is_some() && !device.has_filters() {
+        // SAFETY: the handle is created here and released when the value is dropped.
+        let mut scene = unsafe {
+            let handle = (e.new_scene)(device.handle);
+            (e.set_scene_flags)(handle, ROBUST);
+            Self { device: Arc::clone(device), handle, fronts: Vec::new() }
+        };
+        for layer in layers {
+            scene.attach(layer)?;
+        }
+        // SAFETY: the handle is live.
+        unsafe { (e.commit_scene)(scene.handle) };
+        device.check()?;
+        Ok(scene)
+    }
+
+    fn attach(&mut self, layer: Layer<impl Iterator<Item = [f32; 9]>>) -> Result<(), String> {
+        let (e, count) = (self.device.embree, layer.count);
+        if layer.fronts.is_some() && !self.device.has_filters() {
             return Err("this Embree was built without filter functions, which --cull-back-faces needs; \
                         install another build of it, or use --backend gpu"
                 .to_owned());
         }
-        let fronts = fronts.map(Arc::new);
-        // SAFETY: all handles are created here and live; both buffers are filled to their whole size before
-        // the geometry is committed, and the scene holds a reference to the geometry after it is attached.
-        // The fronts live as long as the scene, and `cull` only reads them.
+        // SAFETY: the geometry is created here and lives; both buffers are filled to their whole size before
+        // it is committed, and the scene holds a reference to it after it is attached. The fronts live as
+        // long as the scene, and the filters only read them.
         unsafe {
-            let handle = (e.new_scene)(device.handle);
-            let scene = Self { device: Arc::clone(device), handle, _fronts: fronts.clone() };
-            (e.set_scene_flags)(scene.handle, ROBUST);
-            let geometry = (e.new_geometry)(device.handle, TRIANGLES);
+            let geometry = (e.new_geometry)(self.device.handle, TRIANGLES);
             let vertices = (e.set_new_geometry_buffer)(geometry, VERTEX, 0, FLOAT3, 12, count * 3);
             let indices = (e.set_new_geometry_buffer)(geometry, INDEX, 0, UINT3, 12, count);
             if count > 0 && (vertices.is_null() || indices.is_null()) {
-                let reason = device.check().err().unwrap_or_else(|| "no buffer".to_owned());
+                let reason = self.device.check().err().unwrap_or_else(|| "no buffer".to_owned());
                 (e.release_geometry)(geometry);
                 return Err(reason);
             }
             let mut written = 0;
-            for (i, t) in triangles.take(count).enumerate() {
+            for (i, t) in layer.triangles.take(count).enumerate() {
                 vertices.cast::<[f32; 9]>().add(i).write(t);
                 let first = 3 * i as u32;
                 indices.cast::<[u32; 3]>().add(i).write([first, first + 1, first + 2]);
                 written += 1;
             }
             assert_eq!(written, count, "as many triangles as announced");
-            if let Some(fronts) = &fronts {
-                (e.set_geometry_user_data)(geometry, Arc::as_ptr(fronts).cast());
+            if let Some(fronts) = layer.fronts.map(Arc::new) {
+                (e.set_geometry_user_data)(geometry, Arc::as_ptr(&fronts).cast());
+                self.fronts.push(fronts);
                 (e.set_geometry_intersect_filter_function)(geometry, cull);
             }
+            if layer.is_passed {
+                (e.set_geometry_intersect_filter_function)(geometry, collect);
+            }
             (e.commit_geometry)(geometry);
-            (e.attach_geometry)(scene.handle, geometry);
+            (e.attach_geometry)(self.handle, geometry);
             (e.release_geometry)(geometry);
-            (e.commit_scene)(scene.handle);
-            device.check()?;
-            Ok(scene)
+            Ok(())
         }
     }
 
     /// Finds the nearest hit of each ray whose `valid` entry is −1. Rays with similar directions are fastest.
-    pub fn intersect(&self, valid: &[i32; 16], rays: &mut RayHit16) {
+    /// Needs `passes` when a layer is passed.
+    pub fn intersect(&self, valid: &[i32; 16], rays: &mut RayHit16, passes: Option<&mut Passes>) {
         /// `valid` with the alignment that Embree requires, 64 bytes.
         #[repr(align(64))]
         struct Valid([i32; 16]);
         let valid = Valid(*valid);
+        let passes = passes.map_or(std::ptr::null_mut(), |p| &raw mut *p);
         match self.device.embree.intersect {
             Intersect::V3(f, _) => {
-                let mut context = Context3::new(COHERENT_3);
+                let mut context = Context::of_3(COHERENT_3, passes);
                 // SAFETY: all three structures have at least the size and alignment that Embree 3 needs.
                 unsafe { f(valid.0.as_ptr(), self.handle, &raw mut context, rays) }
             }
             Intersect::V4(f, _) => {
-                let mut arguments = Arguments4::new(COHERENT_4);
-                // SAFETY: as above for Embree 4; a null context asks for the default one.
+                let mut context = Context::of_4(passes);
+                let mut arguments = Arguments4::new(COHERENT_4, &mut context);
+                // SAFETY: as above for Embree 4.
                 unsafe { f(valid.0.as_ptr(), self.handle, rays, &raw mut arguments) }
             }
         }
     }
 
-    /// Finds the nearest hit of one ray.
-    pub fn intersect_one(&self, ray: &mut RayHit1) {
+    /// Finds the nearest hit of one ray. Needs `passes` when a layer is passed.
+    pub fn intersect_one(&self, ray: &mut RayHit1, passes: Option<&mut Passes>) {
+        let passes = passes.map_or(std::ptr::null_mut(), |p| &raw mut *p);
         match self.device.embree.intersect {
             Intersect::V3(_, f) => {
-                let mut context = Context3::new(0);
+                let mut context = Context::of_3(0, passes);
                 // SAFETY: both structures have at least the size and alignment that Embree 3 needs.
                 unsafe { f(self.handle, &raw mut context, ray) }
             }
             Intersect::V4(_, f) => {
-                let mut arguments = Arguments4::new(0);
-                // SAFETY: as above for Embree 4; a null context asks for the default one.
+                let mut context = Context::of_4(passes);
+                let mut arguments = Arguments4::new(0, &mut context);
+                // SAFETY: as above for Embree 4.
                 unsafe { f(self.handle, ray, &raw mut arguments) }
             }
         }

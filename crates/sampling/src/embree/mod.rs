@@ -5,7 +5,7 @@
 //! build it, the instruction set is fixed, and a packet always holds the same sixteen pixels. Samples are
 //! spread over the threads of the current rayon pool.
 
-mod culling;
+mod filters;
 mod library;
 #[cfg(test)]
 mod tests;
@@ -17,11 +17,12 @@ use glam::Vec3;
 use rayon::prelude::*;
 use sightline_scene::{Scene, Triangle};
 
-use self::library::{Device, RayHit1, RayHit16, TriangleScene};
+use self::filters::Passes;
+use self::library::{Device, Layer, RayHit1, RayHit16, TriangleScene};
 use crate::backend::{Backend, CubeRenderer, LineSet};
 use crate::cube::{CubeImage, CubeSpec, SKY, face_basis};
 use crate::error::BackendError;
-use crate::packet::{LineTracer, Packet};
+use crate::packet::{LANES, LineTracer, Packet, PassingTracer};
 use crate::reduce::Reducer;
 use sightline_model::VisibilitySample;
 
@@ -34,6 +35,8 @@ pub struct CpuBackend {
     whole: OnceLock<Result<Arc<Hierarchy>, String>>,
     /// Hierarchies over the triangles that sight lines can hit, by [`LineSet`].
     lines: [OnceLock<Result<Arc<Hierarchy>, String>>; LineSet::COUNT],
+    /// The hierarchy over those that end a line and those that it passes.
+    together: OnceLock<Result<Arc<Hierarchy>, String>>,
 }
 
 /// A committed hierarchy and the ids of its triangles.
@@ -41,6 +44,8 @@ struct Hierarchy {
     scene: TriangleScene,
     /// Triangle id for each of Embree's triangle numbers; ascending.
     ids: Vec<u32>,
+    /// The same for the triangles that rays pass.
+    passed: Vec<u32>,
 }
 
 impl CpuBackend {
@@ -60,6 +65,7 @@ impl CpuBackend {
             profile,
             whole: OnceLock::new(),
             lines: Default::default(),
+            together: OnceLock::new(),
         })
     }
 
@@ -81,18 +87,45 @@ impl CpuBackend {
         Device::new(config)
     }
 
-    fn build(&self, superset: Option<&[u32]>) -> Result<Arc<Hierarchy>, String> {
-        let all = self.scene.triangles();
-        let seen = |id: &u32| !all[*id as usize].is_degenerate();
-        let ids: Vec<u32> = match superset {
+    /// A hierarchy over the triangles that end rays, all when `None`, and over those that rays pass.
+    fn build(&self, ending: Option<&[u32]>, passed: &[u32]) -> Result<Arc<Hierarchy>, String> {
+        let seen = |id: &u32| !self.scene.triangles()[*id as usize].is_degenerate();
+        let ids: Vec<u32> = match ending {
             Some(ids) => ids.iter().copied().filter(seen).collect(),
             None => (0..self.scene.len()).filter(seen).collect(),
         };
+        let passed: Vec<u32> = passed.iter().copied().filter(seen).collect();
+        let ends = std::iter::once((&ids, false));
+        let layers = ends.chain((!passed.is_empty()).then_some((&passed, true)));
+        let scene =
+            TriangleScene::new(&self.device, layers.map(|(ids, is_passed)| self.layer(ids, is_passed)))?;
+        Ok(Arc::new(Hierarchy { scene, ids, passed }))
+    }
+
+    /// The triangles `ids` for Embree.
+    fn layer<'b>(
+        &'b self,
+        ids: &'b [u32],
+        is_passed: bool,
+    ) -> Layer<impl Iterator<Item = [f32; 9]> + use<'b>> {
+        let all = self.scene.triangles();
         let flat = |id: &u32| -> [f32; 9] { bytemuck::cast::<Triangle, [f32; 9]>(all[*id as usize]) };
         let one_sided = !self.scene.sides().are_both();
-        let fronts = one_sided.then(|| ids.iter().map(|id| self.scene.front(*id).to_array()).collect());
-        let scene = TriangleScene::new(&self.device, ids.len(), ids.iter().map(flat), fronts)?;
-        Ok(Arc::new(Hierarchy { scene, ids }))
+        Layer {
+            count: ids.len(),
+            triangles: ids.iter().map(flat),
+            fronts: one_sided.then(|| ids.iter().map(|id| self.scene.front(*id).to_array()).collect()),
+            is_passed,
+        }
+    }
+
+    /// The tracer of a hierarchy.
+    fn tracer(&self, hierarchy: Result<Arc<Hierarchy>, String>) -> Result<CpuTracer, BackendError> {
+        let failed = |reason| BackendError::Failed { profile: self.profile.clone(), reason };
+        Ok(CpuTracer {
+            hierarchy: hierarchy.map_err(failed)?,
+            near: crate::near_distance(self.scene.bounds()),
+        })
     }
 }
 
@@ -139,17 +172,27 @@ impl Backend for CpuBackend {
     }
 
     fn lines(&self, set: LineSet, ids: &[u32]) -> Result<Box<dyn LineTracer + '_>, BackendError> {
-        let hierarchy = self.lines[set as usize]
-            .get_or_init(|| self.build(Some(ids)))
-            .clone()
-            .map_err(|reason| BackendError::Failed { profile: self.profile.clone(), reason })?;
-        Ok(Box::new(CpuTracer { hierarchy, near: crate::near_distance(self.scene.bounds()) }))
+        let hierarchy = self.lines[set as usize].get_or_init(|| self.build(Some(ids), &[]));
+        Ok(Box::new(self.tracer(hierarchy.clone())?))
+    }
+
+    fn passing(
+        &self,
+        blocking: &[u32],
+        see_through: &[u32],
+    ) -> Result<Option<Box<dyn PassingTracer + '_>>, BackendError> {
+        // A build of Embree without filters traces among the see-through triangles by themselves.
+        if !self.device.has_filters() {
+            return Ok(None);
+        }
+        let hierarchy = self.together.get_or_init(|| self.build(Some(blocking), see_through));
+        Ok(Some(Box::new(self.tracer(hierarchy.clone())?)))
     }
 
     fn prepare(&self, superset: Option<&[u32]>) -> Result<Box<dyn CubeRenderer + '_>, BackendError> {
         let hierarchy = match superset {
-            Some(_) => self.build(superset),
-            None => self.whole.get_or_init(|| self.build(None)).clone(),
+            Some(_) => self.build(superset, &[]),
+            None => self.whole.get_or_init(|| self.build(None, &[])).clone(),
         }
         .map_err(|reason| BackendError::Failed { profile: self.profile.clone(), reason })?;
         let near = crate::near_distance(self.scene.bounds());
@@ -164,15 +207,16 @@ struct CpuTracer {
 }
 
 impl CpuTracer {
-    /// Traces a packet up to a distance for each lane.
-    fn packet(&self, rays: &mut RayHit16, p: &mut Packet, until: [f32; 16]) {
+    /// Traces a packet up to a distance for each lane. Needs `passes` when the hierarchy has triangles that
+    /// rays pass.
+    fn packet(&self, rays: &mut RayHit16, p: &mut Packet, until: [f32; 16], passes: Option<&mut Passes>) {
         rays.org = p.origin;
         rays.dir = p.direction;
         rays.tnear = [self.near; 16];
         rays.tfar = until;
         rays.geom = [u32::MAX; 16];
         let valid = std::array::from_fn(|l| if l < p.count { -1 } else { 0 });
-        self.hierarchy.scene.intersect(&valid, rays);
+        self.hierarchy.scene.intersect(&valid, rays, passes);
         p.distance = rays.tfar;
         for l in 0..16 {
             p.triangle[l] =
@@ -181,11 +225,12 @@ impl CpuTracer {
     }
 
     /// Traces one lane up to a distance.
-    fn lane(&self, p: &mut Packet, l: usize, until: f32) {
+    fn lane(&self, p: &mut Packet, l: usize, until: f32, passes: Option<&mut Passes>) {
         let at = |v: &[[f32; 16]; 3]| [v[0][l], v[1][l], v[2][l]];
         let mut ray = RayHit1::new(at(&p.origin), at(&p.direction), self.near);
         ray.tfar = until;
-        self.hierarchy.scene.intersect_one(&mut ray);
+        ray.id = l as u32;
+        self.hierarchy.scene.intersect_one(&mut ray, passes);
         p.distance[l] = ray.tfar;
         p.triangle[l] = if ray.geom == u32::MAX { SKY } else { self.hierarchy.ids[ray.prim as usize] };
     }
@@ -194,13 +239,13 @@ impl CpuTracer {
 impl LineTracer for CpuTracer {
     fn trace(&self, packets: &mut [Packet]) -> Result<(), BackendError> {
         let mut rays = RayHit16::new();
-        packets.iter_mut().for_each(|p| self.packet(&mut rays, p, [f32::INFINITY; 16]));
+        packets.iter_mut().for_each(|p| self.packet(&mut rays, p, [f32::INFINITY; 16], None));
         Ok(())
     }
 
     fn trace_each(&self, packets: &mut [Packet]) -> Result<(), BackendError> {
         for p in packets {
-            (0..p.count).for_each(|l| self.lane(p, l, f32::INFINITY));
+            (0..p.count).for_each(|l| self.lane(p, l, f32::INFINITY, None));
         }
         Ok(())
     }
@@ -210,10 +255,40 @@ impl LineTracer for CpuTracer {
         for p in packets {
             let until = p.distance;
             if coherent {
-                self.packet(&mut rays, p, until);
+                self.packet(&mut rays, p, until, None);
             } else {
-                (0..p.count).for_each(|l| self.lane(p, l, until[l]));
+                (0..p.count).for_each(|l| self.lane(p, l, until[l], None));
             }
+        }
+        Ok(())
+    }
+}
+
+impl PassingTracer for CpuTracer {
+    fn trace_passing(
+        &self,
+        packets: &mut [Packet],
+        coherent: bool,
+        found: &mut Vec<(u32, u32, f32)>,
+    ) -> Result<(), BackendError> {
+        let mut rays = RayHit16::new();
+        rays.id = std::array::from_fn(|l| l as u32);
+        let mut passes = Passes::new();
+        for (k, p) in packets.iter_mut().enumerate() {
+            let until = p.distance;
+            passes.clear();
+            if coherent {
+                self.packet(&mut rays, p, until, Some(&mut passes));
+            } else {
+                (0..p.count).for_each(|l| self.lane(p, l, until[l], Some(&mut passes)));
+            }
+            let line = |ray: u32| (k * LANES) as u32 + ray;
+            found.extend(
+                passes
+                    .iter()
+                    .filter(|pass| pass.at <= p.distance[pass.ray as usize])
+                    .map(|pass| (line(pass.ray), self.hierarchy.passed[pass.triangle as usize], pass.at)),
+            );
         }
         Ok(())
     }
@@ -261,7 +336,7 @@ impl CpuRenderer {
                         rays.geom[l] = u32::MAX;
                         rays.prim[l] = u32::MAX;
                     }
-                    self.hierarchy.scene.intersect(&valid, &mut rays);
+                    self.hierarchy.scene.intersect(&valid, &mut rays, None);
                     for lane in 0..16u32 {
                         let l = lane as usize;
                         if valid[l] != 0 && rays.geom[l] != u32::MAX {

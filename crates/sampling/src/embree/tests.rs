@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use super::library::{Device, RayHit1, TriangleScene};
+use super::library::{Device, Layer, RayHit1, TriangleScene};
 use super::{CpuBackend, CpuTracer, Hierarchy};
 use crate::cube::SKY;
 use crate::error::BackendError;
@@ -30,6 +30,11 @@ fn soup(count: usize) -> Vec<[f32; 9]> {
         .collect()
 }
 
+/// Triangles that end rays and have two sides.
+fn layer(triangles: &[[f32; 9]]) -> Layer<impl Iterator<Item = [f32; 9]> + '_> {
+    Layer { count: triangles.len(), triangles: triangles.iter().copied(), fronts: None, is_passed: false }
+}
+
 /// The device, or `None` without Embree. Under `CI` a missing Embree is a failure.
 fn device(threads: usize) -> Option<Arc<Device>> {
     match CpuBackend::open(threads) {
@@ -46,8 +51,9 @@ fn device(threads: usize) -> Option<Arc<Device>> {
 fn rays_by_themselves_meet_what_they_meet_in_packets() {
     let triangles = soup(20_000);
     let Some(device) = device(1) else { return };
-    let scene = TriangleScene::new(&device, triangles.len(), triangles.iter().copied(), None).unwrap();
-    let hierarchy = Arc::new(Hierarchy { scene, ids: (0..triangles.len() as u32).collect() });
+    let scene = TriangleScene::new(&device, [layer(&triangles)]).unwrap();
+    let hierarchy =
+        Arc::new(Hierarchy { scene, ids: (0..triangles.len() as u32).collect(), passed: Vec::new() });
     let tracer = CpuTracer { hierarchy, near: 0.0 };
     let mut random = Hashed::new(&[3]);
     let mut packets: Vec<Packet> = (0..1000)
@@ -82,14 +88,14 @@ fn however_many_threads_build_it_the_hierarchy_is_the_same() {
     let mut met: Vec<Vec<(u32, u32)>> = Vec::new();
     for threads in [1, 2, 3, 8] {
         let Some(device) = device(threads) else { return };
-        let scene = TriangleScene::new(&device, triangles.len(), triangles.iter().copied(), None).unwrap();
+        let scene = TriangleScene::new(&device, [layer(&triangles)]).unwrap();
         let ray = |i: u32| {
             let (x, y) = (i % 256, i / 256);
             // Vertical rays through lattice points and edges, where many triangles are hit at equal
             // distance, and oblique rays.
             let direction = if i.is_multiple_of(2) { [0.0, 0.0, -1.0] } else { [0.25, 0.5, -1.0] };
             let mut ray = RayHit1::new([x as f32 * 0.25, y as f32 * 0.25, 20.0], direction, 0.0);
-            scene.intersect_one(&mut ray);
+            scene.intersect_one(&mut ray, None);
             (ray.prim, ray.tfar.to_bits())
         };
         met.push((0..256 * 256).map(ray).collect());
