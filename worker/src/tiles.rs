@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use futures::StreamExt as _;
-use sightline_bake::{BakeError, Control, PackBytes, Watcher, run_tile};
+use sightline_bake::{Alone, BakeError, Control, PackBytes, Watcher, run_tile};
 use sightline_model::{JobSpec, Sampler};
 use sightline_proto::chunks::{Assembler, count, piece};
 use sightline_proto::v1;
@@ -161,7 +161,7 @@ impl Shop {
                 Err(digest) => PackBytes::Lost(*digest),
             })
             .collect();
-        let control = Control { watcher: held, deadline };
+        let control = Control { watcher: held, deadline, crew: &Alone };
         let done = run_tile(spec, held.lease.tile, &loaded.scene, &*backend, &packs, control);
         let done = done.map_err(|e| match e {
             BakeError::Cancelled => Failure::Cancelled,

@@ -7,7 +7,7 @@
 use std::error::Error;
 use std::sync::Arc;
 
-use sightline_bake::{BakeScene, Control, Watcher, run_tile};
+use sightline_bake::{Alone, BakeScene, Control, Watcher, run_tile};
 use sightline_model::{CellSets, JobSpec, TileOutput, codec};
 use sightline_sampling::CubeSpec;
 use sightline_sampling::embree::CpuBackend;
@@ -37,7 +37,7 @@ pub fn bake() -> Result<CellSets, Box<dyn Error>> {
     let spec = JobSpec::new(scene.digest().0, division, scene.bounds());
     spec.check()?;
     let backend = CpuBackend::new(Arc::clone(&scene), CubeSpec::of(&spec.sampling))?;
-    let control = Control { watcher: &Unwatched, deadline: None };
+    let control = Control { watcher: &Unwatched, deadline: None, crew: &Alone };
     let done = run_tile(&spec, 0, &BakeScene::new(Arc::clone(&scene))?, &backend, &[], control)?;
     // A worker sends these bytes to its coordinator; here they are decoded at once.
     match codec::decode(&done.bytes, scene.len())? {

@@ -7,7 +7,7 @@
 //! ```no_run
 //! use std::sync::Arc;
 //!
-//! use sightline_bake::{BakeScene, Control, Watcher, run_tile};
+//! use sightline_bake::{Alone, BakeScene, Control, Watcher, run_tile};
 //! use sightline_model::JobSpec;
 //! use sightline_sampling::{CubeSpec, embree::CpuBackend};
 //! use sightline_viewcells::Division;
@@ -24,7 +24,7 @@
 //! let scene = Arc::new(sightline_scene::load("level.glb".as_ref())?);
 //! let spec = JobSpec::new(scene.digest().0, Division::Grid([8, 8, 8]), scene.bounds());
 //! let backend = CpuBackend::new(Arc::clone(&scene), CubeSpec::of(&spec.sampling))?;
-//! let control = Control { watcher: &Unwatched, deadline: None };
+//! let control = Control { watcher: &Unwatched, deadline: None, crew: &Alone };
 //! let done = run_tile(&spec, 0, &BakeScene::new(scene)?, &backend, &[], control)?;
 //! println!("{} bytes from {} rays", done.bytes.len(), done.samples);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -41,6 +41,7 @@ use std::time::Instant;
 pub use scene::BakeScene;
 use sightline_model::{JobSpec, Method, Pack, TileOutput, codec};
 pub use sightline_sampling::Watcher;
+pub use sightline_sampling::crew::{Alone, Crew};
 use sightline_sampling::lines::hits;
 use sightline_sampling::{Backend, BackendError, JobContext, TileError, tile};
 use sightline_viewcells::{Plan, TileKind};
@@ -64,6 +65,9 @@ pub struct Control<'a> {
     pub watcher: &'a dyn Watcher,
     /// The end of a time budget.
     pub deadline: Option<Instant>,
+    /// Those who share the sampling of a block; [`Alone`] for nobody else. With a time budget members would
+    /// not stop at the same place, so there must be one.
+    pub crew: &'a dyn Crew,
 }
 
 /// A finished tile.
@@ -144,6 +148,7 @@ pub fn run_tile(
         backend,
         seed: spec.seed,
         deadline: choices::sampling_deadline(spec.method, control.deadline),
+        crew: control.crew,
     };
     if packs.len() != tile.needs.len() {
         return Err(BakeError::Tile(format!(

@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use sightline_bake::{BakeError, BakeScene, Control, Watcher, run_tile};
+use sightline_bake::{Alone, BakeError, BakeScene, Control, Watcher, run_tile};
 use sightline_model::{JobSpec, Method};
 use sightline_sampling::{BackendError, CubeSpec, embree::CpuBackend};
 use sightline_scene::load::{Options, load_bytes_with};
@@ -46,7 +46,7 @@ fn a_tile_is_sampled_and_not_decided() {
         Err(e) => panic!("{e}"),
     };
     let scene = BakeScene::new(scene).unwrap();
-    let control = Control { watcher: &Silent, deadline: None };
+    let control = Control { watcher: &Silent, deadline: None, crew: &Alone };
     let run = |spec: &JobSpec| run_tile(spec, 0, &scene, &backend, &[], control);
     assert!(run(&aggressive).is_ok());
     for method in [Method::Exact, Method::Verified] {

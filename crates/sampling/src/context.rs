@@ -6,7 +6,8 @@ use sightline_model::SamplingParams;
 use sightline_viewcells::{Division, Lattice, Viewpoints};
 
 use crate::backend::Backend;
-use crate::error::BackendError;
+use crate::crew::Crew;
+pub use crate::error::TileError;
 use crate::prepared::PreparedScene;
 
 /// The inputs that all tiles of a job share.
@@ -29,6 +30,8 @@ pub struct JobContext<'a> {
     pub seed: u64,
     /// When sampling stops with the sets found by then; the sampler cubes ignores it.
     pub deadline: Option<Instant>,
+    /// Those who share the phases of a block; the sampler cubes works alone.
+    pub crew: &'a dyn Crew,
 }
 
 impl JobContext<'_> {
@@ -36,17 +39,6 @@ impl JobContext<'_> {
     pub fn is_late(&self) -> bool {
         self.deadline.is_some_and(|d| Instant::now() >= d)
     }
-}
-
-/// Why a tile did not finish.
-#[derive(Debug, thiserror::Error)]
-pub enum TileError {
-    /// The coordinator took the lease back.
-    #[error("the tile was cancelled")]
-    Cancelled,
-    /// The backend failed.
-    #[error(transparent)]
-    Backend(#[from] BackendError),
 }
 
 /// Receives the progress of a tile and can cancel it.

@@ -1,4 +1,4 @@
-//! The error of a sampling backend.
+//! The errors of a sampling backend and of a tile.
 
 /// A backend that is not available, or that failed.
 #[derive(Debug, thiserror::Error)]
@@ -14,4 +14,15 @@ pub enum BackendError {
         /// The report of the device.
         reason: String,
     },
+}
+
+/// Why a tile did not finish.
+#[derive(Debug, thiserror::Error)]
+pub enum TileError {
+    /// The coordinator took the lease back.
+    #[error("the tile was cancelled")]
+    Cancelled,
+    /// The backend failed.
+    #[error(transparent)]
+    Backend(#[from] BackendError),
 }

@@ -23,6 +23,7 @@
 pub mod auto;
 mod backend;
 mod context;
+pub mod crew;
 pub mod cube;
 mod cubes;
 pub mod embree;
@@ -40,9 +41,9 @@ pub mod surface;
 pub mod tile;
 
 pub use backend::{Backend, CubeRenderer, LineSet};
-pub use context::{JobContext, TileError, Watcher};
+pub use context::{JobContext, Watcher};
 pub use cube::{CubeImage, CubeSpec, SKY, Strata, near_distance};
-pub use error::BackendError;
+pub use error::{BackendError, TileError};
 pub use prepared::{PreparedScene, Traced};
 pub use sightline_model::VisibilitySample;
 pub use tile::TileCounters;

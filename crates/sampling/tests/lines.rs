@@ -8,6 +8,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use sightline_model::CellStats;
 use sightline_sampling::Watcher;
+use sightline_sampling::crew::Alone;
 use sightline_sampling::embree::CpuBackend;
 use sightline_sampling::lines::block::{Block, Tools};
 use sightline_sampling::lines::grid::CellGrid;
@@ -93,7 +94,8 @@ fn with_block<R>(
     let grid = CellGrid::new(view[0], view[1], cells);
     let pairs = Pairs::new(grid.clone());
     let pairs = Some(&pairs);
-    let tools = Tools { scene, surface: &surface, rows: &rows, sight, seed, watcher, deadline, pairs };
+    let (surface, rows, crew) = (&surface, &rows, &Alone);
+    let tools = Tools { scene, surface, rows, sight, seed, watcher, deadline, pairs, crew };
     let [nx, ny, _] = cells.map(u64::from);
     let number = |c: [u32; 3]| (u64::from(c[2]) * ny + u64::from(c[1])) * nx + u64::from(c[0]);
     f(&mut Block::new(tools, grid, number, |_| u64::MAX))

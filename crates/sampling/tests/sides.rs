@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 use sightline_model::{CellSets, Pack, Sampler, SamplingParams, TileOutput, codec};
+use sightline_sampling::crew::Alone;
 use sightline_sampling::embree::CpuBackend;
 use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
 use sightline_sampling::packet::{LANES, Packet};
@@ -107,6 +108,7 @@ fn bake(
         backend,
         seed: 0,
         deadline: None,
+        crew: &Alone,
     };
     let mut outputs: Vec<Vec<u8>> = Vec::new();
     let mut sets = Vec::new();

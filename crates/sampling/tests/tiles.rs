@@ -11,6 +11,7 @@ use glam::Vec3;
 use sightline_model::{
     CellSet, CellSets, ErrorMeasure, Node, Pack, Sampler, SamplingParams, SupersetChoice, TileOutput, codec,
 };
+use sightline_sampling::crew::Alone;
 use sightline_sampling::embree::CpuBackend;
 use sightline_sampling::{Backend, CubeSpec, JobContext, PreparedScene, Watcher, tile};
 use sightline_scene::generate::{Kind, Params, generate};
@@ -79,6 +80,7 @@ fn bake_tiles(
         backend: &backend as &dyn Backend,
         seed: 0,
         deadline: None,
+        crew: &Alone,
     };
     let mut outputs: Vec<Vec<u8>> = Vec::new();
     let mut leaves = Vec::new();
@@ -292,6 +294,7 @@ fn an_adaptive_tree_that_runs_out_of_time_says_where() {
         backend,
         seed: 0,
         deadline: now,
+        crew: &Alone,
     };
     let TileOutput::Cells(sets) = tile::run(&job, &plan.tiles[0], &[], &Count::default()).unwrap().0 else {
         panic!("a leaf tile gives cells")

@@ -37,8 +37,8 @@ pub struct Pass {
     pub at: f32,
 }
 
-/// The hits that [`collect`] lists, in an order of no meaning. Some lie behind the end of their ray, which was
-/// not known yet when they were met.
+/// The hits that [`collect`] lists, in an order of no meaning. Some lie behind the end of their ray, which
+/// was not known yet when they were met.
 pub type Passes = Vec<Pass>;
 
 /// Context of a query: `RTCIntersectContext` of Embree 3 or `RTCRayQueryContext` of Embree 4, with spare
@@ -104,8 +104,8 @@ pub unsafe extern "C" fn collect(arguments: *const FilterArguments) {
     let (arguments, passes) = unsafe { (&*arguments, &mut *(*(*arguments).context).passes) };
     let n = arguments.count as usize;
     for i in 0..n {
-        // SAFETY: `valid` has n elements; rays and hits have more rows of n words than are read here. The user
-        // data is as the caller says.
+        // SAFETY: `valid` has n elements; rays and hits have more rows of n words than are read here. The
+        // user data is as the caller says.
         unsafe {
             let valid = arguments.valid.add(i);
             if *valid == 0 {

@@ -61,6 +61,42 @@ impl SeenBits {
         }
     }
 
+    /// Number of words of the table.
+    pub fn places(&self) -> usize {
+        self.before.len()
+    }
+
+    /// Calls `each` with the place and the bits of every word that has credits since the last barrier, by
+    /// ascending place.
+    pub fn each_new(&self, mut each: impl FnMut(usize, u64)) {
+        self.each_touched(|at| {
+            let new = self.now[at].load(Relaxed) & !self.before[at];
+            if new != 0 {
+                each(at, new);
+            }
+        });
+    }
+
+    /// Takes back all credits since the last barrier. No thread may credit meanwhile.
+    pub fn forget(&self) {
+        self.each_touched(|at| self.now[at].store(self.before[at], Relaxed));
+        self.touched.iter().for_each(|t| t.store(0, Relaxed));
+    }
+
+    /// Credits the cells of the bits of a word, by its place.
+    pub fn add(&self, at: usize, bits: u64) {
+        self.now[at].fetch_or(bits, Relaxed);
+        self.touched[at / self.words / GROUP].store(1, Relaxed);
+    }
+
+    /// Calls `each` with the place of every word of a row group that has credits since the last barrier.
+    fn each_touched(&self, mut each: impl FnMut(usize)) {
+        let group = GROUP * self.words;
+        for (number, _) in self.touched.iter().enumerate().filter(|(_, t)| t.load(Relaxed) != 0) {
+            (number * group..((number + 1) * group).min(self.now.len())).for_each(&mut each);
+        }
+    }
+
     /// Publishes all credits since the last barrier.
     pub fn publish(&mut self) {
         let words = self.words;

@@ -7,21 +7,20 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use glam::Vec3;
-use rayon::prelude::*;
 use sightline_scene::Scene;
 
 use super::bits::SeenBits;
 use super::grid::{CellGrid, Crossed, Slot};
 use super::pairs::Pairs;
-use super::yields::Yields;
-use crate::context::{TileError, Watcher};
+use super::yields::{Tally, Yields};
+use crate::context::Watcher;
+use crate::crew::Crew;
 use crate::cube::SKY;
-use crate::error::BackendError;
 use crate::packet::Packet;
 use crate::rows::Rows;
 use crate::sight::{Passed, Sight};
 use crate::surface::Surface;
-use sightline_model::{CellStats, LineKind};
+use sightline_model::CellStats;
 use sightline_viewcells::viewpoints::PARTS;
 
 /// Work of an aimed ray in units of a uniform ray, which is traced in a packet: measured as 2 (wide tiles,
@@ -56,6 +55,8 @@ pub struct Tools<'a> {
     pub deadline: Option<Instant>,
     /// Which cells see which; `None` when the job does not ask.
     pub pairs: Option<&'a Pairs>,
+    /// Those who share the work.
+    pub crew: &'a dyn Crew,
 }
 
 /// A view cell of the block.
@@ -113,6 +114,8 @@ pub(super) struct Scratch {
     pub(super) crossed: Crossed,
     /// The cells of the whole division that a line crosses.
     pub(super) joined: Crossed,
+    /// The tries at the candidates of the present cell.
+    pub(super) tally: Tally,
 }
 
 impl Scratch {
@@ -402,53 +405,6 @@ impl<'a> Block<'a> {
         self.tools.deadline.is_some_and(|d| Instant::now() >= d)
     }
 
-    /// Calls `f` for each piece of work on a thread of the pool and adds its counts to the cell's statistics.
-    pub(super) fn each<W, F>(&mut self, work: &[W], f: F) -> Result<(), TileError>
-    where
-        W: Sync + HasCell,
-        F: Fn(&Self, &mut Scratch, &W) -> Result<CellStats, BackendError> + Sync,
-    {
-        let this = &*self;
-        let done: Vec<CellStats> = work
-            .par_iter()
-            .with_max_len(2)
-            .map(|w| {
-                if this.tools.watcher.cancelled() {
-                    return Err(TileError::Cancelled);
-                }
-                if this.late() {
-                    return Ok(CellStats::default());
-                }
-                let stats = this.with_scratch(|scratch| f(this, scratch, w))?;
-                if this.tools.watcher.cancelled() {
-                    return Err(TileError::Cancelled);
-                }
-                this.tools.watcher.rendered(stats.rays.iter().sum());
-                Ok(stats)
-            })
-            .collect::<Result<_, TileError>>()?;
-        for (w, s) in work.iter().zip(done) {
-            let all = &mut self.stats[w.cell()];
-            for k in 0..s.rays.len() {
-                all.rays[k] += s.rays[k];
-                all.finds[k] += s.finds[k];
-            }
-            if s.rays[LineKind::Uniform as usize] > 0 {
-                all.rounds += 1;
-                (all.last_rays, all.last_misses) = (s.last_rays, s.last_misses);
-            }
-            if s.bound_lines > 0 {
-                (all.bound_lines, all.bound_misses, all.bound_look) =
-                    (s.bound_lines, s.bound_misses, s.bound_look);
-            }
-            if s.bound_cell_lines > 0 {
-                (all.bound_cell_lines, all.bound_cell_misses, all.bound_cell_look) =
-                    (s.bound_cell_lines, s.bound_cell_misses, s.bound_cell_look);
-            }
-        }
-        Ok(())
-    }
-
     /// Lends a thread's scratch memory.
     pub(super) fn with_scratch<R>(&self, f: impl FnOnce(&mut Scratch) -> R) -> R {
         let taken = self.scratch.lock().unwrap_or_else(PoisonError::into_inner).pop();
@@ -460,21 +416,10 @@ impl<'a> Block<'a> {
             passed: Passed::default(),
             crossed: Vec::new(),
             joined: Vec::new(),
+            tally: Tally::default(),
         });
         let result = f(&mut scratch);
         self.scratch.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
         result
-    }
-}
-
-/// A piece of work on one cell of the block.
-pub(super) trait HasCell {
-    /// Its place in `Block::cells`.
-    fn cell(&self) -> usize;
-}
-
-impl<T> HasCell for (usize, T) {
-    fn cell(&self) -> usize {
-        self.0
     }
 }

@@ -4,10 +4,13 @@
 //! Sixteen nearby candidates share an origin close to the face through which the neighbours see them: a point
 //! of that face belongs to both cells. Each line is traced in both directions.
 
+use std::sync::OnceLock;
+
 use glam::Vec3;
 use rayon::prelude::*;
 
 use super::block::{Block, JOINED_AIMED_LANES, Scratch};
+use crate::context::TileError;
 use crate::cube::SKY;
 use crate::error::BackendError;
 use crate::packet::{LANES, Packet};
@@ -36,6 +39,24 @@ pub(super) struct Candidate {
 }
 
 impl Block<'_> {
+    /// Aims from each cell of `open` at its candidates that cover at least the part `least` of the sphere.
+    pub(super) fn aim_at_candidates(
+        &mut self,
+        open: &[usize],
+        least: &[f64],
+        round: u32,
+    ) -> Result<(), TileError> {
+        // Members of the crew that compute no cell of the round need no candidates.
+        let lists: OnceLock<Vec<Vec<Candidate>>> = OnceLock::new();
+        let list = |item: usize| lists.get().map_or(&[][..], |lists| &lists[item]);
+        self.each_prepared(
+            open,
+            &|block| drop(lists.set(block.candidates(open, least))),
+            &|item| 1 + list(item).len() as u64,
+            &|block, scratch, item| block.aim(scratch, open[item], list(item), round),
+        )
+    }
+
     /// The candidates of each cell of `open` in Morton order: those that cover at least the part `least` of
     /// the sphere as seen from the cell's centre.
     pub(super) fn candidates(&self, open: &[usize], least: &[f64]) -> Vec<Vec<Candidate>> {
@@ -206,7 +227,7 @@ impl Block<'_> {
         }
         // The directions to sixteen nearby candidates still differ too much for a packet.
         self.tools.sight.trace_each(&mut s.packets, &mut s.passed, self.step)?;
-        let Scratch { packets, passed, crossed, joined, met, tag, .. } = &mut *s;
+        let Scratch { packets, passed, crossed, joined, met, tag, tally, .. } = &mut *s;
         for (pair, group) in some.chunks(LANES).enumerate() {
             let halves = [2 * pair, 2 * pair + 1];
             let ahead = &packets[halves[0]];
@@ -214,7 +235,7 @@ impl Block<'_> {
             for (lane, candidate) in group.iter().enumerate() {
                 let found = ahead.triangle[lane] == candidate.triangle
                     || !passed.is_empty() && passed.on(halves[0], lane).any(|t| t == candidate.triangle);
-                self.yields.count(candidate.part, time, uniform, found);
+                self.yields.count(tally, (candidate.part, time), uniform, found);
                 let joins = lane.is_multiple_of(JOINED_AIMED_LANES);
                 let ends = self.credit_line(packets, passed, halves, lane, (crossed, joined), joins);
                 let mut meet = |triangle| {

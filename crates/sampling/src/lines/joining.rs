@@ -9,12 +9,12 @@
 //! Lines that look for triangles have joined the cells that they cross before. They find narrow openings, but
 //! few of them lead from one end of a flat division to the other (`docs/experiments/cell-to-cell.md`).
 
-use rayon::prelude::*;
 use sightline_viewcells::CellBox;
 
 use super::block::{Cell, LEAST_STEP};
 use super::grid::{CellGrid, Crossed};
 use super::pairs::Pairs;
+use super::phase::{self, Items, Tables};
 use super::rounds::LEFT_AFTER_ROUND;
 use crate::context::{JobContext, TileError, Watcher};
 use crate::packet::{LANES, Packet};
@@ -86,18 +86,19 @@ pub fn search(
         let before = pairs.copy();
         let segments = Segments { sight, pairs, before: &before, cells: &cells, step, seed: job.seed, round };
         let mut cast = |at: &Cast<'_>| {
-            let found: Vec<(u64, f64)> = own
-                .par_iter()
-                .with_max_len(2)
-                .map(|cell| match watcher.cancelled() {
-                    true => Err(TileError::Cancelled),
-                    false if job.is_late() => Ok((0, 0.0)),
-                    false => at(&segments, cell),
-                })
-                .collect::<Result<_, TileError>>()?;
+            let compute = |item: usize| {
+                if watcher.cancelled() {
+                    return Err(TileError::Cancelled);
+                }
+                let found = if job.is_late() { (0, 0.0) } else { at(&segments, own[item])? };
+                watcher.rendered(found.0);
+                Ok(found)
+            };
+            let items = Items { count: own.len(), prepare: &|| {}, cost: &|_| 1, compute: &compute };
+            let tables = Tables { bits: None, pairs: Some(pairs) };
+            let found: Vec<(u64, f64)> = phase::run(job.crew, tables, items)?;
             let count: u64 = found.iter().map(|f| f.0).sum();
             rays += count;
-            watcher.rendered(count);
             tracing::debug!("joining, round {round}: {count} segments");
             // In the order of the cells, so the sum is the same on every run.
             Ok::<f64, TileError>(found.iter().map(|f| f.1).sum())

@@ -5,6 +5,7 @@
 //! the order of threads changes nothing.
 
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::{Mutex, PoisonError};
 
 use sightline_model::{PairTable, TilePairs};
 
@@ -17,6 +18,8 @@ pub struct Pairs {
     words: usize,
     /// A row of bits for each slot of the grid.
     rows: Vec<AtomicU64>,
+    /// The rows that the other members of the crew have or are given; empty when there are none.
+    kept: Mutex<Vec<u64>>,
 }
 
 impl Pairs {
@@ -25,7 +28,34 @@ impl Pairs {
         let words = grid.words();
         let mut rows = Vec::new();
         rows.resize_with(words * 64 * words, || AtomicU64::new(0));
-        Self { grid, words, rows }
+        Self { grid, words, rows, kept: Mutex::default() }
+    }
+
+    /// Number of words of the table.
+    pub fn places(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Joins the cells of the bits of a word, by its place.
+    pub fn add(&self, at: usize, bits: u64) {
+        self.rows[at].fetch_or(bits, Relaxed);
+    }
+
+    /// Calls `each` with the place and the bits of every word that is new since [`Self::keep`], by ascending
+    /// place.
+    pub fn each_new(&self, mut each: impl FnMut(usize, u64)) {
+        let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        for (at, word) in self.rows.iter().enumerate() {
+            let new = word.load(Relaxed) & !kept.get(at).copied().unwrap_or(0);
+            if new != 0 {
+                each(at, new);
+            }
+        }
+    }
+
+    /// Notes the pairs that are here now as known to all members of the crew, or given to them.
+    pub fn keep(&self) {
+        *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = self.copy();
     }
 
     /// The grid of the whole division.

@@ -7,7 +7,6 @@
 //! more for the hardest cells ([`Tolerance`]).
 
 use super::block::{AIMED_WORK, Block};
-use super::candidates::Candidate;
 use crate::context::TileError;
 use sightline_model::{CellStats, LineKind};
 
@@ -91,9 +90,7 @@ impl Block<'_> {
             let least: Vec<f64> =
                 open.iter().map(|c| (self.missing(*c) * CANDIDATE_PART).max(1e-12)).collect();
             self.plan_tries(&open);
-            let lists = self.candidates(&open, &least);
-            let work: Vec<(usize, Vec<Candidate>)> = open.iter().copied().zip(lists).collect();
-            self.each(&work, |block, scratch, (cell, list)| block.aim(scratch, *cell, list, round))?;
+            self.aim_at_candidates(&open, &least, round)?;
             self.bits.publish();
             if self.late() {
                 // Aiming was cut short, so the rule below does not hold.

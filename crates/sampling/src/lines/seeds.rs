@@ -6,9 +6,9 @@
 //! log-uniform, because gaps have all sizes.
 
 use glam::{DVec3, Vec3};
-use rayon::prelude::*;
 
 use super::block::{Block, JOINED_AIMED_LANES, Scratch};
+use super::phase::{self, Items};
 use crate::context::TileError;
 use crate::packet::{LANES, Packet};
 use crate::sequence::Hashed;
@@ -16,7 +16,7 @@ use crate::surface::point_on;
 
 /// One triangle in this many is a seed.
 const ONE_IN: usize = 2;
-/// Triangles a thread takes at once.
+/// Triangles of an item of the phase.
 const STRIPE: usize = 1024;
 /// Distances of origins: from a quarter of the block's size down by this many halvings.
 const HALVINGS: f32 = 16.0;
@@ -29,12 +29,14 @@ impl Block<'_> {
         let (min, max) = self.grid.bounds();
         let extent = (max - min).length();
         let first = self.cells.first().map_or(0, |c| c.number);
-        self.tools.surface.morton.par_chunks(STRIPE).enumerate().try_for_each(|(number, stripe)| {
+        let stripes: Vec<&[u32]> = self.tools.surface.morton.chunks(STRIPE).collect();
+        let compute = |number: usize| {
+            let stripe = stripes[number];
             if self.tools.watcher.cancelled() {
                 return Err(TileError::Cancelled);
             }
             if self.late() {
-                return Ok(());
+                return Ok(0);
             }
             self.with_scratch(|s| {
                 let mut random = Hashed::new(&[self.tools.seed, first, number as u64, SEEDS]);
@@ -67,9 +69,12 @@ impl Block<'_> {
                     }
                 }
                 self.tools.watcher.rendered(rays);
-                Ok(())
+                Ok(rays)
             })
-        })
+        };
+        let cost = |_| 1;
+        let items = Items { count: stripes.len(), prepare: &|| {}, cost: &cost, compute: &compute };
+        phase::run(self.tools.crew, self.tables(), items).map(|_| ())
     }
 }
 

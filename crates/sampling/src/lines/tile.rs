@@ -38,6 +38,7 @@ pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(
     if let Division::Adaptive { .. } = job.division {
         let (sets, rays) = adaptive::run(&work, tile)?;
         let joined = join()?;
+        job.crew.end()?;
         return Ok((CellSets { pairs: of_tile(job, pairs.as_ref()), ..sets }, rays + joined));
     }
     let whole = job.lattice.units().map(|u| u64::from(u / UNITS_PER_CELL));
@@ -70,6 +71,7 @@ pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(
             join()?
         }
     };
+    job.crew.end()?;
     tracing::debug!("sampled after {:?}", start.elapsed());
     share(&work, &mut block);
     let rays: u64 = block.stats().iter().flat_map(|s| s.rays).sum();

@@ -42,6 +42,7 @@ impl Work<'_> {
             watcher: self.watcher,
             deadline: self.job.deadline,
             pairs: self.pairs,
+            crew: self.job.crew,
         };
         let (min, max) = within.world(&self.job.lattice);
         let mut block = Block::new(tools, CellGrid::new(min, max, cells), number, parts);

@@ -8,9 +8,7 @@
 //! which gives the number at which they are equal.
 //!
 //! Candidates are classed by the decade of their part of the sphere and counted over all cells of the block,
-//! because one cell has too few. The sums are integers, so they do not depend on the order of the threads.
-
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+//! because one cell has too few. The sums are integers, so they do not depend on the order of the items.
 
 /// Number of decades; smaller candidates are in the last.
 const DECADES: usize = 8;
@@ -27,15 +25,47 @@ const OF_ONE_IN: f64 = 0.5;
 /// Most tries at a candidate in a round.
 const MOST: f64 = 8.0;
 
+/// The tries at candidates of a decade.
+#[derive(Clone, Copy, Default)]
+struct Counts {
+    tries: u64,
+    /// Their expected gain in seen parts of the sphere, in [`GAIN_UNIT`].
+    gain: u64,
+    /// Sum over the tries of the attempts before each, in [`ATTEMPT_UNIT`].
+    before: u64,
+}
+
+/// The tries at the candidates of a cell in a round.
+#[derive(Clone, Default)]
+pub(super) struct Tally([Counts; DECADES]);
+
+impl Tally {
+    /// Number of [`Self::numbers`].
+    const NUMBERS: usize = 3 * DECADES;
+
+    /// All counts, in a fixed order.
+    pub(super) fn numbers(&self) -> [u64; Self::NUMBERS] {
+        let mut all = [0; Self::NUMBERS];
+        for (n, c) in self.0.iter().enumerate() {
+            all[3 * n..3 * n + 3].copy_from_slice(&[c.tries, c.gain, c.before]);
+        }
+        all
+    }
+
+    /// The tally of [`Self::numbers`].
+    pub(super) fn from_numbers(numbers: [u64; Self::NUMBERS]) -> Self {
+        Self(std::array::from_fn(|n| {
+            let [tries, gain, before] = [0, 1, 2].map(|k| numbers[3 * n + k]);
+            Counts { tries, gain, before }
+        }))
+    }
+}
+
 /// The gains of aiming at candidates of a decade.
 #[derive(Default)]
 struct Decade {
-    /// Tries since the last plan.
-    tries: AtomicU64,
-    /// Expected gain of these tries in seen parts of the sphere, in [`GAIN_UNIT`].
-    gain: AtomicU64,
-    /// Sum over these tries of the attempts before each, in [`ATTEMPT_UNIT`].
-    before: AtomicU64,
+    /// Since the last plan.
+    counts: Counts,
     /// Tries at a candidate in all rounds before.
     so_far: f64,
     /// Tries at a candidate in this round; the fractional part is the probability of one more. 0 before the
@@ -73,17 +103,27 @@ impl Yields {
         self.decades[decade_of(part)].times
     }
 
-    /// Counts try number `time` of this round, from 0, at a candidate that would cover `part` of the sphere
-    /// seen from a cell that has cast `rays` uniform rays.
-    pub(super) fn count(&self, part: f32, time: u32, rays: u64, found: bool) {
+    /// Counts in a cell's tally try number `time` of this round, from 0, at a candidate that would cover
+    /// `part` of the sphere seen from a cell that has cast `rays` uniform rays.
+    pub(super) fn count(&self, tally: &mut Tally, (part, time): (f32, u32), rays: u64, found: bool) {
         let number = decade_of(part);
-        let decade = &self.decades[number];
+        let (decade, counts) = (&self.decades[number], &mut tally.0[number]);
         let before = decade.so_far + f64::from(time) + rays as f64 * f64::from(part);
-        decade.tries.fetch_add(1, Relaxed);
-        decade.before.fetch_add((before / ATTEMPT_UNIT) as u64, Relaxed);
+        counts.tries += 1;
+        counts.before = counts.before.wrapping_add((before / ATTEMPT_UNIT) as u64);
         if found {
             let gain = f64::from(part) / PARTS[number] / (before + 1.0);
-            decade.gain.fetch_add((gain / GAIN_UNIT) as u64, Relaxed);
+            counts.gain = counts.gain.wrapping_add((gain / GAIN_UNIT) as u64);
+        }
+    }
+
+    /// Adds the tries at the candidates of a cell.
+    pub(super) fn add(&mut self, tally: &Tally) {
+        for (decade, new) in self.decades.iter_mut().zip(&tally.0) {
+            let counts = &mut decade.counts;
+            counts.tries = counts.tries.wrapping_add(new.tries);
+            counts.gain = counts.gain.wrapping_add(new.gain);
+            counts.before = counts.before.wrapping_add(new.before);
         }
     }
 
@@ -95,9 +135,10 @@ impl Yields {
         let uniform = OF_ONE_IN * misses as f64 / cast.max(1) as f64 / self.rays;
         let grown = rays / self.rays;
         for (decade, part) in self.decades.iter_mut().zip(PARTS) {
-            let tries = std::mem::take(decade.tries.get_mut()) as f64;
-            let gain = std::mem::take(decade.gain.get_mut()) as f64 * GAIN_UNIT * part;
-            let before = std::mem::take(decade.before.get_mut()) as f64 * ATTEMPT_UNIT;
+            let counts = std::mem::take(&mut decade.counts);
+            let tries = counts.tries as f64;
+            let gain = counts.gain as f64 * GAIN_UNIT * part;
+            let before = counts.before as f64 * ATTEMPT_UNIT;
             let mut times = 1.0;
             if self.rays > 0.0 && tries > 0.0 && misses > 0 {
                 // Attempts in the middle of the last round's tries, and after this round's uniform rays.
@@ -117,6 +158,13 @@ impl Yields {
 mod tests {
     use super::*;
 
+    /// A thousand first tries of decade 3 from cells of `rays` uniform rays.
+    fn count(yields: &mut Yields, rays: u64, found: impl Fn(u32) -> bool) {
+        let mut tally = Tally::default();
+        (0..1000).for_each(|i| yields.count(&mut tally, (3e-4, 0), rays, found(i)));
+        yields.add(&Tally::from_numbers(tally.numbers()));
+    }
+
     /// The tries in a second round at candidates of decade 3, after a first one of a thousand tries of which
     /// `finds` found theirs, from cells of 1000 uniform rays, and another 1000 uniform rays of which `misses`
     /// met something unseen.
@@ -124,7 +172,7 @@ mod tests {
         let mut yields = Yields::new(6);
         yields.plan(0, 0, 1000.0);
         assert_eq!(yields.times(3e-4), 1.0);
-        (0..1000).for_each(|i| yields.count(3e-4, 0, 1000, i < finds));
+        count(&mut yields, 1000, |i| i < finds);
         yields.plan(misses, 1000, 2000.0);
         assert!([0.3, 3e-2, 3e-3, 3e-5, 1e-9].iter().all(|other| yields.times(*other) == 1.0));
         yields.times(3e-4)
@@ -152,10 +200,10 @@ mod tests {
         assert!(by_hand(1000.0, 1e-3) > MOST);
         let mut yields = Yields::new(6);
         yields.plan(0, 0, 1000.0);
-        (0..1000).for_each(|_| yields.count(3e-4, 0, 1000, true));
+        count(&mut yields, 1000, |_| true);
         yields.plan(1, 1_000_000, 2000.0);
         assert_eq!(yields.times(3e-4), MOST);
-        (0..1000).for_each(|_| yields.count(3e-4, 0, 2000, true));
+        count(&mut yields, 2000, |_| true);
         yields.plan(0, 1_000_000, 4000.0);
         assert_eq!(yields.times(3e-4), 1.0);
     }

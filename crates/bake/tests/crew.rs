@@ -1,0 +1,260 @@
+//! A crew gives the bytes of one member: whoever joins, leaves, lies or dies, and wherever a block is
+//! continued.
+
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, RwLock};
+use std::time::Duration;
+
+use sightline_bake::{Alone, BakeError, BakeScene, Control, Crew, Watcher, run_tile};
+use sightline_model::{CellToCell, Granularity, JobSpec, Sampler};
+use sightline_sampling::crew::{FromHelper, FromLeader, Helper, Leader, ToHelper, ToLeader};
+use sightline_sampling::{Backend, BackendError, CubeSpec, embree::CpuBackend};
+use sightline_scene::generate::{Kind, Params, generate};
+use sightline_viewcells::Division;
+
+/// A watcher that can be told to stop.
+#[derive(Default)]
+struct Watch {
+    stopped: AtomicBool,
+    rays: AtomicU64,
+}
+
+impl Watcher for Watch {
+    fn rendered(&self, rays: u64) {
+        self.rays.fetch_add(rays, Relaxed);
+    }
+    fn cell_done(&self) {}
+    fn cancelled(&self) -> bool {
+        self.stopped.load(Relaxed)
+    }
+}
+
+/// A job and all that is needed to run its first tile.
+struct Job {
+    spec: JobSpec,
+    scene: BakeScene,
+    backend: Box<dyn Backend>,
+}
+
+/// A town of a few houses with furniture; `None` without Embree. Under `CI` a missing Embree is a failure.
+fn job(change: impl FnOnce(&mut JobSpec)) -> Option<Job> {
+    let params = Params { triangles: Some(20_000), seed: 3, ..Params::default() };
+    let scene = Arc::new(generate(Kind::Town, &params).unwrap());
+    let mut spec = JobSpec::new(scene.digest().0, Division::Grid([4, 4, 2]), scene.bounds());
+    spec.sampling.target_error = 2e-3;
+    change(&mut spec);
+    let backend = match CpuBackend::new(Arc::clone(&scene), CubeSpec::of(&spec.sampling)) {
+        Ok(backend) => Box::new(backend),
+        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
+            eprintln!("not run: {why}");
+            return None;
+        }
+        Err(e) => panic!("{e}"),
+    };
+    Some(Job { spec, scene: BakeScene::new(scene).unwrap(), backend })
+}
+
+impl Job {
+    fn run(&self, watcher: &dyn Watcher, crew: &dyn Crew) -> Result<Vec<u8>, BakeError> {
+        let control = Control { watcher, deadline: None, crew };
+        run_tile(&self.spec, 0, &self.scene, &*self.backend, &[], control).map(|done| done.bytes)
+    }
+
+    fn alone(&self) -> (Vec<u8>, u64) {
+        let watch = Watch::default();
+        (self.run(&watch, &Alone).unwrap(), watch.rays.load(Relaxed))
+    }
+}
+
+/// What a helper does with its finds.
+#[derive(Clone, Copy, PartialEq)]
+enum Helps {
+    /// Sends them.
+    Well,
+    /// Sends bytes that are none.
+    Badly,
+    /// Takes items and never answers.
+    Never,
+    /// Answers once, then is gone.
+    Once,
+}
+
+/// The place where the messages of a crew go through.
+#[derive(Default)]
+struct Hub {
+    leader: RwLock<Option<Arc<Leader>>>,
+    helpers: RwLock<Vec<Arc<Helper>>>,
+    outcomes: Mutex<Vec<Vec<u8>>>,
+    finds: AtomicU64,
+    is_over: AtomicBool,
+}
+
+impl Hub {
+    /// Passes on what the leader says.
+    fn pass_on(&self, message: FromLeader) {
+        let helpers = self.helpers.read().unwrap();
+        match message {
+            FromLeader::Take { member, phase, items } => {
+                helpers[member as usize].hear(ToHelper::Take { phase, items });
+            }
+            FromLeader::Outcome { phase, bytes } => {
+                let mut outcomes = self.outcomes.lock().unwrap();
+                assert_eq!(phase as usize, outcomes.len(), "outcomes come in order");
+                outcomes.push(bytes.clone());
+                helpers.iter().for_each(|h| h.hear(ToHelper::Outcome { phase, bytes: bytes.clone() }));
+            }
+            FromLeader::End => helpers.iter().for_each(|h| h.hear(ToHelper::End)),
+        }
+    }
+
+    fn to_leader(&self, message: ToLeader) {
+        let leader = self.leader.read().unwrap().clone();
+        leader.into_iter().for_each(|leader| leader.hear(message.clone()));
+    }
+
+    /// Passes on what helper number `member` says.
+    fn pass_back(&self, member: u64, helps: Helps, message: FromHelper) {
+        match message {
+            FromHelper::Ask { phase } => self.to_leader(ToLeader::Ask { member, phase }),
+            FromHelper::Found { phase, items, finds } => {
+                self.finds.fetch_add(1, Relaxed);
+                match helps {
+                    Helps::Well => self.to_leader(ToLeader::Found { member, phase, items, finds }),
+                    Helps::Badly => {
+                        let finds = vec![7; finds.len()];
+                        self.to_leader(ToLeader::Found { member, phase, items, finds });
+                    }
+                    Helps::Never => {}
+                    Helps::Once => {
+                        self.to_leader(ToLeader::Found { member, phase, items, finds });
+                        self.to_leader(ToLeader::Left(member));
+                    }
+                }
+            }
+        }
+    }
+
+    /// A helper comes: it is given the outcomes so far, then the leader is told.
+    fn joins(&self, helper: &Arc<Helper>) {
+        let member = {
+            let mut helpers = self.helpers.write().unwrap();
+            let outcomes = self.outcomes.lock().unwrap();
+            for (phase, bytes) in (0..).zip(outcomes.iter()) {
+                helper.hear(ToHelper::Outcome { phase, bytes: bytes.clone() });
+            }
+            if self.is_over.load(Relaxed) {
+                helper.hear(ToHelper::End);
+            }
+            helpers.push(Arc::clone(helper));
+            helpers.len() as u64 - 1
+        };
+        self.to_leader(ToLeader::Joined(member));
+    }
+}
+
+/// Runs the tile with helpers that come at once or after some milliseconds, from the outcomes of an earlier
+/// leader. Returns the bytes, all outcomes, and the number of pieces that helpers did.
+fn crewed(job: &Job, helpers: &[(Helps, u64)], earlier: &[Vec<u8>]) -> (Vec<u8>, Vec<Vec<u8>>, u64) {
+    let hub = Arc::new(Hub::default());
+    hub.outcomes.lock().unwrap().extend(earlier.iter().cloned());
+    let watch = Arc::new(Watch::default());
+    let out = Arc::clone(&hub);
+    let leader = Arc::new(Leader::new(earlier.to_vec(), watch.clone(), move |message| out.pass_on(message)));
+    *hub.leader.write().unwrap() = Some(Arc::clone(&leader));
+    let members: Vec<(Arc<Helper>, Arc<Watch>, u64)> = (0..)
+        .zip(helpers)
+        .map(|(member, (helps, delay))| {
+            let (watch, hub, helps) = (Arc::new(Watch::default()), Arc::clone(&hub), *helps);
+            let out = move |message| hub.pass_back(member, helps, message);
+            (Arc::new(Helper::new(watch.clone(), out)), watch, *delay)
+        })
+        .collect();
+    members.iter().filter(|(.., delay)| *delay == 0).for_each(|(helper, ..)| hub.joins(helper));
+    let bytes = std::thread::scope(|scope| {
+        for (helper, watch, delay) in &members {
+            let hub = &hub;
+            scope.spawn(move || {
+                if *delay > 0 {
+                    std::thread::sleep(Duration::from_millis(*delay));
+                    hub.joins(helper);
+                }
+                let ended = job.run(&**watch, &**helper);
+                assert!(matches!(ended, Err(BakeError::Cancelled)), "a helper has no output: {ended:?}");
+            });
+        }
+        let bytes = job.run(&*watch, &*leader).unwrap();
+        hub.is_over.store(true, Relaxed);
+        // Also those that come when the leader has ended.
+        hub.helpers.read().unwrap().iter().for_each(|h| h.hear(ToHelper::End));
+        bytes
+    });
+    *hub.leader.write().unwrap() = None;
+    let outcomes = std::mem::take(&mut *hub.outcomes.lock().unwrap());
+    (bytes, outcomes, hub.finds.load(Relaxed))
+}
+
+#[test]
+fn helpers_of_all_kinds_change_no_byte() {
+    let Some(job) = job(|_| {}) else { return };
+    let (expected, _) = job.alone();
+    for helpers in [
+        &[(Helps::Well, 0)][..],
+        &[(Helps::Well, 0), (Helps::Well, 0), (Helps::Well, 30)],
+        &[(Helps::Badly, 0), (Helps::Never, 0), (Helps::Once, 0), (Helps::Well, 5)],
+    ] {
+        let (bytes, _, finds) = crewed(&job, helpers, &[]);
+        assert!(bytes == expected, "{} helpers", helpers.len());
+        assert!(finds > 0, "a helper did something");
+    }
+}
+
+#[test]
+fn every_kind_of_lines_can_be_shared() {
+    type Change = fn(&mut JobSpec);
+    let changes: [(&str, Change); 6] = [
+        ("bound", |s| s.sampling.max_error = Some(5e-3)),
+        ("pairs", |s| s.sampling.cell_to_cell = CellToCell::On),
+        ("clusters", |s| s.sampling.granularity = Granularity::Clusters),
+        ("shares", |s| s.sampling.min_share = Some(1e-3)),
+        ("tree", |s| s.division = Division::Adaptive { budget: 3000, max_depth: 9 }),
+        ("guided", |s| (s.sampling.sampler, s.sampling.rays) = (Sampler::Guided, 4000)),
+    ];
+    for (name, change) in changes {
+        let Some(job) = job(change) else { return };
+        let (bytes, ..) = crewed(&job, &[(Helps::Well, 0), (Helps::Well, 10)], &[]);
+        assert!(bytes == job.alone().0, "{name}");
+    }
+}
+
+#[test]
+fn a_block_goes_on_from_any_outcome_and_casts_no_ray_again() {
+    let Some(job) = job(|s| s.sampling.cell_to_cell = CellToCell::On) else { return };
+    let (expected, rays) = job.alone();
+    let (_, outcomes, _) = crewed(&job, &[(Helps::Well, 0)], &[]);
+    assert!(outcomes.len() > 6, "{}", outcomes.len());
+    for kept in [1, outcomes.len() / 2, outcomes.len() - 1, outcomes.len()] {
+        let watch = Arc::new(Watch::default());
+        let later = Arc::new(Mutex::new(Vec::new()));
+        let kept_too = Arc::clone(&later);
+        let leader = Leader::new(outcomes[..kept].to_vec(), watch.clone(), move |message| {
+            if let FromLeader::Outcome { phase, bytes } = message {
+                kept_too.lock().unwrap().push((phase as usize, bytes));
+            }
+        });
+        assert!(job.run(&*watch, &leader).unwrap() == expected, "from outcome {kept}");
+        // The rays of known phases count as cast.
+        assert_eq!(watch.rays.load(Relaxed), rays);
+        for (phase, bytes) in later.lock().unwrap().drain(..) {
+            assert!(phase >= kept && bytes == outcomes[phase], "the outcome of phase {phase} is another");
+        }
+    }
+    let mut damaged = outcomes.clone();
+    let middle = damaged[2].len() / 2;
+    damaged[2][middle] ^= 0x55;
+    damaged[4].clear();
+    let watch = Arc::new(Watch::default());
+    let leader = Leader::new(damaged, watch.clone(), |_| {});
+    assert!(job.run(&*watch, &leader).unwrap() == expected, "damaged outcomes are not used");
+}

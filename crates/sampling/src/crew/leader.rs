@@ -1,0 +1,300 @@
+//! The leader of a crew: divides the items of each phase, computes what it has not given away, and publishes
+//! the outcomes. With no helpers it is a member that works alone and leaves outcomes behind.
+//!
+//! The leader waits for nobody: when no item is free it computes those that helpers have not answered yet,
+//! and the first answer counts. So a helper that is slow, silent or gone costs what it would have saved.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use super::member::{Crew, Phase};
+use super::queue::{Member, Queue};
+use crate::context::Watcher;
+use crate::error::TileError;
+
+/// Without helpers, outcomes are handed over this often.
+const HAND_OVER: Duration = Duration::from_secs(1);
+
+/// What the leader hears.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ToLeader {
+    /// A helper has come. It has been given the outcomes that were handed over.
+    Joined(Member),
+    /// A helper is ready for items of a phase.
+    Ask {
+        /// The helper.
+        member: Member,
+        /// The number of the phase, from 0.
+        phase: u32,
+    },
+    /// A helper's finds of all items of a piece.
+    Found {
+        /// The helper.
+        member: Member,
+        /// The number of the phase.
+        phase: u32,
+        /// The items.
+        items: Vec<u32>,
+        /// The bytes of [`Phase::take`].
+        finds: Vec<u8>,
+    },
+    /// A helper has gone.
+    Left(Member),
+}
+
+/// What the leader says.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum FromLeader {
+    /// Items for a helper.
+    Take {
+        /// The helper.
+        member: Member,
+        /// The number of the phase.
+        phase: u32,
+        /// The items.
+        items: Vec<u32>,
+    },
+    /// The outcome of a phase, for all helpers and for whoever keeps it.
+    Outcome {
+        /// The number of the phase.
+        phase: u32,
+        /// The bytes of [`Phase::outcome`].
+        bytes: Vec<u8>,
+    },
+    /// There are no more phases.
+    End,
+}
+
+/// The leader of a crew.
+pub struct Leader {
+    state: Mutex<State>,
+    watcher: Arc<dyn Watcher + Send>,
+    /// Must not wait for the other members.
+    out: Box<dyn Fn(FromLeader) + Send + Sync>,
+}
+
+#[derive(Default)]
+struct State {
+    /// Outcomes of an earlier leader that are not used yet.
+    earlier: VecDeque<Vec<u8>>,
+    /// The number of the next phase, or of the one in work.
+    number: u32,
+    queue: Option<Queue>,
+    helpers: BTreeSet<Member>,
+    /// Helpers without items, and the phase that each is ready for.
+    asking: VecDeque<(Member, u32)>,
+    /// Pieces that helpers have done.
+    done: VecDeque<(Member, Vec<u32>, Vec<u8>)>,
+    /// Outcomes that are not handed over yet.
+    kept: Vec<(u32, Vec<u8>)>,
+    handed_over: Option<Instant>,
+    /// Rays of helpers, by helper, for the log.
+    rays: BTreeMap<Member, u64>,
+}
+
+/// What a thread of the leader does next.
+enum Step {
+    Add(Member, Vec<u32>, Vec<u8>),
+    Compute(usize),
+    Nothing,
+}
+
+impl Leader {
+    /// The leader of a block of which the first phases have these outcomes. `out` must not wait for the other
+    /// members.
+    pub fn new(
+        outcomes: Vec<Vec<u8>>,
+        watcher: Arc<dyn Watcher + Send>,
+        out: impl Fn(FromLeader) + Send + Sync + 'static,
+    ) -> Self {
+        let state = State { earlier: outcomes.into(), ..State::default() };
+        Self { state: Mutex::new(state), watcher, out: Box::new(out) }
+    }
+
+    /// Acts on a message. Called from any thread; never waits for a phase.
+    pub fn hear(&self, message: ToLeader) {
+        let mut state = self.lock();
+        match message {
+            ToLeader::Joined(member) => {
+                state.helpers.insert(member);
+                self.hand_over(&mut state);
+            }
+            ToLeader::Ask { member, phase } => {
+                if state.helpers.contains(&member) && phase >= state.number {
+                    state.asking.push_back((member, phase));
+                    self.give(&mut state);
+                }
+            }
+            ToLeader::Found { member, phase, items, finds } => {
+                // Late finds are not needed: the phase is over.
+                if state.helpers.contains(&member) && phase == state.number && state.queue.is_some() {
+                    state.done.push_back((member, items, finds));
+                }
+            }
+            ToLeader::Left(member) => self.dismiss(&mut state, member),
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // Each change is whole before anything can panic.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Gives free items to helpers that ask.
+    fn give(&self, state: &mut State) {
+        let (number, members) = (state.number, state.helpers.len() + 1);
+        let Some(queue) = &mut state.queue else { return };
+        let mut waiting = VecDeque::new();
+        while let Some((member, phase)) = state.asking.pop_front() {
+            let piece = if phase == number { queue.piece(member, members) } else { Vec::new() };
+            if piece.is_empty() {
+                waiting.push_back((member, phase));
+            } else {
+                let items = piece.into_iter().map(|i| i as u32).collect();
+                (self.out)(FromLeader::Take { member, phase, items });
+            }
+        }
+        state.asking = waiting;
+    }
+
+    /// Forgets a helper, and what it was given.
+    fn dismiss(&self, state: &mut State, member: Member) {
+        state.helpers.remove(&member);
+        state.asking.retain(|(m, _)| *m != member);
+        if state.queue.as_mut().is_some_and(|queue| queue.take_back(member)) {
+            self.give(state);
+        }
+    }
+
+    /// Hands the outcomes over that are still here.
+    fn hand_over(&self, state: &mut State) {
+        for (phase, bytes) in state.kept.drain(..) {
+            (self.out)(FromLeader::Outcome { phase, bytes });
+        }
+        state.handed_over = Some(Instant::now());
+    }
+
+    /// Whether the phase has its answers from an earlier leader.
+    fn is_known(&self, phase: &dyn Phase) -> bool {
+        let Some(outcome) = self.lock().earlier.pop_front() else { return false };
+        let whole = match phase.add(&outcome) {
+            Ok(rays) => {
+                self.watcher.rendered(rays);
+                (0..phase.items()).all(|item| phase.has(item))
+            }
+            Err(e) => {
+                tracing::warn!(
+                    "an earlier outcome of this block is of no use, the block goes on without: {e}"
+                );
+                false
+            }
+        };
+        if !whole {
+            self.lock().earlier.clear();
+        }
+        whole
+    }
+
+    /// What a thread does next in a phase.
+    fn step(&self) -> Step {
+        let mut state = self.lock();
+        if let Some((member, items, finds)) = state.done.pop_front() {
+            return Step::Add(member, items, finds);
+        }
+        let queue = state.queue.as_mut();
+        let item = queue.and_then(|queue| queue.next().or_else(|| queue.next_given()));
+        item.map_or(Step::Nothing, Step::Compute)
+    }
+
+    /// Computes items until there are none without answers, as one of the leader's threads.
+    fn work(&self, phase: &dyn Phase, failed: &Mutex<Option<TileError>>) {
+        let is_failed = || failed.lock().is_ok_and(|f| f.is_some());
+        while !is_failed() {
+            match self.step() {
+                Step::Add(member, items, finds) => match phase.add(&finds) {
+                    Ok(rays) => {
+                        self.watcher.rendered(rays);
+                        let mut state = self.lock();
+                        *state.rays.entry(member).or_default() += rays;
+                        let queue = state.queue.as_mut();
+                        queue.into_iter().for_each(|queue| {
+                            items.iter().for_each(|i| {
+                                if phase.has(*i as usize) {
+                                    queue.answered(*i as usize);
+                                }
+                            });
+                        });
+                    }
+                    Err(e) => {
+                        tracing::warn!("helper {member} is dismissed: {e}");
+                        self.dismiss(&mut self.lock(), member);
+                    }
+                },
+                Step::Compute(item) if phase.has(item) => {}
+                Step::Compute(item) => match phase.compute(item) {
+                    Ok(()) => {
+                        if let Some(queue) = &mut self.lock().queue {
+                            queue.answered(item);
+                        }
+                    }
+                    Err(e) => {
+                        if let Ok(mut failed) = failed.lock() {
+                            failed.get_or_insert(e);
+                        }
+                    }
+                },
+                Step::Nothing => break,
+            }
+        }
+    }
+}
+
+impl Crew for Leader {
+    fn run(&self, phase: &dyn Phase) -> Result<(), TileError> {
+        if self.is_known(phase) {
+            let mut state = self.lock();
+            state.number += 1;
+            return Ok(());
+        }
+        phase.prepare();
+        {
+            let mut state = self.lock();
+            state.queue = Some(Queue::new(phase.costs()));
+            self.give(&mut state);
+        }
+        let failed = Mutex::new(None);
+        rayon::scope(|scope| {
+            (0..rayon::current_num_threads()).for_each(|_| scope.spawn(|_| self.work(phase, &failed)));
+        });
+        let failed = failed.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let mut state = self.lock();
+        state.queue = None;
+        state.done.clear();
+        if let Some(e) = failed {
+            return Err(e);
+        }
+        let number = state.number;
+        state.number += 1;
+        state.asking.retain(|(_, phase)| *phase > number);
+        let since = *state.handed_over.get_or_insert_with(Instant::now);
+        let has_helpers = !state.helpers.is_empty();
+        drop(state);
+        let bytes = phase.outcome();
+        let mut state = self.lock();
+        state.kept.push((number, bytes));
+        if has_helpers || since.elapsed() >= HAND_OVER {
+            self.hand_over(&mut state);
+        }
+        Ok(())
+    }
+
+    fn end(&self) -> Result<(), TileError> {
+        (self.out)(FromLeader::End);
+        let state = self.lock();
+        if !state.rays.is_empty() {
+            tracing::debug!("rays of helpers: {:?}", state.rays);
+        }
+        Ok(())
+    }
+}
