@@ -25,13 +25,17 @@
 
 mod assemble;
 mod assemble_pairs;
+mod chores;
 pub mod clock;
+mod finishing;
 pub mod ids;
 mod jobs;
 mod lifecycle;
+mod orders;
 mod results;
 mod scenes;
 mod scheduler;
+mod scheduling;
 mod services;
 mod sessions;
 mod specs;
@@ -40,6 +44,8 @@ mod statistics;
 pub mod store;
 mod submit;
 
+#[cfg(test)]
+mod simulator;
 #[cfg(test)]
 mod tests;
 
