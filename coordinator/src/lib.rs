@@ -31,6 +31,8 @@ mod finishing;
 pub mod ids;
 mod jobs;
 mod lifecycle;
+#[cfg(test)]
+mod load;
 mod orders;
 mod results;
 mod scenes;

@@ -17,6 +17,8 @@ use crate::store::JobPhase;
 /// milliseconds.
 const STRAGGLES: u64 = 2;
 const LEAST_STRAGGLE: u64 = 5000;
+/// Second leases of a profile in one tick.
+const MOST_DOUBLED: usize = 16;
 
 impl Machine {
     /// Puts a job into the list in which it belongs now.
@@ -172,14 +174,18 @@ impl Machine {
         let hungry = self.pools.of.iter().filter(|(_, p)| !p.hungry[0].is_empty() && p.ready == 0);
         let profiles: Vec<Profile> = hungry.map(|(profile, _)| Arc::clone(profile)).collect();
         for profile in profiles {
-            while self.double_one(&profile, now) {}
+            // A few at a time: this looks at the longest leases one by one.
+            for _ in 0..MOST_DOUBLED {
+                if !self.double_one(&profile, now) {
+                    break;
+                }
+            }
         }
     }
 
     fn double_one(&mut self, profile: &Profile, now: Now) -> bool {
         let Some(pool) = self.pools.of.get(profile).filter(|p| p.waiting.is_empty()) else { return false };
         let Some(&worker) = pool.hungry[0].first() else { return false };
-        // As many candidates as leases that began long ago.
         let long = pool.begun.iter().take_while(|(begun, _)| begun + LEAST_STRAGGLE < now.ms);
         let straggler = long.map(|(begun, id)| (now.ms - begun, id)).find_map(|(ran, id)| {
             let l = self.leases.get(id)?;

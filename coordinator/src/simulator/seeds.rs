@@ -39,8 +39,8 @@ fn schedules_that_failed() {
     // leases without running.
     schedules(2048, 1);
     schedules(3861, 1);
-    // A waiting tile that its worker had claimed after a restart went to an idle worker within the grace. That
-    // is fine, since its holder is known and told.
+    // A waiting tile that its worker had claimed after a restart went to an idle worker within the grace.
+    // That is fine, since its holder is known and told.
     schedules(30, 1);
     schedules(65, 1);
 }
