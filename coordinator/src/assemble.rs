@@ -3,6 +3,7 @@
 //! The bytes depend on the tiles' outputs and the job alone. Tiles are read one at a time.
 
 use std::io::BufWriter;
+use std::sync::Arc;
 
 use sightline_model::codec::{self, CodecError};
 use sightline_model::{ALGORITHM_VERSION, Granularity, JobSpec};
@@ -11,15 +12,15 @@ use sightline_pvs::{
     Builder, Cell, CellTree, Contribution, Header, Items, NOT_REACHED, Node, Object, PvsError, SET_ASIDE,
     Source,
 };
-use sightline_viewcells::{CellBox, Division, Lattice, Outline, Plan, Tile, TileKind};
+use sightline_viewcells::{CellBox, Division, Lattice, Outline, Tile, TileKind};
 
 use crate::assemble_pairs::PairJoin;
 use crate::ids::{Digest, TileIndex};
 use crate::scenes::{FactsError, facts};
-use crate::scheduler::Slot;
+use crate::scheduler::{Output, Work};
 use crate::state::{Coordinator, SceneFacts};
 use crate::statistics::Statistics;
-use crate::store::{BlobError, Blobs, TileState};
+use crate::store::{BlobError, Blobs};
 use sightline_scene::clusters::clusters;
 use sightline_scene::kinds::KindCount;
 use sightline_scene::{Kinds, Scene, SceneError};
@@ -68,37 +69,38 @@ const WRITTEN_AT_ONCE: usize = 1 << 20;
 
 /// A complete job, copied from the scheduler.
 pub(crate) struct Parts {
-    pub(crate) spec: JobSpec,
-    pub(crate) lattice: Lattice,
-    pub(crate) plan: Plan,
+    pub(crate) work: Arc<Work>,
     pub(crate) profile: String,
-    pub(crate) slots: Vec<Slot>,
+    /// What there is of each tile.
+    pub(crate) outputs: Vec<Output>,
+    /// Samples of done tiles.
+    pub(crate) samples: u64,
 }
 
 impl Parts {
-    fn leaf(&self, number: u32) -> Leaf<'_> {
-        let (tile, slot) = (TileIndex(number), &self.slots[number as usize]);
-        Leaf { tile, state: &slot.state, cells: self.plan.tiles[number as usize].cells }
+    fn leaf(&self, number: u32) -> Leaf {
+        let tile = TileIndex(number);
+        Leaf { tile, output: self.outputs[tile.at()], cells: self.work.plan.tiles[tile.at()].cells }
     }
 }
 
 /// A leaf tile of the plan.
 #[derive(Clone, Copy)]
-struct Leaf<'a> {
+struct Leaf {
     tile: TileIndex,
-    state: &'a TileState,
+    output: Output,
     /// Its cells by the plan; 1 for a tile of an adaptive division.
     cells: u64,
 }
 
-impl Leaf<'_> {
+impl Leaf {
     /// Reads the tile's cells, whose sets name at most `items` items.
     fn read(self, blobs: &dyn Blobs, items: u32) -> Result<CellSets, AssembleError> {
         let wrong = |reason| AssembleError::Tile { tile: self.tile, reason };
-        let (TileState::Done { digest, .. } | TileState::SetAside { digest, .. }) = self.state else {
+        let Some(digest) = self.output.digest() else {
             return Err(wrong("it is not done"));
         };
-        let TileOutput::Cells(sets) = codec::decode(&blobs.read(digest)?, items)? else {
+        let TileOutput::Cells(sets) = codec::decode(&blobs.read(&digest)?, items)? else {
             return Err(wrong("it holds samples and not cells"));
         };
         // An adaptive tile counts as one cell in the plan, however many it has.
@@ -111,44 +113,38 @@ impl Leaf<'_> {
 
 /// Builds the `.pvs` file of a complete job and stores it; returns its digest and length.
 pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), AssembleError> {
-    let (scene, blobs) = (facts(c, &parts.spec.scene)?, &*c.blobs);
-    let most = most_items(&parts.spec, scene.triangles, scene.objects.len() as u32);
-    let leaves = || parts.plan.leaves().map(|n| parts.leaf(n));
+    let (scene, blobs) = (facts(c, &parts.work.spec.scene)?, &*c.blobs);
+    let most = most_items(&parts.work.spec, scene.triangles, scene.objects.len() as u32);
+    let leaves = || parts.work.plan.leaves().map(|n| parts.leaf(n));
     // The tree comes before the sets, so every tile is read twice, one at a time. Certificates are most of a
     // tile: keeping all tiles in memory would cost more than the second reading.
     let mut nodes = Vec::new();
-    let mut samples = 0u64;
     // The cells of a plan's only tile, which is read once.
     let mut kept = None;
     let mut statistics = Statistics::default();
-    for part in &parts.plan.outline {
+    for part in &parts.work.plan.outline {
         match *part {
-            Outline::Split(s) => nodes.push(pvs_node(sightline_model::Node::Split(s), &parts.lattice)),
+            Outline::Split(s) => nodes.push(pvs_node(sightline_model::Node::Split(s), &parts.work.lattice)),
             Outline::Leaf(number) => {
                 let sets = match kept.take() {
                     Some(sets) => sets,
                     None => parts.leaf(number).read(blobs, most)?,
                 };
-                nodes.extend(sets.nodes.iter().map(|n| pvs_node(*n, &parts.lattice)));
-                if parts.plan.outline.len() == 1 {
+                nodes.extend(sets.nodes.iter().map(|n| pvs_node(*n, &parts.work.lattice)));
+                if parts.work.plan.outline.len() == 1 {
                     kept = Some(sets);
                 }
             }
         }
     }
-    for slot in &parts.slots {
-        if let TileState::Done { stats, .. } = &slot.state {
-            samples = samples.saturating_add(stats.samples);
-        }
-    }
-    let items = items(c, &parts.spec)?;
+    let items = items(c, &parts.work.spec)?;
     // The visible set of every cell of a tile that was set aside; stand-ins do not repeat it for every cell.
     let all: Vec<u32> = match &items {
         None => (0..scene.triangles).filter(|t| scene.kinds.kind(*t).shows()).collect(),
         Some(Items::Clusters(all)) => (0..all.len() as u32).collect(),
         Some(Items::Objects { .. }) => (0..scene.objects.len() as u32).collect(),
     };
-    let set_aside = leaves().filter(|l| matches!(l.state, TileState::SetAside { .. })).count();
+    let set_aside = leaves().filter(|l| matches!(l.output, Output::SetAside(_))).count();
     let objects = scene
         .objects
         .iter()
@@ -163,26 +159,26 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
             Object { name: o.name.clone(), first: o.first, count: o.count, source }
         })
         .collect();
-    let tree = CellTree::new(parts.spec.view_box.corners().map(|c| c.to_array()), nodes)?;
+    let tree = CellTree::new(parts.work.spec.view_box.corners().map(|c| c.to_array()), nodes)?;
     let cells = tree.cells();
     let mut builder = Builder::new(Header {
         triangles: scene.triangles,
-        method: parts.spec.method.to_string(),
+        method: parts.work.spec.method.to_string(),
         tree,
         objects,
-        info_json: info(parts, &scene, samples, set_aside),
+        info_json: info(parts, &scene, parts.samples, set_aside),
     })?;
     if let Some(items) = &items {
         builder.set_items(items)?;
     }
-    let mut pairs = PairJoin::new(&parts.spec, &parts.lattice, cells);
-    if parts.spec.certificates
+    let mut pairs = PairJoin::new(&parts.work.spec, &parts.work.lattice, cells);
+    if parts.work.spec.certificates
         && let Some(file) = blobs.scratch()?
     {
         builder.keep_certificates_in(file);
     }
     for leaf in leaves() {
-        let aside = matches!(leaf.state, TileState::SetAside { .. });
+        let aside = matches!(leaf.output, Output::SetAside(_));
         let wrong = |reason| AssembleError::Tile { tile: leaf.tile, reason };
         let sets = match kept.take() {
             Some(sets) => sets,
@@ -199,11 +195,11 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
         });
         builder.push_cells(&shown.collect::<Vec<_>>())?;
         for cell in &sets.cells {
-            if parts.spec.certificates {
+            if parts.work.spec.certificates {
                 let evidence = cell.decision.as_ref().map_or(&[][..], |d| &d.certificate);
                 builder.push_certificate(evidence).map_err(|e| of_disk(blobs, e))?;
             }
-            if parts.spec.sampling.contributions {
+            if parts.work.spec.sampling.contributions {
                 let of = contributions(cell, if aside { all.len() } else { cell.visible.len() });
                 builder.push_contributions(&of.ok_or_else(|| wrong("it lacks contributions"))?)?;
             }
@@ -215,7 +211,7 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
             {
                 return Err(wrong("its pairs are those of another number of cells"));
             }
-            let boxes = boxes(&parts.plan.tiles[leaf.tile.0 as usize].cell, &sets.nodes);
+            let boxes = boxes(&parts.work.plan.tiles[leaf.tile.0 as usize].cell, &sets.nodes);
             boxes.iter().zip(&sets.cells).for_each(|(at, cell)| join.add_cell(at, !cell.unreached, aside));
         }
     }
@@ -350,22 +346,22 @@ fn info(parts: &Parts, scene: &SceneFacts, samples: u64, set_aside: usize) -> St
     let mut info = serde_json::json!({
         "program": concat!("sightline ", env!("CARGO_PKG_VERSION")),
         "algorithm": ALGORITHM_VERSION,
-        "scene": blake3::Hash::from_bytes(parts.spec.scene).to_hex().as_str(),
+        "scene": blake3::Hash::from_bytes(parts.work.spec.scene).to_hex().as_str(),
         "profile": parts.profile,
-        "division": parts.spec.division,
-        "sampling": parts.spec.sampling,
-        "method": parts.spec.method.to_string(),
-        "certificates": parts.spec.certificates,
-        "seed": parts.spec.seed,
-        "time_budget_ms": parts.spec.time_budget_ms,
-        "block_cells": parts.spec.block_cells,
+        "division": parts.work.spec.division,
+        "sampling": parts.work.spec.sampling,
+        "method": parts.work.spec.method.to_string(),
+        "certificates": parts.work.spec.certificates,
+        "seed": parts.work.spec.seed,
+        "time_budget_ms": parts.work.spec.time_budget_ms,
+        "block_cells": parts.work.spec.block_cells,
         "samples": samples,
         "tiles_set_aside": set_aside,
     });
-    if let Some(up) = parts.spec.up {
+    if let Some(up) = parts.work.spec.up {
         info["up"] = up.to_string().into();
     }
-    if let Some(marks) = &parts.spec.viewpoints {
+    if let Some(marks) = &parts.work.spec.viewpoints {
         info["viewpoints"] = serde_json::json!({
             "cells_reached": marks.reached(), "cells": marks.count(), "parts": marks.marked(),
         });

@@ -4,12 +4,13 @@ use std::sync::Arc;
 
 use sightline_model::JobSpec;
 
+use crate::chores::do_chores;
 use crate::ids::{Digest, JobId};
-use crate::results;
-use crate::scheduler::{Job, Slot, cells_total};
+use crate::scheduler::{Event, Job, cells_total};
+use crate::scheduling::tell;
 use crate::specs;
 use crate::state::Coordinator;
-use crate::store::{JobPhase, JobRecord, JobState, StoreError, TileState};
+use crate::store::{JobPhase, JobRecord, JobState, StoreError, TileRecord, TileState};
 
 /// A job that cannot be changed or fetched.
 #[derive(Debug, thiserror::Error)]
@@ -50,10 +51,10 @@ pub(crate) struct Summary {
 }
 
 impl Summary {
-    fn of(record: JobRecord, slots: &[Slot], cells_total: u64, workers: u32) -> Self {
+    fn of_ended(record: JobRecord, tiles: &[TileRecord], cells_total: u64, workers: u32) -> Self {
         let mut sum = Self {
             record,
-            tiles_total: slots.len() as u32,
+            tiles_total: tiles.len() as u32,
             tiles_done: 0,
             tiles_set_aside: 0,
             tiles_running: 0,
@@ -63,8 +64,8 @@ impl Summary {
             tile_millis: 0,
             workers,
         };
-        for slot in slots {
-            match &slot.state {
+        for tile in tiles {
+            match &tile.state {
                 TileState::Open => {}
                 TileState::Done { stats, .. } => {
                     sum.tiles_done += 1;
@@ -73,11 +74,6 @@ impl Summary {
                     sum.tile_millis = sum.tile_millis.saturating_add(stats.millis);
                 }
                 TileState::SetAside { .. } => sum.tiles_set_aside += 1,
-            }
-            if let Some(l) = &slot.lease {
-                sum.tiles_running += 1;
-                sum.cells_done = sum.cells_done.saturating_add(l.cells);
-                sum.samples = sum.samples.saturating_add(l.samples);
             }
         }
         sum
@@ -99,22 +95,38 @@ fn record(c: &Coordinator, job: JobId) -> Result<JobRecord, StoreError> {
 
 /// The summary of a job.
 pub(crate) fn summary(c: &Coordinator, id: JobId) -> Result<Summary, StoreError> {
-    let scheduler = c.lock();
-    let workers = scheduler.workers.len() as u32;
-    if let Some(job) = scheduler.jobs.get(&id) {
-        let total = cells_total(&job.spec, &job.plan);
-        return Ok(Summary::of(job.record.clone(), &job.slots, total, workers));
+    if let Some(summary) = live(c, id) {
+        return Ok(summary);
     }
-    drop(scheduler);
     let record = record(c, id)?;
-    let slots: Vec<Slot> = c.store.tiles(id)?.into_iter().map(|t| Slot::new(t.state)).collect();
+    let workers = c.lock().machine.workers();
+    let tiles = c.store.tiles(id)?;
     // The specification of another version cannot be planned; the number of its cells is unknown then.
     let total = specs::part(&record.spec)
         .ok()
         .and_then(|(m, _)| JobSpec::from_proto(&m, None).ok())
         .and_then(|s| s.plan().ok().map(|(_, plan)| cells_total(&s, &plan)))
         .unwrap_or(0);
-    Ok(Summary::of(record, &slots, total, workers))
+    Ok(Summary::of_ended(record, &tiles, total, workers))
+}
+
+/// The summary of a job that has not ended, from the scheduler's totals.
+pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
+    let scheduling = c.lock();
+    let machine = &scheduling.machine;
+    let job = machine.job(id)?;
+    Some(Summary {
+        record: job.record.clone(),
+        tiles_total: job.tiles.len() as u32,
+        tiles_done: job.done,
+        tiles_set_aside: job.set_aside,
+        tiles_running: job.running,
+        cells_done: job.cells.saturating_add(job.running_cells),
+        cells_total: job.cells_total,
+        samples: job.samples.saturating_add(job.running_samples),
+        tile_millis: job.millis,
+        workers: machine.workers(),
+    })
 }
 
 /// The summaries of all jobs, in the order of their submission.
@@ -147,47 +159,36 @@ pub(crate) fn resume(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobErr
 
 /// Moves a job to another state.
 fn turn(c: &Arc<Coordinator>, id: JobId, from: &[JobPhase], to: JobState) -> Result<Summary, JobError> {
-    // Under the scheduler's lock, so that no tile is leased or committed in between.
-    let mut scheduler = c.lock();
-    let record = c.store.set_job_state(id, from, to, c.now().unix_ms)?;
-    tracing::info!("job {id} is {}", record.state.phase());
-    if !matches!(record.state, JobState::Queued | JobState::Running) {
-        scheduler.revoke_job(id);
-    }
-    if record.state.phase().ended() {
-        scheduler.jobs.remove(&id);
-    } else if let Some(job) = scheduler.jobs.get_mut(&id) {
-        job.record = record;
-    }
-    drop(scheduler);
-    c.grant_tiles();
-    results::assemble_ready(c);
-    c.changed();
+    let chores = {
+        let _turn = c.turn();
+        let record = c.store.set_job_state(id, from, to, c.now().unix_ms)?;
+        tracing::info!("job {id} is {}", record.state.phase());
+        tell(c, Event::JobChanged(Box::new(record)))
+    };
+    do_chores(c, chores);
     Ok(summary(c, id)?)
 }
 
 /// Continues a failed or cancelled job, or a done one with tiles set aside, with the tiles that it has. A job
 /// that has not ended stays as it is.
 pub(crate) fn retry(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobError> {
-    // Under the scheduler's lock, so that the job does not end in between.
-    let mut scheduler = c.lock();
-    let before = record(c, id)?;
-    if !before.state.phase().ended() {
-        drop(scheduler);
-        return Ok(summary(c, id)?);
+    let mut chores = Vec::new();
+    {
+        let _turn = c.turn();
+        let before = record(c, id)?;
+        if before.state.phase().ended() {
+            // Checked first: otherwise the job would be open in the store and absent from the scheduler.
+            let spec = specs::whole(&*c.blobs, &before.spec).map_err(JobError::Outdated)?;
+            Job::of(before, &spec, c.store.tiles(id)?).map_err(JobError::Outdated)?;
+            c.store.reopen_tiles(id)?;
+            let after = record(c, id)?;
+            if !after.state.phase().ended() {
+                let job = Job::of(after, &spec, c.store.tiles(id)?).map_err(JobError::Outdated)?;
+                chores = tell(c, Event::TakenUp(Box::new(job)));
+                tracing::info!("job {id} is tried again");
+            }
+        }
     }
-    // Checked first: otherwise the job would be open in the store and absent from the scheduler.
-    let spec = specs::whole(&*c.blobs, &before.spec).map_err(JobError::Outdated)?;
-    Job::of(before, &spec, c.store.tiles(id)?).map_err(JobError::Outdated)?;
-    c.store.reopen_tiles(id)?;
-    let after = record(c, id)?;
-    if !after.state.phase().ended() {
-        scheduler.take_up(after, &spec, c.store.tiles(id)?).map_err(JobError::Outdated)?;
-        tracing::info!("job {id} is tried again");
-    }
-    drop(scheduler);
-    c.grant_tiles();
-    results::assemble_ready(c);
-    c.changed();
+    do_chores(c, chores);
     Ok(summary(c, id)?)
 }

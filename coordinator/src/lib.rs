@@ -25,13 +25,19 @@
 
 mod assemble;
 mod assemble_pairs;
+mod chores;
 pub mod clock;
+mod finishing;
 pub mod ids;
 mod jobs;
 mod lifecycle;
+#[cfg(test)]
+mod load;
+mod orders;
 mod results;
 mod scenes;
 mod scheduler;
+mod scheduling;
 mod services;
 mod sessions;
 mod specs;
@@ -40,6 +46,8 @@ mod statistics;
 pub mod store;
 mod submit;
 
+#[cfg(test)]
+mod simulator;
 #[cfg(test)]
 mod tests;
 

@@ -3,10 +3,11 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use crate::chores::happened;
 use crate::clock::{Clock, SystemClock};
-use crate::ids::Epoch;
-use crate::results;
-use crate::scheduler::Scheduler;
+use crate::ids::{Epoch, JobId};
+use crate::scheduler::{Event, Job, Machine, Settings};
+use crate::scheduling::{Chore, tell};
 use crate::specs;
 use crate::state::{Coordinator, Leases};
 use crate::store::{BlobError, Blobs, FileBlobs, JobPhase, JobState, SledStore, Store, StoreError};
@@ -60,34 +61,47 @@ impl Coordinator {
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
     ) -> Result<Arc<Self>, StoreError> {
-        let mut scheduler = Scheduler::new(Epoch(store.begin_epoch()?));
+        let epoch = Epoch(store.begin_epoch()?);
+        let settings = Settings {
+            epoch,
+            ttl: leases.ttl.as_millis() as u64,
+            stuck: leases.stuck.as_millis() as u64,
+            seed: clock.now().unix_ms,
+        };
+        let mut jobs = Vec::new();
         for record in store.jobs()? {
             if !record.state.phase().ended() {
                 let (id, tiles) = (record.id, store.tiles(record.id)?);
+                let runs = record.state == JobState::Running;
                 let spec = specs::whole(&*blobs, &record.spec);
-                if let Err(reason) = spec.and_then(|spec| scheduler.take_up(record, &spec, tiles)) {
-                    // The job ends, so that submitting it again begins a new one.
-                    tracing::error!("job {id} cannot be continued: {reason}");
-                    let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
-                    store.set_job_state(id, &from, JobState::Failed { reason }, clock.now().unix_ms)?;
+                match spec.and_then(|spec| Job::of(record, &spec, tiles)) {
+                    Ok(job) => jobs.push(if runs { job.after_restart() } else { job }),
+                    Err(reason) => {
+                        // The job ends, so that submitting it again begins a new one.
+                        tracing::error!("job {id} cannot be continued: {reason}");
+                        let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
+                        store.set_job_state(id, &from, JobState::Failed { reason }, clock.now().unix_ms)?;
+                    }
                 }
             }
         }
-        let this = Arc::new(Self::of(leases, store, blobs, clock, scheduler));
-        results::assemble_ready(&this);
+        let this = Arc::new(Self::of(leases, store, blobs, clock, Machine::new(settings)));
+        for job in jobs {
+            happened(&this, Event::TakenUp(Box::new(job)));
+        }
         Ok(this)
+    }
+
+    /// From now on grants tiles of `job` alone; other jobs stay as they are. A bake in one process does not
+    /// continue other bakes of its store.
+    pub fn restrict_to(self: &Arc<Self>, job: impl Into<JobId>) {
+        happened(self, Event::Restricted(job.into()));
     }
 }
 
 /// Takes back leases whose worker has gone, that were not renewed or make no progress, and tries again what
-/// waited for disk space. To be called every second.
-pub(crate) fn tick(c: &Arc<Coordinator>) {
-    // Taken before waiting for the lock, for which workers that have returned may be waiting, too.
-    let now = c.now().at;
-    let expired = c.lock().reap(now, c.leases.ttl, c.leases.stuck);
-    if expired > 0 {
-        c.changed();
-    }
-    c.grant_tiles();
-    results::assemble_ready(c);
+/// waited. To be called every second.
+#[must_use]
+pub(crate) fn tick(c: &Coordinator) -> Vec<Chore> {
+    tell(c, Event::Tick)
 }

@@ -1,25 +1,18 @@
-//! Results: committing the outputs of tiles, assembling a job's result when its tiles are complete, and
-//! removing tile outputs that no job needs any more.
+//! Results of tiles: an output is checked, kept as a file and committed.
 
-use std::collections::BTreeSet;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::time::Duration;
 
 use sightline_model::codec;
 use sightline_model::{CellSet, JobSpec, Method, Node, TileOutput};
 use sightline_viewcells::{CellBox, TileKind, UNITS_PER_CELL};
 
-use crate::assemble::{AssembleError, Parts, assemble, expected_nodes, most_items};
+use crate::assemble::{expected_nodes, most_items};
+use crate::chores::do_chores;
 use crate::ids::{Digest, JobId, Lease, hex};
-use crate::scheduler::{Scheduler, Slot};
+use crate::scheduler::{Admitted, Event, NoTile, Work};
+use crate::scheduling::{Chore, tell};
 use crate::state::Coordinator;
-use crate::store::{
-    BlobError, CommitOutcome, JobPhase, JobRecord, JobState, StoreError, TileResult, TileState, TileStats,
-};
-
-/// Time between two attempts to write a result that the disk has no space for.
-const SPACE_EVERY: Duration = Duration::from_secs(10);
+use crate::store::{BlobError, CommitOutcome, StoreError, TileResult, TileStats};
 
 /// A tile's output as a worker announces it.
 pub(crate) struct Announced {
@@ -50,6 +43,9 @@ pub(crate) enum ResultError {
     /// The job has fewer tiles.
     #[error("the job has no such tile")]
     NoTile,
+    /// The tile was not leased under this number.
+    #[error("this tile was not leased to anybody under this number")]
+    NoLease,
     /// The bytes are not an encoded output.
     #[error("{0}")]
     Encoding(String),
@@ -82,39 +78,42 @@ pub(crate) enum ResultError {
     Store(#[from] StoreError),
 }
 
-/// Checks and commits a tile's output, then assembles what is complete and grants further tiles.
+impl From<NoTile> for ResultError {
+    fn from(why: NoTile) -> Self {
+        match why {
+            NoTile::NoJob(job) => Self::NoJob(job),
+            NoTile::NoTile => Self::NoTile,
+        }
+    }
+}
+
+/// Checks and commits a tile's output, then does what follows from it.
 pub(crate) fn put(c: &Arc<Coordinator>, announced: &Announced, bytes: &[u8]) -> Result<(), ResultError> {
-    commit(c, announced, bytes)?;
-    assemble_ready(c);
-    c.grant_tiles();
-    c.changed();
-    Ok(())
+    let (result, chores) = commit(c, announced, bytes)?;
+    do_chores(c, chores);
+    result
 }
 
 /// The number of cells of a tile's output, which must be what the job's plan expects of the tile.
-fn check(c: &Coordinator, announced: &Announced, bytes: &[u8]) -> Result<u64, ResultError> {
+fn check(c: &Coordinator, work: &Work, announced: &Announced, bytes: &[u8]) -> Result<u64, ResultError> {
     if *blake3::hash(bytes).as_bytes() != announced.digest {
         return Err(ResultError::Digest);
     }
     if announced.bytes != bytes.len() as u64 {
         return Err(ResultError::Length);
     }
-    let Lease { job: id, tile, .. } = announced.lease;
-    let (items, kind, expected, exact, pairs, (unreached, hits)) = {
-        let scheduler = c.lock();
-        let job = scheduler.jobs.get(&id).ok_or(ResultError::NoJob(id))?;
-        let tile = job.plan.tiles.get(tile.at()).ok_or(ResultError::NoTile)?;
-        let scene = c.store.scene(&job.spec.scene)?;
-        let nodes = expected_nodes(&job.spec.division, &job.lattice, &tile.cell, tile.depth);
-        let items = scene.map_or(0, |s| match tile.kind {
-            TileKind::Leaf => most_items(&job.spec, s.triangles, s.objects),
-            TileKind::Face(_) | TileKind::Separator(_) => s.triangles,
-        });
-        let pairs = job.spec.pair_cells().map(|sides| sides.iter().product::<u32>());
-        let unreached = nodes.as_ref().map_or_else(Vec::new, |nodes| unreached(&job.spec, &tile.cell, nodes));
-        let exact = job.spec.method != Method::Aggressive;
-        (items, tile.kind, nodes, exact, pairs, (unreached, job.spec.sampling.contributions))
-    };
+    let spec = &*work.spec;
+    let tile = work.plan.tiles.get(announced.lease.tile.at()).ok_or(ResultError::NoTile)?;
+    let kind = tile.kind;
+    let scene = c.store.scene(&spec.scene)?;
+    let expected = expected_nodes(&spec.division, &work.lattice, &tile.cell, tile.depth);
+    let items = scene.map_or(0, |s| match kind {
+        TileKind::Leaf => most_items(spec, s.triangles, s.objects),
+        TileKind::Face(_) | TileKind::Separator(_) => s.triangles,
+    });
+    let pairs = spec.pair_cells().map(|sides| sides.iter().product::<u32>());
+    let unreached = expected.as_ref().map_or_else(Vec::new, |nodes| unreached(spec, &tile.cell, nodes));
+    let (exact, hits) = (spec.method != Method::Aggressive, spec.sampling.contributions);
     let output = codec::check(bytes, items).map_err(|e| ResultError::Encoding(e.to_string()))?;
     match (&output, kind) {
         (TileOutput::Cells(sets), TileKind::Leaf) => {
@@ -165,165 +164,53 @@ fn unreached(spec: &JobSpec, of: &CellBox, nodes: &[Node]) -> Vec<bool> {
     out
 }
 
-/// Checks a tile's output and commits it, unless the tile is done.
-fn commit(c: &Coordinator, announced: &Announced, bytes: &[u8]) -> Result<(), ResultError> {
-    let cells = check(c, announced, bytes)?;
+/// Checks a tile's output and commits it, unless the tile is done; gives whether the tile has it now,
+/// and what follows.
+///
+/// Everything that takes time is done without a lock: the hash, the decoding, the file and the record.
+fn commit(
+    c: &Coordinator,
+    announced: &Announced,
+    bytes: &[u8],
+) -> Result<(Result<(), ResultError>, Vec<Chore>), ResultError> {
     let &Announced { lease, digest, samples, millis, .. } = announced;
     let Lease { job: id, tile, .. } = lease;
-    // The blob first: a record may only name a blob that is present.
-    c.blobs.put(bytes).inspect_err(|e| {
+    let Admitted { work, worker, counts } = c.lock().machine.admit(&lease)?;
+    let cells = check(c, &work, announced, bytes)?;
+    if !counts {
+        return Err(ResultError::NoLease);
+    }
+    let full = |e: &BlobError| {
         if matches!(e, BlobError::NoSpace { .. }) {
-            c.lock().pause_leasing(c.now().at);
+            // Leasing goes on with a later tick, so nothing follows from this now.
+            drop(tell(c, Event::DiskFull(lease)));
+        }
+    };
+    // Nobody removes outputs meanwhile: a record may only name a blob that is present.
+    let _committing = c.committing();
+    c.blobs.put(bytes).inspect_err(full)?;
+    let stats = TileStats { samples, cells, millis, worker };
+    let result = TileResult { digest, bytes: announced.bytes, stats: stats.clone() };
+    let outcome = c.store.commit_tile(id, tile, result).inspect_err(|e| {
+        if matches!(e, StoreError::Journal(_)) {
+            drop(tell(c, Event::DiskFull(lease)));
         }
     })?;
-    let mut scheduler = c.lock();
-    // A job with the same output that ended a moment ago may have removed the blob again.
-    if !c.blobs.has(&digest)? {
-        c.blobs.put(bytes)?;
-    }
-    let worker = scheduler.jobs.get(&id).and_then(|j| {
-        let held = j.slots[tile.at()].lease.as_ref()?;
-        scheduler.workers.get(&held.worker).map(|w| w.name.clone())
-    });
-    let stats = TileStats { samples, cells, millis, worker: worker.unwrap_or_default() };
-    let result = TileResult { digest, bytes: announced.bytes, stats: stats.clone() };
-    match c.store.commit_tile(id, tile, result)? {
-        CommitOutcome::Committed => {
-            if let Some(job) = scheduler.jobs.get_mut(&id) {
-                let slot = &mut job.slots[tile.at()];
-                slot.state = TileState::Done { digest, bytes: announced.bytes, stats };
-                slot.lease = None;
-            }
-            Ok(())
-        }
-        CommitOutcome::AlreadySame => {
-            scheduler.release(&lease);
-            Ok(())
+    match outcome {
+        CommitOutcome::Committed | CommitOutcome::AlreadySame => {
+            Ok((Ok(()), tell(c, Event::Committed { lease, digest, stats })))
         }
         CommitOutcome::Conflict { kept, offered } => {
-            scheduler.release(&lease);
-            tracing::error!(
+            let error = format!(
                 "TWO RESULTS for tile {tile} of job {id}: {} stays, {} is refused. A worker's memory, \
                  driver or program differs from its profile; find out which before trusting this job",
                 hex(&kept),
                 hex(&offered)
             );
-            Err(ResultError::Conflict)
-        }
-    }
-}
-
-/// Starts assembling the result of every job whose tiles are complete, each on a thread of its own.
-pub(crate) fn assemble_ready(c: &Arc<Coordinator>) {
-    let mut ready = Vec::new();
-    let now = c.now().at;
-    for (id, job) in &mut c.lock().jobs {
-        let runs = matches!(job.record.state, JobState::Queued | JobState::Running);
-        let waits = job.no_space_until.is_some_and(|until| now < until);
-        if runs && !job.assembling && !waits && job.complete() {
-            job.assembling = true;
-            let parts = Parts {
-                spec: job.spec.clone(),
-                lattice: job.lattice,
-                plan: job.plan.clone(),
-                profile: job.record.profile.clone().unwrap_or_default(),
-                slots: job.slots.clone(),
-            };
-            ready.push((*id, parts));
-        }
-    }
-    for (id, parts) in ready {
-        let c = Arc::clone(c);
-        std::thread::spawn(move || finish(&c, id, &parts));
-    }
-}
-
-/// Assembles a job's result and ends the job.
-fn finish(c: &Coordinator, id: JobId, parts: &Parts) {
-    let leaf = |n: u32| &parts.slots[n as usize].state;
-    let assembled = if parts.plan.leaves().all(|n| matches!(leaf(n), TileState::SetAside { .. })) {
-        Err("every tile failed; `sightline show` and the workers' logs say why".to_owned())
-    } else {
-        // A panic must not leave the job half ended.
-        match catch_unwind(AssertUnwindSafe(|| assemble(c, parts))) {
-            Ok(Err(AssembleError::Blob(e @ BlobError::NoSpace { .. }))) => {
-                let every = SPACE_EVERY.as_secs();
-                tracing::error!(
-                    "the result of job {id} waits for space and is tried again every {every} s: {e}"
-                );
-                let now = c.now().at;
-                let mut scheduler = c.lock();
-                if let Some(job) = scheduler.jobs.get_mut(&id) {
-                    job.assembling = false;
-                    job.no_space_until = Some(now + SPACE_EVERY);
-                }
-                // There is no space for the outputs of further tiles either.
-                scheduler.pause_leasing(now);
-                return;
-            }
-            Ok(r) => r.map_err(|e| e.to_string()),
-            Err(_) => Err("assembling the result panicked; the coordinator's log says where".to_owned()),
-        }
-    };
-    let now = c.now().unix_ms;
-    let mut scheduler = c.lock();
-    // Absent when it was cancelled: the result stays as a blob and is found again by its content.
-    let Some(job) = scheduler.jobs.get_mut(&id) else { return };
-    job.assembling = false;
-    if !matches!(job.record.state, JobState::Queued | JobState::Running) {
-        return;
-    }
-    let ended = match assembled {
-        Ok((digest, bytes)) => c.store.finish_job(id, digest, bytes, now),
-        Err(e) => {
-            tracing::error!("job {id} has no result: {e}");
-            let failed = JobState::Failed { reason: e };
-            c.store.set_job_state(id, &[JobPhase::Queued, JobPhase::Running], failed, now)
-        }
-    };
-    match ended {
-        Ok(record) => {
-            if let JobState::Done { bytes, .. } = record.state {
-                tracing::info!("job {id} is done, {bytes} bytes");
-            }
-            scheduler.jobs.remove(&id);
-            let whole = matches!(record.state, JobState::Done { .. })
-                && parts.slots.iter().all(|s| matches!(s.state, TileState::Done { .. }));
-            if whole {
-                tidy(c, &scheduler, id, &parts.slots);
-            }
-        }
-        Err(e) => tracing::error!("job {id} cannot be ended: {e}"),
-    }
-    drop(scheduler);
-    c.changed();
-}
-
-/// Removes the tile outputs of a finished job, whose result contains them, unless another job needs them: one
-/// that has not ended or that can be retried.
-fn tidy(c: &Coordinator, scheduler: &Scheduler, finished: JobId, slots: &[Slot]) {
-    let digest = |s: &TileState| match s {
-        TileState::Done { digest, .. } | TileState::SetAside { digest, .. } => Some(*digest),
-        TileState::Open => None,
-    };
-    let mut kept: BTreeSet<Digest> =
-        scheduler.jobs.values().flat_map(|j| &j.slots).filter_map(|s| digest(&s.state)).collect();
-    let ended = c.store.jobs().and_then(|jobs| {
-        let retriable = |j: &JobRecord| {
-            j.id != finished && matches!(j.state.phase(), JobPhase::Cancelled | JobPhase::Failed)
-        };
-        for job in jobs.iter().filter(|j| retriable(j)) {
-            kept.extend(c.store.tiles(job.id)?.iter().filter_map(|t| digest(&t.state)));
-        }
-        Ok(())
-    });
-    if let Err(e) = ended {
-        tracing::warn!("the tile outputs of job {finished} are kept: {e}");
-        return;
-    }
-    for d in slots.iter().filter_map(|s| digest(&s.state)).filter(|d| !kept.contains(d)) {
-        if let Err(e) = c.blobs.remove(&d) {
-            tracing::warn!("{e}");
+            tracing::error!("{error}");
+            // The lease has ended, whoever made the result that stays.
+            let event = Event::Committed { lease, digest: kept, stats: TileStats::default() };
+            Ok((Err(ResultError::Conflict), tell(c, event)))
         }
     }
 }

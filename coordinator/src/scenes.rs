@@ -200,6 +200,8 @@ mod tests {
 
     use super::*;
     use crate::clock::SystemClock;
+    use crate::ids::Epoch;
+    use crate::scheduler::{Machine, Settings};
     use crate::state::Leases;
     use crate::store::{FileBlobs, MemoryStore};
     use sightline_scene::Object;
@@ -209,7 +211,8 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let blobs = FileBlobs::open(directory.path()).unwrap();
         let store = Box::new(MemoryStore::new());
-        let scheduler = crate::scheduler::Scheduler::new(crate::ids::Epoch(1));
+        let settings = Settings { epoch: Epoch(1), ttl: 1, stuck: 1, seed: 1 };
+        let scheduler = Machine::new(settings);
         let (boxed, clock) = (Box::new(blobs.clone()), Box::new(SystemClock));
         let coordinator = Coordinator::of(Leases::default(), store, boxed, clock, scheduler);
         let triangle = Triangle { v: [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y] };

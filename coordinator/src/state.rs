@@ -1,17 +1,18 @@
-//! The coordinator's shared state: store, blobs, clock, scheduler, and the signal that something changed.
+//! The coordinator's shared state: store, blobs, clock, scheduler, and who watches which job.
 //!
 //! Nothing here decides anything: the subjects (`scenes`, `submit`, `jobs`, `sessions`, `results`) do. Most
 //! calls block on the disk; the services make them off the async threads.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::time::{Duration, Instant};
 
 use sightline_scene::{Aabb, Kinds, Object, Source};
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::Semaphore;
 
 use crate::clock::{Clock, Moment};
-use crate::ids::{Digest, JobId};
-use crate::scheduler::Scheduler;
+use crate::ids::Digest;
+use crate::orders::{Scheduling, Watched};
+use crate::scheduler::{Machine, Now};
 use crate::store::{Blobs, Store};
 
 /// Simultaneous downloads; more wait. Half of tokio's threads for blocking work, so that clients that do not
@@ -51,9 +52,15 @@ pub struct Coordinator {
     pub(crate) store: Box<dyn Store>,
     pub(crate) blobs: Box<dyn Blobs>,
     clock: Box<dyn Clock>,
-    scheduler: Mutex<Scheduler>,
-    /// Counts changes; watchers wait for it.
-    pub(crate) changes: watch::Sender<u64>,
+    /// The origin of the scheduler's time.
+    origin: Instant,
+    /// Never held during a call of the store.
+    scheduling: Mutex<Scheduling>,
+    watched: Mutex<Watched>,
+    /// Held while the record of a job changes and until the scheduler has heard of it.
+    turn: Mutex<()>,
+    /// Shared by those who commit outputs, exclusive for who removes outputs.
+    outputs: RwLock<()>,
     /// The facts of the scene used last: consecutive jobs often have the same scene.
     pub(crate) last_scene: Mutex<Option<(Digest, Arc<SceneFacts>)>>,
     /// Permits for downloads, each of which occupies a thread for as long as its client takes.
@@ -67,23 +74,22 @@ impl Coordinator {
         store: Box<dyn Store>,
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
-        scheduler: Scheduler,
+        machine: Machine,
     ) -> Self {
+        let origin = clock.now().at;
         Self {
             leases,
             store,
             blobs,
             clock,
-            scheduler: Mutex::new(scheduler),
-            changes: watch::Sender::new(0),
+            origin,
+            scheduling: Mutex::new(Scheduling::new(machine)),
+            watched: Mutex::default(),
+            turn: Mutex::default(),
+            outputs: RwLock::default(),
             last_scene: Mutex::new(None),
             downloads: Arc::new(Semaphore::new(MOST_DOWNLOADS)),
         }
-    }
-
-    /// From now on grants tiles of `job` alone; other jobs stay as they are.
-    pub fn restrict_to(&self, job: impl Into<JobId>) {
-        self.lock().restrict_to(job.into());
     }
 
     /// The current time.
@@ -91,24 +97,36 @@ impl Coordinator {
         self.clock.now()
     }
 
-    pub(crate) fn lock(&self) -> MutexGuard<'_, Scheduler> {
-        // The scheduler's state is derived from the store and checked against it with every command; a panic
-        // in the middle of a change can lose a lease, not a result.
-        self.scheduler.lock().unwrap_or_else(PoisonError::into_inner)
+    /// The current time as the scheduler counts it.
+    pub(crate) fn now_plain(&self) -> Now {
+        let now = self.clock.now();
+        let ms = now.at.saturating_duration_since(self.origin).as_millis() as u64;
+        Now { ms, unix_ms: now.unix_ms }
     }
 
-    /// Signals that something changed.
-    pub(crate) fn changed(&self) {
-        self.changes.send_modify(|n| *n += 1);
+    /// The scheduler. Its state is derived from the store; a panic in the middle of a change can lose a
+    /// lease, not a result.
+    pub(crate) fn lock(&self) -> MutexGuard<'_, Scheduling> {
+        self.scheduling.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Lets the scheduler grant tiles. When the store refuses, no tiles are granted for a while.
-    pub(crate) fn grant_tiles(&self) {
-        let mut scheduler = self.lock();
-        let now = self.now();
-        if let Err(e) = scheduler.grant_tiles(&*self.store, now) {
-            scheduler.pause_leasing(now.at);
-            tracing::error!("no tiles are granted for a while: {e}");
-        }
+    /// Who watches which job. May be taken under the scheduler's lock.
+    pub(crate) fn watched(&self) -> MutexGuard<'_, Watched> {
+        self.watched.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The right to change records of jobs, until the scheduler has heard of the change.
+    pub(crate) fn turn(&self) -> MutexGuard<'_, ()> {
+        self.turn.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Held while an output is stored: no output is removed meanwhile.
+    pub(crate) fn committing(&self) -> RwLockReadGuard<'_, ()> {
+        self.outputs.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Held while outputs are removed: none is stored meanwhile.
+    pub(crate) fn no_commits(&self) -> RwLockWriteGuard<'_, ()> {
+        self.outputs.write().unwrap_or_else(PoisonError::into_inner)
     }
 }

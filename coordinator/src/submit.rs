@@ -1,9 +1,14 @@
 //! Submission: a checked specification becomes a job, or finds the job that has the same result.
 
+use std::sync::Arc;
+
 use sightline_model::{JobSpec, Method};
 
+use crate::chores::do_chores;
 use crate::ids::{Digest, JobId};
 use crate::scenes::{self, FactsError};
+use crate::scheduler::{Event, Job};
+use crate::scheduling::tell;
 use crate::specs;
 use crate::state::Coordinator;
 use crate::store::{BlobError, JobState, NewJob, StoreError, Submitted};
@@ -40,7 +45,7 @@ pub(crate) enum SubmitError {
 
 /// Submits a job on a recorded scene; returns its id and whether it existed before. A done job whose result
 /// is lost is begun again.
-pub(crate) fn submit(c: &Coordinator, submission: &Submission) -> Result<Submitted, SubmitError> {
+pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Submitted, SubmitError> {
     let Submission { request_id, name, spec } = submission;
     let bad = |e: &dyn std::fmt::Display| SubmitError::Spec(e.to_string());
     let (_, plan) = spec.plan().map_err(|e| bad(&e))?;
@@ -64,16 +69,16 @@ pub(crate) fn submit(c: &Coordinator, submission: &Submission) -> Result<Submitt
         tiles: plan.tiles.len() as u32,
         submitted_at_ms: c.now().unix_ms,
     };
-    // Under the lock, so that a job is in the scheduler before anybody can see it.
-    let mut scheduler = c.lock();
+    // Nobody else changes the job until the scheduler has it.
+    let mut turn = c.turn();
     let mut submitted = c.store.submit_job(job.clone())?;
     if submitted.existing
         && let Some(result) = result_of(c, submitted.id)?
     {
         // Reading a large result takes time; nobody else waits for it.
-        drop(scheduler);
+        drop(turn);
         let lost = c.blobs.open_checked(&result).err();
-        scheduler = c.lock();
+        turn = c.turn();
         if let Some(e) = lost
             && result_of(c, submitted.id)? == Some(result)
         {
@@ -84,16 +89,17 @@ pub(crate) fn submit(c: &Coordinator, submission: &Submission) -> Result<Submitt
             submitted = c.store.submit_job(job)?;
         }
     }
+    let mut chores = Vec::new();
     if !submitted.existing {
         let id = submitted.id;
         let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
         let tiles = c.store.tiles(id)?;
-        scheduler.take_up(record, &spec.to_proto(), tiles).map_err(SubmitError::Schedule)?;
+        let job = Job::of(record, &spec.to_proto(), tiles).map_err(SubmitError::Schedule)?;
         tracing::info!("job {id} ({name:?}) is submitted, {} tiles", plan.tiles.len());
+        chores = tell(c, Event::TakenUp(Box::new(job)));
     }
-    drop(scheduler);
-    c.grant_tiles();
-    c.changed();
+    drop(turn);
+    do_chores(c, chores);
     Ok(submitted)
 }
 

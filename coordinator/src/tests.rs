@@ -15,16 +15,24 @@ use sightline_viewcells::Division;
 use tokio::sync::mpsc;
 
 use crate::assemble::expected_nodes;
+use crate::chores::do_chores;
 use crate::clock::ManualClock;
 use crate::ids::{Digest, JobId, WorkerId};
 use crate::jobs::{self, JobError};
 use crate::lifecycle;
+use crate::orders::Outbox;
 use crate::results::{self, Announced, ResultError};
 use crate::scheduler::{Grant, Introduction, Order};
 use crate::sessions::{self, Message};
 use crate::state::{Coordinator, Leases};
 use crate::store::{JobPhase, JobState, MemoryBlobs, MemoryStore, NewJob};
 use crate::submit::{Submission, SubmitError, submit};
+
+impl Outbox for mpsc::Sender<Order> {
+    fn offer(&self, order: Order) -> bool {
+        self.try_send(order).is_ok()
+    }
+}
 
 /// A coordinator without a disk, its clock, and the digest of a scene of one triangle.
 fn coordinator() -> (Arc<Coordinator>, Arc<ManualClock>, Digest) {
@@ -67,7 +75,7 @@ fn a_scene_with_masks_is_refused_by_exact_methods() {
 }
 
 /// Submits a job of two tiles of one cell each.
-fn two_tiles(c: &Coordinator, scene: Digest) -> JobId {
+fn two_tiles(c: &Arc<Coordinator>, scene: Digest) -> JobId {
     let spec = JobSpec {
         scene,
         division: Division::Grid([2, 1, 1]),
@@ -91,8 +99,10 @@ fn join(c: &Arc<Coordinator>, name: &str) -> (WorkerId, mpsc::Receiver<Order>) {
     let (out, orders) = mpsc::channel(8);
     let profiles = vec!["cpu/test".to_owned()];
     let intro = Introduction { name: name.to_owned(), instance: 0, profiles, held: Vec::new() };
-    let worker = sessions::join(c, intro, Box::new(out)).unwrap().worker;
-    sessions::heard(c, worker, name, Message::Want(2)).unwrap();
+    let (joined, chores) = sessions::join(c, intro, Box::new(out)).unwrap();
+    do_chores(c, chores);
+    let worker = joined.worker;
+    do_chores(c, sessions::heard(c, worker, Message::Want(2)));
     (worker, orders)
 }
 
@@ -169,7 +179,7 @@ fn a_job_runs_in_memory_from_submission_to_result() {
     // The outputs of the tiles are in the result and were removed.
     assert!(!c.blobs.has(blake3::hash(&empty).as_bytes()).unwrap());
     // The same job again is answered with the result, and a lost result is baked again.
-    let spec = grants[0].spec.clone();
+    let spec = JobSpec::clone(&grants[0].spec);
     let again = Submission { request_id: "two".to_owned(), name: String::new(), spec };
     let answer = submit(&c, &again).unwrap();
     assert!(answer.existing && answer.id == id);
@@ -184,9 +194,9 @@ fn a_lease_that_is_not_renewed_goes_to_another_worker() {
     two_tiles(&c, scene);
     let (a, mut orders_a) = join(&c, "a");
     let leases = [granted(&mut orders_a).lease, granted(&mut orders_a).lease];
-    sessions::heard(&c, a, "a", Message::Draining).unwrap();
+    do_chores(&c, sessions::heard(&c, a, Message::Draining));
     clock.advance(Duration::from_secs(11));
-    lifecycle::tick(&c);
+    do_chores(&c, lifecycle::tick(&c));
     assert_eq!(leases.map(|l| orders_a.try_recv() == Ok(Order::Revoke(l))), [true, true]);
     let (_, mut orders_b) = join(&c, "b");
     assert_eq!(granted(&mut orders_b).lease.tile, leases[0].tile);

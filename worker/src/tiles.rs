@@ -19,9 +19,11 @@ use crate::scenes::Loaded;
 
 /// Largest scene or pack accepted from a coordinator, in bytes.
 const MAX_FETCH: u64 = 64 << 30;
-/// Most attempts at an upload, and the wait after the first failure; the wait doubles with each failure.
-const UPLOAD_TRIES: u32 = 8;
-const UPLOAD_WAIT: Duration = Duration::from_millis(250);
+/// The waits after the first failure of an upload and after late ones; they double in between. An output is
+/// offered again for as long as its lease lives, whatever the disk or the network does.
+const UPLOAD_WAIT: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(10)];
+/// How often a wait looks whether the lease still lives.
+const LOOK: Duration = Duration::from_millis(250);
 
 /// A held lease, shared by the session and the tile that runs under it.
 pub struct Held {
@@ -214,9 +216,8 @@ impl Shop {
         bytes: bytes::Bytes,
         held: &Held,
     ) -> Result<(), Failure> {
-        let mut wait = UPLOAD_WAIT;
-        let mut last = String::new();
-        for _ in 0..UPLOAD_TRIES {
+        let mut wait = UPLOAD_WAIT[0];
+        loop {
             if held.cancelled() {
                 return Err(Failure::Cancelled);
             }
@@ -236,13 +237,20 @@ impl Shop {
                     tonic::Code::NotFound | tonic::Code::FailedPrecondition => {
                         return Err(Failure::Cancelled);
                     }
-                    _ => last = describe(&s),
+                    _ => tracing::warn!(
+                        "the output of tile {} is offered again in {wait:?}: {}",
+                        held.lease.tile,
+                        describe(&s)
+                    ),
                 },
             }
-            tokio::time::sleep(wait).await;
-            wait *= 2;
+            // Not the same time on every worker, so that they do not all come back together.
+            let end = Instant::now() + wait.mul_f64(jitter(held.lease.lease, wait));
+            while Instant::now() < end && !held.cancelled() {
+                tokio::time::sleep(LOOK.min(end.saturating_duration_since(Instant::now()))).await;
+            }
+            wait = (wait * 2).min(UPLOAD_WAIT[1]);
         }
-        Err(Failure::Infrastructure(format!("the result could not be delivered: {last}")))
     }
 
     /// Times the backends on a job's scene.
@@ -274,6 +282,13 @@ impl Shop {
         .await
         .map_err(|e| e.to_string())
     }
+}
+
+/// A factor between 0.75 and 1.25 that differs from lease to lease and from wait to wait.
+fn jitter(lease: u64, wait: Duration) -> f64 {
+    let names = [lease.to_le_bytes(), (wait.as_millis() as u64).to_le_bytes()].concat();
+    let [byte, ..] = *blake3::hash(&names).as_bytes();
+    0.75 + f64::from(byte) / 512.0
 }
 
 /// A pack, or the digest of a lost pack that has to be computed again.

@@ -1,89 +1,116 @@
-//! A job that has not ended: its tiles, their leases and what each tile waits for.
+//! A job that has not ended: its tiles, which of them are ready, and its totals.
+//!
+//! The totals are kept beside the tiles and changed with them; `checks.rs` counts them again. Nothing here
+//! knows of workers.
 
+use std::cmp::Reverse;
 use std::collections::BTreeSet;
-use std::time::{Duration, Instant};
+use std::sync::Arc;
 
 use sightline_model::JobSpec;
 use sightline_proto::v1;
 use sightline_viewcells::{Lattice, Plan, TileKind};
 
-use crate::clock::Moment;
-use crate::ids::{Digest, Lease, LeaseId, TileIndex, WorkerId};
-use crate::store::{JobRecord, TileRecord, TileState};
+use super::messages::Now;
+use super::pools::{List, Place};
+use crate::ids::{Digest, LeaseId, TileIndex, WorkerId};
+use crate::store::{JobPhase, JobRecord, TileRecord, TileState, TileStats};
 
-/// How long the leases of a worker outlive its stream. A worker that lost its connection reconnects after
-/// 0.2, 0.6 and 1.4 s. When it returns later its tiles may have been granted to others, and its work on them
-/// is lost.
-const AWAY: Duration = Duration::from_secs(3);
-
-/// A tile as the scheduler sees it.
-#[derive(Clone, Debug)]
-pub(crate) struct Slot {
-    pub(crate) state: TileState,
-    pub(crate) lease: Option<Leased>,
-    /// Failures of the tile since the coordinator started, on any worker.
-    pub(crate) attempts: u32,
-    /// Faults of machines and networks since the coordinator started.
-    pub(crate) faults: u32,
-    /// After such a fault the tile waits until then; longer each time.
-    pub(crate) not_before: Option<Instant>,
+/// What a job computes. Never changes, so it is shared.
+#[derive(Debug)]
+pub(crate) struct Work {
+    pub(crate) spec: Arc<JobSpec>,
+    pub(crate) lattice: Lattice,
+    pub(crate) plan: Plan,
 }
 
-impl Slot {
-    /// A tile without a lease.
-    pub(crate) fn new(state: TileState) -> Self {
-        Self { state, lease: None, attempts: 0, faults: 0, not_before: None }
-    }
+/// What is there of a tile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Output {
+    /// Nothing.
+    Open,
+    /// Its result.
+    Done(Digest),
+    /// The stand-in for a tile that was given up.
+    SetAside(Digest),
 }
 
-/// A tile leased to a worker.
-#[derive(Clone, Debug)]
-pub(crate) struct Leased {
-    pub(crate) id: LeaseId,
-    pub(crate) worker: WorkerId,
-    pub(super) renewed: Instant,
-    pub(super) moved: Instant,
-    /// When the worker's stream ended.
-    pub(super) gone: Option<Instant>,
-    pub(crate) cells: u64,
-    pub(crate) samples: u64,
-}
-
-impl Leased {
-    /// A lease granted now.
-    pub(super) fn new(id: LeaseId, worker: WorkerId, now: Instant) -> Self {
-        Self { id, worker, renewed: now, moved: now, gone: None, cells: 0, samples: 0 }
-    }
-
-    /// The reason to take the lease back, if there is one.
-    pub(super) fn over(&self, now: Instant, ttl: Duration, stuck: Duration) -> Option<&'static str> {
-        if self.gone.is_some_and(|since| now - since > AWAY) {
-            Some("its worker has gone and did not come back")
-        } else if now - self.renewed > ttl {
-            Some("its lease ran out")
-        } else if now - self.moved > stuck {
-            Some("it makes no progress")
-        } else {
-            None
+impl Output {
+    /// The name of its blob.
+    pub(crate) fn digest(&self) -> Option<Digest> {
+        match self {
+            Self::Done(d) | Self::SetAside(d) => Some(*d),
+            Self::Open => None,
         }
     }
 }
 
+/// A tile as the machine sees it.
+#[derive(Clone, Debug)]
+pub(crate) struct Tile {
+    pub(crate) output: Output,
+    /// Its leases: at most two, the second one for a tile that takes long.
+    pub(super) leases: [Option<LeaseId>; 2],
+    /// Needed tiles that are not done.
+    pub(super) missing: u32,
+    /// Failures of the tile since the coordinator started, on any worker.
+    pub(super) attempts: u32,
+    /// Faults of machines and networks since the coordinator started.
+    pub(super) faults: u32,
+    /// After such a fault the tile waits until then; longer each time.
+    pub(super) not_before: Option<u64>,
+    /// Whether a command about its failure is with the store.
+    pub(super) judged: bool,
+}
+
+/// Where a job without leases to give waits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Parked {
+    /// A worker times its backends.
+    Timing(WorkerId),
+    /// More workers may join before it is bound, until this time.
+    Binding(u64),
+}
+
 /// A job that has not ended.
+#[derive(Debug)]
 pub(crate) struct Job {
     pub(crate) record: JobRecord,
-    pub(crate) spec: JobSpec,
-    pub(crate) lattice: Lattice,
-    pub(crate) plan: Plan,
-    pub(crate) slots: Vec<Slot>,
-    /// The worker that is timing its backends, and since when.
-    pub(super) timing: Option<(WorkerId, Instant)>,
+    pub(crate) work: Arc<Work>,
+    pub(crate) tiles: Vec<Tile>,
+    /// The tiles that need a tile: `dependents[first[t]..first[t + 1]]`.
+    dependents: Vec<u32>,
+    first: Vec<u32>,
+    /// Open tiles without a lease whose needed tiles are done and that wait for nothing.
+    pub(super) ready: BTreeSet<TileIndex>,
+    pub(crate) done: u32,
+    pub(crate) set_aside: u32,
+    /// Leases.
+    pub(crate) running: u32,
+    /// View cells; 0 while unknown.
+    pub(crate) cells_total: u64,
+    /// Cells, samples and milliseconds of done tiles.
+    pub(crate) cells: u64,
+    pub(crate) samples: u64,
+    pub(crate) millis: u64,
+    /// Cells and samples of leased tiles, as reported.
+    pub(crate) running_cells: u64,
+    pub(crate) running_samples: u64,
+    /// Numbers of this epoch's leases and their tiles, ascending.
+    pub(super) given: Vec<(u64, TileIndex)>,
+    pub(super) parked: Option<Parked>,
     /// How often timing gave no usable backend.
     pub(super) timing_faults: u32,
-    /// Whether a thread is assembling the result.
-    pub(crate) assembling: bool,
+    /// Whether a command about the job is with the store.
+    pub(super) pending: bool,
+    /// While leases of an earlier epoch may be out, no tile is leased.
+    pub(super) grace: bool,
+    /// Whether somebody assembles the result.
+    pub(super) assembling: bool,
     /// When to assemble the result again, after the disk was full.
-    pub(crate) no_space_until: Option<Instant>,
+    pub(super) no_space_until: Option<u64>,
+    /// The list that the job is in, and its ready tiles there.
+    pub(super) listed: Option<(List, usize)>,
 }
 
 impl Job {
@@ -106,84 +133,193 @@ impl Job {
                 plan.tiles.len()
             ));
         }
-        let slots = tiles.into_iter().map(|t| Slot::new(t.state)).collect();
-        Ok(Self {
+        Ok(Self::with(record, Work { spec: Arc::new(spec), lattice, plan }, tiles))
+    }
+
+    /// The job when an earlier epoch may have leased its tiles: they are leased again only after a while.
+    pub(crate) fn after_restart(mut self) -> Self {
+        self.grace = true;
+        self
+    }
+
+    /// The job with this work and recorded states.
+    pub(crate) fn with(record: JobRecord, work: Work, tiles: Vec<TileRecord>) -> Self {
+        let needs = work.plan.tiles.iter().map(|t| &t.needs);
+        let mut first = vec![0u32; tiles.len() + 1];
+        for n in needs.clone().flatten() {
+            first[*n as usize + 1] += 1;
+        }
+        (1..first.len()).for_each(|i| first[i] += first[i - 1]);
+        let mut next = first.clone();
+        let mut dependents = vec![0; first.last().copied().unwrap_or(0) as usize];
+        for (tile, needs) in (0u32..).zip(needs) {
+            for n in needs {
+                dependents[next[*n as usize] as usize] = tile;
+                next[*n as usize] += 1;
+            }
+        }
+        let cells_total = cells_total(&work.spec, &work.plan);
+        let mut job = Self {
             record,
-            spec,
-            lattice,
-            plan,
-            slots,
-            timing: None,
+            cells_total,
+            work: Arc::new(work),
+            tiles: Vec::with_capacity(tiles.len()),
+            dependents,
+            first,
+            ready: BTreeSet::new(),
+            done: 0,
+            set_aside: 0,
+            running: 0,
+            cells: 0,
+            samples: 0,
+            millis: 0,
+            running_cells: 0,
+            running_samples: 0,
+            given: Vec::new(),
+            parked: None,
             timing_faults: 0,
+            pending: false,
+            grace: false,
             assembling: false,
             no_space_until: None,
-        })
+            listed: None,
+        };
+        for tile in tiles {
+            let output = match tile.state {
+                TileState::Open => Output::Open,
+                TileState::Done { digest, stats, .. } => {
+                    job.done += 1;
+                    job.add(&stats);
+                    Output::Done(digest)
+                }
+                TileState::SetAside { digest, .. } => {
+                    job.set_aside += 1;
+                    Output::SetAside(digest)
+                }
+            };
+            let (attempts, faults, judged) = (0, 0, false);
+            let leases = [None; 2];
+            job.tiles.push(Tile { output, leases, missing: 0, attempts, faults, not_before: None, judged });
+        }
+        for at in 0..job.tiles.len() {
+            let done = |n: &&u32| !matches!(job.tiles[**n as usize].output, Output::Done(_));
+            job.tiles[at].missing = job.work.plan.tiles[at].needs.iter().filter(done).count() as u32;
+        }
+        job.ready = job.indices().filter(|t| job.is_ready(*t)).collect();
+        job
     }
 
-    /// Whether every tile is done or set aside.
-    pub(crate) fn complete(&self) -> bool {
-        self.slots.iter().all(|s| !matches!(s.state, TileState::Open))
+    /// Its place in the order of granting.
+    pub(super) fn place(&self) -> Place {
+        (Reverse(0), self.record.id)
     }
 
-    /// Whether `tile` is open, unleased, and every tile that it needs is done.
-    pub(super) fn ready(&self, tile: TileIndex, now: Instant) -> bool {
-        let slot = &self.slots[tile.at()];
-        matches!(slot.state, TileState::Open)
-            && slot.lease.is_none()
-            && slot.not_before.is_none_or(|t| t <= now)
-            && self.plan.tiles[tile.at()]
-                .needs
-                .iter()
-                .all(|n| matches!(self.slots[*n as usize].state, TileState::Done { .. }))
+    /// All tiles.
+    pub(crate) fn indices(&self) -> impl Iterator<Item = TileIndex> + use<> {
+        (0..self.tiles.len() as u32).map(TileIndex)
+    }
+
+    fn add(&mut self, stats: &TileStats) {
+        self.cells = self.cells.saturating_add(stats.cells);
+        self.samples = self.samples.saturating_add(stats.samples);
+        self.millis = self.millis.saturating_add(stats.millis);
+    }
+
+    /// Tiles neither done nor set aside.
+    pub(crate) fn open(&self) -> u32 {
+        self.tiles.len() as u32 - self.done - self.set_aside
+    }
+
+    /// Whether the job is queued or running.
+    pub(super) fn runs(&self) -> bool {
+        matches!(self.record.state.phase(), JobPhase::Queued | JobPhase::Running)
+    }
+
+    /// Whether a lease of this epoch was given on a tile.
+    pub(super) fn gave(&self, number: u64, tile: TileIndex) -> bool {
+        self.given.binary_search(&(number, tile)).is_ok()
+    }
+
+    /// Whether a tile can be leased, by its own state.
+    pub(super) fn is_ready(&self, tile: TileIndex) -> bool {
+        let t = &self.tiles[tile.at()];
+        t.output == Output::Open
+            && t.leases == [None; 2]
+            && t.missing == 0
+            && t.not_before.is_none()
+            && !t.judged
+    }
+
+    /// Puts a tile among the ready ones, or takes it out.
+    pub(super) fn look_at(&mut self, tile: TileIndex) {
+        if self.is_ready(tile) {
+            self.ready.insert(tile);
+        } else {
+            self.ready.remove(&tile);
+        }
+    }
+
+    /// Notes the result of a tile; returns whether that is news.
+    pub(super) fn complete(&mut self, tile: TileIndex, digest: Digest, stats: &TileStats) -> bool {
+        match self.tiles[tile.at()].output {
+            Output::Done(_) => return false,
+            Output::SetAside(_) => self.set_aside -= 1,
+            Output::Open => {}
+        }
+        self.done += 1;
+        self.add(stats);
+        self.tiles[tile.at()].output = Output::Done(digest);
+        self.tiles[tile.at()].not_before = None;
+        self.look_at(tile);
+        for at in self.first[tile.at()]..self.first[tile.at() + 1] {
+            let dependent = TileIndex(self.dependents[at as usize]);
+            self.tiles[dependent.at()].missing -= 1;
+            self.look_at(dependent);
+        }
+        true
+    }
+
+    /// Notes the stand-in of an open tile.
+    pub(super) fn give_up(&mut self, tile: TileIndex, digest: Digest) {
+        let t = &mut self.tiles[tile.at()];
+        t.judged = false;
+        if t.output == Output::Open {
+            t.output = Output::SetAside(digest);
+            self.set_aside += 1;
+        }
+        self.look_at(tile);
     }
 
     /// Milliseconds for a tile granted now, when the job has a time budget: the remaining time, divided by
     /// the open tiles and multiplied by the workers that share them. Never zero, however late it is.
-    pub(super) fn millis_for_a_tile(&self, workers: u64, now: Moment) -> Option<u64> {
-        let budget = self.spec.time_budget_ms;
-        let open = self.slots.iter().filter(|s| matches!(s.state, TileState::Open)).count().max(1) as u64;
+    pub(super) fn millis_for_a_tile(&self, workers: u64, now: Now) -> Option<u64> {
+        let budget = self.work.spec.time_budget_ms;
+        let open = u64::from(self.open().max(1));
         let spent = now.unix_ms.saturating_sub(self.record.submitted_at_ms);
         // A tenth is kept for assembling the result.
         let share = (budget.saturating_sub(spent) / 10 * 9).saturating_mul(workers.clamp(1, open)) / open;
-        (budget > 0).then(|| share.max(budget / (8 * self.slots.len().max(1) as u64)))
-    }
-
-    /// A leased tile of the job that, as far as is known, its worker has not begun because it works on
-    /// another one.
-    pub(super) fn waiting(&self) -> Option<(TileIndex, &Leased)> {
-        let leased =
-            || (0..).map(TileIndex).zip(&self.slots).filter_map(|(t, s)| Some((t, s.lease.as_ref()?)));
-        let begun = |l: &Leased| (l.cells, l.samples) != (0, 0);
-        let before = |l: &Leased| {
-            leased().any(|(_, o)| o.worker == l.worker && o.id != l.id && (begun(o) || o.id < l.id))
-        };
-        leased().find(|(_, l)| l.gone.is_none() && !begun(l) && before(l))
-    }
-
-    /// The lease on a tile, if it is `lease`.
-    pub(super) fn leased(&mut self, lease: &Lease) -> Option<&mut Leased> {
-        let slot = self.slots.get_mut(lease.tile.at())?;
-        slot.lease.as_mut().filter(|l| l.id == lease.id)
+        (budget > 0).then(|| share.max(budget / (8 * self.tiles.len().max(1) as u64)))
     }
 
     /// Digests of the packs that `tile` needs, in the plan's order.
     pub(super) fn packs(&self, tile: TileIndex) -> Vec<Option<Digest>> {
-        let digest = |n: &u32| match &self.slots[*n as usize].state {
-            TileState::Done { digest, .. } | TileState::SetAside { digest, .. } => Some(*digest),
-            TileState::Open => None,
-        };
-        self.plan.tiles[tile.at()].needs.iter().map(digest).collect()
+        let needs = &self.work.plan.tiles[tile.at()].needs;
+        needs.iter().map(|n| self.tiles[*n as usize].output.digest()).collect()
     }
 
-    /// `tile` and all tiles that cannot be computed without it.
-    pub(crate) fn lost_with(&self, tile: TileIndex) -> BTreeSet<TileIndex> {
+    /// `tile` and all open tiles that cannot be computed without it, those that need others first.
+    pub(super) fn lost_with(&self, tile: TileIndex) -> Vec<TileIndex> {
         let mut lost = BTreeSet::from([tile]);
-        for (i, t) in (0..).map(TileIndex).zip(&self.plan.tiles).skip(tile.at() + 1) {
-            if t.needs.iter().any(|n| lost.contains(&TileIndex(*n))) {
-                lost.insert(i);
+        let mut next = vec![tile];
+        while let Some(t) = next.pop() {
+            for at in self.first[t.at()]..self.first[t.at() + 1] {
+                let dependent = TileIndex(self.dependents[at as usize]);
+                if lost.insert(dependent) {
+                    next.push(dependent);
+                }
             }
         }
-        lost
+        lost.into_iter().rev().filter(|t| self.tiles[t.at()].output == Output::Open).collect()
     }
 }
 
@@ -194,30 +330,5 @@ pub(crate) fn cells_total(job: &JobSpec, plan: &Plan) -> u64 {
             plan.tiles.iter().filter(|t| t.kind == TileKind::Leaf).map(|t| t.cells).sum()
         }
         sightline_viewcells::Division::Adaptive { .. } => 0,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::ids::Epoch;
-
-    #[test]
-    fn a_lease_ends_three_seconds_after_its_workers_stream_unless_the_worker_returns() {
-        let start = Instant::now();
-        let [ttl, stuck] = [10, 600].map(Duration::from_secs);
-        let after =
-            |lease: &Leased, seconds: u64| lease.over(start + Duration::from_secs(seconds), ttl, stuck);
-        let mut lease = Leased::new(LeaseId { epoch: Epoch(1), number: 1 }, WorkerId(7), start);
-        assert_eq!(after(&lease, 9), None);
-        assert_eq!(after(&lease, 11), Some("its lease ran out"));
-        lease.gone = Some(start);
-        assert_eq!(after(&lease, 2), None);
-        assert!(after(&lease, 4).is_some_and(|why| why.contains("did not come back")));
-        // The worker returned in time: the lease belongs to its new number.
-        let mut back = Leased::new(lease.id, WorkerId(8), start + Duration::from_secs(2));
-        assert_eq!(after(&back, 9), None);
-        (back.renewed, back.moved) = (start + Duration::from_secs(601), start);
-        assert_eq!(after(&back, 601), Some("it makes no progress"));
     }
 }

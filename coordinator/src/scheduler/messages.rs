@@ -1,8 +1,19 @@
 //! The messages between the scheduler and the workers, apart from their wire format.
 
+use std::sync::Arc;
+
 use sightline_model::JobSpec;
 
 use crate::ids::{Digest, Epoch, JobId, Lease, WorkerId};
+
+/// A point in time, as plain numbers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Now {
+    /// Milliseconds of monotonic time, from any origin.
+    pub(crate) ms: u64,
+    /// Milliseconds since 1970, for time budgets. May jump.
+    pub(crate) unix_ms: u64,
+}
 
 /// A worker's first message.
 #[derive(Clone, Debug)]
@@ -68,7 +79,7 @@ pub(crate) enum Order {
         /// The job.
         job: JobId,
         /// Its specification.
-        spec: Box<JobSpec>,
+        spec: Arc<JobSpec>,
     },
 }
 
@@ -78,7 +89,7 @@ pub(crate) struct Grant {
     /// The tile and its lease.
     pub(crate) lease: Lease,
     /// The job's specification.
-    pub(crate) spec: JobSpec,
+    pub(crate) spec: Arc<JobSpec>,
     /// The numerics profile that the tile must be computed with.
     pub(crate) profile: String,
     /// Digests of the packs that the tile needs, in the plan's order of needed tiles; `None` for one that is
@@ -86,11 +97,4 @@ pub(crate) struct Grant {
     pub(crate) packs: Vec<Option<Digest>>,
     /// Time for the tile in milliseconds, when the job has a time budget.
     pub(crate) millis: Option<u64>,
-}
-
-/// The way to one worker.
-pub(crate) trait Outbox: Send {
-    /// Sends without waiting; returns whether the message was accepted. A worker that does not read its
-    /// stream loses messages and, with time, its leases.
-    fn offer(&self, order: Order) -> bool;
 }

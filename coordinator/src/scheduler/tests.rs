@@ -1,25 +1,117 @@
 //! Who gets which tile: two workers, two tiles, a memory store.
 
+use super::*;
+use crate::ids::{Epoch, JobId, Lease, WorkerId};
+use crate::store::{MemoryStore, NewJob, SceneRecord, Store as _};
 use glam::Vec3;
 use prost::Message as _;
 use sightline_model::{BackendChoice, CellToCell, SamplingParams};
 use sightline_model::{JobSpec, Method};
 use sightline_scene::Aabb;
 use sightline_viewcells::Division;
-use tokio::sync::mpsc;
+use std::collections::BTreeMap;
 
-use super::*;
-use crate::clock::{Clock as _, SystemClock};
-use crate::store::{MemoryStore, NewJob, SceneRecord};
+/// A machine, a store whose commands are carried out at once, and what the workers were told.
+pub(super) struct Bench {
+    pub(super) machine: Machine,
+    pub(super) store: MemoryStore,
+    pub(super) ms: u64,
+    told: BTreeMap<WorkerId, Vec<Order>>,
+    answer: Option<Result<Joined, NameTaken>>,
+    departure: Option<Departure>,
+    notes: Vec<Note>,
+}
 
-impl Outbox for mpsc::Sender<Order> {
-    fn offer(&self, order: Order) -> bool {
-        self.try_send(order).is_ok()
+const SETTINGS: Settings = Settings { epoch: Epoch(1), ttl: 10_000, stuck: 600_000, seed: 1 };
+
+impl Bench {
+    pub(super) fn step(&mut self, event: Event) {
+        for effect in self.machine.step(event, Now { ms: self.ms, unix_ms: self.ms }) {
+            match effect {
+                Effect::Tell(worker, order) => self.told.entry(worker).or_default().push(order),
+                Effect::Joined(answer) => self.answer = Some(answer),
+                Effect::Left(how) => self.departure = Some(how),
+                Effect::Note(note) => self.notes.push(note),
+                Effect::Run(Command::Bind(job, profile)) => {
+                    let bound = self.store.bind_profile(job, &profile).unwrap();
+                    self.step(Event::Bound(job, bound));
+                }
+                Effect::Run(Command::Start(job)) => {
+                    let from = [crate::store::JobPhase::Queued];
+                    let running = crate::store::JobState::Running;
+                    let record = self.store.set_job_state(job, &from, running, 0).unwrap();
+                    self.step(Event::JobChanged(Box::new(record)));
+                }
+                Effect::Run(Command::Fail { job, tile, worker, reason }) => {
+                    let on = self.store.fail_tile(job, tile, &worker, &reason).unwrap();
+                    self.step(Event::FailureRecorded { job, tile, on, reason });
+                }
+                Effect::Run(Command::SetAside { job, tiles, .. }) => {
+                    for tile in tiles {
+                        self.step(Event::SetAside { job, tile, digest: [1; 32] });
+                    }
+                }
+                Effect::Run(Command::FailJob(..)) | Effect::Assemble(_) | Effect::Changed(_) => {}
+            }
+        }
+        self.machine.check().unwrap();
+    }
+
+    pub(super) fn try_join(
+        &mut self,
+        name: &str,
+        instance: u64,
+        held: Vec<Lease>,
+    ) -> Result<Joined, NameTaken> {
+        let intro = Introduction { held, ..introduction(name, instance) };
+        self.step(Event::Joined(intro));
+        self.answer.take().unwrap()
+    }
+
+    pub(super) fn join(&mut self, name: &str) -> WorkerId {
+        self.try_join(name, 0, Vec::new()).unwrap().worker
+    }
+
+    pub(super) fn leave(&mut self, worker: WorkerId) -> Departure {
+        self.step(Event::Left(worker));
+        self.departure.take().unwrap()
+    }
+
+    pub(super) fn want(&mut self, worker: WorkerId, tiles: u32) {
+        self.step(Event::Wanted(worker, tiles));
+    }
+
+    /// Seconds pass.
+    pub(super) fn wait(&mut self, seconds: u64) {
+        for _ in 0..seconds {
+            self.ms += 1000;
+            self.step(Event::Tick);
+        }
+    }
+
+    /// The worker that has each tile of the first job.
+    pub(super) fn holders(&self) -> Vec<Option<WorkerId>> {
+        let tiles = self.machine.jobs.values().next().unwrap().tiles.iter();
+        tiles.map(|t| t.leases[0].map(|l| self.machine.leases[&l].worker)).collect()
+    }
+
+    pub(super) fn grants(&self, worker: WorkerId) -> Vec<Lease> {
+        let told = self.told.get(&worker).into_iter().flatten();
+        told.filter_map(|o| if let Order::Grant(g) = o { Some(g.lease) } else { None }).collect()
+    }
+
+    pub(super) fn fail(&mut self, worker: WorkerId, lease: Lease, infrastructure: bool) {
+        self.step(Event::Failed(worker, Failure { lease, reason: "no".to_owned(), infrastructure }));
     }
 }
 
 /// A scheduler with a job of two tiles, and its store.
-fn two_tiles() -> (Scheduler, MemoryStore) {
+pub(super) fn two_tiles() -> Bench {
+    with_grace(false)
+}
+
+/// The same; with `grace` an earlier epoch may have leased the tiles.
+pub(super) fn with_grace(grace: bool) -> Bench {
     let spec = JobSpec {
         scene: [7; 32],
         division: Division::Grid([2, 1, 1]),
@@ -46,108 +138,186 @@ fn two_tiles() -> (Scheduler, MemoryStore) {
         submitted_at_ms: 0,
     };
     let id = store.submit_job(job).unwrap().id;
-    let mut scheduler = Scheduler::new(Epoch(1));
-    scheduler.take_up(store.job(id).unwrap().unwrap(), &spec.to_proto(), store.tiles(id).unwrap()).unwrap();
-    (scheduler, store)
+    let job = Job::of(store.job(id).unwrap().unwrap(), &spec.to_proto(), store.tiles(id).unwrap()).unwrap();
+    let epoch = Epoch(if grace { 2 } else { 1 });
+    let mut bench = Bench {
+        machine: Machine::new(Settings { epoch, ..SETTINGS }),
+        store,
+        ms: 0,
+        told: BTreeMap::new(),
+        answer: None,
+        departure: None,
+        notes: Vec::new(),
+    };
+    if grace {
+        bench.store.bind_profile(id, "cpu/test").unwrap();
+        let from = [crate::store::JobPhase::Queued];
+        let record = bench.store.set_job_state(id, &from, crate::store::JobState::Running, 0).unwrap();
+        let job = Job::of(record, &spec.to_proto(), bench.store.tiles(id).unwrap()).unwrap();
+        bench.step(Event::TakenUp(Box::new(job.after_restart())));
+    } else {
+        bench.step(Event::TakenUp(Box::new(job)));
+    }
+    bench
 }
-
-type Told = mpsc::Receiver<Order>;
 
 fn introduction(name: &str, instance: u64) -> Introduction {
     let profiles = vec!["cpu/test".to_owned()];
     Introduction { name: name.to_owned(), instance, profiles, held: Vec::new() }
 }
 
-/// Lets a worker join; gives its number and the orders to it.
-fn join(scheduler: &mut Scheduler, name: &str) -> (WorkerId, Told) {
-    let (out, told) = mpsc::channel(8);
-    let joined = scheduler.join(introduction(name, 0), Box::new(out), Instant::now()).unwrap();
-    (joined.worker, told)
-}
-
-/// The worker that has each tile.
-fn holders(scheduler: &Scheduler) -> Vec<Option<WorkerId>> {
-    let slots = scheduler.jobs.values().flat_map(|j| &j.slots);
-    slots.map(|s| s.lease.as_ref().map(|l| l.worker)).collect()
-}
-
 #[test]
 fn no_worker_gets_a_second_tile_while_another_has_none() {
-    let (mut scheduler, store) = two_tiles();
-    let ((a, _told_a), (b, _told_b)) = (join(&mut scheduler, "a"), join(&mut scheduler, "b"));
-    scheduler.want(a, 2);
-    scheduler.grant_tiles(&store, SystemClock.now()).unwrap();
-    assert_eq!(holders(&scheduler), [Some(a), None]);
-    scheduler.want(b, 2);
-    scheduler.grant_tiles(&store, SystemClock.now()).unwrap();
-    assert_eq!(holders(&scheduler), [Some(a), Some(b)]);
+    let mut b = two_tiles();
+    let (one, two) = (b.join("a"), b.join("b"));
+    b.want(one, 2);
+    assert_eq!(b.holders(), [Some(one), None]);
+    b.want(two, 2);
+    assert_eq!(b.holders(), [Some(one), Some(two)]);
 }
 
 #[test]
 fn a_worker_that_joins_late_takes_over_a_queued_tile_of_a_busy_worker() {
-    let (mut scheduler, store) = two_tiles();
-    let (a, mut told_a) = join(&mut scheduler, "a");
-    scheduler.want(a, 2);
-    scheduler.grant_tiles(&store, SystemClock.now()).unwrap();
-    assert_eq!(holders(&scheduler), [Some(a), Some(a)]);
-    let (b, mut told_b) = join(&mut scheduler, "b");
-    scheduler.want(b, 2);
-    scheduler.grant_tiles(&store, SystemClock.now()).unwrap();
-    assert_eq!(holders(&scheduler), [Some(a), Some(b)]);
-    let mut leases = Vec::new();
-    for _ in 0..2 {
-        let Ok(Order::Grant(grant)) = told_a.try_recv() else { panic!("no grant") };
-        leases.push(grant.lease);
-    }
-    assert_eq!(told_a.try_recv(), Ok(Order::Revoke(leases[1])));
-    let Ok(Order::Grant(grant)) = told_b.try_recv() else { panic!("no grant") };
-    assert_eq!(grant.lease.tile, leases[1].tile);
+    let mut b = two_tiles();
+    let one = b.join("a");
+    b.want(one, 2);
+    assert_eq!(b.holders(), [Some(one), Some(one)]);
+    let two = b.join("b");
+    b.want(two, 2);
+    assert_eq!(b.holders(), [Some(one), Some(two)]);
+    let leases = b.grants(one);
+    assert_eq!(b.told[&one].last(), Some(&Order::Revoke(leases[1])));
+    assert_eq!(b.grants(two)[0].tile, leases[1].tile);
     // A tile that has begun stays with its worker, and so does a worker's only tile.
-    let (c, _told_c) = join(&mut scheduler, "c");
-    scheduler.want(c, 2);
-    scheduler.grant_tiles(&store, SystemClock.now()).unwrap();
-    assert_eq!(holders(&scheduler), [Some(a), Some(b)]);
+    let three = b.join("c");
+    b.want(three, 2);
+    assert_eq!(b.holders(), [Some(one), Some(two)]);
 }
 
 #[test]
 fn a_second_worker_of_one_name_is_refused_and_the_same_worker_may_reconnect() {
-    let (mut scheduler, store) = two_tiles();
-    let now = Instant::now();
-    let mut join = |name: &str, instance: u64, held: Vec<Lease>| {
-        let (out, told) = mpsc::channel(8);
-        let intro = Introduction { held, ..introduction(name, instance) };
-        (scheduler.join(intro, Box::new(out), now), told)
-    };
-    let (first, mut told) = join("a", 1, Vec::new());
-    let first = first.unwrap().worker;
-    let refused = join("a", 2, Vec::new()).0.unwrap_err();
+    let mut b = two_tiles();
+    let first = b.try_join("a", 1, Vec::new()).unwrap().worker;
+    let refused = b.try_join("a", 2, Vec::new()).unwrap_err();
     assert!(refused.to_string().contains("give this one another --name"), "{refused}");
-    join("b", 2, Vec::new()).0.unwrap();
+    b.try_join("b", 2, Vec::new()).unwrap();
     // Workers that send no instance cannot be told from reconnecting ones.
-    join("a", 0, Vec::new()).0.unwrap();
-    scheduler.want(first, 1);
-    scheduler.grant_tiles(&store, SystemClock.now()).unwrap();
-    let Ok(Order::Grant(grant)) = told.try_recv() else { panic!("no grant") };
+    b.try_join("a", 0, Vec::new()).unwrap();
+    b.want(first, 1);
+    let lease = b.grants(first)[0];
     // Before the coordinator has noticed that the earlier stream is broken.
-    let (out, _told) = mpsc::channel(8);
-    let intro = Introduction { held: vec![grant.lease], ..introduction("a", 1) };
-    let again = scheduler.join(intro, Box::new(out), now).unwrap();
-    assert_eq!(again.kept, [grant.lease]);
-    scheduler.leave(first, now);
-    assert_eq!(holders(&scheduler), [Some(again.worker), None]);
-    assert!(scheduler.workers.contains_key(&again.worker));
+    let again = b.try_join("a", 1, vec![lease]).unwrap();
+    assert_eq!(again.kept, [lease]);
+    b.leave(first);
+    assert_eq!(b.holders(), [Some(again.worker), None]);
+    assert!(b.machine.workers.contains_key(&again.worker));
     // The name is free when its worker has gone.
-    scheduler.leave(again.worker, now);
-    let (out, _told) = mpsc::channel(8);
-    scheduler.join(introduction("a", 3), Box::new(out), now).unwrap();
+    b.leave(again.worker);
+    b.try_join("a", 3, Vec::new()).unwrap();
 }
 
 #[test]
 fn a_departure_says_whether_the_worker_had_drained() {
-    let (mut scheduler, _) = two_tiles();
-    let ((a, _told_a), (b, _told_b)) = (join(&mut scheduler, "a"), join(&mut scheduler, "b"));
-    assert!(scheduler.drain(a));
-    assert!(!scheduler.drain(a), "it is news only once");
-    assert_eq!(scheduler.leave(a, Instant::now()), Departure::Drained);
-    assert_eq!(scheduler.leave(b, Instant::now()), Departure::Lost);
+    let mut b = two_tiles();
+    let (one, two) = (b.join("a"), b.join("b"));
+    b.step(Event::Drains(one));
+    b.step(Event::Drains(one));
+    assert_eq!(b.notes, [Note::Draining("a".to_owned())], "it is news only once");
+    assert_eq!(b.leave(one), Departure::Drained);
+    assert_eq!(b.leave(two), Departure::Lost);
+}
+
+#[test]
+fn a_lease_ends_three_seconds_after_its_workers_stream_unless_the_worker_returns() {
+    let mut b = two_tiles();
+    let one = b.join("a");
+    b.want(one, 1);
+    let lease = b.grants(one)[0];
+    b.leave(one);
+    b.wait(3);
+    assert_eq!(b.holders()[0], Some(one));
+    // The worker returned in time: the lease belongs to its new number, and lives on.
+    let two = b.try_join("a", 0, vec![lease]).unwrap().worker;
+    b.wait(9);
+    assert_eq!(b.holders()[0], Some(two));
+    b.step(Event::Progressed(Progress { lease, cells: 0, samples: 0 }));
+    b.leave(two);
+    b.wait(4);
+    assert_eq!(b.holders()[0], None);
+    let why = |n: &Note| matches!(n, Note::TakenBack(_, _, why) if why.contains("did not come back"));
+    assert!(b.notes.iter().any(why), "{:?}", b.notes);
+    // A worker that comes later still has its tile when nobody else has.
+    assert_eq!(b.try_join("a", 0, vec![lease]).unwrap().kept, [lease]);
+}
+
+#[test]
+fn a_tile_without_progress_is_taken_back() {
+    let mut b = two_tiles();
+    let one = b.join("a");
+    b.want(one, 1);
+    let lease = b.grants(one)[0];
+    for _ in 0..599 {
+        b.step(Event::Progressed(Progress { lease, cells: 0, samples: 1 }));
+        b.wait(1);
+    }
+    assert_eq!(b.holders()[0], Some(one));
+    for _ in 0..3 {
+        b.step(Event::Progressed(Progress { lease, cells: 0, samples: 1 }));
+        b.wait(1);
+    }
+    assert!(b.notes.contains(&Note::TakenBack(lease, Some("a".to_owned()), "it makes no progress")));
+}
+
+#[test]
+fn a_standstill_of_the_coordinator_ends_no_lease() {
+    let mut b = two_tiles();
+    let one = b.join("a");
+    b.want(one, 1);
+    let lease = b.grants(one)[0];
+    b.wait(1);
+    b.ms += 60_000;
+    b.step(Event::Tick);
+    assert_eq!(b.holders()[0], Some(one));
+    b.step(Event::Progressed(Progress { lease, cells: 0, samples: 0 }));
+    b.wait(5);
+    assert_eq!(b.holders()[0], Some(one));
+}
+
+#[test]
+fn the_profile_of_most_workers_is_chosen() {
+    let mut b = two_tiles();
+    for (name, profile) in [("a", "cpu/rare"), ("b", "cpu/common"), ("c", "cpu/common")] {
+        let intro = Introduction { profiles: vec![profile.to_owned()], ..introduction(name, 0) };
+        b.step(Event::Joined(intro));
+    }
+    b.want(WorkerId(1), 1);
+    assert_eq!(b.machine.job(JobId(1)).unwrap().record.profile, None);
+    b.wait(1);
+    assert_eq!(b.machine.job(JobId(1)).unwrap().record.profile.as_deref(), Some("cpu/common"));
+    assert_eq!(b.machine.idle_workers("cpu/common").count(), 2);
+    b.want(WorkerId(3), 1);
+    assert_eq!(b.holders()[0], Some(WorkerId(3)));
+}
+
+#[test]
+fn a_straggler_gets_a_second_lease_and_the_first_output_counts() {
+    let mut b = two_tiles();
+    let (one, two) = (b.join("a"), b.join("b"));
+    b.want(one, 1);
+    b.want(two, 1);
+    let (slow, fast) = (b.grants(one)[0], b.grants(two)[0]);
+    b.step(Event::Progressed(Progress { lease: slow, cells: 0, samples: 1 }));
+    let stats = crate::store::TileStats { millis: 2000, ..Default::default() };
+    b.step(Event::Committed { lease: fast, digest: [2; 32], stats: stats.clone() });
+    b.want(two, 1);
+    for samples in 2..9 {
+        assert_eq!(b.machine.running("cpu/test").next(), Some((one, slow)));
+        b.step(Event::Progressed(Progress { lease: slow, cells: 0, samples }));
+        b.wait(1);
+    }
+    let doubled = b.grants(two)[1];
+    assert_eq!(doubled.tile, slow.tile);
+    b.step(Event::Committed { lease: doubled, digest: [3; 32], stats });
+    assert_eq!(b.told[&one].last(), Some(&Order::Revoke(slow)));
+    assert!(b.machine.admit(&slow).unwrap().counts, "a late output is compared with the first");
 }

@@ -5,6 +5,8 @@ use std::sync::Arc;
 use tonic::Status;
 
 use super::status;
+use crate::chores::do_chores;
+use crate::scheduling::Chore;
 use crate::state::Coordinator;
 
 /// Runs `f`, which may block on the disk, on one of tokio's threads for blocking work.
@@ -20,4 +22,19 @@ pub(super) async fn blocking<T: Send + 'static>(
         true => Status::unavailable("the coordinator is stopping; try again when it is back"),
         false => status::internal(&format!("a request panicked: {e}")),
     })?
+}
+
+/// Does chores on one of tokio's threads for blocking work; the caller does not wait for them.
+pub(super) fn later(c: &Arc<Coordinator>, chores: Vec<Chore>) {
+    if chores.is_empty() {
+        return;
+    }
+    let c = Arc::clone(c);
+    match tokio::runtime::Handle::try_current() {
+        Ok(runtime) => {
+            runtime.spawn_blocking(move || do_chores(&c, chores));
+        }
+        // The runtime is going; what was not begun is derived from the store at the next start.
+        Err(_) => tracing::debug!("the coordinator stops with {} things undone", chores.len()),
+    }
 }

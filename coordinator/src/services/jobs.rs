@@ -114,7 +114,7 @@ impl v1::jobs_server::Jobs for JobsService {
     async fn watch(&self, r: Request<v1::ShowRequest>) -> Answer<Self::WatchStream> {
         let id = JobId(r.into_inner().job);
         // Before the first summary, so that a change between the two is not missed.
-        let changes = self.0.changes.subscribe();
+        let changes = self.0.watched().subscribe(id);
         let first = summary(&self.0, id).await?;
         let (out, stream) = mpsc::channel(4);
         tokio::spawn(follow(Arc::clone(&self.0), id, first, changes, out));
@@ -191,7 +191,7 @@ async fn follow(
     c: Arc<Coordinator>,
     id: JobId,
     first: Summary,
-    mut changes: watch::Receiver<u64>,
+    mut changes: watch::Receiver<bool>,
     out: mpsc::Sender<Result<v1::Job, Status>>,
 ) {
     let mut last = first;
@@ -199,26 +199,29 @@ async fn follow(
         if out.send(Ok(wire::job(&last))).await.is_err() || last.ended() {
             return;
         }
-        // A change is sent after a while, the end at once.
+        // A change is sent after a while, the end at once. Nothing is computed until then.
         let quiet = tokio::time::sleep(WATCH_EVERY);
         tokio::pin!(quiet);
-        let (mut quiet_over, mut news) = (false, false);
-        while !(quiet_over && news) {
+        let mut quiet_over = false;
+        let mut news = false;
+        loop {
             tokio::select! {
-                () = &mut quiet, if !quiet_over => {
-                    quiet_over = true;
-                    continue;
-                }
+                () = &mut quiet, if !quiet_over => quiet_over = true,
                 () = out.closed() => return,
-                changed = changes.changed() => if changed.is_err() { return },
+                changed = changes.changed() => match changed {
+                    Ok(()) => news = true,
+                    Err(_) => return,
+                },
             }
+            if !news || !quiet_over && !*changes.borrow_and_update() {
+                continue;
+            }
+            news = false;
             match summary(&c, id).await {
+                Ok(now) if now == last => {}
                 Ok(now) => {
-                    news |= now != last;
                     last = now;
-                    if last.ended() {
-                        break;
-                    }
+                    break;
                 }
                 Err(s) => {
                     // Fails when nobody reads any more.

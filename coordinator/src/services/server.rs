@@ -10,6 +10,7 @@ use tokio::net::TcpListener;
 use tonic::transport::Server;
 use tonic::transport::server::TcpIncoming;
 
+use super::blocking::later;
 use super::jobs::JobsService;
 use super::workers::WorkersService;
 use crate::lifecycle;
@@ -73,12 +74,10 @@ pub async fn serve(
         let coordinator = Arc::clone(&coordinator);
         tokio::spawn(async move {
             let mut tick = tokio::time::interval(TICK);
+            tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
             loop {
                 tick.tick().await;
-                let c = Arc::clone(&coordinator);
-                if let Err(e) = tokio::task::spawn_blocking(move || lifecycle::tick(&c)).await {
-                    tracing::error!("checking the leases panicked: {e}");
-                }
+                later(&coordinator, lifecycle::tick(&coordinator));
             }
         })
     };

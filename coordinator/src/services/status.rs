@@ -9,7 +9,6 @@ use crate::jobs::JobError;
 use crate::results::ResultError;
 use crate::scenes::{FactsError, UploadError};
 use crate::scheduler::NameTaken;
-use crate::sessions::SessionError;
 use crate::store::{BlobError, JournalError, StoreError};
 use crate::submit::SubmitError;
 
@@ -83,7 +82,7 @@ pub(super) fn of_job(e: &JobError) -> Status {
 pub(super) fn of_result(e: &ResultError) -> Status {
     match e {
         ResultError::Digest => Status::data_loss(e.to_string()),
-        ResultError::NoJob(_) => Status::failed_precondition(e.to_string()),
+        ResultError::NoJob(_) | ResultError::NoLease => Status::failed_precondition(e.to_string()),
         ResultError::Length
         | ResultError::NoTile
         | ResultError::Encoding(_)
@@ -96,14 +95,6 @@ pub(super) fn of_result(e: &ResultError) -> Status {
         ResultError::Conflict => Status::aborted(e.to_string()),
         ResultError::Blob(e) => of_blob(e),
         ResultError::Store(e) => of_store(e),
-    }
-}
-
-/// The status of a worker's message that cannot be acted on.
-pub(super) fn of_session(e: &SessionError) -> Status {
-    match e {
-        SessionError::StandIn(e) => internal(&e.to_string()),
-        SessionError::Store(e) => of_store(e),
     }
 }
 

@@ -12,13 +12,15 @@ use sightline_proto::v1::worker_message::Message as FromWorker;
 use tokio::sync::{mpsc, oneshot};
 use tonic::{Request, Response, Status, Streaming};
 
-use super::blocking::blocking;
+use super::blocking::{blocking, later};
 use super::streams::stream_blob;
 use super::{status, wire};
-use crate::ids::JobId;
+use crate::chores::do_chores;
+use crate::ids::{JobId, WorkerId};
+use crate::orders::Outbox;
 use crate::results::{self, Announced};
-use crate::scheduler::{Introduction, Joined, Order, Outbox, Progress};
-use crate::sessions::{self, Failure, Message};
+use crate::scheduler::{Failure, Introduction, Joined, Order, Progress};
+use crate::sessions::{self, Message};
 use crate::state::Coordinator;
 use crate::store::{MAX_IDENTIFIER_BYTES, MAX_WORKER_BYTES};
 
@@ -33,7 +35,27 @@ const MAX_HELD: usize = 64;
 pub(crate) struct WorkersService(pub(crate) Arc<Coordinator>);
 
 type Answer<T> = Result<Response<T>, Status>;
-type Messages = mpsc::Sender<Result<v1::CoordinatorMessage, Status>>;
+type Messages = mpsc::Sender<Outgoing>;
+
+/// A message to a worker. Orders are encoded when they are sent, outside of the scheduler's lock.
+enum Outgoing {
+    Order(Order),
+    Welcome(v1::Welcome),
+    Failure(Status),
+}
+
+impl Outgoing {
+    fn encode(self) -> Result<v1::CoordinatorMessage, Status> {
+        match self {
+            Self::Order(order) => Ok(wire::order(order)),
+            Self::Welcome(welcome) => {
+                let welcome = v1::coordinator_message::Message::Welcome(welcome);
+                Ok(v1::CoordinatorMessage { message: Some(welcome) })
+            }
+            Self::Failure(status) => Err(status),
+        }
+    }
+}
 
 #[tonic::async_trait]
 impl v1::workers_server::Workers for WorkersService {
@@ -53,7 +75,8 @@ impl v1::workers_server::Workers for WorkersService {
         tokio::spawn(session(Arc::clone(&self.0), hello, inbound, out, answer));
         let stopping = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
         joined.await.map_err(stopping)??;
-        Ok(Response::new(Box::pin(tokio_stream::wrappers::ReceiverStream::new(outbound))))
+        let outbound = tokio_stream::wrappers::ReceiverStream::new(outbound);
+        Ok(Response::new(Box::pin(outbound.map(Outgoing::encode))))
     }
 
     type FetchSceneStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status>> + Send>>;
@@ -139,7 +162,7 @@ struct WireOutbox(Messages);
 
 impl Outbox for WireOutbox {
     fn offer(&self, order: Order) -> bool {
-        self.0.try_send(Ok(wire::order(order))).is_ok()
+        self.0.try_send(Outgoing::Order(order)).is_ok()
     }
 }
 
@@ -159,27 +182,38 @@ async fn session(
         held: hello.held.iter().map(wire::lease).collect(),
     };
     let outbox = Box::new(WireOutbox(out.clone()));
-    let joined =
-        blocking(&c, move |c| sessions::join(c, intro, outbox).map_err(|e| status::of_name(&e))).await;
-    let joined = match joined {
-        Ok(joined) => joined,
-        Err(s) => {
+    let joined = match sessions::join(&c, intro, outbox) {
+        Ok((joined, chores)) => {
+            later(&c, chores);
+            joined
+        }
+        Err(e) => {
+            let s = status::of_name(&e);
             tracing::warn!("worker {name} is refused: {}", s.message());
             // Nobody waits for the answer when the worker has gone.
             let _ = answer.send(Err(s));
             return;
         }
     };
+    // A worker that has joined must leave, also when the coordinator stops in between.
+    let leaving = Leaving { c: Arc::clone(&c), worker: joined.worker, name: name.clone() };
     // As above.
     let _ = answer.send(Ok(()));
-    let worker = joined.worker;
     listen(&c, &name, &joined, inbound, &out).await;
-    // Fails only when the coordinator is stopping.
-    let _ = blocking(&c, move |c| {
-        sessions::leave(c, worker, &name);
-        Ok(())
-    })
-    .await;
+    drop(leaving);
+}
+
+/// Lets a worker go when its session ends, however it ends.
+struct Leaving {
+    c: Arc<Coordinator>,
+    worker: WorkerId,
+    name: String,
+}
+
+impl Drop for Leaving {
+    fn drop(&mut self) {
+        later(&self.c, sessions::leave(&self.c, self.worker, &self.name));
+    }
 }
 
 /// Welcomes a worker and passes its messages on, until its stream ends or a message cannot be acted on.
@@ -195,8 +229,7 @@ async fn listen(
         lease_millis: c.leases.ttl.as_millis() as u32,
         kept: joined.kept.iter().map(wire::to_lease).collect(),
     };
-    let welcome = v1::coordinator_message::Message::Welcome(welcome);
-    if out.send(Ok(v1::CoordinatorMessage { message: Some(welcome) })).await.is_err() {
+    if out.send(Outgoing::Welcome(welcome)).await.is_err() {
         return;
     }
     let worker = joined.worker;
@@ -212,18 +245,26 @@ async fn listen(
         let handled = match message(received) {
             Ok(None) => Ok(()),
             Ok(Some(message)) => {
-                let name = name.to_owned();
-                blocking(c, move |c| {
-                    sessions::heard(c, worker, &name, message).map_err(|e| status::of_session(&e))
-                })
-                .await
+                let failure = matches!(message, Message::Failed(_));
+                let chores = sessions::heard(c, worker, message);
+                if failure && !chores.is_empty() {
+                    // Its next message waits until the failure is on record; nobody else does.
+                    blocking(c, |c| {
+                        do_chores(c, chores);
+                        Ok(())
+                    })
+                    .await
+                } else {
+                    later(c, chores);
+                    Ok(())
+                }
             }
             Err(s) => Err(s),
         };
         if let Err(s) = handled {
             tracing::error!("worker {name}: {}", s.message());
             // The worker reconnects when its stream breaks; it may have gone already.
-            let _ = out.send(Err(s)).await;
+            let _ = out.send(Outgoing::Failure(s)).await;
             return;
         }
     }

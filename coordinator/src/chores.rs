@@ -1,0 +1,103 @@
+//! The work that follows from an event and blocks: commands of the store, and assembling results.
+//!
+//! The scheduler's lock is never held during a call of the store. Commands about records of jobs take turns
+//! (`Coordinator::turn`), so that the machine hears of them in the order in which the store carried them out;
+//! the outputs of tiles do not, so that many of them share one sync of the disk.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use crate::assemble::stand_in;
+use crate::finishing;
+use crate::scheduler::{Command, Event};
+use crate::scheduling::{Chore, tell};
+use crate::state::Coordinator;
+use crate::store::{JobPhase, JobState, StoreError};
+
+/// Tells the machine of an event and does what follows from it. Blocks on the disk.
+pub(crate) fn happened(c: &Arc<Coordinator>, event: Event) {
+    let chores = tell(c, event);
+    do_chores(c, chores);
+}
+
+/// Does chores and all that follow from them. Blocks on the disk.
+pub(crate) fn do_chores(c: &Arc<Coordinator>, chores: Vec<Chore>) {
+    let mut open = VecDeque::from(chores);
+    while let Some(chore) = open.pop_front() {
+        match chore {
+            Chore::Run(command) => open.extend(run(c, command)),
+            Chore::Assemble(job) => {
+                let c = Arc::clone(c);
+                std::thread::spawn(move || {
+                    let chores = finishing::finish(&c, job);
+                    do_chores(&c, chores);
+                });
+            }
+        }
+    }
+}
+
+/// Runs a command of the store and tells the machine how it went.
+fn run(c: &Arc<Coordinator>, command: Command) -> Vec<Chore> {
+    // Until the machine has heard of it.
+    let _turn = c.turn();
+    let mut chores = Vec::new();
+    match outcome(c, &command, &mut chores) {
+        Ok(Some(event)) => chores.extend(tell(c, event)),
+        Ok(None) => {}
+        // The job has changed in the meantime; the machine has heard of that, or will.
+        Err(StoreError::IllegalTransition { .. } | StoreError::UnknownJob { .. }) => {}
+        Err(e) => {
+            tracing::error!("no tiles are granted for a while: {e}");
+            chores.extend(tell(c, Event::Refused(command)));
+        }
+    }
+    chores
+}
+
+fn outcome(
+    c: &Arc<Coordinator>,
+    command: &Command,
+    chores: &mut Vec<Chore>,
+) -> Result<Option<Event>, StoreError> {
+    let changed = |record| Ok(Some(Event::JobChanged(Box::new(record))));
+    let at = c.now().unix_ms;
+    match command {
+        Command::Bind(id, profile) => Ok(Some(Event::Bound(*id, c.store.bind_profile(*id, profile)?))),
+        Command::Start(id) => {
+            changed(c.store.set_job_state(*id, &[JobPhase::Queued], JobState::Running, at)?)
+        }
+        Command::Fail { job, tile, worker, reason } => {
+            let on = c.store.fail_tile(*job, *tile, worker, reason)?;
+            let reason = reason.clone();
+            Ok(Some(Event::FailureRecorded { job: *job, tile: *tile, on, reason }))
+        }
+        Command::SetAside { job, work, tiles, reason } => {
+            for &tile in tiles {
+                let made = stand_in(c, &work.spec, &work.lattice, &work.plan.tiles[tile.at()]);
+                let (digest, bytes) = match made {
+                    Ok(made) => made,
+                    Err(e) => {
+                        tracing::error!("tile {tile} of job {job} cannot be set aside: {e}");
+                        return Ok(Some(Event::Refused(command.clone())));
+                    }
+                };
+                match c.store.set_aside_tile(*job, tile, digest, bytes, std::slice::from_ref(reason)) {
+                    Ok(()) => {
+                        let text = "is set aside: its cells will show every triangle";
+                        tracing::error!("tile {tile} of job {job} {text}");
+                    }
+                    // A late result has come in between; the machine hears of it.
+                    Err(StoreError::TileNotOpen { .. }) => {}
+                    Err(e) => return Err(e),
+                }
+                chores.extend(tell(c, Event::SetAside { job: *job, tile, digest }));
+            }
+            Ok(None)
+        }
+        Command::FailJob(id, reason) => {
+            let failed = JobState::Failed { reason: reason.clone() };
+            changed(c.store.set_job_state(*id, &[JobPhase::Queued, JobPhase::Running], failed, at)?)
+        }
+    }
+}

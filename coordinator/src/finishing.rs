@@ -1,0 +1,116 @@
+//! The end of a job: assembles its result, ends it in the store, and removes tile outputs that no job needs
+//! any more.
+
+use std::collections::BTreeSet;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+
+use crate::assemble::{AssembleError, Parts, assemble};
+use crate::ids::{Digest, JobId};
+use crate::scheduler::{Event, Output};
+use crate::scheduling::{Chore, tell};
+use crate::state::Coordinator;
+use crate::store::{BlobError, JobPhase, JobRecord, JobState, StoreError, TileState};
+
+/// A complete job, copied from the scheduler.
+fn parts(c: &Coordinator, id: JobId) -> Option<Parts> {
+    let scheduling = c.lock();
+    let job = scheduling.machine.job(id)?;
+    Some(Parts {
+        work: Arc::clone(&job.work),
+        profile: job.record.profile.clone().unwrap_or_default(),
+        outputs: job.tiles.iter().map(|t| t.output).collect(),
+        samples: job.samples,
+    })
+}
+
+/// Assembles a job's result and ends the job.
+pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
+    // Absent when it was cancelled in the meantime.
+    let Some(parts) = parts(c, id) else { return Vec::new() };
+    let aside = |n: u32| matches!(parts.outputs[n as usize], Output::SetAside(_));
+    let assembled = if parts.work.plan.leaves().all(aside) {
+        Err("every tile failed; `sightline show` and the workers' logs say why".to_owned())
+    } else {
+        // A panic must not leave the job half ended.
+        match catch_unwind(AssertUnwindSafe(|| assemble(c, &parts))) {
+            Ok(Err(AssembleError::Blob(e @ BlobError::NoSpace { .. }))) => {
+                tracing::error!("the result of job {id} waits for space and is tried again: {e}");
+                return tell(c, Event::AssemblyWaits(id));
+            }
+            Ok(r) => r.map_err(|e| e.to_string()),
+            Err(_) => Err("assembling the result panicked; the coordinator's log says where".to_owned()),
+        }
+    };
+    let now = c.now().unix_ms;
+    // Until the machine has heard of the end.
+    let turn = c.turn();
+    let ended = match assembled {
+        Ok((digest, bytes)) => c.store.finish_job(id, digest, bytes, now),
+        Err(e) => {
+            tracing::error!("job {id} has no result: {e}");
+            let failed = JobState::Failed { reason: e };
+            c.store.set_job_state(id, &[JobPhase::Queued, JobPhase::Running], failed, now)
+        }
+    };
+    let record = match ended {
+        Ok(record) => record,
+        // Paused or cancelled in the meantime: the result stays as a blob and is found again by its content.
+        Err(StoreError::IllegalTransition { .. } | StoreError::UnknownJob { .. }) => {
+            return tell(c, Event::AssemblyDropped(id));
+        }
+        Err(e) => {
+            tracing::error!("job {id} cannot be ended and is tried again: {e}");
+            return tell(c, Event::AssemblyWaits(id));
+        }
+    };
+    if let JobState::Done { bytes, .. } = record.state {
+        tracing::info!("job {id} is done, {bytes} bytes");
+    }
+    let done = matches!(record.state, JobState::Done { .. });
+    let chores = tell(c, Event::JobChanged(Box::new(record)));
+    drop(turn);
+    if done && parts.outputs.iter().all(|o| matches!(o, Output::Done(_))) {
+        tidy(c, id, &parts.outputs);
+    }
+    chores
+}
+
+/// Removes the tile outputs of a finished job, whose result contains them, unless another job needs them: one
+/// that has not ended or that can be retried.
+fn tidy(c: &Coordinator, finished: JobId, outputs: &[Output]) {
+    // No output is committed meanwhile, so none that is committed is removed.
+    let _alone = c.no_commits();
+    let mut free: BTreeSet<Digest> = outputs.iter().filter_map(Output::digest).collect();
+    let ids = c.lock().machine.job_ids();
+    for id in ids {
+        // Job by job, so that heartbeats get the lock in between.
+        if let Some(job) = c.lock().machine.job(id) {
+            job.tiles.iter().filter_map(|t| t.output.digest()).for_each(|d| {
+                free.remove(&d);
+            });
+        }
+    }
+    let ended = c.store.jobs().and_then(|jobs| {
+        let retriable = |j: &JobRecord| {
+            j.id != finished && matches!(j.state.phase(), JobPhase::Cancelled | JobPhase::Failed)
+        };
+        for job in jobs.iter().filter(|j| retriable(j)) {
+            for tile in c.store.tiles(job.id)? {
+                if let TileState::Done { digest, .. } | TileState::SetAside { digest, .. } = tile.state {
+                    free.remove(&digest);
+                }
+            }
+        }
+        Ok(())
+    });
+    if let Err(e) = ended {
+        tracing::warn!("the tile outputs of job {finished} are kept: {e}");
+        return;
+    }
+    for digest in outputs.iter().filter_map(Output::digest).filter(|d| free.contains(d)) {
+        if let Err(e) = c.blobs.remove(&digest) {
+            tracing::warn!("{e}");
+        }
+    }
+}

@@ -1,0 +1,52 @@
+//! The ways out of the scheduler: to workers, and to the clients that watch jobs.
+
+use std::collections::BTreeMap;
+
+use tokio::sync::watch;
+
+use crate::ids::{JobId, WorkerId};
+use crate::scheduler::{Machine, Order};
+
+/// The way to one worker.
+pub(crate) trait Outbox: Send {
+    /// Sends without waiting; returns whether the message was accepted. A worker that does not read its
+    /// stream loses messages and, with time, its leases.
+    fn offer(&self, order: Order) -> bool;
+}
+
+/// The state machine and the ways to its workers.
+pub(crate) struct Scheduling {
+    pub(crate) machine: Machine,
+    pub(crate) outboxes: BTreeMap<WorkerId, Box<dyn Outbox>>,
+}
+
+impl Scheduling {
+    /// A machine without workers.
+    pub(crate) fn new(machine: Machine) -> Self {
+        Self { machine, outboxes: BTreeMap::new() }
+    }
+}
+
+/// The jobs that clients watch.
+#[derive(Default)]
+pub(crate) struct Watched(BTreeMap<JobId, watch::Sender<bool>>);
+
+impl Watched {
+    /// Changes of a job from now on; the value is whether the job has ended.
+    pub(crate) fn subscribe(&mut self, job: JobId) -> watch::Receiver<bool> {
+        self.0.retain(|_, sender| sender.receiver_count() > 0);
+        self.0.entry(job).or_insert_with(|| watch::Sender::new(false)).subscribe()
+    }
+
+    /// Wakes those who watch a job.
+    pub(crate) fn changed(&self, job: JobId, ended: bool) {
+        if let Some(sender) = self.0.get(&job) {
+            sender.send_replace(ended);
+        }
+    }
+
+    /// Wakes everybody who watches a job: every summary says how many workers there are.
+    pub(crate) fn all_changed(&self) {
+        self.0.values().for_each(|sender| sender.send_modify(|_| ()));
+    }
+}

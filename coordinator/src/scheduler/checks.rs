@@ -1,0 +1,126 @@
+//! Counts the machine's lists and totals again from its jobs, workers and leases.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::job::{Job, Output};
+use super::machine::{Leased, Machine, Timer};
+use super::messages::Now;
+use super::pools::List;
+use crate::ids::{LeaseId, WorkerId};
+use crate::store::JobPhase;
+
+impl Machine {
+    /// Compares everything that is kept beside the facts with the facts.
+    ///
+    /// # Errors
+    /// The first difference.
+    pub(crate) fn check(&self) -> Result<(), String> {
+        let ensure = |fine: bool, what: &str| fine.then_some(()).ok_or_else(|| what.to_owned());
+        let mut held: BTreeMap<LeaseId, u32> = BTreeMap::new();
+        for job in self.jobs.values() {
+            self.check_job(job)?;
+            job.tiles.iter().flat_map(|t| t.leases).flatten().for_each(|l| *held.entry(l).or_default() += 1);
+            for tile in job.indices().filter(|t| job.tiles[t.at()].leases != [None; 2]) {
+                ensure(job.tiles[tile.at()].output == Output::Open, "a tile with an output is leased")?;
+                ensure(job.record.state.phase() == JobPhase::Running, "a job that does not run has leases")?;
+            }
+        }
+        ensure(held.values().all(|n| *n == 1), "a lease is on two tiles")?;
+        ensure(held.keys().eq(self.leases.keys()), "the tiles' leases are not those of the list")?;
+        for (id, l) in &self.leases {
+            ensure(self.timers.contains(&(l.timer, Timer::Lease(*id))), "a lease has no timer")?;
+            ensure(
+                self.workers.get(&l.worker).is_some_and(|w| w.leases.contains(id)) == l.gone.is_none(),
+                "a lease's worker does not hold it",
+            )?;
+        }
+        for (id, w) in &self.workers {
+            ensure(w.leases.iter().all(|l| self.leases[l].worker == *id), "a worker holds another's lease")?;
+            self.check_worker(*id)?;
+        }
+        for pool in self.pools.of.values() {
+            let ready: usize = pool.jobs.iter().map(|p| self.jobs[&p.1].ready.len()).sum();
+            ensure(ready == pool.ready, "a pool's ready tiles are miscounted")?;
+            ensure(
+                pool.begun.iter().all(|(at, id)| self.leases.get(id).is_some_and(|l| l.begun == Some(*at))),
+                "a pool's list of begun tiles is stale",
+            )?;
+            ensure(
+                pool.waiting.iter().all(|(_, _, id)| self.leases.get(id).is_some_and(|l| l.waits)),
+                "a pool's list of waiting tiles is stale",
+            )?;
+        }
+        self.check_work_conservation()
+    }
+
+    /// After a tick no lease is there that has ended.
+    ///
+    /// # Errors
+    /// One that is.
+    pub(crate) fn check_expiries(&self, now: Now) -> Result<(), String> {
+        let over = |l: &&Leased| self.deadline(l).0 < now.ms && self.patient_until <= now.ms;
+        match self.leases.values().find(over) {
+            Some(l) => Err(format!("a lease on tile {} of job {} should have ended", l.tile, l.job)),
+            None => Ok(()),
+        }
+    }
+
+    fn check_job(&self, job: &Job) -> Result<(), String> {
+        let ensure = |fine: bool, what: &str| {
+            fine.then_some(()).ok_or_else(|| format!("job {}: {what}", job.record.id))
+        };
+        let ready: BTreeSet<_> = job.indices().filter(|t| job.is_ready(*t)).collect();
+        ensure(ready == job.ready, "the ready tiles are others")?;
+        let count = |f: &dyn Fn(&Output) -> bool| job.tiles.iter().filter(|t| f(&t.output)).count() as u32;
+        ensure(count(&|o| matches!(o, Output::Done(_))) == job.done, "done tiles")?;
+        ensure(count(&|o| matches!(o, Output::SetAside(_))) == job.set_aside, "tiles set aside")?;
+        let leases: Vec<_> = self.leases.values().filter(|l| l.job == job.record.id).collect();
+        ensure(leases.len() as u32 == job.running, "leases")?;
+        ensure(leases.iter().map(|l| l.cells).sum::<u64>() == job.running_cells, "cells of leased tiles")?;
+        ensure(leases.iter().map(|l| l.samples).sum::<u64>() == job.running_samples, "samples")?;
+        for (tile, planned) in job.tiles.iter().zip(&job.work.plan.tiles) {
+            let open = |n: &&u32| !matches!(job.tiles[**n as usize].output, Output::Done(_));
+            ensure(planned.needs.iter().filter(open).count() as u32 == tile.missing, "needed tiles")?;
+        }
+        let listed = match &job.listed {
+            Some((List::Bound(p), n)) => {
+                *n == job.ready.len()
+                    && self.pools.of.get(p).is_some_and(|pool| pool.jobs.contains(&job.place()))
+            }
+            Some((List::Unbound(c), _)) => self.pools.unbound[*c].contains(&job.place()),
+            None => {
+                let bound = job.record.profile.is_some() || !job.pending;
+                !(self.allowed(job) && !job.ready.is_empty() && !job.grace && job.parked.is_none() && bound)
+            }
+        };
+        ensure(listed, "it is in the wrong list")
+    }
+
+    fn check_worker(&self, id: WorkerId) -> Result<(), String> {
+        let w = &self.workers[&id];
+        let hungry = !w.draining && w.wants > 0 && w.deaf_until.is_none();
+        let idle = w.leases.is_empty();
+        let fine = w.profiles.iter().all(|p| {
+            self.pools.of.get(p).is_some_and(|pool| {
+                pool.idle.contains(&id) == (idle && !w.draining)
+                    && pool.hungry[0].contains(&id) == (hungry && idle)
+                    && pool.hungry[1].contains(&id) == (hungry && !idle)
+            })
+        });
+        fine.then_some(()).ok_or_else(|| format!("worker {} is in the wrong lists", id.0))
+    }
+
+    /// Everything ready is leased when somebody able is idle.
+    fn check_work_conservation(&self) -> Result<(), String> {
+        if self.paused_until.is_some() {
+            return Ok(());
+        }
+        for (profile, pool) in &self.pools.of {
+            let waits_for_store = pool.jobs.first().is_some_and(|p| self.jobs[&p.1].pending);
+            if !pool.hungry[0].is_empty() && pool.ready > 0 && !waits_for_store {
+                return Err(format!("tiles for {profile} are ready and a worker is idle"));
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,170 @@
+//! What the machine is told, and what it wants done.
+//!
+//! An [`Event`] has happened already. An [`Effect`] is to be carried out by the caller, in the order of the
+//! list; the outcome of a [`Command`] comes back as a later event.
+
+use std::sync::Arc;
+
+use super::job::{Job, Work};
+use super::messages::{Introduction, Joined, NameTaken, Order, ProfileTime, Progress};
+use crate::ids::{Digest, JobId, Lease, TileIndex, WorkerId};
+use crate::store::{JobRecord, TileStats};
+
+/// A failed tile.
+#[derive(Clone, Debug)]
+pub(crate) struct Failure {
+    /// Its lease.
+    pub(crate) lease: Lease,
+    /// The worker's description.
+    pub(crate) reason: String,
+    /// Whether the machine or the network is at fault and not the tile.
+    pub(crate) infrastructure: bool,
+}
+
+/// Something that has happened.
+#[derive(Debug)]
+pub(crate) enum Event {
+    /// A job that has not ended, from the store.
+    TakenUp(Box<Job>),
+    /// From now on only tiles of this job are leased.
+    Restricted(JobId),
+    /// The record of a job has changed in the store.
+    JobChanged(Box<JobRecord>),
+    /// A worker's stream has begun. Answered by [`Effect::Joined`].
+    Joined(Introduction),
+    /// A worker's stream has ended. Answered by [`Effect::Left`].
+    Left(WorkerId),
+    /// A worker wants this many more tiles.
+    Wanted(WorkerId, u32),
+    /// A worker takes no more tiles.
+    Drains(WorkerId),
+    /// A tile makes progress.
+    Progressed(Progress),
+    /// A tile failed on a worker.
+    Failed(WorkerId, Failure),
+    /// A worker timed its backends for a job.
+    Timed(WorkerId, JobId, Vec<ProfileTime>),
+    /// The store has an output of the tile.
+    Committed {
+        /// The lease under which it arrived.
+        lease: Lease,
+        /// Digest of the output.
+        digest: Digest,
+        /// What it cost.
+        stats: TileStats,
+    },
+    /// The output that arrived under this lease could not be written.
+    DiskFull(Lease),
+    /// An order with a lease could not be sent to its worker.
+    Undelivered(WorkerId, Lease),
+    /// [`Command::Fail`] is done: the tile has failed on this many different workers.
+    FailureRecorded {
+        /// The job.
+        job: JobId,
+        /// The tile.
+        tile: TileIndex,
+        /// Different workers.
+        on: u32,
+        /// The last reason.
+        reason: String,
+    },
+    /// A tile of [`Command::SetAside`] has a stand-in in the store.
+    SetAside {
+        /// The job.
+        job: JobId,
+        /// The tile.
+        tile: TileIndex,
+        /// Digest of the stand-in.
+        digest: Digest,
+    },
+    /// [`Command::Bind`] is done; the store may have known another profile.
+    Bound(JobId, String),
+    /// The store refused a command.
+    Refused(Command),
+    /// The result of a job cannot be written for now.
+    AssemblyWaits(JobId),
+    /// The result of a job is not needed for now: it was paused, or has ended.
+    AssemblyDropped(JobId),
+    /// Time has passed. Expiries are looked at with this event alone.
+    Tick,
+}
+
+/// How a worker's stream ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Departure {
+    /// The worker had said that it takes no more tiles.
+    Drained,
+    /// The worker had said nothing; it may return for its leases.
+    Lost,
+}
+
+/// A change of the store. Each runs outside of any lock and ends with an event.
+#[derive(Clone, Debug)]
+pub(crate) enum Command {
+    /// Bind a job to a profile: [`Event::Bound`].
+    Bind(JobId, String),
+    /// Move a queued job to running: [`Event::JobChanged`].
+    Start(JobId),
+    /// Record a failure: [`Event::FailureRecorded`].
+    Fail {
+        /// The job.
+        job: JobId,
+        /// The tile.
+        tile: TileIndex,
+        /// The worker's name.
+        worker: String,
+        /// Its reason.
+        reason: String,
+    },
+    /// Set tiles aside, in this order: [`Event::SetAside`] for each.
+    SetAside {
+        /// The job.
+        job: JobId,
+        /// Its specification and plan, from which the stand-ins are made.
+        work: Arc<Work>,
+        /// The tiles.
+        tiles: Vec<TileIndex>,
+        /// Why.
+        reason: String,
+    },
+    /// End a job without a result: [`Event::JobChanged`].
+    FailJob(JobId, String),
+}
+
+/// Something for people to read.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Note {
+    /// A lease has ended before its tile.
+    TakenBack(Lease, Option<String>, &'static str),
+    /// An idle worker takes the waiting tile of this worker.
+    TakenOver(Lease, String),
+    /// An idle worker gets a tile that another worker has been busy with for long.
+    Doubled(Lease),
+    /// A tile failed on this worker.
+    TileFailed(Lease, String, String),
+    /// A worker drains.
+    Draining(String),
+    /// The outcome of timing.
+    Chosen(JobId, String),
+    /// Leases of an earlier epoch were waited for, and this many tiles are free again.
+    GraceOver(JobId, usize),
+}
+
+/// Something to be done.
+#[derive(Debug)]
+pub(crate) enum Effect {
+    /// Send an order to a worker.
+    Tell(WorkerId, Order),
+    /// Change the store.
+    Run(Command),
+    /// Assemble the result of a job whose tiles are complete.
+    Assemble(JobId),
+    /// Tell the watchers of a job.
+    Changed(JobId),
+    /// The answer to [`Event::Joined`].
+    Joined(Result<Joined, NameTaken>),
+    /// The answer to [`Event::Left`].
+    Left(Departure),
+    /// Write a line to the log.
+    Note(Note),
+}

@@ -1,0 +1,157 @@
+//! Jobs come, change and end; the grace after a restart; what the store refuses.
+
+use super::event::{Command, Effect, Note};
+use super::job::{Job, Output};
+use super::machine::{Machine, SPACE_EVERY, Timer};
+use super::messages::Now;
+use crate::ids::{Digest, JobId, Lease, TileIndex};
+use crate::store::{JobPhase, JobRecord, TileStats};
+
+impl Machine {
+    /// Adds a job with the recorded states of its tiles.
+    pub(super) fn take_up(&mut self, mut job: Job, now: Now) {
+        let id = job.record.id;
+        if job.grace {
+            let until = now.ms + self.settings.ttl;
+            self.graces.insert(id, until);
+            self.set_timer(until, Timer::Grace(id));
+        }
+        // A job that ended and was taken up again is still in the hands of the same workers.
+        job.grace = self.graces.contains_key(&id) && self.only.is_none();
+        if self.jobs.contains_key(&id) {
+            self.drop_job(id);
+        }
+        self.jobs.insert(id, job);
+        self.list_job(id);
+        self.assemble_if_complete(id);
+        self.tell_watchers(id);
+    }
+
+    /// From now on leases only tiles of one job. Its earlier workers were threads of a process that is gone,
+    /// so nothing is waited for.
+    pub(super) fn restrict(&mut self, only: JobId) {
+        self.only = Some(only);
+        let ids = self.job_ids();
+        ids.into_iter().for_each(|id| self.list_job(id));
+        self.end_grace(only);
+    }
+
+    /// After the grace the tiles that no worker has claimed are free.
+    pub(super) fn end_grace(&mut self, id: JobId) {
+        self.graces.remove(&id);
+        let Some(job) = self.jobs.get_mut(&id).filter(|j| j.grace) else { return };
+        job.grace = false;
+        let free = job.ready.len();
+        self.note(Note::GraceOver(id, free));
+        self.list_job(id);
+    }
+
+    /// Takes in a job's record as the store has it now.
+    pub(super) fn job_changed(&mut self, record: JobRecord) {
+        let id = record.id;
+        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let phase = record.state.phase();
+        job.record = record;
+        job.pending = false;
+        if phase.ended() {
+            self.drop_job(id);
+            return;
+        }
+        if phase == JobPhase::Paused {
+            self.revoke_job(id);
+        }
+        self.list_job(id);
+        self.assemble_if_complete(id);
+        self.tell_watchers(id);
+    }
+
+    /// The store has an output of a tile.
+    pub(super) fn committed(&mut self, lease: &Lease, digest: Digest, stats: &TileStats) {
+        let Some(job) = self.jobs.get_mut(&lease.job) else { return };
+        if lease.tile.at() >= job.tiles.len() {
+            return;
+        }
+        job.complete(lease.tile, digest, stats);
+        // The others that work on it need not go on; its own worker knows.
+        for id in job.tiles[lease.tile.at()].leases.into_iter().flatten() {
+            self.end_lease(id, id != lease.id);
+        }
+        self.list_job(lease.job);
+        self.assemble_if_complete(lease.job);
+        self.tell_watchers(lease.job);
+    }
+
+    /// A tile has a stand-in.
+    pub(super) fn tile_set_aside(&mut self, id: JobId, tile: TileIndex, digest: Digest) {
+        let Some(job) = self.jobs.get_mut(&id) else { return };
+        if tile.at() >= job.tiles.len() {
+            return;
+        }
+        job.give_up(tile, digest);
+        for lease in job.tiles[tile.at()].leases.into_iter().flatten() {
+            self.end_lease(lease, true);
+        }
+        self.list_job(id);
+        self.assemble_if_complete(id);
+        self.tell_watchers(id);
+    }
+
+    /// The result of a job cannot be written for now, so there is no space for further outputs either.
+    pub(super) fn assembly_waits(&mut self, id: JobId, now: Now) {
+        if let Some(job) = self.jobs.get_mut(&id) {
+            job.assembling = false;
+            job.no_space_until = Some(now.ms + SPACE_EVERY);
+            self.set_timer(now.ms + SPACE_EVERY, Timer::Space(id));
+        }
+        self.pause_leasing(now);
+    }
+
+    /// An output waits for space. Its tile is finished, so it is not stuck, however long that takes.
+    pub(super) fn disk_full(&mut self, lease: &Lease, now: Now) {
+        if let Some(l) = self.leases.get_mut(&lease.id) {
+            l.moved = now.ms;
+        }
+        self.pause_leasing(now);
+    }
+
+    /// The store refused a command. Whatever waited for it is as before, and no tiles are leased for a while.
+    pub(super) fn refused(&mut self, command: Command, now: Now) {
+        let id = match command {
+            Command::Bind(id, _) | Command::Start(id) | Command::FailJob(id, _) => {
+                if let Some(job) = self.jobs.get_mut(&id) {
+                    job.pending = false;
+                }
+                id
+            }
+            Command::Fail { job: id, tile, .. } => {
+                self.unjudge(id, tile, now);
+                id
+            }
+            Command::SetAside { job: id, tiles, .. } => {
+                for tile in tiles {
+                    self.unjudge(id, tile, now);
+                }
+                id
+            }
+        };
+        self.pause_leasing(now);
+        self.list_job(id);
+    }
+
+    /// Ends the wait for a verdict on a tile that is still open.
+    fn unjudge(&mut self, id: JobId, tile: TileIndex, now: Now) {
+        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let Some(t) = job.tiles.get_mut(tile.at()) else { return };
+        if std::mem::take(&mut t.judged) && t.output == Output::Open {
+            self.back_off(id, tile, now);
+        }
+    }
+
+    /// Asks the store to end a job.
+    pub(super) fn fail_job(&mut self, id: JobId, reason: String) {
+        if let Some(job) = self.jobs.get_mut(&id) {
+            job.pending = true;
+            self.effects.push(Effect::Run(Command::FailJob(id, reason)));
+        }
+    }
+}

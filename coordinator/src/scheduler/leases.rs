@@ -1,0 +1,244 @@
+//! Leases: granted, claimed by workers that come back, renewed, ended.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use super::event::{Effect, Note};
+use super::machine::{Leased, Machine, Timer};
+use super::messages::{Now, Order, Progress};
+use super::pools::Profile;
+use crate::ids::{JobId, Lease, LeaseId, TileIndex, WorkerId};
+use crate::store::JobState;
+
+/// How long the leases of a worker outlive its stream. A worker that lost its connection reconnects after
+/// 0.2, 0.6 and 1.4 s. When it returns later its tiles may have been granted to others.
+const AWAY: u64 = 3000;
+/// A tile whose scene is being fetched and prepared may take this many times as long without progress as
+/// one that has begun.
+const PREPARING: u64 = 3;
+/// Most cells or samples believed of a running tile, so that sums over all tiles cannot overflow.
+const MOST_REPORTED: u64 = 1 << 42;
+
+impl Machine {
+    /// Leases a tile to a worker.
+    pub(super) fn lease(
+        &mut self,
+        id: LeaseId,
+        (job, tile): (JobId, TileIndex),
+        worker: WorkerId,
+        profile: Profile,
+        now: Now,
+    ) {
+        let Some(entry) = self.jobs.get_mut(&job) else { return };
+        let slot = &mut entry.tiles[tile.at()].leases;
+        let Some(free) = slot.iter_mut().find(|l| l.is_none()) else { return };
+        *free = Some(id);
+        entry.running += 1;
+        entry.look_at(tile);
+        let timer = now.ms + self.settings.ttl.min(self.settings.stuck) + 1;
+        let leased = Leased {
+            job,
+            tile,
+            worker,
+            profile,
+            renewed: now.ms,
+            moved: now.ms,
+            gone: None,
+            cells: 0,
+            samples: 0,
+            begun: None,
+            waits: false,
+            timer,
+        };
+        debug_assert!(!self.leases.contains_key(&id), "a lease is given once");
+        self.leases.insert(id, leased);
+        self.set_timer(timer, Timer::Lease(id));
+        if let Some(w) = self.workers.get_mut(&worker) {
+            w.leases.insert(id);
+        }
+        self.list_job(job);
+        self.line_up(worker);
+        self.list_worker(worker);
+    }
+
+    /// Ends a lease; `revoke` says whether its worker has to be told.
+    pub(super) fn end_lease(&mut self, id: LeaseId, revoke: bool) {
+        let Some(l) = self.leases.remove(&id) else { return };
+        self.timers.remove(&(l.timer, Timer::Lease(id)));
+        self.unline(&l, id);
+        if let Some(job) = self.jobs.get_mut(&l.job) {
+            job.running -= 1;
+            job.running_cells -= l.cells;
+            job.running_samples -= l.samples;
+            let tile = &mut job.tiles[l.tile.at()];
+            tile.leases.iter_mut().filter(|of| **of == Some(id)).for_each(|of| *of = None);
+            job.look_at(l.tile);
+            self.list_job(l.job);
+        }
+        if l.gone.is_none() {
+            if revoke {
+                let lease = Lease { job: l.job, tile: l.tile, id };
+                self.effects.push(Effect::Tell(l.worker, Order::Revoke(lease)));
+            }
+            if let Some(w) = self.workers.get_mut(&l.worker) {
+                w.leases.remove(&id);
+            }
+            self.line_up(l.worker);
+            self.list_worker(l.worker);
+        }
+        self.pools.tidy(&l.profile);
+    }
+
+    fn unline(&mut self, l: &Leased, id: LeaseId) {
+        let place = self.jobs.get(&l.job).map(super::job::Job::place);
+        let pool = self.pools.at(&l.profile);
+        if let Some(place) = place.filter(|_| l.waits) {
+            pool.waiting.remove(&(place, l.tile, id));
+        }
+        if let Some(begun) = l.begun {
+            pool.begun.remove(&(begun, id));
+        }
+    }
+
+    /// Takes back all leases of a job.
+    pub(super) fn revoke_job(&mut self, id: JobId) {
+        let Some(job) = self.jobs.get(&id) else { return };
+        let leases: Vec<LeaseId> = job.tiles.iter().flat_map(|t| t.leases).flatten().collect();
+        leases.into_iter().for_each(|l| self.end_lease(l, true));
+    }
+
+    /// Notes which leases of a worker wait because it works on another tile.
+    pub(super) fn line_up(&mut self, worker: WorkerId) {
+        let Some(w) = self.workers.get(&worker) else { return };
+        let leases: Vec<LeaseId> = w.leases.iter().copied().collect();
+        let begun = |id: &LeaseId| self.leases.get(id).is_some_and(|l| l.begun.is_some());
+        let any = leases.iter().any(begun);
+        let waits: Vec<bool> = (0..).zip(&leases).map(|(i, l)| !begun(l) && (any || i > 0)).collect();
+        for (id, waits) in leases.into_iter().zip(waits) {
+            let Some(l) = self.leases.get_mut(&id).filter(|l| l.waits != waits) else { continue };
+            l.waits = waits;
+            let (job, tile, profile) = (l.job, l.tile, Arc::clone(&l.profile));
+            let Some(place) = self.jobs.get(&job).map(super::job::Job::place) else { continue };
+            let pool = self.pools.at(&profile);
+            if waits {
+                pool.waiting.insert((place, tile, id));
+            } else {
+                pool.waiting.remove(&(place, tile, id));
+            }
+        }
+    }
+
+    /// Renews a lease, if it is still the worker's.
+    pub(super) fn progress(&mut self, progress: &Progress, now: Now) {
+        let lease = progress.lease;
+        let (cells, samples) = (progress.cells.min(MOST_REPORTED), progress.samples.min(MOST_REPORTED));
+        let Some(l) = self.leases.get_mut(&lease.id) else { return };
+        if (l.job, l.tile) != (lease.job, lease.tile) {
+            return;
+        }
+        l.renewed = now.ms;
+        let moved = (l.cells, l.samples) != (cells, samples);
+        // A tile that waits for another one of its worker is not stuck.
+        if moved || l.waits {
+            l.moved = now.ms;
+        }
+        if moved && let Some(job) = self.jobs.get_mut(&lease.job) {
+            job.running_cells = job.running_cells - l.cells + cells;
+            job.running_samples = job.running_samples - l.samples + samples;
+        }
+        (l.cells, l.samples) = (cells, samples);
+        if l.begun.is_none() && (cells, samples) != (0, 0) {
+            l.begun = Some(now.ms);
+            let (worker, profile) = (l.worker, Arc::clone(&l.profile));
+            if l.gone.is_none() {
+                self.line_up(worker);
+            }
+            self.pools.at(&profile).begun.insert((now.ms, lease.id));
+        }
+        if moved {
+            self.tell_watchers(lease.job);
+        }
+    }
+
+    /// The time after which a lease has ended, and why it then has.
+    pub(super) fn deadline(&self, l: &Leased) -> (u64, &'static str) {
+        let stuck = self.settings.stuck * if l.begun.is_some() { 1 } else { PREPARING };
+        let away = l.gone.map(|since| (since + AWAY, "its worker has gone and did not come back"));
+        let ran_out = (l.renewed + self.settings.ttl, "its lease ran out");
+        let stuck = (l.moved + stuck, "it makes no progress");
+        [away, Some(ran_out), Some(stuck)].into_iter().flatten().min_by_key(|(at, _)| *at).unwrap_or(ran_out)
+    }
+
+    /// Sets a lease's timer to the first moment at which the lease has ended.
+    pub(super) fn arm(&mut self, id: LeaseId) {
+        let Some(l) = self.leases.get(&id) else { return };
+        let (old, new) = (l.timer, (self.deadline(l).0 + 1).max(self.patient_until));
+        self.timers.remove(&(old, Timer::Lease(id)));
+        self.set_timer(new, Timer::Lease(id));
+        if let Some(l) = self.leases.get_mut(&id) {
+            l.timer = new;
+        }
+    }
+
+    /// Takes a lease back if it has ended.
+    pub(super) fn lease_timer(&mut self, id: LeaseId, now: Now) {
+        let Some(l) = self.leases.get(&id) else { return };
+        let (deadline, why) = self.deadline(l);
+        if now.ms <= deadline || now.ms < self.patient_until {
+            self.arm(id);
+            return;
+        }
+        let lease = Lease { job: l.job, tile: l.tile, id };
+        let name = self.workers.get(&l.worker).map(|w| w.name.clone());
+        self.note(Note::TakenBack(lease, name, why));
+        self.end_lease(id, true);
+        self.tell_watchers(lease.job);
+    }
+
+    /// Those of the leases that a worker names that are its own from now on.
+    ///
+    /// A lease of this epoch counts if it was given and its tile is free or held under it. Which leases
+    /// an earlier epoch gave is not known; the first claim of a tile during the grace counts.
+    pub(super) fn claim(&mut self, worker: WorkerId, held: Vec<Lease>, now: Now) -> Vec<Lease> {
+        let mut kept = BTreeSet::new();
+        for lease in held {
+            let Some(job) = self.jobs.get(&lease.job).filter(|j| j.record.state == JobState::Running) else {
+                continue;
+            };
+            if lease.tile.at() >= job.tiles.len() || kept.contains(&lease) {
+                continue;
+            }
+            let same = self.leases.get(&lease.id).map(|l| (l.job, l.tile));
+            let given = match lease.id.epoch.cmp(&self.settings.epoch) {
+                std::cmp::Ordering::Less => job.grace && same.is_none(),
+                std::cmp::Ordering::Equal => job.gave(lease.id.number, lease.tile),
+                std::cmp::Ordering::Greater => false,
+            };
+            let theirs = same == Some((lease.job, lease.tile));
+            let free = same.is_none() && given && job.is_ready(lease.tile);
+            let Some(profile) = job.record.profile.as_deref().map(Profile::from) else { continue };
+            if !free && !theirs {
+                continue;
+            }
+            if theirs {
+                self.end_lease(lease.id, false);
+            }
+            self.lease(lease.id, (lease.job, lease.tile), worker, profile, now);
+            kept.insert(lease);
+            self.tell_watchers(lease.job);
+        }
+        kept.into_iter().collect()
+    }
+
+    /// An order did not reach its worker, which does not read its stream.
+    pub(super) fn undelivered(&mut self, worker: WorkerId, lease: &Lease, now: Now) {
+        self.end_lease(lease.id, false);
+        let until = now.ms + 1000;
+        if let Some(w) = self.workers.get_mut(&worker) {
+            w.wants = (w.wants + 1).min(super::workers::MOST_HELD);
+            w.deaf_until = Some(until);
+            self.set_timer(until, Timer::Deaf(worker));
+            self.list_worker(worker);
+        }
+    }
+}

@@ -1,0 +1,342 @@
+//! The scheduler as a state machine: an event and the time in, effects out.
+//!
+//! It reads no clock, takes no lock, and knows no thread, file, channel or store. The only randomness is a
+//! generator seeded at construction. So a run is a function of its events, and the simulator drives the same
+//! code as the coordinator. Every event costs the logarithm of what there is, except for a job that is taken
+//! up or ends, and a tile that is set aside, which look at all tiles of one job.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use sightline_numbers::random::SplitMix64;
+
+use super::event::{Effect, Event, Note};
+use super::job::{Job, Output, Work};
+use super::messages::Now;
+use super::pools::{Pools, Profile};
+use crate::ids::{Epoch, JobId, Lease, LeaseId, TileIndex, WorkerId};
+use crate::store::JobPhase;
+
+/// How long no tiles are granted after the store could not be written.
+pub(super) const PAUSE: u64 = 10_000;
+/// Time between two attempts to write a result that the disk has no space for.
+pub(super) const SPACE_EVERY: u64 = 10_000;
+/// A tick that comes this much later than the one before says that the coordinator itself stood still.
+const STALLED: u64 = 3000;
+/// After a standstill leases end at the earliest after this time, so that reports that wait are read first.
+const AFTER_STALL: u64 = 3000;
+
+/// How the machine is set up.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Settings {
+    /// This start of the coordinator.
+    pub(crate) epoch: Epoch,
+    /// How long a lease lives without being renewed, in milliseconds.
+    pub(crate) ttl: u64,
+    /// How long a tile may make no progress, in milliseconds.
+    pub(crate) stuck: u64,
+    /// Seeds the jitter of back-offs.
+    pub(crate) seed: u64,
+}
+
+/// A connected worker.
+#[derive(Debug)]
+pub(super) struct Worker {
+    pub(super) name: String,
+    pub(super) instance: u64,
+    pub(super) profiles: BTreeSet<Profile>,
+    /// For each choice whether it can serve it.
+    pub(super) serves: [bool; 3],
+    pub(super) wants: u32,
+    pub(super) draining: bool,
+    /// It did not take an order; it gets none until then.
+    pub(super) deaf_until: Option<u64>,
+    pub(super) leases: BTreeSet<LeaseId>,
+    /// Jobs for which it times its backends.
+    pub(super) timing: BTreeSet<JobId>,
+}
+
+/// A tile leased to a worker.
+#[derive(Debug)]
+pub(super) struct Leased {
+    pub(super) job: JobId,
+    pub(super) tile: TileIndex,
+    /// The connection that holds it, also after the connection's end.
+    pub(super) worker: WorkerId,
+    pub(super) profile: Profile,
+    pub(super) renewed: u64,
+    pub(super) moved: u64,
+    /// When the worker's stream ended.
+    pub(super) gone: Option<u64>,
+    pub(super) cells: u64,
+    pub(super) samples: u64,
+    /// When it was first seen to make progress.
+    pub(super) begun: Option<u64>,
+    /// Whether it is in its pool's list of waiting tiles.
+    pub(super) waits: bool,
+    /// When its timer fires.
+    pub(super) timer: u64,
+}
+
+/// What a timer is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Timer {
+    /// A lease may have ended.
+    Lease(LeaseId),
+    /// A tile has waited after a fault.
+    Tile(JobId, TileIndex),
+    /// A job has waited for the timing of backends, or for more workers.
+    Parked(JobId),
+    /// A job has waited for leases of an earlier epoch.
+    Grace(JobId),
+    /// A result has waited for space.
+    Space(JobId),
+    /// A worker may take orders again.
+    Deaf(WorkerId),
+    /// Leasing goes on.
+    Leasing,
+}
+
+/// The scheduler.
+#[derive(Debug)]
+pub(crate) struct Machine {
+    pub(super) settings: Settings,
+    pub(super) random: SplitMix64,
+    pub(super) next_lease: u64,
+    pub(super) next_worker: u64,
+    pub(super) jobs: BTreeMap<JobId, Job>,
+    pub(super) workers: BTreeMap<WorkerId, Worker>,
+    pub(super) leases: BTreeMap<LeaseId, Leased>,
+    /// Connected workers that sent an instance: by name, and by instance.
+    pub(super) names: BTreeMap<String, WorkerId>,
+    pub(super) instances: BTreeMap<u64, WorkerId>,
+    pub(super) pools: Pools,
+    pub(super) timers: BTreeSet<(u64, Timer)>,
+    /// Jobs whose tiles an earlier epoch may have leased, and until when nobody else gets them.
+    pub(super) graces: BTreeMap<JobId, u64>,
+    pub(super) only: Option<JobId>,
+    pub(super) paused_until: Option<u64>,
+    /// The last tick, and until when leases do not end because the coordinator stood still.
+    last_tick: Option<u64>,
+    pub(super) patient_until: u64,
+    /// No time of an event is earlier.
+    clock: u64,
+    pub(super) effects: Vec<Effect>,
+}
+
+impl Machine {
+    /// A scheduler without jobs and workers.
+    pub(crate) fn new(settings: Settings) -> Self {
+        Self {
+            random: SplitMix64::named(&[settings.seed, settings.epoch.0]),
+            settings,
+            next_lease: 1,
+            next_worker: 1,
+            jobs: BTreeMap::new(),
+            workers: BTreeMap::new(),
+            leases: BTreeMap::new(),
+            names: BTreeMap::new(),
+            instances: BTreeMap::new(),
+            pools: Pools::default(),
+            timers: BTreeSet::new(),
+            graces: BTreeMap::new(),
+            only: None,
+            paused_until: None,
+            last_tick: None,
+            patient_until: 0,
+            clock: 0,
+            effects: Vec::new(),
+        }
+    }
+
+    /// Takes an event in, and gives what is to be done.
+    pub(crate) fn step(&mut self, event: Event, now: Now) -> Vec<Effect> {
+        self.clock = self.clock.max(now.ms);
+        let now = Now { ms: self.clock, ..now };
+        match event {
+            Event::TakenUp(job) => self.take_up(*job, now),
+            Event::Restricted(job) => self.restrict(job),
+            Event::JobChanged(record) => self.job_changed(*record),
+            Event::Joined(intro) => self.join(intro, now),
+            Event::Left(worker) => self.leave(worker, now),
+            Event::Wanted(worker, tiles) => self.want(worker, tiles),
+            Event::Drains(worker) => self.drain(worker),
+            Event::Progressed(progress) => self.progress(&progress, now),
+            Event::Failed(worker, failure) => self.failed(worker, failure, now),
+            Event::Timed(worker, job, times) => self.timed(worker, job, &times),
+            Event::Committed { lease, digest, stats } => self.committed(&lease, digest, &stats),
+            Event::DiskFull(lease) => self.disk_full(&lease, now),
+            Event::Undelivered(worker, lease) => self.undelivered(worker, &lease, now),
+            Event::FailureRecorded { job, tile, on, reason } => self.judge(job, tile, on, &reason),
+            Event::SetAside { job, tile, digest } => self.tile_set_aside(job, tile, digest),
+            Event::Bound(job, profile) => self.bound(job, profile),
+            Event::Refused(command) => self.refused(command, now),
+            Event::AssemblyWaits(job) => self.assembly_waits(job, now),
+            Event::AssemblyDropped(job) => {
+                if let Some(entry) = self.jobs.get_mut(&job) {
+                    entry.assembling = false;
+                }
+                self.assemble_if_complete(job);
+            }
+            Event::Tick => self.tick(now),
+        }
+        self.settle(now);
+        std::mem::take(&mut self.effects)
+    }
+
+    pub(super) fn tell_watchers(&mut self, job: JobId) {
+        self.effects.push(Effect::Changed(job));
+    }
+
+    pub(super) fn note(&mut self, note: Note) {
+        self.effects.push(Effect::Note(note));
+    }
+
+    pub(super) fn set_timer(&mut self, at: u64, timer: Timer) {
+        self.timers.insert((at, timer));
+    }
+
+    /// Grants no tiles for a while.
+    pub(super) fn pause_leasing(&mut self, now: Now) {
+        let until = now.ms + PAUSE;
+        self.paused_until = Some(until);
+        self.set_timer(until, Timer::Leasing);
+    }
+
+    /// Fires the timers whose time has come.
+    fn tick(&mut self, now: Now) {
+        if self.last_tick.is_some_and(|last| now.ms - last > STALLED) {
+            self.patient_until = now.ms + AFTER_STALL;
+        }
+        self.last_tick = Some(now.ms);
+        while let Some((at, timer)) = self.timers.first().copied().filter(|(at, _)| *at <= now.ms) {
+            self.timers.remove(&(at, timer));
+            self.fire(timer, now);
+        }
+        self.look_for_stragglers(now);
+    }
+
+    fn fire(&mut self, timer: Timer, now: Now) {
+        match timer {
+            Timer::Lease(id) => self.lease_timer(id, now),
+            Timer::Tile(job, tile) => self.tile_timer(job, tile, now),
+            Timer::Parked(job) => self.parked_timer(job, now),
+            Timer::Grace(job) => self.end_grace(job),
+            Timer::Space(id) => {
+                if let Some(job) = self.jobs.get_mut(&id)
+                    && job.no_space_until.is_some_and(|until| until <= now.ms)
+                {
+                    job.no_space_until = None;
+                    self.assemble_if_complete(id);
+                }
+            }
+            Timer::Deaf(id) => {
+                if let Some(w) = self.workers.get_mut(&id)
+                    && w.deaf_until.is_some_and(|until| until <= now.ms)
+                {
+                    w.deaf_until = None;
+                    self.list_worker(id);
+                }
+            }
+            Timer::Leasing => {
+                if self.paused_until.is_some_and(|until| until <= now.ms) {
+                    self.paused_until = None;
+                }
+            }
+        }
+    }
+
+    /// What an output that arrives under a lease has to be checked against, and whether it counts.
+    ///
+    /// It counts when the lease was given, however long ago. A lease of this epoch is known exactly. One of
+    /// an earlier epoch is accepted, because nothing says whether it was given: its output is the first of
+    /// the tile, or the same, or refused. An output of a done tile can only be compared with the one that
+    /// stays.
+    ///
+    /// # Errors
+    /// The reason, when there is no such tile.
+    pub(crate) fn admit(&self, lease: &Lease) -> Result<Admitted, NoTile> {
+        let job = self.jobs.get(&lease.job).ok_or(NoTile::NoJob(lease.job))?;
+        let tile = job.tiles.get(lease.tile.at()).ok_or(NoTile::NoTile)?;
+        let counts = lease.id.epoch < self.settings.epoch
+            || lease.id.epoch == self.settings.epoch && job.gave(lease.id.number, lease.tile)
+            || matches!(tile.output, Output::Done(_));
+        let holder = self.leases.get(&lease.id).and_then(|l| self.workers.get(&l.worker));
+        let worker = holder.map(|w| w.name.clone()).unwrap_or_default();
+        Ok(Admitted { work: Arc::clone(&job.work), worker, counts })
+    }
+
+    /// A job that has not ended.
+    pub(crate) fn job(&self, id: JobId) -> Option<&Job> {
+        self.jobs.get(&id)
+    }
+
+    /// The jobs that have not ended.
+    pub(crate) fn job_ids(&self) -> Vec<JobId> {
+        self.jobs.keys().copied().collect()
+    }
+
+    /// The number of connected workers.
+    pub(crate) fn workers(&self) -> u32 {
+        self.workers.len() as u32
+    }
+
+    /// The connected workers with a profile that hold no tile and do not drain.
+    #[cfg_attr(not(test), expect(dead_code, reason = "for whoever lets several workers share a tile"))]
+    pub(crate) fn idle_workers(&self, profile: &str) -> impl Iterator<Item = WorkerId> {
+        self.pools.of.get(profile).into_iter().flat_map(|p| p.idle.iter().copied())
+    }
+
+    /// The leases whose tiles run now with a profile, those that run longest first.
+    #[cfg_attr(not(test), expect(dead_code, reason = "for whoever lets several workers share a tile"))]
+    pub(crate) fn running(&self, profile: &str) -> impl Iterator<Item = (WorkerId, Lease)> {
+        let begun = self.pools.of.get(profile).into_iter().flat_map(|p| p.begun.iter());
+        begun.filter_map(|(_, id)| {
+            let l = self.leases.get(id)?;
+            Some((l.worker, Lease { job: l.job, tile: l.tile, id: *id }))
+        })
+    }
+
+    /// Ends a job here, with its leases.
+    pub(super) fn drop_job(&mut self, id: JobId) {
+        self.revoke_job(id);
+        self.unlist_job(id);
+        self.jobs.remove(&id);
+        self.tell_watchers(id);
+    }
+
+    /// Starts assembling a job whose tiles are complete.
+    pub(super) fn assemble_if_complete(&mut self, id: JobId) {
+        let Some(job) = self.jobs.get_mut(&id) else { return };
+        if job.runs() && !job.assembling && job.no_space_until.is_none() && job.open() == 0 {
+            job.assembling = true;
+            self.effects.push(Effect::Assemble(id));
+        }
+    }
+
+    /// Whether the job may be worked on.
+    pub(super) fn allowed(&self, job: &Job) -> bool {
+        matches!(job.record.state.phase(), JobPhase::Queued | JobPhase::Running)
+            && self.only.is_none_or(|only| only == job.record.id)
+    }
+}
+
+/// See [`Machine::admit`].
+#[derive(Debug)]
+pub(crate) struct Admitted {
+    /// What the job computes.
+    pub(crate) work: Arc<Work>,
+    /// The name of the worker that holds the lease; empty when nobody does.
+    pub(crate) worker: String,
+    /// Whether the output counts.
+    pub(crate) counts: bool,
+}
+
+/// A lease on something that does not exist.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum NoTile {
+    /// The job has ended or does not exist.
+    NoJob(JobId),
+    /// The job has fewer tiles.
+    NoTile,
+}

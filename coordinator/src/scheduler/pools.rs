@@ -1,0 +1,94 @@
+//! The lists from which tiles and workers are matched: one pool for each numerics profile, and the jobs that
+//! have no profile yet.
+//!
+//! Each list holds numbers alone and is changed together with the job or worker that it is about.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use sightline_model::BackendChoice;
+
+use crate::ids::{JobId, LeaseId, TileIndex, WorkerId};
+
+/// The place of a job in the order of granting: higher priorities first, then older jobs.
+pub(super) type Place = (Reverse<i32>, JobId);
+
+/// The name of a numerics profile.
+pub(super) type Profile = Arc<str>;
+
+/// The list that a job with ready tiles is in.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum List {
+    /// The pool of its profile.
+    Bound(Profile),
+    /// Those without a profile, by what they ask for.
+    Unbound(Choice),
+}
+
+/// The index of a [`BackendChoice`].
+pub(super) type Choice = usize;
+
+/// The index of a choice.
+pub(super) fn index(choice: BackendChoice) -> Choice {
+    match choice {
+        BackendChoice::Cpu => 0,
+        BackendChoice::Gpu => 1,
+        BackendChoice::Auto => 2,
+    }
+}
+
+/// The workers and jobs of one profile.
+#[derive(Debug, Default)]
+pub(super) struct Pool {
+    /// Connected workers.
+    pub(super) able: u64,
+    /// Those of them for which it is the only profile that `auto` considers.
+    pub(super) alone: u64,
+    /// Workers without a lease that do not drain, whether or not they want tiles.
+    pub(super) idle: BTreeSet<WorkerId>,
+    /// Workers that want tiles: those without a lease, and those with one.
+    pub(super) hungry: [BTreeSet<WorkerId>; 2],
+    /// Jobs with ready tiles.
+    pub(super) jobs: BTreeSet<Place>,
+    /// Ready tiles of these jobs.
+    pub(super) ready: usize,
+    /// Leased tiles that have not begun because their worker is busy with another one.
+    pub(super) waiting: BTreeSet<(Place, TileIndex, LeaseId)>,
+    /// Leases that have begun, by the time when they did.
+    pub(super) begun: BTreeSet<(u64, LeaseId)>,
+}
+
+impl Pool {
+    fn is_empty(&self) -> bool {
+        self.able == 0 && self.jobs.is_empty() && self.waiting.is_empty() && self.begun.is_empty()
+    }
+}
+
+/// All lists.
+#[derive(Debug, Default)]
+pub(super) struct Pools {
+    pub(super) of: BTreeMap<Profile, Pool>,
+    /// Jobs without a profile that have ready tiles, by choice.
+    pub(super) unbound: [BTreeSet<Place>; 3],
+    /// Workers that want tiles, by the choices that they can serve.
+    pub(super) hungry: [BTreeSet<WorkerId>; 3],
+    /// The pools that changed since they were last looked at.
+    pub(super) dirty: BTreeSet<Profile>,
+}
+
+impl Pools {
+    /// The pool of a profile, to be changed.
+    pub(super) fn at(&mut self, profile: &Profile) -> &mut Pool {
+        self.dirty.insert(Arc::clone(profile));
+        self.of.entry(Arc::clone(profile)).or_default()
+    }
+
+    /// Removes the pool of a profile that nobody uses.
+    pub(super) fn tidy(&mut self, profile: &Profile) {
+        if self.of.get(profile).is_some_and(Pool::is_empty) {
+            self.of.remove(profile);
+            self.dirty.remove(profile);
+        }
+    }
+}

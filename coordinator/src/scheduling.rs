@@ -1,0 +1,120 @@
+//! Between the state machine and the world: gives it events and the time under a short lock, sends orders and
+//! wakes watchers. What blocks is left to the caller as chores.
+
+use crate::ids::{JobId, Lease, WorkerId};
+use crate::orders::{Outbox, Scheduling};
+use crate::scheduler::{Command, Departure, Effect, Event, Introduction, Joined, NameTaken, Note, Order};
+use crate::state::Coordinator;
+
+/// Work that blocks and must be done after an event.
+#[derive(Debug)]
+pub(crate) enum Chore {
+    /// A change of the store.
+    Run(Command),
+    /// The result of a complete job.
+    Assemble(JobId),
+}
+
+/// Lets a worker join. The caller does the chores.
+pub(crate) fn join(
+    c: &Coordinator,
+    intro: Introduction,
+    out: Box<dyn Outbox>,
+) -> (Result<Joined, NameTaken>, Vec<Chore>) {
+    let name = intro.name.clone();
+    let mut out = Some(out);
+    let (mut answer, mut chores) = (Err(NameTaken { name }), Vec::new());
+    let mut scheduling = c.lock();
+    for effect in scheduling.machine.step(Event::Joined(intro), c.now_plain()) {
+        if let Effect::Joined(joined) = effect {
+            if let (Ok(joined), Some(out)) = (&joined, out.take()) {
+                scheduling.outboxes.insert(joined.worker, out);
+            }
+            answer = joined;
+        } else {
+            carry(c, &mut scheduling, effect, &mut chores);
+        }
+    }
+    c.watched().all_changed();
+    (answer, chores)
+}
+
+/// Lets a worker go. The caller does the chores.
+pub(crate) fn leave(c: &Coordinator, worker: WorkerId) -> (Departure, Vec<Chore>) {
+    let (mut departure, mut chores) = (Departure::Lost, Vec::new());
+    let mut scheduling = c.lock();
+    scheduling.outboxes.remove(&worker);
+    for effect in scheduling.machine.step(Event::Left(worker), c.now_plain()) {
+        match effect {
+            Effect::Left(how) => departure = how,
+            effect => carry(c, &mut scheduling, effect, &mut chores),
+        }
+    }
+    c.watched().all_changed();
+    (departure, chores)
+}
+
+/// Tells the machine of an event, without blocking. The caller does the chores.
+#[must_use]
+pub(crate) fn tell(c: &Coordinator, event: Event) -> Vec<Chore> {
+    let mut chores = Vec::new();
+    // Taken before waiting for the lock, for which workers that have returned may be waiting, too.
+    let now = c.now_plain();
+    let mut scheduling = c.lock();
+    for effect in scheduling.machine.step(event, now) {
+        carry(c, &mut scheduling, effect, &mut chores);
+    }
+    chores
+}
+
+/// Carries out an effect that does not block.
+fn carry(c: &Coordinator, scheduling: &mut Scheduling, effect: Effect, chores: &mut Vec<Chore>) {
+    match effect {
+        Effect::Tell(worker, order) => {
+            let lease = match &order {
+                Order::Grant(grant) => Some(grant.lease),
+                Order::Revoke(_) | Order::Time { .. } => None,
+            };
+            let sent = scheduling.outboxes.get(&worker).is_some_and(|out| out.offer(order));
+            if let Some(lease) = lease.filter(|_| !sent) {
+                let event = Event::Undelivered(worker, lease);
+                for effect in scheduling.machine.step(event, c.now_plain()) {
+                    carry(c, scheduling, effect, chores);
+                }
+            }
+        }
+        Effect::Run(command) => chores.push(Chore::Run(command)),
+        Effect::Assemble(job) => chores.push(Chore::Assemble(job)),
+        Effect::Changed(job) => c.watched().changed(job, scheduling.machine.job(job).is_none()),
+        Effect::Note(note) => write(&note),
+        // Answers to `join` and `leave`, which look at them themselves.
+        Effect::Joined(_) | Effect::Left(_) => {}
+    }
+}
+
+fn write(note: &Note) {
+    match note {
+        Note::TakenBack(Lease { job, tile, .. }, from, why) => {
+            let from = from.as_ref().map(|name| format!(" from worker {name}")).unwrap_or_default();
+            tracing::warn!("tile {tile} of job {job} is taken back{from}: {why}");
+        }
+        Note::TakenOver(Lease { job, tile, .. }, from) => {
+            tracing::info!(
+                "tile {tile} of job {job}, queued on the busy worker {from}, goes to an idle worker"
+            );
+        }
+        Note::Doubled(Lease { job, tile, .. }) => {
+            tracing::info!("tile {tile} of job {job} takes long; an idle worker computes it, too");
+        }
+        Note::TileFailed(Lease { job, tile, .. }, worker, reason) => {
+            tracing::warn!("tile {tile} of job {job} failed on {worker}: {reason}");
+        }
+        Note::Draining(name) => {
+            tracing::info!("worker {name} is draining: it finishes its tile and takes no more");
+        }
+        Note::Chosen(job, chosen) => tracing::info!("job {job}: {chosen}"),
+        Note::GraceOver(job, tiles) => {
+            tracing::info!("job {job} goes on: {tiles} of its tiles are free, which no worker has claimed");
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! The simulated world: time, streams, the store, the coordinator around its state machine, and the checks.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use sightline_numbers::random::SplitMix64;
+use sightline_viewcells::Plan;
+
+use super::parts::{Down, Happening, StreamEnds, Up, Worker, spec};
+use crate::ids::{Digest, JobId, Lease, LeaseId, TileIndex};
+use crate::scheduler::{Effect, Event, Job, Machine, Now, Order, Work};
+use crate::store::{JobPhase, MemoryStore, Store as _};
+
+pub(super) const TTL: u64 = 10_000;
+/// Faults stop then.
+pub(super) const FAULTS: u64 = 120_000;
+
+/// The world.
+pub(super) struct World {
+    pub(super) random: SplitMix64,
+    pub(super) now: u64,
+    pub(super) unix_ms: u64,
+    next: u64,
+    pub(super) queue: BTreeMap<(u64, u64), Happening>,
+    pub(super) store: MemoryStore,
+    pub(super) machine: Option<Machine>,
+    /// Lives of the coordinator.
+    pub(super) life: u64,
+    pub(super) epoch: u64,
+    pub(super) stalled_until: u64,
+    pub(super) disk_full: bool,
+    pub(super) streams: Vec<StreamEnds>,
+    pub(super) workers: Vec<Worker>,
+    pub(super) plans: BTreeMap<JobId, Plan>,
+    poison: BTreeSet<(JobId, TileIndex)>,
+    pub(super) acknowledged: BTreeMap<(JobId, TileIndex), Digest>,
+    pub(super) leased: BTreeSet<LeaseId>,
+    /// Jobs that ran before the last start of the coordinator, and when that was.
+    pub(super) ran_before: BTreeSet<JobId>,
+    pub(super) started: u64,
+    /// Tiles that workers have claimed since then.
+    pub(super) claimed: BTreeSet<(JobId, TileIndex)>,
+    pub(super) tile_ms: u64,
+    pub(super) slowest_link: u64,
+}
+
+impl World {
+    /// A world without workers and jobs.
+    pub(super) fn new(random: SplitMix64, tile_ms: u64, slowest_link: u64) -> Self {
+        Self {
+            random,
+            now: 0,
+            unix_ms: 1_000_000_000,
+            next: 0,
+            queue: BTreeMap::new(),
+            store: MemoryStore::new(),
+            machine: None,
+            life: 0,
+            epoch: 0,
+            stalled_until: 0,
+            disk_full: false,
+            streams: Vec::new(),
+            workers: Vec::new(),
+            plans: BTreeMap::new(),
+            poison: BTreeSet::new(),
+            acknowledged: BTreeMap::new(),
+            leased: BTreeSet::new(),
+            ran_before: BTreeSet::new(),
+            started: 0,
+            claimed: BTreeSet::new(),
+            tile_ms,
+            slowest_link,
+        }
+    }
+
+    pub(super) fn below(&mut self, n: u64) -> u64 {
+        self.random.bits() % n.max(1)
+    }
+
+    pub(super) fn one_in(&mut self, n: u64) -> bool {
+        self.below(n) == 0
+    }
+
+    pub(super) fn delay(&mut self) -> u64 {
+        1 + self.below(self.slowest_link)
+    }
+
+    pub(super) fn faults_on(&self) -> bool {
+        self.now < FAULTS
+    }
+
+    pub(super) fn after(&mut self, wait: u64, happening: Happening) {
+        self.at(self.now + wait, happening);
+    }
+
+    pub(super) fn at(&mut self, at: u64, happening: Happening) {
+        self.next += 1;
+        self.queue.insert((at, self.next), happening);
+    }
+
+    pub(super) fn poison(&mut self, job: JobId, tile: TileIndex) {
+        self.poison.insert((job, tile));
+    }
+
+    pub(super) fn poisoned(&self, lease: &Lease) -> bool {
+        self.poison.contains(&(lease.job, lease.tile))
+    }
+
+    pub(super) fn open_jobs(&self) -> Vec<(JobId, JobPhase)> {
+        let jobs = self.store.jobs().unwrap();
+        let all = jobs.iter().map(|j| (j.id, j.state.phase()));
+        all.filter(|(_, phase)| !phase.ended()).collect()
+    }
+
+    pub(super) fn open_stream(&mut self, worker: usize) -> usize {
+        let (life, now) = (self.life, self.now);
+        let stream = StreamEnds { worker, life, number: None, closed: false, up_at: now, down_at: now };
+        self.streams.push(stream);
+        self.streams.len() - 1
+    }
+
+    pub(super) fn send_up(&mut self, stream: usize, up: Up) {
+        let at = (self.now + self.delay()).max(self.streams[stream].up_at);
+        self.streams[stream].up_at = at;
+        self.at(at, Happening::Up(stream, up));
+    }
+
+    pub(super) fn send_down(&mut self, stream: usize, down: Down) {
+        let at = (self.now + self.delay()).max(self.streams[stream].down_at);
+        self.streams[stream].down_at = at;
+        self.at(at, Happening::Down(stream, down));
+    }
+
+    /// A worker ends its stream in order: everything that it said arrives first.
+    pub(super) fn close_up(&mut self, stream: usize) {
+        let at = self.streams[stream].up_at;
+        self.at(at.max(self.now), Happening::UpBroken(stream));
+    }
+
+    /// A stream breaks: what is under way is lost, and both ends notice it after a while.
+    pub(super) fn break_stream(&mut self, stream: usize, longest: u64) {
+        self.streams[stream].closed = true;
+        let (up, down) = (self.below(longest), self.below(longest));
+        self.after(up, Happening::UpBroken(stream));
+        self.after(down, Happening::DownBroken(stream));
+    }
+
+    /// A job as the store has it.
+    pub(super) fn job(&self, id: JobId) -> Job {
+        let (spec, lattice) = spec();
+        let work = Work { spec: Arc::new(spec), lattice, plan: self.plans[&id].clone() };
+        Job::with(self.store.job(id).unwrap().unwrap(), work, self.store.tiles(id).unwrap())
+    }
+
+    /// Tells the machine of an event, checks it, and carries out what it wants.
+    pub(super) fn tell(&mut self, event: Event) -> Result<(), String> {
+        let now = Now { ms: self.now, unix_ms: self.unix_ms };
+        let tick = matches!(event, Event::Tick);
+        let Some(machine) = &mut self.machine else { return Ok(()) };
+        let effects = machine.step(event, now);
+        machine.check()?;
+        if tick {
+            machine.check_expiries(now)?;
+        }
+        effects.into_iter().try_for_each(|effect| self.carry(effect))
+    }
+
+    pub(super) fn carry(&mut self, effect: Effect) -> Result<(), String> {
+        match effect {
+            Effect::Tell(worker, order) => {
+                let stream =
+                    self.streams.iter().rposition(|s| s.number == Some(worker) && s.life == self.life);
+                if let Order::Grant(grant) = &order {
+                    self.may_lease(&grant.lease)?;
+                }
+                let Some(stream) = stream else { return Err("an order to nobody".to_owned()) };
+                match order {
+                    Order::Grant(grant) => self.send_down(stream, Down::Grant(grant.lease)),
+                    Order::Revoke(lease) => self.send_down(stream, Down::Revoke(lease)),
+                    Order::Time { .. } => {}
+                }
+            }
+            Effect::Run(command) => {
+                let wait = self.below(20);
+                self.after(wait, Happening::Run(self.life, Box::new(command)));
+            }
+            Effect::Assemble(job) => {
+                let wait = self.below(500);
+                self.after(wait, Happening::Assemble(self.life, job));
+            }
+            Effect::Changed(_) | Effect::Note(_) | Effect::Joined(_) | Effect::Left(_) => {}
+        }
+        Ok(())
+    }
+
+    fn may_lease(&mut self, lease: &Lease) -> Result<(), String> {
+        if !self.leased.insert(lease.id) {
+            return Err(format!("{lease:?} is given twice"));
+        }
+        // A tile that its worker has claimed may change hands.
+        let claimed = self.claimed.contains(&(lease.job, lease.tile));
+        if self.ran_before.contains(&lease.job) && !claimed && self.now < self.started + TTL {
+            return Err(format!("{lease:?} is given while an earlier epoch's worker may hold the tile"));
+        }
+        Ok(())
+    }
+}
