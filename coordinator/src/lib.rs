@@ -27,6 +27,7 @@ mod assemble;
 mod assemble_pairs;
 mod chores;
 pub mod clock;
+mod crews;
 mod finishing;
 pub mod ids;
 mod jobs;

@@ -5,12 +5,13 @@ use std::sync::Arc;
 
 use crate::chores::happened;
 use crate::clock::{Clock, SystemClock};
+use crate::crews::Crews;
 use crate::ids::{Epoch, JobId};
 use crate::scheduler::{Event, Job, Machine, Settings};
 use crate::scheduling::{Chore, tell};
 use crate::specs;
 use crate::state::{Coordinator, Leases};
-use crate::store::{BlobError, Blobs, FileBlobs, JobPhase, JobState, SledStore, Store, StoreError};
+use crate::store::{BlobError, Blobs, FileBlobs, JobPhase, JobState, Outcomes, SledStore, Store, StoreError};
 
 /// The settings of a coordinator on one machine's disk.
 #[derive(Clone, Debug)]
@@ -48,10 +49,12 @@ impl Coordinator {
     pub fn open(config: Config) -> Result<Arc<Self>, OpenError> {
         let store = SledStore::open(&config.data_dir.join("state"))?;
         let blobs = FileBlobs::open(&config.data_dir.join("blobs"))?;
-        Ok(Self::new(config.leases, Box::new(store), Box::new(blobs), Box::new(SystemClock))?)
+        let outcomes = Outcomes::of(config.data_dir.join("crews"));
+        Ok(Self::start(config.leases, Box::new(store), Box::new(blobs), Box::new(SystemClock), outcomes)?)
     }
 
-    /// Starts on a store: begins its next epoch and continues the jobs that have not ended.
+    /// Starts on a store: begins its next epoch and continues the jobs that have not ended. Keeps no outcomes
+    /// of phases, so that crews have leaders alone.
     ///
     /// # Errors
     /// The store's.
@@ -60,6 +63,16 @@ impl Coordinator {
         store: Box<dyn Store>,
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
+    ) -> Result<Arc<Self>, StoreError> {
+        Self::start(leases, store, blobs, clock, Outcomes::nowhere())
+    }
+
+    fn start(
+        leases: Leases,
+        store: Box<dyn Store>,
+        blobs: Box<dyn Blobs>,
+        clock: Box<dyn Clock>,
+        outcomes: Outcomes,
     ) -> Result<Arc<Self>, StoreError> {
         let epoch = Epoch(store.begin_epoch()?);
         let settings = Settings {
@@ -85,7 +98,9 @@ impl Coordinator {
                 }
             }
         }
-        let this = Arc::new(Self::of(leases, store, blobs, clock, Machine::new(settings)));
+        outcomes.sweep(|job| jobs.iter().any(|j: &Job| j.record.id == job));
+        let crews = Crews::new(outcomes);
+        let this = Arc::new(Self::of(leases, store, blobs, clock, crews, Machine::new(settings)));
         for job in jobs {
             happened(&this, Event::TakenUp(Box::new(job)));
         }

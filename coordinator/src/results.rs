@@ -198,6 +198,7 @@ fn commit(
     })?;
     match outcome {
         CommitOutcome::Committed | CommitOutcome::AlreadySame => {
+            c.crews.outcomes.remove((id, tile));
             Ok((Ok(()), tell(c, Event::Committed { lease, digest, stats })))
         }
         CommitOutcome::Conflict { kept, offered } => {

@@ -200,10 +200,11 @@ mod tests {
 
     use super::*;
     use crate::clock::SystemClock;
+    use crate::crews::Crews;
     use crate::ids::Epoch;
     use crate::scheduler::{Machine, Settings};
     use crate::state::Leases;
-    use crate::store::{FileBlobs, MemoryStore};
+    use crate::store::{FileBlobs, MemoryStore, Outcomes};
     use sightline_scene::Object;
 
     #[test]
@@ -213,8 +214,9 @@ mod tests {
         let store = Box::new(MemoryStore::new());
         let settings = Settings { epoch: Epoch(1), ttl: 1, stuck: 1, seed: 1 };
         let scheduler = Machine::new(settings);
+        let crews = Crews::new(Outcomes::nowhere());
         let (boxed, clock) = (Box::new(blobs.clone()), Box::new(SystemClock));
-        let coordinator = Coordinator::of(Leases::default(), store, boxed, clock, scheduler);
+        let coordinator = Coordinator::of(Leases::default(), store, boxed, clock, crews, scheduler);
         let triangle = Triangle { v: [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y] };
         let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
         let scene = Scene::new("test", vec![triangle], objects).unwrap();

@@ -71,13 +71,13 @@ pub(crate) fn tell(c: &Coordinator, event: Event) -> Vec<Chore> {
 fn carry(c: &Coordinator, scheduling: &mut Scheduling, effect: Effect, chores: &mut Vec<Chore>) {
     match effect {
         Effect::Tell(worker, order) => {
-            let lease = match &order {
-                Order::Grant(grant) => Some(grant.lease),
+            let lost = match &order {
+                Order::Grant(grant) => Some(Event::Undelivered(worker, grant.lease)),
+                Order::Help(help) => Some(Event::HelpUndelivered(worker, help.lease)),
                 Order::Revoke(_) | Order::Time { .. } => None,
             };
             let sent = scheduling.outboxes.get(&worker).is_some_and(|out| out.offer(order));
-            if let Some(lease) = lease.filter(|_| !sent) {
-                let event = Event::Undelivered(worker, lease);
+            if let Some(event) = lost.filter(|_| !sent) {
                 for effect in scheduling.machine.step(event, c.now_plain()) {
                     carry(c, scheduling, effect, chores);
                 }

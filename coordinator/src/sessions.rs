@@ -3,7 +3,12 @@
 //! Messages are handled where they arrive: the scheduler's lock is short, and what blocks is left to the
 //! caller as chores.
 
-use crate::ids::{JobId, WorkerId};
+use std::sync::Arc;
+
+use tokio::sync::mpsc;
+
+use crate::crews::{Room, Told};
+use crate::ids::{JobId, Lease, WorkerId};
 use crate::orders::Outbox;
 use crate::scheduler::{Departure, Event, Failure, Introduction, Joined, NameTaken, ProfileTime, Progress};
 use crate::scheduling::{self, Chore, tell};
@@ -19,6 +24,8 @@ pub(crate) enum Message {
     Progress(Progress),
     /// A tile failed.
     Failed(Failure),
+    /// It helps the holder of this lease no more.
+    Helped(Lease),
     /// It timed its backends for a job.
     Timed(JobId, Vec<ProfileTime>),
 }
@@ -49,6 +56,22 @@ pub(crate) fn leave(c: &Coordinator, worker: WorkerId, name: &str) -> Vec<Chore>
     chores
 }
 
+/// Opens the crew of a tile for the holder of its lease; `None` when the lease is not valid.
+pub(crate) fn lead(c: &Coordinator, lease: Lease) -> Option<(Arc<Room>, mpsc::Receiver<Told>, Vec<Chore>)> {
+    if !c.lock().machine.is_leased(&lease) {
+        return None;
+    }
+    let (room, told) = c.crews.open(lease);
+    Some((room, told, tell(c, Event::CrewOpened(lease))))
+}
+
+/// A crew has ended: its leader has no use for helpers any more.
+#[must_use]
+pub(crate) fn crew_ended(c: &Coordinator, room: &Arc<Room>) -> Vec<Chore> {
+    c.crews.close(room);
+    tell(c, Event::CrewClosed(room.lease))
+}
+
 /// Acts on a message of a worker.
 #[must_use]
 pub(crate) fn heard(c: &Coordinator, worker: WorkerId, message: Message) -> Vec<Chore> {
@@ -60,6 +83,7 @@ pub(crate) fn heard(c: &Coordinator, worker: WorkerId, message: Message) -> Vec<
             // A stale lease was revoked when it became stale, so the worker has been told.
             Message::Progress(progress) => Event::Progressed(progress),
             Message::Failed(failure) => Event::Failed(worker, failure),
+            Message::Helped(lease) => Event::Helped(worker, lease),
             Message::Timed(job, times) => Event::Timed(worker, job, times),
         },
     )

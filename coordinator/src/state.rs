@@ -10,6 +10,7 @@ use sightline_scene::{Aabb, Kinds, Object, Source};
 use tokio::sync::Semaphore;
 
 use crate::clock::{Clock, Moment};
+use crate::crews::Crews;
 use crate::ids::Digest;
 use crate::orders::{Scheduling, Watched};
 use crate::scheduler::{Machine, Now};
@@ -52,6 +53,8 @@ pub struct Coordinator {
     pub(crate) store: Box<dyn Store>,
     pub(crate) blobs: Box<dyn Blobs>,
     clock: Box<dyn Clock>,
+    /// Crews, and the outcomes of the phases of unfinished tiles.
+    pub(crate) crews: Crews,
     /// The origin of the scheduler's time.
     origin: Instant,
     /// Never held during a call of the store.
@@ -74,6 +77,7 @@ impl Coordinator {
         store: Box<dyn Store>,
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
+        crews: Crews,
         machine: Machine,
     ) -> Self {
         let origin = clock.now().at;
@@ -82,6 +86,7 @@ impl Coordinator {
             store,
             blobs,
             clock,
+            crews,
             origin,
             scheduling: Mutex::new(Scheduling::new(machine)),
             watched: Mutex::default(),

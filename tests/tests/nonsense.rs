@@ -118,6 +118,7 @@ fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
         version: "0".to_owned(),
         algorithm: sightline_model::ALGORITHM_VERSION,
         instance: 1,
+        helps: true,
     };
     let submit = v1::SubmitRequest {
         request_id: "fuzz".to_owned(),

@@ -17,6 +17,9 @@ pub struct Config {
     pub backends: Arc<Backends>,
     /// Cache of scenes and their hierarchies, shared by the workers of one process.
     pub scenes: Arc<SceneCache>,
+    /// Whether it helps other workers' tiles while it has none of its own: not where those workers share its
+    /// threads.
+    pub helps: bool,
     /// How long to retry when the coordinator cannot be reached; `None` for no limit.
     pub give_up_after: Option<Duration>,
 }

@@ -15,6 +15,7 @@
 //!     name: "worker 1".to_owned(),
 //!     backends: Arc::new(Backends::probe(Choice::Auto, AdapterChoice::default())),
 //!     scenes: Arc::new(SceneCache::default()),
+//!     helps: true,
 //!     give_up_after: None,
 //! };
 //! let (stop, stopped) = tokio::sync::watch::channel(Stop::No);
@@ -26,9 +27,12 @@
 
 pub mod backends;
 mod config;
+mod crew;
+mod held;
 mod packs;
 mod scenes;
 mod session;
+mod status;
 mod tiles;
 
 use tokio::sync::watch;

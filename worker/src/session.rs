@@ -14,7 +14,9 @@ use tokio::sync::{Semaphore, mpsc, watch};
 use tonic::transport::Channel;
 
 use crate::config::{Config, Stop, WorkerError};
-use crate::tiles::{Failure, Held, Shop, describe};
+use crate::held::Held;
+use crate::status::describe;
+use crate::tiles::{Failure, Shop};
 
 /// Most tiles held at once: one that runs and one whose data is fetched.
 const IN_HAND: usize = 2;
@@ -55,12 +57,16 @@ pub struct Worker {
     /// Random and not 0; distinguishes this worker from another worker of the same name.
     instance: u64,
     held: BTreeMap<LeaseKey, Arc<Held>>,
+    /// The leaders that this worker helps, by their leases: one, and those that it is just leaving.
+    helping: BTreeMap<LeaseKey, Arc<Held>>,
     finished: (mpsc::UnboundedSender<Finished>, mpsc::UnboundedReceiver<Finished>),
 }
 
 enum Finished {
     Tile(v1::Lease, Result<(), Failure>),
     Timed(v1::Timed),
+    /// It helps the holder of this lease no more.
+    Helped(v1::Lease),
 }
 
 impl Worker {
@@ -82,6 +88,7 @@ impl Worker {
             shop: Arc::new(shop),
             instance,
             held: BTreeMap::new(),
+            helping: BTreeMap::new(),
             finished: mpsc::unbounded_channel(),
         })
     }
@@ -135,6 +142,8 @@ impl Worker {
     }
 
     async fn connection(&mut self, stop: &mut watch::Receiver<Stop>) -> Result<End, WorkerError> {
+        // The coordinator has forgotten whom this worker helped.
+        self.helping.values().for_each(|h| h.cancel());
         let (out, receiver) = mpsc::channel(64);
         let send = |m: ToCoordinator| out.try_send(v1::WorkerMessage { message: Some(m) });
         let hello = v1::Hello {
@@ -144,6 +153,7 @@ impl Worker {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             algorithm: sightline_model::ALGORITHM_VERSION,
             instance: self.instance,
+            helps: self.shop.config.helps,
         };
         let broken = |e: &dyn std::fmt::Display| End::Broken(e.to_string());
         if let Err(e) = send(ToCoordinator::Hello(hello)) {
@@ -206,6 +216,7 @@ impl Worker {
                             draining = true;
                             // A tile that has not begun is given back; the one that runs is finished.
                             self.held.values().filter(|h| !h.begun()).for_each(|h| h.cancel());
+                            self.helping.values().for_each(|h| h.cancel());
                             if self.held.values().any(|h| h.begun()) {
                                 tracing::info!(worker = self.shop.config.name, "finishing the tile in hand, \
                                     taking no more; interrupt again to stop at once");
@@ -218,7 +229,7 @@ impl Worker {
                         }
                         Stop::Drain => {}
                         Stop::Now => {
-                            self.held.values().for_each(|h| h.cancel());
+                            self.held.values().chain(self.helping.values()).for_each(|h| h.cancel());
                             return Ok(End::Stopped);
                         }
                     }
@@ -257,9 +268,26 @@ impl Worker {
                 None
             }
             FromCoordinator::Revoke(r) => {
-                if let Some(h) = r.lease.and_then(|l| self.held.get(&key(&l))) {
-                    h.cancel();
+                let key = r.lease.map(|l| key(&l));
+                for of in [&self.held, &self.helping] {
+                    if let Some(h) = key.and_then(|key| of.get(&key)) {
+                        h.cancel();
+                    }
                 }
+                None
+            }
+            FromCoordinator::Help(help) => {
+                let lease = help.lease?;
+                let held = Arc::new(Held::new(lease));
+                self.helping.insert(key(&lease), Arc::clone(&held));
+                let (shop, report) = (Arc::clone(&self.shop), self.finished.0.clone());
+                tokio::spawn(async move {
+                    if let Err(e) = shop.help(help, held).await {
+                        tracing::info!("no help for tile {} of job {}: {e}", lease.tile, lease.job);
+                    }
+                    // Fails only when the worker has ended.
+                    let _ = report.send(Finished::Helped(lease));
+                });
                 None
             }
             FromCoordinator::Time(t) => {
@@ -282,6 +310,10 @@ impl Worker {
     fn done(&mut self, done: Finished, draining: bool) -> Vec<ToCoordinator> {
         let (lease, result) = match done {
             Finished::Timed(t) => return vec![ToCoordinator::Timed(t)],
+            Finished::Helped(lease) => {
+                self.helping.remove(&key(&lease));
+                return vec![ToCoordinator::Helped(v1::Helped { lease: Some(lease) })];
+            }
             Finished::Tile(lease, result) => (lease, result),
         };
         self.held.remove(&key(&lease));

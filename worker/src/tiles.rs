@@ -1,12 +1,11 @@
 //! One tile from grant to commit: fetches its scene and packs, runs it, and uploads its output.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use futures::StreamExt as _;
-use sightline_bake::{Alone, BakeError, Control, PackBytes, Watcher, run_tile};
-use sightline_model::{JobSpec, Sampler};
+use sightline_bake::{Alone, BakeError, Control, Crew, PackBytes, Watcher as _, run_tile};
+use sightline_model::{JobSpec, Method, Sampler};
 use sightline_proto::chunks::{Assembler, count, piece};
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
@@ -14,8 +13,11 @@ use sightline_sampling::{CubeSpec, auto};
 use tonic::transport::Channel;
 
 use crate::config::Config;
+use crate::crew;
+use crate::held::Held;
 use crate::packs::PackCache;
 use crate::scenes::Loaded;
+use crate::status::describe;
 
 /// Largest scene or pack accepted from a coordinator, in bytes.
 const MAX_FETCH: u64 = 64 << 30;
@@ -25,60 +27,6 @@ const UPLOAD_WAIT: [Duration; 2] = [Duration::from_millis(250), Duration::from_s
 /// How often a wait looks whether the lease still lives.
 const LOOK: Duration = Duration::from_millis(250);
 
-/// A held lease, shared by the session and the tile that runs under it.
-pub struct Held {
-    /// The lease.
-    pub lease: v1::Lease,
-    cells: AtomicU64,
-    samples: AtomicU64,
-    cancelled: AtomicBool,
-    begun: AtomicBool,
-}
-
-impl Held {
-    /// The state of a new lease.
-    pub fn new(lease: v1::Lease) -> Self {
-        Self {
-            lease,
-            cells: AtomicU64::new(0),
-            samples: AtomicU64::new(0),
-            cancelled: AtomicBool::new(false),
-            begun: AtomicBool::new(false),
-        }
-    }
-
-    /// Tells the tile to stop.
-    pub fn cancel(&self) {
-        self.cancelled.store(true, Ordering::Relaxed);
-    }
-
-    /// Whether the tile runs. Before that it fetches its data and waits for the tile before it.
-    pub fn begun(&self) -> bool {
-        self.begun.load(Ordering::Relaxed)
-    }
-
-    /// The progress of the tile, as the message that renews the lease.
-    pub fn progress(&self) -> v1::Progress {
-        v1::Progress {
-            lease: Some(self.lease),
-            cells: self.cells.load(Ordering::Relaxed),
-            samples: self.samples.load(Ordering::Relaxed),
-        }
-    }
-}
-
-impl Watcher for Held {
-    fn rendered(&self, cubes: u64) {
-        self.samples.fetch_add(cubes, Ordering::Relaxed);
-    }
-    fn cell_done(&self) {
-        self.cells.fetch_add(1, Ordering::Relaxed);
-    }
-    fn cancelled(&self) -> bool {
-        self.cancelled.load(Ordering::Relaxed)
-    }
-}
-
 /// Why a tile was not committed.
 pub enum Failure {
     /// The lease was revoked, the job has ended, or the worker stops.
@@ -87,6 +35,14 @@ pub enum Failure {
     Infrastructure(String),
     /// A fault of the tile itself.
     Tile(String),
+}
+
+/// What is run: a tile's inputs beside its scene and packs.
+struct Work<'a> {
+    spec: &'a JobSpec,
+    profile: &'a str,
+    deadline: Option<Instant>,
+    crew: &'a dyn Crew,
 }
 
 /// State that the tiles of one worker share.
@@ -121,12 +77,22 @@ impl Shop {
         if held.cancelled() {
             return Err(Failure::Cancelled);
         }
-        held.begun.store(true, Ordering::Relaxed);
+        held.begin();
+        // Members of a crew would not stop at the same place.
+        let is_crewed = grant.millis.is_none()
+            && spec.method == Method::Aggressive
+            && matches!(spec.sampling.sampler, Sampler::Lines | Sampler::Guided);
+        let leader = match is_crewed {
+            true => Some(crew::lead(self.client.clone(), held.lease, &held).await),
+            false => None,
+        };
         let start = Instant::now();
         let (shop, watcher) = (Arc::clone(self), Arc::clone(&held));
         let (bytes, rendered) = tokio::task::spawn_blocking(move || {
             let deadline = grant.millis.map(|m| start + Duration::from_millis(m));
-            shop.run(&spec, &grant.profile, deadline, &loaded, packs, &watcher)
+            let crew = leader.as_deref().map_or(&Alone as &dyn Crew, |leader| leader);
+            let work = Work { spec: &spec, profile: &grant.profile, deadline, crew };
+            shop.run(&work, &loaded, packs, &watcher)
         })
         .await
         .map_err(|e| Failure::Tile(format!("sampling panicked: {e}")))??;
@@ -136,22 +102,52 @@ impl Shop {
             digest: blake3::hash(&bytes).as_bytes().to_vec(),
             bytes: bytes.len() as u64,
             samples: rendered,
-            cells: held.cells.load(Ordering::Relaxed),
+            cells: held.progress().cells,
             millis: start.elapsed().as_millis() as u64,
         };
         self.upload(header, bytes.into(), &held).await
     }
 
+    /// Helps the leader of a tile until its crew ends or `held` is cancelled.
+    ///
+    /// # Errors
+    /// The reason, when this worker is of no help.
+    pub async fn help(self: &Arc<Self>, help: v1::Help, held: Arc<Held>) -> Result<(), String> {
+        let wire = help.spec.ok_or("the order has no specification")?;
+        let spec = JobSpec::from_proto(&wire, None).map_err(|e| e.to_string())?;
+        let loaded = self.scene(spec.scene).await?;
+        let _turn = self.running.acquire().await.map_err(|e| e.to_string())?;
+        if held.cancelled() {
+            return Ok(());
+        }
+        let helper = crew::help(self.client.clone(), held.lease, &held).await?;
+        tracing::info!(
+            "worker {} helps with tile {} of job {}",
+            self.config.name,
+            held.lease.tile,
+            held.lease.job
+        );
+        let shop = Arc::clone(self);
+        let ended = tokio::task::spawn_blocking(move || {
+            let work = Work { spec: &spec, profile: &help.profile, deadline: None, crew: &*helper };
+            shop.run(&work, &loaded, Vec::new(), &held)
+        });
+        match ended.await.map_err(|e| format!("helping panicked: {e}"))? {
+            // A helper has no output: it stops when the last phase is over.
+            Ok(_) | Err(Failure::Cancelled) => Ok(()),
+            Err(Failure::Infrastructure(reason) | Failure::Tile(reason)) => Err(reason),
+        }
+    }
+
     /// Computes the tile on the current thread; returns the output's bytes and the number of samples.
     fn run(
         &self,
-        spec: &JobSpec,
-        profile: &str,
-        deadline: Option<Instant>,
+        work: &Work<'_>,
         loaded: &Loaded,
         packs: Vec<Fetched>,
         held: &Held,
     ) -> Result<(Vec<u8>, u64), Failure> {
+        let Work { spec, profile, deadline, crew } = *work;
         let owner = self.config.name.as_str();
         let backend = loaded
             .backend(&self.config.backends, profile, CubeSpec::of(&spec.sampling), owner)
@@ -163,7 +159,7 @@ impl Shop {
                 Err(digest) => PackBytes::Lost(*digest),
             })
             .collect();
-        let control = Control { watcher: held, deadline, crew: &Alone };
+        let control = Control { watcher: held, deadline, crew };
         let done = run_tile(spec, held.lease.tile, &loaded.scene, &*backend, &packs, control);
         let done = done.map_err(|e| match e {
             BakeError::Cancelled => Failure::Cancelled,
@@ -300,9 +296,4 @@ async fn assemble(mut stream: tonic::Streaming<v1::Chunk>) -> Result<Vec<u8>, St
         whole.push(&chunk.map_err(|s| describe(&s))?).map_err(|e| e.to_string())?;
     }
     whole.finish().map_err(|e| e.to_string())
-}
-
-/// A status as text for users.
-pub fn describe(status: &tonic::Status) -> String {
-    format!("{} ({})", status.message(), status.code())
 }

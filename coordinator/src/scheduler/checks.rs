@@ -50,6 +50,7 @@ impl Machine {
                 "a pool's list of waiting tiles is stale",
             )?;
         }
+        self.check_crews()?;
         self.check_work_conservation()
     }
 
@@ -105,9 +106,27 @@ impl Machine {
                 pool.idle.contains(&id) == (idle && !w.draining)
                     && pool.hungry[0].contains(&id) == (hungry && idle)
                     && pool.hungry[1].contains(&id) == (hungry && !idle)
+                    && pool.helpers.contains(&id) == (hungry && idle && w.can_help && w.helps.is_none())
             })
         });
         fine.then_some(()).ok_or_else(|| format!("worker {} is in the wrong lists", id.0))
+    }
+
+    /// Every crew has a lease and as many helpers as workers say, and nobody is free who could help.
+    fn check_crews(&self) -> Result<(), String> {
+        let ensure = |fine: bool, what: &str| fine.then_some(()).ok_or_else(|| what.to_owned());
+        for (id, crew) in &self.crews {
+            ensure(self.is_leased(&crew.lease), "a crew has no lease")?;
+            let helpers = self.workers.values().filter(|w| w.helps == Some(crew.lease)).count();
+            ensure(helpers == crew.helpers, "a crew's helpers are miscounted")?;
+            let pool = self.pools.of.get(&crew.profile);
+            ensure(pool.is_some_and(|p| p.crews.contains(&(helpers, *id))), "a crew is in no list")?;
+        }
+        let listed: usize = self.pools.of.values().map(|p| p.crews.len()).sum();
+        ensure(listed == self.crews.len(), "a crew that has ended is in a list")?;
+        let wasted = |p: &super::pools::Pool| !p.crews.is_empty() && !p.helpers.is_empty();
+        let paused = self.paused_until.is_some();
+        ensure(paused || !self.pools.of.values().any(wasted), "a crew could have another helper")
     }
 
     /// Everything ready is leased when somebody able is idle.

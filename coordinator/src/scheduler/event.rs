@@ -85,6 +85,14 @@ pub(crate) enum Event {
     AssemblyWaits(JobId),
     /// The result of a job is not needed for now: it was paused, or has ended.
     AssemblyDropped(JobId),
+    /// The holder of a lease leads a crew, which idle workers can help.
+    CrewOpened(Lease),
+    /// The crew has ended.
+    CrewClosed(Lease),
+    /// A worker helps the holder of a lease no more.
+    Helped(WorkerId, Lease),
+    /// The order to help the holder of a lease could not be sent to its worker.
+    HelpUndelivered(WorkerId, Lease),
     /// Time has passed. Expiries are looked at with this event alone.
     Tick,
 }

@@ -81,6 +81,7 @@ impl Machine {
         loop {
             while let Some(profile) = self.pools.dirty.pop_first() {
                 while self.settle_one(&profile, now) {}
+                while self.send_helper(&profile) {}
             }
             if !self.bind_one(now) {
                 return;
@@ -150,6 +151,7 @@ impl Machine {
         if let Some(w) = self.workers.get_mut(&worker) {
             w.wants -= 1;
         }
+        self.call_back(worker);
         self.effects.push(Effect::Tell(worker, Order::Grant(Box::new(grant))));
         self.lease(lease, (id, tile), worker, profile, now);
         self.tell_watchers(id);
@@ -193,6 +195,8 @@ impl Machine {
             let alone = job.tiles[l.tile.at()].leases.iter().flatten().count() == 1;
             let mean = job.millis / u64::from(job.done.max(1));
             let long = job.done > 0 && ran > STRAGGLES * mean;
+            // Idle workers help a crew better than by computing its tile once more.
+            let alone = alone && !self.crews.contains_key(id);
             let may = alone && long && l.gone.is_none() && job.work.spec.time_budget_ms == 0;
             (may && self.allowed(job) && !job.pending).then_some((l.job, l.tile, *id))
         });

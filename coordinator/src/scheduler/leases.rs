@@ -65,6 +65,7 @@ impl Machine {
     pub(super) fn end_lease(&mut self, id: LeaseId, revoke: bool) {
         let Some(l) = self.leases.remove(&id) else { return };
         self.timers.remove(&(l.timer, Timer::Lease(id)));
+        self.crew_closed(id);
         self.unline(&l, id);
         if let Some(job) = self.jobs.get_mut(&l.job) {
             job.running -= 1;

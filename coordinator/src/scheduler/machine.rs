@@ -10,6 +10,7 @@ use std::sync::Arc;
 
 use sightline_numbers::random::SplitMix64;
 
+use super::crew::Crew;
 use super::event::{Effect, Event, Note};
 use super::job::{Job, Output, Work};
 use super::messages::Now;
@@ -52,6 +53,9 @@ pub(super) struct Worker {
     /// It did not take an order; it gets none until then.
     pub(super) deaf_until: Option<u64>,
     pub(super) leases: BTreeSet<LeaseId>,
+    /// Whether it can help leaders, and the one whom it helps.
+    pub(super) can_help: bool,
+    pub(super) helps: Option<Lease>,
     /// Jobs for which it times its backends.
     pub(super) timing: BTreeSet<JobId>,
 }
@@ -110,6 +114,8 @@ pub(crate) struct Machine {
     /// Connected workers that sent an instance: by name, and by instance.
     pub(super) names: BTreeMap<String, WorkerId>,
     pub(super) instances: BTreeMap<u64, WorkerId>,
+    /// Leased tiles whose leaders can use helpers.
+    pub(super) crews: BTreeMap<LeaseId, Crew>,
     pub(super) pools: Pools,
     pub(super) timers: BTreeSet<(u64, Timer)>,
     /// Jobs whose tiles an earlier epoch may have leased, and until when nobody else gets them.
@@ -137,6 +143,7 @@ impl Machine {
             leases: BTreeMap::new(),
             names: BTreeMap::new(),
             instances: BTreeMap::new(),
+            crews: BTreeMap::new(),
             pools: Pools::default(),
             timers: BTreeSet::new(),
             graces: BTreeMap::new(),
@@ -178,6 +185,10 @@ impl Machine {
                 }
                 self.assemble_if_complete(job);
             }
+            Event::CrewOpened(lease) => self.crew_opened(lease),
+            Event::CrewClosed(lease) => self.crew_closed(lease.id),
+            Event::Helped(worker, lease) => self.helped(worker, &lease),
+            Event::HelpUndelivered(worker, lease) => self.help_undelivered(worker, &lease, now),
             Event::Tick => self.tick(now),
         }
         self.settle(now);
@@ -279,22 +290,6 @@ impl Machine {
     /// The number of connected workers.
     pub(crate) fn workers(&self) -> u32 {
         self.workers.len() as u32
-    }
-
-    /// The connected workers with a profile that hold no tile and do not drain.
-    #[cfg_attr(not(test), expect(dead_code, reason = "for whoever lets several workers share a tile"))]
-    pub(crate) fn idle_workers(&self, profile: &str) -> impl Iterator<Item = WorkerId> {
-        self.pools.of.get(profile).into_iter().flat_map(|p| p.idle.iter().copied())
-    }
-
-    /// The leases whose tiles run now with a profile, those that run longest first.
-    #[cfg_attr(not(test), expect(dead_code, reason = "for whoever lets several workers share a tile"))]
-    pub(crate) fn running(&self, profile: &str) -> impl Iterator<Item = (WorkerId, Lease)> {
-        let begun = self.pools.of.get(profile).into_iter().flat_map(|p| p.begun.iter());
-        begun.filter_map(|(_, id)| {
-            let l = self.leases.get(id)?;
-            Some((l.worker, Lease { job: l.job, tile: l.tile, id: *id }))
-        })
     }
 
     /// Ends a job here, with its leases.

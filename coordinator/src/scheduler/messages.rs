@@ -26,6 +26,8 @@ pub(crate) struct Introduction {
     pub(crate) profiles: Vec<String>,
     /// Leases that it holds from an earlier stream.
     pub(crate) held: Vec<Lease>,
+    /// Whether it helps the leaders of crews.
+    pub(crate) helps: bool,
 }
 
 /// The answer to an [`Introduction`].
@@ -72,8 +74,10 @@ pub(crate) struct ProfileTime {
 pub(crate) enum Order {
     /// Work on a tile.
     Grant(Box<Grant>),
-    /// Stop working on a tile.
+    /// Stop working on a tile, or helping its leader.
     Revoke(Lease),
+    /// Help the leader of a tile.
+    Help(Box<Help>),
     /// Measure the backends on a job's scene.
     Time {
         /// The job.
@@ -97,4 +101,15 @@ pub(crate) struct Grant {
     pub(crate) packs: Vec<Option<Digest>>,
     /// Time for the tile in milliseconds, when the job has a time budget.
     pub(crate) millis: Option<u64>,
+}
+
+/// A leader who can use a helper.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Help {
+    /// The leader's lease.
+    pub(crate) lease: Lease,
+    /// The job's specification.
+    pub(crate) spec: Arc<JobSpec>,
+    /// The numerics profile of the job.
+    pub(crate) profile: String,
 }

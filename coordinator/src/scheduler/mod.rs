@@ -3,13 +3,17 @@
 //! [`Machine`] decides which worker gets which tile, from events and the time alone; the store keeps the
 //! results. Its state can be derived again from the store and from the workers' introductions.
 //!
-//! A file each: `machine` has the state and the dispatch of events, `jobs`, `leases`, `workers`, `failures`,
-//! `profiles` and `granting` the transitions of their subjects, `pools` the lists that make them cheap,
+//! A file each: `machine` has the state and the dispatch of events, `jobs`, `leases`, `workers`, `crews`,
+//! `failures`, `profiles` and `granting` the transitions of their subjects, `pools` the lists that make them cheap,
 //! `checks` counts everything again.
 
 mod binding;
 #[cfg(test)]
 mod checks;
+mod crew;
+#[cfg(test)]
+mod crew_tests;
+mod crews;
 mod event;
 mod failures;
 mod granting;

@@ -57,11 +57,16 @@ pub(super) struct Pool {
     pub(super) waiting: BTreeSet<(Place, TileIndex, LeaseId)>,
     /// Leases that have begun, by the time when they did.
     pub(super) begun: BTreeSet<(u64, LeaseId)>,
+    /// Workers that can be sent to a crew.
+    pub(super) helpers: BTreeSet<WorkerId>,
+    /// Crews, by the number of their helpers.
+    pub(super) crews: BTreeSet<(usize, LeaseId)>,
 }
 
 impl Pool {
     fn is_empty(&self) -> bool {
-        self.able == 0 && self.jobs.is_empty() && self.waiting.is_empty() && self.begun.is_empty()
+        let empty = self.jobs.is_empty() && self.waiting.is_empty() && self.begun.is_empty();
+        self.able == 0 && empty && self.crews.is_empty()
     }
 }
 

@@ -16,7 +16,7 @@ pub(super) struct Bench {
     pub(super) machine: Machine,
     pub(super) store: MemoryStore,
     pub(super) ms: u64,
-    told: BTreeMap<WorkerId, Vec<Order>>,
+    pub(super) told: BTreeMap<WorkerId, Vec<Order>>,
     answer: Option<Result<Joined, NameTaken>>,
     departure: Option<Departure>,
     notes: Vec<Note>,
@@ -163,7 +163,7 @@ pub(super) fn with_grace(grace: bool) -> Bench {
 
 fn introduction(name: &str, instance: u64) -> Introduction {
     let profiles = vec!["cpu/test".to_owned()];
-    Introduction { name: name.to_owned(), instance, profiles, held: Vec::new() }
+    Introduction { name: name.to_owned(), instance, profiles, held: Vec::new(), helps: true }
 }
 
 #[test]
@@ -294,7 +294,6 @@ fn the_profile_of_most_workers_is_chosen() {
     assert_eq!(b.machine.job(JobId(1)).unwrap().record.profile, None);
     b.wait(1);
     assert_eq!(b.machine.job(JobId(1)).unwrap().record.profile.as_deref(), Some("cpu/common"));
-    assert_eq!(b.machine.idle_workers("cpu/common").count(), 2);
     b.want(WorkerId(3), 1);
     assert_eq!(b.holders()[0], Some(WorkerId(3)));
 }
@@ -311,7 +310,6 @@ fn a_straggler_gets_a_second_lease_and_the_first_output_counts() {
     b.step(Event::Committed { lease: fast, digest: [2; 32], stats: stats.clone() });
     b.want(two, 1);
     for samples in 2..9 {
-        assert_eq!(b.machine.running("cpu/test").next(), Some((one, slow)));
         b.step(Event::Progressed(Progress { lease: slow, cells: 0, samples }));
         b.wait(1);
     }

@@ -19,7 +19,7 @@ impl Machine {
     /// Adds a worker whose stream has begun. The same worker, told by its instance, replaces its earlier
     /// stream; workers that send no instance are all accepted.
     pub(super) fn join(&mut self, intro: Introduction, now: Now) {
-        let Introduction { name, instance, profiles, held } = intro;
+        let Introduction { name, instance, profiles, held, helps } = intro;
         if instance != 0 {
             if let Some(other) = self.names.get(&name).and_then(|id| self.workers.get(id))
                 && other.instance != instance
@@ -50,6 +50,8 @@ impl Machine {
             draining: false,
             deaf_until: None,
             leases: BTreeSet::new(),
+            can_help: helps,
+            helps: None,
             timing: BTreeSet::new(),
         };
         for profile in &worker.profiles {
@@ -75,6 +77,9 @@ impl Machine {
     fn remove_worker(&mut self, id: WorkerId, now: Now) -> Departure {
         let Some(mut w) = self.workers.remove(&id) else { return Departure::Lost };
         self.unlist_worker(id, &w);
+        if let Some(helped) = w.helps.take() {
+            self.has_left(helped.id);
+        }
         if self.names.get(&w.name) == Some(&id) {
             self.names.remove(&w.name);
         }
@@ -138,14 +143,16 @@ impl Machine {
         let Some(w) = self.workers.get(&id) else { return };
         let (idle, fit) = (w.leases.is_empty(), !w.draining);
         let hungry = fit && w.wants > 0 && w.deaf_until.is_none();
-        let belongs = [fit && idle, hungry && idle, hungry && !idle];
+        let helps = hungry && idle && w.can_help && w.helps.is_none();
+        let belongs = [fit && idle, hungry && idle, hungry && !idle, helps];
         for (choice, serves) in w.serves.into_iter().enumerate() {
             set(&mut self.pools.hungry[choice], id, hungry && serves);
         }
         for profile in &w.profiles {
             let pool = self.pools.at(profile);
             let [without, with] = &mut pool.hungry;
-            for (list, belongs) in [&mut pool.idle, without, with].into_iter().zip(belongs) {
+            for (list, belongs) in [&mut pool.idle, without, with, &mut pool.helpers].into_iter().zip(belongs)
+            {
                 set(list, id, belongs);
             }
         }
@@ -158,6 +165,7 @@ impl Machine {
         for profile in &w.profiles {
             let pool = self.pools.at(profile);
             pool.idle.remove(&id);
+            pool.helpers.remove(&id);
             pool.hungry.iter_mut().for_each(|h| {
                 h.remove(&id);
             });

@@ -1,6 +1,7 @@
 //! The gRPC services: they translate between the wire and the subjects, and decide nothing.
 
 mod blocking;
+mod crews;
 mod jobs;
 mod server;
 mod status;

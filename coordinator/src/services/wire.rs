@@ -52,6 +52,11 @@ pub(super) fn order(order: Order) -> v1::CoordinatorMessage {
             millis: grant.millis,
         }),
         Order::Revoke(lease) => Message::Revoke(v1::Revoke { lease: Some(to_lease(&lease)) }),
+        Order::Help(help) => Message::Help(v1::Help {
+            lease: Some(to_lease(&help.lease)),
+            spec: Some(help.spec.to_proto()),
+            profile: help.profile,
+        }),
         Order::Time { job, spec } => Message::Time(v1::Time { job: job.0, spec: Some(spec.to_proto()) }),
     };
     v1::CoordinatorMessage { message: Some(message) }

@@ -14,7 +14,7 @@ use tonic::{Request, Response, Status, Streaming};
 
 use super::blocking::{blocking, later};
 use super::streams::stream_blob;
-use super::{status, wire};
+use super::{crews, status, wire};
 use crate::chores::do_chores;
 use crate::ids::{JobId, WorkerId};
 use crate::orders::Outbox;
@@ -91,6 +91,33 @@ impl v1::workers_server::Workers for WorkersService {
     async fn fetch_pack(&self, r: Request<v1::FetchPackRequest>) -> Answer<Self::FetchPackStream> {
         let d = wire::digest(&r.into_inner().digest)?;
         stream_blob(&self.0, d).await.map(Response::new)
+    }
+
+    type CrewStream = Pin<Box<dyn Stream<Item = Result<v1::CrewMessage, Status>> + Send>>;
+
+    async fn crew(&self, r: Request<Streaming<v1::CrewMessage>>) -> Answer<Self::CrewStream> {
+        let mut inbound = r.into_inner();
+        let first = inbound.next().await.transpose()?.and_then(|m| m.message);
+        let Some(v1::crew_message::Message::Enter(v1::CrewEnter { lease: Some(lease), leads })) = first
+        else {
+            return Err(Status::invalid_argument("a member's first message must be Enter, with a lease"));
+        };
+        let lease = wire::lease(&lease);
+        let (out, outbound) = mpsc::channel(crews::WAITING);
+        let c = Arc::clone(&self.0);
+        if leads {
+            // The outcomes of an earlier leader are counted on the disk.
+            let opened = blocking(&c, move |c| Ok(sessions::lead(c, lease))).await?;
+            let gone = || Status::not_found("the lease is not valid any more");
+            let (room, told, chores) = opened.ok_or_else(gone)?;
+            later(&c, chores);
+            tokio::spawn(crews::lead(c, room, told, inbound, out));
+        } else {
+            let room = c.crews.find(&lease);
+            let room = room.ok_or_else(|| Status::not_found("nobody leads a crew under this lease"))?;
+            tokio::spawn(crews::help(c, room, inbound, out));
+        }
+        Ok(Response::new(Box::pin(tokio_stream::wrappers::ReceiverStream::new(outbound))))
     }
 
     async fn put_result(&self, r: Request<Streaming<v1::ResultPart>>) -> Answer<v1::PutResultResponse> {
@@ -180,6 +207,7 @@ async fn session(
         instance: hello.instance,
         profiles: hello.profiles,
         held: hello.held.iter().map(wire::lease).collect(),
+        helps: hello.helps,
     };
     let outbox = Box::new(WireOutbox(out.clone()));
     let joined = match sessions::join(&c, intro, outbox) {
@@ -286,6 +314,10 @@ fn message(message: FromWorker) -> Result<Option<Message>, Status> {
             };
             let lease = wire::lease(&lease);
             Message::Failed(Failure { lease, reason: f.reason, infrastructure: f.infrastructure })
+        }
+        FromWorker::Helped(h) => {
+            let Some(lease) = h.lease else { return Ok(None) };
+            Message::Helped(wire::lease(&lease))
         }
         FromWorker::Timed(t) => Message::Timed(JobId(t.job), wire::times(t.times)),
     }))

@@ -57,6 +57,8 @@ pub(super) enum Happening {
     Revive(usize, u64),
     CoordinatorUp,
     DiskFree,
+    /// A leader's stream to its crew begins or ends, or a helper comes back.
+    Crew(u64, Box<Event>),
 }
 
 /// A stream between a worker and one life of the coordinator.

@@ -46,7 +46,8 @@ impl World {
             | H::Arrives(..)
             | H::Durable(..)
             | H::Run(..)
-            | H::Assemble(..) => self.stalled_until,
+            | H::Assemble(..)
+            | H::Crew(..) => self.stalled_until,
             H::Connect(w, _)
             | H::Beat(w, _)
             | H::Ran(w, ..)
@@ -66,6 +67,7 @@ impl World {
                 self.after(1000, H::Tick(life));
                 self.tell(Event::Tick)?;
             }
+            H::Crew(life, event) if life == self.life && self.machine.is_some() => self.tell(*event)?,
             H::Connect(w, life) if alive(w, life) => self.connect(w),
             H::Up(s, up) if !self.streams[s].closed && self.streams[s].life == self.life => {
                 self.hears(s, up)?;

@@ -3,7 +3,7 @@
 use super::parts::{Answer, Down, Happening, Held, Up};
 use super::world::World;
 use crate::ids::LeaseId;
-use crate::scheduler::{Introduction, Progress};
+use crate::scheduler::{Event, Introduction, Progress};
 
 const IN_HAND: usize = 2;
 
@@ -29,6 +29,7 @@ impl World {
             instance: worker.life * 100 + w as u64 + 1,
             profiles: vec![worker.profile.clone()],
             held,
+            helps: w % 4 != 0,
         };
         self.send_up(stream, Up::Hello(intro));
     }
@@ -83,7 +84,8 @@ impl World {
         }
         let Some(next) = self.workers[w].held.values_mut().find(|h| !h.runs && !h.cancelled) else { return };
         next.runs = true;
-        let id = next.lease.id;
+        let (id, lease) = (next.lease.id, next.lease);
+        self.crew(50, Event::CrewOpened(lease));
         let time = (1 + self.below(self.tile_ms)) * self.workers[w].slowness;
         self.after(time, Happening::Ran(w, self.workers[w].life, id));
     }
@@ -92,6 +94,10 @@ impl World {
     pub(super) fn ran(&mut self, w: usize, id: LeaseId) {
         let poisoned = self.workers[w].held.get(&id).is_some_and(|h| self.poisoned(&h.lease));
         let faulty = self.faults_on() && self.one_in(15);
+        if let Some(held) = self.workers[w].held.get(&id) {
+            let lease = held.lease;
+            self.crew(500, Event::CrewClosed(lease));
+        }
         let Some(held) = self.workers[w].held.get_mut(&id) else { return };
         held.ran = true;
         let lease = held.lease;

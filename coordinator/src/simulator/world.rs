@@ -18,6 +18,8 @@ pub(super) const FAULTS: u64 = 120_000;
 /// The world.
 pub(super) struct World {
     pub(super) random: SplitMix64,
+    /// Decides about crews alone, so that schedules without crews stay what they were.
+    crews: SplitMix64,
     pub(super) now: u64,
     pub(super) unix_ms: u64,
     next: u64,
@@ -48,6 +50,7 @@ impl World {
     /// A world without workers and jobs.
     pub(super) fn new(random: SplitMix64, tile_ms: u64, slowest_link: u64) -> Self {
         Self {
+            crews: SplitMix64::named(&[random.clone().bits(), 1]),
             random,
             now: 0,
             unix_ms: 1_000_000_000,
@@ -96,6 +99,12 @@ impl World {
     pub(super) fn at(&mut self, at: u64, happening: Happening) {
         self.next += 1;
         self.queue.insert((at, self.next), happening);
+    }
+
+    /// Something about a crew happens within `most` milliseconds, if the coordinator lives so long.
+    pub(super) fn crew(&mut self, most: u64, event: Event) {
+        let wait = 1 + self.crews.bits() % most;
+        self.after(wait, Happening::Crew(self.life, Box::new(event)));
     }
 
     pub(super) fn poison(&mut self, job: JobId, tile: TileIndex) {
@@ -177,6 +186,10 @@ impl World {
                 match order {
                     Order::Grant(grant) => self.send_down(stream, Down::Grant(grant.lease)),
                     Order::Revoke(lease) => self.send_down(stream, Down::Revoke(lease)),
+                    Order::Help(help) => {
+                        let back = Event::Helped(worker, help.lease);
+                        self.crew(3000, back);
+                    }
                     Order::Time { .. } => {}
                 }
             }

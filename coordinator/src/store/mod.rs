@@ -15,6 +15,7 @@ mod error;
 mod journal;
 mod limits;
 mod memory;
+mod outcomes;
 mod records;
 mod rules;
 mod sled_store;
@@ -31,6 +32,7 @@ pub use limits::{
     MAX_TILES, MAX_WORKER_BYTES,
 };
 pub use memory::MemoryStore;
+pub use outcomes::{MAX_OUTCOME_BYTES, Outcomes};
 pub use records::{
     CommitOutcome, JobPhase, JobRecord, JobState, NewJob, SceneRecord, Submitted, TileFailure, TileRecord,
     TileResult, TileState, TileStats,

@@ -243,6 +243,8 @@ fn start_workers(
             name: format!("in-process-{i}"),
             backends: Arc::clone(backends),
             scenes: Arc::clone(&scenes),
+            // They share the threads of this process.
+            helps: false,
             give_up_after: Some(Duration::from_secs(30)),
         };
         set.spawn(sightline_worker::run(config, stopped.clone()));

@@ -41,6 +41,7 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
         name: args.name.clone().map_or_else(default_name, Ok)?,
         backends,
         scenes: Arc::new(SceneCache::default()),
+        helps: true,
         give_up_after: args.give_up_after.map(Duration::from_secs),
     };
     use_threads(threads(args.threads))?;

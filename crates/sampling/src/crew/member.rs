@@ -12,8 +12,8 @@ pub trait Phase: Sync {
     /// The number of items.
     fn items(&self) -> usize;
 
-    /// Prepares [`Phase::compute`]. To be called once, on no thread of rayon's pool, and not at all by a member
-    /// that computes no item.
+    /// Prepares [`Phase::compute`]. To be called once, on no thread of rayon's pool, and not at all by a
+    /// member that computes no item.
     fn prepare(&self);
 
     /// The expected work of each item, in one unit. After [`Phase::prepare`].

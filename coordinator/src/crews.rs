@@ -1,0 +1,142 @@
+//! Crews: where the leader of a tile and its helpers meet, and the outcomes that they leave.
+//!
+//! The coordinator passes messages on and keeps outcomes; it does not look into them. A member that does not
+//! read its stream delays nobody: helpers read outcomes from the disk at their own pace, and a helper whose
+//! mailbox is full is sent away.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::{mpsc, watch};
+
+use crate::ids::{JobId, Lease, TileIndex};
+use crate::store::Outcomes;
+
+/// Messages to a member that wait until it reads them.
+const WAITING: usize = 16;
+
+/// Items of a phase for a helper.
+#[derive(Clone, Debug)]
+pub(crate) struct Take {
+    pub(crate) phase: u32,
+    pub(crate) items: Vec<u32>,
+}
+
+/// What the leader is told.
+#[derive(Debug)]
+pub(crate) enum Told {
+    Joined(u64),
+    Left(u64),
+    Ask {
+        member: u64,
+        phase: u32,
+    },
+    /// A piece of a helper's finds.
+    Found {
+        member: u64,
+        phase: u32,
+        items: Vec<u32>,
+        data: Vec<u8>,
+        more: bool,
+    },
+}
+
+/// All crews.
+pub(crate) struct Crews {
+    pub(crate) outcomes: Outcomes,
+    rooms: Mutex<BTreeMap<(JobId, TileIndex), Arc<Room>>>,
+}
+
+/// A crew with a leader.
+pub(crate) struct Room {
+    pub(crate) lease: Lease,
+    pub(crate) to_leader: mpsc::Sender<Told>,
+    helpers: Mutex<BTreeMap<u64, mpsc::Sender<Take>>>,
+    /// Number of outcomes that are there.
+    pub(crate) outcomes: watch::Sender<u32>,
+    /// Whether the crew has ended.
+    pub(crate) is_over: watch::Sender<bool>,
+}
+
+impl Room {
+    /// The tile of the crew.
+    pub(crate) fn tile(&self) -> (JobId, TileIndex) {
+        (self.lease.job, self.lease.tile)
+    }
+
+    /// Lets a helper in; its number and its mailbox.
+    pub(crate) fn enter(&self) -> (u64, mpsc::Receiver<Take>) {
+        let (send, receive) = mpsc::channel(WAITING);
+        let mut helpers = self.helpers();
+        // Numbers are not used again while a message about the last bearer may be on its way.
+        let member = helpers.last_key_value().map_or(0, |(last, _)| last + 1);
+        helpers.insert(member, send);
+        (member, receive)
+    }
+
+    /// A helper has gone. Its number stays taken.
+    pub(crate) fn leave(&self, member: u64) {
+        if let Some(mailbox) = self.helpers().get_mut(&member) {
+            *mailbox = mpsc::channel(1).0;
+        }
+    }
+
+    /// Passes items to a helper; one that is not there or has a full mailbox does not get them.
+    pub(crate) fn pass(&self, member: u64, take: Take) {
+        let mut helpers = self.helpers();
+        let Some(mailbox) = helpers.get_mut(&member) else { return };
+        if mailbox.try_send(take).is_err() {
+            // Closing the mailbox ends the helper's stream.
+            *mailbox = mpsc::channel(1).0;
+        }
+    }
+
+    fn helpers(&self) -> MutexGuard<'_, BTreeMap<u64, mpsc::Sender<Take>>> {
+        // Each change is whole before anything can panic.
+        self.helpers.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Crews {
+    /// No crews, and the outcomes of earlier ones.
+    pub(crate) fn new(outcomes: Outcomes) -> Self {
+        Self { outcomes, rooms: Mutex::default() }
+    }
+
+    /// Opens the crew of a tile for the holder of its lease. A crew of an earlier leader ends. Returns the
+    /// messages to the leader as well.
+    pub(crate) fn open(&self, lease: Lease) -> (Arc<Room>, mpsc::Receiver<Told>) {
+        let tile = (lease.job, lease.tile);
+        let (to_leader, told) = mpsc::channel(WAITING);
+        let room = Arc::new(Room {
+            lease,
+            to_leader,
+            helpers: Mutex::default(),
+            outcomes: watch::Sender::new(self.outcomes.count(tile)),
+            is_over: watch::Sender::new(false),
+        });
+        if let Some(earlier) = self.rooms().insert(tile, Arc::clone(&room)) {
+            earlier.is_over.send_replace(true);
+        }
+        (room, told)
+    }
+
+    /// The crew that is led under a lease.
+    pub(crate) fn find(&self, lease: &Lease) -> Option<Arc<Room>> {
+        self.rooms().get(&(lease.job, lease.tile)).filter(|room| room.lease == *lease).cloned()
+    }
+
+    /// Ends a crew.
+    pub(crate) fn close(&self, room: &Arc<Room>) {
+        room.is_over.send_replace(true);
+        let mut rooms = self.rooms();
+        if rooms.get(&room.tile()).is_some_and(|r| Arc::ptr_eq(r, room)) {
+            rooms.remove(&room.tile());
+        }
+    }
+
+    fn rooms(&self) -> MutexGuard<'_, BTreeMap<(JobId, TileIndex), Arc<Room>>> {
+        // Each change is whole before anything can panic.
+        self.rooms.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

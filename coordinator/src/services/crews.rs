@@ -1,0 +1,240 @@
+//! The streams of crews: the leader's and the helpers'.
+
+use std::sync::Arc;
+
+use futures::StreamExt as _;
+use sightline_proto::chunks::CHUNK_BYTES;
+use sightline_proto::v1;
+use sightline_proto::v1::crew_message::Message;
+use tokio::sync::mpsc;
+use tonic::{Status, Streaming};
+
+use super::blocking::{blocking, later};
+use crate::crews::{Room, Take, Told};
+use crate::sessions;
+use crate::state::Coordinator;
+use crate::store::MAX_OUTCOME_BYTES;
+
+/// Most items in a message: more than a phase has.
+const MAX_ITEMS: usize = 1 << 20;
+
+/// Messages to a member that wait until it reads them.
+pub(super) const WAITING: usize = 16;
+
+type Out = mpsc::Sender<Result<v1::CrewMessage, Status>>;
+
+/// Sends a message; fails when the member has gone.
+async fn say(out: &Out, message: Message) -> Result<(), Gone> {
+    out.send(Ok(v1::CrewMessage { message: Some(message) })).await.map_err(|_| Gone)
+}
+
+/// A member reads no more.
+struct Gone;
+
+/// Sends an outcome in pieces. Ends quietly when it is not there any more: the tile is done then.
+async fn say_outcome(c: &Arc<Coordinator>, room: &Room, phase: u32, out: &Out) -> Result<(), Gone> {
+    let tile = room.tile();
+    let read = blocking(c, move |c| Ok(c.crews.outcomes.get(tile, phase))).await;
+    let Ok(Some(bytes)) = read else { return Err(Gone) };
+    let mut pieces = bytes.chunks(CHUNK_BYTES).peekable();
+    loop {
+        let data = pieces.next().unwrap_or_default().to_vec();
+        let more = pieces.peek().is_some();
+        say(out, Message::Outcome(v1::CrewOutcome { phase, data, more })).await?;
+        if !more {
+            return Ok(());
+        }
+    }
+}
+
+/// The leader's stream, until it ends.
+pub(super) async fn lead(
+    c: Arc<Coordinator>,
+    room: Arc<Room>,
+    told: mpsc::Receiver<Told>,
+    inbound: Streaming<v1::CrewMessage>,
+    out: Out,
+) {
+    let telling = tokio::spawn(tell(Arc::clone(&c), Arc::clone(&room), told, out.clone()));
+    if let Err(s) = hear_leader(&c, &room, inbound).await {
+        tracing::warn!(
+            "the crew of tile {} of job {} ends: {}",
+            room.lease.tile,
+            room.lease.job,
+            s.message()
+        );
+        // The leader may have gone already.
+        let _ = out.send(Err(s)).await;
+    }
+    later(&c, sessions::crew_ended(&c, &room));
+    telling.abort();
+}
+
+/// Sends the leader the outcomes of earlier leaders, and then what it is told.
+async fn tell(c: Arc<Coordinator>, room: Arc<Room>, mut told: mpsc::Receiver<Told>, out: Out) {
+    let count = *room.outcomes.borrow();
+    for phase in 0..count {
+        if say_outcome(&c, &room, phase, &out).await.is_err() {
+            break;
+        }
+    }
+    let mut next = say(&out, Message::Ready(v1::CrewReady {})).await;
+    while next.is_ok() {
+        let Some(message) = told.recv().await else { return };
+        let message = match message {
+            Told::Joined(member) => Message::Joined(v1::CrewJoined { member }),
+            Told::Left(member) => Message::Left(v1::CrewLeft { member }),
+            Told::Ask { member, phase } => Message::Ask(v1::CrewAsk { member, phase }),
+            Told::Found { member, phase, items, data, more } => {
+                Message::Found(v1::CrewFound { member, phase, items, data, more })
+            }
+        };
+        next = say(&out, message).await;
+    }
+}
+
+/// Acts on what the leader says, until it ends the crew or its stream.
+async fn hear_leader(
+    c: &Arc<Coordinator>,
+    room: &Arc<Room>,
+    mut inbound: Streaming<v1::CrewMessage>,
+) -> Result<(), Status> {
+    // The pieces of an outcome so far.
+    let mut outcome: Vec<u8> = Vec::new();
+    let mut over = room.is_over.subscribe();
+    loop {
+        let message = tokio::select! {
+            message = inbound.next() => message,
+            // Another leader has come.
+            () = over.wait_for_true() => return Ok(()),
+        };
+        let Some(message) = message else { return Ok(()) };
+        match message?.message {
+            Some(Message::Take(take)) => {
+                if take.items.len() > MAX_ITEMS {
+                    return Err(Status::invalid_argument("a piece has more items than a phase can have"));
+                }
+                room.pass(take.member, Take { phase: take.phase, items: take.items });
+            }
+            Some(Message::Outcome(piece)) => {
+                if outcome.len() as u64 + piece.data.len() as u64 > MAX_OUTCOME_BYTES {
+                    return Err(Status::invalid_argument("an outcome is larger than is accepted"));
+                }
+                outcome.extend_from_slice(&piece.data);
+                if !piece.more {
+                    let bytes = std::mem::take(&mut outcome);
+                    let (tile, phase) = (room.tile(), piece.phase);
+                    let kept = blocking(c, move |c| Ok(c.crews.outcomes.push(tile, phase, &bytes))).await?;
+                    if kept {
+                        room.outcomes.send_replace(phase + 1);
+                    } else {
+                        // Helpers wait for every outcome, so without this one they are of no use.
+                        return Err(Status::resource_exhausted("an outcome could not be kept"));
+                    }
+                }
+            }
+            Some(Message::End(_)) => return Ok(()),
+            _ => return Err(Status::invalid_argument("a leader sends items, outcomes and the end")),
+        }
+    }
+}
+
+/// A helper's stream, until it ends or the crew does.
+pub(super) async fn help(
+    c: Arc<Coordinator>,
+    room: Arc<Room>,
+    inbound: Streaming<v1::CrewMessage>,
+    out: Out,
+) {
+    let (member, takes) = room.enter();
+    let mut telling = tokio::spawn(tell_helper(Arc::clone(&c), Arc::clone(&room), takes, out.clone()));
+    let joined = room.to_leader.send(Told::Joined(member)).await;
+    let heard = tokio::select! {
+        heard = hear_helper(&room, member, inbound), if joined.is_ok() => heard,
+        // The crew has ended, or the helper reads no more.
+        _ = &mut telling => Ok(()),
+    };
+    if let Err(s) = heard {
+        tracing::warn!(
+            "a helper of tile {} of job {} goes: {}",
+            room.lease.tile,
+            room.lease.job,
+            s.message()
+        );
+        // The helper may have gone already.
+        let _ = out.send(Err(s)).await;
+    }
+    room.leave(member);
+    telling.abort();
+    // Fails when the leader has gone, too.
+    let _ = room.to_leader.send(Told::Left(member)).await;
+}
+
+/// Sends a helper the outcomes of all phases, the items for it, and the end.
+async fn tell_helper(c: Arc<Coordinator>, room: Arc<Room>, mut takes: mpsc::Receiver<Take>, out: Out) {
+    let (mut outcomes, mut over) = (room.outcomes.subscribe(), room.is_over.subscribe());
+    let mut sent = 0;
+    loop {
+        let there = *outcomes.borrow_and_update();
+        while sent < there {
+            if say_outcome(&c, &room, sent, &out).await.is_err() {
+                return;
+            }
+            sent += 1;
+        }
+        let message = tokio::select! {
+            () = over.wait_for_true() => {
+                // Nobody is left to be told when this fails.
+                let _ = say(&out, Message::End(v1::CrewEnd {})).await;
+                return;
+            }
+            changed = outcomes.changed() => match changed {
+                Ok(()) => continue,
+                Err(_) => return,
+            },
+            take = takes.recv() => match take {
+                Some(Take { phase, items }) => Message::Take(v1::CrewTake { member: 0, phase, items }),
+                None => return,
+            },
+        };
+        if say(&out, message).await.is_err() {
+            return;
+        }
+    }
+}
+
+/// Passes what a helper says to the leader, which sets the pace.
+async fn hear_helper(
+    room: &Room,
+    member: u64,
+    mut inbound: Streaming<v1::CrewMessage>,
+) -> Result<(), Status> {
+    while let Some(message) = inbound.next().await {
+        let told = match message?.message {
+            Some(Message::Ask(ask)) => Told::Ask { member, phase: ask.phase },
+            Some(Message::Found(v1::CrewFound { phase, items, data, more, .. })) => {
+                if items.len() > MAX_ITEMS {
+                    return Err(Status::invalid_argument("finds have more items than a phase can have"));
+                }
+                Told::Found { member, phase, items, data, more }
+            }
+            _ => return Err(Status::invalid_argument("a helper sends questions and finds")),
+        };
+        if room.to_leader.send(told).await.is_err() {
+            return Ok(());
+        }
+    }
+    Ok(())
+}
+
+/// Waits until a flag is set.
+trait WaitForTrue {
+    async fn wait_for_true(&mut self);
+}
+
+impl WaitForTrue for tokio::sync::watch::Receiver<bool> {
+    async fn wait_for_true(&mut self) {
+        // The sender lives as long as the crew's room; when it is gone, the crew is over as well.
+        let _ = self.wait_for(|over| *over).await;
+    }
+}

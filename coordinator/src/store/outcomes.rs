@@ -1,0 +1,220 @@
+//! The outcomes of the phases of unfinished tiles, so that a tile goes on where its worker was lost.
+//!
+//! Each tile has a file of frames: length, BLAKE3 hash, bytes. Files are not synced and frames are not
+//! acknowledged: an outcome that is lost or damaged is computed again, and so are those behind it. The
+//! outcomes of a phase are equal whoever computed them, so frames are only ever appended.
+
+use std::collections::BTreeMap;
+use std::fs::{File, OpenOptions};
+use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
+use std::path::PathBuf;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use crate::ids::{JobId, TileIndex};
+
+/// Length and hash before the bytes of a frame.
+const HEADER: u64 = 8 + 32;
+/// Most bytes of an outcome.
+pub const MAX_OUTCOME_BYTES: u64 = 1 << 30;
+
+type Tile = (JobId, TileIndex);
+
+/// The outcomes of tiles.
+pub struct Outcomes {
+    /// `None` keeps nothing.
+    directory: Option<PathBuf>,
+    /// For each tile in use, where its frames end. The last number is the end of the file.
+    ends: Mutex<BTreeMap<Tile, Vec<u64>>>,
+}
+
+impl Outcomes {
+    /// The outcomes in a directory, which is created when the first one is kept.
+    pub fn of(directory: PathBuf) -> Self {
+        Self { directory: Some(directory), ends: Mutex::default() }
+    }
+
+    /// Keeps nothing.
+    pub fn nowhere() -> Self {
+        Self { directory: None, ends: Mutex::default() }
+    }
+
+    /// Number of outcomes of a tile.
+    pub fn count(&self, tile: Tile) -> u32 {
+        let Some(path) = self.path(tile) else { return 0 };
+        let mut ends = self.lock();
+        if !ends.contains_key(&tile) {
+            ends.insert(tile, File::open(path).map_or_else(|_| Vec::new(), whole_frames));
+        }
+        ends.get(&tile).map_or(0, |ends| ends.len() as u32)
+    }
+
+    /// Keeps the next outcome of a tile. Returns whether it is the next one and could be kept; a full disk is
+    /// no error.
+    pub fn push(&self, tile: Tile, phase: u32, bytes: &[u8]) -> bool {
+        if self.count(tile) != phase || bytes.len() as u64 > MAX_OUTCOME_BYTES {
+            return false;
+        }
+        let (Some(path), Some(directory)) = (self.path(tile), &self.directory) else { return false };
+        let mut ends = self.lock();
+        let Some(ends) = ends.get_mut(&tile) else { return false };
+        let start = ends.last().copied().unwrap_or(0);
+        let written = std::fs::create_dir_all(directory).and_then(|()| {
+            let mut file = OpenOptions::new().write(true).create(true).truncate(false).open(path)?;
+            // Behind the last whole frame there may be a part of one.
+            file.set_len(start)?;
+            file.seek(SeekFrom::Start(start))?;
+            file.write_all(&(bytes.len() as u64).to_le_bytes())?;
+            file.write_all(blake3::hash(bytes).as_bytes())?;
+            file.write_all(bytes)
+        });
+        match written {
+            Ok(()) => {
+                ends.push(start + HEADER + bytes.len() as u64);
+                true
+            }
+            Err(e) => {
+                tracing::warn!("phase {phase} of tile {} of job {} is not kept: {e}", tile.1, tile.0);
+                false
+            }
+        }
+    }
+
+    /// An outcome of a tile; `None` when it is not there or damaged.
+    pub fn get(&self, tile: Tile, phase: u32) -> Option<Vec<u8>> {
+        if phase >= self.count(tile) {
+            return None;
+        }
+        let start = match phase {
+            0 => 0,
+            _ => *self.lock().get(&tile)?.get(phase as usize - 1)?,
+        };
+        let mut file = File::open(self.path(tile)?).ok()?;
+        file.seek(SeekFrom::Start(start)).ok()?;
+        frame(&mut file)
+    }
+
+    /// Forgets the outcomes of a tile.
+    pub fn remove(&self, tile: Tile) {
+        self.lock().remove(&tile);
+        if let Some(path) = self.path(tile)
+            && let Err(e) = std::fs::remove_file(&path)
+            && e.kind() != std::io::ErrorKind::NotFound
+        {
+            tracing::warn!("{} cannot be removed: {e}", path.display());
+        }
+    }
+
+    /// Forgets the outcomes of all jobs for which `is_needed` says no.
+    pub fn sweep(&self, is_needed: impl Fn(JobId) -> bool) {
+        let Some(directory) = &self.directory else { return };
+        // There is no directory before the first outcome.
+        let Ok(entries) = std::fs::read_dir(directory) else { return };
+        for entry in entries.flatten() {
+            let name = entry.file_name();
+            let numbers = name.to_str().and_then(|name| name.split_once('.'));
+            let tile = numbers
+                .and_then(|(job, tile)| Some((JobId(job.parse().ok()?), TileIndex(tile.parse().ok()?))));
+            if let Some(tile) = tile.filter(|(job, _)| !is_needed(*job)) {
+                self.remove(tile);
+            }
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<Tile, Vec<u64>>> {
+        // Each change is whole before anything can panic.
+        self.ends.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn path(&self, (job, tile): Tile) -> Option<PathBuf> {
+        self.directory.as_ref().map(|d| d.join(format!("{job}.{tile}")))
+    }
+}
+
+/// The bytes of the frame at the place of a file.
+fn frame(file: &mut File) -> Option<Vec<u8>> {
+    let (mut length, mut hash) = ([0; 8], [0; 32]);
+    file.read_exact(&mut length).ok()?;
+    file.read_exact(&mut hash).ok()?;
+    let length = u64::from_le_bytes(length);
+    if length > MAX_OUTCOME_BYTES {
+        return None;
+    }
+    let mut bytes = Vec::new();
+    file.take(length).read_to_end(&mut bytes).ok()?;
+    (bytes.len() as u64 == length && *blake3::hash(&bytes).as_bytes() == hash).then_some(bytes)
+}
+
+/// The ends of the whole frames at the beginning of a file.
+fn whole_frames(mut file: File) -> Vec<u64> {
+    let (mut ends, mut end) = (Vec::new(), 0);
+    while let Some(bytes) = frame(&mut file) {
+        end += HEADER + bytes.len() as u64;
+        ends.push(end);
+    }
+    ends
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TILE: Tile = (JobId(3), TileIndex(7));
+
+    #[test]
+    fn outcomes_are_there_again_up_to_the_first_damaged_one() {
+        let directory = tempfile::tempdir().unwrap();
+        let open = || Outcomes::of(directory.path().join("crews"));
+        let outcomes = open();
+        assert_eq!(outcomes.count(TILE), 0);
+        assert!(!outcomes.push(TILE, 1, b"not the next one"));
+        assert!(
+            outcomes.push(TILE, 0, b"first") && outcomes.push(TILE, 1, b"") && !outcomes.push(TILE, 1, b"")
+        );
+        assert!(outcomes.push(TILE, 2, b"third"));
+        let path = directory.path().join("crews").join("3.7");
+        let all = std::fs::read(&path).unwrap();
+        for kept in 0..=all.len() {
+            std::fs::write(&path, &all[..kept]).unwrap();
+            let again = open();
+            let whole = [45, 85, 130].iter().filter(|end| **end <= kept).count() as u32;
+            assert_eq!(again.count(TILE), whole, "{kept} bytes");
+            let expected = [&b"first"[..], b"", b"third"];
+            for phase in 0..4 {
+                let here = (phase < whole).then(|| expected[phase as usize].to_vec());
+                assert_eq!(again.get(TILE, phase), here);
+            }
+            assert!(again.push(TILE, whole, b"next"));
+            assert_eq!(open().get(TILE, whole).as_deref(), Some(&b"next"[..]));
+        }
+        std::fs::write(&path, &all).unwrap();
+        let mut damaged = all.clone();
+        damaged[60] ^= 1;
+        std::fs::write(&path, &damaged).unwrap();
+        assert_eq!(open().count(TILE), 1);
+        // A length that nothing can have is no reason to allocate.
+        damaged[..8].fill(0xff);
+        std::fs::write(&path, &damaged).unwrap();
+        assert_eq!(open().count(TILE), 0);
+    }
+
+    #[test]
+    fn what_no_job_needs_is_removed() {
+        let directory = tempfile::tempdir().unwrap();
+        let outcomes = Outcomes::of(directory.path().to_owned());
+        outcomes.sweep(|_| false);
+        for job in 1..4 {
+            assert!(outcomes.push((JobId(job), TileIndex(0)), 0, b"x"));
+        }
+        std::fs::write(directory.path().join("a note of a person"), b"stays").unwrap();
+        outcomes.sweep(|job| job == JobId(2));
+        let mut left: Vec<String> = std::fs::read_dir(directory.path())
+            .unwrap()
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect();
+        left.sort();
+        assert_eq!(left, ["2.0", "a note of a person"]);
+        outcomes.remove((JobId(2), TileIndex(0)));
+        assert_eq!(outcomes.count((JobId(2), TileIndex(0))), 0);
+        assert!(!Outcomes::nowhere().push(TILE, 0, b"x"));
+    }
+}

@@ -1,0 +1,113 @@
+//! A block that several workers share: the bytes of one process, whoever comes, goes, stops or dies.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+use std::sync::OnceLock;
+
+use sightline_tests::{Background, Coordinator, Sandbox, assert_same, wait_for};
+
+/// One tile of some seconds, with the default flags but a coarser target.
+const SCENE: &str = "generate town --triangles 60000 -o town.glb";
+const JOB: &str = "town.glb --backend cpu --target-error 3e-4";
+
+fn sandbox() -> Sandbox {
+    let mut sandbox = Sandbox::new();
+    sandbox.set("SIGHTLINE_LOG", "sightline=debug");
+    sandbox.ok(SCENE);
+    sandbox
+}
+
+/// The result of [`JOB`] in one process.
+fn alone() -> &'static [u8] {
+    static ALONE: OnceLock<Vec<u8>> = OnceLock::new();
+    ALONE.get_or_init(|| {
+        let sandbox = sandbox();
+        sandbox.ok(&format!("bake {JOB} -o alone.pvs --data-dir data"));
+        sandbox.read("alone.pvs")
+    })
+}
+
+/// A job with one worker, which leads its only tile and has left outcomes.
+fn led<'a>(sandbox: &'a Sandbox, coordinator: &Coordinator<'a>) -> (u64, Background) {
+    let job = coordinator.submit(JOB);
+    let leader = coordinator.worker();
+    wait_for("outcomes", || (sandbox.files_below("data/crews") > 0).then_some(()));
+    (job, leader)
+}
+
+/// Waits until a worker helps.
+fn helps(worker: &Background) {
+    wait_for("a worker that helps", || worker.err().contains("helps with tile").then_some(()));
+}
+
+/// Whether a worker has gone on where another one was lost.
+fn has_gone_on(worker: &Background) -> bool {
+    worker.err().contains("phases of an earlier worker")
+}
+
+#[test]
+fn workers_that_come_late_share_the_block() {
+    let sandbox = sandbox();
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let (job, leader) = led(&sandbox, &coordinator);
+    let helpers = [coordinator.worker(), coordinator.worker()];
+    helpers.iter().for_each(helps);
+    assert_same(&coordinator.finish(job), alone(), "with helpers");
+    assert_eq!(coordinator.count(job, "tiles_total"), 1);
+    let log =
+        wait_for("the leader's account", || Some(leader.err()).filter(|l| l.contains("rays of helpers")));
+    assert!(log.contains("rays of helpers"), "{log}");
+    assert_eq!(sandbox.files_below("data/crews"), 0, "the outcomes are not needed any more");
+}
+
+#[test]
+fn a_killed_leaders_block_goes_on_where_it_was() {
+    let sandbox = sandbox();
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let (job, leader) = led(&sandbox, &coordinator);
+    let heirs = [coordinator.worker(), coordinator.worker()];
+    heirs.iter().for_each(helps);
+    leader.kill();
+    assert_same(&coordinator.finish(job), alone(), "after the leader was killed");
+    assert_eq!(heirs.iter().filter(|heir| has_gone_on(heir)).count(), 1, "one of them leads now");
+}
+
+#[test]
+fn helpers_that_die_or_stop_delay_nothing() {
+    let sandbox = sandbox();
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let (job, _leader) = led(&sandbox, &coordinator);
+    let helpers = [coordinator.worker(), coordinator.worker()];
+    helpers.iter().for_each(helps);
+    let [dies, stops] = helpers;
+    stops.signal("STOP");
+    dies.kill();
+    assert_same(&coordinator.finish(job), alone(), "with lost helpers");
+    stops.signal("CONT");
+}
+
+#[test]
+fn a_coordinator_that_is_killed_loses_no_phase() {
+    let sandbox = sandbox();
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let address = coordinator.address();
+    let (job, leader) = led(&sandbox, &coordinator);
+    coordinator.process.kill();
+    leader.kill();
+    let coordinator = sandbox.coordinator("data", &address);
+    let heir = coordinator.worker();
+    assert_same(&coordinator.finish(job), alone(), "after all were killed");
+    assert!(has_gone_on(&heir));
+}
+
+#[test]
+fn an_interrupted_bake_goes_on_where_it_was() {
+    let sandbox = sandbox();
+    let line = format!("bake {JOB} -o whole.pvs --data-dir data");
+    let interrupted = sandbox.start(&line);
+    wait_for("outcomes", || (sandbox.files_below("data/crews") > 0).then_some(()));
+    interrupted.kill();
+    let again = sandbox.run(&line).code(0);
+    assert!(again.err.contains("phases of an earlier worker"), "{}", again.err);
+    assert_same(&sandbox.read("whole.pvs"), alone(), "after an interruption");
+}
