@@ -115,7 +115,7 @@ impl Coordinator {
 }
 
 /// Takes back leases whose worker has gone, that were not renewed or make no progress, and tries again what
-/// waited. To be called every second.
+/// waited. To be called a few times a second.
 #[must_use]
 pub(crate) fn tick(c: &Coordinator) -> Vec<Chore> {
     tell(c, Event::Tick)

@@ -1,5 +1,5 @@
-//! How much one coordinator carries: simulated workers that lease and commit tiles as fast as they can, on the
-//! store on disk.
+//! How much one coordinator carries: simulated workers that lease and commit tiles as fast as they can, on
+//! the store on disk.
 //!
 //! ```text
 //! cargo test --workspace --release --lib -- --ignored --nocapture one_coordinator ten_thousand_finished
@@ -42,7 +42,7 @@ impl Outbox for Queue {
     fn offer(&self, order: Order) -> bool {
         match order {
             Order::Grant(grant) => self.0.send((grant.lease, Instant::now())).is_ok(),
-            Order::Revoke(_) | Order::Time { .. } => true,
+            Order::Help(_) | Order::Revoke(_) | Order::Time { .. } => true,
         }
     }
 }
@@ -140,7 +140,8 @@ fn one_coordinator_with_a_thousand_workers() {
 async fn work(c: &Arc<Coordinator>, w: u64, done: &AtomicU64, enough: u64) -> Vec<Duration> {
     let (send, mut granted) = mpsc::unbounded_channel();
     let profiles = vec!["cpu/test".to_owned()];
-    let intro = Introduction { name: format!("w{w}"), instance: w + 1, profiles, held: Vec::new() };
+    let intro =
+        Introduction { name: format!("w{w}"), instance: w + 1, profiles, held: Vec::new(), helps: false };
     let worker = sessions::join(c, intro, Box::new(Queue(send))).unwrap().0.worker;
     let mut latencies = Vec::new();
     while done.load(Ordering::Relaxed) < enough {

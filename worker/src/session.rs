@@ -25,7 +25,7 @@ const RENEW: Duration = Duration::from_secs(1);
 /// First and longest wait before a reconnection.
 const RECONNECT: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(5)];
 /// After a connection that lasted this long, waits start at the shortest again. Short waits matter, since the
-/// coordinator keeps the leases of a disconnected worker for only three seconds.
+/// coordinator keeps the leases of a disconnected worker for less than two seconds.
 const STEADY: Duration = Duration::from_secs(1);
 
 /// Delay before a tile is reported as failed because of the machine or the network.

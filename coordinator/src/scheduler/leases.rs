@@ -12,7 +12,7 @@ use crate::store::JobState;
 
 /// How long the leases of a worker outlive its stream. A worker that lost its connection reconnects after
 /// 0.2, 0.6 and 1.4 s. When it returns later its tiles may have been granted to others.
-const AWAY: u64 = 3000;
+const AWAY: u64 = 1800;
 /// A tile whose scene is being fetched and prepared may take this many times as long without progress as
 /// one that has begun.
 const PREPARING: u64 = 3;

@@ -4,8 +4,8 @@
 //! results. Its state can be derived again from the store and from the workers' introductions.
 //!
 //! A file each: `machine` has the state and the dispatch of events, `jobs`, `leases`, `workers`, `crews`,
-//! `failures`, `profiles` and `granting` the transitions of their subjects, `pools` the lists that make them cheap,
-//! `checks` counts everything again.
+//! `failures`, `profiles` and `granting` the transitions of their subjects, `pools` the lists that make them
+//! cheap, `checks` counts everything again.
 
 mod binding;
 #[cfg(test)]

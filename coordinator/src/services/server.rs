@@ -1,4 +1,4 @@
-//! The coordinator on the network: its two services, health, reflection, and the tick of every second.
+//! The coordinator on the network: its two services, health, reflection, and the tick.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -16,8 +16,8 @@ use super::workers::WorkersService;
 use crate::lifecycle;
 use crate::state::Coordinator;
 
-/// How often leases are checked.
-const TICK: Duration = Duration::from_secs(1);
+/// How often timers are looked at.
+const TICK: Duration = Duration::from_millis(200);
 
 /// A coordinator that cannot serve, or whose server stopped.
 #[derive(Debug, thiserror::Error)]

@@ -29,7 +29,7 @@ impl World {
             instance: worker.life * 100 + w as u64 + 1,
             profiles: vec![worker.profile.clone()],
             held,
-            helps: w % 4 != 0,
+            helps: !w.is_multiple_of(4),
         };
         self.send_up(stream, Up::Hello(intro));
     }

@@ -41,11 +41,8 @@ impl Outcomes {
     /// Number of outcomes of a tile.
     pub fn count(&self, tile: Tile) -> u32 {
         let Some(path) = self.path(tile) else { return 0 };
-        let mut ends = self.lock();
-        if !ends.contains_key(&tile) {
-            ends.insert(tile, File::open(path).map_or_else(|_| Vec::new(), whole_frames));
-        }
-        ends.get(&tile).map_or(0, |ends| ends.len() as u32)
+        let read = || File::open(path).map_or_else(|_| Vec::new(), whole_frames);
+        self.lock().entry(tile).or_insert_with(read).len() as u32
     }
 
     /// Keeps the next outcome of a tile. Returns whether it is the next one and could be kept; a full disk is

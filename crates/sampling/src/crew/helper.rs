@@ -8,11 +8,10 @@ use std::time::Duration;
 use rayon::prelude::*;
 
 use super::member::{Crew, Phase};
+use super::queue::IN_HAND;
 use crate::context::Watcher;
 use crate::error::TileError;
 
-/// Pieces that a helper asks for at once: one that it computes, and one that is on its way.
-const ASKED: usize = 2;
 /// A helper that waits for the leader looks this often whether it is told to stop.
 const LOOK: Duration = Duration::from_millis(200);
 
@@ -40,7 +39,7 @@ pub enum ToHelper {
 /// What a helper says.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FromHelper {
-    /// It is ready for items of a phase.
+    /// It is ready for items of a phase. Those of later phases come unasked.
     Ask {
         /// The number of the phase.
         phase: u32,
@@ -71,6 +70,8 @@ struct State {
     outcomes: BTreeMap<u32, Vec<u8>>,
     pieces: VecDeque<(u32, Vec<u32>)>,
     is_over: bool,
+    /// Whether it has asked for items of a phase before.
+    has_asked: bool,
 }
 
 /// What a helper does next.
@@ -124,10 +125,12 @@ impl Helper {
             if state.is_over || self.watcher.cancelled() {
                 return Step::Stop;
             }
-            while let Some((phase, items)) = state.pieces.pop_front() {
-                if phase == number {
-                    return Step::Compute(items);
-                }
+            // Pieces of phases that are over are of no use.
+            state.pieces.retain(|(phase, _)| *phase >= number);
+            if state.pieces.front().is_some_and(|(phase, _)| *phase == number)
+                && let Some((_, items)) = state.pieces.pop_front()
+            {
+                return Step::Compute(items);
             }
             let waited = self.changed.wait_timeout(state, LOOK);
             (state, _) = waited.unwrap_or_else(PoisonError::into_inner);
@@ -140,7 +143,9 @@ impl Crew for Helper {
         let number = self.lock().number;
         if !self.is_finished(number) {
             phase.prepare();
-            (0..ASKED).for_each(|_| (self.out)(FromHelper::Ask { phase: number }));
+            if !std::mem::replace(&mut self.lock().has_asked, true) {
+                (0..IN_HAND).for_each(|_| (self.out)(FromHelper::Ask { phase: number }));
+            }
         }
         loop {
             match self.step(number) {

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::member::{Crew, Phase};
-use super::queue::{Member, Queue};
+use super::queue::{IN_HAND, Member, Queue};
 use crate::context::Watcher;
 use crate::error::TileError;
 
@@ -21,7 +21,7 @@ const HAND_OVER: Duration = Duration::from_secs(1);
 pub enum ToLeader {
     /// A helper has come. It has been given the outcomes that were handed over.
     Joined(Member),
-    /// A helper is ready for items of a phase.
+    /// A helper is ready for items of a phase, and then of every later one.
     Ask {
         /// The helper.
         member: Member,
@@ -82,6 +82,8 @@ struct State {
     number: u32,
     queue: Option<Queue>,
     helpers: BTreeSet<Member>,
+    /// Those of them that have asked for items, and get some of every phase.
+    ready: BTreeSet<Member>,
     /// Helpers without items, and the phase that each is ready for.
     asking: VecDeque<(Member, u32)>,
     /// Pieces that helpers have done.
@@ -91,6 +93,8 @@ struct State {
     handed_over: Option<Instant>,
     /// Rays of helpers, by helper, for the log.
     rays: BTreeMap<Member, u64>,
+    /// Time spent on preparing phases, computing items and encoding outcomes, for the log.
+    times: [Duration; 3],
 }
 
 /// What a thread of the leader does next.
@@ -121,7 +125,12 @@ impl Leader {
                 self.hand_over(&mut state);
             }
             ToLeader::Ask { member, phase } => {
-                if state.helpers.contains(&member) && phase >= state.number {
+                if state.helpers.contains(&member) && state.ready.insert(member) && phase < state.number {
+                    // The phase is over; the helper is given some of the present one.
+                    let now = state.number;
+                    (0..IN_HAND).for_each(|_| state.asking.push_back((member, now)));
+                    self.give(&mut state);
+                } else if state.helpers.contains(&member) && phase >= state.number {
                     state.asking.push_back((member, phase));
                     self.give(&mut state);
                 }
@@ -161,6 +170,7 @@ impl Leader {
     /// Forgets a helper, and what it was given.
     fn dismiss(&self, state: &mut State, member: Member) {
         state.helpers.remove(&member);
+        state.ready.remove(&member);
         state.asking.retain(|(m, _)| *m != member);
         if state.queue.as_mut().is_some_and(|queue| queue.take_back(member)) {
             self.give(state);
@@ -257,10 +267,19 @@ impl Crew for Leader {
             state.number += 1;
             return Ok(());
         }
+        let begun = Instant::now();
         phase.prepare();
+        let prepared = begun.elapsed();
         {
             let mut state = self.lock();
             state.queue = Some(Queue::new(phase.costs()));
+            let number = state.number;
+            // One piece each in turn. Whoever has asked already is ready.
+            state.asking.clear();
+            for _ in 0..IN_HAND {
+                let ready: Vec<Member> = state.ready.iter().copied().collect();
+                state.asking.extend(ready.into_iter().map(|member| (member, number)));
+            }
             self.give(&mut state);
         }
         let failed = Mutex::new(None);
@@ -276,12 +295,15 @@ impl Crew for Leader {
         }
         let number = state.number;
         state.number += 1;
-        state.asking.retain(|(_, phase)| *phase > number);
+        state.asking.clear();
         let since = *state.handed_over.get_or_insert_with(Instant::now);
         let has_helpers = !state.helpers.is_empty();
         drop(state);
+        let computed = begun.elapsed();
         let bytes = phase.outcome();
         let mut state = self.lock();
+        let times = [prepared, computed - prepared, begun.elapsed() - computed];
+        state.times.iter_mut().zip(times).for_each(|(sum, time)| *sum += time);
         state.kept.push((number, bytes));
         if has_helpers || since.elapsed() >= HAND_OVER {
             self.hand_over(&mut state);
@@ -292,6 +314,8 @@ impl Crew for Leader {
     fn end(&self) -> Result<(), TileError> {
         (self.out)(FromLeader::End);
         let state = self.lock();
+        let [prepared, computed, encoded] = state.times;
+        tracing::debug!("prepared {prepared:?}, computed {computed:?}, encoded {encoded:?}");
         if !state.rays.is_empty() {
             tracing::debug!("rays of helpers: {:?}", state.rays);
         }

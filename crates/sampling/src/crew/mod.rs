@@ -1,8 +1,8 @@
 //! Several members, on one machine or many, that sample a block together.
 //!
 //! Sampling runs in phases. Within a phase the items (a cell's lines, a stripe of seeds) read the state of
-//! the last barrier and write to the next by or and by integer sums, and their random numbers hang on seed, cell
-//! and round. So it does not matter who computes an item. All members run the same program on the same
+//! the last barrier and write to the next by or and by integer sums, and their random numbers hang on seed,
+//! cell and round. So it does not matter who computes an item. All members run the same program on the same
 //! tile. In each phase one of them, the leader, divides the items; each member computes some; at the end all
 //! have the finds of all, go through the same barrier and decide the same.
 //!

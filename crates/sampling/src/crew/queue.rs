@@ -5,8 +5,10 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 /// A helper's number, unique within its crew.
 pub type Member = u64;
 
+/// Pieces that a helper has at once: one that it computes, and one that waits for it.
+pub(super) const IN_HAND: usize = 2;
 /// A piece for a helper has this part of what an even share of the rest would be.
-const PART_OF_SHARE: u64 = 2;
+const PART_OF_SHARE: u64 = 4;
 
 /// The items of a phase that have no answers yet.
 #[derive(Debug, Default)]
@@ -102,14 +104,14 @@ mod tests {
             piece.iter().for_each(|i| assert!(seen.insert(*i)));
         }
         assert_eq!(seen.len(), 100);
-        assert!(sizes[0] >= (5050 - 100) / 4 && sizes[0] < 5050 / 2, "{sizes:?}");
+        assert!(sizes[0] >= (5050 - 100) / 8 && sizes[0] < 5050 / 4, "{sizes:?}");
         assert!(sizes.windows(2).all(|w| w[0] + 50 >= w[1]), "{sizes:?}");
     }
 
     #[test]
     fn what_a_lost_helper_had_is_free_again_unless_the_leader_has_it() {
         let mut queue = Queue::new(vec![5; 4]);
-        let piece = queue.piece(1, 1);
+        let piece = [queue.piece(1, 1), queue.piece(1, 1)].concat();
         assert_eq!(piece.len(), 2);
         while queue.next().is_some() {}
         let repeated = queue.next_given().unwrap();

@@ -1,0 +1,55 @@
+#!/usr/bin/env bash
+# Times one job on a cluster of workers with one thread each against `sightline bake` with as many threads as
+# there are cores, and compares the bytes: scripts/crew.sh SCENE [WORKERS...] (default 1 2 4; three rounds).
+# A cluster's time is that of submit, watch and fetch. FLAGS are passed to bake and submit.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+program=target/release/sightline
+[ -x "$program" ] || { echo "crew: build first: cargo build --release --workspace" >&2; exit 1; }
+scene=${1:?scripts/crew.sh SCENE [WORKERS...]}
+shift
+counts=("${@:-1}")
+[ $# -gt 0 ] || counts=(1 2 4)
+read -ra flags <<<"${FLAGS:-}"
+folder=$(mktemp -d)
+started=()
+stop() {
+    [ ${#started[@]} -eq 0 ] || kill "${started[@]}" 2>/dev/null || true
+    wait || true
+    started=()
+}
+trap 'stop; rm -rf "$folder"' EXIT
+
+seconds() {
+    local begun ended
+    begun=$(date +%s%N)
+    "$@" >"$folder/log" 2>&1 || { cat "$folder/log" >&2; exit 1; }
+    ended=$(date +%s%N)
+    echo $(((ended - begun) / 1000000))
+}
+
+cluster() {
+    "$program" submit "$scene" "${flags[@]}" --coordinator "$1" &&
+        "$program" watch 1 --coordinator "$1" && "$program" fetch 1 -o "$folder/cluster.pvs" --coordinator "$1"
+}
+
+for round in 1 2 3; do
+    one=$(seconds "$program" bake "$scene" "${flags[@]}" -o "$folder/one.pvs" --data-dir "$folder/one-$round")
+    line="round $round: one process $one ms"
+    for count in "${counts[@]}"; do
+        data="$folder/$round-$count"
+        "$program" coordinator --listen 127.0.0.1:0 --data-dir "$data" >"$folder/coordinator" 2>&1 &
+        started+=($!)
+        until url=$(grep -om1 'http://[0-9.:]*' "$folder/coordinator"); do sleep 0.05; done
+        for _ in $(seq "$count"); do
+            "$program" worker --coordinator "$url" --threads 1 --backend cpu >>"$folder/workers" 2>&1 &
+            started+=($!)
+        done
+        sleep 1
+        many=$(seconds cluster "$url")
+        cmp "$folder/one.pvs" "$folder/cluster.pvs"
+        line+=", $count workers $many ms ($(awk "BEGIN { printf \"%.2f\", $many / $one }"))"
+        stop
+    done
+    echo "$line"
+done
