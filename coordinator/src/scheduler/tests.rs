@@ -228,13 +228,13 @@ fn a_departure_says_whether_the_worker_had_drained() {
 }
 
 #[test]
-fn a_lease_ends_three_seconds_after_its_workers_stream_unless_the_worker_returns() {
+fn a_lease_ends_two_seconds_after_its_workers_stream_unless_the_worker_returns() {
     let mut b = two_tiles();
     let one = b.join("a");
     b.want(one, 1);
     let lease = b.grants(one)[0];
     b.leave(one);
-    b.wait(3);
+    b.wait(1);
     assert_eq!(b.holders()[0], Some(one));
     // The worker returned in time: the lease belongs to its new number, and lives on.
     let two = b.try_join("a", 0, vec![lease]).unwrap().worker;
@@ -242,7 +242,7 @@ fn a_lease_ends_three_seconds_after_its_workers_stream_unless_the_worker_returns
     assert_eq!(b.holders()[0], Some(two));
     b.step(Event::Progressed(Progress { lease, cells: 0, samples: 0 }));
     b.leave(two);
-    b.wait(4);
+    b.wait(2);
     assert_eq!(b.holders()[0], None);
     let why = |n: &Note| matches!(n, Note::TakenBack(_, _, why) if why.contains("did not come back"));
     assert!(b.notes.iter().any(why), "{:?}", b.notes);
