@@ -200,7 +200,8 @@ pub async fn help(client: Client, lease: v1::Lease, held: &Arc<Held>) -> Result<
     });
     let helper = Arc::new(helper);
     tokio::spawn(send_helper(said, out));
-    tokio::spawn(hear_helper(Arc::clone(&helper), inbound));
+    // When the helper has ended, nobody says anything more, and the stream ends.
+    tokio::spawn(hear_helper(Arc::downgrade(&helper), inbound));
     Ok(helper)
 }
 
@@ -228,9 +229,10 @@ async fn send_helper(mut said: mpsc::UnboundedReceiver<FromHelper>, out: mpsc::S
 }
 
 /// Tells the helper what comes; the end of the stream is the end of the crew.
-async fn hear_helper(helper: Arc<Helper>, mut inbound: Streaming<v1::CrewMessage>) {
+async fn hear_helper(helper: std::sync::Weak<Helper>, mut inbound: Streaming<v1::CrewMessage>) {
     let mut pieces = Pieces::default();
     while let Some(Ok(message)) = inbound.next().await {
+        let Some(helper) = helper.upgrade() else { return };
         match message.message {
             Some(Message::Take(v1::CrewTake { phase, items, .. })) => {
                 helper.hear(ToHelper::Take { phase, items });
@@ -247,5 +249,7 @@ async fn hear_helper(helper: Arc<Helper>, mut inbound: Streaming<v1::CrewMessage
             _ => {}
         }
     }
-    helper.hear(ToHelper::End);
+    if let Some(helper) = helper.upgrade() {
+        helper.hear(ToHelper::End);
+    }
 }

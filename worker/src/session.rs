@@ -66,7 +66,7 @@ enum Finished {
     Tile(v1::Lease, Result<(), Failure>),
     Timed(v1::Timed),
     /// It helps the holder of this lease no more.
-    Helped(v1::Lease),
+    Helped(v1::Lease, Arc<Held>),
 }
 
 impl Worker {
@@ -282,11 +282,16 @@ impl Worker {
                 self.helping.insert(key(&lease), Arc::clone(&held));
                 let (shop, report) = (Arc::clone(&self.shop), self.finished.0.clone());
                 tokio::spawn(async move {
-                    if let Err(e) = shop.help(help, held).await {
+                    let begun = Instant::now();
+                    if let Err(e) = shop.help(help, Arc::clone(&held)).await {
                         tracing::info!("no help for tile {} of job {}: {e}", lease.tile, lease.job);
                     }
+                    if begun.elapsed() < AFTER_FAILURE {
+                        // It would be sent back at once.
+                        tokio::time::sleep(AFTER_FAILURE).await;
+                    }
                     // Fails only when the worker has ended.
-                    let _ = report.send(Finished::Helped(lease));
+                    let _ = report.send(Finished::Helped(lease, held));
                 });
                 None
             }
@@ -310,7 +315,11 @@ impl Worker {
     fn done(&mut self, done: Finished, draining: bool) -> Vec<ToCoordinator> {
         let (lease, result) = match done {
             Finished::Timed(t) => return vec![ToCoordinator::Timed(t)],
-            Finished::Helped(lease) => {
+            Finished::Helped(lease, held) => {
+                // After a reconnection it may help the same leader again.
+                if !self.helping.get(&key(&lease)).is_some_and(|now| Arc::ptr_eq(now, &held)) {
+                    return Vec::new();
+                }
                 self.helping.remove(&key(&lease));
                 return vec![ToCoordinator::Helped(v1::Helped { lease: Some(lease) })];
             }

@@ -118,7 +118,7 @@ impl Machine {
         for (id, crew) in &self.crews {
             ensure(self.is_leased(&crew.lease), "a crew has no lease")?;
             let helpers = self.workers.values().filter(|w| w.helps == Some(crew.lease)).count();
-            ensure(helpers == crew.helpers, "a crew's helpers are miscounted")?;
+            ensure(helpers == crew.helpers.len(), "a crew's helpers are miscounted")?;
             let pool = self.pools.of.get(&crew.profile);
             ensure(pool.is_some_and(|p| p.crews.contains(&(helpers, *id))), "a crew is in no list")?;
         }

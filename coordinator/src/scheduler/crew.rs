@@ -1,7 +1,9 @@
 //! A crew as the scheduler sees it.
 
+use std::collections::BTreeSet;
+
 use super::pools::Profile;
-use crate::ids::Lease;
+use crate::ids::{Lease, WorkerId};
 
 /// A leased tile whose leader can use helpers.
 #[derive(Debug)]
@@ -9,5 +11,5 @@ pub(super) struct Crew {
     pub(super) lease: Lease,
     pub(super) profile: Profile,
     /// Workers that were sent and have not come back.
-    pub(super) helpers: usize,
+    pub(super) helpers: BTreeSet<WorkerId>,
 }

@@ -2,6 +2,8 @@
 //! the crew ends.
 
 use super::crew::Crew;
+use std::collections::BTreeSet;
+
 use super::event::Effect;
 use super::machine::{Machine, Worker};
 use super::messages::{Help, Now, Order};
@@ -24,13 +26,17 @@ impl Machine {
         }
         let Some(profile) = self.leases.get(&lease.id).map(|l| Profile::clone(&l.profile)) else { return };
         self.pools.at(&profile).crews.insert((0, lease.id));
-        self.crews.insert(lease.id, Crew { lease, profile, helpers: 0 });
+        self.crews.insert(lease.id, Crew { lease, profile, helpers: BTreeSet::new() });
     }
 
     /// The holder of a lease can use no helpers any more.
     pub(super) fn crew_closed(&mut self, id: LeaseId) {
         if let Some(crew) = self.crews.remove(&id) {
-            self.pools.at(&crew.profile).crews.remove(&(crew.helpers, id));
+            self.pools.at(&crew.profile).crews.remove(&(crew.helpers.len(), id));
+            // Where the leader hangs, nobody else tells them.
+            for helper in &crew.helpers {
+                self.effects.push(Effect::Tell(*helper, Order::Revoke(crew.lease)));
+            }
             self.pools.tidy(&crew.profile);
         }
     }
@@ -39,20 +45,20 @@ impl Machine {
     pub(super) fn helped(&mut self, worker: WorkerId, lease: &Lease) {
         let Some(w) = self.workers.get_mut(&worker).filter(|w| w.helps == Some(*lease)) else { return };
         w.helps = None;
-        self.has_left(lease.id);
+        self.has_left(lease.id, worker);
         self.list_worker(worker);
     }
 
     /// A helper has left a crew.
-    pub(super) fn has_left(&mut self, id: LeaseId) {
-        self.count_helpers(id, |n| n.saturating_sub(1));
+    pub(super) fn has_left(&mut self, id: LeaseId, worker: WorkerId) {
+        self.change_helpers(id, |helpers| helpers.remove(&worker));
     }
 
-    fn count_helpers(&mut self, id: LeaseId, change: impl FnOnce(usize) -> usize) {
+    fn change_helpers(&mut self, id: LeaseId, change: impl FnOnce(&mut BTreeSet<WorkerId>) -> bool) {
         let Some(crew) = self.crews.get_mut(&id) else { return };
-        let before = crew.helpers;
-        crew.helpers = change(before);
-        let after = crew.helpers;
+        let before = crew.helpers.len();
+        change(&mut crew.helpers);
+        let after = crew.helpers.len();
         let pool = self.pools.at(&crew.profile);
         pool.crews.remove(&(before, id));
         pool.crews.insert((after, id));
@@ -81,7 +87,7 @@ impl Machine {
         if let Some(w) = self.workers.get_mut(&worker) {
             w.helps = Some(lease);
         }
-        self.count_helpers(id, |n| n + 1);
+        self.change_helpers(id, |helpers| helpers.insert(worker));
         self.list_worker(worker);
         true
     }

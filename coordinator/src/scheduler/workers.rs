@@ -78,7 +78,7 @@ impl Machine {
         let Some(mut w) = self.workers.remove(&id) else { return Departure::Lost };
         self.unlist_worker(id, &w);
         if let Some(helped) = w.helps.take() {
-            self.has_left(helped.id);
+            self.has_left(helped.id, id);
         }
         if self.names.get(&w.name) == Some(&id) {
             self.names.remove(&w.name);

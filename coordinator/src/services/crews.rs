@@ -56,7 +56,9 @@ pub(super) async fn lead(
     out: Out,
 ) {
     let telling = tokio::spawn(tell(Arc::clone(&c), Arc::clone(&room), told, out.clone()));
-    if let Err(s) = hear_leader(&c, &room, inbound).await {
+    let heard = hear_leader(&c, &room, inbound).await;
+    later(&c, sessions::crew_ended(&c, &room));
+    if let Err(s) = heard {
         tracing::warn!(
             "the crew of tile {} of job {} ends: {}",
             room.lease.tile,
@@ -64,9 +66,8 @@ pub(super) async fn lead(
             s.message()
         );
         // The leader may have gone already.
-        let _ = out.send(Err(s)).await;
+        let _ = out.try_send(Err(s));
     }
-    later(&c, sessions::crew_ended(&c, &room));
     telling.abort();
 }
 
@@ -148,9 +149,13 @@ pub(super) async fn help(
 ) {
     let (member, takes) = room.enter();
     let mut telling = tokio::spawn(tell_helper(Arc::clone(&c), Arc::clone(&room), takes, out.clone()));
-    let joined = room.to_leader.send(Told::Joined(member)).await;
+    if room.to_leader.send(Told::Joined(member)).await.is_err() {
+        // The leader has gone.
+        telling.abort();
+        return;
+    }
     let heard = tokio::select! {
-        heard = hear_helper(&room, member, inbound), if joined.is_ok() => heard,
+        heard = hear_helper(&room, member, inbound) => heard,
         // The crew has ended, or the helper reads no more.
         _ = &mut telling => Ok(()),
     };

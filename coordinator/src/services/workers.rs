@@ -106,12 +106,27 @@ impl v1::workers_server::Workers for WorkersService {
         let (out, outbound) = mpsc::channel(crews::WAITING);
         let c = Arc::clone(&self.0);
         if leads {
-            // The outcomes of an earlier leader are counted on the disk.
-            let opened = blocking(&c, move |c| Ok(sessions::lead(c, lease))).await?;
-            let gone = || Status::not_found("the lease is not valid any more");
-            let (room, told, chores) = opened.ok_or_else(gone)?;
-            later(&c, chores);
-            tokio::spawn(crews::lead(c, room, told, inbound, out));
+            let (answer, opened) = oneshot::channel();
+            // A task of its own from the start: a crew that is open must end, even when this call is dropped.
+            // Nobody waits for the answer then.
+            tokio::spawn(async move {
+                // The outcomes of an earlier leader are counted on the disk.
+                match blocking(&c, move |c| Ok(sessions::lead(c, lease))).await {
+                    Ok(Some((room, told, chores))) => {
+                        later(&c, chores);
+                        let _ = answer.send(Ok(()));
+                        crews::lead(c, room, told, inbound, out).await;
+                    }
+                    Ok(None) => {
+                        let _ = answer.send(Err(Status::not_found("the lease is not valid any more")));
+                    }
+                    Err(s) => {
+                        let _ = answer.send(Err(s));
+                    }
+                }
+            });
+            let stopping = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
+            opened.await.map_err(stopping)??;
         } else {
             let room = c.crews.find(&lease);
             let room = room.ok_or_else(|| Status::not_found("nobody leads a crew under this lease"))?;

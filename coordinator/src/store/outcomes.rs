@@ -45,15 +45,21 @@ impl Outcomes {
         self.lock().entry(tile).or_insert_with(read).len() as u32
     }
 
-    /// Keeps the next outcome of a tile. Returns whether it is the next one and could be kept; a full disk is
-    /// no error.
+    /// Keeps the outcome of a tile's next phase, or of an earlier one, which replaces another one and those
+    /// behind it. Returns whether it is there now; a full disk is no error.
     pub fn push(&self, tile: Tile, phase: u32, bytes: &[u8]) -> bool {
-        if self.count(tile) != phase || bytes.len() as u64 > MAX_OUTCOME_BYTES {
-            return false;
+        if phase < self.count(tile) && self.get(tile, phase).as_deref() == Some(bytes) {
+            return true;
         }
         let (Some(path), Some(directory)) = (self.path(tile), &self.directory) else { return false };
         let mut ends = self.lock();
-        let Some(ends) = ends.get_mut(&tile) else { return false };
+        let Some(ends) = ends.get_mut(&tile).filter(|ends| phase as usize <= ends.len()) else {
+            return false;
+        };
+        if bytes.len() as u64 > MAX_OUTCOME_BYTES {
+            return false;
+        }
+        ends.truncate(phase as usize);
         let start = ends.last().copied().unwrap_or(0);
         let written = std::fs::create_dir_all(directory).and_then(|()| {
             let mut file = OpenOptions::new().write(true).create(true).truncate(false).open(path)?;
@@ -164,8 +170,11 @@ mod tests {
         let outcomes = open();
         assert_eq!(outcomes.count(TILE), 0);
         assert!(!outcomes.push(TILE, 1, b"not the next one"));
+        assert!(outcomes.push(TILE, 0, b"wrong") && outcomes.push(TILE, 1, b"behind it"));
+        assert!(outcomes.push(TILE, 0, b"first"));
+        assert_eq!(outcomes.count(TILE), 1);
         assert!(
-            outcomes.push(TILE, 0, b"first") && outcomes.push(TILE, 1, b"") && !outcomes.push(TILE, 1, b"")
+            outcomes.push(TILE, 1, b"") && outcomes.push(TILE, 1, b"") && outcomes.push(TILE, 0, b"first")
         );
         assert!(outcomes.push(TILE, 2, b"third"));
         let path = directory.path().join("crews").join("3.7");

@@ -118,12 +118,12 @@ impl Helper {
     fn step(&self, number: u32) -> Step {
         let mut state = self.lock();
         loop {
+            if state.is_over || self.watcher.cancelled() {
+                return Step::Stop;
+            }
             if let Some(outcome) = state.outcomes.remove(&number) {
                 state.number = number + 1;
                 return Step::Finish(outcome);
-            }
-            if state.is_over || self.watcher.cancelled() {
-                return Step::Stop;
             }
             // Pieces of phases that are over are of no use.
             state.pieces.retain(|(phase, _)| *phase >= number);

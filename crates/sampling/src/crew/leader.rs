@@ -130,7 +130,10 @@ impl Leader {
                     let now = state.number;
                     (0..IN_HAND).for_each(|_| state.asking.push_back((member, now)));
                     self.give(&mut state);
-                } else if state.helpers.contains(&member) && phase >= state.number {
+                } else if state.helpers.contains(&member)
+                    && phase >= state.number
+                    && state.asking.iter().filter(|(m, _)| *m == member).count() < IN_HAND
+                {
                     state.asking.push_back((member, phase));
                     self.give(&mut state);
                 }
@@ -171,6 +174,8 @@ impl Leader {
     fn dismiss(&self, state: &mut State, member: Member) {
         state.helpers.remove(&member);
         state.ready.remove(&member);
+        // Later finds leave out what earlier ones held.
+        state.done.retain(|(m, ..)| *m != member);
         state.asking.retain(|(m, _)| *m != member);
         if state.queue.as_mut().is_some_and(|queue| queue.take_back(member)) {
             self.give(state);
@@ -297,7 +302,6 @@ impl Crew for Leader {
         state.number += 1;
         state.asking.clear();
         let since = *state.handed_over.get_or_insert_with(Instant::now);
-        let has_helpers = !state.helpers.is_empty();
         drop(state);
         let computed = begun.elapsed();
         let bytes = phase.outcome();
@@ -305,7 +309,7 @@ impl Crew for Leader {
         let times = [prepared, computed - prepared, begun.elapsed() - computed];
         state.times.iter_mut().zip(times).for_each(|(sum, time)| *sum += time);
         state.kept.push((number, bytes));
-        if has_helpers || since.elapsed() >= HAND_OVER {
+        if !state.helpers.is_empty() || since.elapsed() >= HAND_OVER {
             self.hand_over(&mut state);
         }
         Ok(())

@@ -81,12 +81,13 @@ impl<A: Answer> Phase for Shared<'_, A> {
     }
 
     fn has(&self, item: usize) -> bool {
-        self.answers[item].get().is_some()
+        self.answers.get(item).is_some_and(|answer| answer.get().is_some())
     }
 
     fn take(&self, items: &[usize]) -> Vec<u8> {
         let mut items = items.to_vec();
         items.sort_unstable();
+        items.dedup();
         let finds = self.finds(items.into_iter());
         if let Some(bits) = self.tables.bits {
             bits.forget();
