@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Times one job on a cluster of workers with one thread each against `sightline bake` with as many threads as
 # there are cores, and compares the bytes: scripts/crew.sh SCENE [WORKERS...] (default 1 2 4; three rounds).
-# A cluster's time is that of submit, watch and fetch. FLAGS are passed to bake and submit.
+# A cluster's time is that of submit, watch and fetch. FLAGS are passed to bake and submit. KILL=S kills the
+# leader (-9) S seconds after the submission.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 program=target/release/sightline
@@ -13,6 +14,7 @@ counts=("${@:-1}")
 read -ra flags <<<"${FLAGS:-}"
 folder=$(mktemp -d)
 started=()
+workers=()
 stop() {
     [ ${#started[@]} -eq 0 ] || kill "${started[@]}" 2>/dev/null || true
     wait || true
@@ -28,8 +30,18 @@ seconds() {
     echo $(((ended - begun) / 1000000))
 }
 
+# The first worker that does not help leads the only tile.
+kill_leader() {
+    sleep "$1"
+    local i
+    for i in "${!workers[@]}"; do
+        grep -q "helps with" "$folder/worker-$i" || { kill -9 "${workers[$i]}"; return; }
+    done
+}
+
 cluster() {
     "$program" submit "$scene" "${flags[@]}" --coordinator "$1" &&
+        { [ -z "${KILL:-}" ] || kill_leader "$KILL"; } &&
         "$program" watch 1 --coordinator "$1" && "$program" fetch 1 -o "$folder/cluster.pvs" --coordinator "$1"
 }
 
@@ -41,9 +53,11 @@ for round in 1 2 3; do
         "$program" coordinator --listen 127.0.0.1:0 --data-dir "$data" >"$folder/coordinator" 2>&1 &
         started+=($!)
         until url=$(grep -om1 'http://[0-9.:]*' "$folder/coordinator"); do sleep 0.05; done
-        for _ in $(seq "$count"); do
-            "$program" worker --coordinator "$url" --threads 1 --backend cpu >>"$folder/workers" 2>&1 &
+        workers=()
+        for i in $(seq 0 $((count - 1))); do
+            "$program" worker --coordinator "$url" --threads 1 --backend cpu >"$folder/worker-$i" 2>&1 &
             started+=($!)
+            workers+=($!)
         done
         sleep 1
         many=$(seconds cluster "$url")

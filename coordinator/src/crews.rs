@@ -7,13 +7,14 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use sightline_proto::v1::Chunk;
 use tokio::sync::{mpsc, watch};
 
 use crate::ids::{JobId, Lease, TileIndex};
 use crate::store::Outcomes;
 
 /// Messages to a member that wait until it reads them.
-const WAITING: usize = 16;
+pub(crate) const WAITING: usize = 16;
 
 /// Items of a phase for a helper.
 #[derive(Clone, Debug)]
@@ -31,13 +32,12 @@ pub(crate) enum Told {
         member: u64,
         phase: u32,
     },
-    /// A piece of a helper's finds.
+    /// A chunk of a helper's finds.
     Found {
         member: u64,
         phase: u32,
         items: Vec<u32>,
-        data: Vec<u8>,
-        more: bool,
+        chunk: Option<Chunk>,
     },
 }
 
@@ -51,11 +51,19 @@ pub(crate) struct Crews {
 pub(crate) struct Room {
     pub(crate) lease: Lease,
     pub(crate) to_leader: mpsc::Sender<Told>,
-    helpers: Mutex<BTreeMap<u64, mpsc::Sender<Take>>>,
+    helpers: Mutex<Helpers>,
     /// Number of outcomes that are there.
     pub(crate) outcomes: watch::Sender<u32>,
     /// Whether the crew has ended.
     pub(crate) is_over: watch::Sender<bool>,
+}
+
+/// The helpers of a crew.
+#[derive(Default)]
+struct Helpers {
+    /// Numbers are not used again: a message about the last bearer may be on its way.
+    next: u64,
+    mailboxes: BTreeMap<u64, mpsc::Sender<Take>>,
 }
 
 impl Room {
@@ -68,30 +76,26 @@ impl Room {
     pub(crate) fn enter(&self) -> (u64, mpsc::Receiver<Take>) {
         let (send, receive) = mpsc::channel(WAITING);
         let mut helpers = self.helpers();
-        // Numbers are not used again while a message about the last bearer may be on its way.
-        let member = helpers.last_key_value().map_or(0, |(last, _)| last + 1);
-        helpers.insert(member, send);
+        let member = helpers.next;
+        helpers.next += 1;
+        helpers.mailboxes.insert(member, send);
         (member, receive)
     }
 
-    /// A helper has gone. Its number stays taken.
+    /// A helper has gone, or has to go: without its mailbox its stream ends.
     pub(crate) fn leave(&self, member: u64) {
-        if let Some(mailbox) = self.helpers().get_mut(&member) {
-            *mailbox = mpsc::channel(1).0;
-        }
+        self.helpers().mailboxes.remove(&member);
     }
 
-    /// Passes items to a helper; one that is not there or has a full mailbox does not get them.
+    /// Passes items to a helper. One with a full mailbox does not get them, and has to go.
     pub(crate) fn pass(&self, member: u64, take: Take) {
-        let mut helpers = self.helpers();
-        let Some(mailbox) = helpers.get_mut(&member) else { return };
-        if mailbox.try_send(take).is_err() {
-            // Closing the mailbox ends the helper's stream.
-            *mailbox = mpsc::channel(1).0;
+        let sent = self.helpers().mailboxes.get(&member).map(|mailbox| mailbox.try_send(take));
+        if sent.is_some_and(|sent| sent.is_err()) {
+            self.leave(member);
         }
     }
 
-    fn helpers(&self) -> MutexGuard<'_, BTreeMap<u64, mpsc::Sender<Take>>> {
+    fn helpers(&self) -> MutexGuard<'_, Helpers> {
         // Each change is whole before anything can panic.
         self.helpers.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -2,7 +2,7 @@
 //! the store on disk.
 //!
 //! ```text
-//! cargo test --workspace --release --lib -- --ignored --nocapture one_coordinator ten_thousand_finished
+//! cargo test --workspace --lib -- --ignored --nocapture one_coordinator ten_thousand_finished
 //! ```
 //! The workers call the coordinator's functions: the network, the checks of outputs and their files are not
 //! part of the figures, the scheduler, its lock and the synced store are.

@@ -124,6 +124,33 @@ impl Assembler {
     }
 }
 
+/// Assembles blobs that follow each other in one stream.
+#[derive(Debug)]
+pub struct Blobs {
+    limit: u64,
+    open: Option<Assembler>,
+}
+
+impl Blobs {
+    /// Starts a stream of blobs of at most `limit` bytes each.
+    pub fn new(limit: u64) -> Self {
+        Self { limit, open: None }
+    }
+
+    /// Takes the next chunk; gives the blob that it ends.
+    ///
+    /// # Errors
+    /// As [`Sequence::next`].
+    pub fn push(&mut self, chunk: &Chunk) -> Result<Option<Vec<u8>>, ChunkError> {
+        let blob = self.open.get_or_insert_with(|| Assembler::new(self.limit));
+        blob.push(chunk)?;
+        match blob.sequence.end() {
+            Ok(_) => self.open.take().map(Assembler::finish).transpose(),
+            Err(_) => Ok(None),
+        }
+    }
+}
+
 /// Checks a chunk's size and checksum.
 ///
 /// # Errors
@@ -164,5 +191,17 @@ mod tests {
         assert_eq!(Assembler::new(1 << 30).push(&bad), Err(ChunkError::Checksum(0)));
         assert!(matches!(Assembler::new(10).push(&chunks[0]), Err(ChunkError::TooLarge(..))));
         assert!(matches!(Assembler::new(10).finish(), Err(ChunkError::Short { .. })));
+    }
+
+    #[test]
+    fn blobs_follow_each_other_in_one_stream() {
+        let all = [vec![1u8; CHUNK_BYTES + 9], Vec::new(), vec![2u8; 5]];
+        let mut blobs = Blobs::new(1 << 21);
+        let ends: Vec<Vec<u8>> =
+            all.iter().flat_map(|b| cut(b)).filter_map(|chunk| blobs.push(&chunk).unwrap()).collect();
+        assert!(ends == all);
+        assert_eq!(blobs.push(&chunk(vec![3; 4], 0, 9)), Ok(None));
+        assert_eq!(blobs.push(&chunk(vec![3; 4], 5, 9)), Err(ChunkError::Order(5)));
+        assert_eq!(Blobs::new(8).push(&chunk(vec![3; 4], 0, 9)), Err(ChunkError::TooLarge(9, 8)));
     }
 }

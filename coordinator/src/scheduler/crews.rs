@@ -1,17 +1,14 @@
 //! Helpers: workers without a tile help the leaders of running tiles, evenly spread, until they get a tile or
 //! the crew ends.
 
-use super::crew::Crew;
 use std::collections::BTreeSet;
 
+use super::crew::Crew;
 use super::event::Effect;
-use super::machine::{Machine, Worker};
+use super::machine::Machine;
 use super::messages::{Help, Now, Order};
 use super::pools::Profile;
 use crate::ids::{Lease, LeaseId, WorkerId};
-
-/// How long a worker that did not take an order gets none, in milliseconds.
-const DEAF: u64 = 1000;
 
 impl Machine {
     /// Whether a tile is leased under this lease.
@@ -51,10 +48,12 @@ impl Machine {
 
     /// A helper has left a crew.
     pub(super) fn has_left(&mut self, id: LeaseId, worker: WorkerId) {
-        self.change_helpers(id, |helpers| helpers.remove(&worker));
+        self.change_helpers(id, |helpers| {
+            helpers.remove(&worker);
+        });
     }
 
-    fn change_helpers(&mut self, id: LeaseId, change: impl FnOnce(&mut BTreeSet<WorkerId>) -> bool) {
+    fn change_helpers(&mut self, id: LeaseId, change: impl FnOnce(&mut BTreeSet<WorkerId>)) {
         let Some(crew) = self.crews.get_mut(&id) else { return };
         let before = crew.helpers.len();
         change(&mut crew.helpers);
@@ -66,12 +65,9 @@ impl Machine {
 
     /// The order to help did not reach a worker, which does not read its stream.
     pub(super) fn help_undelivered(&mut self, worker: WorkerId, lease: &Lease, now: Now) {
-        if let Some(w) = self.workers.get_mut(&worker) {
-            w.deaf_until = Some(now.ms + DEAF);
-            self.set_timer(now.ms + DEAF, super::machine::Timer::Deaf(worker));
-        }
+        // It counts as deaf first, so that it is not sent again at once.
+        self.deafen(worker, now);
         self.helped(worker, lease);
-        self.list_worker(worker);
     }
 
     /// Sends a worker without a tile to the crew with the fewest helpers; returns whether there are both.
@@ -87,14 +83,16 @@ impl Machine {
         if let Some(w) = self.workers.get_mut(&worker) {
             w.helps = Some(lease);
         }
-        self.change_helpers(id, |helpers| helpers.insert(worker));
+        self.change_helpers(id, |helpers| {
+            helpers.insert(worker);
+        });
         self.list_worker(worker);
         true
     }
 
     /// Calls a worker back from the crew that it helps, because it gets a tile.
     pub(super) fn call_back(&mut self, worker: WorkerId) {
-        if let Some(lease) = self.workers.get(&worker).and_then(|w: &Worker| w.helps) {
+        if let Some(lease) = self.workers.get(&worker).and_then(|w| w.helps) {
             self.effects.push(Effect::Tell(worker, Order::Revoke(lease)));
         }
     }

@@ -234,12 +234,9 @@ impl Machine {
     /// An order did not reach its worker, which does not read its stream.
     pub(super) fn undelivered(&mut self, worker: WorkerId, lease: &Lease, now: Now) {
         self.end_lease(lease.id, false);
-        let until = now.ms + 1000;
         if let Some(w) = self.workers.get_mut(&worker) {
             w.wants = (w.wants + 1).min(super::workers::MOST_HELD);
-            w.deaf_until = Some(until);
-            self.set_timer(until, Timer::Deaf(worker));
-            self.list_worker(worker);
         }
+        self.deafen(worker, now);
     }
 }

@@ -7,11 +7,13 @@ use sightline_model::BackendChoice;
 use super::binding::{Binding, profile_for};
 use super::event::{Departure, Effect, Note};
 use super::job::Parked;
-use super::machine::{Machine, Worker};
+use super::machine::{Machine, Timer, Worker};
 use super::messages::{Introduction, Joined, NameTaken, Now};
 use super::pools::{Profile, index};
 use crate::ids::{LeaseId, WorkerId};
 
+/// How long a worker that did not take an order gets none, in milliseconds.
+const DEAF: u64 = 1000;
 /// Tiles that a worker may hold: one that it works on and one that it fetches.
 pub(super) const MOST_HELD: u32 = 2;
 
@@ -136,6 +138,15 @@ impl Machine {
             self.note(Note::Draining(name));
         }
         self.list_worker(worker);
+    }
+
+    /// Gives a worker that did not take an order none for a while.
+    pub(super) fn deafen(&mut self, worker: WorkerId, now: Now) {
+        if let Some(w) = self.workers.get_mut(&worker) {
+            w.deaf_until = Some(now.ms + DEAF);
+            self.set_timer(now.ms + DEAF, Timer::Deaf(worker));
+            self.list_worker(worker);
+        }
     }
 
     /// Puts a worker into the lists in which it belongs now.

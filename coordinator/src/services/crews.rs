@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use futures::StreamExt as _;
-use sightline_proto::chunks::CHUNK_BYTES;
+use sightline_proto::chunks::{self, Blobs};
 use sightline_proto::v1;
 use sightline_proto::v1::crew_message::Message;
 use tokio::sync::mpsc;
@@ -17,9 +17,6 @@ use crate::store::MAX_OUTCOME_BYTES;
 
 /// Most items in a message: more than a phase has.
 const MAX_ITEMS: usize = 1 << 20;
-
-/// Messages to a member that wait until it reads them.
-pub(super) const WAITING: usize = 16;
 
 type Out = mpsc::Sender<Result<v1::CrewMessage, Status>>;
 
@@ -36,15 +33,10 @@ async fn say_outcome(c: &Arc<Coordinator>, room: &Room, phase: u32, out: &Out) -
     let tile = room.tile();
     let read = blocking(c, move |c| Ok(c.crews.outcomes.get(tile, phase))).await;
     let Ok(Some(bytes)) = read else { return Err(Gone) };
-    let mut pieces = bytes.chunks(CHUNK_BYTES).peekable();
-    loop {
-        let data = pieces.next().unwrap_or_default().to_vec();
-        let more = pieces.peek().is_some();
-        say(out, Message::Outcome(v1::CrewOutcome { phase, data, more })).await?;
-        if !more {
-            return Ok(());
-        }
+    for chunk in chunks::cut(&bytes) {
+        say(out, Message::Outcome(v1::CrewOutcome { phase, chunk: Some(chunk) })).await?;
     }
+    Ok(())
 }
 
 /// The leader's stream, until it ends.
@@ -86,8 +78,8 @@ async fn tell(c: Arc<Coordinator>, room: Arc<Room>, mut told: mpsc::Receiver<Tol
             Told::Joined(member) => Message::Joined(v1::CrewJoined { member }),
             Told::Left(member) => Message::Left(v1::CrewLeft { member }),
             Told::Ask { member, phase } => Message::Ask(v1::CrewAsk { member, phase }),
-            Told::Found { member, phase, items, data, more } => {
-                Message::Found(v1::CrewFound { member, phase, items, data, more })
+            Told::Found { member, phase, items, chunk } => {
+                Message::Found(v1::CrewFound { member, phase, items, chunk })
             }
         };
         next = say(&out, message).await;
@@ -100,8 +92,7 @@ async fn hear_leader(
     room: &Arc<Room>,
     mut inbound: Streaming<v1::CrewMessage>,
 ) -> Result<(), Status> {
-    // The pieces of an outcome so far.
-    let mut outcome: Vec<u8> = Vec::new();
+    let mut outcomes = Blobs::new(MAX_OUTCOME_BYTES);
     let mut over = room.is_over.subscribe();
     loop {
         let message = tokio::select! {
@@ -118,12 +109,8 @@ async fn hear_leader(
                 room.pass(take.member, Take { phase: take.phase, items: take.items });
             }
             Some(Message::Outcome(piece)) => {
-                if outcome.len() as u64 + piece.data.len() as u64 > MAX_OUTCOME_BYTES {
-                    return Err(Status::invalid_argument("an outcome is larger than is accepted"));
-                }
-                outcome.extend_from_slice(&piece.data);
-                if !piece.more {
-                    let bytes = std::mem::take(&mut outcome);
+                let whole = outcomes.push(&piece.chunk.unwrap_or_default());
+                if let Some(bytes) = whole.map_err(|e| Status::data_loss(e.to_string()))? {
                     let (tile, phase) = (room.tile(), piece.phase);
                     let kept = blocking(c, move |c| Ok(c.crews.outcomes.push(tile, phase, &bytes))).await?;
                     if kept {
@@ -217,11 +204,11 @@ async fn hear_helper(
     while let Some(message) = inbound.next().await {
         let told = match message?.message {
             Some(Message::Ask(ask)) => Told::Ask { member, phase: ask.phase },
-            Some(Message::Found(v1::CrewFound { phase, items, data, more, .. })) => {
+            Some(Message::Found(v1::CrewFound { phase, items, chunk, .. })) => {
                 if items.len() > MAX_ITEMS {
                     return Err(Status::invalid_argument("finds have more items than a phase can have"));
                 }
-                Told::Found { member, phase, items, data, more }
+                Told::Found { member, phase, items, chunk }
             }
             _ => return Err(Status::invalid_argument("a helper sends questions and finds")),
         };

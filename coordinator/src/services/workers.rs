@@ -103,7 +103,7 @@ impl v1::workers_server::Workers for WorkersService {
             return Err(Status::invalid_argument("a member's first message must be Enter, with a lease"));
         };
         let lease = wire::lease(&lease);
-        let (out, outbound) = mpsc::channel(crews::WAITING);
+        let (out, outbound) = mpsc::channel(crate::crews::WAITING);
         let c = Arc::clone(&self.0);
         if leads {
             let (answer, opened) = oneshot::channel();
