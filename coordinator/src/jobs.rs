@@ -6,7 +6,7 @@ use sightline_model::JobSpec;
 
 use crate::chores::do_chores;
 use crate::ids::{Digest, JobId};
-use crate::scheduler::{Event, Job, cells_total};
+use crate::scheduler::{Event, Job, Unable, cells_total};
 use crate::scheduling::tell;
 use crate::specs;
 use crate::state::Coordinator;
@@ -129,9 +129,21 @@ pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
     })
 }
 
-/// The summaries of all jobs, in the order of their submission.
-pub(crate) fn list(c: &Coordinator) -> Result<Vec<Summary>, StoreError> {
-    c.store.jobs()?.iter().map(|job| summary(c, job.id)).collect()
+/// The summaries of the newest `most` jobs below `before`, in the order of their submission, and whether there
+/// are older ones.
+pub(crate) fn list(c: &Coordinator, before: JobId, most: usize) -> Result<(Vec<Summary>, bool), StoreError> {
+    let (page, older) = c.store.jobs_before(before, most)?;
+    let of = |job: &JobRecord| match summary(c, job.id) {
+        // It was deleted in between.
+        Err(StoreError::UnknownJob { .. }) => None,
+        summary => Some(summary),
+    };
+    Ok((page.iter().filter_map(of).collect::<Result<_, _>>()?, older))
+}
+
+/// The connected workers that cannot work on a job, by reason.
+pub(crate) fn unable(c: &Coordinator, job: JobId) -> Vec<Unable> {
+    c.lock().machine.unable(job)
 }
 
 /// The digest of a done job's result.
@@ -155,6 +167,18 @@ pub(crate) fn pause(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobErro
 /// Continues a paused job.
 pub(crate) fn resume(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobError> {
     turn(c, job, &[JobPhase::Paused], JobState::Queued)
+}
+
+/// Gives a job that has not ended another priority.
+pub(crate) fn prioritize(c: &Arc<Coordinator>, id: JobId, priority: i32) -> Result<Summary, JobError> {
+    let chores = {
+        let _turn = c.turn();
+        let record = c.store.prioritize_job(id, priority)?;
+        tracing::info!("job {id} has priority {priority}");
+        tell(c, Event::JobChanged(Box::new(record)))
+    };
+    do_chores(c, chores);
+    Ok(summary(c, id)?)
 }
 
 /// Moves a job to another state.

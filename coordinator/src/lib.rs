@@ -28,6 +28,7 @@ mod assemble_pairs;
 mod chores;
 pub mod clock;
 mod crews;
+mod estimate;
 mod finishing;
 pub mod ids;
 mod jobs;

@@ -64,7 +64,18 @@ fn job(c: &Arc<Coordinator>, seed: u64, tiles: u64) -> JobId {
     let mut spec = JobSpec { backend: BackendChoice::Cpu, seed, ..JobSpec::new([7; 32], grid, view) };
     spec.block_cells = 1;
     spec.sampling.cell_to_cell = sightline_model::CellToCell::Off;
-    submit(c, &Submission { request_id: seed.to_string(), name: "load".to_owned(), spec }).unwrap().id
+    submit(
+        c,
+        &Submission {
+            request_id: seed.to_string(),
+            name: "load".to_owned(),
+            user: String::new(),
+            priority: 0,
+            spec,
+        },
+    )
+    .unwrap()
+    .id
 }
 
 /// Commits a tile as an output that arrives does, without the output's own checks and file.
@@ -179,6 +190,8 @@ fn ten_thousand_finished_jobs() {
                 key,
                 request_id: String::new(),
                 name: "old".to_owned(),
+                user: String::new(),
+                priority: 0,
                 scene: [7; 32],
                 spec: Vec::new(),
                 tiles: 1,
@@ -193,6 +206,6 @@ fn ten_thousand_finished_jobs() {
     }
     let c = Coordinator::open(Config::new(directory.path().to_owned())).unwrap();
     let begin = Instant::now();
-    let all = jobs::list(&c).unwrap();
-    println!("{} jobs listed in {:.0} ms", all.len(), begin.elapsed().as_secs_f64() * 1e3);
+    let (page, _) = jobs::list(&c, JobId(u64::MAX), 1000).unwrap();
+    println!("a page of {} jobs in {:.1} ms", page.len(), begin.elapsed().as_secs_f64() * 1e3);
 }

@@ -19,6 +19,10 @@ pub(crate) struct Submission {
     pub(crate) request_id: String,
     /// For people.
     pub(crate) name: String,
+    /// Who submits it.
+    pub(crate) user: String,
+    /// Jobs of higher priority come first.
+    pub(crate) priority: i32,
     /// The job.
     pub(crate) spec: JobSpec,
 }
@@ -46,7 +50,7 @@ pub(crate) enum SubmitError {
 /// Submits a job on a recorded scene; returns its id and whether it existed before. A done job whose result
 /// is lost is begun again.
 pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Submitted, SubmitError> {
-    let Submission { request_id, name, spec } = submission;
+    let Submission { request_id, name, user, priority, spec } = submission;
     let bad = |e: &dyn std::fmt::Display| SubmitError::Spec(e.to_string());
     let (_, plan) = spec.plan().map_err(|e| bad(&e))?;
     spec.moved_by_rounding().map_err(|e| bad(&e))?;
@@ -64,6 +68,8 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
         key: spec.key(),
         request_id: request_id.clone(),
         name: name.clone(),
+        user: user.clone(),
+        priority: *priority,
         scene: spec.scene,
         spec: specs::stored(&*c.blobs, spec)?,
         tiles: plan.tiles.len() as u32,

@@ -64,7 +64,8 @@ fn a_scene_with_masks_is_refused_by_exact_methods() {
     let job = |method: Method| {
         let view = Aabb::new(Vec3::ZERO, Vec3::ONE);
         let spec = JobSpec { method, ..JobSpec::new(scene, Division::Grid([1, 1, 1]), view) };
-        let submission = Submission { request_id: method.to_string(), name: "masked".to_owned(), spec };
+        let submission =
+            Submission { request_id: method.to_string(), name: "masked".to_owned(), ..nameless(spec) };
         submit(&c, &submission)
     };
     assert!(job(Method::Aggressive).is_ok());
@@ -90,7 +91,8 @@ fn two_tiles(c: &Arc<Coordinator>, scene: Digest) -> JobId {
         viewpoints: None,
         up: None,
     };
-    let submission = Submission { request_id: "one".to_owned(), name: "two tiles".to_owned(), spec };
+    let submission =
+        Submission { request_id: "one".to_owned(), name: "two tiles".to_owned(), ..nameless(spec) };
     submit(c, &submission).unwrap().id
 }
 
@@ -180,7 +182,7 @@ fn a_job_runs_in_memory_from_submission_to_result() {
     assert!(!c.blobs.has(blake3::hash(&empty).as_bytes()).unwrap());
     // The same job again is answered with the result, and a lost result is baked again.
     let spec = JobSpec::clone(&grants[0].spec);
-    let again = Submission { request_id: "two".to_owned(), name: String::new(), spec };
+    let again = Submission { request_id: "two".to_owned(), ..nameless(spec) };
     let answer = submit(&c, &again).unwrap();
     assert!(answer.existing && answer.id == id);
     c.blobs.remove(&jobs::result(&c, id).unwrap()).unwrap();
@@ -209,6 +211,8 @@ fn a_job_of_another_version_is_not_retried() {
         key: [1; 32],
         request_id: String::new(),
         name: "old".to_owned(),
+        user: String::new(),
+        priority: 0,
         scene,
         spec: b"of another version".to_vec(),
         tiles: 2,
@@ -221,4 +225,8 @@ fn a_job_of_another_version_is_not_retried() {
     assert!(matches!(refused, JobError::Outdated(_)), "{refused}");
     assert!(refused.to_string().contains("submit it again"), "{refused}");
     assert_eq!(c.store.job(id).unwrap().unwrap().state, failed);
+}
+
+fn nameless(spec: JobSpec) -> Submission {
+    Submission { request_id: String::new(), name: String::new(), user: String::new(), priority: 0, spec }
 }

@@ -31,6 +31,8 @@ fn job(number: u64) -> NewJob {
         key: digest_of("job", number),
         request_id: format!("request {number}"),
         name: String::new(),
+        user: String::new(),
+        priority: 0,
         scene: SCENE,
         spec: vec![0; 100],
         tiles: if number == 0 { TILES } else { 1 },

@@ -124,6 +124,8 @@ fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
         request_id: "fuzz".to_owned(),
         name: "fuzz".to_owned(),
         spec: Some(spec.clone()),
+        priority: 1,
+        user: "fuzz".to_owned(),
     };
     let show = v1::ShowRequest { job }.encode_to_vec();
     let timed = v1::Timed {
@@ -139,8 +141,13 @@ fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
             v1::PutSceneRequest { chunks: vec![digest.clone()], digest: digest.clone() }.encode_to_vec(),
         ),
         ("Jobs/Submit", submit.encode_to_vec()),
-        ("Jobs/Submit", v1::SubmitRequest { request_id: "other".to_owned(), ..submit }.encode_to_vec()),
-        ("Jobs/List", v1::ListRequest {}.encode_to_vec()),
+        (
+            "Jobs/Submit",
+            v1::SubmitRequest { request_id: "other".to_owned(), ..submit.clone() }.encode_to_vec(),
+        ),
+        ("Jobs/List", v1::ListRequest { limit: 3, before: 9 }.encode_to_vec()),
+        ("Jobs/Estimate", submit.encode_to_vec()),
+        ("Jobs/Prioritize", v1::PrioritizeRequest { job, priority: 3 }.encode_to_vec()),
         ("Jobs/Show", show.clone()),
         ("Jobs/Watch", show.clone()),
         ("Jobs/Cancel", show.clone()),

@@ -97,8 +97,12 @@ async fn requests_are_refused_with_the_right_code() {
     let submit = |request_id: &str, change: &dyn Fn(&mut v1::JobSpec)| {
         let (mut jobs, mut spec) = (jobs.clone(), spec.clone());
         change(&mut spec);
-        let request =
-            v1::SubmitRequest { request_id: request_id.to_owned(), name: "x".to_owned(), spec: Some(spec) };
+        let request = v1::SubmitRequest {
+            request_id: request_id.to_owned(),
+            name: "x".to_owned(),
+            spec: Some(spec),
+            ..Default::default()
+        };
         async move { jobs.submit(request).await }
     };
     let answer = submit("good", &|_| {}).await.unwrap().into_inner();
@@ -117,7 +121,12 @@ async fn requests_are_refused_with_the_right_code() {
     for n in [0, 1 << 14, u32::MAX] {
         refused(submit("h", &|s| s.division = grid(n)).await, Code::InvalidArgument);
     }
-    let no_spec = v1::SubmitRequest { request_id: "i".to_owned(), name: String::new(), spec: None };
+    let no_spec = v1::SubmitRequest {
+        request_id: "i".to_owned(),
+        name: String::new(),
+        spec: None,
+        ..Default::default()
+    };
     refused(jobs.clone().submit(no_spec).await, Code::InvalidArgument);
     // Exact queries take triangles as seen from both sides.
     let culled = coordinator.submit(&format!("{JOB} --cull-back-faces --request-id culled"));

@@ -6,6 +6,7 @@ use super::job::{Job, Output};
 use super::machine::{Leased, Machine, Timer};
 use super::messages::Now;
 use super::pools::List;
+use super::shares::User;
 use crate::ids::{LeaseId, WorkerId};
 use crate::store::JobPhase;
 
@@ -39,7 +40,7 @@ impl Machine {
             self.check_worker(*id)?;
         }
         for pool in self.pools.of.values() {
-            let ready: usize = pool.jobs.iter().map(|p| self.jobs[&p.1].ready.len()).sum();
+            let ready: usize = pool.jobs.all().map(|(_, id)| self.jobs[id].ready.len()).sum();
             ensure(ready == pool.ready, "a pool's ready tiles are miscounted")?;
             ensure(
                 pool.begun.iter().all(|(at, id)| self.leases.get(id).is_some_and(|l| l.begun == Some(*at))),
@@ -51,6 +52,7 @@ impl Machine {
             )?;
         }
         self.check_crews()?;
+        self.check_shares()?;
         self.check_work_conservation()
     }
 
@@ -86,7 +88,7 @@ impl Machine {
         let listed = match &job.listed {
             Some((List::Bound(p), n)) => {
                 *n == job.ready.len()
-                    && self.pools.of.get(p).is_some_and(|pool| pool.jobs.contains(&job.place()))
+                    && self.pools.of.get(p).is_some_and(|pool| pool.jobs.has(&job.whom, &job.record.id))
             }
             Some((List::Unbound(c), _)) => self.pools.unbound[*c].contains(&job.place()),
             None => {
@@ -117,16 +119,47 @@ impl Machine {
         let ensure = |fine: bool, what: &str| fine.then_some(()).ok_or_else(|| what.to_owned());
         for (id, crew) in &self.crews {
             ensure(self.is_leased(&crew.lease), "a crew has no lease")?;
-            let helpers = self.workers.values().filter(|w| w.helps == Some(crew.lease)).count();
-            ensure(helpers == crew.helpers.len(), "a crew's helpers are miscounted")?;
+            let helpers = crew.helpers.len();
+            // Those who helped an earlier crew of this lease are still on their way back.
+            let helps = |w: &WorkerId| self.workers.get(w).is_some_and(|w| w.helps == Some(crew.lease));
+            ensure(crew.helpers.keys().all(helps), "a crew has a helper who does not know it")?;
             let pool = self.pools.of.get(&crew.profile);
-            ensure(pool.is_some_and(|p| p.crews.contains(&(helpers, *id))), "a crew is in no list")?;
+            ensure(pool.is_some_and(|p| p.crews.has(&crew.whom, &(helpers, *id))), "a crew is in no list")?;
         }
-        let listed: usize = self.pools.of.values().map(|p| p.crews.len()).sum();
+        let listed: usize = self.pools.of.values().map(|p| p.crews.all().count()).sum();
         ensure(listed == self.crews.len(), "a crew that has ended is in a list")?;
         let wasted = |p: &super::pools::Pool| !p.crews.is_empty() && !p.helpers.is_empty();
         let paused = self.paused_until.is_some();
-        ensure(paused || !self.pools.of.values().any(wasted), "a crew could have another helper")
+        ensure(paused || !self.pools.of.values().any(wasted), "a crew could have another helper")?;
+        // Those that were called back for a tile cannot move.
+        let called = self.workers.values().any(|w| w.helps.is_some() && (!w.leases.is_empty() || w.draining));
+        let uneven = self.pools.of.values().any(|p| {
+            let few = p.crews.first().map(|(turn, _)| turn.0);
+            let many = p.crews.richest(|crew| crew.0 > 0).map(|(turn, _)| turn.0);
+            few.zip(many).is_some_and(|(few, many)| many > few)
+        });
+        ensure(paused || called || !uneven, "a crew of lower priority has helpers")
+    }
+
+    /// Every user's share is counted right, and the lists are in its order.
+    fn check_shares(&self) -> Result<(), String> {
+        let mut workers: BTreeMap<&User, (u32, u32)> = BTreeMap::new();
+        self.jobs.values().for_each(|job| workers.entry(&job.whom.user).or_default().0 += 1);
+        let leased = self.leases.values().map(|l| (l.job, 1));
+        let helped = self.crews.values().map(|crew| (crew.lease.job, crew.helpers.len() as u32));
+        for (job, n) in leased.chain(helped) {
+            workers.entry(&self.jobs[&job].whom.user).or_default().1 += n;
+        }
+        let counted = workers.iter().map(|(user, (jobs, workers))| (*user, *jobs, *workers));
+        let kept = self.accounts.iter().map(|(user, a)| (user, a.jobs, a.share.workers));
+        if !counted.eq(kept) {
+            return Err("the users' shares are miscounted".to_owned());
+        }
+        let ordered = |p: &super::pools::Pool| {
+            p.jobs.is_in_order(|user| self.share(user)) && p.crews.is_in_order(|user| self.share(user))
+        };
+        let fine = self.pools.of.values().all(ordered);
+        fine.then_some(()).ok_or_else(|| "a list is not in the order of the users' shares".to_owned())
     }
 
     /// Everything ready is leased when somebody able is idle.
@@ -135,7 +168,7 @@ impl Machine {
             return Ok(());
         }
         for (profile, pool) in &self.pools.of {
-            let waits_for_store = pool.jobs.first().is_some_and(|p| self.jobs[&p.1].pending);
+            let waits_for_store = pool.jobs.first().is_some_and(|(_, id)| self.jobs[id].pending);
             if !pool.hungry[0].is_empty() && pool.ready > 0 && !waits_for_store {
                 return Err(format!("tiles for {profile} are ready and a worker is idle"));
             }

@@ -1,8 +1,9 @@
 //! A crew as the scheduler sees it.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 
 use super::pools::Profile;
+use super::shares::For;
 use crate::ids::{Lease, WorkerId};
 
 /// A leased tile whose leader can use helpers.
@@ -10,6 +11,8 @@ use crate::ids::{Lease, WorkerId};
 pub(super) struct Crew {
     pub(super) lease: Lease,
     pub(super) profile: Profile,
-    /// Workers that were sent and have not come back.
-    pub(super) helpers: BTreeSet<WorkerId>,
+    /// The user and priority of its job.
+    pub(super) whom: For,
+    /// Workers that were sent and have not come back, and when they were sent.
+    pub(super) helpers: BTreeMap<WorkerId, u64>,
 }

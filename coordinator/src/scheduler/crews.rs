@@ -1,7 +1,10 @@
-//! Helpers: workers without a tile help the leaders of running tiles, evenly spread, until they get a tile or
-//! the crew ends.
+//! Helpers: workers without a tile help the leaders of running tiles until they get a tile or the crew ends.
+//!
+//! Crews of higher priority come first. Among equals helpers are spread evenly over the users and over each
+//! user's crews, and one moves to another crew when that makes the spread more even.
 
-use std::collections::BTreeSet;
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
 
 use super::crew::Crew;
 use super::event::Effect;
@@ -22,17 +25,21 @@ impl Machine {
             return;
         }
         let Some(profile) = self.leases.get(&lease.id).map(|l| Profile::clone(&l.profile)) else { return };
-        self.pools.at(&profile).crews.insert((0, lease.id));
-        self.crews.insert(lease.id, Crew { lease, profile, helpers: BTreeSet::new() });
+        let Some(whom) = self.jobs.get(&lease.job).map(|job| job.whom.clone()) else { return };
+        let share = self.share(&whom.user);
+        self.pools.at(&profile).crews.insert(&whom, share, (0, lease.id));
+        self.crews.insert(lease.id, Crew { lease, profile, whom, helpers: BTreeMap::new() });
     }
 
     /// The holder of a lease can use no helpers any more.
     pub(super) fn crew_closed(&mut self, id: LeaseId) {
         if let Some(crew) = self.crews.remove(&id) {
-            self.pools.at(&crew.profile).crews.remove(&(crew.helpers.len(), id));
+            let share = self.share(&crew.whom.user);
+            self.pools.at(&crew.profile).crews.remove(&crew.whom, share, &(crew.helpers.len(), id));
             // Where the leader hangs, nobody else tells them.
-            for helper in &crew.helpers {
-                self.effects.push(Effect::Tell(*helper, Order::Revoke(crew.lease)));
+            for (helper, since) in crew.helpers {
+                self.effects.push(Effect::Tell(helper, Order::Revoke(crew.lease)));
+                self.discharge(crew.lease.job, since);
             }
             self.pools.tidy(&crew.profile);
         }
@@ -48,19 +55,43 @@ impl Machine {
 
     /// A helper has left a crew.
     pub(super) fn has_left(&mut self, id: LeaseId, worker: WorkerId) {
-        self.change_helpers(id, |helpers| {
-            helpers.remove(&worker);
-        });
+        let Some(crew) = self.crews.get_mut(&id) else { return };
+        let Some(since) = crew.helpers.remove(&worker) else { return };
+        let (job, now) = (crew.lease.job, crew.helpers.len());
+        self.recount(id, now + 1, now);
+        self.discharge(job, since);
     }
 
-    fn change_helpers(&mut self, id: LeaseId, change: impl FnOnce(&mut BTreeSet<WorkerId>)) {
+    /// A helper is sent to a crew.
+    fn has_come(&mut self, id: LeaseId, worker: WorkerId) {
+        let clock = self.clock;
         let Some(crew) = self.crews.get_mut(&id) else { return };
-        let before = crew.helpers.len();
-        change(&mut crew.helpers);
-        let after = crew.helpers.len();
-        let pool = self.pools.at(&crew.profile);
-        pool.crews.remove(&(before, id));
-        pool.crews.insert((after, id));
+        crew.helpers.insert(worker, clock);
+        let (job, now) = (crew.lease.job, crew.helpers.len());
+        self.recount(id, now - 1, now);
+        self.charge(job);
+    }
+
+    /// The job of a crew has another priority.
+    pub(super) fn move_crew(&mut self, id: LeaseId, to: Reverse<i32>) {
+        let Some(crew) = self.crews.get_mut(&id) else { return };
+        let from = crew.whom.clone();
+        crew.whom.priority = to;
+        let (whom, entry) = (crew.whom.clone(), (crew.helpers.len(), id));
+        let profile = Profile::clone(&crew.profile);
+        let share = self.share(&from.user);
+        let crews = &mut self.pools.at(&profile).crews;
+        crews.remove(&from, share, &entry);
+        crews.insert(&whom, share, entry);
+    }
+
+    /// Lists a crew with another number of helpers.
+    fn recount(&mut self, id: LeaseId, from: usize, to: usize) {
+        let Some(crew) = self.crews.get(&id) else { return };
+        let share = self.share(&crew.whom.user);
+        let crews = &mut self.pools.at(&crew.profile).crews;
+        crews.remove(&crew.whom, share, &(from, id));
+        crews.insert(&crew.whom, share, (to, id));
     }
 
     /// The order to help did not reach a worker, which does not read its stream.
@@ -70,12 +101,17 @@ impl Machine {
         self.helped(worker, lease);
     }
 
-    /// Sends a worker without a tile to the crew with the fewest helpers; returns whether there are both.
+    /// Sends a worker without a tile to the crew whose turn it is, or moves one to it from another crew;
+    /// returns whether it did.
     pub(super) fn send_helper(&mut self, profile: &Profile) -> bool {
         let Some(pool) = self.pools.of.get(profile) else { return false };
-        let (Some(&worker), Some(&(_, id))) = (pool.helpers.first(), pool.crews.first()) else {
-            return false;
-        };
+        let Some((_, &(_, id))) = pool.crews.first() else { return false };
+        let free = pool.helpers.first().copied();
+        let Some(worker) = free.or_else(|| self.may_move(profile)) else { return false };
+        if let Some(earlier) = self.workers.get(&worker).and_then(|w| w.helps) {
+            self.effects.push(Effect::Tell(worker, Order::Revoke(earlier)));
+            self.has_left(earlier.id, worker);
+        }
         let Some(lease) = self.crews.get(&id).map(|crew| crew.lease) else { return false };
         let Some(job) = self.jobs.get(&lease.job) else { return false };
         let help = Help { lease, spec: job.work.spec.clone(), profile: profile.to_string() };
@@ -83,11 +119,31 @@ impl Machine {
         if let Some(w) = self.workers.get_mut(&worker) {
             w.helps = Some(lease);
         }
-        self.change_helpers(id, |helpers| {
-            helpers.insert(worker);
-        });
+        self.has_come(id, worker);
         self.list_worker(worker);
         true
+    }
+
+    /// A helper that the crew whose turn it is needs more than its own: that one has a lower priority, or its
+    /// user has two workers more, or it is of the same user and has two helpers more.
+    fn may_move(&self, profile: &Profile) -> Option<WorkerId> {
+        let crews = &self.pools.of.get(profile)?.crews;
+        let (needs, &(few, _)) = crews.first()?;
+        let (has, &(many, id)) = crews.richest(|(helpers, _)| *helpers > 0)?;
+        let more = if has.0 != needs.0 {
+            has.0 > needs.0
+        } else if has.2 != needs.2 {
+            has.1.workers >= needs.1.workers + 2
+        } else {
+            many >= few + 2
+        };
+        if !more {
+            return None;
+        }
+        // One that was called back for a tile is on its way already.
+        let helpers = &self.crews.get(&id)?.helpers;
+        let stays = |w: &&WorkerId| self.workers.get(w).is_some_and(|w| w.leases.is_empty() && !w.draining);
+        helpers.keys().rev().find(stays).copied()
     }
 
     /// Calls a worker back from the crew that it helps, because it gets a tile.

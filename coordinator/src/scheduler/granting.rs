@@ -1,4 +1,5 @@
-//! Who gets which tile: higher priorities first, then the oldest job, then the plan's order.
+//! Who gets which tile: higher priorities first, then the user whose turn it is, then the oldest job, then
+//! the plan's order.
 //!
 //! A worker holds a second tile only while there are more ready tiles than idle workers. When no tile is
 //! ready, an idle worker takes over a tile that waits in the hands of a busy one. At the end of a job it gets
@@ -9,7 +10,7 @@ use std::sync::Arc;
 use super::event::{Command, Effect, Note};
 use super::machine::Machine;
 use super::messages::{Grant, Now, Order};
-use super::pools::{List, Place, Profile};
+use super::pools::{List, Profile};
 use crate::ids::{JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::store::JobPhase;
 
@@ -40,11 +41,13 @@ impl Machine {
         }
         self.unlist_job(id);
         let Some(job) = self.jobs.get_mut(&id) else { return };
-        let place = job.place();
+        let (place, whom) = (job.place(), job.whom.clone());
+        job.listed = belongs.clone();
+        let share = self.share(&whom.user);
         match &belongs {
             Some((List::Bound(profile), ready)) => {
                 let pool = self.pools.at(profile);
-                pool.jobs.insert(place);
+                pool.jobs.insert(&whom, share, id);
                 pool.ready += ready;
             }
             Some((List::Unbound(choice), _)) => {
@@ -52,17 +55,18 @@ impl Machine {
             }
             None => {}
         }
-        job.listed = belongs;
     }
 
     /// Takes a job out of its list.
     pub(super) fn unlist_job(&mut self, id: JobId) {
         let Some(job) = self.jobs.get_mut(&id) else { return };
-        let place = job.place();
-        match job.listed.take() {
+        let (place, whom) = (job.place(), job.whom.clone());
+        let listed = job.listed.take();
+        let share = self.share(&whom.user);
+        match listed {
             Some((List::Bound(profile), ready)) => {
                 let pool = self.pools.at(&profile);
-                pool.jobs.remove(&place);
+                pool.jobs.remove(&whom, share, &id);
                 pool.ready -= ready;
                 self.pools.tidy(&profile);
             }
@@ -78,14 +82,11 @@ impl Machine {
         if self.paused_until.is_some() {
             return;
         }
-        loop {
-            while let Some(profile) = self.pools.dirty.pop_first() {
-                while self.settle_one(&profile, now) {}
-                while self.send_helper(&profile) {}
-            }
-            if !self.bind_one(now) {
-                return;
-            }
+        // First, so that a job without a profile does not wait until those with one leave a worker over.
+        while self.bind_one(now) {}
+        while let Some(profile) = self.pools.dirty.pop_first() {
+            while self.settle_one(&profile, now) {}
+            while self.send_helper(&profile) {}
         }
     }
 
@@ -94,7 +95,7 @@ impl Machine {
         let Some(pool) = self.pools.of.get(profile) else { return false };
         let idle = pool.hungry[0].first().copied();
         let busy = pool.hungry[1].first().copied().filter(|_| pool.ready > pool.idle.len());
-        let Some(&place) = pool.jobs.first() else {
+        let Some((_, &id)) = pool.jobs.first() else {
             // Only tiles that are leased to busy workers remain.
             let Some(&(_, tile, lease)) = pool.waiting.first() else { return false };
             return idle.is_some_and(|worker| self.take_over(worker, tile, lease, now));
@@ -104,16 +105,16 @@ impl Machine {
             return true;
         }
         // Nothing for this worker: the first job waits for the store, or has to be told that it runs.
-        self.start(place);
+        self.start(id);
         false
     }
 
     /// Asks the store to note that a job runs, before its first tile is leased.
-    fn start(&mut self, place: Place) {
-        let Some(job) = self.jobs.get_mut(&place.1) else { return };
+    fn start(&mut self, id: JobId) {
+        let Some(job) = self.jobs.get_mut(&id) else { return };
         if job.record.state.phase() == JobPhase::Queued && !job.pending {
             job.pending = true;
-            self.effects.push(Effect::Run(Command::Start(place.1)));
+            self.effects.push(Effect::Run(Command::Start(id)));
         }
     }
 
@@ -123,12 +124,12 @@ impl Machine {
         let busy = !w.leases.is_empty();
         let first = |profile: &Profile| {
             let pool = self.pools.of.get(profile)?;
-            let place = *pool.jobs.first()?;
-            let job = self.jobs.get(&place.1)?;
+            let (turn, &id) = pool.jobs.first()?;
+            let job = self.jobs.get(&id)?;
             let may = job.record.state.phase() == JobPhase::Running && !job.pending;
-            (may && (!busy || pool.ready > pool.idle.len())).then(|| (place, Arc::clone(profile)))
+            (may && (!busy || pool.ready > pool.idle.len())).then(|| (turn.clone(), id, Arc::clone(profile)))
         };
-        let Some(((_, id), profile)) = w.profiles.iter().filter_map(first).min() else { return false };
+        let Some((_, id, profile)) = w.profiles.iter().filter_map(first).min() else { return false };
         let Some(tile) = self.jobs.get(&id).and_then(|j| j.ready.first().copied()) else { return false };
         self.grant(worker, id, tile, profile, now);
         true

@@ -13,6 +13,7 @@ use sightline_viewcells::{Lattice, Plan, TileKind};
 
 use super::messages::Now;
 use super::pools::{List, Place};
+use super::shares::For;
 use crate::ids::{Digest, LeaseId, TileIndex, WorkerId};
 use crate::store::{JobPhase, JobRecord, TileRecord, TileState, TileStats};
 
@@ -77,6 +78,8 @@ pub(super) enum Parked {
 pub(crate) struct Job {
     pub(crate) record: JobRecord,
     pub(crate) work: Arc<Work>,
+    /// Whose it is, and how urgent.
+    pub(super) whom: For,
     pub(crate) tiles: Vec<Tile>,
     /// The tiles that need a tile: `dependents[first[t]..first[t + 1]]`.
     dependents: Vec<u32>,
@@ -159,8 +162,10 @@ impl Job {
             }
         }
         let cells_total = cells_total(&work.spec, &work.plan);
+        let whom = whom(&record);
         let mut job = Self {
             record,
+            whom,
             cells_total,
             work: Arc::new(work),
             tiles: Vec::with_capacity(tiles.len()),
@@ -209,9 +214,9 @@ impl Job {
         job
     }
 
-    /// Its place in the order of granting.
+    /// Its place in lists that know no users.
     pub(super) fn place(&self) -> Place {
-        (Reverse(0), self.record.id)
+        (self.whom.priority, self.record.id)
     }
 
     /// All tiles.
@@ -321,6 +326,11 @@ impl Job {
         }
         lost.into_iter().rev().filter(|t| self.tiles[t.at()].output == Output::Open).collect()
     }
+}
+
+/// The user and priority of a record.
+pub(super) fn whom(record: &JobRecord) -> For {
+    For { user: record.user.as_str().into(), priority: Reverse(record.priority) }
 }
 
 /// View cells of a plan; 0 for an adaptive division, whose cells are not known before it is sampled.

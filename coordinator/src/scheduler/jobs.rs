@@ -1,18 +1,24 @@
 //! Jobs come, change and end; the grace after a restart; what the store refuses.
 
+use std::cmp::Reverse;
+
 use super::event::{Command, Effect, Note};
 use super::job::{Job, Output};
 use super::machine::{Machine, SPACE_EVERY, Timer};
 use super::messages::Now;
-use crate::ids::{Digest, JobId, Lease, TileIndex};
+use crate::ids::{Digest, JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::store::{JobPhase, JobRecord, TileStats};
+
+/// How long after a restart nobody else gets the tiles of jobs that ran: every worker that is still there
+/// comes back within this time, because it waits two seconds at most between two attempts to connect.
+pub(super) const GRACE: u64 = 2500;
 
 impl Machine {
     /// Adds a job with the recorded states of its tiles.
     pub(super) fn take_up(&mut self, mut job: Job, now: Now) {
         let id = job.record.id;
         if job.grace {
-            let until = now.ms + self.settings.ttl;
+            let until = now.ms + GRACE;
             self.graces.insert(id, until);
             self.set_timer(until, Timer::Grace(id));
         }
@@ -21,6 +27,7 @@ impl Machine {
         if self.jobs.contains_key(&id) {
             self.drop_job(id);
         }
+        self.open_account(&job.whom.user);
         self.jobs.insert(id, job);
         self.list_job(id);
         self.assemble_if_complete(id);
@@ -49,8 +56,13 @@ impl Machine {
     /// Takes in a job's record as the store has it now.
     pub(super) fn job_changed(&mut self, record: JobRecord) {
         let id = record.id;
-        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let Some(job) = self.jobs.get(&id) else { return };
         let phase = record.state.phase();
+        let priority = Reverse(record.priority);
+        if job.whom.priority != priority {
+            self.prioritize(id, priority);
+        }
+        let Some(job) = self.jobs.get_mut(&id) else { return };
         job.record = record;
         job.pending = false;
         if phase.ended() {
@@ -63,6 +75,21 @@ impl Machine {
         self.list_job(id);
         self.assemble_if_complete(id);
         self.tell_watchers(id);
+    }
+
+    /// A job gets another priority: it and what it has move to other places of the lists.
+    fn prioritize(&mut self, id: JobId, priority: Reverse<i32>) {
+        self.unlist_job(id);
+        let Some(job) = self.jobs.get(&id) else { return };
+        let leases: Vec<LeaseId> = job.tiles.iter().flat_map(|t| t.leases).flatten().collect();
+        leases.iter().for_each(|lease| self.stop_waiting(*lease));
+        if let Some(job) = self.jobs.get_mut(&id) {
+            job.whom.priority = priority;
+        }
+        let held = |id: &LeaseId| self.leases.get(id).filter(|l| l.gone.is_none()).map(|l| l.worker);
+        let workers: Vec<WorkerId> = leases.iter().filter_map(held).collect();
+        workers.into_iter().for_each(|worker| self.line_up(worker));
+        leases.into_iter().for_each(|lease| self.move_crew(lease, priority));
     }
 
     /// The store has an output of a tile.

@@ -41,6 +41,7 @@ impl Machine {
             tile,
             worker,
             profile,
+            given: now.ms,
             renewed: now.ms,
             moved: now.ms,
             gone: None,
@@ -52,6 +53,7 @@ impl Machine {
         };
         debug_assert!(!self.leases.contains_key(&id), "a lease is given once");
         self.leases.insert(id, leased);
+        self.charge(job);
         self.set_timer(timer, Timer::Lease(id));
         if let Some(w) = self.workers.get_mut(&worker) {
             w.leases.insert(id);
@@ -67,6 +69,9 @@ impl Machine {
         self.timers.remove(&(l.timer, Timer::Lease(id)));
         self.crew_closed(id);
         self.unline(&l, id);
+        // A tile that waits costs its worker nothing.
+        let idle = if l.waits { self.clock } else { l.given };
+        self.discharge(l.job, l.begun.unwrap_or(idle));
         if let Some(job) = self.jobs.get_mut(&l.job) {
             job.running -= 1;
             job.running_cells -= l.cells;
@@ -98,6 +103,16 @@ impl Machine {
         }
         if let Some(begun) = l.begun {
             pool.begun.remove(&(begun, id));
+        }
+    }
+
+    /// Takes a lease out of the list of waiting tiles.
+    pub(super) fn stop_waiting(&mut self, id: LeaseId) {
+        let Some(l) = self.leases.get_mut(&id).filter(|l| l.waits) else { return };
+        l.waits = false;
+        let (job, tile, profile) = (l.job, l.tile, Arc::clone(&l.profile));
+        if let Some(place) = self.jobs.get(&job).map(super::job::Job::place) {
+            self.pools.at(&profile).waiting.remove(&(place, tile, id));
         }
     }
 
@@ -221,10 +236,15 @@ impl Machine {
             if !free && !theirs {
                 continue;
             }
+            // The leader's stream to its crew may be whole although this one broke.
+            let leads = self.crews.contains_key(&lease.id);
             if theirs {
                 self.end_lease(lease.id, false);
             }
             self.lease(lease.id, (lease.job, lease.tile), worker, profile, now);
+            if leads {
+                self.crew_opened(lease);
+            }
             kept.insert(lease);
             self.tell_watchers(lease.job);
         }

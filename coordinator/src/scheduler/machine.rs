@@ -15,6 +15,7 @@ use super::event::{Effect, Event, Note};
 use super::job::{Job, Output, Work};
 use super::messages::Now;
 use super::pools::{Pools, Profile};
+use super::shares::{Account, User};
 use crate::ids::{Epoch, JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::store::JobPhase;
 
@@ -68,6 +69,8 @@ pub(super) struct Leased {
     /// The connection that holds it, also after the connection's end.
     pub(super) worker: WorkerId,
     pub(super) profile: Profile,
+    /// When it was given.
+    pub(super) given: u64,
     pub(super) renewed: u64,
     pub(super) moved: u64,
     /// When the worker's stream ended.
@@ -116,6 +119,8 @@ pub(crate) struct Machine {
     pub(super) instances: BTreeMap<u64, WorkerId>,
     /// Leased tiles whose leaders can use helpers.
     pub(super) crews: BTreeMap<LeaseId, Crew>,
+    /// Users with open jobs.
+    pub(super) accounts: BTreeMap<User, Account>,
     pub(super) pools: Pools,
     pub(super) timers: BTreeSet<(u64, Timer)>,
     /// Jobs whose tiles an earlier epoch may have leased, and until when nobody else gets them.
@@ -126,7 +131,7 @@ pub(crate) struct Machine {
     last_tick: Option<u64>,
     pub(super) patient_until: u64,
     /// No time of an event is earlier.
-    clock: u64,
+    pub(super) clock: u64,
     pub(super) effects: Vec<Effect>,
 }
 
@@ -144,6 +149,7 @@ impl Machine {
             names: BTreeMap::new(),
             instances: BTreeMap::new(),
             crews: BTreeMap::new(),
+            accounts: BTreeMap::new(),
             pools: Pools::default(),
             timers: BTreeSet::new(),
             graces: BTreeMap::new(),
@@ -296,7 +302,9 @@ impl Machine {
     pub(super) fn drop_job(&mut self, id: JobId) {
         self.revoke_job(id);
         self.unlist_job(id);
-        self.jobs.remove(&id);
+        if let Some(job) = self.jobs.remove(&id) {
+            self.close_account(&job.whom.user);
+        }
         self.tell_watchers(id);
     }
 

@@ -4,8 +4,8 @@
 //! results. Its state can be derived again from the store and from the workers' introductions.
 //!
 //! A file each: `machine` has the state and the dispatch of events, `jobs`, `leases`, `workers`, `crews`,
-//! `failures`, `profiles` and `granting` the transitions of their subjects, `pools` the lists that make them
-//! cheap, `checks` counts everything again.
+//! `failures`, `profiles`, `shares` and `granting` the transitions of their subjects, `pools` the lists that
+//! make them cheap, `checks` counts everything again.
 
 mod binding;
 #[cfg(test)]
@@ -27,7 +27,11 @@ mod messages;
 mod pools;
 mod profiles;
 #[cfg(test)]
+mod share_tests;
+mod shares;
+#[cfg(test)]
 mod tests;
+mod unable;
 mod workers;
 
 pub(crate) use self::event::{Command, Departure, Effect, Event, Failure, Note};
@@ -36,3 +40,4 @@ pub(crate) use self::machine::{Admitted, Machine, NoTile, Settings};
 #[cfg(test)]
 pub(crate) use self::messages::Grant;
 pub(crate) use self::messages::{Introduction, Joined, NameTaken, Now, Order, ProfileTime, Progress};
+pub(crate) use self::unable::Unable;

@@ -9,9 +9,10 @@ use std::sync::Arc;
 
 use sightline_model::BackendChoice;
 
+use super::shares::Queue;
 use crate::ids::{JobId, LeaseId, TileIndex, WorkerId};
 
-/// The place of a job in the order of granting: higher priorities first, then older jobs.
+/// The place of a job in lists that know no users: higher priorities first, then older jobs.
 pub(super) type Place = (Reverse<i32>, JobId);
 
 /// The name of a numerics profile.
@@ -50,7 +51,7 @@ pub(super) struct Pool {
     /// Workers that want tiles: those without a lease, and those with one.
     pub(super) hungry: [BTreeSet<WorkerId>; 2],
     /// Jobs with ready tiles.
-    pub(super) jobs: BTreeSet<Place>,
+    pub(super) jobs: Queue<JobId>,
     /// Ready tiles of these jobs.
     pub(super) ready: usize,
     /// Leased tiles that have not begun because their worker is busy with another one.
@@ -59,8 +60,8 @@ pub(super) struct Pool {
     pub(super) begun: BTreeSet<(u64, LeaseId)>,
     /// Workers that can be sent to a crew.
     pub(super) helpers: BTreeSet<WorkerId>,
-    /// Crews, by the number of their helpers.
-    pub(super) crews: BTreeSet<(usize, LeaseId)>,
+    /// Crews, by the number of their helpers for each user.
+    pub(super) crews: Queue<(usize, LeaseId)>,
 }
 
 impl Pool {

@@ -112,53 +112,66 @@ pub(super) fn two_tiles() -> Bench {
 
 /// The same; with `grace` an earlier epoch may have leased the tiles.
 pub(super) fn with_grace(grace: bool) -> Bench {
-    let spec = JobSpec {
-        scene: [7; 32],
-        division: Division::Grid([2, 1, 1]),
-        view_box: Aabb::new(Vec3::ZERO, Vec3::ONE),
-        sampling: SamplingParams { cell_to_cell: CellToCell::Off, ..SamplingParams::default() },
-        backend: BackendChoice::Cpu,
-        seed: 1,
-        time_budget_ms: 0,
-        block_cells: 1,
-        method: Method::Aggressive,
-        certificates: false,
-        viewpoints: None,
-        up: None,
-    };
+    let mut bench = empty(if grace { 2 } else { 1 });
+    bench.add(2, "", 0, grace);
+    bench
+}
+
+/// A scheduler without jobs.
+pub(super) fn empty(epoch: u64) -> Bench {
     let store = MemoryStore::new();
-    store.record_scene(SceneRecord { digest: spec.scene, bytes: 1, triangles: 1, objects: 1 }).unwrap();
-    let job = NewJob {
-        key: spec.key(),
-        request_id: "one".to_owned(),
-        name: "two tiles".to_owned(),
-        scene: spec.scene,
-        spec: spec.to_proto().encode_to_vec(),
-        tiles: 2,
-        submitted_at_ms: 0,
-    };
-    let id = store.submit_job(job).unwrap().id;
-    let job = Job::of(store.job(id).unwrap().unwrap(), &spec.to_proto(), store.tiles(id).unwrap()).unwrap();
-    let epoch = Epoch(if grace { 2 } else { 1 });
-    let mut bench = Bench {
-        machine: Machine::new(Settings { epoch, ..SETTINGS }),
+    store.record_scene(SceneRecord { digest: [7; 32], bytes: 1, triangles: 1, objects: 1 }).unwrap();
+    Bench {
+        machine: Machine::new(Settings { epoch: Epoch(epoch), ..SETTINGS }),
         store,
         ms: 0,
         told: BTreeMap::new(),
         answer: None,
         departure: None,
         notes: Vec::new(),
-    };
-    if grace {
-        bench.store.bind_profile(id, "cpu/test").unwrap();
-        let from = [crate::store::JobPhase::Queued];
-        let record = bench.store.set_job_state(id, &from, crate::store::JobState::Running, 0).unwrap();
-        let job = Job::of(record, &spec.to_proto(), bench.store.tiles(id).unwrap()).unwrap();
-        bench.step(Event::TakenUp(Box::new(job.after_restart())));
-    } else {
-        bench.step(Event::TakenUp(Box::new(job)));
     }
-    bench
+}
+
+impl Bench {
+    /// A user submits a job of `tiles` tiles; with `ran` it ran before the coordinator started.
+    pub(super) fn add(&mut self, tiles: u32, user: &str, priority: i32, ran: bool) -> JobId {
+        let spec = JobSpec {
+            scene: [7; 32],
+            division: Division::Grid([tiles, 1, 1]),
+            view_box: Aabb::new(Vec3::ZERO, Vec3::ONE),
+            sampling: SamplingParams { cell_to_cell: CellToCell::Off, ..SamplingParams::default() },
+            backend: BackendChoice::Cpu,
+            seed: self.store.jobs().unwrap().len() as u64,
+            time_budget_ms: 0,
+            block_cells: 1,
+            method: Method::Aggressive,
+            certificates: false,
+            viewpoints: None,
+            up: None,
+        };
+        let job = NewJob {
+            key: spec.key(),
+            request_id: String::new(),
+            name: "some tiles".to_owned(),
+            user: user.to_owned(),
+            priority,
+            scene: spec.scene,
+            spec: spec.to_proto().encode_to_vec(),
+            tiles,
+            submitted_at_ms: 0,
+        };
+        let id = self.store.submit_job(job).unwrap().id;
+        if ran {
+            self.store.bind_profile(id, "cpu/test").unwrap();
+            let from = [crate::store::JobPhase::Queued];
+            self.store.set_job_state(id, &from, crate::store::JobState::Running, 0).unwrap();
+        }
+        let record = self.store.job(id).unwrap().unwrap();
+        let job = Job::of(record, &spec.to_proto(), self.store.tiles(id).unwrap()).unwrap();
+        let job = if ran { job.after_restart() } else { job };
+        self.step(Event::TakenUp(Box::new(job)));
+        id
+    }
 }
 
 fn introduction(name: &str, instance: u64) -> Introduction {

@@ -98,13 +98,8 @@ impl Machine {
         let leases: Vec<LeaseId> = std::mem::take(&mut w.leases).into_iter().collect();
         for lease in leases {
             let Some(l) = self.leases.get_mut(&lease) else { continue };
-            let (job, tile, profile) = (l.job, l.tile, l.profile.clone());
             l.gone = Some(now.ms);
-            if std::mem::take(&mut l.waits)
-                && let Some(place) = self.jobs.get(&job).map(super::job::Job::place)
-            {
-                self.pools.at(&profile).waiting.remove(&(place, tile, lease));
-            }
+            self.stop_waiting(lease);
             if w.draining {
                 // It will not return for a tile that was granted while it announced that it drains.
                 self.end_lease(lease, false);

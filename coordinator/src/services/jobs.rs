@@ -14,6 +14,7 @@ use tonic::{Request, Response, Status, Streaming};
 use super::blocking::blocking;
 use super::streams::{ChunkStream, stream_blob};
 use super::{status, wire};
+use crate::estimate;
 use crate::ids::JobId;
 use crate::jobs::{self, JobError, Summary};
 use crate::scenes;
@@ -22,6 +23,10 @@ use crate::submit::{self, Submission};
 
 /// Chunks of one scene: 64 GiB.
 const MAX_CHUNKS: usize = 65_536;
+/// Most jobs of a page.
+const MAX_PAGE: u32 = 1000;
+/// The priorities that jobs may have.
+const PRIORITIES: std::ops::RangeInclusive<i32> = -1000..=1000;
 /// Shortest time between two messages of Watch.
 const WATCH_EVERY: Duration = Duration::from_millis(250);
 
@@ -96,17 +101,37 @@ impl v1::jobs_server::Jobs for JobsService {
         .await
     }
 
-    async fn list(&self, _: Request<v1::ListRequest>) -> Answer<v1::ListResponse> {
-        blocking(&self.0, |c| {
-            let list = jobs::list(c).map_err(|e| status::of_store(&e))?;
-            Ok(Response::new(v1::ListResponse { jobs: list.iter().map(wire::job).collect() }))
+    async fn estimate(&self, r: Request<v1::SubmitRequest>) -> Answer<v1::EstimateResponse> {
+        let r = r.into_inner();
+        blocking(&self.0, move |c| {
+            let submission = draft(c, r)?;
+            let estimate = estimate::estimate(c, &submission).map_err(|e| status::of_submit(&e))?;
+            Ok(Response::new(wire::estimate(estimate)))
+        })
+        .await
+    }
+
+    async fn list(&self, r: Request<v1::ListRequest>) -> Answer<v1::ListResponse> {
+        let v1::ListRequest { limit, before } = r.into_inner();
+        if limit > MAX_PAGE {
+            return Err(Status::invalid_argument(format!(
+                "a page of {limit} jobs was asked for; ask for at most {MAX_PAGE}"
+            )));
+        }
+        let most = if limit == 0 { MAX_PAGE } else { limit } as usize;
+        let before = JobId(if before == 0 { u64::MAX } else { before });
+        blocking(&self.0, move |c| {
+            let (list, older) = jobs::list(c, before, most).map_err(|e| status::of_store(&e))?;
+            Ok(Response::new(v1::ListResponse { jobs: list.iter().map(wire::job).collect(), older }))
         })
         .await
     }
 
     async fn show(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
-        let job = summary(&self.0, JobId(r.into_inner().job)).await?;
-        Ok(Response::new(wire::job(&job)))
+        let id = JobId(r.into_inner().job);
+        let summary = summary(&self.0, id).await?;
+        let unable = jobs::unable(&self.0, id).into_iter().map(wire::unable).collect();
+        Ok(Response::new(v1::Job { unable, ..wire::job(&summary) }))
     }
 
     type WatchStream = Pin<Box<dyn Stream<Item = Result<v1::Job, Status>> + Send>>;
@@ -131,6 +156,16 @@ impl v1::jobs_server::Jobs for JobsService {
 
     async fn resume(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
         self.turn(r, jobs::resume).await
+    }
+
+    async fn prioritize(&self, r: Request<v1::PrioritizeRequest>) -> Answer<v1::Job> {
+        let v1::PrioritizeRequest { job, priority } = r.into_inner();
+        let priority = checked_priority(priority)?;
+        blocking(&self.0, move |c| {
+            let job = jobs::prioritize(c, JobId(job), priority).map_err(|e| status::of_job(&e))?;
+            Ok(Response::new(wire::job(&job)))
+        })
+        .await
     }
 
     async fn retry(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
@@ -166,24 +201,45 @@ async fn summary(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, Status> {
     blocking(c, move |c| jobs::summary(c, id).map_err(|e| status::of_store(&e))).await
 }
 
-/// A submission from the wire. A view box that is left out is the bounds of the scene.
+/// A priority from the wire.
+fn checked_priority(priority: i32) -> Result<i32, Status> {
+    if PRIORITIES.contains(&priority) {
+        return Ok(priority);
+    }
+    let (least, most) = (PRIORITIES.start(), PRIORITIES.end());
+    Err(Status::invalid_argument(format!("the priority {priority} is not between {least} and {most}")))
+}
+
+/// A submission on a stored scene.
 fn submission(c: &Coordinator, r: v1::SubmitRequest) -> Result<Submission, Status> {
-    let spec = r.spec.as_ref().ok_or_else(|| Status::invalid_argument("the job has no specification"))?;
-    let scene = wire::digest(&spec.scene)?;
+    let submission = draft(c, r)?;
+    let scene = submission.spec.scene;
     scenes::known(c, scene).map_err(|e| status::of_store(&e))?;
-    let bounds = match spec.view_box.is_empty() {
-        true => Some(scenes::bounds(c, &scene).map_err(|e| status::of_facts(&e))?),
-        false => None,
-    };
-    let spec = JobSpec::from_proto(spec, bounds).map_err(|e| Status::invalid_argument(e.to_string()))?;
     let is_culled = || scenes::facts(c, &scene).map(|f| f.culled).map_err(|e| status::of_facts(&e));
-    if spec.method != Method::Aggressive && is_culled()? {
+    if submission.spec.method != Method::Aggressive && is_culled()? {
         return Err(Status::invalid_argument(
             "back faces of the scene are culled, and exact queries take every triangle as seen from both \
              sides; give the method aggressive, or a scene without culling",
         ));
     }
-    Ok(Submission { request_id: r.request_id, name: r.name, spec })
+    Ok(submission)
+}
+
+/// A submission from the wire. A view box that is left out is the bounds of the scene, which must be stored
+/// then.
+fn draft(c: &Coordinator, r: v1::SubmitRequest) -> Result<Submission, Status> {
+    let spec = r.spec.as_ref().ok_or_else(|| Status::invalid_argument("the job has no specification"))?;
+    let scene = wire::digest(&spec.scene)?;
+    let bounds = match spec.view_box.is_empty() {
+        true => {
+            scenes::known(c, scene).map_err(|e| status::of_store(&e))?;
+            Some(scenes::bounds(c, &scene).map_err(|e| status::of_facts(&e))?)
+        }
+        false => None,
+    };
+    let spec = JobSpec::from_proto(spec, bounds).map_err(|e| Status::invalid_argument(e.to_string()))?;
+    let priority = checked_priority(r.priority)?;
+    Ok(Submission { request_id: r.request_id, name: r.name, user: r.user, priority, spec })
 }
 
 /// Sends a job's summary after every change, until the job ends or nobody reads.

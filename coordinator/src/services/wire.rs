@@ -3,9 +3,10 @@
 use sightline_proto::v1;
 use tonic::Status;
 
+use crate::estimate::Estimate;
 use crate::ids::{Digest, Epoch, JobId, Lease, LeaseId, TileIndex};
 use crate::jobs::Summary;
-use crate::scheduler::{Order, ProfileTime};
+use crate::scheduler::{Order, ProfileTime, Unable};
 use crate::specs;
 use crate::store::{JobState, SceneRecord};
 
@@ -68,6 +69,33 @@ pub(super) fn scene(record: &SceneRecord) -> v1::SceneInfo {
     v1::SceneInfo { digest: digest.to_vec(), triangles: *triangles, objects: *objects }
 }
 
+/// Workers that cannot work on a job.
+pub(super) fn unable(unable: Unable) -> v1::UnableWorkers {
+    let Unable { reason, workers, names } = unable;
+    v1::UnableWorkers { reason, workers, names }
+}
+
+/// What a submission would cost.
+pub(super) fn estimate(estimate: Estimate) -> v1::EstimateResponse {
+    let Estimate { tiles, cells, existing, jobs_before, workers, cost } = estimate;
+    let existing = existing.as_ref().map(job);
+    let cost = cost.map(|cost| {
+        let [least_millis, median_millis, most_millis] = cost.millis;
+        let [least_bytes, median_bytes, most_bytes] = cost.bytes;
+        v1::Cost {
+            jobs: cost.jobs,
+            same_scene: cost.same_scene,
+            least_millis,
+            median_millis,
+            most_millis,
+            least_bytes,
+            median_bytes,
+            most_bytes,
+        }
+    });
+    v1::EstimateResponse { tiles, cells, existing, jobs_before, workers, cost }
+}
+
 /// A job's summary.
 pub(super) fn job(summary: &Summary) -> v1::Job {
     let record = &summary.record;
@@ -89,6 +117,8 @@ pub(super) fn job(summary: &Summary) -> v1::Job {
         submitted_at_ms: record.submitted_at_ms,
         finished_at_ms: record.finished_at_ms.unwrap_or(0),
         workers: summary.workers,
+        priority: record.priority,
+        user: record.user.clone(),
         ..v1::Job::default()
     };
     let state = match &record.state {

@@ -38,11 +38,14 @@ pub(super) fn world(seed: u64) -> World {
     for job in 0..1 + world.below(3) {
         let tiles = 1 + world.below(10) as u32;
         let (mut key, plan) = ([0; 32], plan(&mut world, tiles));
+        let (user, priority) = world.submitter();
         key[0] = job as u8;
         let new = NewJob {
             key,
             request_id: String::new(),
             name: "simulated".to_owned(),
+            user: user.to_owned(),
+            priority,
             scene: [7; 32],
             spec: Vec::new(),
             tiles,

@@ -67,7 +67,10 @@ impl World {
                 self.after(1000, H::Tick(life));
                 self.tell(Event::Tick)?;
             }
-            H::Crew(life, event) if life == self.life && self.machine.is_some() => self.tell(*event)?,
+            H::Crew(life, event) if life == self.life && self.machine.is_some() => {
+                self.tell(*event)?;
+                self.prioritize()?;
+            }
             H::Connect(w, life) if alive(w, life) => self.connect(w),
             H::Up(s, up) if !self.streams[s].closed && self.streams[s].life == self.life => {
                 self.hears(s, up)?;

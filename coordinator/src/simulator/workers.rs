@@ -16,7 +16,7 @@ impl World {
         let reachable = self.machine.is_some() && self.workers[w].cut_until <= self.now;
         if !reachable {
             let wait = self.workers[w].wait;
-            self.workers[w].wait = (wait * 2).min(5000);
+            self.workers[w].wait = (wait * 2).min(2000);
             self.after(wait, Happening::Connect(w, self.workers[w].life));
             return;
         }

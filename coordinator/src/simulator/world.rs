@@ -12,13 +12,15 @@ use crate::scheduler::{Effect, Event, Job, Machine, Now, Order, Work};
 use crate::store::{JobPhase, MemoryStore, Store as _};
 
 pub(super) const TTL: u64 = 10_000;
+/// After a restart nothing that may be held is leased for this long.
+const GRACE: u64 = 2500;
 /// Faults stop then.
 pub(super) const FAULTS: u64 = 120_000;
 
 /// The world.
 pub(super) struct World {
     pub(super) random: SplitMix64,
-    /// Decides about crews alone, so that schedules without crews stay what they were.
+    /// Decides about crews, users and priorities alone, so that schedules without crews stay what they were.
     crews: SplitMix64,
     pub(super) now: u64,
     pub(super) unix_ms: u64,
@@ -105,6 +107,24 @@ impl World {
     pub(super) fn crew(&mut self, most: u64, event: Event) {
         let wait = 1 + self.crews.bits() % most;
         self.after(wait, Happening::Crew(self.life, Box::new(event)));
+    }
+
+    /// The user and the priority of a job.
+    pub(super) fn submitter(&mut self) -> (&'static str, i32) {
+        let of = self.crews.bits();
+        (["one", "two"][(of % 2) as usize], [0, 0, 1][(of / 2 % 3) as usize])
+    }
+
+    /// Once in a while a client gives a job another priority.
+    pub(super) fn prioritize(&mut self) -> Result<(), String> {
+        let of = self.crews.bits();
+        let (open, priority) = (self.open_jobs(), (of / 8 % 3) as i32 - 1);
+        if open.is_empty() || !of.is_multiple_of(8) {
+            return Ok(());
+        }
+        let (id, _) = open[(of / 24) as usize % open.len()];
+        let record = self.store.prioritize_job(id, priority).unwrap();
+        self.tell(Event::JobChanged(Box::new(record)))
     }
 
     pub(super) fn poison(&mut self, job: JobId, tile: TileIndex) {
@@ -212,7 +232,7 @@ impl World {
         }
         // A tile that its worker has claimed may change hands.
         let claimed = self.claimed.contains(&(lease.job, lease.tile));
-        if self.ran_before.contains(&lease.job) && !claimed && self.now < self.started + TTL {
+        if self.ran_before.contains(&lease.job) && !claimed && self.now < self.started + GRACE {
             return Err(format!("{lease:?} is given while an earlier epoch's worker may hold the tile"));
         }
         Ok(())

@@ -21,6 +21,9 @@ pub trait Store: Send + Sync {
     /// One job.
     fn job(&self, job: JobId) -> Result<Option<JobRecord>, StoreError>;
 
+    /// The newest `most` jobs whose ids are below `before`, ascending by id, and whether there are older ones.
+    fn jobs_before(&self, before: JobId, most: usize) -> Result<(Vec<JobRecord>, bool), StoreError>;
+
     /// All jobs, ascending by id, which is the order they were submitted in.
     fn jobs(&self) -> Result<Vec<JobRecord>, StoreError>;
 
@@ -46,6 +49,9 @@ pub trait Store: Send + Sync {
     /// answered by before, else the newest job of the same key unless that one failed or was cancelled. The
     /// same `request_id` with another key is refused, and so is a scene that was not recorded.
     fn submit_job(&self, job: NewJob) -> Result<Submitted, StoreError>;
+
+    /// Gives a job that has not ended another priority.
+    fn prioritize_job(&self, job: JobId, priority: i32) -> Result<JobRecord, StoreError>;
 
     /// Sets the number of tiles of a job submitted with `tiles: 0`, once its plan is known.
     /// The same number again is accepted; another one is refused.

@@ -14,6 +14,7 @@ use crate::ids::{JobId, TileIndex};
 enum Op {
     Scene(u8, u32),
     Submit { key: u8, request: u8, scene: u8, tiles: u32 },
+    Prioritize(JobId, i32),
     Plan(JobId, u32),
     Bind(JobId, u8),
     Commit(JobId, TileIndex, u8),
@@ -80,6 +81,8 @@ fn new_job(key: u8, request_number: u8, scene: u8, tiles: u32) -> NewJob {
         key: digest(key),
         request_id: request(request_number),
         name: "a \"job\"".to_owned(),
+        user: String::new(),
+        priority: 0,
         scene: digest(scene),
         spec: vec![key; 40],
         tiles,
@@ -107,6 +110,7 @@ fn perform(store: &dyn Store, op: &Op) -> String {
         Op::Submit { key, request, scene, tiles } => {
             told(store.submit_job(new_job(key, request, scene, tiles)))
         }
+        Op::Prioritize(job, priority) => told(store.prioritize_job(job, priority)),
         Op::Plan(job, tiles) => told(store.plan_job(job, tiles)),
         Op::Bind(job, n) => told(store.bind_profile(job, &format!("profile {n}"))),
         Op::Commit(job, tile, n) => told(store.commit_tile(job, tile, result(n))),
@@ -129,6 +133,12 @@ fn everything(store: &dyn Store) -> String {
         for tile in tiles {
             assert_eq!(&store.tile(job.id, tile.tile).unwrap(), tile);
         }
+    }
+    for (before, most) in [(u64::MAX, 2), (3, 10), (2, 0)] {
+        let below: Vec<_> = jobs.iter().filter(|job| job.id.0 < before).cloned().collect();
+        let older = below.len().saturating_sub(most);
+        let page = store.jobs_before(JobId(before), most).unwrap();
+        assert_eq!(page, (below[older..].to_vec(), older > 0));
     }
     let id = |job: Option<JobRecord>| job.map(|job| job.id);
     let keys: Vec<_> = (0..4).map(|n| id(store.job_by_key(&digest(n)).unwrap())).collect();
@@ -189,13 +199,16 @@ impl Model {
                 }
                 if existing.is_none() {
                     self.last_job = id;
-                    let NewJob { key, request_id, name, scene, spec, tiles, submitted_at_ms } = new;
+                    let NewJob { key, request_id, name, user, priority, scene, spec, tiles, submitted_at_ms } =
+                        new;
                     let (state, profile, finished_at_ms) = (JobState::Queued, None, None);
                     let job = JobRecord {
                         id,
                         key,
                         request_id,
                         name,
+                        user,
+                        priority,
                         scene,
                         spec,
                         tiles,
@@ -215,7 +228,11 @@ impl Model {
             Op::Commit(job, tile, _) | Op::Fail(job, tile, ..) | Op::SetAside(job, tile, _) => {
                 (job, Some(tile))
             }
-            Op::Plan(job, _) | Op::Bind(job, _) | Op::SetState(job, ..) | Op::Finish(job, _) => (job, None),
+            Op::Prioritize(job, _)
+            | Op::Plan(job, _)
+            | Op::Bind(job, _)
+            | Op::SetState(job, ..)
+            | Op::Finish(job, _) => (job, None),
             Op::Reopen(job) | Op::Delete(job) => (job, None),
         };
         let job = self.jobs.get_mut(&job_id).ok_or("UnknownJob")?;
@@ -267,6 +284,8 @@ impl Model {
         let mut mine: Vec<&mut TileRecord> =
             self.tiles.iter_mut().filter(|((id, _), _)| *id == job_id).map(|(_, tile)| tile).collect();
         match *op {
+            Op::Prioritize(..) if ended => return Err("IllegalTransition"),
+            Op::Prioritize(_, priority) => job.priority = priority,
             Op::Plan(_, tiles) => match job.tiles {
                 known if known == tiles => {}
                 0 if ended => return Err("IllegalTransition"),
@@ -348,6 +367,7 @@ fn op() -> impl Strategy<Value = Op> {
         2 => (0..2_u8, prop_oneof![9 => Just(10_u32), 1 => Just(11)]).prop_map(|(n, t)| Op::Scene(n, t)),
         6 => (0..3_u8, 0..4_u8, 0..2_u8, 0..4_u32)
             .prop_map(|(key, request, scene, tiles)| Op::Submit { key, request, scene, tiles }),
+        1 => (job(), -1..2_i32).prop_map(|(job, priority)| Op::Prioritize(job, priority)),
         1 => (job(), 0..4_u32).prop_map(|(job, tiles)| Op::Plan(job, tiles)),
         1 => (job(), 0..3_u8).prop_map(|(job, n)| Op::Bind(job, n)),
         10 => (job(), tile(), 0..3_u8).prop_map(|(job, tile, n)| Op::Commit(job, tile, n)),
@@ -551,6 +571,8 @@ fn the_longest_records_fit_and_longer_ones_are_refused() {
         key: digest(255),
         request_id: "r".repeat(MAX_IDENTIFIER_BYTES),
         name: "\"".repeat(MAX_NAME_BYTES),
+        user: "\"".repeat(MAX_NAME_BYTES),
+        priority: i32::MIN,
         scene: digest(0),
         spec: vec![255; MAX_SPEC_BYTES],
         tiles: MAX_TILES,

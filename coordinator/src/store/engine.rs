@@ -37,6 +37,9 @@ impl<E: Engine> Store for E {
     fn jobs(&self) -> Result<Vec<JobRecord>, StoreError> {
         self.query(|view| view.jobs())
     }
+    fn jobs_before(&self, before: JobId, most: usize) -> Result<(Vec<JobRecord>, bool), StoreError> {
+        self.query(|view| view.jobs_before(before, most))
+    }
     fn job_by_key(&self, key: &Digest) -> Result<Option<JobRecord>, StoreError> {
         self.query(|view| view.job_by_key(key))
     }
@@ -58,6 +61,9 @@ impl<E: Engine> Store for E {
     }
     fn submit_job(&self, job: NewJob) -> Result<Submitted, StoreError> {
         self.command(|view| rules::submit_job(view, job))
+    }
+    fn prioritize_job(&self, job: JobId, priority: i32) -> Result<JobRecord, StoreError> {
+        self.command(move |view| rules::prioritize_job(view, job, priority))
     }
     fn plan_job(&self, job: JobId, tiles: u32) -> Result<JobRecord, StoreError> {
         self.command(move |view| rules::plan_job(view, job, tiles))

@@ -28,6 +28,11 @@ pub struct NewJob {
     pub request_id: String,
     /// For people; ≤ [`MAX_NAME_BYTES`](super::MAX_NAME_BYTES), no control characters.
     pub name: String,
+    /// Who submits it; ≤ [`MAX_NAME_BYTES`](super::MAX_NAME_BYTES), no control characters. Users share the
+    /// workers evenly.
+    pub user: String,
+    /// Jobs of higher priority come first.
+    pub priority: i32,
     /// Digest of a recorded scene.
     pub scene: Digest,
     /// The parameters, opaque here; ≤ [`MAX_SPEC_BYTES`](super::MAX_SPEC_BYTES).
@@ -59,6 +64,12 @@ pub struct JobRecord {
     pub request_id: String,
     /// For people.
     pub name: String,
+    /// Who submitted it.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub user: String,
+    /// Jobs of higher priority come first.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub priority: i32,
     /// Digest of its scene.
     #[serde(with = "hex_digest")]
     pub scene: Digest,
@@ -250,6 +261,12 @@ pub enum CommitOutcome {
         /// The digest kept out.
         offered: Digest,
     },
+}
+
+/// Records of jobs without a priority stay as they were before there were priorities.
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
+fn is_zero(n: &i32) -> bool {
+    *n == 0
 }
 
 /// Digests as 64 hexadecimal digits: half the size of JSON's list of numbers, and the form in logs and file

@@ -139,6 +139,7 @@ pub(super) fn record_scene(view: View<'_>, scene: SceneRecord) -> Decided<()> {
 pub(super) fn submit_job(view: View<'_>, new: NewJob) -> Decided<Submitted> {
     check_identifier("the request id", &new.request_id, MAX_IDENTIFIER_BYTES)?;
     check_name("the job's name", &new.name, MAX_NAME_BYTES)?;
+    check_name("the user's name", &new.user, MAX_NAME_BYTES)?;
     check_length("the job's specification", new.spec.len(), MAX_SPEC_BYTES)?;
     check_length("the plan", new.tiles as usize, MAX_TILES as usize)?;
     if let Some(known) = view.job_by_request(&new.request_id)? {
@@ -164,6 +165,8 @@ pub(super) fn submit_job(view: View<'_>, new: NewJob) -> Decided<Submitted> {
         key: new.key,
         request_id: new.request_id,
         name: new.name,
+        user: new.user,
+        priority: new.priority,
         scene: new.scene,
         spec: new.spec,
         tiles: new.tiles,
@@ -174,6 +177,18 @@ pub(super) fn submit_job(view: View<'_>, new: NewJob) -> Decided<Submitted> {
     };
     let answer = Submitted { id: job.id, existing: false };
     happened(Event::JobSubmitted(job), answer)
+}
+
+pub(super) fn prioritize_job(view: View<'_>, job: JobId, priority: i32) -> Decided<JobRecord> {
+    let mut record = view.known_job(job)?;
+    if record.state.phase().ended() {
+        return Err(illegal(job, record.state.phase(), "given a priority"));
+    }
+    if record.priority == priority {
+        return unchanged(record);
+    }
+    record.priority = priority;
+    happened(Event::JobChanged(record.clone()), record)
 }
 
 pub(super) fn plan_job(view: View<'_>, job: JobId, tiles: u32) -> Decided<JobRecord> {

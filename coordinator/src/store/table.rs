@@ -175,6 +175,28 @@ impl View<'_> {
         self.all(key::JOBS)
     }
 
+    pub(super) fn jobs_before(
+        self,
+        before: JobId,
+        most: usize,
+    ) -> Result<(Vec<JobRecord>, bool), StoreError> {
+        // Ids are given out one after the other, so that few of them are missing.
+        let newest = before.0.min(self.next_job()?.0);
+        let mut jobs = Vec::new();
+        for id in (1..newest).rev().map(JobId) {
+            if jobs.len() == most {
+                if self.0.get(&key::job(id))?.is_some() {
+                    jobs.reverse();
+                    return Ok((jobs, true));
+                }
+            } else if let Some(job) = self.job(id)? {
+                jobs.push(job);
+            }
+        }
+        jobs.reverse();
+        Ok((jobs, false))
+    }
+
     pub(super) fn job_by_key(self, digest: &Digest) -> Result<Option<JobRecord>, StoreError> {
         let ids: Vec<JobId> = self.all(&key::jobs_of_key(digest))?;
         ids.into_iter().max().map(|id| self.known_job(id)).transpose()

@@ -34,7 +34,12 @@ pub async fn bake_at(url: &str, path: &Path) -> Result<Vec<u8>, Box<dyn Error>> 
     // A request with the same id again is answered with the same job.
     let spec = JobSpec::new(digest, Division::Grid([4, 2, 4]), scene.bounds());
     let request_id = format!("example {}", std::process::id());
-    let request = v1::SubmitRequest { request_id, name: "example".to_owned(), spec: Some(spec.to_proto()) };
+    let request = v1::SubmitRequest {
+        request_id,
+        name: "example".to_owned(),
+        spec: Some(spec.to_proto()),
+        ..Default::default()
+    };
     let job = client.submit(request).await?.into_inner().job.ok_or("the answer has no job")?;
     let id = v1::ShowRequest { job: job.id };
 

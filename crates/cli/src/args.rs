@@ -11,6 +11,7 @@ use crate::choices::choice;
 use crate::job_args::JobArgs;
 use crate::kind_args::KindArgs;
 use crate::place_args::parse_box;
+use crate::remote_args::{FetchArgs, JobRefArgs, JobsArgs, PriorityArgs, RemoteArgs, SubmitArgs};
 
 /// Bakes from-region visibility: for every view cell of a static triangle scene,
 /// the triangles visible from anywhere in it.
@@ -61,14 +62,16 @@ pub enum Command {
     Submit(SubmitArgs),
     /// Follow a job until it ends.
     Watch(JobRefArgs),
-    /// List the jobs of a coordinator.
-    Jobs(RemoteArgs),
-    /// Show one job.
+    /// List the newest jobs of a coordinator.
+    Jobs(JobsArgs),
+    /// Show one job, and the connected workers that cannot work on it.
     Show(JobRefArgs),
     /// End a job. Its finished tiles are kept for `retry`.
     Cancel(JobRefArgs),
     /// Pause a job: give out no more of its tiles and stop the running ones, which start over after `resume`.
     Pause(JobRefArgs),
+    /// Give a job another priority.
+    Priority(PriorityArgs),
     /// Continue a paused job.
     Resume(JobRefArgs),
     /// Continue a failed or cancelled job, or bake again the tiles that a finished job has set aside.
@@ -152,32 +155,6 @@ pub struct WorkerArgs {
     pub give_up_after: Option<u64>,
 }
 
-#[derive(Args, Debug, Clone)]
-pub struct RemoteArgs {
-    /// Address of the coordinator.
-    #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7600")]
-    pub coordinator: String,
-}
-
-#[derive(Args, Debug)]
-pub struct SubmitArgs {
-    /// The scene: .obj, .ply, .gltf or .glb.
-    pub scene: PathBuf,
-    #[command(flatten)]
-    pub kinds: KindArgs,
-    #[command(flatten)]
-    pub remote: RemoteArgs,
-    #[command(flatten)]
-    pub job: JobArgs,
-    /// Name shown beside the job's number, cut to 32 characters. Default: the scene's file name.
-    #[arg(long)]
-    pub name: Option<String>,
-    /// Makes `submit` safe to repeat: submitting again with the same text gives the same job. Default: a new
-    /// text each time.
-    #[arg(long, value_name = "TEXT")]
-    pub request_id: Option<String>,
-}
-
 /// Reads a number of threads.
 fn thread_count(text: &str) -> Result<usize, String> {
     match text.parse() {
@@ -186,32 +163,9 @@ fn thread_count(text: &str) -> Result<usize, String> {
     }
 }
 
-/// Reads the number of a job.
-fn job_number(text: &str) -> Result<u64, String> {
-    text.parse().map_err(|_| "a job is named by its number; `sightline jobs` lists the numbers".to_owned())
-}
-
 /// Reads one coordinate of a point.
 fn coordinate(text: &str) -> Result<f32, String> {
     text.parse().map_err(|_| "give the point as three numbers, as in 1.5 0 -2".to_owned())
-}
-
-#[derive(Args, Debug)]
-pub struct JobRefArgs {
-    /// The job's number, as `submit` and `jobs` print it.
-    #[arg(value_name = "JOB", value_parser = job_number)]
-    pub id: u64,
-    #[command(flatten)]
-    pub remote: RemoteArgs,
-}
-
-#[derive(Args, Debug)]
-pub struct FetchArgs {
-    #[command(flatten)]
-    pub job: JobRefArgs,
-    /// The result file to write.
-    #[arg(short, long, value_name = "OUT.pvs")]
-    pub output: PathBuf,
 }
 
 #[derive(Args, Debug)]

@@ -220,6 +220,7 @@ async fn submit(
         request_id: client::fresh_request_id(),
         name: name.chars().filter(|c| !c.is_control()).take(32).collect(),
         spec: Some(spec.to_proto()),
+        ..v1::SubmitRequest::default()
     };
     client.submit(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
 }

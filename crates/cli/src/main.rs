@@ -30,8 +30,11 @@ mod places;
 mod progress;
 mod query;
 mod remote;
+mod remote_args;
 mod serve;
+mod showing;
 mod sightlines;
+mod submitting;
 mod verify;
 mod why;
 
@@ -86,12 +89,13 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Coordinator(a) => serve::coordinator(&a),
         Command::Worker(a) => serve::worker(&a),
         Command::Health(a) => remote::health(&a, json),
-        Command::Submit(a) => remote::submit(&a, json),
+        Command::Submit(a) => submitting::submit(&a, json),
         Command::Watch(a) => remote::watch(&a, json),
         Command::Jobs(a) => remote::jobs(&a, json),
         Command::Show(a) => remote::show(&a, json),
         Command::Cancel(a) => remote::turn(&a, remote::Turn::Cancel, json),
         Command::Pause(a) => remote::turn(&a, remote::Turn::Pause, json),
+        Command::Priority(a) => remote::prioritize(&a, json),
         Command::Resume(a) => remote::turn(&a, remote::Turn::Resume, json),
         Command::Retry(a) => remote::turn(&a, remote::Turn::Retry, json),
         Command::Fetch(a) => remote::fetch(&a, json),

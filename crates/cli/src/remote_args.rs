@@ -1,0 +1,95 @@
+//! The arguments of the commands that speak with a coordinator as clients.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::job_args::JobArgs;
+use crate::kind_args::KindArgs;
+
+#[derive(Args, Debug, Clone)]
+pub struct RemoteArgs {
+    /// Address of the coordinator.
+    #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7600")]
+    pub coordinator: String,
+}
+
+#[derive(Args, Debug)]
+pub struct SubmitArgs {
+    /// The scene: .obj, .ply, .gltf or .glb.
+    pub scene: PathBuf,
+    #[command(flatten)]
+    pub kinds: KindArgs,
+    #[command(flatten)]
+    pub remote: RemoteArgs,
+    #[command(flatten)]
+    pub job: JobArgs,
+    /// Name shown beside the job's number, cut to 32 characters. Default: the scene's file name.
+    #[arg(long)]
+    pub name: Option<String>,
+    /// Makes `submit` safe to repeat: submitting again with the same text gives the same job. Default: a new
+    /// text each time.
+    #[arg(long, value_name = "TEXT")]
+    pub request_id: Option<String>,
+    /// Jobs of higher priority get workers first, -1000 to 1000. Tiles at work are not taken back.
+    #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true,
+        value_parser = clap::value_parser!(i32).range(-1000..=1000))]
+    pub priority: i32,
+    /// Who submits. Jobs of the same priority share the workers evenly between users, however many jobs each
+    /// has. Default: the login name.
+    #[arg(long, value_name = "NAME")]
+    pub user: Option<String>,
+    /// Submit nothing and send no scene: say how many tiles the job has, what it is expected to cost by the
+    /// coordinator's finished jobs, and which jobs come before it.
+    #[arg(long)]
+    pub dry_run: bool,
+}
+
+/// Reads the number of a job.
+fn job_number(text: &str) -> Result<u64, String> {
+    text.parse().map_err(|_| "a job is named by its number; `sightline jobs` lists the numbers".to_owned())
+}
+
+#[derive(Args, Debug)]
+pub struct JobRefArgs {
+    /// The job's number, as `submit` and `jobs` print it.
+    #[arg(value_name = "JOB", value_parser = job_number)]
+    pub id: u64,
+    #[command(flatten)]
+    pub remote: RemoteArgs,
+}
+
+#[derive(Args, Debug)]
+pub struct FetchArgs {
+    #[command(flatten)]
+    pub job: JobRefArgs,
+    /// The result file to write.
+    #[arg(short, long, value_name = "OUT.pvs")]
+    pub output: PathBuf,
+}
+
+#[derive(Args, Debug)]
+pub struct JobsArgs {
+    #[command(flatten)]
+    pub remote: RemoteArgs,
+    /// Most jobs to list, 1 to 1000: the newest.
+    #[arg(long, value_name = "N", default_value_t = 100,
+        value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub limit: u32,
+    /// List only jobs older than this one.
+    #[arg(long, value_name = "JOB", value_parser = job_number)]
+    pub before: Option<u64>,
+    /// List all jobs, however many there are.
+    #[arg(long, conflicts_with_all = ["limit", "before"])]
+    pub all: bool,
+}
+
+#[derive(Args, Debug)]
+pub struct PriorityArgs {
+    #[command(flatten)]
+    pub job: JobRefArgs,
+    /// The new priority, -1000 to 1000. A job has 0 unless `submit` was told otherwise.
+    #[arg(value_name = "N", allow_negative_numbers = true,
+        value_parser = clap::value_parser!(i32).range(-1000..=1000))]
+    pub priority: i32,
+}

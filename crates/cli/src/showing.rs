@@ -1,0 +1,130 @@
+//! What the commands of a client print about jobs.
+
+use std::time::Duration;
+
+use sightline_proto::v1;
+
+use crate::error::CliError;
+use crate::progress::human;
+use crate::serve::print;
+
+/// How a job ended, after how long, and the next command. For a failed or cancelled job, the error at the end
+/// of the program gives the reason or the next command.
+pub fn ending(job: &v1::Job) -> String {
+    let took = Duration::from_millis(job.finished_at_ms.saturating_sub(job.submitted_at_ms));
+    let next = match job.state() {
+        v1::JobState::Done => {
+            let bytes = job.result_bytes;
+            format!("; its result has {bytes} bytes, `sightline fetch {} -o FILE.pvs` downloads it", job.id)
+        }
+        _ => String::new(),
+    };
+    format!("job {} ended as {} {} after its submission{next}", job.id, state(job), human(took))
+}
+
+/// Prints a job.
+pub fn show_job(job: &v1::Job, json: bool) -> Result<(), CliError> {
+    print(&if json { value(job).to_string() } else { line(job) })
+}
+
+fn state(job: &v1::Job) -> &'static str {
+    match job.state() {
+        v1::JobState::Unspecified => "unknown",
+        v1::JobState::Queued => "queued",
+        v1::JobState::Running => "running",
+        v1::JobState::Paused => "paused",
+        v1::JobState::Cancelled => "cancelled",
+        v1::JobState::Failed => "failed",
+        v1::JobState::Done => "done",
+    }
+}
+
+/// A job in one line, and a line for each reason why workers cannot work on it.
+pub fn line(job: &v1::Job) -> String {
+    let reason = if job.reason.is_empty() { String::new() } else { format!(": {}", job.reason) };
+    // Only a job that has ended can be retried.
+    let again = match job.state() {
+        v1::JobState::Done | v1::JobState::Failed | v1::JobState::Cancelled => {
+            format!(" (`sightline retry {}` tries them again)", job.id)
+        }
+        _ => String::new(),
+    };
+    let aside = match job.tiles_set_aside {
+        0 => String::new(),
+        some => format!(", {some} SET ASIDE{again}"),
+    };
+    let workers = match (job.state(), job.workers) {
+        (v1::JobState::Queued | v1::JobState::Running, 0) => {
+            ", NO WORKERS: start some with `sightline worker`"
+        }
+        _ => "",
+    };
+    let priority = match job.priority {
+        0 => String::new(),
+        n => format!(", priority {n}"),
+    };
+    let user = if job.user.is_empty() { String::new() } else { format!(" of {}", job.user) };
+    let unable: String = job.unable.iter().map(|u| format!("\n  {}", unable_line(u))).collect();
+    format!(
+        "job {} {}{user} {}{reason}: {}/{} tiles{aside}, {} cells, {} samples{priority}{workers}{unable}",
+        job.id,
+        job.name,
+        state(job),
+        job.tiles_done,
+        job.tiles_total,
+        job.cells_done,
+        job.samples
+    )
+}
+
+fn unable_line(u: &v1::UnableWorkers) -> String {
+    let more = match (u.workers as usize).saturating_sub(u.names.len()) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    let worker = if u.workers == 1 { "worker" } else { "workers" };
+    format!("{worker} {}{more} cannot help: {}", u.names.join(", "), u.reason)
+}
+
+fn unable(u: &v1::UnableWorkers) -> serde_json::Value {
+    serde_json::json!({"reason": u.reason, "workers": u.workers, "names": u.names})
+}
+
+/// A job as JSON.
+pub fn value(job: &v1::Job) -> serde_json::Value {
+    let hex = |b: &[u8]| b.iter().map(|b| format!("{b:02x}")).collect::<String>();
+    serde_json::json!({
+        "job": job.id, "name": job.name, "state": state(job), "reason": job.reason,
+        "scene": job.spec.as_ref().map(|s| hex(&s.scene)), "profile": job.profile,
+        "tiles_total": job.tiles_total, "tiles_done": job.tiles_done,
+        "tiles_set_aside": job.tiles_set_aside, "tiles_running": job.tiles_running,
+        "cells_total": job.cells_total, "cells_done": job.cells_done, "samples": job.samples,
+        "tile_millis": job.tile_millis, "submitted_at_ms": job.submitted_at_ms,
+        "finished_at_ms": job.finished_at_ms, "result": hex(&job.result),
+        "result_bytes": job.result_bytes, "workers": job.workers,
+        "priority": job.priority, "user": job.user,
+        "unable": job.unable.iter().map(unable).collect::<Vec<_>>(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ending_of_a_job_names_its_state_its_time_and_the_next_command() {
+        let mut job = v1::Job {
+            id: 7,
+            submitted_at_ms: 1000,
+            finished_at_ms: 62_000,
+            result_bytes: 12,
+            ..v1::Job::default()
+        };
+        job.set_state(v1::JobState::Done);
+        let text = ending(&job);
+        assert!(text.starts_with("job 7 ended as done ") && text.contains("sightline fetch 7"), "{text}");
+        job.set_state(v1::JobState::Cancelled);
+        let text = ending(&job);
+        assert!(text.starts_with("job 7 ended as cancelled ") && !text.contains("fetch"), "{text}");
+    }
+}
