@@ -28,6 +28,8 @@ pub(crate) struct Take {
 pub(crate) enum Told {
     Joined(u64),
     Left(u64),
+    /// The outcomes of this many phases are there.
+    Kept(u32),
     Ask {
         member: u64,
         phase: u32,

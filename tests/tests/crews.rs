@@ -109,3 +109,34 @@ fn an_interrupted_bake_goes_on_where_it_was() {
     assert!(again.err.contains("phases of an earlier worker"), "{}", again.err);
     assert_same(&sandbox.read("whole.pvs"), alone(), "after an interruption");
 }
+
+#[test]
+fn a_leader_has_a_crew_again_when_its_coordinator_is_back() {
+    let sandbox = sandbox();
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let address = coordinator.address();
+    let (job, leader) = led(&sandbox, &coordinator);
+    coordinator.process.kill();
+    let coordinator = sandbox.coordinator("data", &address);
+    let again = || leader.err().contains("has a crew again").then_some(());
+    wait_for("the leader's new stream", again);
+    let helper = coordinator.worker();
+    helps(&helper);
+    assert_same(&coordinator.finish(job), alone(), "with another crew");
+    assert!(!has_gone_on(&helper), "the leader kept its tile");
+}
+
+#[test]
+fn exact_cells_are_shared() {
+    let sandbox = sandbox();
+    sandbox.ok("generate rooms --triangles 600 -o rooms.glb");
+    let exact = "rooms.glb --backend cpu --cells 2x2x2 --method exact --certificates";
+    sandbox.ok(&format!("bake {exact} -o alone.pvs --data-dir alone"));
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let (one, two) = (coordinator.worker(), coordinator.worker());
+    let job = coordinator.submit(exact);
+    assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "two workers");
+    assert_eq!(coordinator.count(job, "tiles_total"), 1);
+    let shared = [&one, &two].iter().any(|worker| worker.err().contains("rays of helpers"));
+    assert!(shared, "the helper has decided cells");
+}

@@ -1,9 +1,10 @@
 //! The streams of a crew on the worker's side: of a leader, which holds the tile's lease, and of a helper.
 //!
-//! A leader whose stream cannot be opened, or breaks, goes on alone: its tile needs nobody.
+//! A leader whose stream cannot be opened, or breaks, goes on alone, because its tile needs nobody, and tries
+//! to open another one.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Weak};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Duration;
 
 use futures::StreamExt as _;
@@ -11,6 +12,7 @@ use sightline_proto::chunks::{self, Blobs};
 use sightline_proto::v1;
 use sightline_proto::v1::crew_message::Message;
 use sightline_proto::v1::workers_client::WorkersClient;
+use sightline_sampling::Watcher as _;
 use sightline_sampling::crew::{FromHelper, FromLeader, Helper, Leader, Member, ToHelper, ToLeader};
 use tokio::sync::mpsc;
 use tonic::Streaming;
@@ -23,6 +25,8 @@ use crate::status::describe;
 const WAITING: usize = 16;
 /// How long a leader waits for the outcomes of an earlier one to begin to come, and then for each next one.
 const PATIENCE: Duration = Duration::from_secs(10);
+/// The waits after a leader's stream has broken: the first, and late ones; they double in between.
+const AGAIN: [Duration; 2] = [Duration::from_millis(500), Duration::from_secs(5)];
 /// Most bytes of an outcome or of finds.
 const MAX_BYTES: u64 = 1 << 30;
 
@@ -32,10 +36,10 @@ type Client = WorkersClient<Channel>;
 async fn enter(
     mut client: Client,
     lease: v1::Lease,
-    leads: bool,
+    (leads, phases): (bool, u32),
 ) -> Result<(mpsc::Sender<v1::CrewMessage>, Streaming<v1::CrewMessage>), String> {
     let (out, receiver) = mpsc::channel(WAITING);
-    let enter = Message::Enter(v1::CrewEnter { lease: Some(lease), leads });
+    let enter = Message::Enter(v1::CrewEnter { lease: Some(lease), leads, phases });
     // There is room: nothing else was sent.
     let _ = out.try_send(v1::CrewMessage { message: Some(enter) });
     let stream = tokio_stream::wrappers::ReceiverStream::new(receiver);
@@ -43,19 +47,65 @@ async fn enter(
     Ok((out, inbound))
 }
 
-/// A leader with a stream to its helpers; without one, if there cannot be one, a leader without helpers.
-pub async fn lead(client: Client, lease: v1::Lease, held: &Arc<Held>) -> Arc<Leader> {
-    match open(client, lease, held).await {
-        Ok(leader) => leader,
-        Err(e) => {
-            tracing::warn!("tile {} of job {} has no crew: {e}", lease.tile, lease.job);
-            Arc::new(Leader::new(Vec::new(), Arc::clone(held) as _, drop))
-        }
+/// Where the leader's messages go: to its present stream, if it has one.
+#[derive(Clone, Default)]
+struct Way(Arc<Mutex<Option<mpsc::UnboundedSender<FromLeader>>>>);
+
+impl Way {
+    /// From now on messages go to another stream, or nowhere.
+    fn turn(&self, to: Option<mpsc::UnboundedSender<FromLeader>>) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = to;
+    }
+
+    fn say(&self, message: FromLeader) {
+        let way = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        // Fails when the stream has broken. The leader keeps its outcomes for the next stream.
+        let _ = way.iter().try_for_each(|way| way.send(message.clone()));
     }
 }
 
-async fn open(client: Client, lease: v1::Lease, held: &Arc<Held>) -> Result<Arc<Leader>, String> {
-    let opened = tokio::time::timeout(PATIENCE, enter(client, lease, true)).await;
+/// A leader with a stream to its helpers; without one, if there cannot be one, a leader without helpers.
+pub async fn lead(client: Client, lease: v1::Lease, held: &Arc<Held>) -> Arc<Leader> {
+    let way = Way::default();
+    let (opened, outcomes) = match open(&client, lease, 0).await {
+        Ok((out, inbound, outcomes, _)) => (Ok((out, inbound)), outcomes),
+        Err(e) => (Err(e), Vec::new()),
+    };
+    if !outcomes.is_empty() {
+        tracing::info!(
+            "tile {} of job {} goes on after {} phases of an earlier worker",
+            lease.tile,
+            lease.job,
+            outcomes.len()
+        );
+    }
+    let say = way.clone();
+    let leader = Leader::new(outcomes, Arc::clone(held) as _, move |message| say.say(message));
+    let leader = Arc::new(leader);
+    let inbound = match opened {
+        Ok((out, inbound)) => {
+            let (to, said) = mpsc::unbounded_channel();
+            way.turn(Some(to));
+            tokio::spawn(send(said, out, of_leader));
+            Some(inbound)
+        }
+        Err(e) => {
+            tracing::warn!("tile {} of job {} has no crew for now: {e}", lease.tile, lease.job);
+            None
+        }
+    };
+    tokio::spawn(keep_leading(client, lease, Arc::clone(held), Arc::downgrade(&leader), way, inbound));
+    leader
+}
+
+/// Opens a leader's stream: the way out, what comes in, the outcomes from phase `from` on that an earlier
+/// stream has left, and the number of phases whose outcomes are there.
+async fn open(
+    client: &Client,
+    lease: v1::Lease,
+    from: u32,
+) -> Result<(mpsc::Sender<v1::CrewMessage>, Streaming<v1::CrewMessage>, Vec<Vec<u8>>, u32), String> {
+    let opened = tokio::time::timeout(PATIENCE, enter(client.clone(), lease, (true, from))).await;
     let (out, mut inbound) = opened.map_err(|_| "the coordinator does not answer".to_owned())??;
     let (mut outcomes, mut blobs) = (Vec::new(), Blobs::new(MAX_BYTES));
     loop {
@@ -66,27 +116,53 @@ async fn open(client: Client, lease: v1::Lease, held: &Arc<Held>) -> Result<Arc<
             Some(Message::Outcome(piece)) => {
                 outcomes.extend(blobs.push(&piece.chunk.unwrap_or_default()).map_err(|e| e.to_string())?);
             }
-            Some(Message::Ready(_)) => break,
+            Some(Message::Ready(v1::CrewReady { phases })) => return Ok((out, inbound, outcomes, phases)),
             _ => return Err("the coordinator sent something else than outcomes".to_owned()),
         }
     }
-    if !outcomes.is_empty() {
-        tracing::info!(
-            "tile {} of job {} goes on after {} phases of an earlier worker",
-            lease.tile,
-            lease.job,
-            outcomes.len()
-        );
+}
+
+/// Tells the leader what comes, and opens another stream when one breaks, until its tile is done or its lease
+/// has ended.
+async fn keep_leading(
+    client: Client,
+    lease: v1::Lease,
+    held: Arc<Held>,
+    leader: Weak<Leader>,
+    way: Way,
+    mut inbound: Option<Streaming<v1::CrewMessage>>,
+) {
+    loop {
+        if let Some(inbound) = inbound.take() {
+            hear_leader(leader.clone(), inbound).await;
+        }
+        way.turn(None);
+        let mut wait = AGAIN[0];
+        inbound = Some(loop {
+            tokio::time::sleep(wait).await;
+            wait = (wait * 2).min(AGAIN[1]);
+            if held.cancelled() || leader.strong_count() == 0 {
+                return;
+            }
+            // Its own outcomes are here: none are asked for.
+            let Ok((out, inbound, _, there)) = open(&client, lease, u32::MAX).await else { continue };
+            let Some(leader) = leader.upgrade() else { return };
+            let (to, said) = mpsc::unbounded_channel();
+            way.turn(Some(to));
+            if leader.reopened(there) {
+                tracing::info!("tile {} of job {} has a crew again", lease.tile, lease.job);
+                tokio::spawn(send(said, out, of_leader));
+                break inbound;
+            }
+            way.turn(None);
+            tracing::warn!(
+                "tile {} of job {} goes on without helpers: the coordinator has lost its earlier phases",
+                lease.tile,
+                lease.job
+            );
+            return;
+        });
     }
-    let (say, said) = mpsc::unbounded_channel();
-    let leader = Leader::new(outcomes, Arc::clone(held) as _, move |message| {
-        // Fails when the stream has broken; the leader then goes on alone.
-        let _ = say.send(message);
-    });
-    let leader = Arc::new(leader);
-    tokio::spawn(send(said, out, of_leader));
-    tokio::spawn(hear_leader(Arc::downgrade(&leader), inbound));
-    Ok(leader)
 }
 
 /// Sends what a member says, as one or several messages each, until it has ended or the stream has broken.
@@ -141,6 +217,7 @@ async fn hear_leader(leader: Weak<Leader>, mut inbound: Streaming<v1::CrewMessag
                 members.insert(member, (Vec::new(), Blobs::new(MAX_BYTES)));
                 leader.hear(ToLeader::Joined(member));
             }
+            Some(Message::Kept(v1::CrewKept { phases })) => leader.hear(ToLeader::Kept(phases)),
             Some(Message::Left(v1::CrewLeft { member })) => {
                 members.remove(&member);
                 leader.hear(ToLeader::Left(member));
@@ -179,7 +256,7 @@ async fn hear_leader(leader: Weak<Leader>, mut inbound: Streaming<v1::CrewMessag
 /// # Errors
 /// The reason, when the crew has ended or cannot be reached.
 pub async fn help(client: Client, lease: v1::Lease, held: &Arc<Held>) -> Result<Arc<Helper>, String> {
-    let opened = tokio::time::timeout(PATIENCE, enter(client, lease, false)).await;
+    let opened = tokio::time::timeout(PATIENCE, enter(client, lease, (false, 0))).await;
     let (out, inbound) = opened.map_err(|_| "the coordinator does not answer".to_owned())??;
     let (say, said) = mpsc::unbounded_channel();
     let helper = Helper::new(Arc::clone(held) as _, move |message| {

@@ -22,8 +22,9 @@ use crate::tiles::{Failure, Shop};
 const IN_HAND: usize = 2;
 /// Interval between renewals of leases.
 const RENEW: Duration = Duration::from_secs(1);
-/// First and longest wait before a reconnection.
-const RECONNECT: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(5)];
+/// First and longest wait before a reconnection. After a restart the coordinator waits a little longer than
+/// the longest one before it gives tiles at work to other workers.
+const RECONNECT: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(2)];
 /// After a connection that lasted this long, waits start at the shortest again. Short waits matter, since the
 /// coordinator keeps the leases of a disconnected worker for less than two seconds.
 const STEADY: Duration = Duration::from_secs(1);
@@ -113,8 +114,7 @@ impl Worker {
                     reason
                 }
             };
-            if *stop.borrow() != Stop::No {
-                // Without a connection, finished tiles cannot be delivered.
+            if self.may_stop(&stop) {
                 return Ok(());
             }
             if connected.elapsed() > STEADY {
@@ -132,13 +132,29 @@ impl Worker {
             tokio::select! {
                 () = tokio::time::sleep(wait) => {}
                 changed = stop.changed() => {
-                    if changed.is_err() || *stop.borrow() != Stop::No {
+                    if changed.is_err() || self.may_stop(&stop) {
                         return Ok(());
                     }
+                    self.give_back();
                 }
             }
             wait = (wait * 2).min(RECONNECT[1]);
         }
+    }
+
+    /// Whether a worker without a connection has nothing to stay for. One that drains delivers its tiles first.
+    fn may_stop(&self, stop: &watch::Receiver<Stop>) -> bool {
+        match *stop.borrow() {
+            Stop::No => false,
+            Stop::Drain => !self.held.values().any(|h| h.begun()),
+            Stop::Now => true,
+        }
+    }
+
+    /// Gives back what a draining worker does not finish: tiles that have not begun, and crews.
+    fn give_back(&self) {
+        self.held.values().filter(|h| !h.begun()).for_each(|h| h.cancel());
+        self.helping.values().for_each(|h| h.cancel());
     }
 
     async fn connection(&mut self, stop: &mut watch::Receiver<Stop>) -> Result<End, WorkerError> {
@@ -159,6 +175,13 @@ impl Worker {
         if let Err(e) = send(ToCoordinator::Hello(hello)) {
             return Ok(broken(&e));
         }
+        let mut draining = *stop.borrow_and_update() == Stop::Drain;
+        if draining {
+            self.give_back();
+            if let Err(e) = send(ToCoordinator::Draining(v1::Draining {})) {
+                return Ok(broken(&e));
+            }
+        }
         let stream = tokio_stream::wrappers::ReceiverStream::new(receiver);
         let mut inbound = match self.shop.client.clone().work(stream).await {
             Ok(response) => response.into_inner(),
@@ -169,7 +192,6 @@ impl Worker {
             Err(s) => return Ok(broken(&describe(&s))),
         };
         let mut renew = tokio::time::interval(RENEW);
-        let mut draining = false;
         loop {
             if draining && self.held.is_empty() {
                 // Ends the stream; the coordinator ends its side after it has read everything.
@@ -214,9 +236,7 @@ impl Worker {
                         Stop::No => {}
                         Stop::Drain if !draining => {
                             draining = true;
-                            // A tile that has not begun is given back; the one that runs is finished.
-                            self.held.values().filter(|h| !h.begun()).for_each(|h| h.cancel());
-                            self.helping.values().for_each(|h| h.cancel());
+                            self.give_back();
                             if self.held.values().any(|h| h.begun()) {
                                 tracing::info!(worker = self.shop.config.name, "finishing the tile in hand, \
                                     taking no more; interrupt again to stop at once");

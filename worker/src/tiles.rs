@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use futures::StreamExt as _;
 use sightline_bake::{Alone, BakeError, Control, Crew, PackBytes, Watcher as _, run_tile};
-use sightline_model::{JobSpec, Method, Sampler};
+use sightline_model::{JobSpec, Sampler};
 use sightline_proto::chunks::{Assembler, count, piece};
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
@@ -79,9 +79,8 @@ impl Shop {
         }
         held.begin();
         // Members of a crew would not stop at the same place.
-        let is_crewed = grant.millis.is_none()
-            && spec.method == Method::Aggressive
-            && matches!(spec.sampling.sampler, Sampler::Lines | Sampler::Guided);
+        let is_crewed =
+            grant.millis.is_none() && matches!(spec.sampling.sampler, Sampler::Lines | Sampler::Guided);
         let leader = match is_crewed {
             true => Some(crew::lead(self.client.clone(), held.lease, &held).await),
             false => None,

@@ -39,15 +39,16 @@ async fn say_outcome(c: &Arc<Coordinator>, room: &Room, phase: u32, out: &Out) -
     Ok(())
 }
 
-/// The leader's stream, until it ends.
+/// The leader's stream, until it ends. It is sent the outcomes that are there from phase `from` on.
 pub(super) async fn lead(
     c: Arc<Coordinator>,
     room: Arc<Room>,
     told: mpsc::Receiver<Told>,
+    from: u32,
     inbound: Streaming<v1::CrewMessage>,
     out: Out,
 ) {
-    let telling = tokio::spawn(tell(Arc::clone(&c), Arc::clone(&room), told, out.clone()));
+    let telling = tokio::spawn(tell(Arc::clone(&c), Arc::clone(&room), told, from, out.clone()));
     let heard = hear_leader(&c, &room, inbound).await;
     later(&c, sessions::crew_ended(&c, &room));
     if let Err(s) = heard {
@@ -64,19 +65,30 @@ pub(super) async fn lead(
 }
 
 /// Sends the leader the outcomes of earlier leaders, and then what it is told.
-async fn tell(c: Arc<Coordinator>, room: Arc<Room>, mut told: mpsc::Receiver<Told>, out: Out) {
-    let count = *room.outcomes.borrow();
-    for phase in 0..count {
+async fn tell(c: Arc<Coordinator>, room: Arc<Room>, mut told: mpsc::Receiver<Told>, from: u32, out: Out) {
+    let mut kept = room.outcomes.subscribe();
+    let count = *kept.borrow_and_update();
+    for phase in from..count {
         if say_outcome(&c, &room, phase, &out).await.is_err() {
             break;
         }
     }
-    let mut next = say(&out, Message::Ready(v1::CrewReady {})).await;
+    let mut next = say(&out, Message::Ready(v1::CrewReady { phases: count })).await;
     while next.is_ok() {
-        let Some(message) = told.recv().await else { return };
+        let message = tokio::select! {
+            message = told.recv() => match message {
+                Some(message) => message,
+                None => return,
+            },
+            changed = kept.changed() => match changed {
+                Ok(()) => Told::Kept(*kept.borrow_and_update()),
+                Err(_) => return,
+            },
+        };
         let message = match message {
             Told::Joined(member) => Message::Joined(v1::CrewJoined { member }),
             Told::Left(member) => Message::Left(v1::CrewLeft { member }),
+            Told::Kept(phases) => Message::Kept(v1::CrewKept { phases }),
             Told::Ask { member, phase } => Message::Ask(v1::CrewAsk { member, phase }),
             Told::Found { member, phase, items, chunk } => {
                 Message::Found(v1::CrewFound { member, phase, items, chunk })

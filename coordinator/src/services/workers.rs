@@ -98,7 +98,8 @@ impl v1::workers_server::Workers for WorkersService {
     async fn crew(&self, r: Request<Streaming<v1::CrewMessage>>) -> Answer<Self::CrewStream> {
         let mut inbound = r.into_inner();
         let first = inbound.next().await.transpose()?.and_then(|m| m.message);
-        let Some(v1::crew_message::Message::Enter(v1::CrewEnter { lease: Some(lease), leads })) = first
+        let Some(v1::crew_message::Message::Enter(v1::CrewEnter { lease: Some(lease), leads, phases })) =
+            first
         else {
             return Err(Status::invalid_argument("a member's first message must be Enter, with a lease"));
         };
@@ -115,7 +116,7 @@ impl v1::workers_server::Workers for WorkersService {
                     Ok(Some((room, told, chores))) => {
                         later(&c, chores);
                         let _ = answer.send(Ok(()));
-                        crews::lead(c, room, told, inbound, out).await;
+                        crews::lead(c, room, told, phases, inbound, out).await;
                     }
                     Ok(None) => {
                         let _ = answer.send(Err(Status::not_found("the lease is not valid any more")));

@@ -1,6 +1,7 @@
 //! The exact part of a leaf tile: every triangle of every cell is decided.
 //!
-//! Triangles that sampling showed get a witness. The others become targets of exact queries, first from the
+//! The cells are shared by a crew, unless there is a time budget; what precedes them every member finds
+//! alone. Triangles that sampling showed get a witness. The others become targets of exact queries, first from the
 //! box around a cell group, then from each cell.
 
 use std::sync::Arc;
@@ -15,8 +16,10 @@ use sightline_exact::{
 use sightline_model::{CellSet, CellSets, Decision, DecisionStats, JobSpec};
 use sightline_numbers::Aabb;
 use sightline_sampling::Watcher;
+use sightline_sampling::crew::Crew;
 use sightline_viewcells::{CellBox, Lattice};
 
+use crate::cell_phase::{Undecided, decide_shared};
 use crate::choices::{GROUP_SHARE, box_seed, exact_limits};
 use crate::decide_pairs;
 use crate::groups::{CellGroup, cells_and_groups};
@@ -25,15 +28,16 @@ use crate::groups::{CellGroup, cells_and_groups};
 /// decided ones.
 ///
 /// # Errors
-/// An error of the certificates' codec, or a cell without volume.
+/// [`Undecided`] when the tile is cancelled, or for an error of the certificates' codec or a cell without
+/// volume.
 pub fn cells(
     spec: &JobSpec,
     lattice: &Lattice,
     root: &CellBox,
     sets: &mut CellSets,
     scene: &ExactScene,
-    (deadline, watcher): (Option<Instant>, &dyn Watcher),
-) -> Result<(), String> {
+    (deadline, watcher, crew): (Option<Instant>, &dyn Watcher, &dyn Crew),
+) -> Result<(), Undecided> {
     let (boxes, mut groups) = cells_and_groups(root, &sets.nodes);
     // From cells without viewpoints nothing is asked, so they share nothing.
     groups.retain(|group| sets.cells[group.cells.clone()].iter().all(|cell| !cell.unreached));
@@ -47,29 +51,34 @@ pub fn cells(
     let stop = || watcher.cancelled() || half.is_some_and(|u| Instant::now() >= u);
     let apart = decide_pairs::decide(spec, lattice, &exact_cells, sets, scene, &stop);
     around.iter_mut().zip(apart).for_each(|(around, apart)| around.apart = apart);
-    let one = |((set, at), around): ((&mut CellSet, &CellBox), &mut Around), until: Option<Instant>| {
-        let stop = || watcher.cancelled() || until.is_some_and(|u| Instant::now() >= u);
-        let done = cell(spec, lattice, (at, around), set, scene, &stop, watcher);
-        watcher.cell_done();
-        done
+    let one = |set: &mut CellSet, at: &CellBox, around: &Around, stop: &(dyn Fn() -> bool + Sync)| {
+        cell(spec, lattice, (at, around), set, scene, stop, watcher)
     };
     match deadline {
         None => {
-            let work = sets.cells.par_iter_mut().zip(&boxes).zip(&mut around).with_max_len(1);
-            work.try_for_each(|work| one(work, None))
+            let compute = |item: usize, is_needless: &(dyn Fn() -> bool + Sync)| {
+                let mut set = sets.cells[item].clone();
+                let stop = || watcher.cancelled() || is_needless();
+                one(&mut set, &boxes[item], &around[item], &stop).map(|()| set)
+            };
+            sets.cells = decide_shared(crew, &sets.cells, scene.occluders().len() as u32, &compute, watcher)?;
+            Ok(())
         }
         // As many cells at a time as there are threads, each with its share of the remaining time, so that
         // every cell gets some.
         Some(deadline) => {
-            let mut work: Vec<_> = sets.cells.iter_mut().zip(&boxes).zip(&mut around).collect();
+            let mut work: Vec<_> = sets.cells.iter_mut().zip(&boxes).zip(&around).collect();
             let at_a_time = rayon::current_num_threads();
             let mut left = work.len().div_ceil(at_a_time) as u32;
             for some in work.chunks_mut(at_a_time) {
                 let now = Instant::now();
                 let share: Duration = deadline.saturating_duration_since(now) / left;
                 left -= 1;
+                let stop = || watcher.cancelled() || Instant::now() >= now + share;
                 some.par_iter_mut().with_max_len(1).try_for_each(|((set, at), around)| {
-                    one(((&mut **set, *at), &mut **around), Some(now + share))
+                    let done = one(set, at, around, &stop);
+                    watcher.cell_done();
+                    done
                 })?;
             }
             Ok(())
@@ -80,13 +89,13 @@ pub fn cells(
 fn cell(
     spec: &JobSpec,
     lattice: &Lattice,
-    (at, around): (&CellBox, &mut Around),
+    (at, around): (&CellBox, &Around),
     set: &mut CellSet,
     scene: &ExactScene,
     stop: &(dyn Fn() -> bool + Sync),
     watcher: &dyn Watcher,
 ) -> Result<(), String> {
-    let apart = std::mem::take(&mut around.apart);
+    let apart = around.apart.clone();
     if set.unreached {
         // Nothing is asked about triangles.
         let certificate = match apart.is_empty() {
@@ -109,7 +118,7 @@ fn cell(
         asked: &|| watcher.rendered(1),
     });
     decided.statistics.add_asked(&around.statistics);
-    decided.certificate.shared = around.shared.take();
+    decided.certificate.shared = around.shared.clone();
     decided.certificate.above = around.above;
     decided.certificate.apart = apart;
     let certificate = match spec.certificates {

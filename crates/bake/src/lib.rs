@@ -30,7 +30,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-pub mod choices;
+pub mod cell_phase;
+mod choices;
 mod decide;
 mod decide_pairs;
 mod groups;
@@ -41,10 +42,13 @@ use std::time::Instant;
 pub use scene::BakeScene;
 use sightline_model::{JobSpec, Method, Pack, TileOutput, codec};
 pub use sightline_sampling::Watcher;
+use sightline_sampling::crew::Phase;
 pub use sightline_sampling::crew::{Alone, Crew};
 use sightline_sampling::lines::hits;
 use sightline_sampling::{Backend, BackendError, JobContext, TileError, tile};
 use sightline_viewcells::{Plan, TileKind};
+
+use crate::cell_phase::Undecided;
 
 /// BLAKE3 digest of a pack.
 pub type PackDigest = [u8; 32];
@@ -104,6 +108,15 @@ impl From<TileError> for BakeError {
     }
 }
 
+impl From<Undecided> for BakeError {
+    fn from(undecided: Undecided) -> Self {
+        match undecided {
+            Undecided::Cancelled => Self::Cancelled,
+            Undecided::Fault(reason) => Self::Tile(reason),
+        }
+    }
+}
+
 fn tile_error(e: impl std::fmt::Display) -> BakeError {
     BakeError::Tile(e.to_string())
 }
@@ -138,6 +151,10 @@ pub fn run_tile(
                 .to_owned(),
         ));
     }
+    let exact = spec.method != Method::Aggressive && tile.kind == TileKind::Leaf;
+    // The members of the crew decide the cells as well.
+    let decides = exact && control.deadline.is_none();
+    let decided_later = Open(control.crew);
     let job = JobContext {
         scene: scene.sampling(),
         division: spec.division,
@@ -148,7 +165,7 @@ pub fn run_tile(
         backend,
         seed: spec.seed,
         deadline: choices::sampling_deadline(spec.method, control.deadline),
-        crew: control.crew,
+        crew: if decides { &decided_later } else { control.crew },
     };
     if packs.len() != tile.needs.len() {
         return Err(BakeError::Tile(format!(
@@ -171,17 +188,19 @@ pub fn run_tile(
         };
         decoded.push(codec::decode_pack(bytes, scene.scene().len(), &tile.cell).map_err(tile_error)?);
     }
-    let exact = spec.method != Method::Aggressive && tile.kind == TileKind::Leaf;
     let sampling_only = WithoutCells(watcher);
     let sampling_watcher: &dyn Watcher = if exact { &sampling_only } else { watcher };
     let (mut output, counters) = tile::run(&job, tile, &decoded, sampling_watcher)?;
     tracing::debug!(tile = number, ?counters, "tile sampled");
     if let (true, TileOutput::Cells(sets)) = (exact, &mut output) {
         let prepared = scene.exact().map_err(BakeError::Tile)?;
-        let until = (control.deadline, watcher);
-        decide::cells(spec, &job.lattice, &tile.cell, sets, prepared, until).map_err(BakeError::Tile)?;
+        let with = (control.deadline, watcher, control.crew);
+        decide::cells(spec, &job.lattice, &tile.cell, sets, prepared, with)?;
         if watcher.cancelled() {
             return Err(BakeError::Cancelled);
+        }
+        if decides {
+            control.crew.end()?;
         }
         tracing::debug!(tile = number, "tile decided");
     }
@@ -236,6 +255,19 @@ fn recompute(
 /// A pack that was encoded here and cannot be read here.
 fn broken(e: impl std::fmt::Display) -> BakeError {
     BakeError::Backend(BackendError::Failed { profile: "this worker".to_owned(), reason: e.to_string() })
+}
+
+/// A crew that goes on after the sampler has ended it.
+struct Open<'a>(&'a dyn Crew);
+
+impl Crew for Open<'_> {
+    fn run(&self, phase: &dyn Phase) -> Result<(), TileError> {
+        self.0.run(phase)
+    }
+
+    fn end(&self) -> Result<(), TileError> {
+        Ok(())
+    }
 }
 
 /// Watches the sampling of a tile whose cells are finished only when they are decided.

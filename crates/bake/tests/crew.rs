@@ -102,8 +102,8 @@ impl Hub {
             FromLeader::Outcome { phase, bytes } => {
                 let mut outcomes = self.outcomes.lock().unwrap();
                 assert_eq!(phase as usize, outcomes.len(), "outcomes come in order");
-                outcomes.push(bytes.clone());
-                helpers.iter().for_each(|h| h.hear(ToHelper::Outcome { phase, bytes: bytes.clone() }));
+                outcomes.push(bytes.to_vec());
+                helpers.iter().for_each(|h| h.hear(ToHelper::Outcome { phase, bytes: bytes.to_vec() }));
             }
             FromLeader::End => helpers.iter().for_each(|h| h.hear(ToHelper::End)),
         }
@@ -240,7 +240,7 @@ fn a_block_goes_on_from_any_outcome_and_casts_no_ray_again() {
         let kept_too = Arc::clone(&later);
         let leader = Leader::new(outcomes[..kept].to_vec(), watch.clone(), move |message| {
             if let FromLeader::Outcome { phase, bytes } = message {
-                kept_too.lock().unwrap().push((phase as usize, bytes));
+                kept_too.lock().unwrap().push((phase as usize, bytes.to_vec()));
             }
         });
         assert!(job.run(&*watch, &leader).unwrap() == expected, "from outcome {kept}");
@@ -258,4 +258,29 @@ fn a_block_goes_on_from_any_outcome_and_casts_no_ray_again() {
     let watch = Arc::new(Watch::default());
     let leader = Leader::new(damaged, watch.clone(), |_| {});
     assert!(job.run(&*watch, &leader).unwrap() == expected, "damaged outcomes are not used");
+}
+
+#[test]
+fn a_leader_whose_way_was_lost_hands_over_what_was_not_kept() {
+    let Some(job) = job(|_| {}) else { return };
+    let heard: Arc<Mutex<Vec<u32>>> = Arc::default();
+    let (hears, watch) = (Arc::clone(&heard), Arc::new(Watch::default()));
+    let leader = Leader::new(Vec::new(), watch.clone(), move |message| {
+        if let FromLeader::Outcome { phase, .. } = message {
+            hears.lock().unwrap().push(phase);
+        }
+    });
+    // With a helper that does nothing, every outcome is handed over at once.
+    leader.hear(ToLeader::Joined(0));
+    let (expected, _) = job.alone();
+    assert!(job.run(&*watch, &leader).unwrap() == expected);
+    let all = std::mem::take(&mut *heard.lock().unwrap());
+    let last = *all.last().unwrap();
+    assert_eq!(all, (0..=last).collect::<Vec<u32>>());
+    leader.hear(ToLeader::Kept(3));
+    assert!(leader.reopened(last), "only the last one is missing");
+    assert_eq!(std::mem::take(&mut *heard.lock().unwrap()), [last]);
+    assert!(leader.reopened(3));
+    assert_eq!(heard.lock().unwrap()[..], all[3..]);
+    assert!(!leader.reopened(2), "the third one is not here any more");
 }

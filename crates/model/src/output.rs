@@ -5,7 +5,7 @@ use std::sync::Arc;
 use sightline_viewcells::{LatticePoint, Split};
 
 use crate::pairs::TilePairs;
-use crate::statistics::{COLUMNS, CellStats};
+use crate::statistics::{COLUMNS, CellStats, DecisionStats};
 
 /// The result of one tile.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -101,6 +101,12 @@ pub struct Decision {
 impl Decision {
     /// Most counts of a decision.
     pub const MOST_COUNTS: usize = 64;
+
+    /// The number of queries that were asked.
+    pub fn queries(&self) -> u64 {
+        let at = DecisionStats::NAMES.iter().position(|name| *name == "exact_queries");
+        at.and_then(|at| self.counts.get(at)).copied().unwrap_or(0)
+    }
 }
 
 /// The triangles that one visibility cube saw, with the angular strata they were seen in (Nirenstein and

@@ -164,7 +164,7 @@ impl Crew for Helper {
                     }
                     items.par_iter().with_max_len(1).try_for_each(|item| match self.is_finished(number) {
                         true => Ok(()),
-                        false => phase.compute(*item as usize),
+                        false => phase.compute(*item as usize, &|| self.is_finished(number)),
                     })?;
                     if !self.is_finished(number) {
                         let places: Vec<usize> = items.iter().map(|i| *i as usize).collect();

@@ -1,11 +1,12 @@
 //! The leader of a crew: divides the items of each phase, computes what it has not given away, and publishes
 //! the outcomes. With no helpers it is a member that works alone and leaves outcomes behind.
 //!
-//! The leader waits for nobody: when no item is free it computes those that helpers have not answered yet,
+//! Outcomes stay here until somebody has kept them, so that a leader whose stream broke can go on with new
+//! helpers. The leader waits for nobody: when no item is free it computes those that helpers have not answered yet,
 //! and the first answer counts. So a helper that is slow, silent or gone costs what it would have saved.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::member::{Crew, Phase};
@@ -41,6 +42,8 @@ pub enum ToLeader {
     },
     /// A helper has gone.
     Left(Member),
+    /// The outcomes of this many phases have been kept.
+    Kept(u32),
 }
 
 /// What the leader says.
@@ -60,7 +63,7 @@ pub enum FromLeader {
         /// The number of the phase.
         phase: u32,
         /// The bytes of [`Phase::outcome`].
-        bytes: Vec<u8>,
+        bytes: Arc<Vec<u8>>,
     },
     /// There are no more phases.
     End,
@@ -69,6 +72,8 @@ pub enum FromLeader {
 /// The leader of a crew.
 pub struct Leader {
     state: Mutex<State>,
+    /// There are finds to add, or the phase is over.
+    news: Condvar,
     watcher: Arc<dyn Watcher + Send>,
     /// Must not wait for the other members.
     out: Box<dyn Fn(FromLeader) + Send + Sync>,
@@ -88,8 +93,10 @@ struct State {
     asking: VecDeque<(Member, u32)>,
     /// Pieces that helpers have done.
     done: VecDeque<(Member, Vec<u32>, Vec<u8>)>,
-    /// Outcomes that are not handed over yet.
-    kept: Vec<(u32, Vec<u8>)>,
+    /// Outcomes that nobody has said to have kept.
+    outcomes: VecDeque<(u32, Arc<Vec<u8>>)>,
+    /// Those from this phase on are not handed over yet.
+    handed: u32,
     handed_over: Option<Instant>,
     /// Rays of helpers, by helper, for the log.
     rays: BTreeMap<Member, u64>,
@@ -113,7 +120,7 @@ impl Leader {
         out: impl Fn(FromLeader) + Send + Sync + 'static,
     ) -> Self {
         let state = State { earlier: outcomes.into(), ..State::default() };
-        Self { state: Mutex::new(state), watcher, out: Box::new(out) }
+        Self { state: Mutex::new(state), news: Condvar::new(), watcher, out: Box::new(out) }
     }
 
     /// Acts on a message. Called from any thread; never waits for a phase.
@@ -142,10 +149,29 @@ impl Leader {
                 // Late finds are not needed: the phase is over.
                 if state.helpers.contains(&member) && phase == state.number && state.queue.is_some() {
                     state.done.push_back((member, items, finds));
+                    self.news.notify_one();
                 }
             }
             ToLeader::Left(member) => self.dismiss(&mut state, member),
+            ToLeader::Kept(phases) => {
+                while state.outcomes.front().is_some_and(|(phase, _)| *phase < phases) {
+                    state.outcomes.pop_front();
+                }
+            }
         }
+    }
+
+    /// There is a new way to helpers, on which the outcomes of `there` phases are known. Returns whether the
+    /// leader has all others; without them helpers are of no use.
+    pub fn reopened(&self, there: u32) -> bool {
+        let mut state = self.lock();
+        let first = state.outcomes.front().map_or(state.number, |(phase, _)| *phase);
+        if there < first {
+            return false;
+        }
+        state.handed = there;
+        self.hand_over(&mut state);
+        true
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -184,9 +210,11 @@ impl Leader {
 
     /// Hands the outcomes over that are still here.
     fn hand_over(&self, state: &mut State) {
-        for (phase, bytes) in state.kept.drain(..) {
-            (self.out)(FromLeader::Outcome { phase, bytes });
+        let from = state.handed;
+        for (phase, bytes) in state.outcomes.iter().filter(|(phase, _)| *phase >= from) {
+            (self.out)(FromLeader::Outcome { phase: *phase, bytes: Arc::clone(bytes) });
         }
+        state.handed = state.outcomes.back().map_or(from, |(phase, _)| from.max(phase + 1));
         state.handed_over = Some(Instant::now());
     }
 
@@ -222,32 +250,49 @@ impl Leader {
         item.map_or(Step::Nothing, Step::Compute)
     }
 
+    /// Adds the finds of a helper.
+    fn add(&self, phase: &dyn Phase, member: Member, items: &[u32], finds: &[u8]) {
+        match phase.add(finds) {
+            Ok(rays) => {
+                self.watcher.rendered(rays);
+                let mut state = self.lock();
+                *state.rays.entry(member).or_default() += rays;
+                if let Some(queue) = &mut state.queue {
+                    let there = items.iter().map(|i| *i as usize).filter(|i| phase.has(*i));
+                    there.for_each(|item| queue.answered(item));
+                }
+            }
+            Err(e) => {
+                tracing::warn!("helper {member} is dismissed: {e}");
+                self.dismiss(&mut self.lock(), member);
+            }
+        }
+    }
+
+    /// Adds the finds of helpers as they come, until the phase is over: the other threads may be busy with long
+    /// items that helpers have answered.
+    fn add_all(&self, phase: &dyn Phase) {
+        let mut state = self.lock();
+        while state.queue.is_some() {
+            if let Some((member, items, finds)) = state.done.pop_front() {
+                drop(state);
+                self.add(phase, member, &items, &finds);
+                state = self.lock();
+            } else {
+                state = self.news.wait(state).unwrap_or_else(PoisonError::into_inner);
+            }
+        }
+    }
+
     /// Computes items until there are none without answers, as one of the leader's threads.
     fn work(&self, phase: &dyn Phase, failed: &Mutex<Option<TileError>>) {
         let is_failed = || failed.lock().is_ok_and(|f| f.is_some());
         while !is_failed() {
             match self.step() {
-                Step::Add(member, items, finds) => match phase.add(&finds) {
-                    Ok(rays) => {
-                        self.watcher.rendered(rays);
-                        let mut state = self.lock();
-                        *state.rays.entry(member).or_default() += rays;
-                        let queue = state.queue.as_mut();
-                        queue.into_iter().for_each(|queue| {
-                            items.iter().for_each(|i| {
-                                if phase.has(*i as usize) {
-                                    queue.answered(*i as usize);
-                                }
-                            });
-                        });
-                    }
-                    Err(e) => {
-                        tracing::warn!("helper {member} is dismissed: {e}");
-                        self.dismiss(&mut self.lock(), member);
-                    }
-                },
+                Step::Add(member, items, finds) => self.add(phase, member, &items, &finds),
                 Step::Compute(item) if phase.has(item) => {}
-                Step::Compute(item) => match phase.compute(item) {
+                // A helper's answer may come while a long item is computed once more here.
+                Step::Compute(item) => match phase.compute(item, &|| phase.has(item)) {
                     Ok(()) => {
                         if let Some(queue) = &mut self.lock().queue {
                             queue.answered(item);
@@ -288,13 +333,15 @@ impl Crew for Leader {
             self.give(&mut state);
         }
         let failed = Mutex::new(None);
-        rayon::scope(|scope| {
-            (0..rayon::current_num_threads()).for_each(|_| scope.spawn(|_| self.work(phase, &failed)));
+        std::thread::scope(|threads| {
+            threads.spawn(|| self.add_all(phase));
+            let _over = Over(self);
+            rayon::scope(|scope| {
+                (0..rayon::current_num_threads()).for_each(|_| scope.spawn(|_| self.work(phase, &failed)));
+            });
         });
         let failed = failed.into_inner().unwrap_or_else(PoisonError::into_inner);
         let mut state = self.lock();
-        state.queue = None;
-        state.done.clear();
         if let Some(e) = failed {
             return Err(e);
         }
@@ -308,7 +355,7 @@ impl Crew for Leader {
         let mut state = self.lock();
         let times = [prepared, computed - prepared, begun.elapsed() - computed];
         state.times.iter_mut().zip(times).for_each(|(sum, time)| *sum += time);
-        state.kept.push((number, bytes));
+        state.outcomes.push_back((number, Arc::new(bytes)));
         if !state.helpers.is_empty() || since.elapsed() >= HAND_OVER {
             self.hand_over(&mut state);
         }
@@ -324,5 +371,18 @@ impl Crew for Leader {
             tracing::debug!("rays of helpers: {:?}", state.rays);
         }
         Ok(())
+    }
+}
+
+/// Ends the adding of finds when a phase is over, also by a panic.
+struct Over<'a>(&'a Leader);
+
+impl Drop for Over<'_> {
+    fn drop(&mut self) {
+        let mut state = self.0.lock();
+        state.queue = None;
+        state.done.clear();
+        drop(state);
+        self.0.news.notify_all();
     }
 }

@@ -19,11 +19,12 @@ pub trait Phase: Sync {
     /// The expected work of each item, in one unit. After [`Phase::prepare`].
     fn costs(&self) -> Vec<u64>;
 
-    /// Computes an item, on any thread. Computing an item again changes nothing.
+    /// Computes an item, on any thread. Computing an item again changes nothing. Gives up without an answer, if
+    /// that saves much, once `is_needless` says so.
     ///
     /// # Errors
     /// [`TileError`] when the tile is cancelled or the backend fails.
-    fn compute(&self, item: usize) -> Result<(), TileError>;
+    fn compute(&self, item: usize, is_needless: &(dyn Fn() -> bool + Sync)) -> Result<(), TileError>;
 
     /// Whether the answer of an item is here.
     fn has(&self, item: usize) -> bool;

@@ -30,7 +30,8 @@ pub struct Alone;
 impl Crew for Alone {
     fn run(&self, phase: &dyn Phase) -> Result<(), TileError> {
         phase.prepare();
-        (0..phase.items()).into_par_iter().with_max_len(2).try_for_each(|item| phase.compute(item))
+        let items = (0..phase.items()).into_par_iter().with_max_len(2);
+        items.try_for_each(|item| phase.compute(item, &|| false))
     }
 
     fn end(&self) -> Result<(), TileError> {

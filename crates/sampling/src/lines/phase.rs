@@ -73,7 +73,7 @@ impl<A: Answer> Phase for Shared<'_, A> {
         (0..self.items.count).map(|item| (self.items.cost)(item)).collect()
     }
 
-    fn compute(&self, item: usize) -> Result<(), TileError> {
+    fn compute(&self, item: usize, _: &(dyn Fn() -> bool + Sync)) -> Result<(), TileError> {
         let answer = (self.items.compute)(item)?;
         // Another member's answer, which is the same, may be here already.
         let _ = self.answers[item].set(answer);
