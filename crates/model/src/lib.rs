@@ -39,6 +39,6 @@ pub use choice::{
 pub use output::{CellSet, CellSets, Decision, Hits, Node, Pack, TileOutput, VisibilitySample};
 pub use pairs::{MOST_PAIR_CELLS, PairTable, TilePairs};
 pub use params::{ParamsError, SamplingParams};
-pub use sightline_viewcells::MOST_BLOCK_CELLS;
+pub use sightline_viewcells::{MOST_BLOCK_CELLS, USUAL_BLOCK_CELLS};
 pub use spec::{ALGORITHM_VERSION, JobSpec, MOST_LINE_DEPTH, SpecError, default_block_cells};
 pub use statistics::{CellStats, DecisionStats, LineKind};

@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use prost::Message as _;
 use sightline_numbers::Aabb;
-use sightline_viewcells::{Division, DivisionError, Lattice, Layout, MOST_BLOCK_CELLS, Plan};
+use sightline_viewcells::{Division, DivisionError, Lattice, Layout, Plan};
+use sightline_viewcells::{MOST_BLOCK_CELLS, USUAL_BLOCK_CELLS};
 use sightline_viewcells::{Viewpoints, ViewpointsError, viewpoints};
 
 use crate::choice::{BackendChoice, CellToCell, Granularity, Method, Sampler, UnknownChoice, Up};
@@ -63,9 +64,9 @@ pub struct JobSpec {
     pub up: Option<Up>,
 }
 
-/// Most cells of a job that says which cells see which without being asked: those of a tile. With several
-/// tiles, each walks its lines through the whole division once more.
-const FEW_PAIR_CELLS: u64 = MOST_BLOCK_CELLS as u64;
+/// Most cells of a job that says which cells see which without being asked: those of a usual tile. With
+/// several tiles, each walks its lines through the whole division once more.
+const FEW_PAIR_CELLS: u64 = USUAL_BLOCK_CELLS as u64;
 
 /// Most cells of a tile when the user gives no number.
 pub fn default_block_cells(triangles: u32, sampling: &SamplingParams, method: Method) -> u32 {
@@ -80,7 +81,7 @@ pub fn default_block_cells(triangles: u32, sampling: &SamplingParams, method: Me
         }
         Sampler::Guided | Sampler::Cubes => 0.0,
     };
-    HEAVY.iter().find(|(least, _)| work >= *least).map_or(MOST_BLOCK_CELLS, |(_, cells)| *cells)
+    HEAVY.iter().find(|(least, _)| work >= *least).map_or(USUAL_BLOCK_CELLS, |(_, cells)| *cells)
 }
 
 /// Why a specification is refused.
@@ -114,7 +115,7 @@ impl JobSpec {
             backend: BackendChoice::Auto,
             seed: 0,
             time_budget_ms: 0,
-            block_cells: MOST_BLOCK_CELLS,
+            block_cells: USUAL_BLOCK_CELLS,
             method: Method::Aggressive,
             certificates: false,
             viewpoints: None,
@@ -131,7 +132,7 @@ impl JobSpec {
         let sampler = self.sampling.sampler;
         self.sampling.check()?;
         if !(1..=MOST_BLOCK_CELLS).contains(&self.block_cells) {
-            return refuse("block-cells", "give 1 to 512 cells");
+            return refuse("block-cells", "give 1 to 4096 cells");
         }
         if let Division::Adaptive { max_depth, .. } = self.division {
             if sampler == Sampler::Guided {
@@ -312,7 +313,7 @@ mod tests {
             JobSpec {
                 division: Division::Adaptive { budget: 5, max_depth: 6 },
                 sampling: SamplingParams { sampler: Sampler::Cubes, ..sampling.clone() },
-                block_cells: MOST_BLOCK_CELLS,
+                block_cells: USUAL_BLOCK_CELLS,
                 ..s.clone()
             },
             JobSpec { time_budget_ms: 5, ..s.clone() },
@@ -402,14 +403,14 @@ mod tests {
         assert!(refuse(v1::JobSpec { scene: vec![1], ..good.clone() }).contains("scene"));
         assert!(refuse(v1::JobSpec { division: None, ..good.clone() }).contains("division"));
         assert!(refuse(v1::JobSpec { view_box: vec![], ..good.clone() }).contains("view box"));
-        assert!(refuse(v1::JobSpec { block_cells: 513, ..good.clone() }).contains("block-cells"));
+        assert!(refuse(v1::JobSpec { block_cells: 4097, ..good.clone() }).contains("block-cells"));
         assert!(refuse(v1::JobSpec { sampling: None, ..good.clone() }).contains("sampling"));
         assert!(refuse(v1::JobSpec { backend: 9, ..good.clone() }).contains("backend"));
         assert!(refuse(v1::JobSpec { method: 9, ..good.clone() }).contains("method"));
         assert!(refuse(v1::JobSpec { certificates: true, ..good.clone() }).contains("certificates"));
         let adaptive = JobSpec {
             division: Division::Adaptive { budget: 5, max_depth: 12 },
-            block_cells: MOST_BLOCK_CELLS,
+            block_cells: USUAL_BLOCK_CELLS,
             ..spec()
         };
         let deep = JobSpec { division: Division::Adaptive { budget: 5, max_depth: 13 }, ..adaptive.clone() };

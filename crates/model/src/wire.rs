@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use sightline_numbers::Aabb;
 use sightline_proto::v1;
-use sightline_viewcells::{Division, MOST_BLOCK_CELLS, Viewpoints};
+use sightline_viewcells::{Division, USUAL_BLOCK_CELLS, Viewpoints};
 
 use crate::choice::{BackendChoice, Choice, Method, Sampler, Up};
 use crate::params::SamplingParams;
@@ -60,7 +60,7 @@ impl JobSpec {
             backend: BackendChoice::from_wire(m.backend)?,
             seed: m.seed,
             time_budget_ms: m.time_budget_ms,
-            block_cells: if has_blocks && m.block_cells > 0 { m.block_cells } else { MOST_BLOCK_CELLS },
+            block_cells: if has_blocks && m.block_cells > 0 { m.block_cells } else { USUAL_BLOCK_CELLS },
             method: Method::from_wire(m.method)?,
             certificates: m.certificates,
             viewpoints,

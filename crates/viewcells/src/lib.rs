@@ -26,6 +26,6 @@ pub mod viewpoints;
 pub use cell::{CellBox, Split};
 pub use division::{Division, DivisionError, axis_name};
 pub use lattice::{Lattice, LatticePoint, UNITS_PER_CELL};
-pub use plan::{Layout, MOST_BLOCK_CELLS, Outline, Plan, Tile, TileKind};
+pub use plan::{Layout, MOST_BLOCK_CELLS, Outline, Plan, Tile, TileKind, USUAL_BLOCK_CELLS};
 pub use rect::Rect;
 pub use viewpoints::{Viewpoints, ViewpointsError};

@@ -21,7 +21,9 @@ const LEAF_TILES: u64 = 64;
 const MAX_CELLS_PER_TILE: u64 = 64;
 
 /// Most grid cells of a block, which takes two bits of memory for each pair of a cell and a triangle.
-pub const MOST_BLOCK_CELLS: u32 = 512;
+pub const MOST_BLOCK_CELLS: u32 = 4096;
+/// Grid cells of a block unless a job says otherwise.
+pub const USUAL_BLOCK_CELLS: u32 = 512;
 
 /// How a job is divided into tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
