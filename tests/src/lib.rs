@@ -9,12 +9,14 @@
 // that panics with what it saw is what makes their failures readable.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
+mod compose;
 mod dump;
 mod process;
 mod program;
 
 use std::time::{Duration, Instant};
 
+pub use compose::{Compose, docker, logged, run};
 pub use dump::{Cell, Dump};
 pub use process::{Background, Coordinator, Run, Sandbox};
 pub use program::{in_ci, program};

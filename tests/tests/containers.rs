@@ -1,47 +1,56 @@
 //! The image and the compose file, tested in a real engine: a cluster in containers, used over gRPC from
-//! outside, gives the same bytes as one process, although it is scaled and loses a worker meanwhile.
+//! outside, gives the same bytes as one process, although it is scaled and loses workers meanwhile, whether
+//! the job has many tiles or one.
 //!
 //! Needs a container engine that can run Debian and a way to make the base image (`deploy/base-image.sh`).
 //! Without them it says so in one line and passes; where `CI` is set it fails instead. The test checks the
 //! cluster's result, never its speed.
 //!
 //! Environment: `SIGHTLINE_BIN` names the program (default: the one in the target folder),
-//! `SIGHTLINE_TEST_TRIANGLES` and `SIGHTLINE_TEST_CELLS` size the job, which has to last long enough for a
-//! worker to die in the middle of it.
+//! `SIGHTLINE_TEST_TRIANGLES`, `SIGHTLINE_TEST_CELLS` and `SIGHTLINE_TEST_ERROR` size the jobs, which have to
+//! last long enough for the faults to come in their middle.
 
 // clippy.toml's permissions for tests reach `#[test]` functions only, not the helpers of an integration test.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
-use std::ffi::OsStr;
 use std::fs;
-use std::net::TcpListener;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
-use std::sync::LazyLock;
+use std::path::Path;
+use std::process::Command;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
+
+use sightline_tests::{Compose, docker, in_ci, logged, program, run};
 
 /// Town size and cells at which two single-threaded workers are busy for well over twenty seconds.
 const DEFAULT_TRIANGLES: &str = "20000";
 const DEFAULT_CELLS: &str = "8x8x4";
+/// Target error at which a town's block lasts through all faults, on two cores.
+const DEFAULT_ERROR: &str = "0.00005";
+const SMALLER_ERROR: &str = "give a smaller SIGHTLINE_TEST_ERROR";
 const SIZE_IT_UP: &str = "size it up by SIGHTLINE_TEST_TRIANGLES or SIGHTLINE_TEST_CELLS";
-/// All steps together may take no longer; a hung cluster is a failure that is cleaned up after, not a hung
-/// test run.
-const LIMIT: Duration = Duration::from_secs(900);
-/// When the first step began; [`LIMIT`] counts from here.
-static BEGAN: LazyLock<Instant> = LazyLock::new(Instant::now);
+/// What is waited for longer than this does not come.
+const LIMIT: Duration = Duration::from_secs(300);
+/// Two clusters at once would take each other's cores.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
-#[test]
-fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
-    let sightline = find_program();
-    let compose = match Compose::prepare(&sightline) {
-        Ok(compose) => compose,
+/// A cluster, when this machine can have one; the other test has to wait.
+fn cluster() -> Option<(MutexGuard<'static, ()>, Compose)> {
+    let turn = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    match Compose::prepare() {
+        Ok(compose) => Some((turn, compose)),
         Err(reason) if in_ci() => panic!("containers test cannot run: {reason}"),
         Err(reason) => {
             eprintln!("containers test did not run: {reason}");
-            return;
+            None
         }
-    };
+    }
+}
+
+#[test]
+fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
+    let Some((_turn, compose)) = cluster() else { return };
+    let sightline = program();
 
     let folder = tempfile::tempdir().unwrap();
     let scene = folder.path().join("town.glb");
@@ -49,13 +58,13 @@ fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
     let cells = setting("SIGHTLINE_TEST_CELLS", DEFAULT_CELLS);
     // Every parameter is part of the job's key, so both bakes need the same flags.
     let job_flags = ["--cells", &cells, "--sampler", "cubes", "--backend", "cpu", "--resolution", "192"];
-    run(Command::new(&sightline)
+    run(Command::new(sightline)
         .args(["generate", "town", "--seed", "1", "--triangles", &triangles, "-o"])
         .arg(&scene));
 
     let alone = folder.path().join("alone.pvs");
     let started = Instant::now();
-    run(Command::new(&sightline)
+    run(Command::new(sightline)
         .arg("bake")
         .arg(&scene)
         .arg("-o")
@@ -67,7 +76,7 @@ fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
 
     compose.up(2);
     let url = format!("http://127.0.0.1:{}", compose.port);
-    let client = |args: &[&str]| run(Command::new(&sightline).args(args).args(["--coordinator", &url]));
+    let client = |args: &[&str]| run(Command::new(sightline).args(args).args(["--coordinator", &url]));
     client(&["health"]);
 
     let started = Instant::now();
@@ -91,10 +100,10 @@ fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
             now.done < now.total,
             "the job was over before three workers were at it ({now:?}); {SIZE_IT_UP}"
         );
-        assert!(BEGAN.elapsed() < LIMIT, "three workers never were at work on a job begun: {now:?}");
+        assert!(started.elapsed() < LIMIT, "three workers never were at work on a job begun: {now:?}");
         sleep(Duration::from_millis(100));
     };
-    run(Command::new("docker").args(["kill", "--signal", "KILL", &first_workers[0]]));
+    docker(&["kill", "--signal", "KILL", &first_workers[0]]);
     let after = progress();
     eprintln!("killed a worker between {before:?} and {after:?}");
     assert!(after.done < after.total, "the job was over before the worker died ({after:?}); {SIZE_IT_UP}");
@@ -111,20 +120,101 @@ fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
 
     let together = folder.path().join("together.pvs");
     client(&["fetch", &job, "-o", together.to_str().unwrap()]);
-    let profiles = [&alone, &together].map(|result| profile(&sightline, result));
+    assert_same_bytes(&alone, &together);
+}
+
+/// A step of the test that waits for something in a cluster.
+fn wait_until<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let began = Instant::now();
+    loop {
+        if let Some(seen) = look() {
+            eprintln!("{what}: after {:.1} s", began.elapsed().as_secs_f64());
+            return seen;
+        }
+        assert!(began.elapsed() < LIMIT, "waited {LIMIT:?} in vain: {what}");
+        sleep(Duration::from_millis(100));
+    }
+}
+
+#[test]
+fn containers_share_one_block_through_every_fault() {
+    let Some((_turn, compose)) = cluster() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("town.glb");
+    run(Command::new(program()).args(["generate", "town", "--triangles", "20000", "-o"]).arg(&scene));
+    let error = setting("SIGHTLINE_TEST_ERROR", DEFAULT_ERROR);
+    let job_flags = ["--cells", "8x8x8", "--backend", "cpu", "--target-error", &error];
+    let alone = folder.path().join("alone.pvs");
+    let started = Instant::now();
+    run(Command::new(program())
+        .arg("bake")
+        .arg(&scene)
+        .arg("-o")
+        .arg(&alone)
+        .args(job_flags)
+        .arg("--data-dir")
+        .arg(folder.path().join("store")));
+    eprintln!("one process: {:.1} s", started.elapsed().as_secs_f64());
+
+    compose.up(2);
+    let url = format!("http://127.0.0.1:{}", compose.port);
+    let client = |args: &[&str]| run(Command::new(program()).args(args).args(["--coordinator", &url]));
+    let mut submit = vec!["submit", scene.to_str().unwrap()];
+    submit.extend(job_flags);
+    let started = Instant::now();
+    let job = client(&submit).trim().to_owned();
+    let still_runs = |what: &str| {
+        let now = Progress::parse(&client(&["show", &job, "--json"]));
+        assert_eq!((now.done, now.total), (0, 1), "the job was over before {what}; {SMALLER_ERROR}");
+    };
+    let has_said = |worker: &String, what: &str| logged(worker).contains(what);
+    let helps = |worker: &String| has_said(worker, "helps with tile 0");
+
+    // The second worker helps the first one; then there are four.
+    let first = compose.workers();
+    let helper = wait_until("the second worker helps", || first.iter().find(|w| helps(w)).cloned());
+    let leader = first.iter().find(|w| **w != helper).unwrap().clone();
+    compose.up(4);
+    let late: Vec<String> = compose.workers().into_iter().filter(|w| !first.contains(w)).collect();
+    wait_until("two more workers help", || late.iter().all(helps).then_some(()));
+    still_runs("four workers were at it");
+
+    // The leader stands still for longer than its lease lives; another worker goes on.
+    docker(&["pause", &leader]);
+    let others: Vec<String> = compose.workers().into_iter().filter(|w| *w != leader).collect();
+    let next =
+        wait_until("another worker leads", || others.iter().find(|w| has_said(w, "goes on after")).cloned());
+    docker(&["unpause", &leader]);
+    still_runs("its second leader began");
+
+    // A helper dies, another one is cut off, and the coordinator starts anew.
+    let helpers: Vec<&String> = others.iter().filter(|w| **w != next).collect();
+    docker(&["kill", "--signal", "KILL", helpers[0]]);
+    docker(&["network", "disconnect", &compose.network(), helpers[1]]);
+    let coordinator = compose.coordinator();
+    docker(&["kill", "--signal", "KILL", &coordinator]);
+    docker(&["start", &coordinator]);
+    wait_until("the leader has a crew again", || has_said(&next, "has a crew again").then_some(()));
+    docker(&["network", "connect", &compose.network(), helpers[1]]);
+    still_runs("the coordinator was back");
+
+    client(&["watch", &job]);
+    eprintln!("the cluster: {:.1} s", started.elapsed().as_secs_f64());
+    let together = folder.path().join("together.pvs");
+    client(&["fetch", &job, "-o", together.to_str().unwrap()]);
+    assert_same_bytes(&alone, &together);
+}
+
+/// Panics unless both results have the same bytes, and the same profile.
+fn assert_same_bytes(alone: &Path, together: &Path) {
+    let profiles = [alone, together].map(profile);
     eprintln!("one process on {}, the cluster on {}", profiles[0], profiles[1]);
     assert_eq!(
         profiles[0], profiles[1],
         "host and image hold different versions of Embree; make the image of the host's release"
     );
     let (alone, together) = (fs::read(alone).unwrap(), fs::read(together).unwrap());
-    let differing = alone.iter().zip(&together).position(|(a, b)| a != b);
-    assert!(
-        alone == together,
-        "the cluster's result differs: {} bytes against {}, first at {differing:?}",
-        together.len(),
-        alone.len()
-    );
+    sightline_tests::assert_same(&alone, &together, "the cluster's result differs");
     eprintln!("{} bytes, the same", alone.len());
 }
 
@@ -153,154 +243,13 @@ impl Progress {
     }
 }
 
-/// One compose project of its own name, image and port. Dropping it takes everything down again, also after a
-/// panic.
-struct Compose {
-    /// `docker-compose`, or `docker compose`.
-    program: &'static [&'static str],
-    project: String,
-    image: String,
-    port: u16,
-}
-
-impl Compose {
-    /// Finds engine and compose and builds the image; `Err` says what this machine lacks for it.
-    fn prepare(sightline: &Path) -> Result<Self, String> {
-        if !succeeds(&["docker", "info"]) {
-            return Err("no container engine answers (docker info)".into());
-        }
-        let program: &[&str] = if succeeds(&["docker-compose", "version"]) {
-            &["docker-compose"]
-        } else if succeeds(&["docker", "compose", "version"]) {
-            &["docker", "compose"]
-        } else {
-            return Err("neither docker-compose nor docker compose is installed".into());
-        };
-        if !Command::new(root().join("deploy/base-image.sh")).status().is_ok_and(|status| status.success()) {
-            return Err("the base image cannot be made here (deploy/base-image.sh says why)".into());
-        }
-        // A port that is free now. Something else may take it before compose does; the test then fails saying
-        // so.
-        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        let project = format!("sightline-test-{}", std::process::id());
-        let compose = Self { program, image: format!("{project}:local"), project, port };
-        run(Command::new(root().join("deploy/build-image.sh"))
-            .arg(sightline)
-            .env("SIGHTLINE_IMAGE", &compose.image));
-        Ok(compose)
-    }
-
-    fn command(&self) -> Command {
-        let mut command = Command::new(self.program[0]);
-        command
-            .args(&self.program[1..])
-            .args(["--project-name", &self.project, "--file"])
-            .arg(root().join("deploy/compose.yaml"))
-            .env("SIGHTLINE_IMAGE", &self.image)
-            .env("SIGHTLINE_PORT", self.port.to_string())
-            .env("SIGHTLINE_BACKEND", "cpu")
-            .env("SIGHTLINE_WORKER_THREADS", "1");
-        command
-    }
-
-    /// Starts the containers that are missing for one coordinator and `workers` workers; running ones stay.
-    fn up(&self, workers: usize) {
-        let scale = format!("worker={workers}");
-        run(self.command().args(["up", "--detach", "--no-recreate", "--scale", &scale]));
-    }
-
-    /// Ids of the worker containers that are running.
-    fn workers(&self) -> Vec<String> {
-        let project = format!("label=com.docker.compose.project={}", self.project);
-        let filters = ["--filter", &project, "--filter", "label=com.docker.compose.service=worker"];
-        run(Command::new("docker").args(["ps", "--quiet"]).args(filters)).lines().map(str::to_owned).collect()
-    }
-}
-
-impl Drop for Compose {
-    fn drop(&mut self) {
-        // Nothing here may panic: that would abort the test run in the middle of a clean-up.
-        if std::thread::panicking() {
-            let _shown = self.command().args(["logs", "--no-color", "--tail", "40"]).status();
-        }
-        let down = self.command().args(["down", "--volumes", "--remove-orphans", "--timeout", "5"]).output();
-        if !down.is_ok_and(|output| output.status.success()) {
-            eprintln!("containers test: project {} could not be taken down; see docker ps", self.project);
-        }
-        let _absent_if_the_build_failed =
-            Command::new("docker").args(["image", "rm", "--force", &self.image]).output();
-    }
-}
-
 /// Numerics profile a result was computed on, as `sightline info` names it.
-fn profile(sightline: &Path, result: &Path) -> String {
-    let info = run(Command::new(sightline).arg("info").arg(result).arg("--json"));
+fn profile(result: &Path) -> String {
+    let info = run(Command::new(program()).arg("info").arg(result).arg("--json"));
     let info: serde_json::Value = serde_json::from_str(&info).unwrap();
     info["info"]["profile"].as_str().unwrap_or_else(|| panic!("no profile in {info}")).to_owned()
 }
 
-/// Runs a command to its end and returns what it printed on stdout. Panics, with all its output, when it
-/// fails or takes past [`LIMIT`].
-fn run(command: &mut Command) -> String {
-    // Files, not pipes: a pipe would need a reader while this thread watches the time.
-    let (out, err) = (tempfile::NamedTempFile::new().unwrap(), tempfile::NamedTempFile::new().unwrap());
-    let began = *BEGAN;
-    let mut child = command
-        .stdin(Stdio::null())
-        .stdout(out.reopen().unwrap())
-        .stderr(err.reopen().unwrap())
-        .spawn()
-        .unwrap_or_else(|error| panic!("{command:?} does not start: {error}"));
-    let status = loop {
-        if let Some(status) = child.try_wait().unwrap() {
-            break Some(status);
-        }
-        if began.elapsed() > LIMIT {
-            child.kill().unwrap();
-            child.wait().unwrap();
-            break None;
-        }
-        sleep(Duration::from_millis(20));
-    };
-    let text = |path: &Path| String::from_utf8_lossy(&fs::read(path).unwrap()).into_owned();
-    let (out, err) = (text(out.path()), text(err.path()));
-    match status {
-        Some(status) if status.success() => out,
-        Some(status) => panic!("{command:?} failed, {status}:\n{out}{err}"),
-        None => panic!("{command:?} was ended, as the test had taken {LIMIT:?}:\n{out}{err}"),
-    }
-}
-
-/// Whether a command can be started and succeeds; its output does not matter.
-fn succeeds(words: &[&str]) -> bool {
-    Command::new(words[0]).args(&words[1..]).output().is_ok_and(|output| output.status.success())
-}
-
-/// The program under test: `SIGHTLINE_BIN`, or what cargo built beside this test, or the release build.
-fn find_program() -> PathBuf {
-    if let Some(named) = std::env::var_os("SIGHTLINE_BIN") {
-        let named = PathBuf::from(named);
-        assert!(named.is_file(), "SIGHTLINE_BIN names no file: {}", named.display());
-        return named;
-    }
-    // target/PROFILE/deps/containers-HASH
-    let test = std::env::current_exe().unwrap();
-    let profile = test.ancestors().nth(2).unwrap();
-    let target = profile.parent().unwrap();
-    [profile.join("sightline"), target.join("release/sightline")]
-        .into_iter()
-        .find(|program| program.is_file())
-        .unwrap_or_else(|| panic!("no sightline in {}; cargo build --workspace first", target.display()))
-}
-
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
-
 fn setting(name: &str, default: &str) -> String {
     std::env::var(name).unwrap_or_else(|_| default.to_owned())
-}
-
-fn in_ci() -> bool {
-    std::env::var_os("CI").is_some_and(|value| !value.is_empty() && value != OsStr::new("false"))
 }
