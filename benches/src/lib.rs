@@ -1,1 +1,2 @@
-//! Programs that measure the result format; each program in `src/bin/` answers one question.
+//! Programs that measure the result format and the cost of blocks; each program in `src/bin/` answers one
+//! question.
