@@ -69,6 +69,8 @@ fn outcome(
         }
         Command::Fail { job, tile, worker, reason } => {
             let on = c.store.fail_tile(*job, *tile, worker, reason)?;
+            // What the tile failed on may be in them.
+            c.crews.outcomes.remove((*job, *tile));
             let reason = reason.clone();
             Ok(Some(Event::FailureRecorded { job: *job, tile: *tile, on, reason }))
         }

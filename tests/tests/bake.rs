@@ -215,7 +215,7 @@ fn smaller_tiles_let_more_workers_help_and_miss_no_more_than_asked() {
     assert_ne!(sandbox.read("whole.pvs"), sandbox.read("cut.pvs"), "lines are shared within a tile only");
     make("--block-cells 8 --workers 3 --seed 4", "more");
     assert_same(&sandbox.read("cut.pvs"), &sandbox.read("more.pvs"), "one worker and three");
-    sandbox.run(&format!("{bake} --block-cells 513 -o no.pvs")).code(2);
+    sandbox.run(&format!("{bake} --block-cells 4097 -o no.pvs")).code(2);
 }
 
 #[test]

@@ -188,6 +188,7 @@ fn of_leader(said: FromLeader) -> Vec<Message> {
         FromLeader::Outcome { phase, bytes } => chunks::cut(&bytes)
             .map(|chunk| Message::Outcome(v1::CrewOutcome { phase, chunk: Some(chunk) }))
             .collect(),
+        FromLeader::Dismiss(member) => vec![Message::Dismiss(v1::CrewDismiss { member })],
         FromLeader::End => vec![Message::End(v1::CrewEnd {})],
     }
 }

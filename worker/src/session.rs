@@ -298,6 +298,9 @@ impl Worker {
             }
             FromCoordinator::Help(help) => {
                 let lease = help.lease?;
+                if draining {
+                    return Some(ToCoordinator::Helped(v1::Helped { lease: Some(lease) }));
+                }
                 let held = Arc::new(Held::new(lease));
                 self.helping.insert(key(&lease), Arc::clone(&held));
                 let (shop, report) = (Arc::clone(&self.shop), self.finished.0.clone());

@@ -6,7 +6,7 @@ use super::job::{Job, Output};
 use super::machine::{Leased, Machine, Timer};
 use super::messages::Now;
 use super::pools::List;
-use super::shares::User;
+use super::queue::User;
 use crate::ids::{LeaseId, WorkerId};
 use crate::store::JobPhase;
 

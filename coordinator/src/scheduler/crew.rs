@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::pools::Profile;
-use super::shares::For;
+use super::queue::For;
 use crate::ids::{Lease, WorkerId};
 
 /// A leased tile whose leader can use helpers.

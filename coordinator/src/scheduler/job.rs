@@ -13,7 +13,7 @@ use sightline_viewcells::{Lattice, Plan, TileKind};
 
 use super::messages::Now;
 use super::pools::{List, Place};
-use super::shares::For;
+use super::queue::For;
 use crate::ids::{Digest, LeaseId, TileIndex, WorkerId};
 use crate::store::{JobPhase, JobRecord, TileRecord, TileState, TileStats};
 

@@ -15,7 +15,7 @@ use super::event::{Effect, Event, Note};
 use super::job::{Job, Output, Work};
 use super::messages::Now;
 use super::pools::{Pools, Profile};
-use super::shares::{Account, User};
+use super::queue::{Account, User};
 use crate::ids::{Epoch, JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::store::JobPhase;
 

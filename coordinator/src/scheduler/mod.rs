@@ -4,8 +4,8 @@
 //! results. Its state can be derived again from the store and from the workers' introductions.
 //!
 //! A file each: `machine` has the state and the dispatch of events, `jobs`, `leases`, `workers`, `crews`,
-//! `failures`, `profiles`, `shares` and `granting` the transitions of their subjects, `pools` the lists that
-//! make them cheap, `checks` counts everything again.
+//! `failures`, `profiles`, `shares` and `granting` the transitions of their subjects, `pools` and `queue` the
+//! lists that make them cheap, `checks` counts everything again.
 
 mod binding;
 #[cfg(test)]
@@ -26,6 +26,7 @@ mod machine;
 mod messages;
 mod pools;
 mod profiles;
+mod queue;
 #[cfg(test)]
 mod share_tests;
 mod shares;

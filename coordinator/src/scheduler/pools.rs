@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use sightline_model::BackendChoice;
 
-use super::shares::Queue;
+use super::queue::Queue;
 use crate::ids::{JobId, LeaseId, TileIndex, WorkerId};
 
 /// The place of a job in lists that know no users: higher priorities first, then older jobs.

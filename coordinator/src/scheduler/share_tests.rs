@@ -4,7 +4,7 @@ use std::cmp::Reverse;
 
 use super::event::Event;
 use super::messages::{Order, Progress};
-use super::shares::{For, Queue, Share, User};
+use super::queue::{For, Queue, Share, User};
 use super::tests::{Bench, empty};
 use crate::ids::{JobId, Lease, WorkerId};
 use crate::store::{Store as _, TileStats};

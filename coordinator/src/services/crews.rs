@@ -133,8 +133,13 @@ async fn hear_leader(
                     }
                 }
             }
+            Some(Message::Dismiss(dismiss)) => room.leave(dismiss.member),
             Some(Message::End(_)) => return Ok(()),
-            _ => return Err(Status::invalid_argument("a leader sends items, outcomes and the end")),
+            _ => {
+                return Err(Status::invalid_argument(
+                    "a leader sends items, outcomes, dismissals and the end",
+                ));
+            }
         }
     }
 }

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::PathBuf;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::ids::{JobId, TileIndex};
 
@@ -23,26 +23,30 @@ type Tile = (JobId, TileIndex);
 pub struct Outcomes {
     /// `None` keeps nothing.
     directory: Option<PathBuf>,
-    /// For each tile in use, where its frames end. The last number is the end of the file.
-    ends: Mutex<BTreeMap<Tile, Vec<u64>>>,
+    /// The files of the tiles in use. Each has its own lock, so that a slow disk delays one tile's crew at a time.
+    files: Mutex<BTreeMap<Tile, Arc<Mutex<Ends>>>>,
 }
+
+/// Where the frames of a file end, once it was read. The last number is the end of the file.
+type Ends = Option<Vec<u64>>;
 
 impl Outcomes {
     /// The outcomes in a directory, which is created when the first one is kept.
     pub fn of(directory: PathBuf) -> Self {
-        Self { directory: Some(directory), ends: Mutex::default() }
+        Self { directory: Some(directory), files: Mutex::default() }
     }
 
     /// Keeps nothing.
     pub fn nowhere() -> Self {
-        Self { directory: None, ends: Mutex::default() }
+        Self { directory: None, files: Mutex::default() }
     }
 
     /// Number of outcomes of a tile.
     pub fn count(&self, tile: Tile) -> u32 {
         let Some(path) = self.path(tile) else { return 0 };
-        let read = || File::open(path).map_or_else(|_| Vec::new(), whole_frames);
-        self.lock().entry(tile).or_insert_with(read).len() as u32
+        let file = self.file(tile);
+        let mut ends = lock(&file);
+        ends.get_or_insert_with(|| File::open(path).map_or_else(|_| Vec::new(), whole_frames)).len() as u32
     }
 
     /// Keeps the outcome of a tile's next phase, or of an earlier one, which replaces another one and those
@@ -52,8 +56,9 @@ impl Outcomes {
             return true;
         }
         let (Some(path), Some(directory)) = (self.path(tile), &self.directory) else { return false };
-        let mut ends = self.lock();
-        let Some(ends) = ends.get_mut(&tile).filter(|ends| phase as usize <= ends.len()) else {
+        let file = self.file(tile);
+        let mut ends = lock(&file);
+        let Some(ends) = ends.as_mut().filter(|ends| phase as usize <= ends.len()) else {
             return false;
         };
         if bytes.len() as u64 > MAX_OUTCOME_BYTES {
@@ -89,7 +94,7 @@ impl Outcomes {
         }
         let start = match phase {
             0 => 0,
-            _ => *self.lock().get(&tile)?.get(phase as usize - 1)?,
+            _ => *lock(&self.file(tile)).as_ref()?.get(phase as usize - 1)?,
         };
         let mut file = File::open(self.path(tile)?).ok()?;
         file.seek(SeekFrom::Start(start)).ok()?;
@@ -98,7 +103,10 @@ impl Outcomes {
 
     /// Forgets the outcomes of a tile.
     pub fn remove(&self, tile: Tile) {
-        self.lock().remove(&tile);
+        // A crew that is at it finds the file gone and keeps nothing more.
+        let file = lock(&self.files).remove(&tile);
+        let mut ends = file.as_deref().map(lock);
+        ends.iter_mut().for_each(|ends| **ends = None);
         if let Some(path) = self.path(tile)
             && let Err(e) = std::fs::remove_file(&path)
             && e.kind() != std::io::ErrorKind::NotFound
@@ -123,14 +131,18 @@ impl Outcomes {
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<Tile, Vec<u64>>> {
-        // Each change is whole before anything can panic.
-        self.ends.lock().unwrap_or_else(PoisonError::into_inner)
+    fn file(&self, tile: Tile) -> Arc<Mutex<Ends>> {
+        Arc::clone(lock(&self.files).entry(tile).or_default())
     }
 
     fn path(&self, (job, tile): Tile) -> Option<PathBuf> {
         self.directory.as_ref().map(|d| d.join(format!("{job}.{tile}")))
     }
+}
+
+/// Locks something whose changes are whole before anything can panic.
+fn lock<T>(what: &Mutex<T>) -> MutexGuard<'_, T> {
+    what.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The bytes of the frame at the place of a file.

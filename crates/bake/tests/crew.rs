@@ -105,6 +105,7 @@ impl Hub {
                 outcomes.push(bytes.to_vec());
                 helpers.iter().for_each(|h| h.hear(ToHelper::Outcome { phase, bytes: bytes.to_vec() }));
             }
+            FromLeader::Dismiss(member) => helpers[member as usize].hear(ToHelper::End),
             FromLeader::End => helpers.iter().for_each(|h| h.hear(ToHelper::End)),
         }
     }

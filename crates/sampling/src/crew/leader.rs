@@ -65,6 +65,8 @@ pub enum FromLeader {
         /// The bytes of [`Phase::outcome`].
         bytes: Arc<Vec<u8>>,
     },
+    /// This helper is of no use.
+    Dismiss(Member),
     /// There are no more phases.
     End,
 }
@@ -265,6 +267,7 @@ impl Leader {
             Err(e) => {
                 tracing::warn!("helper {member} is dismissed: {e}");
                 self.dismiss(&mut self.lock(), member);
+                (self.out)(FromLeader::Dismiss(member));
             }
         }
     }
