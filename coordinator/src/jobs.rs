@@ -129,8 +129,8 @@ pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
     })
 }
 
-/// The summaries of the newest `most` jobs below `before`, in the order of their submission, and whether there
-/// are older ones.
+/// The summaries of the newest `most` jobs below `before`, in the order of their submission, and whether
+/// there are older ones.
 pub(crate) fn list(c: &Coordinator, before: JobId, most: usize) -> Result<(Vec<Summary>, bool), StoreError> {
     let (page, older) = c.store.jobs_before(before, most)?;
     let of = |job: &JobRecord| match summary(c, job.id) {

@@ -142,7 +142,8 @@ impl Worker {
         }
     }
 
-    /// Whether a worker without a connection has nothing to stay for. One that drains delivers its tiles first.
+    /// Whether a worker without a connection has nothing to stay for. One that drains delivers its tiles
+    /// first.
     fn may_stop(&self, stop: &watch::Receiver<Stop>) -> bool {
         match *stop.borrow() {
             Stop::No => false,

@@ -101,7 +101,7 @@ impl Machine {
 
     fn check_worker(&self, id: WorkerId) -> Result<(), String> {
         let w = &self.workers[&id];
-        let hungry = !w.draining && w.wants > 0 && w.deaf_until.is_none();
+        let hungry = !w.draining && w.wants > 0 && w.deaf_until.is_none() && !w.silent;
         let idle = w.leases.is_empty();
         let fine = w.profiles.iter().all(|p| {
             self.pools.of.get(p).is_some_and(|pool| {

@@ -109,3 +109,22 @@ fn a_tile_that_fails_on_three_workers_is_set_aside() {
     let job = b.machine.job(JobId(1)).unwrap();
     assert_eq!((job.set_aside, job.open()), (1, 1));
 }
+
+#[test]
+fn a_worker_that_fell_silent_gets_no_tile_before_it_asks_again() {
+    let mut b = two_tiles();
+    let (stands, goes) = (b.join("stands"), b.join("goes"));
+    b.want(stands, 2);
+    b.want(goes, 1);
+    let [lost, kept] = [b.grants(stands)[0], b.grants(goes)[0]];
+    for samples in 0..11 {
+        b.step(Event::Progressed(Progress { lease: kept, cells: 0, samples }));
+        b.wait(1);
+    }
+    // The silent worker is the only one without a tile, and wants one.
+    assert_eq!(b.grants(stands), [lost]);
+    assert_eq!(b.machine.unable(JobId(1))[0].names, ["stands"]);
+    b.want(stands, 1);
+    assert_eq!(b.grants(stands).last().unwrap().tile, lost.tile);
+    assert_eq!(b.machine.unable(JobId(1)), []);
+}

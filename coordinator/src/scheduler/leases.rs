@@ -16,6 +16,8 @@ const AWAY: u64 = 1800;
 /// A tile whose scene is being fetched and prepared may take this many times as long without progress as
 /// one that has begun.
 const PREPARING: u64 = 3;
+/// Why a lease ends whose worker says nothing.
+const RAN_OUT: &str = "its lease ran out";
 /// Most cells or samples believed of a running tile, so that sums over all tiles cannot overflow.
 const MOST_REPORTED: u64 = 1 << 42;
 
@@ -180,7 +182,7 @@ impl Machine {
     pub(super) fn deadline(&self, l: &Leased) -> (u64, &'static str) {
         let stuck = self.settings.stuck * if l.begun.is_some() { 1 } else { PREPARING };
         let away = l.gone.map(|since| (since + AWAY, "its worker has gone and did not come back"));
-        let ran_out = (l.renewed + self.settings.ttl, "its lease ran out");
+        let ran_out = (l.renewed + self.settings.ttl, RAN_OUT);
         let stuck = (l.moved + stuck, "it makes no progress");
         [away, Some(ran_out), Some(stuck)].into_iter().flatten().min_by_key(|(at, _)| *at).unwrap_or(ran_out)
     }
@@ -205,7 +207,12 @@ impl Machine {
             return;
         }
         let lease = Lease { job: l.job, tile: l.tile, id };
-        let name = self.workers.get(&l.worker).map(|w| w.name.clone());
+        let worker = l.worker;
+        if let Some(w) = self.workers.get_mut(&worker) {
+            // Otherwise it would be the first one to get the tile again, because it has none.
+            w.silent = why == RAN_OUT;
+        }
+        let name = self.workers.get(&worker).map(|w| w.name.clone());
         self.note(Note::TakenBack(lease, name, why));
         self.end_lease(id, true);
         self.tell_watchers(lease.job);

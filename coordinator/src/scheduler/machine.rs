@@ -53,6 +53,8 @@ pub(super) struct Worker {
     pub(super) draining: bool,
     /// It did not take an order; it gets none until then.
     pub(super) deaf_until: Option<u64>,
+    /// A lease of it ran out although its stream is there: it gets nothing until it asks again.
+    pub(super) silent: bool,
     pub(super) leases: BTreeSet<LeaseId>,
     /// Whether it can help leaders, and the one whom it helps.
     pub(super) can_help: bool,

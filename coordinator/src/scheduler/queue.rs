@@ -1,5 +1,5 @@
-//! Things to do in the order in which users have their turns: higher priorities first, then the user whose jobs
-//! have the smallest share of the workers (`shares`), then the order of the things.
+//! Things to do in the order in which users have their turns: higher priorities first, then the user whose
+//! jobs have the smallest share of the workers (`shares`), then the order of the things.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};

@@ -51,6 +51,7 @@ impl Machine {
             wants: 0,
             draining: false,
             deaf_until: None,
+            silent: false,
             leases: BTreeSet::new(),
             can_help: helps,
             helps: None,
@@ -120,6 +121,7 @@ impl Machine {
         if let Some(w) = self.workers.get_mut(&worker) {
             // A worker that wants more than it may hold is at fault.
             w.wants = w.wants.saturating_add(tiles).min(MOST_HELD);
+            w.silent = false;
             self.list_worker(worker);
         }
     }
@@ -148,7 +150,7 @@ impl Machine {
     pub(super) fn list_worker(&mut self, id: WorkerId) {
         let Some(w) = self.workers.get(&id) else { return };
         let (idle, fit) = (w.leases.is_empty(), !w.draining);
-        let hungry = fit && w.wants > 0 && w.deaf_until.is_none();
+        let hungry = fit && w.wants > 0 && w.deaf_until.is_none() && !w.silent;
         let helps = hungry && idle && w.can_help && w.helps.is_none();
         let belongs = [fit && idle, hungry && idle, hungry && !idle, helps];
         for (choice, serves) in w.serves.into_iter().enumerate() {

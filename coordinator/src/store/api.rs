@@ -21,7 +21,8 @@ pub trait Store: Send + Sync {
     /// One job.
     fn job(&self, job: JobId) -> Result<Option<JobRecord>, StoreError>;
 
-    /// The newest `most` jobs whose ids are below `before`, ascending by id, and whether there are older ones.
+    /// The newest `most` jobs whose ids are below `before`, ascending by id, and whether there are older
+    /// ones.
     fn jobs_before(&self, before: JobId, most: usize) -> Result<(Vec<JobRecord>, bool), StoreError>;
 
     /// All jobs, ascending by id, which is the order they were submitted in.

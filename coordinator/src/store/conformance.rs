@@ -199,23 +199,20 @@ impl Model {
                 }
                 if existing.is_none() {
                     self.last_job = id;
-                    let NewJob { key, request_id, name, user, priority, scene, spec, tiles, submitted_at_ms } =
-                        new;
-                    let (state, profile, finished_at_ms) = (JobState::Queued, None, None);
                     let job = JobRecord {
                         id,
-                        key,
-                        request_id,
-                        name,
-                        user,
-                        priority,
-                        scene,
-                        spec,
-                        tiles,
-                        state,
-                        profile,
-                        submitted_at_ms,
-                        finished_at_ms,
+                        key: new.key,
+                        request_id: new.request_id,
+                        name: new.name,
+                        user: new.user,
+                        priority: new.priority,
+                        scene: new.scene,
+                        spec: new.spec,
+                        tiles: new.tiles,
+                        state: JobState::Queued,
+                        profile: None,
+                        submitted_at_ms: new.submitted_at_ms,
+                        finished_at_ms: None,
                     };
                     self.jobs.insert(id, job);
                 }

@@ -23,7 +23,8 @@ type Tile = (JobId, TileIndex);
 pub struct Outcomes {
     /// `None` keeps nothing.
     directory: Option<PathBuf>,
-    /// The files of the tiles in use. Each has its own lock, so that a slow disk delays one tile's crew at a time.
+    /// The files of the tiles in use. Each has its own lock, so that a slow disk delays one tile's crew at a
+    /// time.
     files: Mutex<BTreeMap<Tile, Arc<Mutex<Ends>>>>,
 }
 

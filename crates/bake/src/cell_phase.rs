@@ -1,7 +1,7 @@
 //! Cells to be decided as the items of a phase that a crew shares.
 //!
-//! An answer is a decided cell, encoded as the output of a tile of one cell. A cell takes seconds to minutes, so
-//! a member gives one up when another member's answer is here.
+//! An answer is a decided cell, encoded as the output of a tile of one cell. A cell takes seconds to minutes,
+//! so a member gives one up when another member's answer is here.
 
 use std::sync::{Mutex, OnceLock, PoisonError};
 

@@ -1,8 +1,8 @@
 //! The exact part of a leaf tile: every triangle of every cell is decided.
 //!
 //! The cells are shared by a crew, unless there is a time budget; what precedes them every member finds
-//! alone. Triangles that sampling showed get a witness. The others become targets of exact queries, first from the
-//! box around a cell group, then from each cell.
+//! alone. Triangles that sampling showed get a witness. The others become targets of exact queries, first
+//! from the box around a cell group, then from each cell.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};

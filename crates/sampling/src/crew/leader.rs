@@ -2,8 +2,9 @@
 //! the outcomes. With no helpers it is a member that works alone and leaves outcomes behind.
 //!
 //! Outcomes stay here until somebody has kept them, so that a leader whose stream broke can go on with new
-//! helpers. The leader waits for nobody: when no item is free it computes those that helpers have not answered yet,
-//! and the first answer counts. So a helper that is slow, silent or gone costs what it would have saved.
+//! helpers. The leader waits for nobody: when no item is free it computes those that helpers have not
+//! answered yet, and the first answer counts. So a helper that is slow, silent or gone costs what it would
+//! have saved.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -272,8 +273,8 @@ impl Leader {
         }
     }
 
-    /// Adds the finds of helpers as they come, until the phase is over: the other threads may be busy with long
-    /// items that helpers have answered.
+    /// Adds the finds of helpers as they come, until the phase is over: the other threads may be busy with
+    /// long items that helpers have answered.
     fn add_all(&self, phase: &dyn Phase) {
         let mut state = self.lock();
         while state.queue.is_some() {

@@ -19,8 +19,8 @@ pub trait Phase: Sync {
     /// The expected work of each item, in one unit. After [`Phase::prepare`].
     fn costs(&self) -> Vec<u64>;
 
-    /// Computes an item, on any thread. Computing an item again changes nothing. Gives up without an answer, if
-    /// that saves much, once `is_needless` says so.
+    /// Computes an item, on any thread. Computing an item again changes nothing. Gives up without an answer,
+    /// if that saves much, once `is_needless` says so.
     ///
     /// # Errors
     /// [`TileError`] when the tile is cancelled or the backend fails.
