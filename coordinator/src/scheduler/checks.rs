@@ -127,14 +127,16 @@ impl Machine {
             ensure(pool.is_some_and(|p| p.crews.has(&crew.whom, &(helpers, *id))), "a crew is in no list")?;
         }
         let listed: usize = self.pools.of.values().map(|p| p.crews.all().count()).sum();
-        ensure(listed == self.crews.len(), "a crew that has ended is in a list")?;
-        let wasted = |p: &super::pools::Pool| !p.crews.is_empty() && !p.helpers.is_empty();
+        let counted: usize = self.pools.of.values().map(|p| p.crew_count).sum();
+        let fine = listed == self.crews.len() && counted == listed;
+        ensure(fine, "a crew that has ended is in a list")?;
+        let wasted = |p: &super::pools::Pool| p.crew_with_room().is_some() && !p.helpers.is_empty();
         let paused = self.paused_until.is_some();
         ensure(paused || !self.pools.of.values().any(wasted), "a crew could have another helper")?;
         // Those that were called back for a tile cannot move.
         let called = self.workers.values().any(|w| w.helps.is_some() && (!w.leases.is_empty() || w.draining));
         let uneven = self.pools.of.values().any(|p| {
-            let few = p.crews.first().map(|(turn, _)| turn.0);
+            let few = p.crew_with_room().map(|(turn, _)| turn.0);
             let many = p.crews.richest(|crew| crew.0 > 0).map(|(turn, _)| turn.0);
             few.zip(many).is_some_and(|(few, many)| many > few)
         });

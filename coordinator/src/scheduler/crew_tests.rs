@@ -42,6 +42,19 @@ fn idle_workers_are_spread_over_the_crews() {
 }
 
 #[test]
+fn a_crew_has_at_most_31_helpers() {
+    let (mut b, _, [one, two]) = two_leaders();
+    b.step(Event::CrewOpened(one));
+    let helpers: Vec<WorkerId> = (0..32).map(|i| b.join(&format!("helper {i}"))).collect();
+    helpers.iter().for_each(|w| b.want(*w, 2));
+    let with = |b: &Bench, lease| helpers.iter().filter(|w| helps(b, **w).last() == Some(&lease)).count();
+    assert_eq!((with(&b, one), with(&b, two)), (31, 0));
+    // The one that was left helps, and others move until both crews have as many.
+    b.step(Event::CrewOpened(two));
+    assert_eq!((with(&b, one), with(&b, two)), (16, 16));
+}
+
+#[test]
 fn a_helper_that_gets_a_tile_is_called_back_first() {
     let (mut b, [leader, other], [one, two]) = two_leaders();
     b.step(Event::CrewOpened(one));

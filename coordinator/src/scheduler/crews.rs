@@ -1,7 +1,7 @@
 //! Helpers: workers without a tile help the leaders of running tiles until they get a tile or the crew ends.
 //!
 //! Crews of higher priority come first. Among equals helpers are spread evenly over the users and over each
-//! user's crews, and one moves to another crew when that makes the spread more even.
+//! user's crews, and one moves to another crew when that makes the spread more even. A crew has a most.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -27,7 +27,9 @@ impl Machine {
         let Some(profile) = self.leases.get(&lease.id).map(|l| Profile::clone(&l.profile)) else { return };
         let Some(whom) = self.jobs.get(&lease.job).map(|job| job.whom.clone()) else { return };
         let share = self.share(&whom.user);
-        self.pools.at(&profile).crews.insert(&whom, share, (0, lease.id));
+        let pool = self.pools.at(&profile);
+        pool.crews.insert(&whom, share, (0, lease.id));
+        pool.crew_count += 1;
         self.crews.insert(lease.id, Crew { lease, profile, whom, helpers: BTreeMap::new() });
     }
 
@@ -35,7 +37,9 @@ impl Machine {
     pub(super) fn crew_closed(&mut self, id: LeaseId) {
         if let Some(crew) = self.crews.remove(&id) {
             let share = self.share(&crew.whom.user);
-            self.pools.at(&crew.profile).crews.remove(&crew.whom, share, &(crew.helpers.len(), id));
+            let pool = self.pools.at(&crew.profile);
+            pool.crews.remove(&crew.whom, share, &(crew.helpers.len(), id));
+            pool.crew_count -= 1;
             // Where the leader hangs, nobody else tells them.
             for (helper, since) in crew.helpers {
                 self.effects.push(Effect::Tell(helper, Order::Revoke(crew.lease)));
@@ -105,7 +109,7 @@ impl Machine {
     /// returns whether it did.
     pub(super) fn send_helper(&mut self, profile: &Profile) -> bool {
         let Some(pool) = self.pools.of.get(profile) else { return false };
-        let Some((_, &(_, id))) = pool.crews.first() else { return false };
+        let Some((_, (_, id))) = pool.crew_with_room() else { return false };
         let free = pool.helpers.first().copied();
         let Some(worker) = free.or_else(|| self.may_move(profile)) else { return false };
         if let Some(earlier) = self.workers.get(&worker).and_then(|w| w.helps) {
@@ -127,9 +131,9 @@ impl Machine {
     /// A helper that the crew whose turn it is needs more than its own: that one has a lower priority, or its
     /// user has two workers more, or it is of the same user and has two helpers more.
     fn may_move(&self, profile: &Profile) -> Option<WorkerId> {
-        let crews = &self.pools.of.get(profile)?.crews;
-        let (needs, &(few, _)) = crews.first()?;
-        let (has, &(many, id)) = crews.richest(|(helpers, _)| *helpers > 0)?;
+        let pool = self.pools.of.get(profile)?;
+        let (needs, (few, _)) = pool.crew_with_room()?;
+        let (has, &(many, id)) = pool.crews.richest(|(helpers, _)| *helpers > 0)?;
         let more = if has.0 != needs.0 {
             has.0 > needs.0
         } else if has.2 != needs.2 {

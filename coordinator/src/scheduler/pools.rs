@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use sightline_model::BackendChoice;
 
-use super::queue::Queue;
+use super::queue::{Queue, Turn};
 use crate::ids::{JobId, LeaseId, TileIndex, WorkerId};
 
 /// The place of a job in lists that know no users: higher priorities first, then older jobs.
@@ -39,6 +39,18 @@ pub(super) fn index(choice: BackendChoice) -> Choice {
     }
 }
 
+/// Helpers of all crews together, about, from which on each crew gets fewer.
+const HELPERS: usize = 256;
+/// Most helpers of a crew, when there are many crews and when there are few.
+const MOST_HELPERS: [usize; 2] = [7, 31];
+
+/// Most helpers of each of a number of crews. Every outcome goes to every helper: with more of them the
+/// coordinator's network sets the pace, and all crews take longer (docs/experiments/crews.md).
+pub(super) fn most_helpers(crews: usize) -> usize {
+    let [least, most] = MOST_HELPERS;
+    (HELPERS / crews.max(1)).clamp(least, most)
+}
+
 /// The workers and jobs of one profile.
 #[derive(Debug, Default)]
 pub(super) struct Pool {
@@ -62,9 +74,17 @@ pub(super) struct Pool {
     pub(super) helpers: BTreeSet<WorkerId>,
     /// Crews, by the number of their helpers for each user.
     pub(super) crews: Queue<(usize, LeaseId)>,
+    /// Number of these.
+    pub(super) crew_count: usize,
 }
 
 impl Pool {
+    /// The crew that is the next to get a helper, with the turn of its user, unless all have their most.
+    pub(super) fn crew_with_room(&self) -> Option<(&Turn, (usize, LeaseId))> {
+        let most = most_helpers(self.crew_count);
+        self.crews.first_that(|(helpers, _)| *helpers < most).map(|(turn, crew)| (turn, *crew))
+    }
+
     fn is_empty(&self) -> bool {
         let empty = self.jobs.is_empty() && self.waiting.is_empty() && self.begun.is_empty();
         self.able == 0 && empty && self.crews.is_empty()

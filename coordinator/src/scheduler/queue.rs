@@ -67,9 +67,16 @@ impl<T: Ord> Queue<T> {
 
     /// The first thing, with the turn of its user.
     pub(super) fn first(&self) -> Option<(&Turn, &T)> {
-        let turn = self.turns.first()?;
-        let whom = For { user: User::clone(&turn.2), priority: turn.0 };
-        Some((turn, self.of.get(&whom)?.first()?))
+        self.first_that(|_| true)
+    }
+
+    /// The first thing of the first user whose first thing is as wanted.
+    pub(super) fn first_that(&self, wanted: impl Fn(&T) -> bool) -> Option<(&Turn, &T)> {
+        self.turns.iter().find_map(|turn| {
+            let whom = For { user: User::clone(&turn.2), priority: turn.0 };
+            let first = self.of.get(&whom)?.first()?;
+            wanted(first).then_some((turn, first))
+        })
     }
 
     /// The last thing of the last user whose last thing is as wanted.
