@@ -249,7 +249,7 @@ impl Leader {
             return Step::Add(member, items, finds);
         }
         let queue = state.queue.as_mut();
-        let item = queue.and_then(|queue| queue.next().or_else(|| queue.next_given()));
+        let item = queue.and_then(|queue| queue.next_free().or_else(|| queue.next_given()));
         item.map_or(Step::Nothing, Step::Compute)
     }
 

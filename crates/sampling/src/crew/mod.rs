@@ -20,7 +20,7 @@ use rayon::prelude::*;
 pub use self::helper::{FromHelper, Helper, ToHelper};
 pub use self::leader::{FromLeader, Leader, ToLeader};
 pub use self::member::{Crew, ForeignFinds, Phase};
-pub use self::queue::Member;
+pub use self::queue::{IN_HAND, Member, Queue};
 use crate::error::TileError;
 
 /// One member that works alone.
