@@ -37,7 +37,8 @@ struct Args {
     /// The target error of the bake; the program's default when left out.
     #[arg(long)]
     target_error: Option<f64>,
-    /// Tiles to measure, chosen by chance. The tiles of the simulated job are drawn from them when it has more.
+    /// Tiles to measure, chosen by chance. The tiles of the simulated job are drawn from them when it has
+    /// more.
     #[arg(long, default_value_t = 12)]
     blocks: usize,
     /// Recordings of each tile, of which the least times count, beside one of a helper.

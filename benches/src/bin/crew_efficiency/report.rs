@@ -21,7 +21,8 @@ pub fn print(trace: &Trace, job: &Job<'_>, workers: &[usize], settings: impl Fn(
         seconds(whole)
     );
     println!(
-        "of that: load {:.2} s, facts {:.2} s, sampling {:.2} s, assembly {:.2} s; a worker parses {:.1} MB in \
+        "of that: load {:.2} s, facts {:.2} s, sampling {:.2} s, assembly {:.2} s; a worker parses {:.1} MB \
+         in \
          {:.2} s",
         seconds(scene.load),
         seconds(scene.facts),
@@ -54,7 +55,8 @@ fn line(workers: usize, cold: (&Outcome, u64), warm: (&Outcome, u64), cells: u64
     let [scene, serial, lists, items, coding] = sampling.spent;
     let busy: u64 = sampling.spent.iter().sum();
     println!(
-        "| {workers} | {:.2} s | {:.0} % | {:.2} s | {:.0} % | {:.0} % | {:.0} % | {:.0} % | {:.0} % | {:.0} % | \
+        "| {workers} | {:.2} s | {:.0} % | {:.2} s | {:.0} % | {:.0} % | {:.0} % | {:.0} % | \
+         {:.0} % | {:.0} % | \
          {:.0} % | {:.0} % | {:.1} | {:.0} |",
         seconds(job.wall),
         efficiency(job.wall, cold.1),
@@ -81,7 +83,8 @@ fn blocks(trace: &Trace) {
         let longest = sum(|p| p.items.iter().map(|i| i.compute).max().unwrap_or(0));
         let gaps = block.begin + block.end + sum(|p| p.gap);
         println!(
-            "tile {number}: {} phases, {} items, {:.2} s of items; every member: {:.2} s of table and barriers, \
+            "tile {number}: {} phases, {} items, {:.2} s of items; every member: {:.2} s of table and \
+             barriers, \
              {:.2} s of lists; outcomes {:.2} MB, encoded in {:.2} s, added in {:.2} s; longest items of the \
              phases {:.2} s; output {:.2} MB",
             phases.len(),
