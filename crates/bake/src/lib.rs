@@ -30,8 +30,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-pub mod cell_phase;
-mod choices;
+mod cell_phase;
+pub mod choices;
 mod decide;
 mod decide_pairs;
 mod groups;
