@@ -7,8 +7,8 @@
 //! cluster's result, never its speed.
 //!
 //! Environment: `SIGHTLINE_BIN` names the program (default: the one in the target folder),
-//! `SIGHTLINE_TEST_TRIANGLES`, `SIGHTLINE_TEST_CELLS` and `SIGHTLINE_TEST_ERROR` size the jobs, which have to
-//! last long enough for the faults to come in their middle.
+//! `SIGHTLINE_TEST_TRIANGLES` and `SIGHTLINE_TEST_CELLS` size the job of many tiles, which has to last long
+//! enough for the faults to come in its middle; the job of one tile sizes itself.
 
 // clippy.toml's permissions for tests reach `#[test]` functions only, not the helpers of an integration test.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
@@ -25,9 +25,10 @@ use sightline_tests::{Compose, docker, in_ci, logged, program, run};
 /// Town size and cells at which two single-threaded workers are busy for well over twenty seconds.
 const DEFAULT_TRIANGLES: &str = "20000";
 const DEFAULT_CELLS: &str = "8x8x4";
-/// Target error at which a town's block lasts through all faults, on two cores.
-const DEFAULT_ERROR: &str = "0.00005";
-const SMALLER_ERROR: &str = "give a smaller SIGHTLINE_TEST_ERROR";
+/// Seconds that one process needs for a town's block, so that the block lasts through all faults.
+const LASTING: f64 = 8.0;
+/// Target errors for such a block, on slow machines and on fast ones.
+const ERRORS: [&str; 5] = ["0.00002", "0.00001", "0.000005", "0.000002", "0.000001"];
 const SIZE_IT_UP: &str = "size it up by SIGHTLINE_TEST_TRIANGLES or SIGHTLINE_TEST_CELLS";
 /// What is waited for longer than this does not come.
 const LIMIT: Duration = Duration::from_secs(300);
@@ -142,19 +143,27 @@ fn containers_share_one_block_through_every_fault() {
     let folder = tempfile::tempdir().unwrap();
     let scene = folder.path().join("town.glb");
     run(Command::new(program()).args(["generate", "town", "--triangles", "20000", "-o"]).arg(&scene));
-    let error = setting("SIGHTLINE_TEST_ERROR", DEFAULT_ERROR);
-    let job_flags = ["--cells", "8x8x8", "--backend", "cpu", "--target-error", &error];
     let alone = folder.path().join("alone.pvs");
-    let started = Instant::now();
-    run(Command::new(program())
-        .arg("bake")
-        .arg(&scene)
-        .arg("-o")
-        .arg(&alone)
-        .args(job_flags)
-        .arg("--data-dir")
-        .arg(folder.path().join("store")));
-    eprintln!("one process: {:.1} s", started.elapsed().as_secs_f64());
+    let job_flags = ERRORS
+        .map(|error| ["--cells", "8x8x8", "--backend", "cpu", "--target-error", error])
+        .into_iter()
+        .enumerate()
+        .find(|(attempt, flags)| {
+            let started = Instant::now();
+            run(Command::new(program())
+                .arg("bake")
+                .arg(&scene)
+                .arg("-o")
+                .arg(&alone)
+                .args(flags)
+                .arg("--data-dir")
+                .arg(folder.path().join(format!("store-{attempt}"))));
+            let seconds = started.elapsed().as_secs_f64();
+            eprintln!("one process: {seconds:.1} s with {}", flags.join(" "));
+            seconds >= LASTING
+        })
+        .map(|(_, flags)| flags)
+        .unwrap_or_else(|| panic!("no target error of {ERRORS:?} makes a block of {LASTING} s"));
 
     compose.up(2);
     let url = format!("http://127.0.0.1:{}", compose.port);
@@ -165,7 +174,7 @@ fn containers_share_one_block_through_every_fault() {
     let job = client(&submit).trim().to_owned();
     let still_runs = |what: &str| {
         let now = Progress::parse(&client(&["show", &job, "--json"]));
-        assert_eq!((now.done, now.total), (0, 1), "the job was over before {what}; {SMALLER_ERROR}");
+        assert_eq!((now.done, now.total), (0, 1), "the job was over before {what}; LASTING has to be longer");
     };
     let has_said = |worker: &String, what: &str| logged(worker).contains(what);
     let helps = |worker: &String| has_said(worker, "helps with tile 0");
@@ -194,7 +203,13 @@ fn containers_share_one_block_through_every_fault() {
     let coordinator = compose.coordinator();
     docker(&["kill", "--signal", "KILL", &coordinator]);
     docker(&["start", &coordinator]);
-    wait_until("the leader has a crew again", || has_said(&next, "has a crew again").then_some(()));
+    wait_until("the leader has a crew again", || {
+        let again = has_said(&next, "has a crew again");
+        if !again && coordinator_answers(&url) {
+            still_runs("its leader had a crew again");
+        }
+        again.then_some(())
+    });
     docker(&["network", "connect", &compose.network(), helpers[1]]);
     still_runs("the coordinator was back");
 
@@ -203,6 +218,12 @@ fn containers_share_one_block_through_every_fault() {
     let together = folder.path().join("together.pvs");
     client(&["fetch", &job, "-o", together.to_str().unwrap()]);
     assert_same_bytes(&alone, &together);
+}
+
+/// Whether the coordinator at this address is up, which may just be starting.
+fn coordinator_answers(url: &str) -> bool {
+    let health = Command::new(program()).args(["health", "--coordinator", url]).output().unwrap();
+    health.status.success()
 }
 
 /// Panics unless both results have the same bytes, and the same profile.
