@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use futures::StreamExt as _;
 use sightline_proto::chunks::{self, Blobs};
@@ -23,6 +23,8 @@ use crate::status::describe;
 
 /// Messages that wait for the network.
 const WAITING: usize = 16;
+/// A stream of a leader that lasted this long was of use, and the first wait after it is short again.
+const STEADY: Duration = Duration::from_secs(5);
 /// How long a leader waits for the outcomes of an earlier one to begin to come, and then for each next one.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// The waits after a leader's stream has broken: the first, and late ones; they double in between.
@@ -132,29 +134,38 @@ async fn keep_leading(
     way: Way,
     mut inbound: Option<Streaming<v1::CrewMessage>>,
 ) {
+    // Without a stream so far, the outcomes of an earlier leader are not known either.
+    let mut knows_earlier = inbound.is_some();
+    let mut wait = AGAIN[0];
     loop {
         if let Some(inbound) = inbound.take() {
-            hear_leader(leader.clone(), inbound).await;
+            let since = Instant::now();
+            hear_leader(leader.clone(), &way, inbound).await;
+            if since.elapsed() >= STEADY {
+                wait = AGAIN[0];
+            }
         }
         way.turn(None);
-        let mut wait = AGAIN[0];
         inbound = Some(loop {
             tokio::time::sleep(wait).await;
             wait = (wait * 2).min(AGAIN[1]);
-            if held.cancelled() || leader.strong_count() == 0 {
+            let use_for_helpers = leader.upgrade().filter(|leader| !leader.has_ended());
+            let Some(from) = use_for_helpers.map(|leader| leader.next_phase()) else { return };
+            if held.cancelled() {
                 return;
             }
-            // Its own outcomes are here: none are asked for.
-            let Ok((out, inbound, _, there)) = open(&client, lease, u32::MAX).await else { continue };
+            let from = if knows_earlier { u32::MAX } else { from };
+            let Ok((out, inbound, outcomes, there)) = open(&client, lease, from).await else { continue };
             let Some(leader) = leader.upgrade() else { return };
+            if !std::mem::replace(&mut knows_earlier, true) {
+                leader.learn(from, outcomes);
+            }
             let (to, said) = mpsc::unbounded_channel();
-            way.turn(Some(to));
-            if leader.reopened(there) {
+            if leader.reopened(there, || way.turn(Some(to))) {
                 tracing::info!("tile {} of job {} has a crew again", lease.tile, lease.job);
                 tokio::spawn(send(said, out, of_leader));
                 break inbound;
             }
-            way.turn(None);
             tracing::warn!(
                 "tile {} of job {} goes on without helpers: the coordinator has lost its earlier phases",
                 lease.tile,
@@ -208,7 +219,7 @@ fn of_helper(said: FromHelper) -> Vec<Message> {
 }
 
 /// Tells the leader what comes, until its tile is done or the stream breaks.
-async fn hear_leader(leader: Weak<Leader>, mut inbound: Streaming<v1::CrewMessage>) {
+async fn hear_leader(leader: Weak<Leader>, way: &Way, mut inbound: Streaming<v1::CrewMessage>) {
     // The helpers, with the items of the finds that arrive.
     let mut members: BTreeMap<Member, (Vec<u32>, Blobs)> = BTreeMap::new();
     while let Some(Ok(message)) = inbound.next().await {
@@ -242,6 +253,7 @@ async fn hear_leader(leader: Weak<Leader>, mut inbound: Streaming<v1::CrewMessag
                         tracing::warn!("helper {member} is dismissed: {e}");
                         members.remove(&member);
                         leader.hear(ToLeader::Left(member));
+                        way.say(FromLeader::Dismiss(member));
                     }
                 }
             }

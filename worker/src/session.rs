@@ -24,7 +24,10 @@ const IN_HAND: usize = 2;
 const RENEW: Duration = Duration::from_secs(1);
 /// First and longest wait before a reconnection. After a restart the coordinator waits a little longer than
 /// the longest one before it gives tiles at work to other workers.
-const RECONNECT: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(2)];
+const RECONNECT: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(1)];
+/// How long an attempt to connect takes at most: after a restart the coordinator keeps tiles for its workers
+/// for two and a half seconds.
+const CONNECT: Duration = Duration::from_secs(1);
 /// After a connection that lasted this long, waits start at the shortest again. Short waits matter, since the
 /// coordinator keeps the leases of a disconnected worker for less than two seconds.
 const STEADY: Duration = Duration::from_secs(1);
@@ -74,6 +77,7 @@ impl Worker {
     /// A worker without a connection.
     pub fn new(config: Config) -> Result<Self, WorkerError> {
         let channel: Channel = sightline_proto::endpoint(&config.coordinator)
+            .map(|endpoint| endpoint.connect_timeout(CONNECT))
             .map_err(|e| WorkerError::Address(config.coordinator.clone(), e))?
             .http2_keep_alive_interval(Duration::from_secs(10))
             .keep_alive_while_idle(true)
@@ -274,6 +278,14 @@ impl Worker {
             }
             FromCoordinator::Grant(grant) => {
                 let lease = grant.lease?;
+                if draining {
+                    // It crossed with the word that this worker takes no more.
+                    return Some(ToCoordinator::Failed(v1::TileFailed {
+                        lease: Some(lease),
+                        reason: "the worker takes no more tiles".to_owned(),
+                        infrastructure: true,
+                    }));
+                }
                 let held = Arc::new(Held::new(lease));
                 self.held.insert(key(&lease), Arc::clone(&held));
                 let (shop, report) = (Arc::clone(&self.shop), self.finished.0.clone());

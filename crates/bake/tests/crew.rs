@@ -8,9 +8,10 @@ use std::sync::{Arc, Mutex, RwLock};
 use std::time::Duration;
 
 use sightline_bake::{Alone, BakeError, BakeScene, Control, Crew, Watcher, run_tile};
-use sightline_model::{CellToCell, Granularity, JobSpec, Sampler};
+use sightline_model::{CellToCell, Granularity, JobSpec, Method, Sampler};
 use sightline_sampling::crew::{FromHelper, FromLeader, Helper, Leader, ToHelper, ToLeader};
 use sightline_sampling::{Backend, BackendError, CubeSpec, embree::CpuBackend};
+use sightline_scene::Scene;
 use sightline_scene::generate::{Kind, Params, generate};
 use sightline_viewcells::Division;
 
@@ -19,11 +20,14 @@ use sightline_viewcells::Division;
 struct Watch {
     stopped: AtomicBool,
     rays: AtomicU64,
+    /// How often rays or queries were reported.
+    reports: AtomicU64,
 }
 
 impl Watcher for Watch {
     fn rendered(&self, rays: u64) {
         self.rays.fetch_add(rays, Relaxed);
+        self.reports.fetch_add(1, Relaxed);
     }
     fn cell_done(&self) {}
     fn cancelled(&self) -> bool {
@@ -41,7 +45,10 @@ struct Job {
 /// A town of a few houses with furniture; `None` without Embree. Under `CI` a missing Embree is a failure.
 fn job(change: impl FnOnce(&mut JobSpec)) -> Option<Job> {
     let params = Params { triangles: Some(20_000), seed: 3, ..Params::default() };
-    let scene = Arc::new(generate(Kind::Town, &params).unwrap());
+    job_of(Arc::new(generate(Kind::Town, &params).unwrap()), change)
+}
+
+fn job_of(scene: Arc<Scene>, change: impl FnOnce(&mut JobSpec)) -> Option<Job> {
     let mut spec = JobSpec::new(scene.digest().0, Division::Grid([4, 4, 2]), scene.bounds());
     spec.sampling.target_error = 2e-3;
     change(&mut spec);
@@ -87,7 +94,8 @@ struct Hub {
     leader: RwLock<Option<Arc<Leader>>>,
     helpers: RwLock<Vec<Arc<Helper>>>,
     outcomes: Mutex<Vec<Vec<u8>>>,
-    finds: AtomicU64,
+    /// The phase of each piece that helpers did.
+    finds: Mutex<Vec<u32>>,
     is_over: AtomicBool,
 }
 
@@ -120,7 +128,7 @@ impl Hub {
         match message {
             FromHelper::Ask { phase } => self.to_leader(ToLeader::Ask { member, phase }),
             FromHelper::Found { phase, items, finds } => {
-                self.finds.fetch_add(1, Relaxed);
+                self.finds.lock().unwrap().push(phase);
                 match helps {
                     Helps::Well => self.to_leader(ToLeader::Found { member, phase, items, finds }),
                     Helps::Badly => {
@@ -158,6 +166,16 @@ impl Hub {
 /// Runs the tile with helpers that come at once or after some milliseconds, from the outcomes of an earlier
 /// leader. Returns the bytes, all outcomes, and the number of pieces that helpers did.
 fn crewed(job: &Job, helpers: &[(Helps, u64)], earlier: &[Vec<u8>]) -> (Vec<u8>, Vec<Vec<u8>>, u64) {
+    let (bytes, outcomes, phases) = crewed_phases(job, helpers, earlier);
+    (bytes, outcomes, phases.len() as u64)
+}
+
+/// As [`crewed`], with the phase of each piece that helpers did.
+fn crewed_phases(
+    job: &Job,
+    helpers: &[(Helps, u64)],
+    earlier: &[Vec<u8>],
+) -> (Vec<u8>, Vec<Vec<u8>>, Vec<u32>) {
     let hub = Arc::new(Hub::default());
     hub.outcomes.lock().unwrap().extend(earlier.iter().cloned());
     let watch = Arc::new(Watch::default());
@@ -193,7 +211,8 @@ fn crewed(job: &Job, helpers: &[(Helps, u64)], earlier: &[Vec<u8>]) -> (Vec<u8>,
     });
     *hub.leader.write().unwrap() = None;
     let outcomes = std::mem::take(&mut *hub.outcomes.lock().unwrap());
-    (bytes, outcomes, hub.finds.load(Relaxed))
+    let finds = std::mem::take(&mut *hub.finds.lock().unwrap());
+    (bytes, outcomes, finds)
 }
 
 #[test]
@@ -262,6 +281,66 @@ fn a_block_goes_on_from_any_outcome_and_casts_no_ray_again() {
 }
 
 #[test]
+fn exact_cells_are_decided_by_helpers_and_never_again() {
+    let scene = generate(Kind::Rooms, &Params { triangles: Some(600), ..Params::default() }).unwrap();
+    let exact = |s: &mut JobSpec| {
+        *s = JobSpec::new(scene.digest().0, Division::Grid([4, 4, 2]), scene.bounds());
+        (s.method, s.certificates) = (Method::Exact, true);
+    };
+    let Some(job) = job_of(Arc::new(scene.clone()), exact) else { return };
+    let (expected, _) = job.alone();
+    // With a helper every outcome is handed over.
+    let (_, outcomes, _) = crewed_phases(&job, &[(Helps::Never, 0)], &[]);
+    let last = outcomes.len() as u32 - 1;
+    // The members share the threads of this process, so now and then the leader is done first.
+    let helpers = [(Helps::Badly, 0), (Helps::Well, 0), (Helps::Once, 0)];
+    let helped = (0..20).any(|_| {
+        let (bytes, _, phases) = crewed_phases(&job, &helpers, &outcomes[..last as usize]);
+        assert!(bytes == expected);
+        phases.contains(&last)
+    });
+    assert!(helped, "helpers decided no cell in any of 20 runs");
+    // A leader that is given the last outcome, too, asks nothing about cells.
+    let reports = |outcomes: &[Vec<u8>]| {
+        let watch = Arc::new(Watch::default());
+        let leader = Leader::new(outcomes.to_vec(), watch.clone(), |_| {});
+        assert!(job.run(&*watch, &leader).unwrap() == expected);
+        watch.reports.load(Relaxed)
+    };
+    let (with, without) = (reports(&outcomes), reports(&outcomes[..last as usize]));
+    assert!(with + 32 < without, "{with} reports with the cells decided, {without} without");
+}
+
+#[test]
+fn a_leader_learns_late_what_an_earlier_one_has_left() {
+    let Some(job) = job(|_| {}) else { return };
+    let (expected, rays) = job.alone();
+    let (_, outcomes, _) = crewed(&job, &[(Helps::Never, 0)], &[]);
+    assert!(outcomes.len() > 6, "{}", outcomes.len());
+    let (watch, said) = (Arc::new(Watch::default()), Arc::new(Mutex::new(Vec::new())));
+    let hears = Arc::clone(&said);
+    let leader = Leader::new(Vec::new(), watch.clone(), move |message| hears.lock().unwrap().push(message));
+    assert_eq!(leader.next_phase(), 0);
+    leader.learn(0, outcomes.clone());
+    assert!(leader.reopened(outcomes.len() as u32, || {}));
+    assert!(job.run(&*watch, &leader).unwrap() == expected);
+    assert_eq!(watch.rays.load(Relaxed), rays);
+    assert!(leader.has_ended());
+    drop(leader);
+    let said = std::mem::take(&mut *said.lock().unwrap());
+    assert_eq!(said, [FromLeader::End], "nothing is computed or handed over again, and the end is said once");
+}
+
+#[test]
+fn a_leader_that_goes_without_an_end_sends_its_helpers_away() {
+    let said = Arc::new(Mutex::new(Vec::new()));
+    let hears = Arc::clone(&said);
+    let watch = Arc::new(Watch::default());
+    drop(Leader::new(Vec::new(), watch, move |message| hears.lock().unwrap().push(message)));
+    assert_eq!(said.lock().unwrap()[..], [FromLeader::End]);
+}
+
+#[test]
 fn a_leader_whose_way_was_lost_hands_over_what_was_not_kept() {
     let Some(job) = job(|_| {}) else { return };
     let heard: Arc<Mutex<Vec<u32>>> = Arc::default();
@@ -279,9 +358,9 @@ fn a_leader_whose_way_was_lost_hands_over_what_was_not_kept() {
     let last = *all.last().unwrap();
     assert_eq!(all, (0..=last).collect::<Vec<u32>>());
     leader.hear(ToLeader::Kept(3));
-    assert!(leader.reopened(last), "only the last one is missing");
+    assert!(leader.reopened(last, || {}), "only the last one is missing");
     assert_eq!(std::mem::take(&mut *heard.lock().unwrap()), [last]);
-    assert!(leader.reopened(3));
+    assert!(leader.reopened(3, || {}));
     assert_eq!(heard.lock().unwrap()[..], all[3..]);
-    assert!(!leader.reopened(2), "the third one is not here any more");
+    assert!(!leader.reopened(2, || {}), "the third one is not here any more");
 }

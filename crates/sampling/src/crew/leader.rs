@@ -90,8 +90,8 @@ struct State {
     number: u32,
     queue: Option<Queue>,
     helpers: BTreeSet<Member>,
-    /// Those of them that have asked for items, and get some of every phase.
-    ready: BTreeSet<Member>,
+    /// Those of them that have asked for items, with the phase from which on they get some.
+    ready: BTreeMap<Member, u32>,
     /// Helpers without items, and the phase that each is ready for.
     asking: VecDeque<(Member, u32)>,
     /// Pieces that helpers have done.
@@ -105,6 +105,8 @@ struct State {
     rays: BTreeMap<Member, u64>,
     /// Time spent on preparing phases, computing items and encoding outcomes, for the log.
     times: [Duration; 3],
+    /// Whether there are no more phases.
+    has_ended: bool,
 }
 
 /// What a thread of the leader does next.
@@ -135,7 +137,8 @@ impl Leader {
                 self.hand_over(&mut state);
             }
             ToLeader::Ask { member, phase } => {
-                if state.helpers.contains(&member) && state.ready.insert(member) && phase < state.number {
+                let is_new = state.helpers.contains(&member) && state.ready.insert(member, phase).is_none();
+                if is_new && phase < state.number {
                     // The phase is over; the helper is given some of the present one.
                     let now = state.number;
                     (0..IN_HAND).for_each(|_| state.asking.push_back((member, now)));
@@ -165,16 +168,40 @@ impl Leader {
     }
 
     /// There is a new way to helpers, on which the outcomes of `there` phases are known. Returns whether the
-    /// leader has all others; without them helpers are of no use.
-    pub fn reopened(&self, there: u32) -> bool {
+    /// leader has all others; without them helpers are of no use. `turn` makes `out` lead that way.
+    pub fn reopened(&self, there: u32, turn: impl FnOnce()) -> bool {
         let mut state = self.lock();
         let first = state.outcomes.front().map_or(state.number, |(phase, _)| *phase);
         if there < first {
             return false;
         }
         state.handed = there;
+        // Nothing is said in between, so the first outcome on the new way is that of phase `there`.
+        turn();
         self.hand_over(&mut state);
         true
+    }
+
+    /// Whether there are no more phases, and no use for helpers.
+    pub fn has_ended(&self) -> bool {
+        self.lock().has_ended
+    }
+
+    /// The first phase whose outcome is of use here.
+    pub fn next_phase(&self) -> u32 {
+        let state = self.lock();
+        state.number + u32::from(state.queue.is_some())
+    }
+
+    /// An earlier leader has left the outcomes of the phases from `from` on, which were not known at first.
+    pub fn learn(&self, from: u32, outcomes: Vec<Vec<u8>>) {
+        let mut state = self.lock();
+        let next = state.number + u32::from(state.queue.is_some());
+        // Those of phases that are over, or under way, are of no use.
+        let useless = next.saturating_sub(from) as usize;
+        if state.earlier.is_empty() && from <= next {
+            state.earlier = outcomes.into_iter().skip(useless).collect();
+        }
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -331,7 +358,9 @@ impl Crew for Leader {
             // One piece each in turn. Whoever has asked already is ready.
             state.asking.clear();
             for _ in 0..IN_HAND {
-                let ready: Vec<Member> = state.ready.iter().copied().collect();
+                // One that knows the outcomes of later phases drops items of this one.
+                let ready = state.ready.iter().filter(|(_, from)| **from <= number);
+                let ready: Vec<Member> = ready.map(|(member, _)| *member).collect();
                 state.asking.extend(ready.into_iter().map(|member| (member, number)));
             }
             self.give(&mut state);
@@ -367,14 +396,24 @@ impl Crew for Leader {
     }
 
     fn end(&self) -> Result<(), TileError> {
+        let mut state = self.lock();
+        state.has_ended = true;
         (self.out)(FromLeader::End);
-        let state = self.lock();
         let [prepared, computed, encoded] = state.times;
         tracing::debug!("prepared {prepared:?}, computed {computed:?}, encoded {encoded:?}");
         if !state.rays.is_empty() {
             tracing::debug!("rays of helpers: {:?}", state.rays);
         }
         Ok(())
+    }
+}
+
+impl Drop for Leader {
+    /// Helpers of a tile that failed or was taken back are of no use.
+    fn drop(&mut self) {
+        if !self.has_ended() {
+            (self.out)(FromLeader::End);
+        }
     }
 }
 
