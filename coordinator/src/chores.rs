@@ -98,6 +98,8 @@ fn outcome(
             Ok(None)
         }
         Command::FailJob(id, reason) => {
+            // Submitted again, the job begins from nothing.
+            c.crews.outcomes.sweep(|job| job != *id);
             let failed = JobState::Failed { reason: reason.clone() };
             changed(c.store.set_job_state(*id, &[JobPhase::Queued, JobPhase::Running], failed, at)?)
         }

@@ -47,6 +47,8 @@ pub(crate) enum Told {
 pub(crate) struct Crews {
     pub(crate) outcomes: Outcomes,
     rooms: Mutex<BTreeMap<(JobId, TileIndex), Arc<Room>>>,
+    /// Held while a crew opens or closes and the scheduler hears of it.
+    turn: Mutex<()>,
 }
 
 /// A crew with a leader.
@@ -106,19 +108,31 @@ impl Room {
 impl Crews {
     /// No crews, and the outcomes of earlier ones.
     pub(crate) fn new(outcomes: Outcomes) -> Self {
-        Self { outcomes, rooms: Mutex::default() }
+        Self { outcomes, rooms: Mutex::default(), turn: Mutex::default() }
     }
 
-    /// Opens the crew of a tile for the holder of its lease. A crew of an earlier leader ends. Returns the
-    /// messages to the leader as well.
-    pub(crate) fn open(&self, lease: Lease) -> (Arc<Room>, mpsc::Receiver<Told>) {
+    /// Waits for the turn to open or close a crew.
+    pub(crate) fn turn(&self) -> MutexGuard<'_, ()> {
+        self.turn.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether the tile of this lease has a crew under another lease that is still valid.
+    pub(crate) fn is_led_by_another(&self, lease: &Lease, is_valid: impl Fn(&Lease) -> bool) -> bool {
+        let rooms = self.rooms();
+        let room = rooms.get(&(lease.job, lease.tile));
+        room.is_some_and(|room| room.lease != *lease && is_valid(&room.lease))
+    }
+
+    /// Opens the crew of a tile, of which so many outcomes are there, for the holder of its lease. A crew of
+    /// an earlier leader ends. Returns the messages to the leader as well.
+    pub(crate) fn open(&self, lease: Lease, outcomes: u32) -> (Arc<Room>, mpsc::Receiver<Told>) {
         let tile = (lease.job, lease.tile);
         let (to_leader, told) = mpsc::channel(WAITING);
         let room = Arc::new(Room {
             lease,
             to_leader,
             helpers: Mutex::default(),
-            outcomes: watch::Sender::new(self.outcomes.count(tile)),
+            outcomes: watch::Sender::new(outcomes),
             is_over: watch::Sender::new(false),
         });
         if let Some(earlier) = self.rooms().insert(tile, Arc::clone(&room)) {
@@ -132,13 +146,15 @@ impl Crews {
         self.rooms().get(&(lease.job, lease.tile)).filter(|room| room.lease == *lease).cloned()
     }
 
-    /// Ends a crew.
-    pub(crate) fn close(&self, room: &Arc<Room>) {
+    /// Ends a crew; returns whether it was still the tile's.
+    pub(crate) fn close(&self, room: &Arc<Room>) -> bool {
         room.is_over.send_replace(true);
         let mut rooms = self.rooms();
-        if rooms.get(&room.tile()).is_some_and(|r| Arc::ptr_eq(r, room)) {
+        let is_current = rooms.get(&room.tile()).is_some_and(|r| Arc::ptr_eq(r, room));
+        if is_current {
             rooms.remove(&room.tile());
         }
+        is_current
     }
 
     fn rooms(&self) -> MutexGuard<'_, BTreeMap<(JobId, TileIndex), Arc<Room>>> {

@@ -14,7 +14,7 @@ use crate::scheduler::cells_total;
 use crate::specs;
 use crate::state::Coordinator;
 use crate::store::{JobPhase, JobRecord, JobState};
-use crate::submit::{Submission, SubmitError};
+use crate::submit::{self, Submission, SubmitError};
 
 /// Jobs that are looked at, from the newest.
 const MOST_LOOKED_AT: usize = 1000;
@@ -54,7 +54,7 @@ struct Finished {
 /// Estimates a submission. Changes nothing.
 pub(crate) fn estimate(c: &Arc<Coordinator>, submission: &Submission) -> Result<Estimate, SubmitError> {
     let spec = &submission.spec;
-    let (_, plan) = spec.plan().map_err(|e| SubmitError::Spec(e.to_string()))?;
+    let plan = submit::plan(spec)?;
     let cells = cells_total(spec, &plan);
     let known = match c.store.job_by_request(&submission.request_id)? {
         Some(job) => Some(job),
@@ -68,7 +68,11 @@ pub(crate) fn estimate(c: &Arc<Coordinator>, submission: &Submission) -> Result<
         let before = |id: &JobId| {
             machine.job(*id).is_some_and(|job| {
                 let equal = job.record.priority == submission.priority && job.record.user == submission.user;
-                job.open() > 0 && (job.record.priority > submission.priority || equal)
+                let answers = existing.as_ref().is_some_and(|answer| answer.record.id == *id);
+                job.runs()
+                    && job.open() > 0
+                    && !answers
+                    && (job.record.priority > submission.priority || equal)
             })
         };
         (machine.job_ids().iter().filter(|id| before(id)).count() as u32, machine.workers())

@@ -1,6 +1,8 @@
 //! Between the state machine and the world: gives it events and the time under a short lock, sends orders and
 //! wakes watchers. What blocks is left to the caller as chores.
 
+use std::collections::VecDeque;
+
 use crate::ids::{JobId, Lease, WorkerId};
 use crate::orders::{Outbox, Scheduling};
 use crate::scheduler::{Command, Departure, Effect, Event, Introduction, Joined, NameTaken, Note, Order};
@@ -24,17 +26,16 @@ pub(crate) fn join(
     let name = intro.name.clone();
     let mut out = Some(out);
     let (mut answer, mut chores) = (Err(NameTaken { name }), Vec::new());
-    let mut scheduling = c.lock();
-    for effect in scheduling.machine.step(Event::Joined(intro), c.now_plain()) {
+    let scheduling = &mut *c.lock();
+    let effects = scheduling.machine.step(Event::Joined(intro), c.now_plain());
+    carry_all(c, scheduling, effects, &mut chores, &mut |scheduling, effect| {
         if let Effect::Joined(joined) = effect {
             if let (Ok(joined), Some(out)) = (&joined, out.take()) {
                 scheduling.outboxes.insert(joined.worker, out);
             }
             answer = joined;
-        } else {
-            carry(c, &mut scheduling, effect, &mut chores);
         }
-    }
+    });
     c.watched().all_changed();
     (answer, chores)
 }
@@ -42,14 +43,14 @@ pub(crate) fn join(
 /// Lets a worker go. The caller does the chores.
 pub(crate) fn leave(c: &Coordinator, worker: WorkerId) -> (Departure, Vec<Chore>) {
     let (mut departure, mut chores) = (Departure::Lost, Vec::new());
-    let mut scheduling = c.lock();
+    let scheduling = &mut *c.lock();
     scheduling.outboxes.remove(&worker);
-    for effect in scheduling.machine.step(Event::Left(worker), c.now_plain()) {
-        match effect {
-            Effect::Left(how) => departure = how,
-            effect => carry(c, &mut scheduling, effect, &mut chores),
+    let effects = scheduling.machine.step(Event::Left(worker), c.now_plain());
+    carry_all(c, scheduling, effects, &mut chores, &mut |_, effect| {
+        if let Effect::Left(how) = effect {
+            departure = how;
         }
-    }
+    });
     c.watched().all_changed();
     (departure, chores)
 }
@@ -60,15 +61,43 @@ pub(crate) fn tell(c: &Coordinator, event: Event) -> Vec<Chore> {
     let mut chores = Vec::new();
     // Taken before waiting for the lock, for which workers that have returned may be waiting, too.
     let now = c.now_plain();
-    let mut scheduling = c.lock();
-    for effect in scheduling.machine.step(event, now) {
-        carry(c, &mut scheduling, effect, &mut chores);
-    }
+    let scheduling = &mut *c.lock();
+    let effects = scheduling.machine.step(event, now);
+    carry_all(c, scheduling, effects, &mut chores, &mut |_, _| {});
     chores
 }
 
-/// Carries out an effect that does not block.
-fn carry(c: &Coordinator, scheduling: &mut Scheduling, effect: Effect, chores: &mut Vec<Chore>) {
+/// Carries out effects that do not block. The machine hears of orders that were not delivered after the
+/// others were sent, which it took as sent, too: so orders leave in the order of its decisions. `answered`
+/// gets the answers to `join` and `leave`.
+fn carry_all(
+    c: &Coordinator,
+    scheduling: &mut Scheduling,
+    effects: Vec<Effect>,
+    chores: &mut Vec<Chore>,
+    answered: &mut dyn FnMut(&mut Scheduling, Effect),
+) {
+    let mut lost = VecDeque::new();
+    let mut next = Some(effects);
+    while let Some(effects) = next {
+        for effect in effects {
+            if matches!(effect, Effect::Joined(_) | Effect::Left(_)) {
+                answered(scheduling, effect);
+            } else {
+                lost.extend(carry(c, scheduling, effect, chores));
+            }
+        }
+        next = lost.pop_front().map(|event| scheduling.machine.step(event, c.now_plain()));
+    }
+}
+
+/// Carries out an effect that does not block; returns the event of an order that was not delivered.
+fn carry(
+    c: &Coordinator,
+    scheduling: &mut Scheduling,
+    effect: Effect,
+    chores: &mut Vec<Chore>,
+) -> Option<Event> {
     match effect {
         Effect::Tell(worker, order) => {
             let lost = match &order {
@@ -77,11 +106,7 @@ fn carry(c: &Coordinator, scheduling: &mut Scheduling, effect: Effect, chores: &
                 Order::Revoke(_) | Order::Time { .. } => None,
             };
             let sent = scheduling.outboxes.get(&worker).is_some_and(|out| out.offer(order));
-            if let Some(event) = lost.filter(|_| !sent) {
-                for effect in scheduling.machine.step(event, c.now_plain()) {
-                    carry(c, scheduling, effect, chores);
-                }
-            }
+            return lost.filter(|_| !sent);
         }
         Effect::Run(command) => chores.push(Chore::Run(command)),
         Effect::Assemble(job) => chores.push(Chore::Assemble(job)),
@@ -90,6 +115,7 @@ fn carry(c: &Coordinator, scheduling: &mut Scheduling, effect: Effect, chores: &
         // Answers to `join` and `leave`, which look at them themselves.
         Effect::Joined(_) | Effect::Left(_) => {}
     }
+    None
 }
 
 fn write(note: &Note) {

@@ -56,20 +56,31 @@ pub(crate) fn leave(c: &Coordinator, worker: WorkerId, name: &str) -> Vec<Chore>
     chores
 }
 
-/// Opens the crew of a tile for the holder of its lease; `None` when the lease is not valid.
+/// Opens the crew of a tile for the holder of its lease; `None` when the lease is not valid, or the tile has
+/// a crew under another lease that is.
 pub(crate) fn lead(c: &Coordinator, lease: Lease) -> Option<(Arc<Room>, mpsc::Receiver<Told>, Vec<Chore>)> {
-    if !c.lock().machine.is_leased(&lease) {
-        return None;
+    // Reads a file, before anybody has to wait.
+    let outcomes = c.crews.outcomes.count((lease.job, lease.tile));
+    // The machine hears of crews in the order in which they open and close.
+    let _turn = c.crews.turn();
+    {
+        let scheduling = c.lock();
+        let is_leased = |lease: &Lease| scheduling.machine.is_leased(lease);
+        // Where two workers compute a tile, the first has the helpers.
+        if !is_leased(&lease) || c.crews.is_led_by_another(&lease, is_leased) {
+            return None;
+        }
     }
-    let (room, told) = c.crews.open(lease);
+    let (room, told) = c.crews.open(lease, outcomes);
     Some((room, told, tell(c, Event::CrewOpened(lease))))
 }
 
 /// A crew has ended: its leader has no use for helpers any more.
 #[must_use]
 pub(crate) fn crew_ended(c: &Coordinator, room: &Arc<Room>) -> Vec<Chore> {
-    c.crews.close(room);
-    tell(c, Event::CrewClosed(room.lease))
+    let _turn = c.crews.turn();
+    // The same leader may have opened another crew meanwhile.
+    if c.crews.close(room) { tell(c, Event::CrewClosed(room.lease)) } else { Vec::new() }
 }
 
 /// Acts on a message of a worker.

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use sightline_model::{JobSpec, Method};
+use sightline_viewcells::{DivisionError, Plan};
 
 use crate::chores::do_chores;
 use crate::ids::{Digest, JobId};
@@ -47,13 +48,18 @@ pub(crate) enum SubmitError {
     Store(#[from] StoreError),
 }
 
+/// The plan of a job, if its division can be sampled.
+pub(crate) fn plan(spec: &JobSpec) -> Result<Plan, SubmitError> {
+    let bad = |e: DivisionError| SubmitError::Spec(e.to_string());
+    spec.moved_by_rounding().map_err(bad)?;
+    spec.plan().map(|(_, plan)| plan).map_err(bad)
+}
+
 /// Submits a job on a recorded scene; returns its id and whether it existed before. A done job whose result
 /// is lost is begun again.
 pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Submitted, SubmitError> {
     let Submission { request_id, name, user, priority, spec } = submission;
-    let bad = |e: &dyn std::fmt::Display| SubmitError::Spec(e.to_string());
-    let (_, plan) = spec.plan().map_err(|e| bad(&e))?;
-    spec.moved_by_rounding().map_err(|e| bad(&e))?;
+    let plan = plan(spec)?;
     if spec.method != Method::Aggressive {
         let facts = scenes::facts(c, &spec.scene)?;
         if facts.kinds.any_masked() {

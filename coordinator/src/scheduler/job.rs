@@ -236,7 +236,7 @@ impl Job {
     }
 
     /// Whether the job is queued or running.
-    pub(super) fn runs(&self) -> bool {
+    pub(crate) fn runs(&self) -> bool {
         matches!(self.record.state.phase(), JobPhase::Queued | JobPhase::Running)
     }
 

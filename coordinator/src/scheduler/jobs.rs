@@ -6,11 +6,13 @@ use super::event::{Command, Effect, Note};
 use super::job::{Job, Output};
 use super::machine::{Machine, SPACE_EVERY, Timer};
 use super::messages::Now;
+use super::queue::User;
 use crate::ids::{Digest, JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::store::{JobPhase, JobRecord, TileStats};
 
 /// How long after a restart nobody else gets the tiles of jobs that ran: every worker that is still there
-/// comes back within this time, because it waits two seconds at most between two attempts to connect.
+/// comes back within this time, because an attempt to connect takes a second at most, and so does the wait
+/// before the next one.
 pub(super) const GRACE: u64 = 2500;
 
 impl Machine {
@@ -61,6 +63,11 @@ impl Machine {
         let priority = Reverse(record.priority);
         if job.whom.priority != priority {
             self.prioritize(id, priority);
+        }
+        let Some(job) = self.jobs.get(&id) else { return };
+        if job.record.state.phase() == JobPhase::Paused && phase != JobPhase::Paused {
+            let user = User::clone(&job.whom.user);
+            self.catch_up(&user);
         }
         let Some(job) = self.jobs.get_mut(&id) else { return };
         job.record = record;

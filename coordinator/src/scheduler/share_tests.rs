@@ -7,7 +7,7 @@ use super::messages::{Order, Progress};
 use super::queue::{For, Queue, Share, User};
 use super::tests::{Bench, empty};
 use crate::ids::{JobId, Lease, WorkerId};
-use crate::store::{Store as _, TileStats};
+use crate::store::{JobPhase, JobState, Store as _, TileStats};
 
 fn whom(user: &str, priority: i32) -> For {
     For { user: user.into(), priority: Reverse(priority) }
@@ -64,6 +64,25 @@ fn a_worker_serves_users_in_turn_and_a_higher_priority_at_once() {
     let record = b.store.prioritize_job(JobId(1), 5).unwrap();
     b.step(Event::JobChanged(Box::new(record)));
     assert_eq!(served(&mut b, worker, 4, 10)[..4], [1, 1, 1, 1]);
+}
+
+#[test]
+fn a_user_whose_job_was_paused_has_saved_nothing_up() {
+    let mut b = empty(1);
+    let paused = b.add(9, "a", 0, false);
+    b.add(20, "b", 0, false);
+    let worker = b.join("w");
+    b.set(paused, &[JobPhase::Queued, JobPhase::Running], JobState::Paused);
+    assert_eq!(served(&mut b, worker, 4, 1000), [2; 4]);
+    b.set(paused, &[JobPhase::Paused], JobState::Running);
+    let turns = served(&mut b, worker, 6, 1000);
+    assert_eq!(turns.iter().filter(|job| **job == 1).count(), 3, "{turns:?}");
+    // One who comes while the other is paused does not inherit that either.
+    b.set(paused, &[JobPhase::Running], JobState::Paused);
+    assert_eq!(served(&mut b, worker, 4, 1000), [2; 4]);
+    b.add(9, "c", 0, false);
+    let turns = served(&mut b, worker, 4, 1000);
+    assert_eq!(turns.iter().filter(|job| **job == 3).count(), 2, "{turns:?}");
 }
 
 #[test]

@@ -5,6 +5,8 @@
 //! back counts as having used as little as the other users, so that nobody pays for a quiet week or saves up
 //! for a busy one.
 
+use std::collections::BTreeSet;
+
 use super::machine::Machine;
 use super::queue::{Account, Share, User};
 use crate::ids::JobId;
@@ -18,13 +20,27 @@ impl Machine {
     /// A job of this user is open from now on.
     pub(super) fn open_account(&mut self, user: &User) {
         if !self.accounts.contains_key(user) {
-            let used = self.accounts.values().map(|a| a.share.used).min().unwrap_or(0);
-            let share = Share { workers: 0, used };
-            self.accounts.insert(User::clone(user), Account { share, jobs: 0 });
+            self.accounts.insert(User::clone(user), Account { share: Share::default(), jobs: 0 });
         }
+        self.catch_up(user);
         if let Some(account) = self.accounts.get_mut(user) {
             account.jobs += 1;
         }
+    }
+
+    /// Before a job of this user can have workers again: if none could, the user counts as having used as
+    /// little as the others that can.
+    pub(super) fn catch_up(&mut self, user: &User) {
+        let running = self.jobs.values().filter(|job| job.runs() && job.open() > 0);
+        let active: BTreeSet<&User> = running.map(|job| &job.whom.user).collect();
+        if active.contains(user) {
+            return;
+        }
+        let used = |user: &&User| self.accounts.get(*user).map(|a| a.share.used);
+        let Some(least) = active.iter().filter_map(used).min() else { return };
+        let Some(account) = self.accounts.get_mut(user).filter(|a| a.share.workers == 0) else { return };
+        // The user has no job in any list, so no list has to be ordered anew.
+        account.share.used = account.share.used.max(least);
     }
 
     /// A job of this user has ended, and has neither leases nor helpers.

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::ids::{Epoch, JobId, Lease, WorkerId};
-use crate::store::{MemoryStore, NewJob, SceneRecord, Store as _};
+use crate::store::{JobPhase, JobState, MemoryStore, NewJob, SceneRecord, Store as _};
 use glam::Vec3;
 use prost::Message as _;
 use sightline_model::{BackendChoice, CellToCell, SamplingParams};
@@ -75,6 +75,12 @@ impl Bench {
     pub(super) fn leave(&mut self, worker: WorkerId) -> Departure {
         self.step(Event::Left(worker));
         self.departure.take().unwrap()
+    }
+
+    /// The store changes the state of a job.
+    pub(super) fn set(&mut self, job: JobId, from: &[JobPhase], to: JobState) {
+        let record = self.store.set_job_state(job, from, to, self.ms).unwrap();
+        self.step(Event::JobChanged(Box::new(record)));
     }
 
     pub(super) fn want(&mut self, worker: WorkerId, tiles: u32) {
@@ -238,6 +244,29 @@ fn a_departure_says_whether_the_worker_had_drained() {
     assert_eq!(b.notes, [Note::Draining("a".to_owned())], "it is news only once");
     assert_eq!(b.leave(one), Departure::Drained);
     assert_eq!(b.leave(two), Departure::Lost);
+}
+
+#[test]
+fn a_draining_worker_keeps_the_tile_that_it_has_begun_when_its_stream_breaks() {
+    let mut b = two_tiles();
+    let (one, two) = (b.join("a"), b.join("b"));
+    b.want(one, 1);
+    let begun = b.grants(one)[0];
+    b.step(Event::Progressed(Progress { lease: begun, cells: 0, samples: 1 }));
+    b.step(Event::Drains(one));
+    b.leave(one);
+    b.want(two, 2);
+    assert!(b.grants(two).iter().all(|l| l.tile != begun.tile), "{:?}", b.grants(two));
+    assert_eq!(b.try_join("a", 0, vec![begun]).unwrap().kept, [begun]);
+    // One that it had not begun goes to the next worker at once.
+    let mut b = two_tiles();
+    let one = b.join("a");
+    b.want(one, 1);
+    b.step(Event::Drains(one));
+    b.leave(one);
+    let two = b.join("b");
+    b.want(two, 1);
+    assert_eq!(b.grants(two).len(), 1);
 }
 
 #[test]

@@ -75,8 +75,8 @@ impl Machine {
         self.effects.push(Effect::Left(departure));
     }
 
-    /// Removes a worker. Its leases live a little longer, so that it can return for them, unless it had said
-    /// that it was draining.
+    /// Removes a worker. Its leases live a little longer, so that it can return for them; of a worker that
+    /// was draining, those of tiles that it has begun.
     fn remove_worker(&mut self, id: WorkerId, now: Now) -> Departure {
         let Some(mut w) = self.workers.remove(&id) else { return Departure::Lost };
         self.unlist_worker(id, &w);
@@ -100,8 +100,9 @@ impl Machine {
         for lease in leases {
             let Some(l) = self.leases.get_mut(&lease) else { continue };
             l.gone = Some(now.ms);
+            let begun = l.begun.is_some();
             self.stop_waiting(lease);
-            if w.draining {
+            if w.draining && !begun {
                 // It will not return for a tile that was granted while it announced that it drains.
                 self.end_lease(lease, false);
             } else {
@@ -120,7 +121,8 @@ impl Machine {
     pub(super) fn want(&mut self, worker: WorkerId, tiles: u32) {
         if let Some(w) = self.workers.get_mut(&worker) {
             // A worker that wants more than it may hold is at fault.
-            w.wants = w.wants.saturating_add(tiles).min(MOST_HELD);
+            let room = MOST_HELD.saturating_sub(w.leases.len() as u32);
+            w.wants = w.wants.saturating_add(tiles).min(room);
             w.silent = false;
             self.list_worker(worker);
         }

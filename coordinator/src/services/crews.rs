@@ -123,6 +123,9 @@ async fn hear_leader(
             Some(Message::Outcome(piece)) => {
                 let whole = outcomes.push(&piece.chunk.unwrap_or_default());
                 if let Some(bytes) = whole.map_err(|e| Status::data_loss(e.to_string()))? {
+                    if !c.lock().machine.is_leased(&room.lease) {
+                        return Err(Status::failed_precondition("the lease has ended"));
+                    }
                     let (tile, phase) = (room.tile(), piece.phase);
                     let kept = blocking(c, move |c| Ok(c.crews.outcomes.push(tile, phase, &bytes))).await?;
                     if kept {
