@@ -68,14 +68,23 @@ fn estimate(
     json: bool,
 ) -> Result<(), CliError> {
     let blob = scene.to_blob();
-    let digests = blob.chunks(CHUNK_BYTES).map(|p| blake3::hash(p).as_bytes().to_vec()).collect();
+    // A stored scene is not kept in chunks any more, so it is asked for as a whole as well.
+    let whole = blake3::hash(&blob).as_bytes().to_vec();
+    let digest = |part: &[u8]| blake3::hash(part).as_bytes().to_vec();
+    let digests = blob.chunks(CHUNK_BYTES).map(digest).chain([whole.clone()]).collect();
     let (estimate, missing) = with(&args.remote, |mut client| async move {
         let missing = client.missing_chunks(v1::MissingChunksRequest { digests }).await;
-        let missing = missing.map_err(|s| CliError::status(&s))?.into_inner().digests.len();
+        let missing = missing.map_err(|s| CliError::status(&s))?.into_inner().digests;
         let estimate = client.estimate(request).await.map_err(|s| CliError::status(&s))?.into_inner();
         Ok((estimate, missing))
     })?;
-    let upload = (missing * CHUNK_BYTES).min(blob.len()) as u64;
+    let upload: u64 = match missing.contains(&whole) {
+        true => {
+            let needed = blob.chunks(CHUNK_BYTES).filter(|part| missing.contains(&digest(part)));
+            needed.map(|part| part.len() as u64).sum()
+        }
+        false => 0,
+    };
     if json {
         return print(&in_json(&estimate, upload).to_string());
     }
@@ -97,7 +106,7 @@ fn in_words(e: &v1::EstimateResponse, upload: u64) -> Vec<String> {
     }
     lines.push(match &e.cost {
         Some(c) => format!(
-            "expected from {}: {} of workers' time ({} to {}) and a result of {} bytes ({} to {})",
+            "expected from {}: {} of the time of workers that hold its tiles ({} to {}), without helpers, and a result of {} bytes ({} to {})",
             match (c.same_scene, c.jobs) {
                 (true, n) => format!("{} on this scene with these parameters", plural(n as usize, "job")),
                 (false, n) =>
