@@ -171,6 +171,9 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
     if let Some(items) = &items {
         builder.set_items(items)?;
     }
+    if let Some(region) = parts.work.spec.viewpoints.as_ref().and_then(|marks| marks.region()) {
+        builder.set_region(region.encode());
+    }
     let mut pairs = PairJoin::new(&parts.work.spec, &parts.work.lattice, cells);
     if parts.work.spec.certificates
         && let Some(file) = blobs.scratch()?

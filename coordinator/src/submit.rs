@@ -70,6 +70,15 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
             ));
         }
     }
+    let region = spec.viewpoints.as_ref().and_then(|marks| marks.region());
+    if let Some(triangle) = region.and_then(|region| region.greatest_triangle())
+        && triangle >= scenes::facts(c, &spec.scene)?.triangles
+    {
+        return Err(SubmitError::Spec(format!(
+            "the region of viewpoints names triangle {triangle}, which the scene does not have; submit with \
+             the scene that the region was found in"
+        )));
+    }
     let job = NewJob {
         key: spec.key(),
         request_id: request_id.clone(),

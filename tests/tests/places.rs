@@ -92,6 +92,45 @@ fn only_what_is_reached_is_baked() {
 }
 
 #[test]
+fn viewpoints_are_between_walls_within_cells_too() {
+    let sandbox = sandbox();
+    // The wall fills a part of both cells.
+    let job = |file: &str, more: &str| {
+        format!("{file} --cells 2x1x1 --view-box 0,0,0,8,2,2 --reachable-from 1,1,1 --method exact {more}")
+    };
+    let said = sandbox.run(&format!("bake {} -o walls.pvs --data-dir a", job("shut.obj", ""))).code(0);
+    said.says("walls enclose the points");
+    sandbox.ok(&format!("bake {} -o whole.pvs --data-dir b", job("shut.obj", "--certificates")));
+    let [walls, whole] = ["walls.pvs", "whole.pvs"].map(|file| sandbox.dump(file));
+    assert_eq!([walls.cells[0].reached, walls.cells[1].reached], [true, false]);
+    // Seen are five walls of the hall and one side of the wall across, two triangles each.
+    assert_eq!(walls.cells[0].visible.len(), 12, "{:?}", walls.cells[0].visible);
+    assert!(whole.cells[0].visible.len() > 12, "{:?}", whole.cells[0].visible);
+    sandbox.run("query walls.pvs 1 1 1").code(0).says("viewpoints that walls enclose");
+    sandbox.ok("query walls.pvs 1 1 1 --scene shut.obj");
+    sandbox.run("query walls.pvs 3.8 1 1 --scene shut.obj").code(3).says("outside the walls");
+    let behind = sandbox.json("query walls.pvs 1 1 1 --why 15 --scene shut.obj");
+    let front = sandbox.json("query walls.pvs 1 1 1 --why 12 --scene shut.obj");
+    assert_eq!([&front["state"], &behind["state"]], ["visible", "hidden"]);
+    let report = sandbox.json("measure shut.obj walls.pvs --viewpoints 40 --resolution 32");
+    assert_eq!((report["frames"].as_u64(), report["mean_error"].as_f64()), (Some(40), Some(0.0)));
+
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let (_one, _two) = (coordinator.worker(), coordinator.worker());
+    let id = coordinator.submit(&job("shut.obj", ""));
+    assert_same(&coordinator.finish(id), &sandbox.read("walls.pvs"), "a cluster");
+
+    // Without the face at z = 2 there is a way out.
+    let mut open: Vec<&str> = Vec::new();
+    let text = hall(false);
+    let roof = text.lines().filter(|l| l.starts_with('f')).nth(5).unwrap().to_owned();
+    open.extend(text.lines().filter(|l| *l != roof));
+    sandbox.write("roofless.obj", open.join("\n"));
+    let said = sandbox.run(&format!("bake {} -o out.pvs --data-dir c", job("roofless.obj", ""))).code(0);
+    said.says("no walls enclose the points").says("narrowest opening, 2 wide");
+}
+
+#[test]
 fn exact_cells_without_viewpoints_are_empty_and_verified() {
     let sandbox = sandbox();
     let flags = format!("{CELLS} --reachable-from 1,1,1 --method exact --certificates");

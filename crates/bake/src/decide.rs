@@ -11,7 +11,8 @@ use glam::Vec3;
 use rayon::prelude::*;
 use sightline_certificate::{CellCertificate, GroupCertificate, HiddenBox, codec};
 use sightline_exact::{
-    Cell, CellGroup as GroupTask, ExactScene, GroupDecided, QueryStatistics, Task, decide, decide_group,
+    Cell, CellGroup as GroupTask, ExactScene, GroupDecided, Places, QueryStatistics, Task, decide,
+    decide_group,
 };
 use sightline_model::{CellSet, CellSets, Decision, DecisionStats, JobSpec};
 use sightline_numbers::Aabb;
@@ -25,13 +26,13 @@ use crate::decide_pairs;
 use crate::groups::{CellGroup, cells_and_groups};
 
 /// Decides the cells of a tile with the subtree of `root`. `sets` holds the sampled sets and receives the
-/// decided ones.
+/// decided ones. `places` is the region that holds all viewpoints, if they are restricted to one.
 ///
 /// # Errors
 /// [`Undecided`] when the tile is cancelled, or for an error of the certificates' codec or a cell without
 /// volume.
 pub fn cells(
-    spec: &JobSpec,
+    (spec, places): (&JobSpec, Option<&dyn Places>),
     lattice: &Lattice,
     root: &CellBox,
     sets: &mut CellSets,
@@ -45,14 +46,14 @@ pub fn cells(
     let half = deadline.map(|d| Instant::now() + share(d));
     let exact_cells: Vec<(CellBox, Cell)> =
         boxes.iter().map(|at| Ok((*at, exact_cell(at, lattice)?))).collect::<Result<_, String>>()?;
-    let mut around = groups_first(spec, lattice, (&boxes, &groups), sets, scene, (half, watcher))?;
+    let mut around = groups_first((spec, places), lattice, (&boxes, &groups), sets, scene, (half, watcher))?;
     // Pairs of cells have the same share of what is left then.
     let half = deadline.map(|d| Instant::now() + share(d));
     let stop = || watcher.cancelled() || half.is_some_and(|u| Instant::now() >= u);
     let apart = decide_pairs::decide(spec, lattice, &exact_cells, sets, scene, &stop);
     around.iter_mut().zip(apart).for_each(|(around, apart)| around.apart = apart);
     let one = |set: &mut CellSet, at: &CellBox, around: &Around, stop: &(dyn Fn() -> bool + Sync)| {
-        cell(spec, lattice, (at, around), set, scene, stop, watcher)
+        cell((spec, places), lattice, (at, around), set, scene, stop, watcher)
     };
     match deadline {
         None => {
@@ -87,7 +88,7 @@ pub fn cells(
 }
 
 fn cell(
-    spec: &JobSpec,
+    (spec, places): (&JobSpec, Option<&dyn Places>),
     lattice: &Lattice,
     (at, around): (&CellBox, &Around),
     set: &mut CellSet,
@@ -109,6 +110,7 @@ fn cell(
     let mut decided = decide(&Task {
         scene,
         cell: exact_cell(at, lattice)?,
+        places,
         seen: &set.visible,
         above: &around.hidden,
         limits: exact_limits(spec.method),
@@ -176,7 +178,7 @@ struct Around {
 
 /// Finds the triangles that are hidden from the box around each cell group.
 fn groups_first(
-    spec: &JobSpec,
+    (spec, places): (&JobSpec, Option<&dyn Places>),
     lattice: &Lattice,
     (cells, groups): (&[CellBox], &[CellGroup]),
     sets: &CellSets,
@@ -190,6 +192,7 @@ fn groups_first(
         let GroupDecided { hidden, shared, statistics } = decide_group(&GroupTask {
             scene,
             cells: &cells[range.clone()],
+            places,
             seen: &seen[range.clone()],
             limits: exact_limits(spec.method),
             seed: box_seed(at, spec.seed),

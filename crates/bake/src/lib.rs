@@ -36,6 +36,7 @@ mod decide;
 mod decide_pairs;
 mod groups;
 pub mod scene;
+mod within;
 
 use std::time::Instant;
 
@@ -49,6 +50,7 @@ use sightline_sampling::{Backend, BackendError, JobContext, TileError, tile};
 use sightline_viewcells::{Plan, TileKind};
 
 use crate::cell_phase::Undecided;
+use crate::within::Within;
 
 /// BLAKE3 digest of a pack.
 pub type PackDigest = [u8; 32];
@@ -155,12 +157,14 @@ pub fn run_tile(
     // The members of the crew decide the cells as well.
     let decides = exact && control.deadline.is_none();
     let decided_later = Open(control.crew);
+    let places = Within::of(spec, scene.scene()).map_err(tile_error)?;
     let job = JobContext {
         scene: scene.sampling(),
         division: spec.division,
         lattice,
         params: &spec.sampling,
         viewpoints: spec.viewpoints.as_deref(),
+        places: places.as_ref().map(|p| p as _),
         pairs: spec.pair_cells(),
         backend,
         seed: spec.seed,
@@ -195,7 +199,8 @@ pub fn run_tile(
     if let (true, TileOutput::Cells(sets)) = (exact, &mut output) {
         let prepared = scene.exact().map_err(BakeError::Tile)?;
         let with = (control.deadline, watcher, control.crew);
-        decide::cells(spec, &job.lattice, &tile.cell, sets, prepared, with)?;
+        let within = places.as_ref().map(Within::places);
+        decide::cells((spec, within), &job.lattice, &tile.cell, sets, prepared, with)?;
         if watcher.cancelled() {
             return Err(BakeError::Cancelled);
         }

@@ -306,8 +306,9 @@ pub struct QueryArgs {
     /// result's certificates (bake --certificates) or, with --scene, from a new query.
     #[arg(long, value_name = "TRIANGLE", conflicts_with = "items")]
     pub why: Option<u32>,
-    /// The scene the result was baked from, for a new query of --why.
-    #[arg(long, value_name = "SCENE", requires = "why")]
+    /// The scene the result was baked from: for a new query of --why, and to check that the point is where
+    /// viewpoints can be in a result of --reachable-from.
+    #[arg(long, value_name = "SCENE")]
     pub scene: Option<PathBuf>,
     #[command(flatten)]
     pub kinds: KindArgs,

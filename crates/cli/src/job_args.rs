@@ -286,7 +286,9 @@ impl JobArgs {
             }
             (_, e) => CliError::Usage(e.to_string()),
         })?;
-        spec.viewpoints = self.places.marks(path, scene, (spec.division, &lattice))?;
+        // Proofs are about whole cells, and visibility cubes are at the lattice's points.
+        let walls = !self.certificates && sampler != Sampler::Cubes;
+        spec.viewpoints = self.places.marks(path, scene, (spec.division, &lattice), walls)?;
         spec.check().map_err(|e| CliError::Usage(e.to_string()))?;
         let moved = spec.moved_by_rounding().map_err(|e| CliError::Usage(e.to_string()))?;
         if moved > MUCH_MOVED {

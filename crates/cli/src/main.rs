@@ -17,6 +17,7 @@ mod cells;
 mod choices;
 mod client;
 mod dump;
+mod enclosure;
 mod error;
 mod files;
 mod inspect;

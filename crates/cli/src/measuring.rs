@@ -4,12 +4,14 @@ use std::path::Path;
 use std::sync::Arc;
 
 use sightline_measure::{Options, Viewpoints, measure, measure_pairs};
+use sightline_places::points::Weighted;
 use sightline_pvs::PvsError;
 use sightline_sampling::sight::Sight;
 use sightline_sampling::{CubeSpec, PreparedScene, Strata, layers};
 
 use crate::args::MeasureArgs;
 use crate::backends::open_backend;
+use crate::enclosure;
 use crate::error::CliError;
 use crate::opening;
 use crate::places::read_viewpoints;
@@ -25,25 +27,22 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     serve::use_threads(serve::threads(None))?;
     let pvs = opening::open(&args.result)?;
     let view_box = pvs.tree().view_box();
-    let is_place = |p: [f32; 3]| pvs.find_cell(p).is_some_and(|c| pvs.is_reached(c).unwrap_or(false));
-    let views = match (&args.path, &args.viewpoints_file) {
-        (None, Some(file)) => listed(args, file, &is_place)?,
-        (None, None) if (0..pvs.cells()).all(|c| pvs.is_reached(c).unwrap_or(true)) => {
-            Viewpoints::random(args.viewpoints, args.seed, view_box)
-        }
-        // Viewpoints are only in some of the cells.
-        (None, None) => Viewpoints::random_where(args.viewpoints, args.seed, view_box, is_place),
-        (Some(path), _) => {
+    // What can be wrong without the scene is found before it is read.
+    let on_path = match &args.path {
+        None => None,
+        Some(path) => {
             let file = std::fs::File::open(path).map_err(|e| {
                 CliError::Input(format!(
                     "{} cannot be read: {e}; give --path a file with a viewpoint `x y z` per line",
                     path.display()
                 ))
             })?;
-            Viewpoints::path(std::io::BufReader::new(file), view_box)
-                .map_err(|e| CliError::Input(format!("{}: {e}", path.display())))?
+            let views = Viewpoints::path(std::io::BufReader::new(file), view_box);
+            Some(views.map_err(|e| CliError::Input(format!("{}: {e}", path.display())))?)
         }
     };
+    let given = args.viewpoints_file.as_deref().map(|file| read_viewpoints(file).map(|all| (file, all)));
+    let given = given.transpose()?;
     if !(8..=4096).contains(&args.resolution) {
         return Err(CliError::Usage(format!("--resolution {} is not between 8 and 4096", args.resolution)));
     }
@@ -54,6 +53,20 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
         return Err(CliError::Input(format!("{}: {}", args.result.display(), PvsError::NoPairs)));
     }
     let scene = Arc::new(opening::scene_of(&args.scene, &args.kinds, &pvs, &args.result)?);
+    let region = enclosure::of_result(&pvs, &scene, &args.result)?;
+    let is_place = |p: [f32; 3]| {
+        pvs.find_cell(p).is_some_and(|c| pvs.is_reached(c).unwrap_or(false))
+            && region.as_ref().is_none_or(|region| region.holds(p.into()))
+    };
+    let views = match (on_path, given) {
+        (Some(views), _) => views,
+        (None, Some((file, all))) => listed(args, (file, &all), &is_place)?,
+        (None, None) if region.is_none() && (0..pvs.cells()).all(|c| pvs.is_reached(c).unwrap_or(true)) => {
+            Viewpoints::random(args.viewpoints, args.seed, view_box)
+        }
+        // Viewpoints are only in some of the cells, or in a region.
+        (None, None) => Viewpoints::random_where(args.viewpoints, args.seed, view_box, is_place),
+    };
     let spec = CubeSpec { resolution: args.resolution, strata: Strata::One, keep_pixels: false };
     let (profile, backend) = open_backend(args.backend, &scene, spec)?;
     let bounds = scene.bounds();
@@ -72,7 +85,7 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
         count => {
             let sight = Sight::new(&*backend, prepared.traced()).map_err(CliError::internal)?.up_to(far);
             let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
-            let found = measure_pairs(&sight, &pvs, count, args.seed, step);
+            let found = measure_pairs(&sight, &pvs, count, args.seed, step, &is_place);
             Some(found.map_err(|e| CliError::Input(format!("{}: {e}", args.result.display())))?)
         }
     };
@@ -88,10 +101,9 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
 /// The viewpoints of --viewpoints-file that are in reached cells.
 fn listed(
     args: &MeasureArgs,
-    file: &Path,
+    (file, all): (&Path, &[Weighted]),
     is_place: &dyn Fn([f32; 3]) -> bool,
 ) -> Result<Viewpoints, CliError> {
-    let all = read_viewpoints(file)?;
     let inside: Vec<([f32; 3], f64)> =
         all.iter().filter(|w| is_place(w.point)).map(|w| (w.point, w.weight)).collect();
     if inside.is_empty() {

@@ -34,8 +34,10 @@ pub struct PlaceArgs {
     #[arg(long, value_name = "R", requires = "viewpoints", value_parser = parse_length)]
     #[arg(allow_negative_numbers = true)]
     pub reach: Option<f32>,
-    /// Viewpoints are where one gets from this point along unobstructed segments, any number of them, without
-    /// leaving the view box. May be given several times. Parts behind gaps that no ray finds are left out.
+    /// Viewpoints are where one gets from this point along unobstructed segments, any number of them. May be
+    /// given several times. Where walls enclose the points, viewpoints are exactly between these walls, in
+    /// parts of cells as well. Where there is a way out of the scene, its narrowest opening is named, whole
+    /// parts (quarters) of cells are taken, and those behind gaps that no ray finds are left out.
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
     pub reachable_from: Vec<[f32; 3]>,
     /// The axis of the scene that points up. It turns nothing: it is used by --eye-heights and is kept in the

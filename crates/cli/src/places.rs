@@ -6,12 +6,14 @@ use std::sync::Arc;
 
 use sightline_model::{BackendChoice, Up};
 use sightline_places::reach::Tracing;
-use sightline_places::{Parts, PlacesError, Viewpoints, both, boxes, mesh, points, reach};
+use sightline_places::{Parts, PlacesError, Viewpoints, both, boxes, mark_where, mesh, points, reach};
+use sightline_portals::{Planes, Reached};
 use sightline_sampling::{CubeSpec, PreparedScene, Strata, sight::Sight};
 use sightline_scene::{Aabb, Scene, overlap};
-use sightline_viewcells::{Division, Lattice};
+use sightline_viewcells::{Division, Lattice, Region};
 
 use crate::backends::open_backend;
+use crate::enclosure::Walls;
 use crate::error::CliError;
 use crate::kind_args::KindArgs;
 use crate::opening::{self, plural};
@@ -54,12 +56,14 @@ impl PlaceArgs {
             || !self.reachable_from.is_empty()
     }
 
-    /// The parts of the cells that hold viewpoints; `None` for all of them.
+    /// The parts of the cells that hold viewpoints; `None` for all of them. With `walls`, viewpoints are only
+    /// in the region that walls enclose around the points of --reachable-from, if they do.
     pub fn marks(
         &self,
         path: &Path,
         scene: &Arc<Scene>,
         (division, lattice): (Division, &Lattice),
+        walls: bool,
     ) -> Result<Option<Arc<Viewpoints>>, CliError> {
         if !self.restrict() {
             return Ok(None);
@@ -72,6 +76,7 @@ impl PlaceArgs {
             ));
         };
         let parts = Parts::new(lattice, cells);
+        let mut region = None;
         let mut all: Option<Viewpoints> = None;
         let mut restrict = |marks: Viewpoints| {
             all = Some(match all.take() {
@@ -90,11 +95,11 @@ impl PlaceArgs {
             });
         }
         if self.viewpoints.is_some() || !self.reachable_from.is_empty() {
-            for marks in self.traced(scene, &parts, cells)? {
-                restrict(marks);
-            }
+            let (traced, found) = self.traced(scene, &parts, cells, walls)?;
+            traced.into_iter().for_each(&mut restrict);
+            region = found;
         }
-        let Some(marks) = all else { return Ok(None) };
+        let Some(marks) = all.map(|marks| marks.within(region)) else { return Ok(None) };
         if marks.reached() == 0 {
             return Err(CliError::Input(format!(
                 "{}: no viewpoint is left: what the flags allow shares no part of the view box; give fewer \
@@ -112,13 +117,14 @@ impl PlaceArgs {
         Ok(Some(Arc::new(marks)))
     }
 
-    /// The marks that need a tracer.
+    /// The marks that need a tracer, and the region that walls enclose.
     fn traced(
         &self,
         scene: &Arc<Scene>,
         parts: &Parts,
         cells: [u32; 3],
-    ) -> Result<Vec<Viewpoints>, CliError> {
+        walls: bool,
+    ) -> Result<(Vec<Viewpoints>, Option<Region>), CliError> {
         let spec = CubeSpec { resolution: 256, strata: Strata::One, keep_pixels: false };
         let (_, backend) = open_backend(BackendChoice::Auto, scene, spec)?;
         let prepared = PreparedScene::new(Arc::clone(scene))?;
@@ -141,19 +147,36 @@ impl PlaceArgs {
             }
             out.push(marks);
         }
+        let mut region = None;
         if !self.reachable_from.is_empty() {
-            let progress = Progress::new();
-            let total = cells.map(u64::from).iter().product::<u64>() * 64;
-            let marks = reach::mark_reachable(&tracing, &self.reachable_from, &mut |done| {
-                progress.count(done, total, "parts of cells reached");
-            });
-            progress.end();
-            out.push(marks.map_err(|e| match e {
+            let of_seeds = |e: PlacesError| match e {
                 PlacesError::Backend(e) => CliError::internal(e),
                 e => CliError::Input(format!("--reachable-from: {e}")),
-            })?);
+            };
+            reach::check(&tracing, &self.reachable_from).map_err(of_seeds)?;
+            if walls {
+                let planes = Planes::new(scene);
+                let walls = Walls::around(scene, &planes, &self.reachable_from);
+                say(&walls.in_words());
+                region = walls.region()?;
+            }
+            out.push(match &region {
+                Some(region) => {
+                    let reached = Reached::new(region, scene).map_err(CliError::internal)?;
+                    mark_where(parts, cells, |of| reached.meets(of))
+                }
+                None => {
+                    let progress = Progress::new();
+                    let total = cells.map(u64::from).iter().product::<u64>() * 64;
+                    let marks = reach::mark_reachable(&tracing, &self.reachable_from, &mut |done| {
+                        progress.count(done, total, "parts of cells reached");
+                    });
+                    progress.end();
+                    marks.map_err(of_seeds)?
+                }
+            });
         }
-        Ok(out)
+        Ok((out, region))
     }
 
     /// Warns of view boxes that hold nothing of the scene.

@@ -5,8 +5,10 @@ use sightline_pvs::{Granularity, Pvs, PvsError};
 
 use crate::args::{Items, QueryArgs};
 use crate::dump::sets;
+use crate::enclosure::of_result;
 use crate::error::CliError;
-use crate::opening::{open, plural};
+use crate::opening::{open, plural, scene_of};
+use crate::progress::say;
 use crate::serve::print;
 use crate::why;
 
@@ -34,6 +36,7 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
              --viewpoints, --reachable-from); choose another point, or bake with more viewpoints"
         )));
     }
+    check_region(&pvs, args)?;
     if let Some(target) = target {
         return sees(&pvs, cell, &target, json);
     }
@@ -47,6 +50,29 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
         );
     }
     set(&pvs, cell, args, json)
+}
+
+/// Refuses a point outside the region that holds all viewpoints, or says that it was not checked.
+fn check_region(pvs: &Pvs, args: &QueryArgs) -> Result<(), CliError> {
+    let (Some(_), Ok(point)) = (pvs.region(), <[f32; 3]>::try_from(args.point.as_slice())) else {
+        return Ok(());
+    };
+    let result = &args.result.result;
+    let Some(path) = &args.scene else {
+        say(
+            "note: the sets hold for viewpoints that walls enclose (--reachable-from); with --scene SCENE it \
+             is checked whether this is one",
+        );
+        return Ok(());
+    };
+    let scene = scene_of(path, &args.kinds, pvs, result)?;
+    match of_result(pvs, &scene, result)?.is_none_or(|region| region.holds(point.into())) {
+        true => Ok(()),
+        false => Err(CliError::Input(format!(
+            "no viewpoint can be at {point:?}: it is outside the walls around the points of \
+             --reachable-from; choose another point, or bake without --reachable-from"
+        ))),
+    }
 }
 
 /// The cell of a point.

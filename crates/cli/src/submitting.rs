@@ -106,7 +106,8 @@ fn in_words(e: &v1::EstimateResponse, upload: u64) -> Vec<String> {
     }
     lines.push(match &e.cost {
         Some(c) => format!(
-            "expected from {}: {} of the time of workers that hold its tiles ({} to {}), without helpers, and a result of {} bytes ({} to {})",
+            "expected from {}: {} of the time of those that hold its tiles ({} to {}), without helpers, and \
+             a result of {} bytes ({} to {})",
             match (c.same_scene, c.jobs) {
                 (true, n) => format!("{} on this scene with these parameters", plural(n as usize, "job")),
                 (false, n) =>

@@ -5,10 +5,13 @@ use std::path::Path;
 use glam::Vec3;
 use serde_json::{Value, json};
 use sightline_certificate::{CertificateReader, Proof, Reason, Target};
-use sightline_exact::{Cell, Cost, ExactScene, Found, Hides, Limits, Polygon, from_cell, polygon};
+use sightline_exact::{
+    Cell, Cost, ExactScene, Found, Hides, Limits, Places, Polygon, Sources, from_cell, polygon,
+};
 use sightline_pvs::Pvs;
 use sightline_scene::{Aabb, overlap};
 
+use crate::enclosure;
 use crate::error::CliError;
 use crate::kind_args::KindArgs;
 use crate::opening;
@@ -159,7 +162,10 @@ fn ask(
     let Some(target) = Polygon::triangle(of.v.map(|v| v.as_dvec3())) else {
         return Ok(json!({"state": "hidden", "degenerate": true, "blockers": []}));
     };
-    if overlap::triangle_touches_box(&of, &Aabb { min: bounds[0], max: bounds[1] }) {
+    let region = enclosure::of_result(pvs, &scene, result)?;
+    let places = region.as_ref().map(|region| region as &dyn Places);
+    let within = Aabb { min: bounds[0], max: bounds[1] };
+    if overlap::triangle_touches_box(&of, &within) && places.is_none_or(|p| p.touch(of.v, within)) {
         return Ok(json!({"state": "visible", "meets": true}));
     }
     opening::without_masks(&scene)?;
@@ -175,7 +181,7 @@ fn ask(
     Ok(
         match from_cell(
             exact.occluders(),
-            view,
+            &Sources::new(view, places),
             (&[target], half),
             (&Limits::default(), &|| false),
             &mut Cost::default(),

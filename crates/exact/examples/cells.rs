@@ -37,6 +37,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let decided = decide(&Task {
             scene: &prepared,
             cell: cell_box,
+            places: None,
             seen: &ids,
             above: &[],
             limits: Limits::default(),

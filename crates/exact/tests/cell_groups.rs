@@ -35,6 +35,7 @@ fn shared(
     let GroupDecided { hidden, shared, statistics } = decide_group(&CellGroup {
         scene,
         cells: &cells,
+        places: None,
         seen,
         limits,
         seed: 7,
@@ -53,6 +54,7 @@ fn below(scene: &ExactScene, cell: Aabb, seen: &[u32], above: &[u32]) -> Decided
     decide(&Task {
         scene,
         cell: Cell::new(cell.min, cell.max).unwrap(),
+        places: None,
         seen,
         above,
         limits: Limits::default(),

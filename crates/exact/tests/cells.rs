@@ -13,7 +13,7 @@ use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use sightline_certificate::checker::{CellClaims, CellRefusal, Triangles, check_cell};
 use sightline_certificate::{CellCertificate, Target, Witness, codec};
-use sightline_exact::{Cell, Found, from_cell};
+use sightline_exact::{Cell, Found, Sources, from_cell};
 use sightline_exact::{Cost, Decided, Limits, Polygon};
 use sightline_scene::Aabb;
 
@@ -319,8 +319,9 @@ proptest! {
                 let target = Polygon::triangle(triangles[*id as usize].map(|v| v.as_dvec3())).unwrap();
                 let limits = Limits::default();
                 let goal = (&[target][..], None);
+                let sources = Sources::new(view, None);
                 let found =
-                    from_cell(scene.occluders(), view, goal, (&limits, &|| false), &mut Cost::default());
+                    from_cell(scene.occluders(), &sources, goal, (&limits, &|| false), &mut Cost::default());
                 prop_assert!(matches!(found, Found::Hidden(_)), "triangle {} is seen", id);
             }
         }

@@ -16,7 +16,7 @@ const AT_ONCE: u64 = 1 << 14;
 /// What was found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct PairReport {
-    /// Pairs of points in different cells, of which one at least has viewpoints.
+    /// Pairs of points in different cells, one of them at least a possible viewpoint.
     pub pairs: u64,
     /// Those of them that a free segment joins.
     pub free: u64,
@@ -27,7 +27,8 @@ pub struct PairReport {
 }
 
 /// Draws `count` pairs of points, uniform in the view box, and compares. `step` is the least distance from a
-/// see-through triangle to the next search, in world units. Where lines end at a distance, longer segments do
+/// see-through triangle to the next search, in world units. `is_place` says where viewpoints can be: a pair
+/// without any does not count. Where lines end at a distance, longer segments do
 /// not count.
 ///
 /// # Errors
@@ -39,6 +40,7 @@ pub fn measure_pairs(
     count: u64,
     seed: u64,
     step: f32,
+    is_place: &(dyn Fn([f32; 3]) -> bool + Sync),
 ) -> Result<PairReport, MeasureError> {
     let found = &pvs.cell_pairs()?.ok_or(PvsError::NoPairs)?.visible;
     let [min, max] = pvs.tree().view_box();
@@ -58,7 +60,7 @@ pub fn measure_pairs(
             for _ in 0..AT_ONCE.min(count - part * AT_ONCE) {
                 let (a, b) = (point(), point());
                 let (Some(from), Some(to)) = (pvs.find_cell(a), pvs.find_cell(b)) else { continue };
-                if from == to || !(pvs.is_reached(from)? || pvs.is_reached(to)?) {
+                if from == to || !(is_place(a) || is_place(b)) {
                     continue;
                 }
                 if cells.len() % LANES == 0 {

@@ -15,6 +15,7 @@ mod walk;
 
 pub use sightline_viewcells::Viewpoints;
 
+use rayon::prelude::*;
 use sightline_numbers::Aabb;
 use sightline_sampling::BackendError;
 use sightline_viewcells::viewpoints::PARTS;
@@ -138,6 +139,15 @@ impl Parts {
             })
         })
     }
+}
+
+/// Marks every part of which `meets` says that its box holds viewpoints.
+pub fn mark_where(parts: &Parts, cells: [u32; 3], meets: impl Fn(Aabb) -> bool + Sync) -> Viewpoints {
+    let all: Vec<[u32; 3]> = each(parts.sides()).collect();
+    let met: Vec<[u32; 3]> = all.into_par_iter().filter(|p| meets(parts.bounds(*p))).collect();
+    let mut marks = Viewpoints::none(cells);
+    met.into_iter().for_each(|p| marks.mark(p));
+    marks
 }
 
 /// The parts that both have marked.

@@ -4,7 +4,8 @@
 //! From a point rays are cast in all directions, more and more while they find unmarked parts. Where any
 //! number of segments is allowed, every newly marked part has a point that was reached, and rays are cast
 //! from that point in turn. Parts are marked in the order of the points and their rays, so threads change
-//! nothing.
+//! nothing. Where walls enclose the points, the region that they enclose says more
+//! (`sightline-portals`).
 
 use rayon::prelude::*;
 use sightline_sampling::cube::{SKY, face_basis};
@@ -75,20 +76,14 @@ pub fn mark_around(
 /// Marks all that viewpoints get to from `seeds` along free segments, and on from there.
 ///
 /// # Errors
-/// [`PlacesError::Outside`] and [`PlacesError::Solid`] for a seed, [`PlacesError::Backend`].
+/// As [`check`].
 pub fn mark_reachable(
     t: &Tracing<'_>,
     seeds: &[[f32; 3]],
     progress: &mut dyn FnMut(u64),
 ) -> Result<Viewpoints, PlacesError> {
     let mut marks = Viewpoints::none(t.cells);
-    for seed in seeds {
-        let Some(part) = t.parts.of_point(*seed) else {
-            let whole = t.parts.whole();
-            let (min, max) = (whole.min.to_array(), whole.max.to_array());
-            return Err(PlacesError::Outside { point: *seed, min, max });
-        };
-        check_free(t, *seed)?;
+    for part in check(t, seeds)? {
         marks.mark(part);
     }
     let mut open = seeds.to_vec();
@@ -101,6 +96,24 @@ pub fn mark_reachable(
         open = next;
     }
     Ok(marks)
+}
+
+/// The parts of points from which places are reached.
+///
+/// # Errors
+/// [`PlacesError::Outside`] and [`PlacesError::Solid`] for a point, [`PlacesError::Backend`].
+pub fn check(t: &Tracing<'_>, seeds: &[[f32; 3]]) -> Result<Vec<[u32; 3]>, PlacesError> {
+    let mut parts = Vec::new();
+    for seed in seeds {
+        let Some(part) = t.parts.of_point(*seed) else {
+            let whole = t.parts.whole();
+            let (min, max) = (whole.min.to_array(), whole.max.to_array());
+            return Err(PlacesError::Outside { point: *seed, min, max });
+        };
+        check_free(t, *seed)?;
+        parts.push(part);
+    }
+    Ok(parts)
 }
 
 /// Casts rays from all points, up to a distance, and marks the parts they cross. `found` gets every newly

@@ -78,6 +78,8 @@ pub struct Builder {
     /// The coded section; empty when the result does not say which cells see which.
     pairs: Vec<u8>,
     contributions: Contributions,
+    /// Empty when viewpoints are not restricted to a region.
+    region: Vec<u8>,
 }
 
 /// The contributions pushed so far.
@@ -115,8 +117,14 @@ impl Builder {
             item_count: header.triangles,
             pairs: Vec::new(),
             contributions: Contributions::default(),
+            region: Vec::new(),
             header,
         })
+    }
+
+    /// Sets the region that holds all viewpoints, in bytes that this crate does not read.
+    pub fn set_region(&mut self, bytes: Vec<u8>) {
+        self.region = bytes;
     }
 
     /// Sets what the sets name, before the first cell.
@@ -294,11 +302,12 @@ impl Builder {
             (Section::Undecided, &undecided, true),
             (Section::Columns, &self.columns, columns),
         ];
-        let after: [(Section, &[u8]); 4] = [
+        let after: [(Section, &[u8]); 5] = [
             (Section::CellPairs, &self.pairs),
             (Section::Items, &self.items),
             (Section::Contributions, &contributions),
             (Section::Sources, &sources),
+            (Section::Region, &self.region),
         ];
         let before = || before.iter().filter(|s| s.2).map(|s| (s.0, s.1));
         let after = || after.iter().filter(|s| !s.1.is_empty()).copied();

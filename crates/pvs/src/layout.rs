@@ -27,7 +27,7 @@ pub const VERSION: u32 = 2;
 
 const MAGIC: [u8; 8] = *b"\x89PVS\r\n\x1a\n";
 /// All sections there are.
-const SECTIONS: usize = 13;
+const SECTIONS: usize = 14;
 /// Sections that every file has: those before the columns.
 const LEAST_SECTIONS: usize = Section::Columns as usize;
 /// Most sections of a file of version 1.
@@ -68,6 +68,8 @@ pub enum Section {
     /// Where each object is in its glTF file; optional. For each object the indices of node, mesh, primitive
     /// and instance as four u32; `u32::MAX` where there is none.
     Sources,
+    /// The region that holds all viewpoints, opaque to this crate; optional.
+    Region,
 }
 
 impl Section {
@@ -86,6 +88,7 @@ impl Section {
         Self::Items,
         Self::Contributions,
         Self::Sources,
+        Self::Region,
     ];
 
     /// Its name in messages.
@@ -104,6 +107,7 @@ impl Section {
             Self::Items => "items",
             Self::Contributions => "contributions",
             Self::Sources => "sources of objects",
+            Self::Region => "region of viewpoints",
         }
     }
 

@@ -130,6 +130,12 @@ impl Pvs {
         Ok(Self { layout, tree, objects, items, bytes, pairs: OnceLock::new() })
     }
 
+    /// The region that holds all viewpoints, in bytes that this crate does not read; `None` when viewpoints
+    /// are not restricted to one.
+    pub fn region(&self) -> Option<&[u8]> {
+        self.layout.has(Section::Region).then(|| self.part(Section::Region))
+    }
+
     fn part(&self, section: Section) -> &[u8] {
         &self.bytes.get()[self.layout.range(section)]
     }

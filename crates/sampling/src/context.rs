@@ -2,7 +2,9 @@
 
 use std::time::Instant;
 
+use glam::Vec3;
 use sightline_model::SamplingParams;
+use sightline_numbers::Aabb;
 use sightline_viewcells::{Division, Lattice, Viewpoints};
 
 use crate::backend::Backend;
@@ -22,6 +24,8 @@ pub struct JobContext<'a> {
     pub params: &'a SamplingParams,
     /// Where in the cells of a grid viewpoints can be; `None` for everywhere.
     pub viewpoints: Option<&'a Viewpoints>,
+    /// The region that holds all viewpoints; `None` when they are not restricted to one.
+    pub places: Option<&'a dyn Places>,
     /// The grid over which pairs of cells are looked for; `None` when the job does not ask.
     pub pairs: Option<[u32; 3]>,
     /// The backend that traces and renders.
@@ -39,6 +43,17 @@ impl JobContext<'_> {
     pub fn is_late(&self) -> bool {
         self.deadline.is_some_and(|d| Instant::now() >= d)
     }
+}
+
+/// The region that holds all viewpoints. Free segments that begin in it do not leave it, so only the origins
+/// of lines are asked about.
+pub trait Places: Sync {
+    /// Whether a viewpoint can be at a point.
+    fn hold(&self, point: Vec3) -> bool;
+    /// A point of the region in a box; `None` when there is none, or single precision has none.
+    fn any_in(&self, of: Aabb) -> Option<Vec3>;
+    /// Whether a triangle has an area in common with the closed region within a closed box.
+    fn touch(&self, triangle: [Vec3; 3], within: Aabb) -> bool;
 }
 
 /// Receives the progress of a tile and can cancel it.

@@ -104,6 +104,7 @@ fn bake(
         lattice,
         params,
         viewpoints: None,
+        places: None,
         pairs: Some(cells),
         backend,
         seed: 0,

@@ -21,6 +21,7 @@ pub mod division;
 pub mod lattice;
 pub mod plan;
 pub mod rect;
+pub mod region;
 pub mod viewpoints;
 
 pub use cell::{CellBox, Split};
@@ -28,4 +29,5 @@ pub use division::{Division, DivisionError, axis_name};
 pub use lattice::{Lattice, LatticePoint, UNITS_PER_CELL};
 pub use plan::{Layout, MOST_BLOCK_CELLS, Outline, Plan, Tile, TileKind, USUAL_BLOCK_CELLS};
 pub use rect::Rect;
+pub use region::{Region, RegionError, RegionNode};
 pub use viewpoints::{Viewpoints, ViewpointsError};

@@ -1,10 +1,13 @@
-//! Where viewpoints can be: for each cell of a grid, which of its 4×4×4 equal parts hold viewpoints.
+//! Where viewpoints can be: for each cell of a grid, which of its 4×4×4 equal parts hold viewpoints, and,
+//! where walls bound them, in which region of space.
 //!
 //! A part is marked when a viewpoint may be in it, so the marked parts hold all viewpoints and a margin of at
 //! most a part around them. Cells without a marked part are not sampled. How parts come to be marked (boxes,
 //! meshes, points, reachability) is not this module's business.
 
 use sightline_numbers::varint;
+
+use crate::region::Region;
 
 /// Parts along each side of a cell.
 pub const PARTS: u32 = 4;
@@ -18,6 +21,8 @@ pub struct Viewpoints {
     cells: [u32; 3],
     /// A word for each cell; bit (z·4 + y)·4 + x for the part x, y, z.
     parts: Vec<u64>,
+    /// Viewpoints are in this region alone. Free segments that begin in it do not leave it.
+    region: Option<Region>,
 }
 
 /// Bytes that are no marks of the cells of a grid.
@@ -29,7 +34,19 @@ impl Viewpoints {
     /// No marks for a grid of this many cells, which [`crate::Division`] has checked.
     pub fn none(cells: [u32; 3]) -> Self {
         let count: usize = cells.iter().map(|c| *c as usize).product();
-        Self { cells, parts: vec![0; count] }
+        Self { cells, parts: vec![0; count], region: None }
+    }
+
+    /// The same marks, and a region outside which there are no viewpoints. A free segment that begins in the
+    /// region must not leave it.
+    #[must_use]
+    pub fn within(self, region: Option<Region>) -> Self {
+        Self { region, ..self }
+    }
+
+    /// The region that holds all viewpoints, if they are restricted to one.
+    pub fn region(&self) -> Option<&Region> {
+        self.region.as_ref()
     }
 
     /// Cells along each axis.
@@ -80,13 +97,15 @@ impl Viewpoints {
         self.parts.iter().map(|p| u64::from(p.count_ones())).sum()
     }
 
-    /// The marks as bytes: runs of equal words, each a LEB128 length and the word.
+    /// The marks as bytes: runs of equal words, each a LEB128 length and the word. The region's bytes follow,
+    /// if there is one.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
         for run in self.parts.chunk_by(|a, b| a == b) {
             varint::write(&mut bytes, run.len() as u64);
             bytes.extend(run[0].to_le_bytes());
         }
+        bytes.extend(self.region.iter().flat_map(Region::encode));
         bytes
     }
 
@@ -100,7 +119,7 @@ impl Viewpoints {
         }
         let mut marks = Self::none(cells);
         let (mut at, mut before) = (0usize, None);
-        while !bytes.is_empty() {
+        while at < marks.parts.len() && !bytes.is_empty() {
             let length = varint::read(&mut bytes, varint::MOST_BYTES);
             let length = length.map_err(|_| ViewpointsError("a length is malformed"))?;
             let (word, rest) = bytes.split_first_chunk::<8>().ok_or(ViewpointsError("they are cut short"))?;
@@ -119,6 +138,10 @@ impl Viewpoints {
         if at != marks.parts.len() {
             return Err(ViewpointsError("they are for fewer cells than there are"));
         }
+        if !bytes.is_empty() {
+            let region = Region::decode(bytes);
+            marks.region = Some(region.map_err(|_| ViewpointsError("their region cannot be read"))?);
+        }
         if marks.reached() == 0 {
             return Err(ViewpointsError("no part of any cell is marked; mark at least one"));
         }
@@ -129,6 +152,7 @@ impl Viewpoints {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::region::RegionNode;
     use proptest::prelude::*;
 
     proptest! {
@@ -144,7 +168,13 @@ mod tests {
             places.iter().for_each(|p| marks.mark(part(*p)));
             prop_assert!(places.iter().all(|p| marks.has(part(*p))));
             let mut bytes = marks.encode();
-            prop_assert_eq!(Viewpoints::decode(&bytes, cells), Ok(marks));
+            prop_assert_eq!(Viewpoints::decode(&bytes, cells), Ok(marks.clone()));
+            prop_assert!(Viewpoints::decode(&bytes[..bytes.len() - 1], cells).is_err());
+            let region = Region::new(vec![RegionNode::Split(9), RegionNode::Inside, RegionNode::Outside]);
+            let within = marks.within(region.ok());
+            prop_assert!(within.region().is_some());
+            bytes = within.encode();
+            prop_assert_eq!(Viewpoints::decode(&bytes, cells), Ok(within));
             prop_assert!(Viewpoints::decode(&bytes[..bytes.len() - 1], cells).is_err());
             let at = at.index(bytes.len());
             bytes[at] = with;

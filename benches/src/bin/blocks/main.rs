@@ -148,6 +148,7 @@ impl Job<'_> {
             watcher: rays,
             deadline: None,
             pairs: None,
+            places: None,
             crew,
         };
         let (first, grid) = self.grid(tile);

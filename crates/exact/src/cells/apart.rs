@@ -3,6 +3,7 @@
 use sightline_numbers::Aabb;
 
 use crate::cells::from_cell::{Found, faces_towards, from_cell};
+use crate::cells::sources::Sources;
 use crate::geometry::Cell;
 use crate::occluders::Occluders;
 use crate::search::{Cost, Limits};
@@ -23,5 +24,5 @@ pub fn box_from_cell(
         return None;
     }
     let faces = faces_towards(of.min, of.max, cell);
-    Some(from_cell(scene, cell, (&faces, None), (limits, stop), cost))
+    Some(from_cell(scene, &Sources::new(cell, None), (&faces, None), (limits, stop), cost))
 }

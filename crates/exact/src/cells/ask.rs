@@ -8,10 +8,11 @@ use sightline_numbers::Aabb;
 use crate::arithmetic::random::Random;
 use crate::cells::from_cell::{Found, faces_towards, from_cell};
 use crate::cells::rays;
+use crate::cells::sources::Sources;
 use crate::cells::work::{State, Work};
 use crate::geometry::bvh::Below;
 use crate::geometry::polygon::{Polygon, rounded};
-use crate::geometry::{Cell, Source, predicates};
+use crate::geometry::{Source, predicates};
 use crate::occluders::segment::shows;
 use crate::occluders::{OccluderId, Occluders};
 use crate::search::{Cost, Reason};
@@ -94,7 +95,7 @@ impl Work<'_> {
         let hidden = self.hidden_half(of);
         let found = from_cell(
             self.task.scene.occluders(),
-            self.task.cell,
+            &self.sources,
             (&targets, hidden),
             (&self.task.limits, &self.task.stop),
             &mut cost,
@@ -120,7 +121,7 @@ impl Work<'_> {
             let random = Random::new(!self.task.seed, stream);
             let wide = f64::from((max - min).length());
             (beside, rays) =
-                rays::around(self.task.scene.occluders(), &self.task.cell, ends, wide, &wanted, random);
+                rays::around(self.task.scene.occluders(), &self.sources, ends, wide, &wanted, random);
         }
         Asked { of, found: Some(found), beside, rays, cost }
     }
@@ -156,8 +157,8 @@ impl Work<'_> {
                     self.decided.statistics.missed += 1;
                 }
                 let scene = self.task.scene.occluders();
-                let cell = self.task.cell;
-                self.see(id, || witness(scene, &cell, id, &ends));
+                let found = witness(scene, &self.sources, id, &ends);
+                self.see(id, || found);
             }
             (Item::Triangle(id), Some(Found::Undecided(reason))) => self.leave(id, Some(reason)),
             (Item::Triangle(id), None) => self.leave(id, None),
@@ -203,12 +204,12 @@ impl Work<'_> {
 
 /// A query's witness in the form that is stored: in single precision if the rounded segment is a witness,
 /// else exact.
-fn witness(scene: &Occluders, cell: &Cell, id: u32, ends: &[Source; 2]) -> Witness {
+fn witness(scene: &Occluders, sources: &Sources<'_>, id: u32, ends: &[Source; 2]) -> Witness {
     let [p, q] = ends.each_ref().map(rounded);
-    let [min, max] = cell.corners();
+    let [min, max] = sources.cell().corners();
     let near = p.as_vec3().clamp(min, max);
     let far = (p + (q - p) * (1.0 + BEYOND)).as_vec3();
-    if far.is_finite() && shows(scene, near, far, id, &mut Vec::new()) {
+    if far.is_finite() && sources.holds(near) && shows(scene, near, far, id, &mut Vec::new()) {
         return Witness::Floats([near, far]);
     }
     Witness::Exact(Box::new(ends.each_ref().map(predicates::integers)))

@@ -7,6 +7,7 @@
 use rayon::prelude::*;
 
 use crate::cells::exact_scene::ExactScene;
+use crate::cells::sources::Places;
 use crate::cells::statistics::QueryStatistics;
 use crate::cells::task::Task;
 use crate::cells::work::{State, Work};
@@ -21,6 +22,8 @@ pub struct CellGroup<'a> {
     pub scene: &'a ExactScene,
     /// The cells, which fill a box.
     pub cells: &'a [Cell],
+    /// Where in space viewpoints are; `None` for everywhere.
+    pub places: Option<&'a dyn Places>,
     /// For each cell, triangles that sampling has shown, ascending.
     pub seen: &'a [&'a [u32]],
     /// The limits of a single query.
@@ -59,6 +62,7 @@ pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
     let whole = Task {
         scene: task.scene,
         cell,
+        places: task.places,
         seen: &[],
         above: &[],
         limits: task.limits,

@@ -42,7 +42,7 @@ impl Work<'_> {
             |id: &u32| self.state[*id as usize] == State::Open && task.scene.occluders().is_target(*id);
         let wanted: Vec<u32> = task.seen.iter().copied().filter(open).collect();
         let (found, rays) =
-            rays::witnesses(task.scene.occluders(), &task.cell, &wanted, task.seed, task.stop);
+            rays::witnesses(task.scene.occluders(), &self.sources, &wanted, task.seed, task.stop);
         self.decided.statistics.rays = rays;
         let left: Vec<u32> = wanted.into_iter().filter(|id| !found.contains_key(id)).collect();
         for (id, ends) in found {

@@ -6,12 +6,13 @@
 use std::cmp::Ordering;
 
 use glam::{DVec3, Vec3};
+use sightline_numbers::Aabb;
 
+use crate::cells::sources::Sources;
 use crate::geometry::polygon::Polygon;
 use crate::geometry::{Cell, Source};
 use crate::occluders::Occluders;
 use crate::search::{Cost, Limits, Reason, Verdict, sightlines_until};
-use sightline_certificate::certificate::faces;
 use sightline_certificate::proof::Proof;
 
 /// The answer to a query about a triangle or a box from a cell.
@@ -26,20 +27,24 @@ pub enum Found {
     Undecided(Reason),
 }
 
-/// Whether any of the targets is seen from the cell. No target may meet the cell. With `hidden`, a single
-/// target is known to be hidden from that side of its plane, and only the rest of the cell's surface is
-/// queried. Undecided at the limits, and when `stop`, called before every region, returns true.
+/// Whether any of the targets is seen from where viewpoints are in the cell, where none may meet it. With
+/// `hidden`, a single target is known to be hidden from that side of its plane, and only the rest of the
+/// cell's surface is queried. Undecided at the limits, and when `stop`, called before every region, returns
+/// true.
 pub fn from_cell(
     scene: &Occluders,
-    cell: Cell,
+    sources: &Sources<'_>,
     (targets, hidden): (&[Polygon], Option<Ordering>),
     (limits, stop): (&Limits, &dyn Fn() -> bool),
     cost: &mut Cost,
 ) -> Found {
-    let [min, max] = cell.corners();
+    let bounds @ Aabb { min, max } = sources.cell().bounds();
     let mut proofs = Vec::new();
     let mut open = None;
-    for (axis, up) in faces() {
+    for ((axis, up), parts) in sources.faces() {
+        if parts.is_empty() {
+            continue;
+        }
         let at = f64::from(if up { max[axis] } else { min[axis] });
         // Lines that leave through this face reach only targets beyond its plane.
         let beyond: Vec<Polygon> = targets
@@ -47,15 +52,19 @@ pub fn from_cell(
             .filter(|t| t.rounded().iter().any(|p| if up { p[axis] > at } else { p[axis] < at }))
             .cloned()
             .collect();
-        let face = face(min, max, axis, up);
+        let face = Polygon::face_of(bounds, axis, up);
         for target in beyond {
             let from = match hidden {
-                None => Some(face.clone()),
-                Some(side) => face.part(&target.plane(), &target.sides(&face), side.reverse()),
+                None => parts.to_vec(),
+                Some(side) => {
+                    let plane = target.plane();
+                    let beyond = |p: &Polygon| p.part(&plane, &target.sides(p), side.reverse());
+                    parts.iter().filter_map(beyond).collect()
+                }
             };
             let Some(outer) = outer_part(&target, &face, axis, up, at) else { continue };
             // A face wholly on the hidden side gets an empty proof, so that the proofs keep their order.
-            let (verdict, took) = sightlines_until(scene, (from.as_slice(), &[outer]), limits, stop);
+            let (verdict, took) = sightlines_until(scene, (&from, &[outer]), limits, stop);
             *cost += took;
             match verdict {
                 Verdict::Visible(ends) => return Found::Visible(ends),
@@ -85,24 +94,11 @@ fn outer_part(target: &Polygon, face: &Polygon, axis: usize, up: bool, at: f64) 
     target.part(&normal, &sides, keep)
 }
 
-/// One face of a box.
-fn face(min: Vec3, max: Vec3, axis: usize, up: bool) -> Polygon {
-    let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-    let (lo, hi) = (min.as_dvec3(), max.as_dvec3());
-    let corner = |s: bool, t: bool| {
-        let mut p = lo;
-        p[axis] = if up { hi[axis] } else { lo[axis] };
-        p[u] = if s { hi[u] } else { lo[u] };
-        p[v] = if t { hi[v] } else { lo[v] };
-        p
-    };
-    Polygon::rectangle([corner(false, false), corner(true, false), corner(true, true), corner(false, true)])
-}
-
 /// The faces of a box through which lines from the cell can enter, except faces without area. Box and cell
 /// must not touch.
 pub fn faces_towards(min: Vec3, max: Vec3, cell: Cell) -> Vec<Polygon> {
     let [lo, hi] = cell.corners();
+    let bounds = Aabb { min, max };
     let mut out = Vec::with_capacity(3);
     for axis in 0..3 {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -110,10 +106,10 @@ pub fn faces_towards(min: Vec3, max: Vec3, cell: Cell) -> Vec<Polygon> {
             continue;
         }
         if lo[axis] < min[axis] {
-            out.push(face(min, max, axis, false));
+            out.push(Polygon::face_of(bounds, axis, false));
         }
         if hi[axis] > max[axis] {
-            out.push(face(min, max, axis, true));
+            out.push(Polygon::face_of(bounds, axis, true));
         }
     }
     out

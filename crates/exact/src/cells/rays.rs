@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use glam::{DVec3, Vec3};
 
 use crate::arithmetic::random::Random;
-use crate::geometry::Cell;
+use crate::cells::sources::Sources;
 use crate::occluders::Occluders;
 use crate::occluders::segment::{first, shows};
 
@@ -30,7 +30,7 @@ const SPREAD: [f64; 2] = [0.25, 0.6];
 /// triangles and the number of rays cast.
 pub fn around(
     scene: &Occluders,
-    cell: &Cell,
+    sources: &Sources<'_>,
     [p, q]: [DVec3; 2],
     wide: f64,
     wanted: &dyn Fn(u32) -> bool,
@@ -38,7 +38,7 @@ pub fn around(
 ) -> (Vec<(u32, [Vec3; 2])>, u64) {
     let mut found: Vec<(u32, [Vec3; 2])> = Vec::new();
     let mut scratch = Vec::new();
-    let [min, max] = cell.corners();
+    let [min, max] = sources.cell().corners();
     let mut spread = 0.0;
     for _ in 0..AROUND {
         let mut off = || DVec3::new(random.unit(), random.unit(), random.unit()) * 2.0 - 1.0;
@@ -47,6 +47,9 @@ pub fn around(
         let to = q + off() * wide * spread;
         // The segment itself comes first.
         spread = if spread == 0.0 { SPREAD[0] } else { spread * SPREAD[1] };
+        if !sources.holds(near) {
+            continue;
+        }
         let Some((met, at)) = first(scene, origin, to - origin) else { continue };
         if !wanted(met) || found.iter().any(|f| f.0 == met) {
             continue;
@@ -78,7 +81,7 @@ fn segment(
 /// triangle; when it returns true, the answer is the witnesses found so far.
 pub fn witnesses(
     scene: &Occluders,
-    cell: &Cell,
+    sources: &Sources<'_>,
     wanted: &[u32],
     seed: u64,
     stop: &dyn Fn() -> bool,
@@ -92,7 +95,7 @@ pub fn witnesses(
             if found.contains_key(id) {
                 break;
             }
-            let p = point_in(cell, &mut random);
+            let Some(p) = sources.viewpoint(&mut random) else { continue };
             // Uniform over the triangle.
             let (s, t) = (random.unit().sqrt(), random.unit());
             let to = a * (1.0 - s) + b * (s * (1.0 - t)) + c * (s * t);
@@ -114,12 +117,4 @@ pub fn witnesses(
         }
     }
     (found, cast)
-}
-
-/// A random point of the cell.
-fn point_in(cell: &Cell, random: &mut Random) -> Vec3 {
-    let [min, max] = cell.corners();
-    let r = DVec3::new(random.unit(), random.unit(), random.unit());
-    let p = (min.as_dvec3() + (max.as_dvec3() - min.as_dvec3()) * r).as_vec3();
-    p.clamp(min, max)
 }

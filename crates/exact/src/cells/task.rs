@@ -1,6 +1,7 @@
 //! The task of deciding one view cell, and its result.
 
 use crate::cells::exact_scene::ExactScene;
+use crate::cells::sources::Places;
 use crate::cells::statistics::QueryStatistics;
 use crate::geometry::Cell;
 use crate::search::Limits;
@@ -12,6 +13,8 @@ pub struct Task<'a> {
     pub scene: &'a ExactScene,
     /// The cell.
     pub cell: Cell,
+    /// Where in space viewpoints are; `None` for everywhere.
+    pub places: Option<&'a dyn Places>,
     /// Triangles that sampling has shown, ascending. Each is checked.
     pub seen: &'a [u32],
     /// Triangles hidden from the box of the cell group, ascending. None of them meets the cell.

@@ -5,6 +5,7 @@ use std::cmp::Ordering;
 use rayon::prelude::*;
 use sightline_scene::{Triangle, overlap};
 
+use crate::cells::sources::Sources;
 use crate::cells::task::{Decided, Task};
 use crate::geometry::bvh::{Below, Bvh};
 use crate::search::Reason;
@@ -22,6 +23,7 @@ pub enum State {
 
 pub struct Work<'a> {
     pub task: &'a Task<'a>,
+    pub sources: Sources<'a>,
     pub state: Vec<State>,
     /// Triangles that surfaces hide from one side of their planes, ascending, with that side.
     pub halves: Vec<(u32, Ordering)>,
@@ -36,7 +38,8 @@ impl<'a> Work<'a> {
             if scene.of(id).is_some() && !scene.is_target(id) { State::Hidden } else { State::Open }
         };
         let state = (0..scene.len() as u32).map(first).collect();
-        Self { task, state, halves: Vec::new(), decided: Decided::default() }
+        let sources = Sources::new(task.cell, task.places);
+        Self { task, sources, state, halves: Vec::new(), decided: Decided::default() }
     }
 }
 
@@ -55,10 +58,12 @@ impl Work<'_> {
             task.above.iter().filter(|id| task.seen.binary_search(id).is_ok()).count() as u64;
     }
 
-    /// Marks the triangles that meet the cell, I(C).
+    /// Marks the triangles that meet the cell where viewpoints are, I(C).
     pub fn meeting(&mut self) {
         for id in self.meeting_in(self.task.scene.occluders().targets()) {
-            self.state[id as usize] = State::Visible;
+            if self.sources.is_met_by(*self.task.scene.occluders().triangle(id)) {
+                self.state[id as usize] = State::Visible;
+            }
         }
     }
 

@@ -5,6 +5,7 @@ use std::cmp::Ordering;
 use dashu_int::IBig;
 use dashu_int::ops::UnsignedAbs as _;
 use glam::{DVec3, Vec3Swizzles as _};
+use sightline_numbers::Aabb;
 use sightline_scene::exact::differences;
 
 use crate::arithmetic::number::{U, primitive};
@@ -114,6 +115,58 @@ impl Polygon {
     /// A rectangle along two axes, which is flat by construction and must have an area.
     pub fn rectangle(corners: [DVec3; 4]) -> Self {
         Self { points: corners.map(Source::Given).into() }
+    }
+
+    /// The six faces of a box with a volume.
+    pub fn faces_of(bounds: Aabb) -> [Self; 6] {
+        std::array::from_fn(|k| Self::face_of(bounds, k / 2, k % 2 == 1))
+    }
+
+    /// The face of a box across an axis, its greater one or its lesser one.
+    pub fn face_of(bounds: Aabb, axis: usize, up: bool) -> Self {
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        let (lo, hi) = (bounds.min.as_dvec3(), bounds.max.as_dvec3());
+        let corner = |s: bool, t: bool| {
+            let mut p = lo;
+            p[axis] = if up { hi[axis] } else { lo[axis] };
+            p[u] = if s { hi[u] } else { lo[u] };
+            p[v] = if t { hi[v] } else { lo[v] };
+            p
+        };
+        Self::rectangle([corner(false, false), corner(true, false), corner(true, true), corner(false, true)])
+    }
+
+    /// The section of the plane (n, k) with a box; `None` if they share no area.
+    ///
+    /// The part of the plane over the box's face across the axis along which n is longest, cut along the
+    /// other two faces.
+    pub fn section(of: &[IBig; 4], bounds: Aabb) -> Option<Self> {
+        let longest = |best: usize, a: usize| {
+            if of[a].clone().unsigned_abs() > of[best].clone().unsigned_abs() { a } else { best }
+        };
+        let axis = (1..3).fold(0, longest);
+        // On the plane above or below each corner of the face: (k − Σ nᵢ xᵢ) / n along the axis.
+        let turn = if sign(&of[axis]) == Ordering::Less { -IBig::ONE } else { IBig::ONE };
+        let corner = |p: &Source| {
+            let p = integers(p);
+            let others: IBig = (0..3).filter(|i| *i != axis).map(|i| &of[i] * &p[i]).sum();
+            let mut point: [IBig; 4] = std::array::from_fn(|i| {
+                let own = if i == axis { &of[3] * &p[3] - &others } else { &of[axis] * &p[i] };
+                own * &turn
+            });
+            primitive(&mut point);
+            Source::Exact(Box::new(point))
+        };
+        let mut face =
+            Self { points: Self::face_of(bounds, axis, false).points.iter().map(corner).collect() };
+        for up in [false, true] {
+            let wall = Self::face_of(bounds, axis, up).plane();
+            let along = sign(&wall[axis]);
+            let sides: Vec<Ordering> =
+                face.points.iter().map(|p| sign(&height(&wall, &integers(p)))).collect();
+            face = face.part(&wall, &sides, if up { along.reverse() } else { along })?;
+        }
+        Some(face)
     }
 
     /// The corners, in order.

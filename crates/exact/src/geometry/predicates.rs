@@ -116,6 +116,13 @@ pub fn plane(p: [&[IBig; 4]; 3]) -> [IBig; 4] {
     out
 }
 
+/// The plane (n, k) through two different points and along an axis that is not the direction from one to the
+/// other.
+pub fn plane_along([a, b]: [&[IBig; 4]; 2], axis: usize) -> [IBig; 4] {
+    let towards: [IBig; 4] = std::array::from_fn(|i| if i == axis { IBig::ONE } else { IBig::ZERO });
+    plane([a, b, &towards])
+}
+
 /// n·x − k·w, whose sign says on which side of the plane the point is.
 pub fn height(plane: &[IBig; 4], p: &[IBig; 4]) -> IBig {
     &plane[0] * &p[0] + &plane[1] * &p[1] + &plane[2] * &p[2] - &plane[3] * &p[3]

@@ -17,6 +17,7 @@ pub fn solve(scene: &ExactScene, cell: Aabb, seen: &[u32], stop: &(dyn Fn() -> b
     decide(&Task {
         scene,
         cell: Cell::new(cell.min, cell.max).unwrap(),
+        places: None,
         seen,
         above: &[],
         limits: Limits::default(),

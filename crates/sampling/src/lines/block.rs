@@ -7,17 +7,19 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use glam::Vec3;
+use sightline_numbers::Aabb;
 use sightline_scene::Scene;
 
 use super::bits::SeenBits;
 use super::grid::{CellGrid, Crossed, Slot};
 use super::pairs::Pairs;
 use super::yields::{Tally, Yields};
-use crate::context::Watcher;
+use crate::context::{Places, Watcher};
 use crate::crew::Crew;
 use crate::cube::SKY;
 use crate::packet::Packet;
 use crate::rows::Rows;
+use crate::sequence::Hashed;
 use crate::sight::{Passed, Sight};
 use crate::surface::Surface;
 use sightline_model::CellStats;
@@ -33,6 +35,13 @@ pub(super) const AIMED_WORK: u64 = 3;
 pub(super) const JOINED_LANES: usize = 4;
 /// The same for aimed lines, which are many and join fewer cells for the first time.
 pub(super) const JOINED_AIMED_LANES: usize = 16;
+
+/// Points that are tried as a viewpoint before any point of the region is taken. Where the region fills less
+/// of the marked parts than one in so many, its viewpoints are not spread evenly.
+const TRIES: usize = 200;
+/// The step of a sequence of points that is spread evenly over the cube (Roberts 2018, "The Unreasonable
+/// Effectiveness of Quasirandom Sequences": powers of the reciprocal of the root of x⁴ = x + 1).
+const SPREAD: Vec3 = Vec3::new(0.819_172_5, 0.671_043_6, 0.549_700_5);
 
 /// Part of the block's size by which the two halves of a line overlap at least ([`Packet::reversed`]).
 pub(super) const LEAST_STEP: f32 = 1.0 / (1 << 24) as f32;
@@ -55,6 +64,8 @@ pub struct Tools<'a> {
     pub deadline: Option<Instant>,
     /// Which cells see which; `None` when the job does not ask.
     pub pairs: Option<&'a Pairs>,
+    /// The region that holds all viewpoints, if they are restricted to one.
+    pub places: Option<&'a dyn Places>,
     /// Those who share the work.
     pub crew: &'a dyn Crew,
 }
@@ -94,6 +105,35 @@ impl Cell {
             f = (at + Vec3::new(place.fract(), f.y, f.z)) / PARTS as f32;
         }
         (self.lo + self.size * f).to_array()
+    }
+
+    /// A viewpoint near fractions of its size: where viewpoints are in a region alone, the first of a spread
+    /// sequence of points from there on that the region holds, or any point of the region in the cell.
+    pub(super) fn origin(&self, places: Option<&dyn Places>, f: impl Into<Vec3>) -> [f32; 3] {
+        let f: Vec3 = f.into();
+        let Some(places) = places else { return self.point(f) };
+        let mut at = f;
+        let tries = std::iter::repeat_with(|| {
+            let point = self.point(at);
+            at = (at + SPREAD).fract();
+            point
+        });
+        self.held(places, tries).unwrap_or_else(|| self.point(f))
+    }
+
+    /// A random viewpoint, uniform where viewpoints are.
+    pub(super) fn random_origin(&self, places: Option<&dyn Places>, random: &mut Hashed) -> [f32; 3] {
+        let first = self.point(random.point());
+        let Some(places) = places else { return first };
+        let tries = std::iter::once(first).chain(std::iter::repeat_with(|| self.point(random.point())));
+        self.held(places, tries).unwrap_or(first)
+    }
+
+    fn held(&self, places: &dyn Places, tries: impl Iterator<Item = [f32; 3]>) -> Option<[f32; 3]> {
+        tries.take(TRIES).find(|p| places.hold(Vec3::from(*p))).or_else(|| {
+            let own = Aabb::new(self.lo, self.lo + self.size);
+            places.any_in(own).map(|p| p.to_array())
+        })
     }
 
     /// Whether viewpoints are everywhere in it.

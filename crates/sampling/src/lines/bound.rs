@@ -244,7 +244,7 @@ impl Block<'_> {
                     let [u, v] = [random.unit(), random.unit()];
                     let [forward, right, up] = face_basis(face);
                     let d = forward + right * (2.0 * u - 1.0) + up * (2.0 * v - 1.0);
-                    let o = c.point(random.point());
+                    let o = c.random_origin(self.tools.places, &mut random);
                     let key = (face * side + (v * side as f32) as u32) * side + (u * side as f32) as u32;
                     (key, [o[0], o[1], o[2], d.x, d.y, d.z])
                 })

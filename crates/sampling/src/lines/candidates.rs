@@ -215,7 +215,7 @@ impl Block<'_> {
         let uniform = self.stats[cell].rays[LineKind::Uniform as usize];
         s.packets.clear();
         for group in some.chunks(LANES) {
-            let origin = c.point(self.eye_for(cell, group, random));
+            let origin = c.origin(self.tools.places, self.eye_for(cell, group, random));
             let mut ahead = Packet::default();
             for candidate in group {
                 let to = Vec3::from(point_on(self.tools.scene, candidate.triangle, random));

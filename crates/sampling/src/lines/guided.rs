@@ -55,7 +55,7 @@ impl Block<'_> {
             for first in (0..batch).step_by(LANES) {
                 let mut packet = Packet::default();
                 for _ in first..batch.min(first + LANES as u64) {
-                    let origin = c.point(random.point());
+                    let origin = c.random_origin(self.tools.places, &mut random);
                     let kind = random.unit();
                     let mut target = None;
                     if kind < 0.5 {

@@ -13,7 +13,7 @@ use sightline_viewcells::{CellBox, UNITS_PER_CELL};
 
 use super::block::{Cell, LEAST_STEP};
 use super::grid::Slot;
-use crate::context::{JobContext, TileError, Watcher};
+use crate::context::{JobContext, Places, TileError, Watcher};
 use crate::cube::{SKY, face_basis};
 use crate::packet::{LANES, Packet};
 use crate::rows::Rows;
@@ -59,7 +59,8 @@ pub fn count(
             let random = Hashed::new(&[job.seed, at.lo.map(u64::from).into_iter().fold(0, mixed), HITS]);
             let cell = Cell { at: [0; 3], slot: Slot { word: 0, bit: 0 }, lo, size: hi - lo, number, parts };
             let step = (hi - lo).max_element() * LEAST_STEP;
-            let mut counter = Counter { rows, twins: &twins, visible: &set.visible, counts: Vec::new() };
+            let (places, visible) = (job.places, set.visible.as_slice());
+            let mut counter = Counter { rows, twins: &twins, places, visible, counts: Vec::new() };
             counter.from(&cell, &sight, step, random)
         })
         .collect::<Result<_, TileError>>()?;
@@ -80,6 +81,8 @@ struct Counter<'a> {
     rows: &'a Rows,
     /// For each triangle with duplicates, all of its class.
     twins: &'a BTreeMap<u32, &'a [u32]>,
+    /// The region that holds all viewpoints, if they are restricted to one.
+    places: Option<&'a dyn Places>,
     visible: &'a [u32],
     /// For each visible item the lines of all viewpoints, of the present viewpoint, and the most of one.
     counts: Vec<[u32; 3]>,
@@ -100,7 +103,7 @@ impl Counter<'_> {
         // A cell without viewpoints has no visible items.
         let viewpoints = if self.visible.is_empty() { 0 } else { VIEWPOINTS };
         for number in 0..viewpoints {
-            let origin = cell.point(spread3(number.into(), shift));
+            let origin = cell.origin(self.places, spread3(number.into(), shift));
             packets.clear();
             for k in 0..6 * TILES * TILES {
                 let (face, tile) = (k / (TILES * TILES), k % (TILES * TILES));

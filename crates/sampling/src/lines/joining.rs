@@ -16,7 +16,7 @@ use super::grid::{CellGrid, Crossed};
 use super::pairs::Pairs;
 use super::phase::{self, Items, Tables};
 use super::rounds::LEFT_AFTER_ROUND;
-use crate::context::{JobContext, TileError, Watcher};
+use crate::context::{JobContext, Places, TileError, Watcher};
 use crate::packet::{LANES, Packet};
 use crate::sequence::Hashed;
 use crate::sight::{Passed, Sight};
@@ -84,7 +84,8 @@ pub fn search(
             break;
         }
         let before = pairs.copy();
-        let segments = Segments { sight, pairs, before: &before, cells: &cells, step, seed: job.seed, round };
+        let (places, seed, before) = (job.places, job.seed, &*before);
+        let segments = Segments { sight, pairs, before, cells: &cells, places, step, seed, round };
         let mut cast = |at: &Cast<'_>| {
             let compute = |item: usize| {
                 if watcher.cancelled() {
@@ -127,6 +128,8 @@ struct Segments<'a> {
     before: &'a [u64],
     /// All cells of the division, by number.
     cells: &'a [Cell],
+    /// The region that holds all viewpoints, if they are restricted to one.
+    places: Option<&'a dyn Places>,
     step: f32,
     seed: u64,
     round: u32,
@@ -156,7 +159,7 @@ impl Segments<'_> {
         let (mut packets, mut passed): (Vec<Packet>, _) = (Vec::new(), Passed::default());
         let mut count = 0u64;
         for other in drawn.flat_map(|other| std::iter::repeat_n(other, times)) {
-            let [mut from, mut to] = [cell, *other].map(|c| viewpoint(c, &mut random));
+            let [mut from, mut to] = [cell, *other].map(|c| viewpoint(c, self.places, &mut random));
             if self.round % 2 == 1 {
                 // Where triangles have one side, the two directions differ.
                 std::mem::swap(&mut from, &mut to);
@@ -220,10 +223,9 @@ impl Segments<'_> {
 }
 
 /// A random point of a cell: where viewpoints are, or anywhere in a cell without viewpoints.
-fn viewpoint(cell: &Cell, random: &mut Hashed) -> [f32; 3] {
-    let cell = match cell.parts {
-        0 => Cell { parts: u64::MAX, ..*cell },
-        _ => *cell,
-    };
-    cell.point(random.point())
+fn viewpoint(cell: &Cell, places: Option<&dyn Places>, random: &mut Hashed) -> [f32; 3] {
+    match cell.parts {
+        0 => Cell { parts: u64::MAX, ..*cell }.point(random.point()),
+        _ => cell.random_origin(places, random),
+    }
 }

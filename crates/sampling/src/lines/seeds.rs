@@ -51,7 +51,11 @@ impl Block<'_> {
                     for triangle in group.iter().skip(skip).step_by(ONE_IN).take(LANES) {
                         let up = if self.is_up(*triangle, direction, front) { direction } else { -direction };
                         let at = Vec3::from(point_on(self.tools.scene, *triangle, &mut random));
-                        down.push((at + up * distance).to_array(), (-up).to_array());
+                        let origin = at + up * distance;
+                        // A free segment is in the viewpoints' region as a whole or not at all.
+                        if self.tools.places.is_none_or(|places| places.hold(origin)) {
+                            down.push(origin.to_array(), (-up).to_array());
+                        }
                     }
                     let up = down.reversed(self.step);
                     s.packets.push(down);

@@ -55,7 +55,7 @@ impl Block<'_> {
             s.packets.clear();
             for k in first..(first + chunk).min(total) {
                 let (pair, tile) = (k / (tiles * tiles), k % (tiles * tiles));
-                let origin = c.point(spread3(base + u64::from(k), shift));
+                let origin = c.origin(self.tools.places, spread3(base + u64::from(k), shift));
                 let [forward, right, up] = face_basis(pair * 2);
                 let mut ahead = Packet::default();
                 for lane in 0..LANES as u32 {

@@ -42,6 +42,7 @@ impl Work<'_> {
             watcher: self.watcher,
             deadline: self.job.deadline,
             pairs: self.pairs,
+            places: self.job.places,
             crew: self.job.crew,
         };
         let (min, max) = within.world(&self.job.lattice);
@@ -52,7 +53,7 @@ impl Work<'_> {
     }
 }
 
-/// Credits every cell with the triangles that meet it, I(C), decided exactly.
+/// Credits every cell with the triangles that meet it where viewpoints are, I(C), decided exactly.
 fn meeting(work: &Work<'_>, within: &CellBox, block: &Block<'_>) {
     let grid = block.grid();
     let cells = grid.cells();
@@ -81,7 +82,11 @@ fn meeting(work: &Work<'_>, within: &CellBox, block: &Block<'_>) {
                         )
                     };
                     let cell = Aabb { min: corner(at), max: corner(at.map(|c| c + 1)) };
-                    if overlap::triangle_touches_box(triangle, &cell) {
+                    let meets = || {
+                        let places = work.job.places;
+                        places.is_none_or(|places| places.touch(triangle.v, cell))
+                    };
+                    if overlap::triangle_touches_box(triangle, &cell) && meets() {
                         let slot = grid.slot(at);
                         block.credit_one(id, slot);
                     }

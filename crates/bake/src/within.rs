@@ -1,0 +1,40 @@
+//! The region that holds all viewpoints of a job, for the sampler and for exact queries.
+
+use glam::Vec3;
+use sightline_model::JobSpec;
+use sightline_numbers::Aabb;
+use sightline_portals::{ForeignRegion, Reached};
+use sightline_scene::Scene;
+
+/// The region of a job.
+pub struct Within(Reached);
+
+impl Within {
+    /// The region of a job with its planes; `None` when viewpoints are not restricted to one.
+    ///
+    /// # Errors
+    /// [`ForeignRegion`].
+    pub fn of(spec: &JobSpec, scene: &Scene) -> Result<Option<Self>, ForeignRegion> {
+        let region = spec.viewpoints.as_ref().and_then(|marks| marks.region());
+        region.map(|region| Reached::new(region, scene).map(Self)).transpose()
+    }
+
+    /// The region for exact queries.
+    pub fn places(&self) -> &dyn sightline_exact::Places {
+        &self.0
+    }
+}
+
+impl sightline_sampling::Places for Within {
+    fn hold(&self, point: Vec3) -> bool {
+        self.0.holds(point)
+    }
+
+    fn any_in(&self, of: Aabb) -> Option<Vec3> {
+        self.0.any_in(of)
+    }
+
+    fn touch(&self, triangle: [Vec3; 3], within: Aabb) -> bool {
+        self.0.touches(triangle, within)
+    }
+}

@@ -1,0 +1,154 @@
+//! Sets of a region: what is strictly seen from a point of the region is in the set of the point's cell, and
+//! the sets of the region are parts of those of whole cells.
+
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+
+use std::cmp::Ordering;
+use std::sync::Arc;
+
+use glam::Vec3;
+use sightline_bake::{Alone, BakeScene, Control, Watcher, run_tile};
+use sightline_model::{CellSet, JobSpec, Method, TileOutput, codec};
+use sightline_numbers::Aabb;
+use sightline_numbers::random::SplitMix64;
+use sightline_portals::{Enclosure, Limits, Planes, Reached, Tree, enclose, reached, region_of};
+use sightline_sampling::{BackendError, CubeSpec, embree::CpuBackend};
+use sightline_scene::exact::orient3d_sign;
+use sightline_scene::generate::{Kind, Params, generate};
+use sightline_scene::{Scene, Triangle};
+use sightline_viewcells::{CellBox, Division, UNITS_PER_CELL, Viewpoints};
+
+const CELLS: [u32; 3] = [3, 2, 2];
+
+struct Quiet;
+
+impl Watcher for Quiet {
+    fn rendered(&self, _: u64) {}
+    fn cell_done(&self) {}
+    fn cancelled(&self) -> bool {
+        false
+    }
+}
+
+/// The sets of a scene's cells; `None` without Embree, which under `CI` is a failure.
+fn sets(scene: &Arc<Scene>, method: Method, viewpoints: Option<Viewpoints>) -> Option<Vec<CellSet>> {
+    let mut spec = JobSpec::new(scene.digest().0, Division::Grid(CELLS), scene.bounds());
+    (spec.method, spec.viewpoints) = (method, viewpoints.map(Arc::new));
+    spec.sampling.target_error = 1e-3;
+    spec.check().unwrap();
+    let backend = match CpuBackend::new(Arc::clone(scene), CubeSpec::of(&spec.sampling)) {
+        Ok(backend) => backend,
+        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
+            eprintln!("not run: {why}");
+            return None;
+        }
+        Err(e) => panic!("{e}"),
+    };
+    let prepared = BakeScene::new(Arc::clone(scene)).unwrap();
+    let control = Control { watcher: &Quiet, deadline: None, crew: &Alone };
+    let done = run_tile(&spec, 0, &prepared, &backend, &[], control).unwrap();
+    match codec::decode(&done.bytes, scene.len()).unwrap() {
+        TileOutput::Cells(sets) => Some(sets.cells),
+        TileOutput::Pack(_) => panic!("a leaf tile has cells"),
+    }
+}
+
+/// The triangle that a segment crosses first, where exact signs are sure of it: it crosses one strictly, and
+/// surely misses all others up to there.
+fn strictly_seen(scene: &Scene, p: Vec3, q: Vec3) -> Option<u32> {
+    let signs = |t: &Triangle| {
+        let [a, b, c] = t.v;
+        let ends = [orient3d_sign(a, b, c, p), orient3d_sign(a, b, c, q)];
+        (ends, [orient3d_sign(p, q, a, b), orient3d_sign(p, q, b, c), orient3d_sign(p, q, c, a)])
+    };
+    let mut crossed = None;
+    for (id, t) in (0..).zip(scene.triangles()) {
+        let (ends, edges) = signs(t);
+        let apart = ends[0] == ends[1] && ends[0] != Ordering::Equal
+            || edges.contains(&Ordering::Less) && edges.contains(&Ordering::Greater);
+        let through = ends[0] == ends[1].reverse()
+            && ends[0] != Ordering::Equal
+            && edges[0] != Ordering::Equal
+            && edges.iter().all(|e| *e == edges[0]);
+        match (apart, through) {
+            (true, _) => {}
+            (false, true) if crossed.is_none() => crossed = Some(id),
+            _ => return None,
+        }
+    }
+    crossed
+}
+
+#[test]
+fn what_is_seen_from_a_room_is_in_the_sets_of_its_region() {
+    let scene =
+        Arc::new(generate(Kind::Rooms, &Params { triangles: Some(700), ..Params::default() }).unwrap());
+    let mut random = SplitMix64::new(5);
+    let bounds = scene.bounds();
+    let mut point = |of: Aabb| {
+        let mut unit = || random.unit_f32();
+        of.min + (of.max - of.min) * Vec3::new(unit(), unit(), unit())
+    };
+    // A point from which walls enclose the walk.
+    let planes = Planes::new(&scene);
+    let (region, reach) = (0..50)
+        .find_map(|_| {
+            let seed = [point(bounds).to_array()];
+            let mut tree = Tree::new(&scene, &planes, &seed);
+            let found = enclose(&mut tree, &seed, Limits::default(), &mut |_| true);
+            let region = region_of(&tree, &reached(&tree, &seed)).unwrap();
+            let reach = Reached::new(&region, &scene).unwrap();
+            (found == Enclosure::Closed).then_some((region, reach))
+        })
+        .unwrap();
+    // The cells in the order of the sets: that of the tree.
+    let division = Division::Grid(CELLS);
+    let lattice = division.lattice(bounds.min, bounds.max).unwrap();
+    let (mut cells, mut open) = (Vec::new(), vec![(division.root(&lattice), 0)]);
+    while let Some((cell, depth)) = open.pop() {
+        match division.split(&lattice, &cell, depth) {
+            Some(split) => {
+                let [below, above] = cell.children(split);
+                open.extend([(above, depth + 1), (below, depth + 1)]);
+            }
+            None => cells.push(cell),
+        }
+    }
+    let of_cell = |cell: &CellBox| {
+        let (min, max) = cell.world(&lattice);
+        Aabb::new(min, max)
+    };
+    let boxes: Vec<Aabb> = cells.iter().map(of_cell).collect();
+    let mut marks = Viewpoints::none(CELLS);
+    for (cell, of) in cells.iter().zip(&boxes).filter(|(_, of)| reach.meets(**of)) {
+        let at = cell.lo.map(|u| u / UNITS_PER_CELL);
+        let each = |k: u32| [at[0] * 4 + k % 4, at[1] * 4 + k / 4 % 4, at[2] * 4 + k / 16];
+        assert!(reach.any_in(*of).is_some());
+        (0..64).for_each(|k| marks.mark(each(k)));
+    }
+    let within = marks.clone().within(Some(region));
+    let Some(sampled) = sets(&scene, Method::Aggressive, Some(within.clone())) else { return };
+    let Some(exact) = sets(&scene, Method::Exact, Some(within)) else { return };
+    let Some(whole) = sets(&scene, Method::Exact, Some(marks)) else { return };
+    let is_part = |a: &CellSet, b: &CellSet| a.visible.iter().all(|t| b.visible.binary_search(t).is_ok());
+    for ((sampled, exact), whole) in sampled.iter().zip(&exact).zip(&whole) {
+        assert!(is_part(sampled, exact) && is_part(exact, whole));
+        assert_eq!(exact.decision.as_ref().map(|d| d.undecided.len()), Some(0));
+    }
+    let sum = |sets: &[CellSet]| sets.iter().map(|s| s.visible.len()).sum::<usize>();
+    assert!(sum(&exact) < sum(&whole), "{} in the region, {} in whole cells", sum(&exact), sum(&whole));
+    let mut seen = 0;
+    for (of, set) in boxes.iter().zip(&exact).filter(|(_, set)| !set.unreached) {
+        for _ in 0..1500 {
+            let (p, q) = (point(*of), point(bounds));
+            let far = p + (q - p) * 4.0;
+            if reach.holds(p)
+                && let Some(id) = strictly_seen(&scene, p, far).or_else(|| strictly_seen(&scene, p, q))
+            {
+                seen += 1;
+                assert!(set.visible.binary_search(&id).is_ok(), "triangle {id} is seen from {p}");
+            }
+        }
+    }
+    assert!(seen > 200, "{seen} triangles were seen");
+}

@@ -1,0 +1,22 @@
+//! A scene divided along its walls: convex leaves, the portals between them, and what is reached from a point
+//! (Teller 1992, chapters 5 and 8).
+//!
+//! A [`Tree`] is a binary space partition along planes of the scene's triangles. Its portals are the parts of
+//! its splitting planes that no triangle covers, so every free segment between two leaves crosses portals.
+//! [`enclose()`] refines a tree until walls enclose given points or a leak is found. All signs are exact:
+//! what is not reached here, no walk reaches.
+//!
+//! The crate knows no view cells and no job.
+
+pub mod choose;
+pub mod enclose;
+pub mod plane;
+pub mod planes;
+pub mod region;
+pub mod tree;
+
+pub use enclose::{Enclosure, Limits, enclose, reached};
+pub use plane::{Face, Plane, PlaneId};
+pub use planes::Planes;
+pub use region::{ForeignRegion, Reached, region_of};
+pub use tree::{LeafId, OUTSIDE, PortalId, Tree};

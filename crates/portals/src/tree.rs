@@ -1,0 +1,316 @@
+//! The binary space partition of a scene along planes of its triangles: convex leaves, and the openings
+//! (portals) through which one gets from leaf to leaf (Teller 1992, sections 5.2 and 8.2).
+//!
+//! Everything is exact. A leaf is an intersection of half-spaces; a portal is a convex part of the border of
+//! two leaves that no triangle in its plane covers. Triangles that no plane of the tree contains stay in the
+//! leaves as detail: they block nothing here, so what is not reached is proved not to be reached, whichever
+//! planes were chosen.
+
+use std::cmp::Ordering;
+
+use glam::Vec3;
+use sightline_exact::{Polygon, predicates};
+use sightline_numbers::Aabb;
+use sightline_scene::Scene;
+
+use crate::plane::{Face, Plane, PlaneId};
+use crate::planes::Planes;
+
+/// The number of a leaf in its [`Tree`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct LeafId(pub u32);
+
+/// The leaf that stands for everything outside the box of the tree.
+pub const OUTSIDE: LeafId = LeafId(0);
+
+/// The number of a portal in its [`Tree`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PortalId(pub u32);
+
+/// A node: an inner one, or the place of a leaf.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Node {
+    /// A plane, and the nodes on its lesser and on its greater side.
+    Split(PlaneId, [u32; 2]),
+    /// A leaf.
+    Leaf(LeafId),
+}
+
+/// What is left of a triangle in a leaf.
+#[derive(Clone, Debug)]
+pub struct Fragment {
+    /// The plane of the triangle.
+    pub plane: PlaneId,
+    /// The part of the triangle in the leaf.
+    pub face: Face,
+}
+
+/// A convex cell of the partition.
+#[derive(Debug, Default)]
+pub struct Leaf {
+    node: u32,
+    /// The planes on the way from the root, with the side of each on which the leaf is.
+    walls: Vec<(PlaneId, Ordering)>,
+    /// Triangles inside, which no plane of the tree contains.
+    pub detail: Vec<Fragment>,
+    /// The portals of the leaf.
+    pub portals: Vec<PortalId>,
+}
+
+/// An opening between two leaves.
+#[derive(Debug)]
+pub struct Portal {
+    /// The opening. It may be larger than the true one, never smaller.
+    pub face: Face,
+    /// The leaves on both sides.
+    pub leaves: [LeafId; 2],
+}
+
+impl Portal {
+    /// The leaf on the other side.
+    pub fn beyond(&self, leaf: LeafId) -> LeafId {
+        if self.leaves[0] == leaf { self.leaves[1] } else { self.leaves[0] }
+    }
+}
+
+/// A partition of a box.
+pub struct Tree<'a> {
+    planes: &'a Planes,
+    bounds: Aabb,
+    nodes: Vec<Node>,
+    leaves: Vec<Leaf>,
+    portals: Vec<Portal>,
+    /// The work so far, counted in fragments and portals that were put on a side of a plane.
+    work: u64,
+}
+
+impl<'a> Tree<'a> {
+    /// One leaf that holds all blocking triangles, in a box that has a margin around the scene's bounds and
+    /// the given points.
+    pub fn new(scene: &Scene, planes: &'a Planes, points: &[[f32; 3]]) -> Self {
+        let around = points.iter().fold(scene.bounds(), |b, p| b.union(Aabb::around([Vec3::from(*p)])));
+        // Any margin keeps the outside in one piece. The coordinates stay finite.
+        let margin = ((around.max - around.min) * 0.125).max_element().clamp(f32::MIN_POSITIVE, f32::MAX);
+        let limit = Vec3::splat(f32::MAX);
+        let step = |p: Vec3, by: f32| (p + Vec3::splat(by)).clamp(-limit, limit);
+        let bounds = Aabb::new(
+            step(around.min, -margin).min(around.min.map(f32::next_down)),
+            step(around.max, margin).max(around.max.map(f32::next_up)),
+        );
+        let detail = (0..scene.len())
+            .filter_map(|id| {
+                let corners = scene.triangles()[id as usize].v.map(|v| v.as_dvec3());
+                let face = Face::new(Polygon::triangle(corners)?);
+                Some(Fragment { plane: planes.of(id)?, face })
+            })
+            .collect();
+        let inside = LeafId(1);
+        let portals: Vec<Portal> = Polygon::faces_of(bounds)
+            .into_iter()
+            .map(|face| Portal { face: Face::new(face), leaves: [inside, OUTSIDE] })
+            .collect();
+        let ids: Vec<PortalId> = (0..portals.len() as u32).map(PortalId).collect();
+        let leaves = vec![
+            Leaf { portals: ids.clone(), ..Leaf::default() },
+            Leaf { detail, portals: ids, ..Leaf::default() },
+        ];
+        Self { planes, bounds, nodes: vec![Node::Leaf(inside)], leaves, portals, work: 0 }
+    }
+
+    /// The planes.
+    pub fn planes(&self) -> &'a Planes {
+        self.planes
+    }
+
+    /// The box that is divided.
+    pub fn bounds(&self) -> Aabb {
+        self.bounds
+    }
+
+    /// The nodes; the root is the first.
+    pub fn nodes(&self) -> &[Node] {
+        &self.nodes
+    }
+
+    /// A leaf.
+    pub fn leaf(&self, id: LeafId) -> &Leaf {
+        &self.leaves[id.0 as usize]
+    }
+
+    /// Number of leaves, with [`OUTSIDE`].
+    pub fn len(&self) -> usize {
+        self.leaves.len()
+    }
+
+    /// Whether there is no leaf but [`OUTSIDE`]; never.
+    pub fn is_empty(&self) -> bool {
+        self.leaves.len() < 2
+    }
+
+    /// A portal.
+    pub fn portal(&self, id: PortalId) -> &Portal {
+        &self.portals[id.0 as usize]
+    }
+
+    /// The work so far: how often a fragment or portal was put on a side of a plane.
+    pub fn work(&self) -> u64 {
+        self.work
+    }
+
+    /// The leaf that holds a point; of a point on a plane, the one on the plane's greater side.
+    pub fn leaf_of(&self, point: Vec3) -> LeafId {
+        if !self.bounds.contains(point) {
+            return OUTSIDE;
+        }
+        let mut node = 0u32;
+        loop {
+            match self.nodes[node as usize] {
+                Node::Leaf(leaf) => return leaf,
+                Node::Split(plane, below) => {
+                    let side = self.planes.plane(plane).side_of(point);
+                    node = below[usize::from(side != Ordering::Less)];
+                }
+            }
+        }
+    }
+
+    /// The section of a plane with a leaf; `None` if they share no area.
+    pub fn section(&self, leaf: LeafId, plane: PlaneId) -> Option<Face> {
+        let mut face = Face::new(Polygon::section(self.planes.plane(plane).coefficients(), self.bounds)?);
+        for (wall, keep) in &self.leaf(leaf).walls {
+            let wall = self.planes.plane(*wall);
+            let sides = face.sides(wall);
+            face = face.part(wall, &sides, *keep)?;
+        }
+        Some(face)
+    }
+
+    /// Splits a leaf along a plane, which must contain a fragment of its detail. The leaf becomes the part on
+    /// the plane's lesser side; returns the part on the greater one.
+    ///
+    /// # Panics
+    /// When the plane does not divide the leaf.
+    pub fn split(&mut self, id: LeafId, plane: PlaneId) -> LeafId {
+        // A fragment in the plane is in the closed leaf and in no wall of it, so the section has an area.
+        let section = self.section(id, plane).expect("the plane of a fragment divides its leaf");
+        let upper = LeafId(self.leaves.len() as u32);
+        let leaf = std::mem::take(&mut self.leaves[id.0 as usize]);
+        let (mut inside, mut details) = (Vec::new(), [Vec::new(), Vec::new()]);
+        let exact = self.planes.plane(plane);
+        for fragment in leaf.detail {
+            self.work += 1;
+            if fragment.plane == plane {
+                inside.push(fragment.face);
+                continue;
+            }
+            for (part, detail) in fragment.face.parts(exact).into_iter().zip(&mut details) {
+                detail.extend(part.map(|face| Fragment { plane: fragment.plane, face }));
+            }
+        }
+        let mut portals = [Vec::new(), Vec::new()];
+        for portal in leaf.portals {
+            self.work += 1;
+            self.divide_portal(portal, (id, upper), exact, &mut portals);
+        }
+        for face in self.open_parts(section, inside, exact) {
+            let number = self.add_portal(Portal { face, leaves: [id, upper] });
+            portals.iter_mut().for_each(|p| p.push(number));
+        }
+        let places = [0, 1].map(|k| self.nodes.len() as u32 + k);
+        self.nodes[leaf.node as usize] = Node::Split(plane, places);
+        self.nodes.extend([Node::Leaf(id), Node::Leaf(upper)]);
+        let sides = [Ordering::Less, Ordering::Greater];
+        let [lower_leaf, upper_leaf] = std::array::from_fn(|k| Leaf {
+            node: places[k],
+            walls: leaf.walls.iter().copied().chain([(plane, sides[k])]).collect(),
+            detail: std::mem::take(&mut details[k]),
+            portals: std::mem::take(&mut portals[k]),
+        });
+        self.leaves[id.0 as usize] = lower_leaf;
+        self.leaves.push(upper_leaf);
+        upper
+    }
+
+    /// Puts a portal of a leaf that is being split on the sides of the plane.
+    fn divide_portal(
+        &mut self,
+        id: PortalId,
+        (lower, upper): (LeafId, LeafId),
+        plane: &Plane,
+        out: &mut [Vec<PortalId>; 2],
+    ) {
+        let portal = &mut self.portals[id.0 as usize];
+        let [below, above] = portal.face.clone().parts(plane);
+        let move_up = |portal: &mut Portal| {
+            portal.leaves.iter_mut().filter(|l| **l == lower).for_each(|l| *l = upper);
+        };
+        match (below, above) {
+            (Some(below), Some(above)) => {
+                portal.face = below;
+                let mut other = Portal { face: above, leaves: portal.leaves };
+                move_up(&mut other);
+                let beyond = other.beyond(upper);
+                out[0].push(id);
+                let number = self.add_portal(other);
+                out[1].push(number);
+                self.leaves[beyond.0 as usize].portals.push(number);
+            }
+            (None, Some(_)) => {
+                move_up(portal);
+                out[1].push(id);
+            }
+            // A portal is on the border of the leaf, whose inside the plane divides, so it is not in the
+            // plane.
+            _ => out[0].push(id),
+        }
+    }
+
+    fn add_portal(&mut self, portal: Portal) -> PortalId {
+        self.portals.push(portal);
+        PortalId(self.portals.len() as u32 - 1)
+    }
+
+    /// The convex parts of a section that no face in its plane covers (Teller 1992, section 5.2.5).
+    fn open_parts(&mut self, section: Face, mut covers: Vec<Face>, plane: &Plane) -> Vec<Face> {
+        // Large faces first: they leave less to be cut.
+        covers.sort_by(|a, b| b.area().total_cmp(&a.area()));
+        let mut open = vec![section];
+        for cover in covers {
+            let borders = borders(&cover, plane);
+            let mut next = Vec::with_capacity(open.len());
+            for part in open {
+                if part.apart(&cover) {
+                    next.push(part);
+                    continue;
+                }
+                self.work += 1;
+                let mut left = Some(part);
+                for (border, inner) in &borders {
+                    let Some(part) = left else { break };
+                    let sides = part.sides(border);
+                    next.extend(part.part(border, &sides, inner.reverse()));
+                    left = part.part(border, &sides, *inner);
+                }
+            }
+            open = next;
+        }
+        open
+    }
+}
+
+/// Planes across a face along each of its edges, with the side on which the face is.
+///
+/// Each contains an edge and the direction of an axis that is not in the face's plane.
+fn borders(face: &Face, plane: &Plane) -> Vec<(Plane, Ordering)> {
+    let points = face.polygon().points();
+    let exact: Vec<_> = points.iter().map(predicates::integers).collect();
+    let n = points.len();
+    (0..n)
+        .map(|i| {
+            let border = Plane::of(predicates::plane_along([&exact[i], &exact[(i + 1) % n]], plane.axis()));
+            let next = (i + 2) % n;
+            let inner = border.side(&points[next], face.corners()[next]);
+            (border, inner)
+        })
+        .collect()
+}
