@@ -27,6 +27,7 @@
 
 pub mod backends;
 mod config;
+mod connecting;
 mod crew;
 mod held;
 mod packs;

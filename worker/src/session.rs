@@ -11,9 +11,9 @@ use sightline_proto::v1::coordinator_message::Message as FromCoordinator;
 use sightline_proto::v1::worker_message::Message as ToCoordinator;
 use sightline_proto::v1::workers_client::WorkersClient;
 use tokio::sync::{Semaphore, mpsc, watch};
-use tonic::transport::Channel;
 
 use crate::config::{Config, Stop, WorkerError};
+use crate::connecting;
 use crate::held::Held;
 use crate::status::describe;
 use crate::tiles::{Failure, Shop};
@@ -25,9 +25,6 @@ const RENEW: Duration = Duration::from_secs(1);
 /// First and longest wait before a reconnection. After a restart the coordinator waits a little longer than
 /// the longest one before it gives tiles at work to other workers.
 const RECONNECT: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(1)];
-/// How long an attempt to connect takes at most: after a restart the coordinator keeps tiles for its workers
-/// for two and a half seconds.
-const CONNECT: Duration = Duration::from_secs(1);
 /// After a connection that lasted this long, waits start at the shortest again. Short waits matter, since the
 /// coordinator keeps the leases of a disconnected worker for less than two seconds.
 const STEADY: Duration = Duration::from_secs(1);
@@ -76,14 +73,12 @@ enum Finished {
 impl Worker {
     /// A worker without a connection.
     pub fn new(config: Config) -> Result<Self, WorkerError> {
-        let channel: Channel = sightline_proto::endpoint(&config.coordinator)
-            .map(|endpoint| endpoint.connect_timeout(CONNECT))
+        let endpoint = sightline_proto::endpoint(&config.coordinator)
             .map_err(|e| WorkerError::Address(config.coordinator.clone(), e))?
             .http2_keep_alive_interval(Duration::from_secs(10))
-            .keep_alive_while_idle(true)
-            .connect_lazy();
+            .keep_alive_while_idle(true);
         let shop = Shop {
-            client: WorkersClient::new(channel),
+            client: WorkersClient::new(connecting::channel(&endpoint)),
             config,
             packs: Default::default(),
             running: Semaphore::new(1),
