@@ -6,7 +6,7 @@ use sightline_model::JobSpec;
 
 use crate::chores::do_chores;
 use crate::ids::{Digest, JobId};
-use crate::scheduler::{Event, Job, Unable, cells_total};
+use crate::scheduler::{Event, Job, Team, Unable, cells_total};
 use crate::scheduling::tell;
 use crate::specs;
 use crate::state::Coordinator;
@@ -144,6 +144,11 @@ pub(crate) fn list(c: &Coordinator, before: JobId, most: usize) -> Result<(Vec<S
 /// The connected workers that cannot work on a job, by reason.
 pub(crate) fn unable(c: &Coordinator, job: JobId) -> Vec<Unable> {
     c.lock().machine.unable(job)
+}
+
+/// Who works on a job's tiles.
+pub(crate) fn teams(c: &Coordinator, job: JobId) -> Vec<Team> {
+    c.lock().machine.teams(job)
 }
 
 /// The digest of a done job's result.

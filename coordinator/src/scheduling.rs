@@ -139,8 +139,10 @@ fn write(note: &Note) {
             tracing::info!("worker {name} is draining: it finishes its tile and takes no more");
         }
         Note::Chosen(job, chosen) => tracing::info!("job {job}: {chosen}"),
-        Note::GraceOver(job, tiles) => {
-            tracing::info!("job {job} goes on: {tiles} of its tiles are free, which no worker has claimed");
-        }
+        Note::GraceOver(job, tiles) => match tiles {
+            0 => tracing::info!("job {job} goes on: all its tiles at work are with their workers again"),
+            1 => tracing::info!("job {job} goes on: no worker has come back for one of its tiles"),
+            n => tracing::info!("job {job} goes on: no worker has come back for {n} of its tiles"),
+        },
     }
 }

@@ -116,7 +116,7 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
         let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
         let tiles = c.store.tiles(id)?;
         let job = Job::of(record, &spec.to_proto(), tiles).map_err(SubmitError::Schedule)?;
-        tracing::info!("job {id} ({name:?}) is submitted, {} tiles", plan.tiles.len());
+        tracing::info!("job {id} ({name:?}) is submitted; tiles: {}", plan.tiles.len());
         chores = tell(c, Event::TakenUp(Box::new(job)));
     }
     drop(turn);

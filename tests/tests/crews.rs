@@ -52,6 +52,11 @@ fn workers_that_come_late_share_the_block() {
     let (job, leader) = led(&sandbox, &coordinator);
     let helpers = [coordinator.worker(), coordinator.worker()];
     helpers.iter().for_each(helps);
+    let shown = coordinator.json(&format!("show {job}"));
+    let team = &shown["teams"][0];
+    assert_eq!(team["helpers"].as_array().map(Vec::len), Some(2), "{shown}");
+    let names = coordinator.ok(&format!("show {job}"));
+    assert!(names.contains(&format!("{} leads, helped by ", team["leader"].as_str().unwrap())), "{names}");
     assert_same(&coordinator.finish(job), alone(), "with helpers");
     assert_eq!(coordinator.count(job, "tiles_total"), 1);
     wait_for("rays of helpers", || leader.err().contains("rays of helpers").then_some(()));

@@ -81,6 +81,7 @@ pub async fn lead(client: Client, lease: v1::Lease, held: &Arc<Held>) -> Arc<Lea
             outcomes.len()
         );
     }
+    tracing::info!("leads tile {} of job {}", lease.tile, lease.job);
     let say = way.clone();
     let leader = Leader::new(outcomes, Arc::clone(held) as _, move |message| say.say(message));
     let leader = Arc::new(leader);

@@ -30,6 +30,7 @@ mod queue;
 #[cfg(test)]
 mod share_tests;
 mod shares;
+mod team;
 #[cfg(test)]
 mod tests;
 mod unable;
@@ -41,4 +42,5 @@ pub(crate) use self::machine::{Admitted, Machine, NoTile, Settings};
 #[cfg(test)]
 pub(crate) use self::messages::Grant;
 pub(crate) use self::messages::{Introduction, Joined, NameTaken, Now, Order, ProfileTime, Progress};
+pub(crate) use self::team::Team;
 pub(crate) use self::unable::Unable;

@@ -131,7 +131,8 @@ impl v1::jobs_server::Jobs for JobsService {
         let id = JobId(r.into_inner().job);
         let summary = summary(&self.0, id).await?;
         let unable = jobs::unable(&self.0, id).into_iter().map(wire::unable).collect();
-        Ok(Response::new(v1::Job { unable, ..wire::job(&summary) }))
+        let teams = jobs::teams(&self.0, id).into_iter().map(wire::team).collect();
+        Ok(Response::new(v1::Job { unable, teams, ..wire::job(&summary) }))
     }
 
     type WatchStream = Pin<Box<dyn Stream<Item = Result<v1::Job, Status>> + Send>>;

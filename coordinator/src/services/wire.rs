@@ -6,7 +6,7 @@ use tonic::Status;
 use crate::estimate::Estimate;
 use crate::ids::{Digest, Epoch, JobId, Lease, LeaseId, TileIndex};
 use crate::jobs::Summary;
-use crate::scheduler::{Order, ProfileTime, Unable};
+use crate::scheduler::{Order, ProfileTime, Team, Unable};
 use crate::specs;
 use crate::store::{JobState, SceneRecord};
 
@@ -73,6 +73,12 @@ pub(super) fn scene(record: &SceneRecord) -> v1::SceneInfo {
 pub(super) fn unable(unable: Unable) -> v1::UnableWorkers {
     let Unable { reason, workers, names } = unable;
     v1::UnableWorkers { reason, workers, names }
+}
+
+/// Who works on a tile.
+pub(super) fn team(team: Team) -> v1::Team {
+    let Team { tile, leader, has_begun, helpers } = team;
+    v1::Team { tile: tile.0, leader, has_begun, helpers }
 }
 
 /// What a submission would cost.

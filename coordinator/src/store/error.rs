@@ -253,6 +253,7 @@ fn remedy(job: &JobId, is: &JobPhase) -> String {
     match is {
         JobPhase::Cancelled | JobPhase::Failed => format!("`sightline retry {job}` continues it"),
         JobPhase::Paused => format!("`sightline resume {job}` continues it"),
+        JobPhase::Done => format!("`sightline fetch {job} -o FILE.pvs` downloads its result"),
         _ => format!("`sightline show {job}` says more"),
     }
 }

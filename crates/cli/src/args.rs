@@ -66,9 +66,10 @@ pub enum Command {
     Jobs(JobsArgs),
     /// Show one job, and the connected workers that cannot work on it.
     Show(JobRefArgs),
-    /// End a job. Its finished tiles are kept for `retry`.
+    /// End a job. Its finished tiles, and finished phases of tiles at work, are kept for `retry`.
     Cancel(JobRefArgs),
-    /// Pause a job: give out no more of its tiles and stop the running ones, which start over after `resume`.
+    /// Pause a job: give out no more of its tiles and stop the running ones. After `resume`
+    /// these go on from their last finished phase.
     Pause(JobRefArgs),
     /// Give a job another priority.
     Priority(PriorityArgs),

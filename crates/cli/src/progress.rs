@@ -12,6 +12,9 @@ static BARS: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
 
 /// Time between two lines when stderr is not a terminal.
 const LINE_EVERY: Duration = Duration::from_secs(5);
+/// The cells of a tile do not take the same time: the first take long, and most end together. Of few tiles
+/// the time left is told when a fifth of the cells is done.
+const FEW_TILES: u32 = 8;
 
 /// Prints a line to stderr.
 pub fn say(text: &str) {
@@ -126,7 +129,7 @@ impl Progress {
             "NO WORKERS: start some with `sightline worker`".to_owned()
         } else if left == 0 {
             "finishing".to_owned()
-        } else if here > 0 {
+        } else if here > 0 && (job.tiles_total > FEW_TILES || here * 4 >= left) {
             // No job runs much longer than its time budget.
             let budget = job.spec.as_ref().map_or(0.0, |s| s.time_budget_ms as f64 * 1e-3);
             match seconds / here as f64 * left as f64 {

@@ -32,8 +32,8 @@ pub struct SubmitArgs {
     #[arg(long, value_name = "TEXT")]
     pub request_id: Option<String>,
     /// Jobs of higher priority get workers first, -1000 to 1000. Tiles at work are not taken back.
-    #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true,
-        value_parser = clap::value_parser!(i32).range(-1000..=1000))]
+    #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true)]
+    #[arg(value_parser = priority)]
     pub priority: i32,
     /// Who submits. Jobs of the same priority share the workers evenly between users, however many jobs each
     /// has. Default: the login name.
@@ -77,7 +77,7 @@ pub struct JobsArgs {
         value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub limit: u32,
     /// List only jobs older than this one.
-    #[arg(long, value_name = "JOB", value_parser = job_number)]
+    #[arg(long, value_name = "JOB", value_parser = first_after_none)]
     pub before: Option<u64>,
     /// List all jobs, however many there are.
     #[arg(long, conflicts_with_all = ["limit", "before"])]
@@ -89,7 +89,19 @@ pub struct PriorityArgs {
     #[command(flatten)]
     pub job: JobRefArgs,
     /// The new priority, -1000 to 1000. A job has 0 unless `submit` was told otherwise.
-    #[arg(value_name = "N", allow_negative_numbers = true,
-        value_parser = clap::value_parser!(i32).range(-1000..=1000))]
+    #[arg(value_name = "N", allow_negative_numbers = true, value_parser = priority)]
     pub priority: i32,
+}
+
+fn priority(text: &str) -> Result<i32, String> {
+    let number = text.parse().ok().filter(|n| (-1000..=1000).contains(n));
+    number.ok_or_else(|| "a priority is a whole number from -1000 to 1000".to_owned())
+}
+
+/// The number of a job with older ones before it.
+fn first_after_none(text: &str) -> Result<u64, String> {
+    match job_number(text)? {
+        0 | 1 => Err("no job is older: jobs are numbered from 1".to_owned()),
+        n => Ok(n),
+    }
 }

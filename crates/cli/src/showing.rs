@@ -39,7 +39,7 @@ fn state(job: &v1::Job) -> &'static str {
     }
 }
 
-/// A job in one line, and a line for each reason why workers cannot work on it.
+/// A job in one line, a line for each tile at work, and one for each reason why workers cannot work on it.
 pub fn line(job: &v1::Job) -> String {
     let reason = if job.reason.is_empty() { String::new() } else { format!(": {}", job.reason) };
     // Only a job that has ended can be retried.
@@ -64,9 +64,21 @@ pub fn line(job: &v1::Job) -> String {
         n => format!(", priority {n}"),
     };
     let user = if job.user.is_empty() { String::new() } else { format!(" of {}", job.user) };
-    let unable: String = job.unable.iter().map(|u| format!("\n  {}", unable_line(u))).collect();
+    let teams: String = job.teams.iter().map(|t| format!("\n  {}", team_line(t))).collect();
+    // Workers without a tile have nothing to do then, by design.
+    let alone = job.spec.as_ref().is_some_and(|s| {
+        let cubes = s.sampling.as_ref().is_some_and(|s| s.sampler() == v1::Sampler::Cubes);
+        s.time_budget_ms > 0 || cubes
+    });
+    let alone = if alone && !job.teams.is_empty() {
+        "\n  its tiles have one worker each: time budgets and cubes are not shared"
+    } else {
+        ""
+    };
+    let more: String = job.unable.iter().map(|u| format!("\n  {}", unable_line(u))).collect();
+    let more = format!("{teams}{alone}{more}");
     format!(
-        "job {} {}{user} {}{reason}: {}/{} tiles{aside}, {} cells, {} samples{priority}{workers}{unable}",
+        "job {} {}{user} {}{reason}: {}/{} tiles{aside}, {} cells, {} samples{priority}{workers}{more}",
         job.id,
         job.name,
         state(job),
@@ -75,6 +87,17 @@ pub fn line(job: &v1::Job) -> String {
         job.cells_done,
         job.samples
     )
+}
+
+fn team_line(t: &v1::Team) -> String {
+    let v1::Team { tile, leader, .. } = t;
+    if !t.has_begun {
+        return format!("tile {tile}: worker {leader} has it and has not begun (it prepares, or is busy)");
+    }
+    match &t.helpers[..] {
+        [] => format!("tile {tile}: worker {leader} computes it"),
+        helpers => format!("tile {tile}: worker {leader} leads, helped by {}", helpers.join(", ")),
+    }
 }
 
 fn unable_line(u: &v1::UnableWorkers) -> String {
@@ -88,6 +111,12 @@ fn unable_line(u: &v1::UnableWorkers) -> String {
 
 fn unable(u: &v1::UnableWorkers) -> serde_json::Value {
     serde_json::json!({"reason": u.reason, "workers": u.workers, "names": u.names})
+}
+
+fn team(t: &v1::Team) -> serde_json::Value {
+    serde_json::json!({
+        "tile": t.tile, "leader": t.leader, "has_begun": t.has_begun, "helpers": t.helpers,
+    })
 }
 
 /// A job as JSON.
@@ -104,6 +133,7 @@ pub fn value(job: &v1::Job) -> serde_json::Value {
         "result_bytes": job.result_bytes, "workers": job.workers,
         "priority": job.priority, "user": job.user,
         "unable": job.unable.iter().map(unable).collect::<Vec<_>>(),
+        "teams": job.teams.iter().map(team).collect::<Vec<_>>(),
     })
 }
 

@@ -57,7 +57,28 @@ fn short(name: &str) -> String {
 /// The name of the user who runs this program; empty if the system does not tell.
 fn login_name() -> String {
     let of = |name| std::env::var(name).ok().filter(|user| !user.is_empty());
-    of("USER").or_else(|| of("LOGNAME")).or_else(|| of("USERNAME")).unwrap_or_default()
+    let told = of("USER").or_else(|| of("LOGNAME")).or_else(|| of("USERNAME"));
+    told.or_else(user_of_process).unwrap_or_default()
+}
+
+/// The user of this process by the system's list of users, where the environment does not tell, as in
+/// containers and services.
+#[cfg(target_os = "linux")]
+fn user_of_process() -> Option<String> {
+    use std::os::unix::fs::MetadataExt as _;
+    let number = std::fs::metadata("/proc/self").ok()?.uid();
+    let users = std::fs::read_to_string("/etc/passwd").unwrap_or_default();
+    let name = users.lines().find_map(|line| {
+        let mut fields = line.split(':');
+        let name = fields.next()?;
+        (fields.nth(1)?.parse() == Ok(number)).then(|| name.to_owned())
+    });
+    Some(name.unwrap_or_else(|| format!("user {number}")))
+}
+
+#[cfg(not(target_os = "linux"))]
+fn user_of_process() -> Option<String> {
+    None
 }
 
 /// Says what a job would cost.
@@ -96,22 +117,22 @@ fn in_words(e: &v1::EstimateResponse, upload: u64) -> Vec<String> {
         0 => "cells that are divided as they are sampled".to_owned(),
         n => plural(n as usize, "cell"),
     };
-    let mut lines = vec![format!(
-        "{} in {}; the scene's upload takes {upload} bytes",
-        cells,
-        plural(e.tiles as usize, "tile")
-    )];
+    let upload = match upload {
+        0 => "the coordinator has the scene".to_owned(),
+        n => format!("{n} bytes of the scene, as it is sent, are to be uploaded"),
+    };
+    let mut lines = vec![format!("{} in {}; {upload}", cells, plural(e.tiles as usize, "tile"))];
     if let Some(job) = &e.existing {
         lines.push(format!("job {} does this already; nothing would be computed again", job.id));
     }
     lines.push(match &e.cost {
         Some(c) => format!(
-            "expected from {}: {} of the time of those that hold its tiles ({} to {}), without helpers, and \
-             a result of {} bytes ({} to {})",
+            "expected from {}, scaled by the number of cells: {} summed over its tiles ({} to {}), with as \
+             many helpers as there were then, and a result of {} bytes ({} to {})",
             match (c.same_scene, c.jobs) {
-                (true, n) => format!("{} on this scene with these parameters", plural(n as usize, "job")),
+                (true, n) => format!("{} on this scene with this sampling", plural(n as usize, "job")),
                 (false, n) =>
-                    format!("{} on other scenes or parameters, a rough guide", plural(n as usize, "job")),
+                    format!("{} on other scenes or with other sampling, a guess", plural(n as usize, "job")),
             },
             human(Duration::from_millis(c.median_millis)),
             human(Duration::from_millis(c.least_millis)),
