@@ -131,6 +131,39 @@ fn viewpoints_are_between_walls_within_cells_too() {
 }
 
 #[test]
+fn portals_show_what_walls_enclose_and_the_way_out() {
+    let sandbox = sandbox();
+    let reach = "--reachable-from 1,1,1";
+    let shut = sandbox.json(&format!("portals shut.obj {reach} -o cells.glb"));
+    assert_eq!((&shut["closed"], shut["reached"].as_u64()), (&true.into(), Some(1)), "{shut}");
+    assert!((shut["share"].as_f64().unwrap() - 3.6 / 8.0).abs() < 1e-6, "{shut}");
+    assert!(shut["way_out"].is_null());
+    let open = sandbox.json(&format!("portals open.obj {reach} -o cells.glb"));
+    // All but the wall below and above the door.
+    assert!((open["share"].as_f64().unwrap() - (1.0 - 0.1 * 0.8)).abs() < 1e-6, "{open}");
+    assert!(open["portals"].as_u64().unwrap() >= 2, "{open}");
+    let names = sandbox.json("bake cells.glb -o look.pvs --cells 1x1x1");
+    assert!(names.is_object());
+    let info = sandbox.ok("info look.pvs");
+    assert!(info.contains("cell ") && info.contains("portal "), "{info}");
+    // Without a point: both rooms, and the inside of the wall.
+    let spaces = sandbox.json("portals shut.obj");
+    let shares: Vec<f64> =
+        spaces["enclosed"].as_array().unwrap().iter().map(|s| s["share"].as_f64().unwrap()).collect();
+    assert!(shares.len() >= 2 && (shares[0] - 0.45).abs() < 1e-6 && (shares[1] - 0.45).abs() < 1e-6);
+
+    let mut roofless = Obj::default();
+    roofless.quad([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]]);
+    roofless.quad([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 1.0], [0.0, 0.0, 1.0]]);
+    sandbox.write("roofless.obj", roofless.text);
+    let found = sandbox.json("portals roofless.obj --reachable-from 0.5,0.5,0.5 -o cells.glb");
+    assert_eq!(found["closed"], false);
+    assert!(found["way_out"]["narrowest"]["width"].as_f64().unwrap() > 0.5, "{found}");
+    sandbox.run("portals roofless.obj --reachable-from 5,5,5").code(3).says("outside the scene");
+    sandbox.run("portals roofless.obj -o roofless.obj").code(2);
+}
+
+#[test]
 fn exact_cells_without_viewpoints_are_empty_and_verified() {
     let sandbox = sandbox();
     let flags = format!("{CELLS} --reachable-from 1,1,1 --method exact --certificates");

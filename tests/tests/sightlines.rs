@@ -123,3 +123,45 @@ fn one_may_ask_and_wait_for_each_answer() {
     drop(input);
     assert!(child.wait().unwrap().success());
 }
+
+#[test]
+fn sequences_of_polygons_are_stabbed_or_blocked() {
+    let sandbox = Sandbox::new();
+    // Squares at z = 0 and 1, the third at z = 2 moved along x: by a 2⁻²⁰th less than 4, by 4.
+    let moved = |far: &str| {
+        let x = [format!("{}/1048576", far), format!("{}/1048576", far.parse::<i64>().unwrap() + 2097152)];
+        json!([[x[0], -1, 2], [x[1], -1, 2], [x[1], 1, 2], [x[0], 1, 2]])
+    };
+    let (first, second) = (square([0.0, 0.0], 1.0, 0.0), square([0.0, 0.0], 1.0, 1.0));
+    let queries = [
+        json!({"id": "just", "portals": [first, second, moved("3145727")]}),
+        json!({"id": "no", "portals": [first, second, moved("3145728")]}),
+        json!({"id": null, "portals": [second]}),
+    ];
+    sandbox.write("q.jsonl", queries.iter().map(|q| format!("{q}\n")).collect::<String>());
+    let answers = lines(&sandbox.ok("stab --queries q.jsonl"));
+    let states: Vec<&Value> = answers.iter().map(|a| &a["state"]).collect();
+    assert_eq!(states, ["stabbed", "blocked", "stabbed"]);
+    assert_eq!(answers[0]["id"], "just");
+    // The line through its two points is at most 1 from the axis at z = 1, and beyond 3 − 2⁻²⁰ at z = 2.
+    let number = |v: &Value| match v.as_str().map(|s| s.split_once('/').unwrap()) {
+        None => v.as_f64().unwrap(),
+        Some((n, d)) => n.parse::<f64>().unwrap() / d.parse::<f64>().unwrap(),
+    };
+    let at = |k: usize| [0, 1, 2].map(|i| number(&answers[0]["line"][k][i]));
+    let (p, q) = (at(0), at(1));
+    let x = |z: f64| p[0] + (q[0] - p[0]) * (z - p[2]) / (q[2] - p[2]);
+    assert!(x(1.0) < 1.0 && x(2.0) > 3.0 - 2e-6, "{} {}", x(1.0), x(2.0));
+    for (bad, why) in [
+        (json!({"portals": []}), "no polygons"),
+        (json!({"portals": [[[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.5]]]}), "not in one plane"),
+        (json!({"portals": [[[0, 0, "1/0"], [1, 0, 0], [1, 1, 0]]]}), "denominator of 0"),
+        (json!({"portals": [[[0, 0, "x"], [1, 0, 0], [1, 1, 0]]]}), "is no fraction"),
+        (json!({"portals": [first, [[0, 0, 1e99], [1, 0, 0], [1, 1, 0]]]}), "polygon 1: a coordinate"),
+        (json!({"polygons": 3}), "it is no query"),
+    ] {
+        sandbox.write("q.jsonl", format!("{bad}\n"));
+        let run = sandbox.run("stab --queries q.jsonl").code(3);
+        assert!(run.err.contains("q.jsonl, line 1: ") && run.err.contains(why), "{why}: {}", run.err);
+    }
+}

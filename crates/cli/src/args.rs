@@ -10,7 +10,7 @@ use crate::bench_args::BenchArgs;
 use crate::choices::choice;
 use crate::job_args::JobArgs;
 use crate::kind_args::KindArgs;
-use crate::place_args::parse_box;
+use crate::place_args::{parse_box, parse_point};
 use crate::remote_args::{FetchArgs, JobRefArgs, JobsArgs, PriorityArgs, RemoteArgs, SubmitArgs};
 
 /// Bakes from-region visibility: for every view cell of a static triangle scene,
@@ -81,6 +81,8 @@ pub enum Command {
     Fetch(FetchArgs),
     /// Write the triangles of a scene to a PLY file, in the order of their ids.
     Mesh(MeshArgs),
+    /// Divide a scene along its walls: what they enclose, the openings, and the way out of the scene.
+    Portals(PortalsArgs),
     /// Generate a test scene.
     Generate(GenerateArgs),
     /// Summarise a result.
@@ -93,6 +95,8 @@ pub enum Command {
     Measure(MeasureArgs),
     /// Decide exactly for pairs of polygons whether one sees the other.
     Sightlines(SightlinesArgs),
+    /// Decide exactly whether a line passes through a sequence of polygons.
+    Stab(StabArgs),
     /// Check every witness and every certificate of a result with an independent checker.
     Verify(VerifyArgs),
     /// Measure time against error for every sampler, from coarse to fine, as a table and curves.
@@ -167,6 +171,37 @@ fn thread_count(text: &str) -> Result<usize, String> {
 /// Reads one coordinate of a point.
 fn coordinate(text: &str) -> Result<f32, String> {
     text.parse().map_err(|_| "give the point as three numbers, as in 1.5 0 -2".to_owned())
+}
+
+#[derive(Args, Debug)]
+pub struct StabArgs {
+    /// The sequences as JSON Lines; - for stdin: {"id":1,"portals":[[[x,y,z],…],…]}. Polygons are convex and
+    /// exactly flat, with at most 64 corners in order around them. A coordinate is a number or "p/q".
+    #[arg(long, value_name = "Q.jsonl")]
+    pub queries: PathBuf,
+    /// Regions of line space that a query may visit before it ends as undecided.
+    #[arg(long, value_name = "N", default_value_t = 200_000)]
+    #[arg(value_parser = clap::value_parser!(u32).range(1..))]
+    pub max_regions: u32,
+    /// Threads. Default: one per core.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub threads: Option<u16>,
+}
+
+#[derive(Args, Debug)]
+pub struct PortalsArgs {
+    /// The scene: .obj, .ply, .gltf or .glb.
+    pub scene: PathBuf,
+    /// A point where a viewpoint can be. May be given several times. Without any, some points of the scene's
+    /// box are tried, and those around which walls close are listed.
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
+    pub reachable_from: Vec<[f32; 3]>,
+    /// A file to look at: an object `cell N` for each convex part that the points reach, `portal N-M` for the
+    /// opening between two of them, and `way out`, if there is one.
+    #[arg(short, long, value_name = "OUT.glb")]
+    pub output: Option<PathBuf>,
+    #[command(flatten)]
+    pub kinds: KindArgs,
 }
 
 #[derive(Args, Debug)]

@@ -30,16 +30,8 @@ pub struct Walls<'a> {
 impl<'a> Walls<'a> {
     /// Divides a scene until it is known whether walls enclose the points.
     pub fn around(scene: &Scene, planes: &'a Planes, points: &[[f32; 3]]) -> Self {
-        let limits = Limits::default();
         let mut tree = Tree::new(scene, planes, points);
-        let mut told = Instant::now();
-        let enclosure = enclose(&mut tree, points, limits, &mut |leaves| {
-            if told.elapsed() >= TELL_EVERY {
-                told = Instant::now();
-                say(&format!("looking for walls: {leaves} parts of space so far, at most {}", limits.leaves));
-            }
-            true
-        });
+        let enclosure = refine(&mut tree, points);
         let reached = reached(&tree, points);
         Self { tree, reached, enclosure }
     }
@@ -88,6 +80,19 @@ impl<'a> Walls<'a> {
         let faces = portals.iter().map(|p| &self.tree.portal(*p).face);
         faces.min_by(|a, b| a.width().total_cmp(&b.width()))
     }
+}
+
+/// Divides a tree further, until it is known whether walls enclose the points.
+pub fn refine(tree: &mut Tree<'_>, points: &[[f32; 3]]) -> Enclosure {
+    let limits = Limits::default();
+    let mut told = Instant::now();
+    enclose(tree, points, limits, &mut |leaves| {
+        if told.elapsed() >= TELL_EVERY {
+            told = Instant::now();
+            say(&format!("looking for walls: {leaves} parts of space so far, at most {}", limits.leaves));
+        }
+        true
+    })
 }
 
 /// A number with few digits; a very small one with its power of ten.

@@ -22,12 +22,14 @@ mod error;
 mod files;
 mod inspect;
 mod job_args;
+mod json_lines;
 mod kind_args;
 mod measuring;
 mod opening;
 mod output;
 mod place_args;
 mod places;
+mod portals;
 mod progress;
 mod query;
 mod remote;
@@ -35,6 +37,7 @@ mod remote_args;
 mod serve;
 mod showing;
 mod sightlines;
+mod stab;
 mod submitting;
 mod verify;
 mod why;
@@ -101,6 +104,8 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Retry(a) => remote::turn(&a, remote::Turn::Retry, json),
         Command::Fetch(a) => remote::fetch(&a, json),
         Command::Mesh(a) => files::mesh(&a, json),
+        Command::Portals(a) => portals::run(&a, json),
+        Command::Stab(a) => stab::run(&a),
         Command::Generate(a) => files::generate(&a, json),
         Command::Info(a) => inspect::info(&a, json),
         Command::Dump(a) => dump::dump(&a),

@@ -1,7 +1,5 @@
 //! `sightline sightlines`: exact visibility between pairs of polygons, one JSON line in, one JSON line out.
 
-use std::io::{BufRead as _, BufReader, Read};
-use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
@@ -15,16 +13,10 @@ use sightline_scene::Scene;
 
 use crate::args::SightlinesArgs;
 use crate::error::CliError;
+use crate::json_lines::JsonLines;
 use crate::opening;
 use crate::progress::{Progress, human, say};
 use crate::serve::{self, print, threads};
-
-/// Most queries that are read, answered and printed together.
-const AT_A_TIME: usize = 4096;
-/// Size of the read buffer in bytes.
-const BUFFER: usize = 1 << 20;
-/// Lines of this many bytes or more are refused.
-const LONGEST_LINE: u64 = 1 << 20;
 
 /// One line of the input.
 #[derive(Deserialize)]
@@ -73,7 +65,7 @@ struct Totals {
 /// Answers every query of a file, in order.
 pub fn run(args: &SightlinesArgs) -> Result<(), CliError> {
     serve::use_threads(threads(args.threads.map(usize::from)))?;
-    let mut input = Input::open(&args.queries)?;
+    let mut input = JsonLines::open(&args.queries, r#"{"id":1,"a":[[x,y,z],…],"b":[[x,y,z],…]}"#)?;
     let scene = opening::scene(&args.scene, &args.kinds)?;
     opening::without_masks(&scene)?;
     let occluders = Occluders::new(&scene)?;
@@ -85,7 +77,7 @@ pub fn run(args: &SightlinesArgs) -> Result<(), CliError> {
     let done = AtomicU64::new(0);
     let ended = loop {
         // A bad line ends the run after all queries before it have been answered.
-        let (queries, failure) = input.read();
+        let (queries, failure) = input.read(checked);
         let last = queries.is_empty();
         let total = input.lines;
         let answers: Vec<Result<(Value, Verdict, Cost), CliError>> = queries
@@ -189,80 +181,11 @@ fn answer(
     Ok((value, verdict, cost))
 }
 
-/// The queries of a file or of stdin.
-struct Input {
-    name: String,
-    reader: BufReader<Box<dyn Read>>,
-    /// Lines read so far.
-    lines: u64,
-}
-
-impl Input {
-    fn open(path: &Path) -> Result<Self, CliError> {
-        let source: Box<dyn Read> = if path.as_os_str() == "-" {
-            Box::new(std::io::stdin())
-        } else {
-            let unreadable = |e| {
-                CliError::Input(format!(
-                    "{} cannot be read: {e}; give --queries a file of JSON Lines, or - for stdin",
-                    path.display()
-                ))
-            };
-            Box::new(std::fs::File::open(path).map_err(unreadable)?)
-        };
-        Ok(Self {
-            name: if path.as_os_str() == "-" { "stdin".to_owned() } else { path.display().to_string() },
-            reader: BufReader::with_capacity(BUFFER, source),
-            lines: 0,
-        })
-    }
-
-    /// The next queries, and the error of the line after them if it is bad. Reads at least one query, and
-    /// more only if they are buffered already, because a program may wait for each answer before it writes
-    /// the next query. At the end of the input there are no queries.
-    fn read(&mut self) -> (Vec<Query>, Option<CliError>) {
-        let mut queries = Vec::new();
-        while queries.is_empty() || (queries.len() < AT_A_TIME && self.reader.buffer().contains(&b'\n')) {
-            match self.next() {
-                Ok(Some(query)) => queries.push(query),
-                Ok(None) => break,
-                Err(e) => return (queries, Some(e)),
-            }
-        }
-        (queries, None)
-    }
-
-    fn next(&mut self) -> Result<Option<Query>, CliError> {
-        loop {
-            let mut text = Vec::new();
-            let mut limited = Read::take(&mut self.reader, LONGEST_LINE);
-            let read = limited
-                .read_until(b'\n', &mut text)
-                .map_err(|e| CliError::Input(format!("{} cannot be read: {e}", self.name)))?;
-            if read == 0 {
-                return Ok(None);
-            }
-            self.lines += 1;
-            let bad = |why: String| CliError::Input(format!("{}, line {}: {why}", self.name, self.lines));
-            if read as u64 == LONGEST_LINE {
-                return Err(bad(format!(
-                    "it is longer than {LONGEST_LINE} bytes; a query is two short polygons"
-                )));
-            }
-            if text.iter().all(u8::is_ascii_whitespace) {
-                continue;
-            }
-            let line: Line = serde_json::from_slice(&text).map_err(|e| {
-                bad(format!(
-                    r#"it is no query ({e}); give {{"id":1,"a":[[x,y,z],…],"b":[[x,y,z],…]}} on one line"#
-                ))
-            })?;
-            let polygon = |name: &str, corners: &[[f64; 3]]| {
-                let corners: Vec<DVec3> = corners.iter().map(|c| DVec3::from(*c)).collect();
-                Polygon::checked(&corners).map_err(|e| bad(format!("polygon {name}: {e}")))
-            };
-            let (a, b) = (polygon("a", &line.a)?, polygon("b", &line.b)?);
-            return Ok(Some(Query { id: line.id, a, b }));
-        }
-    }
+fn checked(line: Line) -> Result<Query, String> {
+    let polygon = |name: &str, corners: &[[f64; 3]]| {
+        let corners: Vec<DVec3> = corners.iter().map(|c| DVec3::from(*c)).collect();
+        Polygon::checked(&corners).map_err(|e| format!("polygon {name}: {e}"))
+    };
+    let (a, b) = (polygon("a", &line.a)?, polygon("b", &line.b)?);
+    Ok(Query { id: line.id, a, b })
 }

@@ -61,6 +61,6 @@ pub use cells::{
 pub use geometry::{Cell, Polygon, PolygonError, Source, polygon, predicates};
 pub use line_space::Decisions;
 pub use occluders::Occluders;
-pub use search::{Cost, Limits, Reason, Verdict, sightlines, sightlines_until};
+pub use search::{Cost, Limits, Reason, Stabbed, Verdict, sightlines, sightlines_until, stab};
 
 pub use surfaces::Hides;

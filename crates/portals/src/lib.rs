@@ -13,10 +13,12 @@ pub mod enclose;
 pub mod plane;
 pub mod planes;
 pub mod region;
+pub mod solids;
 pub mod tree;
 
 pub use enclose::{Enclosure, Limits, enclose, reached};
 pub use plane::{Face, Plane, PlaneId};
 pub use planes::Planes;
 pub use region::{ForeignRegion, Reached, region_of};
+pub use solids::{Solid, solids};
 pub use tree::{LeafId, OUTSIDE, PortalId, Tree};

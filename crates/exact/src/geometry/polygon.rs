@@ -85,13 +85,7 @@ impl Polygon {
             distinct.pop();
         }
         let mut points: Vec<Source> = distinct.into_iter().map(Source::Given).collect();
-        // Dropping a corner can make its neighbours collinear.
-        while let Some(i) = (0..points.len()).find(|i| {
-            let n = points.len();
-            n >= 3 && collinear([&points[(i + n - 1) % n], &points[*i], &points[(i + 1) % n]])
-        }) {
-            points.remove(i);
-        }
+        drop_collinear(&mut points);
         if points.len() < 3 {
             return Err(PolygonError::NoArea);
         }
@@ -105,6 +99,49 @@ impl Polygon {
             return if one.convex() { Ok(one.pieces()) } else { Err(PolygonError::NotConvex) };
         }
         fan(&points)
+    }
+
+    /// Checks the corners of a convex polygon that is exactly flat, in order either way round. Corners that
+    /// repeat or lie on the line of their neighbours are dropped.
+    ///
+    /// # Errors
+    /// [`PolygonError`], by kind; [`PolygonError::NotFlat`] also where rounding is the reason.
+    pub fn exact(corners: Vec<Source>) -> Result<Self, PolygonError> {
+        if corners.len() > MOST_VERTICES {
+            return Err(PolygonError::TooMany);
+        }
+        let near: Vec<DVec3> = corners.iter().map(rounded).collect();
+        if near.iter().any(|p| !p.is_finite() || p.abs().max_element() > 1e60) {
+            return Err(PolygonError::NotFinite);
+        }
+        let vanishing = |c: f64| c != 0.0 && c.abs() < 1e-100;
+        let is_dot = near.len() > 1 && near.iter().all(|p| (*p - near[0]).abs().max_element() < 1e-60);
+        if is_dot || near.iter().any(|p| p.to_array().into_iter().any(vanishing)) {
+            return Err(PolygonError::TooSmall);
+        }
+        let same = |p: &Source, q: &Source| {
+            let (p, q) = (integers(p), integers(q));
+            (0..3).all(|k| &p[k] * &q[3] == &q[k] * &p[3])
+        };
+        let mut points: Vec<Source> = Vec::new();
+        for p in corners {
+            if points.last().is_none_or(|last| !same(last, &p)) {
+                points.push(p);
+            }
+        }
+        while points.len() > 1 && same(&points[0], &points[points.len() - 1]) {
+            points.pop();
+        }
+        drop_collinear(&mut points);
+        if points.len() < 3 {
+            return Err(PolygonError::NoArea);
+        }
+        let on = |p: &Source| orient([&points[0], &points[1], &points[2], p]) == Ordering::Equal;
+        if !points[3..].iter().all(on) {
+            return Err(PolygonError::NotFlat);
+        }
+        let one = Self { points };
+        if one.points.len() == 3 || one.convex() { Ok(one) } else { Err(PolygonError::NotConvex) }
     }
 
     /// A triangle with area.
@@ -315,6 +352,17 @@ impl Polygon {
                 .filter(|k| *k != i && *k != j)
                 .all(|k| left(&exact[i], &exact[j], &exact[k]) == Ordering::Greater)
         })
+    }
+}
+
+/// Drops corners on the line of their neighbours.
+fn drop_collinear(points: &mut Vec<Source>) {
+    // Dropping a corner can make its neighbours collinear.
+    while let Some(i) = (0..points.len()).find(|i| {
+        let n = points.len();
+        n >= 3 && collinear([&points[(i + n - 1) % n], &points[*i], &points[(i + 1) % n]])
+    }) {
+        points.remove(i);
     }
 }
 

@@ -9,9 +9,11 @@ mod maps;
 mod query;
 mod side_bitsets;
 mod snap;
+mod stab;
 mod subtract;
 mod trace;
 mod verdict;
 
 pub use query::{sightlines, sightlines_until};
+pub use stab::{Stabbed, stab};
 pub use verdict::{Cost, Limits, Reason, Verdict};

@@ -1,0 +1,90 @@
+//! Queries as JSON Lines from a file or from stdin.
+
+use std::io::{BufRead as _, BufReader, Read};
+use std::path::Path;
+
+use serde::de::DeserializeOwned;
+
+use crate::error::CliError;
+
+/// Most lines that are read together.
+const AT_A_TIME: usize = 4096;
+/// Size of the read buffer in bytes.
+const BUFFER: usize = 1 << 20;
+/// Lines of this many bytes or more are refused.
+const LONGEST_LINE: u64 = 1 << 20;
+
+/// The lines of a file or of stdin.
+pub struct JsonLines {
+    name: String,
+    reader: BufReader<Box<dyn Read>>,
+    /// Lines read so far.
+    pub lines: u64,
+    /// What a line looks like, for messages.
+    example: &'static str,
+}
+
+impl JsonLines {
+    /// Opens a file, or stdin for `-`.
+    pub fn open(path: &Path, example: &'static str) -> Result<Self, CliError> {
+        let is_stdin = path.as_os_str() == "-";
+        let source: Box<dyn Read> = if is_stdin {
+            Box::new(std::io::stdin())
+        } else {
+            let unreadable = |e| {
+                CliError::Input(format!(
+                    "{} cannot be read: {e}; give --queries a file of JSON Lines, or - for stdin",
+                    path.display()
+                ))
+            };
+            Box::new(std::fs::File::open(path).map_err(unreadable)?)
+        };
+        let name = if is_stdin { "stdin".to_owned() } else { path.display().to_string() };
+        Ok(Self { name, reader: BufReader::with_capacity(BUFFER, source), lines: 0, example })
+    }
+
+    /// The next queries, and the error of the line after them if it is bad. Reads at least one query, and
+    /// more only if they are buffered already, because a program may wait for each answer before it writes
+    /// the next query. At the end of the input there are no queries.
+    pub fn read<L: DeserializeOwned, Q>(
+        &mut self,
+        check: impl Fn(L) -> Result<Q, String>,
+    ) -> (Vec<Q>, Option<CliError>) {
+        let mut queries = Vec::new();
+        while queries.is_empty() || (queries.len() < AT_A_TIME && self.reader.buffer().contains(&b'\n')) {
+            match self.next(&check) {
+                Ok(Some(query)) => queries.push(query),
+                Ok(None) => break,
+                Err(e) => return (queries, Some(e)),
+            }
+        }
+        (queries, None)
+    }
+
+    fn next<L: DeserializeOwned, Q>(
+        &mut self,
+        check: &impl Fn(L) -> Result<Q, String>,
+    ) -> Result<Option<Q>, CliError> {
+        loop {
+            let mut text = Vec::new();
+            let mut limited = Read::take(&mut self.reader, LONGEST_LINE);
+            let read = limited
+                .read_until(b'\n', &mut text)
+                .map_err(|e| CliError::Input(format!("{} cannot be read: {e}", self.name)))?;
+            if read == 0 {
+                return Ok(None);
+            }
+            self.lines += 1;
+            let bad = |why: String| CliError::Input(format!("{}, line {}: {why}", self.name, self.lines));
+            if read as u64 == LONGEST_LINE {
+                return Err(bad(format!("it is longer than {LONGEST_LINE} bytes; split the query")));
+            }
+            if text.iter().all(u8::is_ascii_whitespace) {
+                continue;
+            }
+            let line: L = serde_json::from_slice(&text)
+                .map_err(|e| bad(format!("it is no query ({e}); give {} on one line", self.example)))?;
+            return check(line).map(Some).map_err(bad);
+        }
+    }
+}

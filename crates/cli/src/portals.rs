@@ -1,0 +1,226 @@
+//! `sightline portals`: a scene divided along its walls, in numbers and as a file to look at.
+
+use std::collections::BTreeSet;
+
+use glam::{DVec3, Vec3};
+use serde_json::{Value, json};
+use sightline_portals::{Enclosure, Face, LeafId, Planes, PortalId, Solid, Tree, reached, solids};
+use sightline_scene::glb_out::{GlbError, write_glb};
+use sightline_scene::{Object, Scene, Triangle};
+
+use crate::args::PortalsArgs;
+use crate::enclosure::{Walls, refine};
+use crate::error::CliError;
+use crate::opening::{self, plural};
+use crate::output::{Format, Output};
+use crate::progress::say;
+use crate::serve::print;
+
+/// Points that are tried when none are given.
+const TRIED: usize = 48;
+/// Enclosed spaces that are listed.
+const LISTED: usize = 8;
+
+/// A space that walls enclose, with a point in it.
+struct Space {
+    point: [f32; 3],
+    leaves: Vec<LeafId>,
+    volume: f64,
+}
+
+/// Divides a scene and says what was found.
+pub fn run(args: &PortalsArgs, json: bool) -> Result<(), CliError> {
+    let output = args.output.as_ref().map(|path| Output::check(path, Format::Glb, Some(&args.scene)));
+    let output = output.transpose()?;
+    let scene = opening::scene(&args.scene, &args.kinds)?;
+    let outside = |p: &&[f32; 3]| !scene.bounds().contains(Vec3::from(**p));
+    if let Some(point) = args.reachable_from.iter().find(outside) {
+        let bounds = scene.bounds();
+        return Err(CliError::Input(format!(
+            "--reachable-from: {point:?} is outside the scene, which extends from {} to {}; give one inside",
+            bounds.min, bounds.max
+        )));
+    }
+    let planes = Planes::new(&scene);
+    if args.reachable_from.is_empty() {
+        return enclosed_spaces(args, (&scene, &planes), output.as_ref(), json);
+    }
+    let walls = Walls::around(&scene, &planes, &args.reachable_from);
+    let parts = solids(&walls.tree, &walls.reached);
+    let volume: f64 = parts.iter().map(Solid::volume).sum();
+    let inner = portals_of(&walls.tree, &walls.reached);
+    let detail = walls.reached.iter().map(|l| walls.tree.leaf(*l).detail.len()).sum::<usize>();
+    let is_closed = walls.enclosure == Enclosure::Closed;
+    let share = volume / volume_of(&scene);
+    if let Some(output) = &output {
+        draw(args, output, &walls.tree, &parts, &inner, way(&walls))?;
+    }
+    if json {
+        return print(
+            &json!({
+                "closed": is_closed, "leaves": walls.tree.len() - 1, "reached": walls.reached.len(),
+                "portals": inner.len(), "detail": detail, "share": share, "way_out": way_json(&walls),
+            })
+            .to_string(),
+        );
+    }
+    print(&walls.in_words())?;
+    print(&format!(
+        "{} of {} are reached, with {} between them; {} inside divide nothing",
+        walls.reached.len(),
+        plural(walls.tree.len() - 1, "convex part"),
+        plural(inner.len(), "opening"),
+        plural(detail, "triangle part")
+    ))?;
+    let use_of_it = match is_closed {
+        true => format!(
+            "they fill {:.1} % of the scene's box: `sightline bake --reachable-from` leaves out the rest",
+            100.0 * share
+        ),
+        false => {
+            "walls will not help `sightline bake --reachable-from` until the way out is closed".to_owned()
+        }
+    };
+    print(&use_of_it)
+}
+
+/// Without points: the spaces that walls enclose around some points of the scene.
+fn enclosed_spaces(
+    args: &PortalsArgs,
+    (scene, planes): (&Scene, &Planes),
+    output: Option<&Output>,
+    json: bool,
+) -> Result<(), CliError> {
+    let bounds = scene.bounds();
+    let mut tree = Tree::new(scene, planes, &[]);
+    let mut closed = Vec::new();
+    for number in 0..TRIED {
+        // A sequence that is spread evenly over the box.
+        let step = [0.819_172_5f32, 0.671_043_6, 0.549_700_5].map(|s| (0.5 + s * number as f32).fract());
+        let point = (bounds.min + (bounds.max - bounds.min) * Vec3::from(step)).to_array();
+        let known =
+            |(_, leaves): &([f32; 3], Vec<LeafId>)| leaves.binary_search(&tree.leaf_of(point.into())).is_ok();
+        if closed.iter().any(known) {
+            continue;
+        }
+        if refine(&mut tree, &[point]) == Enclosure::Closed {
+            closed.push((point, reached(&tree, &[point])));
+        }
+    }
+    // Later points have divided the leaves of earlier ones.
+    let mut spaces: Vec<Space> = closed
+        .into_iter()
+        .map(|(point, _)| {
+            let leaves = reached(&tree, &[point]);
+            let volume = solids(&tree, &leaves).iter().map(Solid::volume).sum();
+            Space { point, leaves, volume }
+        })
+        .collect();
+    spaces.sort_by(|a, b| b.volume.total_cmp(&a.volume));
+    spaces.truncate(LISTED);
+    let share = |space: &Space| space.volume / volume_of(scene);
+    if let Some(output) = output {
+        let all: BTreeSet<LeafId> = spaces.iter().flat_map(|s| s.leaves.iter().copied()).collect();
+        let all: Vec<LeafId> = all.into_iter().collect();
+        draw(args, output, &tree, &solids(&tree, &all), &portals_of(&tree, &all), None)?;
+    }
+    if json {
+        let listed = |s: &Space| json!({"point": s.point, "leaves": s.leaves.len(), "share": share(s)});
+        return print(
+            &json!({"leaves": tree.len() - 1, "enclosed": spaces.iter().map(listed).collect::<Vec<_>>()})
+                .to_string(),
+        );
+    }
+    if spaces.is_empty() {
+        return print(&format!(
+            "no walls enclose any of {TRIED} points of the scene's box; give --reachable-from a point where \
+             a viewpoint can be, and the way out of the scene is shown"
+        ));
+    }
+    print("walls enclose these spaces (the insides of solids are among them):")?;
+    for space in &spaces {
+        let [x, y, z] = space.point;
+        print(&format!(
+            "  --reachable-from={x},{y},{z}: {:.2} % of the scene's box, {}",
+            100.0 * share(space),
+            plural(space.leaves.len(), "convex part")
+        ))?;
+    }
+    Ok(())
+}
+
+fn volume_of(scene: &Scene) -> f64 {
+    let bounds = scene.bounds();
+    let size = (bounds.max.as_dvec3() - bounds.min.as_dvec3()).max(DVec3::splat(f64::MIN_POSITIVE));
+    size.x * size.y * size.z
+}
+
+/// The portals between two of some leaves, ascending.
+fn portals_of(tree: &Tree<'_>, leaves: &[LeafId]) -> Vec<PortalId> {
+    let mut all: Vec<PortalId> = leaves.iter().flat_map(|l| tree.leaf(*l).portals.iter().copied()).collect();
+    all.sort_unstable();
+    all.dedup();
+    all.retain(|p| tree.portal(*p).leaves.iter().all(|l| leaves.binary_search(l).is_ok()));
+    all
+}
+
+/// The openings on the way out.
+fn way<'a>(walls: &'a Walls<'_>) -> Option<Vec<&'a Face>> {
+    let Enclosure::Leak(_, portals) = &walls.enclosure else { return None };
+    Some(portals.iter().map(|p| &walls.tree.portal(*p).face).collect())
+}
+
+fn way_json(walls: &Walls<'_>) -> Value {
+    let Some(way) = way(walls) else { return Value::Null };
+    let place = |face: &Face| json!({"at": face.middle().to_array(), "width": face.width()});
+    json!({
+        "openings": way.iter().map(|face| place(face)).collect::<Vec<_>>(),
+        "narrowest": walls.narrowest().map(place),
+    })
+}
+
+/// Writes cells, portals and the way out as objects.
+fn draw(
+    args: &PortalsArgs,
+    output: &Output,
+    tree: &Tree<'_>,
+    parts: &[Solid],
+    portals: &[PortalId],
+    way: Option<Vec<&Face>>,
+) -> Result<(), CliError> {
+    let (mut triangles, mut objects): (Vec<Triangle>, Vec<Object>) = (Vec::new(), Vec::new());
+    let mut add = |name: String, faces: &mut dyn Iterator<Item = &Face>| {
+        let first = triangles.len() as u32;
+        for face in faces {
+            let at: Vec<Vec3> = face.corners().iter().map(|c| c.as_vec3()).collect();
+            triangles.extend(at.windows(2).skip(1).map(|w| Triangle { v: [at[0], w[0], w[1]] }));
+        }
+        let count = triangles.len() as u32 - first;
+        if count > 0 {
+            objects.push(Object { name, first, count });
+        }
+    };
+    for Solid { leaf, faces } in parts {
+        add(format!("cell {}", leaf.0), &mut faces.iter());
+    }
+    for portal in portals.iter().map(|p| tree.portal(*p)) {
+        let [a, b] = portal.leaves;
+        add(format!("portal {}-{}", a.0, b.0), &mut std::iter::once(&portal.face));
+    }
+    if let Some(way) = way {
+        add("way out".to_owned(), &mut way.into_iter());
+    }
+    if objects.is_empty() {
+        say("note: nothing is reached, so nothing was written");
+        return Ok(());
+    }
+    let scene = Scene::new("cells and portals", triangles, objects).map_err(CliError::internal)?;
+    output.write(|out| {
+        write_glb(&scene, out).map_err(|e| match e {
+            GlbError::Io(e) => CliError::writing(args.output.as_deref().unwrap_or(&args.scene), &e),
+            e => CliError::internal(e),
+        })
+    })?;
+    say(&format!("wrote {}", args.output.as_deref().unwrap_or(&args.scene).display()));
+    Ok(())
+}
