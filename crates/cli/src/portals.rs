@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
-use sightline_portals::{Enclosure, Face, LeafId, Planes, PortalId, Solid, Tree, reached, solids};
+use sightline_portals::{Enclosure, Face, LeafId, OUTSIDE, Planes, PortalId, Solid, Tree, reached, solids};
 use sightline_scene::glb_out::{GlbError, write_glb};
 use sightline_scene::{Object, Scene, Triangle};
 
@@ -46,19 +46,22 @@ pub fn run(args: &PortalsArgs, json: bool) -> Result<(), CliError> {
         return enclosed_spaces(args, (&scene, &planes), output.as_ref(), json);
     }
     let walls = Walls::around(&scene, &planes, &args.reachable_from);
-    let parts = solids(&walls.tree, &walls.reached);
+    // What is outside the scene's box is no part of it.
+    let inside: Vec<LeafId> = walls.reached.iter().copied().filter(|leaf| *leaf != OUTSIDE).collect();
+    let parts = solids(&walls.tree, &inside);
     let volume: f64 = parts.iter().map(Solid::volume).sum();
-    let inner = portals_of(&walls.tree, &walls.reached);
-    let detail = walls.reached.iter().map(|l| walls.tree.leaf(*l).detail.len()).sum::<usize>();
+    let inner = portals_of(&walls.tree, &inside);
+    let detail = inside.iter().map(|l| walls.tree.leaf(*l).detail.len()).sum::<usize>();
     let is_closed = walls.enclosure == Enclosure::Closed;
-    let share = volume / volume_of(&scene);
+    // Where there is a way out, parts reach beyond the scene's box.
+    let share = is_closed.then_some(volume / volume_of(&scene));
     if let Some(output) = &output {
         draw(args, output, &walls.tree, &parts, &inner, way(&walls))?;
     }
     if json {
         return print(
             &json!({
-                "closed": is_closed, "leaves": walls.tree.len() - 1, "reached": walls.reached.len(),
+                "closed": is_closed, "leaves": walls.tree.len() - 1, "reached": inside.len(),
                 "portals": inner.len(), "detail": detail, "share": share, "way_out": way_json(&walls),
             })
             .to_string(),
@@ -67,18 +70,21 @@ pub fn run(args: &PortalsArgs, json: bool) -> Result<(), CliError> {
     print(&walls.in_words())?;
     print(&format!(
         "{} of {} are reached, with {} between them; {} inside divide nothing",
-        walls.reached.len(),
+        inside.len(),
         plural(walls.tree.len() - 1, "convex part"),
         plural(inner.len(), "opening"),
         plural(detail, "triangle part")
     ))?;
-    let use_of_it = match is_closed {
-        true => format!(
+    let use_of_it = match &walls.enclosure {
+        Enclosure::Closed => format!(
             "they fill {:.1} % of the scene's box: `sightline bake --reachable-from` leaves out the rest",
-            100.0 * share
+            100.0 * share.unwrap_or_default()
         ),
-        false => {
+        Enclosure::Leak(..) => {
             "walls will not help `sightline bake --reachable-from` until the way out is closed".to_owned()
+        }
+        Enclosure::Unknown | Enclosure::Stopped => {
+            "`sightline bake --reachable-from` marks parts of cells by rays then".to_owned()
         }
     };
     print(&use_of_it)
@@ -93,18 +99,21 @@ fn enclosed_spaces(
 ) -> Result<(), CliError> {
     let bounds = scene.bounds();
     let mut tree = Tree::new(scene, planes, &[]);
-    let mut closed = Vec::new();
+    let (mut closed, mut unknown) = (Vec::new(), 0usize);
     for number in 0..TRIED {
         // A sequence that is spread evenly over the box.
         let step = [0.819_172_5f32, 0.671_043_6, 0.549_700_5].map(|s| (0.5 + s * number as f32).fract());
         let point = (bounds.min + (bounds.max - bounds.min) * Vec3::from(step)).to_array();
-        let known =
-            |(_, leaves): &([f32; 3], Vec<LeafId>)| leaves.binary_search(&tree.leaf_of(point.into())).is_ok();
+        let known = |(_, leaves): &([f32; 3], Vec<LeafId>)| {
+            tree.leaves_of(point.into()).iter().all(|leaf| leaves.binary_search(leaf).is_ok())
+        };
         if closed.iter().any(known) {
             continue;
         }
-        if refine(&mut tree, &[point]) == Enclosure::Closed {
-            closed.push((point, reached(&tree, &[point])));
+        match refine(&mut tree, &[point]) {
+            Enclosure::Closed => closed.push((point, reached(&tree, &[point]))),
+            Enclosure::Leak(..) => {}
+            Enclosure::Unknown | Enclosure::Stopped => unknown += 1,
         }
     }
     // Later points have divided the leaves of earlier ones.
@@ -126,10 +135,12 @@ fn enclosed_spaces(
     }
     if json {
         let listed = |s: &Space| json!({"point": s.point, "leaves": s.leaves.len(), "share": share(s)});
-        return print(
-            &json!({"leaves": tree.len() - 1, "enclosed": spaces.iter().map(listed).collect::<Vec<_>>()})
-                .to_string(),
-        );
+        let enclosed: Vec<Value> = spaces.iter().map(listed).collect();
+        let value = json!({"leaves": tree.len() - 1, "unknown": unknown, "enclosed": enclosed});
+        return print(&value.to_string());
+    }
+    if unknown > 0 {
+        print(&format!("of {unknown} of {TRIED} points it is not known: there are too many walls"))?;
     }
     if spaces.is_empty() {
         return print(&format!(

@@ -106,7 +106,11 @@ fn shown(portals: &[Polygon], ends: &[Source; 2]) -> Value {
         turns[0] != std::cmp::Ordering::Equal && turns.iter().all(|t| *t == turns[0])
     };
     // The order of the polygons along a line does not change by rounding unless two of them meet.
-    if near[0] != near[1] && portals.iter().all(inside) && in_order(portals, &given) {
+    if near.iter().all(|p| p.is_finite())
+        && near[0] != near[1]
+        && portals.iter().all(inside)
+        && in_order(portals, &given)
+    {
         return json!(near.map(|p| p.to_array()));
     }
     let fractions = |p: &Source| {

@@ -8,7 +8,7 @@ use dashu_int::IBig;
 use proptest::prelude::*;
 use sightline_exact::{Limits, Polygon, Source, Stabbed, predicates, stab};
 
-/// Coordinates as multiples of 1/1024.
+/// Coordinates are multiples of one over this.
 const UNIT: i64 = 1 << 20;
 
 /// A polygon with corners in units of 2⁻²⁰.

@@ -172,13 +172,23 @@ impl JobSpec {
                 "exact methods decide triangles; `dump --items objects` lists the objects of their sets",
             );
         }
+        let region = self.viewpoints.as_ref().and_then(|marks| marks.region());
+        if region.is_some() && self.certificates {
+            return refuse("viewpoints", "certificates are about whole cells; leave out the region or them");
+        }
+        if region.is_some() && sampler == Sampler::Cubes {
+            return refuse("viewpoints", "visibility cubes know no region; leave it out, or sample lines");
+        }
         self.lattice()?;
         if let Some(marks) = &self.viewpoints {
             if self.division != Division::Grid(marks.cells()) {
                 return refuse("viewpoints", "give them for the cells of the job's grid");
             }
             if marks.encode().len() > viewpoints::MOST_BYTES {
-                return refuse("viewpoints", "they are too finely divided; use fewer or larger cells");
+                return refuse(
+                    "viewpoints",
+                    "they are too finely divided; use fewer or larger cells, or leave out the region",
+                );
             }
         }
         if self.sampling.cell_to_cell == CellToCell::On && self.pair_grid_cells() > MOST_PAIR_CELLS {

@@ -19,7 +19,8 @@ use crate::tree::{LeafId, OUTSIDE, PortalId, Tree};
 pub struct Limits {
     /// Most leaves.
     pub leaves: usize,
-    /// Most often that a fragment or portal is put on a side of a plane, or looked at in a search of ways.
+    /// Most work from now on: fragments and portals that are put on a side of a plane or looked at, and walls
+    /// of leaves that are split.
     pub work: u64,
 }
 
@@ -47,9 +48,9 @@ pub enum Enclosure {
     Stopped,
 }
 
-/// The leaves that hold the points.
+/// The leaves that hold the points; of a point on planes, those on all sides of it.
 pub fn seeds(tree: &Tree<'_>, points: &[[f32; 3]]) -> Vec<LeafId> {
-    let mut leaves: Vec<LeafId> = points.iter().map(|p| tree.leaf_of(Vec3::from(*p))).collect();
+    let mut leaves: Vec<LeafId> = points.iter().flat_map(|p| tree.leaves_of(Vec3::from(*p))).collect();
     leaves.sort_unstable();
     leaves.dedup();
     leaves
@@ -65,6 +66,7 @@ pub fn enclose(
 ) -> Enclosure {
     let mut choices: Vec<Option<Choice>> = Vec::new();
     let mut looked = 0u64;
+    let limits = Limits { work: limits.work.saturating_add(tree.work()), ..limits };
     loop {
         let Some(way) = way_out(tree, &seeds(tree, points), &mut looked) else {
             return part_rooms(tree, points, limits, looked, tell);

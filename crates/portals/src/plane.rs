@@ -96,13 +96,17 @@ impl Plane {
 pub struct Face {
     polygon: Polygon,
     at: Vec<DVec3>,
+    /// The box around the rounded corners.
+    bounds: [DVec3; 2],
 }
 
 impl Face {
     /// The polygon with its corners rounded.
     pub fn new(polygon: Polygon) -> Self {
         let at = polygon.rounded();
-        Self { polygon, at }
+        let around = |[min, max]: [DVec3; 2], p: &DVec3| [min.min(*p), max.max(*p)];
+        let bounds = at.iter().fold([DVec3::INFINITY, DVec3::NEG_INFINITY], around);
+        Self { polygon, at, bounds }
     }
 
     /// The exact polygon.
@@ -165,11 +169,7 @@ impl Face {
 
     /// Whether the boxes around both faces, rounded, are apart.
     pub fn apart(&self, other: &Self) -> bool {
-        let around = |f: &Self| {
-            let first = f.at[0];
-            f.at.iter().fold((first, first), |(min, max), p| (min.min(*p), max.max(*p)))
-        };
-        let ((a, b), (c, d)) = (around(self), around(other));
+        let ([a, b], [c, d]) = (self.bounds, other.bounds);
         b.cmplt(c).any() || d.cmplt(a).any()
     }
 }

@@ -123,15 +123,24 @@ impl Reached {
         false
     }
 
-    /// The parts of a face that are in the region, without common area.
-    pub fn parts(&self, face: &Polygon) -> Vec<Polygon> {
+    /// The parts of a cell's face that are in the region, without common area; of a face in a plane of the
+    /// region, those on the side of `inside`, a point inside the cell.
+    pub fn parts(&self, face: &Polygon, inside: Vec3) -> Vec<Polygon> {
         let mut found = Vec::new();
         let mut open = vec![(0u32, Face::new(face.clone()))];
         while let Some((at, face)) = open.pop() {
             match &self.nodes[at as usize] {
                 Part::Outside => {}
-                Part::Inside => found.push(face.polygon().clone()),
-                Part::Split { plane, greater } => open.extend(beside(plane, (at + 1, *greater), face)),
+                Part::Inside => found.extend(face.polygon().clone().pieces()),
+                Part::Split { plane, greater } => {
+                    let in_plane = face.sides(plane).iter().all(|side| *side == Ordering::Equal);
+                    if in_plane {
+                        let lesser = plane.side_of(inside) == Ordering::Less;
+                        open.push((if lesser { at + 1 } else { *greater }, face));
+                    } else {
+                        open.extend(beside(plane, (at + 1, *greater), face));
+                    }
+                }
             }
         }
         found
@@ -143,7 +152,8 @@ impl Reached {
         let Some(mut face) = Polygon::triangle(triangle.map(|v| v.as_dvec3())).map(Face::new) else {
             return false;
         };
-        for wall in Polygon::faces_of(within) {
+        let sticks_out = !triangle.iter().all(|v| within.contains(*v));
+        for wall in Polygon::faces_of(within).into_iter().filter(|_| sticks_out) {
             let plane = Plane::of(wall.plane());
             // The box is on the side of its corners that are not on the wall.
             let inner = [within.min, within.max].map(|p| plane.side_of(p));
@@ -238,8 +248,8 @@ impl Places for Reached {
         self.holds(point)
     }
 
-    fn parts(&self, face: &Polygon) -> Vec<Polygon> {
-        self.parts(face)
+    fn parts(&self, face: &Polygon, inside: Vec3) -> Vec<Polygon> {
+        self.parts(face, inside)
     }
 
     fn touch(&self, triangle: [Vec3; 3], within: Aabb) -> bool {

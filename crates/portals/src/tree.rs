@@ -16,6 +16,11 @@ use sightline_scene::Scene;
 use crate::plane::{Face, Plane, PlaneId};
 use crate::planes::Planes;
 
+/// The work of a split for each wall of the leaf.
+const WALL_WORK: u64 = 32;
+/// Most pairs of an opening and a face in its plane that are compared in one split.
+const MOST_CUTS: u64 = 1 << 26;
+
 /// The number of a leaf in its [`Tree`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LeafId(pub u32);
@@ -157,21 +162,23 @@ impl<'a> Tree<'a> {
         self.work
     }
 
-    /// The leaf that holds a point; of a point on a plane, the one on the plane's greater side.
-    pub fn leaf_of(&self, point: Vec3) -> LeafId {
+    /// The leaves that hold a point: of a point on planes, those on all sides of it.
+    pub fn leaves_of(&self, point: Vec3) -> Vec<LeafId> {
         if !self.bounds.contains(point) {
-            return OUTSIDE;
+            return vec![OUTSIDE];
         }
-        let mut node = 0u32;
-        loop {
+        let (mut found, mut open) = (Vec::new(), vec![0u32]);
+        while let Some(node) = open.pop() {
             match self.nodes[node as usize] {
-                Node::Leaf(leaf) => return leaf,
-                Node::Split(plane, below) => {
-                    let side = self.planes.plane(plane).side_of(point);
-                    node = below[usize::from(side != Ordering::Less)];
-                }
+                Node::Leaf(leaf) => found.push(leaf),
+                Node::Split(plane, [less, greater]) => match self.planes.plane(plane).side_of(point) {
+                    Ordering::Less => open.push(less),
+                    Ordering::Greater => open.push(greater),
+                    Ordering::Equal => open.extend([less, greater]),
+                },
             }
         }
+        found
     }
 
     /// The section of a plane with a leaf; `None` if they share no area.
@@ -194,6 +201,8 @@ impl<'a> Tree<'a> {
         // A fragment in the plane is in the closed leaf and in no wall of it, so the section has an area.
         let section = self.section(id, plane).expect("the plane of a fragment divides its leaf");
         let upper = LeafId(self.leaves.len() as u32);
+        // Sections are cut along all walls, for each plane that was compared; a leaf keeps its walls.
+        self.work += WALL_WORK * self.leaf(id).walls.len() as u64;
         let leaf = std::mem::take(&mut self.leaves[id.0 as usize]);
         let (mut inside, mut details) = (Vec::new(), [Vec::new(), Vec::new()]);
         let exact = self.planes.plane(plane);
@@ -275,15 +284,20 @@ impl<'a> Tree<'a> {
         // Large faces first: they leave less to be cut.
         covers.sort_by(|a, b| b.area().total_cmp(&a.area()));
         let mut open = vec![section];
+        let begun = self.work;
         for cover in covers {
+            // What is not cut off any more stays open: an opening may be larger than the true one.
+            if self.work - begun > MOST_CUTS {
+                break;
+            }
             let borders = borders(&cover, plane);
             let mut next = Vec::with_capacity(open.len());
             for part in open {
+                self.work += 1;
                 if part.apart(&cover) {
                     next.push(part);
                     continue;
                 }
-                self.work += 1;
                 let mut left = Some(part);
                 for (border, inner) in &borders {
                     let Some(part) = left else { break };

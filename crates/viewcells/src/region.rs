@@ -83,7 +83,7 @@ impl Region {
         }
         let mut nodes = Vec::new();
         while !bytes.is_empty() {
-            let number = varint::read(&mut bytes, varint::MOST_BYTES);
+            let number = varint::read_shortest(&mut bytes, varint::MOST_BYTES);
             nodes.push(match number.map_err(|_| RegionError("a number is malformed"))? {
                 0 => RegionNode::Outside,
                 1 => RegionNode::Inside,

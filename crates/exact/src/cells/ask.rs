@@ -156,9 +156,7 @@ impl Work<'_> {
                 if self.task.seen.binary_search(&id).is_err() {
                     self.decided.statistics.missed += 1;
                 }
-                let scene = self.task.scene.occluders();
-                let found = witness(scene, &self.sources, id, &ends);
-                self.see(id, || found);
+                self.see(id, |work| witness(work.task.scene.occluders(), &work.sources, id, &ends));
             }
             (Item::Triangle(id), Some(Found::Undecided(reason))) => self.leave(id, Some(reason)),
             (Item::Triangle(id), None) => self.leave(id, None),
@@ -196,7 +194,7 @@ impl Work<'_> {
         beside.retain(|(id, _)| self.state[*id as usize] == State::Open);
         for (id, ends) in &beside {
             self.decided.statistics.missed += u64::from(self.task.seen.binary_search(id).is_err());
-            self.see(*id, || Witness::Floats(*ends));
+            self.see(*id, |_| Witness::Floats(*ends));
         }
         beside.into_iter().map(|(id, _)| id).collect()
     }

@@ -46,7 +46,7 @@ impl Work<'_> {
         self.decided.statistics.rays = rays;
         let left: Vec<u32> = wanted.into_iter().filter(|id| !found.contains_key(id)).collect();
         for (id, ends) in found {
-            self.see(id, || Witness::Floats(ends));
+            self.see(id, |_| Witness::Floats(ends));
         }
         let asked: Vec<Asked> = left.par_iter().map(|id| self.ask(Item::Triangle(*id))).collect();
         for mut answer in asked {

@@ -118,10 +118,11 @@ impl Work<'_> {
         }
     }
 
-    pub fn see(&mut self, id: u32, witness: impl FnOnce() -> Witness) {
+    pub fn see(&mut self, id: u32, witness: impl FnOnce(&Self) -> Witness) {
         self.state[id as usize] = State::Visible;
         if self.task.keep {
-            self.decided.certificate.seen.push((id, witness()));
+            let witness = witness(self);
+            self.decided.certificate.seen.push((id, witness));
         }
     }
 

@@ -287,8 +287,8 @@ impl Polygon {
         Source::Exact(Box::new(middle))
     }
 
-    /// Itself, or pieces around the first corner with no more than [`MOST_AT_ONCE`] corners each.
-    fn pieces(self) -> Vec<Self> {
+    /// Itself, or pieces around the first corner with few enough corners for one query each.
+    pub fn pieces(self) -> Vec<Self> {
         if self.points.len() <= MOST_AT_ONCE {
             return vec![self];
         }

@@ -51,8 +51,8 @@ pub enum Stabbed {
     Undecided(Reason),
 }
 
-/// Looks for a line strictly through the inside of each of the polygons, in order. `stop` is called before
-/// every region; the search ends undecided when it returns true.
+/// Looks for a line strictly through the inside of each of the polygons, in order. There must be one.
+/// `stop` is called before every region and every cut of one; the search ends undecided when it returns true.
 pub fn stab(portals: &[Polygon], limits: &Limits, stop: &dyn Fn() -> bool) -> (Stabbed, Cost) {
     let mut search = Search { limits, stop, cost: Cost::default() };
     let found = match portals {
@@ -167,10 +167,15 @@ impl Search<'_> {
             let [first, middle @ .., last] = &polygons[..] else { continue };
             let middle: Vec<(&Polygon, Ordering)> =
                 middle.iter().zip(&towards[1..]).map(|(p, t)| (p, *t)).collect();
-            match self.pair(first, last, &middle, 0) {
-                Ok(()) => {}
-                Err(End::Open(reason)) => open = Some(reason),
-                Err(found) => return Err(found),
+            // The ends have rays for each pair of their corners, and are searched in pieces of few.
+            for a in first.clone().pieces() {
+                for b in last.clone().pieces() {
+                    match self.pair(&a, &b, &middle, 0) {
+                        Ok(()) => {}
+                        Err(End::Open(reason)) => open = Some(reason),
+                        Err(found) => return Err(found),
+                    }
+                }
             }
         }
         open.map_or(Ok(()), |reason| Err(End::Open(reason)))
@@ -251,7 +256,7 @@ impl Search<'_> {
 
     /// Searches a region and what its splits leave.
     fn region(&mut self, ends: &mut Ends<'_>, region: Region) -> Result<Result<(), Stuck>, End> {
-        let region = match within(ends, region) {
+        let region = match self.within(ends, region)? {
             Ok(Some(region)) => region,
             Ok(None) => return Ok(Ok(())),
             Err(Stuck) => return Ok(Err(Stuck)),
@@ -259,19 +264,7 @@ impl Search<'_> {
         let mut open = vec![region];
         let mut splits = 0;
         while let Some(region) = open.pop() {
-            self.cost.regions += 1;
-            let vectors = ends.0.space.size() as u64;
-            self.cost.vectors = self.cost.vectors.max(vectors);
-            let ended = if self.cost.regions > u64::from(self.limits.regions) {
-                Some(Reason::Regions)
-            } else if vectors > u64::from(self.limits.vectors) {
-                Some(Reason::Memory)
-            } else {
-                (self.stop)().then_some(Reason::Stopped)
-            };
-            if let Some(reason) = ended {
-                return Err(End::Open(reason));
-            }
+            self.count(&ends.0.space)?;
             let local = &mut ends.0;
             match contents(&mut local.space, &region, LINES, &mut local.forms) {
                 Contents::Nothing => continue,
@@ -300,6 +293,46 @@ impl Search<'_> {
         Ok(Ok(()))
     }
 
+    /// Counts a region; ends the search at the limits.
+    fn count(&mut self, space: &Space) -> Result<(), End> {
+        self.cost.regions += 1;
+        let vectors = space.size() as u64;
+        self.cost.vectors = self.cost.vectors.max(vectors);
+        if self.cost.regions > u64::from(self.limits.regions) {
+            Err(End::Open(Reason::Regions))
+        } else if vectors > u64::from(self.limits.vectors) {
+            Err(End::Open(Reason::Memory))
+        } else if (self.stop)() {
+            Err(End::Open(Reason::Stopped))
+        } else {
+            Ok(())
+        }
+    }
+
+    /// The part of a region whose lines pass all edges on the right sides; none if it has no inside. Each cut
+    /// counts as a region.
+    fn within(
+        &mut self,
+        (local, edges): &mut Ends<'_>,
+        mut region: Region,
+    ) -> Result<Result<Option<Region>, Stuck>, End> {
+        let mut sides = Vec::new();
+        for (edge, keep) in edges.iter() {
+            region.sides(&mut local.space, *edge, &mut sides);
+            if !sides.contains(keep) {
+                return Ok(Ok(None));
+            }
+            if sides.contains(&keep.reverse()) {
+                self.count(&local.space)?;
+                let Ok([less, greater]) = region.split(&mut local.space, *edge, &sides) else {
+                    return Ok(Err(Stuck));
+                };
+                region = if *keep == Ordering::Less { less } else { greater };
+            }
+        }
+        Ok(Ok(Some(region)))
+    }
+
     /// Ends the search if a line passes all edges on the right sides. Its ends are strictly inside the first
     /// and the last polygon by construction.
     fn check(&mut self, (local, edges): &mut Ends<'_>, (p, q): (Snapped, Snapped)) -> Result<(), End> {
@@ -311,24 +344,6 @@ impl Search<'_> {
         }
         Ok(())
     }
-}
-
-/// The part of a region whose lines pass all edges on the right sides; none if it has no inside.
-fn within((local, edges): &mut Ends<'_>, mut region: Region) -> Result<Option<Region>, Stuck> {
-    let mut sides = std::mem::take(&mut local.sides);
-    for (edge, keep) in edges.iter() {
-        region.sides(&mut local.space, *edge, &mut sides);
-        if !sides.contains(keep) {
-            return Ok(None);
-        }
-        if sides.contains(&keep.reverse()) {
-            let parts = region.split(&mut local.space, *edge, &sides);
-            let [less, greater] = parts.map_err(|_| Stuck)?;
-            region = if *keep == Ordering::Less { less } else { greater };
-        }
-    }
-    local.sides = sides;
-    Ok(Some(region))
 }
 
 /// The lines of the edges of polygons, and the side on which a line passes them that crosses the polygon in

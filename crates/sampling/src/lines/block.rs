@@ -121,7 +121,8 @@ impl Cell {
         self.held(places, tries).unwrap_or_else(|| self.point(f))
     }
 
-    /// A random viewpoint, uniform where viewpoints are.
+    /// A random viewpoint, uniform where viewpoints are, unless the region fills hardly any of the marked
+    /// parts ([`TRIES`]).
     pub(super) fn random_origin(&self, places: Option<&dyn Places>, random: &mut Hashed) -> [f32; 3] {
         let first = self.point(random.point());
         let Some(places) = places else { return first };
