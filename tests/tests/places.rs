@@ -106,6 +106,17 @@ fn viewpoints_are_between_walls_within_cells_too() {
     // Seen are five walls of the hall and one side of the wall across, two triangles each.
     assert_eq!(walls.cells[0].visible.len(), 12, "{:?}", walls.cells[0].visible);
     assert!(whole.cells[0].visible.len() > 12, "{:?}", whole.cells[0].visible);
+    // Faces of the cells lie in the planes of walls, behind which there is something.
+    let sky = "v 0 0 5\nv 8 0 5\nv 8 2 5\nv 0 2 5\nf -4 -3 -2 -1\n";
+    // The hall is wound to be seen from inside, or its inside would be taken for a solid's.
+    let turned = |line: &str| match line.strip_prefix("f ") {
+        Some(face) => format!("f {}", face.split(' ').rev().collect::<Vec<_>>().join(" ")),
+        None => line.to_owned(),
+    };
+    let hall_text: Vec<String> = hall(false).lines().map(turned).collect();
+    sandbox.write("sky.obj", hall_text.join("\n") + "\n" + sky);
+    sandbox.ok(&format!("bake {} -o sky.pvs --data-dir s", job("sky.obj", "")));
+    assert_eq!(sandbox.dump("sky.pvs").cells[0].visible, walls.cells[0].visible);
     sandbox.run("query walls.pvs 1 1 1").code(0).says("viewpoints that walls enclose");
     sandbox.ok("query walls.pvs 1 1 1 --scene shut.obj");
     sandbox.run("query walls.pvs 3.8 1 1 --scene shut.obj").code(3).says("outside the walls");

@@ -154,7 +154,10 @@ impl PlaceArgs {
                 e => CliError::Input(format!("--reachable-from: {e}")),
             };
             reach::check(&tracing, &self.reachable_from).map_err(of_seeds)?;
-            if walls {
+            if !walls {
+                say("note: certificates and visibility cubes are about whole cells, so viewpoints of \
+                     --reachable-from are in parts of cells that rays find, not between walls");
+            } else {
                 let planes = Planes::new(scene);
                 let walls = Walls::around(scene, &planes, &self.reachable_from);
                 say(&walls.in_words());

@@ -123,20 +123,27 @@ impl Reached {
         false
     }
 
-    /// The parts of a cell's face that are in the region, without common area; of a face in a plane of the
-    /// region, those on the side of `inside`, a point inside the cell.
-    pub fn parts(&self, face: &Polygon, inside: Vec3) -> Vec<Polygon> {
+    /// The parts of a cell's face through which free segments leave the cell, without common area: those in
+    /// the region. Of a face in a plane of the region they are in it on both sides of the plane; where one
+    /// side is outside, a wall is in the plane.
+    pub fn parts(&self, face: &Polygon) -> Vec<Polygon> {
+        let parts = self.parts_from(0, Face::new(face.clone()));
+        parts.into_iter().flat_map(|part| part.polygon().clone().pieces()).collect()
+    }
+
+    /// The parts of a face that are in the region, from a node on.
+    fn parts_from(&self, node: u32, face: Face) -> Vec<Face> {
         let mut found = Vec::new();
-        let mut open = vec![(0u32, Face::new(face.clone()))];
+        let mut open = vec![(node, face)];
         while let Some((at, face)) = open.pop() {
             match &self.nodes[at as usize] {
                 Part::Outside => {}
-                Part::Inside => found.extend(face.polygon().clone().pieces()),
+                Part::Inside => found.push(face),
                 Part::Split { plane, greater } => {
-                    let in_plane = face.sides(plane).iter().all(|side| *side == Ordering::Equal);
-                    if in_plane {
-                        let lesser = plane.side_of(inside) == Ordering::Less;
-                        open.push((if lesser { at + 1 } else { *greater }, face));
+                    if face.sides(plane).iter().all(|side| *side == Ordering::Equal) {
+                        // No other plane of the region is this one, so this happens once.
+                        let lesser = self.parts_from(at + 1, face);
+                        found.extend(lesser.into_iter().flat_map(|part| self.parts_from(*greater, part)));
                     } else {
                         open.extend(beside(plane, (at + 1, *greater), face));
                     }
@@ -248,8 +255,8 @@ impl Places for Reached {
         self.holds(point)
     }
 
-    fn parts(&self, face: &Polygon, inside: Vec3) -> Vec<Polygon> {
-        self.parts(face, inside)
+    fn parts(&self, face: &Polygon) -> Vec<Polygon> {
+        self.parts(face)
     }
 
     fn touch(&self, triangle: [Vec3; 3], within: Aabb) -> bool {

@@ -16,8 +16,8 @@ use sightline_certificate::certificate::faces;
 pub trait Places: Sync {
     /// Whether a point is in the closed part.
     fn hold(&self, point: Vec3) -> bool;
-    /// The parts of a cell's face that are in it; `inside` is a point inside the cell.
-    fn parts(&self, face: &Polygon, inside: Vec3) -> Vec<Polygon>;
+    /// The parts of a cell's face through which free segments leave the cell.
+    fn parts(&self, face: &Polygon) -> Vec<Polygon>;
     /// Whether a triangle has an area in common with the closed part within a closed box.
     fn touch(&self, triangle: [Vec3; 3], within: Aabb) -> bool;
 }
@@ -33,13 +33,11 @@ pub struct Sources<'a> {
 impl<'a> Sources<'a> {
     /// The faces of a cell; with `places`, their parts there.
     pub fn new(cell: Cell, places: Option<&'a dyn Places>) -> Self {
-        let [min, max] = cell.corners();
-        let inside = min + (max - min) * 0.5;
         let mut all = faces().map(|(axis, up)| {
             let face = Polygon::face_of(cell.bounds(), axis, up);
             match places {
                 None => vec![face],
-                Some(places) => places.parts(&face, inside),
+                Some(places) => places.parts(&face),
             }
         });
         let faces = std::array::from_fn(|_| all.next().unwrap_or_default());
