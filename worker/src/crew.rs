@@ -151,7 +151,7 @@ async fn keep_leading(
             tokio::time::sleep(wait).await;
             wait = (wait * 2).min(AGAIN[1]);
             let use_for_helpers = leader.upgrade().filter(|leader| !leader.has_ended());
-            let Some(from) = use_for_helpers.map(|leader| leader.next_phase()) else { return };
+            let Some(from) = use_for_helpers.map(|leader| leader.phase()) else { return };
             if held.cancelled() {
                 return;
             }

@@ -320,7 +320,7 @@ fn a_leader_learns_late_what_an_earlier_one_has_left() {
     let (watch, said) = (Arc::new(Watch::default()), Arc::new(Mutex::new(Vec::new())));
     let hears = Arc::clone(&said);
     let leader = Leader::new(Vec::new(), watch.clone(), move |message| hears.lock().unwrap().push(message));
-    assert_eq!(leader.next_phase(), 0);
+    assert_eq!(leader.phase(), 0);
     leader.learn(0, outcomes.clone());
     assert!(leader.reopened(outcomes.len() as u32, || {}));
     assert!(job.run(&*watch, &leader).unwrap() == expected);
@@ -329,6 +329,47 @@ fn a_leader_learns_late_what_an_earlier_one_has_left() {
     drop(leader);
     let said = std::mem::take(&mut *said.lock().unwrap());
     assert_eq!(said, [FromLeader::End], "nothing is computed or handed over again, and the end is said once");
+}
+
+/// Tells its leader of earlier outcomes at the report with a number.
+struct Tells {
+    leader: Mutex<Option<Arc<Leader>>>,
+    outcomes: Vec<Vec<u8>>,
+    at: u64,
+    reports: AtomicU64,
+}
+
+impl Watcher for Tells {
+    fn rendered(&self, _: u64) {
+        if self.reports.fetch_add(1, Relaxed) == self.at
+            && let Some(leader) = &*self.leader.lock().unwrap()
+        {
+            let from = leader.phase();
+            leader.learn(from, self.outcomes[from as usize..].to_vec());
+        }
+    }
+    fn cell_done(&self) {}
+    fn cancelled(&self) -> bool {
+        false
+    }
+}
+
+#[test]
+fn a_leader_may_learn_at_any_time() {
+    let Some(job) = job(|_| {}) else { return };
+    let (expected, _) = job.alone();
+    let (_, outcomes, _) = crewed(&job, &[(Helps::Never, 0)], &[]);
+    let mut learned = 0;
+    for at in [0, 1, 3, 6, 10, 15, 25, 40, 60, 100] {
+        let (leader, reports) = (Mutex::default(), AtomicU64::new(0));
+        let tells = Arc::new(Tells { leader, outcomes: outcomes.clone(), at, reports });
+        let leader = Arc::new(Leader::new(Vec::new(), tells.clone(), |_| {}));
+        *tells.leader.lock().unwrap() = Some(Arc::clone(&leader));
+        assert!(job.run(&*tells, &*leader).unwrap() == expected, "told at report {at}");
+        learned += u64::from(tells.reports.load(Relaxed) > at);
+        *tells.leader.lock().unwrap() = None;
+    }
+    assert!(learned > 3, "the leader was told {learned} times");
 }
 
 #[test]

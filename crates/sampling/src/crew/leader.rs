@@ -84,8 +84,8 @@ pub struct Leader {
 
 #[derive(Default)]
 struct State {
-    /// Outcomes of an earlier leader that are not used yet.
-    earlier: VecDeque<Vec<u8>>,
+    /// Outcomes of an earlier leader that are not used yet, by phase.
+    earlier: BTreeMap<u32, Vec<u8>>,
     /// The number of the next phase, or of the one in work.
     number: u32,
     queue: Option<Queue>,
@@ -124,7 +124,7 @@ impl Leader {
         watcher: Arc<dyn Watcher + Send>,
         out: impl Fn(FromLeader) + Send + Sync + 'static,
     ) -> Self {
-        let state = State { earlier: outcomes.into(), ..State::default() };
+        let state = State { earlier: (0..).zip(outcomes).collect(), ..State::default() };
         Self { state: Mutex::new(state), news: Condvar::new(), watcher, out: Box::new(out) }
     }
 
@@ -187,21 +187,15 @@ impl Leader {
         self.lock().has_ended
     }
 
-    /// The first phase whose outcome is of use here.
-    pub fn next_phase(&self) -> u32 {
-        let state = self.lock();
-        state.number + u32::from(state.queue.is_some())
+    /// The number of the next phase, or of the one in work.
+    pub fn phase(&self) -> u32 {
+        self.lock().number
     }
 
     /// An earlier leader has left the outcomes of the phases from `from` on, which were not known at first.
+    /// Those of phases that have begun here are not used.
     pub fn learn(&self, from: u32, outcomes: Vec<Vec<u8>>) {
-        let mut state = self.lock();
-        let next = state.number + u32::from(state.queue.is_some());
-        // Those of phases that are over, or under way, are of no use.
-        let useless = next.saturating_sub(from) as usize;
-        if state.earlier.is_empty() && from <= next {
-            state.earlier = outcomes.into_iter().skip(useless).collect();
-        }
+        self.lock().earlier.extend((from..).zip(outcomes));
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -250,7 +244,12 @@ impl Leader {
 
     /// Whether the phase has its answers from an earlier leader.
     fn is_known(&self, phase: &dyn Phase) -> bool {
-        let Some(outcome) = self.lock().earlier.pop_front() else { return false };
+        let outcome = {
+            let mut state = self.lock();
+            let number = state.number;
+            state.earlier.remove(&number)
+        };
+        let Some(outcome) = outcome else { return false };
         let whole = match phase.add(&outcome) {
             Ok(rays) => {
                 self.watcher.rendered(rays);
