@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
 use sightline_portals::{Enclosure, Face, LeafId, OUTSIDE, Planes, PortalId, Solid, Tree, reached, solids};
+use sightline_sampling::sequence::spread3;
 use sightline_scene::glb_out::{GlbError, write_glb};
 use sightline_scene::{Object, Scene, Triangle};
 
@@ -101,9 +102,8 @@ fn enclosed_spaces(
     let mut tree = Tree::new(scene, planes, &[]);
     let (mut closed, mut unknown) = (Vec::new(), 0usize);
     for number in 0..TRIED {
-        // A sequence that is spread evenly over the box.
-        let step = [0.819_172_5f32, 0.671_043_6, 0.549_700_5].map(|s| (0.5 + s * number as f32).fract());
-        let point = (bounds.min + (bounds.max - bounds.min) * Vec3::from(step)).to_array();
+        let step = Vec3::from(spread3(number as u64, [0.5; 3]));
+        let point = (bounds.min + (bounds.max - bounds.min) * step).to_array();
         let known = |(_, leaves): &([f32; 3], Vec<LeafId>)| {
             tree.leaves_of(point.into()).iter().all(|leaf| leaves.binary_search(leaf).is_ok())
         };

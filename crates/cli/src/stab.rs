@@ -8,7 +8,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::{Value, json};
-use sightline_exact::{Limits, Polygon, Reason, Source, Stabbed, polygon, predicates, stab};
+use sightline_exact::{Limits, Polygon, Source, Stabbed, polygon, predicates, stab};
 
 use crate::args::StabArgs;
 use crate::error::CliError;
@@ -84,11 +84,7 @@ fn answer(query: &Query, limits: &Limits) -> (usize, Value) {
         }
         Stabbed::Blocked => (1, json!({"id": id, "state": "blocked", "micros": micros})),
         Stabbed::Undecided(reason) => {
-            let reason = match reason {
-                Reason::Regions => "more regions of line space than the limit".to_owned(),
-                other => other.to_string(),
-            };
-            (2, json!({"id": id, "state": "undecided", "reason": reason, "micros": micros}))
+            (2, json!({"id": id, "state": "undecided", "reason": reason.to_string(), "micros": micros}))
         }
     }
 }

@@ -256,8 +256,10 @@ proptest! {
                 prop_assert!(parts.is_empty() || region.meets(of));
                 for part in parts {
                     let middle = part.rounded().iter().sum::<glam::DVec3>() / part.points().len() as f64;
-                    // Rounding may move it over a wall that is nearly parallel; half the way to it may not.
-                    prop_assert!(region.holds(middle.as_vec3()) || turn.is_some());
+                    // Of a turned building, rounding may move the point over a wall.
+                    if turn.is_none() {
+                        prop_assert!(region.holds(middle.as_vec3()));
+                    }
                 }
             }
         }

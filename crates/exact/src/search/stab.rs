@@ -31,9 +31,6 @@ use crate::search::side_bitsets::SideBitsets;
 use crate::search::verdict::{Cost, Limits, Reason};
 use sightline_certificate::proof::Which;
 
-/// Choices of directions that are searched. More than one arises where a polygon reaches through another's
-/// plane.
-const MOST_DIRECTED: usize = 64;
 /// Normals that are compared with those of the next polygon; a line has one direction.
 const MOST_NORMALS: usize = 12;
 /// Lines in doubles that are tried for one region.
@@ -163,7 +160,7 @@ struct Search<'a> {
 impl Search<'_> {
     fn all(&mut self, portals: &[Polygon]) -> Result<(), End> {
         let mut open = None;
-        for Directed { polygons, towards, .. } in directed(portals).ok_or(End::Open(Reason::Regions))? {
+        for Directed { polygons, towards, .. } in self.directed(portals)? {
             let [first, middle @ .., last] = &polygons[..] else { continue };
             let middle: Vec<(&Polygon, Ordering)> =
                 middle.iter().zip(&towards[1..]).map(|(p, t)| (p, *t)).collect();
@@ -179,6 +176,59 @@ impl Search<'_> {
             }
         }
         open.map_or(Ok(()), |reason| Err(End::Open(reason)))
+    }
+
+    /// All ways to cross the polygons in order, each with the parts that can be crossed so: none of a polygon
+    /// is on the wrong side of its neighbours' planes. More than one arises where a polygon reaches through
+    /// another's plane. Each step of a way counts as a region.
+    fn directed(&mut self, portals: &[Polygon]) -> Result<Vec<Directed>, End> {
+        let mut ways =
+            vec![Directed { polygons: portals.to_vec(), towards: Vec::new(), normals: Vec::new() }];
+        let n = portals.len();
+        for i in 0..n {
+            let mut next = Vec::with_capacity(ways.len());
+            for mut way in ways {
+                self.count_region()?;
+                let [x, y, z, _] = portals[i].plane();
+                // Without a common factor, so that parallel planes have equal or opposite normals.
+                let mut up = [x, y, z];
+                primitive(&mut up);
+                let down = up.each_ref().map(|c| -c);
+                let greater = way.may_go(&up).then(|| cut(&way, portals, i, Ordering::Greater)).flatten();
+                let less = way.may_go(&down).then(|| cut(&way, portals, i, Ordering::Less)).flatten();
+                // Mostly there is one direction, and nothing is copied.
+                let other = if greater.is_some() && less.is_some() { Some(way.clone()) } else { None };
+                match (greater, less) {
+                    (Some(greater), less) => {
+                        way.take((Ordering::Greater, up), greater);
+                        next.push(way);
+                        if let (Some(mut other), Some(less)) = (other, less) {
+                            other.take((Ordering::Less, down), less);
+                            next.push(other);
+                        }
+                    }
+                    (None, Some(less)) => {
+                        way.take((Ordering::Less, down), less);
+                        next.push(way);
+                    }
+                    (None, None) => {}
+                }
+            }
+            // A second way is a copy of all polygons.
+            if next.len() * n > self.limits.vectors as usize {
+                return Err(End::Open(Reason::Memory));
+            }
+            ways = next;
+        }
+        // The first and the last polygon must be wholly on the right side of each other's planes, too.
+        let fit = |mut way: Directed| {
+            let first = behind(&way.polygons[0], &portals[n - 1], way.towards[n - 1].reverse())?;
+            let last = behind(&way.polygons[n - 1], &portals[0], way.towards[0])?;
+            way.polygons[0] = first;
+            way.polygons[n - 1] = last;
+            Some(way)
+        };
+        Ok(ways.into_iter().filter_map(fit).collect())
     }
 
     /// Searches the lines from `a` to `b`, and halves them if the first attempt fails.
@@ -295,13 +345,18 @@ impl Search<'_> {
 
     /// Counts a region; ends the search at the limits.
     fn count(&mut self, space: &Space) -> Result<(), End> {
-        self.cost.regions += 1;
         let vectors = space.size() as u64;
         self.cost.vectors = self.cost.vectors.max(vectors);
+        if vectors > u64::from(self.limits.vectors) {
+            return Err(End::Open(Reason::Memory));
+        }
+        self.count_region()
+    }
+
+    fn count_region(&mut self) -> Result<(), End> {
+        self.cost.regions += 1;
         if self.cost.regions > u64::from(self.limits.regions) {
             Err(End::Open(Reason::Regions))
-        } else if vectors > u64::from(self.limits.vectors) {
-            Err(End::Open(Reason::Memory))
         } else if (self.stop)() {
             Err(End::Open(Reason::Stopped))
         } else {
@@ -370,55 +425,6 @@ fn edges(space: &mut Space, middle: &[(&Polygon, Ordering)]) -> Vec<(VectorId, O
         }
     }
     out
-}
-
-/// All ways to cross the polygons in order, each with the parts that can be crossed so: none of a polygon is
-/// on the wrong side of its neighbours' planes. `None` when there are too many.
-fn directed(portals: &[Polygon]) -> Option<Vec<Directed>> {
-    let mut ways = vec![Directed { polygons: portals.to_vec(), towards: Vec::new(), normals: Vec::new() }];
-    let n = portals.len();
-    for i in 0..n {
-        let mut next = Vec::with_capacity(ways.len());
-        for mut way in ways {
-            let [x, y, z, _] = portals[i].plane();
-            // Without a common factor, so that parallel planes have equal or opposite normals.
-            let mut up = [x, y, z];
-            primitive(&mut up);
-            let down = up.each_ref().map(|c| -c);
-            let greater = way.may_go(&up).then(|| cut(&way, portals, i, Ordering::Greater)).flatten();
-            let less = way.may_go(&down).then(|| cut(&way, portals, i, Ordering::Less)).flatten();
-            // Mostly there is one direction, and nothing is copied.
-            let other = if greater.is_some() && less.is_some() { Some(way.clone()) } else { None };
-            match (greater, less) {
-                (Some(greater), less) => {
-                    way.take((Ordering::Greater, up), greater);
-                    next.push(way);
-                    if let (Some(mut other), Some(less)) = (other, less) {
-                        other.take((Ordering::Less, down), less);
-                        next.push(other);
-                    }
-                }
-                (None, Some(less)) => {
-                    way.take((Ordering::Less, down), less);
-                    next.push(way);
-                }
-                (None, None) => {}
-            }
-        }
-        if next.len() > MOST_DIRECTED {
-            return None;
-        }
-        ways = next;
-    }
-    // The first and the last polygon must be wholly on the right side of each other's planes, too.
-    let fit = |mut way: Directed| {
-        let first = behind(&way.polygons[0], &portals[n - 1], way.towards[n - 1].reverse())?;
-        let last = behind(&way.polygons[n - 1], &portals[0], way.towards[0])?;
-        way.polygons[0] = first;
-        way.polygons[n - 1] = last;
-        Some(way)
-    };
-    Some(ways.into_iter().filter_map(fit).collect())
 }
 
 /// The neighbours of polygon `i` that remain when it is crossed in a direction; `None` when one vanishes.

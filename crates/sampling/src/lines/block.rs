@@ -19,7 +19,7 @@ use crate::crew::Crew;
 use crate::cube::SKY;
 use crate::packet::Packet;
 use crate::rows::Rows;
-use crate::sequence::Hashed;
+use crate::sequence::{Hashed, spread3};
 use crate::sight::{Passed, Sight};
 use crate::surface::Surface;
 use sightline_model::CellStats;
@@ -39,9 +39,6 @@ pub(super) const JOINED_AIMED_LANES: usize = 16;
 /// Points that are tried as a viewpoint before any point of the region is taken. Where the region fills less
 /// of the marked parts than one in so many, its viewpoints are not spread evenly.
 const TRIES: usize = 200;
-/// The step of a sequence of points that is spread evenly over the cube (Roberts 2018, "The Unreasonable
-/// Effectiveness of Quasirandom Sequences": powers of the reciprocal of the root of x⁴ = x + 1).
-const SPREAD: Vec3 = Vec3::new(0.819_172_5, 0.671_043_6, 0.549_700_5);
 
 /// Part of the block's size by which the two halves of a line overlap at least ([`Packet::reversed`]).
 pub(super) const LEAST_STEP: f32 = 1.0 / (1 << 24) as f32;
@@ -112,13 +109,8 @@ impl Cell {
     pub(super) fn origin(&self, places: Option<&dyn Places>, f: impl Into<Vec3>) -> [f32; 3] {
         let f: Vec3 = f.into();
         let Some(places) = places else { return self.point(f) };
-        let mut at = f;
-        let tries = std::iter::repeat_with(|| {
-            let point = self.point(at);
-            at = (at + SPREAD).fract();
-            point
-        });
-        self.held(places, tries).unwrap_or_else(|| self.point(f))
+        let tries = (1..).map(|number| self.point(spread3(number, f.to_array())));
+        self.held(places, std::iter::once(self.point(f)).chain(tries)).unwrap_or_else(|| self.point(f))
     }
 
     /// A random viewpoint, uniform where viewpoints are, unless the region fills hardly any of the marked
