@@ -2,6 +2,7 @@
 
 use serde_json::{Value, json};
 use sightline_pvs::{Granularity, Pvs, PvsError};
+use sightline_scene::Scene;
 
 use crate::args::{Items, QueryArgs};
 use crate::dump::sets;
@@ -36,37 +37,41 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
              --viewpoints, --reachable-from); choose another point, or bake with more viewpoints"
         )));
     }
-    check_region(&pvs, args)?;
+    let scene = match &args.scene {
+        None => None,
+        Some(_) if args.why.is_none() && pvs.region().is_none() => {
+            return Err(CliError::Usage(
+                "--scene is for --why, and to check a point in a result whose viewpoints walls enclose; leave \
+                 it out"
+                    .to_owned(),
+            ));
+        }
+        Some(path) => Some(scene_of(path, &args.kinds, &pvs, &args.result.result)?),
+    };
+    check_region(&pvs, args, scene.as_ref())?;
     if let Some(target) = target {
         return sees(&pvs, cell, &target, json);
     }
     if let Some(triangle) = args.why {
-        return why::why(
-            &pvs,
-            &args.result.result,
-            (cell, triangle),
-            (args.scene.as_deref(), &args.kinds),
-            json,
-        );
+        return why::why(&pvs, &args.result.result, (cell, triangle), scene, json);
     }
     set(&pvs, cell, args, json)
 }
 
 /// Refuses a point outside the region that holds all viewpoints, or says that it was not checked.
-fn check_region(pvs: &Pvs, args: &QueryArgs) -> Result<(), CliError> {
+fn check_region(pvs: &Pvs, args: &QueryArgs, scene: Option<&Scene>) -> Result<(), CliError> {
     let (Some(_), Ok(point)) = (pvs.region(), <[f32; 3]>::try_from(args.point.as_slice())) else {
         return Ok(());
     };
     let result = &args.result.result;
-    let Some(path) = &args.scene else {
+    let Some(scene) = scene else {
         say(
             "note: the sets hold for viewpoints that walls enclose (--reachable-from); with --scene SCENE it \
              is checked whether this is one",
         );
         return Ok(());
     };
-    let scene = scene_of(path, &args.kinds, pvs, result)?;
-    match of_result(pvs, &scene, result)?.is_none_or(|region| region.holds(point.into())) {
+    match of_result(pvs, scene, result)?.is_none_or(|region| region.holds(point.into())) {
         true => Ok(()),
         false => Err(CliError::Input(format!(
             "no viewpoint can be at {point:?}: it is outside the walls around the points of \

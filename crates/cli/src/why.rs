@@ -9,11 +9,10 @@ use sightline_exact::{
     Cell, Cost, ExactScene, Found, Hides, Limits, Places, Polygon, Sources, from_cell, polygon,
 };
 use sightline_pvs::Pvs;
-use sightline_scene::{Aabb, overlap};
+use sightline_scene::{Aabb, Scene, overlap};
 
 use crate::enclosure;
 use crate::error::CliError;
-use crate::kind_args::KindArgs;
 use crate::opening;
 use crate::serve::print;
 
@@ -26,7 +25,7 @@ pub fn why(
     pvs: &Pvs,
     result: &Path,
     (cell, triangle): (u32, u32),
-    (scene, kinds): (Option<&Path>, &KindArgs),
+    scene: Option<Scene>,
     json: bool,
 ) -> Result<(), CliError> {
     if triangle >= pvs.triangle_count() {
@@ -37,7 +36,7 @@ pub fn why(
         )));
     }
     let mut answer = match scene {
-        Some(path) => ask(pvs, result, (path, kinds), cell, triangle)?,
+        Some(scene) => ask(pvs, result, &scene, (cell, triangle))?,
         None => look_up(pvs, result, cell, triangle)?,
     };
     if json {
@@ -138,14 +137,7 @@ fn blockers(proofs: &[Proof]) -> Vec<u32> {
 }
 
 /// The answer of a new query in the scene.
-fn ask(
-    pvs: &Pvs,
-    result: &Path,
-    (path, kinds): (&Path, &KindArgs),
-    cell: u32,
-    triangle: u32,
-) -> Result<Value, CliError> {
-    let scene = opening::scene_of(path, kinds, pvs, result)?;
+fn ask(pvs: &Pvs, result: &Path, scene: &Scene, (cell, triangle): (u32, u32)) -> Result<Value, CliError> {
     if !scene.sides().are_both() {
         return Err(CliError::Input(format!(
             "{} was baked with --cull-back-faces, and exact queries take every triangle as seen from both \
@@ -162,17 +154,17 @@ fn ask(
     let Some(target) = Polygon::triangle(of.v.map(|v| v.as_dvec3())) else {
         return Ok(json!({"state": "hidden", "degenerate": true, "blockers": []}));
     };
-    let region = enclosure::of_result(pvs, &scene, result)?;
+    let region = enclosure::of_result(pvs, scene, result)?;
     let places = region.as_ref().map(|region| region as &dyn Places);
     let within = Aabb { min: bounds[0], max: bounds[1] };
     if overlap::triangle_touches_box(&of, &within) && places.is_none_or(|p| p.touch(of.v, within)) {
         return Ok(json!({"state": "visible", "meets": true}));
     }
-    opening::without_masks(&scene)?;
+    opening::without_masks(scene)?;
     let view = Cell::new(bounds[0], bounds[1])
         .ok_or_else(|| CliError::Input(format!("cell {cell} has no volume; bake with larger cells")))?;
-    let exact = ExactScene::prepare(&scene)?;
-    let meeting = overlap::triangles_in_box(&scene, None, &Aabb { min: bounds[0], max: bounds[1] });
+    let exact = ExactScene::prepare(scene)?;
+    let meeting = overlap::triangles_in_box(scene, None, &Aabb { min: bounds[0], max: bounds[1] });
     let half = match exact.surfaces().seen_from(exact.occluders(), view, &meeting).hides(triangle) {
         Hides::All => return Ok(json!({"state": "hidden", "blockers": [], "surface": true})),
         Hides::From(side) => Some(side),

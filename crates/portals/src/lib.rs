@@ -9,6 +9,7 @@
 //! The crate knows no view cells and no job.
 
 pub mod choose;
+pub mod convex;
 pub mod enclose;
 pub mod plane;
 pub mod planes;

@@ -11,6 +11,7 @@ use sightline_numbers::Aabb;
 use sightline_scene::Scene;
 use sightline_viewcells::{Region, RegionError, RegionNode};
 
+use crate::convex::{divide, whole};
 use crate::plane::{Face, Plane};
 use crate::planes::blocks;
 use crate::tree::{LeafId, Node, Tree};
@@ -61,9 +62,6 @@ enum Part {
     Inside,
     Split { plane: Box<Plane>, greater: u32 },
 }
-
-/// A plane, and the side of it that counts.
-type Wall<'a> = (&'a Plane, Ordering);
 
 /// A region that is not of the scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -200,35 +198,15 @@ impl Reached {
 
     /// The faces of the first convex part that the region has within a box and that `wanted` takes.
     fn solid(&self, of: Aabb, wanted: &mut dyn FnMut(&[Face]) -> bool) -> Option<Vec<Face>> {
-        // A part of the box on the way to a node: its faces, and the planes that cut it off.
-        let whole: Vec<Face> = Polygon::faces_of(of).map(Face::new).into();
-        let mut open: Vec<(u32, Vec<Face>, Vec<Wall<'_>>)> = vec![(0, whole, Vec::new())];
-        while let Some((at, faces, walls)) = open.pop() {
-            let (plane, greater) = match &self.nodes[at as usize] {
-                Part::Outside => continue,
+        let mut open = vec![(0u32, whole(of))];
+        while let Some((at, faces)) = open.pop() {
+            match &self.nodes[at as usize] {
+                _ if faces.is_empty() => {}
+                Part::Outside => {}
                 Part::Inside if wanted(&faces) => return Some(faces),
-                Part::Inside => continue,
-                Part::Split { plane, greater } => (&**plane, *greater),
-            };
-            // A convex part has a volume on each side on which one of its corners is.
-            let sides: Vec<Vec<Ordering>> = faces.iter().map(|face| face.sides(plane)).collect();
-            let on = |side: Ordering| sides.iter().flatten().any(|s| *s == side);
-            match (on(Ordering::Less), on(Ordering::Greater)) {
-                (true, false) => open.push((at + 1, faces, walls)),
-                (false, true) => open.push((greater, faces, walls)),
-                (false, false) => {}
-                (true, true) => {
-                    let cut = |(face, wall): (Option<Face>, &Wall<'_>)| {
-                        face.and_then(|face| face.part(wall.0, &face.sides(wall.0), wall.1))
-                    };
-                    let section = Polygon::section(plane.coefficients(), of).map(Face::new);
-                    let section = walls.iter().fold(section, |face, wall| cut((face, wall)));
-                    for (next, keep) in [(at + 1, Ordering::Less), (greater, Ordering::Greater)] {
-                        let parts = faces.iter().zip(&sides);
-                        let parts = parts.filter_map(|(face, sides)| face.part(plane, sides, keep));
-                        let walls = walls.iter().copied().chain([(plane, keep)]).collect();
-                        open.push((next, parts.chain(section.clone()).collect(), walls));
-                    }
+                Part::Inside => {}
+                Part::Split { plane, greater } => {
+                    open.extend([at + 1, *greater].into_iter().zip(divide(faces, plane, of)));
                 }
             }
         }

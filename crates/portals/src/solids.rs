@@ -1,11 +1,9 @@
 //! The leaves of a tree as convex solids, to be measured and drawn.
 
-use std::cmp::Ordering;
-
 use glam::DVec3;
-use sightline_exact::Polygon;
 
-use crate::plane::{Face, Plane};
+use crate::convex::{divide, whole};
+use crate::plane::Face;
 use crate::tree::{LeafId, Node, Tree};
 
 /// A leaf with the faces that bound it.
@@ -42,7 +40,7 @@ pub fn solids(tree: &Tree<'_>, leaves: &[LeafId]) -> Vec<Solid> {
         };
     }
     let mut found = Vec::new();
-    let mut open = vec![(0u32, Polygon::faces_of(tree.bounds()).map(Face::new).to_vec())];
+    let mut open = vec![(0u32, whole(tree.bounds()))];
     while let Some((at, faces)) = open.pop() {
         if !wanted[at as usize] {
             continue;
@@ -50,29 +48,11 @@ pub fn solids(tree: &Tree<'_>, leaves: &[LeafId]) -> Vec<Solid> {
         match nodes[at as usize] {
             Node::Leaf(leaf) => found.push(Solid { leaf, faces }),
             Node::Split(plane, below) => {
-                let plane = tree.planes().plane(plane);
-                let cap = section(tree, plane, &faces);
-                for (node, keep) in below.into_iter().zip([Ordering::Less, Ordering::Greater]) {
-                    let parts = faces.iter().filter_map(|face| face.part(plane, &face.sides(plane), keep));
-                    open.push((node, parts.chain(cap.clone()).collect()));
-                }
+                let parts = divide(faces, tree.planes().plane(plane), tree.bounds());
+                open.extend(below.into_iter().zip(parts));
             }
         }
     }
     found.sort_by_key(|solid| solid.leaf);
     found
-}
-
-/// The section of a plane with a solid.
-fn section(tree: &Tree<'_>, plane: &Plane, faces: &[Face]) -> Option<Face> {
-    let mut cap = Face::new(Polygon::section(plane.coefficients(), tree.bounds())?);
-    for face in faces {
-        let wall = Plane::of(face.polygon().plane());
-        // The solid is on the side of any corner that is not in the wall.
-        let sides = faces.iter().flat_map(|other| other.sides(&wall));
-        let inner = sides.into_iter().find(|side| *side != Ordering::Equal)?;
-        let sides = cap.sides(&wall);
-        cap = cap.part(&wall, &sides, inner)?;
-    }
-    Some(cap)
 }

@@ -12,6 +12,7 @@ use crate::line_space::stabbing_polyhedron::Pair;
 use crate::occluders::{OccluderId, Occluders, OrientedOccluder};
 use crate::search::corners::Corners;
 use crate::search::edges::{Edge, EdgeLines};
+use crate::search::maps::with_room;
 use crate::search::side_bitsets::{Limit, SideBitsets};
 use sightline_certificate::proof::OccluderTriangle;
 
@@ -87,6 +88,28 @@ pub struct Local<'a> {
     pub candidates: Vec<u32>,
     /// Both polygons, with their vertices rounded.
     pub ends: [(&'a Polygon, &'a [DVec3]); 2],
+}
+
+impl<'a> Local<'a> {
+    /// The state at the beginning of the search between two polygons, with their vertices rounded.
+    pub fn new(space: Space, pair: Pair, ends: [(&'a Polygon, &'a [DVec3]); 2]) -> Self {
+        Self {
+            space,
+            pair,
+            known: Vec::new(),
+            corners: Corners::new(),
+            extents: with_room(16),
+            places: with_room(16),
+            patches: FxHashMap::default(),
+            lines: EdgeLines::new(),
+            side_bitsets: SideBitsets::new(),
+            forms: Forms::default(),
+            sides: Vec::new(),
+            candidates: Vec::new(),
+            border: Vec::new(),
+            ends,
+        }
+    }
 }
 
 impl Local<'_> {

@@ -9,24 +9,17 @@
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
-use rustc_hash::FxHashMap;
-
 use crate::geometry::frame::{Frame, Source};
 use crate::geometry::parts::parts;
 use crate::geometry::polygon::Polygon;
 use crate::line_space::cone::Region;
-use crate::line_space::forms::Forms;
 use crate::line_space::klein::{self, Contents, contents};
 use crate::line_space::polar;
 use crate::line_space::space::Space;
 use crate::line_space::stabbing_polyhedron;
 use crate::occluders::{OccluderId, Occluders, OrientedOccluder};
-use crate::search::corners::Corners;
-use crate::search::edges::EdgeLines;
 use crate::search::halving::widest;
 use crate::search::local::{Local, Snapped, triangles};
-use crate::search::maps::with_room;
-use crate::search::side_bitsets::SideBitsets;
 use crate::search::trace::Met;
 use crate::search::verdict::{Cost, Limits, Reason, Verdict};
 use sightline_certificate::proof::{Proof, Step, Which};
@@ -161,22 +154,7 @@ impl Search<'_> {
         };
         let regions = std::mem::take(&mut pair.regions);
         let ends = [(&a.0, &near_a[..]), (&b.0, &near_b[..])];
-        let mut local = Local {
-            space,
-            pair,
-            known: Vec::new(),
-            corners: Corners::new(),
-            extents: with_room(16),
-            places: with_room(16),
-            patches: FxHashMap::default(),
-            lines: EdgeLines::new(),
-            side_bitsets: SideBitsets::new(),
-            forms: Forms::default(),
-            sides: Vec::new(),
-            candidates: Vec::new(),
-            border: Vec::new(),
-            ends,
-        };
+        let mut local = Local::new(space, pair, ends);
         let mut result = Ok(());
         for region in regions {
             result = self.region(&mut local, region)?;
@@ -193,20 +171,9 @@ impl Search<'_> {
         let mut open = vec![region];
         let mut splits = 0;
         while let Some(region) = open.pop() {
-            self.cost.regions += 1;
-            let vectors = local.space.size() as u64;
-            self.cost.vectors = self.cost.vectors.max(vectors);
-            if self.cost.regions > u64::from(self.limits.regions) {
+            if let Some(reason) = self.cost.region(local.space.size(), self.limits, self.stop) {
                 self.cost.decisions += local.space.decisions;
-                return Err(End::Open(Reason::Regions));
-            }
-            if vectors > u64::from(self.limits.vectors) {
-                self.cost.decisions += local.space.decisions;
-                return Err(End::Open(Reason::Memory));
-            }
-            if (self.stop)() {
-                self.cost.decisions += local.space.decisions;
-                return Err(End::Open(Reason::Stopped));
+                return Err(End::Open(reason));
             }
             let mut found = match contents(&mut local.space, &region, LINES, &mut local.forms) {
                 Contents::Nothing => {

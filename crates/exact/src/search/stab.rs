@@ -10,24 +10,18 @@
 use std::cmp::Ordering;
 
 use dashu_int::IBig;
-use rustc_hash::FxHashMap;
 
 use crate::arithmetic::number::primitive;
 use crate::geometry::frame::{Frame, Source};
 use crate::geometry::polygon::Polygon;
 use crate::geometry::predicates::integers;
 use crate::line_space::cone::Region;
-use crate::line_space::forms::Forms;
 use crate::line_space::klein::{self, Contents, contents};
 use crate::line_space::polar;
 use crate::line_space::space::{Space, VectorId, mix};
 use crate::line_space::stabbing_polyhedron;
-use crate::search::corners::Corners;
-use crate::search::edges::EdgeLines;
 use crate::search::halving::widest;
 use crate::search::local::{Local, Snapped};
-use crate::search::maps::with_room;
-use crate::search::side_bitsets::SideBitsets;
 use crate::search::verdict::{Cost, Limits, Reason};
 use sightline_certificate::proof::Which;
 
@@ -188,7 +182,7 @@ impl Search<'_> {
         for i in 0..n {
             let mut next = Vec::with_capacity(ways.len());
             for mut way in ways {
-                self.count_region()?;
+                self.count(0)?;
                 let [x, y, z, _] = portals[i].plane();
                 // Without a common factor, so that parallel planes have equal or opposite normals.
                 let mut up = [x, y, z];
@@ -276,22 +270,7 @@ impl Search<'_> {
         };
         let edges = edges(&mut space, middle);
         let regions = std::mem::take(&mut pair.regions);
-        let local = Local {
-            space,
-            pair,
-            known: Vec::new(),
-            corners: Corners::new(),
-            extents: with_room(0),
-            places: with_room(0),
-            patches: FxHashMap::default(),
-            lines: EdgeLines::new(),
-            side_bitsets: SideBitsets::new(),
-            forms: Forms::default(),
-            sides: Vec::new(),
-            candidates: Vec::new(),
-            border: Vec::new(),
-            ends: [(a, &near_a[..]), (b, &near_b[..])],
-        };
+        let local = Local::new(space, pair, [(a, &near_a[..]), (b, &near_b[..])]);
         let mut ends = (local, edges);
         let mut result = Ok(());
         for region in regions {
@@ -314,7 +293,7 @@ impl Search<'_> {
         let mut open = vec![region];
         let mut splits = 0;
         while let Some(region) = open.pop() {
-            self.count(&ends.0.space)?;
+            self.count(ends.0.space.size())?;
             let local = &mut ends.0;
             match contents(&mut local.space, &region, LINES, &mut local.forms) {
                 Contents::Nothing => continue,
@@ -344,24 +323,8 @@ impl Search<'_> {
     }
 
     /// Counts a region; ends the search at the limits.
-    fn count(&mut self, space: &Space) -> Result<(), End> {
-        let vectors = space.size() as u64;
-        self.cost.vectors = self.cost.vectors.max(vectors);
-        if vectors > u64::from(self.limits.vectors) {
-            return Err(End::Open(Reason::Memory));
-        }
-        self.count_region()
-    }
-
-    fn count_region(&mut self) -> Result<(), End> {
-        self.cost.regions += 1;
-        if self.cost.regions > u64::from(self.limits.regions) {
-            Err(End::Open(Reason::Regions))
-        } else if (self.stop)() {
-            Err(End::Open(Reason::Stopped))
-        } else {
-            Ok(())
-        }
+    fn count(&mut self, vectors: usize) -> Result<(), End> {
+        self.cost.region(vectors, self.limits, self.stop).map_or(Ok(()), |reason| Err(End::Open(reason)))
     }
 
     /// The part of a region whose lines pass all edges on the right sides; none if it has no inside. Each cut
@@ -378,7 +341,7 @@ impl Search<'_> {
                 return Ok(Ok(None));
             }
             if sides.contains(&keep.reverse()) {
-                self.count(&local.space)?;
+                self.count(local.space.size())?;
                 let Ok([less, greater]) = region.split(&mut local.space, *edge, &sides) else {
                     return Ok(Err(Stuck));
                 };

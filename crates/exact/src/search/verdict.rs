@@ -71,6 +71,27 @@ pub struct Cost {
     pub vectors: u64,
 }
 
+impl Cost {
+    /// Counts a region; with the number of vectors stored, the reason to end at the limits or when `stop`
+    /// says so.
+    pub(super) fn region(
+        &mut self,
+        vectors: usize,
+        limits: &Limits,
+        stop: &dyn Fn() -> bool,
+    ) -> Option<Reason> {
+        self.regions += 1;
+        self.vectors = self.vectors.max(vectors as u64);
+        if self.regions > u64::from(limits.regions) {
+            Some(Reason::Regions)
+        } else if vectors as u64 > u64::from(limits.vectors) {
+            Some(Reason::Memory)
+        } else {
+            stop().then_some(Reason::Stopped)
+        }
+    }
+}
+
 impl std::ops::AddAssign for Cost {
     fn add_assign(&mut self, o: Self) {
         self.decisions += o.decisions;
