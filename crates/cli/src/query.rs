@@ -41,8 +41,8 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
         None => None,
         Some(_) if args.why.is_none() && pvs.region().is_none() => {
             return Err(CliError::Usage(
-                "--scene is for --why, and to check a point in a result whose viewpoints walls enclose; leave \
-                 it out"
+                "--scene is for --why, and to check a point in a result whose viewpoints walls enclose; \
+                 leave it out"
                     .to_owned(),
             ));
         }
