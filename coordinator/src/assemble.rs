@@ -183,10 +183,13 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
     for leaf in leaves() {
         let aside = matches!(leaf.output, Output::SetAside(_));
         let wrong = |reason| AssembleError::Tile { tile: leaf.tile, reason };
-        let sets = match kept.take() {
+        let mut sets = match kept.take() {
             Some(sets) => sets,
             None => leaf.read(blobs, most)?,
         };
+        if !sets.portals.is_empty() {
+            builder.set_portals(std::mem::take(&mut sets.portals))?;
+        }
         let shown = sets.cells.iter().map(|cell| match aside {
             // Triangles of a failed tile were neither seen nor proved hidden.
             true => Cell { visible: &all, undecided: &all, flags: SET_ASIDE },

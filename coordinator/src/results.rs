@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use sightline_model::codec;
 use sightline_model::{CellSet, JobSpec, Method, Node, TileOutput};
-use sightline_viewcells::{CellBox, TileKind, UNITS_PER_CELL};
+use sightline_viewcells::{CellBox, TileKind};
 
 use crate::assemble::{expected_nodes, most_items};
 use crate::chores::do_chores;
@@ -55,6 +55,9 @@ pub(crate) enum ResultError {
     /// The cells without viewpoints are not those of the job.
     #[error("the output's cells without viewpoints are not those of the job")]
     Viewpoints,
+    /// The first tile of the method portals has the portals of the result, and no other has.
+    #[error("the output has the portals of the result and should not, or lacks them")]
+    Portals,
     /// The job asks for contributions and the output has none, or the other way round.
     #[error("the output has no contributions and the job asks for them, or has some and the job does not")]
     Contributions,
@@ -133,6 +136,10 @@ fn check(c: &Coordinator, work: &Work, announced: &Announced, bytes: &[u8]) -> R
             {
                 return Err(ResultError::Viewpoints);
             }
+            let has_portals = spec.method == Method::Portals && announced.lease.tile.at() == 0;
+            if sets.portals.is_empty() == has_portals {
+                return Err(ResultError::Portals);
+            }
             if sets.cells.iter().any(|c| c.hits.is_some() != hits) {
                 return Err(ResultError::Contributions);
             }
@@ -146,7 +153,6 @@ fn check(c: &Coordinator, work: &Work, announced: &Announced, bytes: &[u8]) -> R
 /// Whether no viewpoint is in each cell of a tile with these nodes; empty when viewpoints are everywhere.
 fn unreached(spec: &JobSpec, of: &CellBox, nodes: &[Node]) -> Vec<bool> {
     let Some(marks) = &spec.viewpoints else { return Vec::new() };
-    let [nx, ny, _] = marks.cells().map(|n| n as usize);
     let (mut open, mut out) = (vec![*of], Vec::new());
     for node in nodes {
         let Some(cell) = open.pop() else { break };
@@ -155,10 +161,7 @@ fn unreached(spec: &JobSpec, of: &CellBox, nodes: &[Node]) -> Vec<bool> {
                 let [below, above] = cell.children(*split);
                 open.extend([above, below]);
             }
-            Node::Cell => {
-                let [x, y, z] = cell.lo.map(|u| (u / UNITS_PER_CELL) as usize);
-                out.push(marks.of((z * ny + y) * nx + x) == 0);
-            }
+            Node::Cell => out.push(marks.at(&cell) == 0),
         }
     }
     out

@@ -126,7 +126,13 @@ fn output_of(grant: &Grant, cell: &CellSet) -> Vec<u8> {
     let tile = &plan.tiles[grant.lease.tile.at()];
     let nodes = expected_nodes(&grant.spec.division, &lattice, &tile.cell, tile.depth).unwrap();
     let cells = (0..tile.cells).map(|_| cell.clone());
-    codec::encode(&TileOutput::Cells(CellSets { cells: cells.collect(), nodes, pairs: None })).unwrap()
+    codec::encode(&TileOutput::Cells(CellSets {
+        cells: cells.collect(),
+        nodes,
+        pairs: None,
+        portals: Vec::new(),
+    }))
+    .unwrap()
 }
 
 fn put(c: &Arc<Coordinator>, grant: &Grant, bytes: &[u8]) -> Result<(), ResultError> {

@@ -162,9 +162,12 @@ impl Worker {
         self.helping.values().for_each(|h| h.cancel());
         let (out, receiver) = mpsc::channel(64);
         let send = |m: ToCoordinator| out.try_send(v1::WorkerMessage { message: Some(m) });
+        // Jobs that need no backend are for every worker.
+        let backends = self.shop.config.backends.profiles();
+        let profiles = backends.into_iter().chain([sightline_model::NO_PROFILE.to_owned()]);
         let hello = v1::Hello {
             name: self.shop.config.name.clone(),
-            profiles: self.shop.config.backends.profiles(),
+            profiles: profiles.collect(),
             held: self.held.values().map(|h| h.lease).collect(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             algorithm: sightline_model::ALGORITHM_VERSION,

@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use futures::StreamExt as _;
-use sightline_bake::{Alone, BakeError, Control, Crew, PackBytes, Watcher as _, run_tile};
-use sightline_model::{JobSpec, Sampler};
+use sightline_bake::{Alone, BakeError, Control, Crew, PackBytes, Watcher as _, run_portal_tile, run_tile};
+use sightline_model::{JobSpec, Method, Sampler};
 use sightline_proto::chunks::{Assembler, count, piece};
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
@@ -35,6 +35,18 @@ pub enum Failure {
     Infrastructure(String),
     /// A fault of the tile itself.
     Tile(String),
+}
+
+/// The failure of a tile; `lost` is called when its backend failed.
+fn failure(e: BakeError, lost: impl FnOnce()) -> Failure {
+    match e {
+        BakeError::Cancelled => Failure::Cancelled,
+        BakeError::Backend(e) => {
+            lost();
+            Failure::Infrastructure(e.to_string())
+        }
+        BakeError::Tile(reason) => Failure::Tile(reason),
+    }
 }
 
 /// What is run: a tile's inputs beside its scene and packs.
@@ -147,6 +159,11 @@ impl Shop {
         held: &Held,
     ) -> Result<(Vec<u8>, u64), Failure> {
         let Work { spec, profile, deadline, crew } = *work;
+        let tile = held.lease.tile;
+        if spec.method == Method::Portals {
+            let done = run_portal_tile(spec, tile, &loaded.scene, Control { watcher: held, deadline, crew });
+            return done.map(|done| (done.bytes, done.samples)).map_err(|e| failure(e, || {}));
+        }
         let owner = self.config.name.as_str();
         let backend = loaded
             .backend(&self.config.backends, profile, CubeSpec::of(&spec.sampling), owner)
@@ -159,16 +176,9 @@ impl Shop {
             })
             .collect();
         let control = Control { watcher: held, deadline, crew };
-        let done = run_tile(spec, held.lease.tile, &loaded.scene, &*backend, &packs, control);
-        let done = done.map_err(|e| match e {
-            BakeError::Cancelled => Failure::Cancelled,
-            BakeError::Backend(e) => {
-                // A lost device stays lost; the next tile opens the backend again.
-                loaded.forget(profile);
-                Failure::Infrastructure(e.to_string())
-            }
-            BakeError::Tile(reason) => Failure::Tile(reason),
-        })?;
+        // A lost device stays lost; the next tile opens the backend again.
+        let done = run_tile(spec, tile, &loaded.scene, &*backend, &packs, control)
+            .map_err(|e| failure(e, || loaded.forget(profile)))?;
         for (digest, bytes) in done.recomputed {
             self.packs.put(digest, bytes.into());
         }

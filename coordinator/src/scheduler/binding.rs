@@ -1,6 +1,6 @@
 //! The choice of the numerics profile that a job is bound to.
 
-use sightline_model::BackendChoice;
+use sightline_model::{BackendChoice, NO_PROFILE};
 
 use super::messages::ProfileTime;
 
@@ -43,9 +43,10 @@ pub(super) fn profile_for(choice: BackendChoice, profiles: &[String]) -> Binding
     let named = match choice {
         BackendChoice::Cpu => with("cpu/"),
         BackendChoice::Gpu => with("gpu/"),
+        BackendChoice::None => profiles.iter().find(|p| *p == NO_PROFILE).cloned(),
         BackendChoice::Auto => {
             let cpu = with("cpu/").is_some();
-            let mut worth = profiles.iter().filter(|p| !(cpu && is_software(p)));
+            let mut worth = profiles.iter().filter(|p| *p != NO_PROFILE && !(cpu && is_software(p)));
             match (worth.next(), worth.next()) {
                 (Some(only), None) => Some(only.clone()),
                 (Some(_), Some(_)) => return Binding::Time,
@@ -91,5 +92,11 @@ mod tests {
         assert_eq!(bound(&["gpu/llvmpipe"]), "gpu/llvmpipe");
         assert_eq!(bound(&["cpu/a", "gpu/real"]), "timed");
         assert_eq!(bound(&[]), "none");
+        assert_eq!(bound(&["cpu/a", NO_PROFILE]), "cpu/a");
+        let without = |profiles: &[&str]| {
+            let profiles: Vec<String> = profiles.iter().map(|p| (*p).to_owned()).collect();
+            matches!(profile_for(BackendChoice::None, &profiles), Binding::Bind(p) if p == NO_PROFILE)
+        };
+        assert!(without(&["cpu/a", NO_PROFILE]) && !without(&["cpu/a"]));
     }
 }

@@ -14,7 +14,7 @@ use super::crew::Crew;
 use super::event::{Effect, Event, Note};
 use super::job::{Job, Output, Work};
 use super::messages::Now;
-use super::pools::{Pools, Profile};
+use super::pools::{CHOICES, Pools, Profile};
 use super::queue::{Account, User};
 use crate::ids::{Epoch, JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::store::JobPhase;
@@ -48,7 +48,7 @@ pub(super) struct Worker {
     pub(super) instance: u64,
     pub(super) profiles: BTreeSet<Profile>,
     /// For each choice whether it can serve it.
-    pub(super) serves: [bool; 3],
+    pub(super) serves: [bool; CHOICES],
     pub(super) wants: u32,
     pub(super) draining: bool,
     /// It did not take an order; it gets none until then.

@@ -30,12 +30,16 @@ pub(super) enum List {
 /// The index of a [`BackendChoice`].
 pub(super) type Choice = usize;
 
+/// Number of choices.
+pub(super) const CHOICES: usize = 4;
+
 /// The index of a choice.
 pub(super) fn index(choice: BackendChoice) -> Choice {
     match choice {
         BackendChoice::Cpu => 0,
         BackendChoice::Gpu => 1,
         BackendChoice::Auto => 2,
+        BackendChoice::None => 3,
     }
 }
 
@@ -96,9 +100,9 @@ impl Pool {
 pub(super) struct Pools {
     pub(super) of: BTreeMap<Profile, Pool>,
     /// Jobs without a profile that have ready tiles, by choice.
-    pub(super) unbound: [BTreeSet<Place>; 3],
+    pub(super) unbound: [BTreeSet<Place>; CHOICES],
     /// Workers that want tiles, by the choices that they can serve.
-    pub(super) hungry: [BTreeSet<WorkerId>; 3],
+    pub(super) hungry: [BTreeSet<WorkerId>; CHOICES],
     /// The pools that changed since they were last looked at.
     pub(super) dirty: BTreeSet<Profile>,
 }

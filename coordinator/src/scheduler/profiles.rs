@@ -7,7 +7,7 @@ use super::job::Parked;
 use super::machine::{Machine, Timer};
 use super::messages::{Now, Order, ProfileTime};
 use crate::ids::{JobId, WorkerId};
-use sightline_model::BackendChoice;
+use sightline_model::{BackendChoice, NO_PROFILE};
 
 /// How long a worker may take to time its backends before another worker times its own.
 const TIMING_LIMIT: u64 = 300_000;
@@ -58,7 +58,8 @@ impl Machine {
                 BackendChoice::Cpu if profile.starts_with("cpu/") => pool.able,
                 BackendChoice::Gpu if profile.starts_with("gpu/") => pool.able,
                 BackendChoice::Auto => pool.alone,
-                BackendChoice::Cpu | BackendChoice::Gpu => 0,
+                BackendChoice::None if &**profile == NO_PROFILE => pool.able,
+                BackendChoice::Cpu | BackendChoice::Gpu | BackendChoice::None => 0,
             };
             (votes > 0).then(|| (profile.to_string(), votes))
         };

@@ -2,14 +2,14 @@
 
 use std::collections::BTreeSet;
 
-use sightline_model::BackendChoice;
+use sightline_model::{BackendChoice, Choice as _};
 
 use super::binding::{Binding, profile_for};
 use super::event::{Departure, Effect, Note};
 use super::job::Parked;
 use super::machine::{Machine, Timer, Worker};
 use super::messages::{Introduction, Joined, NameTaken, Now};
-use super::pools::{Profile, index};
+use super::pools::{CHOICES, Profile, index};
 use crate::ids::{LeaseId, WorkerId};
 
 /// How long a worker that did not take an order gets none, in milliseconds.
@@ -41,13 +41,14 @@ impl Machine {
             self.instances.insert(instance, number);
         }
         let serves = |choice| !matches!(profile_for(choice, &profiles), Binding::Cannot);
-        let serves = [BackendChoice::Cpu, BackendChoice::Gpu, BackendChoice::Auto].map(serves);
+        let mut of_choice = [false; CHOICES];
+        BackendChoice::ALL.iter().for_each(|choice| of_choice[index(*choice)] = serves(*choice));
         let alone = alone(&profiles);
         let worker = Worker {
             name,
             instance,
             profiles: profiles.iter().map(|p| Profile::from(p.as_str())).collect(),
-            serves,
+            serves: of_choice,
             wants: 0,
             draining: false,
             deaf_until: None,

@@ -91,6 +91,7 @@ pub(super) fn of_result(e: &ResultError) -> Status {
         | ResultError::Pairs
         | ResultError::Viewpoints
         | ResultError::Contributions
+        | ResultError::Portals
         | ResultError::Kind => Status::invalid_argument(e.to_string()),
         ResultError::Conflict => Status::aborted(e.to_string()),
         ResultError::Blob(e) => of_blob(e),

@@ -72,7 +72,12 @@ impl Cells<'_> {
     fn encode(&self, items: impl Iterator<Item = usize>) -> Vec<u8> {
         let mut bytes = Vec::new();
         for (item, cell) in items.filter_map(|item| Some((item, self.decided[item].get()?))) {
-            let alone = CellSets { nodes: vec![Node::Cell], cells: vec![cell.clone()], pairs: None };
+            let alone = CellSets {
+                nodes: vec![Node::Cell],
+                cells: vec![cell.clone()],
+                pairs: None,
+                portals: Vec::new(),
+            };
             // Writing to memory does not fail; a cell that is left out would be computed again.
             let Ok(coded) = codec::encode(&TileOutput::Cells(alone)) else { continue };
             varint::write(&mut bytes, item as u64);

@@ -16,6 +16,7 @@ use sightline_exact::{
 };
 use sightline_model::{CellSet, CellSets, Decision, DecisionStats, JobSpec};
 use sightline_numbers::Aabb;
+use sightline_portals::{Partition, sights};
 use sightline_sampling::Watcher;
 use sightline_sampling::crew::Crew;
 use sightline_viewcells::{CellBox, Lattice};
@@ -36,7 +37,7 @@ pub fn cells(
     lattice: &Lattice,
     root: &CellBox,
     sets: &mut CellSets,
-    scene: &ExactScene,
+    (scene, partition): (&ExactScene, Option<&Partition>),
     (deadline, watcher, crew): (Option<Instant>, &dyn Watcher, &dyn Crew),
 ) -> Result<(), Undecided> {
     let (boxes, mut groups) = cells_and_groups(root, &sets.nodes);
@@ -46,12 +47,15 @@ pub fn cells(
     let half = deadline.map(|d| Instant::now() + share(d));
     let exact_cells: Vec<(CellBox, Cell)> =
         boxes.iter().map(|at| Ok((*at, exact_cell(at, lattice)?))).collect::<Result<_, String>>()?;
-    let mut around = groups_first((spec, places), lattice, (&boxes, &groups), sets, scene, (half, watcher))?;
+    let listed = all_listed(partition, lattice, (&boxes, sets), &|| watcher.cancelled());
+    let mut around =
+        groups_first((spec, places), lattice, (&boxes, &groups), (sets, &listed), scene, (half, watcher))?;
     // Pairs of cells have the same share of what is left then.
     let half = deadline.map(|d| Instant::now() + share(d));
     let stop = || watcher.cancelled() || half.is_some_and(|u| Instant::now() >= u);
     let apart = decide_pairs::decide(spec, lattice, &exact_cells, sets, scene, &stop);
     around.iter_mut().zip(apart).for_each(|(around, apart)| around.apart = apart);
+    around.iter_mut().zip(listed).for_each(|(around, listed)| around.listed = listed);
     let one = |set: &mut CellSet, at: &CellBox, around: &Around, stop: &(dyn Fn() -> bool + Sync)| {
         cell((spec, places), lattice, (at, around), set, scene, stop, watcher)
     };
@@ -113,6 +117,7 @@ fn cell(
         places,
         seen: &set.visible,
         above: &around.hidden,
+        listed: around.listed.as_deref(),
         limits: exact_limits(spec.method),
         seed: box_seed(at, spec.seed),
         keep: spec.certificates,
@@ -146,7 +151,7 @@ fn cell(
 /// Whether a triangle may be within a distance of a cell: whether the box around it is. The squares of
 /// differences of single-precision numbers have relative errors of a few units in the last place of a double,
 /// which the factor more than covers.
-fn is_within(scene: &ExactScene, id: u32, (min, max): (Vec3, Vec3), far: f64) -> bool {
+pub fn is_within(scene: &ExactScene, id: u32, (min, max): (Vec3, Vec3), far: f64) -> bool {
     let of = Aabb::around(*scene.occluders().triangle(id));
     let apart = (0..3).map(|a| {
         let gap = f64::from(of.min[a]) - f64::from(max[a]);
@@ -155,7 +160,7 @@ fn is_within(scene: &ExactScene, id: u32, (min, max): (Vec3, Vec3), far: f64) ->
     apart.map(|gap| gap * gap).sum::<f64>() <= far * far * (1.0 + 1e-12)
 }
 
-fn exact_cell(at: &CellBox, lattice: &Lattice) -> Result<Cell, String> {
+pub fn exact_cell(at: &CellBox, lattice: &Lattice) -> Result<Cell, String> {
     let (min, max) = at.world(lattice);
     Cell::new(min, max)
         .ok_or_else(|| format!("the cell {min} to {max} has no volume; give fewer or larger cells"))
@@ -172,8 +177,29 @@ struct Around {
     shared: Option<GroupCertificate>,
     /// The boxes around other cells that are hidden from the cell.
     apart: Vec<HiddenBox>,
+    /// The triangles that portals do not hide.
+    listed: Option<Vec<u32>>,
     /// Statistics of the group's queries; the first cell has them.
     statistics: QueryStatistics,
+}
+
+/// What portals do not hide from a cell, ascending; `None` when stopped.
+pub fn listed(partition: &Partition, of: (Vec3, Vec3), stop: &dyn Fn() -> bool) -> Option<Vec<u32>> {
+    sights(partition, Aabb::new(of.0, of.1), stop).map(|found| found.triangles)
+}
+
+/// What portals do not hide from each cell, if the scene is divided.
+fn all_listed(
+    partition: Option<&Partition>,
+    lattice: &Lattice,
+    (boxes, sets): (&[CellBox], &CellSets),
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Vec<Option<Vec<u32>>> {
+    let one = |(at, set): (&CellBox, &CellSet)| {
+        let partition = partition.filter(|_| !set.unreached)?;
+        listed(partition, at.world(lattice), stop)
+    };
+    boxes.par_iter().zip(&sets.cells).map(one).collect()
 }
 
 /// Finds the triangles that are hidden from the box around each cell group.
@@ -181,7 +207,7 @@ fn groups_first(
     (spec, places): (&JobSpec, Option<&dyn Places>),
     lattice: &Lattice,
     (cells, groups): (&[CellBox], &[CellGroup]),
-    sets: &CellSets,
+    (sets, listed): (&CellSets, &[Option<Vec<u32>>]),
     scene: &ExactScene,
     (until, watcher): (Option<Instant>, &dyn Watcher),
 ) -> Result<Vec<Around>, String> {
@@ -194,6 +220,7 @@ fn groups_first(
             cells: &cells[range.clone()],
             places,
             seen: &seen[range.clone()],
+            listed: listed.get(range.clone()).unwrap_or_default(),
             limits: exact_limits(spec.method),
             seed: box_seed(at, spec.seed),
             keep: spec.certificates,
@@ -215,7 +242,7 @@ fn groups_first(
 }
 
 /// The statistics of a decided cell, by column.
-fn statistics(taken: &QueryStatistics) -> DecisionStats {
+pub fn statistics(taken: &QueryStatistics) -> DecisionStats {
     let QueryStatistics { rays, queries, boxes, enclosed, hidden, above, missed, refuted, open, cost } =
         *taken;
     let [undecided_stopped, undecided_regions, undecided_memory, undecided_divisions] = open;

@@ -35,11 +35,14 @@ pub mod choices;
 mod decide;
 mod decide_pairs;
 mod groups;
+mod outcome;
+mod portals;
 pub mod scene;
 mod within;
 
-use std::time::Instant;
-
+use outcome::tile_error;
+pub use outcome::{BakeError, Control, PackDigest, TileDone};
+pub use portals::run_portal_tile;
 pub use scene::BakeScene;
 use sightline_model::{JobSpec, Method, Pack, TileOutput, codec};
 pub use sightline_sampling::Watcher;
@@ -49,11 +52,7 @@ use sightline_sampling::lines::hits;
 use sightline_sampling::{Backend, BackendError, JobContext, TileError, tile};
 use sightline_viewcells::{Plan, TileKind};
 
-use crate::cell_phase::Undecided;
 use crate::within::Within;
-
-/// BLAKE3 digest of a pack.
-pub type PackDigest = [u8; 32];
 
 /// The pack of a tile that another tile needs.
 #[derive(Clone, Copy, Debug)]
@@ -62,65 +61,6 @@ pub enum PackBytes<'a> {
     Present(&'a [u8]),
     /// The digest of a pack that nobody has any more: it is computed again and must have this digest.
     Lost(PackDigest),
-}
-
-/// Who watches a tile, and when it has to end.
-#[derive(Clone, Copy)]
-pub struct Control<'a> {
-    /// Receives the progress and decides whether the tile goes on.
-    pub watcher: &'a dyn Watcher,
-    /// The end of a time budget.
-    pub deadline: Option<Instant>,
-    /// Those who share the sampling of a block; [`Alone`] for nobody else. With a time budget members would
-    /// not stop at the same place, so there must be one.
-    pub crew: &'a dyn Crew,
-}
-
-/// A finished tile.
-#[derive(Debug)]
-pub struct TileDone {
-    /// The tile's output, encoded.
-    pub bytes: Vec<u8>,
-    /// Cubes rendered or rays traced.
-    pub samples: u64,
-    /// Packs that were computed again, with their digests.
-    pub recomputed: Vec<(PackDigest, Vec<u8>)>,
-}
-
-/// Why a tile has no output.
-#[derive(Debug, thiserror::Error)]
-pub enum BakeError {
-    /// The watcher stopped it.
-    #[error("the tile was cancelled")]
-    Cancelled,
-    /// The backend failed; the same tile may succeed with a backend that is opened again.
-    #[error(transparent)]
-    Backend(BackendError),
-    /// The tile itself cannot be computed here.
-    #[error("{0}")]
-    Tile(String),
-}
-
-impl From<TileError> for BakeError {
-    fn from(e: TileError) -> Self {
-        match e {
-            TileError::Cancelled => Self::Cancelled,
-            TileError::Backend(e) => Self::Backend(e),
-        }
-    }
-}
-
-impl From<Undecided> for BakeError {
-    fn from(undecided: Undecided) -> Self {
-        match undecided {
-            Undecided::Cancelled => Self::Cancelled,
-            Undecided::Fault(reason) => Self::Tile(reason),
-        }
-    }
-}
-
-fn tile_error(e: impl std::fmt::Display) -> BakeError {
-    BakeError::Tile(e.to_string())
 }
 
 /// Computes tile `number` of the job's plan. `packs` holds the packs of the tiles it needs, in the plan's
@@ -200,7 +140,11 @@ pub fn run_tile(
         let prepared = scene.exact().map_err(BakeError::Tile)?;
         let with = (control.deadline, watcher, control.crew);
         let within = places.as_ref().map(Within::places);
-        decide::cells((spec, within), &job.lattice, &tile.cell, sets, prepared, with)?;
+        // Certificates prove everything, and what portals hide has no proof.
+        let partition = (!spec.certificates).then(|| scene.partition(spec)).transpose();
+        let partition = partition.map_err(tile_error)?;
+        let of = (prepared, partition.as_deref());
+        decide::cells((spec, within), &job.lattice, &tile.cell, sets, of, with)?;
         if watcher.cancelled() {
             return Err(BakeError::Cancelled);
         }

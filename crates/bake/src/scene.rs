@@ -1,16 +1,25 @@
 //! A scene with everything that tiles need of it, each part prepared once.
 
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use sightline_exact::ExactScene;
+use sightline_model::JobSpec;
+use sightline_numbers::Aabb;
+use sightline_portals::{ForeignRegion, Limits, Partition};
 use sightline_sampling::PreparedScene;
 use sightline_scene::{Scene, SceneError};
+use sightline_viewcells::Region;
 
-/// A scene, prepared for sampling and, when a tile first needs it, for exact queries.
+/// A scene, prepared for sampling and, when a tile first needs them, for exact queries and along its walls.
 pub struct BakeScene {
     sampling: PreparedScene,
     exact: OnceLock<Result<ExactScene, String>>,
+    /// The partition for the last job, with what it depends on beside the scene.
+    partition: Mutex<Option<(Within, Arc<Partition>)>>,
 }
+
+/// Where viewpoints are: the view box and the region.
+type Within = (Aabb, Option<Region>);
 
 impl BakeScene {
     /// Takes up `scene`.
@@ -18,7 +27,7 @@ impl BakeScene {
     /// # Errors
     /// [`SceneError`] when it has too many triangles to sample.
     pub fn new(scene: Arc<Scene>) -> Result<Self, SceneError> {
-        Ok(Self { sampling: PreparedScene::new(scene)?, exact: OnceLock::new() })
+        Ok(Self { sampling: PreparedScene::new(scene)?, exact: OnceLock::new(), partition: Mutex::default() })
     }
 
     /// The triangles.
@@ -42,5 +51,27 @@ impl BakeScene {
         assert!(rayon::current_thread_index().is_none(), "a thread of the pool could wait for itself here");
         let found = self.exact.get_or_init(|| ExactScene::prepare(self.scene()).map_err(|e| e.to_string()));
         found.as_ref().map_err(Clone::clone)
+    }
+
+    /// The scene divided along its walls for the viewpoints of a job.
+    ///
+    /// # Panics
+    /// On a thread of rayon's pool: it could wait for itself.
+    ///
+    /// # Errors
+    /// [`ForeignRegion`] when the job's region is of another scene.
+    pub fn partition(&self, spec: &JobSpec) -> Result<Arc<Partition>, ForeignRegion> {
+        assert!(rayon::current_thread_index().is_none(), "a thread of the pool could wait for itself here");
+        let region = spec.viewpoints.as_ref().and_then(|marks| marks.region());
+        let mut last = self.partition.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(((view_box, of), partition)) = &*last
+            && (*view_box, of.as_ref()) == (spec.view_box, region)
+        {
+            return Ok(Arc::clone(partition));
+        }
+        let made = Partition::new(self.scene(), region, spec.view_box, Limits::default())?;
+        let made = Arc::new(made);
+        *last = Some(((spec.view_box, region.cloned()), Arc::clone(&made)));
+        Ok(made)
     }
 }

@@ -11,7 +11,7 @@ use sightline_bake::{Alone, BakeScene, Control, Watcher, run_tile};
 use sightline_model::{CellSet, JobSpec, Method, TileOutput, codec};
 use sightline_numbers::Aabb;
 use sightline_numbers::random::SplitMix64;
-use sightline_portals::{Enclosure, Limits, Planes, Reached, Tree, enclose, reached, region_of};
+use sightline_portals::{Enclosure, Limits, Reached, Tree, enclose, reached, region_of};
 use sightline_sampling::{BackendError, CubeSpec, embree::CpuBackend};
 use sightline_scene::exact::orient3d_sign;
 use sightline_scene::generate::{Kind, Params, generate};
@@ -90,11 +90,10 @@ fn what_is_seen_from_a_room_is_in_the_sets_of_its_region() {
         of.min + (of.max - of.min) * Vec3::new(unit(), unit(), unit())
     };
     // A point from which walls enclose the walk.
-    let planes = Planes::new(&scene);
     let (region, reach) = (0..50)
         .find_map(|_| {
             let seed = [point(bounds).to_array()];
-            let mut tree = Tree::new(&scene, &planes, &seed);
+            let mut tree = Tree::new(&scene, &seed);
             let found = enclose(&mut tree, &seed, Limits::default(), &mut |_| true);
             let region = region_of(&tree, &reached(&tree, &seed)).unwrap();
             let reach = Reached::new(&region, &scene).unwrap();

@@ -97,6 +97,8 @@ pub enum Command {
     Sightlines(SightlinesArgs),
     /// Decide exactly whether a line passes through a sequence of polygons.
     Stab(StabArgs),
+    /// Look from points at run time: the triangles of a cell's set that are in the view and not behind walls
+    Look(LookArgs),
     /// Check every witness and every certificate of a result with an independent checker.
     Verify(VerifyArgs),
     /// Measure time against error for every sampler, from coarse to fine, as a table and curves.
@@ -179,6 +181,11 @@ pub struct StabArgs {
     /// exactly flat, with at most 64 corners in order around them. A coordinate is a number or "p/q".
     #[arg(long, value_name = "Q.jsonl")]
     pub queries: PathBuf,
+    /// Add the antipenumbra of each stabbed sequence: the surfaces that bound and divide the space that is
+    /// lit through it, each a plane [a,b,c,d] or a quadric [A,…,J] with Ax² + 2Bxy + 2Cxz + 2Dx + Ey² +
+    /// 2Fyz + 2Gy + Hz² + 2Iz + J = 0.
+    #[arg(long)]
+    pub swaths: bool,
     /// Regions of line space that a query may visit before it ends as undecided.
     #[arg(long, value_name = "N", default_value_t = 200_000)]
     #[arg(value_parser = clap::value_parser!(u32).range(1..))]
@@ -186,6 +193,16 @@ pub struct StabArgs {
     /// Threads. Default: one per core.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     pub threads: Option<u16>,
+}
+
+#[derive(Args, Debug)]
+pub struct LookArgs {
+    /// The result, baked with --method portals.
+    pub result: PathBuf,
+    /// The views as JSON Lines; - for stdin: {"id":1,"eye":[x,y,z],"dir":[x,y,z],"up":[x,y,z],"fov":[h,v],
+    /// "shut":["door"]}. The angles are full ones in degrees; "shut" may be left out.
+    #[arg(long, value_name = "E.jsonl")]
+    pub eyes: PathBuf,
 }
 
 #[derive(Args, Debug)]
@@ -365,14 +382,15 @@ pub struct QueryArgs {
 pub struct VerifyArgs {
     /// The scene the result was baked from.
     pub scene: PathBuf,
-    /// The result, baked with --method exact or verified and --certificates.
+    /// The result, baked with --method exact or verified and --certificates, or with --method portals.
     #[arg(value_name = "OUT.pvs")]
     pub result: PathBuf,
     #[command(flatten)]
     pub kinds: KindArgs,
     /// Check only the claims about this many pairs of cell and triangle, drawn uniformly from all pairs. That
     /// every triangle is accounted for is checked in any case. At most 10000000. Default: check every claim,
-    /// which can take several times as long as the bake.
+    /// which can take several times as long as the bake. Of a result of --method portals, ask exact queries
+    /// about this many pairs that are called hidden.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     pub sample: Option<u64>,
     /// Seed of the sample.

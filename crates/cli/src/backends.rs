@@ -26,7 +26,8 @@ pub fn say_missing(backends: &Backends) -> Result<(), CliError> {
 /// A backend choice as the type of the worker crate.
 pub fn choice(backend: BackendChoice) -> Choice {
     match backend {
-        BackendChoice::Auto => Choice::Auto,
+        // A job without a backend is worked on by whoever has some.
+        BackendChoice::Auto | BackendChoice::None => Choice::Auto,
         BackendChoice::Gpu => Choice::Gpu,
         BackendChoice::Cpu => Choice::Cpu,
     }

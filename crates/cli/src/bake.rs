@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use sightline_coordinator::store::StoreError;
 use sightline_coordinator::{Config, Coordinator, OpenError};
-use sightline_model::Sampler;
+use sightline_model::{BackendChoice, Method, Sampler};
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_sampling::CubeSpec;
@@ -48,6 +48,18 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     opening::scene_in_words(&scene).iter().for_each(|line| say(line));
     let loaded = Arc::new(Loaded::new(Arc::clone(&scene))?);
     let probing = probing.then_warm(&loaded, &spec);
+    if spec.method == Method::Portals {
+        // The workers of this process find it made.
+        let partition = loaded.scene.partition(&spec).map_err(CliError::internal)?;
+        say(&match partition.leaves() {
+            0 | 1 => {
+                "no walls divide the scene, so portals hide nothing but what closed surfaces turn away; \
+                      --method verified hides more"
+                    .to_owned()
+            }
+            parts => format!("divided along its walls into {}", plural(parts, "part")),
+        });
+    }
     let data_dir = match &args.data_dir {
         Some(dir) => dir.clone(),
         None => default_data_dir()?,
@@ -89,6 +101,7 @@ impl Probing {
     /// After the search, prepares the tracing of sight lines while the scene is stored and the job planned.
     fn then_warm(mut self, loaded: &Arc<Loaded>, spec: &sightline_model::JobSpec) -> Self {
         if spec.sampling.sampler != Sampler::Cubes
+            && spec.backend != BackendChoice::None
             && let Some(probe) = self.0.take()
         {
             let (loaded, spec) = (Arc::clone(loaded), CubeSpec::of(&spec.sampling));
@@ -161,8 +174,11 @@ async fn bake(
             let again = Probing::begin(Choice::Auto);
             probed = tokio::task::spawn_blocking(move || again.end()).await.map_err(CliError::internal)??;
         }
-        backends::say_missing(&probed)?;
-        if !job.profile.is_empty() && !probed.profiles().contains(&job.profile) {
+        let needs_backend = spec.backend != BackendChoice::None;
+        if needs_backend {
+            backends::say_missing(&probed)?;
+        }
+        if needs_backend && !job.profile.is_empty() && !probed.profiles().contains(&job.profile) {
             say(&format!(
                 "an earlier run began this bake on {}, which is gone or has another version now; the bake \
                  starts over",

@@ -3,9 +3,7 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use sightline_portals::{
-    Enclosure, Face, LeafId, Limits, Planes, Reached, Tree, enclose, reached, region_of,
-};
+use sightline_portals::{Enclosure, Face, LeafId, Limits, Reached, Tree, enclose, reached, region_of};
 use sightline_pvs::Pvs;
 use sightline_scene::Scene;
 use sightline_viewcells::Region;
@@ -18,19 +16,19 @@ use crate::progress::say;
 const TELL_EVERY: Duration = Duration::from_secs(5);
 
 /// What is known about the walls around some points.
-pub struct Walls<'a> {
+pub struct Walls {
     /// The scene divided along its walls.
-    pub tree: Tree<'a>,
+    pub tree: Tree,
     /// The leaves that the points reach, ascending.
     pub reached: Vec<LeafId>,
     /// Whether the walls enclose the points.
     pub enclosure: Enclosure,
 }
 
-impl<'a> Walls<'a> {
+impl Walls {
     /// Divides a scene until it is known whether walls enclose the points.
-    pub fn around(scene: &Scene, planes: &'a Planes, points: &[[f32; 3]]) -> Self {
-        let mut tree = Tree::new(scene, planes, points);
+    pub fn around(scene: &Scene, points: &[[f32; 3]]) -> Self {
+        let mut tree = Tree::new(scene, points);
         let enclosure = refine(&mut tree, points);
         let reached = reached(&tree, points);
         Self { tree, reached, enclosure }
@@ -83,7 +81,7 @@ impl<'a> Walls<'a> {
 }
 
 /// Divides a tree further, until it is known whether walls enclose the points.
-pub fn refine(tree: &mut Tree<'_>, points: &[[f32; 3]]) -> Enclosure {
+pub fn refine(tree: &mut Tree, points: &[[f32; 3]]) -> Enclosure {
     let limits = Limits::default();
     let mut told = Instant::now();
     enclose(tree, points, limits, &mut |leaves| {

@@ -96,10 +96,18 @@ impl CellToCell {
     }
 }
 
+/// A set with more than this fraction of the triangles hides little.
+const MUCH: f64 = 0.5;
+
 impl Summary {
     /// Whether exact queries took part.
     pub fn is_decided(&self) -> bool {
         self.decided.is_some()
+    }
+
+    /// Whether the sets are what portals do not hide.
+    fn by_portals(&self) -> bool {
+        self.method == "portals"
     }
 
     /// Whether no triangle is seen from any cell.
@@ -268,7 +276,23 @@ impl Summary {
                 c.bytes
             )
         }));
-        if let Some(d) = &self.decided {
+        if let Some(d) = self.decided.as_ref().filter(|_| self.by_portals()) {
+            lines.push(format!(
+                "{} pairs of cell and triangle are hidden by walls ({} by closed surfaces); {} have no \
+                 witness, count as undecided and are drawn",
+                d.hidden, d.by_surfaces, self.undecided
+            ));
+            if self.mean_visible_fraction > MUCH {
+                lines.push(
+                    "walls hide little here: portals help where they enclose rooms; `sightline portals` \
+                     shows the way out of a scene, and --reachable-from leaves out where nobody is"
+                        .to_owned(),
+                );
+            }
+            if d.out_of_time > 0 {
+                lines.push(format!("NOT FINISHED: the time ended first in {} cells or fewer", d.cells_open));
+            }
+        } else if let Some(d) = &self.decided {
             lines.push(format!(
                 "decided exactly, in pairs of cell and triangle: {} hidden ({} by closed surfaces), {} \
                  visible that sampling had missed, {} hidden that sampling had shown",

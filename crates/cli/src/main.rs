@@ -24,6 +24,7 @@ mod inspect;
 mod job_args;
 mod json_lines;
 mod kind_args;
+mod look;
 mod measuring;
 mod opening;
 mod output;
@@ -40,6 +41,7 @@ mod sightlines;
 mod stab;
 mod submitting;
 mod verify;
+mod verify_hidden;
 mod why;
 
 use std::io::IsTerminal as _;
@@ -106,6 +108,7 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Mesh(a) => files::mesh(&a, json),
         Command::Portals(a) => portals::run(&a, json),
         Command::Stab(a) => stab::run(&a),
+        Command::Look(a) => look::run(&a),
         Command::Generate(a) => files::generate(&a, json),
         Command::Info(a) => inspect::info(&a, json),
         Command::Dump(a) => dump::dump(&a),

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use sightline_model::{BackendChoice, Up};
 use sightline_places::reach::Tracing;
 use sightline_places::{Parts, PlacesError, Viewpoints, both, boxes, mark_where, mesh, points, reach};
-use sightline_portals::{Planes, Reached};
+use sightline_portals::Reached;
 use sightline_sampling::{CubeSpec, PreparedScene, Strata, sight::Sight};
 use sightline_scene::{Aabb, Scene, overlap};
 use sightline_viewcells::{Division, Lattice, Region};
@@ -158,8 +158,7 @@ impl PlaceArgs {
                 say("note: certificates and visibility cubes are about whole cells, so viewpoints of \
                      --reachable-from are in parts of cells that rays find, not between walls");
             } else {
-                let planes = Planes::new(scene);
-                let walls = Walls::around(scene, &planes, &self.reachable_from);
+                let walls = Walls::around(scene, &self.reachable_from);
                 say(&walls.in_words());
                 region = walls.region()?;
             }

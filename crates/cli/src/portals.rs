@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
-use sightline_portals::{Enclosure, Face, LeafId, OUTSIDE, Planes, PortalId, Solid, Tree, reached, solids};
+use sightline_portals::{Enclosure, Face, LeafId, OUTSIDE, PortalId, Solid, Tree, reached, solids};
 use sightline_sampling::sequence::spread3;
 use sightline_scene::glb_out::{GlbError, write_glb};
 use sightline_scene::{Object, Scene, Triangle};
@@ -42,11 +42,10 @@ pub fn run(args: &PortalsArgs, json: bool) -> Result<(), CliError> {
             bounds.min, bounds.max
         )));
     }
-    let planes = Planes::new(&scene);
     if args.reachable_from.is_empty() {
-        return enclosed_spaces(args, (&scene, &planes), output.as_ref(), json);
+        return enclosed_spaces(args, &scene, output.as_ref(), json);
     }
-    let walls = Walls::around(&scene, &planes, &args.reachable_from);
+    let walls = Walls::around(&scene, &args.reachable_from);
     // What is outside the scene's box is no part of it.
     let inside: Vec<LeafId> = walls.reached.iter().copied().filter(|leaf| *leaf != OUTSIDE).collect();
     let parts = solids(&walls.tree, &inside);
@@ -94,12 +93,12 @@ pub fn run(args: &PortalsArgs, json: bool) -> Result<(), CliError> {
 /// Without points: the spaces that walls enclose around some points of the scene.
 fn enclosed_spaces(
     args: &PortalsArgs,
-    (scene, planes): (&Scene, &Planes),
+    scene: &Scene,
     output: Option<&Output>,
     json: bool,
 ) -> Result<(), CliError> {
     let bounds = scene.bounds();
-    let mut tree = Tree::new(scene, planes, &[]);
+    let mut tree = Tree::new(scene, &[]);
     let (mut closed, mut unknown) = (Vec::new(), 0usize);
     for number in 0..TRIED {
         let step = Vec3::from(spread3(number as u64, [0.5; 3]));
@@ -167,7 +166,7 @@ fn volume_of(scene: &Scene) -> f64 {
 }
 
 /// The portals between two of some leaves, ascending.
-fn portals_of(tree: &Tree<'_>, leaves: &[LeafId]) -> Vec<PortalId> {
+fn portals_of(tree: &Tree, leaves: &[LeafId]) -> Vec<PortalId> {
     let mut all: Vec<PortalId> = leaves.iter().flat_map(|l| tree.leaf(*l).portals.iter().copied()).collect();
     all.sort_unstable();
     all.dedup();
@@ -176,12 +175,12 @@ fn portals_of(tree: &Tree<'_>, leaves: &[LeafId]) -> Vec<PortalId> {
 }
 
 /// The openings on the way out.
-fn way<'a>(walls: &'a Walls<'_>) -> Option<Vec<&'a Face>> {
+fn way(walls: &Walls) -> Option<Vec<&Face>> {
     let Enclosure::Leak(_, portals) = &walls.enclosure else { return None };
     Some(portals.iter().map(|p| &walls.tree.portal(*p).face).collect())
 }
 
-fn way_json(walls: &Walls<'_>) -> Value {
+fn way_json(walls: &Walls) -> Value {
     let Some(way) = way(walls) else { return Value::Null };
     let place = |face: &Face| json!({"at": face.middle().to_array(), "width": face.width()});
     json!({
@@ -194,7 +193,7 @@ fn way_json(walls: &Walls<'_>) -> Value {
 fn draw(
     args: &PortalsArgs,
     output: &Output,
-    tree: &Tree<'_>,
+    tree: &Tree,
     parts: &[Solid],
     portals: &[PortalId],
     way: Option<Vec<&Face>>,

@@ -32,6 +32,13 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
 /// Runs a worker. The first SIGTERM or Ctrl-C lets it finish its tiles, the second one stops it at once.
 pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
     let adapter = args.adapter.clone().map_or(AdapterChoice::AllowSoftware, AdapterChoice::Named);
+    if args.backend == BackendChoice::None {
+        return Err(CliError::Usage(
+            "a worker without a backend can only take jobs of the method portals, and a worker with one can, \
+             too; give --backend auto, gpu or cpu"
+                .to_owned(),
+        ));
+    }
     check_adapter(args)?;
     let backends = Arc::new(Backends::probe(choice(args.backend), adapter));
     say_missing(&backends)?;

@@ -8,7 +8,8 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::{Value, json};
-use sightline_exact::{Limits, Polygon, Source, Stabbed, polygon, predicates, stab};
+use sightline_exact::{Limits, Polygon, Source, Stabbed, Surface, Swath, antipenumbra};
+use sightline_exact::{polygon, predicates, stab};
 
 use crate::args::StabArgs;
 use crate::error::CliError;
@@ -51,7 +52,8 @@ pub fn run(args: &StabArgs) -> Result<(), CliError> {
         // A bad line ends the run after all queries before it have been answered.
         let (queries, failure) = input.read(check);
         let last = queries.is_empty();
-        let answers: Vec<(usize, Value)> = queries.into_par_iter().map(|q| answer(&q, &limits)).collect();
+        let answers: Vec<(usize, Value)> =
+            queries.into_par_iter().map(|q| answer(&q, &limits, args.swaths)).collect();
         for (kind, value) in answers {
             counts[kind] += 1;
             print(&value.to_string())?;
@@ -73,19 +75,50 @@ pub fn run(args: &StabArgs) -> Result<(), CliError> {
     ended
 }
 
-fn answer(query: &Query, limits: &Limits) -> (usize, Value) {
+fn answer(query: &Query, limits: &Limits, with_swaths: bool) -> (usize, Value) {
     let start = Instant::now();
     let (found, _) = stab(&query.portals, limits, &|| false);
     let micros = start.elapsed().as_micros() as u64;
     let id = &query.id;
     match found {
         Stabbed::Line(ends) => {
-            (0, json!({"id": id, "state": "stabbed", "line": shown(&query.portals, &ends), "micros": micros}))
+            let line = shown(&query.portals, &ends);
+            let mut value = json!({"id": id, "state": "stabbed", "line": line, "micros": micros});
+            if with_swaths {
+                add_swaths(&mut value, &query.portals, limits);
+            }
+            (0, value)
         }
         Stabbed::Blocked => (1, json!({"id": id, "state": "blocked", "micros": micros})),
         Stabbed::Undecided(reason) => {
             (2, json!({"id": id, "state": "undecided", "reason": reason.to_string(), "micros": micros}))
         }
+    }
+}
+
+/// Adds the antipenumbra of a sequence, or why there is none.
+fn add_swaths(value: &mut Value, portals: &[Polygon], limits: &Limits) {
+    let start = Instant::now();
+    let found = antipenumbra(portals, limits);
+    value["swath_micros"] = (start.elapsed().as_micros() as u64).into();
+    match found {
+        Ok(found) => {
+            let swath = |swath: &Swath| {
+                let (kind, name, surface) = match &swath.surface {
+                    Surface::Plane(plane) => ("VE", "plane", json!(plane)),
+                    Surface::Quadric(quadric) => ("EEE", "quadric", json!(quadric)),
+                };
+                let mut value = json!({
+                    "kind": kind, "boundary": swath.is_boundary, "loop": swath.in_loop, "edges": swath.edges,
+                });
+                value[name] = surface;
+                value
+            };
+            value["polytope"] = json!(found.polytope);
+            value["lines"] = found.lines.into();
+            value["swaths"] = found.swaths.iter().map(swath).collect();
+        }
+        Err(why) => value["no_swaths"] = why.to_string().into(),
     }
 }
 

@@ -8,6 +8,7 @@ use glam::Vec3;
 use serde_json::{Value, json};
 use sightline_certificate::checker::Kinds;
 use sightline_certificate::{Refused, Report, Sample, VerifyError, VerifyOptions, verify};
+use sightline_model::{Choice as _, Method};
 use sightline_pvs::Pvs;
 
 use crate::args::VerifyArgs;
@@ -15,6 +16,7 @@ use crate::error::CliError;
 use crate::opening;
 use crate::progress::{Progress, human, say};
 use crate::serve::{self, print, threads};
+use crate::verify_hidden;
 
 /// Set by the first Ctrl-C.
 static CANCELLED: AtomicBool = AtomicBool::new(false);
@@ -31,6 +33,16 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
             args.scene.display(),
             args.result.display()
         )));
+    }
+    if pvs.method() == Method::Portals.name() {
+        let Some(wanted) = args.sample else {
+            return Err(CliError::Input(format!(
+                "{} has no certificates: portals prove what they hide while they look. --sample N asks exact \
+                 queries about N pairs that are called hidden",
+                args.result.display()
+            )));
+        };
+        return verify_hidden::run(args, (&pvs, &scene), wanted, json);
     }
     let triangles: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
     // The digest of the scene, which the result names, covers the kinds.

@@ -40,6 +40,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             places: None,
             seen: &ids,
             above: &[],
+            listed: None,
             limits: Limits::default(),
             seed,
             keep: true,

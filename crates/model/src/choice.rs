@@ -7,6 +7,9 @@
 use serde::{Deserialize, Serialize};
 use sightline_proto::v1;
 
+/// The numerics profile of jobs that need no backend. Every worker has it, and all give the same bytes.
+pub const NO_PROFILE: &str = "none";
+
 /// A parameter whose value is one of a few names.
 pub trait Choice: Copy + Eq + Send + Sync + 'static {
     /// The parameter's name on the command line, without dashes.
@@ -123,6 +126,9 @@ choice! {
         Exact = "exact",
         /// Like exact, with lower limits for a single query; meant for a time budget.
         Verified = "verified",
+        /// No sampling: what is behind walls is hidden, as the portals between the parts of the scene show. A
+        /// triangle without a witness is undecided.
+        Portals = "portals",
     }
     wire Method, default Aggressive
 }
@@ -149,6 +155,8 @@ choice! {
         Gpu = "gpu",
         /// Embree.
         Cpu = "cpu",
+        /// None: the method portals needs no backend.
+        None = "none",
     }
     wire Backend, default Auto
 }

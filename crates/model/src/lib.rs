@@ -33,8 +33,8 @@ pub mod statistics;
 mod wire;
 
 pub use choice::{
-    BackendChoice, CellToCell, Choice, ErrorMeasure, Granularity, Method, Sampler, SupersetChoice,
-    UnknownChoice, Up,
+    BackendChoice, CellToCell, Choice, ErrorMeasure, Granularity, Method, NO_PROFILE, Sampler,
+    SupersetChoice, UnknownChoice, Up,
 };
 pub use output::{CellSet, CellSets, Decision, Hits, Node, Pack, TileOutput, VisibilitySample};
 pub use pairs::{MOST_PAIR_CELLS, PairTable, TilePairs};

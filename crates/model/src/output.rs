@@ -33,6 +33,9 @@ pub struct CellSets {
     /// Which cells of the whole division see which, as far as this tile's lines show; `None` when the job
     /// does not ask.
     pub pairs: Option<TilePairs>,
+    /// The scene divided along its walls, as the result has it. Of the first tile of a job of the method
+    /// portals; empty in others.
+    pub portals: Vec<u8>,
 }
 
 /// A node of a leaf tile's subtree.
@@ -104,7 +107,16 @@ impl Decision {
 
     /// The number of queries that were asked.
     pub fn queries(&self) -> u64 {
-        let at = DecisionStats::NAMES.iter().position(|name| *name == "exact_queries");
+        self.count("exact_queries")
+    }
+
+    /// The number of rays that looked for witnesses.
+    pub fn rays(&self) -> u64 {
+        self.count("exact_rays")
+    }
+
+    fn count(&self, name: &str) -> u64 {
+        let at = DecisionStats::NAMES.iter().position(|n| *n == name);
         at.and_then(|at| self.counts.get(at)).copied().unwrap_or(0)
     }
 }

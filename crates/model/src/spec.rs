@@ -15,7 +15,7 @@ use crate::params::{BOUND_AIM, ParamsError, SamplingParams};
 /// The version of everything that decides bytes. It changes whenever the same specification would give other
 /// bytes, of a result or of a tile's output, so that a stored result is never taken for one of another
 /// version. The choices that it stands for are in `crates/bake/src/choices.rs`.
-pub const ALGORITHM_VERSION: u32 = 18;
+pub const ALGORITHM_VERSION: u32 = 19;
 
 /// Longest time budget, in milliseconds: ten years.
 const MAX_BUDGET_MS: u64 = 10 * 366 * 24 * 3600 * 1000;
@@ -34,6 +34,9 @@ const HEAVY: [(f64, u32); 2] = [(5e10, 64), (5e9, 128)];
 /// Cells of a tile that are decided exactly. Each takes seconds on real scenes; the time that sampling saves
 /// in large blocks is nothing beside that.
 const EXACT_BLOCK: u32 = 8;
+
+/// Cells of a tile that are seen through portals, about a tenth of a second each.
+const PORTAL_BLOCK: u32 = 64;
 
 /// A checked specification.
 #[derive(Clone, Debug, PartialEq)]
@@ -70,8 +73,10 @@ const FEW_PAIR_CELLS: u64 = USUAL_BLOCK_CELLS as u64;
 
 /// Most cells of a tile when the user gives no number.
 pub fn default_block_cells(triangles: u32, sampling: &SamplingParams, method: Method) -> u32 {
-    if method != Method::Aggressive {
-        return EXACT_BLOCK;
+    match method {
+        Method::Aggressive => {}
+        Method::Exact | Method::Verified => return EXACT_BLOCK,
+        Method::Portals => return PORTAL_BLOCK,
     }
     let work = match sampling.sampler {
         Sampler::Lines => {
@@ -172,6 +177,12 @@ impl JobSpec {
                 "exact methods decide triangles; `dump --items objects` lists the objects of their sets",
             );
         }
+        if (self.method == Method::Portals) != (self.backend == BackendChoice::None) {
+            return refuse("backend", "give none with the method portals, and with no other method");
+        }
+        if self.method == Method::Portals {
+            self.check_portals()?;
+        }
         let region = self.viewpoints.as_ref().and_then(|marks| marks.region());
         if region.is_some() && self.certificates {
             return refuse("viewpoints", "certificates are about whole cells; leave out the region or them");
@@ -203,6 +214,30 @@ impl JobSpec {
         Ok(())
     }
 
+    /// What the method portals cannot do.
+    fn check_portals(&self) -> Result<(), SpecError> {
+        let refuse = |field, remedy| Err(SpecError::Field(field, remedy));
+        if !matches!(self.division, Division::Grid(_)) {
+            return refuse("division", "the method portals needs a grid; an adaptive tree follows samples");
+        }
+        if self.certificates {
+            return refuse("certificates", "what portals hide has none; give the method exact or verified");
+        }
+        if self.sampling.sampler != Sampler::Lines
+            || self.sampling.max_error.is_some()
+            || self.sampling.min_share.is_some()
+        {
+            return refuse("sampler", "the method portals samples nothing; leave out what is about samples");
+        }
+        if self.sampling.contributions {
+            return refuse("contributions", "they are sampled, and the method portals samples nothing");
+        }
+        if self.sampling.cell_to_cell == CellToCell::On {
+            return refuse("cell-to-cell", "the method portals does not say which cells see which");
+        }
+        Ok(())
+    }
+
     /// The job's key: the digest of everything that its result depends on except the numerics profile, which
     /// is bound when the job first runs and is then part of the result.
     pub fn key(&self) -> [u8; 32] {
@@ -219,6 +254,7 @@ impl JobSpec {
     /// or, with deeper trees, several are in one.
     pub fn pair_cells(&self) -> Option<[u32; 3]> {
         let asked = match self.sampling.cell_to_cell {
+            _ if self.method == Method::Portals => false,
             CellToCell::Auto => self.pair_grid_cells() <= FEW_PAIR_CELLS,
             CellToCell::On => true,
             CellToCell::Off => false,

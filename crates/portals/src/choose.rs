@@ -28,10 +28,12 @@ pub struct Choice {
     pub plane: PlaneId,
     /// The covered part of its section with the leaf, less what it cuts.
     pub merit: f64,
+    /// The area of the section as a fraction of the face of the tree's box that is most parallel to it.
+    pub section: f64,
 }
 
 /// The best plane for a leaf with detail.
-pub fn best_plane(tree: &Tree<'_>, leaf: LeafId) -> Option<Choice> {
+pub fn best_plane(tree: &Tree, leaf: LeafId) -> Option<Choice> {
     let detail = &tree.leaf(leaf).detail;
     let mut areas: BTreeMap<PlaneId, f64> = BTreeMap::new();
     for fragment in detail {
@@ -42,16 +44,25 @@ pub fn best_plane(tree: &Tree<'_>, leaf: LeafId) -> Option<Choice> {
     areas.truncate(COMPARED);
     let merit = |(plane, area): &(PlaneId, f64)| {
         let section = tree.section(leaf, *plane)?;
-        let covered = (area / section.area()).min(1.0);
-        let (cut, uneven) = balance(detail, *plane, tree.planes().plane(*plane));
+        let size = section.area();
+        let covered = (area / size).min(1.0);
+        let exact = tree.planes().plane(*plane);
+        let (cut, uneven) = balance(detail, *plane, exact);
         let merit = covered - CLEAVING * cut - UNEVEN * uneven;
-        Some(Choice { plane: *plane, merit: if merit.is_finite() { merit } else { -1.0 } })
+        let merit = if merit.is_finite() { merit } else { -1.0 };
+        Some(Choice { plane: *plane, merit, section: size / face_of_box(tree, exact.axis()) })
     };
     let better = |best: Option<Choice>, c: Choice| match best {
         Some(best) if c.merit.total_cmp(&best.merit) != Ordering::Greater => Some(best),
         _ => Some(c),
     };
     areas.iter().filter_map(merit).fold(None, better)
+}
+
+/// Twice the area of the face of the tree's box across an axis.
+fn face_of_box(tree: &Tree, axis: usize) -> f64 {
+    let size = tree.bounds().max.as_dvec3() - tree.bounds().min.as_dvec3();
+    2.0 * size[(axis + 1) % 3] * size[(axis + 2) % 3]
 }
 
 /// The fraction of the triangles that a plane cuts, and of those by which its sides differ.

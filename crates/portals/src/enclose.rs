@@ -32,7 +32,7 @@ impl Default for Limits {
 
 /// A plane with this merit may part rooms. Of a wall with a door much more of the section is covered, of
 /// furniture mostly less.
-const WALL: f64 = 0.3;
+pub(crate) const WALL: f64 = 0.3;
 
 /// How the search ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -49,7 +49,7 @@ pub enum Enclosure {
 }
 
 /// The leaves that hold the points; of a point on planes, those on all sides of it.
-pub fn seeds(tree: &Tree<'_>, points: &[[f32; 3]]) -> Vec<LeafId> {
+pub fn seeds(tree: &Tree, points: &[[f32; 3]]) -> Vec<LeafId> {
     let mut leaves: Vec<LeafId> = points.iter().flat_map(|p| tree.leaves_of(Vec3::from(*p))).collect();
     leaves.sort_unstable();
     leaves.dedup();
@@ -59,7 +59,7 @@ pub fn seeds(tree: &Tree<'_>, points: &[[f32; 3]]) -> Vec<LeafId> {
 /// Refines the tree until the points are enclosed, or a leak is found. `tell` is called now and then with the
 /// number of leaves and says whether to go on.
 pub fn enclose(
-    tree: &mut Tree<'_>,
+    tree: &mut Tree,
     points: &[[f32; 3]],
     limits: Limits,
     tell: &mut dyn FnMut(usize) -> bool,
@@ -106,7 +106,7 @@ pub fn enclose(
 
 /// Splits the leaves that the points reach along walls, until no plane covers much of one.
 fn part_rooms(
-    tree: &mut Tree<'_>,
+    tree: &mut Tree,
     points: &[[f32; 3]],
     limits: Limits,
     mut looked: u64,
@@ -140,7 +140,7 @@ fn part_rooms(
 }
 
 /// A way from the seeds to the outside, through as few leaves with detail as possible.
-fn way_out(tree: &Tree<'_>, seeds: &[LeafId], looked: &mut u64) -> Option<(Vec<LeafId>, Vec<PortalId>)> {
+fn way_out(tree: &Tree, seeds: &[LeafId], looked: &mut u64) -> Option<(Vec<LeafId>, Vec<PortalId>)> {
     let cost = |leaf: LeafId| u32::from(!tree.leaf(leaf).detail.is_empty());
     // For each leaf reached: its cost, and the portal through which it was entered.
     let mut reached: Vec<Option<(u32, Option<PortalId>)>> = vec![None; tree.len()];
@@ -171,7 +171,7 @@ fn way_out(tree: &Tree<'_>, seeds: &[LeafId], looked: &mut u64) -> Option<(Vec<L
 }
 
 /// The way to the outside that `entered` tells backwards: the portal through which a leaf was entered.
-fn back(tree: &Tree<'_>, entered: impl Fn(LeafId) -> Option<PortalId>) -> (Vec<LeafId>, Vec<PortalId>) {
+fn back(tree: &Tree, entered: impl Fn(LeafId) -> Option<PortalId>) -> (Vec<LeafId>, Vec<PortalId>) {
     let (mut leaves, mut portals) = (vec![OUTSIDE], Vec::new());
     let mut at = OUTSIDE;
     while let Some(portal) = entered(at) {
@@ -186,7 +186,7 @@ fn back(tree: &Tree<'_>, entered: impl Fn(LeafId) -> Option<PortalId>) -> (Vec<L
 
 /// Of the ways from the seeds to the outside through leaves without detail, one whose narrowest portal is the
 /// widest.
-fn widest_way(tree: &Tree<'_>, seeds: &[LeafId]) -> Option<(Vec<LeafId>, Vec<PortalId>)> {
+fn widest_way(tree: &Tree, seeds: &[LeafId]) -> Option<(Vec<LeafId>, Vec<PortalId>)> {
     let is_clear = |leaf: LeafId| tree.leaf(leaf).detail.is_empty();
     let mut entered: Vec<Option<PortalId>> = vec![None; tree.len()];
     let mut is_done = vec![false; tree.len()];
@@ -213,7 +213,7 @@ fn widest_way(tree: &Tree<'_>, seeds: &[LeafId]) -> Option<(Vec<LeafId>, Vec<Por
 }
 
 /// All leaves that the points reach through portals, ascending.
-pub fn reached(tree: &Tree<'_>, points: &[[f32; 3]]) -> Vec<LeafId> {
+pub fn reached(tree: &Tree, points: &[[f32; 3]]) -> Vec<LeafId> {
     let mut found = seeds(tree, points);
     let mut known = vec![false; tree.len()];
     found.iter().for_each(|l| known[l.0 as usize] = true);

@@ -8,18 +8,26 @@
 //!
 //! The crate knows no view cells and no job.
 
+pub mod beam;
 pub mod choose;
 pub mod convex;
 pub mod enclose;
+pub mod outline;
+pub mod partition;
 pub mod plane;
 pub mod planes;
 pub mod region;
+pub mod sights;
 pub mod solids;
+pub mod table;
 pub mod tree;
 
 pub use enclose::{Enclosure, Limits, enclose, reached};
+pub use partition::Partition;
 pub use plane::{Face, Plane, PlaneId};
 pub use planes::Planes;
 pub use region::{ForeignRegion, Reached, region_of};
+pub use sights::{Sights, sights};
 pub use solids::{Solid, solids};
+pub use table::table;
 pub use tree::{LeafId, OUTSIDE, PortalId, Tree};

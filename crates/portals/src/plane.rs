@@ -61,6 +61,22 @@ impl Plane {
         self.axis
     }
 
+    /// n and k, each rounded to the nearest double.
+    pub fn rounded(&self) -> [f64; 4] {
+        self.near
+    }
+
+    /// The coordinate of all points, for a plane across an axis where a double holds it.
+    pub fn across(&self) -> Option<f64> {
+        let (n, k) = (&self.exact[self.axis], &self.exact[3]);
+        if (0..3).any(|i| i != self.axis && !self.exact[i].is_zero()) {
+            return None;
+        }
+        let level = self.near[3] / self.near[self.axis];
+        let [own, .., w] = predicates::integers(&Source::Given(DVec3::new(level, 0.0, 0.0)));
+        (level.is_finite() && own * n == k * w).then_some(level)
+    }
+
     /// On which side of the plane a point lies: `Greater` where n·x > k. `at` is the point, rounded.
     ///
     /// A coordinate is off by at most 3u of itself (u = 2⁻⁵³) and a coefficient by u. A product is then off

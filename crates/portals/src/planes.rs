@@ -17,23 +17,20 @@ pub struct Planes {
 }
 
 impl Planes {
-    /// The planes of a scene, in the order of their first triangles.
+    /// The planes of a scene, in the order of their first triangles in [`by_place`].
     pub fn new(scene: &Scene) -> Self {
         let mut known: FxHashMap<[IBig; 4], PlaneId> = FxHashMap::default();
         let (mut planes, mut triangles) = (Vec::new(), Vec::new());
-        let of = (0..scene.len())
-            .map(|id| {
-                if !blocks(scene, id) {
-                    return None;
-                }
-                let plane = Plane::through(scene.triangles()[id as usize].v);
-                Some(*known.entry(plane.coefficients().clone()).or_insert_with(|| {
-                    planes.push(plane);
-                    triangles.push(id);
-                    PlaneId(planes.len() as u32 - 1)
-                }))
-            })
-            .collect();
+        let mut of = vec![None; scene.len() as usize];
+        for id in by_place(scene).into_iter().filter(|id| blocks(scene, *id)) {
+            let plane = Plane::through(scene.triangles()[id as usize].v);
+            let number = *known.entry(plane.coefficients().clone()).or_insert_with(|| {
+                planes.push(plane);
+                triangles.push(id);
+                PlaneId(planes.len() as u32 - 1)
+            });
+            of[id as usize] = Some(number);
+        }
         Self { planes, triangles, of }
     }
 
@@ -61,6 +58,19 @@ impl Planes {
     pub fn is_empty(&self) -> bool {
         self.planes.is_empty()
     }
+}
+
+/// All triangles in the order of their corners' places, so that their order in the scene decides nothing.
+pub fn by_place(scene: &Scene) -> Vec<u32> {
+    // −0 and 0 are one coordinate; the bits of the others, turned so, are in their order.
+    let key = |x: f32| {
+        let bits = (x + 0.0).to_bits();
+        if bits >> 31 == 1 { !bits } else { bits | 1 << 31 }
+    };
+    let place = |id: &u32| scene.triangles()[*id as usize].v.map(|v| v.to_array().map(key));
+    let mut all: Vec<u32> = (0..scene.len()).collect();
+    all.sort_by_cached_key(place);
+    all
 }
 
 /// Whether a triangle blocks every line that meets it.

@@ -20,7 +20,7 @@ use crate::tree::{LeafId, Node, Tree};
 ///
 /// # Errors
 /// [`RegionError`] when it is too large for a job.
-pub fn region_of(tree: &Tree<'_>, leaves: &[LeafId]) -> Result<Region, RegionError> {
+pub fn region_of(tree: &Tree, leaves: &[LeafId]) -> Result<Region, RegionError> {
     // Children have greater numbers than their parents, so one pass from the end knows all subtrees: a
     // subtree that is wholly inside or outside becomes one node.
     let nodes = tree.nodes();
@@ -216,7 +216,7 @@ impl Reached {
 
 /// The parts of a face on both sides of a plane, with the nodes there. A face in the plane borders on both
 /// sides.
-fn beside(plane: &Plane, (lesser, greater): (u32, u32), face: Face) -> Vec<(u32, Face)> {
+pub(crate) fn beside(plane: &Plane, (lesser, greater): (u32, u32), face: Face) -> Vec<(u32, Face)> {
     let sides = face.sides(plane);
     let in_plane = sides.iter().all(|side| *side == Ordering::Equal);
     [(lesser, Ordering::Less), (greater, Ordering::Greater)]

@@ -1,6 +1,7 @@
-//! The leaves of a tree as convex solids, to be measured and drawn.
+//! The leaves of a tree as convex solids, to be measured and drawn, and their parts in a box.
 
 use glam::DVec3;
+use sightline_numbers::Aabb;
 
 use crate::convex::{divide, whole};
 use crate::plane::Face;
@@ -10,7 +11,7 @@ use crate::tree::{LeafId, Node, Tree};
 pub struct Solid {
     /// The leaf.
     pub leaf: LeafId,
-    /// Its faces, some of them in parts.
+    /// Its faces.
     pub faces: Vec<Face>,
 }
 
@@ -29,27 +30,38 @@ impl Solid {
 }
 
 /// The solids of some leaves, ascending. Those that reach to the border of the tree's box end there.
-pub fn solids(tree: &Tree<'_>, leaves: &[LeafId]) -> Vec<Solid> {
+pub fn solids(tree: &Tree, leaves: &[LeafId]) -> Vec<Solid> {
+    let wanted = above(tree, &|leaf| leaves.binary_search(&leaf).is_ok());
+    solids_in(tree, tree.bounds(), &wanted)
+}
+
+/// For each node whether there is a wanted leaf below it.
+pub fn above(tree: &Tree, wanted: &dyn Fn(LeafId) -> bool) -> Vec<bool> {
     let nodes = tree.nodes();
+    let mut found = vec![false; nodes.len()];
     // Children have greater numbers than their parents.
-    let mut wanted = vec![false; nodes.len()];
     for (i, node) in nodes.iter().enumerate().rev() {
-        wanted[i] = match node {
-            Node::Leaf(leaf) => leaves.binary_search(leaf).is_ok(),
-            Node::Split(_, children) => children.iter().any(|c| wanted[*c as usize]),
+        found[i] = match node {
+            Node::Leaf(leaf) => wanted(*leaf),
+            Node::Split(_, children) => children.iter().any(|c| found[*c as usize]),
         };
     }
+    found
+}
+
+/// The parts of leaves in a box, ascending by leaf: of those below the `wanted` nodes.
+pub fn solids_in(tree: &Tree, of: Aabb, wanted: &[bool]) -> Vec<Solid> {
+    let nodes = tree.nodes();
     let mut found = Vec::new();
-    let mut open = vec![(0u32, whole(tree.bounds()))];
+    let mut open = vec![(0u32, whole(of))];
     while let Some((at, faces)) = open.pop() {
-        if !wanted[at as usize] {
+        if faces.is_empty() || !wanted[at as usize] {
             continue;
         }
         match nodes[at as usize] {
             Node::Leaf(leaf) => found.push(Solid { leaf, faces }),
             Node::Split(plane, below) => {
-                let parts = divide(faces, tree.planes().plane(plane), tree.bounds());
-                open.extend(below.into_iter().zip(parts));
+                open.extend(below.into_iter().zip(divide(faces, tree.planes().plane(plane), of)));
             }
         }
     }

@@ -14,7 +14,7 @@ use sightline_numbers::Aabb;
 use sightline_scene::Scene;
 
 use crate::plane::{Face, Plane, PlaneId};
-use crate::planes::Planes;
+use crate::planes::{Planes, by_place};
 
 /// The work of a split for each wall of the leaf.
 const WALL_WORK: u64 = 32;
@@ -55,7 +55,7 @@ pub struct Fragment {
 pub struct Leaf {
     node: u32,
     /// The planes on the way from the root, with the side of each on which the leaf is.
-    walls: Vec<(PlaneId, Ordering)>,
+    pub walls: Vec<(PlaneId, Ordering)>,
     /// Triangles inside, which no plane of the tree contains.
     pub detail: Vec<Fragment>,
     /// The portals of the leaf.
@@ -67,7 +67,9 @@ pub struct Leaf {
 pub struct Portal {
     /// The opening. It may be larger than the true one, never smaller.
     pub face: Face,
-    /// The leaves on both sides.
+    /// Its plane; `None` for the box of the tree.
+    pub plane: Option<PlaneId>,
+    /// The leaves on the lesser and on the greater side of its plane.
     pub leaves: [LeafId; 2],
 }
 
@@ -79,8 +81,8 @@ impl Portal {
 }
 
 /// A partition of a box.
-pub struct Tree<'a> {
-    planes: &'a Planes,
+pub struct Tree {
+    planes: Planes,
     bounds: Aabb,
     nodes: Vec<Node>,
     leaves: Vec<Leaf>,
@@ -89,10 +91,11 @@ pub struct Tree<'a> {
     work: u64,
 }
 
-impl<'a> Tree<'a> {
+impl Tree {
     /// One leaf that holds all blocking triangles, in a box that has a margin around the scene's bounds and
     /// the given points.
-    pub fn new(scene: &Scene, planes: &'a Planes, points: &[[f32; 3]]) -> Self {
+    pub fn new(scene: &Scene, points: &[[f32; 3]]) -> Self {
+        let planes = Planes::new(scene);
         let around = points.iter().fold(scene.bounds(), |b, p| b.union(Aabb::around([Vec3::from(*p)])));
         // Any margin keeps the outside in one piece. The coordinates stay finite.
         let margin = ((around.max - around.min) * 0.125).max_element().clamp(f32::MIN_POSITIVE, f32::MAX);
@@ -102,7 +105,8 @@ impl<'a> Tree<'a> {
             step(around.min, -margin).min(around.min.map(f32::next_down)),
             step(around.max, margin).max(around.max.map(f32::next_up)),
         );
-        let detail = (0..scene.len())
+        let detail = by_place(scene)
+            .into_iter()
             .filter_map(|id| {
                 let corners = scene.triangles()[id as usize].v.map(|v| v.as_dvec3());
                 let face = Face::new(Polygon::triangle(corners)?);
@@ -112,7 +116,13 @@ impl<'a> Tree<'a> {
         let inside = LeafId(1);
         let portals: Vec<Portal> = Polygon::faces_of(bounds)
             .into_iter()
-            .map(|face| Portal { face: Face::new(face), leaves: [inside, OUTSIDE] })
+            .enumerate()
+            // The faces come in pairs, the lesser first.
+            .map(|(k, face)| Portal {
+                face: Face::new(face),
+                plane: None,
+                leaves: if k % 2 == 0 { [OUTSIDE, inside] } else { [inside, OUTSIDE] },
+            })
             .collect();
         let ids: Vec<PortalId> = (0..portals.len() as u32).map(PortalId).collect();
         let leaves = vec![
@@ -123,8 +133,8 @@ impl<'a> Tree<'a> {
     }
 
     /// The planes.
-    pub fn planes(&self) -> &'a Planes {
-        self.planes
+    pub fn planes(&self) -> &Planes {
+        &self.planes
     }
 
     /// The box that is divided.
@@ -155,6 +165,11 @@ impl<'a> Tree<'a> {
     /// A portal.
     pub fn portal(&self, id: PortalId) -> &Portal {
         &self.portals[id.0 as usize]
+    }
+
+    /// Number of portals.
+    pub fn portals(&self) -> usize {
+        self.portals.len()
     }
 
     /// The work so far: how often a fragment or portal was put on a side of a plane.
@@ -205,7 +220,7 @@ impl<'a> Tree<'a> {
         self.work += WALL_WORK * self.leaf(id).walls.len() as u64;
         let leaf = std::mem::take(&mut self.leaves[id.0 as usize]);
         let (mut inside, mut details) = (Vec::new(), [Vec::new(), Vec::new()]);
-        let exact = self.planes.plane(plane);
+        let exact = &self.planes.plane(plane).clone();
         for fragment in leaf.detail {
             self.work += 1;
             if fragment.plane == plane {
@@ -222,7 +237,7 @@ impl<'a> Tree<'a> {
             self.divide_portal(portal, (id, upper), exact, &mut portals);
         }
         for face in self.open_parts(section, inside, exact) {
-            let number = self.add_portal(Portal { face, leaves: [id, upper] });
+            let number = self.add_portal(Portal { face, plane: Some(plane), leaves: [id, upper] });
             portals.iter_mut().for_each(|p| p.push(number));
         }
         let places = [0, 1].map(|k| self.nodes.len() as u32 + k);
@@ -256,7 +271,7 @@ impl<'a> Tree<'a> {
         match (below, above) {
             (Some(below), Some(above)) => {
                 portal.face = below;
-                let mut other = Portal { face: above, leaves: portal.leaves };
+                let mut other = Portal { face: above, plane: portal.plane, leaves: portal.leaves };
                 move_up(&mut other);
                 let beyond = other.beyond(upper);
                 out[0].push(id);

@@ -7,7 +7,7 @@ use std::cmp::Ordering;
 use glam::{Quat, Vec3};
 use proptest::prelude::*;
 use sightline_numbers::Aabb;
-use sightline_portals::{Enclosure, Limits, Planes, Reached, Tree, enclose, reached, region_of};
+use sightline_portals::{Enclosure, Limits, Reached, Tree, enclose, reached, region_of};
 use sightline_scene::exact::orient3d_sign;
 use sightline_scene::{Object, Scene, Triangle};
 
@@ -49,8 +49,7 @@ fn scene(triangles: Vec<Triangle>) -> Scene {
 
 /// How the walls around a point are, the region of what it reaches, and the number of leaves.
 fn around(scene: &Scene, seed: [f32; 3]) -> (Enclosure, Reached, usize) {
-    let planes = Planes::new(scene);
-    let mut tree = Tree::new(scene, &planes, &[seed]);
+    let mut tree = Tree::new(scene, &[seed]);
     let found = enclose(&mut tree, &[seed], Limits::default(), &mut |_| true);
     let leaves = reached(&tree, &[seed]);
     let region = region_of(&tree, &leaves).unwrap();
@@ -107,9 +106,8 @@ fn a_missing_triangle_is_a_leak_with_its_place() {
     // Half of the face at z = 3.
     triangles.remove(2);
     let scene = scene(triangles);
-    let planes = Planes::new(&scene);
     let seed = [1.0, 1.0, 1.5];
-    let mut tree = Tree::new(&scene, &planes, &[seed]);
+    let mut tree = Tree::new(&scene, &[seed]);
     let Enclosure::Leak(leaves, portals) = enclose(&mut tree, &[seed], Limits::default(), &mut |_| true)
     else {
         panic!("there is a way out")
@@ -134,10 +132,9 @@ fn a_point_on_a_wall_reaches_both_sides() {
 #[test]
 fn limits_and_stops_end_the_search() {
     let scene = scene(rooms());
-    let planes = Planes::new(&scene);
     let seed = [1.0, 1.0, 1.5];
     let search = |limits: Limits, go_on: bool| {
-        let mut tree = Tree::new(&scene, &planes, &[seed]);
+        let mut tree = Tree::new(&scene, &[seed]);
         let found = enclose(&mut tree, &[seed], limits, &mut |_| go_on);
         // What is reached holds all that may be reached, wherever the search ends.
         let region = region_of(&tree, &reached(&tree, &[seed])).unwrap();
@@ -152,9 +149,8 @@ fn limits_and_stops_end_the_search() {
 #[test]
 fn a_region_of_another_scene_is_refused() {
     let whole = scene(rooms());
-    let planes = Planes::new(&whole);
     let seed = [1.0, 1.0, 1.5];
-    let mut tree = Tree::new(&whole, &planes, &[seed]);
+    let mut tree = Tree::new(&whole, &[seed]);
     enclose(&mut tree, &[seed], Limits::default(), &mut |_| true);
     let region = region_of(&tree, &reached(&tree, &[seed])).unwrap();
     let other = scene(rooms()[..2].to_vec());

@@ -9,6 +9,7 @@ use crate::columns::{self, Column};
 use crate::error::PvsError;
 use crate::hierarchy::{CodedSet, Hierarchy};
 use crate::layout::{self, Section, Written};
+use crate::portals::Portals;
 use crate::tree::{CellTree, Node};
 use crate::{CellPairs, Contribution, Items, NOT_REACHED, Object, SET_ASIDE, parse, runs};
 
@@ -80,6 +81,8 @@ pub struct Builder {
     contributions: Contributions,
     /// Empty when viewpoints are not restricted to a region.
     region: Vec<u8>,
+    /// The coded section; empty without portals.
+    portals: Vec<u8>,
 }
 
 /// The contributions pushed so far.
@@ -118,6 +121,7 @@ impl Builder {
             pairs: Vec::new(),
             contributions: Contributions::default(),
             region: Vec::new(),
+            portals: Vec::new(),
             header,
         })
     }
@@ -125,6 +129,16 @@ impl Builder {
     /// Sets the region that holds all viewpoints, in bytes that this crate does not read.
     pub fn set_region(&mut self, bytes: Vec<u8>) {
         self.region = bytes;
+    }
+
+    /// Sets the portals, as [`crate::Portals::encode`] gives them.
+    ///
+    /// # Errors
+    /// [`PvsError::Malformed`] when they are not of the result's triangles.
+    pub fn set_portals(&mut self, bytes: Vec<u8>) -> Result<(), PvsError> {
+        Portals::decode(&bytes, self.header.triangles)?;
+        self.portals = bytes;
+        Ok(())
     }
 
     /// Sets what the sets name, before the first cell.
@@ -302,12 +316,13 @@ impl Builder {
             (Section::Undecided, &undecided, true),
             (Section::Columns, &self.columns, columns),
         ];
-        let after: [(Section, &[u8]); 5] = [
+        let after: [(Section, &[u8]); 6] = [
             (Section::CellPairs, &self.pairs),
             (Section::Items, &self.items),
             (Section::Contributions, &contributions),
             (Section::Sources, &sources),
             (Section::Region, &self.region),
+            (Section::Portals, &self.portals),
         ];
         let before = || before.iter().filter(|s| s.2).map(|s| (s.0, s.1));
         let after = || after.iter().filter(|s| !s.1.is_empty()).copied();

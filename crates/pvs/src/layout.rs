@@ -27,7 +27,7 @@ pub const VERSION: u32 = 2;
 
 const MAGIC: [u8; 8] = *b"\x89PVS\r\n\x1a\n";
 /// All sections there are.
-const SECTIONS: usize = 14;
+const SECTIONS: usize = 15;
 /// Sections that every file has: those before the columns.
 const LEAST_SECTIONS: usize = Section::Columns as usize;
 /// Most sections of a file of version 1.
@@ -70,6 +70,8 @@ pub enum Section {
     Sources,
     /// The region that holds all viewpoints, opaque to this crate; optional.
     Region,
+    /// The scene divided along its walls; optional. See the module `portals`.
+    Portals,
 }
 
 impl Section {
@@ -89,6 +91,7 @@ impl Section {
         Self::Contributions,
         Self::Sources,
         Self::Region,
+        Self::Portals,
     ];
 
     /// Its name in messages.
@@ -108,6 +111,7 @@ impl Section {
             Self::Contributions => "contributions",
             Self::Sources => "sources of objects",
             Self::Region => "region of viewpoints",
+            Self::Portals => "portals",
         }
     }
 

@@ -21,7 +21,9 @@
 //! - `pairs`, optional: which cells see which ([`Pvs::sees`]);
 //! - `items`, optional: the clusters or objects that the sets name instead of triangles ([`Granularity`]);
 //! - `contributions`, optional: how much of the view each item takes, for each cell ([`Contribution`]);
-//! - `sources`, optional: where each object is in its glTF file ([`Source`]).
+//! - `sources`, optional: where each object is in its glTF file ([`Source`]);
+//! - `region`, optional: the region that holds all viewpoints, opaque to this crate;
+//! - `portals`, optional: the scene divided along its walls ([`Portals`]), for [`Looker`].
 //!
 //! ```
 //! use sightline_pvs::{Builder, CellTree, Header, Node, Object, Pvs};
@@ -54,8 +56,10 @@ pub mod error;
 mod hierarchy;
 pub mod items;
 pub mod layout;
+pub mod look;
 pub mod pairs;
 mod parse;
+pub mod portals;
 pub mod reader;
 mod runs;
 pub mod tree;
@@ -66,7 +70,9 @@ pub use contributions::Contribution;
 pub use error::PvsError;
 pub use items::{Granularity, Items};
 pub use layout::VERSION;
+pub use look::{LookError, Looker, View, ViewError};
 pub use pairs::{CellPairs, MOST_PAIR_CELLS, Relation};
+pub use portals::{Portal, Portals};
 pub use reader::{NodeBytes, Pvs};
 pub use tree::{CellTree, MAX_DEPTH, Node};
 

@@ -16,6 +16,7 @@ use crate::error::PvsError;
 use crate::items::ItemTable;
 use crate::layout::{Layout, Section, u32_at, u64_at};
 use crate::parse::{check_offsets, read_objects, read_sources, read_tree};
+use crate::portals::Portals;
 use crate::tree::CellTree;
 use crate::{CellPairs, Column, Contribution, Granularity, NOT_REACHED, Object, SET_ASIDE};
 use crate::{columns, contributions};
@@ -31,6 +32,7 @@ pub struct Pvs {
     items: ItemTable,
     /// Decoded when they are first asked for.
     pairs: OnceLock<Option<CellPairs>>,
+    portals: OnceLock<Option<Portals>>,
 }
 
 enum Bytes {
@@ -127,13 +129,28 @@ impl Pvs {
         if layout.has(Section::Contributions) {
             check_offsets(Section::Contributions, part(Section::Contributions), layout.cells)?;
         }
-        Ok(Self { layout, tree, objects, items, bytes, pairs: OnceLock::new() })
+        Ok(Self { layout, tree, objects, items, bytes, pairs: OnceLock::new(), portals: OnceLock::new() })
     }
 
     /// The region that holds all viewpoints, in bytes that this crate does not read; `None` when viewpoints
     /// are not restricted to one.
     pub fn region(&self) -> Option<&[u8]> {
         self.layout.has(Section::Region).then(|| self.part(Section::Region))
+    }
+
+    /// The scene divided along its walls; `None` in a result that does not say.
+    ///
+    /// # Errors
+    /// [`PvsError::Malformed`] for a file that was tampered with.
+    pub fn portals(&self) -> Result<Option<&Portals>, PvsError> {
+        if self.portals.get().is_none() {
+            let is_there = self.layout.has(Section::Portals);
+            let decoded =
+                is_there.then(|| Portals::decode(self.part(Section::Portals), self.layout.triangles));
+            // Another thread may have been first, with the same.
+            let _ = self.portals.set(decoded.transpose()?);
+        }
+        Ok(self.portals.get().and_then(Option::as_ref))
     }
 
     fn part(&self, section: Section) -> &[u8] {
@@ -179,6 +196,11 @@ impl Pvs {
     /// belong.
     pub fn find_cell(&self, point: [f32; 3]) -> Option<u32> {
         self.tree.find_cell(point)
+    }
+
+    /// [`Self::find_cell`] for a point in doubles.
+    pub fn find_cell_precisely(&self, point: [f64; 3]) -> Option<u32> {
+        self.tree.find_cell_precisely(point)
     }
 
     /// The box of a cell: min and max in world space. `None` when there is no such cell.

@@ -154,13 +154,18 @@ impl CellTree {
     /// The cell of a point in world space. A point on a splitting plane belongs to the upper side; the view
     /// box is closed. `None` outside the view box, and when a coordinate is NaN.
     pub fn find_cell(&self, point: [f32; 3]) -> Option<u32> {
-        let [lo, hi] = self.view_box;
+        self.find_cell_precisely(point.map(f64::from))
+    }
+
+    /// [`Self::find_cell`] for a point in doubles.
+    pub fn find_cell_precisely(&self, point: [f64; 3]) -> Option<u32> {
+        let [lo, hi] = self.view_box.map(|corner| corner.map(f64::from));
         if !(0..3).all(|a| lo[a] <= point[a] && point[a] <= hi[a]) {
             return None;
         }
         let mut node = 0usize;
         while let Node::Split { axis, at } = self.nodes[node] {
-            let below = point[usize::from(axis)] < at;
+            let below = point[usize::from(axis)] < f64::from(at);
             node = if below { node + 1 } else { self.links[node].upper_or_cell as usize };
         }
         Some(self.links[node].upper_or_cell)

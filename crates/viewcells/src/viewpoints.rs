@@ -8,6 +8,7 @@
 use sightline_numbers::varint;
 
 use crate::region::Region;
+use crate::{CellBox, UNITS_PER_CELL};
 
 /// Parts along each side of a cell.
 pub const PARTS: u32 = 4;
@@ -80,6 +81,13 @@ impl Viewpoints {
     /// The marks of the cell with an index.
     pub fn of(&self, cell: usize) -> u64 {
         self.parts[cell]
+    }
+
+    /// The marks of a cell of the grid.
+    pub fn at(&self, cell: &CellBox) -> u64 {
+        let [nx, ny, _] = self.cells.map(|n| n as usize);
+        let [x, y, z] = cell.lo.map(|u| (u / UNITS_PER_CELL) as usize);
+        self.of((z * ny + y) * nx + x)
     }
 
     /// Number of cells with a marked part.

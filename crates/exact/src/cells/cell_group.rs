@@ -26,6 +26,8 @@ pub struct CellGroup<'a> {
     pub places: Option<&'a dyn Places>,
     /// For each cell, triangles that sampling has shown, ascending.
     pub seen: &'a [&'a [u32]],
+    /// For each cell, [`Task::listed`]; empty for none.
+    pub listed: &'a [Option<Vec<u32>>],
     /// The limits of a single query.
     pub limits: Limits,
     /// Seed of the rays.
@@ -65,6 +67,7 @@ pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
         places: task.places,
         seen: &[],
         above: &[],
+        listed: None,
         limits: task.limits,
         seed: task.seed,
         keep: task.keep,
@@ -80,13 +83,16 @@ pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
     // have many cells, so all states at once would take much memory.
     let mut seen_by_any = vec![false; work.state.len()];
     let mut hidden_from = vec![0; work.state.len()];
-    let pairs: Vec<_> = task.cells.iter().zip(task.seen).collect();
+    let listed = task.listed.iter().map(Option::as_deref).chain(std::iter::repeat(None));
+    let pairs: Vec<_> = task.cells.iter().zip(task.seen).zip(listed).collect();
     for some in pairs.chunks(rayon::current_num_threads()) {
         if (task.stop)() {
             return nothing(QueryStatistics::default());
         }
-        let known: Vec<Vec<State>> =
-            some.par_iter().map(|(cell, seen)| before_asking(&whole, **cell, seen)).collect();
+        let known: Vec<Vec<State>> = some
+            .par_iter()
+            .map(|((cell, seen), listed)| before_asking(&whole, **cell, seen, *listed))
+            .collect();
         let counts = seen_by_any.par_iter_mut().zip(&mut hidden_from).enumerate();
         counts.for_each(|(id, (seen, hidden))| {
             *seen |= known.iter().any(|cell| cell[id] == State::Visible);
@@ -113,10 +119,11 @@ pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
 
 /// The states of the triangles for one of the cells before any query; triangles that sampling has shown count
 /// as visible.
-fn before_asking(whole: &Task<'_>, cell: Cell, seen: &[u32]) -> Vec<State> {
-    let own = Task { cell, seen, keep: false, ..*whole };
+fn before_asking(whole: &Task<'_>, cell: Cell, seen: &[u32], listed: Option<&[u32]>) -> Vec<State> {
+    let own = Task { cell, seen, listed, keep: false, ..*whole };
     let mut work = Work::new(&own);
     work.meeting();
+    work.keep_to_listed();
     work.enclose();
     let mut state = work.state;
     for id in seen {

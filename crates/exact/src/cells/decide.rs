@@ -28,6 +28,7 @@ pub fn decide(task: &Task<'_>) -> Decided {
     }
     work.meeting();
     work.take_over();
+    work.keep_to_listed();
     work.enclose();
     work.show();
     work.search();
@@ -41,10 +42,12 @@ impl Work<'_> {
         let open =
             |id: &u32| self.state[*id as usize] == State::Open && task.scene.occluders().is_target(*id);
         let wanted: Vec<u32> = task.seen.iter().copied().filter(open).collect();
+        let wanted = (&wanted[..], rays::TRIES);
         let (found, rays) =
-            rays::witnesses(task.scene.occluders(), &self.sources, &wanted, task.seed, task.stop);
+            rays::witnesses(task.scene.occluders(), &self.sources, wanted, task.seed, task.stop);
+        let (wanted, _) = wanted;
         self.decided.statistics.rays = rays;
-        let left: Vec<u32> = wanted.into_iter().filter(|id| !found.contains_key(id)).collect();
+        let left: Vec<u32> = wanted.iter().copied().filter(|id| !found.contains_key(id)).collect();
         for (id, ends) in found {
             self.see(id, |_| Witness::Floats(ends));
         }

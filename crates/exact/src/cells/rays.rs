@@ -14,7 +14,7 @@ use crate::occluders::Occluders;
 use crate::occluders::segment::{first, shows};
 
 /// Segments tried for one triangle before it is left to a query, which costs far more than all of them.
-const TRIES: u32 = 48;
+pub const TRIES: u32 = 48;
 /// How far a witness extends beyond the triangle, as fractions of its length, in the order tried: far enough
 /// that its rounded end is beyond the triangle, not so far that it often meets another triangle.
 const BEYOND: [f64; 2] = [1e-4, 1e-6];
@@ -75,14 +75,14 @@ fn segment(
     })
 }
 
-/// Looks for witnesses of the `wanted` triangles (ascending) and gives those found.
+/// Looks for witnesses of the `wanted` triangles (ascending), with some tries each, and gives those found.
 ///
 /// The answer depends on the scene, the cell, `wanted` and `seed` alone. `stop` is called after each
 /// triangle; when it returns true, the answer is the witnesses found so far.
 pub fn witnesses(
     scene: &Occluders,
     sources: &Sources<'_>,
-    wanted: &[u32],
+    (wanted, tries): (&[u32], u32),
     seed: u64,
     stop: &dyn Fn() -> bool,
 ) -> (BTreeMap<u32, [Vec3; 2]>, u64) {
@@ -91,7 +91,7 @@ pub fn witnesses(
     for id in wanted {
         let mut random = Random::new(seed, u64::from(*id));
         let [a, b, c] = scene.triangle(*id).map(|v| v.as_dvec3());
-        for _ in 0..TRIES {
+        for _ in 0..tries {
             if found.contains_key(id) {
                 break;
             }

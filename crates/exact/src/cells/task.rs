@@ -19,6 +19,9 @@ pub struct Task<'a> {
     pub seen: &'a [u32],
     /// Triangles hidden from the box of the cell group, ascending. None of them meets the cell.
     pub above: &'a [u32],
+    /// All triangles that may be seen, ascending, if something has proved the others hidden. There is no
+    /// certificate about these.
+    pub listed: Option<&'a [u32]>,
     /// The limits of a single query.
     pub limits: Limits,
     /// Seed of the rays.

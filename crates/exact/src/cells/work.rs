@@ -58,6 +58,20 @@ impl Work<'_> {
             task.above.iter().filter(|id| task.seen.binary_search(id).is_ok()).count() as u64;
     }
 
+    /// Marks the triangles hidden that the task does not list.
+    pub fn keep_to_listed(&mut self) {
+        let Some(listed) = self.task.listed else { return };
+        let scene = self.task.scene.occluders();
+        for (id, state) in self.state.iter_mut().enumerate() {
+            let id = id as u32;
+            if *state == State::Open && scene.is_target(id) && listed.binary_search(&id).is_err() {
+                *state = State::Hidden;
+                self.decided.statistics.hidden += 1;
+                self.decided.statistics.refuted += u64::from(self.task.seen.binary_search(&id).is_ok());
+            }
+        }
+    }
+
     /// Marks the triangles that meet the cell where viewpoints are, I(C).
     pub fn meeting(&mut self) {
         for id in self.meeting_in(self.task.scene.occluders().targets()) {

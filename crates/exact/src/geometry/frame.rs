@@ -56,6 +56,13 @@ pub enum Place {
 }
 
 impl Frame {
+    /// The map that changes nothing.
+    pub fn world() -> Self {
+        let one = STEPS as i32;
+        let rows = [[one, 0, 0], [0, one, 0], [0, 0, one]];
+        Self { origin: DVec3::ZERO, rows, shift: [0; 3], scale: [1.0 / STEPS; 3] }
+    }
+
     /// A frame for the points `a` and `b`, neither of which is empty.
     pub fn around(a: &[DVec3], b: &[DVec3]) -> Self {
         let middle = |p: &[DVec3]| p.iter().sum::<DVec3>() / p.len() as f64;

@@ -399,6 +399,13 @@ pub fn rounded(p: &Source) -> DVec3 {
     }
 }
 
+/// For each coordinate whether [`rounded`] is not exactly it.
+pub fn is_rounded(p: &Source) -> [bool; 3] {
+    let Source::Exact(exact) = p else { return [false; 3] };
+    let near = integers(&Source::Given(rounded(p)));
+    [0, 1, 2].map(|k| &near[k] * &exact[3] != &exact[k] * &near[3])
+}
+
 /// Whether three points are on a line.
 fn collinear(p: [&Source; 3]) -> bool {
     if let [Source::Given(a), Source::Given(b), Source::Given(c)] = p

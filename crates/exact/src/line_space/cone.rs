@@ -112,6 +112,14 @@ impl Region {
         Ok(parts)
     }
 
+    /// The region with one more half-space, which holds it; `sides` holds the side of each ray.
+    pub fn within(&self, line: VectorId, sides: &[Ordering]) -> Self {
+        let bit = 1u128 << self.halves.len();
+        let tight = |side: &Ordering| if *side == Ordering::Equal { bit } else { 0 };
+        let rays = self.rays.iter().zip(sides).map(|((r, t), side)| (*r, t | tight(side))).collect();
+        Self { rays, halves: self.halves.iter().copied().chain([line]).collect() }
+    }
+
     /// The region without the half-spaces that are tight at fewer than five rays; these bound no facet.
     pub fn compact(&self) -> Self {
         let kept: Vec<usize> = (0..self.halves.len())

@@ -1,5 +1,6 @@
 //! The query between two polygons: feedback-guided subtraction of occluders in line space.
 
+mod antipenumbra;
 mod corners;
 mod edges;
 mod fusion;
@@ -14,6 +15,7 @@ mod subtract;
 mod trace;
 mod verdict;
 
+pub use antipenumbra::{Antipenumbra, NoAntipenumbra, Surface, Swath, antipenumbra};
 pub use query::{sightlines, sightlines_until};
 pub use stab::{Stabbed, stab};
 pub use verdict::{Cost, Limits, Reason, Verdict};

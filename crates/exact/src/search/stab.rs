@@ -59,6 +59,14 @@ pub fn stab(portals: &[Polygon], limits: &Limits, stop: &dyn Fn() -> bool) -> (S
     (found, search.cost)
 }
 
+/// The directions in which lines cross polygons in order, each towards a side of the polygon's plane; `None`
+/// when there are none, or several combinations of them.
+pub(super) fn directions(portals: &[Polygon], limits: &Limits) -> Option<Vec<Ordering>> {
+    let mut search = Search { limits, stop: &|| false, cost: Cost::default() };
+    let ways = search.directed(portals).ok()?;
+    <[Directed; 1]>::try_from(ways).ok().map(|[way]| way.towards)
+}
+
 /// A point inside a polygon, and one off its plane, on the side to which its normal points.
 fn across(polygon: &Polygon) -> [Source; 2] {
     let corners = [0, 1, 2].map(|i| integers(&polygon.points()[i]));
@@ -366,7 +374,7 @@ impl Search<'_> {
 
 /// The lines of the edges of polygons, and the side on which a line passes them that crosses the polygon in
 /// its direction.
-fn edges(space: &mut Space, middle: &[(&Polygon, Ordering)]) -> Vec<(VectorId, Ordering)> {
+pub(super) fn edges(space: &mut Space, middle: &[(&Polygon, Ordering)]) -> Vec<(VectorId, Ordering)> {
     let mut out = Vec::new();
     for (polygon, towards) in middle {
         let mut point = |source: &Source| {

@@ -20,6 +20,7 @@ pub fn solve(scene: &ExactScene, cell: Aabb, seen: &[u32], stop: &(dyn Fn() -> b
         places: None,
         seen,
         above: &[],
+        listed: None,
         limits: Limits::default(),
         seed: 7,
         keep: true,

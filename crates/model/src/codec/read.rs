@@ -159,7 +159,7 @@ impl Reader<'_> {
         if open != 0 {
             return Err(CodecError("its tree is not whole"));
         }
-        let mut sets = CellSets { nodes, cells: Vec::new(), pairs: None };
+        let mut sets = CellSets { nodes, ..CellSets::default() };
         for _ in 0..cells {
             let (visible, samples, stats) = (self.ids()?, self.u32()?, self.stats()?);
             let unreached = match self.byte()? {
@@ -172,7 +172,16 @@ impl Reader<'_> {
             sets.cells.push(CellSet { visible, samples, stats, decision, unreached, hits });
         }
         sets.pairs = self.pairs()?;
+        sets.portals = self.counted()?;
         Ok(sets)
+    }
+
+    /// Bytes after their number.
+    fn counted(&mut self) -> Result<Vec<u8>, CodecError> {
+        let length = self.count(1)?;
+        let (counted, rest) = self.bytes.split_at(length);
+        self.bytes = rest;
+        Ok(counted.to_vec())
     }
 
     fn hits(&mut self, items: usize) -> Result<Option<Hits>, CodecError> {
@@ -243,9 +252,7 @@ impl Reader<'_> {
             return Err(CodecError("a decision has too many counts"));
         }
         let counts = (0..n).map(|_| self.u64()).collect::<Result<_, _>>()?;
-        let length = self.count(1)?;
-        let (certificate, rest) = self.bytes.split_at(length);
-        self.bytes = rest;
-        Ok(Some(Decision { undecided, counts, certificate: certificate.to_vec() }))
+        let certificate = self.counted()?;
+        Ok(Some(Decision { undecided, counts, certificate }))
     }
 }

@@ -33,6 +33,7 @@ fn outputs() -> impl Strategy<Value = TileOutput> {
     let cells =
         (ids(), ids(), 0usize..3, any::<u32>(), any::<u32>()).prop_map(|(a, b, axis, at, samples)| {
             TileOutput::Cells(CellSets {
+                portals: vec![1, 2, 3],
                 pairs: (samples % 2 == 0).then(|| {
                     let table = |step: u32| {
                         let mut table = PairTable::empty(70);
@@ -110,14 +111,14 @@ fn many_cells_are_coded_as_a_few_are() {
     };
     let split = |at| Node::Split(Split { axis: 0, at });
     let nodes = vec![split(4), split(2), Node::Cell, Node::Cell, split(6), Node::Cell, Node::Cell];
-    let sets = CellSets { nodes, cells: (0..4).map(cell).collect(), pairs: None };
+    let sets = CellSets { nodes, cells: (0..4).map(cell).collect(), pairs: None, portals: Vec::new() };
     let mut one_by_one = Vec::new();
     sets.cells.iter().for_each(|c| put_cell(c, &mut one_by_one).unwrap());
     let output = TileOutput::Cells(sets);
     let bytes = encode(&output).unwrap();
     let raw = zstd::stream::decode_all(bytes.as_slice()).unwrap();
-    // No pairs.
-    one_by_one.push(0);
+    // No pairs, no portals.
+    one_by_one.extend([0, 0]);
     assert!(raw.ends_with(&one_by_one));
     assert_eq!(decode(&bytes, 4 * MANY as u32).unwrap(), output);
 }
@@ -128,6 +129,7 @@ fn ids_beyond_the_scene_are_refused() {
         nodes: vec![Node::Cell],
         cells: vec![CellSet { visible: vec![5], samples: 1, ..CellSet::default() }],
         pairs: None,
+        portals: Vec::new(),
     };
     let bytes = encode(&TileOutput::Cells(sets)).unwrap();
     assert!(decode(&bytes, 6).is_ok());
@@ -140,8 +142,13 @@ fn what_is_undecided_has_to_be_in_the_set() {
     let sets = |undecided: &[u32]| {
         let decision = Some(Decision { undecided: undecided.to_vec(), ..Decision::default() });
         let cell = CellSet { visible: vec![2, 5], decision, ..CellSet::default() };
-        encode(&TileOutput::Cells(CellSets { nodes: vec![Node::Cell], cells: vec![cell], pairs: None }))
-            .unwrap()
+        encode(&TileOutput::Cells(CellSets {
+            nodes: vec![Node::Cell],
+            cells: vec![cell],
+            pairs: None,
+            portals: Vec::new(),
+        }))
+        .unwrap()
     };
     for fine in [&[][..], &[2], &[5], &[2, 5]] {
         assert!(decode(&sets(fine), 6).is_ok());

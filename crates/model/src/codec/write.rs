@@ -84,6 +84,8 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
                     pairs.hidden.iter().for_each(|hidden| put_pairs(&mut raw, hidden));
                 }
             }
+            varint::write(&mut raw, sets.portals.len() as u64);
+            raw.extend_from_slice(&sets.portals);
         }
     }
     if raw.len() as u64 > MAX_UNPACKED {

@@ -51,7 +51,7 @@ pub fn run(work: &Work<'_>, tile: &Tile) -> Result<(CellSets, u64), TileError> {
     drop(block);
     let part = sampled.part(job, &tile.cell, (tile.depth, 0));
     part.cells.iter().for_each(|_| watcher.cell_done());
-    Ok((CellSets { nodes: part.nodes, cells: part.cells, pairs: None }, rays))
+    Ok((CellSets { nodes: part.nodes, cells: part.cells, pairs: None, portals: Vec::new() }, rays))
 }
 
 /// A part of the tree, in preorder.

@@ -3,13 +3,14 @@
 //! Along a chain of cuts the integers double in length with every cut, before common factors are removed. An
 //! extreme ray is the only solution of K(x, l) = 0 for five independent lines l, whose integers are small.
 
+use std::cmp::Ordering;
+
 use dashu_int::IBig;
 
-#[cfg(test)]
-use super::Tight;
 use super::solved::{MOST_ERROR, functional, independent};
-use super::{Space, VectorId};
-use crate::arithmetic::number::rounded;
+use super::{Space, Tight, VectorId, klein_exact};
+use crate::arithmetic::number::{primitive, rounded};
+use crate::geometry::predicates;
 
 impl Space {
     /// Computes a ray exactly from `lines`, the lines it is on, of which there are at least five. Leaves the
@@ -39,6 +40,29 @@ impl Space {
         }
         self.improve(ray, &x);
         self.vectors[ray.index()].exact = Some(Box::new(x));
+    }
+}
+
+impl Space {
+    /// A vector x with K(x, l) = 0 for five independent lines l.
+    pub fn orthogonal(&mut self, lines: [VectorId; 5]) -> [IBig; 6] {
+        let mut x = cross(&lines.map(|line| functional(self.exact(line))));
+        primitive(&mut x);
+        x
+    }
+
+    /// The rays of the cone of all vectors that have six independent lines on the given sides, each with the
+    /// lines that are tight at it.
+    pub fn dual_simplex(&mut self, lines: [(VectorId, Ordering); 6]) -> Vec<(VectorId, Tight)> {
+        let exact = lines.map(|(line, _)| self.exact(line).clone());
+        let rays = (0..6).map(|i| {
+            let x = cross(&std::array::from_fn(|k| functional(&exact[if k < i { k } else { k + 1 }])));
+            let side = predicates::sign(&klein_exact(&x, &exact[i]));
+            let x = if side == lines[i].1 { x } else { x.map(|c| -c) };
+            (x, 0b11_1111 & !(1 << i))
+        });
+        let rays: Vec<([IBig; 6], Tight)> = rays.collect();
+        rays.into_iter().map(|(x, tight)| (self.fixed(x), tight)).collect()
     }
 }
 

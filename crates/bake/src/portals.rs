@@ -1,0 +1,135 @@
+//! A tile of the method portals: what portals do not hide, with a witness or undecided.
+//!
+//! No backend takes part. Doubles are only added, multiplied, divided and rooted, which every machine does
+//! alike, so the bytes depend on the specification and the scene alone.
+
+use std::time::Instant;
+
+use rayon::prelude::*;
+use sightline_exact::{Task, decide_listed};
+use sightline_model::{CellSet, CellSets, Decision, JobSpec, Node, TileOutput, codec};
+use sightline_portals::table;
+use sightline_viewcells::{CellBox, Lattice, Tile, TileKind};
+
+use crate::cell_phase::decide_shared;
+use crate::choices::{box_seed, exact_limits};
+use crate::decide::{exact_cell, is_within, listed, statistics};
+use crate::groups::cells_and_groups;
+use crate::outcome::{BakeError, Control, TileDone, tile_error};
+use crate::scene::BakeScene;
+use crate::within::Within;
+
+/// Computes tile `number` of a job of the method portals.
+///
+/// # Errors
+/// [`BakeError`]; a cancelled tile is one.
+///
+/// # Panics
+/// On a thread of rayon's pool, which could wait for itself.
+pub fn run_portal_tile(
+    spec: &JobSpec,
+    number: u32,
+    scene: &BakeScene,
+    control: Control<'_>,
+) -> Result<TileDone, BakeError> {
+    let (lattice, plan) = spec.plan().map_err(tile_error)?;
+    let tile = plan.tiles.get(number as usize).filter(|tile| tile.kind == TileKind::Leaf);
+    let tile = tile.ok_or_else(|| BakeError::Tile("the plan has no such tile of cells".to_owned()))?;
+    let within = Within::of(spec, scene.scene()).map_err(tile_error)?;
+    let sets = empty_cells(spec, &lattice, tile);
+    let (boxes, _) = cells_and_groups(&tile.cell, &sets.nodes);
+    let partition = scene.partition(spec).map_err(tile_error)?;
+    let exact = scene.exact().map_err(BakeError::Tile)?;
+    tracing::debug!(tile = number, leaves = partition.leaves(), "scene divided");
+    let places = within.as_ref().map(Within::places);
+    let watcher = control.watcher;
+    let compute = |item: usize, stop: &(dyn Fn() -> bool + Sync)| -> Result<CellSet, String> {
+        let mut set = sets.cells[item].clone();
+        if set.unreached {
+            set.decision = Some(Decision::default());
+            return Ok(set);
+        }
+        let world = boxes[item].world(&lattice);
+        // What was not looked for in time may be seen.
+        let all = || (0..scene.scene().len()).collect();
+        let found = listed(&partition, world, stop).unwrap_or_else(all);
+        let decided = decide_listed(&Task {
+            scene: exact,
+            cell: exact_cell(&boxes[item], &lattice)?,
+            places,
+            seen: &[],
+            above: &[],
+            listed: Some(&found),
+            limits: exact_limits(spec.method),
+            seed: box_seed(&boxes[item], spec.seed),
+            keep: false,
+            stop,
+            asked: &|| {},
+        });
+        watcher.rendered(decided.statistics.rays);
+        let mut undecided = decided.undecided;
+        set.visible = decided.visible;
+        set.visible.extend(&undecided);
+        set.visible.sort_unstable();
+        if let Some(far) = spec.sampling.far {
+            let near = |id: &u32| is_within(exact, *id, world, far);
+            set.visible.retain(near);
+            undecided.retain(near);
+        }
+        let counts = statistics(&decided.statistics).numbers().to_vec();
+        set.decision = Some(Decision { undecided, counts, ..Decision::default() });
+        Ok(set)
+    };
+    let cells = match control.deadline {
+        None => {
+            let compute = |item: usize, is_needless: &(dyn Fn() -> bool + Sync)| {
+                compute(item, &|| watcher.cancelled() || is_needless())
+            };
+            decide_shared(control.crew, &sets.cells, scene.scene().len(), &compute, watcher)?
+        }
+        Some(deadline) => {
+            let stop = || watcher.cancelled() || Instant::now() >= deadline;
+            let one = |item: usize| {
+                let cell = compute(item, &stop);
+                watcher.cell_done();
+                cell
+            };
+            let cells = (0..boxes.len()).into_par_iter().with_max_len(1).map(one);
+            cells.collect::<Result<Vec<_>, _>>().map_err(BakeError::Tile)?
+        }
+    };
+    if watcher.cancelled() {
+        return Err(BakeError::Cancelled);
+    }
+    if control.deadline.is_none() {
+        control.crew.end()?;
+    }
+    let rays = |cell: &CellSet| cell.decision.as_ref().map_or(0, Decision::rays);
+    let samples = cells.iter().map(rays).sum();
+    // The result has the portals once.
+    let portals = if number == 0 { table(&partition).encode() } else { Vec::new() };
+    let output = TileOutput::Cells(CellSets { cells, portals, ..sets });
+    let bytes = codec::encode(&output).map_err(tile_error)?;
+    Ok(TileDone { bytes, samples, recomputed: Vec::new() })
+}
+
+/// The cells of a tile, before anything is known but which have viewpoints.
+fn empty_cells(spec: &JobSpec, lattice: &Lattice, tile: &Tile) -> CellSets {
+    let mut sets = CellSets::default();
+    let mut open: Vec<(CellBox, u32)> = vec![(tile.cell, tile.depth)];
+    while let Some((at, depth)) = open.pop() {
+        match spec.division.split(lattice, &at, depth) {
+            Some(split) => {
+                sets.nodes.push(Node::Split(split));
+                let [below, above] = at.children(split);
+                open.extend([(above, depth + 1), (below, depth + 1)]);
+            }
+            None => {
+                sets.nodes.push(Node::Cell);
+                let unreached = spec.viewpoints.as_ref().is_some_and(|marks| marks.at(&at) == 0);
+                sets.cells.push(CellSet { unreached, ..CellSet::default() });
+            }
+        }
+    }
+    sets
+}

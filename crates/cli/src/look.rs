@@ -1,0 +1,99 @@
+//! `sightline look`: what is seen from points at run time, one JSON line in, one JSON line out.
+
+use std::time::Instant;
+
+use serde::Deserialize;
+use serde_json::{Value, json};
+use sightline_pvs::{LookError, Looker, View};
+
+use crate::args::LookArgs;
+use crate::error::CliError;
+use crate::json_lines::JsonLines;
+use crate::opening::open;
+use crate::progress::say;
+use crate::serve::print;
+
+/// One line of the input.
+#[derive(Deserialize)]
+struct Line {
+    #[serde(default)]
+    id: Value,
+    eye: [f64; 3],
+    dir: [f64; 3],
+    up: [f64; 3],
+    fov: [f64; 2],
+    #[serde(default)]
+    shut: Vec<String>,
+}
+
+/// Looks from every eye of a file, in order.
+pub fn run(args: &LookArgs) -> Result<(), CliError> {
+    let pvs = open(&args.result)?;
+    let mut looker = Looker::new(&pvs)?.ok_or_else(|| {
+        CliError::Input(format!(
+            "{} has no portals (method {}); bake it with --method portals",
+            args.result.display(),
+            pvs.method()
+        ))
+    })?;
+    let doors = looker.doors();
+    let example = r#"{"id":1,"eye":[x,y,z],"dir":[x,y,z],"up":[x,y,z],"fov":[90,60]}"#;
+    let mut input = JsonLines::open(&args.eyes, example)?;
+    let mut times: Vec<u64> = Vec::new();
+    let check = |line: Line| {
+        let number = |name: &String| {
+            doors.binary_search(name).map_err(|_| match doors {
+                [] => format!("there is no door {name:?}: the result has no doors"),
+                _ => format!("there is no door {name:?}; the doors are {}", doors.join(", ")),
+            })
+        };
+        let shut: Vec<usize> = line.shut.iter().map(number).collect::<Result<_, _>>()?;
+        Ok((line, shut))
+    };
+    let ended = loop {
+        let (lines, failure) = input.read(check);
+        let last = lines.is_empty();
+        let first = input.lines - lines.len() as u64 - u64::from(failure.is_some());
+        for (number, (line, shut)) in (first + 1..).zip(lines) {
+            (0..doors.len()).for_each(|door| looker.shut(door, shut.contains(&door)));
+            let view = View { eye: line.eye, direction: line.dir, up: line.up, fov: line.fov };
+            let start = Instant::now();
+            let cell = looker.look(&view);
+            let nanos = start.elapsed().as_nanos() as u64;
+            let wrong =
+                |why: String| CliError::Input(format!("{}, view {number}: {why}", args.eyes.display()));
+            let cell = match cell {
+                Ok(Some(cell)) => cell,
+                Ok(None) => {
+                    let [lo, hi] = pvs.tree().view_box();
+                    return Err(wrong(format!(
+                        "the eye {:?} is outside of the view box, {lo:?} to {hi:?}; give one inside",
+                        line.eye
+                    )));
+                }
+                Err(LookError::View(e)) => return Err(wrong(e.to_string())),
+                Err(LookError::Pvs(e)) => return Err(e.into()),
+            };
+            if !pvs.is_reached(cell)? {
+                return Err(wrong(format!("no viewpoint can be in cell {cell}; the bake left it out")));
+            }
+            times.push(nanos);
+            let micros = nanos as f64 / 1e3;
+            let answer = json!({"id": line.id, "cell": cell, "visible": looker.visible(), "micros": micros});
+            print(&answer.to_string())?;
+        }
+        match failure {
+            Some(e) => break Err(e),
+            None if last => break Ok(()),
+            None => {}
+        }
+    };
+    if ended.is_err() {
+        say("only the views before the bad line were answered");
+    }
+    times.sort_unstable();
+    if let Some(median) = times.get(times.len() / 2) {
+        say(&format!("{} views, {:.1} µs each in the median", times.len(), *median as f64 / 1e3));
+    }
+    ended
+}

@@ -1,0 +1,132 @@
+//! `sightline verify --sample` of a result of the method portals, which has no certificates: exact queries
+//! about pairs of a cell and a triangle that are called hidden.
+
+use std::path::Path;
+
+use glam::Vec3;
+use rayon::prelude::*;
+use serde_json::json;
+use sightline_exact::{Cell, Cost, ExactScene, Found, Limits, Places, Polygon, Sources, from_cell};
+use sightline_numbers::random::SplitMix64;
+use sightline_pvs::Pvs;
+use sightline_scene::Scene;
+
+use crate::args::VerifyArgs;
+use crate::enclosure::of_result;
+use crate::error::CliError;
+use crate::opening::plural;
+use crate::serve::print;
+
+/// Draws of a pair that are not hidden before the sample ends with fewer pairs.
+const TRIES: u32 = 1000;
+
+/// Asks about pairs that are drawn at random.
+pub fn run(args: &VerifyArgs, (pvs, scene): (&Pvs, &Scene), wanted: u64, json: bool) -> Result<(), CliError> {
+    let places = of_result(pvs, scene, &args.result)?;
+    let exact = ExactScene::prepare(scene).map_err(|e| CliError::Input(e.to_string()))?;
+    let pairs = draw(pvs, &exact, wanted, args.seed)?;
+    let ask =
+        |(cell, triangle): &(u32, u32)| ask(pvs, &exact, places.as_ref().map(|p| p as _), *cell, *triangle);
+    let answers: Vec<Result<Answer, CliError>> = pairs.par_iter().map(ask).collect();
+    let (mut hidden, mut undecided) = (0u64, 0u64);
+    for ((cell, triangle), answer) in pairs.iter().zip(answers) {
+        match answer? {
+            Answer::Hidden => hidden += 1,
+            Answer::Undecided => undecided += 1,
+            Answer::Seen(why) => return Err(refused(&args.result, *cell, *triangle, &why, json)),
+        }
+    }
+    if json {
+        return print(
+            &json!({
+                "accepted": true, "method": pvs.method(), "cells": pvs.cells(), "pairs": pairs.len(),
+                "hidden": hidden, "undecided": undecided, "sampled": true,
+            })
+            .to_string(),
+        );
+    }
+    print(&format!(
+        "accepted: of {} called hidden, exact queries say the same of {hidden}; {undecided} are undecided",
+        plural(pairs.len(), "pair")
+    ))
+}
+
+fn refused(result: &Path, cell: u32, triangle: u32, why: &str, json: bool) -> CliError {
+    let reason = format!("triangle {triangle} is called hidden and {why}");
+    if json {
+        let printed = print(&json!({"accepted": false, "cell": cell, "reason": reason}).to_string());
+        if let Err(e) = printed {
+            return e;
+        }
+    }
+    CliError::Input(format!(
+        "REFUSED: {}, cell {cell}: {reason}; the result is damaged or was altered, bake it again",
+        result.display()
+    ))
+}
+
+/// Pairs of a cell with viewpoints and a triangle that can be in a set and is not in the cell's.
+fn draw(pvs: &Pvs, scene: &ExactScene, wanted: u64, seed: u64) -> Result<Vec<(u32, u32)>, CliError> {
+    let mut random = SplitMix64::new(seed);
+    let mut below = |n: u32| (((random.bits() >> 32) * u64::from(n)) >> 32) as u32;
+    let mut of_cell: Vec<Option<Vec<u32>>> = vec![None; pvs.cells() as usize];
+    let (mut pairs, mut tries) = (Vec::new(), 0);
+    while (pairs.len() as u64) < wanted && tries < TRIES {
+        tries += 1;
+        let (cell, triangle) = (below(pvs.cells()), below(pvs.triangle_count()));
+        if !pvs.is_reached(cell)? || !scene.occluders().is_target(triangle) {
+            continue;
+        }
+        let set = &mut of_cell[cell as usize];
+        let set = match set {
+            Some(set) => set,
+            None => {
+                let mut ids = Vec::new();
+                pvs.visible(cell, &mut ids)?;
+                set.insert(ids)
+            }
+        };
+        if set.binary_search(&triangle).is_err() {
+            pairs.push((cell, triangle));
+            tries = 0;
+        }
+    }
+    Ok(pairs)
+}
+
+enum Answer {
+    Hidden,
+    Undecided,
+    Seen(String),
+}
+
+fn ask(
+    pvs: &Pvs,
+    scene: &ExactScene,
+    places: Option<&dyn Places>,
+    cell: u32,
+    triangle: u32,
+) -> Result<Answer, CliError> {
+    let bounds = pvs.cell_bounds(cell).map(|b| b.map(Vec3::from));
+    let cell = bounds.and_then(|[min, max]| Cell::new(min, max));
+    let cell = cell.ok_or_else(|| CliError::Input("a cell of the result has no volume".to_owned()))?;
+    let sources = Sources::new(cell, places);
+    let corners = *scene.occluders().triangle(triangle);
+    let of = sightline_scene::Triangle { v: corners };
+    // A triangle that meets the cell where viewpoints are is seen.
+    if sightline_scene::overlap::triangle_touches_box(&of, &cell.bounds()) && sources.is_met_by(corners) {
+        return Ok(Answer::Seen("meets the cell".to_owned()));
+    }
+    let Some(target) = Polygon::triangle(corners.map(|v| v.as_dvec3())) else { return Ok(Answer::Hidden) };
+    let mut cost = Cost::default();
+    let limits = Limits::default();
+    let found = from_cell(scene.occluders(), &sources, (&[target], None), (&limits, &|| false), &mut cost);
+    Ok(match found {
+        Found::Hidden(_) => Answer::Hidden,
+        Found::Undecided(_) => Answer::Undecided,
+        Found::Visible(ends) => {
+            let [p, q] = ends.each_ref().map(sightline_exact::polygon::rounded);
+            Answer::Seen(format!("is seen along the segment from {p} to {q}"))
+        }
+    })
+}

@@ -1,0 +1,512 @@
+//! The antipenumbra of a sequence of polygons: the surfaces that bound and divide the space that is lit
+//! through them (Teller 1992, sections 7.2 and 7.3).
+//!
+//! The lines that pass all edges on the right sides are the part of a cone in line space that lies on the
+//! Klein quadric. An edge of the cone's polytope meets the quadric in an extremal line, a 2-face in the trace
+//! of a swath: the lines that slide along three edges. Where lines exist on both sides of a swath it is
+//! internal; the others bound the lit space, and are linked into loops by the extremal lines where they meet.
+//!
+//! The edges of two polygons, and those of polygons in parallel planes, all meet one line l: that in which
+//! the planes meet. The cone then holds l in both directions, and of x + tl one vector is on the quadric. So
+//! every vertex of the polytope of the quotient by l is an extremal line, and every edge of it a swath.
+//!
+//! Signs that decide which faces meet the quadric are exact.
+
+use std::cmp::Ordering;
+use std::collections::{BTreeMap, BTreeSet};
+
+use dashu_int::IBig;
+use glam::DVec3;
+use sightline_numbers::union_find::UnionFind;
+
+use crate::geometry::frame::Frame;
+use crate::geometry::polygon::Polygon;
+use crate::geometry::predicates::{integers, orient, sign};
+use crate::line_space::cone::{MOST_HALVES, Region};
+use crate::line_space::space::{Space, Tight, VectorId, klein, klein_exact};
+use crate::search::stab::{directions, edges};
+use crate::search::verdict::Limits;
+
+/// An edge of a polygon of the sequence: the polygon's number, and that of the edge after its corner.
+pub type EdgeOf = [usize; 2];
+
+/// The surface of a swath.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Surface {
+    /// a, b, c, d with ax + by + cz + d = 0, of a vertex and an edge (VE).
+    Plane([f64; 4]),
+    /// A to J with Ax² + 2Bxy + 2Cxz + 2Dx + Ey² + 2Fyz + 2Gy + Hz² + 2Iz + J = 0, of three edges (EEE).
+    /// (Equation 7.3 of the thesis prints 2Cxy for 2Cxz.)
+    Quadric([f64; 10]),
+}
+
+/// A one-parameter family of lines that touch three edges.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Swath {
+    /// Its surface: a plane for a vertex and an edge, a quadric for three edges.
+    pub surface: Surface,
+    /// Whether it bounds the lit space.
+    pub is_boundary: bool,
+    /// The number of the loop of a boundary swath.
+    pub in_loop: Option<usize>,
+    /// The edges that its lines touch.
+    pub edges: Vec<EdgeOf>,
+}
+
+/// The antipenumbra of a sequence.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Antipenumbra {
+    /// Vertices, edges and 2-faces of the polytope of line space.
+    pub polytope: [usize; 3],
+    /// Number of extremal lines.
+    pub lines: usize,
+    /// The swaths.
+    pub swaths: Vec<Swath>,
+}
+
+/// Why there is no antipenumbra.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NoAntipenumbra {
+    /// The edges do not bound a cone.
+    #[error("the edges of the polygons do not bound line space: give polygons in at least two planes")]
+    Unbounded,
+    /// More edges than the representation holds.
+    #[error("the polygons have too many edges for swaths")]
+    TooComplex,
+    /// The directions in which the polygons are crossed are not known, or there are several.
+    #[error("lines cross the polygons in several combinations of directions; split the polygons")]
+    Directions,
+}
+
+/// The antipenumbra of a sequence that is stabbed.
+///
+/// # Errors
+/// [`NoAntipenumbra`].
+pub fn antipenumbra(portals: &[Polygon], limits: &Limits) -> Result<Antipenumbra, NoAntipenumbra> {
+    let towards = directions(portals, limits).ok_or(NoAntipenumbra::Directions)?;
+    // Lines are compared with polygons in the world.
+    let mut space = Space::new(Frame::world());
+    let directed: Vec<(&Polygon, Ordering)> = portals.iter().zip(towards).collect();
+    let lines = edges(&mut space, &directed);
+    let of: Vec<EdgeOf> =
+        portals.iter().enumerate().flat_map(|(k, p)| (0..p.points().len()).map(move |i| [k, i])).collect();
+    let cone = Cone::of(&mut space, &lines)?;
+    let faces = Faces::of(&cone.region);
+    let search = Search::new(&mut space, &cone);
+    let mut found = Antipenumbra {
+        polytope: [cone.region.rays.len(), faces.edges.len(), faces.faces.len()],
+        ..Antipenumbra::default()
+    };
+    // The rays of each face that is the trace of a swath, with the extremal lines at its ends.
+    let mut traces: Vec<(Vec<usize>, [Crossing; 2])> = Vec::new();
+    if cone.shared.is_some() {
+        let lines: Vec<Option<Crossing>> =
+            (0..cone.region.rays.len()).map(|ray| search.of_ray(ray, &mut found.lines)).collect();
+        for [i, j] in &faces.edges {
+            if let (Some(a), Some(b)) = (lines[*i], lines[*j]) {
+                traces.push((vec![*i, *j], [a, b]));
+            }
+        }
+    } else {
+        let mut crossings: BTreeMap<[usize; 2], Vec<Crossing>> = BTreeMap::new();
+        for edge in &faces.edges {
+            let on = search.crossings(*edge, found.lines);
+            found.lines += on.len();
+            crossings.insert(*edge, on);
+        }
+        for face in &faces.faces {
+            let around = faces.around(face);
+            let n = around.len();
+            let mut points: Vec<Crossing> = Vec::new();
+            for k in 0..n {
+                let (i, j) = (around[k], around[(k + 1) % n]);
+                let on = crossings.get(&[i.min(j), i.max(j)]).map_or(&[][..], Vec::as_slice);
+                // In the direction of the walk.
+                if i < j { points.extend(on) } else { points.extend(on.iter().rev()) }
+            }
+            traces.extend(arcs(&points).into_iter().map(|ends| (face.clone(), ends)));
+        }
+    }
+    let mut loops = UnionFind::new(found.lines);
+    for (face, [a, b]) in &traces {
+        let tight: Tight = face.iter().fold(Tight::MAX, |all, ray| all & cone.region.rays[*ray].1);
+        let is_tight = |k: usize| tight >> k & 1 == 1;
+        let touched: Vec<EdgeOf> = cone
+            .halves
+            .iter()
+            .enumerate()
+            .filter_map(|(k, edge)| edge.filter(|_| is_tight(k)).map(|edge| of[edge]))
+            .collect();
+        let (is_boundary, surface) = search.swath(portals, &touched, face, [*a, *b]);
+        if is_boundary {
+            loops.join(a.number as u32, b.number as u32);
+        }
+        found.swaths.push(Swath { surface, is_boundary, in_loop: None, edges: touched });
+    }
+    let mut numbers: BTreeMap<u32, usize> = BTreeMap::new();
+    for (swath, (_, [line, _])) in found.swaths.iter_mut().zip(&traces).filter(|(swath, _)| swath.is_boundary)
+    {
+        let next = numbers.len();
+        swath.in_loop = Some(*numbers.entry(loops.root(line.number as u32)).or_insert(next));
+    }
+    Ok(found)
+}
+
+/// The cone of all six-vectors that have the edges' lines on the right sides; its quotient by a line that all
+/// of these meet, if there is one.
+struct Cone {
+    region: Region,
+    /// For each half-space of the region the number of its edge; `None` for the one that picks one vector of
+    /// each x + tl.
+    halves: Vec<Option<usize>>,
+    /// The line l.
+    shared: Option<[IBig; 6]>,
+}
+
+impl Cone {
+    fn of(space: &mut Space, lines: &[(VectorId, Ordering)]) -> Result<Self, NoAntipenumbra> {
+        let mut basis = independent(space, lines);
+        let shared = match basis.len() {
+            6 => None,
+            5 => Some(space.orthogonal(std::array::from_fn(|k| lines[basis[k]].0))),
+            _ => return Err(NoAntipenumbra::Unbounded),
+        };
+        let mut first: Vec<(VectorId, Ordering)> = basis.iter().map(|k| lines[*k]).collect();
+        let mut halves: Vec<Option<usize>> = basis.iter().map(|k| Some(*k)).collect();
+        if let Some(shared) = &shared {
+            // K(w, l) is a component of l for a unit vector w; it is not 0.
+            let Some(at) = shared.iter().position(|c| !c.is_zero()) else {
+                return Err(NoAntipenumbra::Unbounded);
+            };
+            let across = std::array::from_fn(|k| if k == (at + 3) % 6 { IBig::ONE } else { IBig::ZERO });
+            first.push((space.fixed(across), Ordering::Greater));
+            halves.push(None);
+        }
+        let first: [(VectorId, Ordering); 6] = first.try_into().map_err(|_| NoAntipenumbra::Unbounded)?;
+        let mut region =
+            Region { rays: space.dual_simplex(first), halves: first.map(|(line, _)| line).into() };
+        basis.sort_unstable();
+        let mut sides = Vec::new();
+        for (k, (line, keep)) in lines.iter().enumerate().filter(|(k, _)| basis.binary_search(k).is_err()) {
+            if region.halves.len() >= MOST_HALVES {
+                return Err(NoAntipenumbra::TooComplex);
+            }
+            region.sides(space, *line, &mut sides);
+            if sides.contains(&keep.reverse()) {
+                let parts = region.split(space, *line, &sides).map_err(|_| NoAntipenumbra::TooComplex)?;
+                let [less, greater] = parts;
+                region = if *keep == Ordering::Less { less } else { greater };
+            } else {
+                region = region.within(*line, &sides);
+            }
+            halves.push(Some(k));
+        }
+        // The ray along l is no vertex of the quotient.
+        if shared.is_some() {
+            region.rays.retain(|(_, tight)| tight >> 5 & 1 == 1);
+        }
+        Ok(Self { region, halves, shared })
+    }
+}
+
+/// Up to six independent lines, the first ones: each has a part outside the span of those before.
+fn independent(space: &mut Space, lines: &[(VectorId, Ordering)]) -> Vec<usize> {
+    let (mut basis, mut rows): (Vec<usize>, Vec<[IBig; 6]>) = (Vec::new(), Vec::new());
+    for (k, (line, _)) in lines.iter().enumerate() {
+        let mut row = space.exact(*line).clone();
+        for known in &rows {
+            let Some(at) = known.iter().position(|c| !c.is_zero()) else { continue };
+            let (a, b) = (known[at].clone(), row[at].clone());
+            row.iter_mut().zip(known).for_each(|(x, y)| *x = &*x * &a - y * &b);
+        }
+        if row.iter().any(|c| !c.is_zero()) {
+            crate::arithmetic::number::primitive(&mut row);
+            rows.push(row);
+            basis.push(k);
+        }
+    }
+    basis
+}
+
+/// The faces of a cone of one and two dimensions more than its rays.
+struct Faces {
+    /// Pairs of rays that share an edge, ascending.
+    edges: BTreeSet<[usize; 2]>,
+    /// The rays of each 2-face, ascending.
+    faces: BTreeSet<Vec<usize>>,
+}
+
+impl Faces {
+    fn of(region: &Region) -> Self {
+        let rays = &region.rays;
+        let on = |tight: Tight| -> Vec<usize> {
+            (0..rays.len()).filter(|k| rays[*k].1 & tight == tight).collect()
+        };
+        let (mut edges, mut faces) = (BTreeSet::new(), BTreeSet::new());
+        for i in 0..rays.len() {
+            for j in i + 1..rays.len() {
+                let common = rays[i].1 & rays[j].1;
+                if common.count_ones() < 4 || on(common) != [i, j] {
+                    continue;
+                }
+                edges.insert([i, j]);
+                // The faces above an edge have the largest sets that are tight at a third ray as well.
+                let with: BTreeSet<Tight> =
+                    (0..rays.len()).filter(|k| *k != i && *k != j).map(|k| common & rays[k].1).collect();
+                let is_largest = |t: &Tight| !with.iter().any(|o| o != t && o & t == *t);
+                faces.extend(with.iter().filter(|t| is_largest(t)).map(|t| on(*t)));
+            }
+        }
+        Self { edges, faces }
+    }
+
+    /// The rays of a 2-face in order around it.
+    fn around(&self, face: &[usize]) -> Vec<usize> {
+        let mut order = vec![face[0]];
+        while let Some(last) = order.last().copied() {
+            let is_next =
+                |k: &&usize| !order.contains(k) && self.edges.contains(&[last.min(**k), last.max(**k)]);
+            match face.iter().find(is_next) {
+                Some(next) => order.push(*next),
+                None => break,
+            }
+        }
+        order
+    }
+}
+
+/// A point of the quadric on an edge of the polytope: an extremal line.
+#[derive(Clone, Copy, Debug)]
+struct Crossing {
+    number: usize,
+    line: [f64; 6],
+}
+
+/// The pairs of crossings around a 2-face that its conic joins.
+fn arcs(around: &[Crossing]) -> Vec<[Crossing; 2]> {
+    let n = around.len();
+    if n < 2 {
+        return Vec::new();
+    }
+    // The conic does not cross itself, so it joins neighbours: the first with the second, or with the last.
+    // Between crossings one and two the form has one sign, and on the chord from one to three it has one. If
+    // these agree, that part of the face is in one piece, and the pieces cut off are the others.
+    let sum = |a: &[f64; 6], b: &[f64; 6]| -> [f64; 6] { std::array::from_fn(|k| a[k] + b[k]) };
+    let form = |a: &[f64; 6]| klein(a, a);
+    let shift = if n > 2 {
+        let inner = sum(&around[0].line, &around[1].line);
+        let across = sum(&around[0].line, &around[2].line);
+        usize::from(form(&inner) * form(&across) > 0.0)
+    } else {
+        0
+    };
+    (0..n / 2).map(|k| [around[(2 * k + shift) % n], around[(2 * k + 1 + shift) % n]]).collect()
+}
+
+struct Search {
+    /// The rays, exact and rounded to a greatest component of 1.
+    rays: Vec<[IBig; 6]>,
+    near: Vec<[f64; 6]>,
+    /// The line that all edges meet, exact and rounded.
+    shared: Option<([IBig; 6], [f64; 6])>,
+}
+
+impl Search {
+    fn new(space: &mut Space, cone: &Cone) -> Self {
+        let ids: Vec<VectorId> = cone.region.rays.iter().map(|(ray, _)| *ray).collect();
+        let rays: Vec<[IBig; 6]> = ids.iter().map(|ray| space.exact(*ray).clone()).collect();
+        let near = rays.iter().map(rounded).collect();
+        Self { rays, near, shared: cone.shared.as_ref().map(|line| (line.clone(), rounded(line))) }
+    }
+
+    /// The extremal line of a ray of the quotient; `None` where it is at infinity.
+    fn of_ray(&self, ray: usize, lines: &mut usize) -> Option<Crossing> {
+        let (shared, _) = self.shared.as_ref()?;
+        if klein_exact(&self.rays[ray], shared).is_zero() {
+            return None;
+        }
+        *lines += 1;
+        Some(Crossing { number: *lines - 1, line: self.on_quadric(&self.near[ray]) })
+    }
+
+    /// The vector x + tl on the quadric.
+    fn on_quadric(&self, x: &[f64; 6]) -> [f64; 6] {
+        let Some((_, shared)) = &self.shared else { return *x };
+        let t = -klein(x, x) / (2.0 * klein(x, shared));
+        scaled(&std::array::from_fn(|k| x[k] + shared[k] * t))
+    }
+
+    /// The points of the quadric on an edge, from its first ray to its second; the first gets a number. A ray
+    /// on the quadric counts as above it.
+    fn crossings(&self, [i, j]: [usize; 2], number: usize) -> Vec<Crossing> {
+        let (u, v) = (&self.rays[i], &self.rays[j]);
+        let [uu, uv, vv] = [klein_exact(u, u), klein_exact(u, v), klein_exact(v, v)];
+        let is_up = |x: &IBig| sign(x) != Ordering::Less;
+        let count = if is_up(&uu) != is_up(&vv) {
+            1
+        } else if is_up(&uv) != is_up(&uu) && sign(&(&uv * &uv - &uu * &vv)) == Ordering::Greater {
+            2
+        } else {
+            return Vec::new();
+        };
+        // q(s) = (1 − s)² K(u, u) + 2 s (1 − s) K(u, v) + s² K(v, v), rounded.
+        let (a, b) = (&self.near[i], &self.near[j]);
+        let [uu, uv, vv] = [klein(a, a), klein(a, b), klein(b, b)];
+        let (p, q, r) = (uu - 2.0 * uv + vv, uv - uu, uu);
+        let root = (q * q - p * r).max(0.0).sqrt();
+        // Both roots of p s² + 2 q s + r without cancellation.
+        let t = -(q + root.copysign(q));
+        let mut roots = [t / p, r / t];
+        roots.sort_by(f64::total_cmp);
+        let line = |s: f64| -> [f64; 6] { scaled(&std::array::from_fn(|k| a[k] * (1.0 - s) + b[k] * s)) };
+        let within = |s: f64| (s - 0.5).abs();
+        if count == 1 {
+            let s =
+                if within(roots[0]) < within(roots[1]) || roots[1].is_nan() { roots[0] } else { roots[1] };
+            return vec![Crossing { number, line: line(s.clamp(0.0, 1.0)) }];
+        }
+        let both = roots.map(|s| s.clamp(0.0, 1.0));
+        vec![Crossing { number, line: line(both[0]) }, Crossing { number: number + 1, line: line(both[1]) }]
+    }
+
+    /// Whether a swath bounds the lit space, and its surface.
+    fn swath(
+        &self,
+        portals: &[Polygon],
+        touched: &[EdgeOf],
+        face: &[usize],
+        [a, b]: [Crossing; 2],
+    ) -> (bool, Surface) {
+        if let Some((vertex, edge)) = vertex_and_edge(portals, touched) {
+            return plane_swath(portals, vertex, edge);
+        }
+        // A line in the middle of the arc: from the middle of the chord towards the middle of the face.
+        let middle: [f64; 6] = std::array::from_fn(|k| a.line[k] + b.line[k]);
+        let line = if self.shared.is_some() {
+            self.on_quadric(&middle)
+        } else {
+            let inner: [f64; 6] = std::array::from_fn(|k| face.iter().map(|ray| self.near[*ray][k]).sum());
+            let (c, m, e) = (klein(&middle, &middle), klein(&middle, &inner), klein(&inner, &inner));
+            let root = (m * m - c * e).max(0.0).sqrt();
+            let t = -(m + root.copysign(m));
+            let steps = [t / e, c / t];
+            let step = if steps[0].abs() < steps[1].abs() || steps[1].is_nan() { steps[0] } else { steps[1] };
+            let step = if step.is_finite() { step } else { 0.0 };
+            std::array::from_fn(|k| middle[k] + inner[k] * step)
+        };
+        (!contained(portals, touched, &line), Surface::Quadric(quadric(portals, touched)))
+    }
+}
+
+/// The corner of a polygon and the edge of another that a swath touches, if two of its edges share a corner.
+fn vertex_and_edge(portals: &[Polygon], touched: &[EdgeOf]) -> Option<(EdgeOf, EdgeOf)> {
+    let pairs = touched.iter().enumerate().flat_map(|(k, a)| touched[k + 1..].iter().map(move |b| (*a, *b)));
+    for ([p, i], [q, j]) in pairs.filter(|(a, b)| a[0] == b[0]) {
+        let n = portals[p].points().len();
+        // Edge k goes from corner k to corner k + 1.
+        let corner = match ((i + 1) % n == j, (j + 1) % n == i) {
+            (true, _) => j,
+            (_, true) => i,
+            _ => continue,
+        };
+        debug_assert_eq!(p, q, "edges of one polygon");
+        if let Some(edge) = touched.iter().find(|[k, _]| *k != p) {
+            return Some(([p, corner], *edge));
+        }
+    }
+    None
+}
+
+/// A swath of a corner and an edge bounds the lit space exactly when its plane separates their polygons.
+fn plane_swath(portals: &[Polygon], [p, corner]: EdgeOf, [q, edge]: EdgeOf) -> (bool, Surface) {
+    let (of, other) = (portals[p].points(), portals[q].points());
+    let ends = [&other[edge], &other[(edge + 1) % other.len()]];
+    let v = &of[corner];
+    let sides = |points: &[crate::geometry::Source]| -> BTreeSet<Ordering> {
+        points.iter().map(|x| orient([ends[0], ends[1], v, x])).filter(|o| *o != Ordering::Equal).collect()
+    };
+    let (a, b) = (sides(of), sides(other));
+    let is_boundary = a.len() == 1 && b.len() == 1 && a != b;
+    let exact = [ends[0], ends[1], v].map(integers);
+    let [x, y, z, k] = crate::geometry::predicates::plane([&exact[0], &exact[1], &exact[2]]);
+    let plane = [x, y, z, -k].map(|c| c.to_f64().value());
+    let most = plane.iter().fold(0.0f64, |m, c| m.max(c.abs()));
+    (is_boundary, Surface::Plane(plane.map(|c| c / most)))
+}
+
+/// Whether some direction across a line points into all polygons at the edges that it touches (section
+/// 7.2.4): lines then exist on both sides of the swath. `line` is in the frame of the world.
+fn contained(portals: &[Polygon], touched: &[EdgeOf], line: &[f64; 6]) -> bool {
+    let along = DVec3::new(line[0], line[1], line[2]).normalize_or_zero();
+    let normals: Vec<DVec3> = touched
+        .iter()
+        .map(|[p, i]| {
+            let at = portals[*p].rounded();
+            let (a, b) = (at[*i], at[(*i + 1) % at.len()]);
+            let middle = at.iter().sum::<DVec3>() / at.len() as f64;
+            let normal = along.cross(b - a);
+            if normal.dot(middle - a) < 0.0 { -normal } else { normal }
+        })
+        .collect();
+    let right = along.any_orthonormal_vector();
+    let up = along.cross(right);
+    let mut angles: Vec<f64> = normals.iter().map(|n| n.dot(up).atan2(n.dot(right))).collect();
+    angles.sort_by(f64::total_cmp);
+    let n = angles.len();
+    let turn = std::f64::consts::TAU;
+    let gaps =
+        (0..n).map(|k| if k + 1 < n { angles[k + 1] - angles[k] } else { angles[0] + turn - angles[k] });
+    gaps.fold(0.0, f64::max) > std::f64::consts::PI
+}
+
+/// The regulus of lines that meet three edges: xᵀ L₃* L₂ L₁* x = 0, where L* maps a point to its plane with a
+/// line, and L a plane to its point on a line.
+fn quadric(portals: &[Polygon], touched: &[EdgeOf]) -> [f64; 10] {
+    let ends = |[p, i]: EdgeOf| {
+        let points = portals[p].points();
+        [integers(&points[i]), integers(&points[(i + 1) % points.len()])]
+    };
+    // The first three edges, of three polygons where there are as many.
+    let mut of: Vec<EdgeOf> = Vec::new();
+    for edge in touched {
+        if of.iter().all(|known| known[0] != edge[0]) {
+            of.push(*edge);
+        }
+    }
+    of.extend(touched.iter().filter(|e| !of.contains(e)).copied().collect::<Vec<_>>());
+    let lines: Vec<[[IBig; 4]; 2]> = of.into_iter().take(3).map(ends).collect();
+    let through = |[a, b]: &[[IBig; 4]; 2]| -> [[IBig; 4]; 4] {
+        std::array::from_fn(|i| std::array::from_fn(|j| &a[i] * &b[j] - &a[j] * &b[i]))
+    };
+    // The dual matrix has the complementary minors.
+    let dual = |m: &[[IBig; 4]; 4]| -> [[IBig; 4]; 4] {
+        let mut out: [[IBig; 4]; 4] = Default::default();
+        for (i, j, k, l) in
+            [(0, 1, 2, 3), (0, 2, 3, 1), (0, 3, 1, 2), (1, 2, 0, 3), (3, 1, 0, 2), (2, 3, 0, 1)]
+        {
+            out[i][j] = m[k][l].clone();
+            out[j][i] = -m[k][l].clone();
+        }
+        out
+    };
+    let times = |a: &[[IBig; 4]; 4], b: &[[IBig; 4]; 4]| -> [[IBig; 4]; 4] {
+        std::array::from_fn(|i| std::array::from_fn(|j| (0..4).map(|k| &a[i][k] * &b[k][j]).sum()))
+    };
+    let [l1, l2, l3] = [0, 1, 2].map(|k| through(&lines[k]));
+    let m = times(&dual(&l3), &times(&l2, &dual(&l1)));
+    let entry = |i: usize, j: usize| &m[i][j] + &m[j][i];
+    let pairs = [(0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3)];
+    let exact = pairs.map(|(i, j)| entry(i, j));
+    let values = exact.map(|c| c.to_f64().value());
+    let most = values.iter().fold(0.0f64, |m, c| m.max(c.abs()));
+    if most > 0.0 { values.map(|c| c / most) } else { values }
+}
+
+fn rounded(of: &[IBig; 6]) -> [f64; 6] {
+    scaled(&of.each_ref().map(|c| c.to_f64().value()))
+}
+
+fn scaled(of: &[f64; 6]) -> [f64; 6] {
+    let most = of.iter().fold(0.0f64, |m, c| m.max(c.abs()));
+    if most > 0.0 { of.map(|c| c / most) } else { *of }
+}

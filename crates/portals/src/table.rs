@@ -1,0 +1,83 @@
+//! A partition as a result has it, for look-ups at run time.
+
+use sightline_exact::polygon;
+use sightline_pvs::portals::{LEAF, MOST_CORNERS, NONE};
+use sightline_pvs::{Portal, Portals};
+
+use crate::partition::Partition;
+use crate::plane::PlaneId;
+use crate::tree::{LeafId, Node, PortalId};
+
+/// The planes, nodes, portals and triangles of the leaves where lines can be.
+pub fn table(partition: &Partition) -> Portals {
+    let tree = partition.tree();
+    let mut out = Portals::default();
+    let bounds = tree.bounds();
+    out.size = f64::from(bounds.min.abs().max(bounds.max.abs()).max_element()).max(f64::MIN_POSITIVE);
+    let mut planes: Vec<Option<u32>> = vec![None; tree.planes().len()];
+    let mut leaves: Vec<Option<u32>> = vec![None; tree.len()];
+    // A node gets its number when it is reached, and its parent is told.
+    let mut open: Vec<(u32, Option<(usize, usize)>)> = vec![(0, None)];
+    while let Some((at, parent)) = open.pop() {
+        let number = if !partition.is_inside(at) {
+            NONE
+        } else {
+            match tree.nodes()[at as usize] {
+                Node::Leaf(leaf) => {
+                    let number = out.leaves.len() as u32;
+                    leaves[leaf.0 as usize] = Some(number);
+                    // Ascending by triangle, some more than once.
+                    let mut ids: Vec<u32> = partition.parts(leaf).iter().map(|part| part.triangle).collect();
+                    ids.dedup();
+                    out.leaves.push(ids);
+                    LEAF + number
+                }
+                Node::Split(plane, [below, above]) => {
+                    let number = out.nodes.len();
+                    let plane = number_of(partition, plane, &mut planes, &mut out.planes);
+                    out.nodes.push([plane, NONE, NONE]);
+                    open.extend([(above, Some((number, 2))), (below, Some((number, 1)))]);
+                    number as u32
+                }
+            }
+        };
+        if let Some((node, side)) = parent {
+            out.nodes[node][side] = number;
+        }
+    }
+    for number in 0..tree.portals() as u32 {
+        let portal = tree.portal(PortalId(number));
+        let of = |leaf: LeafId| leaves[leaf.0 as usize];
+        if let (Some(below), Some(above), Some(plane)) =
+            (of(portal.leaves[0]), of(portal.leaves[1]), portal.plane)
+        {
+            let plane = number_of(partition, plane, &mut planes, &mut out.planes);
+            // The file has few corners for each portal; more are several portals.
+            let whole = portal.face.polygon().clone();
+            let pieces = if whole.points().len() > MOST_CORNERS { whole.pieces() } else { vec![whole] };
+            for piece in pieces {
+                let corners = piece.points().iter().map(|p| polygon::rounded(p).to_array()).collect();
+                out.portals.push(Portal { leaves: [below, above], plane, door: NONE, corners });
+            }
+        }
+    }
+    out
+}
+
+/// The number of a plane in the table, which gets it when it is first asked for.
+fn number_of(
+    partition: &Partition,
+    plane: PlaneId,
+    known: &mut [Option<u32>],
+    planes: &mut Vec<[f64; 4]>,
+) -> u32 {
+    *known[plane.0 as usize].get_or_insert_with(|| {
+        let [a, b, c, k] = partition.tree().planes().plane(plane).rounded();
+        // Scaled first, so that no square overflows.
+        let most = a.abs().max(b.abs()).max(c.abs());
+        let [a, b, c, k] = [a, b, c, k].map(|x| x / most);
+        let length = (a * a + b * b + c * c).sqrt();
+        planes.push([a, b, c, k].map(|x| x / length));
+        planes.len() as u32 - 1
+    })
+}

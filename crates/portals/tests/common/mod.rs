@@ -1,0 +1,91 @@
+//! Buildings, and segments that exact signs are sure of.
+
+use std::cmp::Ordering;
+
+use glam::{Quat, Vec3};
+use sightline_numbers::random::SplitMix64;
+use sightline_scene::exact::orient3d_sign;
+use sightline_scene::{Object, Scene, Triangle};
+
+/// Two triangles a quad; corners in order.
+fn quad(v: [[f32; 3]; 4]) -> [Triangle; 2] {
+    let v = v.map(Vec3::from);
+    [Triangle { v: [v[0], v[1], v[2]] }, Triangle { v: [v[0], v[2], v[3]] }]
+}
+
+/// A rectangle across an axis.
+pub fn across(axis: usize, at: f32, u: [f32; 2], v: [f32; 2]) -> [Triangle; 2] {
+    let corner = |s: usize, t: usize| {
+        let mut p = [at; 3];
+        p[(axis + 1) % 3] = u[s];
+        p[(axis + 2) % 3] = v[t];
+        p
+    };
+    quad([corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)])
+}
+
+pub fn scene(triangles: Vec<Triangle>) -> Scene {
+    let object = Object { name: "all".to_owned(), first: 0, count: triangles.len() as u32 };
+    Scene::new("test", triangles, vec![object]).unwrap()
+}
+
+/// A building of 3×2×2 rooms: walls with random doors and windows, some furniture, turned by an angle.
+pub fn building(seed: u64, angle: f32) -> Scene {
+    let mut random = SplitMix64::new(seed);
+    let mut unit = || random.unit_f32();
+    let size = [3usize, 2, 2];
+    let mut all = Vec::new();
+    for axis in 0..3 {
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        for at in 0..=size[axis] {
+            for i in 0..size[u] {
+                for k in 0..size[v] {
+                    let (lo, hi) = ([i as f32, k as f32], [i as f32 + 1.0, k as f32 + 1.0]);
+                    let at = at as f32;
+                    if unit() < 0.4 {
+                        all.extend(across(axis, at, [lo[0], hi[0]], [lo[1], hi[1]]));
+                        continue;
+                    }
+                    // An opening in the wall.
+                    let [a, b] = [lo[0], lo[1]].map(|x| x + 0.1 + 0.4 * unit());
+                    let (c, d) = (a + 0.1 + 0.2 * unit(), b + 0.1 + 0.2 * unit());
+                    all.extend(across(axis, at, [lo[0], a], [lo[1], hi[1]]));
+                    all.extend(across(axis, at, [c, hi[0]], [lo[1], hi[1]]));
+                    all.extend(across(axis, at, [a, c], [lo[1], b]));
+                    all.extend(across(axis, at, [a, c], [d, hi[1]]));
+                }
+            }
+        }
+    }
+    for _ in 0..20 {
+        let p = Vec3::new(3.0 * unit(), 2.0 * unit(), 2.0 * unit());
+        let mut off = || (Vec3::new(unit(), unit(), unit()) - 0.5) * 0.4;
+        all.push(Triangle { v: [p, p + off(), p + off()] });
+    }
+    let turn = Quat::from_euler(glam::EulerRot::XYZ, angle, 0.7 * angle, 0.3 * angle);
+    let turned = |p: Vec3| if angle == 0.0 { p } else { turn * p };
+    scene(all.into_iter().map(|t| Triangle { v: t.v.map(turned) }).collect())
+}
+
+/// The triangle that a segment crosses first, where exact signs are sure of it.
+pub fn strictly_seen(scene: &Scene, p: Vec3, q: Vec3) -> Option<u32> {
+    let mut crossed = None;
+    for (id, t) in (0..).zip(scene.triangles()) {
+        let [a, b, c] = t.v;
+        let ends = [orient3d_sign(a, b, c, p), orient3d_sign(a, b, c, q)];
+        let edges = [orient3d_sign(p, q, a, b), orient3d_sign(p, q, b, c), orient3d_sign(p, q, c, a)];
+        let is_on = |o: Ordering| o == Ordering::Equal;
+        let apart = ends[0] == ends[1] && !is_on(ends[0])
+            || edges.contains(&Ordering::Less) && edges.contains(&Ordering::Greater);
+        let through = ends[0] == ends[1].reverse()
+            && !is_on(ends[0])
+            && !is_on(edges[0])
+            && edges.iter().all(|e| *e == edges[0]);
+        match (apart, through) {
+            (true, _) => {}
+            (false, true) if crossed.is_none() => crossed = Some(id),
+            _ => return None,
+        }
+    }
+    crossed
+}

@@ -1,0 +1,130 @@
+//! What is seen through portals: known rooms, and random buildings against free segments.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+mod common;
+
+use common::{across, building, scene, strictly_seen};
+use glam::Vec3;
+use proptest::prelude::*;
+use sightline_numbers::Aabb;
+use sightline_numbers::random::SplitMix64;
+use sightline_portals::{Limits, Partition, Sights, sights};
+use sightline_scene::Scene;
+
+fn seen(scene: &Scene, of: Aabb) -> Sights {
+    let partition = Partition::new(scene, None, scene.bounds(), Limits::default()).unwrap();
+    sights(&partition, of, &|| false).unwrap()
+}
+
+/// Rooms at x = 0 to 5, z from 0 to 3, with doors at z from 0 to 1 and from 2 to 3 by turns. The floor, y =
+/// 0, is in squares with sides of 1/4; their triangles come first.
+fn zigzag() -> (Scene, usize) {
+    let mut all = Vec::new();
+    for i in 0..20 {
+        for k in 0..12 {
+            let (x, z) = (i as f32 / 4.0, k as f32 / 4.0);
+            all.extend(across(1, 0.0, [z, z + 0.25], [x, x + 0.25]));
+        }
+    }
+    let floor = all.len();
+    all.extend(across(1, 1.0, [0.0, 3.0], [0.0, 5.0]));
+    for x in [0.0, 5.0] {
+        all.extend(across(0, x, [0.0, 1.0], [0.0, 3.0]));
+    }
+    for z in [0.0, 3.0] {
+        all.extend(across(2, z, [0.0, 5.0], [0.0, 1.0]));
+    }
+    for (x, door) in [(1.0, 0.0), (2.0, 2.0), (3.0, 0.0), (4.0, 2.0)] {
+        for z in [0.0, 1.0, 2.0f32].into_iter().filter(|z| *z != door) {
+            all.extend(across(0, x, [0.0, 1.0], [z, z + 1.0]));
+        }
+    }
+    (scene(all), floor)
+}
+
+#[test]
+fn doors_by_turns_leave_a_wedge_of_the_third_room_and_nothing_of_the_fourth() {
+    let (scene, floor) = zigzag();
+    let first = Aabb::new(Vec3::ZERO, Vec3::new(1.0, 1.0, 3.0));
+    let found = seen(&scene, first);
+    let is_seen = |id: usize| found.triangles.binary_search(&(id as u32)).is_ok();
+    let mut counts = [0; 2];
+    for id in 0..floor {
+        let v = scene.triangles()[id].v;
+        let (least, most) = v.iter().fold((f32::MAX, f32::MIN), |(a, b), v| (a.min(v.x), b.max(v.x)));
+        if most <= 1.0 {
+            assert!(is_seen(id), "the room's own floor");
+        }
+        if least >= 3.0 {
+            assert!(!is_seen(id), "{v:?} is in the fourth room or behind it");
+        }
+        if least >= 2.0 && most <= 3.0 {
+            // Between z = x and z = 3x − 3, by the signs of both at the corners.
+            let below = v.iter().all(|v| v.z - v.x < 0.0);
+            let above = v.iter().all(|v| v.z - 3.0 * v.x + 3.0 > 0.0);
+            let inside = v.iter().all(|v| v.z - v.x > 0.0 && v.z - 3.0 * v.x + 3.0 < 0.0);
+            assert!(!(is_seen(id) && (below || above)), "{v:?} is beside the wedge");
+            assert!(is_seen(id) || !inside, "{v:?} is in the wedge");
+            counts[usize::from(is_seen(id))] += 1;
+        }
+    }
+    assert!(counts.iter().all(|n| *n > 10), "{counts:?}");
+}
+
+#[test]
+fn the_order_of_the_triangles_changes_no_set() {
+    let (scene, _) = zigzag();
+    let mut random = SplitMix64::new(7);
+    let mut order: Vec<usize> = (0..scene.triangles().len()).collect();
+    for i in (1..order.len()).rev() {
+        order.swap(i, (random.bits() % (i as u64 + 1)) as usize);
+    }
+    let other = common::scene(order.iter().map(|k| scene.triangles()[*k]).collect());
+    for x in 0..5 {
+        let of = Aabb::new(Vec3::new(x as f32, 0.0, 0.0), Vec3::new(x as f32 + 0.7, 1.0, 2.0));
+        let mut found: Vec<u32> =
+            seen(&other, of).triangles.iter().map(|id| order[*id as usize] as u32).collect();
+        found.sort_unstable();
+        assert_eq!(seen(&scene, of).triangles, found);
+    }
+}
+
+#[test]
+fn a_stopped_search_says_so() {
+    let (scene, _) = zigzag();
+    let partition = Partition::new(&scene, None, scene.bounds(), Limits::default()).unwrap();
+    assert_eq!(sights(&partition, scene.bounds(), &|| true), None);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn what_a_free_segment_shows_is_never_hidden(
+        seed in any::<u64>(),
+        angle in prop_oneof![Just(0.0f32), -1.5f32..1.5, Just(std::f32::consts::FRAC_PI_2)],
+    ) {
+        let scene = building(seed, angle);
+        let partition = Partition::new(&scene, None, scene.bounds(), Limits::default()).unwrap();
+        let mut random = SplitMix64::new(seed ^ 1);
+        let bounds = scene.bounds();
+        let mut point = |of: Aabb| {
+            let mut unit = || random.unit_f32();
+            of.min + (of.max - of.min) * Vec3::new(unit(), unit(), unit())
+        };
+        for _ in 0..4 {
+            let (p, q) = (point(bounds), point(bounds));
+            let cell = Aabb::new(p.min(p + (q - p) * 0.3), p.max(p + (q - p) * 0.3));
+            let found = sights(&partition, cell, &|| false).unwrap();
+            for _ in 0..400 {
+                let (from, to) = (point(cell), point(bounds));
+                // The first triangle in a direction: shorter and shorter segments.
+                for part in [1.0f32, 0.5, 0.25, 0.125] {
+                    if let Some(id) = strictly_seen(&scene, from, from + (to - from) * part) {
+                        prop_assert!(found.triangles.binary_search(&id).is_ok(), "{id} from {from} to {to}");
+                    }
+                }
+            }
+        }
+    }
+}
