@@ -73,7 +73,9 @@ impl Partition {
             Some(region) => follow(&mut tree, region, scene)?,
             None => vec![false, true],
         };
-        let is_inside = divide(&mut tree, is_inside, limits);
+        // What encloses a region has divided large leaves.
+        let large = if region.is_some() { f64::INFINITY } else { LARGE };
+        let is_inside = divide(&mut tree, is_inside, large, limits);
         let lines_in = |leaf: LeafId| is_inside[leaf.0 as usize];
         let inside = above(&tree, &lines_in);
         let bounds = tree.bounds();
@@ -189,7 +191,7 @@ fn side_of(tree: &Tree, leaf: LeafId, plane: PlaneId) -> Ordering {
 
 /// Splits the leaves inside along walls, until they are small and no plane covers much of one, or the limits
 /// are reached. Returns for each leaf whether it is inside.
-fn divide(tree: &mut Tree, mut is_inside: Vec<bool>, limits: Limits) -> Vec<bool> {
+fn divide(tree: &mut Tree, mut is_inside: Vec<bool>, large: f64, limits: Limits) -> Vec<bool> {
     let most = limits.work.saturating_add(tree.work());
     let mut next = 1;
     while next < tree.len() {
@@ -197,7 +199,7 @@ fn divide(tree: &mut Tree, mut is_inside: Vec<bool>, limits: Limits) -> Vec<bool
         let is_open = is_inside[next] && !tree.leaf(leaf).detail.is_empty();
         let may = tree.len() < limits.leaves && tree.work() < most;
         let choice = if is_open && may { best_plane(tree, leaf) } else { None };
-        match choice.filter(|choice| choice.merit >= WALL || choice.merit >= POOR && choice.section >= LARGE)
+        match choice.filter(|choice| choice.merit >= WALL || choice.merit >= POOR && choice.section >= large)
         {
             // Both halves are looked at again: the lesser keeps its number, the greater comes last.
             Some(choice) => {

@@ -13,6 +13,7 @@
 use crate::error::PvsError;
 use crate::portals::{LEAF, MOST_CORNERS, NONE, Portals};
 use crate::reader::Pvs;
+use crate::runs;
 
 /// How far a point may be off, as a fraction of the greatest magnitude of a coordinate.
 const OFF: f64 = 1e-12;
@@ -67,12 +68,18 @@ pub struct Looker<'a> {
     /// The nodes that are still to be followed.
     nodes: Vec<u32>,
     waiting: Vec<u32>,
-    /// The look in which a triangle of the cell was last seen, or is still to be.
-    marks: Vec<u32>,
-    /// The cell of the last look, and its set.
+    /// The runs of consecutive triangles of all leaves, and where those of each leaf begin.
+    runs: Vec<[u32; 2]>,
+    run_starts: Vec<u32>,
+    /// A sphere around each portal: its centre and radius.
+    spheres: Vec<([f64; 3], f64)>,
+    /// The cell of the last look, and its set; the triangles of the leaves that were entered: a bit each.
     cell: u32,
-    set: Vec<u32>,
+    set: Vec<u64>,
+    seen: Vec<u64>,
     visible: Vec<u32>,
+    /// The corners of a portal while it is clipped.
+    points: [Vec<[f64; 3]>; 2],
     shut: Vec<bool>,
     look: u32,
 }
@@ -102,7 +109,16 @@ impl<'a> Looker<'a> {
             }
         }
         let triangles = pvs.triangle_count() as usize;
+        let (mut runs, mut run_starts) = (Vec::new(), vec![0]);
+        for ids in &portals.leaves {
+            runs.extend(runs::from_ids(ids).chunks_exact(2).map(|run| [run[0], run[1]]));
+            run_starts.push(runs.len() as u32);
+        }
         Ok(Some(Self {
+            runs,
+            run_starts,
+            spheres: portals.portals.iter().map(|portal| sphere(&portal.corners)).collect(),
+            points: [(); 2].map(|()| Vec::with_capacity(MOST)),
             starts,
             of_leaf,
             windows: vec![([[0.0; 2]; 2], 0, false); leaves],
@@ -110,9 +126,9 @@ impl<'a> Looker<'a> {
             leaves: Vec::with_capacity(leaves),
             nodes: Vec::with_capacity(portals.nodes.len() + 1),
             waiting: Vec::with_capacity(leaves),
-            marks: vec![0; triangles],
             cell: NONE,
-            set: Vec::with_capacity(triangles),
+            set: vec![0; triangles.div_ceil(64)],
+            seen: vec![0; triangles.div_ceil(64)],
             visible: Vec::with_capacity(triangles),
             shut: vec![false; portals.doors.len()],
             look: 0,
@@ -144,17 +160,14 @@ impl<'a> Looker<'a> {
         let Some(cell) = self.pvs.find_cell_precisely(view.eye) else { return Ok(None) };
         if self.cell != cell {
             self.cell = NONE;
-            self.pvs.visible(cell, &mut self.set)?;
+            self.pvs.visible_bits(cell, &mut self.set)?;
             self.cell = cell;
         }
-        // Two numbers for each look: of triangles in the set, and of those that were seen.
-        if self.look >= u32::MAX - 2 {
-            self.marks.fill(0);
+        if self.look == u32::MAX {
             self.entered.fill(0);
             self.look = 0;
         }
-        self.look += 2;
-        self.set.iter().for_each(|id| self.marks[*id as usize] = self.look);
+        self.look += 1;
         self.leaves.clear();
         self.waiting.clear();
         self.begin(&frame);
@@ -162,20 +175,20 @@ impl<'a> Looker<'a> {
             self.windows[leaf as usize].2 = false;
             self.go_on(&frame, leaf);
         }
+        // Walls say nothing about an eye that is in none of the leaves.
+        let is_nowhere = self.leaves.is_empty();
+        self.seen.fill(if is_nowhere { u64::MAX } else { 0 });
         for leaf in &self.leaves {
-            for id in &self.portals.leaves[*leaf as usize] {
-                let mark = &mut self.marks[*id as usize];
-                if *mark == self.look {
-                    *mark = self.look + 1;
-                    self.visible.push(*id);
-                }
+            let [from, to] = [0, 1].map(|k| self.run_starts[*leaf as usize + k] as usize);
+            self.runs[from..to].iter().for_each(|run| set_bits(&mut self.seen, *run));
+        }
+        for (k, (set, seen)) in self.set.iter().zip(&self.seen).enumerate() {
+            let mut left = set & seen;
+            while left != 0 {
+                self.visible.push(k as u32 * 64 + left.trailing_zeros());
+                left &= left - 1;
             }
         }
-        // Walls say nothing about an eye that is in none of the leaves.
-        if self.leaves.is_empty() {
-            self.visible.extend_from_slice(&self.set);
-        }
-        self.visible.sort_unstable();
         Ok(Some(cell))
     }
 
@@ -245,7 +258,8 @@ impl<'a> Looker<'a> {
         let window = self.windows[leaf as usize].0;
         let [from, to] = [0, 1].map(|k| self.starts[leaf as usize + k] as usize);
         for place in from..to {
-            let portal = &self.portals.portals[self.of_leaf[place] as usize];
+            let number = self.of_leaf[place] as usize;
+            let portal = &self.portals.portals[number];
             if portal.door != NONE && self.shut[portal.door as usize] {
                 continue;
             }
@@ -255,7 +269,10 @@ impl<'a> Looker<'a> {
             if if is_up { height > frame.off } else { height < -frame.off } {
                 continue;
             }
-            if let Some(beyond) = frame.clip(&portal.corners, window) {
+            if frame.is_outside(self.spheres[number], window) {
+                continue;
+            }
+            if let Some(beyond) = frame.clip(&portal.corners, window, &mut self.points) {
                 self.enter(portal.leaves[usize::from(is_up)], beyond, frame);
             }
         }
@@ -327,46 +344,65 @@ impl Frame {
         dot(&plane[..3], self.eye) - plane[3]
     }
 
+    fn flat(&self, point: [f64; 3]) -> [f64; 3] {
+        let from = [point[0] - self.eye[0], point[1] - self.eye[1], point[2] - self.eye[2]];
+        self.axes.map(|axis| dot(&axis, from))
+    }
+
+    /// Whether a sphere is certainly outside of a window.
+    fn is_outside(&self, (centre, radius): ([f64; 3], f64), window: Window) -> bool {
+        let at = self.flat(centre);
+        (0..2).any(|axis| {
+            [0, 1].iter().any(|end| {
+                let tangent = window[axis][*end];
+                let sign = if *end == 0 { 1.0 } else { -1.0 };
+                // The gradient of the height is (1, tangent).
+                let most = (radius + 4.0 * self.off) * (1.0 + tangent.abs());
+                (at[axis] - tangent * at[2]) * sign < -most
+            })
+        })
+    }
+
     /// The window of the part of a polygon in a window; `None` when there is none.
-    fn clip(&self, corners: &[[f64; 3]], window: Window) -> Option<Window> {
-        let mut points = [[0.0; 3]; MOST];
-        let mut other = [[0.0; 3]; MOST];
-        let mut n = corners.len();
-        for (point, corner) in points.iter_mut().zip(corners) {
-            let from = [corner[0] - self.eye[0], corner[1] - self.eye[1], corner[2] - self.eye[2]];
-            *point = self.axes.map(|axis| dot(&axis, from));
-        }
+    fn clip(
+        &self,
+        corners: &[[f64; 3]],
+        window: Window,
+        [points, other]: &mut [Vec<[f64; 3]>; 2],
+    ) -> Option<Window> {
+        points.clear();
+        points.extend(corners.iter().map(|corner| self.flat(*corner)));
         // The half-spaces x ≥ x₀z, x ≤ x₁z, y ≥ y₀z and y ≤ y₁z; z ≥ 0 follows from two of them.
         for (axis, end) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
             let tangent = window[axis][end];
             let sign = if end == 0 { 1.0 } else { -1.0 };
             let slack = self.off * (2.0 + 2.0 * tangent.abs());
             let height = |p: &[f64; 3]| (p[axis] - tangent * p[2]) * sign + slack;
-            let mut kept = 0;
-            for i in 0..n {
-                let (p, q) = (points[i], points[if i + 1 == n { 0 } else { i + 1 }]);
-                let (at_p, at_q) = (height(&p), height(&q));
+            other.clear();
+            let mut q = points[points.len() - 1];
+            let mut at_q = height(&q);
+            for p in points.iter() {
+                let at_p = height(p);
+                if (at_p >= 0.0) != (at_q >= 0.0) {
+                    let t = at_q / (at_q - at_p);
+                    other.push([0, 1, 2].map(|k| q[k] + (p[k] - q[k]) * t));
+                }
                 if at_p >= 0.0 {
-                    other[kept] = p;
-                    kept += 1;
+                    other.push(*p);
                 }
-                if (at_p >= 0.0) != (at_q >= 0.0) && kept < MOST {
-                    let t = at_p / (at_p - at_q);
-                    other[kept] = [0, 1, 2].map(|k| p[k] + (q[k] - p[k]) * t);
-                    kept += 1;
-                }
-                if kept == MOST {
+                // A convex polygon has two crossings; a file made to deceive may have more.
+                if other.len() + 2 > MOST {
                     return Some(window);
                 }
+                (q, at_q) = (*p, at_p);
             }
-            std::mem::swap(&mut points, &mut other);
-            n = kept;
-            if n == 0 {
+            std::mem::swap(points, other);
+            if points.is_empty() {
                 return None;
             }
         }
         let mut beyond = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
-        for p in &points[..n] {
+        for p in points.iter() {
             // What is this near to the eye is seen in any direction.
             let near = 64.0 * self.off;
             if p[2] <= near {
@@ -383,5 +419,29 @@ impl Frame {
             *of = [of[0].max(window[axis][0]), of[1].min(window[axis][1])];
         }
         Some(beyond)
+    }
+}
+
+/// A sphere around some points, a little larger than needed.
+fn sphere(corners: &[[f64; 3]]) -> ([f64; 3], f64) {
+    let count = corners.len() as f64;
+    let centre = [0, 1, 2].map(|k| corners.iter().map(|c| c[k]).sum::<f64>() / count);
+    let far = |c: &[f64; 3]| {
+        let from = [c[0] - centre[0], c[1] - centre[1], c[2] - centre[2]];
+        dot(&from, from).sqrt()
+    };
+    (centre, corners.iter().map(far).fold(0.0, f64::max) * (1.0 + 1e-9))
+}
+
+/// Sets the bits from the start of a run to before its end.
+fn set_bits(bits: &mut [u64], [start, end]: [u32; 2]) {
+    let (first, last) = ((start / 64) as usize, ((end - 1) / 64) as usize);
+    let (low, high) = (u64::MAX << (start % 64), u64::MAX >> (63 - (end - 1) % 64));
+    if first == last {
+        bits[first] |= low & high;
+    } else {
+        bits[first] |= low;
+        bits[first + 1..last].fill(u64::MAX);
+        bits[last] |= high;
     }
 }
