@@ -17,8 +17,8 @@ pub struct Control<'a> {
     pub watcher: &'a dyn Watcher,
     /// The end of a time budget.
     pub deadline: Option<Instant>,
-    /// Those who share the sampling of a block; [`Alone`] for nobody else. With a time budget members would
-    /// not stop at the same place, so there must be one.
+    /// Those who share the sampling of a block; [`crate::Alone`] for nobody else. With a time budget members
+    /// would not stop at the same place, so there must be one.
     pub crew: &'a dyn Crew,
 }
 

@@ -32,7 +32,7 @@ impl KindArgs {
 /// The heading of these flags in `--help`.
 const HEADING: &str = "What blocks and what shows";
 
-const FLAGS: [(Kind, &str); 4] = [
+const FLAGS: [(Kind, &str); 5] = [
     (
         Kind::SeeThrough,
         "Objects and materials whose name matches are see-through: a sight line passes them and shows them. \
@@ -49,6 +49,11 @@ const FLAGS: [(Kind, &str); 4] = [
         Kind::Moving,
         "Objects and materials whose name matches neither block nor show, because they move at run time. The \
          file makes animated nodes and skinned meshes moving",
+    ),
+    (
+        Kind::Door,
+        "Objects and materials whose name matches are doors: they neither block nor show, and with --method \
+         portals what they cover in a wall is an opening of the object's name that `look` can shut",
     ),
     (
         Kind::Opaque,

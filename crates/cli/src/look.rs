@@ -31,9 +31,13 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
     let pvs = open(&args.result)?;
     let mut looker = Looker::new(&pvs)?.ok_or_else(|| {
         CliError::Input(format!(
-            "{} has no portals (method {}); bake it with --method portals",
+            "{} has no portals (method {}); {}",
             args.result.display(),
-            pvs.method()
+            pvs.method(),
+            match pvs.method() {
+                "portals" => "the tile that has them was set aside: run the same bake again",
+                _ => "bake it with --method portals",
+            }
         ))
     })?;
     let doors = looker.doors();

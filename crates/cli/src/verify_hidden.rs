@@ -22,9 +22,22 @@ const TRIES: u32 = 1000;
 
 /// Asks about pairs that are drawn at random.
 pub fn run(args: &VerifyArgs, (pvs, scene): (&Pvs, &Scene), wanted: u64, json: bool) -> Result<(), CliError> {
+    let info: serde_json::Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
+    if info["sampling"]["far"].is_number() {
+        return Err(CliError::Input(format!(
+            "{} leaves out what is beyond --far, which is not hidden; verify a result without --far",
+            args.result.display()
+        )));
+    }
     let places = of_result(pvs, scene, &args.result)?;
     let exact = ExactScene::prepare(scene).map_err(|e| CliError::Input(e.to_string()))?;
     let pairs = draw(pvs, &exact, wanted, args.seed)?;
+    if pairs.is_empty() {
+        return Err(CliError::Input(format!(
+            "{}: no pair that is called hidden was found, so there is nothing to ask",
+            args.result.display()
+        )));
+    }
     let ask =
         |(cell, triangle): &(u32, u32)| ask(pvs, &exact, places.as_ref().map(|p| p as _), *cell, *triangle);
     let answers: Vec<Result<Answer, CliError>> = pairs.par_iter().map(ask).collect();

@@ -33,7 +33,7 @@ impl Errors {
         Self { size }
     }
 
-    /// The greatest error of a height: a normal of at most [`LENGTH`] times a point, three products and three
+    /// The greatest error of a height: a normal of at most `LENGTH` times a point, three products and three
     /// sums, less a level of at most twice their size. Each of the seven roundings is at most u of
     /// 1.01·√3·size or of twice that.
     pub fn height(self) -> f64 {
@@ -56,7 +56,7 @@ impl Errors {
 /// A closed half-space n·x ≥ level, exact for these doubles.
 #[derive(Clone, Copy, Debug)]
 pub struct HalfSpace {
-    /// At most [`LENGTH`] long.
+    /// At most `LENGTH` long.
     normal: DVec3,
     level: f64,
     /// The axis along which the normal is ±1, and whether it is +1.
@@ -66,7 +66,8 @@ pub struct HalfSpace {
 impl HalfSpace {
     /// The half-space; `None` when the normal is too long, or not finite.
     pub fn new(normal: DVec3, level: f64) -> Option<Self> {
-        let is_fine = normal.length_squared() <= 1.0 + 1e-3 && level.is_finite();
+        let length = normal.length_squared();
+        let is_fine = (0.99..=1.0 + 1e-3).contains(&length) && level.is_finite();
         is_fine.then_some(Self { normal, level, across: None })
     }
 
@@ -84,7 +85,10 @@ impl HalfSpace {
         if let Some(level) = plane.across() {
             return Some(Self::across(axis, up == is_above, level));
         }
-        let [a, b, c, k] = plane.rounded();
+        // Scaled first, so that no square overflows.
+        let of = plane.rounded();
+        let most = of[axis].abs();
+        let [a, b, c, k] = of.map(|x| x / most);
         let length = DVec3::new(a, b, c).length();
         let turn = if is_above { 1.0 } else { -1.0 };
         // The coefficients are off by u of themselves, and the quotients by 3u more.

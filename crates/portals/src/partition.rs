@@ -54,6 +54,8 @@ pub struct Partition {
     inside: Vec<bool>,
     /// Number of triangles of the scene.
     triangles: usize,
+    /// The names of its objects.
+    names: Vec<String>,
     errors: Errors,
 }
 
@@ -93,7 +95,8 @@ impl Partition {
             })
             .collect();
         let parts = parts(scene, &tree, &is_inside);
-        Ok(Self { tree, openings, parts, inside, triangles: scene.len() as usize, errors })
+        let names = scene.objects().iter().map(|object| object.name.clone()).collect();
+        Ok(Self { tree, openings, parts, inside, triangles: scene.len() as usize, names, errors })
     }
 
     /// The tree.
@@ -110,6 +113,11 @@ impl Partition {
     pub fn beyond(&self, portal: PortalId, into: LeafId) -> Option<HalfSpace> {
         let is_above = self.tree.portal(portal).leaves[1] == into;
         self.openings[portal.0 as usize].as_ref()?.sides[usize::from(is_above)]
+    }
+
+    /// The name of an object.
+    pub fn name_of(&self, object: u32) -> &str {
+        &self.names[object as usize]
     }
 
     /// The errors of doubles in the tree's box.

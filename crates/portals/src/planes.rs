@@ -1,18 +1,19 @@
-//! All planes of a scene's blocking triangles, each once.
+//! All planes of a scene's blocking triangles and of its doors, each once.
 
 use dashu_int::IBig;
 use rustc_hash::FxHashMap;
 use sightline_scene::Scene;
+use sightline_scene::kinds::Kind;
 use sightline_scene::sides::Side;
 
 use crate::plane::{Plane, PlaneId};
 
-/// The planes of the triangles that block all lines, from both sides.
+/// The planes of the triangles that divide space.
 pub struct Planes {
     planes: Vec<Plane>,
     /// The first triangle in each plane.
     triangles: Vec<u32>,
-    /// The plane of each triangle; `None` for those that do not block or not from both sides.
+    /// The plane of each triangle that divides space.
     of: Vec<Option<PlaneId>>,
 }
 
@@ -22,7 +23,7 @@ impl Planes {
         let mut known: FxHashMap<[IBig; 4], PlaneId> = FxHashMap::default();
         let (mut planes, mut triangles) = (Vec::new(), Vec::new());
         let mut of = vec![None; scene.len() as usize];
-        for id in by_place(scene).into_iter().filter(|id| blocks(scene, *id)) {
+        for id in by_place(scene).into_iter().filter(|id| divides(scene, *id)) {
             let plane = Plane::through(scene.triangles()[id as usize].v);
             let number = *known.entry(plane.coefficients().clone()).or_insert_with(|| {
                 planes.push(plane);
@@ -58,6 +59,16 @@ impl Planes {
     pub fn is_empty(&self) -> bool {
         self.planes.is_empty()
     }
+}
+
+/// Whether the plane of a triangle can divide space: it blocks every line that meets it, or is a door's.
+pub fn divides(scene: &Scene, id: u32) -> bool {
+    blocks(scene, id) || is_door(scene, id)
+}
+
+/// Whether a triangle with area is a door's.
+pub fn is_door(scene: &Scene, id: u32) -> bool {
+    scene.kinds().kind(id) == Kind::Door && !scene.triangles()[id as usize].is_degenerate()
 }
 
 /// All triangles in the order of their corners' places, so that their order in the scene decides nothing.

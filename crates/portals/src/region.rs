@@ -13,7 +13,7 @@ use sightline_viewcells::{Region, RegionError, RegionNode};
 
 use crate::convex::{divide, whole};
 use crate::plane::{Face, Plane};
-use crate::planes::blocks;
+use crate::planes::divides;
 use crate::tree::{LeafId, Node, Tree};
 
 /// The region of some leaves of a tree, ascending.
@@ -83,7 +83,7 @@ impl Reached {
             let number = nodes.len();
             match node {
                 RegionNode::Split(triangle) => {
-                    if *triangle >= scene.len() || !blocks(scene, *triangle) {
+                    if *triangle >= scene.len() || !divides(scene, *triangle) {
                         return Err(ForeignRegion(*triangle));
                     }
                     let plane = Box::new(Plane::through(scene.triangles()[*triangle as usize].v));

@@ -41,6 +41,9 @@ pub struct Sights {
 
 /// Finds what a box may see. `None` when `stop`, which is called now and then, returns true.
 pub fn sights(partition: &Partition, of: Aabb, stop: &dyn Fn() -> bool) -> Option<Sights> {
+    // A segment may begin on a wall in a face of the box and go on at its other side: exact queries from the
+    // box count it, so leaves that touch the box belong to it.
+    let of = Aabb::new(of.min.map(f32::next_down), of.max.map(f32::next_up));
     let solids = partition.solids(of);
     let Some(body) = Body::around(&solids) else { return Some(Sights::default()) };
     let mut search = Search {

@@ -1,5 +1,7 @@
 //! A partition as a result has it, for look-ups at run time.
 
+use std::collections::BTreeSet;
+
 use sightline_exact::polygon;
 use sightline_pvs::portals::{LEAF, MOST_CORNERS, NONE};
 use sightline_pvs::{Portal, Portals};
@@ -14,6 +16,11 @@ pub fn table(partition: &Partition) -> Portals {
     let mut out = Portals::default();
     let bounds = tree.bounds();
     out.size = f64::from(bounds.min.abs().max(bounds.max.abs()).max_element()).max(f64::MIN_POSITIVE);
+    // Doors of one name are shut together.
+    let of_door = |door: u32| partition.name_of(door);
+    let names: BTreeSet<&str> =
+        (0..tree.portals() as u32).filter_map(|k| tree.portal(PortalId(k)).door).map(of_door).collect();
+    out.doors = names.iter().map(|name| (*name).to_owned()).collect();
     let mut planes: Vec<Option<u32>> = vec![None; tree.planes().len()];
     let mut leaves: Vec<Option<u32>> = vec![None; tree.len()];
     // A node gets its number when it is reached, and its parent is told.
@@ -45,6 +52,10 @@ pub fn table(partition: &Partition) -> Portals {
             out.nodes[node][side] = number;
         }
     }
+    // A result has at least one leaf.
+    if out.leaves.is_empty() {
+        out.leaves.push(Vec::new());
+    }
     for number in 0..tree.portals() as u32 {
         let portal = tree.portal(PortalId(number));
         let of = |leaf: LeafId| leaves[leaf.0 as usize];
@@ -52,12 +63,14 @@ pub fn table(partition: &Partition) -> Portals {
             (of(portal.leaves[0]), of(portal.leaves[1]), portal.plane)
         {
             let plane = number_of(partition, plane, &mut planes, &mut out.planes);
+            let door = portal.door.map(of_door).and_then(|name| names.iter().position(|n| *n == name));
+            let door = door.map_or(NONE, |door| door as u32);
             // The file has few corners for each portal; more are several portals.
             let whole = portal.face.polygon().clone();
             let pieces = if whole.points().len() > MOST_CORNERS { whole.pieces() } else { vec![whole] };
             for piece in pieces {
                 let corners = piece.points().iter().map(|p| polygon::rounded(p).to_array()).collect();
-                out.portals.push(Portal { leaves: [below, above], plane, door: NONE, corners });
+                out.portals.push(Portal { leaves: [below, above], plane, door, corners });
             }
         }
     }

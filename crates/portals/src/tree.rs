@@ -7,6 +7,7 @@
 //! planes were chosen.
 
 use std::cmp::Ordering;
+use std::collections::BTreeMap;
 
 use glam::Vec3;
 use sightline_exact::{Polygon, predicates};
@@ -14,7 +15,7 @@ use sightline_numbers::Aabb;
 use sightline_scene::Scene;
 
 use crate::plane::{Face, Plane, PlaneId};
-use crate::planes::{Planes, by_place};
+use crate::planes::{Planes, by_place, is_door};
 
 /// The work of a split for each wall of the leaf.
 const WALL_WORK: u64 = 32;
@@ -46,6 +47,8 @@ pub enum Node {
 pub struct Fragment {
     /// The plane of the triangle.
     pub plane: PlaneId,
+    /// The object whose door it is part of, if it is.
+    pub door: Option<u32>,
     /// The part of the triangle in the leaf.
     pub face: Face,
 }
@@ -69,6 +72,8 @@ pub struct Portal {
     pub face: Face,
     /// Its plane; `None` for the box of the tree.
     pub plane: Option<PlaneId>,
+    /// The object that covers it where its door is shut.
+    pub door: Option<u32>,
     /// The leaves on the lesser and on the greater side of its plane.
     pub leaves: [LeafId; 2],
 }
@@ -92,8 +97,8 @@ pub struct Tree {
 }
 
 impl Tree {
-    /// One leaf that holds all blocking triangles, in a box that has a margin around the scene's bounds and
-    /// the given points.
+    /// One leaf that holds all blocking triangles and doors, in a box that has a margin around the scene's
+    /// bounds and the given points.
     pub fn new(scene: &Scene, points: &[[f32; 3]]) -> Self {
         let planes = Planes::new(scene);
         let around = points.iter().fold(scene.bounds(), |b, p| b.union(Aabb::around([Vec3::from(*p)])));
@@ -110,7 +115,9 @@ impl Tree {
             .filter_map(|id| {
                 let corners = scene.triangles()[id as usize].v.map(|v| v.as_dvec3());
                 let face = Face::new(Polygon::triangle(corners)?);
-                Some(Fragment { plane: planes.of(id)?, face })
+                let object = || scene.objects().partition_point(|o| o.first <= id) as u32 - 1;
+                let door = is_door(scene, id).then(object);
+                Some(Fragment { plane: planes.of(id)?, door, face })
             })
             .collect();
         let inside = LeafId(1);
@@ -121,6 +128,7 @@ impl Tree {
             .map(|(k, face)| Portal {
                 face: Face::new(face),
                 plane: None,
+                door: None,
                 leaves: if k % 2 == 0 { [OUTSIDE, inside] } else { [inside, OUTSIDE] },
             })
             .collect();
@@ -220,15 +228,20 @@ impl Tree {
         self.work += WALL_WORK * self.leaf(id).walls.len() as u64;
         let leaf = std::mem::take(&mut self.leaves[id.0 as usize]);
         let (mut inside, mut details) = (Vec::new(), [Vec::new(), Vec::new()]);
+        let mut doors: BTreeMap<u32, Vec<Face>> = BTreeMap::new();
         let exact = &self.planes.plane(plane).clone();
         for fragment in leaf.detail {
             self.work += 1;
             if fragment.plane == plane {
-                inside.push(fragment.face);
+                match fragment.door {
+                    None => inside.push(fragment.face),
+                    Some(door) => doors.entry(door).or_default().push(fragment.face),
+                }
                 continue;
             }
-            for (part, detail) in fragment.face.parts(exact).into_iter().zip(&mut details) {
-                detail.extend(part.map(|face| Fragment { plane: fragment.plane, face }));
+            let Fragment { plane, door, face } = fragment;
+            for (part, detail) in face.parts(exact).into_iter().zip(&mut details) {
+                detail.extend(part.map(|face| Fragment { plane, door, face }));
             }
         }
         let mut portals = [Vec::new(), Vec::new()];
@@ -236,8 +249,17 @@ impl Tree {
             self.work += 1;
             self.divide_portal(portal, (id, upper), exact, &mut portals);
         }
-        for face in self.open_parts(section, inside, exact) {
-            let number = self.add_portal(Portal { face, plane: Some(plane), leaves: [id, upper] });
+        // What a wall covers is no opening; of the rest each door covers its own.
+        let [mut open, _] = self.divide_open(vec![section], inside, exact);
+        let mut openings = Vec::new();
+        for (door, covers) in doors {
+            let [rest, covered] = self.divide_open(open, covers, exact);
+            openings.extend(covered.into_iter().map(|face| (face, Some(door))));
+            open = rest;
+        }
+        openings.extend(open.into_iter().map(|face| (face, None)));
+        for (face, door) in openings {
+            let number = self.add_portal(Portal { face, plane: Some(plane), door, leaves: [id, upper] });
             portals.iter_mut().for_each(|p| p.push(number));
         }
         let places = [0, 1].map(|k| self.nodes.len() as u32 + k);
@@ -271,7 +293,8 @@ impl Tree {
         match (below, above) {
             (Some(below), Some(above)) => {
                 portal.face = below;
-                let mut other = Portal { face: above, plane: portal.plane, leaves: portal.leaves };
+                let mut other =
+                    Portal { face: above, plane: portal.plane, door: portal.door, leaves: portal.leaves };
                 move_up(&mut other);
                 let beyond = other.beyond(upper);
                 out[0].push(id);
@@ -294,11 +317,12 @@ impl Tree {
         PortalId(self.portals.len() as u32 - 1)
     }
 
-    /// The convex parts of a section that no face in its plane covers (Teller 1992, section 5.2.5).
-    fn open_parts(&mut self, section: Face, mut covers: Vec<Face>, plane: &Plane) -> Vec<Face> {
+    /// The convex parts of faces in a plane that other faces in it do not cover, and those that they do
+    /// (Teller 1992, section 5.2.5).
+    fn divide_open(&mut self, mut open: Vec<Face>, mut covers: Vec<Face>, plane: &Plane) -> [Vec<Face>; 2] {
         // Large faces first: they leave less to be cut.
         covers.sort_by(|a, b| b.area().total_cmp(&a.area()));
-        let mut open = vec![section];
+        let mut covered = Vec::new();
         let begun = self.work;
         for cover in covers {
             // What is not cut off any more stays open: an opening may be larger than the true one.
@@ -320,10 +344,11 @@ impl Tree {
                     next.extend(part.part(border, &sides, inner.reverse()));
                     left = part.part(border, &sides, *inner);
                 }
+                covered.extend(left);
             }
             open = next;
         }
-        open
+        [open, covered]
     }
 }
 

@@ -5,7 +5,7 @@
 //! the view every portal is clipped to a window of tangents, and the window of what is left goes on. A leaf
 //! that is entered twice gets the window around both, so the work is bounded by the leaves and portals.
 //!
-//! Doubles are rounded, so everything is taken for a little larger: a corner may be off by [`OFF`] of the
+//! Doubles are rounded, so everything is taken for a little larger: a corner may be off by `OFF` of the
 //! scene's size. Near the plane of a portal the eye is on both sides of it, and nothing is given up: what is
 //! seen at a glancing angle through it stays. A window only ever grows by these slacks, so no triangle that
 //! is seen from the eye is left out.
@@ -203,8 +203,7 @@ impl<'a> Looker<'a> {
             self.enter(0, frame.whole, frame);
             return;
         }
-        // Each node of a tree is followed once at most. In a file made to deceive nodes may share children;
-        // the memory for as many nodes as there are ends that.
+        // Each node is followed once at most: none has two parents.
         self.nodes.clear();
         self.nodes.push(0);
         while let Some(at) = self.nodes.pop() {
@@ -217,10 +216,10 @@ impl<'a> Looker<'a> {
             }
             let [plane, below, above] = self.portals.nodes[at as usize];
             let height = frame.height(&self.portals.planes[plane as usize]);
-            if height >= -frame.off && self.nodes.len() < self.nodes.capacity() {
+            if height >= -frame.off {
                 self.nodes.push(above);
             }
-            if height <= frame.off && self.nodes.len() < self.nodes.capacity() {
+            if height <= frame.off {
                 self.nodes.push(below);
             }
         }

@@ -125,6 +125,19 @@ impl Portals {
         let fits = |(at, [plane, below, above]): (usize, &[u32; 3])| {
             (*plane as usize) < planes.len() && is_child(at, *below) && is_child(at, *above)
         };
+        // A tree: no node or leaf is the child of two nodes.
+        let mut named = vec![false; nodes.len() + leaf_count];
+        let is_new = |child: &u32| {
+            let place = match *child {
+                NONE => return true,
+                leaf if leaf >= LEAF => nodes.len() + (leaf - LEAF) as usize,
+                node => node as usize,
+            };
+            named.get_mut(place).is_some_and(|named| !std::mem::replace(named, true))
+        };
+        if !nodes.iter().flat_map(|node| &node[1..]).all(is_new) {
+            return Err(bad("a node or leaf has two parents"));
+        }
         if leaf_count == 0 || leaf_count >= LEAF as usize || !nodes.iter().enumerate().all(fits) {
             return Err(bad("a node names a plane, node or leaf that there is not"));
         }

@@ -22,12 +22,14 @@ pub enum Kind {
     Moving = 3,
     /// Shows, and blocks where the texel of its alpha mask does ([`crate::masks`]): a fence, a leaf.
     Masked = 4,
+    /// Neither blocks nor shows, as what moves, and its place is an opening that can be shut at run time.
+    Door = 5,
 }
 
 impl Kind {
     /// All kinds, by number.
-    pub const ALL: [Self; 5] =
-        [Self::Opaque, Self::SeeThrough, Self::OccluderOnly, Self::Moving, Self::Masked];
+    pub const ALL: [Self; 6] =
+        [Self::Opaque, Self::SeeThrough, Self::OccluderOnly, Self::Moving, Self::Masked, Self::Door];
 
     /// The kind that blocks and shows as given, everywhere.
     pub const fn of(blocks: bool, shows: bool) -> Self {
@@ -57,6 +59,7 @@ impl Kind {
             Self::OccluderOnly => "occluder-only",
             Self::Moving => "moving",
             Self::Masked => "masked",
+            Self::Door => "doors",
         }
     }
 

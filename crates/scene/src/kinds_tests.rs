@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use super::*;
 
 fn kind() -> impl Strategy<Value = Kind> {
-    (0usize..5).prop_map(|k| Kind::ALL[k])
+    (0usize..6).prop_map(|k| Kind::ALL[k])
 }
 
 proptest! {
@@ -61,4 +61,6 @@ fn a_kind_blocks_and_shows_by_its_definition() {
     // A masked triangle blocks some lines, so no code may rely on it as a blocker.
     assert!(!Kind::Masked.blocks() && Kind::Masked.shows());
     assert_eq!(Kind::from_name("masked"), Some(Kind::Masked));
+    assert!(!Kind::Door.blocks() && !Kind::Door.shows());
+    assert_eq!(Kind::from_name("doors"), Some(Kind::Door));
 }

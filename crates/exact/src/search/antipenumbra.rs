@@ -431,7 +431,8 @@ fn plane_swath(portals: &[Polygon], [p, corner]: EdgeOf, [q, edge]: EdgeOf) -> (
     let [x, y, z, k] = crate::geometry::predicates::plane([&exact[0], &exact[1], &exact[2]]);
     let plane = [x, y, z, -k].map(|c| c.to_f64().value());
     let most = plane.iter().fold(0.0f64, |m, c| m.max(c.abs()));
-    (is_boundary, Surface::Plane(plane.map(|c| c / most)))
+    // A corner on the line of the edge spans no plane with it.
+    (is_boundary, Surface::Plane(if most > 0.0 { plane.map(|c| c / most) } else { plane }))
 }
 
 /// Whether some direction across a line points into all polygons at the edges that it touches (section
@@ -503,7 +504,11 @@ fn quadric(portals: &[Polygon], touched: &[EdgeOf]) -> [f64; 10] {
 }
 
 fn rounded(of: &[IBig; 6]) -> [f64; 6] {
-    scaled(&of.each_ref().map(|c| c.to_f64().value()))
+    use dashu_int::ops::BitTest as _;
+    // Without the bits that doubles cannot hold: few enough that none becomes infinite.
+    let most = of.iter().map(|c| c.bit_len()).max().unwrap_or(0);
+    let down = most.saturating_sub(900);
+    scaled(&of.each_ref().map(|c| (c >> down).to_f64().value()))
 }
 
 fn scaled(of: &[f64; 6]) -> [f64; 6] {
