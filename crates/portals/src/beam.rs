@@ -8,6 +8,7 @@
 //! own rounding, and counts only if both are then certainly on their sides.
 
 use glam::DVec3;
+use sightline_numbers::Aabb;
 
 use crate::outline::{Errors, HalfSpace, Hull};
 use crate::solids::Solid;
@@ -30,11 +31,12 @@ pub struct Body {
 }
 
 impl Body {
-    /// The box around some solids; `None` around none.
-    pub fn around(solids: &[Solid]) -> Option<Self> {
-        let faces = solids.iter().flat_map(|solid| &solid.faces);
+    /// The part of a box around some solids; `None` around none.
+    pub fn around(solids: &mut dyn Iterator<Item = &Solid>, within: Aabb) -> Option<Self> {
+        let faces = solids.flat_map(|solid| &solid.faces);
         let hull = Hull::of(&mut faces.flat_map(|face| face.polygon().points()));
-        (!hull.corners.is_empty()).then(|| Self::of_box(hull.bounds))
+        let [min, max] = [within.min, within.max].map(|p| p.as_dvec3());
+        (!hull.corners.is_empty()).then(|| Self::of_box(hull.bounds.map(|p| p.clamp(min, max))))
     }
 
     /// A box.

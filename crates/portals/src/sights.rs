@@ -22,6 +22,7 @@ use crate::beam::{Body, separators};
 use crate::outline::{Errors, HalfSpace, Outline};
 use crate::partition::{Part, Partition};
 use crate::plane::PlaneId;
+use crate::solids::Solid;
 use crate::tree::{LeafId, PortalId};
 
 /// How often the lit part of a portal grows before it is taken to be the whole portal, and how often its
@@ -41,11 +42,24 @@ pub struct Sights {
 
 /// Finds what a box may see. `None` when `stop`, which is called now and then, returns true.
 pub fn sights(partition: &Partition, of: Aabb, stop: &dyn Fn() -> bool) -> Option<Sights> {
-    // A segment may begin on a wall in a face of the box and go on at its other side: exact queries from the
-    // box count it, so leaves that touch the box belong to it.
-    let of = Aabb::new(of.min.map(f32::next_down), of.max.map(f32::next_up));
     let solids = partition.solids(of);
-    let Some(body) = Body::around(&solids) else { return Some(Sights::default()) };
+    // A segment may begin on a wall in a face of the box and go on at its other side: exact queries from the
+    // box count it. So lines also leave through each face into the leaves that lie behind it.
+    let mut behind: Vec<(Solid, HalfSpace)> = Vec::new();
+    for (axis, up) in (0..3).flat_map(|axis| [(axis, false), (axis, true)]) {
+        let mut slab = of;
+        let (near, far) = if up {
+            (of.max[axis], of.max[axis].next_up())
+        } else {
+            (of.min[axis], of.min[axis].next_down())
+        };
+        (slab.min[axis], slab.max[axis]) = (near.min(far), near.max(far));
+        let half = HalfSpace::across(axis, up, f64::from(near));
+        let is_new = |solid: &Solid| solids.iter().all(|known| known.leaf != solid.leaf);
+        behind.extend(partition.solids(slab).into_iter().filter(is_new).map(|solid| (solid, half)));
+    }
+    let ends = behind.iter().map(|(solid, _)| solid);
+    let Some(body) = Body::around(&mut solids.iter().chain(ends), of) else { return Some(Sights::default()) };
     let mut search = Search {
         partition,
         body,
@@ -58,6 +72,12 @@ pub fn sights(partition: &Partition, of: Aabb, stop: &dyn Fn() -> bool) -> Optio
     for solid in &solids {
         partition.parts(solid.leaf).iter().for_each(|part| is_seen[part.triangle as usize] = true);
         search.go_on(solid.leaf, None, &[], Gates::NONE);
+    }
+    for (solid, half) in &behind {
+        let is_lit = |part: &&Part| clip(&part.outline, &[*half], partition.errors()).is_some();
+        let parts = partition.parts(solid.leaf).iter().filter(is_lit);
+        parts.for_each(|part| is_seen[part.triangle as usize] = true);
+        search.go_on(solid.leaf, None, &[*half], Gates::NONE);
     }
     if !search.run(stop) {
         return None;
