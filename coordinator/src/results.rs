@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use sightline_model::codec;
 use sightline_model::{CellSet, JobSpec, Method, Node, TileOutput};
+use sightline_pvs::Portals;
 use sightline_viewcells::{CellBox, TileKind};
 
 use crate::assemble::{expected_nodes, most_items};
@@ -56,7 +57,7 @@ pub(crate) enum ResultError {
     #[error("the output's cells without viewpoints are not those of the job")]
     Viewpoints,
     /// The first tile of the method portals has the portals of the result, and no other has.
-    #[error("the output has the portals of the result and should not, or lacks them")]
+    #[error("the output's portals cannot be read, or it lacks them, or it has some and should not")]
     Portals,
     /// The job asks for contributions and the output has none, or the other way round.
     #[error("the output has no contributions and the job asks for them, or has some and the job does not")]
@@ -110,7 +111,7 @@ fn check(c: &Coordinator, work: &Work, announced: &Announced, bytes: &[u8]) -> R
     let kind = tile.kind;
     let scene = c.store.scene(&spec.scene)?;
     let expected = expected_nodes(&spec.division, &work.lattice, &tile.cell, tile.depth);
-    let items = scene.map_or(0, |s| match kind {
+    let items = scene.as_ref().map_or(0, |s| match kind {
         TileKind::Leaf => most_items(spec, s.triangles, s.objects),
         TileKind::Face(_) | TileKind::Separator(_) => s.triangles,
     });
@@ -137,7 +138,9 @@ fn check(c: &Coordinator, work: &Work, announced: &Announced, bytes: &[u8]) -> R
                 return Err(ResultError::Viewpoints);
             }
             let has_portals = spec.method == Method::Portals && announced.lease.tile.at() == 0;
-            if sets.portals.is_empty() == has_portals {
+            let is_table =
+                |bytes: &[u8]| Portals::decode(bytes, scene.as_ref().map_or(0, |s| s.triangles)).is_ok();
+            if has_portals && !is_table(&sets.portals) || !has_portals && !sets.portals.is_empty() {
                 return Err(ResultError::Portals);
             }
             if sets.cells.iter().any(|c| c.hits.is_some() != hits) {

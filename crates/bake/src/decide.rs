@@ -47,7 +47,8 @@ pub fn cells(
     let half = deadline.map(|d| Instant::now() + share(d));
     let exact_cells: Vec<(CellBox, Cell)> =
         boxes.iter().map(|at| Ok((*at, exact_cell(at, lattice)?))).collect::<Result<_, String>>()?;
-    let listed = all_listed(partition, lattice, (&boxes, sets), &|| watcher.cancelled());
+    let stop = || watcher.cancelled() || half.is_some_and(|u| Instant::now() >= u);
+    let listed = all_listed(partition, lattice, (&boxes, sets), &stop);
     let mut around =
         groups_first((spec, places), lattice, (&boxes, &groups), (sets, &listed), scene, (half, watcher))?;
     // Pairs of cells have the same share of what is left then.
@@ -185,7 +186,7 @@ struct Around {
 
 /// What portals do not hide from a cell, ascending; `None` when stopped.
 pub fn listed(partition: &Partition, of: (Vec3, Vec3), stop: &dyn Fn() -> bool) -> Option<Vec<u32>> {
-    sights(partition, Aabb::new(of.0, of.1), stop).map(|found| found.triangles)
+    sights(partition, Aabb::new(of.0, of.1), stop)
 }
 
 /// What portals do not hide from each cell, if the scene is divided.

@@ -40,11 +40,14 @@ mod portals;
 pub mod scene;
 mod within;
 
+use std::time::Instant;
+
 use outcome::tile_error;
 pub use outcome::{BakeError, Control, PackDigest, TileDone};
 pub use portals::run_portal_tile;
 pub use scene::BakeScene;
 use sightline_model::{JobSpec, Method, Pack, TileOutput, codec};
+use sightline_portals::NoPartition;
 pub use sightline_sampling::Watcher;
 use sightline_sampling::crew::Phase;
 pub use sightline_sampling::crew::{Alone, Crew};
@@ -86,6 +89,9 @@ pub fn run_tile(
     let tile = plan.tiles.get(number as usize);
     let tile = tile.ok_or_else(|| BakeError::Tile("the plan has no such tile".to_owned()))?;
     let watcher = control.watcher;
+    if spec.method == Method::Portals {
+        return Err(BakeError::Tile("the method portals needs no backend; run its tiles without".to_owned()));
+    }
     if spec.method != Method::Aggressive && scene.scene().kinds().any_masked() {
         return Err(BakeError::Tile(
             "the method decides exactly, and exact queries do not read alpha masks; use the method \
@@ -140,9 +146,15 @@ pub fn run_tile(
         let prepared = scene.exact().map_err(BakeError::Tile)?;
         let with = (control.deadline, watcher, control.crew);
         let within = places.as_ref().map(Within::places);
-        // Certificates prove everything, and what portals hide has no proof.
-        let partition = (!spec.certificates).then(|| scene.partition(spec)).transpose();
-        let partition = partition.map_err(tile_error)?;
+        // Portals save time where walls enclose the viewpoints; elsewhere they hide little that groups of
+        // cells do not (docs/experiments/portals.md). A region has no certificates, which portals could not
+        // give.
+        let late = || control.deadline.is_some_and(|end| Instant::now() >= end);
+        let made = places.is_some().then(|| scene.partition(spec, &|| watcher.cancelled() || late()));
+        let partition = match made {
+            None | Some(Err(NoPartition::Stopped)) => None,
+            Some(made) => Some(made.map_err(tile_error)?),
+        };
         let of = (prepared, partition.as_deref());
         decide::cells((spec, within), &job.lattice, &tile.cell, sets, of, with)?;
         if watcher.cancelled() {

@@ -8,7 +8,8 @@ use std::time::Instant;
 use rayon::prelude::*;
 use sightline_exact::{Task, decide_listed};
 use sightline_model::{CellSet, CellSets, Decision, JobSpec, Node, TileOutput, codec};
-use sightline_portals::table;
+use sightline_portals::{NoPartition, table};
+use sightline_pvs::Portals;
 use sightline_viewcells::{CellBox, Lattice, Tile, TileKind};
 
 use crate::cell_phase::decide_shared;
@@ -38,11 +39,15 @@ pub fn run_portal_tile(
     let within = Within::of(spec, scene.scene()).map_err(tile_error)?;
     let sets = empty_cells(spec, &lattice, tile);
     let (boxes, _) = cells_and_groups(&tile.cell, &sets.nodes);
-    let partition = scene.partition(spec).map_err(tile_error)?;
-    let exact = scene.exact().map_err(BakeError::Tile)?;
-    tracing::debug!(tile = number, leaves = partition.leaves(), "scene divided");
-    let places = within.as_ref().map(Within::places);
     let watcher = control.watcher;
+    let late = || control.deadline.is_some_and(|end| Instant::now() >= end);
+    let partition = match scene.partition(spec, &|| watcher.cancelled() || late()) {
+        // What was not looked for in time may be seen.
+        Err(NoPartition::Stopped) => None,
+        made => Some(made.map_err(tile_error)?),
+    };
+    let exact = scene.exact().map_err(BakeError::Tile)?;
+    let places = within.as_ref().map(Within::places);
     let compute = |item: usize, stop: &(dyn Fn() -> bool + Sync)| -> Result<CellSet, String> {
         let mut set = sets.cells[item].clone();
         if set.unreached {
@@ -50,9 +55,8 @@ pub fn run_portal_tile(
             return Ok(set);
         }
         let world = boxes[item].world(&lattice);
-        // What was not looked for in time may be seen.
         let all = || (0..scene.scene().len()).collect();
-        let found = listed(&partition, world, stop).unwrap_or_else(all);
+        let found = partition.as_ref().and_then(|p| listed(p, world, stop)).unwrap_or_else(all);
         let decided = decide_listed(&Task {
             scene: exact,
             cell: exact_cell(&boxes[item], &lattice)?,
@@ -107,7 +111,11 @@ pub fn run_portal_tile(
     let rays = |cell: &CellSet| cell.decision.as_ref().map_or(0, Decision::rays);
     let samples = cells.iter().map(rays).sum();
     // The result has the portals once.
-    let portals = if number == 0 { table(&partition).encode() } else { Vec::new() };
+    let portals = match &partition {
+        Some(partition) if number == 0 => table(partition).encode(),
+        None if number == 0 => Portals::undivided(scene.scene().len()).encode(),
+        _ => Vec::new(),
+    };
     let output = TileOutput::Cells(CellSets { cells, portals, ..sets });
     let bytes = codec::encode(&output).map_err(tile_error)?;
     Ok(TileDone { bytes, samples, recomputed: Vec::new() })

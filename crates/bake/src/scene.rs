@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use sightline_exact::ExactScene;
 use sightline_model::JobSpec;
 use sightline_numbers::Aabb;
-use sightline_portals::{ForeignRegion, Limits, Partition};
+use sightline_portals::{Limits, NoPartition, Partition};
 use sightline_sampling::PreparedScene;
 use sightline_scene::{Scene, SceneError};
 use sightline_viewcells::Region;
@@ -53,14 +53,15 @@ impl BakeScene {
         found.as_ref().map_err(Clone::clone)
     }
 
-    /// The scene divided along its walls for the viewpoints of a job.
+    /// The scene divided along its walls for the viewpoints of a job. `stop` is called now and then, and ends
+    /// the work when it returns true.
     ///
     /// # Panics
     /// On a thread of rayon's pool: it could wait for itself.
     ///
     /// # Errors
-    /// [`ForeignRegion`] when the job's region is of another scene.
-    pub fn partition(&self, spec: &JobSpec) -> Result<Arc<Partition>, ForeignRegion> {
+    /// [`NoPartition`].
+    pub fn partition(&self, spec: &JobSpec, stop: &dyn Fn() -> bool) -> Result<Arc<Partition>, NoPartition> {
         assert!(rayon::current_thread_index().is_none(), "a thread of the pool could wait for itself here");
         let region = spec.viewpoints.as_ref().and_then(|marks| marks.region());
         let mut last = self.partition.lock().unwrap_or_else(PoisonError::into_inner);
@@ -69,7 +70,7 @@ impl BakeScene {
         {
             return Ok(Arc::clone(partition));
         }
-        let made = Partition::new(self.scene(), region, spec.view_box, Limits::default())?;
+        let made = Partition::new(self.scene(), region, spec.view_box, Limits::default(), stop)?;
         let made = Arc::new(made);
         *last = Some(((spec.view_box, region.cloned()), Arc::clone(&made)));
         Ok(made)

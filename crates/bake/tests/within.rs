@@ -3,32 +3,24 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
 
-use std::cmp::Ordering;
+mod common;
+
 use std::sync::Arc;
 
+use common::Quiet;
 use glam::Vec3;
-use sightline_bake::{Alone, BakeScene, Control, Watcher, run_tile};
+use sightline_bake::{Alone, BakeScene, Control, run_tile};
 use sightline_model::{CellSet, JobSpec, Method, TileOutput, codec};
 use sightline_numbers::Aabb;
 use sightline_numbers::random::SplitMix64;
 use sightline_portals::{Enclosure, Limits, Reached, Tree, enclose, reached, region_of};
 use sightline_sampling::{BackendError, CubeSpec, embree::CpuBackend};
-use sightline_scene::exact::orient3d_sign;
+use sightline_scene::Scene;
+use sightline_scene::exact::crossed_alone;
 use sightline_scene::generate::{Kind, Params, generate};
-use sightline_scene::{Scene, Triangle};
 use sightline_viewcells::{CellBox, Division, UNITS_PER_CELL, Viewpoints};
 
 const CELLS: [u32; 3] = [3, 2, 2];
-
-struct Quiet;
-
-impl Watcher for Quiet {
-    fn rendered(&self, _: u64) {}
-    fn cell_done(&self) {}
-    fn cancelled(&self) -> bool {
-        false
-    }
-}
 
 /// The sets of a scene's cells; `None` without Embree, which under `CI` is a failure.
 fn sets(scene: &Arc<Scene>, method: Method, viewpoints: Option<Viewpoints>) -> Option<Vec<CellSet>> {
@@ -53,30 +45,9 @@ fn sets(scene: &Arc<Scene>, method: Method, viewpoints: Option<Viewpoints>) -> O
     }
 }
 
-/// The triangle that a segment crosses first, where exact signs are sure of it: it crosses one strictly, and
-/// surely misses all others up to there.
+/// The triangle that a segment crosses first, where exact signs are sure of it.
 fn strictly_seen(scene: &Scene, p: Vec3, q: Vec3) -> Option<u32> {
-    let signs = |t: &Triangle| {
-        let [a, b, c] = t.v;
-        let ends = [orient3d_sign(a, b, c, p), orient3d_sign(a, b, c, q)];
-        (ends, [orient3d_sign(p, q, a, b), orient3d_sign(p, q, b, c), orient3d_sign(p, q, c, a)])
-    };
-    let mut crossed = None;
-    for (id, t) in (0..).zip(scene.triangles()) {
-        let (ends, edges) = signs(t);
-        let apart = ends[0] == ends[1] && ends[0] != Ordering::Equal
-            || edges.contains(&Ordering::Less) && edges.contains(&Ordering::Greater);
-        let through = ends[0] == ends[1].reverse()
-            && ends[0] != Ordering::Equal
-            && edges[0] != Ordering::Equal
-            && edges.iter().all(|e| *e == edges[0]);
-        match (apart, through) {
-            (true, _) => {}
-            (false, true) if crossed.is_none() => crossed = Some(id),
-            _ => return None,
-        }
-    }
-    crossed
+    crossed_alone(scene.triangles().iter().map(|t| t.v), p, q)
 }
 
 #[test]

@@ -50,7 +50,7 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     let probing = probing.then_warm(&loaded, &spec);
     if spec.method == Method::Portals {
         // The workers of this process find it made.
-        let partition = loaded.scene.partition(&spec).map_err(CliError::internal)?;
+        let partition = loaded.scene.partition(&spec, &|| false).map_err(CliError::internal)?;
         say(&match partition.leaves() {
             0 | 1 => {
                 "no walls divide the scene, so portals hide nothing but what closed surfaces turn away; \

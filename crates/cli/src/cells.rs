@@ -57,6 +57,8 @@ pub struct Decided {
     pub refuted: u64,
     /// Pairs undecided because the time ended.
     pub out_of_time: u64,
+    /// The cells of these pairs.
+    pub cells_out_of_time: usize,
     /// Pairs undecided because a query exceeded a limit.
     pub beyond_limits: u64,
     /// Cells with undecided triangles.
@@ -85,6 +87,9 @@ pub fn decided(pvs: &Pvs) -> Result<Decided, CliError> {
         missed: sum("exact_missed"),
         refuted: sum("exact_refuted"),
         out_of_time: sum("undecided_stopped"),
+        cells_out_of_time: columns
+            .get("undecided_stopped")
+            .map_or(0, |c| c.iter().filter(|n| **n > 0).count()),
         beyond_limits: reasons.iter().fold(0, |a, r| sum(r).saturating_add(a)),
         cells_open: open,
         evidence_bytes,

@@ -290,7 +290,7 @@ impl Summary {
                 );
             }
             if d.out_of_time > 0 {
-                lines.push(format!("NOT FINISHED: the time ended first in {} cells or fewer", d.cells_open));
+                lines.push(format!("NOT FINISHED: the time ended first in {} cells", d.cells_out_of_time));
             }
         } else if let Some(d) = &self.decided {
             lines.push(format!(

@@ -309,8 +309,6 @@ impl JobArgs {
         Ok(spec)
     }
 
-    /// The parameters of `sampler`. A note names given flags of other samplers; they are left out, because a
-    /// parameter without effect would still change the job's key.
     /// Refuses what the method portals does not do.
     fn check_portals(&self) -> Result<(), CliError> {
         let given = [
@@ -336,6 +334,8 @@ impl JobArgs {
         )))
     }
 
+    /// The parameters of `sampler`. A note names given flags of other samplers; they are left out, because a
+    /// parameter without effect would still change the job's key.
     fn sampling(&self, sampler: Sampler) -> Result<SamplingParams, CliError> {
         let mut params = SamplingParams {
             sampler,

@@ -43,7 +43,7 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
     let doors = looker.doors();
     let example = r#"{"id":1,"eye":[x,y,z],"dir":[x,y,z],"up":[x,y,z],"fov":[90,60]}"#;
     let mut input = JsonLines::open(&args.eyes, example)?;
-    let mut times: Vec<u64> = Vec::new();
+    let (mut times, mut shares): (Vec<u64>, Vec<f64>) = (Vec::new(), Vec::new());
     let check = |line: Line| {
         let number = |name: &String| {
             doors.binary_search(name).map_err(|_| match doors {
@@ -82,6 +82,7 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
                 return Err(wrong(format!("no viewpoint can be in cell {cell}; the bake left it out")));
             }
             times.push(nanos);
+            shares.push(looker.visible().len() as f64 / looker.of_cell().max(1) as f64);
             let micros = nanos as f64 / 1e3;
             let answer = json!({"id": line.id, "cell": cell, "visible": looker.visible(), "micros": micros});
             print(&answer.to_string())?;
@@ -96,8 +97,14 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
         say("only the views before the bad line were answered");
     }
     times.sort_unstable();
-    if let Some(median) = times.get(times.len() / 2) {
-        say(&format!("{} views, {:.1} µs each in the median", times.len(), *median as f64 / 1e3));
+    shares.sort_by(f64::total_cmp);
+    if let (Some(time), Some(share)) = (times.get(times.len() / 2), shares.get(shares.len() / 2)) {
+        say(&format!(
+            "{} views; in the median {:.1} µs each, and {:.1} % of the cell's set",
+            times.len(),
+            *time as f64 / 1e3,
+            share * 100.0
+        ));
     }
     ended
 }

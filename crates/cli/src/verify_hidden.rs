@@ -15,6 +15,7 @@ use crate::args::VerifyArgs;
 use crate::enclosure::of_result;
 use crate::error::CliError;
 use crate::opening::plural;
+use crate::progress::say;
 use crate::serve::print;
 
 /// Draws of a pair that are not hidden before the sample ends with fewer pairs.
@@ -57,6 +58,12 @@ pub fn run(args: &VerifyArgs, (pvs, scene): (&Pvs, &Scene), wanted: u64, json: b
             })
             .to_string(),
         );
+    }
+    if (pairs.len() as u64) < wanted {
+        say(&format!(
+            "note: of {wanted} pairs {} were found: nearly all triangles are in the sets",
+            pairs.len()
+        ));
     }
     print(&format!(
         "accepted: of {} called hidden, exact queries say the same of {hidden}; {undecided} are undecided",

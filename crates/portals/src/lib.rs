@@ -23,11 +23,11 @@ pub mod table;
 pub mod tree;
 
 pub use enclose::{Enclosure, Limits, enclose, reached};
-pub use partition::Partition;
+pub use partition::{NoPartition, Partition};
 pub use plane::{Face, Plane, PlaneId};
 pub use planes::Planes;
 pub use region::{ForeignRegion, Reached, region_of};
-pub use sights::{Sights, sights};
+pub use sights::sights;
 pub use solids::{Solid, solids};
 pub use table::table;
 pub use tree::{LeafId, OUTSIDE, PortalId, Tree};

@@ -4,9 +4,15 @@
 //! known by corners in doubles and a slack s, so that each point of R is within s of the hull of the corners,
 //! and by a box that holds R without slack. Let h be a function of at most unit slope. A point of R with
 //! h ≥ 0 is within s of a point of the hull with h ≥ −s, so R ∩ {h ≥ 0} is known by the part of the hull with
-//! h ≥ −s and the same slack. Clipping there, at a level below by the error of h, and adding the rounding of
-//! the new corners to the slack keeps the invariant. Nothing is ever cut off that is lit; slacks stay near
-//! the resolution of doubles at the scene's greatest coordinate.
+//! h ≥ −s and the same slack.
+//!
+//! A polygon is clipped along its border alone. Its corners are within some d of its plane, and it is convex
+//! up to such a distance; R is in the plane, within e of the corners' projections, with e + d ≤ s. A point of
+//! R with h ≥ 0 is then within e of a point of the projected polygon with h ≥ −e, and the border between
+//! corners has heights that differ from the projected ones by at most d: what is dropped below −s is not
+//! needed. Clipping there, at a level below by the error of h, adds the rounding of the new corners to d and
+//! to the slack. Nothing is ever cut off that is lit; slacks stay near the resolution of doubles at the
+//! scene's greatest coordinate.
 
 use glam::{DVec2, DVec3};
 use sightline_exact::{Polygon, Source, polygon};
@@ -38,12 +44,6 @@ impl Errors {
     /// 1.01·√3·size or of twice that.
     pub fn height(self) -> f64 {
         32.0 * U * self.size
-    }
-
-    /// The slack of a hull that is found in doubles: each of at most 32 corners that it drops is within
-    /// [`Self::corner`] of an edge.
-    pub fn hull(self) -> f64 {
-        64.0 * self.corner()
     }
 
     /// How far a new corner is from the place between two others that it stands for: each coordinate has
@@ -170,8 +170,10 @@ impl Hull {
 pub struct Outline {
     /// The corners in order, and the slack.
     pub hull: Hull,
-    /// The axis along which it is projected.
+    /// The axis along which it is projected: that along which the normal is longest.
     axis: usize,
+    /// How far a corner may be off the plane.
+    off: f64,
     /// The plane that it is in, if it is one of the scene's.
     pub plane: Option<PlaneId>,
 }
@@ -181,7 +183,8 @@ impl Outline {
     pub fn around(polygon: &Polygon, normal: DVec3, plane: Option<PlaneId>) -> Self {
         let n = normal.abs();
         let axis = (1..3).fold(0, |best, k| if n[k] > n[best] { k } else { best });
-        Self { hull: Hull::of(&mut polygon.points().iter()), axis, plane }
+        let hull = Hull::of(&mut polygon.points().iter());
+        Self { off: hull.slack, hull, axis, plane }
     }
 
     /// The part inside a half-space; `None` when there is certainly none with an area.
@@ -227,43 +230,43 @@ impl Outline {
             let at = if is_up { of.level } else { -of.level };
             bounds[end][axis] = if is_up { bounds[end][axis].max(at) } else { bounds[end][axis].min(at) };
         }
-        Some(Self { hull: Hull { corners, slack, bounds }, axis: self.axis, plane: self.plane })
+        let off = self.off + errors.corner();
+        Some(Self { hull: Hull { corners, slack, bounds }, off, ..*self })
     }
 
     /// The same outline with slack for [`Self::joined`] to find that others are inside.
     #[must_use]
     pub fn widened(mut self, errors: Errors) -> Self {
-        self.hull.slack += 64.0 * errors.corner();
+        self.hull.slack += 4.0 * self.off + 128.0 * errors.corner();
         self
     }
 
     /// The hull with another part of the same polygon; `None` when the other is inside this one.
+    ///
+    /// Both are compared in the projection. The longest component of a unit normal is at least 1/√3, so a
+    /// place that is off by t in the projection is off by √3t in the plane, and corners that are off the
+    /// plane by d and d' are apart by at most √3(d + d') beside. 2 stands for √3.
     pub fn joined(&self, other: &Self, errors: Errors) -> Option<Self> {
         let (own, its) = (&self.hull, &other.hull);
         let flat: Vec<DVec2> = own.corners.iter().map(|c| self.flat(*c)).collect();
-        let n = flat.len();
-        // On one side of all edges, or as near to them as rounding: within 2 roundings of the hull in space.
-        let is_in = |c: &DVec3| {
-            let p = self.flat(*c);
-            let sides = (0..n).map(|k| {
-                let (a, b) = (flat[k], flat[(k + 1) % n]);
-                let (turn, by) = ((b - a).perp_dot(p - a), errors.corner() * (b - a).length());
-                (turn > by, turn < -by)
-            });
-            sides.fold((false, false), |(l, r), (a, b)| (l | a, r | b)) != (true, true)
-        };
-        let fits = its.slack + 4.0 * errors.corner() <= own.slack
+        let near = errors.corner();
+        let is_in = |c: &DVec3| is_within(&flat, self.flat(*c), near);
+        let apart = 2.0 * (2.0 * near + self.off + other.off);
+        let fits = its.slack + apart <= own.slack
             && own.bounds[0].cmple(its.bounds[0]).all()
             && own.bounds[1].cmpge(its.bounds[1]).all();
         if fits && its.corners.iter().all(is_in) {
             return None;
         }
+        let all: Vec<DVec3> = own.corners.iter().chain(&its.corners).copied().collect();
+        // Each corner that is dropped is within two roundings of an edge of those that are left then.
+        let dropped = 2.0 * (2.0 * near * all.len() as f64 + self.off + other.off);
         let hull = Hull {
-            corners: self.around_all(own.corners.iter().chain(&its.corners).copied().collect()),
-            slack: own.slack.max(its.slack) + errors.hull(),
+            corners: self.around_all(all),
+            slack: own.slack.max(its.slack) + dropped,
             bounds: [own.bounds[0].min(its.bounds[0]), own.bounds[1].max(its.bounds[1])],
         };
-        Some(Self { hull, axis: self.axis, plane: self.plane })
+        Some(Self { hull, off: self.off.max(other.off), ..*self })
     }
 
     /// The corners of the convex hull of points in the outline's plane (Andrew 1979).
@@ -296,6 +299,22 @@ impl Outline {
     fn flat(&self, p: DVec3) -> DVec2 {
         DVec2::new(p[(self.axis + 1) % 3], p[(self.axis + 2) % 3])
     }
+}
+
+/// Whether a point is certainly inside a convex polygon, or within `near` of one of its edges, up to their
+/// rounding.
+fn is_within(polygon: &[DVec2], p: DVec2, near: f64) -> bool {
+    let n = polygon.len();
+    let edges = || (0..n).map(|k| (polygon[k], polygon[(k + 1) % n]));
+    let turns = edges().map(|(a, b)| (b - a).perp_dot(p - a) / (b - a).length());
+    let is_inside = |least: f64, most: f64| least > near || most < -near;
+    let (least, most) = turns.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, m), t| (l.min(t), m.max(t)));
+    let from_edge = |(a, b): (DVec2, DVec2)| {
+        let along = b - a;
+        let t = ((p - a).dot(along) / along.length_squared()).clamp(0.0, 1.0);
+        (p - a - along * t).length()
+    };
+    is_inside(least, most) || edges().any(|edge| from_edge(edge) <= near)
 }
 
 /// A place on an edge at or below a level, given the ends and their heights above it: inside, then outside.

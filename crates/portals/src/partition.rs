@@ -7,18 +7,19 @@
 use std::cmp::Ordering;
 
 use rayon::prelude::*;
-use sightline_exact::Polygon;
+use sightline_exact::{Polygon, Source};
 use sightline_numbers::Aabb;
 use sightline_scene::Scene;
 use sightline_viewcells::{Region, RegionNode};
 
-use crate::choose::best_plane;
+use crate::beam::Body;
+use crate::choose::{Choice, best_plane};
 use crate::enclose::{Limits, WALL};
 use crate::outline::{Errors, HalfSpace, Outline};
 use crate::plane::{Face, Plane, PlaneId};
 use crate::region::{ForeignRegion, beside};
 use crate::solids::{Solid, above, solids_in};
-use crate::tree::{LeafId, Node, OUTSIDE, PortalId, Tree};
+use crate::tree::{LeafId, Node, OUTSIDE, Portal, PortalId, Tree};
 
 /// A large leaf is split by a plane of less merit as well: walls are found only when it is smaller. A plane
 /// with this section, as a fraction of the box, divides a large leaf.
@@ -43,6 +44,23 @@ struct Opening {
     sides: [Option<HalfSpace>; 2],
 }
 
+/// Why a scene is not divided.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NoPartition {
+    /// The region is not of the scene.
+    #[error(transparent)]
+    Foreign(#[from] ForeignRegion),
+    /// The region has more planes than a search for walls gives it.
+    #[error(
+        "the region of viewpoints is too finely divided; leave it out, or find it again with \
+         --reachable-from"
+    )]
+    TooLarge,
+    /// The caller ended it.
+    #[error("dividing the scene was stopped")]
+    Stopped,
+}
+
 /// A scene divided along its walls.
 pub struct Partition {
     tree: Tree,
@@ -60,24 +78,25 @@ pub struct Partition {
 }
 
 impl Partition {
-    /// Divides a scene, for viewpoints in a region or in a box.
+    /// Divides a scene, for viewpoints in a region or in a box. `stop` is called before each split.
     ///
     /// # Errors
-    /// [`ForeignRegion`] when the region is not of the scene.
+    /// [`NoPartition`].
     pub fn new(
         scene: &Scene,
         region: Option<&Region>,
         view_box: Aabb,
         limits: Limits,
-    ) -> Result<Self, ForeignRegion> {
+        stop: &dyn Fn() -> bool,
+    ) -> Result<Self, NoPartition> {
         let mut tree = Tree::new(scene, &[view_box.min.to_array(), view_box.max.to_array()]);
         let is_inside = match region {
-            Some(region) => follow(&mut tree, region, scene)?,
+            Some(region) => follow(&mut tree, (region, scene), limits, stop)?,
             None => vec![false, true],
         };
         // What encloses a region has divided large leaves.
         let large = if region.is_some() { f64::INFINITY } else { LARGE };
-        let is_inside = divide(&mut tree, is_inside, large, limits);
+        let is_inside = divide(&mut tree, is_inside, large, limits, stop)?;
         let lines_in = |leaf: LeafId| is_inside[leaf.0 as usize];
         let inside = above(&tree, &lines_in);
         let bounds = tree.bounds();
@@ -107,6 +126,15 @@ impl Partition {
     /// The outline of a portal between two leaves where lines can be.
     pub fn opening(&self, portal: PortalId) -> Option<&Outline> {
         self.openings[portal.0 as usize].as_ref().map(|opening| &opening.outline)
+    }
+
+    /// Whether all of a box is on the far side of such a portal, or in its plane: lines cross it from the
+    /// near side. Exact.
+    pub fn is_beyond(&self, portal: PortalId, into: LeafId, body: &Body) -> bool {
+        let Portal { plane: Some(plane), leaves, .. } = self.tree.portal(portal) else { return false };
+        let plane = self.tree.planes().plane(*plane);
+        let near = if leaves[1] == into { Ordering::Less } else { Ordering::Greater };
+        body.hull.corners.iter().all(|at| plane.side(&Source::Given(*at), *at) != near)
     }
 
     /// The half-space into which such a portal is crossed.
@@ -153,38 +181,47 @@ impl Partition {
 }
 
 /// Splits a tree along the planes of a region. Returns for each leaf whether it is inside.
-fn follow(tree: &mut Tree, region: &Region, scene: &Scene) -> Result<Vec<bool>, ForeignRegion> {
+fn follow(
+    tree: &mut Tree,
+    (region, scene): (&Region, &Scene),
+    limits: Limits,
+    stop: &dyn Fn() -> bool,
+) -> Result<Vec<bool>, NoPartition> {
+    let most = limits.work.saturating_add(tree.work());
+    let mut looked = 0;
     let mut is_inside = vec![false, false];
     // The leaves that the next nodes are about; `None` for a side of a plane that the tree's box has none of.
     let mut open = vec![Some(LeafId(1))];
     for node in region.nodes() {
         // A region is one tree, so there is a leaf for each node.
         let Some(leaf) = open.pop() else { break };
-        match node {
-            RegionNode::Split(triangle) => {
-                let plane = (*triangle < scene.len()).then(|| tree.planes().of(*triangle)).flatten();
-                let plane = plane.ok_or(ForeignRegion(*triangle))?;
-                let Some(leaf) = leaf else {
-                    open.extend([None, None]);
-                    continue;
-                };
-                if tree.section(leaf, plane).is_some() {
-                    let upper = tree.split(leaf, plane);
-                    is_inside.resize(tree.len(), false);
-                    open.extend([Some(upper), Some(leaf)]);
-                } else {
-                    // The box of the region's tree reached farther than this one.
-                    let sides = [Some(leaf), None];
-                    let is_upper = side_of(tree, leaf, plane) == Ordering::Greater;
-                    open.extend(if is_upper { sides } else { [sides[1], sides[0]] });
-                }
+        let RegionNode::Split(triangle) = node else {
+            if let Some(leaf) = leaf {
+                is_inside[leaf.0 as usize] = *node == RegionNode::Inside;
             }
-            RegionNode::Inside => {
-                if let Some(leaf) = leaf {
-                    is_inside[leaf.0 as usize] = true;
-                }
-            }
-            RegionNode::Outside => {}
+            continue;
+        };
+        let plane = (*triangle < scene.len()).then(|| tree.planes().of(*triangle)).flatten();
+        let plane = plane.ok_or(ForeignRegion(*triangle))?;
+        let Some(leaf) = leaf else {
+            open.extend([None, None]);
+            continue;
+        };
+        if stop() {
+            return Err(NoPartition::Stopped);
+        }
+        if tree.len() > limits.leaves || tree.work() + looked >= most {
+            return Err(NoPartition::TooLarge);
+        }
+        if tree.section(leaf, plane).is_some() {
+            let upper = tree.split(leaf, plane);
+            is_inside.resize(tree.len(), false);
+            open.extend([Some(upper), Some(leaf)]);
+        } else {
+            // The box of the region's tree reached farther than this one.
+            looked += tree.nodes().len() as u64;
+            let is_upper = side_of(tree, leaf, plane) == Ordering::Greater;
+            open.extend(if is_upper { [Some(leaf), None] } else { [None, Some(leaf)] });
         }
     }
     Ok(is_inside)
@@ -199,16 +236,25 @@ fn side_of(tree: &Tree, leaf: LeafId, plane: PlaneId) -> Ordering {
 
 /// Splits the leaves inside along walls, until they are small and no plane covers much of one, or the limits
 /// are reached. Returns for each leaf whether it is inside.
-fn divide(tree: &mut Tree, mut is_inside: Vec<bool>, large: f64, limits: Limits) -> Vec<bool> {
+fn divide(
+    tree: &mut Tree,
+    mut is_inside: Vec<bool>,
+    large: f64,
+    limits: Limits,
+    stop: &dyn Fn() -> bool,
+) -> Result<Vec<bool>, NoPartition> {
     let most = limits.work.saturating_add(tree.work());
+    let is_worth = |choice: &Choice| choice.merit >= WALL || choice.merit >= POOR && choice.section >= large;
     let mut next = 1;
     while next < tree.len() {
         let leaf = LeafId(next as u32);
         let is_open = is_inside[next] && !tree.leaf(leaf).detail.is_empty();
         let may = tree.len() < limits.leaves && tree.work() < most;
+        if is_open && stop() {
+            return Err(NoPartition::Stopped);
+        }
         let choice = if is_open && may { best_plane(tree, leaf) } else { None };
-        match choice.filter(|choice| choice.merit >= WALL || choice.merit >= POOR && choice.section >= large)
-        {
+        match choice.filter(is_worth) {
             // Both halves are looked at again: the lesser keeps its number, the greater comes last.
             Some(choice) => {
                 tree.split(leaf, choice.plane);
@@ -217,7 +263,7 @@ fn divide(tree: &mut Tree, mut is_inside: Vec<bool>, large: f64, limits: Limits)
             None => next += 1,
         }
     }
-    is_inside
+    Ok(is_inside)
 }
 
 /// The parts of the triangles that can be in a set, by leaf.

@@ -27,6 +27,8 @@ pub struct Plane {
     near: [f64; 4],
     /// The axis along which n is longest.
     axis: usize,
+    /// The coordinate along the axis of all points, if n is along it and a double holds it.
+    across: Option<f64>,
 }
 
 impl Plane {
@@ -43,7 +45,14 @@ impl Plane {
         }
         let near = exact.each_ref().map(|c| c.to_f64().value());
         let axis = (1..3).fold(0, |best, a| if near[a].abs() > near[best].abs() { a } else { best });
-        Self { exact, near, axis }
+        let is_across = (0..3).all(|i| i == axis || exact[i].is_zero());
+        let level = near[3] / near[axis];
+        let is_level = || {
+            let [own, .., w] = predicates::integers(&Source::Given(DVec3::new(level, 0.0, 0.0)));
+            level.is_finite() && own * &exact[axis] == &exact[3] * w
+        };
+        let across = (is_across && is_level()).then_some(level);
+        Self { exact, near, axis, across }
     }
 
     /// n and k.
@@ -66,15 +75,10 @@ impl Plane {
         self.near
     }
 
-    /// The coordinate of all points, for a plane across an axis where a double holds it.
+    /// The coordinate of all points, for a plane across an axis where a double holds it. Its normal points up
+    /// the axis.
     pub fn across(&self) -> Option<f64> {
-        let (n, k) = (&self.exact[self.axis], &self.exact[3]);
-        if (0..3).any(|i| i != self.axis && !self.exact[i].is_zero()) {
-            return None;
-        }
-        let level = self.near[3] / self.near[self.axis];
-        let [own, .., w] = predicates::integers(&Source::Given(DVec3::new(level, 0.0, 0.0)));
-        (level.is_finite() && own * n == k * w).then_some(level)
+        self.across
     }
 
     /// On which side of the plane a point lies: `Greater` where n·x > k. `at` is the point, rounded.
@@ -83,6 +87,10 @@ impl Plane {
     /// by 5u of itself, and the three sums add at most 3u of the sum of magnitudes. 16u also covers the
     /// roundings of the bound.
     pub fn side(&self, point: &Source, at: DVec3) -> Ordering {
+        // Two doubles are compared exactly; none is NaN.
+        if let (Some(level), Source::Given(p)) = (self.across, point) {
+            return p[self.axis].partial_cmp(&level).unwrap_or(Ordering::Equal);
+        }
         let [a, b, c, k] = self.near;
         let (x, y, z) = (a * at.x, b * at.y, c * at.z);
         let value = x + y + z - k;

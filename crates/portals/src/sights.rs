@@ -29,19 +29,9 @@ use crate::tree::{LeafId, PortalId};
 /// gates grow before nothing is known of them.
 const GROWTHS: u32 = 8;
 
-/// What a cell may see.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Sights {
-    /// Triangles that are not proved to be hidden, ascending.
-    pub triangles: Vec<u32>,
-    /// Portals that were lit, in each of their two directions.
-    pub lit: u64,
-    /// How often a portal was clipped.
-    pub clipped: u64,
-}
-
-/// Finds what a box may see. `None` when `stop`, which is called now and then, returns true.
-pub fn sights(partition: &Partition, of: Aabb, stop: &dyn Fn() -> bool) -> Option<Sights> {
+/// Finds the triangles that are not proved to be hidden from a box, ascending. `None` when `stop`, which is
+/// called now and then, returns true.
+pub fn sights(partition: &Partition, of: Aabb, stop: &dyn Fn() -> bool) -> Option<Vec<u32>> {
     let solids = partition.solids(of);
     // A segment may begin on a wall in a face of the box and go on at its other side: exact queries from the
     // box count it. So lines also leave through each face into the leaves that lie behind it.
@@ -59,15 +49,9 @@ pub fn sights(partition: &Partition, of: Aabb, stop: &dyn Fn() -> bool) -> Optio
         behind.extend(partition.solids(slab).into_iter().filter(is_new).map(|solid| (solid, half)));
     }
     let ends = behind.iter().map(|(solid, _)| solid);
-    let Some(body) = Body::around(&mut solids.iter().chain(ends), of) else { return Some(Sights::default()) };
-    let mut search = Search {
-        partition,
-        body,
-        lit: FxHashMap::default(),
-        order: Vec::new(),
-        waiting: VecDeque::new(),
-        clipped: 0,
-    };
+    let Some(body) = Body::around(&mut solids.iter().chain(ends), of) else { return Some(Vec::new()) };
+    let mut search =
+        Search { partition, body, lit: FxHashMap::default(), order: Vec::new(), waiting: VecDeque::new() };
     let mut is_seen = vec![false; partition.triangles()];
     for solid in &solids {
         partition.parts(solid.leaf).iter().for_each(|part| is_seen[part.triangle as usize] = true);
@@ -83,8 +67,7 @@ pub fn sights(partition: &Partition, of: Aabb, stop: &dyn Fn() -> bool) -> Optio
         return None;
     }
     search.show(&mut is_seen);
-    let triangles = (0..is_seen.len() as u32).filter(|id| is_seen[*id as usize]).collect();
-    Some(Sights { triangles, lit: search.order.len() as u64, clipped: search.clipped })
+    Some((0..is_seen.len() as u32).filter(|id| is_seen[*id as usize]).collect())
 }
 
 /// A portal with the leaf into which it is crossed.
@@ -136,7 +119,6 @@ struct Search<'a> {
     /// The crossings in the order in which they were first lit.
     order: Vec<Crossing>,
     waiting: VecDeque<Crossing>,
-    clipped: u64,
 }
 
 impl Search<'_> {
@@ -176,20 +158,13 @@ impl Search<'_> {
         for portal in &partition.tree().leaf(leaf).portals {
             let Some(whole) = partition.opening(*portal) else { continue };
             let into = partition.tree().portal(*portal).beyond(leaf);
-            if entered.is_some() && whole.plane == entered || self.is_beyond(*portal, into) {
+            if entered.is_some() && whole.plane == entered || partition.is_beyond(*portal, into, &self.body) {
                 continue;
             }
-            self.clipped += 1;
             if let Some(part) = clip(whole, beam, partition.errors()) {
                 self.light((*portal, into), part, gates, whole);
             }
         }
-    }
-
-    /// Whether all of the body is on the far side of a portal, which lines cross from the near side.
-    fn is_beyond(&self, portal: PortalId, into: LeafId) -> bool {
-        let beyond = self.partition.beyond(portal, into);
-        beyond.is_some_and(|beyond| self.body.hull.is_inside(&beyond, self.partition.errors()))
     }
 
     fn light(&mut self, crossing: Crossing, part: Outline, gates: Gates, whole: &Outline) {

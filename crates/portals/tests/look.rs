@@ -16,7 +16,7 @@ use sightline_scene::Scene;
 /// A result of one cell that shows every triangle.
 fn result(scene: &Scene) -> Pvs {
     let bounds = scene.bounds();
-    let partition = Partition::new(scene, None, bounds, Limits::default()).unwrap();
+    let partition = Partition::new(scene, None, bounds, Limits::default(), &|| false).unwrap();
     let tree = CellTree::new(bounds.corners().map(|c| c.to_array()), vec![Node::Leaf]).unwrap();
     let objects = vec![Object { name: "all".into(), first: 0, count: scene.len(), source: None }];
     let header =

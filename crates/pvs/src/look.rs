@@ -192,6 +192,11 @@ impl<'a> Looker<'a> {
         Ok(Some(cell))
     }
 
+    /// The number of triangles in the cell's set of the last look.
+    pub fn of_cell(&self) -> usize {
+        self.set.iter().map(|word| word.count_ones() as usize).sum()
+    }
+
     /// The triangles that the last look found, ascending.
     pub fn visible(&self) -> &[u32] {
         &self.visible

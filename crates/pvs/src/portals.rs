@@ -56,6 +56,11 @@ pub struct Portals {
 }
 
 impl Portals {
+    /// All of space as one leaf with all triangles.
+    pub fn undivided(triangles: u32) -> Self {
+        Self { size: 1.0, leaves: vec![(0..triangles).collect()], ..Self::default() }
+    }
+
     /// The section.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = Vec::new();

@@ -72,6 +72,52 @@ fn orient3d_expanded(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Ordering {
     sum_sign(terms)
 }
 
+/// The relation of a segment to a triangle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Crossing {
+    /// They have no point in common.
+    Not,
+    /// They have, or may have, a common point, which may be on the triangle's border or at an end of the
+    /// segment.
+    Touches,
+    /// The segment passes from one side to the other through the interior.
+    Inside,
+}
+
+/// The relation of the segment from `p` to `q` to a triangle with area, decided exactly.
+pub fn crossing([a, b, c]: [Vec3; 3], p: Vec3, q: Vec3) -> Crossing {
+    let ends = [p, q].map(|e| orient3d_sign(a, b, c, e));
+    if ends[0] == ends[1] && ends[0] != Ordering::Equal {
+        return Crossing::Not;
+    }
+    let turns = [(a, b), (b, c), (c, a)].map(|(s, t)| orient3d_sign(p, q, s, t));
+    let has = |o: Ordering| turns.contains(&o);
+    match (
+        has(Ordering::Less) && has(Ordering::Greater),
+        has(Ordering::Equal) || ends.contains(&Ordering::Equal),
+    ) {
+        // For a line in the triangle's plane all turns are equal, so this line crosses the plane, outside of
+        // the triangle.
+        (true, _) => Crossing::Not,
+        (false, true) => Crossing::Touches,
+        (false, false) => Crossing::Inside,
+    }
+}
+
+/// The only triangle that a segment has a point in common with, if it passes through its interior and that is
+/// certain. Looks at all triangles: a truth for tests.
+pub fn crossed_alone(triangles: impl Iterator<Item = [Vec3; 3]>, p: Vec3, q: Vec3) -> Option<u32> {
+    let mut crossed = None;
+    for (id, triangle) in (0..).zip(triangles) {
+        match crossing(triangle, p, q) {
+            Crossing::Not => {}
+            Crossing::Inside if crossed.is_none() => crossed = Some(id),
+            Crossing::Inside | Crossing::Touches => return None,
+        }
+    }
+    crossed
+}
+
 /// The differences of some points from one point; `None` where `f64` does not hold them exactly.
 pub fn differences<const N: usize>(a: DVec3, p: [DVec3; N]) -> Option<[[f64; 3]; N]> {
     let mut exact = true;

@@ -7,7 +7,7 @@
 use std::cmp::Ordering;
 
 use glam::{DVec3, Vec3};
-use sightline_scene::exact::orient3d_sign;
+use sightline_scene::exact::{Crossing, crossing, orient3d_sign};
 
 use super::set::Occluders;
 
@@ -28,38 +28,6 @@ pub fn shows(scene: &Occluders, p: Vec3, q: Vec3, id: u32, scratch: &mut Vec<u32
             || crossing(t, p, q) == Crossing::Not
             || t.iter().all(|v| orient3d_sign(a, b, c, *v) == Ordering::Equal)
     })
-}
-
-/// The relation of a segment to a triangle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Crossing {
-    /// They have no point in common.
-    Not,
-    /// They have, or may have, a common point, which may be on the triangle's border or at an end of the
-    /// segment.
-    Touches,
-    /// The segment passes from one side to the other through the interior.
-    Inside,
-}
-
-/// The relation of the segment from `p` to `q` to a triangle with area, decided exactly.
-pub fn crossing([a, b, c]: [Vec3; 3], p: Vec3, q: Vec3) -> Crossing {
-    let ends = [p, q].map(|e| orient3d_sign(a, b, c, e));
-    if ends[0] == ends[1] && ends[0] != Ordering::Equal {
-        return Crossing::Not;
-    }
-    let turns = [(a, b), (b, c), (c, a)].map(|(s, t)| orient3d_sign(p, q, s, t));
-    let has = |o: Ordering| turns.contains(&o);
-    match (
-        has(Ordering::Less) && has(Ordering::Greater),
-        has(Ordering::Equal) || ends.contains(&Ordering::Equal),
-    ) {
-        // For a line in the triangle's plane all turns are equal, so this line crosses the plane, outside of
-        // the triangle.
-        (true, _) => Crossing::Not,
-        (false, true) => Crossing::Touches,
-        (false, false) => Crossing::Inside,
-    }
 }
 
 /// The first triangle a ray meets, computed in doubles without a bound, and its distance in lengths of the

@@ -16,29 +16,16 @@ use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 
 use dashu_int::IBig;
-use glam::DVec3;
 use sightline_numbers::union_find::UnionFind;
 
 use crate::geometry::frame::Frame;
 use crate::geometry::polygon::Polygon;
-use crate::geometry::predicates::{integers, orient, sign};
+use crate::geometry::predicates::sign;
 use crate::line_space::cone::{MOST_HALVES, Region};
 use crate::line_space::space::{Space, Tight, VectorId, klein, klein_exact};
 use crate::search::stab::{directions, edges};
+use crate::search::swath::{EdgeOf, Surface, are_contained, plane_of, quadric_of, vertex_and_edge};
 use crate::search::verdict::Limits;
-
-/// An edge of a polygon of the sequence: the polygon's number, and that of the edge after its corner.
-pub type EdgeOf = [usize; 2];
-
-/// The surface of a swath.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Surface {
-    /// a, b, c, d with ax + by + cz + d = 0, of a vertex and an edge (VE).
-    Plane([f64; 4]),
-    /// A to J with Ax² + 2Bxy + 2Cxz + 2Dx + Ey² + 2Fyz + 2Gy + Hz² + 2Iz + J = 0, of three edges (EEE).
-    /// (Equation 7.3 of the thesis prints 2Cxy for 2Cxz.)
-    Quadric([f64; 10]),
-}
 
 /// A one-parameter family of lines that touch three edges.
 #[derive(Clone, Debug, PartialEq)]
@@ -118,13 +105,20 @@ pub fn antipenumbra(portals: &[Polygon], limits: &Limits) -> Result<Antipenumbra
             let around = faces.around(face);
             let n = around.len();
             let mut points: Vec<Crossing> = Vec::new();
+            // Whether the form is positive on the border after the first crossing.
+            let mut is_up_after = None;
             for k in 0..n {
                 let (i, j) = (around[k], around[(k + 1) % n]);
                 let on = crossings.get(&[i.min(j), i.max(j)]).map_or(&[][..], Vec::as_slice);
+                // One crossing changes the sign to that of the next ray, two change it and back.
+                if !on.is_empty() {
+                    is_up_after.get_or_insert(search.is_up(j) != (on.len() == 2));
+                }
                 // In the direction of the walk.
                 if i < j { points.extend(on) } else { points.extend(on.iter().rev()) }
             }
-            traces.extend(arcs(&points).into_iter().map(|ends| (face.clone(), ends)));
+            let arcs = arcs(&points, is_up_after.unwrap_or(true));
+            traces.extend(arcs.into_iter().map(|ends| (face.clone(), ends)));
         }
     }
     let mut loops = UnionFind::new(found.lines);
@@ -282,24 +276,18 @@ struct Crossing {
     line: [f64; 6],
 }
 
-/// The pairs of crossings around a 2-face that its conic joins.
-fn arcs(around: &[Crossing]) -> Vec<[Crossing; 2]> {
+/// The pairs of crossings around a 2-face that its conic joins. `is_up_after` says whether the form is
+/// positive on the border between the first two.
+fn arcs(around: &[Crossing], is_up_after: bool) -> Vec<[Crossing; 2]> {
     let n = around.len();
-    if n < 2 {
-        return Vec::new();
-    }
     // The conic does not cross itself, so it joins neighbours: the first with the second, or with the last.
-    // Between crossings one and two the form has one sign, and on the chord from one to three it has one. If
-    // these agree, that part of the face is in one piece, and the pieces cut off are the others.
-    let sum = |a: &[f64; 6], b: &[f64; 6]| -> [f64; 6] { std::array::from_fn(|k| a[k] + b[k]) };
-    let form = |a: &[f64; 6]| klein(a, a);
-    let shift = if n > 2 {
-        let inner = sum(&around[0].line, &around[1].line);
-        let across = sum(&around[0].line, &around[2].line);
-        usize::from(form(&inner) * form(&across) > 0.0)
-    } else {
-        0
+    // On the chord from the first to the third the form has one sign. If it is that of the border after the
+    // first, this part of the face is in one piece, and the pieces cut off are the others.
+    let is_one_piece = n > 2 && {
+        let across = std::array::from_fn(|k| around[0].line[k] + around[2].line[k]);
+        (klein(&across, &across) > 0.0) == is_up_after
     };
+    let shift = usize::from(is_one_piece);
     (0..n / 2).map(|k| [around[(2 * k + shift) % n], around[(2 * k + 1 + shift) % n]]).collect()
 }
 
@@ -336,12 +324,18 @@ impl Search {
         scaled(&std::array::from_fn(|k| x[k] + shared[k] * t))
     }
 
+    /// Whether the form of a ray is not negative.
+    fn is_up(&self, ray: usize) -> bool {
+        sign(&klein_exact(&self.rays[ray], &self.rays[ray])) != Ordering::Less
+    }
+
     /// The points of the quadric on an edge, from its first ray to its second; the first gets a number. A ray
     /// on the quadric counts as above it.
     fn crossings(&self, [i, j]: [usize; 2], number: usize) -> Vec<Crossing> {
         let (u, v) = (&self.rays[i], &self.rays[j]);
         let [uu, uv, vv] = [klein_exact(u, u), klein_exact(u, v), klein_exact(v, v)];
         let is_up = |x: &IBig| sign(x) != Ordering::Less;
+        debug_assert_eq!((is_up(&uu), is_up(&vv)), (self.is_up(i), self.is_up(j)), "the same signs");
         let count = if is_up(&uu) != is_up(&vv) {
             1
         } else if is_up(&uv) != is_up(&uu) && sign(&(&uv * &uv - &uu * &vv)) == Ordering::Greater {
@@ -378,7 +372,7 @@ impl Search {
         [a, b]: [Crossing; 2],
     ) -> (bool, Surface) {
         if let Some((vertex, edge)) = vertex_and_edge(portals, touched) {
-            return plane_swath(portals, vertex, edge);
+            return plane_of(portals, vertex, edge);
         }
         // A line in the middle of the arc: from the middle of the chord towards the middle of the face.
         let middle: [f64; 6] = std::array::from_fn(|k| a.line[k] + b.line[k]);
@@ -394,113 +388,8 @@ impl Search {
             let step = if step.is_finite() { step } else { 0.0 };
             std::array::from_fn(|k| middle[k] + inner[k] * step)
         };
-        (!contained(portals, touched, &line), Surface::Quadric(quadric(portals, touched)))
+        (!are_contained(portals, touched, &line), Surface::Quadric(quadric_of(portals, touched)))
     }
-}
-
-/// The corner of a polygon and the edge of another that a swath touches, if two of its edges share a corner.
-fn vertex_and_edge(portals: &[Polygon], touched: &[EdgeOf]) -> Option<(EdgeOf, EdgeOf)> {
-    let pairs = touched.iter().enumerate().flat_map(|(k, a)| touched[k + 1..].iter().map(move |b| (*a, *b)));
-    for ([p, i], [q, j]) in pairs.filter(|(a, b)| a[0] == b[0]) {
-        let n = portals[p].points().len();
-        // Edge k goes from corner k to corner k + 1.
-        let corner = match ((i + 1) % n == j, (j + 1) % n == i) {
-            (true, _) => j,
-            (_, true) => i,
-            _ => continue,
-        };
-        debug_assert_eq!(p, q, "edges of one polygon");
-        if let Some(edge) = touched.iter().find(|[k, _]| *k != p) {
-            return Some(([p, corner], *edge));
-        }
-    }
-    None
-}
-
-/// A swath of a corner and an edge bounds the lit space exactly when its plane separates their polygons.
-fn plane_swath(portals: &[Polygon], [p, corner]: EdgeOf, [q, edge]: EdgeOf) -> (bool, Surface) {
-    let (of, other) = (portals[p].points(), portals[q].points());
-    let ends = [&other[edge], &other[(edge + 1) % other.len()]];
-    let v = &of[corner];
-    let sides = |points: &[crate::geometry::Source]| -> BTreeSet<Ordering> {
-        points.iter().map(|x| orient([ends[0], ends[1], v, x])).filter(|o| *o != Ordering::Equal).collect()
-    };
-    let (a, b) = (sides(of), sides(other));
-    let is_boundary = a.len() == 1 && b.len() == 1 && a != b;
-    let exact = [ends[0], ends[1], v].map(integers);
-    let [x, y, z, k] = crate::geometry::predicates::plane([&exact[0], &exact[1], &exact[2]]);
-    let plane = [x, y, z, -k].map(|c| c.to_f64().value());
-    let most = plane.iter().fold(0.0f64, |m, c| m.max(c.abs()));
-    // A corner on the line of the edge spans no plane with it.
-    (is_boundary, Surface::Plane(if most > 0.0 { plane.map(|c| c / most) } else { plane }))
-}
-
-/// Whether some direction across a line points into all polygons at the edges that it touches (section
-/// 7.2.4): lines then exist on both sides of the swath. `line` is in the frame of the world.
-fn contained(portals: &[Polygon], touched: &[EdgeOf], line: &[f64; 6]) -> bool {
-    let along = DVec3::new(line[0], line[1], line[2]).normalize_or_zero();
-    let normals: Vec<DVec3> = touched
-        .iter()
-        .map(|[p, i]| {
-            let at = portals[*p].rounded();
-            let (a, b) = (at[*i], at[(*i + 1) % at.len()]);
-            let middle = at.iter().sum::<DVec3>() / at.len() as f64;
-            let normal = along.cross(b - a);
-            if normal.dot(middle - a) < 0.0 { -normal } else { normal }
-        })
-        .collect();
-    let right = along.any_orthonormal_vector();
-    let up = along.cross(right);
-    let mut angles: Vec<f64> = normals.iter().map(|n| n.dot(up).atan2(n.dot(right))).collect();
-    angles.sort_by(f64::total_cmp);
-    let n = angles.len();
-    let turn = std::f64::consts::TAU;
-    let gaps =
-        (0..n).map(|k| if k + 1 < n { angles[k + 1] - angles[k] } else { angles[0] + turn - angles[k] });
-    gaps.fold(0.0, f64::max) > std::f64::consts::PI
-}
-
-/// The regulus of lines that meet three edges: xᵀ L₃* L₂ L₁* x = 0, where L* maps a point to its plane with a
-/// line, and L a plane to its point on a line.
-fn quadric(portals: &[Polygon], touched: &[EdgeOf]) -> [f64; 10] {
-    let ends = |[p, i]: EdgeOf| {
-        let points = portals[p].points();
-        [integers(&points[i]), integers(&points[(i + 1) % points.len()])]
-    };
-    // The first three edges, of three polygons where there are as many.
-    let mut of: Vec<EdgeOf> = Vec::new();
-    for edge in touched {
-        if of.iter().all(|known| known[0] != edge[0]) {
-            of.push(*edge);
-        }
-    }
-    of.extend(touched.iter().filter(|e| !of.contains(e)).copied().collect::<Vec<_>>());
-    let lines: Vec<[[IBig; 4]; 2]> = of.into_iter().take(3).map(ends).collect();
-    let through = |[a, b]: &[[IBig; 4]; 2]| -> [[IBig; 4]; 4] {
-        std::array::from_fn(|i| std::array::from_fn(|j| &a[i] * &b[j] - &a[j] * &b[i]))
-    };
-    // The dual matrix has the complementary minors.
-    let dual = |m: &[[IBig; 4]; 4]| -> [[IBig; 4]; 4] {
-        let mut out: [[IBig; 4]; 4] = Default::default();
-        for (i, j, k, l) in
-            [(0, 1, 2, 3), (0, 2, 3, 1), (0, 3, 1, 2), (1, 2, 0, 3), (3, 1, 0, 2), (2, 3, 0, 1)]
-        {
-            out[i][j] = m[k][l].clone();
-            out[j][i] = -m[k][l].clone();
-        }
-        out
-    };
-    let times = |a: &[[IBig; 4]; 4], b: &[[IBig; 4]; 4]| -> [[IBig; 4]; 4] {
-        std::array::from_fn(|i| std::array::from_fn(|j| (0..4).map(|k| &a[i][k] * &b[k][j]).sum()))
-    };
-    let [l1, l2, l3] = [0, 1, 2].map(|k| through(&lines[k]));
-    let m = times(&dual(&l3), &times(&l2, &dual(&l1)));
-    let entry = |i: usize, j: usize| &m[i][j] + &m[j][i];
-    let pairs = [(0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3)];
-    let exact = pairs.map(|(i, j)| entry(i, j));
-    let values = exact.map(|c| c.to_f64().value());
-    let most = values.iter().fold(0.0f64, |m, c| m.max(c.abs()));
-    if most > 0.0 { values.map(|c| c / most) } else { values }
 }
 
 fn rounded(of: &[IBig; 6]) -> [f64; 6] {
@@ -514,4 +403,32 @@ fn rounded(of: &[IBig; 6]) -> [f64; 6] {
 fn scaled(of: &[f64; 6]) -> [f64; 6] {
     let most = of.iter().fold(0.0f64, |m, c| m.max(c.abs()));
     if most > 0.0 { of.map(|c| c / most) } else { *of }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_circle_that_leaves_a_square_is_joined_around_its_corners() {
+        // The form x² + y² − 1.44 z² on vectors of three dimensions; the square has its corners at ±1, z = 1.
+        let vector = |x: f64, y: f64| [x, y, 1.2, x / 2.0, y / 2.0, -0.6];
+        let at = 0.44f64.sqrt();
+        // From the corner (1, 1) on: two crossings on each side.
+        let all =
+            [(at, 1.0), (-at, 1.0), (-1.0, at), (-1.0, -at), (-at, -1.0), (at, -1.0), (1.0, -at), (1.0, at)];
+        let crossings: Vec<Crossing> =
+            (0..8).map(|number| Crossing { number, line: vector(all[number].0, all[number].1) }).collect();
+        let around_corners = [[1, 2], [3, 4], [5, 6], [7, 0]];
+        for first in 0..8 {
+            let mut turned = crossings.clone();
+            turned.rotate_left(first);
+            // Between the two on a side the border is inside the circle.
+            let mut found: Vec<[usize; 2]> =
+                arcs(&turned, first % 2 == 1).iter().map(|[a, b]| [a.number, b.number]).collect();
+            found.sort_unstable();
+            assert_eq!(found, around_corners, "from {first} on");
+        }
+        assert!(arcs(&crossings[..1], true).is_empty());
+    }
 }

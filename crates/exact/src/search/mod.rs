@@ -12,10 +12,12 @@ mod side_bitsets;
 mod snap;
 mod stab;
 mod subtract;
+mod swath;
 mod trace;
 mod verdict;
 
-pub use antipenumbra::{Antipenumbra, NoAntipenumbra, Surface, Swath, antipenumbra};
+pub use antipenumbra::{Antipenumbra, NoAntipenumbra, Swath, antipenumbra};
 pub use query::{sightlines, sightlines_until};
 pub use stab::{Stabbed, stab};
+pub use swath::Surface;
 pub use verdict::{Cost, Limits, Reason, Verdict};

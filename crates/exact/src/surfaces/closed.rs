@@ -25,8 +25,8 @@ use super::piercing::may_pierce;
 use crate::arithmetic::random::Random;
 use crate::geometry::Cell;
 use crate::occluders::Occluders;
-use crate::occluders::segment::{Crossing, crossing};
 use sightline_certificate::certificate::few_odd_edges;
+use sightline_scene::exact::{Crossing, crossing};
 
 /// Segments tried to find a parity; most first ones are in general position.
 const TRIES: u32 = 6;

@@ -1,10 +1,8 @@
 //! Buildings, and segments that exact signs are sure of.
 
-use std::cmp::Ordering;
-
 use glam::{Quat, Vec3};
 use sightline_numbers::random::SplitMix64;
-use sightline_scene::exact::orient3d_sign;
+use sightline_scene::exact::crossed_alone;
 use sightline_scene::{Object, Scene, Triangle};
 
 /// Two triangles a quad; corners in order.
@@ -69,23 +67,5 @@ pub fn building(seed: u64, angle: f32) -> Scene {
 
 /// The triangle that a segment crosses first, where exact signs are sure of it.
 pub fn strictly_seen(scene: &Scene, p: Vec3, q: Vec3) -> Option<u32> {
-    let mut crossed = None;
-    for (id, t) in (0..).zip(scene.triangles()) {
-        let [a, b, c] = t.v;
-        let ends = [orient3d_sign(a, b, c, p), orient3d_sign(a, b, c, q)];
-        let edges = [orient3d_sign(p, q, a, b), orient3d_sign(p, q, b, c), orient3d_sign(p, q, c, a)];
-        let is_on = |o: Ordering| o == Ordering::Equal;
-        let apart = ends[0] == ends[1] && !is_on(ends[0])
-            || edges.contains(&Ordering::Less) && edges.contains(&Ordering::Greater);
-        let through = ends[0] == ends[1].reverse()
-            && !is_on(ends[0])
-            && !is_on(edges[0])
-            && edges.iter().all(|e| *e == edges[0]);
-        match (apart, through) {
-            (true, _) => {}
-            (false, true) if crossed.is_none() => crossed = Some(id),
-            _ => return None,
-        }
-    }
-    crossed
+    crossed_alone(scene.triangles().iter().map(|t| t.v), p, q)
 }

@@ -1,0 +1,136 @@
+//! Bakes by portals: in one process and in a cluster with failures, verified, looked at from points, and
+//! refused where portals cannot serve.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+use serde_json::{Value, json};
+use sightline_tests::{Sandbox, assert_same};
+
+const SCENE: &str = "generate rooms --grid 4x3 --triangles 4000 -o rooms.glb";
+const JOB: &str = "rooms.glb --cells 8x2x6 --block-cells 2 --method portals";
+
+/// A folder with the scene in it, and with `alone.pvs`, the result of [`JOB`] in one process.
+fn sandbox() -> Sandbox {
+    let sandbox = Sandbox::new();
+    sandbox.ok(SCENE);
+    sandbox.ok(&format!("bake {JOB} -o alone.pvs --data-dir data-alone"));
+    sandbox
+}
+
+#[test]
+fn a_cluster_that_is_disturbed_hides_the_same_to_the_last_byte() {
+    let sandbox = sandbox();
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let job = coordinator.submit(JOB);
+    let victim = coordinator.worker();
+    coordinator.until(job, "a first tile", |job| job["tiles_done"].as_u64().unwrap() > 0);
+    victim.kill();
+    let _heirs = [coordinator.worker(), coordinator.worker()];
+    assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "after a worker was killed");
+    assert_eq!(coordinator.json(&format!("show {job}"))["profile"], "none");
+}
+
+#[test]
+fn sets_hold_the_exact_ones_and_say_what_has_no_witness() {
+    let sandbox = sandbox();
+    let header = &sandbox.dump("alone.pvs").header;
+    assert_eq!(header["method"], "portals");
+    let words = sandbox.ok("info alone.pvs");
+    assert!(words.contains("hidden by walls") && words.contains("have no witness"), "{words}");
+    let report = sandbox.json("verify rooms.glb alone.pvs --sample 200");
+    assert_eq!((&report["accepted"], &report["pairs"]), (&json!(true), &json!(200)));
+    sandbox.run("verify rooms.glb alone.pvs").code(3).says("--sample");
+}
+
+#[test]
+fn what_is_looked_at_is_in_the_cells_set_and_bad_views_are_refused() {
+    let sandbox = sandbox();
+    let dump = sandbox.dump("alone.pvs");
+    let [lo, hi] = dump.view_box();
+    let eye = [0, 1, 2].map(|k| lo[k] + (hi[k] - lo[k]) * [0.3, 0.6, 0.4][k]);
+    let view = |change: &dyn Fn(&mut Value)| {
+        let mut view = json!({"id": "a", "eye": eye, "dir": [1, 0, 0.2], "up": [0, 1, 0], "fov": [90, 60]});
+        change(&mut view);
+        format!("{view}\n")
+    };
+    sandbox.write("eyes.jsonl", view(&|_| {}) + &view(&|v| v["dir"] = json!([-1, 0, 0.2])));
+    let out = sandbox.ok("look alone.pvs --eyes eyes.jsonl");
+    let looks: Vec<Value> = out.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(looks.len(), 2);
+    assert_ne!(looks[0]["visible"], looks[1]["visible"], "two directions show different triangles");
+    for look in &looks {
+        let cell = look["cell"].as_u64().unwrap();
+        let of_cell = &dump.cells[cell as usize].visible;
+        let seen = look["visible"].as_array().unwrap();
+        assert!(!seen.is_empty() && seen.len() < of_cell.len());
+        assert!(seen.iter().all(|id| of_cell.binary_search(&id.as_u64().unwrap()).is_ok()));
+    }
+    let bad = |change: &dyn Fn(&mut Value), why: &str| {
+        sandbox.write("bad.jsonl", view(change));
+        sandbox.run("look alone.pvs --eyes bad.jsonl").code(3).says(why);
+    };
+    bad(&|v| v["eye"] = json!([1e9, 0, 0]), "outside of the view box");
+    bad(&|v| v["fov"] = json!([180, 60]), "less than 180");
+    bad(&|v| v["up"] = json!([2, 0, 0.4]), "not on one line");
+    bad(&|v| v["shut"] = json!(["gate"]), "no door \"gate\"");
+    sandbox.ok("bake rooms.glb --cells 2x1x2 --backend cpu -o sampled.pvs --data-dir data");
+    sandbox.run("look sampled.pvs --eyes eyes.jsonl").code(3).says("--method portals");
+}
+
+#[test]
+fn what_portals_do_not_do_is_refused() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(SCENE);
+    let refused = |flags: &str, why: &str| {
+        sandbox.run(&format!("bake rooms.glb --method portals {flags} -o x.pvs")).code(2).says(why);
+    };
+    refused("--certificates", "--certificates");
+    refused("--triangle-budget 500", "--triangle-budget");
+    refused("--max-error 0.01 --contributions", "--max-error, --contributions");
+    refused("--backend cpu", "--backend");
+    sandbox.run("bake rooms.glb --backend none -o x.pvs").code(2).says("backend");
+}
+
+#[test]
+fn a_door_can_be_shut_at_run_time() {
+    let sandbox = Sandbox::new();
+    // Two rooms of 2 x 2 x 2 with a wall at x = 2; a door fills y from 0 to 1.
+    let mut scene = String::new();
+    let mut count = 0;
+    let mut quad = |scene: &mut String, corners: [[i32; 3]; 4]| {
+        corners.iter().for_each(|[x, y, z]| scene.push_str(&format!("v {x} {y} {z}\n")));
+        let [a, b, c, d] = [1, 2, 3, 4].map(|k| count + k);
+        scene.push_str(&format!("f {a} {b} {c}\nf {a} {c} {d}\n"));
+        count += 4;
+    };
+    scene.push_str("o walls\n");
+    for y in [0, 2] {
+        quad(&mut scene, [[0, y, 0], [4, y, 0], [4, y, 2], [0, y, 2]]);
+    }
+    for z in [0, 2] {
+        quad(&mut scene, [[0, 0, z], [4, 0, z], [4, 2, z], [0, 2, z]]);
+    }
+    for x in [0, 4] {
+        quad(&mut scene, [[x, 0, 0], [x, 2, 0], [x, 2, 2], [x, 0, 2]]);
+    }
+    quad(&mut scene, [[2, 1, 0], [2, 2, 0], [2, 2, 2], [2, 1, 2]]);
+    scene.push_str("o front_door\n");
+    quad(&mut scene, [[2, 0, 0], [2, 1, 0], [2, 1, 2], [2, 0, 2]]);
+    sandbox.write("house.obj", scene);
+    sandbox.ok("bake house.obj --doors front* --cells 4x1x1 --method portals -o house.pvs --data-dir data");
+    let view = json!({"eye": [1, 0.5, 1], "dir": [1, 0, 0], "up": [0, 1, 0], "fov": [60, 60]});
+    let shut = json!({"eye": [1, 0.5, 1], "dir": [1, 0, 0], "up": [0, 1, 0], "fov": [60, 60],
+        "shut": ["front_door"]});
+    sandbox.write("eyes.jsonl", format!("{view}\n{shut}\n"));
+    let out = sandbox.ok("look house.pvs --eyes eyes.jsonl");
+    let seen: Vec<Vec<u64>> = out
+        .lines()
+        .map(|line| serde_json::from_str::<Value>(line).unwrap())
+        .map(|look| look["visible"].as_array().unwrap().iter().map(|id| id.as_u64().unwrap()).collect())
+        .collect();
+    // The wall at x = 4 is triangles 10 and 11, the door 14 and 15.
+    assert!(seen[0].contains(&10) || seen[0].contains(&11), "{seen:?}");
+    assert!(!seen[1].contains(&10) && !seen[1].contains(&11), "{seen:?}");
+    assert!(seen[1].iter().all(|id| seen[0].contains(id)), "shutting reveals nothing: {seen:?}");
+    assert!(seen[0].iter().all(|id| *id < 14), "a door is in no set: {seen:?}");
+}
