@@ -73,6 +73,7 @@ fn what_is_looked_at_is_in_the_cells_set_and_bad_views_are_refused() {
     bad(&|v| v["fov"] = json!([180, 60]), "less than 180");
     bad(&|v| v["up"] = json!([2, 0, 0.4]), "not on one line");
     bad(&|v| v["shut"] = json!(["gate"]), "no door \"gate\"");
+    bad(&|v| v["shutt"] = json!(["gate"]), "unknown field");
     sandbox.ok("bake rooms.glb --cells 2x1x2 --backend cpu -o sampled.pvs --data-dir data");
     sandbox.run("look sampled.pvs --eyes eyes.jsonl").code(3).says("--method portals");
 }
@@ -118,6 +119,21 @@ fn a_door_can_be_shut_at_run_time() {
     quad(&mut scene, [[2, 0, 0], [2, 1, 0], [2, 1, 2], [2, 0, 2]]);
     sandbox.write("house.obj", scene);
     sandbox.ok("bake house.obj --doors front* --cells 4x1x1 --method portals -o house.pvs --data-dir data");
+    // What fills no opening can be no door.
+    let picture = "o picture\nv 1 1.5 1\nv 1 1.6 1\nv 1 1.5 1.1\nf -3 -2 -1\n";
+    sandbox.write("art.obj", [sandbox.read("house.obj"), picture.into()].concat());
+    let art = "bake art.obj --doors pict* --reachable-from 1,0.5,0.5 --cells 1x1x1 --method portals";
+    sandbox
+        .run(&format!("{art} -o art.pvs --data-dir data"))
+        .code(0)
+        .says("note: picture cannot be shut at run time");
+    // Without the door the rooms are apart, and an eye in the other one is outside of the walls.
+    sandbox.ok(
+        "bake house.obj --cells 1x1x1 --reachable-from 1,0.5,1 --method portals -o one.pvs --data-dir data",
+    );
+    let other = json!({"eye": [3, 0.5, 1], "dir": [1, 0, 0], "up": [0, 1, 0], "fov": [60, 60]});
+    sandbox.write("other.jsonl", format!("{other}\n"));
+    sandbox.run("look one.pvs --eyes other.jsonl").code(3).says("outside of the walls");
     let view = json!({"eye": [1, 0.5, 1], "dir": [1, 0, 0], "up": [0, 1, 0], "fov": [60, 60]});
     let shut = json!({"eye": [1, 0.5, 1], "dir": [1, 0, 0], "up": [0, 1, 0], "fov": [60, 60],
         "shut": ["front_door"]});

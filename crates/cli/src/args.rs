@@ -22,7 +22,7 @@ use crate::remote_args::{FetchArgs, JobRefArgs, JobsArgs, PriorityArgs, RemoteAr
 #[derive(Parser, Debug)]
 #[command(name = "sightline", version, max_term_width = 110, verbatim_doc_comment, after_help = EXIT_CODES)]
 pub struct Cli {
-    /// Print one JSON document to stdout. `dump`, `sightlines` and `stab` always print JSON Lines.
+    /// Print one JSON document to stdout. `dump`, `sightlines`, `stab` and `look` always print JSON Lines.
     #[arg(long, global = true)]
     pub json: bool,
     #[command(subcommand)]

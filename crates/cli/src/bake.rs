@@ -1,6 +1,7 @@
 //! `sightline bake`: a coordinator and workers in one process. They speak the same gRPC as in a cluster,
 //! except that the scene is shared in memory.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -8,9 +9,12 @@ use std::time::{Duration, Instant};
 use sightline_coordinator::store::StoreError;
 use sightline_coordinator::{Config, Coordinator, OpenError};
 use sightline_model::{BackendChoice, Method, Sampler};
+use sightline_portals::Partition;
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_sampling::CubeSpec;
+use sightline_scene::kinds::Kind;
+use sightline_scene::{Object, Scene};
 use sightline_worker::{Backends, Choice, Loaded, SceneCache, Stop};
 use tokio::sync::watch;
 use tonic::transport::Channel;
@@ -51,14 +55,7 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     if spec.method == Method::Portals {
         // The workers of this process find it made.
         let partition = loaded.scene.partition(&spec, &|| false).map_err(CliError::internal)?;
-        say(&match partition.leaves() {
-            0 | 1 => {
-                "no walls divide the scene, so portals hide nothing but what closed surfaces turn away; \
-                      --method verified hides more"
-                    .to_owned()
-            }
-            parts => format!("divided along its walls into {}", plural(parts, "part")),
-        });
+        partition_in_words(&partition, &scene).iter().for_each(|line| say(line));
     }
     let data_dir = match &args.data_dir {
         Some(dir) => dir.clone(),
@@ -88,6 +85,28 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     runtime.shutdown_timeout(Duration::from_millis(200));
     let outcome = outcome?;
     report(&args, &outcome, start.elapsed(), json)
+}
+
+/// What portals can do for a scene, before the work starts.
+fn partition_in_words(partition: &Partition, scene: &Scene) -> Vec<String> {
+    let mut lines = vec![match partition.leaves() {
+        0 | 1 => "walls divide the space of the viewpoints into no parts, so they hide nothing within it; \
+                  --method verified hides more"
+            .to_owned(),
+        parts => format!("divided along its walls into {}", plural(parts, "part")),
+    }];
+    let doors = partition.doors();
+    let is_door = |o: &&Object| o.count > 0 && scene.kinds().kind(o.first) == Kind::Door;
+    let names = scene.objects().iter().filter(is_door).map(|o| o.name.as_str());
+    let useless: BTreeSet<&str> = names.filter(|name| !doors.contains(name)).collect();
+    if !useless.is_empty() {
+        lines.push(format!(
+            "note: {} cannot be shut at run time, because no opening is covered: a door must lie exactly in \
+             the plane of its wall, or within a thick wall",
+            useless.into_iter().collect::<Vec<_>>().join(", ")
+        ));
+    }
+    lines
 }
 
 /// The search for backends, and the preparations that need its outcome, on a separate thread.

@@ -58,6 +58,8 @@ pub struct Summary {
     /// Cells of an adaptive tree that see more triangles than its budget; `None` for a grid.
     cells_over_budget: Option<usize>,
     pub info: serde_json::Value,
+    /// Whether walls enclose all viewpoints.
+    in_region: bool,
 }
 
 /// How many cells see which.
@@ -178,6 +180,7 @@ impl Summary {
             cell_to_cell: CellToCell::of(&pvs)?,
             decided: if pvs.method() == "aggressive" { None } else { Some(cells::decided(&pvs)?) },
             cells_over_budget: budget.map(|_| over),
+            in_region: pvs.region().is_some(),
             info,
         })
     }
@@ -282,7 +285,7 @@ impl Summary {
                  witness, count as undecided and are drawn",
                 d.hidden, d.by_surfaces, self.undecided
             ));
-            if self.mean_visible_fraction > MUCH {
+            if self.mean_visible_fraction > MUCH && !self.in_region {
                 lines.push(
                     "walls hide little here: portals help where they enclose rooms; `sightline portals` \
                      shows the way out of a scene, and --reachable-from leaves out where nobody is"

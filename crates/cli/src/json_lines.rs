@@ -16,7 +16,8 @@ const LONGEST_LINE: u64 = 1 << 20;
 
 /// The lines of a file or of stdin.
 pub struct JsonLines {
-    name: String,
+    /// What is read, for messages.
+    pub name: String,
     reader: BufReader<Box<dyn Read>>,
     /// Lines read so far.
     pub lines: u64,
@@ -25,15 +26,15 @@ pub struct JsonLines {
 }
 
 impl JsonLines {
-    /// Opens a file, or stdin for `-`.
-    pub fn open(path: &Path, example: &'static str) -> Result<Self, CliError> {
+    /// Opens the file that a flag names, or stdin for `-`.
+    pub fn open(path: &Path, flag: &str, example: &'static str) -> Result<Self, CliError> {
         let is_stdin = path.as_os_str() == "-";
         let source: Box<dyn Read> = if is_stdin {
             Box::new(std::io::stdin())
         } else {
             let unreadable = |e| {
                 CliError::Input(format!(
-                    "{} cannot be read: {e}; give --queries a file of JSON Lines, or - for stdin",
+                    "{} cannot be read: {e}; give {flag} a file of JSON Lines, or - for stdin",
                     path.display()
                 ))
             };

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use serde::Deserialize;
 use serde_json::{Value, json};
-use sightline_pvs::{LookError, Looker, View};
+use sightline_pvs::{LookError, Looker, Pvs, View};
 
 use crate::args::LookArgs;
 use crate::error::CliError;
@@ -15,6 +15,7 @@ use crate::serve::print;
 
 /// One line of the input.
 #[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Line {
     #[serde(default)]
     id: Value,
@@ -41,8 +42,8 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
         ))
     })?;
     let doors = looker.doors();
-    let example = r#"{"id":1,"eye":[x,y,z],"dir":[x,y,z],"up":[x,y,z],"fov":[90,60]}"#;
-    let mut input = JsonLines::open(&args.eyes, example)?;
+    let example = r#"{"id":1,"eye":[x,y,z],"dir":[x,y,z],"up":[x,y,z],"fov":[90,60],"shut":["door"]}"#;
+    let mut input = JsonLines::open(&args.eyes, "--eyes", example)?;
     let (mut times, mut shares): (Vec<u64>, Vec<f64>) = (Vec::new(), Vec::new());
     let check = |line: Line| {
         let number = |name: &String| {
@@ -54,7 +55,7 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
         let shut: Vec<usize> = line.shut.iter().map(number).collect::<Result<_, _>>()?;
         Ok((line, shut))
     };
-    let ended = loop {
+    let ended = 'all: loop {
         let (lines, failure) = input.read(check);
         let last = lines.is_empty();
         let first = input.lines - lines.len() as u64 - u64::from(failure.is_some());
@@ -64,23 +65,12 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
             let start = Instant::now();
             let cell = looker.look(&view);
             let nanos = start.elapsed().as_nanos() as u64;
-            let wrong =
-                |why: String| CliError::Input(format!("{}, view {number}: {why}", args.eyes.display()));
-            let cell = match cell {
-                Ok(Some(cell)) => cell,
-                Ok(None) => {
-                    let [lo, hi] = pvs.tree().view_box();
-                    return Err(wrong(format!(
-                        "the eye {:?} is outside of the view box, {lo:?} to {hi:?}; give one inside",
-                        line.eye
-                    )));
+            let cell = match seen_from(&pvs, &view, cell) {
+                Ok(cell) => cell,
+                Err(why) => {
+                    break 'all Err(CliError::Input(format!("{}, line {number}: {why}", input.name)));
                 }
-                Err(LookError::View(e)) => return Err(wrong(e.to_string())),
-                Err(LookError::Pvs(e)) => return Err(e.into()),
             };
-            if !pvs.is_reached(cell)? {
-                return Err(wrong(format!("no viewpoint can be in cell {cell}; the bake left it out")));
-            }
             times.push(nanos);
             shares.push(looker.visible().len() as f64 / looker.of_cell().max(1) as f64);
             let micros = nanos as f64 / 1e3;
@@ -107,4 +97,20 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
         ));
     }
     ended
+}
+
+/// The cell of a look, or why it has none.
+fn seen_from(pvs: &Pvs, view: &View, cell: Result<Option<u32>, LookError>) -> Result<u32, String> {
+    let [lo, hi] = pvs.tree().view_box();
+    let Some(cell) = cell.map_err(|e| e.to_string())? else {
+        let of = match pvs.find_cell_precisely(view.eye) {
+            Some(_) => "the walls that enclose the points of --reachable-from".to_owned(),
+            None => format!("the view box, {lo:?} to {hi:?}"),
+        };
+        return Err(format!("the eye {:?} is outside of {of}; give one inside", view.eye));
+    };
+    match pvs.is_reached(cell).map_err(|e| e.to_string())? {
+        true => Ok(cell),
+        false => Err(format!("no viewpoint can be in cell {cell}; the bake left it out")),
+    }
 }

@@ -65,7 +65,8 @@ struct Totals {
 /// Answers every query of a file, in order.
 pub fn run(args: &SightlinesArgs) -> Result<(), CliError> {
     serve::use_threads(threads(args.threads.map(usize::from)))?;
-    let mut input = JsonLines::open(&args.queries, r#"{"id":1,"a":[[x,y,z],…],"b":[[x,y,z],…]}"#)?;
+    let mut input =
+        JsonLines::open(&args.queries, "--queries", r#"{"id":1,"a":[[x,y,z],…],"b":[[x,y,z],…]}"#)?;
     let scene = opening::scene(&args.scene, &args.kinds)?;
     opening::without_masks(&scene)?;
     let occluders = Occluders::new(&scene)?;

@@ -45,7 +45,7 @@ struct Query {
 /// Answers every query of a file, in order.
 pub fn run(args: &StabArgs) -> Result<(), CliError> {
     serve::use_threads(threads(args.threads.map(usize::from)))?;
-    let mut input = JsonLines::open(&args.queries, r#"{"id":1,"portals":[[[x,y,z],…],…]}"#)?;
+    let mut input = JsonLines::open(&args.queries, "--queries", r#"{"id":1,"portals":[[[x,y,z],…],…]}"#)?;
     let limits = Limits { regions: args.max_regions, ..Limits::default() };
     let mut counts = [0u64; 3];
     let ended = loop {

@@ -5,6 +5,7 @@
 //! same one.
 
 use std::cmp::Ordering;
+use std::collections::BTreeSet;
 
 use rayon::prelude::*;
 use sightline_exact::{Polygon, Source};
@@ -89,7 +90,7 @@ impl Partition {
         limits: Limits,
         stop: &dyn Fn() -> bool,
     ) -> Result<Self, NoPartition> {
-        let mut tree = Tree::new(scene, &[view_box.min.to_array(), view_box.max.to_array()]);
+        let mut tree = Tree::with_doors(scene, &[view_box.min.to_array(), view_box.max.to_array()]);
         let is_inside = match region {
             Some(region) => follow(&mut tree, (region, scene), limits, stop)?,
             None => vec![false, true],
@@ -146,6 +147,12 @@ impl Partition {
     /// The name of an object.
     pub fn name_of(&self, object: u32) -> &str {
         &self.names[object as usize]
+    }
+
+    /// The names of the doors that cover an opening, ascending.
+    pub fn doors(&self) -> BTreeSet<&str> {
+        let doors = (0..self.tree.portals() as u32).filter_map(|k| self.tree.portal(PortalId(k)).door);
+        doors.map(|object| self.name_of(object)).collect()
     }
 
     /// The errors of doubles in the tree's box.

@@ -1,7 +1,5 @@
 //! A partition as a result has it, for look-ups at run time.
 
-use std::collections::BTreeSet;
-
 use sightline_exact::polygon;
 use sightline_pvs::portals::{LEAF, MOST_CORNERS, NONE};
 use sightline_pvs::{Portal, Portals};
@@ -17,9 +15,7 @@ pub fn table(partition: &Partition) -> Portals {
     let bounds = tree.bounds();
     out.size = f64::from(bounds.min.abs().max(bounds.max.abs()).max_element()).max(f64::MIN_POSITIVE);
     // Doors of one name are shut together.
-    let of_door = |door: u32| partition.name_of(door);
-    let names: BTreeSet<&str> =
-        (0..tree.portals() as u32).filter_map(|k| tree.portal(PortalId(k)).door).map(of_door).collect();
+    let names: Vec<&str> = partition.doors().into_iter().collect();
     out.doors = names.iter().map(|name| (*name).to_owned()).collect();
     let mut planes: Vec<Option<u32>> = vec![None; tree.planes().len()];
     let mut leaves: Vec<Option<u32>> = vec![None; tree.len()];
@@ -63,7 +59,7 @@ pub fn table(partition: &Partition) -> Portals {
             (of(portal.leaves[0]), of(portal.leaves[1]), portal.plane)
         {
             let plane = number_of(partition, plane, &mut planes, &mut out.planes);
-            let door = portal.door.map(of_door).and_then(|name| names.iter().position(|n| *n == name));
+            let door = portal.door.and_then(|door| names.binary_search(&partition.name_of(door)).ok());
             let door = door.map_or(NONE, |door| door as u32);
             // The file has few corners for each portal; more are several portals.
             let whole = portal.face.polygon().clone();

@@ -97,9 +97,18 @@ pub struct Tree {
 }
 
 impl Tree {
-    /// One leaf that holds all blocking triangles and doors, in a box that has a margin around the scene's
-    /// bounds and the given points.
+    /// One leaf that holds all blocking triangles, in a box that has a margin around the scene's bounds and
+    /// the given points.
     pub fn new(scene: &Scene, points: &[[f32; 3]]) -> Self {
+        Self::of(scene, points, false)
+    }
+
+    /// The same with the scene's doors, which divide openings and cover none.
+    pub fn with_doors(scene: &Scene, points: &[[f32; 3]]) -> Self {
+        Self::of(scene, points, true)
+    }
+
+    fn of(scene: &Scene, points: &[[f32; 3]], has_doors: bool) -> Self {
         let planes = Planes::new(scene);
         let around = points.iter().fold(scene.bounds(), |b, p| b.union(Aabb::around([Vec3::from(*p)])));
         // Any margin keeps the outside in one piece. The coordinates stay finite.
@@ -112,6 +121,7 @@ impl Tree {
         );
         let detail = by_place(scene)
             .into_iter()
+            .filter(|id| has_doors || !is_door(scene, *id))
             .filter_map(|id| {
                 let corners = scene.triangles()[id as usize].v.map(|v| v.as_dvec3());
                 let face = Face::new(Polygon::triangle(corners)?);

@@ -18,7 +18,7 @@ use crate::{CellPairs, Contribution, Items, NOT_REACHED, Object, SET_ASIDE, pars
 pub struct Header {
     /// N, the number of triangles.
     pub triangles: u32,
-    /// How the sets are made: "aggressive", "exact" or "verified".
+    /// How the sets are made: "aggressive", "exact", "verified" or "portals".
     pub method: String,
     /// The view cells.
     pub tree: CellTree,

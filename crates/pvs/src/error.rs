@@ -122,7 +122,7 @@ pub enum PvsError {
     /// The file does not say which cells see which.
     #[error(
         "the file does not say which cells see which; bake it again with --cell-to-cell on, with at most \
-         32768 view cells"
+         32768 view cells and a method other than portals"
     )]
     NoPairs,
     /// The bit set passed in has the wrong length.

@@ -149,8 +149,9 @@ impl<'a> Looker<'a> {
         }
     }
 
-    /// Finds the triangles that may be seen: those of the cell's set that are in the view and not behind
-    /// walls. Returns the cell; `None` for an eye outside of the view box. Allocates nothing.
+    /// Finds the triangles that may be seen: those of the cell's set in leaves that the view reaches through
+    /// portals. Returns the cell; `None` for an eye outside of the view box, or of the walls that enclose all
+    /// viewpoints. Allocates nothing.
     ///
     /// # Errors
     /// [`LookError`].
@@ -175,9 +176,11 @@ impl<'a> Looker<'a> {
             self.windows[leaf as usize].2 = false;
             self.go_on(&frame, leaf);
         }
-        // Walls say nothing about an eye that is in none of the leaves.
-        let is_nowhere = self.leaves.is_empty();
-        self.seen.fill(if is_nowhere { u64::MAX } else { 0 });
+        // Between walls that enclose all viewpoints, and not there.
+        if self.leaves.is_empty() {
+            return Ok(None);
+        }
+        self.seen.fill(0);
         for leaf in &self.leaves {
             let [from, to] = [0, 1].map(|k| self.run_starts[*leaf as usize + k] as usize);
             self.runs[from..to].iter().for_each(|run| set_bits(&mut self.seen, *run));

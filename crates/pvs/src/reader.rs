@@ -182,7 +182,7 @@ impl Pvs {
         self.text(Section::Info)
     }
 
-    /// How the sets were made: "aggressive", "exact" or "verified".
+    /// How the sets were made: "aggressive", "exact", "verified" or "portals".
     pub fn method(&self) -> &str {
         self.text(Section::Method)
     }

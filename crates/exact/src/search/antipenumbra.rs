@@ -54,6 +54,9 @@ pub struct Antipenumbra {
 /// Why there is no antipenumbra.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NoAntipenumbra {
+    /// Fewer than two polygons.
+    #[error("one polygon bounds no light; give at least two")]
+    Single,
     /// The edges do not bound a cone.
     #[error("the edges of the polygons do not bound line space: give polygons in at least two planes")]
     Unbounded,
@@ -70,6 +73,9 @@ pub enum NoAntipenumbra {
 /// # Errors
 /// [`NoAntipenumbra`].
 pub fn antipenumbra(portals: &[Polygon], limits: &Limits) -> Result<Antipenumbra, NoAntipenumbra> {
+    if portals.len() < 2 {
+        return Err(NoAntipenumbra::Single);
+    }
     let towards = directions(portals, limits).ok_or(NoAntipenumbra::Directions)?;
     // Lines are compared with polygons in the world.
     let mut space = Space::new(Frame::world());
