@@ -304,15 +304,15 @@ pub(crate) fn stand_in(
     Ok((c.blobs.put(&bytes)?, bytes.len() as u64))
 }
 
-/// The subtree of a grid below a leaf tile's cell; `None` for an adaptive division, whose subtree depends on
-/// the samples.
+/// The subtree below a leaf tile's cell; `None` for an adaptive division, whose subtree depends on the
+/// samples.
 pub(crate) fn expected_nodes(
     d: &Division,
     l: &Lattice,
     cell: &CellBox,
     depth: u32,
 ) -> Option<Vec<sightline_model::Node>> {
-    matches!(d, Division::Grid(_)).then(|| {
+    (!matches!(d, Division::Adaptive { .. })).then(|| {
         let mut sets = CellSets::default();
         empty_cells(d, l, cell, depth, &mut sets);
         sets.nodes
@@ -321,8 +321,8 @@ pub(crate) fn expected_nodes(
 
 /// The tree of a tile's cells, with empty sets.
 fn empty_cells(d: &Division, l: &Lattice, cell: &CellBox, depth: u32, out: &mut CellSets) {
-    let grid = matches!(d, Division::Grid(_));
-    match d.split(l, cell, depth).filter(|_| grid) {
+    let is_known = !matches!(d, Division::Adaptive { .. });
+    match d.split(l, cell, depth).filter(|_| is_known) {
         Some(split) => {
             out.nodes.push(sightline_model::Node::Split(split));
             for child in cell.children(split) {

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use prost::Message as _;
 use sightline_model::{JobSpec, SamplingParams};
+use sightline_viewcells::Division;
 
 use crate::ids::JobId;
 use crate::jobs::{self, Summary};
@@ -88,11 +89,11 @@ fn finished(c: &Coordinator, spec: &JobSpec) -> Result<Vec<Finished>, SubmitErro
     for record in records {
         let JobState::Done { bytes, .. } = record.state else { continue };
         // A specification of another version tells nothing about this one.
-        let Ok(other) = specs::part(&record.spec).map(|(part, _)| JobSpec::from_proto(&part, None)) else {
-            continue;
+        let Ok(other) = specs::planned(&*c.blobs, &record.spec) else { continue };
+        let of_a_kind = |s: &JobSpec| {
+            let boxes = matches!(s.division, Division::Tree(_));
+            (s.method, s.certificates, s.sampling.sampler, s.time_budget_ms > 0, boxes)
         };
-        let Ok(other) = other else { continue };
-        let of_a_kind = |s: &JobSpec| (s.method, s.certificates, s.sampling.sampler, s.time_budget_ms > 0);
         if of_a_kind(&other) != of_a_kind(spec) {
             continue;
         }

@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use sightline_model::JobSpec;
 
 use crate::chores::do_chores;
 use crate::ids::{Digest, JobId};
@@ -102,9 +101,8 @@ pub(crate) fn summary(c: &Coordinator, id: JobId) -> Result<Summary, StoreError>
     let workers = c.lock().machine.workers();
     let tiles = c.store.tiles(id)?;
     // The specification of another version cannot be planned; the number of its cells is unknown then.
-    let total = specs::part(&record.spec)
+    let total = specs::planned(&*c.blobs, &record.spec)
         .ok()
-        .and_then(|(m, _)| JobSpec::from_proto(&m, None).ok())
         .and_then(|s| s.plan().ok().map(|(_, plan)| cells_total(&s, &plan)))
         .unwrap_or(0);
     Ok(Summary::of_ended(record, &tiles, total, workers))

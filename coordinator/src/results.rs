@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use sightline_model::codec;
-use sightline_model::{CellSet, JobSpec, Method, Node, TileOutput};
+use sightline_model::{CellSet, Method, Node, TileOutput};
 use sightline_pvs::Portals;
 use sightline_viewcells::{CellBox, TileKind};
 
@@ -116,7 +116,7 @@ fn check(c: &Coordinator, work: &Work, announced: &Announced, bytes: &[u8]) -> R
         TileKind::Face(_) | TileKind::Separator(_) => s.triangles,
     });
     let pairs = spec.pair_cells().map(|sides| sides.iter().product::<u32>());
-    let unreached = expected.as_ref().map_or_else(Vec::new, |nodes| unreached(spec, &tile.cell, nodes));
+    let unreached = expected.as_ref().map_or_else(Vec::new, |nodes| unreached(work, &tile.cell, nodes));
     let (exact, hits) = (spec.method != Method::Aggressive, spec.sampling.contributions);
     let output = codec::check(bytes, items).map_err(|e| ResultError::Encoding(e.to_string()))?;
     match (&output, kind) {
@@ -137,7 +137,7 @@ fn check(c: &Coordinator, work: &Work, announced: &Announced, bytes: &[u8]) -> R
             {
                 return Err(ResultError::Viewpoints);
             }
-            let has_portals = spec.method == Method::Portals && announced.lease.tile.at() == 0;
+            let has_portals = spec.has_portals() && announced.lease.tile.at() == 0;
             let is_table =
                 |bytes: &[u8]| Portals::decode(bytes, scene.as_ref().map_or(0, |s| s.triangles)).is_ok();
             if has_portals && !is_table(&sets.portals) || !has_portals && !sets.portals.is_empty() {
@@ -154,8 +154,10 @@ fn check(c: &Coordinator, work: &Work, announced: &Announced, bytes: &[u8]) -> R
 }
 
 /// Whether no viewpoint is in each cell of a tile with these nodes; empty when viewpoints are everywhere.
-fn unreached(spec: &JobSpec, of: &CellBox, nodes: &[Node]) -> Vec<bool> {
-    let Some(marks) = &spec.viewpoints else { return Vec::new() };
+fn unreached(work: &Work, of: &CellBox, nodes: &[Node]) -> Vec<bool> {
+    if work.spec.viewpoints.is_none() {
+        return Vec::new();
+    }
     let (mut open, mut out) = (vec![*of], Vec::new());
     for node in nodes {
         let Some(cell) = open.pop() else { break };
@@ -164,7 +166,7 @@ fn unreached(spec: &JobSpec, of: &CellBox, nodes: &[Node]) -> Vec<bool> {
                 let [below, above] = cell.children(*split);
                 open.extend([above, below]);
             }
-            Node::Cell => out.push(marks.at(&cell) == 0),
+            Node::Cell => out.push(work.spec.marks(&work.lattice, &cell) == 0),
         }
     }
     out

@@ -92,6 +92,53 @@ fn what_portals_do_not_do_is_refused() {
     sandbox.run("bake rooms.glb --backend none -o x.pvs").code(2).says("backend");
 }
 
+/// A job of exact open boxes between walls.
+const BOXES: &str = "rooms.glb --cells walls:30 --reachable-from 2,1.5,3 --method exact --backend cpu";
+
+#[test]
+fn boxes_along_walls_are_the_same_everywhere_and_can_be_looked_at() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(SCENE);
+    sandbox.ok(&format!("bake {BOXES} -o alone.pvs --data-dir data-alone"));
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let job = coordinator.submit(BOXES);
+    let victim = coordinator.worker();
+    coordinator.until(job, "a first tile", |job| job["tiles_done"].as_u64().unwrap() > 0);
+    victim.kill();
+    let _heirs = [coordinator.worker(), coordinator.worker()];
+    assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "after a worker was killed");
+    let dump = sandbox.dump("alone.pvs");
+    assert_eq!(dump.header["info"]["division"], json!({"tree": {"boxes": 30}}));
+    assert_eq!(dump.cells.len(), 30);
+    // The sets are exact, and look-ups have the portals.
+    let eyes = json!({"id": 1, "eye": [2, 1.5, 3], "dir": [1, 0, 0.2], "up": [0, 1, 0], "fov": [90, 60]});
+    sandbox.write("eyes.jsonl", format!("{eyes}\n"));
+    let look: Value = serde_json::from_str(sandbox.ok("look alone.pvs --eyes eyes.jsonl").trim()).unwrap();
+    assert!(!look["visible"].as_array().unwrap().is_empty());
+    sandbox.ok(&format!("bake {} -o portals.pvs", BOXES.replace("exact --backend cpu", "portals")));
+    let report = sandbox.json("verify rooms.glb portals.pvs --sample 100");
+    assert_eq!((&report["accepted"], &report["pairs"]), (&json!(true), &json!(100)));
+    let walls = &sandbox.dump("portals.pvs").cells;
+    for (exact, walls) in dump.cells.iter().zip(walls) {
+        assert!(exact.visible.iter().all(|t| walls.visible.binary_search(t).is_ok()));
+    }
+}
+
+#[test]
+fn boxes_along_walls_refuse_what_needs_equal_closed_cells() {
+    let sandbox = Sandbox::new();
+    sandbox.ok(SCENE);
+    let refused = |flags: &str, why: &str| {
+        sandbox.run(&format!("bake rooms.glb {flags} -o x.pvs")).code(2).says(why);
+    };
+    refused("--cells walls:0", "1 to 4096");
+    refused("--cells wall:5", "walls:N");
+    refused("--cells walls:5 --method exact --certificates", "--certificates");
+    refused("--cells walls:5 --cell-to-cell on --block-cells 4", "--cell-to-cell on, --block-cells");
+    refused("--cells walls:5 --sampler cubes", "--sampler cubes");
+    refused("--cells walls:5 --view-box 0,0,0,1,1,1 --view-box 2,0,0,3,1,1", "need a grid");
+}
+
 #[test]
 fn a_door_can_be_shut_at_run_time() {
     let sandbox = Sandbox::new();

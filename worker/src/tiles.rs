@@ -10,6 +10,7 @@ use sightline_proto::chunks::{Assembler, count, piece};
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
 use sightline_sampling::{CubeSpec, auto};
+use sightline_viewcells::Division;
 use tonic::transport::Channel;
 
 use crate::config::Config;
@@ -261,7 +262,12 @@ impl Shop {
     /// Times the backends on a job's scene.
     pub async fn time(&self, spec: &v1::JobSpec) -> Result<Vec<v1::ProfileTime>, String> {
         let spec = JobSpec::from_proto(spec, None).map_err(|e| e.to_string())?;
-        let lattice = spec.lattice().map_err(|e| e.to_string())?;
+        // The boxes of a tree have few points of the lattice.
+        let division = match spec.division {
+            Division::Tree(_) => Division::Grid([1; 3]),
+            ref division => division.clone(),
+        };
+        let lattice = division.lattice(spec.view_box.min, spec.view_box.max).map_err(|e| e.to_string())?;
         let loaded = self.scene(spec.scene).await?;
         let config = self.config.clone();
         tokio::task::spawn_blocking(move || {

@@ -336,7 +336,7 @@ pub(super) fn whom(record: &JobRecord) -> For {
 /// View cells of a plan; 0 for an adaptive division, whose cells are not known before it is sampled.
 pub(crate) fn cells_total(job: &JobSpec, plan: &Plan) -> u64 {
     match job.division {
-        sightline_viewcells::Division::Grid(_) => {
+        sightline_viewcells::Division::Grid(_) | sightline_viewcells::Division::Tree(_) => {
             plan.tiles.iter().filter(|t| t.kind == TileKind::Leaf).map(|t| t.cells).sum()
         }
         sightline_viewcells::Division::Adaptive { .. } => 0,

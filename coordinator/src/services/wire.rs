@@ -110,7 +110,7 @@ pub(super) fn job(summary: &Summary) -> v1::Job {
         name: record.name.clone(),
         // An unreadable specification is shown as absent; the record keeps its bytes. The viewpoints may be
         // large, and a list has many jobs.
-        spec: specs::part(&record.spec).ok().map(|(spec, _)| v1::JobSpec { viewpoints: Vec::new(), ..spec }),
+        spec: specs::part(&record.spec).ok().map(|(spec, _)| without_large_parts(spec)),
         profile: record.profile.clone().unwrap_or_default(),
         tiles_total: summary.tiles_total,
         tiles_done: summary.tiles_done,
@@ -144,4 +144,11 @@ pub(super) fn job(summary: &Summary) -> v1::Job {
     };
     job.set_state(state);
     job
+}
+
+/// A specification without its viewpoints and its tree of boxes.
+fn without_large_parts(spec: v1::JobSpec) -> v1::JobSpec {
+    let is_tree = |division: &v1::job_spec::Division| matches!(division, v1::job_spec::Division::Tree(_));
+    let division = spec.division.filter(|division| !is_tree(division));
+    v1::JobSpec { viewpoints: Vec::new(), division, ..spec }
 }

@@ -27,7 +27,8 @@ use crate::decide_pairs;
 use crate::groups::{CellGroup, cells_and_groups};
 
 /// Decides the cells of a tile with the subtree of `root`. `sets` holds the sampled sets and receives the
-/// decided ones. `places` is the region that holds all viewpoints, if they are restricted to one.
+/// decided ones. `places` is where viewpoints are, if not everywhere in the cells. Walls in the faces of
+/// open cells block.
 ///
 /// # Errors
 /// [`Undecided`] when the tile is cancelled, or for an error of the certificates' codec or a cell without
@@ -37,7 +38,7 @@ pub fn cells(
     lattice: &Lattice,
     root: &CellBox,
     sets: &mut CellSets,
-    (scene, partition): (&ExactScene, Option<&Partition>),
+    (scene, partition, is_open): (&ExactScene, Option<&Partition>, bool),
     (deadline, watcher, crew): (Option<Instant>, &dyn Watcher, &dyn Crew),
 ) -> Result<(), Undecided> {
     let (boxes, mut groups) = cells_and_groups(root, &sets.nodes);
@@ -48,7 +49,7 @@ pub fn cells(
     let exact_cells: Vec<(CellBox, Cell)> =
         boxes.iter().map(|at| Ok((*at, exact_cell(at, lattice)?))).collect::<Result<_, String>>()?;
     let stop = || watcher.cancelled() || half.is_some_and(|u| Instant::now() >= u);
-    let listed = all_listed(partition, lattice, (&boxes, sets), &stop);
+    let listed = all_listed(partition, lattice, (&boxes, sets), is_open, &stop);
     let mut around =
         groups_first((spec, places), lattice, (&boxes, &groups), (sets, &listed), scene, (half, watcher))?;
     // Pairs of cells have the same share of what is left then.
@@ -184,9 +185,14 @@ struct Around {
     statistics: QueryStatistics,
 }
 
-/// What portals do not hide from a cell, ascending; `None` when stopped.
-pub fn listed(partition: &Partition, of: (Vec3, Vec3), stop: &dyn Fn() -> bool) -> Option<Vec<u32>> {
-    sights(partition, Aabb::new(of.0, of.1), stop)
+/// What portals do not hide from a closed or an open cell, ascending; `None` when stopped.
+pub fn listed(
+    partition: &Partition,
+    (min, max): (Vec3, Vec3),
+    is_open: bool,
+    stop: &dyn Fn() -> bool,
+) -> Option<Vec<u32>> {
+    sights(partition, Aabb::new(min, max), is_open, stop)
 }
 
 /// What portals do not hide from each cell, if the scene is divided.
@@ -194,11 +200,12 @@ fn all_listed(
     partition: Option<&Partition>,
     lattice: &Lattice,
     (boxes, sets): (&[CellBox], &CellSets),
+    is_open: bool,
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Vec<Option<Vec<u32>>> {
     let one = |(at, set): (&CellBox, &CellSet)| {
         let partition = partition.filter(|_| !set.unreached)?;
-        listed(partition, at.world(lattice), stop)
+        listed(partition, at.world(lattice), is_open, stop)
     };
     boxes.par_iter().zip(&sets.cells).map(one).collect()
 }

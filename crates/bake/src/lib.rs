@@ -30,6 +30,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod boxes;
 mod cell_phase;
 pub mod choices;
 mod decide;
@@ -47,14 +48,15 @@ pub use outcome::{BakeError, Control, PackDigest, TileDone};
 pub use portals::run_portal_tile;
 pub use scene::BakeScene;
 use sightline_model::{JobSpec, Method, Pack, TileOutput, codec};
-use sightline_portals::NoPartition;
+use sightline_portals::{NoPartition, OpenFaces};
 pub use sightline_sampling::Watcher;
 use sightline_sampling::crew::Phase;
 pub use sightline_sampling::crew::{Alone, Crew};
 use sightline_sampling::lines::hits;
 use sightline_sampling::{Backend, BackendError, JobContext, TileError, tile};
-use sightline_viewcells::{Plan, TileKind};
+use sightline_viewcells::{Division, Plan, TileKind};
 
+use crate::boxes::off_walls;
 use crate::within::Within;
 
 /// The pack of a tile that another tile needs.
@@ -88,6 +90,23 @@ pub fn run_tile(
     let (lattice, plan) = spec.plan().map_err(tile_error)?;
     let tile = plan.tiles.get(number as usize);
     let tile = tile.ok_or_else(|| BakeError::Tile("the plan has no such tile".to_owned()))?;
+    if let Some(own) = boxes::of_box(spec, &lattice, tile).map_err(tile_error)? {
+        return run_part((spec, &own), (number, 0), scene, backend, packs, control);
+    }
+    run_part((spec, spec), (number, number), scene, backend, packs, control)
+}
+
+/// Computes a tile of a job, or the only tile of the job of a part of it.
+fn run_part(
+    (whole, spec): (&JobSpec, &JobSpec),
+    (number_in_whole, number): (u32, u32),
+    scene: &BakeScene,
+    backend: &dyn Backend,
+    packs: &[PackBytes<'_>],
+    control: Control<'_>,
+) -> Result<TileDone, BakeError> {
+    let (lattice, plan) = spec.plan().map_err(tile_error)?;
+    let tile = &plan.tiles[number as usize];
     let watcher = control.watcher;
     if spec.method == Method::Portals {
         return Err(BakeError::Tile("the method portals needs no backend; run its tiles without".to_owned()));
@@ -104,14 +123,16 @@ pub fn run_tile(
     let decides = exact && control.deadline.is_none();
     let decided_later = Open(control.crew);
     let places = Within::of(spec, scene.scene()).map_err(tile_error)?;
+    let is_open = matches!(whole.division, Division::Tree(_));
+    let traced = if is_open { off_walls(spec, scene.scene()).map_err(tile_error)? } else { lattice.clone() };
     let job = JobContext {
         scene: scene.sampling(),
-        division: spec.division,
-        lattice,
+        division: spec.division.clone(),
+        lattice: traced,
         params: &spec.sampling,
         viewpoints: spec.viewpoints.as_deref(),
         places: places.as_ref().map(|p| p as _),
-        pairs: spec.pair_cells(),
+        pairs: whole.pair_cells(),
         backend,
         seed: spec.seed,
         deadline: choices::sampling_deadline(spec.method, control.deadline),
@@ -146,17 +167,22 @@ pub fn run_tile(
         let prepared = scene.exact().map_err(BakeError::Tile)?;
         let with = (control.deadline, watcher, control.crew);
         let within = places.as_ref().map(Within::places);
+        let faces = is_open.then(|| OpenFaces::new(scene.scene(), spec.view_box, within));
+        let within = faces.as_ref().map(|faces| faces as _).or(within);
         // Portals save time where walls enclose the viewpoints; elsewhere they hide little that groups of
         // cells do not (docs/experiments/portals.md). A region has no certificates, which portals could not
         // give.
         let late = || control.deadline.is_some_and(|end| Instant::now() >= end);
-        let made = places.is_some().then(|| scene.partition(spec, &|| watcher.cancelled() || late()));
+        let made = places.is_some().then(|| scene.partition(whole, &|| watcher.cancelled() || late()));
         let partition = match made {
             None | Some(Err(NoPartition::Stopped)) => None,
             Some(made) => Some(made.map_err(tile_error)?),
         };
-        let of = (prepared, partition.as_deref());
-        decide::cells((spec, within), &job.lattice, &tile.cell, sets, of, with)?;
+        let of = (prepared, partition.as_deref(), is_open);
+        if whole.has_portals() && number_in_whole == 0 {
+            sets.portals = portals::encoded(of.1, scene.scene());
+        }
+        decide::cells((spec, within), &lattice, &tile.cell, sets, of, with)?;
         if watcher.cancelled() {
             return Err(BakeError::Cancelled);
         }

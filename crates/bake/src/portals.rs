@@ -8,10 +8,12 @@ use std::time::Instant;
 use rayon::prelude::*;
 use sightline_exact::{Task, decide_listed};
 use sightline_model::{CellSet, CellSets, Decision, JobSpec, Node, TileOutput, codec};
-use sightline_portals::{NoPartition, table};
+use sightline_portals::{NoPartition, OpenFaces, Partition, table};
 use sightline_pvs::Portals;
+use sightline_scene::Scene;
 use sightline_viewcells::{CellBox, Lattice, Tile, TileKind};
 
+use crate::boxes::of_box;
 use crate::cell_phase::decide_shared;
 use crate::choices::{box_seed, exact_limits};
 use crate::decide::{exact_cell, is_within, listed, statistics};
@@ -33,21 +35,28 @@ pub fn run_portal_tile(
     scene: &BakeScene,
     control: Control<'_>,
 ) -> Result<TileDone, BakeError> {
-    let (lattice, plan) = spec.plan().map_err(tile_error)?;
+    let whole = spec;
+    let (lattice, plan) = whole.plan().map_err(tile_error)?;
     let tile = plan.tiles.get(number as usize).filter(|tile| tile.kind == TileKind::Leaf);
     let tile = tile.ok_or_else(|| BakeError::Tile("the plan has no such tile of cells".to_owned()))?;
+    let own = of_box(whole, &lattice, tile).map_err(tile_error)?;
+    let spec = own.as_ref().unwrap_or(whole);
+    let (lattice, plan) = spec.plan().map_err(tile_error)?;
+    let tile = &plan.tiles[if own.is_some() { 0 } else { number as usize }];
     let within = Within::of(spec, scene.scene()).map_err(tile_error)?;
     let sets = empty_cells(spec, &lattice, tile);
     let (boxes, _) = cells_and_groups(&tile.cell, &sets.nodes);
     let watcher = control.watcher;
     let late = || control.deadline.is_some_and(|end| Instant::now() >= end);
-    let partition = match scene.partition(spec, &|| watcher.cancelled() || late()) {
+    let partition = match scene.partition(whole, &|| watcher.cancelled() || late()) {
         // What was not looked for in time may be seen.
         Err(NoPartition::Stopped) => None,
         made => Some(made.map_err(tile_error)?),
     };
     let exact = scene.exact().map_err(BakeError::Tile)?;
     let places = within.as_ref().map(Within::places);
+    let faces = own.as_ref().map(|own| OpenFaces::new(scene.scene(), own.view_box, places));
+    let places = faces.as_ref().map(|faces| faces as _).or(places);
     let compute = |item: usize, stop: &(dyn Fn() -> bool + Sync)| -> Result<CellSet, String> {
         let mut set = sets.cells[item].clone();
         if set.unreached {
@@ -56,7 +65,8 @@ pub fn run_portal_tile(
         }
         let world = boxes[item].world(&lattice);
         let all = || (0..scene.scene().len()).collect();
-        let found = partition.as_ref().and_then(|p| listed(p, world, stop)).unwrap_or_else(all);
+        let found =
+            partition.as_ref().and_then(|p| listed(p, world, own.is_some(), stop)).unwrap_or_else(all);
         let decided = decide_listed(&Task {
             scene: exact,
             cell: exact_cell(&boxes[item], &lattice)?,
@@ -111,14 +121,15 @@ pub fn run_portal_tile(
     let rays = |cell: &CellSet| cell.decision.as_ref().map_or(0, Decision::rays);
     let samples = cells.iter().map(rays).sum();
     // The result has the portals once.
-    let portals = match &partition {
-        Some(partition) if number == 0 => table(partition).encode(),
-        None if number == 0 => Portals::undivided(scene.scene().len()).encode(),
-        _ => Vec::new(),
-    };
+    let portals = if number == 0 { encoded(partition.as_deref(), scene.scene()) } else { Vec::new() };
     let output = TileOutput::Cells(CellSets { cells, portals, ..sets });
     let bytes = codec::encode(&output).map_err(tile_error)?;
     Ok(TileDone { bytes, samples, recomputed: Vec::new() })
+}
+
+/// The scene divided along its walls as the result has it. What was not divided in time is one leaf.
+pub fn encoded(partition: Option<&Partition>, scene: &Scene) -> Vec<u8> {
+    partition.map_or_else(|| Portals::undivided(scene.len()), table).encode()
 }
 
 /// The cells of a tile, before anything is known but which have viewpoints.
@@ -134,7 +145,7 @@ fn empty_cells(spec: &JobSpec, lattice: &Lattice, tile: &Tile) -> CellSets {
             }
             None => {
                 sets.nodes.push(Node::Cell);
-                let unreached = spec.viewpoints.as_ref().is_some_and(|marks| marks.at(&at) == 0);
+                let unreached = spec.marks(lattice, &at) == 0;
                 sets.cells.push(CellSet { unreached, ..CellSet::default() });
             }
         }

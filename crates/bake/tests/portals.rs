@@ -140,7 +140,7 @@ fn walls_in_the_faces_of_cells_hide_the_same_with_and_without_portals() {
         let partition = Partition::new(&scene, within, scene.bounds(), Limits::default(), &|| false).unwrap();
         for x in 0..3 {
             let (min, max) = (Vec3::new(x as f32, 0.0, 0.0), Vec3::new(x as f32 + 1.0, 1.0, 3.0));
-            let listed = sights(&partition, Aabb::new(min, max), &|| false).unwrap();
+            let listed = sights(&partition, Aabb::new(min, max), false, &|| false).unwrap();
             let decided = |listed: Option<&[u32]>| {
                 decide(&Task {
                     scene: &prepared,

@@ -6,7 +6,7 @@ use clap::Args;
 use sightline_bench::{ERRORS, Growth, Ladder, Sampler};
 use sightline_scene::Aabb;
 
-use crate::job_args::parse_cells;
+use crate::job_args::parse_grid;
 use crate::place_args::parse_box;
 
 /// What to measure, and where to write it.
@@ -16,7 +16,7 @@ pub struct BenchArgs {
     /// The scenes: .obj, .ply, .gltf or .glb. Only --grow triangles generates its own.
     pub scenes: Vec<PathBuf>,
     /// A regular grid of view cells: their numbers along x, y and z.
-    #[arg(long, value_name = "NXxNYxNZ", value_parser = parse_cells, default_value = "8x8x8")]
+    #[arg(long, value_name = "NXxNYxNZ", value_parser = parse_grid, default_value = "8x8x8")]
     pub cells: [u32; 3],
     /// The box that holds all viewpoints, in world space: x0,y0,z0,x1,y1,z1. Default: each scene's bounds.
     #[arg(long, value_name = "BOX", value_parser = parse_box, allow_hyphen_values = true)]

@@ -34,6 +34,11 @@ impl Walls {
         Self { tree, reached, enclosure }
     }
 
+    /// Whether a way leads out.
+    pub fn is_open(&self) -> bool {
+        matches!(self.enclosure, Enclosure::Leak(..))
+    }
+
     /// The enclosed region; `None` when there is a way out.
     pub fn region(&self) -> Result<Option<Region>, CliError> {
         if self.enclosure != Enclosure::Closed {
@@ -100,6 +105,12 @@ fn short(x: f64) -> String {
     }
     let text = format!("{x:.4}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+/// The scene of a result whose cells are open boxes, of which walls in faces block.
+pub fn walls_of<'a>(pvs: &Pvs, scene: &'a Scene) -> Option<&'a Scene> {
+    let info: serde_json::Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
+    info["division"]["tree"].is_object().then_some(scene)
 }
 
 /// The region that holds all viewpoints of a result, with the planes of its scene.

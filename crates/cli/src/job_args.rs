@@ -10,7 +10,7 @@ use sightline_model::{
     SamplingParams, SupersetChoice,
 };
 use sightline_scene::{Aabb, Scene};
-use sightline_viewcells::Division;
+use sightline_viewcells::{Division, MOST_BOXES};
 
 use crate::choices::choice;
 use crate::error::CliError;
@@ -38,9 +38,11 @@ pub struct JobArgs {
     #[arg(long)]
     certificates: bool,
     /// A regular grid of view cells: their numbers along x, y and z. Default, without a triangle budget:
-    /// 8x8x8.
-    #[arg(long, value_name = "NXxNYxNZ", value_parser = parse_cells, conflicts_with = "triangle_budget")]
-    cells: Option<[u32; 3]>,
+    /// 8x8x8. Or walls:N, at most N boxes of different sizes along the walls that lie across an axis: a wall
+    /// in a face of such a box blocks. Where there are none, the largest boxes are halved.
+    #[arg(long, value_name = "NXxNYxNZ|walls:N", value_parser = parse_cells)]
+    #[arg(conflicts_with = "triangle_budget")]
+    cells: Option<Cells>,
     /// A regular grid of view cells with sides of at most this length, in the scene's units, instead of a
     /// number of cells.
     #[arg(long, value_name = "M", value_parser = parse_size, allow_negative_numbers = true)]
@@ -238,18 +240,22 @@ impl JobArgs {
                  leave one of them out",
             );
         }
+        let walled = self.walled(sampler)?;
         let view_box = self.places.bounds(scene)?;
         let mut spec = JobSpec {
             scene: scene.digest().0,
             division: match self.triangle_budget {
                 Some(budget) => Division::Adaptive { budget, max_depth: self.max_depth },
-                None => Division::Grid(match self.cell_size {
-                    Some(size) => cells_of_size(view_box, size),
-                    None => self.cells.unwrap_or([8, 8, 8]),
+                None => Division::Grid(match (self.cell_size, self.cells) {
+                    (Some(size), _) => cells_of_size(view_box, size),
+                    (None, Some(Cells::Grid(cells))) => cells,
+                    // Boxes are chosen once it is known that the view box is one.
+                    (None, Some(Cells::Walls(_))) => [1; 3],
+                    (None, None) => [8, 8, 8],
                 }),
             },
             view_box,
-            block_cells: if adaptive {
+            block_cells: if adaptive || walled.is_some() {
                 sightline_model::USUAL_BLOCK_CELLS
             } else {
                 self.block_cells
@@ -293,7 +299,12 @@ impl JobArgs {
         })?;
         // Proofs are about whole cells, and visibility cubes are at the lattice's points.
         let walls = !self.certificates && sampler != Sampler::Cubes;
-        spec.viewpoints = self.places.marks(path, scene, (spec.division, &lattice), walls)?;
+        match walled {
+            Some(most) => {
+                (spec.division, spec.viewpoints) = self.places.along_walls(scene, view_box, most)?;
+            }
+            None => spec.viewpoints = self.places.marks(path, scene, (&spec.division, &lattice), walls)?,
+        }
         spec.check().map_err(|e| CliError::Usage(e.to_string()))?;
         let moved = spec.moved_by_rounding().map_err(|e| CliError::Usage(e.to_string()))?;
         if moved > MUCH_MOVED {
@@ -307,6 +318,26 @@ impl JobArgs {
         // Views from above need such a box; more often it is a mistake about units or axes.
         self.places.warn_of_empty(scene);
         Ok(spec)
+    }
+
+    /// The most boxes along walls, if these are the cells.
+    fn walled(&self, sampler: Sampler) -> Result<Option<usize>, CliError> {
+        let Some(Cells::Walls(most)) = self.cells else { return Ok(None) };
+        let given = [
+            ("--sampler cubes", sampler == Sampler::Cubes),
+            ("--certificates", self.certificates),
+            ("--cell-to-cell on", self.cell_to_cell == CellToCell::On),
+            ("--block-cells", self.block_cells.is_some()),
+        ];
+        let given: Vec<&str> = given.iter().filter_map(|(flag, given)| given.then_some(*flag)).collect();
+        if given.is_empty() {
+            return Ok(Some(most));
+        }
+        Err(CliError::Usage(format!(
+            "--cells walls:N: boxes along walls are open and of different sizes, and each is a tile of its \
+             own: leave out {}, or give --cells NXxNYxNZ",
+            given.join(", ")
+        )))
     }
 
     /// Refuses what the method portals does not do.
@@ -412,8 +443,26 @@ fn cells_of_size(of: Aabb, size: f64) -> [u32; 3] {
     (of.max.as_dvec3() - of.min.as_dvec3()).to_array().map(|extent| ((extent / size).ceil() as u32).max(1))
 }
 
+/// Which cells there are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Cells {
+    /// A grid with this many cells along each axis.
+    Grid([u32; 3]),
+    /// At most this number of boxes along walls.
+    Walls(usize),
+}
+
+/// A grid of cells as in 8x8x8, or boxes along walls as in walls:512.
+fn parse_cells(text: &str) -> Result<Cells, String> {
+    if let Some(most) = text.trim().strip_prefix("walls:") {
+        let most = most.parse().ok().filter(|n| (1..=MOST_BOXES).contains(n));
+        return most.map(Cells::Walls).ok_or_else(|| format!("give walls:N with N from 1 to {MOST_BOXES}"));
+    }
+    parse_grid(text).map(Cells::Grid).map_err(|e| format!("{e}, or walls:N for boxes along walls"))
+}
+
 /// A grid of cells, as in 8x8x8.
-pub fn parse_cells(text: &str) -> Result<[u32; 3], String> {
+pub fn parse_grid(text: &str) -> Result<[u32; 3], String> {
     let parts = text.split(['x', 'X']).map(|p| p.trim().parse()).collect::<Result<Vec<u32>, _>>();
     parts.ok().and_then(|p| p.try_into().ok()).ok_or_else(|| "give three numbers as in 8x8x8".to_owned())
 }

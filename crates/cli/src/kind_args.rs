@@ -53,7 +53,8 @@ const FLAGS: [(Kind, &str); 5] = [
     (
         Kind::Door,
         "Objects and materials whose name matches are doors: they neither block nor show, and with --method \
-         portals what they cover in a wall is an opening of the object's name that `look` can shut",
+         portals (or exact and --reachable-from) what they cover in a wall is an opening of the object's \
+         name that `look` can shut",
     ),
     (
         Kind::Opaque,

@@ -35,9 +35,10 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
             "{} has no portals (method {}); {}",
             args.result.display(),
             pvs.method(),
-            match pvs.method() {
-                "portals" => "the tile that has them was set aside: run the same bake again",
-                _ => "bake it with --method portals",
+            match (pvs.method(), pvs.region()) {
+                ("portals", _) | ("exact" | "verified", Some(_)) =>
+                    "the tile that has them was set aside: run the same bake again",
+                _ => "bake it with --method portals, or exactly with --reachable-from where walls enclose it",
             }
         ))
     })?;

@@ -7,10 +7,10 @@ use std::sync::Arc;
 use sightline_model::{BackendChoice, Up};
 use sightline_places::reach::Tracing;
 use sightline_places::{Parts, PlacesError, Viewpoints, both, boxes, mark_where, mesh, points, reach};
-use sightline_portals::Reached;
+use sightline_portals::{Reached, along_walls};
 use sightline_sampling::{CubeSpec, PreparedScene, Strata, sight::Sight};
 use sightline_scene::{Aabb, Scene, overlap};
-use sightline_viewcells::{Division, Lattice, Region};
+use sightline_viewcells::{Division, Lattice, Layout, Plan, Region};
 
 use crate::backends::open_backend;
 use crate::enclosure::Walls;
@@ -56,19 +56,89 @@ impl PlaceArgs {
             || !self.reachable_from.is_empty()
     }
 
+    /// The boxes along walls, at most `most` of them, and those that hold viewpoints; `None` for all of them.
+    pub fn along_walls(
+        &self,
+        scene: &Arc<Scene>,
+        view_box: Aabb,
+        most: usize,
+    ) -> Result<(Division, Option<Arc<Viewpoints>>), CliError> {
+        if self.view_box.len() > 1 || self.view_mesh.is_some() || self.viewpoints.is_some() {
+            return Err(CliError::Usage(
+                "several view boxes, --view-mesh and --viewpoints need a grid of cells: give --cells \
+                 NXxNYxNZ, or --reachable-from for boxes along walls"
+                    .to_owned(),
+            ));
+        }
+        let mut region = None;
+        if !self.reachable_from.is_empty() {
+            let (cells, lattice) = whole(view_box)?;
+            self.with_tracer(scene, &Parts::new(&lattice, cells), cells, |tracing| {
+                reach::check(tracing, &self.reachable_from).map(drop).map_err(of_seeds)
+            })?;
+            let walls = Walls::around(scene, &self.reachable_from);
+            say(&walls.in_words());
+            region = walls.region()?;
+            if walls.is_open() {
+                return Err(CliError::Input(
+                    "boxes along walls with --reachable-from need walls that enclose its points; close the \
+                     way out (`sightline portals SCENE --reachable-from x,y,z -o way.glb` draws it), or give \
+                     --cells NXxNYxNZ"
+                        .to_owned(),
+                ));
+            }
+            if region.is_none() {
+                return Err(CliError::Input(
+                    "boxes along walls with --reachable-from need walls that are known to enclose its \
+                     points; give --cells NXxNYxNZ"
+                        .to_owned(),
+                ));
+            }
+        }
+        let reached = region.as_ref().map(|region| Reached::new(region, scene)).transpose();
+        let reached = reached.map_err(CliError::internal)?;
+        let is_used = |of: Aabb| reached.as_ref().is_none_or(|reached| reached.meets(of));
+        let tree = along_walls(scene, view_box, most, &is_used);
+        let boxes = tree.boxes();
+        let division = Division::Tree(Arc::new(tree));
+        let usage = |e: sightline_viewcells::DivisionError| CliError::Usage(e.to_string());
+        let lattice = division.lattice(view_box.min, view_box.max).map_err(usage)?;
+        let Some(region) = region else {
+            say(&format!("{} along walls", plural_boxes(boxes)));
+            return Ok((division, None));
+        };
+        let mut marks = Viewpoints::none([boxes as u32, 1, 1]);
+        for tile in Plan::new(&division, &lattice, Layout::Blocks(1)).tiles {
+            let (min, max) = tile.cell.world(&lattice);
+            if let Some(number) =
+                division.number(&lattice, &tile.cell).filter(|_| is_used(Aabb::new(min, max)))
+            {
+                marks.mark_all(number);
+            }
+        }
+        if marks.reached() == 0 {
+            return Err(CliError::Input(
+                "no viewpoint is left: what --reachable-from encloses shares no part of the view box"
+                    .to_owned(),
+            ));
+        }
+        say(&format!("{} along walls, {} of them with viewpoints", plural_boxes(boxes), marks.reached()));
+        Ok((division, Some(Arc::new(marks.within(Some(region))))))
+    }
+
     /// The parts of the cells that hold viewpoints; `None` for all of them. With `walls`, viewpoints are only
     /// in the region that walls enclose around the points of --reachable-from, if they do.
     pub fn marks(
         &self,
         path: &Path,
         scene: &Arc<Scene>,
-        (division, lattice): (Division, &Lattice),
+        (division, lattice): (&Division, &Lattice),
         walls: bool,
     ) -> Result<Option<Arc<Viewpoints>>, CliError> {
         if !self.restrict() {
             return Ok(None);
         }
-        let Division::Grid(cells) = division else {
+        let &Division::Grid(cells) = division else {
             return Err(CliError::Usage(
                 "several view boxes, --view-mesh, --viewpoints and --reachable-from need a grid of cells; \
                  give --cells or --cell-size in place of --triangle-budget"
@@ -125,18 +195,40 @@ impl PlaceArgs {
         cells: [u32; 3],
         walls: bool,
     ) -> Result<(Vec<Viewpoints>, Option<Region>), CliError> {
+        self.with_tracer(scene, parts, cells, |tracing| {
+            self.traced_with(tracing, scene, (parts, cells), walls)
+        })
+    }
+
+    /// Calls `with` with a tracer of free segments.
+    fn with_tracer<T>(
+        &self,
+        scene: &Arc<Scene>,
+        parts: &Parts,
+        cells: [u32; 3],
+        with: impl FnOnce(&Tracing<'_>) -> Result<T, CliError>,
+    ) -> Result<T, CliError> {
         let spec = CubeSpec { resolution: 256, strata: Strata::One, keep_pixels: false };
         let (_, backend) = open_backend(BackendChoice::Auto, scene, spec)?;
         let prepared = PreparedScene::new(Arc::clone(scene))?;
         let sight = Sight::new(&*backend, prepared.traced()).map_err(CliError::internal)?;
         let bounds = scene.bounds();
         let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
-        let tracing = Tracing { scene, sight: &sight, parts, cells, step };
+        with(&Tracing { scene, sight: &sight, parts, cells, step })
+    }
+
+    fn traced_with(
+        &self,
+        tracing: &Tracing<'_>,
+        scene: &Arc<Scene>,
+        (parts, cells): (&Parts, [u32; 3]),
+        walls: bool,
+    ) -> Result<(Vec<Viewpoints>, Option<Region>), CliError> {
         let mut out = Vec::new();
         if let Some(file) = &self.viewpoints {
             let read = read_viewpoints(file)?;
             let all: Vec<[f32; 3]> = read.iter().map(|w| w.point).collect();
-            let (marks, outside) = reach::mark_around(&tracing, &all, self.reach.unwrap_or(0.0))
+            let (marks, outside) = reach::mark_around(tracing, &all, self.reach.unwrap_or(0.0))
                 .map_err(|e| of_file(file, &e))?;
             if outside > 0 {
                 say(&format!(
@@ -149,11 +241,7 @@ impl PlaceArgs {
         }
         let mut region = None;
         if !self.reachable_from.is_empty() {
-            let of_seeds = |e: PlacesError| match e {
-                PlacesError::Backend(e) => CliError::internal(e),
-                e => CliError::Input(format!("--reachable-from: {e}")),
-            };
-            reach::check(&tracing, &self.reachable_from).map_err(of_seeds)?;
+            reach::check(tracing, &self.reachable_from).map_err(of_seeds)?;
             if !walls {
                 say("note: certificates and visibility cubes are about whole cells, so viewpoints of \
                      --reachable-from are in parts of cells that rays find, not between walls");
@@ -170,7 +258,7 @@ impl PlaceArgs {
                 None => {
                     let progress = Progress::new();
                     let total = cells.map(u64::from).iter().product::<u64>() * 64;
-                    let marks = reach::mark_reachable(&tracing, &self.reachable_from, &mut |done| {
+                    let marks = reach::mark_reachable(tracing, &self.reachable_from, &mut |done| {
                         progress.count(done, total, "parts of cells reached");
                     });
                     progress.end();
@@ -195,6 +283,26 @@ impl PlaceArgs {
             }
         }
     }
+}
+
+/// An error about the points of --reachable-from.
+fn of_seeds(e: PlacesError) -> CliError {
+    match e {
+        PlacesError::Backend(e) => CliError::internal(e),
+        e => CliError::Input(format!("--reachable-from: {e}")),
+    }
+}
+
+/// A view box as a grid of one cell.
+fn whole(view_box: Aabb) -> Result<([u32; 3], Lattice), CliError> {
+    let cells = [1; 3];
+    let lattice = Division::Grid(cells).lattice(view_box.min, view_box.max);
+    lattice.map(|lattice| (cells, lattice)).map_err(|e| CliError::Usage(e.to_string()))
+}
+
+/// A number of boxes in words.
+fn plural_boxes(boxes: usize) -> String {
+    if boxes == 1 { "1 box".to_owned() } else { format!("{boxes} boxes") }
 }
 
 /// Reads a file of viewpoints.

@@ -1,18 +1,21 @@
 //! `sightline verify --sample` of a result of the method portals, which has no certificates: exact queries
 //! about pairs of a cell and a triangle that are called hidden.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use glam::Vec3;
 use rayon::prelude::*;
 use serde_json::json;
 use sightline_exact::{Cell, Cost, ExactScene, Found, Limits, Places, Polygon, Sources, from_cell};
+use sightline_numbers::Aabb;
 use sightline_numbers::random::SplitMix64;
+use sightline_portals::OpenFaces;
 use sightline_pvs::Pvs;
 use sightline_scene::Scene;
 
 use crate::args::VerifyArgs;
-use crate::enclosure::of_result;
+use crate::enclosure::{of_result, walls_of};
 use crate::error::CliError;
 use crate::opening::plural;
 use crate::progress::say;
@@ -39,8 +42,12 @@ pub fn run(args: &VerifyArgs, (pvs, scene): (&Pvs, &Scene), wanted: u64, json: b
             args.result.display()
         )));
     }
-    let ask =
-        |(cell, triangle): &(u32, u32)| ask(pvs, &exact, places.as_ref().map(|p| p as _), *cell, *triangle);
+    let places = places.as_ref().map(|places| places as &dyn Places);
+    let faces = open_faces(pvs, scene, &pairs, places);
+    let ask = |(cell, triangle): &(u32, u32)| {
+        let places = faces.get(cell).map(|faces| faces as &dyn Places).or(places);
+        ask(pvs, &exact, places, *cell, *triangle)
+    };
     let answers: Vec<Result<Answer, CliError>> = pairs.par_iter().map(ask).collect();
     let (mut hidden, mut undecided) = (0u64, 0u64);
     for ((cell, triangle), answer) in pairs.iter().zip(answers) {
@@ -118,6 +125,22 @@ enum Answer {
     Hidden,
     Undecided,
     Seen(String),
+}
+
+/// The faces of the cells of some pairs, where these are open boxes.
+fn open_faces<'a>(
+    pvs: &Pvs,
+    scene: &Scene,
+    pairs: &[(u32, u32)],
+    places: Option<&'a dyn Places>,
+) -> BTreeMap<u32, OpenFaces<'a>> {
+    let Some(scene) = walls_of(pvs, scene) else { return BTreeMap::new() };
+    let cells: BTreeSet<u32> = pairs.iter().map(|(cell, _)| *cell).collect();
+    let faces = |cell: u32| {
+        let [min, max] = pvs.cell_bounds(cell)?.map(Vec3::from);
+        Some((cell, OpenFaces::new(scene, Aabb::new(min, max), places)))
+    };
+    cells.into_iter().filter_map(faces).collect()
 }
 
 fn ask(

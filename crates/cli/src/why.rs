@@ -8,6 +8,7 @@ use sightline_certificate::{CertificateReader, Proof, Reason, Target};
 use sightline_exact::{
     Cell, Cost, ExactScene, Found, Hides, Limits, Places, Polygon, Sources, from_cell, polygon,
 };
+use sightline_portals::OpenFaces;
 use sightline_pvs::Pvs;
 use sightline_scene::{Aabb, Scene, overlap};
 
@@ -157,6 +158,8 @@ fn ask(pvs: &Pvs, result: &Path, scene: &Scene, (cell, triangle): (u32, u32)) ->
     let region = enclosure::of_result(pvs, scene, result)?;
     let places = region.as_ref().map(|region| region as &dyn Places);
     let within = Aabb { min: bounds[0], max: bounds[1] };
+    let faces = enclosure::walls_of(pvs, scene).map(|scene| OpenFaces::new(scene, within, places));
+    let places = faces.as_ref().map(|faces| faces as &dyn Places).or(places);
     if overlap::triangle_touches_box(&of, &within) && places.is_none_or(|p| p.touch(of.v, within)) {
         return Ok(json!({"state": "visible", "meets": true}));
     }

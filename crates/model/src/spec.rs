@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use prost::Message as _;
 use sightline_numbers::Aabb;
-use sightline_viewcells::{Division, DivisionError, Lattice, Layout, Plan};
+use sightline_viewcells::{CellBox, Division, DivisionError, Lattice, Layout, Plan, TreeError};
 use sightline_viewcells::{MOST_BLOCK_CELLS, USUAL_BLOCK_CELLS};
 use sightline_viewcells::{Viewpoints, ViewpointsError, viewpoints};
 
@@ -15,7 +15,7 @@ use crate::params::{BOUND_AIM, ParamsError, SamplingParams};
 /// The version of everything that decides bytes. It changes whenever the same specification would give other
 /// bytes, of a result or of a tile's output, so that a stored result is never taken for one of another
 /// version. The choices that it stands for are in `crates/bake/src/choices.rs`.
-pub const ALGORITHM_VERSION: u32 = 19;
+pub const ALGORITHM_VERSION: u32 = 20;
 
 /// Longest time budget, in milliseconds: ten years.
 const MAX_BUDGET_MS: u64 = 10 * 366 * 24 * 3600 * 1000;
@@ -61,7 +61,7 @@ pub struct JobSpec {
     pub method: Method,
     /// Whether witnesses and certificates are kept.
     pub certificates: bool,
-    /// Where in the cells of a grid viewpoints can be; `None` for everywhere.
+    /// Where in the cells of a grid or the boxes of a tree viewpoints can be; `None` for everywhere.
     pub viewpoints: Option<Arc<Viewpoints>>,
     /// The axis that points up, if it is known. It changes no set.
     pub up: Option<Up>,
@@ -89,6 +89,16 @@ pub fn default_block_cells(triangles: u32, sampling: &SamplingParams, method: Me
     HEAVY.iter().find(|(least, _)| work >= *least).map_or(USUAL_BLOCK_CELLS, |(_, cells)| *cells)
 }
 
+/// The grid whose cells marks of viewpoints are for: the boxes of a tree are one row. `None` for an adaptive
+/// tree, whose cells are not known.
+pub fn marked_cells(division: &Division) -> Option<[u32; 3]> {
+    match division {
+        Division::Grid(cells) => Some(*cells),
+        Division::Tree(tree) => Some([tree.boxes() as u32, 1, 1]),
+        Division::Adaptive { .. } => None,
+    }
+}
+
 /// Why a specification is refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SpecError {
@@ -101,6 +111,9 @@ pub enum SpecError {
     /// The division of the view box.
     #[error(transparent)]
     Division(#[from] DivisionError),
+    /// The boxes of a tree.
+    #[error(transparent)]
+    Tree(#[from] TreeError),
     /// A sampling parameter.
     #[error(transparent)]
     Params(#[from] ParamsError),
@@ -150,6 +163,9 @@ impl JobSpec {
                 return refuse("max-error", "only the cells of a grid are refined to a bound");
             }
         }
+        if let Division::Tree(_) = self.division {
+            self.check_boxes()?;
+        }
         if self.sampling.max_error.is_some() && sampler != Sampler::Lines {
             return refuse("max-error", "only the sampler lines refines to a bound");
         }
@@ -192,8 +208,8 @@ impl JobSpec {
         }
         self.lattice()?;
         if let Some(marks) = &self.viewpoints {
-            if self.division != Division::Grid(marks.cells()) {
-                return refuse("viewpoints", "give them for the cells of the job's grid");
+            if marked_cells(&self.division) != Some(marks.cells()) {
+                return refuse("viewpoints", "give them for the cells of the job's grid, or its boxes");
             }
             if marks.encode().len() > viewpoints::MOST_BYTES {
                 return refuse(
@@ -214,11 +230,29 @@ impl JobSpec {
         Ok(())
     }
 
+    /// What the boxes of a tree cannot have.
+    fn check_boxes(&self) -> Result<(), SpecError> {
+        let refuse = |field, remedy| Err(SpecError::Field(field, remedy));
+        if self.sampling.sampler == Sampler::Cubes {
+            return refuse("sampler", "visibility cubes are shared by the cells of a grid; sample lines");
+        }
+        if self.certificates {
+            return refuse("certificates", "they are about closed cells, and boxes along walls are open");
+        }
+        if self.sampling.cell_to_cell == CellToCell::On {
+            return refuse("cell-to-cell", "only cells of equal size say which see which; give a grid");
+        }
+        Ok(())
+    }
+
     /// What the method portals cannot do.
     fn check_portals(&self) -> Result<(), SpecError> {
         let refuse = |field, remedy| Err(SpecError::Field(field, remedy));
-        if !matches!(self.division, Division::Grid(_)) {
-            return refuse("division", "the method portals needs a grid; an adaptive tree follows samples");
+        if matches!(self.division, Division::Adaptive { .. }) {
+            return refuse(
+                "division",
+                "give a grid or boxes with the method portals; an adaptive tree follows samples",
+            );
         }
         if self.certificates {
             return refuse("certificates", "what portals hide has none; give the method exact or verified");
@@ -238,6 +272,18 @@ impl JobSpec {
         Ok(())
     }
 
+    /// Whether the result has the scene divided along its walls, for look-ups from a point: with the method
+    /// portals, and of exact methods where walls enclose the viewpoints. The first tile has it.
+    pub fn has_portals(&self) -> bool {
+        match self.method {
+            Method::Portals => true,
+            Method::Exact | Method::Verified => {
+                self.viewpoints.as_ref().is_some_and(|marks| marks.region().is_some())
+            }
+            Method::Aggressive => false,
+        }
+    }
+
     /// The job's key: the digest of everything that its result depends on except the numerics profile, which
     /// is bound when the job first runs and is then part of the result.
     pub fn key(&self) -> [u8; 32] {
@@ -254,7 +300,7 @@ impl JobSpec {
     /// or, with deeper trees, several are in one.
     pub fn pair_cells(&self) -> Option<[u32; 3]> {
         let asked = match self.sampling.cell_to_cell {
-            _ if self.method == Method::Portals => false,
+            _ if self.method == Method::Portals || matches!(self.division, Division::Tree(_)) => false,
             CellToCell::Auto => self.pair_grid_cells() <= FEW_PAIR_CELLS,
             CellToCell::On => true,
             CellToCell::Off => false,
@@ -271,6 +317,8 @@ impl JobSpec {
     fn pair_grid(&self) -> [u32; 3] {
         match self.division {
             Division::Grid(cells) => cells,
+            // It is never asked for.
+            Division::Tree(_) => [1; 3],
             Division::Adaptive { max_depth, .. } => {
                 // An adaptive tree halves the longest side.
                 let Aabb { min, max } = self.view_box;
@@ -284,6 +332,12 @@ impl JobSpec {
                 cells
             }
         }
+    }
+
+    /// The marked parts of a cell that is known before the bake: a bit for each part where viewpoints are.
+    pub fn marks(&self, lattice: &Lattice, cell: &CellBox) -> u64 {
+        let Some(marks) = &self.viewpoints else { return u64::MAX };
+        self.division.number(lattice, cell).map_or(u64::MAX, |number| marks.of(number))
     }
 
     /// The lattice of sample positions.
@@ -320,7 +374,8 @@ impl JobSpec {
             Sampler::Cubes => Layout::Samples,
             Sampler::Lines | Sampler::Guided => Layout::Blocks(self.block_cells),
         };
-        Ok((lattice, Plan::new(&self.division, &lattice, layout)))
+        let plan = Plan::new(&self.division, &lattice, layout);
+        Ok((lattice, plan))
     }
 }
 

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use glam::Vec3;
 use sightline_numbers::Aabb;
 use sightline_proto::v1;
-use sightline_viewcells::{Division, USUAL_BLOCK_CELLS, Viewpoints};
+use sightline_viewcells::{Division, KdTree, USUAL_BLOCK_CELLS, Viewpoints};
 
 use crate::choice::{BackendChoice, Choice, Method, Sampler, Up};
 use crate::params::SamplingParams;
-use crate::spec::{JobSpec, SpecError};
+use crate::spec::{JobSpec, SpecError, marked_cells};
 
 impl JobSpec {
     /// Reads and checks a specification. `bounds` is the view box of a message that has none: the scene's
@@ -25,7 +25,10 @@ impl JobSpec {
             Some(v1::job_spec::Division::Adaptive(a)) => {
                 Division::Adaptive { budget: a.triangle_budget, max_depth: a.max_depth }
             }
-            None => return Err(SpecError::Field("division", "give a grid or an adaptive division")),
+            Some(v1::job_spec::Division::Tree(ref tree)) => {
+                Division::Tree(Arc::new(KdTree::new(&tree.axes, &tree.planes)?))
+            }
+            None => return Err(SpecError::Field("division", "give a grid, an adaptive division or a tree")),
         };
         let view_box = match (m.view_box.as_slice(), bounds) {
             ([x0, y0, z0, x1, y1, z1], _) => Aabb::new(Vec3::new(*x0, *y0, *z0), Vec3::new(*x1, *y1, *z1)),
@@ -35,17 +38,17 @@ impl JobSpec {
         let sampling = m.sampling.as_ref();
         let sampling = sampling.ok_or(SpecError::Field("sampling", "give the sampling parameters"))?;
         let sampling = SamplingParams::from_proto(sampling)?;
-        // Cubes and adaptive trees have no blocks. A number that they do not use makes no other job.
+        // Cubes and trees have no blocks. A number that they do not use makes no other job.
         let has_blocks = sampling.sampler != Sampler::Cubes && matches!(division, Division::Grid(_));
-        let viewpoints = match (m.viewpoints.as_slice(), division) {
+        let viewpoints = match (m.viewpoints.as_slice(), marked_cells(&division)) {
             ([], _) => None,
-            (bytes, Division::Grid(cells)) => {
+            (bytes, Some(cells)) => {
                 // The number of cells is checked before memory is taken for them.
                 division.lattice(view_box.min, view_box.max)?;
                 Some(Arc::new(Viewpoints::decode(bytes, cells)?))
             }
-            (_, Division::Adaptive { .. }) => {
-                return Err(SpecError::Field("viewpoints", "only the cells of a grid can have them"));
+            (_, None) => {
+                return Err(SpecError::Field("viewpoints", "the cells of an adaptive tree cannot have them"));
             }
         };
         let up = match m.up() {
@@ -75,10 +78,14 @@ impl JobSpec {
         let [min, max] = self.view_box.corners().map(|c| c.to_array());
         v1::JobSpec {
             scene: self.scene.to_vec(),
-            division: Some(match self.division {
-                Division::Grid([x, y, z]) => v1::job_spec::Division::Grid(v1::Grid { x, y, z }),
-                Division::Adaptive { budget, max_depth } => {
+            division: Some(match &self.division {
+                &Division::Grid([x, y, z]) => v1::job_spec::Division::Grid(v1::Grid { x, y, z }),
+                &Division::Adaptive { budget, max_depth } => {
                     v1::job_spec::Division::Adaptive(v1::Adaptive { triangle_budget: budget, max_depth })
+                }
+                Division::Tree(tree) => {
+                    let (axes, planes) = tree.parts();
+                    v1::job_spec::Division::Tree(v1::Tree { axes, planes })
                 }
             }),
             view_box: min.into_iter().chain(max).collect(),

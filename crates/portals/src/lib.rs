@@ -8,10 +8,14 @@
 //!
 //! The crate knows no view cells and no job.
 
+pub mod along_walls;
 pub mod beam;
 pub mod choose;
 pub mod convex;
+pub mod covered;
 pub mod enclose;
+pub mod open_box;
+pub mod open_faces;
 pub mod outline;
 pub mod partition;
 pub mod plane;
@@ -22,7 +26,10 @@ pub mod solids;
 pub mod table;
 pub mod tree;
 
+pub use along_walls::along_walls;
 pub use enclose::{Enclosure, Limits, enclose, reached};
+pub use open_box::open_box;
+pub use open_faces::OpenFaces;
 pub use partition::{NoPartition, Partition};
 pub use plane::{Face, Plane, PlaneId};
 pub use planes::Planes;

@@ -138,6 +138,11 @@ impl Face {
         &self.polygon
     }
 
+    /// The exact polygon, by value.
+    pub fn into_polygon(self) -> Polygon {
+        self.polygon
+    }
+
     /// The corners, rounded, in order.
     pub fn corners(&self) -> &[DVec3] {
         &self.at

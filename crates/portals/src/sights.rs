@@ -31,12 +31,14 @@ const GROWTHS: u32 = 8;
 
 /// Finds the triangles that are not proved to be hidden from a box, ascending. `None` when `stop`, which is
 /// called now and then, returns true.
-pub fn sights(partition: &Partition, of: Aabb, stop: &dyn Fn() -> bool) -> Option<Vec<u32>> {
+///
+/// A segment may begin on a wall in a face of the box and go on at its other side: exact queries from a
+/// closed box count it. So unless the box `is_open`, lines also leave through each face into the leaves
+/// that lie behind it.
+pub fn sights(partition: &Partition, of: Aabb, is_open: bool, stop: &dyn Fn() -> bool) -> Option<Vec<u32>> {
     let solids = partition.solids(of);
-    // A segment may begin on a wall in a face of the box and go on at its other side: exact queries from the
-    // box count it. So lines also leave through each face into the leaves that lie behind it.
     let mut behind: Vec<(Solid, HalfSpace)> = Vec::new();
-    for (axis, up) in (0..3).flat_map(|axis| [(axis, false), (axis, true)]) {
+    for (axis, up) in (0..3).flat_map(|axis| [(axis, false), (axis, true)]).filter(|_| !is_open) {
         let mut slab = of;
         let (near, far) = if up {
             (of.max[axis], of.max[axis].next_up())

@@ -10,17 +10,16 @@ use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
 use glam::Vec3;
-use sightline_exact::{Polygon, predicates};
+use sightline_exact::Polygon;
 use sightline_numbers::Aabb;
 use sightline_scene::Scene;
 
+use crate::covered::divide_covered;
 use crate::plane::{Face, Plane, PlaneId};
 use crate::planes::{Planes, by_place, is_door};
 
 /// The work of a split for each wall of the leaf.
 const WALL_WORK: u64 = 32;
-/// Most pairs of an opening and a face in its plane that are compared in one split.
-const MOST_CUTS: u64 = 1 << 26;
 
 /// The number of a leaf in its [`Tree`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -260,10 +259,10 @@ impl Tree {
             self.divide_portal(portal, (id, upper), exact, &mut portals);
         }
         // What a wall covers is no opening; of the rest each door covers its own.
-        let [mut open, _] = self.divide_open(vec![section], inside, exact);
+        let [mut open, _] = divide_covered(vec![section], inside, exact, &mut self.work);
         let mut openings = Vec::new();
         for (door, covers) in doors {
-            let [rest, covered] = self.divide_open(open, covers, exact);
+            let [rest, covered] = divide_covered(open, covers, exact, &mut self.work);
             openings.extend(covered.into_iter().map(|face| (face, Some(door))));
             open = rest;
         }
@@ -326,55 +325,4 @@ impl Tree {
         self.portals.push(portal);
         PortalId(self.portals.len() as u32 - 1)
     }
-
-    /// The convex parts of faces in a plane that other faces in it do not cover, and those that they do
-    /// (Teller 1992, section 5.2.5).
-    fn divide_open(&mut self, mut open: Vec<Face>, mut covers: Vec<Face>, plane: &Plane) -> [Vec<Face>; 2] {
-        // Large faces first: they leave less to be cut.
-        covers.sort_by(|a, b| b.area().total_cmp(&a.area()));
-        let mut covered = Vec::new();
-        let begun = self.work;
-        for cover in covers {
-            // What is not cut off any more stays open: an opening may be larger than the true one.
-            if self.work - begun > MOST_CUTS {
-                break;
-            }
-            let borders = borders(&cover, plane);
-            let mut next = Vec::with_capacity(open.len());
-            for part in open {
-                self.work += 1;
-                if part.apart(&cover) {
-                    next.push(part);
-                    continue;
-                }
-                let mut left = Some(part);
-                for (border, inner) in &borders {
-                    let Some(part) = left else { break };
-                    let sides = part.sides(border);
-                    next.extend(part.part(border, &sides, inner.reverse()));
-                    left = part.part(border, &sides, *inner);
-                }
-                covered.extend(left);
-            }
-            open = next;
-        }
-        [open, covered]
-    }
-}
-
-/// Planes across a face along each of its edges, with the side on which the face is.
-///
-/// Each contains an edge and the direction of an axis that is not in the face's plane.
-fn borders(face: &Face, plane: &Plane) -> Vec<(Plane, Ordering)> {
-    let points = face.polygon().points();
-    let exact: Vec<_> = points.iter().map(predicates::integers).collect();
-    let n = points.len();
-    (0..n)
-        .map(|i| {
-            let border = Plane::of(predicates::plane_along([&exact[i], &exact[(i + 1) % n]], plane.axis()));
-            let next = (i + 2) % n;
-            let inner = border.side(&points[next], face.corners()[next]);
-            (border, inner)
-        })
-        .collect()
 }

@@ -5,16 +5,17 @@
 mod common;
 
 use common::{across, building, scene, strictly_seen};
-use glam::Vec3;
+use glam::{Quat, Vec3};
 use proptest::prelude::*;
 use sightline_numbers::Aabb;
 use sightline_numbers::random::SplitMix64;
 use sightline_portals::{Limits, Partition, sights};
-use sightline_scene::Scene;
+use sightline_scene::generate::{Kind, Params, generate};
+use sightline_scene::{Scene, Triangle};
 
 fn seen(scene: &Scene, of: Aabb) -> Vec<u32> {
     let partition = Partition::new(scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
-    sights(&partition, of, &|| false).unwrap()
+    sights(&partition, of, false, &|| false).unwrap()
 }
 
 /// Rooms at x = 0 to 5, z from 0 to 3, with doors at z from 0 to 1 and from 2 to 3 by turns. The floor, y =
@@ -91,10 +92,35 @@ fn the_order_of_the_triangles_changes_no_set() {
 }
 
 #[test]
+fn turned_walls_hide_nearly_as_much_as_straight_ones() {
+    let params = Params { triangles: Some(700), ..Params::default() };
+    let rooms = generate(Kind::Rooms, &params).unwrap();
+    let drawn = |angle: f32| -> usize {
+        let turn = Quat::from_rotation_y(angle);
+        let turned = |p: Vec3| if angle == 0.0 { p } else { turn * p };
+        let all = rooms.triangles().iter().map(|t| Triangle { v: t.v.map(turned) }).collect();
+        let scene = common::scene(all);
+        let partition = Partition::new(&scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
+        let Aabb { min, max } = rooms.bounds();
+        let places = (0..48).map(|k| Vec3::new((k % 8) as f32 + 0.5, 4.0, (k / 8) as f32 + 0.5) / 8.0);
+        let of = |place: Vec3| {
+            let middle = turned(min + (max - min) * place * Vec3::new(1.0, 1.0, 8.0 / 6.0));
+            sights(&partition, Aabb::new(middle - 0.1, middle + 0.1), false, &|| false).unwrap().len()
+        };
+        places.map(of).sum()
+    };
+    let straight = drawn(0.0);
+    for angle in [0.5, std::f32::consts::FRAC_PI_2, 1.1] {
+        let turned = drawn(angle);
+        assert!(turned * 4 < straight * 5, "{straight} straight, {turned} turned by {angle}");
+    }
+}
+
+#[test]
 fn a_stopped_search_says_so() {
     let (scene, _) = zigzag();
     let partition = Partition::new(&scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
-    assert_eq!(sights(&partition, scene.bounds(), &|| true), None);
+    assert_eq!(sights(&partition, scene.bounds(), false, &|| true), None);
 }
 
 proptest! {
@@ -115,7 +141,7 @@ proptest! {
         for _ in 0..4 {
             let (p, q) = (point(bounds), point(bounds));
             let cell = Aabb::new(p.min(p + (q - p) * 0.3), p.max(p + (q - p) * 0.3));
-            let found = sights(&partition, cell, &|| false).unwrap();
+            let found = sights(&partition, cell, false, &|| false).unwrap();
             for _ in 0..400 {
                 let (from, to) = (point(cell), point(bounds));
                 // The first triangle in a direction: shorter and shorter segments.
@@ -156,7 +182,7 @@ fn a_door_is_an_opening_of_its_name() {
     assert!(!shut.is_empty() && shut.iter().all(|p| p.corners.iter().all(|c| c[0] == 1.0 && c[2] <= 1.0)));
     // It does not block: the far wall is seen through it, and the door itself is in no set.
     let of = Aabb::new(Vec3::new(0.2, 0.2, 0.2), Vec3::new(0.8, 0.8, 0.8));
-    let found = sights(&partition, of, &|| false).unwrap();
+    let found = sights(&partition, of, false, &|| false).unwrap();
     let far = (0..first).filter(|id| scene.triangles()[*id as usize].v.iter().all(|v| v.x == 2.0));
     assert!(far.clone().count() == 2 && far.clone().any(|id| found.binary_search(&id).is_ok()));
     assert!(found.iter().all(|id| *id < first));

@@ -50,7 +50,7 @@ fn bake(
     division: Division,
     params: &SamplingParams,
 ) -> Option<(Arc<Scene>, Vec<CellSet>, u64)> {
-    let (scene, tiles, count) = bake_tiles(scene, division, params)?;
+    let (scene, tiles, count) = bake_tiles(scene, division.clone(), params)?;
     Some((scene, tiles.into_iter().flat_map(|(_, sets)| sets.cells).collect(), count))
 }
 
@@ -114,7 +114,7 @@ fn rooms() -> Scene {
 #[test]
 fn a_cell_sees_what_meets_it_and_two_bakes_are_alike() {
     let division = Division::Grid([3, 2, 2]);
-    let Some((scene, cells, samples)) = bake(rooms(), division, &coarse()) else { return };
+    let Some((scene, cells, samples)) = bake(rooms(), division.clone(), &coarse()) else { return };
     assert_eq!(cells.len(), 12);
     assert!(samples > 36, "at least every cell corner: {samples}");
     let lattice = division.lattice(scene.bounds().min, scene.bounds().max).unwrap();
@@ -126,28 +126,28 @@ fn a_cell_sees_what_meets_it_and_two_bakes_are_alike() {
         assert!(inside.iter().all(|id| set.visible.binary_search(id).is_ok()));
         assert!(set.visible.is_sorted() && set.samples >= 8);
     }
-    let (_, again, _) = bake(rooms(), division, &coarse()).unwrap();
+    let (_, again, _) = bake(rooms(), division.clone(), &coarse()).unwrap();
     assert_eq!(cells, again);
 }
 
 #[test]
 fn each_measure_and_superset_gives_a_result_and_more_samples_see_no_less() {
     let division = Division::Grid([2, 2, 1]);
-    let Some((_, base, few)) = bake(rooms(), division, &coarse()) else { return };
+    let Some((_, base, few)) = bake(rooms(), division.clone(), &coarse()) else { return };
     let finer = SamplingParams { min_distance: 0.25, error_threshold: 0.0, ..coarse() };
-    let (_, more, many) = bake(rooms(), division, &finer.clone()).unwrap();
+    let (_, more, many) = bake(rooms(), division.clone(), &finer.clone()).unwrap();
     assert!(many > few);
     for (a, b) in base.iter().zip(&more) {
         assert!(a.visible.iter().all(|id| b.visible.binary_search(id).is_ok()));
     }
     for measure in [ErrorMeasure::Sets, ErrorMeasure::Pixels] {
-        let (_, cells, _) = bake(rooms(), division, &SamplingParams { measure, ..coarse() }).unwrap();
+        let (_, cells, _) = bake(rooms(), division.clone(), &SamplingParams { measure, ..coarse() }).unwrap();
         assert_eq!(cells.len(), 4);
     }
     // Rendering only what the cell above saw must not lose more than a little of what it would have seen
     // otherwise.
     let simplified = SamplingParams { superset: SupersetChoice::On, ..finer };
-    let (_, simplified, _) = bake(rooms(), division, &simplified).unwrap();
+    let (_, simplified, _) = bake(rooms(), division.clone(), &simplified).unwrap();
     for (a, b) in more.iter().zip(&simplified) {
         let common = a.visible.iter().filter(|id| b.visible.binary_search(id).is_ok()).count();
         assert!(common * 100 >= a.visible.len() * 98, "{common} of {}", a.visible.len());
@@ -157,7 +157,7 @@ fn each_measure_and_superset_gives_a_result_and_more_samples_see_no_less() {
 #[test]
 fn an_adaptive_tree_stops_at_its_budget_or_depth() {
     let division = Division::Adaptive { budget: 300, max_depth: 6 };
-    let Some((_, cells, _)) = bake(rooms(), division, &coarse()) else { return };
+    let Some((_, cells, _)) = bake(rooms(), division.clone(), &coarse()) else { return };
     assert!(cells.len() >= 8 && cells.len() <= 64);
     let generous = Division::Adaptive { budget: 1_000_000, max_depth: 6 };
     let (_, few, _) = bake(rooms(), generous, &coarse()).unwrap();
@@ -205,7 +205,7 @@ fn an_adaptive_tree_of_sight_lines_is_halved_where_it_must_be_and_nowhere_else()
     // The box is in one of the smallest cells.
     let (budget, max_depth) = (70, 12);
     let division = Division::Adaptive { budget, max_depth };
-    let Some((scene, tiles, _)) = bake_tiles(full_box(), division, &params) else { return };
+    let Some((scene, tiles, _)) = bake_tiles(full_box(), division.clone(), &params) else { return };
     assert_eq!(tiles.len(), 8);
     let lattice = division.lattice(scene.bounds().min, scene.bounds().max).unwrap();
     let (mut deepest, mut shallowest) = (0, max_depth);
@@ -245,7 +245,7 @@ fn an_adaptive_tree_of_sight_lines_is_halved_where_it_must_be_and_nowhere_else()
         (max_depth, 3),
         "some cells are as small as can be, and some tiles are one"
     );
-    let (_, again, _) = bake_tiles(full_box(), division, &params).unwrap();
+    let (_, again, _) = bake_tiles(full_box(), division.clone(), &params).unwrap();
     assert!(tiles.iter().zip(&again).all(|(a, b)| a.1 == b.1), "twice is not the same");
     // What is seen from a part is seen from the whole.
     let generous = Division::Adaptive { budget: 1000, max_depth: 12 };
@@ -269,7 +269,7 @@ fn where_coordinates_are_few_an_adaptive_tree_ends_before_its_cells_lose_lines()
     let far = solid(Vec3::splat(1e6), Vec3::splat(1e6 + 16.0));
     let params = SamplingParams { sampler: Sampler::Lines, target_error: 1e-2, ..SamplingParams::default() };
     let division = Division::Adaptive { budget: 1, max_depth: 12 };
-    let Some((_, cells, _)) = bake(scene(far), division, &params) else { return };
+    let Some((_, cells, _)) = bake(scene(far), division.clone(), &params) else { return };
     let seen: Vec<usize> = cells.iter().map(|c| c.visible.len()).collect();
     assert_eq!(seen, [12; 8]);
 }
@@ -288,7 +288,7 @@ fn an_adaptive_tree_that_runs_out_of_time_says_where() {
     let job = JobContext {
         scene: &prepared,
         division,
-        lattice,
+        lattice: lattice.clone(),
         params,
         viewpoints: None,
         places: None,
@@ -346,7 +346,7 @@ fn nothing_inside_a_closed_box_is_seen_from_outside_and_degenerate_triangles_nev
     t.push(tri([-10.0; 3], [-9.0, -10.0, -10.0], [-10.0, -9.0, -10.0]));
     t.push(tri([10.0; 3], [9.0, 10.0, 10.0], [10.0, 9.0, 10.0]));
     let division = Division::Grid([7, 7, 7]);
-    let Some((scene, cells, _)) = bake(scene(t), division, &coarse()) else { return };
+    let Some((scene, cells, _)) = bake(scene(t), division.clone(), &coarse()) else { return };
     let lattice = division.lattice(scene.bounds().min, scene.bounds().max).unwrap();
     let mut outside = 0;
     // Cells in the order of the result: the kd-tree depth first.

@@ -4,6 +4,11 @@ use glam::Vec3;
 
 use crate::{Lattice, LatticePoint, Rect};
 
+/// The name of an axis in messages: 0 = x, 1 = y, 2 = z.
+pub fn axis_name(axis: usize) -> &'static str {
+    ["x", "y", "z"].get(axis).copied().unwrap_or("no axis")
+}
+
 /// A closed box on the lattice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct CellBox {

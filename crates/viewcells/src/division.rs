@@ -1,9 +1,13 @@
-//! Divisions of the view box into cells: a regular grid, or adaptive halving by a triangle budget. Both are
-//! kd-trees.
+//! Divisions of the view box into cells: a regular grid, adaptive halving by a triangle budget, or boxes that
+//! are given. All are kd-trees.
+
+use std::sync::Arc;
 
 use glam::Vec3;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
+use crate::cell::axis_name;
+use crate::kd_tree::{KdTree, PlaneError};
 use crate::{CellBox, Lattice, Split, UNITS_PER_CELL};
 
 /// Most grid cells along an axis: with 2¹⁶ units a cell, lattice coordinates fit `u32`.
@@ -18,11 +22,8 @@ pub const FORCED_DEPTH: u32 = 3;
 /// An upper bound on how far rounding moves the end of a sight line, in units in the last place of the
 /// greatest coordinate.
 pub const ROUNDING: f32 = 8.0;
-
-/// The name of an axis in messages: 0 = x, 1 = y, 2 = z.
-pub fn axis_name(axis: usize) -> &'static str {
-    ["x", "y", "z"].get(axis).copied().unwrap_or("no axis")
-}
+/// How far rays keep off the walls in the faces of a tree's boxes, in multiples of this rounding.
+pub const GAP: f32 = 2.0;
 
 /// Why a division cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -81,6 +82,9 @@ pub enum DivisionError {
         /// Greatest absolute coordinate of the view box.
         largest: f32,
     },
+    /// A plane of a tree is not strictly inside the box that it divides.
+    #[error(transparent)]
+    Plane(#[from] PlaneError),
     /// The limits of an adaptive division are out of range.
     #[error(
         "a triangle budget of {budget} with a depth of at most {depth} is not possible; \
@@ -95,7 +99,7 @@ pub enum DivisionError {
 }
 
 /// How the view box is divided into cells.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Division {
     /// A regular grid with this many cells along x, y and z.
@@ -108,6 +112,13 @@ pub enum Division {
         /// The deepest level; the root has level 0.
         max_depth: u32,
     },
+    /// The boxes of a tree.
+    #[serde(serialize_with = "tree")]
+    Tree(Arc<KdTree>),
+}
+
+fn tree<S: serde::Serializer>(tree: &KdTree, to: S) -> Result<S::Ok, S::Error> {
+    tree.serialize(to)
 }
 
 impl Division {
@@ -146,6 +157,7 @@ impl Division {
                 }
                 Ok(Lattice::new(min, max, [1, 1, 1]))
             }
+            Self::Tree(ref tree) => Ok(tree.lattice(min, max)?),
         }
     }
 
@@ -167,17 +179,23 @@ impl Division {
                     thinnest = thinnest.children(split)[0];
                 }
             }
+            Self::Tree(_) => {}
         }
         let (min, max) = root.world(lattice);
         let largest = min.abs().max(max.abs()).max_element();
         let moved = f64::from(largest) * f64::from(f32::EPSILON) * f64::from(ROUNDING);
-        let width = |a: usize| lattice.length(a, thinnest.hi[a] - thinnest.lo[a]);
-        let axis = (1..3).fold(0, |a, b| if width(b) < width(a) { b } else { a });
-        if moved < width(axis) {
-            Ok(moved / width(axis))
-        } else {
-            Err(DivisionError::TooThin { axis, width: width(axis), largest })
-        }
+        let of = |a: usize| lattice.length(a, thinnest.hi[a] - thinnest.lo[a]);
+        let (width, axis) = match self {
+            Self::Tree(tree) => {
+                let (width, axis) = tree.thinnest(lattice);
+                (width - 2.0 * f64::from(GAP) * moved, axis)
+            }
+            Self::Grid(_) | Self::Adaptive { .. } => {
+                let axis = (1..3).fold(0, |a, b| if of(b) < of(a) { b } else { a });
+                (of(axis), axis)
+            }
+        };
+        if moved < width { Ok(moved / width) } else { Err(DivisionError::TooThin { axis, width, largest }) }
     }
 
     /// The root cell: the whole view box.
@@ -204,13 +222,27 @@ impl Division {
                 let inside = plane(cell.lo[axis]) < plane(at) && plane(at) < plane(cell.hi[axis]);
                 (depth < max_depth && inside).then_some(Split { axis, at })
             }
+            Self::Tree(ref tree) => tree.split(lattice, cell),
+        }
+    }
+
+    /// The number of a cell that is known before the bake: in a grid x fastest, then y, then z, in a tree in
+    /// its order. `None` for boxes that are no cells, and in an adaptive tree.
+    pub fn number(&self, lattice: &Lattice, cell: &CellBox) -> Option<usize> {
+        match self {
+            Self::Grid([nx, ny, _]) => {
+                let [x, y, z] = cell.lo.map(|u| (u / UNITS_PER_CELL) as usize);
+                Some((z * *ny as usize + y) * *nx as usize + x)
+            }
+            Self::Adaptive { .. } => None,
+            Self::Tree(tree) => tree.number(lattice, cell),
         }
     }
 
     /// Whether to split a cell that can be split, when `seen` triangles are visible from it.
     pub fn wants_split(&self, seen: usize, depth: u32) -> bool {
         match *self {
-            Self::Grid(_) => true,
+            Self::Grid(_) | Self::Tree(_) => true,
             Self::Adaptive { budget, .. } => depth < FORCED_DEPTH || seen > budget as usize,
         }
     }

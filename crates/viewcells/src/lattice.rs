@@ -3,6 +3,8 @@
 //! Sample positions are integers, and there is one way of computing world positions from them. So a lattice
 //! point has the same `f32` position, bit for bit, in all cells and tiles and on all machines.
 
+use std::sync::Arc;
+
 use glam::Vec3;
 
 /// Lattice units along one side of a grid cell: 2^16, so a cell can be halved sixteen times.
@@ -12,18 +14,31 @@ pub const UNITS_PER_CELL: u32 = 1 << 16;
 pub type LatticePoint = [u32; 3];
 
 /// The lattice over a view box.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Lattice {
     min: Vec3,
     max: Vec3,
     units: [u32; 3],
+    /// The coordinates of all units but the first and the last, where they are not evenly spaced.
+    planes: Option<Arc<[Vec<f32>; 3]>>,
 }
 
 impl Lattice {
     /// The lattice of `cells` grid cells along each axis over the closed box `min` … `max`.
     /// [`crate::Division`] checks the arguments.
     pub(crate) fn new(min: Vec3, max: Vec3, cells: [u32; 3]) -> Self {
-        Self { min, max, units: cells.map(|c| c * UNITS_PER_CELL) }
+        Self { min, max, units: cells.map(|c| c * UNITS_PER_CELL), planes: None }
+    }
+
+    /// The lattice with a unit at each of these coordinates, ascending along each axis and inside the box.
+    pub(crate) fn of_planes(min: Vec3, max: Vec3, planes: Arc<[Vec<f32>; 3]>) -> Self {
+        Self { min, max, units: planes.each_ref().map(|p| p.len() as u32 + 1), planes: Some(planes) }
+    }
+
+    /// The unit at a coordinate of such a lattice.
+    pub(crate) fn unit(&self, axis: usize, at: f32) -> Option<u32> {
+        let planes = self.planes.as_ref()?;
+        planes[axis].binary_search_by(|plane| plane.total_cmp(&at)).ok().map(|k| k as u32 + 1)
     }
 
     /// Units along each axis.
@@ -39,6 +54,8 @@ impl Lattice {
             lo
         } else if k >= self.units[axis] {
             hi
+        } else if let Some(planes) = &self.planes {
+            planes[axis][k as usize - 1]
         } else {
             let t = f64::from(k) / f64::from(self.units[axis]);
             (f64::from(lo) + (f64::from(hi) - f64::from(lo)) * t) as f32
@@ -50,7 +67,7 @@ impl Lattice {
         Vec3::new(self.coordinate(0, p[0]), self.coordinate(1, p[1]), self.coordinate(2, p[2]))
     }
 
-    /// World length of `units` lattice units along `axis`.
+    /// World length of `units` lattice units along `axis`, for a lattice that is evenly spaced.
     pub fn length(&self, axis: usize, units: u32) -> f64 {
         (f64::from(self.max[axis]) - f64::from(self.min[axis])) * f64::from(units)
             / f64::from(self.units[axis])

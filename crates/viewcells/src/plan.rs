@@ -115,10 +115,7 @@ impl Plan {
         most: u64,
     ) {
         let cells = grid_cells(division, &cell);
-        let cut_here = match division {
-            Division::Grid(_) => cells > most,
-            Division::Adaptive { .. } => depth < FORCED_DEPTH,
-        };
+        let cut_here = is_cut(division, cells > most, depth);
         // Only rectangles that touch the cell's surface can have samples on it.
         let root_face = |f: usize| self.tiles[f].cell.face(f);
         let mut needs: Vec<u32> = (0..6)
@@ -150,10 +147,7 @@ impl Plan {
 
     fn add_blocks(&mut self, division: &Division, lattice: &Lattice, cell: CellBox, depth: u32, most: u64) {
         let cells = grid_cells(division, &cell);
-        let cut_here = match division {
-            Division::Grid(_) => cells > most,
-            Division::Adaptive { .. } => depth < FORCED_DEPTH,
-        };
+        let cut_here = is_cut(division, cells > most, depth);
         match division.split(lattice, &cell, depth).filter(|_| cut_here) {
             Some(split) => {
                 self.outline.push(Outline::Split(split));
@@ -174,12 +168,22 @@ impl Plan {
     }
 }
 
-/// The number of grid cells in a box; 1 for an adaptive division, whose number is not known before the bake.
+/// Whether a box with more or with less cells than a tile is divided into tiles. Each box of a tree is a
+/// tile: boxes of any size share few lines.
+fn is_cut(division: &Division, is_larger: bool, depth: u32) -> bool {
+    match division {
+        Division::Grid(_) => is_larger,
+        Division::Adaptive { .. } => depth < FORCED_DEPTH,
+        Division::Tree(_) => true,
+    }
+}
+
+/// The number of grid cells in a box; 1 for other divisions.
 fn grid_cells(division: &Division, cell: &CellBox) -> u64 {
     match division {
         Division::Grid(_) => {
             (0..3).map(|a| u64::from((cell.hi[a] - cell.lo[a]) / crate::UNITS_PER_CELL)).product()
         }
-        Division::Adaptive { .. } => 1,
+        Division::Adaptive { .. } | Division::Tree(_) => 1,
     }
 }

@@ -1,5 +1,6 @@
 //! Where viewpoints can be: for each cell of a grid, which of its 4×4×4 equal parts hold viewpoints, and,
-//! where walls bound them, in which region of space.
+//! where walls bound them, in which region of space. The boxes of a tree are a grid of one row, in the tree's
+//! order.
 //!
 //! A part is marked when a viewpoint may be in it, so the marked parts hold all viewpoints and a margin of at
 //! most a part around them. Cells without a marked part are not sampled. How parts come to be marked (boxes,
@@ -8,7 +9,6 @@
 use sightline_numbers::varint;
 
 use crate::region::Region;
-use crate::{CellBox, UNITS_PER_CELL};
 
 /// Parts along each side of a cell.
 pub const PARTS: u32 = 4;
@@ -36,6 +36,11 @@ impl Viewpoints {
     pub fn none(cells: [u32; 3]) -> Self {
         let count: usize = cells.iter().map(|c| *c as usize).product();
         Self { cells, parts: vec![0; count], region: None }
+    }
+
+    /// The marks of a single cell.
+    pub fn of_one(parts: u64) -> Self {
+        Self { cells: [1; 3], parts: vec![parts], region: None }
     }
 
     /// The same marks, and a region outside which there are no viewpoints. A free segment that begins in the
@@ -66,6 +71,11 @@ impl Viewpoints {
         self.parts[cell] |= 1 << bit;
     }
 
+    /// Marks all parts of the cell with an index.
+    pub fn mark_all(&mut self, cell: usize) {
+        self.parts[cell] = u64::MAX;
+    }
+
     /// Whether a part is marked.
     pub fn has(&self, part: [u32; 3]) -> bool {
         let (cell, bit) = self.place(part);
@@ -81,13 +91,6 @@ impl Viewpoints {
     /// The marks of the cell with an index.
     pub fn of(&self, cell: usize) -> u64 {
         self.parts[cell]
-    }
-
-    /// The marks of a cell of the grid.
-    pub fn at(&self, cell: &CellBox) -> u64 {
-        let [nx, ny, _] = self.cells.map(|n| n as usize);
-        let [x, y, z] = cell.lo.map(|u| (u / UNITS_PER_CELL) as usize);
-        self.of((z * ny + y) * nx + x)
     }
 
     /// Number of cells with a marked part.

@@ -1,8 +1,9 @@
 //! Where lines leave a view cell: its faces, or the parts of them where viewpoints are.
 //!
-//! Viewpoints may be in a part of the cell alone. The part must hold every free segment that begins in it, as
-//! a region bounded by walls does: then a line from a viewpoint leaves the cell where viewpoints are, and the
-//! triangles seen from the part are those that meet it and those that are seen from its parts of the faces.
+//! Viewpoints may be in a part of the cell alone. The part must hold every free segment in the cell that
+//! begins in it, as a region bounded by walls does, or a box without the walls in its faces: then a line
+//! from a viewpoint leaves the cell where viewpoints are, and the triangles seen from the part are those
+//! that meet it and those that are seen from its parts of the faces.
 
 use glam::Vec3;
 use sightline_numbers::Aabb;
@@ -12,9 +13,9 @@ use crate::geometry::Cell;
 use crate::geometry::polygon::Polygon;
 use sightline_certificate::certificate::faces;
 
-/// The part of space where viewpoints are. A free segment that begins in it must not leave it.
+/// The part of space where viewpoints are. Within a cell, a free segment that begins in it must not leave it.
 pub trait Places: Sync {
-    /// Whether a point is in the closed part.
+    /// Whether a point of the cell is a viewpoint.
     fn hold(&self, point: Vec3) -> bool;
     /// The parts of a cell's face through which free segments leave the cell.
     fn parts(&self, face: &Polygon) -> Vec<Polygon>;

@@ -38,6 +38,8 @@ pub struct CubeCounters {
 pub fn min_distance(params: &SamplingParams, division: &Division, lattice: &Lattice) -> f64 {
     let sides = [0, 1, 2].map(|a| lattice.length(a, lattice.units()[a]));
     let cells = match *division {
+        // A specification has no cubes for the boxes of a tree.
+        Division::Tree(ref tree) => tree.boxes() as f64,
         Division::Grid(cells) => cells.map(f64::from).iter().product(),
         // The number of cells that the deepest level would have.
         Division::Adaptive { max_depth, .. } => f64::from(1u32 << max_depth.min(31)),
@@ -205,7 +207,7 @@ impl Work<'_> {
         out: &mut CellSets,
     ) -> Result<(), TileError> {
         let (seen, samples) = self.seen_from(cell, inside);
-        let division = self.job.division;
+        let division = self.job.division.clone();
         let split = division
             .split(&self.job.lattice, cell, depth)
             .filter(|_| division.wants_split(seen.len(), depth));

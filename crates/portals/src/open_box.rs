@@ -1,0 +1,72 @@
+//! Boxes along walls, for rays: kept off the walls in their faces.
+//!
+//! Rays have origins in single precision, and rounding could move one through a wall in the box's face. Exact
+//! queries need no gap ([`crate::OpenFaces`]).
+
+use sightline_numbers::Aabb;
+use sightline_scene::Scene;
+use sightline_scene::overlap::triangle_touches_box;
+
+use crate::planes::blocks;
+
+/// A box whose faces in which a blocking triangle lies are moved inward by `gap`. An axis along which nothing
+/// would be left keeps its faces.
+pub fn open_box(scene: &Scene, of: Aabb, gap: f32) -> Aabb {
+    let mut is_walled = [[false; 2]; 3];
+    for (id, axis) in walls_in_faces(scene, of) {
+        let level = scene.triangles()[id as usize].v[0][axis];
+        is_walled[axis][usize::from(level == of.max[axis])] = true;
+    }
+    let mut open = of;
+    for (axis, [below, above]) in is_walled.into_iter().enumerate() {
+        let lo = if below { of.min[axis] + gap } else { of.min[axis] };
+        let hi = if above { of.max[axis] - gap } else { of.max[axis] };
+        if lo < hi {
+            (open.min[axis], open.max[axis]) = (lo, hi);
+        }
+    }
+    open
+}
+
+/// The blocking triangles in the faces of a box, each with the axis that it lies across.
+pub fn walls_in_faces(scene: &Scene, of: Aabb) -> Vec<(u32, usize)> {
+    let axis_of = |id: u32| {
+        let triangle = &scene.triangles()[id as usize];
+        let v = triangle.v;
+        (0..3).find(|axis| {
+            let level = v[0][*axis];
+            let mut flat = of;
+            (flat.min[*axis], flat.max[*axis]) = (level, level);
+            (level == of.min[*axis] || level == of.max[*axis])
+                && v.iter().all(|p| p[*axis] == level)
+                && triangle_touches_box(triangle, &flat)
+                && blocks(scene, id)
+        })
+    };
+    (0..scene.len()).filter_map(|id| axis_of(id).map(|axis| (id, axis))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use sightline_scene::{Object, Triangle};
+
+    #[test]
+    fn only_faces_with_walls_move() {
+        let wall = Triangle { v: [Vec3::ZERO, Vec3::Y, Vec3::Z] };
+        let object = Object { name: "wall".to_owned(), first: 0, count: 1 };
+        let scene = Scene::new("wall", vec![wall], vec![object]).unwrap();
+        let of = |min: [f32; 3], max: [f32; 3]| Aabb::new(min.into(), max.into());
+        let beside = of([0.0; 3], [1.0; 3]);
+        assert_eq!(open_box(&scene, beside, 0.25), of([0.25, 0.0, 0.0], [1.0; 3]));
+        // On the other side it is the greater face; beyond the wall's corner none.
+        let other = open_box(&scene, of([-1.0, 0.0, 0.0], [0.0, 1.0, 1.0]), 0.25);
+        assert_eq!(other, of([-1.0, 0.0, 0.0], [-0.25, 1.0, 1.0]));
+        let far = of([0.0, 2.0, 0.0], [1.0, 3.0, 1.0]);
+        assert_eq!(open_box(&scene, far, 0.25), far);
+        let thin = of([0.0; 3], [0.125, 1.0, 1.0]);
+        assert_eq!(open_box(&scene, thin, 0.25), thin);
+    }
+}
