@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-
 use crate::chores::do_chores;
 use crate::ids::{Digest, JobId};
 use crate::scheduler::{Event, Job, Team, Unable, cells_total};

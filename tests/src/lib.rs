@@ -9,6 +9,7 @@
 // that panics with what it saw is what makes their failures readable.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
+mod browser;
 mod compose;
 mod dump;
 mod process;
@@ -16,6 +17,7 @@ mod program;
 
 use std::time::{Duration, Instant};
 
+pub use browser::Browser;
 pub use compose::{Compose, docker, logged, run};
 pub use dump::{Cell, Dump};
 pub use process::{Background, Coordinator, Run, Sandbox};

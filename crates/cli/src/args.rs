@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use sightline_model::BackendChoice;
+use sightline_model::{BackendChoice, Up};
 
 use crate::bench_args::BenchArgs;
 use crate::choices::choice;
@@ -101,6 +101,8 @@ pub enum Command {
     Look(LookArgs),
     /// Check every witness and every certificate of a result with an independent checker.
     Verify(VerifyArgs),
+    /// Look at a result in a browser: walk through the scene as each cell draws it, and click to see why.
+    View(ViewArgs),
     /// Measure time against error for every sampler, from coarse to fine, as a table and curves.
     Bench(BenchArgs),
 }
@@ -438,6 +440,38 @@ pub struct MeasureArgs {
     /// Write the eight worst frames to this folder as PNG: correct pixels green, wrong pixels red.
     #[arg(long, value_name = "DIR")]
     pub images: Option<PathBuf>,
+}
+
+/// Shows a result in a browser: what each cell draws as one walks or flies through the scene, hidden triangles in
+/// red, cells and their numbers as boxes, and for what is clicked why it is visible or hidden. Without -o the page
+/// is served on this machine and opened; with -o it is one file that needs no other and no network.
+#[derive(Args, Debug)]
+pub struct ViewArgs {
+    /// The result.
+    #[arg(value_name = "OUT.pvs")]
+    pub result: PathBuf,
+    /// The scene that it was baked from. Without it only cells are shown.
+    pub scene: Option<PathBuf>,
+    /// Write the page to this file instead of serving it.
+    #[arg(short, long, value_name = "VIEW.html")]
+    pub output: Option<PathBuf>,
+    #[command(flatten)]
+    pub kinds: KindArgs,
+    /// The cell in which the page begins. Default: one whose set is neither large nor small.
+    #[arg(long, value_name = "CELL")]
+    pub cell: Option<u32>,
+    /// What `sightline measure` has printed: the page lists its worst viewpoints.
+    #[arg(long, value_name = "MEASURED.json")]
+    pub worst: Option<PathBuf>,
+    /// The axis that points up. Default: that of the bake, else y.
+    #[arg(long, value_parser = choice::<Up>())]
+    pub up: Option<Up>,
+    /// The port of this machine on which the page is served; 0 for any that is free.
+    #[arg(long, value_name = "PORT", default_value_t = 0, conflicts_with = "output")]
+    pub port: u16,
+    /// Open no browser.
+    #[arg(long, conflicts_with = "output")]
+    pub no_open: bool,
 }
 
 /// Decides for pairs of convex polygons whether one sees the other among the triangles of a scene.

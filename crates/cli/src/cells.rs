@@ -7,7 +7,8 @@ use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
 use sightline_model::bound::{ALPHA, alpha_of, upper_bound};
-use sightline_pvs::Pvs;
+use sightline_pvs::{Pvs, PvsError};
+use sightline_view::Map;
 
 use crate::error::CliError;
 
@@ -133,6 +134,31 @@ fn bounds_of(pvs: &Pvs, of: [&str; 3]) -> Result<Option<Bounds>, CliError> {
         greatest: all.iter().copied().fold(0.0, f64::max),
         mean: sum / all.len() as f64,
     }))
+}
+
+/// A heat map with a number for each cell.
+///
+/// # Errors
+/// [`CliError::Input`] when the result cannot be read.
+pub fn each(pvs: &Pvs, name: &str, of: impl Fn(&Pvs, u32) -> Result<f32, PvsError>) -> Result<Map, CliError> {
+    let values = (0..pvs.cells()).map(|cell| of(pvs, cell)).collect::<Result<_, _>>()?;
+    Ok(Map { name: name.to_owned(), values })
+}
+
+/// Heat maps of the bake's statistics.
+///
+/// # Errors
+/// [`CliError::Input`] when the result cannot be read.
+pub fn maps(pvs: &Pvs) -> Result<Vec<Map>, CliError> {
+    let columns = columns(pvs)?;
+    let rays = ["rays_uniform", "rays_flood", "rays_candidate", "rays_check", "exact_rays"];
+    let at = |name: &str, cell: u32| columns.get(name).map_or(0, |c| c[cell as usize]);
+    Ok(vec![
+        each(pvs, "rays", |_, cell| Ok(rays.iter().map(|name| at(name, cell) as f32).sum()))?,
+        each(pvs, "bound on missed sight lines", |_, cell| {
+            Ok(bound(&columns, OF_TRIANGLES, cell as usize).map_or(f32::NAN, |bound| bound as f32))
+        })?,
+    ])
 }
 
 /// A JSON array with one object per cell.

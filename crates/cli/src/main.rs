@@ -42,6 +42,7 @@ mod stab;
 mod submitting;
 mod verify;
 mod verify_hidden;
+mod view;
 mod why;
 
 use std::io::IsTerminal as _;
@@ -116,6 +117,7 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Measure(a) => measuring::run(&a),
         Command::Sightlines(a) => sightlines::run(&a),
         Command::Verify(a) => verify::run(&a, json),
+        Command::View(a) => view::run(&a, json),
         Command::Bench(a) => bench::run(&a, json),
     }
 }

@@ -19,6 +19,8 @@ pub enum Format {
     Ply,
     /// A scene as binary glTF.
     Glb,
+    /// A page.
+    Html,
 }
 
 impl Format {
@@ -28,6 +30,7 @@ impl Format {
             Self::Pvs => b"\x89PVS",
             Self::Ply => b"ply\n",
             Self::Glb => b"glTF",
+            Self::Html => b"<!do",
         }
     }
 
@@ -36,6 +39,7 @@ impl Format {
             Self::Pvs => "pvs",
             Self::Ply => "ply",
             Self::Glb => "glb",
+            Self::Html => "html",
         }
     }
 }

@@ -29,7 +29,7 @@ const MAGIC: [u8; 8] = *b"\x89PVS\r\n\x1a\n";
 /// All sections there are.
 const SECTIONS: usize = 15;
 /// Sections that every file has: those before the columns.
-const LEAST_SECTIONS: usize = Section::Columns as usize;
+pub(crate) const LEAST_SECTIONS: usize = Section::Columns as usize;
 /// Most sections of a file of version 1.
 const SECTIONS_OF_1: usize = Section::CellPairs as usize;
 const CRC_AT: usize = 36;

@@ -14,7 +14,7 @@ use std::sync::{Arc, OnceLock};
 use crate::builder::check_tiling;
 use crate::error::PvsError;
 use crate::items::ItemTable;
-use crate::layout::{Layout, Section, u32_at, u64_at};
+use crate::layout::{LEAST_SECTIONS, Layout, Section, Written, header, u32_at, u64_at};
 use crate::parse::{check_offsets, read_objects, read_sources, read_tree};
 use crate::portals::Portals;
 use crate::tree::CellTree;
@@ -155,6 +155,19 @@ impl Pvs {
 
     fn part(&self, section: Section) -> &[u8] {
         &self.bytes.get()[self.layout.range(section)]
+    }
+
+    /// The bytes of a file with some sections of this one: with those that every file has, and the wanted of
+    /// the optional ones that are here.
+    pub fn with_sections(&self, wanted: &[Section]) -> Vec<u8> {
+        let is_kept = |section: &Section| {
+            (*section as usize) < LEAST_SECTIONS || wanted.contains(section) && self.layout.has(*section)
+        };
+        let kept: Vec<Section> = Section::ALL.into_iter().filter(is_kept).collect();
+        let written: Vec<Written> = kept.iter().map(|s| Written::of(*s, self.part(*s))).collect();
+        let mut out = header(self.layout.triangles, self.layout.cells, self.layout.nodes, &written);
+        kept.iter().for_each(|section| out.extend(self.part(*section)));
+        out
     }
 
     fn text(&self, section: Section) -> &str {

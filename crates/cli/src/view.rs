@@ -1,0 +1,216 @@
+//! `sightline view`: a result and its scene as a page, written as one file or served on this machine.
+
+use std::io::IsTerminal as _;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+
+use axum::Router;
+use axum::http::{StatusCode, header};
+use axum::response::IntoResponse as _;
+use axum::routing::get;
+use serde_json::Value;
+use sightline_pvs::Pvs;
+use sightline_scene::Scene;
+use sightline_view::{Map, View, Worst, page};
+
+use crate::args::ViewArgs;
+use crate::cells;
+use crate::enclosure;
+use crate::error::CliError;
+use crate::inspect::Summary;
+use crate::opening::{self, plural};
+use crate::output::{Format, Output};
+use crate::progress::say;
+use crate::serve::{self, print};
+
+/// Most cells for which a viewpoint is looked for in the region that walls enclose.
+const MOST_PLACES: u32 = 1 << 15;
+
+/// Makes the page, and writes or serves it.
+pub fn run(args: &ViewArgs, json: bool) -> Result<(), CliError> {
+    let output =
+        args.output.as_ref().map(|path| Output::check(path, Format::Html, Some(&args.result))).transpose()?;
+    let pvs = opening::open(&args.result)?;
+    let scene = match &args.scene {
+        Some(path) => Some(opening::scene_of(path, &args.kinds, &pvs, &args.result)?),
+        None => None,
+    };
+    let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
+    let page = page(&View {
+        title: title(&args.result, args.scene.as_deref()),
+        about: Summary::of(&args.result)?.lines().join("\n"),
+        up: match args.up.map(|up| up.to_string()).as_deref().or(info["up"].as_str()) {
+            Some("z") => 2,
+            _ => 1,
+        },
+        maps: maps(&pvs)?,
+        places: places(&pvs, scene.as_ref(), &args.result)?,
+        worst: args.worst.as_deref().map(|file| worst(file, &pvs)).transpose()?.unwrap_or_default(),
+        start: match args.cell {
+            Some(cell) if cell < pvs.cells() => cell,
+            Some(cell) => {
+                return Err(CliError::Usage(format!(
+                    "--cell {cell}: {} has {}, from 0",
+                    args.result.display(),
+                    plural(pvs.cells() as usize, "cell")
+                )));
+            }
+            None => middling(&pvs)?,
+        },
+        pvs: &pvs,
+        scene: scene.as_ref(),
+    })
+    .map_err(|e| CliError::Input(format!("{}: {e}", args.result.display())))?;
+    match output {
+        Some(output) => {
+            output.write(|out| {
+                out.write_all(page.as_bytes()).map_err(|e| CliError::writing(output.path(), &e))
+            })?;
+            let (path, bytes) = (output.path().display().to_string(), page.len());
+            print(&match json {
+                true => serde_json::json!({"output": path, "bytes": bytes}).to_string(),
+                false => format!("wrote {path}, {bytes} bytes: open it in a browser"),
+            })
+        }
+        None => serve_page(args, page, json),
+    }
+}
+
+fn title(result: &Path, scene: Option<&Path>) -> String {
+    let name = |path: &Path| path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
+    match scene {
+        Some(scene) => format!("{} – {}", name(result), name(scene)),
+        None => name(result),
+    }
+}
+
+/// The heat maps that a result has numbers for.
+fn maps(pvs: &Pvs) -> Result<Vec<Map>, CliError> {
+    let mut all = vec![cells::each(pvs, "triangles in the set", |pvs, cell| {
+        let mut ids = Vec::new();
+        pvs.visible(cell, &mut ids)?;
+        Ok(ids.len() as f32)
+    })?];
+    all.push(cells::each(pvs, "undecided triangles", |pvs, cell| {
+        let mut ids = Vec::new();
+        pvs.undecided(cell, &mut ids)?;
+        Ok(ids.len() as f32)
+    })?);
+    all.push(cells::each(pvs, "bytes of the set", |pvs, cell| Ok(pvs.visible_bytes(cell)?.own as f32))?);
+    all.extend(cells::maps(pvs)?);
+    // A map of one number says nothing.
+    all.retain(|map| map.values.iter().any(|x| *x != 0.0 && !x.is_nan()));
+    Ok(all)
+}
+
+/// A viewpoint for each cell, where viewpoints are in a region alone; NaN where none was found.
+fn places(pvs: &Pvs, scene: Option<&Scene>, result: &Path) -> Result<Vec<[f32; 3]>, CliError> {
+    let Some(scene) = scene.filter(|_| pvs.cells() <= MOST_PLACES) else { return Ok(Vec::new()) };
+    let Some(region) = enclosure::of_result(pvs, scene, result)? else { return Ok(Vec::new()) };
+    let of = |cell: u32| {
+        let [min, max] = pvs.cell_bounds(cell)?;
+        region.any_in(sightline_scene::Aabb::new(min.into(), max.into()))
+    };
+    Ok((0..pvs.cells()).map(|cell| of(cell).map_or([f32::NAN; 3], |p| p.to_array())).collect())
+}
+
+/// The cell with viewpoints whose set is neither large nor small.
+fn middling(pvs: &Pvs) -> Result<u32, CliError> {
+    let (mut ids, mut sizes) = (Vec::new(), Vec::new());
+    for cell in 0..pvs.cells() {
+        if pvs.is_reached(cell)? {
+            pvs.visible(cell, &mut ids)?;
+            sizes.push((ids.len(), cell));
+        }
+    }
+    sizes.sort_unstable();
+    Ok(sizes.get(sizes.len() / 2).map_or(0, |(_, cell)| *cell))
+}
+
+/// The worst frames of what `sightline measure` has printed.
+fn worst(file: &Path, pvs: &Pvs) -> Result<Vec<Worst>, CliError> {
+    let bad = |what: String| {
+        CliError::Input(format!(
+            "{}: {what}; give --worst a file with what `sightline measure` printed",
+            file.display()
+        ))
+    };
+    let text = std::fs::read_to_string(file).map_err(|e| bad(format!("it cannot be read: {e}")))?;
+    let report: Value = serde_json::from_str(&text).map_err(|e| bad(format!("it is no JSON: {e}")))?;
+    let frames = report["worst"].as_array().ok_or_else(|| bad("it has no list \"worst\"".to_owned()))?;
+    let frame = |value: &Value| {
+        let at = value["viewpoint"].as_array().filter(|at| at.len() == 3)?;
+        let mut viewpoint = [0.0; 3];
+        for (x, value) in viewpoint.iter_mut().zip(at) {
+            *x = value.as_f64()? as f32;
+        }
+        let cell = u32::try_from(value["cell"].as_u64()?).ok().filter(|cell| *cell < pvs.cells())?;
+        Some(Worst { viewpoint, cell, error: value["error"].as_f64()? })
+    };
+    let all: Option<Vec<Worst>> = frames.iter().map(frame).collect();
+    all.ok_or_else(|| bad("a frame of its list \"worst\" is malformed, or of another result".to_owned()))
+}
+
+/// Serves the page on this machine until it is interrupted.
+fn serve_page(args: &ViewArgs, page: String, json: bool) -> Result<(), CliError> {
+    let runtime = serve::runtime()?;
+    runtime.block_on(async {
+        let address = SocketAddr::from((Ipv4Addr::LOCALHOST, args.port));
+        let listener = tokio::net::TcpListener::bind(address).await.map_err(|e| {
+            CliError::Usage(format!(
+                "{address} cannot be listened on: {e}; give another --port, or 0 for any"
+            ))
+        })?;
+        let port = listener.local_addr().map_err(CliError::internal)?.port();
+        let page: Arc<str> = page.into();
+        let answer = move |headers: axum::http::HeaderMap| {
+            let page = Arc::clone(&page);
+            async move {
+                // A page of another site could reach this address under a name of its own.
+                let host = headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or("");
+                let own = ["127.0.0.1", "localhost"].map(|name| format!("{name}:{port}"));
+                if !own.iter().any(|own| own == host) {
+                    return (StatusCode::FORBIDDEN, "ask for 127.0.0.1\n").into_response();
+                }
+                let kind =
+                    [(header::CONTENT_TYPE, "text/html; charset=utf-8"), (header::CACHE_CONTROL, "no-store")];
+                (kind, page.to_string()).into_response()
+            }
+        };
+        let url = format!("http://127.0.0.1:{port}/");
+        print(&match json {
+            true => serde_json::json!({"url": url}).to_string(),
+            false => format!("{url} shows {} until you press Ctrl-C", args.result.display()),
+        })?;
+        if !args.no_open && std::io::stdout().is_terminal() {
+            open(&url);
+        }
+        let server = axum::serve(listener, Router::new().route("/", get(answer)));
+        let server = server.with_graceful_shutdown(serve::stop_signal());
+        server.await.map_err(CliError::internal)
+    })
+}
+
+/// Opens an address in the user's browser.
+fn open(url: &str) {
+    let (program, before): (&str, &[&str]) = if cfg!(target_os = "macos") {
+        ("open", &[])
+    } else if cfg!(windows) {
+        ("cmd", &["/c", "start", ""])
+    } else {
+        ("xdg-open", &[])
+    };
+    let nothing = Stdio::null;
+    let opened = Command::new(program)
+        .args(before)
+        .arg(url)
+        .stdin(nothing())
+        .stdout(nothing())
+        .stderr(nothing())
+        .spawn();
+    if let Err(e) = opened {
+        say(&format!("note: no browser was opened ({program}: {e}); open the address yourself"));
+    }
+}

@@ -1,0 +1,116 @@
+//! The page as one HTML document: style, program and data in their places.
+
+use serde_json::json;
+use sightline_pvs::layout::Section;
+
+use crate::pack::{block, triangles, values};
+use crate::{View, ViewError};
+
+const DOCUMENT: &str = include_str!("../page/page.html");
+const STYLE: &str = include_str!("../page/style.css");
+/// The modules of the program, each after those that it imports.
+const MODULES: [&str; 7] = [
+    include_str!("../../../readers/js/pvs.mjs"),
+    include_str!("../page/math.mjs"),
+    include_str!("../page/trace.mjs"),
+    include_str!("../page/why.mjs"),
+    include_str!("../page/draw.mjs"),
+    include_str!("../page/camera.mjs"),
+    include_str!("../page/main.mjs"),
+];
+
+/// The sections that the page's program reads.
+const READ: [Section; 8] = [
+    Section::Info,
+    Section::Method,
+    Section::Tree,
+    Section::Objects,
+    Section::Flags,
+    Section::Visible,
+    Section::Undecided,
+    Section::Items,
+];
+
+/// The page.
+///
+/// # Errors
+/// [`ViewError`].
+pub fn page(view: &View<'_>) -> Result<String, ViewError> {
+    let worst = view
+        .worst
+        .iter()
+        .map(|w| json!({"viewpoint": w.viewpoint.map(f64::from), "cell": w.cell, "error": w.error}));
+    let meta = json!({
+        "up": view.up,
+        "start": view.start,
+        "about": view.about,
+        "maps": view.maps.iter().map(|map| &map.name).collect::<Vec<_>>(),
+        "places": !view.places.is_empty(),
+        "worst": worst.collect::<Vec<_>>(),
+    });
+    let parts = [
+        ("title", escaped(&view.title)),
+        ("style", STYLE.trim_end().to_owned()),
+        // A text in the description must not end the script element.
+        ("meta", meta.to_string().replace('<', "\\u003c")),
+        ("result", block(&view.pvs.with_sections(&READ))?),
+        ("scene", view.scene.map(|scene| block(&triangles(scene))).transpose()?.unwrap_or_default()),
+        ("values", block(&values(view))?),
+        ("program", program()),
+    ];
+    let mut out =
+        String::with_capacity(parts.iter().map(|(_, text)| text.len()).sum::<usize>() + DOCUMENT.len());
+    let mut rest = DOCUMENT;
+    while let Some((before, after)) = rest.split_once("{{") {
+        let (name, after) = after.split_once("}}").unwrap_or((after, ""));
+        out.push_str(before);
+        out.extend(parts.iter().filter(|(part, _)| *part == name).map(|(_, text)| text.as_str()));
+        rest = after;
+    }
+    out.push_str(rest);
+    Ok(out)
+}
+
+/// The modules as one: without imports, and with what they export as plain names.
+fn program() -> String {
+    let mut out = String::new();
+    for line in MODULES.iter().flat_map(|module| module.lines()) {
+        if !line.starts_with("import ") {
+            out.push_str(line.strip_prefix("export ").unwrap_or(line));
+            out.push('\n');
+        }
+    }
+    out
+}
+
+/// Text of an HTML document.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    #[test]
+    fn the_modules_are_one_program() {
+        let all = program();
+        assert!(!all.contains("import {") && !all.contains("export ") && !all.contains("</script"));
+        // Names at the top of a module would meet in one program.
+        let name = |line: &str| {
+            let mut words = line.split([' ', '(', '=']);
+            let is_name = matches!(words.next(), Some("const" | "function" | "class" | "async"));
+            words.find(|word| !word.is_empty() && *word != "function").filter(|_| is_name).map(str::to_owned)
+        };
+        let names: Vec<String> = all.lines().filter_map(name).collect();
+        let once: BTreeSet<&String> = names.iter().collect();
+        assert_eq!(once.len(), names.len(), "{names:?}");
+    }
+
+    #[test]
+    fn text_ends_no_element() {
+        assert_eq!(escaped("<b>\"&"), "&lt;b&gt;&quot;&amp;");
+    }
+}

@@ -1,0 +1,133 @@
+//! Chromium without a window, driven by the WebDriver protocol (W3C) that chromedriver speaks.
+
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::net::TcpStream;
+use std::process::{Child, Command, Stdio};
+
+use serde_json::{Value, json};
+
+use crate::in_ci;
+
+/// A browser of its own, ended at the end.
+pub struct Browser {
+    driver: Child,
+    port: u16,
+    session: String,
+}
+
+impl Browser {
+    /// Starts a browser with a window of this size; `None` without chromedriver, which in CI is a failure.
+    pub fn start([width, height]: [u32; 2]) -> Option<Self> {
+        let driver = Command::new("chromedriver").arg("--port=0").stdout(Stdio::piped()).spawn();
+        let mut driver = match driver {
+            Ok(driver) => driver,
+            Err(e) if !in_ci() => {
+                eprintln!("not run: chromedriver cannot be started ({e}); scripts/setup.sh --for test");
+                return None;
+            }
+            Err(e) => panic!("chromedriver cannot be started: {e}"),
+        };
+        let mut lines = BufReader::new(driver.stdout.take().unwrap()).lines();
+        let port = lines
+            .find_map(|line| {
+                line.unwrap().rsplit_once("successfully on port ")?.1.trim_end_matches('.').parse().ok()
+            })
+            .expect("chromedriver names its port");
+        // It goes on writing.
+        std::thread::spawn(move || lines.for_each(drop));
+        let arguments = [
+            "--headless=new".to_owned(),
+            "--no-sandbox".to_owned(),
+            "--disable-dev-shm-usage".to_owned(),
+            // WebGL2 without a GPU.
+            "--use-angle=swiftshader".to_owned(),
+            "--enable-unsafe-swiftshader".to_owned(),
+            "--hide-scrollbars".to_owned(),
+            format!("--window-size={width},{height}"),
+        ];
+        let mut browser = Self { driver, port, session: String::new() };
+        let wanted = json!({"capabilities": {"alwaysMatch": {
+            "goog:chromeOptions": {"args": arguments},
+            "goog:loggingPrefs": {"browser": "ALL"},
+        }}});
+        let made = browser.call("POST", "/session", &wanted);
+        browser.session = made["sessionId"].as_str().unwrap().to_owned();
+        Some(browser)
+    }
+
+    /// Opens an address.
+    pub fn open(&self, url: &str) {
+        self.session("POST", "/url", &json!({"url": url}));
+    }
+
+    /// What the body of an asynchronous function in JavaScript returns.
+    pub fn run(&self, body: &str) -> Value {
+        let body = format!("return (async () => {{ {body} }})()");
+        self.session("POST", "/execute/sync", &json!({"script": body, "args": []}))
+    }
+
+    /// Clicks at a place of the window.
+    pub fn click(&self, x: i32, y: i32) {
+        let actions = json!([
+            {"type": "pointerMove", "x": x, "y": y, "duration": 0},
+            {"type": "pointerDown", "button": 0},
+            {"type": "pointerUp", "button": 0},
+        ]);
+        self.session(
+            "POST",
+            "/actions",
+            &json!({"actions": [{"type": "pointer", "id": "mouse", "actions": actions}]}),
+        );
+    }
+
+    /// A picture of the window, as PNG in base64.
+    pub fn picture(&self) -> String {
+        self.session("GET", "/screenshot", &Value::Null).as_str().unwrap().to_owned()
+    }
+
+    /// The messages of the console since the last call.
+    pub fn messages(&self) -> Vec<String> {
+        let log = self.session("POST", "/se/log", &json!({"type": "browser"}));
+        log.as_array().unwrap().iter().map(|entry| entry["message"].as_str().unwrap().to_owned()).collect()
+    }
+
+    fn session(&self, verb: &str, path: &str, body: &Value) -> Value {
+        self.call(verb, &format!("/session/{}{path}", self.session), body)
+    }
+
+    /// One request and its answer's value.
+    fn call(&self, verb: &str, path: &str, body: &Value) -> Value {
+        let body = if body.is_null() { String::new() } else { body.to_string() };
+        let mut stream = TcpStream::connect(("127.0.0.1", self.port)).unwrap();
+        let length = body.len();
+        write!(
+            stream,
+            "{verb} {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\nContent-Type: \
+             application/json\r\nContent-Length: {length}\r\n\r\n{body}"
+        )
+        .unwrap();
+        let mut reader = BufReader::new(stream);
+        let mut length = 0;
+        for line in reader.by_ref().lines().map(Result::unwrap).take_while(|line| !line.is_empty()) {
+            if let Some(value) = line.to_ascii_lowercase().strip_prefix("content-length:") {
+                length = value.trim().parse().unwrap();
+            }
+        }
+        let mut answer = vec![0; length];
+        reader.read_exact(&mut answer).unwrap();
+        let answer: Value = serde_json::from_slice(&answer).unwrap();
+        assert!(answer["value"]["error"].is_null(), "{verb} {path}: {answer}");
+        answer["value"].clone()
+    }
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        if !self.session.is_empty() && !std::thread::panicking() {
+            self.session("DELETE", "", &Value::Null);
+        }
+        // It has ended, or it is ended now.
+        drop(self.driver.kill());
+        drop(self.driver.wait());
+    }
+}

@@ -1,0 +1,151 @@
+//! `sightline view`: the page in a browser: what it draws, what it says when something is clicked, and what it
+//! says about bad input.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+
+use sightline_tests::{Browser, Sandbox, wait_for};
+
+/// Two rooms of 2×2×2 with a wall at x = 2 that leaves y from 1 to 2 open, and a shelf in the second.
+fn house() -> String {
+    let mut out = String::new();
+    let mut count = 0;
+    let mut quad = |name: &str, corners: [[f32; 3]; 4]| {
+        out.push_str(&format!("o {name}\n"));
+        corners.iter().for_each(|[x, y, z]| out.push_str(&format!("v {x} {y} {z}\n")));
+        let [a, b, c, d] = [1, 2, 3, 4].map(|k| count + k);
+        out.push_str(&format!("f {a} {b} {c}\nf {a} {c} {d}\n"));
+        count += 4;
+    };
+    for (name, y) in [("floor", 0.0), ("ceiling", 2.0)] {
+        quad(name, [[0.0, y, 0.0], [4.0, y, 0.0], [4.0, y, 2.0], [0.0, y, 2.0]]);
+    }
+    for (name, z) in [("north", 0.0), ("south", 2.0)] {
+        quad(name, [[0.0, 0.0, z], [4.0, 0.0, z], [4.0, 2.0, z], [0.0, 2.0, z]]);
+    }
+    for (name, x) in [("west", 0.0), ("east", 4.0)] {
+        quad(name, [[x, 0.0, 0.0], [x, 2.0, 0.0], [x, 2.0, 2.0], [x, 0.0, 2.0]]);
+    }
+    quad("wall", [[2.0, 0.0, 0.0], [2.0, 1.0, 0.0], [2.0, 1.0, 2.0], [2.0, 0.0, 2.0]]);
+    quad("shelf", [[2.2, 0.1, 0.5], [2.5, 0.1, 0.5], [2.5, 0.1, 1.0], [2.2, 0.1, 1.0]]);
+    out
+}
+
+/// The scene and its exact result with a cell in each room.
+fn sandbox() -> Sandbox {
+    let sandbox = Sandbox::new();
+    sandbox.write("house.obj", house());
+    let boxes = "--view-box 0.25,0.25,0.25,3.65,0.9,1.75 --cells 2x1x1";
+    sandbox.ok(&format!("bake house.obj -o house.pvs --method exact --backend cpu {boxes}"));
+    sandbox
+}
+
+fn text(browser: &Browser, id: &str) -> String {
+    browser.run(&format!("return document.getElementById('{id}').textContent")).as_str().unwrap().to_owned()
+}
+
+#[test]
+fn a_page_shows_the_cell_answers_clicks_and_is_quiet() {
+    let sandbox = sandbox();
+    sandbox.ok("view house.pvs house.obj --cell 0 -o house.html");
+    let Some(browser) = Browser::start([1000, 700]) else { return };
+    browser.open(&format!("file://{}", sandbox.path("house.html").display()));
+    // Looks east, at the wall and over it.
+    let ready = "const page = await sightline; page.jump([0.5, 0.8, 1], [1, 0, 0]); return page !== null;";
+    assert_eq!(browser.run(ready), true);
+    let status = text(&browser, "status");
+    assert!(status.contains("Cell 0 of 2"), "{status}");
+    let state = |script: &str| browser.run(&format!("const page = await sightline; {script}"));
+    let dump = sandbox.dump("house.pvs");
+    assert_eq!(state("return page.drawn"), dump.cells[0].visible.len());
+    // The shelf is behind the wall, low; all but its two triangles are seen.
+    assert!(dump.cells[0].visible.len() < 16);
+    let shelf = "page.choose(page.pvs.objects.find((o) => o.name === 'shelf').first);";
+    state(shelf);
+    let why = text(&browser, "why");
+    assert!(why.contains("“shelf” is hidden from cell 0") && why.contains("“wall”"), "{why}");
+    // A click in the middle of the window meets the wall or what is seen over it.
+    browser.click(700, 350);
+    let why = text(&browser, "why");
+    assert!(why.contains("is visible from cell 0") && why.contains("A free segment"), "{why}");
+    assert_eq!(state("return page.answer.seen.length"), 3);
+    // What is hidden is red only when it is asked for.
+    let reds = "const gl = page.renderer.gl, p = new Uint8Array(4 * gl.drawingBufferWidth * gl.drawingBufferHeight);
+        page.choose(-1); page.draw(); gl.readPixels(0, 0, gl.drawingBufferWidth, gl.drawingBufferHeight, gl.RGBA, \
+        gl.UNSIGNED_BYTE, p); let n = 0;
+        for (let i = 0; i < p.length; i += 4) n += p[i] > 2 * p[i + 1] + 20 && p[i] > 2 * p[i + 2] + 20; return n;";
+    assert_eq!(state(reds), 0);
+    // From above the wall, with the set frozen, the shelf would be in view.
+    let over = "document.getElementById('freeze').click(); page.jump([1.9, 1.9, 0.75], [0.3, -1, 0]);";
+    state(&format!("{over} document.getElementById('hidden').click();"));
+    let count = state(reds).as_u64().unwrap();
+    assert!(count > 100, "{count} red pixels");
+    assert_eq!(state("document.getElementById('hidden').click(); return page.cell"), 0);
+    // Another cell, from the panel.
+    state(
+        "document.getElementById('freeze').click(); document.getElementById('cell').value = 1;
+        document.getElementById('go').click();",
+    );
+    assert_eq!(state("return [page.cell, page.drawn]"), serde_json::json!([1, dump.cells[1].visible.len()]));
+    state("document.getElementById('cell').value = 7; document.getElementById('go').click();");
+    assert!(text(&browser, "note").contains("no cell 7"));
+    assert_eq!(browser.messages(), Vec::<String>::new());
+}
+
+#[test]
+fn a_picture_is_the_same_every_time_and_differs_between_cells() {
+    let sandbox = sandbox();
+    sandbox.ok("view house.pvs house.obj -o house.html");
+    let Some(browser) = Browser::start([800, 600]) else { return };
+    browser.open(&format!("file://{}", sandbox.path("house.html").display()));
+    let at = |x: f32| {
+        browser.run(&format!(
+            "const page = await sightline; page.jump([{x}, 0.8, 1], [1, -0.2, 0]);
+             document.getElementById('panel').hidden = true;
+             document.getElementById('panel').style.display = 'none'; page.draw();"
+        ));
+        browser.picture()
+    };
+    let (first, other, again) = (at(0.5), at(2.5), at(0.5));
+    assert_eq!(first, again);
+    assert_ne!(first, other);
+}
+
+#[test]
+fn a_served_page_answers_its_own_name_alone() {
+    let sandbox = sandbox();
+    let view = sandbox.start("view house.pvs house.obj --no-open");
+    let line = wait_for("the address of the page", || Some(view.out()).filter(|out| out.contains("shows")));
+    let url = line.split(' ').next().unwrap().to_owned();
+    let Some(browser) = Browser::start([800, 600]) else { return };
+    browser.open(&url);
+    assert_eq!(browser.run("const page = await sightline; return page.pvs.cells"), 2);
+    browser.open(&url.replace("127.0.0.1", "localhost"));
+    assert_eq!(browser.run("const page = await sightline; return page.pvs.cells"), 2);
+    assert_eq!(browser.run("return document.title"), "house.pvs – house.obj");
+    assert_eq!(browser.messages(), Vec::<String>::new());
+}
+
+#[test]
+fn without_a_scene_cells_are_drawn() {
+    let sandbox = sandbox();
+    sandbox.ok("view house.pvs -o cells.html");
+    let Some(browser) = Browser::start([800, 600]) else { return };
+    browser.open(&format!("file://{}", sandbox.path("cells.html").display()));
+    browser.run("await sightline;");
+    assert!(text(&browser, "note").contains("Without the scene"));
+    assert_eq!(browser.messages(), Vec::<String>::new());
+}
+
+#[test]
+fn bad_input_is_told() {
+    let sandbox = sandbox();
+    sandbox.ok("generate rooms --grid 2x2 --triangles 800 -o other.glb");
+    sandbox.run("view house.pvs other.glb -o x.html").code(3).says("baked from another scene");
+    sandbox.run("view house.obj -o x.html").code(3).says("not a .pvs file");
+    sandbox.run("view house.pvs house.obj --cell 2 -o x.html").code(2).says("has 2 cells");
+    sandbox.write("worst.json", "{}");
+    sandbox.run("view house.pvs house.obj --worst worst.json -o x.html").code(3).says("no list \"worst\"");
+    sandbox.run("view house.pvs house.obj -o house.obj").code(2).says("house.obj");
+    sandbox.write("worst.json", sandbox.ok("measure house.obj house.pvs --viewpoints 4 --backend cpu"));
+    sandbox.ok("view house.pvs house.obj --worst worst.json -o x.html");
+}
