@@ -54,6 +54,10 @@ have_library libembree3.so.3 || have_library libembree4.so.4 || need EMBREE 'Emb
 
 if [ "$purpose" = test ]; then
   have git || need git 'cargo deny fetches the advisories with it'
+  have chromedriver || need chromium-driver 'drives the browser of the tests of pages'
+  have chromium || need chromium 'the browser of the tests of pages'
+  have mcs || need mono-mcs 'compiles and runs the test of the C# reader'
+  python3 -c 'import venv, ensurepip' 2>/dev/null || need python3-venv 'builds the Python package for its test'
   if in_ci || engine_answers; then
     engine_answers || have dockerd || need docker.io 'container engine, for the container test'
     # Debian 13 packs the engine's command line apart from the daemon; on Debian 12 docker.io holds both.

@@ -1,7 +1,7 @@
 // Reads .pvs results: view cells, and what is visible from each (docs/formats/pvs.md). No dependencies.
 //
 //   import { Pvs } from './pvs.mjs';
-//   const pvs = await Pvs.fetch('level.pvs');        // the whole file; checks every checksum
+//   const pvs = Pvs.parse(await (await fetch('level.pvs')).arrayBuffer());   // checks every checksum
 //   const cell = pvs.cellOf(1, 2, 3);                // -1 outside the view box
 //   for (const id of pvs.visible(cell)) draw(id);    // Uint32Array, ascending
 //
@@ -12,62 +12,42 @@ export class PvsError extends Error {
   name = 'PvsError';
 }
 
-const bad = (why) => { throw new PvsError(`${why}; copy the file again, or bake it again`); };
+const bad = (why) => { throw new PvsError(`${why}; copy or bake it again`); };
 const broken = (what) => bad(`the ${what} of the .pvs file is malformed`);
 const CUT = 'the .pvs file is cut short';
 const MAGIC = [0x89, 0x50, 0x56, 0x53, 13, 10, 26, 10];
-const SECTIONS = ['info', 'method', 'tree', 'objects', 'flags', 'visible', 'undecided', 'columns',
-  'certificates', 'pairs', 'items', 'contributions', 'sources', 'region', 'portals'];
+const SECTIONS = ('info method tree objects flags visible undecided columns certificates pairs items '
+  + 'contributions sources region portals').split(' ');
 
-// CRC-32C, eight bytes at a time.
-const CRC = new Uint32Array(8 * 256);
-for (let n = 0; n < 256; n++) {
-  let c = n;
-  for (let k = 0; k < 8; k++) c = c & 1 ? (c >>> 1) ^ 0x82f63b78 : c >>> 1;
-  CRC[n] = c >>> 0;
-}
-for (let n = 0; n < 256; n++) {
-  for (let k = 1; k < 8; k++) {
-    const c = CRC[(k - 1) * 256 + n];
-    CRC[k * 256 + n] = (c >>> 8) ^ CRC[c & 255];
-  }
-}
-export function crc32c(bytes, crc = 0) {
-  let c = ~crc, i = 0;
-  for (const end = bytes.length - 7; i < end; i += 8) {
-    const a = c ^ (bytes[i] | bytes[i + 1] << 8 | bytes[i + 2] << 16 | bytes[i + 3] << 24);
-    c = CRC[1792 + (a & 255)] ^ CRC[1536 + (a >>> 8 & 255)] ^ CRC[1280 + (a >>> 16 & 255)] ^
-      CRC[1024 + (a >>> 24)] ^ CRC[768 + bytes[i + 4]] ^ CRC[512 + bytes[i + 5]] ^
-      CRC[256 + bytes[i + 6]] ^ CRC[bytes[i + 7]];
-  }
-  for (; i < bytes.length; i++) c = CRC[(c ^ bytes[i]) & 255] ^ c >>> 8;
+const CRC = Uint32Array.from({ length: 256 }, (_, c) => {
+  for (let k = 0; k < 8; k++) c = c & 1 ? c >>> 1 ^ 0x82f63b78 : c >>> 1;
+  return c;
+});
+function crc32c(bytes, before = 0) {
+  let c = ~before;
+  for (let i = 0; i < bytes.length; i++) c = CRC[(c ^ bytes[i]) & 255] ^ c >>> 8;
   return ~c >>> 0;
 }
-
 const matches = (bytes, crc, what, before) => {
   if (crc32c(bytes, before) !== crc) bad(`the .pvs file is damaged: its ${what} does not match its checksum`);
 };
 const viewOf = (b) => new DataView(b.buffer, b.byteOffset, b.byteLength);
 const text = (bytes, what) => {
-  try { return new TextDecoder('utf-8', { fatal: true, ignoreBOM: true }).decode(bytes); } catch {
-    return bad(`the ${what} of the .pvs file is not UTF-8`);
-  }
+  try { return new TextDecoder('utf-8', { fatal: true, ignoreBOM: true }).decode(bytes); } catch { return broken(what); }
 };
 const u64 = (view, at) => {
   const n = view.getUint32(at, true) + view.getUint32(at + 4, true) * 2 ** 32;
-  return Number.isSafeInteger(n) ? n : bad('a length of the .pvs file is too large');
+  return Number.isSafeInteger(n) ? n : broken('header');
 };
 
 // The fixed part of a file: everything but the sections' bytes.
 function header(bytes, length) {
   if (bytes.length < 12 || MAGIC.some((m, i) => bytes[i] !== m)) bad('this is not a .pvs file');
   const view = viewOf(bytes), version = view.getUint32(8, true);
-  if (version !== 1 && version !== 2) bad(`the .pvs file has version ${version}, and this reader knows 1 and 2`);
+  if (version !== 1 && version !== 2) bad(`the .pvs file has version ${version}, this reader knows 1 and 2`);
   if (bytes.length < 40) bad(CUT);
   const [count, triangles, cells, nodes, crc] = [12, 24, 28, 32, 36].map((at) => view.getUint32(at, true));
-  if (count < (version === 1 ? 7 : 8) || count > (version === 1 ? 9 : 15)) {
-    bad(`the .pvs file has ${count} sections`);
-  }
+  if (count < (version === 1 ? 7 : 8) || count > (version === 1 ? 9 : 15)) broken('header');
   const end = 40 + 24 * count;
   if (bytes.length < end) bad(CUT);
   if (u64(view, 16) !== length) bad(`the .pvs file should have ${u64(view, 16)} bytes and has ${length}`);
@@ -79,12 +59,12 @@ function header(bytes, length) {
     const at = 40 + 24 * i, number = view.getUint32(at, true);
     const [offset, size] = [u64(view, at + 8), u64(view, at + 16)];
     if (number <= last || number > 14 || ((version === 1 || i < 7) && number !== i) || offset !== next) {
-      broken('section table');
+      broken('header');
     }
     sections.set(number, { crc: view.getUint32(at + 4, true), offset, size });
     [next, last] = [offset + size, number];
   }
-  if (next !== length || (version === 2 && last < 9)) broken('section table');
+  if (next !== length || (version === 2 && last < 9)) broken('header');
   return { triangles, cells, nodes, sections };
 }
 
@@ -100,29 +80,23 @@ function varint(bytes, at, what) {
   return broken(what);
 }
 
-// Exponential Golomb codes.
-class Bits {
-  constructor(bytes, what) { Object.assign(this, { bytes, what, at: 0, all: bytes.length * 8 }); }
-  code(k) {
-    const { bytes, all } = this;
-    let at = this.at, z = 0;
-    while (at < all && !(bytes[at >> 3] >> (at & 7) & 1)) { at++; z++; }
-    const n = z + k;
-    if (++at + n > all || n > 32) broken(this.what);
-    let low = 0, got = 0;
-    while (got < n) {
+// Reads exponential Golomb codes; without an order, checks the end.
+function codes(bytes, what) {
+  const all = bytes.length * 8, bit = (i) => bytes[i >> 3] >> (i & 7);
+  let at = 0;
+  return (k) => {
+    if (k === undefined) return all - at > 7 || (at < all && bit(at)) ? broken(what) : 0;
+    let n = k, low = 0;
+    while (at < all && !(bit(at) & 1)) { at++; n++; }
+    if (++at + n > all || n > 32) broken(what);
+    for (let got = 0; got < n;) {
       const take = Math.min(8 - (at & 7), n - got);
-      low += (bytes[at >> 3] >> (at & 7) & (1 << take) - 1) * 2 ** got;
+      low += (bit(at) & (1 << take) - 1) * 2 ** got;
       at += take;
       got += take;
     }
-    this.at = at;
     return 2 ** n + low - 2 ** k;
-  }
-  end() {
-    const { bytes, at, all } = this;
-    if (all - at > 7 || (at < all && bytes[at >> 3] >> (at & 7))) broken(this.what);
-  }
+  };
 }
 
 // Flips the boundaries of a coded set's runs in `flips`; returns whether it is absolute.
@@ -135,16 +109,16 @@ function flip(bytes, limit, flips, what) {
   if (gaps.length !== size || !count || count > 8 * Math.min(gaps.length, runs.length)) {
     broken(what);
   }
-  const [a, b] = [new Bits(gaps, what), new Bits(runs, what)];
+  const a = codes(gaps, what), b = codes(runs, what);
   for (let k = 0, end = -1; k < count; k++) {
-    const start = end + 1 + a.code(bytes[1]);
-    end = start + 1 + b.code(bytes[2]);
+    const start = end + 1 + a(bytes[1]);
+    end = start + 1 + b(bytes[2]);
     if (end > limit) broken(what);
     flips[start >> 5] ^= 1 << (start & 31);
     flips[end >> 5] ^= 1 << (end & 31);
   }
-  a.end();
-  b.end();
+  a();
+  b();
   return bytes[0] === 1;
 }
 
@@ -181,19 +155,12 @@ export class Pvs {
     return new Pvs(head, of, (offset, size) => bytes.subarray(offset, offset + size));
   }
 
-  // Fetches a whole file.
-  static async fetch(url, options) {
-    const answer = await fetch(url, options);
-    return answer.ok ? Pvs.parse(await answer.arrayBuffer()) : bad(`${url}: ${answer.status}`);
-  }
-
   // Fetches the tables of a file by range requests; sets are then fetched when they are asked for.
-  static async ranges(url, options = {}) {
+  static async ranges(url) {
     let length = 0;
     const range = async (offset, size) => {
       if (!size) return new Uint8Array(0);
-      const headers = { ...options.headers, Range: `bytes=${offset}-${offset + size - 1}` };
-      const answer = await fetch(url, { ...options, headers });
+      const answer = await fetch(url, { headers: { Range: `bytes=${offset}-${offset + size - 1}` } });
       const all = /^bytes (\d+)-\d+\/(\d+)$/.exec(answer.headers.get('content-range') ?? '');
       if (answer.status !== 206 || !all || +all[1] !== offset) bad(`${url}: the server has no ranges`);
       length = +all[2];
@@ -220,7 +187,6 @@ export class Pvs {
     this.cells = head.cells;
     this.info = text(of(0), 'info');
     this.method = text(of(1), 'method');
-    if (!['aggressive', 'exact', 'verified', 'portals'].includes(this.method)) bad('the method is unknown');
     this.#tree(of(2));
     this.objects = this.#objects(of(3));
     const flags = of(4);
@@ -256,9 +222,7 @@ export class Pvs {
     if (bytes.length !== 24 + 8 * nodes) broken('tree');
     const float = (at) => view.getFloat32(at, true);
     this.viewBox = Float32Array.from({ length: 6 }, (_, k) => float(4 * k));
-    if (!this.viewBox.every((x, k) => Number.isFinite(x) && (k < 3 || this.viewBox[k - 3] <= x))) {
-      broken('view box');
-    }
+    if (!this.viewBox.every((x, k) => Number.isFinite(x) && (k < 3 || this.viewBox[k - 3] <= x))) broken('tree');
     this.#axis = new Uint8Array(nodes);
     this.#at = new Float32Array(nodes);
     this.#parent = new Uint32Array(nodes);
@@ -329,7 +293,7 @@ export class Pvs {
   isReached(cell) { return !(this.flags[cell] & 2); }
   isSetAside(cell) { return !!(this.flags[cell] & 1); }
 
-  // What to draw from a cell, ascending; with Pvs.ranges a promise of it.
+  // What to draw from a cell, ascending; with Pvs.ranges a promise of it where something must be fetched.
   visible(cell) { return this.#set(5, cell); }
 
   // The part of it that was neither seen nor proved hidden.
@@ -350,10 +314,10 @@ export class Pvs {
 
   #set(number, cell) {
     if (!(Number.isInteger(cell) && cell >= 0 && cell < this.cells)) {
-      throw new PvsError(`cell ${cell} does not exist; the result has ${this.cells} cells`);
+      throw new PvsError(`there is no cell ${cell}; the result has ${this.cells}`);
     }
     const offsets = this.#offsets[number], limit = this.items.count;
-    if (!offsets) return this.#isAsync() ? Promise.resolve(new Uint32Array(0)) : new Uint32Array(0);
+    if (!offsets) return new Uint32Array(0);
     const base = this.#head.sections.get(number).offset + 8 * (this.#head.nodes + 1);
     const flips = new Int32Array((limit >> 5) + 1);
     const step = (node) => {
@@ -366,6 +330,4 @@ export class Pvs {
     };
     return step(this.#leaf[cell]);
   }
-
-  #isAsync() { return this.#read.constructor.name === 'AsyncFunction'; }
 }

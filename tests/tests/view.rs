@@ -1,5 +1,5 @@
-//! `sightline view`: the page in a browser: what it draws, what it says when something is clicked, and what it
-//! says about bad input.
+//! `sightline view`: the page in a browser: what it draws, what it says when something is clicked, and what
+//! it says about bad input.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -69,10 +69,13 @@ fn a_page_shows_the_cell_answers_clicks_and_is_quiet() {
     assert!(why.contains("is visible from cell 0") && why.contains("A free segment"), "{why}");
     assert_eq!(state("return page.answer.seen.length"), 3);
     // What is hidden is red only when it is asked for.
-    let reds = "const gl = page.renderer.gl, p = new Uint8Array(4 * gl.drawingBufferWidth * gl.drawingBufferHeight);
-        page.choose(-1); page.draw(); gl.readPixels(0, 0, gl.drawingBufferWidth, gl.drawingBufferHeight, gl.RGBA, \
-        gl.UNSIGNED_BYTE, p); let n = 0;
-        for (let i = 0; i < p.length; i += 4) n += p[i] > 2 * p[i + 1] + 20 && p[i] > 2 * p[i + 2] + 20; return n;";
+    let reds = "const gl = page.renderer.gl, w = gl.drawingBufferWidth, h = gl.drawingBufferHeight;
+        const p = new Uint8Array(4 * w * h);
+        page.choose(-1); page.draw(); gl.readPixels(0, 0, w, h, gl.RGBA, gl.UNSIGNED_BYTE, p); let n = 0;
+        for (let i = 0; i < p.length; i += 4) {
+          n += p[i] > 2 * p[i + 1] + 20 && p[i] > 2 * p[i + 2] + 20;
+        }
+        return n;";
     assert_eq!(state(reds), 0);
     // From above the wall, with the set frozen, the shelf would be in view.
     let over = "document.getElementById('freeze').click(); page.jump([1.9, 1.9, 0.75], [0.3, -1, 0]);";

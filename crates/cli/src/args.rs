@@ -126,6 +126,9 @@ pub struct BakeArgs {
     /// ~/.cache/sightline.
     #[arg(long, value_name = "DIR")]
     pub data_dir: Option<PathBuf>,
+    /// Show the result in a browser afterwards, as `sightline view` does.
+    #[arg(long)]
+    pub view: bool,
 }
 
 #[derive(Args, Debug)]
@@ -442,9 +445,10 @@ pub struct MeasureArgs {
     pub images: Option<PathBuf>,
 }
 
-/// Shows a result in a browser: what each cell draws as one walks or flies through the scene, hidden triangles in
-/// red, cells and their numbers as boxes, and for what is clicked why it is visible or hidden. Without -o the page
-/// is served on this machine and opened; with -o it is one file that needs no other and no network.
+/// Shows a result in a browser: what each cell draws as one walks or flies through the scene, hidden
+/// triangles in red, cells and their numbers as boxes, and for what is clicked why it is visible or hidden.
+/// Without -o the page is served on this machine and opened; with -o it is one file that needs no other and
+/// no network.
 #[derive(Args, Debug)]
 pub struct ViewArgs {
     /// The result.
@@ -472,6 +476,23 @@ pub struct ViewArgs {
     /// Open no browser.
     #[arg(long, conflicts_with = "output")]
     pub no_open: bool,
+}
+
+impl ViewArgs {
+    /// The page of a result and its scene, served and opened.
+    pub fn of(result: PathBuf, scene: PathBuf, kinds: KindArgs) -> Self {
+        Self {
+            result,
+            scene: Some(scene),
+            output: None,
+            kinds,
+            cell: None,
+            worst: None,
+            up: None,
+            port: 0,
+            no_open: false,
+        }
+    }
 }
 
 /// Decides for pairs of convex polygons whether one sees the other among the triangles of a scene.

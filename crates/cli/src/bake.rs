@@ -19,7 +19,7 @@ use sightline_worker::{Backends, Choice, Loaded, SceneCache, Stop};
 use tokio::sync::watch;
 use tonic::transport::Channel;
 
-use crate::args::BakeArgs;
+use crate::args::{BakeArgs, ViewArgs};
 use crate::backends;
 use crate::client;
 use crate::error::CliError;
@@ -28,6 +28,7 @@ use crate::opening::{self, plural};
 use crate::output::{Format, Output};
 use crate::progress::{human, say};
 use crate::serve::{self, threads};
+use crate::view;
 
 /// Runs a bake.
 pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
@@ -86,7 +87,12 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     // Running tiles are abandoned; waiting for them could take minutes.
     runtime.shutdown_timeout(Duration::from_millis(200));
     let outcome = outcome?;
-    report(&args, &outcome, start.elapsed(), json)
+    report(&args, &outcome, start.elapsed(), json)?;
+    if !args.view {
+        return Ok(());
+    }
+    let BakeArgs { scene, output, kinds, .. } = args;
+    view::run(&ViewArgs::of(output, scene, kinds), json)
 }
 
 /// What portals can do for a scene, before the work starts.

@@ -109,14 +109,14 @@ class Page {
     this.jump(this.place(cell), this.widest(this.place(cell)));
   }
 
-  // The level direction with the longest free way.
+  // The level direction with the longest free way to something; else that of the middle of the view box.
   widest(from) {
-    if (!this.at.length || this.pvs.triangles > 4e5) return null;
-    let best = [-1, null];
-    for (let k = 0; k < 16; k++) {
+    const box = this.pvs.viewBox, middle = [0, 1, 2].map((k) => (box[k] + box[k + 3]) / 2 - from[k]);
+    let best = [0, norm(middle) > 0 ? middle : null];
+    for (let k = 0; k < 16 && this.at.length && this.pvs.triangles < 4e5; k++) {
       const w = Math.PI * k / 8, d = this.camera.turned([Math.sin(w), 0, -Math.cos(w)]);
-      const t = Math.min(this.size, this.tracer.first_hit(from, d)[1]);
-      if (t > best[0]) best = [t, d];
+      const [hit, t] = this.tracer.first_hit(from, d);
+      if (hit >= 0 && t > best[0]) best = [t, d];
     }
     return best[1];
   }
