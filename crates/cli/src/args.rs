@@ -31,8 +31,8 @@ pub struct Cli {
 
 const EXIT_CODES: &str = "\
 Exit codes: 0 done, 1 internal error, 2 wrong usage, 3 bad input or a result that `verify` refuses, \
-4 coordinator unreachable or refusing, 5 job failed, 130 interrupted (run the same command again to \
-continue).\n\
+4 coordinator unreachable or refusing, 5 job failed, 6 results that differ (`diff --fail-above`), \
+130 interrupted (run the same command again to continue).\n\
 SIGHTLINE_LOG=debug (or info, warn) sets how much is logged to stderr.";
 
 impl Cli {
@@ -89,6 +89,10 @@ pub enum Command {
     Info(InfoArgs),
     /// Print the sets of a result as JSON Lines.
     Dump(DumpArgs),
+    /// Compare two results of the same cells: what came into their sets and what went.
+    Diff(DiffArgs),
+    /// Write the objects of each cell for an engine, for streaming, or as a table.
+    Export(ExportArgs),
     /// Print the set of the cell that contains a point, or why a triangle is in this set or not.
     Query(QueryArgs),
     /// Measure the fraction of wrong pixels from random viewpoints or along a camera path.
@@ -105,6 +109,26 @@ pub enum Command {
     View(ViewArgs),
     /// Measure time against error for every sampler, from coarse to fine, as a table and curves.
     Bench(BenchArgs),
+    /// Print the completions of this command line for a shell.
+    Completions(CompletionsArgs),
+    /// Write the manual pages of all commands.
+    Man(ManArgs),
+}
+
+/// Prints the completions of this command line for a shell, such as
+/// `sightline completions bash > ~/.local/share/bash-completion/completions/sightline`.
+#[derive(Args, Debug)]
+pub struct CompletionsArgs {
+    /// The shell.
+    #[arg(value_enum)]
+    pub shell: clap_complete::Shell,
+}
+
+/// Writes a manual page for each command, such as `sightline man ~/.local/share/man/man1`.
+#[derive(Args, Debug)]
+pub struct ManArgs {
+    /// The folder, which is made if it is not there.
+    pub folder: PathBuf,
 }
 
 #[derive(Args, Debug)]
@@ -445,6 +469,59 @@ pub struct MeasureArgs {
     pub images: Option<PathBuf>,
 }
 
+/// Compares two results cell by cell: what came into the sets, what went, in which objects, and whether
+/// sampling alone may explain it. Triangles are compared where both scenes have the same objects, else
+/// objects by name.
+///
+/// Items that came are a change when they take more of the view than the older result may miss (its bound of
+/// --max-error), and those that went when they take more than the newer one may. This needs both results with
+/// --max-error (or an exact method) and with --contributions.
+#[derive(Args, Debug)]
+pub struct DiffArgs {
+    /// The older result.
+    #[arg(value_name = "OLDER.pvs")]
+    pub older: PathBuf,
+    /// The newer result.
+    #[arg(value_name = "NEWER.pvs")]
+    pub newer: PathBuf,
+    /// Compare objects by name, although triangles could be compared.
+    #[arg(long)]
+    pub objects: bool,
+    /// End with exit code 6 if more than this fraction of the sets changed, on average over the cells.
+    #[arg(long, value_name = "F", value_parser = parse_fraction)]
+    pub fail_above: Option<f64>,
+    /// Print Markdown, for a comment on a change.
+    #[arg(long)]
+    pub markdown: bool,
+}
+
+/// A form of export.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ExportFormat {
+    /// JSON: the scene's objects with their places in the glTF file, and for each cell its box and objects
+    Sidecar,
+    /// JSON for streaming: the same with each cell's number of triangles, the neighbours to load next, and
+    /// the objects' shares of the view where the bake measured those of objects
+    Manifest,
+    /// A line for each pair of a cell and an object in its set
+    Csv,
+}
+
+/// Writes the objects of each cell for an engine, for streaming, or as a table. Cells without viewpoints
+/// are left out.
+#[derive(Args, Debug)]
+pub struct ExportArgs {
+    /// The result.
+    #[arg(value_name = "OUT.pvs")]
+    pub result: PathBuf,
+    /// The form.
+    #[arg(long, value_enum)]
+    pub format: ExportFormat,
+    /// The file to write.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+}
+
 /// Shows a result in a browser: what each cell draws as one walks or flies through the scene, hidden
 /// triangles in red, cells and their numbers as boxes, and for what is clicked why it is visible or hidden.
 /// Without -o the page is served on this machine and opened; with -o it is one file that needs no other and
@@ -529,6 +606,12 @@ pub struct SightlinesArgs {
     /// Threads, 1 to 256. Default: one per core.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     pub threads: Option<u16>,
+}
+
+/// A fraction from 0 to 1.
+fn parse_fraction(text: &str) -> Result<f64, String> {
+    let fraction = text.parse::<f64>().ok().filter(|f| (0.0..=1.0).contains(f));
+    fraction.ok_or_else(|| "give a fraction from 0 to 1, as in 0.01".to_owned())
 }
 
 fn parse_grid(text: &str) -> Result<[u32; 2], String> {

@@ -161,6 +161,15 @@ pub fn maps(pvs: &Pvs) -> Result<Vec<Map>, CliError> {
     ])
 }
 
+/// The bound of each cell on the fraction of sight lines it misses, where it has one.
+///
+/// # Errors
+/// [`CliError::Input`] when the result cannot be read.
+pub fn bounds_of_cells(pvs: &Pvs) -> Result<Vec<Option<f64>>, CliError> {
+    let columns = columns(pvs)?;
+    Ok((0..pvs.cells() as usize).map(|cell| bound(&columns, OF_TRIANGLES, cell)).collect())
+}
+
 /// A JSON array with one object per cell.
 ///
 /// # Errors

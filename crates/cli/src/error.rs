@@ -23,6 +23,9 @@ pub enum CliError {
     /// Exit code 5: the job ended without a result.
     #[error("{0}")]
     Job(String),
+    /// Exit code 6: two results differ by more than was allowed.
+    #[error("{0}")]
+    Different(String),
     /// Exit code 130: Ctrl-C or SIGTERM.
     #[error("{0}")]
     Interrupted(String),
@@ -51,6 +54,7 @@ impl CliError {
             Self::Input(_) => 3,
             Self::Coordinator(_) => 4,
             Self::Job(_) => 5,
+            Self::Different(_) => 6,
             Self::Interrupted(_) => 130,
         })
     }

@@ -16,15 +16,18 @@ mod bench_args;
 mod cells;
 mod choices;
 mod client;
+mod diff;
 mod dump;
 mod enclosure;
 mod error;
+mod export;
 mod files;
 mod inspect;
 mod job_args;
 mod json_lines;
 mod kind_args;
 mod look;
+mod manuals;
 mod measuring;
 mod opening;
 mod output;
@@ -113,11 +116,15 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Generate(a) => files::generate(&a, json),
         Command::Info(a) => inspect::info(&a, json),
         Command::Dump(a) => dump::dump(&a),
+        Command::Diff(a) => diff::run(&a, json),
+        Command::Export(a) => export::run(&a, json),
         Command::Query(a) => query::query(&a, json),
         Command::Measure(a) => measuring::run(&a),
         Command::Sightlines(a) => sightlines::run(&a),
         Command::Verify(a) => verify::run(&a, json),
         Command::View(a) => view::run(&a, json),
         Command::Bench(a) => bench::run(&a, json),
+        Command::Completions(a) => manuals::completions(&a),
+        Command::Man(a) => manuals::man(&a),
     }
 }

@@ -21,6 +21,10 @@ pub enum Format {
     Glb,
     /// A page.
     Html,
+    /// A document of `export`.
+    Json,
+    /// A table of `export`.
+    Csv,
 }
 
 impl Format {
@@ -31,6 +35,8 @@ impl Format {
             Self::Ply => b"ply\n",
             Self::Glb => b"glTF",
             Self::Html => b"<!do",
+            Self::Json => b"{\"format\"",
+            Self::Csv => b"cell,object",
         }
     }
 
@@ -40,6 +46,8 @@ impl Format {
             Self::Ply => "ply",
             Self::Glb => "glb",
             Self::Html => "html",
+            Self::Json => "json",
+            Self::Csv => "csv",
         }
     }
 }
