@@ -2,6 +2,8 @@
 # install.sh PREFIX: builds the C library and installs header, libraries and pkg-config file below PREFIX.
 set -eu
 prefix=${1:?give the folder to install to, such as /usr/local}
+mkdir -p "$prefix"
+prefix=$(cd "$prefix" && pwd)
 cd "$(dirname "$0")/../.."
 target=${CARGO_TARGET_DIR:-target}
 cargo build --release --locked -p sightline-pvs-c
@@ -11,6 +13,6 @@ cp readers/c/include/sightline_pvs.h "$prefix/include/"
 for library in libsightline_pvs_c.a libsightline_pvs_c.so libsightline_pvs_c.dylib; do
     if [ -e "$target/release/$library" ]; then cp "$target/release/$library" "$prefix/lib/"; fi
 done
-sed -e "s|@PREFIX@|$(cd "$prefix" && pwd)|" -e "s|@VERSION@|$version|" readers/c/sightline_pvs.pc.in \
+sed -e "s|@PREFIX@|$prefix|" -e "s|@VERSION@|$version|" readers/c/sightline_pvs.pc.in \
     > "$prefix/lib/pkgconfig/sightline_pvs.pc"
 echo "installed below $prefix: pkg-config --cflags --libs sightline_pvs"

@@ -27,17 +27,31 @@ namespace Sightline
         public uint First, Count;
     }
 
+    // Keeps a result open while a query runs, and closes it once.
+    sealed class PvsHandle : SafeHandle
+    {
+        public PvsHandle(IntPtr opened) : base(IntPtr.Zero, true) { SetHandle(opened); }
+        public override bool IsInvalid { get { return handle == IntPtr.Zero; } }
+
+        protected override bool ReleaseHandle()
+        {
+            Pvs.sightline_pvs_close(handle);
+            return true;
+        }
+    }
+
     /// <summary>An opened result.</summary>
     public sealed class Pvs : IDisposable
     {
         const string Library = "sightline_pvs_c";
-        IntPtr handle;
+        const CallingConvention C = CallingConvention.Cdecl;
+        readonly PvsHandle handle;
 
         /// <summary>Opens a file and checks all of it.</summary>
         public Pvs(string path)
         {
             IntPtr error;
-            handle = sightline_pvs_open(Encoding.UTF8.GetBytes(path + "\0"), out error);
+            handle = new PvsHandle(sightline_pvs_open(Encoding.UTF8.GetBytes(path + "\0"), out error));
             Check(error);
         }
 
@@ -45,53 +59,44 @@ namespace Sightline
         public Pvs(byte[] bytes)
         {
             IntPtr error;
-            handle = sightline_pvs_read(bytes, (UIntPtr)bytes.Length, out error);
+            handle = new PvsHandle(sightline_pvs_read(bytes, (UIntPtr)bytes.Length, out error));
             Check(error);
         }
 
         void Check(IntPtr error)
         {
-            if (handle != IntPtr.Zero) return;
+            if (!handle.IsInvalid) return;
             string why = Text(error);
             sightline_pvs_free(error);
             throw new PvsException(why);
         }
 
-        IntPtr Open
-        {
-            get
-            {
-                if (handle == IntPtr.Zero) throw new ObjectDisposedException("Sightline.Pvs");
-                return handle;
-            }
-        }
-
-        public uint Triangles { get { return sightline_pvs_triangles(Open); } }
-        public uint Cells { get { return sightline_pvs_cells(Open); } }
-        public uint Objects { get { return sightline_pvs_objects(Open); } }
+        public uint Triangles { get { return sightline_pvs_triangles(handle); } }
+        public uint Cells { get { return sightline_pvs_cells(handle); } }
+        public uint Objects { get { return sightline_pvs_objects(handle); } }
 
         /// <summary>How the sets were made: aggressive, exact, verified or portals.</summary>
-        public string Method { get { return Text(sightline_pvs_method(Open)); } }
+        public string Method { get { return Alive(Text(sightline_pvs_method(handle))); } }
 
         /// <summary>The description of the bake, as JSON.</summary>
-        public string Info { get { return Text(sightline_pvs_info(Open)); } }
+        public string Info { get { return Alive(Text(sightline_pvs_info(handle))); } }
 
         public PvsObject Object(uint number)
         {
             uint first, count;
-            IntPtr name = sightline_pvs_object(Open, number, out first, out count);
+            IntPtr name = sightline_pvs_object(handle, number, out first, out count);
             if (name == IntPtr.Zero) throw new ArgumentOutOfRangeException("number");
-            return new PvsObject { Name = Text(name), First = first, Count = count };
+            return new PvsObject { Name = Alive(Text(name)), First = first, Count = count };
         }
 
         /// <summary>The cell that holds a point in the scene's space; -1 outside the view box.</summary>
-        public long CellOf(float x, float y, float z) { return sightline_pvs_cell_of(Open, x, y, z); }
+        public long CellOf(float x, float y, float z) { return sightline_pvs_cell_of(handle, x, y, z); }
 
         /// <summary>The box of a cell: least x, y, z, then greatest x, y, z.</summary>
         public float[] Box(uint cell)
         {
             var box = new float[6];
-            if (!sightline_pvs_cell_box(Open, cell, box)) throw new ArgumentOutOfRangeException("cell");
+            if (!sightline_pvs_cell_box(handle, cell, box)) throw new ArgumentOutOfRangeException("cell");
             return box;
         }
 
@@ -100,7 +105,7 @@ namespace Sightline
 
         long Flags(uint cell)
         {
-            long flags = sightline_pvs_flags(Open, cell);
+            long flags = sightline_pvs_flags(handle, cell);
             if (flags < 0) throw new ArgumentOutOfRangeException("cell");
             return flags;
         }
@@ -120,21 +125,21 @@ namespace Sightline
         uint[] Set(uint set, uint cell)
         {
             Flags(cell);
-            long count = sightline_pvs_set(Open, set, cell, null, UIntPtr.Zero);
+            long count = sightline_pvs_set(handle, set, cell, null, UIntPtr.Zero);
             if (count < 0) throw new PvsException("the .pvs file was changed since it was opened");
             var ids = new uint[count];
-            if (count > 0) sightline_pvs_set(Open, set, cell, ids, (UIntPtr)ids.Length);
+            if (count > 0) sightline_pvs_set(handle, set, cell, ids, (UIntPtr)ids.Length);
             return ids;
         }
 
-        public void Dispose()
-        {
-            sightline_pvs_close(handle);
-            handle = IntPtr.Zero;
-            GC.SuppressFinalize(this);
-        }
+        public void Dispose() { handle.Dispose(); }
 
-        ~Pvs() { sightline_pvs_close(handle); }
+        // The library's strings live as long as the result: it is not closed before they are copied.
+        string Alive(string copied)
+        {
+            GC.KeepAlive(handle);
+            return copied;
+        }
 
         // The strings of the library are in UTF-8, which .NET Framework and Mono do not marshal by themselves.
         static string Text(IntPtr at)
@@ -146,23 +151,23 @@ namespace Sightline
             return Encoding.UTF8.GetString(bytes);
         }
 
-        [DllImport(Library)] static extern IntPtr sightline_pvs_open(byte[] path, out IntPtr error);
-        [DllImport(Library)] static extern IntPtr sightline_pvs_read(byte[] bytes, UIntPtr length, out IntPtr error);
-        [DllImport(Library)] static extern void sightline_pvs_close(IntPtr pvs);
-        [DllImport(Library)] static extern void sightline_pvs_free(IntPtr error);
-        [DllImport(Library)] static extern uint sightline_pvs_triangles(IntPtr pvs);
-        [DllImport(Library)] static extern uint sightline_pvs_cells(IntPtr pvs);
-        [DllImport(Library)] static extern uint sightline_pvs_objects(IntPtr pvs);
-        [DllImport(Library)] static extern IntPtr sightline_pvs_method(IntPtr pvs);
-        [DllImport(Library)] static extern IntPtr sightline_pvs_info(IntPtr pvs);
-        [DllImport(Library)]
-        static extern IntPtr sightline_pvs_object(IntPtr pvs, uint number, out uint first, out uint count);
-        [DllImport(Library)] static extern long sightline_pvs_cell_of(IntPtr pvs, float x, float y, float z);
-        [DllImport(Library)]
+        [DllImport(Library, CallingConvention = C)] static extern IntPtr sightline_pvs_open(byte[] path, out IntPtr error);
+        [DllImport(Library, CallingConvention = C)] static extern IntPtr sightline_pvs_read(byte[] bytes, UIntPtr length, out IntPtr error);
+        [DllImport(Library, CallingConvention = C)] internal static extern void sightline_pvs_close(IntPtr pvs);
+        [DllImport(Library, CallingConvention = C)] static extern void sightline_pvs_free(IntPtr error);
+        [DllImport(Library, CallingConvention = C)] static extern uint sightline_pvs_triangles(PvsHandle pvs);
+        [DllImport(Library, CallingConvention = C)] static extern uint sightline_pvs_cells(PvsHandle pvs);
+        [DllImport(Library, CallingConvention = C)] static extern uint sightline_pvs_objects(PvsHandle pvs);
+        [DllImport(Library, CallingConvention = C)] static extern IntPtr sightline_pvs_method(PvsHandle pvs);
+        [DllImport(Library, CallingConvention = C)] static extern IntPtr sightline_pvs_info(PvsHandle pvs);
+        [DllImport(Library, CallingConvention = C)]
+        static extern IntPtr sightline_pvs_object(PvsHandle pvs, uint number, out uint first, out uint count);
+        [DllImport(Library, CallingConvention = C)] static extern long sightline_pvs_cell_of(PvsHandle pvs, float x, float y, float z);
+        [DllImport(Library, CallingConvention = C)]
         [return: MarshalAs(UnmanagedType.I1)]
-        static extern bool sightline_pvs_cell_box(IntPtr pvs, uint cell, float[] box);
-        [DllImport(Library)] static extern long sightline_pvs_flags(IntPtr pvs, uint cell);
-        [DllImport(Library)]
-        static extern long sightline_pvs_set(IntPtr pvs, uint set, uint cell, [Out] uint[] ids, UIntPtr room);
+        static extern bool sightline_pvs_cell_box(PvsHandle pvs, uint cell, float[] box);
+        [DllImport(Library, CallingConvention = C)] static extern long sightline_pvs_flags(PvsHandle pvs, uint cell);
+        [DllImport(Library, CallingConvention = C)]
+        static extern long sightline_pvs_set(PvsHandle pvs, uint set, uint cell, [Out] uint[] ids, UIntPtr room);
     }
 }

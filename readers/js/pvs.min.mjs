@@ -51,7 +51,7 @@ broken('header');
 sections.set(number, { crc: view.getUint32(at + 4, true), offset, size });
 [next, last] = [offset + size, number];
 }
-if (next !== length || (version === 2 && last < 9)) broken('header');
+if (next !== length) broken('header');
 return { triangles, cells, nodes, sections };
 }
 function varint(bytes, at, what) {
@@ -82,22 +82,21 @@ got += take;
 return 2 ** n + low - 2 ** k;
 };
 }
-function flip(bytes, limit, flips, what) {
+function runs(bytes, limit, each, what) {
 if (!bytes.length) return false;
 if (bytes[0] === 3 && bytes.length === 1) return true;
 if (bytes[0] > 1 || bytes.length < 3 || bytes[1] > 31 || bytes[2] > 31) broken(what);
 const at = { i: 3 }, count = varint(bytes, at, what), size = varint(bytes, at, what);
-const gaps = bytes.subarray(at.i, at.i + size), runs = bytes.subarray(at.i + size);
-if (gaps.length !== size || !count || count > 8 * Math.min(gaps.length, runs.length)) {
+const gaps = bytes.subarray(at.i, at.i + size), rest = bytes.subarray(at.i + size);
+if (gaps.length !== size || !count || count > 8 * Math.min(size, rest.length)) {
 broken(what);
 }
-const a = codes(gaps, what), b = codes(runs, what);
+const a = codes(gaps, what), b = codes(rest, what);
 for (let k = 0, end = -1; k < count; k++) {
 const start = end + 1 + a(bytes[1]);
 end = start + 1 + b(bytes[2]);
 if (end > limit) broken(what);
-flips[start >> 5] ^= 1 << (start & 31);
-flips[end >> 5] ^= 1 << (end & 31);
+each(start, end);
 }
 a();
 b();
@@ -179,9 +178,11 @@ this.#items = [];
 for (let k = 0; k < sets; k++) {
 const size = varint(items, at, 'items'), coded = items.subarray(at.i, at.i += size);
 if (coded.length !== size) broken('items');
-const flips = new Int32Array((this.triangles >> 5) + 1);
-flip(coded, this.triangles, flips, 'items');
-this.#items.push(ids(flips, this.triangles));
+const found = [];
+runs(coded, this.triangles, (start, end) => {
+for (let id = start; id < end; id++) found.push(id);
+}, 'items');
+this.#items.push(found);
 }
 if (at.i !== items.length) broken('items');
 }
@@ -270,16 +271,18 @@ return Uint32Array.from(all).sort();
 }
 #set(number, cell) {
 if (!(Number.isInteger(cell) && cell >= 0 && cell < this.cells)) {
-throw new PvsError(`there is no cell ${cell}; the result has ${this.cells}`);
+throw new PvsError(`there is no cell ${cell}`);
 }
 const offsets = this.#offsets[number], limit = this.items.count;
 if (!offsets) return new Uint32Array(0);
 const base = this.#head.sections.get(number).offset + 8 * (this.#head.nodes + 1);
-const flips = new Int32Array((limit >> 5) + 1);
+const flips = new Int32Array((limit >>> 5) + 1);
+const turn = (at) => { flips[at >>> 5] ^= 1 << (at & 31); };
+const each = (start, end) => { turn(start); turn(end); };
 const step = (node) => {
 const bytes = this.#read(base + offsets[node], offsets[node + 1] - offsets[node]);
 const go = (coded) => {
-const done = flip(coded, limit, flips, `${SECTIONS[number]} set of cell ${cell}`) || !node;
+const done = runs(coded, limit, each, `${SECTIONS[number]} set of cell ${cell}`) || !node;
 return done ? ids(flips, limit) : step(this.#parent[node]);
 };
 return bytes instanceof Promise ? bytes.then(go) : go(bytes);

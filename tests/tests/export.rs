@@ -41,6 +41,10 @@ fn every_form_has_the_same_objects_as_dump() {
     let csv = String::from_utf8(sandbox.read("rooms.csv")).unwrap();
     let pairs: usize = cells.iter().map(|cell| cell["visible"].as_array().unwrap().len()).sum();
     assert_eq!(csv.lines().count(), pairs + 1);
+    let some = sandbox.ok("dump rooms.pvs --items objects --cell 7 --cell 2");
+    let some: Vec<&str> = some.lines().skip(1).collect();
+    assert_eq!(some, [dump.lines().nth(3).unwrap(), dump.lines().nth(8).unwrap()]);
+    sandbox.run("dump rooms.pvs --cell 12").code(2).says("has 12 cells");
     sandbox.run("export rooms.pvs --format csv -o rooms.glb").code(2).says("cannot be written");
     sandbox.run("export rooms.glb --format csv -o x.csv").code(3).says("not a .pvs file");
 }

@@ -94,6 +94,85 @@ fn a_page_shows_the_cell_answers_clicks_and_is_quiet() {
     assert_eq!(browser.messages(), Vec::<String>::new());
 }
 
+/// What the page's rays say of a scene of their own: 1×1 walls with a hole of 0.2, or nothing that blocks.
+#[test]
+fn rays_find_the_hole_and_end_where_nothing_blocks() {
+    let sandbox = Sandbox::new();
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+    let folder = root.join("crates/view/page");
+    let modules = ["math.mjs", "trace.mjs", "why.mjs"].map(|name| {
+        let text = std::fs::read_to_string(folder.join(name)).unwrap();
+        let is_word = |line: &&str| !line.starts_with("import ");
+        text.lines()
+            .filter(is_word)
+            .map(|line| line.strip_prefix("export ").unwrap_or(line).to_owned() + "\n")
+            .collect::<String>()
+    });
+    let page = format!(
+        "<!doctype html><meta charset=utf-8><link rel=icon href=data:,><script type=module>{}
+         const quad = (a, b, c, d) => [...a, ...b, ...c, ...a, ...c, ...d];
+         const across = (x, [y, z], [v, w]) => quad([x, y, z], [x, v, z], [x, v, w], [x, y, w]);
+         // A wall at x = 1 that leaves 0.4 to 0.6 open, and the target behind it at x = 2.
+         const at = new Float32Array([across(1, [0, 0], [0.4, 1]), across(1, [0.6, 0], [1, 1]),
+           across(1, [0.4, 0], [0.6, 0.4]), across(1, [0.4, 0.6], [0.6, 1]),
+           across(2, [0, 0], [1, 1])].flat());
+         const tracer = new Tracer(at, new Uint8Array(10).fill(1)), box = [0, 0.45, 0.45, 0.5, 0.55, 0.55];
+         const from = {{ base: null, eye: [0.25, 0.5, 0.5], far: Infinity }};
+         const seen = why(tracer, box, from, [8, 9]);
+         const near = why(tracer, box, {{ ...from, far: 1 }}, [8, 9]);
+         const none = new Tracer(at, new Uint8Array(10));
+         // Along the border of the wall's boxes, in both directions of a coordinate that is 0.
+         const level = [[1, 0, 0], [1, -0, -0]].map((d) => tracer.first_hit([0, 0.4, 0], d)[1]);
+         const {{ width }} = opening(tracer, seen.seen, 3);
+         globalThis.answer = {{ seen: seen.seen.length, width, near: near.rays,
+           none: none.first_hit([0, 0.5, 0.5], [1, 0, 0])[0], level }};</script>",
+        modules.concat()
+    );
+    sandbox.write("rays.html", page);
+    let Some(browser) = Browser::start([300, 200]) else { return };
+    browser.open(&format!("file://{}", sandbox.path("rays.html").display()));
+    let answer = browser.run("return globalThis.answer");
+    assert_eq!(browser.messages(), Vec::<String>::new());
+    let width = answer["width"].as_f64().unwrap();
+    assert!((0.19..0.29).contains(&width), "{answer}");
+    assert_eq!((&answer["seen"], &answer["near"], &answer["none"]), (&3.into(), &0.into(), &(-1).into()));
+    assert_eq!(answer["level"], serde_json::json!([1, 1]));
+}
+
+/// No hidden triangle of an exact result is called seen, and a scene of glass opens.
+#[test]
+fn exact_results_are_not_accused() {
+    let sandbox = Sandbox::new();
+    sandbox.ok("generate rooms --grid 3x2 --triangles 1500 -o rooms.glb");
+    sandbox.ok(
+        "bake rooms.glb -o rooms.pvs --cells walls:9 --reachable-from 2,1.5,3 --method exact --backend cpu",
+    );
+    sandbox.ok("view rooms.pvs rooms.glb -o rooms.html");
+    let Some(browser) = Browser::start([500, 400]) else { return };
+    browser.open(&format!("file://{}", sandbox.path("rooms.html").display()));
+    let accused = browser.run(
+        "const page = await sightline; let asked = 0, missed = 0;
+         for (let cell = 0; cell < page.pvs.cells; cell++) {
+           if (!page.pvs.isReached(cell)) continue;
+           page.go(cell);
+           for (let id = cell; id < page.pvs.triangles; id += 61) {
+             if (page.state[id] & 1 || !(page.kinds[id] & 2)) continue;
+             page.choose(id);
+             asked++;
+             missed += page.answer.missed;
+           }
+         }
+         return [asked, missed];",
+    );
+    assert!(accused[0].as_u64().unwrap() > 20, "{accused}");
+    assert_eq!(accused[1], 0);
+    sandbox.ok("bake rooms.glb -o glass.pvs --see-through * --cells 2x1x2 --backend cpu");
+    sandbox.ok("view glass.pvs rooms.glb -o glass.html");
+    browser.open(&format!("file://{}", sandbox.path("glass.html").display()));
+    assert_eq!(browser.run("const page = await sightline; return page.pvs.cells"), 4);
+    assert_eq!(browser.messages(), Vec::<String>::new());
+}
+
 #[test]
 fn a_picture_is_the_same_every_time_and_differs_between_cells() {
     let sandbox = sandbox();

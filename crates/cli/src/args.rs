@@ -354,6 +354,9 @@ pub struct DumpArgs {
     /// "visible". Needs a result baked with --contributions, and the items of its sets.
     #[arg(long)]
     pub contributions: bool,
+    /// Print this cell alone. May be given several times.
+    #[arg(long, value_name = "I")]
+    pub cell: Vec<u32>,
 }
 
 #[derive(Args, Debug)]

@@ -36,7 +36,8 @@ pub fn dump(args: &DumpArgs) -> Result<(), CliError> {
         }
         writeln!(out, "{header}")?;
         let (mut visible, mut undecided) = (Vec::new(), Vec::new());
-        for cell in 0..pvs.cells() {
+        let all = (0..pvs.cells()).filter(|cell| args.cell.is_empty() || args.cell.contains(cell));
+        for cell in all {
             sets(&pvs, cell, args.items, &mut visible, &mut undecided)?;
             let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
             let mut line = json!({
@@ -70,6 +71,9 @@ pub fn dump(args: &DumpArgs) -> Result<(), CliError> {
 /// Refuses what the result does not hold.
 fn check(pvs: &Pvs, args: &DumpArgs) -> Result<(), CliError> {
     let file = args.result.result.display();
+    if let Some(cell) = args.cell.iter().find(|cell| **cell >= pvs.cells()) {
+        return Err(CliError::Usage(format!("--cell {cell}: {file} has {} cells, from 0", pvs.cells())));
+    }
     if args.items == Items::Cells && pvs.cell_pairs()?.is_none() {
         return Err(CliError::Input(format!("{file}: {}", PvsError::NoPairs)));
     }

@@ -34,7 +34,7 @@ impl Format {
             Self::Pvs => b"\x89PVS",
             Self::Ply => b"ply\n",
             Self::Glb => b"glTF",
-            Self::Html => b"<!do",
+            Self::Html => b"<!doctype html><!-- sightline view -->",
             Self::Json => b"{\"format\"",
             Self::Csv => b"cell,object",
         }
@@ -53,7 +53,8 @@ impl Format {
 }
 
 /// Extensions of well-known formats; a name with one of them promises that format.
-const KNOWN: [&str; 11] = ["obj", "ply", "gltf", "glb", "stl", "off", "fbx", "dae", "3mf", "usd", "usdz"];
+const KNOWN: [&str; 13] =
+    ["obj", "ply", "gltf", "glb", "stl", "off", "fbx", "dae", "3mf", "usd", "usdz", "pvs", "html"];
 
 /// A place where a file may be written.
 #[derive(Debug)]
@@ -101,7 +102,7 @@ impl Output {
             ));
         }
         if input.is_some_and(|i| std::fs::canonicalize(i).is_ok_and(|i| i == target)) {
-            return refuse("that is the scene itself; give -o another name".to_owned());
+            return refuse("that is the input itself; give -o another name".to_owned());
         }
         if let Ok(there) = std::fs::metadata(&target) {
             if there.is_dir() {

@@ -45,6 +45,8 @@ pub fn run(args: &ViewArgs, json: bool) -> Result<(), CliError> {
             Some("z") => 2,
             _ => 1,
         },
+        far: info["sampling"]["far"].as_f64(),
+        caveat: caveat(&pvs, scene.as_ref(), &info),
         maps: maps(&pvs)?,
         places: places(&pvs, scene.as_ref(), &args.result)?,
         worst: args.worst.as_deref().map(|file| worst(file, &pvs)).transpose()?.unwrap_or_default(),
@@ -84,6 +86,21 @@ fn title(result: &Path, scene: Option<&Path>) -> String {
         Some(scene) => format!("{} – {}", name(result), name(scene)),
         None => name(result),
     }
+}
+
+/// What rays in the page do not know.
+fn caveat(pvs: &Pvs, scene: Option<&Scene>, info: &Value) -> Option<String> {
+    let has = |is: bool, what: &str| is.then(|| what.to_owned());
+    let all = [
+        has(scene.is_some_and(|scene| !scene.sides().are_both()), "that back faces are culled"),
+        has(scene.is_some_and(|scene| scene.kinds().any_masked()), "alpha textures"),
+        has(
+            info["viewpoints"].is_object() && pvs.region().is_none(),
+            "in which parts of a cell viewpoints are",
+        ),
+    ];
+    let all: Vec<String> = all.into_iter().flatten().collect();
+    (!all.is_empty()).then(|| all.join(" and "))
 }
 
 /// The heat maps that a result has numbers for.
@@ -170,8 +187,8 @@ fn serve_page(args: &ViewArgs, page: String, json: bool) -> Result<(), CliError>
             async move {
                 // A page of another site could reach this address under a name of its own.
                 let host = headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or("");
-                let own = ["127.0.0.1", "localhost"].map(|name| format!("{name}:{port}"));
-                if !own.iter().any(|own| own == host) {
+                let name = host.split(':').next().unwrap_or_default().to_ascii_lowercase();
+                if !["127.0.0.1", "localhost"].contains(&name.as_str()) {
                     return (StatusCode::FORBIDDEN, "ask for 127.0.0.1\n").into_response();
                 }
                 let kind =

@@ -1,6 +1,6 @@
 // The eye and how it moves: by mouse, keys and touch; walking on the ground and not through walls, or flying.
 
-import { add, cross, unit } from './math.mjs';
+import { add, cross, norm, unit } from './math.mjs';
 
 const ANGLE = 70 * Math.PI / 180;
 // The distance kept from walls, and the greatest step up, as fractions of the eye's height.
@@ -52,22 +52,18 @@ export class Camera {
     const ahead = this.walks ? level : this.forward, right = unit(cross(ahead, this.up));
     const along = (k.has('KeyW') || k.has('ArrowUp')) - (k.has('KeyS') || k.has('ArrowDown')) + this.push[1];
     const aside = k.has('KeyD') - k.has('KeyA') + this.push[0], rise = k.has('KeyE') - k.has('KeyQ');
-    this.look((k.has('ArrowRight') - k.has('ArrowLeft')) * seconds * 1.5, 0);
+    const turn = k.has('ArrowRight') - k.has('ArrowLeft');
+    this.look(turn * seconds * 1.5, 0);
     let d = add(add([0, 0, 0], ahead, along), right, aside);
     if (!this.walks) d = add(d, this.up, rise);
-    const far = this.speed * seconds * (k.has('ShiftLeft') ? 4 : 1);
+    const far = this.speed * seconds * (k.has('ShiftLeft') || k.has('ShiftRight') ? 4 : 1);
     if (!this.walks || !tracer) {
-      if (!along && !aside && !(rise && !this.walks)) return false;
+      if (!along && !aside && !(rise && !this.walks)) return turn !== 0;
       this.eye = add(this.eye, unit(d), far);
       return true;
     }
     const before = this.eye;
-    if (along || aside) {
-      // At the height of the eye and of the knee.
-      const apart = APART * this.height, to = unit(d), knee = add(this.eye, this.up, -(1 - STEP) * this.height);
-      const free = (p) => Math.max(0, tracer.first_hit(p, to)[1] - apart);
-      this.eye = add(this.eye, to, Math.min(far, free(this.eye), free(knee)));
-    }
+    if (along || aside) this.step(unit(d), far, tracer);
     // Falls and climbs to the eye's height.
     const above = this.above(tracer);
     if (above !== null) {
@@ -75,6 +71,20 @@ export class Camera {
       const most = this.speed * seconds;
       this.eye = add(this.eye, this.up, Math.max(-most, Math.min(most, off)));
     }
-    return this.eye.some((x, a) => Math.abs(x - before[a]) > 1e-7 * this.size);
+    return turn !== 0 || this.eye.some((x, a) => Math.abs(x - before[a]) > 1e-7 * this.size);
+  }
+
+  // Goes along a level direction, up to what is in the way at the height of the eye or of the knee.
+  step(to, far, tracer) {
+    const apart = APART * this.height, knee = add(this.eye, this.up, -(1 - STEP) * this.height);
+    const free = (p) => Math.max(0, tracer.first_hit(p, to)[1] - apart);
+    this.eye = add(this.eye, to, Math.min(far, free(this.eye), free(knee)));
+  }
+
+  // Moves by two fingers: aside and ahead.
+  drag(aside, ahead, tracer) {
+    const forward = this.walks ? this.turned([Math.sin(this.yaw), 0, -Math.cos(this.yaw)]) : this.forward;
+    const d = add(add([0, 0, 0], forward, ahead), unit(cross(forward, this.up)), aside), far = norm(d);
+    if (far && this.walks) this.step(unit(d), far, tracer); else this.eye = add(this.eye, d, 1);
   }
 }

@@ -7,6 +7,7 @@ const SKIP = 0, DRAW = 255;
 
 const SOLID = `#version 300 es
 precision highp float;
+precision highp int;
 precision highp sampler2D;
 layout(location = 0) in vec3 at;
 uniform mat4 view;
@@ -23,6 +24,7 @@ void main() {
 }`;
 const SHADE = `#version 300 es
 precision highp float;
+precision highp int;
 in vec3 place;
 flat in vec3 colour;
 uniform vec3 eye;
@@ -36,6 +38,7 @@ void main() {
 }`;
 const NUMBER = `#version 300 es
 precision highp float;
+precision highp int;
 flat in int id;
 out vec4 pixel;
 void main() {
@@ -78,7 +81,7 @@ export class Renderer {
     gl.bindTexture(gl.TEXTURE_2D, this.colours);
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA8, WIDTH, rows);
     for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
-    this.layers = { lines: this.#layer(), boxes: this.#layer() };
+    this.layers = { lines: this.#layer(), cells: this.#layer(), boxes: this.#layer() };
     this.pick = this.#target();
     gl.enable(gl.DEPTH_TEST);
   }
@@ -139,8 +142,8 @@ export class Renderer {
     return drawn;
   }
 
-  // Lines as [from, to, [r, g, b, a]].
-  lines(all) { this.#fill(this.layers.lines, all.flatMap(([p, q, c]) => [...p, ...c, ...q, ...c])); }
+  // Lines as [from, to, [r, g, b, a]]; those of cells change more seldom.
+  lines(all, layer = 'lines') { this.#fill(this.layers[layer], all.flatMap(([p, q, c]) => [...p, ...c, ...q, ...c])); }
 
   // Translucent boxes as [least and greatest corner in six numbers, [r, g, b, a]].
   boxes(all) {
@@ -175,9 +178,11 @@ export class Renderer {
     this.#solid(this.solid, view, eye);
     gl.useProgram(this.plain.program);
     gl.uniformMatrix4fv(this.plain.view, false, view);
-    const { lines, boxes } = this.layers;
-    gl.bindVertexArray(lines.array);
-    gl.drawArrays(gl.LINES, 0, lines.points);
+    const { lines, cells, boxes } = this.layers;
+    for (const layer of [lines, cells]) {
+      gl.bindVertexArray(layer.array);
+      gl.drawArrays(gl.LINES, 0, layer.points);
+    }
     if (!boxes.points) return;
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);

@@ -5,7 +5,7 @@ import { Renderer } from './draw.mjs';
 import { Tracer } from './trace.mjs';
 import { Camera } from './camera.mjs';
 import { opening, why } from './why.mjs';
-import { add, norm, product, projection, random, scaled, sub, unit, viewMatrix } from './math.mjs';
+import { norm, product, projection, random, sub, viewMatrix } from './math.mjs';
 
 const byId = (id) => document.getElementById(id);
 const RED = 0xc8362f, YELLOW = 0xe8c547, BLUE = 0x4f9dff, ORANGE = 0xff8c2e;
@@ -21,8 +21,9 @@ const percent = (a, b) => `${(100 * a / Math.max(1, b)).toFixed(1)} %`;
 async function unpack(id) {
   const text = byId(id).textContent.trim();
   if (!text) return null;
-  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
   byId(id).textContent = '';
+  const packed = atob(text), bytes = new Uint8Array(packed.length);
+  for (let i = 0; i < packed.length; i++) bytes[i] = packed.charCodeAt(i);
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('gzip'));
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
@@ -152,6 +153,7 @@ class Page {
   recolour() {
     const { pvs, cell } = this, n = pvs.triangles, state = this.state = new Uint8Array(n);
     const ofCell = this.isCell();
+    if (this.selected) this.choose(-1);
     try {
       if (ofCell) {
         for (const id of pvs.trianglesOf(pvs.visible(cell))) state[id] = 1;
@@ -190,7 +192,7 @@ class Page {
   // Lines and boxes.
   overlay() {
     const { pvs, values } = this, lines = [], boxes = [], which = byId('boxes').value, heat = byId('heat').value;
-    const edges = (b, c) => {
+    const edges = (b, c, lines) => {
       const at = (k) => [b[k & 1 ? 3 : 0], b[k & 2 ? 4 : 1], b[k & 4 ? 5 : 2]];
       for (const [i, j] of [[0, 1], [2, 3], [4, 5], [6, 7], [0, 2], [1, 3], [4, 6], [5, 7], [0, 4], [1, 5], [2, 6], [3, 7]]) {
         lines.push([at(i), at(j), c]);
@@ -198,16 +200,24 @@ class Page {
     };
     const box = (cell) => pvs.boxes.subarray(6 * cell, 6 * cell + 6);
     const some = Math.min(pvs.cells, MOST_BOXES);
-    if (which === 'all') for (let k = 0; k < some; k++) if (pvs.isReached(k)) edges(box(k), [0.5, 0.6, 0.75, 0.6]);
-    if (which !== 'none' && this.cell >= 0) edges(box(this.cell), WHITE_LINE);
+    if (which !== 'none' && this.cell >= 0) edges(box(this.cell), WHITE_LINE, lines);
     byId('scale').hidden = heat === '';
+    // Boxes of all cells change with the choice alone.
+    const isNew = this.overlaid !== `${which} ${heat}`;
+    this.overlaid = `${which} ${heat}`;
+    if (isNew) {
+      const all = [];
+      if (which === 'all') for (let k = 0; k < some; k++) if (pvs.isReached(k)) edges(box(k), [0.5, 0.6, 0.75, 0.6], all);
+      this.renderer.lines(all, 'cells');
+      if (some < pvs.cells && (which === 'all' || heat !== '')) this.say(`Of the cells the first ${number(some)} are drawn.`, false);
+    }
     if (heat !== '') {
       const { data, name } = values.maps[+heat];
       let [lo, hi] = [Infinity, -Infinity];
       for (let k = 0; k < pvs.cells; k++) {
         if (pvs.isReached(k) && Number.isFinite(data[k])) [lo, hi] = [Math.min(lo, data[k]), Math.max(hi, data[k])];
       }
-      for (let k = 0; k < some; k++) {
+      for (let k = 0; isNew && k < some; k++) {
         if (!pvs.isReached(k) || !Number.isFinite(data[k])) continue;
         boxes.push([box(k), [...heatColour(hi > lo ? (data[k] - lo) / (hi - lo) : 0), 0.16]]);
       }
@@ -224,7 +234,7 @@ class Page {
       ring.forEach((p, k) => lines.push([p, ring[(k + 1) % ring.length], WHITE_LINE]));
     }
     this.renderer.lines(lines);
-    this.renderer.boxes(boxes);
+    if (isNew) this.renderer.boxes(boxes);
   }
 
   say(text, isWarning = true) {
@@ -273,20 +283,31 @@ class Page {
     }
     const seen = ids.filter((k) => this.state[k] & 1), open = seen.filter((k) => this.state[k] & 2);
     const box = this.pvs.boxes.subarray(6 * this.cell, 6 * this.cell + 6);
-    const answer = why(this.tracer, [...box], this.camera.eye, seen.length ? seen : ids, id + 1);
+    // Where viewpoints are in a region alone, they are joined with the one that is known.
+    const from = { base: this.values.places ? this.base() : null, eye: this.camera.eye, far: this.meta.far ?? Infinity };
+    const answer = why(this.tracer, [...box], from, seen.length ? seen : ids, id + 1);
     answer.missed = !seen.length && !!answer.seen;
-    if (answer.seen) answer.opening = opening(this.tracer, answer.seen);
+    if (answer.seen) answer.opening = opening(this.tracer, answer.seen, this.size);
     this.answer = answer;
     const is = seen.length ? (open.length === seen.length ? 'undecided, and drawn' : 'visible') : 'hidden';
     byId('why').textContent = `${name} is ${is} from cell ${this.cell}. ${this.reason(answer, seen.length > 0)}`;
     this.paint();
   }
 
+  // A viewpoint of the cell.
+  base() {
+    const p = this.place(this.cell);
+    return p.every(Number.isFinite) ? p : null;
+  }
+
   reason({ seen, rays, opening: at, blockers, missed }, inSet) {
     const from = seen && ` from (${seen[0].map(short).join(', ')})`;
+    const ask = `\`sightline query OUT.pvs ${this.place(this.cell).map(short).join(' ')} --why ${this.selected.id} --scene SCENE\``;
+    const { caveat } = this.meta, exact = this.pvs.method !== 'aggressive';
+    if (missed && (caveat || exact)) return `A free segment${from} reaches it in the page (red)${caveat ? `, which does not know ${caveat}` : ''}. ${ask} decides it.`;
     if (missed) return `But a free segment${from} reaches it (red): the set misses it. A smaller --target-error or --method exact finds it.`;
     if (seen) {
-      const passes = at ? ` At its narrowest place it passes an opening ${short(at.width)} wide (white).` : '';
+      const passes = at ? ` It passes an opening ${short(at.width)} wide (white).` : '';
       return `A free segment${from} reaches it (green).${passes}`;
     }
     if (!rays) return 'No viewpoint was found to look from.';
@@ -294,7 +315,7 @@ class Page {
     const by = `the first ${blockers.length} triangles in the way are orange (${names.map((n) => `“${n}”`).join(', ')})`;
     return inSet
       ? `None of ${number(rays)} rays reached it; ${by}. Its witness is elsewhere, or it is drawn because it is undecided.`
-      : `All of ${number(rays)} rays were blocked; ${by}. Rays prove nothing: \`sightline query --why ${this.selected.id}\` does.`;
+      : `All of ${number(rays)} rays were blocked; ${by}. Rays prove nothing; ${ask} does.`;
   }
 
   controls() {
@@ -333,14 +354,15 @@ class Page {
     }
     this.pointers(canvas);
     addEventListener('keydown', (e) => {
-      if (/INPUT|SELECT/.test(e.target.tagName)) return;
+      if (e.ctrlKey || e.metaKey || e.altKey || e.target.tagName === 'SELECT' || e.target.type === 'number') return;
       const toggle = { KeyF: 'freeze', KeyG: 'walk', KeyH: 'hidden' }[e.code];
-      if (toggle) byId(toggle).click(); else camera.keys.add(e.code);
+      if (!toggle) camera.keys.add(e.code); else if (!e.repeat) byId(toggle).click();
       if (e.code.startsWith('Arrow')) e.preventDefault();
     });
     addEventListener('keyup', (e) => camera.keys.delete(e.code));
     addEventListener('blur', () => camera.keys.clear());
     addEventListener('resize', () => { this.dirty = true; });
+    canvas.addEventListener('webglcontextlost', () => this.say('The browser took the graphics away; load the page again.'));
     canvas.addEventListener('wheel', (e) => {
       e.preventDefault();
       camera.speed = Math.max(this.size * 1e-4, Math.min(this.size, camera.speed * Math.exp(-e.deltaY / 600)));
@@ -350,6 +372,8 @@ class Page {
   pointers(canvas) {
     const down = new Map();
     let moved = 0;
+    // A finger trembles more than a mouse.
+    const least = (e) => e.pointerType === 'touch' ? 12 : 4;
     canvas.onpointerdown = (e) => {
       canvas.setPointerCapture(e.pointerId);
       canvas.focus();
@@ -361,21 +385,18 @@ class Page {
       if (!before) return;
       const [dx, dy] = [e.clientX - before[0], e.clientY - before[1]];
       moved += Math.abs(dx) + Math.abs(dy);
-      if (moved < 4) return;
+      if (moved < least(e)) return;
       down.set(e.pointerId, [e.clientX, e.clientY]);
       if (down.size === 1) {
         this.camera.look(-dx * 0.004, dy * 0.004);
       } else {
-        const { camera } = this, right = unit([camera.forward[1] * camera.up[2] - camera.forward[2] * camera.up[1],
-          camera.forward[2] * camera.up[0] - camera.forward[0] * camera.up[2],
-          camera.forward[0] * camera.up[1] - camera.forward[1] * camera.up[0]]);
-        const far = camera.speed * 0.006;
-        camera.eye = add(add(camera.eye, camera.forward, -dy * far), scaled(right, 1), dx * far);
+        const far = this.camera.speed * 0.006;
+        this.camera.drag(dx * far, -dy * far, this.camera.walks ? this.tracer : null);
       }
       this.dirty = true;
     };
     const end = (e) => {
-      if (down.delete(e.pointerId) && moved < 4 && e.type === 'pointerup') this.click(e.offsetX, e.offsetY);
+      if (down.delete(e.pointerId) && moved < least(e) && e.type === 'pointerup') this.click(e.offsetX, e.offsetY);
     };
     canvas.onpointerup = end;
     canvas.onpointercancel = end;

@@ -34,7 +34,8 @@ export class Tracer {
       this.#bound(child + 1, middle, to);
       open.push([child, from, middle], [child + 1, middle, to]);
     }
-    this.stack = new Uint32Array(256);
+    // Two entries a level; halves of equal numbers would be 32 levels deep.
+    this.stack = new Uint32Array(4096);
   }
 
   #widest(node) {
@@ -81,13 +82,18 @@ export class Tracer {
     const { at, order, box, first, size, stack } = this;
     let hit = -1, best = most, top = 0;
     const inv = [1 / d[0], 1 / d[1], 1 / d[2]];
-    stack[top++] = 0;
+    // Without a triangle the root has no children.
+    if (order.length) stack[top++] = 0;
     while (top) {
       const node = stack[--top], o = 6 * node;
       let near = 0, far = best;
       for (let a = 0; a < 3; a++) {
+        // Along the slab a ray is in it or not, from end to end.
+        if (d[a] === 0) {
+          if (p[a] < box[o + a] || p[a] > box[o + 3 + a]) far = -1;
+          continue;
+        }
         const u = (box[o + a] - p[a]) * inv[a], v = (box[o + 3 + a] - p[a]) * inv[a];
-        // A direction within the slab gives no number, and bounds nothing.
         if (u < v) { if (u > near) near = u; if (v < far) far = v; } else { if (v > near) near = v; if (u < far) far = u; }
       }
       if (near > far * (1 + 1e-6)) continue;

@@ -43,6 +43,8 @@ pub fn page(view: &View<'_>) -> Result<String, ViewError> {
     let meta = json!({
         "up": view.up,
         "start": view.start,
+        "far": view.far,
+        "caveat": view.caveat,
         "about": view.about,
         "maps": view.maps.iter().map(|map| &map.name).collect::<Vec<_>>(),
         "places": !view.places.is_empty(),

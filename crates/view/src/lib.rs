@@ -58,6 +58,10 @@ pub struct View<'a> {
     pub places: Vec<[f32; 3]>,
     /// The viewpoints of the worst frames.
     pub worst: Vec<Worst>,
+    /// How far sight lines go, if that is limited.
+    pub far: Option<f64>,
+    /// What the page's rays do not know about the scene, in words.
+    pub caveat: Option<String>,
     /// The cell in which the page begins.
     pub start: u32,
 }

@@ -217,8 +217,8 @@ pub const SIGHTLINE_VISIBLE_OBJECTS: u32 = 2;
 pub const SIGHTLINE_UNDECIDED_OBJECTS: u32 = 3;
 
 /// The ascending ids of a set of a cell, one of the numbers above. Writes at most `room` of them to `ids`,
-/// and gives the number of all; -1 if there is no such cell or set, or the file was changed since it was
-/// opened. Ask with `room` 0 for the number.
+/// and gives the number of all; -1 if there is no such cell or set, or the set is malformed. Ask with
+/// `room` 0 for the number. The file must not change while it is open.
 ///
 /// # Safety
 /// `pvs` is an opened result; `ids` has room for `room` numbers, or is NULL and `room` is 0.
