@@ -175,7 +175,7 @@ fn an_output_that_cannot_be_written_is_refused_before_any_work() {
     sandbox.run("generate maze -o notes").code(2).says("give -o");
     sandbox.run("mesh maze.glb -o maze.glb").code(2).says("its name promises");
     sandbox.ok("mesh maze.glb -o maze.ply");
-    sandbox.run("mesh maze.ply -o maze.ply").code(2).says("the scene itself");
+    sandbox.run("mesh maze.ply -o maze.ply").code(2).says("the input itself");
 }
 
 #[test]

@@ -259,7 +259,7 @@ mod tests {
         std::fs::write(&scene, b"\x89PVS").unwrap();
         let spelled = dir.path().join(".").join("scene");
         let refused = Output::check(&spelled, Format::Pvs, Some(&scene)).unwrap_err();
-        assert!(refused.to_string().contains("the scene itself"), "{refused}");
+        assert!(refused.to_string().contains("the input itself"), "{refused}");
         let output = check(&dir.path().join("out.pvs")).unwrap();
         let fail = |_: &mut dyn Write| Err(CliError::Job("no".into()));
         assert!(matches!(output.write(fail), Err(CliError::Job(_))));
