@@ -93,7 +93,7 @@ fn the_order_of_the_triangles_changes_no_set() {
 
 #[test]
 fn turned_walls_hide_nearly_as_much_as_straight_ones() {
-    let params = Params { triangles: Some(700), ..Params::default() };
+    let params = Params { triangles: Some(2500), grid: Some([4, 3]), ..Params::default() };
     let rooms = generate(Kind::Rooms, &params).unwrap();
     let drawn = |angle: f32| -> usize {
         let turn = Quat::from_rotation_y(angle);
@@ -102,14 +102,17 @@ fn turned_walls_hide_nearly_as_much_as_straight_ones() {
         let scene = common::scene(all);
         let partition = Partition::new(&scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
         let Aabb { min, max } = rooms.bounds();
-        let places = (0..48).map(|k| Vec3::new((k % 8) as f32 + 0.5, 4.0, (k / 8) as f32 + 0.5) / 8.0);
+        // Two places in each room, at half its height.
+        let places = (0..24).map(|k| Vec3::new((k % 8) as f32 + 0.5, 1.0, (k / 8) as f32 + 0.4));
         let of = |place: Vec3| {
-            let middle = turned(min + (max - min) * place * Vec3::new(1.0, 1.0, 8.0 / 6.0));
+            let middle = turned(min + (max - min) * place / Vec3::new(8.0, 2.0, 3.0));
             sights(&partition, Aabb::new(middle - 0.1, middle + 0.1), false, &|| false).unwrap().len()
         };
         places.map(of).sum()
     };
     let straight = drawn(0.0);
+    // Otherwise nothing could be drawn that is a quarter more.
+    assert!(straight * 2 < 24 * rooms.triangles().len(), "{straight} drawn of {}", rooms.triangles().len());
     for angle in [0.5, std::f32::consts::FRAC_PI_2, 1.1] {
         let turned = drawn(angle);
         assert!(turned * 4 < straight * 5, "{straight} straight, {turned} turned by {angle}");

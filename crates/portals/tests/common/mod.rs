@@ -60,9 +60,13 @@ pub fn building(seed: u64, angle: f32) -> Scene {
         let mut off = || (Vec3::new(unit(), unit(), unit()) - 0.5) * 0.4;
         all.push(Triangle { v: [p, p + off(), p + off()] });
     }
+    scene(all.into_iter().map(|t| Triangle { v: t.v.map(|p| turned(p, angle)) }).collect())
+}
+
+/// Where a point of a building is in the building turned by an angle.
+pub fn turned(p: Vec3, angle: f32) -> Vec3 {
     let turn = Quat::from_euler(glam::EulerRot::XYZ, angle, 0.7 * angle, 0.3 * angle);
-    let turned = |p: Vec3| if angle == 0.0 { p } else { turn * p };
-    scene(all.into_iter().map(|t| Triangle { v: t.v.map(turned) }).collect())
+    if angle == 0.0 { p } else { turn * p }
 }
 
 /// The triangle that a segment crosses first, where exact signs are sure of it.
