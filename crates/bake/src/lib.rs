@@ -90,23 +90,14 @@ pub fn run_tile(
     let (lattice, plan) = spec.plan().map_err(tile_error)?;
     let tile = plan.tiles.get(number as usize);
     let tile = tile.ok_or_else(|| BakeError::Tile("the plan has no such tile".to_owned()))?;
-    if let Some(own) = boxes::of_box(spec, &lattice, tile).map_err(tile_error)? {
-        return run_part((spec, &own), (number, 0), scene, backend, packs, control);
-    }
-    run_part((spec, spec), (number, number), scene, backend, packs, control)
-}
-
-/// Computes a tile of a job, or the only tile of the job of a part of it.
-fn run_part(
-    (whole, spec): (&JobSpec, &JobSpec),
-    (number_in_whole, number): (u32, u32),
-    scene: &BakeScene,
-    backend: &dyn Backend,
-    packs: &[PackBytes<'_>],
-    control: Control<'_>,
-) -> Result<TileDone, BakeError> {
-    let (lattice, plan) = spec.plan().map_err(tile_error)?;
-    let tile = &plan.tiles[number as usize];
+    let whole = spec;
+    let own = boxes::of_box(whole, &lattice, tile).map_err(tile_error)?;
+    let (spec, (lattice, plan), at) = match &own {
+        // The job of a box has one tile.
+        Some(own) => (own, own.plan().map_err(tile_error)?, 0),
+        None => (whole, (lattice, plan), number),
+    };
+    let tile = &plan.tiles[at as usize];
     let watcher = control.watcher;
     if spec.method == Method::Portals {
         return Err(BakeError::Tile("the method portals needs no backend; run its tiles without".to_owned()));
@@ -179,7 +170,7 @@ fn run_part(
             Some(made) => Some(made.map_err(tile_error)?),
         };
         let of = (prepared, partition.as_deref(), is_open);
-        if whole.has_portals() && number_in_whole == 0 {
+        if whole.has_portals() && number == 0 {
             sets.portals = portals::encoded(of.1, scene.scene());
         }
         decide::cells((spec, within), &lattice, &tile.cell, sets, of, with)?;

@@ -40,9 +40,12 @@ pub fn run_portal_tile(
     let tile = plan.tiles.get(number as usize).filter(|tile| tile.kind == TileKind::Leaf);
     let tile = tile.ok_or_else(|| BakeError::Tile("the plan has no such tile of cells".to_owned()))?;
     let own = of_box(whole, &lattice, tile).map_err(tile_error)?;
-    let spec = own.as_ref().unwrap_or(whole);
-    let (lattice, plan) = spec.plan().map_err(tile_error)?;
-    let tile = &plan.tiles[if own.is_some() { 0 } else { number as usize }];
+    let (spec, (lattice, plan), at) = match &own {
+        // The job of a box has one tile.
+        Some(own) => (own, own.plan().map_err(tile_error)?, 0),
+        None => (whole, (lattice, plan), number),
+    };
+    let tile = &plan.tiles[at as usize];
     let within = Within::of(spec, scene.scene()).map_err(tile_error)?;
     let sets = empty_cells(spec, &lattice, tile);
     let (boxes, _) = cells_and_groups(&tile.cell, &sets.nodes);

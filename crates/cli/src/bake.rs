@@ -19,7 +19,7 @@ use sightline_worker::{Backends, Choice, Loaded, SceneCache, Stop};
 use tokio::sync::watch;
 use tonic::transport::Channel;
 
-use crate::args::{BakeArgs, ViewArgs};
+use crate::args::BakeArgs;
 use crate::backends;
 use crate::client;
 use crate::error::CliError;
@@ -27,12 +27,20 @@ use crate::inspect::Summary;
 use crate::opening::{self, plural};
 use crate::output::{Format, Output};
 use crate::progress::{human, say};
+use crate::result_args::ViewArgs;
 use crate::serve::{self, threads};
 use crate::view;
 
 /// Runs a bake.
 pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
     let start = Instant::now();
+    if args.view && json {
+        return Err(CliError::Usage(
+            "--view serves a page until it is interrupted, and --json prints one document; leave one of them \
+             out, and give `sightline view` the result afterwards"
+                .to_owned(),
+        ));
+    }
     let output = Output::check(&args.output, Format::Pvs, Some(&args.scene))?;
     serve::use_threads(threads(None))?;
     let choice = match backends::choice(args.job.backend) {

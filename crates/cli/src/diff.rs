@@ -3,16 +3,17 @@
 //!
 //! Sampled sets differ from run to run. A change is told from that by the bounds of `--max-error`: items that
 //! came and take more of the view than the older result may miss are a change, and so for those that went.
+//! Undecided items are none.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::{Value, json};
 use sightline_pvs::{Granularity, Pvs, PvsError};
 
-use crate::args::DiffArgs;
 use crate::cells;
 use crate::error::CliError;
 use crate::opening::{open, plural};
+use crate::result_args::DiffArgs;
 use crate::serve::print;
 
 /// Cells and objects that are listed.
@@ -107,8 +108,8 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), CliError> {
         ));
         line(match is_bounded {
             true => format!("beyond what sampling may miss: {}", plural(beyond, "cell")),
-            false if is_exact(older) && is_exact(newer) => {
-                "both results are exact: what came or went, and is not undecided, is a change".to_owned()
+            false if misses_nothing(older) && misses_nothing(newer) => {
+                "both results miss nothing: what came or went, and is not undecided, is a change".to_owned()
             }
             false => {
                 "sampling alone may explain it: bake both with --max-error and --contributions to tell noise \
@@ -212,15 +213,17 @@ fn changes(results: &[Pvs; 2], items: &Items) -> Result<Vec<Change>, CliError> {
         let undecided = went.iter().filter(|id| is_in(&open[0], id)).count()
             + came.iter().filter(|id| is_in(&open[1], id)).count();
         let union = a.len() + came.len();
-        let shares = match (share(&results[1], items, cell, &came)?, share(&results[0], items, cell, &went)?)
-        {
-            (Some(came), Some(went)) => Some([came, went]),
-            _ => None,
+        let both = |came: &[u32], went: &[u32]| -> Result<Option<[f64; 2]>, CliError> {
+            let came = share(&results[1], items, cell, came)?;
+            Ok(came.zip(share(&results[0], items, cell, went)?).map(|(came, went)| [came, went]))
         };
+        let shares = both(&came, &went)?;
+        // What is undecided may be there or not in any case.
+        let certain = both(&without(&came, &open[1]), &without(&went, &open[0]))?;
         // The older result may miss what came, and the newer one what went.
         let may_miss =
-            [0, 1].map(|k| if is_exact(&results[k]) { Some(0.0) } else { bounds[k][cell as usize] });
-        let is_beyond_noise = match (shares, may_miss) {
+            [0, 1].map(|k| if misses_nothing(&results[k]) { Some(0.0) } else { bounds[k][cell as usize] });
+        let is_beyond_noise = match (certain, may_miss) {
             (Some([came, went]), [Some(older), Some(newer)]) => Some(came > older || went > newer),
             _ => None,
         };
@@ -230,7 +233,8 @@ fn changes(results: &[Pvs; 2], items: &Items) -> Result<Vec<Change>, CliError> {
     Ok(all)
 }
 
-fn is_exact(pvs: &Pvs) -> bool {
+/// Whether the sets miss nothing: what the method has not decided is in them.
+fn misses_nothing(pvs: &Pvs) -> bool {
     pvs.method() != "aggressive"
 }
 

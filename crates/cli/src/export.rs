@@ -7,10 +7,10 @@ use std::io::Write;
 use serde_json::{Value, json};
 use sightline_pvs::Pvs;
 
-use crate::args::{ExportArgs, ExportFormat};
 use crate::error::CliError;
 use crate::opening::open;
 use crate::output::{Format, Output};
+use crate::result_args::{ExportArgs, ExportFormat};
 use crate::serve::print;
 
 /// Writes a result in another form.

@@ -38,6 +38,7 @@ mod progress;
 mod query;
 mod remote;
 mod remote_args;
+mod result_args;
 mod serve;
 mod showing;
 mod sightlines;

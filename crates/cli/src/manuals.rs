@@ -2,8 +2,9 @@
 
 use clap::CommandFactory as _;
 
-use crate::args::{Cli, CompletionsArgs, ManArgs};
+use crate::args::Cli;
 use crate::error::CliError;
+use crate::result_args::{CompletionsArgs, ManArgs};
 use crate::serve::print;
 
 /// Prints the completions for a shell.

@@ -15,7 +15,6 @@ use sightline_pvs::Pvs;
 use sightline_scene::Scene;
 use sightline_view::{Map, View, Worst, page};
 
-use crate::args::ViewArgs;
 use crate::cells;
 use crate::enclosure;
 use crate::error::CliError;
@@ -23,6 +22,7 @@ use crate::inspect::Summary;
 use crate::opening::{self, plural};
 use crate::output::{Format, Output};
 use crate::progress::say;
+use crate::result_args::ViewArgs;
 use crate::serve::{self, print};
 
 /// Most cells for which a viewpoint is looked for in the region that walls enclose.
