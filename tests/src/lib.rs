@@ -12,6 +12,7 @@
 mod browser;
 mod compose;
 mod dump;
+mod house;
 mod process;
 mod program;
 
@@ -20,6 +21,7 @@ use std::time::{Duration, Instant};
 pub use browser::Browser;
 pub use compose::{Compose, docker, logged, run};
 pub use dump::{Cell, Dump};
+pub use house::{across, house};
 pub use process::{Background, Coordinator, Run, Sandbox};
 pub use program::{in_ci, program};
 

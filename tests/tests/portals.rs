@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 use serde_json::{Value, json};
-use sightline_tests::{Sandbox, assert_same};
+use sightline_tests::{Sandbox, across, assert_same, house};
 
 const SCENE: &str = "generate rooms --grid 4x3 --triangles 4000 -o rooms.glb";
 const JOB: &str = "rooms.glb --cells 8x2x6 --block-cells 2 --method portals";
@@ -142,28 +142,9 @@ fn boxes_along_walls_refuse_what_needs_equal_closed_cells() {
 #[test]
 fn a_door_can_be_shut_at_run_time() {
     let sandbox = Sandbox::new();
-    // Two rooms of 2 x 2 x 2 with a wall at x = 2; a door fills y from 0 to 1.
-    let mut scene = String::new();
-    let mut count = 0;
-    let mut quad = |scene: &mut String, corners: [[i32; 3]; 4]| {
-        corners.iter().for_each(|[x, y, z]| scene.push_str(&format!("v {x} {y} {z}\n")));
-        let [a, b, c, d] = [1, 2, 3, 4].map(|k| count + k);
-        scene.push_str(&format!("f {a} {b} {c}\nf {a} {c} {d}\n"));
-        count += 4;
-    };
-    scene.push_str("o walls\n");
-    for y in [0, 2] {
-        quad(&mut scene, [[0, y, 0], [4, y, 0], [4, y, 2], [0, y, 2]]);
-    }
-    for z in [0, 2] {
-        quad(&mut scene, [[0, 0, z], [4, 0, z], [4, 2, z], [0, 2, z]]);
-    }
-    for x in [0, 4] {
-        quad(&mut scene, [[x, 0, 0], [x, 2, 0], [x, 2, 2], [x, 0, 2]]);
-    }
-    quad(&mut scene, [[2, 1, 0], [2, 2, 0], [2, 2, 2], [2, 1, 2]]);
-    scene.push_str("o front_door\n");
-    quad(&mut scene, [[2, 0, 0], [2, 1, 0], [2, 1, 2], [2, 0, 2]]);
+    // A wall at x = 2; a door fills y from 0 to 1.
+    let wall = across(2.0, [1.0, 2.0], [0.0, 2.0]);
+    let scene = house(&[("wall", wall), ("front_door", across(2.0, [0.0, 1.0], [0.0, 2.0]))]);
     sandbox.write("house.obj", scene);
     sandbox.ok("bake house.obj --doors front* --cells 4x1x1 --method portals -o house.pvs --data-dir data");
     // What fills no opening can be no door.

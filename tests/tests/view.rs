@@ -3,37 +3,14 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-use sightline_tests::{Browser, Sandbox, wait_for};
-
-/// Two rooms of 2×2×2 with a wall at x = 2 that leaves y from 1 to 2 open, and a shelf in the second.
-fn house() -> String {
-    let mut out = String::new();
-    let mut count = 0;
-    let mut quad = |name: &str, corners: [[f32; 3]; 4]| {
-        out.push_str(&format!("o {name}\n"));
-        corners.iter().for_each(|[x, y, z]| out.push_str(&format!("v {x} {y} {z}\n")));
-        let [a, b, c, d] = [1, 2, 3, 4].map(|k| count + k);
-        out.push_str(&format!("f {a} {b} {c}\nf {a} {c} {d}\n"));
-        count += 4;
-    };
-    for (name, y) in [("floor", 0.0), ("ceiling", 2.0)] {
-        quad(name, [[0.0, y, 0.0], [4.0, y, 0.0], [4.0, y, 2.0], [0.0, y, 2.0]]);
-    }
-    for (name, z) in [("north", 0.0), ("south", 2.0)] {
-        quad(name, [[0.0, 0.0, z], [4.0, 0.0, z], [4.0, 2.0, z], [0.0, 2.0, z]]);
-    }
-    for (name, x) in [("west", 0.0), ("east", 4.0)] {
-        quad(name, [[x, 0.0, 0.0], [x, 2.0, 0.0], [x, 2.0, 2.0], [x, 0.0, 2.0]]);
-    }
-    quad("wall", [[2.0, 0.0, 0.0], [2.0, 1.0, 0.0], [2.0, 1.0, 2.0], [2.0, 0.0, 2.0]]);
-    quad("shelf", [[2.2, 0.1, 0.5], [2.5, 0.1, 0.5], [2.5, 0.1, 1.0], [2.2, 0.1, 1.0]]);
-    out
-}
+use sightline_tests::{Browser, Sandbox, across, house, wait_for};
 
 /// The scene and its exact result with a cell in each room.
 fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new();
-    sandbox.write("house.obj", house());
+    // A wall at x = 2 leaves y from 1 to 2 open; the shelf stands behind it.
+    let shelf = [[2.2, 0.1, 0.5], [2.5, 0.1, 0.5], [2.5, 0.1, 1.0], [2.2, 0.1, 1.0]];
+    sandbox.write("house.obj", house(&[("wall", across(2.0, [0.0, 1.0], [0.0, 2.0])), ("shelf", shelf)]));
     let boxes = "--view-box 0.25,0.25,0.25,3.65,0.9,1.75 --cells 2x1x1";
     sandbox.ok(&format!("bake house.obj -o house.pvs --method exact --backend cpu {boxes}"));
     sandbox
@@ -228,6 +205,7 @@ fn bad_input_is_told() {
     sandbox.write("worst.json", "{}");
     sandbox.run("view house.pvs house.obj --worst worst.json -o x.html").code(3).says("no list \"worst\"");
     sandbox.run("view house.pvs house.obj -o house.obj").code(2).says("house.obj");
+    sandbox.run("bake house.obj -o x.pvs --view --json").code(2).says("--view serves a page");
     sandbox.write("worst.json", sandbox.ok("measure house.obj house.pvs --viewpoints 4 --backend cpu"));
     sandbox.ok("view house.pvs house.obj --worst worst.json -o x.html");
 }

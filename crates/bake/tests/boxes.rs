@@ -3,31 +3,21 @@
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
 
 mod common;
+#[path = "common/cpu.rs"]
+mod cpu;
 
 use std::sync::Arc;
 
 use common::Quiet;
+use cpu::cpu;
 use glam::Vec3;
 use sightline_bake::{Alone, BakeScene, Control, run_portal_tile, run_tile};
 use sightline_exact::{Cell, ExactScene, Task, decide};
 use sightline_model::{BackendChoice, JobSpec, Method, TileOutput, codec};
 use sightline_portals::along_walls;
-use sightline_sampling::{BackendError, CubeSpec, embree::CpuBackend};
 use sightline_scene::Scene;
 use sightline_scene::generate::{Kind, Params, generate};
 use sightline_viewcells::Division;
-
-/// Embree; `None` without it, which under `CI` is a failure.
-fn cpu(scene: &Arc<Scene>, spec: &JobSpec) -> Option<CpuBackend> {
-    match CpuBackend::new(Arc::clone(scene), CubeSpec::of(&spec.sampling)) {
-        Ok(backend) => Some(backend),
-        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
-            eprintln!("not run: {why}");
-            None
-        }
-        Err(e) => panic!("{e}"),
-    }
-}
 
 /// The set of a tile of one cell.
 fn set(bytes: &[u8], scene: &Scene) -> Vec<u32> {

@@ -3,18 +3,20 @@
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
 
 mod common;
+#[path = "common/cpu.rs"]
+mod cpu;
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use common::Quiet;
+use cpu::cpu;
 use glam::Vec3;
 use sightline_bake::{Alone, BakeScene, Control, run_portal_tile, run_tile};
 use sightline_exact::{Cell, ExactScene, Places, Task, decide};
 use sightline_model::{BackendChoice, CellSet, DecisionStats, JobSpec, Method, TileOutput, codec};
 use sightline_numbers::Aabb;
 use sightline_portals::{Enclosure, Limits, Partition, Reached, Tree, enclose, reached, region_of, sights};
-use sightline_sampling::{BackendError, CubeSpec, embree::CpuBackend};
 use sightline_scene::generate::{Kind, Params, generate};
 use sightline_scene::{Object, Scene, Triangle};
 use sightline_viewcells::Division;
@@ -28,18 +30,6 @@ fn spec(scene: &Scene) -> JobSpec {
     (spec.method, spec.backend) = (Method::Portals, BackendChoice::None);
     spec.check().unwrap();
     spec
-}
-
-/// Embree; `None` without it, which under `CI` is a failure.
-fn cpu(scene: &Arc<Scene>, spec: &JobSpec) -> Option<CpuBackend> {
-    match CpuBackend::new(Arc::clone(scene), CubeSpec::of(&spec.sampling)) {
-        Ok(backend) => Some(backend),
-        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
-            eprintln!("not run: {why}");
-            None
-        }
-        Err(e) => panic!("{e}"),
-    }
 }
 
 fn cells(bytes: &[u8], scene: &Scene) -> Vec<CellSet> {
