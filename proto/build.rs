@@ -5,12 +5,15 @@ use std::path::PathBuf;
 use prost::Message as _;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let files = ["sightline/v1/jobs.proto", "sightline/v1/workers.proto"];
+    let files = ["sightline/v1/jobs.proto", "sightline/v1/workers.proto", "sightline/v1/farm.proto"];
     println!("cargo:rerun-if-changed=sightline");
     let set = protox::compile(files, ["."])?;
     // The descriptors, for the reflection service.
     let out = PathBuf::from(std::env::var_os("OUT_DIR").ok_or("cargo sets OUT_DIR")?);
-    std::fs::write(out.join("descriptors.bin"), set.encode_to_vec())?;
+    let descriptors = set.encode_to_vec();
+    std::fs::write(out.join("descriptors.bin"), &descriptors)?;
+    // The JSON form of messages that the Protocol Buffers define.
+    pbjson_build::Builder::new().register_descriptors(&descriptors)?.build(&[".sightline.v1"])?;
     let services = r#"#[cfg(feature = "services")]"#;
     tonic_prost_build::configure()
         .client_mod_attribute("sightline.v1", services)

@@ -2,7 +2,7 @@
 //!
 //! The bytes depend on the tiles' outputs and the job alone. Tiles are read one at a time.
 
-use std::io::BufWriter;
+use std::io::{BufWriter, Write};
 use std::sync::Arc;
 
 use sightline_model::codec::{self, CodecError};
@@ -67,7 +67,7 @@ fn of_disk(blobs: &dyn Blobs, e: PvsError) -> AssembleError {
 /// Bytes of a result that are hashed and written at a time.
 const WRITTEN_AT_ONCE: usize = 1 << 20;
 
-/// A complete job, copied from the scheduler.
+/// A job whose result is written.
 pub(crate) struct Parts {
     pub(crate) work: Arc<Work>,
     pub(crate) profile: String,
@@ -81,6 +81,18 @@ impl Parts {
     fn leaf(&self, number: u32) -> Leaf {
         let tile = TileIndex(number);
         Leaf { tile, output: self.outputs[tile.at()], cells: self.work.plan.tiles[tile.at()].cells }
+    }
+
+    /// The cells of a leaf tile, whose sets name at most `items` items. Those of a tile that is not done are
+    /// empty, like those of one that was set aside.
+    fn read(&self, number: u32, blobs: &dyn Blobs, items: u32) -> Result<CellSets, AssembleError> {
+        let leaf = self.leaf(number);
+        if leaf.output != Output::Open {
+            return leaf.read(blobs, items);
+        }
+        let (tile, mut sets) = (&self.work.plan.tiles[leaf.tile.at()], CellSets::default());
+        empty_cells(&self.work.spec.division, &self.work.lattice, &tile.cell, tile.depth, &mut sets);
+        Ok(sets)
     }
 }
 
@@ -113,6 +125,14 @@ impl Leaf {
 
 /// Builds the `.pvs` file of a complete job and stores it; returns its digest and length.
 pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), AssembleError> {
+    let mut file = c.blobs.put_stream()?;
+    let bytes = write(c, parts, &mut BufWriter::with_capacity(WRITTEN_AT_ONCE, &mut file))?;
+    Ok((file.finish(None)?, bytes))
+}
+
+/// Writes the `.pvs` file of a job and returns its length. Cells of tiles that are not done or were set aside
+/// show everything, as undecided.
+pub(crate) fn write(c: &Coordinator, parts: &Parts, out: &mut impl Write) -> Result<u64, AssembleError> {
     let (scene, blobs) = (facts(c, &parts.work.spec.scene)?, &*c.blobs);
     let most = most_items(&parts.work.spec, scene.triangles, scene.objects.len() as u32);
     let leaves = || parts.work.plan.leaves().map(|n| parts.leaf(n));
@@ -128,7 +148,7 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
             Outline::Leaf(number) => {
                 let sets = match kept.take() {
                     Some(sets) => sets,
-                    None => parts.leaf(number).read(blobs, most)?,
+                    None => parts.read(number, blobs, most)?,
                 };
                 nodes.extend(sets.nodes.iter().map(|n| pvs_node(*n, &parts.work.lattice)));
                 if parts.work.plan.outline.len() == 1 {
@@ -181,11 +201,11 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
         builder.keep_certificates_in(file);
     }
     for leaf in leaves() {
-        let aside = matches!(leaf.output, Output::SetAside(_));
+        let aside = !matches!(leaf.output, Output::Done(_));
         let wrong = |reason| AssembleError::Tile { tile: leaf.tile, reason };
         let mut sets = match kept.take() {
             Some(sets) => sets,
-            None => leaf.read(blobs, most)?,
+            None => parts.read(leaf.tile.0, blobs, most)?,
         };
         if !sets.portals.is_empty() {
             builder.set_portals(std::mem::take(&mut sets.portals))?;
@@ -225,11 +245,8 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
         builder.set_pairs(&pairs.finish()?)?;
     }
     builder.set_columns(statistics.columns())?;
-    let mut file = blobs.put_stream()?;
-    let stats = builder
-        .finish(&mut BufWriter::with_capacity(WRITTEN_AT_ONCE, &mut file))
-        .map_err(|e| of_disk(blobs, e))?;
-    Ok((file.finish(None)?, stats.file_bytes))
+    let stats = builder.finish(out).map_err(|e| of_disk(blobs, e))?;
+    Ok(stats.file_bytes)
 }
 
 /// An upper limit on the numbers that the sets of a job's tiles name. There are at most as many clusters as
@@ -364,6 +381,10 @@ fn info(parts: &Parts, scene: &SceneFacts, samples: u64, set_aside: usize) -> St
         "samples": samples,
         "tiles_set_aside": set_aside,
     });
+    let open = parts.work.plan.leaves().filter(|n| parts.outputs[*n as usize] == Output::Open).count();
+    if open > 0 {
+        info["tiles_open"] = open.into();
+    }
     if let Some(up) = parts.work.spec.up {
         info["up"] = up.to_string().into();
     }

@@ -8,6 +8,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use crate::assemble::stand_in;
+use crate::chronicle::{Happening, Kind};
 use crate::finishing;
 use crate::scheduler::{Command, Event};
 use crate::scheduling::{Chore, tell};
@@ -48,7 +49,9 @@ fn run(c: &Arc<Coordinator>, command: Command) -> Vec<Chore> {
         // The job has changed in the meantime; the machine has heard of that, or will.
         Err(StoreError::IllegalTransition { .. } | StoreError::UnknownJob { .. }) => {}
         Err(e) => {
-            tracing::error!("no tiles are granted for a while: {e}");
+            let text = format!("no tiles are granted for a while: {e}");
+            tracing::error!("{text}");
+            c.happened(Happening::of(Kind::Coordinator, text));
             chores.extend(tell(c, Event::Refused(command)));
         }
     }
@@ -65,7 +68,9 @@ fn outcome(
     match command {
         Command::Bind(id, profile) => Ok(Some(Event::Bound(*id, c.store.bind_profile(*id, profile)?))),
         Command::Start(id) => {
-            changed(c.store.set_job_state(*id, &[JobPhase::Queued], JobState::Running, at)?)
+            let record = c.store.set_job_state(*id, &[JobPhase::Queued], JobState::Running, at)?;
+            c.happened(Happening::of_job(Kind::Job, *id, "the job is running"));
+            changed(record)
         }
         Command::Fail { job, tile, worker, reason } => {
             let on = c.store.fail_tile(*job, *tile, worker, reason)?;
@@ -88,6 +93,9 @@ fn outcome(
                     Ok(()) => {
                         let text = "is set aside: its cells will show every triangle";
                         tracing::error!("tile {tile} of job {job} {text}");
+                        let text = format!("tile {tile} {text} ({reason})");
+                        let what = Happening::of_job(Kind::SetAside, *job, text);
+                        c.happened(Happening { tile: Some(tile), ..what });
                     }
                     // A late result has come in between; the machine hears of it.
                     Err(StoreError::TileNotOpen { .. }) => {}
@@ -101,6 +109,7 @@ fn outcome(
             // Submitted again, the job begins from nothing.
             c.crews.outcomes.sweep(|job| job != *id);
             let failed = JobState::Failed { reason: reason.clone() };
+            c.happened(Happening::of_job(Kind::Job, *id, format!("the job has failed: {reason}")));
             changed(c.store.set_job_state(*id, &[JobPhase::Queued, JobPhase::Running], failed, at)?)
         }
     }

@@ -6,6 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use crate::assemble::{AssembleError, Parts, assemble};
+use crate::chronicle::{Happening, Kind};
 use crate::ids::{Digest, JobId};
 use crate::scheduler::{Event, Output};
 use crate::scheduling::{Chore, tell};
@@ -49,6 +50,7 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
         Ok((digest, bytes)) => c.store.finish_job(id, digest, bytes, now),
         Err(e) => {
             tracing::error!("job {id} has no result: {e}");
+            c.happened(Happening::of_job(Kind::Job, id, format!("the job has failed: {e}")));
             let failed = JobState::Failed { reason: e };
             c.store.set_job_state(id, &[JobPhase::Queued, JobPhase::Running], failed, now)
         }
@@ -66,6 +68,7 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
     };
     if let JobState::Done { bytes, .. } = record.state {
         tracing::info!("job {id} is done, {bytes} bytes");
+        c.happened(Happening::of_job(Kind::Job, id, format!("the job is done, {bytes} bytes")));
     }
     let done = matches!(record.state, JobState::Done { .. });
     let chores = tell(c, Event::JobChanged(Box::new(record)));

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use crate::chores::do_chores;
+use crate::chronicle::{Happening, Kind};
 use crate::ids::{Digest, JobId};
 use crate::scheduler::{Event, Job, Team, Unable, cells_total};
 use crate::scheduling::tell;
@@ -46,10 +47,19 @@ pub(crate) struct Summary {
     pub(crate) tile_millis: u64,
     /// Connected workers.
     pub(crate) workers: u32,
+    /// The coordinator's clock, in milliseconds since 1970.
+    pub(crate) now_ms: u64,
+    /// Milliseconds until the job is done, while that is known.
+    pub(crate) left_millis: Option<u64>,
 }
 
 impl Summary {
-    fn of_ended(record: JobRecord, tiles: &[TileRecord], cells_total: u64, workers: u32) -> Self {
+    fn of_ended(
+        record: JobRecord,
+        tiles: &[TileRecord],
+        cells_total: u64,
+        (workers, now_ms): (u32, u64),
+    ) -> Self {
         let mut sum = Self {
             record,
             tiles_total: tiles.len() as u32,
@@ -61,6 +71,8 @@ impl Summary {
             samples: 0,
             tile_millis: 0,
             workers,
+            now_ms,
+            left_millis: None,
         };
         for tile in tiles {
             match &tile.state {
@@ -104,11 +116,12 @@ pub(crate) fn summary(c: &Coordinator, id: JobId) -> Result<Summary, StoreError>
         .ok()
         .and_then(|s| s.plan().ok().map(|(_, plan)| cells_total(&s, &plan)))
         .unwrap_or(0);
-    Ok(Summary::of_ended(record, &tiles, total, workers))
+    Ok(Summary::of_ended(record, &tiles, total, (workers, c.now().unix_ms)))
 }
 
 /// The summary of a job that has not ended, from the scheduler's totals.
 pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
+    let now = c.now_plain();
     let scheduling = c.lock();
     let machine = &scheduling.machine;
     let job = machine.job(id)?;
@@ -123,6 +136,8 @@ pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
         samples: job.samples.saturating_add(job.running_samples),
         tile_millis: job.millis,
         workers: machine.workers(),
+        now_ms: now.unix_ms,
+        left_millis: job.left(now),
     })
 }
 
@@ -161,9 +176,16 @@ pub(crate) fn cancel(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobErr
     turn(c, job, &[JobPhase::Queued, JobPhase::Running, JobPhase::Paused], JobState::Cancelled)
 }
 
-/// Stops granting tiles of a job, and takes back those that are leased.
-pub(crate) fn pause(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobError> {
-    turn(c, job, &[JobPhase::Queued, JobPhase::Running], JobState::Paused)
+/// Stops granting tiles of a job; takes back those that are leased if they are to stop `now`.
+pub(crate) fn pause(c: &Arc<Coordinator>, job: JobId, now: bool) -> Result<Summary, JobError> {
+    // A paused job can still be told to stop now.
+    let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
+    let paused = turn(c, job, &from, JobState::Paused)?;
+    if !now {
+        return Ok(paused);
+    }
+    do_chores(c, tell(c, Event::Stopped(job)));
+    Ok(summary(c, job)?)
 }
 
 /// Continues a paused job.
@@ -177,6 +199,7 @@ pub(crate) fn prioritize(c: &Arc<Coordinator>, id: JobId, priority: i32) -> Resu
         let _turn = c.turn();
         let record = c.store.prioritize_job(id, priority)?;
         tracing::info!("job {id} has priority {priority}");
+        c.happened(Happening::of_job(Kind::Job, id, format!("the job has priority {priority}")));
         tell(c, Event::JobChanged(Box::new(record)))
     };
     do_chores(c, chores);
@@ -189,6 +212,7 @@ fn turn(c: &Arc<Coordinator>, id: JobId, from: &[JobPhase], to: JobState) -> Res
         let _turn = c.turn();
         let record = c.store.set_job_state(id, from, to, c.now().unix_ms)?;
         tracing::info!("job {id} is {}", record.state.phase());
+        c.happened(Happening::of_job(Kind::Job, id, format!("the job is {}", record.state.phase())));
         tell(c, Event::JobChanged(Box::new(record)))
     };
     do_chores(c, chores);
@@ -212,6 +236,7 @@ pub(crate) fn retry(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobError
                 let job = Job::of(after, &spec, c.store.tiles(id)?).map_err(JobError::Outdated)?;
                 chores = tell(c, Event::TakenUp(Box::new(job)));
                 tracing::info!("job {id} is tried again");
+                c.happened(Happening::of_job(Kind::Job, id, "the job is tried again"));
             }
         }
     }

@@ -26,8 +26,10 @@
 mod assemble;
 mod assemble_pairs;
 mod chores;
+mod chronicle;
 pub mod clock;
 mod crews;
+mod deleting;
 mod estimate;
 mod finishing;
 pub mod ids;
@@ -36,6 +38,7 @@ mod lifecycle;
 #[cfg(test)]
 mod load;
 mod orders;
+mod partial;
 mod results;
 mod scenes;
 mod scheduler;
@@ -47,6 +50,7 @@ mod state;
 mod statistics;
 pub mod store;
 mod submit;
+mod tiles;
 
 #[cfg(test)]
 mod simulator;
@@ -55,5 +59,5 @@ mod tests;
 
 pub use lifecycle::{Config, OpenError};
 pub use scenes::TakeError;
-pub use services::{ServeError, listen, serve};
+pub use services::{ServeError, listen, serve, serve_http};
 pub use state::{Coordinator, Leases};

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use crate::chores::happened;
+use crate::chronicle::{Chronicle, Happening, Kind};
 use crate::clock::{Clock, SystemClock};
 use crate::crews::Crews;
 use crate::ids::{Epoch, JobId};
@@ -50,7 +51,9 @@ impl Coordinator {
         let store = SledStore::open(&config.data_dir.join("state"))?;
         let blobs = FileBlobs::open(&config.data_dir.join("blobs"))?;
         let outcomes = Outcomes::of(config.data_dir.join("crews"));
-        Ok(Self::start(config.leases, Box::new(store), Box::new(blobs), Box::new(SystemClock), outcomes)?)
+        let chronicle = Chronicle::of(config.data_dir.join("events"));
+        let (store, blobs) = (Box::new(store), Box::new(blobs));
+        Ok(Self::start(config.leases, store, blobs, Box::new(SystemClock), (outcomes, chronicle))?)
     }
 
     /// Starts on a store: begins its next epoch and continues the jobs that have not ended. Keeps no outcomes
@@ -64,7 +67,7 @@ impl Coordinator {
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
     ) -> Result<Arc<Self>, StoreError> {
-        Self::start(leases, store, blobs, clock, Outcomes::nowhere())
+        Self::start(leases, store, blobs, clock, (Outcomes::nowhere(), Chronicle::nowhere()))
     }
 
     fn start(
@@ -72,7 +75,7 @@ impl Coordinator {
         store: Box<dyn Store>,
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
-        outcomes: Outcomes,
+        (outcomes, chronicle): (Outcomes, Chronicle),
     ) -> Result<Arc<Self>, StoreError> {
         let epoch = Epoch(store.begin_epoch()?);
         let settings = Settings {
@@ -100,7 +103,11 @@ impl Coordinator {
         }
         outcomes.sweep(|job| jobs.iter().any(|j: &Job| j.record.id == job));
         let crews = Crews::new(outcomes);
-        let this = Arc::new(Self::of(leases, store, blobs, clock, crews, Machine::new(settings)));
+        let kept = (crews, chronicle);
+        let this = Arc::new(Self::of(leases, store, blobs, clock, kept, Machine::new(settings)));
+        let version = env!("CARGO_PKG_VERSION");
+        let text = format!("the coordinator starts, version {version}; jobs to go on with: {}", jobs.len());
+        this.happened(Happening::of(Kind::Coordinator, text));
         for job in jobs {
             happened(&this, Event::TakenUp(Box::new(job)));
         }

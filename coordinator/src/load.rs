@@ -151,8 +151,14 @@ fn one_coordinator_with_a_thousand_workers() {
 async fn work(c: &Arc<Coordinator>, w: u64, done: &AtomicU64, enough: u64) -> Vec<Duration> {
     let (send, mut granted) = mpsc::unbounded_channel();
     let profiles = vec!["cpu/test".to_owned()];
-    let intro =
-        Introduction { name: format!("w{w}"), instance: w + 1, profiles, held: Vec::new(), helps: false };
+    let intro = Introduction {
+        name: format!("w{w}"),
+        version: String::new(),
+        instance: w + 1,
+        profiles,
+        held: Vec::new(),
+        helps: false,
+    };
     let worker = sessions::join(c, intro, Box::new(Queue(send))).unwrap().0.worker;
     let mut latencies = Vec::new();
     while done.load(Ordering::Relaxed) < enough {

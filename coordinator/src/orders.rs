@@ -29,24 +29,35 @@ impl Scheduling {
 
 /// The jobs that clients watch.
 #[derive(Default)]
-pub(crate) struct Watched(BTreeMap<JobId, watch::Sender<bool>>);
+pub(crate) struct Watched {
+    of: BTreeMap<JobId, watch::Sender<bool>>,
+    /// Changes of any job and of the workers.
+    any: watch::Sender<()>,
+}
 
 impl Watched {
     /// Changes of a job from now on; the value is whether the job has ended.
     pub(crate) fn subscribe(&mut self, job: JobId) -> watch::Receiver<bool> {
-        self.0.retain(|_, sender| sender.receiver_count() > 0);
-        self.0.entry(job).or_insert_with(|| watch::Sender::new(false)).subscribe()
+        self.of.retain(|_, sender| sender.receiver_count() > 0);
+        self.of.entry(job).or_insert_with(|| watch::Sender::new(false)).subscribe()
+    }
+
+    /// Changes of any job and of the workers from now on.
+    pub(crate) fn any(&self) -> watch::Receiver<()> {
+        self.any.subscribe()
     }
 
     /// Wakes those who watch a job.
     pub(crate) fn changed(&self, job: JobId, ended: bool) {
-        if let Some(sender) = self.0.get(&job) {
+        if let Some(sender) = self.of.get(&job) {
             sender.send_replace(ended);
         }
+        self.any.send_modify(|()| ());
     }
 
     /// Wakes everybody who watches a job: every summary says how many workers there are.
     pub(crate) fn all_changed(&self) {
-        self.0.values().for_each(|sender| sender.send_modify(|_| ()));
+        self.of.values().for_each(|sender| sender.send_modify(|_| ()));
+        self.any.send_modify(|()| ());
     }
 }

@@ -9,6 +9,7 @@ use sightline_viewcells::{CellBox, TileKind};
 
 use crate::assemble::{expected_nodes, most_items};
 use crate::chores::do_chores;
+use crate::chronicle::{Happening, Kind};
 use crate::ids::{Digest, JobId, Lease, hex};
 use crate::scheduler::{Admitted, Event, NoTile, Work};
 use crate::scheduling::{Chore, tell};
@@ -207,6 +208,11 @@ fn commit(
     match outcome {
         CommitOutcome::Committed | CommitOutcome::AlreadySame => {
             c.crews.outcomes.remove((id, tile));
+            if outcome == CommitOutcome::Committed {
+                let TileStats { cells, samples, millis, worker } = &stats;
+                let text = format!("tile {tile} is done: {cells} cells, {samples} samples, {millis} ms");
+                c.happened(Happening::of_lease(Kind::Done, &lease, text).on(worker));
+            }
             Ok((Ok(()), tell(c, Event::Committed { lease, digest, stats })))
         }
         CommitOutcome::Conflict { kept, offered } => {
@@ -217,6 +223,7 @@ fn commit(
                 hex(&offered)
             );
             tracing::error!("{error}");
+            c.happened(Happening::of_lease(Kind::Conflict, &lease, error).on(&stats.worker));
             // The lease has ended, whoever made the result that stays.
             let event = Event::Committed { lease, digest: kept, stats: TileStats::default() };
             Ok((Err(ResultError::Conflict), tell(c, event)))

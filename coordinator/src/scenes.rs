@@ -199,6 +199,7 @@ mod tests {
     use sightline_scene::Triangle;
 
     use super::*;
+    use crate::chronicle::Chronicle;
     use crate::clock::SystemClock;
     use crate::crews::Crews;
     use crate::ids::Epoch;
@@ -216,7 +217,8 @@ mod tests {
         let scheduler = Machine::new(settings);
         let crews = Crews::new(Outcomes::nowhere());
         let (boxed, clock) = (Box::new(blobs.clone()), Box::new(SystemClock));
-        let coordinator = Coordinator::of(Leases::default(), store, boxed, clock, crews, scheduler);
+        let coordinator =
+            Coordinator::of(Leases::default(), store, boxed, clock, (crews, Chronicle::nowhere()), scheduler);
         let triangle = Triangle { v: [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y] };
         let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
         let scene = Scene::new("test", vec![triangle], objects).unwrap();

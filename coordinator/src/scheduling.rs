@@ -3,6 +3,7 @@
 
 use std::collections::VecDeque;
 
+use crate::chronicle::{Happening, Kind};
 use crate::ids::{JobId, Lease, WorkerId};
 use crate::orders::{Outbox, Scheduling};
 use crate::scheduler::{Command, Departure, Effect, Event, Introduction, Joined, NameTaken, Note, Order};
@@ -105,44 +106,66 @@ fn carry(
                 Order::Help(help) => Some(Event::HelpUndelivered(worker, help.lease)),
                 Order::Revoke(_) | Order::Time { .. } => None,
             };
+            if let Order::Grant(grant) = &order {
+                let name = scheduling.machine.name_of(worker).unwrap_or_default();
+                let text = format!("tile {} is leased to {name}", grant.lease.tile);
+                c.happened(Happening::of_lease(Kind::Leased, &grant.lease, text).on(name));
+            }
             let sent = scheduling.outboxes.get(&worker).is_some_and(|out| out.offer(order));
             return lost.filter(|_| !sent);
         }
         Effect::Run(command) => chores.push(Chore::Run(command)),
         Effect::Assemble(job) => chores.push(Chore::Assemble(job)),
         Effect::Changed(job) => c.watched().changed(job, scheduling.machine.job(job).is_none()),
-        Effect::Note(note) => write(&note),
+        Effect::Note(note) => write(c, &note),
         // Answers to `join` and `leave`, which look at them themselves.
         Effect::Joined(_) | Effect::Left(_) => {}
     }
     None
 }
 
-fn write(note: &Note) {
-    match note {
-        Note::TakenBack(Lease { job, tile, .. }, from, why) => {
-            let from = from.as_ref().map(|name| format!(" from worker {name}")).unwrap_or_default();
-            tracing::warn!("tile {tile} of job {job} is taken back{from}: {why}");
+/// Writes a note to the log and among the events.
+fn write(c: &Coordinator, note: &Note) {
+    let happening = match note {
+        Note::TakenBack(lease @ Lease { job, tile, .. }, from, why) => {
+            let of = from.as_ref().map(|name| format!(" from worker {name}")).unwrap_or_default();
+            tracing::warn!("tile {tile} of job {job} is taken back{of}: {why}");
+            let text = format!("tile {tile} is taken back{of}: {why}");
+            Happening::of_lease(Kind::TakenBack, lease, text).on(from.clone().unwrap_or_default())
         }
-        Note::TakenOver(Lease { job, tile, .. }, from) => {
-            tracing::info!(
-                "tile {tile} of job {job}, queued on the busy worker {from}, goes to an idle worker"
-            );
+        Note::TakenOver(lease @ Lease { job, tile, .. }, from) => {
+            let text = format!("queued on the busy worker {from}, goes to an idle worker");
+            tracing::info!("tile {tile} of job {job}, {text}");
+            Happening::of_lease(Kind::TakenBack, lease, format!("tile {tile}, {text}")).on(from)
         }
-        Note::Doubled(Lease { job, tile, .. }) => {
-            tracing::info!("tile {tile} of job {job} takes long; an idle worker computes it, too");
+        Note::Doubled(lease @ Lease { job, tile, .. }) => {
+            let text = "takes long; an idle worker computes it, too";
+            tracing::info!("tile {tile} of job {job} {text}");
+            Happening::of_lease(Kind::Job, lease, format!("tile {tile} {text}"))
         }
-        Note::TileFailed(Lease { job, tile, .. }, worker, reason) => {
+        Note::TileFailed(lease @ Lease { job, tile, .. }, worker, reason) => {
             tracing::warn!("tile {tile} of job {job} failed on {worker}: {reason}");
+            let text = format!("tile {tile} failed on {worker}: {reason}");
+            Happening::of_lease(Kind::Failed, lease, text).on(worker)
         }
         Note::Draining(name) => {
-            tracing::info!("worker {name} is draining: it finishes its tile and takes no more");
+            let text = format!("worker {name} is draining: it finishes its tile and takes no more");
+            tracing::info!("{text}");
+            Happening::of(Kind::Worker, text).on(name)
         }
-        Note::Chosen(job, chosen) => tracing::info!("job {job}: {chosen}"),
-        Note::GraceOver(job, tiles) => match tiles {
-            0 => tracing::info!("job {job} goes on: all its tiles at work are with their workers again"),
-            1 => tracing::info!("job {job} goes on: no worker has come back for one of its tiles"),
-            n => tracing::info!("job {job} goes on: no worker has come back for {n} of its tiles"),
-        },
-    }
+        Note::Chosen(job, chosen) => {
+            tracing::info!("job {job}: {chosen}");
+            Happening::of_job(Kind::Job, *job, chosen)
+        }
+        Note::GraceOver(job, tiles) => {
+            let text = match tiles {
+                0 => "all its tiles at work are with their workers again".to_owned(),
+                1 => "no worker has come back for one of its tiles".to_owned(),
+                n => format!("no worker has come back for {n} of its tiles"),
+            };
+            tracing::info!("job {job} goes on: {text}");
+            Happening::of_job(Kind::Job, *job, format!("the job goes on: {text}"))
+        }
+    };
+    c.happened(happening);
 }

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use tokio::sync::mpsc;
 
+use crate::chronicle::{Happening, Kind};
 use crate::crews::{Room, Told};
 use crate::ids::{JobId, Lease, WorkerId};
 use crate::orders::Outbox;
@@ -40,19 +41,23 @@ pub(crate) fn join(
     out: Box<dyn Outbox>,
 ) -> Result<(Joined, Vec<Chore>), NameTaken> {
     let joining = format!("worker {} has joined, with {}", intro.name, intro.profiles.join(", "));
+    let name = intro.name.clone();
     let (joined, chores) = scheduling::join(c, intro, out);
     let joined = joined?;
     tracing::info!("{joining}");
+    c.happened(Happening::of(Kind::Worker, joining).on(name));
     Ok((joined, chores))
 }
 
 /// Removes a worker whose stream has ended.
 pub(crate) fn leave(c: &Coordinator, worker: WorkerId, name: &str) -> Vec<Chore> {
     let (departure, chores) = scheduling::leave(c, worker);
-    match departure {
-        Departure::Drained => tracing::info!("worker {name} has drained and left"),
-        Departure::Lost => tracing::info!("worker {name} has gone"),
-    }
+    let text = match departure {
+        Departure::Drained => format!("worker {name} has drained and left"),
+        Departure::Lost => format!("worker {name} has gone"),
+    };
+    tracing::info!("{text}");
+    c.happened(Happening::of(Kind::Worker, text).on(name));
     chores
 }
 

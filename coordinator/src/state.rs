@@ -9,10 +9,12 @@ use std::time::{Duration, Instant};
 use sightline_scene::{Aabb, Kinds, Object, Source};
 use tokio::sync::Semaphore;
 
+use crate::chronicle::{Chronicle, Happening};
 use crate::clock::{Clock, Moment};
 use crate::crews::Crews;
 use crate::ids::Digest;
 use crate::orders::{Scheduling, Watched};
+use crate::partial::Last;
 use crate::scheduler::{Machine, Now};
 use crate::store::{Blobs, Store};
 
@@ -55,6 +57,8 @@ pub struct Coordinator {
     clock: Box<dyn Clock>,
     /// Crews, and the outcomes of the phases of unfinished tiles.
     pub(crate) crews: Crews,
+    /// What happened.
+    pub(crate) chronicle: Chronicle,
     /// The origin of the scheduler's time.
     origin: Instant,
     /// Never held during a call of the store.
@@ -66,6 +70,8 @@ pub struct Coordinator {
     outputs: RwLock<()>,
     /// The facts of the scene used last: consecutive jobs often have the same scene.
     pub(crate) last_scene: Mutex<Option<(Digest, Arc<SceneFacts>)>>,
+    /// The result of a part of a job that was made last.
+    pub(crate) last_partial: Mutex<Last>,
     /// Permits for downloads, each of which occupies a thread for as long as its client takes.
     pub(crate) downloads: Arc<Semaphore>,
 }
@@ -77,7 +83,7 @@ impl Coordinator {
         store: Box<dyn Store>,
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
-        crews: Crews,
+        (crews, chronicle): (Crews, Chronicle),
         machine: Machine,
     ) -> Self {
         let origin = clock.now().at;
@@ -87,12 +93,14 @@ impl Coordinator {
             blobs,
             clock,
             crews,
+            chronicle,
             origin,
             scheduling: Mutex::new(Scheduling::new(machine)),
             watched: Mutex::default(),
             turn: Mutex::default(),
             outputs: RwLock::default(),
             last_scene: Mutex::new(None),
+            last_partial: Mutex::default(),
             downloads: Arc::new(Semaphore::new(MOST_DOWNLOADS)),
         }
     }
@@ -100,6 +108,11 @@ impl Coordinator {
     /// The current time.
     pub(crate) fn now(&self) -> Moment {
         self.clock.now()
+    }
+
+    /// Notes that something happened, for people. Does not block.
+    pub(crate) fn happened(&self, what: Happening) {
+        self.chronicle.record(self.clock.now().unix_ms, what);
     }
 
     /// The current time as the scheduler counts it.

@@ -6,6 +6,7 @@ use sightline_model::{JobSpec, Method};
 use sightline_viewcells::{DivisionError, Plan};
 
 use crate::chores::do_chores;
+use crate::chronicle::{Happening, Kind};
 use crate::ids::{Digest, JobId};
 use crate::scenes::{self, FactsError};
 use crate::scheduler::{Event, Job};
@@ -117,6 +118,9 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
         let tiles = c.store.tiles(id)?;
         let job = Job::of(record, &spec.to_proto(), tiles).map_err(SubmitError::Schedule)?;
         tracing::info!("job {id} ({name:?}) is submitted; tiles: {}", plan.tiles.len());
+        let by = if user.is_empty() { String::new() } else { format!(" by {user}") };
+        let text = format!("{name} is submitted{by}; tiles: {}", plan.tiles.len());
+        c.happened(Happening::of_job(Kind::Submitted, id, text));
         chores = tell(c, Event::TakenUp(Box::new(job)));
     }
     drop(turn);

@@ -100,7 +100,9 @@ fn two_tiles(c: &Arc<Coordinator>, scene: Digest) -> JobId {
 fn join(c: &Arc<Coordinator>, name: &str) -> (WorkerId, mpsc::Receiver<Order>) {
     let (out, orders) = mpsc::channel(8);
     let profiles = vec!["cpu/test".to_owned()];
-    let intro = Introduction { name: name.to_owned(), instance: 0, profiles, held: Vec::new(), helps: false };
+    let name = name.to_owned();
+    let version = String::new();
+    let intro = Introduction { name, version, instance: 0, profiles, held: Vec::new(), helps: false };
     let (joined, chores) = sessions::join(c, intro, Box::new(out)).unwrap();
     do_chores(c, chores);
     let worker = joined.worker;

@@ -27,9 +27,11 @@ use tonic::transport::Endpoint;
 #[allow(missing_docs, clippy::all, reason = "generated; the documentation is in the .proto files")]
 pub mod v1 {
     include!(concat!(env!("OUT_DIR"), "/sightline.v1.rs"));
+    #[cfg(feature = "json")]
+    include!(concat!(env!("OUT_DIR"), "/sightline.v1.serde.rs"));
 }
 
-/// The compiled descriptors of both .proto files, for gRPC reflection.
+/// The compiled descriptors of the .proto files, for gRPC reflection.
 pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
 
 /// The endpoint of a coordinator at `url`, with a connection timeout of five seconds and without Nagle's

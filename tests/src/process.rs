@@ -111,17 +111,28 @@ impl Sandbox {
 
     /// Starts a coordinator on a free port, or on the address given, with its data in `data`.
     pub fn coordinator(&self, data: &str, address: &str) -> Coordinator<'_> {
-        let mut command =
-            self.command(program(), &format!("coordinator --listen {address} --data-dir {data}"));
+        self.serve(data, &format!("--listen {address}"))
+    }
+
+    /// Starts a coordinator with a dashboard on free ports.
+    pub fn coordinator_with_pages(&self, data: &str) -> Coordinator<'_> {
+        self.serve(data, "--listen 127.0.0.1:0 --http 127.0.0.1:0")
+    }
+
+    fn serve(&self, data: &str, arguments: &str) -> Coordinator<'_> {
+        let mut command = self.command(program(), &format!("coordinator {arguments} --data-dir {data}"));
         let log = self.path(&format!(".{data}.{}.log", self.runs.fetch_add(1, Ordering::Relaxed)));
         command.stdout(Stdio::piped()).stderr(File::create(&log).unwrap());
         let mut child = command.spawn().unwrap();
-        let mut first = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut first).unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        let mut line = || lines.next().map(Result::unwrap).unwrap_or_default();
+        let first = line();
+        let second = if arguments.contains("--http") { line() } else { String::new() };
         let coordinator = Coordinator {
             sandbox: self,
             process: Background { line: "coordinator".into(), child, out: PathBuf::new(), err: log },
             url: first.trim().strip_prefix("listening on ").unwrap_or_default().to_owned(),
+            pages: second.trim().strip_prefix("dashboard on ").unwrap_or_default().to_owned(),
         };
         assert!(
             coordinator.url.starts_with("http://"),
@@ -236,6 +247,8 @@ pub struct Coordinator<'a> {
     pub process: Background,
     /// Where it listens, such as `http://127.0.0.1:41234`.
     pub url: String,
+    /// Where its dashboard is, such as `http://127.0.0.1:41235/`; empty without one.
+    pub pages: String,
 }
 
 impl Coordinator<'_> {

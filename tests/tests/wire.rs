@@ -85,7 +85,9 @@ async fn requests_are_refused_with_the_right_code() {
     refused(jobs.show(unknown()).await, Code::NotFound);
     refused(jobs.watch(unknown()).await, Code::NotFound);
     refused(jobs.cancel(unknown()).await, Code::NotFound);
-    refused(jobs.pause(unknown()).await, Code::NotFound);
+    refused(jobs.pause(v1::PauseRequest { job: 4711, now: true }).await, Code::NotFound);
+    refused(jobs.delete(unknown()).await, Code::NotFound);
+    refused(jobs.fetch_partial(unknown()).await, Code::NotFound);
     refused(jobs.resume(unknown()).await, Code::NotFound);
     refused(jobs.retry(unknown()).await, Code::NotFound);
     assert!(refused(jobs.fetch(unknown()).await, Code::NotFound).contains("4711"));

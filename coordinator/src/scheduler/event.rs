@@ -30,6 +30,8 @@ pub(crate) enum Event {
     Restricted(JobId),
     /// The record of a job has changed in the store.
     JobChanged(Box<JobRecord>),
+    /// The tiles of a paused job are to stop now.
+    Stopped(JobId),
     /// A worker's stream has begun. Answered by [`Effect::Joined`].
     Joined(Introduction),
     /// A worker's stream has ended. Answered by [`Effect::Left`].

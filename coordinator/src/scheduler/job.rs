@@ -12,6 +12,7 @@ use sightline_proto::v1;
 use sightline_viewcells::{Lattice, Plan, TileKind};
 
 use super::messages::Now;
+use super::pace::Pace;
 use super::pools::{List, Place};
 use super::queue::For;
 use crate::ids::{Digest, LeaseId, TileIndex, WorkerId};
@@ -64,6 +65,17 @@ pub(crate) struct Tile {
     pub(super) judged: bool,
 }
 
+impl Tile {
+    /// Whether it can be leased, by its own state.
+    pub(super) fn can_be_leased(&self) -> bool {
+        self.output == Output::Open
+            && self.leases == [None; 2]
+            && self.missing == 0
+            && self.not_before.is_none()
+            && !self.judged
+    }
+}
+
 /// Where a job without leases to give waits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Parked {
@@ -112,6 +124,7 @@ pub(crate) struct Job {
     pub(super) assembling: bool,
     /// When to assemble the result again, after the disk was full.
     pub(super) no_space_until: Option<u64>,
+    pub(super) pace: Pace,
     /// The list that the job is in, and its ready tiles there.
     pub(super) listed: Option<(List, usize)>,
 }
@@ -187,6 +200,7 @@ impl Job {
             grace: false,
             assembling: false,
             no_space_until: None,
+            pace: Pace::default(),
             listed: None,
         };
         for tile in tiles {
@@ -235,6 +249,34 @@ impl Job {
         self.tiles.len() as u32 - self.done - self.set_aside
     }
 
+    /// What is done and what there is, in cells, or in tiles while the number of cells is not known.
+    fn done_of(&self) -> (u64, u64) {
+        match self.cells_total {
+            0 => (u64::from(self.done + self.set_aside), self.tiles.len() as u64),
+            total => (self.cells.saturating_add(self.running_cells).min(total), total),
+        }
+    }
+
+    /// Notes how far the job is.
+    pub(super) fn mark_pace(&mut self, now: Now) {
+        let (done, _) = self.done_of();
+        self.pace.mark(now.ms, done);
+    }
+
+    /// Milliseconds until the job is done, at the pace of the last minutes; `None` while that is not known.
+    pub(crate) fn left(&self, now: Now) -> Option<u64> {
+        if self.record.state.phase() != JobPhase::Running {
+            return None;
+        }
+        let (done, all) = self.done_of();
+        let left = self.pace.left(now.ms, done, all - done)?;
+        let spent = now.unix_ms.saturating_sub(self.record.submitted_at_ms);
+        Some(match self.work.spec.time_budget_ms {
+            0 => left,
+            budget => left.min(budget.saturating_sub(spent)),
+        })
+    }
+
     /// Whether the job is queued or running.
     pub(crate) fn runs(&self) -> bool {
         matches!(self.record.state.phase(), JobPhase::Queued | JobPhase::Running)
@@ -247,12 +289,7 @@ impl Job {
 
     /// Whether a tile can be leased, by its own state.
     pub(super) fn is_ready(&self, tile: TileIndex) -> bool {
-        let t = &self.tiles[tile.at()];
-        t.output == Output::Open
-            && t.leases == [None; 2]
-            && t.missing == 0
-            && t.not_before.is_none()
-            && !t.judged
+        self.tiles[tile.at()].can_be_leased()
     }
 
     /// Puts a tile among the ready ones, or takes it out.

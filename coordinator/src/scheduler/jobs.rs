@@ -77,11 +77,19 @@ impl Machine {
             return;
         }
         if phase == JobPhase::Paused {
-            self.revoke_job(id);
+            job.pace.forget();
         }
         self.list_job(id);
         self.assemble_if_complete(id);
         self.tell_watchers(id);
+    }
+
+    /// Takes the tiles of a paused job back from their workers.
+    pub(super) fn stop_now(&mut self, id: JobId) {
+        if self.jobs.get(&id).is_some_and(|job| job.record.state.phase() == JobPhase::Paused) {
+            self.revoke_job(id);
+            self.tell_watchers(id);
+        }
     }
 
     /// A job gets another priority: it and what it has move to other places of the lists.
@@ -100,15 +108,24 @@ impl Machine {
     }
 
     /// The store has an output of a tile.
-    pub(super) fn committed(&mut self, lease: &Lease, digest: Digest, stats: &TileStats) {
+    pub(super) fn committed(&mut self, lease: &Lease, digest: Digest, stats: &TileStats, now: Now) {
+        let worker = self.leases.get(&lease.id).map(|l| l.worker);
         let Some(job) = self.jobs.get_mut(&lease.job) else { return };
         if lease.tile.at() >= job.tiles.len() {
             return;
         }
-        job.complete(lease.tile, digest, stats);
+        if job.complete(lease.tile, digest, stats)
+            && let Some(worker) = worker.and_then(|id| self.workers.get_mut(&id))
+        {
+            worker.done.add(stats);
+        }
+        let Some(job) = self.jobs.get(&lease.job) else { return };
         // The others that work on it need not go on; its own worker knows.
         for id in job.tiles[lease.tile.at()].leases.into_iter().flatten() {
             self.end_lease(id, id != lease.id);
+        }
+        if let Some(job) = self.jobs.get_mut(&lease.job) {
+            job.mark_pace(now);
         }
         self.list_job(lease.job);
         self.assemble_if_complete(lease.job);

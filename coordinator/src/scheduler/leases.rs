@@ -165,6 +165,9 @@ impl Machine {
             job.running_samples = job.running_samples - l.samples + samples;
         }
         (l.cells, l.samples) = (cells, samples);
+        if let Some(job) = self.jobs.get_mut(&lease.job) {
+            job.mark_pace(now);
+        }
         if l.begun.is_none() && (cells, samples) != (0, 0) {
             l.begun = Some(now.ms);
             let (worker, profile) = (l.worker, Arc::clone(&l.profile));
@@ -225,13 +228,17 @@ impl Machine {
     pub(super) fn claim(&mut self, worker: WorkerId, held: Vec<Lease>, now: Now) -> Vec<Lease> {
         let mut kept = BTreeSet::new();
         for lease in held {
-            let Some(job) = self.jobs.get(&lease.job).filter(|j| j.record.state == JobState::Running) else {
-                continue;
+            let same = self.leases.get(&lease.id).map(|l| (l.job, l.tile));
+            // Of a paused job, tiles that were at work are finished.
+            let goes_on = |job: &&super::job::Job| match job.record.state {
+                JobState::Running => true,
+                JobState::Paused | JobState::Queued => same.is_some(),
+                _ => false,
             };
+            let Some(job) = self.jobs.get(&lease.job).filter(goes_on) else { continue };
             if lease.tile.at() >= job.tiles.len() || kept.contains(&lease) {
                 continue;
             }
-            let same = self.leases.get(&lease.id).map(|l| (l.job, l.tile));
             let given = match lease.id.epoch.cmp(&self.settings.epoch) {
                 std::cmp::Ordering::Less => job.grace && same.is_none(),
                 std::cmp::Ordering::Equal => job.gave(lease.id.number, lease.tile),

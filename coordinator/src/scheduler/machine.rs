@@ -16,6 +16,7 @@ use super::job::{Job, Output, Work};
 use super::messages::Now;
 use super::pools::{CHOICES, Pools, Profile};
 use super::queue::{Account, User};
+use super::roster::Ledger;
 use crate::ids::{Epoch, JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::store::JobPhase;
 
@@ -45,6 +46,12 @@ pub(crate) struct Settings {
 #[derive(Debug)]
 pub(super) struct Worker {
     pub(super) name: String,
+    /// Version of its program.
+    pub(super) version: String,
+    /// When it connected and when its last message came, in milliseconds since 1970.
+    pub(super) joined: u64,
+    pub(super) heard: u64,
+    pub(super) done: Ledger,
     pub(super) instance: u64,
     pub(super) profiles: BTreeSet<Profile>,
     /// For each choice whether it can serve it.
@@ -168,10 +175,14 @@ impl Machine {
     pub(crate) fn step(&mut self, event: Event, now: Now) -> Vec<Effect> {
         self.clock = self.clock.max(now.ms);
         let now = Now { ms: self.clock, ..now };
+        if let Some(worker) = self.speaker(&event) {
+            self.hear(worker, now);
+        }
         match event {
             Event::TakenUp(job) => self.take_up(*job, now),
             Event::Restricted(job) => self.restrict(job),
             Event::JobChanged(record) => self.job_changed(*record),
+            Event::Stopped(job) => self.stop_now(job),
             Event::Joined(intro) => self.join(intro, now),
             Event::Left(worker) => self.leave(worker, now),
             Event::Wanted(worker, tiles) => self.want(worker, tiles),
@@ -179,7 +190,7 @@ impl Machine {
             Event::Progressed(progress) => self.progress(&progress, now),
             Event::Failed(worker, failure) => self.failed(worker, failure, now),
             Event::Timed(worker, job, times) => self.timed(worker, job, &times),
-            Event::Committed { lease, digest, stats } => self.committed(&lease, digest, &stats),
+            Event::Committed { lease, digest, stats } => self.committed(&lease, digest, &stats, now),
             Event::DiskFull(lease) => self.disk_full(&lease, now),
             Event::Undelivered(worker, lease) => self.undelivered(worker, &lease, now),
             Event::FailureRecorded { job, tile, on, reason } => self.judge(job, tile, on, &reason),
@@ -201,6 +212,20 @@ impl Machine {
         }
         self.settle(now);
         std::mem::take(&mut self.effects)
+    }
+
+    /// The worker whose message an event is.
+    fn speaker(&self, event: &Event) -> Option<WorkerId> {
+        match event {
+            Event::Wanted(worker, _)
+            | Event::Drains(worker)
+            | Event::Failed(worker, _)
+            | Event::Timed(worker, ..)
+            | Event::Helped(worker, _) => Some(*worker),
+            Event::Progressed(progress) => self.leases.get(&progress.lease.id).map(|l| l.worker),
+            Event::Committed { lease, .. } => self.leases.get(&lease.id).map(|l| l.worker),
+            _ => None,
+        }
     }
 
     pub(super) fn tell_watchers(&mut self, job: JobId) {

@@ -5,7 +5,8 @@
 //!
 //! A file each: `machine` has the state and the dispatch of events, `jobs`, `leases`, `workers`, `crews`,
 //! `failures`, `profiles`, `shares` and `granting` the transitions of their subjects, `pools` and `queue` the
-//! lists that make them cheap, `checks` counts everything again.
+//! lists that make them cheap, `roster`, `standing`, `team`, `unable` and `pace` what people are told,
+//! `checks` counts everything again.
 
 mod binding;
 #[cfg(test)]
@@ -24,12 +25,15 @@ mod lease_tests;
 mod leases;
 mod machine;
 mod messages;
+mod pace;
 mod pools;
 mod profiles;
 mod queue;
+mod roster;
 #[cfg(test)]
 mod share_tests;
 mod shares;
+mod standing;
 mod team;
 #[cfg(test)]
 mod tests;
@@ -42,5 +46,7 @@ pub(crate) use self::machine::{Admitted, Machine, NoTile, Settings};
 #[cfg(test)]
 pub(crate) use self::messages::Grant;
 pub(crate) use self::messages::{Introduction, Joined, NameTaken, Now, Order, ProfileTime, Progress};
+pub(crate) use self::roster::{Held, Member};
+pub(crate) use self::standing::Standing;
 pub(crate) use self::team::Team;
 pub(crate) use self::unable::Unable;

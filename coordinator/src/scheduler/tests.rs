@@ -182,7 +182,14 @@ impl Bench {
 
 fn introduction(name: &str, instance: u64) -> Introduction {
     let profiles = vec!["cpu/test".to_owned()];
-    Introduction { name: name.to_owned(), instance, profiles, held: Vec::new(), helps: true }
+    Introduction {
+        name: name.to_owned(),
+        version: String::new(),
+        instance,
+        profiles,
+        held: Vec::new(),
+        helps: true,
+    }
 }
 
 #[test]

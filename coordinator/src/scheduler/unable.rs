@@ -52,8 +52,5 @@ fn why(worker: &Worker, profile: Option<&str>, choice: usize) -> Option<String> 
     if worker.draining {
         return Some("it takes no more tiles, because it was told to stop".to_owned());
     }
-    if worker.silent {
-        return Some("its last lease ran out, and it has said nothing since".to_owned());
-    }
-    worker.deaf_until.map(|_| "it does not read the orders that it is sent".to_owned())
+    worker.trouble().map(str::to_owned)
 }

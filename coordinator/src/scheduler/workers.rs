@@ -10,6 +10,7 @@ use super::job::Parked;
 use super::machine::{Machine, Timer, Worker};
 use super::messages::{Introduction, Joined, NameTaken, Now};
 use super::pools::{CHOICES, Profile, index};
+use super::roster::Ledger;
 use crate::ids::{LeaseId, WorkerId};
 
 /// How long a worker that did not take an order gets none, in milliseconds.
@@ -21,7 +22,7 @@ impl Machine {
     /// Adds a worker whose stream has begun. The same worker, told by its instance, replaces its earlier
     /// stream; workers that send no instance are all accepted.
     pub(super) fn join(&mut self, intro: Introduction, now: Now) {
-        let Introduction { name, instance, profiles, held, helps } = intro;
+        let Introduction { name, version, instance, profiles, held, helps } = intro;
         if instance != 0 {
             if let Some(other) = self.names.get(&name).and_then(|id| self.workers.get(id))
                 && other.instance != instance
@@ -46,6 +47,10 @@ impl Machine {
         let alone = alone(&profiles);
         let worker = Worker {
             name,
+            version,
+            joined: now.unix_ms,
+            heard: now.unix_ms,
+            done: Ledger::default(),
             instance,
             profiles: profiles.iter().map(|p| Profile::from(p.as_str())).collect(),
             serves: of_choice,

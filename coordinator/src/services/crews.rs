@@ -10,6 +10,7 @@ use tokio::sync::mpsc;
 use tonic::{Status, Streaming};
 
 use super::blocking::{blocking, later};
+use crate::chronicle::{Happening, Kind};
 use crate::crews::{Room, Take, Told};
 use crate::sessions;
 use crate::state::Coordinator;
@@ -132,6 +133,8 @@ async fn hear_leader(
                     let kept = blocking(c, move |c| Ok(c.crews.outcomes.push(tile, phase, &bytes))).await?;
                     if kept {
                         room.outcomes.send_replace(phase + 1);
+                        let text = format!("tile {}: phase {phase} is finished", room.lease.tile);
+                        c.happened(Happening::of_lease(Kind::Round, &room.lease, text));
                     } else {
                         // Helpers wait for every outcome, so without this one they are of no use.
                         return Err(Status::resource_exhausted("an outcome could not be kept"));

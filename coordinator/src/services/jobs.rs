@@ -12,11 +12,13 @@ use tokio::sync::{mpsc, watch};
 use tonic::{Request, Response, Status, Streaming};
 
 use super::blocking::blocking;
-use super::streams::{ChunkStream, stream_blob};
+use super::streams::{ChunkStream, stream_blob, stream_bytes};
 use super::{status, wire};
+use crate::deleting;
 use crate::estimate;
 use crate::ids::JobId;
 use crate::jobs::{self, JobError, Summary};
+use crate::partial;
 use crate::scenes;
 use crate::state::Coordinator;
 use crate::submit::{self, Submission};
@@ -151,8 +153,13 @@ impl v1::jobs_server::Jobs for JobsService {
         self.turn(r, jobs::cancel).await
     }
 
-    async fn pause(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
-        self.turn(r, jobs::pause).await
+    async fn pause(&self, r: Request<v1::PauseRequest>) -> Answer<v1::Job> {
+        let v1::PauseRequest { job, now } = r.into_inner();
+        blocking(&self.0, move |c| {
+            let job = jobs::pause(c, JobId(job), now).map_err(|e| status::of_job(&e))?;
+            Ok(Response::new(wire::job(&job)))
+        })
+        .await
     }
 
     async fn resume(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
@@ -171,6 +178,18 @@ impl v1::jobs_server::Jobs for JobsService {
 
     async fn retry(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
         self.turn(r, jobs::retry).await
+    }
+
+    async fn delete(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
+        self.turn(r, deleting::delete).await
+    }
+
+    type FetchPartialStream = ChunkStream;
+
+    async fn fetch_partial(&self, r: Request<v1::ShowRequest>) -> Answer<Self::FetchPartialStream> {
+        let id = JobId(r.into_inner().job);
+        let bytes = blocking(&self.0, move |c| partial::so_far(c, id).map_err(|e| status::of_partial(&e)));
+        stream_bytes(&self.0, bytes.await?).await.map(Response::new)
     }
 
     type FetchStream = ChunkStream;

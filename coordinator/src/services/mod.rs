@@ -2,6 +2,8 @@
 
 mod blocking;
 mod crews;
+mod farm;
+mod http;
 mod jobs;
 mod server;
 mod status;
@@ -9,4 +11,5 @@ mod streams;
 mod wire;
 mod workers;
 
+pub use http::serve_http;
 pub use server::{ServeError, listen, serve};

@@ -1,9 +1,10 @@
-//! The coordinator on the network: its two services, health, reflection, and the tick.
+//! The coordinator on the network: its services, health, reflection, and the tick.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
+use sightline_proto::v1::farm_server::FarmServer;
 use sightline_proto::v1::jobs_server::JobsServer;
 use sightline_proto::v1::workers_server::WorkersServer;
 use tokio::net::TcpListener;
@@ -11,6 +12,7 @@ use tonic::transport::Server;
 use tonic::transport::server::TcpIncoming;
 
 use super::blocking::later;
+use super::farm::FarmService;
 use super::jobs::JobsService;
 use super::workers::WorkersService;
 use crate::lifecycle;
@@ -65,6 +67,7 @@ pub async fn serve(
     let (health, health_service) = tonic_health::server::health_reporter();
     health.set_serving::<JobsServer<JobsService>>().await;
     health.set_serving::<WorkersServer<WorkersService>>().await;
+    health.set_serving::<FarmServer<FarmService>>().await;
     let reflection = tonic_reflection::server::Builder::configure()
         .register_encoded_file_descriptor_set(sightline_proto::DESCRIPTORS)
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
@@ -78,6 +81,10 @@ pub async fn serve(
             loop {
                 tick.tick().await;
                 later(&coordinator, lifecycle::tick(&coordinator));
+                if coordinator.chronicle.has_unwritten() {
+                    let coordinator = Arc::clone(&coordinator);
+                    tokio::task::spawn_blocking(move || coordinator.chronicle.write());
+                }
             }
         })
     };
@@ -88,7 +95,8 @@ pub async fn serve(
         .add_service(health_service)
         .add_service(reflection)
         .add_service(JobsServer::new(JobsService(Arc::clone(&coordinator))))
-        .add_service(WorkersServer::new(WorkersService(coordinator)))
+        .add_service(FarmServer::new(FarmService(Arc::clone(&coordinator))))
+        .add_service(WorkersServer::new(WorkersService(Arc::clone(&coordinator))))
         .serve_with_incoming(incoming);
     // Streams that stay open (workers, watchers) would delay a graceful end for ever. They are cut off: every
     // acknowledged change is on the disk already.
@@ -97,5 +105,6 @@ pub async fn serve(
         () = stop => Ok(()),
     };
     ticks.abort();
+    coordinator.chronicle.write();
     ended
 }

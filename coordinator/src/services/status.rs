@@ -6,6 +6,7 @@ use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt as _};
 
 use crate::jobs::JobError;
+use crate::partial::PartialError;
 use crate::results::ResultError;
 use crate::scenes::{FactsError, UploadError};
 use crate::scheduler::NameTaken;
@@ -75,6 +76,16 @@ pub(super) fn of_job(e: &JobError) -> Status {
     match e {
         JobError::Outdated(_) | JobError::NoResult { .. } => Status::failed_precondition(e.to_string()),
         JobError::Store(e) => of_store(e),
+    }
+}
+
+/// The status of a result of what is done of a job.
+pub(super) fn of_partial(e: &PartialError) -> Status {
+    match e {
+        PartialError::Nothing(_) | PartialError::Outdated(_) => Status::failed_precondition(e.to_string()),
+        PartialError::Store(e) => of_store(e),
+        PartialError::Blob(e) => of_blob(e),
+        PartialError::Assemble(e) => internal(&e.to_string()),
     }
 }
 

@@ -45,6 +45,22 @@ pub(super) async fn stream_blob(c: &Arc<Coordinator>, d: Digest) -> Result<Chunk
     Ok(Box::pin(tokio_stream::wrappers::ReceiverStream::new(receive)))
 }
 
+/// Bytes in memory as a stream of chunks.
+///
+/// # Errors
+/// UNAVAILABLE when the coordinator is stopping.
+pub(super) async fn stream_bytes(c: &Arc<Coordinator>, bytes: Arc<[u8]>) -> Result<ChunkStream, Status> {
+    let closed = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
+    let permit = Arc::clone(&c.downloads).acquire_owned().await.map_err(closed)?;
+    let (send, receive) = tokio::sync::mpsc::channel(AHEAD);
+    tokio::task::spawn_blocking(move || {
+        let _permit = permit;
+        // A client that has gone away wants no more.
+        read_chunks(&*bytes, bytes.len() as u64, |chunk| send.blocking_send(chunk).is_ok());
+    });
+    Ok(Box::pin(tokio_stream::wrappers::ReceiverStream::new(receive)))
+}
+
 /// Reads `length` bytes and passes them to `send` as chunks, until `send` returns false.
 fn read_chunks(mut bytes: impl Read, length: u64, mut send: impl FnMut(Result<v1::Chunk, Status>) -> bool) {
     let mut offset = 0;

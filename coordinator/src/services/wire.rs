@@ -3,12 +3,14 @@
 use sightline_proto::v1;
 use tonic::Status;
 
+use crate::chronicle::{Entry, Kind};
 use crate::estimate::Estimate;
 use crate::ids::{Digest, Epoch, JobId, Lease, LeaseId, TileIndex};
 use crate::jobs::Summary;
-use crate::scheduler::{Order, ProfileTime, Team, Unable};
+use crate::scheduler::{Held, Member, Order, ProfileTime, Standing, Team, Unable};
 use crate::specs;
 use crate::store::{JobState, SceneRecord};
+use crate::tiles::TileView;
 
 /// A digest from the wire.
 ///
@@ -125,6 +127,8 @@ pub(super) fn job(summary: &Summary) -> v1::Job {
         workers: summary.workers,
         priority: record.priority,
         user: record.user.clone(),
+        now_ms: summary.now_ms,
+        left_millis: summary.left_millis,
         ..v1::Job::default()
     };
     let state = match &record.state {
@@ -144,6 +148,92 @@ pub(super) fn job(summary: &Summary) -> v1::Job {
     };
     job.set_state(state);
     job
+}
+
+/// A connected worker.
+pub(super) fn member(member: Member) -> v1::WorkerInfo {
+    v1::WorkerInfo {
+        name: member.name,
+        version: member.version,
+        profiles: member.profiles,
+        connected_at_ms: member.connected_at,
+        heard_at_ms: member.heard_at,
+        draining: member.draining,
+        trouble: member.trouble.unwrap_or_default().to_owned(),
+        tiles: member.tiles.into_iter().map(held).collect(),
+        helps: member.helps.map(held),
+        tiles_done: member.done.tiles,
+        cells_done: member.done.cells,
+        samples_done: member.done.samples,
+        busy_millis: member.done.millis,
+    }
+}
+
+fn held(held: Held) -> v1::HeldTile {
+    let Held { job, tile, has_begun, since, cells, samples } = held;
+    v1::HeldTile { job: job.0, tile: tile.0, has_begun, since_ms: since, cells, samples }
+}
+
+/// How a tile stands, from the wire.
+///
+/// # Errors
+/// INVALID_ARGUMENT for a number that says nothing.
+pub(super) fn standing(state: v1::TileState) -> Result<Standing, Status> {
+    Ok(match state {
+        v1::TileState::Waiting => Standing::Waiting,
+        v1::TileState::Ready => Standing::Ready,
+        v1::TileState::Leased => Standing::Leased,
+        v1::TileState::Running => Standing::Running,
+        v1::TileState::Done => Standing::Done,
+        v1::TileState::SetAside => Standing::SetAside,
+        v1::TileState::Unspecified => {
+            return Err(Status::invalid_argument("states of tiles were given that there are not"));
+        }
+    })
+}
+
+/// A tile of a job.
+pub(super) fn tile(view: TileView) -> v1::TileInfo {
+    let failure = |f: crate::store::TileFailure| v1::TileFailure { worker: f.worker, reason: f.reason };
+    v1::TileInfo {
+        tile: view.tile.0,
+        state: view.standing as i32,
+        r#box: view.bounds.map_or_else(Vec::new, |b| b.iter().flat_map(|p| p.to_array()).collect()),
+        cells: view.cells,
+        cells_done: view.cells_done,
+        samples: view.samples,
+        millis: view.millis,
+        workers: view.workers,
+        failures: view.failures.into_iter().map(failure).collect(),
+        conflicts: view.conflicts,
+        is_pack: view.is_pack,
+    }
+}
+
+/// Something that happened.
+pub(super) fn event(entry: &Entry) -> v1::Event {
+    let kind = match entry.what.kind {
+        Kind::Submitted => v1::EventKind::Submitted,
+        Kind::Job => v1::EventKind::Job,
+        Kind::Leased => v1::EventKind::Leased,
+        Kind::Round => v1::EventKind::Round,
+        Kind::Done => v1::EventKind::Done,
+        Kind::TakenBack => v1::EventKind::TakenBack,
+        Kind::Failed => v1::EventKind::Failed,
+        Kind::SetAside => v1::EventKind::SetAside,
+        Kind::Conflict => v1::EventKind::Conflict,
+        Kind::Worker => v1::EventKind::Worker,
+        Kind::Coordinator => v1::EventKind::Coordinator,
+    };
+    v1::Event {
+        number: entry.number,
+        at_ms: entry.at_ms,
+        kind: kind.into(),
+        job: entry.what.job.map_or(0, |job| job.0),
+        tile: entry.what.tile.map(|tile| tile.0),
+        worker: entry.what.worker.clone(),
+        text: entry.what.text.clone(),
+    }
 }
 
 /// A specification without its viewpoints and its tree of boxes.

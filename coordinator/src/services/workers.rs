@@ -220,6 +220,7 @@ async fn session(
     let name = hello.name.clone();
     let intro = Introduction {
         name: hello.name,
+        version: hello.version,
         instance: hello.instance,
         profiles: hello.profiles,
         held: hello.held.iter().map(wire::lease).collect(),

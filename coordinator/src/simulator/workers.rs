@@ -26,6 +26,7 @@ impl World {
         let worker = &self.workers[w];
         let intro = Introduction {
             name: format!("w{w}"),
+            version: String::new(),
             instance: worker.life * 100 + w as u64 + 1,
             profiles: vec![worker.profile.clone()],
             held,

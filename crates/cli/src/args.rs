@@ -11,7 +11,9 @@ use crate::choices::choice;
 use crate::job_args::JobArgs;
 use crate::kind_args::KindArgs;
 use crate::place_args::{parse_box, parse_point};
-use crate::remote_args::{FetchArgs, JobRefArgs, JobsArgs, PriorityArgs, RemoteArgs, SubmitArgs};
+use crate::remote_args::{
+    FetchArgs, JobRefArgs, JobsArgs, LogsArgs, PauseArgs, PriorityArgs, RemoteArgs, ShowArgs, SubmitArgs,
+};
 use crate::result_args::{CompletionsArgs, DiffArgs, ExportArgs, ManArgs, ViewArgs};
 
 /// Bakes from-region visibility: for every view cell of a static triangle scene,
@@ -65,20 +67,25 @@ pub enum Command {
     Watch(JobRefArgs),
     /// List the newest jobs of a coordinator.
     Jobs(JobsArgs),
-    /// Show one job, and the connected workers that cannot work on it.
-    Show(JobRefArgs),
+    /// Show one job with its specification, who works on it, and the connected workers that cannot.
+    Show(ShowArgs),
+    /// List the connected workers of a coordinator: what they do, and how fast they are.
+    Workers(RemoteArgs),
+    /// Print what happened to a job, or on the whole farm, with times.
+    Logs(LogsArgs),
     /// End a job. Its finished tiles, and finished phases of tiles at work, are kept for `retry`.
     Cancel(JobRefArgs),
-    /// Pause a job: give out no more of its tiles and stop the running ones. After `resume`
-    /// these go on from their last finished phase.
-    Pause(JobRefArgs),
+    /// Pause a job: give out no more of its tiles. Workers finish those that they hold.
+    Pause(PauseArgs),
     /// Give a job another priority.
     Priority(PriorityArgs),
     /// Continue a paused job.
     Resume(JobRefArgs),
     /// Continue a failed or cancelled job, or bake again the tiles that a finished job has set aside.
     Retry(JobRefArgs),
-    /// Download the result of a finished job.
+    /// Delete a job that has ended, with its result.
+    Delete(JobRefArgs),
+    /// Download the result of a finished job, or what there is of it so far.
     Fetch(FetchArgs),
     /// Write the triangles of a scene to a PLY file, in the order of their ids.
     Mesh(MeshArgs),
@@ -149,6 +156,10 @@ pub struct CoordinatorArgs {
     /// Directory for jobs, scenes and results.
     #[arg(long, value_name = "DIR", default_value = "sightline-data")]
     pub data_dir: PathBuf,
+    /// Serve a dashboard for browsers, and the calls as JSON, at this address, such as 127.0.0.1:7601. Off by
+    /// default.
+    #[arg(long, value_name = "ADDR:PORT")]
+    pub http: Option<SocketAddr>,
     /// Allow connections from other machines. They are not encrypted, so the network has to be private.
     #[arg(long)]
     pub allow_plaintext: bool,

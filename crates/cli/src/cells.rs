@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
 use sightline_model::bound::{ALPHA, alpha_of, upper_bound};
-use sightline_pvs::{Pvs, PvsError};
-use sightline_view::Map;
+use sightline_pvs::Pvs;
+use sightline_view::{Map, each};
 
 use crate::error::CliError;
 
@@ -134,15 +134,6 @@ fn bounds_of(pvs: &Pvs, of: [&str; 3]) -> Result<Option<Bounds>, CliError> {
         greatest: all.iter().copied().fold(0.0, f64::max),
         mean: sum / all.len() as f64,
     }))
-}
-
-/// A heat map with a number for each cell.
-///
-/// # Errors
-/// [`CliError::Input`] when the result cannot be read.
-pub fn each(pvs: &Pvs, name: &str, of: impl Fn(&Pvs, u32) -> Result<f32, PvsError>) -> Result<Map, CliError> {
-    let values = (0..pvs.cells()).map(|cell| of(pvs, cell)).collect::<Result<_, _>>()?;
-    Ok(Map { name: name.to_owned(), values })
 }
 
 /// Heat maps of the bake's statistics.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::io::Write as _;
+use std::time::Duration;
 
 use futures::StreamExt as _;
 use sightline_proto::chunks::{CHUNK_BYTES, Sequence};
@@ -12,10 +13,13 @@ use tonic::transport::Channel;
 
 use crate::error::CliError;
 use crate::output::Output;
-use crate::progress::Progress;
+use crate::progress::{Progress, say};
 
 /// Most bytes of a downloaded result.
 const MAX_RESULT: u64 = 64 << 30;
+
+/// Time between two attempts to reach a coordinator again.
+const RECONNECT: Duration = Duration::from_secs(1);
 
 /// Connects to a coordinator.
 pub async fn channel(url: &str) -> Result<Channel, CliError> {
@@ -92,6 +96,66 @@ pub async fn follow(
     last.ok_or_else(|| CliError::Coordinator("the coordinator ended the stream without a state".to_owned()))
 }
 
+/// Follows a job until it ends, however often the coordinator restarts meanwhile.
+pub async fn follow_on(
+    mut client: JobsClient<Channel>,
+    coordinator: &str,
+    job: u64,
+) -> Result<v1::Job, CliError> {
+    let mut reached = false;
+    loop {
+        match watch(&mut client, job, &mut reached).await {
+            Ok(Some(last)) => return Ok(last),
+            // The coordinator stopped, and had time to end the stream.
+            Ok(None) => {}
+            // The first attempt tells that there is none.
+            Err(s) if !reached || !is_lost(&s) => return Err(CliError::status(&s)),
+            Err(_) => {}
+        }
+        say(&format!("the connection to {coordinator} is lost; the job continues there: connecting again"));
+        loop {
+            tokio::time::sleep(RECONNECT).await;
+            if let Ok(channel) = channel(coordinator).await {
+                client = JobsClient::new(channel);
+                break;
+            }
+        }
+    }
+}
+
+/// Whether an error is one of the connection.
+fn is_lost(s: &tonic::Status) -> bool {
+    std::error::Error::source(s).is_some() || s.code() == tonic::Code::Unavailable
+}
+
+/// Follows a job while the connection holds; gives its last state if it has ended.
+async fn watch(
+    client: &mut JobsClient<Channel>,
+    job: u64,
+    reached: &mut bool,
+) -> Result<Option<v1::Job>, tonic::Status> {
+    let progress = Progress::new();
+    let mut stream = client.watch(v1::ShowRequest { job }).await?.into_inner();
+    let mut last: Option<v1::Job> = None;
+    let lost = loop {
+        match stream.next().await {
+            Some(Ok(message)) => {
+                *reached = true;
+                progress.job(&message, false);
+                last = Some(message);
+            }
+            Some(Err(s)) => break Some(s),
+            None => break None,
+        }
+    };
+    progress.end();
+    let ended = last.filter(|job| job.finished_at_ms > 0);
+    match lost {
+        Some(s) if ended.is_none() => Err(s),
+        _ => Ok(ended),
+    }
+}
+
 /// Turns a job that ended without a result into an error.
 pub fn must_be_done(job: &v1::Job) -> Result<(), CliError> {
     match job.state() {
@@ -106,6 +170,29 @@ pub fn must_be_done(job: &v1::Job) -> Result<(), CliError> {
             job.id, job.id
         ))),
     }
+}
+
+/// Downloads what is done of a job to `output`.
+pub async fn fetch_partial(
+    client: &mut JobsClient<Channel>,
+    job: &v1::Job,
+    output: &Output,
+) -> Result<u64, CliError> {
+    let request = v1::ShowRequest { job: job.id };
+    let mut stream = client.fetch_partial(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+    let (mut part, mut sequence) = (output.begin()?, Sequence::new(MAX_RESULT));
+    while let Some(chunk) = stream.next().await {
+        let chunk = chunk.map_err(|s| CliError::status(&s))?;
+        sequence.next(&chunk).map_err(CliError::internal)?;
+        part.write_all(&chunk.data).map_err(|e| CliError::writing(output.path(), &e))?;
+    }
+    let bytes = sequence.end().map_err(CliError::internal)?;
+    part.place()?;
+    say(&format!(
+        "warning: job {} has not ended: {} of {} tiles are in this result, all other cells show everything",
+        job.id, job.tiles_done, job.tiles_total
+    ));
+    Ok(bytes)
 }
 
 /// Downloads a result to `output`, which is replaced only when all of it has arrived and has the job's

@@ -260,6 +260,11 @@ impl Summary {
                 _ => "missed sight lines: not bounded (--max-error F bounds them)".to_owned(),
             },
         ];
+        if let Some(open) = self.info["tiles_open"].as_u64() {
+            lines.push(format!(
+                "NOT FINISHED: {open} tiles of the job were not done; their cells show everything"
+            ));
+        }
         lines.retain(|line| !line.is_empty());
         lines.extend(self.cell_to_cell.as_ref().map(|c| {
             let bound = match (c.greatest_bound, self.decided.is_some()) {

@@ -21,6 +21,7 @@ mod dump;
 mod enclosure;
 mod error;
 mod export;
+mod farm;
 mod files;
 mod inspect;
 mod job_args;
@@ -104,8 +105,11 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Watch(a) => remote::watch(&a, json),
         Command::Jobs(a) => remote::jobs(&a, json),
         Command::Show(a) => remote::show(&a, json),
+        Command::Workers(a) => farm::workers(&a, json),
+        Command::Logs(a) => farm::logs(&a, json),
+        Command::Delete(a) => remote::turn(&a, remote::Turn::Delete, json),
         Command::Cancel(a) => remote::turn(&a, remote::Turn::Cancel, json),
-        Command::Pause(a) => remote::turn(&a, remote::Turn::Pause, json),
+        Command::Pause(a) => remote::turn(&a.job, remote::Turn::Pause { now: a.now }, json),
         Command::Priority(a) => remote::prioritize(&a, json),
         Command::Resume(a) => remote::turn(&a, remote::Turn::Resume, json),
         Command::Retry(a) => remote::turn(&a, remote::Turn::Retry, json),

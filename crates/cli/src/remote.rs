@@ -7,11 +7,12 @@ use tonic::transport::Channel;
 
 use crate::client;
 use crate::error::CliError;
+use crate::farm;
 use crate::output::{Format, Output};
 use crate::progress::say;
-use crate::remote_args::{FetchArgs, JobRefArgs, JobsArgs, PriorityArgs, RemoteArgs};
+use crate::remote_args::{FetchArgs, JobRefArgs, JobsArgs, PriorityArgs, RemoteArgs, ShowArgs};
 use crate::serve::{print, runtime};
-use crate::showing::{ending, line, show_job, value};
+use crate::showing::{ending, listed, show_job, show_whole, value};
 
 /// A change of a job's state.
 #[derive(Clone, Copy)]
@@ -19,11 +20,16 @@ pub enum Turn {
     /// End it.
     Cancel,
     /// Grant no more tiles.
-    Pause,
+    Pause {
+        /// Stop those at work, too.
+        now: bool,
+    },
     /// Continue after a pause.
     Resume,
     /// Continue after a failure or a cancellation.
     Retry,
+    /// Remove it and its result.
+    Delete,
 }
 
 /// Connects and runs `f`; Ctrl-C ends only this client.
@@ -63,8 +69,7 @@ pub fn health(args: &RemoteArgs, json: bool) -> Result<(), CliError> {
 
 /// Follows a job until it ends, and says how it ended.
 pub fn watch(args: &JobRefArgs, json: bool) -> Result<(), CliError> {
-    let job =
-        with(&args.remote, |mut client| async move { client::follow(&mut client, args.id, false).await })?;
+    let job = with(&args.remote, |client| client::follow_on(client, &args.remote.coordinator, args.id))?;
     say(&ending(&job));
     show_job(&job, json)?;
     client::must_be_done(&job)
@@ -89,7 +94,7 @@ pub fn jobs(args: &JobsArgs, json: bool) -> Result<(), CliError> {
     if json {
         print(&serde_json::Value::from_iter(list.iter().map(value)).to_string())?;
     } else {
-        list.iter().try_for_each(|j| print(&line(j)))?;
+        list.iter().try_for_each(|j| print(&listed(j)))?;
     }
     if let Some(first) = list.first().filter(|_| older) {
         let id = first.id;
@@ -99,23 +104,27 @@ pub fn jobs(args: &JobsArgs, json: bool) -> Result<(), CliError> {
 }
 
 /// Shows one job.
-pub fn show(args: &JobRefArgs, json: bool) -> Result<(), CliError> {
-    let request = v1::ShowRequest { job: args.id };
-    let job = with(&args.remote, |mut client| async move {
+pub fn show(args: &ShowArgs, json: bool) -> Result<(), CliError> {
+    if args.tiles {
+        return farm::tiles(&args.job.remote, args.job.id, json);
+    }
+    let request = v1::ShowRequest { job: args.job.id };
+    let job = with(&args.job.remote, |mut client| async move {
         client.show(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
     })?;
-    show_job(&job, json)
+    show_whole(&job, json)
 }
 
-/// Cancels, pauses, resumes or retries.
+/// Cancels, pauses, resumes, retries or deletes.
 pub fn turn(args: &JobRefArgs, turn: Turn, json: bool) -> Result<(), CliError> {
     let request = v1::ShowRequest { job: args.id };
     let job = with(&args.remote, |mut client| async move {
         match turn {
             Turn::Cancel => client.cancel(request).await,
-            Turn::Pause => client.pause(request).await,
+            Turn::Pause { now } => client.pause(v1::PauseRequest { job: args.id, now }).await,
             Turn::Resume => client.resume(request).await,
             Turn::Retry => client.retry(request).await,
+            Turn::Delete => client.delete(request).await,
         }
         .map(tonic::Response::into_inner)
         .map_err(|s| CliError::status(&s))
@@ -138,6 +147,9 @@ pub fn fetch(args: &FetchArgs, json: bool) -> Result<(), CliError> {
     let output = Output::check(&args.output, Format::Pvs, None)?;
     let bytes = with(&args.job.remote, |mut client| async move {
         let job = client.show(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+        if args.partial && job.state() != v1::JobState::Done {
+            return client::fetch_partial(&mut client, &job, &output).await;
+        }
         client::must_be_done(&job)?;
         client::fetch(&mut client, &job, &output).await
     })?;

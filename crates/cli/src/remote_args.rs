@@ -60,12 +60,49 @@ pub struct JobRefArgs {
 }
 
 #[derive(Args, Debug)]
+pub struct ShowArgs {
+    #[command(flatten)]
+    pub job: JobRefArgs,
+    /// Print all tiles of the job instead, a line each: state, worker, cost, and on whom it failed and why.
+    #[arg(long)]
+    pub tiles: bool,
+}
+
+#[derive(Args, Debug)]
+pub struct PauseArgs {
+    #[command(flatten)]
+    pub job: JobRefArgs,
+    /// Stop the tiles at work, too. After `resume` they go on from their last finished phase.
+    #[arg(long)]
+    pub now: bool,
+}
+
+#[derive(Args, Debug)]
+pub struct LogsArgs {
+    /// The job's number. Default: everything that happened on the farm.
+    #[arg(value_name = "JOB", value_parser = job_number)]
+    pub id: Option<u64>,
+    /// Go on with what happens from now on, until Ctrl-C.
+    #[arg(short, long)]
+    pub follow: bool,
+    /// Only events with greater numbers; --json prints the numbers.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub after: u64,
+    #[command(flatten)]
+    pub remote: RemoteArgs,
+}
+
+#[derive(Args, Debug)]
 pub struct FetchArgs {
     #[command(flatten)]
     pub job: JobRefArgs,
     /// The result file to write.
     #[arg(short, long, value_name = "OUT.pvs")]
     pub output: PathBuf,
+    /// Of a job that has not ended, what is done so far. Cells that are not done show everything, as
+    /// undecided.
+    #[arg(long)]
+    pub partial: bool,
 }
 
 #[derive(Args, Debug)]

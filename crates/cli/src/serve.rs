@@ -25,7 +25,23 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
         let address = listener.local_addr().map_err(CliError::internal)?;
         // On stdout, so that a script that gave port 0 can read the address.
         print(&format!("listening on http://{address}"))?;
-        sightline_coordinator::serve(coordinator, listener, stop_signal()).await.map_err(CliError::internal)
+        let pages = match args.http {
+            None => None,
+            Some(address) => {
+                let pages = sightline_coordinator::listen(address, args.allow_plaintext).await;
+                let pages = pages.map_err(|e| CliError::Usage(format!("--http: {e}")))?;
+                let address = pages.local_addr().map_err(CliError::internal)?;
+                print(&format!("dashboard on http://{address}/"))?;
+                Some(pages)
+            }
+        };
+        let served = sightline_coordinator::serve(Arc::clone(&coordinator), listener, stop_signal());
+        let Some(pages) = pages else { return served.await.map_err(CliError::internal) };
+        tokio::select! {
+            ended = served => ended,
+            ended = sightline_coordinator::serve_http(coordinator, pages, std::future::pending()) => ended,
+        }
+        .map_err(CliError::internal)
     })
 }
 

@@ -8,6 +8,36 @@ use crate::error::CliError;
 use crate::progress::human;
 use crate::serve::print;
 
+/// Prints a job with its specification.
+pub fn show_whole(job: &v1::Job, json: bool) -> Result<(), CliError> {
+    // The names and defaults of the interface: what was submitted can be submitted again from it.
+    let spec = serde_json::to_value(&job.spec).map_err(CliError::internal)?;
+    if json {
+        let mut value = value(job);
+        value["spec"] = spec;
+        return print(&value.to_string());
+    }
+    let spec = spec.as_object().map(|fields| {
+        let shown = |(name, field): (&String, &serde_json::Value)| format!("\n  {name}: {field}");
+        fields.iter().map(shown).collect::<String>()
+    });
+    print(&format!("{}{}", listed(job), spec.unwrap_or_default()))
+}
+
+/// A job in a line with its age and, while it runs, the time left.
+pub fn listed(job: &v1::Job) -> String {
+    let since = |ms: u64| human(Duration::from_millis(job.now_ms.saturating_sub(ms)));
+    let age = match job.finished_at_ms {
+        0 => format!("submitted {} ago", since(job.submitted_at_ms)),
+        end => format!("ended {} ago", since(end)),
+    };
+    let left = job.left_millis.map(|ms| format!(", about {} left", human(Duration::from_millis(ms))));
+    let whole = line(job);
+    let (first, rest) = whole.split_once('\n').map_or((&*whole, None), |(first, rest)| (first, Some(rest)));
+    let rest = rest.map(|rest| format!("\n{rest}")).unwrap_or_default();
+    format!("{first}, {age}{}{rest}", left.unwrap_or_default())
+}
+
 /// How a job ended, after how long, and the next command. For a failed or cancelled job, the error at the end
 /// of the program gives the reason or the next command.
 pub fn ending(job: &v1::Job) -> String {
@@ -131,7 +161,7 @@ pub fn value(job: &v1::Job) -> serde_json::Value {
         "tile_millis": job.tile_millis, "submitted_at_ms": job.submitted_at_ms,
         "finished_at_ms": job.finished_at_ms, "result": hex(&job.result),
         "result_bytes": job.result_bytes, "workers": job.workers,
-        "priority": job.priority, "user": job.user,
+        "priority": job.priority, "user": job.user, "left_millis": job.left_millis,
         "unable": job.unable.iter().map(unable).collect::<Vec<_>>(),
         "teams": job.teams.iter().map(team).collect::<Vec<_>>(),
     })

@@ -37,34 +37,27 @@ pub fn run(args: &ViewArgs, json: bool) -> Result<(), CliError> {
         Some(path) => Some(opening::scene_of(path, &args.kinds, &pvs, &args.result)?),
         None => None,
     };
-    let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
-    let page = page(&View {
-        title: title(&args.result, args.scene.as_deref()),
-        about: Summary::of(&args.result)?.lines().join("\n"),
-        up: match args.up.map(|up| up.to_string()).as_deref().or(info["up"].as_str()) {
-            Some("z") => 2,
-            _ => 1,
-        },
-        far: info["sampling"]["far"].as_f64(),
-        caveat: caveat(&pvs, scene.as_ref(), &info),
-        maps: maps(&pvs)?,
-        places: places(&pvs, scene.as_ref(), &args.result)?,
-        worst: args.worst.as_deref().map(|file| worst(file, &pvs)).transpose()?.unwrap_or_default(),
-        start: match args.cell {
-            Some(cell) if cell < pvs.cells() => cell,
-            Some(cell) => {
-                return Err(CliError::Usage(format!(
-                    "--cell {cell}: {} has {}, from 0",
-                    args.result.display(),
-                    plural(pvs.cells() as usize, "cell")
-                )));
-            }
-            None => middling(&pvs)?,
-        },
-        pvs: &pvs,
-        scene: scene.as_ref(),
-    })
-    .map_err(|e| CliError::Input(format!("{}: {e}", args.result.display())))?;
+    let mut view = View::of(&pvs, scene.as_ref())?;
+    view.title = title(&args.result, args.scene.as_deref());
+    view.about = Summary::of(&args.result)?.lines().join("\n");
+    if let Some(up) = args.up {
+        view.up = if up.to_string() == "z" { 2 } else { 1 };
+    }
+    view.maps.extend(cells::maps(&pvs)?.into_iter().filter(Map::says_something));
+    view.places = places(&pvs, scene.as_ref(), &args.result)?;
+    view.worst = args.worst.as_deref().map(|file| worst(file, &pvs)).transpose()?.unwrap_or_default();
+    view.start = match args.cell {
+        Some(cell) if cell < pvs.cells() => cell,
+        Some(cell) => {
+            return Err(CliError::Usage(format!(
+                "--cell {cell}: {} has {}, from 0",
+                args.result.display(),
+                plural(pvs.cells() as usize, "cell")
+            )));
+        }
+        None => view.start,
+    };
+    let page = page(&view).map_err(|e| CliError::Input(format!("{}: {e}", args.result.display())))?;
     match output {
         Some(output) => {
             output.write(|out| {
@@ -88,40 +81,6 @@ fn title(result: &Path, scene: Option<&Path>) -> String {
     }
 }
 
-/// What rays in the page do not know.
-fn caveat(pvs: &Pvs, scene: Option<&Scene>, info: &Value) -> Option<String> {
-    let has = |is: bool, what: &str| is.then(|| what.to_owned());
-    let all = [
-        has(scene.is_some_and(|scene| !scene.sides().are_both()), "that back faces are culled"),
-        has(scene.is_some_and(|scene| scene.kinds().any_masked()), "alpha textures"),
-        has(
-            info["viewpoints"].is_object() && pvs.region().is_none(),
-            "in which parts of a cell viewpoints are",
-        ),
-    ];
-    let all: Vec<String> = all.into_iter().flatten().collect();
-    (!all.is_empty()).then(|| all.join(" and "))
-}
-
-/// The heat maps that a result has numbers for.
-fn maps(pvs: &Pvs) -> Result<Vec<Map>, CliError> {
-    let mut all = vec![cells::each(pvs, "triangles in the set", |pvs, cell| {
-        let mut ids = Vec::new();
-        pvs.visible(cell, &mut ids)?;
-        Ok(ids.len() as f32)
-    })?];
-    all.push(cells::each(pvs, "undecided triangles", |pvs, cell| {
-        let mut ids = Vec::new();
-        pvs.undecided(cell, &mut ids)?;
-        Ok(ids.len() as f32)
-    })?);
-    all.push(cells::each(pvs, "bytes of the set", |pvs, cell| Ok(pvs.visible_bytes(cell)?.own as f32))?);
-    all.extend(cells::maps(pvs)?);
-    // A map of one number says nothing.
-    all.retain(|map| map.values.iter().any(|x| *x != 0.0 && !x.is_nan()));
-    Ok(all)
-}
-
 /// A viewpoint for each cell, where viewpoints are in a region alone; NaN where none was found.
 fn places(pvs: &Pvs, scene: Option<&Scene>, result: &Path) -> Result<Vec<[f32; 3]>, CliError> {
     let Some(scene) = scene.filter(|_| pvs.cells() <= MOST_PLACES) else { return Ok(Vec::new()) };
@@ -131,19 +90,6 @@ fn places(pvs: &Pvs, scene: Option<&Scene>, result: &Path) -> Result<Vec<[f32; 3
         region.any_in(sightline_scene::Aabb::new(min.into(), max.into()))
     };
     Ok((0..pvs.cells()).map(|cell| of(cell).map_or([f32::NAN; 3], |p| p.to_array())).collect())
-}
-
-/// The cell with viewpoints whose set is neither large nor small.
-fn middling(pvs: &Pvs) -> Result<u32, CliError> {
-    let (mut ids, mut sizes) = (Vec::new(), Vec::new());
-    for cell in 0..pvs.cells() {
-        if pvs.is_reached(cell)? {
-            pvs.visible(cell, &mut ids)?;
-            sizes.push((ids.len(), cell));
-        }
-    }
-    sizes.sort_unstable();
-    Ok(sizes.get(sizes.len() / 2).map_or(0, |(_, cell)| *cell))
 }
 
 /// The worst frames of what `sightline measure` has printed.

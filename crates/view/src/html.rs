@@ -58,11 +58,15 @@ pub fn page(view: &View<'_>) -> Result<String, ViewError> {
         ("result", block(&view.pvs.with_sections(&READ))?),
         ("scene", view.scene.map(|scene| block(&triangles(scene))).transpose()?.unwrap_or_default()),
         ("values", block(&values(view))?),
-        ("program", program()),
+        ("program", program(&MODULES)),
     ];
-    let mut out =
-        String::with_capacity(parts.iter().map(|(_, text)| text.len()).sum::<usize>() + DOCUMENT.len());
-    let mut rest = DOCUMENT;
+    Ok(fill(DOCUMENT, &parts))
+}
+
+/// A document with texts in the places that are marked by their names.
+pub fn fill(document: &str, parts: &[(&str, String)]) -> String {
+    let length = parts.iter().map(|(_, text)| text.len()).sum::<usize>() + document.len();
+    let (mut out, mut rest) = (String::with_capacity(length), document);
     while let Some((before, after)) = rest.split_once("{{") {
         let (name, after) = after.split_once("}}").unwrap_or((after, ""));
         out.push_str(before);
@@ -70,13 +74,13 @@ pub fn page(view: &View<'_>) -> Result<String, ViewError> {
         rest = after;
     }
     out.push_str(rest);
-    Ok(out)
+    out
 }
 
 /// The modules as one: without imports, and with what they export as plain names.
-fn program() -> String {
+pub fn program(modules: &[&str]) -> String {
     let mut out = String::new();
-    for line in MODULES.iter().flat_map(|module| module.lines()) {
+    for line in modules.iter().flat_map(|module| module.lines()) {
         if !line.starts_with("import ") {
             out.push_str(line.strip_prefix("export ").unwrap_or(line));
             out.push('\n');
@@ -91,25 +95,28 @@ fn escaped(text: &str) -> String {
 }
 
 #[cfg(test)]
-mod tests {
+pub mod tests {
     use std::collections::BTreeSet;
 
     use super::*;
 
-    #[test]
-    fn the_modules_are_one_program() {
-        let all = program();
+    /// Names at the top of a module would meet in one program.
+    pub fn names_are_used_once(all: &str) {
         let is_word = |line: &str| line.starts_with("import ") || line.starts_with("export ");
         assert!(!all.lines().any(is_word) && !all.contains("</script"));
-        // Names at the top of a module would meet in one program.
         let name = |line: &str| {
             let mut words = line.split([' ', '(', '=']);
-            let is_name = matches!(words.next(), Some("const" | "function" | "class" | "async"));
+            let is_name = matches!(words.next(), Some("const" | "function" | "class" | "async" | "let"));
             words.find(|word| !word.is_empty() && *word != "function").filter(|_| is_name).map(str::to_owned)
         };
         let names: Vec<String> = all.lines().filter_map(name).collect();
         let once: BTreeSet<&String> = names.iter().collect();
         assert_eq!(once.len(), names.len(), "{names:?}");
+    }
+
+    #[test]
+    fn the_modules_are_one_program() {
+        names_are_used_once(&program(&MODULES));
     }
 
     #[test]

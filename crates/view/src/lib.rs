@@ -4,10 +4,14 @@
 //! cell for its heat maps. Its program is in `page/`; it reads the result with `readers/js/pvs.mjs`, as any
 //! other page could.
 
+mod dashboard;
 mod html;
 mod pack;
+mod view;
 
+pub use dashboard::dashboard;
 pub use html::page;
+pub use view::each;
 
 /// Why a page cannot be made.
 #[derive(Debug, thiserror::Error)]

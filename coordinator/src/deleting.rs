@@ -1,0 +1,56 @@
+//! Deleting a job that has ended, with the blobs that it alone needs.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use crate::chronicle::{Happening, Kind};
+use crate::ids::{Digest, JobId};
+use crate::jobs::{self, JobError, Summary};
+use crate::specs;
+use crate::state::Coordinator;
+use crate::store::{JobRecord, JobState, StoreError, TileState};
+
+/// The blobs that a job names, apart from its scene: its result, the outputs of its tiles and the large parts
+/// of its specification.
+pub(crate) fn named(c: &Coordinator, job: &JobRecord) -> Result<BTreeSet<Digest>, StoreError> {
+    let mut all = BTreeSet::new();
+    if let JobState::Done { result, .. } = job.state {
+        all.insert(result);
+    }
+    // A specification of another version names nothing that can be read.
+    all.extend(specs::part(&job.spec).ok().and_then(|(_, parts)| parts));
+    for tile in c.store.tiles(job.id)? {
+        if let TileState::Done { digest, .. } | TileState::SetAside { digest, .. } = tile.state {
+            all.insert(digest);
+        }
+    }
+    Ok(all)
+}
+
+/// Deletes a job that has ended; returns what it was.
+pub(crate) fn delete(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobError> {
+    let _turn = c.turn();
+    // No output is committed meanwhile, so none that is committed is removed.
+    let _alone = c.no_commits();
+    let was = jobs::summary(c, id)?;
+    let mut free = named(c, &was.record)?;
+    c.store.delete_job(id)?;
+    for other in c.store.jobs()? {
+        if free.is_empty() {
+            break;
+        }
+        // A done job's outputs are in its result.
+        for digest in named(c, &other)? {
+            free.remove(&digest);
+        }
+    }
+    for digest in &free {
+        if let Err(e) = c.blobs.remove(digest) {
+            tracing::warn!("{e}");
+        }
+    }
+    c.watched().changed(id, true);
+    tracing::info!("job {id} is deleted");
+    c.happened(Happening::of_job(Kind::Job, id, format!("the job ({}) is deleted", was.record.name)));
+    Ok(was)
+}

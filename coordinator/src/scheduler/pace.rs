@@ -1,0 +1,66 @@
+//! How fast a job gets on: what is left, divided by the progress of the last minutes.
+
+use std::collections::VecDeque;
+
+/// Shortest time between two marks, in milliseconds.
+const EVERY: u64 = 2000;
+/// Marks that are kept: the last two minutes.
+const MOST: usize = 60;
+/// A mark that is older than this says nothing about the present pace, if there are newer ones.
+const OLD: u64 = 120_000;
+
+/// The progress of a job over the last minutes.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Pace(VecDeque<(u64, u64)>);
+
+impl Pace {
+    /// Notes that so much is done.
+    pub(super) fn mark(&mut self, ms: u64, done: u64) {
+        if self.0.back().is_some_and(|(last, _)| ms < last + EVERY) {
+            return;
+        }
+        // A tile that was taken back is not done any more.
+        if self.0.back().is_some_and(|(_, before)| done < *before) {
+            self.0.clear();
+        }
+        self.0.push_back((ms, done));
+        while self.0.len() > MOST || self.0.len() > 2 && self.0[0].0 + OLD < ms {
+            self.0.pop_front();
+        }
+    }
+
+    /// Milliseconds until so much more is done, at this pace; `None` while it is not known.
+    pub(super) fn left(&self, ms: u64, done: u64, left: u64) -> Option<u64> {
+        let (since, before) = *self.0.front()?;
+        let (time, moved) = (ms.saturating_sub(since), done.saturating_sub(before));
+        (moved > 0 && time >= EVERY).then(|| (time as f64 / moved as f64 * left as f64) as u64)
+    }
+
+    /// Nothing is known any more: the job was paused.
+    pub(super) fn forget(&mut self) {
+        self.0.clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_steady_job_is_foreseen() {
+        let mut pace = Pace::default();
+        assert_eq!(pace.left(0, 0, 100), None);
+        for second in 0..300u64 {
+            pace.mark(second * 1000, second * 5);
+        }
+        assert_eq!(pace.left(299_000, 299 * 5, 500), Some(100_000));
+        // Minutes ago it was slower.
+        for second in 300..600u64 {
+            pace.mark(second * 1000, 1500 + (second - 300) * 50);
+        }
+        let left = pace.left(599_000, 1500 + 299 * 50, 5000).unwrap();
+        assert!((99_000..101_000).contains(&left), "{left}");
+        pace.mark(700_000, 3);
+        assert_eq!(pace.left(700_000, 3, 10), None);
+    }
+}

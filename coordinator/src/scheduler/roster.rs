@@ -1,0 +1,109 @@
+//! The connected workers and what they do: for people.
+
+use super::machine::{Leased, Machine, Worker};
+use super::messages::Now;
+use crate::ids::{JobId, LeaseId, TileIndex, WorkerId};
+use crate::store::TileStats;
+
+/// What a worker did since it connected.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Ledger {
+    pub(crate) tiles: u64,
+    pub(crate) cells: u64,
+    pub(crate) samples: u64,
+    pub(crate) millis: u64,
+}
+
+impl Ledger {
+    /// Adds a finished tile.
+    pub(super) fn add(&mut self, stats: &TileStats) {
+        self.tiles += 1;
+        self.cells = self.cells.saturating_add(stats.cells);
+        self.samples = self.samples.saturating_add(stats.samples);
+        self.millis = self.millis.saturating_add(stats.millis);
+    }
+}
+
+/// A connected worker.
+#[derive(Clone, Debug)]
+pub(crate) struct Member {
+    pub(crate) name: String,
+    pub(crate) version: String,
+    pub(crate) profiles: Vec<String>,
+    /// Milliseconds since 1970.
+    pub(crate) connected_at: u64,
+    pub(crate) heard_at: u64,
+    pub(crate) draining: bool,
+    /// Why it gets no tiles although it asks for some.
+    pub(crate) trouble: Option<&'static str>,
+    pub(crate) tiles: Vec<Held>,
+    pub(crate) helps: Option<Held>,
+    pub(crate) done: Ledger,
+}
+
+/// A tile in a worker's hands.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Held {
+    pub(crate) job: JobId,
+    pub(crate) tile: TileIndex,
+    pub(crate) has_begun: bool,
+    /// Milliseconds since 1970.
+    pub(crate) since: u64,
+    pub(crate) cells: u64,
+    pub(crate) samples: u64,
+}
+
+impl Worker {
+    /// Why a worker gets no tiles although it asks for some.
+    pub(super) fn trouble(&self) -> Option<&'static str> {
+        if self.silent {
+            return Some("its last lease ran out, and it has said nothing since");
+        }
+        self.deaf_until.map(|_| "it does not read the orders that it is sent")
+    }
+}
+
+impl Machine {
+    /// Notes that a worker has said something.
+    pub(super) fn hear(&mut self, id: WorkerId, now: Now) {
+        if let Some(worker) = self.workers.get_mut(&id) {
+            worker.heard = now.unix_ms;
+        }
+    }
+
+    /// The connected workers, by name.
+    pub(crate) fn roster(&self, now: Now) -> Vec<Member> {
+        let held = |id: &LeaseId| self.leases.get(id).map(|lease| held(lease, now));
+        let member = |worker: &Worker| Member {
+            name: worker.name.clone(),
+            version: worker.version.clone(),
+            profiles: worker.profiles.iter().map(|p| p.to_string()).collect(),
+            connected_at: worker.joined,
+            heard_at: worker.heard,
+            draining: worker.draining,
+            trouble: worker.trouble(),
+            tiles: worker.leases.iter().filter_map(held).collect(),
+            helps: worker.helps.and_then(|lease| held(&lease.id)),
+            done: worker.done,
+        };
+        let mut all: Vec<Member> = self.workers.values().map(member).collect();
+        all.sort_by(|a, b| a.name.cmp(&b.name));
+        all
+    }
+
+    /// The name of a connected worker.
+    pub(crate) fn name_of(&self, id: WorkerId) -> Option<&str> {
+        self.workers.get(&id).map(|worker| worker.name.as_str())
+    }
+}
+
+fn held(lease: &Leased, now: Now) -> Held {
+    Held {
+        job: lease.job,
+        tile: lease.tile,
+        has_begun: lease.begun.is_some(),
+        since: now.unix_ms.saturating_sub(now.ms.saturating_sub(lease.given)),
+        cells: lease.cells,
+        samples: lease.samples,
+    }
+}

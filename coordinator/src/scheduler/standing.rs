@@ -1,0 +1,72 @@
+//! How the tiles of a job stand: for people.
+
+use super::job::{Job, Output, Tile};
+use super::machine::{Leased, Machine};
+use crate::ids::JobId;
+
+/// How a tile stands. The numbers are those of `v1::TileState`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Standing {
+    Waiting = 1,
+    Ready = 2,
+    Leased = 3,
+    Running = 4,
+    Done = 5,
+    SetAside = 6,
+}
+
+/// A tile of a job that has not ended.
+#[derive(Clone, Debug)]
+pub(crate) struct Live {
+    pub(crate) standing: Standing,
+    /// Cells and samples that its worker has reported.
+    pub(crate) cells: u64,
+    pub(crate) samples: u64,
+    /// The workers that hold it, by name.
+    pub(crate) workers: Vec<String>,
+}
+
+impl Machine {
+    /// How all tiles of a job stand, in their order; `None` for a job that has ended.
+    pub(crate) fn standings(&self, id: JobId) -> Option<Vec<Standing>> {
+        let job = self.jobs.get(&id)?;
+        Some(job.tiles.iter().map(|tile| self.standing(job, tile)).collect())
+    }
+
+    /// Some tiles of a job that has not ended.
+    pub(crate) fn live_tiles(&self, id: JobId, range: std::ops::Range<usize>) -> Option<Vec<Live>> {
+        let job = self.jobs.get(&id)?;
+        let live = |tile: &Tile| {
+            let leases: Vec<&Leased> = self.leases_of(tile).collect();
+            let name = |lease: &&Leased| self.name_of(lease.worker).map(str::to_owned);
+            Live {
+                standing: self.standing(job, tile),
+                cells: leases.iter().map(|l| l.cells).max().unwrap_or(0),
+                samples: leases.iter().map(|l| l.samples).max().unwrap_or(0),
+                workers: leases.iter().filter_map(name).collect(),
+            }
+        };
+        Some(job.tiles.get(range)?.iter().map(live).collect())
+    }
+
+    fn standing(&self, job: &Job, tile: &Tile) -> Standing {
+        match tile.output {
+            Output::Done(_) => Standing::Done,
+            Output::SetAside(_) => Standing::SetAside,
+            Output::Open if tile.leases != [None; 2] => {
+                match self.leases_of(tile).any(|lease| lease.begun.is_some()) {
+                    true => Standing::Running,
+                    false => Standing::Leased,
+                }
+            }
+            Output::Open => match self.allowed(job) && !job.grace && tile.can_be_leased() {
+                true => Standing::Ready,
+                false => Standing::Waiting,
+            },
+        }
+    }
+
+    fn leases_of<'a>(&'a self, tile: &'a Tile) -> impl Iterator<Item = &'a Leased> {
+        tile.leases.iter().flatten().filter_map(|id| self.leases.get(id))
+    }
+}

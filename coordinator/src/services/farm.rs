@@ -1,0 +1,109 @@
+//! The `Farm` service: workers, tiles and events, for people.
+
+use std::pin::Pin;
+use std::sync::Arc;
+
+use futures::Stream;
+use sightline_proto::v1;
+use tokio::sync::mpsc;
+use tonic::{Request, Response, Status};
+
+use super::blocking::blocking;
+use super::{status, wire};
+use crate::ids::{JobId, TileIndex};
+use crate::state::Coordinator;
+use crate::store::StoreError;
+use crate::tiles;
+
+/// Most tiles of an answer: they stay below the 4 MiB of a message.
+const MOST_TILES: u32 = 10_000;
+/// Events that are read at a time.
+const EVENTS_AT_ONCE: usize = 256;
+
+/// Serves [`v1::farm_server::Farm`].
+pub(crate) struct FarmService(pub(crate) Arc<Coordinator>);
+
+type Answer<T> = Result<Response<T>, Status>;
+
+#[tonic::async_trait]
+impl v1::farm_server::Farm for FarmService {
+    async fn list_workers(&self, _: Request<v1::ListWorkersRequest>) -> Answer<v1::ListWorkersResponse> {
+        let now = self.0.now_plain();
+        let roster = self.0.lock().machine.roster(now);
+        let workers = roster.into_iter().map(wire::member).collect();
+        Ok(Response::new(v1::ListWorkersResponse { workers, now_ms: now.unix_ms }))
+    }
+
+    async fn list_tiles(&self, r: Request<v1::ListTilesRequest>) -> Answer<v1::ListTilesResponse> {
+        let r = r.into_inner();
+        let most = match r.limit {
+            0 => MOST_TILES,
+            limit @ 1..=MOST_TILES => limit,
+            more => {
+                return Err(Status::invalid_argument(format!(
+                    "{more} tiles were asked for; ask for at most {MOST_TILES} at once"
+                )));
+            }
+        };
+        let wanted = r.states().map(wire::standing).collect::<Result<Vec<_>, _>>()?;
+        blocking(&self.0, move |c| {
+            let page = tiles::list(c, JobId(r.job), TileIndex(r.first), most as usize, &wanted);
+            let page = page.map_err(|e| status::of_store(&e))?;
+            Ok(Response::new(v1::ListTilesResponse {
+                tiles: page.tiles.into_iter().map(wire::tile).collect(),
+                next: page.next.map_or(0, |tile| tile.0),
+                total: page.total,
+            }))
+        })
+        .await
+    }
+
+    type EventsStream = Pin<Box<dyn Stream<Item = Result<v1::Event, Status>> + Send>>;
+
+    async fn events(&self, r: Request<v1::EventsRequest>) -> Answer<Self::EventsStream> {
+        let v1::EventsRequest { job, after, follow } = r.into_inner();
+        let job = (job > 0).then_some(JobId(job));
+        if let Some(job) = job {
+            let known =
+                blocking(&self.0, move |c| c.store.job(job).map_err(|e| status::of_store(&e))).await?;
+            if known.is_none() {
+                return Err(status::of_store(&StoreError::UnknownJob { job }));
+            }
+        }
+        let (out, stream) = mpsc::channel(EVENTS_AT_ONCE);
+        tokio::spawn(tell(Arc::clone(&self.0), job, after, follow, out));
+        Ok(Response::new(Box::pin(tokio_stream::wrappers::ReceiverStream::new(stream))))
+    }
+}
+
+/// Sends the events of a job or of all, and further ones if they are followed.
+async fn tell(
+    c: Arc<Coordinator>,
+    job: Option<JobId>,
+    mut after: u64,
+    follow: bool,
+    out: mpsc::Sender<Result<v1::Event, Status>>,
+) {
+    let mut grown = c.chronicle.grown();
+    loop {
+        grown.mark_unchanged();
+        let (events, upto) = c.chronicle.after(job, after, EVENTS_AT_ONCE);
+        let is_end = events.len() < EVENTS_AT_ONCE;
+        for event in events {
+            if out.send(Ok(wire::event(&event))).await.is_err() {
+                return;
+            }
+        }
+        after = upto;
+        if is_end {
+            if !follow {
+                return;
+            }
+            tokio::select! {
+                changed = grown.changed() => if changed.is_err() { return },
+                // The client has gone.
+                () = out.closed() => return,
+            }
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! The unary calls of the services as JSON.
+
+use std::sync::Arc;
+
+use axum::body::Bytes;
+use axum::extract::{Path, State};
+use axum::http::HeaderMap;
+use axum::response::Response;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use sightline_proto::v1::farm_server::Farm as _;
+use sightline_proto::v1::jobs_server::Jobs as _;
+use tonic::{Request, Status};
+
+use super::{Site, failure, is_json, json};
+
+/// Calls the method of this name among those that are listed.
+macro_rules! call_by_name {
+    ($service:expr, $method:expr, $body:expr, { $($name:literal => $call:ident,)* }) => {
+        match $method {
+            $($name => answer($body, async |request| $service.$call(request).await).await,)*
+            _ => Err(unknown()),
+        }
+    };
+}
+
+/// A call.
+pub(super) async fn call(
+    State(site): State<Arc<Site>>,
+    Path((service, method)): Path<(String, String)>,
+    headers: HeaderMap,
+    body: Bytes,
+) -> Response {
+    if !is_json(&headers) {
+        return failure(&Status::invalid_argument("send the request with content-type: application/json"));
+    }
+    let (method, body) = (method.as_str(), &body[..]);
+    let answered = match service.as_str() {
+        "sightline.v1.Jobs" => call_by_name!(site.jobs, method, body, {
+            "MissingChunks" => missing_chunks,
+            "PutScene" => put_scene,
+            "Submit" => submit,
+            "Estimate" => estimate,
+            "List" => list,
+            "Show" => show,
+            "Cancel" => cancel,
+            "Pause" => pause,
+            "Resume" => resume,
+            "Prioritize" => prioritize,
+            "Retry" => retry,
+            "Delete" => delete,
+        }),
+        "sightline.v1.Farm" => call_by_name!(site.farm, method, body, {
+            "ListWorkers" => list_workers,
+            "ListTiles" => list_tiles,
+        }),
+        _ => Err(unknown()),
+    };
+    answered.map_or_else(|status| failure(&status), json)
+}
+
+fn unknown() -> Status {
+    Status::unimplemented(
+        "there is no such call; POST /sightline.v1.Jobs/List, for example. Streams are gRPC's alone",
+    )
+}
+
+/// Reads a request, calls, and writes the answer.
+async fn answer<Q: DeserializeOwned, A: Serialize>(
+    body: &[u8],
+    call: impl AsyncFnOnce(Request<Q>) -> Result<tonic::Response<A>, Status>,
+) -> Result<String, Status> {
+    let body = if body.is_empty() { b"{}" } else { body };
+    let request: Q = serde_json::from_slice(body)
+        .map_err(|e| Status::invalid_argument(format!("the request is not its message as JSON: {e}")))?;
+    let answered = call(Request::new(request)).await?.into_inner();
+    serde_json::to_string(&answered).map_err(|e| Status::internal(e.to_string()))
+}

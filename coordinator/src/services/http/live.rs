@@ -1,0 +1,196 @@
+//! What changes, as a stream of server-sent events: `jobs`, `workers` and, of one job, `job`.
+
+use std::convert::Infallible;
+use std::fmt::Write as _;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::{Path, Query, State};
+use axum::response::sse::{Event, KeepAlive, Sse};
+use axum::response::{IntoResponse as _, Response};
+use serde::Deserialize;
+use sightline_proto::v1;
+use sightline_proto::v1::jobs_server::Jobs as _;
+use tokio::sync::mpsc;
+use tonic::{Request, Status};
+
+use super::super::blocking::blocking;
+use super::super::{status, wire};
+use super::{Site, failure, json};
+use crate::ids::JobId;
+use crate::scheduler::Standing;
+use crate::state::Coordinator;
+use crate::tiles;
+
+/// Shortest time between two messages about a job.
+const EVERY: Duration = Duration::from_secs(1);
+/// Events of a job that a message has at most; those before can be asked for.
+const EVENTS: usize = 500;
+/// Messages that wait until a watcher reads them.
+const WAITING: usize = 8;
+
+/// What a watcher wants to hear of.
+#[derive(Deserialize)]
+pub(super) struct Wanted {
+    job: Option<u64>,
+    #[serde(default)]
+    workers: bool,
+}
+
+type Out = mpsc::Sender<Result<Event, Infallible>>;
+
+/// The stream.
+pub(super) async fn live(State(site): State<Arc<Site>>, Query(wanted): Query<Wanted>) -> Response {
+    let (out, stream) = mpsc::channel(WAITING);
+    tokio::spawn(tell_jobs(Arc::clone(&site), out.clone()));
+    if wanted.workers {
+        tokio::spawn(tell_workers(Arc::clone(&site), out.clone()));
+    }
+    if let Some(job) = wanted.job {
+        tokio::spawn(tell_job(site, JobId(job), out));
+    }
+    let stream = tokio_stream::wrappers::ReceiverStream::new(stream);
+    Sse::new(stream).keep_alive(KeepAlive::default()).into_response()
+}
+
+/// Sends one message; false when the watcher has gone.
+async fn say(out: &Out, name: &str, data: &str) -> bool {
+    out.send(Ok(Event::default().event(name).data(data))).await.is_ok()
+}
+
+async fn tell_jobs(site: Arc<Site>, out: Out) {
+    let mut moments = site.snapshots.jobs.subscribe();
+    let mut seen = None;
+    loop {
+        let moment = moments.borrow_and_update().clone();
+        // Who missed a moment is told all.
+        let text = match seen {
+            Some(seen) if seen + 1 == moment.number => moment.change,
+            _ => moment.whole,
+        };
+        if moment.number > 0 && !say(&out, "jobs", &text).await {
+            return;
+        }
+        seen = (moment.number > 0).then_some(moment.number);
+        tokio::select! {
+            changed = moments.changed() => if changed.is_err() { return },
+            () = out.closed() => return,
+        }
+    }
+}
+
+async fn tell_workers(site: Arc<Site>, out: Out) {
+    let mut lists = site.snapshots.workers.subscribe();
+    loop {
+        let list = Arc::clone(&lists.borrow_and_update());
+        if !list.is_empty() && !say(&out, "workers", &list).await {
+            return;
+        }
+        tokio::select! {
+            changed = lists.changed() => if changed.is_err() { return },
+            () = out.closed() => return,
+        }
+    }
+}
+
+/// Tells of one job: the job, how its tiles stand, and what happened.
+async fn tell_job(site: Arc<Site>, id: JobId, out: Out) {
+    let c = &site.coordinator;
+    let mut changes = c.watched().subscribe(id);
+    let mut grown = c.chronicle.grown();
+    let mut before: Vec<Standing> = Vec::new();
+    let mut after = c.chronicle.before_last(id, EVENTS);
+    loop {
+        changes.mark_unchanged();
+        grown.mark_unchanged();
+        let shown = site.jobs.show(Request::new(v1::ShowRequest { job: id.0 })).await;
+        let job = match shown.map(|job| serde_json::to_string(&job.into_inner())) {
+            Ok(Ok(text)) => text,
+            Ok(Err(_)) => return,
+            Err(s) => {
+                let text = serde_json::json!({"failure": s.message()}).to_string();
+                say(&out, "job", &text).await;
+                return;
+            }
+        };
+        let standings = move |c: &Arc<Coordinator>| tiles::standings(c, id).map_err(|e| status::of_store(&e));
+        let Ok(now) = blocking(c, standings).await else { return };
+        let tiles = changed_tiles(&before, &now);
+        let (events, upto) = c.chronicle.after(Some(id), after, EVENTS);
+        let events: Vec<v1::Event> = events.iter().map(|event| wire::event(event)).collect();
+        let Ok(events) = serde_json::to_string(&events) else { return };
+        if !say(&out, "job", &format!(r#"{{"job":{job},"tiles":{tiles},"events":{events}}}"#)).await {
+            return;
+        }
+        before = now;
+        after = upto;
+        tokio::time::sleep(EVERY).await;
+        tokio::select! {
+            changed = changes.changed() => if changed.is_err() { return },
+            // Deleted and retried jobs are heard of here.
+            () = of_job(c, &mut grown, id, after) => {}
+            () = out.closed() => return,
+        }
+    }
+}
+
+/// Waits until something happens to a job.
+async fn of_job(c: &Coordinator, grown: &mut tokio::sync::watch::Receiver<u64>, id: JobId, after: u64) {
+    while c.chronicle.after(Some(id), after, 1).0.is_empty() {
+        if grown.changed().await.is_err() {
+            return;
+        }
+        // Others' events come often.
+        tokio::time::sleep(EVERY / 2).await;
+    }
+}
+
+/// How tiles stand: a digit for each tile, or the changes since `before` as pairs of tile and digit.
+fn changed_tiles(before: &[Standing], now: &[Standing]) -> String {
+    if before.len() != now.len() {
+        let digits: String = now.iter().map(|s| char::from(b'0' + *s as u8)).collect();
+        return format!("\"{digits}\"");
+    }
+    let mut out = "[".to_owned();
+    for (tile, (_, state)) in before.iter().zip(now).enumerate().filter(|(_, (a, b))| a != b) {
+        let comma = if out.len() > 1 { "," } else { "" };
+        // Writing to a string cannot fail.
+        let _ = write!(out, "{comma}{tile},{}", *state as u8);
+    }
+    out.push(']');
+    out
+}
+
+/// What an asker of events knows.
+#[derive(Deserialize)]
+pub(super) struct Since {
+    #[serde(default)]
+    after: u64,
+}
+
+/// Events of a job, oldest first, at most 5000; `next` is what to ask for after them.
+pub(super) async fn events(
+    State(site): State<Arc<Site>>,
+    Path(job): Path<u64>,
+    Query(since): Query<Since>,
+) -> Response {
+    let (events, next) = site.coordinator.chronicle.after(Some(JobId(job)), since.after, 10 * EVENTS);
+    let events: Vec<v1::Event> = events.iter().map(|event| wire::event(event)).collect();
+    match serde_json::to_string(&events) {
+        Ok(events) => json(format!(r#"{{"events":{events},"next":{next}}}"#)),
+        Err(e) => failure(&Status::internal(e.to_string())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiles_are_told_whole_and_then_by_change() {
+        use Standing::{Done, Ready, Running};
+        assert_eq!(changed_tiles(&[], &[Ready, Running, Done]), "\"245\"");
+        assert_eq!(changed_tiles(&[Ready, Ready, Ready], &[Ready, Running, Done]), "[1,4,2,5]");
+        assert_eq!(changed_tiles(&[Ready], &[Ready]), "[]");
+    }
+}

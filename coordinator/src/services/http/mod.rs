@@ -1,0 +1,134 @@
+//! The coordinator for browsers and for programs without gRPC: the calls of its services as JSON, a stream of
+//! what changes, results, and the pages that show all this.
+//!
+//! A call is `POST /sightline.v1.Jobs/List` with the request as JSON, by the mapping of the Protocol Buffers,
+//! as the Connect protocol has it. The same rules hold as for gRPC: beyond this machine the address needs
+//! `--allow-plaintext`. Pages of other sites can neither call (`application/json` makes a browser ask first,
+//! and nothing here says yes) nor reach a loopback address under a name of their own.
+
+mod calls;
+mod live;
+mod pages;
+mod snapshot;
+
+use std::sync::Arc;
+
+use axum::Router;
+use axum::extract::{DefaultBodyLimit, Request, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::middleware::{Next, from_fn_with_state};
+use axum::response::{IntoResponse as _, Response};
+use axum::routing::{get, post};
+use tokio::net::TcpListener;
+use tonic::{Code, Status};
+
+use self::snapshot::Snapshots;
+use super::farm::FarmService;
+use super::jobs::JobsService;
+use super::server::ServeError;
+use crate::state::Coordinator;
+
+/// Most bytes of a request, as for messages of gRPC.
+const MOST_BYTES: usize = 4 << 20;
+
+/// What the routes share.
+struct Site {
+    coordinator: Arc<Coordinator>,
+    jobs: JobsService,
+    farm: FarmService,
+    snapshots: Arc<Snapshots>,
+    /// Whether only this machine can reach the address.
+    is_local: bool,
+    /// One page with a result is made at a time: it holds a whole scene.
+    pages: tokio::sync::Semaphore,
+}
+
+/// Serves pages and JSON until `stop` resolves.
+///
+/// # Errors
+/// [`ServeError::Broken`] when the server ends by itself.
+pub async fn serve_http(
+    coordinator: Arc<Coordinator>,
+    listener: TcpListener,
+    stop: impl Future<Output = ()> + Send + 'static,
+) -> Result<(), ServeError> {
+    let broken = |e: std::io::Error| ServeError::Broken(e.to_string());
+    let is_local = listener.local_addr().map_err(broken)?.ip().is_loopback();
+    let site = Arc::new(Site {
+        jobs: JobsService(Arc::clone(&coordinator)),
+        farm: FarmService(Arc::clone(&coordinator)),
+        snapshots: Snapshots::of(&coordinator),
+        coordinator,
+        is_local,
+        pages: tokio::sync::Semaphore::new(1),
+    });
+    let routes = Router::new()
+        .route("/", get(pages::dashboard))
+        .route("/live", get(live::live))
+        .route("/events/{job}", get(live::events))
+        .route("/results/{file}", get(pages::result))
+        .route("/view/{job}", get(pages::view))
+        .route("/{service}/{method}", post(calls::call))
+        .fallback(|| async { failure(&Status::not_found("there is no such page; / is the dashboard")) })
+        .layer(DefaultBodyLimit::max(MOST_BYTES))
+        .layer(from_fn_with_state(Arc::clone(&site), guard))
+        .with_state(site);
+    let server = axum::serve(listener, routes);
+    // Streams that stay open would delay a graceful end for ever.
+    tokio::select! {
+        r = async { server.await } => r.map_err(broken),
+        () = stop => Ok(()),
+    }
+}
+
+/// Refuses requests that pages of other sites can make a browser send.
+async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
+    match refusal(&site, request.headers()) {
+        Some(status) => failure(&status),
+        None => next.run(request).await,
+    }
+}
+
+/// Why a request is refused, by its headers.
+fn refusal(site: &Site, headers: &HeaderMap) -> Option<Status> {
+    let text = |name| headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    let host = text(header::HOST);
+    let name = host.rsplit_once(':').map_or(host, |(name, _)| name).to_ascii_lowercase();
+    if site.is_local && !["127.0.0.1", "localhost", "[::1]"].contains(&name.as_str()) {
+        return Some(Status::permission_denied("ask for 127.0.0.1"));
+    }
+    let origin = text(header::ORIGIN);
+    let is_foreign = !origin.is_empty() && origin.split_once("://").is_none_or(|(_, from)| from != host);
+    is_foreign.then(|| Status::permission_denied("pages of other sites may not call here"))
+}
+
+/// Whether a request says that it is JSON.
+fn is_json(headers: &HeaderMap) -> bool {
+    let kind = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
+}
+
+/// JSON as an answer.
+fn json(text: String) -> Response {
+    let headers = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
+    (headers, text).into_response()
+}
+
+/// A status as an answer, with the codes of the Connect protocol.
+fn failure(status: &Status) -> Response {
+    let (code, name) = match status.code() {
+        Code::InvalidArgument => (StatusCode::BAD_REQUEST, "invalid_argument"),
+        Code::FailedPrecondition => (StatusCode::BAD_REQUEST, "failed_precondition"),
+        Code::NotFound => (StatusCode::NOT_FOUND, "not_found"),
+        Code::AlreadyExists => (StatusCode::CONFLICT, "already_exists"),
+        Code::Aborted => (StatusCode::CONFLICT, "aborted"),
+        Code::PermissionDenied => (StatusCode::FORBIDDEN, "permission_denied"),
+        Code::ResourceExhausted => (StatusCode::TOO_MANY_REQUESTS, "resource_exhausted"),
+        Code::Unavailable => (StatusCode::SERVICE_UNAVAILABLE, "unavailable"),
+        Code::Unimplemented => (StatusCode::NOT_IMPLEMENTED, "unimplemented"),
+        Code::DataLoss => (StatusCode::INTERNAL_SERVER_ERROR, "data_loss"),
+        _ => (StatusCode::INTERNAL_SERVER_ERROR, "internal"),
+    };
+    let body = serde_json::json!({"code": name, "message": status.message()});
+    (code, json(body.to_string())).into_response()
+}

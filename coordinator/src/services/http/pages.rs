@@ -1,0 +1,98 @@
+//! The pages: the dashboard, a result in the viewer, and results to download.
+
+use std::sync::Arc;
+
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderValue, header};
+use axum::response::{IntoResponse as _, Response};
+use futures::StreamExt as _;
+use sightline_pvs::Pvs;
+use sightline_scene::Scene;
+use sightline_view::{View, dashboard as dashboard_page, page};
+use tonic::Status;
+
+use super::super::blocking::blocking;
+use super::super::status;
+use super::super::streams::stream_bytes;
+use super::{Site, failure};
+use crate::ids::JobId;
+use crate::partial;
+use crate::specs;
+use crate::state::Coordinator;
+use crate::store::StoreError;
+
+/// A page as an answer. It is its own program and loads nothing from elsewhere.
+fn html(text: String) -> Response {
+    let policy = "default-src 'self' 'unsafe-inline' data: blob:; frame-ancestors 'none'";
+    let headers = [
+        (header::CONTENT_TYPE, "text/html; charset=utf-8"),
+        (header::CACHE_CONTROL, "no-store"),
+        (header::CONTENT_SECURITY_POLICY, policy),
+    ];
+    (headers, text).into_response()
+}
+
+/// The dashboard.
+pub(super) async fn dashboard() -> Response {
+    html(dashboard_page())
+}
+
+/// A result of a job, or what there is of it, as a file: `7.pvs` is that of job 7.
+pub(super) async fn result(State(site): State<Arc<Site>>, Path(file): Path<String>) -> Response {
+    let Some(job) = file.strip_suffix(".pvs").and_then(|number| number.parse().ok()) else {
+        return failure(&Status::not_found("results are at /results/JOB.pvs"));
+    };
+    let bytes = blocking(&site.coordinator, move |c| {
+        partial::so_far(c, JobId(job)).map_err(|e| status::of_partial(&e))
+    });
+    let stream = match bytes.await {
+        Ok(bytes) => stream_bytes(&site.coordinator, bytes).await,
+        Err(s) => Err(s),
+    };
+    match stream {
+        Ok(stream) => {
+            let body = Body::from_stream(stream.map(|chunk| chunk.map(|chunk| chunk.data)));
+            ([(header::CONTENT_TYPE, "application/octet-stream")], body).into_response()
+        }
+        Err(s) => failure(&s),
+    }
+}
+
+/// A result of a job, or what there is of it, in the viewer.
+pub(super) async fn view(State(site): State<Arc<Site>>, Path(job): Path<u64>) -> Response {
+    let Ok(_permit) = site.pages.acquire().await else {
+        return failure(&Status::unavailable("the coordinator is stopping"));
+    };
+    match blocking(&site.coordinator, move |c| page_of(c, JobId(job))).await {
+        Ok(text) => html(text),
+        Err(s) => {
+            let mut answer = failure(&s);
+            // People read this in a window of their own.
+            let text = HeaderValue::from_static("text/plain; charset=utf-8");
+            answer.headers_mut().insert(header::CONTENT_TYPE, text);
+            *answer.body_mut() = Body::from(s.message().to_owned());
+            answer
+        }
+    }
+}
+
+fn page_of(c: &Coordinator, id: JobId) -> Result<String, Status> {
+    let broken = |e: &dyn std::fmt::Display| status::internal(&e.to_string());
+    let record = c.store.job(id).map_err(|e| status::of_store(&e))?;
+    let record = record.ok_or_else(|| status::of_store(&StoreError::UnknownJob { job: id }))?;
+    let bytes = partial::so_far(c, id).map_err(|e| status::of_partial(&e))?;
+    let pvs = Pvs::from_bytes(bytes).map_err(|e| broken(&e))?;
+    let spec = specs::part(&record.spec).map_err(Status::failed_precondition)?.0;
+    let digest = spec.scene.as_slice().try_into().map_err(|e| broken(&e))?;
+    let blob = c.blobs.read(&digest).map_err(|e| status::of_blob(&e))?;
+    let scene = Scene::from_blob(&record.name, &blob).map_err(|e| broken(&e))?;
+    let mut view = View::of(&pvs, Some(&scene)).map_err(|e| broken(&e))?;
+    view.title = format!("job {id}: {}", record.name);
+    let is_over = record.state.phase().ended();
+    view.about = match is_over {
+        true => format!("the result of job {id}"),
+        false => format!("job {id} so far: cells that are not done show everything, as undecided"),
+    };
+    page(&view).map_err(|e| broken(&e))
+}

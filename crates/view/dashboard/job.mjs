@@ -1,0 +1,130 @@
+// One job: its facts, what can be done with it, and its events.
+import { attempt, call } from './calls.mjs';
+import { share, stateOf } from './jobs.mjs';
+import { TileMap } from './map.mjs';
+import { Timeline } from './timeline.mjs';
+import { byId, clock, duration, element, number, short } from './words.mjs';
+
+// Events that are listed: the last ones.
+const MOST_EVENTS = 200;
+const TROUBLE = ['FAILED', 'TAKEN_BACK', 'SET_ASIDE', 'CONFLICT'];
+
+export class JobPage {
+  constructor() {
+    this.map = new TileMap();
+    this.time = new Timeline();
+    this.events = [];
+    this.buttons = '';
+    byId('trouble-only').addEventListener('change', () => this.list());
+  }
+
+  async show(id) {
+    this.id = id;
+    this.job = undefined;
+    this.events = [];
+    this.buttons = '';
+    this.time.clear();
+    byId('job-title').textContent = `Job ${id}`;
+    await this.map.show(id);
+  }
+
+  // Takes in a message about the job.
+  heard(message) {
+    if (message.failure) {
+      byId('job-state').textContent = message.failure;
+      return;
+    }
+    const first = this.job === undefined;
+    this.job = message.job;
+    if (first && this.job.spec?.up) byId('map-up').value = this.job.spec.up === 'UP_Z' ? 2 : 1;
+    this.map.heard(message.tiles);
+    for (const event of message.events) {
+      this.time.heard(event);
+      this.events.push(event);
+    }
+    this.events = this.events.slice(-5000);
+    this.facts();
+    this.offer();
+    this.list();
+    this.time.draw(number(this.job.finishedAtMs) > 0, number(this.job.nowMs));
+  }
+
+  facts() {
+    const job = this.job, state = stateOf(job), now = number(job.nowMs), end = number(job.finishedAtMs);
+    byId('job-title').textContent = `Job ${this.id}: ${job.name ?? ''}`;
+    const left = job.leftMillis === undefined ? '' : `, about ${duration(number(job.leftMillis))} left`;
+    byId('job-state').textContent = `${state}${job.reason ? `: ${job.reason}` : ''}${left}`;
+    byId('job-progress').value = share(job);
+    const spec = job.spec ?? {}, grid = spec.grid;
+    const facts = {
+      'Tiles': `${number(job.tilesDone)} of ${number(job.tilesTotal)} done, ${number(job.tilesRunning)} at work` +
+        (number(job.tilesSetAside) ? `, ${job.tilesSetAside} SET ASIDE` : ''),
+      'Cells': `${number(job.cellsDone)}${number(job.cellsTotal) ? ` of ${job.cellsTotal}` : ''}` +
+        (grid ? ` (${grid.x}×${grid.y}×${grid.z})` : ''),
+      'Samples': short(number(job.samples)),
+      'Work': `${duration(number(job.tileMillis))} on finished tiles`,
+      'Submitted': `${new Date(number(job.submittedAtMs)).toLocaleString()}${job.user ? ` by ${job.user}` : ''}`,
+      'Took': duration((end || now) - number(job.submittedAtMs)),
+      'Method': (spec.method ?? 'METHOD_AGGRESSIVE').slice(7).toLowerCase(),
+      'Backend': job.profile || 'not chosen yet',
+    };
+    if (number(job.resultBytes)) facts.Result = `${short(number(job.resultBytes))}B`;
+    for (const team of (job.teams ?? []).slice(0, 8)) {
+      facts[`Tile ${team.tile ?? 0}`] = `${team.leader}${team.hasBegun ? '' : ' (not begun)'}` +
+        (team.helpers?.length ? `, helped by ${team.helpers.join(', ')}` : '');
+    }
+    for (const unable of job.unable ?? []) facts[`Cannot help: ${unable.names.join(', ')}`] = unable.reason;
+    byId('job-facts').replaceChildren(...Object.entries(facts).flatMap(([name, text]) =>
+      [element('dt', name), element('dd', text)]));
+  }
+
+  // What can be done with the job in its state.
+  offer() {
+    const state = stateOf(this.job), open = ['queued', 'running', 'paused'].includes(state);
+    const some = number(this.job.tilesDone) > 0, aside = number(this.job.tilesSetAside) > 0;
+    const now = `${state} ${some} ${aside}`;
+    // Buttons stay while somebody may be about to press them.
+    if (this.buttons === now) return;
+    this.buttons = now;
+    const button = (text, method, request = {}, question = null) => {
+      const made = element('button', text, { 'data-call': method });
+      made.addEventListener('click', () => {
+        if (question && !confirm(question)) return;
+        attempt(async () => {
+          await call('Jobs', method, { job: this.id, ...request });
+          if (method === 'Delete') location.hash = 'jobs';
+        });
+      });
+      return made;
+    };
+    const all = [];
+    if (state === 'queued' || state === 'running') {
+      all.push(button('Pause', 'Pause'), button('Pause and stop tiles at work', 'Pause', { now: true }));
+    }
+    if (state === 'paused') all.push(button('Resume', 'Resume'));
+    if (open) {
+      all.push(button('Cancel', 'Cancel', {}, `Cancel job ${this.id}? Its finished tiles are kept for a retry.`));
+      const input = element('input', '', { type: 'number', min: -1000, max: 1000, value: number(this.job.priority) });
+      input.addEventListener('change', () =>
+        attempt(() => call('Jobs', 'Prioritize', { job: this.id, priority: Number(input.value) })));
+      all.push(element('label', ['Priority ', input]));
+    }
+    if (state === 'failed' || state === 'cancelled' || (state === 'done' && aside)) all.push(button('Retry', 'Retry'));
+    if (!open) all.push(button('Delete', 'Delete', {}, `Delete job ${this.id} and its result?`));
+    if (some) {
+      const what = state === 'done' ? 'the result' : 'what is done';
+      all.push(element('a', `Look at ${what}`, { href: `view/${this.id}`, target: '_blank' }));
+      all.push(element('a', `Download ${what}`, { href: `results/${this.id}.pvs`, download: `job-${this.id}.pvs` }));
+    }
+    byId('job-buttons').replaceChildren(...all);
+  }
+
+  list() {
+    const kind = (event) => (event.kind ?? '').slice(11), only = byId('trouble-only').checked;
+    const wanted = this.events.filter((event) => (only ? TROUBLE.includes(kind(event)) : kind(event) !== 'ROUND'));
+    byId('events').replaceChildren(...wanted.slice(-MOST_EVENTS).reverse().map((event) => element('li', [
+      element('time', clock(number(event.atMs))),
+      element('span', event.text ?? '', TROUBLE.includes(kind(event)) ? { class: 'bad' } : {}),
+    ])));
+  }
+}

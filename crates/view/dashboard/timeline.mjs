@@ -1,0 +1,87 @@
+// What the workers did for a job, as bars over time.
+import { byId, clock, duration, number } from './words.mjs';
+
+// Bars that are drawn: the last ones.
+const MOST_BARS = 50000;
+const COLORS = { done: '#2e9e5b', failed: '#c0392b', taken: '#e0b34d', open: '#2f7ed8' };
+const LEFT = 140, FOOT = 18;
+
+export class Timeline {
+  constructor() {
+    this.canvas = byId('time');
+    this.clear();
+  }
+
+  clear() {
+    this.bars = [];
+    this.open = new Map();
+    this.rounds = [];
+    this.first = Infinity;
+    this.last = 0;
+  }
+
+  // Takes in an event.
+  heard(event) {
+    const at = number(event.atMs), kind = (event.kind ?? '').slice(11), tile = event.tile ?? -1;
+    this.first = Math.min(this.first, at);
+    this.last = Math.max(this.last, at);
+    const key = `${tile} ${event.worker ?? ''}`;
+    if (kind === 'LEASED') {
+      this.open.set(key, { tile, worker: event.worker ?? '', from: at });
+    } else if (kind === 'DONE' || kind === 'FAILED' || kind === 'TAKEN_BACK') {
+      const bar = this.open.get(key);
+      this.open.delete(key);
+      const how = { DONE: 'done', FAILED: 'failed', TAKEN_BACK: 'taken' }[kind];
+      if (bar) this.bars.push({ ...bar, to: at, how });
+      // A tile that two workers computed is done for both.
+      if (kind === 'DONE') {
+        for (const [other, rest] of this.open) {
+          if (rest.tile === tile) {
+            this.open.delete(other);
+            this.bars.push({ ...rest, to: at, how: 'taken' });
+          }
+        }
+      }
+      if (this.bars.length > 2 * MOST_BARS) this.bars = this.bars.slice(-MOST_BARS);
+    } else if (kind === 'ROUND') {
+      this.rounds.push({ tile, at });
+    }
+  }
+
+  draw(isOver, now) {
+    const end = isOver ? this.last : Math.max(this.last, now), start = this.first;
+    const open = isOver ? [] : [...this.open.values()].map((bar) => ({ ...bar, to: end, how: 'open' }));
+    const bars = [...this.bars.slice(-MOST_BARS), ...open];
+    const names = [...new Set(bars.map((bar) => bar.worker))].sort();
+    const rows = new Map(names.map((name, row) => [name, row]));
+    const high = Math.max(1, Math.min(16, Math.floor(1600 / Math.max(1, names.length))));
+    this.canvas.width = 960;
+    this.canvas.height = Math.max(60, names.length * high + FOOT);
+    const pen = this.canvas.getContext('2d'), wide = this.canvas.width - LEFT - 8;
+    const x = (at) => LEFT + wide * (at - start) / Math.max(1, end - start);
+    const place = new Map();
+    for (const bar of bars) {
+      pen.fillStyle = COLORS[bar.how];
+      const row = rows.get(bar.worker);
+      pen.fillRect(x(bar.from), row * high, Math.max(1, x(bar.to) - x(bar.from)), Math.max(1, high - 1));
+      place.set(bar.tile, row);
+    }
+    pen.fillStyle = '#000a';
+    if (high >= 8) {
+      for (const { tile, at } of this.rounds.slice(-MOST_BARS)) {
+        if (place.has(tile)) pen.fillRect(x(at), place.get(tile) * high, 1, high - 1);
+      }
+    }
+    pen.fillStyle = getComputedStyle(document.body).color;
+    pen.font = '11px system-ui, sans-serif';
+    if (high >= 10) names.forEach((name, row) => pen.fillText(name.slice(0, 22), 2, row * high + high - 4, LEFT - 6));
+    const foot = this.canvas.height - 5;
+    if (Number.isFinite(start)) {
+      pen.fillText(clock(start), LEFT, foot);
+      pen.fillText(clock(end), LEFT + wide - 60, foot);
+    }
+    byId('time-note').textContent = bars.length === 0 ? 'No tile was leased yet, or it is too long ago.' :
+      `${names.length} ${names.length === 1 ? 'worker' : 'workers'} over ${duration(end - start)}: green bars are finished tiles, blue ones are at work, ` +
+      'yellow ones were taken back, red ones failed; black marks end a phase.';
+  }
+}
