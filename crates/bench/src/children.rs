@@ -6,12 +6,14 @@ use std::io::Read as _;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use serde_json::Value;
 
 use crate::error::BenchError;
 use crate::host::Host;
+use crate::load::Ticks;
+use crate::timing::Took;
 
 /// What the waiting thread is woken by.
 enum Event {
@@ -41,17 +43,18 @@ impl Children {
         Self { program: host.program.clone(), events, sender }
     }
 
-    /// Runs `sightline --json ARGUMENTS…`; what it printed, and its time from start to exit.
+    /// Runs `sightline --json ARGUMENTS…`; what it printed, and what it took from start to exit.
     pub fn run<I: IntoIterator<Item: AsRef<OsStr>>>(
         &self,
         arguments: I,
-    ) -> Result<(Value, Duration), BenchError> {
+    ) -> Result<(Value, Took), BenchError> {
         if self.events.try_recv().is_ok() {
             return Err(interrupted());
         }
         let mut command = Command::new(&self.program);
         command.arg("--json").args(arguments);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let before = Ticks::now();
         let start = Instant::now();
         let mut child = command.spawn().map_err(|e| {
             BenchError::Internal(format!("{} cannot be started: {e}", self.program.display()))
@@ -63,15 +66,17 @@ impl Children {
             let _ = child.kill();
         }
         let status = child.wait().map_err(BenchError::internal)?;
-        let took = start.elapsed();
+        let wall = start.elapsed().as_secs_f64();
+        let load = Ticks::now().zip(before).map(|(now, before)| now.since(before));
         let Ok(Event::Said(said)) = event else { return Err(interrupted()) };
         if !status.success() {
             let complaints = complaints.and_then(|c| c.join().ok()).unwrap_or_default();
             return Err(failure(status.code(), &String::from_utf8_lossy(&complaints), &command));
         }
-        let value = serde_json::from_slice(&said)
+        let value: Value = serde_json::from_slice(&said)
             .map_err(|e| BenchError::Internal(format!("{} printed no JSON: {e}", shown(&command))))?;
-        Ok((value, took))
+        let cpu = value["cpu_seconds"].as_f64();
+        Ok((value, Took { wall, cpu, load }))
     }
 
     /// Reads what the child says, each stream on a thread: neither pipe may fill up while the other is waited

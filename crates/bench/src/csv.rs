@@ -25,7 +25,8 @@ fn optional(n: Option<impl ToString>) -> String {
     n.map_or(String::new(), |n| n.to_string())
 }
 
-/// All points. Errors are fractions, times are in seconds.
+/// All points. Errors and shares are fractions, times are in seconds. The first eleven columns were there
+/// before the others and keep their places.
 pub fn curves(scenes: &[SceneCurves]) -> Result<String, BenchError> {
     let header = [
         "scene",
@@ -39,6 +40,16 @@ pub fn curves(scenes: &[SceneCurves]) -> Result<String, BenchError> {
         "bytes_per_cell",
         "samples",
         "mean_visible",
+        "repeats",
+        "seconds_min",
+        "seconds_max",
+        "cpu_seconds",
+        "cpu_seconds_min",
+        "cpu_seconds_max",
+        "others_share",
+        "cells",
+        "undecided_share",
+        "greatest_bound",
     ];
     let points = scenes.iter().flat_map(|scene| scene.points.iter().map(move |p| (scene, p)));
     file(
@@ -48,7 +59,7 @@ pub fn curves(scenes: &[SceneCurves]) -> Result<String, BenchError> {
                 scene.scene.clone(),
                 p.sampler.name().to_owned(),
                 p.parameter.clone(),
-                p.seconds.to_string(),
+                p.times.seconds.to_string(),
                 p.mean_error.to_string(),
                 p.p99_error.to_string(),
                 p.max_error.to_string(),
@@ -56,6 +67,16 @@ pub fn curves(scenes: &[SceneCurves]) -> Result<String, BenchError> {
                 p.bytes_per_cell.to_string(),
                 p.samples.to_string(),
                 p.mean_visible.to_string(),
+                p.times.repeats.to_string(),
+                p.times.seconds_min.to_string(),
+                p.times.seconds_max.to_string(),
+                optional(p.times.cpu_seconds),
+                optional(p.times.cpu_seconds_min),
+                optional(p.times.cpu_seconds_max),
+                optional(p.times.others_share),
+                p.cells.to_string(),
+                p.undecided_share.to_string(),
+                optional(p.greatest_bound),
             ]
         }),
     )
@@ -63,7 +84,21 @@ pub fn curves(scenes: &[SceneCurves]) -> Result<String, BenchError> {
 
 /// How time and memory grow.
 pub fn growth(rows: &[Grown]) -> Result<String, BenchError> {
-    let header = ["grows", "scene", "triangles", "cells", "workers", "seconds", "peak_mb", "bytes_per_cell"];
+    let header = [
+        "grows",
+        "scene",
+        "triangles",
+        "cells",
+        "workers",
+        "seconds",
+        "peak_mb",
+        "bytes_per_cell",
+        "repeats",
+        "seconds_min",
+        "seconds_max",
+        "cpu_seconds",
+        "others_share",
+    ];
     file(
         header,
         rows.iter().map(|g| {
@@ -73,9 +108,14 @@ pub fn growth(rows: &[Grown]) -> Result<String, BenchError> {
                 g.triangles.to_string(),
                 g.cells.to_string(),
                 optional(g.workers),
-                g.seconds.to_string(),
+                g.times.seconds.to_string(),
                 optional(g.peak_mb),
                 g.bytes_per_cell.to_string(),
+                g.times.repeats.to_string(),
+                g.times.seconds_min.to_string(),
+                g.times.seconds_max.to_string(),
+                optional(g.times.cpu_seconds),
+                optional(g.times.others_share),
             ]
         }),
     )
@@ -87,10 +127,29 @@ mod tests {
 
     #[test]
     fn a_name_with_a_comma_is_quoted_and_lines_end_plainly() {
-        let scenes = [crate::svg::tests::example("a,b")];
+        let scenes = [crate::curves::tests::example("a,b")];
         let text = curves(&scenes).unwrap();
         assert!(text.starts_with("scene,sampler,parameter,seconds,"));
         assert!(text.contains("\n\"a,b\",") && !text.contains('\r'), "{text}");
         assert_eq!(text.lines().count(), 1 + scenes[0].points.len());
+    }
+
+    #[test]
+    fn the_old_columns_keep_their_places_and_every_row_has_all() {
+        let text = curves(&[crate::curves::tests::example("a")]).unwrap();
+        let old = "scene,sampler,parameter,seconds,mean_error,p99_error,max_error,peak_mb,bytes_per_cell,\
+                   samples,mean_visible,repeats,";
+        assert!(text.starts_with(old), "{text}");
+        let mut reader = csv::Reader::from_reader(text.as_bytes());
+        let header = reader.headers().unwrap().clone();
+        let at = |name: &str| header.iter().position(|h| h == name).unwrap();
+        let rows: Vec<_> = reader.records().map(Result::unwrap).collect();
+        for row in &rows {
+            let number = |name: &str| row[at(name)].parse::<f64>().unwrap();
+            assert!(number("seconds_min") <= number("seconds"), "{row:?}");
+            assert!(number("seconds") <= number("seconds_max"), "{row:?}");
+            assert_eq!(number("repeats"), 3.0);
+            assert_eq!(row[at("greatest_bound")].is_empty(), &row[1] != "max-error");
+        }
     }
 }

@@ -1,27 +1,31 @@
-//! Time against error: bakes a scene with every sampler from coarse to fine and measures each result.
+//! The curves of a scene: bakes it with every sampler from coarse to fine and measures each result.
 
 use std::ffi::OsString;
 
 use serde::Serialize;
+use serde_json::Value;
 
 use crate::children::{Children, number};
 use crate::error::BenchError;
 use crate::frontier::{self, Needed, Ratio};
 use crate::host::Host;
-use crate::input::{Input, bake_line};
-use crate::ladder::{Rung, Sampler};
+use crate::input::Input;
+use crate::ladder::{Rung, Sampler, Shows};
 use crate::options::Options;
 use crate::percent::percent;
+use crate::repeats::{self, Runs};
+use crate::timing::{Spread, Times};
 
-/// One bake and what it came to.
+/// One bake, or one repeated, and what it came to.
 #[derive(Clone, Debug, Serialize)]
 pub struct Point {
     /// How it was sampled.
     pub sampler: Sampler,
     /// With which parameter.
     pub parameter: String,
-    /// The whole command, start to exit.
-    pub seconds: f64,
+    /// What the whole command took, start to exit.
+    #[serde(flatten)]
+    pub times: Times,
     /// Wrong pixels, as fractions.
     pub mean_error: f64,
     /// Of the frame that 99 % of the frames are no worse than.
@@ -36,6 +40,24 @@ pub struct Point {
     pub samples: f64,
     /// Triangles in a cell's set.
     pub mean_visible: f64,
+    /// Cells of the result.
+    pub cells: f64,
+    /// Pairs of a cell and a triangle that are undecided, as a fraction of all pairs; the median run.
+    pub undecided_share: f64,
+    /// The greatest bound of a cell on its missed sight lines; `None` without `--max-error`.
+    pub greatest_bound: Option<f64>,
+}
+
+impl Point {
+    /// Seconds a cell of the whole command, preparation included.
+    pub fn cell_seconds(&self) -> f64 {
+        self.times.seconds / self.cells.max(1.0)
+    }
+
+    /// CPU seconds a cell, preparation included.
+    pub fn cell_cpu_seconds(&self) -> Option<f64> {
+        self.times.cpu_seconds.map(|s| s / self.cells.max(1.0))
+    }
 }
 
 /// A scene's points.
@@ -57,9 +79,14 @@ impl SceneCurves {
         self.points.iter().filter(move |p| p.sampler == sampler)
     }
 
+    /// The samplers whose curves show this, in the order asked for.
+    pub fn showing(&self, shows: Shows) -> Vec<Sampler> {
+        self.samplers.iter().copied().filter(|s| s.shows() == shows).collect()
+    }
+
     /// Seconds a sampler needs for a mean error.
     pub fn needed(&self, sampler: Sampler, error: f64) -> Needed {
-        let points: Vec<_> = self.of(sampler).map(|p| (p.seconds, p.mean_error)).collect();
+        let points: Vec<_> = self.of(sampler).map(|p| (p.times.seconds, p.mean_error)).collect();
         frontier::needed(&points, error)
     }
 
@@ -83,30 +110,11 @@ pub fn measure(
         let count = rungs.len();
         let mut rungs = rungs.into_iter().enumerate().peekable();
         while let Some((i, rung)) = rungs.next() {
-            (host.say)(&format!(
-                "{}, {} {}: point {} of {count} …",
-                input.name,
-                sampler.name(),
-                rung.parameter,
-                i + 1
-            ));
-            let point = point(args, children, input, sampler, rung)?;
-            (host.say)(&format!(
-                "{}, {} {}: {} s, mean error {}, p99 {}",
-                input.name,
-                sampler.name(),
-                point.parameter,
-                frontier::seconds(point.seconds),
-                percent(point.mean_error),
-                percent(point.p99_error)
-            ));
-            let enough = if point.seconds > args.max_seconds {
-                Some(format!("took more than {} s (--max-seconds)", args.max_seconds))
-            } else if point.mean_error <= args.least_error {
-                Some(format!("has no more than {} wrong (--least-error)", percent(args.least_error)))
-            } else {
-                None
-            };
+            let name = format!("{}, {} {}", input.name, sampler.name(), rung.parameter);
+            (host.say)(&format!("{name}: point {} of {count} …", i + 1));
+            let point = point(args, host, children, input, sampler, rung, &name)?;
+            (host.say)(&format!("{name}: {}", in_words(&point)));
+            let enough = enough(args, &point);
             points.push(point);
             if let (Some(why), Some(_)) = (enough, rungs.peek()) {
                 let (scene, sampler) = (&input.name, sampler.name());
@@ -118,19 +126,51 @@ pub fn measure(
     Ok(SceneCurves { scene: input.name.clone(), triangles: input.triangles, samplers, points })
 }
 
+/// A point in a line of progress.
+fn in_words(point: &Point) -> String {
+    let seconds = frontier::seconds(point.times.seconds);
+    match point.sampler.shows() {
+        Shows::Error => {
+            let (mean, p99) = (percent(point.mean_error), percent(point.p99_error));
+            format!("{seconds} s, mean error {mean}, p99 {p99}")
+        }
+        Shows::Undecided => format!("{seconds} s, {} undecided", percent(point.undecided_share)),
+        Shows::CellTime => {
+            format!("{seconds} s, {} s a cell", frontier::seconds(point.cell_seconds()))
+        }
+    }
+}
+
+/// Why the finer points of its sampler are not worth their time.
+fn enough(args: &Options, point: &Point) -> Option<String> {
+    let shows = point.sampler.shows();
+    if point.times.seconds > args.max_seconds {
+        Some(format!("took more than {} s (--max-seconds)", args.max_seconds))
+    } else if shows == Shows::Error && point.mean_error <= args.least_error {
+        Some(format!("has no more than {} wrong (--least-error)", percent(args.least_error)))
+    } else if shows == Shows::Undecided && point.undecided_share <= 0.0 {
+        Some("leaves nothing undecided".to_owned())
+    } else {
+        None
+    }
+}
+
 fn point(
     args: &Options,
+    host: &Host<'_>,
     children: &Children,
     input: &Input,
     sampler: Sampler,
     rung: Rung,
+    name: &str,
 ) -> Result<Point, BenchError> {
-    let folder = tempfile::tempdir().map_err(BenchError::internal)?;
-    let result = folder.path().join("out.pvs");
-    let mut line = bake_line(&input.path, folder.path());
-    line.extend(args.division(args.cells).into_iter().chain(rung.flags).map(OsString::from));
-    let (bake, took) = children.run(line)?;
-    let mut line: Vec<OsString> = vec!["measure".into(), input.path.clone().into(), result.into()];
+    let division = match rung.block {
+        None => args.division(args.cells),
+        Some(most) => args.block(most, input.bounds),
+    };
+    let flags: Vec<_> = division.into_iter().chain(rung.flags).map(OsString::from).collect();
+    let runs = repeats::bake(args, host, children, &input.path, &flags, name)?;
+    let mut line: Vec<OsString> = vec!["measure".into(), input.path.clone().into(), runs.result().into()];
     let flags = [
         ("--viewpoints", args.viewpoints.to_string()),
         ("--seed", args.seed.to_string()),
@@ -138,16 +178,100 @@ fn point(
     ];
     line.extend(flags.into_iter().flat_map(|(flag, value)| [flag.into(), value.into()]));
     let (measured, _) = children.run(line)?;
+    let bake = runs.first();
     Ok(Point {
         sampler,
         parameter: rung.parameter,
-        seconds: took.as_secs_f64(),
         mean_error: number(&measured, "mean_error")?,
         p99_error: number(&measured, "p99_error")?,
         max_error: number(&measured, "max_error")?,
         peak_mb: bake["peak_memory_bytes"].as_f64().map(|b| b / 1e6),
-        bytes_per_cell: number(&bake, "bytes_per_cell")?,
-        samples: number(&bake, "samples")?,
-        mean_visible: number(&bake, "mean_visible")?,
+        bytes_per_cell: number(bake, "bytes_per_cell")?,
+        samples: number(bake, "samples")?,
+        mean_visible: number(bake, "mean_visible")?,
+        cells: number(bake, "cells")?,
+        undecided_share: undecided(&runs)?,
+        greatest_bound: bake["greatest_bound"].as_f64(),
+        times: runs.times,
     })
+}
+
+/// The median share of undecided pairs: a time budget leaves others undecided every time.
+fn undecided(runs: &Runs) -> Result<f64, BenchError> {
+    let share = |bake: &Value| {
+        let pairs = number(bake, "cells")? * number(bake, "triangles")?;
+        Ok(number(bake, "undecided")? / pairs.max(1.0))
+    };
+    let shares = runs.documents.iter().map(share).collect::<Result<Vec<_>, BenchError>>()?;
+    Ok(Spread::of(&shares).map_or(0.0, |s| s.median))
+}
+
+#[cfg(test)]
+pub mod tests {
+    use clap::ValueEnum as _;
+
+    use super::*;
+    use crate::ladder::Ladder;
+    use crate::timing::Took;
+
+    /// A scene with all samplers; the finest point of each has no error and nothing undecided.
+    pub fn example(name: &str) -> SceneCurves {
+        let mut points = Vec::new();
+        for &sampler in Sampler::value_variants() {
+            let rungs = sampler.rungs(Ladder::Quick);
+            for (i, rung) in rungs.iter().enumerate() {
+                let error = if i + 1 < rungs.len() { 0.1f64.powi(i as i32 + 1) } else { 0.0 };
+                let wall = 0.4 * f64::powi(3.0, i as i32);
+                points.push(Point {
+                    sampler,
+                    parameter: rung.parameter.clone(),
+                    times: Times::of(&[1.0, 1.5, 1.25].map(|k| Took {
+                        wall: k * wall,
+                        cpu: Some(2.0 * wall),
+                        load: None,
+                    })),
+                    mean_error: error,
+                    p99_error: 5.0 * error,
+                    max_error: 9.0 * error,
+                    peak_mb: None,
+                    bytes_per_cell: 1.5,
+                    samples: 10.0,
+                    mean_visible: 7.25,
+                    cells: f64::from(rung.block.unwrap_or(8)).powi(3),
+                    undecided_share: error,
+                    greatest_bound: (sampler == Sampler::MaxError).then_some(0.002),
+                });
+            }
+        }
+        let samplers = Sampler::value_variants().to_vec();
+        SceneCurves { scene: name.to_owned(), triangles: 12, samplers, points }
+    }
+
+    #[test]
+    fn a_sampler_ends_where_finer_points_tell_nothing_more() {
+        let args = Options { max_seconds: 10.0, ..Options::default() };
+        let scene = example("a");
+        let last = |sampler| scene.of(sampler).last().unwrap().clone();
+        let why = |point: &Point| enough(&args, point).unwrap_or_default();
+        let slow = Point { times: Times { seconds: 11.0, ..Times::default() }, ..last(Sampler::Exact) };
+        assert!(why(&slow).contains("--max-seconds"));
+        let mut good = last(Sampler::Lines);
+        good.times.seconds = 1.0;
+        assert!(why(&good).contains("--least-error"));
+        // An exact result has no error, which is no reason to end.
+        let quick = Point { times: good.times.clone(), ..last(Sampler::Exact) };
+        assert_eq!(why(&quick), "");
+        let mut open = Point { undecided_share: 0.1, times: good.times, ..last(Sampler::Verified) };
+        assert_eq!(why(&open), "");
+        open.undecided_share = 0.0;
+        assert!(why(&open).contains("nothing undecided"));
+    }
+
+    #[test]
+    fn a_cell_takes_its_part_of_the_command() {
+        let scene = example("a");
+        let block = scene.of(Sampler::Exact).last().unwrap();
+        assert_eq!(block.cells, 8.0);
+        assert_eq!(block.cell_seconds(), block.times.seconds / 8.0);
+    }
 }

@@ -9,9 +9,11 @@ use crate::children::{Children, number};
 use crate::error::BenchError;
 use crate::frontier::seconds;
 use crate::host::Host;
-use crate::input::{Input, bake_line};
+use crate::input::Input;
 use crate::ladder::Ladder;
 use crate::options::{Growth, Options};
+use crate::repeats;
+use crate::timing::Times;
 
 /// How every one of these bakes is sampled.
 pub fn sampling(args: &Options) -> [String; 4] {
@@ -31,8 +33,9 @@ pub struct Grown {
     pub cells: f64,
     /// `None`: one a core.
     pub workers: Option<u32>,
-    /// The whole command, start to exit.
-    pub seconds: f64,
+    /// What the whole command took, start to exit.
+    #[serde(flatten)]
+    pub times: Times,
     /// `None` where the system does not tell.
     pub peak_mb: Option<f64>,
     /// Of the sets.
@@ -77,14 +80,14 @@ pub fn measure(
     for scene in scenes {
         let mut values = grows.values(args.points).iter().peekable();
         while let Some(&value) = values.next() {
-            let row = bake(args, children, scene, grows, value)?;
+            let row = bake(args, host, children, scene, grows, value)?;
             (host.say)(&format!(
                 "growth of {}, {} at {value}: {} s",
                 grows.name(),
                 row.scene,
-                seconds(row.seconds)
+                seconds(row.times.seconds)
             ));
-            let over = row.seconds > args.max_seconds;
+            let over = row.times.seconds > args.max_seconds;
             rows.push(row);
             // More workers should not take longer.
             if over && grows != Growth::Workers && values.peek().is_some() {
@@ -103,6 +106,7 @@ pub fn measure(
 
 fn bake(
     args: &Options,
+    host: &Host<'_>,
     children: &Children,
     scene: Option<&Input>,
     grows: Growth,
@@ -113,27 +117,28 @@ fn bake(
         Some(input) => (input.name.clone(), input.path.clone()),
         None => ("forest".to_owned(), forest(children, folder.path(), value)?),
     };
-    let mut line = bake_line(&path, folder.path());
-    line.extend(sampling(args).map(OsString::from));
+    let mut flags: Vec<_> = sampling(args).map(OsString::from).to_vec();
     let cells = if grows == Growth::Cells { [value; 3] } else { args.cells };
     let division = match scene {
         Some(_) => args.division(cells),
         // The view box is of the given scenes.
         None => Options::grid(cells).to_vec(),
     };
-    line.extend(division.into_iter().map(OsString::from));
+    flags.extend(division.into_iter().map(OsString::from));
     let workers = (grows == Growth::Workers).then_some(value);
-    line.extend(workers.into_iter().flat_map(|w| [OsString::from("--workers"), w.to_string().into()]));
-    let (baked, took) = children.run(line)?;
+    flags.extend(workers.into_iter().flat_map(|w| [OsString::from("--workers"), w.to_string().into()]));
+    let called = format!("growth of {}, {name} at {value}", grows.name());
+    let runs = repeats::bake(args, host, children, &path, &flags, &called)?;
+    let baked = runs.first();
     Ok(Grown {
         grows,
         scene: name,
-        triangles: number(&baked, "triangles")?,
-        cells: number(&baked, "cells")?,
+        triangles: number(baked, "triangles")?,
+        cells: number(baked, "cells")?,
         workers,
-        seconds: took.as_secs_f64(),
         peak_mb: baked["peak_memory_bytes"].as_f64().map(|b| b / 1e6),
-        bytes_per_cell: number(&baked, "bytes_per_cell")?,
+        bytes_per_cell: number(baked, "bytes_per_cell")?,
+        times: runs.times,
     })
 }
 

@@ -3,6 +3,8 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
+use sightline_scene::Aabb;
+
 use crate::error::BenchError;
 
 /// A scene to measure.
@@ -13,6 +15,8 @@ pub struct Input {
     pub name: String,
     /// How many it has.
     pub triangles: u32,
+    /// Of its triangles.
+    pub bounds: Aabb,
 }
 
 /// Reads every scene once: faults show before the first bake, and no bake waits for the disk.
@@ -22,11 +26,8 @@ pub fn inputs(paths: &[PathBuf]) -> Result<Vec<Input>, BenchError> {
     for path in paths {
         let alone = paths.iter().filter(|p| stem(p) == stem(path)).count() == 1;
         let name = if alone { stem(path) } else { path.display().to_string() };
-        inputs.push(Input {
-            path: path.clone(),
-            name,
-            triangles: sightline_scene::load(path).map_err(|e| BenchError::Input(e.to_string()))?.len(),
-        });
+        let scene = sightline_scene::load(path).map_err(|e| BenchError::Input(e.to_string()))?;
+        inputs.push(Input { path: path.clone(), name, triangles: scene.len(), bounds: scene.bounds() });
     }
     Ok(inputs)
 }

@@ -1,5 +1,5 @@
-//! Time against error: every sampler from coarse to fine, whole command against whole command, and how time
-//! and memory grow.
+//! Time against error: every sampler from coarse to fine, whole command against whole command; undecided
+//! triangles over time; the time of exact cells; and how time and memory grow.
 //!
 //! Every point is a bake by a child process. The process that measures only waits, so that it takes no time
 //! from what it measures. Measured times depend on the machine; compare those of one run.
@@ -13,6 +13,7 @@
 //! # Ok::<(), sightline_bench::BenchError>(())
 //! ```
 
+mod axis;
 mod children;
 mod csv;
 mod curves;
@@ -22,14 +23,21 @@ mod growth;
 mod host;
 mod input;
 mod ladder;
+mod load;
 mod machine;
 mod options;
+mod panel;
 mod percent;
+mod points;
+mod repeats;
 mod results;
+mod shapes;
 mod svg;
 mod table;
+mod timing;
 
 use std::path::Path;
+use std::time::Duration;
 
 use serde_json::{Value, json};
 
@@ -38,9 +46,12 @@ pub use crate::error::BenchError;
 pub use crate::frontier::ERRORS;
 use crate::growth::Grown;
 pub use crate::host::Host;
+use crate::ladder::Shows;
 pub use crate::ladder::{Ladder, Rung, Sampler};
+use crate::load::Load;
 use crate::machine::{Machine, command_line};
 pub use crate::options::{Growth, Options};
+use crate::percent::percent;
 
 /// The outcome of a benchmark.
 #[derive(Clone, Debug)]
@@ -64,6 +75,7 @@ pub fn run(args: &Options, host: &Host<'_>) -> Result<Report, BenchError> {
     let inputs = input::inputs(&args.scenes)?;
     let machine = Machine::here();
     let children = children::Children::new(host);
+    warn_if_busy(host);
 
     let mut scenes = Vec::new();
     if !args.samplers().is_empty() {
@@ -80,17 +92,48 @@ pub fn run(args: &Options, host: &Host<'_>) -> Result<Report, BenchError> {
         write(host, &args.out.join("growth.csv"), &csv::growth(&grown)?)?;
     }
     if let Some(page) = &args.results {
-        write(host, page, &results::markdown(args, &machine, &scenes, &grown, page))?;
+        write(host, page, &results::markdown(args, &machine, load(&scenes, &grown), &scenes, &grown, page))?;
     }
     let mut tables = Vec::new();
-    if !scenes.is_empty() {
+    if table::has_errors(&scenes) {
         tables.push(table::needed(&scenes).markdown());
+    }
+    for scene in &scenes {
+        if !scene.showing(Shows::Undecided).is_empty() {
+            tables.push(format!("{}\n\n{}", scene.scene, points::undecided(scene).markdown()));
+        }
+        if !scene.showing(Shows::CellTime).is_empty() {
+            tables.push(format!("{}\n\n{}", scene.scene, points::cell_times(scene).markdown()));
+        }
     }
     if !grown.is_empty() {
         tables.push(table::growth(&grown).markdown());
     }
     let tables = tables.join("\n").trim_end().to_owned();
     Ok(Report { document: document(args, &machine, &scenes, &grown)?, tables })
+}
+
+/// How long the machine is watched before the first bake.
+const WATCHED: Duration = Duration::from_millis(500);
+
+/// Says so before bakes are spent on a machine that has other work.
+fn warn_if_busy(host: &Host<'_>) {
+    let Some(load) = Load::watch(WATCHED).filter(|load| load.is_busy()) else { return };
+    (host.say)(&format!(
+        "warning: the machine is busy: other processes take {} of all cores (/proc/stat, half a second), so \
+         times will be too long; stop them, or rely on CPU seconds and --repeat",
+        percent(load.share().unwrap_or(0.0))
+    ));
+}
+
+/// What others took of the machine during all bakes that were timed.
+fn load(scenes: &[SceneCurves], grown: &[Grown]) -> Load {
+    let mut sum = Load::default();
+    let points = scenes.iter().flat_map(|s| &s.points).map(|p| p.times.load);
+    for part in points.chain(grown.iter().map(|g| g.times.load)) {
+        sum += part;
+    }
+    sum
 }
 
 /// Refuses a page that cannot be written before bakes are spent on it.
@@ -123,8 +166,9 @@ fn document(
         let mut value = serde_json::to_value(scene).map_err(BenchError::internal)?;
         let needed = ERRORS.iter().map(|&error| {
             let seconds =
-                scene.samplers.iter().map(|&s| (s.name().to_owned(), json!(scene.needed(s, error))));
-            let seconds: serde_json::Map<_, _> = seconds.collect();
+                scene.showing(Shows::Error).into_iter().map(|s| (s.name(), json!(scene.needed(s, error))));
+            let seconds: serde_json::Map<_, _> =
+                seconds.map(|(name, needed)| (name.to_owned(), needed)).collect();
             json!({"mean_error": error, "needed": seconds, "guided_over_lines": scene.ratio(error)})
         });
         value["errors"] = needed.collect();
@@ -140,6 +184,8 @@ fn document(
         "viewpoints": args.viewpoints,
         "seed": args.seed,
         "resolution": args.resolution,
+        "repeat": args.repeat,
+        "others_share": load(scenes, grown).share(),
         "scenes": list,
         "geometric_mean": means.collect::<Vec<_>>(),
         "growth": grown,

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::ValueEnum;
+use glam::DVec3;
 use sightline_scene::Aabb;
 
 use crate::error::BenchError;
@@ -26,10 +27,12 @@ pub struct Options {
     pub resolution: u32,
     /// Folder for curves.csv, curves.svg and growth.csv; it is made where it is not there.
     pub out: PathBuf,
-    /// Which samplers to measure. Default: all; with --grow: none, only the growth.
+    /// Which samplers to measure. Default: [`Sampler::DEFAULT`]; with --grow: none, only the growth.
     pub samplers: Option<Vec<Sampler>>,
     /// How far each sampler's parameter goes.
     pub points: Ladder,
+    /// How often each point is baked; its time is the median.
+    pub repeat: u32,
     /// Leave out a sampler's finer points, and a growth's greater ones, after one that took longer than this.
     pub max_seconds: f64,
     /// Leave out a sampler's finer points after one with this mean error or less, a fraction. Default: the
@@ -55,6 +58,7 @@ impl Default for Options {
             out: "bench".into(),
             samplers: None,
             points: Ladder::Quick,
+            repeat: 1,
             max_seconds: 60.0,
             least_error: ERRORS[ERRORS.len() - 1],
             grow: Vec::new(),
@@ -81,7 +85,7 @@ impl Options {
     pub fn samplers(&self) -> Vec<Sampler> {
         let asked = match &self.samplers {
             Some(asked) => asked.as_slice(),
-            None if self.grow.is_empty() => Sampler::value_variants(),
+            None if self.grow.is_empty() => &Sampler::DEFAULT,
             None => &[],
         };
         let mut once = Vec::new();
@@ -109,6 +113,9 @@ impl Options {
         if self.viewpoints == 0 {
             return refuse("--viewpoints 0 measures nothing; give at least 1");
         }
+        if self.repeat == 0 {
+            return refuse("--repeat 0 measures nothing; give at least 1");
+        }
         if self.max_seconds.is_nan() || self.max_seconds <= 0.0 {
             return refuse(&format!("--max-seconds {} is not above 0", self.max_seconds));
         }
@@ -129,11 +136,57 @@ impl Options {
     /// A grid and the view box, as `bake` takes them.
     pub fn division(&self, cells: [u32; 3]) -> Vec<String> {
         let mut flags = Self::grid(cells).to_vec();
-        if let Some(Aabb { min, max }) = self.view_box {
-            // Rust prints the shortest number that reads as the same one.
-            let numbers = min.to_array().into_iter().chain(max.to_array()).map(|n| n.to_string());
-            flags.push(format!("--view-box={}", numbers.collect::<Vec<_>>().join(",")));
-        }
+        flags.extend(self.view_box.map(view_box));
         flags
+    }
+
+    /// At most `most` cells on each axis in the middle of the grid, and the box that they fill, of a scene
+    /// with these bounds; as `bake` takes them.
+    pub fn block(&self, most: u32, bounds: Aabb) -> Vec<String> {
+        let whole = self.view_box.unwrap_or(bounds);
+        let (low, size) = (whole.min.as_dvec3(), (whole.max - whole.min).as_dvec3());
+        let cells = self.cells.map(|n| n.clamp(1, most.max(1)));
+        let at = |cells: [u32; 3]| {
+            let part =
+                DVec3::from_array([0, 1, 2].map(|k| f64::from(cells[k]) / f64::from(self.cells[k].max(1))));
+            (low + part * size).as_vec3()
+        };
+        let first = [0, 1, 2].map(|k| (self.cells[k].max(1) - cells[k]) / 2);
+        let last = [0, 1, 2].map(|k| first[k] + cells[k]);
+        let mut flags = Self::grid(cells).to_vec();
+        flags.push(view_box(Aabb { min: at(first), max: at(last) }));
+        flags
+    }
+}
+
+/// A box as `bake` takes it.
+fn view_box(Aabb { min, max }: Aabb) -> String {
+    // Rust prints the shortest number that reads as the same one.
+    let numbers = min.to_array().into_iter().chain(max.to_array()).map(|n| n.to_string());
+    format!("--view-box={}", numbers.collect::<Vec<_>>().join(","))
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+
+    #[test]
+    fn a_block_is_in_the_middle_and_no_larger_than_the_grid() {
+        let options = Options { cells: [8, 3, 1], ..Options::default() };
+        let bounds = Aabb { min: Vec3::new(-8.0, 0.0, 1.0), max: Vec3::new(8.0, 6.0, 2.0) };
+        assert_eq!(options.block(2, bounds), ["--cells", "2x2x1", "--view-box=-2,0,1,2,4,2"]);
+        assert_eq!(options.block(99, bounds), ["--cells", "8x3x1", "--view-box=-8,0,1,8,6,2"]);
+        // The view box takes the place of the bounds.
+        let options = Options { view_box: Some(Aabb { min: Vec3::ZERO, max: Vec3::ONE }), ..options };
+        assert_eq!(options.block(1, bounds)[2], "--view-box=0.375,0.33333334,0,0.5,0.6666667,1");
+    }
+
+    #[test]
+    fn nothing_is_repeated_no_times() {
+        let options = Options { scenes: vec!["a.glb".into()], ..Options::default() };
+        assert!(options.check().is_ok());
+        assert!(matches!(Options { repeat: 0, ..options }.check(), Err(BenchError::Usage(_))));
     }
 }

@@ -3,18 +3,18 @@
 use crate::curves::SceneCurves;
 use crate::frontier::{ERRORS, Needed, Ratio, geometric_mean, seconds};
 use crate::growth::Grown;
-use crate::ladder::Sampler;
-use crate::percent::percent;
+use crate::ladder::{Sampler, Shows};
+use crate::points::{cpu, spread};
 
 /// A header and rows of as many cells.
 #[derive(Debug)]
 pub struct Table {
-    header: Vec<String>,
-    rows: Vec<Vec<String>>,
+    pub header: Vec<String>,
+    pub rows: Vec<Vec<String>>,
 }
 
 impl Table {
-    fn new<const N: usize>(header: [&str; N]) -> Self {
+    pub fn new<const N: usize>(header: [&str; N]) -> Self {
         Self { header: header.map(str::to_owned).to_vec(), rows: Vec::new() }
     }
 
@@ -43,7 +43,7 @@ impl Table {
     }
 }
 
-fn megabytes(mb: Option<f64>) -> String {
+pub fn megabytes(mb: Option<f64>) -> String {
     mb.map_or("?".to_owned(), |mb| format!("{mb:.0}"))
 }
 
@@ -67,9 +67,14 @@ pub fn mean_ratios(scenes: &[SceneCurves]) -> Vec<(f64, Option<Ratio>, usize)> {
     ERRORS.map(mean).to_vec()
 }
 
+/// Whether there is a curve of time against error.
+pub fn has_errors(scenes: &[SceneCurves]) -> bool {
+    scenes.iter().any(|s| !s.showing(Shows::Error).is_empty())
+}
+
 /// Seconds each sampler needs for an error.
 pub fn needed(scenes: &[SceneCurves]) -> Table {
-    let samplers = scenes.first().map_or(&[][..], |s| &s.samplers);
+    let samplers = scenes.first().map_or(Vec::new(), |s| s.showing(Shows::Error));
     let compares = [Sampler::Guided, Sampler::Lines].iter().all(|s| samplers.contains(s));
     let mut table = Table::new(["scene", "mean error"]);
     table.header.extend(samplers.iter().map(|s| format!("{} s", s.name())));
@@ -102,30 +107,20 @@ fn target(error: f64) -> String {
     format!("{} %", (error * 1e6).round() / 1e4)
 }
 
-/// All points of a scene.
-pub fn points(scene: &SceneCurves) -> Table {
-    let mut table =
-        Table::new(["sampler", "parameter", "s", "mean", "p99", "max", "MB", "B/cell", "samples", "visible"]);
-    table.rows.extend(scene.points.iter().map(|p| {
-        vec![
-            p.sampler.name().to_owned(),
-            p.parameter.clone(),
-            seconds(p.seconds),
-            percent(p.mean_error),
-            percent(p.p99_error),
-            percent(p.max_error),
-            megabytes(p.peak_mb),
-            format!("{:.0}", p.bytes_per_cell),
-            format!("{:.0}", p.samples),
-            format!("{:.0}", p.mean_visible),
-        ]
-    }));
-    table
-}
-
 /// How time and memory grow.
 pub fn growth(rows: &[Grown]) -> Table {
-    let mut table = Table::new(["grows", "scene", "triangles", "cells", "workers", "s", "MB", "B/cell"]);
+    let mut table = Table::new([
+        "grows",
+        "scene",
+        "triangles",
+        "cells",
+        "workers",
+        "s",
+        "spread",
+        "CPU s",
+        "MB",
+        "B/cell",
+    ]);
     table.rows.extend(rows.iter().map(|g| {
         vec![
             g.grows.name().to_owned(),
@@ -133,7 +128,9 @@ pub fn growth(rows: &[Grown]) -> Table {
             g.triangles.to_string(),
             g.cells.to_string(),
             g.workers.map_or("one a core".to_owned(), |w| w.to_string()),
-            seconds(g.seconds),
+            seconds(g.times.seconds),
+            spread(&g.times),
+            cpu(g.times.cpu_seconds),
             megabytes(g.peak_mb),
             format!("{:.0}", g.bytes_per_cell),
         ]

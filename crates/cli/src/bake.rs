@@ -335,6 +335,7 @@ fn report(args: &BakeArgs, outcome: &Outcome, took: Duration, json: bool) -> Res
         value["seconds"] = took.as_secs_f64().into();
         value["samples"] = job.samples.into();
         value["tiles_set_aside"] = job.tiles_set_aside.into();
+        value["cpu_seconds"] = cpu_seconds().into();
         value["peak_memory_bytes"] = peak.into();
         serve::print(&value.to_string())
     } else {
@@ -379,4 +380,17 @@ pub fn peak_memory() -> Option<u64> {
     let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
     let kilobytes: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
     Some(kilobytes * 1024)
+}
+
+/// The CPU seconds of all threads of this process so far, user and system; `None` where the system does not
+/// tell.
+#[cfg(unix)]
+fn cpu_seconds() -> Option<f64> {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    Some(time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9)
+}
+
+#[cfg(not(unix))]
+fn cpu_seconds() -> Option<f64> {
+    None
 }

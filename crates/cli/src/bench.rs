@@ -19,6 +19,7 @@ fn options(args: &BenchArgs) -> Options {
         out: args.out.clone(),
         samplers: args.samplers.clone(),
         points: args.points,
+        repeat: args.repeat,
         max_seconds: args.max_seconds,
         least_error: args.least_error,
         grow: args.grow.clone(),

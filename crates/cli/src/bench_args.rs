@@ -33,12 +33,16 @@ pub struct BenchArgs {
     /// Folder for curves.csv, curves.svg and growth.csv; created if it does not exist.
     #[arg(long, value_name = "DIR", default_value = "bench")]
     pub out: PathBuf,
-    /// The samplers to measure. Default: all; with --grow: none, only the growth.
+    /// The samplers to measure. Default: all up to cubes-err2; with --grow: none, only the growth.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "LIST")]
     pub samplers: Option<Vec<Sampler>>,
     /// How fine the parameter of each sampler becomes.
     #[arg(long, value_enum, default_value_t = Ladder::Quick)]
     pub points: Ladder,
+    /// Bake each point so many times in a row. Its time is the median; files and tables also show the spread.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub repeat: u32,
     /// After a bake that takes longer than this many seconds, leave out the finer points of its sampler or
     /// the larger points of its growth.
     #[arg(long, value_name = "S", default_value_t = 60.0)]
@@ -68,6 +72,10 @@ cell on its own.\n\n  \
   sightline bench level.glb                                  time against error, some minutes\n  \
   sightline bench level.glb town.glb --points full --max-seconds 600 --results RESULTS.md\n  \
   sightline bench level.glb --samplers lines,guided          two curves only\n  \
+  sightline bench level.glb --samplers lines,max-error --repeat 5     with a bound; medians of five runs\n  \
+  sightline bench level.glb --samplers verified,exact        undecided over time, and the time of a cell\n  \
   sightline bench --grow triangles                           generated forests, no scene needed\n  \
   sightline bench level.glb --grow cells,workers\n\n\
-Other work on the machine lengthens the times; compare only times of one run.";
+Other work on the machine lengthens the times; compare only times of one run. CPU seconds, of all threads, \
+suffer less from it. Where Linux's /proc/stat says that other processes took more than a tenth of all cores, \
+the command warns, before the first bake and after each point; --results and curves.csv say how much it was.";
