@@ -40,6 +40,7 @@ mod load;
 mod orders;
 mod partial;
 mod results;
+mod scene_files;
 mod scenes;
 mod scheduler;
 mod scheduling;

@@ -15,6 +15,7 @@ use crate::crews::Crews;
 use crate::ids::Digest;
 use crate::orders::{Scheduling, Watched};
 use crate::partial::Last;
+use crate::scene_files;
 use crate::scheduler::{Machine, Now};
 use crate::store::{Blobs, Store};
 
@@ -74,6 +75,8 @@ pub struct Coordinator {
     pub(crate) last_partial: Mutex<Last>,
     /// Permits for downloads, each of which occupies a thread for as long as its client takes.
     pub(crate) downloads: Arc<Semaphore>,
+    /// Permits for reading scenes from files.
+    pub(crate) files: Semaphore,
 }
 
 impl Coordinator {
@@ -102,6 +105,7 @@ impl Coordinator {
             last_scene: Mutex::new(None),
             last_partial: Mutex::default(),
             downloads: Arc::new(Semaphore::new(MOST_DOWNLOADS)),
+            files: Semaphore::new(scene_files::AT_ONCE),
         }
     }
 

@@ -5,9 +5,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::{Stream, StreamExt as _};
+use sightline_model::defaults::with_defaults;
 use sightline_model::{JobSpec, Method};
-use sightline_proto::chunks;
+use sightline_proto::chunks::{self, Assembler};
 use sightline_proto::v1;
+use sightline_scene::{Kind, Rule};
 use tokio::sync::{mpsc, watch};
 use tonic::{Request, Response, Status, Streaming};
 
@@ -19,6 +21,7 @@ use crate::estimate;
 use crate::ids::JobId;
 use crate::jobs::{self, JobError, Summary};
 use crate::partial;
+use crate::scene_files;
 use crate::scenes;
 use crate::state::Coordinator;
 use crate::submit::{self, Submission};
@@ -86,13 +89,25 @@ impl v1::jobs_server::Jobs for JobsService {
         .await
     }
 
+    async fn put_scene_file(&self, r: Request<Streaming<v1::SceneFilePart>>) -> Answer<v1::SceneFileInfo> {
+        use v1::scene_file_part::Part;
+        let mut parts = r.into_inner();
+        let Some(Part::Header(header)) = parts.next().await.transpose()?.and_then(|p| p.part) else {
+            return Err(Status::invalid_argument("a file's first part must be its header"));
+        };
+        let mut whole = Assembler::new(scene_files::MOST_BYTES);
+        while let Some(part) = parts.next().await {
+            let Some(Part::Chunk(chunk)) = part?.part else {
+                return Err(Status::invalid_argument("after a file's header only chunks may come"));
+            };
+            whole.push(&chunk).map_err(|e| Status::data_loss(e.to_string()))?;
+        }
+        let bytes = whole.finish().map_err(|e| Status::data_loss(e.to_string()))?;
+        take_file(&self.0, header, bytes.into()).await.map(Response::new)
+    }
+
     async fn submit(&self, r: Request<v1::SubmitRequest>) -> Answer<v1::SubmitResponse> {
         let r = r.into_inner();
-        if r.request_id.is_empty() {
-            return Err(Status::invalid_argument(
-                "request_id is empty; choose one, so that submitting again is safe",
-            ));
-        }
         blocking(&self.0, move |c| {
             let submission = submission(c, r)?;
             let submitted = submit::submit(c, &submission).map_err(|e| status::of_submit(&e))?;
@@ -217,6 +232,32 @@ impl JobsService {
     }
 }
 
+/// Reads a scene from a file.
+pub(super) async fn take_file(
+    c: &Arc<Coordinator>,
+    header: v1::SceneFileHeader,
+    bytes: bytes::Bytes,
+) -> Result<v1::SceneFileInfo, Status> {
+    let rule = |r: v1::KindRule| {
+        let kind = Kind::from_name(&r.kind).ok_or_else(|| {
+            Status::invalid_argument(format!(
+                "{:?} is no kind; give opaque, see-through, occluder-only, moving or doors",
+                r.kind
+            ))
+        })?;
+        Rule::new(kind, &r.glob).map_err(|e| Status::invalid_argument(e.to_string()))
+    };
+    let rules = header.rules.into_iter().map(rule).collect::<Result<Vec<_>, _>>()?;
+    let closed = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
+    let _permit = c.files.acquire().await.map_err(closed)?;
+    blocking(c, move |c| {
+        let taken = scene_files::take(c, &header.name, &bytes, rules);
+        let (record, warnings) = taken.map_err(|e| status::of_file(&e))?;
+        Ok(v1::SceneFileInfo { scene: Some(wire::scene(&record)), warnings })
+    })
+    .await
+}
+
 async fn summary(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, Status> {
     blocking(c, move |c| jobs::summary(c, id).map_err(|e| status::of_store(&e))).await
 }
@@ -249,6 +290,7 @@ fn submission(c: &Coordinator, r: v1::SubmitRequest) -> Result<Submission, Statu
 /// then.
 fn draft(c: &Coordinator, r: v1::SubmitRequest) -> Result<Submission, Status> {
     let spec = r.spec.as_ref().ok_or_else(|| Status::invalid_argument("the job has no specification"))?;
+    let spec = &with_defaults(spec);
     let scene = wire::digest(&spec.scene)?;
     let bounds = match spec.view_box.is_empty() {
         true => {

@@ -68,11 +68,14 @@ pub async fn serve(
     health.set_serving::<JobsServer<JobsService>>().await;
     health.set_serving::<WorkersServer<WorkersService>>().await;
     health.set_serving::<FarmServer<FarmService>>().await;
-    let reflection = tonic_reflection::server::Builder::configure()
-        .register_encoded_file_descriptor_set(sightline_proto::DESCRIPTORS)
-        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
-        .build_v1()
-        .map_err(|e| broken(&e))?;
+    let reflected = || {
+        tonic_reflection::server::Builder::configure()
+            .register_encoded_file_descriptor_set(sightline_proto::DESCRIPTORS)
+            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+    };
+    let reflection = reflected().build_v1().map_err(|e| broken(&e))?;
+    // Older tools ask by this name.
+    let older = reflected().build_v1alpha().map_err(|e| broken(&e))?;
     let ticks = {
         let coordinator = Arc::clone(&coordinator);
         tokio::spawn(async move {
@@ -94,6 +97,7 @@ pub async fn serve(
         .http2_keepalive_interval(Some(Duration::from_secs(10)))
         .add_service(health_service)
         .add_service(reflection)
+        .add_service(older)
         .add_service(JobsServer::new(JobsService(Arc::clone(&coordinator))))
         .add_service(FarmServer::new(FarmService(Arc::clone(&coordinator))))
         .add_service(WorkersServer::new(WorkersService(Arc::clone(&coordinator))))

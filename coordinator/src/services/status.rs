@@ -8,7 +8,8 @@ use tonic_types::{ErrorDetails, StatusExt as _};
 use crate::jobs::JobError;
 use crate::partial::PartialError;
 use crate::results::ResultError;
-use crate::scenes::{FactsError, UploadError};
+use crate::scene_files::FileError;
+use crate::scenes::{FactsError, TakeError, UploadError};
 use crate::scheduler::NameTaken;
 use crate::store::{BlobError, JournalError, StoreError};
 use crate::submit::SubmitError;
@@ -49,6 +50,16 @@ pub(super) fn of_upload(e: &UploadError) -> Status {
         UploadError::Mismatch(_) | UploadError::Scene(_) => Status::invalid_argument(e.to_string()),
         UploadError::Blob(e) => of_blob(e),
         UploadError::Store(e) => of_store(e),
+    }
+}
+
+/// The status of a file that is not taken.
+pub(super) fn of_file(e: &FileError) -> Status {
+    match e {
+        FileError::Scene(e) => Status::invalid_argument(e.to_string()),
+        FileError::Take(TakeError::Blob(e)) => of_blob(e),
+        FileError::Take(TakeError::Store(e)) => of_store(e),
+        FileError::Lost => internal(&e.to_string()),
     }
 }
 

@@ -14,7 +14,7 @@ use crate::place_args::{parse_box, parse_point};
 use crate::remote_args::{
     FetchArgs, JobRefArgs, JobsArgs, LogsArgs, PauseArgs, PriorityArgs, RemoteArgs, ShowArgs, SubmitArgs,
 };
-use crate::result_args::{CompletionsArgs, DiffArgs, ExportArgs, ManArgs, ViewArgs};
+use crate::result_args::{CompletionsArgs, DiffArgs, ExportArgs, ManArgs, ReportArgs, ViewArgs};
 
 /// Bakes from-region visibility: for every view cell of a static triangle scene,
 /// the triangles visible from anywhere in it.
@@ -115,6 +115,9 @@ pub enum Command {
     Verify(VerifyArgs),
     /// Look at a result in a browser: walk through the scene as each cell draws it, and click to see why.
     View(ViewArgs),
+    /// Write a report as HTML: the error with plots and worst frames, cells over budget, and which objects
+    /// cost most, from how many cells they are seen and through which openings.
+    Report(ReportArgs),
     /// Measure time against error for every sampler, from coarse to fine, as a table and curves.
     Bench(BenchArgs),
     /// Print the completions of this command line for a shell.

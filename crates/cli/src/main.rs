@@ -39,6 +39,7 @@ mod progress;
 mod query;
 mod remote;
 mod remote_args;
+mod report;
 mod result_args;
 mod serve;
 mod showing;
@@ -127,6 +128,7 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Measure(a) => measuring::run(&a),
         Command::Sightlines(a) => sightlines::run(&a),
         Command::Verify(a) => verify::run(&a, json),
+        Command::Report(a) => report::run(&a, json),
         Command::View(a) => view::run(&a, json),
         Command::Bench(a) => bench::run(&a, json),
         Command::Completions(a) => manuals::completions(&a),

@@ -75,7 +75,7 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     let info: serde_json::Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
     let far = info["sampling"]["far"].as_f64();
     let renderer = layers::renderer(&*backend, &prepared, spec, None, far).map_err(CliError::internal)?;
-    let options = Options { images_dir: args.images.clone(), worst: WORST };
+    let options = Options { images_dir: args.images.clone(), images: WORST, worst: WORST };
     let progress = Progress::new();
     let report =
         measure(&*renderer, &pvs, &views, &options, &mut |done, total| progress.count(done, total, "frames"));

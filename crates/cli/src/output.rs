@@ -34,7 +34,7 @@ impl Format {
             Self::Pvs => b"\x89PVS",
             Self::Ply => b"ply\n",
             Self::Glb => b"glTF",
-            Self::Html => b"<!doctype html><!-- sightline view -->",
+            Self::Html => b"<!doctype html><!-- sightline ",
             Self::Json => b"{\"format\"",
             Self::Csv => b"cell,object",
         }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use sightline_model::Up;
+use sightline_model::{BackendChoice, Up};
 
 use crate::choices::choice;
 use crate::kind_args::KindArgs;
@@ -65,6 +65,39 @@ pub struct ExportArgs {
 /// triangles in red, cells and their numbers as boxes, and for what is clicked why it is visible or hidden.
 /// Without -o the page is served on this machine and opened; with -o it is one file that needs no other and
 /// no network.
+#[derive(Args, Debug)]
+pub struct ReportArgs {
+    /// The result.
+    #[arg(value_name = "OUT.pvs")]
+    pub result: PathBuf,
+    /// The scene that it was baked from.
+    pub scene: PathBuf,
+    /// The document to write.
+    #[arg(short, long, value_name = "OUT.html")]
+    pub output: PathBuf,
+    #[command(flatten)]
+    pub kinds: KindArgs,
+    /// What a cell may draw: a JSON file with some of "triangles", "objects" and "bytes" (of all triangles of
+    /// the objects; 36 a triangle, or "bytes_per_triangle").
+    #[arg(long, value_name = "FILE")]
+    pub budget: Option<PathBuf>,
+    /// End with exit code 6 when a cell is over the budget.
+    #[arg(long, requires = "budget")]
+    pub fail_over_budget: bool,
+    /// Random viewpoints at which the error is measured.
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub viewpoints: u32,
+    /// Side of a face of each frame in pixels, 8 to 1024.
+    #[arg(long, value_name = "N", default_value_t = 256)]
+    pub resolution: u32,
+    /// Seed of viewpoints and segments.
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    pub seed: u64,
+    /// Backend that renders the frames and traces the segments.
+    #[arg(long, value_parser = choice::<BackendChoice>(), default_value_t, hide_possible_values = true)]
+    pub backend: BackendChoice,
+}
+
 #[derive(Args, Debug)]
 pub struct ViewArgs {
     /// The result.

@@ -1,6 +1,7 @@
 //! A frame as a picture: sky black, seen triangles green, wrong ones red.
 //!
-//! Three faces by two: +x +y +z above −x −y −z, each as a viewer sees it, with the face's up vector upwards.
+//! Three faces by two: +x +y +z above −x −y −z, each as a viewer sees it, with the face's up vector upwards
+//! and its name in its upper left corner.
 //! Each triangle has its own shade, so that shapes can be told apart.
 
 use std::fs::File;
@@ -37,14 +38,40 @@ pub(crate) fn write(path: &Path, image: &CubeImage, visible: &[u64]) -> Result<(
             let (face, mirrored) = (column * 2 + row / n, row < n);
             let y = n - 1 - row % n;
             for x in 0..n {
+                let is_label = is_label(face, x, row % n, n);
                 let x = if mirrored { n - 1 - x } else { x };
-                line.extend(colour(image.ids[((face * n + y) * n + x) as usize], visible));
+                let seen = colour(image.ids[((face * n + y) * n + x) as usize], visible);
+                line.extend(if is_label { [255; 3] } else { seen });
             }
         }
         stream.write_all(&line).map_err(|e| failed(e.to_string()))?;
     }
     stream.finish().map_err(|e| failed(e.to_string()))?;
     writer.finish().map_err(|e| failed(e.to_string()))
+}
+
+/// The glyphs of the faces' names, five rows of five bits each.
+const SIGNS: [[u8; 5]; 2] =
+    [[0b00100, 0b00100, 0b11111, 0b00100, 0b00100], [0b00000, 0b00000, 0b11111, 0b00000, 0b00000]];
+const AXES: [[u8; 5]; 3] = [
+    [0b10001, 0b01010, 0b00100, 0b01010, 0b10001],
+    [0b10001, 0b01010, 0b00100, 0b00100, 0b00100],
+    [0b11111, 0b00010, 0b00100, 0b01000, 0b11111],
+];
+
+/// Whether a pixel of a face, counted from its upper left corner, is part of its name. Faces of fewer than 64
+/// pixels have no room for one.
+fn is_label(face: u32, x: u32, y: u32, n: u32) -> bool {
+    let dot = n / 64;
+    let Some((column, row)) = x.checked_div(dot).zip(y.checked_div(dot)) else { return false };
+    let Some(row) = row.checked_sub(1).filter(|row| *row < 5) else { return false };
+    let glyph = match column {
+        1..=5 => SIGNS[(face % 2) as usize],
+        7..=11 => AXES[(face / 2) as usize],
+        _ => return false,
+    };
+    let bit = 4 - (column - 1) % 6;
+    glyph[row as usize] >> bit & 1 == 1
 }
 
 /// The colour of a pixel that shows `id`.

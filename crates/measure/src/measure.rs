@@ -24,14 +24,16 @@ const BATCH: usize = 32;
 pub struct Options {
     /// Where to write images of the worst frames; made when missing.
     pub images_dir: Option<PathBuf>,
-    /// How many of the worst frames to list, and to write images of.
+    /// How many of the worst frames to write images of.
+    pub images: usize,
+    /// How many of the worst frames to list.
     pub worst: usize,
 }
 
 impl Default for Options {
     /// No images, the eight worst frames.
     fn default() -> Self {
-        Self { images_dir: None, worst: 8 }
+        Self { images_dir: None, images: 8, worst: 8 }
     }
 }
 
@@ -127,7 +129,7 @@ pub fn measure(
     frames.sort_by(|a, b| b.error.total_cmp(&a.error).then(a.frame.cmp(&b.frame)));
     frames.truncate(options.worst);
     if let Some(dir) = &options.images_dir {
-        for (rank, frame) in frames.iter_mut().enumerate() {
+        for (rank, frame) in frames.iter_mut().enumerate().take(options.images) {
             let path = dir.join(format!("worst_{:02}_frame_{:06}.png", rank + 1, frame.frame));
             let (mut image, passed) = render(renderer, pvs, Vec3::from(frame.viewpoint))?;
             let visible = visible_bits(pvs, frame.cell)?;

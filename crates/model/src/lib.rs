@@ -25,6 +25,7 @@
 pub mod bound;
 pub mod choice;
 pub mod codec;
+pub mod defaults;
 pub mod output;
 pub mod pairs;
 pub mod params;

@@ -41,11 +41,11 @@ impl Cut {
 }
 
 /// Lines of one style.
-fn lines<'a>(
+fn lines(
     out: &mut String,
     style: &str,
     project: &dyn Fn(DVec3) -> [f64; 2],
-    segments: impl Iterator<Item = &'a [DVec3; 2]>,
+    segments: &[[DVec3; 2]],
 ) -> std::fmt::Result {
     write!(out, "<path {style} d=\"")?;
     for segment in segments {
@@ -123,9 +123,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height:.0}\" fill=\"none\">\n\
          <rect width=\"{WIDTH}\" height=\"{height:.0}\" fill=\"#fff\"/>\n"
     );
-    lines(&mut svg, "stroke=\"#999\" stroke-width=\"0.5\"", &project, edges.iter())?;
-    lines(&mut svg, "stroke=\"#1a9850\" stroke-width=\"1.4\"", &project, doors.iter())?;
-    lines(&mut svg, "stroke=\"#000\" stroke-width=\"1.2\"", &project, walls.iter())?;
+    lines(&mut svg, "stroke=\"#999\" stroke-width=\"0.5\"", &project, &edges)?;
+    lines(&mut svg, "stroke=\"#1a9850\" stroke-width=\"1.4\"", &project, &doors)?;
+    lines(&mut svg, "stroke=\"#000\" stroke-width=\"1.2\"", &project, &walls)?;
     let [x, y] = project(Vec3::from(point).as_dvec3());
     writeln!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"5\" fill=\"#d73027\"/>\n</svg>")?;
     std::fs::write(out, svg)?;

@@ -26,6 +26,7 @@ use self::snapshot::Snapshots;
 use super::farm::FarmService;
 use super::jobs::JobsService;
 use super::server::ServeError;
+use crate::scene_files;
 use crate::state::Coordinator;
 
 /// Most bytes of a request, as for messages of gRPC.
@@ -67,6 +68,10 @@ pub async fn serve_http(
         .route("/live", get(live::live))
         .route("/events/{job}", get(live::events))
         .route("/results/{file}", get(pages::result))
+        .route(
+            "/scenes",
+            post(pages::put_scene).layer(DefaultBodyLimit::max(scene_files::MOST_BYTES as usize)),
+        )
         .route("/view/{job}", get(pages::view))
         .route("/{service}/{method}", post(calls::call))
         .fallback(|| async { failure(&Status::not_found("there is no such page; / is the dashboard")) })

@@ -2,20 +2,23 @@
 
 use std::sync::Arc;
 
-use axum::body::Body;
-use axum::extract::{Path, State};
-use axum::http::{HeaderValue, header};
+use axum::body::{Body, Bytes};
+use axum::extract::{Path, Query, State};
+use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{IntoResponse as _, Response};
 use futures::StreamExt as _;
+use serde::Deserialize;
+use sightline_proto::v1;
 use sightline_pvs::Pvs;
 use sightline_scene::Scene;
 use sightline_view::{View, dashboard as dashboard_page, page};
 use tonic::Status;
 
 use super::super::blocking::blocking;
+use super::super::jobs::take_file;
 use super::super::status;
 use super::super::streams::stream_bytes;
-use super::{Site, failure};
+use super::{Site, failure, json};
 use crate::ids::JobId;
 use crate::partial;
 use crate::specs;
@@ -55,6 +58,33 @@ pub(super) async fn result(State(site): State<Arc<Site>>, Path(file): Path<Strin
             let body = Body::from_stream(stream.map(|chunk| chunk.map(|chunk| chunk.data)));
             ([(header::CONTENT_TYPE, "application/octet-stream")], body).into_response()
         }
+        Err(s) => failure(&s),
+    }
+}
+
+/// The name of a file that is sent.
+#[derive(Deserialize)]
+pub(super) struct Named {
+    name: String,
+}
+
+/// Reads a scene from a file, which is the body of the request.
+pub(super) async fn put_scene(
+    State(site): State<Arc<Site>>,
+    Query(Named { name }): Query<Named>,
+    headers: HeaderMap,
+    body: Bytes,
+) -> Response {
+    // A form of another site can send other types without asking.
+    if headers.get(header::CONTENT_TYPE).is_none_or(|kind| kind != "application/octet-stream") {
+        return failure(&Status::invalid_argument(
+            "send the file with content-type: application/octet-stream",
+        ));
+    }
+    let file = v1::SceneFileHeader { name, rules: Vec::new() };
+    match take_file(&site.coordinator, file, body).await.map(|info| serde_json::to_string(&info)) {
+        Ok(Ok(text)) => json(text),
+        Ok(Err(e)) => failure(&Status::internal(e.to_string())),
         Err(s) => failure(&s),
     }
 }

@@ -1,0 +1,174 @@
+//! `sightline report`: a result's error, its cells over budget, and who is to blame, as one HTML document.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use serde_json::{Value, json};
+use sightline_measure::{Frame, Options, Report, Viewpoints, measure};
+use sightline_pvs::Pvs;
+use sightline_report::{About, Blame, Budget, Costs, OverBudget, blame, over_budget, page};
+use sightline_sampling::sight::Sight;
+use sightline_sampling::{CubeSpec, PreparedScene, Strata, layers};
+
+use crate::backends::open_backend;
+use crate::cells;
+use crate::enclosure;
+use crate::error::CliError;
+use crate::inspect::Summary;
+use crate::opening;
+use crate::output::{Format, Output};
+use crate::progress::{Progress, say};
+use crate::result_args::ReportArgs;
+use crate::serve::{self, print};
+
+/// Worst frames that are shown.
+const FRAMES: usize = 6;
+/// Cells that are listed without a budget.
+const COSTLIEST: usize = 20;
+
+/// An opening that saves a smaller part is not told of on stdout.
+const WORTH: f64 = 0.005;
+
+/// Makes the report.
+pub fn run(args: &ReportArgs, as_json: bool) -> Result<(), CliError> {
+    let output = Output::check(&args.output, Format::Html, Some(&args.result))?;
+    let budget = args.budget.as_deref().map(budget).transpose()?;
+    if !(8..=1024).contains(&args.resolution) {
+        return Err(CliError::Usage(format!("--resolution {} is not between 8 and 1024", args.resolution)));
+    }
+    serve::use_threads(serve::threads(None))?;
+    let pvs = opening::open(&args.result)?;
+    let found = look(args, &pvs)?;
+    let costs = &found.costs;
+    let over = over_budget(&pvs, costs, budget.as_ref(), COSTLIEST);
+    let bounds = cells::bounds_of_cells(&pvs)?;
+    let sizes = costs.cells.iter().map(|drawn| drawn.iter().map(|(_, count)| u64::from(*count)).sum());
+    let about = About {
+        title: title(&args.result),
+        summary: Summary::of(&args.result)?.lines(),
+        error: &found.error,
+        frames: found.frames,
+        cells: sizes.zip(bounds).collect(),
+        budget,
+        over: over.clone(),
+        blame: found.blame.clone(),
+    };
+    let text = page(&about, &|bytes| STANDARD.encode(bytes));
+    output.write(|out| out.write_all(text.as_bytes()).map_err(|e| CliError::writing(output.path(), &e)))?;
+    tell(&output, &found.error, (&over, budget.is_some()), &found.blame, as_json)?;
+    if args.fail_over_budget && budget.is_some() && !over.is_empty() {
+        let cells = opening::plural(over.len(), "cell");
+        return Err(CliError::Different(format!("{cells} are over the budget")));
+    }
+    Ok(())
+}
+
+fn title(result: &Path) -> String {
+    result.file_name().unwrap_or(result.as_os_str()).to_string_lossy().into_owned()
+}
+
+/// Reads a budget.
+fn budget(path: &Path) -> Result<Budget, CliError> {
+    let bad = |e: String| {
+        CliError::Input(format!(
+            "{}: {e}; give --budget a JSON object with some of \"triangles\", \"objects\", \"bytes\" and \
+             \"bytes_per_triangle\"",
+            path.display()
+        ))
+    };
+    let text = std::fs::read_to_string(path).map_err(|e| bad(format!("it cannot be read: {e}")))?;
+    let budget: Budget = serde_json::from_str(&text).map_err(|e| bad(e.to_string()))?;
+    if (budget.triangles, budget.objects, budget.bytes) == (None, None, None) {
+        return Err(bad("it limits nothing".to_owned()));
+    }
+    Ok(budget)
+}
+
+/// What was measured.
+struct Found {
+    error: Report,
+    /// The worst frames with their pictures.
+    frames: Vec<(Frame, Vec<u8>)>,
+    costs: Costs,
+    blame: Blame,
+}
+
+/// Measures the error and looks for openings.
+fn look(args: &ReportArgs, pvs: &Pvs) -> Result<Found, CliError> {
+    let scene = Arc::new(opening::scene_of(&args.scene, &args.kinds, pvs, &args.result)?);
+    let region = enclosure::of_result(pvs, &scene, &args.result)?;
+    let is_place = |p: [f32; 3]| {
+        pvs.find_cell(p).is_some_and(|c| pvs.is_reached(c).unwrap_or(false))
+            && region.as_ref().is_none_or(|region| region.holds(p.into()))
+    };
+    let views = Viewpoints::random_where(args.viewpoints, args.seed, pvs.tree().view_box(), is_place);
+    let spec = CubeSpec { resolution: args.resolution, strata: Strata::One, keep_pixels: false };
+    let (_, backend) = open_backend(args.backend, &scene, spec)?;
+    let bounds = scene.bounds();
+    let prepared = PreparedScene::new(Arc::clone(&scene))?;
+    let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
+    let far = info["sampling"]["far"].as_f64();
+    let renderer = layers::renderer(&*backend, &prepared, spec, None, far).map_err(CliError::internal)?;
+    let folder = tempfile::tempdir().map_err(CliError::internal)?;
+    let options = Options {
+        images_dir: Some(folder.path().to_owned()),
+        images: FRAMES,
+        worst: args.viewpoints as usize,
+    };
+    let progress = Progress::new();
+    let report =
+        measure(&*renderer, pvs, &views, &options, &mut |done, total| progress.count(done, total, "frames"));
+    progress.end();
+    let error = report.map_err(|e| CliError::Input(e.to_string()))?;
+    let mut frames = Vec::new();
+    for frame in error.worst.iter().filter(|frame| frame.error > 0.0) {
+        if let Some(path) = &frame.image {
+            frames.push((frame.clone(), std::fs::read(path).map_err(CliError::internal)?));
+        }
+    }
+    let input = |e: sightline_report::ReportError| CliError::Input(format!("{}: {e}", args.result.display()));
+    let costs = Costs::of(pvs, &scene).map_err(input)?;
+    let sight = Sight::new(&*backend, prepared.traced()).map_err(CliError::internal)?.up_to(far);
+    let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
+    // Viewpoints inside of walls count where the result says so, as the sets count them.
+    let in_region = |p: glam::Vec3| region.as_ref().is_none_or(|region| region.holds(p));
+    let blame = blame(&sight, (pvs, &scene), &costs, (args.seed, step), &in_region).map_err(input)?;
+    Ok(Found { error, frames, costs, blame })
+}
+
+/// Says on stdout what is in the report.
+fn tell(
+    output: &Output,
+    error: &Report,
+    (over, has_budget): (&[OverBudget], bool),
+    blame: &Blame,
+    as_json: bool,
+) -> Result<(), CliError> {
+    let path = output.path().display().to_string();
+    if as_json {
+        return print(
+            &json!({
+                "output": path, "mean_error": error.mean_error, "p99_error": error.p99_error,
+                "max_error": error.max_error, "over_budget": if has_budget { json!(over) } else { Value::Null },
+                "blame": blame,
+            })
+            .to_string(),
+        );
+    }
+    print(&format!("wrote {path}"))?;
+    if has_budget {
+        print(&format!("cells over budget: {}", over.len()))?;
+    }
+    if let Some(best) = blame.openings.first().filter(|best| best.saves >= WORTH) {
+        let [min, max] = best.opening.bounds;
+        print(&format!(
+            "closing the opening in the box {min:?} to {max:?} would save about {:.1} % of all that is drawn",
+            best.saves * 100.0
+        ))?;
+    } else {
+        say("no single opening was found that closing would save much");
+    }
+    Ok(())
+}

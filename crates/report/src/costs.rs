@@ -1,0 +1,90 @@
+//! What objects cost: in how many cells each is seen, and how many of its triangles these cells draw.
+
+use sightline_pvs::Pvs;
+use sightline_scene::Scene;
+use sightline_scene::clusters::clusters;
+
+use crate::ReportError;
+
+/// Scenes with fewer objects are looked at in clusters: one object says nothing about where the cost is.
+const FEW: usize = 8;
+
+/// An object, or a cluster of neighbouring triangles of a scene with few objects.
+#[derive(Clone, Debug)]
+pub struct Group {
+    /// The object's name, or where the cluster is.
+    pub name: String,
+    /// Its triangles, ascending.
+    pub triangles: Vec<u32>,
+}
+
+/// The costs of all groups in all cells.
+pub struct Costs {
+    /// The groups.
+    pub groups: Vec<Group>,
+    /// Whether they are clusters.
+    pub are_clusters: bool,
+    /// For each cell the groups of which it draws something, and how many triangles, ascending by group.
+    /// Empty for cells without viewpoints.
+    pub cells: Vec<Vec<(u32, u32)>>,
+    /// Triangles drawn, summed over all cells.
+    pub total: u64,
+}
+
+impl Costs {
+    /// Counts the sets of a result. A result that names objects or clusters draws all of their triangles.
+    ///
+    /// # Errors
+    /// [`ReportError::Pvs`] when the result cannot be read.
+    pub fn of(pvs: &Pvs, scene: &Scene) -> Result<Self, ReportError> {
+        let are_clusters = scene.objects().len() < FEW;
+        let groups = if are_clusters { clusters_of(scene) } else { objects_of(scene) };
+        let mut group_of = vec![u32::MAX; scene.len() as usize];
+        for (number, group) in (0u32..).zip(&groups) {
+            group.triangles.iter().for_each(|t| group_of[*t as usize] = number);
+        }
+        let (mut cells, mut total) = (Vec::with_capacity(pvs.cells() as usize), 0);
+        let (mut ids, mut counts) = (Vec::new(), vec![0u32; groups.len()]);
+        for cell in 0..pvs.cells() {
+            pvs.visible(cell, &mut ids)?;
+            total += ids.len() as u64;
+            for id in &ids {
+                // Triangles that never show are in no cluster.
+                if let Some(count) = counts.get_mut(group_of[*id as usize] as usize) {
+                    *count += 1;
+                }
+            }
+            let found = counts.iter_mut().enumerate().filter(|(_, count)| **count > 0);
+            cells.push(found.map(|(group, count)| (group as u32, std::mem::take(count))).collect());
+        }
+        Ok(Self { groups, are_clusters, cells, total })
+    }
+
+    /// For each group in how many cells it is seen, and how many of its triangles these draw.
+    pub fn by_group(&self) -> Vec<(u32, u64)> {
+        let mut all = vec![(0, 0); self.groups.len()];
+        for (group, count) in self.cells.iter().flatten() {
+            let of = &mut all[*group as usize];
+            *of = (of.0 + 1, of.1 + u64::from(*count));
+        }
+        all
+    }
+}
+
+fn objects_of(scene: &Scene) -> Vec<Group> {
+    let of = |o: &sightline_scene::Object| Group {
+        name: o.name.clone(),
+        triangles: (o.first..o.first + o.count).collect(),
+    };
+    scene.objects().iter().map(of).collect()
+}
+
+fn clusters_of(scene: &Scene) -> Vec<Group> {
+    let of = |triangles: Vec<u32>| {
+        let corners = triangles.iter().flat_map(|t| scene.triangles()[*t as usize].v);
+        let around = sightline_scene::Aabb::around(corners);
+        let at = (around.min + around.max) / 2.0;
+        Group { name: format!("around ({:.4}, {:.4}, {:.4})", at.x, at.y, at.z), triangles }
+    };
+    clusters(scene).into_iter().map(of).collect()
+}

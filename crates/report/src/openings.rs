@@ -1,0 +1,140 @@
+//! Openings: boxes through which most of the segments between an object and the cells that see it pass.
+
+use std::collections::BTreeMap;
+
+use glam::Vec3;
+use serde::Serialize;
+use sightline_scene::Aabb;
+
+/// Boxes along the longest side of the scene, from the finest grid to the coarsest.
+const GRIDS: [u32; 4] = [96, 48, 24, 12];
+/// The share of the cells whose segments have to pass the box.
+const SHARE: f64 = 0.6;
+
+/// A box in space.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Opening {
+    /// Its least and greatest corner, world space.
+    pub bounds: [[f32; 3]; 2],
+}
+
+impl Opening {
+    fn corners(&self) -> [Vec3; 2] {
+        self.bounds.map(Vec3::from)
+    }
+
+    /// Whether a segment passes the box.
+    pub fn is_passed(&self, [a, b]: [Vec3; 2]) -> bool {
+        let [min, max] = self.corners();
+        let (mut from, mut to) = (0.0f32, 1.0f32);
+        for axis in 0..3 {
+            let (start, along) = (a[axis], b[axis] - a[axis]);
+            if along == 0.0 {
+                if start < min[axis] || start > max[axis] {
+                    return false;
+                }
+                continue;
+            }
+            let ends = [(min[axis] - start) / along, (max[axis] - start) / along];
+            from = from.max(ends[0].min(ends[1]));
+            to = to.min(ends[0].max(ends[1]));
+        }
+        from <= to
+    }
+
+    /// Whether two boxes have a point in common.
+    pub fn meets(&self, other: &Self) -> bool {
+        let ([a0, a1], [b0, b1]) = (self.corners(), other.corners());
+        a0.cmple(b1).all() && b0.cmple(a1).all()
+    }
+}
+
+/// A cell that sees an object, and free segments from the one to the other.
+pub struct Sights {
+    /// The cell's box.
+    pub cell: Aabb,
+    /// From the cell to the object.
+    pub segments: Vec<[Vec3; 2]>,
+}
+
+/// The smallest box of a grid over the scene that most of these cells see the object through: outside of the
+/// cells and away from the object. `None` when the object is seen in the open, or by a single cell.
+pub fn find(scene: Aabb, object: Aabb, sights: &[Sights]) -> Option<Opening> {
+    if sights.len() < 2 {
+        return None;
+    }
+    let longest = (scene.max - scene.min).max_element();
+    for grid in GRIDS {
+        let size = longest / grid as f32;
+        let near = Aabb { min: object.min - size, max: object.max + size };
+        // For each box of the grid how many cells have a segment through it, and the last of them.
+        let mut passed: BTreeMap<[u32; 3], (u32, usize)> = BTreeMap::new();
+        for (number, of) in sights.iter().enumerate() {
+            for [a, b] in &of.segments {
+                // Half a box a step: a box that is cut at a corner may be left out, which costs nothing.
+                let steps = ((*b - *a).length() / size * 2.0).ceil().max(1.0) as u32;
+                for step in 1..steps {
+                    let at = a.lerp(*b, step as f32 / steps as f32);
+                    if of.cell.contains(at) || near.contains(at) {
+                        continue;
+                    }
+                    let place = ((at - scene.min) / size).as_uvec3().to_array();
+                    let entry = passed.entry(place).or_insert((0, usize::MAX));
+                    if entry.1 != number {
+                        *entry = (entry.0 + 1, number);
+                    }
+                }
+            }
+        }
+        // Of several with the same count the first in order, so that the answer is one.
+        let best = passed.iter().max_by(|a, b| a.1.0.cmp(&b.1.0).then(b.0.cmp(a.0)));
+        if let Some((place, (count, _))) = best
+            && f64::from(*count) >= SHARE * sights.len() as f64
+        {
+            let min = scene.min + Vec3::from(place.map(|p| p as f32)) * size;
+            return Some(Opening { bounds: [min.to_array(), (min + size).to_array()] });
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_segment_passes_a_box_or_not() {
+        let unit = Opening { bounds: [[0.0; 3], [1.0; 3]] };
+        let passes = |a: [f32; 3], b: [f32; 3]| unit.is_passed([a.into(), b.into()]);
+        assert!(passes([-1.0, 0.5, 0.5], [2.0, 0.5, 0.5]));
+        assert!(!passes([-1.0, 0.5, 0.5], [-0.5, 0.5, 0.5]));
+        assert!(!passes([-1.0, 0.5, 0.5], [0.5, 2.6, 0.5]));
+        assert!(passes([0.5, 0.5, 0.5], [0.6, 0.5, 0.5]));
+    }
+
+    #[test]
+    fn a_door_is_found_and_the_open_is_not() {
+        let scene = Aabb { min: Vec3::ZERO, max: Vec3::new(24.0, 4.0, 24.0) };
+        let object = Aabb { min: Vec3::new(20.0, 0.0, 10.0), max: Vec3::new(22.0, 2.0, 14.0) };
+        // All segments pass a door at x = 12, z = 11.5 to 12.5; or go straight.
+        let sights = |through: bool| -> Vec<Sights> {
+            let from = |k: u32| {
+                let cell_min = Vec3::new(2.0, 0.0, 2.0 * k as f32 + 2.0);
+                let a = cell_min + 0.5;
+                let segments = (0..9u8).map(|n| {
+                    let door = Vec3::new(12.0, 1.0, 11.6 + 0.1 * f32::from(n));
+                    let b = a + (door - a) * 1.9;
+                    if through { [a, b] } else { [a, Vec3::new(21.0, 1.0, a.z + f32::from(n) * 0.1)] }
+                });
+                Sights { cell: Aabb { min: cell_min, max: cell_min + 1.0 }, segments: segments.collect() }
+            };
+            (0..8).map(from).collect()
+        };
+        let door = find(scene, object, &sights(true)).unwrap();
+        let [min, max] = door.bounds;
+        assert!(min[0] <= 12.5 && max[0] >= 11.5 && max[0] - min[0] <= 2.0, "{door:?}");
+        assert!(min[2] <= 12.5 && max[2] >= 11.5, "{door:?}");
+        assert_eq!(find(scene, object, &sights(false)), None);
+        assert_eq!(find(scene, object, &sights(true)[..1]), None);
+    }
+}
