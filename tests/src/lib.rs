@@ -15,6 +15,7 @@ mod dump;
 mod house;
 mod process;
 mod program;
+mod site;
 
 use std::time::{Duration, Instant};
 
@@ -23,7 +24,8 @@ pub use compose::{Compose, docker, logged, run};
 pub use dump::{Cell, Dump};
 pub use house::{across, house};
 pub use process::{Background, Coordinator, Run, Sandbox};
-pub use program::{in_ci, program};
+pub use program::{example, in_ci, program};
+pub use site::Site;
 
 /// A single command or wait that takes longer hangs.
 pub const LIMIT: Duration = Duration::from_secs(300);

@@ -19,7 +19,17 @@ pub fn program() -> &'static Path {
     })
 }
 
+/// An example of a crate of this checkout, built like the program.
+pub fn example(name: &str) -> PathBuf {
+    built(&["--example", name], name)
+}
+
 fn build() -> PathBuf {
+    built(&["--bins"], "sightline")
+}
+
+/// Builds targets and names the executable of one of them.
+fn built(targets: &[&str], name: &str) -> PathBuf {
     // TARGET/PROFILE/deps/TEST-HASH
     let test = std::env::current_exe().unwrap();
     let folder = test.ancestors().nth(2).unwrap();
@@ -29,17 +39,10 @@ fn build() -> PathBuf {
     };
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     cargo
-        .args([
-            "build",
-            // The whole workspace: for one package cargo would choose other features and build the
-            // dependencies again.
-            "--workspace",
-            "--bins",
-            "--profile",
-            profile,
-            "--message-format",
-            "json-render-diagnostics",
-        ])
+        // The whole workspace: for one package cargo would choose other features and build the
+        // dependencies again.
+        .args(["build", "--workspace", "--profile", profile, "--message-format", "json-render-diagnostics"])
+        .args(targets)
         .arg("--target-dir")
         .arg(folder.parent().unwrap())
         .current_dir(env!("CARGO_MANIFEST_DIR"))
@@ -51,7 +54,7 @@ fn build() -> PathBuf {
     messages
         .lines()
         .filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok())
-        .filter(|message| message["target"]["name"] == "sightline")
+        .filter(|message| message["target"]["name"] == name)
         .find_map(|message| message["executable"].as_str().map(PathBuf::from))
         .unwrap_or_else(|| panic!("{cargo:?} named no executable"))
 }

@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 use sightline_pvs::Pvs;
 
 use crate::error::CliError;
+use crate::export_gltf;
 use crate::opening::open;
 use crate::output::{Format, Output};
 use crate::result_args::{ExportArgs, ExportFormat};
@@ -15,25 +16,43 @@ use crate::serve::print;
 
 /// Writes a result in another form.
 pub fn run(args: &ExportArgs, json: bool) -> Result<(), CliError> {
-    let format = match args.format {
-        ExportFormat::Sidecar | ExportFormat::Manifest => Format::Json,
-        ExportFormat::Csv => Format::Csv,
+    let pvs = match (args.format, &args.scene) {
+        (ExportFormat::Gltf, Some(scene)) => {
+            let pvs = open(&args.result)?;
+            export_gltf::write(&args.output, &args.result, &pvs, scene)?;
+            pvs
+        }
+        (ExportFormat::Gltf, None) => {
+            let why = "--format gltf writes the scene again; name it with --scene LEVEL.glb";
+            return Err(CliError::Usage(why.to_owned()));
+        }
+        (_, Some(_)) => {
+            let why = "only --format gltf needs the scene; leave out --scene";
+            return Err(CliError::Usage(why.to_owned()));
+        }
+        _ => write(args)?,
     };
+    let path = args.output.display().to_string();
+    print(&match json {
+        true => json!({"output": path, "cells": pvs.cells(), "objects": pvs.objects().len()}).to_string(),
+        false => format!("wrote {path}: {} cells, {} objects", pvs.cells(), pvs.objects().len()),
+    })
+}
+
+/// Writes the lists alone.
+fn write(args: &ExportArgs) -> Result<Pvs, CliError> {
+    let format = if args.format == ExportFormat::Csv { Format::Csv } else { Format::Json };
     let output = Output::check(&args.output, format, Some(&args.result))?;
     let pvs = open(&args.result)?;
     output.write(|out| {
         let to = |e: std::io::Error| CliError::writing(output.path(), &e);
         match args.format {
-            ExportFormat::Sidecar => writeln!(out, "{}", sidecar(&pvs)?).map_err(to),
             ExportFormat::Manifest => writeln!(out, "{}", manifest(&pvs)?).map_err(to),
             ExportFormat::Csv => csv(&pvs, out, &to),
+            _ => writeln!(out, "{}", sidecar(&pvs)?).map_err(to),
         }
     })?;
-    let path = output.path().display().to_string();
-    print(&match json {
-        true => json!({"output": path, "cells": pvs.cells(), "objects": pvs.objects().len()}).to_string(),
-        false => format!("wrote {path}: {} cells, {} objects", pvs.cells(), pvs.objects().len()),
-    })
+    Ok(pvs)
 }
 
 /// The scene's objects, with their places in a glTF file where they are known.

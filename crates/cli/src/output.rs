@@ -19,6 +19,8 @@ pub enum Format {
     Ply,
     /// A scene as binary glTF.
     Glb,
+    /// A scene as glTF in JSON.
+    Gltf,
     /// A page.
     Html,
     /// A document of `export`.
@@ -34,17 +36,20 @@ impl Format {
             Self::Pvs => b"\x89PVS",
             Self::Ply => b"ply\n",
             Self::Glb => b"glTF",
+            Self::Gltf => b"{",
             Self::Html => b"<!doctype html><!-- sightline ",
             Self::Json => b"{\"format\"",
             Self::Csv => b"cell,object",
         }
     }
 
-    fn extension(self) -> &'static str {
+    /// The ending of the names of such files.
+    pub fn extension(self) -> &'static str {
         match self {
             Self::Pvs => "pvs",
             Self::Ply => "ply",
             Self::Glb => "glb",
+            Self::Gltf => "gltf",
             Self::Html => "html",
             Self::Json => "json",
             Self::Csv => "csv",

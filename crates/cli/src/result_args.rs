@@ -44,10 +44,12 @@ pub enum ExportFormat {
     Manifest,
     /// A line for each pair of a cell and an object in its set
     Csv,
+    /// The scene's own glTF or GLB file (--scene) with the extension SIGHTLINE_visibility
+    Gltf,
 }
 
-/// Writes the objects of each cell for an engine, for streaming, or as a table. Cells without viewpoints
-/// are left out.
+/// Writes the objects of each cell for an engine, for streaming, as a table, or into the scene's glTF file.
+/// Cells without viewpoints are left out.
 #[derive(Args, Debug)]
 pub struct ExportArgs {
     /// The result.
@@ -56,6 +58,9 @@ pub struct ExportArgs {
     /// The form.
     #[arg(long, value_enum)]
     pub format: ExportFormat,
+    /// The glTF or GLB file that the result was baked from; with --format gltf.
+    #[arg(long, value_name = "LEVEL.glb")]
+    pub scene: Option<PathBuf>,
     /// The file to write.
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,

@@ -1,0 +1,368 @@
+//! A glTF or GLB file to which an extension is added. All of its JSON stays as it is, character by
+//! character, except for the members that name the extension and its data, so what other programs wrote
+//! there survives.
+
+use std::ops::Range;
+
+use serde::de::{DeserializeOwned, IgnoredAny};
+use serde_json::{Value, json};
+
+/// The types of the first two chunks of a GLB file.
+const JSON: [u8; 4] = *b"JSON";
+const BINARY: [u8; 4] = *b"BIN\0";
+
+/// Why an extension cannot be added.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+pub enum GltfError {
+    /// The file is damaged.
+    #[error("{0}; export it again from the program that made it")]
+    Broken(&'static str),
+    /// The extension is there.
+    #[error("it has the extension {0} already; name the file without it")]
+    There(&'static str),
+    /// A GLB file cannot be that long.
+    #[error("with the extension it would be longer than the 4 GiB of a GLB; use --format sidecar")]
+    TooLarge,
+}
+
+/// A file in its parts.
+pub struct GltfFile<'a> {
+    json: &'a str,
+    /// The chunks of a GLB after its JSON: their types and bytes. `None` for a file that is JSON.
+    chunks: Option<Vec<([u8; 4], &'a [u8])>>,
+}
+
+/// Bytes for an extension, which become consecutive buffer views of the binary chunk.
+#[derive(Default)]
+pub struct Added {
+    bytes: Vec<u8>,
+    views: Vec<Range<usize>>,
+}
+
+impl Added {
+    /// Adds a buffer view.
+    pub fn push(&mut self, bytes: impl IntoIterator<Item = u8>) {
+        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
+        let start = self.bytes.len();
+        self.bytes.extend(bytes);
+        self.views.push(start..self.bytes.len());
+    }
+
+    /// The number of bytes.
+    pub fn size(&self) -> usize {
+        self.bytes.len()
+    }
+}
+
+impl<'a> GltfFile<'a> {
+    /// The parts of a file.
+    pub fn parse(bytes: &'a [u8]) -> Result<Self, GltfError> {
+        if !bytes.starts_with(b"glTF") {
+            return Ok(Self { json: text(bytes)?, chunks: None });
+        }
+        let cut_off = || GltfError::Broken("the file is cut off");
+        let word = |at: usize| bytes.get(at..)?.first_chunk::<4>().map(|b| u32::from_le_bytes(*b) as usize);
+        let end = word(8).filter(|end| *end <= bytes.len()).ok_or_else(cut_off)?;
+        let (mut at, mut chunks) = (12, Vec::new());
+        while at < end {
+            let size = word(at).ok_or_else(cut_off)?;
+            let kind = bytes.get(at + 4..).and_then(|b| b.first_chunk::<4>()).ok_or_else(cut_off)?;
+            chunks.push((*kind, bytes.get(at + 8..at + 8 + size).ok_or_else(cut_off)?));
+            at += 8 + size;
+        }
+        let (JSON, first) = chunks.first().copied().unwrap_or_default() else {
+            return Err(GltfError::Broken("its first chunk is not JSON"));
+        };
+        Ok(Self { json: text(first)?, chunks: Some(chunks.split_off(1)) })
+    }
+
+    /// Whether it is a GLB.
+    pub fn is_glb(&self) -> bool {
+        self.chunks.is_some()
+    }
+
+    /// Whether buffer views can be added: to a GLB with a buffer in its binary chunk.
+    pub fn takes_views(&self) -> Result<bool, GltfError> {
+        Ok(self.binary_buffer(&Members::of(self.json)?)?.is_some())
+    }
+
+    /// The address of a file that it needs beside itself, if there is one.
+    pub fn needs(&self) -> Result<Option<String>, GltfError> {
+        let root = Members::of(self.json)?;
+        for key in ["buffers", "images"] {
+            for item in root.elements(key)? {
+                let uri = Members::of(&self.json[item])?.string("uri");
+                if let Some(uri) = uri.filter(|uri| !uri.starts_with("data:") && !uri.contains("://")) {
+                    return Ok(Some(uri));
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    /// The file with an extension of the root. `extension` makes its value from the index of the first of
+    /// the added buffer views.
+    pub fn with(
+        &self,
+        name: &'static str,
+        added: &Added,
+        extension: impl FnOnce(usize) -> Value,
+    ) -> Result<Vec<u8>, GltfError> {
+        let root = Members::of(self.json)?;
+        if let Some(of) = root.get("extensions")
+            && Members::of(&self.json[of])?.get(name).is_some()
+        {
+            return Err(GltfError::There(name));
+        }
+        root.elements("extensionsUsed")?;
+        let mut edits = Edits { root: &root, all: Vec::new() };
+        let value = extension(root.elements("bufferViews")?.len());
+        edits.append("extensions", ['{', '}'], &format!("{}:{value}", json!(name)));
+        edits.append("extensionsUsed", ['[', ']'], &json!(name).to_string());
+        let mut binary = None;
+        if !added.views.is_empty() {
+            let (length, start) =
+                self.binary_buffer(&root)?.ok_or(GltfError::Broken("it has no buffer in a binary chunk"))?;
+            edits.all.push((length, (start + added.bytes.len()).to_string()));
+            binary = Some(start);
+            let view = |range: &Range<usize>| {
+                let (at, size) = (start + range.start, range.len());
+                json!({"buffer": 0, "byteOffset": at, "byteLength": size}).to_string()
+            };
+            let views: Vec<String> = added.views.iter().map(view).collect();
+            edits.append("bufferViews", ['[', ']'], &views.join(","));
+        }
+        self.join(&edits.apply(), binary, &added.bytes)
+    }
+
+    /// Of the buffer that is the binary chunk: where its length stands, and where bytes can be added.
+    fn binary_buffer(&self, root: &Members<'_>) -> Result<Option<(Range<usize>, usize)>, GltfError> {
+        let Some([(BINARY, bytes), ..]) = self.chunks.as_deref() else { return Ok(None) };
+        let Some(first) = root.elements("buffers")?.into_iter().next() else { return Ok(None) };
+        let buffer = Members::of(&self.json[first.clone()])?;
+        if buffer.get("uri").is_some() {
+            return Ok(None);
+        }
+        let length = buffer.get("byteLength").ok_or(GltfError::Broken("buffer 0 has no byteLength"))?;
+        let length = first.start + length.start..first.start + length.end;
+        Ok(Some((length, bytes.len().next_multiple_of(4))))
+    }
+
+    /// The bytes of the file with other JSON, and with more at a place of its binary chunk.
+    fn join(&self, json: &str, binary: Option<usize>, added: &[u8]) -> Result<Vec<u8>, GltfError> {
+        let Some(chunks) = &self.chunks else { return Ok(json.as_bytes().to_vec()) };
+        let mut out = b"glTF\x02\0\0\0\0\0\0\0".to_vec();
+        let mut put = |kind: [u8; 4], bytes: &[u8], fill: u8| {
+            let mut bytes = bytes.to_vec();
+            bytes.resize(bytes.len().next_multiple_of(4), fill);
+            let size = u32::try_from(bytes.len()).map_err(|_| GltfError::TooLarge)?;
+            out.extend(size.to_le_bytes());
+            out.extend(kind);
+            out.extend(bytes);
+            Ok(())
+        };
+        put(JSON, json.as_bytes(), b' ')?;
+        for (number, (kind, bytes)) in chunks.iter().enumerate() {
+            match binary.filter(|_| number == 0) {
+                Some(start) => {
+                    let mut longer = bytes.to_vec();
+                    longer.resize(start, 0);
+                    longer.extend(added);
+                    put(*kind, &longer, 0)?;
+                }
+                None => put(*kind, bytes, 0)?,
+            }
+        }
+        let size = u32::try_from(out.len()).map_err(|_| GltfError::TooLarge)?;
+        out[8..12].copy_from_slice(&size.to_le_bytes());
+        Ok(out)
+    }
+}
+
+/// The text of JSON, without what may stand around it.
+fn text(bytes: &[u8]) -> Result<&str, GltfError> {
+    let text = std::str::from_utf8(bytes).map_err(|_| GltfError::Broken("its JSON is not UTF-8"))?;
+    Ok(text.trim_start_matches('\u{feff}').trim())
+}
+
+/// The members of an object in JSON, and where their values stand.
+struct Members<'a> {
+    text: &'a str,
+    all: Vec<(String, Range<usize>)>,
+}
+
+impl<'a> Members<'a> {
+    fn of(text: &'a str) -> Result<Self, GltfError> {
+        let all = items(text, ['{', '}'], |at| {
+            let (key, end) = value::<String>(text, at)?;
+            let colon = blank(text, end);
+            Some((key, text[colon..].starts_with(':').then_some(colon + 1)?))
+        });
+        Ok(Self { text, all: all.ok_or(GltfError::Broken("its JSON has something else for an object"))? })
+    }
+
+    fn get(&self, key: &str) -> Option<Range<usize>> {
+        self.all.iter().find(|(name, _)| name == key).map(|(_, range)| range.clone())
+    }
+
+    fn string(&self, key: &str) -> Option<String> {
+        serde_json::from_str(&self.text[self.get(key)?]).ok()
+    }
+
+    /// Where the elements of an array stand; none where there is no such member.
+    fn elements(&self, key: &str) -> Result<Vec<Range<usize>>, GltfError> {
+        let Some(of) = self.get(key) else { return Ok(Vec::new()) };
+        let all = items(&self.text[of.clone()], ['[', ']'], |at| Some(((), at)));
+        let all = all.ok_or(GltfError::Broken("its JSON has something else for an array"))?;
+        Ok(all.into_iter().map(|((), r)| of.start + r.start..of.start + r.end).collect())
+    }
+}
+
+/// The items between two brackets: what `head` reads before the value and the end of that, and the value.
+fn items<T>(
+    text: &str,
+    brackets: [char; 2],
+    head: impl Fn(usize) -> Option<(T, usize)>,
+) -> Option<Vec<(T, Range<usize>)>> {
+    let mut at = blank(text, blank(text, 0) + text[blank(text, 0)..].strip_prefix(brackets[0]).map(|_| 1)?);
+    let mut all = Vec::new();
+    if text[at..].starts_with(brackets[1]) {
+        return Some(all);
+    }
+    loop {
+        let (name, start) = head(at)?;
+        let start = blank(text, start);
+        let (IgnoredAny, end) = value(text, start)?;
+        all.push((name, start..end));
+        at = blank(text, end);
+        let next = text[at..].chars().next()?;
+        if next == brackets[1] {
+            return Some(all);
+        }
+        at = blank(text, at + (next == ',').then_some(1)?);
+    }
+}
+
+/// The value that begins at a place of JSON, and where it ends.
+fn value<T: DeserializeOwned>(text: &str, at: usize) -> Option<(T, usize)> {
+    let mut values = serde_json::Deserializer::from_str(text.get(at..)?).into_iter::<T>();
+    let value = values.next()?.ok()?;
+    Some((value, at + values.byte_offset()))
+}
+
+/// The first place from `at` on that is no white space.
+fn blank(text: &str, at: usize) -> usize {
+    text.len() - text[at..].trim_start_matches([' ', '\t', '\r', '\n']).len()
+}
+
+/// Changes of places of an object in JSON.
+struct Edits<'a> {
+    root: &'a Members<'a>,
+    all: Vec<(Range<usize>, String)>,
+}
+
+impl Edits<'_> {
+    /// Adds to the object or array of a member, or adds the member.
+    fn append(&mut self, key: &str, [open, close]: [char; 2], item: &str) {
+        let edit = match self.root.get(key) {
+            Some(Range { start, end }) => {
+                let empty = self.root.text[start + 1..end - 1].trim().is_empty();
+                (end - 1..end - 1, format!("{}{item}", if empty { "" } else { "," }))
+            }
+            // The root is never empty: every glTF names its version.
+            None => (1..1, format!("{}:{open}{item}{close},", json!(key))),
+        };
+        self.all.push(edit);
+    }
+
+    fn apply(mut self) -> String {
+        self.all.sort_by_key(|(range, _)| range.start);
+        let (mut out, mut at) = (String::new(), 0);
+        for (Range { start, end }, text) in &self.all {
+            out += &self.root.text[at..*start];
+            out += text;
+            at = *end;
+        }
+        out + &self.root.text[at..]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn glb(json: &str, chunks: &[([u8; 4], &[u8])]) -> Vec<u8> {
+        GltfFile { json, chunks: Some(chunks.to_vec()) }.join(json, None, &[]).unwrap()
+    }
+
+    fn added(sizes: &[u8]) -> Added {
+        let mut added = Added::default();
+        sizes.iter().for_each(|size| added.push(1..=*size));
+        added
+    }
+
+    fn with(file: &[u8], sizes: &[u8]) -> Result<Vec<u8>, GltfError> {
+        GltfFile::parse(file)?.with("X", &added(sizes), |view| json!({"view": view}))
+    }
+
+    #[test]
+    fn nothing_else_changes() {
+        let json = "{ \"a\" : 1.50, \"extensions\":{ \"Y\":{} } ,\"extensionsUsed\":[\"Y\"], \"b\":\"},]\" }";
+        let out = String::from_utf8(with(json.as_bytes(), &[]).unwrap()).unwrap();
+        let expected = "{ \"a\" : 1.50, \"extensions\":{ \"Y\":{} ,\"X\":{\"view\":0}} \
+                        ,\"extensionsUsed\":[\"Y\",\"X\"], \"b\":\"},]\" }";
+        assert_eq!(out, expected);
+        let out = with(b"\xef\xbb\xbf{\"asset\":{},\"extensions\":{}}", &[]).unwrap();
+        let expected = "{\"extensionsUsed\":[\"X\"],\"asset\":{},\"extensions\":{\"X\":{\"view\":0}}}";
+        assert_eq!(String::from_utf8(out).unwrap(), expected);
+    }
+
+    #[test]
+    fn bytes_go_to_the_end_of_the_binary_chunk() {
+        let json = "{\"buffers\":[ { \"byteLength\" : 5 } ],\"bufferViews\":[{}]}";
+        let file = glb(json, &[(BINARY, &[9; 5]), (*b"MORE", b"more")]);
+        let out = with(&file, &[3, 4]).unwrap();
+        let parts = GltfFile::parse(&out).unwrap();
+        let json: Value = serde_json::from_str(parts.json).unwrap();
+        assert_eq!(json["buffers"], json!([{"byteLength": 16}]));
+        let view = |at: usize, size: usize| json!({"buffer": 0, "byteOffset": at, "byteLength": size});
+        assert_eq!(json["bufferViews"], json!([{}, view(8, 3), view(12, 4)]));
+        assert_eq!(json["extensions"]["X"]["view"], 1);
+        let chunks = parts.chunks.unwrap();
+        assert_eq!(chunks[0].1, [9, 9, 9, 9, 9, 0, 0, 0, 1, 2, 3, 0, 1, 2, 3, 4]);
+        assert_eq!((chunks[1], out.len() % 4), ((*b"MORE", &b"more"[..]), 0));
+        assert_eq!(u32::from_le_bytes(*out[8..].first_chunk().unwrap()) as usize, out.len());
+    }
+
+    #[test]
+    fn without_a_binary_chunk_there_is_no_place_for_bytes() {
+        let beside = glb("{\"buffers\":[{\"uri\":\"a.bin\"}]}", &[(BINARY, &[0; 4])]);
+        for file in [b"{\"asset\":{}}".to_vec(), glb("{\"asset\":{}}", &[]), beside] {
+            assert!(!GltfFile::parse(&file).unwrap().takes_views().unwrap());
+            assert!(matches!(with(&file, &[3]), Err(GltfError::Broken(_))));
+            assert!(with(&file, &[]).is_ok());
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_changed_is_refused() {
+        let broken = |bytes: &[u8]| matches!(with(bytes, &[1]).unwrap_err(), GltfError::Broken(_));
+        let whole = glb("{\"asset\":{}}", &[(BINARY, &[1, 2, 3, 4])]);
+        assert!((4..whole.len()).all(|end| broken(&whole[..end])));
+        for text in
+            ["", "[]", "{\"a\":}", "{\"a\" 1}", "{\"a\":1", "{\"extensions\":[]}", "{\"bufferViews\":3}"]
+        {
+            assert!(broken(text.as_bytes()), "{text}");
+        }
+        let there = with(b"{\"extensions\":{\"Y\":1,\"X\":{}}}", &[]).unwrap_err();
+        assert_eq!(there, GltfError::There("X"));
+    }
+
+    #[test]
+    fn files_beside_it_are_found() {
+        let needs = |text: &str| GltfFile::parse(text.as_bytes()).unwrap().needs().unwrap();
+        assert_eq!(needs("{\"buffers\":[{\"uri\":\"data:,\"}],\"images\":[{\"bufferView\":0}]}"), None);
+        let image = "{\"images\":[{\"uri\":\"a%20b.png\"}]}";
+        assert_eq!(needs(image).as_deref(), Some("a%20b.png"));
+    }
+}

@@ -1,0 +1,119 @@
+//! A Bevy plugin that hides the entities that are not visible from the cell of the camera.
+//!
+//! ```no_run
+//! # use bevy_app::App; use bevy_ecs::prelude::*; use sightline_bevy::*;
+//! let pvs = sightline_pvs::Pvs::open("level.pvs")?;
+//! let mut app = App::new();
+//! app.add_plugins(SightlinePlugin).insert_resource(Sightline::new(pvs)?);
+//! // The camera gets `SightlineEye`, and each entity with a mesh `SightlineObject` with its object's number.
+//! # Ok::<(), sightline_pvs::PvsError>(())
+//! ```
+//!
+//! Objects are pairs of a glTF node and primitive. `bevy_gltf` spawns an entity for each: find its number
+//! with [`Sightline::object`] when the scene is ready. Give it to the entities with meshes and not to their
+//! nodes, whose children would be hidden with them. The level is where its file has it: without a transform
+//! of its own.
+
+use bevy_app::{App, Plugin, PostUpdate};
+use bevy_camera::visibility::{Visibility, VisibilitySystems};
+use bevy_ecs::prelude::*;
+use bevy_transform::TransformSystems;
+use bevy_transform::prelude::GlobalTransform;
+use sightline_pvs::{Pvs, PvsError};
+
+/// The entity from whose cell the scene is drawn: the camera.
+#[derive(Component)]
+pub struct SightlineEye;
+
+/// The number of an object of the result.
+#[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SightlineObject(pub u32);
+
+/// A result, and what is visible now.
+#[derive(Resource)]
+pub struct Sightline {
+    pvs: Pvs,
+    /// The objects that are in some set. Of others, such as moving ones, nothing is known.
+    known: Vec<bool>,
+    cell: Option<u32>,
+    visible: Vec<u32>,
+}
+
+impl Sightline {
+    /// Takes a result.
+    ///
+    /// # Errors
+    /// When the result is damaged.
+    pub fn new(pvs: Pvs) -> Result<Self, PvsError> {
+        let mut known = vec![false; pvs.objects().len()];
+        let mut visible = Vec::new();
+        for cell in 0..pvs.cells() {
+            pvs.visible_objects(cell, &mut visible)?;
+            visible.iter().for_each(|object| known[*object as usize] = true);
+        }
+        Ok(Self { pvs, known, cell: None, visible })
+    }
+
+    /// The number of the object that a node of the glTF file draws as a primitive of its mesh.
+    pub fn object(&self, node: u32, primitive: u32) -> Option<u32> {
+        let is = |s: &sightline_pvs::Source| s.node == node && s.primitive == primitive;
+        let found = self.pvs.objects().iter().position(|object| object.source.as_ref().is_some_and(is));
+        found.map(|number| number as u32)
+    }
+
+    /// The cell of the camera; `None` where nothing is known, so that everything is drawn.
+    pub fn cell(&self) -> Option<u32> {
+        self.cell
+    }
+
+    /// Whether an object is to be drawn.
+    fn shows(&self, SightlineObject(number): SightlineObject) -> bool {
+        let is_known = self.known.get(number as usize).is_some_and(|is| *is);
+        self.cell.is_none() || !is_known || self.visible.binary_search(&number).is_ok()
+    }
+
+    /// Moves the eye, and says whether other objects may be visible now.
+    fn look_from(&mut self, eye: [f32; 3]) -> Result<bool, PvsError> {
+        let mut cell = self.pvs.find_cell(eye);
+        if let Some(number) = cell
+            && !self.pvs.is_reached(number)?
+        {
+            cell = None;
+        }
+        if cell == self.cell {
+            return Ok(false);
+        }
+        if let Some(number) = cell {
+            self.pvs.visible_objects(number, &mut self.visible)?;
+        }
+        self.cell = cell;
+        Ok(true)
+    }
+}
+
+/// Hides what the eye's cell does not see, when the cell changes, and of entities that come later.
+pub struct SightlinePlugin;
+
+impl Plugin for SightlinePlugin {
+    fn build(&self, app: &mut App) {
+        // The eye's place in this frame is known, and is not used to find what is visible yet.
+        let between = cull.after(TransformSystems::Propagate).before(VisibilitySystems::VisibilityPropagate);
+        app.add_systems(PostUpdate, between.run_if(resource_exists::<Sightline>));
+    }
+}
+
+fn cull(
+    mut sightline: ResMut<Sightline>,
+    eye: Query<&GlobalTransform, With<SightlineEye>>,
+    mut all: Query<(Ref<SightlineObject>, &mut Visibility)>,
+) -> Result {
+    let Ok(eye) = eye.single() else { return Ok(()) };
+    let moved = sightline.look_from(eye.translation().to_array())?;
+    for (object, mut visibility) in &mut all {
+        if moved || object.is_changed() {
+            let wanted = if sightline.shows(*object) { Visibility::Inherited } else { Visibility::Hidden };
+            visibility.set_if_neq(wanted);
+        }
+    }
+    Ok(())
+}
