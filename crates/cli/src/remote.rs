@@ -8,7 +8,7 @@ use tonic::transport::Channel;
 use crate::client;
 use crate::error::CliError;
 use crate::output::{Format, Output};
-use crate::progress::say;
+use crate::progress::{Progress, say};
 use crate::remote_args::{FetchArgs, JobRefArgs, JobsArgs, PriorityArgs, RemoteArgs};
 use crate::serve::{print, runtime};
 use crate::showing::{ending, line, show_job, value};
@@ -31,6 +31,15 @@ pub fn with<T, F: Future<Output = Result<T, CliError>>>(
     remote: &RemoteArgs,
     f: impl FnOnce(JobsClient<Channel>) -> F,
 ) -> Result<T, CliError> {
+    with_until(remote, crate::serve::stop_signal(), f)
+}
+
+/// [`with`] that ends when `stop` resolves instead.
+pub fn with_until<T, F: Future<Output = Result<T, CliError>>>(
+    remote: &RemoteArgs,
+    stop: impl Future<Output = ()>,
+    f: impl FnOnce(JobsClient<Channel>) -> F,
+) -> Result<T, CliError> {
     runtime()?.block_on(async {
         let work = async {
             // Lists of jobs are the largest messages; gRPC's default limit of 4 MiB holds thousands of jobs.
@@ -38,7 +47,7 @@ pub fn with<T, F: Future<Output = Result<T, CliError>>>(
         };
         tokio::select! {
             r = work => r,
-            () = crate::serve::stop_signal() => {
+            () = stop => {
                 Err(CliError::Interrupted("interrupted; the job continues at the coordinator".to_owned()))
             }
         }
@@ -63,8 +72,14 @@ pub fn health(args: &RemoteArgs, json: bool) -> Result<(), CliError> {
 
 /// Follows a job until it ends, and says how it ended.
 pub fn watch(args: &JobRefArgs, json: bool) -> Result<(), CliError> {
+    let progress = Progress::new();
+    let mut show = |job: &v1::Job| progress.job(job, false);
     let job =
-        with(&args.remote, |mut client| async move { client::follow(&mut client, args.id, false).await })?;
+        with(
+            &args.remote,
+            |mut client| async move { client::follow(&mut client, args.id, &mut show).await },
+        )?;
+    progress.end();
     say(&ending(&job));
     show_job(&job, json)?;
     client::must_be_done(&job)
@@ -72,20 +87,7 @@ pub fn watch(args: &JobRefArgs, json: bool) -> Result<(), CliError> {
 
 /// Lists jobs, ascending by id, and says how to see those that were left out.
 pub fn jobs(args: &JobsArgs, json: bool) -> Result<(), CliError> {
-    let (list, older) = with(&args.remote, |mut client| async move {
-        let mut list: Vec<v1::Job> = Vec::new();
-        let mut before = args.before.unwrap_or(0);
-        loop {
-            let limit = if args.all { 0 } else { args.limit };
-            let page = client.list(v1::ListRequest { limit, before }).await;
-            let v1::ListResponse { jobs, older } = page.map_err(|s| CliError::status(&s))?.into_inner();
-            before = jobs.first().map_or(0, |job| job.id);
-            list.splice(0..0, jobs);
-            if !(args.all && older && before > 0) {
-                return Ok((list, older));
-            }
-        }
-    })?;
+    let (list, older) = with(&args.remote, |client| listed(client, args))?;
     if json {
         print(&serde_json::Value::from_iter(list.iter().map(value)).to_string())?;
     } else {
@@ -98,52 +100,85 @@ pub fn jobs(args: &JobsArgs, json: bool) -> Result<(), CliError> {
     Ok(())
 }
 
+/// The wanted jobs, ascending by id, and whether there are older ones.
+pub async fn listed(
+    mut client: JobsClient<Channel>,
+    args: &JobsArgs,
+) -> Result<(Vec<v1::Job>, bool), CliError> {
+    let mut list: Vec<v1::Job> = Vec::new();
+    let mut before = args.before.unwrap_or(0);
+    loop {
+        let limit = if args.all { 0 } else { args.limit };
+        let page = client.list(v1::ListRequest { limit, before }).await;
+        let v1::ListResponse { jobs, older } = page.map_err(|s| CliError::status(&s))?.into_inner();
+        before = jobs.first().map_or(0, |job| job.id);
+        list.splice(0..0, jobs);
+        if !(args.all && older && before > 0) {
+            return Ok((list, older));
+        }
+    }
+}
+
 /// Shows one job.
 pub fn show(args: &JobRefArgs, json: bool) -> Result<(), CliError> {
-    let request = v1::ShowRequest { job: args.id };
-    let job = with(&args.remote, |mut client| async move {
-        client.show(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
-    })?;
+    let job = with(&args.remote, |client| shown(client, args.id))?;
     show_job(&job, json)
+}
+
+/// A job as it is now.
+pub async fn shown(mut client: JobsClient<Channel>, job: u64) -> Result<v1::Job, CliError> {
+    let request = v1::ShowRequest { job };
+    client.show(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
 }
 
 /// Cancels, pauses, resumes or retries.
 pub fn turn(args: &JobRefArgs, turn: Turn, json: bool) -> Result<(), CliError> {
-    let request = v1::ShowRequest { job: args.id };
-    let job = with(&args.remote, |mut client| async move {
-        match turn {
-            Turn::Cancel => client.cancel(request).await,
-            Turn::Pause => client.pause(request).await,
-            Turn::Resume => client.resume(request).await,
-            Turn::Retry => client.retry(request).await,
-        }
-        .map(tonic::Response::into_inner)
-        .map_err(|s| CliError::status(&s))
-    })?;
+    let job = with(&args.remote, |client| turned(client, args.id, turn))?;
     show_job(&job, json)
+}
+
+/// Cancels, pauses, resumes or retries; returns the job.
+pub async fn turned(mut client: JobsClient<Channel>, job: u64, turn: Turn) -> Result<v1::Job, CliError> {
+    let request = v1::ShowRequest { job };
+    match turn {
+        Turn::Cancel => client.cancel(request).await,
+        Turn::Pause => client.pause(request).await,
+        Turn::Resume => client.resume(request).await,
+        Turn::Retry => client.retry(request).await,
+    }
+    .map(tonic::Response::into_inner)
+    .map_err(|s| CliError::status(&s))
 }
 
 /// Gives a job another priority.
 pub fn prioritize(args: &PriorityArgs, json: bool) -> Result<(), CliError> {
     let request = v1::PrioritizeRequest { job: args.job.id, priority: args.priority };
-    let job = with(&args.job.remote, |mut client| async move {
-        client.prioritize(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
-    })?;
+    let job = with(&args.job.remote, |client| prioritized(client, request))?;
     show_job(&job, json)
+}
+
+/// Gives a job another priority; returns the job.
+pub async fn prioritized(
+    mut client: JobsClient<Channel>,
+    request: v1::PrioritizeRequest,
+) -> Result<v1::Job, CliError> {
+    client.prioritize(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
 }
 
 /// Downloads a result.
 pub fn fetch(args: &FetchArgs, json: bool) -> Result<(), CliError> {
-    let request = v1::ShowRequest { job: args.job.id };
     let output = Output::check(&args.output, Format::Pvs, None)?;
-    let bytes = with(&args.job.remote, |mut client| async move {
-        let job = client.show(request).await.map_err(|s| CliError::status(&s))?.into_inner();
-        client::must_be_done(&job)?;
-        client::fetch(&mut client, &job, &output).await
-    })?;
+    let bytes = with(&args.job.remote, |client| fetched(client, args.job.id, &output))?;
     if json {
         let value = serde_json::json!({"output": args.output.display().to_string(), "bytes": bytes});
         return print(&value.to_string());
     }
     print(&format!("wrote {} ({bytes} bytes)", args.output.display()))
+}
+
+/// Downloads the result of a finished job to `output`; returns the number of bytes.
+pub async fn fetched(mut client: JobsClient<Channel>, job: u64, output: &Output) -> Result<u64, CliError> {
+    let job = shown(client.clone(), job).await?;
+    client::must_be_done(&job)?;
+    client::fetch(&mut client, &job, output).await
 }

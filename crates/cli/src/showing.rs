@@ -27,7 +27,8 @@ pub fn show_job(job: &v1::Job, json: bool) -> Result<(), CliError> {
     print(&if json { value(job).to_string() } else { line(job) })
 }
 
-fn state(job: &v1::Job) -> &'static str {
+/// The state of a job in a word.
+pub fn state(job: &v1::Job) -> &'static str {
     match job.state() {
         v1::JobState::Unspecified => "unknown",
         v1::JobState::Queued => "queued",
