@@ -15,6 +15,7 @@ mod dump;
 mod house;
 mod process;
 mod program;
+mod python;
 
 use std::time::{Duration, Instant};
 
@@ -24,6 +25,7 @@ pub use dump::{Cell, Dump};
 pub use house::{across, house};
 pub use process::{Background, Coordinator, Run, Sandbox};
 pub use program::{in_ci, program};
+pub use python::{libraries, python, python_folder};
 
 /// A single command or wait that takes longer hangs.
 pub const LIMIT: Duration = Duration::from_secs(300);

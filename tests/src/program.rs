@@ -34,7 +34,6 @@ fn build() -> PathBuf {
             // The whole workspace: for one package cargo would choose other features and build the
             // dependencies again.
             "--workspace",
-            "--bins",
             "--profile",
             profile,
             "--message-format",
