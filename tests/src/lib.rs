@@ -15,6 +15,7 @@ mod dump;
 mod house;
 mod process;
 mod program;
+mod python;
 mod site;
 
 use std::time::{Duration, Instant};
@@ -25,6 +26,7 @@ pub use dump::{Cell, Dump};
 pub use house::{across, house};
 pub use process::{Background, Coordinator, Run, Sandbox};
 pub use program::{example, in_ci, program};
+pub use python::{libraries, python, python_folder};
 pub use site::Site;
 
 /// A single command or wait that takes longer hangs.

@@ -8,7 +8,7 @@ use std::process::Command;
 use std::sync::OnceLock;
 
 use serde_json::{Value, json};
-use sightline_tests::{Browser, Sandbox, in_ci, program};
+use sightline_tests::{Browser, Sandbox, in_ci, libraries, python, python_folder};
 
 /// Results of every kind: a name and the arguments of its bake.
 const RESULTS: [(&str, &str); 12] = [
@@ -117,11 +117,6 @@ fn ask(command: &mut Command) {
     check(&serde_json::from_str(&out).unwrap(), expected, *damaged);
 }
 
-/// The folder with the C library, which is built with the program.
-fn libraries() -> PathBuf {
-    Path::new(&program()).parent().unwrap().to_owned()
-}
-
 #[test]
 fn c_reads_the_same_sets_and_refuses_the_same_files() {
     let (sandbox, ..) = shared();
@@ -153,17 +148,8 @@ fn csharp_reads_the_same_sets_and_refuses_the_same_files() {
 
 #[test]
 fn python_reads_the_same_sets_and_refuses_the_same_files() {
-    let (sandbox, ..) = shared();
-    let environment = sandbox.path("environment");
-    if run(Command::new("python3").args(["-m", "venv"]).arg(&environment)).is_none() {
-        return;
-    }
-    let python = environment.join("bin/python");
-    let mut install = Command::new(&python);
-    install.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check"]);
-    install.env("CARGO_TARGET_DIR", libraries().join("../python"));
-    run(install.arg(root().join("python"))).unwrap();
-    ask(Command::new(&python).arg(root().join("python/tests/say.py")));
+    let Some(python) = python() else { return };
+    ask(Command::new(python).arg(python_folder().join("tests/say.py")));
 }
 
 #[test]

@@ -76,23 +76,20 @@ pub fn fresh_request_id() -> String {
     format!("cli-{}-{now:x}", std::process::id())
 }
 
-/// Follows a job until it ends, showing progress; returns its last state. `workers_here`: the workers run in
-/// this process, so the user need not start any.
+/// Follows a job until it ends; returns its last state.
 pub async fn follow(
     client: &mut JobsClient<Channel>,
     job: u64,
-    workers_here: bool,
+    show: &mut dyn FnMut(&v1::Job),
 ) -> Result<v1::Job, CliError> {
-    let progress = Progress::new();
     let request = v1::ShowRequest { job };
     let mut stream = client.watch(request).await.map_err(|s| CliError::status(&s))?.into_inner();
     let mut last = None;
     while let Some(message) = stream.next().await {
         let message = message.map_err(|s| CliError::status(&s))?;
-        progress.job(&message, workers_here);
+        show(&message);
         last = Some(message);
     }
-    progress.end();
     last.ok_or_else(|| CliError::Coordinator("the coordinator ended the stream without a state".to_owned()))
 }
 

@@ -3,9 +3,10 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use sightline_measure::{Options, Viewpoints, measure, measure_pairs};
+use serde_json::Value;
+use sightline_measure::{MeasureError, Options, Viewpoints, measure, measure_pairs};
 use sightline_places::points::Weighted;
-use sightline_pvs::PvsError;
+use sightline_pvs::{Pvs, PvsError};
 use sightline_sampling::sight::Sight;
 use sightline_sampling::{CubeSpec, PreparedScene, Strata, layers};
 
@@ -13,7 +14,7 @@ use crate::args::MeasureArgs;
 use crate::backends::open_backend;
 use crate::enclosure;
 use crate::error::CliError;
-use crate::opening;
+use crate::opening::{self, Source};
 use crate::places::read_viewpoints;
 use crate::progress::{Progress, say};
 use crate::serve::{self, print};
@@ -23,9 +24,27 @@ const WORST: usize = 8;
 
 /// Measures a result and prints one JSON object.
 pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
+    let pvs = opening::open(&args.result)?;
+    let progress = Progress::new();
+    let mut show = |done, total| {
+        progress.count(done, total, "frames");
+        true
+    };
+    let value = measured(args, &pvs, &Source::File(args.scene.clone()), &mut show);
+    progress.end();
+    print(&value?.to_string())
+}
+
+/// Measures a result: the object that `sightline measure` prints. `progress` takes the numbers of frames that
+/// are done and of all, and says whether to go on.
+pub fn measured(
+    args: &MeasureArgs,
+    pvs: &Pvs,
+    source: &Source,
+    progress: &mut dyn FnMut(u64, u64) -> bool,
+) -> Result<Value, CliError> {
     // Before the first use of the thread pool.
     serve::use_threads(serve::threads(None))?;
-    let pvs = opening::open(&args.result)?;
     let view_box = pvs.tree().view_box();
     // What can be wrong without the scene is found before it is read.
     let on_path = match &args.path {
@@ -52,8 +71,8 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     if args.pairs > 0 && pvs.cell_pairs()?.is_none() {
         return Err(CliError::Input(format!("{}: {}", args.result.display(), PvsError::NoPairs)));
     }
-    let scene = Arc::new(opening::scene_of(&args.scene, &args.kinds, &pvs, &args.result)?);
-    let region = enclosure::of_result(&pvs, &scene, &args.result)?;
+    let scene = Arc::new(opening::read_for(source, &args.kinds, pvs, &args.result)?);
+    let region = enclosure::of_result(pvs, &scene, &args.result)?;
     let is_place = |p: [f32; 3]| {
         pvs.find_cell(p).is_some_and(|c| pvs.is_reached(c).unwrap_or(false))
             && region.as_ref().is_none_or(|region| region.holds(p.into()))
@@ -72,30 +91,29 @@ pub fn run(args: &MeasureArgs) -> Result<(), CliError> {
     let bounds = scene.bounds();
     let prepared = PreparedScene::new(scene)?;
     // A result whose lines end at a distance is judged up to that distance.
-    let info: serde_json::Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
+    let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
     let far = info["sampling"]["far"].as_f64();
     let renderer = layers::renderer(&*backend, &prepared, spec, None, far).map_err(CliError::internal)?;
     let options = Options { images_dir: args.images.clone(), images: WORST, worst: WORST };
-    let progress = Progress::new();
-    let report =
-        measure(&*renderer, &pvs, &views, &options, &mut |done, total| progress.count(done, total, "frames"));
-    progress.end();
+    let report = measure(&*renderer, pvs, &views, &options, progress).map_err(|e| match e {
+        MeasureError::Stopped { .. } => CliError::Interrupted(e.to_string()),
+        e => CliError::Input(e.to_string()),
+    })?;
     let pairs = match args.pairs {
         0 => None,
         count => {
             let sight = Sight::new(&*backend, prepared.traced()).map_err(CliError::internal)?.up_to(far);
             let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
-            let found = measure_pairs(&sight, &pvs, count, args.seed, step, &is_place);
+            let found = measure_pairs(&sight, pvs, count, args.seed, step, &is_place);
             Some(found.map_err(|e| CliError::Input(format!("{}: {e}", args.result.display())))?)
         }
     };
-    let mut value = serde_json::to_value(report.map_err(|e| CliError::Input(e.to_string()))?)
-        .map_err(CliError::internal)?;
+    let mut value = serde_json::to_value(report).map_err(CliError::internal)?;
     value["backend"] = profile.into();
     if let Some(pairs) = pairs {
         value["cell_to_cell"] = serde_json::to_value(pairs).map_err(CliError::internal)?;
     }
-    print(&value.to_string())
+    Ok(value)
 }
 
 /// The viewpoints of --viewpoints-file that are in reached cells.

@@ -1,10 +1,10 @@
 //! Opening scenes and results, and checking that a result was baked from a given scene.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use sightline_pvs::{Pvs, PvsError};
 use sightline_scene::kinds::{Kind, KindCount};
-use sightline_scene::{Rule, Scene};
+use sightline_scene::{Object, Rule, Scene, Triangle};
 
 use crate::error::CliError;
 use crate::kind_args::KindArgs;
@@ -23,22 +23,58 @@ pub fn open(path: &Path) -> Result<Pvs, CliError> {
     })
 }
 
-/// Reads a scene with the flags of the user about kinds and sides, and prints the warnings.
+/// Where a scene comes from.
+#[derive(Clone, Debug)]
+pub enum Source {
+    /// A file: .obj, .ply, .gltf or .glb.
+    File(PathBuf),
+    /// Triangles in the order of their ids, and the objects that they form.
+    Memory(Vec<Triangle>, Vec<Object>),
+}
+
+impl Source {
+    /// The file, or a word that stands for a mesh in messages.
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::File(path) => path,
+            Self::Memory(..) => Path::new("mesh"),
+        }
+    }
+}
+
+/// Reads a scene file with the flags of the user about kinds and sides, and prints the warnings.
 pub fn scene(path: &Path, kinds: &KindArgs) -> Result<Scene, CliError> {
+    read(&Source::File(path.to_owned()), kinds)
+}
+
+/// Reads a scene with the flags of the user about kinds and sides, and prints the warnings.
+pub fn read(source: &Source, kinds: &KindArgs) -> Result<Scene, CliError> {
     let KindArgs { rules, alpha_textures, cull_back_faces } = kinds.clone();
     let limits = sightline_scene::load::Limits::default();
     let options = sightline_scene::load::Options { limits, rules, alpha_textures, cull_back_faces };
-    let loaded = sightline_scene::load_with(path, &options)?;
+    let path = source.path();
+    let loaded = match source {
+        Source::File(path) => sightline_scene::load_with(path, &options),
+        Source::Memory(triangles, objects) => sightline_scene::load::from_memory(
+            &path.display().to_string(),
+            (triangles.clone(), objects.clone()),
+            &options,
+        ),
+    }?;
     loaded.warnings.iter().for_each(|w| say(&format!("warning: {}: {w}", path.display())));
     Ok(loaded.scene)
 }
 
-/// Reads the scene of a result: with the flags of the user, or else with those that the result was baked
+/// Reads the scene file of a result: with the flags of the user, or else with those that the result was baked
 /// with.
 pub fn scene_of(path: &Path, kinds: &KindArgs, pvs: &Pvs, result: &Path) -> Result<Scene, CliError> {
-    let scene =
-        if kinds.is_empty() { self::scene(path, &flags_of(pvs, result)?)? } else { scene(path, kinds)? };
-    check_scene(&scene, pvs, path, result)?;
+    read_for(&Source::File(path.to_owned()), kinds, pvs, result)
+}
+
+/// Reads the scene of a result, as [`scene_of`].
+pub fn read_for(source: &Source, kinds: &KindArgs, pvs: &Pvs, result: &Path) -> Result<Scene, CliError> {
+    let scene = if kinds.is_empty() { read(source, &flags_of(pvs, result)?)? } else { read(source, kinds)? };
+    check_scene(&scene, pvs, source.path(), result)?;
     Ok(scene)
 }
 

@@ -1,24 +1,35 @@
 //! Progress on stderr: a bar on a terminal, otherwise a line every few seconds.
 
 use std::io::{IsTerminal as _, Write as _};
-use std::sync::{LazyLock, Mutex, PoisonError};
+use std::sync::{LazyLock, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use sightline_proto::v1;
+
+use crate::pace::{Left, Pace};
 
 /// Bars and lines share stderr. Every line has to go through this, because it would break a bar otherwise.
 static BARS: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
 
 /// Time between two lines when stderr is not a terminal.
 const LINE_EVERY: Duration = Duration::from_secs(5);
-/// The cells of a tile do not take the same time: the first take long, and most end together. Of few tiles
-/// the time left is told when a fifth of the cells is done.
-const FEW_TILES: u32 = 8;
+
+/// Where lines go instead of stderr.
+type Listener = Box<dyn Fn(&str) + Send + Sync>;
+static LISTENER: OnceLock<Listener> = OnceLock::new();
+
+/// Gives the lines that would go to stderr to a function. Only the first call counts.
+pub fn say_to(listener: impl Fn(&str) + Send + Sync + 'static) {
+    // A second listener is refused.
+    let _ = LISTENER.set(Box::new(listener));
+}
 
 /// Prints a line to stderr.
 pub fn say(text: &str) {
-    if std::io::stderr().is_terminal() {
+    if let Some(listener) = LISTENER.get() {
+        listener(text);
+    } else if std::io::stderr().is_terminal() {
         // Fails only when stderr is closed; then the error cannot be shown either.
         let _ = BARS.println(text);
     } else {
@@ -57,20 +68,11 @@ impl Drop for LogLine {
     }
 }
 
-/// The counts of a job when it was first shown.
-#[derive(Clone, Copy)]
-struct AtStart {
-    tiles: u64,
-    cells: u64,
-    samples: u64,
-}
-
 /// Shows the progress of a job or of a count.
 pub struct Progress {
     bar: Option<ProgressBar>,
     start: Instant,
-    /// The counts at the start: what earlier runs had done already.
-    first: Mutex<Option<AtStart>>,
+    pace: Mutex<Pace>,
     last_line: Mutex<Option<Instant>>,
     /// The job's state when it was last shown.
     last_state: Mutex<Option<v1::JobState>>,
@@ -91,7 +93,7 @@ impl Progress {
         Self {
             bar,
             start: Instant::now(),
-            first: Mutex::new(None),
+            pace: Mutex::new(Pace::new()),
             last_line: Mutex::new(None),
             last_state: Mutex::new(None),
         }
@@ -100,10 +102,10 @@ impl Progress {
     /// Shows a job. `workers_here`: the workers run in this process, so the user need not start any.
     pub fn job(&self, job: &v1::Job, workers_here: bool) {
         let ended = u64::from(job.tiles_done + job.tiles_set_aside);
-        let mut first = self.first.lock().unwrap_or_else(PoisonError::into_inner);
-        let start =
-            *first.get_or_insert(AtStart { tiles: ended, cells: job.cells_done, samples: job.samples });
-        drop(first);
+        let (left, rate) = {
+            let mut pace = self.pace.lock().unwrap_or_else(PoisonError::into_inner);
+            (pace.left(job, workers_here), pace.samples_per_second(job))
+        };
         // A change of state is shown at once, because the next message may come much later.
         let state = Some(job.state());
         if std::mem::replace(&mut *self.last_state.lock().unwrap_or_else(PoisonError::into_inner), state)
@@ -111,40 +113,21 @@ impl Progress {
         {
             *self.last_line.lock().unwrap_or_else(PoisonError::into_inner) = None;
         }
-        let seconds = self.start.elapsed().as_secs_f64();
         let cells = match job.cells_total {
             0 => format!("{} cells", job.cells_done),
             total => format!("{}/{total} cells", job.cells_done),
         };
-        // Cells are counted if their total is known, because a small job may be a single tile.
-        let (here, left) = match job.cells_total {
-            0 => (ended.saturating_sub(start.tiles), u64::from(job.tiles_total).saturating_sub(ended)),
-            total => (job.cells_done.saturating_sub(start.cells), total.saturating_sub(job.cells_done)),
-        };
-        let open = matches!(job.state(), v1::JobState::Queued | v1::JobState::Running);
-        let waits = open && job.workers == 0 && !workers_here;
-        let left = if job.state() == v1::JobState::Paused {
-            format!("PAUSED: `sightline resume {}` continues it", job.id)
-        } else if waits {
-            "NO WORKERS: start some with `sightline worker`".to_owned()
-        } else if left == 0 {
-            "finishing".to_owned()
-        } else if here > 0 && (job.tiles_total > FEW_TILES || here * 4 >= left) {
-            // No job runs much longer than its time budget.
-            let budget = job.spec.as_ref().map_or(0.0, |s| s.time_budget_ms as f64 * 1e-3);
-            match seconds / here as f64 * left as f64 {
-                _ if budget > 0.0 && seconds >= budget => "finishing".to_owned(),
-                left if budget > 0.0 => about(left.min(budget - seconds)),
-                left => about(left),
-            }
-        } else {
-            "time left not known yet".to_owned()
+        let left = match left {
+            Left::Paused => format!("PAUSED: `sightline resume {}` continues it", job.id),
+            Left::NoWorkers => "NO WORKERS: start some with `sightline worker`".to_owned(),
+            Left::Finishing => "finishing".to_owned(),
+            Left::Seconds(seconds) => about(seconds),
+            Left::NotKnown => "time left not known yet".to_owned(),
         };
         let samples = if job.spec.as_ref().is_some_and(|s| s.method() != v1::Method::Aggressive) {
             // Rays come first and queries later; one rate for both would mean nothing.
             format!("{} rays and queries", job.samples)
         } else {
-            let rate = job.samples.saturating_sub(start.samples) as f64 / seconds.max(1e-3);
             format!("{} samples ({rate:.0}/s)", job.samples)
         };
         let aside = match job.tiles_set_aside {

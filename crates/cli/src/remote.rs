@@ -12,7 +12,7 @@ use crate::output::{Format, Output};
 use crate::progress::say;
 use crate::remote_args::{FetchArgs, JobRefArgs, JobsArgs, PriorityArgs, RemoteArgs, ShowArgs};
 use crate::serve::{print, runtime};
-use crate::showing::{ending, listed, show_job, show_whole, value};
+use crate::showing::{ending, listing, show_job, show_whole, value};
 
 /// A change of a job's state.
 #[derive(Clone, Copy)]
@@ -37,6 +37,15 @@ pub fn with<T, F: Future<Output = Result<T, CliError>>>(
     remote: &RemoteArgs,
     f: impl FnOnce(JobsClient<Channel>) -> F,
 ) -> Result<T, CliError> {
+    with_until(remote, crate::serve::stop_signal(), f)
+}
+
+/// [`with`] that ends when `stop` resolves instead.
+pub fn with_until<T, F: Future<Output = Result<T, CliError>>>(
+    remote: &RemoteArgs,
+    stop: impl Future<Output = ()>,
+    f: impl FnOnce(JobsClient<Channel>) -> F,
+) -> Result<T, CliError> {
     runtime()?.block_on(async {
         let work = async {
             // Lists of jobs are the largest messages; gRPC's default limit of 4 MiB holds thousands of jobs.
@@ -44,7 +53,7 @@ pub fn with<T, F: Future<Output = Result<T, CliError>>>(
         };
         tokio::select! {
             r = work => r,
-            () = crate::serve::stop_signal() => {
+            () = stop => {
                 Err(CliError::Interrupted("interrupted; the job continues at the coordinator".to_owned()))
             }
         }
@@ -77,24 +86,11 @@ pub fn watch(args: &JobRefArgs, json: bool) -> Result<(), CliError> {
 
 /// Lists jobs, ascending by id, and says how to see those that were left out.
 pub fn jobs(args: &JobsArgs, json: bool) -> Result<(), CliError> {
-    let (list, older) = with(&args.remote, |mut client| async move {
-        let mut list: Vec<v1::Job> = Vec::new();
-        let mut before = args.before.unwrap_or(0);
-        loop {
-            let limit = if args.all { 0 } else { args.limit };
-            let page = client.list(v1::ListRequest { limit, before }).await;
-            let v1::ListResponse { jobs, older } = page.map_err(|s| CliError::status(&s))?.into_inner();
-            before = jobs.first().map_or(0, |job| job.id);
-            list.splice(0..0, jobs);
-            if !(args.all && older && before > 0) {
-                return Ok((list, older));
-            }
-        }
-    })?;
+    let (list, older) = with(&args.remote, |client| listed(client, args))?;
     if json {
         print(&serde_json::Value::from_iter(list.iter().map(value)).to_string())?;
     } else {
-        list.iter().try_for_each(|j| print(&listed(j)))?;
+        list.iter().try_for_each(|j| print(&listing(j)))?;
     }
     if let Some(first) = list.first().filter(|_| older) {
         let id = first.id;
@@ -103,59 +99,98 @@ pub fn jobs(args: &JobsArgs, json: bool) -> Result<(), CliError> {
     Ok(())
 }
 
+/// The wanted jobs, ascending by id, and whether there are older ones.
+pub async fn listed(
+    mut client: JobsClient<Channel>,
+    args: &JobsArgs,
+) -> Result<(Vec<v1::Job>, bool), CliError> {
+    let mut list: Vec<v1::Job> = Vec::new();
+    let mut before = args.before.unwrap_or(0);
+    loop {
+        let limit = if args.all { 0 } else { args.limit };
+        let page = client.list(v1::ListRequest { limit, before }).await;
+        let v1::ListResponse { jobs, older } = page.map_err(|s| CliError::status(&s))?.into_inner();
+        before = jobs.first().map_or(0, |job| job.id);
+        list.splice(0..0, jobs);
+        if !(args.all && older && before > 0) {
+            return Ok((list, older));
+        }
+    }
+}
+
 /// Shows one job.
 pub fn show(args: &ShowArgs, json: bool) -> Result<(), CliError> {
     if args.tiles {
         return farm::tiles(&args.job.remote, args.job.id, json);
     }
-    let request = v1::ShowRequest { job: args.job.id };
-    let job = with(&args.job.remote, |mut client| async move {
-        client.show(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
-    })?;
+    let job = with(&args.job.remote, |client| shown(client, args.job.id))?;
     show_whole(&job, json)
+}
+
+/// A job as it is now.
+pub async fn shown(mut client: JobsClient<Channel>, job: u64) -> Result<v1::Job, CliError> {
+    let request = v1::ShowRequest { job };
+    client.show(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
 }
 
 /// Cancels, pauses, resumes, retries or deletes.
 pub fn turn(args: &JobRefArgs, turn: Turn, json: bool) -> Result<(), CliError> {
-    let request = v1::ShowRequest { job: args.id };
-    let job = with(&args.remote, |mut client| async move {
-        match turn {
-            Turn::Cancel => client.cancel(request).await,
-            Turn::Pause { now } => client.pause(v1::PauseRequest { job: args.id, now }).await,
-            Turn::Resume => client.resume(request).await,
-            Turn::Retry => client.retry(request).await,
-            Turn::Delete => client.delete(request).await,
-        }
-        .map(tonic::Response::into_inner)
-        .map_err(|s| CliError::status(&s))
-    })?;
+    let job = with(&args.remote, |client| turned(client, args.id, turn))?;
     show_job(&job, json)
+}
+
+/// Cancels, pauses, resumes, retries or deletes; returns the job.
+pub async fn turned(mut client: JobsClient<Channel>, job: u64, turn: Turn) -> Result<v1::Job, CliError> {
+    let request = v1::ShowRequest { job };
+    match turn {
+        Turn::Cancel => client.cancel(request).await,
+        Turn::Pause { now } => client.pause(v1::PauseRequest { job, now }).await,
+        Turn::Resume => client.resume(request).await,
+        Turn::Retry => client.retry(request).await,
+        Turn::Delete => client.delete(request).await,
+    }
+    .map(tonic::Response::into_inner)
+    .map_err(|s| CliError::status(&s))
 }
 
 /// Gives a job another priority.
 pub fn prioritize(args: &PriorityArgs, json: bool) -> Result<(), CliError> {
     let request = v1::PrioritizeRequest { job: args.job.id, priority: args.priority };
-    let job = with(&args.job.remote, |mut client| async move {
-        client.prioritize(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
-    })?;
+    let job = with(&args.job.remote, |client| prioritized(client, request))?;
     show_job(&job, json)
+}
+
+/// Gives a job another priority; returns the job.
+pub async fn prioritized(
+    mut client: JobsClient<Channel>,
+    request: v1::PrioritizeRequest,
+) -> Result<v1::Job, CliError> {
+    client.prioritize(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
 }
 
 /// Downloads a result.
 pub fn fetch(args: &FetchArgs, json: bool) -> Result<(), CliError> {
-    let request = v1::ShowRequest { job: args.job.id };
     let output = Output::check(&args.output, Format::Pvs, None)?;
-    let bytes = with(&args.job.remote, |mut client| async move {
-        let job = client.show(request).await.map_err(|s| CliError::status(&s))?.into_inner();
-        if args.partial && job.state() != v1::JobState::Done {
-            return client::fetch_partial(&mut client, &job, &output).await;
-        }
-        client::must_be_done(&job)?;
-        client::fetch(&mut client, &job, &output).await
-    })?;
+    let bytes = with(&args.job.remote, |client| fetched(client, args.job.id, args.partial, &output))?;
     if json {
         let value = serde_json::json!({"output": args.output.display().to_string(), "bytes": bytes});
         return print(&value.to_string());
     }
     print(&format!("wrote {} ({bytes} bytes)", args.output.display()))
+}
+
+/// Downloads the result of a finished job to `output`, or what is done of one that has not ended; returns the
+/// number of bytes.
+pub async fn fetched(
+    mut client: JobsClient<Channel>,
+    job: u64,
+    partial: bool,
+    output: &Output,
+) -> Result<u64, CliError> {
+    let job = shown(client.clone(), job).await?;
+    if partial && job.state() != v1::JobState::Done {
+        return client::fetch_partial(&mut client, &job, output).await;
+    }
+    client::must_be_done(&job)?;
+    client::fetch(&mut client, &job, output).await
 }

@@ -118,8 +118,10 @@ fn look(args: &ReportArgs, pvs: &Pvs) -> Result<Found, CliError> {
         worst: args.viewpoints as usize,
     };
     let progress = Progress::new();
-    let report =
-        measure(&*renderer, pvs, &views, &options, &mut |done, total| progress.count(done, total, "frames"));
+    let report = measure(&*renderer, pvs, &views, &options, &mut |done, total| {
+        progress.count(done, total, "frames");
+        true
+    });
     progress.end();
     let error = report.map_err(|e| CliError::Input(e.to_string()))?;
     let mut frames = Vec::new();

@@ -1,6 +1,6 @@
 //! `sightline coordinator` and `sightline worker`, and the functions that other commands share with them.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use sightline_coordinator::{Config, Coordinator};
@@ -130,10 +130,16 @@ pub fn threads(asked: Option<usize>) -> usize {
 }
 
 /// Sets the size of the process's thread pool, which reads scenes, samples, answers queries and codes
-/// results. Call it before the first use of the pool. Tiles run on separate threads, so that no tile waits
-/// inside another one.
+/// results. Call it before the first use of the pool; only the first call of a process counts. Tiles run on
+/// separate threads, so that no tile waits inside another one.
 pub fn use_threads(threads: usize) -> Result<(), CliError> {
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().map_err(CliError::internal)
+    static IS_SET: Mutex<bool> = Mutex::new(false);
+    let mut is_set = IS_SET.lock().unwrap_or_else(PoisonError::into_inner);
+    if !*is_set {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().map_err(CliError::internal)?;
+        *is_set = true;
+    }
+    Ok(())
 }
 
 /// The async runtime. Its two threads only move bytes.

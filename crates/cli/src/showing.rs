@@ -21,11 +21,11 @@ pub fn show_whole(job: &v1::Job, json: bool) -> Result<(), CliError> {
         let shown = |(name, field): (&String, &serde_json::Value)| format!("\n  {name}: {field}");
         fields.iter().map(shown).collect::<String>()
     });
-    print(&format!("{}{}", listed(job), spec.unwrap_or_default()))
+    print(&format!("{}{}", listing(job), spec.unwrap_or_default()))
 }
 
 /// A job in a line with its age and, while it runs, the time left.
-pub fn listed(job: &v1::Job) -> String {
+pub fn listing(job: &v1::Job) -> String {
     let since = |ms: u64| human(Duration::from_millis(job.now_ms.saturating_sub(ms)));
     let age = match job.finished_at_ms {
         0 => format!("submitted {} ago", since(job.submitted_at_ms)),
@@ -57,7 +57,8 @@ pub fn show_job(job: &v1::Job, json: bool) -> Result<(), CliError> {
     print(&if json { value(job).to_string() } else { line(job) })
 }
 
-fn state(job: &v1::Job) -> &'static str {
+/// The state of a job in a word.
+pub fn state(job: &v1::Job) -> &'static str {
     match job.state() {
         v1::JobState::Unspecified => "unknown",
         v1::JobState::Queued => "queued",

@@ -5,10 +5,13 @@ use std::time::Duration;
 
 use sightline_proto::chunks::CHUNK_BYTES;
 use sightline_proto::v1;
+use sightline_proto::v1::jobs_client::JobsClient;
+use sightline_scene::Scene;
+use tonic::transport::Channel;
 
 use crate::client;
 use crate::error::CliError;
-use crate::opening::{self, plural};
+use crate::opening::{self, Source, plural};
 use crate::progress::{human, say};
 use crate::remote::with;
 use crate::remote_args::SubmitArgs;
@@ -17,25 +20,12 @@ use crate::showing::value;
 
 /// Uploads a scene and submits a job.
 pub fn submit(args: &SubmitArgs, json: bool) -> Result<(), CliError> {
-    let scene = Arc::new(opening::scene(&args.scene, &args.kinds)?);
-    opening::scene_in_words(&scene).iter().for_each(|line| say(line));
-    let spec = args.job.spec(&args.scene, &scene)?;
-    let file_name = || args.scene.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let request = v1::SubmitRequest {
-        request_id: args.request_id.clone().unwrap_or_else(client::fresh_request_id),
-        name: short(&args.name.clone().unwrap_or_else(file_name)),
-        spec: Some(spec.to_proto()),
-        priority: args.priority,
-        user: short(&args.user.clone().unwrap_or_else(login_name)),
-    };
+    let (scene, request) = prepare(args, &Source::File(args.scene.clone()))?;
     if args.dry_run {
         return estimate(args, &scene, request, json);
     }
     let priority = request.priority;
-    let answer = with(&args.remote, |mut client| async move {
-        client::upload(&mut client, &scene).await?;
-        client.submit(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
-    })?;
+    let answer = with(&args.remote, |client| submitted(client, &scene, request))?;
     let job = answer.job.unwrap_or_default();
     if answer.existing {
         say(&format!("job {} does this already", job.id));
@@ -47,6 +37,32 @@ pub fn submit(args: &SubmitArgs, json: bool) -> Result<(), CliError> {
         }
     }
     if json { print(&value(&job).to_string()) } else { print(&job.id.to_string()) }
+}
+
+/// The scene, and the request for a job about it.
+pub fn prepare(args: &SubmitArgs, source: &Source) -> Result<(Arc<Scene>, v1::SubmitRequest), CliError> {
+    let scene = Arc::new(opening::read(source, &args.kinds)?);
+    opening::scene_in_words(&scene).iter().for_each(|line| say(line));
+    let spec = args.job.spec(source.path(), &scene)?;
+    let file_name = || source.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let request = v1::SubmitRequest {
+        request_id: args.request_id.clone().unwrap_or_else(client::fresh_request_id),
+        name: short(&args.name.clone().unwrap_or_else(file_name)),
+        spec: Some(spec.to_proto()),
+        priority: args.priority,
+        user: short(&args.user.clone().unwrap_or_else(login_name)),
+    };
+    Ok((scene, request))
+}
+
+/// Uploads a scene and submits a request about it.
+pub async fn submitted(
+    mut client: JobsClient<Channel>,
+    scene: &Scene,
+    request: v1::SubmitRequest,
+) -> Result<v1::SubmitResponse, CliError> {
+    client::upload(&mut client, scene).await?;
+    client.submit(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
 }
 
 /// A name as the coordinator accepts it.
@@ -84,7 +100,7 @@ fn user_of_process() -> Option<String> {
 /// Says what a job would cost.
 fn estimate(
     args: &SubmitArgs,
-    scene: &sightline_scene::Scene,
+    scene: &Scene,
     request: v1::SubmitRequest,
     json: bool,
 ) -> Result<(), CliError> {

@@ -7,30 +7,61 @@ use std::time::Instant;
 use glam::Vec3;
 use serde_json::{Value, json};
 use sightline_certificate::checker::Kinds;
-use sightline_certificate::{Refused, Report, Sample, VerifyError, VerifyOptions, verify};
+use sightline_certificate::{Report, Sample, VerifyError, VerifyOptions, verify};
 use sightline_model::{Choice as _, Method};
 use sightline_pvs::Pvs;
 
 use crate::args::VerifyArgs;
 use crate::error::CliError;
-use crate::opening;
+use crate::opening::{self, Source};
 use crate::progress::{Progress, human, say};
 use crate::serve::{self, print, threads};
+use crate::verdict::{Hooks, Verdict};
 use crate::verify_hidden;
 
 /// Set by the first Ctrl-C.
 static CANCELLED: AtomicBool = AtomicBool::new(false);
 
-/// Checks a result against its scene.
+/// Checks a result against its scene, and prints what came of it.
 pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
-    serve::use_threads(threads(args.threads.map(usize::from)))?;
     let pvs = opening::open(&args.result)?;
-    let scene = opening::scene_of(&args.scene, &args.kinds, &pvs, &args.result)?;
+    cancel_on_interrupt()?;
+    let progress = Progress::new();
+    let hooks = Hooks {
+        progress: &|done, cells| progress.count(u64::from(done), u64::from(cells), "cells"),
+        cancelled: &|| CANCELLED.load(Ordering::Relaxed),
+    };
+    let start = Instant::now();
+    let verdict = verified(args, &pvs, &Source::File(args.scene.clone()), &hooks);
+    progress.end();
+    match verdict? {
+        Verdict::Accepted(value, text) => {
+            say(&format!("verified in {}", human(start.elapsed())));
+            print(&if json { value.to_string() } else { text })
+        }
+        Verdict::Refused(value, text) => {
+            if json {
+                print(&value.to_string())?;
+            }
+            Err(CliError::Input(text))
+        }
+    }
+}
+
+/// Checks a result against its scene.
+pub fn verified(
+    args: &VerifyArgs,
+    pvs: &Pvs,
+    source: &Source,
+    hooks: &Hooks<'_>,
+) -> Result<Verdict, CliError> {
+    serve::use_threads(threads(args.threads.map(usize::from)))?;
+    let scene = opening::read_for(source, &args.kinds, pvs, &args.result)?;
     if !scene.sides().are_both() {
         return Err(CliError::Input(format!(
             "back faces of {} are culled for {}, and certificates are about triangles that are seen from \
              both sides; verify a result of a bake without --cull-back-faces",
-            args.scene.display(),
+            source.path().display(),
             args.result.display()
         )));
     }
@@ -42,47 +73,33 @@ pub fn run(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
                 args.result.display()
             )));
         };
-        return verify_hidden::run(args, (&pvs, &scene), wanted, json);
+        return verify_hidden::check(args, (pvs, &scene), wanted, hooks);
     }
     let triangles: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
     // The digest of the scene, which the result names, covers the kinds.
     let (blocks, shows): (Vec<bool>, Vec<bool>) =
         scene.kinds().by_triangle().iter().map(|k| (k.blocks(), k.shows())).unzip();
-    cancel_on_interrupt()?;
-    let progress = Progress::new();
-    let start = Instant::now();
     let report = verify(
         &triangles,
-        &pvs,
+        pvs,
         &VerifyOptions {
             kinds: Kinds { blocks: &blocks, shows: &shows },
             sample: args.sample.map(|pairs| Sample { pairs, seed: args.seed }),
-            progress: Some(&|done, cells| progress.count(u64::from(done), u64::from(cells), "cells")),
-            cancelled: Some(&|| CANCELLED.load(Ordering::Relaxed)),
+            progress: Some(hooks.progress),
+            cancelled: Some(hooks.cancelled),
         },
     );
-    progress.end();
-    let report = match report {
-        Ok(report) => report,
+    match report {
+        Ok(report) => Ok(Verdict::Accepted(report_json(&report, pvs, args), report_text(&report, args))),
         Err(VerifyError::Refused(refused)) => {
-            if json {
-                print(&refusal_json(&refused).to_string())?;
-            }
-            return Err(CliError::Input(refusal_text(&refused, &args.result)));
+            Ok(Verdict::refused(refused.cell, &refused.reason, &args.result))
         }
-        Err(VerifyError::Cancelled { verified, cells }) => {
-            return Err(CliError::Interrupted(format!(
-                "interrupted; {verified} of {cells} cells verified so far, all accepted"
-            )));
-        }
-        Err(VerifyError::NoCertificates { .. }) => return Err(no_certificates(&pvs, &args.result)),
-        Err(e @ VerifyError::OtherScene { .. }) => return Err(CliError::Input(e.to_string())),
-    };
-    say(&format!("verified in {}", human(start.elapsed())));
-    if json {
-        return print(&report_json(&report, &pvs, args).to_string());
+        Err(VerifyError::Cancelled { verified, cells }) => Err(CliError::Interrupted(format!(
+            "interrupted; {verified} of {cells} cells verified so far, all accepted"
+        ))),
+        Err(VerifyError::NoCertificates { .. }) => Err(no_certificates(pvs, &args.result)),
+        Err(e @ VerifyError::OtherScene { .. }) => Err(CliError::Input(e.to_string())),
     }
-    print(&report_text(&report, args))
 }
 
 /// Lets the first Ctrl-C cancel the verification and the second one end the process.
@@ -118,22 +135,6 @@ fn no_certificates(pvs: &Pvs, result: &Path) -> CliError {
         pvs.method(),
         if pvs.method() == "aggressive" { "--method exact " } else { "" }
     ))
-}
-
-fn refusal_json(refused: &Refused) -> Value {
-    match refused.cell {
-        Some(cell) => json!({"accepted": false, "cell": cell, "reason": refused.reason}),
-        None => json!({"accepted": false, "reason": refused.reason}),
-    }
-}
-
-fn refusal_text(refused: &Refused, result: &Path) -> String {
-    let cell = refused.cell.map_or(String::new(), |cell| format!(", cell {cell}"));
-    format!(
-        "REFUSED: {}{cell}: {}; the result is damaged or was altered, bake it again",
-        result.display(),
-        refused.reason
-    )
 }
 
 fn report_json(report: &Report, pvs: &Pvs, args: &VerifyArgs) -> Value {

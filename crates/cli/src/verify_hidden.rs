@@ -2,7 +2,6 @@
 //! about pairs of a cell and a triangle that are called hidden.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -19,13 +18,18 @@ use crate::enclosure::{of_result, walls_of};
 use crate::error::CliError;
 use crate::opening::plural;
 use crate::progress::say;
-use crate::serve::print;
+use crate::verdict::{Hooks, Verdict};
 
 /// Draws of a pair that are not hidden before the sample ends with fewer pairs.
 const TRIES: u32 = 1000;
 
 /// Asks about pairs that are drawn at random.
-pub fn run(args: &VerifyArgs, (pvs, scene): (&Pvs, &Scene), wanted: u64, json: bool) -> Result<(), CliError> {
+pub fn check(
+    args: &VerifyArgs,
+    (pvs, scene): (&Pvs, &Scene),
+    wanted: u64,
+    hooks: &Hooks<'_>,
+) -> Result<Verdict, CliError> {
     let info: serde_json::Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
     if info["sampling"]["far"].is_number() {
         return Err(CliError::Input(format!(
@@ -46,50 +50,38 @@ pub fn run(args: &VerifyArgs, (pvs, scene): (&Pvs, &Scene), wanted: u64, json: b
     let faces = open_faces(pvs, scene, &pairs, places);
     let ask = |(cell, triangle): &(u32, u32)| {
         let places = faces.get(cell).map(|faces| faces as &dyn Places).or(places);
-        ask(pvs, &exact, places, *cell, *triangle)
+        ask(pvs, &exact, (places, hooks.cancelled), *cell, *triangle)
     };
     let answers: Vec<Result<Answer, CliError>> = pairs.par_iter().map(ask).collect();
+    if (hooks.cancelled)() {
+        return Err(CliError::Interrupted("interrupted; nothing is known yet".to_owned()));
+    }
     let (mut hidden, mut undecided) = (0u64, 0u64);
     for ((cell, triangle), answer) in pairs.iter().zip(answers) {
         match answer? {
             Answer::Hidden => hidden += 1,
             Answer::Undecided => undecided += 1,
-            Answer::Seen(why) => return Err(refused(&args.result, *cell, *triangle, &why, json)),
+            Answer::Seen(why) => {
+                let reason = format!("triangle {triangle} is called hidden and {why}");
+                return Ok(Verdict::refused(Some(*cell), &reason, &args.result));
+            }
         }
     }
-    if json {
-        return print(
-            &json!({
-                "accepted": true, "method": pvs.method(), "cells": pvs.cells(), "pairs": pairs.len(),
-                "hidden": hidden, "undecided": undecided, "sampled": true,
-            })
-            .to_string(),
-        );
-    }
+    let value = json!({
+        "accepted": true, "method": pvs.method(), "cells": pvs.cells(), "pairs": pairs.len(),
+        "hidden": hidden, "undecided": undecided, "sampled": true,
+    });
     if (pairs.len() as u64) < wanted {
         say(&format!(
             "note: of {wanted} pairs {} were found: nearly all triangles are in the sets",
             pairs.len()
         ));
     }
-    print(&format!(
+    let text = format!(
         "accepted: of {} called hidden, exact queries say the same of {hidden}; {undecided} are undecided",
         plural(pairs.len(), "pair")
-    ))
-}
-
-fn refused(result: &Path, cell: u32, triangle: u32, why: &str, json: bool) -> CliError {
-    let reason = format!("triangle {triangle} is called hidden and {why}");
-    if json {
-        let printed = print(&json!({"accepted": false, "cell": cell, "reason": reason}).to_string());
-        if let Err(e) = printed {
-            return e;
-        }
-    }
-    CliError::Input(format!(
-        "REFUSED: {}, cell {cell}: {reason}; the result is damaged or was altered, bake it again",
-        result.display()
-    ))
+    );
+    Ok(Verdict::Accepted(value, text))
 }
 
 /// Pairs of a cell with viewpoints and a triangle that can be in a set and is not in the cell's.
@@ -146,7 +138,7 @@ fn open_faces<'a>(
 fn ask(
     pvs: &Pvs,
     scene: &ExactScene,
-    places: Option<&dyn Places>,
+    (places, cancelled): (Option<&dyn Places>, &(dyn Fn() -> bool + Sync)),
     cell: u32,
     triangle: u32,
 ) -> Result<Answer, CliError> {
@@ -163,7 +155,7 @@ fn ask(
     let Some(target) = Polygon::triangle(corners.map(|v| v.as_dvec3())) else { return Ok(Answer::Hidden) };
     let mut cost = Cost::default();
     let limits = Limits::default();
-    let found = from_cell(scene.occluders(), &sources, (&[target], None), (&limits, &|| false), &mut cost);
+    let found = from_cell(scene.occluders(), &sources, (&[target], None), (&limits, cancelled), &mut cost);
     Ok(match found {
         Found::Hidden(_) => Answer::Hidden,
         Found::Undecided(_) => Answer::Undecided,

@@ -5,6 +5,14 @@ use std::path::PathBuf;
 /// Why nothing was measured.
 #[derive(Debug, thiserror::Error)]
 pub enum MeasureError {
+    /// The caller did not want to go on.
+    #[error("interrupted after {done} of {total} frames")]
+    Stopped {
+        /// Frames that are done.
+        done: u64,
+        /// All frames.
+        total: u64,
+    },
     /// The camera path cannot be read.
     #[error("cannot read the camera path at line {line}: {source}")]
     Read {

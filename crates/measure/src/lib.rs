@@ -21,7 +21,7 @@
 //! let spec = CubeSpec { resolution: 256, strata: Strata::One, keep_pixels: false };
 //! let backend = CpuBackend::new(scene, spec)?;
 //! let renderer = backend.prepare(None)?;
-//! let report = measure(&*renderer, &pvs, &views, &Options::default(), &mut |_, _| {})?;
+//! let report = measure(&*renderer, &pvs, &views, &Options::default(), &mut |_, _| true)?;
 //! println!("{}", serde_json::to_string(&report)?);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```

@@ -53,18 +53,19 @@ struct Judged {
 }
 
 /// Measures a result from `views`. `renderer` draws the whole scene that was baked. `progress` is told how
-/// many frames are done and how many there are. The report depends on the images alone, not on threads or
-/// time.
+/// many frames are done and how many there are, and says whether to go on. The report depends on the images
+/// alone, not on threads or time.
 ///
 /// # Errors
-/// [`MeasureError::Outside`] when a viewpoint has no cell, [`MeasureError::OtherScene`] when the renderer
-/// shows another scene, and what the renderer, the result's decoder and the file system report.
+/// [`MeasureError::Stopped`] when `progress` says so, [`MeasureError::Outside`] when a viewpoint has no cell,
+/// [`MeasureError::OtherScene`] when the renderer shows another scene, and what the renderer, the result's
+/// decoder and the file system report.
 pub fn measure(
     renderer: &dyn CubeRenderer,
     pvs: &Pvs,
     views: &Viewpoints,
     options: &Options,
-    progress: &mut dyn FnMut(u64, u64),
+    progress: &mut dyn FnMut(u64, u64) -> bool,
 ) -> Result<Report, MeasureError> {
     if views.points.is_empty() {
         return Err(MeasureError::NoViewpoints);
@@ -112,7 +113,10 @@ pub fn measure(
                 largest.push(u64::from(judged.regions.largest));
             }
         }
-        progress(frames.len() as u64, total);
+        let done = frames.len() as u64;
+        if !progress(done, total) {
+            return Err(MeasureError::Stopped { done, total });
+        }
     }
 
     // Sums of whole pixels: no order of additions can change them.

@@ -61,7 +61,7 @@ fn image(pixels: &[(usize, u32)]) -> Vec<u32> {
 fn run(images: Vec<Vec<u32>>, is_path: bool, options: &Options) -> Result<Report, MeasureError> {
     let points = (0..images.len()).map(|i| Vec3::new(i as f32 + 0.5, 0.5, 0.5)).collect();
     let fake = Fake((0..).zip(images).collect());
-    measure(&fake, &pvs(), &Viewpoints { points, weights: Vec::new(), is_path }, options, &mut |_, _| ())
+    measure(&fake, &pvs(), &Viewpoints { points, weights: Vec::new(), is_path }, options, &mut |_, _| true)
 }
 
 #[test]
@@ -144,9 +144,15 @@ fn progress_ends_at_all_frames() {
     let points = (0..70).map(|i| Vec3::new(i as f32 + 0.5, 0.5, 0.5)).collect();
     let mut told = Vec::new();
     let views = Viewpoints { points, weights: Vec::new(), is_path: false };
-    measure(&fake, &pvs(), &views, &Options::default(), &mut |done, total| told.push((done, total))).unwrap();
+    let mut tell = |done, total| {
+        told.push((done, total));
+        true
+    };
+    measure(&fake, &pvs(), &views, &Options::default(), &mut tell).unwrap();
     assert_eq!(told.last(), Some(&(70, 70)));
     assert!(told.is_sorted() && told.len() > 1, "{told:?}");
+    let stopped = measure(&fake, &pvs(), &views, &Options::default(), &mut |_, _| false).unwrap_err();
+    assert!(matches!(stopped, MeasureError::Stopped { done: 1..70, total: 70 }), "{stopped}");
 }
 
 #[test]
@@ -155,7 +161,7 @@ fn what_cannot_be_measured_is_refused() {
         |x: f32| Viewpoints { points: vec![Vec3::new(x, 0.5, 0.5)], weights: Vec::new(), is_path: false };
     let go = |ids: Vec<u32>, views: &Viewpoints| {
         let fake = Fake(BTreeMap::from([(0, ids)]));
-        measure(&fake, &pvs(), views, &Options::default(), &mut |_, _| ()).unwrap_err()
+        measure(&fake, &pvs(), views, &Options::default(), &mut |_, _| true).unwrap_err()
     };
     assert!(matches!(go(image(&[]), &one(-1.0)), MeasureError::Outside { frame: 0, .. }));
     assert!(matches!(go(image(&[]), &one(7.0)), MeasureError::Backend(_)));

@@ -153,6 +153,11 @@ impl Pvs {
         Ok(self.portals.get().and_then(Option::as_ref))
     }
 
+    /// The whole file.
+    pub fn bytes(&self) -> &[u8] {
+        self.bytes.get()
+    }
+
     fn part(&self, section: Section) -> &[u8] {
         &self.bytes.get()[self.layout.range(section)]
     }

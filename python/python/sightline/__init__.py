@@ -1,11 +1,39 @@
-"""Results of Sightline: view cells, and what is visible from each.
+"""Sightline: from-region visibility of triangle scenes.
 
     import sightline
-    pvs = sightline.Pvs("level.pvs")          # checks all of the file
-    ids = pvs.visible((1.5, 2.0, -3.0))       # numpy array of triangle ids, ascending
-    ids = pvs.visible(37)                     # the same of a cell
+    pvs = sightline.bake("level.glb", cells=(16, 4, 16))   # or (vertices, faces), or a mesh of trimesh
+    ids = pvs.visible((1.5, 2.0, -3.0))                    # numpy array of triangle ids, ascending
+    error = sightline.measure(pvs, "level.glb")["mean_error"]
+    job = sightline.Client("http://127.0.0.1:7600").submit("level.glb")
+
+Results are read with `Pvs("level.pvs")`. What the program says of its work goes to the logger "sightline".
 """
 
-from ._sightline import Error, Pvs
+import os as _os
+import tempfile as _tempfile
 
-__all__ = ["Error", "Pvs"]
+# Mesa's Vulkan drivers complain where there is none.
+_os.environ.setdefault("XDG_RUNTIME_DIR", _tempfile.gettempdir())
+
+from ._client import Client, Job
+from ._errors import CoordinatorError, Error, InputError, JobError, OptionError, Refused, SightlineError
+from ._progress import Progress
+from ._sightline import Pvs
+from ._work import bake, measure, verify
+
+__all__ = [
+    "Client",
+    "CoordinatorError",
+    "Error",
+    "InputError",
+    "Job",
+    "JobError",
+    "OptionError",
+    "Progress",
+    "Pvs",
+    "Refused",
+    "SightlineError",
+    "bake",
+    "measure",
+    "verify",
+]

@@ -8,6 +8,7 @@
 mod gltf;
 mod limits;
 mod marks;
+mod memory;
 mod mtl;
 mod names;
 mod obj;
@@ -20,6 +21,7 @@ use self::marks::Marks;
 use crate::{Rule, Scene, SceneError, Sides};
 pub use limits::Limits;
 use limits::read_file;
+pub use memory::from_memory;
 pub use sniff::Kind;
 
 /// Options of loading.

@@ -1,7 +1,8 @@
 //! The `sightline` command: reads the arguments, runs the subcommand and turns its outcome into an exit code.
 //!
 //! Results go to stdout, everything else to stderr. A file of this crate holds one subcommand or a few
-//! related ones.
+//! related ones. [`calls`] has some of the commands as functions, for programs that want values instead of
+//! text.
 
 #![allow(
     rustdoc::broken_intra_doc_links,
@@ -11,8 +12,10 @@
 mod args;
 mod backends;
 mod bake;
+mod baking;
 mod bench;
 mod bench_args;
+pub mod calls;
 mod cells;
 mod choices;
 mod client;
@@ -34,6 +37,7 @@ mod manuals;
 mod measuring;
 mod opening;
 mod output;
+mod pace;
 mod place_args;
 mod places;
 mod portals;
@@ -48,6 +52,7 @@ mod showing;
 mod sightlines;
 mod stab;
 mod submitting;
+mod verdict;
 mod verify;
 mod verify_hidden;
 mod view;
@@ -61,7 +66,8 @@ use clap::Parser as _;
 use crate::args::{Cli, Command};
 use crate::error::CliError;
 
-fn main() -> ExitCode {
+/// Runs the command that the arguments of this process name.
+pub fn command() -> ExitCode {
     quiet_vulkan();
     let cli = Cli::parse_from(kind_args::with_opaque_alone(std::env::args_os()));
     let filter = tracing_subscriber::EnvFilter::try_from_env("SIGHTLINE_LOG")
@@ -92,7 +98,7 @@ fn main() -> ExitCode {
 )]
 fn quiet_vulkan() {
     if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-        // SAFETY: this is the first thing `main` does; no other thread exists.
+        // SAFETY: this is the first thing the program does; no other thread exists.
         unsafe { std::env::set_var("XDG_RUNTIME_DIR", std::env::temp_dir()) };
     }
 }

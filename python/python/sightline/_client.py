@@ -1,0 +1,137 @@
+"""The client of a coordinator: jobs that its workers bake."""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import TYPE_CHECKING, Any, Dict, List, Optional
+
+from . import _mesh, _options, _progress, _sightline, _work
+from ._sightline import Pvs
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+
+class Client:
+    """A coordinator, started with `sightline coordinator`.
+
+        client = sightline.Client("http://127.0.0.1:7600")
+        job = client.submit("level.glb", cells=(16, 4, 16))
+        pvs = job.wait(progress=print).fetch()
+
+    Each call connects anew, so that a coordinator may be restarted in between. `connection` are further options of
+    the commands of a client, as the command line has them.
+    """
+
+    def __init__(self, url: str = "http://127.0.0.1:7600", **connection: str) -> None:
+        given = {"coordinator": url, **connection}
+        #: Where the coordinator is.
+        self.url = url
+        self._native = _sightline.Client([f"--{k.replace('_', '-')}={v}" for k, v in given.items()])
+
+    def submit(
+        self,
+        mesh: _mesh.MeshLike,
+        *,
+        name: Optional[str] = None,
+        user: Optional[str] = None,
+        priority: int = 0,
+        request_id: Optional[str] = None,
+        **options: Unpack[_options.JobOptions],
+    ) -> Job:
+        """Uploads a mesh and submits a job; the meshes and options are those of `bake`. A job that the coordinator
+        has already, with the same mesh and options, is returned instead (`Job.existing`).
+
+        name: shown beside the job's number. user: who submits, by default the login name.
+        priority: jobs of a higher one get workers first, -1000 to 1000.
+        request_id: makes it safe to submit again after a fault: the same text gives the same job.
+        """
+        given: Dict[str, Any] = {"name": name, "user": user, "priority": priority, "request_id": request_id, **options}
+        known = (*_options.JobOptions.__annotations__, "name", "user", "priority", "request_id")
+        with _options.folder() as folder:
+            flags = _options.flags("submit", known, given, folder)
+            told, existing = self._native.submit(_mesh.source(mesh), flags)
+        return Job(self, json.loads(told), existing)
+
+    def jobs(self, *, limit: Optional[int] = None, before: Optional[int] = None) -> List[Job]:
+        """The newest jobs, ascending by number: at most `limit` (100), older than the job `before`."""
+        flags = _options.flags("jobs", ("limit", "before"), {"limit": limit, "before": before}, "")
+        return [Job(self, json.loads(told), True) for told in self._native.jobs(flags)]
+
+    def job(self, number: int) -> Job:
+        """The job with a number."""
+        return Job(self, json.loads(self._native.show(number)), True)
+
+    def __repr__(self) -> str:
+        return f"<sightline.Client of {self.url}>"
+
+
+class Job:
+    """A job of a coordinator."""
+
+    def __init__(self, client: Client, info: Dict[str, Any], existing: bool) -> None:
+        self._client = client
+        #: What was last heard of the job: what `sightline show --json` prints. `refresh` asks again.
+        self.info = info
+        #: Whether the coordinator had the job before it was submitted.
+        self.existing = existing
+
+    @property
+    def number(self) -> int:
+        """The job's number at its coordinator."""
+        return int(self.info["job"])
+
+    @property
+    def state(self) -> str:
+        """The state now: queued, running, paused, cancelled, failed or done."""
+        return str(self.refresh().info["state"])
+
+    def refresh(self) -> Job:
+        """Asks the coordinator for `info`."""
+        return self._heard(self._client._native.show(self.number))
+
+    def wait(self, progress: Optional[_progress.OnProgress] = None) -> Job:
+        """Waits until the job is done. One that fails or is cancelled raises JobError. Ctrl-C, and what `progress`
+        raises, end the waiting and not the job."""
+        return self._heard(self._client._native.wait(self.number, _progress.caller(progress)))
+
+    def fetch(self, path: Optional[_options.Path] = None) -> Pvs:
+        """The result of a job that is done; with a path it is kept there."""
+        if path is not None:
+            self._client._native.fetch(self.number, os.fspath(path))
+            return Pvs(path)
+        with _options.folder() as folder:
+            file = os.path.join(folder, "result.pvs")
+            self._client._native.fetch(self.number, file)
+            return _work._read(file)
+
+    def cancel(self) -> Job:
+        """Ends the job. Its finished tiles are kept for `retry`."""
+        return self._turn("cancel")
+
+    def pause(self) -> Job:
+        """Gives out no more of its tiles, and stops the running ones."""
+        return self._turn("pause")
+
+    def resume(self) -> Job:
+        """Continues a paused job."""
+        return self._turn("resume")
+
+    def retry(self) -> Job:
+        """Continues a failed or cancelled job, or bakes again what a finished job has set aside."""
+        return self._turn("retry")
+
+    def prioritize(self, priority: int) -> Job:
+        """Gives the job another priority, -1000 to 1000."""
+        return self._heard(self._client._native.prioritize(self.number, priority))
+
+    def _turn(self, turn: str) -> Job:
+        return self._heard(self._client._native.turn(self.number, turn))
+
+    def _heard(self, told: str) -> Job:
+        self.info = json.loads(told)
+        return self
+
+    def __repr__(self) -> str:
+        return f"<sightline.Job {self.number} {self.info['name']}: {self.info['state']}>"

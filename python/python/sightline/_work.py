@@ -1,0 +1,141 @@
+"""Baking, measuring and checking in this process."""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import TYPE_CHECKING, Any, Dict, Optional, Sequence, Union
+
+from . import _mesh, _options, _progress, _sightline
+from ._errors import Refused
+from ._sightline import Pvs
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+_JOB = tuple(_options.JobOptions.__annotations__)
+_KINDS = tuple(_options.KindOptions.__annotations__)
+
+
+def bake(
+    mesh: _mesh.MeshLike,
+    *,
+    output: Optional[_options.Path] = None,
+    data_dir: Optional[_options.Path] = None,
+    workers: Optional[int] = None,
+    progress: Optional[_progress.OnProgress] = None,
+    **options: Unpack[_options.JobOptions],
+) -> Pvs:
+    """Bakes a mesh in this process, as `sightline bake` does, and returns the result.
+
+    mesh: a path (.obj, .ply, .gltf, .glb), (vertices, faces), a trimesh.Trimesh or a trimesh.Scene. Triangles are
+      numbered as their faces follow one another; a scene's nodes become the result's objects.
+    output: a file to keep the result in. Certificates can exceed memory, and then need one.
+    data_dir: a folder that keeps unfinished work and results: the same bake goes on from there, or is answered at
+      once. Without it nothing is kept.
+    workers: tiles that are baked at a time; they share all cores. By default as many as cores.
+    progress: a function that is called with a `Progress`. What it raises ends the bake, and so does Ctrl-C.
+
+    options are those of `sightline bake`, among them:
+      cells=(8, 8, 8), or 8, or "walls:64"; cell_size; triangle_budget and max_depth
+      view_box=(x0, y0, z0, x1, y1, z1), or several; reachable_from=(x, y, z); viewpoints=array or file; view_mesh=file
+      target_error=0.0001; max_error; min_share; time_budget=30 (seconds) or "5m"
+      method="aggressive", "exact", "verified" or "portals"; certificates=True
+      granularity="triangles", "clusters" or "objects"; contributions=True; far; cell_to_cell="on"
+      see_through="glass*", occluder_only, moving, doors, opaque; alpha_textures; cull_back_faces
+      backend="auto", "cpu" or "gpu"; seed=0; sampler
+
+    `sightline bake --help` explains each.
+
+        pvs = sightline.bake((vertices, faces), cells=(16, 4, 16), max_error=1e-3)
+        ids = pvs.visible((1.5, 2.0, -3.0))
+    """
+    given: Dict[str, Any] = {"workers": workers, "data_dir": data_dir, **options}
+    with _options.folder() as folder:
+        flags = _options.flags("bake", (*_JOB, "workers", "data_dir"), given, folder)
+        if data_dir is None:
+            flags.append(f"--data-dir={os.path.join(folder, 'data')}")
+        to = os.path.join(folder, "result.pvs") if output is None else os.fspath(output)
+        _sightline.bake(_mesh.source(mesh), to, flags, _progress.caller(progress))
+        return _read(to) if output is None else Pvs(to)
+
+
+def measure(
+    pvs: Union[Pvs, _options.Path],
+    mesh: _mesh.MeshLike,
+    *,
+    viewpoints: Union[int, _options.Path, Sequence[Sequence[float]]] = 200,
+    seed: int = 1,
+    resolution: int = 256,
+    path: Optional[_options.Path] = None,
+    pairs: int = 0,
+    images: Optional[_options.Path] = None,
+    backend: str = "auto",
+    progress: Optional[_progress.OnProgress] = None,
+    **kinds: Unpack[_options.KindOptions],
+) -> Dict[str, Any]:
+    """Measures how wrong a result looks, as `sightline measure` does: the fraction of wrong pixels, from viewpoints
+    around which the whole mesh is drawn.
+
+    viewpoints: a number of random ones, or an array of points (with a weight in a fourth column), or a file.
+    path: a file with a camera path instead.
+    pairs: also measures which cells see which, with this many random pairs of points.
+    images: a folder for images of the worst frames.
+    kinds: what blocks and shows; by default as in the bake.
+
+    Returns what the command prints: `mean_error`, `p99_error` and `max_error` as fractions of a frame's pixels,
+    `frames`, `worst` and more.
+    """
+    given: Dict[str, Any] = {"seed": seed, "resolution": resolution, "pairs": pairs, "images": images}
+    given.update({"backend": backend, **kinds})
+    if path is not None:
+        given["path"] = path
+    with _options.folder() as folder:
+        known = (*_KINDS, "seed", "resolution", "path", "pairs", "images", "backend", "viewpoints_file")
+        if isinstance(viewpoints, int) and not isinstance(viewpoints, bool):
+            count = [] if path is not None else [f"--viewpoints={viewpoints}"]
+        else:
+            count, given["viewpoints_file"] = ["--viewpoints=4294967295"], viewpoints
+        flags = count + _options.flags("measure", known, given, folder)
+        told = _sightline.measure(_opened(pvs), _mesh.source(mesh), flags, _progress.caller(progress))
+    return _object(told)
+
+
+def verify(
+    pvs: Union[Pvs, _options.Path],
+    mesh: _mesh.MeshLike,
+    *,
+    sample: Optional[int] = None,
+    seed: Optional[int] = None,
+    progress: Optional[_progress.OnProgress] = None,
+    **kinds: Unpack[_options.KindOptions],
+) -> Dict[str, Any]:
+    """Checks the witnesses and proofs of a result with the independent checker, as `sightline verify` does. The
+    result needs certificates (method="exact", certificates=True).
+
+    sample: checks the claims about this many random pairs of cell and triangle instead of all; `seed` draws others.
+
+    Returns what the command prints, with `accepted` True. A claim that does not hold raises `Refused`.
+    """
+    given: Dict[str, Any] = {"sample": sample, "seed": seed, **kinds}
+    flags = _options.flags("verify", (*_KINDS, "sample", "seed"), given, "")
+    told = _object(_sightline.verify(_opened(pvs), _mesh.source(mesh), flags, _progress.caller(progress)))
+    if not told["accepted"]:
+        raise Refused(told["reason"], told.get("cell"))
+    return told
+
+
+def _opened(pvs: Union[Pvs, _options.Path]) -> Pvs:
+    return pvs if isinstance(pvs, Pvs) else Pvs(pvs)
+
+
+def _object(text: str) -> Dict[str, Any]:
+    told = json.loads(text)
+    assert isinstance(told, dict)
+    return told
+
+
+def _read(path: str) -> Pvs:
+    """A result that does not need its file any more."""
+    with open(path, "rb") as file:
+        return Pvs(file.read())
