@@ -1,5 +1,6 @@
-//! An environment of Python with the package in it, as the library that is built with the program and the files
-//! of this checkout. How `pip` builds it is checked by `scripts/python.sh`, which compiles everything once more.
+//! An environment of Python with the package in it, as the library that is built with the program and the
+//! files of this checkout. How `pip` builds it is checked by `scripts/python.sh`, which compiles everything
+//! once more.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -8,8 +9,8 @@ use std::sync::OnceLock;
 
 use crate::{in_ci, program};
 
-/// The interpreter of the environment; `None` where there is no Python, which in CI is a failure. It is made once
-/// a target folder, with what the tests need from the package index.
+/// The interpreter of the environment; `None` where there is no Python, which in CI is a failure. It is made
+/// once a target folder, with what the tests need from the package index.
 pub fn python() -> Option<&'static Path> {
     static PYTHON: OnceLock<Option<PathBuf>> = OnceLock::new();
     PYTHON.get_or_init(make).as_deref()

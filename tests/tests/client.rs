@@ -1,5 +1,5 @@
-//! A client in ten lines: a file is sent, a scene is enough for a job, and the result is fetched, with nothing
-//! but HTTP. And gRPC's reflection by both of its names, and the interface against its frozen form.
+//! A client in ten lines: a file is sent, a scene is enough for a job, and the result is fetched, with
+//! nothing but HTTP. And gRPC's reflection by both of its names, and the interface against its frozen form.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 

@@ -114,8 +114,8 @@ pub fn bake(
     })
 }
 
-/// Closes the coordinator's store, so that this process can open it again. Threads that still hold it after the
-/// time keep it open.
+/// Closes the coordinator's store, so that this process can open it again. Threads that still hold it after
+/// the time keep it open.
 fn close(mut coordinator: Arc<Coordinator>) {
     let begin = Instant::now();
     while begin.elapsed() < TO_CLOSE {

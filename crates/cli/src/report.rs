@@ -153,7 +153,7 @@ fn tell(
         return print(
             &json!({
                 "output": path, "mean_error": error.mean_error, "p99_error": error.p99_error,
-                "max_error": error.max_error, "over_budget": if has_budget { json!(over) } else { Value::Null },
+                "max_error": error.max_error, "over_budget": has_budget.then_some(over),
                 "blame": blame,
             })
             .to_string(),

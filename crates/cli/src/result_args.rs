@@ -90,7 +90,8 @@ pub struct ReportArgs {
     #[arg(long, requires = "budget")]
     pub fail_over_budget: bool,
     /// Random viewpoints at which the error is measured.
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 200)]
+    #[arg(value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub viewpoints: u32,
     /// Side of a face of each frame in pixels, 8 to 1024.
     #[arg(long, value_name = "N", default_value_t = 256)]

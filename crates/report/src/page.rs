@@ -84,8 +84,9 @@ fn table(out: &mut String, head: &[&str], rows: impl Iterator<Item = Vec<String>
 /// The document. `base64` writes bytes as text.
 pub fn page(about: &About<'_>, base64: &dyn Fn(&[u8]) -> String) -> String {
     let mut out = format!(
-        "<!doctype html><!-- sightline report --><html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" \
-         content=\"width=device-width, initial-scale=1\"><title>{0}</title><style>{STYLE}</style></head><body>\
+        "<!doctype html><!-- sightline report --><html lang=\"en\"><head><meta charset=\"utf-8\">\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"><title>{0}</title>\
+         <style>{STYLE}</style></head><body>\
          <h1>{0}</h1><pre>{1}</pre>",
         escaped(&about.title),
         escaped(&about.summary.join("\n"))
@@ -128,14 +129,14 @@ fn error(out: &mut String, about: &About<'_>, base64: &dyn Fn(&[u8]) -> String) 
         return;
     }
     out.push_str(
-        "<p>Green is in the set, red is missing from it, black is sky. The faces +x, +y and +z are above −x, −y \
-         and −z.</p><div class=\"frames\">",
+        "<p>Green is in the set, red is missing from it, black is sky. The faces +x, +y and +z are above −x, \
+         −y and −z.</p><div class=\"frames\">",
     );
     for (frame, picture) in &about.frames {
         let _ = write!(
             out,
-            "<figure><img alt=\"\" src=\"data:image/png;base64,{}\"><figcaption>cell {} from {}: {} wrong, {} \
-             triangles missing</figcaption></figure>",
+            "<figure><img alt=\"\" src=\"data:image/png;base64,{}\"><figcaption>cell {} from {}: {} wrong, \
+             {} triangles missing</figcaption></figure>",
             base64(picture),
             frame.cell,
             point(frame.viewpoint),
