@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use prost::Message as _;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let files = ["sightline/v1/jobs.proto", "sightline/v1/workers.proto", "sightline/v1/farm.proto"];
+    let files = ["jobs", "workers", "farm", "results"].map(|name| format!("sightline/v1/{name}.proto"));
     println!("cargo:rerun-if-changed=sightline");
     let set = protox::compile(files, ["."])?;
     // The descriptors, for the reflection service.

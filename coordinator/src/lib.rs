@@ -23,6 +23,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod asking;
 mod assemble;
 mod assemble_pairs;
 mod chores;
@@ -58,6 +59,7 @@ mod simulator;
 #[cfg(test)]
 mod tests;
 
+pub use asking::Answers;
 pub use lifecycle::{Config, OpenError};
 pub use scenes::TakeError;
 pub use services::{ServeError, listen, serve, serve_http};

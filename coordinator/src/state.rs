@@ -3,12 +3,13 @@
 //! Nothing here decides anything: the subjects (`scenes`, `submit`, `jobs`, `sessions`, `results`) do. Most
 //! calls block on the disk; the services make them off the async threads.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::{Duration, Instant};
 
 use sightline_scene::{Aabb, Kinds, Object, Source};
 use tokio::sync::Semaphore;
 
+use crate::asking::{Answers, Asked};
 use crate::chronicle::{Chronicle, Happening};
 use crate::clock::{Clock, Moment};
 use crate::crews::Crews;
@@ -77,6 +78,12 @@ pub struct Coordinator {
     pub(crate) downloads: Arc<Semaphore>,
     /// Permits for reading scenes from files.
     pub(crate) files: Semaphore,
+    /// The right to hold a scene for a question or a page.
+    pub(crate) scenes_in_memory: Semaphore,
+    /// Who answers what needs the scene.
+    pub(crate) answers: OnceLock<Box<dyn Answers>>,
+    /// The result that was asked about last.
+    pub(crate) last_asked: Mutex<Asked>,
 }
 
 impl Coordinator {
@@ -106,7 +113,15 @@ impl Coordinator {
             last_partial: Mutex::default(),
             downloads: Arc::new(Semaphore::new(MOST_DOWNLOADS)),
             files: Semaphore::new(scene_files::AT_ONCE),
+            scenes_in_memory: Semaphore::new(1),
+            answers: OnceLock::new(),
+            last_asked: Mutex::new(None),
         }
+    }
+
+    /// Gives questions that need the scene of a stored result to somebody. Only the first one counts.
+    pub fn answer_with(&self, answers: Box<dyn Answers>) {
+        drop(self.answers.set(answers));
     }
 
     /// The current time.

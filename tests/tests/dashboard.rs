@@ -2,11 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-use std::io::{Read as _, Write as _};
-use std::net::TcpStream;
-
 use serde_json::{Value, json};
-use sightline_tests::{Browser, Sandbox, assert_same, wait_for};
+use sightline_tests::{Browser, Sandbox, ask, assert_same, wait_for};
 
 const JOB: &str = "rooms.glb --cells 8x8x8 --block-cells 8 --target-error 0.0003 --backend cpu";
 
@@ -16,46 +13,11 @@ fn sandbox() -> Sandbox {
     sandbox
 }
 
-/// A request with these header lines; gives the status and the body.
-fn ask(pages: &str, request: &str, headers: &str, body: &str) -> (u32, Vec<u8>) {
-    let host = pages.trim_start_matches("http://").trim_end_matches('/');
-    let mut stream = TcpStream::connect(host).unwrap();
-    let own = if headers.contains("Host:") { String::new() } else { format!("Host: {host}\r\n") };
-    let length = body.len();
-    write!(
-        stream,
-        "{request} HTTP/1.1\r\n{own}{headers}Connection: close\r\nContent-Length: {length}\r\n\r\n{body}"
-    )
-    .unwrap();
-    let mut answer = Vec::new();
-    stream.read_to_end(&mut answer).unwrap();
-    let end = answer.windows(4).position(|w| w == b"\r\n\r\n").unwrap();
-    let head = String::from_utf8(answer[..end].to_vec()).unwrap();
-    let status = head.split(' ').nth(1).unwrap().parse().unwrap();
-    let body = answer.split_off(end + 4);
-    let is_chunked = head.to_ascii_lowercase().contains("transfer-encoding: chunked");
-    (status, if is_chunked { joined(&body) } else { body })
-}
-
-/// The bytes of a body that came in chunks.
-fn joined(mut body: &[u8]) -> Vec<u8> {
-    let mut whole = Vec::new();
-    loop {
-        let end = body.windows(2).position(|w| w == b"\r\n").unwrap();
-        let length = usize::from_str_radix(std::str::from_utf8(&body[..end]).unwrap(), 16).unwrap();
-        if length == 0 {
-            return whole;
-        }
-        whole.extend(&body[end + 2..end + 2 + length]);
-        body = &body[end + 4 + length..];
-    }
-}
-
 const JSON: &str = "Content-Type: application/json\r\n";
 
 /// A call; gives the status and the answer.
 fn call(pages: &str, method: &str, request: &Value) -> (u32, Value) {
-    let (status, body) = ask(pages, &format!("POST /sightline.v1.{method}"), JSON, &request.to_string());
+    let (status, body) = ask(pages, &format!("POST /sightline.v1.{method}"), JSON, request.to_string());
     (status, serde_json::from_slice(&body).unwrap())
 }
 
@@ -98,7 +60,7 @@ fn calls_are_json_and_foreign_pages_may_not_call() {
     let own = pages.trim_end_matches('/');
     assert_eq!(ask(pages, list, &format!("{JSON}Origin: {own}\r\n"), "{}").0, 200);
     let large = format!("{JSON}X: {}\r\n", "x".repeat(100));
-    assert_eq!(ask(pages, list, &large, &format!("{{\"before\":\"{}\"}}", "1".repeat(5 << 20))).0, 413);
+    assert_eq!(ask(pages, list, &large, format!("{{\"before\":\"{}\"}}", "1".repeat(5 << 20))).0, 413);
     // The result as a file.
     call(pages, "Jobs/Resume", &of_job);
     let _worker = coordinator.worker();

@@ -5,6 +5,7 @@ mod crews;
 mod farm;
 mod http;
 mod jobs;
+mod results;
 mod server;
 mod status;
 mod streams;

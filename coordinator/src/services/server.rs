@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use sightline_proto::v1::farm_server::FarmServer;
 use sightline_proto::v1::jobs_server::JobsServer;
+use sightline_proto::v1::results_server::ResultsServer;
 use sightline_proto::v1::workers_server::WorkersServer;
 use tokio::net::TcpListener;
 use tonic::transport::Server;
@@ -14,6 +15,7 @@ use tonic::transport::server::TcpIncoming;
 use super::blocking::later;
 use super::farm::FarmService;
 use super::jobs::JobsService;
+use super::results::ResultsService;
 use super::workers::WorkersService;
 use crate::lifecycle;
 use crate::state::Coordinator;
@@ -68,6 +70,7 @@ pub async fn serve(
     health.set_serving::<JobsServer<JobsService>>().await;
     health.set_serving::<WorkersServer<WorkersService>>().await;
     health.set_serving::<FarmServer<FarmService>>().await;
+    health.set_serving::<ResultsServer<ResultsService>>().await;
     let reflected = || {
         tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(sightline_proto::DESCRIPTORS)
@@ -100,6 +103,7 @@ pub async fn serve(
         .add_service(older)
         .add_service(JobsServer::new(JobsService(Arc::clone(&coordinator))))
         .add_service(FarmServer::new(FarmService(Arc::clone(&coordinator))))
+        .add_service(ResultsServer::new(ResultsService(Arc::clone(&coordinator))))
         .add_service(WorkersServer::new(WorkersService(Arc::clone(&coordinator))))
         .serve_with_incoming(incoming);
     // Streams that stay open (workers, watchers) would delay a graceful end for ever. They are cut off: every

@@ -5,6 +5,7 @@ use std::time::Duration;
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt as _};
 
+use crate::asking::AskError;
 use crate::jobs::JobError;
 use crate::partial::PartialError;
 use crate::results::ResultError;
@@ -50,6 +51,18 @@ pub(super) fn of_upload(e: &UploadError) -> Status {
         UploadError::Mismatch(_) | UploadError::Scene(_) => Status::invalid_argument(e.to_string()),
         UploadError::Blob(e) => of_blob(e),
         UploadError::Store(e) => of_store(e),
+    }
+}
+
+/// The status of a question without an answer.
+pub(super) fn of_ask(e: &AskError) -> Status {
+    match e {
+        AskError::Job(e) => of_job(e),
+        AskError::Wrong(text) => Status::invalid_argument(text.clone()),
+        AskError::Unable(text) => Status::failed_precondition(text.clone()),
+        AskError::Blob(e) => of_blob(e),
+        AskError::Pvs(e) => Status::data_loss(e.to_string()),
+        AskError::Scene(e) => Status::data_loss(e.to_string()),
     }
 }
 

@@ -2,7 +2,7 @@
 //! the scene is shared in memory.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -32,6 +32,8 @@ use crate::serve::{self, threads};
 
 /// Time that stopped workers have to say that they have.
 const TO_STOP: Duration = Duration::from_secs(2);
+/// Bakes of one user at a time that find a data directory of their own.
+const MOST_AT_ONCE: u32 = 16;
 /// Time that the coordinator has to end what it does in the background.
 const TO_CLOSE: Duration = Duration::from_secs(2);
 
@@ -86,19 +88,10 @@ pub fn bake(
         let lines = partition_in_words(&partition, &scene);
         lines.iter().for_each(|line| say(line));
     }
-    let data_dir = match &args.data_dir {
-        Some(dir) => dir.clone(),
-        None => default_data_dir()?,
+    let (coordinator, data_dir) = match &args.data_dir {
+        Some(dir) => (open(dir)?, dir.clone()),
+        None => open_free(&default_data_dir()?)?,
     };
-    let coordinator = Coordinator::open(Config::new(data_dir.clone())).map_err(|e| match e {
-        OpenError::Store(StoreError::InUse { pid, .. }) => CliError::Input(format!(
-            "{} is in use by process {pid}, probably another bake; wait for it, or give this one another \
-             --data-dir",
-            data_dir.display()
-        )),
-        OpenError::Store(e) => CliError::Input(format!("{e} (--data-dir names another)")),
-        OpenError::Blobs(e) => CliError::Input(e.to_string()),
-    })?;
     let runtime = serve::runtime()?;
     let kept = Arc::clone(&coordinator);
     let outcome = runtime.block_on(run((args, source), coordinator, &loaded, &spec, probing, output, hooks));
@@ -112,6 +105,41 @@ pub fn bake(
         )),
         e => e,
     })
+}
+
+/// Opens a data directory.
+fn open(data_dir: &Path) -> Result<Arc<Coordinator>, CliError> {
+    Coordinator::open(Config::new(data_dir.to_owned())).map_err(|e| match e {
+        OpenError::Store(StoreError::InUse { pid, .. }) => CliError::Input(format!(
+            "{} is in use by process {pid}, probably another bake; wait for it, or give this one another \
+             --data-dir",
+            data_dir.display()
+        )),
+        OpenError::Store(e) => CliError::Input(format!("{e} (--data-dir names another)")),
+        OpenError::Blobs(e) => CliError::Input(e.to_string()),
+    })
+}
+
+/// Opens the usual data directory, or, while other bakes use it, another one beside it. What one of them has
+/// stored is not known in the others.
+fn open_free(usual: &Path) -> Result<(Arc<Coordinator>, PathBuf), CliError> {
+    for number in 1..=MOST_AT_ONCE {
+        let dir = match number {
+            1 => usual.to_owned(),
+            number => usual.with_extension(number.to_string()),
+        };
+        match Coordinator::open(Config::new(dir.clone())) {
+            Err(OpenError::Store(StoreError::InUse { pid, .. })) => {
+                say(&format!(
+                    "note: {} is in use by process {pid}; this bake uses another one",
+                    dir.display()
+                ));
+            }
+            Ok(coordinator) => return Ok((coordinator, dir)),
+            Err(_) => return open(&dir).map(|coordinator| (coordinator, dir)),
+        }
+    }
+    open(usual).map(|coordinator| (coordinator, usual.to_owned()))
 }
 
 /// Closes the coordinator's store, so that this process can open it again. Threads that still hold it after

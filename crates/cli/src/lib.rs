@@ -9,6 +9,7 @@
     reason = "the arguments' doc comments are help texts, not Markdown"
 )]
 
+mod answers;
 mod args;
 mod backends;
 mod bake;

@@ -9,6 +9,7 @@ use sightline_places::points::Weighted;
 use sightline_pvs::{Pvs, PvsError};
 use sightline_sampling::sight::Sight;
 use sightline_sampling::{CubeSpec, PreparedScene, Strata, layers};
+use sightline_scene::Scene;
 
 use crate::args::MeasureArgs;
 use crate::backends::open_backend;
@@ -72,6 +73,18 @@ pub fn measured(
         return Err(CliError::Input(format!("{}: {}", args.result.display(), PvsError::NoPairs)));
     }
     let scene = Arc::new(opening::read_for(source, &args.kinds, pvs, &args.result)?);
+    measured_in(args, pvs, scene, (on_path, given), progress)
+}
+
+/// Measures a result in its scene: on a path, at given viewpoints, or at random ones.
+pub fn measured_in(
+    args: &MeasureArgs,
+    pvs: &Pvs,
+    scene: Arc<Scene>,
+    (on_path, given): (Option<Viewpoints>, Option<(&Path, Vec<Weighted>)>),
+    progress: &mut dyn FnMut(u64, u64) -> bool,
+) -> Result<Value, CliError> {
+    let view_box = pvs.tree().view_box();
     let region = enclosure::of_result(pvs, &scene, &args.result)?;
     let is_place = |p: [f32; 3]| {
         pvs.find_cell(p).is_some_and(|c| pvs.is_reached(c).unwrap_or(false))

@@ -9,6 +9,7 @@ use sightline_sampling::gpu::{AdapterChoice, adapters};
 use sightline_worker::{Backends, SceneCache, Stop, WorkerError};
 use tokio::sync::watch;
 
+use crate::answers::Commands;
 use crate::args::{CoordinatorArgs, WorkerArgs};
 use crate::backends::{choice, say_missing};
 use crate::error::CliError;
@@ -18,6 +19,7 @@ use crate::progress::say;
 pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
     let coordinator =
         Coordinator::open(Config::new(args.data_dir.clone())).map_err(|e| CliError::Input(e.to_string()))?;
+    coordinator.answer_with(Box::new(Commands));
     runtime()?.block_on(async {
         let listener = sightline_coordinator::listen(args.listen, args.allow_plaintext)
             .await

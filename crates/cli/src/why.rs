@@ -138,7 +138,7 @@ fn blockers(proofs: &[Proof]) -> Vec<u32> {
 }
 
 /// The answer of a new query in the scene.
-fn ask(pvs: &Pvs, result: &Path, scene: &Scene, (cell, triangle): (u32, u32)) -> Result<Value, CliError> {
+pub fn ask(pvs: &Pvs, result: &Path, scene: &Scene, (cell, triangle): (u32, u32)) -> Result<Value, CliError> {
     if !scene.sides().are_both() {
         return Err(CliError::Input(format!(
             "{} was baked with --cull-back-faces, and exact queries take every triangle as seen from both \

@@ -10,6 +10,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use sightline_proto::v1::farm_server::Farm as _;
 use sightline_proto::v1::jobs_server::Jobs as _;
+use sightline_proto::v1::results_server::Results as _;
 use tonic::{Request, Status};
 
 use super::{Site, failure, is_json, json};
@@ -53,6 +54,11 @@ pub(super) async fn call(
         "sightline.v1.Farm" => call_by_name!(site.farm, method, body, {
             "ListWorkers" => list_workers,
             "ListTiles" => list_tiles,
+        }),
+        "sightline.v1.Results" => call_by_name!(site.results, method, body, {
+            "Query" => query,
+            "Why" => why,
+            "Measure" => measure,
         }),
         _ => Err(unknown()),
     };

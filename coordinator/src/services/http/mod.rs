@@ -25,6 +25,7 @@ use tonic::{Code, Status};
 use self::snapshot::Snapshots;
 use super::farm::FarmService;
 use super::jobs::JobsService;
+use super::results::ResultsService;
 use super::server::ServeError;
 use crate::scene_files;
 use crate::state::Coordinator;
@@ -37,11 +38,10 @@ struct Site {
     coordinator: Arc<Coordinator>,
     jobs: JobsService,
     farm: FarmService,
+    results: ResultsService,
     snapshots: Arc<Snapshots>,
     /// Whether only this machine can reach the address.
     is_local: bool,
-    /// One page with a result is made at a time: it holds a whole scene.
-    pages: tokio::sync::Semaphore,
 }
 
 /// Serves pages and JSON until `stop` resolves.
@@ -58,10 +58,10 @@ pub async fn serve_http(
     let site = Arc::new(Site {
         jobs: JobsService(Arc::clone(&coordinator)),
         farm: FarmService(Arc::clone(&coordinator)),
+        results: ResultsService(Arc::clone(&coordinator)),
         snapshots: Snapshots::of(&coordinator),
         coordinator,
         is_local,
-        pages: tokio::sync::Semaphore::new(1),
     });
     let routes = Router::new()
         .route("/", get(pages::dashboard))

@@ -91,7 +91,7 @@ pub(super) async fn put_scene(
 
 /// A result of a job, or what there is of it, in the viewer.
 pub(super) async fn view(State(site): State<Arc<Site>>, Path(job): Path<u64>) -> Response {
-    let Ok(_permit) = site.pages.acquire().await else {
+    let Ok(_permit) = site.coordinator.scenes_in_memory.acquire().await else {
         return failure(&Status::unavailable("the coordinator is stopping"));
     };
     match blocking(&site.coordinator, move |c| page_of(c, JobId(job))).await {

@@ -1,0 +1,175 @@
+//! Questions about stored results. The coordinator reads sets; what needs rays or exact queries is answered
+//! by whoever it was given ([`Answers`]), because it samples nothing itself.
+
+use std::sync::{Arc, PoisonError};
+
+use sightline_proto::v1;
+use sightline_pvs::{Pvs, PvsError};
+use sightline_scene::{Scene, SceneError};
+
+use crate::ids::{Digest, JobId};
+use crate::jobs::{self, JobError};
+use crate::specs;
+use crate::state::Coordinator;
+use crate::store::{BlobError, StoreError};
+
+/// Answers that need the scene.
+pub trait Answers: Send + Sync {
+    /// Why a triangle is visible from a cell or not.
+    ///
+    /// # Errors
+    /// A sentence, when the result or the scene does not allow it.
+    fn why(&self, pvs: &Pvs, scene: Scene, cell: u32, triangle: u32) -> Result<v1::WhyResponse, String>;
+
+    /// The wrong pixels from so many viewpoints.
+    ///
+    /// # Errors
+    /// A sentence, when nothing can be rendered.
+    fn measure(
+        &self,
+        pvs: &Pvs,
+        scene: Scene,
+        asked: &v1::MeasureRequest,
+    ) -> Result<v1::MeasureResponse, String>;
+}
+
+/// A question without an answer.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum AskError {
+    /// The job has no result.
+    #[error(transparent)]
+    Job(#[from] JobError),
+    /// The question is about something that is not there.
+    #[error("{0}")]
+    Wrong(String),
+    /// It cannot be answered for this result, or here.
+    #[error("{0}")]
+    Unable(String),
+    /// A blob cannot be read.
+    #[error(transparent)]
+    Blob(#[from] BlobError),
+    /// The stored result is damaged.
+    #[error(transparent)]
+    Pvs(#[from] PvsError),
+    /// The stored scene is damaged.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+}
+
+/// The result that was asked about last.
+pub(crate) type Asked = Option<(Digest, Arc<Pvs>)>;
+
+/// A done job's result. The one that was asked about last stays open.
+fn open(c: &Coordinator, job: JobId) -> Result<Arc<Pvs>, AskError> {
+    let digest = jobs::result(c, job)?;
+    let mut last = c.last_asked.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some((_, pvs)) = last.as_ref().filter(|(of, _)| *of == digest) {
+        return Ok(Arc::clone(pvs));
+    }
+    let pvs = Arc::new(Pvs::from_bytes(c.blobs.read(&digest)?)?);
+    *last = Some((digest, Arc::clone(&pvs)));
+    Ok(pvs)
+}
+
+/// The scene of a job.
+fn scene(c: &Coordinator, job: JobId) -> Result<Scene, AskError> {
+    let unknown = || AskError::Job(JobError::Store(StoreError::UnknownJob { job }));
+    let record = c.store.job(job).map_err(JobError::from)?.ok_or_else(unknown)?;
+    let spec = specs::part(&record.spec).map_err(|e| AskError::Job(JobError::Outdated(e)))?.0;
+    let digest = spec.scene.as_slice().try_into();
+    let digest = digest.map_err(|_| AskError::Unable("the job names no scene".to_owned()))?;
+    Ok(Scene::from_blob(&record.name, &c.blobs.read(&digest)?)?)
+}
+
+/// The cell that is asked about.
+fn cell_of(pvs: &Pvs, point: Option<v1::Point>, cell: Option<u32>) -> Result<u32, AskError> {
+    match (point, cell) {
+        (Some(v1::Point { x, y, z }), _) => pvs.find_cell([x, y, z]).ok_or_else(|| {
+            let [min, max] = pvs.tree().view_box();
+            AskError::Wrong(format!(
+                "({x}, {y}, {z}) is outside the view box, which extends from {min:?} to {max:?}"
+            ))
+        }),
+        (None, Some(cell)) if cell < pvs.cells() => Ok(cell),
+        (None, Some(cell)) => {
+            Err(AskError::Wrong(format!("there is no cell {cell}; the result has {}, from 0", pvs.cells())))
+        }
+        (None, None) => Err(AskError::Wrong("give a point or a cell".to_owned())),
+    }
+}
+
+/// The set of a cell.
+pub(crate) fn query(c: &Coordinator, asked: &v1::QueryRequest) -> Result<v1::QueryResponse, AskError> {
+    use v1::query_request::From;
+    let pvs = open(c, JobId(asked.job))?;
+    let cell = match asked.from {
+        Some(From::Point(point)) => cell_of(&pvs, Some(point), None)?,
+        Some(From::Cell(cell)) => cell_of(&pvs, None, Some(cell))?,
+        None => cell_of(&pvs, None, None)?,
+    };
+    let (mut visible, mut undecided, mut names) = (Vec::new(), Vec::new(), Vec::new());
+    if asked.objects {
+        pvs.visible_objects(cell, &mut visible)?;
+        let name = |id: &u32| pvs.objects().get(*id as usize).map_or_else(String::new, |o| o.name.clone());
+        names = visible.iter().map(name).collect();
+    } else {
+        pvs.visible(cell, &mut visible)?;
+        pvs.undecided(cell, &mut undecided)?;
+    }
+    let bounds = pvs.cell_bounds(cell).unwrap_or_default();
+    Ok(v1::QueryResponse {
+        cell,
+        r#box: bounds.concat(),
+        visible,
+        undecided,
+        names,
+        set_aside: pvs.is_set_aside(cell)?,
+    })
+}
+
+/// Why a triangle is visible or not. Takes long.
+pub(crate) fn why(c: &Coordinator, asked: &v1::WhyRequest) -> Result<v1::WhyResponse, AskError> {
+    use v1::why_request::From;
+    let pvs = open(c, JobId(asked.job))?;
+    let cell = match asked.from {
+        Some(From::Point(point)) => cell_of(&pvs, Some(point), None)?,
+        Some(From::Cell(cell)) => cell_of(&pvs, None, Some(cell))?,
+        None => cell_of(&pvs, None, None)?,
+    };
+    if asked.triangle >= pvs.triangle_count() {
+        let (triangle, count) = (asked.triangle, pvs.triangle_count());
+        return Err(AskError::Wrong(format!(
+            "there is no triangle {triangle}; the scene has {count}, from 0"
+        )));
+    }
+    let scene = scene(c, JobId(asked.job))?;
+    answers(c)?.why(&pvs, scene, cell, asked.triangle).map_err(AskError::Unable)
+}
+
+/// Wrong pixels. Takes long.
+pub(crate) fn measure(c: &Coordinator, asked: &v1::MeasureRequest) -> Result<v1::MeasureResponse, AskError> {
+    let usual = |n: u32, usual: u32| if n == 0 { usual } else { n };
+    let asked = v1::MeasureRequest {
+        viewpoints: usual(asked.viewpoints, 100),
+        resolution: usual(asked.resolution, 128),
+        ..*asked
+    };
+    if asked.viewpoints > 1000 {
+        return Err(AskError::Wrong(format!("{} viewpoints are more than 1000", asked.viewpoints)));
+    }
+    if !(8..=512).contains(&asked.resolution) {
+        return Err(AskError::Wrong(format!(
+            "a resolution of {} is not between 8 and 512",
+            asked.resolution
+        )));
+    }
+    let pvs = open(c, JobId(asked.job))?;
+    let scene = scene(c, JobId(asked.job))?;
+    answers(c)?.measure(&pvs, scene, &asked).map_err(AskError::Unable)
+}
+
+fn answers(c: &Coordinator) -> Result<&dyn Answers, AskError> {
+    let none =
+        || AskError::Unable("the program that this coordinator is in answers no such questions".to_owned());
+    c.answers.get().map(|answers| &**answers).ok_or_else(none)
+}
