@@ -135,3 +135,54 @@ fn a_browser_follows_a_job_and_changes_it() {
     coordinator.process.kill();
     wait_for("the word about it", || text("#message").contains("does not answer").then_some(()));
 }
+
+/// As many tiles as a job can have, and a thousand workers, which say hello and want nothing.
+#[test]
+fn a_large_farm_is_shown() {
+    use sightline_proto::v1;
+    use sightline_proto::v1::workers_client::WorkersClient;
+
+    let sandbox = sandbox();
+    let coordinator = sandbox.coordinator_with_pages("data");
+    let Some(browser) = Browser::start([1200, 900]) else { return };
+    let job = coordinator.submit("rooms.glb --cells 64x16x64 --block-cells 1 --backend cpu");
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let mut streams = Vec::new();
+    runtime.block_on(async {
+        let mut channel = None;
+        for number in 0..1000 {
+            if number % 100 == 0 {
+                let made = tonic::transport::Channel::from_shared(coordinator.url.clone()).unwrap();
+                channel = Some(made.connect().await.unwrap());
+            }
+            let hello = v1::worker_message::Message::Hello(v1::Hello {
+                name: format!("w{number:03}"),
+                profiles: vec!["cpu/none".to_owned()],
+                algorithm: sightline_model::ALGORITHM_VERSION,
+                ..Default::default()
+            });
+            let (say, said) = tokio::sync::mpsc::channel(1);
+            say.send(v1::WorkerMessage { message: Some(hello) }).await.unwrap();
+            let said = tokio_stream::wrappers::ReceiverStream::new(said);
+            let heard = WorkersClient::new(channel.clone().unwrap()).work(said).await.unwrap().into_inner();
+            streams.push((say, heard));
+        }
+    });
+    let text = |id: &str| {
+        let script = format!("return document.getElementById('{id}').textContent");
+        browser.run(&script).as_str().unwrap().to_owned()
+    };
+    browser.open(&format!("{}#workers", coordinator.pages));
+    wait_for("all workers", || text("worker-count").starts_with("1000 workers, of which 300").then_some(()));
+    browser.run(
+        "const f = document.getElementById('worker-filter'); f.value = 'w99';
+        f.dispatchEvent(new Event('input')); return 0",
+    );
+    assert_eq!(text("worker-count"), "10 workers");
+    browser.run(&format!("location.hash = 'job={job}'; return 0"));
+    wait_for("all tiles", || text("map-legend").contains("65536 ready").then_some(()));
+    let layers = browser.run("return document.getElementById('map-layer').max");
+    assert_eq!(layers, "15");
+    assert_eq!(browser.messages(), Vec::<String>::new());
+    drop(streams);
+}

@@ -35,6 +35,11 @@ fn what_came_and_went_is_counted_and_can_fail() {
     assert!(words.contains("1 of 2 cells changed") && words.contains("both results miss nothing"), "{words}");
     let markdown = sandbox.ok("diff shut.pvs open.pvs --markdown");
     assert!(markdown.contains("| shelf | 1 | 0 |"), "{markdown}");
+    // As a page with heat maps of what came and went.
+    sandbox.ok("diff shut.pvs open.pvs -o diff.html --scene open.obj");
+    let page = String::from_utf8(sandbox.read("diff.html")).unwrap();
+    assert!(page.contains("came into the set") && page.contains("1 of 2 cells changed"));
+    sandbox.run("diff shut.pvs open.pvs -o other.html --scene shut.obj").code(3);
     // By name, when the triangles are others.
     sandbox.write("other.obj", rooms(1.0, "board"));
     sandbox.ok(&format!("bake other.obj -o other.pvs --method exact {CELLS}"));

@@ -193,3 +193,20 @@ fn a_watcher_outlives_the_coordinator() {
     assert_eq!(coordinator.json(&format!("show {job}"))["state"], "done");
     drop(worker);
 }
+
+#[test]
+fn progress_is_told_to_programs_and_two_bakes_go_on_at_a_time() {
+    let sandbox = sandbox();
+    // Both use the usual data directory of the sandbox's user.
+    let long = "rooms.glb --cells 8x8x8 --block-cells 8 --target-error 0.00003 --backend cpu";
+    let first = sandbox.start(&format!("bake {long} -o first.pvs --json"));
+    wait_for("the first bake's progress", || first.err().contains("\"event\":\"progress\"").then_some(()));
+    let second = sandbox.run(&format!("bake {JOB} --seed 2 -o second.pvs --json")).code(0);
+    assert!(second.err.contains("is in use by process"), "{}", second.err);
+    let first = first.end().code(0);
+    let events: Vec<Value> =
+        first.err.lines().filter(|l| l.starts_with('{')).map(|l| serde_json::from_str(l).unwrap()).collect();
+    assert!(events.iter().all(|e| e["event"] == "progress" && e["total"] == 64 && e["what"] == "tiles"));
+    assert!(events.is_sorted_by_key(|e| number(&e["done"])));
+    assert_eq!(sandbox.dump("second.pvs").cells.len(), 512);
+}

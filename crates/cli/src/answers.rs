@@ -54,6 +54,7 @@ impl Answers for Commands {
             path: None,
             pairs: 0,
             images: None,
+            turntable: false,
             resolution: asked.resolution,
             backend: BackendChoice::Auto,
         };

@@ -466,9 +466,14 @@ pub struct MeasureArgs {
     /// The backend that renders the frames: cpu, gpu, or auto, the cpu if Embree is installed, else the gpu.
     #[arg(long, value_parser = choice::<BackendChoice>(), default_value_t, hide_possible_values = true)]
     pub backend: BackendChoice,
-    /// Write the eight worst frames to this folder as PNG: correct pixels green, wrong pixels red.
+    /// Write the eight worst frames to this folder as PNG: correct pixels green, wrong pixels red. The six
+    /// faces around the viewpoint have their names in their corners.
     #[arg(long, value_name = "DIR")]
     pub images: Option<PathBuf>,
+    /// Also write `worst_turntable.png` there, an animated PNG: what a camera at the worst viewpoint sees
+    /// while it turns once around.
+    #[arg(long, requires = "images")]
+    pub turntable: bool,
 }
 
 /// Decides for pairs of convex polygons whether one sees the other among the triangles of a scene.

@@ -11,8 +11,11 @@ use serde_json::{Value, json};
 use sightline_pvs::{Granularity, Pvs, PvsError};
 
 use crate::cells;
+use crate::diff_page::{self, CellChange};
 use crate::error::CliError;
-use crate::opening::{open, plural};
+use crate::opening::{open, plural, scene_of};
+use crate::output::{Format, Output};
+use crate::progress::say;
 use crate::result_args::DiffArgs;
 use crate::serve::print;
 
@@ -45,6 +48,8 @@ enum Items {
 
 /// Compares two results.
 pub fn run(args: &DiffArgs, json: bool) -> Result<(), CliError> {
+    let output = args.output.as_ref().map(|path| Output::check(path, Format::Html, Some(&args.newer)));
+    let output = output.transpose()?;
     let results = [open(&args.older)?, open(&args.newer)?];
     let [older, newer] = &results;
     same_cells(args, older, newer)?;
@@ -68,6 +73,19 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), CliError> {
         Items::Triangles => "triangles",
         Items::Objects { .. } => "objects",
     };
+    if let Some(output) = &output {
+        let scene = args.scene.as_ref().map(|path| scene_of(path, &args.kinds, newer, &args.newer));
+        let of = |c: &&Change| CellChange { cell: c.cell, came: c.came.len(), went: c.went.len() };
+        let cells: Vec<CellChange> = changed.iter().map(of).collect();
+        let about = format!(
+            "{} of {} changed: {came} {what} came and {went} went",
+            changed.len(),
+            plural(reached, "cell")
+        );
+        let of = (newer, scene.transpose()?);
+        diff_page::write(output, [&args.older, &args.newer], (of.0, of.1.as_ref()), &cells, &about)?;
+        say(&format!("wrote {}", output.path().display()));
+    }
     if json {
         let of_cell = |c: &&Change| {
             json!({

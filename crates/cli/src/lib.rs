@@ -21,6 +21,7 @@ mod cells;
 mod choices;
 mod client;
 mod diff;
+mod diff_page;
 mod dump;
 mod enclosure;
 mod error;
@@ -82,6 +83,9 @@ pub fn command() -> ExitCode {
         log.init();
     } else {
         log.without_time().init();
+    }
+    if cli.json {
+        progress::tell_as_json();
     }
     match run(cli) {
         Ok(()) => ExitCode::SUCCESS,

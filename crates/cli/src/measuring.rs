@@ -107,7 +107,12 @@ pub fn measured_in(
     let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
     let far = info["sampling"]["far"].as_f64();
     let renderer = layers::renderer(&*backend, &prepared, spec, None, far).map_err(CliError::internal)?;
-    let options = Options { images_dir: args.images.clone(), images: WORST, worst: WORST };
+    let options = Options {
+        images_dir: args.images.clone(),
+        turntable: args.turntable.then(|| if info["up"] == "z" { 2 } else { 1 }),
+        images: WORST,
+        worst: WORST,
+    };
     let report = measure(&*renderer, pvs, &views, &options, progress).map_err(|e| match e {
         MeasureError::Stopped { .. } => CliError::Interrupted(e.to_string()),
         e => CliError::Input(e.to_string()),

@@ -1,10 +1,12 @@
 //! Progress on stderr: a bar on a terminal, otherwise a line every few seconds.
 
 use std::io::{IsTerminal as _, Write as _};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{LazyLock, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use serde_json::{Value, json};
 use sightline_proto::v1;
 
 use crate::pace::{Left, Pace};
@@ -14,6 +16,16 @@ static BARS: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
 
 /// Time between two lines when stderr is not a terminal.
 const LINE_EVERY: Duration = Duration::from_secs(5);
+
+/// Time between two lines for programs.
+const EVENT_EVERY: Duration = Duration::from_secs(1);
+/// Whether progress is told as JSON Lines.
+static AS_JSON: AtomicBool = AtomicBool::new(false);
+
+/// From now on tells progress as JSON Lines, for programs.
+pub fn tell_as_json() {
+    AS_JSON.store(true, Ordering::Relaxed);
+}
 
 /// Where lines go instead of stderr.
 type Listener = Box<dyn Fn(&str) + Send + Sync>;
@@ -81,7 +93,8 @@ pub struct Progress {
 impl Progress {
     /// Shows an empty bar on a terminal, otherwise nothing yet.
     pub fn new() -> Self {
-        let bar = std::io::stderr().is_terminal().then(|| {
+        let for_people = !AS_JSON.load(Ordering::Relaxed);
+        let bar = (for_people && std::io::stderr().is_terminal()).then(|| {
             let bar = BARS.add(ProgressBar::new(0));
             // The template is a constant, checked by a test.
             if let Ok(style) = ProgressStyle::with_template(TEMPLATE) {
@@ -117,6 +130,10 @@ impl Progress {
             0 => format!("{} cells", job.cells_done),
             total => format!("{}/{total} cells", job.cells_done),
         };
+        let seconds_left = match left {
+            Left::Seconds(seconds) => Some(seconds),
+            _ => None,
+        };
         let left = match left {
             Left::Paused => format!("PAUSED: `sightline resume {}` continues it", job.id),
             Left::NoWorkers => "NO WORKERS: start some with `sightline worker`".to_owned(),
@@ -135,23 +152,29 @@ impl Progress {
             n => format!(", {n} SET ASIDE"),
         };
         let text = format!("{cells}, {samples}{aside}, {left}");
-        self.show(ended, u64::from(job.tiles_total), "tiles", &text);
+        let state = job.state().as_str_name().trim_start_matches("JOB_STATE_").to_ascii_lowercase();
+        let more = json!({
+            "job": job.id, "state": state, "cells_done": job.cells_done, "cells_total": job.cells_total,
+            "samples": job.samples, "tiles_set_aside": job.tiles_set_aside, "seconds_left": seconds_left,
+        });
+        self.show([ended, u64::from(job.tiles_total)], "tiles", &text, more);
     }
 
     /// Shows a count of things that take about the same time each, with the time left.
     pub fn count(&self, done: u64, total: u64, what: &str) {
         let seconds = self.start.elapsed().as_secs_f64();
         let left = total.saturating_sub(done) as f64;
-        let text = if done > 0 { about(seconds / done as f64 * left) } else { String::new() };
-        self.show(done, total, what, &text);
+        let left = (done > 0).then(|| seconds / done as f64 * left);
+        self.show([done, total], what, &left.map(about).unwrap_or_default(), json!({"seconds_left": left}));
     }
 
     /// Shows a count whose total still grows, without a time left.
     pub fn count_so_far(&self, done: u64, total: u64, what: &str) {
-        self.show(done, total, what, "");
+        self.show([done, total], what, "", json!({}));
     }
 
-    fn show(&self, done: u64, total: u64, what: &str, text: &str) {
+    /// Shows text to people, or an event with more fields to programs.
+    fn show(&self, [done, total]: [u64; 2], what: &str, text: &str, more: Value) {
         if let Some(bar) = &self.bar {
             bar.set_length(total);
             bar.set_position(done);
@@ -159,8 +182,18 @@ impl Progress {
             return;
         }
         let mut last = self.last_line.lock().unwrap_or_else(PoisonError::into_inner);
-        if last.is_none_or(|t| t.elapsed() >= LINE_EVERY) {
+        let for_programs = AS_JSON.load(Ordering::Relaxed);
+        let every = if for_programs { EVENT_EVERY } else { LINE_EVERY };
+        if last.is_none_or(|t| t.elapsed() >= every) {
             *last = Some(Instant::now());
+            if for_programs {
+                let mut event = json!({"event": "progress", "what": what, "done": done, "total": total});
+                if let (Some(event), Value::Object(more)) = (event.as_object_mut(), more) {
+                    event.extend(more);
+                }
+                say(&event.to_string());
+                return;
+            }
             let comma = if text.is_empty() { "" } else { ", " };
             say(&format!("{done}/{total} {what}{comma}{text}"));
         }

@@ -114,6 +114,7 @@ fn look(args: &ReportArgs, pvs: &Pvs) -> Result<Found, CliError> {
     let folder = tempfile::tempdir().map_err(CliError::internal)?;
     let options = Options {
         images_dir: Some(folder.path().to_owned()),
+        turntable: None,
         images: FRAMES,
         worst: args.viewpoints as usize,
     };

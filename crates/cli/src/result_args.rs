@@ -32,6 +32,14 @@ pub struct DiffArgs {
     /// Print Markdown, for a comment on a change.
     #[arg(long)]
     pub markdown: bool,
+    /// Also write a page, as `sightline view` does: the newer result with heat maps of what came and went.
+    #[arg(short, long, value_name = "OUT.html")]
+    pub output: Option<PathBuf>,
+    /// The scene of the newer result, for the page.
+    #[arg(long, value_name = "SCENE", requires = "output")]
+    pub scene: Option<PathBuf>,
+    #[command(flatten)]
+    pub kinds: KindArgs,
 }
 
 /// A form of export.

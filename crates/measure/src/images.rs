@@ -75,7 +75,7 @@ fn is_label(face: u32, x: u32, y: u32, n: u32) -> bool {
 }
 
 /// The colour of a pixel that shows `id`.
-fn colour(id: u32, visible: &[u64]) -> [u8; 3] {
+pub(crate) fn colour(id: u32, visible: &[u64]) -> [u8; 3] {
     if id == SKY {
         return [0; 3];
     }

@@ -33,6 +33,7 @@ pub mod pairs;
 mod pixel;
 pub mod regions;
 pub mod report;
+mod turntable;
 pub mod viewpoints;
 
 pub use error::MeasureError;

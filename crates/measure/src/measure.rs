@@ -13,6 +13,7 @@ use crate::images;
 use crate::pixel::is_wrong;
 use crate::regions::{Regions, regions};
 use crate::report::{Durations, Frame, Report, nearest_rank};
+use crate::turntable;
 use crate::viewpoints::Viewpoints;
 
 /// Frames rendered between two reports of progress. Frames are independent, so they are spread over the
@@ -24,6 +25,9 @@ const BATCH: usize = 32;
 pub struct Options {
     /// Where to write images of the worst frames; made when missing.
     pub images_dir: Option<PathBuf>,
+    /// The axis that points up, 1 or 2, to write an animation of the worst frame as well: what a camera sees
+    /// there while it turns.
+    pub turntable: Option<usize>,
     /// How many of the worst frames to write images of.
     pub images: usize,
     /// How many of the worst frames to list.
@@ -33,7 +37,7 @@ pub struct Options {
 impl Default for Options {
     /// No images, the eight worst frames.
     fn default() -> Self {
-        Self { images_dir: None, images: 8, worst: 8 }
+        Self { images_dir: None, turntable: None, images: 8, worst: 8 }
     }
 }
 
@@ -142,6 +146,9 @@ pub fn measure(
                 image.ids[pixel as usize] = id;
             }
             images::write(&path, &image, &visible)?;
+            if let Some(up) = options.turntable.filter(|_| rank == 0) {
+                turntable::write(&dir.join("worst_turntable.png"), &image, &visible, up)?;
+            }
             frame.image = Some(path);
         }
     }

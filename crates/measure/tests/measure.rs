@@ -84,7 +84,7 @@ fn known_images_give_known_measures() {
             image(&[(at(5, 0, 0), 6)]),
         ],
         false,
-        &Options { images_dir: None, images: 2, worst: 2 },
+        &Options { images_dir: None, turntable: None, images: 2, worst: 2 },
     )
     .unwrap();
     let pixels = 600.0;
@@ -174,11 +174,16 @@ fn what_cannot_be_measured_is_refused() {
 #[test]
 fn images_show_seen_green_wrong_red_and_sky_black() {
     let dir = tempfile::tempdir().unwrap();
-    let options = Options { images_dir: Some(dir.path().join("new/images")), images: 1, worst: 1 };
+    let options =
+        Options { images_dir: Some(dir.path().join("new/images")), turntable: Some(1), images: 1, worst: 1 };
     let report =
         run(vec![image(&[(at(0, 0, 0), 10), (at(3, 0, 0), 10), (at(3, 1, 0), 3)])], false, &options).unwrap();
     let path = report.worst[0].image.as_ref().unwrap();
     assert!(path.ends_with("new/images/worst_01_frame_000000.png"), "{}", path.display());
+    // One turn around the viewpoint, as an animation.
+    let film = std::fs::File::open(dir.path().join("new/images/worst_turntable.png")).unwrap();
+    let film = png::Decoder::new(std::io::BufReader::new(film)).read_info().unwrap();
+    assert_eq!(film.info().animation_control().unwrap().num_frames, 48);
 
     let file = std::io::BufReader::new(std::fs::File::open(path).unwrap());
     let mut reader = png::Decoder::new(file).read_info().unwrap();

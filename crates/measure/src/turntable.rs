@@ -1,0 +1,70 @@
+//! A frame as an animated PNG: what a camera at the viewpoint sees while it turns once around the axis that
+//! points up.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+
+use glam::Vec3;
+use sightline_sampling::CubeImage;
+use sightline_sampling::cube::face_basis;
+
+use crate::error::MeasureError;
+use crate::images::colour;
+
+/// Pixels of a picture.
+const SIZE: [u32; 2] = [400, 300];
+/// Half the width of a picture at distance 1: a field of view of 90 degrees.
+const SPREAD: f32 = 1.0;
+/// Pictures of a turn.
+const STEPS: u32 = 48;
+/// Pictures a second.
+const RATE: u16 = 12;
+
+/// Writes the animation. `visible` is the cell's set as bits; `up` is 1 or 2, for y or z.
+pub(crate) fn write(path: &Path, image: &CubeImage, visible: &[u64], up: usize) -> Result<(), MeasureError> {
+    let failed = |reason: String| MeasureError::Image { path: path.to_owned(), reason };
+    let file = File::create(path).map_err(|e| failed(e.to_string()))?;
+    let [wide, high] = SIZE;
+    let mut encoder = png::Encoder::new(BufWriter::new(file), wide, high);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_animated(STEPS, 0).map_err(|e| failed(e.to_string()))?;
+    encoder.set_frame_delay(1, RATE).map_err(|e| failed(e.to_string()))?;
+    let mut writer = encoder.write_header().map_err(|e| failed(e.to_string()))?;
+    for step in 0..STEPS {
+        let picture = picture(image, visible, up, std::f32::consts::TAU * step as f32 / STEPS as f32);
+        writer.write_image_data(&picture).map_err(|e| failed(e.to_string()))?;
+    }
+    writer.finish().map_err(|e| failed(e.to_string()))
+}
+
+/// What the camera sees after it has turned by an angle.
+fn picture(image: &CubeImage, visible: &[u64], up: usize, angle: f32) -> Vec<u8> {
+    let [wide, high] = SIZE;
+    let vertical = if up == 2 { Vec3::Z } else { Vec3::Y };
+    let ahead = if up == 2 { Vec3::Y } else { Vec3::NEG_Z };
+    let forward = ahead * angle.cos() + ahead.cross(vertical) * angle.sin();
+    let right = forward.cross(vertical);
+    let scale = 2.0 * SPREAD / wide as f32;
+    let mut out = Vec::with_capacity((wide * high * 3) as usize);
+    for y in 0..high {
+        for x in 0..wide {
+            let u = (x as f32 + 0.5 - wide as f32 / 2.0) * scale;
+            let v = (high as f32 / 2.0 - y as f32 - 0.5) * scale;
+            out.extend(colour(id_along(image, forward + right * u + vertical * v), visible));
+        }
+    }
+    out
+}
+
+/// The triangle that a cube shows in a direction.
+fn id_along(image: &CubeImage, d: Vec3) -> u32 {
+    let n = image.resolution;
+    let face = (0..6).max_by(|a, b| d.dot(face_basis(*a)[0]).total_cmp(&d.dot(face_basis(*b)[0])));
+    let face = face.unwrap_or(0);
+    let [f, r, u] = face_basis(face);
+    let depth = d.dot(f);
+    let place = |c: f32| (((c / depth + 1.0) * n as f32 / 2.0) as u32).min(n - 1);
+    image.ids[((face * n + place(d.dot(u))) * n + place(d.dot(r))) as usize]
+}
