@@ -10,10 +10,10 @@ cd "$(dirname "$0")/.."
 work=$(mktemp -d)
 trap 'kill $(jobs -p) 2>/dev/null; wait; rm -rf "$work"' EXIT
 cargo build --quiet --release --locked
-sightline=$PWD/target/release/sightline
+sightline=$(realpath "${CARGO_TARGET_DIR:-target}")/release/sightline
 "$sightline" generate town --triangles 40000 -o "$work/town.glb"
 "$sightline" coordinator --data-dir "$work/data" --listen 127.0.0.1:0 --http 127.0.0.1:0 >"$work/out" 2>"$work/err" &
-until [ "$(wc -l <"$work/out")" = 2 ]; do sleep 0.1; done
+for _ in $(seq 100); do [ "$(wc -l <"$work/out")" = 2 ] && break; sleep 0.1; done
 url=$(sed -n 's/listening on //p' "$work/out")
 pages=$(sed -n 's/dashboard on //p' "$work/out")
 for name in ann bob; do

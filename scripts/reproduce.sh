@@ -62,7 +62,11 @@ for program in "$SIGHTLINE_BIN" "$SIGHTLINE_EXAMPLES/cells" "$SIGHTLINE_EXAMPLES
   [ -x "$program" ] || die "there is no program $program"
 done
 
-rm -rf "$out"
+# Only what an earlier run has left is removed.
+if [ -e "$out" ] && [ -n "$(ls -A "$out")" ]; then
+  [ -f "$out/commands.txt" ] || die "$out is not empty and not of an earlier run; give --out another folder"
+  rm -rf "$out"
+fi
 mkdir -p "$out/scenes"
 export XDG_CACHE_HOME=$out/store
 log=$out/commands.txt

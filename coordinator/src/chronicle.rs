@@ -17,6 +17,8 @@ use crate::ids::{JobId, Lease, TileIndex};
 
 /// Events that are kept in memory.
 const MOST: usize = 1 << 18;
+/// Bytes of a text; longer ones are cut. Workers send reasons of any length.
+const MOST_TEXT: usize = 500;
 /// Length at which a piece of the file ends.
 const PIECE_BYTES: u64 = 16 << 20;
 /// Most bytes that wait to be written; further events are in memory alone.
@@ -129,7 +131,11 @@ impl Chronicle {
     }
 
     /// Notes an event. Does not block on the disk.
-    pub(crate) fn record(&self, at_ms: u64, what: Happening) {
+    pub(crate) fn record(&self, at_ms: u64, mut what: Happening) {
+        if what.text.len() > MOST_TEXT {
+            what.text.truncate(what.text.floor_char_boundary(MOST_TEXT));
+            what.text.push('…');
+        }
         let mut kept = self.kept();
         let entry = Entry { number: kept.last + 1, at_ms, what };
         if self.directory.is_some() && kept.unwritten.len() < MOST_UNWRITTEN {
@@ -319,7 +325,7 @@ mod tests {
     fn memory_holds_the_last_events_and_the_file_two_pieces() {
         let directory = tempfile::tempdir().unwrap();
         let chronicle = Chronicle::of(directory.path().to_owned());
-        let text = "x".repeat(1 << 10);
+        let text = "x".repeat(MOST_TEXT);
         for n in 0..40_000 {
             chronicle.record(n, Happening::of(Kind::Coordinator, text.clone()));
             if n % 1000 == 0 {

@@ -1,11 +1,12 @@
 //! Deleting a job that has ended, with the blobs that it alone needs.
 
 use std::collections::BTreeSet;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 
 use crate::chronicle::{Happening, Kind};
 use crate::ids::{Digest, JobId};
 use crate::jobs::{self, JobError, Summary};
+use crate::partial::Last;
 use crate::specs;
 use crate::state::Coordinator;
 use crate::store::{JobRecord, JobState, StoreError, TileState};
@@ -49,6 +50,8 @@ pub(crate) fn delete(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobErro
             tracing::warn!("{e}");
         }
     }
+    *c.last_partial.lock().unwrap_or_else(PoisonError::into_inner) = Last::default();
+    *c.last_asked.lock().unwrap_or_else(PoisonError::into_inner) = None;
     c.watched().changed(id, true);
     tracing::info!("job {id} is deleted");
     c.happened(Happening::of_job(Kind::Job, id, format!("the job ({}) is deleted", was.record.name)));

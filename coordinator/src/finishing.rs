@@ -47,10 +47,13 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
     // Until the machine has heard of the end.
     let turn = c.turn();
     let ended = match assembled {
+        // Another job with the same bytes may have been deleted before this one's record could name them.
+        Ok((digest, _)) if !c.blobs.has(&digest).unwrap_or(true) => {
+            return tell(c, Event::AssemblyDropped(id));
+        }
         Ok((digest, bytes)) => c.store.finish_job(id, digest, bytes, now),
         Err(e) => {
             tracing::error!("job {id} has no result: {e}");
-            c.happened(Happening::of_job(Kind::Job, id, format!("the job has failed: {e}")));
             let failed = JobState::Failed { reason: e };
             c.store.set_job_state(id, &[JobPhase::Queued, JobPhase::Running], failed, now)
         }
@@ -66,6 +69,9 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
             return tell(c, Event::AssemblyWaits(id));
         }
     };
+    if let JobState::Failed { reason } = &record.state {
+        c.happened(Happening::of_job(Kind::Job, id, format!("the job has failed: {reason}")));
+    }
     if let JobState::Done { bytes, .. } = record.state {
         tracing::info!("job {id} is done, {bytes} bytes");
         c.happened(Happening::of_job(Kind::Job, id, format!("the job is done, {bytes} bytes")));

@@ -185,6 +185,7 @@ pub(crate) fn pause(c: &Arc<Coordinator>, job: JobId, now: bool) -> Result<Summa
         return Ok(paused);
     }
     do_chores(c, tell(c, Event::Stopped(job)));
+    c.happened(Happening::of_job(Kind::Job, job, "tiles at work are stopped"));
     Ok(summary(c, job)?)
 }
 

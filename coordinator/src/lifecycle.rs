@@ -88,7 +88,8 @@ impl Coordinator {
         for record in store.jobs()? {
             if !record.state.phase().ended() {
                 let (id, tiles) = (record.id, store.tiles(record.id)?);
-                let runs = record.state == JobState::Running;
+                // Its tiles may be at work: workers finish them while it is paused, too.
+                let runs = record.profile.is_some();
                 let spec = specs::whole(&*blobs, &record.spec);
                 match spec.and_then(|spec| Job::of(record, &spec, tiles)) {
                     Ok(job) => jobs.push(if runs { job.after_restart() } else { job }),

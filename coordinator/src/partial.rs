@@ -15,6 +15,9 @@ pub(crate) enum PartialError {
     /// None of its tiles is done.
     #[error("none of the tiles with cells of job {0} is done yet; try again later")]
     Nothing(JobId),
+    /// It ended while this was made.
+    #[error("job {0} has ended or changed meanwhile; ask again")]
+    Changed(JobId),
     /// Another version of the program began the job.
     #[error("{0}")]
     Outdated(String),
@@ -60,7 +63,11 @@ pub(crate) fn so_far(c: &Coordinator, id: JobId) -> Result<Arc<[u8]>, PartialErr
     }
     let parts = Parts { work: Arc::clone(&job.work), profile, outputs, samples: job.samples };
     let mut bytes = Vec::new();
-    write(c, &parts, &mut bytes)?;
+    if let Err(e) = write(c, &parts, &mut bytes) {
+        // The job may have ended meanwhile, and its tiles' outputs be in its result.
+        let ended = c.store.job(id)?.is_none_or(|job| job.state.phase().ended());
+        return Err(if ended { PartialError::Changed(id) } else { e.into() });
+    }
     let bytes: Arc<[u8]> = bytes.into();
     last.0 = Some(Made { job: id, of: names, bytes: Arc::clone(&bytes) });
     Ok(bytes)

@@ -77,9 +77,9 @@ pub struct Coordinator {
     /// Permits for downloads, each of which occupies a thread for as long as its client takes.
     pub(crate) downloads: Arc<Semaphore>,
     /// Permits for reading scenes from files.
-    pub(crate) files: Semaphore,
+    pub(crate) files: Arc<Semaphore>,
     /// The right to hold a scene for a question or a page.
-    pub(crate) scenes_in_memory: Semaphore,
+    pub(crate) scenes_in_memory: Arc<Semaphore>,
     /// Who answers what needs the scene.
     pub(crate) answers: OnceLock<Box<dyn Answers>>,
     /// The result that was asked about last.
@@ -112,8 +112,8 @@ impl Coordinator {
             last_scene: Mutex::new(None),
             last_partial: Mutex::default(),
             downloads: Arc::new(Semaphore::new(MOST_DOWNLOADS)),
-            files: Semaphore::new(scene_files::AT_ONCE),
-            scenes_in_memory: Semaphore::new(1),
+            files: Arc::new(Semaphore::new(scene_files::AT_ONCE)),
+            scenes_in_memory: Arc::new(Semaphore::new(1)),
             answers: OnceLock::new(),
             last_asked: Mutex::new(None),
         }

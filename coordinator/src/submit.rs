@@ -80,6 +80,8 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
              the scene that the region was found in"
         )));
     }
+    // Nobody else changes the job until the scheduler has it, and no blob that it will name is deleted.
+    let mut turn = c.turn();
     let job = NewJob {
         key: spec.key(),
         request_id: request_id.clone(),
@@ -91,8 +93,6 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
         tiles: plan.tiles.len() as u32,
         submitted_at_ms: c.now().unix_ms,
     };
-    // Nobody else changes the job until the scheduler has it.
-    let mut turn = c.turn();
     let mut submitted = c.store.submit_job(job.clone())?;
     if submitted.existing
         && let Some(result) = result_of(c, submitted.id)?

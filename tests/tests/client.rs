@@ -38,7 +38,8 @@ fn ten_lines_of_python_bake_a_file() {
     let [there, here] = ["level.pvs", "here.pvs"].map(|name| sandbox.ok(&format!("dump {name}")));
     assert_eq!(there, here);
     let lines = CLIENT.lines().filter(|line| !line.is_empty() && !line.starts_with('#')).count();
-    assert!(lines <= 10, "{lines} lines");
+    // The last but one says why a job has no result.
+    assert!(lines <= 11, "{lines} lines");
 }
 
 #[test]

@@ -25,7 +25,9 @@ impl Machine {
             return;
         }
         let Some(profile) = self.leases.get(&lease.id).map(|l| Profile::clone(&l.profile)) else { return };
-        let Some(whom) = self.jobs.get(&lease.job).map(|job| job.whom.clone()) else { return };
+        // A paused job gets no help.
+        let runs = self.jobs.get(&lease.job).filter(|job| job.runs());
+        let Some(whom) = runs.map(|job| job.whom.clone()) else { return };
         let share = self.share(&whom.user);
         let pool = self.pools.at(&profile);
         pool.crews.insert(&whom, share, (0, lease.id));

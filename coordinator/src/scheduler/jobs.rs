@@ -78,10 +78,23 @@ impl Machine {
         }
         if phase == JobPhase::Paused {
             job.pace.forget();
+            self.rest(id);
         }
         self.list_job(id);
         self.assemble_if_complete(id);
         self.tell_watchers(id);
+    }
+
+    /// A job is paused: workers finish the tiles that they have begun, without help, and give others back.
+    fn rest(&mut self, id: JobId) {
+        let Some(job) = self.jobs.get(&id) else { return };
+        let leases: Vec<LeaseId> = job.tiles.iter().flat_map(|t| t.leases).flatten().collect();
+        for lease in leases {
+            match self.leases.get(&lease).is_some_and(|l| l.begun.is_some()) {
+                true => self.crew_closed(lease),
+                false => self.end_lease(lease, true),
+            }
+        }
     }
 
     /// Takes the tiles of a paused job back from their workers.

@@ -232,7 +232,7 @@ impl Machine {
             // Of a paused job, tiles that were at work are finished.
             let goes_on = |job: &&super::job::Job| match job.record.state {
                 JobState::Running => true,
-                JobState::Paused | JobState::Queued => same.is_some(),
+                JobState::Paused | JobState::Queued => same.is_some() || job.grace,
                 _ => false,
             };
             let Some(job) = self.jobs.get(&lease.job).filter(goes_on) else { continue };

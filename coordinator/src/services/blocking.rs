@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use tokio::sync::Semaphore;
 use tonic::Status;
 
 use super::status;
@@ -22,6 +23,25 @@ pub(super) async fn blocking<T: Send + 'static>(
         true => Status::unavailable("the coordinator is stopping; try again when it is back"),
         false => status::internal(&format!("a request panicked: {e}")),
     })?
+}
+
+/// As [`blocking`], with one of few permits, which is held until `f` has ended, whether anybody waits for it
+/// or not.
+///
+/// # Errors
+/// As [`blocking`].
+pub(super) async fn blocking_one_of<T: Send + 'static>(
+    c: &Arc<Coordinator>,
+    permits: &Arc<Semaphore>,
+    f: impl FnOnce(&Arc<Coordinator>) -> Result<T, Status> + Send + 'static,
+) -> Result<T, Status> {
+    let closed = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
+    let permit = Arc::clone(permits).acquire_owned().await.map_err(closed)?;
+    blocking(c, move |c| {
+        let _permit = permit;
+        f(c)
+    })
+    .await
 }
 
 /// Does chores on one of tokio's threads for blocking work; the caller does not wait for them.

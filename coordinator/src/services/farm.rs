@@ -4,6 +4,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 
 use futures::Stream;
+use prost::Message as _;
 use sightline_proto::v1;
 use tokio::sync::mpsc;
 use tonic::{Request, Response, Status};
@@ -15,8 +16,10 @@ use crate::state::Coordinator;
 use crate::store::StoreError;
 use crate::tiles;
 
-/// Most tiles of an answer: they stay below the 4 MiB of a message.
+/// Most tiles of an answer.
 const MOST_TILES: u32 = 10_000;
+/// Most bytes of the tiles of an answer, for messages of at most 4 MiB.
+const MOST_BYTES: usize = 3 << 20;
 /// Events that are read at a time.
 const EVENTS_AT_ONCE: usize = 256;
 
@@ -49,11 +52,21 @@ impl v1::farm_server::Farm for FarmService {
         blocking(&self.0, move |c| {
             let page = tiles::list(c, JobId(r.job), TileIndex(r.first), most as usize, &wanted);
             let page = page.map_err(|e| status::of_store(&e))?;
-            Ok(Response::new(v1::ListTilesResponse {
-                tiles: page.tiles.into_iter().map(wire::tile).collect(),
+            let mut answer = v1::ListTilesResponse {
+                tiles: Vec::new(),
                 next: page.next.map_or(0, |tile| tile.0),
                 total: page.total,
-            }))
+            };
+            let mut bytes = 0;
+            for tile in page.tiles.into_iter().map(wire::tile) {
+                bytes += tile.encoded_len();
+                if bytes > MOST_BYTES && !answer.tiles.is_empty() {
+                    answer.next = tile.tile;
+                    break;
+                }
+                answer.tiles.push(tile);
+            }
+            Ok(Response::new(answer))
         })
         .await
     }

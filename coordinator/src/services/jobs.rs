@@ -13,12 +13,12 @@ use sightline_scene::{Kind, Rule};
 use tokio::sync::{mpsc, watch};
 use tonic::{Request, Response, Status, Streaming};
 
-use super::blocking::blocking;
+use super::blocking::{blocking, blocking_one_of};
 use super::streams::{ChunkStream, stream_blob, stream_bytes};
 use super::{status, wire};
 use crate::deleting;
 use crate::estimate;
-use crate::ids::JobId;
+use crate::ids::{Digest, JobId};
 use crate::jobs::{self, JobError, Summary};
 use crate::partial;
 use crate::scene_files;
@@ -202,9 +202,7 @@ impl v1::jobs_server::Jobs for JobsService {
     type FetchPartialStream = ChunkStream;
 
     async fn fetch_partial(&self, r: Request<v1::ShowRequest>) -> Answer<Self::FetchPartialStream> {
-        let id = JobId(r.into_inner().job);
-        let bytes = blocking(&self.0, move |c| partial::so_far(c, id).map_err(|e| status::of_partial(&e)));
-        stream_bytes(&self.0, bytes.await?).await.map(Response::new)
+        so_far(&self.0, JobId(r.into_inner().job)).await.map(Response::new)
     }
 
     type FetchStream = ChunkStream;
@@ -248,14 +246,32 @@ pub(super) async fn take_file(
         Rule::new(kind, &r.glob).map_err(|e| Status::invalid_argument(e.to_string()))
     };
     let rules = header.rules.into_iter().map(rule).collect::<Result<Vec<_>, _>>()?;
-    let closed = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
-    let _permit = c.files.acquire().await.map_err(closed)?;
-    blocking(c, move |c| {
+    blocking_one_of(c, &c.files, move |c| {
         let taken = scene_files::take(c, &header.name, &bytes, rules);
         let (record, warnings) = taken.map_err(|e| status::of_file(&e))?;
         Ok(v1::SceneFileInfo { scene: Some(wire::scene(&record)), warnings })
     })
     .await
+}
+
+/// The result of a job as a stream, or what is done of one that has not ended.
+pub(super) async fn so_far(c: &Arc<Coordinator>, id: JobId) -> Result<ChunkStream, Status> {
+    match blocking(c, move |c| jobs::result(c, id).map(Some).or_else(|e| none_yet(&e))).await? {
+        Some(result) => stream_blob(c, result).await,
+        None => {
+            let made = move |c: &Arc<Coordinator>| partial::so_far(c, id).map_err(|e| status::of_partial(&e));
+            let bytes = blocking_one_of(c, &c.scenes_in_memory, made).await?;
+            stream_bytes(c, bytes).await
+        }
+    }
+}
+
+/// A job without a result is no error.
+fn none_yet(e: &JobError) -> Result<Option<Digest>, Status> {
+    match e {
+        JobError::NoResult { .. } => Ok(None),
+        e => Err(status::of_job(e)),
+    }
 }
 
 async fn summary(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, Status> {
@@ -290,8 +306,9 @@ fn submission(c: &Coordinator, r: v1::SubmitRequest) -> Result<Submission, Statu
 /// then.
 fn draft(c: &Coordinator, r: v1::SubmitRequest) -> Result<Submission, Status> {
     let spec = r.spec.as_ref().ok_or_else(|| Status::invalid_argument("the job has no specification"))?;
-    let spec = &with_defaults(spec);
     let scene = wire::digest(&spec.scene)?;
+    let record = c.store.scene(&scene).map_err(|e| status::of_store(&e))?;
+    let spec = &with_defaults(spec, record.map_or(0, |record| record.triangles));
     let bounds = match spec.view_box.is_empty() {
         true => {
             scenes::known(c, scene).map_err(|e| status::of_store(&e))?;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use sightline_proto::v1;
 use tonic::{Request, Response, Status};
 
-use super::blocking::blocking;
+use super::blocking::{blocking, blocking_one_of};
 use super::status;
 use crate::asking::{self, AskError};
 use crate::state::Coordinator;
@@ -22,21 +22,25 @@ impl v1::results_server::Results for ResultsService {
     }
 
     async fn why(&self, r: Request<v1::WhyRequest>) -> Answer<v1::WhyResponse> {
-        let _permit = self.permit().await?;
-        self.ask(r, asking::why).await
+        self.ask_one(r, asking::why).await
     }
 
     async fn measure(&self, r: Request<v1::MeasureRequest>) -> Answer<v1::MeasureResponse> {
-        let _permit = self.permit().await?;
-        self.ask(r, asking::measure).await
+        self.ask_one(r, asking::measure).await
     }
 }
 
 impl ResultsService {
-    /// The right to hold a scene: one question at a time does.
-    async fn permit(&self) -> Result<tokio::sync::SemaphorePermit<'_>, Status> {
-        let closed = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
-        self.0.scenes_in_memory.acquire().await.map_err(closed)
+    /// Answers a question that needs the scene: one at a time.
+    async fn ask_one<Q: Send + 'static, A: Send + 'static>(
+        &self,
+        r: Request<Q>,
+        answer: fn(&Coordinator, &Q) -> Result<A, AskError>,
+    ) -> Answer<A> {
+        let asked = r.into_inner();
+        let answer =
+            move |c: &Arc<Coordinator>| answer(c, &asked).map(Response::new).map_err(|e| status::of_ask(&e));
+        blocking_one_of(&self.0, &self.0.scenes_in_memory, answer).await
     }
 
     async fn ask<Q: Send + 'static, A: Send + 'static>(

@@ -107,6 +107,7 @@ pub(super) fn of_job(e: &JobError) -> Status {
 pub(super) fn of_partial(e: &PartialError) -> Status {
     match e {
         PartialError::Nothing(_) | PartialError::Outdated(_) => Status::failed_precondition(e.to_string()),
+        PartialError::Changed(_) => Status::unavailable(e.to_string()),
         PartialError::Store(e) => of_store(e),
         PartialError::Blob(e) => of_blob(e),
         PartialError::Assemble(e) => internal(&e.to_string()),

@@ -188,6 +188,9 @@ fn check_hello(hello: &v1::Hello) -> Result<(), Status> {
              give another --name"
         )));
     }
+    if hello.version.len() > MAX_IDENTIFIER_BYTES || !printable(&hello.version) {
+        return Err(Status::invalid_argument("a worker's version is too long or has control characters"));
+    }
     let fine = |p: &String| p.len() <= MAX_IDENTIFIER_BYTES && printable(p) && p.is_ascii();
     if hello.profiles.is_empty() || hello.profiles.len() > MAX_PROFILES || !hello.profiles.iter().all(fine) {
         return Err(Status::invalid_argument(format!(

@@ -142,7 +142,7 @@ impl World {
     fn client(&mut self) -> Result<(), String> {
         let ids: Vec<JobId> = self.plans.keys().copied().collect();
         let id = ids[self.below(ids.len() as u64) as usize];
-        let what = self.below(5);
+        let what = self.below(6);
         if self.machine.is_none() || self.disk_full {
             return Ok(());
         }
@@ -151,6 +151,7 @@ impl World {
         match what {
             0 | 1 => self.turn(id, &live, JobState::Paused),
             2 => self.turn(id, &[JobPhase::Paused], JobState::Queued),
+            5 => self.tell(Event::Stopped(id)),
             3 if self.one_in(3) => self.turn(id, &all, JobState::Cancelled),
             _ => self.retry(id),
         }

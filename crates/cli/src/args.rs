@@ -75,7 +75,7 @@ pub enum Command {
     Logs(LogsArgs),
     /// End a job. Its finished tiles, and finished phases of tiles at work, are kept for `retry`.
     Cancel(JobRefArgs),
-    /// Pause a job: give out no more of its tiles. Workers finish those that they hold.
+    /// Pause a job: give out no more of its tiles. Workers finish those that they have begun.
     Pause(PauseArgs),
     /// Give a job another priority.
     Priority(PriorityArgs),

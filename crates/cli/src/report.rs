@@ -42,7 +42,7 @@ pub fn run(args: &ReportArgs, as_json: bool) -> Result<(), CliError> {
     let pvs = opening::open(&args.result)?;
     let found = look(args, &pvs)?;
     let costs = &found.costs;
-    let over = over_budget(&pvs, costs, budget.as_ref(), COSTLIEST);
+    let over = over_budget(&pvs, &found.by_object, budget.as_ref(), COSTLIEST);
     let bounds = cells::bounds_of_cells(&pvs)?;
     let sizes = costs.cells.iter().map(|drawn| drawn.iter().map(|(_, count)| u64::from(*count)).sum());
     let about = About {
@@ -92,6 +92,8 @@ struct Found {
     /// The worst frames with their pictures.
     frames: Vec<(Frame, Vec<u8>)>,
     costs: Costs,
+    /// The same by objects, for budgets.
+    by_object: Costs,
     blame: Blame,
 }
 
@@ -133,12 +135,13 @@ fn look(args: &ReportArgs, pvs: &Pvs) -> Result<Found, CliError> {
     }
     let input = |e: sightline_report::ReportError| CliError::Input(format!("{}: {e}", args.result.display()));
     let costs = Costs::of(pvs, &scene).map_err(input)?;
+    let by_object = Costs::of_objects(pvs, &scene).map_err(input)?;
     let sight = Sight::new(&*backend, prepared.traced()).map_err(CliError::internal)?.up_to(far);
     let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
     // Viewpoints inside of walls count where the result says so, as the sets count them.
     let in_region = |p: glam::Vec3| region.as_ref().is_none_or(|region| region.holds(p));
     let blame = blame(&sight, (pvs, &scene), &costs, (args.seed, step), &in_region).map_err(input)?;
-    Ok(Found { error, frames, costs, blame })
+    Ok(Found { error, frames, costs, by_object, blame })
 }
 
 /// Says on stdout what is in the report.

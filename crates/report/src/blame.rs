@@ -106,8 +106,7 @@ pub fn blame(
     for of in &seen {
         let triangles = &costs.groups[of.group].triangles;
         let object = Aabb::around(triangles.iter().flat_map(|t| scene.triangles()[*t as usize].v));
-        let sights: Vec<Sights> =
-            of.sights.iter().map(|(s, _)| Sights { cell: s.cell, segments: s.segments.clone() }).collect();
+        let sights: Vec<&Sights> = of.sights.iter().map(|(sights, _)| sights).collect();
         let through = find(bounds, object, &sights).map(|opening| {
             // Boxes that meet are taken to be one opening: the first that was found.
             openings.iter().position(|known| known.opening.meets(&opening)).unwrap_or_else(|| {
@@ -207,7 +206,8 @@ fn look(
         let is_free = |i: usize| packets[i / LANES].distance[i % LANES] >= FREE;
         let segments: Vec<[Vec3; 2]> = (0..tried.len()).filter(|i| is_free(*i)).map(|i| tried[i]).collect();
         if !segments.is_empty() {
-            sights.push((Sights { cell: Aabb { min, max }, segments }, drawn));
+            let tried = tried.len();
+            sights.push((Sights { cell: Aabb { min, max }, segments, tried }, drawn));
         }
     }
     Ok(Seen { group, looked_at, sights })

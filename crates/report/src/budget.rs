@@ -52,7 +52,18 @@ pub fn over_budget(pvs: &Pvs, costs: &Costs, budget: Option<&Budget>, most: usiz
         let triangles: u64 = drawn.iter().map(|(_, count)| u64::from(*count)).sum();
         let objects = drawn.len() as u64;
         let bytes = drawn.iter().map(|(group, _)| size(*group)).sum::<u64>().saturating_mul(each);
-        let of = |is: u64, limit: Option<u64>| limit.map_or(0.0, |limit| is as f64 / limit.max(1) as f64);
+        let of = |is: u64, limit: Option<u64>| match limit {
+            None => 0.0,
+            // Anything is infinitely many times nothing.
+            Some(0) => {
+                if is > 0 {
+                    f64::INFINITY
+                } else {
+                    0.0
+                }
+            }
+            Some(limit) => is as f64 / limit as f64,
+        };
         let times = budget
             .map_or(0.0, |b| of(triangles, b.triangles).max(of(objects, b.objects)).max(of(bytes, b.bytes)));
         if budget.is_some() && times <= 1.0 || drawn.is_empty() {

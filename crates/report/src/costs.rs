@@ -39,6 +39,23 @@ impl Costs {
     pub fn of(pvs: &Pvs, scene: &Scene) -> Result<Self, ReportError> {
         let are_clusters = scene.objects().len() < FEW;
         let groups = if are_clusters { clusters_of(scene) } else { objects_of(scene) };
+        Self::of_groups(pvs, scene, groups, are_clusters)
+    }
+
+    /// The same by objects, however few they are.
+    ///
+    /// # Errors
+    /// [`ReportError::Pvs`] when the result cannot be read.
+    pub fn of_objects(pvs: &Pvs, scene: &Scene) -> Result<Self, ReportError> {
+        Self::of_groups(pvs, scene, objects_of(scene), false)
+    }
+
+    fn of_groups(
+        pvs: &Pvs,
+        scene: &Scene,
+        groups: Vec<Group>,
+        are_clusters: bool,
+    ) -> Result<Self, ReportError> {
         let mut group_of = vec![u32::MAX; scene.len() as usize];
         for (number, group) in (0u32..).zip(&groups) {
             group.triangles.iter().for_each(|t| group_of[*t as usize] = number);

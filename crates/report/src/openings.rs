@@ -1,15 +1,18 @@
 //! Openings: boxes through which most of the segments between an object and the cells that see it pass.
 
-use std::collections::BTreeMap;
-
-use glam::Vec3;
+use glam::{UVec3, Vec3};
+use rustc_hash::FxHashMap;
 use serde::Serialize;
 use sightline_scene::Aabb;
 
 /// Boxes along the longest side of the scene, from the finest grid to the coarsest.
 const GRIDS: [u32; 4] = [96, 48, 24, 12];
-/// The share of the cells whose segments have to pass the box.
+/// The share of the cells that have to see the object through the box.
 const SHARE: f64 = 0.6;
+/// The share of a cell's segments that have to pass the box.
+const MOST: f64 = 0.9;
+/// Segments of a cell that are looked at.
+const LOOKED_AT: usize = 16;
 
 /// A box in space.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -55,47 +58,68 @@ pub struct Sights {
     pub cell: Aabb,
     /// From the cell to the object.
     pub segments: Vec<[Vec3; 2]>,
+    /// Segments that were tried, the blocked ones included.
+    pub tried: usize,
 }
 
-/// The smallest box of a grid over the scene that most of these cells see the object through: outside of the
-/// cells and away from the object. `None` when the object is seen in the open, or by a single cell.
-pub fn find(scene: Aabb, object: Aabb, sights: &[Sights]) -> Option<Opening> {
+impl Sights {
+    /// Whether much between the cell and the object is in the way. Where little is, the object is seen in the
+    /// open, although all segments come together in front of it.
+    fn is_narrow(&self) -> bool {
+        2 * self.segments.len() <= self.tried
+    }
+}
+
+/// The smallest box that most of these cells see the object through: outside of the cells and away from the
+/// object. `None` when the object is seen in the open, or by a single cell.
+pub fn find(scene: Aabb, object: Aabb, sights: &[&Sights]) -> Option<Opening> {
     if sights.len() < 2 {
         return None;
     }
     let longest = (scene.max - scene.min).max_element();
-    for grid in GRIDS {
-        let size = longest / grid as f32;
-        let near = Aabb { min: object.min - size, max: object.max + size };
-        // For each box of the grid how many cells have a segment through it, and the last of them.
-        let mut passed: BTreeMap<[u32; 3], (u32, usize)> = BTreeMap::new();
-        for (number, of) in sights.iter().enumerate() {
-            for [a, b] in &of.segments {
-                // Half a box a step: a box that is cut at a corner may be left out, which costs nothing.
-                let steps = ((*b - *a).length() / size * 2.0).ceil().max(1.0) as u32;
-                for step in 1..steps {
-                    let at = a.lerp(*b, step as f32 / steps as f32);
-                    if of.cell.contains(at) || near.contains(at) {
-                        continue;
-                    }
-                    let place = ((at - scene.min) / size).as_uvec3().to_array();
-                    let entry = passed.entry(place).or_insert((0, usize::MAX));
+    GRIDS.into_iter().find_map(|grid| of_size(scene, object, sights, longest / grid as f32))
+}
+
+/// The box of this size that most cells see the object through. Boxes overlap by half, so that an opening of
+/// half the size is in one of them.
+fn of_size(scene: Aabb, object: Aabb, sights: &[&Sights], size: f32) -> Option<Opening> {
+    let half = size / 2.0;
+    let near = Aabb { min: object.min - size, max: object.max + size };
+    let mut cells: FxHashMap<[u32; 3], u32> = FxHashMap::default();
+    for of in sights.iter().filter(|of| of.is_narrow()) {
+        // For each box how many segments pass it, and the last of them.
+        let mut passed: FxHashMap<[u32; 3], (u32, usize)> = FxHashMap::default();
+        let every = of.segments.len().div_ceil(LOOKED_AT).max(1);
+        let looked_at = of.segments.iter().step_by(every);
+        let count = looked_at.len();
+        for (number, [a, b]) in looked_at.enumerate() {
+            // Half a box a step: a box that is cut at a corner may be left out, which costs nothing.
+            let steps = ((*b - *a).length() / half).ceil().max(1.0) as u32;
+            for step in 1..steps {
+                let at = a.lerp(*b, step as f32 / steps as f32);
+                if of.cell.contains(at) || near.contains(at) || !scene.contains(at) {
+                    continue;
+                }
+                let place = ((at - scene.min) / half).as_uvec3();
+                for corner in 0..8 {
+                    let back = UVec3::new(corner & 1, corner >> 1 & 1, corner >> 2);
+                    let entry =
+                        passed.entry(place.saturating_sub(back).to_array()).or_insert((0, usize::MAX));
                     if entry.1 != number {
                         *entry = (entry.0 + 1, number);
                     }
                 }
             }
         }
-        // Of several with the same count the first in order, so that the answer is one.
-        let best = passed.iter().max_by(|a, b| a.1.0.cmp(&b.1.0).then(b.0.cmp(a.0)));
-        if let Some((place, (count, _))) = best
-            && f64::from(*count) >= SHARE * sights.len() as f64
-        {
-            let min = scene.min + Vec3::from(place.map(|p| p as f32)) * size;
-            return Some(Opening { bounds: [min.to_array(), (min + size).to_array()] });
-        }
+        let most = passed.iter().filter(|(_, (n, _))| f64::from(*n) >= MOST * count as f64);
+        most.for_each(|(place, _)| *cells.entry(*place).or_default() += 1);
     }
-    None
+    // Of several with the same count the first in order, so that the answer is one.
+    let (place, count) = cells.into_iter().max_by(|a, b| a.1.cmp(&b.1).then(b.0.cmp(&a.0)))?;
+    (f64::from(count) >= SHARE * sights.len() as f64).then(|| {
+        let min = scene.min + Vec3::from(place.map(|p| p as f32)) * half;
+        Opening { bounds: [min.to_array(), (min + size).to_array()] }
+    })
 }
 
 #[cfg(test)]
@@ -126,15 +150,24 @@ mod tests {
                     let b = a + (door - a) * 1.9;
                     if through { [a, b] } else { [a, Vec3::new(21.0, 1.0, a.z + f32::from(n) * 0.1)] }
                 });
-                Sights { cell: Aabb { min: cell_min, max: cell_min + 1.0 }, segments: segments.collect() }
+                Sights {
+                    cell: Aabb { min: cell_min, max: cell_min + 1.0 },
+                    segments: segments.collect(),
+                    tried: if through { 90 } else { 9 },
+                }
             };
             (0..8).map(from).collect()
         };
-        let door = find(scene, object, &sights(true)).unwrap();
+        let found = |sights: &[Sights]| find(scene, object, &sights.iter().collect::<Vec<_>>());
+        let door = found(&sights(true)).unwrap();
         let [min, max] = door.bounds;
         assert!(min[0] <= 12.5 && max[0] >= 11.5 && max[0] - min[0] <= 2.0, "{door:?}");
         assert!(min[2] <= 12.5 && max[2] >= 11.5, "{door:?}");
-        assert_eq!(find(scene, object, &sights(false)), None);
-        assert_eq!(find(scene, object, &sights(true)[..1]), None);
+        assert_eq!(found(&sights(false)), None);
+        // In the open all segments come together in front of a small object; nothing else was tried.
+        let mut open = sights(true);
+        open.iter_mut().for_each(|of| of.tried = of.segments.len());
+        assert_eq!(found(&open), None);
+        assert_eq!(found(&sights(true)[..1]), None);
     }
 }

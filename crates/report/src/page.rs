@@ -9,7 +9,7 @@ use crate::budget::{Budget, OverBudget};
 use crate::plots::{cumulative, percent, scatter};
 
 /// Frames whose errors are below this are drawn at the left border: a pixel of the largest cubes.
-const LEAST: f64 = 1e-6;
+const LEAST: f64 = 1e-7;
 /// Cells that are listed.
 const LISTED: usize = 60;
 
@@ -166,7 +166,7 @@ fn budget(out: &mut String, about: &About<'_>) {
                 out,
                 "<h2>Cells over budget</h2><p>{count} of {} cells draw more than {}.{}</p>",
                 about.cells.len(),
-                limits.join(", "),
+                limits.join(" or "),
                 if count > LISTED { format!(" The worst {LISTED}:") } else { String::new() }
             );
         }

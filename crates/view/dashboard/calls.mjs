@@ -10,6 +10,14 @@ export async function call(service, method, request) {
   return value;
 }
 
+// The answer of an address, as JSON.
+export async function get(address) {
+  const answer = await fetch(address);
+  const value = await answer.json();
+  if (!answer.ok) throw new Error(value.message ?? `${answer.status}`);
+  return value;
+}
+
 // Says what went wrong, or takes it back.
 export function complain(text) {
   byId('message').hidden = !text;

@@ -1,9 +1,9 @@
 // The page: which part is shown, and the stream that feeds it.
 import { complain } from './calls.mjs';
 import { JobPage } from './job.mjs';
-import { heardJobs } from './jobs.mjs';
+import { heardJobs, showJobs } from './jobs.mjs';
 import { heardWorkers, showWorkers } from './workers.mjs';
-import { byId } from './words.mjs';
+import { byId, setClock } from './words.mjs';
 
 const page = new JobPage();
 let source;
@@ -11,14 +11,19 @@ let source;
 // Shows the part that the address names: jobs, workers, or job=7.
 function go() {
   const [part, id] = location.hash.slice(1).split('=');
-  const shown = part === 'job' && Number(id) > 0 ? 'job' : part === 'workers' ? 'workers' : 'jobs';
+  const shown = part === 'job' && /^[1-9][0-9]*$/.test(id ?? '') ? 'job' : part === 'workers' ? 'workers' : 'jobs';
   for (const name of ['jobs', 'job', 'workers']) byId(name).hidden = name !== shown;
   if (source) source.close();
   const query = shown === 'job' ? `?job=${Number(id)}` : shown === 'workers' ? '?workers=true' : '';
   const current = new EventSource(`live${query}`);
   source = current;
   current.addEventListener('open', () => complain());
-  current.addEventListener('error', () => complain('The coordinator does not answer; connecting again.'));
+  current.addEventListener('error', () => {
+    complain('The coordinator does not answer; connecting again.');
+    // A browser gives up after an answer that is no stream.
+    if (current.readyState === EventSource.CLOSED) setTimeout(() => { if (source === current) go(); }, 3000);
+  });
+  current.addEventListener('clock', (e) => { setClock(Number(e.data)); showJobs(); });
   current.addEventListener('jobs', (e) => heardJobs(JSON.parse(e.data)));
   current.addEventListener('workers', (e) => heardWorkers(JSON.parse(e.data)));
   if (shown === 'job') {
@@ -29,5 +34,6 @@ function go() {
 }
 
 byId('worker-filter').addEventListener('input', showWorkers);
+setInterval(showJobs, 30000);
 addEventListener('hashchange', go);
 go();

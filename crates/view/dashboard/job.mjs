@@ -1,5 +1,5 @@
 // One job: its facts, what can be done with it, and its events.
-import { attempt, call } from './calls.mjs';
+import { attempt, call, get } from './calls.mjs';
 import { share, stateOf } from './jobs.mjs';
 import { TileMap } from './map.mjs';
 import { Timeline } from './timeline.mjs';
@@ -7,6 +7,8 @@ import { byId, clock, duration, element, number, short } from './words.mjs';
 
 // Events that are listed: the last ones.
 const MOST_EVENTS = 200;
+// Pages of earlier events that are asked for: all that a coordinator has in memory.
+const MOST_PAGES = 60;
 const TROUBLE = ['FAILED', 'TAKEN_BACK', 'SET_ASIDE', 'CONFLICT'];
 
 export class JobPage {
@@ -26,6 +28,21 @@ export class JobPage {
     this.time.clear();
     byId('job-title').textContent = `Job ${id}`;
     await this.map.show(id);
+    // What happened before the stream begins.
+    for (let after = 0, pages = 0; pages < MOST_PAGES; pages++) {
+      const page = await attempt(() => get(`events/${id}?after=${after}`));
+      if (!page || this.id !== id || page.events.length === 0) return;
+      page.events.forEach((event) => this.take(event));
+      after = page.next;
+    }
+  }
+
+  // Takes in an event, unless it is known already.
+  take(event) {
+    if (number(event.number) <= this.time.seen) return;
+    this.time.heard(event);
+    if ((event.kind ?? '').slice(11) !== 'ROUND') this.events.push(event);
+    if (this.events.length > 10000) this.events = this.events.slice(-5000);
   }
 
   // Takes in a message about the job.
@@ -36,13 +53,12 @@ export class JobPage {
     }
     const first = this.job === undefined;
     this.job = message.job;
-    if (first && this.job.spec?.up) byId('map-up').value = this.job.spec.up === 'UP_Z' ? 2 : 1;
-    this.map.heard(message.tiles);
-    for (const event of message.events) {
-      this.time.heard(event);
-      this.events.push(event);
+    if (first) {
+      byId('map-up').value = this.job.spec?.up === 'UP_Z' ? 2 : 1;
+      this.map.layers();
     }
-    this.events = this.events.slice(-5000);
+    this.map.heard(message.tiles);
+    message.events.forEach((event) => this.take(event));
     this.facts();
     this.offer();
     this.list();
@@ -70,7 +86,8 @@ export class JobPage {
     };
     if (number(job.resultBytes)) facts.Result = `${short(number(job.resultBytes))}B`;
     for (const team of (job.teams ?? []).slice(0, 8)) {
-      facts[`Tile ${team.tile ?? 0}`] = `${team.leader}${team.hasBegun ? '' : ' (not begun)'}` +
+      const name = `Tile ${team.tile ?? 0}`, before = facts[name] ? `${facts[name]}; ` : '';
+      facts[name] = `${before}${team.leader}${team.hasBegun ? '' : ' (not begun)'}` +
         (team.helpers?.length ? `, helped by ${team.helpers.join(', ')}` : '');
     }
     for (const unable of job.unable ?? []) facts[`Cannot help: ${unable.names.join(', ')}`] = unable.reason;
@@ -121,7 +138,7 @@ export class JobPage {
 
   list() {
     const kind = (event) => (event.kind ?? '').slice(11), only = byId('trouble-only').checked;
-    const wanted = this.events.filter((event) => (only ? TROUBLE.includes(kind(event)) : kind(event) !== 'ROUND'));
+    const wanted = this.events.filter((event) => !only || TROUBLE.includes(kind(event)));
     byId('events').replaceChildren(...wanted.slice(-MOST_EVENTS).reverse().map((event) => element('li', [
       element('time', clock(number(event.atMs))),
       element('span', event.text ?? '', TROUBLE.includes(kind(event)) ? { class: 'bad' } : {}),

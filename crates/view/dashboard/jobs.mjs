@@ -1,5 +1,5 @@
 // The list of jobs.
-import { byId, duration, element, number } from './words.mjs';
+import { byId, duration, element, number, serverNow } from './words.mjs';
 
 const listed = new Map();
 
@@ -22,8 +22,13 @@ export function heardJobs(message) {
   byId('farm').textContent = `${message.workers} ${message.workers === 1 ? 'worker' : 'workers'}`;
   byId('older').hidden = !message.older;
   byId('no-jobs').hidden = listed.size > 0;
+  showJobs();
+}
+
+// Ages grow without any message.
+export function showJobs() {
   const ids = [...listed.keys()].sort((a, b) => b - a);
-  byId('job-rows').replaceChildren(...ids.map((id) => row(listed.get(id), message.now)));
+  byId('job-rows').replaceChildren(...ids.map((id) => row(listed.get(id), serverNow())));
 }
 
 function row(job, now) {
@@ -35,7 +40,7 @@ function row(job, now) {
     element('td', element('a', `${id}`, { href: `#job=${id}` })),
     element('td', job.name ?? ''),
     element('td', job.user ?? ''),
-    element('td', aside > 0 ? `${state}, ${aside} tiles set aside` : state,
+    element('td', aside > 0 ? `${state}, ${aside} ${aside === 1 ? 'tile' : 'tiles'} set aside` : state,
       state === 'failed' || aside > 0 ? { class: 'bad' } : {}),
     element('td', [bar, ` ${tiles}`]),
     element('td', job.leftMillis === undefined ? '' : `about ${duration(number(job.leftMillis))}`),

@@ -57,7 +57,7 @@ export class TileMap {
   // The axis that points up, and the two of the plan.
   axes() {
     const up = Number(byId('map-up').value);
-    return [up, ...[[2, 1], [0, 2], [0, 1]][up]];
+    return [up, ...[[2, 1], [0, 2], [1, 0]][up]];
   }
 
   layers() {

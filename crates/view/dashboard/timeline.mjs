@@ -4,6 +4,8 @@ import { byId, clock, duration, number } from './words.mjs';
 // Bars that are drawn: the last ones.
 const MOST_BARS = 50000;
 const COLORS = { done: '#2e9e5b', failed: '#c0392b', taken: '#e0b34d', open: '#2f7ed8' };
+// After this no tile of the job is at work.
+const STOPS = /^(the job (is cancelled|is done|has failed)|tiles at work are stopped)/;
 const LEFT = 140, FOOT = 18;
 
 export class Timeline {
@@ -18,34 +20,44 @@ export class Timeline {
     this.rounds = [];
     this.first = Infinity;
     this.last = 0;
+    this.seen = 0;
   }
 
   // Takes in an event.
   heard(event) {
+    this.seen = Math.max(this.seen, number(event.number));
     const at = number(event.atMs), kind = (event.kind ?? '').slice(11), tile = event.tile ?? -1;
     this.first = Math.min(this.first, at);
     this.last = Math.max(this.last, at);
     const key = `${tile} ${event.worker ?? ''}`;
     if (kind === 'LEASED') {
+      this.close((bar) => bar.tile === tile && bar.worker === event.worker, at, 'taken');
       this.open.set(key, { tile, worker: event.worker ?? '', from: at });
     } else if (kind === 'DONE' || kind === 'FAILED' || kind === 'TAKEN_BACK') {
-      const bar = this.open.get(key);
-      this.open.delete(key);
       const how = { DONE: 'done', FAILED: 'failed', TAKEN_BACK: 'taken' }[kind];
-      if (bar) this.bars.push({ ...bar, to: at, how });
+      // Of a worker that is gone the name may not be known.
+      this.close((bar) => bar.tile === tile && (!event.worker || bar.worker === event.worker), at, how);
       // A tile that two workers computed is done for both.
-      if (kind === 'DONE') {
-        for (const [other, rest] of this.open) {
-          if (rest.tile === tile) {
-            this.open.delete(other);
-            this.bars.push({ ...rest, to: at, how: 'taken' });
-          }
-        }
-      }
-      if (this.bars.length > 2 * MOST_BARS) this.bars = this.bars.slice(-MOST_BARS);
+      if (kind === 'DONE') this.close((bar) => bar.tile === tile, at, 'taken');
     } else if (kind === 'ROUND') {
-      this.rounds.push({ tile, at });
+      for (const bar of this.open.values()) {
+        if (bar.tile === tile) this.rounds.push({ worker: bar.worker, at });
+      }
+      if (this.rounds.length > 2 * MOST_BARS) this.rounds = this.rounds.slice(-MOST_BARS);
+    } else if (kind === 'JOB' && STOPS.test(event.text ?? '')) {
+      this.close(() => true, at, 'taken');
     }
+  }
+
+  // Ends the open bars of some tiles.
+  close(which, at, how) {
+    for (const [key, bar] of this.open) {
+      if (which(bar)) {
+        this.open.delete(key);
+        this.bars.push({ ...bar, to: at, how });
+      }
+    }
+    if (this.bars.length > 2 * MOST_BARS) this.bars = this.bars.slice(-MOST_BARS);
   }
 
   draw(isOver, now) {
@@ -59,17 +71,15 @@ export class Timeline {
     this.canvas.height = Math.max(60, names.length * high + FOOT);
     const pen = this.canvas.getContext('2d'), wide = this.canvas.width - LEFT - 8;
     const x = (at) => LEFT + wide * (at - start) / Math.max(1, end - start);
-    const place = new Map();
     for (const bar of bars) {
       pen.fillStyle = COLORS[bar.how];
       const row = rows.get(bar.worker);
       pen.fillRect(x(bar.from), row * high, Math.max(1, x(bar.to) - x(bar.from)), Math.max(1, high - 1));
-      place.set(bar.tile, row);
     }
     pen.fillStyle = '#000a';
     if (high >= 8) {
-      for (const { tile, at } of this.rounds.slice(-MOST_BARS)) {
-        if (place.has(tile)) pen.fillRect(x(at), place.get(tile) * high, 1, high - 1);
+      for (const { worker, at } of this.rounds.slice(-MOST_BARS)) {
+        if (rows.has(worker)) pen.fillRect(x(at), rows.get(worker) * high, 1, high - 1);
       }
     }
     pen.fillStyle = getComputedStyle(document.body).color;

@@ -19,7 +19,16 @@ export function short(n) {
   return n.toFixed(n < 10 && n % 1 ? 1 : 0);
 }
 
-export const clock = (ms) => new Date(ms).toLocaleTimeString();
+// The time of day, with the date where it is another day.
+export function clock(ms) {
+  const at = new Date(ms);
+  return at.toDateString() === new Date().toDateString() ? at.toLocaleTimeString() : at.toLocaleString();
+}
+
+// The coordinator's clock, which may differ from this machine's.
+let ahead = 0;
+export const setClock = (ms) => { ahead = ms - Date.now(); };
+export const serverNow = () => Date.now() + ahead;
 
 // An element with text or children.
 export function element(name, content, attributes = {}) {

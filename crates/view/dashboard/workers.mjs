@@ -1,5 +1,5 @@
 // The list of workers.
-import { byId, duration, element, number, short } from './words.mjs';
+import { byId, duration, element, number, serverNow, short } from './words.mjs';
 
 // Rows that are made: a page with thousands helps nobody.
 const MOST_ROWS = 300;
@@ -16,7 +16,7 @@ export function showWorkers() {
   const shown = all.slice(0, MOST_ROWS);
   byId('worker-count').textContent =
     shown.length < all.length ? `${all.length} workers, of which ${shown.length} are shown` : `${all.length} workers`;
-  byId('worker-rows').replaceChildren(...shown.map((w) => workerRow(w, number(last.nowMs))));
+  byId('worker-rows').replaceChildren(...shown.map((w) => workerRow(w, serverNow())));
 }
 
 function workerRow(w, now) {

@@ -111,7 +111,7 @@ class Job:
         return self._turn("cancel")
 
     def pause(self) -> Job:
-        """Gives out no more of its tiles, and stops the running ones."""
+        """Gives out no more of its tiles. Workers finish those that they have begun."""
         return self._turn("pause")
 
     def resume(self) -> Job:

@@ -61,6 +61,10 @@ async fn say(out: &Out, name: &str, data: &str) -> bool {
 async fn tell_jobs(site: Arc<Site>, out: Out) {
     let mut moments = site.snapshots.jobs.subscribe();
     let mut seen = None;
+    // What follows may have been made long ago.
+    if !say(&out, "clock", &site.coordinator.now().unix_ms.to_string()).await {
+        return;
+    }
     loop {
         let moment = moments.borrow_and_update().clone();
         // Who missed a moment is told all.
@@ -135,8 +139,14 @@ async fn tell_job(site: Arc<Site>, id: JobId, out: Out) {
 }
 
 /// Waits until something happens to a job.
-async fn of_job(c: &Coordinator, grown: &mut tokio::sync::watch::Receiver<u64>, id: JobId, after: u64) {
-    while c.chronicle.after(Some(id), after, 1).0.is_empty() {
+async fn of_job(c: &Coordinator, grown: &mut tokio::sync::watch::Receiver<u64>, id: JobId, mut after: u64) {
+    loop {
+        let (found, upto) = c.chronicle.after(Some(id), after, 1);
+        if !found.is_empty() {
+            return;
+        }
+        // What was looked at is not looked at again.
+        after = upto;
         if grown.changed().await.is_err() {
             return;
         }

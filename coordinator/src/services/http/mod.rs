@@ -11,6 +11,7 @@ mod live;
 mod pages;
 mod snapshot;
 
+use std::net::IpAddr;
 use std::sync::Arc;
 
 use axum::Router;
@@ -98,13 +99,28 @@ async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> R
 fn refusal(site: &Site, headers: &HeaderMap) -> Option<Status> {
     let text = |name| headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default();
     let host = text(header::HOST);
-    let name = host.rsplit_once(':').map_or(host, |(name, _)| name).to_ascii_lowercase();
-    if site.is_local && !["127.0.0.1", "localhost", "[::1]"].contains(&name.as_str()) {
-        return Some(Status::permission_denied("ask for 127.0.0.1"));
+    if !is_own(host, site.is_local) {
+        return Some(Status::permission_denied(
+            "ask for an address, for localhost, or for the machine's name without a domain",
+        ));
     }
     let origin = text(header::ORIGIN);
     let is_foreign = !origin.is_empty() && origin.split_once("://").is_none_or(|(_, from)| from != host);
     is_foreign.then(|| Status::permission_denied("pages of other sites may not call here"))
+}
+
+/// Whether a `Host` can be this machine's. A page of another site reaches it under a name of that site, which
+/// has a dot; addresses, `localhost` and names without a domain are not given to anybody else.
+fn is_own(host: &str, is_local: bool) -> bool {
+    let name = match host.rsplit_once(':') {
+        Some((name, port)) if port.bytes().all(|b| b.is_ascii_digit()) => name,
+        _ => host,
+    };
+    let name = name.trim_start_matches('[').trim_end_matches(']').to_ascii_lowercase();
+    match name.parse::<IpAddr>() {
+        Ok(address) => !is_local || address.is_loopback(),
+        Err(_) => name == "localhost" || !is_local && !name.is_empty() && !name.contains('.'),
+    }
 }
 
 /// Whether a request says that it is JSON.
@@ -136,4 +152,22 @@ fn failure(status: &Status) -> Response {
     };
     let body = serde_json::json!({"code": name, "message": status.message()});
     (code, json(body.to_string())).into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_own;
+
+    #[test]
+    fn names_of_other_sites_are_not_ours() {
+        for own in ["127.0.0.1:7601", "localhost:7601", "LOCALHOST", "[::1]:7601", "[::1]", "127.0.0.1"] {
+            assert!(is_own(own, true) && is_own(own, false), "{own}");
+        }
+        for beyond in ["192.168.1.7:7601", "farm:7601", "[fe80::1]:7601"] {
+            assert!(!is_own(beyond, true) && is_own(beyond, false), "{beyond}");
+        }
+        for foreign in ["evil.example:7601", "evil.example", "127.0.0.1.evil.example", "", ":7601"] {
+            assert!(!is_own(foreign, true) && !is_own(foreign, false), "{foreign}");
+        }
+    }
 }

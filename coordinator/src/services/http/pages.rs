@@ -14,10 +14,9 @@ use sightline_scene::Scene;
 use sightline_view::{View, dashboard as dashboard_page, page};
 use tonic::Status;
 
-use super::super::blocking::blocking;
-use super::super::jobs::take_file;
+use super::super::blocking::blocking_one_of;
+use super::super::jobs::{so_far, take_file};
 use super::super::status;
-use super::super::streams::stream_bytes;
 use super::{Site, failure, json};
 use crate::ids::JobId;
 use crate::partial;
@@ -46,14 +45,7 @@ pub(super) async fn result(State(site): State<Arc<Site>>, Path(file): Path<Strin
     let Some(job) = file.strip_suffix(".pvs").and_then(|number| number.parse().ok()) else {
         return failure(&Status::not_found("results are at /results/JOB.pvs"));
     };
-    let bytes = blocking(&site.coordinator, move |c| {
-        partial::so_far(c, JobId(job)).map_err(|e| status::of_partial(&e))
-    });
-    let stream = match bytes.await {
-        Ok(bytes) => stream_bytes(&site.coordinator, bytes).await,
-        Err(s) => Err(s),
-    };
-    match stream {
+    match so_far(&site.coordinator, JobId(job)).await {
         Ok(stream) => {
             let body = Body::from_stream(stream.map(|chunk| chunk.map(|chunk| chunk.data)));
             ([(header::CONTENT_TYPE, "application/octet-stream")], body).into_response()
@@ -91,10 +83,8 @@ pub(super) async fn put_scene(
 
 /// A result of a job, or what there is of it, in the viewer.
 pub(super) async fn view(State(site): State<Arc<Site>>, Path(job): Path<u64>) -> Response {
-    let Ok(_permit) = site.coordinator.scenes_in_memory.acquire().await else {
-        return failure(&Status::unavailable("the coordinator is stopping"));
-    };
-    match blocking(&site.coordinator, move |c| page_of(c, JobId(job))).await {
+    let c = &site.coordinator;
+    match blocking_one_of(c, &c.scenes_in_memory, move |c| page_of(c, JobId(job))).await {
         Ok(text) => html(text),
         Err(s) => {
             let mut answer = failure(&s);

@@ -108,12 +108,15 @@ fn list(c: &Coordinator, mut known: Ended) -> Result<(Listed, bool, Ended), toni
     let (records, older) = newest.map_err(|e| status::of_store(&e))?;
     let (mut jobs, mut ended) = (Listed::new(), Ended::new());
     for record in records {
-        let (id, end) = (record.id.0, record.finished_at_ms);
-        let is_over = record.state.phase().ended();
+        let (id, mut end) = (record.id.0, record.finished_at_ms);
+        let mut is_over = record.state.phase().ended();
         let text = match known.remove(&id).filter(|(at, _)| is_over && *at == end) {
             Some((_, text)) => text,
             None => match jobs::summary(c, record.id) {
                 Ok(summary) => {
+                    // The scheduler may not have heard of the end yet.
+                    is_over = summary.ended();
+                    end = summary.record.finished_at_ms;
                     // The clock would make every job new.
                     let job = v1::Job { spec: None, now_ms: 0, workers: 0, ..wire::job(&summary) };
                     serde_json::to_string(&job).map_err(|e| status::internal(&e.to_string()))?.into()
