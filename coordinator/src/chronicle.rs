@@ -133,7 +133,8 @@ impl Chronicle {
     /// Notes an event. Does not block on the disk.
     pub(crate) fn record(&self, at_ms: u64, mut what: Happening) {
         if what.text.len() > MOST_TEXT {
-            what.text.truncate(what.text.floor_char_boundary(MOST_TEXT));
+            let end = (0..=MOST_TEXT).rev().find(|end| what.text.is_char_boundary(*end));
+            what.text.truncate(end.unwrap_or(0));
             what.text.push('…');
         }
         let mut kept = self.kept();

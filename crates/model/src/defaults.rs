@@ -28,7 +28,7 @@ pub fn with_defaults(spec: &v1::JobSpec, triangles: u32) -> v1::JobSpec {
     let bounds = Aabb { min: Vec3::ZERO, max: Vec3::ONE };
     let usual = JobSpec::new([0; 32], Division::Grid(USUAL_GRID), bounds).to_proto();
     let usual = usual.sampling.unwrap_or_default();
-    let own = spec.sampling.get_or_insert_with(|| usual.clone());
+    let own = spec.sampling.get_or_insert(usual);
     // No cube has a side of 0 pixels: what is about cubes was left out.
     if own.resolution == 0 {
         own.resolution = usual.resolution;

@@ -53,15 +53,9 @@ pub fn over_budget(pvs: &Pvs, costs: &Costs, budget: Option<&Budget>, most: usiz
         let objects = drawn.len() as u64;
         let bytes = drawn.iter().map(|(group, _)| size(*group)).sum::<u64>().saturating_mul(each);
         let of = |is: u64, limit: Option<u64>| match limit {
-            None => 0.0,
             // Anything is infinitely many times nothing.
-            Some(0) => {
-                if is > 0 {
-                    f64::INFINITY
-                } else {
-                    0.0
-                }
-            }
+            Some(0) if is > 0 => f64::INFINITY,
+            None | Some(0) => 0.0,
             Some(limit) => is as f64 / limit as f64,
         };
         let times = budget
