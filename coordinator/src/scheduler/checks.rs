@@ -8,7 +8,6 @@ use super::messages::Now;
 use super::pools::List;
 use super::queue::User;
 use crate::ids::{LeaseId, WorkerId};
-use crate::store::JobPhase;
 
 impl Machine {
     /// Compares everything that is kept beside the facts with the facts.
@@ -24,11 +23,6 @@ impl Machine {
             for tile in job.indices().filter(|t| job.tiles[t.at()].leases != [None; 2]) {
                 ensure(job.tiles[tile.at()].output == Output::Open, "a tile with an output is leased")?;
                 ensure(!job.record.state.phase().ended(), "a job that has ended has leases")?;
-                let begun =
-                    |id: &LeaseId| self.leases.get(id).is_some_and(|l| l.begun.is_some() || l.gone.is_some());
-                let is_paused = job.record.state.phase() == JobPhase::Paused;
-                let all_begun = || job.tiles[tile.at()].leases.iter().flatten().all(begun);
-                ensure(!is_paused || all_begun(), "a paused job has leases that have not begun")?;
             }
         }
         ensure(held.values().all(|n| *n == 1), "a lease is on two tiles")?;

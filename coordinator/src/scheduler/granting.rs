@@ -97,7 +97,9 @@ impl Machine {
         let busy = pool.hungry[1].first().copied().filter(|_| pool.ready > pool.idle.len());
         let Some((_, &id)) = pool.jobs.first() else {
             // Only tiles that are leased to busy workers remain.
-            let Some(&(_, tile, lease)) = pool.waiting.first() else { return false };
+            let Some(&(_, tile, lease)) = pool.waiting.iter().find(|w| self.may_move_tile(w.2)) else {
+                return false;
+            };
             return idle.is_some_and(|worker| self.take_over(worker, tile, lease, now));
         };
         let Some(worker) = idle.or(busy) else { return false };
@@ -107,6 +109,12 @@ impl Machine {
         // Nothing for this worker: the first job waits for the store, or has to be told that it runs.
         self.start(id);
         false
+    }
+
+    /// Whether a waiting tile may go to another worker: not while its job is paused.
+    fn may_move_tile(&self, lease: LeaseId) -> bool {
+        let job = self.leases.get(&lease).and_then(|l| self.jobs.get(&l.job));
+        job.is_some_and(|job| self.allowed(job))
     }
 
     /// Asks the store to note that a job runs, before its first tile is leased.
