@@ -103,15 +103,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         f64::from(point[axis]) + 1e-5 * f64::from((scene.bounds().max - scene.bounds().min).max_element()),
     );
     let leaves = solids(&tree, &inside);
-    let corners = leaves.iter().flat_map(|s| &s.faces).flat_map(|f| f.corners());
-    let bounds = corners.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[a, b], p| [a.min(*p), b.max(*p)]);
-    let [across, along] = [[2, 1], [0, 2], [0, 1]][axis];
-    let scale = (WIDTH - 20.0) / (bounds[1][across] - bounds[0][across]);
-    let height = (bounds[1][along] - bounds[0][along]) * scale + 20.0;
-    let project = |p: DVec3| {
-        let x = (p[across] - bounds[0][across]) * scale + 10.0;
-        [x, height - 10.0 - (p[along] - bounds[0][along]) * scale]
-    };
     let portals: BTreeSet<PortalId> =
         inside.iter().flat_map(|l| tree.leaf(*l).portals.iter().copied()).collect();
     let walls = scene.triangles().iter().map(|t| t.v.map(|v| v.as_dvec3()));
@@ -119,6 +110,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let edges: Vec<_> =
         leaves.iter().flat_map(|s| &s.faces).filter_map(|f| cut.section(f.corners())).collect();
     let doors: Vec<_> = portals.iter().filter_map(|p| cut.section(tree.portal(*p).face.corners())).collect();
+    let ends = edges.iter().flatten();
+    let bounds = ends.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[a, b], p| [a.min(*p), b.max(*p)]);
+    let [across, along] = [[2, 1], [0, 2], [0, 1]][axis];
+    let scale = (WIDTH - 20.0) / (bounds[1][across] - bounds[0][across]);
+    let height = (bounds[1][along] - bounds[0][along]) * scale + 20.0;
+    let project = |p: DVec3| {
+        let x = (p[across] - bounds[0][across]) * scale + 10.0;
+        [x, height - 10.0 - (p[along] - bounds[0][along]) * scale]
+    };
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height:.0}\" fill=\"none\">\n\
          <rect width=\"{WIDTH}\" height=\"{height:.0}\" fill=\"#fff\"/>\n"
