@@ -1,5 +1,5 @@
 //! Questions about stored results. The coordinator reads sets; what needs rays or exact queries is answered
-//! by whoever it was given ([`Answers`]), because it samples nothing itself.
+//! by whoever it was given, because it samples nothing itself.
 
 use std::sync::{Arc, PoisonError};
 
@@ -7,31 +7,12 @@ use sightline_proto::v1;
 use sightline_pvs::{Pvs, PvsError};
 use sightline_scene::{Scene, SceneError};
 
-use crate::ids::{Digest, JobId};
+use crate::ids::JobId;
 use crate::jobs::{self, JobError};
+use crate::kept::Answers;
 use crate::specs;
 use crate::state::Coordinator;
 use crate::store::{BlobError, StoreError};
-
-/// Answers that need the scene.
-pub trait Answers: Send + Sync {
-    /// Why a triangle is visible from a cell or not.
-    ///
-    /// # Errors
-    /// A sentence, when the result or the scene does not allow it.
-    fn why(&self, pvs: &Pvs, scene: Scene, cell: u32, triangle: u32) -> Result<v1::WhyResponse, String>;
-
-    /// The wrong pixels from so many viewpoints.
-    ///
-    /// # Errors
-    /// A sentence, when nothing can be rendered.
-    fn measure(
-        &self,
-        pvs: &Pvs,
-        scene: Scene,
-        asked: &v1::MeasureRequest,
-    ) -> Result<v1::MeasureResponse, String>;
-}
 
 /// A question without an answer.
 #[derive(Debug, thiserror::Error)]
@@ -55,9 +36,6 @@ pub(crate) enum AskError {
     #[error(transparent)]
     Scene(#[from] SceneError),
 }
-
-/// The result that was asked about last.
-pub(crate) type Asked = Option<(Digest, Arc<Pvs>)>;
 
 /// A done job's result. The one that was asked about last stays open.
 fn open(c: &Coordinator, job: JobId) -> Result<Arc<Pvs>, AskError> {

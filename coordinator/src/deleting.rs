@@ -6,7 +6,7 @@ use std::sync::{Arc, PoisonError};
 use crate::chronicle::{Happening, Kind};
 use crate::ids::{Digest, JobId};
 use crate::jobs::{self, JobError, Summary};
-use crate::partial::Last;
+use crate::kept::Last;
 use crate::specs;
 use crate::state::Coordinator;
 use crate::store::{JobRecord, JobState, StoreError, TileState};

@@ -35,6 +35,7 @@ mod estimate;
 mod finishing;
 pub mod ids;
 mod jobs;
+mod kept;
 mod lifecycle;
 #[cfg(test)]
 mod load;
@@ -59,7 +60,7 @@ mod simulator;
 #[cfg(test)]
 mod tests;
 
-pub use asking::Answers;
+pub use kept::Answers;
 pub use lifecycle::{Config, OpenError};
 pub use scenes::TakeError;
 pub use services::{ServeError, listen, serve, serve_http};

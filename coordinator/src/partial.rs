@@ -4,6 +4,7 @@ use std::sync::{Arc, PoisonError};
 
 use crate::assemble::{AssembleError, Parts, write};
 use crate::ids::{Digest, JobId};
+use crate::kept::Made;
 use crate::scheduler::{Job, Output};
 use crate::specs;
 use crate::state::Coordinator;
@@ -30,17 +31,6 @@ pub(crate) enum PartialError {
     /// The outputs do not fit together.
     #[error(transparent)]
     Assemble(#[from] AssembleError),
-}
-
-/// The last result that was made, and of what.
-#[derive(Default)]
-pub(crate) struct Last(Option<Made>);
-
-/// A result of these outputs of a job's tiles.
-struct Made {
-    job: JobId,
-    of: Vec<Option<Digest>>,
-    bytes: Arc<[u8]>,
 }
 
 /// The result of what is done of a job; the result itself once it is done. One is made at a time.

@@ -11,8 +11,6 @@ use crate::store::SceneRecord;
 
 /// Most bytes of a file. It is in memory while it is read.
 pub(crate) const MOST_BYTES: u64 = 1 << 30;
-/// Files that are read at a time; more wait.
-pub(crate) const AT_ONCE: usize = 2;
 
 /// A file that is not taken.
 #[derive(Debug, thiserror::Error)]

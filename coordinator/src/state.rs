@@ -9,20 +9,20 @@ use std::time::{Duration, Instant};
 use sightline_scene::{Aabb, Kinds, Object, Source};
 use tokio::sync::Semaphore;
 
-use crate::asking::{Answers, Asked};
 use crate::chronicle::{Chronicle, Happening};
 use crate::clock::{Clock, Moment};
 use crate::crews::Crews;
 use crate::ids::Digest;
+use crate::kept::{Answers, Asked, Last};
 use crate::orders::{Scheduling, Watched};
-use crate::partial::Last;
-use crate::scene_files;
 use crate::scheduler::{Machine, Now};
 use crate::store::{Blobs, Store};
 
 /// Simultaneous downloads; more wait. Half of tokio's threads for blocking work, so that clients that do not
 /// read delay only each other.
 const MOST_DOWNLOADS: usize = 256;
+/// Scenes that are read from files at a time; more wait.
+const FILES_AT_ONCE: usize = 2;
 
 /// How long leases live.
 #[derive(Clone, Copy, Debug)]
@@ -112,7 +112,7 @@ impl Coordinator {
             last_scene: Mutex::new(None),
             last_partial: Mutex::default(),
             downloads: Arc::new(Semaphore::new(MOST_DOWNLOADS)),
-            files: Arc::new(Semaphore::new(scene_files::AT_ONCE)),
+            files: Arc::new(Semaphore::new(FILES_AT_ONCE)),
             scenes_in_memory: Arc::new(Semaphore::new(1)),
             answers: OnceLock::new(),
             last_asked: Mutex::new(None),

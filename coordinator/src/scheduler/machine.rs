@@ -13,10 +13,10 @@ use sightline_numbers::random::SplitMix64;
 use super::crew::Crew;
 use super::event::{Effect, Event, Note};
 use super::job::{Job, Output, Work};
+use super::ledger::Ledger;
 use super::messages::Now;
 use super::pools::{CHOICES, Pools, Profile};
 use super::queue::{Account, User};
-use super::roster::Ledger;
 use crate::ids::{Epoch, JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::store::JobPhase;
 

@@ -23,6 +23,7 @@ mod jobs;
 #[cfg(test)]
 mod lease_tests;
 mod leases;
+mod ledger;
 mod machine;
 mod messages;
 mod pace;

@@ -1,28 +1,9 @@
 //! The connected workers and what they do: for people.
 
+use super::ledger::Ledger;
 use super::machine::{Leased, Machine, Worker};
 use super::messages::Now;
 use crate::ids::{JobId, LeaseId, TileIndex, WorkerId};
-use crate::store::TileStats;
-
-/// What a worker did since it connected.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Ledger {
-    pub(crate) tiles: u64,
-    pub(crate) cells: u64,
-    pub(crate) samples: u64,
-    pub(crate) millis: u64,
-}
-
-impl Ledger {
-    /// Adds a finished tile.
-    pub(super) fn add(&mut self, stats: &TileStats) {
-        self.tiles += 1;
-        self.cells = self.cells.saturating_add(stats.cells);
-        self.samples = self.samples.saturating_add(stats.samples);
-        self.millis = self.millis.saturating_add(stats.millis);
-    }
-}
 
 /// A connected worker.
 #[derive(Clone, Debug)]

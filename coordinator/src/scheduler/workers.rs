@@ -7,10 +7,10 @@ use sightline_model::{BackendChoice, Choice as _};
 use super::binding::{Binding, profile_for};
 use super::event::{Departure, Effect, Note};
 use super::job::Parked;
+use super::ledger::Ledger;
 use super::machine::{Machine, Timer, Worker};
 use super::messages::{Introduction, Joined, NameTaken, Now};
 use super::pools::{CHOICES, Profile, index};
-use super::roster::Ledger;
 use crate::ids::{LeaseId, WorkerId};
 
 /// How long a worker that did not take an order gets none, in milliseconds.

@@ -4,18 +4,7 @@ use crate::curves::{Point, SceneCurves};
 use crate::frontier::seconds;
 use crate::ladder::Shows;
 use crate::percent::percent;
-use crate::table::{Table, megabytes};
-use crate::timing::Times;
-
-/// How far apart the runs of a point are; nothing where it was run once.
-pub fn spread(times: &Times) -> String {
-    times.spread().map_or("-".to_owned(), percent)
-}
-
-/// CPU seconds, where they are known.
-pub fn cpu(seconds_known: Option<f64>) -> String {
-    seconds_known.map_or("?".to_owned(), seconds)
-}
+use crate::table::{Table, cpu, megabytes, spread};
 
 /// The points of a scene whose curves show this.
 fn showing(scene: &SceneCurves, shows: Shows) -> impl Iterator<Item = &Point> {

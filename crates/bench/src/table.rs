@@ -4,7 +4,8 @@ use crate::curves::SceneCurves;
 use crate::frontier::{ERRORS, Needed, Ratio, geometric_mean, seconds};
 use crate::growth::Grown;
 use crate::ladder::{Sampler, Shows};
-use crate::points::{cpu, spread};
+use crate::percent::percent;
+use crate::timing::Times;
 
 /// A header and rows of as many cells.
 #[derive(Debug)]
@@ -136,6 +137,16 @@ pub fn growth(rows: &[Grown]) -> Table {
         ]
     }));
     table
+}
+
+/// How far apart the runs of a point are; nothing where it was run once.
+pub fn spread(times: &Times) -> String {
+    times.spread().map_or("-".to_owned(), percent)
+}
+
+/// CPU seconds, where they are known.
+pub fn cpu(seconds_known: Option<f64>) -> String {
+    seconds_known.map_or("?".to_owned(), seconds)
 }
 
 #[cfg(test)]

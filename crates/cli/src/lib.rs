@@ -20,6 +20,7 @@ pub mod calls;
 mod cells;
 mod choices;
 mod client;
+mod coordinating;
 mod diff;
 mod diff_page;
 mod dump;
@@ -112,7 +113,7 @@ fn run(cli: Cli) -> Result<(), CliError> {
     let json = cli.json;
     match cli.command {
         Command::Bake(a) => bake::run(a, json),
-        Command::Coordinator(a) => serve::coordinator(&a),
+        Command::Coordinator(a) => coordinating::coordinator(&a),
         Command::Worker(a) => serve::worker(&a),
         Command::Health(a) => remote::health(&a, json),
         Command::Submit(a) => submitting::submit(&a, json),

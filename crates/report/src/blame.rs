@@ -206,8 +206,8 @@ fn look(
         let is_free = |i: usize| packets[i / LANES].distance[i % LANES] >= FREE;
         let segments: Vec<[Vec3; 2]> = (0..tried.len()).filter(|i| is_free(*i)).map(|i| tried[i]).collect();
         if !segments.is_empty() {
-            let tried = tried.len();
-            sights.push((Sights { cell: Aabb { min, max }, segments, tried }, drawn));
+            let blocked = (0..tried.len()).filter(|i| !is_free(*i)).map(|i| tried[i]).collect();
+            sights.push((Sights { cell: Aabb { min, max }, segments, blocked }, drawn));
         }
     }
     Ok(Seen { group, looked_at, sights })

@@ -1,7 +1,7 @@
 //! Openings: boxes through which most of the segments between an object and the cells that see it pass.
 
 use glam::{UVec3, Vec3};
-use rustc_hash::FxHashMap;
+use rustc_hash::{FxHashMap, FxHashSet};
 use serde::Serialize;
 use sightline_scene::Aabb;
 
@@ -11,6 +11,9 @@ const GRIDS: [u32; 4] = [96, 48, 24, 12];
 const SHARE: f64 = 0.6;
 /// The share of a cell's segments that have to pass the box.
 const MOST: f64 = 0.9;
+/// The share of a cell's blocked segments that may pass the box. All segments come together in front of the
+/// object, free or not; an opening is where free ones pass alone.
+const FEW: f64 = 0.5;
 /// Segments of a cell that are looked at.
 const LOOKED_AT: usize = 16;
 
@@ -58,15 +61,15 @@ pub struct Sights {
     pub cell: Aabb,
     /// From the cell to the object.
     pub segments: Vec<[Vec3; 2]>,
-    /// Segments that were tried, the blocked ones included.
-    pub tried: usize,
+    /// Those that were tried and are blocked.
+    pub blocked: Vec<[Vec3; 2]>,
 }
 
 impl Sights {
     /// Whether much between the cell and the object is in the way. Where little is, the object is seen in the
     /// open, although all segments come together in front of it.
     fn is_narrow(&self) -> bool {
-        2 * self.segments.len() <= self.tried
+        self.segments.len() <= self.blocked.len()
     }
 }
 
@@ -87,32 +90,15 @@ fn of_size(scene: Aabb, object: Aabb, sights: &[&Sights], size: f32) -> Option<O
     let near = Aabb { min: object.min - size, max: object.max + size };
     let mut cells: FxHashMap<[u32; 3], u32> = FxHashMap::default();
     for of in sights.iter().filter(|of| of.is_narrow()) {
-        // For each box how many segments pass it, and the last of them.
-        let mut passed: FxHashMap<[u32; 3], (u32, usize)> = FxHashMap::default();
-        let every = of.segments.len().div_ceil(LOOKED_AT).max(1);
-        let looked_at = of.segments.iter().step_by(every);
-        let count = looked_at.len();
-        for (number, [a, b]) in looked_at.enumerate() {
-            // Half a box a step: a box that is cut at a corner may be left out, which costs nothing.
-            let steps = ((*b - *a).length() / half).ceil().max(1.0) as u32;
-            for step in 1..steps {
-                let at = a.lerp(*b, step as f32 / steps as f32);
-                if of.cell.contains(at) || near.contains(at) || !scene.contains(at) {
-                    continue;
-                }
-                let place = ((at - scene.min) / half).as_uvec3();
-                for corner in 0..8 {
-                    let back = UVec3::new(corner & 1, corner >> 1 & 1, corner >> 2);
-                    let entry =
-                        passed.entry(place.saturating_sub(back).to_array()).or_insert((0, usize::MAX));
-                    if entry.1 != number {
-                        *entry = (entry.0 + 1, number);
-                    }
-                }
-            }
+        let passes = |segments: &[[Vec3; 2]], share: f64| {
+            let (passed, count) = passing(scene, &[of.cell, near], segments, half);
+            let enough = share * count as f64;
+            passed.into_iter().filter(move |(_, n)| f64::from(*n) >= enough).map(|(place, _)| place)
+        };
+        let full: FxHashSet<[u32; 3]> = passes(&of.blocked, FEW).collect();
+        for place in passes(&of.segments, MOST).filter(|place| !full.contains(place)) {
+            *cells.entry(place).or_default() += 1;
         }
-        let most = passed.iter().filter(|(_, (n, _))| f64::from(*n) >= MOST * count as f64);
-        most.for_each(|(place, _)| *cells.entry(*place).or_default() += 1);
     }
     // Of several with the same count the first in order, so that the answer is one.
     let (place, count) = cells.into_iter().max_by(|a, b| a.1.cmp(&b.1).then(b.0.cmp(&a.0)))?;
@@ -120,6 +106,39 @@ fn of_size(scene: Aabb, object: Aabb, sights: &[&Sights], size: f32) -> Option<O
         let min = scene.min + Vec3::from(place.map(|p| p as f32)) * half;
         Opening { bounds: [min.to_array(), (min + size).to_array()] }
     })
+}
+
+/// For each box how many of some segments pass it, outside of the boxes `but`; and how many were looked at.
+fn passing(
+    scene: Aabb,
+    but: &[Aabb],
+    segments: &[[Vec3; 2]],
+    half: f32,
+) -> (FxHashMap<[u32; 3], u32>, usize) {
+    // Also the last segment that passed.
+    let mut passed: FxHashMap<[u32; 3], (u32, usize)> = FxHashMap::default();
+    let every = segments.len().div_ceil(LOOKED_AT).max(1);
+    let looked_at = segments.iter().step_by(every);
+    let count = looked_at.len();
+    for (number, [a, b]) in looked_at.enumerate() {
+        // Half a box a step: a box that is cut at a corner may be left out, which costs nothing.
+        let steps = ((*b - *a).length() / half).ceil().max(1.0) as u32;
+        for step in 1..steps {
+            let at = a.lerp(*b, step as f32 / steps as f32);
+            if but.iter().any(|not| not.contains(at)) || !scene.contains(at) {
+                continue;
+            }
+            let place = ((at - scene.min) / half).as_uvec3();
+            for corner in 0..8 {
+                let back = UVec3::new(corner & 1, corner >> 1 & 1, corner >> 2);
+                let entry = passed.entry(place.saturating_sub(back).to_array()).or_insert((0, usize::MAX));
+                if entry.1 != number {
+                    *entry = (entry.0 + 1, number);
+                }
+            }
+        }
+    }
+    (passed.into_iter().map(|(place, (n, _))| (place, n)).collect(), count)
 }
 
 #[cfg(test)]
@@ -145,6 +164,9 @@ mod tests {
             let from = |k: u32| {
                 let cell_min = Vec3::new(2.0, 0.0, 2.0 * k as f32 + 2.0);
                 let a = cell_min + 0.5;
+                // Others were tried, to all of the object past all of the wall.
+                let aside = (0..9u8).map(|n| [a, Vec3::new(21.0, 1.0, 2.2 * f32::from(n) + 1.0)]);
+                let blocked = if through { aside.collect() } else { Vec::new() };
                 let segments = (0..9u8).map(|n| {
                     let door = Vec3::new(12.0, 1.0, 11.6 + 0.1 * f32::from(n));
                     let b = a + (door - a) * 1.9;
@@ -153,7 +175,7 @@ mod tests {
                 Sights {
                     cell: Aabb { min: cell_min, max: cell_min + 1.0 },
                     segments: segments.collect(),
-                    tried: if through { 90 } else { 9 },
+                    blocked,
                 }
             };
             (0..8).map(from).collect()
@@ -166,7 +188,7 @@ mod tests {
         assert_eq!(found(&sights(false)), None);
         // In the open all segments come together in front of a small object; nothing else was tried.
         let mut open = sights(true);
-        open.iter_mut().for_each(|of| of.tried = of.segments.len());
+        open.iter_mut().for_each(|of| of.blocked.clear());
         assert_eq!(found(&open), None);
         assert_eq!(found(&sights(true)[..1]), None);
     }

@@ -13,7 +13,7 @@ use sightline_proto::v1::jobs_server::Jobs as _;
 use sightline_proto::v1::results_server::Results as _;
 use tonic::{Request, Status};
 
-use super::{Site, failure, is_json, json};
+use super::site::{Site, failure, is_json, json};
 
 /// Calls the method of this name among those that are listed.
 macro_rules! call_by_name {

@@ -16,7 +16,7 @@ use tonic::{Request, Status};
 
 use super::super::blocking::blocking;
 use super::super::{status, wire};
-use super::{Site, failure, json};
+use super::site::{Site, failure, json};
 use crate::ids::JobId;
 use crate::scheduler::Standing;
 use crate::state::Coordinator;

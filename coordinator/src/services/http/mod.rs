@@ -9,6 +9,7 @@
 mod calls;
 mod live;
 mod pages;
+mod site;
 mod snapshot;
 
 use std::net::IpAddr;
@@ -16,13 +17,14 @@ use std::sync::Arc;
 
 use axum::Router;
 use axum::extract::{DefaultBodyLimit, Request, State};
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::http::{HeaderMap, header};
 use axum::middleware::{Next, from_fn_with_state};
-use axum::response::{IntoResponse as _, Response};
+use axum::response::Response;
 use axum::routing::{get, post};
 use tokio::net::TcpListener;
-use tonic::{Code, Status};
+use tonic::Status;
 
+use self::site::{Site, failure};
 use self::snapshot::Snapshots;
 use super::farm::FarmService;
 use super::jobs::JobsService;
@@ -33,17 +35,6 @@ use crate::state::Coordinator;
 
 /// Most bytes of a request, as for messages of gRPC.
 const MOST_BYTES: usize = 4 << 20;
-
-/// What the routes share.
-struct Site {
-    coordinator: Arc<Coordinator>,
-    jobs: JobsService,
-    farm: FarmService,
-    results: ResultsService,
-    snapshots: Arc<Snapshots>,
-    /// Whether only this machine can reach the address.
-    is_local: bool,
-}
 
 /// Serves pages and JSON until `stop` resolves.
 ///
@@ -121,37 +112,6 @@ fn is_own(host: &str, is_local: bool) -> bool {
         Ok(address) => !is_local || address.is_loopback(),
         Err(_) => name == "localhost" || !is_local && !name.is_empty() && !name.contains('.'),
     }
-}
-
-/// Whether a request says that it is JSON.
-fn is_json(headers: &HeaderMap) -> bool {
-    let kind = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
-    kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
-}
-
-/// JSON as an answer.
-fn json(text: String) -> Response {
-    let headers = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
-    (headers, text).into_response()
-}
-
-/// A status as an answer, with the codes of the Connect protocol.
-fn failure(status: &Status) -> Response {
-    let (code, name) = match status.code() {
-        Code::InvalidArgument => (StatusCode::BAD_REQUEST, "invalid_argument"),
-        Code::FailedPrecondition => (StatusCode::BAD_REQUEST, "failed_precondition"),
-        Code::NotFound => (StatusCode::NOT_FOUND, "not_found"),
-        Code::AlreadyExists => (StatusCode::CONFLICT, "already_exists"),
-        Code::Aborted => (StatusCode::CONFLICT, "aborted"),
-        Code::PermissionDenied => (StatusCode::FORBIDDEN, "permission_denied"),
-        Code::ResourceExhausted => (StatusCode::TOO_MANY_REQUESTS, "resource_exhausted"),
-        Code::Unavailable => (StatusCode::SERVICE_UNAVAILABLE, "unavailable"),
-        Code::Unimplemented => (StatusCode::NOT_IMPLEMENTED, "unimplemented"),
-        Code::DataLoss => (StatusCode::INTERNAL_SERVER_ERROR, "data_loss"),
-        _ => (StatusCode::INTERNAL_SERVER_ERROR, "internal"),
-    };
-    let body = serde_json::json!({"code": name, "message": status.message()});
-    (code, json(body.to_string())).into_response()
 }
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ use tonic::Status;
 use super::super::blocking::blocking_one_of;
 use super::super::jobs::{so_far, take_file};
 use super::super::status;
-use super::{Site, failure, json};
+use super::site::{Site, failure, json};
 use crate::ids::JobId;
 use crate::partial;
 use crate::specs;

@@ -1,0 +1,55 @@
+//! What the routes share, and how answers are made.
+
+use std::sync::Arc;
+
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse as _, Response};
+use tonic::{Code, Status};
+
+use super::super::farm::FarmService;
+use super::super::jobs::JobsService;
+use super::super::results::ResultsService;
+use super::snapshot::Snapshots;
+use crate::state::Coordinator;
+
+/// What the routes share.
+pub(super) struct Site {
+    pub(super) coordinator: Arc<Coordinator>,
+    pub(super) jobs: JobsService,
+    pub(super) farm: FarmService,
+    pub(super) results: ResultsService,
+    pub(super) snapshots: Arc<Snapshots>,
+    /// Whether only this machine can reach the address.
+    pub(super) is_local: bool,
+}
+
+/// Whether a request says that it is JSON.
+pub(super) fn is_json(headers: &HeaderMap) -> bool {
+    let kind = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
+}
+
+/// JSON as an answer.
+pub(super) fn json(text: String) -> Response {
+    let headers = [(header::CONTENT_TYPE, "application/json"), (header::CACHE_CONTROL, "no-store")];
+    (headers, text).into_response()
+}
+
+/// A status as an answer, with the codes of the Connect protocol.
+pub(super) fn failure(status: &Status) -> Response {
+    let (code, name) = match status.code() {
+        Code::InvalidArgument => (StatusCode::BAD_REQUEST, "invalid_argument"),
+        Code::FailedPrecondition => (StatusCode::BAD_REQUEST, "failed_precondition"),
+        Code::NotFound => (StatusCode::NOT_FOUND, "not_found"),
+        Code::AlreadyExists => (StatusCode::CONFLICT, "already_exists"),
+        Code::Aborted => (StatusCode::CONFLICT, "aborted"),
+        Code::PermissionDenied => (StatusCode::FORBIDDEN, "permission_denied"),
+        Code::ResourceExhausted => (StatusCode::TOO_MANY_REQUESTS, "resource_exhausted"),
+        Code::Unavailable => (StatusCode::SERVICE_UNAVAILABLE, "unavailable"),
+        Code::Unimplemented => (StatusCode::NOT_IMPLEMENTED, "unimplemented"),
+        Code::DataLoss => (StatusCode::INTERNAL_SERVER_ERROR, "data_loss"),
+        _ => (StatusCode::INTERNAL_SERVER_ERROR, "internal"),
+    };
+    let body = serde_json::json!({"code": name, "message": status.message()});
+    (code, json(body.to_string())).into_response()
+}
