@@ -10,9 +10,8 @@ use sightline_scene::{Scene, SceneError};
 use crate::ids::JobId;
 use crate::jobs::{self, JobError};
 use crate::kept::Answers;
-use crate::specs;
 use crate::state::Coordinator;
-use crate::store::{BlobError, StoreError};
+use crate::store::{BlobError, JobRecord};
 
 /// A question without an answer.
 #[derive(Debug, thiserror::Error)]
@@ -49,41 +48,42 @@ fn open(c: &Coordinator, job: JobId) -> Result<Arc<Pvs>, AskError> {
     Ok(pvs)
 }
 
-/// The scene of a job.
-fn scene(c: &Coordinator, job: JobId) -> Result<Scene, AskError> {
-    let unknown = || AskError::Job(JobError::Store(StoreError::UnknownJob { job }));
-    let record = c.store.job(job).map_err(JobError::from)?.ok_or_else(unknown)?;
-    let spec = specs::part(&record.spec).map_err(|e| AskError::Job(JobError::Outdated(e)))?.0;
-    let digest = spec.scene.as_slice().try_into();
-    let digest = digest.map_err(|_| AskError::Unable("the job names no scene".to_owned()))?;
-    Ok(Scene::from_blob(&record.name, &c.blobs.read(&digest)?)?)
+/// A job's record and its scene.
+pub(crate) fn scene(c: &Coordinator, job: JobId) -> Result<(JobRecord, Scene), AskError> {
+    let record = jobs::record(c, job).map_err(JobError::from)?;
+    let scene = Scene::from_blob(&record.name, &c.blobs.read(&record.scene)?)?;
+    Ok((record, scene))
 }
 
-/// The cell that is asked about.
-fn cell_of(pvs: &Pvs, point: Option<v1::Point>, cell: Option<u32>) -> Result<u32, AskError> {
-    match (point, cell) {
-        (Some(v1::Point { x, y, z }), _) => pvs.find_cell([x, y, z]).ok_or_else(|| {
-            let [min, max] = pvs.tree().view_box();
-            AskError::Wrong(format!(
-                "({x}, {y}, {z}) is outside the view box, which extends from {min:?} to {max:?}"
-            ))
-        }),
-        (None, Some(cell)) if cell < pvs.cells() => Ok(cell),
-        (None, Some(cell)) => {
-            Err(AskError::Wrong(format!("there is no cell {cell}; the result has {}, from 0", pvs.cells())))
-        }
-        (None, None) => Err(AskError::Wrong("give a point or a cell".to_owned())),
-    }
+/// The cell of a point.
+fn cell_at(pvs: &Pvs, v1::Point { x, y, z }: v1::Point) -> Result<u32, AskError> {
+    pvs.find_cell([x, y, z]).ok_or_else(|| {
+        let [min, max] = pvs.tree().view_box();
+        AskError::Wrong(format!(
+            "({x}, {y}, {z}) is outside the view box, which extends from {min:?} to {max:?}"
+        ))
+    })
+}
+
+/// A cell that there is.
+fn cell_of(pvs: &Pvs, cell: u32) -> Result<u32, AskError> {
+    let cells = pvs.cells();
+    let none = || AskError::Wrong(format!("there is no cell {cell}; the result has {cells}, from 0"));
+    (cell < cells).then_some(cell).ok_or_else(none)
+}
+
+fn nowhere() -> AskError {
+    AskError::Wrong("give a point or a cell".to_owned())
 }
 
 /// The set of a cell.
 pub(crate) fn query(c: &Coordinator, asked: &v1::QueryRequest) -> Result<v1::QueryResponse, AskError> {
     use v1::query_request::From;
     let pvs = open(c, JobId(asked.job))?;
-    let cell = match asked.from {
-        Some(From::Point(point)) => cell_of(&pvs, Some(point), None)?,
-        Some(From::Cell(cell)) => cell_of(&pvs, None, Some(cell))?,
-        None => cell_of(&pvs, None, None)?,
+    let from = asked.from.ok_or_else(nowhere)?;
+    let cell = match from {
+        From::Point(point) => cell_at(&pvs, point)?,
+        From::Cell(cell) => cell_of(&pvs, cell)?,
     };
     let (mut visible, mut undecided, mut names) = (Vec::new(), Vec::new(), Vec::new());
     if asked.objects {
@@ -109,10 +109,10 @@ pub(crate) fn query(c: &Coordinator, asked: &v1::QueryRequest) -> Result<v1::Que
 pub(crate) fn why(c: &Coordinator, asked: &v1::WhyRequest) -> Result<v1::WhyResponse, AskError> {
     use v1::why_request::From;
     let pvs = open(c, JobId(asked.job))?;
-    let cell = match asked.from {
-        Some(From::Point(point)) => cell_of(&pvs, Some(point), None)?,
-        Some(From::Cell(cell)) => cell_of(&pvs, None, Some(cell))?,
-        None => cell_of(&pvs, None, None)?,
+    let from = asked.from.ok_or_else(nowhere)?;
+    let cell = match from {
+        From::Point(point) => cell_at(&pvs, point)?,
+        From::Cell(cell) => cell_of(&pvs, cell)?,
     };
     if asked.triangle >= pvs.triangle_count() {
         let (triangle, count) = (asked.triangle, pvs.triangle_count());
@@ -120,7 +120,7 @@ pub(crate) fn why(c: &Coordinator, asked: &v1::WhyRequest) -> Result<v1::WhyResp
             "there is no triangle {triangle}; the scene has {count}, from 0"
         )));
     }
-    let scene = scene(c, JobId(asked.job))?;
+    let (_, scene) = scene(c, JobId(asked.job))?;
     answers(c)?.why(&pvs, scene, cell, asked.triangle).map_err(AskError::Unable)
 }
 
@@ -142,7 +142,7 @@ pub(crate) fn measure(c: &Coordinator, asked: &v1::MeasureRequest) -> Result<v1:
         )));
     }
     let pvs = open(c, JobId(asked.job))?;
-    let scene = scene(c, JobId(asked.job))?;
+    let (_, scene) = scene(c, JobId(asked.job))?;
     answers(c)?.measure(&pvs, scene, &asked).map_err(AskError::Unable)
 }
 

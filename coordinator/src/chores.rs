@@ -109,8 +109,9 @@ fn outcome(
             // Submitted again, the job begins from nothing.
             c.crews.outcomes.sweep(|job| job != *id);
             let failed = JobState::Failed { reason: reason.clone() };
+            let record = c.store.set_job_state(*id, &[JobPhase::Queued, JobPhase::Running], failed, at)?;
             c.happened(Happening::of_job(Kind::Job, *id, format!("the job has failed: {reason}")));
-            changed(c.store.set_job_state(*id, &[JobPhase::Queued, JobPhase::Running], failed, at)?)
+            changed(record)
         }
     }
 }

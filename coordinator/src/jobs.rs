@@ -99,7 +99,7 @@ impl Summary {
 ///
 /// # Errors
 /// [`StoreError::UnknownJob`], or the store's.
-fn record(c: &Coordinator, job: JobId) -> Result<JobRecord, StoreError> {
+pub(crate) fn record(c: &Coordinator, job: JobId) -> Result<JobRecord, StoreError> {
     c.store.job(job)?.ok_or(StoreError::UnknownJob { job })
 }
 

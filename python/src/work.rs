@@ -4,7 +4,8 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
-use sightline_cli::calls;
+use serde_json::Value;
+use sightline_cli::calls::{self, CliError, Source, Watcher};
 
 use crate::mesh;
 use crate::pvs::Pvs;
@@ -27,6 +28,22 @@ pub fn bake(
     Ok(done.to_string())
 }
 
+/// A command about a result in its scene.
+type About = fn(&Source, (&sightline_pvs::Pvs, &Path), &[OsString], &dyn Watcher) -> Result<Value, CliError>;
+
+fn about(
+    py: Python<'_>,
+    command: About,
+    (pvs, scene): (&Bound<'_, Pvs>, &Bound<'_, PyAny>),
+    flags: &[OsString],
+    progress: Option<&Py<PyAny>>,
+) -> PyResult<String> {
+    let (scene, pvs) = (mesh::source(scene)?, pvs.get());
+    let of = (&pvs.0, Path::new(RESULT));
+    let done = wait(py, progress, |watcher| command(&scene, of, flags, watcher))?;
+    Ok(done.to_string())
+}
+
 /// Measures a result.
 #[pyfunction]
 pub fn measure(
@@ -36,10 +53,7 @@ pub fn measure(
     flags: Vec<OsString>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<String> {
-    let (scene, pvs) = (mesh::source(scene)?, pvs.get());
-    let of = (&pvs.0, Path::new(RESULT));
-    let done = wait(py, progress.as_ref(), |watcher| calls::measure(&scene, of, &flags, watcher))?;
-    Ok(done.to_string())
+    about(py, calls::measure, (pvs, scene), &flags, progress.as_ref())
 }
 
 /// Checks a result.
@@ -51,8 +65,5 @@ pub fn verify(
     flags: Vec<OsString>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<String> {
-    let (scene, pvs) = (mesh::source(scene)?, pvs.get());
-    let of = (&pvs.0, Path::new(RESULT));
-    let done = wait(py, progress.as_ref(), |watcher| calls::verify(&scene, of, &flags, watcher))?;
-    Ok(done.to_string())
+    about(py, calls::verify, (pvs, scene), &flags, progress.as_ref())
 }

@@ -13,7 +13,7 @@ use tonic::transport::Channel;
 
 use crate::error::CliError;
 use crate::output::Output;
-use crate::progress::{Progress, say};
+use crate::progress::say;
 
 /// Most bytes of a downloaded result.
 const MAX_RESULT: u64 = 64 << 30;
@@ -76,21 +76,32 @@ pub fn fresh_request_id() -> String {
     format!("cli-{}-{now:x}", std::process::id())
 }
 
+/// Follows a job while the connection holds; gives its last state if it has ended.
+async fn follow_once(
+    client: &mut JobsClient<Channel>,
+    job: u64,
+    show: &mut dyn FnMut(&v1::Job),
+) -> Result<Option<v1::Job>, tonic::Status> {
+    let mut stream = client.watch(v1::ShowRequest { job }).await?.into_inner();
+    while let Some(message) = stream.next().await {
+        let message = message?;
+        show(&message);
+        if message.finished_at_ms > 0 {
+            return Ok(Some(message));
+        }
+    }
+    // The coordinator is stopping, and had time to end the stream.
+    Ok(None)
+}
+
 /// Follows a job until it ends; returns its last state.
 pub async fn follow(
     client: &mut JobsClient<Channel>,
     job: u64,
     show: &mut dyn FnMut(&v1::Job),
 ) -> Result<v1::Job, CliError> {
-    let request = v1::ShowRequest { job };
-    let mut stream = client.watch(request).await.map_err(|s| CliError::status(&s))?.into_inner();
-    let mut last = None;
-    while let Some(message) = stream.next().await {
-        let message = message.map_err(|s| CliError::status(&s))?;
-        show(&message);
-        last = Some(message);
-    }
-    last.ok_or_else(|| CliError::Coordinator("the coordinator ended the stream without a state".to_owned()))
+    let ended = follow_once(client, job, show).await.map_err(|s| CliError::status(&s))?;
+    ended.ok_or_else(|| CliError::Coordinator("the coordinator ended the stream before the job".to_owned()))
 }
 
 /// Follows a job until it ends, however often the coordinator restarts meanwhile.
@@ -98,16 +109,20 @@ pub async fn follow_on(
     mut client: JobsClient<Channel>,
     coordinator: &str,
     job: u64,
+    show: &mut dyn FnMut(&v1::Job),
 ) -> Result<v1::Job, CliError> {
-    let mut reached = false;
+    let mut is_reached = false;
     loop {
-        match watch(&mut client, job, &mut reached).await {
+        let ended = follow_once(&mut client, job, &mut |job| {
+            is_reached = true;
+            show(job);
+        })
+        .await;
+        match ended {
             Ok(Some(last)) => return Ok(last),
-            // The coordinator stopped, and had time to end the stream.
-            Ok(None) => {}
             // The first attempt tells that there is none.
-            Err(s) if !reached || !is_lost(&s) => return Err(CliError::status(&s)),
-            Err(_) => {}
+            Err(s) if !is_reached || !is_lost(&s) => return Err(CliError::status(&s)),
+            Ok(None) | Err(_) => {}
         }
         say(&format!("the connection to {coordinator} is lost; the job continues there: connecting again"));
         loop {
@@ -123,34 +138,6 @@ pub async fn follow_on(
 /// Whether an error is one of the connection.
 fn is_lost(s: &tonic::Status) -> bool {
     std::error::Error::source(s).is_some() || s.code() == tonic::Code::Unavailable
-}
-
-/// Follows a job while the connection holds; gives its last state if it has ended.
-async fn watch(
-    client: &mut JobsClient<Channel>,
-    job: u64,
-    reached: &mut bool,
-) -> Result<Option<v1::Job>, tonic::Status> {
-    let progress = Progress::new();
-    let mut stream = client.watch(v1::ShowRequest { job }).await?.into_inner();
-    let mut last: Option<v1::Job> = None;
-    let lost = loop {
-        match stream.next().await {
-            Some(Ok(message)) => {
-                *reached = true;
-                progress.job(&message, false);
-                last = Some(message);
-            }
-            Some(Err(s)) => break Some(s),
-            None => break None,
-        }
-    };
-    progress.end();
-    let ended = last.filter(|job| job.finished_at_ms > 0);
-    match lost {
-        Some(s) if ended.is_none() => Err(s),
-        _ => Ok(ended),
-    }
 }
 
 /// Turns a job that ended without a result into an error.

@@ -211,8 +211,7 @@ fn event_value(e: &v1::Event) -> Value {
     })
 }
 
-/// A time as UTC in the form of RFC 3339, from milliseconds since 1970. The date by Howard Hinnant's
-/// "chrono-Compatible Low-Level Date Algorithms", `civil_from_days`.
+/// A time as UTC in the form of RFC 3339, from milliseconds since 1970. The date as in Hinnant 2021.
 fn time(unix_ms: u64) -> String {
     let (days, ms) = (unix_ms / 86_400_000, unix_ms % 86_400_000);
     let z = days + 719_468;

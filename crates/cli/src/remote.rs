@@ -9,7 +9,7 @@ use crate::client;
 use crate::error::CliError;
 use crate::farm;
 use crate::output::{Format, Output};
-use crate::progress::say;
+use crate::progress::{Progress, say};
 use crate::remote_args::{FetchArgs, JobRefArgs, JobsArgs, PriorityArgs, RemoteArgs, ShowArgs};
 use crate::serve::{print, runtime};
 use crate::showing::{ending, listing, show_job, show_whole, value};
@@ -78,7 +78,11 @@ pub fn health(args: &RemoteArgs, json: bool) -> Result<(), CliError> {
 
 /// Follows a job until it ends, and says how it ended.
 pub fn watch(args: &JobRefArgs, json: bool) -> Result<(), CliError> {
-    let job = with(&args.remote, |client| client::follow_on(client, &args.remote.coordinator, args.id))?;
+    let progress = Progress::new();
+    let mut show = |job: &v1::Job| progress.job(job, false);
+    let coordinator = &args.remote.coordinator;
+    let job = with(&args.remote, |client| client::follow_on(client, coordinator, args.id, &mut show))?;
+    progress.end();
     say(&ending(&job));
     show_job(&job, json)?;
     client::must_be_done(&job)

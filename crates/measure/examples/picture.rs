@@ -15,7 +15,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use sightline_pvs::Pvs;
 use sightline_sampling::embree::CpuBackend;
-use sightline_sampling::{Backend as _, CubeSpec, SKY, Strata, cube::face_basis};
+use sightline_sampling::{Backend as _, CubeSpec, SKY, Strata};
 
 const SIZE: [u32; 2] = [1200, 700];
 /// Pixels of the picture along each axis that are averaged to one.
@@ -70,21 +70,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let spec = CubeSpec { resolution: 4096, strata: Strata::One, keep_pixels: false };
     let backend = CpuBackend::new(Arc::clone(&scene), spec)?;
     let image = backend.prepare(None)?.image(eye)?;
-    let n = image.resolution;
-    let id_along = |d: Vec3| {
-        let face = (0..6).max_by(|a, b| d.dot(face_basis(*a)[0]).total_cmp(&d.dot(face_basis(*b)[0])));
-        let face = face.unwrap_or(0);
-        let [f, r, u] = face_basis(face);
-        let depth = d.dot(f);
-        let place = |c: f32| (((c / depth + 1.0) * n as f32 / 2.0) as u32).min(n - 1);
-        image.ids[((face * n + place(d.dot(u))) * n + place(d.dot(r))) as usize]
-    };
     let light = Vec3::new(0.45, 0.8, 0.35).normalize();
     let mut fine: Vec<Vec3> = Vec::with_capacity((wide * high) as usize);
     for y in 0..high {
         for x in 0..wide {
             let d = ray(x, y);
-            let id = id_along(d);
+            let id = image.id_along(d);
             fine.push(if id == SKY {
                 SKY_COLOR
             } else {

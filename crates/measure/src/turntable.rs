@@ -7,7 +7,6 @@ use std::path::Path;
 
 use glam::Vec3;
 use sightline_sampling::CubeImage;
-use sightline_sampling::cube::face_basis;
 
 use crate::error::MeasureError;
 use crate::images::colour;
@@ -52,19 +51,8 @@ fn picture(image: &CubeImage, visible: &[u64], up: usize, angle: f32) -> Vec<u8>
         for x in 0..wide {
             let u = (x as f32 + 0.5 - wide as f32 / 2.0) * scale;
             let v = (high as f32 / 2.0 - y as f32 - 0.5) * scale;
-            out.extend(colour(id_along(image, forward + right * u + vertical * v), visible));
+            out.extend(colour(image.id_along(forward + right * u + vertical * v), visible));
         }
     }
     out
-}
-
-/// The triangle that a cube shows in a direction.
-fn id_along(image: &CubeImage, d: Vec3) -> u32 {
-    let n = image.resolution;
-    let face = (0..6).max_by(|a, b| d.dot(face_basis(*a)[0]).total_cmp(&d.dot(face_basis(*b)[0])));
-    let face = face.unwrap_or(0);
-    let [f, r, u] = face_basis(face);
-    let depth = d.dot(f);
-    let place = |c: f32| (((c / depth + 1.0) * n as f32 / 2.0) as u32).min(n - 1);
-    image.ids[((face * n + place(d.dot(u))) * n + place(d.dot(r))) as usize]
 }

@@ -85,6 +85,19 @@ pub struct CubeImage {
     pub ids: Vec<u32>,
 }
 
+impl CubeImage {
+    /// The triangle that is seen in a direction, which is not zero, or [`SKY`].
+    pub fn id_along(&self, direction: Vec3) -> u32 {
+        let n = self.resolution;
+        let ahead = |face: &u32| direction.dot(face_basis(*face)[0]);
+        let face = (0..6).max_by(|a, b| ahead(a).total_cmp(&ahead(b))).unwrap_or(0);
+        let [forward, right, up] = face_basis(face);
+        let depth = direction.dot(forward);
+        let place = |c: f32| (((c / depth + 1.0) * n as f32 / 2.0) as u32).min(n - 1);
+        self.ids[((face * n + place(direction.dot(up))) * n + place(direction.dot(right))) as usize]
+    }
+}
+
 /// Reduces a full cube image on the CPU. The reference for every backend's own reduction.
 pub fn sample_of_image(image: &CubeImage, strata: Strata, keep_pixels: bool) -> VisibilitySample {
     let n = image.resolution;
@@ -117,4 +130,21 @@ pub fn near_distance(bounds: sightline_scene::Aabb) -> f32 {
     let extent = (bounds.max.as_dvec3() - bounds.min.as_dvec3()).max_element();
     // The extent is 0 only if all triangles are degenerate, and then none is visible.
     ((extent * 2f64.powi(-40)) as f32).max(1e-30)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_direction_through_a_pixel_meets_its_id() {
+        let n = 8;
+        let image = CubeImage { resolution: n, ids: (0..6 * n * n).collect() };
+        for id in 0..6 * n * n {
+            let (face, y, x) = (id / (n * n), id / n % n, id % n);
+            let [forward, right, up] = face_basis(face);
+            let at = |k: u32| (k as f32 + 0.5) / n as f32 * 2.0 - 1.0;
+            assert_eq!(image.id_along((forward + right * at(x) + up * at(y)) * 3.0), id);
+        }
+    }
 }

@@ -10,7 +10,6 @@ use futures::StreamExt as _;
 use serde::Deserialize;
 use sightline_proto::v1;
 use sightline_pvs::Pvs;
-use sightline_scene::Scene;
 use sightline_view::{View, dashboard as dashboard_page, page};
 use tonic::Status;
 
@@ -18,11 +17,10 @@ use super::super::blocking::blocking_one_of;
 use super::super::jobs::{so_far, take_file};
 use super::super::status;
 use super::site::{Site, failure, json};
+use crate::asking;
 use crate::ids::JobId;
 use crate::partial;
-use crate::specs;
 use crate::state::Coordinator;
-use crate::store::StoreError;
 
 /// A page as an answer. It is its own program and loads nothing from elsewhere.
 fn html(text: String) -> Response {
@@ -99,14 +97,9 @@ pub(super) async fn view(State(site): State<Arc<Site>>, Path(job): Path<u64>) ->
 
 fn page_of(c: &Coordinator, id: JobId) -> Result<String, Status> {
     let broken = |e: &dyn std::fmt::Display| status::internal(&e.to_string());
-    let record = c.store.job(id).map_err(|e| status::of_store(&e))?;
-    let record = record.ok_or_else(|| status::of_store(&StoreError::UnknownJob { job: id }))?;
+    let (record, scene) = asking::scene(c, id).map_err(|e| status::of_ask(&e))?;
     let bytes = partial::so_far(c, id).map_err(|e| status::of_partial(&e))?;
     let pvs = Pvs::from_bytes(bytes).map_err(|e| broken(&e))?;
-    let spec = specs::part(&record.spec).map_err(Status::failed_precondition)?.0;
-    let digest = spec.scene.as_slice().try_into().map_err(|e| broken(&e))?;
-    let blob = c.blobs.read(&digest).map_err(|e| status::of_blob(&e))?;
-    let scene = Scene::from_blob(&record.name, &blob).map_err(|e| broken(&e))?;
     let mut view = View::of(&pvs, Some(&scene)).map_err(|e| broken(&e))?;
     view.title = format!("job {id}: {}", record.name);
     let is_over = record.state.phase().ended();
