@@ -343,6 +343,49 @@ fn who_asks_why_is_told_the_witness_or_the_blockers() {
 }
 
 #[test]
+fn an_object_is_seen_when_a_triangle_of_it_is_and_a_picture_shows_why() {
+    let sandbox = sandbox();
+    let dump = sandbox.dump("exact.pvs");
+    let cell = &dump.cells[0];
+    let [x, y, z] = [0, 1, 2].map(|k| (cell.min[k] + cell.max[k]) / 2.0);
+    let info = sandbox.json("info exact.pvs");
+    let (mut seen, mut hidden) = (0, 0);
+    for (i, object) in info["objects"].as_array().unwrap().iter().enumerate() {
+        let [first, count] = ["first", "count"].map(|key| object[key].as_u64().unwrap());
+        let visible = (first..first + count).any(|t| cell.visible.binary_search(&t).is_ok());
+        let kept = sandbox.json(&format!("query exact.pvs {x} {y} {z} --why object:{i}"));
+        let picture = format!("why-{i}.png");
+        let asked = sandbox.json(&format!(
+            "query exact.pvs {x} {y} {z} --why object:{i} --scene slits.glb --picture {picture}"
+        ));
+        for answer in [&kept, &asked] {
+            assert_eq!(answer["state"], if visible { "visible" } else { "hidden" }, "{answer}");
+            assert_eq!((&answer["name"], &answer["object"]), (&object["name"], &i.into()), "{answer}");
+        }
+        let file = std::fs::File::open(sandbox.path(&picture)).unwrap();
+        let mut reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().unwrap();
+        let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut pixels).unwrap();
+        let drawn = |like: fn(&[u8]) -> bool| pixels.chunks(3).filter(|p| like(p)).count();
+        // What is asked about is green, what hides it red, the end of a witness a yellow frame.
+        let green = drawn(|p| p[1] > p[0] + 30 && p[1] > p[2] + 30);
+        let red = drawn(|p| p[0] > p[1] + 60 && p[0] > p[2] + 60);
+        if asked["witness"].is_array() {
+            assert!(drawn(|p| p == [250, 220, 0]) > 40, "{asked}");
+            seen += 1;
+        } else if !visible {
+            assert!(green == 0 && (red > 0) == !asked["blockers"].as_array().unwrap().is_empty(), "{asked}");
+            hidden += 1;
+        }
+    }
+    assert!(seen > 0 && hidden > 0, "{seen} {hidden}");
+    let name = info["objects"][0]["name"].as_str().unwrap();
+    assert_eq!(sandbox.json(&format!("query exact.pvs --cell 0 --why {name}"))["object"], 0);
+    sandbox.run("query exact.pvs --cell 0 --why nothing").code(2).says("no object");
+    sandbox.run("query exact.pvs --cell 0 --why 3 --picture x.png").code(2).says("--scene");
+}
+
+#[test]
 fn a_time_budget_leaves_a_sound_bracket() {
     let sandbox = sandbox();
     let exact = sandbox.dump("exact.pvs");

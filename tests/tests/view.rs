@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
-use sightline_tests::{Browser, Sandbox, across, house, wait_for};
+use sightline_tests::{Browser, Sandbox, across, ask, house, wait_for};
 
 /// The scene and its exact result with a cell in each room.
 fn sandbox() -> Sandbox {
@@ -181,7 +181,31 @@ fn a_served_page_answers_its_own_name_alone() {
     browser.open(&url.replace("127.0.0.1", "localhost"));
     assert_eq!(browser.run("const page = await sightline; return page.pvs.cells"), 2);
     assert_eq!(browser.run("return document.title"), "house.pvs – house.obj");
+    // The server decides exactly what is clicked.
+    let asked = |object: &str, first: &str| {
+        browser.run(&format!(
+            "const page = await sightline; page.jump([0.5, 0.8, 1], [1, 0, 0]);
+             const of = page.pvs.objects.find((o) => o.name === '{object}'); page.choose({first});
+             if (document.getElementById('ask').hidden) throw new Error('nothing to ask');
+             await page.ask(); return [document.getElementById('why').textContent, page.answer.blockers.length];"
+        ))
+    };
+    let hidden = asked("shelf", "of.first");
+    assert!(hidden[0].as_str().unwrap().contains("hidden, decided exactly"), "{hidden}");
+    assert!(hidden[0].as_str().unwrap().contains("“wall”") && hidden[1].as_u64() > Some(0), "{hidden}");
+    let seen =
+        asked("wall", "[...Array(of.count).keys()].map((k) => of.first + k).find((k) => page.state[k] & 1)");
+    assert!(seen[0].as_str().unwrap().contains("visible, decided exactly"), "{seen}");
     assert_eq!(browser.messages(), Vec::<String>::new());
+    let pages = url.trim_start_matches("http://").trim_end_matches('/').to_owned();
+    let why = |headers: &str, body: &str| ask(&pages, "POST /why", headers, body).0;
+    let json = "content-type: application/json\r\n";
+    assert_eq!(why(json, r#"{"cell":0,"triangle":0}"#), 200);
+    assert_eq!(why(&format!("{json}origin: http://example.org\r\n"), r#"{"cell":0,"triangle":0}"#), 403);
+    assert_eq!(why("", r#"{"cell":0,"triangle":0}"#), 400);
+    for bad in ["", "[]", r#"{"cell":2,"triangle":0}"#, r#"{"cell":0,"triangle":4000000000}"#] {
+        assert_eq!(why(json, bad), 400, "{bad}");
+    }
 }
 
 #[test]

@@ -13,7 +13,7 @@ use sightline_scene::Scene;
 use crate::args::MeasureArgs;
 use crate::kind_args::KindArgs;
 use crate::measuring;
-use crate::why;
+use crate::reasons;
 
 /// What errors call the result.
 const RESULT: &str = "the stored result";
@@ -23,19 +23,7 @@ pub struct Commands;
 
 impl Answers for Commands {
     fn why(&self, pvs: &Pvs, scene: Scene, cell: u32, triangle: u32) -> Result<v1::WhyResponse, String> {
-        let answer = why::ask(pvs, Path::new(RESULT), &scene, (cell, triangle)).map_err(|e| e.to_string())?;
-        let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
-        let ends = list(&answer["witness"]);
-        let number = |value: &Value| value.as_f64().map(|x| x as f32);
-        let id = |value: &Value| value.as_u64().and_then(|id| u32::try_from(id).ok());
-        let text = |key: &str| answer[key].as_str().unwrap_or_default().to_owned();
-        Ok(v1::WhyResponse {
-            cell,
-            state: text("state"),
-            witness: ends.iter().flat_map(list).filter_map(|x| number(&x)).collect(),
-            blockers: list(&answer["blockers"]).iter().filter_map(id).collect(),
-            reason: [text("reason"), text("kind")].concat(),
-        })
+        reasons::ask_as_message(pvs, Path::new(RESULT), &scene, (cell, triangle)).map_err(|e| e.to_string())
     }
 
     fn measure(

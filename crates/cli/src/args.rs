@@ -15,6 +15,7 @@ use crate::remote_args::{
     FetchArgs, JobRefArgs, JobsArgs, LogsArgs, PauseArgs, PriorityArgs, RemoteArgs, ShowArgs, SubmitArgs,
 };
 use crate::result_args::{CompletionsArgs, DiffArgs, ExportArgs, ManArgs, ReportArgs, ViewArgs};
+use crate::what::What;
 
 /// Bakes from-region visibility: for every view cell of a static triangle scene,
 /// the triangles visible from anywhere in it.
@@ -385,11 +386,16 @@ pub struct QueryArgs {
     /// The kind of ids in the set.
     #[arg(long, value_enum, default_value_t = Items::Triangles)]
     pub items: Items,
-    /// Print why this triangle is in the set or not: the witness, a segment along which it is visible; or the
-    /// triangles that hide it; or that the closed surface it belongs to hides it. The reasons come from the
-    /// result's certificates (bake --certificates) or, with --scene, from a new query.
-    #[arg(long, value_name = "TRIANGLE", conflicts_with = "items")]
-    pub why: Option<u32>,
+    /// Print why a triangle (its number) or an object (its name, or object:NUMBER) is in the set or not: the
+    /// witness, a segment along which it is visible; or the triangles that hide it; or that the closed surface
+    /// it belongs to hides it. The reasons come from the result's certificates (bake --certificates) or, with
+    /// --scene, from a new query.
+    #[arg(long, value_name = "TRIANGLE|OBJECT", conflicts_with = "items", value_parser = What::parse)]
+    pub why: Option<What>,
+    /// Draw the answer of --why as a PNG: from the witness's begin or from the viewpoint, what is asked about
+    /// in green with its outline, what hides it in red.
+    #[arg(long, value_name = "OUT.png", requires_all = ["why", "scene"])]
+    pub picture: Option<PathBuf>,
     /// The scene the result was baked from: for a new query of --why, and to check that the point is where
     /// viewpoints can be in a result of --reachable-from.
     #[arg(long, value_name = "SCENE")]

@@ -243,6 +243,11 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
         ]);
     }
     lines.extend(aligned(&rows));
+    lines.push("their boxes, in world space".to_owned());
+    for cell in order.iter().copied().take(SHOWN) {
+        let [min, max] = pvs.cell_bounds(cell as u32).unwrap_or_default();
+        lines.push(format!("  {cell}: {min:?} to {max:?}"));
+    }
     if order.len() > SHOWN {
         lines.push(format!("… and {} cells that took fewer rays; --json lists all", order.len() - SHOWN));
     }

@@ -9,6 +9,7 @@
     reason = "the arguments' doc comments are help texts, not Markdown"
 )]
 
+mod answering;
 mod answers;
 mod args;
 mod backends;
@@ -46,6 +47,7 @@ mod places;
 mod portals;
 mod progress;
 mod query;
+mod reasons;
 mod remote;
 mod remote_args;
 mod report;
@@ -59,6 +61,7 @@ mod verdict;
 mod verify;
 mod verify_hidden;
 mod view;
+mod what;
 mod why;
 
 use std::io::IsTerminal as _;

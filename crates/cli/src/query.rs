@@ -11,7 +11,7 @@ use crate::error::CliError;
 use crate::opening::{open, plural, scene_of};
 use crate::progress::say;
 use crate::serve::print;
-use crate::why;
+use crate::why::{self, Question};
 
 /// Answers a query.
 pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
@@ -52,8 +52,19 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
     if let Some(target) = target {
         return sees(&pvs, cell, &target, json);
     }
-    if let Some(triangle) = args.why {
-        return why::why(&pvs, &args.result.result, (cell, triangle), scene, json);
+    if let Some(what) = &args.why {
+        let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
+        let middle = std::array::from_fn(|axis| f32::midpoint(min[axis], max[axis]));
+        let question = Question {
+            pvs: &pvs,
+            result: &args.result.result,
+            cell,
+            what,
+            scene,
+            eye: args.point.as_slice().try_into().unwrap_or(middle),
+            picture: args.picture.as_deref(),
+        };
+        return why::why(&question, json);
     }
     set(&pvs, cell, args, json)
 }

@@ -4,17 +4,13 @@ use std::io::IsTerminal as _;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::sync::Arc;
 
-use axum::Router;
-use axum::http::{StatusCode, header};
-use axum::response::IntoResponse as _;
-use axum::routing::get;
 use serde_json::Value;
 use sightline_pvs::Pvs;
 use sightline_scene::Scene;
-use sightline_view::{Map, View, Worst, page};
+use sightline_view::{Ask, Map, View, Worst, page};
 
+use crate::answering;
 use crate::cells;
 use crate::enclosure;
 use crate::error::CliError;
@@ -37,7 +33,9 @@ pub fn run(args: &ViewArgs, json: bool) -> Result<(), CliError> {
         Some(path) => Some(opening::scene_of(path, &args.kinds, &pvs, &args.result)?),
         None => None,
     };
+    let served = output.is_none();
     let mut view = View::of(&pvs, scene.as_ref())?;
+    view.ask = (served && scene.is_some()).then(|| Ask { url: answering::PATH.to_owned(), job: None });
     view.title = title(&args.result, args.scene.as_deref());
     view.about = Summary::of(&args.result)?.lines().join("\n");
     if let Some(up) = args.up {
@@ -69,7 +67,7 @@ pub fn run(args: &ViewArgs, json: bool) -> Result<(), CliError> {
                 false => format!("wrote {path}, {bytes} bytes: open it in a browser"),
             })
         }
-        None => serve_page(args, page, json),
+        None => serve_page(args, page, (pvs, scene), json),
     }
 }
 
@@ -117,7 +115,12 @@ fn worst(file: &Path, pvs: &Pvs) -> Result<Vec<Worst>, CliError> {
 }
 
 /// Serves the page on this machine until it is interrupted.
-fn serve_page(args: &ViewArgs, page: String, json: bool) -> Result<(), CliError> {
+fn serve_page(
+    args: &ViewArgs,
+    page: String,
+    (pvs, scene): (Pvs, Option<Scene>),
+    json: bool,
+) -> Result<(), CliError> {
     let runtime = serve::runtime()?;
     runtime.block_on(async {
         let address = SocketAddr::from((Ipv4Addr::LOCALHOST, args.port));
@@ -127,21 +130,6 @@ fn serve_page(args: &ViewArgs, page: String, json: bool) -> Result<(), CliError>
             ))
         })?;
         let port = listener.local_addr().map_err(CliError::internal)?.port();
-        let page: Arc<str> = page.into();
-        let answer = move |headers: axum::http::HeaderMap| {
-            let page = Arc::clone(&page);
-            async move {
-                // A page of another site could reach this address under a name of its own.
-                let host = headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or("");
-                let name = host.split(':').next().unwrap_or_default().to_ascii_lowercase();
-                if !["127.0.0.1", "localhost"].contains(&name.as_str()) {
-                    return (StatusCode::FORBIDDEN, "ask for 127.0.0.1\n").into_response();
-                }
-                let kind =
-                    [(header::CONTENT_TYPE, "text/html; charset=utf-8"), (header::CACHE_CONTROL, "no-store")];
-                (kind, page.to_string()).into_response()
-            }
-        };
         let url = format!("http://127.0.0.1:{port}/");
         print(&match json {
             true => serde_json::json!({"url": url}).to_string(),
@@ -150,7 +138,7 @@ fn serve_page(args: &ViewArgs, page: String, json: bool) -> Result<(), CliError>
         if !args.no_open && std::io::stdout().is_terminal() {
             open(&url);
         }
-        let server = axum::serve(listener, Router::new().route("/", get(answer)));
+        let server = axum::serve(listener, answering::pages(page, &args.result, pvs, scene));
         let server = server.with_graceful_shutdown(serve::stop_signal());
         server.await.map_err(CliError::internal)
     })

@@ -1,57 +1,181 @@
-//! `sightline query --why`: the witness for a triangle visible from a cell, or the blockers that hide it.
+//! `sightline query --why`: the witness for a triangle or an object visible from a cell, or the blockers that
+//! hide it; in words, as JSON, as a picture.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use glam::Vec3;
 use serde_json::{Value, json};
-use sightline_certificate::{CertificateReader, Proof, Reason, Target};
-use sightline_exact::{
-    Cell, Cost, ExactScene, Found, Hides, Limits, Places, Polygon, Sources, from_cell, polygon,
-};
-use sightline_portals::OpenFaces;
+use sightline_measure::Portrait;
+use sightline_model::BackendChoice;
 use sightline_pvs::Pvs;
-use sightline_scene::{Aabb, Scene, overlap};
+use sightline_sampling::sight::Sight;
+use sightline_sampling::{CubeSpec, PreparedScene, Strata};
+use sightline_scene::Scene;
 
-use crate::enclosure;
+use crate::backends::open_backend;
 use crate::error::CliError;
-use crate::opening;
+use crate::opening::plural;
+use crate::progress::Progress;
+use crate::reasons::{Each, ask_each, keep_each};
 use crate::serve::print;
+use crate::what::{OBJECT, What};
 
 /// Most blockers listed without --json.
 const SHOWN: usize = 40;
+/// What is asked, and of what.
+pub struct Question<'a> {
+    pub pvs: &'a Pvs,
+    /// The result's file, for errors.
+    pub result: &'a Path,
+    pub cell: u32,
+    pub what: &'a What,
+    /// For new queries; else the result's certificates answer.
+    pub scene: Option<Scene>,
+    /// Where the viewer is, in the cell.
+    pub eye: [f32; 3],
+    /// The picture to write.
+    pub picture: Option<&'a Path>,
+}
 
-/// Prints why a triangle is in a cell's set, or is not: from the result's certificates, or by a new query if
-/// a scene is given.
-pub fn why(
-    pvs: &Pvs,
-    result: &Path,
-    (cell, triangle): (u32, u32),
-    scene: Option<Scene>,
-    json: bool,
-) -> Result<(), CliError> {
-    if triangle >= pvs.triangle_count() {
-        return Err(CliError::Usage(format!(
-            "there is no triangle {triangle}: {} was baked from a scene of {} triangles",
-            result.display(),
-            pvs.triangle_count()
-        )));
-    }
-    let mut answer = match scene {
-        Some(scene) => ask(pvs, result, &scene, (cell, triangle))?,
-        None => look_up(pvs, result, cell, triangle)?,
+/// Prints why a cell's set has a triangle or an object, or has not: from the result's certificates, or by new
+/// queries if a scene is given.
+pub fn why(question: &Question<'_>, json: bool) -> Result<(), CliError> {
+    let pvs = question.pvs;
+    let (about, triangles, mut answer) = match question.what {
+        What::Triangle(triangle) => {
+            if *triangle >= pvs.triangle_count() {
+                return Err(CliError::Usage(format!(
+                    "there is no triangle {triangle}: {} was baked from a scene of {} triangles",
+                    question.result.display(),
+                    pvs.triangle_count()
+                )));
+            }
+            let mut answer = Value::Null;
+            question.each(&[*triangle], &mut |_, found| {
+                answer = found;
+                Ok(false)
+            })?;
+            answer["triangle"] = (*triangle).into();
+            (format!("triangle {triangle}"), vec![*triangle], answer)
+        }
+        What::Object(name) => {
+            let index = object(question, name)?;
+            let of = &pvs.objects()[index];
+            let triangles: Vec<u32> = (of.first..of.first.saturating_add(of.count)).collect();
+            let mut answer = of_object(question, &triangles)?;
+            (answer["object"], answer["name"]) = (index.into(), of.name.as_str().into());
+            (format!("object {}", of.name), triangles, answer)
+        }
     };
+    answer["cell"] = question.cell.into();
+    if let Some(path) = question.picture {
+        draw(question, &triangles, &answer, path)?;
+        answer["picture"] = path.display().to_string().into();
+    }
     if json {
-        (answer["cell"], answer["triangle"]) = (cell.into(), triangle.into());
         return print(&answer.to_string());
     }
-    let about = format!("triangle {triangle} from cell {cell}");
+    print(&in_words(&format!("{about} from cell {}", question.cell), &answer))?;
+    question.picture.map_or(Ok(()), |path| print(&format!("wrote {}", path.display())))
+}
+
+impl Question<'_> {
+    fn each(&self, triangles: &[u32], each: &mut Each<'_>) -> Result<(), CliError> {
+        match &self.scene {
+            Some(scene) => ask_each(self.pvs, self.result, scene, self.cell, triangles, each),
+            None => keep_each(self.pvs, self.result, self.cell, triangles, each),
+        }
+    }
+}
+
+/// The number of the object with this name or number.
+fn object(question: &Question<'_>, name: &str) -> Result<usize, CliError> {
+    let objects = question.pvs.objects();
+    let named: Vec<usize> = (0..objects.len()).filter(|i| objects[*i].name == name).collect();
+    let number = name.parse().ok().filter(|i: &usize| *i < objects.len());
+    match (&named[..], number) {
+        ([one], _) => Ok(*one),
+        ([], Some(number)) => Ok(number),
+        ([], None) => Err(CliError::Usage(format!(
+            "{} has no object {name:?}: sightline info --json lists its {}",
+            question.result.display(),
+            plural(objects.len(), "object")
+        ))),
+        ([first, .., last], _) => Err(CliError::Usage(format!(
+            "{} objects are called {name:?}, the first is {OBJECT}{first} and the last {OBJECT}{last}: name \
+             one by its number",
+            named.len()
+        ))),
+    }
+}
+
+/// Whether an object is seen: it is as soon as one of its triangles is.
+fn of_object(question: &Question<'_>, triangles: &[u32]) -> Result<Value, CliError> {
+    let mut set = Vec::new();
+    question.pvs.visible(question.cell, &mut set)?;
+    // Triangles in the set first: if the object is seen, one of them is.
+    let (mut order, others): (Vec<u32>, Vec<u32>) =
+        triangles.iter().partition(|t| set.binary_search(t).is_ok());
+    order.extend(others);
+    let progress = Progress::new();
+    let (mut blockers, mut undecided, mut kinds) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut hidden, mut seen) = (0u64, None);
+    let asked = question.each(&order, &mut |triangle, mut answer| {
+        match answer["state"].as_str() {
+            Some("visible") => {
+                answer["triangle"] = triangle.into();
+                seen = Some(answer);
+                return Ok(false);
+            }
+            Some("hidden") => {
+                hidden += 1;
+                let of = answer["blockers"].as_array().map_or(&[][..], |b| b);
+                blockers.extend(of.iter().filter_map(Value::as_u64));
+                kinds.extend(answer["kind"].as_str().map(str::to_owned));
+            }
+            _ => undecided.push(triangle),
+        }
+        progress.count(hidden + undecided.len() as u64, order.len() as u64, "triangles");
+        Ok(true)
+    });
+    progress.end();
+    asked?;
+    if let Some(seen) = seen {
+        return Ok(seen);
+    }
+    blockers.sort_unstable();
+    blockers.dedup();
+    kinds.dedup();
+    let state = if undecided.is_empty() { "hidden" } else { "undecided" };
+    let mut answer = json!({
+        "state": state, "blockers": blockers, "triangles": order.len(), "undecided": undecided,
+        "surface": blockers.is_empty(),
+    });
+    if let ([kind], true) = (&kinds[..], blockers.is_empty()) {
+        answer["kind"] = kind.as_str().into();
+    }
+    Ok(answer)
+}
+
+/// An answer as a sentence.
+fn in_words(about: &str, answer: &Value) -> String {
     let blockers = answer["blockers"].as_array().map_or(&[][..], |b| b);
-    print(&match answer["state"].as_str() {
-        Some("visible") if answer["meets"] == true => format!("{about}: visible, because it meets the cell"),
+    // Of an object one triangle is seen.
+    let it = match (answer["object"].is_u64(), answer["triangle"].as_u64()) {
+        (true, Some(triangle)) => format!("its triangle {triangle}"),
+        (true, None) => "each of its triangles".to_owned(),
+        (false, _) => "it".to_owned(),
+    };
+    match answer["state"].as_str() {
+        Some("visible") if answer["meets"] == true => {
+            format!("{about}: visible, because {it} meets the cell")
+        }
         Some("visible") => {
+            let what = if it == "it" { "the triangle" } else { it.as_str() };
             format!(
-                "{about}: visible along the segment from {} to {}, which crosses the triangle at its end and \
-                 meets no other triangle before",
+                "{about}: visible along the segment from {} to {}, which crosses {what} at its end and meets no \
+                 other triangle before",
                 answer["witness"][0], answer["witness"][1]
             )
         }
@@ -73,122 +197,61 @@ pub fn why(
                 }
                 _ => String::new(),
             };
-            let list: Vec<String> = blockers.iter().take(SHOWN).map(Value::to_string).collect();
-            let more = match blockers.len().saturating_sub(SHOWN) {
-                0 => String::new(),
-                n => format!(" and {n} more (--json lists all)"),
-            };
             let from = match answer["from"].as_array().map(Vec::as_slice) {
                 Some([min, max]) => format!(", like from the whole box {min} to {max} around the cell,"),
                 _ => String::new(),
             };
-            format!("{about}: hidden{from}{with} by triangles {}{more}", list.join(" "))
+            format!("{about}: hidden{from}{with} by triangles {}", listed(blockers))
+        }
+        _ if answer["object"].is_u64() => {
+            let open = answer["undecided"].as_array().map_or(&[][..], |u| u);
+            format!(
+                "{about}: undecided, because triangles {} are; undecided triangles are in the set, so no \
+                 visible one is missing",
+                listed(open)
+            )
         }
         _ => format!(
             "{about}: undecided{}; undecided triangles are in the set, so no visible one is missing",
             answer["reason"].as_str().map_or(String::new(), |r| format!(" ({r})"))
         ),
-    })
+    }
 }
 
-/// The answer from the certificates of the result.
-fn look_up(pvs: &Pvs, result: &Path, cell: u32, triangle: u32) -> Result<Value, CliError> {
-    let found = CertificateReader::default()
-        .read(pvs, cell)
-        .map_err(|e| CliError::Input(format!("{}, cell {cell}: {e}", result.display())))?;
-    let Some(certificates) = found else {
-        return Err(CliError::Input(format!(
-            "{} was baked without --certificates and stores no reasons; add --scene FILE for a new query",
-            result.display()
-        )));
-    };
-    let mut ids = Vec::new();
-    pvs.undecided(cell, &mut ids)?;
-    if ids.binary_search(&triangle).is_ok() {
-        return Ok(json!({"state": "undecided", "reason": "add --scene for a new query"}));
+/// Numbers of triangles, the first of many.
+fn listed(triangles: &[Value]) -> String {
+    let list: Vec<String> = triangles.iter().take(SHOWN).map(Value::to_string).collect();
+    match triangles.len().saturating_sub(SHOWN) {
+        0 => list.join(" "),
+        n => format!("{} and {n} more (--json lists all)", list.join(" ")),
     }
-    pvs.visible(cell, &mut ids)?;
-    Ok(match certificates.about(triangle) {
-        Some((Reason::Seen(witness), _)) => json!({"state": "visible", "witness": witness.rounded()}),
-        Some((Reason::Hidden(hidden), from)) => {
-            let surface = matches!(hidden.target, Target::Surfaces | Target::Half);
-            let with = match hidden.target {
-                Target::Box(_) | Target::Polygon(_) => hidden.triangles.len() - 1,
-                _ => 0,
-            };
-            let mut why = json!({
-                "state": "hidden", "blockers": blockers(&hidden.proofs), "with": with, "surface": surface
-            });
-            if let Some(shared) = from {
-                why["from"] = json!(shared.bounds.corners().map(|corner| corner.to_array()));
-            }
-            why
-        }
-        None if ids.binary_search(&triangle).is_ok() => json!({"state": "visible", "meets": true}),
-        None => json!({"state": "hidden", "degenerate": true, "blockers": []}),
-    })
 }
 
-/// The triangles that the occluders of these proofs consist of, ascending.
-fn blockers(proofs: &[Proof]) -> Vec<u32> {
-    let mut all: Vec<u32> = proofs.iter().flat_map(Proof::blockers).collect();
-    all.sort_unstable();
-    all.dedup();
-    all
-}
-
-/// The answer of a new query in the scene.
-pub fn ask(pvs: &Pvs, result: &Path, scene: &Scene, (cell, triangle): (u32, u32)) -> Result<Value, CliError> {
-    if !scene.sides().are_both() {
-        return Err(CliError::Input(format!(
-            "{} was baked with --cull-back-faces, and exact queries take every triangle as seen from both \
-             sides; --why answers for results without culling",
-            result.display()
-        )));
-    }
-    let kind = scene.kinds().kind(triangle);
-    if !kind.shows() {
-        return Ok(json!({"state": "hidden", "kind": kind.name(), "blockers": []}));
-    }
-    let bounds = pvs.cell_bounds(cell).unwrap_or_default().map(Vec3::from);
-    let of = scene.triangles()[triangle as usize];
-    let Some(target) = Polygon::triangle(of.v.map(|v| v.as_dvec3())) else {
-        return Ok(json!({"state": "hidden", "degenerate": true, "blockers": []}));
+/// Draws an answer: from where the target is seen, or else from the viewpoint.
+fn draw(question: &Question<'_>, target: &[u32], answer: &Value, path: &Path) -> Result<(), CliError> {
+    let Some(scene) = &question.scene else {
+        return Err(CliError::Usage("--picture draws the scene; give it with --scene".to_owned()));
     };
-    let region = enclosure::of_result(pvs, scene, result)?;
-    let places = region.as_ref().map(|region| region as &dyn Places);
-    let within = Aabb { min: bounds[0], max: bounds[1] };
-    let faces = enclosure::walls_of(pvs, scene).map(|scene| OpenFaces::new(scene, within, places));
-    let places = faces.as_ref().map(|faces| faces as &dyn Places).or(places);
-    if overlap::triangle_touches_box(&of, &within) && places.is_none_or(|p| p.touch(of.v, within)) {
-        return Ok(json!({"state": "visible", "meets": true}));
-    }
-    opening::without_masks(scene)?;
-    let view = Cell::new(bounds[0], bounds[1])
-        .ok_or_else(|| CliError::Input(format!("cell {cell} has no volume; bake with larger cells")))?;
-    let exact = ExactScene::prepare(scene)?;
-    let meeting = overlap::triangles_in_box(scene, None, &Aabb { min: bounds[0], max: bounds[1] });
-    let half = match exact.surfaces().seen_from(exact.occluders(), view, &meeting).hides(triangle) {
-        Hides::All => return Ok(json!({"state": "hidden", "blockers": [], "surface": true})),
-        Hides::From(side) => Some(side),
-        Hides::Nothing => None,
+    let end = |k: usize| {
+        let at = |axis: usize| answer["witness"][k][axis].as_f64().map(|x| x as f32);
+        Some(Vec3::new(at(0)?, at(1)?, at(2)?))
     };
-    Ok(
-        match from_cell(
-            exact.occluders(),
-            &Sources::new(view, places),
-            (&[target], half),
-            (&Limits::default(), &|| false),
-            &mut Cost::default(),
-        ) {
-            Found::Visible(ends) => {
-                let witness = ends.each_ref().map(|e| polygon::rounded(e).to_array());
-                json!({"state": "visible", "witness": witness})
-            }
-            Found::Hidden(proofs) => {
-                json!({"state": "hidden", "blockers": blockers(&proofs), "surface": half.is_some()})
-            }
-            Found::Undecided(reason) => json!({"state": "undecided", "reason": reason.to_string()}),
-        },
-    )
+    let blockers = answer["blockers"].as_array().map_or(&[][..], |b| b);
+    let blockers: Vec<u32> = blockers.iter().filter_map(|b| u32::try_from(b.as_u64()?).ok()).collect();
+    let info: Value = serde_json::from_str(question.pvs.info_json()).unwrap_or_default();
+    let scene = Arc::new(scene.clone());
+    let spec = CubeSpec { resolution: 8, strata: Strata::One, keep_pixels: false };
+    let (_, backend) = open_backend(BackendChoice::Auto, &scene, spec)?;
+    let bounds = scene.bounds();
+    let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
+    let prepared = PreparedScene::new(Arc::clone(&scene))?;
+    let sight = Sight::new(&*backend, prepared.traced()).map_err(CliError::internal)?;
+    let portrait = Portrait {
+        eye: end(0).unwrap_or_else(|| question.eye.into()),
+        target,
+        blockers: &blockers,
+        seen_at: end(1),
+        vertical: if info["up"] == "z" { Vec3::Z } else { Vec3::Y },
+    };
+    portrait.write(path, &scene, &sight, step).map_err(|e| CliError::Usage(e.to_string()))
 }

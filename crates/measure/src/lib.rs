@@ -26,18 +26,22 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod camera;
 pub mod error;
 pub mod images;
 pub mod measure;
 pub mod pairs;
 mod pixel;
+pub mod portrait;
 pub mod regions;
 pub mod report;
 mod turntable;
 pub mod viewpoints;
 
+pub use camera::Camera;
 pub use error::MeasureError;
 pub use measure::{Options, measure};
 pub use pairs::{PairReport, measure_pairs};
+pub use portrait::Portrait;
 pub use report::{Frame, PathReport, Report};
 pub use viewpoints::Viewpoints;

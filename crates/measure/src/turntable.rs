@@ -8,6 +8,7 @@ use std::path::Path;
 use glam::Vec3;
 use sightline_sampling::CubeImage;
 
+use crate::camera::Camera;
 use crate::error::MeasureError;
 use crate::images::colour;
 
@@ -44,14 +45,12 @@ fn picture(image: &CubeImage, visible: &[u64], up: usize, angle: f32) -> Vec<u8>
     let vertical = if up == 2 { Vec3::Z } else { Vec3::Y };
     let ahead = if up == 2 { Vec3::Y } else { Vec3::NEG_Z };
     let forward = ahead * angle.cos() + ahead.cross(vertical) * angle.sin();
-    let right = forward.cross(vertical);
-    let scale = 2.0 * SPREAD / wide as f32;
+    // The frame is a cube around the viewpoint, which has directions and no place.
+    let camera = Camera::new(Vec3::ZERO, forward, vertical, SIZE, SPREAD);
     let mut out = Vec::with_capacity((wide * high * 3) as usize);
     for y in 0..high {
         for x in 0..wide {
-            let u = (x as f32 + 0.5 - wide as f32 / 2.0) * scale;
-            let v = (high as f32 / 2.0 - y as f32 - 0.5) * scale;
-            out.extend(colour(image.id_along(forward + right * u + vertical * v), visible));
+            out.extend(colour(image.id_along(camera.ray(x, y)), visible));
         }
     }
     out

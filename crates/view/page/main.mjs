@@ -4,7 +4,7 @@ import { Pvs } from './pvs.mjs';
 import { Renderer } from './draw.mjs';
 import { Tracer } from './trace.mjs';
 import { Camera } from './camera.mjs';
-import { opening, why } from './why.mjs';
+import { exactly, opening, why } from './why.mjs';
 import { norm, product, projection, random, sub, viewMatrix } from './math.mjs';
 
 const byId = (id) => document.getElementById(id);
@@ -268,13 +268,16 @@ class Page {
   choose(id) {
     if (id < 0 || id >= this.pvs.triangles) {
       [this.selected, this.answer] = [null, null];
+      byId('ask').hidden = true;
       byId('why').textContent = 'Click something to see why it is visible or hidden.';
       return this.paint();
     }
     const object = this.pvs.objects[this.objectOf[id]];
     const whole = byId('pick').value === 'object';
     const ids = whole ? Array.from({ length: object.count }, (_, k) => object.first + k).filter((k) => this.kinds[k] & 2) : [id];
-    this.selected = { id, object, whole, ids };
+    this.selected = { id, object, whole, ids, cell: this.cell };
+    byId('ask').hidden = !this.meta.ask || !this.isCell();
+    byId('ask').disabled = false;
     const name = whole ? `Object “${object.name}”` : `Triangle ${id} of “${object.name}”`;
     if (!this.isCell()) {
       this.answer = null;
@@ -294,6 +297,24 @@ class Page {
     this.paint();
   }
 
+  // Asks the server for an exact answer about the clicked triangle, unless something else is clicked meanwhile.
+  async ask() {
+    const { selected, meta } = this;
+    byId('ask').disabled = true;
+    byId('why').textContent = `Asking about triangle ${selected.id}…`;
+    const answer = await exactly(meta.ask, selected.cell, selected.id);
+    if (this.selected !== selected) return;
+    byId('ask').hidden = true;
+    if (answer.seen) answer.opening = opening(this.tracer, answer.seen, this.size);
+    this.answer = answer;
+    const names = [...new Set(answer.blockers.map(([id]) => this.pvs.objects[this.objectOf[id]].name))].slice(0, 4);
+    const by = names.length ? ` It is hidden by ${number(answer.blockers.length)} triangles (orange) of ${names.map((n) => `“${n}”`).join(', ')}.` : '';
+    const at = answer.opening ? ` It passes an opening ${short(answer.opening.width)} wide (white).` : '';
+    const along = answer.seen ? ` The segment from (${answer.seen[0].map(short).join(', ')}) is its witness (green).${at}` : '';
+    byId('why').textContent = `Triangle ${selected.id} of “${selected.object.name}” from cell ${selected.cell}: ${answer.words}${along}${by}`;
+    this.paint();
+  }
+
   // A viewpoint of the cell.
   base() {
     const p = this.place(this.cell);
@@ -302,7 +323,7 @@ class Page {
 
   reason({ seen, rays, opening: at, blockers, missed }, inSet) {
     const from = seen && ` from (${seen[0].map(short).join(', ')})`;
-    const ask = `\`sightline query OUT.pvs ${this.place(this.cell).map(short).join(' ')} --why ${this.selected.id} --scene SCENE\``;
+    const ask = this.meta.ask ? '“Ask exactly”' : `\`sightline query OUT.pvs ${this.place(this.cell).map(short).join(' ')} --why ${this.selected.id} --scene SCENE\``;
     const { caveat } = this.meta, exact = this.pvs.method !== 'aggressive';
     if (missed && (caveat || exact)) return `A free segment${from} reaches it in the page (red)${caveat ? `, which does not know ${caveat}` : ''}. ${ask} decides it.`;
     if (missed) return `But a free segment${from} reaches it (red): the set misses it. A smaller --target-error or --method exact finds it.`;
@@ -332,6 +353,7 @@ class Page {
       const reached = Array.from({ length: pvs.cells }, (_, k) => k).filter((k) => pvs.isReached(k));
       this.go(reached[Math.floor(any() * reached.length)] ?? 0);
     };
+    byId('ask').onclick = () => this.ask();
     byId('freeze').onchange = () => { this.dirty = true; this.draw(); this.tell(); };
     byId('walk').onchange = () => {
       camera.walks = byId('walk').checked;

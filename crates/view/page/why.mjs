@@ -1,5 +1,6 @@
 // Why triangles are visible from a cell, or hidden: rays from its viewpoints, in the page. What rays show is seen;
-// what none of them shows may still be seen, so a hidden triangle is proved by `sightline query --why` alone.
+// what none of them shows may still be seen, so a hidden triangle is proved by an exact query alone: of the server
+// of the page, where it has one, or of `sightline query --why`.
 
 import { add, cross, dot, norm, random, scaled, sub, unit } from './math.mjs';
 
@@ -69,4 +70,22 @@ export function opening(tracer, [from, to], size, around = 16) {
     width = Math.min(width, Math.max(...along) - Math.min(...along));
   }
   return Number.isFinite(width) ? { width, ring } : null;
+}
+
+// An exact answer of the server: { words, seen: [from, to, triangle] or null, blockers: [[triangle, 1], …] }.
+export async function exactly({ url, job }, cell, triangle) {
+  const none = (words) => ({ words, seen: null, blockers: [] });
+  try {
+    const body = JSON.stringify({ ...(job === null ? {} : { job }), cell, triangle });
+    const answer = await fetch(url, { method: 'POST', headers: { 'content-type': 'application/json' }, body });
+    const told = await answer.json();
+    if (!answer.ok) return none(`the server gives no answer: ${told.message}`);
+    const w = told.witness ?? [], blockers = (told.blockers ?? []).map((id) => [id, 1]);
+    const because = told.reason ? ` (${told.reason})` : '';
+    const itself = told.state === 'hidden' && !blockers.length && !because;
+    const words = `${told.state}, decided exactly${because}${itself ? ': its own surface turns its inner side to the cell.' : '.'}`;
+    return { words, seen: w.length ? [w.slice(0, 3), w.slice(3), triangle] : null, blockers };
+  } catch (e) {
+    return none(`the server cannot be reached: ${e.message}`);
+  }
 }

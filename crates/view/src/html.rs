@@ -45,6 +45,7 @@ pub fn page(view: &View<'_>) -> Result<String, ViewError> {
         "start": view.start,
         "far": view.far,
         "caveat": view.caveat,
+        "ask": view.ask.as_ref().map(|ask| json!({"url": ask.url, "job": ask.job})),
         "about": view.about,
         "maps": view.maps.iter().map(|map| &map.name).collect::<Vec<_>>(),
         "places": !view.places.is_empty(),

@@ -66,6 +66,18 @@ pub struct View<'a> {
     pub far: Option<f64>,
     /// What the page's rays do not know about the scene, in words.
     pub caveat: Option<String>,
+    /// Where the page asks for exact answers.
+    pub ask: Option<Ask>,
     /// The cell in which the page begins.
     pub start: u32,
+}
+
+/// An address of the page's own server that takes `{"job":…,"cell":…,"triangle":…}` as the call
+/// `sightline.v1.Results/Why` does in JSON, and answers alike.
+#[derive(Clone, Debug)]
+pub struct Ask {
+    /// The path on the server.
+    pub url: String,
+    /// The job whose result the page shows, where the server has several.
+    pub job: Option<u64>,
 }

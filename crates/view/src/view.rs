@@ -24,6 +24,7 @@ impl<'a> View<'a> {
             worst: Vec::new(),
             far: info["sampling"]["far"].as_f64(),
             caveat: caveat(pvs, scene, &info),
+            ask: None,
             start: middling(pvs)?,
         })
     }

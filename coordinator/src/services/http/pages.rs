@@ -10,7 +10,7 @@ use futures::StreamExt as _;
 use serde::Deserialize;
 use sightline_proto::v1;
 use sightline_pvs::Pvs;
-use sightline_view::{View, dashboard as dashboard_page, page};
+use sightline_view::{Ask, View, dashboard as dashboard_page, page};
 use tonic::Status;
 
 use super::super::blocking::blocking_one_of;
@@ -107,5 +107,6 @@ fn page_of(c: &Coordinator, id: JobId) -> Result<String, Status> {
         true => format!("the result of job {id}"),
         false => format!("job {id} so far: cells that are not done show everything, as undecided"),
     };
+    view.ask = is_over.then(|| Ask { url: "/sightline.v1.Results/Why".to_owned(), job: Some(id.0) });
     page(&view).map_err(|e| broken(&e))
 }

@@ -1,0 +1,162 @@
+//! A picture of why something is seen or hidden: the scene from one eye, with what is asked about in green,
+//! what hides it in red, and its outline over both.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+
+use glam::Vec3;
+use rayon::prelude::*;
+use sightline_sampling::SKY;
+use sightline_sampling::packet::{LANES, Packet};
+use sightline_sampling::sight::{Passed, Sight};
+use sightline_scene::Scene;
+
+use crate::camera::Camera;
+use crate::error::MeasureError;
+use crate::images::{SEEN, WRONG};
+
+/// Pixels of the picture.
+const SIZE: [u32; 2] = [960, 640];
+/// Side of the tile of pixels that a packet of lines covers.
+const TILE: u32 = 4;
+const SKY_COLOUR: [u8; 3] = [236, 244, 252];
+const OTHER: [u8; 3] = [176, 180, 188];
+const OUTLINE: [u8; 3] = [20, 20, 20];
+/// The end of a sight line.
+const MARK: [u8; 3] = [250, 220, 0];
+/// Half the side of the square that marks it, in pixels.
+const MARK_SIDE: u32 = 4;
+/// Outlines of more triangles than this would cover the picture.
+const OUTLINED: usize = 2000;
+/// The picture is this many times as wide as what is asked about, within the limits of half its width at
+/// distance 1.
+const MARGIN: f32 = 2.0;
+const SPREADS: [f32; 2] = [0.02, 1.2];
+
+/// What is drawn.
+#[derive(Clone, Copy, Debug)]
+pub struct Portrait<'a> {
+    /// Where the eye is, in world space.
+    pub eye: Vec3,
+    /// The triangles that are asked about, ascending.
+    pub target: &'a [u32],
+    /// The triangles that hide it, ascending.
+    pub blockers: &'a [u32],
+    /// The end of a line along which the target is seen.
+    pub seen_at: Option<Vec3>,
+    /// The vector that points up in the picture.
+    pub vertical: Vec3,
+}
+
+impl Portrait<'_> {
+    /// Writes the picture as a PNG. `step` is as for [`Sight::trace`].
+    ///
+    /// # Errors
+    /// [`MeasureError`] when the device fails or the file cannot be written.
+    pub fn write(
+        &self,
+        path: &Path,
+        scene: &Scene,
+        sight: &Sight<'_>,
+        step: f32,
+    ) -> Result<(), MeasureError> {
+        let camera = self.camera(scene);
+        let ids = traced(&camera, sight, step)?;
+        let [wide, high] = camera.size();
+        let mut pixels: Vec<[u8; 3]> = (0..high)
+            .flat_map(|y| (0..wide).map(move |x| (x, y)))
+            .zip(&ids)
+            .map(|((x, y), id)| self.colour(scene, camera.ray(x, y), *id))
+            .collect();
+        let mut dot = |(x, y): (u32, u32), colour| pixels[(y * wide + x) as usize] = colour;
+        if self.target.len() <= OUTLINED {
+            for corners in self.target.iter().map(|t| scene.triangles()[*t as usize].v) {
+                for k in 0..3 {
+                    camera.along(corners[k], corners[(k + 1) % 3]).for_each(|at| dot(at, OUTLINE));
+                }
+            }
+        }
+        if let Some((x, y)) = self.seen_at.and_then(|end| camera.along(end, end).next()) {
+            for (x, y) in square(x, y).filter(|(x, y)| *x < wide && *y < high) {
+                dot((x, y), MARK);
+            }
+        }
+        let failed = |reason: String| MeasureError::Image { path: path.to_owned(), reason };
+        let file = File::create(path).map_err(|e| failed(e.to_string()))?;
+        let mut encoder = png::Encoder::new(BufWriter::new(file), wide, high);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        let mut writer = encoder.write_header().map_err(|e| failed(e.to_string()))?;
+        writer.write_image_data(pixels.as_flattened()).map_err(|e| failed(e.to_string()))?;
+        writer.finish().map_err(|e| failed(e.to_string()))
+    }
+
+    /// A camera that has the whole target in view, if it is not too near.
+    fn camera(&self, scene: &Scene) -> Camera {
+        let corners = || self.target.iter().flat_map(|t| scene.triangles()[*t as usize].v);
+        let (min, max) =
+            corners().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(min, max), v| (min.min(v), max.max(v)));
+        let middle = if self.target.is_empty() { self.eye + Vec3::X } else { (min + max) / 2.0 };
+        let radius = corners().map(|v| v.distance(middle)).fold(0.0, f32::max);
+        let spread = MARGIN * radius / self.eye.distance(middle).max(f32::MIN_POSITIVE);
+        let spread = spread.clamp(SPREADS[0], SPREADS[1]);
+        Camera::new(self.eye, middle - self.eye, self.vertical, SIZE, spread)
+    }
+
+    /// The colour of a triangle along a ray. The light is at the eye, so that faces can be told apart.
+    fn colour(&self, scene: &Scene, ray: Vec3, id: u32) -> [u8; 3] {
+        if id == SKY {
+            return SKY_COLOUR;
+        }
+        let base = match id {
+            id if self.target.binary_search(&id).is_ok() => SEEN,
+            id if self.blockers.binary_search(&id).is_ok() => WRONG,
+            _ => OTHER,
+        };
+        let [a, b, c] = scene.triangles()[id as usize].v;
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        let light = 0.55 + 0.45 * normal.dot(ray.normalize_or_zero()).abs();
+        base.map(|c| (f32::from(c) * light) as u8)
+    }
+}
+
+/// The triangle in each pixel, row by row from the top, or [`SKY`].
+fn traced(camera: &Camera, sight: &Sight<'_>, step: f32) -> Result<Vec<u32>, MeasureError> {
+    let [wide, high] = camera.size();
+    let eye = camera.eye().to_array();
+    let rows: Result<Vec<Vec<u32>>, MeasureError> = (0..high.div_ceil(TILE))
+        .into_par_iter()
+        .map(|row| {
+            let mut packets = vec![Packet::default(); wide.div_ceil(TILE) as usize];
+            for (tile, packet) in packets.iter_mut().enumerate() {
+                for lane in 0..LANES as u32 {
+                    let (x, y) = (tile as u32 * TILE + lane % TILE, row * TILE + lane / TILE);
+                    packet.push(eye, camera.ray(x, y).to_array());
+                }
+            }
+            sight.trace(&mut packets, &mut Passed::default(), step)?;
+            let mut ids = vec![SKY; (TILE * wide) as usize];
+            for (tile, packet) in packets.iter().enumerate() {
+                for lane in 0..LANES {
+                    let x = tile * TILE as usize + lane % TILE as usize;
+                    if x < wide as usize {
+                        ids[lane / TILE as usize * wide as usize + x] = packet.triangle[lane];
+                    }
+                }
+            }
+            Ok(ids)
+        })
+        .collect();
+    let mut ids = rows?.concat();
+    ids.truncate((wide * high) as usize);
+    Ok(ids)
+}
+
+/// The pixels of a frame around a pixel.
+fn square(x: u32, y: u32) -> impl Iterator<Item = (u32, u32)> {
+    let range = |c: u32| c.saturating_sub(MARK_SIDE)..=c + MARK_SIDE;
+    range(y)
+        .flat_map(move |py| range(x).map(move |px| (px, py)))
+        .filter(move |(px, py)| px.abs_diff(x).max(py.abs_diff(y)) >= MARK_SIDE - 1)
+}
