@@ -138,8 +138,8 @@ struct CubeArgs {
     /// sets in each of 24 groups of directions (Err″). Default: strata.
     #[arg(long, value_parser = choice::<ErrorMeasure>())]
     error_measure: Option<ErrorMeasure>,
-    /// Never subdivide a rectangle whose longer side is at most this fraction of a view cell's size (the
-    /// geometric mean of its three sides). Default: 0.5.
+    /// Never subdivide a rectangle within one cell whose longer side is at most this fraction of the cell's
+    /// size (the geometric mean of its three sides). Default: 0.5.
     #[arg(long, value_name = "F", allow_negative_numbers = true)]
     min_distance: Option<f64>,
     /// Apply --error-threshold to all cubes, also to those inside closed solids.

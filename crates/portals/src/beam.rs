@@ -23,11 +23,13 @@ const MOST_TURN: f64 = 1e-4;
 const EDGES: [[usize; 2]; 12] =
     [[0, 1], [2, 3], [4, 5], [6, 7], [0, 2], [1, 3], [4, 6], [5, 7], [0, 4], [1, 5], [2, 6], [3, 7]];
 
-/// A box from which lines come.
+/// A convex body from which lines come.
 #[derive(Clone, Debug)]
 pub struct Body {
-    /// Its corners, without slack.
+    /// Its corners.
     pub hull: Hull,
+    /// The pairs of corners that its edges join.
+    edges: Vec<[usize; 2]>,
 }
 
 impl Body {
@@ -42,7 +44,13 @@ impl Body {
     /// A box.
     pub fn of_box(bounds: [DVec3; 2]) -> Self {
         let corner = |k: usize| DVec3::from([0, 1, 2].map(|i| bounds[k >> i & 1][i]));
-        Self { hull: Hull { corners: (0..8).map(corner).collect(), slack: 0.0, bounds } }
+        Self { hull: Hull { corners: (0..8).map(corner).collect(), slack: 0.0, bounds }, edges: EDGES.to_vec() }
+    }
+
+    /// A polygon, by its corners in order.
+    pub fn of_polygon(hull: &Hull) -> Self {
+        let n = hull.corners.len();
+        Self { hull: hull.clone(), edges: (0..n).map(|k| [k, (k + 1) % n]).collect() }
     }
 }
 
@@ -61,7 +69,7 @@ pub fn separators(body: &Body, polygon: &Hull, errors: Errors, out: &mut Vec<Hal
     let mut planes = Planes { body: &body.hull, polygon, errors, out };
     let through = &polygon.corners;
     // Of the planes through an edge, only the one that touches the other has it on one side.
-    for edge in EDGES.map(|e| e.map(|k| body.hull.corners[k])) {
+    for edge in body.edges.iter().map(|e| e.map(|k| body.hull.corners[k])) {
         // The body is on one side of it, and the polygon must be on the other.
         let Some(inner) = farthest(edge, &body.hull.corners) else { continue };
         planes.add(edge, touching(edge, through, inner), 1.0);

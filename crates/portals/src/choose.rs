@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use glam::DVec3;
 
 use crate::plane::{Plane, PlaneId};
-use crate::tree::{Fragment, LeafId, Tree};
+use crate::tree::{Fragment, Leaf, LeafId, Tree};
 
 /// Planes of a leaf that are compared, those with the largest area of triangles.
 const COMPARED: usize = 12;
@@ -20,6 +20,9 @@ const TRIED: usize = 256;
 /// How much a cut triangle and an uneven split count against a covered section.
 const CLEAVING: f64 = 0.3;
 const UNEVEN: f64 = 0.1;
+/// How far a corner of a wall may be from the plane of one of its triangles, in parts of the greatest coordinate:
+/// sixteen roundings to single precision, since a plane through rounded corners is farther off elsewhere.
+const ROUNDED: f64 = 1.0 / (1 << 20) as f64;
 
 /// A plane for a leaf, and how good it is: at most 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,30 +36,57 @@ pub struct Choice {
 }
 
 /// The best plane for a leaf with detail.
+///
+/// A wall whose corners were rounded has triangles in many planes. All that are in a plane up to rounding
+/// count as its cover, and when a leaf has been split along one of them the others follow, whatever each
+/// covers by itself.
 pub fn best_plane(tree: &Tree, leaf: LeafId) -> Option<Choice> {
-    let detail = &tree.leaf(leaf).detail;
+    let Leaf { detail, begun, .. } = tree.leaf(leaf);
     let mut areas: BTreeMap<PlaneId, f64> = BTreeMap::new();
-    for fragment in detail {
+    for fragment in detail.iter().filter(|f| begun.is_empty() || begun.binary_search(&f.plane).is_ok()) {
         *areas.entry(fragment.plane).or_default() += fragment.face.area();
     }
     let mut areas: Vec<(PlaneId, f64)> = areas.into_iter().collect();
     areas.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
-    areas.truncate(COMPARED);
-    let merit = |(plane, area): &(PlaneId, f64)| {
+    areas.truncate(if begun.is_empty() { COMPARED } else { 1 });
+    let merit = |(plane, _): &(PlaneId, f64)| {
         let section = tree.section(leaf, *plane)?;
         let size = section.area();
-        let covered = (area / size).min(1.0);
         let exact = tree.planes().plane(*plane);
+        let section = size / face_of_box(tree, exact.axis());
+        if !begun.is_empty() {
+            return Some(Choice { plane: *plane, merit: 1.0, section });
+        }
+        let near = near(tree);
+        let area: f64 = detail.iter().filter(|f| is_near(f, exact, near)).map(|f| f.face.area()).sum();
+        let covered = (area / size).min(1.0);
         let (cut, uneven) = balance(detail, *plane, exact);
         let merit = covered - CLEAVING * cut - UNEVEN * uneven;
         let merit = if merit.is_finite() { merit } else { -1.0 };
-        Some(Choice { plane: *plane, merit, section: size / face_of_box(tree, exact.axis()) })
+        Some(Choice { plane: *plane, merit, section })
     };
     let better = |best: Option<Choice>, c: Choice| match best {
         Some(best) if c.merit.total_cmp(&best.merit) != Ordering::Greater => Some(best),
         _ => Some(c),
     };
     areas.iter().filter_map(merit).fold(None, better)
+}
+
+/// The planes of a leaf's detail in a plane up to rounding, that plane left out.
+pub fn sheet(tree: &Tree, leaf: LeafId, plane: PlaneId) -> Vec<PlaneId> {
+    let (exact, near) = (tree.planes().plane(plane), near(tree));
+    let detail = tree.leaf(leaf).detail.iter();
+    detail.filter(|f| f.plane != plane && is_near(f, exact, near)).map(|f| f.plane).collect()
+}
+
+/// How far corners of a wall may be from its plane.
+fn near(tree: &Tree) -> f64 {
+    ROUNDED * f64::from(tree.bounds().min.abs().max(tree.bounds().max.abs()).max_element())
+}
+
+/// Whether a fragment is in a plane up to rounding.
+fn is_near(fragment: &Fragment, plane: &Plane, near: f64) -> bool {
+    fragment.face.corners().iter().all(|c| plane.distance(*c).abs() <= near)
 }
 
 /// Twice the area of the face of the tree's box across an axis.

@@ -99,7 +99,7 @@ pub fn enclose(
                 // Every leaf with detail has a plane: that of its first fragment.
                 return Enclosure::Unknown;
             };
-            tree.split(leaf, choice.plane);
+            tree.split_wall(leaf, choice.plane);
         }
     }
 }
@@ -132,7 +132,7 @@ fn part_rooms(
                 return Enclosure::Closed;
             }
             match best_plane(tree, leaf).filter(|choice| choice.merit >= WALL) {
-                Some(choice) => drop(tree.split(leaf, choice.plane)),
+                Some(choice) => drop(tree.split_wall(leaf, choice.plane)),
                 None => whole[leaf.0 as usize] = true,
             }
         }

@@ -264,7 +264,7 @@ fn divide(
         match choice.filter(is_worth) {
             // Both halves are looked at again: the lesser keeps its number, the greater comes last.
             Some(choice) => {
-                tree.split(leaf, choice.plane);
+                tree.split_wall(leaf, choice.plane);
                 is_inside.push(true);
             }
             None => next += 1,

@@ -2,15 +2,15 @@
 //! more (Teller 1992, sections 5.3 and 8.3).
 //!
 //! Lines begin in the box around the parts of the cell where viewpoints are. They leave each leaf through its
-//! portals, and go on through those of the leaves beyond. For each portal there is one outline: the part of
-//! it that lines from the cell can cross, whichever way they came. Beyond it they stay within the planes that
-//! separate the box from the outline. When a second way to a portal lights more of it, the outline grows to
-//! the hull of both, so the work is bounded by the portals and not by their sequences, of which there are
-//! exponentially many in open space.
+//! portals, and go on through those of the leaves beyond. For each portal there are a few outlines: the parts
+//! of it that lines from the cell can cross, by the ways they came. Beyond it they stay within the planes that
+//! separate the box from the outline. When one more way lights more of a portal, an outline grows to the hull
+//! of both, so the work is bounded by the portals and not by their sequences, of which there are exponentially
+//! many in open space.
 //!
-//! A line has crossed other portals before. For each portal there are two more boxes: one that all lines have
-//! crossed just before, and one around the narrowest portals on their ways. Planes that separate these from
-//! the outline bound the lines as well.
+//! A line has crossed other portals before. With each outline there are two gates: the portal that all its
+//! lines have crossed just before, and the narrowest on their way. Planes that separate these from the outline
+//! bound the lines as well.
 
 use std::collections::VecDeque;
 
@@ -27,7 +27,9 @@ use crate::tree::{LeafId, PortalId};
 
 /// How often the lit part of a portal grows before it is taken to be the whole portal, and how often its
 /// gates grow before nothing is known of them.
-const GROWTHS: u32 = 8;
+const GROWTHS: u32 = 64;
+/// Most outlines of a portal.
+const WAYS: usize = 4;
 
 /// Finds the triangles that are not proved to be hidden from a box, ascending. `None` when `stop`, which is
 /// called now and then, returns true.
@@ -57,13 +59,13 @@ pub fn sights(partition: &Partition, of: Aabb, is_open: bool, stop: &dyn Fn() ->
     let mut is_seen = vec![false; partition.triangles()];
     for solid in &solids {
         partition.parts(solid.leaf).iter().for_each(|part| is_seen[part.triangle as usize] = true);
-        search.go_on(solid.leaf, None, &[], Gates::NONE);
+        search.go_on(solid.leaf, None, &[], &Gates::NONE);
     }
     for (solid, half) in &behind {
         let is_lit = |part: &&Part| clip(&part.outline, &[*half], partition.errors()).is_some();
         let parts = partition.parts(solid.leaf).iter().filter(is_lit);
         parts.for_each(|part| is_seen[part.triangle as usize] = true);
-        search.go_on(solid.leaf, None, &[*half], Gates::NONE);
+        search.go_on(solid.leaf, None, &[*half], &Gates::NONE);
     }
     if !search.run(stop) {
         return None;
@@ -75,37 +77,118 @@ pub fn sights(partition: &Partition, of: Aabb, is_open: bool, stop: &dyn Fn() ->
 /// A portal with the leaf into which it is crossed.
 type Crossing = (PortalId, LeafId);
 
-type Bounds = [DVec3; 2];
+/// What all lines through a portal have crossed before.
+#[derive(Clone, Debug)]
+enum Gate {
+    /// A part of a plane.
+    Polygon(Outline),
+    /// Parts of several planes, in a box.
+    Box([DVec3; 2]),
+}
 
-/// Boxes that all lines through a portal have crossed before; `None` where they come from the cell itself.
-#[derive(Clone, Copy, Debug, PartialEq)]
+impl Gate {
+    fn bounds(&self) -> [DVec3; 2] {
+        match self {
+            Self::Polygon(outline) => outline.hull.bounds,
+            Self::Box(bounds) => *bounds,
+        }
+    }
+
+    fn body(&self) -> Body {
+        match self {
+            Self::Polygon(outline) => Body::of_polygon(&outline.hull),
+            Self::Box(bounds) => Body::of_box(*bounds),
+        }
+    }
+
+    /// Whether another gate is the same.
+    fn is(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Polygon(a), Self::Polygon(b)) => a.hull.corners == b.hull.corners,
+            (Self::Box(a), Self::Box(b)) => a == b,
+            _ => false,
+        }
+    }
+
+    /// What holds another gate as well; `None` when this one does.
+    fn with(&self, other: &Self, errors: Errors) -> Option<Self> {
+        if let (Self::Polygon(a), Self::Polygon(b)) = (self, other)
+            && a.plane.is_some()
+            && a.plane == b.plane
+        {
+            return a.joined(b, errors).map(Self::Polygon);
+        }
+        let ([a0, a1], [b0, b1]) = (self.bounds(), other.bounds());
+        let union = [a0.min(b0), a1.max(b1)];
+        match self {
+            Self::Box(bounds) if *bounds == union => None,
+            _ => Some(Self::Box(union)),
+        }
+    }
+}
+
+/// The gates of some lines; `None` where they come from the cell itself.
+#[derive(Clone, Debug)]
 struct Gates {
-    /// Around the portals before.
-    last: Option<Bounds>,
-    /// Around the narrowest portals on the ways.
-    narrowest: Option<Bounds>,
+    /// The portal before.
+    last: Option<Gate>,
+    /// The narrowest portal on the way.
+    narrowest: Option<Gate>,
 }
 
 impl Gates {
-    /// The boxes of lines from the cell.
+    /// The gates of lines from the cell.
     const NONE: Self = Self { last: None, narrowest: None };
 
-    /// The boxes beyond a portal with these boxes.
-    fn beyond(self, portal: Bounds) -> Self {
-        let wide = |of: &Bounds| (of[1] - of[0]).length_squared();
-        let narrowest = self.narrowest.filter(|known| wide(known) <= wide(&portal)).unwrap_or(portal);
-        Self { last: Some(portal), narrowest: Some(narrowest) }
+    /// The gates beyond a portal with these gates.
+    fn beyond(&self, portal: &Outline) -> Self {
+        let wide = |[lo, hi]: [DVec3; 2]| (hi - lo).length_squared();
+        let own = Gate::Polygon(portal.clone());
+        let known = self.narrowest.clone().filter(|known| wide(known.bounds()) <= wide(own.bounds()));
+        Self { narrowest: Some(known.unwrap_or_else(|| own.clone())), last: Some(own) }
     }
 
-    /// The boxes of lines that have crossed either.
-    fn or(self, other: Self) -> Self {
-        let union =
-            |a: Option<Bounds>, b: Option<Bounds>| a.zip(b).map(|(a, b)| [a[0].min(b[0]), a[1].max(b[1])]);
-        Self { last: union(self.last, other.last), narrowest: union(self.narrowest, other.narrowest) }
+    /// The gates of lines that have crossed either; `None` when these hold the others.
+    fn or(&self, other: &Self, errors: Errors) -> Option<Self> {
+        // Of a gate, what holds both and whether that is more.
+        let both = |a: &Option<Gate>, b: &Option<Gate>| match (a, b) {
+            (Some(a), Some(b)) => a.with(b, errors).map(Some),
+            (Some(_), None) => Some(None),
+            (None, _) => None,
+        };
+        let found = [both(&self.last, &other.last), both(&self.narrowest, &other.narrowest)];
+        if found.iter().all(Option::is_none) {
+            return None;
+        }
+        let [last, narrowest] = found;
+        Some(Self {
+            last: last.unwrap_or_else(|| self.last.clone()),
+            narrowest: narrowest.unwrap_or_else(|| self.narrowest.clone()),
+        })
+    }
+
+    /// Whether these and others are parts of the same planes, so that polygons hold both.
+    fn are_beside(&self, other: &Self) -> bool {
+        let beside = |a: &Option<Gate>, b: &Option<Gate>| match (a, b) {
+            (Some(Gate::Polygon(a)), Some(Gate::Polygon(b))) => a.plane.is_some() && a.plane == b.plane,
+            (None, _) => true,
+            (Some(Gate::Box(_)), _) => true,
+            (Some(Gate::Polygon(_)), _) => false,
+        };
+        beside(&self.last, &other.last) && beside(&self.narrowest, &other.narrowest)
+    }
+
+    /// The same with slack to find that others are inside.
+    fn widened(self, errors: Errors) -> Self {
+        let wider = |gate: Gate| match gate {
+            Gate::Polygon(outline) => Gate::Polygon(outline.widened(errors)),
+            gate @ Gate::Box(_) => gate,
+        };
+        Self { last: self.last.map(wider), narrowest: self.narrowest.map(wider) }
     }
 }
 
-/// The lit part of a portal.
+/// A lit part of a portal.
 struct Lit {
     outline: Outline,
     gates: Gates,
@@ -117,45 +200,48 @@ struct Lit {
 struct Search<'a> {
     partition: &'a Partition,
     body: Body,
-    lit: FxHashMap<Crossing, Lit>,
+    /// The lit parts of each portal.
+    lit: FxHashMap<Crossing, Vec<Lit>>,
     /// The crossings in the order in which they were first lit.
     order: Vec<Crossing>,
-    waiting: VecDeque<Crossing>,
+    /// Those whose light has not gone on, with the number of the part.
+    waiting: VecDeque<(Crossing, usize)>,
 }
 
 impl Search<'_> {
     /// Lights all portals; false when stopped.
     fn run(&mut self, stop: &dyn Fn() -> bool) -> bool {
-        while let Some(crossing) = self.waiting.pop_front() {
+        while let Some((crossing, way)) = self.waiting.pop_front() {
             if stop() {
                 return false;
             }
-            let Some(lit) = self.lit.get_mut(&crossing) else { continue };
+            let Some(lit) = self.lit.get_mut(&crossing).and_then(|ways| ways.get_mut(way)) else { continue };
             lit.is_waiting = false;
-            let (plane, gates) = (lit.outline.plane, lit.gates.beyond(lit.outline.hull.bounds));
-            let beam = self.beam(crossing);
-            self.go_on(crossing.1, plane, &beam, gates);
+            let (plane, gates) = (lit.outline.plane, lit.gates.beyond(&lit.outline));
+            let beam = self.beam(crossing, way);
+            self.go_on(crossing.1, plane, &beam, &gates);
         }
         true
     }
 
-    /// The half-spaces beyond the lit part of a portal.
-    fn beam(&self, crossing: Crossing) -> Vec<HalfSpace> {
+    /// The half-spaces beyond a lit part of a portal.
+    fn beam(&self, crossing: Crossing, way: usize) -> Vec<HalfSpace> {
         let mut beam = Vec::new();
         beam.extend(self.partition.beyond(crossing.0, crossing.1));
-        let Some(lit) = self.lit.get(&crossing) else { return beam };
+        let Some(lit) = self.lit.get(&crossing).and_then(|ways| ways.get(way)) else { return beam };
         let (hull, errors) = (&lit.outline.hull, self.partition.errors());
         separators(&self.body, hull, errors, &mut beam);
-        let Gates { last, narrowest } = lit.gates;
-        for gate in last.into_iter().chain(narrowest.filter(|_| narrowest != last)) {
-            separators(&Body::of_box(gate), hull, errors, &mut beam);
+        let Gates { last, narrowest } = &lit.gates;
+        let is_other = |gate: &&Gate| last.as_ref().is_none_or(|last| !last.is(gate));
+        for gate in last.iter().chain(narrowest.iter().filter(is_other)) {
+            separators(&gate.body(), hull, errors, &mut beam);
         }
         beam
     }
 
     /// Lights the portals of a leaf that lines can cross within some half-spaces. They have entered it
     /// through a portal in a plane, which they do not cross again.
-    fn go_on(&mut self, leaf: LeafId, entered: Option<PlaneId>, beam: &[HalfSpace], gates: Gates) {
+    fn go_on(&mut self, leaf: LeafId, entered: Option<PlaneId>, beam: &[HalfSpace], gates: &Gates) {
         let partition = self.partition;
         for portal in &partition.tree().leaf(leaf).portals {
             let Some(whole) = partition.opening(*portal) else { continue };
@@ -169,17 +255,33 @@ impl Search<'_> {
         }
     }
 
-    fn light(&mut self, crossing: Crossing, part: Outline, gates: Gates, whole: &Outline) {
+    fn light(&mut self, crossing: Crossing, part: Outline, gates: &Gates, whole: &Outline) {
         let errors = self.partition.errors();
-        let Some(lit) = self.lit.get_mut(&crossing) else {
-            self.lit.insert(
-                crossing,
-                Lit { outline: part.widened(errors), gates, growths: [0; 2], is_waiting: true },
-            );
-            self.order.push(crossing);
-            self.waiting.push_back(crossing);
-            return;
+        let ways = self.lit.entry(crossing).or_default();
+        let holds = |lit: &Lit| {
+            (lit.growths[0] >= GROWTHS || lit.outline.joined(&part, errors).is_none())
+                && lit.gates.or(gates, errors).is_none()
         };
+        if ways.iter().any(holds) {
+            return;
+        }
+        let same = ways.iter().position(|lit| lit.gates.are_beside(gates));
+        if same.is_none() && ways.len() < WAYS {
+            if ways.is_empty() {
+                self.order.push(crossing);
+            }
+            self.waiting.push_back((crossing, ways.len()));
+            ways.push(Lit {
+                outline: part.widened(errors),
+                gates: gates.clone().widened(errors),
+                growths: [0; 2],
+                is_waiting: true,
+            });
+            return;
+        }
+        // The last one takes all that came by other ways.
+        let way = same.unwrap_or(ways.len() - 1);
+        let lit = &mut ways[way];
         let mut grows = false;
         // The whole portal cannot grow.
         if lit.growths[0] < GROWTHS
@@ -189,8 +291,7 @@ impl Search<'_> {
             lit.outline = if lit.growths[0] < GROWTHS { joined } else { whole.clone() };
             grows = true;
         }
-        let gates = lit.gates.or(gates);
-        if gates != lit.gates {
+        if let Some(gates) = lit.gates.or(gates, errors) {
             lit.growths[1] += 1;
             lit.gates = if lit.growths[1] < GROWTHS { gates } else { Gates::NONE };
             grows = true;
@@ -199,27 +300,29 @@ impl Search<'_> {
             return;
         }
         if !std::mem::replace(&mut lit.is_waiting, true) {
-            self.waiting.push_back(crossing);
+            self.waiting.push_back((crossing, way));
         }
     }
 
     /// Marks the triangles with parts that are in the light.
     fn show(&self, is_seen: &mut [bool]) {
         for crossing in &self.order {
-            let Some(lit) = self.lit.get(crossing) else { continue };
             let parts = self.partition.parts(crossing.1);
-            if parts.iter().all(|part| is_seen[part.triangle as usize]) {
-                continue;
-            }
-            let beam = self.beam(*crossing);
-            // Nothing in the portal's plane is seen through it.
-            let is_lit = |part: &Part| {
-                let is_beside = part.outline.plane.is_some() && part.outline.plane == lit.outline.plane;
-                !is_beside && clip(&part.outline, &beam, self.partition.errors()).is_some()
-            };
-            for part in parts {
-                let is_seen = &mut is_seen[part.triangle as usize];
-                *is_seen = *is_seen || is_lit(part);
+            let ways = self.lit.get(crossing).map_or(&[][..], |ways| ways);
+            for (way, lit) in ways.iter().enumerate() {
+                if parts.iter().all(|part| is_seen[part.triangle as usize]) {
+                    break;
+                }
+                let beam = self.beam(*crossing, way);
+                // Nothing in the portal's plane is seen through it.
+                let is_lit = |part: &Part| {
+                    let is_beside = part.outline.plane.is_some() && part.outline.plane == lit.outline.plane;
+                    !is_beside && clip(&part.outline, &beam, self.partition.errors()).is_some()
+                };
+                for part in parts {
+                    let is_seen = &mut is_seen[part.triangle as usize];
+                    *is_seen = *is_seen || is_lit(part);
+                }
             }
         }
     }

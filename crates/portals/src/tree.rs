@@ -14,6 +14,7 @@ use sightline_exact::Polygon;
 use sightline_numbers::Aabb;
 use sightline_scene::Scene;
 
+use crate::choose::sheet;
 use crate::covered::divide_covered;
 use crate::plane::{Face, Plane, PlaneId};
 use crate::planes::{Planes, by_place, is_door};
@@ -62,6 +63,8 @@ pub struct Leaf {
     pub detail: Vec<Fragment>,
     /// The portals of the leaf.
     pub portals: Vec<PortalId>,
+    /// The planes of detail that belongs to walls along which the leaf was split, ascending.
+    pub begun: Vec<PlaneId>,
 }
 
 /// An opening between two leaves.
@@ -280,9 +283,28 @@ impl Tree {
             walls: leaf.walls.iter().copied().chain([(plane, sides[k])]).collect(),
             detail: std::mem::take(&mut details[k]),
             portals: std::mem::take(&mut portals[k]),
+            begun: Vec::new(),
         });
         self.leaves[id.0 as usize] = lower_leaf;
         self.leaves.push(upper_leaf);
+        upper
+    }
+
+    /// Splits a leaf along a wall as [`Self::split`] does along a plane. Other triangles of the wall that are
+    /// in the plane up to rounding alone are to follow: the halves remember their planes.
+    ///
+    /// # Panics
+    /// When the plane does not divide the leaf.
+    pub fn split_wall(&mut self, id: LeafId, plane: PlaneId) -> LeafId {
+        let mut begun = sheet(self, id, plane);
+        begun.extend(&self.leaf(id).begun);
+        let upper = self.split(id, plane);
+        for half in [id, upper] {
+            let leaf = &mut self.leaves[half.0 as usize];
+            leaf.begun = leaf.detail.iter().map(|f| f.plane).filter(|p| begun.contains(p)).collect();
+            leaf.begun.sort_unstable();
+            leaf.begun.dedup();
+        }
         upper
     }
 
