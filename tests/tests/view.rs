@@ -187,7 +187,8 @@ fn a_served_page_answers_its_own_name_alone() {
             "const page = await sightline; page.jump([0.5, 0.8, 1], [1, 0, 0]);
              const of = page.pvs.objects.find((o) => o.name === '{object}'); page.choose({first});
              if (document.getElementById('ask').hidden) throw new Error('nothing to ask');
-             await page.ask(); return [document.getElementById('why').textContent, page.answer.blockers.length];"
+             await page.ask();
+             return [document.getElementById('why').textContent, page.answer.blockers.length];"
         ))
     };
     let hidden = asked("shelf", "of.first");

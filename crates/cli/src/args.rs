@@ -387,9 +387,9 @@ pub struct QueryArgs {
     #[arg(long, value_enum, default_value_t = Items::Triangles)]
     pub items: Items,
     /// Print why a triangle (its number) or an object (its name, or object:NUMBER) is in the set or not: the
-    /// witness, a segment along which it is visible; or the triangles that hide it; or that the closed surface
-    /// it belongs to hides it. The reasons come from the result's certificates (bake --certificates) or, with
-    /// --scene, from a new query.
+    /// witness, a segment along which it is visible; or the triangles that hide it; or that the closed
+    /// surface it belongs to hides it. The reasons come from the result's certificates (bake --certificates)
+    /// or, with --scene, from a new query.
     #[arg(long, value_name = "TRIANGLE|OBJECT", conflicts_with = "items", value_parser = What::parse)]
     pub why: Option<What>,
     /// Draw the answer of --why as a PNG: from the witness's begin or from the viewpoint, what is asked about

@@ -174,8 +174,8 @@ fn in_words(about: &str, answer: &Value) -> String {
         Some("visible") => {
             let what = if it == "it" { "the triangle" } else { it.as_str() };
             format!(
-                "{about}: visible along the segment from {} to {}, which crosses {what} at its end and meets no \
-                 other triangle before",
+                "{about}: visible along the segment from {} to {}, which crosses {what} at its end and \
+                 meets no other triangle before",
                 answer["witness"][0], answer["witness"][1]
             )
         }

@@ -133,8 +133,8 @@ parameters! {
         /// The same for its samples inside closed solids (Nirenstein and Blake 2004, section 3.6).
         interior_threshold: f64 = 0.5, (0.0, 1.0);
         /// A rectangle within one cell is never split when its longer side is at most this fraction of a view
-        /// cell's size, the geometric mean of the cell's three sides. The range ends where no use is known; a flat cell is
-        /// halved further along its long sides, and the lattice still has points there.
+        /// cell's size, the geometric mean of the cell's three sides. The range ends where no use is known; a
+        /// flat cell is halved further along its long sides, and the lattice still has points there.
         min_distance: f64 = 0.5, (1.0 / 1024.0, 4.0);
         /// Whether samples inside closed solids are judged apart (Nirenstein and Blake 2004, section 3.6).
         solids: bool = true, ANY;

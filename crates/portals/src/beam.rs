@@ -44,7 +44,10 @@ impl Body {
     /// A box.
     pub fn of_box(bounds: [DVec3; 2]) -> Self {
         let corner = |k: usize| DVec3::from([0, 1, 2].map(|i| bounds[k >> i & 1][i]));
-        Self { hull: Hull { corners: (0..8).map(corner).collect(), slack: 0.0, bounds }, edges: EDGES.to_vec() }
+        Self {
+            hull: Hull { corners: (0..8).map(corner).collect(), slack: 0.0, bounds },
+            edges: EDGES.to_vec(),
+        }
     }
 
     /// A polygon, by its corners in order.

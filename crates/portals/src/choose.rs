@@ -20,8 +20,9 @@ const TRIED: usize = 256;
 /// How much a cut triangle and an uneven split count against a covered section.
 const CLEAVING: f64 = 0.3;
 const UNEVEN: f64 = 0.1;
-/// How far a corner of a wall may be from the plane of one of its triangles, in parts of the greatest coordinate:
-/// sixteen roundings to single precision, since a plane through rounded corners is farther off elsewhere.
+/// How far a corner of a wall may be from the plane of one of its triangles, in parts of the greatest
+/// coordinate: sixteen roundings to single precision, since a plane through rounded corners is farther off
+/// elsewhere.
 const ROUNDED: f64 = 1.0 / (1 << 20) as f64;
 
 /// A plane for a leaf, and how good it is: at most 1.
@@ -50,9 +51,10 @@ pub fn best_plane(tree: &Tree, leaf: LeafId) -> Option<Choice> {
     areas.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
     areas.truncate(if begun.is_empty() { COMPARED } else { 1 });
     let merit = |(plane, _): &(PlaneId, f64)| {
-        let section = tree.section(leaf, *plane)?;
-        let size = section.area();
         let exact = tree.planes().plane(*plane);
+        let rounded = section_area(tree, leaf, exact);
+        // Rounding can lose a small section that there is.
+        let size = if rounded > 0.0 { rounded } else { tree.section(leaf, *plane)?.area() };
         let section = size / face_of_box(tree, exact.axis());
         if !begun.is_empty() {
             return Some(Choice { plane: *plane, merit: 1.0, section });
@@ -70,6 +72,48 @@ pub fn best_plane(tree: &Tree, leaf: LeafId) -> Option<Choice> {
         _ => Some(c),
     };
     areas.iter().filter_map(merit).fold(None, better)
+}
+
+/// Twice the area of the section of a plane with a leaf, rounded.
+fn section_area(tree: &Tree, leaf: LeafId, plane: &Plane) -> f64 {
+    let ([lo, hi], axis) = ([tree.bounds().min, tree.bounds().max].map(|p| p.as_dvec3()), plane.axis());
+    let (n, level) = (plane.normal(), plane.rounded()[3]);
+    let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+    let corner = |at_u: f64, at_v: f64| {
+        let mut p = DVec3::ZERO;
+        (p[u], p[v]) = (at_u, at_v);
+        p[axis] = (level - n[u] * at_u - n[v] * at_v) / n[axis];
+        p
+    };
+    let mut polygon =
+        vec![corner(lo[u], lo[v]), corner(hi[u], lo[v]), corner(hi[u], hi[v]), corner(lo[u], hi[v])];
+    let mut cut = Vec::new();
+    keep(&mut polygon, &mut cut, |p| p[axis] - lo[axis]);
+    keep(&mut polygon, &mut cut, |p| hi[axis] - p[axis]);
+    for (wall, side) in &tree.leaf(leaf).walls {
+        let (wall, up) = (tree.planes().plane(*wall), if side.is_gt() { 1.0 } else { -1.0 });
+        let (n, level) = (wall.normal(), wall.rounded()[3]);
+        keep(&mut polygon, &mut cut, |p| (n.dot(*p) - level) * up);
+    }
+    let first = polygon.first().copied().unwrap_or_default();
+    polygon.windows(2).map(|w| (w[0] - first).cross(w[1] - first)).sum::<DVec3>().length()
+}
+
+/// Cuts off the part of a convex polygon where a height is negative. `cut` is kept to reuse its memory.
+fn keep(polygon: &mut Vec<DVec3>, cut: &mut Vec<DVec3>, height: impl Fn(&DVec3) -> f64) {
+    cut.clear();
+    let n = polygon.len();
+    for i in 0..n {
+        let (p, q) = (polygon[i], polygon[(i + 1) % n]);
+        let (at_p, at_q) = (height(&p), height(&q));
+        if at_p >= 0.0 {
+            cut.push(p);
+        }
+        if (at_p >= 0.0) != (at_q >= 0.0) {
+            cut.push(p + (q - p) * (at_p / (at_p - at_q)));
+        }
+    }
+    std::mem::swap(polygon, cut);
 }
 
 /// The planes of a leaf's detail in a plane up to rounding, that plane left out.

@@ -3,14 +3,14 @@
 //!
 //! Lines begin in the box around the parts of the cell where viewpoints are. They leave each leaf through its
 //! portals, and go on through those of the leaves beyond. For each portal there are a few outlines: the parts
-//! of it that lines from the cell can cross, by the ways they came. Beyond it they stay within the planes that
-//! separate the box from the outline. When one more way lights more of a portal, an outline grows to the hull
-//! of both, so the work is bounded by the portals and not by their sequences, of which there are exponentially
-//! many in open space.
+//! of it that lines from the cell can cross, by the ways they came. Beyond it they stay within the planes
+//! that separate the box from the outline. When one more way lights more of a portal, an outline grows to the
+//! hull of both, so the work is bounded by the portals and not by their sequences, of which there are
+//! exponentially many in open space.
 //!
 //! A line has crossed other portals before. With each outline there are two gates: the portal that all its
-//! lines have crossed just before, and the narrowest on their way. Planes that separate these from the outline
-//! bound the lines as well.
+//! lines have crossed just before, and the narrowest on their way. Planes that separate these from the
+//! outline bound the lines as well.
 
 use std::collections::VecDeque;
 
@@ -29,7 +29,7 @@ use crate::tree::{LeafId, PortalId};
 /// gates grow before nothing is known of them.
 const GROWTHS: u32 = 64;
 /// Most outlines of a portal.
-const WAYS: usize = 4;
+const WAYS: usize = 2;
 
 /// Finds the triangles that are not proved to be hidden from a box, ascending. `None` when `stop`, which is
 /// called now and then, returns true.
