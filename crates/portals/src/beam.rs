@@ -28,8 +28,8 @@ const EDGES: [[usize; 2]; 12] =
 pub struct Body {
     /// Its corners.
     pub hull: Hull,
-    /// The pairs of corners that its edges join.
-    edges: Vec<[usize; 2]>,
+    /// For each edge the corners that it joins, and one that is off its line.
+    edges: Vec<([usize; 2], DVec3)>,
 }
 
 impl Body {
@@ -44,16 +44,19 @@ impl Body {
     /// A box.
     pub fn of_box(bounds: [DVec3; 2]) -> Self {
         let corner = |k: usize| DVec3::from([0, 1, 2].map(|i| bounds[k >> i & 1][i]));
-        Self {
-            hull: Hull { corners: (0..8).map(corner).collect(), slack: 0.0, bounds },
-            edges: EDGES.to_vec(),
-        }
+        Self::of(Hull { corners: (0..8).map(corner).collect(), slack: 0.0, bounds }, EDGES.into_iter())
     }
 
     /// A polygon, by its corners in order.
     pub fn of_polygon(hull: &Hull) -> Self {
         let n = hull.corners.len();
-        Self { hull: hull.clone(), edges: (0..n).map(|k| [k, (k + 1) % n]).collect() }
+        Self::of(hull.clone(), (0..n).map(|k| [k, (k + 1) % n]))
+    }
+
+    fn of(hull: Hull, edges: impl Iterator<Item = [usize; 2]>) -> Self {
+        let corners = &hull.corners;
+        let off = |edge: [usize; 2]| farthest(edge.map(|k| corners[k]), corners).map(|off| (edge, off));
+        Self { edges: edges.filter_map(off).collect(), hull }
     }
 }
 
@@ -72,10 +75,10 @@ pub fn separators(body: &Body, polygon: &Hull, errors: Errors, out: &mut Vec<Hal
     let mut planes = Planes { body: &body.hull, polygon, errors, out };
     let through = &polygon.corners;
     // Of the planes through an edge, only the one that touches the other has it on one side.
-    for edge in body.edges.iter().map(|e| e.map(|k| body.hull.corners[k])) {
+    for (edge, inner) in &body.edges {
         // The body is on one side of it, and the polygon must be on the other.
-        let Some(inner) = farthest(edge, &body.hull.corners) else { continue };
-        planes.add(edge, touching(edge, through, inner), 1.0);
+        let edge = edge.map(|k| body.hull.corners[k]);
+        planes.add(edge, touching(edge, through, *inner), 1.0);
     }
     let n = through.len();
     for k in 0..n {

@@ -187,20 +187,37 @@ impl Outline {
         Self { off: hull.slack, hull, axis, plane }
     }
 
-    /// The part inside a half-space; `None` when there is certainly none with an area.
-    pub fn part(&self, of: &HalfSpace, errors: Errors) -> Option<Self> {
-        let hull = &self.hull;
-        if hull.is_outside(of, errors) {
+    /// The part inside some half-spaces; `None` when there is certainly none with an area.
+    pub fn within(&self, beam: &[HalfSpace], errors: Errors) -> Option<Self> {
+        // Most polygons are outside of one of them, which is found without any cut.
+        if beam.iter().any(|half| self.hull.is_outside(half, errors)) {
             return None;
         }
+        let mut part: Option<Self> = None;
+        for half in beam {
+            let at = part.as_ref().unwrap_or(self);
+            if at.hull.is_outside(half, errors) {
+                return None;
+            }
+            if let Some(cut) = at.cut_by(half, errors) {
+                part = Some(cut);
+            }
+        }
+        Some(part.unwrap_or_else(|| self.clone()))
+    }
+
+    /// The part inside a half-space that it is not outside of; `None` when that is all of it, or is not
+    /// known.
+    fn cut_by(&self, of: &HalfSpace, errors: Errors) -> Option<Self> {
+        let hull = &self.hull;
         let n = hull.corners.len();
         if n >= MOST_CORNERS || hull.is_inside(of, errors) {
-            return Some(self.clone());
+            return None;
         }
         let level = -(hull.slack * LENGTH + 2.0 * errors.height());
         let heights: Vec<f64> = hull.corners.iter().map(|c| of.height(*c) - level).collect();
         if heights.iter().all(|h| *h >= 0.0) {
-            return Some(self.clone());
+            return None;
         }
         let mut corners = Vec::with_capacity(n + 1);
         for i in 0..n {
@@ -234,30 +251,42 @@ impl Outline {
         Some(Self { hull: Hull { corners, slack, bounds }, off, ..*self })
     }
 
-    /// The same outline with slack for [`Self::joined`] to find that others are inside.
+    /// The same outline with slack for [`Self::holds`] to find that others are inside.
     #[must_use]
     pub fn widened(mut self, errors: Errors) -> Self {
         self.hull.slack += 4.0 * self.off + 128.0 * errors.corner();
         self
     }
 
-    /// The hull with another part of the same polygon; `None` when the other is inside this one.
+    /// Whether both are in the same plane of the scene.
+    pub fn is_beside(&self, other: &Self) -> bool {
+        self.plane.is_some() && self.plane == other.plane
+    }
+
+    /// Whether another part of the same polygon is certainly inside this one.
     ///
     /// Both are compared in the projection. The longest component of a unit normal is at least 1/√3, so a
     /// place that is off by t in the projection is off by √3t in the plane, and corners that are off the
     /// plane by d and d' are apart by at most √3(d + d') beside. 2 stands for √3.
-    pub fn joined(&self, other: &Self, errors: Errors) -> Option<Self> {
+    pub fn holds(&self, other: &Self, errors: Errors) -> bool {
         let (own, its) = (&self.hull, &other.hull);
-        let flat: Vec<DVec2> = own.corners.iter().map(|c| self.flat(*c)).collect();
         let near = errors.corner();
-        let is_in = |c: &DVec3| is_within(&flat, self.flat(*c), near);
         let apart = 2.0 * (2.0 * near + self.off + other.off);
         let fits = its.slack + apart <= own.slack
             && own.bounds[0].cmple(its.bounds[0]).all()
             && own.bounds[1].cmpge(its.bounds[1]).all();
-        if fits && its.corners.iter().all(is_in) {
-            return None;
+        if !fits {
+            return false;
         }
+        let flat: Vec<DVec2> = own.corners.iter().map(|c| self.flat(*c)).collect();
+        its.corners.iter().all(|c| is_within(&flat, self.flat(*c), near))
+    }
+
+    /// The hull with another part of the same polygon, up to the errors that [`Self::holds`] explains.
+    #[must_use]
+    pub fn joined(&self, other: &Self, errors: Errors) -> Self {
+        let (own, its) = (&self.hull, &other.hull);
+        let near = errors.corner();
         let all: Vec<DVec3> = own.corners.iter().chain(&its.corners).copied().collect();
         // Each corner that is dropped is within two roundings of an edge of those that are left then.
         let dropped = 2.0 * (2.0 * near * all.len() as f64 + self.off + other.off);
@@ -266,7 +295,7 @@ impl Outline {
             slack: own.slack.max(its.slack) + dropped,
             bounds: [own.bounds[0].min(its.bounds[0]), own.bounds[1].max(its.bounds[1])],
         };
-        Some(Self { hull, off: self.off.max(other.off), ..*self })
+        Self { hull, off: self.off.max(other.off), ..*self }
     }
 
     /// The corners of the convex hull of points in the outline's plane (Andrew 1979).

@@ -62,7 +62,7 @@ pub fn sights(partition: &Partition, of: Aabb, is_open: bool, stop: &dyn Fn() ->
         search.go_on(solid.leaf, None, &[], &Gates::NONE);
     }
     for (solid, half) in &behind {
-        let is_lit = |part: &&Part| clip(&part.outline, &[*half], partition.errors()).is_some();
+        let is_lit = |part: &&Part| part.outline.within(&[*half], partition.errors()).is_some();
         let parts = partition.parts(solid.leaf).iter().filter(is_lit);
         parts.for_each(|part| is_seen[part.triangle as usize] = true);
         search.go_on(solid.leaf, None, &[*half], &Gates::NONE);
@@ -110,19 +110,26 @@ impl Gate {
         }
     }
 
-    /// What holds another gate as well; `None` when this one does.
-    fn with(&self, other: &Self, errors: Errors) -> Option<Self> {
-        if let (Self::Polygon(a), Self::Polygon(b)) = (self, other)
-            && a.plane.is_some()
-            && a.plane == b.plane
-        {
-            return a.joined(b, errors).map(Self::Polygon);
+    /// Whether another gate is in this one.
+    fn holds(&self, other: &Self, errors: Errors) -> bool {
+        match (self, other) {
+            (Self::Polygon(a), Self::Polygon(b)) => a.is_beside(b) && a.holds(b, errors),
+            (Self::Polygon(_), Self::Box(_)) => false,
+            (Self::Box([lo, hi]), _) => {
+                let [min, max] = other.bounds();
+                lo.cmple(min).all() && hi.cmpge(max).all()
+            }
         }
-        let ([a0, a1], [b0, b1]) = (self.bounds(), other.bounds());
-        let union = [a0.min(b0), a1.max(b1)];
-        match self {
-            Self::Box(bounds) if *bounds == union => None,
-            _ => Some(Self::Box(union)),
+    }
+
+    /// What holds both.
+    fn with(&self, other: &Self, errors: Errors) -> Self {
+        match (self, other) {
+            (Self::Polygon(a), Self::Polygon(b)) if a.is_beside(b) => Self::Polygon(a.joined(b, errors)),
+            _ => {
+                let ([a0, a1], [b0, b1]) = (self.bounds(), other.bounds());
+                Self::Box([a0.min(b0), a1.max(b1)])
+            }
         }
     }
 }
@@ -148,34 +155,35 @@ impl Gates {
         Self { narrowest: Some(known.unwrap_or_else(|| own.clone())), last: Some(own) }
     }
 
-    /// The gates of lines that have crossed either; `None` when these hold the others.
-    fn or(&self, other: &Self, errors: Errors) -> Option<Self> {
-        // Of a gate, what holds both and whether that is more.
-        let both = |a: &Option<Gate>, b: &Option<Gate>| match (a, b) {
-            (Some(a), Some(b)) => a.with(b, errors).map(Some),
-            (Some(_), None) => Some(None),
-            (None, _) => None,
-        };
-        let found = [both(&self.last, &other.last), both(&self.narrowest, &other.narrowest)];
-        if found.iter().all(Option::is_none) {
-            return None;
-        }
-        let [last, narrowest] = found;
-        Some(Self {
-            last: last.unwrap_or_else(|| self.last.clone()),
-            narrowest: narrowest.unwrap_or_else(|| self.narrowest.clone()),
+    /// Each gate with another one.
+    fn both<'a>(&'a self, other: &'a Self) -> [(&'a Option<Gate>, &'a Option<Gate>); 2] {
+        [(&self.last, &other.last), (&self.narrowest, &other.narrowest)]
+    }
+
+    /// Whether others are in these.
+    fn hold(&self, other: &Self, errors: Errors) -> bool {
+        self.both(other).iter().all(|pair| match pair {
+            (Some(a), Some(b)) => a.holds(b, errors),
+            (Some(_), None) => false,
+            (None, _) => true,
         })
     }
 
-    /// Whether these and others are parts of the same planes, so that polygons hold both.
+    /// The gates of lines that have crossed either.
+    fn or(&self, other: &Self, errors: Errors) -> Self {
+        let [last, narrowest] =
+            self.both(other).map(|(a, b)| a.as_ref().zip(b.as_ref()).map(|(a, b)| a.with(b, errors)));
+        Self { last, narrowest }
+    }
+
+    /// Whether these and others are parts of the same planes, so that polygons hold both, or hold the others
+    /// no better.
     fn are_beside(&self, other: &Self) -> bool {
-        let beside = |a: &Option<Gate>, b: &Option<Gate>| match (a, b) {
-            (Some(Gate::Polygon(a)), Some(Gate::Polygon(b))) => a.plane.is_some() && a.plane == b.plane,
-            (None, _) => true,
-            (Some(Gate::Box(_)), _) => true,
+        self.both(other).iter().all(|pair| match pair {
+            (Some(Gate::Polygon(a)), Some(Gate::Polygon(b))) => a.is_beside(b),
             (Some(Gate::Polygon(_)), _) => false,
-        };
-        beside(&self.last, &other.last) && beside(&self.narrowest, &other.narrowest)
+            (Some(Gate::Box(_)) | None, _) => true,
+        })
     }
 
     /// The same with slack to find that others are inside.
@@ -249,7 +257,7 @@ impl Search<'_> {
             if entered.is_some() && whole.plane == entered || partition.is_beyond(*portal, into, &self.body) {
                 continue;
             }
-            if let Some(part) = clip(whole, beam, partition.errors()) {
+            if let Some(part) = whole.within(beam, partition.errors()) {
                 self.light((*portal, into), part, gates, whole);
             }
         }
@@ -258,10 +266,8 @@ impl Search<'_> {
     fn light(&mut self, crossing: Crossing, part: Outline, gates: &Gates, whole: &Outline) {
         let errors = self.partition.errors();
         let ways = self.lit.entry(crossing).or_default();
-        let holds = |lit: &Lit| {
-            (lit.growths[0] >= GROWTHS || lit.outline.joined(&part, errors).is_none())
-                && lit.gates.or(gates, errors).is_none()
-        };
+        let holds_part = |lit: &Lit| lit.growths[0] >= GROWTHS || lit.outline.holds(&part, errors);
+        let holds = |lit: &Lit| holds_part(lit) && lit.gates.hold(gates, errors);
         if ways.iter().any(holds) {
             return;
         }
@@ -282,22 +288,15 @@ impl Search<'_> {
         // The last one takes all that came by other ways.
         let way = same.unwrap_or(ways.len() - 1);
         let lit = &mut ways[way];
-        let mut grows = false;
-        // The whole portal cannot grow.
-        if lit.growths[0] < GROWTHS
-            && let Some(joined) = lit.outline.joined(&part, errors)
-        {
+        // It does not hold both, so one of them grows. The whole portal cannot.
+        if !holds_part(lit) {
             lit.growths[0] += 1;
-            lit.outline = if lit.growths[0] < GROWTHS { joined } else { whole.clone() };
-            grows = true;
+            lit.outline =
+                if lit.growths[0] < GROWTHS { lit.outline.joined(&part, errors) } else { whole.clone() };
         }
-        if let Some(gates) = lit.gates.or(gates, errors) {
+        if !lit.gates.hold(gates, errors) {
             lit.growths[1] += 1;
-            lit.gates = if lit.growths[1] < GROWTHS { gates } else { Gates::NONE };
-            grows = true;
-        }
-        if !grows {
-            return;
+            lit.gates = if lit.growths[1] < GROWTHS { lit.gates.or(gates, errors) } else { Gates::NONE };
         }
         if !std::mem::replace(&mut lit.is_waiting, true) {
             self.waiting.push_back((crossing, way));
@@ -316,8 +315,8 @@ impl Search<'_> {
                 let beam = self.beam(*crossing, way);
                 // Nothing in the portal's plane is seen through it.
                 let is_lit = |part: &Part| {
-                    let is_beside = part.outline.plane.is_some() && part.outline.plane == lit.outline.plane;
-                    !is_beside && clip(&part.outline, &beam, self.partition.errors()).is_some()
+                    !part.outline.is_beside(&lit.outline)
+                        && part.outline.within(&beam, self.partition.errors()).is_some()
                 };
                 for part in parts {
                     let is_seen = &mut is_seen[part.triangle as usize];
@@ -326,14 +325,4 @@ impl Search<'_> {
             }
         }
     }
-}
-
-/// The part of a polygon within half-spaces.
-fn clip(whole: &Outline, beam: &[HalfSpace], errors: Errors) -> Option<Outline> {
-    let mut part: Option<Outline> = None;
-    for half in beam {
-        let at = part.as_ref().unwrap_or(whole);
-        part = Some(at.part(half, errors)?);
-    }
-    Some(part.unwrap_or_else(|| whole.clone()))
 }

@@ -1,7 +1,12 @@
 //! Buildings, and segments that exact signs are sure of.
 
+#![allow(dead_code, reason = "no test uses all of it")]
+
 use glam::{Quat, Vec3};
+use sightline_exact::{Cell, ExactScene, Task, decide};
+use sightline_numbers::Aabb;
 use sightline_numbers::random::SplitMix64;
+use sightline_portals::{Limits, Partition, sights};
 use sightline_scene::exact::crossed_alone;
 use sightline_scene::{Object, Scene, Triangle};
 
@@ -72,4 +77,43 @@ pub fn turned(p: Vec3, angle: f32) -> Vec3 {
 /// The triangle that a segment crosses first, where exact signs are sure of it.
 pub fn strictly_seen(scene: &Scene, p: Vec3, q: Vec3) -> Option<u32> {
     crossed_alone(scene.triangles().iter().map(|t| t.v), p, q)
+}
+
+/// What is listed from cells in the middles of all rooms of a building.
+pub struct Lists {
+    /// Parts of space.
+    pub leaves: usize,
+    /// Triangles by portals, of all cells together.
+    pub portals: usize,
+    /// Triangles by exact queries.
+    pub exact: usize,
+}
+
+/// Lists a building that was turned by an angle.
+pub fn lists(seed: u64, angle: f32) -> Lists {
+    let scene = building(seed, angle);
+    let partition = Partition::new(&scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
+    let prepared = ExactScene::prepare(&scene).unwrap();
+    let mut lists = Lists { leaves: partition.leaves(), portals: 0, exact: 0 };
+    for place in (0..12u8).map(|k| Vec3::new(f32::from(k % 3), f32::from(k / 3 % 2), f32::from(k / 6))) {
+        let middle = turned(place + 0.5, angle);
+        let cell = Aabb::new(middle - 0.1, middle + 0.1);
+        let listed = sights(&partition, cell, false, &|| false).unwrap();
+        let decided = decide(&Task {
+            scene: &prepared,
+            cell: Cell::new(cell.min, cell.max).unwrap(),
+            places: None,
+            seen: &[],
+            above: &[],
+            listed: Some(&listed),
+            limits: sightline_exact::Limits::default(),
+            seed: 1,
+            keep: false,
+            stop: &|| false,
+            asked: &|| {},
+        });
+        lists.portals += listed.len();
+        lists.exact += decided.visible.len() + decided.undecided.len();
+    }
+    lists
 }
