@@ -3,7 +3,7 @@
 #
 #   scripts/farm_picture.sh
 #
-# Needs chromium (scripts/setup.sh --for test). Takes half a minute once the program is built.
+# Needs chromium and chromedriver (scripts/setup.sh --for test). Takes half a minute once the program is built.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -13,13 +13,16 @@ cargo build --quiet --release --locked
 sightline=$(realpath "${CARGO_TARGET_DIR:-target}")/release/sightline
 "$sightline" generate town --triangles 40000 -o "$work/town.glb"
 "$sightline" coordinator --data-dir "$work/data" --listen 127.0.0.1:0 --http 127.0.0.1:0 >"$work/out" 2>"$work/err" &
-for _ in $(seq 100); do [ "$(wc -l <"$work/out")" = 2 ] && break; sleep 0.1; done
+for _ in $(seq 100); do
+  [ "$(wc -l <"$work/out")" = 2 ] && break
+  sleep 0.1
+done
 url=$(sed -n 's/listening on //p' "$work/out")
 pages=$(sed -n 's/dashboard on //p' "$work/out")
 for name in ann bob; do
   "$sightline" worker --coordinator "$url" --backend cpu --threads 1 --name "$name" >"$work/$name" 2>&1 &
 done
 "$sightline" submit "$work/town.glb" --cells 32x4x16 --block-cells 32 --backend cpu --coordinator "$url"
-sleep 12
-chromium --headless=new --no-sandbox --disable-gpu --hide-scrollbars --window-size=1100,1180 --timeout=8000 \
-  --screenshot="$PWD/docs/farm.png" "$pages#job=1" 2>/dev/null
+# About half of the tiles are done then.
+sleep 6
+scripts/screenshot.py "$pages#job=1" docs/farm.png 1100 1180 3
