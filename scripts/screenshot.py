@@ -21,10 +21,10 @@ def main():
             line.rsplit("successfully on port ", 1)[1].strip(" .\n") for line in driver.stdout
             if "successfully on port " in line)
 
-        def call(path, body=None):
+        def call(path, body=None, method=None):
             data = None if body is None else json.dumps(body).encode()
             request = urllib.request.Request(
-                f"http://127.0.0.1:{port}/session{path}", data, {"content-type": "application/json"})
+                f"http://127.0.0.1:{port}/session{path}", data, {"content-type": "application/json"}, method=method)
             return json.load(urllib.request.urlopen(request))["value"]
 
         arguments = ["--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
@@ -35,6 +35,8 @@ def main():
         time.sleep(float(seconds))
         with open(out, "wb") as picture:
             picture.write(base64.b64decode(call(f"{session}/screenshot")))
+        # The browser outlives its driver.
+        call(session, method="DELETE")
     finally:
         driver.kill()
         driver.wait()
