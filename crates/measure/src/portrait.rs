@@ -92,12 +92,14 @@ impl Portrait<'_> {
         writer.finish().map_err(|e| failed(e.to_string()))
     }
 
-    /// A camera that has the whole target in view, if it is not too near.
+    /// A camera that looks at the end of the line or the middle of the target, and has all of the target in
+    /// view if it is not too near.
     fn camera(&self, scene: &Scene) -> Camera {
         let corners = || self.target.iter().flat_map(|t| scene.triangles()[*t as usize].v);
         let (min, max) =
             corners().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(min, max), v| (min.min(v), max.max(v)));
         let middle = if self.target.is_empty() { self.eye + Vec3::X } else { (min + max) / 2.0 };
+        let middle = self.seen_at.unwrap_or(middle);
         let radius = corners().map(|v| v.distance(middle)).fold(0.0, f32::max);
         let spread = MARGIN * radius / self.eye.distance(middle).max(f32::MIN_POSITIVE);
         let spread = spread.clamp(SPREADS[0], SPREADS[1]);
