@@ -27,11 +27,21 @@ fn alone() -> &'static [u8] {
     })
 }
 
+/// Whether the outcome of a phase is on the disk as a whole: its length, a hash and the bytes.
+fn has_outcome(sandbox: &Sandbox) -> bool {
+    let Ok(files) = std::fs::read_dir(sandbox.path("data/crews")) else { return false };
+    let is_whole = |bytes: Vec<u8>| {
+        let length = bytes.first_chunk().map(|length| u64::from_le_bytes(*length));
+        length.is_some_and(|length| bytes.len() as u64 >= 8 + 32 + length)
+    };
+    files.flatten().any(|file| std::fs::read(file.path()).is_ok_and(is_whole))
+}
+
 /// A job with one worker, which leads its only tile and has left outcomes.
 fn led<'a>(sandbox: &'a Sandbox, coordinator: &Coordinator<'a>) -> (u64, Background) {
     let job = coordinator.submit(JOB);
     let leader = coordinator.worker();
-    wait_for("outcomes", || (sandbox.files_below("data/crews") > 0).then_some(()));
+    wait_for("an outcome", || has_outcome(sandbox).then_some(()));
     (job, leader)
 }
 
@@ -108,7 +118,7 @@ fn an_interrupted_bake_goes_on_where_it_was() {
     let sandbox = sandbox();
     let line = format!("bake {JOB} -o whole.pvs --data-dir data");
     let interrupted = sandbox.start(&line);
-    wait_for("outcomes", || (sandbox.files_below("data/crews") > 0).then_some(()));
+    wait_for("an outcome", || has_outcome(&sandbox).then_some(()));
     interrupted.kill();
     let again = sandbox.run(&line).code(0);
     assert!(again.err.contains("phases of an earlier worker"), "{}", again.err);
