@@ -116,8 +116,21 @@ fn keep(polygon: &mut Vec<DVec3>, cut: &mut Vec<DVec3>, height: impl Fn(&DVec3) 
     std::mem::swap(polygon, cut);
 }
 
+/// Splits a leaf along a wall as [`Tree::split`] does along a plane. Other triangles of the wall, which are
+/// in the plane up to rounding alone, are to follow: the halves remember their planes.
+///
+/// # Panics
+/// When the plane does not divide the leaf.
+pub fn split_wall(tree: &mut Tree, leaf: LeafId, plane: PlaneId) -> LeafId {
+    let mut begun = sheet(tree, leaf, plane);
+    begun.extend(&tree.leaf(leaf).begun);
+    let upper = tree.split(leaf, plane);
+    [leaf, upper].into_iter().for_each(|half| tree.set_begun(half, &begun));
+    upper
+}
+
 /// The planes of a leaf's detail in a plane up to rounding, that plane left out.
-pub fn sheet(tree: &Tree, leaf: LeafId, plane: PlaneId) -> Vec<PlaneId> {
+fn sheet(tree: &Tree, leaf: LeafId, plane: PlaneId) -> Vec<PlaneId> {
     let (exact, near) = (tree.planes().plane(plane), near(tree));
     let detail = tree.leaf(leaf).detail.iter();
     detail.filter(|f| f.plane != plane && is_near(f, exact, near)).map(|f| f.plane).collect()

@@ -10,7 +10,7 @@ use std::collections::{BinaryHeap, VecDeque};
 
 use glam::Vec3;
 
-use crate::choose::{Choice, best_plane};
+use crate::choose::{Choice, best_plane, split_wall};
 use crate::tree::{LeafId, OUTSIDE, PortalId, Tree};
 
 /// How long the search goes on. The counts are of work, not of time, so that every machine gets the same
@@ -99,7 +99,7 @@ pub fn enclose(
                 // Every leaf with detail has a plane: that of its first fragment.
                 return Enclosure::Unknown;
             };
-            tree.split_wall(leaf, choice.plane);
+            split_wall(tree, leaf, choice.plane);
         }
     }
 }
@@ -132,7 +132,7 @@ fn part_rooms(
                 return Enclosure::Closed;
             }
             match best_plane(tree, leaf).filter(|choice| choice.merit >= WALL) {
-                Some(choice) => drop(tree.split_wall(leaf, choice.plane)),
+                Some(choice) => drop(split_wall(tree, leaf, choice.plane)),
                 None => whole[leaf.0 as usize] = true,
             }
         }

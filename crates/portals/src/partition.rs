@@ -14,7 +14,7 @@ use sightline_scene::Scene;
 use sightline_viewcells::{Region, RegionNode};
 
 use crate::beam::Body;
-use crate::choose::{Choice, best_plane};
+use crate::choose::{Choice, best_plane, split_wall};
 use crate::enclose::{Limits, WALL};
 use crate::outline::{Errors, HalfSpace, Outline};
 use crate::plane::{Face, Plane, PlaneId};
@@ -264,7 +264,7 @@ fn divide(
         match choice.filter(is_worth) {
             // Both halves are looked at again: the lesser keeps its number, the greater comes last.
             Some(choice) => {
-                tree.split_wall(leaf, choice.plane);
+                split_wall(tree, leaf, choice.plane);
                 is_inside.push(true);
             }
             None => next += 1,

@@ -14,7 +14,6 @@ use sightline_exact::Polygon;
 use sightline_numbers::Aabb;
 use sightline_scene::Scene;
 
-use crate::choose::sheet;
 use crate::covered::divide_covered;
 use crate::plane::{Face, Plane, PlaneId};
 use crate::planes::{Planes, by_place, is_door};
@@ -290,22 +289,13 @@ impl Tree {
         upper
     }
 
-    /// Splits a leaf along a wall as [`Self::split`] does along a plane. Other triangles of the wall that are
-    /// in the plane up to rounding alone are to follow: the halves remember their planes.
-    ///
-    /// # Panics
-    /// When the plane does not divide the leaf.
-    pub fn split_wall(&mut self, id: LeafId, plane: PlaneId) -> LeafId {
-        let mut begun = sheet(self, id, plane);
-        begun.extend(&self.leaf(id).begun);
-        let upper = self.split(id, plane);
-        for half in [id, upper] {
-            let leaf = &mut self.leaves[half.0 as usize];
-            leaf.begun = leaf.detail.iter().map(|f| f.plane).filter(|p| begun.contains(p)).collect();
-            leaf.begun.sort_unstable();
-            leaf.begun.dedup();
-        }
-        upper
+    /// Marks the planes of a leaf's detail that belong to walls along which it was split; the leaf leaves out
+    /// those without detail.
+    pub fn set_begun(&mut self, id: LeafId, planes: &[PlaneId]) {
+        let leaf = &mut self.leaves[id.0 as usize];
+        leaf.begun = leaf.detail.iter().map(|f| f.plane).filter(|p| planes.contains(p)).collect();
+        leaf.begun.sort_unstable();
+        leaf.begun.dedup();
     }
 
     /// Puts a portal of a leaf that is being split on the sides of the plane.

@@ -95,7 +95,19 @@ fn with_block<R>(
     let pairs = Pairs::new(grid.clone());
     let pairs = Some(&pairs);
     let (surface, rows, crew) = (&surface, &rows, &Alone);
-    let tools = Tools { scene, surface, rows, sight, seed, watcher, deadline, pairs, places: None, crew };
+    let tools = Tools {
+        scene,
+        surface,
+        rows,
+        sight,
+        seed,
+        watcher,
+        deadline,
+        pairs,
+        places: None,
+        crew,
+        ledger: None,
+    };
     let [nx, ny, _] = cells.map(u64::from);
     let number = |c: [u32; 3]| (u64::from(c[2]) * ny + u64::from(c[1])) * nx + u64::from(c[0]);
     f(&mut Block::new(tools, grid, number, |_| u64::MAX))

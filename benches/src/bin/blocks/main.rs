@@ -150,6 +150,7 @@ impl Job<'_> {
             pairs: None,
             places: None,
             crew,
+            ledger: None,
         };
         let (first, grid) = self.grid(tile);
         let whole = self.lattice.units().map(|u| u64::from(u / UNITS_PER_CELL));

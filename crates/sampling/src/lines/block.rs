@@ -12,6 +12,7 @@ use sightline_scene::Scene;
 
 use super::bits::SeenBits;
 use super::grid::{CellGrid, Crossed, Slot};
+use super::ledger::Ledger;
 use super::pairs::Pairs;
 use super::yields::{Tally, Yields};
 use crate::context::{Places, Watcher};
@@ -65,6 +66,8 @@ pub struct Tools<'a> {
     pub places: Option<&'a dyn Places>,
     /// Those who share the work.
     pub crew: &'a dyn Crew,
+    /// Who keeps account of the lines, if anybody does.
+    pub ledger: Option<&'a dyn Ledger>,
 }
 
 /// A view cell of the block.

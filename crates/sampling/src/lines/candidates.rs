@@ -5,11 +5,14 @@
 //! of that face belongs to both cells. Each line is traced in both directions.
 
 use std::sync::OnceLock;
+use std::time::Instant;
 
 use glam::Vec3;
 use rayon::prelude::*;
 
 use super::block::{Block, JOINED_AIMED_LANES, Scratch};
+use super::grid::Slot;
+use super::ledger::Try;
 use crate::context::TileError;
 use crate::cube::SKY;
 use crate::error::BackendError;
@@ -167,6 +170,22 @@ impl Block<'_> {
         list: &[Candidate],
         round: u32,
     ) -> Result<CellStats, BackendError> {
+        let start = self.tools.ledger.map(|ledger| (ledger, Instant::now()));
+        let stats = self.aim_at_all(s, cell, list, round)?;
+        if let Some((ledger, start)) = start {
+            let [rays, finds] = [stats.rays, stats.finds].map(|of| of[LineKind::Candidate as usize]);
+            ledger.spent(round, LineKind::Candidate, rays, finds, start.elapsed());
+        }
+        Ok(stats)
+    }
+
+    fn aim_at_all(
+        &self,
+        s: &mut Scratch,
+        cell: usize,
+        list: &[Candidate],
+        round: u32,
+    ) -> Result<CellStats, BackendError> {
         let c = self.cells[cell];
         let rays = self.stats[cell].rays[LineKind::Candidate as usize];
         let mut random = Hashed::new(&[self.tools.seed, c.number, u64::from(round), rays, AIM]);
@@ -189,12 +208,12 @@ impl Block<'_> {
                     return Ok(stats);
                 }
                 if self.tools.rows.are_triangles() {
-                    self.try_some(s, cell, some, time, &mut random, &mut stats)?;
+                    self.try_some(s, (cell, round), some, time, &mut random, &mut stats)?;
                 } else {
                     // Another triangle of the item may have been met since.
                     let unmet = |c: &&Candidate| s.met[self.row(c.triangle) as usize] != s.tag;
                     let some: Vec<Candidate> = some.iter().filter(unmet).copied().collect();
-                    self.try_some(s, cell, &some, time, &mut random, &mut stats)?;
+                    self.try_some(s, (cell, round), &some, time, &mut random, &mut stats)?;
                 }
             }
         }
@@ -205,7 +224,7 @@ impl Block<'_> {
     fn try_some(
         &self,
         s: &mut Scratch,
-        cell: usize,
+        (cell, round): (usize, u32),
         some: &[Candidate],
         time: u32,
         random: &mut Hashed,
@@ -236,6 +255,9 @@ impl Block<'_> {
                 let found = ahead.triangle[lane] == candidate.triangle
                     || !passed.is_empty() && passed.on(halves[0], lane).any(|t| t == candidate.triangle);
                 self.yields.count(tally, (candidate.part, time), uniform, found);
+                if let Some(ledger) = self.tools.ledger {
+                    ledger.tried(round, self.account(cell, candidate, time, found));
+                }
                 let joins = lane.is_multiple_of(JOINED_AIMED_LANES);
                 let ends = self.credit_line(packets, passed, halves, lane, (crossed, joined), joins);
                 let mut meet = |triangle| {
@@ -255,6 +277,24 @@ impl Block<'_> {
         Ok(())
     }
 
+    /// What a ledger keeps of a try.
+    fn account(&self, cell: usize, candidate: &Candidate, time: u32, found: bool) -> Try {
+        let Candidate { triangle, part } = *candidate;
+        let of = &self.cells[cell];
+        let faces = (0..6).filter(|face| self.beyond(of.at, *face).is_some_and(|s| self.seen(triangle, s)));
+        let neighbours = self.tools.surface.neighbours[triangle as usize];
+        let beside = neighbours.iter().filter(|t| **t != SKY && self.seen(**t, of.slot));
+        let (faces, beside) = (faces.count() as u32, beside.count() as u32);
+        Try { cell, triangle, part, time, faces, beside, found }
+    }
+
+    /// The cell beyond a face: along axis `face / 2`, upwards where `face` is even.
+    fn beyond(&self, at: [u32; 3], face: usize) -> Option<Slot> {
+        let mut next = at;
+        next[face / 2] = if face.is_multiple_of(2) { at[face / 2] + 1 } else { at[face / 2].wrapping_sub(1) };
+        self.grid.has(next).then(|| self.grid.slot(next))
+    }
+
     /// The origin of a group's lines, in fractions of the cell: close to one of the faces through which
     /// neighbours see the group, drawn by the number of candidates they see.
     fn eye_for(&self, cell: usize, group: &[Candidate], random: &mut Hashed) -> [f32; 3] {
@@ -266,10 +306,7 @@ impl Block<'_> {
         }
         let mut votes = [0u32; 6];
         for (face, vote) in votes.iter_mut().enumerate() {
-            let mut next = at;
-            next[face / 2] = if face % 2 == 0 { at[face / 2] + 1 } else { at[face / 2].wrapping_sub(1) };
-            if self.grid.has(next) {
-                let slot = self.grid.slot(next);
+            if let Some(slot) = self.beyond(at, face) {
                 *vote = group.iter().filter(|t| self.seen(t.triangle, slot)).count() as u32;
             }
         }

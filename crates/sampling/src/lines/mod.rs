@@ -22,6 +22,7 @@ pub mod grid;
 mod guided;
 pub mod hits;
 pub mod joining;
+pub mod ledger;
 pub mod pairs;
 mod phase;
 pub mod rounds;

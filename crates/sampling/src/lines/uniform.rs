@@ -4,6 +4,8 @@
 //! ways, so that each line gives a maximal free segment. Sixteen directions share an origin, which keeps the
 //! packets coherent; a new origin for each tile keeps the samples independent.
 
+use std::time::{Duration, Instant};
+
 use super::block::{Block, JOINED_LANES, Scratch};
 use crate::cube::{SKY, face_basis};
 use crate::error::BackendError;
@@ -46,6 +48,7 @@ impl Block<'_> {
         let total = 3 * tiles * tiles;
         let pixel = 2.0 / (4 * tiles) as f32;
         let mut finds = Vec::new();
+        let (start, mut flooding) = (self.tools.ledger.map(|_| Instant::now()), Duration::ZERO);
         // Tiles traced before their finds are processed.
         let chunk = (self.tools.sight.batch() / 2).max(1) as u32;
         for first in (0..total).step_by(chunk as usize) {
@@ -96,9 +99,18 @@ impl Block<'_> {
             }
             stats.last_rays += (s.packets.len() * LANES) as u64;
             stats.finds[LineKind::Uniform as usize] += finds.len() as u64;
+            let before = start.map(|start| start.elapsed());
             self.flood(s, cell, &mut finds, &mut random, &mut stats)?;
+            flooding += start.zip(before).map_or(Duration::ZERO, |(start, before)| start.elapsed() - before);
         }
         stats.rays[LineKind::Uniform as usize] = stats.last_rays;
+        if let (Some(ledger), Some(start)) = (self.tools.ledger, start) {
+            let all = start.elapsed();
+            for (kind, time) in [(LineKind::Uniform, all - flooding), (LineKind::Flood, flooding)] {
+                let [rays, finds] = [stats.rays, stats.finds].map(|of| of[kind as usize]);
+                ledger.spent(self.stats[cell].rounds, kind, rays, finds, time);
+            }
+        }
         Ok(stats)
     }
 }

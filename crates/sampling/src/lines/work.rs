@@ -44,6 +44,7 @@ impl Work<'_> {
             pairs: self.pairs,
             places: self.job.places,
             crew: self.job.crew,
+            ledger: None,
         };
         let (min, max) = within.world(&self.job.lattice);
         let mut block = Block::new(tools, CellGrid::new(min, max, cells), number, parts);
