@@ -117,23 +117,21 @@ fn keep(polygon: &mut Vec<DVec3>, cut: &mut Vec<DVec3>, height: impl Fn(&DVec3) 
 }
 
 /// Splits a leaf along a wall as [`Tree::split`] does along a plane. Other triangles of the wall, which are
-/// in the plane up to rounding alone, are to follow: the halves remember their planes.
+/// in the plane up to rounding alone, are to follow: the halves remember their planes. So do all triangles in
+/// the thin leaves between such planes, among them the ends of other walls, which close these leaves off.
 ///
 /// # Panics
 /// When the plane does not divide the leaf.
 pub fn split_wall(tree: &mut Tree, leaf: LeafId, plane: PlaneId) -> LeafId {
-    let mut begun = sheet(tree, leaf, plane);
-    begun.extend(&tree.leaf(leaf).begun);
-    let upper = tree.split(leaf, plane);
-    [leaf, upper].into_iter().for_each(|half| tree.set_begun(half, &begun));
-    upper
-}
-
-/// The planes of a leaf's detail in a plane up to rounding, that plane left out.
-fn sheet(tree: &Tree, leaf: LeafId, plane: PlaneId) -> Vec<PlaneId> {
     let (exact, near) = (tree.planes().plane(plane), near(tree));
-    let detail = tree.leaf(leaf).detail.iter();
-    detail.filter(|f| f.plane != plane && is_near(f, exact, near)).map(|f| f.plane).collect()
+    let Leaf { detail, begun, .. } = tree.leaf(leaf);
+    let of_wall = detail.iter().filter(|f| f.plane != plane && is_near(f, exact, near)).map(|f| f.plane);
+    let mut planes: Vec<PlaneId> = of_wall.chain(begun.iter().copied()).collect();
+    planes.sort_unstable();
+    planes.dedup();
+    let upper = tree.split(leaf, plane);
+    [leaf, upper].into_iter().for_each(|half| tree.set_begun(half, &planes));
+    upper
 }
 
 /// How far corners of a wall may be from its plane.

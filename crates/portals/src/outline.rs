@@ -263,7 +263,7 @@ impl Outline {
         self.plane.is_some() && self.plane == other.plane
     }
 
-    /// Whether another part of the same polygon is certainly inside this one.
+    /// Whether another part of the same plane is certainly inside this one.
     ///
     /// Both are compared in the projection. The longest component of a unit normal is at least 1/√3, so a
     /// place that is off by t in the projection is off by √3t in the plane, and corners that are off the
@@ -272,17 +272,18 @@ impl Outline {
         let (own, its) = (&self.hull, &other.hull);
         let near = errors.corner();
         let apart = 2.0 * (2.0 * near + self.off + other.off);
-        let fits = its.slack + apart <= own.slack
-            && own.bounds[0].cmple(its.bounds[0]).all()
-            && own.bounds[1].cmpge(its.bounds[1]).all();
-        if !fits {
+        let is_around = own.bounds[0].cmple(its.bounds[0]).all() && own.bounds[1].cmpge(its.bounds[1]).all();
+        if is_around && own.corners == its.corners && its.slack <= own.slack && other.off <= self.off {
+            return true;
+        }
+        if !is_around || its.slack + apart > own.slack {
             return false;
         }
         let flat: Vec<DVec2> = own.corners.iter().map(|c| self.flat(*c)).collect();
         its.corners.iter().all(|c| is_within(&flat, self.flat(*c), near))
     }
 
-    /// The hull with another part of the same polygon, up to the errors that [`Self::holds`] explains.
+    /// The hull with another part of the same plane, up to the errors that [`Self::holds`] explains.
     #[must_use]
     pub fn joined(&self, other: &Self, errors: Errors) -> Self {
         let (own, its) = (&self.hull, &other.hull);

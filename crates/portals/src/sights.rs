@@ -176,8 +176,7 @@ impl Gates {
         Self { last, narrowest }
     }
 
-    /// Whether these and others are parts of the same planes, so that polygons hold both, or hold the others
-    /// no better.
+    /// Whether polygons hold these and others without becoming boxes, or these are boxes or nothing already.
     fn are_beside(&self, other: &Self) -> bool {
         self.both(other).iter().all(|pair| match pair {
             (Some(Gate::Polygon(a)), Some(Gate::Polygon(b))) => a.is_beside(b),
@@ -186,13 +185,14 @@ impl Gates {
         })
     }
 
-    /// The same with slack to find that others are inside.
+    /// The same with slack to find that others are inside. The narrowest gate is handed on from portal to
+    /// portal as it is, so that it is the same whatever its way.
     fn widened(self, errors: Errors) -> Self {
-        let wider = |gate: Gate| match gate {
-            Gate::Polygon(outline) => Gate::Polygon(outline.widened(errors)),
-            gate @ Gate::Box(_) => gate,
+        let last = match self.last {
+            Some(Gate::Polygon(outline)) => Some(Gate::Polygon(outline.widened(errors))),
+            other => other,
         };
-        Self { last: self.last.map(wider), narrowest: self.narrowest.map(wider) }
+        Self { last, ..self }
     }
 }
 

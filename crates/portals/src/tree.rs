@@ -289,11 +289,14 @@ impl Tree {
         upper
     }
 
-    /// Marks the planes of a leaf's detail that belong to walls along which it was split; the leaf leaves out
-    /// those without detail.
+    /// Marks the planes of a leaf's detail that belong to a wall along which it was split, of `planes`, which
+    /// ascend. Those without detail in the leaf are left out.
     pub fn set_begun(&mut self, id: LeafId, planes: &[PlaneId]) {
         let leaf = &mut self.leaves[id.0 as usize];
-        leaf.begun = leaf.detail.iter().map(|f| f.plane).filter(|p| planes.contains(p)).collect();
+        // Each fragment was compared with the wall.
+        self.work += leaf.detail.len() as u64;
+        let is_of_wall = |plane: &PlaneId| planes.binary_search(plane).is_ok();
+        leaf.begun = leaf.detail.iter().map(|f| f.plane).filter(is_of_wall).collect();
         leaf.begun.sort_unstable();
         leaf.begun.dedup();
     }
