@@ -25,18 +25,20 @@ def main():
             data = None if body is None else json.dumps(body).encode()
             request = urllib.request.Request(
                 f"http://127.0.0.1:{port}/session{path}", data, {"content-type": "application/json"}, method=method)
-            return json.load(urllib.request.urlopen(request))["value"]
+            return json.load(urllib.request.urlopen(request, timeout=60))["value"]
 
         arguments = ["--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
                      "--hide-scrollbars", f"--window-size={width},{height}"]
         wanted = {"capabilities": {"alwaysMatch": {"goog:chromeOptions": {"args": arguments}}}}
         session = "/" + call("", wanted)["sessionId"]
-        call(f"{session}/url", {"url": url})
-        time.sleep(float(seconds))
-        with open(out, "wb") as picture:
-            picture.write(base64.b64decode(call(f"{session}/screenshot")))
-        # The browser outlives its driver.
-        call(session, method="DELETE")
+        try:
+            call(f"{session}/url", {"url": url})
+            time.sleep(float(seconds))
+            with open(out, "wb") as picture:
+                picture.write(base64.b64decode(call(f"{session}/screenshot")))
+        finally:
+            # The browser outlives its driver.
+            call(session, method="DELETE")
     finally:
         driver.kill()
         driver.wait()

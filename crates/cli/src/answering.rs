@@ -28,7 +28,7 @@ struct Served {
     pvs: Pvs,
     scene: Option<Scene>,
     /// One question at a time: each takes a core and the memory of the prepared scene.
-    turn: Mutex<()>,
+    turn: Arc<Mutex<()>>,
 }
 
 /// What the page asks.
@@ -40,7 +40,7 @@ struct Question {
 
 /// The routes of the server.
 pub fn pages(page: String, result: &Path, pvs: Pvs, scene: Option<Scene>) -> Router {
-    let served = Served { page, result: result.to_owned(), pvs, scene, turn: Mutex::new(()) };
+    let served = Served { page, result: result.to_owned(), pvs, scene, turn: Arc::default() };
     Router::new()
         .route("/", get(html))
         .route(PATH, post(why))
@@ -81,9 +81,13 @@ async fn why(State(served): State<Arc<Served>>, headers: HeaderMap, body: Bytes)
         Ok(asked) => asked,
         Err(e) => return refuse(&format!("ask as {{\"cell\":0,\"triangle\":0}}: {e}")),
     };
-    let turn = Arc::clone(&served);
-    let _turn = turn.turn.lock().await;
-    let answer = tokio::task::spawn_blocking(move || answer(&served, asked)).await;
+    // The turn goes with the query, which runs on when the browser does not wait for it.
+    let turn = Arc::clone(&served.turn).lock_owned().await;
+    let query = move || {
+        let _turn = turn;
+        answer(&served, asked)
+    };
+    let answer = tokio::task::spawn_blocking(query).await;
     match answer.unwrap_or_else(|e| Err(e.to_string())) {
         Ok(answer) => json(StatusCode::OK, answer),
         Err(message) => refuse(&message),

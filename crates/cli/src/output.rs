@@ -27,6 +27,8 @@ pub enum Format {
     Json,
     /// A table of `export`.
     Csv,
+    /// A picture.
+    Png,
 }
 
 impl Format {
@@ -40,6 +42,7 @@ impl Format {
             Self::Html => b"<!doctype html><!-- sightline ",
             Self::Json => b"{\"format\"",
             Self::Csv => b"cell,object",
+            Self::Png => b"\x89PNG",
         }
     }
 
@@ -53,6 +56,7 @@ impl Format {
             Self::Html => "html",
             Self::Json => "json",
             Self::Csv => "csv",
+            Self::Png => "png",
         }
     }
 }

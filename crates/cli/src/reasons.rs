@@ -63,7 +63,7 @@ pub fn keep_each(
                 why
             }
             None if visible.binary_search(&triangle).is_ok() => json!({"state": "visible", "meets": true}),
-            None => json!({"state": "hidden", "degenerate": true, "blockers": []}),
+            None => json!({"state": "hidden", "kind": "without area, or does not show", "blockers": []}),
         };
         if !each(triangle, answer)? {
             break;
@@ -108,7 +108,11 @@ pub fn ask_as_message(
         state: text("state"),
         witness: ends.iter().flat_map(list).filter_map(|x| number(&x)).collect(),
         blockers: list(&answer["blockers"]).iter().filter_map(id).collect(),
-        reason: [text("reason"), text("kind")].concat(),
+        reason: match (answer["meets"] == true, answer["degenerate"] == true) {
+            (true, _) => "it meets the cell".to_owned(),
+            (_, true) => "it has no area".to_owned(),
+            _ => [text("reason"), text("kind")].concat(),
+        },
     })
 }
 

@@ -4,6 +4,7 @@ use std::io::IsTerminal as _;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use serde_json::Value;
 use sightline_pvs::Pvs;
@@ -35,7 +36,8 @@ pub fn run(args: &ViewArgs, json: bool) -> Result<(), CliError> {
     };
     let served = output.is_none();
     let mut view = View::of(&pvs, scene.as_ref())?;
-    view.ask = (served && scene.is_some()).then(|| Ask { url: answering::PATH.to_owned(), job: None });
+    let of_served = scene.as_ref().filter(|_| served);
+    view.ask = of_served.and_then(|scene| Ask::about(scene, answering::PATH, None));
     view.title = title(&args.result, args.scene.as_deref());
     view.about = Summary::of(&args.result)?.lines().join("\n");
     if let Some(up) = args.up {
@@ -122,7 +124,7 @@ fn serve_page(
     json: bool,
 ) -> Result<(), CliError> {
     let runtime = serve::runtime()?;
-    runtime.block_on(async {
+    let ended = runtime.block_on(async {
         let address = SocketAddr::from((Ipv4Addr::LOCALHOST, args.port));
         let listener = tokio::net::TcpListener::bind(address).await.map_err(|e| {
             CliError::Usage(format!(
@@ -139,9 +141,14 @@ fn serve_page(
             open(&url);
         }
         let server = axum::serve(listener, answering::pages(page, &args.result, pvs, scene));
-        let server = server.with_graceful_shutdown(serve::stop_signal());
-        server.await.map_err(CliError::internal)
-    })
+        // A query that is under way would delay a graceful end.
+        tokio::select! {
+            ended = async { server.await } => ended.map_err(CliError::internal),
+            () = serve::stop_signal() => Ok(()),
+        }
+    });
+    runtime.shutdown_timeout(Duration::from_millis(200));
+    ended
 }
 
 /// Opens an address in the user's browser.

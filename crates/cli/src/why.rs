@@ -1,6 +1,7 @@
 //! `sightline query --why`: the witness for a triangle or an object visible from a cell, or the blockers that
 //! hide it; in words, as JSON, as a picture.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -16,6 +17,7 @@ use sightline_scene::Scene;
 use crate::backends::open_backend;
 use crate::error::CliError;
 use crate::opening::plural;
+use crate::output::{Format, Output};
 use crate::progress::Progress;
 use crate::reasons::{Each, ask_each, keep_each};
 use crate::serve::print;
@@ -23,6 +25,7 @@ use crate::what::{OBJECT, What};
 
 /// Most blockers listed without --json.
 const SHOWN: usize = 40;
+
 /// What is asked, and of what.
 pub struct Question<'a> {
     pub pvs: &'a Pvs,
@@ -42,6 +45,10 @@ pub struct Question<'a> {
 /// queries if a scene is given.
 pub fn why(question: &Question<'_>, json: bool) -> Result<(), CliError> {
     let pvs = question.pvs;
+    let picture_to = match question.picture {
+        Some(path) => Some(Output::check(path, Format::Png, Some(question.result))?),
+        None => None,
+    };
     let (about, triangles, mut answer) = match question.what {
         What::Triangle(triangle) => {
             if *triangle >= pvs.triangle_count() {
@@ -69,8 +76,9 @@ pub fn why(question: &Question<'_>, json: bool) -> Result<(), CliError> {
         }
     };
     answer["cell"] = question.cell.into();
-    if let Some(path) = question.picture {
-        draw(question, &triangles, &answer, path)?;
+    answer["asked"] = question.scene.is_some().into();
+    if let (Some(path), Some(picture_to)) = (question.picture, &picture_to) {
+        draw(question, &triangles, &answer, (path, picture_to))?;
         answer["picture"] = path.display().to_string().into();
     }
     if json {
@@ -119,7 +127,7 @@ fn of_object(question: &Question<'_>, triangles: &[u32]) -> Result<Value, CliErr
         triangles.iter().partition(|t| set.binary_search(t).is_ok());
     order.extend(others);
     let progress = Progress::new();
-    let (mut blockers, mut undecided, mut kinds) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut blockers, mut undecided, mut reasons) = (Vec::new(), Vec::new(), BTreeSet::new());
     let (mut hidden, mut seen) = (0u64, None);
     let asked = question.each(&order, &mut |triangle, mut answer| {
         match answer["state"].as_str() {
@@ -132,7 +140,12 @@ fn of_object(question: &Question<'_>, triangles: &[u32]) -> Result<Value, CliErr
                 hidden += 1;
                 let of = answer["blockers"].as_array().map_or(&[][..], |b| b);
                 blockers.extend(of.iter().filter_map(Value::as_u64));
-                kinds.extend(answer["kind"].as_str().map(str::to_owned));
+                reasons.insert(match (answer["kind"].as_str(), answer["degenerate"] == true) {
+                    (Some(kind), _) => format!("are {kind}"),
+                    (None, true) => "have no area".to_owned(),
+                    (None, false) if of.is_empty() => "turn their inner side to the cell".to_owned(),
+                    (None, false) => "are behind others".to_owned(),
+                });
             }
             _ => undecided.push(triangle),
         }
@@ -146,38 +159,43 @@ fn of_object(question: &Question<'_>, triangles: &[u32]) -> Result<Value, CliErr
     }
     blockers.sort_unstable();
     blockers.dedup();
-    kinds.dedup();
     let state = if undecided.is_empty() { "hidden" } else { "undecided" };
-    let mut answer = json!({
+    Ok(json!({
         "state": state, "blockers": blockers, "triangles": order.len(), "undecided": undecided,
-        "surface": blockers.is_empty(),
-    });
-    if let ([kind], true) = (&kinds[..], blockers.is_empty()) {
-        answer["kind"] = kind.as_str().into();
-    }
-    Ok(answer)
+        "reasons": reasons,
+    }))
 }
 
 /// An answer as a sentence.
 fn in_words(about: &str, answer: &Value) -> String {
     let blockers = answer["blockers"].as_array().map_or(&[][..], |b| b);
     // Of an object one triangle is seen.
-    let it = match (answer["object"].is_u64(), answer["triangle"].as_u64()) {
-        (true, Some(triangle)) => format!("its triangle {triangle}"),
-        (true, None) => "each of its triangles".to_owned(),
-        (false, _) => "it".to_owned(),
+    let [it, the_triangle] = match (answer["object"].is_u64(), answer["triangle"].as_u64()) {
+        (true, Some(triangle)) => [format!("its triangle {triangle}"), format!("its triangle {triangle}")],
+        _ => ["it".to_owned(), "the triangle".to_owned()],
     };
     match answer["state"].as_str() {
         Some("visible") if answer["meets"] == true => {
             format!("{about}: visible, because {it} meets the cell")
         }
         Some("visible") => {
-            let what = if it == "it" { "the triangle" } else { it.as_str() };
             format!(
-                "{about}: visible along the segment from {} to {}, which crosses {what} at its end and \
-                 meets no other triangle before",
+                "{about}: visible along the segment from {} to {}, which crosses {the_triangle} at its end \
+                 and meets no other triangle before",
                 answer["witness"][0], answer["witness"][1]
             )
+        }
+        Some("hidden") if answer["triangles"] == 0 => {
+            format!("{about}: in no set, because it has no triangles")
+        }
+        Some("hidden") if answer["object"].is_u64() => {
+            let reasons = answer["reasons"].as_array().map_or(&[][..], |r| r);
+            let reasons: Vec<&str> = reasons.iter().filter_map(Value::as_str).collect();
+            let behind = match blockers {
+                [] => String::new(),
+                _ => format!("; what they are behind are triangles {}", listed(blockers)),
+            };
+            format!("{about}: hidden, because all its triangles {}{behind}", reasons.join(" or "))
         }
         Some("hidden") if answer["kind"].is_string() => {
             format!("{about}: in no set, because it is {}", answer["kind"].as_str().unwrap_or_default())
@@ -206,9 +224,10 @@ fn in_words(about: &str, answer: &Value) -> String {
         _ if answer["object"].is_u64() => {
             let open = answer["undecided"].as_array().map_or(&[][..], |u| u);
             format!(
-                "{about}: undecided, because triangles {} are; undecided triangles are in the set, so no \
+                "{about}: undecided, because triangles {} are{}; undecided triangles are in the set, so no \
                  visible one is missing",
-                listed(open)
+                listed(open),
+                if answer["asked"] == true { "" } else { " (add --scene for new queries)" }
             )
         }
         _ => format!(
@@ -228,7 +247,12 @@ fn listed(triangles: &[Value]) -> String {
 }
 
 /// Draws an answer: from where the target is seen, or else from the viewpoint.
-fn draw(question: &Question<'_>, target: &[u32], answer: &Value, path: &Path) -> Result<(), CliError> {
+fn draw(
+    question: &Question<'_>,
+    target: &[u32],
+    answer: &Value,
+    (path, picture_to): (&Path, &Output),
+) -> Result<(), CliError> {
     let Some(scene) = &question.scene else {
         return Err(CliError::Usage("--picture draws the scene; give it with --scene".to_owned()));
     };
@@ -253,5 +277,6 @@ fn draw(question: &Question<'_>, target: &[u32], answer: &Value, path: &Path) ->
         seen_at: end(1),
         vertical: if info["up"] == "z" { Vec3::Z } else { Vec3::Y },
     };
-    portrait.write(path, &scene, &sight, step).map_err(|e| CliError::Usage(e.to_string()))
+    let picture = portrait.draw(&scene, &sight, step).map_err(CliError::internal)?;
+    picture_to.write(|out| out.write_all(&picture).map_err(|e| CliError::writing(path, &e)))
 }

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-/// The nearest depth at which a line is drawn, in lengths of the camera's forward vector.
+/// The nearest depth at which a line is drawn, as a part of the depth of its farther end.
 const NEAR: f32 = 1e-4;
 
 /// A camera in world space.
@@ -50,6 +50,7 @@ impl Camera {
     /// The pixels along a segment of world space, from end to end; none for what is behind the camera.
     pub fn along(&self, from: Vec3, to: Vec3) -> impl Iterator<Item = (u32, u32)> + use<> {
         let ends = self.clipped(from, to).map(|ends| ends.map(|d| self.flat(d)));
+        // No pixel is at NaN.
         let [[x0, y0], [x1, y1]] = ends.unwrap_or([[f32::NAN; 2]; 2]);
         // A segment that passes near the eye is long in the picture; only some of it is inside.
         let steps = (x1 - x0).abs().max((y1 - y0).abs()).ceil().clamp(1.0, 1e5) as u32;

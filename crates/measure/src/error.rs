@@ -83,6 +83,12 @@ pub enum MeasureError {
     /// The result cannot be decoded.
     #[error(transparent)]
     Pvs(#[from] sightline_pvs::PvsError),
+    /// An image cannot be made.
+    #[error("the picture cannot be encoded: {reason}")]
+    Encode {
+        /// What the encoder said.
+        reason: String,
+    },
     /// An image cannot be written.
     #[error("cannot write {path}: {reason}")]
     Image {

@@ -1,10 +1,6 @@
 //! A picture of why something is seen or hidden: the scene from one eye, with what is asked about in green,
 //! what hides it in red, and its outline over both.
 
-use std::fs::File;
-use std::io::BufWriter;
-use std::path::Path;
-
 use glam::Vec3;
 use rayon::prelude::*;
 use sightline_sampling::SKY;
@@ -50,17 +46,11 @@ pub struct Portrait<'a> {
 }
 
 impl Portrait<'_> {
-    /// Writes the picture as a PNG. `step` is as for [`Sight::trace`].
+    /// The picture as a PNG. `step` is as for [`Sight::trace`].
     ///
     /// # Errors
-    /// [`MeasureError`] when the device fails or the file cannot be written.
-    pub fn write(
-        &self,
-        path: &Path,
-        scene: &Scene,
-        sight: &Sight<'_>,
-        step: f32,
-    ) -> Result<(), MeasureError> {
+    /// [`MeasureError`] when the device fails.
+    pub fn draw(&self, scene: &Scene, sight: &Sight<'_>, step: f32) -> Result<Vec<u8>, MeasureError> {
         let camera = self.camera(scene);
         let ids = traced(&camera, sight, step)?;
         let [wide, high] = camera.size();
@@ -82,14 +72,15 @@ impl Portrait<'_> {
                 dot((x, y), MARK);
             }
         }
-        let failed = |reason: String| MeasureError::Image { path: path.to_owned(), reason };
-        let file = File::create(path).map_err(|e| failed(e.to_string()))?;
-        let mut encoder = png::Encoder::new(BufWriter::new(file), wide, high);
+        let failed = |e: png::EncodingError| MeasureError::Encode { reason: e.to_string() };
+        let mut out = Vec::new();
+        let mut encoder = png::Encoder::new(&mut out, wide, high);
         encoder.set_color(png::ColorType::Rgb);
         encoder.set_depth(png::BitDepth::Eight);
-        let mut writer = encoder.write_header().map_err(|e| failed(e.to_string()))?;
-        writer.write_image_data(pixels.as_flattened()).map_err(|e| failed(e.to_string()))?;
-        writer.finish().map_err(|e| failed(e.to_string()))
+        let mut writer = encoder.write_header().map_err(failed)?;
+        writer.write_image_data(pixels.as_flattened()).map_err(failed)?;
+        writer.finish().map_err(failed)?;
+        Ok(out)
     }
 
     /// A camera that looks at the end of the line or the middle of the target, and has all of the target in

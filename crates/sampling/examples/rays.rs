@@ -86,10 +86,11 @@ impl Ledger for Account {
         (of.rays, of.finds, of.time) = (of.rays + rays, of.finds + finds, of.time + time);
     }
 
+    fn wants_tries(&self) -> bool {
+        self.of_tries
+    }
+
     fn tried(&self, _: u32, of: Try) {
-        if !self.of_tries {
-            return;
-        }
         let before = {
             let mut tried = locked(&self.tried[of.cell]);
             let count = tried.entry(of.triangle).or_default();

@@ -308,7 +308,7 @@ class Page {
     if (answer.seen) answer.opening = opening(this.tracer, answer.seen, this.size);
     this.answer = answer;
     const names = [...new Set(answer.blockers.map(([id]) => this.pvs.objects[this.objectOf[id]].name))].slice(0, 4);
-    const by = names.length ? ` It is hidden by ${number(answer.blockers.length)} triangles (orange) of ${names.map((n) => `“${n}”`).join(', ')}.` : '';
+    const by = names.length ? ` ${answer.blockers.length === 1 ? 'One triangle hides' : `${number(answer.blockers.length)} triangles hide`} it (orange), of ${names.map((n) => `“${n}”`).join(', ')}.` : '';
     const at = answer.opening ? ` It passes an opening ${short(answer.opening.width)} wide (white).` : '';
     const along = answer.seen ? ` The segment from (${answer.seen[0].map(short).join(', ')}) is its witness (green).${at}` : '';
     byId('why').textContent = `Triangle ${selected.id} of “${selected.object.name}” from cell ${selected.cell}: ${answer.words}${along}${by}`;

@@ -78,8 +78,9 @@ export async function exactly({ url, job }, cell, triangle) {
   try {
     const body = JSON.stringify({ ...(job === null ? {} : { job }), cell, triangle });
     const answer = await fetch(url, { method: 'POST', headers: { 'content-type': 'application/json' }, body });
-    const told = await answer.json();
-    if (!answer.ok) return none(`the server gives no answer: ${told.message}`);
+    const text = await answer.text();
+    if (!answer.ok) return none(`the server gives no answer: ${text.startsWith('{') ? JSON.parse(text).message : text}`);
+    const told = JSON.parse(text);
     const w = told.witness ?? [], blockers = (told.blockers ?? []).map((id) => [id, 1]);
     const because = told.reason ? ` (${told.reason})` : '';
     const itself = told.state === 'hidden' && !blockers.length && !because;

@@ -81,3 +81,12 @@ pub struct Ask {
     /// The job whose result the page shows, where the server has several.
     pub job: Option<u64>,
 }
+
+impl Ask {
+    /// The address for a scene; `None` where exact queries cannot answer, because back faces are culled or
+    /// alpha textures are read.
+    pub fn about(scene: &sightline_scene::Scene, url: &str, job: Option<u64>) -> Option<Self> {
+        let can = scene.sides().are_both() && !scene.kinds().any_masked();
+        can.then(|| Self { url: url.to_owned(), job })
+    }
+}

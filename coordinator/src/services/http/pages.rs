@@ -21,6 +21,7 @@ use crate::asking;
 use crate::ids::JobId;
 use crate::partial;
 use crate::state::Coordinator;
+use crate::store::JobPhase;
 
 /// A page as an answer. It is its own program and loads nothing from elsewhere.
 fn html(text: String) -> Response {
@@ -107,6 +108,8 @@ fn page_of(c: &Coordinator, id: JobId) -> Result<String, Status> {
         true => format!("the result of job {id}"),
         false => format!("job {id} so far: cells that are not done show everything, as undecided"),
     };
-    view.ask = is_over.then(|| Ask { url: "/sightline.v1.Results/Why".to_owned(), job: Some(id.0) });
+    if record.state.phase() == JobPhase::Done {
+        view.ask = Ask::about(&scene, "/sightline.v1.Results/Why", Some(id.0));
+    }
     page(&view).map_err(|e| broken(&e))
 }

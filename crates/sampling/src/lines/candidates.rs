@@ -255,7 +255,7 @@ impl Block<'_> {
                 let found = ahead.triangle[lane] == candidate.triangle
                     || !passed.is_empty() && passed.on(halves[0], lane).any(|t| t == candidate.triangle);
                 self.yields.count(tally, (candidate.part, time), uniform, found);
-                if let Some(ledger) = self.tools.ledger {
+                if let Some(ledger) = self.tools.ledger.filter(|ledger| ledger.wants_tries()) {
                     ledger.tried(round, self.account(cell, candidate, time, found));
                 }
                 let joins = lane.is_multiple_of(JOINED_AIMED_LANES);

@@ -26,8 +26,11 @@ pub struct Try {
 
 /// Who keeps account.
 pub trait Ledger: Sync {
-    /// Lines of a kind were cast from a cell in a round: rays, triangles that they were the first to show,
-    /// and the time that they took.
+    /// Whether it wants [`Self::tried`], which takes time at each try.
+    fn wants_tries(&self) -> bool;
+
+    /// Lines of a kind were cast from a cell: rays, triangles that they were the first to show, and the time
+    /// that they took. The round of uniform and flood lines is the cell's own, counted over all searches.
     fn spent(&self, round: u32, kind: LineKind, rays: u64, finds: u64, time: Duration);
 
     /// A candidate was aimed at.
