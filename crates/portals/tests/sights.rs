@@ -153,7 +153,8 @@ proptest! {
             of.min + (of.max - of.min) * Vec3::new(unit(), unit(), unit())
         };
         // Large cells of turned buildings are lit through thousands of portals.
-        for part in [0.2, 0.1] {
+        let parts: &[f32] = if angle == 0.0 { &[0.3, 0.3, 0.3, 0.3] } else { &[0.2, 0.1] };
+        for part in parts.iter().copied() {
             let (p, q) = (point(bounds), point(bounds));
             let cell = Aabb::new(p.min(p + (q - p) * part), p.max(p + (q - p) * part));
             let found = sights(&partition, cell, false, &|| false).unwrap();
