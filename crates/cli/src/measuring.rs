@@ -7,7 +7,7 @@ use serde_json::Value;
 use sightline_measure::{MeasureError, Options, Viewpoints, measure, measure_pairs};
 use sightline_places::points::Weighted;
 use sightline_pvs::{Pvs, PvsError};
-use sightline_sampling::sight::Sight;
+use sightline_sampling::sight::{Sight, least_step};
 use sightline_sampling::{CubeSpec, PreparedScene, Strata, layers};
 use sightline_scene::Scene;
 
@@ -101,7 +101,7 @@ pub fn measured_in(
     };
     let spec = CubeSpec { resolution: args.resolution, strata: Strata::One, keep_pixels: false };
     let (profile, backend) = open_backend(args.backend, &scene, spec)?;
-    let bounds = scene.bounds();
+    let step = least_step(scene.bounds());
     let prepared = PreparedScene::new(scene)?;
     // A result whose lines end at a distance is judged up to that distance.
     let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
@@ -121,7 +121,6 @@ pub fn measured_in(
         0 => None,
         count => {
             let sight = Sight::new(&*backend, prepared.traced()).map_err(CliError::internal)?.up_to(far);
-            let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
             let found = measure_pairs(&sight, pvs, count, args.seed, step, &is_place);
             Some(found.map_err(|e| CliError::Input(format!("{}: {e}", args.result.display())))?)
         }

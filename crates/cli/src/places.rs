@@ -8,7 +8,8 @@ use sightline_model::{BackendChoice, Up};
 use sightline_places::reach::Tracing;
 use sightline_places::{Parts, PlacesError, Viewpoints, both, boxes, mark_where, mesh, points, reach};
 use sightline_portals::{Reached, along_walls};
-use sightline_sampling::{CubeSpec, PreparedScene, Strata, sight::Sight};
+use sightline_sampling::sight::{Sight, least_step};
+use sightline_sampling::{CubeSpec, PreparedScene, Strata};
 use sightline_scene::{Aabb, Scene, overlap};
 use sightline_viewcells::{Division, Lattice, Layout, Plan, Region};
 
@@ -212,8 +213,7 @@ impl PlaceArgs {
         let (_, backend) = open_backend(BackendChoice::Auto, scene, spec)?;
         let prepared = PreparedScene::new(Arc::clone(scene))?;
         let sight = Sight::new(&*backend, prepared.traced()).map_err(CliError::internal)?;
-        let bounds = scene.bounds();
-        let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
+        let step = least_step(scene.bounds());
         with(&Tracing { scene, sight: &sight, parts, cells, step })
     }
 

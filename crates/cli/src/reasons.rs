@@ -157,10 +157,13 @@ pub fn ask_each(
                 let view = Cell::new(min, max).ok_or_else(|| {
                     CliError::Input(format!("cell {cell} has no volume; bake with larger cells"))
                 })?;
-                if exact.get().is_none() {
-                    let _ = exact.set(ExactScene::prepare(scene)?);
-                }
-                let exact: &ExactScene = exact.get().ok_or_else(|| CliError::internal("no exact scene"))?;
+                let exact = match exact.get() {
+                    Some(exact) => exact,
+                    None => {
+                        let prepared = ExactScene::prepare(scene)?;
+                        exact.get_or_init(|| prepared)
+                    }
+                };
                 let turned_away = surfaces.get_or_init(|| {
                     let meeting = overlap::triangles_in_box(scene, None, &within);
                     exact.surfaces().seen_from(exact.occluders(), view, &meeting)

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use sightline_measure::{Frame, Options, Report, Viewpoints, measure};
 use sightline_pvs::Pvs;
 use sightline_report::{About, Blame, Budget, Costs, OverBudget, blame, over_budget, page};
-use sightline_sampling::sight::Sight;
+use sightline_sampling::sight::{Sight, least_step};
 use sightline_sampling::{CubeSpec, PreparedScene, Strata, layers};
 
 use crate::backends::open_backend;
@@ -108,7 +108,7 @@ fn look(args: &ReportArgs, pvs: &Pvs) -> Result<Found, CliError> {
     let views = Viewpoints::random_where(args.viewpoints, args.seed, pvs.tree().view_box(), is_place);
     let spec = CubeSpec { resolution: args.resolution, strata: Strata::One, keep_pixels: false };
     let (_, backend) = open_backend(args.backend, &scene, spec)?;
-    let bounds = scene.bounds();
+    let step = least_step(scene.bounds());
     let prepared = PreparedScene::new(Arc::clone(&scene))?;
     let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
     let far = info["sampling"]["far"].as_f64();
@@ -137,7 +137,6 @@ fn look(args: &ReportArgs, pvs: &Pvs) -> Result<Found, CliError> {
     let costs = Costs::of(pvs, &scene).map_err(input)?;
     let by_object = Costs::of_objects(pvs, &scene).map_err(input)?;
     let sight = Sight::new(&*backend, prepared.traced()).map_err(CliError::internal)?.up_to(far);
-    let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
     // Viewpoints inside of walls count where the result says so, as the sets count them.
     let in_region = |p: glam::Vec3| region.as_ref().is_none_or(|region| region.holds(p));
     let blame = blame(&sight, (pvs, &scene), &costs, (args.seed, step), &in_region).map_err(input)?;

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use sightline_measure::Portrait;
 use sightline_model::BackendChoice;
 use sightline_pvs::Pvs;
-use sightline_sampling::sight::Sight;
+use sightline_sampling::sight::{Sight, least_step};
 use sightline_sampling::{CubeSpec, PreparedScene, Strata};
 use sightline_scene::Scene;
 
@@ -170,19 +170,22 @@ fn of_object(question: &Question<'_>, triangles: &[u32]) -> Result<Value, CliErr
 fn in_words(about: &str, answer: &Value) -> String {
     let blockers = answer["blockers"].as_array().map_or(&[][..], |b| b);
     // Of an object one triangle is seen.
-    let [it, the_triangle] = match (answer["object"].is_u64(), answer["triangle"].as_u64()) {
-        (true, Some(triangle)) => [format!("its triangle {triangle}"), format!("its triangle {triangle}")],
-        _ => ["it".to_owned(), "the triangle".to_owned()],
-    };
+    let of_object = answer["triangle"]
+        .as_u64()
+        .filter(|_| answer["object"].is_u64())
+        .map(|t| format!("its triangle {t}"));
+    let one = |of_triangle: &str| of_object.clone().unwrap_or_else(|| of_triangle.to_owned());
     match answer["state"].as_str() {
         Some("visible") if answer["meets"] == true => {
-            format!("{about}: visible, because {it} meets the cell")
+            format!("{about}: visible, because {} meets the cell", one("it"))
         }
         Some("visible") => {
             format!(
-                "{about}: visible along the segment from {} to {}, which crosses {the_triangle} at its end \
-                 and meets no other triangle before",
-                answer["witness"][0], answer["witness"][1]
+                "{about}: visible along the segment from {} to {}, which crosses {} at its end and meets no \
+                 other triangle before",
+                answer["witness"][0],
+                answer["witness"][1],
+                one("the triangle")
             )
         }
         Some("hidden") if answer["triangles"] == 0 => {
@@ -266,8 +269,7 @@ fn draw(
     let scene = Arc::new(scene.clone());
     let spec = CubeSpec { resolution: 8, strata: Strata::One, keep_pixels: false };
     let (_, backend) = open_backend(BackendChoice::Auto, &scene, spec)?;
-    let bounds = scene.bounds();
-    let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
+    let step = least_step(scene.bounds());
     let prepared = PreparedScene::new(Arc::clone(&scene))?;
     let sight = Sight::new(&*backend, prepared.traced()).map_err(CliError::internal)?;
     let portrait = Portrait {

@@ -26,7 +26,7 @@ use sightline_sampling::lines::rounds::Tolerance;
 use sightline_sampling::packet::{LANES, Packet};
 use sightline_sampling::rows::Rows;
 use sightline_sampling::sequence::Hashed;
-use sightline_sampling::sight::{Passed, Sight};
+use sightline_sampling::sight::{Passed, Sight, least_step};
 use sightline_sampling::surface::Surface;
 use sightline_sampling::{Backend as _, CubeSpec, LineSet, Strata, Watcher};
 
@@ -215,8 +215,7 @@ fn print_missed(
     account: &Account,
 ) -> Answer<()> {
     let grid = block.grid();
-    let bounds = scene.bounds();
-    let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
+    let step = least_step(scene.bounds());
     let cells: Vec<[u32; 3]> = grid.each().collect();
     let found: Result<Vec<BTreeMap<Missed, u64>>, sightline_sampling::BackendError> = cells
         .par_iter()

@@ -13,7 +13,7 @@ use crate::cube::{CubeImage, CubeSpec, SKY, face_basis, sample_of_image};
 use crate::error::BackendError;
 use crate::packet::{LANES, Packet};
 use crate::prepared::PreparedScene;
-use crate::sight::{Passed, Sight};
+use crate::sight::{Passed, Sight, least_step};
 
 /// Packets traced at a time.
 const BATCH: usize = 1024;
@@ -35,8 +35,7 @@ pub fn renderer<'a>(
     if plain && far.is_none() {
         return backend.prepare(superset);
     }
-    let bounds = scene.scene().bounds();
-    let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
+    let step = least_step(scene.scene().bounds());
     Ok(Box::new(Layered { sight: Sight::new(backend, scene.traced())?.up_to(far), spec, step }))
 }
 

@@ -7,7 +7,7 @@
 //! a scene of opaque triangles costs nothing here. Triangles that are met from behind and have one side
 //! ([`sightline_scene::Sides`]) are left out by the backends' tracers.
 
-use sightline_scene::{Kind, Scene};
+use sightline_scene::{Aabb, Kind, Scene};
 
 use crate::backend::{Backend, LineSet};
 use crate::cube::SKY;
@@ -57,6 +57,12 @@ impl Passed {
             halves.into_iter().flat_map(|packet| self.on(packet, lane)).for_each(&mut each);
         }
     }
+}
+
+/// The least distance from a see-through or masked triangle to the next search in a scene of this size, in
+/// world units: single precision tells such places apart.
+pub fn least_step(bounds: Aabb) -> f32 {
+    (bounds.max - bounds.min).max_element() / (1 << 24) as f32
 }
 
 /// Traces sight lines through a scene.
