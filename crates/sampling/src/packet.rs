@@ -2,6 +2,7 @@
 
 use crate::cube::SKY;
 use crate::error::BackendError;
+use crate::lines::device::{DeviceBlock, Rounds};
 
 /// Lines of a packet.
 pub const LANES: usize = 16;
@@ -118,6 +119,15 @@ pub trait LineTracer: Send + Sync {
     /// As [`LineTracer::trace`].
     fn trace_within(&self, packets: &mut [Packet], coherent: bool) -> Result<(), BackendError> {
         if coherent { self.trace(packets) } else { self.trace_each(packets) }
+    }
+
+    /// Puts a block on the tracer's device, which then casts whole rounds by itself; `None` when it has no
+    /// such device or the device cannot hold the block.
+    ///
+    /// # Errors
+    /// As [`LineTracer::trace`].
+    fn rounds<'b>(&'b self, _block: &DeviceBlock<'_>) -> Result<Option<Box<dyn Rounds + 'b>>, BackendError> {
+        Ok(None)
     }
 }
 

@@ -12,6 +12,7 @@ use sightline_scene::{Aabb, Kind, Scene};
 use crate::backend::{Backend, LineSet};
 use crate::cube::SKY;
 use crate::error::BackendError;
+use crate::lines::device::{DeviceBlock, Rounds};
 use crate::packet::{LANES, LineTracer, Packet, PassingTracer};
 use crate::prepared::Traced;
 
@@ -170,6 +171,17 @@ impl<'a> Sight<'a> {
     /// side. What a ray shows holds then along the ray only, and not for the whole line.
     pub fn is_one_way(&self) -> bool {
         self.one_way
+    }
+
+    /// Puts a block on the backend's device, if it casts whole rounds by itself and all triangles are opaque.
+    ///
+    /// # Errors
+    /// [`BackendError::Failed`] when the device does.
+    pub fn rounds(&self, block: &DeviceBlock<'_>) -> Result<Option<Box<dyn Rounds + '_>>, BackendError> {
+        match &self.see_through {
+            SeeThrough::Absent if self.masked.is_none() && self.kinds.is_empty() => self.blocking.rounds(block),
+            _ => Ok(None),
+        }
     }
 
     /// The best number of packets per call.

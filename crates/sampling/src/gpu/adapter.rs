@@ -153,6 +153,7 @@ pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
     }
     let descriptor = wgpu::DeviceDescriptor {
         label: Some("sightline"),
+        required_features: adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
         required_limits: adapter.limits(),
         ..Default::default()
     };

@@ -33,7 +33,7 @@ const STEP_COST: f32 = 1.0;
 /// A subtree of fewer triangles is built on one thread.
 const PARALLEL: usize = 8192;
 
-/// A node in the layout that `trace.wgsl` reads. Siblings are adjacent, the left one at an even index.
+/// A node in the layout that `traverse.wgsl` reads. Siblings are adjacent, the left one at an even index.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(super) struct Node {

@@ -23,6 +23,10 @@ pub(super) struct Gpu {
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     pub(super) kit: Kit,
+    /// Whether it is a software rasteriser.
+    pub(super) software: bool,
+    /// Whether the times of kernels are measured.
+    pub(super) measures: bool,
     /// Distance of the near plane, world units.
     pub(super) near: f32,
     /// The first error that the device reported outside an error scope.
@@ -30,8 +34,7 @@ pub(super) struct Gpu {
 }
 
 impl Gpu {
-    /// Opens the adapter of `choice` for `scene`; returns the device, and whether it is a software
-    /// rasteriser.
+    /// Opens the adapter of `choice` for `scene`.
     ///
     /// # Errors
     /// [`BackendError::Unavailable`] when there is no fitting adapter, or it cannot do `spec` or the scene.
@@ -39,7 +42,7 @@ impl Gpu {
         scene: &Scene,
         spec: CubeSpec,
         choice: &AdapterChoice,
-    ) -> Result<(Self, bool), BackendError> {
+    ) -> Result<Self, BackendError> {
         if !(1..=MAX_RESOLUTION).contains(&spec.resolution) {
             return Err(BackendError::Unavailable(format!(
                 "a cube of {} pixels a side cannot be rendered; choose 1 to {MAX_RESOLUTION}",
@@ -67,7 +70,8 @@ impl Gpu {
         let failed = |reason| BackendError::Failed { profile: summary.profile.clone(), reason };
         let kit = scoped(&device, || Ok(Kit::new(&device, spec.resolution))).map_err(failed)?;
         let near = crate::near_distance(bounds);
-        Ok((Self { spec, profile: summary.profile, device, queue, kit, near, fault }, summary.software))
+        let (profile, software) = (summary.profile, summary.software);
+        Ok(Self { spec, profile, device, queue, kit, software, measures: false, near, fault })
     }
 
     pub(super) fn failed(&self, reason: impl Into<String>) -> BackendError {

@@ -1,5 +1,5 @@
 //! The scene of the line tracer on the device: hierarchy, triangles and pipeline, in the layout of
-//! `trace.wgsl`. `tracer.rs` traces lines through it.
+//! `traverse.wgsl`. `tracer.rs` traces lines through it, and `rounds` casts whole rounds.
 //!
 //! **Limits.** A storage binding may be as small as 128 MiB, so nodes and triangles are each spread over up
 //! to [`PAGES`] bindings. A scene that still does not fit is refused with an error that names the limit.
@@ -41,7 +41,7 @@ struct Corners {
     unused_c: u32,
 }
 
-/// `Scene` in `trace.wgsl`.
+/// `Scene` in `traverse.wgsl`.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct Uniform {
@@ -58,6 +58,10 @@ pub(super) struct LineScene {
     pub(super) pipeline: wgpu::ComputePipeline,
     /// The scene's bindings.
     pub(super) group: wgpu::BindGroup,
+    /// Layout of the scene's bindings.
+    pub(super) layout: wgpu::BindGroupLayout,
+    /// The constants of `traverse.wgsl`.
+    pub(super) constants: [(&'static str, f64); 4],
     /// Layout of the rays' bindings.
     pub(super) rays_layout: wgpu::BindGroupLayout,
     /// Whether the scene has no triangle to hit.
@@ -153,7 +157,7 @@ impl LineScene {
     }
 
     /// The pipeline with the shader's `constants`, and the scene's bindings, `bound` in the shader's order.
-    fn bind(device: &wgpu::Device, bound: &[wgpu::Buffer], constants: [(&str, f64); 4]) -> Self {
+    fn bind(device: &wgpu::Device, bound: &[wgpu::Buffer], constants: [(&'static str, f64); 4]) -> Self {
         let stage = wgpu::ShaderStages::COMPUTE;
         let storage = |read_only| buffer(wgpu::BufferBindingType::Storage { read_only }, false);
         let uniform = buffer(wgpu::BufferBindingType::Uniform, false);
@@ -183,7 +187,12 @@ impl LineScene {
         let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some("lines"),
             layout: Some(&layout),
-            module: &device.create_shader_module(wgpu::include_wgsl!("trace.wgsl")),
+            module: &device.create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some("lines"),
+                source: wgpu::ShaderSource::Wgsl(
+                    concat!(include_str!("traverse.wgsl"), include_str!("trace.wgsl")).into(),
+                ),
+            }),
             entry_point: Some("trace"),
             compilation_options: wgpu::PipelineCompilationOptions {
                 constants: &constants,
@@ -191,7 +200,7 @@ impl LineScene {
             },
             cache: None,
         });
-        Self { pipeline, group, rays_layout, empty: false }
+        Self { pipeline, group, layout: scene_layout, constants, rays_layout, empty: false }
     }
 }
 
@@ -211,7 +220,8 @@ fn pages<T: Sync, P: Pod + Send>(
     items.chunks(page).map(|run| filled(device, label, wgpu::BufferUsages::STORAGE, run, &convert)).collect()
 }
 
-fn filled<T: Sync, P: Pod + Send>(
+/// A buffer with the converted `items`.
+pub(super) fn filled<T: Sync, P: Pod + Send>(
     device: &wgpu::Device,
     label: &str,
     usage: wgpu::BufferUsages,

@@ -1,7 +1,7 @@
 //! The GPU backend: item buffers drawn by wgpu, reduced on the device, read back as short lists.
 //!
 //! Cubes are drawn with the raster pipeline. Sight lines are traced by a compute shader (`tracer.rs`), which
-//! shares only the device with the raster path. A machine without a GPU driver uses the CPU backend.
+//! shares only the device with the raster path, or made, traced and credited there in whole rounds (`rounds`). A machine without a GPU driver uses the CPU backend.
 //!
 //! **Near plane.** The six frusta of a cube begin at [`crate::near_distance`]. Depth is reversed floating
 //! point, near / distance, which has the same relative precision at every distance.
@@ -17,6 +17,7 @@ mod geometry;
 mod line_scene;
 mod pipelines;
 mod renderer;
+mod rounds;
 mod tally;
 mod tracer;
 
@@ -67,20 +68,27 @@ impl GpuBackend {
         Self::with_pages(scene, spec, &choice, PAGE_BYTES)
     }
 
+    /// The same, and the rounds of sight lines measure the time of each kernel, which lengthens them.
+    #[must_use]
+    pub fn measuring(mut self) -> Self {
+        self.gpu.measures = true;
+        self
+    }
+
     fn with_pages(
         scene: Arc<Scene>,
         spec: CubeSpec,
         choice: &AdapterChoice,
         page_bytes: u64,
     ) -> Result<Self, BackendError> {
-        let (gpu, software) = Gpu::open(&scene, spec, choice)?;
+        let gpu = Gpu::open(&scene, spec, choice)?;
         let page_bytes = page_bytes.min(gpu.device.limits().max_buffer_size);
         let order = clusters::drawing_order(&scene);
         let mut ranks = vec![NEVER; scene.triangles().len()];
         for (rank, id) in (0..).zip(&order) {
             ranks[*id as usize] = rank;
         }
-        let style = if software { DrawStyle::SOFTWARE } else { DrawStyle::HARDWARE };
+        let style = if gpu.software { DrawStyle::SOFTWARE } else { DrawStyle::HARDWARE };
         let whole = Geometry::upload(&gpu.device, scene.triangles(), order, page_bytes, style);
         let whole = whole.map_err(|reason| gpu.failed(reason))?;
         Ok(Self {

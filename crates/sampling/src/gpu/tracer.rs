@@ -11,8 +11,10 @@ use std::sync::{Arc, Mutex, mpsc};
 use super::device::{Gpu, PATIENCE, lock};
 use super::line_scene::LineScene;
 use super::pipelines::scoped;
+use super::rounds::{GpuRounds, RoundsKit};
 use crate::cube::SKY;
 use crate::error::BackendError;
+use crate::lines::device::{DeviceBlock, Rounds};
 use crate::packet::{LANES, LineTracer, Packet};
 
 /// Batches of one call that are in flight.
@@ -57,11 +59,17 @@ struct Flight<'p> {
 pub(super) struct LineKit {
     scene: LineScene,
     pool: Mutex<Vec<Slot>>,
+    rounds: RoundsKit,
 }
 
 impl LineKit {
     pub(super) fn new(scene: LineScene) -> Self {
-        Self { scene, pool: Mutex::default() }
+        Self { scene, pool: Mutex::default(), rounds: RoundsKit::default() }
+    }
+
+    /// What whole rounds on the device need.
+    pub(super) fn for_rounds(&self) -> (&LineScene, &RoundsKit) {
+        (&self.scene, &self.rounds)
     }
 
     /// A slot for this number of packets, from the pool or new.
@@ -251,6 +259,12 @@ impl LineTracer for GpuTracer<'_> {
     fn trace(&self, packets: &mut [Packet]) -> Result<(), BackendError> {
         let batch = packets.len().div_ceil(CUTS).max(LEAST_BATCH).next_power_of_two().min(self.most);
         self.trace_in(packets, batch)
+    }
+
+    fn rounds<'b>(&'b self, block: &DeviceBlock<'_>) -> Result<Option<Box<dyn Rounds + 'b>>, BackendError> {
+        let (scene, kit) = self.kit.for_rounds();
+        let made = GpuRounds::new(self.gpu, scene, kit, block)?;
+        Ok(made.map(|rounds| Box::new(rounds) as Box<dyn Rounds + 'b>))
     }
 }
 

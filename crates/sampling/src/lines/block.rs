@@ -13,6 +13,7 @@ use sightline_scene::Scene;
 use super::bits::SeenBits;
 use super::grid::{CellGrid, Crossed, Slot};
 use super::ledger::Ledger;
+use super::on_device::OnDevice;
 use super::pairs::Pairs;
 use super::yields::{Tally, Yields};
 use crate::context::{Places, Watcher};
@@ -196,6 +197,8 @@ pub struct Block<'a> {
     told: usize,
     /// Least distance between the origin of a line and the start of its other half, in world units.
     pub(super) step: f32,
+    /// The device that casts whole rounds, if the tracer has one.
+    pub(super) device: OnDevice<'a>,
     scratch: Mutex<Vec<Scratch>>,
 }
 
@@ -247,6 +250,7 @@ impl<'a> Block<'a> {
             silent: false,
             told: 0,
             step,
+            device: OnDevice::Unknown,
             scratch: Mutex::default(),
         }
     }
@@ -277,6 +281,11 @@ impl<'a> Block<'a> {
     /// Whether a viewpoint is in a cell, by its place in [`CellGrid::each`].
     pub fn is_reached(&self, cell: usize) -> bool {
         self.cells[cell].parts != 0
+    }
+
+    /// The words of a row without the cells that have no viewpoint; empty when all have one.
+    pub(super) fn reached(&self) -> &[u64] {
+        &self.reached
     }
 
     /// The cells with viewpoints, by their places in [`CellGrid::each`].

@@ -173,7 +173,12 @@ impl Block<'_> {
     fn look_at(&mut self, cells: &[usize], look: u32, lines: u64) -> Result<(), TileError> {
         self.held = self.tools.pairs.map_or_else(Vec::new, Pairs::copy);
         let work: Vec<(usize, u64)> = cells.iter().map(|c| (*c, lines)).collect();
-        self.each(&work, |block, s, (cell, lines)| block.check(s, *cell, *lines, look))?;
+        self.ask_for_device()?;
+        if self.is_on_device() {
+            self.check_on_device(&work, look)?;
+        } else {
+            self.each(&work, |block, s, (cell, lines)| block.check(s, *cell, *lines, look))?;
+        }
         self.bits.publish();
         Ok(())
     }

@@ -93,25 +93,30 @@ impl Block<'_> {
         let done = phase::run(this.tools.crew, this.tables(), items)?;
         for (cell, (s, tally)) in cells.iter().zip(done) {
             self.yields.add(&tally);
-            let all = &mut self.stats[*cell];
-            for k in 0..s.rays.len() {
-                all.rays[k] += s.rays[k];
-                all.finds[k] += s.finds[k];
-            }
-            if s.rays[LineKind::Uniform as usize] > 0 {
-                all.rounds += 1;
-                (all.last_rays, all.last_misses) = (s.last_rays, s.last_misses);
-            }
-            if s.bound_lines > 0 {
-                (all.bound_lines, all.bound_misses, all.bound_look) =
-                    (s.bound_lines, s.bound_misses, s.bound_look);
-            }
-            if s.bound_cell_lines > 0 {
-                (all.bound_cell_lines, all.bound_cell_misses, all.bound_cell_look) =
-                    (s.bound_cell_lines, s.bound_cell_misses, s.bound_cell_look);
-            }
+            self.count(*cell, &s);
         }
         Ok(())
+    }
+
+    /// Adds what was counted in a phase to a cell's statistics.
+    pub(super) fn count(&mut self, cell: usize, s: &CellStats) {
+        let all = &mut self.stats[cell];
+        for k in 0..s.rays.len() {
+            all.rays[k] += s.rays[k];
+            all.finds[k] += s.finds[k];
+        }
+        if s.rays[LineKind::Uniform as usize] > 0 {
+            all.rounds += 1;
+            (all.last_rays, all.last_misses) = (s.last_rays, s.last_misses);
+        }
+        if s.bound_lines > 0 {
+            (all.bound_lines, all.bound_misses, all.bound_look) =
+                (s.bound_lines, s.bound_misses, s.bound_look);
+        }
+        if s.bound_cell_lines > 0 {
+            (all.bound_cell_lines, all.bound_cell_misses, all.bound_cell_look) =
+                (s.bound_cell_lines, s.bound_cell_misses, s.bound_cell_look);
+        }
     }
 
     /// The tables that lines write to.

@@ -30,6 +30,19 @@ pub struct CellGrid {
     margin: f32,
 }
 
+/// How the cells of a grid are numbered and scaled.
+#[derive(Clone, Copy, Debug)]
+pub struct Shape {
+    /// Binary logarithms of a brick's sides.
+    pub side: [u32; 3],
+    /// Bricks along each axis.
+    pub bricks: [u32; 3],
+    /// By axis, a mask of the first cells of a brick along the axis.
+    pub first: [u64; 3],
+    /// Cells per scene unit.
+    pub per_unit: [f32; 3],
+}
+
 /// The place of a cell's bit in a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Slot {
@@ -83,6 +96,11 @@ impl CellGrid {
     /// Least part of a cell that a segment must cross to be credited, in cells.
     pub fn margin(&self) -> f32 {
         self.margin
+    }
+
+    /// How its cells are numbered and scaled, for whoever walks through it elsewhere.
+    pub fn shape(&self) -> Shape {
+        Shape { side: self.side, bricks: self.bricks, first: self.first, per_unit: self.per_unit }
     }
 
     /// Number of cells.

@@ -57,6 +57,7 @@ impl Block<'_> {
     /// # Errors
     /// [`TileError`] when it is cancelled or the tracer fails. Running out of time is no error.
     pub fn sample(&mut self, target: f64, wanted: &[usize], hard: Tolerance) -> Result<(), TileError> {
+        self.ask_for_device()?;
         let mut open: Vec<usize> = if wanted.is_empty() { self.active() } else { wanted.to_vec() };
         for cell in &open {
             (self.stats[*cell].unfinished, self.stats[*cell].raised_tolerance) = (false, false);
@@ -71,11 +72,19 @@ impl Block<'_> {
                 Some(rays) => open.iter().map(|c| self.tiles_up_to(*c, rays)).collect(),
             };
             let work: Vec<(usize, u32)> = open.iter().copied().zip(sizes).collect();
-            self.each(&work, |block, scratch, (cell, tiles)| block.uniform(scratch, *cell, *tiles))?;
+            if self.is_on_device() {
+                self.uniform_on_device(&work)?;
+            } else {
+                self.each(&work, |block, scratch, (cell, tiles)| block.uniform(scratch, *cell, *tiles))?;
+            }
             self.bits.publish();
             if round == 1 && !self.seeded && target < SEEDS_BELOW {
                 self.seeded = true;
-                self.seeds()?;
+                if self.is_on_device() {
+                    self.seeds_on_device()?;
+                } else {
+                    self.seeds()?;
+                }
                 self.bits.publish();
             }
             if self.late() {
@@ -90,7 +99,11 @@ impl Block<'_> {
             let least: Vec<f64> =
                 open.iter().map(|c| (self.missing(*c) * CANDIDATE_PART).max(1e-12)).collect();
             self.plan_tries(&open);
-            self.aim_at_candidates(&open, &least, round)?;
+            if self.is_on_device() {
+                self.aim_on_device(&open, &least, round)?;
+            } else {
+                self.aim_at_candidates(&open, &least, round)?;
+            }
             self.bits.publish();
             if self.late() {
                 // Aiming was cut short, so the rule below does not hold.

@@ -11,7 +11,7 @@
 //! because one cell has too few. The sums are integers, so they do not depend on the order of the items.
 
 /// Number of decades; smaller candidates are in the last.
-const DECADES: usize = 8;
+pub const DECADES: usize = 8;
 /// A part of the sphere in the middle of each.
 const PARTS: [f64; DECADES] = [0.3, 0.03, 3e-3, 3e-4, 3e-5, 3e-6, 3e-7, 3e-8];
 /// Gains are counted in this part of [`PARTS`].
@@ -37,11 +37,27 @@ struct Counts {
 
 /// The tries at the candidates of a cell in a round.
 #[derive(Clone, Default)]
-pub(super) struct Tally([Counts; DECADES]);
+pub struct Tally([Counts; DECADES]);
 
 impl Tally {
     /// Number of [`Self::numbers`].
     const NUMBERS: usize = 3 * DECADES;
+
+    /// The tally of a device: for each decade the tries, the gains in parts of [`PARTS`] and of `gain_unit`, and
+    /// the attempts before in [`ATTEMPT_UNIT`].
+    pub fn of_device(decades: [[u64; 3]; DECADES], gain_unit: f64) -> Self {
+        // Both units are powers of two, so the number is exact while it fits.
+        let gain = |g: u64| g.wrapping_mul((gain_unit / GAIN_UNIT) as u64);
+        Self(decades.map(|[tries, g, before]| Counts { tries, gain: gain(g), before }))
+    }
+
+    /// Both tallies in one.
+    #[must_use]
+    pub fn and(&self, other: &Self) -> Self {
+        let (mut all, more) = (self.numbers(), other.numbers());
+        all.iter_mut().zip(more).for_each(|(n, m)| *n = n.wrapping_add(m));
+        Self::from_numbers(all)
+    }
 
     /// All counts, in a fixed order.
     pub(super) fn numbers(&self) -> [u64; Self::NUMBERS] {
@@ -101,6 +117,15 @@ impl Yields {
     /// Tries at a candidate that would cover `part` of the sphere, in this round.
     pub(super) fn times(&self, part: f32) -> f64 {
         self.decades[decade_of(part)].times
+    }
+
+    /// What a device needs to know of the round's tries: at a candidate in this round, and in all before, by
+    /// decade.
+    pub(super) fn plan_for_device(&self) -> [[f32; DECADES]; 2] {
+        [
+            std::array::from_fn(|d| self.decades[d].times as f32),
+            std::array::from_fn(|d| self.decades[d].so_far as f32),
+        ]
     }
 
     /// Counts in a cell's tally try number `time` of this round, from 0, at a candidate that would cover

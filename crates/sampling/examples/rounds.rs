@@ -1,0 +1,194 @@
+//! Whole rounds of sight lines on the device beside those on the CPU: time, rays, error and bytes over the bus.
+//!
+//! ```sh
+//! cargo run --release -p sightline-sampling --example rounds -- SCENE 8x8x8 0.003 0.0003
+//! ```
+//!
+//! Samples the cells as one tile with the default sampler, all triangles opaque, first with Embree on all
+//! threads, then on the best adapter (`--adapter NAME` for another, `--no-cpu` without Embree), and prints a
+//! table in Markdown. `--profile` adds the time of each kernel, which lengthens the rounds. Seconds are those of the rounds alone: scene, hierarchy and kernels are ready before.
+//! The error is the part of 2000 held-out lines from each cell that meet a triangle which the cell lacks,
+//! traced by the same backend.
+
+#![allow(clippy::print_stdout, reason = "this program's output is its purpose")]
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use rayon::prelude::*;
+use sightline_sampling::crew::Alone;
+use sightline_sampling::cube::{SKY, face_basis};
+use sightline_sampling::embree::CpuBackend;
+use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
+use sightline_sampling::lines::block::{Block, Tools};
+use sightline_sampling::lines::grid::CellGrid;
+use sightline_sampling::lines::rounds::Tolerance;
+use sightline_sampling::packet::{LANES, Packet};
+use sightline_sampling::rows::Rows;
+use sightline_sampling::sequence::Hashed;
+use sightline_sampling::sight::{Passed, Sight, least_step};
+use sightline_sampling::surface::Surface;
+use sightline_sampling::{Backend, CubeSpec, LineSet, Strata, Watcher};
+use sightline_scene::Scene;
+
+/// Held-out lines of a cell.
+const HELD: usize = 2000;
+/// Name of the stream of their random numbers.
+const STREAM: u64 = 77;
+
+type Answer<T> = Result<T, Box<dyn std::error::Error>>;
+
+struct Silent;
+
+impl Watcher for Silent {
+    fn rendered(&self, _: u64) {}
+    fn cell_done(&self) {}
+    fn cancelled(&self) -> bool {
+        false
+    }
+}
+
+fn main() -> Answer<()> {
+    let mut choice = AdapterChoice::AllowSoftware;
+    let (mut with_cpu, mut profile, mut rest) = (true, false, Vec::new());
+    let mut arguments = std::env::args().skip(1);
+    while let Some(argument) = arguments.next() {
+        match argument.as_str() {
+            "--adapter" => choice = AdapterChoice::Named(arguments.next().ok_or("--adapter needs a name")?),
+            "--no-cpu" => with_cpu = false,
+            "--profile" => profile = true,
+            _ => rest.push(argument),
+        }
+    }
+    let [scene, cells, targets @ ..] = rest.as_slice() else {
+        return Err("usage: rounds [--adapter NAME] [--no-cpu] [--profile] SCENE NXxNYxNZ TARGET...".into());
+    };
+    let scene = Arc::new(sightline_scene::load(scene.as_ref())?);
+    let cells: Vec<u32> = cells.split('x').map(str::parse).collect::<Result<_, _>>()?;
+    let cells: [u32; 3] = cells.try_into().map_err(|_| "give cells as 8x8x8")?;
+    let spec = CubeSpec { resolution: 8, strata: Strata::One, keep_pixels: false };
+    let all: Vec<u32> =
+        (0..scene.len()).filter(|id| !scene.triangles()[*id as usize].is_degenerate()).collect();
+    let surface = Surface::of(&scene, &all);
+    println!("{} triangles, {} cells\n", scene.len(), cells.iter().product::<u32>());
+    println!("| backend | target | seconds | million rays | a second | of these uniform, flood, aimed | error | bytes a ray up, down | waits |");
+    println!("|---|--:|--:|--:|--:|---|--:|--:|--:|");
+    let mut backends: Vec<Box<dyn Backend>> = Vec::new();
+    if with_cpu {
+        backends.push(Box::new(CpuBackend::new(Arc::clone(&scene), spec)?));
+    }
+    let gpu = GpuBackend::new(Arc::clone(&scene), spec, choice)?;
+    backends.push(Box::new(if profile { gpu.measuring() } else { gpu }));
+    for backend in &backends {
+        let start = Instant::now();
+        let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all)?);
+        // Once without use: a device compiles and allocates at first.
+        sample(&scene, &surface, &sight, [2; 3], 0.1)?;
+        println!("| {} | | {:.3} to be ready | | | | | | |", backend.profile(), start.elapsed().as_secs_f64());
+        for target in targets {
+            line(&scene, &surface, (&**backend, &sight), cells, target.parse()?)?;
+        }
+    }
+    Ok(())
+}
+
+/// A block's results: seconds, rays by kind, error, and what went over the bus.
+fn sample(
+    scene: &Scene,
+    surface: &Surface,
+    sight: &Sight<'_>,
+    cells: [u32; 3],
+    target: f64,
+) -> Answer<(f64, [u64; 4], f64, String)> {
+    let rows = Rows::triangles(scene);
+    let bounds = scene.bounds();
+    let [nx, ny, _] = cells.map(u64::from);
+    let number = |c: [u32; 3]| (u64::from(c[2]) * ny + u64::from(c[1])) * nx + u64::from(c[0]);
+    let tools = Tools {
+        scene,
+        surface,
+        rows: &rows,
+        sight,
+        seed: 1,
+        watcher: &Silent,
+        deadline: None,
+        pairs: None,
+        places: None,
+        crew: &Alone,
+        ledger: None,
+    };
+    let start = Instant::now();
+    let mut block = Block::new(tools, CellGrid::new(bounds.min, bounds.max, cells), number, |_| u64::MAX);
+    block.sample(target, &[], Tolerance::Raised)?;
+    let seconds = start.elapsed().as_secs_f64();
+    let mut rays = [0; 4];
+    block.stats().iter().for_each(|s| rays.iter_mut().zip(s.rays).for_each(|(all, own)| *all += own));
+    let mut times = block.kernel_times();
+    times.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
+    for t in times {
+        println!("<!-- {:<17} {:>8.1} ms in {} runs -->", t.name, 1e3 * t.seconds, t.runs);
+    }
+    let bus = block.traffic().map_or("host | |".to_owned(), |t| {
+        let a_ray = |bytes: u64| bytes as f64 / t.rays as f64;
+        format!("{:.3}, {:.3} | {} |", a_ray(t.up), a_ray(t.down), t.waits)
+    });
+    Ok((seconds, rays, error(&block, scene, sight)?, bus))
+}
+
+fn line(
+    scene: &Scene,
+    surface: &Surface,
+    (backend, sight): (&dyn Backend, &Sight<'_>),
+    cells: [u32; 3],
+    target: f64,
+) -> Answer<()> {
+    let (seconds, rays, error, bus) = sample(scene, surface, sight, cells, target)?;
+    let kind = backend.profile().split('/').next().unwrap_or_default();
+    let all = rays.iter().sum::<u64>() as f64 / 1e6;
+    let [uniform, flood, aimed, _] = rays.map(|r| 100.0 * r as f64 / 1e6 / all);
+    println!(
+        "| {kind} | {target} | {seconds:.3} | {all:.1} | {:.0} | {uniform:.0} %, {flood:.0} %, {aimed:.0} % | \
+         {:.4} % | {bus}",
+        all / seconds,
+        100.0 * error
+    );
+    Ok(())
+}
+
+/// The part of held-out lines that meet what their cell lacks.
+fn error(block: &Block<'_>, scene: &Scene, sight: &Sight<'_>) -> Answer<f64> {
+    let grid = block.grid();
+    let step = least_step(scene.bounds());
+    let cells: Vec<[u32; 3]> = grid.each().collect();
+    let misses: Result<Vec<u64>, sightline_sampling::BackendError> = cells
+        .par_chunks(16)
+        .map(|some| {
+            let (mut packets, mut passed) = (Vec::new(), Passed::default());
+            for (number, at) in some.iter().enumerate() {
+                let (low, size) = grid.cell_box(*at);
+                let mut random = Hashed::new(&[STREAM, u64::from(at[0]), u64::from(at[1]), u64::from(at[2])]);
+                for i in 0..HELD {
+                    if i % LANES == 0 {
+                        packets.push((number, Packet::default()));
+                    }
+                    let [forward, right, up] = face_basis((random.bits() % 6) as u32);
+                    let direction = forward + right * (2.0 * random.unit() - 1.0) + up * (2.0 * random.unit() - 1.0);
+                    let origin = low + size * random.point();
+                    if let Some((_, packet)) = packets.last_mut() {
+                        packet.push(origin.to_array(), direction.to_array());
+                    }
+                }
+            }
+            let (owners, mut packets): (Vec<usize>, Vec<Packet>) = packets.into_iter().unzip();
+            sight.trace_each(&mut packets, &mut passed, step)?;
+            let mut misses = 0;
+            for (owner, packet) in owners.iter().zip(&packets) {
+                let slot = grid.slot(some[*owner]);
+                let new = |t: &&u32| **t != SKY && !block.bits().seen(**t, slot);
+                misses += packet.triangle[..packet.count].iter().filter(new).count() as u64;
+            }
+            Ok(misses)
+        })
+        .collect();
+    Ok(misses?.iter().sum::<u64>() as f64 / (cells.len() * HELD) as f64)
+}

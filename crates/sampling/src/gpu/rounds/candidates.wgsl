@@ -1,0 +1,286 @@
+// Candidates of cells and the lines aimed at them, as lines/candidates.rs on the host, but each line has an
+// eye of its own. Follows cast.wgsl.
+//
+// Items: the cell; the least part of the sphere that a candidate must cover, as a float; uniform rays of the
+// cell, as a float. Counts of an item: rays, finds.
+
+const STRIPE: u32 = 4096u;
+// Greatest distance of an origin from the face it is close to, as a part of the cell's size.
+const DEPTH: f32 = 0.1;
+// Least cosine in a triangle's solid angle.
+const LEAST_FACING: f32 = 0.25;
+// Gains and attempts are counted in these parts of one.
+const GAIN_UNITS: f32 = 1048576.0;
+const ATTEMPT_UNITS: f32 = 256.0;
+// More attempts than these are not told apart, so that the sums of a workgroup fit.
+const MOST_ATTEMPTS: f32 = 65536.0;
+
+@compute @workgroup_size(64)
+fn place_items(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    for (var item = id.x; item < part.items; item += groups.x * 64u) {
+        atomicStore(&places[cell_of(item).slot], item + 1u);
+    }
+}
+
+// 64 bits, low half first.
+fn shifted_up(v: vec2<u32>, by: u32) -> vec2<u32> {
+    if by >= 64u {
+        return vec2<u32>(0u);
+    }
+    if by >= 32u {
+        return vec2<u32>(0u, v.x << (by - 32u));
+    }
+    if by == 0u {
+        return v;
+    }
+    return vec2<u32>(v.x << by, (v.y << by) | (v.x >> (32u - by)));
+}
+
+fn shifted_down(v: vec2<u32>, by: u32) -> vec2<u32> {
+    if by >= 64u {
+        return vec2<u32>(0u);
+    }
+    if by >= 32u {
+        return vec2<u32>(v.y >> (by - 32u), 0u);
+    }
+    if by == 0u {
+        return v;
+    }
+    return vec2<u32>((v.x >> by) | (v.y << (32u - by)), v.y >> by);
+}
+
+fn word_of(triangle: u32, word: u32) -> vec2<u32> {
+    let at = triangle * block.words + 2u * word;
+    return vec2<u32>(seen[at], seen[at + 1u]);
+}
+
+// The cells of a word that see the triangle, and their face neighbours, as CellGrid::dilated.
+fn dilated(triangle: u32, word: u32) -> vec2<u32> {
+    let places_of = vec3<u32>(
+        word % block.bricks.x,
+        word / block.bricks.x % block.bricks.y,
+        word / (block.bricks.x * block.bricks.y),
+    );
+    let strides = vec3<u32>(1u, block.bricks.x, block.bricks.x * block.bricks.y);
+    let m = word_of(triangle, word);
+    var near = m;
+    var apart = 0u;
+    for (var axis = 0u; axis < 3u; axis++) {
+        let first = block.first[axis].xy;
+        let near_by = 1u << apart;
+        let across = near_by * ((1u << block.side[axis]) - 1u);
+        near |= shifted_up(m, near_by) & ~first;
+        near |= shifted_down(m & ~first, near_by);
+        if places_of[axis] > 0u {
+            near |= shifted_down(word_of(triangle, word - strides[axis]), across) & first;
+        }
+        if places_of[axis] + 1u < block.bricks[axis] {
+            near |= shifted_up(word_of(triangle, word + strides[axis]) & first, across);
+        }
+        apart += block.side[axis];
+    }
+    return near;
+}
+
+// The cells of a word that do not see the triangle, but one beside it, and have a neighbour that sees it.
+fn cells_beside(triangle: u32, word: u32) -> vec2<u32> {
+    var near = vec2<u32>(0u);
+    for (var edge = 0u; edge < 3u; edge++) {
+        let next = around[3u * triangle + edge];
+        if next != SKY {
+            near |= word_of(next, word);
+        }
+    }
+    near &= ~word_of(triangle, word);
+    if all(near == vec2<u32>(0u)) {
+        return near;
+    }
+    return near & dilated(triangle, word);
+}
+
+// The part of the sphere that the triangle would cover as seen from the cell's centre.
+fn part_of_sphere(cell: Cell, triangle: u32) -> f32 {
+    let a = corner_of(triangle, 0u);
+    let b = corner_of(triangle, 1u);
+    let c = corner_of(triangle, 2u);
+    let area = cross(b - a, c - a) * 0.5;
+    let to = cell.low + cell.size * 0.5 - (a + b + c) / 3.0;
+    // Within the cell's own extent the distance from its centre means nothing.
+    let far = max(dot(to, to), dot(cell.size, cell.size) / 12.0);
+    let facing = max(abs(dot(to, area)) / sqrt(far), LEAST_FACING * length(area));
+    return facing / far * 0.07957747;
+}
+
+fn decade_of(share: f32) -> u32 {
+    var least = 0.1;
+    var decade = 0u;
+    while share < least && decade + 1u < DECADES {
+        least *= 0.1;
+        decade += 1u;
+    }
+    return decade;
+}
+
+// Calls for each candidate of a triangle and a word: counts them, or lists them.
+fn each_candidate(ordinal: u32, word: u32, list: bool) -> u32 {
+    let triangle = around[3u * block.triangles + ordinal];
+    var rest = cells_beside(triangle, word);
+    var found = 0u;
+    while any(rest != vec2<u32>(0u)) {
+        var bit = firstTrailingBit(rest.x);
+        if rest.x != 0u {
+            rest.x &= rest.x - 1u;
+        } else {
+            bit = 32u + firstTrailingBit(rest.y);
+            rest.y &= rest.y - 1u;
+        }
+        let item = atomicLoad(&places[64u * word + bit]);
+        if item == 0u {
+            continue;
+        }
+        let cell = cell_of(item - 1u);
+        let share = part_of_sphere(cell, triangle);
+        if share < bitcast<f32>(items[item - 1u].y) {
+            continue;
+        }
+        found += 1u;
+        if list {
+            let decade = decade_of(share);
+            let times = part.times[decade / 4u][decade % 4u];
+            let draw = unit(drawn(cell, AIM ^ (part.round << 4u), triangle, 0xffffffffu).x);
+            let tries = max(u32(times) + select(0u, 1u, draw < fract(times)), 1u);
+            let at = atomicAdd(&counters[CANDIDATES], 1u);
+            candidates[at] = vec4<u32>(item - 1u, triangle, tries, bitcast<u32>(share));
+        }
+    }
+    return found;
+}
+
+// For each stripe of triangles the number of its candidates.
+@compute @workgroup_size(64)
+fn count_candidates(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let each = block.words / 2u;
+    for (var i = id.x; i < block.ordered * each; i += groups.x * 64u) {
+        let found = each_candidate(i / each, i % each, false);
+        if found > 0u {
+            atomicAdd(&places[32u * block.words + i / each / STRIPE], found);
+        }
+    }
+}
+
+// The candidates of the triangles from `first` on.
+@compute @workgroup_size(64)
+fn list_candidates(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let each = block.words / 2u;
+    for (var i = id.x; i < part.count * each; i += groups.x * 64u) {
+        each_candidate(part.first + i / each, i % each, true);
+    }
+}
+
+// Whether the cell beyond a face of `cell` sees the triangle. Face: along axis face / 2, upwards where even.
+fn sees_beyond(cell: Cell, face: u32, triangle: u32) -> bool {
+    var at = vec3<i32>(cell.at);
+    at[face / 2u] += select(-1, 1, face % 2u == 0u);
+    if any(at < vec3<i32>(0)) || any(at >= vec3<i32>(block.cells)) {
+        return false;
+    }
+    return is_seen(triangle, slot_of(vec3<u32>(at)));
+}
+
+// A point close to one of the faces through which neighbours see the triangle: a point of that face belongs
+// to both cells.
+fn eye_near_a_face(cell: Cell, triangle: u32, random: vec4<u32>) -> vec3<f32> {
+    var at = vec3<f32>(unit(random.x), unit(random.y), unit(random.z));
+    var faces = 0u;
+    for (var face = 0u; face < 6u; face++) {
+        faces |= select(0u, 1u << face, sees_beyond(cell, face, triangle));
+    }
+    let wanted = min(u32(unit(random.w) * f32(countOneBits(faces))), max(countOneBits(faces), 1u) - 1u);
+    for (var i = 0u; i < wanted; i++) {
+        faces &= faces - 1u;
+    }
+    if faces != 0u {
+        let face = firstTrailingBit(faces);
+        let depth = at[face / 2u] * DEPTH;
+        at[face / 2u] = select(depth, 1.0 - depth, face % 2u == 0u);
+    }
+    return cell.low + cell.size * at;
+}
+
+@compute @workgroup_size(64)
+fn make_aimed(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let count = atomicLoad(&counters[CANDIDATES]);
+    for (var i = id.x; i < count; i += groups.x * 64u) {
+        let candidate = candidates[i];
+        let cell = cell_of(candidate.x);
+        if part.time > 0u && (candidate.z <= part.time || is_met(candidate.y, cell.slot)) {
+            continue;
+        }
+        let stream = AIM ^ (part.round << 4u);
+        let random = drawn(cell, stream, candidate.y, 2u * part.time);
+        let more = drawn(cell, stream, candidate.y, 2u * part.time + 1u);
+        let eye = eye_near_a_face(cell, candidate.y, random);
+        let to = point_on(candidate.y, more.xy);
+        let at = atomicAdd(&counters[LINES], 1u);
+        put_line(at, candidate.x, eye, to - eye, candidate.y, vec2<u32>(candidate.w, 0u));
+    }
+}
+
+// Sums of a workgroup, by decade: tries, gain, attempts before.
+var<workgroup> sums: array<atomic<u32>, 24>;
+
+// A part of the sphere in the middle of a decade.
+fn middle_of(decade: u32) -> f32 {
+    var middle = 0.3;
+    for (var i = 0u; i < decade; i++) {
+        middle *= 0.1;
+    }
+    return middle;
+}
+
+@compute @workgroup_size(64)
+fn gather_aimed(
+    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    if local < 3u * DECADES {
+        atomicStore(&sums[local], 0u);
+    }
+    workgroupBarrier();
+    let count = atomicLoad(&counters[LINES]);
+    for (var i = id.x; i < count; i += groups.x * 64u) {
+        let item = line_from[i].w;
+        let slot = cell_of(item).slot;
+        let target_id = line_to[i].w;
+        let share = bitcast<f32>(line_about[i].x);
+        let decade = decade_of(share);
+        let so_far = part.so_far[decade / 4u][decade % 4u];
+        let before = so_far + f32(part.time) + bitcast<f32>(items[item].z) * share;
+        atomicAdd(&sums[3u * decade], 1u);
+        atomicAdd(&sums[3u * decade + 2u], u32(min(before, MOST_ATTEMPTS) * ATTEMPT_UNITS));
+        if ends[2u * i] == target_id {
+            let gain = min(share / middle_of(decade), 4.0) / (before + 1.0);
+            atomicAdd(&sums[3u * decade + 1u], u32(gain * GAIN_UNITS));
+        }
+        atomicAdd(&stats[4u * item], 2u);
+        for (var half = 0u; half < 2u; half++) {
+            let triangle = ends[2u * i + half];
+            if triangle != SKY && !is_seen(triangle, slot) && mark(triangle, slot) {
+                atomicAdd(&stats[4u * item + 1u], 1u);
+            }
+        }
+    }
+    workgroupBarrier();
+    if local < DECADES {
+        let at = TALLY + TALLIED * local;
+        atomicAdd(&counters[at], atomicLoad(&sums[3u * local]));
+        for (var k = 0u; k < 2u; k++) {
+            let more = atomicLoad(&sums[3u * local + 1u + k]);
+            let old = atomicAdd(&counters[at + 1u + 2u * k], more);
+            if old + more < old {
+                atomicAdd(&counters[at + 2u + 2u * k], 1u);
+            }
+        }
+    }
+}

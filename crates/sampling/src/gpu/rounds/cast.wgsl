@@ -1,0 +1,177 @@
+// Traces lines in both directions, and credits all cells that the free part of each crosses with the
+// triangles at its ends. Follows block.wgsl. The same as Block::credit_line of lines/block.rs on the host, and
+// CellGrid::walk of lines/grid.rs, operation for operation.
+
+// Whether lines end at a distance or some triangles have one side, so that the halves of a line are credited
+// by themselves; and whether a half is free in its own direction alone.
+override HALVES: bool = false;
+override ONE_WAY: bool = false;
+
+// Four units in the last place.
+const OVERLAP: f32 = 4.76837158203125e-7;
+
+// The same number; no compiler may merge the operation that gave it with the next one.
+fn rounded(v: vec3<f32>) -> vec3<f32> {
+    return bitcast<vec3<f32>>(bitcast<vec3<u32>>(v) ^ vec3<u32>(block.zero));
+}
+
+// 1 / x as the host rounds it. A device's quotient may be off by 2.5 units in the last place; one step of
+// Newton's method with a fused remainder corrects that, except beyond the range of its terms.
+fn reciprocal(x: f32) -> f32 {
+    let near = 1.0 / x;
+    let size = abs(near);
+    return select(near, fma(fma(-x, near, 1.0), near, near), size > 1e-30 && size < 1e30);
+}
+
+// The square root of x, corrected likewise.
+fn root(x: f32) -> f32 {
+    let near = sqrt(x);
+    return select(near, fma(fma(-near, near, x), 0.5 / near, near), near > 1e-15 && near < 1e15);
+}
+
+fn quotient(x: f32, y: f32) -> f32 {
+    let near = x / y;
+    let size = abs(near);
+    return select(near, fma(fma(-y, near, x), 1.0 / y, near), size > 1e-30 && size < 1e30 && abs(x) > 1e-20);
+}
+
+fn add(triangle: u32, word: u32, bits: u32) {
+    if triangle == SKY {
+        return;
+    }
+    let at = triangle * block.words + word;
+    if (bits & ~seen[at]) != 0u && (bits & ~atomicLoad(&now[at])) != 0u {
+        atomicOr(&now[at], bits);
+    }
+}
+
+// Credits the cells that the line crosses between two distances with up to two triangles.
+fn credit(origin: vec3<f32>, direction: vec3<f32>, least: f32, most: f32, a: u32, b: u32) {
+    let start = (origin - block.low) * block.per_unit;
+    let d = direction * block.per_unit;
+    let sides = vec3<f32>(block.cells);
+    var inverse: vec3<f32>;
+    var t0 = least;
+    var t1 = most;
+    for (var axis = 0u; axis < 3u; axis++) {
+        if d[axis] == 0.0 {
+            if !(start[axis] >= 0.0 && start[axis] <= sides[axis]) {
+                return;
+            }
+            inverse[axis] = 0.0;
+        } else {
+            inverse[axis] = reciprocal(d[axis]);
+            let u = -start[axis] * inverse[axis];
+            let v = (sides[axis] - start[axis]) * inverse[axis];
+            t0 = max(t0, min(u, v));
+            t1 = min(t1, max(u, v));
+        }
+    }
+    if !(t0 < t1) {
+        return;
+    }
+    let squares = rounded(d * d);
+    let margin = quotient(block.margin, root(squares.x + squares.y + squares.z));
+    let along = rounded(d * t0);
+    var cell = clamp(vec3<i32>(start + along), vec3<i32>(0), vec3<i32>(block.cells) - vec3<i32>(1));
+    let up = d > vec3<f32>(0.0);
+    let still = d == vec3<f32>(0.0);
+    let step = select(select(vec3<i32>(-1), vec3<i32>(1), up), vec3<i32>(0), still);
+    let delta = abs(inverse);
+    let planes = vec3<f32>(cell + select(vec3<i32>(0), vec3<i32>(1), up));
+    var next = select((planes - start) * inverse, vec3<f32>(FAR), still);
+    var t = t0;
+    var word = SKY;
+    var bits = 0u;
+    while all(cell >= vec3<i32>(0)) && all(cell < vec3<i32>(block.cells)) {
+        let first = select(next.y, next.x, next.x < next.y);
+        let is_z = first >= next.z;
+        let is_x = !is_z && next.x < next.y;
+        let is_y = !is_z && !is_x;
+        let through = select(first, next.z, is_z);
+        let end = select(through, t1, t1 < through);
+        if end - t > margin {
+            let slot = slot_of(vec3<u32>(cell));
+            if slot >> 5u != word {
+                if bits != 0u {
+                    add(a, word, bits & reached[word]);
+                    add(b, word, bits & reached[word]);
+                }
+                word = slot >> 5u;
+                bits = 0u;
+            }
+            bits |= 1u << (slot & 31u);
+        }
+        if through >= t1 {
+            break;
+        }
+        t = max(t, end);
+        let is = vec3<bool>(is_x, is_y, is_z);
+        next += select(vec3<f32>(0.0), delta, is);
+        cell += select(vec3<i32>(0), step, is);
+    }
+    if bits != 0u {
+        add(a, word, bits & reached[word]);
+        add(b, word, bits & reached[word]);
+    }
+}
+
+// A hit that lies beyond the end of the line becomes sky at its end.
+fn ended(hit: Hit, far: f32) -> Hit {
+    if HALVES && (hit.id == SKY || hit.distance > far) {
+        return Hit(far, SKY);
+    }
+    return hit;
+}
+
+@compute @workgroup_size(64)
+fn cast_lines(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let count = atomicLoad(&counters[LINES]);
+    for (var i = id.x; i < count; i += groups.x * 64u) {
+        let origin = bitcast<vec3<f32>>(line_from[i].xyz);
+        let direction = bitcast<vec3<f32>>(line_to[i].xyz);
+        let size = abs(direction);
+        let longest = max(max(size.x, size.y), size.z);
+        let largest = max(max(abs(origin.x), abs(origin.y)), abs(origin.z));
+        var ahead_by = 0.0;
+        if longest > 0.0 {
+            ahead_by = max(block.step, largest * OVERLAP) / longest;
+        }
+        var far = FAR;
+        if HALVES && block.far < FAR {
+            far = block.far / length(direction);
+        }
+        let ahead = ended(nearest_along(origin, direction), far);
+        ends[2u * i] = ahead.id;
+        if part.ahead_only != 0u {
+            ends[2u * i + 1u] = SKY;
+            if ahead.id != SKY && !is_seen(ahead.id, cell_of(line_from[i].w).slot) {
+                credit(origin, direction, 0.0, ahead.distance, ahead.id, SKY);
+            }
+            continue;
+        }
+        let behind = ended(nearest_along(origin + direction * ahead_by, -direction), far);
+        ends[2u * i + 1u] = behind.id;
+        let least = ahead_by - behind.distance;
+        let most = ahead.distance;
+        if ahead.id == SKY && behind.id == SKY {
+            continue;
+        }
+        if !HALVES {
+            credit(origin, direction, least, most, ahead.id, behind.id);
+            continue;
+        }
+        // Each triangle shows up to that distance on both sides of it.
+        let from_here = select(least, max(least, 0.0), ONE_WAY);
+        let to_here = select(most, min(most, 0.0), ONE_WAY);
+        let is_bounded = far < FAR;
+        if ahead.id != SKY {
+            let first = select(from_here, max(from_here, most - far), is_bounded);
+            credit(origin, direction, first, most, ahead.id, SKY);
+        }
+        if behind.id != SKY {
+            let last = select(to_here, min(to_here, least + far), is_bounded);
+            credit(origin, direction, least, last, behind.id, SKY);
+        }
+    }
+}

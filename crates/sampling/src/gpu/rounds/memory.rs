@@ -1,0 +1,322 @@
+//! The device memory of rounds: the facts of a scene, the tables of a block, and lists that blocks lend.
+
+use bytemuck::{Pod, Zeroable};
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::super::line_scene::filled;
+use super::kernels::Kernels;
+use crate::lines::device::DeviceBlock;
+use crate::lines::yields::DECADES;
+
+/// Bytes between two parts in their buffer: the largest alignment that a device may require.
+pub(super) const PART_STRIDE: u64 = 256;
+/// Parts that fit in their buffer; a later one takes the place of the one so many before.
+pub(super) const PARTS: u32 = 256;
+/// Bytes of the counters, as `block.wgsl` numbers them.
+pub(super) const COUNTER_BYTES: u64 = 4 * (8 + 5 * DECADES as u64);
+/// Triangles of a stripe of candidates, as in `candidates.wgsl`.
+pub(super) const STRIPE: usize = 4096;
+/// Stand-in for an infinite distance, as in `traverse.wgsl`.
+const FAR: f32 = 3e38;
+
+/// `Block` in `block.wgsl`.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct BlockUniform {
+    low: Vec3,
+    margin: f32,
+    per_unit: Vec3,
+    step: f32,
+    high: Vec3,
+    far: f32,
+    cells: [u32; 3],
+    words: u32,
+    side: [u32; 3],
+    ordered: u32,
+    bricks: [u32; 3],
+    zero: u32,
+    first: [[u32; 4]; 3],
+    seed: [u32; 2],
+    triangles: u32,
+    capacity: u32,
+}
+
+/// `Part` in `block.wgsl`.
+#[derive(Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Part {
+    pub(super) count: u32,
+    pub(super) first: u32,
+    pub(super) items: u32,
+    pub(super) round: u32,
+    pub(super) mask: u32,
+    pub(super) time: u32,
+    pub(super) ahead_only: u32,
+    pub(super) unused: u32,
+    pub(super) times: [f32; DECADES],
+    pub(super) so_far: [f32; DECADES],
+}
+
+/// `Cell` in `block.wgsl`.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct CellRecord {
+    low: Vec3,
+    key_low: u32,
+    size: Vec3,
+    key_high: u32,
+    at: [u32; 3],
+    slot: u32,
+}
+
+fn halves(of: u64) -> [u32; 2] {
+    [of as u32, (of >> 32) as u32]
+}
+
+/// What the kernels know of a scene beside its hierarchy.
+pub(in super::super) struct Facts {
+    vertices: wgpu::Buffer,
+    around: wgpu::Buffer,
+    triangles: u32,
+    ordered: u32,
+}
+
+impl Facts {
+    pub(super) fn new(device: &wgpu::Device, block: &DeviceBlock<'_>) -> Result<Self, String> {
+        let scene = block.scene;
+        let ids: Vec<u32> = (0..scene.len()).collect();
+        let corners = |id: &u32| -> [[u32; 4]; 3] {
+            let side = scene.sides().side(*id) as u32;
+            scene.triangles()[*id as usize].v.map(|v| {
+                let [x, y, z] = v.to_array().map(f32::to_bits);
+                [x, y, z, side]
+            })
+        };
+        let around: Vec<u32> =
+            block.surface.neighbours.iter().flatten().chain(&block.surface.morton).copied().collect();
+        let storage = wgpu::BufferUsages::STORAGE;
+        Ok(Self {
+            vertices: filled(device, "vertices", storage, &ids, corners)?,
+            around: filled(device, "around", storage, &around, |x| *x)?,
+            triangles: scene.len(),
+            ordered: block.surface.morton.len() as u32,
+        })
+    }
+
+    /// Bytes of the largest buffer for a scene.
+    pub(super) fn most_bytes(block: &DeviceBlock<'_>) -> u64 {
+        u64::from(block.scene.len()) * 48
+    }
+}
+
+/// The table of a block, and its cells.
+pub(super) struct Tables {
+    pub(super) seen: wgpu::Buffer,
+    pub(super) now: wgpu::Buffer,
+    pub(super) met: wgpu::Buffer,
+    pub(super) group: wgpu::BindGroup,
+    /// 64-bit words of the table.
+    pub(super) places: u32,
+    /// 64-bit words of a row.
+    pub(super) words: u32,
+    /// Triangles in Morton order.
+    pub(super) ordered: u32,
+}
+
+impl Tables {
+    /// Bytes of a table.
+    pub(super) fn bytes(block: &DeviceBlock<'_>) -> u64 {
+        u64::from(block.scene.len()) * block.grid.words() as u64 * 8
+    }
+
+    pub(super) fn new(
+        device: &wgpu::Device,
+        kernels: &Kernels,
+        facts: &Facts,
+        block: &DeviceBlock<'_>,
+        capacity: u32,
+    ) -> Result<Self, String> {
+        let grid = block.grid;
+        let words = grid.words() as u32;
+        let shape = grid.shape();
+        let (low, high) = grid.bounds();
+        let uniform = BlockUniform {
+            low,
+            margin: grid.margin(),
+            per_unit: shape.per_unit.into(),
+            step: block.step,
+            high,
+            far: block.far.min(FAR),
+            cells: grid.cells(),
+            words: 2 * words,
+            side: shape.side,
+            ordered: facts.ordered,
+            bricks: shape.bricks,
+            zero: 0,
+            first: shape.first.map(|m| [m as u32, (m >> 32) as u32, 0, 0]),
+            seed: halves(block.key),
+            triangles: facts.triangles,
+            capacity,
+        };
+        let record = |c: &crate::lines::device::DeviceCell| {
+            let [key_low, key_high] = halves(c.key);
+            let slot = c.slot.index() as u32;
+            CellRecord { low: c.low, key_low, size: c.size, key_high, at: c.at, slot }
+        };
+        let all = vec![u64::MAX; grid.words()];
+        let reached = if block.reached.is_empty() { &all } else { block.reached };
+        use wgpu::BufferUsages as Use;
+        let table = |label| {
+            device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size: Self::bytes(block),
+                usage: Use::STORAGE | Use::COPY_SRC | Use::COPY_DST,
+                mapped_at_creation: false,
+            })
+        };
+        let (seen, now, met) = (table("seen"), table("now"), table("met"));
+        let uniform = filled(device, "block", Use::UNIFORM, &[uniform], |u| *u)?;
+        let cells = filled(device, "cells", Use::STORAGE, block.cells, record)?;
+        let reached = filled(device, "reached", Use::STORAGE, reached, |w| halves(*w))?;
+        let bound = [&uniform, &seen, &now, &met, &cells, &reached, &facts.vertices, &facts.around];
+        let group = bind(device, "tables", &kernels.tables_layout, &bound.map(wgpu::Buffer::as_entire_binding));
+        let places = facts.triangles * words;
+        Ok(Self { seen, now, met, group, places, words, ordered: facts.ordered })
+    }
+}
+
+/// Lists whose size does not depend on a block.
+pub(in super::super) struct Lists {
+    pub(super) counters: wgpu::Buffer,
+    pub(super) claims: wgpu::Buffer,
+    pub(super) finds: wgpu::Buffer,
+    pub(super) from: wgpu::Buffer,
+    pub(super) to: wgpu::Buffer,
+    pub(super) about: wgpu::Buffer,
+    pub(super) ends: wgpu::Buffer,
+    pub(super) candidates: wgpu::Buffer,
+    pub(super) words: wgpu::Buffer,
+    pub(super) parts: wgpu::Buffer,
+    pub(super) read_back: wgpu::Buffer,
+}
+
+impl Lists {
+    /// Lists that hold `capacity` finds, three times as many lines and candidates, and claims of eight times
+    /// as many.
+    pub(super) fn new(device: &wgpu::Device, capacity: u32) -> Self {
+        use wgpu::BufferUsages as Use;
+        let make = |label, size, usage| {
+            device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size,
+                usage,
+                mapped_at_creation: false,
+            })
+        };
+        let n = u64::from(capacity);
+        let both = Use::STORAGE | Use::COPY_SRC | Use::COPY_DST;
+        Self {
+            counters: make("counters", COUNTER_BYTES, both),
+            claims: make("claims", 8 * n * 4, both),
+            finds: make("finds", n * 16, both),
+            from: make("line origins", 3 * n * 16, both),
+            to: make("line directions", 3 * n * 16, both),
+            about: make("line numbers", 3 * n * 8, both),
+            ends: make("line ends", 3 * n * 8, both),
+            candidates: make("candidates", 3 * n * 16, both),
+            words: make("words", n * 12, both),
+            parts: make("parts", u64::from(PARTS) * PART_STRIDE, Use::UNIFORM | Use::COPY_DST),
+            read_back: make("read-back", n * 12 + (1 << 20), Use::MAP_READ | Use::COPY_DST),
+        }
+    }
+
+    /// Bytes of the largest list.
+    pub(super) fn most_bytes(capacity: u32) -> u64 {
+        48 * u64::from(capacity)
+    }
+}
+
+/// The lists as a block uses them, with those whose size depends on it.
+pub(super) struct Lent {
+    pub(super) lists: Lists,
+    pub(super) items: wgpu::Buffer,
+    pub(super) stats: wgpu::Buffer,
+    pub(super) places: wgpu::Buffer,
+    pub(super) group: wgpu::BindGroup,
+}
+
+impl Lent {
+    pub(super) fn new(device: &wgpu::Device, kernels: &Kernels, lists: Lists, tables: &Tables, cells: usize) -> Self {
+        use wgpu::BufferUsages as Use;
+        let make = |label, words: usize| {
+            device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size: 4 * words as u64,
+                usage: Use::STORAGE | Use::COPY_SRC | Use::COPY_DST,
+                mapped_at_creation: false,
+            })
+        };
+        let items = make("items", 4 * cells);
+        let stats = make("stats", 4 * cells);
+        let stripes = (tables.ordered as usize).div_ceil(STRIPE);
+        let places = make("places", 64 * tables.words as usize + stripes);
+        let part = wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+            buffer: &lists.parts,
+            offset: 0,
+            size: wgpu::BufferSize::new(size_of::<Part>() as u64),
+        });
+        let all = [
+            &items,
+            &stats,
+            &lists.counters,
+            &lists.claims,
+            &lists.finds,
+            &lists.from,
+            &lists.to,
+            &lists.about,
+            &lists.ends,
+            &lists.candidates,
+            &places,
+            &lists.words,
+        ];
+        let bound: Vec<_> = std::iter::once(part).chain(all.map(wgpu::Buffer::as_entire_binding)).collect();
+        let group = bind(device, "lists", &kernels.lists_layout, &bound);
+        Self { lists, items, stats, places, group }
+    }
+}
+
+impl std::ops::Deref for Lent {
+    type Target = Lists;
+
+    fn deref(&self) -> &Lists {
+        &self.lists
+    }
+}
+
+fn bind(
+    device: &wgpu::Device,
+    label: &str,
+    layout: &wgpu::BindGroupLayout,
+    bound: &[wgpu::BindingResource<'_>],
+) -> wgpu::BindGroup {
+    let entries: Vec<_> = (0..)
+        .zip(bound)
+        .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource: resource.clone() })
+        .collect();
+    device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries: &entries })
+}
+
+/// The words of a table that have bits: place, low half, high half.
+pub(super) fn filled_words(bits: &crate::lines::bits::SeenBits) -> Vec<[u32; 3]> {
+    let words = bits.words();
+    let rows = bits.places() / words.max(1);
+    (0..rows as u32)
+        .into_par_iter()
+        .flat_map_iter(|row| {
+            let first = row as usize * words;
+            let some = bits.row(row).iter().enumerate().filter(|(_, w)| **w != 0);
+            some.map(move |(i, w)| [(first + i) as u32, *w as u32, (*w >> 32) as u32])
+        })
+        .collect()
+}

@@ -1,0 +1,534 @@
+//! Rounds of sight lines that stay on the device: the kernels make lines, trace them, credit the cells of the
+//! block and count; the host hears what is new in the table and a few numbers a cell.
+//!
+//! A phase is worked on in parts of so many lines ([`GpuRounds`]). For uniform lines a part is: make the
+//! lines; cast them; let each ray that shows its cell a new triangle claim it; gather the claims that stand.
+//! Then, four times: claim what lies beside the finds; make lines to it; cast; claim; gather. Claims make the
+//! result independent of time: of all lines with a claim, the one with the least number has it. For
+//! candidates a part is: list those of some triangles; then, as often as the plan says: make lines to those
+//! that no line has met yet; cast; gather.
+//!
+//! When a phase is over, the words of the table with new bits go to the host, and the new table becomes that
+//! of the last barrier.
+
+mod kernels;
+mod memory;
+mod profile;
+
+use std::sync::{Arc, Mutex, mpsc};
+
+use super::device::{Gpu, PATIENCE, lock};
+use super::line_scene::LineScene;
+use super::pipelines::scoped;
+use crate::error::BackendError;
+use crate::lines::bits::SeenBits;
+use crate::lines::device::{
+    AimPlan, AimWork, DeviceBlock, Found, GoesOn, KernelTime, Rounds, Traffic, UniformWork,
+};
+use crate::lines::yields::Tally;
+use crate::packet::LANES;
+use profile::Profile;
+use kernels::{Kernel, Kernels, STORAGE_BUFFERS};
+use memory::{COUNTER_BYTES, Facts, Lent, Lists, PART_STRIDE, PARTS, Part, STRIPE, Tables, filled_words};
+
+/// Steps of a flood from triangle to triangle, as on the host.
+const FLOOD_STEPS: usize = 4;
+/// Finds that a list holds: on a GPU as many as keep it busy, on a software rasteriser few, since each part
+/// clears its claims.
+const CAPACITY: u32 = 1 << 20;
+const SOFTWARE_CAPACITY: u32 = 1 << 16;
+/// Workgroups of a kernel; each thread takes every so many-th thing.
+const GROUPS: u32 = 4096;
+const SOFTWARE_GROUPS: u32 = 64;
+/// Places of claims for each ray of a part.
+const CLAIMS: u32 = 8;
+/// Numbers of tiles and lines in a phase stay below this; a phase of more is cast in several.
+const MOST_NUMBERED: u64 = 1 << 31;
+/// Parts that the device may lag behind.
+const IN_FLIGHT: usize = 3;
+/// Places in the counters, as in `block.wgsl`.
+const LINES: u64 = 1;
+const WORDS: usize = 2;
+const SEED_RAYS: usize = 4;
+const TALLY: usize = 8;
+/// Units of gains and of attempts, as in `candidates.wgsl`.
+const GAIN_UNIT: f64 = 1.0 / (1u64 << 20) as f64;
+
+/// What the blocks of a scene share: kernels, facts and spare lists.
+#[derive(Default)]
+pub(super) struct RoundsKit {
+    /// By whether the halves of a line are credited by themselves.
+    kernels: [Mutex<Option<Arc<Kernels>>>; 2],
+    facts: Mutex<Option<Arc<Facts>>>,
+    spare: Mutex<Vec<Lists>>,
+}
+
+/// A block on the device.
+pub(super) struct GpuRounds<'a> {
+    gpu: &'a Gpu,
+    scene: &'a LineScene,
+    kit: &'a RoundsKit,
+    kernels: Arc<Kernels>,
+    tables: Tables,
+    /// Empty after the block is dropped.
+    lent: Option<Lent>,
+    capacity: u32,
+    groups: u32,
+    profile: Option<Profile>,
+    state: Mutex<State>,
+}
+
+#[derive(Default)]
+struct State {
+    traffic: Traffic,
+    /// Parts written so far.
+    parts: u32,
+    flying: std::collections::VecDeque<wgpu::SubmissionIndex>,
+}
+
+/// Why a block cannot be on a device, as a part of a sentence; `None` when it can.
+fn obstacle(gpu: &Gpu, block: &DeviceBlock<'_>, capacity: u32) -> Option<String> {
+    let limits = gpu.device.limits();
+    let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+    let largest = Tables::bytes(block).max(Facts::most_bytes(block)).max(Lists::most_bytes(capacity));
+    if limits.max_storage_buffers_per_shader_stage < STORAGE_BUFFERS {
+        return Some(format!(
+            "it binds {} storage buffers, and rounds need {STORAGE_BUFFERS}",
+            limits.max_storage_buffers_per_shader_stage
+        ));
+    }
+    (largest > most).then(|| format!("{largest} bytes in one buffer are more than the {most} that it binds"))
+}
+
+impl<'a> GpuRounds<'a> {
+    /// Puts a block with nothing seen on the device; `None` when the device cannot hold it, which is said in
+    /// the log. The same block on the same adapter always gets the same answer.
+    ///
+    /// # Errors
+    /// [`BackendError::Failed`] when the device does.
+    pub(super) fn new(
+        gpu: &'a Gpu,
+        scene: &'a LineScene,
+        kit: &'a RoundsKit,
+        block: &DeviceBlock<'_>,
+    ) -> Result<Option<Self>, BackendError> {
+        let (capacity, groups) =
+            if gpu.software { (SOFTWARE_CAPACITY, SOFTWARE_GROUPS) } else { (CAPACITY, GROUPS) };
+        if scene.empty {
+            return Ok(None);
+        }
+        if let Some(why) = obstacle(gpu, block, capacity) {
+            tracing::warn!("the device traces lines, but the host makes and credits them: {why}");
+            return Ok(None);
+        }
+        let is_split = block.one_way || block.far < f32::INFINITY;
+        let made = || -> Result<Self, String> {
+            let kernels = once(&kit.kernels[usize::from(is_split)], || {
+                Kernels::new(&gpu.device, scene, (is_split, block.one_way))
+            })?;
+            let facts = once(&kit.facts, || scoped(&gpu.device, || Facts::new(&gpu.device, block)))?;
+            let spare = lock(&kit.spare).pop();
+            scoped(&gpu.device, || {
+                let tables = Tables::new(&gpu.device, &kernels, &facts, block, capacity)?;
+                let lists = spare.unwrap_or_else(|| Lists::new(&gpu.device, capacity));
+                let lent = Lent::new(&gpu.device, &kernels, lists, &tables, block.cells.len());
+                let profile = gpu.measures.then(|| Profile::new(&gpu.device, &gpu.queue)).flatten();
+                let (lent, state) = (Some(lent), Mutex::default());
+                let kernels = kernels.clone();
+                Ok(Self { gpu, scene, kit, kernels, tables, lent, capacity, groups, profile, state })
+            })
+        };
+        made().map(Some).map_err(|reason| gpu.failed(reason))
+    }
+
+    fn lent(&self) -> Result<&Lent, BackendError> {
+        self.lent.as_ref().ok_or_else(|| self.gpu.failed("the block is gone"))
+    }
+
+    /// Writes a part's numbers; the offset at which kernels find them.
+    fn part(&self, lent: &Lent, part: &Part) -> u32 {
+        let mut state = lock(&self.state);
+        let offset = u64::from(state.parts % PARTS) * PART_STRIDE;
+        state.parts += 1;
+        state.traffic.up += size_of::<Part>() as u64;
+        drop(state);
+        self.gpu.queue.write_buffer(&lent.parts, offset, bytemuck::bytes_of(part));
+        offset as u32
+    }
+
+    /// Begins a phase of items.
+    fn begin(&self, items: &[[u32; 4]]) -> Result<(&Lent, wgpu::CommandEncoder), BackendError> {
+        self.gpu.check()?;
+        let lent = self.lent()?;
+        self.gpu.queue.write_buffer(&lent.items, 0, bytemuck::cast_slice(items));
+        lock(&self.state).traffic.up += size_of_val(items) as u64;
+        let mut encoder = self.encoder();
+        encoder.clear_buffer(&self.tables.met, 0, None);
+        encoder.clear_buffer(&lent.stats, 0, None);
+        encoder.clear_buffer(&lent.counters, 0, None);
+        Ok((lent, encoder))
+    }
+
+    fn encoder(&self) -> wgpu::CommandEncoder {
+        self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
+    }
+
+    /// Records kernels that follow each other.
+    fn run(&self, encoder: &mut wgpu::CommandEncoder, lent: &Lent, offset: u32, kernels: &[Kernel]) {
+        // One pass for all, or one for each that is measured.
+        let each = if self.profile.is_some() { 1 } else { kernels.len() };
+        for some in kernels.chunks(each.max(1)) {
+            let timestamp_writes = self.profile.as_ref().and_then(|profile| profile.writes(some[0]));
+            let descriptor = wgpu::ComputePassDescriptor { label: None, timestamp_writes };
+            let mut pass = encoder.begin_compute_pass(&descriptor);
+            pass.set_bind_group(0, &self.scene.group, &[]);
+            pass.set_bind_group(1, &self.tables.group, &[]);
+            pass.set_bind_group(2, &lent.group, &[offset]);
+            for kernel in some {
+                pass.set_pipeline(self.kernels.pipeline(*kernel));
+                pass.dispatch_workgroups(self.groups, 1, 1);
+            }
+        }
+    }
+
+    /// Submits a part. The host does not run far ahead, so that a phase can be broken off.
+    fn submit(&self, encoder: wgpu::CommandEncoder) -> Result<wgpu::SubmissionIndex, BackendError> {
+        let submission = self.gpu.queue.submit([encoder.finish()]);
+        let mut state = lock(&self.state);
+        state.flying.push_back(submission.clone());
+        let oldest = if state.flying.len() > IN_FLIGHT { state.flying.pop_front() } else { None };
+        drop(state);
+        if let Some(oldest) = oldest {
+            self.gpu.wait(oldest)?;
+        }
+        Ok(submission)
+    }
+
+    /// Submits, waits, and reads parts of buffers one after the other.
+    fn read(
+        &self,
+        mut encoder: wgpu::CommandEncoder,
+        lent: &Lent,
+        wanted: &[(&wgpu::Buffer, u64, u64)],
+    ) -> Result<Vec<u32>, BackendError> {
+        let mut end = 0;
+        for (from, offset, bytes) in wanted.iter().filter(|w| w.2 > 0) {
+            encoder.copy_buffer_to_buffer(from, *offset, &lent.read_back, end, *bytes);
+            end += bytes;
+        }
+        let submission = self.submit(encoder)?;
+        let (sender, mapped) = mpsc::channel();
+        lent.read_back.map_async(wgpu::MapMode::Read, ..end, move |r| drop(sender.send(r)));
+        self.gpu.wait(submission)?;
+        match mapped.recv_timeout(PATIENCE) {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => return Err(self.gpu.failed(format!("mapping what was found: {error}"))),
+            Err(_) => return Err(self.gpu.failed("what was found was not mapped")),
+        }
+        let numbers = {
+            let view = lent.read_back.get_mapped_range(..end);
+            let view = view.map_err(|e| self.gpu.failed(format!("reading what was found: {e}")))?;
+            bytemuck::pod_collect_to_vec(&view)
+        };
+        lent.read_back.unmap();
+        let mut state = lock(&self.state);
+        state.traffic.down += end;
+        state.traffic.waits += 1;
+        state.flying.clear();
+        Ok(numbers)
+    }
+
+    /// Ends a phase: reads counts and new words, and publishes the table.
+    fn end(&self, lent: &Lent, mut encoder: wgpu::CommandEncoder, items: usize) -> Result<Found, BackendError> {
+        let places = self.tables.places;
+        let counter = |at: usize| (&lent.counters, 4 * at as u64, 4u64);
+        let offset = self.part(lent, &Part { count: places, ..Part::default() });
+        self.run(&mut encoder, lent, offset, &[Kernel::GatherWords]);
+        let wanted = [(&lent.counters, 0, COUNTER_BYTES), (&lent.stats, 0, 16 * items as u64)];
+        let numbers = self.read(encoder, lent, &wanted)?;
+        if let Some(profile) = &self.profile {
+            let mut encoder = self.encoder();
+            let bytes = profile.resolve(&mut encoder);
+            profile.add(&self.read(encoder, lent, &[(&profile.stamps, 0, bytes)])?);
+        }
+        let (counters, counts) = numbers.split_at(COUNTER_BYTES as usize / 4);
+        let counts = counts.chunks_exact(4).map(|c| [c[0], c[1], c[2], c[3]]).collect();
+        let mut words = Vec::new();
+        let mut keep = |numbers: Vec<u32>| {
+            words.extend(
+                numbers.chunks_exact(3).map(|w| (w[0], u64::from(w[1]) | u64::from(w[2]) << 32)),
+            );
+        };
+        let new = counters[WORDS];
+        if new <= self.capacity {
+            if new > 0 {
+                keep(self.read(self.encoder(), lent, &[(&lent.words, 0, 12 * u64::from(new))])?);
+            }
+        } else {
+            for first in (0..places).step_by(self.capacity as usize) {
+                let part = Part { count: self.capacity.min(places - first), first, ..Part::default() };
+                let offset = self.part(lent, &part);
+                let mut encoder = self.encoder();
+                encoder.clear_buffer(&lent.counters, 4 * WORDS as u64, Some(4));
+                self.run(&mut encoder, lent, offset, &[Kernel::GatherWords]);
+                let new = self.read(encoder, lent, &[counter(WORDS)])?;
+                if let Some(new) = new.first().filter(|new| **new > 0) {
+                    keep(self.read(self.encoder(), lent, &[(&lent.words, 0, 12 * u64::from(*new))])?);
+                }
+            }
+        }
+        let mut encoder = self.encoder();
+        encoder.copy_buffer_to_buffer(&self.tables.now, 0, &self.tables.seen, 0, self.tables.seen.size());
+        self.submit(encoder)?;
+        let rays = u64::from(counters[SEED_RAYS]);
+        let tally = Tally::of_device(std::array::from_fn(|d| {
+            let at = |k: usize| u64::from(counters[TALLY + 5 * d + k]);
+            [at(0), at(1) | at(2) << 32, at(3) | at(4) << 32]
+        }), GAIN_UNIT);
+        Ok(Found { counts, rays, tally, words })
+    }
+
+    /// Casts the uniform lines of some items and floods from what they find.
+    fn uniform_part(&self, lent: &Lent, part: &Part) -> Result<(), BackendError> {
+        let offset = self.part(lent, part);
+        let mut encoder = self.encoder();
+        let claims = 4 * (u64::from(part.mask) + 1);
+        encoder.clear_buffer(&lent.counters, 0, Some(8));
+        encoder.clear_buffer(&lent.claims, 0, Some(claims));
+        use Kernel::*;
+        self.run(&mut encoder, lent, offset, &[MakeUniform, CastLines, ClaimUniform, GatherUniform]);
+        for _ in 0..FLOOD_STEPS {
+            encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
+            encoder.clear_buffer(&lent.claims, 0, Some(claims));
+            self.run(&mut encoder, lent, offset, &[ClaimNext, MakeFlood, CastLines]);
+            encoder.clear_buffer(&lent.counters, 0, Some(4));
+            encoder.clear_buffer(&lent.claims, 0, Some(claims));
+            self.run(&mut encoder, lent, offset, &[ClaimFlood, GatherFlood]);
+        }
+        self.submit(encoder).map(drop)
+    }
+
+    /// For runs of consecutive triangles in Morton order, few enough candidates for the list.
+    fn runs_of_candidates(&self, counts: &[u32], open: usize) -> Vec<(u32, u32)> {
+        let most = u64::from(3 * self.capacity);
+        let (mut runs, mut first, mut sum) = (Vec::new(), 0u32, 0u64);
+        let mut close = |from: u32, to: u32, sum: u64| {
+            if sum > most {
+                // One stripe alone: each triangle has at most one candidate a cell.
+                let step = (most / open.max(1) as u64).max(1) as usize;
+                runs.extend((from..to).step_by(step).map(|at| (at, to.min(at + step as u32))));
+            } else if sum > 0 {
+                runs.push((from, to));
+            }
+        };
+        for (stripe, count) in counts.iter().enumerate() {
+            let start = (stripe * STRIPE) as u32;
+            if sum + u64::from(*count) > most {
+                close(first, start, sum);
+                (first, sum) = (start, 0);
+            }
+            sum += u64::from(*count);
+        }
+        close(first, self.tables.ordered, sum);
+        runs
+    }
+}
+
+/// The value of a cell that is filled once; a failure is tried again.
+fn once<T>(place: &Mutex<Option<Arc<T>>>, make: impl FnOnce() -> Result<T, String>) -> Result<Arc<T>, String> {
+    let mut place = lock(place);
+    if let Some(made) = &*place {
+        return Ok(Arc::clone(made));
+    }
+    let made = Arc::new(make()?);
+    *place = Some(Arc::clone(&made));
+    Ok(made)
+}
+
+impl Rounds for GpuRounds<'_> {
+    fn restart(&self, bits: &SeenBits) -> Result<(), BackendError> {
+        self.gpu.check()?;
+        let lent = self.lent()?;
+        let mut encoder = self.encoder();
+        encoder.clear_buffer(&self.tables.now, 0, None);
+        self.submit(encoder)?;
+        for run in filled_words(bits).chunks(self.capacity as usize) {
+            self.gpu.queue.write_buffer(&lent.words, 0, bytemuck::cast_slice(run));
+            lock(&self.state).traffic.up += size_of_val(run) as u64;
+            let offset = self.part(lent, &Part { count: run.len() as u32, ..Part::default() });
+            let mut encoder = self.encoder();
+            self.run(&mut encoder, lent, offset, &[Kernel::PutWords]);
+            self.submit(encoder)?;
+        }
+        let mut encoder = self.encoder();
+        encoder.copy_buffer_to_buffer(&self.tables.now, 0, &self.tables.seen, 0, self.tables.seen.size());
+        self.submit(encoder).map(drop)
+    }
+
+    fn uniform(&self, work: &[UniformWork], goes_on: GoesOn<'_>) -> Result<Found, BackendError> {
+        let mut tiles = 0u64;
+        let items: Vec<[u32; 4]> = work
+            .iter()
+            .map(|w| {
+                let before = tiles;
+                tiles += 3 * u64::from(w.tiles) * u64::from(w.tiles);
+                [w.cell as u32, w.tiles, w.base as u32, before as u32]
+            })
+            .collect();
+        if tiles >= MOST_NUMBERED {
+            let (one, two) = work.split_at(work.len() / 2);
+            return Ok(joined(self.uniform(one, goes_on)?, self.uniform(two, goes_on)?));
+        }
+        let (lent, encoder) = self.begin(&items)?;
+        self.submit(encoder)?;
+        // Each line has two rays, and each of them may be a find.
+        let each = self.capacity / 2 / LANES as u32;
+        let mut rays = 0;
+        for first in (0..tiles as u32).step_by(each as usize) {
+            if !goes_on() {
+                return self.end(lent, self.encoder(), 0);
+            }
+            let count = each.min(tiles as u32 - first) * LANES as u32;
+            let mask = (CLAIMS * 2 * count).next_power_of_two().min(CLAIMS * self.capacity) - 1;
+            let items = items.len() as u32;
+            self.uniform_part(lent, &Part { count, first, items, mask, ..Part::default() })?;
+            rays += 2 * u64::from(count);
+        }
+        let found = self.end(lent, self.encoder(), items.len())?;
+        let flood: u64 = found.counts.iter().map(|c| u64::from(c[2])).sum();
+        lock(&self.state).traffic.rays += rays + flood;
+        Ok(found)
+    }
+
+    fn aim(&self, work: &[AimWork], plan: &AimPlan, goes_on: GoesOn<'_>) -> Result<Found, BackendError> {
+        let items: Vec<[u32; 4]> = work
+            .iter()
+            .map(|w| [w.cell as u32, (w.least as f32).to_bits(), (w.rays as f32).to_bits(), 0])
+            .collect();
+        let of = |part: Part| Part {
+            items: items.len() as u32,
+            round: plan.round,
+            times: plan.times,
+            so_far: plan.so_far,
+            ..part
+        };
+        let (lent, mut encoder) = self.begin(&items)?;
+        encoder.clear_buffer(&lent.places, 0, None);
+        let offset = self.part(lent, &of(Part::default()));
+        self.run(&mut encoder, lent, offset, &[Kernel::PlaceItems, Kernel::CountCandidates]);
+        let slots = 256 * u64::from(self.tables.words);
+        let counts = self.read(encoder, lent, &[(&lent.places, slots, lent.places.size() - slots)])?;
+        let most = plan.times.iter().fold(1.0f32, |most, t| most.max(*t)).ceil() as u32;
+        for (from, to) in self.runs_of_candidates(&counts, items.len()) {
+            if !goes_on() {
+                return self.end(lent, self.encoder(), 0);
+            }
+            let mut encoder = self.encoder();
+            // Finds, lines, words and candidates, but not the tally.
+            encoder.clear_buffer(&lent.counters, 0, Some(16));
+            let part = of(Part { first: from, count: to - from, ..Part::default() });
+            let offset = self.part(lent, &part);
+            self.run(&mut encoder, lent, offset, &[Kernel::ListCandidates]);
+            for time in 0..most {
+                encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
+                let offset = self.part(lent, &Part { time, ..part });
+                use Kernel::*;
+                self.run(&mut encoder, lent, offset, &[MakeAimed, CastLines, GatherAimed]);
+            }
+            self.submit(encoder)?;
+        }
+        let found = self.end(lent, self.encoder(), items.len())?;
+        lock(&self.state).traffic.rays += found.counts.iter().map(|c| u64::from(c[0])).sum::<u64>();
+        Ok(found)
+    }
+
+    fn seeds(&self, goes_on: GoesOn<'_>) -> Result<Found, BackendError> {
+        let (lent, encoder) = self.begin(&[[0; 4]])?;
+        self.submit(encoder)?;
+        let groups = self.tables.ordered.div_ceil(2 * LANES as u32);
+        let each = self.capacity / LANES as u32;
+        for first in (0..groups).step_by(each as usize) {
+            if !goes_on() {
+                break;
+            }
+            let count = each.min(groups - first) * LANES as u32;
+            let offset = self.part(lent, &Part { first, count, items: 1, ..Part::default() });
+            let mut encoder = self.encoder();
+            encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
+            self.run(&mut encoder, lent, offset, &[Kernel::MakeSeeds, Kernel::CastLines]);
+            self.submit(encoder)?;
+        }
+        let found = self.end(lent, self.encoder(), 0)?;
+        lock(&self.state).traffic.rays += found.rays;
+        Ok(found)
+    }
+
+    fn check(&self, work: &[(usize, u64)], look: u32, goes_on: GoesOn<'_>) -> Result<Found, BackendError> {
+        let lines: u64 = work.iter().map(|w| w.1).sum();
+        if lines >= MOST_NUMBERED && work.len() > 1 {
+            let (one, two) = work.split_at(work.len() / 2);
+            return Ok(joined(self.check(one, look, goes_on)?, self.check(two, look, goes_on)?));
+        }
+        let mut before = 0;
+        let items: Vec<[u32; 4]> = work
+            .iter()
+            .map(|(cell, lines)| {
+                let own = [*cell as u32, 0, 0, before as u32];
+                before += lines;
+                own
+            })
+            .collect();
+        let (lent, encoder) = self.begin(&items)?;
+        self.submit(encoder)?;
+        let items = items.len();
+        for first in (0..lines).step_by(self.capacity as usize) {
+            if !goes_on() {
+                return self.end(lent, self.encoder(), 0);
+            }
+            let count = u64::from(self.capacity).min(lines - first) as u32;
+            let part = Part {
+                count,
+                first: first as u32,
+                items: items as u32,
+                round: look,
+                ahead_only: 1,
+                ..Part::default()
+            };
+            let offset = self.part(lent, &part);
+            let mut encoder = self.encoder();
+            self.run(&mut encoder, lent, offset, &[Kernel::MakeCheck, Kernel::CastLines, Kernel::GatherCheck]);
+            self.submit(encoder)?;
+        }
+        let found = self.end(lent, self.encoder(), items)?;
+        lock(&self.state).traffic.rays += lines;
+        Ok(found)
+    }
+
+    fn traffic(&self) -> Traffic {
+        lock(&self.state).traffic
+    }
+
+    fn kernel_times(&self) -> Vec<KernelTime> {
+        self.profile.as_ref().map_or_else(Vec::new, Profile::times)
+    }
+}
+
+/// The finds of two phases that are one for the caller.
+fn joined(mut one: Found, two: Found) -> Found {
+    one.counts.extend(two.counts);
+    one.words.extend(two.words);
+    one.rays += two.rays;
+    one.tally = one.tally.and(&two.tally);
+    one
+}
+
+impl Drop for GpuRounds<'_> {
+    fn drop(&mut self) {
+        if let Some(lent) = self.lent.take() {
+            lock(&self.kit.spare).push(lent.lists);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,189 @@
+//! The same lines credited by the device and by the host give the same bits. `tests/gpu_rounds.rs` tests whole
+//! rounds.
+
+use glam::Vec3;
+use sightline_scene::generate::{self, Kind, Params};
+use sightline_scene::{Scene, Side, Sides};
+
+use super::*;
+use crate::backend::{Backend, LineSet};
+use crate::cube::{CubeSpec, SKY, Strata};
+use crate::gpu::{AdapterChoice, GpuBackend};
+use crate::lines::device::DeviceCell;
+use crate::lines::grid::{CellGrid, Crossed};
+use crate::packet::Packet;
+use crate::surface::Surface;
+
+fn backend(scene: &Arc<Scene>) -> Option<GpuBackend> {
+    let spec = CubeSpec { resolution: 16, strata: Strata::One, keep_pixels: false };
+    match GpuBackend::new(scene.clone(), spec, AdapterChoice::AllowSoftware) {
+        Ok(backend) => Some(backend),
+        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
+            println!("not run: {why}");
+            None
+        }
+        Err(error) => panic!("{error}"),
+    }
+}
+
+fn town() -> Scene {
+    let params = Params { triangles: Some(3000), ..Params::default() };
+    generate::generate(Kind::Rooms, &params).unwrap()
+}
+
+/// Where the triangles at both ends of a line are seen from, as `Block::credit_line` says.
+fn credited(
+    grid: &CellGrid,
+    (ahead, behind): (&Packet, &Packet),
+    step: f32,
+    (far, one_way): (f32, bool),
+    mut credit: impl FnMut(u32, &Crossed),
+) {
+    let mut crossed = Crossed::new();
+    for lane in 0..ahead.count {
+        let (origin, direction) = ahead.ray(lane);
+        let limit = far / ahead.length(lane);
+        let end = |of: &Packet| match of.triangle[lane] {
+            t if t != SKY && of.distance[lane] <= limit => (t, of.distance[lane]),
+            _ => (SKY, limit),
+        };
+        let [(a, to), (b, back)] = [ahead, behind].map(end);
+        let from = ahead.advance(lane, step) - back;
+        let is_split = one_way || far < f32::INFINITY;
+        for (triangle, at, is_ahead) in [(a, to, true), (b, from, false)] {
+            if triangle == SKY {
+                continue;
+            }
+            let (mut least, mut most) = match (one_way, is_ahead) {
+                (false, _) => (from, to),
+                (true, true) => (from.max(0.0), to),
+                (true, false) => (from, to.min(0.0)),
+            };
+            if is_split {
+                (least, most) = (least.max(at - limit), most.min(at + limit));
+            }
+            grid.walk(origin, direction, least, most, &mut crossed);
+            credit(triangle, &crossed);
+        }
+    }
+}
+
+fn compare(scene: Scene, far: f32) {
+    let scene = Arc::new(scene);
+    let Some(backend) = backend(&scene) else { return };
+    let all: Vec<u32> = (0..scene.len()).filter(|t| !scene.triangles()[*t as usize].is_degenerate()).collect();
+    let surface = Surface::of(&scene, &all);
+    let tracer = backend.lines(LineSet::Blocking, &all).unwrap();
+    let kit = backend.lines[LineSet::Blocking as usize].get().unwrap().as_ref().unwrap();
+    let bounds = scene.bounds();
+    let grid = CellGrid::new(bounds.min, bounds.max, [7, 5, 3]);
+    let cells: Vec<DeviceCell> = grid
+        .each()
+        .zip(0..)
+        .map(|(at, key)| {
+            let (low, size) = grid.cell_box(at);
+            DeviceCell { low, size, at, slot: grid.slot(at), key }
+        })
+        .collect();
+    let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
+    let one_way = !scene.sides().are_both();
+    let block = DeviceBlock {
+        scene: &scene,
+        surface: &surface,
+        grid: &grid,
+        cells: &cells,
+        reached: &[],
+        step,
+        far,
+        one_way,
+        key: 1,
+    };
+    let (line_scene, rounds_kit) = kit.for_rounds();
+    let rounds = GpuRounds::new(&backend.gpu, line_scene, rounds_kit, &block).unwrap().unwrap();
+    let bits = SeenBits::new(scene.triangles().len(), grid.words());
+    rounds.restart(&bits).unwrap();
+    // One part of uniform lines, without a flood, so that the lists still hold it.
+    let tiles = 2;
+    let items: Vec<[u32; 4]> = (0..cells.len() as u32).map(|c| [c, tiles, 0, c * 3 * tiles * tiles]).collect();
+    let count = items.len() as u32 * 3 * tiles * tiles * LANES as u32;
+    assert!(count <= rounds.capacity / 2);
+    let (lent, mut encoder) = rounds.begin(&items).unwrap();
+    let offset = rounds.part(lent, &Part { count, items: items.len() as u32, ..Part::default() });
+    rounds.run(&mut encoder, lent, offset, &[Kernel::MakeUniform, Kernel::CastLines]);
+    let bytes = 16 * u64::from(count);
+    let floats = |numbers: Vec<u32>| -> Vec<[f32; 3]> {
+        numbers.chunks_exact(4).map(|v| [0, 1, 2].map(|a: usize| f32::from_bits(v[a]))).collect()
+    };
+    let origins = floats(rounds.read(encoder, lent, &[(&lent.from, 0, bytes)]).unwrap());
+    let directions = floats(rounds.read(rounds.encoder(), lent, &[(&lent.to, 0, bytes)]).unwrap());
+    let found = rounds.end(lent, rounds.encoder(), items.len()).unwrap();
+    let mut by_device = vec![0u64; bits.places()];
+    found.words.iter().for_each(|(at, word)| by_device[*at as usize] |= word);
+
+    let mut by_host = vec![0u64; bits.places()];
+    for (origins, directions) in origins.chunks(LANES).zip(directions.chunks(LANES)) {
+        let mut ahead = Packet::default();
+        origins.iter().zip(directions).for_each(|(o, d)| ahead.push(*o, *d));
+        let mut both = [ahead.clone(), ahead.reversed(step)];
+        tracer.trace(&mut both).unwrap();
+        let [ahead, behind] = &both;
+        credited(&grid, (ahead, behind), step, (far, one_way), |triangle, crossed| {
+            for (word, bits) in crossed {
+                by_host[triangle as usize * grid.words() + *word as usize] |= bits;
+            }
+        });
+    }
+    let lit = by_host.iter().map(|w| w.count_ones()).sum::<u32>();
+    assert!(lit > 1000, "{lit} bits test something");
+    let differ: u32 = by_device.iter().zip(&by_host).map(|(d, h)| (d ^ h).count_ones()).sum();
+    assert_eq!(differ, 0, "of {lit} bits");
+}
+
+#[test]
+fn the_device_credits_as_the_host_does() {
+    compare(town(), f32::INFINITY);
+}
+
+#[test]
+fn lines_that_end_at_a_distance_are_credited_as_on_the_host() {
+    let scene = town();
+    let far = (scene.bounds().max - scene.bounds().min).length() * 0.1;
+    compare(scene, far);
+}
+
+#[test]
+fn triangles_of_one_side_are_credited_as_on_the_host() {
+    let scene = town();
+    let sides = Sides::from_runs([(scene.len(), Side::CounterClockwise)]);
+    compare(scene.with_sides("town", sides).unwrap(), f32::INFINITY);
+}
+
+#[test]
+fn a_lost_device_is_an_error() {
+    let scene = Arc::new(town());
+    let Some(backend) = backend(&scene) else { return };
+    let all: Vec<u32> = (0..scene.len()).collect();
+    let surface = Surface::of(&scene, &all);
+    let tracer = backend.lines(LineSet::Blocking, &all).unwrap();
+    let grid = CellGrid::new(Vec3::ZERO, Vec3::ONE, [1; 3]);
+    let (low, size) = grid.cell_box([0; 3]);
+    let cells = [DeviceCell { low, size, at: [0; 3], slot: grid.slot([0; 3]), key: 1 }];
+    let block = DeviceBlock {
+        scene: &scene,
+        surface: &surface,
+        grid: &grid,
+        cells: &cells,
+        reached: &[],
+        step: 1e-6,
+        far: f32::INFINITY,
+        one_way: false,
+        key: 1,
+    };
+    let rounds = tracer.rounds(&block).unwrap().unwrap();
+    let work = [UniformWork { cell: 0, tiles: 2, base: 0 }];
+    rounds.restart(&SeenBits::new(scene.triangles().len(), 1)).unwrap();
+    rounds.uniform(&work, &|| true).unwrap();
+    backend.gpu.device.destroy();
+    assert!(matches!(rounds.uniform(&work, &|| true), Err(BackendError::Failed { .. })));
+    assert!(matches!(rounds.seeds(&|| true), Err(BackendError::Failed { .. })));
+}

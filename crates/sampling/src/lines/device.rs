@@ -1,0 +1,168 @@
+//! What a device does with a block when it casts whole rounds by itself: the interface between the rounds of
+//! lines and the backends that have such a device.
+//!
+//! The device keeps the block's table. It makes the lines of a phase, traces them, credits the cells and
+//! counts; only new words of the table and a few numbers a cell come back. Decisions stay with
+//! [`super::rounds`]: which cells are open, how many lines each gets, when it is done. The random numbers are
+//! the device's own, so a profile with such a device has results of its own.
+
+use glam::Vec3;
+use sightline_scene::Scene;
+
+use super::bits::SeenBits;
+use super::grid::{CellGrid, Slot};
+use super::yields::{DECADES, Tally};
+use crate::error::BackendError;
+use crate::surface::Surface;
+
+/// A view cell, as a device needs it.
+#[derive(Clone, Copy, Debug)]
+pub struct DeviceCell {
+    /// Least corner, scene units.
+    pub low: Vec3,
+    /// Size, scene units.
+    pub size: Vec3,
+    /// Coordinates in the grid.
+    pub at: [u32; 3],
+    /// The place of its bit.
+    pub slot: Slot,
+    /// Names its random numbers: no other cell of the job has the same.
+    pub key: u64,
+}
+
+/// A block with nothing seen.
+pub struct DeviceBlock<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Facts about its triangles.
+    pub surface: &'a Surface,
+    /// The cells' grid.
+    pub grid: &'a CellGrid,
+    /// The cells, in the order of [`CellGrid::each`].
+    pub cells: &'a [DeviceCell],
+    /// The words of a row without the cells that have no viewpoint; empty when all have one.
+    pub reached: &'a [u64],
+    /// Least distance between the origin of a line and the start of its other half, scene units.
+    pub step: f32,
+    /// Where lines end, scene units; infinite when they do not.
+    pub far: f32,
+    /// Whether some triangles have one side.
+    pub one_way: bool,
+    /// Names the seeds' random numbers.
+    pub key: u64,
+}
+
+/// Uniform lines from a cell.
+#[derive(Clone, Copy, Debug)]
+pub struct UniformWork {
+    /// Its place in [`DeviceBlock::cells`].
+    pub cell: usize,
+    /// Tiles of 4×4 lines along a side of a cube's face.
+    pub tiles: u32,
+    /// Tiles that it has cast in earlier rounds.
+    pub base: u64,
+}
+
+/// Lines at the candidates of a cell.
+#[derive(Clone, Copy, Debug)]
+pub struct AimWork {
+    /// Its place in [`DeviceBlock::cells`].
+    pub cell: usize,
+    /// Least part of the sphere that a candidate covers.
+    pub least: f64,
+    /// Uniform rays that it has cast.
+    pub rays: u64,
+}
+
+/// How often a candidate is tried, by decade of its part of the sphere.
+#[derive(Clone, Copy, Debug)]
+pub struct AimPlan {
+    /// Number of the round.
+    pub round: u32,
+    /// Tries in this round; a fraction is the probability of one more.
+    pub times: [f32; DECADES],
+    /// Tries in all rounds before.
+    pub so_far: [f32; DECADES],
+}
+
+/// What a device found in a phase.
+#[derive(Default)]
+pub struct Found {
+    /// Four counts for each item; their meaning depends on the kind of lines.
+    pub counts: Vec<[u32; 4]>,
+    /// Rays that belong to no item.
+    pub rays: u64,
+    /// The yields of candidates.
+    pub tally: Tally,
+    /// New bits: place of the word in the table, bits. In any order.
+    pub words: Vec<(u32, u64)>,
+}
+
+/// What went between host and device since the block was made, and the rays that were cast.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Traffic {
+    /// Rays.
+    pub rays: u64,
+    /// Bytes to the device.
+    pub up: u64,
+    /// Bytes from the device.
+    pub down: u64,
+    /// Waits for the device.
+    pub waits: u64,
+}
+
+/// The time that a kernel took since the block was made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct KernelTime {
+    /// Its entry point.
+    pub name: &'static str,
+    /// Seconds of all its runs.
+    pub seconds: f64,
+    /// Its runs.
+    pub runs: u64,
+}
+
+/// Whether work goes on; asked between the parts of a phase.
+pub type GoesOn<'a> = &'a (dyn Fn() -> bool + Sync);
+
+/// A block on a device. What a phase finds is in the device's table when the phase ends, as if published.
+pub trait Rounds: Send + Sync {
+    /// Makes the device's table that of the last barrier.
+    ///
+    /// # Errors
+    /// [`BackendError::Failed`] when the device does.
+    fn restart(&self, bits: &SeenBits) -> Result<(), BackendError>;
+
+    /// A round of uniform lines, and the flood from what they find. Counts of an item: rays that met a
+    /// triangle which its cell had not seen, finds, rays of the flood, finds of the flood. A phase that is
+    /// broken off has no counts.
+    ///
+    /// # Errors
+    /// As [`Rounds::restart`].
+    fn uniform(&self, work: &[UniformWork], goes_on: GoesOn<'_>) -> Result<Found, BackendError>;
+
+    /// Lines at candidates. Counts of an item: rays, finds.
+    ///
+    /// # Errors
+    /// As [`Rounds::restart`].
+    fn aim(&self, work: &[AimWork], plan: &AimPlan, goes_on: GoesOn<'_>) -> Result<Found, BackendError>;
+
+    /// The seeds of the whole scene.
+    ///
+    /// # Errors
+    /// As [`Rounds::restart`].
+    fn seeds(&self, goes_on: GoesOn<'_>) -> Result<Found, BackendError>;
+
+    /// Held-out lines: for each item a cell and a number of lines, for test number `look`. Counts of an item:
+    /// lines that met a triangle outside the cell's set.
+    ///
+    /// # Errors
+    /// As [`Rounds::restart`].
+    fn check(&self, work: &[(usize, u64)], look: u32, goes_on: GoesOn<'_>) -> Result<Found, BackendError>;
+
+    /// What went over the bus.
+    fn traffic(&self) -> Traffic;
+
+    /// The time of each kernel; empty unless the backend measures it.
+    fn kernel_times(&self) -> Vec<KernelTime>;
+}

@@ -1,0 +1,259 @@
+//! The phases of a block whose rounds a device casts by itself ([`super::device`]).
+//!
+//! To the crew such a phase is one item: whoever computes it hands its finds to the others, as with any item.
+//! The device's table goes along with the block's: it holds what the phase found when the phase ends, and is
+//! made anew where somebody else has computed the phase.
+
+use std::sync::{Mutex, PoisonError};
+
+use sightline_model::{CellStats, LineKind};
+
+use super::block::{Block, Cell};
+use super::device::{AimPlan, AimWork, DeviceBlock, DeviceCell, Found, GoesOn, KernelTime, Rounds, Traffic, UniformWork};
+use super::finds::Answer;
+use super::phase::{self, Items};
+use super::yields::Tally;
+use crate::context::TileError;
+use crate::error::BackendError;
+use crate::packet::LANES;
+use crate::sequence::Hashed;
+
+/// Name of the stream of random numbers that gives cells their keys.
+const KEYS: u64 = 13;
+
+/// The answer of a phase that a device has computed: the counts of all its items.
+#[derive(Clone)]
+pub(super) struct Whole {
+    pub(super) stats: Vec<CellStats>,
+    pub(super) tally: Tally,
+    /// Rays that belong to no item.
+    pub(super) rays: u64,
+}
+
+impl Answer for Whole {
+    fn write(&self, out: &mut Vec<u8>) {
+        self.rays.write(out);
+        (self.stats.len() as u64).write(out);
+        let stats = self.stats.iter().flat_map(CellStats::numbers);
+        stats.chain(self.tally.numbers()).for_each(|n| n.write(out));
+    }
+
+    fn read(bytes: &mut &[u8]) -> Option<Self> {
+        let (rays, count) = (u64::read(bytes)?, u64::read(bytes)?);
+        // Each number takes a byte at least.
+        let count = usize::try_from(count).ok().filter(|n| *n <= bytes.len() / CellStats::NAMES.len())?;
+        let mut stats = Vec::with_capacity(count);
+        for _ in 0..count {
+            let mut numbers = [0; CellStats::NAMES.len()];
+            for n in &mut numbers {
+                *n = u64::read(bytes)?;
+            }
+            stats.push(CellStats::from_numbers(numbers)?);
+        }
+        let mut tally = Tally::default().numbers();
+        for n in &mut tally {
+            *n = u64::read(bytes)?;
+        }
+        Some(Self { stats, tally: Tally::from_numbers(tally), rays })
+    }
+
+    fn rays(&self) -> u64 {
+        self.rays + self.stats.iter().flat_map(|s| s.rays).sum::<u64>()
+    }
+}
+
+/// Whether a device casts the rounds of a block.
+pub(super) enum OnDevice<'a> {
+    /// It has not been asked yet.
+    Unknown,
+    /// The host does.
+    No,
+    /// The device does.
+    Yes {
+        rounds: Box<dyn Rounds + 'a>,
+        /// Whether its table lags behind the block's.
+        stale: bool,
+    },
+}
+
+impl Block<'_> {
+    /// Asks the tracer for its device, once.
+    ///
+    /// # Errors
+    /// [`BackendError::Failed`] when the device does.
+    pub(super) fn ask_for_device(&mut self) -> Result<(), BackendError> {
+        if !matches!(self.device, OnDevice::Unknown) {
+            return Ok(());
+        }
+        // A device knows neither pairs nor regions nor items, and keeps no account.
+        let tools = &self.tools;
+        let plain = tools.pairs.is_none()
+            && tools.places.is_none()
+            && tools.rows.are_triangles()
+            && tools.ledger.is_none()
+            && self.cells.iter().all(|c| c.parts == 0 || c.is_whole());
+        self.device = OnDevice::No;
+        if !plain {
+            return Ok(());
+        }
+        let cells: Vec<DeviceCell> = self.cells.iter().map(|c| self.device_cell(c)).collect();
+        let first = self.cells.first().map_or(0, |c| c.number);
+        let block = DeviceBlock {
+            scene: tools.scene,
+            surface: tools.surface,
+            grid: &self.grid,
+            cells: &cells,
+            reached: self.reached(),
+            step: self.step,
+            far: tools.sight.far(),
+            one_way: tools.sight.is_one_way(),
+            key: Hashed::new(&[tools.seed, first, KEYS, 1]).bits(),
+        };
+        let sight = tools.sight;
+        if let Some(rounds) = sight.rounds(&block)? {
+            self.device = OnDevice::Yes { rounds, stale: true };
+        }
+        Ok(())
+    }
+
+    fn device_cell(&self, c: &Cell) -> DeviceCell {
+        let key = Hashed::new(&[self.tools.seed, c.number, KEYS]).bits();
+        DeviceCell { low: c.lo, size: c.size, at: c.at, slot: c.slot, key }
+    }
+
+    /// What went between host and device; `None` where the host casts the rounds.
+    pub fn traffic(&self) -> Option<Traffic> {
+        match &self.device {
+            OnDevice::Yes { rounds, .. } => Some(rounds.traffic()),
+            _ => None,
+        }
+    }
+
+    /// The time of each kernel of the device; empty unless the backend measures it.
+    pub fn kernel_times(&self) -> Vec<KernelTime> {
+        match &self.device {
+            OnDevice::Yes { rounds, .. } => rounds.kernel_times(),
+            _ => Vec::new(),
+        }
+    }
+
+    /// Whether a device casts the rounds.
+    pub(super) fn is_on_device(&self) -> bool {
+        matches!(self.device, OnDevice::Yes { .. })
+    }
+
+    /// A round of uniform lines from each cell, with so many tiles along a cube face.
+    pub(super) fn uniform_on_device(&mut self, work: &[(usize, u32)]) -> Result<(), TileError> {
+        let base = |c: usize| self.stats[c].rays[LineKind::Uniform as usize] / (2 * LANES as u64);
+        let lines = |(cell, tiles): &(usize, u32)| UniformWork { cell: *cell, tiles: *tiles, base: base(*cell) };
+        let wanted: Vec<UniformWork> = work.iter().map(lines).collect();
+        let answer = |found: &Found| {
+            let counted = found.counts.iter().zip(work);
+            counted
+                .map(|([misses, finds, flood, flood_finds], (_, tiles))| {
+                    let mut s = CellStats::default();
+                    s.last_rays = 2 * LANES as u64 * 3 * u64::from(*tiles) * u64::from(*tiles);
+                    s.last_misses = u64::from(*misses);
+                    s.rays[LineKind::Uniform as usize] = s.last_rays;
+                    s.finds[LineKind::Uniform as usize] = u64::from(*finds);
+                    s.rays[LineKind::Flood as usize] = u64::from(*flood);
+                    s.finds[LineKind::Flood as usize] = u64::from(*flood_finds);
+                    s
+                })
+                .collect()
+        };
+        let cells: Vec<usize> = work.iter().map(|w| w.0).collect();
+        self.phase_on_device(&cells, &|rounds, on| rounds.uniform(&wanted, on), &answer)
+    }
+
+    /// Lines from each cell at its candidates that cover at least a part of the sphere.
+    pub(super) fn aim_on_device(&mut self, open: &[usize], least: &[f64], round: u32) -> Result<(), TileError> {
+        let rays = |c: usize| self.stats[c].rays[LineKind::Uniform as usize];
+        let lines = |(c, least): (&usize, &f64)| AimWork { cell: *c, least: *least, rays: rays(*c) };
+        let wanted: Vec<AimWork> = open.iter().zip(least).map(lines).collect();
+        let [times, so_far] = self.yields.plan_for_device();
+        let plan = AimPlan { round, times, so_far };
+        let answer = |found: &Found| {
+            let of = |[rays, finds, ..]: &[u32; 4]| {
+                let mut s = CellStats::default();
+                s.rays[LineKind::Candidate as usize] = u64::from(*rays);
+                s.finds[LineKind::Candidate as usize] = u64::from(*finds);
+                s
+            };
+            found.counts.iter().map(of).collect()
+        };
+        self.phase_on_device(open, &|rounds, on| rounds.aim(&wanted, &plan, on), &answer)
+    }
+
+    /// The seeds of the whole scene.
+    pub(super) fn seeds_on_device(&mut self) -> Result<(), TileError> {
+        self.phase_on_device(&[], &|rounds, on| rounds.seeds(on), &|_| Vec::new())
+    }
+
+    /// Test number `look`: so many held-out lines from each cell.
+    pub(super) fn check_on_device(&mut self, work: &[(usize, u64)], look: u32) -> Result<(), TileError> {
+        let answer = |found: &Found| {
+            let counted = found.counts.iter().zip(work);
+            counted
+                .map(|([misses, ..], (_, lines))| {
+                    let mut s = CellStats::default();
+                    s.rays[LineKind::Check as usize] = *lines;
+                    s.finds[LineKind::Check as usize] = u64::from(*misses);
+                    (s.bound_lines, s.bound_misses, s.bound_look) = (*lines, u64::from(*misses), look);
+                    s
+                })
+                .collect()
+        };
+        let cells: Vec<usize> = work.iter().map(|w| w.0).collect();
+        self.phase_on_device(&cells, &|rounds, on| rounds.check(work, look, on), &answer)
+    }
+
+    /// Sees to it that the device computes a phase, here or elsewhere, and adds its counts to the cells'.
+    fn phase_on_device(
+        &mut self,
+        cells: &[usize],
+        compute: &(dyn Fn(&dyn Rounds, GoesOn<'_>) -> Result<Found, BackendError> + Sync),
+        answer: &(dyn Fn(&Found) -> Vec<CellStats> + Sync),
+    ) -> Result<(), TileError> {
+        let this = &*self;
+        let OnDevice::Yes { rounds, stale } = &this.device else { return Ok(()) };
+        let watcher = this.tools.watcher;
+        // The device publishes what it has found, so it must not work on the phase twice.
+        let own: Mutex<Option<Whole>> = Mutex::default();
+        let work = |_| {
+            let mut own = own.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Some(whole) = &*own {
+                return Ok(whole.clone());
+            }
+            if watcher.cancelled() {
+                return Err(TileError::Cancelled);
+            }
+            if *stale {
+                rounds.restart(&this.bits)?;
+            }
+            let found = compute(&**rounds, &|| !watcher.cancelled() && !this.late())?;
+            if watcher.cancelled() {
+                return Err(TileError::Cancelled);
+            }
+            let mut stats = answer(&found);
+            // Nothing is counted of what was broken off.
+            stats.resize_with(cells.len(), CellStats::default);
+            found.words.iter().for_each(|(at, word)| this.bits.add(*at as usize, *word));
+            let whole = Whole { stats, tally: found.tally, rays: found.rays };
+            watcher.rendered(whole.rays());
+            *own = Some(whole.clone());
+            Ok(whole)
+        };
+        let items = Items { count: 1, prepare: &|| {}, cost: &|_| 1, compute: &work };
+        let done = phase::run(this.tools.crew, this.tables(), items)?;
+        let is_here = own.into_inner().unwrap_or_else(PoisonError::into_inner).is_some();
+        if let OnDevice::Yes { stale, .. } = &mut self.device {
+            *stale = !is_here;
+        }
+        for whole in done {
+            self.yields.add(&whole.tally);
+            cells.iter().zip(&whole.stats).for_each(|(cell, s)| self.count(*cell, s));
+        }
+        Ok(())
+    }
+}
