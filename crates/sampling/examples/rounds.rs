@@ -77,14 +77,18 @@ fn main() -> Answer<()> {
     if with_cpu {
         backends.push(Box::new(CpuBackend::new(Arc::clone(&scene), spec)?));
     }
+    let start = Instant::now();
     let gpu = GpuBackend::new(Arc::clone(&scene), spec, choice)?;
+    let opened = start.elapsed().as_secs_f64();
     backends.push(Box::new(if profile { gpu.measuring() } else { gpu }));
+    println!("<!-- the adapter is open after {opened:.3} s -->");
     for backend in &backends {
         let start = Instant::now();
         let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all)?);
+        let built = start.elapsed().as_secs_f64();
         // Once without use: a device compiles and allocates at first.
         sample(&scene, &surface, &sight, [2; 3], 0.1)?;
-        println!("| {} | | {:.3} to be ready | | | | | | |", backend.profile(), start.elapsed().as_secs_f64());
+        println!("| {} | | {built:.3} hierarchy, {:.3} to be ready | | | | | | |", backend.profile(), start.elapsed().as_secs_f64());
         for target in targets {
             line(&scene, &surface, (&**backend, &sight), cells, target.parse()?)?;
         }
@@ -130,7 +134,7 @@ fn sample(
     }
     let bus = block.traffic().map_or("host | |".to_owned(), |t| {
         let a_ray = |bytes: u64| bytes as f64 / t.rays as f64;
-        format!("{:.3}, {:.3} | {} |", a_ray(t.up), a_ray(t.down), t.waits)
+        format!("{:.3}, {:.3} | {}, {:.3} s |", a_ray(t.up), a_ray(t.down), t.waits, t.seconds)
     });
     Ok((seconds, rays, error(&block, scene, sight)?, bus))
 }

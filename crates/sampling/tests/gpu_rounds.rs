@@ -8,8 +8,9 @@
 use std::sync::{Arc, Mutex};
 
 use glam::Vec3;
-use sightline_model::{CellStats, LineKind};
+use sightline_model::{CellSets, CellStats, LineKind, PairTable, SamplingParams, TileOutput};
 use sightline_sampling::crew::{Alone, Crew, FromLeader, Leader, ToLeader};
+use sightline_sampling::embree::CpuBackend;
 use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
 use sightline_sampling::lines::block::{Block, Tools};
 use sightline_sampling::lines::grid::CellGrid;
@@ -17,9 +18,12 @@ use sightline_sampling::lines::rounds::Tolerance;
 use sightline_sampling::rows::Rows;
 use sightline_sampling::sight::Sight;
 use sightline_sampling::surface::Surface;
-use sightline_sampling::{Backend, BackendError, CubeSpec, LineSet, Strata, Watcher};
+use sightline_sampling::{
+    Backend, BackendError, CubeSpec, JobContext, LineSet, PreparedScene, Strata, Watcher, tile,
+};
 use sightline_scene::generate::{self, Kind, Params};
 use sightline_scene::{Object, Scene, Triangle};
+use sightline_viewcells::{Division, Layout, Plan};
 
 struct Silent;
 
@@ -200,4 +204,60 @@ fn little_goes_over_the_bus() {
         let a_ray = (traffic.up + traffic.down) as f64 / traffic.rays as f64;
         assert!(a_ray < 0.1, "{a_ray} bytes a ray");
     });
+}
+
+/// The relation of a tile baked by a backend, and its sets.
+fn pairs_of(scene: &Arc<Scene>, backend: &dyn Backend, cells: [u32; 3]) -> (PairTable, CellSets) {
+    let division = Division::Grid(cells);
+    let b = scene.bounds();
+    let lattice = division.lattice(b.min, b.max).unwrap();
+    let prepared = PreparedScene::new(Arc::clone(scene)).unwrap();
+    let plan = Plan::new(&division, &lattice, Layout::Blocks(512));
+    let params = SamplingParams { target_error: 0.003, ..SamplingParams::default() };
+    let job = JobContext {
+        scene: &prepared,
+        division,
+        lattice,
+        params: &params,
+        viewpoints: None,
+        places: None,
+        pairs: Some(cells),
+        backend,
+        seed: 3,
+        deadline: None,
+        crew: &Alone,
+    };
+    let TileOutput::Cells(sets) = tile::run(&job, &plan.tiles[0], &[], &Silent).unwrap().0 else {
+        panic!("a leaf tile")
+    };
+    (sets.pairs.clone().unwrap().seen, sets)
+}
+
+#[test]
+fn pairs_are_those_that_the_host_finds() {
+    // A room that a wall with a slit divides.
+    let mut triangles = tessellated_box(Vec3::splat(-3.0), Vec3::splat(3.0), 2);
+    for [low, high] in [[-3.0, -0.2], [0.2, 3.0]] {
+        let [a, b, c, d] = [(low, -3.0), (high, -3.0), (high, 3.0), (low, 3.0)].map(|(y, z)| Vec3::new(0.1, y, z));
+        triangles.extend([Triangle { v: [a, b, c] }, Triangle { v: [a, c, d] }]);
+    }
+    let scene = scene(triangles);
+    let Some(gpu) = backend(&scene) else { return };
+    let spec = CubeSpec { resolution: 16, strata: Strata::One, keep_pixels: false };
+    let Ok(cpu) = CpuBackend::new(Arc::clone(&scene), spec) else {
+        assert!(std::env::var_os("CI").is_none(), "Embree is missing");
+        return;
+    };
+    const CELLS: [u32; 3] = [9, 10, 3];
+    let (by_device, sets) = pairs_of(&scene, &gpu, CELLS);
+    let (again, sets_again) = pairs_of(&scene, &gpu, CELLS);
+    assert_eq!((&by_device, &sets), (&again, &sets_again));
+    let (by_host, _) = pairs_of(&scene, &cpu, CELLS);
+    let count = CELLS.iter().product::<u32>();
+    let all = || (0..count).flat_map(|a| (a..count).map(move |b| (a, b)));
+    let [device, host] = [&by_device, &by_host].map(|t| all().filter(|(a, b)| t.has(*a, *b)).count());
+    let both = all().filter(|(a, b)| by_device.has(*a, *b) && by_host.has(*a, *b)).count();
+    // Both miss a few narrow openings.
+    assert!(host > 100 && host < all().count() - 100, "{host} pairs of {}", all().count());
+    assert!(both * 50 >= host * 49 && both * 50 >= device * 49, "{device} and {host} pairs, {both} in both");
 }

@@ -114,7 +114,7 @@ pub fn run(
             if let Some(pairs) = joining::table(job) {
                 let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.params.far);
                 work.rendered +=
-                    joining::search(job, &sight, &pairs, (&tile.cell, joining::MANY_ROUNDS), watcher)?;
+                    joining::search(job, &sight, &pairs, (&tile.cell, joining::MANY_ROUNDS), watcher, None)?;
                 sets.pairs = of_tile(job, Some(&pairs));
             }
             TileOutput::Cells(sets)

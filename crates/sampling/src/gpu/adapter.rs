@@ -1,5 +1,8 @@
 //! Lists the adapters of this machine, chooses one, names its numerics profile and opens its device.
 
+use std::sync::{Mutex, OnceLock};
+
+use super::device::lock;
 use crate::error::BackendError;
 
 /// Which adapter to use.
@@ -58,7 +61,14 @@ fn is_gpu(name: &str) -> bool {
     ["nvidia", "nvhost", "nvgpu", "kfd", "dxg", "mali", "kgsl", "pvr"].iter().any(|p| name.starts_with(p))
 }
 
-fn find() -> Vec<wgpu::Adapter> {
+/// The adapters of this machine, best first. Starting the drivers takes tenths of a second, so this is done
+/// once.
+fn find() -> &'static [wgpu::Adapter] {
+    static FOUND: OnceLock<Vec<wgpu::Adapter>> = OnceLock::new();
+    FOUND.get_or_init(look_for_adapters)
+}
+
+fn look_for_adapters() -> Vec<wgpu::Adapter> {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
     // No validation layers, in debug builds too: they cost time and change no result.
     descriptor.flags = wgpu::InstanceFlags::empty();
@@ -110,8 +120,15 @@ pub(super) struct Opened {
 /// # Errors
 /// [`BackendError::Unavailable`] when no adapter fits or the adapter cannot be opened.
 pub fn probe(choice: &AdapterChoice) -> Result<String, BackendError> {
-    open(choice).map(|o| o.summary.profile)
+    let opened = open(choice)?;
+    let profile = opened.summary.profile.clone();
+    lock(&SPARE).push(opened);
+    Ok(profile)
 }
+
+/// Devices that were opened to see whether they work, for the backends that come next: opening one takes
+/// tenths of a second.
+static SPARE: Mutex<Vec<Opened>> = Mutex::new(Vec::new());
 
 /// Opens the adapter that `choice` selects, with the largest limits that the adapter supports.
 pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
@@ -145,6 +162,11 @@ pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
             ),
         }));
     };
+    let mut spare = lock(&SPARE);
+    if let Some(place) = spare.iter().position(|opened| opened.summary == summary) {
+        return Ok(spare.swap_remove(place));
+    }
+    drop(spare);
     if !adapter.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS) {
         return Err(BackendError::Unavailable(format!(
             "the adapter {} has no compute shaders; update its driver or use --backend cpu",

@@ -1,7 +1,7 @@
-//! An open device with its pipelines: it notes faults, and waits for submissions.
+//! An open device with the pipelines of cubes: it notes faults, and waits for submissions.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
 use sightline_scene::Scene;
@@ -22,7 +22,8 @@ pub(super) struct Gpu {
     pub(super) profile: String,
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
-    pub(super) kit: Kit,
+    /// The pipelines of cubes, made when the first cube is drawn: sight lines need none.
+    kit: OnceLock<Result<Kit, String>>,
     /// Whether it is a software rasteriser.
     pub(super) software: bool,
     /// Whether the times of kernels are measured.
@@ -67,11 +68,19 @@ impl Gpu {
             )));
         }
         let fault = watch(&device);
-        let failed = |reason| BackendError::Failed { profile: summary.profile.clone(), reason };
-        let kit = scoped(&device, || Ok(Kit::new(&device, spec.resolution))).map_err(failed)?;
+        let kit = OnceLock::new();
         let near = crate::near_distance(bounds);
         let (profile, software) = (summary.profile, summary.software);
         Ok(Self { spec, profile, device, queue, kit, software, measures: false, near, fault })
+    }
+
+    /// The pipelines of cubes.
+    ///
+    /// # Errors
+    /// [`BackendError::Failed`] when the device cannot make them.
+    pub(super) fn kit(&self) -> Result<&Kit, BackendError> {
+        let make = || scoped(&self.device, || Ok(Kit::new(&self.device, self.spec.resolution)));
+        self.kit.get_or_init(make).as_ref().map_err(|reason| self.failed(reason))
     }
 
     pub(super) fn failed(&self, reason: impl Into<String>) -> BackendError {

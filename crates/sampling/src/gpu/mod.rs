@@ -46,15 +46,21 @@ pub struct GpuBackend {
     gpu: Gpu,
     scene: Arc<Scene>,
     page_bytes: u64,
+    /// What cubes are drawn from, made when the first cube is drawn.
+    drawn: OnceLock<Result<Drawn, String>>,
+    /// The buffers of one batch of cubes.
+    work: Mutex<Work>,
+    /// The scene of the line tracer, made at the first call of `lines`.
+    lines: [OnceLock<Result<Arc<LineKit>, Refusal>>; LineSet::COUNT],
+}
+
+/// A scene as cubes are drawn from it.
+struct Drawn {
     style: DrawStyle,
     /// The whole scene, in drawing order.
     whole: Arc<Geometry>,
     /// For each triangle, its place in the drawing order, or [`NEVER`].
     ranks: Vec<u32>,
-    /// The buffers of one batch of cubes.
-    work: Mutex<Work>,
-    /// The scene of the line tracer, made at the first call of `lines`.
-    lines: [OnceLock<Result<Arc<LineKit>, Refusal>>; LineSet::COUNT],
 }
 
 impl GpuBackend {
@@ -83,24 +89,24 @@ impl GpuBackend {
     ) -> Result<Self, BackendError> {
         let gpu = Gpu::open(&scene, spec, choice)?;
         let page_bytes = page_bytes.min(gpu.device.limits().max_buffer_size);
-        let order = clusters::drawing_order(&scene);
-        let mut ranks = vec![NEVER; scene.triangles().len()];
-        for (rank, id) in (0..).zip(&order) {
-            ranks[*id as usize] = rank;
-        }
-        let style = if gpu.software { DrawStyle::SOFTWARE } else { DrawStyle::HARDWARE };
-        let whole = Geometry::upload(&gpu.device, scene.triangles(), order, page_bytes, style);
-        let whole = whole.map_err(|reason| gpu.failed(reason))?;
-        Ok(Self {
-            gpu,
-            whole: Arc::new(whole),
-            work: Mutex::default(),
-            lines: Default::default(),
-            scene,
-            page_bytes,
-            style,
-            ranks,
-        })
+        let (drawn, work, lines) = Default::default();
+        Ok(Self { gpu, scene, page_bytes, drawn, work, lines })
+    }
+
+    /// The scene as cubes are drawn from it.
+    fn drawn(&self) -> Result<&Drawn, BackendError> {
+        let make = || {
+            let order = clusters::drawing_order(&self.scene);
+            let mut ranks = vec![NEVER; self.scene.triangles().len()];
+            for (rank, id) in (0..).zip(&order) {
+                ranks[*id as usize] = rank;
+            }
+            let style = if self.gpu.software { DrawStyle::SOFTWARE } else { DrawStyle::HARDWARE };
+            let (device, triangles) = (&self.gpu.device, self.scene.triangles());
+            let whole = Geometry::upload(device, triangles, order, self.page_bytes, style)?;
+            Ok(Drawn { style, whole: Arc::new(whole), ranks })
+        };
+        self.drawn.get_or_init(make).as_ref().map_err(|reason: &String| self.gpu.failed(reason))
     }
 }
 
@@ -111,28 +117,29 @@ impl Backend for GpuBackend {
 
     fn prepare(&self, superset: Option<&[u32]>) -> Result<Box<dyn CubeRenderer + '_>, BackendError> {
         self.gpu.check()?;
+        let Drawn { style, whole, ranks } = self.drawn()?;
         let geometry = match superset {
-            None => Arc::clone(&self.whole),
+            None => Arc::clone(whole),
             Some(ids) => {
                 let mut places = Vec::with_capacity(ids.len());
                 for id in ids {
-                    let place = self.ranks.get(*id as usize).ok_or_else(|| {
+                    let place = ranks.get(*id as usize).ok_or_else(|| {
                         self.gpu.failed(format!(
                             "the superset names triangle {id} of a scene of {}",
-                            self.ranks.len()
+                            ranks.len()
                         ))
                     })?;
                     places.extend((*place != NEVER).then_some(*place));
                 }
                 places.sort_unstable();
                 places.dedup();
-                let ids = places.into_iter().map(|place| self.whole.ids[place as usize]).collect();
+                let ids = places.into_iter().map(|place| whole.ids[place as usize]).collect();
                 let made = Geometry::upload(
                     &self.gpu.device,
                     self.scene.triangles(),
                     ids,
                     self.page_bytes,
-                    self.style,
+                    *style,
                 );
                 Arc::new(made.map_err(|reason| self.gpu.failed(reason))?)
             }
@@ -145,7 +152,7 @@ impl Backend for GpuBackend {
                 geometry.slots()
             )));
         }
-        Ok(Box::new(GpuRenderer::new(&self.gpu, &self.work, geometry)))
+        Ok(Box::new(GpuRenderer::new(&self.gpu, &self.work, geometry)?))
     }
 
     fn lines(&self, set: LineSet, ids: &[u32]) -> Result<Box<dyn LineTracer + '_>, BackendError> {

@@ -12,7 +12,7 @@ use glam::Vec3;
 
 use super::device::{Gpu, MOST_DISTANT, PATIENCE, lock};
 use super::geometry::{Geometry, Visible};
-use super::pipelines::{FACE_STRIDE, face_uniforms};
+use super::pipelines::{FACE_STRIDE, Kit, face_uniforms};
 use super::tally::{ENTRY_BYTES, LIST_HEAD, Tally};
 use crate::backend::CubeRenderer;
 use crate::cube::{CubeImage, SKY, Strata};
@@ -76,14 +76,23 @@ struct Flight {
 /// Renders the triangles of one [`Geometry`].
 pub(super) struct GpuRenderer<'a> {
     gpu: &'a Gpu,
+    kit: &'a Kit,
     /// The buffers of one batch, shared by all renderers of the device.
     work: &'a Mutex<Work>,
     geometry: Arc<Geometry>,
 }
 
 impl<'a> GpuRenderer<'a> {
-    pub(super) fn new(gpu: &'a Gpu, work: &'a Mutex<Work>, geometry: Arc<Geometry>) -> Self {
-        Self { gpu, work, geometry }
+    /// A renderer of `geometry`.
+    ///
+    /// # Errors
+    /// [`BackendError::Failed`] when the device cannot make the pipelines.
+    pub(super) fn new(
+        gpu: &'a Gpu,
+        work: &'a Mutex<Work>,
+        geometry: Arc<Geometry>,
+    ) -> Result<Self, BackendError> {
+        Ok(Self { gpu, kit: gpu.kit()?, work, geometry })
     }
 
     fn pixels(&self) -> u32 {
@@ -176,7 +185,7 @@ impl<'a> GpuRenderer<'a> {
         if work.tally.as_ref().is_none_or(|t| t.slots < self.geometry.slots()) {
             // The old buffers are freed first, since there may not be room for both.
             work.tally = None;
-            let tally = Tally::new(&b.device, &b.kit, self.geometry.slots(), self.pixels());
+            let tally = Tally::new(&b.device, self.kit, self.geometry.slots(), self.pixels());
             work.tally = Some(tally.map_err(|reason| b.failed(reason))?);
         }
         let capacity = work.tally.as_ref().map_or(0, |t| t.capacity);
@@ -187,7 +196,7 @@ impl<'a> GpuRenderer<'a> {
             Strata::Quadrants => 2,
         };
         b.queue.write_buffer(
-            &b.kit.params,
+            &self.kit.params,
             0,
             bytemuck::bytes_of(&[b.spec.resolution, capacity, strata, 0u32]),
         );
@@ -221,7 +230,7 @@ impl<'a> GpuRenderer<'a> {
                 mapped_at_creation: false,
             })
         });
-        b.queue.write_buffer(&b.kit.faces, 0, &face_uniforms(eye, b.near));
+        b.queue.write_buffer(&self.kit.faces, 0, &face_uniforms(eye, b.near));
         let mut encoder = b.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         self.record_faces(&mut encoder, &self.geometry.visible(eye));
         if want.list
@@ -231,9 +240,9 @@ impl<'a> GpuRenderer<'a> {
             encoder.copy_buffer_to_buffer(&tally.list, 0, &buffer, 0, layout.list_bytes);
         }
         if want.pixels {
-            let size = b.kit.items.size();
+            let size = self.kit.items.size();
             encoder.copy_texture_to_buffer(
-                b.kit.items.as_image_copy(),
+                self.kit.items.as_image_copy(),
                 wgpu::TexelCopyBufferInfo {
                     buffer: &buffer,
                     layout: wgpu::TexelCopyBufferLayout {
@@ -254,7 +263,7 @@ impl<'a> GpuRenderer<'a> {
     }
 
     fn record_faces(&self, encoder: &mut wgpu::CommandEncoder, visible: &Visible) {
-        let kit = &self.gpu.kit;
+        let kit = self.kit;
         let n = self.gpu.spec.resolution;
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("cube"),
@@ -293,7 +302,7 @@ impl<'a> GpuRenderer<'a> {
     }
 
     fn record_reduction(&self, encoder: &mut wgpu::CommandEncoder, tally: &Tally) {
-        let kit = &self.gpu.kit;
+        let kit = self.kit;
         let n = self.gpu.spec.resolution;
         encoder.clear_buffer(&tally.list, 0, Some(LIST_HEAD));
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());

@@ -47,11 +47,11 @@ fn pages_and_draws_change_no_pixel() {
     assert!(expected.iter().all(|s| !s.ids.is_empty()));
     for backend in [&one, &many] {
         for style in [DrawStyle::HARDWARE, DrawStyle::SOFTWARE] {
-            let ids = backend.whole.ids.clone();
+            let ids = backend.drawn().unwrap().whole.ids.clone();
             let geometry =
                 Geometry::upload(&backend.gpu.device, scene.triangles(), ids, backend.page_bytes, style)
                     .unwrap();
-            let renderer = GpuRenderer::new(&backend.gpu, &backend.work, Arc::new(geometry));
+            let renderer = GpuRenderer::new(&backend.gpu, &backend.work, Arc::new(geometry)).unwrap();
             assert_eq!(expected, renderer.samples(&eyes).unwrap(), "{style:?}");
             for (eye, sample) in eyes.iter().zip(&expected) {
                 let image = renderer.image(*eye).unwrap();

@@ -61,6 +61,11 @@ impl SeenBits {
         }
     }
 
+    /// The whole table as of the last barrier.
+    pub fn table(&self) -> &[u64] {
+        &self.before
+    }
+
     /// Number of words of the table.
     pub fn places(&self) -> usize {
         self.before.len()

@@ -19,7 +19,7 @@ use super::yields::{Tally, Yields};
 use crate::context::{Places, Watcher};
 use crate::crew::Crew;
 use crate::cube::SKY;
-use crate::packet::Packet;
+use crate::packet::{LANES, Packet};
 use crate::rows::Rows;
 use crate::sequence::{Hashed, spread3};
 use crate::sight::{Passed, Sight};
@@ -443,6 +443,11 @@ impl<'a> Block<'a> {
         let pairs = self.tools.pairs?;
         let at = pairs.grid().cell_at(cell.lo + cell.size * 0.5);
         Some((pairs, pairs.grid().slot(at)))
+    }
+
+    /// One line in so many joins the cells of the division: of uniform lines, of others.
+    pub(super) fn joined_lines(&self) -> [u32; 2] {
+        [if self.is_whole { JOINED_LANES } else { LANES }, JOINED_AIMED_LANES].map(|lanes| lanes as u32)
     }
 
     /// Whether the time is up.

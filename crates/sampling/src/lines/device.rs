@@ -50,6 +50,35 @@ pub struct DeviceBlock<'a> {
     pub one_way: bool,
     /// Names the seeds' random numbers.
     pub key: u64,
+    /// The division over which pairs of cells are looked for, if the job asks.
+    pub pairs: Option<DevicePairs<'a>>,
+}
+
+/// The division over which pairs of cells are looked for.
+pub struct DevicePairs<'a> {
+    /// Its grid.
+    pub grid: &'a CellGrid,
+    /// Its cells, in the order of [`CellGrid::each`].
+    pub cells: &'a [DeviceCell],
+    /// The words of a row without the cells that have no viewpoint; empty when all have one.
+    pub reached: &'a [u64],
+    /// For each cell of the block its slot in this grid.
+    pub slots: &'a [u32],
+    /// One line in so many joins the cells that it crosses: of uniform lines, of others.
+    pub joins: [u32; 2],
+}
+
+/// Segments between random points of two cells of the division.
+#[derive(Clone, Copy, Debug)]
+pub struct SegmentWork<'a> {
+    /// Cells that cast, by their places in [`DevicePairs::cells`].
+    pub cells: &'a [u32],
+    /// Number of the round.
+    pub round: u32,
+    /// Whether at any later cells, or at open pairs alone.
+    pub at_any: bool,
+    /// Most segments from a cell.
+    pub most: u32,
 }
 
 /// Uniform lines from a cell.
@@ -96,10 +125,12 @@ pub struct Found {
     pub tally: Tally,
     /// New bits: place of the word in the table, bits. In any order.
     pub words: Vec<(u32, u64)>,
+    /// The same of the table of pairs.
+    pub pair_words: Vec<(u32, u64)>,
 }
 
 /// What went between host and device since the block was made, and the rays that were cast.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Traffic {
     /// Rays.
     pub rays: u64,
@@ -109,6 +140,8 @@ pub struct Traffic {
     pub down: u64,
     /// Waits for the device.
     pub waits: u64,
+    /// Seconds of all these waits.
+    pub seconds: f64,
 }
 
 /// The time that a kernel took since the block was made.
@@ -127,11 +160,11 @@ pub type GoesOn<'a> = &'a (dyn Fn() -> bool + Sync);
 
 /// A block on a device. What a phase finds is in the device's table when the phase ends, as if published.
 pub trait Rounds: Send + Sync {
-    /// Makes the device's table that of the last barrier.
+    /// Makes the device's tables those of the last barrier. `pairs` is a copy of the table of pairs.
     ///
     /// # Errors
     /// [`BackendError::Failed`] when the device does.
-    fn restart(&self, bits: &SeenBits) -> Result<(), BackendError>;
+    fn restart(&self, bits: &SeenBits, pairs: Option<&[u64]>) -> Result<(), BackendError>;
 
     /// A round of uniform lines, and the flood from what they find. Counts of an item: rays that met a
     /// triangle which its cell had not seen, finds, rays of the flood, finds of the flood. A phase that is
@@ -154,11 +187,18 @@ pub trait Rounds: Send + Sync {
     fn seeds(&self, goes_on: GoesOn<'_>) -> Result<Found, BackendError>;
 
     /// Held-out lines: for each item a cell and a number of lines, for test number `look`. Counts of an item:
-    /// lines that met a triangle outside the cell's set.
+    /// lines that met a triangle outside the cell's set, lines that cross a cell which is no pair with it.
     ///
     /// # Errors
     /// As [`Rounds::restart`].
     fn check(&self, work: &[(usize, u64)], look: u32, goes_on: GoesOn<'_>) -> Result<Found, BackendError>;
+
+    /// Segments from some cells of the division, which join the cells that they cross. Counts of an item:
+    /// segments, those that reach their end, later cells at which they could be cast.
+    ///
+    /// # Errors
+    /// As [`Rounds::restart`].
+    fn segments(&self, work: &SegmentWork<'_>, goes_on: GoesOn<'_>) -> Result<Found, BackendError>;
 
     /// What went over the bus.
     fn traffic(&self) -> Traffic;

@@ -11,7 +11,8 @@
 
 use sightline_viewcells::CellBox;
 
-use super::block::{Cell, LEAST_STEP};
+use super::block::{Block, Cell, LEAST_STEP};
+use super::device::SegmentWork;
 use super::grid::{CellGrid, Crossed};
 use super::pairs::Pairs;
 use super::phase::{self, Items, Tables};
@@ -43,11 +44,18 @@ const FREE: u64 = 12;
 /// An empty table for the pairs of a job; `None` when it does not ask.
 pub fn table(job: &JobContext<'_>) -> Option<Pairs> {
     let (min, max) = job.division.root(&job.lattice).world(&job.lattice);
-    job.pairs.map(|sides| Pairs::new(CellGrid::new(min, max, sides)))
+    job.pairs.map(|sides| {
+        let pairs = Pairs::new(CellGrid::new(min, max, sides));
+        match job.viewpoints {
+            Some(marks) => pairs.reached_in(|cell| marks.of(cell) != 0),
+            None => pairs,
+        }
+    })
 }
 
 /// Joins the cells of the part `within` of the division with those that they see, in at most `rounds` rounds.
-/// Of two cells, the one with the lower number casts. Returns the number of rays.
+/// Of two cells, the one with the lower number casts; where the rounds of `block` are a device's, that does.
+/// Returns the number of rays.
 ///
 /// # Errors
 /// [`TileError`] when it is cancelled or the backend fails.
@@ -57,6 +65,7 @@ pub fn search(
     pairs: &Pairs,
     (within, rounds): (&CellBox, u32),
     watcher: &dyn Watcher,
+    mut block: Option<&mut Block<'_>>,
 ) -> Result<u64, TileError> {
     let grid = pairs.grid();
     let cells: Vec<Cell> = grid
@@ -76,6 +85,7 @@ pub fn search(
         })
     };
     let own: Vec<&Cell> = cells.iter().filter(inside).collect();
+    let numbers: Vec<u32> = own.iter().map(|cell| cell.number as u32).collect();
     let (min, max) = grid.bounds();
     let step = (max - min).max_element() * LEAST_STEP;
     let (mut rays, mut all_free) = (0, 0.0);
@@ -86,7 +96,14 @@ pub fn search(
         let before = pairs.copy();
         let (places, seed, before) = (job.places, job.seed, &*before);
         let segments = Segments { sight, pairs, before, cells: &cells, places, step, seed, round };
-        let mut cast = |at: &Cast<'_>| {
+        let mut cast = |at: &Cast<'_>, at_any: bool| {
+            if let Some(block) = block.as_deref_mut().filter(|block| block.is_on_device()) {
+                let most = if at_any { FREE_SEGMENTS } else { MOST_SEGMENTS } as u32;
+                let cells = &numbers;
+                let found = block.segments_on_device(&SegmentWork { cells, round, at_any, most })?;
+                rays += found.iter().map(|f| f.0).sum::<u64>();
+                return Ok(found.iter().map(|f| f.1).sum());
+            }
             let compute = |item: usize| {
                 if watcher.cancelled() {
                     return Err(TileError::Cancelled);
@@ -105,9 +122,9 @@ pub fn search(
             Ok::<f64, TileError>(found.iter().map(|f| f.1).sum())
         };
         if round == 0 {
-            all_free = cast(&|segments, cell| segments.at_any(cell))?;
+            all_free = cast(&|segments, cell| segments.at_any(cell), true)?;
         }
-        let missed = cast(&|segments, cell| segments.at_open(cell))?;
+        let missed = cast(&|segments, cell| segments.at_open(cell), false)?;
         tracing::debug!("joining, round {round}: {missed:.0} of {all_free:.0} missed before");
         if LEFT_AFTER_ROUND * missed <= TOLERANCE * all_free {
             break;

@@ -6,11 +6,16 @@
 
 use std::sync::{Mutex, PoisonError};
 
+use rayon::prelude::*;
 use sightline_model::{CellStats, LineKind};
 
 use super::block::{Block, Cell};
-use super::device::{AimPlan, AimWork, DeviceBlock, DeviceCell, Found, GoesOn, KernelTime, Rounds, Traffic, UniformWork};
+use super::device::{
+    AimPlan, AimWork, DeviceBlock, DeviceCell, DevicePairs, Found, GoesOn, KernelTime, Rounds, SegmentWork,
+    Traffic, UniformWork,
+};
 use super::finds::Answer;
+use super::pairs::Pairs;
 use super::phase::{self, Items};
 use super::yields::Tally;
 use crate::context::TileError;
@@ -76,6 +81,9 @@ pub(super) enum OnDevice<'a> {
     },
 }
 
+/// The work of a device in a phase.
+type Compute<'a> = &'a (dyn Fn(&dyn Rounds, GoesOn<'_>) -> Result<Found, BackendError> + Sync);
+
 impl Block<'_> {
     /// Asks the tracer for its device, once.
     ///
@@ -85,10 +93,9 @@ impl Block<'_> {
         if !matches!(self.device, OnDevice::Unknown) {
             return Ok(());
         }
-        // A device knows neither pairs nor regions nor items, and keeps no account.
+        // A device knows neither regions nor items, and keeps no account.
         let tools = &self.tools;
-        let plain = tools.pairs.is_none()
-            && tools.places.is_none()
+        let plain = tools.places.is_none()
             && tools.rows.are_triangles()
             && tools.ledger.is_none()
             && self.cells.iter().all(|c| c.parts == 0 || c.is_whole());
@@ -98,6 +105,14 @@ impl Block<'_> {
         }
         let cells: Vec<DeviceCell> = self.cells.iter().map(|c| self.device_cell(c)).collect();
         let first = self.cells.first().map_or(0, |c| c.number);
+        let division = tools.pairs.map(|pairs| self.division(pairs));
+        let pairs = tools.pairs.zip(division.as_ref()).map(|(pairs, (cells, slots))| DevicePairs {
+            grid: pairs.grid(),
+            cells,
+            reached: pairs.reached(),
+            slots,
+            joins: self.joined_lines(),
+        });
         let block = DeviceBlock {
             scene: tools.scene,
             surface: tools.surface,
@@ -108,12 +123,25 @@ impl Block<'_> {
             far: tools.sight.far(),
             one_way: tools.sight.is_one_way(),
             key: Hashed::new(&[tools.seed, first, KEYS, 1]).bits(),
+            pairs,
         };
         let sight = tools.sight;
         if let Some(rounds) = sight.rounds(&block)? {
             self.device = OnDevice::Yes { rounds, stale: true };
         }
         Ok(())
+    }
+
+    /// The cells of the division, and the slots that the block's cells have there.
+    fn division(&self, pairs: &Pairs) -> (Vec<DeviceCell>, Vec<u32>) {
+        let grid = pairs.grid();
+        let cells = grid.each().zip(0..).map(|(at, number)| {
+            let (low, size) = grid.cell_box(at);
+            let key = Hashed::new(&[self.tools.seed, number, KEYS, 2]).bits();
+            DeviceCell { low, size, at, slot: grid.slot(at), key }
+        });
+        let slot = |c: &Cell| grid.slot(grid.cell_at(c.lo + c.size * 0.5)).index() as u32;
+        (cells.collect(), self.cells.iter().map(slot).collect())
     }
 
     fn device_cell(&self, c: &Cell) -> DeviceCell {
@@ -192,14 +220,19 @@ impl Block<'_> {
 
     /// Test number `look`: so many held-out lines from each cell.
     pub(super) fn check_on_device(&mut self, work: &[(usize, u64)], look: u32) -> Result<(), TileError> {
+        let with_pairs = self.tools.pairs.is_some();
         let answer = |found: &Found| {
             let counted = found.counts.iter().zip(work);
             counted
-                .map(|([misses, ..], (_, lines))| {
+                .map(|([misses, cell_misses, ..], (_, lines))| {
                     let mut s = CellStats::default();
                     s.rays[LineKind::Check as usize] = *lines;
                     s.finds[LineKind::Check as usize] = u64::from(*misses);
                     (s.bound_lines, s.bound_misses, s.bound_look) = (*lines, u64::from(*misses), look);
+                    if with_pairs {
+                        (s.bound_cell_lines, s.bound_cell_misses, s.bound_cell_look) =
+                            (*lines, u64::from(*cell_misses), look);
+                    }
                     s
                 })
                 .collect()
@@ -208,12 +241,52 @@ impl Block<'_> {
         self.phase_on_device(&cells, &|rounds, on| rounds.check(work, look, on), &answer)
     }
 
+    /// A round of segments from some cells of the division, by number, which join the cells that they cross.
+    /// For each cell the number of segments, and of how many later cells a point sees a point of the cell, as
+    /// far as these tell.
+    pub(super) fn segments_on_device(&mut self, work: &SegmentWork<'_>) -> Result<Vec<(u64, f64)>, TileError> {
+        let estimates = Mutex::default();
+        let answer = |found: &Found| {
+            let stats = |[segments, free, at, _]: &[u32; 4]| {
+                let mut s = CellStats::default();
+                // Any three numbers that the answer carries to the other members.
+                (s.last_rays, s.last_misses) = (u64::from(*segments), u64::from(*free));
+                s.bound_lines = u64::from(*at);
+                s
+            };
+            found.counts.iter().map(stats).collect()
+        };
+        let count = work.cells.len();
+        let take = |stats: &[CellStats]| {
+            let estimate = |s: &CellStats| {
+                let part = s.last_misses as f64 / s.last_rays.max(1) as f64;
+                (s.last_rays, part * s.bound_lines as f64)
+            };
+            *estimates.lock().unwrap_or_else(PoisonError::into_inner) = stats.iter().map(estimate).collect();
+        };
+        self.any_phase_on_device(count, &|rounds, on| rounds.segments(work, on), &answer, &mut |_, s| take(s))?;
+        Ok(estimates.into_inner().unwrap_or_else(PoisonError::into_inner))
+    }
+
     /// Sees to it that the device computes a phase, here or elsewhere, and adds its counts to the cells'.
     fn phase_on_device(
         &mut self,
         cells: &[usize],
-        compute: &(dyn Fn(&dyn Rounds, GoesOn<'_>) -> Result<Found, BackendError> + Sync),
+        compute: Compute<'_>,
         answer: &(dyn Fn(&Found) -> Vec<CellStats> + Sync),
+    ) -> Result<(), TileError> {
+        self.any_phase_on_device(cells.len(), compute, answer, &mut |block, stats| {
+            cells.iter().zip(stats).for_each(|(cell, s)| block.count(*cell, s));
+        })
+    }
+
+    /// The same for any `count` items; `take` is given their counts.
+    fn any_phase_on_device(
+        &mut self,
+        count: usize,
+        compute: Compute<'_>,
+        answer: &(dyn Fn(&Found) -> Vec<CellStats> + Sync),
+        take: &mut dyn FnMut(&mut Self, &[CellStats]),
     ) -> Result<(), TileError> {
         let this = &*self;
         let OnDevice::Yes { rounds, stale } = &this.device else { return Ok(()) };
@@ -229,7 +302,7 @@ impl Block<'_> {
                 return Err(TileError::Cancelled);
             }
             if *stale {
-                rounds.restart(&this.bits)?;
+                rounds.restart(&this.bits, this.tools.pairs.map(Pairs::copy).as_deref())?;
             }
             let found = compute(&**rounds, &|| !watcher.cancelled() && !this.late())?;
             if watcher.cancelled() {
@@ -237,8 +310,11 @@ impl Block<'_> {
             }
             let mut stats = answer(&found);
             // Nothing is counted of what was broken off.
-            stats.resize_with(cells.len(), CellStats::default);
-            found.words.iter().for_each(|(at, word)| this.bits.add(*at as usize, *word));
+            stats.resize_with(count, CellStats::default);
+            found.words.par_iter().with_min_len(4096).for_each(|(at, word)| this.bits.add(*at as usize, *word));
+            if let Some(pairs) = this.tools.pairs {
+                found.pair_words.iter().for_each(|(at, word)| pairs.add(*at as usize, *word));
+            }
             let whole = Whole { stats, tally: found.tally, rays: found.rays };
             watcher.rendered(whole.rays());
             *own = Some(whole.clone());
@@ -252,7 +328,7 @@ impl Block<'_> {
         }
         for whole in done {
             self.yields.add(&whole.tally);
-            cells.iter().zip(&whole.stats).for_each(|(cell, s)| self.count(*cell, s));
+            take(self, &whole.stats);
         }
         Ok(())
     }

@@ -18,6 +18,8 @@ pub struct Pairs {
     words: usize,
     /// A row of bits for each slot of the grid.
     rows: Vec<AtomicU64>,
+    /// The words of a row without the cells that have no viewpoint; empty when all have one.
+    reached: Vec<u64>,
     /// The rows that the other members of the crew have or are given; empty when there are none.
     kept: Mutex<Vec<u64>>,
 }
@@ -28,7 +30,25 @@ impl Pairs {
         let words = grid.words();
         let mut rows = Vec::new();
         rows.resize_with(words * 64 * words, || AtomicU64::new(0));
-        Self { grid, words, rows, kept: Mutex::default() }
+        Self { grid, words, rows, reached: Vec::new(), kept: Mutex::default() }
+    }
+
+    /// The same, of which only some cells have viewpoints: those that `has` names by their place in
+    /// [`CellGrid::each`].
+    #[must_use]
+    pub fn reached_in(mut self, has: impl Fn(usize) -> bool) -> Self {
+        let mut reached = vec![0; self.words];
+        for (_, at) in self.grid.each().enumerate().filter(|(number, _)| has(*number)) {
+            let slot = self.grid.slot(at);
+            reached[slot.word as usize] |= 1 << slot.bit;
+        }
+        self.reached = reached;
+        self
+    }
+
+    /// The words of a row without the cells that have no viewpoint; empty when all have one.
+    pub fn reached(&self) -> &[u64] {
+        &self.reached
     }
 
     /// Number of words of the table.

@@ -29,15 +29,15 @@ pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(
         Sampler::Guided => joining::MANY_ROUNDS,
         Sampler::Lines | Sampler::Cubes => joining::FEW_ROUNDS,
     };
-    let join = || match &pairs {
-        Some(pairs) => joining::search(job, &sight, pairs, (&tile.cell, rounds), watcher),
+    let join = |block| match &pairs {
+        Some(pairs) => joining::search(job, &sight, pairs, (&tile.cell, rounds), watcher, block),
         None => Ok(0),
     };
     let work = Work { job, scene, sight: &sight, watcher, pairs: pairs.as_ref() };
     tracing::debug!("ready to trace after {:?}", start.elapsed());
     if let Division::Adaptive { .. } = job.division {
         let (sets, rays) = adaptive::run(&work, tile)?;
-        let joined = join()?;
+        let joined = join(None)?;
         job.crew.end()?;
         return Ok((CellSets { pairs: of_tile(job, pairs.as_ref()), ..sets }, rays + joined));
     }
@@ -57,18 +57,18 @@ pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(
     let joined = match (params.sampler, params.max_error) {
         (Sampler::Guided, _) => {
             block.sample_guided(params.rays)?;
-            join()?
+            join(Some(&mut block))?
         }
         (_, Some(most)) => {
             block.sample_before_bound(params.target_error, most)?;
-            let joined = join()?;
+            let joined = join(Some(&mut block))?;
             block.sample_to_bound(params.target_error, most)?;
             block.join_to_bound(most)?;
             joined
         }
         (_, None) => {
             block.sample(params.target_error, &[], Tolerance::Raised)?;
-            join()?
+            join(Some(&mut block))?
         }
     };
     job.crew.end()?;

@@ -5,35 +5,54 @@
 // written commutes: or, sum, maximum. The order of a list depends on timing, so no decision reads a place in a
 // list; lines have numbers of their own. Random numbers hang on cell, round and triangle.
 
-struct Block {
+// A grid of cells and how their bits are numbered.
+struct Grid {
     low: vec3<f32>,
     // Least part of a cell that a segment must cross, in cells.
     margin: f32,
     // Cells per scene unit.
     per_unit: vec3<f32>,
-    // Least distance between the origin of a line and the start of its other half.
-    step: f32,
-    high: vec3<f32>,
-    // Lines end at this distance; FAR when they do not.
-    far: f32,
+    // Place of its first cell in `cells`.
+    first_cell: u32,
     cells: vec3<u32>,
     // 32-bit words of a row.
     words: u32,
     // Binary logarithms of a brick's sides.
     side: vec3<u32>,
-    // Triangles in Morton order.
-    ordered: u32,
+    // Place of its first word in `reached`.
+    first_word: u32,
     bricks: vec3<u32>,
-    // 0, which no compiler knows.
-    zero: u32,
+    unused: u32,
     // By axis, the first cells of a brick along the axis: low and high half.
     first: array<vec4<u32>, 3>,
+}
+
+struct Block {
+    // The block's, and the whole division's, over which pairs are looked for.
+    grids: array<Grid, 2>,
+    // Length of the block's diagonal.
+    extent: f32,
+    // Least distance between the origin of a line and the start of its other half.
+    step: f32,
+    // Lines end at this distance; FAR when they do not.
+    far: f32,
+    // 0, which no compiler knows.
+    zero: u32,
     // Key of the seeds' random numbers.
     seed: vec2<u32>,
     triangles: u32,
+    // Triangles in Morton order.
+    ordered: u32,
     // Finds that a list holds.
     capacity: u32,
+    unused_a: u32,
+    unused_b: u32,
+    unused_c: u32,
 }
+
+// Numbers of the grids.
+const OWN: u32 = 0u;
+const DIVISION: u32 = 1u;
 
 // A part of a phase that is worked on at a time.
 struct Part {
@@ -48,9 +67,10 @@ struct Part {
     mask: u32,
     // Number of the try.
     time: u32,
-    // Whether only the first half of each line is cast.
-    ahead_only: u32,
-    unused: u32,
+    // How lines are cast: BOTH_WAYS and so on.
+    way: u32,
+    // One line in so many joins the cells of the division that it crosses; 0 for none.
+    joins: u32,
     // By decade of a candidate's part of the sphere: tries at it in this round, and in all before.
     times: array<vec4<f32>, 2>,
     so_far: array<vec4<f32>, 2>,
@@ -81,6 +101,10 @@ struct Cell {
 // For each triangle the three beside it; then the triangles in Morton order.
 @group(1) @binding(7) var<storage, read> around: array<u32>;
 
+// Which cells of the division see which: a row for each slot. At the last barrier, and with all joined since.
+@group(1) @binding(8) var<storage, read> pairs: array<u32>;
+@group(1) @binding(9) var<storage, read_write> joined: array<atomic<u32>>;
+
 @group(2) @binding(0) var<uniform> part: Part;
 // The items of the phase: the cell's place, and three numbers that depend on the kind of lines.
 @group(2) @binding(1) var<storage, read> items: array<vec4<u32>>;
@@ -91,10 +115,11 @@ struct Cell {
 @group(2) @binding(4) var<storage, read_write> claims: array<atomic<u32>>;
 // New triangles of a cell: item, triangle, tile of the eye, number of the line.
 @group(2) @binding(5) var<storage, read_write> finds: array<vec4<u32>>;
-// Lines: origin and item; direction and target; two more numbers of each kind of lines.
+// Lines: origin and item; direction and target; two numbers of each kind of lines, and where the free part
+// begins and ends, in lengths of the direction.
 @group(2) @binding(6) var<storage, read_write> line_from: array<vec4<u32>>;
 @group(2) @binding(7) var<storage, read_write> line_to: array<vec4<u32>>;
-@group(2) @binding(8) var<storage, read_write> line_about: array<vec2<u32>>;
+@group(2) @binding(8) var<storage, read_write> line_about: array<vec4<u32>>;
 // For each line the triangles at its end ahead and at its end behind.
 @group(2) @binding(9) var<storage, read_write> ends: array<u32>;
 // Candidates: item, triangle, tries, part of the sphere.
@@ -103,6 +128,15 @@ struct Cell {
 @group(2) @binding(11) var<storage, read_write> places: array<atomic<u32>>;
 // Words with new bits: place of the 64-bit word, its low half, its high half.
 @group(2) @binding(12) var<storage, read_write> words: array<u32>;
+// The same of the table of pairs.
+@group(2) @binding(13) var<storage, read_write> pair_words: array<u32>;
+
+// Both halves of each line.
+const BOTH_WAYS: u32 = 0u;
+// The half ahead, which shows its cell a triangle.
+const AHEAD: u32 = 1u;
+// The half ahead, which credits nothing.
+const SEGMENT: u32 = 2u;
 
 // Places in `counters`.
 const FINDS: u32 = 0u;
@@ -110,6 +144,7 @@ const LINES: u32 = 1u;
 const WORDS: u32 = 2u;
 const CANDIDATES: u32 = 3u;
 const SEED_RAYS: u32 = 4u;
+const PAIR_WORDS: u32 = 5u;
 // From here on, for each decade: tries, gain and attempts before, the last two as low and high half.
 const TALLY: u32 = 8u;
 const TALLIED: u32 = 5u;
@@ -122,6 +157,7 @@ const AIM: u32 = 3u;
 const SEEDS: u32 = 4u;
 const CHECK: u32 = 5u;
 const FLOOD: u32 = 6u;
+const JOIN: u32 = 7u;
 
 const LANES: u32 = 16u;
 
@@ -156,17 +192,17 @@ fn cell_of(item: u32) -> Cell {
 
 // Whether the cell with this slot had seen the triangle at the last barrier.
 fn is_seen(triangle: u32, slot: u32) -> bool {
-    return ((seen[triangle * block.words + (slot >> 5u)] >> (slot & 31u)) & 1u) == 1u;
+    return ((seen[triangle * block.grids[OWN].words + (slot >> 5u)] >> (slot & 31u)) & 1u) == 1u;
 }
 
 fn is_met(triangle: u32, slot: u32) -> bool {
-    return ((atomicLoad(&met[triangle * block.words + (slot >> 5u)]) >> (slot & 31u)) & 1u) == 1u;
+    return ((atomicLoad(&met[triangle * block.grids[OWN].words + (slot >> 5u)]) >> (slot & 31u)) & 1u) == 1u;
 }
 
 // Marks a triangle as met; whether it was not before.
 fn mark(triangle: u32, slot: u32) -> bool {
     let bit = 1u << (slot & 31u);
-    return (atomicOr(&met[triangle * block.words + (slot >> 5u)], bit) & bit) == 0u;
+    return (atomicOr(&met[triangle * block.grids[OWN].words + (slot >> 5u)], bit) & bit) == 0u;
 }
 
 // Where lines claim to be the first that shows a triangle to a cell. Two pairs that share a place share a
@@ -175,11 +211,13 @@ fn claim_of(slot: u32, triangle: u32) -> u32 {
     return hashed(vec4<u32>(slot, triangle, 0x2545f491u, 0x68e31da4u)).x & part.mask;
 }
 
-fn slot_of(c: vec3<u32>) -> u32 {
-    let within = c & ((vec3<u32>(1u) << block.side) - vec3<u32>(1u));
-    let brick = c >> block.side;
-    let word = (brick.z * block.bricks.y + brick.y) * block.bricks.x + brick.x;
-    let bit = (((within.z << block.side.y) | within.y) << block.side.x) | within.x;
+fn slot_of(grid: u32, c: vec3<u32>) -> u32 {
+    let side = block.grids[grid].side;
+    let bricks = block.grids[grid].bricks;
+    let within = c & ((vec3<u32>(1u) << side) - vec3<u32>(1u));
+    let brick = c >> side;
+    let word = (brick.z * bricks.y + brick.y) * bricks.x + brick.x;
+    let bit = (((within.z << side.y) | within.y) << side.x) | within.x;
     return word * 64u + bit;
 }
 
@@ -226,5 +264,5 @@ fn point_on(triangle: u32, random: vec2<u32>) -> vec3<f32> {
 fn put_line(at: u32, item: u32, origin: vec3<f32>, direction: vec3<f32>, target_id: u32, about: vec2<u32>) {
     line_from[at] = vec4<u32>(bitcast<vec3<u32>>(origin), item);
     line_to[at] = vec4<u32>(bitcast<vec3<u32>>(direction), target_id);
-    line_about[at] = about;
+    line_about[at] = vec4<u32>(about, 0u, 0u);
 }

@@ -49,35 +49,37 @@ fn shifted_down(v: vec2<u32>, by: u32) -> vec2<u32> {
     return vec2<u32>((v.x >> by) | (v.y << (32u - by)), v.y >> by);
 }
 
-fn word_of(triangle: u32, word: u32) -> vec2<u32> {
-    let at = triangle * block.words + 2u * word;
+// A word of a row: of the table of triangles, or of the table of pairs when the grid is the division's.
+fn word_of(grid: u32, row: u32, word: u32) -> vec2<u32> {
+    let at = row * block.grids[grid].words + 2u * word;
+    if grid == DIVISION {
+        return vec2<u32>(pairs[at], pairs[at + 1u]);
+    }
     return vec2<u32>(seen[at], seen[at + 1u]);
 }
 
-// The cells of a word that see the triangle, and their face neighbours, as CellGrid::dilated.
-fn dilated(triangle: u32, word: u32) -> vec2<u32> {
-    let places_of = vec3<u32>(
-        word % block.bricks.x,
-        word / block.bricks.x % block.bricks.y,
-        word / (block.bricks.x * block.bricks.y),
-    );
-    let strides = vec3<u32>(1u, block.bricks.x, block.bricks.x * block.bricks.y);
-    let m = word_of(triangle, word);
+// The cells of a word in the row, and their face neighbours, as CellGrid::dilated.
+fn dilated(grid: u32, row: u32, word: u32) -> vec2<u32> {
+    let bricks = block.grids[grid].bricks;
+    let places_of =
+        vec3<u32>(word % bricks.x, word / bricks.x % bricks.y, word / (bricks.x * bricks.y));
+    let strides = vec3<u32>(1u, bricks.x, bricks.x * bricks.y);
+    let m = word_of(grid, row, word);
     var near = m;
     var apart = 0u;
     for (var axis = 0u; axis < 3u; axis++) {
-        let first = block.first[axis].xy;
+        let first = block.grids[grid].first[axis].xy;
         let near_by = 1u << apart;
-        let across = near_by * ((1u << block.side[axis]) - 1u);
+        let across = near_by * ((1u << block.grids[grid].side[axis]) - 1u);
         near |= shifted_up(m, near_by) & ~first;
         near |= shifted_down(m & ~first, near_by);
         if places_of[axis] > 0u {
-            near |= shifted_down(word_of(triangle, word - strides[axis]), across) & first;
+            near |= shifted_down(word_of(grid, row, word - strides[axis]), across) & first;
         }
-        if places_of[axis] + 1u < block.bricks[axis] {
-            near |= shifted_up(word_of(triangle, word + strides[axis]) & first, across);
+        if places_of[axis] + 1u < bricks[axis] {
+            near |= shifted_up(word_of(grid, row, word + strides[axis]) & first, across);
         }
-        apart += block.side[axis];
+        apart += block.grids[grid].side[axis];
     }
     return near;
 }
@@ -88,14 +90,14 @@ fn cells_beside(triangle: u32, word: u32) -> vec2<u32> {
     for (var edge = 0u; edge < 3u; edge++) {
         let next = around[3u * triangle + edge];
         if next != SKY {
-            near |= word_of(next, word);
+            near |= word_of(OWN, next, word);
         }
     }
-    near &= ~word_of(triangle, word);
+    near &= ~word_of(OWN, triangle, word);
     if all(near == vec2<u32>(0u)) {
         return near;
     }
-    return near & dilated(triangle, word);
+    return near & dilated(OWN, triangle, word);
 }
 
 // The part of the sphere that the triangle would cover as seen from the cell's centre.
@@ -159,11 +161,11 @@ fn each_candidate(ordinal: u32, word: u32, list: bool) -> u32 {
 // For each stripe of triangles the number of its candidates.
 @compute @workgroup_size(64)
 fn count_candidates(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let each = block.words / 2u;
+    let each = block.grids[OWN].words / 2u;
     for (var i = id.x; i < block.ordered * each; i += groups.x * 64u) {
         let found = each_candidate(i / each, i % each, false);
         if found > 0u {
-            atomicAdd(&places[32u * block.words + i / each / STRIPE], found);
+            atomicAdd(&places[32u * block.grids[OWN].words + i / each / STRIPE], found);
         }
     }
 }
@@ -171,7 +173,7 @@ fn count_candidates(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_w
 // The candidates of the triangles from `first` on.
 @compute @workgroup_size(64)
 fn list_candidates(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let each = block.words / 2u;
+    let each = block.grids[OWN].words / 2u;
     for (var i = id.x; i < part.count * each; i += groups.x * 64u) {
         each_candidate(part.first + i / each, i % each, true);
     }
@@ -181,10 +183,10 @@ fn list_candidates(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_wo
 fn sees_beyond(cell: Cell, face: u32, triangle: u32) -> bool {
     var at = vec3<i32>(cell.at);
     at[face / 2u] += select(-1, 1, face % 2u == 0u);
-    if any(at < vec3<i32>(0)) || any(at >= vec3<i32>(block.cells)) {
+    if any(at < vec3<i32>(0)) || any(at >= vec3<i32>(block.grids[OWN].cells)) {
         return false;
     }
-    return is_seen(triangle, slot_of(vec3<u32>(at)));
+    return is_seen(triangle, slot_of(OWN, vec3<u32>(at)));
 }
 
 // A point close to one of the faces through which neighbours see the triangle: a point of that face belongs

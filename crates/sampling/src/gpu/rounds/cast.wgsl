@@ -39,24 +39,48 @@ fn add(triangle: u32, word: u32, bits: u32) {
     if triangle == SKY {
         return;
     }
-    let at = triangle * block.words + word;
+    let at = triangle * block.grids[OWN].words + word;
     if (bits & ~seen[at]) != 0u && (bits & ~atomicLoad(&now[at])) != 0u {
         atomicOr(&now[at], bits);
     }
 }
 
-// Credits the cells that the line crosses between two distances with up to two triangles.
-fn credit(origin: vec3<f32>, direction: vec3<f32>, least: f32, most: f32, a: u32, b: u32) {
-    let start = (origin - block.low) * block.per_unit;
-    let d = direction * block.per_unit;
-    let sides = vec3<f32>(block.cells);
+// A walk of a segment through the cells of a grid (Amanatides and Woo 1987).
+struct Walk {
+    cell: vec3<i32>,
+    step: vec3<i32>,
+    next: vec3<f32>,
+    delta: vec3<f32>,
+    // Least length of a part that counts.
+    margin: f32,
+    t: f32,
+    end: f32,
+    // The bits of a word that are not handed out yet; SKY for none.
+    word: u32,
+    bits: u32,
+    is_over: bool,
+}
+
+// The cells of a word that a segment crosses; SKY as the word when there are no more.
+struct Crossed {
+    word: u32,
+    bits: u32,
+}
+
+fn walk(grid: u32, origin: vec3<f32>, direction: vec3<f32>, least: f32, most: f32) -> Walk {
+    var w: Walk;
+    w.word = SKY;
+    w.is_over = true;
+    let start = (origin - block.grids[grid].low) * block.grids[grid].per_unit;
+    let d = direction * block.grids[grid].per_unit;
+    let sides = vec3<f32>(block.grids[grid].cells);
     var inverse: vec3<f32>;
     var t0 = least;
     var t1 = most;
     for (var axis = 0u; axis < 3u; axis++) {
         if d[axis] == 0.0 {
             if !(start[axis] >= 0.0 && start[axis] <= sides[axis]) {
-                return;
+                return w;
             }
             inverse[axis] = 0.0;
         } else {
@@ -68,51 +92,75 @@ fn credit(origin: vec3<f32>, direction: vec3<f32>, least: f32, most: f32, a: u32
         }
     }
     if !(t0 < t1) {
-        return;
+        return w;
     }
     let squares = rounded(d * d);
-    let margin = quotient(block.margin, root(squares.x + squares.y + squares.z));
+    w.margin = quotient(block.grids[grid].margin, root(squares.x + squares.y + squares.z));
     let along = rounded(d * t0);
-    var cell = clamp(vec3<i32>(start + along), vec3<i32>(0), vec3<i32>(block.cells) - vec3<i32>(1));
+    w.cell = clamp(vec3<i32>(start + along), vec3<i32>(0), vec3<i32>(block.grids[grid].cells) - vec3<i32>(1));
     let up = d > vec3<f32>(0.0);
     let still = d == vec3<f32>(0.0);
-    let step = select(select(vec3<i32>(-1), vec3<i32>(1), up), vec3<i32>(0), still);
-    let delta = abs(inverse);
-    let planes = vec3<f32>(cell + select(vec3<i32>(0), vec3<i32>(1), up));
-    var next = select((planes - start) * inverse, vec3<f32>(FAR), still);
-    var t = t0;
-    var word = SKY;
-    var bits = 0u;
-    while all(cell >= vec3<i32>(0)) && all(cell < vec3<i32>(block.cells)) {
-        let first = select(next.y, next.x, next.x < next.y);
-        let is_z = first >= next.z;
-        let is_x = !is_z && next.x < next.y;
+    w.step = select(select(vec3<i32>(-1), vec3<i32>(1), up), vec3<i32>(0), still);
+    w.delta = abs(inverse);
+    let planes = vec3<f32>(w.cell + select(vec3<i32>(0), vec3<i32>(1), up));
+    w.next = select((planes - start) * inverse, vec3<f32>(FAR), still);
+    w.t = t0;
+    w.end = t1;
+    w.is_over = false;
+    return w;
+}
+
+// The next word of the walk.
+fn advance(grid: u32, kept: ptr<function, Walk>) -> Crossed {
+    var w = *kept;
+    var out = Crossed(SKY, 0u);
+    while !w.is_over && out.word == SKY {
+        let first = select(w.next.y, w.next.x, w.next.x < w.next.y);
+        let is_z = first >= w.next.z;
+        let is_x = !is_z && w.next.x < w.next.y;
         let is_y = !is_z && !is_x;
-        let through = select(first, next.z, is_z);
-        let end = select(through, t1, t1 < through);
-        if end - t > margin {
-            let slot = slot_of(vec3<u32>(cell));
-            if slot >> 5u != word {
-                if bits != 0u {
-                    add(a, word, bits & reached[word]);
-                    add(b, word, bits & reached[word]);
+        let through = select(first, w.next.z, is_z);
+        let end = select(through, w.end, w.end < through);
+        if end - w.t > w.margin {
+            let slot = slot_of(grid, vec3<u32>(w.cell));
+            if slot >> 5u != w.word {
+                if w.bits != 0u {
+                    out = Crossed(w.word, w.bits);
                 }
-                word = slot >> 5u;
-                bits = 0u;
+                w.word = slot >> 5u;
+                w.bits = 0u;
             }
-            bits |= 1u << (slot & 31u);
+            w.bits |= 1u << (slot & 31u);
         }
-        if through >= t1 {
+        if through >= w.end {
+            w.is_over = true;
+        } else {
+            w.t = max(w.t, end);
+            let is = vec3<bool>(is_x, is_y, is_z);
+            w.next += select(vec3<f32>(0.0), w.delta, is);
+            w.cell += select(vec3<i32>(0), w.step, is);
+            w.is_over = any(w.cell < vec3<i32>(0)) || any(w.cell >= vec3<i32>(block.grids[grid].cells));
+        }
+    }
+    if out.word == SKY && w.bits != 0u {
+        out = Crossed(w.word, w.bits);
+        w.bits = 0u;
+    }
+    *kept = w;
+    return out;
+}
+
+// Credits the cells that the line crosses between two distances with up to two triangles.
+fn credit(origin: vec3<f32>, direction: vec3<f32>, least: f32, most: f32, a: u32, b: u32) {
+    var w = walk(OWN, origin, direction, least, most);
+    loop {
+        let crossed = advance(OWN, &w);
+        if crossed.word == SKY {
             break;
         }
-        t = max(t, end);
-        let is = vec3<bool>(is_x, is_y, is_z);
-        next += select(vec3<f32>(0.0), delta, is);
-        cell += select(vec3<i32>(0), step, is);
-    }
-    if bits != 0u {
-        add(a, word, bits & reached[word]);
-        add(b, word, bits & reached[word]);
+        let bits = crossed.bits & reached[crossed.word];
+        add(a, crossed.word, bits);
+        add(b, crossed.word, bits);
     }
 }
 
@@ -126,7 +174,7 @@ fn ended(hit: Hit, far: f32) -> Hit {
 
 @compute @workgroup_size(64)
 fn cast_lines(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let count = atomicLoad(&counters[LINES]);
+    let count = min(atomicLoad(&counters[LINES]), 3u * block.capacity);
     for (var i = id.x; i < count; i += groups.x * 64u) {
         let origin = bitcast<vec3<f32>>(line_from[i].xyz);
         let direction = bitcast<vec3<f32>>(line_to[i].xyz);
@@ -143,9 +191,11 @@ fn cast_lines(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
         }
         let ahead = ended(nearest_along(origin, direction), far);
         ends[2u * i] = ahead.id;
-        if part.ahead_only != 0u {
+        if part.way != BOTH_WAYS {
             ends[2u * i + 1u] = SKY;
-            if ahead.id != SKY && !is_seen(ahead.id, cell_of(line_from[i].w).slot) {
+            line_about[i].z = bitcast<u32>(0.0);
+            line_about[i].w = bitcast<u32>(ahead.distance);
+            if part.way == AHEAD && ahead.id != SKY && !is_seen(ahead.id, cell_of(line_from[i].w).slot) {
                 credit(origin, direction, 0.0, ahead.distance, ahead.id, SKY);
             }
             continue;
@@ -154,6 +204,8 @@ fn cast_lines(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
         ends[2u * i + 1u] = behind.id;
         let least = ahead_by - behind.distance;
         let most = ahead.distance;
+        line_about[i].z = bitcast<u32>(least);
+        line_about[i].w = bitcast<u32>(most);
         if ahead.id == SKY && behind.id == SKY {
             continue;
         }

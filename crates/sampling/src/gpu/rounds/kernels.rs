@@ -5,8 +5,8 @@ use rayon::prelude::*;
 use super::super::line_scene::LineScene;
 use super::super::pipelines::{buffer, entry, scoped};
 
-/// Storage buffers that a kernel binds: the scene's six, the block's seven and the lists' twelve.
-pub(super) const STORAGE_BUFFERS: u32 = 25;
+/// Storage buffers that a kernel binds: the scene's six, the block's nine and the lists' thirteen.
+pub(super) const STORAGE_BUFFERS: u32 = 28;
 
 /// The kernels, by their entry points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,10 +29,17 @@ pub(super) enum Kernel {
     GatherCheck,
     GatherWords,
     PutWords,
+    GatherPairs,
+    PutPairs,
+    JoinLines,
+    CheckPairs,
+    CountAims,
+    MakeSegments,
+    GatherSegments,
 }
 
 /// Every kernel in the order of [`Kernel`], with the name of its entry point.
-pub(super) const ENTRY_POINTS: [&str; 18] = [
+pub(super) const ENTRY_POINTS: [&str; 25] = [
     "make_uniform",
     "cast_lines",
     "claim_uniform",
@@ -51,6 +58,13 @@ pub(super) const ENTRY_POINTS: [&str; 18] = [
     "gather_check",
     "gather_words",
     "put_words",
+    "gather_pairs",
+    "put_pairs",
+    "join_lines",
+    "check_pairs",
+    "count_aims",
+    "make_segments",
+    "gather_segments",
 ];
 
 const SOURCE: &str = concat!(
@@ -60,6 +74,7 @@ const SOURCE: &str = concat!(
     include_str!("uniform.wgsl"),
     include_str!("candidates.wgsl"),
     include_str!("others.wgsl"),
+    include_str!("join.wgsl"),
 );
 
 /// Pipelines for the blocks of one scene.
@@ -91,9 +106,9 @@ impl Kernels {
         };
         scoped(device, || {
             let [read, write] = [storage(true), storage(false)];
-            let tables = layout_of("tables", &[uniform(false), read, write, write, read, read, read, read]);
+            let tables = layout_of("tables", &[uniform(false), read, write, write, read, read, read, read, read, write]);
             let mut of_lists = vec![uniform(true), read];
-            of_lists.resize(13, write);
+            of_lists.resize(14, write);
             let lists = layout_of("lists", &of_lists);
             let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
                 label: Some("rounds"),

@@ -6,7 +6,8 @@ use rayon::prelude::*;
 
 use super::super::line_scene::filled;
 use super::kernels::Kernels;
-use crate::lines::device::DeviceBlock;
+use crate::lines::device::{DeviceBlock, DeviceCell};
+use crate::lines::grid::CellGrid;
 use crate::lines::yields::DECADES;
 
 /// Bytes between two parts in their buffer: the largest alignment that a device may require.
@@ -20,26 +21,57 @@ pub(super) const STRIPE: usize = 4096;
 /// Stand-in for an infinite distance, as in `traverse.wgsl`.
 const FAR: f32 = 3e38;
 
+/// `Grid` in `block.wgsl`.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct GridUniform {
+    low: Vec3,
+    margin: f32,
+    per_unit: Vec3,
+    first_cell: u32,
+    cells: [u32; 3],
+    words: u32,
+    side: [u32; 3],
+    first_word: u32,
+    bricks: [u32; 3],
+    unused: u32,
+    first: [[u32; 4]; 3],
+}
+
+impl GridUniform {
+    /// A grid whose first cell and first word have these places in their buffers.
+    fn new(grid: &CellGrid, first_cell: usize, first_word: usize) -> Self {
+        let shape = grid.shape();
+        Self {
+            low: grid.bounds().0,
+            margin: grid.margin(),
+            per_unit: shape.per_unit.into(),
+            first_cell: first_cell as u32,
+            cells: grid.cells(),
+            words: 2 * grid.words() as u32,
+            side: shape.side,
+            first_word: first_word as u32,
+            bricks: shape.bricks,
+            unused: 0,
+            first: shape.first.map(|m| [m as u32, (m >> 32) as u32, 0, 0]),
+        }
+    }
+}
+
 /// `Block` in `block.wgsl`.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct BlockUniform {
-    low: Vec3,
-    margin: f32,
-    per_unit: Vec3,
+    grids: [GridUniform; 2],
+    extent: f32,
     step: f32,
-    high: Vec3,
     far: f32,
-    cells: [u32; 3],
-    words: u32,
-    side: [u32; 3],
-    ordered: u32,
-    bricks: [u32; 3],
     zero: u32,
-    first: [[u32; 4]; 3],
     seed: [u32; 2],
     triangles: u32,
+    ordered: u32,
     capacity: u32,
+    unused: [u32; 3],
 }
 
 /// `Part` in `block.wgsl`.
@@ -52,8 +84,8 @@ pub(super) struct Part {
     pub(super) round: u32,
     pub(super) mask: u32,
     pub(super) time: u32,
-    pub(super) ahead_only: u32,
-    pub(super) unused: u32,
+    pub(super) way: u32,
+    pub(super) joins: u32,
     pub(super) times: [f32; DECADES],
     pub(super) so_far: [f32; DECADES],
 }
@@ -115,9 +147,13 @@ pub(super) struct Tables {
     pub(super) seen: wgpu::Buffer,
     pub(super) now: wgpu::Buffer,
     pub(super) met: wgpu::Buffer,
+    pub(super) pairs: wgpu::Buffer,
+    pub(super) joined: wgpu::Buffer,
     pub(super) group: wgpu::BindGroup,
     /// 64-bit words of the table.
     pub(super) places: u32,
+    /// 64-bit words of the table of pairs; 0 without pairs.
+    pub(super) pair_places: u32,
     /// 64-bit words of a row.
     pub(super) words: u32,
     /// Triangles in Morton order.
@@ -138,51 +174,75 @@ impl Tables {
         capacity: u32,
     ) -> Result<Self, String> {
         let grid = block.grid;
-        let words = grid.words() as u32;
-        let shape = grid.shape();
+        let none = CellGrid::new(Vec3::ZERO, Vec3::ONE, [1; 3]);
+        let division = block.pairs.as_ref().map_or(&none, |pairs| pairs.grid);
         let (low, high) = grid.bounds();
         let uniform = BlockUniform {
-            low,
-            margin: grid.margin(),
-            per_unit: shape.per_unit.into(),
+            grids: [
+                GridUniform::new(grid, 0, 0),
+                GridUniform::new(division, block.cells.len(), 2 * grid.words()),
+            ],
+            extent: (high - low).length(),
             step: block.step,
-            high,
             far: block.far.min(FAR),
-            cells: grid.cells(),
-            words: 2 * words,
-            side: shape.side,
-            ordered: facts.ordered,
-            bricks: shape.bricks,
             zero: 0,
-            first: shape.first.map(|m| [m as u32, (m >> 32) as u32, 0, 0]),
             seed: halves(block.key),
             triangles: facts.triangles,
+            ordered: facts.ordered,
             capacity,
+            unused: [0; 3],
         };
-        let record = |c: &crate::lines::device::DeviceCell| {
+        let record = |c: &DeviceCell| {
             let [key_low, key_high] = halves(c.key);
             let slot = c.slot.index() as u32;
             CellRecord { low: c.low, key_low, size: c.size, key_high, at: c.at, slot }
         };
-        let all = vec![u64::MAX; grid.words()];
-        let reached = if block.reached.is_empty() { &all } else { block.reached };
+        let all = |words: &[u64], grid: &CellGrid| match words {
+            [] => vec![u64::MAX; grid.words()],
+            some => some.to_vec(),
+        };
+        let (mut cells, mut reached) = (block.cells.to_vec(), all(block.reached, grid));
+        if let Some(pairs) = &block.pairs {
+            cells.extend_from_slice(pairs.cells);
+            reached.extend(all(pairs.reached, pairs.grid));
+        }
         use wgpu::BufferUsages as Use;
-        let table = |label| {
+        let table = |label, size| {
             device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some(label),
-                size: Self::bytes(block),
+                size,
                 usage: Use::STORAGE | Use::COPY_SRC | Use::COPY_DST,
                 mapped_at_creation: false,
             })
         };
-        let (seen, now, met) = (table("seen"), table("now"), table("met"));
+        let [seen, now, met] = ["seen", "now", "met"].map(|label| table(label, Self::bytes(block)));
+        let [pairs, joined] = ["pairs", "joined"].map(|label| table(label, Self::pair_bytes(block).max(8)));
         let uniform = filled(device, "block", Use::UNIFORM, &[uniform], |u| *u)?;
-        let cells = filled(device, "cells", Use::STORAGE, block.cells, record)?;
-        let reached = filled(device, "reached", Use::STORAGE, reached, |w| halves(*w))?;
-        let bound = [&uniform, &seen, &now, &met, &cells, &reached, &facts.vertices, &facts.around];
-        let group = bind(device, "tables", &kernels.tables_layout, &bound.map(wgpu::Buffer::as_entire_binding));
-        let places = facts.triangles * words;
-        Ok(Self { seen, now, met, group, places, words, ordered: facts.ordered })
+        let cells = filled(device, "cells", Use::STORAGE, &cells, record)?;
+        let reached = filled(device, "reached", Use::STORAGE, &reached, |w| halves(*w))?;
+        let (vertices, around) = (&facts.vertices, &facts.around);
+        let bound = [&uniform, &seen, &now, &met, &cells, &reached, vertices, around, &pairs, &joined];
+        let bound = bound.map(wgpu::Buffer::as_entire_binding);
+        let group = bind(device, "tables", &kernels.tables_layout, &bound);
+        let words = grid.words() as u32;
+        Ok(Self {
+            seen,
+            now,
+            met,
+            pairs,
+            joined,
+            group,
+            places: facts.triangles * words,
+            pair_places: (Self::pair_bytes(block) / 8) as u32,
+            words,
+            ordered: facts.ordered,
+        })
+    }
+
+    /// Bytes of the table of pairs; 0 without pairs.
+    pub(super) fn pair_bytes(block: &DeviceBlock<'_>) -> u64 {
+        let words = block.pairs.as_ref().map_or(0, |pairs| pairs.grid.words() as u64);
+        64 * words * words * 8
     }
 }
 
@@ -197,6 +257,7 @@ pub(in super::super) struct Lists {
     pub(super) ends: wgpu::Buffer,
     pub(super) candidates: wgpu::Buffer,
     pub(super) words: wgpu::Buffer,
+    pub(super) pair_words: wgpu::Buffer,
     pub(super) parts: wgpu::Buffer,
     pub(super) read_back: wgpu::Buffer,
 }
@@ -222,10 +283,11 @@ impl Lists {
             finds: make("finds", n * 16, both),
             from: make("line origins", 3 * n * 16, both),
             to: make("line directions", 3 * n * 16, both),
-            about: make("line numbers", 3 * n * 8, both),
+            about: make("line numbers", 3 * n * 16, both),
             ends: make("line ends", 3 * n * 8, both),
             candidates: make("candidates", 3 * n * 16, both),
             words: make("words", n * 12, both),
+            pair_words: make("pair words", n * 12, both),
             parts: make("parts", u64::from(PARTS) * PART_STRIDE, Use::UNIFORM | Use::COPY_DST),
             read_back: make("read-back", n * 12 + (1 << 20), Use::MAP_READ | Use::COPY_DST),
         }
@@ -279,6 +341,7 @@ impl Lent {
             &lists.candidates,
             &places,
             &lists.words,
+            &lists.pair_words,
         ];
         let bound: Vec<_> = std::iter::once(part).chain(all.map(wgpu::Buffer::as_entire_binding)).collect();
         let group = bind(device, "lists", &kernels.lists_layout, &bound);
@@ -308,15 +371,7 @@ fn bind(
 }
 
 /// The words of a table that have bits: place, low half, high half.
-pub(super) fn filled_words(bits: &crate::lines::bits::SeenBits) -> Vec<[u32; 3]> {
-    let words = bits.words();
-    let rows = bits.places() / words.max(1);
-    (0..rows as u32)
-        .into_par_iter()
-        .flat_map_iter(|row| {
-            let first = row as usize * words;
-            let some = bits.row(row).iter().enumerate().filter(|(_, w)| **w != 0);
-            some.map(move |(i, w)| [(first + i) as u32, *w as u32, (*w >> 32) as u32])
-        })
-        .collect()
+pub(super) fn filled_words(words: &[u64]) -> Vec<[u32; 3]> {
+    let some = words.par_iter().enumerate().filter(|(_, word)| **word != 0);
+    some.map(|(at, word)| [at as u32, *word as u32, (*word >> 32) as u32]).collect()
 }

@@ -16,6 +16,7 @@ mod memory;
 mod profile;
 
 use std::sync::{Arc, Mutex, mpsc};
+use std::time::Instant;
 
 use super::device::{Gpu, PATIENCE, lock};
 use super::line_scene::LineScene;
@@ -23,7 +24,7 @@ use super::pipelines::scoped;
 use crate::error::BackendError;
 use crate::lines::bits::SeenBits;
 use crate::lines::device::{
-    AimPlan, AimWork, DeviceBlock, Found, GoesOn, KernelTime, Rounds, Traffic, UniformWork,
+    AimPlan, AimWork, DeviceBlock, Found, GoesOn, KernelTime, Rounds, SegmentWork, Traffic, UniformWork,
 };
 use crate::lines::yields::Tally;
 use crate::packet::LANES;
@@ -50,7 +51,13 @@ const IN_FLIGHT: usize = 3;
 const LINES: u64 = 1;
 const WORDS: usize = 2;
 const SEED_RAYS: usize = 4;
+const PAIR_WORDS: usize = 5;
 const TALLY: usize = 8;
+/// Ways of casting, as in `block.wgsl`.
+const AHEAD: u32 = 1;
+const SEGMENT: u32 = 2;
+/// Least segments in a round from all cells together, as in `join.wgsl`.
+const LEAST_SEGMENTS: u32 = 1 << 16;
 /// Units of gains and of attempts, as in `candidates.wgsl`.
 const GAIN_UNIT: f64 = 1.0 / (1u64 << 20) as f64;
 
@@ -74,6 +81,12 @@ pub(super) struct GpuRounds<'a> {
     lent: Option<Lent>,
     capacity: u32,
     groups: u32,
+    /// One line in so many joins cells: of uniform lines, of others.
+    joined: [u32; 2],
+    /// For each cell of the block its slot in the division's grid; empty without pairs.
+    division_slots: Vec<u32>,
+    /// Cells of the division.
+    division: u32,
     profile: Option<Profile>,
     state: Mutex<State>,
 }
@@ -90,7 +103,7 @@ struct State {
 fn obstacle(gpu: &Gpu, block: &DeviceBlock<'_>, capacity: u32) -> Option<String> {
     let limits = gpu.device.limits();
     let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-    let largest = Tables::bytes(block).max(Facts::most_bytes(block)).max(Lists::most_bytes(capacity));
+    let largest = Tables::bytes(block).max(Tables::pair_bytes(block)).max(Facts::most_bytes(block)).max(Lists::most_bytes(capacity));
     if limits.max_storage_buffers_per_shader_stage < STORAGE_BUFFERS {
         return Some(format!(
             "it binds {} storage buffers, and rounds need {STORAGE_BUFFERS}",
@@ -131,11 +144,29 @@ impl<'a> GpuRounds<'a> {
             scoped(&gpu.device, || {
                 let tables = Tables::new(&gpu.device, &kernels, &facts, block, capacity)?;
                 let lists = spare.unwrap_or_else(|| Lists::new(&gpu.device, capacity));
-                let lent = Lent::new(&gpu.device, &kernels, lists, &tables, block.cells.len());
+                let cells = block.cells.len().max(block.pairs.as_ref().map_or(0, |pairs| pairs.cells.len()));
+                let lent = Lent::new(&gpu.device, &kernels, lists, &tables, cells);
                 let profile = gpu.measures.then(|| Profile::new(&gpu.device, &gpu.queue)).flatten();
                 let (lent, state) = (Some(lent), Mutex::default());
-                let kernels = kernels.clone();
-                Ok(Self { gpu, scene, kit, kernels, tables, lent, capacity, groups, profile, state })
+                let (pairs, kernels) = (block.pairs.as_ref(), kernels.clone());
+                let joined = pairs.map_or([0; 2], |pairs| pairs.joins);
+                let division_slots = pairs.map_or_else(Vec::new, |pairs| pairs.slots.to_vec());
+                let division = pairs.map_or(0, |pairs| pairs.cells.len() as u32);
+                Ok(Self {
+                    gpu,
+                    scene,
+                    kit,
+                    kernels,
+                    tables,
+                    lent,
+                    capacity,
+                    groups,
+                    joined,
+                    division_slots,
+                    division,
+                    profile,
+                    state,
+                })
             })
         };
         made().map(Some).map_err(|reason| gpu.failed(reason))
@@ -199,7 +230,9 @@ impl<'a> GpuRounds<'a> {
         let oldest = if state.flying.len() > IN_FLIGHT { state.flying.pop_front() } else { None };
         drop(state);
         if let Some(oldest) = oldest {
+            let start = Instant::now();
             self.gpu.wait(oldest)?;
+            lock(&self.state).traffic.seconds += start.elapsed().as_secs_f64();
         }
         Ok(submission)
     }
@@ -216,6 +249,7 @@ impl<'a> GpuRounds<'a> {
             encoder.copy_buffer_to_buffer(from, *offset, &lent.read_back, end, *bytes);
             end += bytes;
         }
+        let start = Instant::now();
         let submission = self.submit(encoder)?;
         let (sender, mapped) = mpsc::channel();
         lent.read_back.map_async(wgpu::MapMode::Read, ..end, move |r| drop(sender.send(r)));
@@ -234,16 +268,70 @@ impl<'a> GpuRounds<'a> {
         let mut state = lock(&self.state);
         state.traffic.down += end;
         state.traffic.waits += 1;
+        state.traffic.seconds += start.elapsed().as_secs_f64();
         state.flying.clear();
         Ok(numbers)
     }
 
+    /// The new words of a table, of which there are `new`.
+    fn new_words(&self, lent: &Lent, table: &Table<'_>, new: u32) -> Result<Vec<(u32, u64)>, BackendError> {
+        let mut words = Vec::with_capacity(new as usize);
+        let mut keep = |count: u32| -> Result<(), BackendError> {
+            let numbers = self.read(self.encoder(), lent, &[(table.list, 0, 12 * u64::from(count))])?;
+            let some = numbers.chunks_exact(3);
+            words.extend(some.map(|w| (w[0], u64::from(w[1]) | u64::from(w[2]) << 32)));
+            Ok(())
+        };
+        if new <= self.capacity {
+            if new > 0 {
+                keep(new)?;
+            }
+            return Ok(words);
+        }
+        // More than the list holds: by ranges of places that cannot be more.
+        for first in (0..table.places).step_by(self.capacity as usize) {
+            let count = self.capacity.min(table.places - first);
+            let offset = self.part(lent, &Part { count, first, ..Part::default() });
+            let mut encoder = self.encoder();
+            encoder.clear_buffer(&lent.counters, 4 * table.counter as u64, Some(4));
+            self.run(&mut encoder, lent, offset, &[table.kernel]);
+            let counter = (&lent.counters, 4 * table.counter as u64, 4);
+            if let Some(new) = self.read(encoder, lent, &[counter])?.first().filter(|new| **new > 0) {
+                keep(*new)?;
+            }
+        }
+        Ok(words)
+    }
+
+    /// The tables whose new words go to the host: that of triangles, and that of pairs where there is one.
+    fn tables<'b>(&self, lent: &'b Lent) -> [Table<'b>; 2] {
+        let (kernel, counter, list) = (Kernel::GatherWords, WORDS, &lent.words);
+        let seen = Table { kernel, counter, list, places: self.tables.places };
+        let (kernel, counter, list) = (Kernel::GatherPairs, PAIR_WORDS, &lent.pair_words);
+        [seen, Table { kernel, counter, list, places: self.tables.pair_places }]
+    }
+
+    /// Makes the tables with all credits those of the last barrier.
+    fn publish(&self) -> Result<(), BackendError> {
+        let mut encoder = self.encoder();
+        let t = &self.tables;
+        encoder.copy_buffer_to_buffer(&t.now, 0, &t.seen, 0, t.seen.size());
+        encoder.copy_buffer_to_buffer(&t.joined, 0, &t.pairs, 0, t.pairs.size());
+        self.submit(encoder).map(drop)
+    }
+
+    /// The kernel that joins cells, where pairs are looked for.
+    fn joins(&self) -> &'static [Kernel] {
+        if self.tables.pair_places > 0 { &[Kernel::JoinLines] } else { &[] }
+    }
+
     /// Ends a phase: reads counts and new words, and publishes the table.
     fn end(&self, lent: &Lent, mut encoder: wgpu::CommandEncoder, items: usize) -> Result<Found, BackendError> {
-        let places = self.tables.places;
-        let counter = |at: usize| (&lent.counters, 4 * at as u64, 4u64);
-        let offset = self.part(lent, &Part { count: places, ..Part::default() });
-        self.run(&mut encoder, lent, offset, &[Kernel::GatherWords]);
+        let tables = self.tables(lent);
+        for table in tables.iter().filter(|t| t.places > 0) {
+            let offset = self.part(lent, &Part { count: table.places, ..Part::default() });
+            self.run(&mut encoder, lent, offset, &[table.kernel]);
+        }
         let wanted = [(&lent.counters, 0, COUNTER_BYTES), (&lent.stats, 0, 16 * items as u64)];
         let numbers = self.read(encoder, lent, &wanted)?;
         if let Some(profile) = &self.profile {
@@ -253,39 +341,15 @@ impl<'a> GpuRounds<'a> {
         }
         let (counters, counts) = numbers.split_at(COUNTER_BYTES as usize / 4);
         let counts = counts.chunks_exact(4).map(|c| [c[0], c[1], c[2], c[3]]).collect();
-        let mut words = Vec::new();
-        let mut keep = |numbers: Vec<u32>| {
-            words.extend(
-                numbers.chunks_exact(3).map(|w| (w[0], u64::from(w[1]) | u64::from(w[2]) << 32)),
-            );
-        };
-        let new = counters[WORDS];
-        if new <= self.capacity {
-            if new > 0 {
-                keep(self.read(self.encoder(), lent, &[(&lent.words, 0, 12 * u64::from(new))])?);
-            }
-        } else {
-            for first in (0..places).step_by(self.capacity as usize) {
-                let part = Part { count: self.capacity.min(places - first), first, ..Part::default() };
-                let offset = self.part(lent, &part);
-                let mut encoder = self.encoder();
-                encoder.clear_buffer(&lent.counters, 4 * WORDS as u64, Some(4));
-                self.run(&mut encoder, lent, offset, &[Kernel::GatherWords]);
-                let new = self.read(encoder, lent, &[counter(WORDS)])?;
-                if let Some(new) = new.first().filter(|new| **new > 0) {
-                    keep(self.read(self.encoder(), lent, &[(&lent.words, 0, 12 * u64::from(*new))])?);
-                }
-            }
-        }
-        let mut encoder = self.encoder();
-        encoder.copy_buffer_to_buffer(&self.tables.now, 0, &self.tables.seen, 0, self.tables.seen.size());
-        self.submit(encoder)?;
+        let [words, pair_words] = tables.map(|table| self.new_words(lent, &table, counters[table.counter]));
+        let (words, pair_words) = (words?, pair_words?);
+        self.publish()?;
         let rays = u64::from(counters[SEED_RAYS]);
         let tally = Tally::of_device(std::array::from_fn(|d| {
             let at = |k: usize| u64::from(counters[TALLY + 5 * d + k]);
             [at(0), at(1) | at(2) << 32, at(3) | at(4) << 32]
         }), GAIN_UNIT);
-        Ok(Found { counts, rays, tally, words })
+        Ok(Found { counts, rays, tally, words, pair_words })
     }
 
     /// Casts the uniform lines of some items and floods from what they find.
@@ -296,11 +360,15 @@ impl<'a> GpuRounds<'a> {
         encoder.clear_buffer(&lent.counters, 0, Some(8));
         encoder.clear_buffer(&lent.claims, 0, Some(claims));
         use Kernel::*;
-        self.run(&mut encoder, lent, offset, &[MakeUniform, CastLines, ClaimUniform, GatherUniform]);
+        self.run(&mut encoder, lent, offset, &[MakeUniform, CastLines]);
+        self.run(&mut encoder, lent, offset, self.joins());
+        self.run(&mut encoder, lent, offset, &[ClaimUniform, GatherUniform]);
+        let aimed = self.part(lent, &Part { joins: self.joined[1], ..*part });
         for _ in 0..FLOOD_STEPS {
             encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
             encoder.clear_buffer(&lent.claims, 0, Some(claims));
             self.run(&mut encoder, lent, offset, &[ClaimNext, MakeFlood, CastLines]);
+            self.run(&mut encoder, lent, aimed, self.joins());
             encoder.clear_buffer(&lent.counters, 0, Some(4));
             encoder.clear_buffer(&lent.claims, 0, Some(claims));
             self.run(&mut encoder, lent, offset, &[ClaimFlood, GatherFlood]);
@@ -334,6 +402,17 @@ impl<'a> GpuRounds<'a> {
     }
 }
 
+/// A table whose new words go to the host.
+struct Table<'a> {
+    /// The kernel that lists them.
+    kernel: Kernel,
+    /// Where it counts them.
+    counter: usize,
+    list: &'a wgpu::Buffer,
+    /// 64-bit words of the table.
+    places: u32,
+}
+
 /// The value of a cell that is filled once; a failure is tried again.
 fn once<T>(place: &Mutex<Option<Arc<T>>>, make: impl FnOnce() -> Result<T, String>) -> Result<Arc<T>, String> {
     let mut place = lock(place);
@@ -346,23 +425,28 @@ fn once<T>(place: &Mutex<Option<Arc<T>>>, make: impl FnOnce() -> Result<T, Strin
 }
 
 impl Rounds for GpuRounds<'_> {
-    fn restart(&self, bits: &SeenBits) -> Result<(), BackendError> {
+    fn restart(&self, bits: &SeenBits, pairs: Option<&[u64]>) -> Result<(), BackendError> {
         self.gpu.check()?;
         let lent = self.lent()?;
         let mut encoder = self.encoder();
         encoder.clear_buffer(&self.tables.now, 0, None);
+        encoder.clear_buffer(&self.tables.joined, 0, None);
         self.submit(encoder)?;
-        for run in filled_words(bits).chunks(self.capacity as usize) {
-            self.gpu.queue.write_buffer(&lent.words, 0, bytemuck::cast_slice(run));
-            lock(&self.state).traffic.up += size_of_val(run) as u64;
-            let offset = self.part(lent, &Part { count: run.len() as u32, ..Part::default() });
-            let mut encoder = self.encoder();
-            self.run(&mut encoder, lent, offset, &[Kernel::PutWords]);
-            self.submit(encoder)?;
+        let tables = [
+            (filled_words(bits.table()), &lent.words, Kernel::PutWords),
+            (filled_words(pairs.unwrap_or_default()), &lent.pair_words, Kernel::PutPairs),
+        ];
+        for (words, list, kernel) in tables {
+            for run in words.chunks(self.capacity as usize) {
+                self.gpu.queue.write_buffer(list, 0, bytemuck::cast_slice(run));
+                lock(&self.state).traffic.up += size_of_val(run) as u64;
+                let offset = self.part(lent, &Part { count: run.len() as u32, ..Part::default() });
+                let mut encoder = self.encoder();
+                self.run(&mut encoder, lent, offset, &[kernel]);
+                self.submit(encoder)?;
+            }
         }
-        let mut encoder = self.encoder();
-        encoder.copy_buffer_to_buffer(&self.tables.now, 0, &self.tables.seen, 0, self.tables.seen.size());
-        self.submit(encoder).map(drop)
+        self.publish()
     }
 
     fn uniform(&self, work: &[UniformWork], goes_on: GoesOn<'_>) -> Result<Found, BackendError> {
@@ -391,7 +475,8 @@ impl Rounds for GpuRounds<'_> {
             let count = each.min(tiles as u32 - first) * LANES as u32;
             let mask = (CLAIMS * 2 * count).next_power_of_two().min(CLAIMS * self.capacity) - 1;
             let items = items.len() as u32;
-            self.uniform_part(lent, &Part { count, first, items, mask, ..Part::default() })?;
+            let joins = self.joined[0];
+            self.uniform_part(lent, &Part { count, first, items, mask, joins, ..Part::default() })?;
             rays += 2 * u64::from(count);
         }
         let found = self.end(lent, self.encoder(), items.len())?;
@@ -410,6 +495,7 @@ impl Rounds for GpuRounds<'_> {
             round: plan.round,
             times: plan.times,
             so_far: plan.so_far,
+            joins: self.joined[1],
             ..part
         };
         let (lent, mut encoder) = self.begin(&items)?;
@@ -434,6 +520,7 @@ impl Rounds for GpuRounds<'_> {
                 let offset = self.part(lent, &Part { time, ..part });
                 use Kernel::*;
                 self.run(&mut encoder, lent, offset, &[MakeAimed, CastLines, GatherAimed]);
+                self.run(&mut encoder, lent, offset, self.joins());
             }
             self.submit(encoder)?;
         }
@@ -452,10 +539,12 @@ impl Rounds for GpuRounds<'_> {
                 break;
             }
             let count = each.min(groups - first) * LANES as u32;
-            let offset = self.part(lent, &Part { first, count, items: 1, ..Part::default() });
+            let joins = self.joined[1];
+            let offset = self.part(lent, &Part { first, count, items: 1, joins, ..Part::default() });
             let mut encoder = self.encoder();
             encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
             self.run(&mut encoder, lent, offset, &[Kernel::MakeSeeds, Kernel::CastLines]);
+            self.run(&mut encoder, lent, offset, self.joins());
             self.submit(encoder)?;
         }
         let found = self.end(lent, self.encoder(), 0)?;
@@ -473,7 +562,7 @@ impl Rounds for GpuRounds<'_> {
         let items: Vec<[u32; 4]> = work
             .iter()
             .map(|(cell, lines)| {
-                let own = [*cell as u32, 0, 0, before as u32];
+                let own = [*cell as u32, self.division_slots.get(*cell).copied().unwrap_or(0), 0, before as u32];
                 before += lines;
                 own
             })
@@ -491,16 +580,53 @@ impl Rounds for GpuRounds<'_> {
                 first: first as u32,
                 items: items as u32,
                 round: look,
-                ahead_only: 1,
+                way: AHEAD,
                 ..Part::default()
             };
             let offset = self.part(lent, &part);
             let mut encoder = self.encoder();
             self.run(&mut encoder, lent, offset, &[Kernel::MakeCheck, Kernel::CastLines, Kernel::GatherCheck]);
+            if self.tables.pair_places > 0 {
+                self.run(&mut encoder, lent, offset, &[Kernel::CheckPairs]);
+            }
             self.submit(encoder)?;
         }
         let found = self.end(lent, self.encoder(), items)?;
         lock(&self.state).traffic.rays += lines;
+        Ok(found)
+    }
+
+    fn segments(&self, work: &SegmentWork<'_>, goes_on: GoesOn<'_>) -> Result<Found, BackendError> {
+        let any = u32::from(work.at_any);
+        let items: Vec<[u32; 4]> = work.cells.iter().map(|c| [*c, work.most, any, 0]).collect();
+        let (lent, mut encoder) = self.begin(&items)?;
+        let of = |first: usize, count: usize| Part {
+            first: first as u32,
+            count: count as u32,
+            items: items.len() as u32,
+            round: work.round,
+            way: SEGMENT,
+            ..Part::default()
+        };
+        let offset = self.part(lent, &of(0, items.len()));
+        self.run(&mut encoder, lent, offset, &[Kernel::CountAims]);
+        self.submit(encoder)?;
+        // So many lines are expected of an item at most; a part leaves room for the chance of more.
+        let each = work.most + LEAST_SEGMENTS.div_ceil(self.division.max(1));
+        let step = (2 * self.capacity / each).max(1) as usize;
+        for first in (0..items.len()).step_by(step) {
+            if !goes_on() {
+                return self.end(lent, self.encoder(), 0);
+            }
+            let offset = self.part(lent, &of(first, step.min(items.len() - first)));
+            let mut encoder = self.encoder();
+            encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
+            use Kernel::*;
+            self.run(&mut encoder, lent, offset, &[MakeSegments, CastLines, GatherSegments]);
+            self.submit(encoder)?;
+        }
+        let found = self.end(lent, self.encoder(), items.len())?;
+        lock(&self.state).traffic.rays += found.counts.iter().map(|c| u64::from(c[0])).sum::<u64>();
         Ok(found)
     }
 
@@ -517,6 +643,7 @@ impl Rounds for GpuRounds<'_> {
 fn joined(mut one: Found, two: Found) -> Found {
     one.counts.extend(two.counts);
     one.words.extend(two.words);
+    one.pair_words.extend(two.pair_words);
     one.rays += two.rays;
     one.tally = one.tally.and(&two.tally);
     one

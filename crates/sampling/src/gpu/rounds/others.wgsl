@@ -21,13 +21,12 @@ fn on_sphere(names: vec2<u32>) -> vec3<f32> {
 // One line from every second triangle from group `first` on.
 @compute @workgroup_size(64)
 fn make_seeds(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let extent = length(block.high - block.low);
     for (var i = id.x; i < part.count; i += groups.x * 64u) {
         let group = part.first + i / LANES;
         let direction = on_sphere(vec2<u32>(64u * group, SEEDS));
         let random = hashed(vec4<u32>(block.seed, 64u * group + 40u, SEEDS));
         let halvings = u32(unit(random.x) * HALVINGS);
-        let distance = extent * 0.25 * bitcast<f32>((127u - halvings) << 23u) * (0.5 + 0.5 * unit(random.y));
+        let distance = block.extent * 0.25 * bitcast<f32>((127u - halvings) << 23u) * (0.5 + 0.5 * unit(random.y));
         let ordinal = group * SEED_GROUP + (random.z & 1u) + ONE_IN * (i % LANES);
         if ordinal >= block.ordered {
             continue;
@@ -100,6 +99,24 @@ fn gather_words(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workg
     }
 }
 
+// The same of the table of pairs.
+@compute @workgroup_size(64)
+fn gather_pairs(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    for (var i = id.x; i < part.count; i += groups.x * 64u) {
+        let place = part.first + i;
+        let low = atomicLoad(&joined[2u * place]) & ~pairs[2u * place];
+        let high = atomicLoad(&joined[2u * place + 1u]) & ~pairs[2u * place + 1u];
+        if (low | high) != 0u {
+            let at = atomicAdd(&counters[PAIR_WORDS], 1u);
+            if at < block.capacity {
+                pair_words[3u * at] = place;
+                pair_words[3u * at + 1u] = low;
+                pair_words[3u * at + 2u] = high;
+            }
+        }
+    }
+}
+
 // Adds words that the host has written.
 @compute @workgroup_size(64)
 fn put_words(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -107,5 +124,14 @@ fn put_words(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgrou
         let place = words[3u * i];
         atomicOr(&now[2u * place], words[3u * i + 1u]);
         atomicOr(&now[2u * place + 1u], words[3u * i + 2u]);
+    }
+}
+
+@compute @workgroup_size(64)
+fn put_pairs(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    for (var i = id.x; i < part.count; i += groups.x * 64u) {
+        let place = pair_words[3u * i];
+        atomicOr(&joined[2u * place], pair_words[3u * i + 1u]);
+        atomicOr(&joined[2u * place + 1u], pair_words[3u * i + 2u]);
     }
 }

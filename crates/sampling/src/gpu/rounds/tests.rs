@@ -1,6 +1,8 @@
 //! The same lines credited by the device and by the host give the same bits. `tests/gpu_rounds.rs` tests whole
 //! rounds.
 
+use std::collections::BTreeMap;
+
 use glam::Vec3;
 use sightline_scene::generate::{self, Kind, Params};
 use sightline_scene::{Scene, Side, Sides};
@@ -9,8 +11,9 @@ use super::*;
 use crate::backend::{Backend, LineSet};
 use crate::cube::{CubeSpec, SKY, Strata};
 use crate::gpu::{AdapterChoice, GpuBackend};
-use crate::lines::device::DeviceCell;
+use crate::lines::device::{DeviceCell, DevicePairs};
 use crate::lines::grid::{CellGrid, Crossed};
+use crate::lines::pairs::Pairs;
 use crate::packet::Packet;
 use crate::surface::Surface;
 
@@ -97,19 +100,39 @@ fn compare(scene: Scene, far: f32) {
         far,
         one_way,
         key: 1,
+        pairs: None,
     };
+    // Other cells than the block's, over which every line joins.
+    let division = CellGrid::new(bounds.min, bounds.max, [5, 6, 4]);
+    let division_cells: Vec<DeviceCell> = division
+        .each()
+        .zip(0..)
+        .map(|(at, key)| {
+            let (low, size) = division.cell_box(at);
+            DeviceCell { low, size, at, slot: division.slot(at), key }
+        })
+        .collect();
+    let slots = vec![0; cells.len()];
+    let device_pairs = DevicePairs {
+        grid: &division,
+        cells: &division_cells,
+        reached: &[],
+        slots: &slots,
+        joins: [1; 2],
+    };
+    let block = DeviceBlock { pairs: Some(device_pairs), ..block };
     let (line_scene, rounds_kit) = kit.for_rounds();
     let rounds = GpuRounds::new(&backend.gpu, line_scene, rounds_kit, &block).unwrap().unwrap();
     let bits = SeenBits::new(scene.triangles().len(), grid.words());
-    rounds.restart(&bits).unwrap();
+    rounds.restart(&bits, None).unwrap();
     // One part of uniform lines, without a flood, so that the lists still hold it.
     let tiles = 2;
     let items: Vec<[u32; 4]> = (0..cells.len() as u32).map(|c| [c, tiles, 0, c * 3 * tiles * tiles]).collect();
     let count = items.len() as u32 * 3 * tiles * tiles * LANES as u32;
     assert!(count <= rounds.capacity / 2);
     let (lent, mut encoder) = rounds.begin(&items).unwrap();
-    let offset = rounds.part(lent, &Part { count, items: items.len() as u32, ..Part::default() });
-    rounds.run(&mut encoder, lent, offset, &[Kernel::MakeUniform, Kernel::CastLines]);
+    let offset = rounds.part(lent, &Part { count, items: items.len() as u32, joins: 1, ..Part::default() });
+    rounds.run(&mut encoder, lent, offset, &[Kernel::MakeUniform, Kernel::CastLines, Kernel::JoinLines]);
     let bytes = 16 * u64::from(count);
     let floats = |numbers: Vec<u32>| -> Vec<[f32; 3]> {
         numbers.chunks_exact(4).map(|v| [0, 1, 2].map(|a: usize| f32::from_bits(v[a]))).collect()
@@ -120,7 +143,10 @@ fn compare(scene: Scene, far: f32) {
     let mut by_device = vec![0u64; bits.places()];
     found.words.iter().for_each(|(at, word)| by_device[*at as usize] |= word);
 
+    let joined: BTreeMap<u32, u64> = found.pair_words.iter().copied().collect();
+
     let mut by_host = vec![0u64; bits.places()];
+    let pairs = Pairs::new(division.clone());
     for (origins, directions) in origins.chunks(LANES).zip(directions.chunks(LANES)) {
         let mut ahead = Packet::default();
         origins.iter().zip(directions).for_each(|(o, d)| ahead.push(*o, *d));
@@ -132,7 +158,20 @@ fn compare(scene: Scene, far: f32) {
                 by_host[triangle as usize * grid.words() + *word as usize] |= bits;
             }
         });
+        for lane in 0..ahead.count {
+            let limit = far / ahead.length(lane);
+            let end = |of: &Packet| of.distance[lane].min(limit);
+            let (from, to) = (ahead.advance(lane, step) - end(behind), end(ahead));
+            let halves = [(from.max(-limit), to.min(0.0)), (from.max(0.0), to.min(limit))];
+            let whole = [(from, to)];
+            let parts: &[_] = if one_way || far < f32::INFINITY { &halves } else { &whole };
+            parts.iter().for_each(|(a, b)| pairs.join_line(ahead.ray(lane), *a, *b, &mut Crossed::new()));
+        }
     }
+    let expected = pairs.copy();
+    let has = |(at, word): (usize, &u64)| joined.get(&(at as u32)).copied().unwrap_or(0) == *word;
+    assert!(expected.iter().map(|w| w.count_ones()).sum::<u32>() > 1000);
+    assert!(expected.iter().enumerate().all(has), "pairs differ");
     let lit = by_host.iter().map(|w| w.count_ones()).sum::<u32>();
     assert!(lit > 1000, "{lit} bits test something");
     let differ: u32 = by_device.iter().zip(&by_host).map(|(d, h)| (d ^ h).count_ones()).sum();
@@ -178,10 +217,11 @@ fn a_lost_device_is_an_error() {
         far: f32::INFINITY,
         one_way: false,
         key: 1,
+        pairs: None,
     };
     let rounds = tracer.rounds(&block).unwrap().unwrap();
     let work = [UniformWork { cell: 0, tiles: 2, base: 0 }];
-    rounds.restart(&SeenBits::new(scene.triangles().len(), 1)).unwrap();
+    rounds.restart(&SeenBits::new(scene.triangles().len(), 1), None).unwrap();
     rounds.uniform(&work, &|| true).unwrap();
     backend.gpu.device.destroy();
     assert!(matches!(rounds.uniform(&work, &|| true), Err(BackendError::Failed { .. })));
