@@ -84,7 +84,14 @@ impl Backends {
         if self.cpu.as_deref() == Ok(profile) {
             Ok(Arc::new(CpuBackend::new(scene, spec)?))
         } else if self.gpu.as_deref() == Ok(profile) {
-            Ok(Arc::new(GpuBackend::new(scene, spec, self.adapter.clone())?))
+            let backend = GpuBackend::new(scene, spec, self.adapter.clone())?;
+            // Another adapter may have been opened in the place of one that has failed since.
+            if backend.profile() != profile {
+                return Err(BackendError::Unavailable(format!(
+                    "the adapter with the numerics profile {profile} can no longer be opened; restart the worker"
+                )));
+            }
+            Ok(Arc::new(backend))
         } else {
             Err(BackendError::Unavailable(format!(
                 "this worker has no backend with the numerics profile {profile}; it has: {}",

@@ -9,7 +9,7 @@ use sightline_model::{JobSpec, Method, Sampler};
 use sightline_proto::chunks::{Assembler, count, piece};
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
-use sightline_sampling::{CubeSpec, auto};
+use sightline_sampling::{CubeSpec, TileError, auto};
 use sightline_viewcells::Division;
 use tonic::transport::Channel;
 
@@ -275,10 +275,13 @@ impl Shop {
             for profile in config.backends.profiles() {
                 let timed = loaded
                     .backend(&config.backends, &profile, CubeSpec::of(&spec.sampling), &config.name)
+                    .map_err(TileError::from)
                     .and_then(|b| match spec.sampling.sampler {
-                        Sampler::Cubes => auto::time(&*b, &lattice),
-                        Sampler::Lines | Sampler::Guided => {
-                            auto::time_lines(&*b, loaded.scene.sampling().traced().distinct, &lattice)
+                        Sampler::Cubes => Ok(auto::time(&*b, &lattice)?),
+                        Sampler::Lines => auto::time_rounds(&*b, loaded.scene.sampling(), &lattice),
+                        Sampler::Guided => {
+                            let ids = loaded.scene.sampling().traced().distinct;
+                            Ok(auto::time_lines(&*b, ids, &lattice)?)
                         }
                     });
                 match timed {

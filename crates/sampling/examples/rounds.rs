@@ -5,7 +5,8 @@
 //! ```
 //!
 //! Samples the cells as one tile with the default sampler, all triangles opaque, first with Embree on all
-//! threads, then on the best adapter (`--adapter NAME` for another, `--no-cpu` without Embree), and prints a
+//! threads, then on the best adapter (`--adapter NAME` for another, `--no-cpu` or `--no-gpu` for
+//! one of them), and prints a
 //! table in Markdown. `--profile` adds the time of each kernel, which lengthens the rounds. Seconds are those of the rounds alone: scene, hierarchy and kernels are ready before.
 //! The error is the part of 2000 held-out lines from each cell that meet a triangle which the cell lacks,
 //! traced by the same backend.
@@ -22,7 +23,7 @@ use sightline_sampling::embree::CpuBackend;
 use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
 use sightline_sampling::lines::block::{Block, Tools};
 use sightline_sampling::lines::grid::CellGrid;
-use sightline_sampling::lines::rounds::Tolerance;
+use sightline_sampling::lines::rounds::{Pace, Tolerance};
 use sightline_sampling::packet::{LANES, Packet};
 use sightline_sampling::rows::Rows;
 use sightline_sampling::sequence::Hashed;
@@ -36,6 +37,9 @@ const HELD: usize = 2000;
 /// Name of the stream of their random numbers.
 const STREAM: u64 = 77;
 
+const USAGE: &str = "usage: rounds [--adapter NAME] [--no-cpu] [--no-gpu] [--profile] \
+                     [--pace FIRST,COARSE,GROWTH,AIMED] SCENE NXxNYxNZ TARGET...";
+
 type Answer<T> = Result<T, Box<dyn std::error::Error>>;
 
 struct Silent;
@@ -48,20 +52,30 @@ impl Watcher for Silent {
     }
 }
 
+/// A pace of four numbers.
+fn paced(text: &str) -> Answer<Pace> {
+    let numbers: Vec<f64> = text.split(',').map(str::parse).collect::<Result<_, _>>()?;
+    let [first, coarse, growth, aimed] = numbers[..] else { return Err("--pace needs four numbers".into()) };
+    Ok(Pace { first: first as u32, first_coarse: coarse as u32, growth, aimed: aimed as u64 })
+}
+
 fn main() -> Answer<()> {
     let mut choice = AdapterChoice::AllowSoftware;
-    let (mut with_cpu, mut profile, mut rest) = (true, false, Vec::new());
+    let (mut with_cpu, mut with_gpu) = (true, true);
+    let (mut profile, mut pace, mut rest) = (false, None, Vec::new());
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
             "--adapter" => choice = AdapterChoice::Named(arguments.next().ok_or("--adapter needs a name")?),
             "--no-cpu" => with_cpu = false,
+            "--no-gpu" => with_gpu = false,
             "--profile" => profile = true,
+            "--pace" => pace = Some(paced(&arguments.next().ok_or("--pace needs four numbers")?)?),
             _ => rest.push(argument),
         }
     }
     let [scene, cells, targets @ ..] = rest.as_slice() else {
-        return Err("usage: rounds [--adapter NAME] [--no-cpu] [--profile] SCENE NXxNYxNZ TARGET...".into());
+        return Err(USAGE.into());
     };
     let scene = Arc::new(sightline_scene::load(scene.as_ref())?);
     let cells: Vec<u32> = cells.split('x').map(str::parse).collect::<Result<_, _>>()?;
@@ -71,26 +85,33 @@ fn main() -> Answer<()> {
         (0..scene.len()).filter(|id| !scene.triangles()[*id as usize].is_degenerate()).collect();
     let surface = Surface::of(&scene, &all);
     println!("{} triangles, {} cells\n", scene.len(), cells.iter().product::<u32>());
-    println!("| backend | target | seconds | million rays | a second | of these uniform, flood, aimed | error | bytes a ray up, down | waits |");
+    println!(
+        "| backend | target | seconds | million rays | a second | of these uniform, flood, aimed | error | bytes a ray up, down | waits |"
+    );
     println!("|---|--:|--:|--:|--:|---|--:|--:|--:|");
     let mut backends: Vec<Box<dyn Backend>> = Vec::new();
     if with_cpu {
         backends.push(Box::new(CpuBackend::new(Arc::clone(&scene), spec)?));
     }
-    let start = Instant::now();
-    let gpu = GpuBackend::new(Arc::clone(&scene), spec, choice)?;
-    let opened = start.elapsed().as_secs_f64();
-    backends.push(Box::new(if profile { gpu.measuring() } else { gpu }));
-    println!("<!-- the adapter is open after {opened:.3} s -->");
+    if with_gpu {
+        let start = Instant::now();
+        let gpu = GpuBackend::new(Arc::clone(&scene), spec, choice)?;
+        println!("<!-- the adapter is open after {:.3} s -->", start.elapsed().as_secs_f64());
+        backends.push(Box::new(if profile { gpu.measuring() } else { gpu }));
+    }
     for backend in &backends {
         let start = Instant::now();
         let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all)?);
         let built = start.elapsed().as_secs_f64();
         // Once without use: a device compiles and allocates at first.
-        sample(&scene, &surface, &sight, [2; 3], 0.1)?;
-        println!("| {} | | {built:.3} hierarchy, {:.3} to be ready | | | | | | |", backend.profile(), start.elapsed().as_secs_f64());
+        sample(&scene, &surface, &sight, [2; 3], 0.1, None)?;
+        println!(
+            "| {} | | {built:.3} hierarchy, {:.3} to be ready | | | | | | |",
+            backend.profile(),
+            start.elapsed().as_secs_f64()
+        );
         for target in targets {
-            line(&scene, &surface, (&**backend, &sight), cells, target.parse()?)?;
+            line(&scene, &surface, (&**backend, &sight), cells, target.parse()?, pace)?;
         }
     }
     Ok(())
@@ -103,6 +124,7 @@ fn sample(
     sight: &Sight<'_>,
     cells: [u32; 3],
     target: f64,
+    pace: Option<Pace>,
 ) -> Answer<(f64, [u64; 4], f64, String)> {
     let rows = Rows::triangles(scene);
     let bounds = scene.bounds();
@@ -123,6 +145,10 @@ fn sample(
     };
     let start = Instant::now();
     let mut block = Block::new(tools, CellGrid::new(bounds.min, bounds.max, cells), number, |_| u64::MAX);
+    if let Some(pace) = pace {
+        block.ask_for_device()?;
+        block.set_pace(pace);
+    }
     block.sample(target, &[], Tolerance::Raised)?;
     let seconds = start.elapsed().as_secs_f64();
     let mut rays = [0; 4];
@@ -145,8 +171,9 @@ fn line(
     (backend, sight): (&dyn Backend, &Sight<'_>),
     cells: [u32; 3],
     target: f64,
+    pace: Option<Pace>,
 ) -> Answer<()> {
-    let (seconds, rays, error, bus) = sample(scene, surface, sight, cells, target)?;
+    let (seconds, rays, error, bus) = sample(scene, surface, sight, cells, target, pace)?;
     let kind = backend.profile().split('/').next().unwrap_or_default();
     let all = rays.iter().sum::<u64>() as f64 / 1e6;
     let [uniform, flood, aimed, _] = rays.map(|r| 100.0 * r as f64 / 1e6 / all);
@@ -176,7 +203,8 @@ fn error(block: &Block<'_>, scene: &Scene, sight: &Sight<'_>) -> Answer<f64> {
                         packets.push((number, Packet::default()));
                     }
                     let [forward, right, up] = face_basis((random.bits() % 6) as u32);
-                    let direction = forward + right * (2.0 * random.unit() - 1.0) + up * (2.0 * random.unit() - 1.0);
+                    let direction =
+                        forward + right * (2.0 * random.unit() - 1.0) + up * (2.0 * random.unit() - 1.0);
                     let origin = low + size * random.point();
                     if let Some((_, packet)) = packets.last_mut() {
                         packet.push(origin.to_array(), direction.to_array());

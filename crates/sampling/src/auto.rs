@@ -1,24 +1,42 @@
-//! Times the backends on a few cubes, or on as many sight lines, of a scene, to choose the faster backend.
+//! Times the backends on a few cubes, a few cells or a few rays of a scene, to choose the faster backend.
 
 use std::time::{Duration, Instant};
 
+use sightline_model::Granularity;
 use sightline_viewcells::Lattice;
 
 use crate::backend::{Backend, LineSet};
+use crate::context::{TileError, Watcher};
+use crate::crew::Alone;
 use crate::cube::face_basis;
 use crate::error::BackendError;
+use crate::lines::block::{Block, Tools};
+use crate::lines::grid::CellGrid;
+use crate::lines::rounds::Tolerance;
 use crate::packet::{LANES, Packet};
+use crate::prepared::PreparedScene;
+use crate::sight::Sight;
 
 /// Cubes timed with each backend, after one cube to warm up.
 const CUBES: u32 = 8;
 
-/// The time one cube takes.
+/// The time that a backend takes for a cube, or for something else that is the same for all backends.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Timing {
     /// The backend's numerics profile.
     pub profile: String,
     /// Mean over a batch.
     pub per_cube: Duration,
+}
+
+struct Silent;
+
+impl Watcher for Silent {
+    fn rendered(&self, _: u64) {}
+    fn cell_done(&self) {}
+    fn cancelled(&self) -> bool {
+        false
+    }
 }
 
 /// Points spread evenly over the view box: a Kronecker sequence (generalised golden ratio in three
@@ -49,7 +67,47 @@ pub fn time(backend: &dyn Backend, lattice: &Lattice) -> Result<Timing, BackendE
     Ok(Timing { profile: backend.profile().to_owned(), per_cube: start.elapsed() / CUBES })
 }
 
-/// Times `backend` on sight lines: packets of a cube's directions from the same points, half of them traced
+/// Times `backend` on rounds of sight lines, as the sampler casts them, from a few cells that fill the view
+/// box. The time excludes building the hierarchy and compiling kernels, which happens once.
+///
+/// # Errors
+/// [`TileError::Backend`] with the backend's own failure.
+pub fn time_rounds(
+    backend: &dyn Backend,
+    scene: &PreparedScene,
+    lattice: &Lattice,
+) -> Result<Timing, TileError> {
+    /// Cells along each axis.
+    const CELLS: [u32; 3] = [4; 3];
+    /// A coarse target to warm up with, and the one that is timed.
+    const TARGETS: [f64; 2] = [0.1, 0.01];
+    let (facts, sight) = (scene.for_lines(), Sight::new(backend, scene.traced())?);
+    let (min, max) = (lattice.position([0; 3]), lattice.position(lattice.units()));
+    let mut taken = Duration::ZERO;
+    for target in TARGETS {
+        let tools = Tools {
+            scene: facts.scene,
+            surface: facts.surface,
+            rows: scene.rows(Granularity::Triangles),
+            sight: &sight,
+            seed: 0,
+            watcher: &Silent,
+            deadline: None,
+            pairs: None,
+            places: None,
+            crew: &Alone,
+            ledger: None,
+        };
+        let number = |[x, y, z]: [u32; 3]| u64::from((z * CELLS[1] + y) * CELLS[0] + x);
+        let mut block = Block::new(tools, CellGrid::new(min, max, CELLS), number, |_| u64::MAX);
+        let start = Instant::now();
+        block.sample(target, &[], Tolerance::Raised)?;
+        taken = start.elapsed();
+    }
+    Ok(Timing { profile: backend.profile().to_owned(), per_cube: taken / CELLS.iter().product() })
+}
+
+/// Times `backend` on single sight lines: packets of a cube's directions from the same points, half of them traced
 /// ray by ray. A cube has as many lines as an item buffer cube with faces of 64² pixels.
 ///
 /// # Errors

@@ -179,7 +179,9 @@ impl<'a> Sight<'a> {
     /// [`BackendError::Failed`] when the device does.
     pub fn rounds(&self, block: &DeviceBlock<'_>) -> Result<Option<Box<dyn Rounds + '_>>, BackendError> {
         match &self.see_through {
-            SeeThrough::Absent if self.masked.is_none() && self.kinds.is_empty() => self.blocking.rounds(block),
+            SeeThrough::Absent if self.masked.is_none() && self.kinds.is_empty() => {
+                self.blocking.rounds(block)
+            }
             _ => Ok(None),
         }
     }

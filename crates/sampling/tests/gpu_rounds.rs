@@ -238,7 +238,8 @@ fn pairs_are_those_that_the_host_finds() {
     // A room that a wall with a slit divides.
     let mut triangles = tessellated_box(Vec3::splat(-3.0), Vec3::splat(3.0), 2);
     for [low, high] in [[-3.0, -0.2], [0.2, 3.0]] {
-        let [a, b, c, d] = [(low, -3.0), (high, -3.0), (high, 3.0), (low, 3.0)].map(|(y, z)| Vec3::new(0.1, y, z));
+        let [a, b, c, d] =
+            [(low, -3.0), (high, -3.0), (high, 3.0), (low, 3.0)].map(|(y, z)| Vec3::new(0.1, y, z));
         triangles.extend([Triangle { v: [a, b, c] }, Triangle { v: [a, c, d] }]);
     }
     let scene = scene(triangles);

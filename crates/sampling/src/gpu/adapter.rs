@@ -1,6 +1,6 @@
 //! Lists the adapters of this machine, chooses one, names its numerics profile and opens its device.
 
-use std::sync::{Mutex, OnceLock};
+use std::sync::{Arc, Mutex};
 
 use super::device::lock;
 use crate::error::BackendError;
@@ -61,11 +61,13 @@ fn is_gpu(name: &str) -> bool {
     ["nvidia", "nvhost", "nvgpu", "kfd", "dxg", "mali", "kgsl", "pvr"].iter().any(|p| name.starts_with(p))
 }
 
+/// The adapters that were found, until one of them fails.
+static FOUND: Mutex<Option<Arc<[wgpu::Adapter]>>> = Mutex::new(None);
+
 /// The adapters of this machine, best first. Starting the drivers takes tenths of a second, so this is done
-/// once.
-fn find() -> &'static [wgpu::Adapter] {
-    static FOUND: OnceLock<Vec<wgpu::Adapter>> = OnceLock::new();
-    FOUND.get_or_init(look_for_adapters)
+/// once as long as all is well.
+fn find() -> Arc<[wgpu::Adapter]> {
+    Arc::clone(lock(&FOUND).get_or_insert_with(|| look_for_adapters().into()))
 }
 
 fn look_for_adapters() -> Vec<wgpu::Adapter> {
@@ -130,7 +132,8 @@ pub fn probe(choice: &AdapterChoice) -> Result<String, BackendError> {
 /// tenths of a second.
 static SPARE: Mutex<Vec<Opened>> = Mutex::new(Vec::new());
 
-/// Opens the adapter that `choice` selects, with the largest limits that the adapter supports.
+/// Opens the best adapter that `choice` allows and that can be opened, with the largest limits that it
+/// supports. One that fails is named in the log.
 pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
     let adapters = find();
     if adapters.is_empty() {
@@ -142,28 +145,44 @@ pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
         ));
     }
     let all: Vec<AdapterSummary> = adapters.iter().map(|a| summary(&a.get_info())).collect();
-    let place = match choice {
-        AdapterChoice::Hardware => all.iter().position(|a| !a.software),
-        AdapterChoice::AllowSoftware => Some(0),
-        AdapterChoice::Named(part) => {
-            let part = part.to_lowercase();
-            all.iter().position(|a| a.name.to_lowercase().contains(&part))
-        }
+    let fits = |of: &AdapterSummary| match choice {
+        AdapterChoice::Hardware => !of.software,
+        AdapterChoice::AllowSoftware => true,
+        AdapterChoice::Named(part) => of.name.to_lowercase().contains(&part.to_lowercase()),
     };
     let there = || all.iter().map(|a| a.name.as_str()).collect::<Vec<_>>().join("; ");
-    let Some((adapter, summary)) = place.and_then(|i| Some((adapters.get(i)?, all.get(i)?.clone()))) else {
-        return Err(BackendError::Unavailable(match choice {
-            AdapterChoice::Named(part) => {
-                format!("no adapter is named like \"{part}\"; there are: {}", there())
+    let mut refused = BackendError::Unavailable(match choice {
+        AdapterChoice::Named(part) => format!("no adapter is named like \"{part}\"; there are: {}", there()),
+        _ => format!(
+            "no hardware adapter, only software ({}); allow software rasterising or use --backend cpu",
+            there()
+        ),
+    });
+    let mut fitting = adapters.iter().zip(&all).filter(|(_, summary)| fits(summary)).peekable();
+    let mut has_failed = false;
+    while let Some((adapter, summary)) = fitting.next() {
+        match open_one(adapter, summary) {
+            Ok(opened) => return Ok(opened),
+            Err(error) => {
+                if let Some((_, next)) = fitting.peek() {
+                    tracing::warn!("{error}; {} is tried instead", next.name);
+                }
+                if !has_failed {
+                    refused = error;
+                }
+                has_failed = true;
+                // A driver that was lost may be there again when it is started anew.
+                *lock(&FOUND) = None;
             }
-            _ => format!(
-                "no hardware adapter, only software ({}); allow software rasterising or use --backend cpu",
-                there()
-            ),
-        }));
-    };
+        }
+    }
+    Err(refused)
+}
+
+/// Opens an adapter, or takes its device that is open already.
+fn open_one(adapter: &wgpu::Adapter, summary: &AdapterSummary) -> Result<Opened, BackendError> {
     let mut spare = lock(&SPARE);
-    if let Some(place) = spare.iter().position(|opened| opened.summary == summary) {
+    if let Some(place) = spare.iter().position(|opened| opened.summary == *summary) {
         return Ok(spare.swap_remove(place));
     }
     drop(spare);
@@ -185,7 +204,7 @@ pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
             summary.name
         ))
     })?;
-    Ok(Opened { device, queue, summary })
+    Ok(Opened { device, queue, summary: summary.clone() })
 }
 
 #[cfg(test)]

@@ -16,6 +16,7 @@
 
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
+use rayon::prelude::*;
 use sightline_scene::Aabb;
 
 /// Greatest depth of a leaf, where the root has depth 0; the number of entries of the shader's stack.
@@ -165,19 +166,46 @@ fn bin_of(centre: Vec3, centres: &Aabb, axis: usize) -> usize {
     (((centre[axis] - centres.min[axis]) / extent * BINS as f32) as usize).min(BINS - 1)
 }
 
+/// The items of a bin: their bounds and their number.
+type Bin = (Aabb, u32);
+
+/// Whether the extent of the centres along an axis is too small to be divided into bins.
+fn is_flat(centres: &Aabb, axis: usize) -> bool {
+    centres.max[axis] - centres.min[axis] <= f32::MIN_POSITIVE * BINS as f32
+}
+
+/// The items in bins along each axis that is not flat.
+fn binned(items: &[Item], centres: &Aabb) -> [[Bin; BINS]; 3] {
+    let mut bins = [[(Aabb::EMPTY, 0); BINS]; 3];
+    if items.len() >= PARALLEL {
+        // Unions and sums do not depend on the order.
+        let empty = bins;
+        let parts = items.par_chunks(PARALLEL / 2).map(|some| binned(some, centres));
+        return parts.reduce(
+            || empty,
+            |mut all, part| {
+                for (bin, more) in all.iter_mut().flatten().zip(part.iter().flatten()) {
+                    *bin = (bin.0.union(more.0), bin.1 + more.1);
+                }
+                all
+            },
+        );
+    }
+    for axis in (0..3).filter(|axis| !is_flat(centres, *axis)) {
+        for item in items {
+            let bin = &mut bins[axis][bin_of(item.centre(), centres, axis)];
+            *bin = (bin.0.union(item.bounds), bin.1 + 1);
+        }
+    }
+    bins
+}
+
 /// The cheapest split with items on both sides. Among equal costs, the first axis and bin win.
 fn best_split(items: &[Item], centres: &Aabb) -> Option<Split> {
     let mut best: Option<Split> = None;
-    for axis in 0..3 {
-        // Also skips extents too small to be divided into bins.
-        if centres.max[axis] - centres.min[axis] <= f32::MIN_POSITIVE * BINS as f32 {
-            continue;
-        }
-        let mut bins = [(Aabb::EMPTY, 0u32); BINS];
-        for item in items {
-            let bin = &mut bins[bin_of(item.centre(), centres, axis)];
-            *bin = (bin.0.union(item.bounds), bin.1 + 1);
-        }
+    let all = binned(items, centres);
+    for axis in (0..3).filter(|axis| !is_flat(centres, *axis)) {
+        let bins = &all[axis];
         let mut above = [(0.0f32, 0u32); BINS];
         let (mut bounds, mut count) = (Aabb::EMPTY, 0);
         for bin in (1..BINS).rev() {

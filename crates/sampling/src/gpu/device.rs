@@ -39,11 +39,7 @@ impl Gpu {
     ///
     /// # Errors
     /// [`BackendError::Unavailable`] when there is no fitting adapter, or it cannot do `spec` or the scene.
-    pub(super) fn open(
-        scene: &Scene,
-        spec: CubeSpec,
-        choice: &AdapterChoice,
-    ) -> Result<Self, BackendError> {
+    pub(super) fn open(scene: &Scene, spec: CubeSpec, choice: &AdapterChoice) -> Result<Self, BackendError> {
         if !(1..=MAX_RESOLUTION).contains(&spec.resolution) {
             return Err(BackendError::Unavailable(format!(
                 "a cube of {} pixels a side cannot be rendered; choose 1 to {MAX_RESOLUTION}",

@@ -4,6 +4,8 @@
 //! **Limits.** A storage binding may be as small as 128 MiB, so nodes and triangles are each spread over up
 //! to [`PAGES`] bindings. A scene that still does not fit is refused with an error that names the limit.
 
+use std::sync::OnceLock;
+
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -55,7 +57,7 @@ struct Uniform {
 
 /// A scene on the device.
 pub(super) struct LineScene {
-    pub(super) pipeline: wgpu::ComputePipeline,
+    pipeline: OnceLock<Result<wgpu::ComputePipeline, String>>,
     /// The scene's bindings.
     pub(super) group: wgpu::BindGroup,
     /// Layout of the scene's bindings.
@@ -156,7 +158,7 @@ impl LineScene {
         .map_err(Refusal::Failed)
     }
 
-    /// The pipeline with the shader's `constants`, and the scene's bindings, `bound` in the shader's order.
+    /// The scene's bindings, `bound` in the shader's order, and the shader's `constants`.
     fn bind(device: &wgpu::Device, bound: &[wgpu::Buffer], constants: [(&'static str, f64); 4]) -> Self {
         let stage = wgpu::ShaderStages::COMPUTE;
         let storage = |read_only| buffer(wgpu::BufferBindingType::Storage { read_only }, false);
@@ -179,28 +181,39 @@ impl LineScene {
             layout: &scene_layout,
             entries: &entries,
         });
-        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some("lines"),
-            bind_group_layouts: &[Some(&scene_layout), Some(&rays_layout)],
-            immediate_size: 0,
-        });
-        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some("lines"),
-            layout: Some(&layout),
-            module: &device.create_shader_module(wgpu::ShaderModuleDescriptor {
-                label: Some("lines"),
-                source: wgpu::ShaderSource::Wgsl(
-                    concat!(include_str!("traverse.wgsl"), include_str!("trace.wgsl")).into(),
-                ),
-            }),
-            entry_point: Some("trace"),
-            compilation_options: wgpu::PipelineCompilationOptions {
-                constants: &constants,
-                ..Default::default()
-            },
-            cache: None,
-        });
+        let pipeline = OnceLock::new();
         Self { pipeline, group, layout: scene_layout, constants, rays_layout, empty: false }
+    }
+
+    /// The pipeline of packets, made when the first are traced: whole rounds on the device need none.
+    ///
+    /// # Errors
+    /// The device's message.
+    pub(super) fn pipeline(&self, device: &wgpu::Device) -> Result<&wgpu::ComputePipeline, String> {
+        let make = || {
+            let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+                label: Some("lines"),
+                bind_group_layouts: &[Some(&self.layout), Some(&self.rays_layout)],
+                immediate_size: 0,
+            });
+            let source = concat!(include_str!("traverse.wgsl"), include_str!("trace.wgsl"));
+            let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some("lines"),
+                source: wgpu::ShaderSource::Wgsl(source.into()),
+            });
+            Ok(device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some("lines"),
+                layout: Some(&layout),
+                module: &module,
+                entry_point: Some("trace"),
+                compilation_options: wgpu::PipelineCompilationOptions {
+                    constants: &self.constants,
+                    ..Default::default()
+                },
+                cache: None,
+            }))
+        };
+        self.pipeline.get_or_init(|| scoped(device, make)).as_ref().map_err(Clone::clone)
     }
 }
 

@@ -124,23 +124,16 @@ impl Backend for GpuBackend {
                 let mut places = Vec::with_capacity(ids.len());
                 for id in ids {
                     let place = ranks.get(*id as usize).ok_or_else(|| {
-                        self.gpu.failed(format!(
-                            "the superset names triangle {id} of a scene of {}",
-                            ranks.len()
-                        ))
+                        self.gpu
+                            .failed(format!("the superset names triangle {id} of a scene of {}", ranks.len()))
                     })?;
                     places.extend((*place != NEVER).then_some(*place));
                 }
                 places.sort_unstable();
                 places.dedup();
                 let ids = places.into_iter().map(|place| whole.ids[place as usize]).collect();
-                let made = Geometry::upload(
-                    &self.gpu.device,
-                    self.scene.triangles(),
-                    ids,
-                    self.page_bytes,
-                    *style,
-                );
+                let made =
+                    Geometry::upload(&self.gpu.device, self.scene.triangles(), ids, self.page_bytes, *style);
                 Arc::new(made.map_err(|reason| self.gpu.failed(reason))?)
             }
         };

@@ -197,12 +197,13 @@ impl<'a> GpuTracer<'a> {
         let b = self.gpu;
         let slot = self.kit.slot(&b.device, packets.len()).map_err(|reason| b.failed(reason))?;
         slot.fill(packets).map_err(|e| b.failed(format!("writing rays: {e}")))?;
+        let pipeline = self.kit.scene.pipeline(&b.device).map_err(|reason| b.failed(reason))?;
         let mut encoder = b.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let bytes = |words: usize| (packets.len() * words * 4) as u64;
         encoder.copy_buffer_to_buffer(&slot.upload, 0, &slot.rays, 0, bytes(RAY_WORDS));
         {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            pass.set_pipeline(&self.kit.scene.pipeline);
+            pass.set_pipeline(pipeline);
             pass.set_bind_group(0, &self.kit.scene.group, &[]);
             pass.set_bind_group(1, &slot.group, &[]);
             // The last group may also trace rays of an earlier batch; their hits are not read. There are at

@@ -15,6 +15,7 @@ use super::grid::{CellGrid, Crossed, Slot};
 use super::ledger::Ledger;
 use super::on_device::OnDevice;
 use super::pairs::Pairs;
+use super::rounds::Pace;
 use super::yields::{Tally, Yields};
 use crate::context::{Places, Watcher};
 use crate::crew::Crew;
@@ -26,10 +27,6 @@ use crate::sight::{Passed, Sight};
 use crate::surface::Surface;
 use sightline_model::CellStats;
 use sightline_viewcells::viewpoints::PARTS;
-
-/// Work of an aimed ray in units of a uniform ray, which is traced in a packet: measured as 2 (wide tiles,
-/// small scenes) to 4.5.
-pub(super) const AIMED_WORK: u64 = 3;
 
 /// One lane in this many joins the cells that its line crosses: neighbouring lanes cross about the same
 /// cells, and joining takes longer than tracing where a line crosses many. In a block that is a part of
@@ -189,6 +186,8 @@ pub struct Block<'a> {
     /// Uniform rays after which a cell is finished, whatever they met; `None` when the expected error
     /// decides.
     pub(super) enough: Option<u64>,
+    /// What suits the tracer.
+    pub(super) pace: Pace,
     /// The yields of aiming at candidates.
     pub(super) yields: Yields,
     /// Whether the caller of the sampling, not the sampling itself, reports finished cells.
@@ -246,7 +245,8 @@ impl<'a> Block<'a> {
             seeded: false,
             enough: None,
             // A try casts one ray in each of two opposite directions.
-            yields: Yields::new(2 * AIMED_WORK),
+            yields: Yields::new(2 * Pace::HOST.aimed),
+            pace: Pace::HOST,
             silent: false,
             told: 0,
             step,

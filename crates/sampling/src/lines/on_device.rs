@@ -17,7 +17,8 @@ use super::device::{
 use super::finds::Answer;
 use super::pairs::Pairs;
 use super::phase::{self, Items};
-use super::yields::Tally;
+use super::rounds::Pace;
+use super::yields::{Tally, Yields};
 use crate::context::TileError;
 use crate::error::BackendError;
 use crate::packet::LANES;
@@ -89,7 +90,7 @@ impl Block<'_> {
     ///
     /// # Errors
     /// [`BackendError::Failed`] when the device does.
-    pub(super) fn ask_for_device(&mut self) -> Result<(), BackendError> {
+    pub fn ask_for_device(&mut self) -> Result<(), BackendError> {
         if !matches!(self.device, OnDevice::Unknown) {
             return Ok(());
         }
@@ -128,8 +129,15 @@ impl Block<'_> {
         let sight = tools.sight;
         if let Some(rounds) = sight.rounds(&block)? {
             self.device = OnDevice::Yes { rounds, stale: true };
+            self.set_pace(Pace::DEVICE);
         }
         Ok(())
+    }
+
+    /// Sets the pace of a block that has cast nothing yet.
+    pub fn set_pace(&mut self, pace: Pace) {
+        self.pace = pace;
+        self.yields = Yields::new(2 * pace.aimed);
     }
 
     /// The cells of the division, and the slots that the block's cells have there.
@@ -173,7 +181,8 @@ impl Block<'_> {
     /// A round of uniform lines from each cell, with so many tiles along a cube face.
     pub(super) fn uniform_on_device(&mut self, work: &[(usize, u32)]) -> Result<(), TileError> {
         let base = |c: usize| self.stats[c].rays[LineKind::Uniform as usize] / (2 * LANES as u64);
-        let lines = |(cell, tiles): &(usize, u32)| UniformWork { cell: *cell, tiles: *tiles, base: base(*cell) };
+        let lines =
+            |(cell, tiles): &(usize, u32)| UniformWork { cell: *cell, tiles: *tiles, base: base(*cell) };
         let wanted: Vec<UniformWork> = work.iter().map(lines).collect();
         let answer = |found: &Found| {
             let counted = found.counts.iter().zip(work);
@@ -195,7 +204,12 @@ impl Block<'_> {
     }
 
     /// Lines from each cell at its candidates that cover at least a part of the sphere.
-    pub(super) fn aim_on_device(&mut self, open: &[usize], least: &[f64], round: u32) -> Result<(), TileError> {
+    pub(super) fn aim_on_device(
+        &mut self,
+        open: &[usize],
+        least: &[f64],
+        round: u32,
+    ) -> Result<(), TileError> {
         let rays = |c: usize| self.stats[c].rays[LineKind::Uniform as usize];
         let lines = |(c, least): (&usize, &f64)| AimWork { cell: *c, least: *least, rays: rays(*c) };
         let wanted: Vec<AimWork> = open.iter().zip(least).map(lines).collect();
@@ -244,7 +258,10 @@ impl Block<'_> {
     /// A round of segments from some cells of the division, by number, which join the cells that they cross.
     /// For each cell the number of segments, and of how many later cells a point sees a point of the cell, as
     /// far as these tell.
-    pub(super) fn segments_on_device(&mut self, work: &SegmentWork<'_>) -> Result<Vec<(u64, f64)>, TileError> {
+    pub(super) fn segments_on_device(
+        &mut self,
+        work: &SegmentWork<'_>,
+    ) -> Result<Vec<(u64, f64)>, TileError> {
         let estimates = Mutex::default();
         let answer = |found: &Found| {
             let stats = |[segments, free, at, _]: &[u32; 4]| {
@@ -264,7 +281,9 @@ impl Block<'_> {
             };
             *estimates.lock().unwrap_or_else(PoisonError::into_inner) = stats.iter().map(estimate).collect();
         };
-        self.any_phase_on_device(count, &|rounds, on| rounds.segments(work, on), &answer, &mut |_, s| take(s))?;
+        self.any_phase_on_device(count, &|rounds, on| rounds.segments(work, on), &answer, &mut |_, s| {
+            take(s)
+        })?;
         Ok(estimates.into_inner().unwrap_or_else(PoisonError::into_inner))
     }
 
@@ -311,7 +330,11 @@ impl Block<'_> {
             let mut stats = answer(&found);
             // Nothing is counted of what was broken off.
             stats.resize_with(count, CellStats::default);
-            found.words.par_iter().with_min_len(4096).for_each(|(at, word)| this.bits.add(*at as usize, *word));
+            found
+                .words
+                .par_iter()
+                .with_min_len(4096)
+                .for_each(|(at, word)| this.bits.add(*at as usize, *word));
             if let Some(pairs) = this.tools.pairs {
                 found.pair_words.iter().for_each(|(at, word)| pairs.add(*at as usize, *word));
             }

@@ -6,14 +6,10 @@
 //! fraction or less. A cell is finished when the expected fraction is at most its tolerance: the target, or
 //! more for the hardest cells ([`Tolerance`]).
 
-use super::block::{AIMED_WORK, Block};
+use super::block::Block;
 use crate::context::TileError;
 use sightline_model::{CellStats, LineKind};
 
-/// Uniform tiles of the first round along a cube face: 3 give 27 pairs of packets, 864 rays; 2 give 12 pairs,
-/// for coarse targets.
-const FIRST_TILES: u32 = 3;
-const FIRST_COARSE: u32 = 2;
 /// Targets above this are coarse.
 const COARSE: f64 = 5e-3;
 /// Most tiles along a face in a round: 1.6 million rays, of which one miss is well below the least allowed
@@ -27,9 +23,6 @@ pub(super) const LEFT_AFTER_ROUND: f64 = 0.5;
 const LEFT_AFTER_FIRST: f64 = 0.1;
 /// Expected number of misses for which a round's size is chosen, so that its estimate is meaningful.
 const MISSES_WANTED: f64 = 1.0;
-/// Growth of the least number of tiles along a face from round to round: in a cell that misses much for many
-/// rounds, small rounds would repeat each other.
-const GROWTH: f64 = 1.25;
 /// Candidates that cover less than this part of the cell's missed fraction are not tried.
 const CANDIDATE_PART: f64 = 1e-4;
 /// Most rounds of a cell. A cell that needs more still finds new triangles in every round and is marked as
@@ -40,6 +33,29 @@ const MOST_ROUNDS: u32 = 24;
 const HARD_FROM: f64 = 3.0;
 /// Seeds are cast for targets below this one; above it they cost more than they gain.
 const SEEDS_BELOW: f64 = 3e-3;
+
+/// What suits the tracer of a block: how large rounds are, and what an aimed ray costs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pace {
+    /// Uniform tiles of the first round along a cube face: 3 give 27 pairs of packets, 864 rays.
+    pub first: u32,
+    /// The same for coarse targets.
+    pub first_coarse: u32,
+    /// Growth of the least number of tiles along a face from round to round: in a cell that misses much for
+    /// many rounds, small rounds would repeat each other.
+    pub growth: f64,
+    /// Work of an aimed ray in units of a uniform ray.
+    pub aimed: u64,
+}
+
+impl Pace {
+    /// The host traces: uniform rays in packets. An aimed ray was measured as 2 (wide tiles, small scenes) to
+    /// 4.5 uniform ones.
+    pub const HOST: Self = Self { first: 3, first_coarse: 2, growth: 1.25, aimed: 3 };
+    /// A device casts whole rounds. A ray more costs it less than a round more, and an aimed ray little more
+    /// than another one (`docs/experiments/gpu-rounds.md`).
+    pub const DEVICE: Self = Self { first: 6, first_coarse: 4, growth: 1.25, aimed: 2 };
+}
 
 /// The fraction of sight lines that a finished cell may miss, for cells that take far more work than others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -162,7 +178,7 @@ impl Block<'_> {
     /// The work of a cell so far, in units of a uniform ray.
     fn work_of(&self, cell: usize) -> f64 {
         let [uniform, flood, candidate, _] = self.stats[cell].rays;
-        (uniform + AIMED_WORK * (flood + candidate)) as f64
+        (uniform + self.pace.aimed * (flood + candidate)) as f64
     }
 
     /// The work of all cells so far, in units of a uniform ray.
@@ -175,19 +191,19 @@ impl Block<'_> {
     fn tiles_up_to(&self, cell: usize, enough: u64) -> u32 {
         let cast = self.stats[cell].rays[LineKind::Uniform as usize];
         let wanted = if cast == 0 { enough / 3 } else { enough.saturating_sub(cast) };
-        ((wanted as f64 / 96.0).sqrt().ceil() as u32).clamp(FIRST_TILES, MOST_TILES)
+        ((wanted as f64 / 96.0).sqrt().ceil() as u32).clamp(self.pace.first, MOST_TILES)
     }
 
     /// Tiles along a cube face for a cell's next round: enough to expect [`MISSES_WANTED`] misses.
     fn tiles_for(&self, cell: usize, target: f64, round: u32) -> u32 {
         let s = &self.stats[cell];
         if s.last_rays == 0 {
-            return if target > COARSE { FIRST_COARSE } else { FIRST_TILES };
+            return if target > COARSE { self.pace.first_coarse } else { self.pace.first };
         }
         let expected = (self.missing(cell) * LEFT_AFTER_ROUND).max(target);
         let rays = MISSES_WANTED / expected;
         // 3·tiles² pairs of sixteen.
-        let least = f64::from(FIRST_TILES) * GROWTH.powi(round as i32);
-        ((rays / 96.0).sqrt().max(least).ceil() as u32).clamp(FIRST_TILES, MOST_TILES)
+        let least = f64::from(self.pace.first) * self.pace.growth.powi(round as i32);
+        ((rays / 96.0).sqrt().max(least).ceil() as u32).clamp(self.pace.first, MOST_TILES)
     }
 }

@@ -172,12 +172,31 @@ fn ended(hit: Hit, far: f32) -> Hit {
     return hit;
 }
 
-@compute @workgroup_size(64)
-fn cast_lines(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+// Traces the rays of all lines: first the halves ahead, then those behind, so that neighbouring threads trace
+// neighbouring rays.
+@compute @workgroup_size(128)
+fn trace_rays(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let count = min(atomicLoad(&counters[LINES]), 3u * block.capacity);
-    for (var i = id.x; i < count; i += groups.x * 64u) {
+    let rays = select(count, 2u * count, part.way == BOTH_WAYS);
+    for (var ray = id.x; ray < rays; ray += groups.x * 128u) {
+        let is_behind = ray >= count;
+        let i = select(ray, ray - count, is_behind);
         let origin = bitcast<vec3<f32>>(line_from[i].xyz);
         let direction = bitcast<vec3<f32>>(line_to[i].xyz);
+        var far = FAR;
+        if HALVES && block.far < FAR {
+            far = block.far / length(direction);
+        }
+        if !is_behind {
+            let ahead = ended(nearest_along(origin, direction), far);
+            ends[2u * i] = ahead.id;
+            line_about[i].w = bitcast<u32>(ahead.distance);
+            if part.way != BOTH_WAYS {
+                ends[2u * i + 1u] = SKY;
+                line_about[i].z = bitcast<u32>(0.0);
+            }
+            continue;
+        }
         let size = abs(direction);
         let longest = max(max(size.x, size.y), size.z);
         let largest = max(max(abs(origin.x), abs(origin.y)), abs(origin.z));
@@ -185,45 +204,48 @@ fn cast_lines(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
         if longest > 0.0 {
             ahead_by = max(block.step, largest * OVERLAP) / longest;
         }
-        var far = FAR;
-        if HALVES && block.far < FAR {
-            far = block.far / length(direction);
-        }
-        let ahead = ended(nearest_along(origin, direction), far);
-        ends[2u * i] = ahead.id;
-        if part.way != BOTH_WAYS {
-            ends[2u * i + 1u] = SKY;
-            line_about[i].z = bitcast<u32>(0.0);
-            line_about[i].w = bitcast<u32>(ahead.distance);
-            if part.way == AHEAD && ahead.id != SKY && !is_seen(ahead.id, cell_of(line_from[i].w).slot) {
-                credit(origin, direction, 0.0, ahead.distance, ahead.id, SKY);
-            }
-            continue;
-        }
         let behind = ended(nearest_along(origin + direction * ahead_by, -direction), far);
         ends[2u * i + 1u] = behind.id;
-        let least = ahead_by - behind.distance;
-        let most = ahead.distance;
-        line_about[i].z = bitcast<u32>(least);
-        line_about[i].w = bitcast<u32>(most);
-        if ahead.id == SKY && behind.id == SKY {
+        line_about[i].z = bitcast<u32>(ahead_by - behind.distance);
+    }
+}
+
+// Credits the cells that the traced lines cross.
+@compute @workgroup_size(64)
+fn credit_lines(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let count = min(atomicLoad(&counters[LINES]), 3u * block.capacity);
+    for (var i = id.x; i < count; i += groups.x * 64u) {
+        let ahead = ends[2u * i];
+        let behind = ends[2u * i + 1u];
+        if ahead == SKY && behind == SKY {
             continue;
         }
-        if !HALVES {
-            credit(origin, direction, least, most, ahead.id, behind.id);
+        let origin = bitcast<vec3<f32>>(line_from[i].xyz);
+        let direction = bitcast<vec3<f32>>(line_to[i].xyz);
+        let least = bitcast<f32>(line_about[i].z);
+        let most = bitcast<f32>(line_about[i].w);
+        if part.way == AHEAD && is_seen(ahead, cell_of(line_from[i].w).slot) {
+            continue;
+        }
+        if !HALVES || part.way == AHEAD {
+            credit(origin, direction, least, most, ahead, behind);
             continue;
         }
         // Each triangle shows up to that distance on both sides of it.
+        var far = FAR;
+        if block.far < FAR {
+            far = block.far / length(direction);
+        }
         let from_here = select(least, max(least, 0.0), ONE_WAY);
         let to_here = select(most, min(most, 0.0), ONE_WAY);
         let is_bounded = far < FAR;
-        if ahead.id != SKY {
+        if ahead != SKY {
             let first = select(from_here, max(from_here, most - far), is_bounded);
-            credit(origin, direction, first, most, ahead.id, SKY);
+            credit(origin, direction, first, most, ahead, SKY);
         }
-        if behind.id != SKY {
+        if behind != SKY {
             let last = select(to_here, min(to_here, least + far), is_bounded);
-            credit(origin, direction, least, last, behind.id, SKY);
+            credit(origin, direction, least, last, behind, SKY);
         }
     }
 }

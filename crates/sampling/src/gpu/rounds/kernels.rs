@@ -12,7 +12,8 @@ pub(super) const STORAGE_BUFFERS: u32 = 28;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kernel {
     MakeUniform,
-    CastLines,
+    TraceRays,
+    CreditLines,
     ClaimUniform,
     GatherUniform,
     ClaimNext,
@@ -39,9 +40,10 @@ pub(super) enum Kernel {
 }
 
 /// Every kernel in the order of [`Kernel`], with the name of its entry point.
-pub(super) const ENTRY_POINTS: [&str; 25] = [
+pub(super) const ENTRY_POINTS: [&str; 26] = [
     "make_uniform",
-    "cast_lines",
+    "trace_rays",
+    "credit_lines",
     "claim_uniform",
     "gather_uniform",
     "claim_next",
@@ -106,7 +108,10 @@ impl Kernels {
         };
         scoped(device, || {
             let [read, write] = [storage(true), storage(false)];
-            let tables = layout_of("tables", &[uniform(false), read, write, write, read, read, read, read, read, write]);
+            let tables = layout_of(
+                "tables",
+                &[uniform(false), read, write, write, read, read, read, read, read, write],
+            );
             let mut of_lists = vec![uniform(true), read];
             of_lists.resize(14, write);
             let lists = layout_of("lists", &of_lists);
@@ -120,10 +125,8 @@ impl Kernels {
                 source: wgpu::ShaderSource::Wgsl(SOURCE.into()),
             });
             let mut constants = scene.constants.to_vec();
-            constants.extend([
-                ("HALVES", f64::from(u8::from(halves))),
-                ("ONE_WAY", f64::from(u8::from(one_way))),
-            ]);
+            constants
+                .extend([("HALVES", f64::from(u8::from(halves))), ("ONE_WAY", f64::from(u8::from(one_way)))]);
             // Compiling takes a driver most of the time that a small block takes, so all threads do it.
             let pipelines = ENTRY_POINTS
                 .par_iter()

@@ -263,8 +263,8 @@ pub(in super::super) struct Lists {
 }
 
 impl Lists {
-    /// Lists that hold `capacity` finds, three times as many lines and candidates, and claims of eight times
-    /// as many.
+    /// Lists that hold `capacity` finds, three times as many lines, candidates and words, and claims of eight
+    /// times as many.
     pub(super) fn new(device: &wgpu::Device, capacity: u32) -> Self {
         use wgpu::BufferUsages as Use;
         let make = |label, size, usage| {
@@ -286,10 +286,10 @@ impl Lists {
             about: make("line numbers", 3 * n * 16, both),
             ends: make("line ends", 3 * n * 8, both),
             candidates: make("candidates", 3 * n * 16, both),
-            words: make("words", n * 12, both),
-            pair_words: make("pair words", n * 12, both),
+            words: make("words", 3 * n * 12, both),
+            pair_words: make("pair words", 3 * n * 12, both),
             parts: make("parts", u64::from(PARTS) * PART_STRIDE, Use::UNIFORM | Use::COPY_DST),
-            read_back: make("read-back", n * 12 + (1 << 20), Use::MAP_READ | Use::COPY_DST),
+            read_back: make("read-back", 3 * n * 12 + (1 << 20), Use::MAP_READ | Use::COPY_DST),
         }
     }
 
@@ -309,7 +309,13 @@ pub(super) struct Lent {
 }
 
 impl Lent {
-    pub(super) fn new(device: &wgpu::Device, kernels: &Kernels, lists: Lists, tables: &Tables, cells: usize) -> Self {
+    pub(super) fn new(
+        device: &wgpu::Device,
+        kernels: &Kernels,
+        lists: Lists,
+        tables: &Tables,
+        cells: usize,
+    ) -> Self {
         use wgpu::BufferUsages as Use;
         let make = |label, words: usize| {
             device.create_buffer(&wgpu::BufferDescriptor {

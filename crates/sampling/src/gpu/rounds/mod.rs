@@ -28,9 +28,9 @@ use crate::lines::device::{
 };
 use crate::lines::yields::Tally;
 use crate::packet::LANES;
-use profile::Profile;
 use kernels::{Kernel, Kernels, STORAGE_BUFFERS};
 use memory::{COUNTER_BYTES, Facts, Lent, Lists, PART_STRIDE, PARTS, Part, STRIPE, Tables, filled_words};
+use profile::Profile;
 
 /// Steps of a flood from triangle to triangle, as on the host.
 const FLOOD_STEPS: usize = 4;
@@ -103,7 +103,10 @@ struct State {
 fn obstacle(gpu: &Gpu, block: &DeviceBlock<'_>, capacity: u32) -> Option<String> {
     let limits = gpu.device.limits();
     let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-    let largest = Tables::bytes(block).max(Tables::pair_bytes(block)).max(Facts::most_bytes(block)).max(Lists::most_bytes(capacity));
+    let largest = Tables::bytes(block)
+        .max(Tables::pair_bytes(block))
+        .max(Facts::most_bytes(block))
+        .max(Lists::most_bytes(capacity));
     if limits.max_storage_buffers_per_shader_stage < STORAGE_BUFFERS {
         return Some(format!(
             "it binds {} storage buffers, and rounds need {STORAGE_BUFFERS}",
@@ -111,6 +114,16 @@ fn obstacle(gpu: &Gpu, block: &DeviceBlock<'_>, capacity: u32) -> Option<String>
         ));
     }
     (largest > most).then(|| format!("{largest} bytes in one buffer are more than the {most} that it binds"))
+}
+
+/// Says why the host makes and credits lines, once a process.
+fn say_once(why: &str) {
+    static SAID: std::sync::Once = std::sync::Once::new();
+    SAID.call_once(|| {
+        tracing::warn!(
+            "the device traces lines, but the host makes and credits them, which takes longer: {why}"
+        );
+    });
 }
 
 impl<'a> GpuRounds<'a> {
@@ -131,14 +144,22 @@ impl<'a> GpuRounds<'a> {
             return Ok(None);
         }
         if let Some(why) = obstacle(gpu, block, capacity) {
-            tracing::warn!("the device traces lines, but the host makes and credits them: {why}");
+            say_once(&why);
             return Ok(None);
         }
         let is_split = block.one_way || block.far < f32::INFINITY;
+        let place = &kit.kernels[usize::from(is_split)];
+        let make = || Kernels::new(&gpu.device, scene, (is_split, block.one_way));
+        let kernels = match once(place, make) {
+            Ok(kernels) => kernels,
+            // A driver that is there does so always, and the profile names it.
+            Err(why) if gpu.check().is_ok() => {
+                say_once(&format!("its driver does not compile the kernels: {why}"));
+                return Ok(None);
+            }
+            Err(why) => return Err(gpu.failed(why)),
+        };
         let made = || -> Result<Self, String> {
-            let kernels = once(&kit.kernels[usize::from(is_split)], || {
-                Kernels::new(&gpu.device, scene, (is_split, block.one_way))
-            })?;
             let facts = once(&kit.facts, || scoped(&gpu.device, || Facts::new(&gpu.device, block)))?;
             let spare = lock(&kit.spare).pop();
             scoped(&gpu.device, || {
@@ -282,15 +303,16 @@ impl<'a> GpuRounds<'a> {
             words.extend(some.map(|w| (w[0], u64::from(w[1]) | u64::from(w[2]) << 32)));
             Ok(())
         };
-        if new <= self.capacity {
+        let fit = 3 * self.capacity;
+        if new <= fit {
             if new > 0 {
                 keep(new)?;
             }
             return Ok(words);
         }
         // More than the list holds: by ranges of places that cannot be more.
-        for first in (0..table.places).step_by(self.capacity as usize) {
-            let count = self.capacity.min(table.places - first);
+        for first in (0..table.places).step_by(fit as usize) {
+            let count = fit.min(table.places - first);
             let offset = self.part(lent, &Part { count, first, ..Part::default() });
             let mut encoder = self.encoder();
             encoder.clear_buffer(&lent.counters, 4 * table.counter as u64, Some(4));
@@ -326,7 +348,12 @@ impl<'a> GpuRounds<'a> {
     }
 
     /// Ends a phase: reads counts and new words, and publishes the table.
-    fn end(&self, lent: &Lent, mut encoder: wgpu::CommandEncoder, items: usize) -> Result<Found, BackendError> {
+    fn end(
+        &self,
+        lent: &Lent,
+        mut encoder: wgpu::CommandEncoder,
+        items: usize,
+    ) -> Result<Found, BackendError> {
         let tables = self.tables(lent);
         for table in tables.iter().filter(|t| t.places > 0) {
             let offset = self.part(lent, &Part { count: table.places, ..Part::default() });
@@ -345,10 +372,13 @@ impl<'a> GpuRounds<'a> {
         let (words, pair_words) = (words?, pair_words?);
         self.publish()?;
         let rays = u64::from(counters[SEED_RAYS]);
-        let tally = Tally::of_device(std::array::from_fn(|d| {
-            let at = |k: usize| u64::from(counters[TALLY + 5 * d + k]);
-            [at(0), at(1) | at(2) << 32, at(3) | at(4) << 32]
-        }), GAIN_UNIT);
+        let tally = Tally::of_device(
+            std::array::from_fn(|d| {
+                let at = |k: usize| u64::from(counters[TALLY + 5 * d + k]);
+                [at(0), at(1) | at(2) << 32, at(3) | at(4) << 32]
+            }),
+            GAIN_UNIT,
+        );
         Ok(Found { counts, rays, tally, words, pair_words })
     }
 
@@ -360,14 +390,14 @@ impl<'a> GpuRounds<'a> {
         encoder.clear_buffer(&lent.counters, 0, Some(8));
         encoder.clear_buffer(&lent.claims, 0, Some(claims));
         use Kernel::*;
-        self.run(&mut encoder, lent, offset, &[MakeUniform, CastLines]);
+        self.run(&mut encoder, lent, offset, &[MakeUniform, TraceRays, CreditLines]);
         self.run(&mut encoder, lent, offset, self.joins());
         self.run(&mut encoder, lent, offset, &[ClaimUniform, GatherUniform]);
         let aimed = self.part(lent, &Part { joins: self.joined[1], ..*part });
         for _ in 0..FLOOD_STEPS {
             encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
             encoder.clear_buffer(&lent.claims, 0, Some(claims));
-            self.run(&mut encoder, lent, offset, &[ClaimNext, MakeFlood, CastLines]);
+            self.run(&mut encoder, lent, offset, &[ClaimNext, MakeFlood, TraceRays, CreditLines]);
             self.run(&mut encoder, lent, aimed, self.joins());
             encoder.clear_buffer(&lent.counters, 0, Some(4));
             encoder.clear_buffer(&lent.claims, 0, Some(claims));
@@ -414,7 +444,10 @@ struct Table<'a> {
 }
 
 /// The value of a cell that is filled once; a failure is tried again.
-fn once<T>(place: &Mutex<Option<Arc<T>>>, make: impl FnOnce() -> Result<T, String>) -> Result<Arc<T>, String> {
+fn once<T>(
+    place: &Mutex<Option<Arc<T>>>,
+    make: impl FnOnce() -> Result<T, String>,
+) -> Result<Arc<T>, String> {
     let mut place = lock(place);
     if let Some(made) = &*place {
         return Ok(Arc::clone(made));
@@ -437,7 +470,7 @@ impl Rounds for GpuRounds<'_> {
             (filled_words(pairs.unwrap_or_default()), &lent.pair_words, Kernel::PutPairs),
         ];
         for (words, list, kernel) in tables {
-            for run in words.chunks(self.capacity as usize) {
+            for run in words.chunks(3 * self.capacity as usize) {
                 self.gpu.queue.write_buffer(list, 0, bytemuck::cast_slice(run));
                 lock(&self.state).traffic.up += size_of_val(run) as u64;
                 let offset = self.part(lent, &Part { count: run.len() as u32, ..Part::default() });
@@ -519,7 +552,7 @@ impl Rounds for GpuRounds<'_> {
                 encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
                 let offset = self.part(lent, &Part { time, ..part });
                 use Kernel::*;
-                self.run(&mut encoder, lent, offset, &[MakeAimed, CastLines, GatherAimed]);
+                self.run(&mut encoder, lent, offset, &[MakeAimed, TraceRays, CreditLines, GatherAimed]);
                 self.run(&mut encoder, lent, offset, self.joins());
             }
             self.submit(encoder)?;
@@ -543,7 +576,12 @@ impl Rounds for GpuRounds<'_> {
             let offset = self.part(lent, &Part { first, count, items: 1, joins, ..Part::default() });
             let mut encoder = self.encoder();
             encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
-            self.run(&mut encoder, lent, offset, &[Kernel::MakeSeeds, Kernel::CastLines]);
+            self.run(
+                &mut encoder,
+                lent,
+                offset,
+                &[Kernel::MakeSeeds, Kernel::TraceRays, Kernel::CreditLines],
+            );
             self.run(&mut encoder, lent, offset, self.joins());
             self.submit(encoder)?;
         }
@@ -562,7 +600,8 @@ impl Rounds for GpuRounds<'_> {
         let items: Vec<[u32; 4]> = work
             .iter()
             .map(|(cell, lines)| {
-                let own = [*cell as u32, self.division_slots.get(*cell).copied().unwrap_or(0), 0, before as u32];
+                let own =
+                    [*cell as u32, self.division_slots.get(*cell).copied().unwrap_or(0), 0, before as u32];
                 before += lines;
                 own
             })
@@ -585,9 +624,10 @@ impl Rounds for GpuRounds<'_> {
             };
             let offset = self.part(lent, &part);
             let mut encoder = self.encoder();
-            self.run(&mut encoder, lent, offset, &[Kernel::MakeCheck, Kernel::CastLines, Kernel::GatherCheck]);
+            use Kernel::*;
+            self.run(&mut encoder, lent, offset, &[MakeCheck, TraceRays, CreditLines, GatherCheck]);
             if self.tables.pair_places > 0 {
-                self.run(&mut encoder, lent, offset, &[Kernel::CheckPairs]);
+                self.run(&mut encoder, lent, offset, &[CheckPairs]);
             }
             self.submit(encoder)?;
         }
@@ -622,7 +662,7 @@ impl Rounds for GpuRounds<'_> {
             let mut encoder = self.encoder();
             encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
             use Kernel::*;
-            self.run(&mut encoder, lent, offset, &[MakeSegments, CastLines, GatherSegments]);
+            self.run(&mut encoder, lent, offset, &[MakeSegments, TraceRays, GatherSegments]);
             self.submit(encoder)?;
         }
         let found = self.end(lent, self.encoder(), items.len())?;

@@ -80,8 +80,8 @@ fn gather_check(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workg
     }
 }
 
-// Lists the words from place `first` on that have bits since the last barrier. `capacity` of them fit three
-// numbers each; all are counted.
+// Lists the words from place `first` on that have bits since the last barrier. Three times `capacity` of them
+// fit; all are counted.
 @compute @workgroup_size(64)
 fn gather_words(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     for (var i = id.x; i < part.count; i += groups.x * 64u) {
@@ -90,7 +90,7 @@ fn gather_words(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workg
         let high = atomicLoad(&now[2u * place + 1u]) & ~seen[2u * place + 1u];
         if (low | high) != 0u {
             let at = atomicAdd(&counters[WORDS], 1u);
-            if at < block.capacity {
+            if at < 3u * block.capacity {
                 words[3u * at] = place;
                 words[3u * at + 1u] = low;
                 words[3u * at + 2u] = high;
@@ -108,7 +108,7 @@ fn gather_pairs(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workg
         let high = atomicLoad(&joined[2u * place + 1u]) & ~pairs[2u * place + 1u];
         if (low | high) != 0u {
             let at = atomicAdd(&counters[PAIR_WORDS], 1u);
-            if at < block.capacity {
+            if at < 3u * block.capacity {
                 pair_words[3u * at] = place;
                 pair_words[3u * at + 1u] = low;
                 pair_words[3u * at + 2u] = high;

@@ -87,7 +87,11 @@ impl Profile {
         let sums = lock(&self.state).sums;
         let named = ENTRY_POINTS.into_iter().zip(sums).filter(|(_, (_, runs))| *runs > 0);
         named
-            .map(|(name, (ticks, runs))| KernelTime { name, seconds: ticks as f64 * self.period * 1e-9, runs })
+            .map(|(name, (ticks, runs))| KernelTime {
+                name,
+                seconds: ticks as f64 * self.period * 1e-9,
+                runs,
+            })
             .collect()
     }
 }

@@ -29,6 +29,8 @@ fn backend(scene: &Arc<Scene>) -> Option<GpuBackend> {
     }
 }
 
+const KERNELS: [Kernel; 4] = [Kernel::MakeUniform, Kernel::TraceRays, Kernel::CreditLines, Kernel::JoinLines];
+
 fn town() -> Scene {
     let params = Params { triangles: Some(3000), ..Params::default() };
     generate::generate(Kind::Rooms, &params).unwrap()
@@ -74,7 +76,8 @@ fn credited(
 fn compare(scene: Scene, far: f32) {
     let scene = Arc::new(scene);
     let Some(backend) = backend(&scene) else { return };
-    let all: Vec<u32> = (0..scene.len()).filter(|t| !scene.triangles()[*t as usize].is_degenerate()).collect();
+    let all: Vec<u32> =
+        (0..scene.len()).filter(|t| !scene.triangles()[*t as usize].is_degenerate()).collect();
     let surface = Surface::of(&scene, &all);
     let tracer = backend.lines(LineSet::Blocking, &all).unwrap();
     let kit = backend.lines[LineSet::Blocking as usize].get().unwrap().as_ref().unwrap();
@@ -113,13 +116,8 @@ fn compare(scene: Scene, far: f32) {
         })
         .collect();
     let slots = vec![0; cells.len()];
-    let device_pairs = DevicePairs {
-        grid: &division,
-        cells: &division_cells,
-        reached: &[],
-        slots: &slots,
-        joins: [1; 2],
-    };
+    let device_pairs =
+        DevicePairs { grid: &division, cells: &division_cells, reached: &[], slots: &slots, joins: [1; 2] };
     let block = DeviceBlock { pairs: Some(device_pairs), ..block };
     let (line_scene, rounds_kit) = kit.for_rounds();
     let rounds = GpuRounds::new(&backend.gpu, line_scene, rounds_kit, &block).unwrap().unwrap();
@@ -127,12 +125,13 @@ fn compare(scene: Scene, far: f32) {
     rounds.restart(&bits, None).unwrap();
     // One part of uniform lines, without a flood, so that the lists still hold it.
     let tiles = 2;
-    let items: Vec<[u32; 4]> = (0..cells.len() as u32).map(|c| [c, tiles, 0, c * 3 * tiles * tiles]).collect();
+    let items: Vec<[u32; 4]> =
+        (0..cells.len() as u32).map(|c| [c, tiles, 0, c * 3 * tiles * tiles]).collect();
     let count = items.len() as u32 * 3 * tiles * tiles * LANES as u32;
     assert!(count <= rounds.capacity / 2);
     let (lent, mut encoder) = rounds.begin(&items).unwrap();
     let offset = rounds.part(lent, &Part { count, items: items.len() as u32, joins: 1, ..Part::default() });
-    rounds.run(&mut encoder, lent, offset, &[Kernel::MakeUniform, Kernel::CastLines, Kernel::JoinLines]);
+    rounds.run(&mut encoder, lent, offset, &KERNELS);
     let bytes = 16 * u64::from(count);
     let floats = |numbers: Vec<u32>| -> Vec<[f32; 3]> {
         numbers.chunks_exact(4).map(|v| [0, 1, 2].map(|a: usize| f32::from_bits(v[a]))).collect()
