@@ -88,7 +88,8 @@ impl Backends {
             // Another adapter may have been opened in the place of one that has failed since.
             if backend.profile() != profile {
                 return Err(BackendError::Unavailable(format!(
-                    "the adapter with the numerics profile {profile} can no longer be opened; restart the worker"
+                    "the adapter with the numerics profile {profile} can no longer be opened; restart the \
+                     worker"
                 )));
             }
             Ok(Arc::new(backend))

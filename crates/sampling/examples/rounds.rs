@@ -1,15 +1,18 @@
-//! Whole rounds of sight lines on the device beside those on the CPU: time, rays, error and bytes over the bus.
+//! Whole rounds of sight lines on the device beside those on the CPU: time, rays, error and bytes over the
+//! bus.
 //!
 //! ```sh
 //! cargo run --release -p sightline-sampling --example rounds -- SCENE 8x8x8 0.003 0.0003
 //! ```
 //!
 //! Samples the cells as one tile with the default sampler, all triangles opaque, first with Embree on all
-//! threads, then on the best adapter (`--adapter NAME` for another, `--no-cpu` or `--no-gpu` for
-//! one of them), and prints a
-//! table in Markdown. `--profile` adds the time of each kernel, which lengthens the rounds. Seconds are those of the rounds alone: scene, hierarchy and kernels are ready before.
-//! The error is the part of 2000 held-out lines from each cell that meet a triangle which the cell lacks,
-//! traced by the same backend.
+//! threads, then on the best adapter, and prints a table in Markdown. Seconds are those of the rounds alone:
+//! scene, hierarchy and kernels are ready before. The error is the part of 2000 held-out lines from each cell
+//! that meet a triangle which the cell lacks, traced by the same backend. The last column has how often the
+//! host waited for the device, and the seconds of that.
+//!
+//! `--adapter NAME` takes another adapter; `--no-cpu` and `--no-gpu` leave one of the two out. `--profile`
+//! adds the time of each kernel, which lengthens the rounds. `--pace` sets the four numbers of [`Pace`].
 
 #![allow(clippy::print_stdout, reason = "this program's output is its purpose")]
 
@@ -86,7 +89,8 @@ fn main() -> Answer<()> {
     let surface = Surface::of(&scene, &all);
     println!("{} triangles, {} cells\n", scene.len(), cells.iter().product::<u32>());
     println!(
-        "| backend | target | seconds | million rays | a second | of these uniform, flood, aimed | error | bytes a ray up, down | waits |"
+        "| backend | target | seconds | million rays | a second | of these uniform, flood, aimed | error | \
+         bytes a ray up, down | waits |"
     );
     println!("|---|--:|--:|--:|--:|---|--:|--:|--:|");
     let mut backends: Vec<Box<dyn Backend>> = Vec::new();
@@ -178,8 +182,8 @@ fn line(
     let all = rays.iter().sum::<u64>() as f64 / 1e6;
     let [uniform, flood, aimed, _] = rays.map(|r| 100.0 * r as f64 / 1e6 / all);
     println!(
-        "| {kind} | {target} | {seconds:.3} | {all:.1} | {:.0} | {uniform:.0} %, {flood:.0} %, {aimed:.0} % | \
-         {:.4} % | {bus}",
+        "| {kind} | {target} | {seconds:.3} | {all:.1} | {:.0} | {uniform:.0} %, {flood:.0} %, \
+         {aimed:.0} % | {:.4} % | {bus}",
         all / seconds,
         100.0 * error
     );

@@ -107,8 +107,8 @@ pub fn time_rounds(
     Ok(Timing { profile: backend.profile().to_owned(), per_cube: taken / CELLS.iter().product() })
 }
 
-/// Times `backend` on single sight lines: packets of a cube's directions from the same points, half of them traced
-/// ray by ray. A cube has as many lines as an item buffer cube with faces of 64² pixels.
+/// Times `backend` on single sight lines: packets of a cube's directions from the same points, half of them
+/// traced ray by ray. A cube has as many lines as an item buffer cube with faces of 64² pixels.
 ///
 /// # Errors
 /// As [`time`].

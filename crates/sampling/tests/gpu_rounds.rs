@@ -190,7 +190,8 @@ fn outcomes_of_another_member_take_the_place_of_phases() {
     }
 }
 
-/// The device hears of the block what it cannot know, and says what is new. Rays that find nothing cost nothing.
+/// The device hears of the block what it cannot know, and says what is new. Rays that find nothing cost
+/// nothing.
 #[test]
 fn little_goes_over_the_bus() {
     let scene = rooms(3000);

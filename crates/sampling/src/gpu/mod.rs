@@ -1,7 +1,9 @@
 //! The GPU backend: item buffers drawn by wgpu, reduced on the device, read back as short lists.
 //!
-//! Cubes are drawn with the raster pipeline. Sight lines are traced by a compute shader (`tracer.rs`), which
-//! shares only the device with the raster path, or made, traced and credited there in whole rounds (`rounds`). A machine without a GPU driver uses the CPU backend.
+//! Cubes are drawn with the raster pipeline. Sight lines are traced by compute shaders, which share only the
+//! device with the raster path: whole rounds of them (`rounds`), or packets that the host makes
+//! (`tracer.rs`).
+//! A machine without a GPU driver uses the CPU backend.
 //!
 //! **Near plane.** The six frusta of a cube begin at [`crate::near_distance`]. Depth is reversed floating
 //! point, near / distance, which has the same relative precision at every distance.

@@ -188,9 +188,9 @@ impl Block<'_> {
             let counted = found.counts.iter().zip(work);
             counted
                 .map(|([misses, finds, flood, flood_finds], (_, tiles))| {
-                    let mut s = CellStats::default();
-                    s.last_rays = 2 * LANES as u64 * 3 * u64::from(*tiles) * u64::from(*tiles);
-                    s.last_misses = u64::from(*misses);
+                    let last_rays = 2 * LANES as u64 * 3 * u64::from(*tiles) * u64::from(*tiles);
+                    let last_misses = u64::from(*misses);
+                    let mut s = CellStats { last_rays, last_misses, ..CellStats::default() };
                     s.rays[LineKind::Uniform as usize] = s.last_rays;
                     s.finds[LineKind::Uniform as usize] = u64::from(*finds);
                     s.rays[LineKind::Flood as usize] = u64::from(*flood);
@@ -265,11 +265,9 @@ impl Block<'_> {
         let estimates = Mutex::default();
         let answer = |found: &Found| {
             let stats = |[segments, free, at, _]: &[u32; 4]| {
-                let mut s = CellStats::default();
                 // Any three numbers that the answer carries to the other members.
-                (s.last_rays, s.last_misses) = (u64::from(*segments), u64::from(*free));
-                s.bound_lines = u64::from(*at);
-                s
+                let [last_rays, last_misses, bound_lines] = [*segments, *free, *at].map(u64::from);
+                CellStats { last_rays, last_misses, bound_lines, ..CellStats::default() }
             };
             found.counts.iter().map(stats).collect()
         };

@@ -2,8 +2,8 @@
 // traverse.wgsl; the other files of this folder follow. rounds/mod.rs says how the kernels work together.
 //
 // Same bits. Within a kernel, what decides is read from tables that the kernel does not write, and what is
-// written commutes: or, sum, maximum. The order of a list depends on timing, so no decision reads a place in a
-// list; lines have numbers of their own. Random numbers hang on cell, round and triangle.
+// written commutes: or, sum, maximum. The order of a list depends on timing, so no decision reads a place in
+// a list; lines have numbers of their own. Random numbers hang on cell, round and triangle.
 
 // A grid of cells and how their bits are numbered.
 struct Grid {

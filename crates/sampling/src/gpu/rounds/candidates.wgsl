@@ -160,7 +160,10 @@ fn each_candidate(ordinal: u32, word: u32, list: bool) -> u32 {
 
 // For each stripe of triangles the number of its candidates.
 @compute @workgroup_size(64)
-fn count_candidates(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+fn count_candidates(
+    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+) {
     let each = block.grids[OWN].words / 2u;
     for (var i = id.x; i < block.ordered * each; i += groups.x * 64u) {
         let found = each_candidate(i / each, i % each, false);

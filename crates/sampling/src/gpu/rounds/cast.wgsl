@@ -1,6 +1,6 @@
 // Traces lines in both directions, and credits all cells that the free part of each crosses with the
-// triangles at its ends. Follows block.wgsl. The same as Block::credit_line of lines/block.rs on the host, and
-// CellGrid::walk of lines/grid.rs, operation for operation.
+// triangles at its ends. Follows block.wgsl. The same as Block::credit_line of lines/block.rs on the host,
+// and CellGrid::walk of lines/grid.rs, operation for operation.
 
 // Whether lines end at a distance or some triangles have one side, so that the halves of a line are credited
 // by themselves; and whether a half is free in its own direction alone.

@@ -1,6 +1,6 @@
-// Which cells of the division see which, as lines/pairs.rs and lines/joining.rs on the host: lines that look for
-// triangles join the cells that they cross, and segments between random points of two cells do. Follows
-// candidates.wgsl.
+// Which cells of the division see which, as lines/pairs.rs and lines/joining.rs on the host: lines that look
+// for triangles join the cells that they cross, and segments between random points of two cells do. Follows
+// others.wgsl.
 //
 // Items of segments: the cell's place in the division; most segments from a cell; whether at any later cell.
 // Counts of an item: segments, segments that reach their end, later cells that could be aimed at.

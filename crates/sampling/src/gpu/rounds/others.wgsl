@@ -26,7 +26,8 @@ fn make_seeds(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
         let direction = on_sphere(vec2<u32>(64u * group, SEEDS));
         let random = hashed(vec4<u32>(block.seed, 64u * group + 40u, SEEDS));
         let halvings = u32(unit(random.x) * HALVINGS);
-        let distance = block.extent * 0.25 * bitcast<f32>((127u - halvings) << 23u) * (0.5 + 0.5 * unit(random.y));
+        let halved = bitcast<f32>((127u - halvings) << 23u);
+        let distance = block.extent * 0.25 * halved * (0.5 + 0.5 * unit(random.y));
         let ordinal = group * SEED_GROUP + (random.z & 1u) + ONE_IN * (i % LANES);
         if ordinal >= block.ordered {
             continue;

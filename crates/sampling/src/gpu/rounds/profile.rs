@@ -1,5 +1,5 @@
-//! The time of each kernel, by the device's time stamps. Measuring takes a pass for each run of a kernel, so it
-//! has to be asked for.
+//! The time of each kernel, by the device's time stamps. Measuring takes a pass for each run of a kernel, so
+//! it has to be asked for.
 
 use std::sync::Mutex;
 

@@ -1,5 +1,5 @@
-//! The same lines credited by the device and by the host give the same bits. `tests/gpu_rounds.rs` tests whole
-//! rounds.
+//! The same lines credited by the device and by the host give the same bits. `tests/gpu_rounds.rs` tests
+//! whole rounds.
 
 use std::collections::BTreeMap;
 
@@ -11,9 +11,12 @@ use super::*;
 use crate::backend::{Backend, LineSet};
 use crate::cube::{CubeSpec, SKY, Strata};
 use crate::gpu::{AdapterChoice, GpuBackend};
+use crate::lines::bits::SeenBits;
 use crate::lines::device::{DeviceCell, DevicePairs};
+use crate::lines::device::{Rounds as _, UniformWork};
 use crate::lines::grid::{CellGrid, Crossed};
 use crate::lines::pairs::Pairs;
+use crate::packet::LANES;
 use crate::packet::Packet;
 use crate::surface::Surface;
 

@@ -1,9 +1,10 @@
 // Uniform lines and the flood from what they find, as lines/uniform.rs and lines/flood.rs on the host.
 // Follows cast.wgsl.
 //
-// Items: the cell; tiles along a cube face; number of the first eye in the cell's sequence; tiles of all items
-// before. Counts of an item: misses, finds of uniform lines, rays of the flood, finds of the flood. The number
-// of a ray in a part names the line that claims a find; each step of the flood triples the numbers.
+// Items: the cell; tiles along a cube face; number of the first eye in the cell's sequence; tiles of all
+// items before. Counts of an item: misses, finds of uniform lines, rays of the flood, finds of the flood.
+// The number of a ray in a part names the line that claims a find; each step of the flood triples the
+// numbers.
 
 @compute @workgroup_size(64)
 fn make_uniform(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {

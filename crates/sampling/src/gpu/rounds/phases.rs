@@ -1,0 +1,306 @@
+//! The phases that the device computes: which kernels run in which order.
+
+use super::super::device::lock;
+use super::GpuRounds;
+use super::ending::joined;
+use super::kernels::Kernel;
+use super::memory::{Lent, Part, STRIPE, filled_words};
+use super::profile::Profile;
+use crate::error::BackendError;
+use crate::lines::bits::SeenBits;
+use crate::lines::device::{
+    AimPlan, AimWork, Found, GoesOn, KernelTime, Rounds, SegmentWork, Traffic, UniformWork,
+};
+use crate::packet::LANES;
+
+/// Steps of a flood from triangle to triangle, as on the host.
+const FLOOD_STEPS: usize = 4;
+/// Places of claims for each ray of a part.
+const CLAIMS: u32 = 8;
+/// Numbers of tiles and lines in a phase stay below this; a phase of more is cast in several.
+const MOST_NUMBERED: u64 = 1 << 31;
+/// Place of the number of lines in the counters, as in `block.wgsl`.
+const LINES: u64 = 1;
+/// Ways of casting, as in `block.wgsl`.
+const AHEAD: u32 = 1;
+const SEGMENT: u32 = 2;
+/// Least segments in a round from all cells together, as in `join.wgsl`.
+const LEAST_SEGMENTS: u32 = 1 << 16;
+
+impl GpuRounds<'_> {
+    /// The kernel that joins cells, where pairs are looked for.
+    fn joins(&self) -> &'static [Kernel] {
+        if self.tables.pair_places > 0 { &[Kernel::JoinLines] } else { &[] }
+    }
+
+    /// Casts the uniform lines of some items and floods from what they find.
+    fn uniform_part(&self, lent: &Lent, part: &Part) -> Result<(), BackendError> {
+        let offset = self.part(lent, part);
+        let mut encoder = self.encoder();
+        let claims = 4 * (u64::from(part.mask) + 1);
+        encoder.clear_buffer(&lent.counters, 0, Some(8));
+        encoder.clear_buffer(&lent.claims, 0, Some(claims));
+        use Kernel::*;
+        self.run(&mut encoder, lent, offset, &[MakeUniform, TraceRays, CreditLines]);
+        self.run(&mut encoder, lent, offset, self.joins());
+        self.run(&mut encoder, lent, offset, &[ClaimUniform, GatherUniform]);
+        let aimed = self.part(lent, &Part { joins: self.joined[1], ..*part });
+        for _ in 0..FLOOD_STEPS {
+            encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
+            encoder.clear_buffer(&lent.claims, 0, Some(claims));
+            self.run(&mut encoder, lent, offset, &[ClaimNext, MakeFlood, TraceRays, CreditLines]);
+            self.run(&mut encoder, lent, aimed, self.joins());
+            encoder.clear_buffer(&lent.counters, 0, Some(4));
+            encoder.clear_buffer(&lent.claims, 0, Some(claims));
+            self.run(&mut encoder, lent, offset, &[ClaimFlood, GatherFlood]);
+        }
+        self.submit(encoder).map(drop)
+    }
+
+    /// For runs of consecutive triangles in Morton order, few enough candidates for the list.
+    fn runs_of_candidates(&self, counts: &[u32], open: usize) -> Vec<(u32, u32)> {
+        let most = u64::from(3 * self.capacity);
+        let (mut runs, mut first, mut sum) = (Vec::new(), 0u32, 0u64);
+        let mut close = |from: u32, to: u32, sum: u64| {
+            if sum > most {
+                // One stripe alone: each triangle has at most one candidate a cell.
+                let step = (most / open.max(1) as u64).max(1) as usize;
+                runs.extend((from..to).step_by(step).map(|at| (at, to.min(at + step as u32))));
+            } else if sum > 0 {
+                runs.push((from, to));
+            }
+        };
+        for (stripe, count) in counts.iter().enumerate() {
+            let start = (stripe * STRIPE) as u32;
+            if sum + u64::from(*count) > most {
+                close(first, start, sum);
+                (first, sum) = (start, 0);
+            }
+            sum += u64::from(*count);
+        }
+        close(first, self.tables.ordered, sum);
+        runs
+    }
+}
+
+impl Rounds for GpuRounds<'_> {
+    fn restart(&self, bits: &SeenBits, pairs: Option<&[u64]>) -> Result<(), BackendError> {
+        self.gpu.check()?;
+        let lent = self.lent()?;
+        let mut encoder = self.encoder();
+        encoder.clear_buffer(&self.tables.now, 0, None);
+        encoder.clear_buffer(&self.tables.joined, 0, None);
+        self.submit(encoder)?;
+        let tables = [
+            (filled_words(bits.table()), &lent.words, Kernel::PutWords),
+            (filled_words(pairs.unwrap_or_default()), &lent.pair_words, Kernel::PutPairs),
+        ];
+        for (words, list, kernel) in tables {
+            for run in words.chunks(3 * self.capacity as usize) {
+                self.gpu.queue.write_buffer(list, 0, bytemuck::cast_slice(run));
+                lock(&self.state).traffic.up += size_of_val(run) as u64;
+                let offset = self.part(lent, &Part { count: run.len() as u32, ..Part::default() });
+                let mut encoder = self.encoder();
+                self.run(&mut encoder, lent, offset, &[kernel]);
+                self.submit(encoder)?;
+            }
+        }
+        self.publish()
+    }
+
+    fn uniform(&self, work: &[UniformWork], goes_on: GoesOn<'_>) -> Result<Found, BackendError> {
+        let mut tiles = 0u64;
+        let items: Vec<[u32; 4]> = work
+            .iter()
+            .map(|w| {
+                let before = tiles;
+                tiles += 3 * u64::from(w.tiles) * u64::from(w.tiles);
+                [w.cell as u32, w.tiles, w.base as u32, before as u32]
+            })
+            .collect();
+        if tiles >= MOST_NUMBERED {
+            let (one, two) = work.split_at(work.len() / 2);
+            return Ok(joined(self.uniform(one, goes_on)?, self.uniform(two, goes_on)?));
+        }
+        let (lent, encoder) = self.begin(&items)?;
+        self.submit(encoder)?;
+        // Each line has two rays, and each of them may be a find.
+        let each = self.capacity / 2 / LANES as u32;
+        let mut rays = 0;
+        for first in (0..tiles as u32).step_by(each as usize) {
+            if !goes_on() {
+                return self.end(lent, self.encoder(), 0);
+            }
+            let count = each.min(tiles as u32 - first) * LANES as u32;
+            let mask = (CLAIMS * 2 * count).next_power_of_two().min(CLAIMS * self.capacity) - 1;
+            let items = items.len() as u32;
+            let joins = self.joined[0];
+            self.uniform_part(lent, &Part { count, first, items, mask, joins, ..Part::default() })?;
+            rays += 2 * u64::from(count);
+        }
+        let found = self.end(lent, self.encoder(), items.len())?;
+        let flood: u64 = found.counts.iter().map(|c| u64::from(c[2])).sum();
+        lock(&self.state).traffic.rays += rays + flood;
+        Ok(found)
+    }
+
+    fn aim(&self, work: &[AimWork], plan: &AimPlan, goes_on: GoesOn<'_>) -> Result<Found, BackendError> {
+        let items: Vec<[u32; 4]> = work
+            .iter()
+            .map(|w| [w.cell as u32, (w.least as f32).to_bits(), (w.rays as f32).to_bits(), 0])
+            .collect();
+        let of = |part: Part| Part {
+            items: items.len() as u32,
+            round: plan.round,
+            times: plan.times,
+            so_far: plan.so_far,
+            joins: self.joined[1],
+            ..part
+        };
+        let (lent, mut encoder) = self.begin(&items)?;
+        encoder.clear_buffer(&lent.places, 0, None);
+        let offset = self.part(lent, &of(Part::default()));
+        self.run(&mut encoder, lent, offset, &[Kernel::PlaceItems, Kernel::CountCandidates]);
+        let slots = 256 * u64::from(self.tables.words);
+        let counts = self.read(encoder, lent, &[(&lent.places, slots, lent.places.size() - slots)])?;
+        let most = plan.times.iter().fold(1.0f32, |most, t| most.max(*t)).ceil() as u32;
+        for (from, to) in self.runs_of_candidates(&counts, items.len()) {
+            if !goes_on() {
+                return self.end(lent, self.encoder(), 0);
+            }
+            let mut encoder = self.encoder();
+            // Finds, lines, words and candidates, but not the tally.
+            encoder.clear_buffer(&lent.counters, 0, Some(16));
+            let part = of(Part { first: from, count: to - from, ..Part::default() });
+            let offset = self.part(lent, &part);
+            self.run(&mut encoder, lent, offset, &[Kernel::ListCandidates]);
+            for time in 0..most {
+                encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
+                let offset = self.part(lent, &Part { time, ..part });
+                use Kernel::*;
+                self.run(&mut encoder, lent, offset, &[MakeAimed, TraceRays, CreditLines, GatherAimed]);
+                self.run(&mut encoder, lent, offset, self.joins());
+            }
+            self.submit(encoder)?;
+        }
+        let found = self.end(lent, self.encoder(), items.len())?;
+        lock(&self.state).traffic.rays += found.counts.iter().map(|c| u64::from(c[0])).sum::<u64>();
+        Ok(found)
+    }
+
+    fn seeds(&self, goes_on: GoesOn<'_>) -> Result<Found, BackendError> {
+        let (lent, encoder) = self.begin(&[[0; 4]])?;
+        self.submit(encoder)?;
+        let groups = self.tables.ordered.div_ceil(2 * LANES as u32);
+        let each = self.capacity / LANES as u32;
+        for first in (0..groups).step_by(each as usize) {
+            if !goes_on() {
+                break;
+            }
+            let count = each.min(groups - first) * LANES as u32;
+            let joins = self.joined[1];
+            let offset = self.part(lent, &Part { first, count, items: 1, joins, ..Part::default() });
+            let mut encoder = self.encoder();
+            encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
+            self.run(
+                &mut encoder,
+                lent,
+                offset,
+                &[Kernel::MakeSeeds, Kernel::TraceRays, Kernel::CreditLines],
+            );
+            self.run(&mut encoder, lent, offset, self.joins());
+            self.submit(encoder)?;
+        }
+        let found = self.end(lent, self.encoder(), 0)?;
+        lock(&self.state).traffic.rays += found.rays;
+        Ok(found)
+    }
+
+    fn check(&self, work: &[(usize, u64)], look: u32, goes_on: GoesOn<'_>) -> Result<Found, BackendError> {
+        let lines: u64 = work.iter().map(|w| w.1).sum();
+        if lines >= MOST_NUMBERED && work.len() > 1 {
+            let (one, two) = work.split_at(work.len() / 2);
+            return Ok(joined(self.check(one, look, goes_on)?, self.check(two, look, goes_on)?));
+        }
+        let mut before = 0;
+        let items: Vec<[u32; 4]> = work
+            .iter()
+            .map(|(cell, lines)| {
+                let own =
+                    [*cell as u32, self.division_slots.get(*cell).copied().unwrap_or(0), 0, before as u32];
+                before += lines;
+                own
+            })
+            .collect();
+        let (lent, encoder) = self.begin(&items)?;
+        self.submit(encoder)?;
+        let items = items.len();
+        for first in (0..lines).step_by(self.capacity as usize) {
+            if !goes_on() {
+                return self.end(lent, self.encoder(), 0);
+            }
+            let count = u64::from(self.capacity).min(lines - first) as u32;
+            let part = Part {
+                count,
+                first: first as u32,
+                items: items as u32,
+                round: look,
+                way: AHEAD,
+                ..Part::default()
+            };
+            let offset = self.part(lent, &part);
+            let mut encoder = self.encoder();
+            use Kernel::*;
+            self.run(&mut encoder, lent, offset, &[MakeCheck, TraceRays, CreditLines, GatherCheck]);
+            if self.tables.pair_places > 0 {
+                self.run(&mut encoder, lent, offset, &[CheckPairs]);
+            }
+            self.submit(encoder)?;
+        }
+        let found = self.end(lent, self.encoder(), items)?;
+        lock(&self.state).traffic.rays += lines;
+        Ok(found)
+    }
+
+    fn segments(&self, work: &SegmentWork<'_>, goes_on: GoesOn<'_>) -> Result<Found, BackendError> {
+        let any = u32::from(work.at_any);
+        let items: Vec<[u32; 4]> = work.cells.iter().map(|c| [*c, work.most, any, 0]).collect();
+        let (lent, mut encoder) = self.begin(&items)?;
+        let of = |first: usize, count: usize| Part {
+            first: first as u32,
+            count: count as u32,
+            items: items.len() as u32,
+            round: work.round,
+            way: SEGMENT,
+            ..Part::default()
+        };
+        let offset = self.part(lent, &of(0, items.len()));
+        self.run(&mut encoder, lent, offset, &[Kernel::CountAims]);
+        self.submit(encoder)?;
+        // So many lines are expected of an item at most; a part leaves room for the chance of more.
+        let each = work.most + LEAST_SEGMENTS.div_ceil(self.division.max(1));
+        let step = (2 * self.capacity / each).max(1) as usize;
+        for first in (0..items.len()).step_by(step) {
+            if !goes_on() {
+                return self.end(lent, self.encoder(), 0);
+            }
+            let offset = self.part(lent, &of(first, step.min(items.len() - first)));
+            let mut encoder = self.encoder();
+            encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
+            use Kernel::*;
+            self.run(&mut encoder, lent, offset, &[MakeSegments, TraceRays, GatherSegments]);
+            self.submit(encoder)?;
+        }
+        let found = self.end(lent, self.encoder(), items.len())?;
+        lock(&self.state).traffic.rays += found.counts.iter().map(|c| u64::from(c[0])).sum::<u64>();
+        Ok(found)
+    }
+
+    fn traffic(&self) -> Traffic {
+        lock(&self.state).traffic
+    }
+
+    fn kernel_times(&self) -> Vec<KernelTime> {
+        self.profile.as_ref().map_or_else(Vec::new, Profile::times)
+    }
+}
