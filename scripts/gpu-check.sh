@@ -154,7 +154,7 @@ run_tests() {
   write 'With `CI` set, a test that finds no adapter fails.' '' '| command | passed | failed | seconds |' '|---|--:|--:|--:|'
   for name in 'unit gpu' "${tests[@]}"; do
     begun=$EPOCHREALTIME
-    try 200 "$here/tests/"$name || true # of the unit tests the name has two words
+    try 45 "$here/tests/"$name || true # of the unit tests the name has two words
     failed=$(sed -n 's/^test \(.*\) \.\.\. FAILED$/ \1/p' "$work/out" | tr -d '\n')
     [ -z "$failed" ] || faults[-1]+=" (failed tests:$failed)"
     write "| \`tests/$name\` | $(sed -n 's/^test result: .*\. \([0-9]*\) passed; \([0-9]*\) failed.*/\1 | \2/p' "$work/out" |
@@ -255,7 +255,7 @@ run() {
   IFS=/ read -r _ _ _ adapter driver <<<"$profile"
   # The seconds at which the steps end, and what they measure.
   local ends=(100 280 400 545 575) cells=8x8x8 targets=(0.01 0.003 0.001 0.0003 0.0001) bakes=(0.01 0.001 0.0003) finest=0.0003
-  local town=() forest=(--trees 300 --triangles-per-tree 1000) viewpoints=100
+  local town=() forest=(--trees 100 --triangles-per-tree 1000) viewpoints=100
   local papers=(--trees 5000 --triangles-per-tree 1000) large=forest5m.glb papers_targets=(0.01 0.003)
   if [[ ${profile,,} =~ llvmpipe|lavapipe|swiftshader ]]; then
     software='This is no measurement: the adapter is a software rasteriser'

@@ -1,6 +1,6 @@
 //! Lists the adapters of this machine, chooses one, names its numerics profile and opens its device.
 
-use std::sync::{Arc, Mutex};
+use std::sync::{Mutex, OnceLock};
 
 use super::device::lock;
 use crate::error::BackendError;
@@ -15,6 +15,16 @@ pub enum AdapterChoice {
     AllowSoftware,
     /// The first adapter whose name contains this text, ignoring case.
     Named(String),
+}
+
+impl AdapterChoice {
+    fn fits(&self, adapter: &AdapterSummary) -> bool {
+        match self {
+            Self::Hardware => !adapter.software,
+            Self::AllowSoftware => true,
+            Self::Named(part) => adapter.name.to_lowercase().contains(&part.to_lowercase()),
+        }
+    }
 }
 
 /// An adapter of this machine, for diagnostics.
@@ -32,9 +42,14 @@ pub struct AdapterSummary {
     pub profile: String,
 }
 
-/// The adapters of this machine, best first: discrete GPUs, integrated, virtual, others, software.
+/// The adapters of this machine, best first: discrete GPUs, integrated, virtual, others, software. Starting
+/// the drivers takes tenths of a second, so they are listed once a process.
 pub fn adapters() -> Vec<AdapterSummary> {
-    find().iter().map(|adapter| summary(&adapter.get_info())).collect()
+    LISTED.get_or_init(|| summaries(&look_for_adapters())).clone()
+}
+
+fn summaries(adapters: &[wgpu::Adapter]) -> Vec<AdapterSummary> {
+    adapters.iter().map(|adapter| summary(&adapter.get_info())).collect()
 }
 
 /// Whether this machine may have a hardware GPU: whether a device file exists that GPU drivers need. This
@@ -61,15 +76,11 @@ fn is_gpu(name: &str) -> bool {
     ["nvidia", "nvhost", "nvgpu", "kfd", "dxg", "mali", "kgsl", "pvr"].iter().any(|p| name.starts_with(p))
 }
 
-/// The adapters that were found, until one of them fails.
-static FOUND: Mutex<Option<Arc<[wgpu::Adapter]>>> = Mutex::new(None);
+/// What [`adapters`] has found.
+static LISTED: OnceLock<Vec<AdapterSummary>> = OnceLock::new();
 
-/// The adapters of this machine, best first. Starting the drivers takes tenths of a second, so this is done
-/// once as long as all is well.
-fn find() -> Arc<[wgpu::Adapter]> {
-    Arc::clone(lock(&FOUND).get_or_insert_with(|| look_for_adapters().into()))
-}
-
+/// Starts the drivers and lists their adapters, best first. Each device has drivers of its own: a process in
+/// which many devices shared them did not end on one driver.
 fn look_for_adapters() -> Vec<wgpu::Adapter> {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
     // No validation layers, in debug builds too: they cost time and change no result.
@@ -120,22 +131,30 @@ pub(super) struct Opened {
 /// The numerics profile of the adapter that `choice` selects on this machine.
 ///
 /// # Errors
-/// [`BackendError::Unavailable`] when no adapter fits or the adapter cannot be opened.
+/// [`BackendError::Unavailable`] when no adapter fits or none can be opened.
 pub fn probe(choice: &AdapterChoice) -> Result<String, BackendError> {
     let opened = open(choice)?;
     let profile = opened.summary.profile.clone();
-    lock(&SPARE).push(opened);
+    *lock(&SPARE) = Some((choice.clone(), opened));
     Ok(profile)
 }
 
-/// Devices that were opened to see whether they work, for the backends that come next: opening one takes
-/// tenths of a second.
-static SPARE: Mutex<Vec<Opened>> = Mutex::new(Vec::new());
+/// The device that was opened last to see whether it works, and the choice that led to it. The next backend
+/// of that choice takes it.
+static SPARE: Mutex<Option<(AdapterChoice, Opened)>> = Mutex::new(None);
+
+/// The spare device, if it was opened for the same choice.
+fn spare(choice: &AdapterChoice) -> Option<Opened> {
+    lock(&SPARE).take_if(|(of, _)| of == choice).map(|(_, opened)| opened)
+}
 
 /// Opens the best adapter that `choice` allows and that can be opened, with the largest limits that it
 /// supports. One that fails is named in the log.
 pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
-    let adapters = find();
+    if let Some(opened) = spare(choice) {
+        return Ok(opened);
+    }
+    let adapters = look_for_adapters();
     if adapters.is_empty() {
         return Err(BackendError::Unavailable(
             "no Vulkan adapter: install a driver (for example `apt-get install mesa-vulkan-drivers \
@@ -144,12 +163,9 @@ pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
                 .to_owned(),
         ));
     }
-    let all: Vec<AdapterSummary> = adapters.iter().map(|a| summary(&a.get_info())).collect();
-    let fits = |of: &AdapterSummary| match choice {
-        AdapterChoice::Hardware => !of.software,
-        AdapterChoice::AllowSoftware => true,
-        AdapterChoice::Named(part) => of.name.to_lowercase().contains(&part.to_lowercase()),
-    };
+    let all = summaries(&adapters);
+    // Whoever lists the adapters next need not start the drivers again.
+    let _ = LISTED.set(all.clone());
     let there = || all.iter().map(|a| a.name.as_str()).collect::<Vec<_>>().join("; ");
     let mut refused = BackendError::Unavailable(match choice {
         AdapterChoice::Named(part) => format!("no adapter is named like \"{part}\"; there are: {}", there()),
@@ -158,7 +174,7 @@ pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
             there()
         ),
     });
-    let mut fitting = adapters.iter().zip(&all).filter(|(_, summary)| fits(summary)).peekable();
+    let mut fitting = adapters.iter().zip(&all).filter(|(_, summary)| choice.fits(summary)).peekable();
     let mut has_failed = false;
     while let Some((adapter, summary)) = fitting.next() {
         match open_one(adapter, summary) {
@@ -171,21 +187,14 @@ pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
                     refused = error;
                 }
                 has_failed = true;
-                // A driver that was lost may be there again when it is started anew.
-                *lock(&FOUND) = None;
             }
         }
     }
     Err(refused)
 }
 
-/// Opens an adapter, or takes its device that is open already.
+/// Opens an adapter.
 fn open_one(adapter: &wgpu::Adapter, summary: &AdapterSummary) -> Result<Opened, BackendError> {
-    let mut spare = lock(&SPARE);
-    if let Some(place) = spare.iter().position(|opened| opened.summary == *summary) {
-        return Ok(spare.swap_remove(place));
-    }
-    drop(spare);
     if !adapter.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS) {
         return Err(BackendError::Unavailable(format!(
             "the adapter {} has no compute shaders; update its driver or use --backend cpu",

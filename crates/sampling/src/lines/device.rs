@@ -11,7 +11,7 @@ use sightline_scene::Scene;
 
 use super::bits::SeenBits;
 use super::grid::{CellGrid, Slot};
-use super::yields::{DECADES, Tally};
+pub use super::yields::{DECADES, Tally};
 use crate::error::BackendError;
 use crate::surface::Surface;
 

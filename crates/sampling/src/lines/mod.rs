@@ -32,6 +32,6 @@ mod seeds;
 mod tile;
 mod uniform;
 mod work;
-pub mod yields;
+mod yields;
 
 pub use tile::run;

@@ -6,7 +6,7 @@ use super::kernels::Kernel;
 use super::memory::{COUNTER_BYTES, Lent, Part};
 use crate::error::BackendError;
 use crate::lines::device::Found;
-use crate::lines::yields::Tally;
+use crate::lines::device::Tally;
 
 /// Places in the counters, as in `block.wgsl`.
 const WORDS: usize = 2;

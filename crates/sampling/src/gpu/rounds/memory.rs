@@ -6,9 +6,9 @@ use rayon::prelude::*;
 
 use super::super::line_scene::filled;
 use super::kernels::Kernels;
+use crate::lines::device::DECADES;
 use crate::lines::device::{DeviceBlock, DeviceCell};
 use crate::lines::grid::CellGrid;
-use crate::lines::yields::DECADES;
 
 /// Bytes between two parts in their buffer: the largest alignment that a device may require.
 pub(super) const PART_STRIDE: u64 = 256;
