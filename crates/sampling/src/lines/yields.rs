@@ -43,8 +43,8 @@ impl Tally {
     /// Number of [`Self::numbers`].
     const NUMBERS: usize = 3 * DECADES;
 
-    /// The tally of a device: for each decade the tries, the gains in parts of [`PARTS`] and of `gain_unit`,
-    /// and the attempts before in [`ATTEMPT_UNIT`].
+    /// The tally of a device: for each decade the tries, the gains in parts of the decade's middle and of
+    /// `gain_unit`, and the attempts before in 256ths.
     pub fn of_device(decades: [[u64; 3]; DECADES], gain_unit: f64) -> Self {
         // Both units are powers of two, so the number is exact while it fits.
         let gain = |g: u64| g.wrapping_mul((gain_unit / GAIN_UNIT) as u64);
