@@ -278,8 +278,11 @@ impl Shop {
                     .map_err(TileError::from)
                     .and_then(|b| match spec.sampling.sampler {
                         Sampler::Cubes => Ok(auto::time(&*b, &lattice)?),
-                        Sampler::Lines => auto::time_rounds(&*b, loaded.scene.sampling(), &lattice),
-                        Sampler::Guided => {
+                        // A region or marks of viewpoints keep a device from casting whole rounds.
+                        Sampler::Lines if spec.viewpoints.is_none() => {
+                            auto::time_rounds(&*b, loaded.scene.sampling(), &lattice)
+                        }
+                        Sampler::Lines | Sampler::Guided => {
                             let ids = loaded.scene.sampling().traced().distinct;
                             Ok(auto::time_lines(&*b, ids, &lattice)?)
                         }

@@ -8,7 +8,7 @@
 use std::sync::{Arc, Mutex};
 
 use glam::Vec3;
-use sightline_model::{CellSets, CellStats, LineKind, PairTable, SamplingParams, TileOutput};
+use sightline_model::{CellSets, CellStats, Granularity, LineKind, PairTable, SamplingParams, TileOutput};
 use sightline_sampling::crew::{Alone, Crew, FromLeader, Leader, ToLeader};
 use sightline_sampling::embree::CpuBackend;
 use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
@@ -83,18 +83,28 @@ fn scene(triangles: Vec<Triangle>) -> Arc<Scene> {
 fn with_block<R>(
     scene: &Arc<Scene>,
     backend: &dyn Backend,
-    (view, cells): ([Vec3; 2], [u32; 3]),
+    place: ([Vec3; 2], [u32; 3]),
     crew: &dyn Crew,
+    f: impl FnOnce(&mut Block<'_>) -> R,
+) -> R {
+    with_rows(scene, backend, place, (crew, &Rows::triangles(scene)), f)
+}
+
+fn with_rows<R>(
+    scene: &Arc<Scene>,
+    backend: &dyn Backend,
+    (view, cells): ([Vec3; 2], [u32; 3]),
+    (crew, rows): (&dyn Crew, &Rows),
     f: impl FnOnce(&mut Block<'_>) -> R,
 ) -> R {
     let all: Vec<u32> =
         (0..scene.len()).filter(|id| !scene.triangles()[*id as usize].is_degenerate()).collect();
     let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all).unwrap());
-    let (surface, rows) = (Surface::of(scene, &all), Rows::triangles(scene));
+    let surface = Surface::of(scene, &all);
     let tools = Tools {
         scene,
         surface: &surface,
-        rows: &rows,
+        rows,
         sight: &sight,
         seed: 7,
         watcher: &Silent,
@@ -154,6 +164,32 @@ fn a_convex_room_is_seen_whole_and_nothing_outside_of_it() {
         for c in block.grid().each() {
             let set = &sets[block.grid().slot(c).index()];
             assert!(set.iter().copied().eq(0..inside as u32), "{c:?} sees {}", set.len());
+        }
+    });
+}
+
+#[test]
+fn objects_are_seen_where_one_of_their_triangles_is() {
+    // The sides of the boxes are objects.
+    let mut triangles = tessellated_box(Vec3::splat(-3.0), Vec3::splat(3.0), 12);
+    let inside = triangles.len() as u32 / 6;
+    triangles.extend(tessellated_box(Vec3::splat(-4.0), Vec3::splat(4.0), 5));
+    let mut objects: Vec<Object> = Vec::new();
+    let counts = std::iter::repeat_n(inside, 6).chain(std::iter::repeat_n(50, 6));
+    for (number, count) in counts.enumerate() {
+        let first = objects.last().map_or(0, |o| o.first + o.count);
+        objects.push(Object { name: format!("side {number}"), first, count });
+    }
+    let scene = Arc::new(Scene::new("test", triangles, objects).unwrap());
+    let Some(backend) = backend(&scene) else { return };
+    let rows = Rows::new(&scene, Granularity::Objects, &[]);
+    let view = ([Vec3::splat(-2.0), Vec3::splat(2.0)], [3, 3, 3]);
+    with_rows(&scene, &backend, view, (&Alone, &rows), |block| {
+        block.sample(1e-3, &[], Tolerance::Equal).unwrap();
+        assert!(block.traffic().is_some(), "the device casts the rounds");
+        let (sets, _) = result(block);
+        for c in block.grid().each() {
+            assert_eq!(sets[block.grid().slot(c).index()], [0, 1, 2, 3, 4, 5], "{c:?}");
         }
     });
 }

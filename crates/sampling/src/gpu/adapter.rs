@@ -2,7 +2,7 @@
 
 use std::sync::{Mutex, OnceLock};
 
-use super::device::lock;
+use super::locks::lock;
 use crate::error::BackendError;
 
 /// Which adapter to use.
@@ -142,6 +142,11 @@ pub fn probe(choice: &AdapterChoice) -> Result<String, BackendError> {
 /// The device that was opened last to see whether it works, and the choice that led to it. The next backend
 /// of that choice takes it.
 static SPARE: Mutex<Option<(AdapterChoice, Opened)>> = Mutex::new(None);
+
+/// Closes the spare device, where no backend on it follows.
+pub fn close_spare() {
+    *lock(&SPARE) = None;
+}
 
 /// The spare device, if it was opened for the same choice.
 fn spare(choice: &AdapterChoice) -> Option<Opened> {

@@ -1,12 +1,13 @@
 //! An open device with the pipelines of cubes: it notes faults, and waits for submissions.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use sightline_scene::Scene;
 
 use super::adapter::{self, AdapterChoice};
+use super::locks::lock;
 use super::pipelines::{Kit, MAX_RESOLUTION, scoped};
 use crate::cube::CubeSpec;
 use crate::error::BackendError;
@@ -117,9 +118,4 @@ fn watch(device: &wgpu::Device) -> Arc<Mutex<Option<String>>> {
         lock(&losses).get_or_insert_with(|| format!("the device was lost ({reason:?}): {text}"));
     });
     fault
-}
-
-/// Locks a mutex, also after a panic in another thread: the guarded data is consistent after every statement.
-pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

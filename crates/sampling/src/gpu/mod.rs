@@ -17,6 +17,7 @@ mod clusters;
 mod device;
 mod geometry;
 mod line_scene;
+mod locks;
 mod pipelines;
 mod renderer;
 mod rounds;
@@ -27,7 +28,7 @@ use std::sync::{Arc, Mutex, OnceLock};
 
 use sightline_scene::Scene;
 
-pub use adapter::{AdapterChoice, AdapterSummary, adapters, device_present, probe};
+pub use adapter::{AdapterChoice, AdapterSummary, adapters, close_spare, device_present, probe};
 
 use crate::backend::{Backend, CubeRenderer, LineSet};
 use crate::cube::CubeSpec;
@@ -97,8 +98,12 @@ impl GpuBackend {
 
     /// The scene as cubes are drawn from it.
     fn drawn(&self) -> Result<&Drawn, BackendError> {
+        if let Some(drawn) = self.drawn.get() {
+            return drawn.as_ref().map_err(|reason| self.gpu.failed(reason));
+        }
+        // By all threads of the pool, one of which may be waiting for this value: so before it is made.
+        let order = clusters::drawing_order(&self.scene);
         let make = || {
-            let order = clusters::drawing_order(&self.scene);
             let mut ranks = vec![NEVER; self.scene.triangles().len()];
             for (rank, id) in (0..).zip(&order) {
                 ranks[*id as usize] = rank;

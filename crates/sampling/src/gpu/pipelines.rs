@@ -39,11 +39,38 @@ pub(super) fn face_uniforms(eye: Vec3, near: f32) -> [u8; 6 * FACE_STRIDE as usi
     bytes
 }
 
-/// Runs `make`. Returns the first error that the device reports about it, if any.
+/// What a device has reported.
+#[derive(Clone, Debug)]
+pub(super) enum Fault {
+    /// Its memory is full, which another time it may not be.
+    Memory(String),
+    /// It cannot do what was asked for, and never will.
+    Refused(String),
+}
+
+impl Fault {
+    /// The device's message.
+    pub(super) fn into_message(self) -> String {
+        match self {
+            Self::Memory(message) | Self::Refused(message) => message,
+        }
+    }
+}
+
+/// Runs `make`. Returns the first error that the device reports about it, if any. What `make` leaves to other
+/// threads is not watched.
 pub(super) fn scoped<T>(
     device: &wgpu::Device,
     make: impl FnOnce() -> Result<T, String>,
 ) -> Result<T, String> {
+    scoped_by_kind(device, || make().map_err(Fault::Refused)).map_err(Fault::into_message)
+}
+
+/// The same with the kind of the error.
+pub(super) fn scoped_by_kind<T>(
+    device: &wgpu::Device,
+    make: impl FnOnce() -> Result<T, Fault>,
+) -> Result<T, Fault> {
     let internal = device.push_error_scope(wgpu::ErrorFilter::Internal);
     let memory = device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
     let validation = device.push_error_scope(wgpu::ErrorFilter::Validation);
@@ -55,7 +82,8 @@ pub(super) fn scoped<T>(
         pollster::block_on(internal.pop()),
     ];
     match errors.into_iter().flatten().next() {
-        Some(error) => Err(error.to_string()),
+        Some(error @ wgpu::Error::OutOfMemory { .. }) => Err(Fault::Memory(error.to_string())),
+        Some(error) => Err(Fault::Refused(error.to_string())),
         None => made,
     }
 }

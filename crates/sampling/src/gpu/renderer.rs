@@ -10,8 +10,9 @@ use std::sync::{Arc, Mutex, mpsc};
 
 use glam::Vec3;
 
-use super::device::{Gpu, MOST_DISTANT, PATIENCE, lock};
+use super::device::{Gpu, MOST_DISTANT, PATIENCE};
 use super::geometry::{Geometry, Visible};
+use super::locks::lock;
 use super::pipelines::{FACE_STRIDE, Kit, face_uniforms};
 use super::tally::{ENTRY_BYTES, LIST_HEAD, Tally};
 use crate::backend::CubeRenderer;

@@ -8,8 +8,9 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, mpsc};
 
-use super::device::{Gpu, PATIENCE, lock};
+use super::device::{Gpu, PATIENCE};
 use super::line_scene::LineScene;
+use super::locks::lock;
 use super::pipelines::scoped;
 use super::rounds::{GpuRounds, RoundsKit};
 use crate::cube::SKY;

@@ -11,11 +11,11 @@ use sightline_numbers::Aabb;
 use sightline_scene::Scene;
 
 use super::bits::SeenBits;
+use super::device::OnDevice;
 use super::grid::{CellGrid, Crossed, Slot};
 use super::ledger::Ledger;
-use super::on_device::OnDevice;
+use super::pace::Pace;
 use super::pairs::Pairs;
-use super::rounds::Pace;
 use super::yields::{Tally, Yields};
 use crate::context::{Places, Watcher};
 use crate::crew::Crew;
@@ -196,6 +196,8 @@ pub struct Block<'a> {
     told: usize,
     /// Least distance between the origin of a line and the start of its other half, in world units.
     pub(super) step: f32,
+    /// Phases in which a device has aimed at candidates.
+    pub(super) aims: u32,
     /// The device that casts whole rounds, if the tracer has one.
     pub(super) device: OnDevice<'a>,
     scratch: Mutex<Vec<Scratch>>,
@@ -250,6 +252,7 @@ impl<'a> Block<'a> {
             silent: false,
             told: 0,
             step,
+            aims: 0,
             device: OnDevice::Unknown,
             scratch: Mutex::default(),
         }

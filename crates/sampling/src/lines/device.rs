@@ -36,6 +36,10 @@ pub struct DeviceBlock<'a> {
     pub scene: &'a Scene,
     /// Facts about its triangles.
     pub surface: &'a Surface,
+    /// Row of each triangle in the table; empty when it is the triangle's id.
+    pub rows: &'a [u32],
+    /// Rows of the table.
+    pub row_count: usize,
     /// The cells' grid.
     pub grid: &'a CellGrid,
     /// The cells, in the order of [`CellGrid::each`].
@@ -106,8 +110,8 @@ pub struct AimWork {
 /// How often a candidate is tried, by decade of its part of the sphere.
 #[derive(Clone, Copy, Debug)]
 pub struct AimPlan {
-    /// Number of the round.
-    pub round: u32,
+    /// Number of the phase among those of the block that aim.
+    pub phase: u32,
     /// Tries in this round; a fraction is the probability of one more.
     pub times: [f32; DECADES],
     /// Tries in all rounds before.
@@ -119,7 +123,7 @@ pub struct AimPlan {
 pub struct Found {
     /// Four counts for each item; their meaning depends on the kind of lines.
     pub counts: Vec<[u32; 4]>,
-    /// Rays that belong to no item.
+    /// Rays that belong to no cell of the block.
     pub rays: u64,
     /// The yields of candidates.
     pub tally: Tally,
@@ -155,8 +159,8 @@ pub struct KernelTime {
     pub runs: u64,
 }
 
-/// Whether work goes on; asked between the parts of a phase.
-pub type GoesOn<'a> = &'a (dyn Fn() -> bool + Sync);
+/// Is told the rays of the last part of a phase, about, and says whether the work goes on.
+pub type GoesOn<'a> = &'a (dyn Fn(u64) -> bool + Sync);
 
 /// A block on a device. What a phase finds is in the device's table when the phase ends, as if published.
 pub trait Rounds: Send + Sync {
@@ -205,4 +209,18 @@ pub trait Rounds: Send + Sync {
 
     /// The time of each kernel; empty unless the backend measures it.
     fn kernel_times(&self) -> Vec<KernelTime>;
+}
+
+/// Whether a device casts the rounds of a block.
+pub(super) enum OnDevice<'a> {
+    /// It has not been asked yet.
+    Unknown,
+    /// The host does.
+    No,
+    /// The device does.
+    Yes {
+        rounds: Box<dyn Rounds + 'a>,
+        /// Whether its table lags behind the block's.
+        stale: bool,
+    },
 }

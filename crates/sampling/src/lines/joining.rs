@@ -47,7 +47,7 @@ pub fn table(job: &JobContext<'_>) -> Option<Pairs> {
     job.pairs.map(|sides| {
         let pairs = Pairs::new(CellGrid::new(min, max, sides));
         match job.viewpoints {
-            Some(marks) => pairs.reached_in(|cell| marks.of(cell) != 0),
+            Some(marks) => pairs.reached_in(|cell| marks.of(cell)),
             None => pairs,
         }
     })

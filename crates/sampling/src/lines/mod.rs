@@ -25,6 +25,7 @@ pub mod hits;
 pub mod joining;
 pub mod ledger;
 mod on_device;
+mod pace;
 pub mod pairs;
 mod phase;
 pub mod rounds;

@@ -4,6 +4,7 @@
 //! The device's table goes along with the block's: it holds what the phase found when the phase ends, and is
 //! made anew where somebody else has computed the phase.
 
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
@@ -11,13 +12,13 @@ use sightline_model::{CellStats, LineKind};
 
 use super::block::{Block, Cell};
 use super::device::{
-    AimPlan, AimWork, DeviceBlock, DeviceCell, DevicePairs, Found, GoesOn, KernelTime, Rounds, SegmentWork,
-    Traffic, UniformWork,
+    AimPlan, AimWork, DeviceBlock, DeviceCell, DevicePairs, Found, GoesOn, KernelTime, OnDevice, Rounds,
+    SegmentWork, Traffic, UniformWork,
 };
 use super::finds::Answer;
+use super::pace::Pace;
 use super::pairs::Pairs;
 use super::phase::{self, Items};
-use super::rounds::Pace;
 use super::yields::{Tally, Yields};
 use crate::context::TileError;
 use crate::error::BackendError;
@@ -68,20 +69,6 @@ impl Answer for Whole {
     }
 }
 
-/// Whether a device casts the rounds of a block.
-pub(super) enum OnDevice<'a> {
-    /// It has not been asked yet.
-    Unknown,
-    /// The host does.
-    No,
-    /// The device does.
-    Yes {
-        rounds: Box<dyn Rounds + 'a>,
-        /// Whether its table lags behind the block's.
-        stale: bool,
-    },
-}
-
 /// The work of a device in a phase.
 type Compute<'a> = &'a (dyn Fn(&dyn Rounds, GoesOn<'_>) -> Result<Found, BackendError> + Sync);
 
@@ -94,12 +81,12 @@ impl Block<'_> {
         if !matches!(self.device, OnDevice::Unknown) {
             return Ok(());
         }
-        // A device knows neither regions nor items, and keeps no account.
+        // A device knows no regions, and keeps no account.
         let tools = &self.tools;
         let plain = tools.places.is_none()
-            && tools.rows.are_triangles()
             && tools.ledger.is_none()
-            && self.cells.iter().all(|c| c.parts == 0 || c.is_whole());
+            && self.cells.iter().all(|c| c.parts == 0 || c.is_whole())
+            && tools.pairs.is_none_or(Pairs::are_whole);
         self.device = OnDevice::No;
         if !plain {
             return Ok(());
@@ -117,6 +104,8 @@ impl Block<'_> {
         let block = DeviceBlock {
             scene: tools.scene,
             surface: tools.surface,
+            rows: tools.rows.of_triangles(),
+            row_count: tools.rows.count(),
             grid: &self.grid,
             cells: &cells,
             reached: self.reached(),
@@ -180,6 +169,9 @@ impl Block<'_> {
 
     /// A round of uniform lines from each cell, with so many tiles along a cube face.
     pub(super) fn uniform_on_device(&mut self, work: &[(usize, u32)]) -> Result<(), TileError> {
+        if work.is_empty() {
+            return Ok(());
+        }
         let base = |c: usize| self.stats[c].rays[LineKind::Uniform as usize] / (2 * LANES as u64);
         let lines =
             |(cell, tiles): &(usize, u32)| UniformWork { cell: *cell, tiles: *tiles, base: base(*cell) };
@@ -204,17 +196,18 @@ impl Block<'_> {
     }
 
     /// Lines from each cell at its candidates that cover at least a part of the sphere.
-    pub(super) fn aim_on_device(
-        &mut self,
-        open: &[usize],
-        least: &[f64],
-        round: u32,
-    ) -> Result<(), TileError> {
+    pub(super) fn aim_on_device(&mut self, open: &[usize], least: &[f64]) -> Result<(), TileError> {
+        if open.is_empty() {
+            return Ok(());
+        }
         let rays = |c: usize| self.stats[c].rays[LineKind::Uniform as usize];
         let lines = |(c, least): (&usize, &f64)| AimWork { cell: *c, least: *least, rays: rays(*c) };
         let wanted: Vec<AimWork> = open.iter().zip(least).map(lines).collect();
         let [times, so_far] = self.yields.plan_for_device();
-        let plan = AimPlan { round, times, so_far };
+        // Counted over all searches, so that no two of them draw the same lines.
+        let phase = self.aims;
+        self.aims += 1;
+        let plan = AimPlan { phase, times, so_far };
         let answer = |found: &Found| {
             let of = |[rays, finds, ..]: &[u32; 4]| {
                 let mut s = CellStats::default();
@@ -308,6 +301,8 @@ impl Block<'_> {
         let this = &*self;
         let OnDevice::Yes { rounds, stale } = &this.device else { return Ok(()) };
         let watcher = this.tools.watcher;
+        // Before the phase: finds of another member may come while it is computed.
+        let pairs = this.tools.pairs.filter(|_| *stale).map(Pairs::copy);
         // The device publishes what it has found, so it must not work on the phase twice.
         let own: Mutex<Option<Whole>> = Mutex::default();
         let work = |_| {
@@ -319,9 +314,14 @@ impl Block<'_> {
                 return Err(TileError::Cancelled);
             }
             if *stale {
-                rounds.restart(&this.bits, this.tools.pairs.map(Pairs::copy).as_deref())?;
+                rounds.restart(&this.bits, pairs.as_deref())?;
             }
-            let found = compute(&**rounds, &|| !watcher.cancelled() && !this.late())?;
+            let told = AtomicU64::new(0);
+            let found = compute(&**rounds, &|rays| {
+                told.fetch_add(rays, Relaxed);
+                watcher.rendered(rays);
+                !watcher.cancelled() && !this.late()
+            })?;
             if watcher.cancelled() {
                 return Err(TileError::Cancelled);
             }
@@ -337,7 +337,7 @@ impl Block<'_> {
                 found.pair_words.iter().for_each(|(at, word)| pairs.add(*at as usize, *word));
             }
             let whole = Whole { stats, tally: found.tally, rays: found.rays };
-            watcher.rendered(whole.rays());
+            watcher.rendered(whole.rays().saturating_sub(told.into_inner()));
             *own = Some(whole.clone());
             Ok(whole)
         };
@@ -348,6 +348,11 @@ impl Block<'_> {
             *stale = !is_here;
         }
         for whole in done {
+            if whole.stats.len() != count {
+                // Another member is at fault; the tile is not.
+                tracing::warn!("the answer of another member counts {} cells of {count}", whole.stats.len());
+                return Err(TileError::Cancelled);
+            }
             self.yields.add(&whole.tally);
             take(self, &whole.stats);
         }

@@ -3,7 +3,7 @@
 //
 // Same bits. Within a kernel, what decides is read from tables that the kernel does not write, and what is
 // written commutes: or, sum, maximum. The order of a list depends on timing, so no decision reads a place in
-// a list; lines have numbers of their own. Random numbers hang on cell, round and triangle.
+// a list; lines have numbers of their own. Random numbers hang on what a line is for and on such numbers.
 
 // A grid of cells and how their bits are numbered.
 struct Grid {
@@ -45,9 +45,10 @@ struct Block {
     ordered: u32,
     // Finds that a list holds.
     capacity: u32,
+    // Whether rows are other items than triangles; then `rows` holds the row of each triangle.
+    has_rows: u32,
     unused_a: u32,
     unused_b: u32,
-    unused_c: u32,
 }
 
 // Numbers of the grids.
@@ -87,7 +88,7 @@ struct Cell {
 }
 
 @group(1) @binding(0) var<uniform> block: Block;
-// The table at the last barrier, by triangle, then word.
+// The table at the last barrier, by row, then word.
 @group(1) @binding(1) var<storage, read> seen: array<u32>;
 // The same with all credits since.
 @group(1) @binding(2) var<storage, read_write> now: array<atomic<u32>>;
@@ -105,6 +106,8 @@ struct Cell {
 @group(1) @binding(8) var<storage, read> pairs: array<u32>;
 @group(1) @binding(9) var<storage, read_write> joined: array<atomic<u32>>;
 
+@group(1) @binding(10) var<storage, read> rows: array<u32>;
+
 @group(2) @binding(0) var<uniform> part: Part;
 // The items of the phase: the cell's place, and three numbers that depend on the kind of lines.
 @group(2) @binding(1) var<storage, read> items: array<vec4<u32>>;
@@ -115,11 +118,10 @@ struct Cell {
 @group(2) @binding(4) var<storage, read_write> claims: array<atomic<u32>>;
 // New triangles of a cell: item, triangle, tile of the eye, number of the line.
 @group(2) @binding(5) var<storage, read_write> finds: array<vec4<u32>>;
-// Lines: origin and item; direction and target; two numbers of each kind of lines, and where the free part
-// begins and ends, in lengths of the direction.
+// Lines: origin and item; direction and target; two more numbers of each kind of lines.
 @group(2) @binding(6) var<storage, read_write> line_from: array<vec4<u32>>;
 @group(2) @binding(7) var<storage, read_write> line_to: array<vec4<u32>>;
-@group(2) @binding(8) var<storage, read_write> line_about: array<vec4<u32>>;
+@group(2) @binding(8) var<storage, read_write> line_about: array<vec2<u32>>;
 // For each line the triangles at its end ahead and at its end behind.
 @group(2) @binding(9) var<storage, read_write> ends: array<u32>;
 // Candidates: item, triangle, tries, part of the sphere.
@@ -130,6 +132,9 @@ struct Cell {
 @group(2) @binding(12) var<storage, read_write> words: array<u32>;
 // The same of the table of pairs.
 @group(2) @binding(13) var<storage, read_write> pair_words: array<u32>;
+// For each line where its free part ends ahead and where it begins behind, in lengths of the direction. Two
+// threads write them, and a vector would be written as a whole.
+@group(2) @binding(14) var<storage, read_write> reaches: array<f32>;
 
 // Both halves of each line.
 const BOTH_WAYS: u32 = 0u;
@@ -190,19 +195,28 @@ fn cell_of(item: u32) -> Cell {
     return cells[items[item].x];
 }
 
-// Whether the cell with this slot had seen the triangle at the last barrier.
+// The place of a word of the triangle's row, in the tables of triangles.
+fn word_at(triangle: u32, word: u32) -> u32 {
+    var row = triangle;
+    if block.has_rows != 0u {
+        row = rows[triangle];
+    }
+    return row * block.grids[OWN].words + word;
+}
+
+// Whether the cell with this slot had seen the triangle's item at the last barrier.
 fn is_seen(triangle: u32, slot: u32) -> bool {
-    return ((seen[triangle * block.grids[OWN].words + (slot >> 5u)] >> (slot & 31u)) & 1u) == 1u;
+    return ((seen[word_at(triangle, slot >> 5u)] >> (slot & 31u)) & 1u) == 1u;
 }
 
 fn is_met(triangle: u32, slot: u32) -> bool {
-    return ((atomicLoad(&met[triangle * block.grids[OWN].words + (slot >> 5u)]) >> (slot & 31u)) & 1u) == 1u;
+    return ((atomicLoad(&met[word_at(triangle, slot >> 5u)]) >> (slot & 31u)) & 1u) == 1u;
 }
 
-// Marks a triangle as met; whether it was not before.
+// Marks a triangle's item as met; whether it was not before.
 fn mark(triangle: u32, slot: u32) -> bool {
     let bit = 1u << (slot & 31u);
-    return (atomicOr(&met[triangle * block.grids[OWN].words + (slot >> 5u)], bit) & bit) == 0u;
+    return (atomicOr(&met[word_at(triangle, slot >> 5u)], bit) & bit) == 0u;
 }
 
 // Where lines claim to be the first that shows a triangle to a cell. Two pairs that share a place share a
@@ -264,5 +278,5 @@ fn point_on(triangle: u32, random: vec2<u32>) -> vec3<f32> {
 fn put_line(at: u32, item: u32, origin: vec3<f32>, direction: vec3<f32>, target_id: u32, about: vec2<u32>) {
     line_from[at] = vec4<u32>(bitcast<vec3<u32>>(origin), item);
     line_to[at] = vec4<u32>(bitcast<vec3<u32>>(direction), target_id);
-    line_about[at] = vec4<u32>(about, 0u, 0u);
+    line_about[at] = about;
 }

@@ -10,10 +10,11 @@ const DEPTH: f32 = 0.1;
 // Least cosine in a triangle's solid angle.
 const LEAST_FACING: f32 = 0.25;
 // Gains and attempts are counted in these parts of one.
-const GAIN_UNITS: f32 = 1048576.0;
+const GAIN_UNITS: f32 = 262144.0;
 const ATTEMPT_UNITS: f32 = 256.0;
-// More attempts than these are not told apart, so that the sums of a workgroup fit.
-const MOST_ATTEMPTS: f32 = 65536.0;
+// More attempts than these are not told apart. A workgroup has at most 3072 lines, so its sums stay below
+// 3072 · 4096 · 256 and 3072 · 4 · 2^18, which 32 bits hold.
+const MOST_ATTEMPTS: f32 = 4096.0;
 
 @compute @workgroup_size(64)
 fn place_items(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -49,12 +50,14 @@ fn shifted_down(v: vec2<u32>, by: u32) -> vec2<u32> {
     return vec2<u32>((v.x >> by) | (v.y << (32u - by)), v.y >> by);
 }
 
-// A word of a row: of the table of triangles, or of the table of pairs when the grid is the division's.
+// A word of a row: that of a triangle, or that of a slot in the table of pairs when the grid is the
+// division's.
 fn word_of(grid: u32, row: u32, word: u32) -> vec2<u32> {
-    let at = row * block.grids[grid].words + 2u * word;
     if grid == DIVISION {
+        let at = row * block.grids[DIVISION].words + 2u * word;
         return vec2<u32>(pairs[at], pairs[at + 1u]);
     }
+    let at = word_at(row, 2u * word);
     return vec2<u32>(seen[at], seen[at + 1u]);
 }
 
@@ -152,7 +155,9 @@ fn each_candidate(ordinal: u32, word: u32, list: bool) -> u32 {
             let draw = unit(drawn(cell, AIM ^ (part.round << 4u), triangle, 0xffffffffu).x);
             let tries = max(u32(times) + select(0u, 1u, draw < fract(times)), 1u);
             let at = atomicAdd(&counters[CANDIDATES], 1u);
-            candidates[at] = vec4<u32>(item - 1u, triangle, tries, bitcast<u32>(share));
+            if at < 3u * block.capacity {
+                candidates[at] = vec4<u32>(item - 1u, triangle, tries, bitcast<u32>(share));
+            }
         }
     }
     return found;
@@ -214,7 +219,7 @@ fn eye_near_a_face(cell: Cell, triangle: u32, random: vec4<u32>) -> vec3<f32> {
 
 @compute @workgroup_size(64)
 fn make_aimed(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let count = atomicLoad(&counters[CANDIDATES]);
+    let count = min(atomicLoad(&counters[CANDIDATES]), 3u * block.capacity);
     for (var i = id.x; i < count; i += groups.x * 64u) {
         let candidate = candidates[i];
         let cell = cell_of(candidate.x);

@@ -39,7 +39,7 @@ fn add(triangle: u32, word: u32, bits: u32) {
     if triangle == SKY {
         return;
     }
-    let at = triangle * block.grids[OWN].words + word;
+    let at = word_at(triangle, word);
     if (bits & ~seen[at]) != 0u && (bits & ~atomicLoad(&now[at])) != 0u {
         atomicOr(&now[at], bits);
     }
@@ -190,10 +190,10 @@ fn trace_rays(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
         if !is_behind {
             let ahead = ended(nearest_along(origin, direction), far);
             ends[2u * i] = ahead.id;
-            line_about[i].w = bitcast<u32>(ahead.distance);
+            reaches[2u * i] = ahead.distance;
             if part.way != BOTH_WAYS {
                 ends[2u * i + 1u] = SKY;
-                line_about[i].z = bitcast<u32>(0.0);
+                reaches[2u * i + 1u] = 0.0;
             }
             continue;
         }
@@ -204,9 +204,9 @@ fn trace_rays(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
         if longest > 0.0 {
             ahead_by = max(block.step, largest * OVERLAP) / longest;
         }
-        let behind = ended(nearest_along(origin + direction * ahead_by, -direction), far);
+        let behind = ended(nearest_along(origin + rounded(direction * ahead_by), -direction), far);
         ends[2u * i + 1u] = behind.id;
-        line_about[i].z = bitcast<u32>(ahead_by - behind.distance);
+        reaches[2u * i + 1u] = ahead_by - behind.distance;
     }
 }
 
@@ -222,8 +222,8 @@ fn credit_lines(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workg
         }
         let origin = bitcast<vec3<f32>>(line_from[i].xyz);
         let direction = bitcast<vec3<f32>>(line_to[i].xyz);
-        let least = bitcast<f32>(line_about[i].z);
-        let most = bitcast<f32>(line_about[i].w);
+        let least = reaches[2u * i + 1u];
+        let most = reaches[2u * i];
         if part.way == AHEAD && is_seen(ahead, cell_of(line_from[i].w).slot) {
             continue;
         }

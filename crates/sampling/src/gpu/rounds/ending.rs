@@ -14,7 +14,7 @@ const SEED_RAYS: usize = 4;
 const PAIR_WORDS: usize = 5;
 const TALLY: usize = 8;
 /// Unit of gains, as in `candidates.wgsl`.
-const GAIN_UNIT: f64 = 1.0 / (1u64 << 20) as f64;
+const GAIN_UNIT: f64 = 1.0 / (1u64 << 18) as f64;
 
 /// A table whose new words go to the host.
 struct Table<'a> {

@@ -5,7 +5,7 @@
 // Items of segments: the cell's place in the division; most segments from a cell; whether at any later cell.
 // Counts of an item: segments, segments that reach their end, later cells that could be aimed at.
 
-// Words that a line joins; those beyond are left to other lines.
+// Words whose cells a line joins with each other; those beyond are left to other lines.
 const MOST_WORDS: u32 = 48u;
 // Least segments in a round from all cells together, as on the host.
 const LEAST_SEGMENTS: u32 = 65536u;
@@ -58,8 +58,8 @@ fn join_lines(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
         }
         let origin = bitcast<vec3<f32>>(line_from[i].xyz);
         let direction = bitcast<vec3<f32>>(line_to[i].xyz);
-        let least = bitcast<f32>(line_about[i].z);
-        let most = bitcast<f32>(line_about[i].w);
+        let least = reaches[2u * i + 1u];
+        let most = reaches[2u * i];
         if !HALVES {
             join_words(crossed_words(origin, direction, least, most));
             continue;
@@ -73,6 +73,41 @@ fn join_lines(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
     }
 }
 
+// Joins a cell that the segment crosses with all others that it crosses, however many words they are in.
+fn join_one(slot: u32, origin: vec3<f32>, direction: vec3<f32>, most: f32) {
+    var w = walk(DIVISION, origin, direction, 0.0, most);
+    let words_of_row = block.grids[DIVISION].words;
+    loop {
+        let crossed = advance(DIVISION, &w);
+        if crossed.word == SKY {
+            break;
+        }
+        atomicOr(&joined[slot * words_of_row + crossed.word], crossed.bits);
+        var rest = crossed.bits;
+        while rest != 0u {
+            let other = 32u * crossed.word + firstTrailingBit(rest);
+            rest &= rest - 1u;
+            atomicOr(&joined[other * words_of_row + (slot >> 5u)], 1u << (slot & 31u));
+        }
+    }
+}
+
+// Whether the segment crosses a cell, and whether it crosses one that is no pair with it.
+fn meets(slot: u32, origin: vec3<f32>, direction: vec3<f32>, most: f32) -> vec2<bool> {
+    let row = slot * block.grids[DIVISION].words;
+    var w = walk(DIVISION, origin, direction, 0.0, most);
+    var has = vec2<bool>(false);
+    loop {
+        let crossed = advance(DIVISION, &w);
+        if crossed.word == SKY {
+            break;
+        }
+        let is_own = crossed.word == slot >> 5u && ((crossed.bits >> (slot & 31u)) & 1u) == 1u;
+        has |= vec2<bool>(is_own, (crossed.bits & ~pairs[row + crossed.word]) != 0u);
+    }
+    return has;
+}
+
 // Counts held-out lines that cross a cell which is no pair with their own, and joins.
 @compute @workgroup_size(64)
 fn check_pairs(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -82,20 +117,15 @@ fn check_pairs(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgr
         let direction = bitcast<vec3<f32>>(line_to[i].xyz);
         // The cell of the block as a cell of the division.
         let slot = items[item].y;
-        let row = slot * block.grids[DIVISION].words;
-        var w = walk(DIVISION, origin, direction, 0.0, bitcast<f32>(line_about[i].w));
-        var is_new = false;
-        loop {
-            let crossed = advance(DIVISION, &w);
-            if crossed.word == SKY {
-                break;
-            }
-            is_new = is_new || (crossed.bits & ~pairs[row + crossed.word]) != 0u;
-        }
-        if is_new {
+        let end = reaches[2u * i];
+        let has = meets(slot, origin, direction, end);
+        if has.y {
             atomicAdd(&stats[4u * item + 1u], 1u);
-            join_words(crossed_words(origin, direction, 0.0, bitcast<f32>(line_about[i].w)));
         }
+        if has.x && has.y {
+            join_one(slot, origin, direction, end);
+        }
+        join_words(crossed_words(origin, direction, 0.0, end));
     }
 }
 
@@ -233,12 +263,18 @@ fn gather_segments(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_wo
     let count = min(atomicLoad(&counters[LINES]), 3u * block.capacity);
     for (var i = id.x; i < count; i += groups.x * 64u) {
         let item = line_from[i].w;
-        let end = bitcast<f32>(line_about[i].w);
+        let end = reaches[2u * i];
         atomicAdd(&stats[4u * item], 1u);
         if end >= 1.0 {
             atomicAdd(&stats[4u * item + 1u], 1u);
         }
+        let origin = bitcast<vec3<f32>>(line_from[i].xyz);
         let direction = bitcast<vec3<f32>>(line_to[i].xyz);
-        join_words(crossed_words(bitcast<vec3<f32>>(line_from[i].xyz), direction, 0.0, end));
+        // In every second round a segment begins in the other cell.
+        let slot = cells[block.grids[DIVISION].first_cell + items[item].x].slot;
+        if all(meets(slot, origin, direction, end)) {
+            join_one(slot, origin, direction, end);
+        }
+        join_words(crossed_words(origin, direction, 0.0, end));
     }
 }

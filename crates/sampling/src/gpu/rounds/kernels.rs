@@ -2,11 +2,11 @@
 
 use rayon::prelude::*;
 
-use super::super::line_scene::LineScene;
-use super::super::pipelines::{buffer, entry, scoped};
+use crate::gpu::line_scene::LineScene;
+use crate::gpu::pipelines::{Fault, buffer, entry, scoped_by_kind};
 
-/// Storage buffers that a kernel binds: the scene's six, the block's nine and the lists' thirteen.
-pub(super) const STORAGE_BUFFERS: u32 = 28;
+/// Storage buffers that a kernel binds: the scene's six, the block's ten and the lists' fourteen.
+pub(super) const STORAGE_BUFFERS: u32 = 30;
 
 /// The kernels, by their entry points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,7 +80,7 @@ const SOURCE: &str = concat!(
 );
 
 /// Pipelines for the blocks of one scene.
-pub(in super::super) struct Kernels {
+pub(super) struct Kernels {
     pipelines: Vec<wgpu::ComputePipeline>,
     pub(super) tables_layout: wgpu::BindGroupLayout,
     pub(super) lists_layout: wgpu::BindGroupLayout,
@@ -90,12 +90,23 @@ impl Kernels {
     /// Compiles the kernels. `halves` and `one_way` are the constants of `cast.wgsl`.
     ///
     /// # Errors
-    /// The device's message.
+    /// What the device reports.
     pub(super) fn new(
         device: &wgpu::Device,
         scene: &LineScene,
         (halves, one_way): (bool, bool),
-    ) -> Result<Self, String> {
+    ) -> Result<Self, Fault> {
+        let flags =
+            [("HALVES", halves), ("ONE_WAY", one_way)].map(|(name, is)| (name, f64::from(u8::from(is))));
+        Self::with(device, scene, &[&scene.constants[..], &flags].concat())
+    }
+
+    /// The same with all constants of the shaders.
+    pub(super) fn with(
+        device: &wgpu::Device,
+        scene: &LineScene,
+        constants: &[(&str, f64)],
+    ) -> Result<Self, Fault> {
         let stage = wgpu::ShaderStages::COMPUTE;
         let storage = |read_only| buffer(wgpu::BufferBindingType::Storage { read_only }, false);
         let uniform = |dynamic| buffer(wgpu::BufferBindingType::Uniform, dynamic);
@@ -106,14 +117,13 @@ impl Kernels {
                 entries: &entries,
             })
         };
-        scoped(device, || {
+        scoped_by_kind(device, || {
             let [read, write] = [storage(true), storage(false)];
-            let tables = layout_of(
-                "tables",
-                &[uniform(false), read, write, write, read, read, read, read, read, write],
-            );
-            let mut of_lists = vec![uniform(true), read];
-            of_lists.resize(14, write);
+            let [own, shared] = [uniform(false), uniform(true)];
+            let of_tables = [own, read, write, write, read, read, read, read, read, write, read];
+            let tables = layout_of("tables", &of_tables);
+            let mut of_lists = vec![shared, read];
+            of_lists.resize(15, write);
             let lists = layout_of("lists", &of_lists);
             let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
                 label: Some("rounds"),
@@ -124,26 +134,24 @@ impl Kernels {
                 label: Some("rounds"),
                 source: wgpu::ShaderSource::Wgsl(SOURCE.into()),
             });
-            let mut constants = scene.constants.to_vec();
-            constants
-                .extend([("HALVES", f64::from(u8::from(halves))), ("ONE_WAY", f64::from(u8::from(one_way)))]);
-            // Compiling takes a driver most of the time that a small block takes, so all threads do it.
-            let pipelines = ENTRY_POINTS
-                .par_iter()
-                .map(|name| {
-                    device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            // Compiling takes a driver most of the time that a small block takes, so all threads do it. Each
+            // watches for errors itself.
+            let pipelines = ENTRY_POINTS.par_iter().map(|name| {
+                scoped_by_kind(device, || {
+                    Ok(device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                         label: Some(name),
                         layout: Some(&layout),
                         module: &module,
                         entry_point: Some(name),
                         compilation_options: wgpu::PipelineCompilationOptions {
-                            constants: &constants,
+                            constants,
                             ..Default::default()
                         },
                         cache: None,
-                    })
+                    }))
                 })
-                .collect();
+            });
+            let pipelines = pipelines.collect::<Result<_, Fault>>()?;
             Ok(Self { pipelines, tables_layout: tables, lists_layout: lists })
         })
     }

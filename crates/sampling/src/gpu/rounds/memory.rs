@@ -4,8 +4,8 @@ use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::super::line_scene::filled;
 use super::kernels::Kernels;
+use crate::gpu::line_scene::filled;
 use crate::lines::device::DECADES;
 use crate::lines::device::{DeviceBlock, DeviceCell};
 use crate::lines::grid::CellGrid;
@@ -71,7 +71,8 @@ struct BlockUniform {
     triangles: u32,
     ordered: u32,
     capacity: u32,
-    unused: [u32; 3],
+    has_rows: u32,
+    unused: [u32; 2],
 }
 
 /// `Part` in `block.wgsl`.
@@ -107,7 +108,7 @@ fn halves(of: u64) -> [u32; 2] {
 }
 
 /// What the kernels know of a scene beside its hierarchy.
-pub(in super::super) struct Facts {
+pub(super) struct Facts {
     vertices: wgpu::Buffer,
     around: wgpu::Buffer,
     triangles: u32,
@@ -163,7 +164,7 @@ pub(super) struct Tables {
 impl Tables {
     /// Bytes of a table.
     pub(super) fn bytes(block: &DeviceBlock<'_>) -> u64 {
-        u64::from(block.scene.len()) * block.grid.words() as u64 * 8
+        block.row_count as u64 * block.grid.words() as u64 * 8
     }
 
     pub(super) fn new(
@@ -190,7 +191,8 @@ impl Tables {
             triangles: facts.triangles,
             ordered: facts.ordered,
             capacity,
-            unused: [0; 3],
+            has_rows: u32::from(!block.rows.is_empty()),
+            unused: [0; 2],
         };
         let record = |c: &DeviceCell| {
             let [key_low, key_high] = halves(c.key);
@@ -220,8 +222,11 @@ impl Tables {
         let uniform = filled(device, "block", Use::UNIFORM, &[uniform], |u| *u)?;
         let cells = filled(device, "cells", Use::STORAGE, &cells, record)?;
         let reached = filled(device, "reached", Use::STORAGE, &reached, |w| halves(*w))?;
-        let (vertices, around) = (&facts.vertices, &facts.around);
-        let bound = [&uniform, &seen, &now, &met, &cells, &reached, vertices, around, &pairs, &joined];
+        // A binding needs a buffer.
+        let rows = if block.rows.is_empty() { &[0][..] } else { block.rows };
+        let rows = filled(device, "rows", Use::STORAGE, rows, |row| *row)?;
+        let Facts { vertices, around, .. } = facts;
+        let bound = [&uniform, &seen, &now, &met, &cells, &reached, vertices, around, &pairs, &joined, &rows];
         let bound = bound.map(wgpu::Buffer::as_entire_binding);
         let group = bind(device, "tables", &kernels.tables_layout, &bound);
         let words = grid.words() as u32;
@@ -232,7 +237,7 @@ impl Tables {
             pairs,
             joined,
             group,
-            places: facts.triangles * words,
+            places: (Self::bytes(block) / 8) as u32,
             pair_places: (Self::pair_bytes(block) / 8) as u32,
             words,
             ordered: facts.ordered,
@@ -247,13 +252,14 @@ impl Tables {
 }
 
 /// Lists whose size does not depend on a block.
-pub(in super::super) struct Lists {
+pub(super) struct Lists {
     pub(super) counters: wgpu::Buffer,
     pub(super) claims: wgpu::Buffer,
     pub(super) finds: wgpu::Buffer,
     pub(super) from: wgpu::Buffer,
     pub(super) to: wgpu::Buffer,
     pub(super) about: wgpu::Buffer,
+    pub(super) reaches: wgpu::Buffer,
     pub(super) ends: wgpu::Buffer,
     pub(super) candidates: wgpu::Buffer,
     pub(super) words: wgpu::Buffer,
@@ -283,7 +289,8 @@ impl Lists {
             finds: make("finds", n * 16, both),
             from: make("line origins", 3 * n * 16, both),
             to: make("line directions", 3 * n * 16, both),
-            about: make("line numbers", 3 * n * 16, both),
+            about: make("line numbers", 3 * n * 8, both),
+            reaches: make("line reaches", 3 * n * 8, both),
             ends: make("line ends", 3 * n * 8, both),
             candidates: make("candidates", 3 * n * 16, both),
             words: make("words", 3 * n * 12, both),
@@ -348,6 +355,7 @@ impl Lent {
             &places,
             &lists.words,
             &lists.pair_words,
+            &lists.reaches,
         ];
         let bound: Vec<_> = std::iter::once(part).chain(all.map(wgpu::Buffer::as_entire_binding)).collect();
         let group = bind(device, "lists", &kernels.lists_layout, &bound);

@@ -20,12 +20,14 @@ mod memory;
 mod phases;
 mod profile;
 
+use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, mpsc};
 use std::time::Instant;
 
-use super::device::{Gpu, PATIENCE, lock};
+use super::device::{Gpu, PATIENCE};
 use super::line_scene::LineScene;
-use super::pipelines::scoped;
+use super::locks::lock;
+use super::pipelines::{Fault, scoped_by_kind};
 use crate::error::BackendError;
 use crate::lines::device::{DeviceBlock, Traffic};
 use kernels::{Kernel, Kernels, STORAGE_BUFFERS};
@@ -44,8 +46,9 @@ const IN_FLIGHT: usize = 3;
 /// What the blocks of a scene share: kernels, facts and spare lists.
 #[derive(Default)]
 pub(super) struct RoundsKit {
-    /// By whether the halves of a line are credited by themselves.
-    kernels: [Mutex<Option<Arc<Kernels>>>; 2],
+    /// By whether the halves of a line are credited by themselves, and whether a half is free in its own
+    /// direction alone.
+    kernels: [Mutex<Option<Arc<Kernels>>>; 4],
     facts: Mutex<Option<Arc<Facts>>>,
     spare: Mutex<Vec<Lists>>,
 }
@@ -96,14 +99,12 @@ fn obstacle(gpu: &Gpu, block: &DeviceBlock<'_>, capacity: u32) -> Option<String>
     (largest > most).then(|| format!("{largest} bytes in one buffer are more than the {most} that it binds"))
 }
 
-/// Says why the host makes and credits lines, once a process.
+/// Says why the host makes and credits lines, each reason once a process.
 fn say_once(why: &str) {
-    static SAID: std::sync::Once = std::sync::Once::new();
-    SAID.call_once(|| {
-        tracing::warn!(
-            "the device traces lines, but the host makes and credits them, which takes longer: {why}"
-        );
-    });
+    static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    if lock(&SAID).insert(why.to_owned()) {
+        tracing::warn!("the host makes and credits lines, which takes longer than on the device: {why}");
+    }
 }
 
 impl<'a> GpuRounds<'a> {
@@ -118,6 +119,8 @@ impl<'a> GpuRounds<'a> {
         kit: &'a RoundsKit,
         block: &DeviceBlock<'_>,
     ) -> Result<Option<Self>, BackendError> {
+        // All threads of the pool compile the kernels.
+        crate::prepared::outside_the_pool();
         let (capacity, groups) =
             if gpu.software { (SOFTWARE_CAPACITY, SOFTWARE_GROUPS) } else { (CAPACITY, GROUPS) };
         if scene.empty {
@@ -128,22 +131,31 @@ impl<'a> GpuRounds<'a> {
             return Ok(None);
         }
         let is_split = block.one_way || block.far < f32::INFINITY;
-        let place = &kit.kernels[usize::from(is_split)];
+        let place = &kit.kernels[usize::from(is_split) + 2 * usize::from(block.one_way)];
         let make = || Kernels::new(&gpu.device, scene, (is_split, block.one_way));
+        let full = |message: String| {
+            gpu.failed(format!(
+                "{message}; smaller --block-cells need less memory, --backend cpu none of the device's"
+            ))
+        };
         let kernels = match once(place, make) {
             Ok(kernels) => kernels,
-            // A driver that is there does so always, and the profile names it.
-            Err(why) if gpu.check().is_ok() => {
-                say_once(&format!("its driver does not compile the kernels: {why}"));
+            // A driver that does not compile them never does, and the profile names it.
+            Err(Fault::Refused(why)) if gpu.check().is_ok() => {
+                say_once(&format!("the driver does not compile the kernels: {why}"));
                 return Ok(None);
             }
-            Err(why) => return Err(gpu.failed(why)),
+            Err(Fault::Refused(why)) => return Err(gpu.failed(why)),
+            Err(Fault::Memory(why)) => return Err(full(why)),
         };
-        let made = || -> Result<Self, String> {
-            let facts = once(&kit.facts, || scoped(&gpu.device, || Facts::new(&gpu.device, block)))?;
+        let made = || -> Result<Self, Fault> {
+            let facts = once(&kit.facts, || {
+                scoped_by_kind(&gpu.device, || Facts::new(&gpu.device, block).map_err(Fault::Refused))
+            })?;
             let spare = lock(&kit.spare).pop();
-            scoped(&gpu.device, || {
-                let tables = Tables::new(&gpu.device, &kernels, &facts, block, capacity)?;
+            scoped_by_kind(&gpu.device, || {
+                let tables = Tables::new(&gpu.device, &kernels, &facts, block, capacity);
+                let tables = tables.map_err(Fault::Refused)?;
                 let lists = spare.unwrap_or_else(|| Lists::new(&gpu.device, capacity));
                 let cells = block.cells.len().max(block.pairs.as_ref().map_or(0, |pairs| pairs.cells.len()));
                 let lent = Lent::new(&gpu.device, &kernels, lists, &tables, cells);
@@ -170,7 +182,10 @@ impl<'a> GpuRounds<'a> {
                 })
             })
         };
-        made().map(Some).map_err(|reason| gpu.failed(reason))
+        made().map(Some).map_err(|fault| match fault {
+            Fault::Memory(why) => full(why),
+            Fault::Refused(why) => gpu.failed(why),
+        })
     }
 
     fn lent(&self) -> Result<&Lent, BackendError> {
@@ -233,7 +248,9 @@ impl<'a> GpuRounds<'a> {
         if let Some(oldest) = oldest {
             let start = Instant::now();
             self.gpu.wait(oldest)?;
-            lock(&self.state).traffic.seconds += start.elapsed().as_secs_f64();
+            let traffic = &mut lock(&self.state).traffic;
+            traffic.waits += 1;
+            traffic.seconds += start.elapsed().as_secs_f64();
         }
         Ok(submission)
     }
@@ -250,8 +267,8 @@ impl<'a> GpuRounds<'a> {
             encoder.copy_buffer_to_buffer(from, *offset, &lent.read_back, end, *bytes);
             end += bytes;
         }
-        let start = Instant::now();
         let submission = self.submit(encoder)?;
+        let start = Instant::now();
         let (sender, mapped) = mpsc::channel();
         lent.read_back.map_async(wgpu::MapMode::Read, ..end, move |r| drop(sender.send(r)));
         self.gpu.wait(submission)?;
@@ -276,10 +293,7 @@ impl<'a> GpuRounds<'a> {
 }
 
 /// The value of a cell that is filled once; a failure is tried again.
-fn once<T>(
-    place: &Mutex<Option<Arc<T>>>,
-    make: impl FnOnce() -> Result<T, String>,
-) -> Result<Arc<T>, String> {
+fn once<T>(place: &Mutex<Option<Arc<T>>>, make: impl FnOnce() -> Result<T, Fault>) -> Result<Arc<T>, Fault> {
     let mut place = lock(place);
     if let Some(made) = &*place {
         return Ok(Arc::clone(made));

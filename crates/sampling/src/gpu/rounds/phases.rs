@@ -1,12 +1,12 @@
 //! The phases that the device computes: which kernels run in which order.
 
-use super::super::device::lock;
 use super::GpuRounds;
 use super::ending::joined;
 use super::kernels::Kernel;
 use super::memory::{Lent, Part, STRIPE, filled_words};
 use super::profile::Profile;
 use crate::error::BackendError;
+use crate::gpu::locks::lock;
 use crate::lines::bits::SeenBits;
 use crate::lines::device::{
     AimPlan, AimWork, Found, GoesOn, KernelTime, Rounds, SegmentWork, Traffic, UniformWork,
@@ -59,7 +59,9 @@ impl GpuRounds<'_> {
 
     /// For runs of consecutive triangles in Morton order, few enough candidates for the list.
     fn runs_of_candidates(&self, counts: &[u32], open: usize) -> Vec<(u32, u32)> {
-        let most = u64::from(3 * self.capacity);
+        // Two kernels, one that counts and one that lists, may round a candidate's part differently.
+        let slack = u64::from(self.capacity / 16);
+        let most = u64::from(3 * self.capacity) - slack;
         let (mut runs, mut first, mut sum) = (Vec::new(), 0u32, 0u64);
         let mut close = |from: u32, to: u32, sum: u64| {
             if sum > most {
@@ -126,9 +128,9 @@ impl Rounds for GpuRounds<'_> {
         self.submit(encoder)?;
         // Each line has two rays, and each of them may be a find.
         let each = self.capacity / 2 / LANES as u32;
-        let mut rays = 0;
+        let (mut rays, mut last) = (0, 0);
         for first in (0..tiles as u32).step_by(each as usize) {
-            if !goes_on() {
+            if !goes_on(last) {
                 return self.end(lent, self.encoder(), 0);
             }
             let count = each.min(tiles as u32 - first) * LANES as u32;
@@ -136,7 +138,8 @@ impl Rounds for GpuRounds<'_> {
             let items = items.len() as u32;
             let joins = self.joined[0];
             self.uniform_part(lent, &Part { count, first, items, mask, joins, ..Part::default() })?;
-            rays += 2 * u64::from(count);
+            last = 2 * u64::from(count);
+            rays += last;
         }
         let found = self.end(lent, self.encoder(), items.len())?;
         let flood: u64 = found.counts.iter().map(|c| u64::from(c[2])).sum();
@@ -151,7 +154,7 @@ impl Rounds for GpuRounds<'_> {
             .collect();
         let of = |part: Part| Part {
             items: items.len() as u32,
-            round: plan.round,
+            round: plan.phase,
             times: plan.times,
             so_far: plan.so_far,
             joins: self.joined[1],
@@ -165,7 +168,8 @@ impl Rounds for GpuRounds<'_> {
         let counts = self.read(encoder, lent, &[(&lent.places, slots, lent.places.size() - slots)])?;
         let most = plan.times.iter().fold(1.0f32, |most, t| most.max(*t)).ceil() as u32;
         for (from, to) in self.runs_of_candidates(&counts, items.len()) {
-            if !goes_on() {
+            // How many lines a part has, only the device knows before the end.
+            if !goes_on(0) {
                 return self.end(lent, self.encoder(), 0);
             }
             let mut encoder = self.encoder();
@@ -193,8 +197,9 @@ impl Rounds for GpuRounds<'_> {
         self.submit(encoder)?;
         let groups = self.tables.ordered.div_ceil(2 * LANES as u32);
         let each = self.capacity / LANES as u32;
+        let mut last = 0;
         for first in (0..groups).step_by(each as usize) {
-            if !goes_on() {
+            if !goes_on(last) {
                 break;
             }
             let count = each.min(groups - first) * LANES as u32;
@@ -210,6 +215,7 @@ impl Rounds for GpuRounds<'_> {
             );
             self.run(&mut encoder, lent, offset, self.joins());
             self.submit(encoder)?;
+            last = 2 * u64::from(count);
         }
         let found = self.end(lent, self.encoder(), 0)?;
         lock(&self.state).traffic.rays += found.rays;
@@ -235,8 +241,9 @@ impl Rounds for GpuRounds<'_> {
         let (lent, encoder) = self.begin(&items)?;
         self.submit(encoder)?;
         let items = items.len();
+        let mut last = 0;
         for first in (0..lines).step_by(self.capacity as usize) {
-            if !goes_on() {
+            if !goes_on(last) {
                 return self.end(lent, self.encoder(), 0);
             }
             let count = u64::from(self.capacity).min(lines - first) as u32;
@@ -256,6 +263,7 @@ impl Rounds for GpuRounds<'_> {
                 self.run(&mut encoder, lent, offset, &[CheckPairs]);
             }
             self.submit(encoder)?;
+            last = u64::from(count);
         }
         let found = self.end(lent, self.encoder(), items)?;
         lock(&self.state).traffic.rays += lines;
@@ -281,7 +289,7 @@ impl Rounds for GpuRounds<'_> {
         let each = work.most + LEAST_SEGMENTS.div_ceil(self.division.max(1));
         let step = (2 * self.capacity / each).max(1) as usize;
         for first in (0..items.len()).step_by(step) {
-            if !goes_on() {
+            if !goes_on(0) {
                 return self.end(lent, self.encoder(), 0);
             }
             let offset = self.part(lent, &of(first, step.min(items.len() - first)));
@@ -292,8 +300,9 @@ impl Rounds for GpuRounds<'_> {
             self.submit(encoder)?;
         }
         let found = self.end(lent, self.encoder(), items.len())?;
-        lock(&self.state).traffic.rays += found.counts.iter().map(|c| u64::from(c[0])).sum::<u64>();
-        Ok(found)
+        let rays = found.counts.iter().map(|c| u64::from(c[0])).sum();
+        lock(&self.state).traffic.rays += rays;
+        Ok(Found { rays, ..found })
     }
 
     fn traffic(&self) -> Traffic {

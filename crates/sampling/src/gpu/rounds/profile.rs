@@ -3,8 +3,8 @@
 
 use std::sync::Mutex;
 
-use super::super::device::lock;
 use super::kernels::{ENTRY_POINTS, Kernel};
+use crate::gpu::locks::lock;
 use crate::lines::device::KernelTime;
 
 /// Runs of kernels in a phase that are measured; later ones are not.

@@ -99,6 +99,8 @@ fn compare(scene: Scene, far: f32) {
     let block = DeviceBlock {
         scene: &scene,
         surface: &surface,
+        rows: &[],
+        row_count: scene.triangles().len(),
         grid: &grid,
         cells: &cells,
         reached: &[],
@@ -212,6 +214,8 @@ fn a_lost_device_is_an_error() {
     let block = DeviceBlock {
         scene: &scene,
         surface: &surface,
+        rows: &[],
+        row_count: scene.triangles().len(),
         grid: &grid,
         cells: &cells,
         reached: &[],
@@ -224,8 +228,25 @@ fn a_lost_device_is_an_error() {
     let rounds = tracer.rounds(&block).unwrap().unwrap();
     let work = [UniformWork { cell: 0, tiles: 2, base: 0 }];
     rounds.restart(&SeenBits::new(scene.triangles().len(), 1), None).unwrap();
-    rounds.uniform(&work, &|| true).unwrap();
+    rounds.uniform(&work, &|_| true).unwrap();
     backend.gpu.device.destroy();
-    assert!(matches!(rounds.uniform(&work, &|| true), Err(BackendError::Failed { .. })));
-    assert!(matches!(rounds.seeds(&|| true), Err(BackendError::Failed { .. })));
+    assert!(matches!(rounds.uniform(&work, &|_| true), Err(BackendError::Failed { .. })));
+    assert!(matches!(rounds.seeds(&|_| true), Err(BackendError::Failed { .. })));
+}
+
+/// An error in one of the threads that compile is no error of the device: the host casts the rounds then.
+#[test]
+fn kernels_that_a_driver_refuses_are_refused_and_the_device_goes_on() {
+    let scene = Arc::new(town());
+    let Some(backend) = backend(&scene) else { return };
+    let all: Vec<u32> = (0..scene.len()).collect();
+    let tracer = backend.lines(LineSet::Blocking, &all).unwrap();
+    let kit = backend.lines[LineSet::Blocking as usize].get().unwrap().as_ref().unwrap();
+    let (line_scene, _) = kit.for_rounds();
+    let refused = Kernels::with(&backend.gpu.device, line_scene, &[("NO_SUCH_CONSTANT", 1.0)]);
+    assert!(matches!(refused, Err(Fault::Refused(_))));
+    backend.gpu.check().unwrap();
+    let mut packet = Packet::default();
+    packet.push([0.0; 3], [1.0, 0.5, 0.25]);
+    tracer.trace(&mut [packet]).unwrap();
 }
