@@ -278,8 +278,10 @@ impl Shop {
                     .map_err(TileError::from)
                     .and_then(|b| match spec.sampling.sampler {
                         Sampler::Cubes => Ok(auto::time(&*b, &lattice)?),
-                        // A region or marks of viewpoints keep a device from casting whole rounds.
-                        Sampler::Lines if spec.viewpoints.is_none() => {
+                        // A region of viewpoints keeps a device from casting whole rounds.
+                        Sampler::Lines
+                            if spec.viewpoints.as_ref().is_none_or(|marks| marks.region().is_none()) =>
+                        {
                             auto::time_rounds(&*b, loaded.scene.sampling(), &lattice)
                         }
                         Sampler::Lines | Sampler::Guided => {

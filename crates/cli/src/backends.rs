@@ -33,6 +33,19 @@ pub fn choice(backend: BackendChoice) -> Choice {
     }
 }
 
+/// Says so when a result of one kind of backend, by its profile, is judged with another one.
+pub fn say_other(made: &str, judged: &str) {
+    let kind = |profile: &str| ["cpu", "gpu"].into_iter().find(|k| profile.split('/').next() == Some(k));
+    if let (Some(made), Some(judged)) = (kind(made), kind(judged))
+        && made != judged
+    {
+        say(&format!(
+            "note: the result was made on the {made} and is judged on the {judged}; where coplanar triangles \
+             overlap, they see different ones. --backend {made} judges as it was made"
+        ));
+    }
+}
+
 /// Opens a backend that draws or traces a whole scene here; also its numerics profile. Embree does that well,
 /// so with `auto` the gpu is probed only when Embree is missing.
 pub fn open_backend(

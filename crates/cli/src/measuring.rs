@@ -12,7 +12,7 @@ use sightline_sampling::{CubeSpec, PreparedScene, Strata, layers};
 use sightline_scene::Scene;
 
 use crate::args::MeasureArgs;
-use crate::backends::open_backend;
+use crate::backends::{open_backend, say_other};
 use crate::enclosure;
 use crate::error::CliError;
 use crate::opening::{self, Source};
@@ -105,6 +105,7 @@ pub fn measured_in(
     let prepared = PreparedScene::new(scene)?;
     // A result whose lines end at a distance is judged up to that distance.
     let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
+    say_other(info["profile"].as_str().unwrap_or_default(), &profile);
     let far = info["sampling"]["far"].as_f64();
     let renderer = layers::renderer(&*backend, &prepared, spec, None, far).map_err(CliError::internal)?;
     let options = Options {

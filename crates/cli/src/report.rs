@@ -12,7 +12,7 @@ use sightline_report::{About, Blame, Budget, Costs, OverBudget, blame, over_budg
 use sightline_sampling::sight::{Sight, least_step};
 use sightline_sampling::{CubeSpec, PreparedScene, Strata, layers};
 
-use crate::backends::open_backend;
+use crate::backends::{open_backend, say_other};
 use crate::cells;
 use crate::enclosure;
 use crate::error::CliError;
@@ -107,10 +107,11 @@ fn look(args: &ReportArgs, pvs: &Pvs) -> Result<Found, CliError> {
     };
     let views = Viewpoints::random_where(args.viewpoints, args.seed, pvs.tree().view_box(), is_place);
     let spec = CubeSpec { resolution: args.resolution, strata: Strata::One, keep_pixels: false };
-    let (_, backend) = open_backend(args.backend, &scene, spec)?;
+    let (profile, backend) = open_backend(args.backend, &scene, spec)?;
     let step = least_step(scene.bounds());
     let prepared = PreparedScene::new(Arc::clone(&scene))?;
     let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
+    say_other(info["profile"].as_str().unwrap_or_default(), &profile);
     let far = info["sampling"]["far"].as_f64();
     let renderer = layers::renderer(&*backend, &prepared, spec, None, far).map_err(CliError::internal)?;
     let folder = tempfile::tempdir().map_err(CliError::internal)?;

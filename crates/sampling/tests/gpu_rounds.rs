@@ -87,14 +87,14 @@ fn with_block<R>(
     crew: &dyn Crew,
     f: impl FnOnce(&mut Block<'_>) -> R,
 ) -> R {
-    with_rows(scene, backend, place, (crew, &Rows::triangles(scene)), f)
+    with_rows(scene, backend, place, (crew, &Rows::triangles(scene), u64::MAX), f)
 }
 
 fn with_rows<R>(
     scene: &Arc<Scene>,
     backend: &dyn Backend,
     (view, cells): ([Vec3; 2], [u32; 3]),
-    (crew, rows): (&dyn Crew, &Rows),
+    (crew, rows, parts): (&dyn Crew, &Rows, u64),
     f: impl FnOnce(&mut Block<'_>) -> R,
 ) -> R {
     let all: Vec<u32> =
@@ -116,7 +116,7 @@ fn with_rows<R>(
     };
     let [nx, ny, _] = cells.map(u64::from);
     let number = |c: [u32; 3]| (u64::from(c[2]) * ny + u64::from(c[1])) * nx + u64::from(c[0]);
-    f(&mut Block::new(tools, CellGrid::new(view[0], view[1], cells), number, |_| u64::MAX))
+    f(&mut Block::new(tools, CellGrid::new(view[0], view[1], cells), number, |_| parts))
 }
 
 type Result = (Vec<Vec<u32>>, Vec<CellStats>);
@@ -184,13 +184,36 @@ fn objects_are_seen_where_one_of_their_triangles_is() {
     let Some(backend) = backend(&scene) else { return };
     let rows = Rows::new(&scene, Granularity::Objects, &[]);
     let view = ([Vec3::splat(-2.0), Vec3::splat(2.0)], [3, 3, 3]);
-    with_rows(&scene, &backend, view, (&Alone, &rows), |block| {
+    with_rows(&scene, &backend, view, (&Alone, &rows, u64::MAX), |block| {
         block.sample(1e-3, &[], Tolerance::Equal).unwrap();
         assert!(block.traffic().is_some(), "the device casts the rounds");
         let (sets, _) = result(block);
         for c in block.grid().each() {
             assert_eq!(sets[block.grid().slot(c).index()], [0, 1, 2, 3, 4, 5], "{c:?}");
         }
+    });
+}
+
+#[test]
+fn lines_begin_in_the_parts_of_a_cell_that_hold_viewpoints() {
+    // A closed wall divides the room, and the cell, of which the lower half along x holds viewpoints.
+    let mut triangles = tessellated_box(Vec3::splat(-3.0), Vec3::splat(3.0), 6);
+    let [a, b, c, d] =
+        [(-3.0, -3.0), (3.0, -3.0), (3.0, 3.0), (-3.0, 3.0)].map(|(y, z)| Vec3::new(0.0, y, z));
+    triangles.extend([Triangle { v: [a, b, c] }, Triangle { v: [a, c, d] }]);
+    let scene = scene(triangles);
+    let Some(backend) = backend(&scene) else { return };
+    let lower = (0..64).filter(|part| part % 4 < 2).fold(0u64, |parts, part| parts | 1 << part);
+    let (rows, view) = (Rows::triangles(&scene), ([Vec3::splat(-2.0), Vec3::splat(2.0)], [1; 3]));
+    with_rows(&scene, &backend, view, (&Alone, &rows, lower), |block| {
+        block.sample_before_bound(1.0, 0.01).unwrap();
+        block.sample_to_bound(1.0, 0.01).unwrap();
+        assert!(block.traffic().is_some(), "the device casts the rounds");
+        let set = &result(block).0[0];
+        let shown = |t: &Triangle| t.v.iter().any(|v| v.x < 0.0) || t.v.iter().all(|v| v.x == 0.0);
+        let expected: Vec<u32> =
+            (0..).zip(scene.triangles()).filter(|(_, t)| shown(t)).map(|(i, _)| i).collect();
+        assert_eq!(*set, expected);
     });
 }
 

@@ -26,6 +26,8 @@ pub struct DeviceCell {
     pub at: [u32; 3],
     /// The place of its bit.
     pub slot: Slot,
+    /// Which of its parts hold viewpoints; all bits when all do.
+    pub parts: u64,
     /// Names its random numbers: no other cell of the job has the same.
     pub key: u64,
 }

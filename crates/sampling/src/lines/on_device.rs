@@ -83,10 +83,7 @@ impl Block<'_> {
         }
         // A device knows no regions, and keeps no account.
         let tools = &self.tools;
-        let plain = tools.places.is_none()
-            && tools.ledger.is_none()
-            && self.cells.iter().all(|c| c.parts == 0 || c.is_whole())
-            && tools.pairs.is_none_or(Pairs::are_whole);
+        let plain = tools.places.is_none() && tools.ledger.is_none();
         self.device = OnDevice::No;
         if !plain {
             return Ok(());
@@ -132,10 +129,10 @@ impl Block<'_> {
     /// The cells of the division, and the slots that the block's cells have there.
     fn division(&self, pairs: &Pairs) -> (Vec<DeviceCell>, Vec<u32>) {
         let grid = pairs.grid();
-        let cells = grid.each().zip(0..).map(|(at, number)| {
+        let cells = grid.each().enumerate().map(|(number, at)| {
             let (low, size) = grid.cell_box(at);
-            let key = Hashed::new(&[self.tools.seed, number, KEYS, 2]).bits();
-            DeviceCell { low, size, at, slot: grid.slot(at), key }
+            let key = Hashed::new(&[self.tools.seed, number as u64, KEYS, 2]).bits();
+            DeviceCell { low, size, at, slot: grid.slot(at), parts: pairs.parts(number), key }
         });
         let slot = |c: &Cell| grid.slot(grid.cell_at(c.lo + c.size * 0.5)).index() as u32;
         (cells.collect(), self.cells.iter().map(slot).collect())
@@ -143,7 +140,7 @@ impl Block<'_> {
 
     fn device_cell(&self, c: &Cell) -> DeviceCell {
         let key = Hashed::new(&[self.tools.seed, c.number, KEYS]).bits();
-        DeviceCell { low: c.lo, size: c.size, at: c.at, slot: c.slot, key }
+        DeviceCell { low: c.lo, size: c.size, at: c.at, slot: c.slot, parts: c.parts, key }
     }
 
     /// What went between host and device; `None` where the host casts the rounds.

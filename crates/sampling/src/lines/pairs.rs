@@ -20,8 +20,8 @@ pub struct Pairs {
     rows: Vec<AtomicU64>,
     /// The words of a row without the cells that have no viewpoint; empty when all have one.
     reached: Vec<u64>,
-    /// Whether viewpoints are everywhere in the cells that have some.
-    are_whole: bool,
+    /// Which parts of each cell hold viewpoints, by [`CellGrid::each`]; empty when all of all do.
+    parts: Vec<u64>,
     /// The rows that the other members of the crew have or are given; empty when there are none.
     kept: Mutex<Vec<u64>>,
 }
@@ -32,26 +32,26 @@ impl Pairs {
         let words = grid.words();
         let mut rows = Vec::new();
         rows.resize_with(words * 64 * words, || AtomicU64::new(0));
-        Self { grid, words, rows, reached: Vec::new(), are_whole: true, kept: Mutex::default() }
+        Self { grid, words, rows, reached: Vec::new(), parts: Vec::new(), kept: Mutex::default() }
     }
 
     /// The same, of which only some cells have viewpoints, or only in some parts: `parts` gives those of a
     /// cell by its place in [`CellGrid::each`].
     #[must_use]
     pub fn reached_in(mut self, parts: impl Fn(usize) -> u64) -> Self {
+        self.parts = (0..self.grid.count()).map(parts).collect();
         let mut reached = vec![0; self.words];
-        for (at, parts) in self.grid.each().zip((0..).map(parts)).filter(|(_, parts)| *parts != 0) {
+        for (at, _) in self.grid.each().zip(&self.parts).filter(|(_, parts)| **parts != 0) {
             let slot = self.grid.slot(at);
             reached[slot.word as usize] |= 1 << slot.bit;
-            self.are_whole &= parts == u64::MAX;
         }
         self.reached = reached;
         self
     }
 
-    /// Whether viewpoints are everywhere in the cells that have some.
-    pub fn are_whole(&self) -> bool {
-        self.are_whole
+    /// Which parts of a cell hold viewpoints, by its place in [`CellGrid::each`].
+    pub fn parts(&self, cell: usize) -> u64 {
+        self.parts.get(cell).copied().unwrap_or(u64::MAX)
     }
 
     /// The words of a row without the cells that have no viewpoint; empty when all have one.

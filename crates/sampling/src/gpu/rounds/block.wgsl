@@ -85,6 +85,9 @@ struct Cell {
     at: vec3<u32>,
     // Place of its bit in a row.
     slot: u32,
+    // Which of its parts hold viewpoints, low half and high half; all bits when all do, or none does.
+    parts: vec2<u32>,
+    unused: vec2<u32>,
 }
 
 @group(1) @binding(0) var<uniform> block: Block;
@@ -165,6 +168,8 @@ const FLOOD: u32 = 6u;
 const JOIN: u32 = 7u;
 
 const LANES: u32 = 16u;
+// Parts of a cell along each axis.
+const PARTS: u32 = 4u;
 
 // Jarzynski and Olano 2020, "Hash Functions for GPU Rendering": pcg4d.
 fn hashed(names: vec4<u32>) -> vec4<u32> {
@@ -250,13 +255,41 @@ fn item_with(number: u32) -> u32 {
     return low;
 }
 
+// Whether viewpoints are everywhere in the cell.
+fn is_whole(cell: Cell) -> bool {
+    return all(cell.parts == vec2<u32>(0xffffffffu));
+}
+
+// A viewpoint at fractions of the cell's size, as Cell::point on the host: where only some parts of the cell
+// hold viewpoints, the first fraction chooses one of them as well.
+fn point_in(cell: Cell, fractions: vec3<f32>) -> vec3<f32> {
+    var f = fractions;
+    if !is_whole(cell) {
+        let low = countOneBits(cell.parts.x);
+        let count = low + countOneBits(cell.parts.y);
+        let place = f.x * f32(count);
+        // Rounding may give the number of parts itself.
+        var skip = min(u32(place), max(count, 1u) - 1u);
+        let is_low = skip < low;
+        var rest = select(cell.parts.y, cell.parts.x, is_low);
+        skip = select(skip - low, skip, is_low);
+        for (var i = 0u; i < skip; i++) {
+            rest &= rest - 1u;
+        }
+        let number = firstTrailingBit(rest) + select(32u, 0u, is_low);
+        let at = vec3<u32>(number % PARTS, number / PARTS % PARTS, number / PARTS / PARTS);
+        f = (vec3<f32>(at) + vec3<f32>(fract(place), f.y, f.z)) / f32(PARTS);
+    }
+    return cell.low + cell.size * f;
+}
+
 // The eye of a tile of uniform lines: point `base + k` of the cell's sequence (Roberts 2018).
 fn eye_of(item: u32, tile: u32) -> vec3<f32> {
     let cell = cell_of(item);
     let number = items[item].z + (tile - items[item].w);
     let shift = drawn(cell, SHIFT, 0u, 0u).xyz;
     let place = number * vec3<u32>(3518319155u, 2882110345u, 2360945575u) + shift;
-    return cell.low + cell.size * vec3<f32>(unit(place.x), unit(place.y), unit(place.z));
+    return point_in(cell, vec3<f32>(unit(place.x), unit(place.y), unit(place.z)));
 }
 
 fn corner_of(triangle: u32, corner: u32) -> vec3<f32> {

@@ -201,6 +201,10 @@ fn sees_beyond(cell: Cell, face: u32, triangle: u32) -> bool {
 // to both cells.
 fn eye_near_a_face(cell: Cell, triangle: u32, random: vec4<u32>) -> vec3<f32> {
     var at = vec3<f32>(unit(random.x), unit(random.y), unit(random.z));
+    if !is_whole(cell) {
+        // Its viewpoints need not reach the faces.
+        return point_in(cell, at);
+    }
     var faces = 0u;
     for (var face = 0u; face < 6u; face++) {
         faces |= select(0u, 1u << face, sees_beyond(cell, face, triangle));

@@ -203,7 +203,7 @@ fn count_aims(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
 }
 
 fn point_of(cell: Cell, random: vec3<u32>) -> vec3<f32> {
-    return cell.low + cell.size * vec3<f32>(unit(random.x), unit(random.y), unit(random.z));
+    return point_in(cell, vec3<f32>(unit(random.x), unit(random.y), unit(random.z)));
 }
 
 @compute @workgroup_size(64)

@@ -101,6 +101,8 @@ struct CellRecord {
     key_high: u32,
     at: [u32; 3],
     slot: u32,
+    parts: [u32; 2],
+    unused: [u32; 2],
 }
 
 fn halves(of: u64) -> [u32; 2] {
@@ -197,7 +199,9 @@ impl Tables {
         let record = |c: &DeviceCell| {
             let [key_low, key_high] = halves(c.key);
             let slot = c.slot.index() as u32;
-            CellRecord { low: c.low, key_low, size: c.size, key_high, at: c.at, slot }
+            // From a cell without viewpoints only segments are cast, from anywhere.
+            let parts = halves(if c.parts == 0 { u64::MAX } else { c.parts });
+            CellRecord { low: c.low, key_low, size: c.size, key_high, at: c.at, slot, parts, unused: [0; 2] }
         };
         let all = |words: &[u64], grid: &CellGrid| match words {
             [] => vec![u64::MAX; grid.words()],

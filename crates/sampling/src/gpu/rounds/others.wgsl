@@ -57,7 +57,7 @@ fn make_check(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
         let k = number - items[item].w;
         let one = drawn(cell, CHECK ^ (part.round << 4u), k, 0u);
         let two = drawn(cell, CHECK ^ (part.round << 4u), k, 1u);
-        let origin = cell.low + cell.size * vec3<f32>(unit(one.x), unit(one.y), unit(one.z));
+        let origin = point_in(cell, vec3<f32>(unit(one.x), unit(one.y), unit(one.z)));
         let axis = two.z % 3u;
         var direction = vec3<f32>(1.0);
         direction[axis] = select(1.0, -1.0, (one.w & 1u) == 1u);

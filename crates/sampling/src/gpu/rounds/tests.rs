@@ -91,7 +91,7 @@ fn compare(scene: Scene, far: f32) {
         .zip(0..)
         .map(|(at, key)| {
             let (low, size) = grid.cell_box(at);
-            DeviceCell { low, size, at, slot: grid.slot(at), key }
+            DeviceCell { low, size, at, slot: grid.slot(at), parts: u64::MAX, key }
         })
         .collect();
     let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
@@ -117,7 +117,7 @@ fn compare(scene: Scene, far: f32) {
         .zip(0..)
         .map(|(at, key)| {
             let (low, size) = division.cell_box(at);
-            DeviceCell { low, size, at, slot: division.slot(at), key }
+            DeviceCell { low, size, at, slot: division.slot(at), parts: u64::MAX, key }
         })
         .collect();
     let slots = vec![0; cells.len()];
@@ -210,7 +210,7 @@ fn a_lost_device_is_an_error() {
     let tracer = backend.lines(LineSet::Blocking, &all).unwrap();
     let grid = CellGrid::new(Vec3::ZERO, Vec3::ONE, [1; 3]);
     let (low, size) = grid.cell_box([0; 3]);
-    let cells = [DeviceCell { low, size, at: [0; 3], slot: grid.slot([0; 3]), key: 1 }];
+    let cells = [DeviceCell { low, size, at: [0; 3], slot: grid.slot([0; 3]), parts: u64::MAX, key: 1 }];
     let block = DeviceBlock {
         scene: &scene,
         surface: &surface,
