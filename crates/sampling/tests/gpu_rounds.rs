@@ -206,14 +206,15 @@ fn lines_begin_in_the_parts_of_a_cell_that_hold_viewpoints() {
     let lower = (0..64).filter(|part| part % 4 < 2).fold(0u64, |parts, part| parts | 1 << part);
     let (rows, view) = (Rows::triangles(&scene), ([Vec3::splat(-2.0), Vec3::splat(2.0)], [1; 3]));
     with_rows(&scene, &backend, view, (&Alone, &rows, lower), |block| {
-        block.sample_before_bound(1.0, 0.01).unwrap();
-        block.sample_to_bound(1.0, 0.01).unwrap();
+        // Too coarse for seeds, which begin anywhere and show what they show to any viewpoint of a cell.
+        block.sample(0.004, &[], Tolerance::Equal).unwrap();
         assert!(block.traffic().is_some(), "the device casts the rounds");
         let set = &result(block).0[0];
         let shown = |t: &Triangle| t.v.iter().any(|v| v.x < 0.0) || t.v.iter().all(|v| v.x == 0.0);
-        let expected: Vec<u32> =
+        let shown: Vec<u32> =
             (0..).zip(scene.triangles()).filter(|(_, t)| shown(t)).map(|(i, _)| i).collect();
-        assert_eq!(*set, expected);
+        assert!(set.iter().all(|t| shown.binary_search(t).is_ok()), "what is behind the wall is not seen");
+        assert!(set.len() * 100 > shown.len() * 95, "{} of {} are seen", set.len(), shown.len());
     });
 }
 
