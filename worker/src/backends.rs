@@ -82,8 +82,6 @@ impl Backends {
         spec: CubeSpec,
     ) -> Result<Arc<dyn Backend>, BackendError> {
         if self.cpu.as_deref() == Ok(profile) {
-            // A job on the CPU holds no GPU.
-            gpu::close_spare();
             Ok(Arc::new(CpuBackend::new(scene, spec)?))
         } else if self.gpu.as_deref() == Ok(profile) {
             let backend = GpuBackend::new(scene, spec, self.adapter.clone())?;

@@ -9,7 +9,7 @@ use sightline_model::{JobSpec, Method, Sampler};
 use sightline_proto::chunks::{Assembler, count, piece};
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
-use sightline_sampling::{CubeSpec, TileError, auto};
+use sightline_sampling::{CubeSpec, TileError, auto, gpu};
 use sightline_viewcells::Division;
 use tonic::transport::Channel;
 
@@ -166,6 +166,10 @@ impl Shop {
             return done.map(|done| (done.bytes, done.samples)).map_err(|e| failure(e, || {}));
         }
         let owner = self.config.name.as_str();
+        if profile.starts_with("cpu/") {
+            // The device that was opened to see whether it works is not wanted.
+            gpu::close_spare();
+        }
         let backend = loaded
             .backend(&self.config.backends, profile, CubeSpec::of(&spec.sampling), owner)
             .map_err(|e| Failure::Infrastructure(e.to_string()))?;

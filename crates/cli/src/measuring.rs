@@ -73,7 +73,11 @@ pub fn measured(
         return Err(CliError::Input(format!("{}: {}", args.result.display(), PvsError::NoPairs)));
     }
     let scene = Arc::new(opening::read_for(source, &args.kinds, pvs, &args.result)?);
-    measured_in(args, pvs, scene, (on_path, given), progress)
+    let value = measured_in(args, pvs, scene, (on_path, given), progress)?;
+    let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
+    let [made, judged] = [&info["profile"], &value["backend"]].map(|p| p.as_str().unwrap_or_default());
+    say_other(made, judged);
+    Ok(value)
 }
 
 /// Measures a result in its scene: on a path, at given viewpoints, or at random ones.
@@ -105,7 +109,6 @@ pub fn measured_in(
     let prepared = PreparedScene::new(scene)?;
     // A result whose lines end at a distance is judged up to that distance.
     let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
-    say_other(info["profile"].as_str().unwrap_or_default(), &profile);
     let far = info["sampling"]["far"].as_f64();
     let renderer = layers::renderer(&*backend, &prepared, spec, None, far).map_err(CliError::internal)?;
     let options = Options {

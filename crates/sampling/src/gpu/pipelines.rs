@@ -76,15 +76,12 @@ pub(super) fn scoped_by_kind<T>(
     let validation = device.push_error_scope(wgpu::ErrorFilter::Validation);
     let made = make();
     // Every scope is popped, innermost first, even when one holds an error.
-    let errors = [
-        pollster::block_on(validation.pop()),
-        pollster::block_on(memory.pop()),
-        pollster::block_on(internal.pop()),
-    ];
-    match errors.into_iter().flatten().next() {
-        Some(error @ wgpu::Error::OutOfMemory { .. }) => Err(Fault::Memory(error.to_string())),
-        Some(error) => Err(Fault::Refused(error.to_string())),
-        None => made,
+    let [invalid, full, broken] = [validation, memory, internal].map(|scope| pollster::block_on(scope.pop()));
+    // A buffer for which there was no memory is invalid where it is used.
+    match (full, invalid.or(broken)) {
+        (Some(error), _) => Err(Fault::Memory(error.to_string())),
+        (None, Some(error)) => Err(Fault::Refused(error.to_string())),
+        (None, None) => made,
     }
 }
 

@@ -174,7 +174,7 @@ pub trait Rounds: Send + Sync {
 
     /// A round of uniform lines, and the flood from what they find. Counts of an item: rays that met a
     /// triangle which its cell had not seen, finds, rays of the flood, finds of the flood. A phase that is
-    /// broken off has no counts.
+    /// broken off need not have counts.
     ///
     /// # Errors
     /// As [`Rounds::restart`].

@@ -89,7 +89,13 @@ impl Block<'_> {
             this.tools.watcher.rendered(answer.0.rays.iter().sum());
             Ok(answer)
         };
-        let items = Items { count: cells.len(), prepare: &|| prepare(this), cost, compute: &compute };
+        let items = Items {
+            count: cells.len(),
+            prepare: &|| prepare(this),
+            cost,
+            compute: &compute,
+            fits: &|_| true,
+        };
         let done = phase::run(this.tools.crew, this.tables(), items)?;
         for (cell, (s, tally)) in cells.iter().zip(done) {
             self.yields.add(&tally);

@@ -112,7 +112,8 @@ pub fn search(
                 watcher.rendered(found.0);
                 Ok(found)
             };
-            let items = Items { count: own.len(), prepare: &|| {}, cost: &|_| 1, compute: &compute };
+            let items =
+                Items { count: own.len(), prepare: &|| {}, cost: &|_| 1, compute: &compute, fits: &|_| true };
             let tables = Tables { bits: None, pairs: Some(pairs) };
             let found: Vec<(u64, f64)> = phase::run(job.crew, tables, items)?;
             let count: u64 = found.iter().map(|f| f.0).sum();

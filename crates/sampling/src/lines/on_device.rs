@@ -33,7 +33,7 @@ const KEYS: u64 = 13;
 pub(super) struct Whole {
     pub(super) stats: Vec<CellStats>,
     pub(super) tally: Tally,
-    /// Rays that belong to no item.
+    /// Rays that belong to no cell of the block.
     pub(super) rays: u64,
 }
 
@@ -338,18 +338,14 @@ impl Block<'_> {
             *own = Some(whole.clone());
             Ok(whole)
         };
-        let items = Items { count: 1, prepare: &|| {}, cost: &|_| 1, compute: &work };
+        let fits = |whole: &Whole| whole.stats.len() == count;
+        let items = Items { count: 1, prepare: &|| {}, cost: &|_| 1, compute: &work, fits: &fits };
         let done = phase::run(this.tools.crew, this.tables(), items)?;
         let is_here = own.into_inner().unwrap_or_else(PoisonError::into_inner).is_some();
         if let OnDevice::Yes { stale, .. } = &mut self.device {
             *stale = !is_here;
         }
         for whole in done {
-            if whole.stats.len() != count {
-                // Another member is at fault; the tile is not.
-                tracing::warn!("the answer of another member counts {} cells of {count}", whole.stats.len());
-                return Err(TileError::Cancelled);
-            }
             self.yields.add(&whole.tally);
             take(self, &whole.stats);
         }

@@ -25,6 +25,8 @@ pub(super) struct Items<'a, A> {
     /// The expected work of an item.
     pub(super) cost: &'a (dyn Fn(usize) -> u64 + Sync),
     pub(super) compute: &'a (dyn Fn(usize) -> Result<A, TileError> + Sync),
+    /// Whether another member's answer can be one of these.
+    pub(super) fits: &'a (dyn Fn(&A) -> bool + Sync),
 }
 
 /// Sees to it that every item is computed, here or elsewhere.
@@ -101,6 +103,9 @@ impl<A: Answer> Phase for Shared<'_, A> {
     fn add(&self, found: &[u8]) -> Result<u64, ForeignFinds> {
         let (bits, pairs) = (self.tables.bits, self.tables.pairs);
         let Finds { answers, seen, joined } = finds::decode(found, self.answers.len(), bits, pairs)?;
+        if !answers.iter().all(|(_, answer)| (self.items.fits)(answer)) {
+            return Err(ForeignFinds("an answer counts other cells"));
+        }
         // The finds before the answers: whoever sees the answer must have the finds.
         if let Some(bits) = bits {
             seen.into_iter().for_each(|(at, word)| bits.add(at, word));

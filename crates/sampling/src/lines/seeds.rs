@@ -77,7 +77,8 @@ impl Block<'_> {
             })
         };
         let cost = |_| 1;
-        let items = Items { count: stripes.len(), prepare: &|| {}, cost: &cost, compute: &compute };
+        let items =
+            Items { count: stripes.len(), prepare: &|| {}, cost: &cost, compute: &compute, fits: &|_| true };
         phase::run(self.tools.crew, self.tables(), items).map(|_| ())
     }
 }

@@ -1,5 +1,6 @@
 // Candidates of cells and the lines aimed at them, as lines/candidates.rs on the host, but each line has an
-// eye of its own. Follows cast.wgsl.
+// eye of its own, and all triangles at the border of an item are candidates, not only the largest. Follows
+// cast.wgsl.
 //
 // Items: the cell; the least part of the sphere that a candidate must cover, as a float; uniform rays of the
 // cell, as a float. Counts of an item: rays, finds.

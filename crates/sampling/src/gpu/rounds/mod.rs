@@ -96,6 +96,10 @@ fn obstacle(gpu: &Gpu, block: &DeviceBlock<'_>, capacity: u32) -> Option<String>
             limits.max_storage_buffers_per_shader_stage
         ));
     }
+    // Kernels number the triangles times the words of a row.
+    if u64::from(block.scene.len()) * block.grid.words() as u64 >= 1 << 31 {
+        return Some(format!("{} triangles are more than it numbers for so many cells", block.scene.len()));
+    }
     (largest > most).then(|| format!("{largest} bytes in one buffer are more than the {most} that it binds"))
 }
 
