@@ -28,7 +28,7 @@ use sightline_sampling::rows::Rows;
 use sightline_sampling::sequence::Hashed;
 use sightline_sampling::sight::{Passed, Sight, least_step};
 use sightline_sampling::surface::Surface;
-use sightline_sampling::{Backend as _, CubeSpec, LineSet, Strata, Watcher};
+use sightline_sampling::{Backend as _, CubeSpec, LineSet, Strata, Unwatched};
 
 /// Held-out lines of a cell.
 const HELD: u64 = 20_000;
@@ -36,16 +36,6 @@ const HELD: u64 = 20_000;
 const STREAM: u64 = 77;
 
 type Answer<T> = Result<T, Box<dyn std::error::Error>>;
-
-struct Silent;
-
-impl Watcher for Silent {
-    fn rendered(&self, _: u64) {}
-    fn cell_done(&self) {}
-    fn cancelled(&self) -> bool {
-        false
-    }
-}
 
 /// Lines of a kind in a round.
 #[derive(Clone, Copy, Default)]
@@ -150,7 +140,7 @@ fn main() -> Answer<()> {
             rows: &rows,
             sight: &sight,
             seed: 1,
-            watcher: &Silent,
+            watcher: &Unwatched,
             deadline: None,
             pairs: None,
             places: None,

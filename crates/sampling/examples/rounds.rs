@@ -32,7 +32,7 @@ use sightline_sampling::rows::Rows;
 use sightline_sampling::sequence::Hashed;
 use sightline_sampling::sight::{Passed, Sight, least_step};
 use sightline_sampling::surface::Surface;
-use sightline_sampling::{Backend, CubeSpec, LineSet, Strata, Watcher};
+use sightline_sampling::{Backend, CubeSpec, LineSet, Strata, Unwatched};
 use sightline_scene::Scene;
 
 /// Held-out lines of a cell.
@@ -44,16 +44,6 @@ const USAGE: &str = "usage: rounds [--adapter NAME] [--no-cpu] [--no-gpu] [--pro
                      [--pace FIRST,COARSE,GROWTH,AIMED] SCENE NXxNYxNZ TARGET...";
 
 type Answer<T> = Result<T, Box<dyn std::error::Error>>;
-
-struct Silent;
-
-impl Watcher for Silent {
-    fn rendered(&self, _: u64) {}
-    fn cell_done(&self) {}
-    fn cancelled(&self) -> bool {
-        false
-    }
-}
 
 /// A pace of four numbers.
 fn paced(text: &str) -> Answer<Pace> {
@@ -140,7 +130,7 @@ fn sample(
         rows: &rows,
         sight,
         seed: 1,
-        watcher: &Silent,
+        watcher: &Unwatched,
         deadline: None,
         pairs: None,
         places: None,

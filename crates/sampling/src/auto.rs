@@ -6,7 +6,7 @@ use sightline_model::Granularity;
 use sightline_viewcells::Lattice;
 
 use crate::backend::{Backend, LineSet};
-use crate::context::{TileError, Watcher};
+use crate::context::{TileError, Unwatched};
 use crate::crew::Alone;
 use crate::cube::face_basis;
 use crate::error::BackendError;
@@ -27,16 +27,6 @@ pub struct Timing {
     pub profile: String,
     /// Mean over a batch.
     pub per_cube: Duration,
-}
-
-struct Silent;
-
-impl Watcher for Silent {
-    fn rendered(&self, _: u64) {}
-    fn cell_done(&self) {}
-    fn cancelled(&self) -> bool {
-        false
-    }
 }
 
 /// Points spread evenly over the view box: a Kronecker sequence (generalised golden ratio in three
@@ -91,7 +81,7 @@ pub fn time_rounds(
             rows: scene.rows(Granularity::Triangles),
             sight: &sight,
             seed: 0,
-            watcher: &Silent,
+            watcher: &Unwatched,
             deadline: None,
             pairs: None,
             places: None,

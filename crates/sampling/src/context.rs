@@ -65,3 +65,17 @@ pub trait Watcher: Sync {
     /// Whether the tile should stop.
     fn cancelled(&self) -> bool;
 }
+
+/// Work that nobody watches: measurements and tests.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Unwatched;
+
+impl Watcher for Unwatched {
+    fn rendered(&self, _: u64) {}
+
+    fn cell_done(&self) {}
+
+    fn cancelled(&self) -> bool {
+        false
+    }
+}

@@ -19,21 +19,11 @@ use sightline_sampling::rows::Rows;
 use sightline_sampling::sight::Sight;
 use sightline_sampling::surface::Surface;
 use sightline_sampling::{
-    Backend, BackendError, CubeSpec, JobContext, LineSet, PreparedScene, Strata, Watcher, tile,
+    Backend, BackendError, CubeSpec, JobContext, LineSet, PreparedScene, Strata, Unwatched, tile,
 };
 use sightline_scene::generate::{self, Kind, Params};
 use sightline_scene::{Object, Scene, Triangle};
 use sightline_viewcells::{Division, Layout, Plan};
-
-struct Silent;
-
-impl Watcher for Silent {
-    fn rendered(&self, _: u64) {}
-    fn cell_done(&self) {}
-    fn cancelled(&self) -> bool {
-        false
-    }
-}
 
 fn backend(scene: &Arc<Scene>) -> Option<GpuBackend> {
     let spec = CubeSpec { resolution: 16, strata: Strata::One, keep_pixels: false };
@@ -107,7 +97,7 @@ fn with_rows<R>(
         rows,
         sight: &sight,
         seed: 7,
-        watcher: &Silent,
+        watcher: &Unwatched,
         deadline: None,
         pairs: None,
         places: None,
@@ -228,7 +218,7 @@ fn outcomes_of_another_member_take_the_place_of_phases() {
     let run = |given: Vec<Vec<u8>>| {
         let outcomes: Arc<Mutex<Vec<Vec<u8>>>> = Arc::default();
         let hears = Arc::clone(&outcomes);
-        let leader = Leader::new(given, Arc::new(Silent), move |message| {
+        let leader = Leader::new(given, Arc::new(Unwatched), move |message| {
             if let FromLeader::Outcome { bytes, .. } = message {
                 hears.lock().unwrap().push(bytes.to_vec());
             }
@@ -288,7 +278,7 @@ fn pairs_of(scene: &Arc<Scene>, backend: &dyn Backend, cells: [u32; 3]) -> (Pair
         deadline: None,
         crew: &Alone,
     };
-    let TileOutput::Cells(sets) = tile::run(&job, &plan.tiles[0], &[], &Silent).unwrap().0 else {
+    let TileOutput::Cells(sets) = tile::run(&job, &plan.tiles[0], &[], &Unwatched).unwrap().0 else {
         panic!("a leaf tile")
     };
     (sets.pairs.clone().unwrap().seen, sets)

@@ -6,17 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Arc, Mutex};
 
 use sightline_sampling::crew::{Crew as _, ForeignFinds, Leader, Phase};
-use sightline_sampling::{TileError, Watcher};
-
-struct Quiet;
-
-impl Watcher for Quiet {
-    fn rendered(&self, _: u64) {}
-    fn cell_done(&self) {}
-    fn cancelled(&self) -> bool {
-        false
-    }
-}
+use sightline_sampling::{TileError, Unwatched};
 
 /// A phase of one item, whose outcome is its number.
 struct Numbered<'a> {
@@ -60,7 +50,7 @@ impl Phase for Numbered<'_> {
 
 #[test]
 fn outcomes_learned_while_a_phase_is_prepared_are_those_of_the_next_ones() {
-    let leader = Leader::new(Vec::new(), Arc::new(Quiet), |_| {});
+    let leader = Leader::new(Vec::new(), Arc::new(Unwatched), |_| {});
     let added = Mutex::new(Vec::new());
     let learn = || leader.learn(leader.phase(), (leader.phase()..5).map(|n| vec![n as u8]).collect());
     for number in 0..5 {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use sightline_model::CellStats;
-use sightline_sampling::Watcher;
+use sightline_sampling::Unwatched;
 use sightline_sampling::crew::Alone;
 use sightline_sampling::embree::CpuBackend;
 use sightline_sampling::lines::block::{Block, Tools};
@@ -22,16 +22,6 @@ use sightline_sampling::surface::Surface;
 use sightline_sampling::{Backend, BackendError, CubeSpec, LineSet, Strata};
 use sightline_scene::generate::{self, Kind, Params};
 use sightline_scene::{Object, Scene, Triangle};
-
-struct Silent;
-
-impl Watcher for Silent {
-    fn rendered(&self, _: u64) {}
-    fn cell_done(&self) {}
-    fn cancelled(&self) -> bool {
-        false
-    }
-}
 
 fn backend(scene: &Arc<Scene>) -> Option<CpuBackend> {
     let spec = CubeSpec { resolution: 64, strata: Strata::One, keep_pixels: false };
@@ -90,7 +80,7 @@ fn with_block<R>(
 ) -> R {
     let surface = Surface::of(scene, &all(scene));
     let rows = Rows::triangles(scene);
-    let (watcher, deadline) = (&Silent, None);
+    let (watcher, deadline) = (&Unwatched, None);
     let grid = CellGrid::new(view[0], view[1], cells);
     let pairs = Pairs::new(grid.clone());
     let pairs = Some(&pairs);

@@ -15,21 +15,11 @@ use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
 use sightline_sampling::packet::{LANES, Packet};
 use sightline_sampling::sequence::Hashed;
 use sightline_sampling::{
-    Backend, BackendError, CubeSpec, JobContext, LineSet, PreparedScene, SKY, Strata, Watcher, layers, tile,
+    Backend, BackendError, CubeSpec, JobContext, LineSet, PreparedScene, SKY, Strata, Unwatched, layers, tile,
 };
 use sightline_scene::overlap::triangle_touches_box;
 use sightline_scene::{Aabb, Kind, Kinds, Object, Scene, Side, Sides, Triangle};
 use sightline_viewcells::{Division, Layout, Plan};
-
-struct Silent;
-
-impl Watcher for Silent {
-    fn rendered(&self, _: u64) {}
-    fn cell_done(&self) {}
-    fn cancelled(&self) -> bool {
-        false
-    }
-}
 
 fn present<B>(backend: Result<B, BackendError>) -> Option<B> {
     match backend {
@@ -119,7 +109,7 @@ fn bake(
             .iter()
             .map(|n| codec::decode_pack(&outputs[*n as usize], scene.len(), &tile.cell).unwrap())
             .collect();
-        let (output, _) = tile::run(&job, tile, &packs, &Silent).unwrap();
+        let (output, _) = tile::run(&job, tile, &packs, &Unwatched).unwrap();
         outputs.push(codec::encode(&output).unwrap());
         if let TileOutput::Cells(cells) = output {
             sets.push(cells);
