@@ -179,11 +179,11 @@ compare_rounds() {
   done
 }
 
-# bake BACKEND SCENE E: bakes from an empty store, and sets $took, in seconds.
+# bake BACKEND SCENE OPTIONS…: bakes from an empty store, and sets $took, in seconds.
 bake() {
   local begun=$EPOCHREALTIME
   rm -rf store x.pvs
-  try 60 sightline bake "$2" -o x.pvs --cells "$cells" --target-error "$3" --backend "$1" --data-dir store --json || return 1
+  try 60 sightline bake "$2" -o x.pvs "${@:3}" --backend "$1" --data-dir store --json || return 1
   took=$(calculate "$EPOCHREALTIME - $begun" '%.2f')
 }
 
@@ -200,7 +200,7 @@ compare_bakes() {
     for target in "${bakes[@]}"; do
       for backend in cpu gpu; do
         seconds[$backend]=- samples[$backend]=- error[$backend]=- ratio=-
-        bake "$backend" "$scene" "$target" || continue
+        bake "$backend" "$scene" --cells "$cells" --target-error "$target" || continue
         seconds[$backend]=$took samples[$backend]=$(field samples)
         try 30 sightline measure "$scene" x.pvs --backend "$backend" --viewpoints "$viewpoints" --json || continue
         error[$backend]="$(calculate "100 * $(field mean_error)" '%.4f') %"
@@ -211,8 +211,24 @@ compare_bakes() {
         "${error[cpu]}" "${error[gpu]}" "${samples[cpu]}" "${samples[gpu]}")"
     done
   done
-  XDG_CACHE_HOME=$work/empty bake gpu "${scenes[0]}" "${bakes[0]}" || return 0
+  XDG_CACHE_HOME=$work/empty bake gpu "${scenes[0]}" --cells "$cells" --target-error "${bakes[0]}" || return 0
   write '' "With an empty shader cache the first of these bakes takes $took s on the gpu."
+}
+
+compare_cubes() {
+  local scene backend
+  local -A seconds samples
+  write 'Whole bakes with visibility cubes instead of lines, and the cubes that were rendered.'
+  commands "sightline bake SCENE -o x.pvs --sampler cubes --cells $cube_cells --backend cpu|gpu --data-dir store --json"
+  write '| scene | cpu s | gpu s | cpu / gpu | cpu cubes | gpu cubes |' '|---|--:|--:|--:|--:|--:|'
+  for scene in "${scenes[@]::3}"; do
+    for backend in cpu gpu; do
+      bake "$backend" "$scene" --sampler cubes --cells "$cube_cells" || continue 2
+      seconds[$backend]=$took samples[$backend]=$(field samples)
+    done
+    write "|$(printf ' %s |' "$scene" "${seconds[cpu]}" "${seconds[gpu]}" "$(calculate "${seconds[cpu]} / ${seconds[gpu]}" '%.2f')" \
+      "${samples[cpu]}" "${samples[gpu]}")"
+  done
 }
 
 papers_forest() {
@@ -254,13 +270,13 @@ run() {
   find_adapter
   IFS=/ read -r _ _ _ adapter driver <<<"$profile"
   # The seconds at which the steps end, and what they measure.
-  local ends=(100 280 400 545 575) cells=8x8x8 targets=(0.01 0.003 0.001 0.0003 0.0001) bakes=(0.01 0.001 0.0003) finest=0.0003
+  local ends=(100 280 390 420 545 575) cells=8x8x8 cube_cells=4x4x2 targets=(0.01 0.003 0.001 0.0003 0.0001) bakes=(0.01 0.001 0.0003) finest=0.0003
   local town=() forest=(--trees 100 --triangles-per-tree 1000) viewpoints=100
   local papers=(--trees 5000 --triangles-per-tree 1000) large=forest5m.glb papers_targets=(0.01 0.003)
   if [[ ${profile,,} =~ llvmpipe|lavapipe|swiftshader ]]; then
     software='This is no measurement: the adapter is a software rasteriser'
     say "$software"
-    ends=(120 170 220 260 290) cells=4x4x4 targets=(0.03 0.01) bakes=(0.03) finest=0.01
+    ends=(120 170 210 240 270 300) cells=4x4x4 cube_cells=1x1x1 targets=(0.03 0.01) bakes=(0.03) finest=0.01
     town=(--triangles 50000) forest=(--trees 20 --triangles-per-tree 1000) viewpoints=50
     papers=(--trees 50 --triangles-per-tree 1000) large=forest50k.glb papers_targets=(0.01)
     scenes=(${scenes[0]+"${scenes[0]}"})
@@ -280,11 +296,13 @@ run() {
   compare_rounds
   step "${ends[2]}" Whole bakes
   compare_bakes
-  step "${ends[3]}" "The papers' forest"
+  step "${ends[3]}" Cubes
+  compare_cubes
+  step "${ends[4]}" "The papers' forest"
   papers_forest
-  step "${ends[4]}" Time by kernel
+  step "${ends[5]}" Time by kernel
   profile_kernels
-  step "${ends[4]}" Outcome
+  step "${ends[5]}" Outcome
   write "$([ "$total" = 0 ] && echo 'Nothing failed.' || echo "Failures, as marked above: $total.")"
   report=$out/$(printf '%s' "${adapter,,}" | tr -cs 'a-z0-9' - | sed 's/^-//; s/-$//').md
   cat -s "$work/report" >"$report" # one empty line where steps leave several

@@ -264,7 +264,7 @@ struct CachedSource<'w, 'a> {
 }
 
 /// Cubes rendered between two checks of whether the tile is cancelled.
-const BATCH: usize = 64;
+const BATCH: usize = 256;
 
 impl SampleSource for CachedSource<'_, '_> {
     type Error = TileError;

@@ -1,46 +1,10 @@
 //! Lists the adapters of this machine, chooses one, names its numerics profile and opens its device.
 
-use std::sync::{Mutex, OnceLock};
+use std::sync::OnceLock;
 
-use super::locks::lock;
+use super::choice::{AdapterChoice, AdapterSummary};
+use super::spare::{self, Opened};
 use crate::error::BackendError;
-
-/// Which adapter to use.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum AdapterChoice {
-    /// A GPU; software rasterisers do not count.
-    Hardware,
-    /// A GPU if there is one, else a software rasteriser such as lavapipe.
-    #[default]
-    AllowSoftware,
-    /// The first adapter whose name contains this text, ignoring case.
-    Named(String),
-}
-
-impl AdapterChoice {
-    fn fits(&self, adapter: &AdapterSummary) -> bool {
-        match self {
-            Self::Hardware => !adapter.software,
-            Self::AllowSoftware => true,
-            Self::Named(part) => adapter.name.to_lowercase().contains(&part.to_lowercase()),
-        }
-    }
-}
-
-/// An adapter of this machine, for diagnostics.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct AdapterSummary {
-    /// Its name, as the driver gives it.
-    pub name: String,
-    /// Name and version of the driver.
-    pub driver: String,
-    /// The graphics interface of the driver, for example `vulkan`.
-    pub interface: String,
-    /// Whether it rasterises on the CPU.
-    pub software: bool,
-    /// The numerics profile a backend on it would have.
-    pub profile: String,
-}
 
 /// The adapters of this machine, best first: discrete GPUs, integrated, virtual, others, software. Starting
 /// the drivers takes tenths of a second, so they are listed once a process.
@@ -121,13 +85,6 @@ fn sanitised(text: &str) -> String {
     if plain.is_empty() { "unknown".to_owned() } else { plain }
 }
 
-/// An open device with its queue and the summary of its adapter.
-pub(super) struct Opened {
-    pub(super) device: wgpu::Device,
-    pub(super) queue: wgpu::Queue,
-    pub(super) summary: AdapterSummary,
-}
-
 /// The numerics profile of the adapter that `choice` selects on this machine.
 ///
 /// # Errors
@@ -135,30 +92,26 @@ pub(super) struct Opened {
 pub fn probe(choice: &AdapterChoice) -> Result<String, BackendError> {
     let opened = open(choice)?;
     let profile = opened.summary.profile.clone();
-    *lock(&SPARE) = Some((choice.clone(), opened));
+    // The next backend of that choice takes it.
+    spare::give_back(opened);
     Ok(profile)
-}
-
-/// The device that was opened last to see whether it works, and the choice that led to it. The next backend
-/// of that choice takes it.
-static SPARE: Mutex<Option<(AdapterChoice, Opened)>> = Mutex::new(None);
-
-/// Closes the spare device, where no backend on it follows.
-pub fn close_spare() {
-    *lock(&SPARE) = None;
-}
-
-/// The spare device, if it was opened for the same choice.
-fn spare(choice: &AdapterChoice) -> Option<Opened> {
-    lock(&SPARE).take_if(|(of, _)| of == choice).map(|(_, opened)| opened)
 }
 
 /// Opens the best adapter that `choice` allows and that can be opened, with the largest limits that it
 /// supports. One that fails is named in the log.
 pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
-    if let Some(opened) = spare(choice) {
+    if let Some(opened) = spare::take(choice) {
         return Ok(opened);
     }
+    let opened = open_new(choice);
+    if opened.is_err() {
+        spare::none_opened();
+    }
+    opened
+}
+
+/// As [`open`], without a spare device.
+fn open_new(choice: &AdapterChoice) -> Result<Opened, BackendError> {
     let adapters = look_for_adapters();
     if adapters.is_empty() {
         return Err(BackendError::Unavailable(
@@ -182,7 +135,7 @@ pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
     let mut fitting = adapters.iter().zip(&all).filter(|(_, summary)| choice.fits(summary)).peekable();
     let mut has_failed = false;
     while let Some((adapter, summary)) = fitting.next() {
-        match open_one(adapter, summary) {
+        match open_one(adapter, summary, choice) {
             Ok(opened) => return Ok(opened),
             Err(error) => {
                 if let Some((_, next)) = fitting.peek() {
@@ -199,7 +152,11 @@ pub(super) fn open(choice: &AdapterChoice) -> Result<Opened, BackendError> {
 }
 
 /// Opens an adapter.
-fn open_one(adapter: &wgpu::Adapter, summary: &AdapterSummary) -> Result<Opened, BackendError> {
+fn open_one(
+    adapter: &wgpu::Adapter,
+    summary: &AdapterSummary,
+    choice: &AdapterChoice,
+) -> Result<Opened, BackendError> {
     if !adapter.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS) {
         return Err(BackendError::Unavailable(format!(
             "the adapter {} has no compute shaders; update its driver or use --backend cpu",
@@ -218,7 +175,7 @@ fn open_one(adapter: &wgpu::Adapter, summary: &AdapterSummary) -> Result<Opened,
             summary.name
         ))
     })?;
-    Ok(Opened { device, queue, summary: summary.clone() })
+    Ok(Opened { device, queue, summary: summary.clone(), choice: choice.clone() })
 }
 
 #[cfg(test)]

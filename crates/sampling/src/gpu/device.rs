@@ -1,14 +1,17 @@
 //! An open device with the pipelines of cubes: it notes faults, and waits for submissions.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use sightline_scene::Scene;
 
-use super::adapter::{self, AdapterChoice};
+use super::adapter;
+use super::choice::{AdapterChoice, AdapterSummary};
 use super::locks::lock;
 use super::pipelines::{Kit, MAX_RESOLUTION, scoped};
+use super::spare::{self, Opened};
 use crate::cube::CubeSpec;
 use crate::error::BackendError;
 
@@ -21,6 +24,8 @@ pub(super) const PATIENCE: Duration = Duration::from_secs(300);
 pub(super) struct Gpu {
     pub(super) spec: CubeSpec,
     pub(super) profile: String,
+    /// The summary of its adapter, and the choice that led to it.
+    opened_as: (AdapterSummary, AdapterChoice),
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     /// The pipelines of cubes, made when the first cube is drawn: sight lines need none.
@@ -33,6 +38,8 @@ pub(super) struct Gpu {
     pub(super) near: f32,
     /// The first error that the device reported outside an error scope.
     fault: Arc<Mutex<Option<String>>>,
+    /// Whether anything on it has failed: then nobody uses the device again.
+    has_failed: AtomicBool,
 }
 
 impl Gpu {
@@ -53,22 +60,25 @@ impl Gpu {
                 "the scene's coordinates go beyond {MOST_DISTANT:e}; scale it down"
             )));
         }
-        let adapter::Opened { device, queue, summary } = adapter::open(choice)?;
-        let limits = device.limits();
-        if 3 * spec.resolution > limits.max_texture_dimension_2d {
-            return Err(BackendError::Unavailable(format!(
-                "the adapter {} renders cubes of at most {} pixels a side, not {}; choose fewer or use \
+        let opened = adapter::open(choice)?;
+        let most = opened.device.limits().max_texture_dimension_2d / 3;
+        if spec.resolution > most {
+            let refused = BackendError::Unavailable(format!(
+                "the adapter {} renders cubes of at most {most} pixels a side, not {}; choose fewer or use \
                     --backend cpu",
-                summary.name,
-                limits.max_texture_dimension_2d / 3,
-                spec.resolution
-            )));
+                opened.summary.name, spec.resolution
+            ));
+            spare::give_back(opened);
+            return Err(refused);
         }
+        let Opened { device, queue, summary, choice } = opened;
         let fault = watch(&device);
         let kit = OnceLock::new();
         let near = crate::near_distance(bounds);
-        let (profile, software) = (summary.profile, summary.software);
-        Ok(Self { spec, profile, device, queue, kit, software, measures: false, near, fault })
+        let (profile, software) = (summary.profile.clone(), summary.software);
+        let opened_as = (summary, choice);
+        let (measures, has_failed) = (false, AtomicBool::new(false));
+        Ok(Self { spec, profile, opened_as, device, queue, kit, software, measures, near, fault, has_failed })
     }
 
     /// The pipelines of cubes.
@@ -81,6 +91,7 @@ impl Gpu {
     }
 
     pub(super) fn failed(&self, reason: impl Into<String>) -> BackendError {
+        self.has_failed.store(true, Ordering::Relaxed);
         BackendError::Failed { profile: self.profile.clone(), reason: reason.into() }
     }
 
@@ -103,6 +114,18 @@ impl Gpu {
             Ok(Ok(_)) => Ok(()),
             Ok(Err(error)) => Err(self.failed(format!("waiting for the device: {error}"))),
             Err(_) => Err(self.failed("the device was lost while it worked")),
+        }
+    }
+}
+
+impl Drop for Gpu {
+    fn drop(&mut self) {
+        drop(self.kit.take());
+        let (summary, choice) = self.opened_as.clone();
+        let opened = Opened { device: self.device.clone(), queue: self.queue.clone(), summary, choice };
+        match self.check().is_err() || self.has_failed.load(Ordering::Relaxed) {
+            false => spare::give_back(opened),
+            true => spare::give_up(opened),
         }
     }
 }

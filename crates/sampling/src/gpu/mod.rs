@@ -13,14 +13,17 @@
 
 mod adapter;
 mod bvh;
+mod choice;
 mod clusters;
 mod device;
 mod geometry;
 mod line_scene;
 mod locks;
 mod pipelines;
+mod reading;
 mod renderer;
 mod rounds;
+mod spare;
 mod tally;
 mod tracer;
 
@@ -28,7 +31,9 @@ use std::sync::{Arc, Mutex, OnceLock};
 
 use sightline_scene::Scene;
 
-pub use adapter::{AdapterChoice, AdapterSummary, adapters, close_spare, device_present, probe};
+pub use adapter::{adapters, device_present, probe};
+pub use choice::{AdapterChoice, AdapterSummary};
+pub use spare::close as close_spare;
 
 use crate::backend::{Backend, CubeRenderer, LineSet};
 use crate::cube::CubeSpec;
@@ -46,7 +51,6 @@ const NEVER: u32 = u32::MAX;
 const PAGE_BYTES: u64 = 1 << 30;
 /// A device bound to one scene and one [`CubeSpec`].
 pub struct GpuBackend {
-    gpu: Gpu,
     scene: Arc<Scene>,
     page_bytes: u64,
     /// What cubes are drawn from, made when the first cube is drawn.
@@ -55,6 +59,8 @@ pub struct GpuBackend {
     work: Mutex<Work>,
     /// The scene of the line tracer, made at the first call of `lines`.
     lines: [OnceLock<Result<Arc<LineKit>, Refusal>>; LineSet::COUNT],
+    /// The last to be dropped: the device that it gives back holds nothing then.
+    gpu: Gpu,
 }
 
 /// A scene as cubes are drawn from it.
@@ -93,7 +99,7 @@ impl GpuBackend {
         let gpu = Gpu::open(&scene, spec, choice)?;
         let page_bytes = page_bytes.min(gpu.device.limits().max_buffer_size);
         let (drawn, work, lines) = Default::default();
-        Ok(Self { gpu, scene, page_bytes, drawn, work, lines })
+        Ok(Self { scene, page_bytes, drawn, work, lines, gpu })
     }
 
     /// The scene as cubes are drawn from it.

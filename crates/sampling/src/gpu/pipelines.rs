@@ -8,6 +8,9 @@ use glam::Vec3;
 
 use crate::cube::face_basis;
 
+/// Most cubes of a batch; as in `reduce.wgsl`.
+pub(super) const CUBES: u32 = 64;
+
 /// Bytes between the uniforms of two faces: the largest offset alignment that a device may require.
 pub(super) const FACE_STRIDE: u64 = 256;
 
@@ -28,11 +31,11 @@ struct FaceUniform {
     unused_c: f32,
 }
 
-/// The uniforms of the six faces of a cube around `eye`, [`FACE_STRIDE`] bytes apart.
-pub(super) fn face_uniforms(eye: Vec3, near: f32) -> [u8; 6 * FACE_STRIDE as usize] {
-    let mut bytes = [0; 6 * FACE_STRIDE as usize];
-    for (face, to) in (0..6).zip(bytes.chunks_exact_mut(FACE_STRIDE as usize)) {
-        let [forward, right, up] = face_basis(face);
+/// The uniforms of the six faces of a cube around each of `eyes`, [`FACE_STRIDE`] bytes apart.
+pub(super) fn face_uniforms(eyes: &[Vec3], near: f32) -> Vec<u8> {
+    let mut bytes = vec![0; eyes.len() * 6 * FACE_STRIDE as usize];
+    let faces = eyes.iter().flat_map(|eye| (0..6).map(|face| (*eye, face_basis(face))));
+    for ((eye, [forward, right, up]), to) in faces.zip(bytes.chunks_exact_mut(FACE_STRIDE as usize)) {
         let uniform = FaceUniform { right, near, up, forward, eye, ..FaceUniform::zeroed() };
         to[..size_of::<FaceUniform>()].copy_from_slice(bytemuck::bytes_of(&uniform));
     }
@@ -90,11 +93,12 @@ pub(super) struct Kit {
     pub(super) raster: wgpu::RenderPipeline,
     pub(super) reduce: wgpu::ComputePipeline,
     pub(super) gather: wgpu::ComputePipeline,
+    pub(super) close: wgpu::ComputePipeline,
     pub(super) tally_layout: wgpu::BindGroupLayout,
     pub(super) items: wgpu::Texture,
     pub(super) items_view: wgpu::TextureView,
     pub(super) depth_view: wgpu::TextureView,
-    /// The six faces' uniforms and their binding.
+    /// The uniforms of the faces of a batch of cubes and their binding.
     pub(super) faces: wgpu::Buffer,
     pub(super) faces_group: wgpu::BindGroup,
     /// The reduction's parameters.
@@ -129,7 +133,7 @@ impl Kit {
         });
         let faces = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("faces"),
-            size: 6 * FACE_STRIDE,
+            size: 6 * FACE_STRIDE * u64::from(CUBES),
             usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
@@ -183,6 +187,7 @@ impl Kit {
             raster: raster_pipeline(device, &raster_code, &layout(device, &faces_layout)),
             reduce: compute("reduce"),
             gather: compute("gather"),
+            close: compute("close"),
             items_view: items.create_view(&wgpu::TextureViewDescriptor::default()),
             depth_view: depth.create_view(&wgpu::TextureViewDescriptor::default()),
             tally_layout,

@@ -1,8 +1,9 @@
-// Reduces the six item buffers to one entry for each visible slot: (slot, strata mask, pixel count).
+// Reduces the six item buffers of each cube of a batch to one entry for each visible slot: (slot, strata mask,
+// pixel count). The cubes of a batch follow one another in one list.
 //
 // All masks and counts are zero before `reduce`. `reduce` adds to them and lists each slot at its first
-// touch. `gather` copies masks and counts to the list and sets them back to zero. The order of the list
-// differs between runs; the reader sorts it.
+// touch. `gather` copies masks and counts to the list and sets them back to zero. `close` notes where the cube
+// ends. The order of the entries of a cube differs between runs; the reader sorts them.
 
 struct Params {
     // Side of a face in pixels.
@@ -16,9 +17,12 @@ struct Params {
 
 struct List {
     count: atomic<u32>,
-    unused_a: u32,
-    unused_b: u32,
-    unused_c: u32,
+    // The first entry of the cube that is being reduced, and its number in the batch.
+    first: u32,
+    cube: u32,
+    unused: u32,
+    // Where the entries of each cube end; as many as `CUBES` in tally.rs.
+    ends: array<u32, 64>,
     // Three words for each entry.
     entries: array<u32>,
 }
@@ -91,11 +95,19 @@ fn reduce(@builtin(global_invocation_id) id: vec3u) {
 @compute @workgroup_size(64)
 fn gather(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
     let count = min(atomicLoad(&list.count), params.capacity);
-    for (var i = id.x; i < count; i += groups.x * 64u) {
+    for (var i = list.first + id.x; i < count; i += groups.x * 64u) {
         let slot = list.entries[3u * i];
         list.entries[3u * i + 1u] = atomicLoad(&masks[slot]);
         list.entries[3u * i + 2u] = atomicLoad(&counts[slot]);
         atomicStore(&masks[slot], 0u);
         atomicStore(&counts[slot], 0u);
     }
+}
+
+@compute @workgroup_size(1)
+fn close() {
+    let count = atomicLoad(&list.count);
+    list.ends[min(list.cube, 63u)] = count;
+    list.first = min(count, params.capacity);
+    list.cube++;
 }

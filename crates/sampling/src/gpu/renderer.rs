@@ -1,31 +1,30 @@
-//! Rendering a batch of cubes: several are in flight at once, each with a read-back buffer. While the device
-//! draws a cube, the CPU culls and records the next one and reads the previous one.
+//! Rendering cubes in batches: the device draws and reduces a batch, whose lists come back in one read. While it
+//! does, the CPU culls and records the next batch and reads the previous one.
 //!
-//! The number of triangles in a cube is known only after it is rendered. So the first part of the list is
-//! read back, as long as earlier cubes needed; a cube with more triangles is rendered again with a longer
-//! part.
+//! The number of triangles in a batch is known only after it is rendered. So the first part of the list is read
+//! back, as long as earlier batches needed, and the rest of a longer list by a read of its own.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, mpsc};
+use std::ops::Range;
+use std::sync::{Arc, Mutex};
 
 use glam::Vec3;
 
-use super::device::{Gpu, MOST_DISTANT, PATIENCE};
+use super::device::{Gpu, MOST_DISTANT};
 use super::geometry::{Geometry, Visible};
 use super::locks::lock;
-use super::pipelines::{FACE_STRIDE, Kit, face_uniforms};
-use super::tally::{ENTRY_BYTES, LIST_HEAD, Tally};
+use super::pipelines::{CUBES, FACE_STRIDE, Kit, face_uniforms};
+use super::reading::{Reading, Spare};
+use super::tally::{BEFORE_ENDS, ENTRY_BYTES, LIST_HEAD, LISTS, List, Tally};
 use crate::backend::CubeRenderer;
 use crate::cube::{CubeImage, SKY, Strata};
 use crate::error::BackendError;
 use sightline_model::VisibilitySample;
 
-/// Cubes in flight.
-const RING: u64 = 4;
-/// Most bytes of read-back buffers in flight; large buffers reduce the number of cubes in flight.
-const RING_BYTES: u64 = 1 << 28;
-/// Entries of the list that are read back for the first cube.
-const FIRST_READ: u32 = 8192;
+/// Most bytes of pixels in a batch, but there is room for one cube.
+const PIXEL_BYTES: u64 = 1 << 27;
+/// Entries of the list that are read back for each cube of the first batch.
+const FIRST_READ: u32 = 1024;
 /// Pixels of a row that one invocation of the reduction reads, and the side of its workgroup; as in
 /// `reduce.wgsl`.
 const SEGMENT: u32 = 16;
@@ -36,18 +35,13 @@ const GATHER_GROUPS: u32 = 64;
 /// (triangle id, strata mask, pixel count), in any order.
 type Runs = Vec<(u32, u32, u32)>;
 
-/// The number of triangles in a cube, and its wanted parts; `None` when the list was cut short.
-type Landed = (u32, Option<(Runs, Option<Vec<u32>>)>);
-
-/// Buffers for rendering cubes; used by one batch at a time.
+/// Buffers for rendering cubes; used by one call at a time.
 #[derive(Default)]
 pub(super) struct Work {
     tally: Option<Tally>,
-    /// Entries of a list to read back; 0 before the first cube.
+    /// Entries of a list to read back for each cube; 0 before the first batch.
     entries: u32,
-    /// Read-back buffers that are not in flight, all of `spare_bytes` bytes.
-    spare: Vec<wgpu::Buffer>,
-    spare_bytes: u64,
+    spare: Spare,
 }
 
 /// Which parts of a cube to read back.
@@ -57,21 +51,26 @@ struct Want {
     pixels: bool,
 }
 
-/// Offsets and sizes of the parts of a read-back buffer, in bytes.
+/// The parts of a read-back buffer, in bytes: the beginning of the list, then the pixels of each cube.
 #[derive(Clone, Copy)]
 struct Layout {
+    entries: u32,
     list_bytes: u64,
     pixels_at: u64,
+    /// Bytes of the pixels of a cube, and of a row of them.
+    cube_bytes: u64,
     row_bytes: u32,
     bytes: u64,
 }
 
-/// A cube that was submitted to the device.
+/// A batch of cubes that was submitted to the device.
 struct Flight {
-    index: usize,
-    buffer: wgpu::Buffer,
-    submission: wgpu::SubmissionIndex,
-    mapped: mpsc::Receiver<Result<(), wgpu::BufferAsyncError>>,
+    /// Which of the points.
+    cubes: Range<usize>,
+    /// Which of the lists.
+    list: usize,
+    layout: Layout,
+    read: Reading,
 }
 
 /// Renders the triangles of one [`Geometry`].
@@ -101,7 +100,7 @@ impl<'a> GpuRenderer<'a> {
         6 * self.gpu.spec.resolution * self.gpu.spec.resolution
     }
 
-    /// Renders a cube at each point and passes its wanted parts to `take`, in any order.
+    /// Renders a cube at each point and passes its wanted parts to `take`, in the points' order.
     fn render(
         &self,
         points: &[Vec3],
@@ -137,45 +136,28 @@ impl<'a> GpuRenderer<'a> {
         take: &mut dyn FnMut(usize, Runs, Option<Vec<u32>>),
     ) -> Result<(), BackendError> {
         self.make_room(work)?;
-        let mut todo: Vec<usize> = (0..points.len()).collect();
-        while !todo.is_empty() {
-            let layout = self.layout(work, want);
-            if work.spare_bytes != layout.bytes {
-                work.spare.clear();
-                work.spare_bytes = layout.bytes;
+        let most = match &work.tally {
+            Some(tally) if want.list => tally.cubes as usize,
+            _ => CUBES as usize,
+        };
+        let most = match want.pixels {
+            true => most.min((PIXEL_BYTES / self.pixel_layout().1).max(1) as usize),
+            false => most,
+        };
+        // Two batches at least, so that there is always one in flight.
+        let size = points.len().div_ceil(LISTS).clamp(1, most);
+        let mut flights = VecDeque::new();
+        for (number, first) in (0..points.len()).step_by(size).enumerate() {
+            if flights.len() == LISTS
+                && let Some(oldest) = flights.pop_front()
+            {
+                self.land(work, oldest, want, take)?;
             }
-            let ring = (RING_BYTES / layout.bytes).clamp(1, RING) as usize;
-            let mut again = Vec::new();
-            let mut most = 0;
-            let mut finish = |work: &mut Work, flight: Flight| -> Result<(), BackendError> {
-                let index = flight.index;
-                let (count, cube) = self.land(work, flight, layout, want)?;
-                match cube {
-                    Some((runs, pixels)) => take(index, runs, pixels),
-                    None => again.push(index),
-                }
-                most = most.max(count);
-                Ok(())
-            };
-            let mut flights = VecDeque::new();
-            for index in todo {
-                if flights.len() == ring
-                    && let Some(oldest) = flights.pop_front()
-                {
-                    finish(work, oldest)?;
-                }
-                flights.push_back(self.launch(work, index, points[index], layout, want)?);
-            }
-            for flight in flights {
-                finish(work, flight)?;
-            }
-            let capacity = work.tally.as_ref().map_or(0, |t| t.capacity);
-            if most > work.entries {
-                // A quarter more than needed, so that nearby cubes fit, too.
-                work.entries =
-                    most.saturating_add(most / 4).checked_next_power_of_two().unwrap_or(most).min(capacity);
-            }
-            todo = again;
+            let cubes = first..(first + size).min(points.len());
+            flights.push_back(self.launch(work, points, cubes, number % LISTS, want)?);
+        }
+        for flight in flights {
+            self.land(work, flight, want, take)?;
         }
         Ok(())
     }
@@ -190,7 +172,7 @@ impl<'a> GpuRenderer<'a> {
             work.tally = Some(tally.map_err(|reason| b.failed(reason))?);
         }
         let capacity = work.tally.as_ref().map_or(0, |t| t.capacity);
-        work.entries = work.entries.max(FIRST_READ).min(capacity);
+        work.entries = work.entries.max(FIRST_READ);
         let strata = match b.spec.strata {
             Strata::One => 0,
             Strata::Faces => 1,
@@ -204,66 +186,71 @@ impl<'a> GpuRenderer<'a> {
         Ok(())
     }
 
-    fn layout(&self, work: &Work, want: Want) -> Layout {
+    /// Bytes of a row of pixels, and of all pixels of a cube.
+    fn pixel_layout(&self) -> (u32, u64) {
         let n = self.gpu.spec.resolution;
-        let list_bytes = if want.list { LIST_HEAD + u64::from(work.entries) * ENTRY_BYTES } else { 0 };
-        let row_bytes = (3 * n * 4).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
-        let pixels_at = list_bytes.next_multiple_of(u64::from(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT));
-        let pixel_bytes = if want.pixels { u64::from(row_bytes) * u64::from(2 * n) } else { 0 };
-        Layout { list_bytes, pixels_at, row_bytes, bytes: pixels_at + pixel_bytes }
+        let row = (3 * n * 4).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
+        (row, u64::from(row) * u64::from(2 * n))
     }
 
-    /// Records and submits one cube.
+    fn layout(&self, work: &Work, cubes: usize, want: Want) -> Layout {
+        let capacity = work.tally.as_ref().map_or(0, |t| t.capacity);
+        let entries = if want.list { work.entries.saturating_mul(cubes as u32).min(capacity) } else { 0 };
+        let list_bytes = if want.list { LIST_HEAD + u64::from(entries) * ENTRY_BYTES } else { 0 };
+        let (row_bytes, cube_bytes) = self.pixel_layout();
+        let pixels_at = list_bytes.next_multiple_of(u64::from(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT));
+        let pixels = if want.pixels { cube_bytes * cubes as u64 } else { 0 };
+        Layout { entries, list_bytes, pixels_at, cube_bytes, row_bytes, bytes: pixels_at + pixels }
+    }
+
+    /// Records and submits a batch.
     fn launch(
         &self,
         work: &mut Work,
-        index: usize,
-        eye: Vec3,
-        layout: Layout,
+        points: &[Vec3],
+        cubes: Range<usize>,
+        list: usize,
         want: Want,
     ) -> Result<Flight, BackendError> {
         let b = self.gpu;
-        let buffer = work.spare.pop().unwrap_or_else(|| {
-            b.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("read-back"),
-                size: layout.bytes,
-                usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            })
-        });
-        b.queue.write_buffer(&self.kit.faces, 0, &face_uniforms(eye, b.near));
+        let layout = self.layout(work, cubes.len(), want);
+        let buffer = work.spare.buffer(&self.gpu.device, layout.bytes);
+        let eyes = &points[cubes.clone()];
+        b.queue.write_buffer(&self.kit.faces, 0, &face_uniforms(eyes, b.near));
+        let into = work.tally.as_ref().filter(|_| want.list).map(|tally| &tally.lists[list]);
         let mut encoder = b.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        self.record_faces(&mut encoder, &self.geometry.visible(eye));
-        if want.list
-            && let Some(tally) = &work.tally
-        {
-            self.record_reduction(&mut encoder, tally);
-            encoder.copy_buffer_to_buffer(&tally.list, 0, &buffer, 0, layout.list_bytes);
+        if let Some(into) = into {
+            encoder.clear_buffer(&into.entries, 0, Some(LIST_HEAD));
         }
-        if want.pixels {
-            let size = self.kit.items.size();
-            encoder.copy_texture_to_buffer(
-                self.kit.items.as_image_copy(),
-                wgpu::TexelCopyBufferInfo {
-                    buffer: &buffer,
-                    layout: wgpu::TexelCopyBufferLayout {
-                        offset: layout.pixels_at,
-                        bytes_per_row: Some(layout.row_bytes),
-                        rows_per_image: None,
+        for (k, eye) in eyes.iter().enumerate() {
+            self.record_faces(&mut encoder, k as u32, &self.geometry.visible(*eye));
+            if let Some(into) = into {
+                self.record_reduction(&mut encoder, into);
+            }
+            if want.pixels {
+                encoder.copy_texture_to_buffer(
+                    self.kit.items.as_image_copy(),
+                    wgpu::TexelCopyBufferInfo {
+                        buffer: &buffer,
+                        layout: wgpu::TexelCopyBufferLayout {
+                            offset: layout.pixels_at + k as u64 * layout.cube_bytes,
+                            bytes_per_row: Some(layout.row_bytes),
+                            rows_per_image: None,
+                        },
                     },
-                },
-                size,
-            );
+                    self.kit.items.size(),
+                );
+            }
         }
-        let submission = b.queue.submit([encoder.finish()]);
-        let (sender, mapped) = mpsc::channel();
-        // The receiver is gone when an earlier cube failed.
-        buffer.map_async(wgpu::MapMode::Read, .., move |result| drop(sender.send(result)));
-        self.gpu.check()?;
-        Ok(Flight { index, buffer, submission, mapped })
+        if let Some(into) = into {
+            encoder.copy_buffer_to_buffer(&into.entries, 0, &buffer, 0, layout.list_bytes);
+        }
+        let read = Reading::submit(self.gpu, encoder, buffer)?;
+        Ok(Flight { cubes, list, layout, read })
     }
 
-    fn record_faces(&self, encoder: &mut wgpu::CommandEncoder, visible: &Visible) {
+    /// Draws the cube number `cube` of a batch.
+    fn record_faces(&self, encoder: &mut wgpu::CommandEncoder, cube: u32, visible: &Visible) {
         let kit = self.kit;
         let n = self.gpu.spec.resolution;
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
@@ -295,82 +282,93 @@ impl<'a> GpuRenderer<'a> {
                 continue;
             }
             let (x, y) = ((face % 3) * n, (face / 3) * n);
-            pass.set_bind_group(0, &kit.faces_group, &[face * FACE_STRIDE as u32]);
+            pass.set_bind_group(0, &kit.faces_group, &[(6 * cube + face) * FACE_STRIDE as u32]);
             pass.set_viewport(x as f32, y as f32, n as f32, n as f32, 0.0, 1.0);
             pass.set_scissor_rect(x, y, n, n);
             self.geometry.draw(&mut pass, ranges);
         }
     }
 
-    fn record_reduction(&self, encoder: &mut wgpu::CommandEncoder, tally: &Tally) {
+    /// Adds the cube that was drawn last to a list.
+    fn record_reduction(&self, encoder: &mut wgpu::CommandEncoder, list: &List) {
         let kit = self.kit;
         let n = self.gpu.spec.resolution;
-        encoder.clear_buffer(&tally.list, 0, Some(LIST_HEAD));
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-        pass.set_bind_group(0, &tally.group, &[]);
+        pass.set_bind_group(0, &list.group, &[]);
         pass.set_pipeline(&kit.reduce);
         pass.dispatch_workgroups(n.div_ceil(SEGMENT * REDUCE_SIDE), (6 * n).div_ceil(REDUCE_SIDE), 1);
         pass.set_pipeline(&kit.gather);
         pass.dispatch_workgroups(GATHER_GROUPS, 1, 1);
+        pass.set_pipeline(&kit.close);
+        pass.dispatch_workgroups(1, 1, 1);
     }
 
-    /// Waits for a cube and reads its parts.
+    /// Waits for a batch, and passes the wanted parts of its cubes to `take`.
     fn land(
         &self,
         work: &mut Work,
         flight: Flight,
-        layout: Layout,
         want: Want,
-    ) -> Result<Landed, BackendError> {
-        let b = self.gpu;
-        b.wait(flight.submission)?;
-        match flight.mapped.recv_timeout(PATIENCE) {
-            Ok(Ok(())) => {}
-            Ok(Err(error)) => return Err(b.failed(format!("reading a cube back: {error}"))),
-            Err(_) => return Err(b.failed("a cube's read-back buffer was not mapped")),
-        }
-        let read = {
-            let view = flight
-                .buffer
-                .get_mapped_range(..)
-                .map_err(|e| b.failed(format!("reading a cube back: {e}")))?;
-            self.read(&view, work, layout, want)
-        };
-        flight.buffer.unmap();
-        work.spare.push(flight.buffer);
-        read
-    }
-
-    fn read(&self, bytes: &[u8], work: &Work, layout: Layout, want: Want) -> Result<Landed, BackendError> {
-        let words: &[u32] = bytemuck::cast_slice(bytes);
-        let mut count = 0;
-        let mut runs = Runs::new();
-        if want.list {
-            count = words[0];
-            let capacity = work.tally.as_ref().map_or(0, |t| t.capacity);
+        take: &mut dyn FnMut(usize, Runs, Option<Vec<u32>>),
+    ) -> Result<(), BackendError> {
+        let Flight { cubes, list, layout, read } = flight;
+        let capacity = work.tally.as_ref().map_or(0, |t| t.capacity);
+        let (ends, mut entries, mut pixels) = read.words(self.gpu, &mut work.spare, |words| {
+            let mut pixels = Vec::new();
+            if want.pixels {
+                let all = words[layout.pixels_at as usize / 4..].chunks_exact(layout.cube_bytes as usize / 4);
+                for atlas in all.take(cubes.len()) {
+                    pixels.push(Some(self.faces_of(atlas, layout.row_bytes)?));
+                }
+            }
+            if !want.list {
+                return Ok((vec![0; cubes.len()], Vec::new(), pixels));
+            }
+            let ends = words[BEFORE_ENDS..][..cubes.len()].to_vec();
+            let count = ends.last().copied().unwrap_or(0);
             if count > capacity {
                 return Err(self.gpu.failed(format!(
                     "a cube shows {count} triangles, more than the {capacity} the device can list; \
                      lower the resolution or use --backend cpu"
                 )));
             }
-            // `entries` changes only after all flights of a layout have landed, so the layout has this
-            // length.
-            if count > work.entries {
-                return Ok((count, None));
+            let read = 3 * count.min(layout.entries) as usize;
+            Ok((ends, words[(LIST_HEAD / 4) as usize..][..read].to_vec(), pixels))
+        })?;
+        let count = ends.last().copied().unwrap_or(0);
+        if count > layout.entries && want.list {
+            // The list stays as it is until this batch has landed.
+            let rest = u64::from(count - layout.entries) * ENTRY_BYTES;
+            let buffer = work.spare.buffer(&self.gpu.device, rest);
+            let mut encoder =
+                self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            if let Some(tally) = &work.tally {
+                let from = &tally.lists[list].entries;
+                encoder.copy_buffer_to_buffer(from, layout.list_bytes, &buffer, 0, rest);
             }
-            let entries = &words[(LIST_HEAD / 4) as usize..][..3 * count as usize];
-            runs.reserve_exact(count as usize);
-            for e in entries.chunks_exact(3) {
+            let read = Reading::submit(self.gpu, encoder, buffer)?;
+            read.words(self.gpu, &mut work.spare, |words| {
+                entries.extend_from_slice(&words[..rest as usize / 4]);
+                Ok(())
+            })?;
+            // A quarter more than needed, so that later batches fit, too.
+            let each = count.div_ceil(cubes.len() as u32);
+            work.entries = each.saturating_add(each / 4);
+        }
+        let mut start = 0;
+        pixels.resize(cubes.len(), None);
+        for ((index, end), pixels) in cubes.zip(ends).zip(pixels) {
+            let own = entries.get(3 * start as usize..3 * end as usize);
+            let own = own.ok_or_else(|| self.gpu.failed("the ends of its cubes do not ascend"))?;
+            start = end;
+            let mut runs = Runs::with_capacity(own.len() / 3);
+            for e in own.chunks_exact(3) {
                 let id = self.geometry.ids.get(e[0] as usize).ok_or_else(|| self.stray(e[0]))?;
                 runs.push((*id, e[1], e[2]));
             }
+            take(index, runs, pixels);
         }
-        let pixels = match want.pixels {
-            true => Some(self.faces_of(&words[(layout.pixels_at / 4) as usize..], layout.row_bytes)?),
-            false => None,
-        };
-        Ok((count, Some((runs, pixels))))
+        Ok(())
     }
 
     /// Triangle ids from the pixels of the atlas, in the order of [`CubeImage`].

@@ -1,20 +1,34 @@
-//! The reduction's buffers: a strata mask and a pixel count for each slot, and the list of visible slots.
+//! The reduction's buffers: a strata mask and a pixel count for each slot, and the lists of visible slots. While
+//! the device fills one list with the cubes of a batch, the host reads the other.
 //!
 //! Masks and counts are zero between cubes: new buffers are zero, and the reduction resets them.
 
-use super::pipelines::{Kit, scoped};
+use super::pipelines::{CUBES, Kit, scoped};
 
-/// Bytes before the list's entries: the counter, padded.
-pub(super) const LIST_HEAD: u64 = 16;
+/// Words before the ends of the cubes in a list.
+pub(super) const BEFORE_ENDS: usize = 4;
+/// Bytes before a list's entries: [`BEFORE_ENDS`] words, and where each cube ends.
+pub(super) const LIST_HEAD: u64 = 4 * (BEFORE_ENDS as u64 + CUBES as u64);
+/// Lists: batches of cubes in flight.
+pub(super) const LISTS: usize = 2;
+/// Most bytes of a list, but it always has room for one cube.
+const LIST_BYTES: u64 = 1 << 26;
 /// Bytes of an entry: slot, strata mask, pixel count.
 pub(super) const ENTRY_BYTES: u64 = 12;
 
 /// Buffers for up to `slots` slots.
 pub(super) struct Tally {
     pub(super) slots: u32,
-    /// Most entries of the list.
+    /// Most entries of a list.
     pub(super) capacity: u32,
-    pub(super) list: wgpu::Buffer,
+    /// Most cubes of a batch: a list has room for all that they can show, or for one as far as the device allows.
+    pub(super) cubes: u32,
+    pub(super) lists: [List; LISTS],
+}
+
+/// A list, and what the reduction into it binds.
+pub(super) struct List {
+    pub(super) entries: wgpu::Buffer,
     pub(super) group: wgpu::BindGroup,
 }
 
@@ -37,7 +51,10 @@ impl Tally {
         // A cube shows at most as many triangles as it has pixels, so a list can overflow only where the
         // device's limits shorten it.
         let room = u32::try_from(bytes.saturating_sub(LIST_HEAD) / ENTRY_BYTES).unwrap_or(u32::MAX);
-        let capacity = slots.min(pixels).min(room);
+        let cube = slots.min(pixels);
+        let cubes = (LIST_BYTES / (u64::from(cube) * ENTRY_BYTES)).clamp(1, u64::from(CUBES)) as u32;
+        // At most 4096² · 6 of one cube, and less than 2²³ of several.
+        let capacity = (cube * cubes).min(room);
         scoped(device, || {
             let storage = |label, size, more| {
                 device.create_buffer(&wgpu::BufferDescriptor {
@@ -49,24 +66,25 @@ impl Tally {
             };
             let masks = storage("masks", u64::from(slots) * 4, wgpu::BufferUsages::empty());
             let counts = storage("counts", u64::from(slots) * 4, wgpu::BufferUsages::empty());
-            let list = storage(
-                "list",
-                LIST_HEAD + u64::from(capacity) * ENTRY_BYTES,
-                wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
-            );
-            let bind = |binding, resource| wgpu::BindGroupEntry { binding, resource };
-            let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some("tally"),
-                layout: &kit.tally_layout,
-                entries: &[
-                    bind(0, wgpu::BindingResource::TextureView(&kit.items_view)),
-                    bind(1, masks.as_entire_binding()),
-                    bind(2, counts.as_entire_binding()),
-                    bind(3, list.as_entire_binding()),
-                    bind(4, kit.params.as_entire_binding()),
-                ],
+            let lists = std::array::from_fn(|_| {
+                let bytes = LIST_HEAD + u64::from(capacity) * ENTRY_BYTES;
+                let entries =
+                    storage("list", bytes, wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST);
+                let bind = |binding, resource| wgpu::BindGroupEntry { binding, resource };
+                let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+                    label: Some("tally"),
+                    layout: &kit.tally_layout,
+                    entries: &[
+                        bind(0, wgpu::BindingResource::TextureView(&kit.items_view)),
+                        bind(1, masks.as_entire_binding()),
+                        bind(2, counts.as_entire_binding()),
+                        bind(3, entries.as_entire_binding()),
+                        bind(4, kit.params.as_entire_binding()),
+                    ],
+                });
+                List { entries, group }
             });
-            Ok(Self { slots, capacity, list, group })
+            Ok(Self { slots, capacity, cubes, lists })
         })
     }
 }

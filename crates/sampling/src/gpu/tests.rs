@@ -74,6 +74,29 @@ fn a_lost_device_is_an_error() {
     assert!(backend.prepare(Some(&[1, 2])).is_err());
 }
 
+/// Devices are kept for the next of the same choice, but not those that have failed.
+#[test]
+fn a_device_serves_the_next_backend() {
+    let scene = shell(10);
+    let Some(any) = backend(&scene, PAGE_BYTES) else { return };
+    let Some(first) = adapters().first().cloned() else { panic!("an adapter without a summary") };
+    // No other test chooses it like this.
+    let choice = AdapterChoice::Named(first.name[..first.name.len() - 1].to_owned());
+    drop(any);
+    for lost in [false, true] {
+        let backend = GpuBackend::new(scene.clone(), SPEC, choice.clone()).unwrap();
+        backend.prepare(None).unwrap().samples(&[Vec3::ZERO]).unwrap();
+        if lost {
+            backend.gpu.device.destroy();
+            backend.prepare(None).unwrap().samples(&[Vec3::ZERO]).unwrap_err();
+        }
+        drop(backend);
+        let spare = spare::take(&choice);
+        assert_eq!(spare.is_some(), !lost);
+        spare.map_or_else(spare::none_opened, spare::give_back);
+    }
+}
+
 #[test]
 fn impossible_requests_are_refused_with_a_reason() {
     let scene = shell(10);
