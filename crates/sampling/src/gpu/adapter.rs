@@ -43,8 +43,7 @@ fn is_gpu(name: &str) -> bool {
 /// What [`adapters`] has found.
 static LISTED: OnceLock<Vec<AdapterSummary>> = OnceLock::new();
 
-/// Starts the drivers and lists their adapters, best first. Each device has drivers of its own: a process in
-/// which many devices shared them did not end on one driver.
+/// Starts the drivers and lists their adapters, best first.
 fn look_for_adapters() -> Vec<wgpu::Adapter> {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
     // No validation layers, in debug builds too: they cost time and change no result.
