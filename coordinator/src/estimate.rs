@@ -9,12 +9,13 @@ use prost::Message as _;
 use sightline_model::{JobSpec, SamplingParams};
 use sightline_viewcells::Division;
 
+use crate::access::Caller;
 use crate::ids::JobId;
 use crate::jobs::{self, Summary};
 use crate::scheduler::cells_total;
 use crate::specs;
 use crate::state::Coordinator;
-use crate::store::{JobPhase, JobRecord, JobState};
+use crate::store::{JobPhase, JobRecord, JobState, owned_key, owned_request};
 use crate::submit::{self, Submission, SubmitError};
 
 /// Jobs that are looked at, from the newest.
@@ -53,13 +54,17 @@ struct Finished {
 }
 
 /// Estimates a submission. Changes nothing.
-pub(crate) fn estimate(c: &Arc<Coordinator>, submission: &Submission) -> Result<Estimate, SubmitError> {
+pub(crate) fn estimate(
+    c: &Arc<Coordinator>,
+    caller: &Caller,
+    submission: &Submission,
+) -> Result<Estimate, SubmitError> {
     let spec = &submission.spec;
     let plan = submit::plan(spec)?;
     let cells = cells_total(spec, &plan);
-    let known = match c.store.job_by_request(&submission.request_id)? {
+    let known = match c.store.job_by_request(&owned_request(&submission.request_id, &submission.owner))? {
         Some(job) => Some(job),
-        None => c.store.job_by_key(&spec.key())?,
+        None => c.store.job_by_key(&owned_key(spec.key(), &submission.owner))?,
     };
     let answers = |job: &JobRecord| !matches!(job.state.phase(), JobPhase::Failed | JobPhase::Cancelled);
     let existing = known.filter(answers).map(|job| jobs::summary(c, job.id)).transpose()?;
@@ -78,15 +83,16 @@ pub(crate) fn estimate(c: &Arc<Coordinator>, submission: &Submission) -> Result<
         };
         (machine.job_ids().iter().filter(|id| before(id)).count() as u32, machine.workers())
     };
-    let cost = (cells > 0).then(|| finished(c, spec)).transpose()?.and_then(|jobs| cost(&jobs, cells));
+    let cost =
+        (cells > 0).then(|| finished(c, caller, spec)).transpose()?.and_then(|jobs| cost(&jobs, cells));
     Ok(Estimate { tiles: plan.tiles.len() as u32, cells, existing, jobs_before, workers, cost })
 }
 
-/// The finished jobs of the same method and sampler.
-fn finished(c: &Coordinator, spec: &JobSpec) -> Result<Vec<Finished>, SubmitError> {
+/// The finished jobs of the same method and sampler that a caller may see.
+fn finished(c: &Coordinator, caller: &Caller, spec: &JobSpec) -> Result<Vec<Finished>, SubmitError> {
     let (records, _) = c.store.jobs_before(JobId(u64::MAX), MOST_LOOKED_AT)?;
     let mut jobs = Vec::new();
-    for record in records {
+    for record in records.into_iter().filter(|record| caller.sees(&record.owner)) {
         let JobState::Done { bytes, .. } = record.state else { continue };
         // A specification of another version tells nothing about this one.
         let Ok(other) = specs::planned(&*c.blobs, &record.spec) else { continue };

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use crate::access::Caller;
 use crate::chores::do_chores;
 use crate::chronicle::{Happening, Kind};
 use crate::ids::{Digest, JobId};
@@ -143,14 +144,44 @@ pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
 
 /// The summaries of the newest `most` jobs below `before`, in the order of their submission, and whether
 /// there are older ones.
-pub(crate) fn list(c: &Coordinator, before: JobId, most: usize) -> Result<(Vec<Summary>, bool), StoreError> {
-    let (page, older) = c.store.jobs_before(before, most)?;
+pub(crate) fn list(
+    c: &Coordinator,
+    caller: &Caller,
+    before: JobId,
+    most: usize,
+) -> Result<(Vec<Summary>, bool), StoreError> {
+    let (page, older) = own_before(c, caller, before, most)?;
     let of = |job: &JobRecord| match summary(c, job.id) {
         // It was deleted in between.
         Err(StoreError::UnknownJob { .. }) => None,
         summary => Some(summary),
     };
     Ok((page.iter().filter_map(of).collect::<Result<_, _>>()?, older))
+}
+
+/// The newest jobs before one that a caller may see, ascending, and whether there are older ones.
+fn own_before(
+    c: &Coordinator,
+    caller: &Caller,
+    mut before: JobId,
+    most: usize,
+) -> Result<(Vec<JobRecord>, bool), StoreError> {
+    // From the newest on.
+    let mut own = Vec::new();
+    loop {
+        let (page, older) = c.store.jobs_before(before, most)?;
+        let first = page.first().map(|job| job.id);
+        own.extend(page.into_iter().rev().filter(|job| caller.sees(&job.owner)));
+        let more = own.len() > most;
+        own.truncate(most);
+        match first.filter(|_| older && own.len() < most) {
+            Some(first) => before = first,
+            None => {
+                own.reverse();
+                return Ok((own, older || more));
+            }
+        }
+    }
 }
 
 /// The connected workers that cannot work on a job, by reason.

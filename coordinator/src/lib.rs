@@ -23,6 +23,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod access;
 mod asking;
 mod assemble;
 mod assemble_pairs;
@@ -54,6 +55,7 @@ mod statistics;
 pub mod store;
 mod submit;
 mod tiles;
+mod uploads;
 
 #[cfg(test)]
 mod simulator;
@@ -63,5 +65,5 @@ mod tests;
 pub use kept::Answers;
 pub use lifecycle::{Config, OpenError};
 pub use scenes::TakeError;
-pub use services::{ServeError, listen, serve, serve_http};
+pub use services::{ServeError, Tls, TlsError, TlsFiles, listen, serve, serve_http};
 pub use state::{Coordinator, Leases};

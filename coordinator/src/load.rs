@@ -21,6 +21,7 @@ use sightline_scene::Aabb;
 use sightline_viewcells::Division;
 use tokio::sync::mpsc;
 
+use crate::access::Caller;
 use crate::chores::do_chores;
 use crate::ids::{JobId, Lease, TileIndex};
 use crate::jobs;
@@ -69,6 +70,7 @@ fn job(c: &Arc<Coordinator>, seed: u64, tiles: u64) -> JobId {
         &Submission {
             request_id: seed.to_string(),
             name: "load".to_owned(),
+            owner: String::new(),
             user: String::new(),
             priority: 0,
             spec,
@@ -97,7 +99,8 @@ fn one_coordinator_with_a_thousand_workers() {
     let directory = tempfile::tempdir().unwrap();
     let open = || Coordinator::open(Config::new(directory.path().to_owned())).unwrap();
     let c = open();
-    let scene = SceneRecord { digest: [7; 32], bytes: 1, triangles: 1, objects: 1 };
+    let scene =
+        SceneRecord { digest: [7; 32], bytes: 1, triangles: 1, objects: 1, owners: Default::default() };
     c.store.record_scene(scene).unwrap();
     let ids: Vec<JobId> = (0..tiles / TILES_OF_A_JOB).map(|i| job(&c, i + 1, TILES_OF_A_JOB)).collect();
     let total = ids.len() as u64 * TILES_OF_A_JOB;
@@ -187,7 +190,8 @@ fn ten_thousand_finished_jobs() {
     let directory = tempfile::tempdir().unwrap();
     {
         let store = SledStore::open(&directory.path().join("state")).unwrap();
-        let scene = SceneRecord { digest: [7; 32], bytes: 1, triangles: 1, objects: 1 };
+        let scene =
+            SceneRecord { digest: [7; 32], bytes: 1, triangles: 1, objects: 1, owners: Default::default() };
         store.record_scene(scene).unwrap();
         for i in 0..10_000u64 {
             let mut key = [0; 32];
@@ -196,6 +200,7 @@ fn ten_thousand_finished_jobs() {
                 key,
                 request_id: String::new(),
                 name: "old".to_owned(),
+                owner: String::new(),
                 user: String::new(),
                 priority: 0,
                 scene: [7; 32],
@@ -212,6 +217,6 @@ fn ten_thousand_finished_jobs() {
     }
     let c = Coordinator::open(Config::new(directory.path().to_owned())).unwrap();
     let begin = Instant::now();
-    let (page, _) = jobs::list(&c, JobId(u64::MAX), 1000).unwrap();
+    let (page, _) = jobs::list(&c, &Caller::Nobody, JobId(u64::MAX), 1000).unwrap();
     println!("a page of {} jobs in {:.1} ms", page.len(), begin.elapsed().as_secs_f64() * 1e3);
 }

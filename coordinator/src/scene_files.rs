@@ -30,13 +30,14 @@ pub(crate) enum FileError {
 /// beside itself is refused.
 pub(crate) fn take(
     c: &Arc<Coordinator>,
+    owner: &str,
     name: &str,
     bytes: &[u8],
     rules: Vec<Rule>,
 ) -> Result<(SceneRecord, Vec<String>), FileError> {
     let options = Options { rules, ..Options::default() };
     let loaded = load_bytes_with(name, bytes, None, &options)?;
-    let digest = c.take_scene(&loaded.scene)?;
+    let digest = c.take_scene_of(owner, &loaded.scene)?;
     let record = c.store.scene(&digest).map_err(TakeError::from)?;
     Ok((record.ok_or(FileError::Lost)?, loaded.warnings))
 }

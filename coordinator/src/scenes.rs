@@ -4,6 +4,7 @@ use std::sync::{Arc, PoisonError};
 
 use sightline_scene::{Aabb, Scene, SceneError};
 
+use crate::access::Caller;
 use crate::ids::Digest;
 use crate::state::{Coordinator, SceneFacts};
 use crate::store::{BlobError, SceneRecord, StoreError};
@@ -59,19 +60,29 @@ impl Coordinator {
     /// # Errors
     /// When its blob or its record cannot be written.
     pub fn take_scene(&self, scene: &Scene) -> Result<Digest, TakeError> {
+        self.take_scene_of("", scene)
+    }
+
+    /// The same for a scene that a user has sent.
+    pub(crate) fn take_scene_of(&self, owner: &str, scene: &Scene) -> Result<Digest, TakeError> {
         let bytes = scene.to_blob();
         let digest = self.blobs.put(&bytes)?;
         remember(self, digest, scene);
-        self.store.record_scene(record_of(digest, bytes.len(), scene))?;
+        self.store.record_scene(record_of(digest, bytes.len(), scene, owner))?;
         Ok(digest)
     }
 }
 
-/// Those of the digests that name no stored blob.
-pub(crate) fn missing(c: &Coordinator, digests: Vec<Digest>) -> Result<Vec<Digest>, BlobError> {
+/// Those of the digests that name no stored blob. What an owner has not sent is missing, whoever else has.
+pub(crate) fn missing(
+    c: &Coordinator,
+    owner: &str,
+    digests: Vec<Digest>,
+) -> Result<Vec<Digest>, UploadError> {
     let mut missing = Vec::new();
     for digest in digests {
-        if !c.blobs.has(&digest)? {
+        let owned = || c.store.scene(&digest).map(|known| known.is_some_and(|s| s.owners.contains(owner)));
+        if !(c.uploads.has(owner, &digest) || owned()?) || !c.blobs.has(&digest)? {
             missing.push(digest);
         }
     }
@@ -79,18 +90,24 @@ pub(crate) fn missing(c: &Coordinator, digests: Vec<Digest>) -> Result<Vec<Diges
 }
 
 /// Stores a chunk. It need not survive a power failure: its sender still has it.
-pub(crate) fn put_chunk(c: &Coordinator, bytes: &[u8]) -> Result<Digest, BlobError> {
-    c.blobs.put_unsynced(bytes)
+pub(crate) fn put_chunk(c: &Coordinator, owner: &str, bytes: &[u8]) -> Result<Digest, BlobError> {
+    let was_there = c.blobs.has(blake3::hash(bytes).as_bytes())?;
+    let digest = c.blobs.put_unsynced(bytes)?;
+    c.uploads.note(owner, digest, !was_there);
+    Ok(digest)
 }
 
 /// Joins stored chunks to a scene, checks and records it, and removes the chunks.
 pub(crate) fn put_scene(
     c: &Coordinator,
+    owner: &str,
     whole: Digest,
     chunks: &[Digest],
 ) -> Result<SceneRecord, UploadError> {
+    let known = c.store.scene(&whole)?;
+    let owned = known.as_ref().is_some_and(|known| owner.is_empty() || known.owners.contains(owner));
     // A scene of one chunk has its chunk's digest, and chunks are not synced: it is written again below.
-    if let Some(known) = c.store.scene(&whole)?
+    if let Some(known) = known.filter(|_| owned)
         && chunks != [whole]
         && c.blobs.has(&whole)?
     {
@@ -105,18 +122,28 @@ pub(crate) fn put_scene(
             Err(e) => return Err(e.into()),
         }
     }
+    // Whose scene it is need not send it again.
+    if !owned && !chunks.iter().all(|chunk| c.uploads.has(owner, chunk)) {
+        return Err(UploadError::ChunkMissing);
+    }
+    // A chunk that is the whole was stored as a chunk.
+    let was_there = c.blobs.has(&whole)? && chunks != [whole];
     join(c, whole, chunks)?;
     let bytes = c.blobs.read(&whole)?;
     let scene = Scene::from_blob("uploaded scene", &bytes).map_err(|e| {
-        // A blob that is not a scene is not kept.
-        remove(c, &whole);
+        // A blob that is not a scene is not kept; one that was there before may be somebody's result.
+        let new = c.uploads.forget(owner, chunks);
+        if !was_there && (chunks != [whole] || new == [whole]) {
+            remove(c, &whole);
+        }
         UploadError::Scene(e)
     })?;
     remember(c, whole, &scene);
-    let record = record_of(whole, bytes.len(), &scene);
+    let record = record_of(whole, bytes.len(), &scene, owner);
     c.store.record_scene(record.clone())?;
-    // The whole is kept; its chunks are no longer needed. A single chunk is the whole.
-    for chunk in chunks.iter().filter(|chunk| **chunk != whole) {
+    // The whole is kept; its chunks are no longer needed, but for those that were there before. A single
+    // chunk is the whole.
+    for chunk in c.uploads.forget(owner, chunks).iter().filter(|chunk| **chunk != whole) {
         remove(c, chunk);
     }
     Ok(record)
@@ -153,17 +180,20 @@ fn remove(c: &Coordinator, digest: &Digest) {
     }
 }
 
-fn record_of(digest: Digest, bytes: usize, scene: &Scene) -> SceneRecord {
+fn record_of(digest: Digest, bytes: usize, scene: &Scene, owner: &str) -> SceneRecord {
     let (triangles, objects) = (scene.len(), scene.objects().len() as u32);
-    SceneRecord { digest, bytes: bytes as u64, triangles, objects }
+    let owners = Some(owner.to_owned()).filter(|owner| !owner.is_empty()).into_iter().collect();
+    SceneRecord { digest, bytes: bytes as u64, triangles, objects, owners }
 }
 
-/// The record of a scene.
+/// The record of a scene that a caller may see. One that belongs to others does not exist.
 ///
 /// # Errors
 /// [`StoreError::UnknownScene`], or the store's.
-pub(crate) fn known(c: &Coordinator, scene: Digest) -> Result<SceneRecord, StoreError> {
-    c.store.scene(&scene)?.ok_or(StoreError::UnknownScene { scene })
+pub(crate) fn known(c: &Coordinator, caller: &Caller, scene: Digest) -> Result<SceneRecord, StoreError> {
+    let record = c.store.scene(&scene)?;
+    let own = |record: &SceneRecord| caller.sees_all() || record.owners.contains(caller.owner());
+    record.filter(own).ok_or(StoreError::UnknownScene { scene })
 }
 
 /// The bounds of a stored scene.

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use sightline_scene::{Aabb, Kinds, Object, Source};
 use tokio::sync::Semaphore;
 
+use crate::access::Access;
 use crate::chronicle::{Chronicle, Happening};
 use crate::clock::{Clock, Moment};
 use crate::crews::Crews;
@@ -17,6 +18,7 @@ use crate::kept::{Answers, Asked, Last};
 use crate::orders::{Scheduling, Watched};
 use crate::scheduler::{Machine, Now};
 use crate::store::{Blobs, Store};
+use crate::uploads::Uploads;
 
 /// Simultaneous downloads; more wait. Half of tokio's threads for blocking work, so that clients that do not
 /// read delay only each other.
@@ -80,6 +82,10 @@ pub struct Coordinator {
     pub(crate) files: Arc<Semaphore>,
     /// The right to hold a scene for a question or a page.
     pub(crate) scenes_in_memory: Arc<Semaphore>,
+    /// What is asked of callers; nothing when it is not set.
+    pub(crate) access: OnceLock<Arc<Access>>,
+    /// The chunks that were sent and are no scene yet.
+    pub(crate) uploads: Uploads,
     /// Who answers what needs the scene.
     pub(crate) answers: OnceLock<Box<dyn Answers>>,
     /// The result that was asked about last.
@@ -114,6 +120,8 @@ impl Coordinator {
             downloads: Arc::new(Semaphore::new(MOST_DOWNLOADS)),
             files: Arc::new(Semaphore::new(FILES_AT_ONCE)),
             scenes_in_memory: Arc::new(Semaphore::new(1)),
+            access: OnceLock::new(),
+            uploads: Uploads::default(),
             answers: OnceLock::new(),
             last_asked: Mutex::new(None),
         }
@@ -122,6 +130,11 @@ impl Coordinator {
     /// Gives questions that need the scene of a stored result to somebody. Only the first one counts.
     pub fn answer_with(&self, answers: Box<dyn Answers>) {
         drop(self.answers.set(answers));
+    }
+
+    /// Asks callers who they are from now on. Only the first one counts.
+    pub fn ask_callers(&self, access: Arc<Access>) {
+        drop(self.access.set(access));
     }
 
     /// The current time.

@@ -13,7 +13,7 @@ use crate::scheduler::{Event, Job};
 use crate::scheduling::tell;
 use crate::specs;
 use crate::state::Coordinator;
-use crate::store::{BlobError, JobState, NewJob, StoreError, Submitted};
+use crate::store::{BlobError, JobState, NewJob, StoreError, Submitted, owned_key, owned_request};
 
 /// A specification to be submitted.
 pub(crate) struct Submission {
@@ -21,6 +21,8 @@ pub(crate) struct Submission {
     pub(crate) request_id: String,
     /// For people.
     pub(crate) name: String,
+    /// Whose it will be.
+    pub(crate) owner: String,
     /// Who submits it.
     pub(crate) user: String,
     /// Jobs of higher priority come first.
@@ -59,7 +61,7 @@ pub(crate) fn plan(spec: &JobSpec) -> Result<Plan, SubmitError> {
 /// Submits a job on a recorded scene; returns its id and whether it existed before. A done job whose result
 /// is lost is begun again.
 pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Submitted, SubmitError> {
-    let Submission { request_id, name, user, priority, spec } = submission;
+    let Submission { request_id, name, owner, user, priority, spec } = submission;
     let plan = plan(spec)?;
     if spec.method != Method::Aggressive {
         let facts = scenes::facts(c, &spec.scene)?;
@@ -83,9 +85,10 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
     // Nobody else changes the job until the scheduler has it, and no blob that it will name is deleted.
     let mut turn = c.turn();
     let job = NewJob {
-        key: spec.key(),
-        request_id: request_id.clone(),
+        key: owned_key(spec.key(), owner),
+        request_id: owned_request(request_id, owner),
         name: name.clone(),
+        owner: owner.clone(),
         user: user.clone(),
         priority: *priority,
         scene: spec.scene,
@@ -93,7 +96,13 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
         tiles: plan.tiles.len() as u32,
         submitted_at_ms: c.now().unix_ms,
     };
-    let mut submitted = c.store.submit_job(job.clone())?;
+    let mut submitted = c.store.submit_job(job.clone()).map_err(|e| match e {
+        // By the id that the client gave.
+        StoreError::RequestIdReused { job, .. } => {
+            StoreError::RequestIdReused { request_id: request_id.clone(), job }
+        }
+        e => e,
+    })?;
     if submitted.existing
         && let Some(result) = result_of(c, submitted.id)?
     {

@@ -219,6 +219,7 @@ fn a_job_of_another_version_is_not_retried() {
         key: [1; 32],
         request_id: String::new(),
         name: "old".to_owned(),
+        owner: String::new(),
         user: String::new(),
         priority: 0,
         scene,
@@ -236,5 +237,6 @@ fn a_job_of_another_version_is_not_retried() {
 }
 
 fn nameless(spec: JobSpec) -> Submission {
-    Submission { request_id: String::new(), name: String::new(), user: String::new(), priority: 0, spec }
+    let (request_id, name, owner, user) = Default::default();
+    Submission { request_id, name, owner, user, priority: 0, spec }
 }

@@ -31,6 +31,7 @@ fn job(number: u64) -> NewJob {
         key: digest_of("job", number),
         request_id: format!("request {number}"),
         name: String::new(),
+        owner: String::new(),
         user: String::new(),
         priority: 0,
         scene: SCENE,
@@ -59,7 +60,15 @@ fn writes_until_killed() {
     };
     let store = SledStore::open(Path::new(&directory)).unwrap();
     store.begin_epoch().unwrap();
-    store.record_scene(SceneRecord { digest: SCENE, bytes: 1, triangles: 1, objects: 1 }).unwrap();
+    store
+        .record_scene(SceneRecord {
+            digest: SCENE,
+            bytes: 1,
+            triangles: 1,
+            objects: 1,
+            owners: Default::default(),
+        })
+        .unwrap();
     let first = store.submit_job(job(0)).unwrap().id;
     let done = store.tiles(first).unwrap().iter().filter(|tile| tile.state != TileState::Open).count() as u32;
     let submitted = store.jobs().unwrap().len() as u64;

@@ -119,7 +119,8 @@ impl Sandbox {
         self.serve(data, "--listen 127.0.0.1:0 --http 127.0.0.1:0")
     }
 
-    fn serve(&self, data: &str, arguments: &str) -> Coordinator<'_> {
+    /// Starts a coordinator with these arguments, `--listen` among them, with its data in `data`.
+    pub fn serve(&self, data: &str, arguments: &str) -> Coordinator<'_> {
         let mut command = self.command(program(), &format!("coordinator {arguments} --data-dir {data}"));
         let log = self.path(&format!(".{data}.{}.log", self.runs.fetch_add(1, Ordering::Relaxed)));
         command.stdout(Stdio::piped()).stderr(File::create(&log).unwrap());
@@ -135,7 +136,7 @@ impl Sandbox {
             pages: second.trim().strip_prefix("dashboard on ").unwrap_or_default().to_owned(),
         };
         assert!(
-            coordinator.url.starts_with("http://"),
+            coordinator.url.starts_with("http"),
             "the coordinator said {first:?}:\n{}",
             coordinator.process.err()
         );
@@ -254,7 +255,7 @@ pub struct Coordinator<'a> {
 impl Coordinator<'_> {
     /// Address and port alone, for `--listen`.
     pub fn address(&self) -> String {
-        self.url.trim_start_matches("http://").to_owned()
+        self.url.rsplit('/').next().unwrap_or_default().to_owned()
     }
 
     /// Starts a client command against it.

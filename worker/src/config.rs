@@ -3,6 +3,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use sightline_proto::connecting::Credentials;
+
 use crate::backends::Backends;
 use crate::scenes::SceneCache;
 
@@ -11,6 +13,8 @@ use crate::scenes::SceneCache;
 pub struct Config {
     /// The coordinator's address, such as `http://127.0.0.1:7600`.
     pub coordinator: String,
+    /// Whom it trusts and who it says it is.
+    pub credentials: Credentials,
     /// Shown to users; unique among the workers of the coordinator.
     pub name: String,
     /// The backends that the worker may use.

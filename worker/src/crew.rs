@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use futures::StreamExt as _;
 use sightline_proto::chunks::{self, Blobs};
+use sightline_proto::connecting::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::crew_message::Message;
 use sightline_proto::v1::workers_client::WorkersClient;
@@ -16,7 +17,6 @@ use sightline_sampling::Watcher as _;
 use sightline_sampling::crew::{FromHelper, FromLeader, Helper, Leader, Member, ToHelper, ToLeader};
 use tokio::sync::mpsc;
 use tonic::Streaming;
-use tonic::transport::Channel;
 
 use crate::held::Held;
 use crate::status::describe;
@@ -32,7 +32,7 @@ const AGAIN: [Duration; 2] = [Duration::from_millis(500), Duration::from_secs(5)
 /// Most bytes of an outcome or of finds.
 const MAX_BYTES: u64 = 1 << 30;
 
-type Client = WorkersClient<Channel>;
+type Client = WorkersClient<Connection>;
 
 /// Opens a stream to the other members.
 async fn enter(

@@ -6,12 +6,14 @@
 //! ```no_run
 //! use std::sync::Arc;
 //!
+//! use sightline_proto::connecting::Credentials;
 //! use sightline_sampling::gpu::AdapterChoice;
 //! use sightline_worker::{Backends, Choice, Config, SceneCache, Stop};
 //!
 //! # async fn example() -> Result<(), sightline_worker::WorkerError> {
 //! let config = Config {
 //!     coordinator: "http://127.0.0.1:7600".to_owned(),
+//!     credentials: Credentials::default(),
 //!     name: "worker 1".to_owned(),
 //!     backends: Arc::new(Backends::probe(Choice::Auto, AdapterChoice::default())),
 //!     scenes: Arc::new(SceneCache::default()),

@@ -73,12 +73,14 @@ enum Finished {
 impl Worker {
     /// A worker without a connection.
     pub fn new(config: Config) -> Result<Self, WorkerError> {
-        let endpoint = sightline_proto::endpoint(&config.coordinator)
+        let endpoint = config
+            .credentials
+            .endpoint(&config.coordinator)
             .map_err(|e| WorkerError::Address(config.coordinator.clone(), e))?
             .http2_keep_alive_interval(Duration::from_secs(10))
             .keep_alive_while_idle(true);
         let shop = Shop {
-            client: WorkersClient::new(connecting::channel(&endpoint)),
+            client: WorkersClient::new(connecting::channel(&endpoint, &config.credentials)),
             config,
             packs: Default::default(),
             running: Semaphore::new(1),
@@ -188,7 +190,14 @@ impl Worker {
         let stream = tokio_stream::wrappers::ReceiverStream::new(receiver);
         let mut inbound = match self.shop.client.clone().work(stream).await {
             Ok(response) => response.into_inner(),
-            Err(s) if s.code() == tonic::Code::InvalidArgument => {
+            Err(s)
+                if matches!(
+                    s.code(),
+                    tonic::Code::InvalidArgument
+                        | tonic::Code::Unauthenticated
+                        | tonic::Code::PermissionDenied
+                ) =>
+            {
                 return Err(WorkerError::Refused(describe(&s)));
             }
             Err(s) if s.code() == tonic::Code::AlreadyExists => return Ok(End::NameTaken(describe(&s))),

@@ -7,11 +7,11 @@ use futures::StreamExt as _;
 use sightline_bake::{Alone, BakeError, Control, Crew, PackBytes, Watcher as _, run_portal_tile, run_tile};
 use sightline_model::{JobSpec, Method, Sampler};
 use sightline_proto::chunks::{Assembler, count, piece};
+use sightline_proto::connecting::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
 use sightline_sampling::{CubeSpec, TileError, auto, gpu};
 use sightline_viewcells::Division;
-use tonic::transport::Channel;
 
 use crate::config::Config;
 use crate::crew;
@@ -67,7 +67,7 @@ pub struct Shop {
     /// One tile runs at a time, while the next one fetches its data.
     pub running: tokio::sync::Semaphore,
     /// Connection to the coordinator.
-    pub client: WorkersClient<Channel>,
+    pub client: WorkersClient<Connection>,
 }
 
 impl Shop {

@@ -16,7 +16,7 @@ use super::pace::Pace;
 use super::pools::{List, Place};
 use super::queue::For;
 use crate::ids::{Digest, LeaseId, TileIndex, WorkerId};
-use crate::store::{JobPhase, JobRecord, TileRecord, TileState, TileStats};
+use crate::store::{JobPhase, JobRecord, TileRecord, TileState, TileStats, owned_key};
 
 /// What a job computes. Never changes, so it is shared.
 #[derive(Debug)]
@@ -139,7 +139,7 @@ impl Job {
             .map_err(|e| e.to_string())
             .and_then(|spec| spec.plan().map(|(l, p)| (spec, l, p)).map_err(|e| e.to_string()));
         let (spec, lattice, plan) = parsed.map_err(|e| format!("{e}; submit it again"))?;
-        if record.key != spec.key() {
+        if record.key != owned_key(spec.key(), &record.owner) {
             return Err("another version of this program began it; submit it again".to_owned());
         }
         if plan.tiles.len() != tiles.len() {

@@ -126,7 +126,15 @@ pub(super) fn with_grace(grace: bool) -> Bench {
 /// A scheduler without jobs.
 pub(super) fn empty(epoch: u64) -> Bench {
     let store = MemoryStore::new();
-    store.record_scene(SceneRecord { digest: [7; 32], bytes: 1, triangles: 1, objects: 1 }).unwrap();
+    store
+        .record_scene(SceneRecord {
+            digest: [7; 32],
+            bytes: 1,
+            triangles: 1,
+            objects: 1,
+            owners: Default::default(),
+        })
+        .unwrap();
     Bench {
         machine: Machine::new(Settings { epoch: Epoch(epoch), ..SETTINGS }),
         store,
@@ -159,6 +167,7 @@ impl Bench {
             key: spec.key(),
             request_id: String::new(),
             name: "some tiles".to_owned(),
+            owner: String::new(),
             user: user.to_owned(),
             priority,
             scene: spec.scene,

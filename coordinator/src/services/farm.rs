@@ -10,6 +10,7 @@ use tokio::sync::mpsc;
 use tonic::{Request, Response, Status};
 
 use super::blocking::blocking;
+use super::guard::{caller, own_job};
 use super::{status, wire};
 use crate::ids::{JobId, TileIndex};
 use crate::state::Coordinator;
@@ -38,6 +39,7 @@ impl v1::farm_server::Farm for FarmService {
     }
 
     async fn list_tiles(&self, r: Request<v1::ListTilesRequest>) -> Answer<v1::ListTilesResponse> {
+        let job = own_job(&self.0, &r, r.get_ref().job).await?;
         let r = r.into_inner();
         let most = match r.limit {
             0 => MOST_TILES,
@@ -50,7 +52,7 @@ impl v1::farm_server::Farm for FarmService {
         };
         let wanted = r.states().map(wire::standing).collect::<Result<Vec<_>, _>>()?;
         blocking(&self.0, move |c| {
-            let page = tiles::list(c, JobId(r.job), TileIndex(r.first), most as usize, &wanted);
+            let page = tiles::list(c, job, TileIndex(r.first), most as usize, &wanted);
             let page = page.map_err(|e| status::of_store(&e))?;
             let mut answer = v1::ListTilesResponse {
                 tiles: Vec::new(),
@@ -74,6 +76,13 @@ impl v1::farm_server::Farm for FarmService {
     type EventsStream = Pin<Box<dyn Stream<Item = Result<v1::Event, Status>> + Send>>;
 
     async fn events(&self, r: Request<v1::EventsRequest>) -> Answer<Self::EventsStream> {
+        if r.get_ref().job > 0 {
+            own_job(&self.0, &r, r.get_ref().job).await?;
+        } else if !caller(&self.0, &r)?.sees_all() {
+            return Err(Status::permission_denied(
+                "the events of all jobs need the scope admin; name one of your jobs",
+            ));
+        }
         let v1::EventsRequest { job, after, follow } = r.into_inner();
         let job = (job > 0).then_some(JobId(job));
         if let Some(job) = job {

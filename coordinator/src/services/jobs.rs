@@ -14,8 +14,10 @@ use tokio::sync::{mpsc, watch};
 use tonic::{Request, Response, Status, Streaming};
 
 use super::blocking::{blocking, blocking_one_of};
+use super::guard::{caller, own_job};
 use super::streams::{ChunkStream, stream_blob, stream_bytes};
 use super::{status, wire};
+use crate::access::Caller;
 use crate::deleting;
 use crate::estimate;
 use crate::ids::{Digest, JobId};
@@ -24,6 +26,7 @@ use crate::partial;
 use crate::scene_files;
 use crate::scenes;
 use crate::state::Coordinator;
+use crate::store::StoreError;
 use crate::submit::{self, Submission};
 
 /// Chunks of one scene: 64 GiB.
@@ -46,6 +49,7 @@ impl v1::jobs_server::Jobs for JobsService {
         &self,
         r: Request<v1::MissingChunksRequest>,
     ) -> Answer<v1::MissingChunksResponse> {
+        let caller = caller(&self.0, &r)?;
         let asked = r.into_inner().digests;
         if asked.len() > MAX_CHUNKS {
             return Err(Status::invalid_argument(format!(
@@ -55,7 +59,7 @@ impl v1::jobs_server::Jobs for JobsService {
         }
         let digests = asked.iter().map(|d| wire::digest(d)).collect::<Result<Vec<_>, _>>()?;
         blocking(&self.0, move |c| {
-            let missing = scenes::missing(c, digests).map_err(|e| status::of_blob(&e))?;
+            let missing = scenes::missing(c, caller.owner(), digests).map_err(|e| status::of_upload(&e))?;
             let digests = missing.iter().map(|d| d.to_vec()).collect();
             Ok(Response::new(v1::MissingChunksResponse { digests }))
         })
@@ -63,19 +67,24 @@ impl v1::jobs_server::Jobs for JobsService {
     }
 
     async fn put_chunks(&self, r: Request<Streaming<v1::Chunk>>) -> Answer<v1::PutChunksResponse> {
+        let caller = caller(&self.0, &r)?;
         let mut stream = r.into_inner();
         let mut count = 0;
         while let Some(chunk) = stream.next().await {
             let chunk = chunk?;
             chunks::check(&chunk).map_err(|e| Status::data_loss(e.to_string()))?;
-            blocking(&self.0, move |c| scenes::put_chunk(c, &chunk.data).map_err(|e| status::of_blob(&e)))
-                .await?;
+            let owner = caller.owner().to_owned();
+            blocking(&self.0, move |c| {
+                scenes::put_chunk(c, &owner, &chunk.data).map_err(|e| status::of_blob(&e))
+            })
+            .await?;
             count += 1;
         }
         Ok(Response::new(v1::PutChunksResponse { chunks: count }))
     }
 
     async fn put_scene(&self, r: Request<v1::PutSceneRequest>) -> Answer<v1::SceneInfo> {
+        let caller = caller(&self.0, &r)?;
         let r = r.into_inner();
         let whole = wire::digest(&r.digest)?;
         if r.chunks.len() > MAX_CHUNKS {
@@ -83,7 +92,8 @@ impl v1::jobs_server::Jobs for JobsService {
         }
         let parts = r.chunks.iter().map(|d| wire::digest(d)).collect::<Result<Vec<_>, _>>()?;
         blocking(&self.0, move |c| {
-            let record = scenes::put_scene(c, whole, &parts).map_err(|e| status::of_upload(&e))?;
+            let record =
+                scenes::put_scene(c, caller.owner(), whole, &parts).map_err(|e| status::of_upload(&e))?;
             Ok(Response::new(wire::scene(&record)))
         })
         .await
@@ -91,6 +101,7 @@ impl v1::jobs_server::Jobs for JobsService {
 
     async fn put_scene_file(&self, r: Request<Streaming<v1::SceneFilePart>>) -> Answer<v1::SceneFileInfo> {
         use v1::scene_file_part::Part;
+        let caller = caller(&self.0, &r)?;
         let mut parts = r.into_inner();
         let Some(Part::Header(header)) = parts.next().await.transpose()?.and_then(|p| p.part) else {
             return Err(Status::invalid_argument("a file's first part must be its header"));
@@ -103,13 +114,14 @@ impl v1::jobs_server::Jobs for JobsService {
             whole.push(&chunk).map_err(|e| Status::data_loss(e.to_string()))?;
         }
         let bytes = whole.finish().map_err(|e| Status::data_loss(e.to_string()))?;
-        take_file(&self.0, header, bytes.into()).await.map(Response::new)
+        take_file(&self.0, caller, header, bytes.into()).await.map(Response::new)
     }
 
     async fn submit(&self, r: Request<v1::SubmitRequest>) -> Answer<v1::SubmitResponse> {
+        let caller = caller(&self.0, &r)?;
         let r = r.into_inner();
         blocking(&self.0, move |c| {
-            let submission = submission(c, r)?;
+            let submission = submission(c, &caller, r)?;
             let submitted = submit::submit(c, &submission).map_err(|e| status::of_submit(&e))?;
             let job = jobs::summary(c, submitted.id).map_err(|e| status::of_store(&e))?;
             let answer = v1::SubmitResponse { job: Some(wire::job(&job)), existing: submitted.existing };
@@ -119,16 +131,18 @@ impl v1::jobs_server::Jobs for JobsService {
     }
 
     async fn estimate(&self, r: Request<v1::SubmitRequest>) -> Answer<v1::EstimateResponse> {
+        let caller = caller(&self.0, &r)?;
         let r = r.into_inner();
         blocking(&self.0, move |c| {
-            let submission = draft(c, r)?;
-            let estimate = estimate::estimate(c, &submission).map_err(|e| status::of_submit(&e))?;
+            let submission = draft(c, &caller, r)?;
+            let estimate = estimate::estimate(c, &caller, &submission).map_err(|e| status::of_submit(&e))?;
             Ok(Response::new(wire::estimate(estimate)))
         })
         .await
     }
 
     async fn list(&self, r: Request<v1::ListRequest>) -> Answer<v1::ListResponse> {
+        let caller = caller(&self.0, &r)?;
         let v1::ListRequest { limit, before } = r.into_inner();
         if limit > MAX_PAGE {
             return Err(Status::invalid_argument(format!(
@@ -138,14 +152,14 @@ impl v1::jobs_server::Jobs for JobsService {
         let most = if limit == 0 { MAX_PAGE } else { limit } as usize;
         let before = JobId(if before == 0 { u64::MAX } else { before });
         blocking(&self.0, move |c| {
-            let (list, older) = jobs::list(c, before, most).map_err(|e| status::of_store(&e))?;
+            let (list, older) = jobs::list(c, &caller, before, most).map_err(|e| status::of_store(&e))?;
             Ok(Response::new(v1::ListResponse { jobs: list.iter().map(wire::job).collect(), older }))
         })
         .await
     }
 
     async fn show(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
-        let id = JobId(r.into_inner().job);
+        let id = own_job(&self.0, &r, r.get_ref().job).await?;
         let summary = summary(&self.0, id).await?;
         let unable = jobs::unable(&self.0, id).into_iter().map(wire::unable).collect();
         let teams = jobs::teams(&self.0, id).into_iter().map(wire::team).collect();
@@ -155,7 +169,7 @@ impl v1::jobs_server::Jobs for JobsService {
     type WatchStream = Pin<Box<dyn Stream<Item = Result<v1::Job, Status>> + Send>>;
 
     async fn watch(&self, r: Request<v1::ShowRequest>) -> Answer<Self::WatchStream> {
-        let id = JobId(r.into_inner().job);
+        let id = own_job(&self.0, &r, r.get_ref().job).await?;
         // Before the first summary, so that a change between the two is not missed.
         let changes = self.0.watched().subscribe(id);
         let first = summary(&self.0, id).await?;
@@ -169,9 +183,10 @@ impl v1::jobs_server::Jobs for JobsService {
     }
 
     async fn pause(&self, r: Request<v1::PauseRequest>) -> Answer<v1::Job> {
-        let v1::PauseRequest { job, now } = r.into_inner();
+        let id = own_job(&self.0, &r, r.get_ref().job).await?;
+        let now = r.get_ref().now;
         blocking(&self.0, move |c| {
-            let job = jobs::pause(c, JobId(job), now).map_err(|e| status::of_job(&e))?;
+            let job = jobs::pause(c, id, now).map_err(|e| status::of_job(&e))?;
             Ok(Response::new(wire::job(&job)))
         })
         .await
@@ -182,10 +197,10 @@ impl v1::jobs_server::Jobs for JobsService {
     }
 
     async fn prioritize(&self, r: Request<v1::PrioritizeRequest>) -> Answer<v1::Job> {
-        let v1::PrioritizeRequest { job, priority } = r.into_inner();
-        let priority = checked_priority(priority)?;
+        let id = own_job(&self.0, &r, r.get_ref().job).await?;
+        let priority = checked_priority(r.get_ref().priority)?;
         blocking(&self.0, move |c| {
-            let job = jobs::prioritize(c, JobId(job), priority).map_err(|e| status::of_job(&e))?;
+            let job = jobs::prioritize(c, id, priority).map_err(|e| status::of_job(&e))?;
             Ok(Response::new(wire::job(&job)))
         })
         .await
@@ -202,13 +217,13 @@ impl v1::jobs_server::Jobs for JobsService {
     type FetchPartialStream = ChunkStream;
 
     async fn fetch_partial(&self, r: Request<v1::ShowRequest>) -> Answer<Self::FetchPartialStream> {
-        so_far(&self.0, JobId(r.into_inner().job)).await.map(Response::new)
+        so_far(&self.0, own_job(&self.0, &r, r.get_ref().job).await?).await.map(Response::new)
     }
 
     type FetchStream = ChunkStream;
 
     async fn fetch(&self, r: Request<v1::ShowRequest>) -> Answer<Self::FetchStream> {
-        let id = JobId(r.into_inner().job);
+        let id = own_job(&self.0, &r, r.get_ref().job).await?;
         let result = blocking(&self.0, move |c| jobs::result(c, id).map_err(|e| status::of_job(&e))).await?;
         stream_blob(&self.0, result).await.map(Response::new)
     }
@@ -221,7 +236,7 @@ impl JobsService {
         r: Request<v1::ShowRequest>,
         change: fn(&Arc<Coordinator>, JobId) -> Result<Summary, JobError>,
     ) -> Answer<v1::Job> {
-        let id = JobId(r.into_inner().job);
+        let id = own_job(&self.0, &r, r.get_ref().job).await?;
         blocking(&self.0, move |c| {
             let job = change(c, id).map_err(|e| status::of_job(&e))?;
             Ok(Response::new(wire::job(&job)))
@@ -233,6 +248,7 @@ impl JobsService {
 /// Reads a scene from a file.
 pub(super) async fn take_file(
     c: &Arc<Coordinator>,
+    caller: Caller,
     header: v1::SceneFileHeader,
     bytes: bytes::Bytes,
 ) -> Result<v1::SceneFileInfo, Status> {
@@ -247,7 +263,7 @@ pub(super) async fn take_file(
     };
     let rules = header.rules.into_iter().map(rule).collect::<Result<Vec<_>, _>>()?;
     blocking_one_of(c, &c.files, move |c| {
-        let taken = scene_files::take(c, &header.name, &bytes, rules);
+        let taken = scene_files::take(c, caller.owner(), &header.name, &bytes, rules);
         let (record, warnings) = taken.map_err(|e| status::of_file(&e))?;
         Ok(v1::SceneFileInfo { scene: Some(wire::scene(&record)), warnings })
     })
@@ -288,10 +304,10 @@ fn checked_priority(priority: i32) -> Result<i32, Status> {
 }
 
 /// A submission on a stored scene.
-fn submission(c: &Coordinator, r: v1::SubmitRequest) -> Result<Submission, Status> {
-    let submission = draft(c, r)?;
+fn submission(c: &Coordinator, caller: &Caller, r: v1::SubmitRequest) -> Result<Submission, Status> {
+    let submission = draft(c, caller, r)?;
     let scene = submission.spec.scene;
-    scenes::known(c, scene).map_err(|e| status::of_store(&e))?;
+    scenes::known(c, caller, scene).map_err(|e| status::of_store(&e))?;
     let is_culled = || scenes::facts(c, &scene).map(|f| f.culled).map_err(|e| status::of_facts(&e));
     if submission.spec.method != Method::Aggressive && is_culled()? {
         return Err(Status::invalid_argument(
@@ -304,21 +320,29 @@ fn submission(c: &Coordinator, r: v1::SubmitRequest) -> Result<Submission, Statu
 
 /// A submission from the wire. A view box that is left out is the bounds of the scene, which must be stored
 /// then.
-fn draft(c: &Coordinator, r: v1::SubmitRequest) -> Result<Submission, Status> {
+fn draft(c: &Coordinator, caller: &Caller, r: v1::SubmitRequest) -> Result<Submission, Status> {
     let spec = r.spec.as_ref().ok_or_else(|| Status::invalid_argument("the job has no specification"))?;
     let scene = wire::digest(&spec.scene)?;
-    let record = c.store.scene(&scene).map_err(|e| status::of_store(&e))?;
+    let record = match scenes::known(c, caller, scene) {
+        Ok(record) => Some(record),
+        // An estimate may come before the scene.
+        Err(StoreError::UnknownScene { .. }) => None,
+        Err(e) => return Err(status::of_store(&e)),
+    };
     let spec = &with_defaults(spec, record.map_or(0, |record| record.triangles));
     let bounds = match spec.view_box.is_empty() {
         true => {
-            scenes::known(c, scene).map_err(|e| status::of_store(&e))?;
+            scenes::known(c, caller, scene).map_err(|e| status::of_store(&e))?;
             Some(scenes::bounds(c, &scene).map_err(|e| status::of_facts(&e))?)
         }
         false => None,
     };
     let spec = JobSpec::from_proto(spec, bounds).map_err(|e| Status::invalid_argument(e.to_string()))?;
     let priority = checked_priority(r.priority)?;
-    Ok(Submission { request_id: r.request_id, name: r.name, user: r.user, priority, spec })
+    let owner = caller.owner().to_owned();
+    // Users share the workers evenly, so nobody may take another's share.
+    let user = if caller.sees_all() && !r.user.is_empty() { r.user } else { owner.clone() };
+    Ok(Submission { request_id: r.request_id, name: r.name, owner, user, priority, spec })
 }
 
 /// Sends a job's summary after every change, until the job ends or nobody reads.

@@ -3,14 +3,17 @@
 mod blocking;
 mod crews;
 mod farm;
+mod guard;
 mod http;
 mod jobs;
 mod results;
 mod server;
 mod status;
 mod streams;
+mod tls;
 mod wire;
 mod workers;
 
 pub use http::serve_http;
 pub use server::{ServeError, listen, serve};
+pub use tls::{Tls, TlsError, TlsFiles};

@@ -6,6 +6,7 @@ use sightline_proto::v1;
 use tonic::{Request, Response, Status};
 
 use super::blocking::{blocking, blocking_one_of};
+use super::guard::own_job;
 use super::status;
 use crate::asking::{self, AskError};
 use crate::state::Coordinator;
@@ -18,14 +19,17 @@ type Answer<T> = Result<Response<T>, Status>;
 #[tonic::async_trait]
 impl v1::results_server::Results for ResultsService {
     async fn query(&self, r: Request<v1::QueryRequest>) -> Answer<v1::QueryResponse> {
+        own_job(&self.0, &r, r.get_ref().job).await?;
         self.ask(r, asking::query).await
     }
 
     async fn why(&self, r: Request<v1::WhyRequest>) -> Answer<v1::WhyResponse> {
+        own_job(&self.0, &r, r.get_ref().job).await?;
         self.ask_one(r, asking::why).await
     }
 
     async fn measure(&self, r: Request<v1::MeasureRequest>) -> Answer<v1::MeasureResponse> {
+        own_job(&self.0, &r, r.get_ref().job).await?;
         self.ask_one(r, asking::measure).await
     }
 }

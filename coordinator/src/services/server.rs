@@ -9,13 +9,16 @@ use sightline_proto::v1::jobs_server::JobsServer;
 use sightline_proto::v1::results_server::ResultsServer;
 use sightline_proto::v1::workers_server::WorkersServer;
 use tokio::net::TcpListener;
+use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::Server;
 use tonic::transport::server::TcpIncoming;
 
 use super::blocking::later;
 use super::farm::FarmService;
+use super::guard::Guard;
 use super::jobs::JobsService;
 use super::results::ResultsService;
+use super::tls::{self, Tls};
 use super::workers::WorkersService;
 use crate::lifecycle;
 use crate::state::Coordinator;
@@ -23,13 +26,16 @@ use crate::state::Coordinator;
 /// How often timers are looked at.
 const TICK: Duration = Duration::from_millis(200);
 
+/// Ticks between two looks at the file of tokens.
+const REFRESH: u32 = 5;
+
 /// A coordinator that cannot serve, or whose server stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
     /// The address would carry plain text beyond this machine.
     #[error(
-        "{0} can be reached from other machines and traffic would not be encrypted; listen on 127.0.0.1, or \
-         say --allow-plaintext when the network is private"
+        "{0} can be reached from other machines and traffic would not be encrypted; give --tls-cert and \
+         --tls-key, listen on 127.0.0.1, or say --allow-plaintext when the network is private"
     )]
     Plaintext(SocketAddr),
     /// The address cannot be listened on.
@@ -45,24 +51,26 @@ pub enum ServeError {
     Broken(String),
 }
 
-/// Listens on `address`. Anything but loopback is refused unless `allow_plaintext`.
+/// Listens on `address`. Anything but loopback is refused unless `protected`: by encryption, or because the
+/// user says that the network is private.
 ///
 /// # Errors
 /// [`ServeError`] when the address is not loopback or cannot be listened on.
-pub async fn listen(address: SocketAddr, allow_plaintext: bool) -> Result<TcpListener, ServeError> {
-    if !address.ip().is_loopback() && !allow_plaintext {
+pub async fn listen(address: SocketAddr, protected: bool) -> Result<TcpListener, ServeError> {
+    if !address.ip().is_loopback() && !protected {
         return Err(ServeError::Plaintext(address));
     }
     TcpListener::bind(address).await.map_err(|source| ServeError::Listen { address, source })
 }
 
-/// Serves until `stop` resolves.
+/// Serves until `stop` resolves; encrypted if there are certificates.
 ///
 /// # Errors
 /// [`ServeError::Broken`] when the server ends by itself.
 pub async fn serve(
     coordinator: Arc<Coordinator>,
     listener: TcpListener,
+    tls: Option<Arc<Tls>>,
     stop: impl Future<Output = ()> + Send + 'static,
 ) -> Result<(), ServeError> {
     let broken = |e: &dyn std::fmt::Display| ServeError::Broken(e.to_string());
@@ -84,8 +92,14 @@ pub async fn serve(
         tokio::spawn(async move {
             let mut tick = tokio::time::interval(TICK);
             tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+            let mut ticks = 0u32;
             loop {
                 tick.tick().await;
+                ticks = ticks.wrapping_add(1);
+                if let Some(access) = coordinator.access.get().filter(|_| ticks.is_multiple_of(REFRESH)) {
+                    let access = Arc::clone(access);
+                    tokio::task::spawn_blocking(move || access.refresh());
+                }
                 later(&coordinator, lifecycle::tick(&coordinator));
                 if coordinator.chronicle.has_unwritten() {
                     let coordinator = Arc::clone(&coordinator);
@@ -94,18 +108,26 @@ pub async fn serve(
             }
         })
     };
-    // Without nodelay every small answer waits 40 ms for the acknowledgement of the one before.
-    let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
     let server = Server::builder()
         .http2_keepalive_interval(Some(Duration::from_secs(10)))
+        .layer(Guard(Arc::clone(&coordinator)))
         .add_service(health_service)
         .add_service(reflection)
         .add_service(older)
         .add_service(JobsServer::new(JobsService(Arc::clone(&coordinator))))
         .add_service(FarmServer::new(FarmService(Arc::clone(&coordinator))))
         .add_service(ResultsServer::new(ResultsService(Arc::clone(&coordinator))))
-        .add_service(WorkersServer::new(WorkersService(Arc::clone(&coordinator))))
-        .serve_with_incoming(incoming);
+        .add_service(WorkersServer::new(WorkersService(Arc::clone(&coordinator))));
+    let server = async move {
+        match tls {
+            // Without nodelay every small answer waits 40 ms for the acknowledgement of the one before.
+            None => server.serve_with_incoming(TcpIncoming::from(listener).with_nodelay(Some(true))).await,
+            Some(tls) => {
+                let incoming = ReceiverStream::new(tls::connections(listener, tls, b"h2"));
+                server.serve_with_incoming(incoming).await
+            }
+        }
+    };
     // Streams that stay open (workers, watchers) would delay a graceful end for ever. They are cut off: every
     // acknowledged change is on the disk already.
     let ended = tokio::select! {

@@ -33,7 +33,8 @@ pub(super) fn world(seed: u64) -> World {
             broken,
         });
     }
-    let scene = SceneRecord { digest: [7; 32], bytes: 1, triangles: 1, objects: 1 };
+    let scene =
+        SceneRecord { digest: [7; 32], bytes: 1, triangles: 1, objects: 1, owners: Default::default() };
     world.store.record_scene(scene).unwrap();
     for job in 0..1 + world.below(3) {
         let tiles = 1 + world.below(10) as u32;
@@ -44,6 +45,7 @@ pub(super) fn world(seed: u64) -> World {
             key,
             request_id: String::new(),
             name: "simulated".to_owned(),
+            owner: String::new(),
             user: user.to_owned(),
             priority,
             scene: [7; 32],

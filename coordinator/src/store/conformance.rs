@@ -81,6 +81,7 @@ fn new_job(key: u8, request_number: u8, scene: u8, tiles: u32) -> NewJob {
         key: digest(key),
         request_id: request(request_number),
         name: "a \"job\"".to_owned(),
+        owner: String::new(),
         user: String::new(),
         priority: 0,
         scene: digest(scene),
@@ -104,9 +105,13 @@ fn refused(error: &str) -> String {
 
 fn perform(store: &dyn Store, op: &Op) -> String {
     match *op {
-        Op::Scene(n, triangles) => {
-            told(store.record_scene(SceneRecord { digest: digest(n), bytes: 5, triangles, objects: 1 }))
-        }
+        Op::Scene(n, triangles) => told(store.record_scene(SceneRecord {
+            digest: digest(n),
+            bytes: 5,
+            triangles,
+            objects: 1,
+            owners: Default::default(),
+        })),
         Op::Submit { key, request, scene, tiles } => {
             told(store.submit_job(new_job(key, request, scene, tiles)))
         }
@@ -173,7 +178,13 @@ impl Model {
         }
         let (job_id, tile) = match *op {
             Op::Scene(n, triangles) => {
-                let new = SceneRecord { digest: digest(n), bytes: 5, triangles, objects: 1 };
+                let new = SceneRecord {
+                    digest: digest(n),
+                    bytes: 5,
+                    triangles,
+                    objects: 1,
+                    owners: Default::default(),
+                };
                 let known = self.scenes.entry(new.digest).or_insert_with(|| new.clone());
                 return if *known == new { say(()) } else { Err("SceneDiffers") };
             }
@@ -204,6 +215,7 @@ impl Model {
                         key: new.key,
                         request_id: new.request_id,
                         name: new.name,
+                        owner: new.owner,
                         user: new.user,
                         priority: new.priority,
                         scene: new.scene,
@@ -561,14 +573,45 @@ fn a_view_that_lost_or_changed_an_entry_is_rebuilt() {
 }
 
 #[test]
+fn a_scene_belongs_to_all_who_have_sent_it() {
+    let directory = tempfile::tempdir().unwrap();
+    let longest = |n: usize| format!("{n:0>32}");
+    let of = |n: usize, triangles| SceneRecord {
+        digest: digest(0),
+        bytes: 5,
+        triangles,
+        objects: 1,
+        owners: std::iter::once(longest(n)).collect(),
+    };
+    {
+        let store = SledStore::open(directory.path()).unwrap();
+        (0..MAX_OWNERS).for_each(|n| store.record_scene(of(n, 10)).unwrap());
+        assert!(matches!(store.record_scene(of(MAX_OWNERS, 10)), Err(StoreError::TooLong { .. })));
+        assert!(matches!(store.record_scene(of(0, 11)), Err(StoreError::SceneDiffers { .. })));
+        store.record_scene(of(0, 10)).unwrap();
+    }
+    let known = SledStore::open(directory.path()).unwrap().scene(&digest(0)).unwrap().unwrap();
+    assert_eq!(
+        known.owners.into_iter().collect::<Vec<_>>(),
+        (0..MAX_OWNERS).map(longest).collect::<Vec<_>>()
+    );
+}
+
+#[test]
 fn the_longest_records_fit_and_longer_ones_are_refused() {
+    longest_fit("", MAX_NAME_BYTES);
+    longest_fit(&"x".repeat(MAX_OWNER_BYTES), MAX_OWNER_BYTES);
+}
+
+fn longest_fit(owner: &str, user_bytes: usize) {
     let store = MemoryStore::new();
     perform(&store, &Op::Scene(0, 10));
     let largest = NewJob {
         key: digest(255),
         request_id: "r".repeat(MAX_IDENTIFIER_BYTES),
         name: "\"".repeat(MAX_NAME_BYTES),
-        user: "\"".repeat(MAX_NAME_BYTES),
+        owner: owner.to_owned(),
+        user: "\"".repeat(user_bytes),
         priority: i32::MIN,
         scene: digest(0),
         spec: vec![255; MAX_SPEC_BYTES],

@@ -20,6 +20,10 @@ pub const MAX_SPEC_BYTES: usize = 2048;
 pub const MAX_FAILURES: usize = 8;
 /// Reasons remembered of a tile set aside.
 pub const MAX_REASONS: usize = 4;
+/// Longest name of an owner, in bytes, and of the user of a job that has an owner.
+pub const MAX_OWNER_BYTES: usize = 32;
+/// Most users who may own a scene.
+pub const MAX_OWNERS: usize = 24;
 /// Most tiles a job may have.
 pub const MAX_TILES: u32 = 1 << 20;
 

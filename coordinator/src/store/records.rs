@@ -1,5 +1,7 @@
 //! The records of scenes, jobs and tiles. `limits.rs` has the limits of their texts.
 
+use std::collections::BTreeSet;
+
 use serde::{Deserialize, Serialize};
 
 use crate::ids::{Digest, JobId, TileIndex};
@@ -16,6 +18,9 @@ pub struct SceneRecord {
     pub triangles: u32,
     /// Objects in it.
     pub objects: u32,
+    /// The users who have sent it; without any it belongs to nobody.
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    pub owners: BTreeSet<String>,
 }
 
 /// A job as it is submitted.
@@ -28,6 +33,9 @@ pub struct NewJob {
     pub request_id: String,
     /// For people; ≤ [`MAX_NAME_BYTES`](super::MAX_NAME_BYTES), no control characters.
     pub name: String,
+    /// Whose it is, ≤ [`MAX_OWNER_BYTES`](super::MAX_OWNER_BYTES); empty where nobody is asked. Jobs of
+    /// different owners are never one job.
+    pub owner: String,
     /// Who submits it; ≤ [`MAX_NAME_BYTES`](super::MAX_NAME_BYTES), no control characters. Users share the
     /// workers evenly.
     pub user: String,
@@ -41,6 +49,26 @@ pub struct NewJob {
     pub tiles: u32,
     /// Milliseconds since 1970.
     pub submitted_at_ms: u64,
+}
+
+/// The key of a job of an owner, from the digest of scene and parameters: users do not share jobs, so that
+/// nobody learns what others have submitted.
+pub fn owned_key(digest: Digest, owner: &str) -> Digest {
+    owned("sightline 2026-11 key of an owned job", &digest, owner).map_or(digest, |hash| *hash.as_bytes())
+}
+
+/// The request id of an owner's submission: ids of different users are never the same.
+pub fn owned_request(id: &str, owner: &str) -> String {
+    let hash = owned("sightline 2026-11 request of an owner", id.as_bytes(), owner);
+    hash.filter(|_| !id.is_empty()).map_or_else(|| id.to_owned(), |hash| hash.to_hex().to_string())
+}
+
+fn owned(context: &str, what: &[u8], owner: &str) -> Option<blake3::Hash> {
+    (!owner.is_empty()).then(|| {
+        let mut hasher = blake3::Hasher::new_derive_key(context);
+        hasher.update(&(what.len() as u64).to_le_bytes()).update(what).update(owner.as_bytes());
+        hasher.finalize()
+    })
 }
 
 /// The answer to a submission.
@@ -64,6 +92,9 @@ pub struct JobRecord {
     pub request_id: String,
     /// For people.
     pub name: String,
+    /// Whose it is.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub owner: String,
     /// Who submitted it.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub user: String,

@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::error::StoreError;
 use super::limits::{
-    MAX_FAILURES, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_REASONS, MAX_SPEC_BYTES, MAX_TILES,
-    MAX_WORKER_BYTES, check_identifier, check_length, check_name, clean_reason,
+    MAX_FAILURES, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_OWNER_BYTES, MAX_OWNERS, MAX_REASONS,
+    MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES, check_identifier, check_length, check_name, clean_reason,
 };
 use super::records::{
     CommitOutcome, JobPhase, JobRecord, JobState, NewJob, SceneRecord, Submitted, TileFailure, TileRecord,
@@ -131,7 +131,17 @@ pub(super) fn stage(event: &Event, table: &dyn Table, staged: &mut Changes) -> R
 pub(super) fn record_scene(view: View<'_>, scene: SceneRecord) -> Decided<()> {
     match view.scene(&scene.digest)? {
         None => happened(Event::SceneRecorded(scene), ()),
-        Some(known) if known == scene => unchanged(()),
+        // Another user has sent it.
+        Some(mut known) if (SceneRecord { owners: scene.owners.clone(), ..known.clone() }) == scene => {
+            let before = known.owners.len();
+            known.owners.extend(scene.owners);
+            check_length("the list of a scene's owners", known.owners.len(), MAX_OWNERS)?;
+            if known.owners.len() == before {
+                unchanged(())
+            } else {
+                happened(Event::SceneRecorded(known), ())
+            }
+        }
         Some(_) => Err(StoreError::SceneDiffers { scene: scene.digest }),
     }
 }
@@ -139,7 +149,9 @@ pub(super) fn record_scene(view: View<'_>, scene: SceneRecord) -> Decided<()> {
 pub(super) fn submit_job(view: View<'_>, new: NewJob) -> Decided<Submitted> {
     check_identifier("the request id", &new.request_id, MAX_IDENTIFIER_BYTES)?;
     check_name("the job's name", &new.name, MAX_NAME_BYTES)?;
-    check_name("the user's name", &new.user, MAX_NAME_BYTES)?;
+    let most = if new.owner.is_empty() { MAX_NAME_BYTES } else { MAX_OWNER_BYTES };
+    check_name("the user's name", &new.user, most)?;
+    check_identifier("the owner's name", &new.owner, MAX_OWNER_BYTES)?;
     check_length("the job's specification", new.spec.len(), MAX_SPEC_BYTES)?;
     check_length("the plan", new.tiles as usize, MAX_TILES as usize)?;
     if let Some(known) = view.job_by_request(&new.request_id)? {
@@ -165,6 +177,7 @@ pub(super) fn submit_job(view: View<'_>, new: NewJob) -> Decided<Submitted> {
         key: new.key,
         request_id: new.request_id,
         name: new.name,
+        owner: new.owner,
         user: new.user,
         priority: new.priority,
         scene: new.scene,

@@ -17,7 +17,8 @@ use sightline_viewcells::Division;
 /// The scene, the connection, or the reason why the job has no result.
 pub async fn bake_at(url: &str, path: &Path) -> Result<Vec<u8>, Box<dyn Error>> {
     let scene = sightline_scene::load(path)?;
-    let mut client = JobsClient::new(sightline_proto::endpoint(url)?.connect().await?);
+    let mut client =
+        JobsClient::new(sightline_proto::connecting::Credentials::default().endpoint(url)?.connect().await?);
 
     // The scene travels as chunks that are named by their content; the coordinator says which it lacks.
     let blob = scene.to_blob();

@@ -1,6 +1,5 @@
 //! The command line, as clap reads it. The doc comments are the text of `--help`.
 
-use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -15,6 +14,8 @@ use crate::remote_args::{
     FetchArgs, JobRefArgs, JobsArgs, LogsArgs, PauseArgs, PriorityArgs, RemoteArgs, ShowArgs, SubmitArgs,
 };
 use crate::result_args::{CompletionsArgs, DiffArgs, ExportArgs, ManArgs, ReportArgs, ViewArgs};
+use crate::serve_args::{CoordinatorArgs, WorkerArgs};
+use crate::token_args::TokenArgs;
 use crate::what::What;
 
 /// Bakes from-region visibility: for every view cell of a static triangle scene,
@@ -58,6 +59,8 @@ pub enum Command {
     Bake(BakeArgs),
     /// Run the coordinator of a cluster, which keeps jobs and gives their tiles to workers.
     Coordinator(CoordinatorArgs),
+    /// Make, list and revoke the tokens of a coordinator.
+    Token(TokenArgs),
     /// Run a worker, which bakes tiles for a coordinator.
     Worker(WorkerArgs),
     /// Check that a coordinator is serving.
@@ -149,54 +152,6 @@ pub struct BakeArgs {
     /// Show the result in a browser afterwards, as `sightline view` does.
     #[arg(long)]
     pub view: bool,
-}
-
-#[derive(Args, Debug)]
-pub struct CoordinatorArgs {
-    /// Address to listen on, such as 127.0.0.1:7600. Port 0 takes any free port; the address is printed to
-    /// stdout.
-    #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:7600")]
-    pub listen: SocketAddr,
-    /// Directory for jobs, scenes and results.
-    #[arg(long, value_name = "DIR", default_value = "sightline-data")]
-    pub data_dir: PathBuf,
-    /// Serve a dashboard for browsers, and the calls as JSON, at this address, such as 127.0.0.1:7601. Off by
-    /// default.
-    #[arg(long, value_name = "ADDR:PORT")]
-    pub http: Option<SocketAddr>,
-    /// Allow connections from other machines. They are not encrypted, so the network has to be private.
-    #[arg(long)]
-    pub allow_plaintext: bool,
-}
-
-#[derive(Args, Debug)]
-pub struct WorkerArgs {
-    /// Address of the coordinator.
-    #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7600")]
-    pub coordinator: String,
-    /// Backends that this worker offers: cpu, gpu, or auto, every backend that works on this machine.
-    #[arg(long, value_parser = choice::<BackendChoice>(), default_value_t, hide_possible_values = true)]
-    pub backend: BackendChoice,
-    /// Use the Vulkan adapter whose name contains this text.
-    #[arg(long, value_name = "TEXT")]
-    pub adapter: Option<String>,
-    /// Threads for sampling and queries, 1 to 1024. Default: one per core.
-    #[arg(long, value_name = "N", value_parser = thread_count)]
-    pub threads: Option<usize>,
-    /// Name that the coordinator shows. Default: host name, process number and a random number.
-    #[arg(long)]
-    pub name: Option<String>,
-    /// Stop when the coordinator cannot be reached for this many seconds. Default: keep trying.
-    #[arg(long, value_name = "S")]
-    pub give_up_after: Option<u64>,
-}
-
-/// Reads a number of threads.
-fn thread_count(text: &str) -> Result<usize, String> {
-    match text.parse() {
-        Ok(n @ 1..=1024) => Ok(n),
-        _ => Err("give a number from 1 to 1024, or leave --threads out for one thread per core".to_owned()),
-    }
 }
 
 /// Reads one coordinate of a point.

@@ -11,6 +11,7 @@ use sightline_coordinator::store::StoreError;
 use sightline_coordinator::{Config, Coordinator, OpenError};
 use sightline_model::{BackendChoice, JobSpec, Method, Sampler};
 use sightline_portals::Partition;
+use sightline_proto::connecting::{Connection, Credentials};
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_sampling::CubeSpec;
@@ -19,7 +20,6 @@ use sightline_scene::{Object, Scene};
 use sightline_worker::{Backends, Choice, Loaded, SceneCache, Stop, WorkerError};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
-use tonic::transport::Channel;
 
 use crate::args::BakeArgs;
 use crate::backends;
@@ -240,9 +240,10 @@ async fn run(
     let server = tokio::spawn(sightline_coordinator::serve(
         Arc::clone(&coordinator),
         listener,
+        None,
         std::future::pending(),
     ));
-    let mut client = JobsClient::new(client::channel(&url).await?);
+    let mut client = JobsClient::new(client::connect(&url, &Credentials::default()).await?);
     let (taker, here) = (Arc::clone(&coordinator), Arc::clone(loaded));
     tokio::task::spawn_blocking(move || taker.take_scene(here.scene.scene()))
         .await
@@ -318,7 +319,7 @@ async fn run(
 }
 
 async fn submit(
-    client: &mut JobsClient<Channel>,
+    client: &mut JobsClient<Connection>,
     source: &Source,
     spec: &JobSpec,
 ) -> Result<v1::SubmitResponse, CliError> {
@@ -354,6 +355,7 @@ impl Workers {
         for i in 0..count {
             let config = sightline_worker::Config {
                 coordinator: url.to_owned(),
+                credentials: Credentials::default(),
                 name: format!("in-process-{i}"),
                 backends: Arc::clone(backends),
                 scenes: Arc::clone(&scenes),

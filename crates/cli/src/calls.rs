@@ -257,9 +257,9 @@ impl Client {
         let args = self.of_job(job)?;
         let mut pace = Pace::new();
         let mut follow = |job: &v1::Job| watcher.progress(of_job(job, &mut pace, false));
-        let coordinator = &args.remote.coordinator;
+        let remote = &args.remote;
         let ended = with_until(&args.remote, stopped(watcher), |client| {
-            client::follow_on(client, coordinator, job, &mut follow)
+            client::follow_on(client, remote, job, &mut follow)
         })?;
         client::must_be_done(&ended)?;
         Ok(showing::value(&ended))

@@ -2,18 +2,20 @@
 
 use std::collections::BTreeSet;
 use std::io::Write as _;
+use std::sync::Arc;
 use std::time::Duration;
 
 use futures::StreamExt as _;
 use sightline_proto::chunks::{CHUNK_BYTES, Sequence};
+use sightline_proto::connecting::{Connection, Credentials};
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_scene::Scene;
-use tonic::transport::Channel;
 
 use crate::error::CliError;
 use crate::output::Output;
 use crate::progress::say;
+use crate::remote_args::RemoteArgs;
 
 /// Most bytes of a downloaded result.
 const MAX_RESULT: u64 = 64 << 30;
@@ -22,17 +24,30 @@ const MAX_RESULT: u64 = 64 << 30;
 const RECONNECT: Duration = Duration::from_secs(1);
 
 /// Connects to a coordinator.
-pub async fn channel(url: &str) -> Result<Channel, CliError> {
-    sightline_proto::endpoint(url)
+pub async fn channel(remote: &RemoteArgs) -> Result<Connection, CliError> {
+    connect(&remote.coordinator, &remote.credentials()?).await
+}
+
+/// Connects to the coordinator at `url`.
+pub async fn connect(url: &str, credentials: &Credentials) -> Result<Connection, CliError> {
+    credentials
+        .endpoint(url)
         .map_err(|e| {
             CliError::Usage(format!(
-                "{url} is not a coordinator's address: {e}; give one such as http://127.0.0.1:7600"
+                "{url} cannot be the coordinator's address: {e}; give one such as http://127.0.0.1:7600"
             ))
         })?
         .connect()
         .await
+        .map(|channel| credentials.over(channel))
         .map_err(|e| {
             let reason = std::error::Error::source(&e).map_or_else(|| e.to_string(), ToString::to_string);
+            if reason.contains("certificate") {
+                return CliError::Coordinator(format!(
+                    "{url} is not trusted ({reason}); --ca names the authority that signed the coordinator's \
+                     certificate, and the address must be one that the certificate names"
+                ));
+            }
             CliError::Coordinator(format!(
                 "no coordinator answers at {url} ({reason}); start one with `sightline coordinator`, or name \
                  another with --coordinator"
@@ -41,9 +56,9 @@ pub async fn channel(url: &str) -> Result<Channel, CliError> {
 }
 
 /// Uploads the chunks of a scene that the coordinator lacks.
-pub async fn upload(client: &mut JobsClient<Channel>, scene: &Scene) -> Result<(), CliError> {
-    let blob = scene.to_blob();
-    let whole = blake3::hash(&blob).as_bytes().to_vec();
+pub async fn upload(client: &mut JobsClient<Connection>, scene: &Scene) -> Result<(), CliError> {
+    let blob = Arc::new(scene.to_blob());
+    let whole = blake3::hash(&blob[..]).as_bytes().to_vec();
     let digests: Vec<Vec<u8>> =
         blob.chunks(CHUNK_BYTES).map(|p| blake3::hash(p).as_bytes().to_vec()).collect();
     let put = v1::PutSceneRequest { chunks: digests.clone(), digest: whole };
@@ -53,19 +68,28 @@ pub async fn upload(client: &mut JobsClient<Channel>, scene: &Scene) -> Result<(
         Err(s) if s.code() == tonic::Code::FailedPrecondition => {}
         Err(s) => return Err(CliError::status(&s)),
     }
-    let request = v1::MissingChunksRequest { digests };
-    let missing =
-        client.missing_chunks(request).await.map_err(|s| CliError::status(&s))?.into_inner().digests;
-    let missing: BTreeSet<Vec<u8>> = missing.into_iter().collect();
-    // Each chunk is copied when it is sent.
-    let needed: Vec<usize> = (0..put.chunks.len()).filter(|i| missing.contains(&put.chunks[*i])).collect();
-    let chunks = needed.into_iter().map(move |i| {
-        let start = i * CHUNK_BYTES;
-        let data = blob[start..blob.len().min(start + CHUNK_BYTES)].to_vec();
-        v1::Chunk { crc32c: crc32c::crc32c(&data), offset: 0, total: data.len() as u64, data }
-    });
-    client.put_chunks(tokio_stream::iter(chunks)).await.map_err(|s| CliError::status(&s))?;
-    client.put_scene(put).await.map_err(|s| CliError::status(&s))?;
+    // Another client who sends the same scene at the same time may take the chunks away once.
+    for is_last in [false, true] {
+        let request = v1::MissingChunksRequest { digests: digests.clone() };
+        let missing =
+            client.missing_chunks(request).await.map_err(|s| CliError::status(&s))?.into_inner().digests;
+        let missing: BTreeSet<Vec<u8>> = missing.into_iter().collect();
+        // Each chunk is copied when it is sent.
+        let needed: Vec<usize> =
+            (0..put.chunks.len()).filter(|i| missing.contains(&put.chunks[*i])).collect();
+        let blob = Arc::clone(&blob);
+        let chunks = needed.into_iter().map(move |i| {
+            let start = i * CHUNK_BYTES;
+            let data = blob[start..blob.len().min(start + CHUNK_BYTES)].to_vec();
+            v1::Chunk { crc32c: crc32c::crc32c(&data), offset: 0, total: data.len() as u64, data }
+        });
+        client.put_chunks(tokio_stream::iter(chunks)).await.map_err(|s| CliError::status(&s))?;
+        match client.put_scene(put.clone()).await {
+            Ok(_) => break,
+            Err(s) if s.code() == tonic::Code::FailedPrecondition && !is_last => {}
+            Err(s) => return Err(CliError::status(&s)),
+        }
+    }
     Ok(())
 }
 
@@ -78,7 +102,7 @@ pub fn fresh_request_id() -> String {
 
 /// Follows a job while the connection holds; gives its last state if it has ended.
 async fn follow_once(
-    client: &mut JobsClient<Channel>,
+    client: &mut JobsClient<Connection>,
     job: u64,
     show: &mut dyn FnMut(&v1::Job),
 ) -> Result<Option<v1::Job>, tonic::Status> {
@@ -96,7 +120,7 @@ async fn follow_once(
 
 /// Follows a job until it ends; returns its last state.
 pub async fn follow(
-    client: &mut JobsClient<Channel>,
+    client: &mut JobsClient<Connection>,
     job: u64,
     show: &mut dyn FnMut(&v1::Job),
 ) -> Result<v1::Job, CliError> {
@@ -106,8 +130,8 @@ pub async fn follow(
 
 /// Follows a job until it ends, however often the coordinator restarts meanwhile.
 pub async fn follow_on(
-    mut client: JobsClient<Channel>,
-    coordinator: &str,
+    mut client: JobsClient<Connection>,
+    remote: &RemoteArgs,
     job: u64,
     show: &mut dyn FnMut(&v1::Job),
 ) -> Result<v1::Job, CliError> {
@@ -124,10 +148,13 @@ pub async fn follow_on(
             Err(s) if !is_reached || !is_lost(&s) => return Err(CliError::status(&s)),
             Ok(None) | Err(_) => {}
         }
-        say(&format!("the connection to {coordinator} is lost; the job continues there: connecting again"));
+        say(&format!(
+            "the connection to {} is lost; the job continues there: connecting again",
+            remote.coordinator
+        ));
         loop {
             tokio::time::sleep(RECONNECT).await;
-            if let Ok(channel) = channel(coordinator).await {
+            if let Ok(channel) = channel(remote).await {
                 client = JobsClient::new(channel);
                 break;
             }
@@ -158,7 +185,7 @@ pub fn must_be_done(job: &v1::Job) -> Result<(), CliError> {
 
 /// Downloads what is done of a job to `output`.
 pub async fn fetch_partial(
-    client: &mut JobsClient<Channel>,
+    client: &mut JobsClient<Connection>,
     job: &v1::Job,
     output: &Output,
 ) -> Result<u64, CliError> {
@@ -182,7 +209,7 @@ pub async fn fetch_partial(
 /// Downloads a result to `output`, which is replaced only when all of it has arrived and has the job's
 /// digest.
 pub async fn fetch(
-    client: &mut JobsClient<Channel>,
+    client: &mut JobsClient<Connection>,
     job: &v1::Job,
     output: &Output,
 ) -> Result<u64, CliError> {

@@ -5,9 +5,9 @@ use std::time::Duration;
 
 use futures::StreamExt as _;
 use serde_json::{Value, json};
+use sightline_proto::connecting::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::farm_client::FarmClient;
-use tonic::transport::Channel;
 
 use crate::client;
 use crate::error::CliError;
@@ -21,11 +21,11 @@ const TILES_AT_ONCE: u32 = 10_000;
 /// Connects and runs `f`, until Ctrl-C.
 fn with<T, F: Future<Output = Result<T, CliError>>>(
     remote: &RemoteArgs,
-    f: impl FnOnce(FarmClient<Channel>) -> F,
+    f: impl FnOnce(FarmClient<Connection>) -> F,
 ) -> Result<Option<T>, CliError> {
     runtime()?.block_on(async {
         // A page of tiles has a few megabytes, which is the limit that the coordinator keeps to.
-        let work = async { f(FarmClient::new(client::channel(&remote.coordinator).await?)).await };
+        let work = async { f(FarmClient::new(client::channel(remote).await?)).await };
         tokio::select! {
             r = work => r.map(Some),
             () = stop_signal() => Ok(None),

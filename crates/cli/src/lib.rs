@@ -53,10 +53,13 @@ mod remote_args;
 mod report;
 mod result_args;
 mod serve;
+mod serve_args;
 mod showing;
 mod sightlines;
 mod stab;
 mod submitting;
+mod token_args;
+mod tokens;
 mod verdict;
 mod verify;
 mod verify_hidden;
@@ -117,6 +120,7 @@ fn run(cli: Cli) -> Result<(), CliError> {
     match cli.command {
         Command::Bake(a) => bake::run(a, json),
         Command::Coordinator(a) => coordinating::coordinator(&a),
+        Command::Token(a) => tokens::token(&a, json),
         Command::Worker(a) => serve::worker(&a),
         Command::Health(a) => remote::health(&a, json),
         Command::Submit(a) => submitting::submit(&a, json),

@@ -1,9 +1,9 @@
 //! The commands of a client that already has jobs: watch, jobs, show, cancel, pause, resume, retry, priority,
 //! fetch; and health.
 
+use sightline_proto::connecting::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
-use tonic::transport::Channel;
 
 use crate::client;
 use crate::error::CliError;
@@ -35,7 +35,7 @@ pub enum Turn {
 /// Connects and runs `f`; Ctrl-C ends only this client.
 pub fn with<T, F: Future<Output = Result<T, CliError>>>(
     remote: &RemoteArgs,
-    f: impl FnOnce(JobsClient<Channel>) -> F,
+    f: impl FnOnce(JobsClient<Connection>) -> F,
 ) -> Result<T, CliError> {
     with_until(remote, crate::serve::stop_signal(), f)
 }
@@ -44,12 +44,12 @@ pub fn with<T, F: Future<Output = Result<T, CliError>>>(
 pub fn with_until<T, F: Future<Output = Result<T, CliError>>>(
     remote: &RemoteArgs,
     stop: impl Future<Output = ()>,
-    f: impl FnOnce(JobsClient<Channel>) -> F,
+    f: impl FnOnce(JobsClient<Connection>) -> F,
 ) -> Result<T, CliError> {
     runtime()?.block_on(async {
         let work = async {
             // Lists of jobs are the largest messages; gRPC's default limit of 4 MiB holds thousands of jobs.
-            f(JobsClient::new(client::channel(&remote.coordinator).await?)).await
+            f(JobsClient::new(client::channel(remote).await?)).await
         };
         tokio::select! {
             r = work => r,
@@ -63,7 +63,7 @@ pub fn with_until<T, F: Future<Output = Result<T, CliError>>>(
 /// Checks whether a coordinator serves.
 pub fn health(args: &RemoteArgs, json: bool) -> Result<(), CliError> {
     runtime()?.block_on(async {
-        let channel = client::channel(&args.coordinator).await?;
+        let channel = client::channel(args).await?;
         let mut health = tonic_health::pb::health_client::HealthClient::new(channel);
         let request = tonic_health::pb::HealthCheckRequest { service: "sightline.v1.Jobs".to_owned() };
         let answer = health.check(request).await.map_err(|s| CliError::status(&s))?.into_inner();
@@ -80,8 +80,8 @@ pub fn health(args: &RemoteArgs, json: bool) -> Result<(), CliError> {
 pub fn watch(args: &JobRefArgs, json: bool) -> Result<(), CliError> {
     let progress = Progress::new();
     let mut show = |job: &v1::Job| progress.job(job, false);
-    let coordinator = &args.remote.coordinator;
-    let job = with(&args.remote, |client| client::follow_on(client, coordinator, args.id, &mut show))?;
+    let remote = &args.remote;
+    let job = with(remote, |client| client::follow_on(client, remote, args.id, &mut show))?;
     progress.end();
     say(&ending(&job));
     show_job(&job, json)?;
@@ -105,7 +105,7 @@ pub fn jobs(args: &JobsArgs, json: bool) -> Result<(), CliError> {
 
 /// The wanted jobs, ascending by id, and whether there are older ones.
 pub async fn listed(
-    mut client: JobsClient<Channel>,
+    mut client: JobsClient<Connection>,
     args: &JobsArgs,
 ) -> Result<(Vec<v1::Job>, bool), CliError> {
     let mut list: Vec<v1::Job> = Vec::new();
@@ -132,7 +132,7 @@ pub fn show(args: &ShowArgs, json: bool) -> Result<(), CliError> {
 }
 
 /// A job as it is now.
-pub async fn shown(mut client: JobsClient<Channel>, job: u64) -> Result<v1::Job, CliError> {
+pub async fn shown(mut client: JobsClient<Connection>, job: u64) -> Result<v1::Job, CliError> {
     let request = v1::ShowRequest { job };
     client.show(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
 }
@@ -144,7 +144,7 @@ pub fn turn(args: &JobRefArgs, turn: Turn, json: bool) -> Result<(), CliError> {
 }
 
 /// Cancels, pauses, resumes, retries or deletes; returns the job.
-pub async fn turned(mut client: JobsClient<Channel>, job: u64, turn: Turn) -> Result<v1::Job, CliError> {
+pub async fn turned(mut client: JobsClient<Connection>, job: u64, turn: Turn) -> Result<v1::Job, CliError> {
     let request = v1::ShowRequest { job };
     match turn {
         Turn::Cancel => client.cancel(request).await,
@@ -166,7 +166,7 @@ pub fn prioritize(args: &PriorityArgs, json: bool) -> Result<(), CliError> {
 
 /// Gives a job another priority; returns the job.
 pub async fn prioritized(
-    mut client: JobsClient<Channel>,
+    mut client: JobsClient<Connection>,
     request: v1::PrioritizeRequest,
 ) -> Result<v1::Job, CliError> {
     client.prioritize(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
@@ -186,7 +186,7 @@ pub fn fetch(args: &FetchArgs, json: bool) -> Result<(), CliError> {
 /// Downloads the result of a finished job to `output`, or what is done of one that has not ended; returns the
 /// number of bytes.
 pub async fn fetched(
-    mut client: JobsClient<Channel>,
+    mut client: JobsClient<Connection>,
     job: u64,
     partial: bool,
     output: &Output,

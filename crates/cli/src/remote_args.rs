@@ -3,16 +3,66 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use sightline_proto::connecting::{Bearer, Credentials};
 
+use crate::error::CliError;
 use crate::job_args::JobArgs;
 use crate::kind_args::KindArgs;
 
 #[derive(Args, Debug, Clone)]
 pub struct RemoteArgs {
-    /// Address of the coordinator.
-    #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7600")]
+    /// Address of the coordinator: https:// where it has a certificate.
+    #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7600", env = "SIGHTLINE_COORDINATOR")]
+    #[arg(hide_env_values = true)]
     pub coordinator: String,
+    /// The certificate, as PEM, of the authority that signed the coordinator's. Default: those of the system.
+    #[arg(long, value_name = "FILE", env = "SIGHTLINE_CA", hide_env_values = true)]
+    pub ca: Option<PathBuf>,
+    /// A certificate of one's own, as PEM: workers may show one instead of a token.
+    #[arg(long, value_name = "FILE", requires = "key", env = "SIGHTLINE_CERT", hide_env_values = true)]
+    pub cert: Option<PathBuf>,
+    /// The key of --cert, as PEM.
+    #[arg(long, value_name = "FILE", requires = "cert", env = "SIGHTLINE_KEY", hide_env_values = true)]
+    pub key: Option<PathBuf>,
+    /// File with the token, as `sightline token new` prints it. Default: the text in SIGHTLINE_TOKEN, if it
+    /// is set.
+    #[arg(long, value_name = "FILE", env = "SIGHTLINE_TOKEN_FILE", hide_env_values = true)]
+    pub token_file: Option<PathBuf>,
 }
+
+impl RemoteArgs {
+    /// Whom the client trusts and who it says it is.
+    ///
+    /// # Errors
+    /// [`CliError::Input`] for a file that cannot be read, [`CliError::Usage`] for what is no token.
+    pub fn credentials(&self) -> Result<Credentials, CliError> {
+        let read = |path: &PathBuf| {
+            std::fs::read(path)
+                .map_err(|e| CliError::Input(format!("{}: cannot be read: {e}", path.display())))
+        };
+        let ca = self.ca.as_ref().map(read).transpose()?;
+        let identity = match (&self.cert, &self.key) {
+            (Some(cert), Some(key)) => Some((read(cert)?, read(key)?)),
+            _ => None,
+        };
+        let token = match &self.token_file {
+            Some(path) => {
+                Some((String::from_utf8_lossy(&read(path)?).into_owned(), path.display().to_string()))
+            }
+            None => {
+                std::env::var(TOKEN).ok().filter(|text| !text.is_empty()).map(|text| (text, TOKEN.to_owned()))
+            }
+        };
+        let token = token.map(|(text, from)| {
+            Bearer::of(&text)
+                .map_err(|e| CliError::Usage(format!("{from}: {e}; `sightline token new` prints one")))
+        });
+        Ok(Credentials { ca, identity, token: token.transpose()? })
+    }
+}
+
+/// The variable that may hold the token.
+const TOKEN: &str = "SIGHTLINE_TOKEN";
 
 #[derive(Args, Debug)]
 pub struct SubmitArgs {

@@ -8,10 +8,10 @@ use sightline_sampling::gpu::{AdapterChoice, adapters};
 use sightline_worker::{Backends, SceneCache, Stop, WorkerError};
 use tokio::sync::watch;
 
-use crate::args::WorkerArgs;
 use crate::backends::{choice, say_missing};
 use crate::error::CliError;
 use crate::progress::say;
+use crate::serve_args::WorkerArgs;
 
 /// Runs a worker. The first SIGTERM or Ctrl-C lets it finish its tiles, the second one stops it at once.
 pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
@@ -28,7 +28,8 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
     say_missing(&backends)?;
     say(&format!("backends: {}", backends.profiles().join(", ")));
     let config = sightline_worker::Config {
-        coordinator: args.coordinator.clone(),
+        coordinator: args.remote.coordinator.clone(),
+        credentials: args.remote.credentials()?,
         name: args.name.clone().map_or_else(default_name, Ok)?,
         backends,
         scenes: Arc::new(SceneCache::default()),

@@ -4,10 +4,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use sightline_proto::chunks::CHUNK_BYTES;
+use sightline_proto::connecting::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_scene::Scene;
-use tonic::transport::Channel;
 
 use crate::client;
 use crate::error::CliError;
@@ -57,7 +57,7 @@ pub fn prepare(args: &SubmitArgs, source: &Source) -> Result<(Arc<Scene>, v1::Su
 
 /// Uploads a scene and submits a request about it.
 pub async fn submitted(
-    mut client: JobsClient<Channel>,
+    mut client: JobsClient<Connection>,
     scene: &Scene,
     request: v1::SubmitRequest,
 ) -> Result<v1::SubmitResponse, CliError> {

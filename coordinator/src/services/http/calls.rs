@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use axum::Extension;
 use axum::body::Bytes;
 use axum::extract::{Path, State};
 use axum::http::HeaderMap;
@@ -14,12 +15,13 @@ use sightline_proto::v1::results_server::Results as _;
 use tonic::{Request, Status};
 
 use super::site::{Site, failure, is_json, json};
+use crate::access::Caller;
 
 /// Calls the method of this name among those that are listed.
 macro_rules! call_by_name {
-    ($service:expr, $method:expr, $body:expr, { $($name:literal => $call:ident,)* }) => {
+    ($service:expr, $caller:expr, $method:expr, $body:expr, { $($name:literal => $call:ident,)* }) => {
         match $method {
-            $($name => answer($body, async |request| $service.$call(request).await).await,)*
+            $($name => answer($body, $caller, async |request| $service.$call(request).await).await,)*
             _ => Err(unknown()),
         }
     };
@@ -29,15 +31,17 @@ macro_rules! call_by_name {
 pub(super) async fn call(
     State(site): State<Arc<Site>>,
     Path((service, method)): Path<(String, String)>,
+    caller: Option<Extension<Caller>>,
     headers: HeaderMap,
     body: Bytes,
 ) -> Response {
+    let caller = caller.map(|Extension(caller)| caller);
     if !is_json(&headers) {
         return failure(&Status::invalid_argument("send the request with content-type: application/json"));
     }
     let (method, body) = (method.as_str(), &body[..]);
     let answered = match service.as_str() {
-        "sightline.v1.Jobs" => call_by_name!(site.jobs, method, body, {
+        "sightline.v1.Jobs" => call_by_name!(site.jobs, caller, method, body, {
             "MissingChunks" => missing_chunks,
             "PutScene" => put_scene,
             "Submit" => submit,
@@ -51,11 +55,11 @@ pub(super) async fn call(
             "Retry" => retry,
             "Delete" => delete,
         }),
-        "sightline.v1.Farm" => call_by_name!(site.farm, method, body, {
+        "sightline.v1.Farm" => call_by_name!(site.farm, caller, method, body, {
             "ListWorkers" => list_workers,
             "ListTiles" => list_tiles,
         }),
-        "sightline.v1.Results" => call_by_name!(site.results, method, body, {
+        "sightline.v1.Results" => call_by_name!(site.results, caller, method, body, {
             "Query" => query,
             "Why" => why,
             "Measure" => measure,
@@ -74,11 +78,16 @@ fn unknown() -> Status {
 /// Reads a request, calls, and writes the answer.
 async fn answer<Q: DeserializeOwned, A: Serialize>(
     body: &[u8],
+    caller: Option<Caller>,
     call: impl AsyncFnOnce(Request<Q>) -> Result<tonic::Response<A>, Status>,
 ) -> Result<String, Status> {
     let body = if body.is_empty() { b"{}" } else { body };
     let request: Q = serde_json::from_slice(body)
         .map_err(|e| Status::invalid_argument(format!("the request is not its message as JSON: {e}")))?;
-    let answered = call(Request::new(request)).await?.into_inner();
+    let mut request = Request::new(request);
+    if let Some(caller) = caller {
+        request.extensions_mut().insert(caller);
+    }
+    let answered = call(request).await?.into_inner();
     serde_json::to_string(&answered).map_err(|e| Status::internal(e.to_string()))
 }

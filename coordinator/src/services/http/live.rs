@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use std::sync::Arc;
 use std::time::Duration;
 
+use axum::Extension;
 use axum::extract::{Path, Query, State};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse as _, Response};
@@ -17,6 +18,7 @@ use tonic::{Request, Status};
 use super::super::blocking::blocking;
 use super::super::{status, wire};
 use super::site::{Site, failure, json};
+use crate::access::Caller;
 use crate::ids::JobId;
 use crate::scheduler::Standing;
 use crate::state::Coordinator;
@@ -40,14 +42,18 @@ pub(super) struct Wanted {
 type Out = mpsc::Sender<Result<Event, Infallible>>;
 
 /// The stream.
-pub(super) async fn live(State(site): State<Arc<Site>>, Query(wanted): Query<Wanted>) -> Response {
+pub(super) async fn live(
+    State(site): State<Arc<Site>>,
+    Query(wanted): Query<Wanted>,
+    caller: Option<Extension<Caller>>,
+) -> Response {
     let (out, stream) = mpsc::channel(WAITING);
     tokio::spawn(tell_jobs(Arc::clone(&site), out.clone()));
     if wanted.workers {
         tokio::spawn(tell_workers(Arc::clone(&site), out.clone()));
     }
     if let Some(job) = wanted.job {
-        tokio::spawn(tell_job(site, JobId(job), out));
+        tokio::spawn(tell_job(site, caller.map(|Extension(caller)| caller), JobId(job), out));
     }
     let stream = tokio_stream::wrappers::ReceiverStream::new(stream);
     Sse::new(stream).keep_alive(KeepAlive::default()).into_response()
@@ -98,7 +104,7 @@ async fn tell_workers(site: Arc<Site>, out: Out) {
 }
 
 /// Tells of one job: the job, how its tiles stand, and what happened.
-async fn tell_job(site: Arc<Site>, id: JobId, out: Out) {
+async fn tell_job(site: Arc<Site>, caller: Option<Caller>, id: JobId, out: Out) {
     let c = &site.coordinator;
     let mut changes = c.watched().subscribe(id);
     let mut grown = c.chronicle.grown();
@@ -107,7 +113,11 @@ async fn tell_job(site: Arc<Site>, id: JobId, out: Out) {
     loop {
         changes.mark_unchanged();
         grown.mark_unchanged();
-        let shown = site.jobs.show(Request::new(v1::ShowRequest { job: id.0 })).await;
+        let mut request = Request::new(v1::ShowRequest { job: id.0 });
+        if let Some(caller) = &caller {
+            request.extensions_mut().insert(caller.clone());
+        }
+        let shown = site.jobs.show(request).await;
         let job = match shown.map(|job| serde_json::to_string(&job.into_inner())) {
             Ok(Ok(text)) => text,
             Ok(Err(_)) => return,

@@ -3,11 +3,14 @@
 //!
 //! A call is `POST /sightline.v1.Jobs/List` with the request as JSON, by the mapping of the Protocol Buffers,
 //! as the Connect protocol has it. The same rules hold as for gRPC: beyond this machine the address needs
-//! `--allow-plaintext`. Pages of other sites can neither call (`application/json` makes a browser ask first,
-//! and nothing here says yes) nor reach a loopback address under a name of their own.
+//! encryption or `--allow-plaintext`, and where callers need tokens a call needs its scope. The pages show
+//! the jobs of all users, so they need `admin`. Pages of other sites can neither call (`application/json`
+//! makes a browser ask first, and nothing here says yes) nor reach a loopback address under a name of their
+//! own.
 
 mod calls;
 mod live;
+mod login;
 mod pages;
 mod site;
 mod snapshot;
@@ -22,7 +25,7 @@ use axum::middleware::{Next, from_fn_with_state};
 use axum::response::Response;
 use axum::routing::{get, post};
 use tokio::net::TcpListener;
-use tonic::Status;
+use tonic::{Code, Status};
 
 use self::site::{Site, failure};
 use self::snapshot::Snapshots;
@@ -30,6 +33,7 @@ use super::farm::FarmService;
 use super::jobs::JobsService;
 use super::results::ResultsService;
 use super::server::ServeError;
+use super::tls::{self, Tls};
 use crate::scene_files;
 use crate::state::Coordinator;
 
@@ -43,10 +47,13 @@ const MOST_BYTES: usize = 4 << 20;
 pub async fn serve_http(
     coordinator: Arc<Coordinator>,
     listener: TcpListener,
+    tls: Option<Arc<Tls>>,
     stop: impl Future<Output = ()> + Send + 'static,
 ) -> Result<(), ServeError> {
     let broken = |e: std::io::Error| ServeError::Broken(e.to_string());
-    let is_local = listener.local_addr().map_err(broken)?.ip().is_loopback();
+    let address = listener.local_addr().map_err(broken)?;
+    let is_local = address.ip().is_loopback();
+    let is_encrypted = tls.is_some();
     let site = Arc::new(Site {
         jobs: JobsService(Arc::clone(&coordinator)),
         farm: FarmService(Arc::clone(&coordinator)),
@@ -54,9 +61,11 @@ pub async fn serve_http(
         snapshots: Snapshots::of(&coordinator),
         coordinator,
         is_local,
+        is_encrypted,
     });
     let routes = Router::new()
         .route("/", get(pages::dashboard))
+        .route("/login", get(login::page).post(login::login))
         .route("/live", get(live::live))
         .route("/events/{job}", get(live::events))
         .route("/results/{file}", get(pages::result))
@@ -70,27 +79,46 @@ pub async fn serve_http(
         .layer(DefaultBodyLimit::max(MOST_BYTES))
         .layer(from_fn_with_state(Arc::clone(&site), guard))
         .with_state(site);
-    let server = axum::serve(listener, routes);
+    let server = async move {
+        match tls {
+            None => axum::serve(listener, routes).await,
+            Some(tls) => {
+                let connections = tls::connections(listener, tls, b"http/1.1");
+                axum::serve(tls::Pages { connections, address }, routes).await
+            }
+        }
+    };
     // Streams that stay open would delay a graceful end for ever.
     tokio::select! {
-        r = async { server.await } => r.map_err(broken),
+        r = server => r.map_err(broken),
         () = stop => Ok(()),
     }
 }
 
-/// Refuses requests that pages of other sites can make a browser send.
-async fn guard(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
-    match refusal(&site, request.headers()) {
-        Some(status) => failure(&status),
-        None => next.run(request).await,
+/// Refuses requests that pages of other sites can make a browser send, and those of callers who may not.
+async fn guard(State(site): State<Arc<Site>>, mut request: Request, next: Next) -> Response {
+    if let Some(status) = refusal(&site, request.headers()) {
+        return failure(&status);
     }
+    let path = request.uri().path();
+    if let Some(access) = site.coordinator.access.get().filter(|_| path != "/login") {
+        match login::admitted(access, request.headers(), path) {
+            Ok(caller) => drop(request.extensions_mut().insert(caller)),
+            Err(status) if path == "/" && status.code() == Code::Unauthenticated => return login::ask(),
+            Err(status) => return failure(&status),
+        }
+    }
+    next.run(request).await
 }
 
 /// Why a request is refused, by its headers.
 fn refusal(site: &Site, headers: &HeaderMap) -> Option<Status> {
     let text = |name| headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default();
     let host = text(header::HOST);
-    if !is_own(host, site.is_local) {
+    // An encrypted page is under a name of its certificate, and whoever calls needs a token besides.
+    let is_known =
+        site.is_encrypted && site.coordinator.access.get().is_some_and(|access| access.has_tokens());
+    if !is_known && !is_own(host, site.is_local) {
         return Some(Status::permission_denied(
             "ask for an address, for localhost, or for the machine's name without a domain",
         ));

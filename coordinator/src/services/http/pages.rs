@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use axum::Extension;
 use axum::body::{Body, Bytes};
 use axum::extract::{Path, Query, State};
 use axum::http::{HeaderMap, HeaderValue, header};
@@ -17,6 +18,7 @@ use super::super::blocking::blocking_one_of;
 use super::super::jobs::{so_far, take_file};
 use super::super::status;
 use super::site::{Site, failure, json};
+use crate::access::Caller;
 use crate::asking;
 use crate::ids::JobId;
 use crate::partial;
@@ -24,7 +26,7 @@ use crate::state::Coordinator;
 use crate::store::JobPhase;
 
 /// A page as an answer. It is its own program and loads nothing from elsewhere.
-fn html(text: String) -> Response {
+pub(super) fn html(text: String) -> Response {
     let policy = "default-src 'self' 'unsafe-inline' data: blob:; frame-ancestors 'none'";
     let headers = [
         (header::CONTENT_TYPE, "text/html; charset=utf-8"),
@@ -63,6 +65,7 @@ pub(super) struct Named {
 pub(super) async fn put_scene(
     State(site): State<Arc<Site>>,
     Query(Named { name }): Query<Named>,
+    caller: Option<Extension<Caller>>,
     headers: HeaderMap,
     body: Bytes,
 ) -> Response {
@@ -72,8 +75,9 @@ pub(super) async fn put_scene(
             "send the file with content-type: application/octet-stream",
         ));
     }
+    let caller = caller.map_or(Caller::Nobody, |Extension(caller)| caller);
     let file = v1::SceneFileHeader { name, rules: Vec::new() };
-    match take_file(&site.coordinator, file, body).await.map(|info| serde_json::to_string(&info)) {
+    match take_file(&site.coordinator, caller, file, body).await.map(|info| serde_json::to_string(&info)) {
         Ok(Ok(text)) => json(text),
         Ok(Err(e)) => failure(&Status::internal(e.to_string())),
         Err(s) => failure(&s),

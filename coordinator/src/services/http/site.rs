@@ -21,6 +21,8 @@ pub(super) struct Site {
     pub(super) snapshots: Arc<Snapshots>,
     /// Whether only this machine can reach the address.
     pub(super) is_local: bool,
+    /// Whether connections are encrypted.
+    pub(super) is_encrypted: bool,
 }
 
 /// Whether a request says that it is JSON.
@@ -43,6 +45,7 @@ pub(super) fn failure(status: &Status) -> Response {
         Code::NotFound => (StatusCode::NOT_FOUND, "not_found"),
         Code::AlreadyExists => (StatusCode::CONFLICT, "already_exists"),
         Code::Aborted => (StatusCode::CONFLICT, "aborted"),
+        Code::Unauthenticated => (StatusCode::UNAUTHORIZED, "unauthenticated"),
         Code::PermissionDenied => (StatusCode::FORBIDDEN, "permission_denied"),
         Code::ResourceExhausted => (StatusCode::TOO_MANY_REQUESTS, "resource_exhausted"),
         Code::Unavailable => (StatusCode::SERVICE_UNAVAILABLE, "unavailable"),

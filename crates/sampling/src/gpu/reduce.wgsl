@@ -1,9 +1,9 @@
-// Reduces the six item buffers of each cube of a batch to one entry for each visible slot: (slot, strata mask,
-// pixel count). The cubes of a batch follow one another in one list.
+// Reduces the six item buffers of each cube of a batch to one entry for each visible slot: (slot, strata
+// mask, pixel count). The cubes of a batch follow one another in one list.
 //
 // All masks and counts are zero before `reduce`. `reduce` adds to them and lists each slot at its first
-// touch. `gather` copies masks and counts to the list and sets them back to zero. `close` notes where the cube
-// ends. The order of the entries of a cube differs between runs; the reader sorts them.
+// touch. `gather` copies masks and counts to the list and sets them back to zero. `close` notes where the
+// cube ends. The order of the entries of a cube differs between runs; the reader sorts them.
 
 struct Params {
     // Side of a face in pixels.

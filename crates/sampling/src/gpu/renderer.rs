@@ -1,8 +1,8 @@
-//! Rendering cubes in batches: the device draws and reduces a batch, whose lists come back in one read. While it
-//! does, the CPU culls and records the next batch and reads the previous one.
+//! Rendering cubes in batches: the device draws and reduces a batch, whose lists come back in one read.
+//! While it does, the CPU culls and records the next batch and reads the previous one.
 //!
-//! The number of triangles in a batch is known only after it is rendered. So the first part of the list is read
-//! back, as long as earlier batches needed, and the rest of a longer list by a read of its own.
+//! The number of triangles in a batch is known only after it is rendered. So the first part of the list is
+//! read back, as long as earlier batches needed, and the rest of a longer list by a read of its own.
 
 use std::collections::VecDeque;
 use std::ops::Range;

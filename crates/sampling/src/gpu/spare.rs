@@ -1,5 +1,5 @@
-//! Open devices that nobody uses at the moment: the next who opens one of the same choice takes it, which saves
-//! tenths of a second.
+//! Open devices that nobody uses at the moment: the next who opens one of the same choice takes it, which
+//! saves tenths of a second.
 //!
 //! No device is closed while another is used or opened: a driver of NVIDIA (580.159, H100) did not end
 //! `vkDestroyDevice` in one thread while other threads used devices of their own. So a process keeps as many

@@ -1,5 +1,5 @@
-//! The reduction's buffers: a strata mask and a pixel count for each slot, and the lists of visible slots. While
-//! the device fills one list with the cubes of a batch, the host reads the other.
+//! The reduction's buffers: a strata mask and a pixel count for each slot, and the lists of visible slots.
+//! While the device fills one list with the cubes of a batch, the host reads the other.
 //!
 //! Masks and counts are zero between cubes: new buffers are zero, and the reduction resets them.
 
@@ -21,7 +21,8 @@ pub(super) struct Tally {
     pub(super) slots: u32,
     /// Most entries of a list.
     pub(super) capacity: u32,
-    /// Most cubes of a batch: a list has room for all that they can show, or for one as far as the device allows.
+    /// Most cubes of a batch: a list has room for all that they can show, or for one as far as the device
+    /// allows.
     pub(super) cubes: u32,
     pub(super) lists: [List; LISTS],
 }

@@ -1,0 +1,138 @@
+//! Who calls: every call passes here before its service sees it, and the services ask here whether a job is
+//! the caller's.
+
+use std::sync::Arc;
+use std::task::{Context, Poll};
+
+use futures::future::{Either, Ready, ready};
+use tonic::body::Body;
+use tonic::codegen::http;
+use tonic::transport::server::{TcpConnectInfo, TlsConnectInfo};
+use tonic::{Request, Status};
+use tower::{Layer, Service};
+
+use super::blocking::blocking;
+use super::status;
+use crate::access::{Access, Caller, Refusal, Scopes, needed};
+use crate::ids::JobId;
+use crate::state::Coordinator;
+use crate::store::StoreError;
+
+/// Puts a [`Guarded`] around the services.
+#[derive(Clone)]
+pub(super) struct Guard(pub(super) Arc<Coordinator>);
+
+impl<S> Layer<S> for Guard {
+    type Service = Guarded<S>;
+
+    fn layer(&self, inner: S) -> Guarded<S> {
+        Guarded { inner, coordinator: Arc::clone(&self.0) }
+    }
+}
+
+/// A service that is called only by those who may.
+#[derive(Clone)]
+pub(super) struct Guarded<S> {
+    inner: S,
+    coordinator: Arc<Coordinator>,
+}
+
+impl<S, B> Service<http::Request<B>> for Guarded<S>
+where
+    S: Service<http::Request<B>, Response = http::Response<Body>>,
+{
+    type Response = S::Response;
+    type Error = S::Error;
+    type Future = Either<S::Future, Ready<Result<S::Response, S::Error>>>;
+
+    fn poll_ready(&mut self, context: &mut Context<'_>) -> Poll<Result<(), Self::Error>> {
+        self.inner.poll_ready(context)
+    }
+
+    fn call(&mut self, mut request: http::Request<B>) -> Self::Future {
+        if let Some(access) = self.coordinator.access.get() {
+            let certificates = request.extensions().get::<TlsConnectInfo<TcpConnectInfo>>();
+            let certificates = certificates.and_then(TlsConnectInfo::peer_certs);
+            let certificate = certificates.as_ref().and_then(|all| all.first()).map(AsRef::as_ref);
+            match admitted(access, request.headers(), certificate, request.uri().path()) {
+                Ok(caller) => drop(request.extensions_mut().insert(caller)),
+                Err(status) => return Either::Right(ready(Ok(status.into_http()))),
+            }
+        }
+        Either::Left(self.inner.call(request))
+    }
+}
+
+/// The caller of a path, if it may call there.
+pub(super) fn admitted(
+    access: &Access,
+    headers: &http::HeaderMap,
+    certificate: Option<&[u8]>,
+    path: &str,
+) -> Result<Caller, Status> {
+    let token =
+        match headers.get(http::header::AUTHORIZATION) {
+            None => None,
+            Some(value) => {
+                let text = value.to_str().ok().and_then(|text| text.strip_prefix("Bearer "));
+                Some(text.ok_or_else(|| {
+                    Status::unauthenticated("send the token as `authorization: Bearer TOKEN`")
+                })?)
+            }
+        };
+    admitted_with(access, token, certificate, path)
+}
+
+/// The same with the token itself.
+pub(super) fn admitted_with(
+    access: &Access,
+    token: Option<&str>,
+    certificate: Option<&[u8]>,
+    path: &str,
+) -> Result<Caller, Status> {
+    let by = |token, certificate| {
+        let caller = access.identify(token, certificate).map_err(Status::unauthenticated)?;
+        access.permit(&caller, needed(path)).map_err(|refusal| match refusal {
+            Refusal::Unknown(text) => Status::unauthenticated(text),
+            Refusal::Scope(text) => Status::permission_denied(text),
+        })?;
+        Ok(caller)
+    };
+    let caller: Result<Caller, Status> = by(token, certificate);
+    // A worker may have both, and either is enough.
+    let caller =
+        caller.or_else(|status| by(None, certificate.filter(|_| token.is_some())).map_err(|_| status))?;
+    Ok(match (access.has_tokens(), caller) {
+        // Where clients have no tokens nothing belongs to anybody.
+        (false, _) => Caller::Nobody,
+        // Who has not said who they are see nothing.
+        (true, Caller::Nobody) => Caller::User { name: String::new(), scopes: Scopes::default() },
+        (true, caller) => caller,
+    })
+}
+
+/// Who makes a request that was admitted.
+pub(super) fn caller<T>(c: &Coordinator, r: &Request<T>) -> Result<Caller, Status> {
+    match (r.extensions().get::<Caller>(), c.access.get()) {
+        (Some(caller), _) => Ok(caller.clone()),
+        (None, None) => Ok(Caller::Nobody),
+        (None, Some(_)) => Err(Status::internal("a call came past the guard")),
+    }
+}
+
+/// The job of this number, if the caller of `r` may see it. One that belongs to somebody else does not exist.
+pub(super) async fn own_job<T>(c: &Arc<Coordinator>, r: &Request<T>, job: u64) -> Result<JobId, Status> {
+    let caller = caller(c, r)?;
+    let id = JobId(job);
+    if caller.sees_all() {
+        return Ok(id);
+    }
+    blocking(c, move |c| {
+        let record = c.store.job(id).map_err(|e| status::of_store(&e))?;
+        match record.filter(|record| caller.sees(&record.owner)) {
+            Some(_) => Ok(id),
+            None => Err(status::of_store(&StoreError::UnknownJob { job: id })),
+        }
+    })
+    .await
+}

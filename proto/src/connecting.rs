@@ -1,0 +1,145 @@
+//! How clients and workers reach a coordinator: its address, whom they trust, and who they say they are.
+
+use std::fmt;
+use std::net::IpAddr;
+use std::time::Duration;
+
+use tonic::metadata::{Ascii, MetadataValue};
+use tonic::service::Interceptor;
+use tonic::service::interceptor::InterceptedService;
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
+use tonic::{Request, Status};
+
+/// A channel whose requests carry the token, if there is one.
+pub type Connection = InterceptedService<Channel, Bearer>;
+
+/// Whom a client trusts and who it says it is. The default trusts the certificates of the system and says
+/// nothing.
+#[derive(Clone, Default)]
+pub struct Credentials {
+    /// Certificates, as PEM, of which one must have signed the coordinator's; `None` for those of the system.
+    pub ca: Option<Vec<u8>>,
+    /// The client's own certificate and its key, as PEM.
+    pub identity: Option<(Vec<u8>, Vec<u8>)>,
+    /// The token that goes with every request.
+    pub token: Option<Bearer>,
+}
+
+/// Puts a token into requests. Its text is never shown.
+#[derive(Clone, Default)]
+pub struct Bearer(Option<MetadataValue<Ascii>>);
+
+impl Bearer {
+    /// The bearer of a token.
+    ///
+    /// # Errors
+    /// A sentence that says what is wrong with the token, without its text.
+    pub fn of(token: &str) -> Result<Self, String> {
+        let token = token.trim();
+        if token.is_empty() || !token.bytes().all(|b| b.is_ascii_graphic()) {
+            return Err("the token must be one line of visible ASCII characters".to_owned());
+        }
+        let mut value: MetadataValue<Ascii> =
+            format!("Bearer {token}").parse().map_err(|_| "the token cannot be sent".to_owned())?;
+        value.set_sensitive(true);
+        Ok(Self(Some(value)))
+    }
+}
+
+impl fmt::Debug for Bearer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(if self.0.is_some() { "a token" } else { "no token" })
+    }
+}
+
+impl Interceptor for Bearer {
+    fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
+        if let Some(value) = &self.0 {
+            request.metadata_mut().insert("authorization", value.clone());
+        }
+        Ok(request)
+    }
+}
+
+impl Credentials {
+    /// The endpoint of a coordinator at `url`, with a connection timeout of five seconds and without Nagle's
+    /// algorithm.
+    ///
+    /// # Errors
+    /// A sentence that says what is wrong with the address or the certificates.
+    pub fn endpoint(&self, url: &str) -> Result<Endpoint, String> {
+        let mut endpoint = Endpoint::from_shared(url.to_owned()).map_err(|e| e.to_string())?;
+        let host = endpoint.uri().host().unwrap_or_default().to_owned();
+        match endpoint.uri().scheme_str() {
+            Some("http" | "https") if host.is_empty() => return Err("it names no host".to_owned()),
+            Some("http") => {
+                if self.token.is_some() && !is_loopback(&host) {
+                    return Err("the token would be sent unencrypted; use https://".to_owned());
+                }
+                if self.ca.is_some() || self.identity.is_some() {
+                    return Err("certificates are for https://".to_owned());
+                }
+            }
+            Some("https") => {
+                endpoint = endpoint.tls_config(self.tls()).map_err(|e| {
+                    let reason = std::error::Error::source(&e).map_or_else(String::new, |s| format!(": {s}"));
+                    format!("the certificates cannot be used{reason}")
+                })?;
+            }
+            _ => return Err("it must begin with http:// or https:// and a host".to_owned()),
+        }
+        Ok(endpoint.connect_timeout(Duration::from_secs(5)).tcp_nodelay(true))
+    }
+
+    fn tls(&self) -> ClientTlsConfig {
+        let tls = match &self.ca {
+            Some(pem) => ClientTlsConfig::new().ca_certificate(Certificate::from_pem(pem)),
+            None => ClientTlsConfig::new().with_native_roots(),
+        };
+        match &self.identity {
+            Some((certificate, key)) => tls.identity(Identity::from_pem(certificate, key)),
+            None => tls,
+        }
+    }
+
+    /// A channel with these credentials.
+    pub fn over(&self, channel: Channel) -> Connection {
+        InterceptedService::new(channel, self.token.clone().unwrap_or_default())
+    }
+}
+
+/// Whether a host is this machine's own address.
+fn is_loopback(host: &str) -> bool {
+    let host = host.trim_start_matches('[').trim_end_matches(']');
+    host == "localhost" || host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Bearer, Credentials};
+
+    #[test]
+    fn an_address_has_a_scheme_and_a_host() {
+        let none = Credentials::default();
+        for good in ["http://127.0.0.1:7600", "http://coordinator:7600/", "http://[::1]:7600"] {
+            assert!(none.endpoint(good).is_ok(), "{good}");
+        }
+        for bad in ["foo", "", "127.0.0.1:7600", "ftp://a", "http:///x", "a b"] {
+            assert!(none.endpoint(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_token_is_neither_shown_nor_sent_in_the_clear() {
+        let token = Some(Bearer::of(" slt_secret\n").unwrap());
+        assert_eq!(format!("{token:?}"), "Some(a token)");
+        let with = Credentials { token, ..Credentials::default() };
+        for near in ["http://127.0.0.1:7600", "http://localhost:7600", "http://[::1]:7600"] {
+            assert!(with.endpoint(near).is_ok(), "{near}");
+        }
+        assert!(with.endpoint("http://coordinator:7600").unwrap_err().contains("unencrypted"));
+        for bad in ["", "two words", "caf\u{e9}"] {
+            assert!(Bearer::of(bad).is_err(), "{bad:?}");
+        }
+    }
+}

@@ -1,0 +1,279 @@
+//! Encryption, tokens and owners, with real processes: who may do what, and what others learn of it.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests, which may")]
+
+use rcgen::{CertificateParams, CertifiedIssuer, ExtendedKeyUsagePurpose as Purpose, IsCa, KeyPair};
+use sightline_proto::connecting::{Bearer, Credentials};
+use sightline_proto::v1;
+use sightline_proto::v1::jobs_client::JobsClient;
+use sightline_tests::{Background, Coordinator, Sandbox, ask, assert_same, wait_for};
+
+/// Writes an authority as `NAME.pem` and gives it.
+fn authority(sandbox: &Sandbox, name: &str) -> CertifiedIssuer<'static, KeyPair> {
+    let mut params = CertificateParams::new(Vec::new()).unwrap();
+    params.is_ca = IsCa::Ca(rcgen::BasicConstraints::Unconstrained);
+    let issuer = CertifiedIssuer::self_signed(params, KeyPair::generate().unwrap()).unwrap();
+    sandbox.write(&format!("{name}.pem"), issuer.pem());
+    issuer
+}
+
+/// Writes a certificate that an authority has signed, as `NAME.pem` and `NAME.key`.
+fn certificate(sandbox: &Sandbox, name: &str, by: &CertifiedIssuer<'static, KeyPair>) {
+    let mut params = CertificateParams::new(vec!["localhost".to_owned(), "127.0.0.1".to_owned()]).unwrap();
+    params.extended_key_usages = vec![Purpose::ServerAuth, Purpose::ClientAuth];
+    let key = KeyPair::generate().unwrap();
+    let signed = params.signed_by(&key, by).unwrap();
+    sandbox.write(&format!("{name}.pem"), signed.pem());
+    sandbox.write(&format!("{name}.key"), key.serialize_pem());
+}
+
+/// A folder with an authority, a coordinator's and a worker's certificate, tokens and a scene.
+fn prepared() -> Sandbox {
+    let sandbox = Sandbox::new();
+    let farm = authority(&sandbox, "farm");
+    certificate(&sandbox, "server", &farm);
+    certificate(&sandbox, "worker", &farm);
+    for (user, scope) in [("ada", "submit"), ("bob", "submit"), ("eve", "read"), ("root", "admin")] {
+        token(&sandbox, user, scope);
+    }
+    sandbox.ok("generate town --triangles 2000 -o town.glb");
+    sandbox
+}
+
+fn token(sandbox: &Sandbox, user: &str, scope: &str) {
+    let text = sandbox.ok(&format!("token new --tokens tokens.json --user {user} --scope {scope}"));
+    sandbox.write(&format!("{user}.token"), text);
+}
+
+fn guarded(sandbox: &Sandbox) -> Coordinator<'_> {
+    let files = "--tls-cert server.pem --tls-key server.key --client-ca farm.pem --tokens tokens.json";
+    sandbox.serve("data", &format!("--listen 127.0.0.1:0 {files}"))
+}
+
+fn certified_worker(coordinator: &Coordinator<'_>) -> Background {
+    coordinator.start("worker --backend cpu --threads 1 --ca farm.pem --cert worker.pem --key worker.key")
+}
+
+const JOB: &str = "town.glb --cells 2x2x1 --target-error 0.1 --backend cpu";
+
+#[test]
+fn users_see_their_own_and_the_bytes_are_those_of_bake() {
+    let sandbox = prepared();
+    let coordinator = guarded(&sandbox);
+    let worker = certified_worker(&coordinator);
+    let [ada, bob, eve, root] =
+        ["ada", "bob", "eve", "root"].map(|n| format!("--ca farm.pem --token-file {n}.token"));
+    let job: u64 = coordinator.ok(&format!("submit {JOB} {ada}")).trim().parse().unwrap();
+    coordinator.ok(&format!("watch {job} {ada}"));
+    coordinator.ok(&format!("fetch {job} -o ada.pvs {ada}"));
+    sandbox.ok(&format!("bake {JOB} -o alone.pvs"));
+    assert_same(&sandbox.read("ada.pvs"), &sandbox.read("alone.pvs"), "encrypted and alone");
+
+    // Others learn nothing, not even that the job is there.
+    for command in ["show", "watch", "cancel", "pause", "resume", "retry", "delete", "logs"] {
+        let denied = coordinator
+            .run(&format!("{command} {job} {bob}"))
+            .code(4)
+            .says(&format!("job {job} is not known"));
+        assert_eq!(
+            denied.err,
+            coordinator.run(&format!("{command} 77 {bob}")).err.replace("77", &job.to_string())
+        );
+    }
+    coordinator.run(&format!("fetch {job} -o stolen.pvs {bob}")).code(4).says("is not known");
+    coordinator.run(&format!("priority {job} 5 {bob}")).code(4).says("is not known");
+    assert!(!sandbox.path("stolen.pvs").exists());
+    assert_eq!(coordinator.ok(&format!("jobs {bob}")), "");
+    // The same job of another user is a job of its own, with the same bytes.
+    let own: u64 = coordinator.ok(&format!("submit {JOB} {bob}")).trim().parse().unwrap();
+    assert_ne!(own, job);
+    coordinator.ok(&format!("watch {own} {bob}"));
+    coordinator.ok(&format!("fetch {own} -o bob.pvs {bob}"));
+    assert_same(&sandbox.read("bob.pvs"), &sandbox.read("ada.pvs"), "of two users");
+    // Each sees one, the admin both; a reader may not submit, and only an admin sees the farm.
+    for (who, count) in [(&ada, 1), (&bob, 1), (&eve, 0), (&root, 2)] {
+        assert_eq!(coordinator.ok(&format!("jobs {who}")).lines().count(), count);
+    }
+    coordinator.run(&format!("submit {JOB} {eve}")).code(4).says("needs the scope submit");
+    coordinator.run(&format!("workers {ada}")).code(4).says("needs the scope admin");
+    coordinator.run(&format!("logs {ada}")).code(4).says("scope admin");
+    coordinator.ok(&format!("workers {root}"));
+    coordinator.ok(&format!("logs {root}"));
+    // The user that a job names is the token's, whatever the client says.
+    let other = coordinator.ok(&format!("submit {JOB} --seed 3 --user bob {ada}")).trim().to_owned();
+    assert!(coordinator.ok(&format!("show {other} --json {ada}")).contains("\"user\":\"ada\""));
+    // No secret is in any log.
+    for name in ["ada", "bob", "eve", "root"] {
+        let text = String::from_utf8(sandbox.read(&format!("{name}.token"))).unwrap();
+        let secret = text.trim().rsplit('_').next().unwrap();
+        assert!(!coordinator.process.err().contains(secret) && !worker.err().contains(secret));
+    }
+}
+
+#[test]
+fn who_is_not_known_gets_nowhere() {
+    let mut sandbox = prepared();
+    let stranger = authority(&sandbox, "stranger");
+    certificate(&sandbox, "forged", &stranger);
+    sandbox.write("made-up.token", format!("slt_00000000_{}", "0".repeat(64)));
+    {
+        let coordinator = guarded(&sandbox);
+        coordinator.run("jobs --ca farm.pem").code(4).says("needs a token");
+        coordinator
+            .run("jobs --ca farm.pem --token-file made-up.token")
+            .code(4)
+            .says("not known here, or was revoked");
+        coordinator.run("jobs").code(4).says("--ca names the authority");
+        coordinator.run("jobs --ca stranger.pem").code(4).says("--ca names the authority");
+        coordinator.run("jobs --ca missing.pem").code(3).says("missing.pem");
+        coordinator.ok("health --ca farm.pem");
+        // Plain text at an encrypted address.
+        let plain = coordinator.url.replace("https", "http");
+        sandbox.run(&format!("jobs --coordinator {plain}")).code(4);
+        // A worker ends at once when it may not work; it would try for ever else.
+        let worker = "worker --backend cpu --threads 1 --ca farm.pem";
+        coordinator.run(worker).code(4).says("a worker needs a certificate");
+        coordinator.run(&format!("{worker} --token-file ada.token")).code(4).says("needs the scope worker");
+        let forged = format!("{worker} --cert forged.pem --key forged.key --give-up-after 1");
+        coordinator.run(&forged).code(4);
+        // A worker's certificate opens no jobs.
+        coordinator
+            .run("jobs --ca farm.pem --cert worker.pem --key worker.key")
+            .code(4)
+            .says("needs the scope read");
+    }
+    // A token does not leave the machine in the clear, and is no argument.
+    sandbox.run("jobs --coordinator http://10.0.0.1:7600 --token-file ada.token").code(2).says("unencrypted");
+    sandbox.write("empty.token", "\n");
+    sandbox.run("jobs --token-file empty.token").code(2).says("one line");
+    // The environment serves as well.
+    let text = String::from_utf8(sandbox.read("ada.token")).unwrap();
+    sandbox.set("SIGHTLINE_TOKEN", text.trim());
+    sandbox.set("SIGHTLINE_CA", "farm.pem");
+    let coordinator = guarded(&sandbox);
+    assert_eq!(coordinator.ok("jobs"), "");
+}
+
+#[test]
+fn a_digest_alone_opens_no_scene() {
+    let sandbox = prepared();
+    let coordinator = guarded(&sandbox);
+    let ada = "--ca farm.pem --token-file ada.token";
+    let job = coordinator.ok(&format!("submit {JOB} {ada}")).trim().to_owned();
+    let shown = coordinator.ok(&format!("show {job} --json {ada}"));
+    let shown: serde_json::Value = serde_json::from_str(&shown).unwrap();
+    let hex = shown["scene"].as_str().unwrap().to_owned();
+    let scene: Vec<u8> = (0..32).map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).unwrap()).collect();
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let of = |user: &str| {
+        let token = String::from_utf8(sandbox.read(&format!("{user}.token"))).unwrap();
+        let credentials = Credentials {
+            ca: Some(sandbox.read("farm.pem")),
+            identity: None,
+            token: Some(Bearer::of(&token).unwrap()),
+        };
+        let endpoint = credentials.endpoint(&coordinator.url).unwrap();
+        JobsClient::new(credentials.over(runtime.block_on(endpoint.connect()).unwrap()))
+    };
+    let (mut ada, mut bob) = (of("ada"), of("bob"));
+    let spec = v1::JobSpec { scene: scene.clone(), ..v1::JobSpec::default() };
+    let request = v1::SubmitRequest { spec: Some(spec), ..v1::SubmitRequest::default() };
+    let refused = runtime.block_on(bob.submit(request.clone())).unwrap_err();
+    assert_eq!(refused.code(), tonic::Code::NotFound, "{refused}");
+    let refused = runtime.block_on(bob.estimate(request.clone())).unwrap_err();
+    assert_eq!(refused.code(), tonic::Code::NotFound, "{refused}");
+    // An estimate tells nothing of what others have, whatever box it names.
+    let mut boxed = request.clone();
+    if let Some(spec) = &mut boxed.spec {
+        spec.view_box = vec![0.0, 0.0, 0.0, 1.0, 1.0, 1.0];
+    }
+    let estimate = runtime.block_on(bob.estimate(boxed)).unwrap().into_inner();
+    assert!(estimate.existing.is_none() && estimate.cost.is_none());
+    runtime.block_on(ada.submit(request)).unwrap();
+    // The scene is one chunk, whose digest is the scene's: for who has not sent it, it is missing.
+    let missing = v1::MissingChunksRequest { digests: vec![scene.clone()] };
+    let missing = runtime.block_on(bob.missing_chunks(missing)).unwrap().into_inner();
+    assert_eq!(missing.digests, std::slice::from_ref(&scene));
+    let put = v1::PutSceneRequest { digest: scene.clone(), chunks: vec![scene.clone()] };
+    let refused = runtime.block_on(bob.put_scene(put)).unwrap_err();
+    assert_eq!(refused.code(), tonic::Code::FailedPrecondition, "{refused}");
+    let put = v1::PutSceneRequest { digest: scene.clone(), chunks: Vec::new() };
+    assert!(runtime.block_on(bob.put_scene(put)).is_err());
+}
+
+#[test]
+fn certificates_and_tokens_change_while_it_serves() {
+    let sandbox = prepared();
+    let coordinator = guarded(&sandbox);
+    let ada = "--ca farm.pem --token-file ada.token";
+    coordinator.ok(&format!("jobs {ada}"));
+    // A revoked token is refused, a new one accepted.
+    let listed = sandbox.ok("token list --tokens tokens.json");
+    let id = listed.lines().find(|line| line.ends_with("ada")).unwrap().split(' ').next().unwrap();
+    sandbox.ok(&format!("token revoke --tokens tokens.json {id}"));
+    sandbox.run(&format!("token revoke --tokens tokens.json {id}")).code(3).says("has no token");
+    wait_for("the token to be refused", || {
+        coordinator.run(&format!("jobs {ada}")).err.contains("was revoked").then_some(())
+    });
+    token(&sandbox, "new", "read");
+    wait_for("the new token to be known", || {
+        coordinator.run("jobs --ca farm.pem --token-file new.token").err.is_empty().then_some(())
+    });
+    // Spoilt certificates change nothing; good ones are used from then on.
+    let good = sandbox.read("server.pem");
+    sandbox.write("server.pem", "spoilt");
+    coordinator.process.signal("HUP");
+    wait_for("the log to tell", || coordinator.process.err().contains("stay in use").then_some(()));
+    coordinator.ok("jobs --ca farm.pem --token-file new.token");
+    sandbox.write("server.pem", good);
+    let next = authority(&sandbox, "next");
+    certificate(&sandbox, "server", &next);
+    coordinator.process.signal("HUP");
+    wait_for("the new certificate", || {
+        coordinator.run("jobs --ca next.pem --token-file new.token").err.is_empty().then_some(())
+    });
+    coordinator.run("jobs --ca farm.pem --token-file new.token").code(4).says("is not trusted");
+    // What cannot be used ends the start.
+    for (files, says) in [
+        ("--tls-cert town.glb --tls-key server.key", "town.glb"),
+        ("--tls-cert server.pem --tls-key worker.key", "cannot be used together"),
+        ("--tls-cert server.pem --tls-key missing.key", "missing.key"),
+        ("--tls-cert server.pem --tls-key server.key --client-ca server.key", "authority"),
+        ("--tokens town.glb", "not a file of tokens"),
+    ] {
+        sandbox.run(&format!("coordinator --listen 127.0.0.1:0 --data-dir other {files}")).code(3).says(says);
+    }
+    sandbox.run("coordinator --tls-cert server.pem").code(2);
+}
+
+#[test]
+fn calls_as_json_need_tokens_too() {
+    let sandbox = prepared();
+    let arguments = "--listen 127.0.0.1:0 --http 127.0.0.1:0 --tokens tokens.json";
+    let coordinator = sandbox.serve("data", arguments);
+    let pages = coordinator.pages.trim_start_matches("http://").trim_end_matches('/').to_owned();
+    let of =
+        |user: &str| String::from_utf8(sandbox.read(&format!("{user}.token"))).unwrap().trim().to_owned();
+    let json = "content-type: application/json\r\n";
+    let list = "POST /sightline.v1.Jobs/List";
+    assert_eq!(ask(&pages, list, json, "{}").0, 401);
+    let with = |user: &str| format!("{json}authorization: Bearer {}\r\n", of(user));
+    assert_eq!(ask(&pages, list, &with("eve"), "{}").0, 200);
+    assert_eq!(ask(&pages, "POST /sightline.v1.Farm/ListWorkers", &with("ada"), "{}").0, 403);
+    assert_eq!(ask(&pages, "POST /sightline.v1.Farm/ListWorkers", &with("root"), "{}").0, 200);
+    // Pages show everybody's jobs: they ask for an admin's token, and keep it in a cookie.
+    assert_eq!(ask(&pages, "GET /", "", "").0, 401);
+    assert_eq!(ask(&pages, "GET /live", "", "").0, 401);
+    let cookie = |user: &str| format!("cookie: other=1; sightline-token={}\r\n", of(user));
+    assert_eq!(ask(&pages, "GET /", &cookie("ada"), "").0, 403);
+    let (code, page) = ask(&pages, "GET /", &cookie("root"), "");
+    assert!(code == 200 && page.len() > 10_000);
+    let scene = "content-type: application/octet-stream\r\n";
+    let bytes = sandbox.read("town.glb");
+    let put = ask(&pages, "POST /scenes?name=town.glb", &format!("{scene}{}", cookie("root")), bytes);
+    assert_eq!(put.0, 200);
+    let form = "content-type: application/x-www-form-urlencoded\r\n";
+    assert_eq!(ask(&pages, "POST /login", form, format!("token={}", of("root"))).0, 303);
+    assert_eq!(ask(&pages, "POST /login", form, format!("token={}", of("ada"))).0, 403);
+    assert_eq!(ask(&pages, "POST /login", form, "token=slt_1_2").0, 401);
+}
