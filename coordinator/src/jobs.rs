@@ -166,19 +166,22 @@ fn own_before(
     mut before: JobId,
     most: usize,
 ) -> Result<(Vec<JobRecord>, bool), StoreError> {
-    // From the newest on.
+    if caller.sees_all() {
+        return c.store.jobs_before(before, most);
+    }
+    // From the newest on, and one more than is wanted: what others have is not told of, even as older jobs.
     let mut own = Vec::new();
     loop {
         let (page, older) = c.store.jobs_before(before, most)?;
         let first = page.first().map(|job| job.id);
         own.extend(page.into_iter().rev().filter(|job| caller.sees(&job.owner)));
-        let more = own.len() > most;
-        own.truncate(most);
-        match first.filter(|_| older && own.len() < most) {
+        match first.filter(|_| older && own.len() <= most) {
             Some(first) => before = first,
             None => {
+                let older = own.len() > most;
+                own.truncate(most);
                 own.reverse();
-                return Ok((own, older || more));
+                return Ok((own, older));
             }
         }
     }

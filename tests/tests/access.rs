@@ -2,6 +2,9 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests, which may")]
 
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
+
 use rcgen::{CertificateParams, CertifiedIssuer, ExtendedKeyUsagePurpose as Purpose, IsCa, KeyPair};
 use sightline_proto::connecting::{Bearer, Credentials};
 use sightline_proto::v1;
@@ -54,6 +57,23 @@ fn certified_worker(coordinator: &Coordinator<'_>) -> Background {
     coordinator.start("worker --backend cpu --threads 1 --ca farm.pem --cert worker.pem --key worker.key")
 }
 
+/// What follows a mark in a stream of events that does not end, up to the end of its line.
+fn first_of_stream(pages: &str, path: &str, headers: &str, mark: &str) -> String {
+    let mut stream = TcpStream::connect(pages).unwrap();
+    stream.set_read_timeout(Some(sightline_tests::LIMIT)).unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: {pages}\r\n{headers}\r\n").unwrap();
+    let mut text = String::new();
+    let mut part = [0; 4096];
+    loop {
+        if let Some(line) = text.split_once(mark).and_then(|(_, rest)| rest.split_once('\n')) {
+            return line.0.to_owned();
+        }
+        let read = stream.read(&mut part).unwrap();
+        assert!(read > 0, "the stream ended: {text}");
+        text.push_str(&String::from_utf8_lossy(&part[..read]));
+    }
+}
+
 const JOB: &str = "town.glb --cells 2x2x1 --target-error 0.1 --backend cpu";
 
 #[test]
@@ -102,6 +122,11 @@ fn users_see_their_own_and_the_bytes_are_those_of_bake() {
     // The user that a job names is the token's, whatever the client says.
     let other = coordinator.ok(&format!("submit {JOB} --seed 3 --user bob {ada}")).trim().to_owned();
     assert!(coordinator.ok(&format!("show {other} --json {ada}")).contains("\"user\":\"ada\""));
+    // Others' jobs are no older jobs of one's own: ada has two, with one of bob between them.
+    let page = coordinator.run(&format!("jobs --limit 1 {ada}")).code(0);
+    assert!(page.err.contains("older jobs") && page.out.lines().count() == 1, "{}", page.err);
+    let page = coordinator.run(&format!("jobs --limit 1 {bob}")).code(0);
+    assert!(!page.err.contains("older jobs") && page.out.lines().count() == 1, "{}", page.err);
     // No secret is in any log.
     for name in ["ada", "bob", "eve", "root"] {
         let text = String::from_utf8(sandbox.read(&format!("{name}.token"))).unwrap();
@@ -272,6 +297,11 @@ fn calls_as_json_need_tokens_too() {
     let bytes = sandbox.read("town.glb");
     let put = ask(&pages, "POST /scenes?name=town.glb", &format!("{scene}{}", cookie("root")), bytes);
     assert_eq!(put.0, 200);
+    // The stream of a job shows it, to whom it may.
+    let job = coordinator.ok(&format!("submit {JOB} --token-file ada.token")).trim().to_owned();
+    let live = |who: &str| first_of_stream(&pages, &format!("/live?job={job}"), &cookie(who), "event: job\n");
+    assert!(live("root").contains("\"job\":{"));
+    assert_eq!(ask(&pages, &format!("GET /live?job={job}"), &cookie("ada"), "").0, 403);
     let form = "content-type: application/x-www-form-urlencoded\r\n";
     assert_eq!(ask(&pages, "POST /login", form, format!("token={}", of("root"))).0, 303);
     assert_eq!(ask(&pages, "POST /login", form, format!("token={}", of("ada"))).0, 403);
