@@ -10,6 +10,7 @@ use sightline_scene::{Scene, SceneError};
 use crate::ids::JobId;
 use crate::jobs::{self, JobError};
 use crate::kept::Answers;
+use crate::metrics::Cache;
 use crate::state::Coordinator;
 use crate::store::{BlobError, JobRecord};
 
@@ -41,8 +42,10 @@ fn open(c: &Coordinator, job: JobId) -> Result<Arc<Pvs>, AskError> {
     let digest = jobs::result(c, job)?;
     let mut last = c.last_asked.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some((_, pvs)) = last.as_ref().filter(|(of, _)| *of == digest) {
+        c.metrics.looked("result", Cache::Hit);
         return Ok(Arc::clone(pvs));
     }
+    c.metrics.looked("result", Cache::Miss);
     let pvs = Arc::new(Pvs::from_bytes(c.blobs.read(&digest)?)?);
     *last = Some((digest, Arc::clone(&pvs)));
     Ok(pvs)

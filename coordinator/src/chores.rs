@@ -10,10 +10,11 @@ use std::sync::Arc;
 use crate::assemble::stand_in;
 use crate::chronicle::{Happening, Kind};
 use crate::finishing;
+use crate::invalidating;
 use crate::scheduler::{Command, Event};
 use crate::scheduling::{Chore, tell};
 use crate::state::Coordinator;
-use crate::store::{JobPhase, JobState, StoreError};
+use crate::store::{JobPhase, JobState, StoreError, TileCheck};
 
 /// Tells the machine of an event and does what follows from it. Blocks on the disk.
 pub(crate) fn happened(c: &Arc<Coordinator>, event: Event) {
@@ -93,6 +94,7 @@ fn outcome(
                     Ok(()) => {
                         let text = "is set aside: its cells will show every triangle";
                         tracing::error!("tile {tile} of job {job} {text}");
+                        c.metrics.tile_set_aside();
                         let text = format!("tile {tile} {text} ({reason})");
                         let what = Happening::of_job(Kind::SetAside, *job, text);
                         c.happened(Happening { tile: Some(tile), ..what });
@@ -103,6 +105,15 @@ fn outcome(
                 }
                 chores.extend(tell(c, Event::SetAside { job: *job, tile, digest }));
             }
+            Ok(None)
+        }
+        Command::Confirm { job, tile, digest, worker } => {
+            let check = TileCheck { worker: worker.clone(), at_ms: at };
+            c.store.confirm_tile(*job, *tile, *digest, check)?;
+            Ok(None)
+        }
+        Command::Quarantine { workers, reason } => {
+            invalidating::condemn(c, workers, reason, chores)?;
             Ok(None)
         }
         Command::FailJob(id, reason) => {

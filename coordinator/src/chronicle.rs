@@ -41,6 +41,7 @@ pub(crate) enum Kind {
     Conflict,
     Worker,
     Coordinator,
+    Check,
 }
 
 /// Something that happened.

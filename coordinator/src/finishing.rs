@@ -7,7 +7,8 @@ use std::sync::Arc;
 
 use crate::assemble::{AssembleError, Parts, assemble};
 use crate::chronicle::{Happening, Kind};
-use crate::ids::{Digest, JobId};
+use crate::ids::{Digest, JobId, TileIndex};
+use crate::invalidating;
 use crate::scheduler::{Event, Output};
 use crate::scheduling::{Chore, tell};
 use crate::state::Coordinator;
@@ -38,6 +39,11 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
             Ok(Err(AssembleError::Blob(e @ BlobError::NoSpace { .. }))) => {
                 tracing::error!("the result of job {id} waits for space and is tried again: {e}");
                 return tell(c, Event::AssemblyWaits(id));
+            }
+            Ok(Err(AssembleError::Blob(e @ (BlobError::Damaged { .. } | BlobError::Missing { .. }))))
+                if let Some(chores) = compute_again(c, id, &parts.outputs, &e) =>
+            {
+                return chores;
             }
             Ok(r) => r.map_err(|e| e.to_string()),
             Err(_) => Err("assembling the result panicked; the coordinator's log says where".to_owned()),
@@ -83,6 +89,38 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
         tidy(c, id, &parts.outputs);
     }
     chores
+}
+
+/// Opens the tiles again whose stored outputs are lost; `None` when none are.
+fn compute_again(c: &Coordinator, id: JobId, outputs: &[Output], e: &BlobError) -> Option<Vec<Chore>> {
+    let lost = |output: &Output| {
+        let digest = output.digest()?;
+        matches!(c.blobs.open_checked(&digest), Err(BlobError::Damaged { .. } | BlobError::Missing { .. }))
+            .then_some(digest)
+    };
+    let lost: Vec<(TileIndex, Digest)> =
+        (0u32..).zip(outputs).filter_map(|(at, output)| Some((TileIndex(at), lost(output)?))).collect();
+    if lost.is_empty() {
+        return None;
+    }
+    tracing::error!("{e}; {} tiles of job {id} are computed again", lost.len());
+    let _turn = c.turn();
+    let mut chores = Vec::new();
+    let tiles = lost.iter().map(|(tile, _)| *tile).collect();
+    // Their dependents were computed from what was there.
+    let opened = invalidating::open(c, id, tiles, &mut chores);
+    for (_, digest) in lost {
+        if let Err(e) = c.blobs.remove(&digest) {
+            tracing::warn!("{e}");
+        }
+    }
+    match opened {
+        Ok(_) => Some(chores),
+        Err(e) => {
+            tracing::error!("job {id} cannot be continued yet: {e}");
+            Some(tell(c, Event::AssemblyWaits(id)))
+        }
+    }
 }
 
 /// Removes the tile outputs of a finished job, whose result contains them, unless another job needs them: one

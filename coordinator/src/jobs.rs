@@ -142,6 +142,31 @@ pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
     })
 }
 
+/// Which jobs are wanted: those to which all of it applies.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Wanted {
+    /// In one of these states; empty for all.
+    pub(crate) phases: Vec<JobPhase>,
+    /// A part of the name.
+    pub(crate) name: String,
+    /// The user; empty for all.
+    pub(crate) user: String,
+    pub(crate) scene: Option<Digest>,
+}
+
+impl Wanted {
+    fn is_all(&self) -> bool {
+        self.phases.is_empty() && self.name.is_empty() && self.user.is_empty() && self.scene.is_none()
+    }
+
+    fn matches(&self, job: &JobRecord) -> bool {
+        (self.phases.is_empty() || self.phases.contains(&job.state.phase()))
+            && job.name.contains(&self.name)
+            && (self.user.is_empty() || job.user == self.user || job.owner == self.user)
+            && self.scene.is_none_or(|scene| scene == job.scene)
+    }
+}
+
 /// The summaries of the newest `most` jobs below `before`, in the order of their submission, and whether
 /// there are older ones.
 pub(crate) fn list(
@@ -149,8 +174,9 @@ pub(crate) fn list(
     caller: &Caller,
     before: JobId,
     most: usize,
+    wanted: &Wanted,
 ) -> Result<(Vec<Summary>, bool), StoreError> {
-    let (page, older) = own_before(c, caller, before, most)?;
+    let (page, older) = own_before(c, caller, before, most, wanted)?;
     let of = |job: &JobRecord| match summary(c, job.id) {
         // It was deleted in between.
         Err(StoreError::UnknownJob { .. }) => None,
@@ -159,14 +185,15 @@ pub(crate) fn list(
     Ok((page.iter().filter_map(of).collect::<Result<_, _>>()?, older))
 }
 
-/// The newest jobs before one that a caller may see, ascending, and whether there are older ones.
+/// The newest jobs before one that a caller may see and wants, ascending, and whether there are older ones.
 fn own_before(
     c: &Coordinator,
     caller: &Caller,
     mut before: JobId,
     most: usize,
+    wanted: &Wanted,
 ) -> Result<(Vec<JobRecord>, bool), StoreError> {
-    if caller.sees_all() {
+    if caller.sees_all() && wanted.is_all() {
         return c.store.jobs_before(before, most);
     }
     // From the newest on, and one more than is wanted: what others have is not told of, even as older jobs.
@@ -174,7 +201,7 @@ fn own_before(
     loop {
         let (page, older) = c.store.jobs_before(before, most)?;
         let first = page.first().map(|job| job.id);
-        own.extend(page.into_iter().rev().filter(|job| caller.sees(&job.owner)));
+        own.extend(page.into_iter().rev().filter(|job| caller.sees(&job.owner) && wanted.matches(job)));
         match first.filter(|_| older && own.len() <= most) {
             Some(first) => before = first,
             None => {

@@ -1,6 +1,7 @@
-//! What the coordinator keeps between questions about results: who answers them, and what was made last.
+//! What the coordinator keeps: for how long, who answers questions about results, and what was made last.
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use sightline_proto::v1;
 use sightline_pvs::Pvs;
@@ -27,6 +28,30 @@ pub trait Answers: Send + Sync {
         asked: &v1::MeasureRequest,
     ) -> Result<v1::MeasureResponse, String>;
 }
+
+/// How long things are kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Retention {
+    /// Jobs that ended longer ago are deleted, with their results; then scenes that no job names. `None` keeps them.
+    pub keep: Option<Duration>,
+    /// While results and scenes have more bytes, the job that ended first is deleted. `None` is no bound.
+    pub keep_bytes: Option<u64>,
+    /// A blob that nobody needs is removed this long after it was written.
+    pub grace: Duration,
+}
+
+impl Default for Retention {
+    fn default() -> Self {
+        // A client that was interrupted can go on with its upload on the next day.
+        Self { keep: None, keep_bytes: None, grace: Duration::from_secs(24 * 3600) }
+    }
+}
+
+/// Why a coordinator is not ready, a sentence each.
+pub(crate) type NotReady = Vec<String>;
+
+/// When it was last looked whether the coordinator is ready, and how it was.
+pub(crate) type LastTrial = Option<(Instant, Result<(), NotReady>)>;
 
 /// The result that was asked about last.
 pub(crate) type Asked = Option<(Digest, Arc<Pvs>)>;

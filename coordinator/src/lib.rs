@@ -34,14 +34,21 @@ mod crews;
 mod deleting;
 mod estimate;
 mod finishing;
+mod having;
+mod housekeeping;
 pub mod ids;
+mod invalidating;
 mod jobs;
+pub mod keeping;
 mod kept;
 mod lifecycle;
+mod limits;
 #[cfg(test)]
 mod load;
+mod metrics;
 mod orders;
 mod partial;
+mod readiness;
 mod results;
 mod scene_files;
 mod scenes;
@@ -61,9 +68,12 @@ mod uploads;
 mod simulator;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod trust_tests;
 
-pub use kept::Answers;
+pub use kept::{Answers, Retention};
 pub use lifecycle::{Config, OpenError};
+pub use limits::{Quota, QuotaError, Quotas, bytes};
 pub use scenes::TakeError;
-pub use services::{ServeError, Tls, TlsError, TlsFiles, listen, serve, serve_http};
+pub use services::{ServeError, Tls, TlsError, TlsFiles, listen, serve, serve_http, serve_metrics};
 pub use state::{Coordinator, Leases};

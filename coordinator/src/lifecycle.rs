@@ -8,6 +8,8 @@ use crate::chronicle::{Chronicle, Happening, Kind};
 use crate::clock::{Clock, SystemClock};
 use crate::crews::Crews;
 use crate::ids::{Epoch, JobId};
+use crate::kept::Retention;
+use crate::limits::Quotas;
 use crate::scheduler::{Event, Job, Machine, Settings};
 use crate::scheduling::{Chore, tell};
 use crate::specs;
@@ -21,12 +23,17 @@ pub struct Config {
     pub data_dir: PathBuf,
     /// How long leases live.
     pub leases: Leases,
+    /// What users may have and do.
+    pub quotas: Quotas,
+    /// How long things are kept.
+    pub retention: Retention,
 }
 
 impl Config {
     /// The default settings with this data directory.
     pub fn new(data_dir: PathBuf) -> Self {
-        Self { data_dir, leases: Leases::default() }
+        let (leases, quotas, retention) = (Leases::default(), Quotas::default(), Retention::default());
+        Self { data_dir, leases, quotas, retention }
     }
 }
 
@@ -53,7 +60,8 @@ impl Coordinator {
         let outcomes = Outcomes::of(config.data_dir.join("crews"));
         let chronicle = Chronicle::of(config.data_dir.join("events"));
         let (store, blobs) = (Box::new(store), Box::new(blobs));
-        Ok(Self::start(config.leases, store, blobs, Box::new(SystemClock), (outcomes, chronicle))?)
+        let kept = (outcomes, chronicle, Some((config.data_dir, config.quotas, config.retention)));
+        Ok(Self::start(config.leases, store, blobs, Box::new(SystemClock), kept)?)
     }
 
     /// Starts on a store: begins its next epoch and continues the jobs that have not ended. Keeps no outcomes
@@ -67,7 +75,7 @@ impl Coordinator {
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
     ) -> Result<Arc<Self>, StoreError> {
-        Self::start(leases, store, blobs, clock, (Outcomes::nowhere(), Chronicle::nowhere()))
+        Self::start(leases, store, blobs, clock, (Outcomes::nowhere(), Chronicle::nowhere(), None))
     }
 
     fn start(
@@ -75,7 +83,7 @@ impl Coordinator {
         store: Box<dyn Store>,
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
-        (outcomes, chronicle): (Outcomes, Chronicle),
+        (outcomes, chronicle, config): (Outcomes, Chronicle, Option<(PathBuf, Quotas, Retention)>),
     ) -> Result<Arc<Self>, StoreError> {
         let epoch = Epoch(store.begin_epoch()?);
         let settings = Settings {
@@ -83,6 +91,8 @@ impl Coordinator {
             ttl: leases.ttl.as_millis() as u64,
             stuck: leases.stuck.as_millis() as u64,
             seed: clock.now().unix_ms,
+            spot_check: leases.spot_check,
+            spot_seed: spot_seed(leases.spot_check)?,
         };
         let mut jobs = Vec::new();
         for record in store.jobs()? {
@@ -105,10 +115,18 @@ impl Coordinator {
         outcomes.sweep(|job| jobs.iter().any(|j: &Job| j.record.id == job));
         let crews = Crews::new(outcomes);
         let kept = (crews, chronicle);
-        let this = Arc::new(Self::of(leases, store, blobs, clock, kept, Machine::new(settings)));
+        let mut this = Self::of(leases, store, blobs, clock, kept, Machine::new(settings));
+        if let Some((data_dir, quotas, retention)) = config {
+            (this.data_dir, this.quotas, this.retention) = (Some(data_dir), quotas, retention);
+        }
+        this.store.report_syncs(this.metrics.syncs());
+        let this = Arc::new(this);
         let version = env!("CARGO_PKG_VERSION");
         let text = format!("the coordinator starts, version {version}; jobs to go on with: {}", jobs.len());
         this.happened(Happening::of(Kind::Coordinator, text));
+        for quarantined in this.store.quarantined()? {
+            happened(&this, Event::Quarantined(quarantined.worker));
+        }
         for job in jobs {
             happened(&this, Event::TakenUp(Box::new(job)));
         }
@@ -120,6 +138,14 @@ impl Coordinator {
     pub fn restrict_to(self: &Arc<Self>, job: impl Into<JobId>) {
         happened(self, Event::Restricted(job.into()));
     }
+}
+
+/// A number by which tiles are drawn for checks and that no worker knows; not needed without checks.
+fn spot_seed(share: f64) -> Result<u64, StoreError> {
+    if share <= 0.0 {
+        return Ok(0);
+    }
+    getrandom::u64().map_err(|e| StoreError::Random { what: e.to_string() })
 }
 
 /// Takes back leases whose worker has gone, that were not renewed or make no progress, and tries again what

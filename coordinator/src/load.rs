@@ -86,7 +86,7 @@ fn commit(c: &Arc<Coordinator>, lease: Lease) {
     let mut digest = [0; 32];
     digest[..8].copy_from_slice(&lease.job.0.to_le_bytes());
     digest[8..12].copy_from_slice(&lease.tile.0.to_le_bytes());
-    let stats = TileStats { samples: 1, cells: 1, millis: 1, worker: "w".to_owned() };
+    let stats = TileStats { samples: 1, cells: 1, millis: 1, worker: "w".to_owned(), ..TileStats::default() };
     let result = TileResult { digest, bytes: 1, stats: stats.clone() };
     c.store.commit_tile(lease.job, lease.tile, result).unwrap();
     do_chores(c, tell(c, Event::Committed { lease, digest, stats }));
@@ -209,7 +209,8 @@ fn ten_thousand_finished_jobs() {
                 submitted_at_ms: i,
             };
             let id = store.submit_job(new).unwrap().id;
-            let stats = TileStats { samples: 1, cells: 1, millis: 1, worker: "w".to_owned() };
+            let stats =
+                TileStats { samples: 1, cells: 1, millis: 1, worker: "w".to_owned(), ..TileStats::default() };
             let result = TileResult { digest: key, bytes: 1, stats };
             store.commit_tile(id, TileIndex(0), result).unwrap();
             store.finish_job(id, key, 1, i).unwrap();
@@ -217,6 +218,6 @@ fn ten_thousand_finished_jobs() {
     }
     let c = Coordinator::open(Config::new(directory.path().to_owned())).unwrap();
     let begin = Instant::now();
-    let (page, _) = jobs::list(&c, &Caller::Nobody, JobId(u64::MAX), 1000).unwrap();
+    let (page, _) = jobs::list(&c, &Caller::Nobody, JobId(u64::MAX), 1000, &jobs::Wanted::default()).unwrap();
     println!("a page of {} jobs in {:.1} ms", page.len(), begin.elapsed().as_secs_f64() * 1e3);
 }

@@ -1,6 +1,7 @@
 //! Results of tiles: an output is checked, kept as a file and committed.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use sightline_model::codec;
 use sightline_model::{CellSet, Method, Node, TileOutput};
@@ -14,7 +15,7 @@ use crate::ids::{Digest, JobId, Lease, hex};
 use crate::scheduler::{Admitted, Event, NoTile, Work};
 use crate::scheduling::{Chore, tell};
 use crate::state::Coordinator;
-use crate::store::{BlobError, CommitOutcome, StoreError, TileResult, TileStats};
+use crate::store::{BlobError, CommitOutcome, MAX_HELPERS, StoreError, TileResult, TileStats};
 
 /// A tile's output as a worker announces it.
 pub(crate) struct Announced {
@@ -94,7 +95,9 @@ impl From<NoTile> for ResultError {
 
 /// Checks and commits a tile's output, then does what follows from it.
 pub(crate) fn put(c: &Arc<Coordinator>, announced: &Announced, bytes: &[u8]) -> Result<(), ResultError> {
+    let begun = Instant::now();
     let (result, chores) = commit(c, announced, bytes)?;
+    c.metrics.commit_took(begun.elapsed());
     do_chores(c, chores);
     result
 }
@@ -184,10 +187,14 @@ fn commit(
 ) -> Result<(Result<(), ResultError>, Vec<Chore>), ResultError> {
     let &Announced { lease, digest, samples, millis, .. } = announced;
     let Lease { job: id, tile, .. } = lease;
-    let Admitted { work, worker, counts } = c.lock().machine.admit(&lease)?;
+    let Admitted { work, worker, helpers, profile, checks, counts } = c.lock().machine.admit(&lease)?;
     let cells = check(c, &work, announced, bytes)?;
     if !counts {
         return Err(ResultError::NoLease);
+    }
+    if checks {
+        // It is compared with what is kept, and not kept itself.
+        return Ok((Ok(()), tell(c, Event::Checked { lease, digest })));
     }
     let full = |e: &BlobError| {
         if matches!(e, BlobError::NoSpace { .. }) {
@@ -198,7 +205,10 @@ fn commit(
     // Nobody removes outputs meanwhile: a record may only name a blob that is present.
     let _committing = c.committing();
     c.blobs.put(bytes).inspect_err(full)?;
-    let stats = TileStats { samples, cells, millis, worker };
+    let unnamed = helpers.len().saturating_sub(MAX_HELPERS) as u32;
+    let helpers = helpers.into_iter().take(MAX_HELPERS).collect();
+    let at_ms = c.now().unix_ms;
+    let stats = TileStats { samples, cells, millis, worker, helpers, unnamed, at_ms };
     let result = TileResult { digest, bytes: announced.bytes, stats: stats.clone() };
     let outcome = c.store.commit_tile(id, tile, result).inspect_err(|e| {
         if matches!(e, StoreError::Journal(_)) {
@@ -209,7 +219,8 @@ fn commit(
         CommitOutcome::Committed | CommitOutcome::AlreadySame => {
             c.crews.outcomes.remove((id, tile));
             if outcome == CommitOutcome::Committed {
-                let TileStats { cells, samples, millis, worker } = &stats;
+                let TileStats { cells, samples, millis, worker, .. } = &stats;
+                c.metrics.committed(&profile, *samples, *millis);
                 let text = format!("tile {tile} is done: {cells} cells, {samples} samples, {millis} ms");
                 c.happened(Happening::of_lease(Kind::Done, &lease, text).on(worker));
             }
@@ -223,10 +234,13 @@ fn commit(
                 hex(&offered)
             );
             tracing::error!("{error}");
+            c.metrics.conflict();
             c.happened(Happening::of_lease(Kind::Conflict, &lease, error).on(&stats.worker));
             // The lease has ended, whoever made the result that stays.
+            let mut chores = tell(c, Event::Differed { lease, digest: offered });
             let event = Event::Committed { lease, digest: kept, stats: TileStats::default() };
-            Ok((Err(ResultError::Conflict), tell(c, event)))
+            chores.extend(tell(c, event));
+            Ok((Err(ResultError::Conflict), chores))
         }
     }
 }

@@ -5,9 +5,15 @@ use std::sync::{Arc, PoisonError};
 use sightline_scene::{Aabb, Scene, SceneError};
 
 use crate::access::Caller;
+use crate::having::{HavingError, may_have, may_send, turn_of};
 use crate::ids::Digest;
+use crate::limits::Usage;
+use crate::metrics::Cache;
 use crate::state::{Coordinator, SceneFacts};
 use crate::store::{BlobError, SceneRecord, StoreError};
+
+/// Most bytes of a scene, which is in memory while it is checked.
+const MOST_BYTES: u64 = 16 << 30;
 
 /// The facts of a stored scene cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -29,6 +35,9 @@ pub enum TakeError {
     /// Its record cannot be written.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// The user may not have more.
+    #[error(transparent)]
+    Having(#[from] HavingError),
 }
 
 /// An upload that does not become a scene.
@@ -46,6 +55,15 @@ pub(crate) enum UploadError {
     /// The whole is not a scene.
     #[error(transparent)]
     Scene(SceneError),
+    /// The list of chunks is longer than any scene that is taken.
+    #[error("the scene has {bytes} bytes, and at most {MOST_BYTES} are taken; split it")]
+    TooLong {
+        /// Bytes of all chunks of the list.
+        bytes: u64,
+    },
+    /// The user may not have more.
+    #[error(transparent)]
+    Having(#[from] HavingError),
     /// A blob cannot be read or written.
     #[error(transparent)]
     Blob(#[from] BlobError),
@@ -66,6 +84,9 @@ impl Coordinator {
     /// The same for a scene that a user has sent.
     pub(crate) fn take_scene_of(&self, owner: &str, scene: &Scene) -> Result<Digest, TakeError> {
         let bytes = scene.to_blob();
+        let _turn = turn_of(self, owner);
+        let more = Usage { bytes: bytes.len() as u64, scenes: 1, ..Usage::default() };
+        may_have(self, owner, more, 0)?;
         let digest = self.blobs.put(&bytes)?;
         remember(self, digest, scene);
         self.store.record_scene(record_of(digest, bytes.len(), scene, owner))?;
@@ -90,10 +111,12 @@ pub(crate) fn missing(
 }
 
 /// Stores a chunk. It need not survive a power failure: its sender still has it.
-pub(crate) fn put_chunk(c: &Coordinator, owner: &str, bytes: &[u8]) -> Result<Digest, BlobError> {
+pub(crate) fn put_chunk(c: &Coordinator, owner: &str, bytes: &[u8]) -> Result<Digest, UploadError> {
+    may_send(c, owner, bytes.len() as u64)?;
     let was_there = c.blobs.has(blake3::hash(bytes).as_bytes())?;
     let digest = c.blobs.put_unsynced(bytes)?;
-    c.uploads.note(owner, digest, !was_there);
+    // A message has at most a few megabytes.
+    c.uploads.note(owner, digest, bytes.len() as u32, !was_there);
     Ok(digest)
 }
 
@@ -126,6 +149,15 @@ pub(crate) fn put_scene(
     if !owned && !chunks.iter().all(|chunk| c.uploads.has(owner, chunk)) {
         return Err(UploadError::ChunkMissing);
     }
+    // A list may name a chunk many times, so its length is looked at before anything is written.
+    let bytes = length(c, chunks)?;
+    if bytes > MOST_BYTES {
+        return Err(UploadError::TooLong { bytes });
+    }
+    let _turn = turn_of(c, owner);
+    if !owned {
+        may_have(c, owner, Usage { bytes, scenes: 1, ..Usage::default() }, bytes)?;
+    }
     // A chunk that is the whole was stored as a chunk.
     let was_there = c.blobs.has(&whole)? && chunks != [whole];
     join(c, whole, chunks)?;
@@ -147,6 +179,15 @@ pub(crate) fn put_scene(
         remove(c, chunk);
     }
     Ok(record)
+}
+
+/// Bytes of all chunks of a list.
+fn length(c: &Coordinator, chunks: &[Digest]) -> Result<u64, UploadError> {
+    let mut sum: u64 = 0;
+    for chunk in chunks {
+        sum = sum.saturating_add(c.blobs.len(chunk)?.ok_or(UploadError::ChunkMissing)?);
+    }
+    Ok(sum)
 }
 
 /// Writes stored chunks as one blob.
@@ -206,8 +247,12 @@ pub(crate) fn bounds(c: &Coordinator, scene: &Digest) -> Result<Aabb, FactsError
 pub(crate) fn facts(c: &Coordinator, digest: &Digest) -> Result<Arc<SceneFacts>, FactsError> {
     let last = c.last_scene.lock().unwrap_or_else(PoisonError::into_inner).clone();
     match last {
-        Some((d, facts)) if d == *digest => Ok(facts),
+        Some((d, facts)) if d == *digest => {
+            c.metrics.looked("scene", Cache::Hit);
+            Ok(facts)
+        }
         _ => {
+            c.metrics.looked("scene", Cache::Miss);
             let scene = Scene::from_blob("stored scene", &c.blobs.read(digest)?)?;
             Ok(remember(c, *digest, &scene))
         }
@@ -243,7 +288,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let blobs = FileBlobs::open(directory.path()).unwrap();
         let store = Box::new(MemoryStore::new());
-        let settings = Settings { epoch: Epoch(1), ttl: 1, stuck: 1, seed: 1 };
+        let settings = Settings { epoch: Epoch(1), ttl: 1, stuck: 1, seed: 1, spot_check: 0.0, spot_seed: 0 };
         let scheduler = Machine::new(settings);
         let crews = Crews::new(Outcomes::nowhere());
         let (boxed, clock) = (Box::new(blobs.clone()), Box::new(SystemClock));

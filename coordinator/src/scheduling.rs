@@ -62,6 +62,11 @@ pub(crate) fn tell(c: &Coordinator, event: Event) -> Vec<Chore> {
     let mut chores = Vec::new();
     // Taken before waiting for the lock, for which workers that have returned may be waiting, too.
     let now = c.now_plain();
+    if let Event::JobChanged(record) = &event
+        && record.state.phase().ended()
+    {
+        c.metrics.job_ended(&record.state.phase().to_string());
+    }
     let scheduling = &mut *c.lock();
     let effects = scheduling.machine.step(event, now);
     carry_all(c, scheduling, effects, &mut chores, &mut |_, _| {});
@@ -128,6 +133,7 @@ fn carry(
 fn write(c: &Coordinator, note: &Note) {
     let happening = match note {
         Note::TakenBack(lease @ Lease { job, tile, .. }, from, why) => {
+            c.metrics.lease_taken_back();
             let of = from.as_ref().map(|name| format!(" from worker {name}")).unwrap_or_default();
             tracing::warn!("tile {tile} of job {job} is taken back{of}: {why}");
             let text = format!("tile {tile} is taken back{of}: {why}");
@@ -147,6 +153,34 @@ fn write(c: &Coordinator, note: &Note) {
             tracing::warn!("tile {tile} of job {job} failed on {worker}: {reason}");
             let text = format!("tile {tile} failed on {worker}: {reason}");
             Happening::of_lease(Kind::Failed, lease, text).on(worker)
+        }
+        Note::Agrees(job, tile, worker) => {
+            c.metrics.spot_check("same");
+            let text = format!("tile {tile} was computed again, with the same bytes");
+            Happening { tile: Some(*tile), ..Happening::of_job(Kind::Check, *job, text).on(worker) }
+        }
+        Note::Differs(job, tile, workers) => {
+            c.metrics.spot_check("different");
+            let text = format!(
+                "tile {tile} was computed again, with other bytes; until a third worker has said who is right, these \
+                 get no tiles: {}",
+                workers.join(", ")
+            );
+            tracing::error!("job {job}: {text}");
+            Happening { tile: Some(*tile), ..Happening::of_job(Kind::Conflict, *job, text) }
+        }
+        Note::NeedsThird(job, tile) => {
+            let text = format!(
+                "tile {tile} has two different outputs and nobody is there to say which is right: start another worker"
+            );
+            tracing::error!("job {job}: {text}");
+            Happening { tile: Some(*tile), ..Happening::of_job(Kind::Conflict, *job, text) }
+        }
+        Note::Unchecked(job, tile, why) => {
+            c.metrics.spot_check("skipped");
+            let text = format!("tile {tile} was to be computed again and was not: {why}");
+            tracing::warn!("job {job}: {text}");
+            Happening { tile: Some(*tile), ..Happening::of_job(Kind::Check, *job, text) }
         }
         Note::Draining(name) => {
             let text = format!("worker {name} is draining: it finishes its tile and takes no more");

@@ -3,6 +3,8 @@
 //! Nothing here decides anything: the subjects (`scenes`, `submit`, `jobs`, `sessions`, `results`) do. Most
 //! calls block on the disk; the services make them off the async threads.
 
+use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::{Duration, Instant};
 
@@ -14,7 +16,9 @@ use crate::chronicle::{Chronicle, Happening};
 use crate::clock::{Clock, Moment};
 use crate::crews::Crews;
 use crate::ids::Digest;
-use crate::kept::{Answers, Asked, Last};
+use crate::kept::{Answers, Asked, Last, LastTrial, Retention};
+use crate::limits::{Pace, Quotas, Usage};
+use crate::metrics::Metrics;
 use crate::orders::{Scheduling, Watched};
 use crate::scheduler::{Machine, Now};
 use crate::store::{Blobs, Store};
@@ -26,18 +30,20 @@ const MOST_DOWNLOADS: usize = 256;
 /// Scenes that are read from files at a time; more wait.
 const FILES_AT_ONCE: usize = 2;
 
-/// How long leases live.
+/// How leases are given.
 #[derive(Clone, Copy, Debug)]
 pub struct Leases {
     /// How long a lease lives without being renewed. Default 10 s.
     pub ttl: Duration,
     /// How long a tile may make no progress before its lease is taken back. Default 10 min.
     pub stuck: Duration,
+    /// The share of tiles that are computed again by another worker, 0 to 1. Default 0.
+    pub spot_check: f64,
 }
 
 impl Default for Leases {
     fn default() -> Self {
-        Self { ttl: Duration::from_secs(10), stuck: Duration::from_secs(600) }
+        Self { ttl: Duration::from_secs(10), stuck: Duration::from_secs(600), spot_check: 0.0 }
     }
 }
 
@@ -84,6 +90,21 @@ pub struct Coordinator {
     pub(crate) scenes_in_memory: Arc<Semaphore>,
     /// What is asked of callers; nothing when it is not set.
     pub(crate) access: OnceLock<Arc<Access>>,
+    /// How long things are kept.
+    pub(crate) retention: Retention,
+    /// What users may have, and how often they call.
+    pub(crate) quotas: Quotas,
+    pub(crate) pace: Pace,
+    /// What users had when it was counted last.
+    pub(crate) counted: Mutex<BTreeMap<String, (Instant, Usage)>>,
+    /// Held while it is looked whether a user may have something, until it is recorded.
+    quota_turn: Mutex<()>,
+    /// What is counted.
+    pub(crate) metrics: Metrics,
+    /// Where the data is, if it is in files.
+    pub(crate) data_dir: Option<PathBuf>,
+    /// When it was last looked whether the coordinator is ready.
+    pub(crate) last_trial: Mutex<LastTrial>,
     /// The chunks that were sent and are no scene yet.
     pub(crate) uploads: Uploads,
     /// Who answers what needs the scene.
@@ -121,6 +142,14 @@ impl Coordinator {
             files: Arc::new(Semaphore::new(FILES_AT_ONCE)),
             scenes_in_memory: Arc::new(Semaphore::new(1)),
             access: OnceLock::new(),
+            retention: Retention::default(),
+            quotas: Quotas::default(),
+            pace: Pace::default(),
+            counted: Mutex::default(),
+            quota_turn: Mutex::default(),
+            metrics: Metrics::default(),
+            data_dir: None,
+            last_trial: Mutex::new(None),
             uploads: Uploads::default(),
             answers: OnceLock::new(),
             last_asked: Mutex::new(None),
@@ -168,6 +197,11 @@ impl Coordinator {
     /// The right to change records of jobs, until the scheduler has heard of the change.
     pub(crate) fn turn(&self) -> MutexGuard<'_, ()> {
         self.turn.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The right to add to what a user has.
+    pub(crate) fn quota_turn(&self) -> MutexGuard<'_, ()> {
+        self.quota_turn.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Held while an output is stored: no output is removed meanwhile.

@@ -7,13 +7,15 @@ use sightline_viewcells::{DivisionError, Plan};
 
 use crate::chores::do_chores;
 use crate::chronicle::{Happening, Kind};
+use crate::having::{HavingError, may_have, turn_of};
 use crate::ids::{Digest, JobId};
+use crate::limits::Usage;
 use crate::scenes::{self, FactsError};
 use crate::scheduler::{Event, Job};
 use crate::scheduling::tell;
 use crate::specs;
 use crate::state::Coordinator;
-use crate::store::{BlobError, JobState, NewJob, StoreError, Submitted, owned_key, owned_request};
+use crate::store::{BlobError, JobPhase, JobState, NewJob, StoreError, Submitted, owned_key, owned_request};
 
 /// A specification to be submitted.
 pub(crate) struct Submission {
@@ -40,6 +42,9 @@ pub(crate) enum SubmitError {
     /// The job was stored but cannot be scheduled.
     #[error("{0}")]
     Schedule(String),
+    /// The user may not have more.
+    #[error(transparent)]
+    Having(#[from] HavingError),
     /// The kinds of the scene's triangles cannot be read.
     #[error(transparent)]
     Facts(#[from] FactsError),
@@ -81,6 +86,13 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
             "the region of viewpoints names triangle {triangle}, which the scene does not have; submit with \
              the scene that the region was found in"
         )));
+    }
+    let _having = turn_of(c, owner);
+    let more = Usage { jobs: 1, tiles: plan.tiles.len() as u64, ..Usage::default() };
+    // A job that is there already is no more.
+    let known = c.store.job_by_key(&owned_key(spec.key(), owner))?.map(|job| job.state.phase());
+    if known.is_none_or(|phase| matches!(phase, JobPhase::Failed | JobPhase::Cancelled)) {
+        may_have(c, owner, more, 0)?;
     }
     // Nobody else changes the job until the scheduler has it, and no blob that it will name is deleted.
     let mut turn = c.turn();

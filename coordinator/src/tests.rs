@@ -35,7 +35,7 @@ impl Outbox for mpsc::Sender<Order> {
 }
 
 /// A coordinator without a disk, its clock, and the digest of a scene of one triangle.
-fn coordinator() -> (Arc<Coordinator>, Arc<ManualClock>, Digest) {
+pub(crate) fn coordinator() -> (Arc<Coordinator>, Arc<ManualClock>, Digest) {
     let clock = Arc::new(ManualClock::default());
     let (store, blobs) = (Box::new(MemoryStore::new()), Box::new(MemoryBlobs::new()));
     let c = Coordinator::new(Leases::default(), store, blobs, Box::new(Arc::clone(&clock))).unwrap();
@@ -76,7 +76,7 @@ fn a_scene_with_masks_is_refused_by_exact_methods() {
 }
 
 /// Submits a job of two tiles of one cell each.
-fn two_tiles(c: &Arc<Coordinator>, scene: Digest) -> JobId {
+pub(crate) fn two_tiles(c: &Arc<Coordinator>, scene: Digest) -> JobId {
     let spec = JobSpec {
         scene,
         division: Division::Grid([2, 1, 1]),
@@ -97,7 +97,7 @@ fn two_tiles(c: &Arc<Coordinator>, scene: Digest) -> JobId {
 }
 
 /// Lets a worker join and want tiles.
-fn join(c: &Arc<Coordinator>, name: &str) -> (WorkerId, mpsc::Receiver<Order>) {
+pub(crate) fn join(c: &Arc<Coordinator>, name: &str) -> (WorkerId, mpsc::Receiver<Order>) {
     let (out, orders) = mpsc::channel(8);
     let profiles = vec!["cpu/test".to_owned()];
     let name = name.to_owned();
@@ -110,7 +110,7 @@ fn join(c: &Arc<Coordinator>, name: &str) -> (WorkerId, mpsc::Receiver<Order>) {
     (worker, orders)
 }
 
-fn granted(orders: &mut mpsc::Receiver<Order>) -> Grant {
+pub(crate) fn granted(orders: &mut mpsc::Receiver<Order>) -> Grant {
     match orders.try_recv() {
         Ok(Order::Grant(grant)) => *grant,
         other => panic!("no grant: {other:?}"),
@@ -118,12 +118,12 @@ fn granted(orders: &mut mpsc::Receiver<Order>) -> Grant {
 }
 
 /// The encoded output of a granted tile in which every cell sees `visible`.
-fn output(grant: &Grant, visible: &[u32]) -> Vec<u8> {
+pub(crate) fn output(grant: &Grant, visible: &[u32]) -> Vec<u8> {
     output_of(grant, &CellSet { visible: visible.to_vec(), ..CellSet::default() })
 }
 
 /// The same with this cell in place of every cell.
-fn output_of(grant: &Grant, cell: &CellSet) -> Vec<u8> {
+pub(crate) fn output_of(grant: &Grant, cell: &CellSet) -> Vec<u8> {
     let (lattice, plan) = grant.spec.plan().unwrap();
     let tile = &plan.tiles[grant.lease.tile.at()];
     let nodes = expected_nodes(&grant.spec.division, &lattice, &tile.cell, tile.depth).unwrap();
@@ -137,7 +137,7 @@ fn output_of(grant: &Grant, cell: &CellSet) -> Vec<u8> {
     .unwrap()
 }
 
-fn put(c: &Arc<Coordinator>, grant: &Grant, bytes: &[u8]) -> Result<(), ResultError> {
+pub(crate) fn put(c: &Arc<Coordinator>, grant: &Grant, bytes: &[u8]) -> Result<(), ResultError> {
     let digest = *blake3::hash(bytes).as_bytes();
     let (bytes_announced, lease) = (bytes.len() as u64, grant.lease);
     results::put(c, &Announced { lease, digest, bytes: bytes_announced, samples: 3, millis: 4 }, bytes)
@@ -236,7 +236,7 @@ fn a_job_of_another_version_is_not_retried() {
     assert_eq!(c.store.job(id).unwrap().unwrap().state, failed);
 }
 
-fn nameless(spec: JobSpec) -> Submission {
+pub(crate) fn nameless(spec: JobSpec) -> Submission {
     let (request_id, name, owner, user) = Default::default();
     Submission { request_id, name, owner, user, priority: 0, spec }
 }

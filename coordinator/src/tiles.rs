@@ -101,6 +101,7 @@ pub(crate) fn list(
             (TileState::Done { stats, .. }, _) => {
                 (view.cells_done, view.samples, view.millis) = (stats.cells, stats.samples, stats.millis);
                 view.workers.push(stats.worker);
+                view.workers.extend(stats.helpers);
             }
             (_, Some(live)) => {
                 (view.cells_done, view.samples) = (live.cells, live.samples);

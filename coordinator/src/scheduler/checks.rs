@@ -21,7 +21,8 @@ impl Machine {
             self.check_job(job)?;
             job.tiles.iter().flat_map(|t| t.leases).flatten().for_each(|l| *held.entry(l).or_default() += 1);
             for tile in job.indices().filter(|t| job.tiles[t.at()].leases != [None; 2]) {
-                ensure(job.tiles[tile.at()].output == Output::Open, "a tile with an output is leased")?;
+                let open = job.tiles[tile.at()].output == Output::Open;
+                ensure(open || job.spots.contains_key(&tile), "a tile with an output is leased")?;
                 ensure(!job.record.state.phase().ended(), "a job that has ended has leases")?;
             }
         }
@@ -50,6 +51,8 @@ impl Machine {
                 "a pool's list of waiting tiles is stale",
             )?;
         }
+        let spots = self.jobs.iter().flat_map(|(id, job)| job.spots.keys().map(|tile| (*id, *tile)));
+        ensure(spots.eq(self.spotted.iter().copied()), "the list of checks is not that of the jobs")?;
         self.check_crews()?;
         self.check_shares()?;
         self.check_work_conservation()
@@ -100,11 +103,12 @@ impl Machine {
 
     fn check_worker(&self, id: WorkerId) -> Result<(), String> {
         let w = &self.workers[&id];
-        let hungry = !w.draining && w.wants > 0 && w.deaf_until.is_none() && !w.silent;
+        let fit = !w.draining && !self.is_barred(&w.name);
+        let hungry = fit && w.wants > 0 && w.deaf_until.is_none() && !w.silent;
         let idle = w.leases.is_empty();
         let fine = w.profiles.iter().all(|p| {
             self.pools.of.get(p).is_some_and(|pool| {
-                pool.idle.contains(&id) == (idle && !w.draining)
+                pool.idle.contains(&id) == (idle && fit)
                     && pool.hungry[0].contains(&id) == (hungry && idle)
                     && pool.hungry[1].contains(&id) == (hungry && !idle)
                     && pool.helpers.contains(&id) == (hungry && idle && w.can_help && w.helps.is_none())

@@ -25,6 +25,11 @@ impl Machine {
             return;
         }
         let Some(profile) = self.leases.get(&lease.id).map(|l| Profile::clone(&l.profile)) else { return };
+        // A check has nobody else's hands in it.
+        if self.leases.get(&lease.id).is_some_and(|l| l.checks) {
+            return;
+        }
+        self.note_hand(&lease);
         // A paused job gets no help.
         let runs = self.jobs.get(&lease.job).filter(|job| job.runs());
         let Some(whom) = runs.map(|job| job.whom.clone()) else { return };
@@ -73,9 +78,24 @@ impl Machine {
         let clock = self.clock;
         let Some(crew) = self.crews.get_mut(&id) else { return };
         crew.helpers.insert(worker, clock);
-        let (job, now) = (crew.lease.job, crew.helpers.len());
+        let (lease, now) = (crew.lease, crew.helpers.len());
         self.recount(id, now - 1, now);
-        self.charge(job);
+        self.charge(lease.job);
+        self.note_hands(&lease, worker);
+    }
+
+    /// The leader of a crew leaves outcomes from which others may go on.
+    fn note_hand(&mut self, lease: &Lease) {
+        if let Some(worker) = self.leases.get(&lease.id).map(|l| l.worker) {
+            self.note_hands(lease, worker);
+        }
+    }
+
+    fn note_hands(&mut self, lease: &Lease, worker: WorkerId) {
+        let Some(name) = self.workers.get(&worker).map(|w| w.name.as_str().into()) else { return };
+        if let Some(job) = self.jobs.get_mut(&lease.job) {
+            job.tiles[lease.tile.at()].hands.insert(name);
+        }
     }
 
     /// The job of a crew has another priority.

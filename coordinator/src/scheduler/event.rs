@@ -55,6 +55,24 @@ pub(crate) enum Event {
         /// What it cost.
         stats: TileStats,
     },
+    /// A done tile was computed again under this lease.
+    Checked {
+        /// The lease.
+        lease: Lease,
+        /// Digest of what arrived.
+        digest: Digest,
+    },
+    /// An output that arrived under this lease differs from the one that the tile has.
+    Differed {
+        /// The lease.
+        lease: Lease,
+        /// Digest of what arrived.
+        digest: Digest,
+    },
+    /// The worker of this name gets no tiles any more.
+    Quarantined(String),
+    /// The worker of this name gets tiles again.
+    Released(String),
     /// The output that arrived under this lease could not be written.
     DiskFull(Lease),
     /// An order with a lease could not be sent to its worker.
@@ -137,6 +155,25 @@ pub(crate) enum Command {
         /// Why.
         reason: String,
     },
+    /// Record that this worker has computed the same for a tile.
+    Confirm {
+        /// The job.
+        job: JobId,
+        /// The tile.
+        tile: TileIndex,
+        /// Digest of what both have computed.
+        digest: Digest,
+        /// The worker's name.
+        worker: String,
+    },
+    /// Record that these workers are quarantined, and have what they did since they were last right computed
+    /// again: [`Event::TakenUp`] for each job of which that is a part.
+    Quarantine {
+        /// Their names.
+        workers: Vec<String>,
+        /// Why.
+        reason: String,
+    },
     /// End a job without a result: [`Event::JobChanged`].
     FailJob(JobId, String),
 }
@@ -152,6 +189,14 @@ pub(crate) enum Note {
     Doubled(Lease),
     /// A tile failed on this worker.
     TileFailed(Lease, String, String),
+    /// A tile was computed again with the same bytes, by this worker.
+    Agrees(JobId, TileIndex, String),
+    /// A tile was computed again with other bytes; all who had a hand in any of them.
+    Differs(JobId, TileIndex, Vec<String>),
+    /// Only a third worker can say which bytes of a tile are right.
+    NeedsThird(JobId, TileIndex),
+    /// A tile was drawn and is not checked, and why.
+    Unchecked(JobId, TileIndex, &'static str),
     /// A worker drains.
     Draining(String),
     /// The outcome of timing.

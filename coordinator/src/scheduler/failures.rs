@@ -24,10 +24,14 @@ impl Machine {
         if self.leases.get(&lease.id).is_none_or(|l| (l.job, l.tile) != (id, tile)) {
             return;
         }
+        let checks = self.leases.get(&lease.id).is_some_and(|l| l.checks);
         self.end_lease(lease.id, false);
         self.tell_watchers(id);
         let name = self.workers.get(&worker).map(|w| w.name.clone()).unwrap_or_default();
         self.note(Note::TileFailed(lease, name.clone(), reason.clone()));
+        if checks {
+            self.check_failed(id, tile, now);
+        }
         let Some(job) = self.jobs.get_mut(&id) else { return };
         let t = &mut job.tiles[tile.at()];
         if t.output != Output::Open {

@@ -111,10 +111,10 @@ impl Machine {
         false
     }
 
-    /// Whether a waiting tile may go to another worker: not while its job is paused.
+    /// Whether a waiting tile may go to another worker: not while its job is paused, and no check.
     fn may_move_tile(&self, lease: LeaseId) -> bool {
-        let job = self.leases.get(&lease).and_then(|l| self.jobs.get(&l.job));
-        job.is_some_and(|job| self.allowed(job))
+        let Some(l) = self.leases.get(&lease).filter(|l| !l.checks) else { return false };
+        self.jobs.get(&l.job).is_some_and(|job| self.allowed(job))
     }
 
     /// Asks the store to note that a job runs, before its first tile is leased.
@@ -144,12 +144,13 @@ impl Machine {
     }
 
     /// Grants a tile to a worker.
-    fn grant(&mut self, worker: WorkerId, id: JobId, tile: TileIndex, profile: Profile, now: Now) {
+    pub(super) fn grant(&mut self, worker: WorkerId, id: JobId, tile: TileIndex, profile: Profile, now: Now) {
         let able = self.pools.of.get(&profile).map_or(1, |p| p.able);
         let Some(job) = self.jobs.get_mut(&id) else { return };
         let lease = LeaseId { epoch: self.settings.epoch, number: self.next_lease };
         self.next_lease += 1;
-        job.given.push((lease.number, tile));
+        let name = self.workers.get(&worker).map(|w| w.name.as_str().into()).unwrap_or_default();
+        job.given.push((lease.number, tile, name));
         let grant = Grant {
             lease: Lease { job: id, tile, id: lease },
             spec: Arc::clone(&job.work.spec),
@@ -206,7 +207,7 @@ impl Machine {
             let long = job.done > 0 && ran > STRAGGLES * mean;
             // Idle workers help a crew better than by computing its tile once more.
             let alone = alone && !self.crews.contains_key(id);
-            let may = alone && long && l.gone.is_none() && job.work.spec.time_budget_ms == 0;
+            let may = alone && long && !l.checks && l.gone.is_none() && job.work.spec.time_budget_ms == 0;
             (may && self.allowed(job) && !job.pending).then_some((l.job, l.tile, *id))
         });
         let Some((job, tile, id)) = straggler else { return false };

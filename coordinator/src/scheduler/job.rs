@@ -4,7 +4,7 @@
 //! knows of workers.
 
 use std::cmp::Reverse;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use sightline_model::JobSpec;
@@ -15,6 +15,7 @@ use super::messages::Now;
 use super::pace::Pace;
 use super::pools::{List, Place};
 use super::queue::For;
+use super::spot::{Name, Spot};
 use crate::ids::{Digest, LeaseId, TileIndex, WorkerId};
 use crate::store::{JobPhase, JobRecord, TileRecord, TileState, TileStats, owned_key};
 
@@ -63,6 +64,10 @@ pub(crate) struct Tile {
     pub(super) not_before: Option<u64>,
     /// Whether a command about its failure is with the store.
     pub(super) judged: bool,
+    /// Who has helped with it or led a crew for it: what they have computed may be in its output.
+    pub(super) hands: BTreeSet<Name>,
+    /// Who has sent its output; empty when nobody has, or it is not known.
+    pub(super) author: Name,
 }
 
 impl Tile {
@@ -111,8 +116,12 @@ pub(crate) struct Job {
     /// Cells and samples of leased tiles, as reported.
     pub(crate) running_cells: u64,
     pub(crate) running_samples: u64,
-    /// Numbers of this epoch's leases and their tiles, ascending.
-    pub(super) given: Vec<(u64, TileIndex)>,
+    /// Numbers of this epoch's leases, ascending, their tiles and workers.
+    pub(super) given: Vec<(u64, TileIndex, Name)>,
+    /// Tiles that were done when the job was taken up and that nobody has computed again.
+    pub(super) unchecked: Vec<(TileIndex, Digest)>,
+    /// Done tiles that are to be checked.
+    pub(super) spots: BTreeMap<TileIndex, Spot>,
     pub(super) parked: Option<Parked>,
     /// How often timing gave no usable backend.
     pub(super) timing_faults: u32,
@@ -194,6 +203,8 @@ impl Job {
             running_cells: 0,
             running_samples: 0,
             given: Vec::new(),
+            unchecked: Vec::new(),
+            spots: BTreeMap::new(),
             parked: None,
             timing_faults: 0,
             pending: false,
@@ -204,11 +215,17 @@ impl Job {
             listed: None,
         };
         for tile in tiles {
+            let (mut hands, mut author) = (BTreeSet::new(), Name::default());
             let output = match tile.state {
                 TileState::Open => Output::Open,
                 TileState::Done { digest, stats, .. } => {
                     job.done += 1;
                     job.add(&stats);
+                    hands.extend(stats.helpers.iter().map(|name| name.as_str().into()));
+                    author = stats.worker.as_str().into();
+                    if tile.check.is_none() {
+                        job.unchecked.push((tile.tile, digest));
+                    }
                     Output::Done(digest)
                 }
                 TileState::SetAside { digest, .. } => {
@@ -218,7 +235,9 @@ impl Job {
             };
             let (attempts, faults, judged) = (0, 0, false);
             let leases = [None; 2];
-            job.tiles.push(Tile { output, leases, missing: 0, attempts, faults, not_before: None, judged });
+            let (missing, not_before) = (0, None);
+            let tile = Tile { output, leases, missing, attempts, faults, not_before, judged, hands, author };
+            job.tiles.push(tile);
         }
         for at in 0..job.tiles.len() {
             let done = |n: &&u32| !matches!(job.tiles[**n as usize].output, Output::Done(_));
@@ -282,9 +301,11 @@ impl Job {
         matches!(self.record.state.phase(), JobPhase::Queued | JobPhase::Running)
     }
 
-    /// Whether a lease of this epoch was given on a tile.
-    pub(super) fn gave(&self, number: u64, tile: TileIndex) -> bool {
-        self.given.binary_search(&(number, tile)).is_ok()
+    /// To whom a lease of this epoch was given on a tile, if it was.
+    pub(super) fn given_to(&self, number: u64, tile: TileIndex) -> Option<Name> {
+        let at = self.given.binary_search_by_key(&number, |(number, ..)| *number).ok()?;
+        let (_, of, name) = &self.given[at];
+        (*of == tile).then(|| Name::clone(name))
     }
 
     /// Whether a tile can be leased, by its own state.
@@ -347,6 +368,21 @@ impl Job {
     pub(super) fn packs(&self, tile: TileIndex) -> Vec<Option<Digest>> {
         let needs = &self.work.plan.tiles[tile.at()].needs;
         needs.iter().map(|n| self.tiles[*n as usize].output.digest()).collect()
+    }
+
+    /// These tiles and all that were computed from them.
+    pub(crate) fn with_dependents(&self, tiles: BTreeSet<TileIndex>) -> BTreeSet<TileIndex> {
+        let mut all = tiles;
+        let mut next: Vec<TileIndex> = all.iter().copied().collect();
+        while let Some(t) = next.pop() {
+            for at in self.first[t.at()]..self.first[t.at() + 1] {
+                let dependent = TileIndex(self.dependents[at as usize]);
+                if all.insert(dependent) {
+                    next.push(dependent);
+                }
+            }
+        }
+        all
     }
 
     /// `tile` and all open tiles that cannot be computed without it, those that need others first.

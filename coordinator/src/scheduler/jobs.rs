@@ -30,7 +30,11 @@ impl Machine {
             self.drop_job(id);
         }
         self.open_account(&job.whom.user);
+        let unchecked = std::mem::take(&mut job.unchecked);
         self.jobs.insert(id, job);
+        for (tile, digest) in unchecked {
+            self.draw(id, tile, digest);
+        }
         self.list_job(id);
         self.assemble_if_complete(id);
         self.tell_watchers(id);
@@ -127,10 +131,12 @@ impl Machine {
         if lease.tile.at() >= job.tiles.len() {
             return;
         }
-        if job.complete(lease.tile, digest, stats)
-            && let Some(worker) = worker.and_then(|id| self.workers.get_mut(&id))
-        {
-            worker.done.add(stats);
+        if job.complete(lease.tile, digest, stats) {
+            job.tiles[lease.tile.at()].author = stats.worker.as_str().into();
+            if let Some(worker) = worker.and_then(|id| self.workers.get_mut(&id)) {
+                worker.done.add(stats);
+            }
+            self.draw(lease.job, lease.tile, digest);
         }
         let Some(job) = self.jobs.get(&lease.job) else { return };
         // The others that work on it need not go on; its own worker knows.
@@ -190,6 +196,13 @@ impl Machine {
             Command::Fail { job: id, tile, .. } => {
                 self.unjudge(id, tile, now);
                 id
+            }
+            // That nobody knows of the agreement makes later suspicions wider, and nothing wrong.
+            Command::Confirm { job: id, .. } => id,
+            Command::Quarantine { .. } => {
+                self.unsaid.push(command);
+                self.pause_leasing(now);
+                return;
             }
             Command::SetAside { job: id, tiles, .. } => {
                 for tile in tiles {

@@ -52,6 +52,7 @@ impl Machine {
             begun: None,
             waits: false,
             timer,
+            checks: false,
         };
         debug_assert!(!self.leases.contains_key(&id), "a lease is given once");
         self.leases.insert(id, leased);
@@ -241,7 +242,7 @@ impl Machine {
             }
             let given = match lease.id.epoch.cmp(&self.settings.epoch) {
                 std::cmp::Ordering::Less => job.grace && same.is_none(),
-                std::cmp::Ordering::Equal => job.gave(lease.id.number, lease.tile),
+                std::cmp::Ordering::Equal => job.given_to(lease.id.number, lease.tile).is_some(),
                 std::cmp::Ordering::Greater => false,
             };
             let theirs = same == Some((lease.job, lease.tile));
@@ -252,10 +253,14 @@ impl Machine {
             }
             // The leader's stream to its crew may be whole although this one broke.
             let leads = self.crews.contains_key(&lease.id);
+            let checks = self.leases.get(&lease.id).is_some_and(|l| l.checks);
             if theirs {
                 self.end_lease(lease.id, false);
             }
             self.lease(lease.id, (lease.job, lease.tile), worker, profile, now);
+            if let Some(l) = self.leases.get_mut(&lease.id) {
+                l.checks = checks;
+            }
             if leads {
                 self.crew_opened(lease);
             }

@@ -11,12 +11,13 @@ use std::sync::Arc;
 use sightline_numbers::random::SplitMix64;
 
 use super::crew::Crew;
-use super::event::{Effect, Event, Note};
+use super::event::{Command, Effect, Event, Note};
 use super::job::{Job, Output, Work};
 use super::ledger::Ledger;
 use super::messages::Now;
 use super::pools::{CHOICES, Pools, Profile};
 use super::queue::{Account, User};
+use super::spot::Name;
 use crate::ids::{Epoch, JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::store::JobPhase;
 
@@ -40,6 +41,10 @@ pub(crate) struct Settings {
     pub(crate) stuck: u64,
     /// Seeds the jitter of back-offs.
     pub(crate) seed: u64,
+    /// The share of tiles that are computed again, and a number that nobody else knows, by which they are
+    /// drawn.
+    pub(crate) spot_check: f64,
+    pub(crate) spot_seed: u64,
 }
 
 /// A connected worker.
@@ -92,6 +97,8 @@ pub(super) struct Leased {
     pub(super) waits: bool,
     /// When its timer fires.
     pub(super) timer: u64,
+    /// Whether it is the check of a done tile.
+    pub(super) checks: bool,
 }
 
 /// What a timer is for.
@@ -136,6 +143,14 @@ pub(crate) struct Machine {
     pub(super) graces: BTreeMap<JobId, u64>,
     pub(super) only: Option<JobId>,
     pub(super) paused_until: Option<u64>,
+    /// Done tiles that are to be checked.
+    pub(super) spotted: BTreeSet<(JobId, TileIndex)>,
+    /// Workers that get no tiles because others have computed other bytes, and for which tiles.
+    pub(super) suspects: BTreeMap<Name, BTreeSet<(JobId, TileIndex)>>,
+    /// Workers that get no tiles because their bytes were wrong.
+    pub(super) quarantined: BTreeSet<Name>,
+    /// What the store has refused to note about wrong workers.
+    pub(super) unsaid: Vec<Command>,
     /// The last tick, and until when leases do not end because the coordinator stood still.
     last_tick: Option<u64>,
     pub(super) patient_until: u64,
@@ -164,6 +179,10 @@ impl Machine {
             graces: BTreeMap::new(),
             only: None,
             paused_until: None,
+            spotted: BTreeSet::new(),
+            suspects: BTreeMap::new(),
+            quarantined: BTreeSet::new(),
+            unsaid: Vec::new(),
             last_tick: None,
             patient_until: 0,
             clock: 0,
@@ -191,6 +210,10 @@ impl Machine {
             Event::Failed(worker, failure) => self.failed(worker, failure, now),
             Event::Timed(worker, job, times) => self.timed(worker, job, &times),
             Event::Committed { lease, digest, stats } => self.committed(&lease, digest, &stats, now),
+            Event::Checked { lease, digest } => self.checked(&lease, digest),
+            Event::Differed { lease, digest } => self.differed(&lease, digest),
+            Event::Quarantined(name) => self.quarantine(&name),
+            Event::Released(name) => self.release(&name),
             Event::DiskFull(lease) => self.disk_full(&lease, now),
             Event::Undelivered(worker, lease) => self.undelivered(worker, &lease, now),
             Event::FailureRecorded { job, tile, on, reason } => self.judge(job, tile, on, &reason),
@@ -223,7 +246,9 @@ impl Machine {
             | Event::Timed(worker, ..)
             | Event::Helped(worker, _) => Some(*worker),
             Event::Progressed(progress) => self.leases.get(&progress.lease.id).map(|l| l.worker),
-            Event::Committed { lease, .. } => self.leases.get(&lease.id).map(|l| l.worker),
+            Event::Committed { lease, .. } | Event::Checked { lease, .. } => {
+                self.leases.get(&lease.id).map(|l| l.worker)
+            }
             _ => None,
         }
     }
@@ -258,6 +283,8 @@ impl Machine {
             self.fire(timer, now);
         }
         self.look_for_stragglers(now);
+        self.grant_checks(now);
+        self.ask_again();
     }
 
     fn fire(&mut self, timer: Timer, now: Now) {
@@ -292,7 +319,7 @@ impl Machine {
 
     /// What an output that arrives under a lease has to be checked against, and whether it counts.
     ///
-    /// It counts when the lease was given, however long ago. A lease of this epoch is known exactly. One of
+    /// It counts when the lease was given, however long ago, to somebody who is not quarantined. A lease of this epoch is known exactly. One of
     /// an earlier epoch is accepted, because nothing says whether it was given: its output is the first of
     /// the tile, or the same, or refused. An output of a done tile can only be compared with the one that
     /// stays.
@@ -302,12 +329,18 @@ impl Machine {
     pub(crate) fn admit(&self, lease: &Lease) -> Result<Admitted, NoTile> {
         let job = self.jobs.get(&lease.job).ok_or(NoTile::NoJob(lease.job))?;
         let tile = job.tiles.get(lease.tile.at()).ok_or(NoTile::NoTile)?;
-        let counts = lease.id.epoch < self.settings.epoch
-            || lease.id.epoch == self.settings.epoch && job.gave(lease.id.number, lease.tile)
-            || matches!(tile.output, Output::Done(_));
-        let holder = self.leases.get(&lease.id).and_then(|l| self.workers.get(&l.worker));
-        let worker = holder.map(|w| w.name.clone()).unwrap_or_default();
-        Ok(Admitted { work: Arc::clone(&job.work), worker, counts })
+        let given = Some(lease.id.number).filter(|_| lease.id.epoch == self.settings.epoch);
+        let given = given.and_then(|number| job.given_to(number, lease.tile));
+        let is_good = |name: &Name| !self.quarantined.contains(name);
+        // Who had a lease of an earlier epoch is not known.
+        let earlier = lease.id.epoch < self.settings.epoch && self.quarantined.is_empty();
+        let counts = earlier || given.as_ref().is_some_and(is_good) || matches!(tile.output, Output::Done(_));
+        let worker = given.map(|name| name.to_string()).unwrap_or_default();
+        let helpers =
+            tile.hands.iter().filter(|name| ***name != *worker).map(|name| name.to_string()).collect();
+        let checks = self.leases.get(&lease.id).is_some_and(|l| l.checks);
+        let profile = job.record.profile.clone().unwrap_or_default();
+        Ok(Admitted { work: Arc::clone(&job.work), worker, helpers, profile, checks, counts })
     }
 
     /// A job that has not ended.
@@ -329,6 +362,8 @@ impl Machine {
     pub(super) fn drop_job(&mut self, id: JobId) {
         self.revoke_job(id);
         self.unlist_job(id);
+        self.spotted.retain(|(job, _)| *job != id);
+        self.clear_suspects(id, None);
         if let Some(job) = self.jobs.remove(&id) {
             self.close_account(&job.whom.user);
         }
@@ -338,7 +373,8 @@ impl Machine {
     /// Starts assembling a job whose tiles are complete.
     pub(super) fn assemble_if_complete(&mut self, id: JobId) {
         let Some(job) = self.jobs.get_mut(&id) else { return };
-        if job.runs() && !job.assembling && job.no_space_until.is_none() && job.open() == 0 {
+        let complete = job.open() == 0 && job.spots.is_empty();
+        if job.runs() && !job.assembling && job.no_space_until.is_none() && complete {
             job.assembling = true;
             self.effects.push(Effect::Assemble(id));
         }
@@ -356,8 +392,14 @@ impl Machine {
 pub(crate) struct Admitted {
     /// What the job computes.
     pub(crate) work: Arc<Work>,
-    /// The name of the worker that holds the lease; empty when nobody does.
+    /// The name of the worker that got the lease; empty when that is not known.
     pub(crate) worker: String,
+    /// Others who had a hand in the tile.
+    pub(crate) helpers: Vec<String>,
+    /// The numerics profile of the job.
+    pub(crate) profile: String,
+    /// Whether the lease is the check of a done tile, so that the output is compared and not kept.
+    pub(crate) checks: bool,
     /// Whether the output counts.
     pub(crate) counts: bool,
 }

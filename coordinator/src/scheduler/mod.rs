@@ -4,13 +4,14 @@
 //! results. Its state can be derived again from the store and from the workers' introductions.
 //!
 //! A file each: `machine` has the state and the dispatch of events, `jobs`, `leases`, `workers`, `crews`,
-//! `failures`, `profiles`, `shares` and `granting` the transitions of their subjects, `pools` and `queue` the
-//! lists that make them cheap, `roster`, `standing`, `team`, `unable` and `pace` what people are told,
+//! `failures`, `spot`, `profiles`, `shares` and `granting` the transitions of their subjects, `pools` and `queue` the
+//! lists that make them cheap, `roster`, `standing`, `counts`, `team`, `unable` and `pace` what people are told,
 //! `checks` counts everything again.
 
 mod binding;
 #[cfg(test)]
 mod checks;
+mod counts;
 mod crew;
 #[cfg(test)]
 mod crew_tests;
@@ -34,6 +35,9 @@ mod roster;
 #[cfg(test)]
 mod share_tests;
 mod shares;
+mod spot;
+#[cfg(test)]
+mod spot_tests;
 mod standing;
 mod team;
 #[cfg(test)]
@@ -41,6 +45,7 @@ mod tests;
 mod unable;
 mod workers;
 
+pub(crate) use self::counts::Counts;
 pub(crate) use self::event::{Command, Departure, Effect, Event, Failure, Note};
 pub(crate) use self::job::{Job, Output, Work, cells_total};
 pub(crate) use self::machine::{Admitted, Machine, NoTile, Settings};

@@ -34,17 +34,21 @@ pub(crate) struct Held {
     pub(crate) samples: u64,
 }
 
-impl Worker {
+impl Machine {
     /// Why a worker gets no tiles although it asks for some.
-    pub(super) fn trouble(&self) -> Option<&'static str> {
-        if self.silent {
+    pub(super) fn trouble(&self, worker: &Worker) -> Option<&'static str> {
+        if self.quarantined.contains(worker.name.as_str()) {
+            return Some("it is quarantined: its bytes were not those of others");
+        }
+        if self.suspects.contains_key(worker.name.as_str()) {
+            return Some("another worker has computed other bytes; a third one has to say who is right");
+        }
+        if worker.silent {
             return Some("its last lease ran out, and it has said nothing since");
         }
-        self.deaf_until.map(|_| "it does not read the orders that it is sent")
+        worker.deaf_until.map(|_| "it does not read the orders that it is sent")
     }
-}
 
-impl Machine {
     /// Notes that a worker has said something.
     pub(super) fn hear(&mut self, id: WorkerId, now: Now) {
         if let Some(worker) = self.workers.get_mut(&id) {
@@ -62,7 +66,7 @@ impl Machine {
             connected_at: worker.joined,
             heard_at: worker.heard,
             draining: worker.draining,
-            trouble: worker.trouble(),
+            trouble: self.trouble(worker),
             tiles: worker.leases.iter().filter_map(held).collect(),
             helps: worker.helps.and_then(|lease| held(&lease.id)),
             done: worker.done,

@@ -19,10 +19,14 @@ pub(super) struct Bench {
     pub(super) told: BTreeMap<WorkerId, Vec<Order>>,
     answer: Option<Result<Joined, NameTaken>>,
     departure: Option<Departure>,
-    notes: Vec<Note>,
+    pub(super) notes: Vec<Note>,
+    /// Commands about checks, and jobs that were complete.
+    pub(super) ran: Vec<Command>,
+    pub(super) assembled: Vec<JobId>,
 }
 
-const SETTINGS: Settings = Settings { epoch: Epoch(1), ttl: 10_000, stuck: 600_000, seed: 1 };
+const SETTINGS: Settings =
+    Settings { epoch: Epoch(1), ttl: 10_000, stuck: 600_000, seed: 1, spot_check: 0.0, spot_seed: 0 };
 
 impl Bench {
     pub(super) fn step(&mut self, event: Event) {
@@ -51,7 +55,11 @@ impl Bench {
                         self.step(Event::SetAside { job, tile, digest: [1; 32] });
                     }
                 }
-                Effect::Run(Command::FailJob(..)) | Effect::Assemble(_) | Effect::Changed(_) => {}
+                Effect::Run(command @ (Command::Confirm { .. } | Command::Quarantine { .. })) => {
+                    self.ran.push(command);
+                }
+                Effect::Assemble(job) => self.assembled.push(job),
+                Effect::Run(Command::FailJob(..)) | Effect::Changed(_) => {}
             }
         }
         self.machine.check().unwrap();
@@ -143,6 +151,8 @@ pub(super) fn empty(epoch: u64) -> Bench {
         answer: None,
         departure: None,
         notes: Vec::new(),
+        ran: Vec::new(),
+        assembled: Vec::new(),
     }
 }
 

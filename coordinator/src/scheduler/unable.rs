@@ -24,7 +24,7 @@ impl Machine {
         let choice = Self::choice_of(job);
         let mut by_reason: BTreeMap<String, (u32, Vec<String>)> = BTreeMap::new();
         for worker in self.workers.values() {
-            let Some(reason) = why(worker, job.record.profile.as_deref(), choice) else { continue };
+            let Some(reason) = self.why(worker, job.record.profile.as_deref(), choice) else { continue };
             let (workers, names) = by_reason.entry(reason).or_default();
             *workers += 1;
             if names.len() < MOST_NAMES {
@@ -33,24 +33,24 @@ impl Machine {
         }
         by_reason.into_iter().map(|(reason, (workers, names))| Unable { reason, workers, names }).collect()
     }
-}
 
-fn why(worker: &Worker, profile: Option<&str>, choice: usize) -> Option<String> {
-    let has = || worker.profiles.iter().map(|p| &**p).collect::<Vec<_>>().join(", ");
-    match profile {
-        Some(profile) if !worker.profiles.contains(profile) => {
-            return Some(format!(
-                "the job is bound to the numerics profile {profile}, and the worker has {}",
-                has()
-            ));
+    fn why(&self, worker: &Worker, profile: Option<&str>, choice: usize) -> Option<String> {
+        let has = || worker.profiles.iter().map(|p| &**p).collect::<Vec<_>>().join(", ");
+        match profile {
+            Some(profile) if !worker.profiles.contains(profile) => {
+                return Some(format!(
+                    "the job is bound to the numerics profile {profile}, and the worker has {}",
+                    has()
+                ));
+            }
+            None if !worker.serves[choice] => {
+                return Some(format!("it has no backend that the job asks for; it has {}", has()));
+            }
+            _ => {}
         }
-        None if !worker.serves[choice] => {
-            return Some(format!("it has no backend that the job asks for; it has {}", has()));
+        if worker.draining {
+            return Some("it takes no more tiles, because it was told to stop".to_owned());
         }
-        _ => {}
+        self.trouble(worker).map(str::to_owned)
     }
-    if worker.draining {
-        return Some("it takes no more tiles, because it was told to stop".to_owned());
-    }
-    worker.trouble().map(str::to_owned)
 }

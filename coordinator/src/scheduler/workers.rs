@@ -157,7 +157,7 @@ impl Machine {
     /// Puts a worker into the lists in which it belongs now.
     pub(super) fn list_worker(&mut self, id: WorkerId) {
         let Some(w) = self.workers.get(&id) else { return };
-        let (idle, fit) = (w.leases.is_empty(), !w.draining);
+        let (idle, fit) = (w.leases.is_empty(), !w.draining && !self.is_barred(&w.name));
         let hungry = fit && w.wants > 0 && w.deaf_until.is_none() && !w.silent;
         let helps = hungry && idle && w.can_help && w.helps.is_none();
         let belongs = [fit && idle, hungry && idle, hungry && !idle, helps];

@@ -19,9 +19,13 @@ pub(super) async fn blocking<T: Send + 'static>(
     f: impl FnOnce(&Arc<Coordinator>) -> Result<T, Status> + Send + 'static,
 ) -> Result<T, Status> {
     let c = Arc::clone(c);
-    tokio::task::spawn_blocking(move || f(&c)).await.map_err(|e| match e.is_cancelled() {
-        true => Status::unavailable("the coordinator is stopping; try again when it is back"),
-        false => status::internal(&format!("a request panicked: {e}")),
+    // What it logs belongs to the call.
+    let span = tracing::Span::current();
+    tokio::task::spawn_blocking(move || span.in_scope(|| f(&c))).await.map_err(|e| {
+        match e.is_cancelled() {
+            true => Status::unavailable("the coordinator is stopping; try again when it is back"),
+            false => status::internal(&format!("a request panicked: {e}")),
+        }
     })?
 }
 

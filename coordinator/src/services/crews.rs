@@ -132,6 +132,7 @@ async fn hear_leader(
                     let (tile, phase) = (room.tile(), piece.phase);
                     let kept = blocking(c, move |c| Ok(c.crews.outcomes.push(tile, phase, &bytes))).await?;
                     if kept {
+                        c.metrics.phase_done();
                         room.outcomes.send_replace(phase + 1);
                         let text = format!("tile {}: phase {phase} is finished", room.lease.tile);
                         c.happened(Happening::of_lease(Kind::Round, &room.lease, text));

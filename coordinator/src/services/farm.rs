@@ -2,6 +2,7 @@
 
 use std::pin::Pin;
 use std::sync::Arc;
+use std::time::Duration;
 
 use futures::Stream;
 use prost::Message as _;
@@ -12,7 +13,9 @@ use tonic::{Request, Response, Status};
 use super::blocking::blocking;
 use super::guard::{caller, own_job};
 use super::{status, wire};
+use crate::chores::do_chores;
 use crate::ids::{JobId, TileIndex};
+use crate::invalidating::{self, Which};
 use crate::state::Coordinator;
 use crate::store::StoreError;
 use crate::tiles;
@@ -23,6 +26,9 @@ const MOST_TILES: u32 = 10_000;
 const MOST_BYTES: usize = 3 << 20;
 /// Events that are read at a time.
 const EVENTS_AT_ONCE: usize = 256;
+
+/// How long a client may leave an event unread.
+const LONGEST_UNREAD: Duration = Duration::from_secs(60);
 
 /// Serves [`v1::farm_server::Farm`].
 pub(crate) struct FarmService(pub(crate) Arc<Coordinator>);
@@ -35,7 +41,10 @@ impl v1::farm_server::Farm for FarmService {
         let now = self.0.now_plain();
         let roster = self.0.lock().machine.roster(now);
         let workers = roster.into_iter().map(wire::member).collect();
-        Ok(Response::new(v1::ListWorkersResponse { workers, now_ms: now.unix_ms }))
+        let quarantined =
+            blocking(&self.0, |c| c.store.quarantined().map_err(|e| status::of_store(&e))).await?;
+        let quarantined = quarantined.into_iter().map(wire::quarantined).collect();
+        Ok(Response::new(v1::ListWorkersResponse { workers, now_ms: now.unix_ms, quarantined }))
     }
 
     async fn list_tiles(&self, r: Request<v1::ListTilesRequest>) -> Answer<v1::ListTilesResponse> {
@@ -69,6 +78,47 @@ impl v1::farm_server::Farm for FarmService {
                 answer.tiles.push(tile);
             }
             Ok(Response::new(answer))
+        })
+        .await
+    }
+
+    async fn invalidate(&self, r: Request<v1::InvalidateRequest>) -> Answer<v1::InvalidateResponse> {
+        let v1::InvalidateRequest { job, tiles, worker, from_ms, to_ms } = r.into_inner();
+        if job == 0 && worker.is_empty() {
+            return Err(Status::invalid_argument("name a job, or a worker, or both"));
+        }
+        if job == 0 && !tiles.is_empty() {
+            return Err(Status::invalid_argument("tiles are numbered within a job; name the job, too"));
+        }
+        let which = Which {
+            job: (job > 0).then_some(JobId(job)),
+            tiles: tiles.into_iter().map(TileIndex).collect(),
+            worker: Some(worker).filter(|worker| !worker.is_empty()),
+            from_ms,
+            to_ms: if to_ms == 0 { u64::MAX } else { to_ms },
+        };
+        blocking(&self.0, move |c| {
+            let mut chores = Vec::new();
+            let opened = {
+                let _turn = c.turn();
+                invalidating::invalidate(c, &which, &mut chores)
+            };
+            do_chores(c, chores);
+            let opened = opened.map_err(|e| status::of_store(&e))?;
+            let jobs = opened.into_iter().map(|(job, tiles)| v1::InvalidatedJob { job: job.0, tiles });
+            Ok(Response::new(v1::InvalidateResponse { jobs: jobs.collect() }))
+        })
+        .await
+    }
+
+    async fn release_worker(
+        &self,
+        r: Request<v1::ReleaseWorkerRequest>,
+    ) -> Answer<v1::ReleaseWorkerResponse> {
+        let worker = r.into_inner().worker;
+        blocking(&self.0, move |c| {
+            let was_quarantined = invalidating::release(c, &worker).map_err(|e| status::of_store(&e))?;
+            Ok(Response::new(v1::ReleaseWorkerResponse { was_quarantined }))
         })
         .await
     }
@@ -112,7 +162,9 @@ async fn tell(
         let (events, upto) = c.chronicle.after(job, after, EVENTS_AT_ONCE);
         let is_end = events.len() < EVENTS_AT_ONCE;
         for event in events {
-            if out.send(Ok(wire::event(&event))).await.is_err() {
+            let sent = tokio::time::timeout(LONGEST_UNREAD, out.send(Ok(wire::event(&event)))).await;
+            // The client has gone, or does not read.
+            if !matches!(sent, Ok(Ok(()))) {
                 return;
             }
         }

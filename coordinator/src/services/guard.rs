@@ -4,7 +4,9 @@
 use std::sync::Arc;
 use std::task::{Context, Poll};
 
-use futures::future::{Either, Ready, ready};
+use std::time::Instant;
+
+use futures::future::{BoxFuture, Either, Ready, ready};
 use tonic::body::Body;
 use tonic::codegen::http;
 use tonic::transport::server::{TcpConnectInfo, TlsConnectInfo};
@@ -13,8 +15,9 @@ use tower::{Layer, Service};
 
 use super::blocking::blocking;
 use super::status;
-use crate::access::{Access, Caller, Refusal, Scopes, needed};
+use crate::access::{Access, Caller, Refusal, Scope, Scopes, needed};
 use crate::ids::JobId;
+use crate::limits::Permit;
 use crate::state::Coordinator;
 use crate::store::StoreError;
 
@@ -40,10 +43,12 @@ pub(super) struct Guarded<S> {
 impl<S, B> Service<http::Request<B>> for Guarded<S>
 where
     S: Service<http::Request<B>, Response = http::Response<Body>>,
+    S::Future: Send + 'static,
 {
     type Response = S::Response;
     type Error = S::Error;
-    type Future = Either<S::Future, Ready<Result<S::Response, S::Error>>>;
+    type Future =
+        Either<BoxFuture<'static, Result<S::Response, S::Error>>, Ready<Result<S::Response, S::Error>>>;
 
     fn poll_ready(&mut self, context: &mut Context<'_>) -> Poll<Result<(), Self::Error>> {
         self.inner.poll_ready(context)
@@ -59,8 +64,35 @@ where
                 Err(status) => return Either::Right(ready(Ok(status.into_http()))),
             }
         }
-        Either::Left(self.inner.call(request))
+        let caller = request.extensions().get::<Caller>();
+        match permitted(&self.coordinator, caller) {
+            Ok(permit) => {
+                let answer = self.inner.call(request);
+                // It lasts as long as the answer, of a stream until its end: the body takes it from there.
+                Either::Left(Box::pin(async move {
+                    let mut answer = answer.await?;
+                    answer.extensions_mut().insert(Arc::new(permit));
+                    Ok(answer)
+                }))
+            }
+            Err(status) => Either::Right(ready(Ok(status.into_http()))),
+        }
     }
+}
+
+/// The right of a caller to one more call. Workers are not held up: they call as often as their tiles need.
+fn permitted(c: &Coordinator, caller: Option<&Caller>) -> Result<Permit, Status> {
+    let quota = match caller {
+        Some(Caller::User { name, scopes }) if !scopes.include(Scope::Worker) => {
+            Some((name, c.quotas.of(name)))
+        }
+        _ => None,
+    };
+    let (user, quota) = quota.as_ref().map_or(("", None), |(user, quota)| (user.as_str(), Some(quota)));
+    c.pace.begin(user, quota, Instant::now()).map_err(|beyond| {
+        c.metrics.refused(beyond.name());
+        Status::resource_exhausted(beyond.to_string())
+    })
 }
 
 /// The caller of a path, if it may call there.

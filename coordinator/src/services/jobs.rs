@@ -21,7 +21,7 @@ use crate::access::Caller;
 use crate::deleting;
 use crate::estimate;
 use crate::ids::{Digest, JobId};
-use crate::jobs::{self, JobError, Summary};
+use crate::jobs::{self, JobError, Summary, Wanted};
 use crate::partial;
 use crate::scene_files;
 use crate::scenes;
@@ -37,6 +37,9 @@ const MAX_PAGE: u32 = 1000;
 const PRIORITIES: std::ops::RangeInclusive<i32> = -1000..=1000;
 /// Shortest time between two messages of Watch.
 const WATCH_EVERY: Duration = Duration::from_millis(250);
+
+/// How long a watcher may leave a message unread.
+const LONGEST_UNREAD: Duration = Duration::from_secs(60);
 
 /// Serves [`v1::jobs_server::Jobs`].
 pub(crate) struct JobsService(pub(crate) Arc<Coordinator>);
@@ -75,7 +78,7 @@ impl v1::jobs_server::Jobs for JobsService {
             chunks::check(&chunk).map_err(|e| Status::data_loss(e.to_string()))?;
             let owner = caller.owner().to_owned();
             blocking(&self.0, move |c| {
-                scenes::put_chunk(c, &owner, &chunk.data).map_err(|e| status::of_blob(&e))
+                scenes::put_chunk(c, &owner, &chunk.data).map_err(|e| status::of_upload(&e))
             })
             .await?;
             count += 1;
@@ -143,7 +146,10 @@ impl v1::jobs_server::Jobs for JobsService {
 
     async fn list(&self, r: Request<v1::ListRequest>) -> Answer<v1::ListResponse> {
         let caller = caller(&self.0, &r)?;
-        let v1::ListRequest { limit, before } = r.into_inner();
+        let phases = r.get_ref().states().map(wire::phase).collect::<Result<Vec<_>, _>>()?;
+        let v1::ListRequest { limit, before, name, user, scene, .. } = r.into_inner();
+        let scene = if scene.is_empty() { None } else { Some(wire::digest(&scene)?) };
+        let wanted = Wanted { phases, name, user, scene };
         if limit > MAX_PAGE {
             return Err(Status::invalid_argument(format!(
                 "a page of {limit} jobs was asked for; ask for at most {MAX_PAGE}"
@@ -152,7 +158,8 @@ impl v1::jobs_server::Jobs for JobsService {
         let most = if limit == 0 { MAX_PAGE } else { limit } as usize;
         let before = JobId(if before == 0 { u64::MAX } else { before });
         blocking(&self.0, move |c| {
-            let (list, older) = jobs::list(c, &caller, before, most).map_err(|e| status::of_store(&e))?;
+            let (list, older) =
+                jobs::list(c, &caller, before, most, &wanted).map_err(|e| status::of_store(&e))?;
             Ok(Response::new(v1::ListResponse { jobs: list.iter().map(wire::job).collect(), older }))
         })
         .await
@@ -355,7 +362,9 @@ async fn follow(
 ) {
     let mut last = first;
     loop {
-        if out.send(Ok(wire::job(&last))).await.is_err() || last.ended() {
+        let sent = tokio::time::timeout(LONGEST_UNREAD, out.send(Ok(wire::job(&last)))).await;
+        // Nobody reads, or nothing more will come.
+        if !matches!(sent, Ok(Ok(()))) || last.ended() {
             return;
         }
         // A change is sent after a while, the end at once. Nothing is computed until then.

@@ -1,11 +1,13 @@
 //! The gRPC services: they translate between the wire and the subjects, and decide nothing.
 
 mod blocking;
+mod counting;
 mod crews;
 mod farm;
 mod guard;
 mod http;
 mod jobs;
+mod metrics;
 mod results;
 mod server;
 mod status;
@@ -15,5 +17,6 @@ mod wire;
 mod workers;
 
 pub use http::serve_http;
+pub use metrics::serve_metrics;
 pub use server::{ServeError, listen, serve};
 pub use tls::{Tls, TlsError, TlsFiles};

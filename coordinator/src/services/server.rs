@@ -12,19 +12,33 @@ use tokio::net::TcpListener;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::Server;
 use tonic::transport::server::TcpIncoming;
+use tonic_health::ServingStatus;
 
-use super::blocking::later;
+use super::blocking::{blocking, later};
+use super::counting::Counting;
 use super::farm::FarmService;
 use super::guard::Guard;
 use super::jobs::JobsService;
 use super::results::ResultsService;
 use super::tls::{self, Tls};
 use super::workers::WorkersService;
+use crate::housekeeping::tidy_up;
 use crate::lifecycle;
+use crate::readiness::readiness;
 use crate::state::Coordinator;
 
 /// How often timers are looked at.
 const TICK: Duration = Duration::from_millis(200);
+
+/// How often it is looked whether the coordinator is ready.
+const LOOK_EVERY: Duration = Duration::from_secs(5);
+
+/// Calls and streams of a connection at a time.
+const MOST_STREAMS: u32 = 256;
+
+/// Ticks between two removals of what is not kept, and before the first one.
+const TIDY: u32 = 5 * 600;
+const TIDY_FIRST: u32 = 5 * 10;
 
 /// Ticks between two looks at the file of tokens.
 const REFRESH: u32 = 5;
@@ -101,6 +115,10 @@ pub async fn serve(
                     tokio::task::spawn_blocking(move || access.refresh());
                 }
                 later(&coordinator, lifecycle::tick(&coordinator));
+                if ticks % TIDY == TIDY_FIRST {
+                    let coordinator = Arc::clone(&coordinator);
+                    tokio::task::spawn_blocking(move || tidy_up(&coordinator));
+                }
                 if coordinator.chronicle.has_unwritten() {
                     let coordinator = Arc::clone(&coordinator);
                     tokio::task::spawn_blocking(move || coordinator.chronicle.write());
@@ -108,8 +126,11 @@ pub async fn serve(
             }
         })
     };
+    let looks = tokio::spawn(report_readiness(Arc::clone(&coordinator), health));
     let server = Server::builder()
         .http2_keepalive_interval(Some(Duration::from_secs(10)))
+        .max_concurrent_streams(MOST_STREAMS)
+        .layer(Counting::of(&coordinator))
         .layer(Guard(Arc::clone(&coordinator)))
         .add_service(health_service)
         .add_service(reflection)
@@ -135,6 +156,37 @@ pub async fn serve(
         () = stop => Ok(()),
     };
     ticks.abort();
+    looks.abort();
     coordinator.chronicle.write();
     ended
+}
+
+/// Keeps the health of the name `ready` up to date: liveness is the health without a name.
+async fn report_readiness(c: Arc<Coordinator>, health: tonic_health::server::HealthReporter) {
+    let mut every = tokio::time::interval(LOOK_EVERY);
+    let mut was = None;
+    loop {
+        every.tick().await;
+        let now = blocking(&c, |c| Ok(readiness(c))).await;
+        let reasons = match now {
+            Ok(Ok(())) => Vec::new(),
+            Ok(Err(reasons)) => reasons,
+            Err(status) => vec![status.message().to_owned()],
+        };
+        if was.as_ref() == Some(&reasons) {
+            continue;
+        }
+        let (is, status) = match reasons.is_empty() {
+            true => (String::from("the coordinator is ready"), ServingStatus::Serving),
+            false => {
+                (format!("the coordinator is not ready: {}", reasons.join("; ")), ServingStatus::NotServing)
+            }
+        };
+        // At the start everybody expects it to become ready.
+        if was.is_some() || !reasons.is_empty() {
+            tracing::warn!("{is}");
+        }
+        health.set_service_status("ready", status).await;
+        was = Some(reasons);
+    }
 }

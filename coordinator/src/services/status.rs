@@ -6,6 +6,7 @@ use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt as _};
 
 use crate::asking::AskError;
+use crate::having::HavingError;
 use crate::jobs::JobError;
 use crate::partial::PartialError;
 use crate::results::ResultError;
@@ -30,6 +31,8 @@ pub(super) fn of_store(e: &StoreError) -> Status {
         StoreError::IllegalTransition { .. }
         | StoreError::TileNotOpen { .. }
         | StoreError::TilesOpen { .. }
+        | StoreError::SceneInUse { .. }
+        | StoreError::NotEmpty
         | StoreError::PlanDiffers { .. } => Status::failed_precondition(text),
         StoreError::Journal(JournalError::NoSpace { .. }) => full(&text),
         _ => internal(&text),
@@ -49,8 +52,18 @@ pub(super) fn of_upload(e: &UploadError) -> Status {
     match e {
         UploadError::ChunkMissing | UploadError::ChunkDamaged => Status::failed_precondition(e.to_string()),
         UploadError::Mismatch(_) | UploadError::Scene(_) => Status::invalid_argument(e.to_string()),
+        UploadError::TooLong { .. } => Status::invalid_argument(e.to_string()),
+        UploadError::Having(e) => of_having(e),
         UploadError::Blob(e) => of_blob(e),
         UploadError::Store(e) => of_store(e),
+    }
+}
+
+/// The status of something that a user may not have.
+fn of_having(e: &HavingError) -> Status {
+    match e {
+        HavingError::Beyond(beyond) => Status::resource_exhausted(beyond.to_string()),
+        HavingError::Store(e) => of_store(e),
     }
 }
 
@@ -72,6 +85,7 @@ pub(super) fn of_file(e: &FileError) -> Status {
         FileError::Scene(e) => Status::invalid_argument(e.to_string()),
         FileError::Take(TakeError::Blob(e)) => of_blob(e),
         FileError::Take(TakeError::Store(e)) => of_store(e),
+        FileError::Take(TakeError::Having(e)) => of_having(e),
         FileError::Lost => internal(&e.to_string()),
     }
 }
@@ -89,6 +103,7 @@ pub(super) fn of_submit(e: &SubmitError) -> Status {
     match e {
         SubmitError::Spec(text) => Status::invalid_argument(text.clone()),
         SubmitError::Schedule(text) => internal(text),
+        SubmitError::Having(e) => of_having(e),
         SubmitError::Facts(e) => of_facts(e),
         SubmitError::Blob(e) => of_blob(e),
         SubmitError::Store(e) => of_store(e),

@@ -3,10 +3,12 @@
 use std::io::Read;
 use std::pin::Pin;
 use std::sync::Arc;
+use std::time::Duration;
 
 use futures::Stream;
 use sightline_proto::chunks;
 use sightline_proto::v1;
+use tokio::sync::mpsc::Sender;
 use tonic::Status;
 
 use super::blocking::blocking;
@@ -16,6 +18,16 @@ use crate::state::Coordinator;
 
 /// Chunks that are read before the client has taken the last one.
 const AHEAD: usize = 4;
+
+/// How long a client may leave the next chunk unread.
+const LONGEST_UNREAD: Duration = Duration::from_secs(60);
+
+/// Sends from a thread that may block; returns whether somebody reads.
+fn send_to(to: &Sender<Result<v1::Chunk, Status>>, chunk: Result<v1::Chunk, Status>) -> bool {
+    let runtime = tokio::runtime::Handle::current();
+    let sent = runtime.block_on(tokio::time::timeout(LONGEST_UNREAD, to.send(chunk)));
+    matches!(sent, Ok(Ok(())))
+}
 
 /// A download.
 pub(super) type ChunkStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status>> + Send>>;
@@ -39,8 +51,8 @@ pub(super) async fn stream_blob(c: &Arc<Coordinator>, d: Digest) -> Result<Chunk
     let (send, receive) = tokio::sync::mpsc::channel(AHEAD);
     tokio::task::spawn_blocking(move || {
         let _permit = permit;
-        // A client that has gone away wants no more.
-        read_chunks(blob.bytes, blob.length, |chunk| send.blocking_send(chunk).is_ok());
+        // A client that has gone away or does not read wants no more.
+        read_chunks(blob.bytes, blob.length, |chunk| send_to(&send, chunk));
     });
     Ok(Box::pin(tokio_stream::wrappers::ReceiverStream::new(receive)))
 }
@@ -55,8 +67,8 @@ pub(super) async fn stream_bytes(c: &Arc<Coordinator>, bytes: Arc<[u8]>) -> Resu
     let (send, receive) = tokio::sync::mpsc::channel(AHEAD);
     tokio::task::spawn_blocking(move || {
         let _permit = permit;
-        // A client that has gone away wants no more.
-        read_chunks(&*bytes, bytes.len() as u64, |chunk| send.blocking_send(chunk).is_ok());
+        // A client that has gone away or does not read wants no more.
+        read_chunks(&*bytes, bytes.len() as u64, |chunk| send_to(&send, chunk));
     });
     Ok(Box::pin(tokio_stream::wrappers::ReceiverStream::new(receive)))
 }

@@ -9,7 +9,7 @@ use crate::ids::{Digest, Epoch, JobId, Lease, LeaseId, TileIndex};
 use crate::jobs::Summary;
 use crate::scheduler::{Held, Member, Order, ProfileTime, Standing, Team, Unable};
 use crate::specs;
-use crate::store::{JobState, SceneRecord};
+use crate::store::{JobPhase, JobState, QuarantineRecord, SceneRecord};
 use crate::tiles::TileView;
 
 /// A digest from the wire.
@@ -169,9 +169,33 @@ pub(super) fn member(member: Member) -> v1::WorkerInfo {
     }
 }
 
+/// A worker that is quarantined.
+pub(super) fn quarantined(record: QuarantineRecord) -> v1::QuarantinedWorker {
+    let QuarantineRecord { worker, at_ms, reason } = record;
+    v1::QuarantinedWorker { worker, since_ms: at_ms, reason }
+}
+
 fn held(held: Held) -> v1::HeldTile {
     let Held { job, tile, has_begun, since, cells, samples } = held;
     v1::HeldTile { job: job.0, tile: tile.0, has_begun, since_ms: since, cells, samples }
+}
+
+/// The state of a job, from the wire.
+///
+/// # Errors
+/// INVALID_ARGUMENT for a number that says nothing.
+pub(super) fn phase(state: v1::JobState) -> Result<JobPhase, Status> {
+    Ok(match state {
+        v1::JobState::Queued => JobPhase::Queued,
+        v1::JobState::Running => JobPhase::Running,
+        v1::JobState::Paused => JobPhase::Paused,
+        v1::JobState::Cancelled => JobPhase::Cancelled,
+        v1::JobState::Failed => JobPhase::Failed,
+        v1::JobState::Done => JobPhase::Done,
+        v1::JobState::Unspecified => {
+            return Err(Status::invalid_argument("states of jobs were given that there are not"));
+        }
+    })
 }
 
 /// How a tile stands, from the wire.
@@ -224,6 +248,7 @@ pub(super) fn event(entry: &Entry) -> v1::Event {
         Kind::Conflict => v1::EventKind::Conflict,
         Kind::Worker => v1::EventKind::Worker,
         Kind::Coordinator => v1::EventKind::Coordinator,
+        Kind::Check => v1::EventKind::Check,
     };
     v1::Event {
         number: entry.number,

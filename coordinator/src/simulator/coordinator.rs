@@ -24,8 +24,14 @@ impl World {
     /// Starts the coordinator on the store.
     pub(super) fn start_coordinator(&mut self) -> Result<(), String> {
         self.epoch = self.store.begin_epoch().map_err(|e| e.to_string())?;
-        let settings =
-            Settings { epoch: Epoch(self.epoch), ttl: TTL, stuck: 60_000, seed: self.below(1 << 40) };
+        let settings = Settings {
+            epoch: Epoch(self.epoch),
+            ttl: TTL,
+            stuck: 60_000,
+            seed: self.below(1 << 40),
+            spot_check: 0.0,
+            spot_seed: 0,
+        };
         self.machine = Some(Machine::new(settings));
         self.started = self.now;
         self.ran_before.clear();
@@ -109,7 +115,8 @@ impl World {
         digest[..8].copy_from_slice(&lease.job.0.to_le_bytes());
         digest[8..12].copy_from_slice(&lease.tile.0.to_le_bytes());
         digest[31] = u8::from(broken);
-        let stats = TileStats { samples: 3, cells: 1, millis: 100, worker: format!("w{w}") };
+        let stats =
+            TileStats { samples: 3, cells: 1, millis: 100, worker: format!("w{w}"), ..TileStats::default() };
         let result = TileResult { digest, bytes: 1, stats: stats.clone() };
         let (digest, answer) = match self.store.commit_tile(lease.job, lease.tile, result) {
             Ok(CommitOutcome::Committed | CommitOutcome::AlreadySame) => (digest, Answer::Kept),
@@ -159,6 +166,8 @@ impl World {
                 }
                 return Ok(());
             }
+            // No schedule has checks.
+            Command::Confirm { .. } | Command::Quarantine { .. } => return Ok(()),
             Command::FailJob(id, reason) => {
                 let from = [JobPhase::Queued, JobPhase::Running];
                 self.store.set_job_state(id, &from, JobState::Failed { reason }, at)

@@ -1,8 +1,12 @@
 //! The trait of a store: the queries and commands that the coordinator's state consists of.
 
+use std::time::Duration;
+
+use super::entries::Entry;
 use super::error::StoreError;
 use super::records::{
-    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, SceneRecord, Submitted, TileRecord, TileResult,
+    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, SceneRecord, Submitted,
+    TileCheck, TileRecord, TileResult,
 };
 use crate::ids::{Digest, JobId, TileIndex};
 
@@ -106,6 +110,48 @@ pub trait Store: Send + Sync {
     /// that failed, was cancelled, or is done with tiles set aside is queued. Done tiles stay done. Returns
     /// the number of reopened tiles.
     fn reopen_tiles(&self, job: JobId) -> Result<u32, StoreError>;
+
+    /// Records that another worker has computed a done tile again, with the digest that it has. Nothing
+    /// changes if the tile has another one by now.
+    fn confirm_tile(
+        &self,
+        job: JobId,
+        tile: TileIndex,
+        digest: Digest,
+        check: TileCheck,
+    ) -> Result<(), StoreError>;
+
+    /// Opens tiles again whose results or stand-ins are not believed any more; a done job is queued with all
+    /// its tiles open. Returns the number of opened tiles.
+    fn invalidate_tiles(&self, job: JobId, tiles: &[TileIndex]) -> Result<u32, StoreError>;
+
+    /// The workers that get no tiles, by name.
+    fn quarantined(&self) -> Result<Vec<QuarantineRecord>, StoreError>;
+
+    /// Records that a worker gets no tiles any more; for one that gets none the first reason stays.
+    fn quarantine(&self, record: QuarantineRecord) -> Result<(), StoreError>;
+
+    /// Records that a worker gets tiles again; returns whether it had none.
+    fn release(&self, worker: &str) -> Result<bool, StoreError>;
+
+    /// Removes a scene that no job names; returns its record, so that the caller can remove the blob.
+    fn delete_scene(&self, scene: Digest) -> Result<SceneRecord, StoreError>;
+
+    /// Everything, ascending by key.
+    fn entries(&self) -> Result<Vec<Entry>, StoreError>;
+
+    /// Takes over entries of another store, a few hundred at a time. The `first` ones need a store without scenes
+    /// and jobs.
+    fn import(&self, entries: Vec<Entry>, first: bool) -> Result<(), StoreError>;
+
+    /// Whether the store can be written, as far as is known without a write.
+    ///
+    /// # Errors
+    /// Why every write would fail.
+    fn writable(&self) -> Result<(), StoreError>;
+
+    /// From now on reports how long each durable write took. Only the first call counts.
+    fn report_syncs(&self, to: Box<dyn Fn(Duration) + Send + Sync>);
 
     /// Begins the next epoch (once at each start of a coordinator) and returns it.
     fn begin_epoch(&self) -> Result<u64, StoreError>;

@@ -72,7 +72,8 @@ fn request(n: u8) -> String {
 }
 
 fn result(n: u8) -> TileResult {
-    let stats = TileStats { samples: n.into(), cells: 2, millis: 3, worker: "w".to_owned() };
+    let stats =
+        TileStats { samples: n.into(), cells: 2, millis: 3, worker: "w".to_owned(), ..TileStats::default() };
     TileResult { digest: digest(n), bytes: n.into(), stats }
 }
 

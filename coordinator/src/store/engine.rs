@@ -3,10 +3,14 @@
 //! The stores differ only in the place of their table and in how they make a change durable. The commands
 //! have one implementation here, and their rules are in `rules.rs`.
 
+use std::time::Duration;
+
 use super::api::Store;
+use super::entries::Entry;
 use super::error::StoreError;
 use super::records::{
-    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, SceneRecord, Submitted, TileRecord, TileResult,
+    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, SceneRecord, Submitted,
+    TileCheck, TileRecord, TileResult,
 };
 use super::rules::{self, Decision};
 use super::table::View;
@@ -16,6 +20,14 @@ use crate::ids::{Digest, JobId, TileIndex};
 pub(super) trait Engine: Send + Sync {
     /// Answers a query from the durable state.
     fn query<A>(&self, ask: impl FnOnce(View<'_>) -> Result<A, StoreError>) -> Result<A, StoreError>;
+
+    /// See [`Store::writable`].
+    fn writable(&self) -> Result<(), StoreError> {
+        Ok(())
+    }
+
+    /// See [`Store::report_syncs`]. A table without a disk has none.
+    fn report_syncs(&self, _to: Box<dyn Fn(Duration) + Send + Sync>) {}
 
     /// Decides, makes the event durable and applies it, as one atomic step; then answers.
     fn command<A: Send + 'static>(
@@ -116,6 +128,44 @@ impl<E: Engine> Store for E {
     }
     fn reopen_tiles(&self, job: JobId) -> Result<u32, StoreError> {
         self.command(move |view| rules::reopen_tiles(view, job))
+    }
+    fn confirm_tile(
+        &self,
+        job: JobId,
+        tile: TileIndex,
+        digest: Digest,
+        check: TileCheck,
+    ) -> Result<(), StoreError> {
+        self.command(move |view| rules::confirm_tile(view, job, tile, digest, check))
+    }
+    fn invalidate_tiles(&self, job: JobId, tiles: &[TileIndex]) -> Result<u32, StoreError> {
+        let tiles = tiles.to_vec();
+        self.command(move |view| rules::invalidate_tiles(view, job, &tiles))
+    }
+    fn quarantined(&self) -> Result<Vec<QuarantineRecord>, StoreError> {
+        self.query(|view| view.quarantined())
+    }
+    fn quarantine(&self, record: QuarantineRecord) -> Result<(), StoreError> {
+        self.command(move |view| rules::quarantine(view, record))
+    }
+    fn release(&self, worker: &str) -> Result<bool, StoreError> {
+        let worker = worker.to_owned();
+        self.command(move |view| rules::release(view, worker))
+    }
+    fn delete_scene(&self, scene: Digest) -> Result<SceneRecord, StoreError> {
+        self.command(move |view| rules::delete_scene(view, scene))
+    }
+    fn entries(&self) -> Result<Vec<Entry>, StoreError> {
+        self.query(|view| view.entries())
+    }
+    fn import(&self, entries: Vec<Entry>, first: bool) -> Result<(), StoreError> {
+        self.command(move |view| rules::import(view, entries, first))
+    }
+    fn writable(&self) -> Result<(), StoreError> {
+        Engine::writable(self)
+    }
+    fn report_syncs(&self, to: Box<dyn Fn(Duration) + Send + Sync>) {
+        Engine::report_syncs(self, to);
     }
     fn begin_epoch(&self) -> Result<u64, StoreError> {
         self.command(rules::begin_epoch)

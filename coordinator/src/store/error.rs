@@ -166,6 +166,25 @@ pub enum StoreError {
         /// The system's error.
         source: Arc<std::io::Error>,
     },
+    /// A scene that a job names cannot be removed.
+    #[error("scene {} is that of job {job}; delete its jobs first", hex(.scene))]
+    SceneInUse {
+        /// Its digest.
+        scene: Digest,
+        /// A job that names it.
+        job: JobId,
+    },
+    /// Only an empty store takes over the entries of another one.
+    #[error(
+        "the store has scenes or jobs, and takes over those of another one only while it is empty; give a new one"
+    )]
+    NotEmpty,
+    /// The system gives no random numbers.
+    #[error("the system gives no random numbers ({what}), by which tiles are drawn for checks")]
+    Random {
+        /// The system's error.
+        what: String,
+    },
     /// The writer thread is gone.
     #[error("the store has shut down; restart the coordinator")]
     Closed,

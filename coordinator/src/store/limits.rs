@@ -16,6 +16,8 @@ pub const MAX_WORKER_BYTES: usize = 64;
 pub const MAX_REASON_BYTES: usize = 200;
 /// Longest opaque job specification, in bytes.
 pub const MAX_SPEC_BYTES: usize = 2048;
+/// Helpers that are named in a tile's record; the others are counted.
+pub const MAX_HELPERS: usize = 12;
 /// Different workers' failures remembered of one tile.
 pub const MAX_FAILURES: usize = 8;
 /// Reasons remembered of a tile set aside.

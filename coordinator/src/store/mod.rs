@@ -10,7 +10,9 @@
 
 mod api;
 mod blobs;
+mod compaction;
 mod engine;
+mod entries;
 mod error;
 mod journal;
 mod limits;
@@ -25,18 +27,19 @@ mod table;
 mod conformance;
 
 pub use api::Store;
-pub use blobs::{BlobError, BlobReader, BlobWriter, Blobs, FileBlobs, MemoryBlobs};
+pub use blobs::{BlobError, BlobReader, BlobWriter, Blobs, FileBlobs, MemoryBlobs, Stored};
+pub use entries::Entry;
 pub use error::{JournalError, StoreError};
 pub use limits::{
-    MAX_FAILURES, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_OWNER_BYTES, MAX_OWNERS, MAX_REASON_BYTES,
-    MAX_REASONS, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES,
+    MAX_FAILURES, MAX_HELPERS, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_OWNER_BYTES, MAX_OWNERS,
+    MAX_REASON_BYTES, MAX_REASONS, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES,
 };
 pub use memory::MemoryStore;
 pub use outcomes::{MAX_OUTCOME_BYTES, Outcomes};
 pub use records::{
-    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, SceneRecord, Submitted, TileFailure, TileRecord,
-    TileResult, TileState, TileStats, owned_key, owned_request,
+    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, SceneRecord, Submitted,
+    TileCheck, TileFailure, TileRecord, TileResult, TileState, TileStats, owned_key, owned_request,
 };
-pub use sled_store::SledStore;
+pub use sled_store::{Compacted, SledStore};
 
 pub use crate::ids::Digest;

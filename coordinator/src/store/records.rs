@@ -209,12 +209,35 @@ pub struct TileRecord {
     /// How many differing results were kept out after it was done. Any number but 0 is a fault to
     /// investigate.
     pub conflicts: u32,
+    /// Who has computed the same again, once somebody has.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub check: Option<TileCheck>,
+}
+
+/// Another worker has computed the same bytes for a done tile.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TileCheck {
+    /// The worker.
+    pub worker: String,
+    /// Milliseconds since 1970.
+    pub at_ms: u64,
+}
+
+/// A worker that gets no tiles because its bytes were not those of others.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct QuarantineRecord {
+    /// Its name.
+    pub worker: String,
+    /// Since when, in milliseconds since 1970.
+    pub at_ms: u64,
+    /// Why, cut to [`MAX_REASON_BYTES`](super::MAX_REASON_BYTES).
+    pub reason: String,
 }
 
 impl TileRecord {
     /// A tile without a record.
     pub fn open(tile: TileIndex) -> Self {
-        Self { tile, state: TileState::Open, failures: Vec::new(), conflicts: 0 }
+        Self { tile, state: TileState::Open, failures: Vec::new(), conflicts: 0, check: None }
     }
 }
 
@@ -256,6 +279,23 @@ pub struct TileStats {
     pub millis: u64,
     /// The name of the worker; ≤ [`MAX_WORKER_BYTES`](super::MAX_WORKER_BYTES), as for request ids.
     pub worker: String,
+    /// Others who had a hand in it: helpers, and those whose outcomes it went on from; at most
+    /// [`MAX_HELPERS`](super::MAX_HELPERS).
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub helpers: Vec<String>,
+    /// Helpers that are not named.
+    #[serde(default, skip_serializing_if = "is_none")]
+    pub unnamed: u32,
+    /// When it was committed, in milliseconds since 1970; 0 in records of earlier versions.
+    #[serde(default, skip_serializing_if = "is_never")]
+    pub at_ms: u64,
+}
+
+impl TileStats {
+    /// Whether a worker of this name may have had a hand in it.
+    pub fn may_be_of(&self, name: &str) -> bool {
+        self.worker == name || self.unnamed > 0 || self.helpers.iter().any(|helper| helper == name)
+    }
 }
 
 /// A tile's failure on one worker.
@@ -298,6 +338,16 @@ pub enum CommitOutcome {
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
 fn is_zero(n: &i32) -> bool {
     *n == 0
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
+fn is_none(n: &u32) -> bool {
+    *n == 0
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
+fn is_never(at: &u64) -> bool {
+    *at == 0
 }
 
 /// Digests as 64 hexadecimal digits: half the size of JSON's list of numbers, and the form in logs and file

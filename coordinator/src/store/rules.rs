@@ -6,14 +6,16 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::entries::Entry;
 use super::error::StoreError;
 use super::limits::{
-    MAX_FAILURES, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_OWNER_BYTES, MAX_OWNERS, MAX_REASONS,
-    MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES, check_identifier, check_length, check_name, clean_reason,
+    MAX_FAILURES, MAX_HELPERS, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_OWNER_BYTES, MAX_OWNERS,
+    MAX_REASONS, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES, check_identifier, check_length, check_name,
+    clean_reason,
 };
 use super::records::{
-    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, SceneRecord, Submitted, TileFailure, TileRecord,
-    TileResult, TileState,
+    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, SceneRecord, Submitted,
+    TileCheck, TileFailure, TileRecord, TileResult, TileState,
 };
 use super::table::{Bytes, Changes, Over, Table, View, encode, key};
 use crate::ids::{Digest, JobId, TileIndex};
@@ -37,6 +39,18 @@ pub(super) enum Event {
     EpochBegun(u64),
     /// A job was removed.
     JobDeleted { job: JobId },
+    /// A worker gets no tiles any more.
+    Quarantined(QuarantineRecord),
+    /// A worker gets tiles again.
+    Released { worker: String },
+    /// A scene was removed.
+    SceneDeleted {
+        #[serde(with = "super::records::hex_digest")]
+        scene: Digest,
+    },
+    /// Entries of another store, or of this one before its journal was compacted: keys in hexadecimal digits, and
+    /// values as base64.
+    Imported { entries: Vec<(String, String)> },
 }
 
 /// The decision on a command: its event, if it changes anything, and the answer once the event is durable.
@@ -102,6 +116,23 @@ pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, Store
             let key = key::job(job.id);
             let value = encode(&key, job)?;
             changes.insert(key, Some(value));
+        }
+        Event::Quarantined(record) => {
+            let key = key::quarantined(&record.worker);
+            let value = encode(&key, record)?;
+            put(key, value);
+        }
+        Event::SceneDeleted { scene } => {
+            changes.insert(key::scene(scene), None);
+        }
+        Event::Imported { entries } => {
+            for entry in entries {
+                let (key, value) = Entry::read(entry)?;
+                changes.insert(key, Some(value));
+            }
+        }
+        Event::Released { worker } => {
+            changes.insert(key::quarantined(worker), None);
         }
         Event::EpochBegun(epoch) => {
             put(key::EPOCH.to_vec(), encode(key::EPOCH, epoch)?);
@@ -237,6 +268,10 @@ pub(super) fn commit_tile(
     result: TileResult,
 ) -> Decided<CommitOutcome> {
     check_identifier("the worker's name", &result.stats.worker, MAX_WORKER_BYTES)?;
+    check_length("the list of helpers", result.stats.helpers.len(), MAX_HELPERS)?;
+    for helper in &result.stats.helpers {
+        check_identifier("a helper's name", helper, MAX_WORKER_BYTES)?;
+    }
     let (record, mut found) = view.job_and_tile(job, tile)?;
     if let TileState::Done { digest: kept, .. } = found.state {
         if kept == result.digest {
@@ -251,6 +286,7 @@ pub(super) fn commit_tile(
     }
     let TileResult { digest, bytes, stats } = result;
     found.state = TileState::Done { digest, bytes, stats };
+    found.check = None;
     happened(Event::TileChanged { job, tile: found }, CommitOutcome::Committed)
 }
 
@@ -403,6 +439,85 @@ pub(super) fn reopen_tiles(view: View<'_>, job: JobId) -> Decided<u32> {
         record.finished_at_ms = None;
     }
     happened(Event::TilesReopened { job: record, tiles }, set_aside)
+}
+
+/// Who has computed a done tile again with the same bytes.
+pub(super) fn confirm_tile(
+    view: View<'_>,
+    job: JobId,
+    tile: TileIndex,
+    digest: Digest,
+    check: TileCheck,
+) -> Decided<()> {
+    check_identifier("the worker's name", &check.worker, MAX_WORKER_BYTES)?;
+    let (_, mut found) = view.job_and_tile(job, tile)?;
+    match &found.state {
+        TileState::Done { digest: kept, .. } if *kept == digest && found.check.as_ref() != Some(&check) => {
+            found.check = Some(check);
+            happened(Event::TileChanged { job, tile: found }, ())
+        }
+        // It was computed again meanwhile, or is known.
+        _ => unchanged(()),
+    }
+}
+
+/// Opens tiles again whose results are not believed any more. A done job, whose other outputs are gone, begins
+/// anew. Returns the number of opened tiles.
+pub(super) fn invalidate_tiles(view: View<'_>, job: JobId, tiles: &[TileIndex]) -> Decided<u32> {
+    let mut record = view.known_job(job)?;
+    let is_done = record.state.phase() == JobPhase::Done;
+    if let Some(tile) = tiles.iter().find(|tile| tile.0 >= record.tiles) {
+        return Err(StoreError::UnknownTile { job, tile: *tile, tiles: record.tiles });
+    }
+    let meant =
+        |tile: &TileRecord| !matches!(tile.state, TileState::Open) && (is_done || tiles.contains(&tile.tile));
+    let recorded = view.recorded_tiles(job)?;
+    let opened: Vec<TileIndex> = recorded.iter().filter(|tile| meant(tile)).map(|tile| tile.tile).collect();
+    if opened.is_empty() || tiles.is_empty() {
+        return unchanged(0);
+    }
+    if is_done {
+        record.state = JobState::Queued;
+        record.finished_at_ms = None;
+    }
+    // No more than the job has tiles.
+    let count = opened.len() as u32;
+    happened(Event::TilesReopened { job: record, tiles: opened }, count)
+}
+
+/// Removes a scene that no job names.
+pub(super) fn delete_scene(view: View<'_>, scene: Digest) -> Decided<SceneRecord> {
+    let record = view.scene(&scene)?.ok_or(StoreError::UnknownScene { scene })?;
+    if let Some(job) = view.jobs()?.iter().find(|job| job.scene == scene) {
+        return Err(StoreError::SceneInUse { scene, job: job.id });
+    }
+    happened(Event::SceneDeleted { scene }, record)
+}
+
+/// Takes over entries of another store. The first ones need an empty store.
+pub(super) fn import(view: View<'_>, entries: Vec<Entry>, first: bool) -> Decided<()> {
+    if first && !view.is_empty()? {
+        return Err(StoreError::NotEmpty);
+    }
+    let entries = entries.iter().map(Entry::written).collect();
+    happened(Event::Imported { entries }, ())
+}
+
+/// Records that a worker gets no tiles any more; the first reason stays.
+pub(super) fn quarantine(view: View<'_>, record: QuarantineRecord) -> Decided<()> {
+    check_identifier("the worker's name", &record.worker, MAX_WORKER_BYTES)?;
+    if view.is_quarantined(&record.worker)? {
+        return unchanged(());
+    }
+    happened(Event::Quarantined(QuarantineRecord { reason: clean_reason(&record.reason), ..record }), ())
+}
+
+/// Records that a worker gets tiles again; returns whether it had none.
+pub(super) fn release(view: View<'_>, worker: String) -> Decided<bool> {
+    if !view.is_quarantined(&worker)? {
+        return unchanged(false);
+    }
+    happened(Event::Released { worker }, true)
 }
 
 pub(super) fn begin_epoch(view: View<'_>) -> Decided<u64> {

@@ -16,12 +16,14 @@ use std::io::{Read, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
+use super::api::Store as _;
+use super::compaction;
 use super::engine::Engine;
 use super::error::{JournalError, StoreError};
 use super::journal::{HEADER_BYTES, Journal};
@@ -41,8 +43,9 @@ pub struct SledStore {
     /// `None` only while being dropped.
     commands: Mutex<Option<Sender<Box<dyn Pending>>>>,
     writer: Option<JoinHandle<()>>,
+    told: Arc<Told>,
     /// Released last: fields are dropped in order.
-    _lock: File,
+    lock: File,
 }
 
 impl SledStore {
@@ -70,14 +73,76 @@ impl SledStore {
             }
             Err(other) => return Err(other),
         };
+        let (journal, live) = compacted(journal, live, (&path, &view))?;
         let live = Arc::new(RwLock::new(live));
         let (commands, incoming) = channel();
-        let writer = Writer { journal, live: live.clone() };
+        let told = Arc::<Told>::default();
+        let writer = Writer { journal, live: live.clone(), told: Arc::clone(&told) };
         let writer = std::thread::Builder::new()
             .name("store-writer".to_owned())
             .spawn(move || writer.run(&incoming))
             .map_err(fault("start the writer thread for", directory))?;
-        Ok(Self { live, commands: Mutex::new(Some(commands)), writer: Some(writer), _lock: lock })
+        Ok(Self { live, commands: Mutex::new(Some(commands)), writer: Some(writer), told, lock })
+    }
+}
+
+/// The lengths of a journal before and after it was compacted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Compacted {
+    /// Bytes before.
+    pub from: u64,
+    /// Bytes after.
+    pub to: u64,
+}
+
+impl SledStore {
+    /// Compacts the journal of the store in `directory`, which nobody uses.
+    ///
+    /// # Errors
+    /// As [`SledStore::open`]; and when there is no store.
+    pub fn compact(directory: &Path) -> Result<Compacted, StoreError> {
+        let path = directory.join("journal");
+        if !path.exists() {
+            return Err(JournalError::Missing { path, view: directory.join("sled") }.into());
+        }
+        let store = Self::open(directory)?;
+        let entries = store.entries()?;
+        let from = std::fs::metadata(&path).map_err(fault("measure", &path))?.len();
+        // The lock stays; the view and the writer go.
+        let lock = store.lock.try_clone().map_err(fault("keep the lock of", directory))?;
+        drop(store);
+        let to = compaction::replace(&path, &entries)?;
+        remove_view(&directory.join("sled"))?;
+        drop(lock);
+        Ok(Compacted { from, to })
+    }
+}
+
+/// The journal compacted, if that is worth it, and the view of it.
+fn compacted(
+    journal: Journal,
+    live: Live,
+    (path, view): (&Path, &Path),
+) -> Result<(Journal, Live), StoreError> {
+    let entries = View(&live).entries()?;
+    if !compaction::is_worth(journal.end(), &entries) {
+        return Ok((journal, live));
+    }
+    let from = journal.end();
+    drop((journal, live));
+    let to = compaction::replace(path, &entries)?;
+    remove_view(view)?;
+    tracing::info!("the journal was compacted from {from} to {to} bytes");
+    let journal = Journal::open(path)?;
+    let live = Live::open(view)?.caught_up(&journal)?;
+    Ok((journal, live))
+}
+
+/// Removes a view; it is made again from the journal.
+fn remove_view(view: &Path) -> Result<(), StoreError> {
+    match std::fs::remove_dir_all(view) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(fault("remove", view)(e)),
+        _ => Ok(()),
     }
 }
 
@@ -99,6 +164,14 @@ impl Drop for SledStore {
 }
 
 impl Engine for SledStore {
+    fn writable(&self) -> Result<(), StoreError> {
+        self.told.trouble.get().map_or(Ok(()), |e| Err(e.clone().into()))
+    }
+
+    fn report_syncs(&self, to: Box<dyn Fn(Duration) + Send + Sync>) {
+        drop(self.told.syncs.set(to));
+    }
+
     fn query<A>(&self, ask: impl FnOnce(View<'_>) -> Result<A, StoreError>) -> Result<A, StoreError> {
         // Only whole group commits are applied under this lock, so every answer belongs to one state.
         ask(View(&*self.live.read().unwrap_or_else(PoisonError::into_inner)))
@@ -113,6 +186,20 @@ impl Engine for SledStore {
         let commands = self.commands.lock().unwrap_or_else(PoisonError::into_inner).clone();
         commands.ok_or(StoreError::Closed)?.send(command).map_err(|_| StoreError::Closed)?;
         answer.recv().map_err(|_| StoreError::Closed)?
+    }
+}
+
+/// What the writer thread tells of itself.
+#[derive(Default)]
+struct Told {
+    syncs: OnceLock<Box<dyn Fn(Duration) + Send + Sync>>,
+    /// Why the journal can be written no more.
+    trouble: OnceLock<JournalError>,
+}
+
+impl std::fmt::Debug for Told {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Told").field("trouble", &self.trouble).finish_non_exhaustive()
     }
 }
 
@@ -157,6 +244,7 @@ impl<A: Send, F: FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send> Pen
 struct Writer {
     journal: Journal,
     live: Arc<RwLock<Live>>,
+    told: Arc<Told>,
 }
 
 impl Writer {
@@ -206,7 +294,16 @@ impl Writer {
     }
 
     fn commit(&mut self, payload: &[u8], staged: Changes) -> Result<(), StoreError> {
-        let end = self.journal.append(payload)?;
+        let begun = Instant::now();
+        let end = self.journal.append(payload).inspect_err(|e| {
+            if matches!(e, JournalError::Unusable { .. }) {
+                // Only the first one says what happened.
+                let _ = self.told.trouble.set(e.clone());
+            }
+        })?;
+        if let Some(tell) = self.told.syncs.get() {
+            tell(begun.elapsed());
+        }
         self.live.write().unwrap_or_else(PoisonError::into_inner).take(staged, end);
         Ok(())
     }

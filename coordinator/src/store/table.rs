@@ -9,9 +9,10 @@ use std::collections::BTreeMap;
 
 use serde::{Serialize, de::DeserializeOwned};
 
+use super::entries::Entry;
 use super::error::StoreError;
 use super::limits::check_length;
-use super::records::{JobRecord, SceneRecord, TileRecord};
+use super::records::{JobRecord, QuarantineRecord, SceneRecord, TileRecord};
 use crate::ids::{Digest, JobId, TileIndex};
 
 /// Values are kept below this, because sled's space grows on every overwrite of a large one.
@@ -82,6 +83,7 @@ pub(super) mod key {
     pub(in crate::store) const REQUESTS: &[u8] = b"r";
     pub(in crate::store) const EPOCH: &[u8] = b"e";
     pub(in crate::store) const NEXT_JOB: &[u8] = b"n";
+    pub(in crate::store) const QUARANTINED: &[u8] = b"q";
 
     fn join(parts: &[&[u8]]) -> Bytes {
         parts.concat()
@@ -102,6 +104,9 @@ pub(super) mod key {
     }
     pub(in crate::store) fn request(request_id: &str) -> Bytes {
         join(&[REQUESTS, request_id.as_bytes()])
+    }
+    pub(in crate::store) fn quarantined(worker: &str) -> Bytes {
+        join(&[QUARANTINED, worker.as_bytes()])
     }
     pub(in crate::store) fn tiles(job: JobId) -> Bytes {
         join(&[b"t", &job.0.to_be_bytes()])
@@ -126,8 +131,8 @@ pub(super) fn encode<T: Serialize>(key: &[u8], record: &T) -> Result<Bytes, Stor
     Ok(value)
 }
 
-/// The record under `key`, its version and checksum checked.
-pub(super) fn decode<T: DeserializeOwned>(key: &[u8], value: &[u8]) -> Result<T, StoreError> {
+/// The JSON under `key`, its version and checksum checked.
+pub(super) fn check<'a>(key: &[u8], value: &'a [u8]) -> Result<&'a [u8], StoreError> {
     let damaged =
         |what: &str| StoreError::View { what: format!("the value under {}: {what}", key.escape_ascii()) };
     let (&version, rest) = value.split_first().ok_or_else(|| damaged("empty"))?;
@@ -138,7 +143,13 @@ pub(super) fn decode<T: DeserializeOwned>(key: &[u8], value: &[u8]) -> Result<T,
     if u32::from_le_bytes(*crc) != checksum(key, body) {
         return Err(damaged("its checksum does not match"));
     }
-    serde_json::from_slice(body).map_err(|e| damaged(&e.to_string()))
+    Ok(body)
+}
+
+/// The record under `key`, its version and checksum checked.
+pub(super) fn decode<T: DeserializeOwned>(key: &[u8], value: &[u8]) -> Result<T, StoreError> {
+    serde_json::from_slice(check(key, value)?)
+        .map_err(|e| StoreError::View { what: format!("the value under {}: {e}", key.escape_ascii()) })
 }
 
 /// Typed reading of a table.
@@ -152,6 +163,17 @@ impl View<'_> {
 
     fn all<T: DeserializeOwned>(self, prefix: &[u8]) -> Result<Vec<T>, StoreError> {
         self.0.scan(prefix)?.iter().map(|(key, value)| decode(key, value)).collect()
+    }
+
+    /// Whether there are neither scenes nor jobs.
+    pub(super) fn is_empty(self) -> Result<bool, StoreError> {
+        Ok(self.0.scan(key::SCENES)?.is_empty() && self.0.scan(key::JOBS)?.is_empty())
+    }
+
+    /// Everything, ascending by key.
+    pub(super) fn entries(self) -> Result<Vec<Entry>, StoreError> {
+        let all = self.0.scan(&[])?;
+        Ok(all.into_iter().map(|(key, value)| Entry { key, value }).collect())
     }
 
     pub(super) fn scene(self, digest: &Digest) -> Result<Option<SceneRecord>, StoreError> {
@@ -249,6 +271,14 @@ impl View<'_> {
         }
         let found = self.one(&key::tile(job, tile))?.unwrap_or_else(|| TileRecord::open(tile));
         Ok((record, found))
+    }
+
+    pub(super) fn quarantined(self) -> Result<Vec<QuarantineRecord>, StoreError> {
+        self.all(key::QUARANTINED)
+    }
+
+    pub(super) fn is_quarantined(self, worker: &str) -> Result<bool, StoreError> {
+        Ok(self.0.get(&key::quarantined(worker))?.is_some())
     }
 
     pub(super) fn epoch(self) -> Result<u64, StoreError> {

@@ -11,10 +11,12 @@ use crate::job_args::JobArgs;
 use crate::kind_args::KindArgs;
 use crate::place_args::{parse_box, parse_point};
 use crate::remote_args::{
-    FetchArgs, JobRefArgs, JobsArgs, LogsArgs, PauseArgs, PriorityArgs, RemoteArgs, ShowArgs, SubmitArgs,
+    FetchArgs, InvalidateArgs, JobRefArgs, JobsArgs, LogsArgs, PauseArgs, PriorityArgs, RemoteArgs, ShowArgs,
+    SubmitArgs, WorkersArgs,
 };
 use crate::result_args::{CompletionsArgs, DiffArgs, ExportArgs, ManArgs, ReportArgs, ViewArgs};
-use crate::serve_args::{CoordinatorArgs, WorkerArgs};
+use crate::serve_args::{CoordinatorArgs, LogFormat, WorkerArgs};
+use crate::store_args::StoreArgs;
 use crate::token_args::TokenArgs;
 use crate::what::What;
 
@@ -46,6 +48,15 @@ impl Cli {
         matches!(self.command, Command::Coordinator(_) | Command::Worker(_))
     }
 
+    /// How the log looks.
+    pub fn log_format(&self) -> LogFormat {
+        match &self.command {
+            Command::Coordinator(args) => args.log_format,
+            Command::Worker(args) => args.log_format,
+            _ => LogFormat::Text,
+        }
+    }
+
     /// The log filter without SIGHTLINE_LOG: servers log events, other commands only warnings.
     pub fn default_log(&self) -> &'static str {
         // The scheduler logs which backend it chose, and why.
@@ -74,7 +85,11 @@ pub enum Command {
     /// Show one job with its specification, who works on it, and the connected workers that cannot.
     Show(ShowArgs),
     /// List the connected workers of a coordinator: what they do, and how fast they are.
-    Workers(RemoteArgs),
+    Workers(WorkersArgs),
+    /// Check, compact, export and import the store of a coordinator that does not run.
+    Store(StoreArgs),
+    /// Compute tiles again whose results are not believed any more: of a job, of a worker, of a time.
+    Invalidate(InvalidateArgs),
     /// Print what happened to a job, or on the whole farm, with times.
     Logs(LogsArgs),
     /// End a job. Its finished tiles, and finished phases of tiles at work, are kept for `retry`.

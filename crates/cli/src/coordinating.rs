@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use sightline_coordinator::access::Access;
-use sightline_coordinator::{Config, Coordinator, Tls, TlsFiles};
+use sightline_coordinator::{Config, Coordinator, Quotas, Tls, TlsFiles};
 
 use crate::answers::Commands;
 use crate::error::CliError;
@@ -17,8 +17,11 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
     let certified = tls.as_ref().is_some_and(|tls| tls.checks_workers());
     let access = (args.tokens.is_some() || certified).then(|| Access::new(args.tokens.clone(), certified));
     let access = access.transpose().map_err(|e| CliError::Input(e.to_string()))?.map(Arc::new);
-    let coordinator =
-        Coordinator::open(Config::new(args.data_dir.clone())).map_err(|e| CliError::Input(e.to_string()))?;
+    let mut config = Config::new(args.data_dir.clone());
+    config.leases.spot_check = args.spot_check;
+    (config.retention.keep, config.retention.keep_bytes) = (args.keep, args.keep_bytes);
+    config.quotas = Quotas::parse(&args.quota).map_err(|e| CliError::Usage(format!("--quota: {e}")))?;
+    let coordinator = Coordinator::open(config).map_err(|e| CliError::Input(e.to_string()))?;
     coordinator.answer_with(Box::new(Commands));
     if let Some(access) = access {
         coordinator.ask_callers(access);
@@ -53,13 +56,38 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
                 Some(pages)
             }
         };
+        let metrics = match args.metrics_listen {
+            None => None,
+            Some(address) => {
+                // What it shows is meant for everybody who reaches it.
+                let metrics = sightline_coordinator::listen(address, true).await;
+                let metrics = metrics.map_err(|e| CliError::Usage(format!("--metrics-listen: {e}")))?;
+                let address = metrics.local_addr().map_err(CliError::internal)?;
+                print(&format!("metrics on http://{address}/metrics"))?;
+                Some(metrics)
+            }
+        };
         let c = Arc::clone(&coordinator);
         let served = sightline_coordinator::serve(c, listener, tls.clone(), stop_signal());
-        let Some(pages) = pages else { return served.await.map_err(CliError::internal) };
-        let shown = sightline_coordinator::serve_http(coordinator, pages, tls, std::future::pending());
+        let c = Arc::clone(&coordinator);
+        let shown = async move {
+            match pages {
+                Some(pages) => sightline_coordinator::serve_http(c, pages, tls, std::future::pending()).await,
+                None => std::future::pending().await,
+            }
+        };
+        let counted = async move {
+            match metrics {
+                Some(listener) => {
+                    sightline_coordinator::serve_metrics(coordinator, listener, std::future::pending()).await
+                }
+                None => std::future::pending().await,
+            }
+        };
         tokio::select! {
             ended = served => ended,
             ended = shown => ended,
+            ended = counted => ended,
         }
         .map_err(CliError::internal)
     })

@@ -1,7 +1,7 @@
 //! What a farm does: its workers, the tiles of a job, and what happened.
 
 use std::fmt::Write as _;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use futures::StreamExt as _;
 use serde_json::{Value, json};
@@ -12,8 +12,9 @@ use sightline_proto::v1::farm_client::FarmClient;
 use crate::client;
 use crate::error::CliError;
 use crate::progress::human;
-use crate::remote_args::{LogsArgs, RemoteArgs};
+use crate::remote_args::{InvalidateArgs, LogsArgs, RemoteArgs, WorkersArgs};
 use crate::serve::{print, runtime, stop_signal};
+use crate::timeline::Timeline;
 
 /// Tiles that are asked for at once.
 const TILES_AT_ONCE: u32 = 10_000;
@@ -33,15 +34,67 @@ fn with<T, F: Future<Output = Result<T, CliError>>>(
     })
 }
 
-/// Lists the connected workers.
-pub fn workers(args: &RemoteArgs, json: bool) -> Result<(), CliError> {
-    let listed = with(args, |mut farm| async move {
+/// Lets a quarantined worker work again.
+fn release(remote: &RemoteArgs, worker: &str, json: bool) -> Result<(), CliError> {
+    let request = v1::ReleaseWorkerRequest { worker: worker.to_owned() };
+    let answer = with(remote, |mut farm| async move {
+        let answer = farm.release_worker(request).await;
+        answer.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
+    })?;
+    let Some(v1::ReleaseWorkerResponse { was_quarantined }) = answer else { return Ok(()) };
+    if json {
+        return print(&json!({"worker": worker, "was_quarantined": was_quarantined}).to_string());
+    }
+    if !was_quarantined {
+        let text =
+            format!("no worker named {worker} is quarantined; `sightline workers` lists those that are");
+        return Err(CliError::Input(text));
+    }
+    print(&format!("worker {worker} may work again"))
+}
+
+/// Has tiles computed again whose results are not believed any more.
+pub fn invalidate(args: &InvalidateArgs, json: bool) -> Result<(), CliError> {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_err(CliError::internal)?;
+    let ago = |time: Duration| now.saturating_sub(time).as_millis() as u64;
+    let request = v1::InvalidateRequest {
+        job: args.id.unwrap_or(0),
+        tiles: args.tiles.clone(),
+        worker: args.worker.clone().unwrap_or_default(),
+        from_ms: args.since.map_or(0, ago),
+        to_ms: args.until.map_or(0, ago),
+    };
+    let answer = with(&args.remote, |mut farm| async move {
+        let answer = farm.invalidate(request).await;
+        answer.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
+    })?;
+    let Some(v1::InvalidateResponse { jobs }) = answer else { return Ok(()) };
+    if json {
+        let job = |job: &v1::InvalidatedJob| json!({"job": job.job, "tiles": job.tiles});
+        return print(&Value::from_iter(jobs.iter().map(job)).to_string());
+    }
+    if jobs.is_empty() {
+        return print("no done tile is meant; `sightline show JOB --tiles` lists who did which");
+    }
+    jobs.iter().try_for_each(|job| print(&format!("job {}: {} tiles are computed again", job.job, job.tiles)))
+}
+
+/// Lists the connected workers and those that are quarantined, or releases one.
+pub fn workers(args: &WorkersArgs, json: bool) -> Result<(), CliError> {
+    if let Some(worker) = &args.release {
+        return release(&args.remote, worker, json);
+    }
+    let listed = with(&args.remote, |mut farm| async move {
         let answer = farm.list_workers(v1::ListWorkersRequest {}).await;
         answer.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
     })?;
-    let Some(v1::ListWorkersResponse { workers, now_ms }) = listed else { return Ok(()) };
+    let Some(v1::ListWorkersResponse { workers, now_ms, quarantined }) = listed else { return Ok(()) };
     if json {
         return print(&Value::from_iter(workers.iter().map(worker_value)).to_string());
+    }
+    for worker in &quarantined {
+        let since = millis(now_ms.saturating_sub(worker.since_ms));
+        print(&format!("{} IS QUARANTINED since {since} ago: {}", worker.worker, worker.reason))?;
     }
     if workers.is_empty() {
         return print("no workers are connected; start some with `sightline worker`");
@@ -185,9 +238,17 @@ pub fn logs(args: &LogsArgs, json: bool) -> Result<(), CliError> {
     let request = v1::EventsRequest { job: args.id.unwrap_or(0), after: args.after, follow: args.follow };
     with(&args.remote, |mut farm| async move {
         let mut events = farm.events(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+        let mut traced = args.trace.then(Timeline::default);
         while let Some(event) = events.next().await {
             let event = event.map_err(|s| CliError::status(&s))?;
+            if let Some(traced) = &mut traced {
+                traced.add(&event);
+                continue;
+            }
             print(&if json { event_value(&event).to_string() } else { event_line(&event) })?;
+        }
+        if let Some(traced) = traced {
+            print(&traced.finish().to_string())?;
         }
         Ok(())
     })

@@ -415,7 +415,7 @@ impl JobArgs {
     }
 }
 
-fn parse_duration(text: &str) -> Result<Duration, String> {
+pub fn parse_duration(text: &str) -> Result<Duration, String> {
     /// A year.
     const MOST: Duration = Duration::from_secs(366 * 24 * 3600);
     let wrong = || "give a duration of at most a year, as in 500ms, 30s (or 30), 5m or 2h".to_owned();

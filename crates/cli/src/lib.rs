@@ -57,7 +57,10 @@ mod serve_args;
 mod showing;
 mod sightlines;
 mod stab;
+mod store;
+mod store_args;
 mod submitting;
+mod timeline;
 mod token_args;
 mod tokens;
 mod verdict;
@@ -74,6 +77,7 @@ use clap::Parser as _;
 
 use crate::args::{Cli, Command};
 use crate::error::CliError;
+use crate::serve_args::LogFormat;
 
 /// Runs the command that the arguments of this process name.
 pub fn command() -> ExitCode {
@@ -86,10 +90,10 @@ pub fn command() -> ExitCode {
         .with_writer(progress::LogWriter)
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false);
-    if cli.serves() {
-        log.init();
-    } else {
-        log.without_time().init();
+    match cli.log_format() {
+        LogFormat::Json => log.json().init(),
+        LogFormat::Text if cli.serves() => log.init(),
+        LogFormat::Text => log.without_time().init(),
     }
     if cli.json {
         progress::tell_as_json();
@@ -128,6 +132,8 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Jobs(a) => remote::jobs(&a, json),
         Command::Show(a) => remote::show(&a, json),
         Command::Workers(a) => farm::workers(&a, json),
+        Command::Store(a) => store::store(&a, json),
+        Command::Invalidate(a) => farm::invalidate(&a, json),
         Command::Logs(a) => farm::logs(&a, json),
         Command::Delete(a) => remote::turn(&a, remote::Turn::Delete, json),
         Command::Cancel(a) => remote::turn(&a, remote::Turn::Cancel, json),

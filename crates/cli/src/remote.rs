@@ -112,7 +112,15 @@ pub async fn listed(
     let mut before = args.before.unwrap_or(0);
     loop {
         let limit = if args.all { 0 } else { args.limit };
-        let page = client.list(v1::ListRequest { limit, before }).await;
+        let request = v1::ListRequest {
+            limit,
+            before,
+            states: args.states.iter().filter_map(|state| state_named(state)).map(i32::from).collect(),
+            name: args.name.clone(),
+            user: args.user.clone(),
+            scene: Vec::new(),
+        };
+        let page = client.list(request).await;
         let v1::ListResponse { jobs, older } = page.map_err(|s| CliError::status(&s))?.into_inner();
         before = jobs.first().map_or(0, |job| job.id);
         list.splice(0..0, jobs);
@@ -120,6 +128,11 @@ pub async fn listed(
             return Ok((list, older));
         }
     }
+}
+
+/// The state of this name.
+fn state_named(name: &str) -> Option<v1::JobState> {
+    v1::JobState::from_str_name(&format!("JOB_STATE_{}", name.to_ascii_uppercase()))
 }
 
 /// Shows one job.

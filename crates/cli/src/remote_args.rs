@@ -1,6 +1,7 @@
 //! The arguments of the commands that speak with a coordinator as clients.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::Args;
 use sightline_proto::connecting::{Bearer, Credentials};
@@ -135,9 +136,43 @@ pub struct LogsArgs {
     /// Go on with what happens from now on, until Ctrl-C.
     #[arg(short, long)]
     pub follow: bool,
+    /// Print the time line of the job's tiles as Chrome trace JSON, for chrome://tracing or ui.perfetto.dev: a row for each
+    /// worker, from lease to end.
+    #[arg(long, requires = "id", conflicts_with_all = ["follow", "after"])]
+    pub trace: bool,
     /// Only events with greater numbers; --json prints the numbers.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub after: u64,
+    #[command(flatten)]
+    pub remote: RemoteArgs,
+}
+
+#[derive(Args, Debug)]
+pub struct WorkersArgs {
+    /// Let this quarantined worker work again, instead of listing workers.
+    #[arg(long, value_name = "WORKER")]
+    pub release: Option<String>,
+    #[command(flatten)]
+    pub remote: RemoteArgs,
+}
+
+#[derive(Args, Debug)]
+pub struct InvalidateArgs {
+    /// The job's number. Default: all jobs; then --worker is needed.
+    #[arg(value_name = "JOB", value_parser = job_number, required_unless_present = "worker")]
+    pub id: Option<u64>,
+    /// This tile of the job alone. Can be given several times.
+    #[arg(long = "tile", value_name = "N", requires = "id")]
+    pub tiles: Vec<u32>,
+    /// Only tiles in which this worker may have had a hand.
+    #[arg(long, value_name = "WORKER")]
+    pub worker: Option<String>,
+    /// Only tiles that were committed in this last time, such as 90m or 2h.
+    #[arg(long, value_name = "DUR", value_parser = crate::job_args::parse_duration)]
+    pub since: Option<Duration>,
+    /// Only tiles that were committed before this last time.
+    #[arg(long, value_name = "DUR", value_parser = crate::job_args::parse_duration)]
+    pub until: Option<Duration>,
     #[command(flatten)]
     pub remote: RemoteArgs,
 }
@@ -166,6 +201,15 @@ pub struct JobsArgs {
     /// List only jobs older than this one.
     #[arg(long, value_name = "JOB", value_parser = first_after_none)]
     pub before: Option<u64>,
+    /// List only jobs in this state. Can be given several times.
+    #[arg(long = "state", value_name = "STATE", value_parser = ["queued", "running", "paused", "cancelled", "failed", "done"])]
+    pub states: Vec<String>,
+    /// List only jobs whose name contains this text.
+    #[arg(long, value_name = "TEXT", default_value = "", hide_default_value = true)]
+    pub name: String,
+    /// List only jobs of this user.
+    #[arg(long, value_name = "USER", default_value = "", hide_default_value = true)]
+    pub user: String,
     /// List all jobs, however many there are.
     #[arg(long, conflicts_with_all = ["limit", "before"])]
     pub all: bool,

@@ -2,12 +2,23 @@
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::time::Duration;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use sightline_model::BackendChoice;
 
 use crate::choices::choice;
 use crate::remote_args::RemoteArgs;
+
+/// How a line of the log looks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum LogFormat {
+    /// For people.
+    #[default]
+    Text,
+    /// One JSON object a line: timestamp, level, target, the message and its fields, and the spans around it.
+    Json,
+}
 
 #[derive(Args, Debug)]
 pub struct CoordinatorArgs {
@@ -22,6 +33,29 @@ pub struct CoordinatorArgs {
     /// default.
     #[arg(long, value_name = "ADDR:PORT")]
     pub http: Option<SocketAddr>,
+    /// Serve /metrics for Prometheus, /livez and /readyz at this address, such as 0.0.0.0:9464, as plain HTTP and
+    /// to everybody: they name workers, and no jobs, users or scenes. Off by default.
+    #[arg(long, value_name = "ADDR:PORT")]
+    pub metrics_listen: Option<SocketAddr>,
+    /// What each user of --tokens may have and do, such as bytes=100G,scenes=100,jobs=1000,tiles=1000000: bytes of scenes and
+    /// results, scenes, jobs and their tiles; and requests a second and calls at a time, which are 200 and 256 if nothing
+    /// else is said. `none` is no limit. With USER: in front it is for this user alone. Can be given several times.
+    #[arg(long, value_name = "[USER:]NAME=N,…", requires = "tokens")]
+    pub quota: Vec<String>,
+    /// Delete jobs with their results this long after they ended, and scenes that no job names any more, such as 720h. Default:
+    /// keep them.
+    #[arg(long, value_name = "DUR", value_parser = crate::job_args::parse_duration)]
+    pub keep: Option<Duration>,
+    /// While results and scenes have more bytes than this, delete the job that ended first, such as 500G. Default: no bound.
+    #[arg(long, value_name = "BYTES", value_parser = sightline_coordinator::bytes)]
+    pub keep_bytes: Option<u64>,
+    /// Have this share of the tiles, 0 to 1, computed again by another worker. Where the bytes differ, a third one says
+    /// who was wrong; that worker is quarantined, and what it did is computed again.
+    #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = share)]
+    pub spot_check: f64,
+    /// How the log on stderr looks: text, or one JSON object a line.
+    #[arg(long, value_name = "FORMAT", value_enum, default_value_t)]
+    pub log_format: LogFormat,
     /// Allow connections from other machines without encryption, where the network is private.
     #[arg(long)]
     pub allow_plaintext: bool,
@@ -58,9 +92,20 @@ pub struct WorkerArgs {
     /// Name that the coordinator shows. Default: host name, process number and a random number.
     #[arg(long)]
     pub name: Option<String>,
+    /// How the log on stderr looks: text, or one JSON object a line.
+    #[arg(long, value_name = "FORMAT", value_enum, default_value_t)]
+    pub log_format: LogFormat,
     /// Stop when the coordinator cannot be reached for this many seconds. Default: keep trying.
     #[arg(long, value_name = "S")]
     pub give_up_after: Option<u64>,
+}
+
+/// Reads a share.
+fn share(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(share) if (0.0..=1.0).contains(&share) => Ok(share),
+        _ => Err("give a share from 0 to 1, such as 0.02".to_owned()),
+    }
 }
 
 /// Reads a number of threads.

@@ -58,6 +58,8 @@ pub(super) async fn call(
         "sightline.v1.Farm" => call_by_name!(site.farm, caller, method, body, {
             "ListWorkers" => list_workers,
             "ListTiles" => list_tiles,
+            "Invalidate" => invalidate,
+            "ReleaseWorker" => release_worker,
         }),
         "sightline.v1.Results" => call_by_name!(site.results, caller, method, body, {
             "Query" => query,

@@ -87,7 +87,8 @@ async fn keep_workers(c: Arc<Coordinator>, this: Arc<Snapshots>) {
         let now = c.now_plain();
         let roster = c.lock().machine.roster(now);
         let workers = roster.into_iter().map(wire::member).collect();
-        let answer = v1::ListWorkersResponse { workers, now_ms: now.unix_ms };
+        // The page shows the trouble of those that are connected.
+        let answer = v1::ListWorkersResponse { workers, now_ms: now.unix_ms, quarantined: Vec::new() };
         if let Ok(text) = serde_json::to_string(&answer) {
             this.workers.send_replace(text.into());
         }

@@ -7,6 +7,7 @@ use std::fs::File;
 use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::SystemTime;
 
 use crate::ids::Digest;
 
@@ -83,6 +84,17 @@ pub struct BlobReader {
     pub length: u64,
 }
 
+/// A blob as [`Blobs::visit`] finds it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stored {
+    /// Its name.
+    pub digest: Digest,
+    /// Its size.
+    pub bytes: u64,
+    /// When it was written or put last.
+    pub written: SystemTime,
+}
+
 /// A blob that arrives in pieces. Nothing of it is kept unless it is finished.
 ///
 /// The errors of [`Write`] carry a [`BlobError`]; [`Blobs::io_error`] takes it out again.
@@ -130,6 +142,13 @@ pub trait Blobs: Send + Sync {
 
     /// Begins a blob that arrives in pieces.
     fn put_stream(&self) -> Result<Box<dyn BlobWriter>, BlobError>;
+
+    /// Calls `visit` for every blob, in any order, with its size and the time when it was written or put last. Ends
+    /// when `visit` returns false.
+    fn visit(&self, visit: &mut dyn FnMut(Stored) -> bool) -> Result<(), BlobError>;
+
+    /// When a blob was written or put last; `None` when it is absent.
+    fn written(&self, digest: &Digest) -> Result<Option<SystemTime>, BlobError>;
 
     /// Removes a blob; returns whether it was present.
     fn remove(&self, digest: &Digest) -> Result<bool, BlobError>;

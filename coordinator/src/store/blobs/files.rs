@@ -9,8 +9,9 @@ use std::io::{self, ErrorKind, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::SystemTime;
 
-use super::api::{BlobError, BlobReader, BlobWriter, Blobs, check_announced, fault};
+use super::api::{BlobError, BlobReader, BlobWriter, Blobs, Stored, check_announced, fault};
 use crate::ids::{Digest, hex};
 
 /// A directory of blobs. Clones share it.
@@ -55,6 +56,11 @@ impl FileBlobs {
                 if synced {
                     self.sync(&digest)?;
                 }
+                // Who puts a blob is going to name it, so it must not look like one that nobody has named for long.
+                let path = self.path(&digest);
+                File::open(&path)
+                    .and_then(|file| file.set_modified(SystemTime::now()))
+                    .map_err(fault("date", &path))?;
                 return Ok(digest);
             }
             Err(BlobError::Missing { .. }) => {}
@@ -129,6 +135,42 @@ impl Blobs for FileBlobs {
 
     fn put_stream(&self) -> Result<Box<dyn BlobWriter>, BlobError> {
         Ok(Box::new(self.writer()?))
+    }
+
+    fn visit(&self, visit: &mut dyn FnMut(Stored) -> bool) -> Result<(), BlobError> {
+        let list = |path: &Path| {
+            let mut names = Vec::new();
+            for entry in std::fs::read_dir(path).map_err(fault("list", path))? {
+                names.push(entry.map_err(fault("list", path))?.path());
+            }
+            names.sort();
+            Ok(names)
+        };
+        let short = |path: &Path| path.file_name().is_some_and(|name| name.len() == 2);
+        for outer in list(&self.root)?.iter().filter(|path| short(path)) {
+            for inner in list(outer)?.iter().filter(|path| short(path)) {
+                for path in list(inner)? {
+                    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+                    // Files that are no blobs are nobody's business.
+                    let Ok(digest) = blake3::Hash::from_hex(name) else { continue };
+                    let Some(bytes) = self.len(digest.as_bytes())? else { continue };
+                    let Some(written) = self.written(digest.as_bytes())? else { continue };
+                    if !visit(Stored { digest: *digest.as_bytes(), bytes, written }) {
+                        return Ok(());
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn written(&self, digest: &Digest) -> Result<Option<SystemTime>, BlobError> {
+        let path = self.path(digest);
+        match std::fs::metadata(&path).and_then(|metadata| metadata.modified()) {
+            Ok(time) => Ok(Some(time)),
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(fault("look at", &path)(error)),
+        }
     }
 
     fn remove(&self, digest: &Digest) -> Result<bool, BlobError> {

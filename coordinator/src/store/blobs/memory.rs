@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 use std::io::{self, Cursor, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::SystemTime;
 
-use super::api::{BlobError, BlobReader, BlobWriter, Blobs, check_announced, fault};
+use super::api::{BlobError, BlobReader, BlobWriter, Blobs, Stored, check_announced, fault};
 use crate::ids::{Digest, hex};
 
-type Map = BTreeMap<Digest, Arc<[u8]>>;
+type Map = BTreeMap<Digest, (Arc<[u8]>, SystemTime)>;
 
 /// Blobs without a disk. Clones share them.
 #[derive(Clone, Debug, Default)]
@@ -27,13 +28,16 @@ impl MemoryBlobs {
 
     fn get(&self, digest: &Digest) -> Result<Arc<[u8]>, BlobError> {
         let path = || PathBuf::from(format!("{} in memory", hex(digest)));
-        self.map().get(digest).cloned().ok_or_else(|| BlobError::Missing { path: path() })
+        self.map()
+            .get(digest)
+            .map(|(bytes, _)| Arc::clone(bytes))
+            .ok_or_else(|| BlobError::Missing { path: path() })
     }
 }
 
 impl Blobs for MemoryBlobs {
     fn len(&self, digest: &Digest) -> Result<Option<u64>, BlobError> {
-        Ok(self.map().get(digest).map(|bytes| bytes.len() as u64))
+        Ok(self.map().get(digest).map(|(bytes, _)| bytes.len() as u64))
     }
 
     fn read(&self, digest: &Digest) -> Result<Vec<u8>, BlobError> {
@@ -48,12 +52,28 @@ impl Blobs for MemoryBlobs {
 
     fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
         let digest = *blake3::hash(bytes).as_bytes();
-        self.map().entry(digest).or_insert_with(|| bytes.into());
+        let now = SystemTime::now();
+        self.map().entry(digest).or_insert_with(|| (bytes.into(), now)).1 = now;
         Ok(digest)
     }
 
     fn put_unsynced(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
         self.put(bytes)
+    }
+
+    fn visit(&self, visit: &mut dyn FnMut(Stored) -> bool) -> Result<(), BlobError> {
+        let of = |(digest, (bytes, written)): (&Digest, &(Arc<[u8]>, SystemTime))| Stored {
+            digest: *digest,
+            bytes: bytes.len() as u64,
+            written: *written,
+        };
+        let all: Vec<Stored> = self.map().iter().map(of).collect();
+        all.into_iter().all(visit);
+        Ok(())
+    }
+
+    fn written(&self, digest: &Digest) -> Result<Option<SystemTime>, BlobError> {
+        Ok(self.map().get(digest).map(|(_, written)| *written))
     }
 
     fn put_stream(&self) -> Result<Box<dyn BlobWriter>, BlobError> {

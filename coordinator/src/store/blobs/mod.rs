@@ -7,6 +7,6 @@ mod memory;
 #[cfg(test)]
 mod conformance;
 
-pub use api::{BlobError, BlobReader, BlobWriter, Blobs};
+pub use api::{BlobError, BlobReader, BlobWriter, Blobs, Stored};
 pub use files::FileBlobs;
 pub use memory::MemoryBlobs;

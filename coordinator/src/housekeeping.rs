@@ -1,0 +1,119 @@
+//! What is removed by itself: jobs that are older than they are kept, or more than there is room for, and blobs
+//! that nobody needs.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use crate::chronicle::{Happening, Kind};
+use crate::deleting;
+use crate::ids::JobId;
+use crate::jobs::JobError;
+use crate::keeping::{self, KeepingError};
+use crate::state::Coordinator;
+use crate::store::{JobRecord, JobState, StoreError};
+
+/// Something that stands in the way.
+#[derive(Debug, thiserror::Error)]
+enum Fault {
+    #[error(transparent)]
+    Keeping(#[from] KeepingError),
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    #[error(transparent)]
+    Job(#[from] JobError),
+}
+
+/// Removes what is not kept. A fault is logged, and what it left is removed the next time.
+pub(crate) fn tidy_up(c: &Arc<Coordinator>) {
+    if let Err(e) = old_jobs(c).and_then(|()| many_bytes(c)).and_then(|()| old_scenes(c)) {
+        tracing::warn!("what is too old is not removed yet: {e}");
+    }
+    let alone = |remove: &mut dyn FnMut()| {
+        let _turn = c.turn();
+        let _alone = c.no_commits();
+        remove();
+    };
+    match keeping::sweep(&*c.store, &*c.blobs, c.retention.grace, &alone) {
+        Ok((0, _)) => {}
+        Ok((blobs, bytes)) => {
+            let text = format!("{blobs} blobs that nobody needs are removed, {bytes} bytes");
+            tracing::info!("{text}");
+            c.happened(Happening::of(Kind::Coordinator, text));
+        }
+        Err(e) => tracing::warn!("blobs that nobody needs are not removed yet: {e}"),
+    }
+}
+
+fn delete(c: &Arc<Coordinator>, job: JobId, why: &str) -> Result<(), Fault> {
+    tracing::info!("job {job} is deleted: {why}");
+    match deleting::delete(c, job) {
+        // Somebody was faster, or it is tried again.
+        Ok(_)
+        | Err(JobError::Store(StoreError::UnknownJob { .. } | StoreError::IllegalTransition { .. })) => {
+            Ok(())
+        }
+        Err(e) => Err(e.into()),
+    }
+}
+
+/// Ended jobs and when they ended, the first one first.
+fn ended(c: &Coordinator) -> Result<Vec<(u64, JobRecord)>, Fault> {
+    let of = |job: JobRecord| job.finished_at_ms.filter(|_| job.state.phase().ended()).map(|at| (at, job));
+    let mut ended: Vec<_> = c.store.jobs()?.into_iter().filter_map(of).collect();
+    ended.sort_by_key(|(at, job)| (*at, job.id));
+    Ok(ended)
+}
+
+fn old_jobs(c: &Arc<Coordinator>) -> Result<(), Fault> {
+    let Some(keep) = c.retention.keep else { return Ok(()) };
+    let before = c.now().unix_ms.saturating_sub(keep.as_millis() as u64);
+    for (_, job) in ended(c)?.into_iter().take_while(|(at, _)| *at < before) {
+        delete(c, job.id, "it ended longer ago than jobs are kept")?;
+    }
+    Ok(())
+}
+
+fn many_bytes(c: &Arc<Coordinator>) -> Result<(), Fault> {
+    let Some(most) = c.retention.keep_bytes else { return Ok(()) };
+    let scenes: u64 = c.store.scenes()?.iter().map(|scene| scene.bytes).fold(0, u64::saturating_add);
+    // Jobs with the same result share its blob.
+    let mut results: BTreeMap<_, (u64, u32)> = BTreeMap::new();
+    let ended = ended(c)?;
+    for (_, job) in &ended {
+        if let JobState::Done { result, bytes } = job.state {
+            let entry = results.entry(result).or_insert((bytes, 0));
+            entry.1 += 1;
+        }
+    }
+    let mut sum = results.values().map(|(bytes, _)| *bytes).fold(scenes, u64::saturating_add);
+    for (_, job) in ended {
+        let JobState::Done { result, bytes } = job.state else { continue };
+        if sum <= most {
+            break;
+        }
+        delete(c, job.id, "results and scenes have more bytes than are kept")?;
+        if let Some((_, jobs)) = results.get_mut(&result) {
+            *jobs -= 1;
+            if *jobs == 0 {
+                sum -= bytes;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Scenes that no job names any more, and that were sent longer ago than jobs are kept.
+fn old_scenes(c: &Arc<Coordinator>) -> Result<(), Fault> {
+    let Some(keep) = c.retention.keep else { return Ok(()) };
+    for scene in c.store.scenes()? {
+        let written = c.blobs.written(&scene.digest).map_err(KeepingError::from)?;
+        // One whose blob is lost can only be sent again.
+        if written.is_none_or(|at| at.elapsed().is_ok_and(|age| age >= keep)) {
+            match c.store.delete_scene(scene.digest) {
+                Ok(_) | Err(StoreError::SceneInUse { .. } | StoreError::UnknownScene { .. }) => {}
+                Err(e) => return Err(e.into()),
+            }
+        }
+    }
+    Ok(())
+}

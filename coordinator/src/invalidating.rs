@@ -1,0 +1,183 @@
+//! Results that are not believed any more: those of a worker whose bytes were wrong, or those that a person
+//! names. Their tiles are computed again, with all tiles that were computed from them.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use crate::chronicle::{Happening, Kind};
+use crate::ids::{JobId, TileIndex};
+use crate::scheduler::{Event, Job};
+use crate::scheduling::{Chore, tell};
+use crate::specs;
+use crate::state::Coordinator;
+use crate::store::{JobPhase, JobRecord, QuarantineRecord, StoreError, TileRecord, TileState};
+
+/// Which results are meant.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Which {
+    /// Of this job alone.
+    pub(crate) job: Option<JobId>,
+    /// These tiles alone; empty for all.
+    pub(crate) tiles: BTreeSet<TileIndex>,
+    /// Those in which a worker of this name may have had a hand.
+    pub(crate) worker: Option<String>,
+    /// Those that were committed in this time, in milliseconds since 1970. Tiles of earlier versions have no
+    /// time and are always meant.
+    pub(crate) from_ms: u64,
+    pub(crate) to_ms: u64,
+}
+
+impl Which {
+    fn means(&self, record: &TileRecord) -> bool {
+        let TileState::Done { stats, .. } = &record.state else { return false };
+        let timed = stats.at_ms == 0 || (self.from_ms..=self.to_ms).contains(&stats.at_ms);
+        let named = self.tiles.is_empty() || self.tiles.contains(&record.tile);
+        timed && named && self.worker.as_ref().is_none_or(|name| stats.may_be_of(name))
+    }
+}
+
+/// Quarantines workers, and has what they did since they were last right computed again. To be called while
+/// holding the turn.
+pub(crate) fn condemn(
+    c: &Coordinator,
+    workers: &[String],
+    reason: &str,
+    chores: &mut Vec<Chore>,
+) -> Result<(), StoreError> {
+    let agreed = agreements(c, workers)?;
+    for worker in workers {
+        let at_ms = c.now().unix_ms;
+        let record = QuarantineRecord { worker: worker.clone(), at_ms, reason: reason.to_owned() };
+        c.store.quarantine(record)?;
+        let text = format!(
+            "WORKER {worker} IS QUARANTINED: {reason}. What it did since it was last right is computed again. Find \
+             out what is wrong with its machine, driver or program; `sightline workers --release {worker}` lets it \
+             work again"
+        );
+        tracing::error!("{text}");
+        c.happened(Happening::of(Kind::Worker, text).on(worker));
+        let from_ms = agreed.get(worker).map_or(0, |at| at + 1);
+        let which = Which { worker: Some(worker.clone()), from_ms, to_ms: u64::MAX, ..Which::default() };
+        invalidate(c, &which, chores)?;
+    }
+    Ok(())
+}
+
+/// When each of these workers was last known to be right: when it committed a tile that another one has
+/// confirmed, or confirmed one itself.
+fn agreements(c: &Coordinator, workers: &[String]) -> Result<BTreeMap<String, u64>, StoreError> {
+    let mut last: BTreeMap<String, u64> = BTreeMap::new();
+    for job in c.store.jobs()? {
+        for tile in c.store.tiles(job.id)? {
+            let (TileState::Done { stats, .. }, Some(check)) = (&tile.state, &tile.check) else { continue };
+            for worker in workers {
+                let at = if check.worker == *worker {
+                    check.at_ms
+                } else if stats.worker == *worker || stats.helpers.contains(worker) {
+                    stats.at_ms
+                } else {
+                    continue;
+                };
+                let known = last.entry(worker.clone()).or_default();
+                *known = at.max(*known);
+            }
+        }
+    }
+    Ok(last)
+}
+
+/// Opens tiles again; returns how many of each job. To be called while holding the turn.
+pub(crate) fn invalidate(
+    c: &Coordinator,
+    which: &Which,
+    chores: &mut Vec<Chore>,
+) -> Result<BTreeMap<JobId, u32>, StoreError> {
+    let jobs = match which.job {
+        Some(id) => vec![c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?],
+        None => c.store.jobs()?,
+    };
+    let mut opened = BTreeMap::new();
+    for job in jobs {
+        let tiles: BTreeSet<TileIndex> =
+            c.store.tiles(job.id)?.iter().filter(|tile| which.means(tile)).map(|tile| tile.tile).collect();
+        if !tiles.is_empty() {
+            let id = job.id;
+            opened.insert(id, open_again(c, job, tiles, true, chores)?);
+        }
+    }
+    Ok(opened)
+}
+
+/// Opens tiles of a job whose outputs are lost. To be called while holding the turn.
+pub(crate) fn open(
+    c: &Coordinator,
+    job: JobId,
+    tiles: BTreeSet<TileIndex>,
+    chores: &mut Vec<Chore>,
+) -> Result<u32, StoreError> {
+    let record = c.store.job(job)?.ok_or(StoreError::UnknownJob { job })?;
+    open_again(c, record, tiles, false, chores)
+}
+
+/// Opens tiles of a job, `with` those that were computed from them, and lets the scheduler begin anew with it.
+fn open_again(
+    c: &Coordinator,
+    job: JobRecord,
+    tiles: BTreeSet<TileIndex>,
+    with: bool,
+    chores: &mut Vec<Chore>,
+) -> Result<u32, StoreError> {
+    let (id, was) = (job.id, job.state.phase());
+    let spec = specs::whole(&*c.blobs, &job.spec);
+    let again = |record: JobRecord| {
+        let spec = spec.as_ref().map_err(String::clone)?;
+        Job::of(record, spec, c.store.tiles(id).map_err(|e| e.to_string())?)
+    };
+    // A job that another version began cannot be computed again; a result that is wrong must not stay as it is.
+    let tiles = match again(job) {
+        Ok(job) if with => job.with_dependents(tiles),
+        Ok(_) => tiles,
+        Err(reason) => {
+            tracing::error!(
+                "job {id} has results that are not believed any more, and cannot be continued: {reason}"
+            );
+            tiles
+        }
+    };
+    let tiles: Vec<TileIndex> = tiles.into_iter().collect();
+    let opened = c.store.invalidate_tiles(id, &tiles)?;
+    let text = match was {
+        JobPhase::Done => {
+            format!("the result is not believed any more; all {opened} tiles are computed again")
+        }
+        _ if with => format!("{opened} tiles are not believed any more and are computed again"),
+        _ => format!("the outputs of {opened} tiles are lost and are computed again"),
+    };
+    tracing::warn!("job {id}: {text}");
+    c.happened(Happening::of_job(Kind::Job, id, text));
+    let Some(record) = c.store.job(id)?.filter(|record| !record.state.phase().ended()) else {
+        return Ok(opened);
+    };
+    match again(record) {
+        Ok(job) => chores.extend(tell(c, Event::TakenUp(Box::new(job)))),
+        Err(reason) => {
+            let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
+            let failed = crate::store::JobState::Failed { reason };
+            let record = c.store.set_job_state(id, &from, failed, c.now().unix_ms)?;
+            chores.extend(tell(c, Event::JobChanged(Box::new(record))));
+        }
+    }
+    Ok(opened)
+}
+
+/// Lets a quarantined worker work again; returns whether it was quarantined.
+pub(crate) fn release(c: &Arc<Coordinator>, worker: &str) -> Result<bool, StoreError> {
+    let was = c.store.release(worker)?;
+    if was {
+        let text = format!("worker {worker} may work again");
+        tracing::warn!("{text}");
+        c.happened(Happening::of(Kind::Worker, text).on(worker));
+        crate::chores::happened(c, Event::Released(worker.to_owned()));
+    }
+    Ok(was)
+}

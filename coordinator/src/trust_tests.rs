@@ -1,0 +1,252 @@
+//! Results that are wrong or lost, and what a coordinator keeps: a job of two tiles on a memory store.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::chores::do_chores;
+use crate::clock::ManualClock;
+use crate::housekeeping::tidy_up;
+use crate::ids::{Digest, JobId, TileIndex};
+use crate::invalidating::{self, Which};
+use crate::jobs;
+use crate::keeping;
+use crate::kept::Retention;
+use crate::lifecycle;
+use crate::limits::Quotas;
+use crate::scheduler::Order;
+use crate::sessions::{self, Message};
+use crate::state::{Coordinator, Leases};
+use crate::store::{MemoryBlobs, MemoryStore, TileState};
+use crate::submit::{SubmitError, submit};
+use crate::tests::{coordinator, granted, join, nameless, output, put, two_tiles};
+use sightline_model::JobSpec;
+use sightline_scene::{Object, Scene, Triangle};
+use sightline_viewcells::Division;
+
+type Orders = tokio::sync::mpsc::Receiver<Order>;
+
+/// A coordinator that has every tile computed again.
+fn checking() -> (Arc<Coordinator>, Arc<ManualClock>, Digest) {
+    let clock = Arc::new(ManualClock::default());
+    let (store, blobs) = (Box::new(MemoryStore::new()), Box::new(MemoryBlobs::new()));
+    let leases = Leases { spot_check: 1.0, ..Leases::default() };
+    let c = Coordinator::new(leases, store, blobs, Box::new(Arc::clone(&clock))).unwrap();
+    let scene = c.take_scene(&scene()).unwrap();
+    (c, clock, scene)
+}
+
+fn scene() -> Scene {
+    let triangle = Triangle { v: [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y] };
+    let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
+    Scene::new("test", vec![triangle], objects).unwrap()
+}
+
+/// The coordinator once no thread of its own has it any more.
+fn alone(mut c: Arc<Coordinator>) -> Coordinator {
+    loop {
+        match Arc::try_unwrap(c) {
+            Ok(alone) => return alone,
+            Err(shared) => c = shared,
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+fn wait_until(what: &str, mut is: impl FnMut() -> bool) {
+    for _ in 0..1000 {
+        if is() {
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    panic!("{what} did not come");
+}
+
+/// A worker does everything that it is given; a liar sees a triangle that is not there.
+fn work(c: &Arc<Coordinator>, worker: crate::ids::WorkerId, orders: &mut Orders, lies: bool) -> usize {
+    let mut done = 0;
+    while let Ok(order) = orders.try_recv() {
+        let Order::Grant(grant) = order else { continue };
+        let visible: &[u32] = if lies { &[] } else { &[0] };
+        // A result that nobody wants any more is refused.
+        drop(put(c, &grant, &output(&grant, visible)));
+        do_chores(c, sessions::heard(c, worker, Message::Want(1)));
+        done += 1;
+    }
+    done
+}
+
+/// Runs a job of two tiles on an honest worker; its result.
+fn calm() -> Vec<u8> {
+    let (c, _, scene) = coordinator();
+    let id = two_tiles(&c, scene);
+    let (worker, mut orders) = join(&c, "honest");
+    work(&c, worker, &mut orders, false);
+    wait_until("the end", || jobs::result(&c, id).is_ok());
+    c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap()
+}
+
+#[test]
+fn a_liar_is_found_and_what_it_did_is_computed_again() {
+    let (c, clock, scene) = checking();
+    let id = two_tiles(&c, scene);
+    let (liar, mut of_liar) = join(&c, "liar");
+    assert_eq!(work(&c, liar, &mut of_liar, true), 2);
+    let mut workers = ["ada", "bob"].map(|name| join(&c, name));
+    wait_until("the end", || {
+        clock.advance(Duration::from_millis(200));
+        do_chores(&c, lifecycle::tick(&c));
+        for (worker, orders) in &mut workers {
+            work(&c, *worker, orders, false);
+        }
+        work(&c, liar, &mut of_liar, true);
+        jobs::result(&c, id).is_ok()
+    });
+    assert_eq!(c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap(), calm());
+    let quarantined = c.store.quarantined().unwrap();
+    assert_eq!(quarantined.iter().map(|q| q.worker.as_str()).collect::<Vec<_>>(), ["liar"]);
+    for tile in c.store.tiles(id).unwrap() {
+        let TileState::Done { stats, .. } = tile.state else { panic!("{tile:?}") };
+        assert_ne!(stats.worker, "liar");
+        assert!(tile.check.is_some_and(|check| check.worker != stats.worker));
+    }
+    assert!(invalidating::release(&c, "liar").unwrap() && !invalidating::release(&c, "liar").unwrap());
+}
+
+#[test]
+fn what_a_person_does_not_believe_is_computed_again() {
+    let (c, _, scene) = coordinator();
+    let id = two_tiles(&c, scene);
+    let (worker, mut orders) = join(&c, "ada");
+    work(&c, worker, &mut orders, false);
+    wait_until("the end", || jobs::result(&c, id).is_ok());
+    let before = c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap();
+    let invalidate = |which: Which| {
+        let mut chores = Vec::new();
+        let opened = {
+            let _turn = c.turn();
+            invalidating::invalidate(&c, &which, &mut chores).unwrap()
+        };
+        do_chores(&c, chores);
+        opened
+    };
+    let all = Which { to_ms: u64::MAX, ..Which::default() };
+    let none = Which { worker: Some("bob".to_owned()), ..all.clone() };
+    assert!(invalidate(none).is_empty());
+    // Of a done job the other tiles are gone, so all are computed again.
+    let one = Which { job: Some(id), tiles: [TileIndex(1)].into(), ..all };
+    assert_eq!(invalidate(one).into_iter().collect::<Vec<_>>(), [(id, 2)]);
+    assert!(jobs::result(&c, id).is_err());
+    assert_eq!(work(&c, worker, &mut orders, false), 2);
+    wait_until("the end", || jobs::result(&c, id).is_ok());
+    assert_eq!(c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap(), before);
+}
+
+#[test]
+fn an_output_that_is_lost_before_the_end_is_computed_again() {
+    let (c, _, scene) = coordinator();
+    let id = two_tiles(&c, scene);
+    let (worker, mut orders) = join(&c, "ada");
+    let grants = [granted(&mut orders), granted(&mut orders)];
+    let first = output(&grants[0], &[0]);
+    put(&c, &grants[0], &first).unwrap();
+    assert!(c.blobs.remove(blake3::hash(&first).as_bytes()).unwrap());
+    put(&c, &grants[1], &output(&grants[1], &[])).unwrap();
+    do_chores(&c, sessions::heard(&c, worker, Message::Want(2)));
+    wait_until("the tile again", || {
+        if let Ok(Order::Grant(grant)) = orders.try_recv() {
+            assert_eq!(grant.lease.tile, grants[0].lease.tile);
+            put(&c, &grant, &first).unwrap();
+        }
+        jobs::result(&c, id).is_ok()
+    });
+}
+
+#[test]
+fn blobs_that_nobody_needs_go_and_all_others_stay() {
+    let (c, _, scene) = coordinator();
+    let id = two_tiles(&c, scene);
+    let (_, mut orders) = join(&c, "ada");
+    let grant = granted(&mut orders);
+    put(&c, &grant, &output(&grant, &[0])).unwrap();
+    let chunk = c.blobs.put(b"a chunk of an upload that was left").unwrap();
+    let alone = |remove: &mut dyn FnMut()| remove();
+    let sweep = |grace| keeping::sweep(&*c.store, &*c.blobs, grace, &alone).unwrap();
+    assert_eq!(sweep(Duration::from_secs(3600)), (0, 0));
+    assert_eq!(sweep(Duration::ZERO), (1, 34));
+    assert!(!c.blobs.has(&chunk).unwrap());
+    let found = keeping::verify(&*c.store, &*c.blobs, &|_| ()).unwrap();
+    assert_eq!((found.scenes, found.jobs, found.blobs, found.unneeded, found.lost.len()), (1, 1, 2, 0, 0));
+    // A lost output is found, and its tile opened again.
+    c.blobs.remove(blake3::hash(&output(&grant, &[0])).as_bytes()).unwrap();
+    let found = keeping::verify(&*c.store, &*c.blobs, &|_| ()).unwrap();
+    assert_eq!(found.lost.len(), 1);
+    assert_eq!(keeping::repair(&*c.store, &*c.blobs, &found).unwrap(), 1);
+    assert_eq!(c.store.tile(id, grant.lease.tile).unwrap().state, TileState::Open);
+}
+
+/// The same job for a user, with another seed each time.
+fn of_user(c: &Arc<Coordinator>, user: &str, scene: Digest, seed: u64) -> Result<JobId, SubmitError> {
+    let view = sightline_scene::Aabb::new(glam::Vec3::ZERO, glam::Vec3::ONE);
+    let spec = JobSpec { seed, ..JobSpec::new(scene, Division::Grid([1, 1, 1]), view) };
+    let mut submission = nameless(spec);
+    submission.owner = user.to_owned();
+    submit(c, &submission).map(|submitted| submitted.id)
+}
+
+#[test]
+fn a_user_may_have_as_much_as_the_quota_says() {
+    let (c, _, scene) = coordinator();
+    let mut c = alone(c);
+    c.quotas = Quotas::parse(&["jobs=2".to_owned(), "bob:jobs=none,scenes=0".to_owned()]).unwrap();
+    let c = Arc::new(c);
+    let first = of_user(&c, "ada", scene, 1).unwrap();
+    of_user(&c, "ada", scene, 2).unwrap();
+    let refused = of_user(&c, "ada", scene, 3).unwrap_err().to_string();
+    assert!(refused.contains("ada may have 2 jobs"), "{refused}");
+    // What is there already is no more, and others have their own.
+    assert_eq!(of_user(&c, "ada", scene, 1).unwrap(), first);
+    (1..5).for_each(|seed| assert!(of_user(&c, "bob", scene, seed).is_ok()));
+    (1..5).for_each(|seed| assert!(of_user(&c, "", scene, seed).is_ok()));
+    // Once one is deleted there is room.
+    jobs::cancel(&c, first).unwrap();
+    crate::deleting::delete(&c, first).unwrap();
+    of_user(&c, "ada", scene, 3).unwrap();
+    let refused = c.take_scene_of("bob", &self::scene()).unwrap_err().to_string();
+    assert!(refused.contains("bob may have 0 scenes"), "{refused}");
+    assert!(c.take_scene_of("ada", &self::scene()).is_ok());
+}
+
+#[test]
+fn jobs_that_are_too_old_or_too_many_are_deleted() {
+    let (c, clock, scene) = coordinator();
+    let id = two_tiles(&c, scene);
+    let (worker, mut orders) = join(&c, "ada");
+    work(&c, worker, &mut orders, false);
+    wait_until("the end", || jobs::result(&c, id).is_ok());
+    let mut c = alone(c);
+    c.retention = Retention { keep: Some(Duration::from_secs(60)), keep_bytes: None, grace: Duration::ZERO };
+    let c = Arc::new(c);
+    tidy_up(&c);
+    assert!(c.store.job(id).unwrap().is_some());
+    let result = jobs::result(&c, id).unwrap();
+    let retention = Retention { keep: None, keep_bytes: Some(10), grace: Duration::ZERO };
+    let mut c = alone(c);
+    c.retention = retention;
+    let c = Arc::new(c);
+    tidy_up(&c);
+    assert!(c.store.job(id).unwrap().is_none() && !c.blobs.has(&result).unwrap());
+    assert_eq!(c.store.scenes().unwrap().len(), 1, "scenes are kept while no age is given");
+    // By age, and with it the scene that nobody names any more.
+    let other = of_user(&c, "", scene, 1).unwrap();
+    jobs::cancel(&c, other).unwrap();
+    let keep = Some(Duration::from_millis(1));
+    let mut c = alone(c);
+    c.retention = Retention { keep, keep_bytes: None, grace: Duration::ZERO };
+    let c = Arc::new(c);
+    clock.advance(Duration::from_secs(1));
+    std::thread::sleep(Duration::from_millis(5));
+    tidy_up(&c);
+    assert!(c.store.jobs().unwrap().is_empty() && c.store.scenes().unwrap().is_empty());
+    assert!(!c.blobs.has(&scene).unwrap());
+}

@@ -1,0 +1,235 @@
+//! `sightline store`: the store of a coordinator that does not run is checked, compacted, and moved.
+//!
+//! An export is JSON Lines: a header with the format's name and version, one `["KEY","VALUE"]` a record (the key
+//! in hexadecimal digits, the value with its checksum as base64), and a last line with the number of records and
+//! the BLAKE3 digest of all lines before it.
+
+use std::fs::File;
+use std::io::{BufRead as _, BufReader, Write};
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+use sightline_coordinator::keeping::{self, KeepingError, Need, Verified};
+use sightline_coordinator::store::{Entry, FileBlobs, SledStore, Store, StoreError};
+
+use crate::error::CliError;
+use crate::output::{Format, Output};
+use crate::progress::say;
+use crate::serve::print;
+use crate::store_args::{ExportArgs, ImportArgs, PlaceArgs, StoreArgs, StoreCommand, VerifyArgs};
+
+const FORMAT: &str = "sightline.store";
+const VERSION: u64 = 1;
+/// Records that a store takes over at once.
+const AT_ONCE: usize = 256;
+/// Longest line of an export; a record has at most 4 KiB.
+const MOST_LINE: u64 = 16 << 10;
+
+/// Runs `sightline store`.
+pub fn store(args: &StoreArgs, json: bool) -> Result<(), CliError> {
+    match &args.command {
+        StoreCommand::Verify(args) => verify(args, json),
+        StoreCommand::Compact(args) => compact(args, json),
+        StoreCommand::Export(args) => export(args, json),
+        StoreCommand::Import(args) => import(args, json),
+    }
+}
+
+fn of_store(e: StoreError) -> CliError {
+    CliError::Input(e.to_string())
+}
+
+fn of_keeping(e: KeepingError) -> CliError {
+    CliError::Input(e.to_string())
+}
+
+/// The directory of the records, which must be there.
+fn state(place: &PlaceArgs) -> Result<PathBuf, CliError> {
+    let state = place.data_dir.join("state");
+    if state.is_dir() {
+        return Ok(state);
+    }
+    Err(CliError::Input(format!(
+        "{} is no data directory of a coordinator: it has no folder state; give --data-dir",
+        place.data_dir.display()
+    )))
+}
+
+fn open(place: &PlaceArgs) -> Result<SledStore, CliError> {
+    SledStore::open(&state(place)?).map_err(of_store)
+}
+
+fn verify(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
+    let store = open(&args.place)?;
+    let blobs = FileBlobs::open(&args.place.data_dir.join("blobs")).map_err(|e| of_keeping(e.into()))?;
+    let found = keeping::verify(&store, &blobs, &|_| ()).map_err(of_keeping)?;
+    let opened = match args.repair && !found.lost.is_empty() {
+        true => Some(keeping::repair(&store, &blobs, &found).map_err(of_keeping)?),
+        false => None,
+    };
+    if json {
+        print(&report(&found, opened).to_string())?;
+    } else {
+        tell(&found, opened)?;
+    }
+    // What is repaired is not lost, but for what has to be sent again.
+    let rest = found.lost.values().filter(|(needs, _)| opened.is_none() || must_be_sent(needs)).count();
+    match rest {
+        0 => Ok(()),
+        n => Err(CliError::Input(format!(
+            "{n} blobs are lost; --repair has the next start compute again what it can, and scenes have to be sent again"
+        ))),
+    }
+}
+
+fn must_be_sent(needs: &[Need]) -> bool {
+    needs.iter().any(|need| matches!(need, Need::Scene | Need::Spec(_)))
+}
+
+fn need_text(need: &Need) -> String {
+    match need {
+        Need::Scene => "a scene".to_owned(),
+        Need::Result(job) => format!("the result of job {job}"),
+        Need::Spec(job) => format!("a part of the specification of job {job}"),
+        Need::Output(job, tile) => format!("the output of tile {tile} of job {job}"),
+    }
+}
+
+fn report(found: &Verified, opened: Option<u64>) -> Value {
+    let lost = |(_, (needs, why)): (_, &(Vec<Need>, String))| json!({"why": why, "needed": needs.iter().map(need_text).collect::<Vec<_>>()});
+    json!({
+        "scenes": found.scenes, "jobs": found.jobs, "blobs": found.blobs, "bytes": found.bytes,
+        "unneeded": found.unneeded, "unneeded_bytes": found.unneeded_bytes,
+        "lost": found.lost.iter().map(lost).collect::<Vec<_>>(), "tiles_opened": opened,
+    })
+}
+
+fn tell(found: &Verified, opened: Option<u64>) -> Result<(), CliError> {
+    print(&format!(
+        "{} scenes, {} jobs; {} blobs, {} bytes; {} blobs are needed by nobody, {} bytes: a coordinator removes them \
+         a day after they were written",
+        found.scenes, found.jobs, found.blobs, found.bytes, found.unneeded, found.unneeded_bytes
+    ))?;
+    for (needs, why) in found.lost.values() {
+        let needs: Vec<String> = needs.iter().map(need_text).collect();
+        print(&format!("LOST: {}: {why}", needs.join(", ")))?;
+    }
+    match opened {
+        Some(tiles) => print(&format!("{tiles} tiles are computed again when the coordinator runs")),
+        None if found.lost.is_empty() => print("everything that is needed is there"),
+        None => Ok(()),
+    }
+}
+
+fn compact(args: &PlaceArgs, json: bool) -> Result<(), CliError> {
+    let done = SledStore::compact(&state(args)?).map_err(of_store)?;
+    if json {
+        return print(&json!({"from_bytes": done.from, "to_bytes": done.to}).to_string());
+    }
+    print(&format!("the journal had {} bytes and has {}", done.from, done.to))
+}
+
+/// Hashes what is written.
+struct Hashed<W> {
+    to: W,
+    hasher: blake3::Hasher,
+}
+
+impl<W: Write> Write for Hashed<W> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let written = self.to.write(bytes)?;
+        self.hasher.update(&bytes[..written]);
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.to.flush()
+    }
+}
+
+fn export(args: &ExportArgs, json: bool) -> Result<(), CliError> {
+    let output = Output::check(&args.output, Format::Json, None)?;
+    let entries = open(&args.place)?.entries().map_err(of_store)?;
+    let count = entries.len();
+    let write = |file: &mut dyn Write| -> std::io::Result<()> {
+        let mut out = Hashed { to: file, hasher: blake3::Hasher::new() };
+        writeln!(out, "{}", json!({"format": FORMAT, "version": VERSION}))?;
+        for entry in &entries {
+            let (key, value) = entry.written();
+            writeln!(out, "{}", json!([key, value]))?;
+        }
+        let digest = out.hasher.finalize().to_hex();
+        writeln!(out, "{}", json!({"records": count, "blake3": digest.as_str()}))?;
+        out.flush()
+    };
+    output.write(|file| write(file).map_err(|e| CliError::writing(&args.output, &e)))?;
+    if json {
+        return print(&json!({"records": count}).to_string());
+    }
+    print(&format!(
+        "{count} records; copy the folder {} as well",
+        args.place.data_dir.join("blobs").display()
+    ))
+}
+
+/// The entries of an export, its header and its end checked.
+fn read(path: &Path) -> Result<Vec<Entry>, CliError> {
+    let bad = |line: usize, what: &str| CliError::Input(format!("{}, line {line}: {what}", path.display()));
+    let file =
+        File::open(path).map_err(|e| CliError::Input(format!("cannot read {}: {e}", path.display())))?;
+    let mut reader = BufReader::new(file);
+    let mut hasher = blake3::Hasher::new();
+    let mut entries = Vec::new();
+    let mut line = String::new();
+    for number in 1.. {
+        line.clear();
+        let read = std::io::Read::take(&mut reader, MOST_LINE).read_line(&mut line);
+        let length = read.map_err(|e| bad(number, &e.to_string()))?;
+        if length == 0 {
+            return Err(bad(number, "the file ends before its last line; it was cut short"));
+        }
+        let value: Value = serde_json::from_str(&line).map_err(|e| bad(number, &e.to_string()))?;
+        if number == 1 {
+            if value["format"] != FORMAT || value["version"] != VERSION {
+                return Err(bad(1, "this is no export of a store that this version of the program reads"));
+            }
+        } else if let Value::Array(_) = value {
+            let text: (String, String) =
+                serde_json::from_value(value).map_err(|e| bad(number, &e.to_string()))?;
+            entries.push(Entry::of_text(&text).map_err(|e| bad(number, &e.to_string()))?);
+        } else {
+            let whole =
+                value["records"] == entries.len() && value["blake3"] == hasher.finalize().to_hex().as_str();
+            return if whole { Ok(entries) } else { Err(bad(number, "the file was altered or cut short")) };
+        }
+        hasher.update(line.as_bytes());
+    }
+    Ok(entries)
+}
+
+fn import(args: &ImportArgs, json: bool) -> Result<(), CliError> {
+    // Everything is read and checked before anything is written.
+    let entries = read(&args.input)?;
+    let store = SledStore::open(&args.place.data_dir.join("state")).map_err(of_store)?;
+    let count = entries.len();
+    take_over(&store, entries)?;
+    if json {
+        return print(&json!({"records": count}).to_string());
+    }
+    say(&format!("the blobs belong into {}", args.place.data_dir.join("blobs").display()));
+    print(&format!("{count} records"))
+}
+
+/// Gives a store the entries of another one.
+fn take_over(store: &dyn Store, entries: Vec<Entry>) -> Result<(), CliError> {
+    let mut entries = entries.into_iter();
+    let mut first = true;
+    loop {
+        let some: Vec<Entry> = entries.by_ref().take(AT_ONCE).collect();
+        if some.is_empty() {
+            return Ok(());
+        }
+        store.import(some, first).map_err(of_store)?;
+        first = false;
+    }
+}

@@ -1,0 +1,58 @@
+//! The arguments of `sightline store`.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+
+#[derive(Args, Debug)]
+pub struct StoreArgs {
+    #[command(subcommand)]
+    pub command: StoreCommand,
+}
+
+#[derive(Subcommand, Debug)]
+pub enum StoreCommand {
+    /// Read every record and every blob, and list what is lost. Exit code 3 when something is.
+    Verify(VerifyArgs),
+    /// Write the journal anew with what there is now, which is shorter. A coordinator does that itself at its start when it
+    /// is worth it.
+    Compact(PlaceArgs),
+    /// Write all records to a file, one JSON line each. Blobs are files of their own.
+    Export(ExportArgs),
+    /// Read all records from such a file into an empty store.
+    Import(ImportArgs),
+}
+
+#[derive(Args, Debug)]
+pub struct PlaceArgs {
+    /// The directory of a coordinator that does not run.
+    #[arg(long, value_name = "DIR", default_value = "sightline-data")]
+    pub data_dir: PathBuf,
+}
+
+#[derive(Args, Debug)]
+pub struct VerifyArgs {
+    #[command(flatten)]
+    pub place: PlaceArgs,
+    /// Remove damaged blobs, and have tiles and results that are lost computed again at the next start.
+    #[arg(long)]
+    pub repair: bool,
+}
+
+#[derive(Args, Debug)]
+pub struct ExportArgs {
+    #[command(flatten)]
+    pub place: PlaceArgs,
+    /// The file to write.
+    #[arg(short, long, value_name = "OUT.json")]
+    pub output: PathBuf,
+}
+
+#[derive(Args, Debug)]
+pub struct ImportArgs {
+    #[command(flatten)]
+    pub place: PlaceArgs,
+    /// The file to read.
+    #[arg(value_name = "FILE.json")]
+    pub input: PathBuf,
+}

@@ -1,0 +1,114 @@
+//! The time line of a job in the Trace Event Format of Chrome: complete events (`X`) for the time that a worker
+//! had a tile, instants (`i`) for what happened at one moment, and a row (`tid`) for each worker.
+//!
+//! Source: "Trace Event Format", the Chromium project. Times are microseconds since the first event.
+
+use std::collections::BTreeMap;
+
+use serde_json::{Value, json};
+use sightline_proto::v1;
+use sightline_proto::v1::EventKind;
+
+/// The row of the job itself.
+const JOB: u64 = 0;
+
+/// Events of a job, as they come.
+#[derive(Debug, Default)]
+pub struct Timeline {
+    out: Vec<Value>,
+    first_ms: Option<u64>,
+    last_ms: u64,
+    /// The rows of the workers, by name.
+    rows: BTreeMap<String, u64>,
+    /// When which worker got which tile.
+    open: BTreeMap<(u32, String), u64>,
+}
+
+impl Timeline {
+    /// Adds the next event.
+    pub fn add(&mut self, event: &v1::Event) {
+        let first = *self.first_ms.get_or_insert(event.at_ms);
+        // The clock of a machine can be set back.
+        let at = event.at_ms.saturating_sub(first);
+        self.last_ms = self.last_ms.max(at);
+        let of = event.tile.map(|tile| (tile, event.worker.clone()));
+        match (event.kind(), of) {
+            (EventKind::Leased, Some(of)) => {
+                self.open.insert(of, at);
+            }
+            (EventKind::Done | EventKind::TakenBack | EventKind::Failed, Some(of)) => {
+                let how = event.kind().as_str_name().trim_start_matches("EVENT_KIND_").to_ascii_lowercase();
+                match self.open.remove(&of) {
+                    Some(since) => self.complete(&of, since, at, &how, &event.text),
+                    // The lease is older than what the coordinator remembers.
+                    None => self.instant(&of.1, at, event),
+                }
+            }
+            _ => self.instant(&event.worker, at, event),
+        }
+    }
+
+    fn row(&mut self, worker: &str) -> u64 {
+        if worker.is_empty() {
+            return JOB;
+        }
+        let next = self.rows.len() as u64 + 1;
+        *self.rows.entry(worker.to_owned()).or_insert(next)
+    }
+
+    fn complete(&mut self, of: &(u32, String), since: u64, at: u64, how: &str, text: &str) {
+        let row = self.row(&of.1);
+        self.out.push(json!({
+            "name": format!("tile {}", of.0), "cat": how, "ph": "X", "ts": since * 1000,
+            "dur": at.saturating_sub(since) * 1000, "pid": 1, "tid": row, "args": {"end": how, "text": text},
+        }));
+    }
+
+    fn instant(&mut self, worker: &str, at: u64, event: &v1::Event) {
+        let row = self.row(worker);
+        let kind = event.kind().as_str_name().trim_start_matches("EVENT_KIND_").to_ascii_lowercase();
+        self.out.push(json!({
+            "name": event.text, "cat": kind, "ph": "i", "s": "t", "ts": at * 1000, "pid": 1, "tid": row,
+            "args": {"tile": event.tile},
+        }));
+    }
+
+    /// The whole, with tiles that are still at work up to the last event.
+    pub fn finish(mut self) -> Value {
+        for (of, since) in std::mem::take(&mut self.open) {
+            self.complete(&of, since, self.last_ms, "running", "");
+        }
+        let name = |row: u64, name: &str| json!({"name": "thread_name", "ph": "M", "pid": 1, "tid": row, "args": {"name": name}});
+        let mut events = vec![name(JOB, "the job")];
+        events.extend(self.rows.iter().map(|(worker, row)| name(*row, worker)));
+        events.append(&mut self.out);
+        json!({"displayTimeUnit": "ms", "traceEvents": events})
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn event(at_ms: u64, kind: EventKind, tile: Option<u32>, worker: &str) -> v1::Event {
+        v1::Event { at_ms, kind: kind.into(), tile, worker: worker.to_owned(), ..Default::default() }
+    }
+
+    #[test]
+    fn a_tile_lasts_from_its_lease_to_its_end() {
+        let mut line = Timeline::default();
+        line.add(&event(1000, EventKind::Submitted, None, ""));
+        line.add(&event(1010, EventKind::Leased, Some(3), "ada"));
+        line.add(&event(1020, EventKind::Leased, Some(4), "bob"));
+        line.add(&event(1500, EventKind::Done, Some(3), "ada"));
+        line.add(&event(1600, EventKind::TakenBack, Some(9), "cy"));
+        let whole = line.finish();
+        let events = whole["traceEvents"].as_array().unwrap();
+        let of = |ph: &str| events.iter().filter(|e| e["ph"] == ph).collect::<Vec<_>>();
+        let spans = of("X");
+        assert_eq!(spans.len(), 2);
+        assert_eq!((&spans[0]["ts"], &spans[0]["dur"]), (&json!(10_000), &json!(490_000)));
+        assert_eq!((&spans[1]["dur"], &spans[1]["cat"]), (&json!(580_000), &json!("running")));
+        assert_eq!((of("i").len(), of("M").len()), (2, 4));
+    }
+}
