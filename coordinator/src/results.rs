@@ -4,9 +4,9 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use sightline_model::codec;
-use sightline_model::{CellSet, Method, Node, TileOutput};
+use sightline_model::{CellSet, JobSpec, Method, Node, TileOutput};
 use sightline_pvs::Portals;
-use sightline_viewcells::{CellBox, TileKind};
+use sightline_viewcells::{CellBox, Division, TileKind};
 
 use crate::assemble::{expected_nodes, most_items};
 use crate::chores::do_chores;
@@ -16,6 +16,9 @@ use crate::scheduler::{Admitted, Event, NoTile, Work};
 use crate::scheduling::{Chore, tell};
 use crate::state::Coordinator;
 use crate::store::{BlobError, CommitOutcome, MAX_HELPERS, StoreError, TileResult, TileStats};
+
+/// What a cell has besides its set, at most.
+const LEAST_UNPACKED: u64 = 4096;
 
 /// A tile's output as a worker announces it.
 pub(crate) struct Announced {
@@ -122,7 +125,10 @@ fn check(c: &Coordinator, work: &Work, announced: &Announced, bytes: &[u8]) -> R
     let pairs = spec.pair_cells().map(|sides| sides.iter().product::<u32>());
     let unreached = expected.as_ref().map_or_else(Vec::new, |nodes| unreached(work, &tile.cell, nodes));
     let (exact, hits) = (spec.method != Method::Aggressive, spec.sampling.contributions);
-    let output = codec::check(bytes, items).map_err(|e| ResultError::Encoding(e.to_string()))?;
+    let is_pack = kind != TileKind::Leaf;
+    let most = most_unpacked(spec, tile.cells, items, is_pack);
+    let output =
+        codec::check(bytes, items, is_pack, most).map_err(|e| ResultError::Encoding(e.to_string()))?;
     match (&output, kind) {
         (TileOutput::Cells(sets), TileKind::Leaf) => {
             if expected.is_some_and(|nodes| nodes != sets.nodes) {
@@ -155,6 +161,23 @@ fn check(c: &Coordinator, work: &Work, announced: &Announced, bytes: &[u8]) -> R
         (TileOutput::Pack(_), TileKind::Face(_) | TileKind::Separator(_)) => Ok(0),
         _ => Err(ResultError::Kind),
     }
+}
+
+/// Most bytes that an output of so many cells unpacks to. A set has at most all items, each with a difference and
+/// a count of at most five bytes; proofs and packs have no such bound.
+fn most_unpacked(spec: &JobSpec, cells: u64, items: u32, is_pack: bool) -> u64 {
+    if is_pack || spec.method != Method::Aggressive || spec.has_portals() || cells == 0 {
+        return codec::MAX_UNPACKED;
+    }
+    let pairs = spec.pair_cells().map_or(0, |sides| sides.iter().map(|n| u64::from(*n)).product::<u64>());
+    // An adaptive tile has more cells than its plan says, and at most two to the depth of its tree.
+    let cells = if matches!(spec.division, Division::Adaptive { .. }) {
+        cells.saturating_mul(1 << 12)
+    } else {
+        cells
+    };
+    let sets = cells.saturating_mul(u64::from(items).saturating_mul(10).saturating_add(LEAST_UNPACKED));
+    sets.saturating_add(pairs.saturating_mul(pairs)).saturating_add(1 << 20).min(codec::MAX_UNPACKED)
 }
 
 /// Whether no viewpoint is in each cell of a tile with these nodes; empty when viewpoints are everywhere.

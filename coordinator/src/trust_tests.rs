@@ -11,8 +11,10 @@ use crate::invalidating::{self, Which};
 use crate::jobs;
 use crate::keeping;
 use crate::kept::Retention;
-use crate::lifecycle;
+use crate::lifecycle::{self, Config};
 use crate::limits::Quotas;
+use crate::readiness::readiness;
+use crate::scenes::{self, UploadError};
 use crate::scheduler::Order;
 use crate::sessions::{self, Message};
 use crate::state::{Coordinator, Leases};
@@ -249,4 +251,23 @@ fn jobs_that_are_too_old_or_too_many_are_deleted() {
     tidy_up(&c);
     assert!(c.store.jobs().unwrap().is_empty() && c.store.scenes().unwrap().is_empty());
     assert!(!c.blobs.has(&scene).unwrap());
+}
+
+#[test]
+fn a_list_that_names_a_chunk_many_times_is_refused_before_anything_is_written() {
+    let (c, ..) = coordinator();
+    let chunk = scenes::put_chunk(&c, "", &[7; 1 << 20]).unwrap();
+    let refused = scenes::put_scene(&c, "", [9; 32], &vec![chunk; 65_536]).unwrap_err();
+    assert!(matches!(refused, UploadError::TooLong { bytes } if bytes == 64 << 30), "{refused}");
+}
+
+#[test]
+fn a_coordinator_whose_disk_cannot_be_written_is_not_ready() {
+    let directory = tempfile::tempdir().unwrap();
+    let c = Coordinator::open(Config::new(directory.path().to_owned())).unwrap();
+    assert_eq!(readiness(&c), Ok(()));
+    std::fs::remove_dir_all(directory.path().join("blobs")).unwrap();
+    *c.last_trial.lock().unwrap() = None;
+    let reasons = readiness(&c).unwrap_err();
+    assert!(reasons.len() == 1 && reasons[0].contains("blobs cannot be written"), "{reasons:?}");
 }

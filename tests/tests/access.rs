@@ -136,6 +136,36 @@ fn users_see_their_own_and_the_bytes_are_those_of_bake() {
 }
 
 #[test]
+fn a_user_has_and_does_as_much_as_the_quota_says() {
+    let sandbox = prepared();
+    let quotas = "--quota jobs=1 --quota bob:jobs=none,requests=1 --quota root:requests=none";
+    let arguments = format!("--listen 127.0.0.1:0 --tokens tokens.json {quotas}");
+    let coordinator = sandbox.serve("data", &arguments);
+    let [ada, bob] = ["ada", "bob"].map(|n| format!("--token-file {n}.token"));
+    let job: u64 = coordinator.ok(&format!("submit {JOB} {ada}")).trim().parse().unwrap();
+    // The same job again is no other one.
+    assert_eq!(coordinator.ok(&format!("submit {JOB} {ada}")).trim(), job.to_string());
+    let other = format!("submit {JOB} --seed 5 {ada}");
+    coordinator.run(&other).code(4).says("ada may have 1 jobs, and would have 2");
+    coordinator.ok(&format!("cancel {job} {ada}"));
+    coordinator.ok(&format!("delete {job} {ada}"));
+    coordinator.ok(&other);
+    // Five calls are saved up; ada is not held up by bob.
+    let mut refused = false;
+    for _ in 0..20 {
+        let run = coordinator.run(&format!("jobs {bob}"));
+        refused |= run.err.contains("bob may make 1 calls a second");
+    }
+    assert!(refused);
+    coordinator.ok(&format!("jobs {ada}"));
+    for bad in ["beer=1", "jobs", "jobs=-1", "bytes=1X"] {
+        let run =
+            sandbox.run(&format!("coordinator --tokens tokens.json --quota {bad} --listen 127.0.0.1:0"));
+        run.code(2).says("is no quota");
+    }
+}
+
+#[test]
 fn who_is_not_known_gets_nowhere() {
     let mut sandbox = prepared();
     let stranger = authority(&sandbox, "stranger");

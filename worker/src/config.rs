@@ -6,6 +6,7 @@ use std::time::Duration;
 use sightline_proto::connecting::Credentials;
 
 use crate::backends::Backends;
+use crate::pulse::Pulse;
 use crate::scenes::SceneCache;
 
 /// The configuration of a worker.
@@ -26,6 +27,8 @@ pub struct Config {
     pub helps: bool,
     /// How long to retry when the coordinator cannot be reached; `None` for no limit.
     pub give_up_after: Option<Duration>,
+    /// What it tells of itself.
+    pub pulse: Arc<Pulse>,
 }
 
 /// Tells a worker whether and how to stop.

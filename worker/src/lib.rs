@@ -19,6 +19,7 @@
 //!     scenes: Arc::new(SceneCache::default()),
 //!     helps: true,
 //!     give_up_after: None,
+//!     pulse: Arc::default(),
 //! };
 //! let (stop, stopped) = tokio::sync::watch::channel(Stop::No);
 //! sightline_worker::run(config, stopped).await?;
@@ -33,6 +34,7 @@ mod connecting;
 mod crew;
 mod held;
 mod packs;
+mod pulse;
 mod scenes;
 mod session;
 mod status;
@@ -42,6 +44,7 @@ use tokio::sync::watch;
 
 pub use backends::{Backends, Choice};
 pub use config::{Config, Stop, WorkerError};
+pub use pulse::Pulse;
 pub use scenes::{Loaded, SceneCache};
 
 /// Runs a worker until `stop` tells it to stop.

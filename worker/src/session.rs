@@ -15,6 +15,7 @@ use tokio::sync::{Semaphore, mpsc, watch};
 use crate::config::{Config, Stop, WorkerError};
 use crate::connecting;
 use crate::held::Held;
+use crate::pulse::Ended;
 use crate::status::describe;
 use crate::tiles::{Failure, Shop};
 
@@ -102,7 +103,9 @@ impl Worker {
         let mut taken: Option<Instant> = None;
         loop {
             let connected = Instant::now();
-            let reason = match self.connection(&mut stop).await? {
+            let end = self.connection(&mut stop).await;
+            self.shop.config.pulse.connected(false);
+            let reason = match end? {
                 End::Stopped => return Ok(()),
                 End::Broken(reason) => {
                     taken = None;
@@ -274,6 +277,7 @@ impl Worker {
     fn heard(&mut self, message: FromCoordinator, draining: bool) -> Option<ToCoordinator> {
         match message {
             FromCoordinator::Welcome(w) => {
+                self.shop.config.pulse.connected(true);
                 // Tiles whose lease was not kept are stopped.
                 for (k, h) in &self.held {
                     if !w.kept.iter().any(|l| key(l) == *k) {
@@ -372,6 +376,11 @@ impl Worker {
         let failed = |reason, infrastructure| {
             ToCoordinator::Failed(v1::TileFailed { lease: Some(lease), reason, infrastructure })
         };
+        self.shop.config.pulse.ended(match &result {
+            Ok(()) => Ended::Done,
+            Err(Failure::Cancelled) => Ended::Cancelled,
+            Err(Failure::Infrastructure(_) | Failure::Tile(_)) => Ended::Failed,
+        });
         let mut say = match result {
             Err(Failure::Cancelled) if draining => vec![failed("its worker is going".to_owned(), true)],
             Ok(()) | Err(Failure::Cancelled) => Vec::new(),

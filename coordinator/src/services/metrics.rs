@@ -11,43 +11,76 @@ use axum::response::{IntoResponse as _, Response};
 use axum::routing::get;
 use tokio::net::TcpListener;
 
-use super::blocking::blocking;
 use super::server::ServeError;
-use super::status;
 use crate::metrics::Moment;
 use crate::readiness::readiness;
 use crate::state::Coordinator;
 
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// Serves the metrics until `stop` resolves.
-///
-/// # Errors
-/// [`ServeError::Broken`] when the server ends by itself.
-pub async fn serve_metrics(
-    coordinator: Arc<Coordinator>,
-    listener: TcpListener,
-    stop: impl Future<Output = ()> + Send + 'static,
-) -> Result<(), ServeError> {
-    let routes = Router::new()
-        .route("/metrics", get(metrics))
-        .route("/livez", get(|| async { "alive\n" }))
-        .route("/readyz", get(ready))
-        .with_state(coordinator);
-    tokio::select! {
-        r = axum::serve(listener, routes) => r.map_err(|e| ServeError::Broken(e.to_string())),
-        () = stop => Ok(()),
+/// Something that tells of itself. Both calls may block on the disk.
+pub trait Probed: Send + Sync + 'static {
+    /// Its metrics as OpenMetrics text.
+    ///
+    /// # Errors
+    /// A sentence, when they cannot be written.
+    fn metrics(&self) -> Result<String, String>;
+
+    /// Whether it can do its work.
+    ///
+    /// # Errors
+    /// Why not, a sentence each.
+    fn readiness(&self) -> Result<(), Vec<String>>;
+}
+
+impl Probed for Coordinator {
+    fn metrics(&self) -> Result<String, String> {
+        self.metrics.text(moment(self)).map_err(|e| e.to_string())
+    }
+
+    fn readiness(&self) -> Result<(), Vec<String>> {
+        readiness(self)
     }
 }
 
-async fn metrics(State(c): State<Arc<Coordinator>>) -> Response {
-    let text = blocking(&c, |c| {
-        let moment = moment(c);
-        c.metrics.text(moment).map_err(|e| status::internal(&e.to_string()))
-    });
-    match text.await {
-        Ok(text) => ([(header::CONTENT_TYPE, OPEN_METRICS)], text).into_response(),
-        Err(e) => (StatusCode::INTERNAL_SERVER_ERROR, format!("{}\n", e.message())).into_response(),
+/// Serves what something tells of itself, until the server ends by itself.
+///
+/// # Errors
+/// [`ServeError::Broken`] when it does.
+pub async fn serve_probes<P: Probed>(of: Arc<P>, listener: TcpListener) -> Result<(), ServeError> {
+    let routes = Router::new()
+        .route("/metrics", get(metrics::<P>))
+        .route("/livez", get(|| async { "alive\n" }))
+        .route("/readyz", get(ready::<P>))
+        .with_state(of);
+    axum::serve(listener, routes).await.map_err(|e| ServeError::Broken(e.to_string()))
+}
+
+/// Asks on one of tokio's threads for blocking work.
+async fn asked<P: Probed, T: Send + 'static>(
+    of: Arc<P>,
+    ask: impl FnOnce(&P) -> T + Send + 'static,
+) -> Result<T, Response> {
+    let answer = tokio::task::spawn_blocking(move || ask(&of)).await;
+    answer.map_err(|e| (StatusCode::SERVICE_UNAVAILABLE, format!("{e}\n")).into_response())
+}
+
+async fn metrics<P: Probed>(State(of): State<Arc<P>>) -> Response {
+    match asked(of, |of| of.metrics()).await {
+        Ok(Ok(text)) => ([(header::CONTENT_TYPE, OPEN_METRICS)], text).into_response(),
+        Ok(Err(e)) => (StatusCode::INTERNAL_SERVER_ERROR, format!("{e}\n")).into_response(),
+        Err(stopped) => stopped,
+    }
+}
+
+async fn ready<P: Probed>(State(of): State<Arc<P>>) -> Response {
+    match asked(of, |of| of.readiness()).await {
+        Ok(Ok(())) => "ready\n".into_response(),
+        Ok(Err(reasons)) => {
+            let reasons: String = reasons.iter().map(|reason| format!("{reason}\n")).collect();
+            (StatusCode::SERVICE_UNAVAILABLE, format!("not ready\n{reasons}")).into_response()
+        }
+        Err(stopped) => stopped,
     }
 }
 
@@ -61,16 +94,5 @@ fn moment(c: &Coordinator) -> Moment {
         members: machine.roster(now),
         quarantined: machine.quarantined().len(),
         data_dir: c.data_dir.clone(),
-    }
-}
-
-async fn ready(State(c): State<Arc<Coordinator>>) -> Response {
-    match blocking(&c, |c| Ok(readiness(c))).await {
-        Ok(Ok(())) => "ready\n".into_response(),
-        Ok(Err(reasons)) => {
-            let reasons: String = reasons.iter().map(|reason| format!("{reason}\n")).collect();
-            (StatusCode::SERVICE_UNAVAILABLE, format!("not ready\n{reasons}")).into_response()
-        }
-        Err(e) => (StatusCode::SERVICE_UNAVAILABLE, format!("not ready\n{}\n", e.message())).into_response(),
     }
 }

@@ -17,6 +17,6 @@ mod wire;
 mod workers;
 
 pub use http::serve_http;
-pub use metrics::serve_metrics;
+pub use metrics::{Probed, serve_probes};
 pub use server::{ServeError, listen, serve};
 pub use tls::{Tls, TlsError, TlsFiles};

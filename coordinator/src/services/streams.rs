@@ -22,10 +22,14 @@ const AHEAD: usize = 4;
 /// How long a client may leave the next chunk unread.
 const LONGEST_UNREAD: Duration = Duration::from_secs(60);
 
-/// Sends from a thread that may block; returns whether somebody reads.
-fn send_to(to: &Sender<Result<v1::Chunk, Status>>, chunk: Result<v1::Chunk, Status>) -> bool {
+/// Sends from a thread that may block; returns whether somebody has read before that time was over.
+fn send_to(
+    to: &Sender<Result<v1::Chunk, Status>>,
+    chunk: Result<v1::Chunk, Status>,
+    longest: Duration,
+) -> bool {
     let runtime = tokio::runtime::Handle::current();
-    let sent = runtime.block_on(tokio::time::timeout(LONGEST_UNREAD, to.send(chunk)));
+    let sent = runtime.block_on(tokio::time::timeout(longest, to.send(chunk)));
     matches!(sent, Ok(Ok(())))
 }
 
@@ -52,7 +56,7 @@ pub(super) async fn stream_blob(c: &Arc<Coordinator>, d: Digest) -> Result<Chunk
     tokio::task::spawn_blocking(move || {
         let _permit = permit;
         // A client that has gone away or does not read wants no more.
-        read_chunks(blob.bytes, blob.length, |chunk| send_to(&send, chunk));
+        read_chunks(blob.bytes, blob.length, |chunk| send_to(&send, chunk, LONGEST_UNREAD));
     });
     Ok(Box::pin(tokio_stream::wrappers::ReceiverStream::new(receive)))
 }
@@ -68,7 +72,7 @@ pub(super) async fn stream_bytes(c: &Arc<Coordinator>, bytes: Arc<[u8]>) -> Resu
     tokio::task::spawn_blocking(move || {
         let _permit = permit;
         // A client that has gone away or does not read wants no more.
-        read_chunks(&*bytes, bytes.len() as u64, |chunk| send_to(&send, chunk));
+        read_chunks(&*bytes, bytes.len() as u64, |chunk| send_to(&send, chunk, LONGEST_UNREAD));
     });
     Ok(Box::pin(tokio_stream::wrappers::ReceiverStream::new(receive)))
 }
@@ -113,6 +117,22 @@ mod tests {
             let read: Vec<v1::Chunk> = chunks_of(&bytes, n as u64).into_iter().map(Result::unwrap).collect();
             assert!(read == chunks::cut(&bytes).collect::<Vec<_>>(), "{n} bytes");
         }
+    }
+
+    #[tokio::test]
+    async fn a_client_that_does_not_read_is_left() {
+        let (send, mut receive) = tokio::sync::mpsc::channel(1);
+        let sent = tokio::task::spawn_blocking(move || {
+            let mut sent = 0;
+            read_chunks(&[7; 10 * chunks::CHUNK_BYTES][..], 10 * chunks::CHUNK_BYTES as u64, |chunk| {
+                sent += 1;
+                send_to(&send, chunk, Duration::from_millis(20))
+            });
+            sent
+        });
+        // One waits in the channel, and the next one finds no room.
+        assert_eq!(sent.await.unwrap(), 2);
+        assert!(receive.recv().await.is_some() && receive.recv().await.is_none());
     }
 
     #[test]

@@ -362,6 +362,7 @@ impl Workers {
                 // They share the threads of this process.
                 helps: false,
                 give_up_after: Some(Duration::from_secs(30)),
+                pulse: Arc::default(),
             };
             running.spawn(sightline_worker::run(config, stopped.clone()));
         }

@@ -27,9 +27,7 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
         coordinator.ask_callers(access);
     }
     runtime()?.block_on(async {
-        if let Some(tls) = &tls {
-            reload_on_hangup(Arc::clone(tls))?;
-        }
+        reload_on_hangup(tls.clone())?;
         let protected = args.allow_plaintext || tls.is_some();
         let scheme = if tls.is_some() { "https" } else { "http" };
         let listener = sightline_coordinator::listen(args.listen, protected)
@@ -78,9 +76,7 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
         };
         let counted = async move {
             match metrics {
-                Some(listener) => {
-                    sightline_coordinator::serve_metrics(coordinator, listener, std::future::pending()).await
-                }
+                Some(listener) => sightline_coordinator::serve_probes(coordinator, listener).await,
                 None => std::future::pending().await,
             }
         };
@@ -103,14 +99,18 @@ fn encryption(args: &CoordinatorArgs) -> Result<Option<Arc<Tls>>, CliError> {
 
 /// Reads the certificates again at each SIGHUP from now on. Ones that cannot be used change nothing, and
 /// the log says so.
-fn reload_on_hangup(tls: Arc<Tls>) -> Result<(), CliError> {
+fn reload_on_hangup(tls: Option<Arc<Tls>>) -> Result<(), CliError> {
     #[cfg(unix)]
     {
         use tokio::signal::unix::{SignalKind, signal};
         let mut hangups = signal(SignalKind::hangup()).map_err(CliError::internal)?;
         tokio::spawn(async move {
             while hangups.recv().await.is_some() {
-                let tls = Arc::clone(&tls);
+                let Some(tls) = tls.clone() else {
+                    // Without a handler the signal would end the process.
+                    tracing::info!("there are no certificates to read again");
+                    continue;
+                };
                 match tokio::task::spawn_blocking(move || tls.reload()).await {
                     Ok(Ok(())) => tracing::info!("read the certificates again"),
                     Ok(Err(e)) => tracing::error!("{e}; the certificates that were read before stay in use"),

@@ -1,11 +1,13 @@
 //! `sightline worker`, and the functions that other commands share with them.
 
+use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use sightline_coordinator::Probed;
 use sightline_model::BackendChoice;
 use sightline_sampling::gpu::{AdapterChoice, adapters};
-use sightline_worker::{Backends, SceneCache, Stop, WorkerError};
+use sightline_worker::{Backends, Pulse, SceneCache, Stop, WorkerError};
 use tokio::sync::watch;
 
 use crate::backends::{choice, say_missing};
@@ -35,10 +37,15 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
         scenes: Arc::new(SceneCache::default()),
         helps: true,
         give_up_after: args.give_up_after.map(Duration::from_secs),
+        pulse: Arc::default(),
     };
     use_threads(threads(args.threads))?;
     let runtime = runtime()?;
+    let pulse = Arc::clone(&config.pulse);
     let ended = runtime.block_on(async {
+        if let Some(address) = args.metrics_listen {
+            watch_at(address, pulse).await?;
+        }
         let (stop, stopped) = watch::channel(Stop::No);
         tokio::spawn(async move {
             for next in [Stop::Drain, Stop::Now] {
@@ -48,14 +55,55 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
             }
             std::future::pending::<()>().await;
         });
-        sightline_worker::run(config, stopped).await
+        sightline_worker::run(config, stopped).await.map_err(|e| match e {
+            WorkerError::Address(..) => CliError::Usage(e.to_string()),
+            WorkerError::Random(_) => CliError::internal(e),
+            WorkerError::Unreachable { .. } | WorkerError::Refused(_) => CliError::Coordinator(e.to_string()),
+        })
     });
     runtime.shutdown_timeout(Duration::from_millis(200));
-    ended.map_err(|e| match e {
-        WorkerError::Address(..) => CliError::Usage(e.to_string()),
-        WorkerError::Random(_) => CliError::internal(e),
-        WorkerError::Unreachable { .. } | WorkerError::Refused(_) => CliError::Coordinator(e.to_string()),
-    })
+    ended
+}
+
+/// Serves what a worker tells of itself, as a coordinator does.
+async fn watch_at(address: SocketAddr, pulse: Arc<Pulse>) -> Result<(), CliError> {
+    let listener = sightline_coordinator::listen(address, true).await;
+    let listener = listener.map_err(|e| CliError::Usage(format!("--metrics-listen: {e}")))?;
+    let address = listener.local_addr().map_err(CliError::internal)?;
+    print(&format!("metrics on http://{address}/metrics"))?;
+    tokio::spawn(async move {
+        let served = sightline_coordinator::serve_probes(Arc::new(Watched(pulse)), listener).await;
+        if let Err(e) = served {
+            tracing::error!("the metrics are not served any more: {e}");
+        }
+    });
+    Ok(())
+}
+
+/// A worker as who watches machines sees it.
+struct Watched(Arc<Pulse>);
+
+impl Probed for Watched {
+    fn metrics(&self) -> Result<String, String> {
+        let mut text = format!(
+            "# HELP sightline_worker_connected 1 while the coordinator knows this worker.\n\
+             # TYPE sightline_worker_connected gauge\nsightline_worker_connected {}\n\
+             # HELP sightline_worker_tiles Tiles, by how they ended.\n# TYPE sightline_worker_tiles counter\n",
+            u8::from(self.0.is_connected())
+        );
+        for (outcome, count) in self.0.tiles() {
+            text.push_str(&format!("sightline_worker_tiles_total{{outcome=\"{outcome}\"}} {count}\n"));
+        }
+        text.push_str("# EOF\n");
+        Ok(text)
+    }
+
+    fn readiness(&self) -> Result<(), Vec<String>> {
+        match self.0.is_connected() {
+            true => Ok(()),
+            false => Err(vec!["no coordinator knows this worker at the moment".to_owned()]),
+        }
+    }
 }
 
 /// Refuses an `--adapter` that matches no adapter of this machine; the error lists the names.

@@ -92,6 +92,10 @@ pub struct WorkerArgs {
     /// Name that the coordinator shows. Default: host name, process number and a random number.
     #[arg(long)]
     pub name: Option<String>,
+    /// Serve /metrics for Prometheus, /livez and /readyz at this address, such as 0.0.0.0:9465, as plain HTTP and to
+    /// everybody. Ready is a worker that its coordinator knows. Off by default.
+    #[arg(long, value_name = "ADDR:PORT")]
+    pub metrics_listen: Option<SocketAddr>,
     /// How the log on stderr looks: text, or one JSON object a line.
     #[arg(long, value_name = "FORMAT", value_enum, default_value_t)]
     pub log_format: LogFormat,

@@ -27,15 +27,18 @@ pub const MAX_UNPACKED: u64 = 4 << 30;
 /// # Errors
 /// [`CodecError`] saying what is wrong.
 pub fn decode(bytes: &[u8], triangles: u32) -> Result<TileOutput, CodecError> {
-    read(bytes, triangles, &|_| true)
+    read(bytes, triangles, (b"PC", MAX_UNPACKED), &|_| true)
 }
 
-/// Checks a tile's output without keeping its samples: a pack comes back empty, however much it unpacks to.
+/// Checks a tile's output without keeping its samples: a pack comes back empty. Samples in place of cells, or the
+/// other way round, are refused by their first byte, and what unpacks to more than `most` bytes is not unpacked
+/// further: a few kilobytes could be made to take gigabytes.
 ///
 /// # Errors
 /// [`CodecError`] saying what is wrong.
-pub fn check(bytes: &[u8], triangles: u32) -> Result<TileOutput, CodecError> {
-    read(bytes, triangles, &|_| false)
+pub fn check(bytes: &[u8], triangles: u32, is_pack: bool, most: u64) -> Result<TileOutput, CodecError> {
+    let kind: &[u8] = if is_pack { b"P" } else { b"C" };
+    read(bytes, triangles, (kind, most.min(MAX_UNPACKED)), &|_| false)
 }
 
 /// Decodes a pack, keeping only the samples in the closed box `within`: a leaf tile needs few of a face's
@@ -44,17 +47,29 @@ pub fn check(bytes: &[u8], triangles: u32) -> Result<TileOutput, CodecError> {
 /// # Errors
 /// [`CodecError`] when the bytes are no pack; also those parts that are not kept are checked.
 pub fn decode_pack(bytes: &[u8], triangles: u32, within: &CellBox) -> Result<Pack, CodecError> {
-    match read(bytes, triangles, &|p| within.contains(p))? {
+    match read(bytes, triangles, (b"P", MAX_UNPACKED), &|p| within.contains(p))? {
         TileOutput::Pack(pack) => Ok(pack),
         TileOutput::Cells(_) => Err(CodecError("it holds cells and not samples")),
     }
 }
 
-fn read(bytes: &[u8], triangles: u32, keep: &dyn Fn(LatticePoint) -> bool) -> Result<TileOutput, CodecError> {
+fn read(
+    bytes: &[u8],
+    triangles: u32,
+    (kinds, most): (&[u8], u64),
+    keep: &dyn Fn(LatticePoint) -> bool,
+) -> Result<TileOutput, CodecError> {
+    let bad = |_| CodecError("it is not zstd data");
+    let mut unpacked = zstd::stream::Decoder::new(bytes).map_err(bad)?;
     let mut raw = Vec::new();
-    zstd::stream::Decoder::new(bytes)
-        .and_then(|d| d.take(MAX_UNPACKED).read_to_end(&mut raw))
-        .map_err(|_| CodecError("it is not zstd data"))?;
+    unpacked.by_ref().take(1).read_to_end(&mut raw).map_err(bad)?;
+    if !raw.iter().all(|kind| kinds.contains(kind)) {
+        return Err(CodecError("its kind is unknown, or not that of its tile"));
+    }
+    unpacked.take(most).read_to_end(&mut raw).map_err(bad)?;
+    if raw.len() as u64 > most {
+        return Err(CodecError("it unpacks to more than its tile can have"));
+    }
     let mut r = Reader { bytes: &raw, triangles };
     let output = match r.byte()? {
         b'P' => TileOutput::Pack(r.pack(keep)?),

@@ -157,3 +157,18 @@ fn what_is_undecided_has_to_be_in_the_set() {
         assert!(decode(&sets(wrong), 6).is_err());
     }
 }
+
+/// Four GiB of zeros have a few hundred kilobytes in zstd. No more of it is unpacked than a tile may have.
+#[test]
+fn a_bomb_is_refused() {
+    let zeros = std::io::Read::take(std::io::repeat(0), 4 << 30);
+    let bomb = zstd::stream::encode_all(zeros, 1).unwrap();
+    assert!(bomb.len() < 1 << 20, "{}", bomb.len());
+    for is_pack in [false, true] {
+        assert!(check(&bomb, 1000, is_pack, 1 << 20).unwrap_err().to_string().contains("kind"));
+    }
+    // With the right first byte.
+    let zeros = std::io::Read::chain(&b"C"[..], std::io::Read::take(std::io::repeat(0), 4 << 30));
+    let bomb = zstd::stream::encode_all(zeros, 1).unwrap();
+    assert!(check(&bomb, 1000, false, 1 << 20).unwrap_err().to_string().contains("more than its tile"));
+}
