@@ -129,11 +129,13 @@ impl Sandbox {
         let mut line = || lines.next().map(Result::unwrap).unwrap_or_default();
         let first = line();
         let second = if arguments.contains("--http") { line() } else { String::new() };
+        let third = if arguments.contains("--metrics-listen") { line() } else { String::new() };
         let coordinator = Coordinator {
             sandbox: self,
             process: Background { line: "coordinator".into(), child, out: PathBuf::new(), err: log },
             url: first.trim().strip_prefix("listening on ").unwrap_or_default().to_owned(),
             pages: second.trim().strip_prefix("dashboard on ").unwrap_or_default().to_owned(),
+            metrics: third.trim().strip_prefix("metrics on ").unwrap_or_default().to_owned(),
         };
         assert!(
             coordinator.url.starts_with("http"),
@@ -250,6 +252,8 @@ pub struct Coordinator<'a> {
     pub url: String,
     /// Where its dashboard is, such as `http://127.0.0.1:41235/`; empty without one.
     pub pages: String,
+    /// Where its metrics are, such as `http://127.0.0.1:41236/metrics`; empty without them.
+    pub metrics: String,
 }
 
 impl Coordinator<'_> {

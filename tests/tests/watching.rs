@@ -12,7 +12,11 @@ const JOB: &str = "town.glb --cells 4x4x2 --block-cells 4 --target-error 0.1 --b
 /// The address after `metrics on` in what a process has printed.
 fn metrics_of(out: &str) -> Option<String> {
     let line = out.lines().find(|line| line.starts_with("metrics on "))?;
-    Some(line.trim_start_matches("metrics on http://").trim_end_matches("/metrics").to_owned())
+    Some(address_of(line.trim_start_matches("metrics on ")))
+}
+
+fn address_of(metrics: &str) -> String {
+    metrics.trim_start_matches("http://").trim_end_matches("/metrics").to_owned()
 }
 
 /// The samples of a page of metrics, by name with labels.
@@ -34,7 +38,7 @@ fn metrics_follow_a_job_and_the_log_is_json() {
     sandbox.ok("generate town --triangles 2000 -o town.glb");
     let arguments = "--listen 127.0.0.1:0 --metrics-listen 127.0.0.1:0 --log-format json --spot-check 1";
     let coordinator = sandbox.serve("data", arguments);
-    let at = wait_for("the metrics", || metrics_of(&coordinator.process.out()));
+    let at = address_of(&coordinator.metrics);
     assert_eq!(ask(&at, "GET /readyz", "", "").0, 200);
     assert_eq!(ask(&at, "GET /livez", "", "").0, 200);
     assert_eq!(ask(&at, "GET /nothing", "", "").0, 404);
@@ -94,7 +98,7 @@ fn a_store_is_verified_moved_and_compacted() {
         coordinator.run("workers --release nobody").code(3).says("no worker named nobody is quarantined");
         bytes
     };
-    let found = sandbox.json("store verify --data-dir data --json");
+    let found = sandbox.json("store verify --data-dir data");
     assert_eq!((&found["scenes"], &found["jobs"]), (&1.into(), &1.into()));
     assert_eq!(found["lost"].as_array().unwrap().len(), 0);
     sandbox.ok("store compact --data-dir data");
@@ -115,7 +119,7 @@ fn a_store_is_verified_moved_and_compacted() {
     let mut damaged = bytes.clone();
     damaged[bytes.len() / 2] ^= 1;
     std::fs::write(of_result, damaged).unwrap();
-    sandbox.run("store verify --data-dir moved").code(3).says("LOST: the result of job 1");
+    sandbox.run("store verify --data-dir moved").code(3).says("first the result of job 1");
     sandbox.ok("store verify --data-dir moved --repair");
     let coordinator = sandbox.coordinator("moved", "127.0.0.1:0");
     let _worker = coordinator.worker();

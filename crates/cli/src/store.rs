@@ -73,13 +73,15 @@ fn verify(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
         tell(&found, opened)?;
     }
     // What is repaired is not lost, but for what has to be sent again.
-    let rest = found.lost.values().filter(|(needs, _)| opened.is_none() || must_be_sent(needs)).count();
-    match rest {
-        0 => Ok(()),
-        n => Err(CliError::Input(format!(
-            "{n} blobs are lost; --repair has the next start compute again what it can, and scenes have to be sent again"
-        ))),
-    }
+    let mut rest = found.lost.values().filter(|(needs, _)| opened.is_none() || must_be_sent(needs));
+    let Some((needs, why)) = rest.next() else { return Ok(()) };
+    let needs: Vec<String> = needs.iter().map(need_text).collect();
+    Err(CliError::Input(format!(
+        "{} blobs are lost, first {}: {why}; --repair has the next start compute again what it can, and scenes have to be \
+         sent again",
+        rest.count() + 1,
+        needs.join(", ")
+    )))
 }
 
 fn must_be_sent(needs: &[Need]) -> bool {
