@@ -85,6 +85,7 @@ command -v cargo >/dev/null || . "$HOME/.cargo/env"
 phase 'format' bounded 60 cargo fmt --all --check
 phase 'line width' bounded 60 scripts/lines.sh
 phase 'clippy' bounded 1200 cargo clippy --locked --workspace --all-targets -- -D warnings
+phase 'deployment: compose, chart, units, alerts, certificates' bounded 300 scripts/check-deploy.sh
 phase 'dependencies: licences, bans, sources, advisories' dependencies
 phase 'build' bounded 1800 bash -c 'cargo build --locked --workspace && cargo test --locked --workspace --no-run'
 # The integration tests run this program; without it they would build one of their own.
