@@ -2,8 +2,9 @@
 # Checks what deploy/ ships, without a cluster and without an image: compose files, chart, units, alerts, dashboard,
 # certificates. Seconds, after the first time.
 #
-#   scripts/check-deploy.sh
+#   scripts/check-deploy.sh [PROGRAM]
 #
+# PROGRAM, by default $SIGHTLINE_BIN or the one in the target folder, is asked whether it knows the arguments that it is given.
 # The chart is rendered by Helm's own library and held against the schemas of Kubernetes; both come from PyPI, once, into
 # target/tools. What cannot be checked here is said in one line; where CI is set that is a failure.
 set -euo pipefail
@@ -24,6 +25,7 @@ quietly() {
   out=$("$@" 2>&1) || { printf '%s\n' "$out" >&2; die "failed: $*"; }
 }
 
+program=${1:-${SIGHTLINE_BIN:-${CARGO_TARGET_DIR:-target}/debug/sightline}}
 wanted=deploy/check/requirements.txt
 environment=$PWD/target/tools/deploy-$(sha256sum <"$wanted" | cut -c 1-12)
 python=$environment/bin/python
@@ -69,6 +71,12 @@ fi
 if [ -x "$python" ]; then
   "$python" deploy/check/compose.py deploy/compose.yaml deploy/compose.tls.yaml
   "$python" deploy/check/charts.py deploy/helm/sightline
+  if [ -x "$program" ]; then
+    "$python" deploy/check/arguments.py "$program" deploy
+  else
+    skipped "arguments (there is no program at $program)"
+  fi
+  if have promtool; then "$python" deploy/check/monitoring.py deploy/monitoring docs/operations.md; fi
 else
   skipped 'chart (Helm and the schemas could not be installed from PyPI)'
 fi

@@ -178,6 +178,14 @@ def check_table(chart, readme):
     must(told == there, f"the table of README.md lacks {there - told}, and has {told - there}, which are no values")
 
 
+def check_version(chart):
+    """The chart is of the program beside it."""
+    cargo = (HERE / "../../Cargo.toml").read_text()
+    version = re.search(r'^version = "(.+)"', cargo, re.MULTILINE).group(1)
+    of_chart = chart.metadata["appVersion"]
+    must(of_chart == version, f"appVersion is {of_chart}, and the program {version}")
+
+
 def render(chart, values):
     rendered = chart.render(values, name="farm", namespace="studio", is_install=True)
     documents = []
@@ -197,6 +205,7 @@ def main(folder):
     folder = pathlib.Path(folder)
     count = 0
     with helm.Chart.load(folder) as chart:
+        check_version(chart)
         check_table(chart, (folder / "README.md").read_text())
         for path in sorted((folder / "ci").glob("*.yaml")):
             values = yaml.safe_load(path.read_text()) or {}
