@@ -1,18 +1,19 @@
 #!/usr/bin/env bash
-# Makes `sightline-base:local`: a minimal Debian with Embree and Mesa's Vulkan driver, for deploy/Dockerfile.
+# Makes the image that one of the Dockerfiles builds on, out of Debian's packages alone:
+#
+#   sightline  `sightline-base:local`: Embree and Mesa's Vulkan driver, for deploy/Dockerfile
+#   services   `sightline-services-base:local`: PostgreSQL, HAProxy and Prometheus, for deploy/services/Dockerfile
 #
 # For machines that can install Debian packages but can pull no image. debootstrap unpacks the same Debian release as the
 # host's, from the mirror the host's apt uses, so that Embree inside and outside is one version and a container computes
 # the same bytes as the host. Skipped when the image is there and was made by this very recipe.
 # It does not contain the program; deploy/build-image.sh adds that.
 #
-#   deploy/base-image.sh [--force]
+#   deploy/base-image.sh [--force] [sightline|services]        default: sightline
 #
 #   SIGHTLINE_SUITE    Debian release, by code name; default: the host's, or bookworm on another system
 #   SIGHTLINE_MIRROR   Debian mirror; default: the one in the host's apt sources
 set -euo pipefail
-
-image=sightline-base:local
 
 say() { printf 'base-image: %s\n' "$*" >&2; }
 die() { say "$*"; exit 1; }
@@ -39,11 +40,14 @@ apt_mirror() {
   done | grep -E '^https?://' | head -n 1 || true
 }
 
-case "${1:-}" in
-  '') force=0 ;;
-  --force) force=1 ;;
-  *) die "unknown argument '$1'; usage: deploy/base-image.sh [--force]" ;;
-esac
+force=0 target=sightline
+for argument in "$@"; do
+  case $argument in
+    --force) force=1 ;;
+    sightline | services) target=$argument ;;
+    *) die "unknown argument '$argument'; usage: deploy/base-image.sh [--force] [sightline|services]" ;;
+  esac
+done
 
 host_suite=$(. /etc/os-release && [ "${ID:-}" = debian ] && printf '%s' "${VERSION_CODENAME:-}" || true)
 suite=${SIGHTLINE_SUITE:-${host_suite:-bookworm}}
@@ -53,7 +57,11 @@ case $suite in
   bookworm) embree=libembree3-3 ;;
   *) embree=libembree4-4 ;;
 esac
-packages=libvulkan1,mesa-vulkan-drivers,$embree
+# ca-certificates: object stores have certificates of public authorities.
+case $target in
+  sightline) image=sightline-base:local packages=libvulkan1,mesa-vulkan-drivers,$embree,ca-certificates ;;
+  services) image=sightline-services-base:local packages=postgresql,haproxy,prometheus ;;
+esac
 
 command -v docker >/dev/null || die "docker is not installed; apt-get install docker.io, or run scripts/setup.sh --for test"
 docker info >/dev/null 2>&1 || die "no container engine answers; start it (systemctl start docker), or join the group docker"

@@ -89,6 +89,7 @@ phase 'dependencies: licences, bans, sources, advisories' dependencies
 phase 'build' bounded 1800 bash -c 'cargo build --locked --workspace && cargo test --locked --workspace --no-run'
 # The integration tests run this program; without it they would build one of their own.
 export SIGHTLINE_BIN=${CARGO_TARGET_DIR:-$PWD/target}/debug/sightline
+phase 'deployment: compose, chart, units, alerts, certificates' bounded 300 scripts/check-deploy.sh
 
 phase 'unit and property tests' bounded 900 cargo test --locked --workspace --lib --bins
 phase 'documentation' bounded 600 env RUSTDOCFLAGS='-D warnings' cargo doc --locked --workspace --no-deps --quiet

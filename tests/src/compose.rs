@@ -54,6 +54,7 @@ impl Compose {
             .args(&self.program[1..])
             .args(["--project-name", &self.project, "--file"])
             .arg(root().join("deploy/compose.yaml"))
+            .args(["--profile", "default"])
             .env("SIGHTLINE_IMAGE", &self.image)
             .env("SIGHTLINE_PORT", self.port.to_string())
             .env("SIGHTLINE_BACKEND", "cpu")
