@@ -1,5 +1,5 @@
-//! What is removed by itself: jobs that are older than they are kept, or more than there is room for, and blobs
-//! that nobody needs.
+//! What is removed by itself: jobs that are older than they are kept, or more than there is room for, and
+//! blobs that nobody needs.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -2,7 +2,6 @@
 //! names. Their tiles are computed again, with all tiles that were computed from them.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
 
 use crate::chronicle::{Happening, Kind};
 use crate::ids::{JobId, TileIndex};
@@ -50,9 +49,9 @@ pub(crate) fn condemn(
         let record = QuarantineRecord { worker: worker.clone(), at_ms, reason: reason.to_owned() };
         c.store.quarantine(record)?;
         let text = format!(
-            "WORKER {worker} IS QUARANTINED: {reason}. What it did since it was last right is computed again. Find \
-             out what is wrong with its machine, driver or program; `sightline workers --release {worker}` lets it \
-             work again"
+            "WORKER {worker} IS QUARANTINED: {reason}. What it did since it was last right is computed \
+             again. Find out what is wrong with its machine, driver or program; `sightline workers --release \
+             {worker}` lets it work again"
         );
         tracing::error!("{text}");
         c.happened(Happening::of(Kind::Worker, text).on(worker));
@@ -119,7 +118,8 @@ pub(crate) fn open(
     open_again(c, record, tiles, false, chores)
 }
 
-/// Opens tiles of a job, `with` those that were computed from them, and lets the scheduler begin anew with it.
+/// Opens tiles of a job, `with` those that were computed from them, and lets the scheduler begin anew with
+/// it.
 fn open_again(
     c: &Coordinator,
     job: JobRecord,
@@ -133,7 +133,8 @@ fn open_again(
         let spec = spec.as_ref().map_err(String::clone)?;
         Job::of(record, spec, c.store.tiles(id).map_err(|e| e.to_string())?)
     };
-    // A job that another version began cannot be computed again; a result that is wrong must not stay as it is.
+    // A job that another version began cannot be computed again; a result that is wrong must not stay as it
+    // is.
     let tiles = match again(job) {
         Ok(job) if with => job.with_dependents(tiles),
         Ok(_) => tiles,
@@ -168,16 +169,4 @@ fn open_again(
         }
     }
     Ok(opened)
-}
-
-/// Lets a quarantined worker work again; returns whether it was quarantined.
-pub(crate) fn release(c: &Arc<Coordinator>, worker: &str) -> Result<bool, StoreError> {
-    let was = c.store.release(worker)?;
-    if was {
-        let text = format!("worker {worker} may work again");
-        tracing::warn!("{text}");
-        c.happened(Happening::of(Kind::Worker, text).on(worker));
-        crate::chores::happened(c, Event::Released(worker.to_owned()));
-    }
-    Ok(was)
 }

@@ -1,5 +1,5 @@
-//! What of the stored blobs is needed: for the removal of the rest, and for the check of a store that is not in
-//! use.
+//! What of the stored blobs is needed: for the removal of the rest, and for the check of a store that is
+//! not in use.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, SystemTime};
@@ -53,8 +53,8 @@ pub fn needed(store: &dyn Store) -> Result<BTreeMap<Digest, Vec<Need>>, StoreErr
     Ok(all)
 }
 
-/// The outputs that a job still needs: all of a job without a result, and of one with tiles set aside, which can
-/// be tried again.
+/// The outputs that a job still needs: all of a job without a result, and of one with tiles set aside,
+/// which can be tried again.
 fn outputs(store: &dyn Store, job: &JobRecord) -> Result<Vec<(TileIndex, Digest)>, StoreError> {
     let mut outputs = Vec::new();
     let mut is_whole = true;
@@ -74,8 +74,8 @@ fn outputs(store: &dyn Store, job: &JobRecord) -> Result<Vec<(TileIndex, Digest)
     Ok(outputs)
 }
 
-/// Removes the blobs that nobody needs and that were written or put longer than `grace` ago; returns how many,
-/// and their bytes. `alone` runs a removal while nobody begins to need a blob.
+/// Removes the blobs that nobody needs and that were written or put longer than `grace` ago; returns how
+/// many, and their bytes. `alone` runs a removal while nobody begins to need a blob.
 pub(crate) fn sweep(
     store: &dyn Store,
     blobs: &dyn Blobs,
@@ -176,8 +176,8 @@ pub fn verify(
     Ok(found)
 }
 
-/// Opens the tiles again whose outputs or results are lost, and removes what is damaged; returns the number of
-/// tiles. Scenes and parts of specifications have to be sent again.
+/// Opens the tiles again whose outputs or results are lost, and removes what is damaged; returns the number
+/// of tiles. Scenes and parts of specifications have to be sent again.
 ///
 /// # Errors
 /// The store's or the blobs'.

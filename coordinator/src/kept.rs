@@ -32,7 +32,8 @@ pub trait Answers: Send + Sync {
 /// How long things are kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Retention {
-    /// Jobs that ended longer ago are deleted, with their results; then scenes that no job names. `None` keeps them.
+    /// Jobs that ended longer ago are deleted, with their results; then scenes that no job names. `None`
+    /// keeps them.
     pub keep: Option<Duration>,
     /// While results and scenes have more bytes, the job that ended first is deleted. `None` is no bound.
     pub keep_bytes: Option<u64>,

@@ -49,6 +49,7 @@ mod metrics;
 mod orders;
 mod partial;
 mod readiness;
+mod releasing;
 mod results;
 mod scene_files;
 mod scenes;

@@ -15,8 +15,8 @@ const LEAST_FREE: u64 = 64 << 20;
 /// How long the outcome of a trial counts.
 const EVERY: Duration = Duration::from_secs(5);
 
-/// Whether the coordinator is ready; the error has every reason why it is not. Writes a small blob, once every
-/// few seconds at most. Blocks on the disk.
+/// Whether the coordinator is ready; the error has every reason why it is not. Writes a small blob, once
+/// every few seconds at most. Blocks on the disk.
 ///
 /// # Errors
 /// The reasons, a sentence each.

@@ -163,8 +163,8 @@ fn check(c: &Coordinator, work: &Work, announced: &Announced, bytes: &[u8]) -> R
     }
 }
 
-/// Most bytes that an output of so many cells unpacks to. A set has at most all items, each with a difference and
-/// a count of at most five bytes; proofs and packs have no such bound.
+/// Most bytes that an output of so many cells unpacks to. A set has at most all items, each with a
+/// difference and a count of at most five bytes; proofs and packs have no such bound.
 fn most_unpacked(spec: &JobSpec, cells: u64, items: u32, is_pack: bool) -> u64 {
     if is_pack || spec.method != Method::Aggressive || spec.has_portals() || cells == 0 {
         return codec::MAX_UNPACKED;

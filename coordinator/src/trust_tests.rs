@@ -14,6 +14,7 @@ use crate::kept::Retention;
 use crate::lifecycle::{self, Config};
 use crate::limits::Quotas;
 use crate::readiness::readiness;
+use crate::releasing;
 use crate::scenes::{self, UploadError};
 use crate::scheduler::Order;
 use crate::sessions::{self, Message};
@@ -112,7 +113,7 @@ fn a_liar_is_found_and_what_it_did_is_computed_again() {
         assert_ne!(stats.worker, "liar");
         assert!(tile.check.is_some_and(|check| check.worker != stats.worker));
     }
-    assert!(invalidating::release(&c, "liar").unwrap() && !invalidating::release(&c, "liar").unwrap());
+    assert!(releasing::release(&c, "liar").unwrap() && !releasing::release(&c, "liar").unwrap());
 }
 
 #[test]

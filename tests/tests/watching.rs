@@ -140,3 +140,35 @@ fn walk(path: &std::path::Path) -> Vec<std::path::PathBuf> {
     }
     std::fs::read_dir(path).unwrap().flatten().flat_map(|entry| walk(&entry.path())).collect()
 }
+
+#[test]
+fn a_copy_that_was_made_in_the_middle_of_a_job_goes_on() {
+    let sandbox = Sandbox::new();
+    sandbox.ok("generate town --triangles 2000 -o town.glb");
+    sandbox.ok(&format!("bake {JOB} -o alone.pvs"));
+    let backup = sandbox.path("backup");
+    {
+        let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+        let _worker = coordinator.worker();
+        let job = coordinator.submit(JOB);
+        coordinator.until(job, "a tile", |now| now["tiles_done"].as_u64() > Some(0));
+        std::fs::create_dir_all(backup.join("state")).unwrap();
+        std::fs::copy(sandbox.path("data/state/journal"), backup.join("state/journal")).unwrap();
+        // The job may end now, which removes outputs that the copied journal names.
+        coordinator.finish(job);
+        copy(&sandbox.path("data/blobs"), &backup.join("blobs"));
+    }
+    // Nothing is lost for good: the scene is there.
+    sandbox.ok("store verify --repair --data-dir backup");
+    let coordinator = sandbox.coordinator("backup", "127.0.0.1:0");
+    let _worker = coordinator.worker();
+    assert_same(&coordinator.finish(1), &sandbox.read("alone.pvs"), "from the copy");
+}
+
+fn copy(from: &std::path::Path, to: &std::path::Path) {
+    for path in walk(from) {
+        let target = to.join(path.strip_prefix(from).unwrap());
+        std::fs::create_dir_all(target.parent().unwrap()).unwrap();
+        std::fs::copy(&path, target).unwrap();
+    }
+}

@@ -34,8 +34,8 @@ impl Default for Quota {
 /// A text that is no quota.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{part:?} is no quota; give NAME=N with the names bytes (100G, 1T), scenes, jobs, tiles, requests (a second) and \
-     calls (at a time), separated by commas; N can be `none`; USER: in front is for this user alone"
+    "{part:?} is no quota; give NAME=N with the names bytes (100G, 1T), scenes, jobs, tiles, requests (a \
+     second) and calls (at a time), separated by commas; N can be `none`; USER: in front is for this user alone"
 )]
 pub struct QuotaError {
     /// The part that is wrong.

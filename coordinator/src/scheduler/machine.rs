@@ -319,10 +319,10 @@ impl Machine {
 
     /// What an output that arrives under a lease has to be checked against, and whether it counts.
     ///
-    /// It counts when the lease was given, however long ago, to somebody who is not quarantined. A lease of this epoch is known exactly. One of
-    /// an earlier epoch is accepted, because nothing says whether it was given: its output is the first of
-    /// the tile, or the same, or refused. An output of a done tile can only be compared with the one that
-    /// stays.
+    /// It counts when the lease was given, however long ago, to somebody who is not quarantined. A lease of
+    /// this epoch is known exactly. One of an earlier epoch is accepted, because nothing says whether it
+    /// was given: its output is the first of the tile, or the same, or refused. An output of a done tile
+    /// can only be compared with the one that stays.
     ///
     /// # Errors
     /// The reason, when there is no such tile.

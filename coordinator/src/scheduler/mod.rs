@@ -4,11 +4,13 @@
 //! results. Its state can be derived again from the store and from the workers' introductions.
 //!
 //! A file each: `machine` has the state and the dispatch of events, `jobs`, `leases`, `workers`, `crews`,
-//! `failures`, `spot`, `profiles`, `shares` and `granting` the transitions of their subjects, `pools` and `queue` the
-//! lists that make them cheap, `roster`, `standing`, `counts`, `team`, `unable` and `pace` what people are told,
+//! `failures`, `checking`, `profiles`, `shares` and `granting` the transitions of their subjects, `pools`
+//! and `queue` the lists that make them cheap, `roster`, `standing`, `counts`, `team`, `unable` and `pace`
+//! what people are told,
 //! `checks` counts everything again.
 
 mod binding;
+mod checking;
 #[cfg(test)]
 mod checks;
 mod counts;

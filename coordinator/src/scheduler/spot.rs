@@ -1,52 +1,26 @@
-//! Spot checks: a share of the tiles is computed again by another worker, and where the bytes differ a third
-//! one says who was wrong.
-//!
-//! A tile is drawn when it is done, and its job does not end before it was checked. A check is a lease on a
-//! done tile, without helpers; its output is compared and not kept. Whoever has helped with the tile checks it
-//! only if nobody else is there. When two answers differ, all who had a
-//! hand in either are suspects, and get nothing but checks of other tiles until the same answer has come
-//! twice. Then the others are quarantined: which of them was wrong, the bytes do not say. What they did since
-//! they were last right is computed again; that is a [`Command`] of the store. A job without another worker
-//! goes on unchecked after a while, and says so; one with two different answers waits.
+//! A tile that is to be computed again, and what was computed for it. `checking.rs` says how that goes.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use sightline_numbers::random::SplitMix64;
-
-use super::event::{Command, Effect, Note};
-use super::job::{Output, Tile};
-use super::machine::{Machine, Worker};
-use super::messages::Now;
-use super::pools::Profile;
-use crate::ids::{Digest, JobId, Lease, TileIndex, WorkerId};
-use crate::store::JobPhase;
+use crate::ids::Digest;
 
 /// The name of a worker.
 pub(super) type Name = Arc<str>;
 
-/// How long a job that lacks nothing but a check waits for another worker, in milliseconds.
-const LONELY: u64 = 10_000;
-/// Checks that are leased in one tick, at most.
-const MOST_AT_ONCE: usize = 64;
-/// Failures of a check after which it is left, while there is only one answer.
-const MOST_TRIES: u32 = 3;
-/// The wait after a failed check, in milliseconds; it doubles with each further one, up to this many times.
-const AFTER_FAILURE: (u64, u32) = (1000, 6);
-
 /// What somebody has computed for a tile.
 #[derive(Clone, Debug)]
 pub(super) struct Answer {
-    digest: Digest,
+    pub(super) digest: Digest,
     /// Who has sent it.
-    author: Name,
+    pub(super) author: Name,
     /// All who had a hand in it.
-    workers: BTreeSet<Name>,
+    pub(super) workers: BTreeSet<Name>,
 }
 
 impl Answer {
     /// Those who may have made it wrong, where others have made the right one.
-    fn guilty(&self, right: &BTreeSet<Name>) -> BTreeSet<Name> {
+    pub(super) fn guilty(&self, right: &BTreeSet<Name>) -> BTreeSet<Name> {
         let others: BTreeSet<Name> = self.workers.difference(right).cloned().collect();
         // Whoever has helped with the right one may have sent a wrong one alone.
         if others.is_empty() { BTreeSet::from([Name::clone(&self.author)]) } else { others }
@@ -57,21 +31,21 @@ impl Answer {
 #[derive(Clone, Debug)]
 pub(super) struct Spot {
     /// The first one is that of the tile.
-    answers: Vec<Answer>,
-    tries: u32,
-    not_before: u64,
+    pub(super) answers: Vec<Answer>,
+    pub(super) tries: u32,
+    pub(super) not_before: u64,
     /// Since when nobody is there who could check it, although the job lacks nothing else.
-    lonely_since: Option<u64>,
+    pub(super) lonely_since: Option<u64>,
     /// Whether somebody may check it who has helped with it, because nobody else is there.
-    helpers_may: bool,
+    pub(super) helpers_may: bool,
     /// Whether it was said that a third worker is needed.
-    told: bool,
+    pub(super) told: bool,
     /// The tile's own answer was wrong: it waits to be computed again.
-    condemned: bool,
+    pub(super) condemned: bool,
 }
 
 impl Spot {
-    fn of(digest: Digest, author: Name, mut workers: BTreeSet<Name>) -> Self {
+    pub(super) fn of(digest: Digest, author: Name, mut workers: BTreeSet<Name>) -> Self {
         workers.insert(Name::clone(&author));
         Self {
             answers: vec![Answer { digest, author, workers }],
@@ -85,275 +59,12 @@ impl Spot {
     }
 
     /// Whether a worker of this name may not check it.
-    fn knows(&self, name: &str) -> bool {
+    pub(super) fn knows(&self, name: &str) -> bool {
         let has_hand = |answer: &Answer| !self.helpers_may && answer.workers.contains(name);
         self.answers.iter().any(|answer| *answer.author == *name || has_hand(answer))
     }
 
-    fn is_disputed(&self) -> bool {
+    pub(super) fn is_disputed(&self) -> bool {
         self.answers.len() > 1
-    }
-}
-
-impl Machine {
-    /// A tile is done: draws whether it is checked.
-    pub(super) fn draw(&mut self, id: JobId, tile: TileIndex, digest: Digest) {
-        let share = self.settings.spot_check;
-        let mut draw = SplitMix64::named(&[self.settings.spot_seed, id.0, u64::from(tile.0)]);
-        let Some(job) = self.jobs.get_mut(&id) else { return };
-        // With a time budget two workers do not get equally far.
-        let timed = job.work.spec.time_budget_ms > 0;
-        let Tile { author, hands, .. } = &job.tiles[tile.at()];
-        // Who has sent it under a lease of an earlier start is not known.
-        if timed || author.is_empty() || self.only.is_some() || draw.unit_f64() >= share {
-            return;
-        }
-        let spot = Spot::of(digest, Name::clone(author), hands.clone());
-        job.spots.insert(tile, spot);
-        self.spotted.insert((id, tile));
-    }
-
-    /// An output differs from that of a tile, which two workers have computed for another reason.
-    pub(super) fn differed(&mut self, lease: &Lease, digest: Digest) {
-        let Lease { job: id, tile, .. } = *lease;
-        let Some(job) = self.jobs.get_mut(&id) else { return };
-        let Some(Output::Done(kept)) = job.tiles.get(tile.at()).map(|t| t.output) else { return };
-        if self.settings.spot_check <= 0.0 || job.work.spec.time_budget_ms > 0 {
-            return;
-        }
-        let Some(name) = job.given_to(lease.id.number, tile) else { return };
-        let Tile { author, hands, .. } = &job.tiles[tile.at()];
-        let first = Spot::of(kept, Name::clone(author), hands.clone());
-        job.spots.entry(tile).or_insert(first);
-        self.spotted.insert((id, tile));
-        self.take_answer(id, tile, digest, name);
-    }
-
-    /// Whether a worker of this name gets no tiles.
-    pub(super) fn is_barred(&self, name: &str) -> bool {
-        self.quarantined.contains(name) || self.suspects.contains_key(name)
-    }
-
-    /// The names of the workers that are quarantined.
-    pub(crate) fn quarantined(&self) -> &BTreeSet<Name> {
-        &self.quarantined
-    }
-
-    /// A worker gets no tiles any more, and what it holds does not count.
-    pub(super) fn quarantine(&mut self, name: &str) {
-        self.quarantined.insert(name.into());
-        for id in self.of_name(name) {
-            let leases: Vec<_> = self.workers.get(&id).into_iter().flat_map(|w| w.leases.clone()).collect();
-            leases.into_iter().for_each(|lease| self.end_lease(lease, true));
-            self.call_back(id);
-            self.list_worker(id);
-        }
-    }
-
-    /// A worker gets tiles again.
-    pub(super) fn release(&mut self, name: &str) {
-        self.quarantined.remove(name);
-        self.relist(name);
-    }
-
-    fn of_name(&self, name: &str) -> Vec<WorkerId> {
-        self.workers.iter().filter(|(_, w)| w.name == name).map(|(id, _)| *id).collect()
-    }
-
-    fn relist(&mut self, name: &str) {
-        self.of_name(name).into_iter().for_each(|id| self.list_worker(id));
-    }
-
-    /// Leases checks to idle workers. With every tick.
-    pub(super) fn grant_checks(&mut self, now: Now) {
-        if self.paused_until.is_some() {
-            return;
-        }
-        let spotted: Vec<(JobId, TileIndex)> = self.spotted.iter().copied().collect();
-        let mut granted = 0;
-        for (id, tile) in spotted {
-            let Some((profile, spot)) = self.due(id, tile, now) else { continue };
-            match self.checker(&profile, spot) {
-                Some(worker) if granted < MOST_AT_ONCE => {
-                    granted += 1;
-                    self.grant(worker, id, tile, profile, now);
-                    self.mark_check(id, tile);
-                }
-                Some(_) => return,
-                None => self.look_for_others(id, tile, &profile, now),
-            }
-        }
-    }
-
-    /// An idle worker that can check a tile. Suspects can decide between others' answers.
-    fn checker(&self, profile: &Profile, spot: &Spot) -> Option<WorkerId> {
-        if !spot.is_disputed() {
-            let mut hungry = self.pools.of.get(profile)?.hungry[0].iter();
-            let may = |w: &&WorkerId| self.workers.get(w).is_some_and(|w| !spot.knows(&w.name));
-            return hungry.find(may).copied();
-        }
-        let may = |w: &Worker| {
-            let idle = w.wants > 0 && w.leases.is_empty() && w.deaf_until.is_none() && !w.silent;
-            idle && self.could_check(w, profile, spot)
-        };
-        self.workers.iter().find(|(_, w)| may(w)).map(|(id, _)| *id)
-    }
-
-    /// Whether a worker can check a tile, once it has nothing else to do.
-    fn could_check(&self, w: &Worker, profile: &Profile, spot: &Spot) -> bool {
-        let name = w.name.as_str();
-        let barred = if spot.is_disputed() { self.quarantined.contains(name) } else { self.is_barred(name) };
-        w.profiles.contains(profile) && !w.draining && !barred && !spot.knows(name)
-    }
-
-    /// A check that nobody has, and the profile that it needs.
-    fn due(&self, id: JobId, tile: TileIndex, now: Now) -> Option<(Profile, &Spot)> {
-        let job = self.jobs.get(&id)?;
-        let spot = job.spots.get(&tile)?;
-        let runs = job.record.state.phase() == JobPhase::Running && self.allowed(job) && !job.pending;
-        let free = job.tiles[tile.at()].leases == [None; 2] && spot.not_before <= now.ms && !spot.condemned;
-        let profile = job.record.profile.as_deref()?;
-        (runs && free).then(|| (Profile::from(profile), spot))
-    }
-
-    /// Notes that the lease on a done tile is a check.
-    fn mark_check(&mut self, id: JobId, tile: TileIndex) {
-        let leases = self.jobs.get(&id).map(|job| job.tiles[tile.at()].leases).unwrap_or_default();
-        for lease in leases.into_iter().flatten() {
-            if let Some(l) = self.leases.get_mut(&lease) {
-                l.checks = true;
-            }
-        }
-    }
-
-    /// Nobody idle can check a tile: whether anybody can.
-    fn look_for_others(&mut self, id: JobId, tile: TileIndex, profile: &Profile, now: Now) {
-        let Some(job) = self.jobs.get(&id) else { return };
-        let Some(spot) = job.spots.get(&tile) else { return };
-        let able = self.workers.values().any(|w| self.could_check(w, profile, spot));
-        let waits = job.open() == 0;
-        let helped = |w: &Worker| {
-            let spot = Spot { helpers_may: true, ..spot.clone() };
-            self.could_check(w, profile, &spot)
-        };
-        let helpers_could = !spot.helpers_may && self.workers.values().any(helped);
-        let Some(spot) = self.jobs.get_mut(&id).and_then(|job| job.spots.get_mut(&tile)) else { return };
-        if able || !waits {
-            spot.lonely_since = None;
-        } else if now.ms.saturating_sub(*spot.lonely_since.get_or_insert(now.ms)) < LONELY {
-            // Somebody may come.
-        } else if helpers_could {
-            spot.helpers_may = true;
-        } else if spot.is_disputed() {
-            if !std::mem::replace(&mut spot.told, true) {
-                self.note(Note::NeedsThird(id, tile));
-            }
-        } else {
-            self.leave_unchecked(id, tile, "no other worker is there");
-        }
-    }
-
-    /// A check is given up.
-    fn leave_unchecked(&mut self, id: JobId, tile: TileIndex, why: &'static str) {
-        self.forget_spot(id, tile);
-        self.note(Note::Unchecked(id, tile, why));
-        self.assemble_if_complete(id);
-    }
-
-    /// Takes a spot off the lists, with the suspicions that came from it.
-    fn forget_spot(&mut self, id: JobId, tile: TileIndex) {
-        self.spotted.remove(&(id, tile));
-        if let Some(job) = self.jobs.get_mut(&id) {
-            job.spots.remove(&tile);
-        }
-        self.clear_suspects(id, Some(tile));
-    }
-
-    /// Ends the suspicions that came from a tile, or from all tiles of a job.
-    pub(super) fn clear_suspects(&mut self, id: JobId, tile: Option<TileIndex>) {
-        let from = |of: &(JobId, TileIndex)| of.0 == id && tile.is_none_or(|tile| of.1 == tile);
-        let mut free = Vec::new();
-        self.suspects.retain(|name, of| {
-            of.retain(|spot| !from(spot));
-            if of.is_empty() {
-                free.push(Name::clone(name));
-            }
-            !of.is_empty()
-        });
-        free.iter().for_each(|name| self.relist(name));
-    }
-
-    /// A check failed on a worker.
-    pub(super) fn check_failed(&mut self, id: JobId, tile: TileIndex, now: Now) {
-        let Some(spot) = self.jobs.get_mut(&id).and_then(|job| job.spots.get_mut(&tile)) else { return };
-        spot.tries += 1;
-        spot.not_before = now.ms + (AFTER_FAILURE.0 << spot.tries.min(AFTER_FAILURE.1));
-        if spot.tries >= MOST_TRIES && !spot.is_disputed() {
-            self.leave_unchecked(id, tile, "computing it again failed three times");
-        }
-    }
-
-    /// A worker has computed a tile again.
-    pub(super) fn checked(&mut self, lease: &Lease, digest: Digest) {
-        let held =
-            self.leases.get(&lease.id).filter(|l| (l.job, l.tile, l.checks) == (lease.job, lease.tile, true));
-        let Some(worker) = held.map(|l| l.worker) else { return };
-        let name = self.jobs.get(&lease.job).and_then(|job| job.given_to(lease.id.number, lease.tile));
-        self.end_lease(lease.id, false);
-        if let Some(w) = self.workers.get(&worker) {
-            debug_assert!(name.as_deref() == Some(w.name.as_str()), "a lease has its worker's name");
-        }
-        let Some(name) = name else { return };
-        self.take_answer(lease.job, lease.tile, digest, name);
-        self.tell_watchers(lease.job);
-    }
-
-    /// Compares an answer with those that are there.
-    fn take_answer(&mut self, id: JobId, tile: TileIndex, digest: Digest, name: Name) {
-        let Some(spot) = self.jobs.get_mut(&id).and_then(|job| job.spots.get_mut(&tile)) else { return };
-        if spot.knows(&name) || spot.condemned {
-            return;
-        }
-        let Some(at) = spot.answers.iter().position(|answer| answer.digest == digest) else {
-            let workers = BTreeSet::from([Name::clone(&name)]);
-            spot.answers.push(Answer { digest, author: Name::clone(&name), workers });
-            let all: BTreeSet<Name> = spot.answers.iter().flat_map(|a| a.workers.iter().cloned()).collect();
-            self.note(Note::Differs(id, tile, all.iter().map(|name| name.to_string()).collect()));
-            for name in all {
-                self.suspects.entry(Name::clone(&name)).or_default().insert((id, tile));
-                self.relist(&name);
-            }
-            return;
-        };
-        let mut right = spot.answers[at].workers.clone();
-        right.insert(Name::clone(&name));
-        let others = spot.answers.iter().enumerate().filter(|(n, _)| *n != at);
-        let wrong: BTreeSet<Name> = others.flat_map(|(_, answer)| answer.guilty(&right)).collect();
-        let kept_is_right = at == 0;
-        spot.condemned = !kept_is_right;
-        if kept_is_right {
-            self.forget_spot(id, tile);
-            let command = Command::Confirm { job: id, tile, digest, worker: name.to_string() };
-            self.effects.push(Effect::Run(command));
-            self.note(Note::Agrees(id, tile, name.to_string()));
-        } else {
-            self.clear_suspects(id, Some(tile));
-        }
-        if !wrong.is_empty() {
-            wrong.iter().for_each(|name| self.quarantine(name));
-            let reason =
-                format!("its bytes for tile {tile} of job {id} are not those that two others have computed");
-            let workers = wrong.iter().map(|name| name.to_string()).collect();
-            self.effects.push(Effect::Run(Command::Quarantine { workers, reason }));
-        }
-        self.assemble_if_complete(id);
-    }
-
-    /// Asks the store again for what it refused to note.
-    pub(super) fn ask_again(&mut self) {
-        if self.paused_until.is_none() {
-            let unsaid = std::mem::take(&mut self.unsaid);
-            self.effects.extend(unsaid.into_iter().map(Effect::Run));
-        }
     }
 }

@@ -16,6 +16,7 @@ use super::{status, wire};
 use crate::chores::do_chores;
 use crate::ids::{JobId, TileIndex};
 use crate::invalidating::{self, Which};
+use crate::releasing;
 use crate::state::Coordinator;
 use crate::store::StoreError;
 use crate::tiles;
@@ -117,7 +118,7 @@ impl v1::farm_server::Farm for FarmService {
     ) -> Answer<v1::ReleaseWorkerResponse> {
         let worker = r.into_inner().worker;
         blocking(&self.0, move |c| {
-            let was_quarantined = invalidating::release(c, &worker).map_err(|e| status::of_store(&e))?;
+            let was_quarantined = releasing::release(c, &worker).map_err(|e| status::of_store(&e))?;
             Ok(Response::new(v1::ReleaseWorkerResponse { was_quarantined }))
         })
         .await

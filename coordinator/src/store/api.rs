@@ -140,8 +140,8 @@ pub trait Store: Send + Sync {
     /// Everything, ascending by key.
     fn entries(&self) -> Result<Vec<Entry>, StoreError>;
 
-    /// Takes over entries of another store, a few hundred at a time. The `first` ones need a store without scenes
-    /// and jobs.
+    /// Takes over entries of another store, a few hundred at a time. The `first` ones need a store without
+    /// scenes and jobs.
     fn import(&self, entries: Vec<Entry>, first: bool) -> Result<(), StoreError>;
 
     /// Whether the store can be written, as far as is known without a write.

@@ -1,5 +1,5 @@
-//! Raw entries of a store, as they go from one store to another: the keys and values of `table.rs`, which have
-//! their own checksums.
+//! Raw entries of a store, as they go from one store to another: the keys and values of `table.rs`, which
+//! have their own checksums.
 
 use base64::{Engine as _, engine::general_purpose::STANDARD_NO_PAD};
 

@@ -176,7 +176,8 @@ pub enum StoreError {
     },
     /// Only an empty store takes over the entries of another one.
     #[error(
-        "the store has scenes or jobs, and takes over those of another one only while it is empty; give a new one"
+        "the store has scenes or jobs, and takes over those of another one only while it is empty; \
+         give a new one"
     )]
     NotEmpty,
     /// The system gives no random numbers.

@@ -48,8 +48,8 @@ pub(super) enum Event {
         #[serde(with = "super::records::hex_digest")]
         scene: Digest,
     },
-    /// Entries of another store, or of this one before its journal was compacted: keys in hexadecimal digits, and
-    /// values as base64.
+    /// Entries of another store, or of this one before its journal was compacted: keys in hexadecimal
+    /// digits, and values as base64.
     Imported { entries: Vec<(String, String)> },
 }
 
@@ -461,8 +461,8 @@ pub(super) fn confirm_tile(
     }
 }
 
-/// Opens tiles again whose results are not believed any more. A done job, whose other outputs are gone, begins
-/// anew. Returns the number of opened tiles.
+/// Opens tiles again whose results are not believed any more. A done job, whose other outputs are gone,
+/// begins anew. Returns the number of opened tiles.
 pub(super) fn invalidate_tiles(view: View<'_>, job: JobId, tiles: &[TileIndex]) -> Decided<u32> {
     let mut record = view.known_job(job)?;
     let is_done = record.state.phase() == JobPhase::Done;

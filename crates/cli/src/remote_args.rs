@@ -136,8 +136,8 @@ pub struct LogsArgs {
     /// Go on with what happens from now on, until Ctrl-C.
     #[arg(short, long)]
     pub follow: bool,
-    /// Print the time line of the job's tiles as Chrome trace JSON, for chrome://tracing or ui.perfetto.dev: a row for each
-    /// worker, from lease to end.
+    /// Print the time line of the job's tiles as Chrome trace JSON, for chrome://tracing or
+    /// ui.perfetto.dev: a row for each worker, from lease to end.
     #[arg(long, requires = "id", conflicts_with_all = ["follow", "after"])]
     pub trace: bool,
     /// Only events with greater numbers; --json prints the numbers.
@@ -202,7 +202,8 @@ pub struct JobsArgs {
     #[arg(long, value_name = "JOB", value_parser = first_after_none)]
     pub before: Option<u64>,
     /// List only jobs in this state. Can be given several times.
-    #[arg(long = "state", value_name = "STATE", value_parser = ["queued", "running", "paused", "cancelled", "failed", "done"])]
+    #[arg(long = "state", value_name = "STATE",
+        value_parser = ["queued", "running", "paused", "cancelled", "failed", "done"])]
     pub states: Vec<String>,
     /// List only jobs whose name contains this text.
     #[arg(long, value_name = "TEXT", default_value = "", hide_default_value = true)]

@@ -88,7 +88,8 @@ impl Probed for Watched {
         let mut text = format!(
             "# HELP sightline_worker_connected 1 while the coordinator knows this worker.\n\
              # TYPE sightline_worker_connected gauge\nsightline_worker_connected {}\n\
-             # HELP sightline_worker_tiles Tiles, by how they ended.\n# TYPE sightline_worker_tiles counter\n",
+             # HELP sightline_worker_tiles Tiles, by how they ended.\n\
+             # TYPE sightline_worker_tiles counter\n",
             u8::from(self.0.is_connected())
         );
         for (outcome, count) in self.0.tiles() {

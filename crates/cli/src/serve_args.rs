@@ -33,24 +33,26 @@ pub struct CoordinatorArgs {
     /// default.
     #[arg(long, value_name = "ADDR:PORT")]
     pub http: Option<SocketAddr>,
-    /// Serve /metrics for Prometheus, /livez and /readyz at this address, such as 0.0.0.0:9464, as plain HTTP and
-    /// to everybody: they name workers, and no jobs, users or scenes. Off by default.
+    /// Serve /metrics for Prometheus, /livez and /readyz at this address, such as 0.0.0.0:9464, as plain
+    /// HTTP and to everybody: they name workers, and no jobs, users or scenes. Off by default.
     #[arg(long, value_name = "ADDR:PORT")]
     pub metrics_listen: Option<SocketAddr>,
-    /// What each user of --tokens may have and do, such as bytes=100G,scenes=100,jobs=1000,tiles=1000000: bytes of scenes and
-    /// results, scenes, jobs and their tiles; and requests a second and calls at a time, which are 200 and 256 if nothing
-    /// else is said. `none` is no limit. With USER: in front it is for this user alone. Can be given several times.
+    /// What each user of --tokens may have and do, such as bytes=100G,scenes=100,jobs=1000,tiles=1000000:
+    /// bytes of scenes and results, scenes, jobs and their tiles; and requests a second and calls at a
+    /// time, which are 200 and 256 if nothing else is said. `none` is no limit. With USER: in front it is
+    /// for this user alone. Can be given several times.
     #[arg(long, value_name = "[USER:]NAME=N,…", requires = "tokens")]
     pub quota: Vec<String>,
-    /// Delete jobs with their results this long after they ended, and scenes that no job names any more, such as 720h. Default:
-    /// keep them.
+    /// Delete jobs with their results this long after they ended, and scenes that no job names any more,
+    /// such as 720h. Default: keep them.
     #[arg(long, value_name = "DUR", value_parser = crate::job_args::parse_duration)]
     pub keep: Option<Duration>,
-    /// While results and scenes have more bytes than this, delete the job that ended first, such as 500G. Default: no bound.
+    /// While results and scenes have more bytes than this, delete the job that ended first, such as 500G.
+    /// Default: no bound.
     #[arg(long, value_name = "BYTES", value_parser = sightline_coordinator::bytes)]
     pub keep_bytes: Option<u64>,
-    /// Have this share of the tiles, 0 to 1, computed again by another worker. Where the bytes differ, a third one says
-    /// who was wrong; that worker is quarantined, and what it did is computed again.
+    /// Have this share of the tiles, 0 to 1, computed again by another worker. Where the bytes differ, a
+    /// third one says who was wrong; that worker is quarantined, and what it did is computed again.
     #[arg(long, value_name = "P", default_value_t = 0.0, value_parser = share)]
     pub spot_check: f64,
     /// How the log on stderr looks: text, or one JSON object a line.
@@ -92,8 +94,8 @@ pub struct WorkerArgs {
     /// Name that the coordinator shows. Default: host name, process number and a random number.
     #[arg(long)]
     pub name: Option<String>,
-    /// Serve /metrics for Prometheus, /livez and /readyz at this address, such as 0.0.0.0:9465, as plain HTTP and to
-    /// everybody. Ready is a worker that its coordinator knows. Off by default.
+    /// Serve /metrics for Prometheus, /livez and /readyz at this address, such as 0.0.0.0:9465, as plain
+    /// HTTP and to everybody. Ready is a worker that its coordinator knows. Off by default.
     #[arg(long, value_name = "ADDR:PORT")]
     pub metrics_listen: Option<SocketAddr>,
     /// How the log on stderr looks: text, or one JSON object a line.

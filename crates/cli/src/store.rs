@@ -1,8 +1,8 @@
 //! `sightline store`: the store of a coordinator that does not run is checked, compacted, and moved.
 //!
-//! An export is JSON Lines: a header with the format's name and version, one `["KEY","VALUE"]` a record (the key
-//! in hexadecimal digits, the value with its checksum as base64), and a last line with the number of records and
-//! the BLAKE3 digest of all lines before it.
+//! An export is JSON Lines: a header with the format's name and version, one `["KEY","VALUE"]` a record
+//! (the key in hexadecimal digits, the value with its checksum as base64), and a last line with the number
+//! of records and the BLAKE3 digest of all lines before it.
 
 use std::fs::File;
 use std::io::{BufRead as _, BufReader, Write};
@@ -77,8 +77,8 @@ fn verify(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     let Some((needs, why)) = rest.next() else { return Ok(()) };
     let needs: Vec<String> = needs.iter().map(need_text).collect();
     Err(CliError::Input(format!(
-        "{} blobs are lost, first {}: {why}; --repair has the next start compute again what it can, and scenes have to be \
-         sent again",
+        "{} blobs are lost, first {}: {why}; --repair has the next start compute again what it can, and scenes have \
+         to be sent again",
         rest.count() + 1,
         needs.join(", ")
     )))
@@ -98,7 +98,10 @@ fn need_text(need: &Need) -> String {
 }
 
 fn report(found: &Verified, opened: Option<u64>) -> Value {
-    let lost = |(_, (needs, why)): (_, &(Vec<Need>, String))| json!({"why": why, "needed": needs.iter().map(need_text).collect::<Vec<_>>()});
+    let lost = |(_, (needs, why)): (_, &(Vec<Need>, String))| {
+        let needed: Vec<String> = needs.iter().map(need_text).collect();
+        json!({"why": why, "needed": needed})
+    };
     json!({
         "scenes": found.scenes, "jobs": found.jobs, "blobs": found.blobs, "bytes": found.bytes,
         "unneeded": found.unneeded, "unneeded_bytes": found.unneeded_bytes,
@@ -108,8 +111,8 @@ fn report(found: &Verified, opened: Option<u64>) -> Value {
 
 fn tell(found: &Verified, opened: Option<u64>) -> Result<(), CliError> {
     print(&format!(
-        "{} scenes, {} jobs; {} blobs, {} bytes; {} blobs are needed by nobody, {} bytes: a coordinator removes them \
-         a day after they were written",
+        "{} scenes, {} jobs; {} blobs, {} bytes; {} blobs are needed by nobody, {} bytes: a coordinator removes \
+         them a day after they were written",
         found.scenes, found.jobs, found.blobs, found.bytes, found.unneeded, found.unneeded_bytes
     ))?;
     for (needs, why) in found.lost.values() {

@@ -14,8 +14,8 @@ pub struct StoreArgs {
 pub enum StoreCommand {
     /// Read every record and every blob, and list what is lost. Exit code 3 when something is.
     Verify(VerifyArgs),
-    /// Write the journal anew with what there is now, which is shorter. A coordinator does that itself at its start when it
-    /// is worth it.
+    /// Write the journal anew with what there is now, which is shorter. A coordinator does that itself at
+    /// its start when it is worth it.
     Compact(PlaceArgs),
     /// Write all records to a file, one JSON line each. Blobs are files of their own.
     Export(ExportArgs),

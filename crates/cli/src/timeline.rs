@@ -1,5 +1,5 @@
-//! The time line of a job in the Trace Event Format of Chrome: complete events (`X`) for the time that a worker
-//! had a tile, instants (`i`) for what happened at one moment, and a row (`tid`) for each worker.
+//! The time line of a job in the Trace Event Format of Chrome: complete events (`X`) for the time that a
+//! worker had a tile, instants (`i`) for what happened at one moment, and a row (`tid`) for each worker.
 //!
 //! Source: "Trace Event Format", the Chromium project. Times are microseconds since the first event.
 
@@ -78,7 +78,10 @@ impl Timeline {
         for (of, since) in std::mem::take(&mut self.open) {
             self.complete(&of, since, self.last_ms, "running", "");
         }
-        let name = |row: u64, name: &str| json!({"name": "thread_name", "ph": "M", "pid": 1, "tid": row, "args": {"name": name}});
+        let name = |row: u64, name: &str| {
+            let args = json!({"name": name});
+            json!({"name": "thread_name", "ph": "M", "pid": 1, "tid": row, "args": args})
+        };
         let mut events = vec![name(JOB, "the job")];
         events.extend(self.rows.iter().map(|(worker, row)| name(*row, worker)));
         events.append(&mut self.out);

@@ -143,8 +143,8 @@ pub trait Blobs: Send + Sync {
     /// Begins a blob that arrives in pieces.
     fn put_stream(&self) -> Result<Box<dyn BlobWriter>, BlobError>;
 
-    /// Calls `visit` for every blob, in any order, with its size and the time when it was written or put last. Ends
-    /// when `visit` returns false.
+    /// Calls `visit` for every blob, in any order, with its size and the time when it was written or put
+    /// last. Ends when `visit` returns false.
     fn visit(&self, visit: &mut dyn FnMut(Stored) -> bool) -> Result<(), BlobError>;
 
     /// When a blob was written or put last; `None` when it is absent.

@@ -56,7 +56,8 @@ impl FileBlobs {
                 if synced {
                     self.sync(&digest)?;
                 }
-                // Who puts a blob is going to name it, so it must not look like one that nobody has named for long.
+                // Who puts a blob is going to name it, so it must not look like one that nobody has named
+                // for long.
                 let path = self.path(&digest);
                 File::open(&path)
                     .and_then(|file| file.set_modified(SystemTime::now()))

@@ -30,9 +30,9 @@ pub fn decode(bytes: &[u8], triangles: u32) -> Result<TileOutput, CodecError> {
     read(bytes, triangles, (b"PC", MAX_UNPACKED), &|_| true)
 }
 
-/// Checks a tile's output without keeping its samples: a pack comes back empty. Samples in place of cells, or the
-/// other way round, are refused by their first byte, and what unpacks to more than `most` bytes is not unpacked
-/// further: a few kilobytes could be made to take gigabytes.
+/// Checks a tile's output without keeping its samples: a pack comes back empty. Samples in place of cells,
+/// or the other way round, are refused by their first byte, and what unpacks to more than `most` bytes is
+/// not unpacked further: a few kilobytes could be made to take gigabytes.
 ///
 /// # Errors
 /// [`CodecError`] saying what is wrong.
