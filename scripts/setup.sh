@@ -4,7 +4,7 @@
 #   scripts/setup.sh [--for run|test]      default: run
 #
 # run   a C compiler (some crates build C), the Vulkan loader and a driver, Embree's run-time library
-# test  that, git, and where CI is set a container engine, compose and debootstrap. Elsewhere no engine is installed unasked,
+# test  that, git, what the chaos harness needs (ip, openssl, faketime), and where CI is set a container engine, compose and debootstrap. Elsewhere no engine is installed unasked,
 #       for its daemon runs as root; where one already runs, what the container test needs beside it is completed.
 #
 # Quick when nothing is missing, and then needs neither root nor network. Rust crates are cargo's affair, not this script's.
@@ -57,6 +57,9 @@ if [ "$purpose" = test ]; then
   have chromedriver || need chromium-driver 'drives the browser of the tests of pages'
   have chromium || need chromium 'the browser of the tests of pages'
   have mcs || need mono-mcs 'compiles and runs the test of the C# reader'
+  have ip || need iproute2 'network namespaces of the chaos harness'
+  have openssl || need openssl 'certificates of the chaos harness'
+  compgen -G '/usr/lib/*/faketime/libfaketimeMT.so.1' >/dev/null || need faketime 'steps the clock in the chaos harness'
   python3 -c 'import venv, ensurepip' 2>/dev/null || need python3-venv 'builds the Python package for its test'
   if in_ci || engine_answers; then
     engine_answers || have dockerd || need docker.io 'container engine, for the container test'
