@@ -14,7 +14,7 @@ from .farm import Farm
 from .plan import Errand
 
 # Between two looks at the jobs, in seconds.
-LOOK = 0.8
+LOOK = 1.0
 
 
 class Acknowledged:
@@ -36,10 +36,11 @@ class Acknowledged:
                 self.problems.append(text)
 
 
-def submission(farm: Farm, number: int, variant: int) -> list[str]:
-    """The command of an errand's job; repeated, it gives the same job."""
+def submission(farm: Farm, number: int, variant: int, request: str = "") -> list[str]:
+    """The command of an errand's job; repeated with the same request, it gives the same job."""
     scene, flags = farm.calm.scene(farm.world), farm.calm.flags(farm.world, variant)
-    return ["submit", str(scene), *flags, "--request-id", f"errand-{number}", "--user", "chaos", "--name", f"errand-{number}"]
+    name = f"errand-{number}"
+    return ["submit", str(scene), *flags, "--request-id", name + request, "--user", "chaos", "--name", name]
 
 
 def run_errand(farm: Farm, told: Acknowledged, number: int, errand: Errand, until: float) -> None:
@@ -95,30 +96,33 @@ class Observer(threading.Thread):
         self.join()
 
     def run(self) -> None:
+        turn = 0
         while not self._over.wait(LOOK):
+            # What was acknowledged before the question must be in the answer.
             with self._told.lock:
-                jobs = sorted(set(self._told.jobs.values()))
-            for job in jobs:
-                self._look(job)
+                jobs, cancelled, paused = set(self._told.jobs.values()), set(self._told.cancelled), set(self._told.paused)
+            listed = self._farm.ask(["jobs"])
+            if listed is None:
+                continue
+            for job in jobs - {shown["job"] for shown in listed}:
+                self._told.problem(f"job {job} was acknowledged and is not listed")
+            for shown in listed:
+                self.judge(shown, shown["job"] in cancelled, shown["job"] in paused)
+            if jobs:
+                turn += 1
+                self._look_at_tiles(sorted(jobs)[turn % len(jobs)])
 
-    def _look(self, job: int) -> None:
-        with self._told.lock:
-            cancelled, paused = job in self._told.cancelled, job in self._told.paused
-        code, out, err = self._farm.call(["show", str(job), "--json"])
-        if code == 0:
-            self.judge(json.loads(out), cancelled, paused)
-        elif "no job" in err or "not known" in err or code not in (4, -9):
-            self._told.problem(f"job {job} was acknowledged, and show ends with {code}: {err.strip()[-300:]}")
-        code, out, _ = self._farm.call(["show", str(job), "--tiles", "--json"])
+    def _look_at_tiles(self, job: int) -> None:
+        code, out, err = self._farm.call(["show", str(job), "--tiles", "--json"])
         if code == 0:
             self._tiles(job, [json.loads(line) for line in out.splitlines()])
+        elif code not in (4, -9):
+            self._told.problem(f"show {job} --tiles ends with {code}: {err.strip()[-300:]}")
 
     def judge(self, shown: dict[str, Any], cancelled: bool, paused: bool) -> None:
         """A job as it is shown, against what was acknowledged before it was asked for."""
         told, job = self._told, shown["job"]
-        for scene in [shown.get("scene")]:
-            if scene:
-                self._farm.scenes.add(scene)
+        self._farm.scenes.add(shown["scene"])
         if shown["tiles_done"] + shown["tiles_set_aside"] + shown["tiles_running"] > shown["tiles_total"]:
             told.problem(f"job {job} has more tiles than it has: {json.dumps(shown)}")
         if cancelled and shown["state"] != "cancelled":

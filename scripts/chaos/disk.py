@@ -76,20 +76,20 @@ def choose(files: list[Path], fraction: float) -> Path | None:
     return files[int(fraction * len(files))] if files else None
 
 
-def flip(path: Path, byte: float, bit: int) -> str:
-    """Turns one bit of a file over; says which."""
+def flip(path: Path, byte: float, bit: int) -> str | None:
+    """Turns one bit of a file over and says which; none when the file is empty or has gone."""
     try:
         with path.open("r+b") as file:
             length = os.fstat(file.fileno()).st_size
-            if length == 0:
-                return f"{path.name} is empty"
             at = int(byte * length)
             file.seek(at)
-            old = file.read(1)[0]
+            old = file.read(1)
+            if not old:
+                return None
             file.seek(at)
-            file.write(bytes([old ^ (1 << bit)]))
-    except OSError as error:
-        return f"{path.name}: {error.strerror}"
+            file.write(bytes([old[0] ^ (1 << bit)]))
+    except FileNotFoundError:
+        return None
     return f"bit {bit} of byte {at} of {length} of {path.name}"
 
 

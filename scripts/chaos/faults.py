@@ -13,8 +13,9 @@ from .plan import COORDINATOR, Fault
 from .switch import Weather
 
 Undo = Callable[[], None]
-# How long a kill at a commit waits for the commit, in seconds. Then it kills without one.
-COMMIT_WAIT = 4.0
+# How long a kill at a commit waits for the commit, and a flipped bit for a file, in seconds. Then the coordinator is
+# killed without a commit, and nothing is flipped.
+WAIT = 4.0
 
 
 def begin(farm: Farm, fault: Fault) -> Undo:
@@ -25,7 +26,7 @@ def begin(farm: Farm, fault: Fault) -> Undo:
 
 def duration(fault: Fault) -> float:
     """Seconds from the begin to the end of a fault."""
-    return fault.lasts + (COMMIT_WAIT if fault.kind == "kill_at_commit" else 0.0)
+    return fault.lasts + (WAIT if fault.kind in ("kill_at_commit", "flip") else 0.0)
 
 
 def _kill(farm: Farm, fault: Fault) -> Undo:
@@ -48,7 +49,7 @@ def _kill_at_commit(farm: Farm, fault: Fault) -> Undo:
             return 0
 
     def watch() -> None:
-        until, before, grown = time.monotonic() + COMMIT_WAIT, length(), 0
+        until, before, grown = time.monotonic() + WAIT, length(), 0
         while time.monotonic() < until and grown < int(fault.details["commits"]):
             now = length()
             grown += now > before
@@ -111,34 +112,40 @@ def _clock(farm: Farm, fault: Fault) -> Undo:
 
 
 def _flip(farm: Farm, fault: Fault) -> Undo:
-    _damage(farm, fault)
-    return lambda: None
+    def watch() -> None:
+        until = time.monotonic() + WAIT
+        while not _damage(farm, fault) and time.monotonic() < until:
+            time.sleep(0.02)
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    return watcher.join
 
 
 def _torn(farm: Farm, fault: Fault) -> Undo:
     farm.take_down(COORDINATOR)
-    _damage(farm, fault)
+    if not _damage(farm, fault):
+        farm.note(f"there is no {fault.details['what']} to damage")
     return lambda: farm.let_up(COORDINATOR)
 
 
-def _damage(farm: Farm, fault: Fault) -> None:
-    """Damages a file; notes which, or that there is none of its kind."""
-    what, spot = fault.details["what"], float(fault.details["byte"])
+def _damage(farm: Farm, fault: Fault) -> bool:
+    """Damages a file and notes which; false when there is none of its kind."""
+    what, spot = str(fault.details["what"]), float(fault.details["byte"])
     if what == "journal":
         farm.note(disk.leave_unfinished(farm.disk.journal, spot))
-        return
+        return True
     if what == "events":
         farm.note(disk.tear(farm.disk.events(), 200, spot))
-        return
+        return True
     scenes, tiles = farm.disk.blobs(farm.scenes)
-    files = {"scene": scenes, "tile": tiles, "outcome": farm.disk.outcomes(), "view": farm.disk.view()}[str(what)]
+    files = {"scene": scenes, "tile": tiles, "outcome": farm.disk.outcomes(), "view": farm.disk.view()}[what]
     chosen = disk.choose(files, float(fault.details["file"]))
-    if chosen is None:
-        farm.note(f"there is no {what} to damage")
-        return
-    done = disk.flip(chosen, spot, int(fault.details["bit"]))
-    farm.damaged.add(str(what))
-    farm.note(f"turned over {done} ({what})")
+    done = chosen and disk.flip(chosen, spot, int(fault.details["bit"]))
+    if done:
+        farm.damaged.add(what)
+        farm.note(f"turned over {done} ({what})")
+    return bool(done)
 
 
 BEGIN: dict[str, Callable[[Farm, Fault], Undo]] = {

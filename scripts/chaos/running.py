@@ -34,6 +34,8 @@ class Outcome:
     # From the end of the last fault to the end of the last job.
     healed: float = 0.0
     faults: list[str] = field(default_factory=list)
+    # Jobs that ended because the output of a tile was damaged, as they say, and were submitted anew.
+    damaged: int = 0
     packets: int = 0
     lost: int = 0
 
@@ -147,30 +149,41 @@ def _answers(farm: Farm, bound: float) -> bool:
 def _settle(farm: Farm, told: Acknowledged, outcome: Outcome, until: float) -> None:
     """Waits until all jobs have ended. Does what docs say that a person does about damaged blobs and paused jobs."""
     wanted = {job: number for number, job in told.jobs.items() if job not in told.cancelled}
-    retried: set[int] = set()
-    shown = None
     while wanted and time.monotonic() < until:
         farm.tend()
+        shown = {one["job"]: one for one in farm.ask(["jobs"]) or []}
         for job, number in list(wanted.items()):
-            shown = farm.ask(["show", str(job)])
-            state = shown and shown["state"]
+            if job not in shown:
+                continue
+            state, reason = shown[job]["state"], shown[job]["reason"]
             if state == "done":
                 del wanted[job]
             elif state == "paused" and job in told.paused:
                 farm.call(["resume", str(job)])
-            elif state == "failed" and "tile" in farm.damaged and job not in retried:
-                farm.note(f"job {job} has failed and is tried again: {shown['reason']}")
-                retried.add(job)
-                farm.call(["retry", str(job)])
+            elif state == "failed" and "is damaged" in reason and "tile" in farm.damaged:
+                again = _again(farm, job, number, reason)
+                if again is not None:
+                    outcome.damaged += 1
+                    del wanted[job]
+                    told.jobs[number], wanted[again] = again, number
             elif state in ("failed", "cancelled"):
-                outcome.problems.append(f"job {job} has ended as {state}: {shown['reason']}")
+                outcome.problems.append(f"job {job} has ended as {state}: {reason}")
                 return
-            elif state and "scene" in farm.damaged:
+            elif "scene" in farm.damaged:
                 farm.call(clients.submission(farm, number, farm.schedule.errands[number].variant))
-        time.sleep(0.3)
+        time.sleep(0.4)
     if wanted:
         listed = farm.call(["jobs"])[1]
         outcome.problems.append(f"jobs {sorted(wanted)} have not ended in time:\n{listed}")
+
+
+def _again(farm: Farm, job: int, number: int, reason: str) -> int | None:
+    """Deletes a job that a damaged output has ended, which it says, and submits it anew; the new job."""
+    farm.note(f"job {job} has failed and is submitted anew: {reason}")
+    if farm.call(["delete", str(job)])[0] != 0:
+        return None
+    code, out, _ = farm.call(clients.submission(farm, number, farm.schedule.errands[number].variant, request=" anew"))
+    return int(out) if code == 0 else None
 
 
 def _rounds(farm: Farm, outcome: Outcome, bound: float) -> None:

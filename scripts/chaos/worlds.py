@@ -34,19 +34,19 @@ _SEEDS = tuple(("--seed", str(seed)) for seed in range(1, 6))
 # Cubes use no random numbers.
 _ERRORS = tuple(("--error-threshold", error) for error in ("0.1", "0.11", "0.12", "0.13", "0.14"))
 
-# Jobs of about a second of a core, so that a few of them fill the time of the faults.
+# Jobs of about half a second of a core, so that a few of them fill the time of the faults.
 WORLDS = (
     # Blocks of sight lines, which share nothing: 16 tiles.
     World("lines", ("town", "--triangles", "4000"),
-          ("--cells", "4x4x2", "--block-cells", "2", "--target-error", "0.0001"), _SEEDS, weight=2),
+          ("--cells", "4x4x2", "--block-cells", "2", "--target-error", "0.0002"), _SEEDS, weight=2),
     # Faces, separators and leaves, which share samples through packs: 69 tiles.
     World("cubes", ("rooms", "--triangles", "1000"),
-          ("--sampler", "cubes", "--cells", "4x4x2", "--resolution", "64"), _ERRORS, weight=2),
+          ("--sampler", "cubes", "--cells", "4x4x2", "--resolution", "48"), _ERRORS, weight=2),
     # Exact cells with certificates: 8 tiles.
-    World("exact", ("rooms", "--triangles", "1000"),
+    World("exact", ("rooms", "--triangles", "600"),
           ("--method", "exact", "--certificates", "--cells", "4x2x2", "--block-cells", "2"), _SEEDS),
     # One block that a crew shares.
-    World("crew", ("town", "--triangles", "8000"), ("--cells", "4x4x4", "--target-error", "0.0001"), _SEEDS, weight=2),
+    World("crew", ("town", "--triangles", "8000"), ("--cells", "4x4x4", "--target-error", "0.0002"), _SEEDS, weight=2),
 )
 
 
