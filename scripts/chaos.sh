@@ -18,4 +18,12 @@ if ! why=$(unshare --mount --net --pid --fork --mount-proc true 2>&1); then
   echo "chaos: cannot run here: namespaces cannot be made: $why" >&2
   exit 2
 fi
-exec unshare --mount --net --pid --fork --kill-child --mount-proc python3 -m chaos "$@"
+# unshare itself ignores signals that ask it to end; with its death all of it ends.
+export TMPDIR=$(mktemp -d "${TMPDIR:-/tmp}/sightline-chaos.XXXXXX")
+setpriv --pdeathsig KILL unshare --mount --net --pid --fork --kill-child --mount-proc python3 -m chaos "$@" &
+all=$!
+trap 'kill -KILL "$all" 2>/dev/null; wait "$all" 2>/dev/null || true; rm -rf "$TMPDIR"' EXIT
+trap 'exit 130' INT TERM
+status=0
+wait "$all" || status=$?
+exit "$status"

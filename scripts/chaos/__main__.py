@@ -14,6 +14,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
+from . import sabotage
 from .farm import FAKETIME
 from .plan import Schedule, draw
 from .running import Outcome, run
@@ -39,6 +40,7 @@ examples:
   scripts/chaos.sh --seed 17 --print                  what would happen, as JSON
   scripts/chaos.sh --replay failed/17/schedule.json   a schedule from a file, perhaps edited
   scripts/chaos.sh --regressions --schedules 12       the seeds that once found something, and twelve more
+  scripts/chaos.sh --self-check                       whether the checks see anything
 """
 
 
@@ -49,9 +51,10 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--schedules", type=int, metavar="N", help="how many, with seeds one after the other (default: 1)")
     parser.add_argument("--world", choices=[world.name for world in WORLDS], help="the same world for all of them")
     parser.add_argument("--jobs", type=int, metavar="N", default=2, help="so many at a time (default: 2)")
-    parser.add_argument("--bound", type=float, metavar="S", default=90.0,
-                        help="seconds that jobs may take once all faults are over (default: 90)")
+    parser.add_argument("--bound", type=float, metavar="S", default=180.0,
+                        help="seconds that jobs may take once all faults are over (default: 180)")
     parser.add_argument("--regressions", action="store_true", help="first the schedules of scripts/chaos/regressions.json")
+    parser.add_argument("--self-check", action="store_true", help="do what the checks must find, and see that they do")
     parser.add_argument("--replay", type=Path, metavar="FILE", help="the schedule of a file")
     parser.add_argument("--print", action="store_true", help="print the schedules instead of running them")
     parser.add_argument("--keep", type=Path, metavar="DIR", default=Path("chaos-failed"),
@@ -146,9 +149,23 @@ def _failed(arguments: argparse.Namespace, calm: Calm, work: Path, schedule: Sch
           f"{kept / 'smaller.json'}", flush=True)
 
 
+def _self_check(calm: Calm, work: Path, bound: float) -> int:
+    """Whether each act of sabotage is found."""
+    blind = 0
+    for schedule in sabotage.schedules():
+        act = schedule.faults[0].kind
+        outcome = run(calm, schedule, work / act, bound)
+        found = any(sabotage.ACTS[act].said in problem for problem in outcome.problems)
+        blind += not found
+        print(f"{act}: {'found' if found else 'NOT FOUND'}", flush=True)
+        for problem in outcome.problems if not found else []:
+            print(f"  {problem}", flush=True)
+    return 1 if blind else 0
+
+
 def main() -> int:
     arguments = _arguments()
-    schedules = _schedules(arguments)
+    schedules = sabotage.schedules() if arguments.self_check else _schedules(arguments)
     if arguments.print:
         print("\n".join(schedule.dump() for schedule in schedules))
         return 0
@@ -164,6 +181,8 @@ def main() -> int:
         work = Path(name)
         calm = Calm(program, work)
         calm.prepare({schedule.world for schedule in schedules})
+        if arguments.self_check:
+            return _self_check(calm, work, arguments.bound)
         print(f"chaos: {len(schedules)} schedules, {arguments.jobs} at a time; calm runs took {time.monotonic() - began:.1f} s",
               flush=True)
         pool = ProcessPoolExecutor(arguments.jobs, multiprocessing.get_context("spawn"), max_tasks_per_child=1)

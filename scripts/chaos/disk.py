@@ -7,6 +7,10 @@ import subprocess
 from pathlib import Path
 
 
+# Bytes of a journal before its first frame.
+JOURNAL_HEADER = 24
+
+
 class Disk:
     """A tmpfs with the data directory of a coordinator."""
 

@@ -151,10 +151,15 @@ def _settle(farm: Farm, told: Acknowledged, outcome: Outcome, until: float) -> N
     wanted = {job: number for number, job in told.jobs.items() if job not in told.cancelled}
     while wanted and time.monotonic() < until:
         farm.tend()
-        shown = {one["job"]: one for one in farm.ask(["jobs"]) or []}
+        listed = farm.ask(["jobs"])
+        if listed is None:
+            time.sleep(0.4)
+            continue
+        shown = {one["job"]: one for one in listed}
         for job, number in list(wanted.items()):
             if job not in shown:
-                continue
+                outcome.problems.append(f"job {job} was acknowledged and is not listed")
+                return
             state, reason = shown[job]["state"], shown[job]["reason"]
             if state == "done":
                 del wanted[job]
@@ -173,8 +178,7 @@ def _settle(farm: Farm, told: Acknowledged, outcome: Outcome, until: float) -> N
                 farm.call(clients.submission(farm, number, farm.schedule.errands[number].variant))
         time.sleep(0.4)
     if wanted:
-        listed = farm.call(["jobs"])[1]
-        outcome.problems.append(f"jobs {sorted(wanted)} have not ended in time:\n{listed}")
+        outcome.problems.append(f"jobs {sorted(wanted)} have not ended in time:\n{farm.call(['jobs'])[1]}")
 
 
 def _again(farm: Farm, job: int, number: int, reason: str) -> int | None:
