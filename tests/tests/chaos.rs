@@ -22,7 +22,9 @@ fn chaos_changes_no_byte_and_loses_nothing_acknowledged() {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scripts/chaos.sh");
     let kept = Path::new(env!("CARGO_TARGET_TMPDIR")).join("chaos-failed");
     let mut harness = Command::new(script);
-    harness.args(["--regressions", "--schedules", FRESH, "--jobs", "4", "--shrink", "0", "--keep"]).arg(&kept);
+    harness
+        .args(["--regressions", "--schedules", FRESH, "--jobs", "4", "--shrink", "0", "--keep"])
+        .arg(&kept);
     let ran = harness
         .env("SIGHTLINE_BIN", program())
         .output()
