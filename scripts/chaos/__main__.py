@@ -180,7 +180,10 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="sightline-chaos-") as name:
         work = Path(name)
         calm = Calm(program, work)
-        calm.prepare({schedule.world for schedule in schedules})
+        for world in WORLDS:
+            of_world = [schedule.variants(len(world.variants)) for schedule in schedules if schedule.world == world.name]
+            if of_world:
+                calm.prepare(world, set().union(*of_world))
         if arguments.self_check:
             return _self_check(calm, work, arguments.bound)
         print(f"chaos: {len(schedules)} schedules, {arguments.jobs} at a time; calm runs took {time.monotonic() - began:.1f} s",
@@ -206,7 +209,8 @@ def main() -> int:
     slowest = max((outcome.healed for outcome in outcomes), default=0.0)
     print(f"chaos: {len(outcomes)} schedules with {sum(len(outcome.faults) for outcome in outcomes)} faults in "
           f"{time.monotonic() - began:.0f} s, {bad} found something; the slowest job ended {slowest:.1f} s after the last fault; {damaged} jobs ended by a "
-          f"damaged output, said so and were submitted anew")
+          f"damaged output, said so and were submitted anew; {sum(outcome.blobs_left for outcome in outcomes)} blobs are left "
+          f"that no job needs")
     return 1 if bad else 0
 
 

@@ -8,9 +8,13 @@ from pathlib import Path
 
 from .clients import Acknowledged
 from .farm import Farm
+from .processes import wait_until
 
 # What no log of a sound program says. Arguments and reasons of failures contain neither.
 WRONG = re.compile(rb"panicked|internal error|code: Internal|status: Internal|\binternal\b:", re.IGNORECASE)
+
+# What is removed after a job's end is gone so soon, in seconds.
+LEFT = 10.0
 
 
 def job(farm: Farm, number: int, variant: int) -> list[str]:
@@ -80,6 +84,20 @@ def acknowledged(farm: Farm, told: Acknowledged) -> list[str]:
     if any(later <= before for before, later in zip(numbers, numbers[1:])):
         wrong.append("the numbers of the events do not ascend")
     return wrong
+
+
+def disk_left(farm: Farm) -> tuple[list[str], int]:
+    """No unfinished blob and no outcome of a phase is left once all jobs have ended; and how many blobs are neither a
+    scene nor a result. A crash between a job's end and the removal of its outputs leaves such."""
+    def left() -> list[str]:
+        unfinished = (farm.disk.data / "blobs" / "tmp").iterdir()
+        return sorted(path.name for path in [*farm.disk.outcomes(), *unfinished])
+
+    wrong = []
+    # The last outputs are being removed when a job is said to be done.
+    if not wait_until(lambda: not left(), LEFT):
+        wrong.append(f"unfinished blobs or outcomes are left: {left()[:5]}")
+    return wrong, len(farm.disk.blobs(farm.scenes)[1])
 
 
 def traces(farm: Farm) -> list[str]:

@@ -69,6 +69,13 @@ class Schedule:
         """The schedule without its fault of that number."""
         return replace(self, faults=(*self.faults[:number], *self.faults[number + 1:]))
 
+    def variants(self, of_world: int) -> set[int]:
+        """The variants of the jobs of a schedule, whose world has so many."""
+        if self.rounds > 1:
+            return set(range(min(self.rounds, of_world)))
+        # A cancelled job has no result.
+        return {errand.variant for errand in self.errands if errand.kind != "cancel"}
+
     def dump(self) -> str:
         return json.dumps(asdict(self), indent=1)
 

@@ -36,6 +36,8 @@ class Outcome:
     faults: list[str] = field(default_factory=list)
     # Jobs that ended because the output of a tile was damaged, as they say, and were submitted anew.
     damaged: int = 0
+    # Blobs that no job needs any more.
+    blobs_left: int = 0
     packets: int = 0
     lost: int = 0
 
@@ -93,6 +95,9 @@ def _once(farm: Farm, outcome: Outcome, bound: float) -> None:
     if outcome.problems:
         return
     _check(farm, told, outcome)
+    if not told.cancelled:
+        wrong, outcome.blobs_left = checks.disk_left(farm)
+        outcome.problems += wrong
     # What is acknowledged is on the disk, also when the last thing that happens is a kill.
     farm.take_down(COORDINATOR)
     farm.let_up(COORDINATOR)

@@ -60,7 +60,8 @@ def _panic(farm: Farm) -> None:
 
 
 def _leave_a_process(farm: Farm) -> None:
-    subprocess.Popen(["sleep", "60"], env={"XDG_CACHE_HOME": str(farm.folder / "cache"), "PATH": os.environ["PATH"]})
+    # It goes with the namespaces of the command.
+    subprocess.Popen(["sleep", "86400"], env={"XDG_CACHE_HOME": str(farm.folder / "cache"), "PATH": os.environ["PATH"]})
 
 
 ACTS = {

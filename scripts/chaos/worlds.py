@@ -75,20 +75,17 @@ class Calm:
         """The parameters of a job."""
         return ["--backend", "cpu", *world.flags, *world.variants[variant]]
 
-    def prepare(self, worlds: set[str]) -> None:
-        """Makes what is missing for these worlds."""
+    def prepare(self, world: World, variants: set[int]) -> None:
+        """Makes the scene, and the results of these variants, as far as they are missing."""
         environment = {**os.environ, "XDG_CACHE_HOME": str(self.folder / "cache")}
-        for world in WORLDS:
-            if world.name not in worlds:
-                continue
-            if not self.scene(world).exists():
-                self._must(["generate", *world.scene, "-o", str(self.scene(world))], environment)
-            for variant in range(len(world.variants)):
-                result = self.result(world, variant)
-                if not result.exists():
-                    data = self.folder / f"data-{world.name}-{variant}"
-                    self._must(["bake", str(self.scene(world)), *self.flags(world, variant), "-o", str(result),
-                                "--data-dir", str(data)], environment)
+        if not self.scene(world).exists():
+            self._must(["generate", *world.scene, "-o", str(self.scene(world))], environment)
+        for variant in sorted(variants):
+            result = self.result(world, variant)
+            if not result.exists():
+                data = self.folder / f"data-{world.name}-{variant}"
+                self._must(["bake", str(self.scene(world)), *self.flags(world, variant), "-o", str(result),
+                            "--data-dir", str(data)], environment)
 
     def _must(self, words: list[str], environment: dict[str, str]) -> None:
         code, out, err = run([str(self.program), *words], environment, 300.0, self.folder)

@@ -17,22 +17,30 @@ const CANNOT_RUN: i32 = 2;
 /// Fresh schedules, with the seeds from 1 on.
 const FRESH: &str = "12";
 
-#[test]
-fn chaos_changes_no_byte_and_loses_nothing_acknowledged() {
+/// Runs the harness; panics with what it says unless it ends well, or cannot run outside of CI.
+fn harness(arguments: &[&str]) {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scripts/chaos.sh");
-    let kept = Path::new(env!("CARGO_TARGET_TMPDIR")).join("chaos-failed");
-    let mut harness = Command::new(script);
-    harness
-        .args(["--regressions", "--schedules", FRESH, "--jobs", "4", "--shrink", "0", "--keep"])
-        .arg(&kept);
-    let ran = harness
+    let ran = Command::new(script)
+        .args(arguments)
+        .args(["--shrink", "0", "--keep"])
+        .arg(Path::new(env!("CARGO_TARGET_TMPDIR")).join("chaos-failed"))
         .env("SIGHTLINE_BIN", program())
         .output()
-        .unwrap_or_else(|e| panic!("{harness:?} does not start: {e}"));
+        .unwrap_or_else(|e| panic!("the harness does not start: {e}"));
     let [out, err] = [&ran.stdout, &ran.stderr].map(|bytes| String::from_utf8_lossy(bytes));
     match ran.status.code() {
-        Some(0) => eprintln!("{}", out.lines().last().unwrap_or_default()),
+        Some(0) => eprintln!("{out}"),
         Some(CANNOT_RUN) if !in_ci() => eprintln!("chaos test did not run: {}", err.trim()),
         _ => panic!("the harness ended with {}:\n{out}{err}", ran.status),
     }
+}
+
+#[test]
+fn chaos_changes_no_byte_and_loses_nothing_acknowledged() {
+    harness(&["--regressions", "--schedules", FRESH, "--jobs", "4"]);
+}
+
+#[test]
+fn chaos_finds_what_is_wrong() {
+    harness(&["--self-check"]);
 }
