@@ -4,7 +4,8 @@
 #   scripts/setup.sh [--for run|test]      default: run
 #
 # run   a C compiler (some crates build C), the Vulkan loader and a driver, Embree's run-time library
-# test  that, git, and where CI is set what checks deploy/, a container engine, compose and debootstrap. Elsewhere no engine is installed unasked,
+# test  that, git, what the chaos harness needs (ip, openssl, faketime), and where CI is set what checks deploy/, a container
+#       engine, compose and debootstrap. Elsewhere no engine is installed unasked,
 #       for its daemon runs as root; where one already runs, what the container test needs beside it is completed.
 #
 # Quick when nothing is missing, and then needs neither root nor network. Rust crates are cargo's affair, not this script's.
@@ -58,13 +59,15 @@ if [ "$purpose" = test ]; then
   have chromium || need chromium 'the browser of the tests of pages'
   have mcs || need mono-mcs 'compiles and runs the test of the C# reader'
   python3 -c 'import venv, ensurepip' 2>/dev/null || need python3-venv 'builds the Python package for its test, and checks the chart'
-  have openssl || need openssl 'makes certificates'
+  have openssl || need openssl 'makes certificates, of the chaos harness too'
   # Two of them are daemons, which a package starts; elsewhere scripts/check-deploy.sh says what it leaves out.
   if in_ci; then
     have systemd-analyze || need systemd 'checks the units'
     have promtool || need prometheus 'its promtool checks the rules of alerts'
     have haproxy || need haproxy 'checks its own configuration'
   fi
+  have ip || need iproute2 'network namespaces of the chaos harness'
+  compgen -G '/usr/lib/*/faketime/libfaketimeMT.so.1' >/dev/null || need faketime 'steps the clock in the chaos harness'
   if in_ci || engine_answers; then
     engine_answers || have dockerd || need docker.io 'container engine, for the container test'
     # Debian 13 packs the engine's command line apart from the daemon; on Debian 12 docker.io holds both.

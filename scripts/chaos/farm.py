@@ -1,0 +1,215 @@
+"""A farm: a coordinator, workers and a client, each in a namespace of its own, kept running like a service manager does."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from . import keys
+from .disk import Disk
+from .plan import CLIENT, COORDINATOR, FIRST_WORKER, Schedule
+from .processes import Process, run
+from .spaces import Space
+from .switch import Switch
+from .worlds import Calm, named
+
+PORT = 7600
+# A node that has ended by itself is started again after this time, in seconds.
+AGAIN = 0.5
+# A client's call that takes longer is ended and tried again.
+CALL = 15.0
+# Debian's package faketime; none where it is not installed.
+FAKETIME = next(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"), None)
+
+
+class Farm:
+    """All processes of a schedule. Its methods may be called from several threads."""
+
+    def __init__(self, calm: Calm, schedule: Schedule, folder: Path) -> None:
+        self.calm = calm
+        self.schedule = schedule
+        self.world = named(schedule.world)
+        self.folder = folder
+        self.logs = folder / "logs"
+        self.logs.mkdir(parents=True)
+        self.began = time.monotonic()
+        self.keys = keys.make(calm.program, folder / "keys") if schedule.closed else None
+        self.disk = Disk(folder / "disk", self.world.disk)
+        self.scenes: set[str] = set()
+        # Kinds of files in which a bit was turned over.
+        self.damaged: set[str] = set()
+        # What ended by itself: the node and its exit code.
+        self.endings: list[tuple[str, int]] = []
+        self.arguments: set[str] = set()
+        self.restarts = 0
+        self._lock = threading.RLock()
+        self._nodes: dict[int, Process] = {}
+        # How many faults keep a node down.
+        self._down: dict[int, int] = {}
+        self._since: dict[int, float] = {}
+        self._clock = folder / "clock"
+        self._steps: list[float] = []
+        self._clock.write_text("+0\n")
+        self._has_clock = any(fault.kind == "clock" for fault in schedule.faults)
+        numbers = [COORDINATOR, *self.workers(), CLIENT]
+        self.spaces = {number: Space(f"s{os.getpid()}-{number}", number) for number in numbers}
+        self.switch = Switch({number: space.device for number, space in self.spaces.items()}, schedule.seed)
+        self.switch.start()
+
+    def workers(self) -> range:
+        """The numbers of the workers."""
+        return range(FIRST_WORKER, FIRST_WORKER + self.schedule.workers)
+
+    def note(self, text: str) -> None:
+        """A line in the schedule's own log."""
+        with self._lock, (self.logs / "schedule.log").open("a") as log:
+            log.write(f"{time.monotonic() - self.began:8.3f} {text}\n")
+
+    def start(self) -> None:
+        """Starts all nodes."""
+        for number in [COORDINATOR, *self.workers()]:
+            self._start(number)
+
+    @property
+    def url(self) -> str:
+        return f"{'https' if self.keys else 'http'}://{self.spaces[COORDINATOR].address}:{PORT}"
+
+    def _environment(self) -> dict[str, str]:
+        environment = {name: value for name, value in os.environ.items() if not name.startswith("SIGHTLINE_")}
+        environment["XDG_CACHE_HOME"] = str(self.folder / "cache")
+        environment["RUST_BACKTRACE"] = "1"
+        if self.schedule.talkative:
+            environment["SIGHTLINE_LOG"] = "sightline=debug"
+        return environment
+
+    def _start(self, number: int) -> None:
+        environment = self._environment()
+        program = str(self.calm.program)
+        if number == COORDINATOR:
+            name = "coordinator"
+            command = [program, "coordinator", "--listen", f"{self.spaces[number].address}:{PORT}",
+                       "--data-dir", str(self.disk.data), *self.world.coordinator]
+            command += self.keys.coordinator() if self.keys else ["--allow-plaintext"]
+            if self._has_clock:
+                environment |= {
+                    "LD_PRELOAD": str(FAKETIME), "FAKETIME_TIMESTAMP_FILE": str(self._clock), "NO_FAKE_STAT": "1",
+                    "FAKETIME_CACHE_DURATION": "1", "FAKETIME_DONT_FAKE_MONOTONIC": "1", "DONT_FAKE_MONOTONIC": "1",
+                }
+        else:
+            self.restarts += 1
+            called = f"worker-{number}" + ("" if self.schedule.same_names else f"-{self.restarts}")
+            name = f"worker-{number}"
+            command = [program, "worker", "--coordinator", self.url, "--backend", "cpu", "--threads", "1", "--name", called]
+            command += self.keys.worker() if self.keys else []
+        self._nodes[number] = Process(name, self.spaces[number], command, self.logs / f"{name}.log", environment)
+
+    def coordinator(self) -> Process | None:
+        return self._nodes.get(COORDINATOR)
+
+    def send(self, number: int, what: signal.Signals) -> None:
+        """Sends a signal to a node."""
+        with self._lock:
+            if number in self._nodes:
+                self._nodes[number].send(what)
+
+    def take_down(self, number: int, gently: bool = False) -> None:
+        """Kills a node, or asks it to end, and keeps it down until `let_up`."""
+        with self._lock:
+            self._down[number] = self._down.get(number, 0) + 1
+            process = self._nodes.get(number)
+            if process:
+                self.arguments.add(process.arguments())
+                # A stopped process does not hear of the wish.
+                if gently and not process.stopped:
+                    process.send(signal.SIGTERM)
+                else:
+                    process.kill()
+                    del self._nodes[number]
+
+    def let_up(self, number: int) -> None:
+        """Ends one `take_down`; with the last one the node starts again."""
+        with self._lock:
+            self._down[number] -= 1
+            if self._down[number] == 0:
+                process = self._nodes.pop(number, None)
+                if process and process.runs():
+                    self.note(f"{process.name} had not ended when it was to start again")
+                    process.kill()
+                self._start(number)
+
+    def tend(self) -> None:
+        """Starts again what has ended by itself, a moment later."""
+        with self._lock:
+            for number, process in list(self._nodes.items()):
+                code = process.code()
+                if code is None or self._down.get(number, 0) > 0:
+                    self._since.pop(number, None)
+                elif number not in self._since:
+                    self._since[number] = time.monotonic()
+                    self.endings.append((process.name, code))
+                    self.note(f"{process.name} has ended by itself with {code}")
+                elif time.monotonic() - self._since[number] > AGAIN:
+                    del self._since[number]
+                    self._start(number)
+
+    def step_clock(self, seconds: float, back: bool = False) -> None:
+        """Steps the coordinator's wall clock, or takes that back."""
+        with self._lock:
+            if back:
+                self._steps.remove(seconds)
+            else:
+                self._steps.append(seconds)
+            self._clock.write_text(f"{sum(self._steps):+}\n")
+
+    def call(self, words: list[str], limit: float = CALL) -> tuple[int, str, str]:
+        """Runs `sightline WORDS` in the client's namespace: its code, stdout and stderr."""
+        credentials = self.keys.client() if self.keys else []
+        command = [str(self.calm.program), *words, "--coordinator", self.url, *credentials]
+        code, out, err = run(self.spaces[CLIENT].within(command), self._environment(), limit, self.folder)
+        with self._lock, (self.logs / "client.log").open("a") as log:
+            log.write(f"{time.monotonic() - self.began:8.3f} sightline {' '.join(words)}: {code}\n{err}")
+        return code, out, err
+
+    def call_alone(self, words: list[str]) -> tuple[int, str, str]:
+        """Runs `sightline WORDS`, which needs no coordinator."""
+        return run([str(self.calm.program), *words], self._environment(), 60.0, self.folder)
+
+    def ask(self, words: list[str]) -> Any:
+        """What `sightline WORDS --json` prints; none when it fails."""
+        code, out, _ = self.call([*words, "--json"])
+        return json.loads(out) if code == 0 else None
+
+    def end(self) -> list[str]:
+        """Asks workers, then the coordinator, to end; says what did not do so."""
+        wrong = []
+        with self._lock:
+            workers = [self._nodes[number] for number in self.workers() if number in self._nodes]
+            coordinator = self._nodes.get(COORDINATOR)
+            for group in (workers, [coordinator] if coordinator else []):
+                for process in group:
+                    self.arguments.add(process.arguments())
+                    process.send(signal.SIGTERM)
+                for process in group:
+                    if not process.ended_within(30.0):
+                        wrong.append(f"{process.name} does not end within 30 s of SIGTERM")
+                        process.kill()
+                    elif process.code() != 0:
+                        wrong.append(f"{process.name} ends with {process.code()} after SIGTERM")
+            self._nodes.clear()
+        return wrong
+
+    def remove(self) -> None:
+        """Takes down what is left, and the network and the disk."""
+        with self._lock:
+            for process in self._nodes.values():
+                process.kill()
+            self._nodes.clear()
+        self.switch.end()
+        for space in self.spaces.values():
+            space.remove()
+        self.disk.remove()

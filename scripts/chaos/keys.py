@@ -1,0 +1,73 @@
+"""Certificates and tokens of a farm, made as docs/operations.md says, and the texts of them that nobody may see."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from .spaces import NETWORK
+
+
+@dataclass(frozen=True)
+class Keys:
+    """The files of a farm with encryption and tokens."""
+
+    folder: Path
+
+    def coordinator(self) -> list[str]:
+        """The coordinator's arguments."""
+        at = self.folder
+        return ["--tls-cert", str(at / "coordinator.pem"), "--tls-key", str(at / "coordinator.key"),
+                "--client-ca", str(at / "ca.pem"), "--tokens", str(at / "tokens.json")]
+
+    def worker(self) -> list[str]:
+        """The arguments of a worker."""
+        at = self.folder
+        return ["--ca", str(at / "ca.pem"), "--cert", str(at / "worker.pem"), "--key", str(at / "worker.key")]
+
+    def client(self) -> list[str]:
+        """The arguments of a client, who is an admin."""
+        return ["--ca", str(self.folder / "ca.pem"), "--token-file", str(self.folder / "root.token")]
+
+    def secrets(self) -> list[bytes]:
+        """What may be in no log, argument list or event file: tokens' secrets and the lines of keys."""
+        found = []
+        for path in sorted(self.folder.glob("*.key")):
+            lines = path.read_bytes().splitlines()
+            found += [line for line in lines if len(line) >= 32 and not line.startswith(b"-")]
+        for path in sorted(self.folder.glob("*.token")):
+            # slt_ID_SECRET: the id may be seen, and lists show it.
+            found.append(path.read_bytes().strip().split(b"_", 2)[2])
+        return found
+
+
+def make(program: Path, folder: Path) -> Keys:
+    """Makes an authority, the certificates it signs, and a token."""
+    folder.mkdir()
+    before = os.umask(0o077)
+    try:
+        _openssl(folder, "req", "-x509", *_NEW, "-days", "3650", "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=farm")
+        _certify(folder, "coordinator", f"extendedKeyUsage=serverAuth\nsubjectAltName=IP:{NETWORK}1,IP:127.0.0.1\n")
+        _certify(folder, "worker", "extendedKeyUsage=clientAuth\n")
+        token = subprocess.run([program, "token", "new", "--tokens", folder / "tokens.json", "--user", "root", "--scope", "admin"],
+                               capture_output=True, check=True)
+        (folder / "root.token").write_bytes(token.stdout)
+    finally:
+        os.umask(before)
+    return Keys(folder)
+
+
+_NEW = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes")
+
+
+def _openssl(folder: Path, *words: str) -> None:
+    subprocess.run(["openssl", *words], cwd=folder, check=True, capture_output=True)
+
+
+def _certify(folder: Path, name: str, extensions: str) -> None:
+    (folder / "extensions").write_text(extensions)
+    _openssl(folder, "req", *_NEW, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}")
+    _openssl(folder, "x509", "-req", "-in", f"{name}.csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial",
+             "-days", "365", "-out", f"{name}.pem", "-extfile", "extensions")

@@ -1,0 +1,82 @@
+"""Does what no farm could bear, to see that the checks find it: a harness that finds nothing may be blind."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from dataclasses import dataclass
+from typing import Callable
+
+from . import disk, faults
+from .farm import Farm
+from .plan import COORDINATOR, Errand, Fault, Schedule
+from .processes import wait_until
+from .worlds import Calm
+
+
+@dataclass(frozen=True)
+class Act:
+    """Something wrong, and what a check says about it."""
+
+    do: Callable[[Farm], None]
+    said: str
+
+
+# What is waited for the three submissions, in seconds.
+WAIT = 60.0
+
+
+def _lose_commits(farm: Farm) -> None:
+    if not wait_until(lambda: len(farm.ask(["jobs"]) or []) == 3, WAIT, every=0.5):
+        raise RuntimeError("nothing was acknowledged that could be lost")
+    farm.take_down(COORDINATOR)
+    # What is left is an empty journal.
+    os.truncate(farm.disk.journal, disk.JOURNAL_HEADER)
+    farm.let_up(COORDINATOR)
+
+
+def _change_calm_run(farm: Farm) -> None:
+    mine = farm.folder / "calm"
+    mine.mkdir()
+    for kind in ("*.glb", "*.pvs"):
+        for file in farm.calm.folder.glob(kind):
+            shutil.copy(file, mine)
+    farm.calm = Calm(farm.calm.program, mine)
+    if disk.flip(farm.calm.result(farm.world, 0), 0.5, 0) is None:
+        raise RuntimeError("the calm run has no bytes")
+
+
+def _tell_a_secret(farm: Farm) -> None:
+    if farm.keys is None:
+        raise RuntimeError("a farm without keys has no secrets")
+    with (farm.logs / "worker-2.log").open("ab") as log:
+        log.write(b"authorization: " + farm.keys.secrets()[-1] + b"\n")
+
+
+def _panic(farm: Farm) -> None:
+    with (farm.logs / "coordinator.log").open("ab") as log:
+        log.write(b"thread 'store-writer' panicked at somewhere.rs:1:1:\n")
+
+
+def _leave_a_process(farm: Farm) -> None:
+    # It goes with the namespaces of the command.
+    subprocess.Popen(["sleep", "86400"], env={"XDG_CACHE_HOME": str(farm.folder / "cache"), "PATH": os.environ["PATH"]})
+
+
+ACTS = {
+    "lose_commits": Act(_lose_commits, "was acknowledged and is not listed"),
+    "change_calm_run": Act(_change_calm_run, "the first that differs"),
+    "tell_a_secret": Act(_tell_a_secret, "contains a secret"),
+    "panic": Act(_panic, "panicked at"),
+    "leave_a_process": Act(_leave_a_process, "is left"),
+}
+
+
+def schedules() -> list[Schedule]:
+    """A schedule for each act, which is its only fault."""
+    for name, act in ACTS.items():
+        faults.BEGIN[name] = lambda farm, _, act=act: (act.do(farm), lambda: None)[1]
+    errands = (Errand(0.0, "submit", 0), Errand(0.2, "submit", 1), Errand(0.4, "submit", 2))
+    return [Schedule(at, "lines", 2, True, False, False, 1, errands, (Fault(3.0, name, COORDINATOR, 0.0),))
+            for at, name in enumerate(ACTS)]
