@@ -65,5 +65,5 @@ mod tests;
 pub use kept::Answers;
 pub use lifecycle::{Config, OpenError};
 pub use scenes::TakeError;
-pub use services::{ServeError, Tls, TlsError, TlsFiles, listen, serve, serve_http};
+pub use services::{Front, ReplicaError, ServeError, Tls, TlsError, TlsFiles, listen, serve, serve_http};
 pub use state::{Coordinator, Leases};

@@ -9,6 +9,7 @@
 // that panics with what it saw is what makes their failures readable.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
+mod balancer;
 mod browser;
 mod compose;
 mod dump;
@@ -22,6 +23,7 @@ mod site;
 
 use std::time::{Duration, Instant};
 
+pub use balancer::Balancer;
 pub use browser::Browser;
 pub use compose::{Compose, docker, logged, run};
 pub use dump::{Cell, Dump};

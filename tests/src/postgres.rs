@@ -24,8 +24,8 @@ pub struct Postgres {
 }
 
 impl Postgres {
-    /// Starts a server that does not wait for its disk. `None`, with a line that says so, where there is none;
-    /// on CI that is a failure.
+    /// Starts a server that does not wait for its disk. `None`, with a line that says so, where there is
+    /// none; on CI that is a failure.
     pub fn start() -> Option<Self> {
         Self::start_with("-c fsync=off")
     }

@@ -3,6 +3,8 @@
 mod blocking;
 mod crews;
 mod farm;
+mod forwarding;
+mod front;
 mod guard;
 mod http;
 mod jobs;
@@ -14,6 +16,7 @@ mod tls;
 mod wire;
 mod workers;
 
+pub use front::{Front, ReplicaError};
 pub use http::serve_http;
 pub use server::{ServeError, listen, serve};
 pub use tls::{Tls, TlsError, TlsFiles};

@@ -1,4 +1,5 @@
-//! The address of a database: what is taken from its text, and how it is shown, which is without the password.
+//! The address of a database: what is taken from its text, and how it is shown, which is without the
+//! password.
 
 use std::fmt;
 use std::net::IpAddr;

@@ -2,8 +2,8 @@
 //!
 //! The row of `leader` holds who leads, under which epoch, and until when by the database's clock. The leader
 //! moves that time on every second. When it has passed, the first coordinator that finds so takes over: under
-//! the next epoch, and closing the leadership before in `fence`, which makes it wait for transactions that are
-//! being committed under it (see `writing.rs`). Take-overs and resignations wake the others.
+//! the next epoch, and closing the leadership before in `fence`, which makes it wait for transactions that
+//! are being committed under it (see `writing.rs`). Take-overs and resignations wake the others.
 //!
 //! The time decides how soon somebody else takes over. That nothing is changed by two does not depend on it.
 

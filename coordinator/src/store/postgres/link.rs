@@ -151,7 +151,7 @@ impl Server {
         };
         match class(code) {
             "28" | "3D" => StoreError::NotLetIn { server, what },
-            // Lost connections, too little of something, locks that are held long, servers that start or stop.
+            // Lost connections, too little of something, locks held long, servers that start or stop.
             "08" | "53" | "55" | "57" => StoreError::Unreachable { server, what },
             // The session was ended because it stood still.
             "25" if *code == SqlState::IDLE_IN_TRANSACTION_SESSION_TIMEOUT => {

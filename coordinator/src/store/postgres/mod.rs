@@ -5,6 +5,8 @@
 //! leader are transactions (`reading.rs`, `writing.rs`); who leads is decided in the database (`leading.rs`).
 
 mod address;
+#[cfg(test)]
+mod cut_tests;
 mod leading;
 mod link;
 mod reading;

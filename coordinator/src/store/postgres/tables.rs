@@ -1,9 +1,10 @@
 //! The tables in the database, and how older ones are brought up to date.
 //!
-//! They lie in a schema of their own. `entries` is the ordered table of bytes that every store keeps. `leader`
-//! is one row that says who leads and until when. `fence` has a row for each leadership: writers lock theirs,
-//! so that a take-over, which closes it, waits for their transactions and is seen by later ones; `written` is
-//! the number of the last transaction that was committed under it. `migrations` says which steps were taken.
+//! They lie in a schema of their own. `entries` is the ordered table of bytes that every store keeps.
+//! `leader` is one row that says who leads and until when. `fence` has a row for each leadership: writers
+//! lock theirs, so that a take-over, which closes it, waits for their transactions and is seen by later ones;
+//! `written` is the number of the last transaction that was committed under it. `migrations` says which steps
+//! were taken.
 
 use tokio_postgres::IsolationLevel;
 

@@ -22,7 +22,7 @@ fn join(server: &Postgres, name: &str) -> Replica {
 }
 
 /// Waits until a replica leads; gives its epoch.
-fn leads(replica: &Replica) -> i64 {
+pub(super) fn leads(replica: &Replica) -> i64 {
     let mut role = replica.role();
     let leading = role.wait_for(|role| !matches!(role, Role::StandsBy(_)));
     match block_on(leading).map(|role| role.clone()) {
@@ -58,7 +58,7 @@ fn expire(server: &Postgres) {
 }
 
 /// A job with this many tiles.
-fn begin_job(store: &dyn Store, tiles: u32) {
+pub(super) fn begin_job(store: &dyn Store, tiles: u32) {
     perform(store, &Op::Scene(0, 10));
     perform(store, &Op::Submit { key: 1, request: 1, scene: 0, tiles });
 }

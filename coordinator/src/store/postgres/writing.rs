@@ -91,7 +91,8 @@ impl Writer {
     fn begin(&mut self) -> Result<Link, StoreError> {
         let begun = Instant::now();
         let claim = format!(
-            "BEGIN ISOLATION LEVEL SERIALIZABLE; UPDATE fence SET written = {} WHERE epoch = {} AND NOT closed",
+            "BEGIN ISOLATION LEVEL SERIALIZABLE; \
+             UPDATE fence SET written = {} WHERE epoch = {} AND NOT closed",
             self.written + 1,
             self.epoch
         );
