@@ -45,6 +45,8 @@ pub(crate) fn delete(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobErro
             free.remove(&digest);
         }
     }
+    // Who leads no more does not know what others need.
+    c.store.may_change()?;
     for digest in &free {
         if let Err(e) = c.blobs.remove(digest) {
             tracing::warn!("{e}");

@@ -151,7 +151,8 @@ fn tidy(c: &Coordinator, finished: JobId, outputs: &[Output]) {
         }
         Ok(())
     });
-    if let Err(e) = ended {
+    // Who leads no more does not know what others need.
+    if let Err(e) = ended.and_then(|()| c.store.may_change()) {
         tracing::warn!("the tile outputs of job {finished} are kept: {e}");
         return;
     }

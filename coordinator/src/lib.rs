@@ -76,5 +76,7 @@ pub use kept::{Answers, Retention};
 pub use lifecycle::{Config, OpenError};
 pub use limits::{Quota, QuotaError, Quotas, bytes};
 pub use scenes::TakeError;
-pub use services::{Probed, ServeError, Tls, TlsError, TlsFiles, listen, serve, serve_http, serve_probes};
+pub use services::{
+    Front, Probed, ReplicaError, ServeError, Tls, TlsError, TlsFiles, listen, serve, serve_http, serve_probes,
+};
 pub use state::{Coordinator, Leases};

@@ -57,9 +57,18 @@ impl Coordinator {
     pub fn open(config: Config) -> Result<Arc<Self>, OpenError> {
         let store = SledStore::open(&config.data_dir.join("state"))?;
         let blobs = FileBlobs::open(&config.data_dir.join("blobs"))?;
+        Self::open_on(config, Box::new(store), blobs)
+    }
+
+    /// The same on a store and blobs that lie elsewhere, for a coordinator that leads others: the data
+    /// directory holds what it alone needs, and can lose.
+    ///
+    /// # Errors
+    /// The store's.
+    pub fn open_on(config: Config, store: Box<dyn Store>, blobs: FileBlobs) -> Result<Arc<Self>, OpenError> {
         let outcomes = Outcomes::of(config.data_dir.join("crews"));
         let chronicle = Chronicle::of(config.data_dir.join("events"));
-        let (store, blobs) = (Box::new(store), Box::new(blobs));
+        let blobs = Box::new(blobs);
         let kept = (outcomes, chronicle, Some((config.data_dir, config.quotas, config.retention)));
         Ok(Self::start(config.leases, store, blobs, Box::new(SystemClock), kept)?)
     }

@@ -9,11 +9,13 @@
 // that panics with what it saw is what makes their failures readable.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr)]
 
+mod balancer;
 mod browser;
 mod compose;
 mod dump;
 mod house;
 mod http;
+mod postgres;
 mod process;
 mod program;
 mod python;
@@ -21,11 +23,13 @@ mod site;
 
 use std::time::{Duration, Instant};
 
+pub use balancer::Balancer;
 pub use browser::Browser;
 pub use compose::{Compose, docker, logged, run};
 pub use dump::{Cell, Dump};
 pub use house::{across, house};
 pub use http::ask;
+pub use postgres::Postgres;
 pub use process::{Background, Coordinator, Run, Sandbox};
 pub use program::{example, in_ci, program};
 pub use python::{libraries, python, python_folder};

@@ -171,6 +171,11 @@ impl Run {
         self
     }
 
+    /// Whether it succeeded.
+    pub fn succeeded(&self) -> bool {
+        self.status.success()
+    }
+
     /// Panics unless stderr has `text` in it.
     #[track_caller]
     pub fn says(self, text: &str) -> Self {

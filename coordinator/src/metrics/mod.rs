@@ -15,6 +15,7 @@ use std::time::Duration;
 use prometheus_client::encoding::text::encode;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Registry, Unit};
@@ -70,11 +71,32 @@ pub(crate) enum Cache {
     Miss,
 }
 
+/// Registers whether this coordinator leads.
+fn lead(registry: &mut Registry, is: i64) {
+    let leader: Gauge = Gauge::default();
+    leader.set(is);
+    registry.register("leader", "1 if this coordinator grants tiles, 0 if it stands by", leader);
+}
+
+/// The metrics of a coordinator that stands by.
+pub(crate) fn standing_by() -> Result<String, std::fmt::Error> {
+    let mut registry = Registry::with_prefix("sightline");
+    registry.register("build", "The program", Info::new(vec![("version", env!("CARGO_PKG_VERSION"))]));
+    lead(&mut registry, 0);
+    let ready: Gauge = Gauge::default();
+    ready.set(1);
+    registry.register("ready", "1 if /readyz says so", ready);
+    let mut text = String::new();
+    encode(&mut text, &registry)?;
+    Ok(text)
+}
+
 impl Default for Metrics {
     fn default() -> Self {
         let mut registry = Registry::with_prefix("sightline");
         let build = Info::new(vec![("version", env!("CARGO_PKG_VERSION"))]);
         registry.register("build", "The program", build);
+        lead(&mut registry, 1);
         let this = Self {
             gauges: Gauges::register(&mut registry),
             registry: Mutex::default(),

@@ -4,6 +4,8 @@ mod blocking;
 mod counting;
 mod crews;
 mod farm;
+mod forwarding;
+mod front;
 mod guard;
 mod http;
 mod jobs;
@@ -16,6 +18,7 @@ mod tls;
 mod wire;
 mod workers;
 
+pub use front::{Front, ReplicaError};
 pub use http::serve_http;
 pub use metrics::{Probed, serve_probes};
 pub use server::{ServeError, listen, serve};

@@ -9,10 +9,16 @@ use sightline_proto::v1::jobs_server::JobsServer;
 use sightline_proto::v1::results_server::ResultsServer;
 use sightline_proto::v1::workers_server::WorkersServer;
 use tokio::net::TcpListener;
+use tokio::task::JoinHandle;
 use tokio_stream::wrappers::ReceiverStream;
+use tonic::body::Body;
+use tonic::codegen::http::{Request, Response};
+use tonic::service::Routes;
 use tonic::transport::Server;
-use tonic::transport::server::TcpIncoming;
+use tonic::transport::server::{Router, TcpIncoming};
 use tonic_health::ServingStatus;
+use tonic_health::server::HealthReporter;
+use tower::{BoxError, Layer, Service};
 
 use super::blocking::{blocking, later};
 use super::counting::Counting;
@@ -34,7 +40,7 @@ const TICK: Duration = Duration::from_millis(200);
 const LOOK_EVERY: Duration = Duration::from_secs(5);
 
 /// Calls and streams of a connection at a time.
-const MOST_STREAMS: u32 = 256;
+pub(super) const MOST_STREAMS: u32 = 256;
 
 /// Ticks between two removals of what is not kept, and before the first one.
 const TIDY: u32 = 5 * 600;
@@ -42,6 +48,9 @@ const TIDY_FIRST: u32 = 5 * 10;
 
 /// Ticks between two looks at the file of tokens.
 const REFRESH: u32 = 5;
+
+/// How often connections are asked whether they live.
+pub(super) const KEEPALIVE: Duration = Duration::from_secs(10);
 
 /// A coordinator that cannot serve, or whose server stopped.
 #[derive(Debug, thiserror::Error)]
@@ -87,78 +96,127 @@ pub async fn serve(
     tls: Option<Arc<Tls>>,
     stop: impl Future<Output = ()> + Send + 'static,
 ) -> Result<(), ServeError> {
-    let broken = |e: &dyn std::fmt::Display| ServeError::Broken(e.to_string());
-    let (health, health_service) = tonic_health::server::health_reporter();
-    health.set_serving::<JobsServer<JobsService>>().await;
-    health.set_serving::<WorkersServer<WorkersService>>().await;
-    health.set_serving::<FarmServer<FarmService>>().await;
-    health.set_serving::<ResultsServer<ResultsService>>().await;
-    let reflected = || {
-        tonic_reflection::server::Builder::configure()
-            .register_encoded_file_descriptor_set(sightline_proto::DESCRIPTORS)
-            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
-    };
-    let reflection = reflected().build_v1().map_err(|e| broken(&e))?;
-    // Older tools ask by this name.
-    let older = reflected().build_v1alpha().map_err(|e| broken(&e))?;
-    let ticks = {
-        let coordinator = Arc::clone(&coordinator);
-        tokio::spawn(async move {
-            let mut tick = tokio::time::interval(TICK);
-            tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-            let mut ticks = 0u32;
-            loop {
-                tick.tick().await;
-                ticks = ticks.wrapping_add(1);
-                if let Some(access) = coordinator.access.get().filter(|_| ticks.is_multiple_of(REFRESH)) {
-                    let access = Arc::clone(access);
-                    tokio::task::spawn_blocking(move || access.refresh());
-                }
-                later(&coordinator, lifecycle::tick(&coordinator));
-                if ticks % TIDY == TIDY_FIRST {
-                    let coordinator = Arc::clone(&coordinator);
-                    tokio::task::spawn_blocking(move || tidy_up(&coordinator));
-                }
-                if coordinator.chronicle.has_unwritten() {
-                    let coordinator = Arc::clone(&coordinator);
-                    tokio::task::spawn_blocking(move || coordinator.chronicle.write());
-                }
-            }
-        })
-    };
-    let looks = tokio::spawn(report_readiness(Arc::clone(&coordinator), health));
+    let services = Services::new();
+    let routes = services.routes(&coordinator).await?;
+    let ticks = tick(&coordinator);
+    let looks = services.report_readiness(&coordinator);
     let server = Server::builder()
-        .http2_keepalive_interval(Some(Duration::from_secs(10)))
+        .http2_keepalive_interval(Some(KEEPALIVE))
         .max_concurrent_streams(MOST_STREAMS)
         .layer(Counting::of(&coordinator))
         .layer(Guard(Arc::clone(&coordinator)))
-        .add_service(health_service)
-        .add_service(reflection)
-        .add_service(older)
-        .add_service(JobsServer::new(JobsService(Arc::clone(&coordinator))))
-        .add_service(FarmServer::new(FarmService(Arc::clone(&coordinator))))
-        .add_service(ResultsServer::new(ResultsService(Arc::clone(&coordinator))))
-        .add_service(WorkersServer::new(WorkersService(Arc::clone(&coordinator))));
-    let server = async move {
-        match tls {
-            // Without nodelay every small answer waits 40 ms for the acknowledgement of the one before.
-            None => server.serve_with_incoming(TcpIncoming::from(listener).with_nodelay(Some(true))).await,
-            Some(tls) => {
-                let incoming = ReceiverStream::new(tls::connections(listener, tls, b"h2"));
-                server.serve_with_incoming(incoming).await
-            }
-        }
-    };
+        .add_routes(routes);
+    let server = run(server, listener, tls);
     // Streams that stay open (workers, watchers) would delay a graceful end for ever. They are cut off: every
     // acknowledged change is on the disk already.
     let ended = tokio::select! {
-        r = server => r.map_err(|e| broken(&e)),
+        r = server => r,
         () = stop => Ok(()),
     };
     ticks.abort();
     looks.abort();
     coordinator.chronicle.write();
     ended
+}
+
+/// The services of a process, whose health is known before there is a coordinator.
+pub(super) struct Services {
+    reporter: HealthReporter,
+    health: Routes,
+}
+
+impl Services {
+    /// The process alone is healthy.
+    pub(super) fn new() -> Self {
+        let (reporter, health) = tonic_health::server::health_reporter();
+        Self { reporter, health: Routes::new(health) }
+    }
+
+    /// The service of health alone.
+    pub(super) fn health(&self) -> Routes {
+        self.health.clone()
+    }
+
+    /// Keeps the health of the name `ready` up to date, until it is aborted.
+    pub(super) fn report_readiness(&self, coordinator: &Arc<Coordinator>) -> JoinHandle<()> {
+        tokio::spawn(report_readiness(Arc::clone(coordinator), self.reporter.clone()))
+    }
+
+    /// All services of a coordinator, which are healthy from now on.
+    pub(super) async fn routes(&self, coordinator: &Arc<Coordinator>) -> Result<Routes, ServeError> {
+        let broken = |e: &dyn std::fmt::Display| ServeError::Broken(e.to_string());
+        let health = &self.reporter;
+        health.set_serving::<JobsServer<JobsService>>().await;
+        health.set_serving::<WorkersServer<WorkersService>>().await;
+        health.set_serving::<FarmServer<FarmService>>().await;
+        health.set_serving::<ResultsServer<ResultsService>>().await;
+        let reflected = || {
+            tonic_reflection::server::Builder::configure()
+                .register_encoded_file_descriptor_set(sightline_proto::DESCRIPTORS)
+                .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+        };
+        let reflection = reflected().build_v1().map_err(|e| broken(&e))?;
+        // Older tools ask by this name.
+        let older = reflected().build_v1alpha().map_err(|e| broken(&e))?;
+        Ok(self
+            .health()
+            .add_service(reflection)
+            .add_service(older)
+            .add_service(JobsServer::new(JobsService(Arc::clone(coordinator))))
+            .add_service(FarmServer::new(FarmService(Arc::clone(coordinator))))
+            .add_service(ResultsServer::new(ResultsService(Arc::clone(coordinator))))
+            .add_service(WorkersServer::new(WorkersService(Arc::clone(coordinator)))))
+    }
+}
+
+/// Looks at timers a few times a second, until it is aborted.
+pub(super) fn tick(coordinator: &Arc<Coordinator>) -> JoinHandle<()> {
+    let coordinator = Arc::clone(coordinator);
+    tokio::spawn(async move {
+        let mut tick = tokio::time::interval(TICK);
+        tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        let mut ticks = 0u32;
+        loop {
+            tick.tick().await;
+            ticks = ticks.wrapping_add(1);
+            if let Some(access) = coordinator.access.get().filter(|_| ticks.is_multiple_of(REFRESH)) {
+                let access = Arc::clone(access);
+                tokio::task::spawn_blocking(move || access.refresh());
+            }
+            later(&coordinator, lifecycle::tick(&coordinator));
+            if ticks % TIDY == TIDY_FIRST {
+                let coordinator = Arc::clone(&coordinator);
+                tokio::task::spawn_blocking(move || tidy_up(&coordinator));
+            }
+            if coordinator.chronicle.has_unwritten() {
+                let coordinator = Arc::clone(&coordinator);
+                tokio::task::spawn_blocking(move || coordinator.chronicle.write());
+            }
+        }
+    })
+}
+
+/// Answers the connections of a listener, encrypted if there are certificates.
+pub(super) async fn run<L>(
+    server: Router<L>,
+    listener: TcpListener,
+    tls: Option<Arc<Tls>>,
+) -> Result<(), ServeError>
+where
+    L: Layer<Routes>,
+    L::Service: Service<Request<Body>, Response = Response<Body>> + Clone + Send + 'static,
+    <L::Service as Service<Request<Body>>>::Future: Send,
+    <L::Service as Service<Request<Body>>>::Error: Into<BoxError> + Send,
+{
+    let served = match tls {
+        // Without nodelay every small answer waits 40 ms for the acknowledgement of the one before.
+        None => server.serve_with_incoming(TcpIncoming::from(listener).with_nodelay(Some(true))).await,
+        Some(tls) => {
+            let incoming = ReceiverStream::new(tls::connections(listener, tls, b"h2"));
+            server.serve_with_incoming(incoming).await
+        }
+    };
+    served.map_err(|e| ServeError::Broken(e.to_string()))
 }
 
 /// Keeps the health of the name `ready` up to date: liveness is the health without a name.

@@ -35,6 +35,11 @@ pub(super) fn of_store(e: &StoreError) -> Status {
         | StoreError::NotEmpty
         | StoreError::PlanDiffers { .. } => Status::failed_precondition(text),
         StoreError::Journal(JournalError::NoSpace { .. }) => full(&text),
+        // Worth trying again, here or at the coordinator that leads by then.
+        StoreError::Unreachable { .. } | StoreError::Fenced { .. } => {
+            tracing::error!("{text}");
+            Status::unavailable(text)
+        }
         _ => internal(&text),
     }
 }

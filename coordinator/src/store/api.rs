@@ -44,6 +44,10 @@ pub trait Store: Send + Sync {
     /// One tile of a job.
     fn tile(&self, job: JobId, tile: TileIndex) -> Result<TileRecord, StoreError>;
 
+    /// Whether a command would be carried out now. Of a store that several coordinators share: whether this
+    /// one still leads. Changes nothing.
+    fn may_change(&self) -> Result<(), StoreError>;
+
     /// The epoch begun last; 0 before the first.
     fn epoch(&self) -> Result<u64, StoreError>;
 

@@ -11,7 +11,7 @@ use super::*;
 use crate::ids::{JobId, TileIndex};
 
 #[derive(Clone, Debug)]
-enum Op {
+pub(super) enum Op {
     Scene(u8, u32),
     Submit { key: u8, request: u8, scene: u8, tiles: u32 },
     Prioritize(JobId, i32),
@@ -38,7 +38,7 @@ enum Mishap {
     SledStale,
 }
 
-fn digest(n: u8) -> Digest {
+pub(super) fn digest(n: u8) -> Digest {
     [n; 32]
 }
 
@@ -71,7 +71,7 @@ fn request(n: u8) -> String {
     if n == 0 { String::new() } else { format!("request {n}") }
 }
 
-fn result(n: u8) -> TileResult {
+pub(super) fn result(n: u8) -> TileResult {
     let stats =
         TileStats { samples: n.into(), cells: 2, millis: 3, worker: "w".to_owned(), ..TileStats::default() };
     TileResult { digest: digest(n), bytes: n.into(), stats }
@@ -104,7 +104,7 @@ fn refused(error: &str) -> String {
     format!("refused: {}", &error[..end])
 }
 
-fn perform(store: &dyn Store, op: &Op) -> String {
+pub(super) fn perform(store: &dyn Store, op: &Op) -> String {
     match *op {
         Op::Scene(n, triangles) => told(store.record_scene(SceneRecord {
             digest: digest(n),
@@ -131,7 +131,7 @@ fn perform(store: &dyn Store, op: &Op) -> String {
 }
 
 /// The answers to all queries of a store.
-fn everything(store: &dyn Store) -> String {
+pub(super) fn everything(store: &dyn Store) -> String {
     let jobs = store.jobs().unwrap();
     let tiles: Vec<_> = jobs.iter().map(|job| store.tiles(job.id).unwrap()).collect();
     for (job, tiles) in jobs.iter().zip(&tiles) {
@@ -158,7 +158,7 @@ fn everything(store: &dyn Store) -> String {
 
 /// The expected state of a store, in plain maps.
 #[derive(Default)]
-struct Model {
+pub(super) struct Model {
     scenes: BTreeMap<Digest, SceneRecord>,
     jobs: BTreeMap<JobId, JobRecord>,
     tiles: BTreeMap<(JobId, TileIndex), TileRecord>,
@@ -356,7 +356,7 @@ impl Model {
         say(job)
     }
 
-    fn everything(&self) -> String {
+    pub(super) fn everything(&self) -> String {
         let jobs: Vec<_> = self.jobs.values().collect();
         let one = |id, tile| self.tiles.get(&(id, tile)).cloned().unwrap_or_else(|| TileRecord::open(tile));
         let tiles: Vec<Vec<_>> = jobs
@@ -370,7 +370,7 @@ impl Model {
     }
 }
 
-fn op() -> impl Strategy<Value = Op> {
+pub(super) fn op() -> impl Strategy<Value = Op> {
     let job = || prop_oneof![8 => 1_u64..4, 1 => 0_u64..9].prop_map(JobId);
     let tile = || (0..4_u32).prop_map(TileIndex);
     prop_oneof![
@@ -401,7 +401,7 @@ fn mishap() -> impl Strategy<Value = Mishap> {
     ]
 }
 
-fn step(store: &dyn Store, model: &mut Model, op: &Op) {
+pub(super) fn step(store: &dyn Store, model: &mut Model, op: &Op) {
     let expected = model.perform(op).unwrap_or_else(refused);
     assert_eq!(perform(store, op), expected, "{op:?}");
 }

@@ -68,6 +68,9 @@ impl<E: Engine> Store for E {
         self.query(|view| view.epoch())
     }
 
+    fn may_change(&self) -> Result<(), StoreError> {
+        self.command(|_| Ok(Decision { event: None, answer: () }))
+    }
     fn record_scene(&self, scene: SceneRecord) -> Result<(), StoreError> {
         self.command(|view| rules::record_scene(view, scene))
     }

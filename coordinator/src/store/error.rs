@@ -186,6 +186,80 @@ pub enum StoreError {
         /// The system's error.
         what: String,
     },
+    /// The address of a database cannot be used.
+    #[error("{what}; give --store as postgres://USER@HOST/DATABASE, with the password in PGPASSWORD")]
+    Address {
+        /// The fault, without the address, which may hold a password.
+        what: String,
+    },
+    /// The database does not answer. Nothing was changed.
+    #[error("{server} does not answer ({what}); check that it runs and can be reached from here")]
+    Unreachable {
+        /// The database, without its password.
+        server: String,
+        /// The fault.
+        what: String,
+    },
+    /// The database does not let this user in.
+    #[error(
+        "{server} does not let us in ({what}); check the user, the database's name and the password in \
+             PGPASSWORD"
+    )]
+    NotLetIn {
+        /// The database, without its password.
+        server: String,
+        /// Its answer.
+        what: String,
+    },
+    /// The tables were made by a newer program.
+    #[error(
+        "{server} holds tables of version {found}, and this program knows those up to version {known}; run \
+             the newer program that made them"
+    )]
+    NewerTables {
+        /// The database, without its password.
+        server: String,
+        /// The version of its tables.
+        found: i32,
+        /// The last version that this program knows.
+        known: i32,
+    },
+    /// The database refuses a statement. Nothing was changed.
+    #[error("{server} refuses a statement ({what}); its log says more")]
+    Database {
+        /// The database, without its password.
+        server: String,
+        /// Its answer.
+        what: String,
+    },
+    /// Entries of the database cannot be read.
+    #[error("{server} holds what cannot be read ({what}); restore it from a backup")]
+    Damaged {
+        /// The database, without its password.
+        server: String,
+        /// The fault.
+        what: String,
+    },
+    /// The coordinator led and could not tell the database so in time.
+    #[error(
+        "this coordinator could not renew its leadership in time (its epoch was {epoch}: {what}), so that \
+         another one may lead; it ends here, and stands by when it is started again"
+    )]
+    NotRenewed {
+        /// The epoch of its leadership.
+        epoch: i64,
+        /// What the last attempt met.
+        what: String,
+    },
+    /// Another coordinator leads. Nothing was changed.
+    #[error(
+        "this coordinator does not lead any more (its epoch was {epoch}), so it changes nothing; ask again, \
+             the one that leads now will answer"
+    )]
+    Fenced {
+        /// The epoch of this coordinator's leadership.
+        epoch: i64,
+    },
     /// The writer thread is gone.
     #[error("the store has shut down; restart the coordinator")]
     Closed,

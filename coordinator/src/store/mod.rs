@@ -10,14 +10,17 @@
 
 mod api;
 mod blobs;
+mod commands;
 mod compaction;
 mod engine;
 mod entries;
 mod error;
 mod journal;
 mod limits;
+mod lock;
 mod memory;
 mod outcomes;
+mod postgres;
 mod records;
 mod rules;
 mod sled_store;
@@ -34,8 +37,10 @@ pub use limits::{
     MAX_FAILURES, MAX_HELPERS, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_OWNER_BYTES, MAX_OWNERS,
     MAX_REASON_BYTES, MAX_REASONS, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES,
 };
+pub use lock::OwnDirectory;
 pub use memory::MemoryStore;
 pub use outcomes::{MAX_OUTCOME_BYTES, Outcomes};
+pub use postgres::{DatabaseAddress, Leader, PostgresStore, Replica, Role};
 pub use records::{
     CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, SceneRecord, Submitted,
     TileCheck, TileFailure, TileRecord, TileResult, TileState, TileStats, owned_key, owned_request,

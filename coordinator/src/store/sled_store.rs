@@ -11,11 +11,10 @@
 //! One tree, values under 4 KiB, no background flush (sled's space grows otherwise), one writer thread: the
 //! commands that arrive while it syncs share the next sync. Blobs are not kept here.
 
-use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{Read, Write};
+use std::fs::File;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -23,10 +22,12 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 
 use super::api::Store as _;
+use super::commands::{Pending, pending};
 use super::compaction;
 use super::engine::Engine;
 use super::error::{JournalError, StoreError};
 use super::journal::{HEADER_BYTES, Journal};
+use super::lock::{fault, lock};
 use super::rules::{self, Decision, Event};
 use super::table::{Bytes, Changes, Over, Table, View, decode, encode};
 
@@ -181,8 +182,7 @@ impl Engine for SledStore {
         &self,
         decide: impl FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send + 'static,
     ) -> Result<A, StoreError> {
-        let (reply, answer) = sync_channel(1);
-        let command = Box::new(Command { decide: Some(decide), decided: Err(StoreError::Closed), reply });
+        let (command, answer) = pending(decide);
         let commands = self.commands.lock().unwrap_or_else(PoisonError::into_inner).clone();
         commands.ok_or(StoreError::Closed)?.send(command).map_err(|_| StoreError::Closed)?;
         answer.recv().map_err(|_| StoreError::Closed)?
@@ -200,43 +200,6 @@ struct Told {
 impl std::fmt::Debug for Told {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Told").field("trouble", &self.trouble).finish_non_exhaustive()
-    }
-}
-
-/// A command in the queue of the writer thread.
-trait Pending: Send {
-    /// Decides on the state including all commands before it; the answer is kept for later.
-    fn decide(&mut self, view: View<'_>) -> Option<Event>;
-    /// The event cannot be carried out.
-    fn refuse(&mut self, error: StoreError);
-    /// Answers, once everything decided before is durable or has failed to be.
-    fn answer(self: Box<Self>, outcome: &Result<(), StoreError>);
-}
-
-struct Command<F, A> {
-    decide: Option<F>,
-    decided: Result<A, StoreError>,
-    reply: SyncSender<Result<A, StoreError>>,
-}
-
-impl<A: Send, F: FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send> Pending for Command<F, A> {
-    fn decide(&mut self, view: View<'_>) -> Option<Event> {
-        let decision = self.decide.take()?(view);
-        let (decided, event) = match decision {
-            Ok(Decision { event, answer }) => (Ok(answer), event),
-            Err(error) => (Err(error), None),
-        };
-        self.decided = decided;
-        event
-    }
-
-    fn refuse(&mut self, error: StoreError) {
-        self.decided = Err(error);
-    }
-
-    fn answer(self: Box<Self>, outcome: &Result<(), StoreError>) {
-        // A caller whose thread panicked needs no answer.
-        let _ = self.reply.send(outcome.clone().and(self.decided));
     }
 }
 
@@ -468,37 +431,6 @@ fn guarded<T>(call: impl FnOnce() -> sled::Result<T>) -> Result<T, StoreError> {
         Ok(result) => result.map_err(|e| StoreError::View { what: e.to_string() }),
         Err(_) => Err(StoreError::View { what: "sled panicked".to_owned() }),
     }
-}
-
-fn fault(doing: &'static str, path: &Path) -> impl Fn(std::io::Error) -> StoreError {
-    let path = path.to_owned();
-    move |source| StoreError::Io { doing, path: path.clone(), source: Arc::new(source) }
-}
-
-/// Takes the directory's lock, which the system releases when the process ends, however it ends.
-fn lock(path: &Path) -> Result<File, StoreError> {
-    let mut file = OpenOptions::new()
-        .read(true)
-        .write(true)
-        .create(true)
-        .truncate(false)
-        .open(path)
-        .map_err(fault("open", path))?;
-    match file.try_lock() {
-        Ok(()) => {}
-        Err(TryLockError::WouldBlock) => {
-            let mut pid = String::new();
-            // Only for the message; its holder may not have written it yet.
-            let known = file.read_to_string(&mut pid).is_ok() && !pid.trim().is_empty();
-            let pid = if known { pid.trim().to_owned() } else { "not known".to_owned() };
-            return Err(StoreError::InUse { path: path.to_owned(), pid });
-        }
-        Err(TryLockError::Error(source)) => return Err(fault("lock", path)(source)),
-    }
-    file.set_len(0)
-        .and_then(|()| file.write_all(std::process::id().to_string().as_bytes()))
-        .map_err(fault("write", path))?;
-    Ok(file)
 }
 
 /// Moves a broken view aside, for a person to inspect or delete.

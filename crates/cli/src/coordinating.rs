@@ -1,15 +1,20 @@
 //! `sightline coordinator`.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use sightline_coordinator::access::Access;
-use sightline_coordinator::{Config, Coordinator, Quotas, Tls, TlsFiles};
+use sightline_coordinator::clock::SystemClock;
+use sightline_coordinator::store::{FileBlobs, MemoryBlobs, MemoryStore, SledStore};
+use sightline_coordinator::{Config, Coordinator, OpenError, Quotas, Tls, TlsFiles};
 
 use crate::answers::Commands;
 use crate::error::CliError;
 use crate::progress::say;
-use crate::serve::{print, runtime, stop_signal};
+use crate::replica::{self, Listening};
+use crate::serve::{runtime, stop_signal};
 use crate::serve_args::CoordinatorArgs;
+use crate::store_place::StorePlace;
 
 /// Serves as coordinator until SIGTERM or Ctrl-C.
 pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
@@ -21,62 +26,43 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
     config.leases.spot_check = args.spot_check;
     (config.retention.keep, config.retention.keep_bytes) = (args.keep, args.keep_bytes);
     config.quotas = Quotas::parse(&args.quota).map_err(|e| CliError::Usage(format!("--quota: {e}")))?;
-    let coordinator = Coordinator::open(config).map_err(|e| CliError::Input(e.to_string()))?;
-    coordinator.answer_with(Box::new(Commands));
-    if let Some(access) = access {
-        coordinator.ask_callers(access);
-    }
+    let coordinator = match StorePlace::of(&args.store)? {
+        StorePlace::Database(database) => {
+            return runtime()?.block_on(async {
+                reload_on_hangup(tls.clone())?;
+                let listening = listen(args, tls.is_some()).await?;
+                replica::serve(args, (database, config), tls, listening, move |c| equip(c, access)).await
+            });
+        }
+        StorePlace::Default => Coordinator::open(config),
+        StorePlace::Sled(directory) => open_on(config, &directory),
+        StorePlace::Memory => {
+            say("the store is in memory: jobs, scenes and results are lost when this coordinator ends");
+            let (store, blobs) = (Box::new(MemoryStore::new()), Box::new(MemoryBlobs::new()));
+            Coordinator::new(config.leases, store, blobs, Box::new(SystemClock)).map_err(OpenError::from)
+        }
+    };
+    let coordinator = coordinator.map_err(|e| CliError::Input(e.to_string()))?;
+    equip(&coordinator, access);
     runtime()?.block_on(async {
         reload_on_hangup(tls.clone())?;
-        let protected = args.allow_plaintext || tls.is_some();
-        let scheme = if tls.is_some() { "https" } else { "http" };
-        let listener = sightline_coordinator::listen(args.listen, protected)
-            .await
-            .map_err(|e| CliError::Usage(e.to_string()))?;
-        let address = listener.local_addr().map_err(CliError::internal)?;
-        // On stdout, so that a script that gave port 0 can read the address.
-        print(&format!("listening on {scheme}://{address}"))?;
-        let pages_beyond = args.http.is_some_and(|address| !address.ip().is_loopback());
-        if args.tokens.is_some() && tls.is_none() && (!address.ip().is_loopback() || pages_beyond) {
-            say("tokens go over the network unencrypted; --tls-cert and --tls-key encrypt them");
-        }
-        if (!address.ip().is_loopback() || pages_beyond) && args.tokens.is_none() {
-            say("whoever reaches this address may read, submit and cancel everything; --tokens asks who \
-                 they are");
-        }
-        let pages = match args.http {
-            None => None,
-            Some(address) => {
-                let pages = sightline_coordinator::listen(address, protected).await;
-                let pages = pages.map_err(|e| CliError::Usage(format!("--http: {e}")))?;
-                let address = pages.local_addr().map_err(CliError::internal)?;
-                print(&format!("dashboard on {scheme}://{address}/"))?;
-                Some(pages)
-            }
-        };
-        let metrics = match args.metrics_listen {
-            None => None,
-            Some(address) => {
-                // What it shows is meant for everybody who reaches it.
-                let metrics = sightline_coordinator::listen(address, true).await;
-                let metrics = metrics.map_err(|e| CliError::Usage(format!("--metrics-listen: {e}")))?;
-                let address = metrics.local_addr().map_err(CliError::internal)?;
-                print(&format!("metrics on http://{address}/metrics"))?;
-                Some(metrics)
-            }
-        };
+        let listening = listen(args, tls.is_some()).await?;
+        listening.announce()?;
+        let Listening { calls: listener, pages, metrics, .. } = listening;
         let c = Arc::clone(&coordinator);
         let served = sightline_coordinator::serve(c, listener, tls.clone(), stop_signal());
         let c = Arc::clone(&coordinator);
         let shown = async move {
             match pages {
-                Some(pages) => sightline_coordinator::serve_http(c, pages, tls, std::future::pending()).await,
+                Some((pages, _)) => {
+                    sightline_coordinator::serve_http(c, pages, tls, std::future::pending()).await
+                }
                 None => std::future::pending().await,
             }
         };
         let counted = async move {
             match metrics {
-                Some(listener) => sightline_coordinator::serve_probes(coordinator, listener).await,
+                Some((listener, _)) => sightline_coordinator::serve_probes(coordinator, listener).await,
                 None => std::future::pending().await,
             }
         };
@@ -87,6 +73,60 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
         }
         .map_err(CliError::internal)
     })
+}
+
+/// Opens the records in a directory of their own, and the rest in the data directory.
+fn open_on(config: Config, directory: &Path) -> Result<Arc<Coordinator>, OpenError> {
+    let store = SledStore::open(directory)?;
+    let blobs = FileBlobs::open(&config.data_dir.join("blobs"))?;
+    Coordinator::open_on(config, Box::new(store), blobs)
+}
+
+/// Gives a coordinator who answers questions about scenes, and who asks callers who they are.
+fn equip(coordinator: &Coordinator, access: Option<Arc<Access>>) {
+    coordinator.answer_with(Box::new(Commands));
+    if let Some(access) = access {
+        coordinator.ask_callers(access);
+    }
+}
+
+/// Listens where the arguments say.
+async fn listen(args: &CoordinatorArgs, is_encrypted: bool) -> Result<Listening, CliError> {
+    let protected = args.allow_plaintext || is_encrypted;
+    let scheme = if is_encrypted { "https" } else { "http" };
+    let calls = sightline_coordinator::listen(args.listen, protected)
+        .await
+        .map_err(|e| CliError::Usage(e.to_string()))?;
+    let address = calls.local_addr().map_err(CliError::internal)?;
+    let url = format!("{scheme}://{address}");
+    let pages_beyond = args.http.is_some_and(|address| !address.ip().is_loopback());
+    if args.tokens.is_some() && !is_encrypted && (!address.ip().is_loopback() || pages_beyond) {
+        say("tokens go over the network unencrypted; --tls-cert and --tls-key encrypt them");
+    }
+    if (!address.ip().is_loopback() || pages_beyond) && args.tokens.is_none() {
+        say("whoever reaches this address may read, submit and cancel everything; --tokens asks who \
+             they are");
+    }
+    let pages = match args.http {
+        None => None,
+        Some(address) => {
+            let pages = sightline_coordinator::listen(address, protected).await;
+            let pages = pages.map_err(|e| CliError::Usage(format!("--http: {e}")))?;
+            let address = pages.local_addr().map_err(CliError::internal)?;
+            Some((pages, format!("{scheme}://{address}/")))
+        }
+    };
+    let metrics = match args.metrics_listen {
+        None => None,
+        Some(address) => {
+            // What it shows is meant for everybody who reaches it.
+            let metrics = sightline_coordinator::listen(address, true).await;
+            let metrics = metrics.map_err(|e| CliError::Usage(format!("--metrics-listen: {e}")))?;
+            let address = metrics.local_addr().map_err(CliError::internal)?;
+            Some((metrics, format!("http://{address}/metrics")))
+        }
+    };
+    Ok(Listening { calls, url, pages, metrics })
 }
 
 /// The encryption that the arguments ask for.

@@ -182,7 +182,7 @@ pub fn print(text: &str) -> Result<(), CliError> {
 }
 
 /// The host's name, the process and a random number: containers may share the first two.
-fn default_name() -> Result<String, CliError> {
+pub fn default_name() -> Result<String, CliError> {
     let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     let host: String =
         host.trim().chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').take(40).collect();

@@ -29,6 +29,8 @@ pub struct CoordinatorArgs {
     /// Directory for jobs, scenes and results.
     #[arg(long, value_name = "DIR", default_value = "sightline-data")]
     pub data_dir: PathBuf,
+    #[command(flatten)]
+    pub store: StoreArgs,
     /// Serve a dashboard for browsers, and the calls as JSON, at this address, such as 127.0.0.1:7601. Off by
     /// default.
     #[arg(long, value_name = "ADDR:PORT")]
@@ -76,6 +78,31 @@ pub struct CoordinatorArgs {
     /// their own jobs and scenes alone. A change takes effect within two seconds.
     #[arg(long, value_name = "FILE")]
     pub tokens: Option<PathBuf>,
+}
+
+#[derive(Args)]
+pub struct StoreArgs {
+    /// Where the records of jobs, scenes and tiles are: sled:DIR on this disk, memory: until the end, or
+    /// postgres://USER@HOST/DATABASE, which several coordinators share: one leads, the others pass calls on
+    /// to it. The database's password is in PGPASSWORD. Default: sled in the data directory.
+    #[arg(long, value_name = "URL", env = "SIGHTLINE_STORE", hide_env_values = true)]
+    pub store: Option<String>,
+    /// The authority of the database's certificate, as PEM. Default: those of the system.
+    #[arg(long, value_name = "FILE", env = "SIGHTLINE_STORE_CA", hide_env_values = true)]
+    pub store_ca: Option<PathBuf>,
+    /// Where the other coordinators of the database call this one. Default: the address of --listen.
+    #[arg(long, value_name = "URL")]
+    pub advertise: Option<String>,
+    /// The authority of the other coordinators' certificates, as PEM. Default: those of the system.
+    #[arg(long, value_name = "FILE")]
+    pub peer_ca: Option<PathBuf>,
+}
+
+impl std::fmt::Debug for StoreArgs {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        // The address may hold a password.
+        f.debug_struct("StoreArgs").field("advertise", &self.advertise).finish_non_exhaustive()
+    }
 }
 
 #[derive(Args, Debug)]

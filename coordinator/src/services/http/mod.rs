@@ -79,20 +79,29 @@ pub async fn serve_http(
         .layer(DefaultBodyLimit::max(MOST_BYTES))
         .layer(from_fn_with_state(Arc::clone(&site), guard))
         .with_state(site);
-    let server = async move {
-        match tls {
-            None => axum::serve(listener, routes).await,
-            Some(tls) => {
-                let connections = tls::connections(listener, tls, b"http/1.1");
-                axum::serve(tls::Pages { connections, address }, routes).await
-            }
-        }
-    };
     // Streams that stay open would delay a graceful end for ever.
     tokio::select! {
-        r = server => r.map_err(broken),
+        r = serve_routes(routes, listener, tls) => r,
         () = stop => Ok(()),
     }
+}
+
+/// Answers the connections of a listener, encrypted if there are certificates.
+pub(super) async fn serve_routes(
+    routes: Router,
+    listener: TcpListener,
+    tls: Option<Arc<Tls>>,
+) -> Result<(), ServeError> {
+    let broken = |e: std::io::Error| ServeError::Broken(e.to_string());
+    let address = listener.local_addr().map_err(broken)?;
+    let served = match tls {
+        None => axum::serve(listener, routes).await,
+        Some(tls) => {
+            let connections = tls::connections(listener, tls, b"http/1.1");
+            axum::serve(tls::Pages { connections, address }, routes).await
+        }
+    };
+    served.map_err(broken)
 }
 
 /// Refuses requests that pages of other sites can make a browser send, and those of callers who may not.

@@ -1,8 +1,9 @@
 //! Blobs as files named by their digest, two levels of directories deep.
 //!
-//! A file is written under `tmp/`, synced, renamed into place, and its directories synced: a file under its
-//! final name is complete. The crate tempfile syncs nothing and would replace only the choice of the
-//! temporary name. Open the store first: its lock keeps two coordinators out of one data directory.
+//! A file is written under `tmp/` (`tmp-NAME/` where processes share the directory), synced, renamed into
+//! place, and its directories synced: a file under its final name is complete. The crate tempfile syncs
+//! nothing and would replace only the choice of the temporary name. Open the store first: its lock keeps two
+//! coordinators out of one data directory.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, ErrorKind, Read, Seek, Write};
@@ -18,6 +19,8 @@ use crate::ids::{Digest, hex};
 #[derive(Clone, Debug)]
 pub struct FileBlobs {
     root: Arc<PathBuf>,
+    /// Where files that are not finished lie.
+    unfinished: Arc<PathBuf>,
     written: Arc<AtomicU64>,
 }
 
@@ -27,14 +30,29 @@ impl FileBlobs {
     /// # Errors
     /// When the directory cannot be created, listed or synced.
     pub fn open(directory: &Path) -> Result<Self, BlobError> {
-        let unfinished = directory.join("tmp");
+        Self::open_as(directory, "tmp".to_owned())
+    }
+
+    /// The same in a directory that several processes share; each has a name of its own, for ever. A file is
+    /// whole before it gets its final name, and files of one name are equal, so that no process sees what
+    /// another one has begun.
+    ///
+    /// # Errors
+    /// As [`FileBlobs::open`].
+    pub fn open_shared(directory: &Path, name: &str) -> Result<Self, BlobError> {
+        Self::open_as(directory, format!("tmp-{name}"))
+    }
+
+    fn open_as(directory: &Path, unfinished: String) -> Result<Self, BlobError> {
+        let unfinished = directory.join(unfinished);
         std::fs::create_dir_all(&unfinished).map_err(fault("create", &unfinished))?;
         for entry in std::fs::read_dir(&unfinished).map_err(fault("list", &unfinished))? {
             let path = entry.map_err(fault("list", &unfinished))?.path();
             std::fs::remove_file(&path).map_err(fault("remove", &path))?;
         }
         sync_directory(directory)?;
-        Ok(Self { root: Arc::new(directory.to_owned()), written: Arc::default() })
+        let (root, unfinished) = (Arc::new(directory.to_owned()), Arc::new(unfinished));
+        Ok(Self { root, unfinished, written: Arc::default() })
     }
 
     /// The path of a blob, whether it is present or not. Do not write there.
@@ -46,7 +64,7 @@ impl FileBlobs {
     /// A fresh path for a file that is not finished.
     fn unfinished(&self) -> PathBuf {
         let number = self.written.fetch_add(1, Ordering::Relaxed);
-        self.root.join("tmp").join(format!("{}-{number}", std::process::id()))
+        self.unfinished.join(format!("{}-{number}", std::process::id()))
     }
 
     fn put_whole(&self, bytes: &[u8], synced: bool) -> Result<Digest, BlobError> {
@@ -196,7 +214,7 @@ impl Blobs for FileBlobs {
     }
 
     fn io_error(&self, e: io::Error) -> BlobError {
-        e.downcast::<BlobError>().unwrap_or_else(fault("write below", &self.root.join("tmp")))
+        e.downcast::<BlobError>().unwrap_or_else(fault("write below", &self.unfinished))
     }
 }
 
@@ -339,6 +357,23 @@ mod tests {
         scratch.read_to_end(&mut read).unwrap();
         assert_eq!(read, b"doors");
         assert_eq!(files(&directory.path().join("tmp")), 0);
+    }
+
+    #[test]
+    fn processes_that_share_a_directory_leave_each_others_unfinished_files_alone() {
+        let directory = tempfile::tempdir().unwrap();
+        let first = FileBlobs::open_shared(directory.path(), "first").unwrap();
+        let mut writing = first.put_stream().unwrap();
+        writing.append(b"wal").unwrap();
+        // Another one starts, and writes the same.
+        let second = FileBlobs::open_shared(directory.path(), "second").unwrap();
+        let digest = second.put(b"walls").unwrap();
+        writing.append(b"ls").unwrap();
+        assert_eq!(writing.finish(Some(&digest)).unwrap(), digest);
+        assert_eq!(
+            (first.read(&digest).unwrap(), second.read(&digest).unwrap()),
+            (b"walls".to_vec(), b"walls".to_vec())
+        );
     }
 
     #[test]

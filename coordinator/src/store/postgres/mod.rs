@@ -1,0 +1,179 @@
+//! The store in a PostgreSQL database, which several coordinators share: one of them leads, the others stand
+//! by.
+//!
+//! The table is the same as in the other stores, with the same keys and values. Queries and commands of the
+//! leader are transactions (`reading.rs`, `writing.rs`); who leads is decided in the database (`leading.rs`).
+
+mod address;
+#[cfg(test)]
+mod cut_tests;
+mod leading;
+mod link;
+mod reading;
+mod standing;
+mod tables;
+#[cfg(test)]
+mod tests;
+mod writing;
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use futures::executor::block_on;
+use tokio::runtime::Runtime;
+use tokio::sync::{Notify, watch};
+
+pub use self::address::DatabaseAddress;
+use self::leading::Candidate;
+use self::link::Server;
+use self::reading::{Readers, in_database};
+use self::standing::Standing;
+pub use self::standing::{Leader, Role};
+use self::writing::Writer;
+use super::commands::{Pending, pending};
+use super::engine::Engine;
+use super::error::StoreError;
+use super::rules::Decision;
+use super::table::View;
+
+/// A coordinator's place among those on a database.
+pub struct Replica {
+    server: Server,
+    standing: Standing,
+    resigns: Arc<Notify>,
+    candidacy: Mutex<Option<tokio::task::JoinHandle<()>>>,
+    runtime: Arc<Connections>,
+}
+
+/// The thread on which connections live.
+struct Connections(Option<Runtime>);
+
+impl Drop for Connections {
+    fn drop(&mut self) {
+        if let Some(runtime) = self.0.take() {
+            // May be dropped on a thread of another runtime, which must not wait.
+            runtime.shutdown_background();
+        }
+    }
+}
+
+impl Replica {
+    /// Connects with the database, brings its tables up to date, and stands by to lead: under the name
+    /// `holder`, called at `address`. Blocks.
+    ///
+    /// # Errors
+    /// The database does not answer, does not let us in, or holds the tables of a newer program.
+    pub fn join(database: &DatabaseAddress, holder: &str, address: &str) -> Result<Self, StoreError> {
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .thread_name("store-postgres")
+            .enable_all()
+            .build()
+            .map_err(|e| StoreError::Unreachable { server: database.to_string(), what: e.to_string() })?;
+        let server = Server { address: database.clone(), runtime: runtime.handle().clone() };
+        let (tables, handle) = (server.clone(), runtime.handle().clone());
+        let runtime = Arc::new(Connections(Some(runtime)));
+        block_on(handle.spawn(async move { tables::migrate(&tables).await }))
+            .unwrap_or(Err(StoreError::Closed))?;
+        let (standing, resigns) = (Standing::new(), Arc::new(Notify::new()));
+        let candidate = Candidate {
+            server: server.clone(),
+            standing: standing.clone(),
+            holder: holder.to_owned(),
+            address: address.to_owned(),
+            resigns: Arc::clone(&resigns),
+        };
+        let candidacy = Mutex::new(Some(handle.spawn(candidate.run())));
+        Ok(Self { server, standing, resigns, candidacy, runtime })
+    }
+
+    /// What becomes of it.
+    pub fn role(&self) -> watch::Receiver<Role> {
+        self.standing.follow()
+    }
+
+    /// The store, for as long as this coordinator leads under `epoch`. Blocks.
+    ///
+    /// # Errors
+    /// The database does not answer, or another coordinator leads.
+    pub fn store(&self, epoch: i64) -> Result<PostgresStore, StoreError> {
+        let (commands, incoming) = channel();
+        let closing = Arc::new(AtomicBool::new(false));
+        let writer = Writer {
+            server: self.server.clone(),
+            standing: self.standing.clone(),
+            epoch,
+            written: 0,
+            link: None,
+            closing: Arc::clone(&closing),
+        };
+        let writer = std::thread::Builder::new()
+            .name("store-writer".to_owned())
+            .spawn(move || writer.run(&incoming))
+            .map_err(|e| StoreError::Unreachable {
+                server: self.server.address.to_string(),
+                what: format!("no thread can be started for it: {e}"),
+            })?;
+        Ok(PostgresStore {
+            server: self.server.clone(),
+            readers: Readers::new(self.server.clone()),
+            commands: Mutex::new(Some(commands)),
+            closing,
+            writer: Some(writer),
+            _runtime: Arc::clone(&self.runtime),
+        })
+    }
+
+    /// Gives up standing by or leading, so that another coordinator leads at once. Changes that are being
+    /// committed are committed or refused. Waits a second at most.
+    pub async fn resign(&self) {
+        self.resigns.notify_one();
+        let candidacy = self.candidacy.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(candidacy) = candidacy {
+            // One that does not answer in time is over when its time is.
+            drop(tokio::time::timeout(Duration::from_secs(1), candidacy).await);
+        }
+    }
+}
+
+/// The store of a coordinator that leads.
+pub struct PostgresStore {
+    server: Server,
+    readers: Readers,
+    /// `None` only while being dropped.
+    commands: Mutex<Option<Sender<Box<dyn Pending>>>>,
+    closing: Arc<AtomicBool>,
+    writer: Option<JoinHandle<()>>,
+    /// Its connections end after the last one who uses them.
+    _runtime: Arc<Connections>,
+}
+
+impl Drop for PostgresStore {
+    fn drop(&mut self) {
+        self.closing.store(true, Ordering::Relaxed);
+        self.commands.get_mut().unwrap_or_else(PoisonError::into_inner).take();
+        if self.writer.take().is_some_and(|writer| writer.join().is_err()) {
+            tracing::error!("the store's writer thread had panicked; nothing acknowledged is lost");
+        }
+    }
+}
+
+impl Engine for PostgresStore {
+    fn query<A>(&self, ask: impl FnOnce(View<'_>) -> Result<A, StoreError>) -> Result<A, StoreError> {
+        self.readers.query(ask)
+    }
+
+    fn command<A: Send + 'static>(
+        &self,
+        decide: impl FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send + 'static,
+    ) -> Result<A, StoreError> {
+        let (command, answer) = pending(decide);
+        let commands = self.commands.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        commands.ok_or(StoreError::Closed)?.send(command).map_err(|_| StoreError::Closed)?;
+        let answer = answer.recv().map_err(|_| StoreError::Closed)?;
+        answer.map_err(|e| in_database(&self.server, e))
+    }
+}
