@@ -145,7 +145,25 @@ fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
             "Jobs/Submit",
             v1::SubmitRequest { request_id: "other".to_owned(), ..submit.clone() }.encode_to_vec(),
         ),
-        ("Jobs/List", v1::ListRequest { limit: 3, before: 9 }.encode_to_vec()),
+        (
+            "Jobs/List",
+            v1::ListRequest {
+                limit: 3,
+                before: 9,
+                states: vec![1, 2],
+                name: "fuzz".to_owned(),
+                user: "fuzz".to_owned(),
+                scene: digest.clone(),
+            }
+            .encode_to_vec(),
+        ),
+        (
+            "Farm/Invalidate",
+            v1::InvalidateRequest { job, tiles: vec![0], worker: "fuzz".to_owned(), from_ms: 1, to_ms: 2 }
+                .encode_to_vec(),
+        ),
+        ("Farm/ReleaseWorker", v1::ReleaseWorkerRequest { worker: "fuzz".to_owned() }.encode_to_vec()),
+        ("Farm/ListTiles", v1::ListTilesRequest { job, first: 0, limit: 5, states: vec![1] }.encode_to_vec()),
         ("Jobs/Estimate", submit.encode_to_vec()),
         ("Jobs/Prioritize", v1::PrioritizeRequest { job, priority: 3 }.encode_to_vec()),
         ("Jobs/Show", show.clone()),

@@ -6,7 +6,7 @@
 use std::time::Duration;
 
 use super::api::Store;
-use super::entries::Entry;
+use super::entries::{self, Entry};
 use super::error::StoreError;
 use super::records::{
     CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, SceneRecord, Submitted,
@@ -159,7 +159,7 @@ impl<E: Engine> Store for E {
         self.command(move |view| rules::delete_scene(view, scene))
     }
     fn entries(&self) -> Result<Vec<Entry>, StoreError> {
-        self.query(|view| view.entries())
+        self.query(entries::all)
     }
     fn import(&self, entries: Vec<Entry>, first: bool) -> Result<(), StoreError> {
         self.command(move |view| rules::import(view, entries, first))

@@ -4,10 +4,16 @@
 use base64::{Engine as _, engine::general_purpose::STANDARD_NO_PAD};
 
 use super::error::StoreError;
-use super::table::{Bytes, MAX_VALUE_BYTES, check};
+use super::table::{Bytes, MAX_VALUE_BYTES, View, check};
 
 /// Longest key.
 const MAX_KEY_BYTES: usize = 256;
+
+/// Everything, ascending by key.
+pub(super) fn all(view: View<'_>) -> Result<Vec<Entry>, StoreError> {
+    let all = view.0.scan(&[])?;
+    Ok(all.into_iter().map(|(key, value)| Entry { key, value }).collect())
+}
 
 /// A key and its value.
 #[derive(Clone, Debug, PartialEq, Eq)]

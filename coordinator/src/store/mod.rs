@@ -28,6 +28,8 @@ mod table;
 
 #[cfg(test)]
 mod conformance;
+#[cfg(test)]
+mod conformance_trust;
 
 pub use api::Store;
 pub use blobs::{BlobError, BlobReader, BlobWriter, Blobs, FileBlobs, MemoryBlobs, Stored};

@@ -25,6 +25,7 @@ use super::api::Store as _;
 use super::commands::{Pending, pending};
 use super::compaction;
 use super::engine::Engine;
+use super::entries;
 use super::error::{JournalError, StoreError};
 use super::journal::{HEADER_BYTES, Journal};
 use super::lock::{fault, lock};
@@ -125,7 +126,7 @@ fn compacted(
     live: Live,
     (path, view): (&Path, &Path),
 ) -> Result<(Journal, Live), StoreError> {
-    let entries = View(&live).entries()?;
+    let entries = entries::all(View(&live))?;
     if !compaction::is_worth(journal.end(), &entries) {
         return Ok((journal, live));
     }

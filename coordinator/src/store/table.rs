@@ -9,7 +9,6 @@ use std::collections::BTreeMap;
 
 use serde::{Serialize, de::DeserializeOwned};
 
-use super::entries::Entry;
 use super::error::StoreError;
 use super::limits::check_length;
 use super::records::{JobRecord, QuarantineRecord, SceneRecord, TileRecord};
@@ -168,12 +167,6 @@ impl View<'_> {
     /// Whether there are neither scenes nor jobs.
     pub(super) fn is_empty(self) -> Result<bool, StoreError> {
         Ok(self.0.scan(key::SCENES)?.is_empty() && self.0.scan(key::JOBS)?.is_empty())
-    }
-
-    /// Everything, ascending by key.
-    pub(super) fn entries(self) -> Result<Vec<Entry>, StoreError> {
-        let all = self.0.scan(&[])?;
-        Ok(all.into_iter().map(|(key, value)| Entry { key, value }).collect())
     }
 
     pub(super) fn scene(self, digest: &Digest) -> Result<Option<SceneRecord>, StoreError> {

@@ -267,3 +267,12 @@ fn damaged_entries_are_named() {
     let damaged = store.jobs_before(JobId(u64::MAX), 9);
     assert!(matches!(damaged, Err(StoreError::Damaged { .. })), "{damaged:?}");
 }
+
+#[test]
+fn results_that_are_not_believed_in_a_database() {
+    let Some(server) = Postgres::start() else { return };
+    let (replica, store) = leading(&server, "a");
+    crate::store::conformance_trust::trust(&store);
+    drop(store);
+    resign(&replica);
+}
