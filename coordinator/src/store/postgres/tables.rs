@@ -56,7 +56,7 @@ pub(super) async fn migrate(server: &Server) -> Result<(), StoreError> {
     for (version, step) in (1..).zip(STEPS).skip(found.max(0) as usize) {
         change.batch_execute(step).await.map_err(meaning)?;
         let noted = "INSERT INTO migrations VALUES ($1, clock_timestamp())";
-        change.execute(noted, &[&(version as i32)]).await.map_err(meaning)?;
+        change.execute(noted, &[&version]).await.map_err(meaning)?;
     }
     change.commit().await.map_err(meaning)
 }
