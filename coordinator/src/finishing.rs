@@ -5,13 +5,13 @@ use std::collections::BTreeSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-use crate::assemble::{AssembleError, Parts, assemble};
+use crate::assemble::{Parts, assemble};
 use crate::chronicle::{Happening, Kind};
 use crate::ids::{Digest, JobId};
 use crate::scheduler::{Event, Output};
 use crate::scheduling::{Chore, tell};
 use crate::state::Coordinator;
-use crate::store::{BlobError, JobPhase, JobRecord, JobState, StoreError, TileState};
+use crate::store::{JobPhase, JobRecord, JobState, StoreError, TileState};
 
 /// A complete job, copied from the scheduler.
 fn parts(c: &Coordinator, id: JobId) -> Option<Parts> {
@@ -35,8 +35,8 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
     } else {
         // A panic must not leave the job half ended.
         match catch_unwind(AssertUnwindSafe(|| assemble(c, &parts))) {
-            Ok(Err(AssembleError::Blob(e @ BlobError::NoSpace { .. }))) => {
-                tracing::error!("the result of job {id} waits for space and is tried again: {e}");
+            Ok(Err(e)) if e.passes() => {
+                tracing::error!("the result of job {id} waits and is tried again: {e}");
                 return tell(c, Event::AssemblyWaits(id));
             }
             Ok(r) => r.map_err(|e| e.to_string()),

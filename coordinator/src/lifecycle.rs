@@ -12,7 +12,10 @@ use crate::scheduler::{Event, Job, Machine, Settings};
 use crate::scheduling::{Chore, tell};
 use crate::specs;
 use crate::state::{Coordinator, Leases};
-use crate::store::{BlobError, Blobs, FileBlobs, JobPhase, JobState, Outcomes, SledStore, Store, StoreError};
+use crate::store::{
+    BlobError, BlobPlace, Blobs, FileBlobs, JobPhase, JobState, ObjectBlobs, Outcomes, SledStore, Store,
+    StoreError,
+};
 
 /// The settings of a coordinator on one machine's disk.
 #[derive(Clone, Debug)]
@@ -21,12 +24,14 @@ pub struct Config {
     pub data_dir: PathBuf,
     /// How long leases live.
     pub leases: Leases,
+    /// Where the blobs are; `None` for `blobs/` in the data directory.
+    pub blobs: Option<BlobPlace>,
 }
 
 impl Config {
     /// The default settings with this data directory.
     pub fn new(data_dir: PathBuf) -> Self {
-        Self { data_dir, leases: Leases::default() }
+        Self { data_dir, leases: Leases::default(), blobs: None }
     }
 }
 
@@ -49,24 +54,29 @@ impl Coordinator {
     /// [`OpenError`] when the directory is in use, damaged, or cannot be written.
     pub fn open(config: Config) -> Result<Arc<Self>, OpenError> {
         let store = SledStore::open(&config.data_dir.join("state"))?;
-        let blobs = FileBlobs::open(&config.data_dir.join("blobs"))?;
+        let blobs: Box<dyn Blobs> = match &config.blobs {
+            None => Box::new(FileBlobs::open(&config.data_dir.join("blobs"))?),
+            Some(BlobPlace::Directory(directory)) => Box::new(FileBlobs::open(directory)?),
+            Some(BlobPlace::Bucket(place)) => {
+                Box::new(ObjectBlobs::open(place, &config.data_dir.join("copies"))?)
+            }
+        };
         let outcomes = Outcomes::of(config.data_dir.join("crews"));
         let chronicle = Chronicle::of(config.data_dir.join("events"));
-        let (store, blobs) = (Box::new(store), Box::new(blobs));
-        Ok(Self::start(config.leases, store, blobs, Box::new(SystemClock), (outcomes, chronicle))?)
+        Self::start(config.leases, Box::new(store), blobs, Box::new(SystemClock), (outcomes, chronicle))
     }
 
     /// Starts on a store: begins its next epoch and continues the jobs that have not ended. Keeps no outcomes
     /// of phases, so that crews have leaders alone.
     ///
     /// # Errors
-    /// The store's.
+    /// The store's; the blobs' where they cannot be reached.
     pub fn new(
         leases: Leases,
         store: Box<dyn Store>,
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
-    ) -> Result<Arc<Self>, StoreError> {
+    ) -> Result<Arc<Self>, OpenError> {
         Self::start(leases, store, blobs, clock, (Outcomes::nowhere(), Chronicle::nowhere()))
     }
 
@@ -76,7 +86,7 @@ impl Coordinator {
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
         (outcomes, chronicle): (Outcomes, Chronicle),
-    ) -> Result<Arc<Self>, StoreError> {
+    ) -> Result<Arc<Self>, OpenError> {
         let epoch = Epoch(store.begin_epoch()?);
         let settings = Settings {
             epoch,
@@ -90,6 +100,13 @@ impl Coordinator {
                 let (id, tiles) = (record.id, store.tiles(record.id)?);
                 // Its tiles may be at work: workers finish them while it is paused, too.
                 let runs = record.profile.is_some();
+                // A job whose specification cannot be reached now is no job that has failed.
+                if let Ok((_, Some(parts))) = specs::part(&record.spec)
+                    && let Err(e) = blobs.open_checked(&parts)
+                    && e.passes()
+                {
+                    return Err(e.into());
+                }
                 let spec = specs::whole(&*blobs, &record.spec);
                 match spec.and_then(|spec| Job::of(record, &spec, tiles)) {
                     Ok(job) => jobs.push(if runs { job.after_restart() } else { job }),

@@ -190,7 +190,7 @@ fn commit(
         return Err(ResultError::NoLease);
     }
     let full = |e: &BlobError| {
-        if matches!(e, BlobError::NoSpace { .. }) {
+        if e.passes() {
             // Leasing goes on with a later tick, so nothing follows from this now.
             drop(tell(c, Event::DiskFull(lease)));
         }

@@ -25,7 +25,10 @@ mod table;
 mod conformance;
 
 pub use api::Store;
-pub use blobs::{BlobError, BlobReader, BlobWriter, Blobs, FileBlobs, MemoryBlobs};
+pub use blobs::{
+    BlobError, BlobPlace, BlobReader, BlobWriter, Blobs, BucketPlace, FileBlobs, MemoryBlobs, ObjectBlobs,
+    PlaceError,
+};
 pub use error::{JournalError, StoreError};
 pub use limits::{
     MAX_FAILURES, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_OWNER_BYTES, MAX_OWNERS, MAX_REASON_BYTES,
