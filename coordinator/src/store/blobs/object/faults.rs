@@ -1,5 +1,5 @@
-//! Errors of the object store as errors of blobs: what was done where, and what to do now. Of a store's answer
-//! they have its code alone, for the rest may have what was signed and by which key.
+//! Errors of the object store as errors of blobs: what was done where, and what to do now. Of a store's
+//! answer they have its code alone, for the rest may have what was signed and by which key.
 
 use std::error::Error as StdError;
 

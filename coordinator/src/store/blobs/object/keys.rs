@@ -1,5 +1,5 @@
-//! The keys of an object store in a file, as the tools of Amazon write it: `[default]` with a name and a value
-//! on each line. They are in no message and no log.
+//! The keys of an object store in a file, as the tools of Amazon write it: `[default]` with a name and a
+//! value on each line. They are in no message and no log.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -23,7 +23,10 @@ impl fmt::Debug for Keys {
 
 /// A file of keys that cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[error("{}: {reason}; keys= names a file with aws_access_key_id = … and aws_secret_access_key = …", path.display())]
+#[error(
+    "{}: {reason}; keys= names a file with aws_access_key_id = … and aws_secret_access_key = …",
+    path.display()
+)]
 pub(super) struct KeysError {
     path: PathBuf,
     reason: String,

@@ -1,10 +1,11 @@
-//! Blobs in a bucket of an S3-compatible store. An object's key is the prefix and the digest of its bytes.
+//! Blobs in a bucket of an S3-compatible store. An object's key is the prefix and the digest of its
+//! bytes.
 //!
-//! A blob goes through a file on the coordinator's disk in either direction. On the way in its digest is known
-//! before the first byte is sent, so that nothing is ever under a wrong name or a temporary one, and a blob
-//! that is not what was announced costs no upload; S3 shows an upload in parts as a whole or not at all. On
-//! the way out the whole is checked before the first byte is given out. The file is then kept as a
-//! [copy](cache::Cache) for the next reader.
+//! A blob goes through a file on the coordinator's disk in either direction. On the way in its digest is
+//! known before the first byte is sent, so that nothing is ever under a wrong name or a temporary one,
+//! and a blob that is not what was announced costs no upload; S3 shows an upload in parts as a whole or
+//! not at all. On the way out the whole is checked before the first byte is given out. The file is then
+//! kept as a [copy](cache::Cache) for the next reader.
 
 mod bucket;
 mod cache;

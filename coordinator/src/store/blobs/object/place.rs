@@ -196,7 +196,8 @@ mod tests {
         let plain = bucket("s3://farm-blobs");
         assert_eq!((plain.name().as_str(), plain.cache), ("s3://farm-blobs", CACHE));
         let full = bucket(
-            "s3://farm.blobs/a/b=1/?endpoint=https://s3.example:9000&region=eu-1&ca=/etc/ca.pem&keys=k&cache=20G",
+            "s3://farm.blobs/a/b=1/?endpoint=https://s3.example:9000&region=eu-1&ca=/etc/ca.pem&keys=k\
+             &cache=20G",
         );
         assert_eq!(full.name(), "s3://farm.blobs/a/b=1");
         assert_eq!(full.endpoint.as_deref(), Some("https://s3.example:9000"));
