@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use sightline_coordinator::access::Access;
+use sightline_coordinator::store::{BlobPlace, PlaceError};
 use sightline_coordinator::{Config, Coordinator, Tls, TlsFiles};
 
 use crate::answers::Commands;
@@ -17,8 +18,8 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
     let certified = tls.as_ref().is_some_and(|tls| tls.checks_workers());
     let access = (args.tokens.is_some() || certified).then(|| Access::new(args.tokens.clone(), certified));
     let access = access.transpose().map_err(|e| CliError::Input(e.to_string()))?.map(Arc::new);
-    let coordinator =
-        Coordinator::open(Config::new(args.data_dir.clone())).map_err(|e| CliError::Input(e.to_string()))?;
+    let config = Config { blobs: blobs(args)?, ..Config::new(args.data_dir.clone()) };
+    let coordinator = Coordinator::open(config).map_err(|e| CliError::Input(e.to_string()))?;
     coordinator.answer_with(Box::new(Commands));
     if let Some(access) = access {
         coordinator.ask_callers(access);
@@ -63,6 +64,16 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
         }
         .map_err(CliError::internal)
     })
+}
+
+/// Where the arguments say that the blobs are.
+fn blobs(args: &CoordinatorArgs) -> Result<Option<BlobPlace>, CliError> {
+    let Some(text) = &args.blobs else { return Ok(None) };
+    let mut place = text.parse().map_err(|e: PlaceError| CliError::Usage(format!("--blobs: {e}")))?;
+    if let BlobPlace::Bucket(bucket) = &mut place {
+        bucket.allow_plaintext = args.allow_plaintext;
+    }
+    Ok(Some(place))
 }
 
 /// The encryption that the arguments ask for.

@@ -18,6 +18,11 @@ pub struct CoordinatorArgs {
     /// Directory for jobs, scenes and results.
     #[arg(long, value_name = "DIR", default_value = "sightline-data")]
     pub data_dir: PathBuf,
+    /// Where scenes and results are: dir:PATH, or s3://BUCKET/PREFIX with
+    /// ?endpoint=https://HOST:PORT&region=NAME&ca=FILE&keys=FILE&cache=BYTES. The keys of a bucket are read
+    /// from AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or from the file. Default: `blobs` in --data-dir.
+    #[arg(long, value_name = "URL")]
+    pub blobs: Option<String>,
     /// Serve a dashboard for browsers, and the calls as JSON, at this address, such as 127.0.0.1:7601. Off by
     /// default.
     #[arg(long, value_name = "ADDR:PORT")]
