@@ -56,6 +56,13 @@ pub(crate) enum AssembleError {
     Compress(#[from] std::io::Error),
 }
 
+impl AssembleError {
+    /// Whether the same may succeed later.
+    pub(crate) fn passes(&self) -> bool {
+        matches!(self, Self::Blob(e) | Self::Facts(FactsError::Blob(e)) if e.passes())
+    }
+}
+
 /// An error of writing a result. A full disk is told apart, because it is waited for.
 fn of_disk(blobs: &dyn Blobs, e: PvsError) -> AssembleError {
     match e {

@@ -36,8 +36,8 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
     } else {
         // A panic must not leave the job half ended.
         match catch_unwind(AssertUnwindSafe(|| assemble(c, &parts))) {
-            Ok(Err(AssembleError::Blob(e @ BlobError::NoSpace { .. }))) => {
-                tracing::error!("the result of job {id} waits for space and is tried again: {e}");
+            Ok(Err(e)) if e.passes() => {
+                tracing::error!("the result of job {id} waits and is tried again: {e}");
                 return tell(c, Event::AssemblyWaits(id));
             }
             Ok(Err(AssembleError::Blob(e @ (BlobError::Damaged { .. } | BlobError::Missing { .. }))))

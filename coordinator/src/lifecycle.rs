@@ -1,6 +1,6 @@
 //! Starting a coordinator, and the work that it does every second.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::chores::happened;
@@ -14,7 +14,10 @@ use crate::scheduler::{Event, Job, Machine, Settings};
 use crate::scheduling::{Chore, tell};
 use crate::specs;
 use crate::state::{Coordinator, Leases};
-use crate::store::{BlobError, Blobs, FileBlobs, JobPhase, JobState, Outcomes, SledStore, Store, StoreError};
+use crate::store::{
+    BlobError, BlobPlace, Blobs, FileBlobs, JobPhase, JobState, ObjectBlobs, Outcomes, SledStore, Store,
+    StoreError,
+};
 
 /// The settings of a coordinator on one machine's disk.
 #[derive(Clone, Debug)]
@@ -27,13 +30,33 @@ pub struct Config {
     pub quotas: Quotas,
     /// How long things are kept.
     pub retention: Retention,
+    /// Where the blobs are; `None` for `blobs/` in the data directory.
+    pub blobs: Option<BlobPlace>,
 }
 
 impl Config {
     /// The default settings with this data directory.
     pub fn new(data_dir: PathBuf) -> Self {
         let (leases, quotas, retention) = (Leases::default(), Quotas::default(), Retention::default());
-        Self { data_dir, leases, quotas, retention }
+        Self { data_dir, leases, quotas, retention, blobs: None }
+    }
+
+    /// Opens the blobs. `shared` is the name under which this process writes to a directory that others use, too.
+    ///
+    /// # Errors
+    /// [`BlobError`] when the place cannot be used.
+    pub fn open_blobs(&self, shared: Option<&str>) -> Result<Box<dyn Blobs>, BlobError> {
+        let in_files = |directory: &Path| match shared {
+            None => FileBlobs::open(directory),
+            Some(name) => FileBlobs::open_shared(directory, name),
+        };
+        Ok(match &self.blobs {
+            None => Box::new(in_files(&self.data_dir.join("blobs"))?),
+            Some(BlobPlace::Directory(directory)) => Box::new(in_files(directory)?),
+            Some(BlobPlace::Bucket(place)) => {
+                Box::new(ObjectBlobs::open(place, &self.data_dir.join("copies"))?)
+            }
+        })
     }
 }
 
@@ -56,7 +79,7 @@ impl Coordinator {
     /// [`OpenError`] when the directory is in use, damaged, or cannot be written.
     pub fn open(config: Config) -> Result<Arc<Self>, OpenError> {
         let store = SledStore::open(&config.data_dir.join("state"))?;
-        let blobs = FileBlobs::open(&config.data_dir.join("blobs"))?;
+        let blobs = config.open_blobs(None)?;
         Self::open_on(config, Box::new(store), blobs)
     }
 
@@ -65,25 +88,28 @@ impl Coordinator {
     ///
     /// # Errors
     /// The store's.
-    pub fn open_on(config: Config, store: Box<dyn Store>, blobs: FileBlobs) -> Result<Arc<Self>, OpenError> {
+    pub fn open_on(
+        config: Config,
+        store: Box<dyn Store>,
+        blobs: Box<dyn Blobs>,
+    ) -> Result<Arc<Self>, OpenError> {
         let outcomes = Outcomes::of(config.data_dir.join("crews"));
         let chronicle = Chronicle::of(config.data_dir.join("events"));
-        let blobs = Box::new(blobs);
         let kept = (outcomes, chronicle, Some((config.data_dir, config.quotas, config.retention)));
-        Ok(Self::start(config.leases, store, blobs, Box::new(SystemClock), kept)?)
+        Self::start(config.leases, store, blobs, Box::new(SystemClock), kept)
     }
 
     /// Starts on a store: begins its next epoch and continues the jobs that have not ended. Keeps no outcomes
     /// of phases, so that crews have leaders alone.
     ///
     /// # Errors
-    /// The store's.
+    /// The store's; the blobs' where they cannot be reached.
     pub fn new(
         leases: Leases,
         store: Box<dyn Store>,
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
-    ) -> Result<Arc<Self>, StoreError> {
+    ) -> Result<Arc<Self>, OpenError> {
         Self::start(leases, store, blobs, clock, (Outcomes::nowhere(), Chronicle::nowhere(), None))
     }
 
@@ -93,7 +119,7 @@ impl Coordinator {
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
         (outcomes, chronicle, config): (Outcomes, Chronicle, Option<(PathBuf, Quotas, Retention)>),
-    ) -> Result<Arc<Self>, StoreError> {
+    ) -> Result<Arc<Self>, OpenError> {
         let epoch = Epoch(store.begin_epoch()?);
         let settings = Settings {
             epoch,
@@ -109,6 +135,13 @@ impl Coordinator {
                 let (id, tiles) = (record.id, store.tiles(record.id)?);
                 // Its tiles may be at work: workers finish them while it is paused, too.
                 let runs = record.profile.is_some();
+                // A job whose specification cannot be reached now is no job that has failed.
+                if let Ok((_, Some(parts))) = specs::part(&record.spec)
+                    && let Err(e) = blobs.open_checked(&parts)
+                    && e.passes()
+                {
+                    return Err(e.into());
+                }
                 let spec = specs::whole(&*blobs, &record.spec);
                 match spec.and_then(|spec| Job::of(record, &spec, tiles)) {
                     Ok(job) => jobs.push(if runs { job.after_restart() } else { job }),

@@ -13,7 +13,7 @@ use crate::state::Coordinator;
 /// Least free space, in bytes.
 const LEAST_FREE: u64 = 64 << 20;
 /// How long the outcome of a trial counts.
-const EVERY: Duration = Duration::from_secs(5);
+const EVERY: Duration = Duration::from_secs(10);
 
 /// Whether the coordinator is ready; the error has every reason why it is not. Writes a small blob, once
 /// every few seconds at most. Blocks on the disk.

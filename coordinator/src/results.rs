@@ -220,7 +220,7 @@ fn commit(
         return Ok((Ok(()), tell(c, Event::Checked { lease, digest })));
     }
     let full = |e: &BlobError| {
-        if matches!(e, BlobError::NoSpace { .. }) {
+        if e.passes() {
             // Leasing goes on with a later tick, so nothing follows from this now.
             drop(tell(c, Event::DiskFull(lease)));
         }

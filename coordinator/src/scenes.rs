@@ -209,8 +209,8 @@ fn join(c: &Coordinator, whole: Digest, chunks: &[Digest]) -> Result<(), UploadE
         }
     }
     writer.finish(Some(&whole)).map_err(|e| match e {
-        e @ BlobError::NoSpace { .. } => UploadError::Blob(e),
-        e => UploadError::Mismatch(e),
+        e @ BlobError::Mismatch { .. } => UploadError::Mismatch(e),
+        e => UploadError::Blob(e),
     })?;
     Ok(())
 }

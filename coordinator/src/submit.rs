@@ -122,6 +122,9 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
         drop(turn);
         let lost = c.blobs.open_checked(&result).err();
         turn = c.turn();
+        if let Some(e) = lost.as_ref().filter(|e| e.passes()) {
+            return Err(e.clone().into());
+        }
         if let Some(e) = lost
             && result_of(c, submitted.id)? == Some(result)
         {

@@ -41,7 +41,7 @@ async fn replica(server: &Postgres, name: &'static str) -> One {
     let following = tokio::spawn(async move {
         let open = move |store| {
             let blobs = FileBlobs::open_shared(&data.join("blobs"), name)?;
-            Coordinator::open_on(Config::new(data), Box::new(store), blobs)
+            Coordinator::open_on(Config::new(data), Box::new(store), Box::new(blobs))
         };
         front.follow(&followed, open).await
     });

@@ -37,7 +37,7 @@ use crate::state::Coordinator;
 const TICK: Duration = Duration::from_millis(200);
 
 /// How often it is looked whether the coordinator is ready.
-const LOOK_EVERY: Duration = Duration::from_secs(5);
+const LOOK_EVERY: Duration = Duration::from_secs(10);
 
 /// Calls and streams of a connection at a time.
 pub(super) const MOST_STREAMS: u32 = 256;

@@ -48,6 +48,10 @@ pub(super) fn of_store(e: &StoreError) -> Status {
 pub(super) fn of_blob(e: &BlobError) -> Status {
     match e {
         BlobError::NoSpace { .. } => full(&e.to_string()),
+        e if e.passes() => {
+            tracing::error!("{e}");
+            Status::unavailable(e.to_string())
+        }
         _ => internal(&e.to_string()),
     }
 }

@@ -43,7 +43,10 @@ pub(super) type ChunkStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status
 pub(super) async fn stream_blob(c: &Arc<Coordinator>, d: Digest) -> Result<ChunkStream, Status> {
     // The whole is checked against its digest first, so that no damaged byte is ever sent.
     let blob = blocking(c, move |c| match c.blobs.has(&d) {
-        Ok(true) => c.blobs.open_checked(&d).map_err(|e| Status::data_loss(e.to_string())),
+        Ok(true) => c.blobs.open_checked(&d).map_err(|e| match e {
+            e if e.passes() => status::of_blob(&e),
+            e => Status::data_loss(e.to_string()),
+        }),
         Ok(false) => {
             Err(Status::not_found("nothing with this digest is stored here; it may have been tidied away"))
         }

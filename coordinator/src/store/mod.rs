@@ -32,7 +32,10 @@ mod conformance;
 mod conformance_trust;
 
 pub use api::Store;
-pub use blobs::{BlobError, BlobReader, BlobWriter, Blobs, FileBlobs, MemoryBlobs, Stored};
+pub use blobs::{
+    BlobError, BlobPlace, BlobReader, BlobWriter, Blobs, BucketPlace, FileBlobs, MemoryBlobs, ObjectBlobs,
+    PlaceError, Stored,
+};
 pub use entries::Entry;
 pub use error::{JournalError, StoreError};
 pub use limits::{

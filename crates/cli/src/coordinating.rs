@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use sightline_coordinator::access::Access;
 use sightline_coordinator::clock::SystemClock;
-use sightline_coordinator::store::{FileBlobs, MemoryBlobs, MemoryStore, SledStore};
+use sightline_coordinator::store::{BlobPlace, MemoryBlobs, MemoryStore, PlaceError, SledStore};
 use sightline_coordinator::{Config, Coordinator, OpenError, Quotas, Tls, TlsFiles};
 
 use crate::answers::Commands;
@@ -22,7 +22,7 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
     let certified = tls.as_ref().is_some_and(|tls| tls.checks_workers());
     let access = (args.tokens.is_some() || certified).then(|| Access::new(args.tokens.clone(), certified));
     let access = access.transpose().map_err(|e| CliError::Input(e.to_string()))?.map(Arc::new);
-    let mut config = Config::new(args.data_dir.clone());
+    let mut config = Config { blobs: blobs(args)?, ..Config::new(args.data_dir.clone()) };
     config.leases.spot_check = args.spot_check;
     (config.retention.keep, config.retention.keep_bytes) = (args.keep, args.keep_bytes);
     config.quotas = Quotas::parse(&args.quota).map_err(|e| CliError::Usage(format!("--quota: {e}")))?;
@@ -39,7 +39,7 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
         StorePlace::Memory => {
             say("the store is in memory: jobs, scenes and results are lost when this coordinator ends");
             let (store, blobs) = (Box::new(MemoryStore::new()), Box::new(MemoryBlobs::new()));
-            Coordinator::new(config.leases, store, blobs, Box::new(SystemClock)).map_err(OpenError::from)
+            Coordinator::new(config.leases, store, blobs, Box::new(SystemClock))
         }
     };
     let coordinator = coordinator.map_err(|e| CliError::Input(e.to_string()))?;
@@ -78,7 +78,7 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
 /// Opens the records in a directory of their own, and the rest in the data directory.
 fn open_on(config: Config, directory: &Path) -> Result<Arc<Coordinator>, OpenError> {
     let store = SledStore::open(directory)?;
-    let blobs = FileBlobs::open(&config.data_dir.join("blobs"))?;
+    let blobs = config.open_blobs(None)?;
     Coordinator::open_on(config, Box::new(store), blobs)
 }
 
@@ -127,6 +127,16 @@ async fn listen(args: &CoordinatorArgs, is_encrypted: bool) -> Result<Listening,
         }
     };
     Ok(Listening { calls, url, pages, metrics })
+}
+
+/// Where the arguments say that the blobs are.
+fn blobs(args: &CoordinatorArgs) -> Result<Option<BlobPlace>, CliError> {
+    let Some(text) = &args.blobs else { return Ok(None) };
+    let mut place = text.parse().map_err(|e: PlaceError| CliError::Usage(format!("--blobs: {e}")))?;
+    if let BlobPlace::Bucket(bucket) = &mut place {
+        bucket.allow_plaintext = args.allow_plaintext;
+    }
+    Ok(Some(place))
 }
 
 /// The encryption that the arguments ask for.

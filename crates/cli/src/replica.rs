@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use sightline_coordinator::store::{DatabaseAddress, FileBlobs, OwnDirectory, Replica};
+use sightline_coordinator::store::{DatabaseAddress, OwnDirectory, Replica};
 use sightline_coordinator::{Config, Coordinator, Front, Tls};
 use sightline_proto::connecting::Credentials;
 use tokio::net::TcpListener;
@@ -62,7 +62,7 @@ pub async fn serve(
     };
     let credentials = peers(args, &address)?;
     let _own = OwnDirectory::take(&args.data_dir).map_err(|e| input(&e))?;
-    let (name, blobs) = (own_name(&args.data_dir)?, args.data_dir.join("blobs"));
+    let name = own_name(&args.data_dir)?;
     let holder = default_name()?;
     say(&format!("the store is {database}"));
     let joined = tokio::task::spawn_blocking(move || Replica::join(&database, &holder, &address)).await;
@@ -70,7 +70,7 @@ pub async fn serve(
     listening.announce()?;
     let front = Front::new(credentials, tls.as_ref().is_some_and(|tls| tls.checks_workers()));
     let leads = front.follow(&replica, move |store| {
-        let blobs = FileBlobs::open_shared(&blobs, &name)?;
+        let blobs = config.open_blobs(Some(&name))?;
         let coordinator = Coordinator::open_on(config, Box::new(store), blobs)?;
         equip(&coordinator);
         Ok(coordinator)

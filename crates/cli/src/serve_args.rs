@@ -31,6 +31,11 @@ pub struct CoordinatorArgs {
     pub data_dir: PathBuf,
     #[command(flatten)]
     pub store: StoreArgs,
+    /// Where scenes and results are: dir:PATH, or s3://BUCKET/PREFIX with
+    /// ?endpoint=https://HOST:PORT&region=NAME&ca=FILE&keys=FILE&cache=BYTES. The keys of a bucket are read
+    /// from AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or from the file. Default: `blobs` in --data-dir.
+    #[arg(long, value_name = "URL")]
+    pub blobs: Option<String>,
     /// Serve a dashboard for browsers, and the calls as JSON, at this address, such as 127.0.0.1:7601. Off by
     /// default.
     #[arg(long, value_name = "ADDR:PORT")]

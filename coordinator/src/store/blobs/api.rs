@@ -40,6 +40,59 @@ pub enum BlobError {
         /// The digest of the bytes that arrived, in hexadecimal.
         found: String,
     },
+    /// The object store has no such bucket.
+    #[error("there is no bucket for {place}; create it, or correct --blobs")]
+    NoBucket {
+        /// The bucket, with the prefix.
+        place: String,
+    },
+    /// The object store does not accept the keys, or they may not do this.
+    #[error(
+        "the object store does not let us {doing} {place} ({reason}); check AWS_ACCESS_KEY_ID and \
+         AWS_SECRET_ACCESS_KEY or the file that keys= names, and that they may list, read, write and delete \
+         there"
+    )]
+    Refused {
+        /// The operation.
+        doing: &'static str,
+        /// The object.
+        place: String,
+        /// The store's code.
+        reason: String,
+    },
+    /// The object store does not answer, or is in trouble.
+    #[error(
+        "cannot {doing} {place}: the object store cannot be reached ({reason}); check the endpoint, its \
+         certificate and the network, and try again"
+    )]
+    Unreachable {
+        /// The operation.
+        doing: &'static str,
+        /// The object.
+        place: String,
+        /// What went wrong.
+        reason: String,
+    },
+    /// The object store answers with another error.
+    #[error(
+        "cannot {doing} {place}: the object store answers {reason}; check that it speaks S3, and its log"
+    )]
+    Object {
+        /// The operation.
+        doing: &'static str,
+        /// The object.
+        place: String,
+        /// The store's code.
+        reason: String,
+    },
+    /// The settings of an object store cannot be used.
+    #[error("{place} cannot be used: {reason}; correct --blobs or the variables AWS_*")]
+    Unusable {
+        /// The bucket, with the prefix.
+        place: String,
+        /// What is wrong.
+        reason: String,
+    },
     /// A file operation failed.
     #[error("cannot {doing} {}: {source}; check the disk and the permissions", .path.display())]
     Io {
@@ -50,6 +103,16 @@ pub enum BlobError {
         /// The system's error.
         source: Arc<io::Error>,
     },
+}
+
+impl BlobError {
+    /// Whether the same may succeed later without anybody changing a blob: what needs it waits.
+    pub fn passes(&self) -> bool {
+        matches!(
+            self,
+            Self::NoSpace { .. } | Self::Unreachable { .. } | Self::Refused { .. } | Self::NoBucket { .. }
+        )
+    }
 }
 
 /// A function that turns an error of the system, met while `doing` something to `path`, into a [`BlobError`].

@@ -6,6 +6,7 @@ use std::io::{ErrorKind, Read as _, Write as _};
 
 use proptest::prelude::*;
 
+use super::object::tests::Served;
 use super::*;
 use crate::ids::Digest;
 
@@ -113,6 +114,26 @@ proptest! {
         for n in 0..4 {
             prop_assert_eq!(reopened.has(&digest(n)).unwrap(), memory.has(&digest(n)).unwrap());
         }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(8) })]
+
+    #[test]
+    fn blobs_in_a_bucket_are_the_model(ops in prop::collection::vec(op(), 1..20), cache in 0..200_u64) {
+        let served = Served::new();
+        let blobs = served.open(cache);
+        let mut model = BTreeMap::new();
+        for op in &ops {
+            step(&blobs, &mut model, op);
+        }
+        compare(&blobs, &model);
+        // Nothing but the blobs is in the bucket.
+        let objects = served.server.objects("farm", "").len();
+        prop_assert_eq!(objects, model.len());
+        drop(blobs);
+        compare(&served.open(cache), &model);
     }
 }
 

@@ -106,7 +106,8 @@ impl FileBlobs {
         [inner, outer, &self.root].into_iter().try_for_each(sync_directory)
     }
 
-    fn writer(&self) -> Result<FileWriter, BlobError> {
+    /// A file for a blob that arrives.
+    pub(super) fn writer(&self) -> Result<FileWriter, BlobError> {
         let path = self.unfinished();
         let file =
             OpenOptions::new().write(true).create_new(true).open(&path).map_err(fault("create", &path))?;
@@ -219,7 +220,7 @@ impl Blobs for FileBlobs {
 }
 
 /// A file that is being written.
-struct FileWriter {
+pub(super) struct FileWriter {
     blobs: FileBlobs,
     path: PathBuf,
     file: File,
@@ -228,7 +229,18 @@ struct FileWriter {
 }
 
 impl FileWriter {
-    fn place(self, expected: Option<&Digest>, sync: bool) -> Result<Digest, BlobError> {
+    /// The digest of what was written so far.
+    pub(super) fn digest(&self) -> blake3::Hash {
+        self.hasher.finalize()
+    }
+
+    /// Where it is until it is in its place.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Moves it into its place.
+    pub(super) fn place(self, expected: Option<&Digest>, sync: bool) -> Result<Digest, BlobError> {
         let digest = check_announced(self.hasher.finalize(), expected)?;
         if sync {
             self.file.sync_all().map_err(fault("sync", &self.path))?;

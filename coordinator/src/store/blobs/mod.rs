@@ -3,6 +3,7 @@
 mod api;
 mod files;
 mod memory;
+mod object;
 
 #[cfg(test)]
 mod conformance;
@@ -10,3 +11,4 @@ mod conformance;
 pub use api::{BlobError, BlobReader, BlobWriter, Blobs, Stored};
 pub use files::FileBlobs;
 pub use memory::MemoryBlobs;
+pub use object::{BlobPlace, BucketPlace, ObjectBlobs, PlaceError};
