@@ -22,7 +22,7 @@ fi
 export TMPDIR=$(mktemp -d "${TMPDIR:-/tmp}/sightline-chaos.XXXXXX")
 setpriv --pdeathsig KILL unshare --mount --net --pid --fork --kill-child --mount-proc python3 -m chaos "$@" &
 all=$!
-trap 'trap "" INT TERM; kill -KILL "$all" 2>/dev/null; wait "$all" 2>/dev/null || true; rm -rf "$TMPDIR"' EXIT
+trap 'trap "" INT TERM; kill -KILL "$all" 2>/dev/null || true; wait "$all" 2>/dev/null || true; rm -rf "$TMPDIR"' EXIT
 trap 'exit 130' INT TERM
 status=0
 wait "$all" || status=$?

@@ -21,6 +21,8 @@ MORE_MEMORY = 32 << 20
 MORE_HANDLES = 8
 # Connections whose other end has vanished are noticed after this many seconds.
 QUIET = 45.0
+# A scene that may be damaged is sent again so often, in seconds: all jobs of a schedule have the same.
+SEND = 4.0
 
 
 @dataclass
@@ -154,6 +156,7 @@ def _answers(farm: Farm, bound: float) -> bool:
 def _settle(farm: Farm, told: Acknowledged, outcome: Outcome, until: float) -> None:
     """Waits until all jobs have ended. Does what docs say that a person does about damaged blobs and paused jobs."""
     wanted = {job: number for number, job in told.jobs.items() if job not in told.cancelled}
+    sent = 0.0
     while wanted and time.monotonic() < until:
         farm.tend()
         listed = farm.ask(["jobs"])
@@ -179,7 +182,9 @@ def _settle(farm: Farm, told: Acknowledged, outcome: Outcome, until: float) -> N
             elif state in ("failed", "cancelled"):
                 outcome.problems.append(f"job {job} has ended as {state}: {reason}")
                 return
-            elif "scene" in farm.damaged:
+            elif farm.damaged & {"scene", "tile"} and time.monotonic() > sent + SEND:
+                # Which blob was a scene is not always known when it is damaged.
+                sent = time.monotonic()
                 farm.call(clients.submission(farm, number, farm.schedule.errands[number].variant))
         time.sleep(0.4)
     if wanted:
