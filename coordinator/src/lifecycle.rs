@@ -41,7 +41,8 @@ impl Config {
         Self { data_dir, leases, quotas, retention, blobs: None }
     }
 
-    /// Opens the blobs. `shared` is the name under which this process writes to a directory that others use, too.
+    /// Opens the blobs. `shared` is the name under which this process writes to a directory that others use,
+    /// too.
     ///
     /// # Errors
     /// [`BlobError`] when the place cannot be used.

@@ -162,8 +162,8 @@ fn write(c: &Coordinator, note: &Note) {
         Note::Differs(job, tile, workers) => {
             c.metrics.spot_check("different");
             let text = format!(
-                "tile {tile} was computed again, with other bytes; until a third worker has said who is right, \
-                 these get no tiles: {}",
+                "tile {tile} was computed again, with other bytes; until a third worker has said who is \
+                 right, these get no tiles: {}",
                 workers.join(", ")
             );
             tracing::error!("job {job}: {text}");

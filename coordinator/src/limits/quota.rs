@@ -35,7 +35,8 @@ impl Default for Quota {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{part:?} is no quota; give NAME=N with the names bytes (100G, 1T), scenes, jobs, tiles, requests (a \
-     second) and calls (at a time), separated by commas; N can be `none`; USER: in front is for this user alone"
+     second) and calls (at a time), separated by commas; N can be `none`; USER: in front is for this user \
+     alone"
 )]
 pub struct QuotaError {
     /// The part that is wrong.

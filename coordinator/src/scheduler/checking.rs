@@ -2,8 +2,8 @@
 //! one says who was wrong.
 //!
 //! A tile is drawn when it is done, and its job does not end before it was checked. A check is a lease on a
-//! done tile, without helpers; its output is compared and not kept. Whoever has helped with the tile checks it
-//! only if nobody else is there. When two answers differ, all who had a
+//! done tile, without helpers; its output is compared and not kept. Whoever has helped with the tile checks
+//! it only if nobody else is there. When two answers differ, all who had a
 //! hand in either are suspects, and get nothing but checks of other tiles until the same answer has come
 //! twice. Then the others are quarantined: which of them was wrong, the bytes do not say. What they did since
 //! they were last right is computed again; that is a [`Command`] of the store. A job without another worker

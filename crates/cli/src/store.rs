@@ -77,8 +77,8 @@ fn verify(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     let Some((needs, why)) = rest.next() else { return Ok(()) };
     let needs: Vec<String> = needs.iter().map(need_text).collect();
     Err(CliError::Input(format!(
-        "{} blobs are lost, first {}: {why}; --repair has the next start compute again what it can, and scenes have \
-         to be sent again",
+        "{} blobs are lost, first {}: {why}; --repair has the next start compute again what it can, and \
+         scenes have to be sent again",
         rest.count() + 1,
         needs.join(", ")
     )))
@@ -111,8 +111,8 @@ fn report(found: &Verified, opened: Option<u64>) -> Value {
 
 fn tell(found: &Verified, opened: Option<u64>) -> Result<(), CliError> {
     print(&format!(
-        "{} scenes, {} jobs; {} blobs, {} bytes; {} blobs are needed by nobody, {} bytes: a coordinator removes \
-         them a day after they were written",
+        "{} scenes, {} jobs; {} blobs, {} bytes; {} blobs are needed by nobody, {} bytes: a coordinator \
+         removes them a day after they were written",
         found.scenes, found.jobs, found.blobs, found.bytes, found.unneeded, found.unneeded_bytes
     ))?;
     for (needs, why) in found.lost.values() {

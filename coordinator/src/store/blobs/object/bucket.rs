@@ -143,8 +143,8 @@ impl Bucket {
         }
     }
 
-    /// Calls `visit` for the objects below the prefix with the last part of the key, the size and the time when each
-    /// was written. Ends when it returns false.
+    /// Calls `visit` for the objects below the prefix with the last part of the key, the size and the time
+    /// when each was written. Ends when it returns false.
     pub(super) fn list(&self, mut visit: impl FnMut(&str, u64, SystemTime) -> bool) -> Result<(), BlobError> {
         let prefix = Path::from(self.prefix.as_str());
         let fault = |e: Error| faults::of("list", &self.at(&prefix), &e);
