@@ -183,6 +183,35 @@ fn a_store_that_cannot_be_used_is_refused_with_a_remedy() {
 }
 
 #[test]
+fn records_move_into_a_database_and_back() {
+    let Some(server) = Postgres::start() else { return };
+    let sandbox = Sandbox::new();
+    sandbox.ok(SCENE);
+    let bytes = {
+        let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+        let _worker = coordinator.worker();
+        let job = coordinator.submit(JOB);
+        coordinator.finish(job)
+    };
+    let (disk, database) = ("sled:data/state", server.url());
+    sandbox.ok(&format!("store migrate {disk} {database}"));
+    sandbox.run(&format!("store migrate {disk} {database}")).code(3).says("only while it is empty");
+    {
+        let arguments = format!("--listen 127.0.0.1:0 --store {database}");
+        let coordinator = sandbox.serve("data", &arguments);
+        coordinator.ok("fetch 1 -o moved.pvs");
+        assert_same(&sandbox.read("moved.pvs"), &bytes, "from the database");
+        let used = sandbox.run(&format!("store migrate {database} sled:back"));
+        used.code(3).says("a coordinator uses the database of FROM");
+    }
+    sandbox.ok(&format!("store migrate {database} sled:back"));
+    let coordinator = sandbox.serve("data", "--listen 127.0.0.1:0 --store sled:back");
+    coordinator.ok("fetch 1 -o back.pvs");
+    assert_same(&sandbox.read("back.pvs"), &bytes, "back on disk");
+    sandbox.run("store migrate memory: sled:other").code(2).says("FROM is sled:DIR");
+}
+
+#[test]
 fn a_store_in_memory_or_another_directory_serves() {
     let sandbox = Sandbox::new();
     sandbox.ok(SCENE);

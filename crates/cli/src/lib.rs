@@ -39,6 +39,7 @@ mod kind_args;
 mod look;
 mod manuals;
 mod measuring;
+mod migrating;
 mod opening;
 mod output;
 mod pace;

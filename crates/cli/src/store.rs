@@ -10,9 +10,10 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 use sightline_coordinator::keeping::{self, KeepingError, Need, Verified};
-use sightline_coordinator::store::{Entry, FileBlobs, SledStore, Store, StoreError};
+use sightline_coordinator::store::{Entry, FileBlobs, SledStore, Store as _, StoreError};
 
 use crate::error::CliError;
+use crate::migrating;
 use crate::output::{Format, Output};
 use crate::progress::say;
 use crate::serve::print;
@@ -20,8 +21,6 @@ use crate::store_args::{ExportArgs, ImportArgs, PlaceArgs, StoreArgs, StoreComma
 
 const FORMAT: &str = "sightline.store";
 const VERSION: u64 = 1;
-/// Records that a store takes over at once.
-const AT_ONCE: usize = 256;
 /// Longest line of an export; a record has at most 4 KiB.
 const MOST_LINE: u64 = 16 << 10;
 
@@ -32,6 +31,7 @@ pub fn store(args: &StoreArgs, json: bool) -> Result<(), CliError> {
         StoreCommand::Compact(args) => compact(args, json),
         StoreCommand::Export(args) => export(args, json),
         StoreCommand::Import(args) => import(args, json),
+        StoreCommand::Migrate(args) => migrating::migrate(args, json),
     }
 }
 
@@ -217,24 +217,10 @@ fn import(args: &ImportArgs, json: bool) -> Result<(), CliError> {
     let entries = read(&args.input)?;
     let store = SledStore::open(&args.place.data_dir.join("state")).map_err(of_store)?;
     let count = entries.len();
-    take_over(&store, entries)?;
+    migrating::take_over(&store, entries)?;
     if json {
         return print(&json!({"records": count}).to_string());
     }
     say(&format!("the blobs belong into {}", args.place.data_dir.join("blobs").display()));
     print(&format!("{count} records"))
-}
-
-/// Gives a store the entries of another one.
-fn take_over(store: &dyn Store, entries: Vec<Entry>) -> Result<(), CliError> {
-    let mut entries = entries.into_iter();
-    let mut first = true;
-    loop {
-        let some: Vec<Entry> = entries.by_ref().take(AT_ONCE).collect();
-        if some.is_empty() {
-            return Ok(());
-        }
-        store.import(some, first).map_err(of_store)?;
-        first = false;
-    }
 }

@@ -21,6 +21,22 @@ pub enum StoreCommand {
     Export(ExportArgs),
     /// Read all records from such a file into an empty store.
     Import(ImportArgs),
+    /// Copy all records of one store into another, empty one: from disk into PostgreSQL, or back.
+    Migrate(MigrateArgs),
+}
+
+#[derive(Args, Debug)]
+pub struct MigrateArgs {
+    /// The store to read: sled:DIR, such as sled:sightline-data/state, or postgres://USER@HOST/DATABASE with the
+    /// password in PGPASSWORD. No coordinator may use it.
+    #[arg(value_name = "FROM")]
+    pub from: String,
+    /// The store to fill, which must be empty.
+    #[arg(value_name = "TO")]
+    pub to: String,
+    /// The authority of the database's certificate, as PEM. Default: those of the system.
+    #[arg(long, value_name = "FILE", env = "SIGHTLINE_STORE_CA", hide_env_values = true)]
+    pub store_ca: Option<PathBuf>,
 }
 
 #[derive(Args, Debug)]

@@ -1,6 +1,6 @@
 //! Where a coordinator keeps its records, as `--store` names it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use sightline_coordinator::store::DatabaseAddress;
 
@@ -33,6 +33,14 @@ impl StorePlace {
         let Some(text) = args.store.as_deref().filter(|text| !text.is_empty()) else {
             return Ok(Self::Default);
         };
+        Self::parse(text, args.store_ca.as_deref())
+    }
+
+    /// The place that a text names; `ca` is the authority of a database's certificate.
+    ///
+    /// # Errors
+    /// [`CliError::Usage`].
+    pub fn parse(text: &str, ca: Option<&Path>) -> Result<Self, CliError> {
         match text.split_once(':') {
             Some(("memory", "")) => Ok(Self::Memory),
             Some(("sled", directory)) if !directory.is_empty() => Ok(Self::Sled(directory.into())),
@@ -42,7 +50,7 @@ impl StorePlace {
                          into SIGHTLINE_STORE, or the password into PGPASSWORD");
                 }
                 let password = std::env::var(PASSWORD).ok().filter(|text| !text.is_empty());
-                let address = DatabaseAddress::parse(text, password.as_deref(), args.store_ca.as_deref());
+                let address = DatabaseAddress::parse(text, password.as_deref(), ca);
                 address.map(Self::Database).map_err(|e| CliError::Usage(e.to_string()))
             }
             _ => Err(CliError::Usage(
