@@ -26,6 +26,8 @@ use crate::store::JobPhase;
 const LONELY: u64 = 10_000;
 /// Checks that are leased in one tick, at most.
 const MOST_AT_ONCE: usize = 64;
+/// Checks that are looked at before a worker gets a tile; the others wait for the next tick.
+const MOST_LOOKED_AT: usize = 256;
 /// Failures of a check after which it is left, while there is only one answer.
 const MOST_TRIES: u32 = 3;
 /// The wait after a failed check, in milliseconds; it doubles with each further one, up to this many times.
@@ -58,6 +60,10 @@ impl Machine {
             return;
         }
         let Some(name) = job.given_to(lease.id.number, tile) else { return };
+        // Those who are known to be wrong accuse nobody, and nobody can be asked who is not known.
+        if self.quarantined.contains(&name) || job.tiles[tile.at()].author.is_empty() {
+            return;
+        }
         let Tile { author, hands, .. } = &job.tiles[tile.at()];
         let first = Spot::of(kept, Name::clone(author), hands.clone());
         job.spots.entry(tile).or_insert(first);
@@ -86,6 +92,20 @@ impl Machine {
         }
     }
 
+    /// What quarantined workers have left of open tiles is gone: whoever went on from it begins anew.
+    pub(super) fn swept(&mut self) {
+        let mut tainted = Vec::new();
+        for job in self.jobs.values_mut() {
+            for tile in job.tiles.iter_mut().filter(|tile| tile.output == Output::Open) {
+                if tile.hands.iter().any(|name| self.quarantined.contains(name)) {
+                    tile.hands.clear();
+                    tainted.extend(tile.leases.into_iter().flatten());
+                }
+            }
+        }
+        tainted.into_iter().for_each(|lease| self.end_lease(lease, true));
+    }
+
     /// A worker gets tiles again.
     pub(super) fn release(&mut self, name: &str) {
         self.quarantined.remove(name);
@@ -109,6 +129,11 @@ impl Machine {
         let mut granted = 0;
         for (id, tile) in spotted {
             let Some((profile, spot)) = self.due(id, tile, now) else { continue };
+            let is_idle = self.pools.of.get(&profile).is_some_and(|pool| !pool.hungry[0].is_empty());
+            let is_last = self.jobs.get(&id).is_some_and(|job| job.open() == 0);
+            if !is_idle && !is_last && !spot.is_disputed() {
+                continue;
+            }
             match self.checker(&profile, spot) {
                 Some(worker) if granted < MOST_AT_ONCE => {
                     granted += 1;
@@ -139,7 +164,24 @@ impl Machine {
     fn could_check(&self, w: &Worker, profile: &Profile, spot: &Spot) -> bool {
         let name = w.name.as_str();
         let barred = if spot.is_disputed() { self.quarantined.contains(name) } else { self.is_barred(name) };
-        w.profiles.contains(profile) && !w.draining && !barred && !spot.knows(name)
+        let asks = !w.silent && w.deaf_until.is_none() && (w.wants > 0 || !w.leases.is_empty());
+        w.profiles.contains(profile) && asks && !w.draining && !barred && !spot.knows(name)
+    }
+
+    /// Leases an idle worker a check for which a job waits, before it gets a tile; returns whether it did.
+    pub(super) fn check_first(&mut self, worker: WorkerId, profile: &Profile, now: Now) -> bool {
+        let Some(name) = self.workers.get(&worker).map(|w| w.name.clone()) else { return false };
+        let waits = |(id, tile): &&(JobId, TileIndex)| {
+            let due = self.due(*id, *tile, now).filter(|(of, spot)| of == profile && !spot.knows(&name));
+            let is_last = self.jobs.get(id).is_some_and(|job| job.open() == 0);
+            due.is_some_and(|(_, spot)| is_last || spot.is_disputed())
+        };
+        let Some((id, tile)) = self.spotted.iter().take(MOST_LOOKED_AT).find(waits).copied() else {
+            return false;
+        };
+        self.grant(worker, id, tile, Profile::clone(profile), now);
+        self.mark_check(id, tile);
+        true
     }
 
     /// A check that nobody has, and the profile that it needs.
@@ -168,10 +210,8 @@ impl Machine {
         let Some(spot) = job.spots.get(&tile) else { return };
         let able = self.workers.values().any(|w| self.could_check(w, profile, spot));
         let waits = job.open() == 0;
-        let helped = |w: &Worker| {
-            let spot = Spot { helpers_may: true, ..spot.clone() };
-            self.could_check(w, profile, &spot)
-        };
+        let with_helpers = Spot { helpers_may: true, ..spot.clone() };
+        let helped = |w: &Worker| self.could_check(w, profile, &with_helpers);
         let helpers_could = !spot.helpers_may && self.workers.values().any(helped);
         let Some(spot) = self.jobs.get_mut(&id).and_then(|job| job.spots.get_mut(&tile)) else { return };
         if able || !waits {
@@ -280,7 +320,8 @@ impl Machine {
             let reason =
                 format!("its bytes for tile {tile} of job {id} are not those that two others have computed");
             let workers = wrong.iter().map(|name| name.to_string()).collect();
-            self.effects.push(Effect::Run(Command::Quarantine { workers, reason }));
+            let condemned = (!kept_is_right).then_some((id, tile));
+            self.effects.push(Effect::Run(Command::Quarantine { workers, condemned, reason }));
         }
         self.assemble_if_complete(id);
     }

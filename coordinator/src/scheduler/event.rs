@@ -71,6 +71,8 @@ pub(crate) enum Event {
     },
     /// The worker of this name gets no tiles any more.
     Quarantined(String),
+    /// The outcomes of phases in which quarantined workers may have had a hand are removed.
+    Swept,
     /// The worker of this name gets tiles again.
     Released(String),
     /// The output that arrived under this lease could not be written.
@@ -171,6 +173,8 @@ pub(crate) enum Command {
     Quarantine {
         /// Their names.
         workers: Vec<String>,
+        /// The tile by which they were found, if its output was theirs: it is computed again in any case.
+        condemned: Option<(JobId, TileIndex)>,
         /// Why.
         reason: String,
     },

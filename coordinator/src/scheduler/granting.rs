@@ -95,6 +95,13 @@ impl Machine {
         let Some(pool) = self.pools.of.get(profile) else { return false };
         let idle = pool.hungry[0].first().copied();
         let busy = pool.hungry[1].first().copied().filter(|_| pool.ready > pool.idle.len());
+        if let Some(worker) = idle
+            && !self.spotted.is_empty()
+            && self.check_first(worker, profile, now)
+        {
+            return true;
+        }
+        let Some(pool) = self.pools.of.get(profile) else { return false };
         let Some((_, &id)) = pool.jobs.first() else {
             // Only tiles that are leased to busy workers remain.
             let Some(&(_, tile, lease)) = pool.waiting.iter().find(|w| self.may_move_tile(w.2)) else {

@@ -218,7 +218,11 @@ impl Machine {
         }
         let name = self.workers.get(&worker).map(|w| w.name.clone());
         self.note(Note::TakenBack(lease, name, why));
+        let checks = self.leases.get(&id).is_some_and(|l| l.checks);
         self.end_lease(id, true);
+        if checks {
+            self.check_failed(lease.job, lease.tile, now);
+        }
         self.tell_watchers(lease.job);
     }
 
@@ -228,6 +232,10 @@ impl Machine {
     /// an earlier epoch gave is not known; the first claim of a tile during the grace counts.
     pub(super) fn claim(&mut self, worker: WorkerId, held: Vec<Lease>, now: Now) -> Vec<Lease> {
         let mut kept = BTreeSet::new();
+        // What a quarantined worker holds does not count.
+        if self.workers.get(&worker).is_some_and(|w| self.quarantined.contains(w.name.as_str())) {
+            return Vec::new();
+        }
         for lease in held {
             let same = self.leases.get(&lease.id).map(|l| (l.job, l.tile));
             // Of a paused job, tiles that were at work are finished.

@@ -214,6 +214,7 @@ impl Machine {
             Event::Differed { lease, digest } => self.differed(&lease, digest),
             Event::Quarantined(name) => self.quarantine(&name),
             Event::Released(name) => self.release(&name),
+            Event::Swept => self.swept(),
             Event::DiskFull(lease) => self.disk_full(&lease, now),
             Event::Undelivered(worker, lease) => self.undelivered(worker, &lease, now),
             Event::FailureRecorded { job, tile, on, reason } => self.judge(job, tile, on, &reason),

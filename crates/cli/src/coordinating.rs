@@ -31,7 +31,7 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
             return runtime()?.block_on(async {
                 reload_on_hangup(tls.clone())?;
                 let listening = listen(args, tls.is_some()).await?;
-                replica::serve(args, (database, config), tls, listening, move |c| equip(c, access)).await
+                replica::serve(args, (*database, config), tls, listening, move |c| equip(c, access)).await
             });
         }
         StorePlace::Default => Coordinator::open(config),

@@ -21,7 +21,7 @@ pub enum StorePlace {
     /// In memory, until the end.
     Memory,
     /// In a database.
-    Database(DatabaseAddress),
+    Database(Box<DatabaseAddress>),
 }
 
 impl StorePlace {
@@ -51,7 +51,9 @@ impl StorePlace {
                 }
                 let password = std::env::var(PASSWORD).ok().filter(|text| !text.is_empty());
                 let address = DatabaseAddress::parse(text, password.as_deref(), ca);
-                address.map(Self::Database).map_err(|e| CliError::Usage(e.to_string()))
+                address
+                    .map(|address| Self::Database(Box::new(address)))
+                    .map_err(|e| CliError::Usage(e.to_string()))
             }
             _ => Err(CliError::Usage(
                 "--store is sled:DIR, memory: or postgres://USER@HOST/DATABASE".to_owned(),
