@@ -112,8 +112,8 @@ fn outcome(
             c.store.confirm_tile(*job, *tile, *digest, check)?;
             Ok(None)
         }
-        Command::Quarantine { workers, reason } => {
-            invalidating::condemn(c, workers, reason, chores)?;
+        Command::Quarantine { workers, condemned, reason } => {
+            invalidating::condemn(c, workers, *condemned, reason, chores)?;
             Ok(None)
         }
         Command::FailJob(id, reason) => {

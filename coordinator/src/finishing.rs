@@ -52,6 +52,12 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
     let now = c.now().unix_ms;
     // Until the machine has heard of the end.
     let turn = c.turn();
+    // Tiles may have been opened again, or computed again, while the result was assembled.
+    let now_there =
+        c.lock().machine.job(id).map(|job| job.tiles.iter().map(|t| t.output).collect::<Vec<_>>());
+    if now_there.as_ref() != Some(&parts.outputs) {
+        return tell(c, Event::AssemblyDropped(id));
+    }
     let ended = match assembled {
         // Another job with the same bytes may have been deleted before this one's record could name them.
         Ok((digest, _)) if !c.blobs.has(&digest).unwrap_or(true) => {
@@ -67,7 +73,12 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
     let record = match ended {
         Ok(record) => record,
         // Paused or cancelled in the meantime: the result stays as a blob and is found again by its content.
-        Err(StoreError::IllegalTransition { .. } | StoreError::UnknownJob { .. }) => {
+        Err(
+            StoreError::IllegalTransition { .. }
+            | StoreError::UnknownJob { .. }
+            | StoreError::TilesOpen { .. }
+            | StoreError::ResultDiffers { .. },
+        ) => {
             return tell(c, Event::AssemblyDropped(id));
         }
         Err(e) => {
@@ -105,17 +116,23 @@ fn compute_again(c: &Coordinator, id: JobId, outputs: &[Output], e: &BlobError) 
     }
     tracing::error!("{e}; {} tiles of job {id} are computed again", lost.len());
     let _turn = c.turn();
+    {
+        // Before somebody puts a good one in its place.
+        let _alone = c.no_commits();
+        for (_, digest) in &lost {
+            let is_damaged = matches!(c.blobs.open_checked(digest), Err(BlobError::Damaged { .. }));
+            if let Err(e) = if is_damaged { c.blobs.remove(digest) } else { Ok(false) } {
+                tracing::warn!("{e}");
+            }
+        }
+    }
     let mut chores = Vec::new();
     let tiles = lost.iter().map(|(tile, _)| *tile).collect();
     // Their dependents were computed from what was there.
     let opened = invalidating::open(c, id, tiles, &mut chores);
-    for (_, digest) in lost {
-        if let Err(e) = c.blobs.remove(&digest) {
-            tracing::warn!("{e}");
-        }
-    }
     match opened {
         Ok(_) => Some(chores),
+        Err(StoreError::UnknownJob { .. }) => Some(tell(c, Event::AssemblyDropped(id))),
         Err(e) => {
             tracing::error!("job {id} cannot be continued yet: {e}");
             Some(tell(c, Event::AssemblyWaits(id)))
@@ -140,10 +157,16 @@ fn tidy(c: &Coordinator, finished: JobId, outputs: &[Output]) {
     }
     let ended = c.store.jobs().and_then(|jobs| {
         let retriable = |j: &JobRecord| {
-            j.id != finished && matches!(j.state.phase(), JobPhase::Cancelled | JobPhase::Failed)
+            // Of those that are done, only ones with tiles set aside.
+            j.id != finished && j.state.phase().ended()
         };
         for job in jobs.iter().filter(|j| retriable(j)) {
-            for tile in c.store.tiles(job.id)? {
+            let tiles = c.store.tiles(job.id)?;
+            let is_whole = tiles.iter().all(|tile| matches!(tile.state, TileState::Done { .. }));
+            if job.state.phase() == JobPhase::Done && is_whole {
+                continue;
+            }
+            for tile in tiles {
                 if let TileState::Done { digest, .. } | TileState::SetAside { digest, .. } = tile.state {
                     free.remove(&digest);
                 }

@@ -31,7 +31,10 @@ pub(crate) fn tidy_up(c: &Arc<Coordinator>) {
     let alone = |remove: &mut dyn FnMut()| {
         let _turn = c.turn();
         let _alone = c.no_commits();
-        remove();
+        // Who leads no more does not know what others need.
+        if c.store.may_change().is_ok() {
+            remove();
+        }
     };
     match keeping::sweep(&*c.store, &*c.blobs, c.retention.grace, &alone) {
         Ok((0, _)) => {}
@@ -76,6 +79,10 @@ fn old_jobs(c: &Arc<Coordinator>) -> Result<(), Fault> {
 fn many_bytes(c: &Arc<Coordinator>) -> Result<(), Fault> {
     let Some(most) = c.retention.keep_bytes else { return Ok(()) };
     let scenes: u64 = c.store.scenes()?.iter().map(|scene| scene.bytes).fold(0, u64::saturating_add);
+    if scenes >= most {
+        tracing::warn!("scenes alone have {scenes} bytes, more than are kept: no result is deleted for that");
+        return Ok(());
+    }
     // Jobs with the same result share its blob.
     let mut results: BTreeMap<_, (u64, u32)> = BTreeMap::new();
     let ended = ended(c)?;

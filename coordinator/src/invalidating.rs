@@ -40,10 +40,28 @@ impl Which {
 pub(crate) fn condemn(
     c: &Coordinator,
     workers: &[String],
+    condemned: Option<(JobId, TileIndex)>,
     reason: &str,
     chores: &mut Vec<Chore>,
 ) -> Result<(), StoreError> {
     let agreed = agreements(c, workers)?;
+    // The quarantine is recorded last: after a crash before that the worker is only found once more.
+    for worker in workers {
+        let from_ms = agreed.get(worker).map_or(0, |at| at + 1);
+        let which = Which { worker: Some(worker.clone()), from_ms, to_ms: u64::MAX, ..Which::default() };
+        invalidate(c, &which, chores)?;
+    }
+    if let Some((job, tile)) = condemned {
+        let which = Which { job: Some(job), tiles: [tile].into(), to_ms: u64::MAX, ..Which::default() };
+        match invalidate(c, &which, chores) {
+            // The job was deleted meanwhile.
+            Ok(_) | Err(StoreError::UnknownJob { .. }) => {}
+            Err(e) => return Err(e),
+        }
+    }
+    // Phases of open tiles that they may have computed are computed again, too.
+    c.crews.outcomes.sweep(|_| false);
+    chores.extend(tell(c, Event::Swept));
     for worker in workers {
         let at_ms = c.now().unix_ms;
         let record = QuarantineRecord { worker: worker.clone(), at_ms, reason: reason.to_owned() };
@@ -55,9 +73,6 @@ pub(crate) fn condemn(
         );
         tracing::error!("{text}");
         c.happened(Happening::of(Kind::Worker, text).on(worker));
-        let from_ms = agreed.get(worker).map_or(0, |at| at + 1);
-        let which = Which { worker: Some(worker.clone()), from_ms, to_ms: u64::MAX, ..Which::default() };
-        invalidate(c, &which, chores)?;
     }
     Ok(())
 }
@@ -129,6 +144,13 @@ fn open_again(
 ) -> Result<u32, StoreError> {
     let (id, was) = (job.id, job.state.phase());
     let spec = specs::whole(&*c.blobs, &job.spec);
+    if spec.is_err()
+        && let Some(part) = specs::part(&job.spec).ok().and_then(|(_, part)| part)
+        && let Err(e) = c.blobs.open_checked(&part)
+        && e.passes()
+    {
+        return Err(StoreError::BlobWaits { what: e.to_string() });
+    }
     let again = |record: JobRecord| {
         let spec = spec.as_ref().map_err(String::clone)?;
         Job::of(record, spec, c.store.tiles(id).map_err(|e| e.to_string())?)

@@ -168,6 +168,7 @@ pub(crate) fn put_scene(
         if !was_there && (chunks != [whole] || new == [whole]) {
             remove(c, &whole);
         }
+        new.iter().filter(|chunk| **chunk != whole).for_each(|chunk| remove(c, chunk));
         UploadError::Scene(e)
     })?;
     remember(c, whole, &scene);

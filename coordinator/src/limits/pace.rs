@@ -36,14 +36,15 @@ struct Account {
 #[derive(Debug)]
 pub(crate) struct Permit {
     of: Arc<Mutex<Calls>>,
-    user: String,
+    /// The user, who has a quota.
+    user: Option<String>,
 }
 
 impl Drop for Permit {
     fn drop(&mut self) {
         let mut calls = self.of.lock().unwrap_or_else(PoisonError::into_inner);
         calls.all -= 1;
-        if let Some(account) = calls.of.get_mut(&self.user) {
+        if let Some(account) = self.user.as_ref().and_then(|user| calls.of.get_mut(user)) {
             account.open -= 1;
         }
     }
@@ -64,7 +65,7 @@ impl Pace {
         }
         calls.all += 1;
         // Without a quota nothing is kept of the user.
-        let user = if quota.is_some() { user.to_owned() } else { String::new() };
+        let user = quota.map(|_| user.to_owned());
         Ok(Permit { of: Arc::clone(&self.0), user })
     }
 }
@@ -130,6 +131,14 @@ mod tests {
         assert_eq!(open.len(), MOST_CALLS as usize);
         drop(open);
         assert!(pace.begin("", None, now).is_ok());
+    }
+
+    #[test]
+    fn those_without_a_quota_are_not_counted_among_those_without_a_name() {
+        let (pace, now) = (Pace::default(), Instant::now());
+        drop(pace.begin("", Some(&Quota::default()), now).unwrap());
+        drop(pace.begin("", None, now).unwrap());
+        assert_eq!(pace.0.lock().unwrap().of[""].open, 0);
     }
 
     #[test]

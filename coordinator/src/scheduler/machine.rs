@@ -332,10 +332,16 @@ impl Machine {
         let tile = job.tiles.get(lease.tile.at()).ok_or(NoTile::NoTile)?;
         let given = Some(lease.id.number).filter(|_| lease.id.epoch == self.settings.epoch);
         let given = given.and_then(|number| job.given_to(number, lease.tile));
+        // Who had a lease of an earlier epoch is known if it was claimed. Where results are checked, others
+        // do not count: nobody could be asked for them.
+        let holder = self.leases.get(&lease.id).filter(|l| (l.job, l.tile) == (lease.job, lease.tile));
+        let holder = holder.and_then(|l| self.workers.get(&l.worker)).map(|w| Name::from(w.name.as_str()));
+        let trusting = self.settings.spot_check <= 0.0 && self.quarantined.is_empty();
+        let earlier = lease.id.epoch < self.settings.epoch && (trusting || holder.is_some());
+        let given = given.or(holder);
         let is_good = |name: &Name| !self.quarantined.contains(name);
-        // Who had a lease of an earlier epoch is not known.
-        let earlier = lease.id.epoch < self.settings.epoch && self.quarantined.is_empty();
-        let counts = earlier || given.as_ref().is_some_and(is_good) || matches!(tile.output, Output::Done(_));
+        let is_clean = given.as_ref().is_none_or(is_good) && tile.hands.iter().all(is_good);
+        let counts = (earlier || given.is_some()) && is_clean || matches!(tile.output, Output::Done(_));
         let worker = given.map(|name| name.to_string()).unwrap_or_default();
         let helpers =
             tile.hands.iter().filter(|name| ***name != *worker).map(|name| name.to_string()).collect();

@@ -174,6 +174,12 @@ pub enum StoreError {
         /// A job that names it.
         job: JobId,
     },
+    /// A blob that a change needs cannot be read for now.
+    #[error("a blob that is needed cannot be read for now ({what}); it is tried again")]
+    BlobWaits {
+        /// The fault.
+        what: String,
+    },
     /// Only an empty store takes over the entries of another one.
     #[error(
         "the store has scenes or jobs, and takes over those of another one only while it is empty; \

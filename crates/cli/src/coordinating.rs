@@ -22,7 +22,10 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
     let certified = tls.as_ref().is_some_and(|tls| tls.checks_workers());
     let access = (args.tokens.is_some() || certified).then(|| Access::new(args.tokens.clone(), certified));
     let access = access.transpose().map_err(|e| CliError::Input(e.to_string()))?.map(Arc::new);
-    let mut config = Config { blobs: blobs(args)?, ..Config::new(args.data_dir.clone()) };
+    let mut config = Config {
+        blobs: blob_place(args.blobs.as_deref(), args.allow_plaintext)?,
+        ..Config::new(args.data_dir.clone())
+    };
     config.leases.spot_check = args.spot_check;
     (config.retention.keep, config.retention.keep_bytes) = (args.keep, args.keep_bytes);
     config.quotas = Quotas::parse(&args.quota).map_err(|e| CliError::Usage(format!("--quota: {e}")))?;
@@ -129,12 +132,15 @@ async fn listen(args: &CoordinatorArgs, is_encrypted: bool) -> Result<Listening,
     Ok(Listening { calls, url, pages, metrics })
 }
 
-/// Where the arguments say that the blobs are.
-fn blobs(args: &CoordinatorArgs) -> Result<Option<BlobPlace>, CliError> {
-    let Some(text) = &args.blobs else { return Ok(None) };
+/// The place of blobs that a text names.
+///
+/// # Errors
+/// [`CliError::Usage`].
+pub fn blob_place(text: Option<&str>, allow_plaintext: bool) -> Result<Option<BlobPlace>, CliError> {
+    let Some(text) = text else { return Ok(None) };
     let mut place = text.parse().map_err(|e: PlaceError| CliError::Usage(format!("--blobs: {e}")))?;
     if let BlobPlace::Bucket(bucket) = &mut place {
-        bucket.allow_plaintext = args.allow_plaintext;
+        bucket.allow_plaintext = allow_plaintext;
     }
     Ok(Some(place))
 }

@@ -9,9 +9,11 @@ use std::io::{BufRead as _, BufReader, Write};
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
+use sightline_coordinator::Config;
 use sightline_coordinator::keeping::{self, KeepingError, Need, Verified};
-use sightline_coordinator::store::{Entry, FileBlobs, SledStore, Store as _, StoreError};
+use sightline_coordinator::store::{Entry, SledStore, Store as _, StoreError};
 
+use crate::coordinating::blob_place;
 use crate::error::CliError;
 use crate::migrating;
 use crate::output::{Format, Output};
@@ -61,10 +63,19 @@ fn open(place: &PlaceArgs) -> Result<SledStore, CliError> {
 
 fn verify(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     let store = open(&args.place)?;
-    let blobs = FileBlobs::open(&args.place.data_dir.join("blobs")).map_err(|e| of_keeping(e.into()))?;
-    let found = keeping::verify(&store, &blobs, &|_| ()).map_err(of_keeping)?;
+    let mut config = Config::new(args.place.data_dir.clone());
+    config.blobs = blob_place(args.blobs.as_deref(), false)?;
+    let folder = args.place.data_dir.join("blobs");
+    if config.blobs.is_none() && !folder.is_dir() {
+        return Err(CliError::Input(format!(
+            "there is no folder {}; --blobs says where the blobs are",
+            folder.display()
+        )));
+    }
+    let blobs = config.open_blobs(None).map_err(|e| of_keeping(e.into()))?;
+    let found = keeping::verify(&store, &*blobs, &|_| ()).map_err(of_keeping)?;
     let opened = match args.repair && !found.lost.is_empty() {
-        true => Some(keeping::repair(&store, &blobs, &found).map_err(of_keeping)?),
+        true => Some(keeping::repair(&store, &*blobs, &found).map_err(of_keeping)?),
         false => None,
     };
     if json {

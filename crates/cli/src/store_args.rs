@@ -50,6 +50,9 @@ pub struct PlaceArgs {
 pub struct VerifyArgs {
     #[command(flatten)]
     pub place: PlaceArgs,
+    /// Where the blobs are, as for the coordinator. Default: `blobs` in --data-dir.
+    #[arg(long, value_name = "URL")]
+    pub blobs: Option<String>,
     /// Remove damaged blobs, and have tiles and results that are lost computed again at the next start.
     #[arg(long)]
     pub repair: bool,
