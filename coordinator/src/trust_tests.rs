@@ -233,7 +233,8 @@ fn jobs_that_are_too_old_or_too_many_are_deleted() {
     tidy_up(&c);
     assert!(c.store.job(id).unwrap().is_some());
     let result = jobs::result(&c, id).unwrap();
-    let retention = Retention { keep: None, keep_bytes: Some(10), grace: Duration::ZERO };
+    let scenes = c.store.scenes().unwrap().iter().map(|scene| scene.bytes).sum::<u64>();
+    let retention = Retention { keep: None, keep_bytes: Some(scenes + 1), grace: Duration::ZERO };
     let mut c = alone(c);
     c.retention = retention;
     let c = Arc::new(c);

@@ -27,8 +27,8 @@ pub enum StoreCommand {
 
 #[derive(Args, Debug)]
 pub struct MigrateArgs {
-    /// The store to read: sled:DIR, such as sled:sightline-data/state, or postgres://USER@HOST/DATABASE with the
-    /// password in PGPASSWORD. No coordinator may use it.
+    /// The store to read: sled:DIR, such as sled:sightline-data/state, or postgres://USER@HOST/DATABASE
+    /// with the password in PGPASSWORD. No coordinator may use it.
     #[arg(value_name = "FROM")]
     pub from: String,
     /// The store to fill, which must be empty.
