@@ -199,6 +199,8 @@ fn records_move_into_a_database_and_back() {
     {
         let arguments = format!("--listen 127.0.0.1:0 --store {database}");
         let coordinator = sandbox.serve("data", &arguments);
+        // For a moment the database still names who has moved the records.
+        wait_for("the new leader", || (!coordinator.run("jobs").err.contains("error:")).then_some(()));
         coordinator.ok("fetch 1 -o moved.pvs");
         assert_same(&sandbox.read("moved.pvs"), &bytes, "from the database");
         let used = sandbox.run(&format!("store migrate {database} sled:back"));
