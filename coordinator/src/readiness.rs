@@ -48,7 +48,7 @@ fn try_all(c: &Coordinator) -> Result<(), NotReady> {
     if let Err(e) = written {
         reasons.push(format!("blobs cannot be written: {e}"));
     }
-    if let Err(e) = c.store.writable() {
+    if let Err(e) = c.store.may_change() {
         reasons.push(format!("the store cannot be written: {e}"));
     }
     if c.lock().machine.is_paused() {

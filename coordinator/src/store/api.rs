@@ -10,6 +10,9 @@ use super::records::{
 };
 use crate::ids::{Digest, JobId, TileIndex};
 
+/// Is told how long a durable write took.
+pub type Report = Box<dyn Fn(Duration) + Send + Sync>;
+
 /// The coordinator's persistent state.
 ///
 /// Every command is one transaction, durable when it returns `Ok`. A command that returns an error changed
@@ -148,14 +151,8 @@ pub trait Store: Send + Sync {
     /// scenes and jobs.
     fn import(&self, entries: Vec<Entry>, first: bool) -> Result<(), StoreError>;
 
-    /// Whether the store can be written, as far as is known without a write.
-    ///
-    /// # Errors
-    /// Why every write would fail.
-    fn writable(&self) -> Result<(), StoreError>;
-
     /// From now on reports how long each durable write took. Only the first call counts.
-    fn report_syncs(&self, to: Box<dyn Fn(Duration) + Send + Sync>);
+    fn report_syncs(&self, to: Report);
 
     /// Begins the next epoch (once at each start of a coordinator) and returns it.
     fn begin_epoch(&self) -> Result<u64, StoreError>;

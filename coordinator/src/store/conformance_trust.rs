@@ -93,7 +93,7 @@ pub(super) fn trust(store: &dyn Store) {
     let refused = other.import(vec![damaged], false);
     assert!(matches!(refused, Err(StoreError::View { .. })), "{refused:?}");
     assert_eq!(other.entries().unwrap(), entries);
-    store.writable().unwrap();
+    store.may_change().unwrap();
 }
 
 #[test]

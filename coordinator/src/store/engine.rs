@@ -3,9 +3,7 @@
 //! The stores differ only in the place of their table and in how they make a change durable. The commands
 //! have one implementation here, and their rules are in `rules.rs`.
 
-use std::time::Duration;
-
-use super::api::Store;
+use super::api::{Report, Store};
 use super::entries::{self, Entry};
 use super::error::StoreError;
 use super::records::{
@@ -14,6 +12,7 @@ use super::records::{
 };
 use super::rules::{self, Decision};
 use super::table::View;
+use super::upkeep;
 use crate::ids::{Digest, JobId, TileIndex};
 
 /// A place that keeps a table.
@@ -21,13 +20,13 @@ pub(super) trait Engine: Send + Sync {
     /// Answers a query from the durable state.
     fn query<A>(&self, ask: impl FnOnce(View<'_>) -> Result<A, StoreError>) -> Result<A, StoreError>;
 
-    /// See [`Store::writable`].
+    /// Why every write would fail, as far as is known without one.
     fn writable(&self) -> Result<(), StoreError> {
         Ok(())
     }
 
     /// See [`Store::report_syncs`]. A table without a disk has none.
-    fn report_syncs(&self, _to: Box<dyn Fn(Duration) + Send + Sync>) {}
+    fn report_syncs(&self, _to: Report) {}
 
     /// Decides, makes the event durable and applies it, as one atomic step; then answers.
     fn command<A: Send + 'static>(
@@ -69,6 +68,7 @@ impl<E: Engine> Store for E {
     }
 
     fn may_change(&self) -> Result<(), StoreError> {
+        self.writable()?;
         self.command(|_| Ok(Decision { event: None, answer: () }))
     }
     fn record_scene(&self, scene: SceneRecord) -> Result<(), StoreError> {
@@ -139,35 +139,32 @@ impl<E: Engine> Store for E {
         digest: Digest,
         check: TileCheck,
     ) -> Result<(), StoreError> {
-        self.command(move |view| rules::confirm_tile(view, job, tile, digest, check))
+        self.command(move |view| upkeep::confirm_tile(view, job, tile, digest, check))
     }
     fn invalidate_tiles(&self, job: JobId, tiles: &[TileIndex]) -> Result<u32, StoreError> {
         let tiles = tiles.to_vec();
-        self.command(move |view| rules::invalidate_tiles(view, job, &tiles))
+        self.command(move |view| upkeep::invalidate_tiles(view, job, &tiles))
     }
     fn quarantined(&self) -> Result<Vec<QuarantineRecord>, StoreError> {
         self.query(|view| view.quarantined())
     }
     fn quarantine(&self, record: QuarantineRecord) -> Result<(), StoreError> {
-        self.command(move |view| rules::quarantine(view, record))
+        self.command(move |view| upkeep::quarantine(view, record))
     }
     fn release(&self, worker: &str) -> Result<bool, StoreError> {
         let worker = worker.to_owned();
-        self.command(move |view| rules::release(view, worker))
+        self.command(move |view| upkeep::release(view, worker))
     }
     fn delete_scene(&self, scene: Digest) -> Result<SceneRecord, StoreError> {
-        self.command(move |view| rules::delete_scene(view, scene))
+        self.command(move |view| upkeep::delete_scene(view, scene))
     }
     fn entries(&self) -> Result<Vec<Entry>, StoreError> {
         self.query(entries::all)
     }
     fn import(&self, entries: Vec<Entry>, first: bool) -> Result<(), StoreError> {
-        self.command(move |view| rules::import(view, entries, first))
+        self.command(move |view| upkeep::import(view, entries, first))
     }
-    fn writable(&self) -> Result<(), StoreError> {
-        Engine::writable(self)
-    }
-    fn report_syncs(&self, to: Box<dyn Fn(Duration) + Send + Sync>) {
+    fn report_syncs(&self, to: Report) {
         Engine::report_syncs(self, to);
     }
     fn begin_epoch(&self) -> Result<u64, StoreError> {

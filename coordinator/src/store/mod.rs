@@ -25,6 +25,7 @@ mod records;
 mod rules;
 mod sled_store;
 mod table;
+mod upkeep;
 
 #[cfg(test)]
 mod conformance;

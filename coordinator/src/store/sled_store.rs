@@ -21,7 +21,7 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
-use super::api::Store as _;
+use super::api::{Report, Store as _};
 use super::commands::{Pending, pending};
 use super::compaction;
 use super::engine::Engine;
@@ -170,7 +170,7 @@ impl Engine for SledStore {
         self.told.trouble.get().map_or(Ok(()), |e| Err(e.clone().into()))
     }
 
-    fn report_syncs(&self, to: Box<dyn Fn(Duration) + Send + Sync>) {
+    fn report_syncs(&self, to: Report) {
         drop(self.told.syncs.set(to));
     }
 
@@ -193,7 +193,7 @@ impl Engine for SledStore {
 /// What the writer thread tells of itself.
 #[derive(Default)]
 struct Told {
-    syncs: OnceLock<Box<dyn Fn(Duration) + Send + Sync>>,
+    syncs: OnceLock<Report>,
     /// Why the journal can be written no more.
     trouble: OnceLock<JournalError>,
 }

@@ -18,7 +18,7 @@ mod writing;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Sender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -33,6 +33,7 @@ use self::reading::{Readers, in_database};
 use self::standing::Standing;
 pub use self::standing::{Leader, Role};
 use self::writing::Writer;
+use super::api::Report;
 use super::commands::{Pending, pending};
 use super::engine::Engine;
 use super::error::StoreError;
@@ -102,6 +103,7 @@ impl Replica {
     pub fn store(&self, epoch: i64) -> Result<PostgresStore, StoreError> {
         let (commands, incoming) = channel();
         let closing = Arc::new(AtomicBool::new(false));
+        let reports = Arc::<OnceLock<Report>>::default();
         let writer = Writer {
             server: self.server.clone(),
             standing: self.standing.clone(),
@@ -109,6 +111,7 @@ impl Replica {
             written: 0,
             link: None,
             closing: Arc::clone(&closing),
+            reports: Arc::clone(&reports),
         };
         let writer = std::thread::Builder::new()
             .name("store-writer".to_owned())
@@ -122,6 +125,7 @@ impl Replica {
             readers: Readers::new(self.server.clone()),
             commands: Mutex::new(Some(commands)),
             closing,
+            reports,
             writer: Some(writer),
             _runtime: Arc::clone(&self.runtime),
         })
@@ -146,6 +150,8 @@ pub struct PostgresStore {
     /// `None` only while being dropped.
     commands: Mutex<Option<Sender<Box<dyn Pending>>>>,
     closing: Arc<AtomicBool>,
+    /// Whom the writer tells how long its transactions take.
+    reports: Arc<OnceLock<Report>>,
     writer: Option<JoinHandle<()>>,
     /// Its connections end after the last one who uses them.
     _runtime: Arc<Connections>,
@@ -162,6 +168,10 @@ impl Drop for PostgresStore {
 }
 
 impl Engine for PostgresStore {
+    fn report_syncs(&self, to: Report) {
+        drop(self.reports.set(to));
+    }
+
     fn query<A>(&self, ask: impl FnOnce(View<'_>) -> Result<A, StoreError>) -> Result<A, StoreError> {
         self.readers.query(ask)
     }

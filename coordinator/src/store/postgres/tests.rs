@@ -165,7 +165,8 @@ fn who_resigns_is_followed_at_once_and_who_stands_by_knows_the_leader() {
     let second = join(&server, "second");
     let mut role = second.role();
     let knows = role.wait_for(|role| matches!(role, Role::StandsBy(Some(_))));
-    let Role::StandsBy(Some(leader)) = block_on(knows).unwrap().clone() else { unreachable!() };
+    let known = block_on(knows).unwrap().clone();
+    let Role::StandsBy(Some(leader)) = known else { panic!("{known:?}") };
     assert_eq!((leader.holder.as_str(), leader.address.as_str()), ("first", "http://first:7600"));
     resign(&first);
     assert_eq!(leads(&second), leader.epoch + 1);

@@ -9,9 +9,9 @@
 //! When the connection is lost while a transaction commits, the row says whether it has: it holds the number
 //! of the last one that did.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 use futures::executor::block_on;
@@ -20,6 +20,7 @@ use tokio_postgres::{SimpleQueryMessage, Statement};
 use super::link::{AGAIN, Link, Server, is_conflict, is_refused};
 use super::reading::{PATIENCE, Reading, in_database};
 use super::standing::Standing;
+use crate::store::api::Report;
 use crate::store::commands::Pending;
 use crate::store::error::StoreError;
 use crate::store::rules;
@@ -38,6 +39,8 @@ pub(super) struct Writer {
     pub(super) link: Option<Link>,
     /// The store is being closed.
     pub(super) closing: Arc<AtomicBool>,
+    /// Whom it tells how long its transactions take.
+    pub(super) reports: Arc<OnceLock<Report>>,
 }
 
 impl Writer {
@@ -45,7 +48,11 @@ impl Writer {
     pub(super) fn run(mut self, incoming: &Receiver<Box<dyn Pending>>) {
         while let Ok(first) = incoming.recv() {
             let mut group = vec![first];
+            let begun = Instant::now();
             let outcome = self.carry_out(&mut group, incoming);
+            if let Some(tell) = self.reports.get().filter(|_| outcome.is_ok()) {
+                tell(begun.elapsed());
+            }
             for command in group {
                 command.answer(&outcome);
             }
