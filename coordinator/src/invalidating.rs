@@ -107,7 +107,13 @@ pub(crate) fn invalidate(
     chores: &mut Vec<Chore>,
 ) -> Result<BTreeMap<JobId, u32>, StoreError> {
     let jobs = match which.job {
-        Some(id) => vec![c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?],
+        Some(id) => {
+            let job = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
+            if let Some(&tile) = which.tiles.iter().find(|tile| tile.0 >= job.tiles) {
+                return Err(StoreError::UnknownTile { job: id, tile, tiles: job.tiles });
+            }
+            vec![job]
+        }
         None => c.store.jobs()?,
     };
     let mut opened = BTreeMap::new();

@@ -1,7 +1,6 @@
 //! Quotas as they are written: `bytes=100G,jobs=1000`, or for one user `ada:bytes=1T`.
 
 use std::collections::BTreeMap;
-use std::str::FromStr;
 
 /// Calls a second of a user, and calls and streams at a time, where no quota says otherwise.
 const CALLS_A_SECOND: u32 = 200;
@@ -121,14 +120,6 @@ fn number(text: &str, bytes: bool) -> Option<u64> {
     match cut.and_then(|(digits, letter)| Some((digits, shift(letter)?))).filter(|_| bytes) {
         Some((digits, shift)) => digits.parse::<u64>().ok()?.checked_mul(1 << shift),
         None => text.parse().ok(),
-    }
-}
-
-impl FromStr for Quota {
-    type Err = QuotaError;
-
-    fn from_str(text: &str) -> Result<Self, QuotaError> {
-        changed(Self::default(), text)
     }
 }
 

@@ -55,6 +55,12 @@ fn release(remote: &RemoteArgs, worker: &str, json: bool) -> Result<(), CliError
 
 /// Has tiles computed again whose results are not believed any more.
 pub fn invalidate(args: &InvalidateArgs, json: bool) -> Result<(), CliError> {
+    if let (Some(since), Some(until)) = (args.since, args.until)
+        && since <= until
+    {
+        let text = "--since is a longer time than --until: both count back from now";
+        return Err(CliError::Usage(text.to_owned()));
+    }
     let now = SystemTime::now().duration_since(UNIX_EPOCH).map_err(CliError::internal)?;
     let ago = |time: Duration| now.saturating_sub(time).as_millis() as u64;
     let request = v1::InvalidateRequest {

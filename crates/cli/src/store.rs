@@ -212,7 +212,8 @@ fn read(path: &Path) -> Result<Vec<Entry>, CliError> {
         } else if let Value::Array(_) = value {
             let text: (String, String) =
                 serde_json::from_value(value).map_err(|e| bad(number, &e.to_string()))?;
-            entries.push(Entry::of_text(&text).map_err(|e| bad(number, &e.to_string()))?);
+            let damaged = |_| bad(number, "the record is damaged; export the store again");
+            entries.push(Entry::of_text(&text).map_err(damaged)?);
         } else {
             let whole =
                 value["records"] == entries.len() && value["blake3"] == hasher.finalize().to_hex().as_str();
