@@ -28,7 +28,30 @@ pub(crate) fn named(c: &Coordinator, job: &JobRecord) -> Result<BTreeSet<Digest>
     Ok(all)
 }
 
-/// Deletes a job that has ended; returns what it was.
+/// Removes a deleted job's scene if no job names it and nobody else has sent it. The caller holds the turn,
+/// so that nobody submits a job on it meanwhile.
+fn forget_scene(c: &Coordinator, job: &JobRecord) {
+    let record = match c.store.scene(&job.scene) {
+        Ok(Some(record)) => record,
+        Ok(None) => return,
+        Err(e) => return tracing::warn!("{e}"),
+    };
+    if record.owners.iter().any(|owner| *owner != job.owner) {
+        return;
+    }
+    match c.store.delete_scene(job.scene) {
+        Ok(_) => {
+            if let Err(e) = c.blobs.remove(&job.scene) {
+                tracing::warn!("{e}");
+            }
+        }
+        // Another job's, or somebody was faster.
+        Err(StoreError::SceneInUse { .. } | StoreError::UnknownScene { .. }) => {}
+        Err(e) => tracing::warn!("{e}"),
+    }
+}
+
+/// Deletes a job that has ended, with all that no other job needs; returns what it was.
 pub(crate) fn delete(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobError> {
     let _turn = c.turn();
     // No output is committed meanwhile, so none that is committed is removed.
@@ -52,6 +75,7 @@ pub(crate) fn delete(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobErro
             tracing::warn!("{e}");
         }
     }
+    forget_scene(c, &was.record);
     *c.last_partial.lock().unwrap_or_else(PoisonError::into_inner) = Last::default();
     *c.last_asked.lock().unwrap_or_else(PoisonError::into_inner) = None;
     c.watched().changed(id, true);

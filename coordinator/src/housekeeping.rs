@@ -1,12 +1,12 @@
 //! What is removed by itself: jobs that are older than they are kept, or more than there is room for, and
 //! blobs that nobody needs.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use crate::chronicle::{Happening, Kind};
 use crate::deleting;
-use crate::ids::JobId;
+use crate::ids::{Digest, JobId};
 use crate::jobs::JobError;
 use crate::keeping::{self, KeepingError};
 use crate::state::Coordinator;
@@ -78,32 +78,44 @@ fn old_jobs(c: &Arc<Coordinator>) -> Result<(), Fault> {
 
 fn many_bytes(c: &Arc<Coordinator>) -> Result<(), Fault> {
     let Some(most) = c.retention.keep_bytes else { return Ok(()) };
-    let scenes: u64 = c.store.scenes()?.iter().map(|scene| scene.bytes).fold(0, u64::saturating_add);
-    if scenes >= most {
-        tracing::warn!("scenes alone have {scenes} bytes, more than are kept: no result is deleted for that");
+    let mut scenes: BTreeMap<Digest, u64> = BTreeMap::new();
+    for scene in c.store.scenes()? {
+        scenes.insert(scene.digest, scene.bytes);
+    }
+    let ended = ended(c)?;
+    let named: BTreeSet<Digest> = ended.iter().map(|(_, job)| job.scene).collect();
+    // These do not go with a job.
+    let stays = scenes.iter().filter(|(scene, _)| !named.contains(*scene)).map(|(_, bytes)| *bytes);
+    let stays = stays.fold(0, u64::saturating_add);
+    if stays >= most {
+        tracing::warn!("scenes without ended jobs have {stays} bytes, more than are kept: no job is deleted");
         return Ok(());
     }
     // Jobs with the same result share its blob.
-    let mut results: BTreeMap<_, (u64, u32)> = BTreeMap::new();
-    let ended = ended(c)?;
+    let mut results: BTreeMap<Digest, (u64, u32)> = BTreeMap::new();
     for (_, job) in &ended {
         if let JobState::Done { result, bytes } = job.state {
-            let entry = results.entry(result).or_insert((bytes, 0));
-            entry.1 += 1;
+            results.entry(result).or_insert((bytes, 0)).1 += 1;
         }
     }
-    let mut sum = results.values().map(|(bytes, _)| *bytes).fold(scenes, u64::saturating_add);
+    let of_results = results.values().map(|(bytes, _)| *bytes);
+    let mut sum = of_results.chain(scenes.values().copied()).fold(0, u64::saturating_add);
     for (_, job) in ended {
-        let JobState::Done { result, bytes } = job.state else { continue };
         if sum <= most {
             break;
         }
         delete(c, job.id, "results and scenes have more bytes than are kept")?;
-        if let Some((_, jobs)) = results.get_mut(&result) {
+        if let JobState::Done { result, bytes } = job.state
+            && let Some((_, jobs)) = results.get_mut(&result)
+        {
             *jobs -= 1;
             if *jobs == 0 {
                 sum -= bytes;
             }
+        }
+        // It goes with the last job that names it.
+        if c.store.scene(&job.scene)?.is_none() {
+            sum -= scenes.remove(&job.scene).unwrap_or(0);
         }
     }
     Ok(())

@@ -19,7 +19,7 @@ use crate::scenes::{self, UploadError};
 use crate::scheduler::Order;
 use crate::sessions::{self, Message};
 use crate::state::{Coordinator, Leases};
-use crate::store::{MemoryBlobs, MemoryStore, TileState};
+use crate::store::{MemoryBlobs, MemoryStore, StoreError, TileState};
 use crate::submit::{SubmitError, submit};
 use crate::tests::{coordinator, granted, join, nameless, output, put, two_tiles};
 use sightline_model::JobSpec;
@@ -136,6 +136,9 @@ fn what_a_person_does_not_believe_is_computed_again() {
     let all = Which { to_ms: u64::MAX, ..Which::default() };
     let none = Which { worker: Some("bob".to_owned()), ..all.clone() };
     assert!(invalidate(none).is_empty());
+    let far = Which { job: Some(id), tiles: [TileIndex(2)].into(), ..all.clone() };
+    let refused = invalidating::invalidate(&c, &far, &mut Vec::new());
+    assert!(matches!(refused, Err(StoreError::UnknownTile { tiles: 2, .. })), "{refused:?}");
     // Of a done job the other tiles are gone, so all are computed again.
     let one = Which { job: Some(id), tiles: [TileIndex(1)].into(), ..all };
     assert_eq!(invalidate(one).into_iter().collect::<Vec<_>>(), [(id, 2)]);
@@ -233,14 +236,16 @@ fn jobs_that_are_too_old_or_too_many_are_deleted() {
     tidy_up(&c);
     assert!(c.store.job(id).unwrap().is_some());
     let result = jobs::result(&c, id).unwrap();
-    let scenes = c.store.scenes().unwrap().iter().map(|scene| scene.bytes).sum::<u64>();
-    let retention = Retention { keep: None, keep_bytes: Some(scenes + 1), grace: Duration::ZERO };
     let mut c = alone(c);
-    c.retention = retention;
+    c.retention = Retention { keep: None, keep_bytes: Some(10), grace: Duration::ZERO };
     let c = Arc::new(c);
     tidy_up(&c);
     assert!(c.store.job(id).unwrap().is_none() && !c.blobs.has(&result).unwrap());
-    assert_eq!(c.store.scenes().unwrap().len(), 1, "scenes are kept while no age is given");
+    // Its scene has gone with it; another one that no job names stays, however large it is.
+    assert!(c.store.scenes().unwrap().is_empty());
+    c.take_scene(&self::scene()).unwrap();
+    tidy_up(&c);
+    assert_eq!(c.store.scenes().unwrap().len(), 1);
     // By age, and with it the scene that nobody names any more.
     let other = of_user(&c, "", scene, 1).unwrap();
     jobs::cancel(&c, other).unwrap();
@@ -272,4 +277,47 @@ fn a_coordinator_whose_disk_cannot_be_written_is_not_ready() {
     *c.last_trial.lock().unwrap() = None;
     let reasons = readiness(&c).unwrap_err();
     assert!(reasons.len() == 1 && reasons[0].contains("blobs cannot be written"), "{reasons:?}");
+}
+
+#[test]
+fn a_worker_that_was_right_later_answers_for_what_was_wrong_before() {
+    let (c, clock, scene) = checking();
+    let id = two_tiles(&c, scene);
+    let (liar, mut of_liar) = join(&c, "liar");
+    let grants = [granted(&mut of_liar), granted(&mut of_liar)];
+    put(&c, &grants[0], &output(&grants[0], &[])).unwrap();
+    clock.advance(Duration::from_secs(1));
+    // This one is confirmed first, and is later than the wrong one.
+    put(&c, &grants[1], &output(&grants[1], &[0])).unwrap();
+    let mut workers = ["ada", "bob"].map(|name| join(&c, name));
+    wait_until("the end", || {
+        clock.advance(Duration::from_millis(200));
+        do_chores(&c, lifecycle::tick(&c));
+        for (worker, orders) in &mut workers {
+            work(&c, *worker, orders, false);
+        }
+        work(&c, liar, &mut of_liar, true);
+        jobs::result(&c, id).is_ok()
+    });
+    assert_eq!(c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap(), calm());
+    assert_eq!(c.store.quarantined().unwrap().len(), 1);
+}
+
+#[test]
+fn a_deleted_job_takes_its_scene_along_unless_others_need_it() {
+    let (c, _, scene) = coordinator();
+    let [first, second] = [1, 2].map(|seed| of_user(&c, "", scene, seed).unwrap());
+    for (job, stays) in [(first, true), (second, false)] {
+        jobs::cancel(&c, job).unwrap();
+        crate::deleting::delete(&c, job).unwrap();
+        assert_eq!(c.store.scene(&scene).unwrap().is_some(), stays);
+        assert_eq!(c.blobs.has(&scene).unwrap(), stays);
+    }
+    // What another user has sent stays theirs.
+    c.take_scene_of("ada", &self::scene()).unwrap();
+    c.take_scene_of("bob", &self::scene()).unwrap();
+    let job = of_user(&c, "ada", scene, 1).unwrap();
+    jobs::cancel(&c, job).unwrap();
+    crate::deleting::delete(&c, job).unwrap();
+    assert!(c.store.scene(&scene).unwrap().is_some());
 }
