@@ -36,11 +36,11 @@ class Acknowledged:
                 self.problems.append(text)
 
 
-def submission(farm: Farm, number: int, variant: int, request: str = "") -> list[str]:
+def submission(farm: Farm, number: int, variant: int) -> list[str]:
     """The command of an errand's job; repeated with the same request, it gives the same job."""
     scene, flags = farm.calm.scene(farm.world), farm.calm.flags(farm.world, variant)
     name = f"errand-{number}"
-    return ["submit", str(scene), *flags, "--request-id", name + request, "--user", "chaos", "--name", name]
+    return ["submit", str(scene), *flags, "--request-id", name, "--user", "chaos", "--name", name]
 
 
 def run_errand(farm: Farm, told: Acknowledged, number: int, errand: Errand, until: float) -> None:

@@ -36,8 +36,6 @@ class Outcome:
     # From the end of the last fault to the end of the last job.
     healed: float = 0.0
     faults: list[str] = field(default_factory=list)
-    # Jobs that ended because the output of a tile was damaged, as they say, and were submitted anew.
-    damaged: int = 0
     # Blobs that no job needs any more.
     blobs_left: int = 0
     packets: int = 0
@@ -154,7 +152,7 @@ def _answers(farm: Farm, bound: float) -> bool:
 
 
 def _settle(farm: Farm, told: Acknowledged, outcome: Outcome, until: float) -> None:
-    """Waits until all jobs have ended. Does what docs say that a person does about damaged blobs and paused jobs."""
+    """Waits until all jobs have ended. Does what docs say that a person does about damaged scenes and paused jobs."""
     wanted = {job: number for number, job in told.jobs.items() if job not in told.cancelled}
     sent = 0.0
     while wanted and time.monotonic() < until:
@@ -173,12 +171,6 @@ def _settle(farm: Farm, told: Acknowledged, outcome: Outcome, until: float) -> N
                 del wanted[job]
             elif state == "paused" and job in told.paused:
                 farm.call(["resume", str(job)])
-            elif state == "failed" and "is damaged" in reason and "tile" in farm.damaged:
-                again = _again(farm, job, number, reason)
-                if again is not None:
-                    outcome.damaged += 1
-                    del wanted[job]
-                    told.jobs[number], wanted[again] = again, number
             elif state in ("failed", "cancelled"):
                 outcome.problems.append(f"job {job} has ended as {state}: {reason}")
                 return
@@ -189,15 +181,6 @@ def _settle(farm: Farm, told: Acknowledged, outcome: Outcome, until: float) -> N
         time.sleep(0.4)
     if wanted:
         outcome.problems.append(f"jobs {sorted(wanted)} have not ended in time:\n{farm.call(['jobs'])[1]}")
-
-
-def _again(farm: Farm, job: int, number: int, reason: str) -> int | None:
-    """Deletes a job that a damaged output has ended, which it says, and submits it anew; the new job."""
-    farm.note(f"job {job} has failed and is submitted anew: {reason}")
-    if farm.call(["delete", str(job)])[0] != 0:
-        return None
-    code, out, _ = farm.call(clients.submission(farm, number, farm.schedule.errands[number].variant, request=" anew"))
-    return int(out) if code == 0 else None
 
 
 def _rounds(farm: Farm, outcome: Outcome, bound: float) -> None:
