@@ -30,10 +30,20 @@ impl StorePlace {
     /// # Errors
     /// [`CliError::Usage`].
     pub fn of(args: &StoreArgs) -> Result<Self, CliError> {
-        let Some(text) = args.store.as_deref().filter(|text| !text.is_empty()) else {
-            return Ok(Self::Default);
+        let place = match args.store.as_deref().filter(|text| !text.is_empty()) {
+            None => Self::Default,
+            Some(text) => Self::parse(text, args.store_ca.as_deref())?,
         };
-        Self::parse(text, args.store_ca.as_deref())
+        let given = [("--advertise", args.advertise.is_some()), ("--peer-ca", args.peer_ca.is_some())];
+        if let Some((option, _)) = given.iter().find(|(_, is_given)| *is_given)
+            && !matches!(place, Self::Database(_))
+        {
+            return Err(CliError::Usage(format!(
+                "{option} is for coordinators that share a database; give --store postgres://USER@HOST/DATABASE, \
+                 or leave it out"
+            )));
+        }
+        Ok(place)
     }
 
     /// The place that a text names; `ca` is the authority of a database's certificate.
@@ -88,6 +98,23 @@ mod tests {
         for wrong in ["sled:", "memory:x", "secret", "mysql://u:secret@h/d", "postgres://u:secret@h:x/d"] {
             let error = of(wrong).unwrap_err();
             assert!(!error.contains("secret") && error.contains("--store"), "{error}");
+        }
+    }
+
+    #[test]
+    fn what_is_for_a_database_is_refused_without_one() {
+        let with = |store: &str| {
+            let advertise = Some("https://one:7600".to_owned());
+            StorePlace::of(&StoreArgs {
+                store: Some(store.to_owned()),
+                store_ca: None,
+                advertise,
+                peer_ca: None,
+            })
+        };
+        assert!(with("postgres://u@127.0.0.1/d").is_ok());
+        for store in ["", "memory:", "sled:/a"] {
+            assert!(with(store).unwrap_err().to_string().contains("--advertise"), "{store}");
         }
     }
 
