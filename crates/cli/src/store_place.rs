@@ -39,8 +39,8 @@ impl StorePlace {
             && !matches!(place, Self::Database(_))
         {
             return Err(CliError::Usage(format!(
-                "{option} is for coordinators that share a database; give --store postgres://USER@HOST/DATABASE, \
-                 or leave it out"
+                "{option} is for coordinators that share a database; give \
+                 --store postgres://USER@HOST/DATABASE, or leave it out"
             )));
         }
         Ok(place)
