@@ -2,15 +2,17 @@
 //! triangle that this cell sees, and large enough as seen from it.
 //!
 //! Sixteen nearby candidates share an origin close to the face through which the neighbours see them: a point
-//! of that face belongs to both cells. Each line is traced in both directions.
+//! of that face belongs to both cells. Each line is traced in both directions. What is beside a triangle that
+//! such a line finds is aimed at from the same origin ([`super::flood`]).
 
 use std::sync::OnceLock;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use glam::Vec3;
 use rayon::prelude::*;
 
 use super::block::{Block, JOINED_AIMED_LANES, Scratch};
+use super::flood::Find;
 use super::grid::Slot;
 use super::ledger::Try;
 use crate::context::TileError;
@@ -39,6 +41,16 @@ pub(super) struct Candidate {
     triangle: u32,
     /// Part of the sphere seen from the cell's centre that it would cover.
     part: f32,
+}
+
+/// The lines that a cell aims in a round.
+struct Aiming {
+    cell: usize,
+    round: u32,
+    random: Hashed,
+    stats: CellStats,
+    /// Time of the floods, if an account is kept.
+    flooding: Duration,
 }
 
 impl Block<'_> {
@@ -171,10 +183,19 @@ impl Block<'_> {
         round: u32,
     ) -> Result<CellStats, BackendError> {
         let start = self.tools.ledger.map(|ledger| (ledger, Instant::now()));
-        let stats = self.aim_at_all(s, cell, list, round)?;
+        let rays = self.stats[cell].rays[LineKind::Candidate as usize];
+        let number = self.cells[cell].number;
+        let random = Hashed::new(&[self.tools.seed, number, u64::from(round), rays, AIM]);
+        let mut aiming =
+            Aiming { cell, round, random, stats: CellStats::default(), flooding: Duration::ZERO };
+        self.aim_at_all(s, &mut aiming, list)?;
+        let Aiming { stats, flooding, .. } = aiming;
         if let Some((ledger, start)) = start {
-            let [rays, finds] = [stats.rays, stats.finds].map(|of| of[LineKind::Candidate as usize]);
-            ledger.spent(round, LineKind::Candidate, rays, finds, start.elapsed());
+            let all = start.elapsed();
+            for (kind, time) in [(LineKind::Candidate, all - flooding), (LineKind::Flood, flooding)] {
+                let [rays, finds] = [stats.rays, stats.finds].map(|of| of[kind as usize]);
+                ledger.spent(round, kind, rays, finds, time);
+            }
         }
         Ok(stats)
     }
@@ -182,14 +203,9 @@ impl Block<'_> {
     fn aim_at_all(
         &self,
         s: &mut Scratch,
-        cell: usize,
+        aiming: &mut Aiming,
         list: &[Candidate],
-        round: u32,
-    ) -> Result<CellStats, BackendError> {
-        let c = self.cells[cell];
-        let rays = self.stats[cell].rays[LineKind::Candidate as usize];
-        let mut random = Hashed::new(&[self.tools.seed, c.number, u64::from(round), rays, AIM]);
-        let mut stats = CellStats::default();
+    ) -> Result<(), BackendError> {
         s.next_tag();
         let chunk = (self.tools.sight.batch() / 2).max(1);
         let mut wanted = list.to_vec();
@@ -197,7 +213,8 @@ impl Block<'_> {
             if time > 0 {
                 wanted.retain(|candidate| {
                     let more = self.yields.times(candidate.part) - f64::from(time);
-                    s.met[self.row(candidate.triangle) as usize] != s.tag && more > f64::from(random.unit())
+                    s.met[self.row(candidate.triangle) as usize] != s.tag
+                        && more > f64::from(aiming.random.unit())
                 });
             }
             if wanted.is_empty() {
@@ -205,31 +222,27 @@ impl Block<'_> {
             }
             for some in wanted.chunks(LANES * chunk) {
                 if self.late() {
-                    return Ok(stats);
+                    return Ok(());
                 }
-                if self.tools.rows.are_triangles() {
-                    self.try_some(s, (cell, round), some, time, &mut random, &mut stats)?;
-                } else {
-                    // Another triangle of the item may have been met since.
-                    let unmet = |c: &&Candidate| s.met[self.row(c.triangle) as usize] != s.tag;
-                    let some: Vec<Candidate> = some.iter().filter(unmet).copied().collect();
-                    self.try_some(s, (cell, round), &some, time, &mut random, &mut stats)?;
-                }
+                // An earlier line may have met it since.
+                let unmet = |c: &&Candidate| s.met[self.row(c.triangle) as usize] != s.tag;
+                let some: Vec<Candidate> = some.iter().filter(unmet).copied().collect();
+                self.try_some(s, aiming, &some, time)?;
             }
         }
-        Ok(stats)
+        Ok(())
     }
 
-    /// Try number `time` at each of `some`.
+    /// Try number `time` at each of `some`, and the flood from what the lines find.
     fn try_some(
         &self,
         s: &mut Scratch,
-        (cell, round): (usize, u32),
+        aiming: &mut Aiming,
         some: &[Candidate],
         time: u32,
-        random: &mut Hashed,
-        stats: &mut CellStats,
     ) -> Result<(), BackendError> {
+        let Aiming { cell, round, random, stats, flooding } = aiming;
+        let (cell, round) = (*cell, *round);
         let c = self.cells[cell];
         let uniform = self.stats[cell].rays[LineKind::Uniform as usize];
         s.packets.clear();
@@ -247,9 +260,11 @@ impl Block<'_> {
         // The directions to sixteen nearby candidates still differ too much for a packet.
         self.tools.sight.trace_each(&mut s.packets, &mut s.passed, self.step)?;
         let Scratch { packets, passed, crossed, joined, met, tag, tally, .. } = &mut *s;
+        let mut finds = Vec::new();
         for (pair, group) in some.chunks(LANES).enumerate() {
             let halves = [2 * pair, 2 * pair + 1];
             let ahead = &packets[halves[0]];
+            let origin = ahead.ray(0).0;
             stats.rays[LineKind::Candidate as usize] += 2 * ahead.count as u64;
             for (lane, candidate) in group.iter().enumerate() {
                 let found = ahead.triangle[lane] == candidate.triangle
@@ -267,13 +282,17 @@ impl Block<'_> {
                     let row = self.row(triangle);
                     if !self.bits.seen(row, c.slot) && met[row as usize] != *tag {
                         met[row as usize] = *tag;
-                        stats.finds[LineKind::Candidate as usize] += 1;
+                        finds.push(Find { packet: pair as u32, origin, triangle });
                     }
                 };
                 ends.into_iter().for_each(&mut meet);
                 passed.each_on_both(halves, lane, meet);
             }
         }
+        stats.finds[LineKind::Candidate as usize] += finds.len() as u64;
+        let start = self.tools.ledger.map(|_| Instant::now());
+        self.flood(s, cell, &mut finds, random, stats)?;
+        *flooding += start.map_or(Duration::ZERO, |start| start.elapsed());
         Ok(())
     }
 

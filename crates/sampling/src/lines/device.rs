@@ -180,7 +180,8 @@ pub trait Rounds: Send + Sync {
     /// As [`Rounds::restart`].
     fn uniform(&self, work: &[UniformWork], goes_on: GoesOn<'_>) -> Result<Found, BackendError>;
 
-    /// Lines at candidates. Counts of an item: rays, finds.
+    /// Lines at candidates, and the flood from what they find. Counts of an item: rays, finds, rays of the
+    /// flood, finds of the flood.
     ///
     /// # Errors
     /// As [`Rounds::restart`].

@@ -6,7 +6,6 @@
 //! credited as well.
 
 use super::block::{Block, JOINED_AIMED_LANES, Scratch};
-use super::uniform::Find;
 use crate::cube::SKY;
 use crate::error::BackendError;
 use crate::packet::{LANES, Packet};
@@ -17,16 +16,25 @@ use sightline_model::{CellStats, LineKind};
 /// Most steps from triangle to triangle.
 const STEPS: usize = 4;
 
+/// A triangle new to the cell, and the origin that saw it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Find {
+    /// Number of the packet whose line it was; lines of a packet have one origin.
+    pub(super) packet: u32,
+    pub(super) origin: [f32; 3],
+    pub(super) triangle: u32,
+}
+
 /// A packet aimed at triangles.
 struct Aimed {
     packet: Packet,
-    /// The packet of the uniform round that has the same origin.
+    /// The packet of the finds that have the same origin.
     eye: u32,
     targets: [u32; LANES],
 }
 
 impl Block<'_> {
-    /// Floods from `finds`, whose origins are in `s.packets`.
+    /// Floods from `finds`, and leaves the finds of the last step in their place.
     pub(super) fn flood(
         &self,
         s: &mut Scratch,
@@ -48,7 +56,7 @@ impl Block<'_> {
                         continue;
                     }
                     s.met[row as usize] = s.tag;
-                    let (eye, _) = s.packets[find.packet as usize].ray(0);
+                    let eye = find.origin;
                     let full = aimed.last().is_none_or(|a| a.eye != find.packet || a.packet.count == LANES);
                     if full {
                         let packet = Packet::default();
@@ -79,6 +87,7 @@ impl Block<'_> {
                         // Another triangle obstructs it; from another origin it may be visible.
                         met[self.row(target) as usize] = 0;
                     }
+                    let origin = ahead.ray(lane).0;
                     let joins = lane.is_multiple_of(JOINED_AIMED_LANES);
                     self.credit_line(traced, passed, [k, k + aimed.len()], lane, (crossed, joined), joins);
                     let mut meet = |hit| {
@@ -88,7 +97,7 @@ impl Block<'_> {
                         let row = self.row(hit);
                         if !self.bits.seen(row, slot) && (hit == target || met[row as usize] != *tag) {
                             met[row as usize] = *tag;
-                            finds.push(Find { packet: a.eye, triangle: hit });
+                            finds.push(Find { packet: a.eye, origin, triangle: hit });
                         }
                     };
                     meet(end);

@@ -206,10 +206,12 @@ impl Block<'_> {
         self.aims += 1;
         let plan = AimPlan { phase, times, so_far };
         let answer = |found: &Found| {
-            let of = |[rays, finds, ..]: &[u32; 4]| {
+            let of = |[rays, finds, flood, flood_finds]: &[u32; 4]| {
                 let mut s = CellStats::default();
                 s.rays[LineKind::Candidate as usize] = u64::from(*rays);
                 s.finds[LineKind::Candidate as usize] = u64::from(*finds);
+                s.rays[LineKind::Flood as usize] = u64::from(*flood);
+                s.finds[LineKind::Flood as usize] = u64::from(*flood_finds);
                 s
             };
             found.counts.iter().map(of).collect()

@@ -7,6 +7,7 @@
 use std::time::{Duration, Instant};
 
 use super::block::{Block, JOINED_LANES, Scratch};
+use super::flood::Find;
 use crate::cube::{SKY, face_basis};
 use crate::error::BackendError;
 use crate::packet::{LANES, Packet};
@@ -19,13 +20,6 @@ const JITTER: u64 = 2;
 
 /// With at most this many tiles along a face, the rays of a tile differ too much for a packet.
 const WIDE_TILES: u32 = 4;
-
-/// A triangle new to the cell, and the packet whose origin saw it.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Find {
-    pub(super) packet: u32,
-    pub(super) triangle: u32,
-}
 
 impl Block<'_> {
     /// A round of uniform lines from `cell`, `tiles`² tiles on each of three pairs of cube faces, and the
@@ -90,7 +84,8 @@ impl Block<'_> {
                         let met = &mut met[self.row(triangle) as usize];
                         if *met != *tag {
                             *met = *tag;
-                            finds.push(Find { packet: 2 * pair as u32, triangle });
+                            let origin = packets[2 * pair].ray(0).0;
+                            finds.push(Find { packet: pair as u32, origin, triangle });
                         }
                     };
                     ends.into_iter().for_each(&mut meet);

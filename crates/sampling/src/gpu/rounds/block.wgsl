@@ -119,7 +119,8 @@ struct Cell {
 @group(2) @binding(3) var<storage, read_write> counters: array<atomic<u32>>;
 // By hash of cell and triangle: the complement of the least number of a line that claims to be the first.
 @group(2) @binding(4) var<storage, read_write> claims: array<atomic<u32>>;
-// New triangles of a cell: item, triangle, tile of the eye, number of the line.
+// New triangles of a cell: item, triangle, what the eye is derived from (a tile of uniform lines, or the
+// candidate that a line was aimed at), number of the line.
 @group(2) @binding(5) var<storage, read_write> finds: array<vec4<u32>>;
 // Lines: origin and item; direction and target; two more numbers of each kind of lines.
 @group(2) @binding(6) var<storage, read_write> line_from: array<vec4<u32>>;
@@ -153,6 +154,8 @@ const WORDS: u32 = 2u;
 const CANDIDATES: u32 = 3u;
 const SEED_RAYS: u32 = 4u;
 const PAIR_WORDS: u32 = 5u;
+// Ends of lines at candidates that show their cells something new.
+const NEW_ENDS: u32 = 6u;
 // From here on, for each decade: tries, gain and attempts before, the last two as low and high half.
 const TALLY: u32 = 8u;
 const TALLIED: u32 = 5u;
@@ -166,6 +169,7 @@ const SEEDS: u32 = 4u;
 const CHECK: u32 = 5u;
 const FLOOD: u32 = 6u;
 const JOIN: u32 = 7u;
+const AIM_FLOOD: u32 = 8u;
 
 const LANES: u32 = 16u;
 // Parts of a cell along each axis.

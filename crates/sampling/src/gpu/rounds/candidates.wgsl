@@ -3,7 +3,7 @@
 // cast.wgsl.
 //
 // Items: the cell; the least part of the sphere that a candidate must cover, as a float; uniform rays of the
-// cell, as a float. Counts of an item: rays, finds.
+// cell, as a float. Counts of an item: rays, finds, rays of the flood, finds of the flood.
 
 const STRIPE: u32 = 4096u;
 // Greatest distance of an origin from the face it is close to, as a part of the cell's size.
@@ -222,6 +222,11 @@ fn eye_near_a_face(cell: Cell, triangle: u32, random: vec4<u32>) -> vec3<f32> {
     return cell.low + cell.size * at;
 }
 
+// The eye from which a candidate is tried in this round, by the number of the try.
+fn eye_at_try(cell: Cell, triangle: u32) -> vec3<f32> {
+    return eye_near_a_face(cell, triangle, drawn(cell, AIM ^ (part.round << 4u), triangle, 2u * part.time));
+}
+
 @compute @workgroup_size(64)
 fn make_aimed(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let count = min(atomicLoad(&counters[CANDIDATES]), 3u * block.capacity);
@@ -231,13 +236,36 @@ fn make_aimed(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
         if part.time > 0u && (candidate.z <= part.time || is_met(candidate.y, cell.slot)) {
             continue;
         }
-        let stream = AIM ^ (part.round << 4u);
-        let random = drawn(cell, stream, candidate.y, 2u * part.time);
-        let more = drawn(cell, stream, candidate.y, 2u * part.time + 1u);
-        let eye = eye_near_a_face(cell, candidate.y, random);
-        let to = point_on(candidate.y, more.xy);
+        let random = drawn(cell, AIM ^ (part.round << 4u), candidate.y, 2u * part.time + 1u);
+        let eye = eye_at_try(cell, candidate.y);
+        let to = point_on(candidate.y, random.xy);
         let at = atomicAdd(&counters[LINES], 1u);
         put_line(at, candidate.x, eye, to - eye, candidate.y, vec2<u32>(candidate.w, 0u));
+    }
+}
+
+// The number of a half of a line at a candidate, among those of its cell in a try. The flood triples it with
+// each step; in scenes of more than 26 million triangles it wraps, and where two lines then have the same
+// number and target, both are cast.
+fn number_of_half(line: u32, half: u32) -> u32 {
+    return 2u * line_to[line].w + half;
+}
+
+// Lets every ray that shows its cell a new triangle claim it.
+@compute @workgroup_size(64)
+fn claim_aimed(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let count = 2u * atomicLoad(&counters[LINES]);
+    for (var ray = id.x; ray < count; ray += groups.x * 64u) {
+        let triangle = ends[ray];
+        if triangle == SKY {
+            continue;
+        }
+        let slot = cell_of(line_from[ray / 2u].w).slot;
+        if is_seen(triangle, slot) || is_met(triangle, slot) {
+            continue;
+        }
+        atomicAdd(&counters[NEW_ENDS], 1u);
+        atomicMax(&claims[claim_of(slot, triangle)], ~number_of_half(ray / 2u, ray % 2u));
     }
 }
 
@@ -264,6 +292,7 @@ fn gather_aimed(
     }
     workgroupBarrier();
     let count = atomicLoad(&counters[LINES]);
+    let new_ends = atomicLoad(&counters[NEW_ENDS]);
     for (var i = id.x; i < count; i += groups.x * 64u) {
         let item = line_from[i].w;
         let slot = cell_of(item).slot;
@@ -281,8 +310,19 @@ fn gather_aimed(
         atomicAdd(&stats[4u * item], 2u);
         for (var half = 0u; half < 2u; half++) {
             let triangle = ends[2u * i + half];
-            if triangle != SKY && !is_seen(triangle, slot) && mark(triangle, slot) {
+            if triangle == SKY || is_seen(triangle, slot) {
+                continue;
+            }
+            if mark(triangle, slot) {
                 atomicAdd(&stats[4u * item + 1u], 1u);
+            }
+            let number = number_of_half(i, half);
+            let is_first = atomicLoad(&claims[claim_of(slot, triangle)]) == ~number;
+            if is_first && is_kept(slot, triangle, new_ends) {
+                let at = atomicAdd(&counters[FINDS], 1u);
+                if at < block.capacity {
+                    finds[at] = vec4<u32>(item, triangle, target_id, number);
+                }
             }
         }
     }
@@ -297,5 +337,29 @@ fn gather_aimed(
                 atomicAdd(&counters[at + 2u + 2u * k], 1u);
             }
         }
+    }
+}
+
+// The flood from what lines at candidates find, each from the eye of its line.
+@compute @workgroup_size(64)
+fn make_aimed_flood(
+    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+) {
+    let count = 3u * min(atomicLoad(&counters[FINDS]), block.capacity);
+    for (var j = id.x; j < count; j += groups.x * 64u) {
+        let next = flooded(j);
+        if next == SKY {
+            continue;
+        }
+        let find = finds[j / 3u];
+        let number = 3u * find.w + j % 3u;
+        let cell = cell_of(find.x);
+        let eye = eye_at_try(cell, find.z);
+        // The lines of the next try have the same numbers.
+        let names = vec2<u32>(AIM_FLOOD ^ (part.round << 4u), number ^ (part.time * 0x85ebca6bu));
+        let to = point_on(next, drawn(cell, names.x, next, names.y).xy);
+        let at = atomicAdd(&counters[LINES], 1u);
+        put_line(at, find.x, eye, to - eye, next, vec2<u32>(find.z, number));
     }
 }

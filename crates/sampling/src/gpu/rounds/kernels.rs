@@ -24,7 +24,9 @@ pub(super) enum Kernel {
     CountCandidates,
     ListCandidates,
     MakeAimed,
+    ClaimAimed,
     GatherAimed,
+    MakeAimedFlood,
     MakeSeeds,
     MakeCheck,
     GatherCheck,
@@ -40,7 +42,7 @@ pub(super) enum Kernel {
 }
 
 /// Every kernel in the order of [`Kernel`], with the name of its entry point.
-pub(super) const ENTRY_POINTS: [&str; 26] = [
+pub(super) const ENTRY_POINTS: [&str; 28] = [
     "make_uniform",
     "trace_rays",
     "credit_lines",
@@ -54,7 +56,9 @@ pub(super) const ENTRY_POINTS: [&str; 26] = [
     "count_candidates",
     "list_candidates",
     "make_aimed",
+    "claim_aimed",
     "gather_aimed",
+    "make_aimed_flood",
     "make_seeds",
     "make_check",
     "gather_check",

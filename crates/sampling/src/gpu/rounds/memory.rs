@@ -91,6 +91,13 @@ pub(super) struct Part {
     pub(super) so_far: [f32; DECADES],
 }
 
+impl Part {
+    /// Bytes of the claims that the part uses.
+    pub(super) fn bytes_of_claims(&self) -> u64 {
+        4 * (u64::from(self.mask) + 1)
+    }
+}
+
 /// `Cell` in `block.wgsl`.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]

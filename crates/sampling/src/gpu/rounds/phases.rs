@@ -19,8 +19,9 @@ const FLOOD_STEPS: usize = 4;
 const CLAIMS: u32 = 8;
 /// Numbers of tiles and lines in a phase stay below this; a phase of more is cast in several.
 const MOST_NUMBERED: u64 = 1 << 31;
-/// Place of the number of lines in the counters, as in `block.wgsl`.
+/// Places in the counters, as in `block.wgsl`: lines, and new ends of lines at candidates.
 const LINES: u64 = 1;
+const NEW_ENDS: u64 = 6;
 /// Ways of casting, as in `block.wgsl`.
 const AHEAD: u32 = 1;
 const SEGMENT: u32 = 2;
@@ -37,7 +38,7 @@ impl GpuRounds<'_> {
     fn uniform_part(&self, lent: &Lent, part: &Part) -> Result<(), BackendError> {
         let offset = self.part(lent, part);
         let mut encoder = self.encoder();
-        let claims = 4 * (u64::from(part.mask) + 1);
+        let claims = part.bytes_of_claims();
         encoder.clear_buffer(&lent.counters, 0, Some(8));
         encoder.clear_buffer(&lent.claims, 0, Some(claims));
         use Kernel::*;
@@ -45,20 +46,53 @@ impl GpuRounds<'_> {
         self.run(&mut encoder, lent, offset, self.joins());
         self.run(&mut encoder, lent, offset, &[ClaimUniform, GatherUniform]);
         let aimed = self.part(lent, &Part { joins: self.joined[1], ..*part });
-        for _ in 0..FLOOD_STEPS {
-            encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
-            encoder.clear_buffer(&lent.claims, 0, Some(claims));
-            self.run(&mut encoder, lent, offset, &[ClaimNext, MakeFlood, TraceRays, CreditLines]);
-            self.run(&mut encoder, lent, aimed, self.joins());
-            encoder.clear_buffer(&lent.counters, 0, Some(4));
-            encoder.clear_buffer(&lent.claims, 0, Some(claims));
-            self.run(&mut encoder, lent, offset, &[ClaimFlood, GatherFlood]);
-        }
+        self.flood(&mut encoder, lent, (offset, aimed), claims, MakeFlood);
         self.submit(encoder).map(drop)
     }
 
-    /// For runs of consecutive triangles in Morton order, few enough candidates for the list.
-    fn runs_of_candidates(&self, counts: &[u32], open: usize) -> Vec<(u32, u32)> {
+    /// Floods from the finds on the list. `make` makes the lines; `offset` is the part's for all kernels but
+    /// the one that joins, whose is `joined`; `claims` are the bytes of the claims.
+    fn flood(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        lent: &Lent,
+        (offset, joined): (u32, u32),
+        claims: u64,
+        make: Kernel,
+    ) {
+        use Kernel::*;
+        for _ in 0..FLOOD_STEPS {
+            encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
+            encoder.clear_buffer(&lent.claims, 0, Some(claims));
+            self.run(encoder, lent, offset, &[ClaimNext, make, TraceRays, CreditLines]);
+            self.run(encoder, lent, joined, self.joins());
+            encoder.clear_buffer(&lent.counters, 0, Some(4));
+            encoder.clear_buffer(&lent.claims, 0, Some(claims));
+            self.run(encoder, lent, offset, &[ClaimFlood, GatherFlood]);
+        }
+    }
+
+    /// One line at each candidate that wants it, and the flood from what they find.
+    fn one_try(&self, encoder: &mut wgpu::CommandEncoder, lent: &Lent, offset: u32, claims: u64) {
+        use Kernel::*;
+        encoder.clear_buffer(&lent.counters, 0, Some(8));
+        encoder.clear_buffer(&lent.counters, 4 * NEW_ENDS, Some(4));
+        encoder.clear_buffer(&lent.claims, 0, Some(claims));
+        self.run(encoder, lent, offset, &[MakeAimed, TraceRays, CreditLines]);
+        self.run(encoder, lent, offset, self.joins());
+        self.run(encoder, lent, offset, &[ClaimAimed, GatherAimed]);
+        self.flood(encoder, lent, (offset, offset), claims, MakeAimedFlood);
+    }
+
+    /// Places of claims, less one, for so many rays.
+    fn claims_for(&self, rays: u64) -> u32 {
+        let places = (u64::from(CLAIMS) * rays).next_power_of_two();
+        places.min(u64::from(CLAIMS * self.capacity)) as u32 - 1
+    }
+
+    /// Runs of consecutive triangles in Morton order, with few enough candidates for the list: from, to, and
+    /// candidates at most.
+    fn runs_of_candidates(&self, counts: &[u32], open: usize) -> Vec<(u32, u32, u64)> {
         // Two kernels, one that counts and one that lists, may round a candidate's part differently.
         let slack = u64::from(self.capacity / 16);
         let most = u64::from(3 * self.capacity) - slack;
@@ -67,9 +101,9 @@ impl GpuRounds<'_> {
             if sum > most {
                 // One stripe alone: each triangle has at most one candidate a cell.
                 let step = (most / open.max(1) as u64).max(1) as usize;
-                runs.extend((from..to).step_by(step).map(|at| (at, to.min(at + step as u32))));
+                runs.extend((from..to).step_by(step).map(|at| (at, to.min(at + step as u32), most)));
             } else if sum > 0 {
-                runs.push((from, to));
+                runs.push((from, to, sum + slack));
             }
         };
         for (stripe, count) in counts.iter().enumerate() {
@@ -134,7 +168,7 @@ impl Rounds for GpuRounds<'_> {
                 return self.end(lent, self.encoder(), 0);
             }
             let count = each.min(tiles as u32 - first) * LANES as u32;
-            let mask = (CLAIMS * 2 * count).next_power_of_two().min(CLAIMS * self.capacity) - 1;
+            let mask = self.claims_for(2 * u64::from(count));
             let items = items.len() as u32;
             let joins = self.joined[0];
             self.uniform_part(lent, &Part { count, first, items, mask, joins, ..Part::default() })?;
@@ -167,7 +201,7 @@ impl Rounds for GpuRounds<'_> {
         let slots = 256 * u64::from(self.tables.words);
         let counts = self.read(encoder, lent, &[(&lent.places, slots, lent.places.size() - slots)])?;
         let most = plan.times.iter().fold(1.0f32, |most, t| most.max(*t)).ceil() as u32;
-        for (from, to) in self.runs_of_candidates(&counts, items.len()) {
+        for (from, to, candidates) in self.runs_of_candidates(&counts, items.len()) {
             // How many lines a part has, only the device knows before the end.
             if !goes_on(0) {
                 return self.end(lent, self.encoder(), 0);
@@ -175,20 +209,19 @@ impl Rounds for GpuRounds<'_> {
             let mut encoder = self.encoder();
             // Finds, lines, words and candidates, but not the tally.
             encoder.clear_buffer(&lent.counters, 0, Some(16));
-            let part = of(Part { first: from, count: to - from, ..Part::default() });
+            let mask = self.claims_for(2 * candidates);
+            let part = of(Part { first: from, count: to - from, mask, ..Part::default() });
             let offset = self.part(lent, &part);
             self.run(&mut encoder, lent, offset, &[Kernel::ListCandidates]);
             for time in 0..most {
-                encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
                 let offset = self.part(lent, &Part { time, ..part });
-                use Kernel::*;
-                self.run(&mut encoder, lent, offset, &[MakeAimed, TraceRays, CreditLines, GatherAimed]);
-                self.run(&mut encoder, lent, offset, self.joins());
+                self.one_try(&mut encoder, lent, offset, part.bytes_of_claims());
             }
             self.submit(encoder)?;
         }
         let found = self.end(lent, self.encoder(), items.len())?;
-        lock(&self.state).traffic.rays += found.counts.iter().map(|c| u64::from(c[0])).sum::<u64>();
+        let rays = found.counts.iter().map(|c| u64::from(c[0]) + u64::from(c[2]));
+        lock(&self.state).traffic.rays += rays.sum::<u64>();
         Ok(found)
     }
 

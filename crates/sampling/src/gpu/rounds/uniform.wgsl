@@ -94,20 +94,29 @@ fn claim_next(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
     }
 }
 
+// The triangle that find `j / 3` is flooded to across edge `j % 3`: that beside it, unless another find has
+// claimed it; else SKY.
+fn flooded(j: u32) -> u32 {
+    let next = beside(j);
+    if next == SKY {
+        return SKY;
+    }
+    let find = finds[j / 3u];
+    let claim = atomicLoad(&claims[claim_of(cell_of(find.x).slot, next)]);
+    return select(SKY, next, claim == ~(3u * find.w + j % 3u));
+}
+
 @compute @workgroup_size(64)
 fn make_flood(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
     let count = 3u * min(atomicLoad(&counters[FINDS]), block.capacity);
     for (var j = id.x; j < count; j += groups.x * 64u) {
-        let next = beside(j);
+        let next = flooded(j);
         if next == SKY {
             continue;
         }
         let find = finds[j / 3u];
         let number = 3u * find.w + j % 3u;
         let cell = cell_of(find.x);
-        if atomicLoad(&claims[claim_of(cell.slot, next)]) != ~number {
-            continue;
-        }
         let eye = eye_of(find.x, find.z);
         let to = point_on(next, drawn(cell, FLOOD ^ (find.z << 4u), next, number).xy);
         let at = atomicAdd(&counters[LINES], 1u);
@@ -115,12 +124,13 @@ fn make_flood(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgro
     }
 }
 
-// More lines than a list of finds holds: a part of their finds, drawn by hash, is not flooded from.
-fn is_kept(slot: u32, triangle: u32, lines: u32) -> bool {
-    if lines <= block.capacity {
+// Where there may be more finds than a list holds, a part of them, drawn by hash, is not flooded from. `most`
+// is how many there may be.
+fn is_kept(slot: u32, triangle: u32, most: u32) -> bool {
+    if most <= block.capacity {
         return true;
     }
-    let share = 0.9 * f32(block.capacity) / f32(lines);
+    let share = 0.9 * f32(block.capacity) / f32(most);
     return unit(hashed(vec4<u32>(triangle, slot, 0x1b873593u, part.first)).y) < share;
 }
 
