@@ -14,7 +14,7 @@ use super::bits::SeenBits;
 use super::device::OnDevice;
 use super::grid::{CellGrid, Crossed, Slot};
 use super::ledger::Ledger;
-use super::pace::Pace;
+use super::pace::{FLOOD_STEPS, Pace};
 use super::pairs::Pairs;
 use super::yields::{Tally, Yields};
 use crate::context::{Places, Watcher};
@@ -196,6 +196,8 @@ pub struct Block<'a> {
     told: usize,
     /// Least distance between the origin of a line and the start of its other half, in world units.
     pub(super) step: f32,
+    /// Most steps of the flood from what candidates find.
+    pub(super) flood_steps: u32,
     /// Phases in which a device has aimed at candidates.
     pub(super) aims: u32,
     /// The device that casts whole rounds, if the tracer has one.
@@ -253,6 +255,7 @@ impl<'a> Block<'a> {
             told: 0,
             step,
             aims: 0,
+            flood_steps: FLOOD_STEPS,
             device: OnDevice::Unknown,
             scratch: Mutex::default(),
         }

@@ -291,7 +291,7 @@ impl Block<'_> {
         }
         stats.finds[LineKind::Candidate as usize] += finds.len() as u64;
         let start = self.tools.ledger.map(|_| Instant::now());
-        self.flood(s, cell, &mut finds, random, stats)?;
+        self.flood(s, cell, (&mut finds, self.flood_steps), random, stats)?;
         *flooding += start.map_or(Duration::ZERO, |start| start.elapsed());
         Ok(())
     }

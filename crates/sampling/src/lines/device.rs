@@ -11,6 +11,7 @@ use sightline_scene::Scene;
 
 use super::bits::SeenBits;
 use super::grid::{CellGrid, Slot};
+pub use super::pace::FLOOD_STEPS;
 pub use super::yields::{DECADES, Tally};
 use crate::error::BackendError;
 use crate::surface::Surface;
@@ -118,6 +119,8 @@ pub struct AimPlan {
     pub times: [f32; DECADES],
     /// Tries in all rounds before.
     pub so_far: [f32; DECADES],
+    /// Steps of the flood from what they find.
+    pub flood_steps: u32,
 }
 
 /// What a device found in a phase.

@@ -13,9 +13,6 @@ use crate::sequence::Hashed;
 use crate::surface::point_on;
 use sightline_model::{CellStats, LineKind};
 
-/// Most steps from triangle to triangle.
-const STEPS: usize = 4;
-
 /// A triangle new to the cell, and the origin that saw it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Find {
@@ -34,17 +31,17 @@ struct Aimed {
 }
 
 impl Block<'_> {
-    /// Floods from `finds`, and leaves the finds of the last step in their place.
+    /// Floods from `finds` in so many steps at most, and leaves the finds of the last one in their place.
     pub(super) fn flood(
         &self,
         s: &mut Scratch,
         cell: usize,
-        finds: &mut Vec<Find>,
+        (finds, steps): (&mut Vec<Find>, u32),
         random: &mut Hashed,
         stats: &mut CellStats,
     ) -> Result<(), BackendError> {
         let slot = self.cells[cell].slot;
-        for _ in 0..STEPS {
+        for _ in 0..steps {
             let mut aimed: Vec<Aimed> = Vec::new();
             for find in finds.iter() {
                 for next in self.tools.surface.neighbours[find.triangle as usize] {

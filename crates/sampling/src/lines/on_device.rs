@@ -204,7 +204,7 @@ impl Block<'_> {
         // Counted over all searches, so that no two of them draw the same lines.
         let phase = self.aims;
         self.aims += 1;
-        let plan = AimPlan { phase, times, so_far };
+        let plan = AimPlan { phase, times, so_far, flood_steps: self.flood_steps };
         let answer = |found: &Found| {
             let of = |[rays, finds, flood, flood_finds]: &[u32; 4]| {
                 let mut s = CellStats::default();

@@ -1,4 +1,18 @@
-//! How large rounds of sight lines are, and what their rays cost, on the host and on a device.
+//! How large rounds of sight lines are, how far they flood, and what their rays cost, on the host and on a
+//! device.
+
+/// Most steps of a flood from triangle to triangle.
+pub const FLOOD_STEPS: u32 = 4;
+/// The same from what candidates find, where the target error is coarse: in towns, more steps then cost more
+/// than they gain.
+const COARSE_STEPS: u32 = 2;
+/// Target errors above this one are coarse.
+const COARSE: f64 = 3e-3;
+
+/// Most steps of the flood from what candidates find, for a target error.
+pub(super) fn steps_from_candidates(target: f64) -> u32 {
+    if target > COARSE { COARSE_STEPS } else { FLOOD_STEPS }
+}
 
 /// What suits the tracer of a block: how large rounds are, and what an aimed ray costs.
 #[derive(Clone, Copy, Debug, PartialEq)]

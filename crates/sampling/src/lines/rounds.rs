@@ -8,6 +8,7 @@
 
 use super::block::Block;
 pub use super::pace::Pace;
+use super::pace::steps_from_candidates;
 use crate::context::TileError;
 use sightline_model::{CellStats, LineKind};
 
@@ -57,6 +58,7 @@ impl Block<'_> {
             (self.stats[*cell].unfinished, self.stats[*cell].raised_tolerance) = (false, false);
         }
         let enough = self.enough;
+        self.flood_steps = steps_from_candidates(target);
         for round in 0..MOST_ROUNDS {
             if open.is_empty() || self.late() {
                 break;

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use super::block::{Block, JOINED_LANES, Scratch};
 use super::flood::Find;
+use super::pace::FLOOD_STEPS;
 use crate::cube::{SKY, face_basis};
 use crate::error::BackendError;
 use crate::packet::{LANES, Packet};
@@ -95,7 +96,7 @@ impl Block<'_> {
             stats.last_rays += (s.packets.len() * LANES) as u64;
             stats.finds[LineKind::Uniform as usize] += finds.len() as u64;
             let before = start.map(|start| start.elapsed());
-            self.flood(s, cell, &mut finds, &mut random, &mut stats)?;
+            self.flood(s, cell, (&mut finds, FLOOD_STEPS), &mut random, &mut stats)?;
             flooding += start.zip(before).map_or(Duration::ZERO, |(start, before)| start.elapsed() - before);
         }
         stats.rays[LineKind::Uniform as usize] = stats.last_rays;

@@ -9,12 +9,10 @@ use crate::error::BackendError;
 use crate::gpu::locks::lock;
 use crate::lines::bits::SeenBits;
 use crate::lines::device::{
-    AimPlan, AimWork, Found, GoesOn, KernelTime, Rounds, SegmentWork, Traffic, UniformWork,
+    AimPlan, AimWork, FLOOD_STEPS, Found, GoesOn, KernelTime, Rounds, SegmentWork, Traffic, UniformWork,
 };
 use crate::packet::LANES;
 
-/// Steps of a flood from triangle to triangle, as on the host.
-const FLOOD_STEPS: usize = 4;
 /// Places of claims for each ray of a part.
 const CLAIMS: u32 = 8;
 /// Numbers of tiles and lines in a phase stay below this; a phase of more is cast in several.
@@ -46,22 +44,22 @@ impl GpuRounds<'_> {
         self.run(&mut encoder, lent, offset, self.joins());
         self.run(&mut encoder, lent, offset, &[ClaimUniform, GatherUniform]);
         let aimed = self.part(lent, &Part { joins: self.joined[1], ..*part });
-        self.flood(&mut encoder, lent, (offset, aimed), claims, MakeFlood);
+        self.flood(&mut encoder, lent, (offset, aimed), claims, (MakeFlood, FLOOD_STEPS));
         self.submit(encoder).map(drop)
     }
 
-    /// Floods from the finds on the list. `make` makes the lines; `offset` is the part's for all kernels but
-    /// the one that joins, whose is `joined`; `claims` are the bytes of the claims.
+    /// Floods from the finds on the list. `make` makes the lines of each step; `offset` is the part's for all
+    /// kernels but the one that joins, whose is `joined`; `claims` are the bytes of the claims.
     fn flood(
         &self,
         encoder: &mut wgpu::CommandEncoder,
         lent: &Lent,
         (offset, joined): (u32, u32),
         claims: u64,
-        make: Kernel,
+        (make, steps): (Kernel, u32),
     ) {
         use Kernel::*;
-        for _ in 0..FLOOD_STEPS {
+        for _ in 0..steps {
             encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
             encoder.clear_buffer(&lent.claims, 0, Some(claims));
             self.run(encoder, lent, offset, &[ClaimNext, make, TraceRays, CreditLines]);
@@ -73,7 +71,13 @@ impl GpuRounds<'_> {
     }
 
     /// One line at each candidate that wants it, and the flood from what they find.
-    fn one_try(&self, encoder: &mut wgpu::CommandEncoder, lent: &Lent, offset: u32, claims: u64) {
+    fn one_try(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        lent: &Lent,
+        offset: u32,
+        (claims, steps): (u64, u32),
+    ) {
         use Kernel::*;
         encoder.clear_buffer(&lent.counters, 0, Some(8));
         encoder.clear_buffer(&lent.counters, 4 * NEW_ENDS, Some(4));
@@ -81,7 +85,7 @@ impl GpuRounds<'_> {
         self.run(encoder, lent, offset, &[MakeAimed, TraceRays, CreditLines]);
         self.run(encoder, lent, offset, self.joins());
         self.run(encoder, lent, offset, &[ClaimAimed, GatherAimed]);
-        self.flood(encoder, lent, (offset, offset), claims, MakeAimedFlood);
+        self.flood(encoder, lent, (offset, offset), claims, (MakeAimedFlood, steps));
     }
 
     /// Places of claims, less one, for so many rays.
@@ -215,7 +219,7 @@ impl Rounds for GpuRounds<'_> {
             self.run(&mut encoder, lent, offset, &[Kernel::ListCandidates]);
             for time in 0..most {
                 let offset = self.part(lent, &Part { time, ..part });
-                self.one_try(&mut encoder, lent, offset, part.bytes_of_claims());
+                self.one_try(&mut encoder, lent, offset, (part.bytes_of_claims(), plan.flood_steps));
             }
             self.submit(encoder)?;
         }
