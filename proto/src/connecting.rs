@@ -1,5 +1,6 @@
 //! How clients and workers reach a coordinator: its address, whom they trust, and who they say they are.
 
+use std::error::Error as _;
 use std::fmt;
 use std::net::IpAddr;
 use std::time::Duration;
@@ -82,7 +83,7 @@ impl Credentials {
             }
             Some("https") => {
                 endpoint = endpoint.tls_config(self.tls()).map_err(|e| {
-                    let reason = std::error::Error::source(&e).map_or_else(String::new, |s| format!(": {s}"));
+                    let reason = e.source().map_or_else(String::new, |s| format!(": {s}"));
                     format!("the certificates cannot be used{reason}")
                 })?;
             }
@@ -108,6 +109,26 @@ impl Credentials {
     }
 }
 
+/// Why the connection of a call broke, with a remedy where one is known; `None` for an answer of the
+/// coordinator. The status itself only says that the transport failed: the innermost error knows more.
+pub fn broken(status: &Status) -> Option<String> {
+    let mut cause = status.source()?;
+    while let Some(inner) = cause.source() {
+        cause = inner;
+    }
+    let text = cause.to_string();
+    // The texts of rustls and of HTTP/2's frames; nothing else tells these cases apart.
+    let remedy = if text.contains("fatal alert") {
+        "; the coordinator refused the connection's encryption: where it was started with --client-ca, a \
+         certificate that is shown must be one that this authority has signed (--cert, --key)"
+    } else if text.contains("http2 error") || text.contains("invalid size") {
+        "; if the coordinator has a certificate, its address begins with https://"
+    } else {
+        ""
+    };
+    Some(format!("{text}{remedy}"))
+}
+
 /// Whether a host is this machine's own address.
 fn is_loopback(host: &str) -> bool {
     let host = host.trim_start_matches('[').trim_end_matches(']');
@@ -116,7 +137,7 @@ fn is_loopback(host: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::{Bearer, Credentials};
+    use super::{Bearer, Credentials, broken};
 
     #[test]
     fn an_address_has_a_scheme_and_a_host() {
@@ -127,6 +148,14 @@ mod tests {
         for bad in ["foo", "", "127.0.0.1:7600", "ftp://a", "http:///x", "a b"] {
             assert!(none.endpoint(bad).is_err(), "{bad}");
         }
+    }
+
+    #[test]
+    fn an_answer_is_no_broken_connection() {
+        assert_eq!(broken(&tonic::Status::not_found("no job 7")), None);
+        let alert = std::io::Error::other("received fatal alert: UnknownCA");
+        let status = tonic::Status::from_error(Box::new(alert));
+        assert!(broken(&status).unwrap().contains("--client-ca"));
     }
 
     #[test]

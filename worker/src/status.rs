@@ -1,6 +1,8 @@
 //! The coordinator's answers as text.
 
+use sightline_proto::connecting::broken;
+
 /// A status as text for users.
 pub fn describe(status: &tonic::Status) -> String {
-    format!("{} ({})", status.message(), status.code())
+    broken(status).unwrap_or_else(|| format!("{} ({})", status.message(), status.code()))
 }

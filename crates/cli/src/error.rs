@@ -81,12 +81,10 @@ impl CliError {
 
     /// A gRPC status: an answer of the coordinator, or an error of the connection to it.
     pub fn status(s: &tonic::Status) -> Self {
-        // Only errors of the transport have a source.
-        if std::error::Error::source(s).is_some() {
+        if let Some(reason) = sightline_proto::connecting::broken(s) {
             return Self::Coordinator(format!(
-                "the connection to the coordinator failed ({}); submitted jobs continue there, and the same \
-                 command connects again",
-                s.message()
+                "the connection to the coordinator failed ({reason}); submitted jobs continue there, and \
+                 the same command connects again"
             ));
         }
         match s.code() {
