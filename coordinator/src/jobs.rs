@@ -1,6 +1,6 @@
 //! Jobs after their submission: summaries, cancel, pause, resume, retry, and where their results are.
 
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 
 use crate::access::Caller;
 use crate::chores::do_chores;
@@ -52,6 +52,8 @@ pub(crate) struct Summary {
     pub(crate) now_ms: u64,
     /// Milliseconds until the job is done, while that is known.
     pub(crate) left_millis: Option<u64>,
+    /// Whether it is paused because its scene cannot be read.
+    pub(crate) lacks_scene: bool,
 }
 
 impl Summary {
@@ -74,6 +76,7 @@ impl Summary {
             workers,
             now_ms,
             left_millis: None,
+            lacks_scene: false,
         };
         for tile in tiles {
             match &tile.state {
@@ -123,6 +126,7 @@ pub(crate) fn summary(c: &Coordinator, id: JobId) -> Result<Summary, StoreError>
 /// The summary of a job that has not ended, from the scheduler's totals.
 pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
     let now = c.now_plain();
+    let lacks_scene = c.lost_scenes.lock().unwrap_or_else(PoisonError::into_inner).contains_key(&id);
     let scheduling = c.lock();
     let machine = &scheduling.machine;
     let job = machine.job(id)?;
@@ -139,6 +143,7 @@ pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
         workers: machine.workers(),
         now_ms: now.unix_ms,
         left_millis: job.left(now),
+        lacks_scene,
     })
 }
 
@@ -252,7 +257,9 @@ pub(crate) fn pause(c: &Arc<Coordinator>, job: JobId, now: bool) -> Result<Summa
 
 /// Continues a paused job.
 pub(crate) fn resume(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobError> {
-    turn(c, job, &[JobPhase::Paused], JobState::Queued)
+    let resumed = turn(c, job, &[JobPhase::Paused], JobState::Queued)?;
+    c.lost_scenes.lock().unwrap_or_else(PoisonError::into_inner).remove(&job);
+    Ok(resumed)
 }
 
 /// Gives a job that has not ended another priority.

@@ -45,6 +45,7 @@ mod lifecycle;
 mod limits;
 #[cfg(test)]
 mod load;
+mod lost_scenes;
 mod metrics;
 mod orders;
 mod partial;

@@ -15,7 +15,7 @@ use crate::access::Access;
 use crate::chronicle::{Chronicle, Happening};
 use crate::clock::{Clock, Moment};
 use crate::crews::Crews;
-use crate::ids::Digest;
+use crate::ids::{Digest, JobId};
 use crate::kept::{Answers, Asked, Last, LastTrial, Retention};
 use crate::limits::{Pace, Quotas, Usage};
 use crate::metrics::Metrics;
@@ -111,6 +111,8 @@ pub struct Coordinator {
     pub(crate) answers: OnceLock<Box<dyn Answers>>,
     /// The result that was asked about last.
     pub(crate) last_asked: Mutex<Asked>,
+    /// The jobs that wait for a scene whose file is lost.
+    pub(crate) lost_scenes: Mutex<BTreeMap<JobId, Digest>>,
 }
 
 impl Coordinator {
@@ -153,6 +155,7 @@ impl Coordinator {
             uploads: Uploads::default(),
             answers: OnceLock::new(),
             last_asked: Mutex::new(None),
+            lost_scenes: Mutex::default(),
         }
     }
 

@@ -343,10 +343,15 @@ fn a_damaged_scene_is_uploaded_again() {
     let mut bytes = sandbox.read(&blob);
     bytes[100] ^= 1;
     sandbox.write(&blob, bytes);
+    // The job waits, and says for what.
+    let _worker = coordinator.worker();
+    let paused = coordinator.until(first, "a pause", |job| job["state"] == "paused");
+    assert!(paused["reason"].as_str().unwrap().contains("send it again"), "{paused}");
+    assert!(coordinator.ok(&format!("logs {first}")).contains("send the scene again"));
     // The next submission of the scene replaces the damaged blob, and the waiting job continues.
     assert_eq!(coordinator.submit(JOB), first);
-    let _worker = coordinator.worker();
     assert_same(&coordinator.finish(first), alone(), "after the scene was damaged");
+    assert_eq!(coordinator.json(&format!("show {first}"))["reason"], "");
     assert!(coordinator.process.err().contains("is damaged"), "{}", coordinator.process.err());
 }
 

@@ -1,6 +1,6 @@
-//! What earlier versions have written is read for ever: results, and the data directories of coordinators, in
-//! `tests/earlier/`. `SIGHTLINE_FREEZE=1 cargo test --workspace --test earlier` adds what this version writes;
-//! do that when a format gets something new. What is there is never changed.
+//! What earlier versions have written is read for ever: results, and the data directories of coordinators,
+//! in `tests/earlier/`. `SIGHTLINE_FREEZE=1 cargo test --workspace --test earlier` adds what this version
+//! writes; do that when a format gets something new. What is there is never changed.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 

@@ -22,6 +22,7 @@ use crate::deleting;
 use crate::estimate;
 use crate::ids::{Digest, JobId};
 use crate::jobs::{self, JobError, Summary, Wanted};
+use crate::lost_scenes;
 use crate::partial;
 use crate::scene_files;
 use crate::scenes;
@@ -97,6 +98,7 @@ impl v1::jobs_server::Jobs for JobsService {
         blocking(&self.0, move |c| {
             let record =
                 scenes::put_scene(c, caller.owner(), whole, &parts).map_err(|e| status::of_upload(&e))?;
+            lost_scenes::back(c, &whole);
             Ok(Response::new(wire::scene(&record)))
         })
         .await
@@ -272,6 +274,7 @@ pub(super) async fn take_file(
     blocking_one_of(c, &c.files, move |c| {
         let taken = scene_files::take(c, caller.owner(), &header.name, &bytes, rules);
         let (record, warnings) = taken.map_err(|e| status::of_file(&e))?;
+        lost_scenes::back(c, &record.digest);
         Ok(v1::SceneFileInfo { scene: Some(wire::scene(&record)), warnings })
     })
     .await

@@ -134,7 +134,12 @@ pub(super) fn job(summary: &Summary) -> v1::Job {
     let state = match &record.state {
         JobState::Queued => v1::JobState::Queued,
         JobState::Running => v1::JobState::Running,
-        JobState::Paused => v1::JobState::Paused,
+        JobState::Paused => {
+            if summary.lacks_scene {
+                job.reason = "its scene cannot be read; send it again with `sightline submit`".to_owned();
+            }
+            v1::JobState::Paused
+        }
         JobState::Cancelled => v1::JobState::Cancelled,
         JobState::Failed { reason } => {
             job.reason = reason.clone();

@@ -17,6 +17,7 @@ use super::streams::stream_blob;
 use super::{crews, status, wire};
 use crate::chores::do_chores;
 use crate::ids::{JobId, WorkerId};
+use crate::lost_scenes;
 use crate::orders::Outbox;
 use crate::results::{self, Announced};
 use crate::scheduler::{Failure, Introduction, Joined, Order, Progress};
@@ -83,7 +84,15 @@ impl v1::workers_server::Workers for WorkersService {
 
     async fn fetch_scene(&self, r: Request<v1::FetchSceneRequest>) -> Answer<Self::FetchSceneStream> {
         let d = wire::digest(&r.into_inner().digest)?;
-        stream_blob(&self.0, d).await.map(Response::new)
+        let answer = stream_blob(&self.0, d).await;
+        if let Err(refused) = &answer
+            && matches!(refused.code(), tonic::Code::DataLoss | tonic::Code::NotFound)
+        {
+            let why = refused.message().to_owned();
+            blocking(&self.0, move |c| lost_scenes::lost(c, &d, &why).map_err(|e| status::of_store(&e)))
+                .await?;
+        }
+        answer.map(Response::new)
     }
 
     type FetchPackStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status>> + Send>>;
