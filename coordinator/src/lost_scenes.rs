@@ -1,7 +1,8 @@
-//! Scenes whose file is lost or damaged: no worker can go on with their jobs, so these are paused until somebody
-//! sends the scene again.
+//! Scenes whose file is lost or damaged: no worker can go on with their jobs, so these are paused until
+//! somebody sends the scene again.
 //!
-//! Which jobs wait is kept in memory. After a restart they are paused as by a person, and go on with `resume`.
+//! Which jobs wait is kept in memory. After a restart they are paused as by a person, and go on with
+//! `resume`.
 
 use std::sync::{Arc, PoisonError};
 

@@ -1,13 +1,13 @@
-//! A coordinator under load for a while: 200 simulated workers that come and go, and clients that submit, watch,
-//! cancel, pause, fetch and delete. Everything that is acknowledged is there, and memory, open files and threads
-//! of the coordinator stay as they are.
+//! A coordinator under load for a while: 200 simulated workers that come and go, and clients that submit,
+//! watch, cancel, pause, fetch and delete. Everything that is acknowledged is there, and memory, open files
+//! and threads of the coordinator stay as they are.
 //!
 //! ```text
-//! SIGHTLINE_SOAK_SECONDS=3600 cargo test --workspace --test soak -- --nocapture
-//! SIGHTLINE_SOAK_SECONDS=900 SIGHTLINE_SOAK_TRIANGLES=400000 cargo test --workspace --test soak -- --nocapture
+//! SIGHTLINE_SOAK_SECONDS=3600 cargo test --workspace --test soak -- --nocapture SIGHTLINE_SOAK_SECONDS=900
+//! SIGHTLINE_SOAK_TRIANGLES=400000 cargo test --workspace --test soak -- --nocapture
 //! ```
-//! Without a time it takes half a minute. With triangles, each cell sees a random half of so many, which makes
-//! outputs of 50 kB and results of 13 MB.
+//! Without a time it takes half a minute. With triangles, each cell sees a random half of so many, which
+//! makes outputs of 50 kB and results of 13 MB.
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
 

@@ -137,6 +137,14 @@ pub enum StoreError {
     /// effect at the next start; after any other error it does not.
     #[error(transparent)]
     Journal(#[from] JournalError),
+    /// An entry of another store is not what its key says.
+    #[error("the entry under {key} is no record of a store ({what}); take an export that nobody has changed")]
+    Foreign {
+        /// Its key.
+        key: String,
+        /// What is wrong.
+        what: String,
+    },
     /// The view (not the journal) cannot be read.
     #[error(
         "the store's view is damaged ({what}); restart the coordinator, it rebuilds the view from the journal"

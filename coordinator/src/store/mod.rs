@@ -10,6 +10,7 @@
 
 mod api;
 mod blobs;
+mod checked;
 mod commands;
 mod compaction;
 mod engine;

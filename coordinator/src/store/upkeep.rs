@@ -1,6 +1,7 @@
 //! The rules of the commands that keep a store right: results that are confirmed or not believed any more,
 //! quarantined workers, scenes that go, and entries that come from another store.
 
+use super::checked;
 use super::entries::Entry;
 use super::error::StoreError;
 use super::limits::{MAX_WORKER_BYTES, check_identifier, clean_reason};
@@ -67,6 +68,7 @@ pub(super) fn import(view: View<'_>, entries: Vec<Entry>, first: bool) -> Decide
     if first && !view.is_empty()? {
         return Err(StoreError::NotEmpty);
     }
+    entries.iter().try_for_each(checked::entry)?;
     let entries = entries.iter().map(Entry::written).collect();
     happened(Event::Imported { entries }, ())
 }

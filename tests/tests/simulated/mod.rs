@@ -45,8 +45,8 @@ fn output(work: &Work, lease: &v1::Lease) -> Vec<u8> {
     codec::encode(&TileOutput::Cells(sets)).unwrap()
 }
 
-/// Takes and commits tiles of one cell until the work is over, or the coordinator ends the stream. A job may be
-/// cancelled or deleted while its tile is here; any other refusal is a failure.
+/// Takes and commits tiles of one cell until the work is over, or the coordinator ends the stream. A job may
+/// be cancelled or deleted while its tile is here; any other refusal is a failure.
 pub async fn work(url: &str, name: &str, work: &Work) {
     let channel = tonic::transport::Channel::from_shared(url.to_owned()).unwrap().connect().await.unwrap();
     let mut client = WorkersClient::new(channel);
