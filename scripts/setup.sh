@@ -57,7 +57,7 @@ if [ "$purpose" = test ]; then
   have git || need git 'cargo deny fetches the advisories with it'
   have chromedriver || need chromium-driver 'drives the browser of the tests of pages'
   have chromium || need chromium 'the browser of the tests of pages'
-  compgen -G '/usr/lib/postgresql/*/bin/initdb' >/dev/null || need postgresql 'the database of the tests of replicas'
+  compgen -G '/usr/lib/postgresql/*/bin/initdb' >/dev/null || need postgresql 'the database of the tests of replicas, and of the chaos harness'
   have mcs || need mono-mcs 'compiles and runs the test of the C# reader'
   python3 -c 'import venv, ensurepip' 2>/dev/null || need python3-venv 'builds the Python package for its test, and checks the chart'
   have openssl || need openssl 'makes certificates, of the chaos harness too'

@@ -14,24 +14,28 @@ import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
-from . import sabotage
-from .farm import FAKETIME
+from . import liars, sabotage
+from .commands import FAKETIME
 from .plan import Schedule, draw
 from .running import Outcome, run
+from .services import Bucket, Database
 from .shrinking import shrink
 from .spaces import NoNamespaces, Space
-from .worlds import WORLDS, Calm
+from .worlds import WORLDS, Calm, named
 
 REGRESSIONS = Path(__file__).parent / "regressions.json"
 HELP = """\
 Breaks a farm of real processes and checks that nothing came of it. Each schedule is drawn from its seed alone: a job, a
 few workers in network namespaces of their own, and faults (killed, stopped and drained processes, a coordinator killed
 in the middle of a commit, lost, late, doubled and reordered packets, cuts in both ways or one, a full disk, a stepped
-clock, flipped bits in stored blobs, torn files). When all faults are over, the job must end within a bound, with the
-bytes of a calm run; what was acknowledged must be there; totals must agree; no log may hold a secret or a panic.
+clock, flipped bits in stored blobs, torn files). In some worlds two coordinators share a PostgreSQL, or blobs are in a
+bucket, and those are restarted, stopped, slow or cut off; in some a worker returns wrong bytes. When all faults are over,
+the job must end within a bound, with the bytes of a calm run; what was acknowledged must be there; totals must agree; no
+log may hold a secret or a panic.
 
-Needs root, network namespaces with TUN devices, and faketime (scripts/setup.sh --for test). Without them it says so and
-ends with 2. Ends with 1 when a schedule found something, and says how to repeat it. docs/chaos.md says more.
+Needs root, network namespaces with TUN devices, faketime, PostgreSQL and a C compiler (scripts/setup.sh --for test), and
+what `cargo build --workspace` makes. Without them it says so and ends with 2. Ends with 1 when a schedule found
+something, and says how to repeat it. docs/chaos.md says more.
 """
 EXAMPLES = """\
 examples:
@@ -110,10 +114,25 @@ def _needs() -> None:
     space.remove()
 
 
+def _prepare(calm: Calm, schedules: list[Schedule]) -> None:
+    """Makes what the worlds of the schedules need beside the program.
+
+    Raises NoNamespaces with what this machine lacks.
+    """
+    worlds = [named(schedule.world) for schedule in schedules]
+    if any(world.store == "database" for world in worlds):
+        Database.prepare(calm.database)
+    if any(world.store == "bucket" for world in worlds):
+        Bucket.check(calm.program)
+    if any(world.liar for world in worlds) or any(sabotage.needs_liar(schedule) for schedule in schedules):
+        liars.make(calm.lying)
+
+
 def _report(outcome: Outcome) -> None:
     what = "FAILED" if outcome.problems else "ok"
     print(f"seed {outcome.seed} {outcome.world}: {what}, {outcome.seconds:.1f} s, ended {outcome.healed:.1f} s after the last "
-          f"fault ({', '.join(outcome.faults)}), {outcome.packets} packets, {outcome.lost} lost", flush=True)
+          f"fault ({', '.join(outcome.faults)}), {outcome.packets} packets, {outcome.lost} lost"
+          f"{', ' if outcome.besides else ''}{outcome.besides}", flush=True)
     for problem in outcome.problems:
         print(f"  {problem}", flush=True)
 
@@ -180,6 +199,11 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="sightline-chaos-") as name:
         work = Path(name)
         calm = Calm(program, work)
+        try:
+            _prepare(calm, schedules)
+        except NoNamespaces as error:
+            print(f"chaos: cannot run here: {error}", file=sys.stderr)
+            return 2
         for world in WORLDS:
             of_world = [schedule.variants(len(world.variants)) for schedule in schedules if schedule.world == world.name]
             if of_world:

@@ -7,7 +7,8 @@ import re
 from pathlib import Path
 
 from .clients import Acknowledged
-from .farm import Farm
+from .commands import LIAR
+from .farm import LEADS, Farm
 from .processes import wait_until
 
 # What no log of a sound program says. Arguments and reasons of failures contain neither.
@@ -81,6 +82,7 @@ def acknowledged(farm: Farm, told: Acknowledged) -> list[str]:
         wrong.append(f"there are {extra} jobs that no errand is told of: {sorted(states)}")
     events = farm.call(["logs", "--json"])[1].splitlines()
     numbers = [json.loads(line)["number"] for line in events]
+    # Of two coordinators each has events of its own.
     if any(later <= before for before, later in zip(numbers, numbers[1:])):
         wrong.append("the numbers of the events do not ascend")
     return wrong
@@ -90,12 +92,12 @@ def disk_left(farm: Farm) -> tuple[list[str], int]:
     """No unfinished blob and no outcome of a phase is left once all jobs have ended; and how many blobs are neither a
     scene nor a result. A crash between a job's end and the removal of its outputs leaves such."""
     def left() -> list[str]:
-        unfinished = (farm.disk.data / "blobs" / "tmp").iterdir()
-        return sorted(path.name for path in [*farm.disk.outcomes(), *unfinished])
+        return sorted(path.name for path in [*farm.disk.outcomes(), *farm.disk.unfinished()])
 
     wrong = []
-    # The last outputs are being removed when a job is said to be done.
-    if not wait_until(lambda: not left(), LEFT):
+    # The last outputs are being removed when a job is said to be done. What one of two coordinators had begun when it was
+    # killed stays until it leads again.
+    if not farm.database and not wait_until(lambda: not left(), LEFT):
         wrong.append(f"unfinished blobs or outcomes are left: {left()[:5]}")
     return wrong, len(farm.disk.blobs(farm.scenes)[1])
 
@@ -103,7 +105,7 @@ def disk_left(farm: Farm) -> tuple[list[str], int]:
 def traces(farm: Farm) -> list[str]:
     """No panic in a log, and no secret in any file but those of keys, nor in an argument list."""
     wrong = []
-    secrets = farm.keys.secrets() if farm.keys else []
+    secrets = farm.secrets()
     keys = farm.folder / "keys"
     for path in sorted(farm.folder.rglob("*")):
         if not path.is_file() or keys in path.parents:
@@ -119,9 +121,9 @@ def traces(farm: Farm) -> list[str]:
     for arguments in farm.arguments:
         if any(secret.decode() in arguments for secret in secrets):
             wrong.append(f"an argument list contains a secret: {arguments[:40]}…")
-    for name, code in sorted(set(farm.endings)):
-        if not _may_end(farm, name, code):
-            wrong.append(f"{name} ended by itself with {code}, {farm.endings.count((name, code))} times")
+    for name, code, said in farm.endings:
+        if not _may_end(farm, name, code, said):
+            wrong.append(f"{name} ended by itself with {code}: {said[-400:]}")
     return wrong
 
 
@@ -139,6 +141,60 @@ def left_over(farm: Farm) -> list[str]:
     return wrong
 
 
-def _may_end(farm: Farm, name: str, code: int) -> bool:
-    """A coordinator that starts on a full disk ends and says why."""
-    return name == "coordinator" and code in (3, 4) and any(f.kind == "disk_full" for f in farm.schedule.faults)
+# What a coordinator says when it ends because it leads no more, or cannot begin to lead or start because what it relies on
+# does not answer.
+DEPOSED = re.compile(r"could not renew its leadership|does not lead any more|was to lead and cannot: .*does not answer")
+UNREACHABLE = re.compile(r"does not answer|cannot be reached")
+
+
+def _may_end(farm: Farm, name: str, code: int, said: str) -> bool:
+    """A coordinator that starts on a full disk ends and says why; so does one that leads no more."""
+    if name not in ("coordinator", "second"):
+        return False
+    if code in (3, 4) and any(f.kind == "disk_full" for f in farm.schedule.faults):
+        return True
+    if farm.database and code == 1 and DEPOSED.search(said):
+        return True
+    return bool(farm.services and code in (3, 4) and UNREACHABLE.search(said))
+
+
+# What is noted about a tile that was to be computed again and could not be.
+UNCHECKED = "was to be computed again and was not"
+DIFFERS = "was computed again, with other bytes"
+QUARANTINED = re.compile(r"^(\S+) IS QUARANTINED", re.MULTILINE)
+
+
+def notes(farm: Farm, text: str) -> set[int]:
+    """The jobs among whose events is one with a text."""
+    code, out, _ = farm.call(["logs", "--json"])
+    events = [json.loads(line) for line in out.splitlines()] if code == 0 else []
+    return {event["job"] for event in events if text in json.dumps(event) and event.get("job")}
+
+
+def quarantined(farm: Farm) -> set[str] | None:
+    """The names of the workers that are quarantined; none when they cannot be listed."""
+    code, out, _ = farm.call(["workers"])
+    return set(QUARANTINED.findall(out)) if code == 0 else None
+
+
+def liars(farm: Farm) -> list[str]:
+    """Who returned wrong bytes is quarantined, and nobody else, except that of a tile of lines whose bytes are wrong nobody
+    can say who of those that had a hand in it was right."""
+    named = quarantined(farm)
+    if named is None:
+        return ["the workers cannot be listed"]
+    honest = set() if farm.shares_tiles else named - {LIAR}
+    wrong = [f"{name} is quarantined and never lied" for name in sorted(honest)]
+    if notes(farm, DIFFERS) and LIAR not in named:
+        wrong.append("outputs differed, and the liar is not quarantined")
+    return wrong
+
+
+def besides(farm: Farm) -> str:
+    """What a report says of a farm with two coordinators or with a liar."""
+    if farm.database:
+        logs = (farm.logs / f"{name}.log" for name in ("coordinator", "second"))
+        return f"led {sum(log.read_text(errors='replace').count(LEADS) for log in logs)} times"
+    if farm.world.liar:
+        return "the liar was found" if LIAR in (quarantined(farm) or set()) else "the liar was not found"
+    return ""

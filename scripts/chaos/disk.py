@@ -12,14 +12,28 @@ JOURNAL_HEADER = 24
 
 
 class Disk:
-    """A tmpfs with the data directory of a coordinator."""
+    """A tmpfs with the data directory of a coordinator; in a farm with a database with those of two, who share the blobs;
+    in a farm with a bucket with its objects."""
 
-    def __init__(self, at: Path, size: int) -> None:
+    def __init__(self, at: Path, size: int, store: str) -> None:
         self.at = at
         self.data = at / "data"
+        # That of the other coordinator.
+        self.second = at / "second"
+        self.bucket = at / "bucket"
         at.mkdir()
         subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(at)], check=True)
         self.data.mkdir()
+        self._blobs = self.data / "blobs"
+        if store == "bucket":
+            self._blobs = self.bucket / "farm" / "one"
+            self.bucket.mkdir()
+        if store == "database":
+            self._blobs = at / "shared"
+            self._blobs.mkdir()
+            self.second.mkdir()
+            for data in (self.data, self.second):
+                (data / "blobs").symlink_to(self._blobs)
 
     def remove(self) -> None:
         subprocess.run(["umount", str(self.at)], check=True)
@@ -46,20 +60,25 @@ class Disk:
 
     def blobs(self, scenes: set[str]) -> tuple[list[Path], list[Path]]:
         """The stored scenes, by their digests, and the outputs and packs of tiles. Results are in neither."""
-        found = [path for path in _files(self.data / "blobs") if path.parent.name != "tmp"]
+        # What a coordinator writes at its start, to see whether a bucket can be used, is no blob.
+        found = [path for path in _files(self._blobs) if path.parent.name != "tmp" and not path.name.startswith("probe")]
         of_scenes = [path for path in found if path.name in scenes]
         return of_scenes, [path for path in found if path not in of_scenes and _head(path) != b"\x89PVS"]
 
     def outcomes(self) -> list[Path]:
         """What crews have kept of their phases."""
-        return _files(self.data / "crews")
+        return [*_files(self.data / "crews"), *_files(self.second / "crews")]
+
+    def unfinished(self) -> list[Path]:
+        """Blobs that are being written."""
+        return _files(self.data / "blobs" / "tmp")
 
     def view(self) -> list[Path]:
         """The files of the view that can be built from the journal again."""
         return _files(self.data / "state" / "sled")
 
-    def events(self) -> Path:
-        return self.data / "events" / "events.jsonl"
+    def events(self, second: bool = False) -> Path:
+        return (self.second if second else self.data) / "events" / "events.jsonl"
 
 
 def _files(below: Path) -> list[Path]:

@@ -1,4 +1,5 @@
-"""A farm: a coordinator, workers and a client, each in a namespace of its own, kept running like a service manager does."""
+"""A farm: coordinators and what they rely on, workers and a client, each in a namespace of its own, kept running like a
+service manager does."""
 
 from __future__ import annotations
 
@@ -10,21 +11,28 @@ import time
 from pathlib import Path
 from typing import Any
 
-from . import keys
+from . import commands, keys
+from .commands import PORT
 from .disk import Disk
-from .plan import CLIENT, COORDINATOR, FIRST_WORKER, Schedule
-from .processes import Process, run
+from .nodes import BALANCER, BUCKET, CLIENT, COORDINATOR, DATABASE, FIRST_WORKER, SECOND
+from .plan import Schedule
+from .processes import Process, run, wait_until
+from .services import PASSWORD, SECRET, Bucket, Database
 from .spaces import Space
 from .switch import Switch
 from .worlds import Calm, named
 
-PORT = 7600
 # A node that has ended by itself is started again after this time, in seconds.
 AGAIN = 0.5
 # A client's call that takes longer is ended and tried again.
 CALL = 15.0
-# Debian's package faketime; none where it is not installed.
-FAKETIME = next(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"), None)
+# What a service says once it takes connections, and how long that may take, in seconds.
+READY = ("listening on", "ready to accept connections")
+STARTS = 60.0
+# What a coordinator of two says when it begins to lead.
+LEADS = "this coordinator leads"
+# So much of the end of a log tells why its process has ended, in bytes.
+END = 4000
 
 
 class Farm:
@@ -39,12 +47,18 @@ class Farm:
         self.logs.mkdir(parents=True)
         self.began = time.monotonic()
         self.keys = keys.make(calm.program, folder / "keys") if schedule.closed else None
-        self.disk = Disk(folder / "disk", self.world.disk)
+        self.disk = Disk(folder / "disk", self.world.disk, self.world.store)
+        has_database, has_bucket = self.world.store == "database", self.world.store == "bucket"
+        self.coordinators = (COORDINATOR, SECOND) if has_database else (COORDINATOR,)
+        self.database = Database(calm.database, f"chaos-{os.getpid()}") if has_database else None
+        self.bucket = Bucket(calm.program, self.disk.bucket, schedule.seed) if has_bucket else None
+        # Workers that return wrong bytes.
+        self.liars = {FIRST_WORKER} if self.world.liar else set()
         self.scenes: set[str] = set()
         # Kinds of files in which a bit was turned over.
         self.damaged: set[str] = set()
-        # What ended by itself: the node and its exit code.
-        self.endings: list[tuple[str, int]] = []
+        # What ended by itself: the node, its exit code, and the end of its log.
+        self.endings: list[tuple[str, int, str]] = []
         self.arguments: set[str] = set()
         self.restarts = 0
         self._lock = threading.RLock()
@@ -52,11 +66,12 @@ class Farm:
         # How many faults keep a node down.
         self._down: dict[int, int] = {}
         self._since: dict[int, float] = {}
-        self._clock = folder / "clock"
+        self.clock = folder / "clock"
         self._steps: list[float] = []
-        self._clock.write_text("+0\n")
-        self._has_clock = any(fault.kind == "clock" for fault in schedule.faults)
-        numbers = [COORDINATOR, *self.workers(), CLIENT]
+        self.clock.write_text("+0\n")
+        self.has_clock = any(fault.kind == "clock" for fault in schedule.faults)
+        self.services = (DATABASE, BALANCER) if has_database else (BUCKET,) if has_bucket else ()
+        numbers = [*self.services, *self.coordinators, *self.workers(), CLIENT]
         self.spaces = {number: Space(f"s{os.getpid()}-{number}", number) for number in numbers}
         self.switch = Switch({number: space.device for number, space in self.spaces.items()}, schedule.seed)
         self.switch.start()
@@ -65,19 +80,51 @@ class Farm:
         """The numbers of the workers."""
         return range(FIRST_WORKER, FIRST_WORKER + self.schedule.workers)
 
+    @property
+    def shares_tiles(self) -> bool:
+        """Whether workers help with tiles of others, as they do with those of lines."""
+        return self.world.calm in ("lines", "crew")
+
     def note(self, text: str) -> None:
         """A line in the schedule's own log."""
         with self._lock, (self.logs / "schedule.log").open("a") as log:
             log.write(f"{time.monotonic() - self.began:8.3f} {text}\n")
 
     def start(self) -> None:
-        """Starts all nodes."""
-        for number in [COORDINATOR, *self.workers()]:
+        """Starts all nodes, first what the coordinators rely on."""
+        for number in self.services:
+            self._start(number)
+        for number in self.services:
+            process = self._nodes[number]
+            if not wait_until(lambda: any(word in process.said() for word in READY), STARTS):
+                raise RuntimeError(f"{process.name} does not start:\n{process.said()[-END:]}")
+        for number in [*self.coordinators, *self.workers()]:
             self._start(number)
 
     @property
     def url(self) -> str:
-        return f"{'https' if self.keys else 'http'}://{self.spaces[COORDINATOR].address}:{PORT}"
+        """Where workers and clients call."""
+        at = BALANCER if self.database else COORDINATOR
+        return f"{'https' if self.keys else 'http'}://{self.spaces[at].address}:{PORT}"
+
+    def secrets(self) -> list[bytes]:
+        """What may be in no log, argument list or file but those of keys."""
+        found = self.keys.secrets() if self.keys else []
+        return found + ([PASSWORD.encode()] if self.database else []) + ([SECRET.encode()] if self.bucket else [])
+
+    def leader(self) -> int:
+        """The coordinator that began to lead as the last one, as far as the logs tell."""
+        begun = [number for number in self.coordinators if number in self._nodes and LEADS in self._nodes[number].said()]
+        return max(begun, key=lambda number: self._nodes[number].began, default=COORDINATOR)
+
+    def written(self) -> int:
+        """A number that changes when records are written."""
+        if self.database:
+            return self.database.written()
+        try:
+            return self.disk.journal.stat().st_size
+        except OSError:
+            return 0
 
     def _environment(self) -> dict[str, str]:
         environment = {name: value for name, value in os.environ.items() if not name.startswith("SIGHTLINE_")}
@@ -88,37 +135,21 @@ class Farm:
         return environment
 
     def _start(self, number: int) -> None:
-        environment = self._environment()
-        program = str(self.calm.program)
-        if number == COORDINATOR:
-            name = "coordinator"
-            command = [program, "coordinator", "--listen", f"{self.spaces[number].address}:{PORT}",
-                       "--data-dir", str(self.disk.data), *self.world.coordinator]
-            command += self.keys.coordinator() if self.keys else ["--allow-plaintext"]
-            if self._has_clock:
-                environment |= {
-                    "LD_PRELOAD": str(FAKETIME), "FAKETIME_TIMESTAMP_FILE": str(self._clock), "NO_FAKE_STAT": "1",
-                    "FAKETIME_CACHE_DURATION": "1", "FAKETIME_DONT_FAKE_MONOTONIC": "1", "DONT_FAKE_MONOTONIC": "1",
-                }
-        else:
-            self.restarts += 1
-            called = f"worker-{number}" + ("" if self.schedule.same_names else f"-{self.restarts}")
-            name = f"worker-{number}"
-            command = [program, "worker", "--coordinator", self.url, "--backend", "cpu", "--threads", "1", "--name", called]
-            command += self.keys.worker() if self.keys else []
+        name, command, more = commands.of(self, number)
+        environment = {**self._environment(), **more}
         self._nodes[number] = Process(name, self.spaces[number], command, self.logs / f"{name}.log", environment)
 
     def coordinator(self) -> Process | None:
         return self._nodes.get(COORDINATOR)
 
-    def send(self, number: int, what: signal.Signals) -> None:
-        """Sends a signal to a node."""
+    def send(self, number: int, what: signal.Signals, whole: bool = False) -> None:
+        """Sends a signal to a node, also to its children if the whole of it is meant."""
         with self._lock:
             if number in self._nodes:
-                self._nodes[number].send(what)
+                self._nodes[number].send(what, whole)
 
-    def take_down(self, number: int, gently: bool = False) -> None:
-        """Kills a node, or asks it to end, and keeps it down until `let_up`."""
+    def take_down(self, number: int, gently: signal.Signals | None = None) -> None:
+        """Kills a node, or asks it to end with a signal, and keeps it down until `let_up`."""
         with self._lock:
             self._down[number] = self._down.get(number, 0) + 1
             process = self._nodes.get(number)
@@ -126,7 +157,7 @@ class Farm:
                 self.arguments.add(process.arguments())
                 # A stopped process does not hear of the wish.
                 if gently and not process.stopped:
-                    process.send(signal.SIGTERM)
+                    process.send(gently)
                 else:
                     process.kill()
                     del self._nodes[number]
@@ -151,7 +182,7 @@ class Farm:
                     self._since.pop(number, None)
                 elif number not in self._since:
                     self._since[number] = time.monotonic()
-                    self.endings.append((process.name, code))
+                    self.endings.append((process.name, code, process.said()[-END:]))
                     self.note(f"{process.name} has ended by itself with {code}")
                 elif time.monotonic() - self._since[number] > AGAIN:
                     del self._since[number]
@@ -164,7 +195,7 @@ class Farm:
                 self._steps.remove(seconds)
             else:
                 self._steps.append(seconds)
-            self._clock.write_text(f"{sum(self._steps):+}\n")
+            self.clock.write_text(f"{sum(self._steps):+}\n")
 
     def call(self, words: list[str], limit: float = CALL) -> tuple[int, str, str]:
         """Runs `sightline WORDS` in the client's namespace: its code, stdout and stderr."""
@@ -189,8 +220,8 @@ class Farm:
         wrong = []
         with self._lock:
             workers = [self._nodes[number] for number in self.workers() if number in self._nodes]
-            coordinator = self._nodes.get(COORDINATOR)
-            for group in (workers, [coordinator] if coordinator else []):
+            coordinators = [self._nodes[number] for number in self.coordinators if number in self._nodes]
+            for group in (workers, coordinators):
                 for process in group:
                     self.arguments.add(process.arguments())
                     process.send(signal.SIGTERM)
@@ -200,6 +231,9 @@ class Farm:
                         process.kill()
                     elif process.code() != 0:
                         wrong.append(f"{process.name} ends with {process.code()} after SIGTERM")
+            for number in self.services:
+                if number in self._nodes:
+                    self._nodes[number].kill()
             self._nodes.clear()
         return wrong
 
@@ -213,3 +247,5 @@ class Farm:
         for space in self.spaces.values():
             space.remove()
         self.disk.remove()
+        if self.database:
+            self.database.remove()

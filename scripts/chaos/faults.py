@@ -8,8 +8,9 @@ import time
 from typing import Callable
 
 from . import disk
+from .drawing import Fault
 from .farm import Farm
-from .plan import COORDINATOR, Fault
+from .nodes import COORDINATOR, SECOND
 from .switch import Weather
 
 Undo = Callable[[], None]
@@ -35,31 +36,35 @@ def _kill(farm: Farm, fault: Fault) -> Undo:
 
 
 def _term(farm: Farm, fault: Fault) -> Undo:
-    farm.take_down(fault.node, gently=True)
+    farm.take_down(fault.node, signal.SIGTERM)
+    return lambda: farm.let_up(fault.node)
+
+
+# The ways to end a database: without waiting for those who are connected, without writing down what is in memory, and
+# without its knowledge.
+ENDS = {"fast": signal.SIGINT, "immediate": signal.SIGQUIT, "killed": None}
+
+
+def _restart(farm: Farm, fault: Fault) -> Undo:
+    farm.take_down(fault.node, ENDS[str(fault.details["how"])])
     return lambda: farm.let_up(fault.node)
 
 
 def _kill_at_commit(farm: Farm, fault: Fault) -> Undo:
-    journal = farm.disk.journal
-
-    def length() -> int:
-        try:
-            return journal.stat().st_size
-        except OSError:
-            return 0
-
     def watch() -> None:
-        until, before, grown = time.monotonic() + WAIT, length(), 0
+        until, before, grown = time.monotonic() + WAIT, farm.written(), 0
         while time.monotonic() < until and grown < int(fault.details["commits"]):
-            now = length()
+            now = farm.written()
             grown += now > before
             before = now
             time.sleep(0.0003)
         time.sleep(float(fault.details["after"]))
-        farm.take_down(COORDINATOR)
-        farm.note(f"killed the coordinator after {grown} commits")
+        # Of two the one that commits.
+        node = farm.leader() if farm.database else COORDINATOR
+        farm.take_down(node)
+        farm.note(f"killed coordinator {node} after {grown} commits")
         time.sleep(fault.lasts)
-        farm.let_up(COORDINATOR)
+        farm.let_up(node)
 
     watcher = threading.Thread(target=watch, daemon=True)
     watcher.start()
@@ -67,13 +72,31 @@ def _kill_at_commit(farm: Farm, fault: Fault) -> Undo:
 
 
 def _stop(farm: Farm, fault: Fault) -> Undo:
-    farm.send(fault.node, signal.SIGSTOP)
-    return lambda: farm.send(fault.node, signal.SIGCONT)
+    # A database whose first process alone is stopped answers those who are connected, and nobody else.
+    whole = fault.details.get("whole", "yes") == "yes"
+    farm.send(fault.node, signal.SIGSTOP, whole)
+    return lambda: farm.send(fault.node, signal.SIGCONT, whole=True)
+
+
+def _slow(farm: Farm, fault: Fault) -> Undo:
+    def halt() -> None:
+        until = time.monotonic() + fault.lasts
+        while time.monotonic() < until:
+            farm.send(fault.node, signal.SIGSTOP, whole=True)
+            time.sleep(float(fault.details["stopped"]))
+            farm.send(fault.node, signal.SIGCONT, whole=True)
+            time.sleep(float(fault.details["runs"]))
+
+    halting = threading.Thread(target=halt, daemon=True)
+    halting.start()
+    return halting.join
 
 
 def _over_ways(farm: Farm, fault: Fault, weather: Weather) -> Undo:
-    """Weather on the packets to a node, from it, or both."""
+    """Weather on the packets to a node, from it, or both; between it and another one alone where that is named."""
     way, others = fault.details["way"], [number for number in farm.spaces if number != fault.node]
+    if "peer" in fault.details:
+        others = [int(fault.details["peer"])]
     ways = [(other, fault.node) for other in others if way in ("in", "both")]
     ways += [(fault.node, other) for other in others if way in ("out", "both")]
     for source, target in ways:
@@ -123,10 +146,10 @@ def _flip(farm: Farm, fault: Fault) -> Undo:
 
 
 def _torn(farm: Farm, fault: Fault) -> Undo:
-    farm.take_down(COORDINATOR)
+    farm.take_down(fault.node)
     if not _damage(farm, fault):
         farm.note(f"there is no {fault.details['what']} to damage")
-    return lambda: farm.let_up(COORDINATOR)
+    return lambda: farm.let_up(fault.node)
 
 
 def _damage(farm: Farm, fault: Fault) -> bool:
@@ -136,7 +159,7 @@ def _damage(farm: Farm, fault: Fault) -> bool:
         farm.note(disk.leave_unfinished(farm.disk.journal, spot))
         return True
     if what == "events":
-        farm.note(disk.tear(farm.disk.events(), 200, spot))
+        farm.note(disk.tear(farm.disk.events(second=fault.node == SECOND), 200, spot))
         return True
     scenes, tiles = farm.disk.blobs(farm.scenes)
     files = {"scene": scenes, "tile": tiles, "outcome": farm.disk.outcomes(), "view": farm.disk.view()}[what]
@@ -150,5 +173,5 @@ def _damage(farm: Farm, fault: Fault) -> bool:
 
 BEGIN: dict[str, Callable[[Farm, Fault], Undo]] = {
     "kill": _kill, "kill_at_commit": _kill_at_commit, "term": _term, "stop": _stop, "weather": _weather, "cut": _cut,
-    "unplug": _unplug, "disk_full": _disk_full, "clock": _clock, "flip": _flip, "torn": _torn,
+    "unplug": _unplug, "restart": _restart, "slow": _slow, "disk_full": _disk_full, "clock": _clock, "flip": _flip, "torn": _torn,
 }

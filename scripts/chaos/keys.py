@@ -7,6 +7,7 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
+from .nodes import BALANCER, COORDINATOR, SECOND
 from .spaces import NETWORK
 
 
@@ -16,15 +17,17 @@ class Keys:
 
     folder: Path
 
-    def coordinator(self) -> list[str]:
-        """The coordinator's arguments."""
+    def coordinator(self, pair: bool) -> list[str]:
+        """The coordinator's arguments; of a pair each knows the other by the authority, and workers by their token."""
         at = self.folder
         return ["--tls-cert", str(at / "coordinator.pem"), "--tls-key", str(at / "coordinator.key"),
-                "--client-ca", str(at / "ca.pem"), "--tokens", str(at / "tokens.json")]
+                "--peer-ca" if pair else "--client-ca", str(at / "ca.pem"), "--tokens", str(at / "tokens.json")]
 
-    def worker(self) -> list[str]:
-        """The arguments of a worker."""
+    def worker(self, pair: bool) -> list[str]:
+        """The arguments of a worker. A coordinator that stands by cannot pass on a certificate."""
         at = self.folder
+        if pair:
+            return ["--ca", str(at / "ca.pem"), "--token-file", str(at / "worker.token")]
         return ["--ca", str(at / "ca.pem"), "--cert", str(at / "worker.pem"), "--key", str(at / "worker.key")]
 
     def client(self) -> list[str]:
@@ -44,19 +47,25 @@ class Keys:
 
 
 def make(program: Path, folder: Path) -> Keys:
-    """Makes an authority, the certificates it signs, and a token."""
+    """Makes an authority, the certificates it signs, and tokens."""
     folder.mkdir()
     before = os.umask(0o077)
     try:
         _openssl(folder, "req", "-x509", *_NEW, "-days", "3650", "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=farm")
-        _certify(folder, "coordinator", f"extendedKeyUsage=serverAuth\nsubjectAltName=IP:{NETWORK}1,IP:127.0.0.1\n")
+        _certify(folder, "coordinator", f"extendedKeyUsage=serverAuth\nsubjectAltName={_names()}\n")
         _certify(folder, "worker", "extendedKeyUsage=clientAuth\n")
-        token = subprocess.run([program, "token", "new", "--tokens", folder / "tokens.json", "--user", "root", "--scope", "admin"],
-                               capture_output=True, check=True)
-        (folder / "root.token").write_bytes(token.stdout)
+        for user, scope in (("root", "admin"), ("worker", "worker")):
+            token = subprocess.run([program, "token", "new", "--tokens", folder / "tokens.json", "--user", user, "--scope", scope],
+                                   capture_output=True, check=True)
+            (folder / f"{user}.token").write_bytes(token.stdout)
     finally:
         os.umask(before)
     return Keys(folder)
+
+
+def _names() -> str:
+    """The addresses under which a coordinator is called."""
+    return ",".join(f"IP:{NETWORK}{number}" for number in (COORDINATOR, SECOND, BALANCER)) + ",IP:127.0.0.1"
 
 
 _NEW = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes")

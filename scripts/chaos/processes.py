@@ -18,7 +18,10 @@ class Process:
         self.name = name
         self.stopped = False
         self.log = log
+        self.began = time.monotonic()
         with log.open("ab") as out:
+            # What earlier processes of the node have said is before.
+            self._from = out.tell()
             out.write(f"== {' '.join(command)}\n".encode())
             out.flush()
             self._child = subprocess.Popen(
@@ -35,16 +38,29 @@ class Process:
     def runs(self) -> bool:
         return self.code() is None
 
-    def send(self, number: signal.Signals) -> None:
-        """Sends a signal; a process that has ended needs none."""
+    def send(self, number: signal.Signals, whole: bool = False) -> None:
+        """Sends a signal, also to its children if the whole of it is meant; a process that has ended needs none."""
+        children = self._children() if whole else []
         if self.runs():
             self._child.send_signal(number)
             if number in (signal.SIGSTOP, signal.SIGCONT):
                 self.stopped = number == signal.SIGSTOP
+        for child in children:
+            try:
+                os.kill(child, number)
+            except ProcessLookupError:
+                # It has ended meanwhile.
+                continue
+
+    def _children(self) -> list[int]:
+        try:
+            return [int(pid) for pid in Path(f"/proc/{self.pid}/task/{self.pid}/children").read_text().split()]
+        except OSError:
+            return []
 
     def kill(self) -> None:
-        """Kills it and waits until it is gone."""
-        self.send(signal.SIGKILL)
+        """Kills it and its children, and waits until it is gone."""
+        self.send(signal.SIGKILL, whole=True)
         self._child.wait()
 
     def ended_within(self, seconds: float) -> bool:
@@ -61,6 +77,12 @@ class Process:
             return Path(f"/proc/{self.pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
         except OSError:
             return ""
+
+    def said(self) -> str:
+        """What it has written to its log."""
+        with self.log.open("rb") as log:
+            log.seek(self._from)
+            return log.read().decode(errors="replace")
 
     def handles(self) -> int:
         """Open file descriptors."""

@@ -12,8 +12,9 @@ from pathlib import Path
 
 from . import checks, clients, faults
 from .clients import Acknowledged, Observer
+from .commands import LIAR
 from .farm import Farm
-from .plan import COORDINATOR, Errand, Schedule
+from .plan import Errand, Schedule
 from .worlds import Calm
 
 # How much more memory and how many more handles a coordinator may have after its last round than after its second.
@@ -40,6 +41,8 @@ class Outcome:
     blobs_left: int = 0
     packets: int = 0
     lost: int = 0
+    # What only some worlds have: how often a coordinator began to lead, and whether a liar was found.
+    besides: str = ""
 
 
 def run(calm: Calm, schedule: Schedule, folder: Path, bound: float) -> Outcome:
@@ -54,6 +57,7 @@ def run(calm: Calm, schedule: Schedule, folder: Path, bound: float) -> Outcome:
             _once(farm, outcome, bound)
         else:
             _rounds(farm, outcome, bound)
+        outcome.besides = checks.besides(farm)
         outcome.problems += farm.end()
         outcome.problems += checks.traces(farm) + checks.left_over(farm)
     except Exception:
@@ -70,7 +74,7 @@ def run(calm: Calm, schedule: Schedule, folder: Path, bound: float) -> Outcome:
 
 def _keep(farm: Farm) -> None:
     """Copies the data directory off the file system that goes with the schedule."""
-    shutil.copytree(farm.disk.data, farm.folder / "data", ignore_dangling_symlinks=True)
+    shutil.copytree(farm.disk.at, farm.folder / "data", symlinks=True, ignore=shutil.ignore_patterns("filler-*"))
 
 
 def _once(farm: Farm, outcome: Outcome, bound: float) -> None:
@@ -90,6 +94,8 @@ def _once(farm: Farm, outcome: Outcome, bound: float) -> None:
         time.sleep(0.05)
     observer.end()
     _settle(farm, told, outcome, until)
+    if farm.liars and not outcome.problems and _compute_again(farm):
+        _settle(farm, told, outcome, until)
     outcome.healed = time.monotonic() - over
     outcome.problems += told.problems
     if outcome.problems:
@@ -99,8 +105,10 @@ def _once(farm: Farm, outcome: Outcome, bound: float) -> None:
         wrong, outcome.blobs_left = checks.disk_left(farm)
         outcome.problems += wrong
     # What is acknowledged is on the disk, also when the last thing that happens is a kill.
-    farm.take_down(COORDINATOR)
-    farm.let_up(COORDINATOR)
+    for number in farm.coordinators:
+        farm.take_down(number)
+    for number in farm.coordinators:
+        farm.let_up(number)
     if _answers(farm, bound):
         _check(farm, told, outcome)
     else:
@@ -112,6 +120,8 @@ def _check(farm: Farm, told: Acknowledged, outcome: Outcome) -> None:
         if job not in told.cancelled:
             outcome.problems += checks.job(farm, job, farm.schedule.errands[number].variant)
     outcome.problems += checks.acknowledged(farm, told)
+    if farm.liars:
+        outcome.problems += checks.liars(farm)
 
 
 def _send(farm: Farm, told: Acknowledged, errands: tuple[Errand, ...], until: float) -> list[threading.Thread]:
@@ -162,6 +172,8 @@ def _settle(farm: Farm, told: Acknowledged, outcome: Outcome, until: float) -> N
             time.sleep(0.4)
             continue
         shown = {one["job"]: one for one in listed}
+        if farm.liars and farm.shares_tiles:
+            _release_honest(farm)
         for job, number in list(wanted.items()):
             if job not in shown:
                 outcome.problems.append(f"job {job} was acknowledged and is not listed")
@@ -181,6 +193,25 @@ def _settle(farm: Farm, told: Acknowledged, outcome: Outcome, until: float) -> N
         time.sleep(0.4)
     if wanted:
         outcome.problems.append(f"jobs {sorted(wanted)} have not ended in time:\n{farm.call(['jobs'])[1]}")
+
+
+def _release_honest(farm: Farm) -> None:
+    """Lets workers work again that are quarantined for what a liar did to a tile that they shared. A person would find
+    that nothing is wrong with them."""
+    for name in (checks.quarantined(farm) or set()) - {LIAR}:
+        farm.note(f"releases {name}")
+        farm.call(["workers", "--release", name])
+
+
+def _compute_again(farm: Farm) -> bool:
+    """Does what a person does where the log says that a tile was left unchecked: has the liar's tiles of that job computed
+    again. Whether there were any."""
+    meant = False
+    for job in sorted(checks.notes(farm, checks.UNCHECKED)):
+        code, out, _ = farm.call(["invalidate", str(job), "--worker", LIAR, "--json"])
+        farm.note(f"invalidates what the liar did in job {job}: {out.strip()}")
+        meant = meant or (code == 0 and out.strip() != "[]")
+    return meant
 
 
 def _rounds(farm: Farm, outcome: Outcome, bound: float) -> None:

@@ -9,8 +9,10 @@ from dataclasses import dataclass
 from typing import Callable
 
 from . import disk, faults
+from .drawing import Fault
 from .farm import Farm
-from .plan import COORDINATOR, Errand, Fault, Schedule
+from .nodes import COORDINATOR, FIRST_WORKER
+from .plan import Errand, Schedule
 from .processes import wait_until
 from .worlds import Calm
 
@@ -21,6 +23,8 @@ class Act:
 
     do: Callable[[Farm], None]
     said: str
+    # When it is done, in seconds.
+    at: float = 3.0
 
 
 # What is waited for the three submissions, in seconds.
@@ -64,13 +68,26 @@ def _leave_a_process(farm: Farm) -> None:
     subprocess.Popen(["sleep", "86400"], env={"XDG_CACHE_HOME": str(farm.folder / "cache"), "PATH": os.environ["PATH"]})
 
 
+def _believe_a_liar(farm: Farm) -> None:
+    # Without spot checks its outputs are taken.
+    farm.liars.add(FIRST_WORKER)
+    farm.take_down(FIRST_WORKER)
+    farm.let_up(FIRST_WORKER)
+
+
 ACTS = {
     "lose_commits": Act(_lose_commits, "was acknowledged and is not listed"),
     "change_calm_run": Act(_change_calm_run, "the first that differs"),
     "tell_a_secret": Act(_tell_a_secret, "contains a secret"),
     "panic": Act(_panic, "panicked at"),
     "leave_a_process": Act(_leave_a_process, "is left"),
+    "believe_a_liar": Act(_believe_a_liar, "the first that differs", at=0.0),
 }
+
+
+def needs_liar(schedule: Schedule) -> bool:
+    """Whether an act of a schedule makes a worker lie."""
+    return any(fault.kind == "believe_a_liar" for fault in schedule.faults)
 
 
 def schedules() -> list[Schedule]:
@@ -78,5 +95,5 @@ def schedules() -> list[Schedule]:
     for name, act in ACTS.items():
         faults.BEGIN[name] = lambda farm, _, act=act: (act.do(farm), lambda: None)[1]
     errands = (Errand(0.0, "submit", 0), Errand(0.2, "submit", 1), Errand(0.4, "submit", 2))
-    return [Schedule(at, "lines", 2, True, False, False, 1, errands, (Fault(3.0, name, COORDINATOR, 0.0),))
-            for at, name in enumerate(ACTS)]
+    return [Schedule(at, "lines", 2, True, False, False, 1, errands, (Fault(act.at, name, COORDINATOR, 0.0),))
+            for at, (name, act) in enumerate(ACTS.items())]

@@ -1,9 +1,10 @@
 //! The chaos harness (`scripts/chaos.sh`, docs/chaos.md) with the seeds that once found something and a dozen
 //! more: real processes in network namespaces, killed, stopped, cut off and damaged, give the calm run's
-//! bytes.
+//! bytes. The dozen has every kind of farm: one coordinator, two on PostgreSQL, blobs in a bucket, a liar.
 //!
-//! Needs root and what `scripts/setup.sh --for test` installs. Where the harness says that it cannot run, the
-//! test says so in one line and passes; where `CI` is set it fails instead.
+//! Needs root, what `scripts/setup.sh --for test` installs, and the programs of `cargo build --workspace`.
+//! Where the harness says that it cannot run, the test says so in one line and passes; where `CI` is set it
+//! fails instead.
 
 #![allow(clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
 

@@ -165,6 +165,14 @@ impl Worker {
     async fn connection(&mut self, stop: &mut watch::Receiver<Stop>) -> Result<End, WorkerError> {
         // The coordinator has forgotten whom this worker helped.
         self.helping.values().for_each(|h| h.cancel());
+        let mut draining = *stop.borrow_and_update() == Stop::Drain;
+        // A tile that has ended since the last connection is not claimed: nobody would work on it.
+        let mut unsaid = Vec::new();
+        while let Ok(done) = self.finished.1.try_recv() {
+            unsaid.extend(self.done(done, draining));
+        }
+        // How many tiles it wants it says when it is welcome.
+        unsaid.retain(|m| !matches!(m, ToCoordinator::Want(_)));
         let (out, receiver) = mpsc::channel(64);
         let send = |m: ToCoordinator| out.try_send(v1::WorkerMessage { message: Some(m) });
         // Jobs that need no backend are for every worker.
@@ -180,10 +188,11 @@ impl Worker {
             helps: self.shop.config.helps,
         };
         let broken = |e: &dyn std::fmt::Display| End::Broken(e.to_string());
-        if let Err(e) = send(ToCoordinator::Hello(hello)) {
-            return Ok(broken(&e));
+        for m in std::iter::once(ToCoordinator::Hello(hello)).chain(unsaid) {
+            if let Err(e) = send(m) {
+                return Ok(broken(&e));
+            }
         }
-        let mut draining = *stop.borrow_and_update() == Stop::Drain;
         if draining {
             self.give_back();
             if let Err(e) = send(ToCoordinator::Draining(v1::Draining {})) {
@@ -284,8 +293,7 @@ impl Worker {
                         h.cancel();
                     }
                 }
-                let tiles = IN_HAND.saturating_sub(self.held.len()) as u32;
-                (!draining && tiles > 0).then_some(ToCoordinator::Want(v1::Want { tiles }))
+                self.wanted(draining)
             }
             FromCoordinator::Grant(grant) => {
                 let lease = grant.lease?;
@@ -313,12 +321,15 @@ impl Worker {
             }
             FromCoordinator::Revoke(r) => {
                 let key = r.lease.map(|l| key(&l));
+                let mut known = false;
                 for of in [&self.held, &self.helping] {
                     if let Some(h) = key.and_then(|key| of.get(&key)) {
                         h.cancel();
+                        known = true;
                     }
                 }
-                None
+                // The coordinator took a tile for held that was not, and did not count on that hand.
+                if known { None } else { self.wanted(draining) }
             }
             FromCoordinator::Help(help) => {
                 let lease = help.lease?;
@@ -356,6 +367,13 @@ impl Worker {
                 None
             }
         }
+    }
+
+    /// Asks for as many tiles as this worker may hold beside those that it holds. The coordinator counts no
+    /// hand twice.
+    fn wanted(&self, draining: bool) -> Option<ToCoordinator> {
+        let tiles = IN_HAND.saturating_sub(self.held.len()) as u32;
+        (!draining && tiles > 0).then_some(ToCoordinator::Want(v1::Want { tiles }))
     }
 
     /// The messages to send after a tile or a timing has finished.

@@ -31,8 +31,13 @@ pub struct S3Server {
 impl S3Server {
     /// Starts a server on a free port, with its objects below `root` and one empty bucket of this name.
     pub fn start(root: &Path, bucket: &str) -> Self {
+        Self::start_at(root, bucket, (Ipv4Addr::LOCALHOST, 0).into())
+    }
+
+    /// The same at an address of the caller's choice; a bucket that is there keeps its objects.
+    pub fn start_at(root: &Path, bucket: &str, address: SocketAddr) -> Self {
         fs::create_dir_all(root.join(bucket)).unwrap();
-        Self::at(root, (Ipv4Addr::LOCALHOST, 0).into())
+        Self::at(root, address)
     }
 
     fn at(root: &Path, address: SocketAddr) -> Self {
