@@ -1,6 +1,6 @@
-//! Whether the value of an entry that comes from outside is what its key says: a checksum is no proof of that,
-//! for whoever writes a file can compute it. Numbers that decide how much is allocated or looked through are
-//! within their limits.
+//! Whether the value of an entry that comes from outside is what its key says: a checksum is no proof of
+//! that, for whoever writes a file can compute it. Numbers that decide how much is allocated or looked
+//! through are within their limits.
 
 use serde::de::DeserializeOwned;
 

@@ -515,6 +515,28 @@ fn commands_of_many_threads_are_each_carried_out_once() {
     assert_eq!(SledStore::open(directory.path()).unwrap().tiles(JobId(1)).unwrap(), tiles);
 }
 
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(16) })]
+
+    /// As after a full disk; at the next start sled is brought up to date.
+    #[test]
+    fn a_view_in_memory_is_the_model_and_nothing_of_it_is_lost(
+        before in prop::collection::vec(op(), 1..25),
+        after in prop::collection::vec(op(), 1..60),
+    ) {
+        let directory = tempfile::tempdir().unwrap();
+        let mut model = Model::default();
+        let store = SledStore::open(directory.path()).unwrap();
+        before.iter().for_each(|op| step(&store, &mut model, op));
+        store.refuse_changes();
+        after.iter().for_each(|op| step(&store, &mut model, op));
+        prop_assert_eq!(everything(&store), model.everything());
+        drop(store);
+        let store = SledStore::open(directory.path()).unwrap();
+        prop_assert_eq!(everything(&store), model.everything());
+    }
+}
+
 #[test]
 fn a_directory_in_use_is_refused_with_its_owner() {
     let directory = tempfile::tempdir().unwrap();

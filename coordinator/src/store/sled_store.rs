@@ -11,6 +11,7 @@
 //! One tree, values under 4 KiB, no background flush (sled's space grows otherwise), one writer thread: the
 //! commands that arrive while it syncs share the next sync. Blobs are not kept here.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -37,6 +38,8 @@ const GROUP_BYTES: usize = 1 << 20;
 /// While rebuilding, sled is changed after this many keys.
 const REBUILD_KEYS: usize = 4096;
 const APPLIED: &[u8] = b"a";
+/// Memory of sled for entries. It would take up to a gigabyte, and come near that with every tile.
+const CACHE_BYTES: u64 = 64 << 20;
 
 /// The embedded store.
 #[derive(Debug)]
@@ -85,6 +88,16 @@ impl SledStore {
             .spawn(move || writer.run(&incoming))
             .map_err(fault("start the writer thread for", directory))?;
         Ok(Self { live, commands: Mutex::new(Some(commands)), writer: Some(writer), told, lock })
+    }
+}
+
+#[cfg(test)]
+impl SledStore {
+    /// Does what a refused change does: the view goes on in memory.
+    pub(super) fn refuse_changes(&self) {
+        let mut live = self.live.write().unwrap_or_else(PoisonError::into_inner);
+        let entries = live.scan(&[]).unwrap();
+        live.db = Entries::Memory(entries.into_iter().collect());
     }
 }
 
@@ -156,7 +169,9 @@ impl Drop for SledStore {
         }
         let live = self.live.write().unwrap_or_else(PoisonError::into_inner);
         // Not needed for durability; it only shortens the next start's replay.
-        if let Err(error) = guarded(|| live.db.flush()) {
+        if let Entries::Sled(db) = &live.db
+            && let Err(error) = guarded(|| db.flush())
+        {
             tracing::warn!(
                 %error,
                 "the store's view could not be flushed; the next start brings it up to date"
@@ -268,7 +283,7 @@ impl Writer {
         if let Some(tell) = self.told.syncs.get() {
             tell(begun.elapsed());
         }
-        self.live.write().unwrap_or_else(PoisonError::into_inner).take(staged, end);
+        self.live.write().unwrap_or_else(PoisonError::into_inner).take(staged, end, &self.journal);
         Ok(())
     }
 }
@@ -285,11 +300,36 @@ struct Applied {
 }
 
 /// The state as queries see it: sled, and changes that sled has not accepted yet.
+///
+/// A sled that has refused a change once, on a full disk, refuses all later ones, and its reads may fail. So
+/// the entries then go on in memory alone until the next start, at which sled is brought up to date.
 struct Live {
-    db: sled::Db,
+    db: Entries,
     applied: Applied,
-    /// Empty unless sled refused a batch (a full disk); then kept here and tried again with the next one.
+    /// Changes of frames that are not applied yet.
     waiting: Changes,
+}
+
+/// Where the entries of a view are.
+enum Entries {
+    Sled(sled::Db),
+    Memory(BTreeMap<Bytes, Bytes>),
+}
+
+impl Table for Entries {
+    fn get(&self, key: &[u8]) -> Result<Option<Bytes>, StoreError> {
+        match self {
+            Self::Sled(db) => db.get(key),
+            Self::Memory(entries) => Table::get(entries, key),
+        }
+    }
+
+    fn scan(&self, prefix: &[u8]) -> Result<Vec<(Bytes, Bytes)>, StoreError> {
+        match self {
+            Self::Sled(db) => db.scan(prefix),
+            Self::Memory(entries) => entries.scan(prefix),
+        }
+    }
 }
 
 impl std::fmt::Debug for Live {
@@ -328,7 +368,9 @@ impl Live {
     fn open(path: &Path) -> Result<Self, StoreError> {
         let mut tries = 0;
         let db = loop {
-            match guarded(|| sled::Config::new().path(path).flush_every_ms(None).open()) {
+            match guarded(|| {
+                sled::Config::new().path(path).flush_every_ms(None).cache_capacity(CACHE_BYTES).open()
+            }) {
                 // The directory's lock keeps other processes out, so sled's previous handle in this process
                 // is still being closed.
                 Err(StoreError::View { what }) if tries < 100 && what.contains("acquire lock") => {
@@ -342,7 +384,7 @@ impl Live {
             Some(value) => decode(APPLIED, &value)?,
             None => Applied { journal: 0, offset: 0, sum: 0 },
         };
-        let live = Self { db, applied, waiting: Changes::new() };
+        let live = Self { db: Entries::Sled(db), applied, waiting: Changes::new() };
         let sum =
             live.db.scan(&[])?.iter().fold(0, |sum: u64, (key, value)| sum.wrapping_add(hash(key, value)));
         if sum != applied.sum {
@@ -380,15 +422,40 @@ impl Live {
         Ok(self)
     }
 
-    /// Applies the changes of a frame that ends at `end`. When sled refuses them, nothing is lost.
-    fn take(&mut self, changes: Changes, end: u64) {
+    /// Applies the changes of a frame of the journal that ends at `end`. When sled refuses them, the entries
+    /// go on in memory.
+    fn take(&mut self, changes: Changes, end: u64, journal: &Journal) {
         self.waiting.extend(changes);
-        if let Err(error) = self.apply(end) {
-            tracing::warn!(
-                %error, keys = self.waiting.len(),
-                "the store's view refused a change; the change is durable in the journal and stays in memory \
-                 until the view accepts it"
-            );
+        let Err(error) = self.apply(end) else { return };
+        match self.in_memory(journal) {
+            Ok(entries) => {
+                tracing::warn!(
+                    %error, entries = entries.len(),
+                    "the store's view refused a change, which is durable in the journal; until the next start \
+                     the view is kept in memory"
+                );
+                self.db = Entries::Memory(entries);
+                self.applied.offset = end;
+                self.waiting.clear();
+            }
+            // The change stays where queries look, and is tried again with the next one.
+            Err(unread) => tracing::warn!(
+                %error, %unread, keys = self.waiting.len(),
+                "the store's view refused a change, which is durable in the journal, and cannot be read"
+            ),
+        }
+    }
+
+    /// All entries with the waiting changes; from the journal where sled cannot be read.
+    fn in_memory(&self, journal: &Journal) -> Result<BTreeMap<Bytes, Bytes>, StoreError> {
+        match self.scan(&[]) {
+            Ok(entries) => Ok(entries.into_iter().collect()),
+            Err(_) => {
+                let entries = Entries::Memory(BTreeMap::new());
+                let applied = Applied { journal: 0, offset: 0, sum: 0 };
+                let anew = Self { db: entries, applied, waiting: Changes::new() }.caught_up(journal)?;
+                Ok(anew.scan(&[])?.into_iter().collect())
+            }
         }
     }
 
@@ -412,7 +479,17 @@ impl Live {
             }
         }
         batch.insert(APPLIED, encode(APPLIED, &applied)?);
-        guarded(|| self.db.apply_batch(batch))?;
+        match &mut self.db {
+            Entries::Sled(db) => guarded(|| db.apply_batch(batch))?,
+            Entries::Memory(entries) => {
+                for (key, value) in std::mem::take(&mut self.waiting) {
+                    match value {
+                        Some(value) => entries.insert(key, value),
+                        None => entries.remove(&key),
+                    };
+                }
+            }
+        }
         self.applied = applied;
         self.waiting.clear();
         Ok(())
