@@ -61,8 +61,8 @@ pub(crate) fn leave(c: &Coordinator, worker: WorkerId, name: &str) -> Vec<Chore>
     chores
 }
 
-/// Opens the crew of a tile for the holder of its lease; `None` when the lease is not valid, or the tile has
-/// a crew under another lease that is.
+/// Opens the crew of a tile for the holder of its lease; `None` when the lease is not valid or that of a
+/// check, or the tile has a crew under another lease that is.
 pub(crate) fn lead(c: &Coordinator, lease: Lease) -> Option<(Arc<Room>, mpsc::Receiver<Told>, Vec<Chore>)> {
     // Reads a file, before anybody has to wait.
     let outcomes = c.crews.outcomes.count((lease.job, lease.tile));
@@ -72,7 +72,10 @@ pub(crate) fn lead(c: &Coordinator, lease: Lease) -> Option<(Arc<Room>, mpsc::Re
         let scheduling = c.lock();
         let is_leased = |lease: &Lease| scheduling.machine.is_leased(lease);
         // Where two workers compute a tile, the first has the helpers.
-        if !is_leased(&lease) || c.crews.is_led_by_another(&lease, is_leased) {
+        // A check goes on from nothing that anybody has kept, and keeps nothing: what a wrong worker has left
+        // would make the next one agree with it.
+        let is_check = scheduling.machine.is_check(&lease);
+        if !is_leased(&lease) || is_check || c.crews.is_led_by_another(&lease, is_leased) {
             return None;
         }
     }

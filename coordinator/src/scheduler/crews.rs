@@ -19,6 +19,11 @@ impl Machine {
         self.leases.get(&lease.id).is_some_and(|l| (l.job, l.tile) == (lease.job, lease.tile))
     }
 
+    /// Whether a done tile is computed again under this lease, to be compared.
+    pub(crate) fn is_check(&self, lease: &Lease) -> bool {
+        self.leases.get(&lease.id).is_some_and(|l| l.checks)
+    }
+
     /// The holder of a lease can use helpers from now on.
     pub(super) fn crew_opened(&mut self, lease: Lease) {
         if !self.is_leased(&lease) || self.crews.contains_key(&lease.id) {
