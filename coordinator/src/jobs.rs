@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use sightline_traces::TraceId;
+
 use crate::access::Caller;
 use crate::chores::do_chores;
 use crate::chronicle::{Happening, Kind};
@@ -52,6 +54,8 @@ pub(crate) struct Summary {
     pub(crate) now_ms: u64,
     /// Milliseconds until the job is done, while that is known.
     pub(crate) left_millis: Option<u64>,
+    /// Its trace, where traces are sent.
+    pub(crate) trace: Option<TraceId>,
 }
 
 impl Summary {
@@ -60,6 +64,7 @@ impl Summary {
         tiles: &[TileRecord],
         cells_total: u64,
         (workers, now_ms): (u32, u64),
+        trace: Option<TraceId>,
     ) -> Self {
         let mut sum = Self {
             record,
@@ -74,6 +79,7 @@ impl Summary {
             workers,
             now_ms,
             left_millis: None,
+            trace,
         };
         for tile in tiles {
             match &tile.state {
@@ -117,7 +123,8 @@ pub(crate) fn summary(c: &Coordinator, id: JobId) -> Result<Summary, StoreError>
         .ok()
         .and_then(|s| s.plan().ok().map(|(_, plan)| cells_total(&s, &plan)))
         .unwrap_or(0);
-    Ok(Summary::of_ended(record, &tiles, total, (workers, c.now().unix_ms)))
+    let trace = c.spans.trace_of(&record);
+    Ok(Summary::of_ended(record, &tiles, total, (workers, c.now().unix_ms), trace))
 }
 
 /// The summary of a job that has not ended, from the scheduler's totals.
@@ -139,6 +146,7 @@ pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
         workers: machine.workers(),
         now_ms: now.unix_ms,
         left_millis: job.left(now),
+        trace: c.spans.trace_of(&job.record),
     })
 }
 
