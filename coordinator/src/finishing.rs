@@ -5,6 +5,8 @@ use std::collections::BTreeSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
+use sightline_traces::Begun;
+
 use crate::assemble::{AssembleError, Parts, assemble};
 use crate::chronicle::{Happening, Kind};
 use crate::ids::{Digest, JobId, TileIndex};
@@ -30,12 +32,16 @@ fn parts(c: &Coordinator, id: JobId) -> Option<Parts> {
 pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
     // Absent when it was cancelled in the meantime.
     let Some(parts) = parts(c, id) else { return Vec::new() };
+    let begun = Begun::now();
     let aside = |n: u32| matches!(parts.outputs[n as usize], Output::SetAside(_));
     let assembled = if parts.work.plan.leaves().all(aside) {
         Err("every tile failed; `sightline show` and the workers' logs say why".to_owned())
     } else {
         // A panic must not leave the job half ended.
-        match catch_unwind(AssertUnwindSafe(|| assemble(c, &parts))) {
+        let assembled = catch_unwind(AssertUnwindSafe(|| assemble(c, &parts)));
+        let bytes = assembled.as_ref().ok().and_then(|made| made.as_ref().ok()).map(|(_, bytes)| *bytes);
+        c.spans.assembled(id, begun, bytes);
+        match assembled {
             Ok(Err(e)) if e.passes() => {
                 tracing::error!("the result of job {id} waits and is tried again: {e}");
                 return tell(c, Event::AssemblyWaits(id));

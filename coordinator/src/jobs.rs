@@ -2,6 +2,8 @@
 
 use std::sync::{Arc, PoisonError};
 
+use sightline_traces::TraceId;
+
 use crate::access::Caller;
 use crate::chores::do_chores;
 use crate::chronicle::{Happening, Kind};
@@ -54,6 +56,8 @@ pub(crate) struct Summary {
     pub(crate) left_millis: Option<u64>,
     /// Whether it is paused because its scene cannot be read.
     pub(crate) lacks_scene: bool,
+    /// Its trace, where traces are sent.
+    pub(crate) trace: Option<TraceId>,
 }
 
 impl Summary {
@@ -62,6 +66,7 @@ impl Summary {
         tiles: &[TileRecord],
         cells_total: u64,
         (workers, now_ms): (u32, u64),
+        trace: Option<TraceId>,
     ) -> Self {
         let mut sum = Self {
             record,
@@ -77,6 +82,7 @@ impl Summary {
             now_ms,
             left_millis: None,
             lacks_scene: false,
+            trace,
         };
         for tile in tiles {
             match &tile.state {
@@ -120,7 +126,8 @@ pub(crate) fn summary(c: &Coordinator, id: JobId) -> Result<Summary, StoreError>
         .ok()
         .and_then(|s| s.plan().ok().map(|(_, plan)| cells_total(&s, &plan)))
         .unwrap_or(0);
-    Ok(Summary::of_ended(record, &tiles, total, (workers, c.now().unix_ms)))
+    let trace = c.spans.trace_of(&record);
+    Ok(Summary::of_ended(record, &tiles, total, (workers, c.now().unix_ms), trace))
 }
 
 /// The summary of a job that has not ended, from the scheduler's totals.
@@ -144,6 +151,7 @@ pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
         now_ms: now.unix_ms,
         left_millis: job.left(now),
         lacks_scene,
+        trace: c.spans.trace_of(&job.record),
     })
 }
 

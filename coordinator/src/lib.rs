@@ -58,6 +58,7 @@ mod scheduler;
 mod scheduling;
 mod services;
 mod sessions;
+mod spans;
 mod specs;
 mod state;
 mod statistics;

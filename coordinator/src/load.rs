@@ -74,6 +74,7 @@ fn job(c: &Arc<Coordinator>, seed: u64, tiles: u64) -> JobId {
             user: String::new(),
             priority: 0,
             spec,
+            cause: None,
         },
     )
     .unwrap()

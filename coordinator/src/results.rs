@@ -6,6 +6,7 @@ use std::time::Instant;
 use sightline_model::codec;
 use sightline_model::{CellSet, JobSpec, Method, Node, TileOutput};
 use sightline_pvs::Portals;
+use sightline_traces::Begun;
 use sightline_viewcells::{CellBox, Division, TileKind};
 
 use crate::assemble::{expected_nodes, most_items};
@@ -14,6 +15,7 @@ use crate::chronicle::{Happening, Kind};
 use crate::ids::{Digest, JobId, Lease, hex};
 use crate::scheduler::{Admitted, Event, NoTile, Work};
 use crate::scheduling::{Chore, tell};
+use crate::spans;
 use crate::state::Coordinator;
 use crate::store::{BlobError, CommitOutcome, MAX_HELPERS, StoreError, TileResult, TileStats};
 
@@ -208,6 +210,7 @@ fn commit(
     announced: &Announced,
     bytes: &[u8],
 ) -> Result<(Result<(), ResultError>, Vec<Chore>), ResultError> {
+    let begun = Begun::now();
     let &Announced { lease, digest, samples, millis, .. } = announced;
     let Lease { job: id, tile, .. } = lease;
     let Admitted { work, worker, helpers, profile, checks, counts } = c.lock().machine.admit(&lease)?;
@@ -217,6 +220,8 @@ fn commit(
     }
     if checks {
         // It is compared with what is kept, and not kept itself.
+        let stats = TileStats { samples, cells, millis, worker, ..TileStats::default() };
+        c.spans.committed(&lease, begun, spans::CHECKED, &stats, announced.bytes);
         return Ok((Ok(()), tell(c, Event::Checked { lease, digest })));
     }
     let full = |e: &BlobError| {
@@ -247,6 +252,7 @@ fn commit(
                 let text = format!("tile {tile} is done: {cells} cells, {samples} samples, {millis} ms");
                 c.happened(Happening::of_lease(Kind::Done, &lease, text).on(worker));
             }
+            c.spans.committed(&lease, begun, spans::DONE, &stats, announced.bytes);
             Ok((Ok(()), tell(c, Event::Committed { lease, digest, stats })))
         }
         CommitOutcome::Conflict { kept, offered } => {
@@ -259,6 +265,7 @@ fn commit(
             tracing::error!("{error}");
             c.metrics.conflict();
             c.happened(Happening::of_lease(Kind::Conflict, &lease, error).on(&stats.worker));
+            c.spans.committed(&lease, begun, spans::CONFLICT, &stats, announced.bytes);
             // The lease has ended, whoever made the result that stays.
             let mut chores = tell(c, Event::Differed { lease, digest: offered });
             let event = Event::Committed { lease, digest: kept, stats: TileStats::default() };

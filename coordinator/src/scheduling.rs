@@ -7,6 +7,7 @@ use crate::chronicle::{Happening, Kind};
 use crate::ids::{JobId, Lease, WorkerId};
 use crate::orders::{Outbox, Scheduling};
 use crate::scheduler::{Command, Departure, Effect, Event, Introduction, Joined, NameTaken, Note, Order};
+use crate::spans;
 use crate::state::Coordinator;
 
 /// Work that blocks and must be done after an event.
@@ -68,6 +69,7 @@ pub(crate) fn tell(c: &Coordinator, event: Event) -> Vec<Chore> {
         c.metrics.job_ended(&record.state.phase().to_string());
     }
     let scheduling = &mut *c.lock();
+    c.spans.heard(&event);
     let effects = scheduling.machine.step(event, now);
     carry_all(c, scheduling, effects, &mut chores, &mut |_, _| {});
     chores
@@ -114,9 +116,19 @@ fn carry(
             if let Order::Grant(grant) = &order {
                 let name = scheduling.machine.name_of(worker).unwrap_or_default();
                 let text = format!("tile {} is leased to {name}", grant.lease.tile);
+                c.spans.leased(&grant.lease, &name, &scheduling.machine);
                 c.happened(Happening::of_lease(Kind::Leased, &grant.lease, text).on(name));
             }
+            if let Order::Revoke(lease) = &order
+                // Helpers are told so, too, while the lease goes on.
+                && !scheduling.machine.is_leased(lease)
+            {
+                c.spans.lease_ended(lease, spans::TAKEN_BACK);
+            }
             let sent = scheduling.outboxes.get(&worker).is_some_and(|out| out.offer(order));
+            if let Some(Event::Undelivered(_, lease)) = lost.as_ref().filter(|_| !sent) {
+                c.spans.lease_ended(lease, spans::TAKEN_BACK);
+            }
             return lost.filter(|_| !sent);
         }
         Effect::Run(command) => chores.push(Chore::Run(command)),
@@ -134,6 +146,7 @@ fn write(c: &Coordinator, note: &Note) {
     let happening = match note {
         Note::TakenBack(lease @ Lease { job, tile, .. }, from, why) => {
             c.metrics.lease_taken_back();
+            c.spans.lease_ended(lease, spans::TAKEN_BACK);
             let of = from.as_ref().map(|name| format!(" from worker {name}")).unwrap_or_default();
             tracing::warn!("tile {tile} of job {job} is taken back{of}: {why}");
             let text = format!("tile {tile} is taken back{of}: {why}");
@@ -150,6 +163,7 @@ fn write(c: &Coordinator, note: &Note) {
             Happening::of_lease(Kind::Job, lease, format!("tile {tile} {text}"))
         }
         Note::TileFailed(lease @ Lease { job, tile, .. }, worker, reason) => {
+            c.spans.lease_ended(lease, spans::FAILED);
             tracing::warn!("tile {tile} of job {job} failed on {worker}: {reason}");
             let text = format!("tile {tile} failed on {worker}: {reason}");
             Happening::of_lease(Kind::Failed, lease, text).on(worker)

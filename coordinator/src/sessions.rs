@@ -44,6 +44,7 @@ pub(crate) fn join(
     let name = intro.name.clone();
     let (joined, chores) = scheduling::join(c, intro, out);
     let joined = joined?;
+    c.spans.held_again(&name, &joined.kept);
     tracing::info!("{joining}");
     c.happened(Happening::of(Kind::Worker, joining).on(name));
     Ok((joined, chores))

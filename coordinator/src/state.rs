@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockRea
 use std::time::{Duration, Instant};
 
 use sightline_scene::{Aabb, Kinds, Object, Source};
+use sightline_traces::Traces;
 use tokio::sync::Semaphore;
 
 use crate::access::Access;
@@ -21,6 +22,7 @@ use crate::limits::{Pace, Quotas, Usage};
 use crate::metrics::Metrics;
 use crate::orders::{Scheduling, Watched};
 use crate::scheduler::{Machine, Now};
+use crate::spans::Spans;
 use crate::store::{Blobs, Store};
 use crate::uploads::Uploads;
 
@@ -69,6 +71,8 @@ pub struct Coordinator {
     pub(crate) crews: Crews,
     /// What happened.
     pub(crate) chronicle: Chronicle,
+    /// The spans of jobs.
+    pub(crate) spans: Arc<Spans>,
     /// The origin of the scheduler's time.
     origin: Instant,
     /// Never held during a call of the store.
@@ -133,6 +137,7 @@ impl Coordinator {
             clock,
             crews,
             chronicle,
+            spans: Arc::default(),
             origin,
             scheduling: Mutex::new(Scheduling::new(machine)),
             watched: Mutex::default(),
@@ -167,6 +172,14 @@ impl Coordinator {
     /// Asks callers who they are from now on. Only the first one counts.
     pub fn ask_callers(&self, access: Arc<Access>) {
         drop(self.access.set(access));
+    }
+
+    /// Sends traces of jobs from now on, of those too that have not ended yet. Only the first one counts.
+    pub fn send_traces(&self, traces: Traces) {
+        self.spans.send_to(traces);
+        let scheduling = self.lock();
+        let jobs = scheduling.machine.job_ids();
+        jobs.into_iter().filter_map(|id| scheduling.machine.job(id)).for_each(|job| self.spans.taken_up(job));
     }
 
     /// The current time.

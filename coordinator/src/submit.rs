@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use sightline_model::{JobSpec, Method};
+use sightline_traces::Begun;
 use sightline_viewcells::{DivisionError, Plan};
 
 use crate::chores::do_chores;
@@ -13,6 +14,7 @@ use crate::limits::Usage;
 use crate::scenes::{self, FactsError};
 use crate::scheduler::{Event, Job};
 use crate::scheduling::tell;
+use crate::spans::Cause;
 use crate::specs;
 use crate::state::Coordinator;
 use crate::store::{BlobError, JobPhase, JobState, NewJob, StoreError, Submitted, owned_key, owned_request};
@@ -31,6 +33,8 @@ pub(crate) struct Submission {
     pub(crate) priority: i32,
     /// The job.
     pub(crate) spec: JobSpec,
+    /// What led to it, for its trace.
+    pub(crate) cause: Cause,
 }
 
 /// A submission that is refused.
@@ -66,7 +70,8 @@ pub(crate) fn plan(spec: &JobSpec) -> Result<Plan, SubmitError> {
 /// Submits a job on a recorded scene; returns its id and whether it existed before. A done job whose result
 /// is lost is begun again.
 pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Submitted, SubmitError> {
-    let Submission { request_id, name, owner, user, priority, spec } = submission;
+    let begun = Begun::now();
+    let Submission { request_id, name, owner, user, priority, spec, cause } = submission;
     let plan = plan(spec)?;
     if spec.method != Method::Aggressive {
         let facts = scenes::facts(c, &spec.scene)?;
@@ -146,6 +151,7 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
         let text = format!("{name} is submitted{by}; tiles: {}", plan.tiles.len());
         c.happened(Happening::of_job(Kind::Submitted, id, text));
         chores = tell(c, Event::TakenUp(Box::new(job)));
+        c.spans.planned(id, begun, plan.tiles.len(), *cause);
     }
     drop(turn);
     do_chores(c, chores);

@@ -238,5 +238,5 @@ fn a_job_of_another_version_is_not_retried() {
 
 pub(crate) fn nameless(spec: JobSpec) -> Submission {
     let (request_id, name, owner, user) = Default::default();
-    Submission { request_id, name, owner, user, priority: 0, spec }
+    Submission { request_id, name, owner, user, priority: 0, spec, cause: None }
 }

@@ -24,6 +24,7 @@ REFUSED = [
     ({"store": {"kind": "mysql"}}, "kind"),
     ({"store": {"postgres": {"url": "postgres://me:secret@db/sightline"}}}, "url"),
     ({"store": {"blobs": {"url": "ftp://somewhere"}}}, "url"),
+    ({"traces": {"url": "collector:4317"}}, "url"),
     ({"tls": {"workerSecret": "worker-tls"}}, "tokens.workerSecret"),
     ({"tokens": {"workerSecret": ""}}, "tokens.workerSecret"),
     ({"coordinator": {"quota": ["everything"]}}, "quota"),

@@ -11,6 +11,7 @@
 
 mod balancer;
 mod browser;
+mod collector;
 mod compose;
 mod dump;
 mod house;
@@ -25,6 +26,7 @@ use std::time::{Duration, Instant};
 
 pub use balancer::Balancer;
 pub use browser::Browser;
+pub use collector::{Collector, Taken};
 pub use compose::{Compose, docker, logged, run};
 pub use dump::{Cell, Dump};
 pub use house::{across, house};

@@ -61,6 +61,11 @@ fn the_reader_of_results_stands_alone() {
 }
 
 #[test]
+fn traces_know_nothing_of_what_is_traced() {
+    assert_eq!(ours("sightline-traces"), ["sightline-proto"]);
+}
+
+#[test]
 fn libraries_know_no_network_and_no_store() {
     let libraries = std::fs::read_dir(root().join("crates")).unwrap();
     for name in libraries.map(|e| e.unwrap().file_name().into_string().unwrap()).filter(|n| n != "cli") {
@@ -258,7 +263,7 @@ fn defines(text: &str, item: &str) -> bool {
 fn no_modules_import_each_other_in_a_circle() {
     let root = root();
     let mut crates: Vec<PathBuf> =
-        ["coordinator", "worker", "proto", "python"].iter().map(|c| root.join(c)).collect();
+        ["coordinator", "worker", "traces", "proto", "python"].iter().map(|c| root.join(c)).collect();
     crates.extend(std::fs::read_dir(root.join("crates")).unwrap().map(|e| e.unwrap().path()));
     crates.sort();
     let mut found = Vec::new();

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use sightline_proto::connecting::Credentials;
+use sightline_traces::Traces;
 
 use crate::backends::Backends;
 use crate::pulse::Pulse;
@@ -29,6 +30,8 @@ pub struct Config {
     pub give_up_after: Option<Duration>,
     /// What it tells of itself.
     pub pulse: Arc<Pulse>,
+    /// Where spans of its tiles go, if their coordinator sends traces, too.
+    pub traces: Traces,
 }
 
 /// Tells a worker whether and how to stop.

@@ -20,6 +20,7 @@
 //!     helps: true,
 //!     give_up_after: None,
 //!     pulse: Arc::default(),
+//!     traces: Default::default(),
 //! };
 //! let (stop, stopped) = tokio::sync::watch::channel(Stop::No);
 //! sightline_worker::run(config, stopped).await?;
@@ -37,6 +38,7 @@ mod packs;
 mod pulse;
 mod scenes;
 mod session;
+mod spans;
 mod status;
 mod tiles;
 

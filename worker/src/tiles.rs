@@ -11,6 +11,7 @@ use sightline_proto::connecting::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
 use sightline_sampling::{CubeSpec, TileError, auto, gpu};
+use sightline_traces::Begun;
 use sightline_viewcells::Division;
 
 use crate::config::Config;
@@ -18,6 +19,7 @@ use crate::crew;
 use crate::held::Held;
 use crate::packs::PackCache;
 use crate::scenes::Loaded;
+use crate::spans::Steps;
 use crate::status::describe;
 
 /// Largest scene or pack accepted from a coordinator, in bytes.
@@ -73,6 +75,25 @@ pub struct Shop {
 impl Shop {
     /// Runs the tile of `grant` and commits it.
     pub async fn work(self: &Arc<Self>, grant: v1::Grant, held: Arc<Held>) -> Result<(), Failure> {
+        let steps = Steps::of(&self.config, held.lease, &grant.trace);
+        let (begun, profile) = (Begun::now(), grant.profile.clone());
+        let result = self.compute_and_commit(grant, &held, &steps).await;
+        let end = match &result {
+            Ok(()) => "done",
+            Err(Failure::Cancelled) => "taken_back",
+            Err(Failure::Infrastructure(_) | Failure::Tile(_)) => "failed",
+        };
+        steps.ended("tile", begun, &profile, held.progress().samples, end);
+        result
+    }
+
+    async fn compute_and_commit(
+        self: &Arc<Self>,
+        grant: v1::Grant,
+        held: &Arc<Held>,
+        steps: &Steps,
+    ) -> Result<(), Failure> {
+        let begun = Begun::now();
         let infrastructure = Failure::Infrastructure;
         let wire = grant.spec.ok_or_else(|| Failure::Tile("the grant has no specification".to_owned()))?;
         let spec = JobSpec::from_proto(&wire, None).map_err(|e| Failure::Tile(e.to_string()))?;
@@ -86,7 +107,10 @@ impl Shop {
             let pack = self.pack(digest).await.map_err(infrastructure)?;
             packs.push(pack.ok_or(digest));
         }
+        steps.step("fetch", begun);
+        let waits = Begun::now();
         let turn = self.running.acquire().await.map_err(|e| infrastructure(e.to_string()))?;
+        steps.step("turn", waits);
         if held.cancelled() {
             return Err(Failure::Cancelled);
         }
@@ -95,16 +119,18 @@ impl Shop {
         let is_crewed =
             grant.millis.is_none() && matches!(spec.sampling.sampler, Sampler::Lines | Sampler::Guided);
         let leader = match is_crewed {
-            true => Some(crew::lead(self.client.clone(), held.lease, &held).await),
+            true => Some(crew::lead(self.client.clone(), held.lease, held).await),
             false => None,
         };
         let start = Instant::now();
-        let (shop, watcher) = (Arc::clone(self), Arc::clone(&held));
+        let (shop, watcher, computing) = (Arc::clone(self), Arc::clone(held), steps.clone());
         let (bytes, rendered) = tokio::task::spawn_blocking(move || {
             let deadline = grant.millis.map(|m| start + Duration::from_millis(m));
             let crew = leader.as_deref().map_or(&Alone as &dyn Crew, |leader| leader);
-            let work = Work { spec: &spec, profile: &grant.profile, deadline, crew };
-            shop.run(&work, &loaded, packs, &watcher)
+            computing.computing(crew, false, |crew| {
+                let work = Work { spec: &spec, profile: &grant.profile, deadline, crew };
+                shop.run(&work, &loaded, packs, &watcher)
+            })
         })
         .await
         .map_err(|e| Failure::Tile(format!("sampling panicked: {e}")))??;
@@ -117,7 +143,11 @@ impl Shop {
             cells: held.progress().cells,
             millis: start.elapsed().as_millis() as u64,
         };
-        self.upload(header, bytes.into(), &held).await
+        let (begun, length) = (Begun::now(), header.bytes);
+        let mut attempts = 0;
+        let sent = self.upload(header, bytes.into(), held, &mut attempts).await;
+        steps.uploaded(begun, length, attempts, sent.is_err());
+        sent
     }
 
     /// Helps the leader of a tile until its crew ends or `held` is cancelled.
@@ -125,24 +155,42 @@ impl Shop {
     /// # Errors
     /// The reason, when this worker is of no help.
     pub async fn help(self: &Arc<Self>, help: v1::Help, held: Arc<Held>) -> Result<(), String> {
+        let steps = Steps::of(&self.config, held.lease, &help.trace);
+        let (begun, profile) = (Begun::now(), help.profile.clone());
+        let result = self.help_leader(help, &held, &steps).await;
+        let end = if result.is_ok() { "done" } else { "failed" };
+        steps.ended("help", begun, &profile, held.progress().samples, end);
+        result
+    }
+
+    async fn help_leader(
+        self: &Arc<Self>,
+        help: v1::Help,
+        held: &Arc<Held>,
+        steps: &Steps,
+    ) -> Result<(), String> {
+        let begun = Begun::now();
         let wire = help.spec.ok_or("the order has no specification")?;
         let spec = JobSpec::from_proto(&wire, None).map_err(|e| e.to_string())?;
         let loaded = self.scene(spec.scene).await?;
+        steps.step("fetch", begun);
         let _turn = self.running.acquire().await.map_err(|e| e.to_string())?;
         if held.cancelled() {
             return Ok(());
         }
-        let helper = crew::help(self.client.clone(), held.lease, &held).await?;
+        let helper = crew::help(self.client.clone(), held.lease, held).await?;
         tracing::info!(
             "worker {} helps with tile {} of job {}",
             self.config.name,
             held.lease.tile,
             held.lease.job
         );
-        let shop = Arc::clone(self);
+        let (shop, held, computing) = (Arc::clone(self), Arc::clone(held), steps.clone());
         let ended = tokio::task::spawn_blocking(move || {
-            let work = Work { spec: &spec, profile: &help.profile, deadline: None, crew: &*helper };
-            shop.run(&work, &loaded, Vec::new(), &held)
+            computing.computing(&*helper, true, |crew| {
+                let work = Work { spec: &spec, profile: &help.profile, deadline: None, crew };
+                shop.run(&work, &loaded, Vec::new(), &held)
+            })
         });
         match ended.await.map_err(|e| format!("helping panicked: {e}"))? {
             // A helper has no output: it stops when the last phase is over.
@@ -225,12 +273,14 @@ impl Shop {
         header: v1::ResultHeader,
         bytes: bytes::Bytes,
         held: &Held,
+        attempts: &mut u32,
     ) -> Result<(), Failure> {
         let mut wait = UPLOAD_WAIT[0];
         loop {
             if held.cancelled() {
                 return Err(Failure::Cancelled);
             }
+            *attempts += 1;
             let first = v1::ResultPart { part: Some(v1::result_part::Part::Header(header.clone())) };
             let body = bytes.clone();
             // The chunks are made lazily, so only one is in memory at a time.

@@ -10,6 +10,7 @@ use sightline_model::{JobSpec, Method};
 use sightline_proto::chunks::{self, Assembler};
 use sightline_proto::v1;
 use sightline_scene::{Kind, Rule};
+use sightline_traces::ids::parent_of;
 use tokio::sync::{mpsc, watch};
 use tonic::{Request, Response, Status, Streaming};
 
@@ -124,9 +125,11 @@ impl v1::jobs_server::Jobs for JobsService {
 
     async fn submit(&self, r: Request<v1::SubmitRequest>) -> Answer<v1::SubmitResponse> {
         let caller = caller(&self.0, &r)?;
+        // What is no header of a trace leads to nothing.
+        let cause = r.metadata().get("traceparent").and_then(|text| parent_of(text.to_str().ok()?));
         let r = r.into_inner();
         blocking(&self.0, move |c| {
-            let submission = submission(c, &caller, r)?;
+            let submission = Submission { cause, ..submission(c, &caller, r)? };
             let submitted = submit::submit(c, &submission).map_err(|e| status::of_submit(&e))?;
             let job = jobs::summary(c, submitted.id).map_err(|e| status::of_store(&e))?;
             let answer = v1::SubmitResponse { job: Some(wire::job(&job)), existing: submitted.existing };
@@ -352,7 +355,7 @@ fn draft(c: &Coordinator, caller: &Caller, r: v1::SubmitRequest) -> Result<Submi
     let owner = caller.owner().to_owned();
     // Users share the workers evenly, so nobody may take another's share.
     let user = if caller.sees_all() && !r.user.is_empty() { r.user } else { owner.clone() };
-    Ok(Submission { request_id: r.request_id, name: r.name, owner, user, priority, spec })
+    Ok(Submission { request_id: r.request_id, name: r.name, owner, user, priority, spec, cause: None })
 }
 
 /// Sends a job's summary after every change, until the job ends or nobody reads.

@@ -1,6 +1,7 @@
 //! Translation of values between the wire format and the coordinator's types.
 
 use sightline_proto::v1;
+use sightline_traces::TraceId;
 use tonic::Status;
 
 use crate::chronicle::{Entry, Kind};
@@ -42,9 +43,10 @@ pub(super) fn times(times: Vec<v1::ProfileTime>) -> Vec<ProfileTime> {
     times.into_iter().map(time).collect()
 }
 
-/// An order to a worker.
-pub(super) fn order(order: Order) -> v1::CoordinatorMessage {
+/// An order to a worker, about a job with this trace.
+pub(super) fn order(order: Order, trace: Option<TraceId>) -> v1::CoordinatorMessage {
     use v1::coordinator_message::Message;
+    let trace = bytes_of(trace);
     let message = match order {
         Order::Grant(grant) => Message::Grant(v1::Grant {
             lease: Some(to_lease(&grant.lease)),
@@ -53,16 +55,23 @@ pub(super) fn order(order: Order) -> v1::CoordinatorMessage {
             // A pack that is absent has an empty digest; the worker then reports the tile as failed.
             packs: grant.packs.iter().map(|d| d.map_or_else(Vec::new, |d| d.to_vec())).collect(),
             millis: grant.millis,
+            trace,
         }),
         Order::Revoke(lease) => Message::Revoke(v1::Revoke { lease: Some(to_lease(&lease)) }),
         Order::Help(help) => Message::Help(v1::Help {
             lease: Some(to_lease(&help.lease)),
             spec: Some(help.spec.to_proto()),
             profile: help.profile,
+            trace,
         }),
         Order::Time { job, spec } => Message::Time(v1::Time { job: job.0, spec: Some(spec.to_proto()) }),
     };
     v1::CoordinatorMessage { message: Some(message) }
+}
+
+/// The id of a trace; empty where there is none.
+fn bytes_of(trace: Option<TraceId>) -> Vec<u8> {
+    trace.map_or_else(Vec::new, |trace| trace.bytes().to_vec())
 }
 
 /// A scene's record.
@@ -129,6 +138,7 @@ pub(super) fn job(summary: &Summary) -> v1::Job {
         user: record.user.clone(),
         now_ms: summary.now_ms,
         left_millis: summary.left_millis,
+        trace: bytes_of(summary.trace),
         ..v1::Job::default()
     };
     let state = match &record.state {

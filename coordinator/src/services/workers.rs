@@ -9,6 +9,7 @@ use sightline_model::codec::MAX_UNPACKED;
 use sightline_proto::chunks::Assembler;
 use sightline_proto::v1;
 use sightline_proto::v1::worker_message::Message as FromWorker;
+use sightline_traces::TraceId;
 use tokio::sync::{mpsc, oneshot};
 use tonic::{Request, Response, Status, Streaming};
 
@@ -22,6 +23,7 @@ use crate::orders::Outbox;
 use crate::results::{self, Announced};
 use crate::scheduler::{Failure, Introduction, Joined, Order, Progress};
 use crate::sessions::{self, Message};
+use crate::spans::Spans;
 use crate::state::Coordinator;
 use crate::store::{MAX_IDENTIFIER_BYTES, MAX_WORKER_BYTES};
 
@@ -40,7 +42,7 @@ type Messages = mpsc::Sender<Outgoing>;
 
 /// A message to a worker. Orders are encoded when they are sent, outside of the scheduler's lock.
 enum Outgoing {
-    Order(Order),
+    Order(Order, Option<TraceId>),
     Welcome(v1::Welcome),
     Failure(Status),
 }
@@ -48,7 +50,7 @@ enum Outgoing {
 impl Outgoing {
     fn encode(self) -> Result<v1::CoordinatorMessage, Status> {
         match self {
-            Self::Order(order) => Ok(wire::order(order)),
+            Self::Order(order, trace) => Ok(wire::order(order, trace)),
             Self::Welcome(welcome) => {
                 let welcome = v1::coordinator_message::Message::Welcome(welcome);
                 Ok(v1::CoordinatorMessage { message: Some(welcome) })
@@ -213,11 +215,16 @@ fn check_hello(hello: &v1::Hello) -> Result<(), Status> {
 }
 
 /// The outgoing half of a worker's stream.
-struct WireOutbox(Messages);
+struct WireOutbox(Messages, Arc<Spans>);
 
 impl Outbox for WireOutbox {
     fn offer(&self, order: Order) -> bool {
-        self.0.try_send(Outgoing::Order(order)).is_ok()
+        let trace = match &order {
+            Order::Grant(grant) => self.1.trace(grant.lease.job),
+            Order::Help(help) => self.1.trace(help.lease.job),
+            Order::Revoke(_) | Order::Time { .. } => None,
+        };
+        self.0.try_send(Outgoing::Order(order, trace)).is_ok()
     }
 }
 
@@ -238,7 +245,7 @@ async fn session(
         held: hello.held.iter().map(wire::lease).collect(),
         helps: hello.helps,
     };
-    let outbox = Box::new(WireOutbox(out.clone()));
+    let outbox = Box::new(WireOutbox(out.clone(), Arc::clone(&c.spans)));
     let joined = match sessions::join(&c, intro, outbox) {
         Ok((joined, chores)) => {
             later(&c, chores);

@@ -431,8 +431,8 @@ impl Live {
             Ok(entries) => {
                 tracing::warn!(
                     %error, entries = entries.len(),
-                    "the store's view refused a change, which is durable in the journal; until the next start \
-                     the view is kept in memory"
+                    "the store's view refused a change, which is durable in the journal; until the next \
+                     start the view is kept in memory"
                 );
                 self.db = Entries::Memory(entries);
                 self.applied.offset = end;

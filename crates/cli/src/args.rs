@@ -18,6 +18,7 @@ use crate::result_args::{CompletionsArgs, DiffArgs, ExportArgs, ManArgs, ReportA
 use crate::serve_args::{CoordinatorArgs, LogFormat, WorkerArgs};
 use crate::store_args::StoreArgs;
 use crate::token_args::TokenArgs;
+use crate::traces::TraceArgs;
 use crate::what::What;
 
 /// Bakes from-region visibility: for every view cell of a static triangle scene,
@@ -164,6 +165,8 @@ pub struct BakeArgs {
     /// ~/.cache/sightline.
     #[arg(long, value_name = "DIR")]
     pub data_dir: Option<PathBuf>,
+    #[command(flatten)]
+    pub traces: TraceArgs,
     /// Show the result in a browser afterwards, as `sightline view` does.
     #[arg(long)]
     pub view: bool,

@@ -17,6 +17,7 @@ use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_sampling::CubeSpec;
 use sightline_scene::kinds::Kind;
 use sightline_scene::{Object, Scene};
+use sightline_traces::{Begun, Traces};
 use sightline_worker::{Backends, Choice, Loaded, SceneCache, Stop, WorkerError};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -29,6 +30,7 @@ use crate::opening::{self, Source, plural};
 use crate::output::Output;
 use crate::progress::{human, say};
 use crate::serve::{self, threads};
+use crate::traces;
 
 /// Time that stopped workers have to say that they have.
 const TO_STOP: Duration = Duration::from_secs(2);
@@ -88,13 +90,17 @@ pub fn bake(
         let lines = partition_in_words(&partition, &scene);
         lines.iter().for_each(|line| say(line));
     }
+    let traces = args.traces.start("sightline-bake", &serve::default_name()?)?;
+    let _sends_the_rest = traces.closing();
     let (coordinator, data_dir) = match &args.data_dir {
         Some(dir) => (open(dir)?, dir.clone()),
         None => open_free(&default_data_dir()?)?,
     };
+    coordinator.send_traces(traces.clone());
     let runtime = serve::runtime()?;
     let kept = Arc::clone(&coordinator);
-    let outcome = runtime.block_on(run((args, source), coordinator, &loaded, &spec, probing, output, hooks));
+    let from = (args, source, &traces);
+    let outcome = runtime.block_on(run(from, coordinator, &loaded, &spec, probing, output, hooks));
     // Running tiles are abandoned; waiting for them could take minutes.
     runtime.shutdown_timeout(Duration::from_millis(200));
     close(kept);
@@ -226,7 +232,7 @@ pub struct Outcome {
 }
 
 async fn run(
-    (args, source): (&BakeArgs, &Source),
+    (args, source, traces): (&BakeArgs, &Source, &Traces),
     coordinator: Arc<Coordinator>,
     loaded: &Arc<Loaded>,
     spec: &JobSpec,
@@ -244,12 +250,15 @@ async fn run(
         std::future::pending(),
     ));
     let mut client = JobsClient::new(client::connect(&url, &Credentials::default()).await?);
+    let begun = Begun::now();
     let (taker, here) = (Arc::clone(&coordinator), Arc::clone(loaded));
     tokio::task::spawn_blocking(move || taker.take_scene(here.scene.scene()))
         .await
         .map_err(CliError::internal)?
         .map_err(|e| CliError::Input(format!("{e} (--data-dir names another place)")))?;
+    let uploaded = Begun::now();
     let mut answer = submit(&mut client, source, spec).await?;
+    traces::submitted(traces, &answer, begun, uploaded);
     let mut job = answer.job.take().unwrap_or_default();
     if job.state() == v1::JobState::Done && job.tiles_set_aside > 0 {
         say(&format!("an earlier run set {} tiles aside: trying them again", job.tiles_set_aside));
@@ -294,7 +303,7 @@ async fn run(
         if answer.existing {
             say(&format!("going on: {} of {} tiles are done", job.tiles_done, job.tiles_total));
         }
-        let mut workers = Workers::start(args, &url, &backends, loaded, spec);
+        let mut workers = Workers::start((args, traces), &url, &backends, loaded, spec);
         let ended = tokio::select! {
             j = client::follow(&mut client, job.id, hooks.follow) => j,
             e = workers.failure() => Err(e),
@@ -341,7 +350,7 @@ struct Workers {
 
 impl Workers {
     fn start(
-        args: &BakeArgs,
+        (args, traces): (&BakeArgs, &Traces),
         url: &str,
         backends: &Arc<Backends>,
         loaded: &Arc<Loaded>,
@@ -363,6 +372,7 @@ impl Workers {
                 helps: false,
                 give_up_after: Some(Duration::from_secs(30)),
                 pulse: Arc::default(),
+                traces: traces.clone(),
             };
             running.spawn(sightline_worker::run(config, stopped.clone()));
         }

@@ -24,6 +24,7 @@ pub use crate::progress::say_to;
 pub use crate::remote::Turn;
 use crate::remote::{self, with_until};
 use crate::remote_args::{FetchArgs, JobRefArgs, JobsArgs, PriorityArgs, SubmitArgs};
+use crate::serve::default_name;
 use crate::showing;
 use crate::verdict::{Hooks, Verdict};
 use crate::{client, measuring, submitting, verify as verifying};
@@ -223,8 +224,10 @@ impl Client {
     ) -> Result<(Value, bool), CliError> {
         let args: SubmitArgs = self.read(flags, &[source.path()])?;
         let (scene, request) = submitting::prepare(&args, source)?;
+        let traces = args.traces.start("sightline-submit", &default_name()?)?;
+        let _sends_the_rest = traces.closing();
         let answer = with_until(&args.remote, stopped(watcher), |client| {
-            submitting::submitted(client, &scene, request)
+            submitting::submitted(client, &scene, request, &traces)
         })?;
         Ok((showing::value(&answer.job.unwrap_or_default()), answer.existing))
     }

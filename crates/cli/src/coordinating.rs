@@ -7,12 +7,13 @@ use sightline_coordinator::access::Access;
 use sightline_coordinator::clock::SystemClock;
 use sightline_coordinator::store::{BlobPlace, MemoryBlobs, MemoryStore, PlaceError, SledStore};
 use sightline_coordinator::{Config, Coordinator, OpenError, Quotas, Tls, TlsFiles};
+use sightline_traces::Traces;
 
 use crate::answers::Commands;
 use crate::error::CliError;
 use crate::progress::say;
 use crate::replica::{self, Listening};
-use crate::serve::{runtime, stop_signal};
+use crate::serve::{default_name, runtime, stop_signal};
 use crate::serve_args::CoordinatorArgs;
 use crate::store_place::StorePlace;
 
@@ -29,12 +30,15 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
     config.leases.spot_check = args.spot_check;
     (config.retention.keep, config.retention.keep_bytes) = (args.keep, args.keep_bytes);
     config.quotas = Quotas::parse(&args.quota).map_err(|e| CliError::Usage(format!("--quota: {e}")))?;
+    let traces = args.traces.start("sightline-coordinator", &default_name()?)?;
+    let _sends_the_rest = traces.closing();
     let coordinator = match StorePlace::of(&args.store)? {
         StorePlace::Database(database) => {
             return runtime()?.block_on(async {
                 reload_on_hangup(tls.clone())?;
                 let listening = listen(args, tls.is_some()).await?;
-                replica::serve(args, (*database, config), tls, listening, move |c| equip(c, access)).await
+                replica::serve(args, (*database, config), tls, listening, move |c| equip(c, access, traces))
+                    .await
             });
         }
         StorePlace::Default => Coordinator::open(config),
@@ -46,7 +50,7 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
         }
     };
     let coordinator = coordinator.map_err(|e| CliError::Input(e.to_string()))?;
-    equip(&coordinator, access);
+    equip(&coordinator, access, traces);
     runtime()?.block_on(async {
         reload_on_hangup(tls.clone())?;
         let listening = listen(args, tls.is_some()).await?;
@@ -85,8 +89,9 @@ fn open_on(config: Config, directory: &Path) -> Result<Arc<Coordinator>, OpenErr
     Coordinator::open_on(config, Box::new(store), blobs)
 }
 
-/// Gives a coordinator who answers questions about scenes, and who asks callers who they are.
-fn equip(coordinator: &Coordinator, access: Option<Arc<Access>>) {
+/// Gives a coordinator who answers questions about scenes, who asks callers who they are, and where spans go.
+fn equip(coordinator: &Coordinator, access: Option<Arc<Access>>, traces: Traces) {
+    coordinator.send_traces(traces);
     coordinator.answer_with(Box::new(Commands));
     if let Some(access) = access {
         coordinator.ask_callers(access);

@@ -66,6 +66,7 @@ mod submitting;
 mod timeline;
 mod token_args;
 mod tokens;
+mod traces;
 mod verdict;
 mod verify;
 mod verify_hidden;

@@ -9,6 +9,7 @@ use sightline_proto::connecting::{Bearer, Credentials};
 use crate::error::CliError;
 use crate::job_args::JobArgs;
 use crate::kind_args::KindArgs;
+use crate::traces::TraceArgs;
 
 #[derive(Args, Debug, Clone)]
 pub struct RemoteArgs {
@@ -90,6 +91,8 @@ pub struct SubmitArgs {
     /// has. Default: the login name.
     #[arg(long, value_name = "NAME")]
     pub user: Option<String>,
+    #[command(flatten)]
+    pub traces: TraceArgs,
     /// Submit nothing and send no scene: say how many tiles the job has, what it is expected to cost by the
     /// coordinator's finished jobs, and which jobs come before it.
     #[arg(long)]

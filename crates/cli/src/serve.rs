@@ -29,16 +29,19 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
     let backends = Arc::new(Backends::probe(choice(args.backend), adapter));
     say_missing(&backends)?;
     say(&format!("backends: {}", backends.profiles().join(", ")));
+    let name = args.name.clone().map_or_else(default_name, Ok)?;
     let config = sightline_worker::Config {
         coordinator: args.remote.coordinator.clone(),
         credentials: args.remote.credentials()?,
-        name: args.name.clone().map_or_else(default_name, Ok)?,
         backends,
         scenes: Arc::new(SceneCache::default()),
         helps: true,
         give_up_after: args.give_up_after.map(Duration::from_secs),
         pulse: Arc::default(),
+        traces: args.traces.start("sightline-worker", &name)?,
+        name,
     };
+    let _sends_the_rest = config.traces.closing();
     use_threads(threads(args.threads))?;
     let runtime = runtime()?;
     let pulse = Arc::clone(&config.pulse);

@@ -9,6 +9,7 @@ use sightline_model::BackendChoice;
 
 use crate::choices::choice;
 use crate::remote_args::RemoteArgs;
+use crate::traces::TraceArgs;
 
 /// How a line of the log looks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -79,6 +80,8 @@ pub struct CoordinatorArgs {
     /// signed, or a token with the scope worker.
     #[arg(long, value_name = "FILE", requires = "tls_cert")]
     pub client_ca: Option<PathBuf>,
+    #[command(flatten)]
+    pub traces: TraceArgs,
     /// The file of tokens, as `sightline token new` makes it: every call needs one of them, and users see
     /// their own jobs and scenes alone. A change takes effect within two seconds.
     #[arg(long, value_name = "FILE")]
@@ -130,6 +133,8 @@ pub struct WorkerArgs {
     /// HTTP and to everybody. Ready is a worker that its coordinator knows. Off by default.
     #[arg(long, value_name = "ADDR:PORT")]
     pub metrics_listen: Option<SocketAddr>,
+    #[command(flatten)]
+    pub traces: TraceArgs,
     /// How the log on stderr looks: text, or one JSON object a line.
     #[arg(long, value_name = "FORMAT", value_enum, default_value_t)]
     pub log_format: LogFormat,

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use sightline_proto::v1;
+use sightline_traces::TraceId;
 
 use crate::error::CliError;
 use crate::progress::human;
@@ -21,7 +22,8 @@ pub fn show_whole(job: &v1::Job, json: bool) -> Result<(), CliError> {
         let shown = |(name, field): (&String, &serde_json::Value)| format!("\n  {name}: {field}");
         fields.iter().map(shown).collect::<String>()
     });
-    print(&format!("{}{}", listing(job), spec.unwrap_or_default()))
+    let trace = TraceId::of_bytes(&job.trace).map(|trace| format!("\n  its trace is {trace}"));
+    print(&format!("{}{}{}", listing(job), trace.unwrap_or_default(), spec.unwrap_or_default()))
 }
 
 /// A job in a line with its age and, while it runs, the time left.
@@ -165,6 +167,7 @@ pub fn value(job: &v1::Job) -> serde_json::Value {
         "priority": job.priority, "user": job.user, "left_millis": job.left_millis,
         "unable": job.unable.iter().map(unable).collect::<Vec<_>>(),
         "teams": job.teams.iter().map(team).collect::<Vec<_>>(),
+        "trace": (!job.trace.is_empty()).then(|| hex(&job.trace)),
     })
 }
 

@@ -8,6 +8,7 @@ use sightline_proto::connecting::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_scene::Scene;
+use sightline_traces::{Begun, Traces};
 
 use crate::client;
 use crate::error::CliError;
@@ -15,8 +16,9 @@ use crate::opening::{self, Source, plural};
 use crate::progress::{human, say};
 use crate::remote::with;
 use crate::remote_args::SubmitArgs;
-use crate::serve::print;
+use crate::serve::{default_name, print};
 use crate::showing::value;
+use crate::traces;
 
 /// Uploads a scene and submits a job.
 pub fn submit(args: &SubmitArgs, json: bool) -> Result<(), CliError> {
@@ -25,7 +27,9 @@ pub fn submit(args: &SubmitArgs, json: bool) -> Result<(), CliError> {
         return estimate(args, &scene, request, json);
     }
     let priority = request.priority;
-    let answer = with(&args.remote, |client| submitted(client, &scene, request))?;
+    let traces = args.traces.start("sightline-submit", &default_name()?)?;
+    let _sends_the_rest = traces.closing();
+    let answer = with(&args.remote, |client| submitted(client, &scene, request, &traces))?;
     let job = answer.job.unwrap_or_default();
     if answer.existing {
         say(&format!("job {} does this already", job.id));
@@ -60,9 +64,14 @@ pub async fn submitted(
     mut client: JobsClient<Connection>,
     scene: &Scene,
     request: v1::SubmitRequest,
+    traces: &Traces,
 ) -> Result<v1::SubmitResponse, CliError> {
+    let begun = Begun::now();
     client::upload(&mut client, scene).await?;
-    client.submit(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
+    let uploaded = Begun::now();
+    let answer = client.submit(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+    traces::submitted(traces, &answer, begun, uploaded);
+    Ok(answer)
 }
 
 /// A name as the coordinator accepts it.

@@ -68,6 +68,8 @@ class JobOptions(KindOptions, total=False):
     superset: str
     backend: str
     seed: int
+    traces: str
+    traces_ca: Path
 
 
 #: Turns a value into the texts of the flags; each text is a flag of its own. None is a flag without a value.
@@ -167,10 +169,10 @@ _TEXTS: Dict[str, Texts] = {
     ),
     **dict.fromkeys(
         ("method", "sampler", "granularity", "cell_to_cell", "up", "error_measure", "superset", "backend")
-        + ("name", "user", "request_id", "coordinator"),
+        + ("name", "user", "request_id", "coordinator", "traces"),
         _word,
     ),
-    **dict.fromkeys(("view_mesh", "data_dir", "path", "images"), _path),
+    **dict.fromkeys(("view_mesh", "data_dir", "path", "images", "traces_ca"), _path),
     "time_budget": _duration,
     "cells": _cells,
     "view_box": _rows(6),
