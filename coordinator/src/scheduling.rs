@@ -116,7 +116,7 @@ fn carry(
             if let Order::Grant(grant) = &order {
                 let name = scheduling.machine.name_of(worker).unwrap_or_default();
                 let text = format!("tile {} is leased to {name}", grant.lease.tile);
-                c.spans.leased(&grant.lease, &name, &scheduling.machine);
+                c.spans.leased(&grant.lease, name, &scheduling.machine);
                 c.happened(Happening::of_lease(Kind::Leased, &grant.lease, text).on(name));
             }
             if let Order::Revoke(lease) = &order

@@ -99,13 +99,15 @@ async fn client(url: String, own: u64, spec: v1::JobSpec, seen: Arc<Seen>, until
             }
             2 => {
                 // It may have ended already.
-                if client.pause(v1::PauseRequest { job: id, ..Default::default() }).await.is_ok() {
+                let paused = client.pause(v1::PauseRequest { job: id, ..Default::default() }).await;
+                if paused.is_ok() {
                     client.resume(show).await.unwrap();
                 }
             }
             3 => {
                 // A job that has ended has no part.
-                if let Ok(part) = client.fetch_partial(show).await {
+                let part = client.fetch_partial(show).await;
+                if let Ok(part) = part {
                     let mut part = part.into_inner();
                     while let Some(chunk) = part.next().await {
                         chunk.unwrap();

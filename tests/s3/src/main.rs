@@ -4,21 +4,19 @@
 //!
 //! It serves until it is killed.
 
-#![allow(clippy::unwrap_used, reason = "a helper of tests")]
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a helper of tests")]
 
-use std::io::Write as _;
 use std::path::Path;
 
 use sightline_test_s3::S3Server;
 
-fn main() {
+fn main() -> Result<(), String> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [address, folder, bucket] = &arguments[..] else {
-        writeln!(std::io::stderr(), "usage: sightline-test-s3 ADDRESS FOLDER BUCKET").unwrap();
-        std::process::exit(2);
+        return Err("usage: sightline-test-s3 ADDRESS FOLDER BUCKET".to_owned());
     };
     let server = S3Server::start_at(Path::new(folder), bucket, address.parse().unwrap());
-    writeln!(std::io::stdout(), "listening on {}", server.address()).unwrap();
+    println!("listening on {}", server.address());
     loop {
         std::thread::park();
     }
