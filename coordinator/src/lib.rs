@@ -32,6 +32,7 @@ mod chronicle;
 pub mod clock;
 mod crews;
 mod deleting;
+mod direct;
 mod estimate;
 mod finishing;
 mod having;
@@ -58,6 +59,7 @@ mod scheduling;
 mod services;
 mod sessions;
 mod specs;
+mod staging;
 mod state;
 mod statistics;
 pub mod store;
@@ -67,6 +69,8 @@ mod uploads;
 
 #[cfg(test)]
 mod simulator;
+#[cfg(test)]
+mod staged_tests;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]

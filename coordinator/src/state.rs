@@ -21,6 +21,7 @@ use crate::limits::{Pace, Quotas, Usage};
 use crate::metrics::Metrics;
 use crate::orders::{Scheduling, Watched};
 use crate::scheduler::{Machine, Now};
+use crate::staging::Staging;
 use crate::store::{Blobs, Store};
 use crate::uploads::Uploads;
 
@@ -107,6 +108,8 @@ pub struct Coordinator {
     pub(crate) last_trial: Mutex<LastTrial>,
     /// The chunks that were sent and are no scene yet.
     pub(crate) uploads: Uploads,
+    /// The outputs that workers write by themselves.
+    pub(crate) staging: Staging,
     /// Who answers what needs the scene.
     pub(crate) answers: OnceLock<Box<dyn Answers>>,
     /// The result that was asked about last.
@@ -151,6 +154,7 @@ impl Coordinator {
             data_dir: None,
             last_trial: Mutex::new(None),
             uploads: Uploads::default(),
+            staging: Staging::default(),
             answers: OnceLock::new(),
             last_asked: Mutex::new(None),
         }
