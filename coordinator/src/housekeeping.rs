@@ -45,6 +45,16 @@ pub(crate) fn tidy_up(c: &Arc<Coordinator>) {
         }
         Err(e) => tracing::warn!("blobs that nobody needs are not removed yet: {e}"),
     }
+    // Outputs of workers that did not come to commit them.
+    if let Some(direct) = c.blobs.direct()
+        && c.store.may_change().is_ok()
+    {
+        match direct.sweep(c.retention.grace) {
+            Ok(0) => {}
+            Ok(count) => tracing::info!("{count} outputs that were written and not committed are removed"),
+            Err(e) => tracing::warn!("outputs that were not committed are not removed yet: {e}"),
+        }
+    }
 }
 
 fn delete(c: &Arc<Coordinator>, job: JobId, why: &str) -> Result<(), Fault> {

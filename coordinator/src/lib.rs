@@ -32,6 +32,7 @@ mod chronicle;
 pub mod clock;
 mod crews;
 mod deleting;
+mod direct;
 mod estimate;
 mod finishing;
 mod having;
@@ -60,6 +61,7 @@ mod services;
 mod sessions;
 mod spans;
 mod specs;
+mod staging;
 mod state;
 mod statistics;
 pub mod store;
@@ -69,6 +71,8 @@ mod uploads;
 
 #[cfg(test)]
 mod simulator;
+#[cfg(test)]
+mod staged_tests;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]

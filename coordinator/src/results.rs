@@ -12,12 +12,13 @@ use sightline_viewcells::{CellBox, Division, TileKind};
 use crate::assemble::{expected_nodes, most_items};
 use crate::chores::do_chores;
 use crate::chronicle::{Happening, Kind};
+use crate::direct;
 use crate::ids::{Digest, JobId, Lease, hex};
 use crate::scheduler::{Admitted, Event, NoTile, Work};
 use crate::scheduling::{Chore, tell};
 use crate::spans;
 use crate::state::Coordinator;
-use crate::store::{BlobError, CommitOutcome, MAX_HELPERS, StoreError, TileResult, TileStats};
+use crate::store::{BlobError, CommitOutcome, MAX_HELPERS, Staged, StoreError, TileResult, TileStats};
 
 /// What a cell has besides its set, at most.
 const LEAST_UNPACKED: u64 = 4096;
@@ -36,6 +37,14 @@ pub(crate) struct Announced {
     pub(crate) millis: u64,
 }
 
+/// Where a tile's output is.
+pub(crate) enum Origin<'a> {
+    /// Here: it has come as chunks.
+    Sent(&'a [u8]),
+    /// In the store of the blobs, where its worker has written it.
+    Staged(&'a Staged),
+}
+
 /// A tile's output that is not committed.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ResultError {
@@ -45,6 +54,9 @@ pub(crate) enum ResultError {
     /// The bytes do not have the announced length.
     #[error("the result has another length than announced")]
     Length,
+    /// The worker has not written the output, or another one.
+    #[error("the output is not where it was to be written ({0}); send it")]
+    Unstaged(String),
     /// The job has ended or does not exist.
     #[error("job {0} has ended or is not known here")]
     NoJob(JobId),
@@ -99,12 +111,45 @@ impl From<NoTile> for ResultError {
 }
 
 /// Checks and commits a tile's output, then does what follows from it.
-pub(crate) fn put(c: &Arc<Coordinator>, announced: &Announced, bytes: &[u8]) -> Result<(), ResultError> {
+pub(crate) fn put(
+    c: &Arc<Coordinator>,
+    announced: &Announced,
+    origin: &Origin<'_>,
+) -> Result<(), ResultError> {
     let begun = Instant::now();
-    let (result, chores) = commit(c, announced, bytes)?;
+    let (result, chores) = match origin {
+        Origin::Sent(bytes) => commit(c, announced, bytes, None)?,
+        Origin::Staged(staged) => {
+            let committed = fetch(c, staged).and_then(|bytes| commit(c, announced, &bytes, Some(staged)));
+            let waits = |e: &ResultError| match e {
+                ResultError::Blob(e) => e.passes(),
+                ResultError::Store(_) => true,
+                _ => false,
+            };
+            // The worker names it again after what passes.
+            if !committed.as_ref().is_err_and(waits) {
+                direct::discard(c, staged);
+            }
+            committed?
+        }
+    };
     c.metrics.commit_took(begun.elapsed());
     do_chores(c, chores);
     result
+}
+
+/// Reads an output that its worker has written into the store of the blobs.
+fn fetch(c: &Coordinator, staged: &Staged) -> Result<Vec<u8>, ResultError> {
+    // Nobody has the coordinator read what does not count.
+    if !c.lock().machine.admit(&staged.lease)?.counts {
+        return Err(ResultError::NoLease);
+    }
+    let none = || ResultError::Unstaged("this coordinator has given no address".to_owned());
+    let direct = c.blobs.direct().ok_or_else(none)?;
+    direct.read_staged(staged).map_err(|e| match e {
+        e if e.passes() => ResultError::Blob(e),
+        e => ResultError::Unstaged(e.to_string()),
+    })
 }
 
 /// The number of cells of a tile's output, which must be what the job's plan expects of the tile.
@@ -209,6 +254,7 @@ fn commit(
     c: &Coordinator,
     announced: &Announced,
     bytes: &[u8],
+    staged: Option<&Staged>,
 ) -> Result<(Result<(), ResultError>, Vec<Chore>), ResultError> {
     let begun = Begun::now();
     let &Announced { lease, digest, samples, millis, .. } = announced;
@@ -232,7 +278,10 @@ fn commit(
     };
     // Nobody removes outputs meanwhile: a record may only name a blob that is present.
     let _committing = c.committing();
-    c.blobs.put(bytes).inspect_err(full)?;
+    match (staged, c.blobs.direct()) {
+        (Some(staged), Some(direct)) => direct.adopt(staged, &digest, bytes).inspect_err(full)?,
+        _ => drop(c.blobs.put(bytes).inspect_err(full)?),
+    }
     let unnamed = helpers.len().saturating_sub(MAX_HELPERS) as u32;
     let helpers = helpers.into_iter().take(MAX_HELPERS).collect();
     let at_ms = c.now().unix_ms;
@@ -249,6 +298,9 @@ fn commit(
             if outcome == CommitOutcome::Committed {
                 let TileStats { cells, samples, millis, worker, .. } = &stats;
                 c.metrics.committed(&profile, *samples, *millis);
+                if staged.is_some() {
+                    c.metrics.went_directly("write", announced.bytes);
+                }
                 let text = format!("tile {tile} is done: {cells} cells, {samples} samples, {millis} ms");
                 c.happened(Happening::of_lease(Kind::Done, &lease, text).on(worker));
             }

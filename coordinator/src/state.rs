@@ -23,6 +23,7 @@ use crate::metrics::Metrics;
 use crate::orders::{Scheduling, Watched};
 use crate::scheduler::{Machine, Now};
 use crate::spans::Spans;
+use crate::staging::Staging;
 use crate::store::{Blobs, Store};
 use crate::uploads::Uploads;
 
@@ -111,6 +112,8 @@ pub struct Coordinator {
     pub(crate) last_trial: Mutex<LastTrial>,
     /// The chunks that were sent and are no scene yet.
     pub(crate) uploads: Uploads,
+    /// The outputs that workers write by themselves.
+    pub(crate) staging: Staging,
     /// Who answers what needs the scene.
     pub(crate) answers: OnceLock<Box<dyn Answers>>,
     /// The result that was asked about last.
@@ -158,6 +161,7 @@ impl Coordinator {
             data_dir: None,
             last_trial: Mutex::new(None),
             uploads: Uploads::default(),
+            staging: Staging::default(),
             answers: OnceLock::new(),
             last_asked: Mutex::new(None),
             lost_scenes: Mutex::default(),

@@ -21,7 +21,7 @@ use crate::ids::{Digest, JobId, WorkerId};
 use crate::jobs::{self, JobError};
 use crate::lifecycle;
 use crate::orders::Outbox;
-use crate::results::{self, Announced, ResultError};
+use crate::results::{self, Announced, Origin, ResultError};
 use crate::scheduler::{Grant, Introduction, Order};
 use crate::sessions::{self, Message};
 use crate::state::{Coordinator, Leases};
@@ -39,10 +39,15 @@ pub(crate) fn coordinator() -> (Arc<Coordinator>, Arc<ManualClock>, Digest) {
     let clock = Arc::new(ManualClock::default());
     let (store, blobs) = (Box::new(MemoryStore::new()), Box::new(MemoryBlobs::new()));
     let c = Coordinator::new(Leases::default(), store, blobs, Box::new(Arc::clone(&clock))).unwrap();
+    let scene = c.take_scene(&triangle()).unwrap();
+    (c, clock, scene)
+}
+
+/// A scene of one triangle.
+pub(crate) fn triangle() -> Scene {
     let triangle = Triangle { v: [Vec3::ZERO, Vec3::X, Vec3::Y] };
     let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
-    let scene = c.take_scene(&Scene::new("test", vec![triangle], objects).unwrap()).unwrap();
-    (c, clock, scene)
+    Scene::new("test", vec![triangle], objects).unwrap()
 }
 
 /// A triangle whose alpha mask is open everywhere.
@@ -140,7 +145,11 @@ pub(crate) fn output_of(grant: &Grant, cell: &CellSet) -> Vec<u8> {
 pub(crate) fn put(c: &Arc<Coordinator>, grant: &Grant, bytes: &[u8]) -> Result<(), ResultError> {
     let digest = *blake3::hash(bytes).as_bytes();
     let (bytes_announced, lease) = (bytes.len() as u64, grant.lease);
-    results::put(c, &Announced { lease, digest, bytes: bytes_announced, samples: 3, millis: 4 }, bytes)
+    results::put(
+        c,
+        &Announced { lease, digest, bytes: bytes_announced, samples: 3, millis: 4 },
+        &Origin::Sent(bytes),
+    )
 }
 
 #[test]

@@ -42,7 +42,8 @@ pub fn piece(bytes: &[u8], i: usize) -> Chunk {
 /// The chunk of `data`, which begins at byte `offset` of `total`. All chunks but the last have
 /// [`CHUNK_BYTES`].
 pub fn chunk(data: Vec<u8>, offset: u64, total: u64) -> Chunk {
-    Chunk { crc32c: crc32c::crc32c(&data), data, offset, total: if offset == 0 { total } else { 0 } }
+    let total = if offset == 0 { total } else { 0 };
+    Chunk { crc32c: crc32c::crc32c(&data), data, offset, total, address: None }
 }
 
 /// Cuts `bytes` into chunks.

@@ -27,5 +27,12 @@ pub mod v1 {
     include!(concat!(env!("OUT_DIR"), "/sightline.v1.serde.rs"));
 }
 
+impl std::fmt::Debug for v1::Address {
+    /// Who has an address may use it, so no message and no log may show one.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Address(…)")
+    }
+}
+
 /// The compiled descriptors of the .proto files, for gRPC reflection.
 pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));

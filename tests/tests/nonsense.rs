@@ -25,7 +25,8 @@ const SCENE: &str = "generate maze --grid 3x3 -o maze.glb";
 const JOB: &str = "maze.glb --sampler cubes --cells 4x4x2 --resolution 32 --backend cpu";
 
 fn chunk(data: &[u8]) -> v1::Chunk {
-    v1::Chunk { data: data.to_vec(), crc32c: crc32c::crc32c(data), offset: 0, total: data.len() as u64 }
+    let (crc32c, total) = (crc32c::crc32c(data), data.len() as u64);
+    v1::Chunk { data: data.to_vec(), crc32c, offset: 0, total, address: None }
 }
 
 /// Bytes as they are, in place of messages.
@@ -110,6 +111,9 @@ fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
     let lease = Some(held);
     let worker = |message| ("Workers/Work", v1::WorkerMessage { message: Some(message) }.encode_to_vec());
     let header = v1::ResultHeader { lease, digest: digest.clone(), bytes: 9, ..Default::default() };
+    let scene = v1::FetchSceneRequest { digest: digest.clone(), direct: true, fell_back: true };
+    let pack = v1::FetchPackRequest { digest: digest.clone(), direct: true, fell_back: false };
+    let stage = v1::StageResultRequest { lease, sha256: digest.clone(), bytes: 9 };
     let result = |part| ("Workers/PutResult", v1::ResultPart { part: Some(part) }.encode_to_vec());
     let hello = v1::Hello {
         name: "fuzz".to_owned(),
@@ -179,8 +183,9 @@ fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
         worker(Message::Failed(failed)),
         worker(Message::Timed(timed)),
         worker(Message::Draining(v1::Draining {})),
-        ("Workers/FetchScene", v1::FetchSceneRequest { digest: digest.clone() }.encode_to_vec()),
-        ("Workers/FetchPack", v1::FetchPackRequest { digest: digest.clone() }.encode_to_vec()),
+        ("Workers/FetchScene", scene.encode_to_vec()),
+        ("Workers/FetchPack", pack.encode_to_vec()),
+        ("Workers/StageResult", stage.encode_to_vec()),
         result(v1::result_part::Part::Header(header)),
         result(v1::result_part::Part::Chunk(chunk(b"123456789"))),
     ]

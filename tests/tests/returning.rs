@@ -104,6 +104,13 @@ impl Workers for Puppet {
         Err(Status::failed_precondition("this tile was not leased to anybody under this number"))
     }
 
+    async fn stage_result(
+        &self,
+        _: Request<v1::StageResultRequest>,
+    ) -> Result<Response<v1::StageResultResponse>, Status> {
+        Err(Status::unimplemented("outputs come in chunks"))
+    }
+
     async fn crew(
         &self,
         _: Request<Streaming<v1::CrewMessage>>,
@@ -121,7 +128,7 @@ async fn job(sandbox: &Sandbox) -> (v1::JobSpec, Vec<v1::Chunk>) {
     let channel = url.connect().await.unwrap();
     let shown = JobsClient::new(channel.clone()).show(v1::ShowRequest { job: id }).await.unwrap();
     let spec = shown.into_inner().spec.unwrap();
-    let request = v1::FetchSceneRequest { digest: spec.scene.clone() };
+    let request = v1::FetchSceneRequest { digest: spec.scene.clone(), ..Default::default() };
     let chunks = WorkersClient::new(channel).fetch_scene(request).await.unwrap().into_inner();
     (spec, chunks.map(Result::unwrap).collect().await)
 }
@@ -143,7 +150,8 @@ async fn what_was_refused_without_a_connection_is_not_claimed() {
     let mut first = joined.next().await.unwrap();
     let FromWorker::Hello(hello) = first.hear().await else { panic!("no greeting") };
     assert!(hello.held.is_empty());
-    let welcome = || FromCoordinator::Welcome(v1::Welcome { epoch: 1, lease_millis: 10_000, kept: vec![] });
+    let welcome =
+        || FromCoordinator::Welcome(v1::Welcome { epoch: 1, lease_millis: 10_000, ..Default::default() });
     let two = FromWorker::Want(v1::Want { tiles: 2 });
     first.say(welcome()).await;
     assert_eq!(first.hear().await, two);

@@ -19,8 +19,17 @@ async fn connect(coordinator: &Coordinator<'_>) -> Channel {
     Channel::from_shared(coordinator.url.clone()).unwrap().connect().await.unwrap()
 }
 
+fn scene_of(digest: &[u8]) -> v1::FetchSceneRequest {
+    v1::FetchSceneRequest { digest: digest.to_vec(), ..Default::default() }
+}
+
+fn pack_of(digest: &[u8]) -> v1::FetchPackRequest {
+    v1::FetchPackRequest { digest: digest.to_vec(), ..Default::default() }
+}
+
 fn chunk(data: &[u8]) -> v1::Chunk {
-    v1::Chunk { data: data.to_vec(), crc32c: crc32c::crc32c(data), offset: 0, total: data.len() as u64 }
+    let (crc32c, total) = (crc32c::crc32c(data), data.len() as u64);
+    v1::Chunk { data: data.to_vec(), crc32c, offset: 0, total, address: None }
 }
 
 #[track_caller]
@@ -63,15 +72,14 @@ async fn requests_are_refused_with_the_right_code() {
         refused(jobs.missing_chunks(request).await, Code::InvalidArgument);
         let request = v1::PutSceneRequest { chunks: vec![], digest: bad.clone() };
         refused(jobs.put_scene(request).await, Code::InvalidArgument);
-        refused(
-            workers.fetch_scene(v1::FetchSceneRequest { digest: bad.clone() }).await,
-            Code::InvalidArgument,
-        );
-        refused(workers.fetch_pack(v1::FetchPackRequest { digest: bad }).await, Code::InvalidArgument);
+        refused(workers.fetch_scene(scene_of(&bad)).await, Code::InvalidArgument);
+        refused(workers.fetch_pack(pack_of(&bad)).await, Code::InvalidArgument);
+        let staged = v1::StageResultRequest { lease: None, sha256: bad, bytes: 1 };
+        refused(workers.stage_result(staged).await, Code::InvalidArgument);
     }
     let nothing = vec![9; 32];
-    refused(workers.fetch_scene(v1::FetchSceneRequest { digest: nothing.clone() }).await, Code::NotFound);
-    refused(workers.fetch_pack(v1::FetchPackRequest { digest: nothing.clone() }).await, Code::NotFound);
+    refused(workers.fetch_scene(scene_of(&nothing)).await, Code::NotFound);
+    refused(workers.fetch_pack(pack_of(&nothing)).await, Code::NotFound);
     let put = |chunks: &[&Vec<u8>], digest: &Vec<u8>| v1::PutSceneRequest {
         chunks: chunks.iter().map(|c| c.to_vec()).collect(),
         digest: digest.clone(),
@@ -273,11 +281,7 @@ async fn a_second_result_for_a_tile_is_kept_out() {
         sightline_model::JobSpec::from_proto(grant.spec.as_ref().unwrap(), None).unwrap().plan().unwrap();
     let lease = grant.lease.unwrap();
     let finished = plan.tiles[lease.tile as usize].needs[0];
-    let mut stream = workers
-        .fetch_pack(v1::FetchPackRequest { digest: grant.packs[0].clone() })
-        .await
-        .unwrap()
-        .into_inner();
+    let mut stream = workers.fetch_pack(pack_of(&grant.packs[0])).await.unwrap().into_inner();
     let mut genuine = Vec::new();
     while let Some(chunk) = stream.next().await {
         genuine.extend(chunk.unwrap().data);

@@ -26,6 +26,8 @@ pub struct Config {
     /// Whether it helps other workers' tiles while it has none of its own: not where those workers share its
     /// threads.
     pub helps: bool,
+    /// Whether it reads and writes the store of the blobs by itself where the coordinator offers that.
+    pub direct: bool,
     /// How long to retry when the coordinator cannot be reached; `None` for no limit.
     pub give_up_after: Option<Duration>,
     /// What it tells of itself.

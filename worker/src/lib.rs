@@ -18,6 +18,7 @@
 //!     backends: Arc::new(Backends::probe(Choice::Auto, AdapterChoice::default())),
 //!     scenes: Arc::new(SceneCache::default()),
 //!     helps: true,
+//!     direct: true,
 //!     give_up_after: None,
 //!     pulse: Arc::default(),
 //!     traces: Default::default(),
@@ -33,6 +34,8 @@ pub mod backends;
 mod config;
 mod connecting;
 mod crew;
+mod direct;
+mod fetching;
 mod held;
 mod packs;
 mod pulse;
@@ -41,12 +44,13 @@ mod session;
 mod spans;
 mod status;
 mod tiles;
+mod uploading;
 
 use tokio::sync::watch;
 
 pub use backends::{Backends, Choice};
 pub use config::{Config, Stop, WorkerError};
-pub use pulse::Pulse;
+pub use pulse::{Moved, Pulse};
 pub use scenes::{Loaded, SceneCache};
 
 /// Runs a worker until `stop` tells it to stop.

@@ -9,6 +9,38 @@ pub struct Pulse {
     done: AtomicU64,
     cancelled: AtomicU64,
     failed: AtomicU64,
+    /// Blobs and their bytes, by direction and way.
+    moved: [[[AtomicU64; 2]; 3]; 2],
+}
+
+/// Whether a blob came here or left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Direction {
+    In,
+    Out,
+}
+
+/// How a blob went.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Way {
+    /// Between this worker and the store.
+    Direct,
+    Coordinator,
+    /// Through the coordinator, after the store did not do.
+    Fallback,
+}
+
+/// Blobs that went one way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Moved {
+    /// `in` or `out`.
+    pub direction: &'static str,
+    /// `direct`, `coordinator`, or `fallback`: through the coordinator, after the store did not do.
+    pub way: &'static str,
+    /// How many.
+    pub blobs: u64,
+    /// Their bytes.
+    pub bytes: u64,
 }
 
 /// How a tile ended.
@@ -30,6 +62,24 @@ impl Pulse {
     pub fn tiles(&self) -> [(&'static str, u64); 3] {
         [("done", &self.done), ("cancelled", &self.cancelled), ("failed", &self.failed)]
             .map(|(name, count)| (name, count.load(Ordering::Relaxed)))
+    }
+
+    /// Scenes, packs and outputs by how they went.
+    pub fn transfers(&self) -> Vec<Moved> {
+        let mut all = Vec::new();
+        for (direction, of) in ["in", "out"].into_iter().zip(&self.moved) {
+            for (way, counts) in ["direct", "coordinator", "fallback"].into_iter().zip(of) {
+                let [blobs, bytes] = [0, 1].map(|i| counts[i].load(Ordering::Relaxed));
+                all.push(Moved { direction, way, blobs, bytes });
+            }
+        }
+        all
+    }
+
+    pub(crate) fn moved(&self, direction: Direction, way: Way, bytes: usize) {
+        let [blobs, sum] = &self.moved[direction as usize][way as usize];
+        blobs.fetch_add(1, Ordering::Relaxed);
+        sum.fetch_add(bytes as u64, Ordering::Relaxed);
     }
 
     pub(crate) fn connected(&self, is: bool) {

@@ -14,6 +14,7 @@ use tokio::sync::{Semaphore, mpsc, watch};
 
 use crate::config::{Config, Stop, WorkerError};
 use crate::connecting;
+use crate::direct::Direct;
 use crate::held::Held;
 use crate::pulse::Ended;
 use crate::status::describe;
@@ -82,6 +83,7 @@ impl Worker {
             .keep_alive_while_idle(true);
         let shop = Shop {
             client: WorkersClient::new(connecting::channel(&endpoint, &config.credentials)),
+            direct: Direct::new(config.direct),
             config,
             packs: Default::default(),
             running: Semaphore::new(1),
@@ -287,6 +289,7 @@ impl Worker {
         match message {
             FromCoordinator::Welcome(w) => {
                 self.shop.config.pulse.connected(true);
+                self.shop.direct.welcome(w.direct);
                 // Tiles whose lease was not kept are stopped.
                 for (k, h) in &self.held {
                     if !w.kept.iter().any(|l| key(l) == *k) {

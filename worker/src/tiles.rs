@@ -1,12 +1,10 @@
-//! One tile from grant to commit: fetches its scene and packs, runs it, and uploads its output.
+//! One tile from grant to commit: its scene and packs are fetched, it runs, and its output is uploaded.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use futures::StreamExt as _;
 use sightline_bake::{Alone, BakeError, Control, Crew, PackBytes, Watcher as _, run_portal_tile, run_tile};
 use sightline_model::{JobSpec, Method, Sampler};
-use sightline_proto::chunks::{Assembler, count, piece};
 use sightline_proto::connecting::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
@@ -16,19 +14,11 @@ use sightline_viewcells::Division;
 
 use crate::config::Config;
 use crate::crew;
+use crate::direct::Direct;
 use crate::held::Held;
 use crate::packs::PackCache;
 use crate::scenes::Loaded;
 use crate::spans::Steps;
-use crate::status::describe;
-
-/// Largest scene or pack accepted from a coordinator, in bytes.
-const MAX_FETCH: u64 = 64 << 30;
-/// The waits after the first failure of an upload and after late ones; they double in between. An output is
-/// offered again for as long as its lease lives, whatever the disk or the network does.
-const UPLOAD_WAIT: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(10)];
-/// How often a wait looks whether the lease still lives.
-const LOOK: Duration = Duration::from_millis(250);
 
 /// Why a tile was not committed.
 pub enum Failure {
@@ -68,6 +58,8 @@ pub struct Shop {
     pub packs: PackCache,
     /// One tile runs at a time, while the next one fetches its data.
     pub running: tokio::sync::Semaphore,
+    /// The way to the store of the blobs.
+    pub direct: Direct,
     /// Connection to the coordinator.
     pub client: WorkersClient<Connection>,
 }
@@ -142,6 +134,7 @@ impl Shop {
             samples: rendered,
             cells: held.progress().cells,
             millis: start.elapsed().as_millis() as u64,
+            ..v1::ResultHeader::default()
         };
         let (begun, length) = (Begun::now(), header.bytes);
         let mut attempts = 0;
@@ -238,81 +231,6 @@ impl Shop {
         Ok((done.bytes, done.samples))
     }
 
-    /// A scene, from the cache or the coordinator.
-    pub async fn scene(&self, digest: [u8; 32]) -> Result<Arc<Loaded>, String> {
-        let mut client = self.client.clone();
-        let fetch = async move {
-            let request = v1::FetchSceneRequest { digest: digest.to_vec() };
-            let stream = client.fetch_scene(request).await.map_err(|s| describe(&s))?;
-            assemble(stream.into_inner()).await
-        };
-        self.config.scenes.get(digest, fetch).await
-    }
-
-    /// A pack; `None` when the coordinator has lost it or its bytes are damaged.
-    async fn pack(&self, digest: [u8; 32]) -> Result<Option<bytes::Bytes>, String> {
-        if let Some(pack) = self.packs.get(&digest) {
-            return Ok(Some(pack));
-        }
-        let request = v1::FetchPackRequest { digest: digest.to_vec() };
-        let stream = match self.client.clone().fetch_pack(request).await {
-            Ok(response) => response.into_inner(),
-            Err(s) if matches!(s.code(), tonic::Code::NotFound | tonic::Code::DataLoss) => return Ok(None),
-            Err(s) => return Err(describe(&s)),
-        };
-        let bytes = bytes::Bytes::from(assemble(stream).await?);
-        if *blake3::hash(&bytes).as_bytes() != digest {
-            return Ok(None);
-        }
-        self.packs.put(digest, bytes.clone());
-        Ok(Some(bytes))
-    }
-
-    async fn upload(
-        &self,
-        header: v1::ResultHeader,
-        bytes: bytes::Bytes,
-        held: &Held,
-        attempts: &mut u32,
-    ) -> Result<(), Failure> {
-        let mut wait = UPLOAD_WAIT[0];
-        loop {
-            if held.cancelled() {
-                return Err(Failure::Cancelled);
-            }
-            *attempts += 1;
-            let first = v1::ResultPart { part: Some(v1::result_part::Part::Header(header.clone())) };
-            let body = bytes.clone();
-            // The chunks are made lazily, so only one is in memory at a time.
-            let chunks = (0..count(&body))
-                .map(move |i| v1::ResultPart { part: Some(v1::result_part::Part::Chunk(piece(&body, i))) });
-            let parts = tokio_stream::iter(std::iter::once(first).chain(chunks));
-            match self.client.clone().put_result(parts).await {
-                Ok(_) => return Ok(()),
-                Err(s) => match s.code() {
-                    tonic::Code::Aborted | tonic::Code::InvalidArgument | tonic::Code::OutOfRange => {
-                        return Err(Failure::Tile(describe(&s)));
-                    }
-                    // The job was deleted or has ended, so the tile is not needed any more.
-                    tonic::Code::NotFound | tonic::Code::FailedPrecondition => {
-                        return Err(Failure::Cancelled);
-                    }
-                    _ => tracing::warn!(
-                        "the output of tile {} is offered again in {wait:?}: {}",
-                        held.lease.tile,
-                        describe(&s)
-                    ),
-                },
-            }
-            // Not the same time on every worker, so that they do not all come back together.
-            let end = Instant::now() + wait.mul_f64(jitter(held.lease.lease, wait));
-            while Instant::now() < end && !held.cancelled() {
-                tokio::time::sleep(LOOK.min(end.saturating_duration_since(Instant::now()))).await;
-            }
-            wait = (wait * 2).min(UPLOAD_WAIT[1]);
-        }
-    }
-
     /// Times the backends on a job's scene.
     pub async fn time(&self, spec: &v1::JobSpec) -> Result<Vec<v1::ProfileTime>, String> {
         let spec = JobSpec::from_proto(spec, None).map_err(|e| e.to_string())?;
@@ -357,20 +275,5 @@ impl Shop {
     }
 }
 
-/// A factor between 0.75 and 1.25 that differs from lease to lease and from wait to wait.
-fn jitter(lease: u64, wait: Duration) -> f64 {
-    let names = [lease.to_le_bytes(), (wait.as_millis() as u64).to_le_bytes()].concat();
-    let [byte, ..] = *blake3::hash(&names).as_bytes();
-    0.75 + f64::from(byte) / 512.0
-}
-
 /// A pack, or the digest of a lost pack that has to be computed again.
 type Fetched = Result<bytes::Bytes, [u8; 32]>;
-
-async fn assemble(mut stream: tonic::Streaming<v1::Chunk>) -> Result<Vec<u8>, String> {
-    let mut whole = Assembler::new(MAX_FETCH);
-    while let Some(chunk) = stream.next().await {
-        whole.push(&chunk.map_err(|s| describe(&s))?).map_err(|e| e.to_string())?;
-    }
-    whole.finish().map_err(|e| e.to_string())
-}

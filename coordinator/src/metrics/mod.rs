@@ -62,6 +62,9 @@ pub(crate) struct Metrics {
     requests: Family<Labels<2>, Counter>,
     request_seconds: Histograms,
     refused: Counters,
+    addresses: Counters,
+    direct_bytes: Counters,
+    fallbacks: Counters,
 }
 
 /// How a look into a cache ended.
@@ -115,6 +118,9 @@ impl Default for Metrics {
             requests: Family::default(),
             request_seconds: Family::new_with_constructor(short),
             refused: Family::default(),
+            addresses: Family::default(),
+            direct_bytes: Family::default(),
+            fallbacks: Family::default(),
         };
         let r = &mut registry;
         let seconds = || Unit::Seconds;
@@ -142,6 +148,12 @@ impl Default for Metrics {
         let help = "Time of a call, of a stream until its end";
         r.register_with_unit("request", help, seconds(), this.request_seconds.clone());
         r.register("refused", "What was refused because of a limit", this.refused.clone());
+        let help = "Addresses of the store of the blobs that workers were given";
+        r.register("direct_addresses", help, this.addresses.clone());
+        let help = "Bytes of the blobs whose addresses were given, and of the outputs committed from there";
+        r.register_with_unit("direct", help, Unit::Bytes, this.direct_bytes.clone());
+        let help = "Blobs that went through the coordinator because an address did not do";
+        r.register("direct_fallbacks", help, this.fallbacks.clone());
         *this.registry.lock().unwrap_or_else(PoisonError::into_inner) = registry;
         this
     }
@@ -229,6 +241,21 @@ impl Metrics {
     pub(crate) fn request(&self, method: &str, code: &str, time: Duration) {
         self.requests.get_or_create(&[("method", method.to_owned()), ("code", code.to_owned())]).inc();
         self.request_seconds.get_or_create(&[("method", method.to_owned())]).observe(time.as_secs_f64());
+    }
+
+    /// A worker was given an address, to `read` or to `write` there.
+    pub(crate) fn addressed(&self, operation: &'static str) {
+        self.addresses.get_or_create(&[("operation", operation.to_owned())]).inc();
+    }
+
+    /// So many bytes are between a worker and the store of the blobs.
+    pub(crate) fn went_directly(&self, operation: &'static str, bytes: u64) {
+        self.direct_bytes.get_or_create(&[("operation", operation.to_owned())]).inc_by(bytes);
+    }
+
+    /// A worker could not use an address.
+    pub(crate) fn fell_back(&self, operation: &'static str) {
+        self.fallbacks.get_or_create(&[("operation", operation.to_owned())]).inc();
     }
 
     /// Something was refused because of a limit.

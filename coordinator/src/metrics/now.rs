@@ -13,6 +13,7 @@ use prometheus_client::registry::{Registry, Unit};
 use super::Labels;
 use super::disk::{bytes_below, free_bytes};
 use crate::scheduler::{Counts, Member};
+use crate::store::Carried;
 
 /// How old the sizes of directories may be: all their files are looked at.
 const SIZES_EVERY: Duration = Duration::from_secs(60);
@@ -29,6 +30,8 @@ pub(crate) struct Moment {
     pub(crate) quarantined: usize,
     /// Where the data is, if it is in files.
     pub(crate) data_dir: Option<PathBuf>,
+    /// The bytes that went between the coordinator and an object store, if blobs are in one.
+    pub(crate) carried: Option<Carried>,
 }
 
 /// What is set to it.
@@ -41,6 +44,7 @@ pub(super) struct Gauges {
     worker_samples: Family<Labels<1>, Counter>,
     store_bytes: Family<Labels<1>, Gauge>,
     disk_free: Gauge,
+    carried: Family<Labels<1>, Counter>,
     sized: Mutex<Option<Instant>>,
 }
 
@@ -55,6 +59,7 @@ impl Gauges {
             worker_samples: Family::default(),
             store_bytes: Family::default(),
             disk_free: Gauge::default(),
+            carried: Family::default(),
             sized: Mutex::new(None),
         };
         r.register("ready", "1 if /readyz says so", this.ready.clone());
@@ -70,6 +75,8 @@ impl Gauges {
         r.register_with_unit("store", help, Unit::Bytes, this.store_bytes.clone());
         let help = "Free space where the data is";
         r.register_with_unit("disk_free", help, Unit::Bytes, this.disk_free.clone());
+        let help = "Bytes of blobs between the coordinator and the object store";
+        r.register_with_unit("object_store", help, Unit::Bytes, this.carried.clone());
         this
     }
 
@@ -87,6 +94,12 @@ impl Gauges {
             }
             let samples = self.worker_samples.get_or_create_owned(&[("worker", member.name)]);
             samples.inc_by(member.done.samples);
+        }
+        self.carried.clear();
+        if let Some(Carried { read, written }) = moment.carried {
+            for (direction, bytes) in [("in", read), ("out", written)] {
+                self.carried.get_or_create_owned(&[("direction", direction.to_owned())]).inc_by(bytes);
+            }
         }
         if let Some(place) = &moment.data_dir {
             if let Some(free) = free_bytes(place) {

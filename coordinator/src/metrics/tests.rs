@@ -8,7 +8,14 @@ use crate::scheduler::{Counts, Member};
 const MANUAL: &str = include_str!("../../../docs/operations.md");
 
 fn moment() -> Moment {
-    Moment { ready: true, jobs: Vec::new(), members: Vec::new(), quarantined: 0, data_dir: None }
+    Moment {
+        ready: true,
+        jobs: Vec::new(),
+        members: Vec::new(),
+        quarantined: 0,
+        data_dir: None,
+        carried: None,
+    }
 }
 
 /// The names that are served, as samples have them, with their types.
@@ -22,6 +29,9 @@ fn served() -> BTreeMap<String, String> {
     metrics.spot_check("same");
     metrics.request("Jobs/List", "OK", Duration::ZERO);
     metrics.refused("jobs");
+    metrics.addressed("read");
+    metrics.went_directly("read", 1);
+    metrics.fell_back("read");
     let directory = tempfile::tempdir().unwrap();
     let member = Member {
         name: "ada".to_owned(),

@@ -94,5 +94,6 @@ fn moment(c: &Coordinator) -> Moment {
         members: machine.roster(now),
         quarantined: machine.quarantined().len(),
         data_dir: c.data_dir.clone(),
+        carried: c.blobs.carried(),
     }
 }

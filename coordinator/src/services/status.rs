@@ -141,7 +141,7 @@ pub(super) fn of_partial(e: &PartialError) -> Status {
 /// The status of a tile's output that is not committed.
 pub(super) fn of_result(e: &ResultError) -> Status {
     match e {
-        ResultError::Digest => Status::data_loss(e.to_string()),
+        ResultError::Digest | ResultError::Unstaged(_) => Status::data_loss(e.to_string()),
         ResultError::NoJob(_) | ResultError::NoLease => Status::failed_precondition(e.to_string()),
         ResultError::Length
         | ResultError::NoTile

@@ -12,9 +12,11 @@ use tokio::sync::mpsc::Sender;
 use tonic::Status;
 
 use super::blocking::blocking;
-use super::status;
+use super::{status, wire};
+use crate::direct;
 use crate::ids::Digest;
 use crate::state::Coordinator;
+use crate::store::BlobReader;
 
 /// Chunks that are read before the client has taken the last one.
 const AHEAD: usize = 4;
@@ -36,23 +38,52 @@ fn send_to(
 /// A download.
 pub(super) type ChunkStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status>> + Send>>;
 
+/// The length of a blob.
+fn length(c: &Coordinator, d: &Digest) -> Result<u64, Status> {
+    let none = "nothing with this digest is stored here; it may have been tidied away";
+    c.blobs.len(d).map_err(|e| status::of_blob(&e))?.ok_or_else(|| Status::not_found(none))
+}
+
+/// Opens a blob. The whole is checked against its digest first, so that no damaged byte is ever sent.
+fn open(c: &Coordinator, d: &Digest) -> Result<BlobReader, Status> {
+    c.blobs.open_checked(d).map_err(|e| match e {
+        e if e.passes() => status::of_blob(&e),
+        e => Status::data_loss(e.to_string()),
+    })
+}
+
 /// A blob as a stream of chunks.
 ///
 /// # Errors
 /// NOT_FOUND when it is absent, DATA_LOSS when it is damaged.
 pub(super) async fn stream_blob(c: &Arc<Coordinator>, d: Digest) -> Result<ChunkStream, Status> {
-    // The whole is checked against its digest first, so that no damaged byte is ever sent.
-    let blob = blocking(c, move |c| match c.blobs.has(&d) {
-        Ok(true) => c.blobs.open_checked(&d).map_err(|e| match e {
-            e if e.passes() => status::of_blob(&e),
-            e => Status::data_loss(e.to_string()),
-        }),
-        Ok(false) => {
-            Err(Status::not_found("nothing with this digest is stored here; it may have been tidied away"))
+    let blob = blocking(c, move |c| length(c, &d).and_then(|_| open(c, &d))).await?;
+    stream(c, blob).await
+}
+
+/// A blob as a stream of chunks, or one chunk with its address.
+///
+/// # Errors
+/// As [`stream_blob`].
+pub(super) async fn stream_or_address(c: &Arc<Coordinator>, d: Digest) -> Result<ChunkStream, Status> {
+    let found = blocking(c, move |c| {
+        let bytes = length(c, &d)?;
+        match direct::reading(c, &d, bytes) {
+            Some(address) => Ok(Ok((bytes, address))),
+            None => open(c, &d).map(Err),
         }
-        Err(e) => Err(status::of_blob(&e)),
-    })
-    .await?;
+    });
+    match found.await? {
+        Ok((total, address)) => {
+            let address = Some(wire::address(address));
+            let chunk = v1::Chunk { total, address, ..v1::Chunk::default() };
+            Ok(Box::pin(futures::stream::iter([Ok(chunk)])))
+        }
+        Err(blob) => stream(c, blob).await,
+    }
+}
+
+async fn stream(c: &Arc<Coordinator>, blob: BlobReader) -> Result<ChunkStream, Status> {
     let closed = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
     let permit = Arc::clone(&c.downloads).acquire_owned().await.map_err(closed)?;
     let (send, receive) = tokio::sync::mpsc::channel(AHEAD);

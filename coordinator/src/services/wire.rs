@@ -10,7 +10,7 @@ use crate::ids::{Digest, Epoch, JobId, Lease, LeaseId, TileIndex};
 use crate::jobs::Summary;
 use crate::scheduler::{Held, Member, Order, ProfileTime, Standing, Team, Unable};
 use crate::specs;
-use crate::store::{JobPhase, JobState, QuarantineRecord, SceneRecord};
+use crate::store::{Address, JobPhase, JobState, QuarantineRecord, SceneRecord};
 use crate::tiles::TileView;
 
 /// A digest from the wire.
@@ -24,6 +24,13 @@ pub(super) fn digest(bytes: &[u8]) -> Result<Digest, Status> {
             bytes.len()
         ))
     })
+}
+
+/// An address for a worker. Nothing shows it on the way.
+pub(super) fn address(address: Address) -> v1::Address {
+    let header = |(name, value): (&str, String)| v1::Header { name: name.to_owned(), value };
+    let seconds = address.lives.as_secs() as u32;
+    v1::Address { url: address.url, seconds, headers: address.headers.into_iter().map(header).collect() }
 }
 
 /// A lease from the wire.

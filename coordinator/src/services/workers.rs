@@ -14,18 +14,19 @@ use tokio::sync::{mpsc, oneshot};
 use tonic::{Request, Response, Status, Streaming};
 
 use super::blocking::{blocking, later};
-use super::streams::stream_blob;
+use super::streams::{ChunkStream, stream_blob, stream_or_address};
 use super::{crews, status, wire};
 use crate::chores::do_chores;
+use crate::direct;
 use crate::ids::{JobId, WorkerId};
 use crate::lost_scenes;
 use crate::orders::Outbox;
-use crate::results::{self, Announced};
+use crate::results::{self, Announced, Origin};
 use crate::scheduler::{Failure, Introduction, Joined, Order, Progress};
 use crate::sessions::{self, Message};
 use crate::spans::Spans;
 use crate::state::Coordinator;
-use crate::store::{MAX_IDENTIFIER_BYTES, MAX_WORKER_BYTES};
+use crate::store::{MAX_IDENTIFIER_BYTES, MAX_WORKER_BYTES, Staged};
 
 /// Messages to a worker that wait until it reads them; further ones are lost.
 const WAITING: usize = 64;
@@ -85,23 +86,23 @@ impl v1::workers_server::Workers for WorkersService {
     type FetchSceneStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status>> + Send>>;
 
     async fn fetch_scene(&self, r: Request<v1::FetchSceneRequest>) -> Answer<Self::FetchSceneStream> {
-        let d = wire::digest(&r.into_inner().digest)?;
-        let answer = stream_blob(&self.0, d).await;
+        let v1::FetchSceneRequest { digest, direct, fell_back } = r.into_inner();
+        let answer = self.fetch(&digest, direct, fell_back).await;
         if let Err(refused) = &answer
             && matches!(refused.code(), tonic::Code::DataLoss | tonic::Code::NotFound)
         {
-            let why = refused.message().to_owned();
+            let (d, why) = (wire::digest(&digest)?, refused.message().to_owned());
             blocking(&self.0, move |c| lost_scenes::lost(c, &d, &why).map_err(|e| status::of_store(&e)))
                 .await?;
         }
-        answer.map(Response::new)
+        answer
     }
 
     type FetchPackStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status>> + Send>>;
 
     async fn fetch_pack(&self, r: Request<v1::FetchPackRequest>) -> Answer<Self::FetchPackStream> {
-        let d = wire::digest(&r.into_inner().digest)?;
-        stream_blob(&self.0, d).await.map(Response::new)
+        let v1::FetchPackRequest { digest, direct, fell_back } = r.into_inner();
+        self.fetch(&digest, direct, fell_back).await
     }
 
     type CrewStream = Pin<Box<dyn Stream<Item = Result<v1::CrewMessage, Status>> + Send>>;
@@ -153,6 +154,12 @@ impl v1::workers_server::Workers for WorkersService {
         let Some(v1::result_part::Part::Header(header)) = first else {
             return Err(Status::invalid_argument("a result's first part must be its header"));
         };
+        if header.fell_back {
+            self.0.metrics.fell_back("write");
+        }
+        if !header.staged.is_empty() {
+            return self.commit_staged(header, parts).await;
+        }
         let mut whole = Assembler::new(MAX_UNPACKED);
         while let Some(part) = parts.next().await {
             match part?.part {
@@ -165,11 +172,58 @@ impl v1::workers_server::Workers for WorkersService {
         let bytes = whole.finish().map_err(|e| Status::data_loss(e.to_string()))?;
         blocking(&self.0, move |c| {
             let announced = announced(&header)?;
-            results::put(c, &announced, &bytes).map_err(|e| status::of_result(&e))?;
+            results::put(c, &announced, &Origin::Sent(&bytes)).map_err(|e| status::of_result(&e))?;
             Ok(Response::new(v1::PutResultResponse {}))
         })
         .await
     }
+
+    async fn stage_result(&self, r: Request<v1::StageResultRequest>) -> Answer<v1::StageResultResponse> {
+        let v1::StageResultRequest { lease, sha256, bytes } = r.into_inner();
+        let staged = staged(lease.as_ref(), &sha256, bytes)?;
+        blocking(&self.0, move |c| {
+            let address = direct::writing(c, &staged).map_err(|e| status::of_blob(&e))?;
+            Ok(Response::new(v1::StageResultResponse { address: address.map(wire::address) }))
+        })
+        .await
+    }
+}
+
+impl WorkersService {
+    /// A blob for a worker.
+    async fn fetch(&self, digest: &[u8], direct: bool, fell_back: bool) -> Answer<ChunkStream> {
+        let d = wire::digest(digest)?;
+        if fell_back {
+            self.0.metrics.fell_back("read");
+        }
+        let stream = if direct { stream_or_address(&self.0, d).await } else { stream_blob(&self.0, d).await };
+        stream.map(Response::new)
+    }
+
+    /// Commits an output that its worker has written by itself.
+    async fn commit_staged(
+        &self,
+        header: v1::ResultHeader,
+        mut parts: Streaming<v1::ResultPart>,
+    ) -> Answer<v1::PutResultResponse> {
+        let staged = staged(header.lease.as_ref(), &header.staged, header.bytes)?;
+        if parts.next().await.transpose()?.is_some() {
+            return Err(Status::invalid_argument("an output that is staged has no chunks"));
+        }
+        blocking(&self.0, move |c| {
+            let announced = announced(&header)?;
+            results::put(c, &announced, &Origin::Staged(&staged)).map_err(|e| status::of_result(&e))?;
+            Ok(Response::new(v1::PutResultResponse {}))
+        })
+        .await
+    }
+}
+
+fn staged(lease: Option<&v1::Lease>, sha256: &[u8], bytes: u64) -> Result<Staged, Status> {
+    let lease = lease.ok_or_else(|| Status::invalid_argument("a result must name its lease"))?;
+    let sha256 = sha256.try_into();
+    let sha256 = sha256.map_err(|_| Status::invalid_argument("a result's SHA-256 has 32 bytes"))?;
+    Ok(Staged { lease: wire::lease(lease), sha256, bytes })
 }
 
 fn announced(header: &v1::ResultHeader) -> Result<Announced, Status> {
@@ -292,6 +346,7 @@ async fn listen(
         epoch: joined.epoch.0,
         lease_millis: c.leases.ttl.as_millis() as u32,
         kept: joined.kept.iter().map(wire::to_lease).collect(),
+        direct: c.blobs.direct().map(|direct| v1::Direct { ca: direct.authorities().to_vec() }),
     };
     if out.send(Outgoing::Welcome(welcome)).await.is_err() {
         return;

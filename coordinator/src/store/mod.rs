@@ -35,8 +35,8 @@ mod conformance_trust;
 
 pub use api::Store;
 pub use blobs::{
-    BlobError, BlobPlace, BlobReader, BlobWriter, Blobs, BucketPlace, FileBlobs, MemoryBlobs, ObjectBlobs,
-    PlaceError, Stored,
+    Address, BlobError, BlobPlace, BlobReader, BlobWriter, Blobs, BucketPlace, Carried, Direct, FileBlobs,
+    MemoryBlobs, ObjectBlobs, PlaceError, Staged, Stored, Ways,
 };
 pub use entries::Entry;
 pub use error::{JournalError, StoreError};

@@ -370,6 +370,7 @@ impl Workers {
                 scenes: Arc::clone(&scenes),
                 // They share the threads of this process.
                 helps: false,
+                direct: false,
                 give_up_after: Some(Duration::from_secs(30)),
                 pulse: Arc::default(),
                 traces: traces.clone(),

@@ -81,7 +81,13 @@ pub async fn upload(client: &mut JobsClient<Connection>, scene: &Scene) -> Resul
         let chunks = needed.into_iter().map(move |i| {
             let start = i * CHUNK_BYTES;
             let data = blob[start..blob.len().min(start + CHUNK_BYTES)].to_vec();
-            v1::Chunk { crc32c: crc32c::crc32c(&data), offset: 0, total: data.len() as u64, data }
+            v1::Chunk {
+                crc32c: crc32c::crc32c(&data),
+                offset: 0,
+                total: data.len() as u64,
+                data,
+                address: None,
+            }
         });
         client.put_chunks(tokio_stream::iter(chunks)).await.map_err(|s| CliError::status(&s))?;
         match client.put_scene(put.clone()).await {

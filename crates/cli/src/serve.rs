@@ -7,7 +7,7 @@ use std::time::Duration;
 use sightline_coordinator::Probed;
 use sightline_model::BackendChoice;
 use sightline_sampling::gpu::{AdapterChoice, adapters};
-use sightline_worker::{Backends, Pulse, SceneCache, Stop, WorkerError};
+use sightline_worker::{Backends, Moved, Pulse, SceneCache, Stop, WorkerError};
 use tokio::sync::watch;
 
 use crate::backends::{choice, say_missing};
@@ -36,6 +36,7 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
         backends,
         scenes: Arc::new(SceneCache::default()),
         helps: true,
+        direct: !args.no_direct,
         give_up_after: args.give_up_after.map(Duration::from_secs),
         pulse: Arc::default(),
         traces: args.traces.start("sightline-worker", &name)?,
@@ -97,6 +98,23 @@ impl Probed for Watched {
         );
         for (outcome, count) in self.0.tiles() {
             text.push_str(&format!("sightline_worker_tiles_total{{outcome=\"{outcome}\"}} {count}\n"));
+        }
+        let moved = self.0.transfers();
+        text.push_str(
+            "# HELP sightline_worker_blobs Scenes, packs and outputs, by how they went.\n\
+             # TYPE sightline_worker_blobs counter\n",
+        );
+        for Moved { direction, way, blobs, .. } in &moved {
+            let labels = format!("{{direction=\"{direction}\",way=\"{way}\"}}");
+            text.push_str(&format!("sightline_worker_blobs_total{labels} {blobs}\n"));
+        }
+        text.push_str(
+            "# HELP sightline_worker_blob_bytes Their bytes.\n# TYPE sightline_worker_blob_bytes counter\n\
+             # UNIT sightline_worker_blob_bytes bytes\n",
+        );
+        for Moved { direction, way, bytes, .. } in &moved {
+            let labels = format!("{{direction=\"{direction}\",way=\"{way}\"}}");
+            text.push_str(&format!("sightline_worker_blob_bytes_total{labels} {bytes}\n"));
         }
         text.push_str("# EOF\n");
         Ok(text)

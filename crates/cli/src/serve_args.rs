@@ -33,8 +33,10 @@ pub struct CoordinatorArgs {
     #[command(flatten)]
     pub store: StoreArgs,
     /// Where scenes and results are: dir:PATH, or s3://BUCKET/PREFIX with
-    /// ?endpoint=https://HOST:PORT&region=NAME&ca=FILE&keys=FILE&cache=BYTES. The keys of a bucket are read
-    /// from AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or from the file. Default: `blobs` in --data-dir.
+    /// ?endpoint=https://HOST:PORT&region=NAME&ca=FILE&keys=FILE&cache=BYTES&direct=yes. The keys of a bucket
+    /// are read from AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or from the file. With direct=yes, or
+    /// direct=https://HOST:PORT where workers use another address, workers read and write large blobs there
+    /// by themselves. Default: `blobs` in --data-dir.
     #[arg(long, value_name = "URL")]
     pub blobs: Option<String>,
     /// Serve a dashboard for browsers, and the calls as JSON, at this address, such as 127.0.0.1:7601. Off by
@@ -138,6 +140,10 @@ pub struct WorkerArgs {
     /// How the log on stderr looks: text, or one JSON object a line.
     #[arg(long, value_name = "FORMAT", value_enum, default_value_t)]
     pub log_format: LogFormat,
+    /// Read and write every blob through the coordinator, also where it offers addresses of its object
+    /// store: for a machine that must not reach that, or would only wait for it.
+    #[arg(long)]
+    pub no_direct: bool,
     /// Stop when the coordinator cannot be reached for this many seconds. Default: keep trying.
     #[arg(long, value_name = "S")]
     pub give_up_after: Option<u64>,

@@ -12,7 +12,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
 
-use super::api::{BlobError, BlobReader, BlobWriter, Blobs, Stored, check_announced, fault};
+use super::api::{BlobReader, BlobWriter, Blobs, Stored};
+use super::error::{BlobError, check_announced, fault};
 use crate::ids::{Digest, hex};
 
 /// A directory of blobs. Clones share it.

@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::SystemTime;
 
-use super::api::{BlobError, BlobReader, BlobWriter, Blobs, Stored, check_announced, fault};
+use super::api::{BlobReader, BlobWriter, Blobs, Stored};
+use super::error::{BlobError, check_announced, fault};
 use crate::ids::{Digest, hex};
 
 type Map = BTreeMap<Digest, (Arc<[u8]>, SystemTime)>;

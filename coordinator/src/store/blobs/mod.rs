@@ -1,6 +1,8 @@
 //! Large, content-addressed data beside the records: scenes, their chunks, packs, tile results, `.pvs` files.
 
 mod api;
+mod direct;
+mod error;
 mod files;
 mod memory;
 mod object;
@@ -8,7 +10,9 @@ mod object;
 #[cfg(test)]
 mod conformance;
 
-pub use api::{BlobError, BlobReader, BlobWriter, Blobs, Stored};
+pub use api::{BlobReader, BlobWriter, Blobs, Carried, Stored};
+pub use direct::{Address, Direct, Staged};
+pub use error::BlobError;
 pub use files::FileBlobs;
 pub use memory::MemoryBlobs;
-pub use object::{BlobPlace, BucketPlace, ObjectBlobs, PlaceError};
+pub use object::{BlobPlace, BucketPlace, ObjectBlobs, PlaceError, Ways};

@@ -3,23 +3,26 @@
 
 use std::io::Read;
 use std::path::Path as FilePath;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
 use futures::StreamExt as _;
 use object_store::aws::{AmazonS3, AmazonS3Builder, AmazonS3ConfigKey as Key, Checksum};
 use object_store::path::Path;
+use object_store::signer::{Method, SignedUrlOptions, Signer as _};
 use object_store::{
     BackoffConfig, Error, MultipartUpload, ObjectStore as _, ObjectStoreExt as _, PutPayload, RetryConfig,
 };
 use tokio::runtime::Runtime;
 use tokio::task::JoinSet;
 
-use super::super::api::{BlobError, fault};
+use super::super::api::Carried;
+use super::super::error::{BlobError, fault};
 use super::faults;
-use super::http::{Http, roots};
+use super::http::{Http, authorities};
 use super::keys::Keys;
-use super::place::BucketPlace;
+use super::place::{BucketPlace, Ways};
 
 /// Blobs up to this are one request; larger ones go up in parts.
 const WHOLE: u64 = 16 << 20;
@@ -39,8 +42,14 @@ const PROBE: &str = "probe";
 /// A bucket and a client of it.
 pub(super) struct Bucket {
     store: AmazonS3,
+    /// Signs addresses for workers, if they may have some.
+    signer: Option<AmazonS3>,
+    /// The authorities of `ca=`, as PEM.
+    authorities: Vec<u8>,
     name: String,
     prefix: String,
+    read: AtomicU64,
+    written: AtomicU64,
     // Gone only when the bucket is dropped.
     runtime: Option<Runtime>,
 }
@@ -54,10 +63,21 @@ impl Bucket {
         let name = place.name();
         let unusable = |reason: String| BlobError::Unusable { place: place.name(), reason };
         let builder = settings(place)?;
-        let client = Http::new(roots(place.ca.as_deref()).map_err(unusable)?).map_err(unusable)?;
-        let make = |retry| {
+        let authorities = place.ca.as_deref().map(authorities).transpose().map_err(unusable)?;
+        let roots = sightline_http::roots(authorities.as_deref()).map_err(unusable)?;
+        let client = Http::new(roots).map_err(unusable)?;
+        let make = |builder: &AmazonS3Builder, retry| {
             let builder = builder.clone().with_http_connector(client.clone()).with_retry(growing(retry));
             builder.build().map_err(|e| faults::of("set up", &name, &e))
+        };
+        let signer = match &place.direct {
+            Ways::Coordinator => None,
+            Ways::Endpoint => Some(make(&builder, FIRST)?),
+            Ways::Address(address) => {
+                place.check(address).map_err(|e| unusable(format!("direct=: {e}")))?;
+                let there = builder.clone().with_endpoint(address).with_config(Key::S3Endpoint, address);
+                Some(make(&there, FIRST)?)
+            }
         };
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
@@ -65,10 +85,18 @@ impl Bucket {
             .enable_all()
             .build()
             .map_err(fault("start threads for", FilePath::new(&name)))?;
-        let (prefix, runtime) = (place.prefix.clone(), Some(runtime));
-        let mut bucket = Self { store: make(FIRST)?, name: name.clone(), prefix, runtime };
+        let mut bucket = Self {
+            store: make(&builder, FIRST)?,
+            signer,
+            authorities: authorities.unwrap_or_default(),
+            name: name.clone(),
+            prefix: place.prefix.clone(),
+            read: AtomicU64::new(0),
+            written: AtomicU64::new(0),
+            runtime: Some(runtime),
+        };
         bucket.probe()?;
-        bucket.store = make(RETRY)?;
+        bucket.store = make(&builder, RETRY)?;
         Ok(bucket)
     }
 
@@ -143,17 +171,20 @@ impl Bucket {
         }
     }
 
-    /// Calls `visit` for the objects below the prefix with the last part of the key, the size and the time
-    /// when each was written. Ends when it returns false.
-    pub(super) fn list(&self, mut visit: impl FnMut(&str, u64, SystemTime) -> bool) -> Result<(), BlobError> {
-        let prefix = Path::from(self.prefix.as_str());
+    /// Calls `visit` for the objects below the prefix, or a folder of it, with the key, the size and the
+    /// time when each was written. Ends when it returns false.
+    pub(super) fn list(
+        &self,
+        folder: Option<&str>,
+        mut visit: impl FnMut(&Path, u64, SystemTime) -> bool,
+    ) -> Result<(), BlobError> {
+        let prefix = folder.map_or_else(|| Path::from(self.prefix.as_str()), |folder| self.key(folder));
         let fault = |e: Error| faults::of("list", &self.at(&prefix), &e);
         self.wait(async {
             let mut objects = self.store.list(Some(&prefix));
             while let Some(meta) = objects.next().await {
                 let meta = meta.map_err(fault)?;
-                let name = meta.location.filename().unwrap_or_default();
-                if !visit(name, meta.size, meta.last_modified.into()) {
+                if !visit(&meta.location, meta.size, meta.last_modified.into()) {
                     break;
                 }
             }
@@ -171,7 +202,9 @@ impl Bucket {
         self.wait(async {
             let mut pieces = self.store.get(key).await.map_err(fault)?.into_stream();
             while let Some(piece) = pieces.next().await {
-                take(&piece.map_err(fault)?)?;
+                let piece = piece.map_err(fault)?;
+                self.read.fetch_add(piece.len() as u64, Ordering::Relaxed);
+                take(&piece)?;
             }
             Ok(())
         })
@@ -179,7 +212,45 @@ impl Bucket {
 
     /// Writes a small object.
     pub(super) fn put(&self, key: &Path, bytes: Bytes) -> Result<(), BlobError> {
+        self.written.fetch_add(bytes.len() as u64, Ordering::Relaxed);
         self.run("write", key, self.store.put(key, PutPayload::from_bytes(bytes))).map(drop)
+    }
+
+    /// Has the store copy an object, of at most 5 GiB, over whatever is there.
+    pub(super) fn copy(&self, from: &Path, to: &Path) -> Result<(), BlobError> {
+        self.run("copy", from, self.store.copy(from, to))
+    }
+
+    /// Whether workers may have addresses.
+    pub(super) fn signs(&self) -> bool {
+        self.signer.is_some()
+    }
+
+    /// The authorities that are trusted beside the system's, as PEM.
+    pub(super) fn authorities(&self) -> &[u8] {
+        &self.authorities
+    }
+
+    /// An address for one kind of request about an object.
+    pub(super) fn sign(
+        &self,
+        method: Method,
+        key: &Path,
+        lives: Duration,
+        options: &SignedUrlOptions,
+    ) -> Result<String, BlobError> {
+        let signer = self.signer.as_ref().ok_or_else(|| BlobError::Unusable {
+            place: self.name.clone(),
+            reason: "workers have no addresses here".to_owned(),
+        })?;
+        self.run("sign an address of", key, signer.signed_url_opts(method, key, lives, options))
+            .map(String::from)
+    }
+
+    /// The bytes of blobs that were read and written.
+    pub(super) fn carried(&self) -> Carried {
+        let [read, written] = [&self.read, &self.written].map(|n| n.load(Ordering::Relaxed));
+        Carried { read, written }
     }
 
     /// Writes an object from a file of this length. It is there as a whole or not at all.
@@ -222,6 +293,7 @@ impl Bucket {
             while at < length || !open.is_empty() {
                 if at < length && open.len() < AT_ONCE {
                     let bytes = part.min(length - at);
+                    self.written.fetch_add(bytes, Ordering::Relaxed);
                     open.spawn(upload.put_part(piece(bytes)?.into()));
                     at += bytes;
                 } else if let Some(ended) = open.join_next().await {

@@ -7,7 +7,8 @@ use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::SystemTime;
 
-use super::super::api::{BlobError, BlobReader, Blobs as _, fault};
+use super::super::api::{BlobReader, Blobs as _};
+use super::super::error::{BlobError, fault};
 use super::super::files::{FileBlobs, FileWriter};
 use crate::ids::Digest;
 

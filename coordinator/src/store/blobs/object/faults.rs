@@ -6,7 +6,7 @@ use std::error::Error as StdError;
 use object_store::Error;
 use object_store::client::{HttpError, HttpErrorKind};
 
-use super::super::api::BlobError;
+use super::super::error::BlobError;
 
 /// The error for `e`, met while `doing` something to what is at `place`.
 pub(super) fn of(doing: &'static str, place: &str, e: &Error) -> BlobError {

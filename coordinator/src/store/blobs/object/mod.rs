@@ -9,11 +9,14 @@
 
 mod bucket;
 mod cache;
+mod direct;
 mod faults;
 mod http;
 mod keys;
 mod place;
 
+#[cfg(test)]
+mod direct_tests;
 #[cfg(test)]
 pub(super) mod tests;
 
@@ -23,11 +26,13 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::SystemTime;
 
-pub use place::{BlobPlace, BucketPlace, PlaceError};
+pub use place::{BlobPlace, BucketPlace, PlaceError, Ways};
 
 use self::bucket::Bucket;
 use self::cache::Cache;
-use super::api::{BlobError, BlobReader, BlobWriter, Blobs, Stored, check_announced, fault};
+use super::api::{BlobReader, BlobWriter, Blobs, Carried, Stored};
+use super::direct::Direct;
+use super::error::{BlobError, check_announced, fault};
 use super::files::FileWriter;
 use crate::ids::{Digest, hex};
 
@@ -118,10 +123,12 @@ impl Blobs for ObjectBlobs {
     }
 
     fn visit(&self, visit: &mut dyn FnMut(Stored) -> bool) -> Result<(), BlobError> {
-        self.0.bucket.list(|name, bytes, written| match blake3::Hash::from_hex(name) {
-            Ok(digest) => visit(Stored { digest: *digest.as_bytes(), bytes, written }),
-            // Objects that are no blobs are nobody's business.
-            Err(_) => true,
+        self.0.bucket.list(None, |key, bytes, written| {
+            match blake3::Hash::from_hex(key.filename().unwrap_or_default()) {
+                Ok(digest) => visit(Stored { digest: *digest.as_bytes(), bytes, written }),
+                // Objects that are no blobs are nobody's business.
+                Err(_) => true,
+            }
         })
     }
 
@@ -138,6 +145,14 @@ impl Blobs for ObjectBlobs {
             self.0.bucket.delete(&key)?;
         }
         Ok(was_there)
+    }
+
+    fn direct(&self) -> Option<&dyn Direct> {
+        self.0.bucket.signs().then_some(self)
+    }
+
+    fn carried(&self) -> Option<Carried> {
+        Some(self.0.bucket.carried())
     }
 
     fn scratch(&self) -> Result<Option<File>, BlobError> {

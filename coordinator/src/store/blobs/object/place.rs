@@ -17,6 +17,18 @@ pub enum BlobPlace {
     Bucket(Box<BucketPlace>),
 }
 
+/// How workers get at the blobs of a bucket.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Ways {
+    /// Through the coordinator alone.
+    #[default]
+    Coordinator,
+    /// By themselves, where the coordinator does.
+    Endpoint,
+    /// By themselves, at an address of the store that the coordinator does not use.
+    Address(String),
+}
+
 /// A bucket of an S3-compatible store, and how to reach it. Has no keys: they come from the environment or
 /// from a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -35,6 +47,8 @@ pub struct BucketPlace {
     pub keys: Option<PathBuf>,
     /// Most bytes of checked blobs that are kept on the coordinator's disk.
     pub cache: u64,
+    /// How workers get at the blobs.
+    pub direct: Ways,
     /// Whether an address without encryption may be beyond this machine.
     pub allow_plaintext: bool,
 }
@@ -58,8 +72,8 @@ pub enum PlaceError {
     Prefix,
     /// An option that does not exist.
     #[error(
-        "there is no option '{0}' of s3://; there are endpoint, region, ca, keys and cache. Keys are read \
-         from AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or from the file that keys= names"
+        "there is no option '{0}' of s3://; there are endpoint, region, ca, keys, cache and direct. Keys are \
+         read from AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or from the file that keys= names"
     )]
     Option(String),
     /// An option without a value, or given twice.
@@ -74,6 +88,11 @@ pub enum PlaceError {
          --allow-plaintext where the network is private"
     )]
     Plaintext,
+    /// How workers get at blobs is not said.
+    #[error(
+        "direct= of s3:// is yes, no, or the address of the store for workers, such as https://HOST:PORT"
+    )]
+    Direct,
     /// The bound of the cache is not one.
     #[error("cache= of s3:// is a number of bytes, or one with K, M, G or T behind it, such as 20G")]
     Cache,
@@ -107,9 +126,10 @@ impl FromStr for BlobPlace {
             ca: None,
             keys: None,
             cache: CACHE,
+            direct: Ways::Coordinator,
             allow_plaintext: false,
         };
-        let mut cache = None;
+        let (mut cache, mut direct) = (None, None);
         for option in options.split('&').filter(|option| !option.is_empty()) {
             let (name, value) = option.split_once('=').unwrap_or((option, ""));
             match name {
@@ -118,6 +138,7 @@ impl FromStr for BlobPlace {
                 "ca" => set(&mut place.ca, "ca", value, value.into())?,
                 "keys" => set(&mut place.keys, "keys", value, value.into())?,
                 "cache" => set(&mut cache, "cache", value, bytes(value).ok_or(PlaceError::Cache)?)?,
+                "direct" => set(&mut direct, "direct", value, ways(value).ok_or(PlaceError::Direct)?)?,
                 // Whatever stands where a name should be may be anything.
                 _ if plain(name, "-_") && name.len() <= 32 => {
                     return Err(PlaceError::Option(name.to_owned()));
@@ -125,7 +146,7 @@ impl FromStr for BlobPlace {
                 _ => return Err(PlaceError::Option("…".to_owned())),
             }
         }
-        place.cache = cache.unwrap_or(CACHE);
+        (place.cache, place.direct) = (cache.unwrap_or(CACHE), direct.unwrap_or_default());
         Ok(Self::Bucket(Box::new(place)))
     }
 }
@@ -133,6 +154,15 @@ impl FromStr for BlobPlace {
 fn set<T>(slot: &mut Option<T>, name: &'static str, text: &str, value: T) -> Result<(), PlaceError> {
     let is_new = slot.replace(value).is_none();
     if is_new && !text.is_empty() { Ok(()) } else { Err(PlaceError::Value(name)) }
+}
+
+fn ways(text: &str) -> Option<Ways> {
+    match text {
+        "yes" => Some(Ways::Endpoint),
+        "no" => Some(Ways::Coordinator),
+        // What kind of address it is, is looked at with the endpoint.
+        _ => text.contains("://").then(|| Ways::Address(text.to_owned())),
+    }
 }
 
 /// A number of bytes with or without a letter behind it.
@@ -162,7 +192,7 @@ impl BucketPlace {
     /// # Errors
     /// When it is not one, or goes over a network without encryption where that is not allowed.
     pub(super) fn check(&self, endpoint: &str) -> Result<(), PlaceError> {
-        let uri: hyper::Uri = endpoint.parse().map_err(|_| PlaceError::Endpoint)?;
+        let uri: sightline_http::Uri = endpoint.parse().map_err(|_| PlaceError::Endpoint)?;
         let authority = uri.authority().filter(|a| !a.as_str().contains('@')).ok_or(PlaceError::Endpoint)?;
         if !matches!(uri.path(), "" | "/") || uri.query().is_some() {
             return Err(PlaceError::Endpoint);
@@ -197,7 +227,13 @@ mod tests {
         assert_eq!((plain.name().as_str(), plain.cache), ("s3://farm-blobs", CACHE));
         let full = bucket(
             "s3://farm.blobs/a/b=1/?endpoint=https://s3.example:9000&region=eu-1&ca=/etc/ca.pem&keys=k\
-             &cache=20G",
+             &cache=20G&direct=https://public.example",
+        );
+        assert_eq!(full.direct, Ways::Address("https://public.example".to_owned()));
+        assert_eq!(bucket("s3://farm?direct=yes").direct, Ways::Endpoint);
+        assert_eq!(
+            (bucket("s3://farm?direct=no").direct, &plain.direct),
+            (Ways::Coordinator, &Ways::Coordinator)
         );
         assert_eq!(full.name(), "s3://farm.blobs/a/b=1");
         assert_eq!(full.endpoint.as_deref(), Some("https://s3.example:9000"));
@@ -221,6 +257,7 @@ mod tests {
             ("s3://farm?region=a&region=b", PlaceError::Value("region")),
             ("s3://farm?cache=much", PlaceError::Cache),
             ("s3://farm?cache=99999999999T", PlaceError::Cache),
+            ("s3://farm?direct=maybe", PlaceError::Direct),
             ("s3://farm?secret_access_key=hush", PlaceError::Option("secret_access_key".to_owned())),
             ("s3://farm?hush+/hush", PlaceError::Option("…".to_owned())),
         ] {

@@ -40,6 +40,17 @@ impl Served {
     pub(in super::super) fn open(&self, cache: u64) -> ObjectBlobs {
         self.at(&self.text(&self.server.endpoint(), cache)).unwrap()
     }
+
+    /// The same, with addresses for workers.
+    pub(super) fn open_direct(&self, cache: u64, direct: &str) -> ObjectBlobs {
+        self.at(&format!("{}&direct={direct}", self.text(&self.server.endpoint(), cache))).unwrap()
+    }
+
+    /// Why there are no such addresses.
+    pub(super) fn refused(&self, direct: &str) -> BlobError {
+        let text = format!("{}&direct={direct}", self.text(&self.server.endpoint(), 0));
+        self.at(&text).err().unwrap()
+    }
 }
 
 fn keys(folder: &Path, id: &str, secret: &str) {

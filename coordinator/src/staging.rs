@@ -1,0 +1,51 @@
+//! The outputs that workers may write into the store of the blobs by themselves.
+
+use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
+
+use crate::ids::Lease;
+use crate::store::Staged;
+
+/// The outputs that workers may write at the moment. One lease has one output, so that a worker cannot fill
+/// the store with others.
+#[derive(Default)]
+pub(crate) struct Staging(Mutex<BTreeMap<Lease, ([u8; 32], Instant)>>);
+
+impl Staging {
+    /// Whether this may be written: nothing else is under its lease.
+    pub(crate) fn claims(&self, staged: &Staged, until: Instant) -> bool {
+        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let now = Instant::now();
+        all.retain(|_, (_, until)| *until > now);
+        match all.get(&staged.lease) {
+            Some((sha256, _)) if *sha256 != staged.sha256 => false,
+            _ => {
+                all.insert(staged.lease, (staged.sha256, until));
+                true
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+    use crate::ids::{Epoch, JobId, LeaseId, TileIndex};
+
+    #[test]
+    fn a_lease_has_one_output() {
+        let id = LeaseId { epoch: Epoch(1), number: 1 };
+        let lease = Lease { job: JobId(1), tile: TileIndex(0), id };
+        let of = |sha256| Staged { lease, sha256: [sha256; 32], bytes: 1 };
+        let (staging, later) = (Staging::default(), Instant::now() + Duration::from_secs(60));
+        assert!(staging.claims(&of(1), later) && staging.claims(&of(1), later));
+        assert!(!staging.claims(&of(2), later));
+        let other = Staged { lease: Lease { tile: TileIndex(1), ..lease }, ..of(2) };
+        assert!(staging.claims(&other, Instant::now()));
+        // Its time is over.
+        assert!(staging.claims(&Staged { sha256: [3; 32], ..other }, later));
+    }
+}

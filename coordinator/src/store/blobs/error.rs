@@ -1,0 +1,135 @@
+//! What can go wrong with blobs, and what to do about it.
+
+use std::io::{self, ErrorKind};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crate::ids::Digest;
+
+/// An operation on a blob that failed.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum BlobError {
+    /// The disk is full: take in no more data for now.
+    #[error("no space left to write {}; free some and try again", .path.display())]
+    NoSpace {
+        /// The file that was being written.
+        path: PathBuf,
+    },
+    /// The blob is absent.
+    #[error("blob {} is missing; it must be uploaded or computed again", .path.display())]
+    Missing {
+        /// Where the blob would be.
+        path: PathBuf,
+    },
+    /// The blob's bytes do not have the digest that is its name.
+    #[error("blob {} is damaged; delete it, it must be uploaded or computed again", .path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The bytes written do not have the digest that was announced.
+    #[error("digest {expected} was announced, {found} arrived; send it again")]
+    Mismatch {
+        /// The digest announced, in hexadecimal.
+        expected: String,
+        /// The digest of the bytes that arrived, in hexadecimal.
+        found: String,
+    },
+    /// The object store has no such bucket.
+    #[error("there is no bucket for {place}; create it, or correct --blobs")]
+    NoBucket {
+        /// The bucket, with the prefix.
+        place: String,
+    },
+    /// The object store does not accept the keys, or they may not do this.
+    #[error(
+        "the object store does not let us {doing} {place} ({reason}); check AWS_ACCESS_KEY_ID and \
+         AWS_SECRET_ACCESS_KEY or the file that keys= names, and that they may list, read, write and delete \
+         there"
+    )]
+    Refused {
+        /// The operation.
+        doing: &'static str,
+        /// The object.
+        place: String,
+        /// The store's code.
+        reason: String,
+    },
+    /// The object store does not answer, or is in trouble.
+    #[error(
+        "cannot {doing} {place}: the object store cannot be reached ({reason}); check the endpoint, its \
+         certificate and the network, and try again"
+    )]
+    Unreachable {
+        /// The operation.
+        doing: &'static str,
+        /// The object.
+        place: String,
+        /// What went wrong.
+        reason: String,
+    },
+    /// The object store answers with another error.
+    #[error(
+        "cannot {doing} {place}: the object store answers {reason}; check that it speaks S3, and its log"
+    )]
+    Object {
+        /// The operation.
+        doing: &'static str,
+        /// The object.
+        place: String,
+        /// The store's code.
+        reason: String,
+    },
+    /// The settings of an object store cannot be used.
+    #[error("{place} cannot be used: {reason}; correct --blobs or the variables AWS_*")]
+    Unusable {
+        /// The bucket, with the prefix.
+        place: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A file operation failed.
+    #[error("cannot {doing} {}: {source}; check the disk and the permissions", .path.display())]
+    Io {
+        /// The operation.
+        doing: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: Arc<io::Error>,
+    },
+}
+
+impl BlobError {
+    /// Whether the same may succeed later without anybody changing a blob: what needs it waits.
+    pub fn passes(&self) -> bool {
+        matches!(
+            self,
+            Self::NoSpace { .. } | Self::Unreachable { .. } | Self::Refused { .. } | Self::NoBucket { .. }
+        )
+    }
+}
+
+/// A function that turns an error of the system, met while `doing` something to `path`, into a [`BlobError`].
+pub(super) fn fault(doing: &'static str, path: &Path) -> impl Fn(io::Error) -> BlobError {
+    let path = path.to_owned();
+    move |source| match source.kind() {
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => BlobError::NoSpace { path: path.clone() },
+        ErrorKind::NotFound if doing == "read" => BlobError::Missing { path: path.clone() },
+        _ => BlobError::Io { doing, path: path.clone(), source: Arc::new(source) },
+    }
+}
+
+/// Checks the digest of what was written against the one announced.
+///
+/// # Errors
+/// [`BlobError::Mismatch`].
+pub(super) fn check_announced(found: blake3::Hash, expected: Option<&Digest>) -> Result<Digest, BlobError> {
+    match expected.map(|expected| blake3::Hash::from_bytes(*expected)) {
+        Some(expected) if expected != found => Err(BlobError::Mismatch {
+            expected: expected.to_hex().to_string(),
+            found: found.to_hex().to_string(),
+        }),
+        _ => Ok(*found.as_bytes()),
+    }
+}
