@@ -57,12 +57,17 @@ fn staged(lease: Lease, bytes: &[u8]) -> Staged {
     Staged { lease, sha256, bytes: bytes.len() as u64 }
 }
 
-/// Writes what an address is for.
-fn write(address: &Address, bytes: &[u8]) {
+/// Writes something; gives the status of the answer.
+fn put(address: &Address, bytes: &[u8]) -> u32 {
     let (host, path) = address.url.strip_prefix("http://").unwrap().split_once('/').unwrap();
     let headers: String =
         address.headers.iter().map(|(name, value)| format!("{name}: {value}\r\n")).collect();
-    assert_eq!(ask(&format!("http://{host}"), &format!("PUT /{path}"), &headers, bytes).0, 200);
+    ask(&format!("http://{host}"), &format!("PUT /{path}"), &headers, bytes).0
+}
+
+/// Writes what an address is for.
+fn write(address: &Address, bytes: &[u8]) {
+    assert_eq!(put(address, bytes), 200);
 }
 
 fn commit(c: &Arc<Coordinator>, staged: &Staged, digest: Digest) -> Result<(), ResultError> {
@@ -102,6 +107,12 @@ fn what_is_not_the_tiles_output_is_refused_and_removed() {
     write(&direct::writing(c, &of).unwrap().unwrap(), &unreached);
     let digest = *blake3::hash(&unreached).as_bytes();
     assert!(matches!(commit(c, &of, digest), Err(ResultError::Viewpoints)));
+    assert_eq!((farm.staged(), c.blobs.has(&digest).unwrap()), (0, false));
+    // Other bytes than were signed, which this store refuses and keeps all the same.
+    let others: Vec<u8> = unreached.iter().map(|byte| byte ^ 1).collect();
+    assert_eq!(put(&direct::writing(c, &of).unwrap().unwrap(), &others), 400);
+    assert_eq!(farm.staged(), 1);
+    assert!(matches!(commit(c, &of, digest), Err(ResultError::Digest)));
     assert_eq!((farm.staged(), c.blobs.has(&digest).unwrap()), (0, false));
     // Longer than announced: it is read no further than that.
     write(&direct::writing(c, &of).unwrap().unwrap(), &unreached);

@@ -1,7 +1,7 @@
 //! Workers that read and write a bucket by themselves, at addresses that the coordinator signs: the same
 //! bytes, past the coordinator; and through it wherever an address does not do.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
 
 use std::io::{self, Read as _, Write as _};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};

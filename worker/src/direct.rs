@@ -346,7 +346,7 @@ mod tests {
     #[tokio::test]
     async fn no_message_has_an_address() {
         let (_, client) = store(Vec::new());
-        for url in ["", "ftp://a/?hush", "hush", "http://127.0.0.1:9/?hush", "http://no host/?hush"] {
+        for url in ["", "ftp://a/?hush", "/?hush", "http://127.0.0.1:9/?hush", "http://no host/?hush"] {
             let at = address(url);
             let miss = Download::new(1).go_on(&client, &at).await.unwrap_err();
             let text = format!("{miss:?} {} {at:?}", host(&at));

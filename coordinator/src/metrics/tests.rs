@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use super::*;
 use crate::scheduler::{Counts, Member};
+use crate::store::Carried;
 
 const MANUAL: &str = include_str!("../../../docs/operations.md");
 
@@ -14,7 +15,7 @@ fn moment() -> Moment {
         members: Vec::new(),
         quarantined: 0,
         data_dir: None,
-        carried: None,
+        carried: Some(Carried::default()),
     }
 }
 
