@@ -247,11 +247,13 @@ pub(crate) fn result(c: &Coordinator, job: JobId) -> Result<Digest, JobError> {
 
 /// Ends a job that has not ended.
 pub(crate) fn cancel(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobError> {
+    waits_no_more(c, job);
     turn(c, job, &[JobPhase::Queued, JobPhase::Running, JobPhase::Paused], JobState::Cancelled)
 }
 
 /// Stops granting tiles of a job; takes back those that are leased if they are to stop `now`.
 pub(crate) fn pause(c: &Arc<Coordinator>, job: JobId, now: bool) -> Result<Summary, JobError> {
+    waits_no_more(c, job);
     // A paused job can still be told to stop now.
     let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
     let paused = turn(c, job, &from, JobState::Paused)?;
@@ -265,9 +267,18 @@ pub(crate) fn pause(c: &Arc<Coordinator>, job: JobId, now: bool) -> Result<Summa
 
 /// Continues a paused job.
 pub(crate) fn resume(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobError> {
-    let resumed = turn(c, job, &[JobPhase::Paused], JobState::Queued)?;
+    waits_no_more(c, job);
+    turn(c, job, &[JobPhase::Paused], JobState::Queued)
+}
+
+/// Pauses a job that works, for a reason of the coordinator's own.
+pub(crate) fn park(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobError> {
+    turn(c, job, &[JobPhase::Queued, JobPhase::Running], JobState::Paused)
+}
+
+/// What a person does with a job counts more than that it waits for its scene.
+fn waits_no_more(c: &Coordinator, job: JobId) {
     c.lost_scenes.lock().unwrap_or_else(PoisonError::into_inner).remove(&job);
-    Ok(resumed)
 }
 
 /// Gives a job that has not ended another priority.

@@ -1,5 +1,5 @@
-//! Scenes whose file is lost or damaged: no worker can go on with their jobs, so these are paused until
-//! somebody sends the scene again.
+//! Scenes whose file is lost or damaged: no worker that lacks the scene can go on with its jobs, so these are
+//! paused until somebody sends it again.
 //!
 //! Which jobs wait is kept in memory. After a restart they are paused as by a person, and go on with
 //! `resume`.
@@ -12,23 +12,29 @@ use crate::jobs;
 use crate::state::Coordinator;
 use crate::store::{JobPhase, StoreError};
 
-/// Pauses the jobs of a scene that cannot be read.
+/// Pauses the jobs of a scene that cannot be read. Workers that have it finish their tiles.
 pub(crate) fn lost(c: &Arc<Coordinator>, scene: &Digest, why: &str) -> Result<(), StoreError> {
-    if c.store.scene(scene)?.is_none() {
+    let _turn = c.scenes_turn();
+    // Somebody may have sent it since it was found damaged.
+    if c.store.scene(scene)?.is_none() || c.blobs.open_checked(scene).is_ok() {
         return Ok(());
     }
     for job in c.store.jobs()? {
         let works = matches!(job.state.phase(), JobPhase::Queued | JobPhase::Running);
-        // It may end or be paused meanwhile; then it waits for nothing.
-        if !works || job.scene != *scene || jobs::pause(c, job.id, true).is_err() {
+        if !works || job.scene != *scene {
             continue;
         }
-        c.lost_scenes.lock().unwrap_or_else(PoisonError::into_inner).insert(job.id, *scene);
-        let text = format!(
-            "the job is paused, for its scene cannot be read ({why}): send the scene again, with \
-             `sightline submit` and the same file, and the job goes on"
-        );
-        tracing::error!("job {}: {text}", job.id);
+        // Before the pause: whoever resumes the job after it takes it off the list.
+        let list = || c.lost_scenes.lock().unwrap_or_else(PoisonError::into_inner);
+        list().insert(job.id, *scene);
+        if jobs::park(c, job.id).is_err() {
+            // It has ended, or a person has paused it.
+            list().remove(&job.id);
+            continue;
+        }
+        tracing::error!("job {} is paused, for its scene cannot be read: {why}", job.id);
+        let text = "the job is paused, for its scene cannot be read: send the scene again, with `sightline \
+                    submit` and the same file, and the job goes on";
         c.happened(Happening::of_job(Kind::Job, job.id, text));
     }
     Ok(())
@@ -36,6 +42,7 @@ pub(crate) fn lost(c: &Arc<Coordinator>, scene: &Digest, why: &str) -> Result<()
 
 /// Continues the jobs that have waited for a scene, which is there again.
 pub(crate) fn back(c: &Arc<Coordinator>, scene: &Digest) {
+    let _turn = c.scenes_turn();
     let mut waiting = Vec::new();
     c.lost_scenes.lock().unwrap_or_else(PoisonError::into_inner).retain(|job, of| {
         if of == scene {

@@ -140,6 +140,9 @@ pub(crate) fn put(
 
 /// Reads an output that its worker has written into the store of the blobs.
 fn fetch(c: &Coordinator, staged: &Staged) -> Result<Vec<u8>, ResultError> {
+    if staged.bytes > codec::MAX_UNPACKED {
+        return Err(ResultError::Length);
+    }
     // Nobody has the coordinator read what does not count.
     if !c.lock().machine.admit(&staged.lease)?.counts {
         return Err(ResultError::NoLease);

@@ -120,6 +120,8 @@ pub struct Coordinator {
     pub(crate) last_asked: Mutex<Asked>,
     /// The jobs that wait for a scene whose file is lost.
     pub(crate) lost_scenes: Mutex<BTreeMap<JobId, Digest>>,
+    /// Held while jobs are paused for want of a scene, or go on with it.
+    scenes_turn: Mutex<()>,
 }
 
 impl Coordinator {
@@ -165,6 +167,7 @@ impl Coordinator {
             answers: OnceLock::new(),
             last_asked: Mutex::new(None),
             lost_scenes: Mutex::default(),
+            scenes_turn: Mutex::default(),
         }
     }
 
@@ -212,6 +215,11 @@ impl Coordinator {
     /// Who watches which job. May be taken under the scheduler's lock.
     pub(crate) fn watched(&self) -> MutexGuard<'_, Watched> {
         self.watched.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The right to pause jobs for want of a scene, or to let them go on. To be taken before [`Self::turn`].
+    pub(crate) fn scenes_turn(&self) -> MutexGuard<'_, ()> {
+        self.scenes_turn.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The right to change records of jobs, until the scheduler has heard of the change.

@@ -14,7 +14,7 @@
 //! let traces = Traces::default(); // Goes nowhere: traces are off.
 //! let trace = TraceId::of_job(&[7; 32], 1, 1_772_323_200_000);
 //! let begun = Begun::now();
-//! let span = Span::of(trace, "assemble", begun).below(trace.job()).number("sightline.bytes", 4096);
+//! let span = Span::of(trace, "assemble", begun).below(trace.job()).number("sightline.bytes", 4096u32);
 //! traces.send(span.end());
 //! ```
 

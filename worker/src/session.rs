@@ -63,6 +63,8 @@ pub struct Worker {
     /// The leaders that this worker helps, by their leases: one, and those that it is just leaving.
     helping: BTreeMap<LeaseKey, Arc<Held>>,
     finished: (mpsc::UnboundedSender<Finished>, mpsc::UnboundedReceiver<Finished>),
+    /// What has ended and no coordinator has heard of, as far as is known.
+    unsaid: Vec<ToCoordinator>,
 }
 
 enum Finished {
@@ -95,6 +97,7 @@ impl Worker {
             held: BTreeMap::new(),
             helping: BTreeMap::new(),
             finished: mpsc::unbounded_channel(),
+            unsaid: Vec::new(),
         })
     }
 
@@ -169,12 +172,11 @@ impl Worker {
         self.helping.values().for_each(|h| h.cancel());
         let mut draining = *stop.borrow_and_update() == Stop::Drain;
         // A tile that has ended since the last connection is not claimed: nobody would work on it.
-        let mut unsaid = Vec::new();
         while let Ok(done) = self.finished.1.try_recv() {
-            unsaid.extend(self.done(done, draining));
+            let said = self.done(done, draining);
+            // How many tiles it wants it says when it is welcome.
+            self.unsaid.extend(said.into_iter().filter(|m| !matches!(m, ToCoordinator::Want(_))));
         }
-        // How many tiles it wants it says when it is welcome.
-        unsaid.retain(|m| !matches!(m, ToCoordinator::Want(_)));
         let (out, receiver) = mpsc::channel(64);
         let send = |m: ToCoordinator| out.try_send(v1::WorkerMessage { message: Some(m) });
         // Jobs that need no backend are for every worker.
@@ -190,7 +192,7 @@ impl Worker {
             helps: self.shop.config.helps,
         };
         let broken = |e: &dyn std::fmt::Display| End::Broken(e.to_string());
-        for m in std::iter::once(ToCoordinator::Hello(hello)).chain(unsaid) {
+        for m in std::iter::once(ToCoordinator::Hello(hello)).chain(self.unsaid.iter().cloned()) {
             if let Err(e) = send(m) {
                 return Ok(broken(&e));
             }
@@ -289,6 +291,7 @@ impl Worker {
         match message {
             FromCoordinator::Welcome(w) => {
                 self.shop.config.pulse.connected(true);
+                self.unsaid.clear();
                 self.shop.direct.welcome(w.direct);
                 // Tiles whose lease was not kept are stopped.
                 for (k, h) in &self.held {

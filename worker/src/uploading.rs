@@ -111,16 +111,18 @@ impl Shop {
         let body = bytes.clone();
         let hash = move || ring::digest::digest(&ring::digest::SHA256, &body).as_ref().to_vec();
         let Ok(sha256) = tokio::task::spawn_blocking(hash).await else { return Ok(None) };
-        let request =
-            v1::StageResultRequest { lease: header.lease, sha256: sha256.clone(), bytes: header.bytes };
-        let address = match self.client.clone().stage_result(request).await {
-            Ok(answer) => answer.into_inner().address,
-            Err(s) => {
-                tracing::warn!("the output of tile {} is sent: {}", held.lease.tile, describe(&s));
-                None
+        let ask = async || {
+            let request =
+                v1::StageResultRequest { lease: header.lease, sha256: sha256.clone(), bytes: header.bytes };
+            match self.client.clone().stage_result(request).await {
+                Ok(answer) => answer.into_inner().address,
+                Err(s) => {
+                    tracing::warn!("the output of tile {} is sent: {}", held.lease.tile, describe(&s));
+                    None
+                }
             }
         };
-        let Some(address) = address else { return Ok(None) };
+        let Some(mut address) = ask().await else { return Ok(None) };
         let mut tries = 1;
         let miss = loop {
             match direct::upload(&client, &address, bytes.clone(), held).await {
@@ -128,6 +130,9 @@ impl Shop {
                 Err(Miss::Broken(reason)) if tries < TRIES => {
                     tracing::info!("the output of tile {} is written again: {reason}", held.lease.tile);
                     tries += 1;
+                    // The first one may not be accepted any more.
+                    let Some(another) = ask().await else { return Ok(None) };
+                    address = another;
                 }
                 Err(miss) => break miss,
             }

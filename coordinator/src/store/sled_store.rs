@@ -434,7 +434,15 @@ impl Live {
                     "the store's view refused a change, which is durable in the journal; until the next \
                      start the view is kept in memory"
                 );
-                self.db = Entries::Memory(entries);
+                let old = std::mem::replace(&mut self.db, Entries::Memory(entries));
+                // On a disk in trouble sled panics when it is closed.
+                let closed = guarded(|| {
+                    drop(old);
+                    Ok(())
+                });
+                if let Err(error) = closed {
+                    tracing::warn!(%error, "the store's view could not be closed");
+                }
                 self.applied.offset = end;
                 self.waiting.clear();
             }

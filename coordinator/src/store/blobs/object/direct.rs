@@ -53,7 +53,7 @@ impl Direct for ObjectBlobs {
     }
 
     fn writing(&self, staged: &Staged) -> Result<Address, BlobError> {
-        // This binds the length as well.
+        // No other bytes than those of this checksum; a length cannot be signed.
         let checksum = ("x-amz-checksum-sha256", STANDARD.encode(staged.sha256));
         self.sign(Method::PUT, &self.staged(staged), &[checksum])
     }
@@ -74,7 +74,8 @@ impl Direct for ObjectBlobs {
     }
 
     fn adopt(&self, staged: &Staged, digest: &Digest, bytes: &[u8]) -> Result<(), BlobError> {
-        // The address was good for bytes of one SHA-256 alone, so what is copied is what was read.
+        // The address was good for bytes of one SHA-256 alone, so what is copied is what was read, where the
+        // store checks that; elsewhere the digest of the blob tells when it is read.
         self.0.bucket.copy(&self.staged(staged), &self.key(digest))?;
         let kept = self.0.cache.files().writer().and_then(|mut writer| {
             writer.append(bytes)?;
