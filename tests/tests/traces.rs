@@ -160,16 +160,17 @@ fn a_trace_goes_on_after_a_coordinator_was_killed() {
     let traces = format!("--traces {}", collector.url());
     let coordinator = sandbox.serve("data", &format!("--listen 127.0.0.1:0 {traces}"));
     let address = coordinator.address();
-    // 64 tiles, some seconds: spans are sent once a second.
-    let job = coordinator.submit(
-        "town.glb --cells 8x8x4 --block-cells 4 --target-error 0.0003 --backend cpu --cell-to-cell off",
-    );
+    // 64 tiles, some seconds.
+    let job = "town.glb --cells 8x8x4 --block-cells 4 --target-error 0.0003 --backend cpu";
+    let job = coordinator.submit(job);
     let _worker = coordinator.start(&format!("worker --backend cpu --threads 1 {traces}"));
     coordinator.until(job, "a tile", |now| now["tiles_done"].as_u64() > Some(0));
     let of_before = || !instances(&collector.taken(), "sightline-coordinator").is_empty();
     wait_for("a span of before", || of_before().then_some(()));
     let before = coordinator.json(&format!("show {job}"));
-    assert!(before["tiles_done"].as_u64() < before["tiles_total"].as_u64(), "it was too fast: {before}");
+    assert!(before["tiles_done"].as_u64() < Some(60), "it was too fast: {before}");
+    let first: Vec<String> =
+        instances(&collector.taken(), "sightline-coordinator").into_iter().map(str::to_owned).collect();
     coordinator.process.kill();
     let coordinator = sandbox.serve("data", &format!("--listen {address} {traces}"));
     coordinator.finish(job);
@@ -180,12 +181,14 @@ fn a_trace_goes_on_after_a_coordinator_was_killed() {
     let roots: Vec<&Taken> = taken.iter().filter(|span| span.ids[2].is_empty()).collect();
     assert_eq!(roots.iter().map(|span| span.name.as_str()).collect::<Vec<_>>(), ["job"]);
     assert_eq!(before["trace"].as_str(), Some(roots[0].ids[0].as_str()));
-    // The tile that was at work is below its lease, whoever gave it.
+    // What was committed after the restart is below its lease, whoever gave it.
+    let second = |span: &&Taken| span.service == "sightline-coordinator" && !first.contains(&span.instance);
+    let since = named(&taken, "commit").filter(second).map(|span| span.times[0]).min().unwrap();
     let leases: BTreeSet<&str> = named(&taken, "lease").map(|span| span.ids[1].as_str()).collect();
-    let done = |span: &&Taken| span.attributes["sightline.end"] == "done";
-    let orphans = named(&taken, "tile").filter(done).filter(|span| !leases.contains(span.ids[2].as_str()));
-    // The leases that had ended just before, whose spans waited for others, died with their coordinator.
-    assert!(orphans.count() <= 2, "{taken:#?}");
+    let done = |span: &&Taken| span.attributes["sightline.end"] == "done" && span.times[1] > since;
+    let after: Vec<&Taken> = named(&taken, "tile").filter(done).collect();
+    assert!(!after.is_empty());
+    assert!(after.iter().all(|span| leases.contains(span.ids[2].as_str())), "{after:#?}");
 }
 
 #[test]
@@ -300,13 +303,14 @@ fn a_submission_points_to_what_led_to_it() {
 #[ignore = "a measurement of minutes"]
 #[allow(clippy::print_stdout, reason = "a measurement")]
 fn what_traces_cost() {
+    const ROUNDS: usize = 6;
     let sandbox = Sandbox::new();
     sandbox.ok("generate town --triangles 20000 -o town.glb");
     let collector = Collector::new();
-    // Many small tiles: 512 of 8 cells.
-    let job = "town.glb --cells 16x16x16 --block-cells 8 --target-error 0.02 --backend cpu";
+    // Many small tiles: 64 of 8 cells.
+    let job = "town.glb --cells 8x8x8 --block-cells 8 --target-error 0.02 --backend cpu";
     let mut seconds = [Vec::new(), Vec::new()];
-    for round in 0..11 {
+    for round in 0..ROUNDS {
         for (which, more) in ["".to_owned(), format!("--traces {}", collector.url())].iter().enumerate() {
             let name = format!("{round}-{which}");
             let line = format!("bake {job} -o {name}.pvs --data-dir {name} {more}");
@@ -318,7 +322,7 @@ fn what_traces_cost() {
         // The first round warms the disk up.
         seconds.remove(0);
         seconds.sort_by(f64::total_cmp);
-        println!("{what} traces: median {:.3} s of the CPU, {seconds:.3?}", seconds[5]);
+        println!("{what} traces: median {:.3} s of the CPU, {seconds:.3?}", seconds[ROUNDS / 2 - 1]);
     }
-    println!("{} spans of a bake", collector.taken().len() / 11);
+    println!("{} spans of a bake", collector.taken().len() / ROUNDS);
 }
