@@ -9,8 +9,8 @@
 //! unfinished, unacknowledged write: it is cut off, with a warning. A bad frame with a good one after it is
 //! damage, which only a person may repair: the journal is refused.
 //!
-//! The journal does not interpret payloads. There is no compaction and no snapshot: the file grows by a few
-//! hundred bytes a tile, and opening it reads all of it.
+//! The journal does not interpret payloads. The file grows by a few hundred bytes a tile, and opening it
+//! reads all of it; `compaction.rs` replaces one that has grown long.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom, Write};
