@@ -38,7 +38,7 @@ const GROUP_BYTES: usize = 1 << 20;
 /// While rebuilding, sled is changed after this many keys.
 const REBUILD_KEYS: usize = 4096;
 const APPLIED: &[u8] = b"a";
-/// Memory of sled for entries. It would take up to a gigabyte, and come near that with every tile.
+/// Memory of sled for entries; its default is a gigabyte.
 const CACHE_BYTES: u64 = 64 << 20;
 
 /// The embedded store.
