@@ -75,6 +75,54 @@ fn main() {
     let begun = Instant::now();
     let answers = solve(&blockers, &receivers, &options);
     let seconds = begun.elapsed().as_secs_f64();
+    if std::env::var_os("DUMP").is_some() {
+        for (r, a) in receivers.iter().zip(&answers) {
+            println!("{:?} {} {} {:.12} {:.1e}", r.triangle.unwrap(), r.point, r.normal, a.open, a.bound);
+        }
+    }
+    if let Some(rays) = std::env::var_os("RAYS").map(|r| r.to_str().unwrap().parse::<u32>().unwrap()) {
+        // Every so many points against rays.
+        let step = (answers.len() / 100).max(1);
+        let (mut worst, mut sigmas) = (0.0f64, 0.0f64);
+        for (r, a) in receivers.iter().zip(&answers).step_by(step) {
+            let near: Vec<[DVec3; 3]> = scene
+                .triangles()
+                .iter()
+                .enumerate()
+                .filter(|(id, t)| {
+                    let b = t.bounds();
+                    let p = r.point.clamp(b.min.as_dvec3(), b.max.as_dvec3());
+                    scene.blocks(*id as u32) && (p - r.point).length() < distance && blockers.of(*id as u32) != blockers.of(r.triangle.unwrap())
+                })
+                .map(|(_, t)| t.v.map(|v| v.as_dvec3() - r.point))
+                .collect();
+            let (u, w) = r.normal.any_orthonormal_pair();
+            let (mut free, side) = (0u32, f64::from(rays).sqrt() as u32);
+            for i in 0..side {
+                for j in 0..side {
+                    let s = (f64::from(i) + random()) / f64::from(side);
+                    let (y, x) = ((f64::from(j) + random()) / f64::from(side) * std::f64::consts::TAU).sin_cos();
+                    let ray = (u * x + w * y) * s.sqrt() + r.normal * (1.0 - s).sqrt();
+                    let hit = near.iter().any(|[a, b, c]| {
+                        let n = (*b - *a).cross(*c - *a);
+                        let t = n.dot(*a) / n.dot(ray);
+                        let (p, q, s) = (a.cross(*b).dot(ray), b.cross(*c).dot(ray), c.cross(*a).dot(ray));
+                        t > 0.0 && t < distance && ((p > 0.0 && q > 0.0 && s > 0.0) || (p < 0.0 && q < 0.0 && s < 0.0))
+                    });
+                    free += u32::from(!hit);
+                }
+            }
+            let sampled = f64::from(free) / f64::from(side * side);
+            let sigma = (sampled * (1.0 - sampled) / f64::from(side * side)).sqrt().max(1e-9);
+            let d = (sampled - a.open).abs();
+            if d > 4.0 * sigma + 1e-6 {
+                println!("{} {} {:?} open {} rays {sampled} off by {d:.2e} = {:.1} sigma", r.point, r.normal, r.triangle.unwrap(), a.open, d / sigma);
+            }
+            worst = worst.max(d);
+            sigmas = sigmas.max(d / sigma);
+        }
+        println!("worst {worst:.2e}, {sigmas:.1} sigma");
+    }
     let n = answers.len() as f64;
     let mean =
         |of: &dyn Fn(&sightline_ambient::query::Openness) -> f64| answers.iter().map(of).sum::<f64>() / n;

@@ -146,7 +146,7 @@ impl<'a> Items<'a> {
             if matches!(item.what, What::Face(_)) || item.weight <= largest {
                 list.push(id);
             } else {
-                let (first, count) = self.open(id);
+                let (first, count) = self.inside(id);
                 open.extend((first..first + count).map(|k| self.children[k as usize]));
             }
         }
@@ -162,13 +162,19 @@ impl<'a> Items<'a> {
         });
     }
 
-    /// The items in a box, in no order of size.
-    pub fn inside(&mut self, id: u32) -> &[u32] {
-        let (first, count) = self.open(id);
-        &self.children[first as usize..(first + count) as usize]
+    /// Puts the items in a box into a list that is sorted by size.
+    pub fn open(&mut self, id: u32, list: &mut Vec<u32>) {
+        let (first, count) = self.inside(id);
+        for k in first..first + count {
+            let child = self.children[k as usize];
+            let weight = self.items[child as usize].weight;
+            let at = list.partition_point(|other| self.items[*other as usize].weight >= weight);
+            list.insert(at, child);
+        }
     }
 
-    fn open(&mut self, id: u32) -> (u32, u32) {
+    /// The items in a box, by their places among the children.
+    fn inside(&mut self, id: u32) -> (u32, u32) {
         if let Some(found) = self.opened[id as usize] {
             return found;
         }

@@ -5,9 +5,11 @@
 //! unit normal of its plane; an arc of a circle about an axis has a closed form too, so that the circle of directions
 //! in which a plane is at a given distance is integrated as it is (section 4.3 there), and not by chords.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 use glam::DVec3;
+
+use crate::polygon::Corner;
 
 /// The directions in which a plane is nearer than the distance: ω with axis·ω > cosine.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,21 +45,21 @@ fn arc(n: DVec3, v: DVec3, w: DVec3) -> f64 {
 
 /// The cosine-weighted area of a polygon divided by π: 1 for the hemisphere over `n`. Polygons of fewer than three
 /// corners have none.
-pub fn cosine(n: DVec3, corners: &[DVec3]) -> f64 {
+pub fn cosine(n: DVec3, corners: &[Corner]) -> f64 {
     let [.., last] = corners else { return 0.0 };
-    let mut v = *last;
+    let mut v = last.at;
     let mut sum = 0.0;
     for w in corners {
-        sum += arc(n, v, *w);
-        v = *w;
+        sum += arc(n, v, w.at);
+        v = w.at;
     }
     sum / TAU
 }
 
 impl Cap {
     /// How a convex polygon lies with respect to the cap.
-    pub fn covers(&self, corners: &[DVec3]) -> Covered {
-        let inside = corners.iter().filter(|v| self.axis.dot(**v) >= self.cosine).count();
+    pub fn covers(&self, corners: &[Corner]) -> Covered {
+        let inside = corners.iter().filter(|v| self.axis.dot(v.at) >= self.cosine).count();
         // A cap is convex.
         if inside == corners.len() {
             return Covered::All;
@@ -65,21 +67,19 @@ impl Cap {
         if inside > 0 {
             return Covered::Part;
         }
-        let Some(last) = corners.last() else { return Covered::None };
-        let (mut v, mut centred) = (*last, true);
+        let mut centred = true;
         let limit = 1.0 - self.cosine * self.cosine;
-        for w in corners {
-            let m = v.cross(*w);
-            let (height, size) = (m.dot(self.axis), m.length_squared());
+        for (i, v) in corners.iter().enumerate() {
+            let height = v.border.dot(self.axis);
             centred &= height >= 0.0;
-            // The nearest direction of the great circle is at the cosine √(1 − height² / size).
-            if height * height < limit * size {
-                let near = self.axis * size - m * height;
-                if v.cross(near).dot(m) >= 0.0 && near.cross(*w).dot(m) >= 0.0 {
+            // The nearest direction of the great circle is at the cosine √(1 − height²).
+            if height * height < limit {
+                let near = self.axis - v.border * height;
+                let w = corners[if i + 1 == corners.len() { 0 } else { i + 1 }].at;
+                if v.at.cross(near).dot(v.border) >= 0.0 && near.cross(w).dot(v.border) >= 0.0 {
                     return Covered::Part;
                 }
             }
-            v = *w;
         }
         if centred { Covered::Part } else { Covered::None }
     }
@@ -114,26 +114,22 @@ fn turned(t: f64) -> f64 {
 }
 
 /// [`cosine`] of a convex polygon without some caps, none of which holds another or equals it.
-pub fn cosine_without(n: DVec3, corners: &[DVec3], caps: &[Cap], scratch: &mut Vec<f64>) -> f64 {
+pub fn cosine_without(n: DVec3, corners: &[Corner], caps: &[Cap], scratch: &mut Vec<f64>) -> f64 {
+    let whole = cosine(n, corners);
     if caps.is_empty() {
-        return cosine(n, corners);
+        return whole;
     }
-    let [.., last] = corners else { return 0.0 };
     let mut sum = 0.0;
-    let mut v = *last;
-    for w in corners {
-        let c = v.cross(*w);
-        let size = c.length();
-        if size > 0.0 {
-            let normal = c / size;
-            sum += n.dot(normal) * outside(v, normal.cross(v), angle(size, v.dot(*w)), caps, scratch);
-        }
-        v = *w;
+    for (i, v) in corners.iter().enumerate() {
+        let w = corners[if i + 1 == corners.len() { 0 } else { i + 1 }].at;
+        let length = angle(v.at.cross(w).length(), v.at.dot(w));
+        sum += n.dot(v.border) * outside(v.at, v.border.cross(v.at), length, caps, scratch);
     }
     for k in 0..caps.len() {
         sum -= border(n, corners, caps, k, scratch);
     }
-    sum / TAU
+    // Where circles touch borders, an arc may count in one of the two sums alone.
+    (sum / TAU).clamp(0.0, whole.max(0.0))
 }
 
 /// The length of the part outside of all caps of the arc v cos s + w sin s with 0 ≤ s ≤ `length`.
@@ -164,14 +160,11 @@ fn outside(v: DVec3, w: DVec3, length: f64, caps: &[Cap], cuts: &mut Vec<f64>) -
 
 /// What the circle of cap `k`, turning to the left about its axis, adds where it lies in the polygon and outside of the
 /// other caps.
-fn border(n: DVec3, corners: &[DVec3], caps: &[Cap], k: usize, cuts: &mut Vec<f64>) -> f64 {
+fn border(n: DVec3, corners: &[Corner], caps: &[Cap], k: usize, cuts: &mut Vec<f64>) -> f64 {
     let cap = caps[k];
     let (u, v) = cap.across();
     let (cos_a, sin_a) = (cap.cosine, (1.0 - cap.cosine * cap.cosine).sqrt());
-    let edges = || {
-        let last = corners.len() - 1;
-        corners.iter().enumerate().map(move |(i, w)| corners[if i == 0 { last } else { i - 1 }].cross(*w))
-    };
+    let edges = || corners.iter().map(|c| c.border);
     cuts.clear();
     for m in edges() {
         cuts.extend(
@@ -210,20 +203,18 @@ fn border(n: DVec3, corners: &[DVec3], caps: &[Cap], k: usize, cuts: &mut Vec<f6
 }
 
 /// The cosine-weighted area of a convex polygon within a cap, divided by π.
-pub fn cosine_within(n: DVec3, corners: &[DVec3], cap: &Cap, scratch: &mut Vec<f64>) -> f64 {
+pub fn cosine_within(n: DVec3, corners: &[Corner], cap: &Cap, scratch: &mut Vec<f64>) -> f64 {
     cosine(n, corners) - cosine_without(n, corners, &[*cap], scratch)
 }
-
-/// Half a turn.
-pub const HALF_TURN: f64 = PI;
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::polygon::polygon;
 
-    fn quadrants() -> [[DVec3; 3]; 4] {
+    fn quadrants() -> [Vec<Corner>; 4] {
         let at = [DVec3::X, DVec3::Y, DVec3::NEG_X, DVec3::NEG_Y];
-        std::array::from_fn(|i| [DVec3::Z, at[i], at[(i + 1) % 4]])
+        std::array::from_fn(|i| polygon(&[DVec3::Z, at[i], at[(i + 1) % 4]]))
     }
 
     #[test]
@@ -270,7 +261,7 @@ mod tests {
 
     #[test]
     fn a_cap_knows_what_it_covers() {
-        let octant = [DVec3::Z, DVec3::X, DVec3::Y];
+        let octant = polygon(&[DVec3::Z, DVec3::X, DVec3::Y]);
         let cap = |axis: [f64; 3], cosine| Cap { axis: DVec3::from(axis).normalize(), cosine };
         assert_eq!(cap([1.0, 1.0, 1.0], 0.9).covers(&octant), Covered::Part);
         assert_eq!(cap([1.0, 1.0, 1.0], 0.5).covers(&octant), Covered::All);

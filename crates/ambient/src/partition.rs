@@ -142,47 +142,62 @@ impl Partition {
         self.push(Node::UndefinedFrom(list, front))
     }
 
-    /// Defines an undefined class by its first item.
-    pub fn grow(&mut self, at: u32, items: &mut Items<'_>, source: &Source) {
-        let (mut list, from) = match std::mem::replace(&mut self.nodes[at as usize], Node::Free) {
+    /// Defines an undefined class by the largest of its items that may hide something from a part of it. `false` when
+    /// none may: that part is free, and the class stays undefined. `may` says whether an item may.
+    pub fn grow(
+        &mut self,
+        at: u32,
+        items: &mut Items<'_>,
+        source: &Source,
+        may: &mut dyn FnMut(&Items<'_>, u32) -> bool,
+    ) -> bool {
+        let (mut list, mut from) = match std::mem::replace(&mut self.nodes[at as usize], Node::Free) {
             Node::Undefined(list) => (list, None),
             Node::UndefinedFrom(list, front) => (list, Some(front)),
             other => {
                 self.nodes[at as usize] = other;
-                return;
+                return true;
             }
         };
         self.lists -= list.capacity() * size_of::<u32>();
-        // Boxes give way to what is in them.
-        let mut face = None;
-        while let Some(first) = list.first().copied() {
-            match items.item(first).what {
-                What::Face(f) => {
-                    face = Some((first, f));
-                    break;
-                }
+        let mut k = 0;
+        let found = loop {
+            let Some(id) = list.get(k).copied() else { break None };
+            // The face of a class whose start is known goes first.
+            if from.is_none() && !may(items, id) {
+                k += 1;
+                continue;
+            }
+            match items.item(id).what {
+                What::Face(face) => break Some((id, face)),
                 What::Box(_) => {
-                    list.remove(0);
-                    list.extend_from_slice(items.inside(first));
-                    items.sort(&mut list);
+                    list.remove(k);
+                    items.open(id, &mut list);
                 }
             }
-        }
-        let Some((item, face)) = face else { return };
+        };
+        let Some((item, face)) = found else {
+            self.lists += list.capacity() * size_of::<u32>();
+            self.nodes[at as usize] = Node::Undefined(list);
+            return false;
+        };
         let whole = *items.face(face);
-        let front = match (from, whole.from) {
+        let front = match (from.take(), whole.from) {
             (Some(front), _) | (None, From::Side(front)) => front,
             (None, From::Both) => {
+                // The face first, then the others as they are.
+                list[..=k].rotate_right(1);
                 let behind = self.leaf_from(list.clone(), false);
                 let ahead = self.leaf_from(list.clone(), true);
                 list.remove(0);
                 let held = self.leaf(list);
                 self.nodes[at as usize] = Node::Start { face, from: [behind, held, ahead] };
-                return;
+                return true;
             }
         };
-        let rest = &list[1..];
-        self.chain(at, items, source, (item, face, &whole, front), rest);
+        list.remove(k);
+        self.chain(at, items, source, (item, face, &whole, front), &list);
+        true
     }
 
     /// Replaces a node by RP(S, T): a node for each edge of the face, which rays pass outside or inside.

@@ -1,10 +1,28 @@
 //! Convex polygons on the sphere of directions, bounded by great circles, and their division by planes through the
 //! point.
 //!
-//! A polygon is the list of its corners, unit vectors in the order in which they turn to the left as seen from outside
-//! of the sphere, so that (vᵢ × vᵢ₊₁)·ω ≥ 0 for all directions ω inside.
+//! A polygon is the list of its corners in the order in which they turn to the left as seen from outside of the sphere.
+//! Each corner has the plane of the border that starts there, so that a border keeps the direction of the plane that cut
+//! it however short it gets: the planes through two near corners would not be the same.
+
+use std::f64::consts::PI;
 
 use glam::DVec3;
+
+/// A corner of a polygon.
+#[derive(Clone, Copy, Debug)]
+pub struct Corner {
+    /// Its direction, of unit length.
+    pub at: DVec3,
+    /// The plane of the border from here to the next corner: a unit normal, positive inside.
+    pub border: DVec3,
+}
+
+/// The polygon of some corners, none of which is on the border between its neighbours.
+pub fn polygon(corners: &[DVec3]) -> Vec<Corner> {
+    let n = corners.len();
+    (0..n).map(|i| Corner { at: corners[i], border: corners[i].cross(corners[(i + 1) % n]).normalize() }).collect()
+}
 
 /// A plane through the point: the directions ω with m·ω = 0. `m` is not of unit length.
 #[derive(Clone, Copy, Debug)]
@@ -16,13 +34,16 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// Bound on the cosine-weighted area, divided by π, that the plane's error can move from one side to the other.
+    /// Bound on the cosine-weighted area, divided by π, of a polygon's part that the plane's error can move from one
+    /// side to the other.
     ///
-    /// The true plane differs by an angle of at most error / |m|, so the two differ by strips of at most that width
-    /// along half a great circle, whose cosine-weighted area is at most twice the width.
-    pub fn uncertain(&self) -> f64 {
+    /// The true plane differs by an angle of at most error / |m|, so the two differ within the polygon by strips of at
+    /// most that width, whose length is at most half of the polygon's outline and so twice its extent.
+    pub fn uncertain(&self, corners: &[Corner]) -> f64 {
+        let Some(first) = corners.first() else { return 0.0 };
+        let extent = corners.iter().fold(0.0f64, |most, v| most.max((v.at - first.at).abs().element_sum()));
         let size = self.m.length();
-        if size > self.error { std::f64::consts::FRAC_2_PI * self.error / size } else { 1.0 }
+        if size > self.error { (2.0 * extent).min(PI) * self.error / (size * PI) } else { 1.0 }
     }
 }
 
@@ -38,9 +59,9 @@ pub enum Side {
 }
 
 /// On which side of the plane the polygon lies. `values` gets m·v for its corners.
-pub fn side(plane: &Plane, corners: &[DVec3], values: &mut Vec<f64>) -> Side {
+pub fn side(plane: &Plane, corners: &[Corner], values: &mut Vec<f64>) -> Side {
     values.clear();
-    values.extend(corners.iter().map(|v| plane.m.dot(*v)));
+    values.extend(corners.iter().map(|v| plane.m.dot(v.at)));
     let (least, most) =
         values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, m), d| (l.min(*d), m.max(*d)));
     let e = plane.error;
@@ -57,30 +78,36 @@ pub fn side(plane: &Plane, corners: &[DVec3], values: &mut Vec<f64>) -> Side {
 /// have fewer than three corners, and then has no area.
 pub fn split(
     plane: &Plane,
-    corners: &[DVec3],
+    corners: &[Corner],
     values: &[f64],
-    inside: &mut Vec<DVec3>,
-    outside: &mut Vec<DVec3>,
+    inside: &mut Vec<Corner>,
+    outside: &mut Vec<Corner>,
 ) {
     let e = plane.error;
-    let (mut v, mut d) = match (corners.last(), values.last()) {
-        (Some(v), Some(d)) => (*v, *d),
-        _ => return,
-    };
-    for (w, f) in corners.iter().zip(values) {
-        if (d > e && *f < -e) || (d < -e && *f > e) {
-            // The point of the arc from v to w on the plane.
-            let cut = (v * f.abs() + *w * d.abs()).normalize();
-            inside.push(cut);
-            outside.push(cut);
+    let cut = plane.m.normalize();
+    for (i, (v, d)) in corners.iter().zip(values).enumerate() {
+        let next = if i + 1 == corners.len() { 0 } else { i + 1 };
+        let (w, f) = (&corners[next], values[next]);
+        if *d >= -e {
+            let leaves = *d <= e && f < -e;
+            inside.push(if leaves { Corner { border: cut, ..*v } } else { *v });
         }
-        if *f >= -e {
-            inside.push(*w);
+        if *d <= e {
+            let leaves = *d >= -e && f > e;
+            outside.push(if leaves { Corner { border: -cut, ..*v } } else { *v });
         }
-        if *f <= e {
-            outside.push(*w);
+        if (*d > e && f < -e) || (*d < -e && f > e) {
+            // The point of the border from v to w on the plane.
+            let at = (v.at * f.abs() + w.at * d.abs()).normalize();
+            let (along, across) = (Corner { at, border: v.border }, |border| Corner { at, border });
+            if *d > e {
+                inside.push(across(cut));
+                outside.push(along);
+            } else {
+                inside.push(along);
+                outside.push(across(-cut));
+            }
         }
-        (v, d) = (*w, *f);
     }
 }
 
@@ -97,12 +124,12 @@ mod tests {
         fn parts_add_up(m in prop::array::uniform3(-1.0f64..1.0)) {
             let plane = Plane { m: DVec3::from(m), error: 1e-15 };
             prop_assume!(plane.m.length() > 1e-3);
-            let octant = [DVec3::Z, DVec3::X, DVec3::Y];
+            let octant = polygon(&[DVec3::Z, DVec3::X, DVec3::Y]);
             let (mut values, mut parts) = (Vec::new(), (Vec::new(), Vec::new()));
             if side(&plane, &octant, &mut values) == Side::Both {
                 split(&plane, &octant, &values, &mut parts.0, &mut parts.1);
-                prop_assert!(parts.0.iter().all(|v| plane.m.dot(*v) > -1e-14));
-                prop_assert!(parts.1.iter().all(|v| plane.m.dot(*v) < 1e-14));
+                prop_assert!(parts.0.iter().all(|v| plane.m.dot(v.at) > -1e-14));
+                prop_assert!(parts.1.iter().all(|v| plane.m.dot(v.at) < 1e-14));
                 let sum = cosine(DVec3::Z, &parts.0) + cosine(DVec3::Z, &parts.1);
                 prop_assert!((sum - 0.25).abs() < 1e-14, "{sum}");
             }

@@ -3,10 +3,10 @@
 
 use glam::DVec3;
 
-use crate::items::Items;
+use crate::items::{Items, What};
 use crate::lambert::{Cap, Covered, cosine_without};
 use crate::partition::{Node, Partition, plane};
-use crate::polygon::{Plane, Side, side, split};
+use crate::polygon::{Corner, Plane, Side, side, split};
 use crate::receivers::{Receiver, Source, U};
 
 /// What is known of a receiver.
@@ -39,11 +39,11 @@ struct Waiting {
 /// The memory of queries, which can be used again.
 #[derive(Default)]
 pub struct Scratch {
-    corners: Vec<DVec3>,
+    corners: Vec<Corner>,
     waiting: Vec<Waiting>,
-    current: Vec<DVec3>,
+    current: Vec<Corner>,
     values: Vec<f64>,
-    inside: Vec<DVec3>,
+    inside: Vec<Corner>,
     /// Caps, each with the one before it.
     caps: Vec<(Cap, u32)>,
     of_part: Vec<Cap>,
@@ -53,12 +53,42 @@ pub struct Scratch {
     query: u64,
 }
 
+/// A part of the hemisphere of a point.
+struct Part<'a> {
+    corners: &'a [Corner],
+    x: DVec3,
+    distance: f64,
+}
+
+impl Part<'_> {
+    /// Whether an item may hide something of the part: not if all its corners lie beyond one of the borders, or its
+    /// plane beyond the distance. What doubles cannot tell may.
+    fn may_meet(&self, items: &Items<'_>, id: u32) -> bool {
+        if let What::Face(face) = items.item(id).what {
+            let face = items.face(face);
+            let height = face.normal.dot(face.at - self.x).abs();
+            if height > self.distance * face.normal.length() * (1.0 + 1e-9) {
+                return false;
+            }
+        }
+        let corners = items.corners(id);
+        // A corner's direction and a border's plane are each off by a few roundings.
+        let far = 32.0 * U * items.item(id).far;
+        self.corners.iter().all(|v| {
+            corners.iter().any(|c| v.border.dot(*c - self.x) > -far)
+        })
+    }
+}
+
 /// The quarters of the hemisphere over a unit vector.
-pub fn quarters(n: DVec3) -> [[DVec3; 3]; 4] {
+pub fn quarters(n: DVec3) -> [[Corner; 3]; 4] {
     let (u, v) = n.any_orthonormal_pair();
     let v = if u.cross(v).dot(n) > 0.0 { v } else { -v };
     let around = [u, v, -u, -v];
-    std::array::from_fn(|k| [n, around[k], around[(k + 1) % 4]])
+    std::array::from_fn(|k| {
+        let (a, b) = (around[k], around[(k + 1) % 4]);
+        [(n, b), (a, n), (b, a)].map(|(at, border)| Corner { at, border })
+    })
 }
 
 /// The openness of a receiver of the source.
@@ -86,8 +116,14 @@ pub fn open(
         loop {
             match tree.node(node) {
                 Node::Undefined(_) | Node::UndefinedFrom(..) => {
-                    tree.grow(node, items, source);
+                    let part = Part { corners: &scratch.current, x, distance };
+                    let grown = tree.grow(node, items, source, &mut |items, id| part.may_meet(items, id));
                     scratch.hid.resize(items.faces(), 0);
+                    if !grown {
+                        answer.open += free(n, caps, scratch);
+                        answer.parts += 1;
+                        break;
+                    }
                 }
                 Node::Free => {
                     answer.open += free(n, caps, scratch);
@@ -103,14 +139,14 @@ pub fn open(
                     match side(&plane, &scratch.current, &mut scratch.values) {
                         Side::Inside(unsure) => {
                             node = *inside;
-                            answer.bound += if unsure { plane.uncertain() } else { 0.0 };
+                            answer.bound += if unsure { plane.uncertain(&scratch.current) } else { 0.0 };
                         }
                         Side::Outside(unsure) => {
                             node = *outside;
-                            answer.bound += if unsure { plane.uncertain() } else { 0.0 };
+                            answer.bound += if unsure { plane.uncertain(&scratch.current) } else { 0.0 };
                         }
                         Side::Both => {
-                            answer.bound += plane.uncertain();
+                            answer.bound += plane.uncertain(&scratch.current);
                             divide(&plane, *outside, caps, scratch);
                             if scratch.current.len() < 3 {
                                 break;
