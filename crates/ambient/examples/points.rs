@@ -6,9 +6,8 @@
 use std::time::Instant;
 
 use glam::DVec3;
-use sightline_ambient::blockers::Blockers;
-use sightline_ambient::receivers::Receiver;
-use sightline_ambient::solve::{Options, solve};
+use sightline_ambient::Receiver;
+use sightline_ambient::{Settings, Solver};
 use sightline_scene::load;
 
 fn main() {
@@ -21,13 +20,16 @@ fn main() {
     let diagonal = f64::from((diagonal.max - diagonal.min).length());
     let texel = number(4, (distance / 16.0).min(diagonal / 400.0));
     let block = number(5, 64.0) as usize;
-    let open_above = number(6, -1.0);
     let begun = Instant::now();
-    let blockers = Blockers::new(&scene, true).unwrap();
+    let mut settings = Settings::new(distance);
+    settings.block.0 = block;
+    if std::env::var_os("FIRST").is_some() {
+        settings.falloff = sightline_ambient::Falloff::Sqrt;
+    }
+    let solver = Solver::new(&scene, settings).unwrap();
     println!(
-        "{} triangles, {} polygons, diagonal {diagonal:.1}, texel {texel:.3}, prepared in {:.3} s",
+        "{} triangles, diagonal {diagonal:.1}, texel {texel:.3}, prepared in {:.3} s",
         scene.triangles().len(),
-        blockers.count(),
         begun.elapsed().as_secs_f64()
     );
     let mut state = 7u64;
@@ -68,12 +70,8 @@ fn main() {
             }
         }
     }
-    let mut options = Options { block, ..Options::new(distance) };
-    if open_above >= 0.0 {
-        options.open_above = open_above;
-    }
     let begun = Instant::now();
-    let answers = solve(&blockers, &receivers, &options);
+    let answers: Vec<_> = solver.solve(&receivers, |_| {}).into_iter().map(|a| a.openness).collect();
     let seconds = begun.elapsed().as_secs_f64();
     if std::env::var_os("DUMP").is_some() {
         for (r, a) in receivers.iter().zip(&answers) {
@@ -92,7 +90,9 @@ fn main() {
                 .filter(|(id, t)| {
                     let b = t.bounds();
                     let p = r.point.clamp(b.min.as_dvec3(), b.max.as_dvec3());
-                    scene.blocks(*id as u32) && (p - r.point).length() < distance && blockers.of(*id as u32) != blockers.of(r.triangle.unwrap())
+                    scene.blocks(*id as u32)
+                        && (p - r.point).length() < distance
+                        && *id as u32 != r.triangle.unwrap()
                 })
                 .map(|(_, t)| t.v.map(|v| v.as_dvec3() - r.point))
                 .collect();
@@ -101,13 +101,16 @@ fn main() {
             for i in 0..side {
                 for j in 0..side {
                     let s = (f64::from(i) + random()) / f64::from(side);
-                    let (y, x) = ((f64::from(j) + random()) / f64::from(side) * std::f64::consts::TAU).sin_cos();
+                    let (y, x) =
+                        ((f64::from(j) + random()) / f64::from(side) * std::f64::consts::TAU).sin_cos();
                     let ray = (u * x + w * y) * s.sqrt() + r.normal * (1.0 - s).sqrt();
                     let hit = near.iter().any(|[a, b, c]| {
                         let n = (*b - *a).cross(*c - *a);
                         let t = n.dot(*a) / n.dot(ray);
                         let (p, q, s) = (a.cross(*b).dot(ray), b.cross(*c).dot(ray), c.cross(*a).dot(ray));
-                        t > 0.0 && t < distance && ((p > 0.0 && q > 0.0 && s > 0.0) || (p < 0.0 && q < 0.0 && s < 0.0))
+                        t > 0.0
+                            && t < distance
+                            && ((p > 0.0 && q > 0.0 && s > 0.0) || (p < 0.0 && q < 0.0 && s < 0.0))
                     });
                     free += u32::from(!hit);
                 }
@@ -116,7 +119,14 @@ fn main() {
             let sigma = (sampled * (1.0 - sampled) / f64::from(side * side)).sqrt().max(1e-9);
             let d = (sampled - a.open).abs();
             if d > 4.0 * sigma + 1e-6 {
-                println!("{} {} {:?} open {} rays {sampled} off by {d:.2e} = {:.1} sigma", r.point, r.normal, r.triangle.unwrap(), a.open, d / sigma);
+                println!(
+                    "{} {} {:?} open {} rays {sampled} off by {d:.2e} = {:.1} sigma",
+                    r.point,
+                    r.normal,
+                    r.triangle.unwrap(),
+                    a.open,
+                    d / sigma
+                );
             }
             worst = worst.max(d);
             sigmas = sigmas.max(d / sigma);
@@ -124,8 +134,7 @@ fn main() {
         println!("worst {worst:.2e}, {sigmas:.1} sigma");
     }
     let n = answers.len() as f64;
-    let mean =
-        |of: &dyn Fn(&sightline_ambient::query::Openness) -> f64| answers.iter().map(of).sum::<f64>() / n;
+    let mean = |of: &dyn Fn(&sightline_ambient::Openness) -> f64| answers.iter().map(of).sum::<f64>() / n;
     println!(
         "{} points, {:.1} µs a point and thread of {}, mean open {:.6}, {:.1} parts, {:.1} occluders, largest bound {:.1e}",
         answers.len(),

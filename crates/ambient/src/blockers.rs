@@ -86,16 +86,6 @@ impl Blockers {
         self.of.get(triangle as usize).copied().flatten()
     }
 
-    /// Number of triangles of the scene.
-    pub fn triangles(&self) -> usize {
-        self.of.len()
-    }
-
-    /// Number of polygons.
-    pub fn count(&self) -> usize {
-        self.polygons.len()
-    }
-
     /// The hierarchy over the polygons.
     pub fn bvh(&self) -> &Bvh {
         &self.bvh

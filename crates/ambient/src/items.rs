@@ -16,11 +16,47 @@ pub enum From {
     Both,
 }
 
+/// Up to where something hides.
+#[derive(Clone, Copy, Debug)]
+pub enum Reach {
+    /// What is nearer than this; infinite for everything.
+    Distance(f64),
+    /// What is before a light's plane.
+    Light {
+        /// The unit normal of the plane, away from the source.
+        normal: DVec3,
+        /// A point of the plane, from the source's origin.
+        at: DVec3,
+        /// What is that near the plane is in it.
+        slack: f64,
+    },
+}
+
+impl Reach {
+    /// The distance, infinite for a light.
+    pub fn distance(&self) -> f64 {
+        match self {
+            Self::Distance(distance) => *distance,
+            Self::Light { .. } => f64::INFINITY,
+        }
+    }
+
+    /// Whether corners all lie in or behind the light's plane.
+    fn is_beyond(&self, corners: &[DVec3]) -> bool {
+        match self {
+            Self::Distance(_) => false,
+            Self::Light { normal, at, slack } => corners.iter().all(|c| normal.dot(*c - *at) >= -slack),
+        }
+    }
+}
+
 /// A polygon as seen from a source.
 #[derive(Clone, Copy, Debug)]
 pub struct Face {
     /// Its number in the scene.
     pub polygon: u32,
+    /// Its item.
+    pub item: u32,
     /// (b − a) × (c − a) of three of its corners, not of unit length.
     pub normal: DVec3,
     /// A corner, from the origin.
@@ -29,7 +65,7 @@ pub struct Face {
     pub error: f64,
     /// Where the source lies.
     pub from: From,
-    /// Whether all of it is nearer than the distance from everywhere in the source.
+    /// Whether it hides from everywhere in the source all that is behind it, because all of it is within reach.
     pub within: bool,
 }
 
@@ -60,7 +96,7 @@ pub enum What {
 pub struct Items<'a> {
     blockers: &'a Blockers,
     source: &'a Source,
-    distance: f64,
+    reach: Reach,
     /// A polygon that hides nothing.
     own: Option<u32>,
     points: Vec<DVec3>,
@@ -89,11 +125,11 @@ fn distance(p: DVec3, corners: &[DVec3], normal: DVec3) -> f64 {
 
 impl<'a> Items<'a> {
     /// No items yet.
-    pub fn new(blockers: &'a Blockers, source: &'a Source, distance: f64, own: Option<u32>) -> Self {
+    pub fn new(blockers: &'a Blockers, source: &'a Source, reach: Reach, own: Option<u32>) -> Self {
         Self {
             blockers,
             source,
-            distance,
+            reach,
             own,
             points: Vec::new(),
             items: Vec::new(),
@@ -101,6 +137,11 @@ impl<'a> Items<'a> {
             opened: Vec::new(),
             children: Vec::new(),
         }
+    }
+
+    /// Up to where something hides.
+    pub fn reach(&self) -> &Reach {
+        &self.reach
     }
 
     /// An item.
@@ -127,11 +168,6 @@ impl<'a> Items<'a> {
     /// A face.
     pub fn face(&self, face: u32) -> &Face {
         &self.faces[face as usize]
-    }
-
-    /// Number of faces met.
-    pub fn faces(&self) -> usize {
-        self.faces.len()
     }
 
     /// The items to begin with, the largest first: boxes that take more than `largest` of solid angle are opened.
@@ -209,7 +245,8 @@ impl<'a> Items<'a> {
         let corners = corners_of(bounds).map(|c| c - self.source.origin);
         let (min, max) = (corners[0], corners[7]);
         let near = DVec3::ZERO.clamp(min, max).length();
-        if near > self.distance + self.source.radius || self.is_below(&corners) {
+        let far = near > self.reach.distance() + self.source.radius;
+        if far || self.is_below(&corners) || self.reach.is_beyond(&corners) {
             return None;
         }
         let middle = (min + max) * 0.5;
@@ -226,7 +263,7 @@ impl<'a> Items<'a> {
         let origin = self.source.origin;
         let corners: Vec<DVec3> =
             self.blockers.corners(polygon).iter().map(|c| c.as_dvec3() - origin).collect();
-        if self.is_below(&corners) {
+        if self.is_below(&corners) || self.reach.is_beyond(&corners) {
             return None;
         }
         // The two edges from the first corner that make the largest triangle.
@@ -240,7 +277,7 @@ impl<'a> Items<'a> {
                 (normal, size) = (n, p.length() * q.length());
             }
         }
-        let reach = self.distance + self.source.radius;
+        let reach = self.reach.distance() + self.source.radius;
         if reach.is_finite() && distance(DVec3::ZERO, &corners, normal) > reach * (1.0 + 1e-9) {
             return None;
         }
@@ -265,10 +302,17 @@ impl<'a> Items<'a> {
         let middle = corners.iter().sum::<DVec3>() / corners.len() as f64;
         let away = middle.length().max(self.source.radius * 0.5);
         let seen = (sum.dot(middle) * 0.5).abs() / (away * away * away);
-        let reach = corners.iter().flat_map(|c| self.source.corners.iter().map(move |s| (*c - *s).length()));
-        let within = reach.fold(0.0f64, f64::max) + self.source.slack < self.distance * (1.0 - 1e-12);
+        let within = match self.reach {
+            Reach::Distance(most) => {
+                let ways =
+                    corners.iter().flat_map(|c| self.source.corners.iter().map(move |s| (*c - *s).length()));
+                ways.fold(0.0f64, f64::max) + self.source.slack < most * (1.0 - 1e-12)
+            }
+            Reach::Light { normal, at, slack } => corners.iter().all(|c| normal.dot(*c - at) < -slack),
+        };
         let face = self.faces.len() as u32;
-        self.faces.push(Face { polygon, normal, at, error, from, within });
+        let item = self.items.len() as u32;
+        self.faces.push(Face { polygon, item, normal, at, error, from, within });
         Some(self.add(&corners, seen, What::Face(face)))
     }
 }

@@ -90,8 +90,19 @@ impl Cap {
         between + libm::acos(other.cosine) <= libm::acos(self.cosine) + slack
     }
 
+    /// The sine of its radius.
+    pub fn sine(&self) -> f64 {
+        ((1.0 - self.cosine) * (1.0 + self.cosine)).sqrt()
+    }
+
+    /// The direction of its circle at an angle from `u` to `v`, which [`Cap::across`] gives.
+    pub fn on_circle(&self, u: DVec3, v: DVec3, angle: f64) -> DVec3 {
+        let (sin, cos) = libm::sincos(angle);
+        self.axis * self.cosine + (u * cos + v * sin) * self.sine()
+    }
+
     /// Two unit vectors across the axis, so that (u, v, axis) is right-handed.
-    fn across(&self) -> (DVec3, DVec3) {
+    pub fn across(&self) -> (DVec3, DVec3) {
         let (u, v) = self.axis.any_orthonormal_pair();
         if u.cross(v).dot(self.axis) > 0.0 { (u, v) } else { (v, u) }
     }
@@ -99,7 +110,7 @@ impl Cap {
 
 /// The angles at which c + a cos t + b sin t changes its sign, if it does.
 fn crossings(c: f64, a: f64, b: f64) -> Option<[f64; 2]> {
-    let size = a.hypot(b);
+    let size = (a * a + b * b).sqrt();
     if size <= c.abs() {
         return None;
     }
@@ -163,7 +174,7 @@ fn outside(v: DVec3, w: DVec3, length: f64, caps: &[Cap], cuts: &mut Vec<f64>) -
 fn border(n: DVec3, corners: &[Corner], caps: &[Cap], k: usize, cuts: &mut Vec<f64>) -> f64 {
     let cap = caps[k];
     let (u, v) = cap.across();
-    let (cos_a, sin_a) = (cap.cosine, (1.0 - cap.cosine * cap.cosine).sqrt());
+    let (cos_a, sin_a) = (cap.cosine, cap.sine());
     let edges = || corners.iter().map(|c| c.border);
     cuts.clear();
     for m in edges() {
@@ -200,11 +211,6 @@ fn border(n: DVec3, corners: &[Corner], caps: &[Cap], k: usize, cuts: &mut Vec<f
         from = to;
     }
     sum
-}
-
-/// The cosine-weighted area of a convex polygon within a cap, divided by π.
-pub fn cosine_within(n: DVec3, corners: &[Corner], cap: &Cap, scratch: &mut Vec<f64>) -> f64 {
-    cosine(n, corners) - cosine_without(n, corners, &[*cap], scratch)
 }
 
 #[cfg(test)]

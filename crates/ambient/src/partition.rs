@@ -6,6 +6,10 @@
 //! another is that for the rays between their corners (theorem 1 and corollary, section 3.2). Where doubles cannot
 //! tell, an item goes to both sides, which costs time and hides nothing wrongly (section 5.2, "conservative
 //! insertion"). The tree grows where queries arrive.
+//!
+//! There are two kinds of trees. In a union a class ends at any face that hides all of its rays: no matter which one is
+//! first, so triangles may cross each other. In a tree of first hits a class has the first face that its rays meet, and
+//! where planes cross, a class is divided by the line in which they do (section 4.1 wants such scenes prepared).
 
 use glam::DVec3;
 
@@ -13,23 +17,67 @@ use crate::items::{Face, From, Items, What};
 use crate::polygon::Plane;
 use crate::receivers::{Source, U};
 
+/// What a tree tells of its rays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tells {
+    /// Whether they meet anything within reach.
+    Union,
+    /// Which face they meet first, at whatever distance.
+    First,
+}
+
+/// A class that no query has asked for.
+#[derive(Clone, Debug, Default)]
+pub struct Undefined {
+    /// The items that its rays may meet, the largest first.
+    list: Vec<u32>,
+    /// For the first item, a face, the side of its plane on which the rays start.
+    from: Option<bool>,
+    /// The face that all its rays meet, with the side on which they start, if any is known.
+    class: Option<(u32, bool)>,
+}
+
 /// A node of the tree.
 #[derive(Clone, Debug)]
 pub enum Node {
-    /// A class that no query has asked for: the items that its rays may meet, the largest first.
-    Undefined(Vec<u32>),
-    /// The same, with the side of the first item's plane on which the ray starts.
-    UndefinedFrom(Vec<u32>, bool),
+    /// A class that no query has asked for.
+    Undefined(Undefined),
     /// Rays that meet nothing.
     Free,
-    /// Rays that all meet a face nearer than the distance.
-    Hidden(u32),
-    /// The hyperplane of the edge between two points; rays on its positive side go inside.
-    Edge { a: u32, b: u32, inside: u32, outside: u32 },
-    /// Rays by the side of a face's plane on which they start: on the negative, in it, on the positive.
-    Start { face: u32, from: [u32; 3] },
-    /// Rays that all meet a face, some of them perhaps beyond the distance; those that do go on.
-    Near { face: u32, beyond: u32 },
+    /// Rays that all meet this face: within reach, or first.
+    Met(u32),
+    /// The hyperplane of an edge.
+    Edge {
+        /// The edge's first point.
+        a: u32,
+        /// Its second point.
+        b: u32,
+        /// Where rays on the positive side go.
+        inside: u32,
+        /// Where the others go.
+        outside: u32,
+    },
+    /// Rays by where they start.
+    Start {
+        /// The face in whose plane or on whose side that is.
+        face: u32,
+        /// Where rays go that start on the negative side, in the plane, and on the positive side.
+        from: [u32; 3],
+    },
+    /// Rays that all meet a face, some of them perhaps beyond reach.
+    Near {
+        /// The face.
+        face: u32,
+        /// Where those go on.
+        beyond: u32,
+    },
+    /// Rays that all meet two faces whose planes may cross.
+    Order {
+        /// The faces.
+        faces: [u32; 2],
+        /// Where rays go that meet the first one first, and the others.
+        first: [u32; 2],
+    },
 }
 
 /// On which side of a hyperplane the rays to an item pass.
@@ -51,6 +99,7 @@ struct Hyperplane {
 
 /// The tree.
 pub struct Partition {
+    tells: Tells,
     nodes: Vec<Node>,
     /// The items of the root.
     root: Vec<u32>,
@@ -100,8 +149,8 @@ impl Hyperplane {
 
 impl Partition {
     /// The tree of one undefined class.
-    pub fn new(root: Vec<u32>) -> Self {
-        let mut tree = Self { nodes: Vec::new(), root, lists: 0 };
+    pub fn new(tells: Tells, root: Vec<u32>) -> Self {
+        let mut tree = Self { tells, nodes: Vec::new(), root, lists: 0 };
         tree.clear();
         tree
     }
@@ -110,8 +159,8 @@ impl Partition {
     pub fn clear(&mut self) {
         self.nodes.clear();
         self.lists = 0;
-        let root = self.root.clone();
-        self.leaf(root);
+        let list = self.root.clone();
+        self.leaf(Undefined { list, ..Undefined::default() });
     }
 
     /// Bytes that the tree takes, about.
@@ -129,75 +178,78 @@ impl Partition {
         self.nodes.len() as u32 - 1
     }
 
-    fn leaf(&mut self, list: Vec<u32>) -> u32 {
-        if list.is_empty() {
-            return self.push(Node::Free);
+    fn leaf(&mut self, leaf: Undefined) -> u32 {
+        let node = self.undefined(leaf);
+        self.push(node)
+    }
+
+    fn undefined(&mut self, leaf: Undefined) -> Node {
+        match leaf {
+            Undefined { list, class: None, .. } if list.is_empty() => Node::Free,
+            Undefined { list, class: Some((face, _)), .. } if list.is_empty() => Node::Met(face),
+            leaf => {
+                self.lists += leaf.list.capacity() * size_of::<u32>();
+                Node::Undefined(leaf)
+            }
         }
-        self.lists += list.capacity() * size_of::<u32>();
-        self.push(Node::Undefined(list))
     }
 
-    fn leaf_from(&mut self, list: Vec<u32>, front: bool) -> u32 {
-        self.lists += list.capacity() * size_of::<u32>();
-        self.push(Node::UndefinedFrom(list, front))
-    }
-
-    /// Defines an undefined class by the largest of its items that may hide something from a part of it. `false` when
-    /// none may: that part is free, and the class stays undefined. `may` says whether an item may.
+    /// Defines an undefined class by the largest of its items that may hide something from a part of it. `None` when
+    /// none may: then the class stays undefined, and the part is that of the class's face, or free. `may` says whether
+    /// an item may.
     pub fn grow(
         &mut self,
         at: u32,
         items: &mut Items<'_>,
         source: &Source,
         may: &mut dyn FnMut(&Items<'_>, u32) -> bool,
-    ) -> bool {
-        let (mut list, mut from) = match std::mem::replace(&mut self.nodes[at as usize], Node::Free) {
-            Node::Undefined(list) => (list, None),
-            Node::UndefinedFrom(list, front) => (list, Some(front)),
+    ) -> Grown {
+        let mut leaf = match std::mem::replace(&mut self.nodes[at as usize], Node::Free) {
+            Node::Undefined(leaf) => leaf,
             other => {
                 self.nodes[at as usize] = other;
-                return true;
+                return Grown::Defined;
             }
         };
-        self.lists -= list.capacity() * size_of::<u32>();
+        self.lists -= leaf.list.capacity() * size_of::<u32>();
         let mut k = 0;
         let found = loop {
-            let Some(id) = list.get(k).copied() else { break None };
+            let Some(id) = leaf.list.get(k).copied() else { break None };
             // The face of a class whose start is known goes first.
-            if from.is_none() && !may(items, id) {
+            if leaf.from.is_none() && !may(items, id) {
                 k += 1;
                 continue;
             }
             match items.item(id).what {
                 What::Face(face) => break Some((id, face)),
                 What::Box(_) => {
-                    list.remove(k);
-                    items.open(id, &mut list);
+                    leaf.list.remove(k);
+                    items.open(id, &mut leaf.list);
                 }
             }
         };
         let Some((item, face)) = found else {
-            self.lists += list.capacity() * size_of::<u32>();
-            self.nodes[at as usize] = Node::Undefined(list);
-            return false;
+            let class = leaf.class.map(|(face, _)| face);
+            self.nodes[at as usize] = self.undefined(leaf);
+            return Grown::Nothing(class);
         };
         let whole = *items.face(face);
-        let front = match (from.take(), whole.from) {
+        let front = match (leaf.from.take(), whole.from) {
             (Some(front), _) | (None, From::Side(front)) => front,
             (None, From::Both) => {
                 // The face first, then the others as they are.
-                list[..=k].rotate_right(1);
-                let behind = self.leaf_from(list.clone(), false);
-                let ahead = self.leaf_from(list.clone(), true);
-                list.remove(0);
-                let held = self.leaf(list);
+                leaf.list[..=k].rotate_right(1);
+                let side = |front| Undefined { from: Some(front), ..leaf.clone() };
+                let (behind, ahead) = (self.leaf(side(false)), self.leaf(side(true)));
+                leaf.list.remove(0);
+                let held = self.leaf(leaf);
                 self.nodes[at as usize] = Node::Start { face, from: [behind, held, ahead] };
-                return true;
+                return Grown::Defined;
             }
         };
-        list.remove(k);
-        self.chain(at, items, source, (item, face, &whole, front), &list);
-        true
+        leaf.list.remove(k);
+        self.chain(at, items, source, (item, face, front), &leaf);
+        Grown::Defined
     }
 
     /// Replaces a node by RP(S, T): a node for each edge of the face, which rays pass outside or inside.
@@ -206,8 +258,8 @@ impl Partition {
         at: u32,
         items: &Items<'_>,
         source: &Source,
-        (item, face, whole, front): (u32, u32, &Face, bool),
-        rest: &[u32],
+        (item, face, front): (u32, u32, bool),
+        leaf: &Undefined,
     ) {
         let (first, n, far) = (items.first(item), items.corners(item).len() as u32, items.item(item).far);
         // From the front the corners turn to the left as seen from the point, and so to the right from outside.
@@ -223,7 +275,7 @@ impl Partition {
             .collect();
         let mut outside = vec![Vec::new(); n as usize];
         let mut inside = Vec::new();
-        for id in rest {
+        for id in &leaf.list {
             let (corners, far) = (items.corners(*id), items.item(*id).far);
             let mut passes_inside = true;
             for (plane, list) in planes.iter().zip(&mut outside) {
@@ -237,20 +289,14 @@ impl Partition {
                     }
                 }
             }
-            if passes_inside && !whole.within && !is_behind(whole, front, corners) {
+            if passes_inside {
                 inside.push(*id);
             }
         }
-        let last = if whole.within {
-            self.push(Node::Hidden(face))
-        } else {
-            let beyond = self.leaf(inside);
-            self.push(Node::Near { face, beyond })
-        };
-        let mut next = last;
+        let mut next = self.inner(items, (item, face, front), leaf.class, &inside);
         for (k, list) in outside.into_iter().enumerate().rev() {
             let (a, b) = edge(k as u32);
-            let outside = self.leaf(list);
+            let outside = self.leaf(Undefined { list, from: None, class: leaf.class });
             let node = Node::Edge { a, b, inside: next, outside };
             if k == 0 {
                 self.nodes[at as usize] = node;
@@ -259,6 +305,53 @@ impl Partition {
             }
         }
     }
+
+    /// The class of the rays that all meet a face, and those of another class already if it has one.
+    fn inner(
+        &mut self,
+        items: &Items<'_>,
+        (item, face, front): (u32, u32, bool),
+        class: Option<(u32, bool)>,
+        list: &[u32],
+    ) -> u32 {
+        let whole = items.face(face);
+        // What a face hides from nearer by needs no look (`depthCulling`).
+        let before = |face: &Face, front| -> Vec<u32> {
+            list.iter().copied().filter(|id| !is_behind(face, front, items.corners(*id))).collect()
+        };
+        if self.tells == Tells::Union {
+            return if whole.within {
+                self.push(Node::Met(face))
+            } else {
+                let list = before(whole, front);
+                let beyond = self.leaf(Undefined { list, ..Undefined::default() });
+                self.push(Node::Near { face, beyond })
+            };
+        }
+        let of = |face: u32, front: bool| Undefined {
+            list: before(items.face(face), front),
+            from: None,
+            class: Some((face, front)),
+        };
+        let Some((other, other_front)) = class else { return self.leaf(of(face, front)) };
+        if is_behind(whole, front, items.corners(items.face(other).item)) {
+            return self.leaf(of(face, front));
+        }
+        if is_behind(items.face(other), other_front, items.corners(item)) {
+            return self.leaf(of(other, other_front));
+        }
+        let (one, two) = (self.leaf(of(face, front)), self.leaf(of(other, other_front)));
+        self.push(Node::Order { faces: [face, other], first: [one, two] })
+    }
+}
+
+/// What came of a query's wish to know more of a class.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Grown {
+    /// The node is another one now.
+    Defined,
+    /// Nothing more may hide the part: it is that of this face, or free.
+    Nothing(Option<u32>),
 }
 
 /// Whether corners lie on or behind a face, for rays that start on the given side of it: what they hide, the face hides

@@ -21,7 +21,9 @@ pub struct Corner {
 /// The polygon of some corners, none of which is on the border between its neighbours.
 pub fn polygon(corners: &[DVec3]) -> Vec<Corner> {
     let n = corners.len();
-    (0..n).map(|i| Corner { at: corners[i], border: corners[i].cross(corners[(i + 1) % n]).normalize() }).collect()
+    (0..n)
+        .map(|i| Corner { at: corners[i], border: corners[i].cross(corners[(i + 1) % n]).normalize() })
+        .collect()
 }
 
 /// A plane through the point: the directions ω with m·ω = 0. `m` is not of unit length.
@@ -38,13 +40,32 @@ impl Plane {
     /// side to the other.
     ///
     /// The true plane differs by an angle of at most error / |m|, so the two differ within the polygon by strips of at
-    /// most that width, whose length is at most half of the polygon's outline and so twice its extent.
+    /// most that width, whose length is at most half of the polygon's outline and so twice its extent; and by no more
+    /// than the polygon.
     pub fn uncertain(&self, corners: &[Corner]) -> f64 {
         let Some(first) = corners.first() else { return 0.0 };
         let extent = corners.iter().fold(0.0f64, |most, v| most.max((v.at - first.at).abs().element_sum()));
         let size = self.m.length();
-        if size > self.error { (2.0 * extent).min(PI) * self.error / (size * PI) } else { 1.0 }
+        let strip = if size > self.error { (2.0 * extent).min(PI) * self.error / (size * PI) } else { 1.0 };
+        // The area costs more to know.
+        if strip < LITTLE { strip } else { strip.min(most_area(corners)) }
     }
+}
+
+/// Strips of less area are not compared with the polygon's.
+const LITTLE: f64 = 1e-13;
+
+/// Bound on the area of a polygon of at most a quarter of the sphere, divided by π: that of the triangles of a fan on
+/// the planes through their first corners, which stand over them.
+fn most_area(corners: &[Corner]) -> f64 {
+    let [first, rest @ ..] = corners else { return 0.0 };
+    let fan = rest.windows(2).map(|w| {
+        let (p, q) = (w[0].at - first.at, w[1].at - first.at);
+        // A spherical triangle of a quarter of the sphere is less than 3 times as large as its flat one.
+        p.cross(q).length() * 0.5 * 3.0
+    });
+    // What rounding hides from the products.
+    fan.sum::<f64>() / PI + 1e-15
 }
 
 /// Where a polygon lies with respect to a plane.

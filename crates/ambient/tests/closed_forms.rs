@@ -4,10 +4,12 @@
 
 use std::f64::consts::PI;
 
-use glam::{DMat3, DQuat, DVec3, Vec3};
-use sightline_ambient::blockers::Blockers;
-use sightline_ambient::receivers::Receiver;
-use sightline_ambient::solve::{Options, solve};
+use glam::{DMat3, DQuat, DVec3};
+use sightline_ambient::Falloff;
+use sightline_ambient::Light;
+use sightline_ambient::Openness;
+use sightline_ambient::Receiver;
+use sightline_ambient::{Answer, Settings, Solver};
 use sightline_scene::{Object, Scene, Triangle};
 
 /// How near a value has to be: coordinates of scenes are rounded to single precision.
@@ -32,6 +34,15 @@ fn rectangle(min: [f64; 3], max: [f64; 3]) -> Vec<[DVec3; 3]> {
     quad(min, axes[0], axes[1]).to_vec()
 }
 
+fn answer(triangles: &[[DVec3; 3]], settings: Settings, receiver: Receiver) -> Answer {
+    Solver::new(&scene(triangles), settings).unwrap().solve(&[receiver], |_| {}).remove(0)
+}
+
+/// A receiver at the origin that looks up.
+fn up() -> Receiver {
+    Receiver { point: DVec3::ZERO, normal: DVec3::Z, triangle: None }
+}
+
 /// The openness of the point at the origin looking up, as it is and in other frames; all must agree.
 fn open(triangles: &[[DVec3; 3]], distance: f64) -> f64 {
     open_within(triangles, distance, NEAR)
@@ -47,12 +58,17 @@ fn open_within(triangles: &[[DVec3; 3]], distance: f64, near: f64) -> f64 {
         let turn = DMat3::from_quat(DQuat::from_axis_angle(axis.normalize(), angle)) * scale;
         let moved: Vec<[DVec3; 3]> = triangles.iter().map(|t| t.map(|v| turn * v)).collect();
         let receiver = Receiver { point: DVec3::ZERO, normal: turn * DVec3::Z, triangle: None };
-        for joined in [true, false] {
-            let blockers = Blockers::new(&scene(&moved), joined).unwrap();
-            let answer = solve(&blockers, &[receiver], &Options::new(distance * scale))[0];
-            let expected = *first.get_or_insert(answer.open);
-            assert!((answer.open - expected).abs() < near, "{} and {expected}", answer.open);
-            assert!(answer.bound < 1e-9, "{}", answer.bound);
+        for fragments in [false, true] {
+            let settings = Settings { fragments, ..Settings::new(distance * scale) };
+            let answer = answer(&moved, settings, receiver);
+            let expected = *first.get_or_insert(answer.openness.open);
+            let Openness { open, bound, .. } = answer.openness;
+            assert!((open - expected).abs() < near, "{open} and {expected}, fragments {fragments}");
+            assert!(bound < 1e-8, "{bound}");
+            if fragments {
+                let sum: f64 = answer.fragments.iter().map(|f| f.factor).sum();
+                assert!((sum + open - 1.0).abs() < 1e-12, "{sum} {open}");
+            }
         }
     }
     first.unwrap()
@@ -64,10 +80,14 @@ fn assert_near(value: f64, expected: f64) {
 
 #[test]
 fn a_wall_leaves_half_and_more_with_its_distance() {
-    // So long that its ends change less than 10⁻⁶.
-    let (d, h, w) = (2.0, 3.0, 3000.0);
+    // An endless wall, but for what is missing at both ends: that of Howell's rectangle at a right angle.
+    let (d, h, w) = (2.0f64, 3.0f64, 60.0f64);
+    let (x, y) = (h / w, d / w);
+    let half = ((1.0 / y).atan() - y / x.hypot(y) * (1.0 / x.hypot(y)).atan()) / (2.0 * PI);
+    let endless = (1.0 + d / d.hypot(h)) / 2.0;
+    assert!((1.0 - 2.0 * half - endless).abs() < 1e-3);
     let wall = rectangle([d, -w, 0.0], [d, w, h]);
-    assert_near(open(&wall, f64::INFINITY), (1.0 + d / d.hypot(h)) / 2.0);
+    assert_near(open(&wall, f64::INFINITY), 1.0 - 2.0 * half);
 }
 
 #[test]
@@ -116,9 +136,7 @@ fn a_sphere_has_its_square_of_distances() {
         }
     }
     all.retain(|t| (t[1] - t[0]).cross(t[2] - t[0]).length() > 1e-9);
-    let blockers = Blockers::new(&scene(&all), true).unwrap();
-    let receiver = Receiver { point: DVec3::ZERO, normal: DVec3::Z, triangle: None };
-    let value = solve(&blockers, &[receiver], &Options::new(f64::INFINITY))[0].open;
+    let value = answer(&all, Settings::new(f64::INFINITY), up()).openness.open;
     let expected = 1.0 - radius * radius * tilt.cos() / (away * away);
     // Chords lie inside of the sphere.
     assert!(expected <= value && value < expected + 1e-4, "{value} {expected}");
@@ -178,9 +196,7 @@ fn slits_are_seen_to_a_thousandth() {
             rectangle([width / 2.0, -far, 1.0], [far, far, 1.0]),
         ]
         .concat();
-        let blockers = Blockers::new(&scene(&plates), true).unwrap();
-        let receiver = Receiver { point: DVec3::ZERO, normal: DVec3::Z, triangle: None };
-        let value = solve(&blockers, &[receiver], &Options::new(f64::INFINITY))[0].open;
+        let value = answer(&plates, Settings::new(f64::INFINITY), up()).openness.open;
         // The strip's factor, and what the plates leave at the horizon.
         let half = f64::from((width / 2.0) as f32);
         let strip = half / half.hypot(1.0);
@@ -274,5 +290,65 @@ fn a_triangle_that_holds_the_point_hides_nothing() {
     assert_near(open(&floor, f64::INFINITY), 1.0);
     let wall = rectangle([0.0, -1.0, -1.0], [0.0, 1.0, 1.0]);
     assert_near(open(&wall, f64::INFINITY), 1.0);
-    let _ = Vec3::ZERO;
+}
+
+#[test]
+fn falloff_lightens_by_the_root_of_the_distance() {
+    let (h, d) = (0.7f64, 2.0f64);
+    let c = h / d;
+    let expected = 4.0 / 3.0 * c.sqrt() - c * c / 3.0;
+    let settings = Settings { falloff: Falloff::Sqrt, ..Settings::new(d) };
+    let ceiling = rectangle([-10.0, -10.0, h], [10.0, 10.0, h]);
+    assert_near(answer(&ceiling, settings.clone(), up()).openness.open, expected);
+    // What is behind it changes nothing, nor does its division, nor what it is doubled by.
+    let mut more = ceiling.clone();
+    more.extend(rectangle([-10.0, -10.0, 0.9], [10.0, 10.0, 0.9]));
+    more.extend(rectangle([-1.0, -10.0, h], [10.0, 10.0, h]));
+    assert_near(answer(&more, settings, up()).openness.open, expected);
+}
+
+#[test]
+fn half_a_light_is_seen_past_a_wall() {
+    // A square light over the point, and a wall below half of it.
+    let (a, h) = (1.0f64, 2.0f64);
+    let light = Light::new(&[[-a, -a, h], [a, -a, h], [a, a, h], [-a, a, h]]).unwrap();
+    let (x, p) = (a / h, (a / h).hypot(1.0));
+    let whole = 4.0 * (2.0 * (x / p * (x / p).atan()) / (2.0 * PI));
+    let lit = |triangles: &[[DVec3; 3]]| {
+        let settings = Settings { lights: vec![light.clone()], ..Settings::new(0.5) };
+        answer(triangles, settings, up()).lights[0]
+    };
+    let aside = rectangle([50.0, 50.0, 0.0], [51.0, 51.0, 0.0]);
+    assert_near(lit(&aside), whole);
+    let half = rectangle([0.0, -5.0, 1.0], [5.0, 5.0, 1.0]);
+    assert_near(lit(&half), whole / 2.0);
+    // A wall behind the light hides nothing, one that crosses its plane hides with its nearer part; the light's own
+    // face in the scene hides nothing.
+    assert_near(lit(&rectangle([-5.0, -5.0, 3.0], [5.0, 5.0, 3.0])), whole);
+    assert_near(lit(&rectangle([-a, -a, h], [a, a, h])), whole);
+    let crossing = quad(DVec3::new(0.0, -5.0, 1.0), DVec3::Y * 10.0, DVec3::new(3.0, 0.0, 9.0));
+    let seen = lit(&crossing);
+    assert!(seen > whole / 2.0 && seen < whole, "{seen} {whole}");
+}
+
+#[test]
+fn points_in_a_closed_solid_are_inside() {
+    let closed = |outward: bool| {
+        let turn = |t: [DVec3; 3]| {
+            let (n, c) = ((t[1] - t[0]).cross(t[2] - t[0]), t[0] + t[1] + t[2]);
+            if (n.dot(c) > 0.0) == outward { t } else { [t[0], t[2], t[1]] }
+        };
+        walls([-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]).into_iter().map(turn).collect::<Vec<_>>()
+    };
+    let at = |triangles: &[[DVec3; 3]], point: DVec3, normal: DVec3| {
+        answer(triangles, Settings::new(f64::INFINITY), Receiver { point, normal, triangle: None }).inside
+    };
+    let (solid, room) = (closed(true), closed(false));
+    assert!(at(&solid, DVec3::new(0.1, 0.2, 0.3), DVec3::Z));
+    assert!(!at(&solid, DVec3::new(0.1, 0.2, 1.3), DVec3::Z));
+    // On the surface: above it, and below.
+    assert!(!at(&solid, DVec3::new(0.1, 0.2, 1.0), DVec3::Z));
+    assert!(at(&solid, DVec3::new(0.1, 0.2, 1.0), DVec3::NEG_Z));
+    // A room is no solid.
+    assert!(!at(&room, DVec3::new(0.1, 0.2, 0.3), DVec3::Z));
 }
