@@ -1,4 +1,5 @@
-//! The border of what a convex polygon and a cap have in common: pieces of great circles and of the cap's circle.
+//! The border of what a convex polygon and a cap have in common: pieces of great circles and of the cap's
+//! circle.
 
 use std::f64::consts::TAU;
 
@@ -28,8 +29,8 @@ pub enum Piece {
     },
 }
 
-/// The pieces of the border of what a polygon and a cap have in common. Two pieces that follow each other in the list
-/// need not do so along the border.
+/// The pieces of the border of what a polygon and a cap have in common. Two pieces that follow each other in
+/// the list need not do so along the border.
 pub fn common(corners: &[Corner], cap: &Cap) -> Vec<Piece> {
     let mut pieces = Vec::new();
     let covered = cap.covers(corners);

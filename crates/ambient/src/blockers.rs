@@ -1,5 +1,5 @@
-//! What hides in a scene: its blocking triangles, joined to convex polygons where neighbours lie in one plane, and a
-//! hierarchy of boxes over them.
+//! What hides in a scene: its blocking triangles, joined to convex polygons where neighbours lie in one
+//! plane, and a hierarchy of boxes over them.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;

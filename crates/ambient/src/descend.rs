@@ -1,5 +1,5 @@
-//! The way of a part of the sphere of directions down a partition (`visibilityQuery`, Algorithm 1): it is divided where
-//! hyperplanes pass through it, and ends in classes.
+//! The way of a part of the sphere of directions down a partition (`visibilityQuery`, Algorithm 1): it is
+//! divided where hyperplanes pass through it, and ends in classes.
 
 use glam::DVec3;
 
@@ -52,8 +52,8 @@ struct Part<'a> {
 }
 
 impl Part<'_> {
-    /// Whether an item may hide something of the part: not if all its corners lie beyond one of the borders, or its
-    /// plane beyond the distance. What doubles cannot tell may.
+    /// Whether an item may hide something of the part: not if all its corners lie beyond one of the borders,
+    /// or its plane beyond the distance. What doubles cannot tell may.
     fn may_meet(&self, items: &Items<'_>, id: u32) -> bool {
         if let What::Face(face) = items.item(id).what {
             let face = items.face(face);
@@ -80,8 +80,8 @@ pub struct Rays<'a, 'b> {
 }
 
 impl Rays<'_, '_> {
-    /// Takes a part of the directions from `x`, a point of the source from its origin, to its ends. Returns the bound
-    /// on the cosine-weighted area, divided by π, that may be at a wrong end.
+    /// Takes a part of the directions from `x`, a point of the source from its origin, to its ends. Returns
+    /// the bound on the cosine-weighted area, divided by π, that may be at a wrong end.
     pub fn descend(&mut self, x: DVec3, part: &[Corner], scratch: &mut Scratch, ends: &mut impl Ends) -> f64 {
         let reach = *self.items.reach();
         let mut bound = 0.0;
@@ -213,7 +213,8 @@ impl Rays<'_, '_> {
     }
 }
 
-/// A plane ahead of a point: its unit normal away from the point, its distance, and the relative error of both.
+/// A plane ahead of a point: its unit normal away from the point, its distance, and the relative error of
+/// both.
 #[derive(Clone, Copy)]
 struct Ahead {
     normal: DVec3,
@@ -221,15 +222,16 @@ struct Ahead {
     error: f64,
 }
 
-/// The directions in which one plane is met before another: those with m·ω > 0, as the distances to the planes along ω
-/// are height / (normal·ω).
+/// The directions in which one plane is met before another: those with m·ω > 0, as the distances to the
+/// planes along ω are height / (normal·ω).
 fn before(one: Ahead, other: Ahead) -> Plane {
     let m = one.normal * other.height - other.normal * one.height;
     Plane { m, error: (one.height + other.height) * (one.error + other.error + 8.0 * U) }
 }
 
-/// Divides the current part by a plane: the inner part goes on at the first node, the outer one waits at the second, or
-/// the other way round if only one is there. Returns where the current part goes, and what may be on the wrong side.
+/// Divides the current part by a plane: the inner part goes on at the first node, the outer one waits at the
+/// second, or the other way round if only one is there. Returns where the current part goes, and what may be
+/// on the wrong side.
 fn sort(plane: &Plane, to: [u32; 2], caps: u32, scratch: &mut Scratch) -> (u32, f64) {
     let [inside, outside] = to;
     match side(plane, &scratch.current, &mut scratch.values) {

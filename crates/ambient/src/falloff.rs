@@ -1,15 +1,16 @@
-//! The falloff of section 5.3 of the paper, as an integral over what is seen: a direction in which a face is met at the
-//! distance d < D counts √(d/D). (Equation 4 there takes the barycentre of each fragment, so that its value depends on
-//! how fragments were cut.)
+//! The falloff of section 5.3 of the paper, as an integral over what is seen: a direction in which a face is
+//! met at the distance d < D counts √(d/D). (Equation 4 there takes the barycentre of each fragment, so that
+//! its value depends on how fragments were cut.)
 //!
-//! Let N be the unit normal of the face's plane, h the point's distance from it, and μ = N·ω. Along ω the plane is h/μ
-//! away, so a part adds √(h/D) ∫ μ^(−½) (n·ω) dω. In the plane at distance 1, at p = ω/μ − N, dω = μ³ dp and
-//! μ = (1 + p²)^(−½); with n = (n·N) N + t the integral is that of
+//! Let N be the unit normal of the face's plane, h the point's distance from it, and μ = N·ω. Along ω the
+//! plane is h/μ away, so a part adds √(h/D) ∫ μ^(−½) (n·ω) dω. In the plane at distance 1, at p = ω/μ − N, dω
+//! = μ³ dp and μ = (1 + p²)^(−½); with n = (n·N) N + t the integral is that of
 //!
 //! - (n·N) μ^(7/2), the divergence of (n·N) ⅔ (1 − μ^(3/2)) p / p²,
 //! - (t·p) μ^(7/2), the divergence of −⅔ μ^(3/2) t,
 //!
-//! and so one along the border: in closed form on the circle of the distance, by Gauss' rule on great circles.
+//! and so one along the border: in closed form on the circle of the distance, by Gauss' rule on great
+//! circles.
 
 use glam::DVec3;
 
@@ -27,8 +28,8 @@ const RULE: [(f64, f64); 4] = [
     (0.960_289_856_497_536_3, 0.101_228_536_290_376_3),
 ];
 
-/// What a part that meets a plane counts, divided by π, where it meets it within the distance. `cap` has the plane's
-/// normal, and its height by the distance as its cosine.
+/// What a part that meets a plane counts, divided by π, where it meets it within the distance. `cap` has the
+/// plane's normal, and its height by the distance as its cosine.
 pub fn counts(n: DVec3, corners: &[Corner], cap: &Cap) -> f64 {
     let normal = cap.axis;
     let up = n.dot(normal);

@@ -20,8 +20,9 @@ const STEP: f64 = std::f64::consts::PI / 36.0;
 pub struct Fragment {
     /// The polygon's number among the blockers; of answers, the triangle.
     pub polygon: u32,
-    /// The directions of its corners, unit vectors in the order in which they turn to the left as seen from outside of
-    /// the sphere. The circle of the distance is given by points, so that it is cut short a little.
+    /// The directions of its corners, unit vectors in the order in which they turn to the left as seen from
+    /// outside of the sphere. The circle of the distance is given by points, so that it is cut short a
+    /// little.
     pub directions: Vec<DVec3>,
     /// Its share of the hemisphere, weighted by the cosine; the circle of the distance counts as it is.
     pub factor: f64,
@@ -87,8 +88,8 @@ impl<F: Fn(u32) -> Face> Ends for Collect<'_, F> {
     }
 }
 
-/// The openness of a receiver of a source, by the partition of first hits, and its fragments if they are wanted. They
-/// are as the partition divided them: one polygon may have several.
+/// The openness of a receiver of a source, by the partition of first hits, and its fragments if they are
+/// wanted. They are as the partition divided them: one polygon may have several.
 pub fn first(
     rays: &mut Rays<'_, '_>,
     receiver: &Receiver,

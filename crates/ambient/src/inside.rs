@@ -34,8 +34,9 @@ impl Inside {
         Ok(Self { bvh: Bvh::new(boxes, order), triangles, bounds })
     }
 
-    /// Whether a receiver, a hair above its surface, is inside of a solid. A line from it leaves as many solids more
-    /// than it enters as it starts in. Where every line that is tried touches an edge, it is taken as outside.
+    /// Whether a receiver, a hair above its surface, is inside of a solid. A line from it leaves as many
+    /// solids more than it enters as it starts in. Where every line that is tried touches an edge, it is
+    /// taken as outside.
     pub fn holds(&self, receiver: &Receiver) -> bool {
         let x = receiver.point;
         let box_ = (self.bounds.min.as_dvec3(), self.bounds.max.as_dvec3());
@@ -61,8 +62,8 @@ impl Inside {
     }
 }
 
-/// 1 when a ray leaves through a triangle along its normal, −1 when it enters, 0 when it misses it or starts in its
-/// plane; none when doubles cannot tell.
+/// 1 when a ray leaves through a triangle along its normal, −1 when it enters, 0 when it misses it or starts
+/// in its plane; none when doubles cannot tell.
 fn crossing(triangle: &[Vec3; 3], x: DVec3, way: DVec3) -> Option<i64> {
     let [a, b, c] = triangle.map(|p| p.as_dvec3() - x);
     let rounded = 4.0 * U * x.abs().max_element();
@@ -83,7 +84,8 @@ fn crossing(triangle: &[Vec3; 3], x: DVec3, way: DVec3) -> Option<i64> {
         return Some(0);
     }
     let [Some(side), Some(_), Some(_)] = sides else { return None };
-    // With all three positive the triangle turns to the left about the ray: it leaves through it if it is ahead.
+    // With all three positive the triangle turns to the left about the ray: it leaves through it if it is
+    // ahead.
     let ahead = (height > 0.0) == (normal.dot(way) > 0.0);
     Some(i64::from(ahead) * if side { 1 } else { -1 })
 }

@@ -1,5 +1,5 @@
-//! What may hide something from a block of receivers: polygons, and boxes that stand for the polygons inside until
-//! they are opened (section 6.6 of the paper asks for such a far field).
+//! What may hide something from a block of receivers: polygons, and boxes that stand for the polygons inside
+//! until they are opened (section 6.6 of the paper asks for such a far field).
 
 use glam::DVec3;
 use sightline_exact::Below;
@@ -65,7 +65,8 @@ pub struct Face {
     pub error: f64,
     /// Where the source lies.
     pub from: From,
-    /// Whether it hides from everywhere in the source all that is behind it, because all of it is within reach.
+    /// Whether it hides from everywhere in the source all that is behind it, because all of it is within
+    /// reach.
     pub within: bool,
 }
 
@@ -170,7 +171,8 @@ impl<'a> Items<'a> {
         &self.faces[face as usize]
     }
 
-    /// The items to begin with, the largest first: boxes that take more than `largest` of solid angle are opened.
+    /// The items to begin with, the largest first: boxes that take more than `largest` of solid angle are
+    /// opened.
     pub fn begin(&mut self, largest: f64) -> Vec<u32> {
         let mut open = Vec::new();
         if !self.blockers.bvh().is_empty() {

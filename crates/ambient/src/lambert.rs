@@ -1,9 +1,11 @@
-//! Lambert's formula: the cosine-weighted area of a part of the sphere of directions (Apostu et al., "Analytic Ambient
-//! Occlusion using Exact from-Polygon Visibility", equation 2), for polygons and for what circles leave of them.
+//! Lambert's formula: the cosine-weighted area of a part of the sphere of directions (Apostu et al.,
+//! "Analytic Ambient Occlusion using Exact from-Polygon Visibility", equation 2), for polygons and for what
+//! circles leave of them.
 //!
-//! By Stokes' theorem ∫ ω dω = ½ ∮ r × dr along the border. An arc of a great circle adds half its angle times the
-//! unit normal of its plane; an arc of a circle about an axis has a closed form too, so that the circle of directions
-//! in which a plane is at a given distance is integrated as it is (section 4.3 there), and not by chords.
+//! By Stokes' theorem ∫ ω dω = ½ ∮ r × dr along the border. An arc of a great circle adds half its angle
+//! times the unit normal of its plane; an arc of a circle about an axis has a closed form too, so that the
+//! circle of directions in which a plane is at a given distance is integrated as it is (section 4.3 there),
+//! and not by chords.
 
 use std::f64::consts::TAU;
 
@@ -43,8 +45,8 @@ fn arc(n: DVec3, v: DVec3, w: DVec3) -> f64 {
     if size > 0.0 { n.dot(c) * (angle(size, v.dot(w)) / size) } else { 0.0 }
 }
 
-/// The cosine-weighted area of a polygon divided by π: 1 for the hemisphere over `n`. Polygons of fewer than three
-/// corners have none.
+/// The cosine-weighted area of a polygon divided by π: 1 for the hemisphere over `n`. Polygons of fewer than
+/// three corners have none.
 pub fn cosine(n: DVec3, corners: &[Corner]) -> f64 {
     let [.., last] = corners else { return 0.0 };
     let mut v = last.at;
@@ -169,8 +171,8 @@ fn outside(v: DVec3, w: DVec3, length: f64, caps: &[Cap], cuts: &mut Vec<f64>) -
     sum
 }
 
-/// What the circle of cap `k`, turning to the left about its axis, adds where it lies in the polygon and outside of the
-/// other caps.
+/// What the circle of cap `k`, turning to the left about its axis, adds where it lies in the polygon and
+/// outside of the other caps.
 fn border(n: DVec3, corners: &[Corner], caps: &[Cap], k: usize, cuts: &mut Vec<f64>) -> f64 {
     let cap = caps[k];
     let (u, v) = cap.across();

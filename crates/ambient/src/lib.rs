@@ -1,15 +1,16 @@
 //! Ambient occlusion without noise: what a point's hemisphere is free of, as a sum over exact parts of it.
 //!
-//! The openness of a point x with normal n, for a distance D, is 1/π ∫ free(ω) (n·ω) dω over the hemisphere above n
-//! (Apostu et al., "Analytic Ambient Occlusion using Exact from-Polygon Visibility", equation 1). A direction ω is free
-//! if no triangle, from either side, is met along it closer than D. A triangle whose plane holds x hides nothing. All
-//! lengths are in units of the scene, and all vectors in its frame.
+//! The openness of a point x with normal n, for a distance D, is 1/π ∫ free(ω) (n·ω) dω over the hemisphere
+//! above n (Apostu et al., "Analytic Ambient Occlusion using Exact from-Polygon Visibility", equation 1). A
+//! direction ω is free if no triangle, from either side, is met along it closer than D. A triangle whose
+//! plane holds x hides nothing. All lengths are in units of the scene, and all vectors in its frame.
 //!
-//! Receivers are sorted into blocks. The points of a block share a partition of rays: a tree of the Plücker hyperplanes
-//! of the occluders' edges, which grows where queries arrive. A query takes the quarters of a point's hemisphere down
-//! the tree, divides them where hyperplanes pass through them, and adds up Lambert's closed form over the parts that
-//! end free. No ray is sampled and nothing is random. Positions are doubles; a sign that doubles cannot tell moves an
-//! area from one part to another, and the sum of these areas is the answer's bound.
+//! Receivers are sorted into blocks. The points of a block share a partition of rays: a tree of the Plücker
+//! hyperplanes of the occluders' edges, which grows where queries arrive. A query takes the quarters of a
+//! point's hemisphere down the tree, divides them where hyperplanes pass through them, and adds up Lambert's
+//! closed form over the parts that end free. No ray is sampled and nothing is random. Positions are doubles;
+//! a sign that doubles cannot tell moves an area from one part to another, and the sum of these areas is the
+//! answer's bound.
 //!
 //! The crate has one module for each subject. A module depends only on those above it in this list:
 //!

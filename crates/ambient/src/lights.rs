@@ -40,16 +40,16 @@ pub const MOST_CORNERS: usize = 1024;
 pub struct Light {
     corners: Vec<DVec3>,
     normal: DVec3,
-    /// How far corners are off the plane because they are rounded to single precision, as those of the scene are.
+    /// How far corners are off the plane because they are rounded to single precision, as those of the scene
+    /// are.
     slack: f64,
 }
 
 impl Light {
-    /// A light from its corners, in world space and in order around it. They are rounded to single precision like the
-    /// scene's, so that a light that is a face of the scene lies in its plane.
+    /// A light from its corners, in world space and in order around it. They are rounded to single precision
+    /// like the scene's, so that a light that is a face of the scene lies in its plane.
     ///
-    /// # Errors
-    /// [`LightError`] when it is not a convex polygon.
+    /// # Errors [`LightError`] when it is not a convex polygon.
     pub fn new(corners: &[[f64; 3]]) -> Result<Self, LightError> {
         if !(3..=MOST_CORNERS).contains(&corners.len()) {
             return Err(LightError::Corners(corners.len()));
@@ -93,7 +93,8 @@ impl Light {
         &self.corners
     }
 
-    /// The polygon of directions from `x` to what of the light is over the horizon of `n`; none from its plane.
+    /// The polygon of directions from `x` to what of the light is over the horizon of `n`; none from its
+    /// plane.
     fn seen_from(&self, x: DVec3, n: DVec3) -> Vec<Corner> {
         let height = self.normal.dot(self.corners[0] - x);
         let most = self.corners.iter().fold(0.0f64, |m, c| m.max((*c - x).length()));
@@ -136,7 +137,8 @@ impl Ends for Sum {
     fn met(&mut self, _: u32, _: &[Corner]) {}
 }
 
-/// The form factors of a light from the receivers of one block, each with the bound on what rounding can have changed.
+/// The form factors of a light from the receivers of one block, each with the bound on what rounding can have
+/// changed.
 pub fn factors(
     blockers: &Blockers,
     receivers: &[Receiver],

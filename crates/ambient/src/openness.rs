@@ -1,5 +1,5 @@
-//! The free share of a point's hemisphere (equation 1 of the paper): the sum of Lambert's formula over what meets
-//! nothing within the distance.
+//! The free share of a point's hemisphere (equation 1 of the paper): the sum of Lambert's formula over what
+//! meets nothing within the distance.
 
 use glam::DVec3;
 

@@ -1,15 +1,16 @@
-//! The ray partition of a source (Apostu et al., sections 4.1 and 5.1): a binary tree of the Plücker hyperplanes of
-//! edges, whose leaves are classes of rays that start in the source.
+//! The ray partition of a source (Apostu et al., sections 4.1 and 5.1): a binary tree of the Plücker
+//! hyperplanes of edges, whose leaves are classes of rays that start in the source.
 //!
-//! A hyperplane belongs to the line through an edge a–b: on which side of it a ray from s through t passes is the sign
-//! of ((a − s) × (b − s))·(t − s). The form is linear in s and in t, so its sign for all rays from one convex set to
-//! another is that for the rays between their corners (theorem 1 and corollary, section 3.2). Where doubles cannot
-//! tell, an item goes to both sides, which costs time and hides nothing wrongly (section 5.2, "conservative
-//! insertion"). The tree grows where queries arrive.
+//! A hyperplane belongs to the line through an edge a–b: on which side of it a ray from s through t passes is
+//! the sign of ((a − s) × (b − s))·(t − s). The form is linear in s and in t, so its sign for all rays from
+//! one convex set to another is that for the rays between their corners (theorem 1 and corollary, section
+//! 3.2). Where doubles cannot tell, an item goes to both sides, which costs time and hides nothing wrongly
+//! (section 5.2, "conservative insertion"). The tree grows where queries arrive.
 //!
-//! There are two kinds of trees. In a union a class ends at any face that hides all of its rays: no matter which one is
-//! first, so triangles may cross each other. In a tree of first hits a class has the first face that its rays meet, and
-//! where planes cross, a class is divided by the line in which they do (section 4.1 wants such scenes prepared).
+//! There are two kinds of trees. In a union a class ends at any face that hides all of its rays: no matter
+//! which one is first, so triangles may cross each other. In a tree of first hits a class has the first face
+//! that its rays meet, and where planes cross, a class is divided by the line in which they do (section 4.1
+//! wants such scenes prepared).
 
 use glam::DVec3;
 
@@ -112,8 +113,8 @@ fn l1(v: DVec3) -> f64 {
     v.x.abs() + v.y.abs() + v.z.abs()
 }
 
-/// The plane through a point `x` and the line from `a` to `b`. A difference is off by a rounding, and by the point's
-/// own error; a product of two and the sum of three add three roundings, and m·v as many.
+/// The plane through a point `x` and the line from `a` to `b`. A difference is off by a rounding, and by the
+/// point's own error; a product of two and the sum of three add three roundings, and m·v as many.
 pub fn plane(a: DVec3, b: DVec3, x: DVec3) -> Plane {
     let (p, q) = (a - x, b - x);
     Plane { m: p.cross(q), error: 8.0 * U * l1(p) * l1(q) }
@@ -194,9 +195,9 @@ impl Partition {
         }
     }
 
-    /// Defines an undefined class by the largest of its items that may hide something from a part of it. `None` when
-    /// none may: then the class stays undefined, and the part is that of the class's face, or free. `may` says whether
-    /// an item may.
+    /// Defines an undefined class by the largest of its items that may hide something from a part of it.
+    /// `None` when none may: then the class stays undefined, and the part is that of the class's face, or
+    /// free. `may` says whether an item may.
     pub fn grow(
         &mut self,
         at: u32,
@@ -262,7 +263,8 @@ impl Partition {
         leaf: &Undefined,
     ) {
         let (first, n, far) = (items.first(item), items.corners(item).len() as u32, items.item(item).far);
-        // From the front the corners turn to the left as seen from the point, and so to the right from outside.
+        // From the front the corners turn to the left as seen from the point, and so to the right from
+        // outside.
         let edge = |k: u32| {
             let (a, b) = (first + k, first + (k + 1) % n);
             if front { (b, a) } else { (a, b) }
@@ -354,8 +356,8 @@ pub enum Grown {
     Nothing(Option<u32>),
 }
 
-/// Whether corners lie on or behind a face, for rays that start on the given side of it: what they hide, the face hides
-/// from nearer by (`depthCulling`).
+/// Whether corners lie on or behind a face, for rays that start on the given side of it: what they hide, the
+/// face hides from nearer by (`depthCulling`).
 fn is_behind(face: &Face, front: bool, corners: &[DVec3]) -> bool {
     corners.iter().all(|c| {
         let d = *c - face.at;

@@ -1,9 +1,10 @@
-//! Convex polygons on the sphere of directions, bounded by great circles, and their division by planes through the
-//! point.
+//! Convex polygons on the sphere of directions, bounded by great circles, and their division by planes
+//! through the point.
 //!
-//! A polygon is the list of its corners in the order in which they turn to the left as seen from outside of the sphere.
-//! Each corner has the plane of the border that starts there, so that a border keeps the direction of the plane that cut
-//! it however short it gets: the planes through two near corners would not be the same.
+//! A polygon is the list of its corners in the order in which they turn to the left as seen from outside of
+//! the sphere. Each corner has the plane of the border that starts there, so that a border keeps the
+//! direction of the plane that cut it however short it gets: the planes through two near corners would not be
+//! the same.
 
 use std::f64::consts::PI;
 
@@ -36,12 +37,12 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// Bound on the cosine-weighted area, divided by π, of a polygon's part that the plane's error can move from one
-    /// side to the other.
+    /// Bound on the cosine-weighted area, divided by π, of a polygon's part that the plane's error can move
+    /// from one side to the other.
     ///
-    /// The true plane differs by an angle of at most error / |m|, so the two differ within the polygon by strips of at
-    /// most that width, whose length is at most half of the polygon's outline and so twice its extent; and by no more
-    /// than the polygon.
+    /// The true plane differs by an angle of at most error / |m|, so the two differ within the polygon by
+    /// strips of at most that width, whose length is at most half of the polygon's outline and so twice its
+    /// extent; and by no more than the polygon.
     pub fn uncertain(&self, corners: &[Corner]) -> f64 {
         let Some(first) = corners.first() else { return 0.0 };
         let extent = corners.iter().fold(0.0f64, |most, v| most.max((v.at - first.at).abs().element_sum()));
@@ -55,8 +56,8 @@ impl Plane {
 /// Strips of less area are not compared with the polygon's.
 const LITTLE: f64 = 1e-13;
 
-/// Bound on the area of a polygon of at most a quarter of the sphere, divided by π: that of the triangles of a fan on
-/// the planes through their first corners, which stand over them.
+/// Bound on the area of a polygon of at most a quarter of the sphere, divided by π: that of the triangles of
+/// a fan on the planes through their first corners, which stand over them.
 fn most_area(corners: &[Corner]) -> f64 {
     let [first, rest @ ..] = corners else { return 0.0 };
     let fan = rest.windows(2).map(|w| {
@@ -95,8 +96,8 @@ pub fn side(plane: &Plane, corners: &[Corner], values: &mut Vec<f64>) -> Side {
     }
 }
 
-/// Divides a polygon that lies on both sides. Corners within the plane's error of it belong to both parts. A part may
-/// have fewer than three corners, and then has no area.
+/// Divides a polygon that lies on both sides. Corners within the plane's error of it belong to both parts. A
+/// part may have fewer than three corners, and then has no area.
 pub fn split(
     plane: &Plane,
     corners: &[Corner],

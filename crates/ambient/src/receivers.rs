@@ -12,11 +12,13 @@ pub struct Receiver {
     pub point: DVec3,
     /// The normal, of any length but 0. The hemisphere over it counts.
     pub normal: DVec3,
-    /// The triangle it lies on, if it is known: it hides nothing, nor does what lies in its plane and is joined to it.
+    /// The triangle it lies on, if it is known: it hides nothing, nor does what lies in its plane and is
+    /// joined to it.
     pub triangle: Option<u32>,
 }
 
-/// The convex set S that rays start from: the hull of some corners holds all points of a block, but for a slack.
+/// The convex set S that rays start from: the hull of some corners holds all points of a block, but for a
+/// slack.
 #[derive(Clone, Debug)]
 pub struct Source {
     /// Where coordinates start: a point near the middle, which single precision can hold.
@@ -41,7 +43,8 @@ impl Source {
             (min, max) = (min.min(r.point), max.max(r.point));
         }
         let origin = ((min + max) * 0.5).as_vec3().as_dvec3();
-        // Rounding of a point's coordinates, of its difference from the origin, and of the turn to a frame and back.
+        // Rounding of a point's coordinates, of its difference from the origin, and of the turn to a frame
+        // and back.
         let slack = 4.0 * U * min.abs().max(max.abs()).max_element() + 64.0 * U * (max - min).length();
         let first = receivers.first().map_or(DVec3::Z, |r| r.normal);
         let same = receivers.iter().all(|r| r.normal == first);
@@ -68,8 +71,9 @@ impl Source {
 /// The coordinate's bits in a Morton code.
 const BITS: u32 = 21;
 
-/// Sorts receivers into blocks of at most `most` that lie near each other, on the same triangle if that is known, and
-/// whose extent is at most `size`. The blocks hold the receivers' numbers. They depend on the receivers alone.
+/// Sorts receivers into blocks of at most `most` that lie near each other, on the same triangle if that is
+/// known, and whose extent is at most `size`. The blocks hold the receivers' numbers. They depend on the
+/// receivers alone.
 pub fn blocks(
     receivers: &[Receiver],
     polygon: impl Fn(u32) -> Option<u32>,

@@ -1,5 +1,5 @@
-//! Answers for many receivers, in blocks that share a partition and nothing else. So blocks may be solved in any order,
-//! on any machine, and answers are functions of scene, receivers and settings.
+//! Answers for many receivers, in blocks that share a partition and nothing else. So blocks may be solved in
+//! any order, on any machine, and answers are functions of scene, receivers and settings.
 
 use rayon::prelude::*;
 use sightline_scene::{Scene, SceneError};
@@ -34,8 +34,8 @@ pub struct Settings {
     pub fragments: bool,
     /// Lights whose form factors are wanted. All of the scene may hide them, whatever the distance.
     pub lights: Vec<Light>,
-    /// Most receivers of a block, and its largest extent by the distance. They change times, and answers within their
-    /// bounds.
+    /// Most receivers of a block, and its largest extent by the distance. They change times, and answers
+    /// within their bounds.
     pub block: (usize, f64),
 }
 
@@ -113,8 +113,8 @@ impl Solver {
         blocks(receivers, |t| self.joined.of(t), most, size)
     }
 
-    /// Answers for all receivers, in their order, on all of rayon's threads. `done` is told of how many more there are
-    /// answers.
+    /// Answers for all receivers, in their order, on all of rayon's threads. `done` is told of how many more
+    /// there are answers.
     pub fn solve(&self, receivers: &[Receiver], done: impl Fn(usize) + Sync) -> Vec<Answer> {
         let blocks = self.blocks(receivers);
         let answers: Vec<Vec<Answer>> = blocks

@@ -322,8 +322,8 @@ fn half_a_light_is_seen_past_a_wall() {
     assert_near(lit(&aside), whole);
     let half = rectangle([0.0, -5.0, 1.0], [5.0, 5.0, 1.0]);
     assert_near(lit(&half), whole / 2.0);
-    // A wall behind the light hides nothing, one that crosses its plane hides with its nearer part; the light's own
-    // face in the scene hides nothing.
+    // A wall behind the light hides nothing, one that crosses its plane hides with its nearer part; the
+    // light's own face in the scene hides nothing.
     assert_near(lit(&rectangle([-5.0, -5.0, 3.0], [5.0, 5.0, 3.0])), whole);
     assert_near(lit(&rectangle([-a, -a, h], [a, a, h])), whole);
     let crossing = quad(DVec3::new(0.0, -5.0, 1.0), DVec3::Y * 10.0, DVec3::new(3.0, 0.0, 9.0));
