@@ -58,9 +58,9 @@ pub use cells::{
     CellGroup, Decided, ExactScene, Found, GroupDecided, Places, QueryStatistics, Sources, Task,
     box_from_cell, decide, decide_group, decide_listed, from_cell,
 };
-pub use geometry::{Cell, Polygon, PolygonError, Source, polygon, predicates};
+pub use geometry::{Below, Bvh, Cell, Polygon, PolygonError, Source, polygon, predicates};
 pub use line_space::Decisions;
-pub use occluders::Occluders;
+pub use occluders::{Occluder, OccluderId, Occluders};
 pub use search::{Antipenumbra, NoAntipenumbra, Surface, Swath, antipenumbra};
 pub use search::{Cost, Limits, Reason, Stabbed, Verdict, sightlines, sightlines_until, stab};
 

@@ -7,6 +7,7 @@ pub mod polygon;
 pub mod predicates;
 mod view_cell;
 
+pub use bvh::{Below, Bvh};
 pub use frame::Source;
 pub use polygon::{Polygon, PolygonError};
 pub use view_cell::Cell;

@@ -6,5 +6,5 @@ mod occluder;
 pub(crate) mod segment;
 mod set;
 
-pub use occluder::{OccluderId, OrientedOccluder};
+pub use occluder::{Occluder, OccluderId, OrientedOccluder};
 pub use set::Occluders;

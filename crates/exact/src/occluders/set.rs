@@ -51,6 +51,14 @@ impl Occluders {
                 "leave --cull-back-faces out, or give --method aggressive",
             ));
         }
+        Self::from_both_sides(scene)
+    }
+
+    /// [`Occluders::new`] for what takes every triangle as seen from both sides, whatever the scene says.
+    ///
+    /// # Errors
+    /// As [`corner_vertices`]: when the scene has more corners than can be numbered.
+    pub fn from_both_sides(scene: &Scene) -> Result<Self, SceneError> {
         let corners = corner_vertices(scene)?;
         let triangles: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
         let ids = (0..scene.len()).into_par_iter();

@@ -1,0 +1,123 @@
+//! The border of what a convex polygon and a cap have in common: pieces of great circles and of the cap's
+//! circle.
+
+use std::f64::consts::TAU;
+
+use glam::DVec3;
+
+use crate::lambert::{Cap, Covered};
+use crate::polygon::Corner;
+
+/// A piece of a border, which turns to the left as seen from outside of the sphere.
+#[derive(Clone, Copy, Debug)]
+pub enum Piece {
+    /// The directions v cos t + w sin t, 0 ≤ t ≤ length, of a great circle.
+    Great {
+        /// Where it starts.
+        v: DVec3,
+        /// Where it goes, at a right angle.
+        w: DVec3,
+        /// Its length in radians.
+        length: f64,
+    },
+    /// The directions of the cap's circle at angles between these two, from [`Cap::across`].
+    Circle {
+        /// The first angle.
+        from: f64,
+        /// The last angle, which is larger.
+        to: f64,
+    },
+}
+
+/// The pieces of the border of what a polygon and a cap have in common. Two pieces that follow each other in
+/// the list need not do so along the border.
+pub fn common(corners: &[Corner], cap: &Cap) -> Vec<Piece> {
+    let mut pieces = Vec::new();
+    let covered = cap.covers(corners);
+    if covered == Covered::None {
+        return pieces;
+    }
+    for (i, v) in corners.iter().enumerate() {
+        let next = corners[if i + 1 == corners.len() { 0 } else { i + 1 }].at;
+        let way = v.border.cross(v.at);
+        let length = libm::atan2(v.at.cross(next).length(), v.at.dot(next));
+        let (mut from, mut to) = (0.0, length);
+        if covered == Covered::Part {
+            // Inside of a cap is one stretch of a great circle: R cos(t − middle) > cosine.
+            let (a, b) = (cap.axis.dot(v.at), cap.axis.dot(way));
+            let size = (a * a + b * b).sqrt();
+            if size <= cap.cosine {
+                continue;
+            }
+            let (middle, half) = (libm::atan2(b, a), libm::acos(cap.cosine / size));
+            // Neither is longer than half a turn, so that only one of the two can overlap the border.
+            let middle = if middle + half < 0.0 { middle + TAU } else { middle };
+            (from, to) = (f64::max(middle - half, 0.0), f64::min(middle + half, length));
+        }
+        if to > from {
+            let (sin, cos) = libm::sincos(from);
+            let (v, w) = (v.at * cos + way * sin, way * cos - v.at * sin);
+            pieces.push(Piece::Great { v, w, length: to - from });
+        }
+    }
+    if covered == Covered::Part {
+        pieces.extend(circle(corners, cap).into_iter().map(|[from, to]| Piece::Circle { from, to }));
+    }
+    pieces
+}
+
+/// The angles at which the cap's circle lies inside of a polygon.
+fn circle(corners: &[Corner], cap: &Cap) -> Vec<[f64; 2]> {
+    let (u, v) = cap.across();
+    let (cos_a, sin_a) = (cap.cosine, cap.sine());
+    let mut cuts: Vec<f64> = Vec::new();
+    for c in corners {
+        let (height, a, b) =
+            (c.border.dot(cap.axis) * cos_a, c.border.dot(u) * sin_a, c.border.dot(v) * sin_a);
+        let size = (a * a + b * b).sqrt();
+        if size > height.abs() {
+            let (middle, half) = (libm::atan2(b, a), libm::acos(-height / size));
+            cuts.extend([middle - half, middle + half].map(|t| t.rem_euclid(TAU)));
+        }
+    }
+    cuts.sort_unstable_by(f64::total_cmp);
+    let ends: Vec<[f64; 2]> = match (cuts.first(), cuts.last()) {
+        (Some(first), Some(last)) => {
+            cuts.windows(2).map(|w| [w[0], w[1]]).chain([[*last, first + TAU]]).collect()
+        }
+        _ => vec![[0.0, TAU]],
+    };
+    let inside = |[from, to]: &[f64; 2]| {
+        let at = cap.on_circle(u, v, 0.5 * (from + to));
+        corners.iter().all(|c| c.border.dot(at) > 0.0)
+    };
+    ends.into_iter().filter(|e| e[1] > e[0]).filter(inside).collect()
+}
+
+/// Directions on the border in order, at most `step` radians apart on the cap's circle.
+pub fn outline(corners: &[Corner], cap: &Cap, step: f64) -> Vec<DVec3> {
+    let (u, v) = cap.across();
+    let mut points = Vec::new();
+    for piece in common(corners, cap) {
+        match piece {
+            Piece::Great { v, w, length } => {
+                let (sin, cos) = libm::sincos(length);
+                points.extend([v, v * cos + w * sin]);
+            }
+            Piece::Circle { from, to } => {
+                let n = ((to - from) / step).ceil().max(1.0) as u32;
+                let at = |k: u32| from + (to - from) * f64::from(k) / f64::from(n);
+                points.extend((0..=n).map(|k| cap.on_circle(u, v, at(k))));
+            }
+        }
+    }
+    // What is common to convex sets is convex, so its border turns once around its middle.
+    let middle = points.iter().sum::<DVec3>().normalize_or(cap.axis);
+    let (u, v) = middle.any_orthonormal_pair();
+    let (u, v) = if u.cross(v).dot(middle) > 0.0 { (u, v) } else { (v, u) };
+    let mut turned: Vec<(f64, DVec3)> =
+        points.into_iter().map(|p| (libm::atan2(v.dot(p), u.dot(p)), p)).collect();
+    turned.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+    turned.dedup_by(|a, b| (a.1 - b.1).length_squared() < 1e-24);
+    turned.into_iter().map(|(_, p)| p).collect()
+}

@@ -1,0 +1,99 @@
+//! What hides in a scene: its blocking triangles, joined to convex polygons where neighbours lie in one
+//! plane, and a hierarchy of boxes over them.
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+use sightline_exact::{Bvh, OccluderId, Occluders};
+use sightline_numbers::Aabb;
+use sightline_scene::exact::collinear;
+use sightline_scene::{Scene, SceneError};
+
+/// A convex polygon of the scene.
+struct Polygon {
+    first: u32,
+    count: u32,
+    /// A triangle of it, the first.
+    triangle: u32,
+}
+
+/// The polygons of a scene that hide, in a fixed order.
+pub struct Blockers {
+    corners: Vec<Vec3>,
+    polygons: Vec<Polygon>,
+    /// The polygon of each triangle, if it has an area and hides.
+    of: Vec<Option<u32>>,
+    bvh: Bvh,
+}
+
+impl Blockers {
+    /// The polygons of a scene: coplanar neighbours joined while they are convex, else its triangles.
+    ///
+    /// # Errors
+    /// When the scene has more corners than can be numbered.
+    pub fn new(scene: &Scene, joined: bool) -> Result<Self, SceneError> {
+        let (mut corners, mut polygons) = (Vec::new(), Vec::new());
+        let mut of = vec![None; scene.triangles().len()];
+        let mut add = |outline: &[Vec3], triangle: u32| {
+            let first = corners.len() as u32;
+            let n = outline.len();
+            // Corners on the line through their neighbours bound nothing.
+            let bent =
+                (0..n).filter(|i| !collinear(outline[(i + n - 1) % n], outline[*i], outline[(i + 1) % n]));
+            corners.extend(bent.map(|i| outline[i]));
+            polygons.push(Polygon { first, count: corners.len() as u32 - first, triangle });
+        };
+        if joined {
+            let occluders = Occluders::from_both_sides(scene)?;
+            for id in 0..occluders.count() as u32 {
+                let occluder = occluders.occluder(OccluderId(id));
+                add(&occluder.outline(), occluder.triangles[0].triangle);
+            }
+            for (t, polygon) in of.iter_mut().enumerate() {
+                *polygon = occluders.of(t as u32).map(|id| id.0);
+            }
+        } else {
+            for (t, triangle) in scene.triangles().iter().enumerate().filter(|(t, _)| scene.blocks(*t as u32))
+            {
+                add(&triangle.v, t as u32);
+            }
+            for (k, p) in polygons.iter().enumerate() {
+                of[p.triangle as usize] = Some(k as u32);
+            }
+        }
+        let boxes: Vec<Aabb> = polygons
+            .par_iter()
+            .map(|p: &Polygon| {
+                Aabb::around(corners[p.first as usize..(p.first + p.count) as usize].iter().copied())
+            })
+            .collect();
+        let order = (0..polygons.len() as u32).collect();
+        Ok(Self { bvh: Bvh::new(boxes, order), corners, polygons, of })
+    }
+
+    /// The corners of a polygon in order.
+    pub fn corners(&self, polygon: u32) -> &[Vec3] {
+        let p = &self.polygons[polygon as usize];
+        &self.corners[p.first as usize..(p.first + p.count) as usize]
+    }
+
+    /// A triangle of a polygon.
+    pub fn triangle(&self, polygon: u32) -> u32 {
+        self.polygons[polygon as usize].triangle
+    }
+
+    /// The polygon that a triangle is part of, if it hides.
+    pub fn of(&self, triangle: u32) -> Option<u32> {
+        self.of.get(triangle as usize).copied().flatten()
+    }
+
+    /// The hierarchy over the polygons.
+    pub fn bvh(&self) -> &Bvh {
+        &self.bvh
+    }
+}
+
+/// The eight corners of a box.
+pub fn corners_of(b: Aabb) -> [DVec3; 8] {
+    let ends = [b.min.as_dvec3(), b.max.as_dvec3()];
+    std::array::from_fn(|i| DVec3::new(ends[i & 1].x, ends[i >> 1 & 1].y, ends[i >> 2].z))
+}

@@ -1,0 +1,295 @@
+//! The way of a part of the sphere of directions down a partition (`visibilityQuery`, Algorithm 1): it is
+//! divided where hyperplanes pass through it, and ends in classes.
+
+use glam::DVec3;
+
+use crate::items::{Items, Reach, What};
+use crate::lambert::{Cap, Covered};
+use crate::partition::{Grown, Node, Partition, plane};
+use crate::polygon::{Corner, Plane, Side, side, split};
+use crate::receivers::{Source, U};
+
+/// No cap.
+const NONE: u32 = u32::MAX;
+/// Caps whose borders are that near in radians are taken as one.
+const SAME_CAP: f64 = 1e-12;
+
+/// What becomes of the parts.
+pub trait Ends {
+    /// A part without some caps meets nothing within reach.
+    fn free(&mut self, part: &[Corner], caps: &[Cap]);
+    /// A part meets a face.
+    fn met(&mut self, face: u32, part: &[Corner]);
+}
+
+/// A part that waits at a node.
+struct Waiting {
+    node: u32,
+    /// Its corners: from here to the end of those that wait.
+    start: usize,
+    /// The last of its caps.
+    caps: u32,
+}
+
+/// The memory of descents, which can be used again.
+#[derive(Default)]
+pub struct Scratch {
+    corners: Vec<Corner>,
+    waiting: Vec<Waiting>,
+    current: Vec<Corner>,
+    values: Vec<f64>,
+    inside: Vec<Corner>,
+    /// Caps, each with the one before it.
+    caps: Vec<(Cap, u32)>,
+    of_part: Vec<Cap>,
+}
+
+/// A part of the sphere of directions about a point.
+struct Part<'a> {
+    corners: &'a [Corner],
+    x: DVec3,
+    distance: f64,
+}
+
+impl Part<'_> {
+    /// Whether an item may hide something of the part: not if all its corners lie beyond one of the borders,
+    /// or its plane beyond the distance. What doubles cannot tell may.
+    fn may_meet(&self, items: &Items<'_>, id: u32) -> bool {
+        if let What::Face(face) = items.item(id).what {
+            let face = items.face(face);
+            let height = face.normal.dot(face.at - self.x).abs();
+            if height > self.distance * face.normal.length() * (1.0 + 1e-9) {
+                return false;
+            }
+        }
+        let corners = items.corners(id);
+        // A corner's direction and a border's plane are each off by a few roundings.
+        let far = 32.0 * U * items.item(id).far;
+        self.corners.iter().all(|v| corners.iter().any(|c| v.border.dot(*c - self.x) > -far))
+    }
+}
+
+/// A partition, and what it is of.
+pub struct Rays<'a, 'b> {
+    /// The tree.
+    pub tree: &'a mut Partition,
+    /// Its items.
+    pub items: &'a mut Items<'b>,
+    /// The set that rays start from.
+    pub source: &'a Source,
+}
+
+impl Rays<'_, '_> {
+    /// Takes a part of the directions from `x`, a point of the source from its origin, to its ends. Returns
+    /// the bound on the cosine-weighted area, divided by π, that may be at a wrong end.
+    pub fn descend(&mut self, x: DVec3, part: &[Corner], scratch: &mut Scratch, ends: &mut impl Ends) -> f64 {
+        let reach = *self.items.reach();
+        let mut bound = 0.0;
+        scratch.caps.clear();
+        scratch.corners.clear();
+        scratch.corners.extend_from_slice(part);
+        scratch.waiting.clear();
+        scratch.waiting.push(Waiting { node: 0, start: 0, caps: NONE });
+        while let Some(Waiting { mut node, start, mut caps }) = scratch.waiting.pop() {
+            scratch.current.clear();
+            scratch.current.extend_from_slice(&scratch.corners[start..]);
+            scratch.corners.truncate(start);
+            while scratch.current.len() > 2 {
+                match self.tree.node(node) {
+                    Node::Undefined(_) => {
+                        let part = Part { corners: &scratch.current, x, distance: reach.distance() };
+                        let mut may = |items: &Items<'_>, id| part.may_meet(items, id);
+                        match self.tree.grow(node, self.items, self.source, &mut may) {
+                            Grown::Defined => {}
+                            Grown::Nothing(None) => {
+                                free(caps, scratch, ends);
+                                break;
+                            }
+                            Grown::Nothing(Some(face)) => {
+                                ends.met(face, &scratch.current);
+                                break;
+                            }
+                        }
+                    }
+                    Node::Free => {
+                        free(caps, scratch, ends);
+                        break;
+                    }
+                    Node::Met(face) => {
+                        ends.met(*face, &scratch.current);
+                        break;
+                    }
+                    Node::Edge { a, b, inside, outside } => {
+                        let plane = plane(self.items.point(*a), self.items.point(*b), x);
+                        let unsure;
+                        (node, unsure) = sort(&plane, [*inside, *outside], caps, scratch);
+                        bound += unsure;
+                    }
+                    Node::Start { face, from } => {
+                        let f = self.items.face(*face);
+                        let d = x - f.at;
+                        let value = f.normal.dot(d);
+                        let error = f.error * d.length() + f.normal.length() * self.source.slack;
+                        node = match value {
+                            v if v > error => from[2],
+                            v if v < -error => from[0],
+                            _ => from[1],
+                        };
+                    }
+                    Node::Order { faces, first } => {
+                        let [one, two] = faces.map(|f| self.ahead(f, x));
+                        let plane = before(one, two);
+                        let unsure;
+                        (node, unsure) = sort(&plane, *first, caps, scratch);
+                        bound += unsure;
+                    }
+                    Node::Near { face, beyond } => {
+                        let (face, beyond) = (*face, *beyond);
+                        let ahead = self.ahead(face, x);
+                        match reach {
+                            Reach::Distance(distance) => {
+                                let cap = Cap { axis: ahead.normal, cosine: ahead.height / distance };
+                                let covered = match cap.cosine < 1.0 {
+                                    true => cap.covers(&scratch.current),
+                                    false => Covered::None,
+                                };
+                                if covered != Covered::None {
+                                    ends.met(face, &scratch.current);
+                                }
+                                if covered == Covered::All {
+                                    break;
+                                }
+                                if covered == Covered::Part {
+                                    bound += 4.0 * (ahead.error + self.source.slack / distance);
+                                    caps = add(cap, caps, scratch, &mut bound);
+                                }
+                                node = beyond;
+                            }
+                            Reach::Light { normal, at, .. } => {
+                                let height = normal.dot(at - x);
+                                let normal = normal * height.signum();
+                                let light = Ahead { normal, height: height.abs(), error: 8.0 * U };
+                                let plane = before(ahead, light);
+                                match side(&plane, &scratch.current, &mut scratch.values) {
+                                    Side::Inside(_) => {
+                                        ends.met(face, &scratch.current);
+                                        break;
+                                    }
+                                    Side::Outside(_) => {}
+                                    Side::Both => {
+                                        scratch.inside.clear();
+                                        let mut met = std::mem::take(&mut scratch.inside);
+                                        let start = scratch.corners.len();
+                                        let (current, values) = (&scratch.current, &scratch.values);
+                                        split(&plane, current, values, &mut met, &mut scratch.corners);
+                                        bound += plane.uncertain(&scratch.current);
+                                        ends.met(face, &met);
+                                        scratch.inside = met;
+                                        scratch.current.clear();
+                                        scratch.current.extend_from_slice(&scratch.corners[start..]);
+                                        scratch.corners.truncate(start);
+                                    }
+                                }
+                                node = beyond;
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        bound
+    }
+
+    /// A face's plane as seen from a point.
+    fn ahead(&self, face: u32, x: DVec3) -> Ahead {
+        let f = self.items.face(face);
+        let size = f.normal.length();
+        let height = f.normal.dot(f.at - x) / size;
+        Ahead {
+            normal: f.normal * (height.signum() / size),
+            height: height.abs(),
+            error: f.error / size + 4.0 * U,
+        }
+    }
+}
+
+/// A plane ahead of a point: its unit normal away from the point, its distance, and the relative error of
+/// both.
+#[derive(Clone, Copy)]
+struct Ahead {
+    normal: DVec3,
+    height: f64,
+    error: f64,
+}
+
+/// The directions in which one plane is met before another: those with m·ω > 0, as the distances to the
+/// planes along ω are height / (normal·ω).
+fn before(one: Ahead, other: Ahead) -> Plane {
+    let m = one.normal * other.height - other.normal * one.height;
+    Plane { m, error: (one.height + other.height) * (one.error + other.error + 8.0 * U) }
+}
+
+/// Divides the current part by a plane: the inner part goes on at the first node, the outer one waits at the
+/// second, or the other way round if only one is there. Returns where the current part goes, and what may be
+/// on the wrong side.
+fn sort(plane: &Plane, to: [u32; 2], caps: u32, scratch: &mut Scratch) -> (u32, f64) {
+    let [inside, outside] = to;
+    match side(plane, &scratch.current, &mut scratch.values) {
+        Side::Inside(false) => (inside, 0.0),
+        Side::Outside(false) => (outside, 0.0),
+        Side::Inside(true) => (inside, plane.uncertain(&scratch.current)),
+        Side::Outside(true) => (outside, plane.uncertain(&scratch.current)),
+        Side::Both => {
+            let unsure = plane.uncertain(&scratch.current);
+            let start = scratch.corners.len();
+            scratch.inside.clear();
+            split(plane, &scratch.current, &scratch.values, &mut scratch.inside, &mut scratch.corners);
+            std::mem::swap(&mut scratch.current, &mut scratch.inside);
+            if scratch.corners.len() - start < 3 {
+                scratch.corners.truncate(start);
+            } else {
+                scratch.waiting.push(Waiting { node: outside, start, caps });
+            }
+            (inside, unsure)
+        }
+    }
+}
+
+/// The caps of a part with another one, which may hold some of them, or be held.
+fn add(cap: Cap, caps: u32, scratch: &mut Scratch, bound: &mut f64) -> u32 {
+    let mut at = caps;
+    scratch.of_part.clear();
+    while at != NONE {
+        let (other, before) = scratch.caps[at as usize];
+        if other.holds(&cap, SAME_CAP) {
+            if !other.holds(&cap, 0.0) {
+                *bound += 2.0 * SAME_CAP;
+            }
+            return caps;
+        }
+        scratch.of_part.push(other);
+        at = before;
+    }
+    let mut last = NONE;
+    for k in (0..scratch.of_part.len()).rev() {
+        let other = scratch.of_part[k];
+        if !cap.holds(&other, 0.0) {
+            scratch.caps.push((other, last));
+            last = scratch.caps.len() as u32 - 1;
+        }
+    }
+    scratch.caps.push((cap, last));
+    scratch.caps.len() as u32 - 1
+}
+
+/// Ends the current part as free of what is within reach.
+fn free(caps: u32, scratch: &mut Scratch, ends: &mut impl Ends) {
+    scratch.of_part.clear();
+    let mut at = caps;
+    while at != NONE {
+        let (cap, before) = scratch.caps[at as usize];
+        scratch.of_part.push(cap);
+        at = before;
+    }
+    ends.free(&scratch.current, &scratch.of_part);
+}

@@ -1,0 +1,91 @@
+//! Whether a point is inside of a closed solid, where nothing is ever seen.
+
+use glam::{DVec3, Vec3};
+use sightline_exact::Bvh;
+use sightline_numbers::Aabb;
+use sightline_scene::topology::Solids;
+use sightline_scene::{Scene, SceneError};
+
+use crate::receivers::{Receiver, U};
+
+/// Directions that are tried; where a line touches an edge the next one is.
+const TRIES: u32 = 8;
+
+/// The closed solids of a scene: surfaces whose normals all point out.
+pub struct Inside {
+    triangles: Vec<[Vec3; 3]>,
+    bvh: Bvh,
+    bounds: Aabb,
+}
+
+impl Inside {
+    /// Finds the solids of a scene.
+    ///
+    /// # Errors
+    /// As [`Solids::of`].
+    pub fn new(scene: &Scene) -> Result<Self, SceneError> {
+        let solids = Solids::of(scene)?;
+        let outer = |id: u32| scene.blocks(id) && solids.outward(id) == Some(1.0);
+        let ids = (0..scene.triangles().len() as u32).filter(|id| outer(*id));
+        let triangles: Vec<[Vec3; 3]> = ids.map(|id| scene.triangles()[id as usize].v).collect();
+        let boxes: Vec<Aabb> = triangles.iter().map(|t| Aabb::around(t.iter().copied())).collect();
+        let bounds = boxes.iter().fold(Aabb::EMPTY, |all: Aabb, b| all.union(*b));
+        let order = (0..triangles.len() as u32).collect();
+        Ok(Self { bvh: Bvh::new(boxes, order), triangles, bounds })
+    }
+
+    /// Whether a receiver, a hair above its surface, is inside of a solid. A line from it leaves as many
+    /// solids more than it enters as it starts in. Where every line that is tried touches an edge, it is
+    /// taken as outside.
+    pub fn holds(&self, receiver: &Receiver) -> bool {
+        let x = receiver.point;
+        let box_ = (self.bounds.min.as_dvec3(), self.bounds.max.as_dvec3());
+        if self.triangles.is_empty() || x.cmplt(box_.0).any() || x.cmpgt(box_.1).any() {
+            return false;
+        }
+        let n = receiver.normal.normalize();
+        let (u, v) = n.any_orthonormal_pair();
+        let away = (box_.1 - box_.0).length() * 2.0;
+        let mut near = Vec::new();
+        (0..TRIES).find_map(|k| {
+            // Tilted from the normal by 0.1 to 0.8 of a right angle's tangent, each time to another side.
+            let (tilt, turn) = (0.1 + 0.1 * f64::from(k), 2.4 * f64::from(k) + 0.37);
+            let way = (n + u * (tilt * libm::cos(turn)) + v * (tilt * libm::sin(turn))).normalize() * away;
+            near.clear();
+            let size = x.abs().max_element() + away;
+            self.bvh.along(x, x + way, size * 1e-12, &mut near);
+            let leaves = near
+                .iter()
+                .try_fold(0i64, |sum, t| Some(sum + crossing(&self.triangles[*t as usize], x, way)?));
+            leaves.map(|leaves| leaves > 0)
+        }) == Some(true)
+    }
+}
+
+/// 1 when a ray leaves through a triangle along its normal, −1 when it enters, 0 when it misses it or starts
+/// in its plane; none when doubles cannot tell.
+fn crossing(triangle: &[Vec3; 3], x: DVec3, way: DVec3) -> Option<i64> {
+    let [a, b, c] = triangle.map(|p| p.as_dvec3() - x);
+    let rounded = 4.0 * U * x.abs().max_element();
+    let (p, q) = (b - a, c - a);
+    let normal = p.cross(q);
+    let height = normal.dot(a);
+    if height.abs() <= (16.0 * U * a.length() + rounded) * p.length() * q.length() {
+        return Some(0);
+    }
+    let sign = |p: DVec3, q: DVec3| {
+        let value = p.cross(q).dot(way);
+        let error = (16.0 * U * p.length() * q.length() + rounded * (p.length() + q.length())) * way.length();
+        (value.abs() > error).then_some(value > 0.0)
+    };
+    let sides = [sign(a, b), sign(b, c), sign(c, a)];
+    // Two sides that differ for sure miss it, whatever the third.
+    if sides.contains(&Some(true)) && sides.contains(&Some(false)) {
+        return Some(0);
+    }
+    let [Some(side), Some(_), Some(_)] = sides else { return None };
+    // With all three positive the triangle turns to the left about the ray: it leaves through it if it is
+    // ahead.
+    let ahead = (height > 0.0) == (normal.dot(way) > 0.0);
+    Some(i64::from(ahead) * if side { 1 } else { -1 })
+}

@@ -1,0 +1,280 @@
+//! Lambert's formula: the cosine-weighted area of a part of the sphere of directions (Apostu et al.,
+//! "Analytic Ambient Occlusion using Exact from-Polygon Visibility", equation 2), for polygons and for what
+//! circles leave of them.
+//!
+//! By Stokes' theorem ∫ ω dω = ½ ∮ r × dr along the border. An arc of a great circle adds half its angle
+//! times the unit normal of its plane; an arc of a circle about an axis has a closed form too, so that the
+//! circle of directions in which a plane is at a given distance is integrated as it is (section 4.3 there),
+//! and not by chords.
+
+use std::f64::consts::TAU;
+
+use glam::DVec3;
+
+use crate::polygon::Corner;
+
+/// The directions in which a plane is nearer than the distance: ω with axis·ω > cosine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cap {
+    /// Unit vector from the point towards the plane.
+    pub axis: DVec3,
+    /// Height of the point over the plane, by the distance: above 0 and below 1.
+    pub cosine: f64,
+}
+
+/// How a polygon lies with respect to a cap.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Covered {
+    /// It lies in it.
+    All,
+    /// It has no point in it.
+    None,
+    /// Neither, as far as is known.
+    Part,
+}
+
+/// The angle between two vectors with this cross product and this dot product.
+fn angle(cross: f64, dot: f64) -> f64 {
+    libm::atan2(cross, dot)
+}
+
+/// What an arc of a great circle from `v` to `w` adds, before the division by 2π.
+fn arc(n: DVec3, v: DVec3, w: DVec3) -> f64 {
+    let c = v.cross(w);
+    let size = c.length();
+    if size > 0.0 { n.dot(c) * (angle(size, v.dot(w)) / size) } else { 0.0 }
+}
+
+/// The cosine-weighted area of a polygon divided by π: 1 for the hemisphere over `n`. Polygons of fewer than
+/// three corners have none.
+pub fn cosine(n: DVec3, corners: &[Corner]) -> f64 {
+    let [.., last] = corners else { return 0.0 };
+    let mut v = last.at;
+    let mut sum = 0.0;
+    for w in corners {
+        sum += arc(n, v, w.at);
+        v = w.at;
+    }
+    sum / TAU
+}
+
+impl Cap {
+    /// How a convex polygon lies with respect to the cap.
+    pub fn covers(&self, corners: &[Corner]) -> Covered {
+        let inside = corners.iter().filter(|v| self.axis.dot(v.at) >= self.cosine).count();
+        // A cap is convex.
+        if inside == corners.len() {
+            return Covered::All;
+        }
+        if inside > 0 {
+            return Covered::Part;
+        }
+        let mut centred = true;
+        let limit = 1.0 - self.cosine * self.cosine;
+        for (i, v) in corners.iter().enumerate() {
+            let height = v.border.dot(self.axis);
+            centred &= height >= 0.0;
+            // The nearest direction of the great circle is at the cosine √(1 − height²).
+            if height * height < limit {
+                let near = self.axis - v.border * height;
+                let w = corners[if i + 1 == corners.len() { 0 } else { i + 1 }].at;
+                if v.at.cross(near).dot(v.border) >= 0.0 && near.cross(w).dot(v.border) >= 0.0 {
+                    return Covered::Part;
+                }
+            }
+        }
+        if centred { Covered::Part } else { Covered::None }
+    }
+
+    /// Whether the cap holds another one, but for a border narrower than `slack`.
+    pub fn holds(&self, other: &Self, slack: f64) -> bool {
+        let between = angle(self.axis.cross(other.axis).length(), self.axis.dot(other.axis));
+        between + libm::acos(other.cosine) <= libm::acos(self.cosine) + slack
+    }
+
+    /// The sine of its radius.
+    pub fn sine(&self) -> f64 {
+        ((1.0 - self.cosine) * (1.0 + self.cosine)).sqrt()
+    }
+
+    /// The direction of its circle at an angle from `u` to `v`, which [`Cap::across`] gives.
+    pub fn on_circle(&self, u: DVec3, v: DVec3, angle: f64) -> DVec3 {
+        let (sin, cos) = libm::sincos(angle);
+        self.axis * self.cosine + (u * cos + v * sin) * self.sine()
+    }
+
+    /// Two unit vectors across the axis, so that (u, v, axis) is right-handed.
+    pub fn across(&self) -> (DVec3, DVec3) {
+        let (u, v) = self.axis.any_orthonormal_pair();
+        if u.cross(v).dot(self.axis) > 0.0 { (u, v) } else { (v, u) }
+    }
+}
+
+/// The angles at which c + a cos t + b sin t changes its sign, if it does.
+fn crossings(c: f64, a: f64, b: f64) -> Option<[f64; 2]> {
+    let size = (a * a + b * b).sqrt();
+    if size <= c.abs() {
+        return None;
+    }
+    let (middle, half) = (libm::atan2(b, a), libm::acos((-c / size).clamp(-1.0, 1.0)));
+    Some([middle - half, middle + half])
+}
+
+/// An angle between 0 and 2π.
+fn turned(t: f64) -> f64 {
+    let t = t.rem_euclid(TAU);
+    if t < TAU { t } else { 0.0 }
+}
+
+/// [`cosine`] of a convex polygon without some caps, none of which holds another or equals it.
+pub fn cosine_without(n: DVec3, corners: &[Corner], caps: &[Cap], scratch: &mut Vec<f64>) -> f64 {
+    let whole = cosine(n, corners);
+    if caps.is_empty() {
+        return whole;
+    }
+    let mut sum = 0.0;
+    for (i, v) in corners.iter().enumerate() {
+        let w = corners[if i + 1 == corners.len() { 0 } else { i + 1 }].at;
+        let length = angle(v.at.cross(w).length(), v.at.dot(w));
+        sum += n.dot(v.border) * outside(v.at, v.border.cross(v.at), length, caps, scratch);
+    }
+    for k in 0..caps.len() {
+        sum -= border(n, corners, caps, k, scratch);
+    }
+    // Where circles touch borders, an arc may count in one of the two sums alone.
+    (sum / TAU).clamp(0.0, whole.max(0.0))
+}
+
+/// The length of the part outside of all caps of the arc v cos s + w sin s with 0 ≤ s ≤ `length`.
+fn outside(v: DVec3, w: DVec3, length: f64, caps: &[Cap], cuts: &mut Vec<f64>) -> f64 {
+    cuts.clear();
+    for cap in caps {
+        let (a, b) = (cap.axis.dot(v), cap.axis.dot(w));
+        for t in crossings(-cap.cosine, a, b).into_iter().flatten() {
+            let t = turned(t);
+            if t < length {
+                cuts.push(t);
+            }
+        }
+    }
+    cuts.sort_unstable_by(f64::total_cmp);
+    let mut from = 0.0;
+    let mut sum = 0.0;
+    for to in cuts.iter().copied().chain([length]) {
+        let (sin, cos) = libm::sincos(0.5 * (from + to));
+        let middle = v * cos + w * sin;
+        if caps.iter().all(|cap| cap.axis.dot(middle) < cap.cosine) {
+            sum += to - from;
+        }
+        from = to;
+    }
+    sum
+}
+
+/// What the circle of cap `k`, turning to the left about its axis, adds where it lies in the polygon and
+/// outside of the other caps.
+fn border(n: DVec3, corners: &[Corner], caps: &[Cap], k: usize, cuts: &mut Vec<f64>) -> f64 {
+    let cap = caps[k];
+    let (u, v) = cap.across();
+    let (cos_a, sin_a) = (cap.cosine, cap.sine());
+    let edges = || corners.iter().map(|c| c.border);
+    cuts.clear();
+    for m in edges() {
+        cuts.extend(
+            crossings(m.dot(cap.axis) * cos_a, m.dot(u) * sin_a, m.dot(v) * sin_a)
+                .into_iter()
+                .flatten()
+                .map(turned),
+        );
+    }
+    let others = || caps.iter().enumerate().filter(|(j, _)| *j != k).map(|(_, other)| other);
+    for other in others() {
+        let c = other.axis.dot(cap.axis) * cos_a - other.cosine;
+        let found = crossings(c, other.axis.dot(u) * sin_a, other.axis.dot(v) * sin_a);
+        cuts.extend(found.into_iter().flatten().map(turned));
+    }
+    cuts.sort_unstable_by(f64::total_cmp);
+    // From the last cut round to the first.
+    let mut from = cuts.last().map_or(0.0, |t| t - TAU);
+    if cuts.is_empty() {
+        cuts.push(TAU);
+    }
+    let mut sum = 0.0;
+    for to in cuts.iter().copied() {
+        let (sin, cos) = libm::sincos(0.5 * (from + to));
+        let middle = cap.axis * cos_a + (u * cos + v * sin) * sin_a;
+        if edges().all(|m| m.dot(middle) > 0.0) && others().all(|other| other.axis.dot(middle) < other.cosine)
+        {
+            // ∫ r × dr = axis sin²a Δt − cos a sin a (u Δsin − v Δcos).
+            let half = 0.5 * (to - from);
+            let swing = 2.0 * libm::sin(half) * cos_a * sin_a;
+            sum += n.dot(cap.axis) * sin_a * sin_a * (to - from) - n.dot(u * cos + v * sin) * swing;
+        }
+        from = to;
+    }
+    sum
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::polygon::polygon;
+
+    fn quadrants() -> [Vec<Corner>; 4] {
+        let at = [DVec3::X, DVec3::Y, DVec3::NEG_X, DVec3::NEG_Y];
+        std::array::from_fn(|i| polygon(&[DVec3::Z, at[i], at[(i + 1) % 4]]))
+    }
+
+    #[test]
+    fn the_hemisphere_is_one() {
+        let sum: f64 = quadrants().iter().map(|q| cosine(DVec3::Z, q)).sum();
+        assert!((sum - 1.0).abs() < 1e-15, "{sum}");
+    }
+
+    #[test]
+    fn a_cap_about_the_normal_takes_its_sine_squared() {
+        let mut scratch = Vec::new();
+        for cosine in [0.1, 0.5, 0.9, 0.999] {
+            let caps = [Cap { axis: DVec3::Z, cosine }];
+            let left: f64 =
+                quadrants().iter().map(|q| cosine_without(DVec3::Z, q, &caps, &mut scratch)).sum();
+            assert!((left - cosine * cosine).abs() < 1e-14, "{left} {cosine}");
+        }
+    }
+
+    /// Caps anywhere, also beyond the horizon and over each other, against a sum over many small cells.
+    #[test]
+    fn caps_anywhere_are_integrated() {
+        let caps = [
+            Cap { axis: DVec3::new(0.6, 0.0, 0.8), cosine: 0.8 },
+            Cap { axis: DVec3::new(0.0, 0.8, 0.6), cosine: 0.7 },
+            Cap { axis: DVec3::new(1.0, 0.0, 0.0), cosine: 0.6 },
+        ];
+        let mut scratch = Vec::new();
+        let exact: f64 = quadrants().iter().map(|q| cosine_without(DVec3::Z, q, &caps, &mut scratch)).sum();
+        let (steps, mut sum) = (2000, 0.0);
+        for i in 0..steps {
+            // Equal cells in sin²θ and φ have equal cosine-weighted areas.
+            let s = (f64::from(i) + 0.5) / f64::from(steps);
+            let (sin, cos) = (s.sqrt(), (1.0 - s).sqrt());
+            for j in 0..steps {
+                let (y, x) = ((f64::from(j) + 0.5) / f64::from(steps) * TAU).sin_cos();
+                let ray = DVec3::new(sin * x, sin * y, cos);
+                sum += f64::from(u8::from(caps.iter().all(|c| c.axis.dot(ray) < c.cosine)));
+            }
+        }
+        let sampled = sum / f64::from(steps * steps);
+        assert!((exact - sampled).abs() < 2e-5, "{exact} {sampled}");
+    }
+
+    #[test]
+    fn a_cap_knows_what_it_covers() {
+        let octant = polygon(&[DVec3::Z, DVec3::X, DVec3::Y]);
+        let cap = |axis: [f64; 3], cosine| Cap { axis: DVec3::from(axis).normalize(), cosine };
+        assert_eq!(cap([1.0, 1.0, 1.0], 0.9).covers(&octant), Covered::Part);
+        assert_eq!(cap([1.0, 1.0, 1.0], 0.5).covers(&octant), Covered::All);
+        assert_eq!(cap([1.0, 1.0, -1.0], 0.99).covers(&octant), Covered::None);
+        assert_eq!(cap([1.0, 1.0, -0.1], 0.99).covers(&octant), Covered::Part);
+        assert_eq!(cap([-1.0, -1.0, -1.0], 0.1).covers(&octant), Covered::None);
+    }
+}

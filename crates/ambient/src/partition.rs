@@ -1,0 +1,368 @@
+//! The ray partition of a source (Apostu et al., sections 4.1 and 5.1): a binary tree of the Plücker
+//! hyperplanes of edges, whose leaves are classes of rays that start in the source.
+//!
+//! A hyperplane belongs to the line through an edge a–b: on which side of it a ray from s through t passes is
+//! the sign of ((a − s) × (b − s))·(t − s). The form is linear in s and in t, so its sign for all rays from
+//! one convex set to another is that for the rays between their corners (theorem 1 and corollary, section
+//! 3.2). Where doubles cannot tell, an item goes to both sides, which costs time and hides nothing wrongly
+//! (section 5.2, "conservative insertion"). The tree grows where queries arrive.
+//!
+//! There are two kinds of trees. In a union a class ends at any face that hides all of its rays: no matter
+//! which one is first, so triangles may cross each other. In a tree of first hits a class has the first face
+//! that its rays meet, and where planes cross, a class is divided by the line in which they do (section 4.1
+//! wants such scenes prepared).
+
+use glam::DVec3;
+
+use crate::items::{Face, From, Items, What};
+use crate::polygon::Plane;
+use crate::receivers::{Source, U};
+
+/// What a tree tells of its rays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tells {
+    /// Whether they meet anything within reach.
+    Union,
+    /// Which face they meet first, at whatever distance.
+    First,
+}
+
+/// A class that no query has asked for.
+#[derive(Clone, Debug, Default)]
+pub struct Undefined {
+    /// The items that its rays may meet, the largest first.
+    list: Vec<u32>,
+    /// For the first item, a face, the side of its plane on which the rays start.
+    from: Option<bool>,
+    /// The face that all its rays meet, with the side on which they start, if any is known.
+    class: Option<(u32, bool)>,
+}
+
+/// A node of the tree.
+#[derive(Clone, Debug)]
+pub enum Node {
+    /// A class that no query has asked for.
+    Undefined(Undefined),
+    /// Rays that meet nothing.
+    Free,
+    /// Rays that all meet this face: within reach, or first.
+    Met(u32),
+    /// The hyperplane of an edge.
+    Edge {
+        /// The edge's first point.
+        a: u32,
+        /// Its second point.
+        b: u32,
+        /// Where rays on the positive side go.
+        inside: u32,
+        /// Where the others go.
+        outside: u32,
+    },
+    /// Rays by where they start.
+    Start {
+        /// The face in whose plane or on whose side that is.
+        face: u32,
+        /// Where rays go that start on the negative side, in the plane, and on the positive side.
+        from: [u32; 3],
+    },
+    /// Rays that all meet a face, some of them perhaps beyond reach.
+    Near {
+        /// The face.
+        face: u32,
+        /// Where those go on.
+        beyond: u32,
+    },
+    /// Rays that all meet two faces whose planes may cross.
+    Order {
+        /// The faces.
+        faces: [u32; 2],
+        /// Where rays go that meet the first one first, and the others.
+        first: [u32; 2],
+    },
+}
+
+/// On which side of a hyperplane the rays to an item pass.
+enum Passes {
+    Inside,
+    Outside,
+    Both,
+}
+
+/// A hyperplane, prepared for the corners of the source.
+struct Hyperplane {
+    /// For each corner of the source the plane through it and the line, and the bound of its error.
+    planes: Vec<(DVec3, f64)>,
+    /// Bound on what the source's slack can change, by the sum of two lengths.
+    slack: f64,
+    /// Largest distance of the source from the line's points.
+    far: f64,
+}
+
+/// The tree.
+pub struct Partition {
+    tells: Tells,
+    nodes: Vec<Node>,
+    /// The items of the root.
+    root: Vec<u32>,
+    /// Bytes of lists.
+    lists: usize,
+}
+
+/// The sum of the absolute values.
+fn l1(v: DVec3) -> f64 {
+    v.x.abs() + v.y.abs() + v.z.abs()
+}
+
+/// The plane through a point `x` and the line from `a` to `b`. A difference is off by a rounding, and by the
+/// point's own error; a product of two and the sum of three add three roundings, and m·v as many.
+pub fn plane(a: DVec3, b: DVec3, x: DVec3) -> Plane {
+    let (p, q) = (a - x, b - x);
+    Plane { m: p.cross(q), error: 8.0 * U * l1(p) * l1(q) }
+}
+
+impl Hyperplane {
+    fn new(source: &Source, a: DVec3, b: DVec3, far: f64) -> Self {
+        let at = |s: &DVec3| {
+            let Plane { m, error } = plane(a, b, *s);
+            (m, 2.0 * error)
+        };
+        Self { planes: source.corners.iter().map(at).collect(), slack: source.slack * l1(b - a), far }
+    }
+
+    fn passes(&self, source: &Source, corners: &[DVec3], far: f64) -> Passes {
+        let (mut inside, mut outside) = (true, true);
+        let slack = self.slack * (far + self.far);
+        for ((m, error), s) in self.planes.iter().zip(&source.corners) {
+            let bound = error * far + slack;
+            let from = m.dot(*s);
+            for t in corners {
+                let value = m.dot(*t) - from;
+                inside &= value > bound;
+                outside &= value < -bound;
+            }
+            if !inside && !outside {
+                return Passes::Both;
+            }
+        }
+        if inside { Passes::Inside } else { Passes::Outside }
+    }
+}
+
+impl Partition {
+    /// The tree of one undefined class.
+    pub fn new(tells: Tells, root: Vec<u32>) -> Self {
+        let mut tree = Self { tells, nodes: Vec::new(), root, lists: 0 };
+        tree.clear();
+        tree
+    }
+
+    /// Forgets all classes.
+    pub fn clear(&mut self) {
+        self.nodes.clear();
+        self.lists = 0;
+        let list = self.root.clone();
+        self.leaf(Undefined { list, ..Undefined::default() });
+    }
+
+    /// Bytes that the tree takes, about.
+    pub fn bytes(&self) -> usize {
+        self.nodes.len() * size_of::<Node>() + self.lists
+    }
+
+    /// A node.
+    pub fn node(&self, at: u32) -> &Node {
+        &self.nodes[at as usize]
+    }
+
+    fn push(&mut self, node: Node) -> u32 {
+        self.nodes.push(node);
+        self.nodes.len() as u32 - 1
+    }
+
+    fn leaf(&mut self, leaf: Undefined) -> u32 {
+        let node = self.undefined(leaf);
+        self.push(node)
+    }
+
+    fn undefined(&mut self, leaf: Undefined) -> Node {
+        match leaf {
+            Undefined { list, class: None, .. } if list.is_empty() => Node::Free,
+            Undefined { list, class: Some((face, _)), .. } if list.is_empty() => Node::Met(face),
+            leaf => {
+                self.lists += leaf.list.capacity() * size_of::<u32>();
+                Node::Undefined(leaf)
+            }
+        }
+    }
+
+    /// Defines an undefined class by the largest of its items that may hide something from a part of it.
+    /// `None` when none may: then the class stays undefined, and the part is that of the class's face, or
+    /// free. `may` says whether an item may.
+    pub fn grow(
+        &mut self,
+        at: u32,
+        items: &mut Items<'_>,
+        source: &Source,
+        may: &mut dyn FnMut(&Items<'_>, u32) -> bool,
+    ) -> Grown {
+        let mut leaf = match std::mem::replace(&mut self.nodes[at as usize], Node::Free) {
+            Node::Undefined(leaf) => leaf,
+            other => {
+                self.nodes[at as usize] = other;
+                return Grown::Defined;
+            }
+        };
+        self.lists -= leaf.list.capacity() * size_of::<u32>();
+        let mut k = 0;
+        let found = loop {
+            let Some(id) = leaf.list.get(k).copied() else { break None };
+            // The face of a class whose start is known goes first.
+            if leaf.from.is_none() && !may(items, id) {
+                k += 1;
+                continue;
+            }
+            match items.item(id).what {
+                What::Face(face) => break Some((id, face)),
+                What::Box(_) => {
+                    leaf.list.remove(k);
+                    items.open(id, &mut leaf.list);
+                }
+            }
+        };
+        let Some((item, face)) = found else {
+            let class = leaf.class.map(|(face, _)| face);
+            self.nodes[at as usize] = self.undefined(leaf);
+            return Grown::Nothing(class);
+        };
+        let whole = *items.face(face);
+        let front = match (leaf.from.take(), whole.from) {
+            (Some(front), _) | (None, From::Side(front)) => front,
+            (None, From::Both) => {
+                // The face first, then the others as they are.
+                leaf.list[..=k].rotate_right(1);
+                let side = |front| Undefined { from: Some(front), ..leaf.clone() };
+                let (behind, ahead) = (self.leaf(side(false)), self.leaf(side(true)));
+                leaf.list.remove(0);
+                let held = self.leaf(leaf);
+                self.nodes[at as usize] = Node::Start { face, from: [behind, held, ahead] };
+                return Grown::Defined;
+            }
+        };
+        leaf.list.remove(k);
+        self.chain(at, items, source, (item, face, front), &leaf);
+        Grown::Defined
+    }
+
+    /// Replaces a node by RP(S, T): a node for each edge of the face, which rays pass outside or inside.
+    fn chain(
+        &mut self,
+        at: u32,
+        items: &Items<'_>,
+        source: &Source,
+        (item, face, front): (u32, u32, bool),
+        leaf: &Undefined,
+    ) {
+        let (first, n, far) = (items.first(item), items.corners(item).len() as u32, items.item(item).far);
+        // From the front the corners turn to the left as seen from the point, and so to the right from
+        // outside.
+        let edge = |k: u32| {
+            let (a, b) = (first + k, first + (k + 1) % n);
+            if front { (b, a) } else { (a, b) }
+        };
+        let planes: Vec<Hyperplane> = (0..n)
+            .map(|k| {
+                let (a, b) = edge(k);
+                Hyperplane::new(source, items.point(a), items.point(b), far)
+            })
+            .collect();
+        let mut outside = vec![Vec::new(); n as usize];
+        let mut inside = Vec::new();
+        for id in &leaf.list {
+            let (corners, far) = (items.corners(*id), items.item(*id).far);
+            let mut passes_inside = true;
+            for (plane, list) in planes.iter().zip(&mut outside) {
+                match plane.passes(source, corners, far) {
+                    Passes::Inside => {}
+                    Passes::Both => list.push(*id),
+                    Passes::Outside => {
+                        list.push(*id);
+                        passes_inside = false;
+                        break;
+                    }
+                }
+            }
+            if passes_inside {
+                inside.push(*id);
+            }
+        }
+        let mut next = self.inner(items, (item, face, front), leaf.class, &inside);
+        for (k, list) in outside.into_iter().enumerate().rev() {
+            let (a, b) = edge(k as u32);
+            let outside = self.leaf(Undefined { list, from: None, class: leaf.class });
+            let node = Node::Edge { a, b, inside: next, outside };
+            if k == 0 {
+                self.nodes[at as usize] = node;
+            } else {
+                next = self.push(node);
+            }
+        }
+    }
+
+    /// The class of the rays that all meet a face, and those of another class already if it has one.
+    fn inner(
+        &mut self,
+        items: &Items<'_>,
+        (item, face, front): (u32, u32, bool),
+        class: Option<(u32, bool)>,
+        list: &[u32],
+    ) -> u32 {
+        let whole = items.face(face);
+        // What a face hides from nearer by needs no look (`depthCulling`).
+        let before = |face: &Face, front| -> Vec<u32> {
+            list.iter().copied().filter(|id| !is_behind(face, front, items.corners(*id))).collect()
+        };
+        if self.tells == Tells::Union {
+            return if whole.within {
+                self.push(Node::Met(face))
+            } else {
+                let list = before(whole, front);
+                let beyond = self.leaf(Undefined { list, ..Undefined::default() });
+                self.push(Node::Near { face, beyond })
+            };
+        }
+        let of = |face: u32, front: bool| Undefined {
+            list: before(items.face(face), front),
+            from: None,
+            class: Some((face, front)),
+        };
+        let Some((other, other_front)) = class else { return self.leaf(of(face, front)) };
+        if is_behind(whole, front, items.corners(items.face(other).item)) {
+            return self.leaf(of(face, front));
+        }
+        if is_behind(items.face(other), other_front, items.corners(item)) {
+            return self.leaf(of(other, other_front));
+        }
+        let (one, two) = (self.leaf(of(face, front)), self.leaf(of(other, other_front)));
+        self.push(Node::Order { faces: [face, other], first: [one, two] })
+    }
+}
+
+/// What came of a query's wish to know more of a class.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Grown {
+    /// The node is another one now.
+    Defined,
+    /// Nothing more may hide the part: it is that of this face, or free.
+    Nothing(Option<u32>),
+}
+
+/// Whether corners lie on or behind a face, for rays that start on the given side of it: what they hide, the
+/// face hides from nearer by (`depthCulling`).
+fn is_behind(face: &Face, front: bool, corners: &[DVec3]) -> bool {
+    corners.iter().all(|c| {
+        let d = *c - face.at;
+        let value = face.normal.dot(d);
+        let behind = if front { -value } else { value };
+        behind >= -face.error * l1(d)
+    })
+}

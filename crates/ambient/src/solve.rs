@@ -1,0 +1,173 @@
+//! Answers for many receivers, in blocks that share a partition and nothing else. So blocks may be solved in
+//! any order, on any machine, and answers are functions of scene, receivers and settings.
+
+use rayon::prelude::*;
+use sightline_scene::{Scene, SceneError};
+
+use crate::blockers::Blockers;
+use crate::descend::{Rays, Scratch};
+use crate::fragments::{Falloff, Fragment, first};
+use crate::inside::Inside;
+use crate::items::{Items, Reach};
+use crate::lights::{Light, factors};
+use crate::openness::{Openness, Seen, open};
+use crate::partition::{Partition, Tells};
+use crate::receivers::{Receiver, Source, blocks};
+
+/// Most receivers of a block.
+const BLOCK: usize = 64;
+/// Largest extent of a block, by the distance.
+const EXTENT: f64 = 0.5;
+/// Boxes that take more of the sphere, in steradians, are opened before the first query. Near by all are.
+const OPEN_FAR: f64 = 0.01;
+/// Most bytes of a partition. One that takes more is begun anew.
+const BYTES: usize = 48 << 20;
+
+/// What is asked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// Distance beyond which nothing hides, in units of the scene; may be infinite.
+    pub distance: f64,
+    /// How things darken. The distance must be finite for one with the distance.
+    pub falloff: Falloff,
+    /// Whether fragments are wanted.
+    pub fragments: bool,
+    /// Lights whose form factors are wanted. All of the scene may hide them, whatever the distance.
+    pub lights: Vec<Light>,
+    /// Most receivers of a block, and its largest extent by the distance. They change times, and answers
+    /// within their bounds.
+    pub block: (usize, f64),
+}
+
+impl Settings {
+    /// Openness alone.
+    pub fn new(distance: f64) -> Self {
+        Self {
+            distance,
+            falloff: Falloff::None,
+            fragments: false,
+            lights: Vec::new(),
+            block: (BLOCK, EXTENT),
+        }
+    }
+
+    fn open_above(&self) -> f64 {
+        if self.distance.is_finite() { 0.0 } else { OPEN_FAR }
+    }
+}
+
+/// What is known of a receiver.
+#[derive(Clone, Debug, Default)]
+pub struct Answer {
+    /// Its openness.
+    pub openness: Openness,
+    /// Whether it is inside of a closed solid.
+    pub inside: bool,
+    /// The form factors of the lights.
+    pub lights: Vec<f64>,
+    /// What is seen first, by triangles, if that was asked for.
+    pub fragments: Vec<Fragment>,
+}
+
+/// A scene, prepared for a setting.
+pub struct Solver {
+    settings: Settings,
+    /// Joined polygons, for openness and lights.
+    joined: Blockers,
+    /// Triangles by themselves, for fragments.
+    single: Option<Blockers>,
+    inside: Inside,
+}
+
+/// What blocks can use again.
+#[derive(Default)]
+pub struct Memory {
+    scratch: Scratch,
+    seen: Seen,
+    cuts: Vec<f64>,
+}
+
+impl Solver {
+    /// Prepares a scene, on all of rayon's threads.
+    ///
+    /// # Errors
+    /// When the scene has more corners than can be numbered.
+    pub fn new(scene: &Scene, settings: Settings) -> Result<Self, SceneError> {
+        Ok(Self {
+            joined: Blockers::new(scene, true)?,
+            single: settings.fragments.then(|| Blockers::new(scene, false)).transpose()?,
+            inside: Inside::new(scene)?,
+            settings,
+        })
+    }
+
+    /// The settings.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// The blocks of some receivers: lists of their numbers.
+    pub fn blocks(&self, receivers: &[Receiver]) -> Vec<Vec<u32>> {
+        let (most, extent) = self.settings.block;
+        let size = self.settings.distance * extent;
+        blocks(receivers, |t| self.joined.of(t), most, size)
+    }
+
+    /// Answers for all receivers, in their order, on all of rayon's threads. `done` is told of how many more
+    /// there are answers.
+    pub fn solve(&self, receivers: &[Receiver], done: impl Fn(usize) + Sync) -> Vec<Answer> {
+        let blocks = self.blocks(receivers);
+        let answers: Vec<Vec<Answer>> = blocks
+            .par_iter()
+            .map_init(Memory::default, |memory, block| {
+                let receivers: Vec<Receiver> = block.iter().map(|i| receivers[*i as usize]).collect();
+                let answers = self.block(&receivers, memory);
+                done(receivers.len());
+                answers
+            })
+            .collect();
+        let mut all = vec![Answer::default(); receivers.len()];
+        for (i, answer) in blocks.into_iter().flatten().zip(answers.into_iter().flatten()) {
+            all[i as usize] = answer;
+        }
+        all
+    }
+
+    /// Answers for the receivers of one block, in their order. The first one's triangle is taken for all.
+    pub fn block(&self, receivers: &[Receiver], memory: &mut Memory) -> Vec<Answer> {
+        let Settings { distance, falloff, fragments, .. } = self.settings;
+        let union = falloff == Falloff::None && !fragments;
+        let blockers = self.single.as_ref().unwrap_or(&self.joined);
+        let source = Source::around(receivers);
+        let own = receivers.first().and_then(|r| r.triangle).and_then(|t| blockers.of(t));
+        let mut items = Items::new(blockers, &source, Reach::Distance(distance), own);
+        let root = items.begin(self.settings.open_above());
+        let mut tree = Partition::new(if union { Tells::Union } else { Tells::First }, root);
+        let Memory { scratch, seen, cuts } = memory;
+        seen.clear();
+        let mut answers: Vec<Answer> = receivers
+            .iter()
+            .map(|r| {
+                if tree.bytes() > BYTES {
+                    tree.clear();
+                }
+                let mut rays = Rays { tree: &mut tree, items: &mut items, source: &source };
+                let (openness, mut found) = if union {
+                    (open(&mut rays, r, scratch, (seen, cuts)), Vec::new())
+                } else {
+                    first(&mut rays, r, (distance, falloff, fragments), scratch, (seen, cuts))
+                };
+                found.iter_mut().for_each(|f| f.polygon = blockers.triangle(f.polygon));
+                Answer { openness, inside: self.inside.holds(r), lights: Vec::new(), fragments: found }
+            })
+            .collect();
+        for light in &self.settings.lights {
+            let found = factors(&self.joined, receivers, light, (OPEN_FAR, BYTES), scratch);
+            for (answer, (factor, bound)) in answers.iter_mut().zip(found) {
+                answer.lights.push(factor);
+                answer.openness.bound = answer.openness.bound.max(bound);
+            }
+        }
+        answers
+    }
+}
