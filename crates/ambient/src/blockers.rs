@@ -8,6 +8,8 @@ use sightline_numbers::Aabb;
 use sightline_scene::exact::collinear;
 use sightline_scene::{Scene, SceneError};
 
+use crate::masked;
+
 /// A convex polygon of the scene.
 struct Polygon {
     first: u32,
@@ -18,7 +20,7 @@ struct Polygon {
 
 /// The polygons of a scene that hide, in a fixed order.
 pub struct Blockers {
-    corners: Vec<Vec3>,
+    corners: Vec<DVec3>,
     polygons: Vec<Polygon>,
     /// The polygon of each triangle, if it has an area and hides.
     of: Vec<Option<u32>>,
@@ -39,7 +41,7 @@ impl Blockers {
             // Corners on the line through their neighbours bound nothing.
             let bent =
                 (0..n).filter(|i| !collinear(outline[(i + n - 1) % n], outline[*i], outline[(i + 1) % n]));
-            corners.extend(bent.map(|i| outline[i]));
+            corners.extend(bent.map(|i| outline[i].as_dvec3()));
             polygons.push(Polygon { first, count: corners.len() as u32 - first, triangle });
         };
         if joined {
@@ -60,10 +62,31 @@ impl Blockers {
                 of[p.triangle as usize] = Some(k as u32);
             }
         }
+        for t in 0..scene.len() {
+            let Some((mask, of_corners)) = scene.masks().of(t) else { continue };
+            let v = scene.triangles()[t as usize].v.map(Vec3::as_dvec3);
+            let Some(found) = masked::polygons(v, mask, of_corners) else {
+                return Err(SceneError::bad(
+                    "scene",
+                    format!("triangle {t}"),
+                    "its alpha texture is repeated so often that it has more than 16 million texels on it",
+                    "leave --alpha-textures out, or cut the triangle",
+                ));
+            };
+            for polygon in found {
+                let first = corners.len() as u32;
+                corners.extend(&polygon);
+                polygons.push(Polygon { first, count: polygon.len() as u32, triangle: t });
+            }
+        }
         let boxes: Vec<Aabb> = polygons
             .par_iter()
             .map(|p: &Polygon| {
-                Aabb::around(corners[p.first as usize..(p.first + p.count) as usize].iter().copied())
+                let corners = &corners[p.first as usize..(p.first + p.count) as usize];
+                // Corners of texels are no numbers of single precision; the box holds them.
+                let low = corners.iter().map(|c| Vec3::from(c.to_array().map(below)));
+                let high = corners.iter().map(|c| -Vec3::from((-*c).to_array().map(below)));
+                Aabb::around(low.chain(high))
             })
             .collect();
         let order = (0..polygons.len() as u32).collect();
@@ -71,7 +94,7 @@ impl Blockers {
     }
 
     /// The corners of a polygon in order.
-    pub fn corners(&self, polygon: u32) -> &[Vec3] {
+    pub fn corners(&self, polygon: u32) -> &[DVec3] {
         let p = &self.polygons[polygon as usize];
         &self.corners[p.first as usize..(p.first + p.count) as usize]
     }
@@ -90,6 +113,12 @@ impl Blockers {
     pub fn bvh(&self) -> &Bvh {
         &self.bvh
     }
+}
+
+/// The largest number of single precision that is not above another.
+fn below(x: f64) -> f32 {
+    let near = x as f32;
+    if f64::from(near) > x { near.next_down() } else { near }
 }
 
 /// The eight corners of a box.

@@ -62,10 +62,10 @@ impl Part<'_> {
                 return false;
             }
         }
-        let corners = items.corners(id);
+        let hull = items.hull(id);
         // A corner's direction and a border's plane are each off by a few roundings.
         let far = 32.0 * U * items.item(id).far;
-        self.corners.iter().all(|v| corners.iter().any(|c| v.border.dot(*c - self.x) > -far))
+        self.corners.iter().all(|v| hull.extent(v.border).1 - v.border.dot(self.x) > -far)
     }
 }
 
@@ -77,6 +77,9 @@ pub struct Rays<'a, 'b> {
     pub items: &'a mut Items<'b>,
     /// The set that rays start from.
     pub source: &'a Source,
+    /// Most bytes of the tree. One that takes more is begun anew, and what is not at its end yet starts again
+    /// at the root.
+    pub bytes: usize,
 }
 
 impl Rays<'_, '_> {
@@ -94,6 +97,11 @@ impl Rays<'_, '_> {
             scratch.current.clear();
             scratch.current.extend_from_slice(&scratch.corners[start..]);
             scratch.corners.truncate(start);
+            if self.tree.bytes() > self.bytes {
+                self.tree.clear();
+                node = 0;
+                scratch.waiting.iter_mut().for_each(|w| w.node = 0);
+            }
             while scratch.current.len() > 2 {
                 match self.tree.node(node) {
                     Node::Undefined(_) => {

@@ -75,7 +75,9 @@ impl<F: Fn(u32) -> Face> Ends for Collect<'_, F> {
         };
         self.answer.open += beyond;
         if self.falloff == Falloff::Sqrt {
-            self.answer.open += falloff::counts(self.n, part, &cap);
+            let (counts, error) = falloff::counts(self.n, part, &cap);
+            self.answer.open += counts;
+            self.answer.bound += error;
         }
         self.answer.occluders += u32::from(self.seen.is_new(face));
         if let Some(fragments) = &mut self.fragments {
@@ -124,7 +126,7 @@ pub fn first(
         }
     }
     let (mut answer, fragments) = (collect.answer, collect.fragments);
-    answer.bound = bound + f64::from(answer.parts) * 32.0 * U;
+    answer.bound += bound + f64::from(answer.parts) * 32.0 * U;
     answer.open = answer.open.clamp(0.0, 1.0);
     (answer, fragments.unwrap_or_default())
 }

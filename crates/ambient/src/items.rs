@@ -70,6 +70,33 @@ pub struct Face {
     pub within: bool,
 }
 
+/// A convex set.
+#[derive(Clone, Copy, Debug)]
+pub enum Hull<'a> {
+    /// That of corners.
+    Of(&'a [DVec3]),
+    /// A box: its middle and half its size.
+    Box(DVec3, DVec3),
+}
+
+impl Hull<'_> {
+    /// The least and the largest of m·p over its points p.
+    pub fn extent(&self, m: DVec3) -> (f64, f64) {
+        match self {
+            Self::Of(corners) => {
+                corners.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), c| {
+                    let value = m.dot(*c);
+                    (least.min(value), most.max(value))
+                })
+            }
+            Self::Box(middle, half) => {
+                let (value, reach) = (m.dot(*middle), m.abs().dot(*half));
+                (value - reach, value + reach)
+            }
+        }
+    }
+}
+
 /// What a leaf of the partition lists.
 #[derive(Clone, Copy, Debug)]
 pub struct Item {
@@ -154,6 +181,18 @@ impl<'a> Items<'a> {
     pub fn corners(&self, id: u32) -> &[DVec3] {
         let item = &self.items[id as usize];
         &self.points[item.first as usize..(item.first + item.count) as usize]
+    }
+
+    /// An item's hull, from the origin.
+    pub fn hull(&self, id: u32) -> Hull<'_> {
+        let corners = self.corners(id);
+        match self.items[id as usize].what {
+            What::Face(_) => Hull::Of(corners),
+            What::Box(_) => {
+                let (min, max) = (corners[0], corners[7]);
+                Hull::Box((min + max) * 0.5, (max - min) * 0.5)
+            }
+        }
     }
 
     /// The number of an item's first corner.
@@ -263,8 +302,7 @@ impl<'a> Items<'a> {
             return None;
         }
         let origin = self.source.origin;
-        let corners: Vec<DVec3> =
-            self.blockers.corners(polygon).iter().map(|c| c.as_dvec3() - origin).collect();
+        let corners: Vec<DVec3> = self.blockers.corners(polygon).iter().map(|c| *c - origin).collect();
         if self.is_below(&corners) || self.reach.is_beyond(&corners) {
             return None;
         }

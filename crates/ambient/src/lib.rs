@@ -15,7 +15,7 @@
 //! The crate has one module for each subject. A module depends only on those above it in this list:
 //!
 //! - `receivers`: points, their blocks, and the convex set that holds a block.
-//! - `blockers`: the scene's triangles, joined to convex polygons, and the hierarchy over them.
+//! - `masked`, `blockers`: the scene's triangles, joined to convex polygons, and the hierarchy over them.
 //! - `polygon`, `lambert`, `arcs`, `falloff`: parts of the sphere of directions, and integrals over them.
 //! - `items`: what a block may see, and up to where.
 //! - `partition`, `descend`: the tree, and the way of a part down to its ends.
@@ -31,9 +31,10 @@
 //! let corner = |x: f32, y: f32| Vec3::new(x, y, 0.5);
 //! let [a, b, c, d] = [corner(-10.0, -10.0), corner(10.0, -10.0), corner(10.0, 10.0), corner(-10.0, 10.0)];
 //! let object = Object { name: "ceiling".to_owned(), first: 0, count: 2 };
-//! let scene = Scene::new("example", vec![Triangle { v: [a, b, c] }, Triangle { v: [a, c, d] }], vec![object])?;
+//! let triangles = vec![Triangle { v: [a, b, c] }, Triangle { v: [a, c, d] }];
+//! let scene = Scene::new("example", triangles, vec![object])?;
 //!
-//! // Within the distance 1 it hides a cap of the hemisphere: all but (0.5 / 1)² of it, weighted by the cosine.
+//! // Within the distance 1 it hides a cap of the hemisphere: all but (0.5 / 1)² of it.
 //! let solver = Solver::new(&scene, Settings::new(1.0))?;
 //! let below = Receiver { point: DVec3::ZERO, normal: DVec3::Z, triangle: None };
 //! let answer = &solver.solve(&[below], |_| {})[0];
@@ -50,6 +51,7 @@ mod inside;
 mod items;
 mod lambert;
 mod lights;
+mod masked;
 mod openness;
 mod partition;
 mod polygon;

@@ -161,13 +161,10 @@ pub fn factors(
     let root = items.begin(open_above);
     let mut tree = Partition::new(Tells::Union, root);
     let factor = |r: &Receiver| {
-        if tree.bytes() > bytes {
-            tree.clear();
-        }
         let n = r.normal.normalize();
         let part = light.seen_from(r.point, n);
         let mut sum = Sum { n, factor: 0.0, parts: 0 };
-        let mut rays = Rays { tree: &mut tree, items: &mut items, source: &source };
+        let mut rays = Rays { tree: &mut tree, items: &mut items, source: &source, bytes };
         let bound = rays.descend(r.point - source.origin, &part, scratch, &mut sum);
         (sum.factor.max(0.0), bound + f64::from(sum.parts + 1) * 16.0 * U)
     };

@@ -12,9 +12,11 @@
 //! that its rays meet, and where planes cross, a class is divided by the line in which they do (section 4.1
 //! wants such scenes prepared).
 
+use std::rc::Rc;
+
 use glam::DVec3;
 
-use crate::items::{Face, From, Items, What};
+use crate::items::{Face, From, Hull, Items, What};
 use crate::polygon::Plane;
 use crate::receivers::{Source, U};
 
@@ -31,11 +33,28 @@ pub enum Tells {
 #[derive(Clone, Debug, Default)]
 pub struct Undefined {
     /// The items that its rays may meet, the largest first.
-    list: Vec<u32>,
+    list: Rc<Vec<u32>>,
+    /// What has yet to be left out of the list, which it shares with its neighbours.
+    pending: Option<Pending>,
     /// For the first item, a face, the side of its plane on which the rays start.
     from: Option<bool>,
     /// The face that all its rays meet, with the side on which they start, if any is known.
     class: Option<(u32, bool)>,
+}
+
+/// Where the rays of a class pass a face: items that none of them can meet are left out when a query arrives,
+/// for to most classes none does.
+#[derive(Clone, Copy, Debug)]
+struct Pending {
+    /// The face's item, and the side of its plane on which the rays start.
+    item: u32,
+    front: bool,
+    /// They pass inside of so many of its edges.
+    inside: u32,
+    /// And outside of the next one.
+    outside: bool,
+    /// What lies behind this face counts no more, for rays that start on the given side of it.
+    before: Option<(u32, bool)>,
 }
 
 /// A node of the tree.
@@ -106,6 +125,8 @@ pub struct Partition {
     root: Vec<u32>,
     /// Bytes of lists.
     lists: usize,
+    /// Items that classes were told of, ever.
+    told: usize,
 }
 
 /// The sum of the absolute values.
@@ -129,17 +150,15 @@ impl Hyperplane {
         Self { planes: source.corners.iter().map(at).collect(), slack: source.slack * l1(b - a), far }
     }
 
-    fn passes(&self, source: &Source, corners: &[DVec3], far: f64) -> Passes {
+    fn passes(&self, source: &Source, hull: Hull<'_>, far: f64) -> Passes {
         let (mut inside, mut outside) = (true, true);
         let slack = self.slack * (far + self.far);
         for ((m, error), s) in self.planes.iter().zip(&source.corners) {
             let bound = error * far + slack;
             let from = m.dot(*s);
-            for t in corners {
-                let value = m.dot(*t) - from;
-                inside &= value > bound;
-                outside &= value < -bound;
-            }
+            let (least, most) = hull.extent(*m);
+            inside &= least - from > bound;
+            outside &= most - from < -bound;
             if !inside && !outside {
                 return Passes::Both;
             }
@@ -151,7 +170,7 @@ impl Hyperplane {
 impl Partition {
     /// The tree of one undefined class.
     pub fn new(tells: Tells, root: Vec<u32>) -> Self {
-        let mut tree = Self { tells, nodes: Vec::new(), root, lists: 0 };
+        let mut tree = Self { tells, nodes: Vec::new(), root, lists: 0, told: 0 };
         tree.clear();
         tree
     }
@@ -160,13 +179,18 @@ impl Partition {
     pub fn clear(&mut self) {
         self.nodes.clear();
         self.lists = 0;
-        let list = self.root.clone();
+        let list = Rc::new(self.root.clone());
         self.leaf(Undefined { list, ..Undefined::default() });
     }
 
     /// Bytes that the tree takes, about.
     pub fn bytes(&self) -> usize {
         self.nodes.len() * size_of::<Node>() + self.lists
+    }
+
+    /// Items that classes were told of since the tree is there.
+    pub fn told(&self) -> usize {
+        self.told
     }
 
     /// A node.
@@ -188,11 +212,31 @@ impl Partition {
         match leaf {
             Undefined { list, class: None, .. } if list.is_empty() => Node::Free,
             Undefined { list, class: Some((face, _)), .. } if list.is_empty() => Node::Met(face),
-            leaf => {
-                self.lists += leaf.list.capacity() * size_of::<u32>();
-                Node::Undefined(leaf)
-            }
+            leaf => Node::Undefined(leaf),
         }
+    }
+
+    /// The items of an undefined class.
+    fn resolve(&mut self, leaf: &mut Undefined, items: &Items<'_>, source: &Source) -> Vec<u32> {
+        let list = std::mem::take(&mut leaf.list);
+        let Some(pending) = leaf.pending.take() else { return Rc::unwrap_or_clone(list) };
+        let edges = Edges::of(items, pending.item, pending.front);
+        let planes: Vec<Hyperplane> = (0..pending.inside + u32::from(pending.outside))
+            .map(|k| edges.hyperplane(items, source, k))
+            .collect();
+        let (inside, outside) = planes.split_at(pending.inside as usize);
+        let belongs = |id: &u32| {
+            let (hull, far) = (items.hull(*id), items.item(*id).far);
+            inside.iter().all(|p| !matches!(p.passes(source, hull, far), Passes::Outside))
+                && outside.iter().all(|p| !matches!(p.passes(source, hull, far), Passes::Inside))
+                && pending
+                    .before
+                    .is_none_or(|(f, front)| !is_behind(items.face(f), front, items.corners(*id)))
+        };
+        let list: Vec<u32> = list.iter().copied().filter(belongs).collect();
+        self.lists += list.len() * size_of::<u32>();
+        self.told += list.len();
+        list
     }
 
     /// Defines an undefined class by the largest of its items that may hide something from a part of it.
@@ -212,10 +256,14 @@ impl Partition {
                 return Grown::Defined;
             }
         };
-        self.lists -= leaf.list.capacity() * size_of::<u32>();
+        let mut list = self.resolve(&mut leaf, items, source);
+        if list.is_empty() {
+            self.nodes[at as usize] = self.undefined(leaf);
+            return Grown::Defined;
+        }
         let mut k = 0;
         let found = loop {
-            let Some(id) = leaf.list.get(k).copied() else { break None };
+            let Some(id) = list.get(k).copied() else { break None };
             // The face of a class whose start is known goes first.
             if leaf.from.is_none() && !may(items, id) {
                 k += 1;
@@ -224,13 +272,14 @@ impl Partition {
             match items.item(id).what {
                 What::Face(face) => break Some((id, face)),
                 What::Box(_) => {
-                    leaf.list.remove(k);
-                    items.open(id, &mut leaf.list);
+                    list.remove(k);
+                    items.open(id, &mut list);
                 }
             }
         };
         let Some((item, face)) = found else {
             let class = leaf.class.map(|(face, _)| face);
+            leaf.list = Rc::new(list);
             self.nodes[at as usize] = self.undefined(leaf);
             return Grown::Nothing(class);
         };
@@ -239,66 +288,31 @@ impl Partition {
             (Some(front), _) | (None, From::Side(front)) => front,
             (None, From::Both) => {
                 // The face first, then the others as they are.
-                leaf.list[..=k].rotate_right(1);
+                list[..=k].rotate_right(1);
+                leaf.list = Rc::new(list);
                 let side = |front| Undefined { from: Some(front), ..leaf.clone() };
                 let (behind, ahead) = (self.leaf(side(false)), self.leaf(side(true)));
-                leaf.list.remove(0);
+                leaf.list = Rc::new(leaf.list[1..].to_vec());
                 let held = self.leaf(leaf);
                 self.nodes[at as usize] = Node::Start { face, from: [behind, held, ahead] };
                 return Grown::Defined;
             }
         };
-        leaf.list.remove(k);
-        self.chain(at, items, source, (item, face, front), &leaf);
+        list.remove(k);
+        leaf.list = Rc::new(list);
+        self.chain(at, items, (item, face, front), &leaf);
         Grown::Defined
     }
 
     /// Replaces a node by RP(S, T): a node for each edge of the face, which rays pass outside or inside.
-    fn chain(
-        &mut self,
-        at: u32,
-        items: &Items<'_>,
-        source: &Source,
-        (item, face, front): (u32, u32, bool),
-        leaf: &Undefined,
-    ) {
-        let (first, n, far) = (items.first(item), items.corners(item).len() as u32, items.item(item).far);
-        // From the front the corners turn to the left as seen from the point, and so to the right from
-        // outside.
-        let edge = |k: u32| {
-            let (a, b) = (first + k, first + (k + 1) % n);
-            if front { (b, a) } else { (a, b) }
-        };
-        let planes: Vec<Hyperplane> = (0..n)
-            .map(|k| {
-                let (a, b) = edge(k);
-                Hyperplane::new(source, items.point(a), items.point(b), far)
-            })
-            .collect();
-        let mut outside = vec![Vec::new(); n as usize];
-        let mut inside = Vec::new();
-        for id in &leaf.list {
-            let (corners, far) = (items.corners(*id), items.item(*id).far);
-            let mut passes_inside = true;
-            for (plane, list) in planes.iter().zip(&mut outside) {
-                match plane.passes(source, corners, far) {
-                    Passes::Inside => {}
-                    Passes::Both => list.push(*id),
-                    Passes::Outside => {
-                        list.push(*id);
-                        passes_inside = false;
-                        break;
-                    }
-                }
-            }
-            if passes_inside {
-                inside.push(*id);
-            }
-        }
-        let mut next = self.inner(items, (item, face, front), leaf.class, &inside);
-        for (k, list) in outside.into_iter().enumerate().rev() {
-            let (a, b) = edge(k as u32);
-            let outside = self.leaf(Undefined { list, from: None, class: leaf.class });
+    fn chain(&mut self, at: u32, items: &Items<'_>, (item, face, front): (u32, u32, bool), leaf: &Undefined) {
+        let edges = Edges::of(items, item, front);
+        let pending = Pending { item, front, inside: edges.count, outside: false, before: None };
+        let mut next = self.inner(items, (pending, face), leaf);
+        for k in (0..edges.count).rev() {
+            let (a, b) = edges.edge(k);
+            let pending = Pending { inside: k, outside: true, ..pending };
+            let outside = self.leaf(Undefined { pending: Some(pending), from: None, ..leaf.clone() });
             let node = Node::Edge { a, b, inside: next, outside };
             if k == 0 {
                 self.nodes[at as usize] = node;
@@ -309,41 +323,61 @@ impl Partition {
     }
 
     /// The class of the rays that all meet a face, and those of another class already if it has one.
-    fn inner(
-        &mut self,
-        items: &Items<'_>,
-        (item, face, front): (u32, u32, bool),
-        class: Option<(u32, bool)>,
-        list: &[u32],
-    ) -> u32 {
-        let whole = items.face(face);
+    fn inner(&mut self, items: &Items<'_>, (pending, face): (Pending, u32), leaf: &Undefined) -> u32 {
+        let (whole, front) = (items.face(face), pending.front);
         // What a face hides from nearer by needs no look (`depthCulling`).
-        let before = |face: &Face, front| -> Vec<u32> {
-            list.iter().copied().filter(|id| !is_behind(face, front, items.corners(*id))).collect()
+        let of = |face: (u32, bool), class| Undefined {
+            list: Rc::clone(&leaf.list),
+            pending: Some(Pending { before: Some(face), ..pending }),
+            from: None,
+            class,
         };
         if self.tells == Tells::Union {
             return if whole.within {
                 self.push(Node::Met(face))
             } else {
-                let list = before(whole, front);
-                let beyond = self.leaf(Undefined { list, ..Undefined::default() });
+                let beyond = self.leaf(of((face, front), None));
                 self.push(Node::Near { face, beyond })
             };
         }
-        let of = |face: u32, front: bool| Undefined {
-            list: before(items.face(face), front),
-            from: None,
-            class: Some((face, front)),
-        };
-        let Some((other, other_front)) = class else { return self.leaf(of(face, front)) };
-        if is_behind(whole, front, items.corners(items.face(other).item)) {
-            return self.leaf(of(face, front));
+        let this = (face, front);
+        let Some(other) = leaf.class else { return self.leaf(of(this, Some(this))) };
+        if is_behind(whole, front, items.corners(items.face(other.0).item)) {
+            return self.leaf(of(this, Some(this)));
         }
-        if is_behind(items.face(other), other_front, items.corners(item)) {
-            return self.leaf(of(other, other_front));
+        if is_behind(items.face(other.0), other.1, items.corners(pending.item)) {
+            return self.leaf(of(other, Some(other)));
         }
-        let (one, two) = (self.leaf(of(face, front)), self.leaf(of(other, other_front)));
-        self.push(Node::Order { faces: [face, other], first: [one, two] })
+        let (one, two) = (self.leaf(of(this, Some(this))), self.leaf(of(other, Some(other))));
+        self.push(Node::Order { faces: [face, other.0], first: [one, two] })
+    }
+}
+
+/// The edges of a face in the order in which they turn to the left as seen from outside of the sphere of
+/// directions.
+struct Edges {
+    first: u32,
+    count: u32,
+    front: bool,
+    far: f64,
+}
+
+impl Edges {
+    fn of(items: &Items<'_>, item: u32, front: bool) -> Self {
+        let (first, count) = (items.first(item), items.corners(item).len() as u32);
+        Self { first, count, front, far: items.item(item).far }
+    }
+
+    /// The points of an edge. From the front the corners turn to the left as seen from the point, and so to
+    /// the right from outside.
+    fn edge(&self, k: u32) -> (u32, u32) {
+        let (a, b) = (self.first + k, self.first + (k + 1) % self.count);
+        if self.front { (b, a) } else { (a, b) }
+    }
+
+    fn hyperplane(&self, items: &Items<'_>, source: &Source, k: u32) -> Hyperplane {
+        let (a, b) = self.edge(k);
+        Hyperplane::new(source, items.point(a), items.point(b), self.far)
     }
 }
 

@@ -20,6 +20,11 @@ const BLOCK: usize = 64;
 const EXTENT: f64 = 0.5;
 /// Boxes that take more of the sphere, in steradians, are opened before the first query. Near by all are.
 const OPEN_FAR: f64 = 0.01;
+/// Items that the classes of a block may have been told, by its receivers, before what is left of the block
+/// is divided: where much is near that is small beside the block, its points see too little alike.
+const TOLD: usize = 20_000;
+/// Into how many.
+const DIVISION: usize = 4;
 /// Most bytes of a partition. One that takes more is begun anew.
 const BYTES: usize = 48 << 20;
 
@@ -135,6 +140,21 @@ impl Solver {
 
     /// Answers for the receivers of one block, in their order. The first one's triangle is taken for all.
     pub fn block(&self, receivers: &[Receiver], memory: &mut Memory) -> Vec<Answer> {
+        let mut answers = Vec::new();
+        let mut waiting = vec![receivers];
+        while let Some(part) = waiting.pop() {
+            let before = answers.len();
+            self.part(part, memory, &mut answers);
+            let rest = &part[answers.len() - before..];
+            if !rest.is_empty() {
+                waiting.extend(rest.chunks(part.len().div_ceil(DIVISION)).rev());
+            }
+        }
+        answers
+    }
+
+    /// Adds answers for the first receivers of a part of a block: for all, unless they see too little alike.
+    fn part(&self, receivers: &[Receiver], memory: &mut Memory, all: &mut Vec<Answer>) {
         let Settings { distance, falloff, fragments, .. } = self.settings;
         let union = falloff == Falloff::None && !fragments;
         let blockers = self.single.as_ref().unwrap_or(&self.joined);
@@ -145,22 +165,22 @@ impl Solver {
         let mut tree = Partition::new(if union { Tells::Union } else { Tells::First }, root);
         let Memory { scratch, seen, cuts } = memory;
         seen.clear();
-        let mut answers: Vec<Answer> = receivers
-            .iter()
-            .map(|r| {
-                if tree.bytes() > BYTES {
-                    tree.clear();
-                }
-                let mut rays = Rays { tree: &mut tree, items: &mut items, source: &source };
-                let (openness, mut found) = if union {
-                    (open(&mut rays, r, scratch, (seen, cuts)), Vec::new())
-                } else {
-                    first(&mut rays, r, (distance, falloff, fragments), scratch, (seen, cuts))
-                };
-                found.iter_mut().for_each(|f| f.polygon = blockers.triangle(f.polygon));
-                Answer { openness, inside: self.inside.holds(r), lights: Vec::new(), fragments: found }
-            })
-            .collect();
+        let mut answers: Vec<Answer> = Vec::new();
+        for r in receivers {
+            if !answers.is_empty() && tree.told() > TOLD * receivers.len() {
+                break;
+            }
+            let mut rays = Rays { tree: &mut tree, items: &mut items, source: &source, bytes: BYTES };
+            let (openness, mut found) = if union {
+                (open(&mut rays, r, scratch, (seen, cuts)), Vec::new())
+            } else {
+                first(&mut rays, r, (distance, falloff, fragments), scratch, (seen, cuts))
+            };
+            found.iter_mut().for_each(|f| f.polygon = blockers.triangle(f.polygon));
+            let inside = self.inside.holds(r);
+            answers.push(Answer { openness, inside, lights: Vec::new(), fragments: found });
+        }
+        let receivers = &receivers[..answers.len()];
         for light in &self.settings.lights {
             let found = factors(&self.joined, receivers, light, (OPEN_FAR, BYTES), scratch);
             for (answer, (factor, bound)) in answers.iter_mut().zip(found) {
@@ -168,6 +188,6 @@ impl Solver {
                 answer.openness.bound = answer.openness.bound.max(bound);
             }
         }
-        answers
+        all.extend(answers);
     }
 }

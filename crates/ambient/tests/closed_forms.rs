@@ -122,7 +122,7 @@ fn a_sphere_has_its_square_of_distances() {
     let (radius, away) = (1.0f64, 3.0f64);
     let tilt = 0.8f64;
     let centre = DVec3::new(away * tilt.sin(), 0.0, away * tilt.cos());
-    let n = 160u32;
+    let n = 96u32;
     let at = |i: u32, j: u32| {
         let (sp, cp) = (f64::from(i) / f64::from(n) * PI).sin_cos();
         let (st, ct) = (f64::from(j) / f64::from(n) * PI).sin_cos();
@@ -139,7 +139,7 @@ fn a_sphere_has_its_square_of_distances() {
     let value = answer(&all, Settings::new(f64::INFINITY), up()).openness.open;
     let expected = 1.0 - radius * radius * tilt.cos() / (away * away);
     // Chords lie inside of the sphere.
-    assert!(expected <= value && value < expected + 1e-4, "{value} {expected}");
+    assert!(expected <= value && value < expected + 3e-4, "{value} {expected}");
 }
 
 #[test]

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use sightline_model::BackendChoice;
 
+use crate::ambient_args::AmbientArgs;
 use crate::bench_args::BenchArgs;
 use crate::choices::choice;
 use crate::job_args::JobArgs;
@@ -30,7 +31,8 @@ use crate::what::What;
 #[derive(Parser, Debug)]
 #[command(name = "sightline", version, max_term_width = 110, verbatim_doc_comment, after_help = EXIT_CODES)]
 pub struct Cli {
-    /// Print one JSON document to stdout. `dump`, `sightlines`, `stab` and `look` always print JSON Lines.
+    /// Print one JSON document to stdout. `dump`, `sightlines`, `stab`, `look` and `ambient`
+    /// with `--points` always print JSON Lines.
     #[arg(long, global = true)]
     pub json: bool,
     #[command(subcommand)]
@@ -131,6 +133,8 @@ pub enum Command {
     Stab(StabArgs),
     /// Look from points at run time: the triangles of a cell's set that are in the view and not behind walls
     Look(LookArgs),
+    /// Tell what the hemispheres of points are free of: ambient occlusion without noise, and form factors.
+    Ambient(AmbientArgs),
     /// Check every witness and every certificate of a result with an independent checker.
     Verify(VerifyArgs),
     /// Look at a result in a browser: walk through the scene as each cell draws it, and click to see why.

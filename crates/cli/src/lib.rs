@@ -9,6 +9,8 @@
     reason = "the arguments' doc comments are help texts, not Markdown"
 )]
 
+mod ambient;
+mod ambient_args;
 mod answering;
 mod answers;
 mod args;
@@ -150,6 +152,7 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Portals(a) => portals::run(&a, json),
         Command::Stab(a) => stab::run(&a),
         Command::Look(a) => look::run(&a),
+        Command::Ambient(a) => ambient::run(&a),
         Command::Generate(a) => files::generate(&a, json),
         Command::Info(a) => inspect::info(&a, json),
         Command::Dump(a) => dump::dump(&a),

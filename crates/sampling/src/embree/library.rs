@@ -167,6 +167,12 @@ enum Intersect {
     V4(Intersect4, Single4),
 }
 
+/// The function that asks whether the rays of a packet meet anything.
+enum Occluded {
+    V3(Intersect3),
+    V4(Intersect4),
+}
+
 /// The functions of a loaded library, by their C names without the `rtc` prefix.
 pub struct Embree {
     new_device: unsafe extern "C" fn(*const c_char) -> Handle,
@@ -185,6 +191,7 @@ pub struct Embree {
     set_geometry_user_data: unsafe extern "C" fn(Handle, *const c_void),
     set_geometry_intersect_filter_function: unsafe extern "C" fn(Handle, Filter),
     intersect: Intersect,
+    occluded: Occluded,
     // Keeps the library loaded as long as the functions are used.
     _library: Library,
 }
@@ -233,7 +240,8 @@ impl Embree {
             unsafe { library.get::<T>(name) }.map(|s| *s)
         }
         // SAFETY: the types are those of Embree's headers, which are the same in both versions except for
-        // `rtcIntersect16` and `rtcIntersect1`. The version in the file name chooses the types of these two.
+        // `rtcIntersect16`, `rtcIntersect1` and `rtcOccluded16`. The version in the file name chooses the
+        // types of these three.
         unsafe {
             Ok(Self {
                 new_device: f(&library, b"rtcNewDevice\0")?,
@@ -258,6 +266,11 @@ impl Embree {
                     Intersect::V3(f(&library, b"rtcIntersect16\0")?, f(&library, b"rtcIntersect1\0")?)
                 } else {
                     Intersect::V4(f(&library, b"rtcIntersect16\0")?, f(&library, b"rtcIntersect1\0")?)
+                },
+                occluded: if major == 3 {
+                    Occluded::V3(f(&library, b"rtcOccluded16\0")?)
+                } else {
+                    Occluded::V4(f(&library, b"rtcOccluded16\0")?)
                 },
                 _library: library,
             })
@@ -438,6 +451,29 @@ impl TriangleScene {
                 let mut context = Context::of_4(passes);
                 let mut arguments = Arguments4::new(COHERENT_4, &mut context);
                 // SAFETY: as above for Embree 4.
+                unsafe { f(valid.0.as_ptr(), self.handle, rays, &raw mut arguments) }
+            }
+        }
+    }
+
+    /// Whether each ray whose `valid` entry is −1 meets anything: then its `tfar` is −∞ afterwards. Not for
+    /// scenes with a layer that is passed.
+    pub fn occluded(&self, valid: &[i32; 16], rays: &mut RayHit16) {
+        /// `valid` with the alignment that Embree requires, 64 bytes.
+        #[repr(align(64))]
+        struct Valid([i32; 16]);
+        let valid = Valid(*valid);
+        match self.device.embree.occluded {
+            Occluded::V3(f) => {
+                let mut context = Context::of_3(0, std::ptr::null_mut());
+                // SAFETY: as for `intersect`; `RTCRay16` is the first part of `RTCRayHit16`.
+                unsafe { f(valid.0.as_ptr(), self.handle, &raw mut context, rays) }
+            }
+            Occluded::V4(f) => {
+                let mut context = Context::of_4(std::ptr::null_mut());
+                let mut arguments = Arguments4::new(0, &mut context);
+                // SAFETY: as above for Embree 4, whose `RTCOccludedArguments` has the fields of
+                // `RTCIntersectArguments`.
                 unsafe { f(valid.0.as_ptr(), self.handle, rays, &raw mut arguments) }
             }
         }

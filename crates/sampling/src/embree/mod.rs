@@ -7,6 +7,7 @@
 
 mod filters;
 mod library;
+mod occlusion;
 #[cfg(test)]
 mod tests;
 
@@ -16,6 +17,8 @@ use std::sync::{Arc, Mutex, OnceLock};
 use glam::Vec3;
 use rayon::prelude::*;
 use sightline_scene::{Scene, Triangle};
+
+pub use self::occlusion::Occlusion;
 
 use self::filters::Passes;
 use self::library::{Device, Layer, RayHit1, RayHit16, TriangleScene};
