@@ -44,6 +44,9 @@ pub(crate) fn rings(image: &mut Image, count: usize) {
     }
 }
 
+/// A size, and for each cell the sum of values and their number.
+type Level = ([usize; 2], Vec<(f64, f64)>);
+
 /// Fills all that is left: each texel takes the mean of the smallest square around it, of a power of two, that has
 /// values. Without any value all become 1.
 pub(crate) fn rest(image: &mut Image) {
@@ -51,7 +54,7 @@ pub(crate) fn rest(image: &mut Image) {
     // Sums and numbers of values; each level has half the side of the one before.
     let first = image.values.iter().zip(&image.states);
     let first = first.map(|(v, s)| if known(*s) { (*v, 1.0) } else { (0.0, 0.0) }).collect();
-    let mut levels: Vec<([usize; 2], Vec<(f64, f64)>)> = vec![(image.size, first)];
+    let mut levels: Vec<Level> = vec![(image.size, first)];
     while let Some((size, below)) = levels.last().filter(|(size, _)| size[0] > 1 || size[1] > 1) {
         let half = size.map(|n| n.div_ceil(2));
         let mut level = vec![(0.0, 0.0); half[0] * half[1]];

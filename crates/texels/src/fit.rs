@@ -33,7 +33,10 @@ pub(crate) fn fit(scene: &Scene, unknowns: &Unknowns, values: &[Option<f64>]) ->
     let mut diagonal = vec![0.0; unknowns.count];
     // The upper half of each triangle's own matrix: 00 11 22 01 12 20.
     let mut matrices = vec![[0.0f64; 6]; triangles.len()];
-    let (mut next, mut sum, mut counted) = (0, 0.0, 0usize);
+    // Unknowns are differences from the mean, which is what those are that no receiver reaches.
+    let known = values.iter().flatten().count();
+    let mean = if known == 0 { 1.0 } else { values.iter().flatten().sum::<f64>() / known as f64 };
+    let mut next = 0;
     let mut drawn = Vec::new();
     for (t, corners) in unknowns.corners.iter().enumerate() {
         let k = unknowns.divisions[t];
@@ -44,11 +47,11 @@ pub(crate) fn fit(scene: &Scene, unknowns: &Unknowns, values: &[Option<f64>]) ->
             let value = values.get(next).copied().flatten();
             next += 1;
             let Some(value) = value else { continue };
-            (any, sum, counted) = (true, sum + value, counted + 1);
+            any = true;
             for i in 0..3 {
                 matrices[t][i] += weight * w[i] * w[i];
                 matrices[t][3 + i] += weight * w[i] * w[(i + 1) % 3];
-                b[corners[i] as usize] += weight * w[i] * value;
+                b[corners[i] as usize] += weight * w[i] * (value - mean);
             }
         }
         for i in 0..3 {
@@ -93,9 +96,9 @@ pub(crate) fn fit(scene: &Scene, unknowns: &Unknowns, values: &[Option<f64>]) ->
             out[*j as usize] -= difference;
         }
     };
-    let start = if counted == 0 { 1.0 } else { sum / counted as f64 };
-    let mut x = vec![start; unknowns.count];
+    let mut x = vec![0.0; unknowns.count];
     solve(apply, &diagonal, &b, &mut x, 1e-9, 2000);
+    x.iter_mut().for_each(|v| *v += mean);
     x.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     x
 }

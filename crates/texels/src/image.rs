@@ -77,12 +77,6 @@ impl Image {
         ]
     }
 
-    /// The value at a place as bilinear filtering sees it.
-    #[cfg(test)]
-    pub(crate) fn at(&self, place: [f64; 2]) -> f64 {
-        self.around(place).iter().map(|(i, w)| self.values[*i as usize] * w).sum()
-    }
-
     /// A PNG of grey values.
     pub(crate) fn png(&self, bits: Bits) -> Result<Vec<u8>, TexelsError> {
         let mut bytes = Vec::new();

@@ -1,5 +1,7 @@
 //! Conjugate gradients with the diagonal as preconditioner (Hestenes and Stiefel 1952), in a fixed order of sums.
 
+use std::cmp::Ordering;
+
 /// Solves A·x = b for a symmetric positive definite A, from the x that is given, until the remainder is `tolerance`
 /// of what it was against x = 0, or for `most` steps. `apply` writes A·v for a v; `diagonal` is that of A.
 pub(crate) fn solve(
@@ -22,12 +24,13 @@ pub(crate) fn solve(
     let mut left = dot(&r, &z);
     let mut p = z.clone();
     for _ in 0..most {
-        if !(left > goal) {
+        // Neither is more than the other when the values are not numbers.
+        if left.partial_cmp(&goal) != Some(Ordering::Greater) {
             return;
         }
         apply(&p, &mut product);
         let curve = dot(&p, &product);
-        if !(curve > 0.0) {
+        if curve.partial_cmp(&0.0) != Some(Ordering::Greater) {
             return;
         }
         let step = left / curve;

@@ -71,12 +71,12 @@ pub(crate) fn with_vertices(
         let at = (meshes[part.draw], part.primitive);
         // Vertices of no triangle are in the open.
         let of = |u: &u32| if *u == NONE { 1.0 } else { values[*u as usize] as f32 };
-        let own: Vec<f32> = unknowns.sets[*set].unknowns.iter().map(of).collect();
+        let own = || -> Vec<f32> { unknowns.sets[*set].unknowns.iter().map(of).collect() };
         let accessor = match accessors.get(set) {
             Some(known) => *known,
             None => {
-                done.vertices += own.len();
-                added::numbers(file, &own)?
+                done.vertices += unknowns.sets[*set].unknowns.len();
+                added::numbers(file, &own())?
             }
         };
         accessors.insert(*set, accessor);
@@ -89,7 +89,7 @@ pub(crate) fn with_vertices(
         }
         let color = match colors.get(set) {
             Some(known) => *known,
-            None => added::greys(file, &own, bits.largest())?,
+            None => added::greys(file, &own(), bits.largest())?,
         };
         colors.insert(*set, color);
         put_attribute(file, at, "COLOR_0", color)?;
