@@ -129,7 +129,8 @@ fn width(component: u32) -> Option<usize> {
     }
 }
 
-/// The number of components of an element and its bytes. Columns of matrices start at multiples of four bytes.
+/// The number of components of an element and its bytes. Columns of matrices start at multiples of four
+/// bytes.
 fn shape_size(shape: &str, width: usize) -> Option<(usize, usize)> {
     let matrix = |n: usize| (n * n, n * (n * width).next_multiple_of(4));
     Some(match shape {

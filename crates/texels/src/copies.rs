@@ -9,8 +9,9 @@ use crate::file::{File, member};
 use crate::instances::{expand, undeclare};
 use crate::parts::Parts;
 
-/// Gives each draw that has triangles a mesh of its own, and returns the mesh of each draw. The first node keeps
-/// the mesh that it has, unless nodes that are not drawn have it, too. Accessors are shared by the copies.
+/// Gives each draw that has triangles a mesh of its own, and returns the mesh of each draw. The first node
+/// keeps the mesh that it has, unless nodes that are not drawn have it, too. Accessors are shared by the
+/// copies.
 pub(crate) fn separate(file: &mut File, parts: &Parts) -> Result<Vec<usize>, TexelsError> {
     let mut with_triangles = vec![false; parts.draws.len()];
     for part in &parts.all {

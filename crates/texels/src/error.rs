@@ -59,8 +59,8 @@ pub enum TexelsError {
     },
     /// The image would be too large.
     #[error(
-        "{file}: with texels of this size it takes {texels:.3e} texels, and 16384 x 16384 are the most; give a \
-         larger --texel, or --resolution"
+        "{file}: with texels of this size it takes {texels:.3e} texels, and 16384 x 16384 are the most; give \
+         a larger --texel, or --resolution"
     )]
     TooManyTexels {
         /// The file as the user named it.
@@ -111,9 +111,7 @@ pub enum TexelsError {
         receivers: usize,
     },
     /// A GLB counts its bytes in 32 bits.
-    #[error(
-        "{file}: the result would take more than the 4 GiB of a GLB; give a larger --texel, or split the file"
-    )]
+    #[error("{file}: the result takes more than the 4 GiB of a GLB; give a larger --texel or split it")]
     TooLarge {
         /// The file as the user named it.
         file: String,

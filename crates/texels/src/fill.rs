@@ -1,7 +1,7 @@
 //! Values for texels that have none: from their neighbours ring by ring, then from ever coarser images.
 //!
-//! Texels whose part of the surface is inside of closed solids are filled in the same way, so that no darkness of
-//! an inside comes through at the foot of a wall.
+//! Texels whose part of the surface is inside of closed solids are filled in the same way, so that no
+//! darkness of an inside comes through at the foot of a wall.
 
 use crate::image::{Image, State};
 
@@ -47,8 +47,8 @@ pub(crate) fn rings(image: &mut Image, count: usize) {
 /// A size, and for each cell the sum of values and their number.
 type Level = ([usize; 2], Vec<(f64, f64)>);
 
-/// Fills all that is left: each texel takes the mean of the smallest square around it, of a power of two, that has
-/// values. Without any value all become 1.
+/// Fills all that is left: each texel takes the mean of the smallest square around it, of a power of two,
+/// that has values. Without any value all become 1.
 pub(crate) fn rest(image: &mut Image) {
     let known = |s: State| matches!(s, State::Own | State::Filled);
     // Sums and numbers of values; each level has half the side of the one before.

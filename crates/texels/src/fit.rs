@@ -1,9 +1,9 @@
-//! Values at vertices whose interpolation is closest to the values inside of faces (Kavan, Bargteil and Sloan,
-//! "Least Squares Vertex Baking", 2011).
+//! Values at vertices whose interpolation is closest to the values inside of faces (Kavan, Bargteil and
+//! Sloan, "Least Squares Vertex Baking", 2011).
 //!
-//! Least squares over the receivers, weighted by area, plus a small cost for what the gradient does at edges, which
-//! is nothing for a linear function on a plane. Where a triangle has no receiver that counts, its vertices are drawn
-//! together, so that they take the values of their neighbours.
+//! Least squares over the receivers, weighted by area, plus a small cost for what the gradient does at
+//! edges, which is nothing for a linear function on a plane. Where a triangle has no receiver that counts,
+//! its vertices are drawn together, so that they take the values of their neighbours.
 
 use glam::DVec3;
 use sightline_scene::{Scene, Triangle};
@@ -23,8 +23,8 @@ struct Hinge {
     weights: [f64; 4],
 }
 
-/// The value of each unknown, from 0 to 1. `values` yields the value of each receiver, or none if it counts for
-/// nothing, in the order of [`Unknowns::receivers`].
+/// The value of each unknown, from 0 to 1. `values` yields the value of each receiver, or none if it counts
+/// for nothing, in the order of [`Unknowns::receivers`].
 pub(crate) fn fit(scene: &Scene, unknowns: &Unknowns, values: &[Option<f64>]) -> Vec<f64> {
     let triangles = scene.triangles();
     let areas: Vec<f64> = triangles.iter().map(|t| 0.5 * cross(t).length()).collect();

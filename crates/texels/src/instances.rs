@@ -68,8 +68,8 @@ pub(crate) fn instance_mirrors(file: &File, node: usize, i: u32) -> Result<f64, 
     Ok((0..3).map(|c| sign(elements.number(i as usize, c))).product())
 }
 
-/// Replaces the instances of a node by children, one for each of `meshes`, which come before its other children,
-/// so that triangles keep their order.
+/// Replaces the instances of a node by children, one for each of `meshes`, which come before its other
+/// children, so that triangles keep their order.
 pub(crate) fn expand(file: &mut File, node: usize, meshes: &[usize]) -> Result<(), TexelsError> {
     let original = file.array("nodes").get(node).cloned().unwrap_or_default();
     let Some(of) = attributes(&original) else { return Ok(()) };

@@ -1,9 +1,9 @@
 //! Values of a surface into the user's own glTF file.
 //!
-//! [`Plan::new`] reads a file and lists the points whose values it wants ([`Plan::receivers`]). Whoever knows the
-//! values gives them to [`Plan::write`], which returns a GLB: the file as it was, with an occlusion texture or
-//! with values at its vertices. This crate knows nothing of what the values mean, beyond that 0 is dark and 1 is
-//! bright.
+//! [`Plan::new`] reads a file and lists the points whose values it wants ([`Plan::receivers`]). Whoever
+//! knows the values gives them to [`Plan::write`], which returns a GLB: the file as it was, with an
+//! occlusion texture or with values at its vertices. This crate knows nothing of what the values mean,
+//! beyond that 0 is dark and 1 is bright.
 //!
 //! ```
 //! use sightline_texels::{Plan, Settings, Value};

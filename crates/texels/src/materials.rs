@@ -6,8 +6,7 @@ use serde_json::{Value, json};
 
 use crate::TexelsError;
 use crate::file::{File, member};
-use crate::parts::primitive_of;
-use crate::primitives::put;
+use crate::parts::{primitive_of, put_primitive};
 
 /// Materials that an application may choose from (KHR_materials_variants).
 const VARIANTS: &str = "KHR_materials_variants";
@@ -117,7 +116,7 @@ pub(crate) fn assign(file: &mut File, uses: &[Use], texture: usize) -> Result<Do
         if new.is_object() {
             new["material"] = json!(own);
         }
-        put(file, u.mesh, u.primitive, new)?;
+        put_primitive(file, u.mesh, u.primitive, new)?;
     }
     Ok(done)
 }

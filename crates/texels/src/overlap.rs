@@ -13,7 +13,8 @@ const FEW: usize = 24;
 /// Deepest division.
 const DEEPEST: u32 = 40;
 
-/// Two triangles that overlap and for which `counts`; which of several such pairs depends on the triangles alone.
+/// Two triangles that overlap and for which `counts`; which of several such pairs depends on the triangles
+/// alone.
 pub(crate) fn overlap(triangles: &[Flat], counts: &dyn Fn(usize, usize) -> bool) -> Option<(usize, usize)> {
     // Thinner ones cannot overlap by more.
     let all: Vec<usize> = (0..triangles.len()).filter(|i| !thin(&triangles[*i])).collect();

@@ -93,6 +93,20 @@ pub(crate) fn primitive_of(file: &File, mesh: usize, primitive: usize) -> Option
     file.array("meshes").get(mesh)?.get("primitives")?.get(primitive)
 }
 
+/// Replaces a primitive.
+pub(crate) fn put_primitive(
+    file: &mut File,
+    mesh: usize,
+    primitive: usize,
+    new: Value,
+) -> Result<(), TexelsError> {
+    let mesh = file.array_mut("meshes")?.get_mut(mesh);
+    if let Some(slot) = mesh.and_then(|m| m.get_mut("primitives")).and_then(|p| p.get_mut(primitive)) {
+        *slot = new;
+    }
+    Ok(())
+}
+
 /// A primitive's triangles.
 fn corners(file: &File, primitive: &Value, element: &str) -> Result<Part, TexelsError> {
     if primitive.get("extensions").is_some_and(|e| e.get(DRACO).is_some()) {

@@ -1,7 +1,7 @@
 //! The pieces of triangles in texels: the receivers of a texture.
 //!
-//! The receiver of a piece is the centre of its area, its weight the area of its part of the surface. So the mean
-//! of the receivers of a texel is exact for a value that is linear on each piece.
+//! The receiver of a piece is the centre of its area, its weight the area of its part of the surface. So
+//! the mean of the receivers of a texel is exact for a value that is linear on each piece.
 
 use rayon::prelude::*;
 use sightline_scene::{Scene, Triangle};

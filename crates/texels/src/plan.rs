@@ -70,7 +70,7 @@ pub struct Facts {
     pub inside: usize,
     /// Texels outside of all charts, which were filled.
     pub dilated: usize,
-    /// Seams that were closed.
+    /// UV seams that were closed.
     pub seams: usize,
     /// Primitives whose texture coordinates stayed.
     pub kept: usize,
@@ -91,9 +91,9 @@ pub struct Facts {
 }
 
 impl<'a> Plan<'a> {
-    /// The plan for a file. `name` appears in errors, `base` is the folder of the file, and `scene` what the loader
-    /// of scenes made of its bytes. For a scene that is not from a glTF file a file is made, with a node and a
-    /// mesh for each object.
+    /// The plan for a file. `name` appears in errors, `base` is the folder of the file, and `scene` what
+    /// the loader of scenes made of its bytes. For a scene that is not from a glTF file a file is made,
+    /// with a node and a mesh for each object.
     ///
     /// # Errors
     /// [`TexelsError`] when the file cannot take values, or the settings are out of range.

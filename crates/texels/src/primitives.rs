@@ -10,7 +10,7 @@ use crate::added;
 use crate::atlas::Layout;
 use crate::file::{File, member};
 use crate::materials::{numbers_of, uses_set};
-use crate::parts::Part;
+use crate::parts::{Part, primitive_of, put_primitive};
 
 /// The attributes of a primitive.
 fn attributes(primitive: &mut Value) -> Option<&mut Map<String, Value>> {
@@ -19,15 +19,15 @@ fn attributes(primitive: &mut Value) -> Option<&mut Map<String, Value>> {
 
 /// Gives a primitive its texture coordinates, and returns the number of the set.
 ///
-/// That is `TEXCOORD_1`, unless a texture of its material uses what is there: then the next free one. glTF wants
-/// sets to be numbered from 0 on, so where there is no `TEXCOORD_0` it becomes the same.
+/// That is `TEXCOORD_1`, unless a texture of its material uses what is there: then the next free one. glTF
+/// wants sets to be numbered from 0 on, so where there is no `TEXCOORD_0` it becomes the same.
 pub(crate) fn with_coordinates(
     file: &mut File,
     mesh: usize,
     part: &Part,
     layout: &Layout,
 ) -> Result<usize, TexelsError> {
-    let primitive = crate::parts::primitive_of(file, mesh, part.primitive);
+    let primitive = primitive_of(file, mesh, part.primitive);
     let mut primitive = primitive.cloned().unwrap_or(Value::Null);
     let old = primitive.get("attributes").and_then(|a| member(a, "TEXCOORD_1"));
     let coordinates = match layout {
@@ -62,7 +62,7 @@ pub(crate) fn with_coordinates(
         }
         attributes.insert(format!("TEXCOORD_{set}"), json!(coordinates));
     }
-    put(file, mesh, part.primitive, primitive)?;
+    put_primitive(file, mesh, part.primitive, primitive)?;
     Ok(set)
 }
 
@@ -103,18 +103,9 @@ pub(crate) fn put_attribute(
     name: &str,
     accessor: usize,
 ) -> Result<(), TexelsError> {
-    let mut new = crate::parts::primitive_of(file, mesh, primitive).cloned().unwrap_or(Value::Null);
+    let mut new = primitive_of(file, mesh, primitive).cloned().unwrap_or(Value::Null);
     if let Some(attributes) = attributes(&mut new) {
         attributes.insert(name.to_owned(), json!(accessor));
     }
-    put(file, mesh, primitive, new)
-}
-
-/// Replaces a primitive.
-pub(crate) fn put(file: &mut File, mesh: usize, primitive: usize, new: Value) -> Result<(), TexelsError> {
-    let mesh = file.array_mut("meshes")?.get_mut(mesh);
-    if let Some(slot) = mesh.and_then(|m| m.get_mut("primitives")).and_then(|p| p.get_mut(primitive)) {
-        *slot = new;
-    }
-    Ok(())
+    put_primitive(file, mesh, primitive, new)
 }

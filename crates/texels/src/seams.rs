@@ -1,9 +1,10 @@
-//! Seams: edges that two triangles share on the surface and not in the image.
+//! UV seams: edges that two triangles share on the surface and not in the image.
 //!
-//! Bilinear filtering sees different texels on the two sides of a seam. Where the surface goes on smoothly, texels
-//! beside the seam are moved as little as possible so that both sides look the same at points along it (Iwanicki,
-//! "Lighting technology of The Last of Us", 2013): least squares over the differences and the changes, by
-//! conjugate gradients. Across a crease the two faces see different hemispheres, and each keeps its own values.
+//! Bilinear filtering sees different texels on the two sides of a seam. Where the surface goes on smoothly,
+//! texels beside the seam are moved as little as possible so that both sides look the same at points along
+//! it (Iwanicki, "Lighting technology of The Last of Us", 2013): least squares over the differences and the
+//! changes, by conjugate gradients. Across a crease the two faces see different hemispheres, and each keeps
+//! its own values.
 
 use sightline_scene::{Scene, Triangle};
 
@@ -31,7 +32,7 @@ pub(crate) struct Seam {
     pub sides: [[[f64; 2]; 2]; 2],
 }
 
-/// The seams across which the surface goes on smoothly.
+/// The UV seams across which the surface goes on smoothly.
 pub(crate) fn seams(scene: &Scene, parts: &Parts, atlas: &Atlas) -> Vec<Seam> {
     let mut fronts = vec![1.0; scene.len() as usize];
     for part in &parts.all {
@@ -53,7 +54,7 @@ pub(crate) fn seams(scene: &Scene, parts: &Parts, atlas: &Atlas) -> Vec<Seam> {
         .collect()
 }
 
-/// Points of a seam on both sides.
+/// Points of a UV seam on both sides.
 pub(crate) fn points(seam: &Seam) -> impl Iterator<Item = [[f64; 2]; 2]> {
     let length = |s: &[[f64; 2]; 2]| (s[1][0] - s[0][0]).abs().max((s[1][1] - s[0][1]).abs());
     let longest = seam.sides.iter().map(length).fold(0.0, f64::max);
@@ -65,7 +66,7 @@ pub(crate) fn points(seam: &Seam) -> impl Iterator<Item = [[f64; 2]; 2]> {
     })
 }
 
-/// Makes both sides of each seam look the same.
+/// Makes both sides of each UV seam look the same.
 pub(crate) fn close(image: &mut Image, seams: &[Seam]) {
     let row = |[a, b]: [[f64; 2]; 2], image: &Image| {
         let (a, b) = (image.around(a), image.around(b).map(|(i, w)| (i, -w)));

@@ -1,9 +1,11 @@
-//! Conjugate gradients with the diagonal as preconditioner (Hestenes and Stiefel 1952), in a fixed order of sums.
+//! Conjugate gradients with the diagonal as preconditioner (Hestenes and Stiefel 1952), in a fixed order of
+//! sums.
 
 use std::cmp::Ordering;
 
-/// Solves A·x = b for a symmetric positive definite A, from the x that is given, until the remainder is `tolerance`
-/// of what it was against x = 0, or for `most` steps. `apply` writes A·v for a v; `diagonal` is that of A.
+/// Solves A·x = b for a symmetric positive definite A, from the x that is given, until the remainder is
+/// `tolerance` of what it was against x = 0, or for `most` steps. `apply` writes A·v for a v; `diagonal` is
+/// that of A.
 pub(crate) fn solve(
     apply: impl Fn(&[f64], &mut [f64]),
     diagonal: &[f64],

@@ -15,7 +15,8 @@ use crate::parts::Parts;
 use crate::settings::Size;
 use crate::welds::cross;
 
-/// A part's vertices that its triangles use, in increasing order, and the triangles by their places in that list.
+/// A part's vertices that its triangles use, in increasing order, and the triangles by their places in that
+/// list.
 fn compact(corners: &[[u32; 3]]) -> (Vec<u32>, Vec<u32>) {
     let mut used: Vec<u32> = corners.iter().flatten().copied().collect();
     used.sort_unstable();
@@ -43,7 +44,8 @@ pub(crate) fn unwrap(file: &File, scene: &Scene, parts: &Parts, size: Size) -> R
     }
     let meshes: Vec<MeshInput<'_>> =
         vertices.iter().map(|(_, positions, indices)| MeshInput::new(positions, indices)).collect();
-    // The other packing finds a place for each chart by its shape, and takes minutes for ten thousand of them.
+    // The other packing finds a place for each chart by its shape, and takes minutes for ten thousand of
+    // them.
     let options = Options { density, padding: GAP, packing: Packing::Fast, ..Options::default() };
     let made = uvunwrap::generate(&meshes, &options).map_err(|e| refused(file, &e, page))?;
     if made.page_count > 1 {
@@ -72,8 +74,8 @@ pub(crate) fn unwrap(file: &File, scene: &Scene, parts: &Parts, size: Size) -> R
     Ok(Atlas { size, triangles, layouts, charts: made.chart_count })
 }
 
-/// What to ask for, the side of the image if it is given, and a power of two that coordinates are multiplied with,
-/// so that those of no scene leave the range of single precision on the way.
+/// What to ask for, the side of the image if it is given, and a power of two that coordinates are
+/// multiplied with, so that those of no scene leave the range of single precision on the way.
 fn density(file: &File, scene: &Scene, size: Size) -> Result<(Density, Option<u32>, f32), TexelsError> {
     let (min, max) = (scene.bounds().min, scene.bounds().max);
     let largest = f64::from(min.abs().max(max.abs()).max_element()).max(f64::from(f32::MIN_POSITIVE));

@@ -1,7 +1,8 @@
 //! The unknowns of values at vertices, and the receivers that they are fitted to.
 //!
-//! Vertices of one node that have the same position and the same normal share a value, whatever else tells them
-//! apart, so seams of texture coordinates are not seen. A vertex that faces share in the file has one value.
+//! Vertices of one node that have the same position and the same normal share a value, whatever else tells
+//! them apart, so seams of texture coordinates are not seen. A vertex that faces share in the file has one
+//! value.
 
 use std::collections::BTreeMap;
 

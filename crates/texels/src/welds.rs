@@ -3,8 +3,8 @@
 use glam::DVec3;
 use sightline_scene::Triangle;
 
-/// For each corner of each triangle the number of its place. Places that are equal bit for bit, but for the sign
-/// of a zero, have the same number; numbers follow the order of coordinates.
+/// For each corner of each triangle the number of its place. Places that are equal bit for bit, but for the
+/// sign of a zero, have the same number; numbers follow the order of coordinates.
 pub(crate) fn places(triangles: &[Triangle]) -> Vec<[u32; 3]> {
     let bits = |v: glam::Vec3| (v + glam::Vec3::ZERO).to_array().map(f32::to_bits);
     let corners = triangles.iter().flat_map(|t| t.v).map(bits);

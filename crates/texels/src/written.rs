@@ -32,7 +32,8 @@ pub(crate) fn with_texture(
     let image = json!({ "name": "occlusion", "bufferView": view, "mimeType": "image/png" });
     let image = file.push("images", image)?;
     let sampler = json!({
-        "magFilter": LINEAR, "minFilter": LINEAR_MIPMAP_LINEAR, "wrapS": CLAMP_TO_EDGE, "wrapT": CLAMP_TO_EDGE,
+        "magFilter": LINEAR, "minFilter": LINEAR_MIPMAP_LINEAR,
+        "wrapS": CLAMP_TO_EDGE, "wrapT": CLAMP_TO_EDGE,
     });
     let sampler = file.push("samplers", sampler)?;
     let texture = file.push("textures", json!({ "sampler": sampler, "source": image }))?;

@@ -190,7 +190,9 @@ fn strips_fans_targets_and_small_types_survive_new_vertices() {
     // Colours of three bytes, four bytes apart.
     let colors = maker.floats("SCALAR", &(0..5).map(|i| f32::from_bits(0x0102_0300 + i)).collect::<Vec<_>>());
     maker.json["bufferViews"][colors]["byteStride"] = json!(4);
-    maker.json["accessors"][colors] = json!({ "bufferView": colors, "componentType": 5121, "normalized": true, "count": 5, "type": "VEC3" });
+    maker.json["accessors"][colors] = json!({
+        "bufferView": colors, "componentType": 5121, "normalized": true, "count": 5, "type": "VEC3",
+    });
     let attributes = json!({ "POSITION": positions, "COLOR_0": colors });
     let primitives: Vec<Json> = [5, 6]
         .map(|mode| json!({ "attributes": attributes, "mode": mode, "targets": [{ "POSITION": targets }] }))
@@ -279,7 +281,8 @@ fn files_beside_it_are_put_inside() {
 
 #[test]
 fn other_files_become_gltf() {
-    let text = "o floor\nv 0 0 0\nv 4 0 0\nv 4 4 0\nv 0 4 0\nf 1 2 3 4\no empty\no wall\nv 4 0 4\nf 1 2 5\nf 1 1 2\n";
+    let text = "o floor\nv 0 0 0\nv 4 0 0\nv 4 4 0\nv 0 4 0\nf 1 2 3 4\no empty\no wall\nv 4 0 4\n\
+                f 1 2 5\nf 1 1 2\n";
     let scene = sightline_scene::load_bytes("floor.obj", text.as_bytes(), None).unwrap();
     for settings in [TEXTURE, VERTICES] {
         let plan = Plan::new("floor.obj", text.as_bytes(), None, &scene, &settings).unwrap();

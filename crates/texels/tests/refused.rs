@@ -192,7 +192,9 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
 
     #[test]
-    fn changed_bytes_never_panic(changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4)) {
+    fn changed_bytes_never_panic(
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4)
+    ) {
         let mut glb = seed();
         for (at, to) in changes {
             let at = at.index(glb.len() - 20) + 20;
@@ -203,7 +205,8 @@ proptest! {
 
     #[test]
     fn changed_numbers_never_panic(at in any::<prop::sample::Index>(), to in prop_oneof![
-        Just(json!(-1)), Just(json!(0)), Just(json!(3)), Just(json!(1 << 20)), Just(json!(u64::MAX)), Just(json!("x")),
+        Just(json!(-1)), Just(json!(0)), Just(json!(3)), Just(json!(1 << 20)), Just(json!(u64::MAX)),
+        Just(json!("x")),
         Just(json!([])), Just(Json::Null), Just(json!(5121)), Just(json!("VEC4"))
     ]) {
         let glb = seed();

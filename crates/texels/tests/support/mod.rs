@@ -55,7 +55,10 @@ impl Maker {
         let max: Vec<f32> = (0..n).map(|c| of(c).fold(f32::NEG_INFINITY, f32::max)).collect();
         self.push(
             "accessors",
-            json!({ "bufferView": view, "componentType": 5126, "count": numbers.len() / n, "type": kind, "min": min, "max": max }),
+            json!({
+                "bufferView": view, "componentType": 5126, "count": numbers.len() / n, "type": kind,
+                "min": min, "max": max,
+            }),
         )
     }
 
