@@ -2,9 +2,6 @@
 
 use crate::overlap::Flat;
 
-/// Empty texels around each chart: charts are twice as far apart.
-pub(crate) const GAP: u32 = 4;
-
 /// The image's size, the triangles in it, and what becomes of the texture coordinates of the parts.
 #[derive(Clone, Debug)]
 pub(crate) struct Atlas {
@@ -16,6 +13,8 @@ pub(crate) struct Atlas {
     pub layouts: Vec<Layout>,
     /// Number of charts of new coordinates.
     pub charts: u32,
+    /// Empty texels around each chart or part that was given a place.
+    pub gap: u32,
 }
 
 /// What becomes of the texture coordinates of a part.

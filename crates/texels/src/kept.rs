@@ -4,10 +4,11 @@ use sightline_scene::Scene;
 
 use crate::TexelsError;
 use crate::accessor::{Elements, FLOAT};
-use crate::atlas::{Atlas, GAP, Layout, in_texels};
+use crate::atlas::{Atlas, Layout, in_texels};
 use crate::error::MOST_SIDE;
 use crate::file::{File, member};
 use crate::overlap::{Flat, SLACK, overlap};
+use crate::pack::pack;
 use crate::parts::{Part, Parts, primitive_of};
 use crate::settings::Size;
 use crate::welds::cross;
@@ -87,7 +88,7 @@ impl Coordinates {
         size: Size,
     ) -> Result<Atlas, TexelsError> {
         let layouts = vec![Layout::Kept; parts.all.len()];
-        let mut atlas = Atlas { size: [1, 1], triangles: self.triangles, layouts, charts: 0 };
+        let mut atlas = Atlas { size: [1, 1], triangles: self.triangles, layouts, charts: 0, gap: 0 };
         // Units of the scene for one side of the image, from the areas of both.
         let units = |range: std::ops::Range<usize>| {
             let flat: f64 = atlas.triangles[range.clone()].iter().map(|t| area(t).abs()).sum();
@@ -99,24 +100,27 @@ impl Coordinates {
                 Size::Resolution(side) => f64::from(side),
                 Size::Texel(texel) => (units(0..scene.len() as usize) / texel).ceil().max(1.0),
             };
-            let side = within(file, side, side)?;
-            atlas.size = [side; 2];
+            if side > f64::from(MOST_SIDE) {
+                return Err(TexelsError::TooManyTexels { file: file.name.clone(), texels: side * side });
+            }
+            atlas.size = [side as u32; 2];
             for corner in atlas.triangles.iter_mut().flatten() {
                 *corner = in_texels(corner.map(|c| c.clamp(0.0, 1.0) as f32), atlas.size);
             }
             return Ok(atlas);
         }
-        let sides: Vec<f64> =
-            parts.all.iter().map(|p| units(p.first as usize..p.first as usize + p.corners.len())).collect();
-        let (places, image) = arrange(file, &sides, size)?;
-        atlas.size = image;
-        for ((part, place), layout) in parts.all.iter().zip(&places).zip(&mut atlas.layouts) {
-            let scale = image.map(|n| f64::from(place.side) / f64::from(n));
-            let offset = [0, 1].map(|k| f64::from(place.at[k]) / f64::from(image[k]));
-            *layout = Layout::Moved { scale, offset };
+        let side = |p: &Part| units(p.first as usize..p.first as usize + p.corners.len());
+        let sides: Vec<f64> = parts.all.iter().map(side).collect();
+        let squares: Vec<[f64; 2]> = sides.iter().map(|s| [*s; 2]).collect();
+        let packed = pack(&file.name, &squares, size)?;
+        (atlas.size, atlas.gap) = (packed.size, packed.gap);
+        for (i, part) in parts.all.iter().enumerate() {
+            let scale = packed.size.map(|n| sides[i] * packed.per_unit / f64::from(n));
+            let offset = [0, 1].map(|k| f64::from(packed.at[i][k]) / f64::from(packed.size[k]));
+            atlas.layouts[i] = Layout::Moved { scale, offset };
             let own = &mut atlas.triangles[part.first as usize..][..part.corners.len()];
             for corner in own.iter_mut().flatten() {
-                *corner = in_texels(Layout::moved(scale, offset, *corner), image);
+                *corner = in_texels(Layout::moved(scale, offset, *corner), packed.size);
             }
         }
         Ok(atlas)
@@ -145,105 +149,4 @@ fn coordinates(file: &File, parts: &Parts, part: &Part) -> Result<Option<Vec<Fla
     }
     let corner = |v: u32| [0, 1].map(|c| elements.number(v as usize, c));
     Ok(Some(part.corners.iter().map(|t| t.map(corner)).collect()))
-}
-
-/// The side of an image as a number of texels, unless it is too large.
-fn within(file: &File, side: f64, other: f64) -> Result<u32, TexelsError> {
-    if side <= f64::from(MOST_SIDE) && other <= f64::from(MOST_SIDE) {
-        Ok(side as u32)
-    } else {
-        Err(TexelsError::TooManyTexels { file: file.name.clone(), texels: side * other })
-    }
-}
-
-/// A square of the image.
-#[derive(Clone, Copy, Debug, Default)]
-struct Place {
-    at: [u32; 2],
-    side: u32,
-}
-
-/// A square for each side, given in units of the scene, and the size of the image.
-fn arrange(file: &File, sides: &[f64], size: Size) -> Result<(Vec<Place>, [u32; 2]), TexelsError> {
-    let texels =
-        |per_unit: f64| -> Vec<f64> { sides.iter().map(|s| (s * per_unit).ceil().max(1.0)).collect() };
-    let gap = f64::from(2 * GAP);
-    match size {
-        Size::Texel(texel) => {
-            let sides = texels(1.0 / texel);
-            let total: f64 = sides.iter().map(|s| (s + gap) * (s + gap)).sum();
-            let largest = sides.iter().copied().fold(1.0, f64::max) + gap;
-            let mut width = total.sqrt().ceil().max(largest);
-            loop {
-                let side = within(file, width, width)?;
-                let (places, height) = shelves(&sides, side);
-                if height <= side {
-                    return Ok((places, [side, height]));
-                }
-                width = (width * 1.05).ceil();
-            }
-        }
-        Size::Resolution(side) => {
-            let fits = |per_unit: f64| {
-                let sides = texels(per_unit);
-                let widest = sides.iter().copied().fold(0.0, f64::max) + gap <= f64::from(side);
-                widest.then(|| shelves(&sides, side)).filter(|(_, height)| *height <= side)
-            };
-            // All sides become one texel at the least.
-            let (mut low, mut high) =
-                (0.0, f64::from(side) / sides.iter().copied().fold(f64::MIN_POSITIVE, f64::max));
-            let mut best = fits(low).ok_or_else(|| TexelsError::TooManyCharts {
-                file: file.name.clone(),
-                charts: sides.len() as u32,
-                side,
-            })?;
-            for _ in 0..40 {
-                let middle = 0.5 * (low + high);
-                match fits(middle) {
-                    Some(found) => (best, low) = (found, middle),
-                    None => high = middle,
-                }
-            }
-            Ok((best.0, [side; 2]))
-        }
-    }
-}
-
-/// Squares in rows, the largest first, and the height of all rows.
-fn shelves(sides: &[f64], width: u32) -> (Vec<Place>, u32) {
-    let mut order: Vec<usize> = (0..sides.len()).collect();
-    order.sort_by(|a, b| sides[*b].total_cmp(&sides[*a]).then(a.cmp(b)));
-    let mut places = vec![Place::default(); sides.len()];
-    let (mut at, mut row) = ([0u32; 2], 0u32);
-    for i in order {
-        let side = sides[i] as u32;
-        let with_gaps = side.saturating_add(2 * GAP);
-        if at[0].saturating_add(with_gaps) > width {
-            at = [0, at[1].saturating_add(row)];
-            row = 0;
-        }
-        row = row.max(with_gaps);
-        places[i] = Place { at: [at[0] + GAP, at[1].saturating_add(GAP)], side };
-        at[0] += with_gaps;
-    }
-    (places, at[1].saturating_add(row))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn shelves_do_not_overlap() {
-        let sides: Vec<f64> = (0..60).map(|i| f64::from(1 + i * 7 % 23)).collect();
-        let (places, height) = shelves(&sides, 100);
-        let mut owner = vec![false; 100 * height as usize];
-        for place in places {
-            for y in place.at[1] - GAP..place.at[1] + place.side + GAP {
-                for x in place.at[0] - GAP..place.at[0] + place.side + GAP {
-                    assert!(!std::mem::replace(&mut owner[(y * 100 + x) as usize], true));
-                }
-            }
-        }
-    }
 }

@@ -31,6 +31,7 @@ mod instances;
 mod kept;
 mod materials;
 mod overlap;
+mod pack;
 mod parts;
 mod pieces;
 mod plain;

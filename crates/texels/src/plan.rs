@@ -116,6 +116,12 @@ impl<'a> Plan<'a> {
         let (receivers, way): (Vec<Receiver>, Way) = match settings.target {
             Target::Texture => {
                 let atlas = atlas(&file, scene, &parts, settings, &mut notes)?;
+                if (1..4).contains(&atlas.gap) {
+                    notes.push(format!(
+                        "only {} texels are left between charts, for want of room: give a larger --resolution",
+                        2 * atlas.gap
+                    ));
+                }
                 let pieces = pieces(scene, &parts, &atlas).ok_or_else(too_many)?;
                 let seams = seams(scene, &parts, &atlas);
                 let texels = pieces.iter().map(|p| p.texel).collect();
