@@ -1,7 +1,7 @@
 //! Places for rectangles in one image, with gaps between them.
 //!
-//! Rectangles stand in rows, the highest first. That leaves more of the image empty than packing by shape, and is
-//! done in a blink for a hundred thousand charts.
+//! Rectangles stand in rows, the highest first. That leaves more of the image empty than packing by shape,
+//! and is done in a blink for a hundred thousand charts.
 
 use crate::TexelsError;
 use crate::error::MOST_SIDE;
@@ -46,7 +46,8 @@ fn texels(units: f64, per_unit: f64) -> u32 {
     ((units * per_unit).ceil() as u32).max(1)
 }
 
-/// In a square image that is as small as it can be, for texels of a given size; none if it would be too large.
+/// In a square image that is as small as it can be, for texels of a given size; none if it would be too
+/// large.
 fn by_texel(sizes: &[[f64; 2]], texel: f64, gap: u32) -> Option<Packed> {
     let rectangles: Vec<[u32; 2]> = sizes.iter().map(|s| s.map(|units| texels(units, 1.0 / texel))).collect();
     let with_gaps = |n: u32| f64::from(n) + f64::from(2 * gap);

@@ -14,15 +14,23 @@ use crate::parts::Parts;
 use crate::receivers::Receiver;
 use crate::welds::cross;
 
-/// A receiver and the texel that it is for.
+/// A receiver, its texel and its area.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Piece {
-    /// The receiver.
-    pub receiver: Receiver,
-    /// The texel, row by row from the upper left corner.
-    pub texel: u32,
-    /// Its area, in units of the scene.
-    pub weight: f64,
+struct Piece {
+    receiver: Receiver,
+    texel: u32,
+    weight: f64,
+}
+
+/// Receivers, and for each the texel and the area.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Pieces {
+    /// The receivers.
+    pub receivers: Vec<Receiver>,
+    /// The texel of each, row by row from the upper left corner.
+    pub texels: Vec<u32>,
+    /// The area of each, in units of the scene.
+    pub weights: Vec<f64>,
 }
 
 /// Pieces with less area in the image, in texels, count for nothing.
@@ -31,8 +39,8 @@ const SMALLEST: f64 = 1e-9;
 const AT_ONCE: usize = 4096;
 
 /// The pieces of all parts, in the order of triangles; none if there are too many.
-pub(crate) fn pieces(scene: &Scene, parts: &Parts, atlas: &Atlas) -> Option<Vec<Piece>> {
-    let mut all = Vec::new();
+pub(crate) fn pieces(scene: &Scene, parts: &Parts, atlas: &Atlas) -> Option<Pieces> {
+    let mut all = Pieces::default();
     for part in &parts.all {
         let triangles = &scene.triangles()[part.first as usize..][..part.corners.len()];
         for (chunk, first) in triangles.chunks(AT_ONCE).zip((part.first..).step_by(AT_ONCE)) {
@@ -43,10 +51,14 @@ pub(crate) fn pieces(scene: &Scene, parts: &Parts, atlas: &Atlas) -> Option<Vec<
                     of_triangle(triangle, id, part.front, &atlas.triangles[id as usize], atlas.size)
                 })
                 .collect();
-            if all.len() + made.iter().map(Vec::len).sum::<usize>() > MOST_RECEIVERS {
+            if all.receivers.len() + made.iter().map(Vec::len).sum::<usize>() > MOST_RECEIVERS {
                 return None;
             }
-            all.extend(made.into_iter().flatten());
+            for piece in made.into_iter().flatten() {
+                all.receivers.push(piece.receiver);
+                all.texels.push(piece.texel);
+                all.weights.push(piece.weight);
+            }
         }
     }
     Some(all)

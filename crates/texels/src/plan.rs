@@ -2,16 +2,17 @@
 
 use std::path::Path;
 
-use sightline_scene::Scene;
+use sightline_scene::{Scene, Triangle};
 
 use crate::TexelsError;
 use crate::atlas::{Atlas, Layout};
 use crate::error::MOST_SIDE;
 use crate::file::File;
 use crate::image::{Image, State};
-use crate::kept::Coordinates;
+use crate::kept::{Coordinates, area};
+use crate::overlap::Flat;
 use crate::parts::Parts;
-use crate::pieces::pieces;
+use crate::pieces::{Pieces, pieces};
 use crate::receivers::{Receiver, Value};
 use crate::seams::{Seam, close, seams};
 use crate::settings::{self, Settings, Size, Target};
@@ -118,15 +119,20 @@ impl<'a> Plan<'a> {
                 let atlas = atlas(&file, scene, &parts, settings, &mut notes)?;
                 if (1..4).contains(&atlas.gap) {
                     notes.push(format!(
-                        "only {} texels are left between charts, for want of room: give a larger --resolution",
+                        "only {} texels are left between charts: give a larger --resolution for more room",
                         2 * atlas.gap
                     ));
                 }
-                let pieces = pieces(scene, &parts, &atlas).ok_or_else(too_many)?;
+                let thin = |t: &Triangle, flat: &Flat| area(flat) == 0.0 && !t.is_degenerate();
+                let both = scene.triangles().iter().zip(&atlas.triangles);
+                let thin = both.filter(|(t, flat)| thin(t, flat)).count();
+                if thin > 0 {
+                    notes.push(format!("{thin} triangles are too thin to have a place in the image"));
+                }
+                let Pieces { receivers, texels, weights } =
+                    pieces(scene, &parts, &atlas).ok_or_else(too_many)?;
                 let seams = seams(scene, &parts, &atlas);
-                let texels = pieces.iter().map(|p| p.texel).collect();
-                let weights = pieces.iter().map(|p| p.weight).collect();
-                (pieces.iter().map(|p| p.receiver).collect(), Way::Texture { atlas, texels, weights, seams })
+                (receivers, Way::Texture { atlas, texels, weights, seams })
             }
             Target::Vertices => {
                 let unknowns = Unknowns::of(&file, scene, &parts)?.ok_or_else(too_many)?;

@@ -1,8 +1,9 @@
-//! New texture coordinates, by the crate `uvunwrap`: charts of each part, which are packed into one image here.
+//! New texture coordinates, by the crate `uvunwrap`: charts of each part, which are packed into one image
+//! here.
 //!
-//! The crate's own packing takes minutes for a hundred thousand charts. So it packs them once, small and without
-//! gaps, and the charts are taken from that. Triangles that are too thin for coordinates in single precision get
-//! no area, and no texels.
+//! The crate's own packing takes minutes for a hundred thousand charts. So it packs them once, small and
+//! without gaps, and the charts are taken from that. Triangles that are too thin for coordinates in single
+//! precision get no area, and no texels.
 
 use glam::Vec3;
 use sightline_scene::Scene;
@@ -124,10 +125,8 @@ fn charts(meshes: &[OutputMesh], page: [f64; 2], count: usize) -> Vec<Chart> {
     for vertex in meshes.iter().flat_map(|m| &m.vertices) {
         if let Some(chart) = vertex.chart.and_then(|c| all.get_mut(c as usize)) {
             let at = on_page(vertex.uv, page);
-            for k in 0..2 {
-                chart.min[k] = chart.min[k].min(at[k]);
-                chart.max[k] = chart.max[k].max(at[k]);
-            }
+            chart.min = [0, 1].map(|k| chart.min[k].min(at[k]));
+            chart.max = [0, 1].map(|k| chart.max[k].max(at[k]));
         }
     }
     all
