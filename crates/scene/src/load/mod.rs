@@ -17,6 +17,7 @@ mod sniff;
 
 use std::path::Path;
 
+pub use self::gltf::uri_bytes;
 use self::marks::Marks;
 use crate::{Rule, Scene, SceneError, Sides};
 pub use limits::Limits;

@@ -15,7 +15,7 @@ use super::nodes::Draw;
 use super::source::Source;
 use super::{json, meshopt, uses};
 use crate::SceneError;
-use crate::load::limits::read_file;
+use crate::load::limits::{Limits, read_file};
 
 /// The buffers and the decoded views that are needed; the others stay empty.
 pub(super) struct Buffers<'a> {
@@ -169,6 +169,25 @@ fn one_buffer<'a>(
             Cow::Owned(b)
         }
     })
+}
+
+/// The bytes that a URI of a glTF file means: those of a data URI, or at most `limit` bytes of a file below
+/// `base_dir`. `file` and `element` appear in errors.
+///
+/// # Errors
+/// [`SceneError::Bad`] when the URI is none of both, or what it means cannot be read.
+pub fn uri_bytes(
+    (file, element): (&str, &str),
+    uri: &str,
+    base_dir: Option<&Path>,
+    limit: u64,
+) -> Result<Vec<u8>, SceneError> {
+    let limits = Limits::default();
+    let source = Source { file, base_dir, limits: &limits, alpha_textures: false };
+    match uri.strip_prefix("data:") {
+        Some(data) => decode_data(data).map_err(|why| source.bad(element, why)),
+        None => beside(&source, element, uri, limit),
+    }
 }
 
 /// The bytes of a data URI, after `data:`.

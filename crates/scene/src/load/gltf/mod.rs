@@ -37,6 +37,7 @@ use rayon::prelude::*;
 
 use self::accessor::Accessors;
 use self::buffers::Buffers;
+pub use self::buffers::uri_bytes;
 use self::draco::Decoded;
 use self::images::Document;
 use self::source::{QUANTIZATION, Source};
