@@ -10,7 +10,7 @@ use sightline_exact::Limits;
 use sightline_model::{ALGORITHM_VERSION, Method};
 use sightline_viewcells::CellBox;
 
-const _: () = assert!(ALGORITHM_VERSION == 23, "the choices in this file belong to another version");
+const _: () = assert!(ALGORITHM_VERSION == 24, "the choices in this file belong to another version");
 
 /// Cells of a cell group. The queries about a group's box cost more than they save with fewer cells; with
 /// more cells fewer triangles are hidden from the box.
@@ -27,6 +27,9 @@ const SAMPLING_SHARE: u32 = 4;
 /// The fraction of a cell query's time that cell groups may take, and then of what is left that pairs of
 /// cells may take, as a divisor: a triangle hidden from a group is not a target for any of its cells.
 pub const GROUP_SHARE: u32 = 2;
+
+/// Whether coplanar neighbours hide as one convex polygon from receivers of ambient occlusion.
+pub const JOINED_BLOCKERS: bool = true;
 
 /// The limits of a single query.
 pub fn exact_limits(method: Method) -> Limits {

@@ -368,6 +368,7 @@ impl Workers {
                 name: format!("in-process-{i}"),
                 backends: Arc::clone(backends),
                 scenes: Arc::clone(&scenes),
+                receivers: Arc::default(),
                 // They share the threads of this process.
                 helps: false,
                 direct: false,

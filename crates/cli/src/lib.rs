@@ -2,13 +2,14 @@
 //!
 //! Results go to stdout, everything else to stderr. A file of this crate holds one subcommand or a few
 //! related ones. [`calls`] has some of the commands as functions, for programs that want values instead of
-//! text.
+//! text. [`ambient_job`] computes ambient occlusion on a cluster.
 
 #![allow(
     rustdoc::broken_intra_doc_links,
     reason = "the arguments' doc comments are help texts, not Markdown"
 )]
 
+pub mod ambient_job;
 mod answering;
 mod answers;
 mod args;
