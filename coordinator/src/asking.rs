@@ -11,6 +11,7 @@ use crate::ids::JobId;
 use crate::jobs::{self, JobError};
 use crate::kept::Answers;
 use crate::metrics::Cache;
+use crate::specs;
 use crate::state::Coordinator;
 use crate::store::{BlobError, JobRecord};
 
@@ -40,6 +41,7 @@ pub(crate) enum AskError {
 /// A done job's result. The one that was asked about last stays open.
 fn open(c: &Coordinator, job: JobId) -> Result<Arc<Pvs>, AskError> {
     let digest = jobs::result(c, job)?;
+    has_sets(&jobs::record(c, job).map_err(JobError::from)?)?;
     let mut last = c.last_asked.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some((_, pvs)) = last.as_ref().filter(|(of, _)| *of == digest) {
         c.metrics.looked("result", Cache::Hit);
@@ -49,6 +51,17 @@ fn open(c: &Coordinator, job: JobId) -> Result<Arc<Pvs>, AskError> {
     let pvs = Arc::new(Pvs::from_bytes(c.blobs.read(&digest)?)?);
     *last = Some((digest, Arc::clone(&pvs)));
     Ok(pvs)
+}
+
+/// Whether a job computes sets that can be asked about.
+pub(crate) fn has_sets(record: &JobRecord) -> Result<(), AskError> {
+    let none = || {
+        let id = record.id;
+        AskError::Unable(format!(
+            "job {id} computes ambient occlusion and has no sets; `Fetch` gives its result"
+        ))
+    };
+    if specs::receivers(&record.spec).is_some() { Err(none()) } else { Ok(()) }
 }
 
 /// A job's record and its scene.

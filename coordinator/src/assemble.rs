@@ -1,4 +1,5 @@
 //! Assembles the result of a job from its leaf tiles: one tree, one visible set per cell, one `.pvs` file.
+//! That of a job of ambient occlusion is in `openness.rs`.
 //!
 //! The bytes depend on the tiles' outputs and the job alone. Tiles are read one at a time.
 
@@ -16,6 +17,7 @@ use sightline_viewcells::{CellBox, Division, Lattice, Outline, Tile, TileKind};
 
 use crate::assemble_pairs::PairJoin;
 use crate::ids::{Digest, TileIndex};
+use crate::openness::{self, AnswerError};
 use crate::scenes::{FactsError, facts};
 use crate::scheduler::{Output, Work};
 use crate::state::{Coordinator, SceneFacts};
@@ -51,9 +53,21 @@ pub(crate) enum AssembleError {
     /// A tile's output cannot be decoded.
     #[error(transparent)]
     Codec(#[from] CodecError),
+    /// The answers of a job of ambient occlusion cannot be put together.
+    #[error(transparent)]
+    Answers(AnswerError),
     /// Compression failed.
     #[error("a stand-in could not be compressed: {0}")]
     Compress(#[from] std::io::Error),
+}
+
+impl From<AnswerError> for AssembleError {
+    fn from(e: AnswerError) -> Self {
+        match e {
+            AnswerError::Blob(e) => Self::Blob(e),
+            e => Self::Answers(e),
+        }
+    }
 }
 
 impl AssembleError {
@@ -130,7 +144,7 @@ impl Leaf {
     }
 }
 
-/// Builds the `.pvs` file of a complete job and stores it; returns its digest and length.
+/// Builds the result of a complete job and stores it; returns its digest and length.
 pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), AssembleError> {
     let mut file = c.blobs.put_stream()?;
     let bytes = write(c, parts, &mut BufWriter::with_capacity(WRITTEN_AT_ONCE, &mut file))?;
@@ -138,8 +152,11 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
 }
 
 /// Writes the `.pvs` file of a job and returns its length. Cells of tiles that are not done or were set aside
-/// show everything, as undecided.
+/// show everything, as undecided. The result of a job of ambient occlusion is no such file.
 pub(crate) fn write(c: &Coordinator, parts: &Parts, out: &mut impl Write) -> Result<u64, AssembleError> {
+    if let Some(ambient) = &parts.work.spec.ambient {
+        return Ok(openness::write(c, ambient, &parts.outputs, out)?);
+    }
     let (scene, blobs) = (facts(c, &parts.work.spec.scene)?, &*c.blobs);
     let most = most_items(&parts.work.spec, scene.triangles, scene.objects.len() as u32);
     let leaves = || parts.work.plan.leaves().map(|n| parts.leaf(n));
@@ -317,6 +334,10 @@ pub(crate) fn stand_in(
     lattice: &Lattice,
     tile: &Tile,
 ) -> Result<(Digest, u64), AssembleError> {
+    if let Some(ambient) = &spec.ambient {
+        let bytes = openness::stand_in(ambient)?;
+        return Ok((c.blobs.put(&bytes)?, bytes.len() as u64));
+    }
     let output = if tile.kind == TileKind::Leaf {
         let mut sets = CellSets::default();
         empty_cells(&spec.division, lattice, &tile.cell, tile.depth, &mut sets);

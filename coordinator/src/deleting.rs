@@ -11,15 +11,14 @@ use crate::specs;
 use crate::state::Coordinator;
 use crate::store::{JobRecord, JobState, StoreError, TileState};
 
-/// The blobs that a job names, apart from its scene: its result, the outputs of its tiles and the large parts
-/// of its specification.
+/// The blobs that a job names, apart from its scene: its result, the outputs of its tiles, the large parts of
+/// its specification, and its receivers.
 pub(crate) fn named(c: &Coordinator, job: &JobRecord) -> Result<BTreeSet<Digest>, StoreError> {
     let mut all = BTreeSet::new();
     if let JobState::Done { result, .. } = job.state {
         all.insert(result);
     }
-    // A specification of another version names nothing that can be read.
-    all.extend(specs::part(&job.spec).ok().and_then(|(_, parts)| parts));
+    all.extend(specs::named(&job.spec));
     for tile in c.store.tiles(job.id)? {
         if let TileState::Done { digest, .. } | TileState::SetAside { digest, .. } = tile.state {
             all.insert(digest);

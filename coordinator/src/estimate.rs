@@ -98,7 +98,8 @@ fn finished(c: &Coordinator, caller: &Caller, spec: &JobSpec) -> Result<Vec<Fini
         let Ok(other) = specs::planned(&*c.blobs, &record.spec) else { continue };
         let of_a_kind = |s: &JobSpec| {
             let boxes = matches!(s.division, Division::Tree(_));
-            (s.method, s.certificates, s.sampling.sampler, s.time_budget_ms > 0, boxes)
+            let how = (s.method, s.certificates, s.sampling.sampler);
+            (how, s.time_budget_ms > 0, boxes, s.ambient.is_some())
         };
         if of_a_kind(&other) != of_a_kind(spec) {
             continue;

@@ -26,7 +26,7 @@ pub enum Need {
     Scene,
     /// It is a job's result.
     Result(JobId),
-    /// It is a large part of a job's specification.
+    /// It is a large part of a job's specification, or its receivers.
     Spec(JobId),
     /// It is the output of a tile, or the stand-in for one.
     Output(JobId, TileIndex),
@@ -42,8 +42,7 @@ pub fn needed(store: &dyn Store) -> Result<BTreeMap<Digest, Vec<Need>>, StoreErr
         if let JobState::Done { result, .. } = job.state {
             all.entry(result).or_default().push(Need::Result(job.id));
         }
-        // A specification of another version names nothing that can be read.
-        if let Some(part) = specs::part(&job.spec).ok().and_then(|(_, part)| part) {
+        for part in specs::named(&job.spec) {
             all.entry(part).or_default().push(Need::Spec(job.id));
         }
         for (tile, digest) in outputs(store, &job)? {

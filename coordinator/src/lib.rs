@@ -48,9 +48,11 @@ mod limits;
 mod load;
 mod lost_scenes;
 mod metrics;
+mod openness;
 mod orders;
 mod partial;
 mod readiness;
+mod receivers;
 mod releasing;
 mod results;
 mod scene_files;
@@ -69,6 +71,8 @@ mod submit;
 mod tiles;
 mod uploads;
 
+#[cfg(test)]
+mod ambient_tests;
 #[cfg(test)]
 mod simulator;
 #[cfg(test)]

@@ -14,6 +14,7 @@ use crate::chores::do_chores;
 use crate::chronicle::{Happening, Kind};
 use crate::direct;
 use crate::ids::{Digest, JobId, Lease, hex};
+use crate::openness::{self, AnswerError};
 use crate::scheduler::{Admitted, Event, NoTile, Work};
 use crate::scheduling::{Chore, tell};
 use crate::spans;
@@ -155,7 +156,8 @@ fn fetch(c: &Coordinator, staged: &Staged) -> Result<Vec<u8>, ResultError> {
     })
 }
 
-/// The number of cells of a tile's output, which must be what the job's plan expects of the tile.
+/// The number of cells or receivers of a tile's output, which must be what the job's plan expects of the
+/// tile.
 fn check(c: &Coordinator, work: &Work, announced: &Announced, bytes: &[u8]) -> Result<u64, ResultError> {
     if *blake3::hash(bytes).as_bytes() != announced.digest {
         return Err(ResultError::Digest);
@@ -164,6 +166,15 @@ fn check(c: &Coordinator, work: &Work, announced: &Announced, bytes: &[u8]) -> R
         return Err(ResultError::Length);
     }
     let spec = &*work.spec;
+    if let Some(ambient) = &spec.ambient {
+        return openness::check(c, ambient, announced.lease.tile, bytes).map_err(|e| match e {
+            AnswerError::NoTile => ResultError::NoTile,
+            AnswerError::Blob(e) => ResultError::Blob(e),
+            e @ (AnswerError::Receivers(_) | AnswerError::Openness(_)) => {
+                ResultError::Encoding(e.to_string())
+            }
+        });
+    }
     let tile = work.plan.tiles.get(announced.lease.tile.at()).ok_or(ResultError::NoTile)?;
     let kind = tile.kind;
     let scene = c.store.scene(&spec.scene)?;

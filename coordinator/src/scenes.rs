@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, PoisonError};
 
+use sightline_model::receivers::ReceiversError;
 use sightline_scene::{Aabb, Scene, SceneError};
 
 use crate::access::Caller;
@@ -40,14 +41,14 @@ pub enum TakeError {
     Having(#[from] HavingError),
 }
 
-/// An upload that does not become a scene.
+/// An upload that does not become a scene, or receivers.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum UploadError {
     /// A chunk was never uploaded.
-    #[error("a chunk of the scene is not here yet; ask MissingChunks which, put it, and try again")]
+    #[error("a chunk is not here yet; ask MissingChunks which, put it, and try again")]
     ChunkMissing,
     /// A stored chunk was damaged and has been removed.
-    #[error("a chunk of the scene was damaged and is gone; ask MissingChunks which, put it, and try again")]
+    #[error("a chunk was damaged and is gone; ask MissingChunks which, put it, and try again")]
     ChunkDamaged,
     /// The chunks do not make the announced whole.
     #[error("{0}")]
@@ -55,11 +56,16 @@ pub(crate) enum UploadError {
     /// The whole is not a scene.
     #[error(transparent)]
     Scene(SceneError),
-    /// The list of chunks is longer than any scene that is taken.
-    #[error("the scene has {bytes} bytes, and at most {MOST_BYTES} are taken; split it")]
+    /// The whole is not receivers.
+    #[error(transparent)]
+    Receivers(#[from] ReceiversError),
+    /// The list of chunks is longer than what is taken.
+    #[error("the chunks have {bytes} bytes together, and at most {most} are taken; split what they are of")]
     TooLong {
         /// Bytes of all chunks of the list.
         bytes: u64,
+        /// Most that are taken.
+        most: u64,
     },
     /// The user may not have more.
     #[error(transparent)]
@@ -152,7 +158,7 @@ pub(crate) fn put_scene(
     // A list may name a chunk many times, so its length is looked at before anything is written.
     let bytes = length(c, chunks)?;
     if bytes > MOST_BYTES {
-        return Err(UploadError::TooLong { bytes });
+        return Err(UploadError::TooLong { bytes, most: MOST_BYTES });
     }
     let _turn = turn_of(c, owner);
     if !owned {
@@ -163,12 +169,7 @@ pub(crate) fn put_scene(
     join(c, whole, chunks)?;
     let bytes = c.blobs.read(&whole)?;
     let scene = Scene::from_blob("uploaded scene", &bytes).map_err(|e| {
-        // A blob that is not a scene is not kept; one that was there before may be somebody's result.
-        let new = c.uploads.forget(owner, chunks);
-        if !was_there && (chunks != [whole] || new == [whole]) {
-            remove(c, &whole);
-        }
-        new.iter().filter(|chunk| **chunk != whole).for_each(|chunk| remove(c, chunk));
+        discard(c, owner, (whole, was_there), chunks);
         UploadError::Scene(e)
     })?;
     remember(c, whole, &scene);
@@ -182,8 +183,17 @@ pub(crate) fn put_scene(
     Ok(record)
 }
 
+/// Removes an upload that is not what it should be; a blob that was there before may be somebody's result.
+pub(crate) fn discard(c: &Coordinator, owner: &str, (whole, was_there): (Digest, bool), chunks: &[Digest]) {
+    let new = c.uploads.forget(owner, chunks);
+    if !was_there && (chunks != [whole] || new == [whole]) {
+        remove(c, &whole);
+    }
+    new.iter().filter(|chunk| **chunk != whole).for_each(|chunk| remove(c, chunk));
+}
+
 /// Bytes of all chunks of a list.
-fn length(c: &Coordinator, chunks: &[Digest]) -> Result<u64, UploadError> {
+pub(crate) fn length(c: &Coordinator, chunks: &[Digest]) -> Result<u64, UploadError> {
     let mut sum: u64 = 0;
     for chunk in chunks {
         sum = sum.saturating_add(c.blobs.len(chunk)?.ok_or(UploadError::ChunkMissing)?);
@@ -192,7 +202,7 @@ fn length(c: &Coordinator, chunks: &[Digest]) -> Result<u64, UploadError> {
 }
 
 /// Writes stored chunks as one blob.
-fn join(c: &Coordinator, whole: Digest, chunks: &[Digest]) -> Result<(), UploadError> {
+pub(crate) fn join(c: &Coordinator, whole: Digest, chunks: &[Digest]) -> Result<(), UploadError> {
     let mut writer = c.blobs.put_stream()?;
     for chunk in chunks {
         if !c.blobs.has(chunk)? {

@@ -49,6 +49,19 @@ pub(crate) fn part(bytes: &[u8]) -> Result<(v1::JobSpec, Option<Digest>), String
     v1::JobSpec::decode(rest).map(|spec| (spec, digest)).map_err(|e| format!("{e}; submit it again"))
 }
 
+/// The receivers that a record's specification names, if it can be read.
+pub(crate) fn receivers(bytes: &[u8]) -> Option<v1::Ambient> {
+    part(bytes).ok().and_then(|(spec, _)| spec.ambient)
+}
+
+/// The blobs that a record's specification names: its large parts, and its receivers. A specification of
+/// another version names nothing that can be read.
+pub(crate) fn named(bytes: &[u8]) -> Vec<Digest> {
+    let Ok((spec, parts)) = part(bytes) else { return Vec::new() };
+    let receivers = spec.ambient.and_then(|ambient| ambient.receivers.try_into().ok());
+    parts.into_iter().chain(receivers).collect()
+}
+
 /// A record's whole specification.
 ///
 /// # Errors

@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::{Duration, Instant};
 
+use sightline_model::receivers::Facts;
 use sightline_scene::{Aabb, Kinds, Object, Source};
 use sightline_traces::Traces;
 use tokio::sync::Semaphore;
@@ -62,6 +63,15 @@ pub(crate) struct SceneFacts {
     pub(crate) culled: bool,
 }
 
+/// Receivers that are stored.
+#[derive(Clone, Debug)]
+pub(crate) struct StoredReceivers {
+    /// Their length.
+    pub(crate) bytes: u64,
+    /// What is to be known of them.
+    pub(crate) facts: Arc<Facts>,
+}
+
 /// A coordinator without its network. [`serve`](crate::serve) puts it on the network.
 pub struct Coordinator {
     pub(crate) leases: Leases,
@@ -85,6 +95,8 @@ pub struct Coordinator {
     outputs: RwLock<()>,
     /// The facts of the scene used last: consecutive jobs often have the same scene.
     pub(crate) last_scene: Mutex<Option<(Digest, Arc<SceneFacts>)>>,
+    /// What was to be known of receivers last: the tiles of a job have the same.
+    pub(crate) last_receivers: Mutex<Option<(Digest, StoredReceivers)>>,
     /// The result of a part of a job that was made last.
     pub(crate) last_partial: Mutex<Last>,
     /// Permits for downloads, each of which occupies a thread for as long as its client takes.
@@ -149,6 +161,7 @@ impl Coordinator {
             turn: Mutex::default(),
             outputs: RwLock::default(),
             last_scene: Mutex::new(None),
+            last_receivers: Mutex::new(None),
             last_partial: Mutex::default(),
             downloads: Arc::new(Semaphore::new(MOST_DOWNLOADS)),
             files: Arc::new(Semaphore::new(FILES_AT_ONCE)),

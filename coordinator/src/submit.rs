@@ -11,6 +11,7 @@ use crate::chronicle::{Happening, Kind};
 use crate::having::{HavingError, may_have, turn_of};
 use crate::ids::{Digest, JobId};
 use crate::limits::Usage;
+use crate::receivers;
 use crate::scenes::{self, FactsError};
 use crate::scheduler::{Event, Job};
 use crate::scheduling::tell;
@@ -52,6 +53,9 @@ pub(crate) enum SubmitError {
     /// The kinds of the scene's triangles cannot be read.
     #[error(transparent)]
     Facts(#[from] FactsError),
+    /// The receivers cannot be had.
+    #[error(transparent)]
+    Receivers(#[from] receivers::Fault),
     /// A lost result cannot be removed, or the viewpoints cannot be stored.
     #[error(transparent)]
     Blob(#[from] BlobError),
@@ -92,15 +96,30 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
              the scene that the region was found in"
         )));
     }
+    if let Some(ambient) = spec.ambient
+        && let Some(triangle) = receivers::stored(c, ambient.receivers)?.facts.greatest_triangle
+        && triangle >= scenes::facts(c, &spec.scene)?.triangles
+    {
+        return Err(SubmitError::Spec(format!(
+            "a receiver lies on triangle {triangle}, which the scene does not have; submit with the scene \
+             that the receivers are for"
+        )));
+    }
     let _having = turn_of(c, owner);
-    let more = Usage { jobs: 1, tiles: plan.tiles.len() as u64, ..Usage::default() };
+    let bytes = spec.ambient.map_or(0, |ambient| ambient.bytes);
+    // What was sent for this job counts until now as a chunk.
+    let sent = spec.ambient.filter(|ambient| c.uploads.has(owner, &ambient.receivers)).map_or(0, |_| bytes);
+    let more = Usage { bytes, jobs: 1, tiles: plan.tiles.len() as u64, ..Usage::default() };
     // A job that is there already is no more.
     let known = c.store.job_by_key(&owned_key(spec.key(), owner))?.map(|job| job.state.phase());
     if known.is_none_or(|phase| matches!(phase, JobPhase::Failed | JobPhase::Cancelled)) {
-        may_have(c, owner, more, 0)?;
+        may_have(c, owner, more, sent)?;
     }
     // Nobody else changes the job until the scheduler has it, and no blob that it will name is deleted.
     let mut turn = c.turn();
+    if let Some(ambient) = spec.ambient {
+        receivers::hold(c, ambient.receivers)?;
+    }
     let job = NewJob {
         key: owned_key(spec.key(), owner),
         request_id: owned_request(request_id, owner),
@@ -139,6 +158,10 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
             c.store.delete_job(submitted.id)?;
             submitted = c.store.submit_job(job)?;
         }
+    }
+    if let Some(ambient) = spec.ambient {
+        // From now on it is the job that names them.
+        c.uploads.forget(owner, &[ambient.receivers]);
     }
     let mut chores = Vec::new();
     if !submitted.existing {

@@ -94,6 +94,7 @@ pub(crate) fn two_tiles(c: &Arc<Coordinator>, scene: Digest) -> JobId {
         method: Method::Aggressive,
         certificates: false,
         viewpoints: None,
+        ambient: None,
         up: None,
     };
     let submission =

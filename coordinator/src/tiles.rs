@@ -13,7 +13,8 @@ use crate::store::{StoreError, TileFailure, TileState};
 pub(crate) struct TileView {
     pub(crate) tile: TileIndex,
     pub(crate) standing: Standing,
-    /// Its part of the view box, in world space; `None` if another version of the program planned the job.
+    /// Its part of the view box, in world space; `None` if another version of the program planned the job, or
+    /// if it has receivers and no cells.
     pub(crate) bounds: Option<[glam::Vec3; 2]>,
     /// View cells by the plan.
     pub(crate) cells: u64,
@@ -63,6 +64,7 @@ pub(crate) fn list(
     let planned = specs::planned(&*c.blobs, &record.spec).ok();
     let planned = planned.and_then(|spec| spec.plan().ok()).filter(|(_, p)| p.tiles.len() == records.len());
     let total = records.len() as u32;
+    let has_receivers = specs::receivers(&record.spec).is_some();
     let (mut tiles, mut next) = (Vec::new(), None);
     for (at, record) in records.into_iter().enumerate().skip(first.at()) {
         if tiles.len() == most {
@@ -94,7 +96,7 @@ pub(crate) fn list(
         };
         if let Some((lattice, plan)) = &planned {
             let tile = &plan.tiles[at];
-            view.bounds = Some(tile.cell.world(lattice).into());
+            view.bounds = (!has_receivers).then(|| tile.cell.world(lattice).into());
             (view.cells, view.is_pack) = (tile.cells, tile.kind != TileKind::Leaf);
         }
         match (record.state, live) {

@@ -265,7 +265,7 @@ fn a_list_that_names_a_chunk_many_times_is_refused_before_anything_is_written() 
     let (c, ..) = coordinator();
     let chunk = scenes::put_chunk(&c, "", &[7; 1 << 20]).unwrap();
     let refused = scenes::put_scene(&c, "", [9; 32], &vec![chunk; 65_536]).unwrap_err();
-    assert!(matches!(refused, UploadError::TooLong { bytes } if bytes == 64 << 30), "{refused}");
+    assert!(matches!(refused, UploadError::TooLong { bytes, .. } if bytes == 64 << 30), "{refused}");
 }
 
 #[test]

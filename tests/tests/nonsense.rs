@@ -144,6 +144,10 @@ fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
             "Jobs/PutScene",
             v1::PutSceneRequest { chunks: vec![digest.clone()], digest: digest.clone() }.encode_to_vec(),
         ),
+        (
+            "Jobs/PutReceivers",
+            v1::PutReceiversRequest { chunks: vec![digest.clone()], digest: digest.clone() }.encode_to_vec(),
+        ),
         ("Jobs/Submit", submit.encode_to_vec()),
         (
             "Jobs/Submit",

@@ -8,6 +8,7 @@ use sightline_traces::Traces;
 
 use crate::backends::Backends;
 use crate::pulse::Pulse;
+use crate::receivers::ReceiverCache;
 use crate::scenes::SceneCache;
 
 /// The configuration of a worker.
@@ -23,6 +24,8 @@ pub struct Config {
     pub backends: Arc<Backends>,
     /// Cache of scenes and their hierarchies, shared by the workers of one process.
     pub scenes: Arc<SceneCache>,
+    /// Cache of the receivers of ambient occlusion, shared like the scenes.
+    pub receivers: Arc<ReceiverCache>,
     /// Whether it helps other workers' tiles while it has none of its own: not where those workers share its
     /// threads.
     pub helps: bool,

@@ -1,11 +1,12 @@
-//! Scenes and packs on their way here: from the store of the blobs where the coordinator gives an address,
-//! else from the coordinator. Either way their digest is checked.
+//! Scenes, packs and receivers on their way here: from the store of the blobs where the coordinator gives an
+//! address, else from the coordinator. Either way their digest is checked.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use futures::StreamExt as _;
 use sightline_http::Client;
+use sightline_model::receivers::Receivers;
 use sightline_proto::chunks::Assembler;
 use sightline_proto::v1;
 use tonic::{Code, Status, Streaming};
@@ -28,6 +29,7 @@ const WAIT: Duration = Duration::from_millis(300);
 enum Kind {
     Scene,
     Pack,
+    Receivers,
 }
 
 impl Kind {
@@ -35,6 +37,7 @@ impl Kind {
         match self {
             Self::Scene => "scene",
             Self::Pack => "pack",
+            Self::Receivers => "list of receivers",
         }
     }
 }
@@ -83,6 +86,13 @@ impl Shop {
         }
     }
 
+    /// Receivers on a scene of so many triangles, from the cache, the store or the coordinator.
+    pub async fn receivers(&self, digest: [u8; 32], triangles: u32) -> Result<Arc<Receivers>, String> {
+        let kind = Kind::Receivers;
+        let fetch = async { self.fetch(kind, digest).await.map_err(|e| e.describe(kind)) };
+        self.config.receivers.get(digest, triangles, fetch).await
+    }
+
     /// A blob whose digest is checked.
     async fn fetch(&self, kind: Kind, digest: [u8; 32]) -> Result<Vec<u8>, Unfetched> {
         let client = self.direct.client();
@@ -118,7 +128,9 @@ impl Shop {
         let (mut client, digest) = (self.client.clone(), digest.to_vec());
         let answer = match kind {
             Kind::Scene => client.fetch_scene(v1::FetchSceneRequest { digest, direct, fell_back }).await,
-            Kind::Pack => client.fetch_pack(v1::FetchPackRequest { digest, direct, fell_back }).await,
+            Kind::Pack | Kind::Receivers => {
+                client.fetch_pack(v1::FetchPackRequest { digest, direct, fell_back }).await
+            }
         };
         let mut stream = answer.map_err(Unfetched::Refused)?.into_inner();
         match stream.next().await {

@@ -8,7 +8,7 @@
 //!
 //! use sightline_proto::connecting::Credentials;
 //! use sightline_sampling::gpu::AdapterChoice;
-//! use sightline_worker::{Backends, Choice, Config, SceneCache, Stop};
+//! use sightline_worker::{Backends, Choice, Config, ReceiverCache, SceneCache, Stop};
 //!
 //! # async fn example() -> Result<(), sightline_worker::WorkerError> {
 //! let config = Config {
@@ -17,6 +17,7 @@
 //!     name: "worker 1".to_owned(),
 //!     backends: Arc::new(Backends::probe(Choice::Auto, AdapterChoice::default())),
 //!     scenes: Arc::new(SceneCache::default()),
+//!     receivers: Arc::new(ReceiverCache::default()),
 //!     helps: true,
 //!     direct: true,
 //!     give_up_after: None,
@@ -39,6 +40,7 @@ mod fetching;
 mod held;
 mod packs;
 mod pulse;
+mod receivers;
 mod scenes;
 mod session;
 mod spans;
@@ -51,6 +53,7 @@ use tokio::sync::watch;
 pub use backends::{Backends, Choice};
 pub use config::{Config, Stop, WorkerError};
 pub use pulse::{Moved, Pulse};
+pub use receivers::ReceiverCache;
 pub use scenes::{Loaded, SceneCache};
 
 /// Runs a worker until `stop` tells it to stop.

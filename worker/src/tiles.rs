@@ -3,7 +3,8 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use sightline_bake::{Alone, BakeError, Control, Crew, PackBytes, Watcher as _, run_portal_tile, run_tile};
+use sightline_bake::{Alone, BakeError, Control, Crew, PackBytes, Watcher as _};
+use sightline_bake::{run_ambient_tile, run_portal_tile, run_tile};
 use sightline_model::{JobSpec, Method, Sampler};
 use sightline_proto::connecting::Connection;
 use sightline_proto::v1;
@@ -99,6 +100,14 @@ impl Shop {
             let pack = self.pack(digest).await.map_err(infrastructure)?;
             packs.push(pack.ok_or(digest));
         }
+        let receivers = match &spec.ambient {
+            Some(ambient) => {
+                let triangles = loaded.scene.scene().len();
+                let fetched = self.receivers(ambient.receivers, triangles).await;
+                Some(fetched.map_err(infrastructure)?)
+            }
+            None => None,
+        };
         steps.step("fetch", begun);
         let waits = Begun::now();
         let turn = self.running.acquire().await.map_err(|e| infrastructure(e.to_string()))?;
@@ -108,8 +117,9 @@ impl Shop {
         }
         held.begin();
         // Members of a crew would not stop at the same place.
-        let is_crewed =
-            grant.millis.is_none() && matches!(spec.sampling.sampler, Sampler::Lines | Sampler::Guided);
+        let is_crewed = receivers.is_none()
+            && grant.millis.is_none()
+            && matches!(spec.sampling.sampler, Sampler::Lines | Sampler::Guided);
         let leader = match is_crewed {
             true => Some(crew::lead(self.client.clone(), held.lease, held).await),
             false => None,
@@ -121,6 +131,11 @@ impl Shop {
             let crew = leader.as_deref().map_or(&Alone as &dyn Crew, |leader| leader);
             computing.computing(crew, false, |crew| {
                 let work = Work { spec: &spec, profile: &grant.profile, deadline, crew };
+                if let Some(receivers) = receivers {
+                    let tile = watcher.lease.tile;
+                    let done = run_ambient_tile(&spec, tile, &loaded.scene, &receivers, &*watcher);
+                    return done.map(|done| (done.bytes, done.samples)).map_err(|e| failure(e, || {}));
+                }
                 shop.run(&work, &loaded, packs, &watcher)
             })
         })

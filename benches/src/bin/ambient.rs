@@ -13,7 +13,7 @@ use std::time::Instant;
 
 use clap::Parser;
 use rayon::prelude::*;
-use sightline_ambient::{Falloff, Receiver, Settings, Solver};
+use sightline_ambient::{Falloff, Prepared, Receiver, Settings, Solver};
 use sightline_numbers::random::SplitMix64;
 use sightline_sampling::embree::Occlusion;
 use sightline_sampling::packet::{LANES, Packet};
@@ -130,8 +130,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let receivers = points(&scene, args.squares, texel);
         let per_point = |seconds: f64, n: usize| seconds * 1e6 * threads / n as f64;
         let begun = Instant::now();
-        let solver = Solver::new(&scene, Settings::new(*distance))?;
+        let prepared_scene = Prepared::new(&scene, false)?;
         let prepared = begun.elapsed();
+        let solver = Solver::new(&prepared_scene, Settings::new(*distance));
         let begun = Instant::now();
         let answers = solver.solve(&receivers, |_| {});
         let exact = per_point(begun.elapsed().as_secs_f64(), receivers.len());
@@ -152,7 +153,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 variants.push(("falloff", Settings { falloff: Falloff::Sqrt, ..Settings::new(*distance) }));
             }
             for (name, settings) in variants {
-                let solver = Solver::new(&scene, settings)?;
+                let solver = Solver::new(&prepared_scene, settings);
                 let begun = Instant::now();
                 solver.solve(&receivers, |_| {});
                 let took = per_point(begun.elapsed().as_secs_f64(), receivers.len());

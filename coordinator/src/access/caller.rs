@@ -136,8 +136,8 @@ pub fn needed(path: &str) -> Need {
         ("sightline.v1.Jobs", "List" | "Show" | "Watch" | "Fetch" | "FetchPartial") => Scope::Read,
         (
             "sightline.v1.Jobs",
-            "MissingChunks" | "PutChunks" | "PutScene" | "PutSceneFile" | "Submit" | "Estimate" | "Cancel"
-            | "Pause" | "Resume" | "Prioritize" | "Retry" | "Delete",
+            "MissingChunks" | "PutChunks" | "PutScene" | "PutSceneFile" | "PutReceivers" | "Submit"
+            | "Estimate" | "Cancel" | "Pause" | "Resume" | "Prioritize" | "Retry" | "Delete",
         ) => Scope::Submit,
         ("sightline.v1.Results", "Query" | "Why" | "Measure") => Scope::Read,
         ("sightline.v1.Farm", "ListTiles" | "Events") => Scope::Read,

@@ -9,7 +9,7 @@ const CALLS_AT_ONCE: u32 = 256;
 /// What a user may have and do; `None` is no limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Quota {
-    /// Bytes of the user's scenes and results, and of chunks that are no scene yet.
+    /// Bytes of the user's scenes, receivers and results, and of chunks that are none of these yet.
     pub bytes: Option<u64>,
     /// Scenes that the user has sent.
     pub scenes: Option<u64>,

@@ -1,6 +1,7 @@
 //! What a user has, counted from the store's records.
 
 use super::{Beyond, Quota};
+use crate::specs;
 use crate::store::{JobState, Store, StoreError};
 
 /// What a user has.
@@ -25,6 +26,9 @@ pub(crate) fn usage(store: &dyn Store, user: &str) -> Result<Usage, StoreError> 
         if let JobState::Done { bytes, .. } = job.state {
             usage.bytes = usage.bytes.saturating_add(bytes);
         }
+        // Of several jobs with the same receivers each counts them.
+        let receivers = specs::receivers(&job.spec).map_or(0, |ambient| ambient.bytes);
+        usage.bytes = usage.bytes.saturating_add(receivers);
     }
     Ok(usage)
 }

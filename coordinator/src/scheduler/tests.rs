@@ -171,6 +171,7 @@ impl Bench {
             method: Method::Aggressive,
             certificates: false,
             viewpoints: None,
+            ambient: None,
             up: None,
         };
         let job = NewJob {

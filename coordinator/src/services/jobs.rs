@@ -25,6 +25,7 @@ use crate::ids::{Digest, JobId};
 use crate::jobs::{self, JobError, Summary, Wanted};
 use crate::lost_scenes;
 use crate::partial;
+use crate::receivers;
 use crate::scene_files;
 use crate::scenes;
 use crate::state::Coordinator;
@@ -101,6 +102,23 @@ impl v1::jobs_server::Jobs for JobsService {
                 scenes::put_scene(c, caller.owner(), whole, &parts).map_err(|e| status::of_upload(&e))?;
             lost_scenes::back(c, &whole);
             Ok(Response::new(wire::scene(&record)))
+        })
+        .await
+    }
+
+    async fn put_receivers(&self, r: Request<v1::PutReceiversRequest>) -> Answer<v1::ReceiversInfo> {
+        let caller = caller(&self.0, &r)?;
+        let r = r.into_inner();
+        let whole = wire::digest(&r.digest)?;
+        if r.chunks.len() > MAX_CHUNKS {
+            return Err(Status::invalid_argument("the receivers have too many chunks; use several jobs"));
+        }
+        let parts = r.chunks.iter().map(|d| wire::digest(d)).collect::<Result<Vec<_>, _>>()?;
+        blocking(&self.0, move |c| {
+            let stored = receivers::put(c, caller.owner(), whole, &parts);
+            let facts = stored.map_err(|e| status::of_upload(&e))?.facts;
+            let (points, lights) = (facts.points, facts.lights);
+            Ok(Response::new(v1::ReceiversInfo { digest: whole.to_vec(), points, lights }))
         })
         .await
     }
@@ -342,7 +360,14 @@ fn draft(c: &Coordinator, caller: &Caller, r: v1::SubmitRequest) -> Result<Submi
         Err(StoreError::UnknownScene { .. }) => None,
         Err(e) => return Err(status::of_store(&e)),
     };
-    let spec = &with_defaults(spec, record.map_or(0, |record| record.triangles));
+    let mut spec = with_defaults(spec, record.map_or(0, |record| record.triangles));
+    if let Some(ambient) = &mut spec.ambient {
+        let digest = wire::digest(&ambient.receivers)?;
+        let stored = receivers::known(c, caller, digest).map_err(|e| status::of_receivers(&e))?;
+        let (bytes, points, lights) = (stored.bytes, stored.facts.points, stored.facts.lights);
+        *ambient = v1::Ambient { receivers: digest.to_vec(), bytes, points, lights };
+    }
+    let spec = &spec;
     let bounds = match spec.view_box.is_empty() {
         true => {
             scenes::known(c, caller, scene).map_err(|e| status::of_store(&e))?;

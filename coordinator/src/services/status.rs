@@ -9,6 +9,7 @@ use crate::asking::AskError;
 use crate::having::HavingError;
 use crate::jobs::JobError;
 use crate::partial::PartialError;
+use crate::receivers::Fault;
 use crate::results::ResultError;
 use crate::scene_files::FileError;
 use crate::scenes::{FactsError, TakeError, UploadError};
@@ -60,7 +61,9 @@ pub(super) fn of_blob(e: &BlobError) -> Status {
 pub(super) fn of_upload(e: &UploadError) -> Status {
     match e {
         UploadError::ChunkMissing | UploadError::ChunkDamaged => Status::failed_precondition(e.to_string()),
-        UploadError::Mismatch(_) | UploadError::Scene(_) => Status::invalid_argument(e.to_string()),
+        UploadError::Mismatch(_) | UploadError::Scene(_) | UploadError::Receivers(_) => {
+            Status::invalid_argument(e.to_string())
+        }
         UploadError::TooLong { .. } => Status::invalid_argument(e.to_string()),
         UploadError::Having(e) => of_having(e),
         UploadError::Blob(e) => of_blob(e),
@@ -107,6 +110,16 @@ pub(super) fn of_facts(e: &FactsError) -> Status {
     }
 }
 
+/// The status of receivers that cannot be had.
+pub(super) fn of_receivers(e: &Fault) -> Status {
+    match e {
+        Fault::Unknown(_) => Status::not_found(e.to_string()),
+        Fault::Receivers(e) => Status::invalid_argument(e.to_string()),
+        Fault::Blob(e) => of_blob(e),
+        Fault::Store(e) => of_store(e),
+    }
+}
+
 /// The status of a submission that fails.
 pub(super) fn of_submit(e: &SubmitError) -> Status {
     match e {
@@ -114,6 +127,7 @@ pub(super) fn of_submit(e: &SubmitError) -> Status {
         SubmitError::Schedule(text) => internal(text),
         SubmitError::Having(e) => of_having(e),
         SubmitError::Facts(e) => of_facts(e),
+        SubmitError::Receivers(e) => of_receivers(e),
         SubmitError::Blob(e) => of_blob(e),
         SubmitError::Store(e) => of_store(e),
     }

@@ -24,7 +24,7 @@
 //!
 //! ```
 //! use glam::{DVec3, Vec3};
-//! use sightline_ambient::{Receiver, Settings, Solver};
+//! use sightline_ambient::{Prepared, Receiver, Settings, Solver};
 //! use sightline_scene::{Object, Scene, Triangle};
 //!
 //! // A ceiling of 20 by 20 at the height 0.5.
@@ -35,7 +35,8 @@
 //! let scene = Scene::new("example", triangles, vec![object])?;
 //!
 //! // Within the distance 1 it hides a cap of the hemisphere: all but (0.5 / 1)² of it.
-//! let solver = Solver::new(&scene, Settings::new(1.0))?;
+//! let prepared = Prepared::new(&scene, false)?;
+//! let solver = Solver::new(&prepared, Settings::new(1.0));
 //! let below = Receiver { point: DVec3::ZERO, normal: DVec3::Z, triangle: None };
 //! let answer = &solver.solve(&[below], |_| {})[0];
 //! assert!((answer.openness.open - 0.25).abs() < 1e-12 && answer.openness.bound < 1e-12);
@@ -62,4 +63,4 @@ pub use fragments::{Falloff, Fragment};
 pub use lights::{Light, LightError, MOST_CORNERS};
 pub use openness::Openness;
 pub use receivers::{Receiver, blocks};
-pub use solve::{Answer, Memory, Settings, Solver};
+pub use solve::{Answer, Memory, Prepared, Settings, Solver};

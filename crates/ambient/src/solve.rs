@@ -74,14 +74,38 @@ pub struct Answer {
     pub fragments: Vec<Fragment>,
 }
 
-/// A scene, prepared for a setting.
-pub struct Solver {
-    settings: Settings,
+/// A scene, prepared.
+pub struct Prepared {
     /// Joined polygons, for openness and lights.
     joined: Blockers,
     /// Triangles by themselves, for fragments.
     single: Option<Blockers>,
     inside: Inside,
+}
+
+impl Prepared {
+    /// Prepares a scene, on all of rayon's threads; for fragments as well if they are wanted.
+    ///
+    /// # Errors
+    /// When the scene has more corners than can be numbered, or an alpha texture is repeated too often.
+    pub fn new(scene: &Scene, fragments: bool) -> Result<Self, SceneError> {
+        Ok(Self {
+            joined: Blockers::new(scene, true)?,
+            single: fragments.then(|| Blockers::new(scene, false)).transpose()?,
+            inside: Inside::new(scene)?,
+        })
+    }
+
+    /// Whether a receiver, a hair above its surface, is inside of a closed solid.
+    pub fn is_inside(&self, receiver: &Receiver) -> bool {
+        self.inside.holds(receiver)
+    }
+}
+
+/// Answers questions about a scene.
+pub struct Solver<'a> {
+    prepared: &'a Prepared,
+    settings: Settings,
 }
 
 /// What blocks can use again.
@@ -92,18 +116,11 @@ pub struct Memory {
     cuts: Vec<f64>,
 }
 
-impl Solver {
-    /// Prepares a scene, on all of rayon's threads.
-    ///
-    /// # Errors
-    /// When the scene has more corners than can be numbered.
-    pub fn new(scene: &Scene, settings: Settings) -> Result<Self, SceneError> {
-        Ok(Self {
-            joined: Blockers::new(scene, true)?,
-            single: settings.fragments.then(|| Blockers::new(scene, false)).transpose()?,
-            inside: Inside::new(scene)?,
-            settings,
-        })
+impl<'a> Solver<'a> {
+    /// Answers with these settings. Fragments are told only of a scene that is prepared for them.
+    pub fn new(prepared: &'a Prepared, settings: Settings) -> Self {
+        let fragments = settings.fragments && prepared.single.is_some();
+        Self { prepared, settings: Settings { fragments, ..settings } }
     }
 
     /// The settings.
@@ -115,7 +132,7 @@ impl Solver {
     pub fn blocks(&self, receivers: &[Receiver]) -> Vec<Vec<u32>> {
         let (most, extent) = self.settings.block;
         let size = self.settings.distance * extent;
-        blocks(receivers, |t| self.joined.of(t), most, size)
+        blocks(receivers, |t| self.prepared.joined.of(t), most, size)
     }
 
     /// Answers for all receivers, in their order, on all of rayon's threads. `done` is told of how many more
@@ -157,7 +174,8 @@ impl Solver {
     fn part(&self, receivers: &[Receiver], memory: &mut Memory, all: &mut Vec<Answer>) {
         let Settings { distance, falloff, fragments, .. } = self.settings;
         let union = falloff == Falloff::None && !fragments;
-        let blockers = self.single.as_ref().unwrap_or(&self.joined);
+        let joined = &self.prepared.joined;
+        let blockers = self.prepared.single.as_ref().filter(|_| fragments).unwrap_or(joined);
         let source = Source::around(receivers);
         let own = receivers.first().and_then(|r| r.triangle).and_then(|t| blockers.of(t));
         let mut items = Items::new(blockers, &source, Reach::Distance(distance), own);
@@ -177,12 +195,12 @@ impl Solver {
                 first(&mut rays, r, (distance, falloff, fragments), scratch, (seen, cuts))
             };
             found.iter_mut().for_each(|f| f.polygon = blockers.triangle(f.polygon));
-            let inside = self.inside.holds(r);
+            let inside = self.prepared.is_inside(r);
             answers.push(Answer { openness, inside, lights: Vec::new(), fragments: found });
         }
         let receivers = &receivers[..answers.len()];
         for light in &self.settings.lights {
-            let found = factors(&self.joined, receivers, light, (OPEN_FAR, BYTES), scratch);
+            let found = factors(joined, receivers, light, (OPEN_FAR, BYTES), scratch);
             for (answer, (factor, bound)) in answers.iter_mut().zip(found) {
                 answer.lights.push(factor);
                 answer.openness.bound = answer.openness.bound.max(bound);

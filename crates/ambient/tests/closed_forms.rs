@@ -9,7 +9,7 @@ use sightline_ambient::Falloff;
 use sightline_ambient::Light;
 use sightline_ambient::Openness;
 use sightline_ambient::Receiver;
-use sightline_ambient::{Answer, Settings, Solver};
+use sightline_ambient::{Answer, Prepared, Settings, Solver};
 use sightline_scene::{Object, Scene, Triangle};
 
 /// How near a value has to be: coordinates of scenes are rounded to single precision.
@@ -35,7 +35,8 @@ fn rectangle(min: [f64; 3], max: [f64; 3]) -> Vec<[DVec3; 3]> {
 }
 
 fn answer(triangles: &[[DVec3; 3]], settings: Settings, receiver: Receiver) -> Answer {
-    Solver::new(&scene(triangles), settings).unwrap().solve(&[receiver], |_| {}).remove(0)
+    let prepared = Prepared::new(&scene(triangles), settings.fragments).unwrap();
+    Solver::new(&prepared, settings).solve(&[receiver], |_| {}).remove(0)
 }
 
 /// A receiver at the origin that looks up.

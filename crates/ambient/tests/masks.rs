@@ -5,7 +5,7 @@
 use base64::Engine as _;
 use glam::{DVec3, Vec3};
 use serde_json::json;
-use sightline_ambient::{Receiver, Settings, Solver};
+use sightline_ambient::{Prepared, Receiver, Settings, Solver};
 use sightline_scene::load::{Options, load_bytes_with};
 use sightline_scene::{Object, Scene, Triangle};
 
@@ -79,7 +79,8 @@ fn a_card_hides_what_its_texels_hide() {
             let open = |scene: &Scene| {
                 let settings = Settings { fragments, ..Settings::new(distance) };
                 let at = Receiver { point: DVec3::new(0.1, 0.2, 0.0), normal: DVec3::Z, triangle: None };
-                Solver::new(scene, settings).unwrap().solve(&[at], |_| {})[0].openness.open
+                let prepared = Prepared::new(scene, fragments).unwrap();
+                Solver::new(&prepared, settings).solve(&[at], |_| {})[0].openness.open
             };
             let (by_texels, by_quads) = (open(&masked()), open(&cut()));
             assert!((by_texels - by_quads).abs() < 1e-6, "{by_texels} {by_quads}");

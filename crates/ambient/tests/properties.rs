@@ -7,7 +7,7 @@ use std::f64::consts::TAU;
 
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
-use sightline_ambient::{Answer, Falloff, Receiver, Settings, Solver};
+use sightline_ambient::{Answer, Falloff, Prepared, Receiver, Settings, Solver};
 use sightline_scene::{Object, Scene, Triangle};
 
 fn scene(triangles: &[[Vec3; 3]]) -> Scene {
@@ -17,7 +17,8 @@ fn scene(triangles: &[[Vec3; 3]]) -> Scene {
 }
 
 fn solve(triangles: &[[Vec3; 3]], settings: &Settings, receivers: &[Receiver]) -> Vec<Answer> {
-    Solver::new(&scene(triangles), settings.clone()).unwrap().solve(receivers, |_| {})
+    let prepared = Prepared::new(&scene(triangles), settings.fragments).unwrap();
+    Solver::new(&prepared, settings.clone()).solve(receivers, |_| {})
 }
 
 fn settings(distance: f64) -> Settings {

@@ -1,8 +1,8 @@
-//! One tile from start to end: sampling, exact queries, and the bytes that come out.
+//! One tile from start to end: sampling, exact queries, ambient occlusion, and the bytes that come out.
 //!
-//! [`run_tile`] is the only place where choices that change bytes meet. Their values are in [`choices`],
-//! beside the version of the algorithm. This crate keeps nothing between two tiles; a worker owns scenes,
-//! backends and packs.
+//! [`run_tile`], [`run_portal_tile`] and [`run_ambient_tile`] are the only places where choices that change
+//! bytes meet. Their values are in [`choices`], beside the version of the algorithm. This crate keeps nothing
+//! between two tiles; a worker owns scenes, backends, packs and receivers.
 //!
 //! ```no_run
 //! use std::sync::Arc;
@@ -30,6 +30,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod ambient;
 mod boxes;
 mod cell_phase;
 pub mod choices;
@@ -43,6 +44,7 @@ mod within;
 
 use std::time::Instant;
 
+pub use ambient::run_ambient_tile;
 use outcome::tile_error;
 pub use outcome::{BakeError, Control, PackDigest, TileDone};
 pub use portals::run_portal_tile;
@@ -99,6 +101,9 @@ pub fn run_tile(
     };
     let tile = &plan.tiles[at as usize];
     let watcher = control.watcher;
+    if spec.ambient.is_some() {
+        return Err(BakeError::Tile("a job of receivers has no cells; run its tiles with them".to_owned()));
+    }
     if spec.method == Method::Portals {
         return Err(BakeError::Tile("the method portals needs no backend; run its tiles without".to_owned()));
     }

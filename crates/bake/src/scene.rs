@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
+use sightline_ambient::Prepared;
 use sightline_exact::ExactScene;
 use sightline_model::JobSpec;
 use sightline_numbers::Aabb;
@@ -10,10 +11,12 @@ use sightline_sampling::PreparedScene;
 use sightline_scene::{Scene, SceneError};
 use sightline_viewcells::Region;
 
-/// A scene, prepared for sampling and, when a tile first needs them, for exact queries and along its walls.
+/// A scene, prepared for sampling and, when a tile first needs them, for exact queries, for ambient occlusion
+/// and along its walls.
 pub struct BakeScene {
     sampling: PreparedScene,
     exact: OnceLock<Result<ExactScene, String>>,
+    ambient: OnceLock<Result<Prepared, String>>,
     /// The partition for the last job, with what it depends on beside the scene.
     partition: Mutex<Option<(Within, Arc<Partition>)>>,
 }
@@ -27,7 +30,8 @@ impl BakeScene {
     /// # Errors
     /// [`SceneError`] when it has too many triangles to sample.
     pub fn new(scene: Arc<Scene>) -> Result<Self, SceneError> {
-        Ok(Self { sampling: PreparedScene::new(scene)?, exact: OnceLock::new(), partition: Mutex::default() })
+        let sampling = PreparedScene::new(scene)?;
+        Ok(Self { sampling, exact: OnceLock::new(), ambient: OnceLock::new(), partition: Mutex::default() })
     }
 
     /// The triangles.
@@ -50,6 +54,21 @@ impl BakeScene {
     pub fn exact(&self) -> Result<&ExactScene, String> {
         assert!(rayon::current_thread_index().is_none(), "a thread of the pool could wait for itself here");
         let found = self.exact.get_or_init(|| ExactScene::prepare(self.scene()).map_err(|e| e.to_string()));
+        found.as_ref().map_err(Clone::clone)
+    }
+
+    /// What hides from receivers of ambient occlusion, which takes all threads of rayon's pool the first
+    /// time.
+    ///
+    /// # Panics
+    /// On a thread of rayon's pool: it could wait for itself.
+    ///
+    /// # Errors
+    /// The reason, when the scene has too many corners to number.
+    pub fn ambient(&self) -> Result<&Prepared, String> {
+        assert!(rayon::current_thread_index().is_none(), "a thread of the pool could wait for itself here");
+        let found =
+            self.ambient.get_or_init(|| Prepared::new(self.scene(), false).map_err(|e| e.to_string()));
         found.as_ref().map_err(Clone::clone)
     }
 

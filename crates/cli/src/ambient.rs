@@ -1,68 +1,30 @@
-//! `sightline ambient`: what the hemispheres of points are free of.
+//! `sightline ambient`: what the hemispheres of points, texels or vertices are free of.
 
-use std::path::Path;
-
-use glam::DVec3;
-use serde::Deserialize;
-use serde_json::{Map, Value, json};
-use sightline_ambient::{Answer, Falloff, Light, Receiver, Settings, Solver};
+use sightline_ambient::Falloff;
 use sightline_scene::Scene;
 
 use crate::ambient_args::AmbientArgs;
 use crate::error::CliError;
-use crate::json_lines::JsonLines;
-use crate::opening;
 use crate::progress::say;
-use crate::serve::{self, print, threads};
+use crate::{ambient_file, ambient_points};
 
-/// Points that are answered together. Which points are together changes answers within their bounds, so it
-/// depends on the input alone.
-const TOGETHER: usize = 1 << 16;
-/// Most lights.
-const MOST_LIGHTS: usize = 4096;
 /// The scene's diagonal by the default distance.
 const DIAGONAL_BY_DISTANCE: f64 = 20.0;
 
-/// A point of the input.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct PointLine {
-    #[serde(default)]
-    id: Value,
-    point: [f64; 3],
-    normal: [f64; 3],
-    triangle: Option<u32>,
-}
-
-/// A light of the input.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct LightLine {
-    id: Value,
-    polygon: Vec<[f64; 3]>,
-}
-
-/// Answers every point of a file, in order.
-pub fn run(args: &AmbientArgs) -> Result<(), CliError> {
-    serve::use_threads(threads(args.threads.map(usize::from)))?;
-    let scene = opening::scene(&args.scene, &args.kinds)?;
-    let distance = distance(args, &scene)?;
-    let (names, lights) = match &args.lights {
-        Some(path) => self::lights(path)?,
-        None => Default::default(),
-    };
-    let settings = Settings {
-        falloff: args.falloff.falloff(),
-        fragments: args.fragments,
-        lights,
-        ..Settings::new(distance)
-    };
-    let solver = Solver::new(&scene, settings)?;
-    answer_all(args, &scene, &solver, &names)
+/// Answers for the points of a file, or puts the occlusion into the scene's own.
+pub fn run(args: &AmbientArgs, json: bool) -> Result<(), CliError> {
+    match (&args.points, &args.output) {
+        (Some(_), Some(_)) => Err(CliError::Usage(
+            "--points prints answers and -o writes a file; give one of the two".to_owned(),
+        )),
+        (Some(points), None) => ambient_points::run(args, points),
+        (None, Some(output)) => ambient_file::run(args, output, json),
+        (None, None) => Err(CliError::Usage("give --points P.jsonl or -o OUT.glb".to_owned())),
+    }
 }
 
 /// The distance of the arguments, or that which fits the scene.
-fn distance(args: &AmbientArgs, scene: &Scene) -> Result<f64, CliError> {
+pub fn distance(args: &AmbientArgs, scene: &Scene) -> Result<f64, CliError> {
     let Some(text) = &args.distance else {
         let bounds = scene.bounds();
         let distance = (bounds.max.as_dvec3() - bounds.min.as_dvec3()).length() / DIAGONAL_BY_DISTANCE;
@@ -82,118 +44,4 @@ fn distance(args: &AmbientArgs, scene: &Scene) -> Result<f64, CliError> {
         ));
     }
     Ok(distance)
-}
-
-/// The names and shapes of the lights of a file.
-fn lights(path: &Path) -> Result<(Vec<String>, Vec<Light>), CliError> {
-    let mut input = JsonLines::open(path, "--lights", r#"{"id":"lamp","polygon":[[x,y,z],…]}"#)?;
-    let (mut names, mut lights): (Vec<String>, Vec<Light>) = (Vec::new(), Vec::new());
-    loop {
-        let (lines, failure) = input.read(|line: LightLine| {
-            let name = match line.id {
-                Value::String(name) => name,
-                id @ Value::Number(_) => id.to_string(),
-                id => return Err(format!("id is {id}; give each light a name or a number")),
-            };
-            let light = Light::new(&line.polygon).map_err(|e| format!("light {name:?}: {e}"))?;
-            Ok((name, light))
-        });
-        let last = lines.is_empty();
-        for (name, light) in lines {
-            if names.contains(&name) {
-                return Err(CliError::Input(format!(
-                    "{}: two lights have the id {name:?}; answers name lights by ids: give each its own",
-                    input.name
-                )));
-            }
-            if names.len() == MOST_LIGHTS {
-                return Err(CliError::Input(format!(
-                    "{} has more than {MOST_LIGHTS} lights; give fewer at a time",
-                    input.name
-                )));
-            }
-            names.push(name);
-            lights.push(light);
-        }
-        match failure {
-            Some(e) => return Err(e),
-            None if last => return Ok((names, lights)),
-            None => {}
-        }
-    }
-}
-
-/// A checked receiver.
-fn receiver(line: &PointLine, triangles: usize) -> Result<Receiver, String> {
-    let [point, normal] = [line.point, line.normal].map(DVec3::from);
-    // Squares of larger numbers overflow, and scenes are in single precision.
-    let near = point.abs().max_element() <= f64::from(f32::MAX);
-    if !near {
-        return Err(format!("point {:?} is not near any scene; give three numbers below 3.4e38", line.point));
-    }
-    let size = normal.length();
-    if !(size.is_finite() && size > 1e-150) {
-        return Err(format!("normal {:?} has no direction; give a vector of any length but 0", line.normal));
-    }
-    if let Some(t) = line.triangle.filter(|t| *t as usize >= triangles) {
-        return Err(format!("there is no triangle {t}; the scene has {triangles}, the first one is 0"));
-    }
-    Ok(Receiver { point, normal: normal / size, triangle: line.triangle })
-}
-
-fn answer_all(args: &AmbientArgs, scene: &Scene, solver: &Solver, lights: &[String]) -> Result<(), CliError> {
-    let example = r#"{"id":1,"point":[x,y,z],"normal":[x,y,z],"triangle":t}"#;
-    let mut input = JsonLines::open(&args.points, "--points", example)?;
-    let triangles = scene.triangles().len();
-    let (mut points, mut most) = (0u64, 0.0f64);
-    let mut waiting: Vec<(Value, Receiver)> = Vec::new();
-    let ended = loop {
-        let (lines, failure) = input.read(|line: PointLine| Ok((receiver(&line, triangles)?, line.id)));
-        let last = lines.is_empty() || failure.is_some();
-        waiting.extend(lines.into_iter().map(|(receiver, id)| (id, receiver)));
-        while waiting.len() >= TOGETHER || (last && !waiting.is_empty()) {
-            let rest = waiting.split_off(waiting.len().min(TOGETHER));
-            let receivers: Vec<Receiver> = waiting.iter().map(|(_, r)| *r).collect();
-            for ((id, _), answer) in waiting.iter().zip(solver.solve(&receivers, |_| {})) {
-                most = most.max(answer.openness.bound);
-                print(&in_json(id, &answer, solver.settings(), lights).to_string())?;
-            }
-            points += waiting.len() as u64;
-            waiting = rest;
-        }
-        match failure {
-            Some(e) => break Err(e),
-            None if last => break Ok(()),
-            None => {}
-        }
-    };
-    if ended.is_err() {
-        say("only the points before the bad line were answered:");
-    }
-    say(&format!("{points} points, each right to {most:.0e}"));
-    ended
-}
-
-/// An answer as it is printed.
-fn in_json(id: &Value, answer: &Answer, settings: &Settings, lights: &[String]) -> Value {
-    let openness = &answer.openness;
-    let mut line = json!({
-        "id": id,
-        "open": openness.open,
-        "bound": openness.bound,
-        "occluders": openness.occluders,
-        "inside": answer.inside,
-    });
-    if !lights.is_empty() {
-        let factors = lights.iter().zip(&answer.lights).map(|(name, factor)| (name.clone(), json!(factor)));
-        line["lights"] = Value::Object(factors.collect::<Map<_, _>>());
-    }
-    if settings.fragments {
-        let fragments = answer.fragments.iter().map(|f| {
-            let directions: Vec<[f64; 3]> = f.directions.iter().map(|d| d.to_array()).collect();
-            json!({"triangle": f.polygon, "directions": directions, "factor": f.factor})
-        });
-        line["fragments"] = fragments.collect();
-    }
-    line
 }

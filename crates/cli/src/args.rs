@@ -133,7 +133,7 @@ pub enum Command {
     Stab(StabArgs),
     /// Look from points at run time: the triangles of a cell's set that are in the view and not behind walls
     Look(LookArgs),
-    /// Tell what the hemispheres of points are free of: ambient occlusion without noise, and form factors.
+    /// Put ambient occlusion without noise into a scene's own file, or tell it at points.
     Ambient(AmbientArgs),
     /// Check every witness and every certificate of a result with an independent checker.
     Verify(VerifyArgs),

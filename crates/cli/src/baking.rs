@@ -92,10 +92,7 @@ pub fn bake(
     }
     let traces = args.traces.start("sightline-bake", &serve::default_name()?)?;
     let _sends_the_rest = traces.closing();
-    let (coordinator, data_dir) = match &args.data_dir {
-        Some(dir) => (open(dir)?, dir.clone()),
-        None => open_free(&default_data_dir()?)?,
-    };
+    let (coordinator, data_dir) = open_at(args.data_dir.as_deref())?;
     coordinator.send_traces(traces.clone());
     let runtime = serve::runtime()?;
     let kept = Arc::clone(&coordinator);
@@ -111,6 +108,14 @@ pub fn bake(
         )),
         e => e,
     })
+}
+
+/// Opens a data directory, or the usual one.
+pub(crate) fn open_at(data_dir: Option<&Path>) -> Result<(Arc<Coordinator>, PathBuf), CliError> {
+    match data_dir {
+        Some(dir) => Ok((open(dir)?, dir.to_owned())),
+        None => open_free(&default_data_dir()?),
+    }
 }
 
 /// Opens a data directory.
@@ -150,7 +155,7 @@ fn open_free(usual: &Path) -> Result<(Arc<Coordinator>, PathBuf), CliError> {
 
 /// Closes the coordinator's store, so that this process can open it again. Threads that still hold it after
 /// the time keep it open.
-fn close(mut coordinator: Arc<Coordinator>) {
+pub(crate) fn close(mut coordinator: Arc<Coordinator>) {
     let begin = Instant::now();
     while begin.elapsed() < TO_CLOSE {
         match Arc::try_unwrap(coordinator) {
@@ -303,7 +308,10 @@ async fn run(
         if answer.existing {
             say(&format!("going on: {} of {} tiles are done", job.tiles_done, job.tiles_total));
         }
-        let mut workers = Workers::start((args, traces), &url, &backends, loaded, spec);
+        let count = args.workers.map_or_else(|| threads(None), usize::from);
+        // The scene is in this process already.
+        let scenes = Arc::new(SceneCache::holding(spec.scene, Arc::clone(loaded)));
+        let mut workers = Workers::start(count, traces, &url, &backends, &scenes);
         let ended = tokio::select! {
             j = client::follow(&mut client, job.id, hooks.follow) => j,
             e = workers.failure() => Err(e),
@@ -343,22 +351,20 @@ async fn submit(
 }
 
 /// The workers of this process.
-struct Workers {
+pub(crate) struct Workers {
     stop: watch::Sender<Stop>,
     running: JoinSet<Result<(), WorkerError>>,
 }
 
 impl Workers {
-    fn start(
-        (args, traces): (&BakeArgs, &Traces),
+    /// Starts so many.
+    pub(crate) fn start(
+        count: usize,
+        traces: &Traces,
         url: &str,
         backends: &Arc<Backends>,
-        loaded: &Arc<Loaded>,
-        spec: &JobSpec,
+        scenes: &Arc<SceneCache>,
     ) -> Self {
-        let count = args.workers.map_or_else(|| threads(None), usize::from);
-        // The scene is in this process already.
-        let scenes = Arc::new(SceneCache::holding(spec.scene, Arc::clone(loaded)));
         let (stop, stopped) = watch::channel(Stop::No);
         let mut running = JoinSet::new();
         for i in 0..count {
@@ -367,7 +373,8 @@ impl Workers {
                 credentials: Credentials::default(),
                 name: format!("in-process-{i}"),
                 backends: Arc::clone(backends),
-                scenes: Arc::clone(&scenes),
+                scenes: Arc::clone(scenes),
+                receivers: Arc::default(),
                 // They share the threads of this process.
                 helps: false,
                 direct: false,
@@ -381,7 +388,7 @@ impl Workers {
     }
 
     /// Resolves only when a worker ends with an error.
-    async fn failure(&mut self) -> CliError {
+    pub(crate) async fn failure(&mut self) -> CliError {
         while let Some(ended) = self.running.join_next().await {
             match ended {
                 Ok(Ok(())) => {}
@@ -393,7 +400,7 @@ impl Workers {
     }
 
     /// Tells the workers and their tiles to stop.
-    async fn end(mut self) {
+    pub(crate) async fn end(mut self) {
         // The send fails only if all workers have ended already.
         let _ = self.stop.send(Stop::Now);
         let all = async { while self.running.join_next().await.is_some() {} };

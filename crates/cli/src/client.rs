@@ -55,48 +55,71 @@ pub async fn connect(url: &str, credentials: &Credentials) -> Result<Connection,
         })
 }
 
-/// Uploads the chunks of a scene that the coordinator lacks.
+/// Uploads a scene, unless the coordinator has it.
 pub async fn upload(client: &mut JobsClient<Connection>, scene: &Scene) -> Result<(), CliError> {
-    let blob = Arc::new(scene.to_blob());
-    let whole = blake3::hash(&blob[..]).as_bytes().to_vec();
-    let digests: Vec<Vec<u8>> =
-        blob.chunks(CHUNK_BYTES).map(|p| blake3::hash(p).as_bytes().to_vec()).collect();
-    let put = v1::PutSceneRequest { chunks: digests.clone(), digest: whole };
-    // A scene that the coordinator has needs only its digest.
-    match client.put_scene(put.clone()).await {
-        Ok(_) => return Ok(()),
-        Err(s) if s.code() == tonic::Code::FailedPrecondition => {}
-        Err(s) => return Err(CliError::status(&s)),
+    let blob = Blob::of(scene.to_blob());
+    let put = v1::PutSceneRequest { chunks: blob.chunks.clone(), digest: blob.digest.clone() };
+    let calls = client.clone();
+    let put = async || calls.clone().put_scene(put.clone()).await.map(drop);
+    blob.upload(client, put).await.map_err(|s| CliError::status(&s))
+}
+
+/// Bytes that are uploaded in chunks.
+pub struct Blob {
+    bytes: Arc<Vec<u8>>,
+    /// BLAKE3 digest of the whole.
+    pub digest: Vec<u8>,
+    /// BLAKE3 digests of its chunks, in order.
+    pub chunks: Vec<Vec<u8>>,
+}
+
+impl Blob {
+    /// These bytes.
+    pub fn of(bytes: Vec<u8>) -> Self {
+        let digest = |part: &[u8]| blake3::hash(part).as_bytes().to_vec();
+        let (whole, chunks) = (digest(&bytes), bytes.chunks(CHUNK_BYTES).map(digest).collect());
+        Self { bytes: Arc::new(bytes), digest: whole, chunks }
     }
-    // Another client who sends the same scene at the same time may take the chunks away once.
-    for is_last in [false, true] {
-        let request = v1::MissingChunksRequest { digests: digests.clone() };
-        let missing =
-            client.missing_chunks(request).await.map_err(|s| CliError::status(&s))?.into_inner().digests;
-        let missing: BTreeSet<Vec<u8>> = missing.into_iter().collect();
-        // Each chunk is copied when it is sent.
-        let needed: Vec<usize> =
-            (0..put.chunks.len()).filter(|i| missing.contains(&put.chunks[*i])).collect();
-        let blob = Arc::clone(&blob);
-        let chunks = needed.into_iter().map(move |i| {
-            let start = i * CHUNK_BYTES;
-            let data = blob[start..blob.len().min(start + CHUNK_BYTES)].to_vec();
-            v1::Chunk {
-                crc32c: crc32c::crc32c(&data),
-                offset: 0,
-                total: data.len() as u64,
-                data,
-                address: None,
-            }
-        });
-        client.put_chunks(tokio_stream::iter(chunks)).await.map_err(|s| CliError::status(&s))?;
-        match client.put_scene(put.clone()).await {
-            Ok(_) => break,
-            Err(s) if s.code() == tonic::Code::FailedPrecondition && !is_last => {}
-            Err(s) => return Err(CliError::status(&s)),
+
+    /// Uploads the chunks that the coordinator lacks, until `put` has joined them.
+    pub async fn upload(
+        &self,
+        client: &mut JobsClient<Connection>,
+        put: impl AsyncFn() -> Result<(), tonic::Status>,
+    ) -> Result<(), tonic::Status> {
+        // A whole that the coordinator has needs only its digest.
+        match put().await {
+            Err(s) if s.code() == tonic::Code::FailedPrecondition => {}
+            done => return done,
         }
+        // Another client who sends the same at the same time may take the chunks away once.
+        for is_last in [false, true] {
+            let request = v1::MissingChunksRequest { digests: self.chunks.clone() };
+            let missing = client.missing_chunks(request).await?.into_inner().digests;
+            let missing: BTreeSet<Vec<u8>> = missing.into_iter().collect();
+            // Each chunk is copied when it is sent.
+            let needed: Vec<usize> =
+                (0..self.chunks.len()).filter(|i| missing.contains(&self.chunks[*i])).collect();
+            let bytes = Arc::clone(&self.bytes);
+            let chunks = needed.into_iter().map(move |i| {
+                let start = i * CHUNK_BYTES;
+                let data = bytes[start..bytes.len().min(start + CHUNK_BYTES)].to_vec();
+                v1::Chunk {
+                    crc32c: crc32c::crc32c(&data),
+                    offset: 0,
+                    total: data.len() as u64,
+                    data,
+                    address: None,
+                }
+            });
+            client.put_chunks(tokio_stream::iter(chunks)).await?;
+            match put().await {
+                Err(s) if s.code() == tonic::Code::FailedPrecondition && !is_last => {}
+                done => return done,
+            }
+        }
+        Ok(())
     }
-    Ok(())
 }
 
 /// A new request id. It makes one submission safe to repeat; the coordinator recognises the same job of
@@ -219,16 +242,28 @@ pub async fn fetch(
     job: &v1::Job,
     output: &Output,
 ) -> Result<u64, CliError> {
-    let request = v1::ShowRequest { job: job.id };
-    let mut stream = client.fetch(request).await.map_err(|s| CliError::status(&s))?.into_inner();
     // Written as it arrives: a result with certificates may exceed memory.
     let mut part = output.begin()?;
+    let write = |data: &[u8]| part.write_all(data).map_err(|e| CliError::writing(output.path(), &e));
+    let bytes = fetch_to(client, job, write).await?;
+    part.place()?;
+    Ok(bytes)
+}
+
+/// Downloads a result; `take` gets its bytes in order. What it has got is the result when this succeeds.
+pub async fn fetch_to(
+    client: &mut JobsClient<Connection>,
+    job: &v1::Job,
+    mut take: impl FnMut(&[u8]) -> Result<(), CliError>,
+) -> Result<u64, CliError> {
+    let request = v1::ShowRequest { job: job.id };
+    let mut stream = client.fetch(request).await.map_err(|s| CliError::status(&s))?.into_inner();
     let (mut sequence, mut hasher) = (Sequence::new(MAX_RESULT), blake3::Hasher::new());
     while let Some(chunk) = stream.next().await {
         let chunk = chunk.map_err(|s| CliError::status(&s))?;
         sequence.next(&chunk).map_err(CliError::internal)?;
         hasher.update(&chunk.data);
-        part.write_all(&chunk.data).map_err(|e| CliError::writing(output.path(), &e))?;
+        take(&chunk.data)?;
     }
     let bytes = sequence.end().map_err(CliError::internal)?;
     if hasher.finalize().as_bytes().as_slice() != job.result {
@@ -236,6 +271,5 @@ pub async fn fetch(
             "the result that arrived is not the job's; fetch it again".to_owned(),
         ));
     }
-    part.place()?;
     Ok(bytes)
 }

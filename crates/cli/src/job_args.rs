@@ -271,6 +271,7 @@ impl JobArgs {
             certificates: self.certificates,
             viewpoints: None,
             up: self.places.up(),
+            ambient: None,
         };
         spec.sampling.check().map_err(|e| CliError::Usage(e.to_string()))?;
         let lattice = spec.lattice().map_err(|e| match (self.places.view_box.first(), e) {

@@ -2,7 +2,7 @@
 //!
 //! Results go to stdout, everything else to stderr. A file of this crate holds one subcommand or a few
 //! related ones. [`calls`] has some of the commands as functions, for programs that want values instead of
-//! text.
+//! text. [`ambient_job`] computes ambient occlusion on a cluster.
 
 #![allow(
     rustdoc::broken_intra_doc_links,
@@ -11,6 +11,10 @@
 
 mod ambient;
 mod ambient_args;
+mod ambient_file;
+mod ambient_here;
+pub mod ambient_job;
+mod ambient_points;
 mod answering;
 mod answers;
 mod args;
@@ -152,7 +156,7 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Portals(a) => portals::run(&a, json),
         Command::Stab(a) => stab::run(&a),
         Command::Look(a) => look::run(&a),
-        Command::Ambient(a) => ambient::run(&a),
+        Command::Ambient(a) => ambient::run(&a, json),
         Command::Generate(a) => files::generate(&a, json),
         Command::Info(a) => inspect::info(&a, json),
         Command::Dump(a) => dump::dump(&a),

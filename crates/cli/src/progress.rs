@@ -126,9 +126,10 @@ impl Progress {
         {
             *self.last_line.lock().unwrap_or_else(PoisonError::into_inner) = None;
         }
+        let what = counted(job);
         let cells = match job.cells_total {
-            0 => format!("{} cells", job.cells_done),
-            total => format!("{}/{total} cells", job.cells_done),
+            0 => format!("{} {what}", job.cells_done),
+            total => format!("{}/{total} {what}", job.cells_done),
         };
         let seconds_left = match left {
             Left::Seconds(seconds) => Some(seconds),
@@ -205,6 +206,16 @@ impl Progress {
             bar.finish_and_clear();
         }
     }
+}
+
+/// What a job counts as its cells, in a word.
+pub fn counted(job: &v1::Job) -> &'static str {
+    if has_receivers(job) { "receivers" } else { "cells" }
+}
+
+/// Whether a job computes ambient occlusion at receivers.
+pub fn has_receivers(job: &v1::Job) -> bool {
+    job.spec.as_ref().is_some_and(|spec| spec.ambient.is_some())
 }
 
 const TEMPLATE: &str = "{elapsed_precise} [{bar:24}] {pos}/{len} {msg}";

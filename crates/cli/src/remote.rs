@@ -9,7 +9,7 @@ use crate::client;
 use crate::error::CliError;
 use crate::farm;
 use crate::output::{Format, Output};
-use crate::progress::{Progress, say};
+use crate::progress::{Progress, has_receivers, say};
 use crate::remote_args::{FetchArgs, JobRefArgs, JobsArgs, PriorityArgs, RemoteArgs, ShowArgs};
 use crate::serve::{print, runtime};
 use crate::showing::{ending, listing, show_job, show_whole, value};
@@ -205,6 +205,12 @@ pub async fn fetched(
     output: &Output,
 ) -> Result<u64, CliError> {
     let job = shown(client.clone(), job).await?;
+    if has_receivers(&job) {
+        return Err(CliError::Usage(format!(
+            "job {} computes ambient occlusion and has no sets; whoever submitted it fetches its result",
+            job.id
+        )));
+    }
     if partial && job.state() != v1::JobState::Done {
         return client::fetch_partial(&mut client, &job, output).await;
     }

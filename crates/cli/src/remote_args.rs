@@ -17,6 +17,13 @@ pub struct RemoteArgs {
     #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7600", env = "SIGHTLINE_COORDINATOR")]
     #[arg(hide_env_values = true)]
     pub coordinator: String,
+    #[command(flatten)]
+    pub keys: KeyArgs,
+}
+
+/// Whom a client trusts, and who it says it is.
+#[derive(Args, Debug, Clone)]
+pub struct KeyArgs {
     /// The certificate, as PEM, of the authority that signed the coordinator's. Default: those of the system.
     #[arg(long, value_name = "FILE", env = "SIGHTLINE_CA", hide_env_values = true)]
     pub ca: Option<PathBuf>,
@@ -33,6 +40,16 @@ pub struct RemoteArgs {
 }
 
 impl RemoteArgs {
+    /// Whom the client trusts and who it says it is.
+    ///
+    /// # Errors
+    /// As [`KeyArgs::credentials`].
+    pub fn credentials(&self) -> Result<Credentials, CliError> {
+        self.keys.credentials()
+    }
+}
+
+impl KeyArgs {
     /// Whom the client trusts and who it says it is.
     ///
     /// # Errors

@@ -20,8 +20,8 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
     let adapter = args.adapter.clone().map_or(AdapterChoice::AllowSoftware, AdapterChoice::Named);
     if args.backend == BackendChoice::None {
         return Err(CliError::Usage(
-            "a worker without a backend can only take jobs of the method portals, and a worker with one can, \
-             too; give --backend auto, gpu or cpu"
+            "a worker without a backend can only take jobs of the method portals and of ambient occlusion, \
+             and a worker with one can, too; give --backend auto, gpu or cpu"
                 .to_owned(),
         ));
     }
@@ -35,6 +35,7 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
         credentials: args.remote.credentials()?,
         backends,
         scenes: Arc::new(SceneCache::default()),
+        receivers: Arc::default(),
         helps: true,
         direct: !args.no_direct,
         give_up_after: args.give_up_after.map(Duration::from_secs),

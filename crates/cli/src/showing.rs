@@ -6,7 +6,7 @@ use sightline_proto::v1;
 use sightline_traces::TraceId;
 
 use crate::error::CliError;
-use crate::progress::human;
+use crate::progress::{counted, has_receivers, human};
 use crate::serve::print;
 
 /// Prints a job with its specification.
@@ -45,6 +45,7 @@ pub fn listing(job: &v1::Job) -> String {
 pub fn ending(job: &v1::Job) -> String {
     let took = Duration::from_millis(job.finished_at_ms.saturating_sub(job.submitted_at_ms));
     let next = match job.state() {
+        v1::JobState::Done if has_receivers(job) => format!("; its result has {} bytes", job.result_bytes),
         v1::JobState::Done => {
             let bytes = job.result_bytes;
             format!("; its result has {bytes} bytes, `sightline fetch {} -o FILE.pvs` downloads it", job.id)
@@ -101,23 +102,24 @@ pub fn line(job: &v1::Job) -> String {
     // Workers without a tile have nothing to do then, by design.
     let alone = job.spec.as_ref().is_some_and(|s| {
         let cubes = s.sampling.as_ref().is_some_and(|s| s.sampler() == v1::Sampler::Cubes);
-        s.time_budget_ms > 0 || cubes
+        s.time_budget_ms > 0 || cubes || s.ambient.is_some()
     });
     let alone = if alone && !job.teams.is_empty() {
-        "\n  its tiles have one worker each: time budgets and cubes are not shared"
+        "\n  its tiles have one worker each: time budgets, cubes and receivers are not shared"
     } else {
         ""
     };
     let more: String = job.unable.iter().map(|u| format!("\n  {}", unable_line(u))).collect();
     let more = format!("{teams}{alone}{more}");
     format!(
-        "job {} {}{user} {}{reason}: {}/{} tiles{aside}, {} cells, {} samples{priority}{workers}{more}",
+        "job {} {}{user} {}{reason}: {}/{} tiles{aside}, {} {}, {} samples{priority}{workers}{more}",
         job.id,
         job.name,
         state(job),
         job.tiles_done,
         job.tiles_total,
         job.cells_done,
+        counted(job),
         job.samples
     )
 }

@@ -6,6 +6,7 @@ use sightline_numbers::Aabb;
 use sightline_proto::v1;
 use sightline_viewcells::Division;
 
+use crate::ambient_spec;
 use crate::{JobSpec, default_block_cells};
 
 /// Cells along each axis.
@@ -18,6 +19,10 @@ const USUAL_DEPTH: u32 = 12;
 /// stays as it is.
 pub fn with_defaults(spec: &v1::JobSpec, triangles: u32) -> v1::JobSpec {
     let mut spec = spec.clone();
+    if spec.ambient.is_some() {
+        ambient_spec::fill(&mut spec);
+        return spec;
+    }
     let [x, y, z] = USUAL_GRID;
     let division = spec.division.get_or_insert(v1::job_spec::Division::Grid(v1::Grid { x, y, z }));
     if let v1::job_spec::Division::Adaptive(adaptive) = division

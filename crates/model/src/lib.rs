@@ -2,9 +2,10 @@
 //!
 //! The coordinator, the workers and the clients agree on a job through this crate. It holds parameters and
 //! methods ([`choice`], [`params`]), the checked specification of a job with its key and its plan ([`spec`]),
-//! the outputs of tiles with their bytes ([`output`], [`codec`]), and the statistics of cells as named
-//! columns ([`statistics`], [`bound`]). It samples nothing, decides nothing, and knows no tracer and no
-//! network connection.
+//! the outputs of tiles with their bytes ([`output`], [`codec`]), the receivers and the answers of a job of
+//! ambient occlusion ([`ambient`], [`receivers`], [`openness`]), and the statistics of cells as named columns
+//! ([`statistics`], [`bound`]). It samples nothing, decides nothing, and knows no tracer and no network
+//! connection.
 //!
 //! ```
 //! use glam::Vec3;
@@ -22,17 +23,22 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod ambient;
+mod ambient_spec;
 pub mod bound;
 pub mod choice;
 pub mod codec;
 pub mod defaults;
+pub mod openness;
 pub mod output;
 pub mod pairs;
 pub mod params;
+pub mod receivers;
 pub mod spec;
 pub mod statistics;
 mod wire;
 
+pub use ambient::Ambient;
 pub use choice::{
     BackendChoice, CellToCell, Choice, ErrorMeasure, Granularity, Method, NO_PROFILE, Sampler,
     SupersetChoice, UnknownChoice, Up,

@@ -8,6 +8,7 @@ use sightline_viewcells::{CellBox, Division, DivisionError, Lattice, Layout, Pla
 use sightline_viewcells::{MOST_BLOCK_CELLS, USUAL_BLOCK_CELLS};
 use sightline_viewcells::{Viewpoints, ViewpointsError, viewpoints};
 
+use crate::ambient::Ambient;
 use crate::choice::{BackendChoice, CellToCell, Granularity, Method, Sampler, UnknownChoice, Up};
 use crate::pairs::MOST_PAIR_CELLS;
 use crate::params::{BOUND_AIM, ParamsError, SamplingParams};
@@ -15,7 +16,7 @@ use crate::params::{BOUND_AIM, ParamsError, SamplingParams};
 /// The version of everything that decides bytes. It changes whenever the same specification would give other
 /// bytes, of a result or of a tile's output, so that a stored result is never taken for one of another
 /// version. The choices that it stands for are in `crates/bake/src/choices.rs`.
-pub const ALGORITHM_VERSION: u32 = 23;
+pub const ALGORITHM_VERSION: u32 = 24;
 
 /// Longest time budget, in milliseconds: ten years.
 const MAX_BUDGET_MS: u64 = 10 * 366 * 24 * 3600 * 1000;
@@ -65,6 +66,8 @@ pub struct JobSpec {
     pub viewpoints: Option<Arc<Viewpoints>>,
     /// The axis that points up, if it is known. It changes no set.
     pub up: Option<Up>,
+    /// The receivers of a job of ambient occlusion, which has no sets; `None` for all others.
+    pub ambient: Option<Ambient>,
 }
 
 /// Most cells of a job that says which cells see which without being asked: those of a usual tile. With
@@ -138,6 +141,7 @@ impl JobSpec {
             certificates: false,
             viewpoints: None,
             up: None,
+            ambient: None,
         }
     }
 
@@ -147,6 +151,9 @@ impl JobSpec {
     /// [`SpecError`] naming the first field that is refused.
     pub fn check(&self) -> Result<(), SpecError> {
         let refuse = |field, remedy| Err(SpecError::Field(field, remedy));
+        if let Some(ambient) = self.ambient {
+            return self.check_ambient(ambient);
+        }
         let sampler = self.sampling.sampler;
         self.sampling.check()?;
         if !(1..=MOST_BLOCK_CELLS).contains(&self.block_cells) {
@@ -370,6 +377,10 @@ impl JobSpec {
     /// As [`JobSpec::lattice`].
     pub fn plan(&self) -> Result<(Lattice, Plan), DivisionError> {
         let lattice = self.lattice()?;
+        if let Some(ambient) = self.ambient {
+            let plan = Plan::of_counts(self.division.root(&lattice), ambient.counts());
+            return Ok((lattice, plan));
+        }
         let layout = match self.sampling.sampler {
             Sampler::Cubes => Layout::Samples,
             Sampler::Lines | Sampler::Guided => Layout::Blocks(self.block_cells),
@@ -401,6 +412,7 @@ mod tests {
             certificates: false,
             viewpoints: None,
             up: None,
+            ambient: None,
         }
     }
 

@@ -7,6 +7,7 @@ use sightline_numbers::Aabb;
 use sightline_proto::v1;
 use sightline_viewcells::{Division, KdTree, USUAL_BLOCK_CELLS, Viewpoints};
 
+use crate::ambient::Ambient;
 use crate::choice::{BackendChoice, Choice, Method, Sampler, Up};
 use crate::params::SamplingParams;
 use crate::spec::{JobSpec, SpecError, marked_cells};
@@ -68,6 +69,7 @@ impl JobSpec {
             certificates: m.certificates,
             viewpoints,
             up,
+            ambient: m.ambient.as_ref().map(Ambient::from_proto).transpose()?,
         };
         spec.check()?;
         Ok(spec)
@@ -98,6 +100,7 @@ impl JobSpec {
             certificates: self.certificates,
             viewpoints: self.viewpoints.as_ref().map_or_else(Vec::new, |marks| marks.encode()),
             up: self.up.map_or(0, Choice::to_wire),
+            ambient: self.ambient.map(Ambient::to_proto),
         }
     }
 }

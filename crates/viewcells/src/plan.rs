@@ -162,6 +162,13 @@ impl Plan {
         }
     }
 
+    /// A plan without a division: each tile has a number of things that are computed one by one, within
+    /// `cell`, and needs no other tile.
+    pub fn of_counts(cell: CellBox, counts: impl Iterator<Item = u64>) -> Self {
+        let tile = |cells| Tile { kind: TileKind::Leaf, cell, depth: 0, needs: Vec::new(), cells };
+        Self { tiles: counts.map(tile).collect(), outline: Vec::new() }
+    }
+
     /// Numbers of the leaf tiles, in the order of their cells.
     pub fn leaves(&self) -> impl Iterator<Item = u32> + '_ {
         self.tiles.iter().enumerate().filter(|(_, t)| t.kind == TileKind::Leaf).map(|(i, _)| i as u32)

@@ -44,6 +44,7 @@ pub(super) async fn call(
         "sightline.v1.Jobs" => call_by_name!(site.jobs, caller, method, body, {
             "MissingChunks" => missing_chunks,
             "PutScene" => put_scene,
+            "PutReceivers" => put_receivers,
             "Submit" => submit,
             "Estimate" => estimate,
             "List" => list,

@@ -103,6 +103,7 @@ pub(super) async fn view(State(site): State<Arc<Site>>, Path(job): Path<u64>) ->
 fn page_of(c: &Coordinator, id: JobId) -> Result<String, Status> {
     let broken = |e: &dyn std::fmt::Display| status::internal(&e.to_string());
     let (record, scene) = asking::scene(c, id).map_err(|e| status::of_ask(&e))?;
+    asking::has_sets(&record).map_err(|e| status::of_ask(&e))?;
     let bytes = partial::so_far(c, id).map_err(|e| status::of_partial(&e))?;
     let pvs = Pvs::from_bytes(bytes).map_err(|e| broken(&e))?;
     let mut view = View::of(&pvs, Some(&scene)).map_err(|e| broken(&e))?;

@@ -1,0 +1,135 @@
+//! The receivers of jobs of ambient occlusion: uploaded in chunks as scenes are, checked, and kept as long as
+//! a job names them.
+//!
+//! They have no record: the jobs that name them are their owners', and before there is a job they are their
+//! sender's chunk.
+
+use std::sync::{Arc, PoisonError};
+use std::time::Duration;
+
+use sightline_model::receivers::{self, MOST_BYTES, ReceiversError};
+
+use crate::access::Caller;
+use crate::having::{may_have, turn_of};
+use crate::ids::Digest;
+use crate::limits::Usage;
+use crate::scenes::{UploadError, discard, join, length};
+use crate::specs;
+use crate::state::{Coordinator, StoredReceivers};
+use crate::store::{BlobError, StoreError};
+
+/// Receivers that were stored longer ago than this are dated anew when a job names them: blobs that nobody
+/// needs are removed after a day.
+const OLD: Duration = Duration::from_secs(3600);
+
+/// Receivers that cannot be had.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum Fault {
+    /// The caller has sent none with this digest.
+    #[error(
+        "no receivers with the digest {} are here; send them with PutReceivers and try again",
+        blake3::Hash::from_bytes(*.0)
+    )]
+    Unknown(Digest),
+    /// The blob is something else.
+    #[error(transparent)]
+    Receivers(#[from] ReceiversError),
+    /// They cannot be read.
+    #[error(transparent)]
+    Blob(#[from] BlobError),
+    /// The store failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+/// Whether an owner has sent receivers, or has a job that names them. Where nothing has an owner everybody
+/// has.
+fn is_owned(c: &Coordinator, owner: &str, digest: &Digest) -> Result<bool, StoreError> {
+    if c.uploads.has(owner, digest) {
+        return Ok(true);
+    }
+    let names = |spec: &[u8]| specs::receivers(spec).is_some_and(|ambient| ambient.receivers == digest);
+    Ok(c.store.jobs()?.iter().any(|job| job.owner == owner && names(&job.spec)))
+}
+
+/// Joins stored chunks to receivers and checks them; removes the chunks.
+pub(crate) fn put(
+    c: &Coordinator,
+    owner: &str,
+    whole: Digest,
+    chunks: &[Digest],
+) -> Result<StoredReceivers, UploadError> {
+    let owned = is_owned(c, owner, &whole)?;
+    // Receivers of one chunk have its digest, and chunks are not synced: they are written again below.
+    if owned && chunks != [whole] && c.blobs.has(&whole)? {
+        match c.blobs.read(&whole) {
+            Ok(bytes) => return Ok(remember(c, whole, &bytes)?),
+            // Removed, so that the client sends them again.
+            Err(e @ BlobError::Damaged { .. }) => {
+                tracing::warn!("{e}; it is uploaded again now");
+                c.blobs.remove(&whole)?;
+            }
+            Err(e) => return Err(e.into()),
+        }
+    }
+    if !owned && !chunks.iter().all(|chunk| c.uploads.has(owner, chunk)) {
+        return Err(UploadError::ChunkMissing);
+    }
+    // A list may name a chunk many times, so its length is looked at before anything is written.
+    let bytes = length(c, chunks)?;
+    if bytes > MOST_BYTES {
+        return Err(UploadError::TooLong { bytes, most: MOST_BYTES });
+    }
+    let _turn = turn_of(c, owner);
+    // As chunks they count already.
+    may_have(c, owner, Usage { bytes, ..Usage::default() }, bytes)?;
+    let was_there = c.blobs.has(&whole)? && chunks != [whole];
+    join(c, whole, chunks)?;
+    let stored = remember(c, whole, &c.blobs.read(&whole)?).inspect_err(|_| {
+        discard(c, owner, (whole, was_there), chunks);
+    })?;
+    let new = c.uploads.forget(owner, chunks);
+    for chunk in new.iter().filter(|chunk| **chunk != whole) {
+        if let Err(e) = c.blobs.remove(chunk) {
+            tracing::warn!("{e}");
+        }
+    }
+    let is_new = !was_there && (chunks != [whole] || new.contains(&whole));
+    // At most 2 GiB.
+    c.uploads.note(owner, whole, bytes as u32, is_new);
+    Ok(stored)
+}
+
+/// Stored receivers that a caller may name.
+pub(crate) fn known(c: &Coordinator, caller: &Caller, digest: Digest) -> Result<StoredReceivers, Fault> {
+    if !(caller.sees_all() || is_owned(c, caller.owner(), &digest)?) || !c.blobs.has(&digest)? {
+        return Err(Fault::Unknown(digest));
+    }
+    stored(c, digest)
+}
+
+/// Stored receivers, whoever has sent them.
+pub(crate) fn stored(c: &Coordinator, digest: Digest) -> Result<StoredReceivers, Fault> {
+    let last = c.last_receivers.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    match last {
+        Some((of, stored)) if of == digest => Ok(stored),
+        _ => Ok(remember(c, digest, &c.blobs.read(&digest)?)?),
+    }
+}
+
+/// Checks receivers and keeps what is to be known of them.
+fn remember(c: &Coordinator, digest: Digest, bytes: &[u8]) -> Result<StoredReceivers, ReceiversError> {
+    let facts = Arc::new(receivers::check(bytes)?);
+    let stored = StoredReceivers { bytes: bytes.len() as u64, facts };
+    *c.last_receivers.lock().unwrap_or_else(PoisonError::into_inner) = Some((digest, stored.clone()));
+    Ok(stored)
+}
+
+/// Makes sure that receivers stay until the job that names them is recorded. The caller holds the turn.
+pub(crate) fn hold(c: &Coordinator, digest: Digest) -> Result<(), Fault> {
+    let written = c.blobs.written(&digest)?.ok_or(Fault::Unknown(digest))?;
+    if written.elapsed().is_ok_and(|age| age >= OLD) {
+        c.blobs.put(&c.blobs.read(&digest)?)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,173 @@
+//! `sightline ambient --points`: answers for points, one JSON line in, one JSON line out.
+
+use std::path::Path;
+
+use glam::DVec3;
+use serde::Deserialize;
+use serde_json::{Map, Value, json};
+use sightline_ambient::{Answer, Light, Prepared, Receiver, Settings, Solver};
+
+use crate::ambient::distance;
+use crate::ambient_args::AmbientArgs;
+use crate::error::CliError;
+use crate::json_lines::JsonLines;
+use crate::opening;
+use crate::progress::say;
+use crate::serve::{self, print, threads};
+
+/// Points that are answered together. Which points are together changes answers within their bounds, so it
+/// depends on the input alone.
+const TOGETHER: usize = 1 << 16;
+/// Most lights.
+const MOST_LIGHTS: usize = 4096;
+
+/// A point of the input.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PointLine {
+    #[serde(default)]
+    id: Value,
+    point: [f64; 3],
+    normal: [f64; 3],
+    triangle: Option<u32>,
+}
+
+/// A light of the input.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LightLine {
+    id: Value,
+    polygon: Vec<[f64; 3]>,
+}
+
+/// Answers every point of a file, in order.
+pub fn run(args: &AmbientArgs, path: &Path) -> Result<(), CliError> {
+    serve::use_threads(threads(args.threads.map(usize::from)))?;
+    let scene = opening::scene(&args.scene, &args.kinds)?;
+    let distance = distance(args, &scene)?;
+    let (names, lights) = match &args.lights {
+        Some(path) => self::lights(path)?,
+        None => Default::default(),
+    };
+    let settings = Settings {
+        falloff: args.falloff.falloff(),
+        fragments: args.fragments,
+        lights,
+        ..Settings::new(distance)
+    };
+    let prepared = Prepared::new(&scene, args.fragments)?;
+    answer_all(path, scene.triangles().len(), &Solver::new(&prepared, settings), &names)
+}
+
+/// The names and shapes of the lights of a file.
+fn lights(path: &Path) -> Result<(Vec<String>, Vec<Light>), CliError> {
+    let mut input = JsonLines::open(path, "--lights", r#"{"id":"lamp","polygon":[[x,y,z],…]}"#)?;
+    let (mut names, mut lights): (Vec<String>, Vec<Light>) = (Vec::new(), Vec::new());
+    loop {
+        let (lines, failure) = input.read(|line: LightLine| {
+            let name = match line.id {
+                Value::String(name) => name,
+                id @ Value::Number(_) => id.to_string(),
+                id => return Err(format!("id is {id}; give each light a name or a number")),
+            };
+            let light = Light::new(&line.polygon).map_err(|e| format!("light {name:?}: {e}"))?;
+            Ok((name, light))
+        });
+        let last = lines.is_empty();
+        for (name, light) in lines {
+            if names.contains(&name) {
+                return Err(CliError::Input(format!(
+                    "{}: two lights have the id {name:?}; answers name lights by ids: give each its own",
+                    input.name
+                )));
+            }
+            if names.len() == MOST_LIGHTS {
+                return Err(CliError::Input(format!(
+                    "{} has more than {MOST_LIGHTS} lights; give fewer at a time",
+                    input.name
+                )));
+            }
+            names.push(name);
+            lights.push(light);
+        }
+        match failure {
+            Some(e) => return Err(e),
+            None if last => return Ok((names, lights)),
+            None => {}
+        }
+    }
+}
+
+/// A checked receiver.
+fn receiver(line: &PointLine, triangles: usize) -> Result<Receiver, String> {
+    let [point, normal] = [line.point, line.normal].map(DVec3::from);
+    // Squares of larger numbers overflow, and scenes are in single precision.
+    let near = point.abs().max_element() <= f64::from(f32::MAX);
+    if !near {
+        return Err(format!("point {:?} is not near any scene; give three numbers below 3.4e38", line.point));
+    }
+    let size = normal.length();
+    if !(size.is_finite() && size > 1e-150) {
+        return Err(format!("normal {:?} has no direction; give a vector of any length but 0", line.normal));
+    }
+    if let Some(t) = line.triangle.filter(|t| *t as usize >= triangles) {
+        return Err(format!("there is no triangle {t}; the scene has {triangles}, the first one is 0"));
+    }
+    Ok(Receiver { point, normal: normal / size, triangle: line.triangle })
+}
+
+fn answer_all(path: &Path, triangles: usize, solver: &Solver<'_>, lights: &[String]) -> Result<(), CliError> {
+    let example = r#"{"id":1,"point":[x,y,z],"normal":[x,y,z],"triangle":t}"#;
+    let mut input = JsonLines::open(path, "--points", example)?;
+    let (mut points, mut most) = (0u64, 0.0f64);
+    let mut waiting: Vec<(Value, Receiver)> = Vec::new();
+    let ended = loop {
+        let (lines, failure) = input.read(|line: PointLine| Ok((receiver(&line, triangles)?, line.id)));
+        let last = lines.is_empty() || failure.is_some();
+        waiting.extend(lines.into_iter().map(|(receiver, id)| (id, receiver)));
+        while waiting.len() >= TOGETHER || (last && !waiting.is_empty()) {
+            let rest = waiting.split_off(waiting.len().min(TOGETHER));
+            let receivers: Vec<Receiver> = waiting.iter().map(|(_, r)| *r).collect();
+            for ((id, _), answer) in waiting.iter().zip(solver.solve(&receivers, |_| {})) {
+                most = most.max(answer.openness.bound);
+                print(&in_json(id, &answer, solver.settings(), lights).to_string())?;
+            }
+            points += waiting.len() as u64;
+            waiting = rest;
+        }
+        match failure {
+            Some(e) => break Err(e),
+            None if last => break Ok(()),
+            None => {}
+        }
+    };
+    if ended.is_err() {
+        say("only the points before the bad line were answered:");
+    }
+    say(&format!("{points} points, each right to {most:.0e}"));
+    ended
+}
+
+/// An answer as it is printed.
+fn in_json(id: &Value, answer: &Answer, settings: &Settings, lights: &[String]) -> Value {
+    let openness = &answer.openness;
+    let mut line = json!({
+        "id": id,
+        "open": openness.open,
+        "bound": openness.bound,
+        "occluders": openness.occluders,
+        "inside": answer.inside,
+    });
+    if !lights.is_empty() {
+        let factors = lights.iter().zip(&answer.lights).map(|(name, factor)| (name.clone(), json!(factor)));
+        line["lights"] = Value::Object(factors.collect::<Map<_, _>>());
+    }
+    if settings.fragments {
+        let fragments = answer.fragments.iter().map(|f| {
+            let directions: Vec<[f64; 3]> = f.directions.iter().map(|d| d.to_array()).collect();
+            json!({"triangle": f.polygon, "directions": directions, "factor": f.factor})
+        });
+        line["fragments"] = fragments.collect();
+    }
+    line
+}

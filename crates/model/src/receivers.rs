@@ -1,0 +1,448 @@
+//! The receivers of a job of ambient occlusion as bytes: the points whose openness is asked for, in blocks,
+//! with how far occluders count. The client writes them, the coordinator checks them, and workers read them.
+//!
+//! `docs/formats/ambient.md` has the layout. Decoding trusts nothing: every count is checked against the
+//! bytes that are left before anything is allocated for it.
+
+/// The first bytes of receivers: their name and the version of the layout.
+const MAGIC: &[u8; 8] = b"SLRECV01";
+/// Bytes of a receiver.
+const RECEIVER: usize = 6 * 8 + 4;
+/// In place of the triangle of a receiver that lies on none.
+const NO_TRIANGLE: u32 = u32::MAX;
+
+/// Most bytes of the receivers of a job, which are in memory while they are checked: some forty million.
+pub const MOST_BYTES: u64 = 2 << 30;
+/// About how many receivers a tile has.
+pub const TILE: u32 = 4096;
+/// Most receivers of a block, so that no tile but the last can be without one.
+pub const MOST_BLOCK: u32 = TILE;
+/// Most lights of a job. Each has a number for each receiver.
+pub const MOST_LIGHTS: u32 = 64;
+/// Most corners of a light.
+pub const MOST_CORNERS: u32 = 64;
+
+/// Bytes that are no receivers.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ReceiversError {
+    /// They are cut short, or another version wrote them.
+    #[error("the receivers cannot be read: {0}; they were damaged or written by another version")]
+    Damaged(&'static str),
+    /// One of them cannot be used.
+    #[error("receiver {at} of the job cannot be used: {what}")]
+    Receiver {
+        /// Its number, from 0, in the order of the blocks.
+        at: u32,
+        /// What is wrong with it, and what it should be.
+        what: &'static str,
+    },
+    /// One of the lights cannot be used.
+    #[error("light {at} of the job cannot be used: {what}")]
+    Light {
+        /// Its number, from 0.
+        at: u32,
+        /// What is wrong with it, and what it should be.
+        what: &'static str,
+    },
+    /// The job as a whole cannot be computed.
+    #[error("the job's {0}")]
+    Job(&'static str),
+}
+
+/// How occluders within the distance count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Falloff {
+    /// A blocked direction counts nothing, however far the occluder is.
+    None,
+    /// A direction that is first blocked at d < D counts √(d/D).
+    Sqrt,
+}
+
+/// A point whose openness is asked for, in world space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Receiver {
+    /// The point.
+    pub point: [f64; 3],
+    /// The normal, of any length but 0.
+    pub normal: [f64; 3],
+    /// The triangle that it lies on, if that is known.
+    pub triangle: Option<u32>,
+}
+
+/// What is asked of all receivers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Asked {
+    /// Distance beyond which nothing hides, in units of the scene; may be infinite.
+    pub distance: f64,
+    /// How occluders within it count.
+    pub falloff: Falloff,
+    /// Convex polygons whose form factors are asked for, in world space.
+    pub lights: Vec<Vec<[f64; 3]>>,
+}
+
+/// The receivers of a job.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Receivers {
+    /// What is asked of them.
+    pub asked: Asked,
+    /// How many receivers each block has, 1 to [`MOST_BLOCK`]. A block's receivers share a partition of rays.
+    pub blocks: Vec<u32>,
+    /// All receivers, in the order of the blocks.
+    pub receivers: Vec<Receiver>,
+}
+
+/// What the coordinator has to know of receivers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Facts {
+    /// Number of receivers.
+    pub points: u32,
+    /// Number of lights.
+    pub lights: u32,
+    /// The first receiver of each tile, then the number of receivers.
+    pub starts: Vec<u32>,
+    /// The greatest number of a triangle that a receiver lies on.
+    pub greatest_triangle: Option<u32>,
+}
+
+impl Facts {
+    /// Numbers of a receiver's answer: its openness, then the form factor of each light.
+    pub fn numbers(&self) -> u32 {
+        1 + self.lights
+    }
+
+    /// The number of receivers of a tile; `None` when there is no such tile.
+    pub fn receivers_of(&self, tile: u32) -> Option<u32> {
+        let at = tile as usize;
+        Some(self.starts.get(at + 1)? - self.starts.get(at)?)
+    }
+}
+
+/// The number of tiles of a job with so many receivers: tile t has the blocks that begin with one of its
+/// receivers t·[`TILE`] to (t + 1)·[`TILE`] − 1. The last one may be empty.
+pub fn tiles(points: u32) -> u32 {
+    points.div_ceil(TILE)
+}
+
+impl Receivers {
+    /// The receivers as bytes.
+    ///
+    /// # Errors
+    /// [`ReceiversError`] when [`Self::decode`] would refuse the bytes.
+    pub fn encode(&self) -> Result<Vec<u8>, ReceiversError> {
+        let Asked { distance, falloff, lights } = &self.asked;
+        let sum: u64 = self.blocks.iter().map(|n| u64::from(*n)).sum();
+        if sum != self.receivers.len() as u64 {
+            return Err(ReceiversError::Job("blocks have another number of receivers than there are"));
+        }
+        if sum.saturating_mul(RECEIVER as u64) > MOST_BYTES {
+            return Err(ReceiversError::Job(TOO_MANY));
+        }
+        let mut out = Vec::with_capacity(64 + self.receivers.len() * RECEIVER + self.blocks.len() * 4);
+        let put = |out: &mut Vec<u8>, n: usize| out.extend_from_slice(&(n as u32).to_le_bytes());
+        let put_point = |out: &mut Vec<u8>, p: &[f64; 3]| p.iter().for_each(|x| out.extend(x.to_le_bytes()));
+        out.extend_from_slice(MAGIC);
+        out.extend_from_slice(&distance.to_le_bytes());
+        out.push(match falloff {
+            Falloff::None => 0,
+            Falloff::Sqrt => 1,
+        });
+        put(&mut out, lights.len());
+        for light in lights {
+            put(&mut out, light.len());
+            light.iter().for_each(|corner| put_point(&mut out, corner));
+        }
+        put(&mut out, self.blocks.len());
+        self.blocks.iter().for_each(|n| put(&mut out, *n as usize));
+        for r in &self.receivers {
+            put_point(&mut out, &r.point);
+            put_point(&mut out, &r.normal);
+            put(&mut out, r.triangle.unwrap_or(NO_TRIANGLE) as usize);
+        }
+        check(&out).map(|_| out)
+    }
+
+    /// Reads receivers on a scene of so many triangles.
+    ///
+    /// # Errors
+    /// [`ReceiversError`] naming the first thing that cannot be used.
+    pub fn decode(bytes: &[u8], triangles: u32) -> Result<Self, ReceiversError> {
+        let mut receivers = Vec::new();
+        let (asked, blocks) = read(bytes, &mut |receiver, all| {
+            if receivers.capacity() == 0 {
+                receivers.reserve_exact(all);
+            }
+            receivers.push(receiver);
+        })?;
+        let beyond = |r: &Receiver| r.triangle.is_some_and(|t| t >= triangles);
+        if let Some(at) = receivers.iter().position(beyond) {
+            let what = "the scene has no such triangle; send the scene that the receivers are for";
+            return Err(ReceiversError::Receiver { at: at as u32, what });
+        }
+        Ok(Self { asked, blocks, receivers })
+    }
+
+    /// The blocks of a tile: the receivers of each; `None` when there is no such tile.
+    pub fn of_tile(&self, tile: u32) -> Option<Vec<&[Receiver]>> {
+        if tile >= tiles(self.receivers.len() as u32) {
+            return None;
+        }
+        let (mut of, mut start) = (Vec::new(), 0usize);
+        for n in &self.blocks {
+            let end = start + *n as usize;
+            if start as u32 / TILE == tile {
+                of.push(self.receivers.get(start..end)?);
+            }
+            start = end;
+        }
+        Some(of)
+    }
+}
+
+/// Checks receivers without keeping them.
+///
+/// # Errors
+/// [`ReceiversError`] naming the first thing that cannot be used, but for triangles that the scene may not
+/// have.
+pub fn check(bytes: &[u8]) -> Result<Facts, ReceiversError> {
+    let (mut points, mut greatest) = (0u32, None);
+    let (asked, blocks) = read(bytes, &mut |receiver, _| {
+        points += 1;
+        greatest = greatest.max(receiver.triangle);
+    })?;
+    let (mut starts, mut start) = (vec![0], 0);
+    for n in blocks {
+        // No block is larger than a tile, so none begins more than one tile after the one before it.
+        if start / TILE == starts.len() as u32 {
+            starts.push(start);
+        }
+        start += n;
+    }
+    // The last tile is empty where a block of the one before it holds its receivers.
+    starts.resize(tiles(points) as usize + 1, points);
+    Ok(Facts { points, lights: asked.lights.len() as u32, starts, greatest_triangle: greatest })
+}
+
+const TOO_MANY: &str = "receivers take more than 2 GiB; use larger texels, or several jobs";
+
+/// Bytes that are read from the front.
+struct Reader<'a>(&'a [u8]);
+
+impl Reader<'_> {
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], ReceiversError> {
+        let (taken, rest) =
+            self.0.split_first_chunk().ok_or(ReceiversError::Damaged("they are cut short"))?;
+        self.0 = rest;
+        Ok(*taken)
+    }
+
+    fn u32(&mut self) -> Result<u32, ReceiversError> {
+        Ok(u32::from_le_bytes(self.take()?))
+    }
+
+    fn f64(&mut self) -> Result<f64, ReceiversError> {
+        Ok(f64::from_le_bytes(self.take()?))
+    }
+
+    fn point(&mut self) -> Result<[f64; 3], ReceiversError> {
+        Ok([self.f64()?, self.f64()?, self.f64()?])
+    }
+
+    /// A count of things that take this many bytes each.
+    fn count(&mut self, bytes: usize) -> Result<usize, ReceiversError> {
+        let n = self.u32()? as usize;
+        let there = n <= self.0.len() / bytes;
+        there.then_some(n).ok_or(ReceiversError::Damaged("they announce more than there is"))
+    }
+}
+
+fn is_finite(p: &[f64; 3]) -> bool {
+    p.iter().all(|x| x.is_finite())
+}
+
+/// Reads receivers; `take` gets each one, and the number of all.
+fn read(bytes: &[u8], take: &mut dyn FnMut(Receiver, usize)) -> Result<(Asked, Vec<u32>), ReceiversError> {
+    use ReceiversError::{Damaged, Job};
+    if bytes.len() as u64 > MOST_BYTES {
+        return Err(Job(TOO_MANY));
+    }
+    let mut r = Reader(bytes);
+    if &r.take()? != MAGIC {
+        return Err(Damaged("they do not begin as receivers do"));
+    }
+    let distance = r.f64()?;
+    // Not a number is refused, too.
+    if !(distance > 0.0) {
+        return Err(Job("distance is not above 0; give a length in the scene's units, or inf"));
+    }
+    let [falloff] = r.take()?;
+    let falloff = match falloff {
+        0 => Falloff::None,
+        1 => Falloff::Sqrt,
+        _ => return Err(Damaged("their falloff is unknown")),
+    };
+    let asked = Asked { distance, falloff, lights: lights(&mut r)? };
+    computed(&asked)?;
+    let count = r.count(4)?;
+    let blocks = (0..count).map(|_| r.u32()).collect::<Result<Vec<_>, _>>()?;
+    if blocks.iter().any(|n| !(1..=MOST_BLOCK).contains(n)) {
+        return Err(Damaged("a block has no receivers, or more than 4096"));
+    }
+    let all: u64 = blocks.iter().map(|n| u64::from(*n)).sum();
+    if all == 0 {
+        return Err(Job("receivers are none; give at least one"));
+    }
+    if all.checked_mul(RECEIVER as u64) != Some(r.0.len() as u64) {
+        return Err(Damaged("their blocks have another number of receivers than there are"));
+    }
+    // At most 2 GiB, so their number is far below 2³².
+    for at in 0..all as u32 {
+        let (point, normal, triangle) = (r.point()?, r.point()?, r.u32()?);
+        let wrong = |what| Err(ReceiversError::Receiver { at, what });
+        if !is_finite(&point) {
+            return wrong("its point has a coordinate that is not a finite number");
+        }
+        if !is_finite(&normal) {
+            return wrong("its normal has a coordinate that is not a finite number");
+        }
+        // As the solver has it, whose squares must neither vanish nor overflow.
+        let squares: f64 = normal.iter().map(|x| x * x).sum();
+        if !(squares.is_normal() && (1.0 / squares).is_normal()) {
+            return wrong("its normal has no direction; give one of a length near 1");
+        }
+        let triangle = Some(triangle).filter(|t| *t != NO_TRIANGLE);
+        take(Receiver { point, normal, triangle }, all as usize);
+    }
+    Ok((asked, blocks))
+}
+
+fn lights(r: &mut Reader<'_>) -> Result<Vec<Vec<[f64; 3]>>, ReceiversError> {
+    let count = r.count(4)? as u32;
+    if count > MOST_LIGHTS {
+        return Err(ReceiversError::Job("lights are more than 64; use several jobs"));
+    }
+    let mut lights = Vec::with_capacity(count as usize);
+    for at in 0..count {
+        let wrong = |what| Err(ReceiversError::Light { at, what });
+        let corners = r.count(3 * 8)? as u32;
+        if !(3..=MOST_CORNERS).contains(&corners) {
+            return wrong("give a polygon of 3 to 64 corners");
+        }
+        let light = (0..corners).map(|_| r.point()).collect::<Result<Vec<_>, _>>()?;
+        if !light.iter().all(is_finite) {
+            return wrong("a corner has a coordinate that is not a finite number");
+        }
+        lights.push(light);
+    }
+    Ok(lights)
+}
+
+/// Whether what is asked has an answer.
+fn computed(asked: &Asked) -> Result<(), ReceiversError> {
+    if asked.falloff != Falloff::None && asked.distance.is_infinite() {
+        return Err(ReceiversError::Job(
+            "falloff compares distances with theirs, which is infinite; give a finite one",
+        ));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn of_blocks(blocks: &[u32]) -> Receivers {
+        let all: u32 = blocks.iter().sum();
+        let receiver = |i: u32| Receiver {
+            point: [f64::from(i), 0.5, -3.0],
+            normal: [0.0, 0.0, 2.0],
+            triangle: (i % 3 > 0).then_some(i % 7),
+        };
+        let asked = Asked { distance: 2.0, falloff: Falloff::None, lights: Vec::new() };
+        Receivers { asked, blocks: blocks.to_vec(), receivers: (0..all).map(receiver).collect() }
+    }
+
+    /// The reason why changed bytes are refused.
+    fn refused(change: impl FnOnce(&mut Receivers)) -> String {
+        let mut receivers = of_blocks(&[2, 1]);
+        change(&mut receivers);
+        receivers.encode().unwrap_err().to_string()
+    }
+
+    #[test]
+    fn receivers_come_back_and_tiles_hold_every_block_once() {
+        for blocks in [&[1][..], &[64; 200], &[4095, 2, 4096, 4096, 1], &[4090, 100], &[4096, 4096]] {
+            let receivers = of_blocks(blocks);
+            let bytes = receivers.encode().unwrap();
+            assert_eq!(Receivers::decode(&bytes, 7).unwrap(), receivers);
+            let facts = check(&bytes).unwrap();
+            let tiles = tiles(facts.points);
+            assert_eq!(facts.starts.len() as u32, tiles + 1, "{blocks:?}");
+            let mut again = Vec::new();
+            for tile in 0..tiles {
+                let of = receivers.of_tile(tile).unwrap();
+                let here: usize = of.iter().map(|block| block.len()).sum();
+                assert_eq!(facts.receivers_of(tile), Some(here as u32), "{blocks:?}, tile {tile}");
+                again.extend(of.concat());
+            }
+            assert_eq!(again, receivers.receivers);
+            assert!(receivers.of_tile(tiles).is_none() && facts.receivers_of(tiles).is_none());
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_used_is_refused_by_its_number() {
+        let bytes = of_blocks(&[5]).encode().unwrap();
+        assert_eq!(check(&bytes).unwrap().greatest_triangle, Some(4));
+        let unknown = Receivers::decode(&bytes, 4).unwrap_err().to_string();
+        assert!(unknown.starts_with("receiver 4 of the job") && unknown.contains("triangle"), "{unknown}");
+        for distance in [0.0, -1.0, f64::NAN] {
+            assert!(refused(|r| r.asked.distance = distance).contains("distance is not above 0"));
+        }
+        assert!(refused(|r| r.receivers[1].point[2] = f64::INFINITY).contains("receiver 1"));
+        assert!(refused(|r| r.receivers[2].normal[0] = f64::NAN).contains("receiver 2"));
+        for length in [0.0, 1e-200, 1e200] {
+            assert!(refused(|r| r.receivers[2].normal = [0.0, length, 0.0]).contains("no direction"));
+        }
+        let darkens = Asked { distance: f64::INFINITY, falloff: Falloff::Sqrt, lights: Vec::new() };
+        assert!(refused(|r| r.asked = darkens.clone()).contains("falloff"));
+        assert!(refused(|r| r.asked.lights = vec![vec![[0.0; 3]; 2]]).contains("light 0"));
+        assert!(refused(|r| r.asked.lights = vec![vec![[f64::NAN; 3]; 3]]).contains("light 0"));
+        assert!(refused(|r| r.asked.lights = vec![vec![[0.0; 3]; 3]; 65]).contains("64"));
+        assert!(refused(|r| r.blocks = vec![3, 0]).contains("block"));
+        assert!(refused(|r| r.blocks = vec![4]).contains("blocks"));
+        assert!(refused(|r| (r.blocks, r.receivers) = (Vec::new(), Vec::new())).contains("none"));
+        let infinite = Asked { distance: f64::INFINITY, falloff: Falloff::None, lights: Vec::new() };
+        assert!(Receivers { asked: infinite, ..of_blocks(&[1]) }.encode().is_ok());
+    }
+
+    proptest! {
+        #[test]
+        fn damaged_receivers_are_refused_or_whole(
+            blocks in proptest::collection::vec(1u32..9, 1..5),
+            at in any::<proptest::sample::Index>(),
+            bits in 1..=255u8,
+            cut in any::<proptest::sample::Index>(),
+        ) {
+            let bytes = of_blocks(&blocks).encode().unwrap();
+            let mut bent = bytes.clone();
+            let place = at.index(bent.len());
+            bent[place] ^= bits;
+            if let Ok(read) = Receivers::decode(&bent, 7) {
+                prop_assert_eq!(read.encode().unwrap(), bent.clone());
+            }
+            prop_assert!(Receivers::decode(&bytes[..cut.index(bytes.len())], 7).is_err());
+            let longer = [&bytes[..], &[0]].concat();
+            prop_assert!(Receivers::decode(&longer, 7).is_err() && check(&longer).is_err());
+        }
+
+        #[test]
+        fn any_bytes_are_read_or_refused(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
+            let named = [MAGIC.as_slice(), &bytes].concat();
+            for bytes in [&bytes, &named] {
+                let _ = check(bytes);
+                let _ = Receivers::decode(bytes, 7);
+            }
+        }
+    }
+}
