@@ -1,8 +1,8 @@
 //! What happened: events of jobs, tiles and workers with their times, for people.
 //!
 //! The last events are in memory (`recent.rs`). All are appended to a file, of which the last one or two
-//! pieces are kept, so that events outlive a restart. No state is derived from them: a crash may lose those of
-//! the last moment, and a full disk those since.
+//! pieces are kept, so that events outlive a restart. No state is derived from them: a crash may lose those
+//! of the last moment, and a full disk those since.
 
 mod recent;
 
