@@ -75,6 +75,7 @@ pub(crate) fn delete(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobErro
         }
     }
     forget_scene(c, &was.record);
+    c.crews.outcomes.sweep(|other| other != id);
     *c.last_partial.lock().unwrap_or_else(PoisonError::into_inner) = Last::default();
     *c.last_asked.lock().unwrap_or_else(PoisonError::into_inner) = None;
     c.watched().changed(id, true);

@@ -46,8 +46,9 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
                 tracing::error!("the result of job {id} waits and is tried again: {e}");
                 return tell(c, Event::AssemblyWaits(id));
             }
-            Ok(Err(AssembleError::Blob(e @ (BlobError::Damaged { .. } | BlobError::Missing { .. }))))
-                if let Some(chores) = compute_again(c, id, &parts.outputs, &e) =>
+            Ok(Err(AssembleError::Blob(e)))
+                if e.is_lost()
+                    && let Some(chores) = compute_again(c, id, &parts.outputs, &e) =>
             {
                 return chores;
             }
@@ -112,8 +113,7 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
 fn compute_again(c: &Coordinator, id: JobId, outputs: &[Output], e: &BlobError) -> Option<Vec<Chore>> {
     let lost = |output: &Output| {
         let digest = output.digest()?;
-        matches!(c.blobs.open_checked(&digest), Err(BlobError::Damaged { .. } | BlobError::Missing { .. }))
-            .then_some(digest)
+        c.blobs.open_checked(&digest).is_err_and(|e| e.is_lost()).then_some(digest)
     };
     let lost: Vec<(TileIndex, Digest)> =
         (0u32..).zip(outputs).filter_map(|(at, output)| Some((TileIndex(at), lost(output)?))).collect();
@@ -126,8 +126,8 @@ fn compute_again(c: &Coordinator, id: JobId, outputs: &[Output], e: &BlobError) 
         // Before somebody puts a good one in its place.
         let _alone = c.no_commits();
         for (_, digest) in &lost {
-            let is_damaged = matches!(c.blobs.open_checked(digest), Err(BlobError::Damaged { .. }));
-            if let Err(e) = if is_damaged { c.blobs.remove(digest) } else { Ok(false) } {
+            let is_broken = c.blobs.open_checked(digest).is_err_and(|e| e.is_broken());
+            if let Err(e) = if is_broken { c.blobs.remove(digest) } else { Ok(false) } {
                 tracing::warn!("{e}");
             }
         }

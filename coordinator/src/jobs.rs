@@ -248,7 +248,11 @@ pub(crate) fn result(c: &Coordinator, job: JobId) -> Result<Digest, JobError> {
 /// Ends a job that has not ended.
 pub(crate) fn cancel(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobError> {
     waits_no_more(c, job);
-    turn(c, job, &[JobPhase::Queued, JobPhase::Running, JobPhase::Paused], JobState::Cancelled)
+    let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
+    let cancelled = turn(c, job, &from, JobState::Cancelled)?;
+    // Submitted again, the job begins from nothing.
+    c.crews.outcomes.sweep(|other| other != job);
+    Ok(cancelled)
 }
 
 /// Stops granting tiles of a job; takes back those that are leased if they are to stop `now`.

@@ -158,7 +158,7 @@ pub fn verify(
         } else {
             match blobs.open_checked(&stored.digest) {
                 Ok(_) => drop(present.insert(stored.digest)),
-                Err(e @ (BlobError::Damaged { .. } | BlobError::Missing { .. })) => {
+                Err(e) if e.is_lost() => {
                     let needs = needed.get(&stored.digest).cloned().unwrap_or_default();
                     found.lost.insert(stored.digest, (needs, e.to_string()));
                 }

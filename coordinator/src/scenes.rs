@@ -144,7 +144,7 @@ pub(crate) fn put_scene(
             Ok(_) => return Ok(known),
             // Removed, so that its chunks are missing and the client sends them again: workers would fetch
             // the damaged scene for ever.
-            Err(e @ BlobError::Damaged { .. }) => {
+            Err(e) if e.is_broken() => {
                 tracing::warn!("{e}; it is uploaded again now");
                 c.blobs.remove(&whole)?;
             }
@@ -211,7 +211,7 @@ pub(crate) fn join(c: &Coordinator, whole: Digest, chunks: &[Digest]) -> Result<
         match c.blobs.read(chunk) {
             Ok(bytes) => writer.append(&bytes)?,
             // Chunks are not synced to the disk: after a power failure one may be truncated.
-            Err(e @ BlobError::Damaged { .. }) => {
+            Err(e) if e.is_broken() => {
                 tracing::warn!("{e}; it is uploaded again now");
                 c.blobs.remove(chunk)?;
                 return Err(UploadError::ChunkDamaged);

@@ -33,6 +33,10 @@ pub(crate) const FAILED: &str = "failed";
 pub(crate) const CONFLICT: &str = "conflict";
 pub(crate) const CHECKED: &str = "checked";
 
+/// Jobs that are remembered after their end. One that is taken up anew after so many others is told of as
+/// after a restart.
+const MOST_ENDED: usize = 1 << 14;
+
 /// Another trace's span that led to a submission.
 pub(crate) type Cause = Option<(TraceId, SpanId)>;
 
@@ -47,7 +51,7 @@ pub(crate) struct Spans {
 struct Open {
     /// Jobs that have not ended.
     jobs: BTreeMap<JobId, JobSpans>,
-    /// Jobs of which a span says that they have ended.
+    /// Jobs of which a span says that they have ended, at most [`MOST_ENDED`].
     ended: BTreeSet<JobId>,
 }
 
@@ -210,6 +214,9 @@ impl Spans {
         traces.send(whole.end_at(now));
         open.jobs.remove(&id);
         open.ended.insert(id);
+        if open.ended.len() > MOST_ENDED {
+            open.ended.pop_first();
+        }
     }
 
     /// A job was submitted; `begun` is when the call arrived.

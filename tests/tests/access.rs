@@ -166,6 +166,42 @@ fn a_user_has_and_does_as_much_as_the_quota_says() {
 }
 
 #[test]
+fn calls_as_json_count_as_calls_do() {
+    let sandbox = prepared();
+    let quotas = "--quota ada:requests=1 --quota bob:calls=2,requests=none";
+    let arguments = format!("--listen 127.0.0.1:0 --http 127.0.0.1:0 --tokens tokens.json {quotas}");
+    let coordinator = sandbox.serve("data", &arguments);
+    let pages = coordinator.pages.trim_start_matches("http://").trim_end_matches('/').to_owned();
+    let with = |user: &str| {
+        let token = String::from_utf8(sandbox.read(&format!("{user}.token"))).unwrap();
+        format!("content-type: application/json\r\nauthorization: Bearer {}\r\n", token.trim())
+    };
+    let list = |user: &str| {
+        let (code, body) = ask(&pages, "POST /sightline.v1.Jobs/List", &with(user), "{}");
+        (code, String::from_utf8(body).unwrap())
+    };
+    // Five calls are saved up, and calls of both kinds take from them.
+    let refused = (0..20).map(|_| list("ada")).find(|(code, _)| *code != 200).unwrap();
+    assert_eq!(refused.0, 429);
+    assert!(refused.1.contains("ada may make 1 calls a second"), "{}", refused.1);
+    let is_refused = |_| coordinator.run("jobs --token-file ada.token").err.contains("1 calls a second");
+    assert!((0..20).any(is_refused));
+    // A call counts from its first byte to the last one of its answer: these two wait for their requests.
+    let open = || {
+        let mut stream = TcpStream::connect(&pages).unwrap();
+        let head = format!("host: {pages}\r\n{}content-length: 2\r\n", with("bob"));
+        write!(stream, "POST /sightline.v1.Jobs/List HTTP/1.1\r\n{head}\r\n").unwrap();
+        stream
+    };
+    let streams = [open(), open()];
+    let refused = wait_for("a call too many", || Some(list("bob")).filter(|(code, _)| *code != 200));
+    assert!(refused.0 == 429 && refused.1.contains("bob may have 2 calls"), "{refused:?}");
+    coordinator.run("jobs --token-file bob.token").code(4).says("bob may have 2 calls");
+    drop(streams);
+    wait_for("the end of the calls", || (list("bob").0 == 200).then_some(()));
+}
+
+#[test]
 fn who_is_not_known_gets_nowhere() {
     let mut sandbox = prepared();
     let stranger = authority(&sandbox, "stranger");

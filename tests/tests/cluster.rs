@@ -335,24 +335,40 @@ fn a_data_folder_has_one_coordinator() {
 
 #[test]
 fn a_damaged_scene_is_uploaded_again() {
+    scene_is_uploaded_again("is damaged", |blob| {
+        let mut bytes = std::fs::read(blob).unwrap();
+        bytes[100] ^= 1;
+        std::fs::write(blob, bytes).unwrap();
+    });
+}
+
+#[test]
+fn a_scene_that_the_disk_does_not_give_is_uploaded_again() {
+    scene_is_uploaded_again("cannot be read", |blob| {
+        std::fs::remove_file(blob).unwrap();
+        // A process has no page 0: reading this file is EIO, as of a broken sector.
+        std::os::unix::fs::symlink("/proc/self/mem", blob).unwrap();
+    });
+}
+
+/// Loses a job's scene, sends it again, and compares the result.
+fn scene_is_uploaded_again(says: &str, lose: impl FnOnce(&std::path::Path)) {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let first = coordinator.submit(JOB);
     let digest = coordinator.json(&format!("show {first}"))["scene"].as_str().unwrap().to_owned();
     let blob = format!("data/blobs/{}/{}/{digest}", &digest[..2], &digest[2..4]);
-    let mut bytes = sandbox.read(&blob);
-    bytes[100] ^= 1;
-    sandbox.write(&blob, bytes);
+    lose(&sandbox.path(&blob));
     // The job waits, and says for what.
     let _worker = coordinator.worker();
     let paused = coordinator.until(first, "a pause", |job| job["state"] == "paused");
     assert!(paused["reason"].as_str().unwrap().contains("send it again"), "{paused}");
     assert!(coordinator.ok(&format!("logs {first}")).contains("send the scene again"));
-    // The next submission of the scene replaces the damaged blob, and the waiting job continues.
+    // The next submission of the scene replaces the blob, and the waiting job continues.
     assert_eq!(coordinator.submit(JOB), first);
-    assert_same(&coordinator.finish(first), alone(), "after the scene was damaged");
+    assert_same(&coordinator.finish(first), alone(), "after the scene was lost");
     assert_eq!(coordinator.json(&format!("show {first}"))["reason"], "");
-    assert!(coordinator.process.err().contains("is damaged"), "{}", coordinator.process.err());
+    assert!(coordinator.process.err().contains(says), "{}", coordinator.process.err());
 }
 
 /// Removes all packs from a coordinator's blobs; returns their number.

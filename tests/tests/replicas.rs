@@ -194,6 +194,7 @@ fn records_move_into_a_database_and_back() {
         coordinator.finish(job)
     };
     let (disk, database) = ("sled:data/state", server.url());
+    let verify = format!("store verify --store {database} --data-dir data");
     sandbox.ok(&format!("store migrate {disk} {database}"));
     sandbox.run(&format!("store migrate {disk} {database}")).code(3).says("only while it is empty");
     {
@@ -205,7 +206,18 @@ fn records_move_into_a_database_and_back() {
         assert_same(&sandbox.read("moved.pvs"), &bytes, "from the database");
         let used = sandbox.run(&format!("store migrate {database} sled:back"));
         used.code(3).says("a coordinator uses the database of FROM");
+        sandbox.run(&verify).code(3).says("a coordinator uses the database of --store");
     }
+    let found = sandbox.json(&verify);
+    assert_eq!((&found["scenes"], &found["jobs"]), (&1.into(), &1.into()));
+    assert_eq!(found["lost"].as_array().unwrap().len(), 0);
+    // What is lost is found.
+    std::fs::rename(sandbox.path("data/blobs"), sandbox.path("blobs")).unwrap();
+    std::fs::create_dir(sandbox.path("data/blobs")).unwrap();
+    sandbox.run(&verify).code(3).says("the result of job 1");
+    std::fs::remove_dir_all(sandbox.path("data/blobs")).unwrap();
+    std::fs::rename(sandbox.path("blobs"), sandbox.path("data/blobs")).unwrap();
+    sandbox.ok(&format!("{verify} --repair"));
     sandbox.ok(&format!("store migrate {database} sled:back"));
     let coordinator = sandbox.serve("data", "--listen 127.0.0.1:0 --store sled:back");
     coordinator.ok("fetch 1 -o back.pvs");

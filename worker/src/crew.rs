@@ -197,9 +197,13 @@ fn of_leader(said: FromLeader) -> Vec<Message> {
         FromLeader::Take { member, phase, items } => {
             vec![Message::Take(v1::CrewTake { member, phase, items })]
         }
-        FromLeader::Outcome { phase, bytes } => chunks::cut(&bytes)
-            .map(|chunk| Message::Outcome(v1::CrewOutcome { phase, chunk: Some(chunk) }))
-            .collect(),
+        FromLeader::Outcome { phase, bytes, time } => {
+            // Nobody's phases last for 584 000 years.
+            let micros = time.as_micros().max(1) as u64;
+            chunks::cut(&bytes)
+                .map(|chunk| Message::Outcome(v1::CrewOutcome { phase, chunk: Some(chunk), micros }))
+                .collect()
+        }
         FromLeader::Dismiss(member) => vec![Message::Dismiss(v1::CrewDismiss { member })],
         FromLeader::End => vec![Message::End(v1::CrewEnd {})],
     }
@@ -293,7 +297,7 @@ async fn hear_helper(helper: Weak<Helper>, mut inbound: Streaming<v1::CrewMessag
             Some(Message::Take(v1::CrewTake { phase, items, .. })) => {
                 helper.hear(ToHelper::Take { phase, items });
             }
-            Some(Message::Outcome(v1::CrewOutcome { phase, chunk })) => {
+            Some(Message::Outcome(v1::CrewOutcome { phase, chunk, .. })) => {
                 match outcomes.push(&chunk.unwrap_or_default()) {
                     Ok(None) => {}
                     Ok(Some(bytes)) => helper.hear(ToHelper::Outcome { phase, bytes }),

@@ -58,6 +58,7 @@ pub(crate) struct Metrics {
     conflicts: Counter,
     taken_back: Counter,
     phases: Counter,
+    phase_seconds: Histograms,
     spot_checks: Counters,
     requests: Family<Labels<2>, Counter>,
     request_seconds: Histograms,
@@ -114,6 +115,7 @@ impl Default for Metrics {
             conflicts: Counter::default(),
             taken_back: Counter::default(),
             phases: Counter::default(),
+            phase_seconds: Family::new_with_constructor(short),
             spot_checks: Family::default(),
             requests: Family::default(),
             request_seconds: Family::new_with_constructor(short),
@@ -143,6 +145,8 @@ impl Default for Metrics {
         r.register("tile_conflicts", "Outputs that differ from the one that stays", this.conflicts.clone());
         r.register("leases_taken_back", "Leases that ended before their tile", this.taken_back.clone());
         r.register("phases", "Phases of blocks that crews have finished", this.phases.clone());
+        let help = "Time that the leader of a crew took over a phase";
+        r.register_with_unit("phase", help, seconds(), this.phase_seconds.clone());
         r.register("spot_checks", "Tiles that were computed again, by outcome", this.spot_checks.clone());
         r.register("requests", "Calls that have ended, by their code", this.requests.clone());
         let help = "Time of a call, of a stream until its end";
@@ -227,9 +231,13 @@ impl Metrics {
         self.taken_back.inc();
     }
 
-    /// A crew has finished a phase.
-    pub(crate) fn phase_done(&self) {
+    /// A crew has finished a phase, in this time; 0 if it is not known.
+    pub(crate) fn phase_done(&self, profile: &str, time: Duration) {
         self.phases.inc();
+        if !time.is_zero() {
+            let of_profile = self.phase_seconds.get_or_create_owned(&[("profile", profile.to_owned())]);
+            of_profile.observe(time.as_secs_f64());
+        }
     }
 
     /// A tile was computed again.

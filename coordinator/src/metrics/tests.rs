@@ -24,6 +24,7 @@ fn served() -> BTreeMap<String, String> {
     let metrics = Metrics::default();
     // What has labels is served once there is a value of it.
     metrics.committed("cpu/x", 1, 1);
+    metrics.phase_done("cpu/x", Duration::from_millis(1));
     metrics.job_ended("done");
     metrics.transferred("in").inc();
     metrics.looked("scene", Cache::Hit);
@@ -81,6 +82,9 @@ fn what_is_counted_is_served() {
     let metrics = Metrics::default();
     metrics.committed("cpu/x", 17, 2500);
     metrics.request("Jobs/Submit", "OK", Duration::from_millis(20));
+    metrics.phase_done("cpu/x", Duration::from_millis(250));
+    // A worker of before says no time.
+    metrics.phase_done("cpu/x", Duration::ZERO);
     metrics.refused("rate");
     metrics.looked("scene", Cache::Miss);
     metrics.syncs()(Duration::from_millis(2));
@@ -88,6 +92,9 @@ fn what_is_counted_is_served() {
     for line in [
         "sightline_samples_total{profile=\"cpu/x\"} 17",
         "sightline_tile_seconds_sum{profile=\"cpu/x\"} 2.5",
+        "sightline_phases_total 2",
+        "sightline_phase_seconds_sum{profile=\"cpu/x\"} 0.25",
+        "sightline_phase_seconds_count{profile=\"cpu/x\"} 1",
         "sightline_requests_total{method=\"Jobs/Submit\",code=\"OK\"} 1",
         "sightline_refused_total{limit=\"rate\"} 1",
         "sightline_cache_requests_total{cache=\"scene\",outcome=\"miss\"} 1",

@@ -1,6 +1,7 @@
 //! The streams of crews: the leader's and the helpers'.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use futures::StreamExt as _;
 use sightline_proto::chunks::{self, Blobs};
@@ -35,7 +36,7 @@ async fn say_outcome(c: &Arc<Coordinator>, room: &Room, phase: u32, out: &Out) -
     let read = blocking(c, move |c| Ok(c.crews.outcomes.get(tile, phase))).await;
     let Ok(Some(bytes)) = read else { return Err(Gone) };
     for chunk in chunks::cut(&bytes) {
-        say(out, Message::Outcome(v1::CrewOutcome { phase, chunk: Some(chunk) })).await?;
+        say(out, Message::Outcome(v1::CrewOutcome { phase, chunk: Some(chunk), micros: 0 })).await?;
     }
     Ok(())
 }
@@ -124,15 +125,21 @@ async fn hear_leader(
             Some(Message::Outcome(piece)) => {
                 let whole = outcomes.push(&piece.chunk.unwrap_or_default());
                 if let Some(bytes) = whole.map_err(|e| Status::data_loss(e.to_string()))? {
-                    if !c.lock().machine.is_leased(&room.lease) {
+                    let profile = {
+                        let scheduling = c.lock();
+                        let job = scheduling.machine.job(room.lease.job);
+                        let job = job.filter(|_| scheduling.machine.is_leased(&room.lease));
+                        job.map(|job| job.record.profile.clone().unwrap_or_default())
+                    };
+                    let Some(profile) = profile else {
                         // The tile is done, or somebody else's; its crew has no more use.
                         tracing::debug!("an outcome of tile {} came after its lease", room.lease.tile);
                         return Ok(());
-                    }
+                    };
                     let (tile, phase) = (room.tile(), piece.phase);
                     let kept = blocking(c, move |c| Ok(c.crews.outcomes.push(tile, phase, &bytes))).await?;
                     if kept {
-                        c.metrics.phase_done();
+                        c.metrics.phase_done(&profile, Duration::from_micros(piece.micros));
                         room.outcomes.send_replace(phase + 1);
                         let text = format!("tile {}: phase {phase} is finished", room.lease.tile);
                         c.happened(Happening::of_lease(Kind::Round, &room.lease, text));

@@ -81,7 +81,10 @@ where
 }
 
 /// The right of a caller to one more call. Workers are not held up: they call as often as their tiles need.
-fn permitted(c: &Coordinator, caller: Option<&Caller>) -> Result<Permit, Status> {
+///
+/// # Errors
+/// RESOURCE_EXHAUSTED when the caller, or everybody together, has too many.
+pub(super) fn permitted(c: &Coordinator, caller: Option<&Caller>) -> Result<Permit, Status> {
     let quota = match caller {
         Some(Caller::User { name, scopes }) if !scopes.include(Scope::Worker) => {
             Some((name, c.quotas.of(name)))

@@ -16,7 +16,7 @@ use super::{status, wire};
 use crate::direct;
 use crate::ids::Digest;
 use crate::state::Coordinator;
-use crate::store::{BlobError, BlobReader};
+use crate::store::BlobReader;
 
 /// Chunks that are read before the client has taken the last one.
 const AHEAD: usize = 4;
@@ -47,7 +47,7 @@ fn length(c: &Coordinator, d: &Digest) -> Result<u64, Status> {
 /// Opens a blob. The whole is checked against its digest first, so that no damaged byte is ever sent.
 fn open(c: &Coordinator, d: &Digest) -> Result<BlobReader, Status> {
     c.blobs.open_checked(d).map_err(|e| match e {
-        e @ (BlobError::Missing { .. } | BlobError::Damaged { .. }) => Status::data_loss(e.to_string()),
+        e if e.is_lost() => Status::data_loss(e.to_string()),
         // A disk or a store in trouble says nothing about the blob.
         e => status::of_blob(&e),
     })

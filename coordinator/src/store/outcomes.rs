@@ -7,7 +7,7 @@
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::ids::{JobId, TileIndex};
@@ -23,8 +23,8 @@ type Tile = (JobId, TileIndex);
 pub struct Outcomes {
     /// `None` keeps nothing.
     directory: Option<PathBuf>,
-    /// The files of the tiles in use. Each has its own lock, so that a slow disk delays one tile's crew at a
-    /// time.
+    /// The files of the tiles that have outcomes. Each has its own lock, so that a slow disk delays one
+    /// tile's crew at a time.
     files: Mutex<BTreeMap<Tile, Arc<Mutex<Ends>>>>,
 }
 
@@ -46,8 +46,11 @@ impl Outcomes {
     pub fn count(&self, tile: Tile) -> u32 {
         let Some(path) = self.path(tile) else { return 0 };
         let file = self.file(tile);
-        let mut ends = lock(&file);
-        ends.get_or_insert_with(|| File::open(path).map_or_else(|_| Vec::new(), whole_frames)).len() as u32
+        let count = read(&mut lock(&file), &path).len() as u32;
+        if count == 0 {
+            self.let_go(tile, &file);
+        }
+        count
     }
 
     /// Keeps the outcome of a tile's next phase, or of an earlier one, which replaces another one and those
@@ -58,34 +61,11 @@ impl Outcomes {
         }
         let (Some(path), Some(directory)) = (self.path(tile), &self.directory) else { return false };
         let file = self.file(tile);
-        let mut ends = lock(&file);
-        let Some(ends) = ends.as_mut().filter(|ends| phase as usize <= ends.len()) else {
-            return false;
-        };
-        if bytes.len() as u64 > MAX_OUTCOME_BYTES {
-            return false;
+        let kept = append(&mut lock(&file), tile, (directory, &path), phase, bytes);
+        if !kept {
+            self.let_go(tile, &file);
         }
-        ends.truncate(phase as usize);
-        let start = ends.last().copied().unwrap_or(0);
-        let written = std::fs::create_dir_all(directory).and_then(|()| {
-            let mut file = OpenOptions::new().write(true).create(true).truncate(false).open(path)?;
-            // Behind the last whole frame there may be a part of one.
-            file.set_len(start)?;
-            file.seek(SeekFrom::Start(start))?;
-            file.write_all(&(bytes.len() as u64).to_le_bytes())?;
-            file.write_all(blake3::hash(bytes).as_bytes())?;
-            file.write_all(bytes)
-        });
-        match written {
-            Ok(()) => {
-                ends.push(start + HEADER + bytes.len() as u64);
-                true
-            }
-            Err(e) => {
-                tracing::warn!("phase {phase} of tile {} of job {} is not kept: {e}", tile.1, tile.0);
-                false
-            }
-        }
+        kept
     }
 
     /// An outcome of a tile; `None` when it is not there or damaged.
@@ -95,7 +75,10 @@ impl Outcomes {
         }
         let start = match phase {
             0 => 0,
-            _ => *lock(&self.file(tile)).as_ref()?.get(phase as usize - 1)?,
+            _ => {
+                let file = lock(&self.files).get(&tile).cloned()?;
+                *lock(&file).as_ref()?.get(phase as usize - 1)?
+            }
         };
         let mut file = File::open(self.path(tile)?).ok()?;
         file.seek(SeekFrom::Start(start)).ok()?;
@@ -132,6 +115,15 @@ impl Outcomes {
         }
     }
 
+    /// Keeps nothing in memory of a tile without outcomes that nobody else is at: tiles come and go.
+    fn let_go(&self, tile: Tile, file: &Arc<Mutex<Ends>>) {
+        let mut files = lock(&self.files);
+        // The list's and the caller's. Others can come to it by the list alone.
+        if Arc::strong_count(file) == 2 && lock(file).as_ref().is_none_or(Vec::is_empty) {
+            files.remove(&tile);
+        }
+    }
+
     fn file(&self, tile: Tile) -> Arc<Mutex<Ends>> {
         Arc::clone(lock(&self.files).entry(tile).or_default())
     }
@@ -139,6 +131,40 @@ impl Outcomes {
     fn path(&self, (job, tile): Tile) -> Option<PathBuf> {
         self.directory.as_ref().map(|d| d.join(format!("{job}.{tile}")))
     }
+}
+
+/// Puts an outcome into the file of a tile, behind that of the phase before; returns whether it is there now.
+fn append(ends: &mut Ends, tile: Tile, (directory, path): (&Path, &Path), phase: u32, bytes: &[u8]) -> bool {
+    let ends = read(ends, path);
+    if phase as usize > ends.len() || bytes.len() as u64 > MAX_OUTCOME_BYTES {
+        return false;
+    }
+    ends.truncate(phase as usize);
+    let start = ends.last().copied().unwrap_or(0);
+    let written = std::fs::create_dir_all(directory).and_then(|()| {
+        let mut file = OpenOptions::new().write(true).create(true).truncate(false).open(path)?;
+        // Behind the last whole frame there may be a part of one.
+        file.set_len(start)?;
+        file.seek(SeekFrom::Start(start))?;
+        file.write_all(&(bytes.len() as u64).to_le_bytes())?;
+        file.write_all(blake3::hash(bytes).as_bytes())?;
+        file.write_all(bytes)
+    });
+    match written {
+        Ok(()) => {
+            ends.push(start + HEADER + bytes.len() as u64);
+            true
+        }
+        Err(e) => {
+            tracing::warn!("phase {phase} of tile {} of job {} is not kept: {e}", tile.1, tile.0);
+            false
+        }
+    }
+}
+
+/// Where the frames of a file end, which is read the first time.
+fn read<'a>(ends: &'a mut Ends, path: &Path) -> &'a mut Vec<u64> {
+    ends.get_or_insert_with(|| File::open(path).map_or_else(|_| Vec::new(), whole_frames))
 }
 
 /// Locks something whose changes are whole before anything can panic.
@@ -234,6 +260,10 @@ mod tests {
         assert_eq!(left, ["2.0", "a note of a person"]);
         outcomes.remove((JobId(2), TileIndex(0)));
         assert_eq!(outcomes.count((JobId(2), TileIndex(0))), 0);
+        // Tiles without outcomes leave nothing in memory.
+        assert!(!outcomes.push(TILE, 1, b"not the next one"));
+        assert_eq!((outcomes.count(TILE), outcomes.get(TILE, 0)), (0, None));
+        assert!(lock(&outcomes.files).is_empty());
         assert!(!Outcomes::nowhere().push(TILE, 0, b"x"));
     }
 }

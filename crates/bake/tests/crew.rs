@@ -107,7 +107,7 @@ impl Hub {
             FromLeader::Take { member, phase, items } => {
                 helpers[member as usize].hear(ToHelper::Take { phase, items });
             }
-            FromLeader::Outcome { phase, bytes } => {
+            FromLeader::Outcome { phase, bytes, .. } => {
                 let mut outcomes = self.outcomes.lock().unwrap();
                 assert_eq!(phase as usize, outcomes.len(), "outcomes come in order");
                 outcomes.push(bytes.to_vec());
@@ -259,7 +259,7 @@ fn a_block_goes_on_from_any_outcome_and_casts_no_ray_again() {
         let later = Arc::new(Mutex::new(Vec::new()));
         let kept_too = Arc::clone(&later);
         let leader = Leader::new(outcomes[..kept].to_vec(), watch.clone(), move |message| {
-            if let FromLeader::Outcome { phase, bytes } = message {
+            if let FromLeader::Outcome { phase, bytes, .. } = message {
                 kept_too.lock().unwrap().push((phase as usize, bytes.to_vec()));
             }
         });

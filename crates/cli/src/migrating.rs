@@ -39,15 +39,19 @@ pub fn migrate(args: &MigrateArgs, json: bool) -> Result<(), CliError> {
 }
 
 /// A store that nobody else uses.
-struct Opened {
-    store: Box<dyn Store>,
+pub struct Opened {
+    /// The store.
+    pub store: Box<dyn Store>,
     /// The place among the coordinators of a database.
     replica: Option<(Replica, tokio::runtime::Runtime)>,
 }
 
 impl Opened {
-    /// Opens the store at an address.
-    fn at(text: &str, what: &str, ca: Option<&Path>) -> Result<Self, CliError> {
+    /// Opens the store at an address, which is the argument `what`.
+    ///
+    /// # Errors
+    /// When the address is none, the store cannot be opened, or somebody uses it.
+    pub fn at(text: &str, what: &str, ca: Option<&Path>) -> Result<Self, CliError> {
         match StorePlace::parse(text, ca)? {
             StorePlace::Sled(directory) => Self::on_disk(&directory),
             StorePlace::Database(address) => Self::in_database(&address, what),
@@ -57,7 +61,11 @@ impl Opened {
         }
     }
 
-    fn on_disk(directory: &Path) -> Result<Self, CliError> {
+    /// Opens the store in a directory.
+    ///
+    /// # Errors
+    /// When it cannot be opened, or somebody uses it.
+    pub fn on_disk(directory: &Path) -> Result<Self, CliError> {
         let store = SledStore::open(directory).map_err(|e| CliError::Input(e.to_string()))?;
         Ok(Self { store: Box::new(store), replica: None })
     }
@@ -87,7 +95,7 @@ impl Opened {
     }
 
     /// Lets others lead at once.
-    fn close(self) {
+    pub fn close(self) {
         drop(self.store);
         if let Some((replica, runtime)) = self.replica {
             runtime.block_on(replica.resign());

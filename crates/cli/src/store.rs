@@ -11,11 +11,11 @@ use std::path::{Path, PathBuf};
 use serde_json::{Value, json};
 use sightline_coordinator::Config;
 use sightline_coordinator::keeping::{self, KeepingError, Need, Verified};
-use sightline_coordinator::store::{Entry, SledStore, Store as _, StoreError};
+use sightline_coordinator::store::{Entry, SledStore, Store, StoreError};
 
 use crate::coordinating::blob_place;
 use crate::error::CliError;
-use crate::migrating;
+use crate::migrating::{self, Opened};
 use crate::output::{Format, Output};
 use crate::progress::say;
 use crate::serve::print;
@@ -62,22 +62,13 @@ fn open(place: &PlaceArgs) -> Result<SledStore, CliError> {
 }
 
 fn verify(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
-    let store = open(&args.place)?;
-    let mut config = Config::new(args.place.data_dir.clone());
-    config.blobs = blob_place(args.blobs.as_deref(), false)?;
-    let folder = args.place.data_dir.join("blobs");
-    if config.blobs.is_none() && !folder.is_dir() {
-        return Err(CliError::Input(format!(
-            "there is no folder {}; --blobs says where the blobs are",
-            folder.display()
-        )));
-    }
-    let blobs = config.open_blobs(None).map_err(|e| of_keeping(e.into()))?;
-    let found = keeping::verify(&store, &*blobs, &|_| ()).map_err(of_keeping)?;
-    let opened = match args.repair && !found.lost.is_empty() {
-        true => Some(keeping::repair(&store, &*blobs, &found).map_err(of_keeping)?),
-        false => None,
+    let opened = match &args.store {
+        Some(address) => Opened::at(address, "--store", args.store_ca.as_deref())?,
+        None => Opened::on_disk(&state(&args.place)?)?,
     };
+    let looked = look(args, &*opened.store);
+    opened.close();
+    let (found, opened) = looked?;
     if json {
         print(&report(&found, opened).to_string())?;
     } else {
@@ -93,6 +84,26 @@ fn verify(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
         rest.count() + 1,
         needs.join(", ")
     )))
+}
+
+/// What is lost, and the number of tiles that are computed again if it was repaired.
+fn look(args: &VerifyArgs, store: &dyn Store) -> Result<(Verified, Option<u64>), CliError> {
+    let mut config = Config::new(args.place.data_dir.clone());
+    config.blobs = blob_place(args.blobs.as_deref(), false)?;
+    let folder = args.place.data_dir.join("blobs");
+    if config.blobs.is_none() && !folder.is_dir() {
+        return Err(CliError::Input(format!(
+            "there is no folder {}; --blobs says where the blobs are",
+            folder.display()
+        )));
+    }
+    let blobs = config.open_blobs(None).map_err(|e| of_keeping(e.into()))?;
+    let found = keeping::verify(store, &*blobs, &|_| ()).map_err(of_keeping)?;
+    let opened = match args.repair && !found.lost.is_empty() {
+        true => Some(keeping::repair(store, &*blobs, &found).map_err(of_keeping)?),
+        false => None,
+    };
+    Ok((found, opened))
 }
 
 fn must_be_sent(needs: &[Need]) -> bool {

@@ -50,6 +50,13 @@ pub struct PlaceArgs {
 pub struct VerifyArgs {
     #[command(flatten)]
     pub place: PlaceArgs,
+    /// Where the records are: sled:DIR, or postgres://USER@HOST/DATABASE with the password in PGPASSWORD. No
+    /// coordinator may use them. Default: `state` in --data-dir.
+    #[arg(long, value_name = "URL", env = "SIGHTLINE_STORE", hide_env_values = true)]
+    pub store: Option<String>,
+    /// The authority of the database's certificate, as PEM. Default: those of the system.
+    #[arg(long, value_name = "FILE", env = "SIGHTLINE_STORE_CA", hide_env_values = true)]
+    pub store_ca: Option<PathBuf>,
     /// Where the blobs are, as for the coordinator. Default: `blobs` in --data-dir.
     #[arg(long, value_name = "URL")]
     pub blobs: Option<String>,

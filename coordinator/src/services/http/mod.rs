@@ -9,6 +9,7 @@
 //! own.
 
 mod calls;
+mod held;
 mod live;
 mod login;
 mod pages;
@@ -30,10 +31,12 @@ use tonic::{Code, Status};
 use self::site::{Site, failure};
 use self::snapshot::Snapshots;
 use super::farm::FarmService;
+use super::guard::permitted;
 use super::jobs::JobsService;
 use super::results::ResultsService;
 use super::server::ServeError;
 use super::tls::{self, Tls};
+use crate::access::Caller;
 use crate::scene_files;
 use crate::state::Coordinator;
 
@@ -104,20 +107,28 @@ pub(super) async fn serve_routes(
     served.map_err(broken)
 }
 
-/// Refuses requests that pages of other sites can make a browser send, and those of callers who may not.
+/// Refuses requests that pages of other sites can make a browser send, those of callers who may not, and
+/// those that are too many.
 async fn guard(State(site): State<Arc<Site>>, mut request: Request, next: Next) -> Response {
     if let Some(status) = refusal(&site, request.headers()) {
         return failure(&status);
     }
     let path = request.uri().path();
-    if let Some(access) = site.coordinator.access.get().filter(|_| path != "/login") {
+    if path == "/login" {
+        // Whoever sends a token here has none yet, and may not take the calls of those who have one.
+        return next.run(request).await;
+    }
+    if let Some(access) = site.coordinator.access.get() {
         match login::admitted(access, request.headers(), path) {
             Ok(caller) => drop(request.extensions_mut().insert(caller)),
             Err(status) if path == "/" && status.code() == Code::Unauthenticated => return login::ask(),
             Err(status) => return failure(&status),
         }
     }
-    next.run(request).await
+    match permitted(&site.coordinator, request.extensions().get::<Caller>()) {
+        Ok(permit) => held::until_end(next.run(request).await, permit),
+        Err(status) => failure(&status),
+    }
 }
 
 /// Why a request is refused, by its headers.

@@ -4,6 +4,8 @@ use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use rustix::io::Errno;
+
 use crate::ids::Digest;
 
 /// An operation on a blob that failed.
@@ -26,6 +28,17 @@ pub enum BlobError {
     Damaged {
         /// The file.
         path: PathBuf,
+    },
+    /// The disk has the blob and does not give its bytes.
+    #[error(
+        "blob {} cannot be read: {source}; it must be uploaded or computed again; check the disk",
+        .path.display()
+    )]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: Arc<io::Error>,
     },
     /// The bytes written do not have the digest that was announced.
     #[error("digest {expected} was announced, {found} arrived; send it again")]
@@ -101,6 +114,16 @@ pub enum BlobError {
 }
 
 impl BlobError {
+    /// Whether there is a blob that is of no use: it can be removed or replaced.
+    pub fn is_broken(&self) -> bool {
+        matches!(self, Self::Damaged { .. } | Self::Unreadable { .. })
+    }
+
+    /// Whether the blob must be uploaded or computed again.
+    pub fn is_lost(&self) -> bool {
+        self.is_broken() || matches!(self, Self::Missing { .. })
+    }
+
     /// Whether the same may succeed later without anybody changing a blob: what needs it waits.
     pub fn passes(&self) -> bool {
         matches!(
@@ -116,8 +139,18 @@ pub(super) fn fault(doing: &'static str, path: &Path) -> impl Fn(io::Error) -> B
     move |source| match source.kind() {
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded => BlobError::NoSpace { path: path.clone() },
         ErrorKind::NotFound if doing == "read" => BlobError::Missing { path: path.clone() },
+        _ if doing == "read" && is_of_the_disk(&source) => {
+            BlobError::Unreadable { path: path.clone(), source: Arc::new(source) }
+        }
         _ => BlobError::Io { doing, path: path.clone(), source: Arc::new(source) },
     }
+}
+
+/// Whether the disk cannot read a file, or the file system finds it damaged. Other errors are of the machine
+/// or the permissions, and say nothing about the file.
+fn is_of_the_disk(e: &io::Error) -> bool {
+    let of_the_disk = [Errno::IO, Errno::UCLEAN, Errno::BADMSG].map(Errno::raw_os_error);
+    e.raw_os_error().is_some_and(|number| of_the_disk.contains(&number))
 }
 
 /// Checks the digest of what was written against the one announced.

@@ -84,7 +84,7 @@ impl FileBlobs {
                 return Ok(digest);
             }
             Err(BlobError::Missing { .. }) => {}
-            Err(e @ BlobError::Damaged { .. }) => tracing::warn!("{e}; it is written again now"),
+            Err(e) if e.is_broken() => tracing::warn!("{e}; it is written again now"),
             Err(other) => return Err(other),
         }
         let mut writer = self.writer()?;
@@ -328,6 +328,28 @@ mod tests {
         assert!(!blobs.remove(&digest).unwrap() && !blobs.has(&digest).unwrap());
         assert!(matches!(blobs.read(&digest), Err(BlobError::Missing { .. })));
         assert_eq!(files(&directory.path().join("tmp")), 0);
+    }
+
+    #[test]
+    fn a_blob_that_the_disk_does_not_give_is_replaced() {
+        let directory = tempfile::tempdir().unwrap();
+        let blobs = FileBlobs::open(directory.path()).unwrap();
+        let digest = blobs.put(b"walls").unwrap();
+        // The page 0 of a process is not there, and reading it is EIO, as of a broken sector.
+        let break_it = || {
+            std::fs::remove_file(blobs.path(&digest)).unwrap();
+            std::os::unix::fs::symlink("/proc/self/mem", blobs.path(&digest)).unwrap();
+        };
+        break_it();
+        assert!(matches!(blobs.read(&digest), Err(BlobError::Unreadable { .. })));
+        assert!(matches!(blobs.open_checked(&digest), Err(BlobError::Unreadable { .. })));
+        blobs.put(b"walls").unwrap();
+        assert_eq!(blobs.read(&digest).unwrap(), b"walls");
+        break_it();
+        assert!(blobs.remove(&digest).unwrap() && !blobs.has(&digest).unwrap());
+        // A fault of the machine is none of the file.
+        let permission = fault("read", directory.path())(ErrorKind::PermissionDenied.into());
+        assert!(!permission.is_lost() && !permission.passes());
     }
 
     #[test]

@@ -65,6 +65,8 @@ pub enum FromLeader {
         phase: u32,
         /// The bytes of [`Phase::outcome`].
         bytes: Arc<Vec<u8>>,
+        /// How long the phase took, helpers' part and encoding included.
+        time: Duration,
     },
     /// This helper is of no use.
     Dismiss(Member),
@@ -97,7 +99,7 @@ struct State {
     /// Pieces that helpers have done.
     done: VecDeque<(Member, Vec<u32>, Vec<u8>)>,
     /// Outcomes that nobody has said to have kept.
-    outcomes: VecDeque<(u32, Arc<Vec<u8>>)>,
+    outcomes: VecDeque<(u32, Arc<Vec<u8>>, Duration)>,
     /// Those from this phase on are not handed over yet.
     handed: u32,
     handed_over: Option<Instant>,
@@ -160,7 +162,7 @@ impl Leader {
             }
             ToLeader::Left(member) => self.dismiss(&mut state, member),
             ToLeader::Kept(phases) => {
-                while state.outcomes.front().is_some_and(|(phase, _)| *phase < phases) {
+                while state.outcomes.front().is_some_and(|(phase, ..)| *phase < phases) {
                     state.outcomes.pop_front();
                 }
             }
@@ -171,7 +173,7 @@ impl Leader {
     /// leader has all others; without them helpers are of no use. `turn` makes `out` lead that way.
     pub fn reopened(&self, there: u32, turn: impl FnOnce()) -> bool {
         let mut state = self.lock();
-        let first = state.outcomes.front().map_or(state.number, |(phase, _)| *phase);
+        let first = state.outcomes.front().map_or(state.number, |(phase, ..)| *phase);
         if there < first {
             return false;
         }
@@ -235,10 +237,11 @@ impl Leader {
     /// Hands the outcomes over that are still here.
     fn hand_over(&self, state: &mut State) {
         let from = state.handed;
-        for (phase, bytes) in state.outcomes.iter().filter(|(phase, _)| *phase >= from) {
-            (self.out)(FromLeader::Outcome { phase: *phase, bytes: Arc::clone(bytes) });
+        for (phase, bytes, time) in state.outcomes.iter().filter(|(phase, ..)| *phase >= from) {
+            let (phase, bytes, time) = (*phase, Arc::clone(bytes), *time);
+            (self.out)(FromLeader::Outcome { phase, bytes, time });
         }
-        state.handed = state.outcomes.back().map_or(from, |(phase, _)| from.max(phase + 1));
+        state.handed = state.outcomes.back().map_or(from, |(phase, ..)| from.max(phase + 1));
         state.handed_over = Some(Instant::now());
     }
 
@@ -387,7 +390,7 @@ impl Crew for Leader {
         let mut state = self.lock();
         let times = [prepared, computed - prepared, begun.elapsed() - computed];
         state.times.iter_mut().zip(times).for_each(|(sum, time)| *sum += time);
-        state.outcomes.push_back((number, Arc::new(bytes)));
+        state.outcomes.push_back((number, Arc::new(bytes), begun.elapsed()));
         if !state.helpers.is_empty() || since.elapsed() >= HAND_OVER {
             self.hand_over(&mut state);
         }

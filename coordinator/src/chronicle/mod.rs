@@ -1,22 +1,22 @@
 //! What happened: events of jobs, tiles and workers with their times, for people.
 //!
-//! The last events are in memory. All are appended to a file, of which the last one or two pieces are kept,
-//! so that events outlive a restart. No state is derived from them: a crash may lose those of the last
-//! moment, and a full disk those since.
+//! The last events are in memory (`recent.rs`). All are appended to a file, of which the last one or two
+//! pieces are kept, so that events outlive a restart. No state is derived from them: a crash may lose those
+//! of the last moment, and a full disk those since.
 
-use std::collections::VecDeque;
+mod recent;
+
 use std::fs::{File, OpenOptions};
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 
+use self::recent::Recent;
 use crate::ids::{JobId, Lease, TileIndex};
 
-/// Events that are kept in memory.
-const MOST: usize = 1 << 18;
 /// Bytes of a text; longer ones are cut. Workers send reasons of any length.
 const MOST_TEXT: usize = 500;
 /// Length at which a piece of the file ends.
@@ -42,6 +42,24 @@ pub(crate) enum Kind {
     Worker,
     Coordinator,
     Check,
+}
+
+impl Kind {
+    /// All of them, in their order.
+    const ALL: [Self; 12] = [
+        Self::Submitted,
+        Self::Job,
+        Self::Leased,
+        Self::Round,
+        Self::Done,
+        Self::TakenBack,
+        Self::Failed,
+        Self::SetAside,
+        Self::Conflict,
+        Self::Worker,
+        Self::Coordinator,
+        Self::Check,
+    ];
 }
 
 /// Something that happened.
@@ -90,11 +108,11 @@ pub(crate) struct Entry {
     pub(crate) what: Happening,
 }
 
-/// The events in memory: without gaps, ascending.
+/// What is in memory.
 #[derive(Default)]
 struct Kept {
-    entries: VecDeque<Arc<Entry>>,
-    last: u64,
+    recent: Recent,
+    /// Lines for the file.
     unwritten: Vec<u8>,
 }
 
@@ -127,19 +145,15 @@ impl Chronicle {
         for piece in PIECES.iter().rev() {
             read(&directory.join(piece), &mut kept);
         }
-        let grown = watch::Sender::new(kept.last);
+        let grown = watch::Sender::new(kept.recent.last());
         Self { kept: Mutex::new(kept), grown, directory: Some(directory), piece: Mutex::new(None) }
     }
 
     /// Notes an event. Does not block on the disk.
     pub(crate) fn record(&self, at_ms: u64, mut what: Happening) {
-        if what.text.len() > MOST_TEXT {
-            let end = (0..=MOST_TEXT).rev().find(|end| what.text.is_char_boundary(*end));
-            what.text.truncate(end.unwrap_or(0));
-            what.text.push('…');
-        }
+        cut(&mut what.text);
         let mut kept = self.kept();
-        let entry = Entry { number: kept.last + 1, at_ms, what };
+        let entry = Entry { number: kept.recent.last() + 1, at_ms, what };
         if self.directory.is_some() && kept.unwritten.len() < MOST_UNWRITTEN {
             // Texts and numbers can always be written as JSON.
             if let Ok(line) = serde_json::to_string(&entry) {
@@ -147,33 +161,19 @@ impl Chronicle {
                 kept.unwritten.push(b'\n');
             }
         }
-        kept.push(entry);
-        self.grown.send_replace(kept.last);
+        kept.recent.push(&entry);
+        self.grown.send_replace(entry.number);
     }
 
     /// At most `most` events with greater numbers than `after`, ascending, of one job or of all; and the
     /// number up to which was looked.
-    pub(crate) fn after(&self, job: Option<JobId>, after: u64, most: usize) -> (Vec<Arc<Entry>>, u64) {
-        let kept = self.kept();
-        let first = kept.entries.front().map_or(0, |e| e.number);
-        let skip = (after + 1).saturating_sub(first).min(kept.entries.len() as u64) as usize;
-        let mut found = Vec::new();
-        for entry in kept.entries.range(skip..) {
-            if found.len() == most {
-                return (found, entry.number - 1);
-            }
-            if job.is_none_or(|job| entry.what.job == Some(job)) {
-                found.push(Arc::clone(entry));
-            }
-        }
-        (found, kept.last.max(after))
+    pub(crate) fn after(&self, job: Option<JobId>, after: u64, most: usize) -> (Vec<Entry>, u64) {
+        self.kept().recent.after(job, after, most)
     }
 
     /// The number after which a job has its last `most` events.
     pub(crate) fn before_last(&self, job: JobId, most: usize) -> u64 {
-        let kept = self.kept();
-        let mut of_job = kept.entries.iter().rev().filter(|entry| entry.what.job == Some(job));
-        of_job.nth(most).map_or(0, |entry| entry.number)
+        self.kept().recent.before_last(job, most)
     }
 
     /// The number of the last event, from now on.
@@ -206,13 +206,12 @@ impl Chronicle {
     }
 }
 
-impl Kept {
-    fn push(&mut self, entry: Entry) {
-        self.last = entry.number;
-        self.entries.push_back(Arc::new(entry));
-        if self.entries.len() > MOST {
-            self.entries.pop_front();
-        }
+/// Cuts a text that is too long.
+fn cut(text: &mut String) {
+    if text.len() > MOST_TEXT {
+        let end = (0..=MOST_TEXT).rev().find(|end| text.is_char_boundary(*end));
+        text.truncate(end.unwrap_or(0));
+        text.push('…');
     }
 }
 
@@ -227,13 +226,8 @@ fn read(path: &Path, kept: &mut Kept) {
             continue;
         }
         match serde_json::from_slice::<Entry>(&line) {
-            Ok(entry) => {
-                if entry.number != kept.last + 1 {
-                    // Some were not written. Numbers in memory have no gaps.
-                    kept.entries.clear();
-                }
-                kept.push(entry);
-            }
+            // Where some were not written, those before them are forgotten.
+            Ok(entry) => kept.recent.push(&entry),
             Err(_) => unread += 1,
         }
     }
