@@ -32,7 +32,8 @@ fn receivers(scene: &Scene, count: usize) -> Vec<Receiver> {
         for (id, triangle) in (0u32..).zip(triangles) {
             let [a, b, c] = triangle.v.map(|v| v.as_dvec3());
             let normal = (b - a).cross(c - a);
-            if !(normal.length() > 1e-9) {
+            let flat = normal.length() < 1e-9;
+            if flat {
                 continue;
             }
             let middle = (a + b + c) / 3.0;

@@ -1,4 +1,5 @@
-//! `sightline ambient` as a user runs it: points in and answers out, and the scene's own file with its occlusion.
+//! `sightline ambient` as a user runs it: points in and answers out, and the scene's own file with its
+//! occlusion.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -32,7 +33,10 @@ fn points_are_answered_in_order() {
     // The ceiling hides a circle of the hemisphere: sin² of it.
     assert!((middle["open"].as_f64().unwrap() - 0.25).abs() < 1e-9, "{middle}");
     assert!(middle["bound"].as_f64().unwrap() < 1e-9);
-    assert_eq!((&middle["id"], &middle["lights"]["lamp"], &middle["inside"]), (&"middle".into(), &0.0.into(), &false.into()));
+    assert_eq!(
+        (&middle["id"], &middle["lights"]["lamp"], &middle["inside"]),
+        (&"middle".into(), &0.0.into(), &false.into())
+    );
     let factors = middle["fragments"].as_array().unwrap().iter().map(|f| f["factor"].as_f64().unwrap());
     assert!((factors.sum::<f64>() - 0.75).abs() < 1e-9, "{middle}");
     assert!(middle["fragments"].as_array().unwrap().iter().all(|f| f["triangle"].as_u64().unwrap() > 1));

@@ -4,7 +4,8 @@
 //!
 //! ```text
 //! SIGHTLINE_SOAK_SECONDS=3600 cargo test --workspace --test soak -- --nocapture
-//! SIGHTLINE_SOAK_SECONDS=900 SIGHTLINE_SOAK_TRIANGLES=400000 cargo test --workspace --test soak -- --nocapture
+//! export SIGHTLINE_SOAK_SECONDS=900 SIGHTLINE_SOAK_TRIANGLES=400000
+//! cargo test --workspace --test soak -- --nocapture
 //! ```
 //! Without a time it takes half a minute. With triangles, each cell sees a random half of so many, which
 //! makes outputs of 50 kB and results of 13 MB.
@@ -248,8 +249,8 @@ fn memory_and_files_stay_as_they_are_under_load() {
     );
     assert!(count(&seen.done) > 5 && count(&seen.cancelled) > 0, "nothing happened");
     let (before, after) = (of(early), of(late));
-    // The store's cache, the last events and what the allocator keeps back grow to their bounds; a leak of the
-    // hour-long run is far more.
+    // The store's cache, the last events and what the allocator keeps back grow to their bounds; a leak of
+    // the hour-long run is far more.
     assert!(after.0 < before.0 + 24_576, "memory grew from {} to {} kB", before.0, after.0);
     assert!(after.1 < before.1 + 40, "open files grew from {} to {}", before.1, after.1);
     assert!(after.2 < before.2 + 8, "threads grew from {} to {}", before.2, after.2);

@@ -11,8 +11,11 @@ const KEPT: usize = 2;
 #[derive(Default)]
 pub struct ReceiverCache {
     // The most recently used ones are last.
-    kept: tokio::sync::Mutex<Vec<([u8; 32], u32, Arc<Receivers>)>>,
+    kept: tokio::sync::Mutex<Vec<Kept>>,
 }
+
+/// Receivers with their digest and the number of triangles.
+type Kept = ([u8; 32], u32, Arc<Receivers>);
 
 impl ReceiverCache {
     /// The receivers with `digest` on a scene of so many triangles; `fetch` is called when they are not in

@@ -61,7 +61,8 @@ pub struct AmbientArgs {
     #[arg(long, value_enum, default_value_t = To::Texture, conflicts_with = "points")]
     pub to: To,
     /// Side of a texel, in units of the scene.
-    #[arg(long, value_name = "SIZE", conflicts_with_all = ["points", "resolution"], allow_hyphen_values = true)]
+    #[arg(long, value_name = "SIZE", allow_hyphen_values = true)]
+    #[arg(conflicts_with_all = ["points", "resolution"])]
     pub texel: Option<f64>,
     /// Side of the texture in texels, 16 to 16384. Default without --texel: 1024.
     #[arg(long, value_name = "PX", conflicts_with = "points")]
@@ -94,7 +95,8 @@ pub struct AmbientArgs {
     #[arg(long, value_enum, default_value_t = FalloffChoice::None)]
     pub falloff: FalloffChoice,
     /// Threads, for points. Default: one per core.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), requires = "points")]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(requires = "points")]
     pub threads: Option<u16>,
     /// Workers in this process, 1 to 256. Default: one per core.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]

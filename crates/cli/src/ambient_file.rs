@@ -64,8 +64,8 @@ pub fn run(args: &AmbientArgs, path: &Path, json: bool) -> Result<(), CliError> 
     };
     if openness.missing() > 0 {
         return Err(CliError::Job(format!(
-            "{} of {} points have no openness, because their tiles failed; nothing is written. The same command \
-             tries them again",
+            "{} of {} points have no openness, because their tiles failed; nothing is written. The same \
+             command tries them again",
             openness.missing(),
             receivers.len()
         )));

@@ -105,7 +105,7 @@ impl Openness {
         let values = floats(values, (points as usize).saturating_mul(numbers as usize))?;
         let openness = Self { numbers, values, bound };
         let is_right = |value: &f32| value.is_nan() || (0.0..=1.0).contains(value);
-        if !openness.values.iter().all(is_right) || !(bound >= 0.0 && bound.is_finite()) {
+        if !(openness.values.iter().all(is_right) && bound >= 0.0 && bound.is_finite()) {
             return Err(OpennessError("a number of it is not between 0 and 1"));
         }
         if openness.missing() != missing {

@@ -271,7 +271,7 @@ fn read(bytes: &[u8], take: &mut dyn FnMut(Receiver, usize)) -> Result<(Asked, V
     }
     let distance = r.f64()?;
     // Not a number is refused, too.
-    if !(distance > 0.0) {
+    if distance.is_nan() || distance <= 0.0 {
         return Err(Job("distance is not above 0; give a length in the scene's units, or inf"));
     }
     let [falloff] = r.take()?;
@@ -356,7 +356,7 @@ mod tests {
         let receiver = |i: u32| Receiver {
             point: [f64::from(i), 0.5, -3.0],
             normal: [0.0, 0.0, 2.0],
-            triangle: (i % 3 > 0).then_some(i % 7),
+            triangle: (!i.is_multiple_of(3)).then_some(i % 7),
         };
         let asked = Asked { distance: 2.0, falloff: Falloff::None, lights: Vec::new() };
         Receivers { asked, blocks: blocks.to_vec(), receivers: (0..all).map(receiver).collect() }

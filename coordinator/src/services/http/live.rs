@@ -131,7 +131,7 @@ async fn tell_job(site: Arc<Site>, caller: Option<Caller>, id: JobId, out: Out) 
         let Ok(now) = blocking(c, standings).await else { return };
         let tiles = changed_tiles(&before, &now);
         let (events, upto) = c.chronicle.after(Some(id), after, EVENTS);
-        let events: Vec<v1::Event> = events.iter().map(|event| wire::event(event)).collect();
+        let events: Vec<v1::Event> = events.iter().map(wire::event).collect();
         let Ok(events) = serde_json::to_string(&events) else { return };
         if !say(&out, "job", &format!(r#"{{"job":{job},"tiles":{tiles},"events":{events}}}"#)).await {
             return;
@@ -195,7 +195,7 @@ pub(super) async fn events(
     Query(since): Query<Since>,
 ) -> Response {
     let (events, next) = site.coordinator.chronicle.after(Some(JobId(job)), since.after, 10 * EVENTS);
-    let events: Vec<v1::Event> = events.iter().map(|event| wire::event(event)).collect();
+    let events: Vec<v1::Event> = events.iter().map(wire::event).collect();
     match serde_json::to_string(&events) {
         Ok(events) => json(format!(r#"{{"events":{events},"next":{next}}}"#)),
         Err(e) => failure(&Status::internal(e.to_string())),
