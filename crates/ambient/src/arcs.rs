@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 
 use glam::DVec3;
 
-use crate::lambert::{Cap, Covered};
+use crate::lambert::{Cap, Covered, crossing};
 use crate::polygon::Corner;
 
 /// A piece of a border, which turns to the left as seen from outside of the sphere.
@@ -43,16 +43,18 @@ pub fn common(corners: &[Corner], cap: &Cap) -> Vec<Piece> {
         let length = libm::atan2(v.at.cross(next).length(), v.at.dot(next));
         let (mut from, mut to) = (0.0, length);
         if covered == Covered::Part {
-            // Inside of a cap is one stretch of a great circle: R cos(t − middle) > cosine.
-            let (a, b) = (cap.axis.dot(v.at), cap.axis.dot(way));
-            let size = (a * a + b * b).sqrt();
-            if size <= cap.cosine {
-                continue;
-            }
-            let (middle, half) = (libm::atan2(b, a), libm::acos(cap.cosine / size));
-            // Neither is longer than half a turn, so that only one of the two can overlap the border.
-            let middle = if middle + half < 0.0 { middle + TAU } else { middle };
-            (from, to) = (f64::max(middle - half, 0.0), f64::min(middle + half, length));
+            // The inside of a cap is one stretch of a great circle, at most half a turn, between two
+            // crossings.
+            let Some([p, q]) = crossing(v.border, 0.0, cap.axis, cap.cosine) else { continue };
+            let angle = |p: DVec3| libm::atan2(way.dot(p), v.at.dot(p));
+            let (one, two) = (angle(p), angle(q));
+            let middle = libm::atan2(way.dot(cap.axis), v.at.dot(cap.axis));
+            // The end before the middle, and the one after it.
+            let past = |t: f64| (t - middle).rem_euclid(TAU);
+            let after = past(one).min(past(two));
+            let before = TAU - past(one).max(past(two));
+            let middle = if middle + after < 0.0 { middle + TAU } else { middle };
+            (from, to) = (f64::max(middle - before, 0.0), f64::min(middle + after, length));
         }
         if to > from {
             let (sin, cos) = libm::sincos(from);
@@ -69,16 +71,10 @@ pub fn common(corners: &[Corner], cap: &Cap) -> Vec<Piece> {
 /// The angles at which the cap's circle lies inside of a polygon.
 fn circle(corners: &[Corner], cap: &Cap) -> Vec<[f64; 2]> {
     let (u, v) = cap.across();
-    let (cos_a, sin_a) = (cap.cosine, cap.sine());
     let mut cuts: Vec<f64> = Vec::new();
     for c in corners {
-        let (height, a, b) =
-            (c.border.dot(cap.axis) * cos_a, c.border.dot(u) * sin_a, c.border.dot(v) * sin_a);
-        let size = (a * a + b * b).sqrt();
-        if size > height.abs() {
-            let (middle, half) = (libm::atan2(b, a), libm::acos(-height / size));
-            cuts.extend([middle - half, middle + half].map(|t| t.rem_euclid(TAU)));
-        }
+        let found = crossing(c.border, 0.0, cap.axis, cap.cosine);
+        cuts.extend(found.into_iter().flatten().map(|p| libm::atan2(v.dot(p), u.dot(p)).rem_euclid(TAU)));
     }
     cuts.sort_unstable_by(f64::total_cmp);
     let ends: Vec<[f64; 2]> = match (cuts.first(), cuts.last()) {

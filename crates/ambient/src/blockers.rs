@@ -16,67 +16,76 @@ struct Polygon {
     count: u32,
     /// A triangle of it, the first.
     triangle: u32,
+    /// The surface it belongs to.
+    surface: u32,
 }
+
+/// Surfaces of masked triangles have numbers from here on: each is one by itself.
+const MASKED: u32 = 1 << 31;
 
 /// The polygons of a scene that hide, in a fixed order.
 pub struct Blockers {
     corners: Vec<DVec3>,
     polygons: Vec<Polygon>,
-    /// The polygon of each triangle, if it has an area and hides.
+    /// The surface of each triangle that hides: the coplanar neighbours that are joined to it.
     of: Vec<Option<u32>>,
     bvh: Bvh,
 }
 
 impl Blockers {
-    /// The polygons of a scene: coplanar neighbours joined while they are convex, else its triangles.
+    /// The polygons of a scene: coplanar neighbours joined while they are convex; or its triangles by
+    /// themselves, with the surfaces of those that were joined.
     ///
-    /// # Errors
-    /// When the scene has more corners than can be numbered.
-    pub fn new(scene: &Scene, joined: bool) -> Result<Self, SceneError> {
+    /// # Errors When the scene has more corners than can be numbered.
+    pub fn new(scene: &Scene, joined: Option<&Self>) -> Result<Self, SceneError> {
         let (mut corners, mut polygons) = (Vec::new(), Vec::new());
         let mut of = vec![None; scene.triangles().len()];
-        let mut add = |outline: &[Vec3], triangle: u32| {
+        let mut add = |outline: &[Vec3], triangle: u32, surface: u32| {
             let first = corners.len() as u32;
             let n = outline.len();
             // Corners on the line through their neighbours bound nothing.
             let bent =
                 (0..n).filter(|i| !collinear(outline[(i + n - 1) % n], outline[*i], outline[(i + 1) % n]));
             corners.extend(bent.map(|i| outline[i].as_dvec3()));
-            polygons.push(Polygon { first, count: corners.len() as u32 - first, triangle });
+            polygons.push(Polygon { first, count: corners.len() as u32 - first, triangle, surface });
         };
-        if joined {
+        if let Some(joined) = joined {
+            of.clone_from(&joined.of);
+            for t in (0..scene.len()).filter(|t| scene.blocks(*t)) {
+                add(&scene.triangles()[t as usize].v, t, of[t as usize].unwrap_or(MASKED | t));
+            }
+        } else {
             let occluders = Occluders::from_both_sides(scene)?;
             for id in 0..occluders.count() as u32 {
                 let occluder = occluders.occluder(OccluderId(id));
-                add(&occluder.outline(), occluder.triangles[0].triangle);
+                add(&occluder.outline(), occluder.triangles[0].triangle, id);
             }
-            for (t, polygon) in of.iter_mut().enumerate() {
-                *polygon = occluders.of(t as u32).map(|id| id.0);
-            }
-        } else {
-            for (t, triangle) in scene.triangles().iter().enumerate().filter(|(t, _)| scene.blocks(*t as u32))
-            {
-                add(&triangle.v, t as u32);
-            }
-            for (k, p) in polygons.iter().enumerate() {
-                of[p.triangle as usize] = Some(k as u32);
+            for (t, surface) in of.iter_mut().enumerate() {
+                *surface = occluders.of(t as u32).map(|id| id.0);
             }
         }
+        let mut texels = 0.0;
         for t in 0..scene.len() {
             let Some((mask, of_corners)) = scene.masks().of(t) else { continue };
             let v = scene.triangles()[t as usize].v.map(Vec3::as_dvec3);
-            let Some(found) = masked::polygons(v, mask, of_corners) else {
+            let Some(found) = masked::polygons(v, mask, of_corners, &mut texels) else {
                 return Err(SceneError::bad(
                     "scene",
                     format!("triangle {t}"),
-                    "its alpha texture is repeated so often that it has more than 16 million texels on it",
-                    "leave --alpha-textures out, or cut the triangle",
+                    "with it, masked triangles have more than 268 million texels of alpha textures on them",
+                    "leave --alpha-textures out, or use smaller textures",
                 ));
             };
+            of[t as usize] = Some(MASKED | t);
             for polygon in found {
                 let first = corners.len() as u32;
                 corners.extend(&polygon);
-                polygons.push(Polygon { first, count: polygon.len() as u32, triangle: t });
+                polygons.push(Polygon {
+                    first,
+                    count: polygon.len() as u32,
+                    triangle: t,
+                    surface: MASKED | t,
+                });
             }
         }
         let boxes: Vec<Aabb> = polygons
@@ -104,9 +113,14 @@ impl Blockers {
         self.polygons[polygon as usize].triangle
     }
 
-    /// The polygon that a triangle is part of, if it hides.
+    /// The surface that a triangle is part of, if it hides.
     pub fn of(&self, triangle: u32) -> Option<u32> {
         self.of.get(triangle as usize).copied().flatten()
+    }
+
+    /// The surface that a polygon is part of.
+    pub fn surface(&self, polygon: u32) -> u32 {
+        self.polygons[polygon as usize].surface
     }
 
     /// The hierarchy over the polygons.

@@ -3,7 +3,7 @@
 
 use glam::DVec3;
 
-use crate::items::{Items, Reach, What};
+use crate::items::{Face, Items, Reach, What};
 use crate::lambert::{Cap, Covered};
 use crate::partition::{Grown, Node, Partition, plane};
 use crate::polygon::{Corner, Plane, Side, side, split};
@@ -156,19 +156,16 @@ impl Rays<'_, '_> {
                         let ahead = self.ahead(face, x);
                         match reach {
                             Reach::Distance(distance) => {
-                                let cap = Cap { axis: ahead.normal, cosine: ahead.height / distance };
-                                let covered = match cap.cosine < 1.0 {
-                                    true => cap.covers(&scratch.current),
-                                    false => Covered::None,
-                                };
+                                let (cap, unsure) = ahead.cap(distance);
+                                let covered = cap.map_or(Covered::None, |cap| cap.covers(&scratch.current));
                                 if covered != Covered::None {
                                     ends.met(face, &scratch.current);
                                 }
                                 if covered == Covered::All {
                                     break;
                                 }
-                                if covered == Covered::Part {
-                                    bound += 4.0 * (ahead.error + self.source.slack / distance);
+                                if let (Covered::Part, Some(cap)) = (covered, cap) {
+                                    bound += unsure;
                                     caps = add(cap, caps, scratch, &mut bound);
                                 }
                                 node = beyond;
@@ -176,7 +173,9 @@ impl Rays<'_, '_> {
                             Reach::Light { normal, at, .. } => {
                                 let height = normal.dot(at - x);
                                 let normal = normal * height.signum();
-                                let light = Ahead { normal, height: height.abs(), error: 8.0 * U };
+                                let d = (at - x).length();
+                                let error = [8.0 * U, 8.0 * U * d + self.source.slack];
+                                let light = Ahead { normal, height: height.abs(), error };
                                 let plane = before(ahead, light);
                                 match side(&plane, &scratch.current, &mut scratch.values) {
                                     Side::Inside(_) => {
@@ -208,33 +207,49 @@ impl Rays<'_, '_> {
         bound
     }
 
-    /// A face's plane as seen from a point.
     fn ahead(&self, face: u32, x: DVec3) -> Ahead {
-        let f = self.items.face(face);
-        let size = f.normal.length();
-        let height = f.normal.dot(f.at - x) / size;
-        Ahead {
-            normal: f.normal * (height.signum() / size),
-            height: height.abs(),
-            error: f.error / size + 4.0 * U,
-        }
+        Ahead::of(self.items.face(face), x, self.source.slack)
     }
 }
 
-/// A plane ahead of a point: its unit normal away from the point, its distance, and the relative error of
-/// both.
+/// A plane ahead of a point.
 #[derive(Clone, Copy)]
-struct Ahead {
-    normal: DVec3,
-    height: f64,
-    error: f64,
+pub struct Ahead {
+    /// Its unit normal, away from the point.
+    pub normal: DVec3,
+    /// Its distance.
+    pub height: f64,
+    /// Bounds on the errors of the normal and of the distance.
+    error: [f64; 2],
+}
+
+impl Ahead {
+    /// A face's plane as seen from a point that is off by at most a slack.
+    pub fn of(face: &Face, x: DVec3, slack: f64) -> Self {
+        let (size, d) = (face.normal.length(), face.at - x);
+        let height = face.normal.dot(d) / size;
+        let of_normal = face.error / size + 4.0 * U;
+        let error = [of_normal, of_normal * d.length() + slack];
+        Self { normal: face.normal * (height.signum() / size), height: height.abs(), error }
+    }
+
+    /// The directions in which it is nearer than a distance, unless there is none, and the bound on the
+    /// cosine-weighted area, divided by π, that the errors can add or take.
+    pub fn cap(&self, distance: f64) -> (Option<Cap>, f64) {
+        let cap = Cap { axis: self.normal, cosine: self.height / distance };
+        // A circle is at most 2π long; its radius changes by less than the error of its cosine by its sine,
+        // and a circle that is small is short.
+        ((cap.cosine < 1.0).then_some(cap), 4.0 * (self.error[0] + self.error[1] / distance))
+    }
 }
 
 /// The directions in which one plane is met before another: those with m·ω > 0, as the distances to the
 /// planes along ω are height / (normal·ω).
 fn before(one: Ahead, other: Ahead) -> Plane {
     let m = one.normal * other.height - other.normal * one.height;
-    Plane { m, error: (one.height + other.height) * (one.error + other.error + 8.0 * U) }
+    let of_normals = one.error[0] * other.height + other.error[0] * one.height;
+    let of_heights = one.error[1] + other.error[1];
+    Plane { m, error: of_normals + of_heights + 8.0 * U * (one.height + other.height) }
 }
 
 /// Divides the current part by a plane: the inner part goes on at the first node, the outer one waits at the

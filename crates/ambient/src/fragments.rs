@@ -4,7 +4,7 @@
 use glam::DVec3;
 
 use crate::arcs::outline;
-use crate::descend::{Ends, Rays, Scratch};
+use crate::descend::{Ahead, Ends, Rays, Scratch};
 use crate::falloff;
 use crate::items::Face;
 use crate::lambert::{Cap, Covered, cosine, cosine_without};
@@ -41,6 +41,7 @@ pub enum Falloff {
 struct Collect<'a, F: Fn(u32) -> Face> {
     n: DVec3,
     x: DVec3,
+    slack: f64,
     distance: f64,
     falloff: Falloff,
     answer: Openness,
@@ -59,25 +60,26 @@ impl<F: Fn(u32) -> Face> Ends for Collect<'_, F> {
     fn met(&mut self, face: u32, part: &[Corner]) {
         self.answer.parts += 1;
         let f = (self.face)(face);
-        let size = f.normal.length();
-        let height = f.normal.dot(f.at - self.x) / size;
-        let axis = f.normal * (height.signum() / size);
-        let cap = Cap { axis, cosine: height.abs() / self.distance };
+        let (cap, unsure) = Ahead::of(&f, self.x, self.slack).cap(self.distance);
         let whole = cosine(self.n, part);
-        let covered = if cap.cosine < 1.0 { cap.covers(part) } else { Covered::None };
-        if covered == Covered::None {
+        let covered = cap.map_or(Covered::None, |cap| cap.covers(part));
+        let (Some(cap), Covered::Part | Covered::All) = (cap, covered) else {
             self.answer.open += whole;
             return;
-        }
+        };
         let beyond = match covered {
-            Covered::Part => cosine_without(self.n, part, &[cap], self.cuts),
+            Covered::Part => {
+                self.answer.bound += unsure;
+                cosine_without(self.n, part, &[cap], self.cuts)
+            }
             _ => 0.0,
         };
         self.answer.open += beyond;
         if self.falloff == Falloff::Sqrt {
             let (counts, error) = falloff::counts(self.n, part, &cap);
             self.answer.open += counts;
-            self.answer.bound += error;
+            // The root of the height by the distance changes by half as much again.
+            self.answer.bound += error + unsure;
         }
         self.answer.occluders += u32::from(self.seen.is_new(face));
         if let Some(fragments) = &mut self.fragments {
@@ -110,6 +112,7 @@ pub fn first(
     let mut collect = Collect {
         n,
         x,
+        slack: rays.source.slack,
         distance,
         falloff,
         answer: Openness::default(),

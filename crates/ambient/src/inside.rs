@@ -14,6 +14,8 @@ const TRIES: u32 = 8;
 /// The closed solids of a scene: surfaces whose normals all point out.
 pub struct Inside {
     triangles: Vec<[Vec3; 3]>,
+    /// Their numbers in the scene.
+    ids: Vec<u32>,
     bvh: Bvh,
     bounds: Aabb,
 }
@@ -26,12 +28,12 @@ impl Inside {
     pub fn new(scene: &Scene) -> Result<Self, SceneError> {
         let solids = Solids::of(scene)?;
         let outer = |id: u32| scene.blocks(id) && solids.outward(id) == Some(1.0);
-        let ids = (0..scene.triangles().len() as u32).filter(|id| outer(*id));
-        let triangles: Vec<[Vec3; 3]> = ids.map(|id| scene.triangles()[id as usize].v).collect();
+        let ids: Vec<u32> = (0..scene.len()).filter(|id| outer(*id)).collect();
+        let triangles: Vec<[Vec3; 3]> = ids.iter().map(|id| scene.triangles()[*id as usize].v).collect();
         let boxes: Vec<Aabb> = triangles.iter().map(|t| Aabb::around(t.iter().copied())).collect();
         let bounds = boxes.iter().fold(Aabb::EMPTY, |all: Aabb, b| all.union(*b));
         let order = (0..triangles.len() as u32).collect();
-        Ok(Self { bvh: Bvh::new(boxes, order), triangles, bounds })
+        Ok(Self { bvh: Bvh::new(boxes, order), triangles, ids, bounds })
     }
 
     /// Whether a receiver, a hair above its surface, is inside of a solid. A line from it leaves as many
@@ -54,9 +56,11 @@ impl Inside {
             near.clear();
             let size = x.abs().max_element() + away;
             self.bvh.along(x, x + way, size * 1e-12, &mut near);
-            let leaves = near
-                .iter()
-                .try_fold(0i64, |sum, t| Some(sum + crossing(&self.triangles[*t as usize], x, way)?));
+            // The point is above its own triangle, wherever rounding put it.
+            let others = near.iter().filter(|t| receiver.triangle != Some(self.ids[**t as usize]));
+            let leaves = others
+                .copied()
+                .try_fold(0i64, |sum, t| Some(sum + crossing(&self.triangles[t as usize], x, way)?));
             leaves.map(|leaves| leaves > 0)
         }) == Some(true)
     }

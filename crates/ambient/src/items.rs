@@ -125,7 +125,7 @@ pub struct Items<'a> {
     blockers: &'a Blockers,
     source: &'a Source,
     reach: Reach,
-    /// A polygon that hides nothing.
+    /// A surface that hides nothing.
     own: Option<u32>,
     points: Vec<DVec3>,
     items: Vec<Item>,
@@ -298,7 +298,7 @@ impl<'a> Items<'a> {
     }
 
     fn add_face(&mut self, polygon: u32) -> Option<u32> {
-        if self.own == Some(polygon) {
+        if self.own == Some(self.blockers.surface(polygon)) {
             return None;
         }
         let origin = self.source.origin;

@@ -110,14 +110,29 @@ impl Cap {
     }
 }
 
-/// The angles at which c + a cos t + b sin t changes its sign, if it does.
-fn crossings(c: f64, a: f64, b: f64) -> Option<[f64; 2]> {
-    let size = (a * a + b * b).sqrt();
-    if size <= c.abs() {
+/// Circles that come nearer to a tangency than this, as a share of what it takes, are taken not to cross.
+/// What such two cut off each other is less than the power 3/2 of it.
+const TANGENT: f64 = 1e-10;
+
+/// The directions p with a·p = `at_a` and b·p = `at_b`, for unit vectors a and b: where two circles cross.
+///
+/// Both circles take the same two directions, so that a border that leaves one of them goes on along the
+/// other from where it left. Angles that each circle finds by itself differ by the root of a rounding near a
+/// tangency.
+pub fn crossing(a: DVec3, at_a: f64, b: DVec3, at_b: f64) -> Option<[DVec3; 2]> {
+    let across = a.cross(b);
+    let size = across.length_squared();
+    // p = along + across t with along in the plane of a and b: x a + y b with x + g y = at_a and g x + y =
+    // at_b.
+    let g = a.dot(b);
+    let along = (a * (at_a - g * at_b) + b * (at_b - g * at_a)) / size;
+    let rest = 1.0 - along.length_squared();
+    let least = TANGENT * f64::min(1.0 - at_a * at_a, 1.0 - at_b * at_b);
+    if !(size > 0.0 && rest > least) {
         return None;
     }
-    let (middle, half) = (libm::atan2(b, a), libm::acos((-c / size).clamp(-1.0, 1.0)));
-    Some([middle - half, middle + half])
+    let reach = across * (rest / size).sqrt();
+    Some([along - reach, along + reach])
 }
 
 /// An angle between 0 and 2π.
@@ -136,7 +151,7 @@ pub fn cosine_without(n: DVec3, corners: &[Corner], caps: &[Cap], scratch: &mut 
     for (i, v) in corners.iter().enumerate() {
         let w = corners[if i + 1 == corners.len() { 0 } else { i + 1 }].at;
         let length = angle(v.at.cross(w).length(), v.at.dot(w));
-        sum += n.dot(v.border) * outside(v.at, v.border.cross(v.at), length, caps, scratch);
+        sum += n.dot(v.border) * outside(v, length, caps, scratch);
     }
     for k in 0..caps.len() {
         sum -= border(n, corners, caps, k, scratch);
@@ -145,13 +160,13 @@ pub fn cosine_without(n: DVec3, corners: &[Corner], caps: &[Cap], scratch: &mut 
     (sum / TAU).clamp(0.0, whole.max(0.0))
 }
 
-/// The length of the part outside of all caps of the arc v cos s + w sin s with 0 ≤ s ≤ `length`.
-fn outside(v: DVec3, w: DVec3, length: f64, caps: &[Cap], cuts: &mut Vec<f64>) -> f64 {
+/// The length of the part outside of all caps of the border that starts at a corner.
+fn outside(corner: &Corner, length: f64, caps: &[Cap], cuts: &mut Vec<f64>) -> f64 {
+    let (v, w) = (corner.at, corner.border.cross(corner.at));
     cuts.clear();
     for cap in caps {
-        let (a, b) = (cap.axis.dot(v), cap.axis.dot(w));
-        for t in crossings(-cap.cosine, a, b).into_iter().flatten() {
-            let t = turned(t);
+        for p in crossing(corner.border, 0.0, cap.axis, cap.cosine).into_iter().flatten() {
+            let t = turned(libm::atan2(w.dot(p), v.dot(p)));
             if t < length {
                 cuts.push(t);
             }
@@ -178,20 +193,16 @@ fn border(n: DVec3, corners: &[Corner], caps: &[Cap], k: usize, cuts: &mut Vec<f
     let (u, v) = cap.across();
     let (cos_a, sin_a) = (cap.cosine, cap.sine());
     let edges = || corners.iter().map(|c| c.border);
+    let others = || caps.iter().enumerate().filter(|(j, _)| *j != k);
     cuts.clear();
+    let mut cut = |p: DVec3| cuts.push(turned(libm::atan2(v.dot(p), u.dot(p))));
     for m in edges() {
-        cuts.extend(
-            crossings(m.dot(cap.axis) * cos_a, m.dot(u) * sin_a, m.dot(v) * sin_a)
-                .into_iter()
-                .flatten()
-                .map(turned),
-        );
+        crossing(m, 0.0, cap.axis, cap.cosine).into_iter().flatten().for_each(&mut cut);
     }
-    let others = || caps.iter().enumerate().filter(|(j, _)| *j != k).map(|(_, other)| other);
-    for other in others() {
-        let c = other.axis.dot(cap.axis) * cos_a - other.cosine;
-        let found = crossings(c, other.axis.dot(u) * sin_a, other.axis.dot(v) * sin_a);
-        cuts.extend(found.into_iter().flatten().map(turned));
+    for (j, other) in others() {
+        // In the same order from both sides.
+        let (one, two) = if j < k { (other, &cap) } else { (&cap, other) };
+        crossing(one.axis, one.cosine, two.axis, two.cosine).into_iter().flatten().for_each(&mut cut);
     }
     cuts.sort_unstable_by(f64::total_cmp);
     // From the last cut round to the first.
@@ -203,7 +214,8 @@ fn border(n: DVec3, corners: &[Corner], caps: &[Cap], k: usize, cuts: &mut Vec<f
     for to in cuts.iter().copied() {
         let (sin, cos) = libm::sincos(0.5 * (from + to));
         let middle = cap.axis * cos_a + (u * cos + v * sin) * sin_a;
-        if edges().all(|m| m.dot(middle) > 0.0) && others().all(|other| other.axis.dot(middle) < other.cosine)
+        if edges().all(|m| m.dot(middle) > 0.0)
+            && others().all(|(_, other)| other.axis.dot(middle) < other.cosine)
         {
             // ∫ r × dr = axis sin²a Δt − cos a sin a (u Δsin − v Δcos).
             let half = 0.5 * (to - from);

@@ -16,7 +16,7 @@ struct Corner {
 
 /// The polygons of the texels of a triangle that block: rows of neighbours, and rows of equal extent joined.
 /// None when the triangle lies over too many texels.
-pub fn polygons(v: [DVec3; 3], mask: &Mask, of: &Coordinates) -> Option<Vec<Vec<DVec3>>> {
+pub fn polygons(v: [DVec3; 3], mask: &Mask, of: &Coordinates, texels: &mut f64) -> Option<Vec<Vec<DVec3>>> {
     let size = mask.size().map(f64::from);
     let corners: [Corner; 3] = std::array::from_fn(|k| {
         let texel = std::array::from_fn(|a| f64::from(of[k][a]) * size[a]);
@@ -29,7 +29,8 @@ pub fn polygons(v: [DVec3; 3], mask: &Mask, of: &Coordinates) -> Option<Vec<Vec<
         (min.floor(), (max.floor() + 1.0 - min.floor()).max(1.0))
     };
     let ((x0, width), (y0, height)) = (range(0), range(1));
-    let few = width * height <= MOST_TEXELS;
+    *texels += width * height;
+    let few = *texels <= MOST_TEXELS;
     if !few {
         return None;
     }

@@ -19,12 +19,16 @@ pub struct Corner {
     pub border: DVec3,
 }
 
-/// The polygon of some corners, none of which is on the border between its neighbours.
+/// The polygon of some corners, none of which is on the border between its neighbours. Corners that are the
+/// next one but for rounding are left out.
 pub fn polygon(corners: &[DVec3]) -> Vec<Corner> {
     let n = corners.len();
-    (0..n)
-        .map(|i| Corner { at: corners[i], border: corners[i].cross(corners[(i + 1) % n]).normalize() })
-        .collect()
+    let next = |i: usize| corners[if i + 1 == n { 0 } else { i + 1 }];
+    let corner = |i: usize| {
+        let border = corners[i].cross(next(i)).try_normalize()?;
+        Some(Corner { at: corners[i], border })
+    };
+    (0..n).filter_map(corner).collect()
 }
 
 /// A plane through the point: the directions ω with m·ω = 0. `m` is not of unit length.

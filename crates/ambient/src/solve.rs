@@ -89,11 +89,9 @@ impl Prepared {
     /// # Errors
     /// When the scene has more corners than can be numbered, or an alpha texture is repeated too often.
     pub fn new(scene: &Scene, fragments: bool) -> Result<Self, SceneError> {
-        Ok(Self {
-            joined: Blockers::new(scene, true)?,
-            single: fragments.then(|| Blockers::new(scene, false)).transpose()?,
-            inside: Inside::new(scene)?,
-        })
+        let joined = Blockers::new(scene, None)?;
+        let single = fragments.then(|| Blockers::new(scene, Some(&joined))).transpose()?;
+        Ok(Self { joined, single, inside: Inside::new(scene)? })
     }
 
     /// Whether a receiver, a hair above its surface, is inside of a closed solid.
@@ -141,6 +139,8 @@ impl<'a> Solver<'a> {
         let blocks = self.blocks(receivers);
         let answers: Vec<Vec<Answer>> = blocks
             .par_iter()
+            // Some take much longer than others.
+            .with_max_len(1)
             .map_init(Memory::default, |memory, block| {
                 let receivers: Vec<Receiver> = block.iter().map(|i| receivers[*i as usize]).collect();
                 let answers = self.block(&receivers, memory);
@@ -155,10 +155,13 @@ impl<'a> Solver<'a> {
         all
     }
 
-    /// Answers for the receivers of one block, in their order. The first one's triangle is taken for all.
+    /// Answers for the receivers of one block, in their order. Those on different surfaces share nothing.
     pub fn block(&self, receivers: &[Receiver], memory: &mut Memory) -> Vec<Answer> {
         let mut answers = Vec::new();
-        let mut waiting = vec![receivers];
+        let surface = |r: &Receiver| r.triangle.and_then(|t| self.prepared.joined.of(t));
+        let runs = receivers.chunk_by(|a, b| surface(a) == surface(b));
+        let mut waiting: Vec<&[Receiver]> = runs.collect();
+        waiting.reverse();
         while let Some(part) = waiting.pop() {
             let before = answers.len();
             self.part(part, memory, &mut answers);
@@ -177,7 +180,7 @@ impl<'a> Solver<'a> {
         let joined = &self.prepared.joined;
         let blockers = self.prepared.single.as_ref().filter(|_| fragments).unwrap_or(joined);
         let source = Source::around(receivers);
-        let own = receivers.first().and_then(|r| r.triangle).and_then(|t| blockers.of(t));
+        let own = receivers.first().and_then(|r| r.triangle).and_then(|t| joined.of(t));
         let mut items = Items::new(blockers, &source, Reach::Distance(distance), own);
         let root = items.begin(self.settings.open_above());
         let mut tree = Partition::new(if union { Tells::Union } else { Tells::First }, root);

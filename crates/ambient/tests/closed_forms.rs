@@ -9,7 +9,7 @@ use sightline_ambient::Falloff;
 use sightline_ambient::Light;
 use sightline_ambient::Openness;
 use sightline_ambient::Receiver;
-use sightline_ambient::{Answer, Prepared, Settings, Solver};
+use sightline_ambient::{Answer, Memory, Prepared, Settings, Solver};
 use sightline_scene::{Object, Scene, Triangle};
 
 /// How near a value has to be: coordinates of scenes are rounded to single precision.
@@ -352,4 +352,105 @@ fn points_in_a_closed_solid_are_inside() {
     assert!(at(&solid, DVec3::new(0.1, 0.2, 1.0), DVec3::NEG_Z));
     // A room is no solid.
     assert!(!at(&room, DVec3::new(0.1, 0.2, 0.3), DVec3::Z));
+}
+
+/// Asserts that a value is right to its own bound, for coordinates that single precision holds.
+fn assert_bounded(answer: &Answer, expected: f64) {
+    let Openness { open, bound, .. } = answer.openness;
+    assert!((open - expected).abs() <= bound + 1e-15, "{open} is off by {:e}, {bound:e}", open - expected);
+}
+
+#[test]
+fn circles_that_touch_borders_are_right_to_their_bounds() {
+    // A ceiling at the height 3 that ends at x = 4, where the circle of the distance 5 does.
+    let ceiling = rectangle([-32.0, -32.0, 3.0], [4.0, 32.0, 3.0]);
+    for fragments in [false, true] {
+        let settings = Settings { fragments, ..Settings::new(5.0) };
+        assert_bounded(&answer(&ceiling, settings, up()), 0.36);
+    }
+    // Two ceilings whose circles touch each other.
+    let tilted = quad(DVec3::new(-64.0, -64.0, -45.0), DVec3::Y * 128.0, DVec3::new(64.0, 0.0, 48.0));
+    let both = [ceiling, tilted.to_vec()].concat();
+    let joint = answer(&both, Settings::new(5.0), up());
+    assert!(joint.openness.open <= 0.36 + joint.openness.bound);
+}
+
+#[test]
+fn large_planes_close_by_are_right_to_their_bounds() {
+    let (d, height) = (0.125, 0.0625);
+    let plane = [[
+        DVec3::new(-16384.0, -8192.0, height),
+        DVec3::new(16384.0, -8192.0, height),
+        DVec3::new(0.0, 16384.0, height),
+    ]];
+    for fragments in [false, true] {
+        let settings = Settings { fragments, ..Settings::new(d) };
+        assert_bounded(&answer(&plane, settings, up()), 0.25);
+    }
+}
+
+#[test]
+fn triangles_that_points_lie_on_hide_nothing_from_them() {
+    // Single precision has no tenth, so that the points are below the quad.
+    let floor = quad(DVec3::new(0.0, 0.0, 0.1), DVec3::X, DVec3::Y);
+    let ceiling = quad(DVec3::new(0.0, 0.0, 0.2), DVec3::X, DVec3::Y);
+    let at = |x: f64, y: f64, z: f64, normal: DVec3, triangle| Receiver {
+        point: DVec3::new(x, y, z),
+        normal,
+        triangle: Some(triangle),
+    };
+    let up = |x, y, triangle| at(x, y, 0.1, DVec3::Z, triangle);
+    for fragments in [false, true] {
+        let settings = Settings { fragments, ..Settings::new(10.0) };
+        let prepared = Prepared::new(&scene(&floor), fragments).unwrap();
+        let solver = Solver::new(&prepared, settings.clone());
+        for answer in solver.solve(&[up(0.7, 0.2, 0), up(0.2, 0.7, 1)], |_| {}) {
+            assert_near(answer.openness.open, 1.0);
+        }
+        // A block that nobody should make: the two surfaces hide each other all the same.
+        let prepared = Prepared::new(&scene(&[floor, ceiling].concat()), fragments).unwrap();
+        let solver = Solver::new(&prepared, settings);
+        let block = [up(0.5, 0.4, 0), at(0.5, 0.4, 0.2, DVec3::NEG_Z, 2)];
+        for answer in solver.block(&block, &mut Memory::default()) {
+            assert!(answer.openness.open < 0.2, "{}", answer.openness.open);
+        }
+    }
+}
+
+#[test]
+fn a_point_on_a_solid_is_not_in_it() {
+    // Its top is at the single-precision tenth, a little above the point.
+    let cube: Vec<[DVec3; 3]> = walls([0.0, 0.0, 0.0], [0.1, 0.1, 0.1])
+        .into_iter()
+        .map(|t| {
+            let outwards =
+                (t[1] - t[0]).cross(t[2] - t[0]).dot(t[0] + t[1] + t[2] - DVec3::splat(0.15)) > 0.0;
+            if outwards { t } else { [t[0], t[2], t[1]] }
+        })
+        .collect();
+    let top = |t: &[DVec3; 3]| {
+        t.iter().all(|v| v.z > 0.09) && (t[0].x - t[1].x).abs() + (t[0].y - t[1].y).abs() > 0.0
+    };
+    let id = cube.iter().position(|t| top(t)).unwrap() as u32;
+    let point = DVec3::new(0.03, 0.05, 0.1);
+    for (triangle, inside) in [(id, false), (id + 1, false)] {
+        // The one of the two that the point is on.
+        let [a, b, c] = cube[triangle as usize];
+        let on = [(a, b), (b, c), (c, a)].iter().all(|(p, q)| (*q - *p).cross(point - *p).z > 0.0);
+        if on {
+            let receiver = Receiver { point, normal: DVec3::Z, triangle: Some(triangle) };
+            assert_eq!(answer(&cube, Settings::new(1.0), receiver).inside, inside);
+        }
+    }
+}
+
+#[test]
+fn a_light_with_corners_close_together_is_hidden_as_any() {
+    let light =
+        Light::new(&[[0.0, 0.0, 10.0], [1.0, 0.0, 10.0], [1.0, 1.0, 10.0], [0.0, 1e-20, 10.0]]).unwrap();
+    let settings = Settings { lights: vec![light], ..Settings::new(1.0) };
+    let wall = rectangle([-5.0, -5.0, 5.0], [5.0, 5.0, 5.0]);
+    assert!(answer(&wall, settings.clone(), up()).lights[0] < 1e-12);
+    let aside = rectangle([50.0, 50.0, 5.0], [51.0, 51.0, 5.0]);
+    assert!(answer(&aside, settings, up()).lights[0] > 1e-3);
 }

@@ -88,3 +88,17 @@ fn a_card_hides_what_its_texels_hide() {
         }
     }
 }
+
+#[test]
+fn a_card_hides_nothing_from_what_lies_on_it() {
+    let prepared = Prepared::new(&masked(), false).unwrap();
+    let solver = Solver::new(&prepared, Settings::new(1.0));
+    // In the first texel, rounded to below the card.
+    let on = |triangle| Receiver {
+        point: DVec3::new(-0.9, 0.9, 1.0 - 0.25 * 0.9 - 1e-9),
+        normal: DVec3::new(-0.25, 0.0, 1.0),
+        triangle,
+    };
+    assert!(solver.solve(&[on(Some(1))], |_| {})[0].openness.open > 0.999);
+    assert!(solver.solve(&[on(None)], |_| {})[0].openness.open < 0.5);
+}

@@ -41,6 +41,8 @@ pub fn run_ambient_tile(
     let solver = Solver::new(prepared, settings);
     let answers: Vec<Option<Vec<Answer>>> = blocks
         .par_iter()
+        // Some take much longer than others.
+        .with_max_len(1)
         .map_init(Memory::default, |memory, block| {
             if watcher.cancelled() {
                 return None;

@@ -13,6 +13,11 @@ const DIAGONAL_BY_DISTANCE: f64 = 20.0;
 
 /// Answers for the points of a file, or puts the occlusion into the scene's own.
 pub fn run(args: &AmbientArgs, json: bool) -> Result<(), CliError> {
+    if args.points.is_none() && (args.fragments || args.lights.is_some() || args.threads.is_some()) {
+        return Err(CliError::Usage(
+            "--fragments, --lights and --threads are for --points; leave them out, or give points".to_owned(),
+        ));
+    }
     match (&args.points, &args.output) {
         (Some(_), Some(_)) => Err(CliError::Usage(
             "--points prints answers and -o writes a file; give one of the two".to_owned(),
@@ -28,6 +33,11 @@ pub fn distance(args: &AmbientArgs, scene: &Scene) -> Result<f64, CliError> {
     let Some(text) = &args.distance else {
         let bounds = scene.bounds();
         let distance = (bounds.max.as_dvec3() - bounds.min.as_dvec3()).length() / DIAGONAL_BY_DISTANCE;
+        if distance <= 0.0 {
+            return Err(CliError::Input(
+                "the scene is a single point, which gives no distance; give --distance".to_owned(),
+            ));
+        }
         say(&format!("distance {distance:.4}, a twentieth of the scene's diagonal; --distance sets another"));
         return Ok(distance);
     };

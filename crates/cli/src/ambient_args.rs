@@ -81,11 +81,11 @@ pub struct AmbientArgs {
     pub points: Option<PathBuf>,
     /// Lights as JSON Lines: {"id":"lamp","polygon":[[x,y,z],…]}, flat and convex, with corners in order.
     /// Each answer tells what share of its hemisphere each light takes, weighted by the cosine.
-    #[arg(long, value_name = "L.jsonl", requires = "points")]
+    #[arg(long, value_name = "L.jsonl")]
     pub lights: Option<PathBuf>,
     /// Tell for each point which triangles it sees first, in which directions, and what each takes of the
     /// hemisphere.
-    #[arg(long, requires = "points")]
+    #[arg(long)]
     pub fragments: bool,
     /// Distance beyond which nothing hides, in units of the scene, or inf. Default: a twentieth of the
     /// scene's diagonal.
@@ -96,7 +96,6 @@ pub struct AmbientArgs {
     pub falloff: FalloffChoice,
     /// Threads, for points. Default: one per core.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    #[arg(requires = "points")]
     pub threads: Option<u16>,
     /// Workers in this process, 1 to 256. Default: one per core.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]

@@ -106,8 +106,10 @@ fn receiver(line: &PointLine, triangles: usize) -> Result<Receiver, String> {
     if !near {
         return Err(format!("point {:?} is not near any scene; give three numbers below 3.4e38", line.point));
     }
+    // Neither the squares of large numbers nor those of small ones can be told.
+    let normal = normal / normal.abs().max_element();
     let size = normal.length();
-    if !(size.is_finite() && size > 1e-150) {
+    if !(size.is_finite() && size > 0.0) {
         return Err(format!("normal {:?} has no direction; give a vector of any length but 0", line.normal));
     }
     if let Some(t) = line.triangle.filter(|t| *t as usize >= triangles) {

@@ -298,8 +298,9 @@ fn read(bytes: &[u8], take: &mut dyn FnMut(Receiver, usize)) -> Result<(Asked, V
     for at in 0..all as u32 {
         let (point, normal, triangle) = (r.point()?, r.point()?, r.u32()?);
         let wrong = |what| Err(ReceiversError::Receiver { at, what });
-        if !is_finite(&point) {
-            return wrong("its point has a coordinate that is not a finite number");
+        // Scenes are in single precision.
+        if !is_finite(&point) || point.iter().any(|x| x.abs() > f64::from(f32::MAX)) {
+            return wrong("its point has a coordinate that is not a finite number of at most 3.4e38");
         }
         if !is_finite(&normal) {
             return wrong("its normal has a coordinate that is not a finite number");
@@ -399,7 +400,9 @@ mod tests {
         for distance in [0.0, -1.0, f64::NAN] {
             assert!(refused(|r| r.asked.distance = distance).contains("distance is not above 0"));
         }
-        assert!(refused(|r| r.receivers[1].point[2] = f64::INFINITY).contains("receiver 1"));
+        for far in [f64::INFINITY, 1e39] {
+            assert!(refused(|r| r.receivers[1].point[2] = far).contains("receiver 1"));
+        }
         assert!(refused(|r| r.receivers[2].normal[0] = f64::NAN).contains("receiver 2"));
         for length in [0.0, 1e-200, 1e200] {
             assert!(refused(|r| r.receivers[2].normal = [0.0, length, 0.0]).contains("no direction"));

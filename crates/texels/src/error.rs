@@ -3,7 +3,9 @@
 /// Largest side of an image, in texels.
 pub(crate) const MOST_SIDE: u32 = 16384;
 /// Most receivers of a plan.
-pub(crate) const MOST_RECEIVERS: usize = 1 << 28;
+///
+/// A job takes no more: 52 bytes each in at most 2 GiB (`docs/formats/ambient.md`).
+pub(crate) const MOST_RECEIVERS: usize = 40_000_000;
 
 /// Why values cannot be put into a file.
 #[derive(Debug, thiserror::Error)]
@@ -70,7 +72,7 @@ pub enum TexelsError {
     },
     /// There would be too many receivers.
     #[error(
-        "{file}: it takes more than 268435456 points of the surface; give a larger --texel or a smaller \
+        "{file}: it takes more than 40000000 points of the surface; give a larger --texel or a smaller \
          --resolution, or split the file"
     )]
     TooManyPoints {
