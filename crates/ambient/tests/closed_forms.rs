@@ -431,7 +431,7 @@ fn a_point_on_a_solid_is_not_in_it() {
     let top = |t: &[DVec3; 3]| {
         t.iter().all(|v| v.z > 0.09) && (t[0].x - t[1].x).abs() + (t[0].y - t[1].y).abs() > 0.0
     };
-    let id = cube.iter().position(|t| top(t)).unwrap() as u32;
+    let id = cube.iter().position(top).unwrap() as u32;
     let point = DVec3::new(0.03, 0.05, 0.1);
     for (triangle, inside) in [(id, false), (id + 1, false)] {
         // The one of the two that the point is on.
