@@ -80,12 +80,20 @@ pub struct Rays<'a, 'b> {
     /// Most bytes of the tree. One that takes more is begun anew, and what is not at its end yet starts again
     /// at the root.
     pub bytes: usize,
+    /// Items that classes may be told of before a descent is given up.
+    pub most_told: usize,
 }
 
 impl Rays<'_, '_> {
     /// Takes a part of the directions from `x`, a point of the source from its origin, to its ends. Returns
     /// the bound on the cosine-weighted area, divided by π, that may be at a wrong end.
-    pub fn descend(&mut self, x: DVec3, part: &[Corner], scratch: &mut Scratch, ends: &mut impl Ends) -> f64 {
+    pub fn descend(
+        &mut self,
+        x: DVec3,
+        part: &[Corner],
+        scratch: &mut Scratch,
+        ends: &mut impl Ends,
+    ) -> Option<f64> {
         let reach = *self.items.reach();
         let mut bound = 0.0;
         scratch.caps.clear();
@@ -97,6 +105,9 @@ impl Rays<'_, '_> {
             scratch.current.clear();
             scratch.current.extend_from_slice(&scratch.corners[start..]);
             scratch.corners.truncate(start);
+            if self.tree.told() > self.most_told {
+                return None;
+            }
             if self.tree.bytes() > self.bytes {
                 self.tree.clear();
                 node = 0;
@@ -204,7 +215,7 @@ impl Rays<'_, '_> {
                 }
             }
         }
-        bound
+        Some(bound)
     }
 
     fn ahead(&self, face: u32, x: DVec3) -> Ahead {

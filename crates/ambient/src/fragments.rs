@@ -93,21 +93,22 @@ impl<F: Fn(u32) -> Face> Ends for Collect<'_, F> {
 }
 
 /// The openness of a receiver of a source, by the partition of first hits, and its fragments if they are
-/// wanted. They are as the partition divided them: one polygon may have several.
+/// wanted. They are as the partition divided them: one polygon may have several. None when the descent was
+/// given up.
 pub fn first(
     rays: &mut Rays<'_, '_>,
     receiver: &Receiver,
     (distance, falloff, wanted): (f64, Falloff, bool),
     scratch: &mut Scratch,
     (seen, cuts): (&mut Seen, &mut Vec<f64>),
-) -> (Openness, Vec<Fragment>) {
+) -> Option<(Openness, Vec<Fragment>)> {
     let x = receiver.point - rays.source.origin;
     let n = receiver.normal.normalize();
     seen.begin();
     let mut pieces = Pieces::default();
     let mut bound = 0.0;
     for quarter in quarters(n) {
-        bound += rays.descend(x, &quarter, scratch, &mut pieces);
+        bound += rays.descend(x, &quarter, scratch, &mut pieces)?;
     }
     let mut collect = Collect {
         n,
@@ -131,7 +132,7 @@ pub fn first(
     let (mut answer, fragments) = (collect.answer, collect.fragments);
     answer.bound += bound + f64::from(answer.parts) * 32.0 * U;
     answer.open = answer.open.clamp(0.0, 1.0);
-    (answer, fragments.unwrap_or_default())
+    Some((answer, fragments.unwrap_or_default()))
 }
 
 /// The parts in the order in which they ended, with their faces.

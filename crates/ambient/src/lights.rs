@@ -164,8 +164,10 @@ pub fn factors(
         let n = r.normal.normalize();
         let part = light.seen_from(r.point, n);
         let mut sum = Sum { n, factor: 0.0, parts: 0 };
-        let mut rays = Rays { tree: &mut tree, items: &mut items, source: &source, bytes };
-        let bound = rays.descend(r.point - source.origin, &part, scratch, &mut sum);
+        let mut rays =
+            Rays { tree: &mut tree, items: &mut items, source: &source, bytes, most_told: usize::MAX };
+        // Nothing gives it up.
+        let bound = rays.descend(r.point - source.origin, &part, scratch, &mut sum).unwrap_or(1.0);
         (sum.factor.max(0.0), bound + f64::from(sum.parts + 1) * 16.0 * U)
     };
     receivers.iter().map(factor).collect()

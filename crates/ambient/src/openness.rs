@@ -79,24 +79,24 @@ impl Ends for Sum<'_> {
     }
 }
 
-/// The openness of a receiver of a source, by the partition of a union.
+/// The openness of a receiver of a source, by the partition of a union; none when the descent was given up.
 pub fn open(
     rays: &mut Rays<'_, '_>,
     receiver: &Receiver,
     scratch: &mut Scratch,
     (seen, cuts): (&mut Seen, &mut Vec<f64>),
-) -> Openness {
+) -> Option<Openness> {
     let x = receiver.point - rays.source.origin;
     let n = receiver.normal.normalize();
     seen.begin();
     let mut sum = Sum { n, answer: Openness::default(), seen, cuts };
     let mut bound = 0.0;
     for quarter in quarters(n) {
-        bound += rays.descend(x, &quarter, scratch, &mut sum);
+        bound += rays.descend(x, &quarter, scratch, &mut sum)?;
     }
     let mut answer = sum.answer;
     // Each part's area is a sum of a few angles.
     answer.bound = bound + f64::from(answer.parts) * 16.0 * U;
     answer.open = answer.open.clamp(0.0, 1.0);
-    answer
+    Some(answer)
 }

@@ -18,7 +18,7 @@ use crate::receivers::{Receiver, Source, blocks};
 const BLOCK: usize = 64;
 /// Largest extent of a block, by the distance.
 const EXTENT: f64 = 0.5;
-/// Boxes that take more of the sphere, in steradians, are opened before the first query. Near by all are.
+/// Boxes that take more of the sphere, in steradians, are opened before the first query.
 const OPEN_FAR: f64 = 0.01;
 /// Items that the classes of a block may have been told, by its receivers, before what is left of the block
 /// is divided: where much is near that is small beside the block, its points see too little alike.
@@ -54,10 +54,6 @@ impl Settings {
             lights: Vec::new(),
             block: (BLOCK, EXTENT),
         }
-    }
-
-    fn open_above(&self) -> f64 {
-        if self.distance.is_finite() { 0.0 } else { OPEN_FAR }
     }
 }
 
@@ -182,21 +178,22 @@ impl<'a> Solver<'a> {
         let source = Source::around(receivers);
         let own = receivers.first().and_then(|r| r.triangle).and_then(|t| joined.of(t));
         let mut items = Items::new(blockers, &source, Reach::Distance(distance), own);
-        let root = items.begin(self.settings.open_above());
+        let root = items.begin(OPEN_FAR);
         let mut tree = Partition::new(if union { Tells::Union } else { Tells::First }, root);
         let Memory { scratch, seen, cuts } = memory;
         seen.clear();
         let mut answers: Vec<Answer> = Vec::new();
+        // One receiver sees alike, whatever it takes.
+        let most_told = if receivers.len() > 1 { TOLD * receivers.len() } else { usize::MAX };
         for r in receivers {
-            if !answers.is_empty() && tree.told() > TOLD * receivers.len() {
-                break;
-            }
-            let mut rays = Rays { tree: &mut tree, items: &mut items, source: &source, bytes: BYTES };
-            let (openness, mut found) = if union {
-                (open(&mut rays, r, scratch, (seen, cuts)), Vec::new())
+            let mut rays =
+                Rays { tree: &mut tree, items: &mut items, source: &source, bytes: BYTES, most_told };
+            let answer = if union {
+                open(&mut rays, r, scratch, (seen, cuts)).map(|openness| (openness, Vec::new()))
             } else {
                 first(&mut rays, r, (distance, falloff, fragments), scratch, (seen, cuts))
             };
+            let Some((openness, mut found)) = answer else { break };
             found.iter_mut().for_each(|f| f.polygon = blockers.triangle(f.polygon));
             let inside = self.prepared.is_inside(r);
             answers.push(Answer { openness, inside, lights: Vec::new(), fragments: found });
