@@ -10,8 +10,8 @@ use serde_json::json;
 use sightline_ambient::{Prepared, Receiver, Settings, Solver};
 use sightline_texels::{Bits, Coordinates, Plan, Size, Target, Value, Written};
 
-use crate::ambient::distance;
 use crate::ambient_args::{AmbientArgs, To, Uv};
+use crate::ambient_distance::distance;
 use crate::ambient_here;
 use crate::ambient_job::{self, Ordered, Whom};
 use crate::error::CliError;

@@ -7,8 +7,8 @@ use serde::Deserialize;
 use serde_json::{Map, Value, json};
 use sightline_ambient::{Answer, Light, Prepared, Receiver, Settings, Solver};
 
-use crate::ambient::distance;
 use crate::ambient_args::AmbientArgs;
+use crate::ambient_distance::distance;
 use crate::error::CliError;
 use crate::json_lines::JsonLines;
 use crate::opening;

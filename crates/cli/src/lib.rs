@@ -11,6 +11,7 @@
 
 mod ambient;
 mod ambient_args;
+mod ambient_distance;
 mod ambient_file;
 mod ambient_here;
 pub mod ambient_job;

@@ -191,7 +191,8 @@ pub struct Embree {
     set_geometry_user_data: unsafe extern "C" fn(Handle, *const c_void),
     set_geometry_intersect_filter_function: unsafe extern "C" fn(Handle, Filter),
     intersect: Intersect,
-    occluded: Occluded,
+    /// None in a library that has no such function; no bake asks for it.
+    occluded: Option<Occluded>,
     // Keeps the library loaded as long as the functions are used.
     _library: Library,
 }
@@ -268,9 +269,9 @@ impl Embree {
                     Intersect::V4(f(&library, b"rtcIntersect16\0")?, f(&library, b"rtcIntersect1\0")?)
                 },
                 occluded: if major == 3 {
-                    Occluded::V3(f(&library, b"rtcOccluded16\0")?)
+                    f(&library, b"rtcOccluded16\0").ok().map(Occluded::V3)
                 } else {
-                    Occluded::V4(f(&library, b"rtcOccluded16\0")?)
+                    f(&library, b"rtcOccluded16\0").ok().map(Occluded::V4)
                 },
                 _library: library,
             })
@@ -456,20 +457,26 @@ impl TriangleScene {
         }
     }
 
+    /// Whether [`Self::occluded`] can be asked.
+    pub fn has_occluded(&self) -> bool {
+        self.device.embree.occluded.is_some()
+    }
+
     /// Whether each ray whose `valid` entry is −1 meets anything: then its `tfar` is −∞ afterwards. Not for
-    /// scenes with a layer that is passed.
+    /// scenes with a layer that is passed. Does nothing where the library has no such function.
     pub fn occluded(&self, valid: &[i32; 16], rays: &mut RayHit16) {
         /// `valid` with the alignment that Embree requires, 64 bytes.
         #[repr(align(64))]
         struct Valid([i32; 16]);
         let valid = Valid(*valid);
         match self.device.embree.occluded {
-            Occluded::V3(f) => {
+            None => {}
+            Some(Occluded::V3(f)) => {
                 let mut context = Context::of_3(0, std::ptr::null_mut());
                 // SAFETY: as for `intersect`; `RTCRay16` is the first part of `RTCRayHit16`.
                 unsafe { f(valid.0.as_ptr(), self.handle, &raw mut context, rays) }
             }
-            Occluded::V4(f) => {
+            Some(Occluded::V4(f)) => {
                 let mut context = Context::of_4(std::ptr::null_mut());
                 let mut arguments = Arguments4::new(0, &mut context);
                 // SAFETY: as above for Embree 4, whose `RTCOccludedArguments` has the fields of

@@ -28,9 +28,12 @@ impl Occlusion {
             .collect();
         let layer =
             Layer { count: blocking.len(), triangles: blocking.into_iter(), fronts: None, is_passed: false };
-        TriangleScene::new(&device, [layer])
-            .map(Self)
-            .map_err(|reason| BackendError::Failed { profile: "cpu".to_owned(), reason })
+        let built = TriangleScene::new(&device, [layer])
+            .map_err(|reason| BackendError::Failed { profile: "cpu".to_owned(), reason })?;
+        if !built.has_occluded() {
+            return Err(BackendError::Unavailable("this Embree has no rtcOccluded16".to_owned()));
+        }
+        Ok(Self(built))
     }
 
     /// Whether the rays of a packet meet anything between two distances, in lengths of their directions.
