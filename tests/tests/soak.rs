@@ -249,11 +249,12 @@ fn memory_and_files_stay_as_they_are_under_load() {
     );
     assert!(count(&seen.done) > 5 && count(&seen.cancelled) > 0, "nothing happened");
     let (before, after) = (of(early), of(late));
-    // The store's cache, the last events and what the allocator keeps back grow to their bounds; a leak of
-    // the hour-long run is far more.
-    assert!(after.0 < before.0 + 24_576, "memory grew from {} to {} kB", before.0, after.0);
+    // The store's cache (64 MB), the last events (8 MB) and what the allocator keeps back grow to their
+    // bounds, the faster the more outputs come; a leak of the hour-long run is far more.
+    assert!(after.0 < before.0 + 40_960, "memory grew from {} to {} kB", before.0, after.0);
     assert!(after.1 < before.1 + 40, "open files grew from {} to {}", before.1, after.1);
-    assert!(after.2 < before.2 + 8, "threads grew from {} to {}", before.2, after.2);
+    // Threads that block come with load, up to 512 of tokio's, and stay for ten seconds.
+    assert!(after.2 < before.2 + 32, "threads grew from {} to {}", before.2, after.2);
     // All that was deleted is gone, and the farm is of use.
     let left = coordinator.json("jobs --all");
     assert_eq!(left.as_array().unwrap().len(), 1, "{left}");
