@@ -65,7 +65,7 @@ pub(crate) fn put(
         match c.blobs.read(&whole) {
             Ok(bytes) => return Ok(remember(c, whole, &bytes)?),
             // Removed, so that the client sends them again.
-            Err(e @ BlobError::Damaged { .. }) => {
+            Err(e) if e.is_broken() => {
                 tracing::warn!("{e}; it is uploaded again now");
                 c.blobs.remove(&whole)?;
             }

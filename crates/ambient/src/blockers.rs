@@ -36,7 +36,8 @@ impl Blockers {
     /// The polygons of a scene: coplanar neighbours joined while they are convex; or its triangles by
     /// themselves, with the surfaces of those that were joined.
     ///
-    /// # Errors When the scene has more corners than can be numbered.
+    /// # Errors
+    /// When the scene has more corners than can be numbered, or alpha textures have too many texels on it.
     pub fn new(scene: &Scene, joined: Option<&Self>) -> Result<Self, SceneError> {
         let (mut corners, mut polygons) = (Vec::new(), Vec::new());
         let mut of = vec![None; scene.triangles().len()];

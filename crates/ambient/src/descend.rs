@@ -86,7 +86,8 @@ pub struct Rays<'a, 'b> {
 
 impl Rays<'_, '_> {
     /// Takes a part of the directions from `x`, a point of the source from its origin, to its ends. Returns
-    /// the bound on the cosine-weighted area, divided by π, that may be at a wrong end.
+    /// the bound on the cosine-weighted area, divided by π, that may be at a wrong end; none when classes
+    /// were told of too many items, and the descent was given up.
     pub fn descend(
         &mut self,
         x: DVec3,
@@ -189,11 +190,14 @@ impl Rays<'_, '_> {
                                 let light = Ahead { normal, height: height.abs(), error };
                                 let plane = before(ahead, light);
                                 match side(&plane, &scratch.current, &mut scratch.values) {
-                                    Side::Inside(_) => {
+                                    Side::Inside(unsure) => {
+                                        bound += if unsure { plane.uncertain(&scratch.current) } else { 0.0 };
                                         ends.met(face, &scratch.current);
                                         break;
                                     }
-                                    Side::Outside(_) => {}
+                                    Side::Outside(unsure) => {
+                                        bound += if unsure { plane.uncertain(&scratch.current) } else { 0.0 };
+                                    }
                                     Side::Both => {
                                         scratch.inside.clear();
                                         let mut met = std::mem::take(&mut scratch.inside);
@@ -263,9 +267,9 @@ fn before(one: Ahead, other: Ahead) -> Plane {
     Plane { m, error: of_normals + of_heights + 8.0 * U * (one.height + other.height) }
 }
 
-/// Divides the current part by a plane: the inner part goes on at the first node, the outer one waits at the
-/// second, or the other way round if only one is there. Returns where the current part goes, and what may be
-/// on the wrong side.
+/// Takes the current part on by a plane: to the first node inside of it, to the second one outside. A part
+/// that lies on both sides is divided, and its outer part waits. Returns where the current part goes, and
+/// what may be on the wrong side.
 fn sort(plane: &Plane, to: [u32; 2], caps: u32, scratch: &mut Scratch) -> (u32, f64) {
     let [inside, outside] = to;
     match side(plane, &scratch.current, &mut scratch.values) {

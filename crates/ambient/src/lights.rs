@@ -49,7 +49,8 @@ impl Light {
     /// A light from its corners, in world space and in order around it. They are rounded to single precision
     /// like the scene's, so that a light that is a face of the scene lies in its plane.
     ///
-    /// # Errors [`LightError`] when it is not a convex polygon.
+    /// # Errors
+    /// [`LightError`] when it is not a convex polygon.
     pub fn new(corners: &[[f64; 3]]) -> Result<Self, LightError> {
         if !(3..=MOST_CORNERS).contains(&corners.len()) {
             return Err(LightError::Corners(corners.len()));
