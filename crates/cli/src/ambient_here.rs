@@ -7,9 +7,7 @@ use std::time::Duration;
 
 use sightline_model::openness::Openness;
 use sightline_model::receivers::Receivers;
-use sightline_proto::connecting::Credentials;
 use sightline_proto::v1;
-use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_scene::Scene;
 use sightline_traces::Traces;
 use sightline_worker::{Backends, Choice, Loaded, SceneCache};
@@ -39,17 +37,7 @@ pub fn compute(
     let kept = Arc::clone(&coordinator);
     let progress = Progress::new();
     let done = runtime.block_on(async {
-        let listener = sightline_coordinator::listen(([127, 0, 0, 1], 0).into(), false)
-            .await
-            .map_err(CliError::internal)?;
-        let url = format!("http://{}", listener.local_addr().map_err(CliError::internal)?);
-        let server = tokio::spawn(sightline_coordinator::serve(
-            Arc::clone(&coordinator),
-            listener,
-            None,
-            std::future::pending(),
-        ));
-        let mut client = JobsClient::new(client::connect(&url, &Credentials::default()).await?);
+        let (url, server, mut client) = baking::on_loopback(&coordinator).await?;
         let mut job = ambient_job::submit(&mut client, scene, receivers, whom).await?;
         coordinator.restrict_to(job.id);
         if job.state() != v1::JobState::Done {

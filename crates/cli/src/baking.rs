@@ -20,7 +20,7 @@ use sightline_scene::{Object, Scene};
 use sightline_traces::{Begun, Traces};
 use sightline_worker::{Backends, Choice, Loaded, SceneCache, Stop, WorkerError};
 use tokio::sync::watch;
-use tokio::task::JoinSet;
+use tokio::task::{AbortHandle, JoinSet};
 
 use crate::args::BakeArgs;
 use crate::backends;
@@ -236,6 +236,20 @@ pub struct Outcome {
     pub from_store: bool,
 }
 
+/// Serves a coordinator on a free port of loopback: its address, what ends the serving, and a client.
+pub(crate) async fn on_loopback(
+    coordinator: &Arc<Coordinator>,
+) -> Result<(String, AbortHandle, JobsClient<Connection>), CliError> {
+    let listener =
+        sightline_coordinator::listen(([127, 0, 0, 1], 0).into(), false).await.map_err(CliError::internal)?;
+    let url = format!("http://{}", listener.local_addr().map_err(CliError::internal)?);
+    let coordinator = Arc::clone(coordinator);
+    let server =
+        tokio::spawn(sightline_coordinator::serve(coordinator, listener, None, std::future::pending()));
+    let client = JobsClient::new(client::connect(&url, &Credentials::default()).await?);
+    Ok((url, server.abort_handle(), client))
+}
+
 async fn run(
     (args, source, traces): (&BakeArgs, &Source, &Traces),
     coordinator: Arc<Coordinator>,
@@ -245,16 +259,7 @@ async fn run(
     output: &Output,
     hooks: &mut Hooks<'_>,
 ) -> Result<Outcome, CliError> {
-    let listener =
-        sightline_coordinator::listen(([127, 0, 0, 1], 0).into(), false).await.map_err(CliError::internal)?;
-    let url = format!("http://{}", listener.local_addr().map_err(CliError::internal)?);
-    let server = tokio::spawn(sightline_coordinator::serve(
-        Arc::clone(&coordinator),
-        listener,
-        None,
-        std::future::pending(),
-    ));
-    let mut client = JobsClient::new(client::connect(&url, &Credentials::default()).await?);
+    let (url, server, mut client) = on_loopback(&coordinator).await?;
     let begun = Begun::now();
     let (taker, here) = (Arc::clone(&coordinator), Arc::clone(loaded));
     tokio::task::spawn_blocking(move || taker.take_scene(here.scene.scene()))
