@@ -1,0 +1,184 @@
+//! Solid angles of beams, also of the part of a beam within round cones.
+
+use super::beam::Edge;
+
+type V = [f64; 3];
+
+fn dot(a: V, b: V) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn cross(a: V, b: V) -> V {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// The vector with length 1.
+pub fn unit(v: V) -> V {
+    let length = dot(v, v).sqrt();
+    v.map(|c| c / length)
+}
+
+/// The solid angle of the triangle of three unit vectors (van Oosterom and Strackee, "The Solid Angle of a Plane Triangle", 1983).
+fn triangle(a: V, b: V, c: V) -> f64 {
+    // The volume from differences: beside long vectors that nearly agree it loses the least.
+    let (p, q): (V, V) = (std::array::from_fn(|k| b[k] - a[k]), std::array::from_fn(|k| c[k] - a[k]));
+    2.0 * libm::atan2(dot(a, cross(p, q)), 1.0 + dot(a, b) + dot(b, c) + dot(c, a))
+}
+
+/// The solid angle of a beam, in steradians.
+pub fn area(ring: &[Edge]) -> f64 {
+    let Some((first, rest)) = ring.split_first() else { return 0.0 };
+    let first = unit(first.corner.way.v);
+    let mut sum = 0.0;
+    for pair in rest.windows(2) {
+        sum += triangle(first, unit(pair[0].corner.way.v), unit(pair[1].corner.way.v));
+    }
+    sum.max(0.0)
+}
+
+/// A round cone of directions around a unit vector.
+#[derive(Clone, Copy, Debug)]
+pub struct Cone {
+    /// The axis, of length 1.
+    pub axis: V,
+    /// The cosine of half of its angle, in 0…1.
+    pub cosine: f64,
+}
+
+/// A piece of a region's border: from one direction to the next along a great circle, or along the circle of a cone.
+#[derive(Clone, Copy, Debug)]
+struct Piece {
+    from: V,
+    to: V,
+    /// The cone whose circle it follows, counter-clockwise around its axis.
+    circle: Option<usize>,
+}
+
+/// The solid angle of the part of a beam that is within all cones. With Gauss and Bonnet: 2π less the turns at the corners, less the
+/// curvature of the arcs, which on a circle is the cosine times the angle around its axis. At most two cones, none over a half space.
+pub fn area_within(ring: &[Edge], cones: &[Cone]) -> f64 {
+    let ways: Vec<V> = ring.iter().map(|e| unit(e.corner.way.v)).collect();
+    let mut border: Vec<Piece> = (0..ways.len())
+        .map(|k| Piece { from: ways[k], to: ways[(k + 1) % ways.len()], circle: None })
+        .collect();
+    for number in 0..cones.len() {
+        let Some(cut) = within(&border, cones, number, |v| inside_ring(&ways, v)) else { return 0.0 };
+        border = cut;
+    }
+    enclosed(&border, cones)
+}
+
+fn inside_ring(ways: &[V], v: V) -> bool {
+    (0..ways.len()).all(|k| dot(cross(ways[k], ways[(k + 1) % ways.len()]), v) > 0.0)
+}
+
+/// Positions along a piece, as parts of its whole, at which it crosses a cone's circle.
+fn crossings(piece: &Piece, cones: &[Cone], cone: &Cone) -> Vec<(f64, V)> {
+    // Points of the piece: centre + cos(t)·e + sin(t)·f for t from 0 to its angle.
+    let (centre, e, f, angle) = frame(piece, cones);
+    let (c, a, b) = (dot(centre, cone.axis) - cone.cosine, dot(e, cone.axis), dot(f, cone.axis));
+    let size = (a * a + b * b).sqrt();
+    if size <= c.abs() {
+        return Vec::new();
+    }
+    let (middle, half) = (libm::atan2(b, a), libm::acos(-c / size));
+    let mut found: Vec<(f64, V)> = [middle - half, middle + half]
+        .into_iter()
+        .map(|t| t.rem_euclid(2.0 * std::f64::consts::PI))
+        .filter(|t| *t < angle)
+        .map(|t| (t, std::array::from_fn(|k| centre[k] + libm::cos(t) * e[k] + libm::sin(t) * f[k])))
+        .collect();
+    found.sort_by(|x, y| x.0.total_cmp(&y.0));
+    found
+}
+
+/// A piece as a circle: its centre, two axes, and the angle it runs through.
+fn frame(piece: &Piece, cones: &[Cone]) -> (V, V, V, f64) {
+    match piece.circle {
+        None => {
+            let normal = unit(cross(piece.from, piece.to));
+            let f = cross(normal, piece.from);
+            let angle = libm::atan2(dot(f, piece.to), dot(piece.from, piece.to));
+            ([0.0; 3], piece.from, f, angle)
+        }
+        Some(n) => {
+            let Cone { axis, cosine } = cones[n];
+            let centre = axis.map(|c| c * cosine);
+            let e: V = std::array::from_fn(|k| piece.from[k] - centre[k]);
+            let f = cross(axis, e);
+            let to: V = std::array::from_fn(|k| piece.to[k] - centre[k]);
+            let angle = libm::atan2(dot(f, to), dot(e, to)).rem_euclid(2.0 * std::f64::consts::PI);
+            // A whole circle ends where it starts.
+            (centre, e, f, if piece.from == piece.to { 2.0 * std::f64::consts::PI } else { angle })
+        }
+    }
+}
+
+/// The border of the part within one more cone; nothing if there is no such part.
+fn within(border: &[Piece], cones: &[Cone], number: usize, holds: impl Fn(V) -> bool) -> Option<Vec<Piece>> {
+    let cone = &cones[number];
+    let inside = |v: V| dot(v, cone.axis) > cone.cosine;
+    let mut kept: Vec<Piece> = Vec::new();
+    for piece in border {
+        let (centre, e, f, angle) = frame(piece, cones);
+        let at = |t: f64| -> V { std::array::from_fn(|k| centre[k] + libm::cos(t) * e[k] + libm::sin(t) * f[k]) };
+        let mut stops = vec![(0.0, piece.from)];
+        stops.extend(crossings(piece, cones, cone));
+        stops.push((angle, piece.to));
+        for pair in stops.windows(2) {
+            // Between two crossings all of the piece is on one side.
+            if pair[1].0 > pair[0].0 && inside(at((pair[0].0 + pair[1].0) / 2.0)) {
+                kept.push(Piece { from: pair[0].1, to: pair[1].1, circle: piece.circle });
+            }
+        }
+    }
+    if kept.is_empty() {
+        // All of the circle is inside of the region, or nothing is.
+        let others = cones[..number].iter().all(|c| dot(cone.axis, c.axis) > c.cosine);
+        if !(holds(cone.axis) && others) {
+            return None;
+        }
+        let e = unit(cross(cone.axis, smallest_axis(cone.axis)));
+        let sine = (1.0 - cone.cosine * cone.cosine).max(0.0).sqrt();
+        let start: V = std::array::from_fn(|k| cone.axis[k] * cone.cosine + e[k] * sine);
+        return Some(vec![Piece { from: start, to: start, circle: Some(number) }]);
+    }
+    // Arcs of the new circle join what was cut off.
+    let mut closed = Vec::new();
+    for (k, piece) in kept.iter().enumerate() {
+        closed.push(*piece);
+        let next = &kept[(k + 1) % kept.len()];
+        if piece.to != next.from {
+            closed.push(Piece { from: piece.to, to: next.from, circle: Some(number) });
+        }
+    }
+    Some(closed)
+}
+
+/// The coordinate axis that a vector is farthest from.
+fn smallest_axis(v: V) -> V {
+    let least = (0..3).min_by(|a, b| v[*a].abs().total_cmp(&v[*b].abs())).unwrap_or(0);
+    std::array::from_fn(|k| f64::from(u8::from(k == least)))
+}
+
+/// The solid angle within a border.
+fn enclosed(border: &[Piece], cones: &[Cone]) -> f64 {
+    let mut sum = 2.0 * std::f64::consts::PI;
+    for (k, piece) in border.iter().enumerate() {
+        let (_, e, f, angle) = frame(piece, cones);
+        if let Some(n) = piece.circle {
+            sum -= cones[n].cosine * angle;
+        }
+        let last = border.len() == 1;
+        if last && piece.from == piece.to {
+            continue;
+        }
+        // Directions of travel at the piece's end and at the next one's start.
+        let leaving: V = std::array::from_fn(|j| libm::cos(angle) * f[j] - libm::sin(angle) * e[j]);
+        let next = &border[(k + 1) % border.len()];
+        let starting = frame(next, cones).2;
+        let (p, q) = (unit(leaving), unit(starting));
+        sum -= libm::atan2(dot(piece.to, cross(p, q)), dot(p, q));
+    }
+    sum.max(0.0)
+}

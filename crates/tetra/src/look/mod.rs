@@ -1,0 +1,19 @@
+//! Looking from a point.
+
+mod areas;
+mod beam;
+mod eye;
+pub mod hierarchy;
+mod looker;
+mod planes;
+mod rounded;
+mod scratch;
+mod search;
+mod stack;
+mod view;
+mod within;
+
+pub use hierarchy::{Hierarchy, Node};
+pub use looker::{LookError, Looker};
+pub use scratch::Scratch;
+pub use view::{Engine, Mode, Seen, Target, View};

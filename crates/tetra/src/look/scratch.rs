@@ -1,0 +1,100 @@
+//! Memory that queries use again.
+
+use super::beam::Ring;
+use super::planes::Planes;
+use super::stack::{Beam, Stack};
+use super::view::Seen;
+
+/// Memory that queries use again: one for each thread. After the first few queries nothing more is allocated.
+#[derive(Default)]
+pub struct Scratch {
+    pub(super) planes: Planes,
+    pub(super) stack: Stack,
+    pub(super) beam: Beam,
+    pub(super) rings: Rings,
+    pub(super) tally: Tally,
+    /// The answer of the last query.
+    pub seen: Seen,
+}
+
+/// Rings that are made on the way.
+#[derive(Default)]
+pub(super) struct Rings {
+    pub signs: Vec<i32>,
+    pub inside: Ring,
+    pub next: Ring,
+    pub far: Ring,
+    /// Parts outside of a triangle; most often fewer than three are in use.
+    pub out: [Ring; 3],
+}
+
+/// What is known of each triangle.
+#[derive(Default)]
+pub(super) struct Tally {
+    /// The number of the query that last saw each triangle.
+    stamps: Vec<u64>,
+    query: u64,
+    areas: Vec<f64>,
+    /// The largest part so far, and its middle.
+    best: Vec<(f64, Option<[f64; 3]>)>,
+    seen: Vec<u32>,
+}
+
+impl Tally {
+    /// Begins a query of a scene with so many triangles.
+    pub fn begin(&mut self, triangles: usize, witnesses: bool) {
+        if self.stamps.len() != triangles {
+            self.stamps = vec![0; triangles];
+            self.areas = vec![0.0; triangles];
+            self.best.clear();
+            self.query = 0;
+        }
+        if witnesses && self.best.is_empty() {
+            self.best = vec![(0.0, None); triangles];
+        }
+        self.query += 1;
+        self.seen.clear();
+    }
+
+    /// Counts a triangle as seen.
+    pub fn see(&mut self, triangle: u32) {
+        let t = triangle as usize;
+        if self.stamps[t] != self.query {
+            self.stamps[t] = self.query;
+            self.areas[t] = 0.0;
+            if let Some(best) = self.best.get_mut(t) {
+                *best = (-1.0, None);
+            }
+            self.seen.push(triangle);
+        }
+    }
+
+    /// Adds to the solid angle of a triangle that is seen.
+    pub fn add(&mut self, triangle: u32, area: f64) {
+        self.areas[triangle as usize] += area;
+    }
+
+    /// Keeps a witness if its part is the largest so far. The direction is computed only then.
+    pub fn witness(&mut self, triangle: u32, area: f64, way: impl FnOnce() -> Option<[f64; 3]>) {
+        let Some(best) = self.best.get_mut(triangle as usize) else { return };
+        if area > best.0 || best.1.is_none() {
+            let way = way();
+            if way.is_some() {
+                *best = (area, way);
+            }
+        }
+    }
+
+    /// Writes the answer, in the order of ids.
+    pub fn finish(&mut self, witnesses: bool, seen: &mut Seen) {
+        self.seen.sort_unstable();
+        seen.visible.clear();
+        seen.visible.extend_from_slice(&self.seen);
+        seen.areas.clear();
+        seen.areas.extend(self.seen.iter().map(|t| self.areas[*t as usize]));
+        seen.witnesses.clear();
+        if witnesses {
+            seen.witnesses.extend(self.seen.iter().map(|t| self.best[*t as usize].1));
+        }
+    }
+}

@@ -1,0 +1,95 @@
+//! Beams that wait, with what they wait for, in a few long vectors.
+//!
+//! The last one that was pushed comes back first, so everything that was made since its push can be dropped with it: its ring, its
+//! list of boxes, its triangles, and the planes of beams that are done. A query allocates nothing once these vectors are long enough.
+
+use super::beam::{Edge, Ring};
+
+/// A box or a cell to go through, or triangles to meet.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Entry {
+    /// For cells: their place in the order.
+    pub key: f64,
+    /// A box, or the place of the first triangle.
+    pub first: u32,
+    /// Number of triangles; 0 for a box.
+    pub count: u32,
+}
+
+/// A beam and what is known of it.
+#[derive(Debug, Default)]
+pub struct Beam {
+    /// Its corners.
+    pub ring: Ring,
+    /// What it has yet to go through, the next one last.
+    pub pending: Vec<Entry>,
+    /// The nearest triangle so far that covers all of it, and others in the same plane that do.
+    pub caps: Vec<u32>,
+    /// Triangles that may be seen in it besides: see-through ones, and what an uncut beam met.
+    pub met: Vec<u32>,
+    /// Whether it is cut no more.
+    pub whole: bool,
+}
+
+#[derive(Clone, Copy)]
+struct Top {
+    ring: usize,
+    pending: usize,
+    caps: usize,
+    met: usize,
+    planes: usize,
+    whole: bool,
+}
+
+/// The beams that wait.
+#[derive(Default)]
+pub struct Stack {
+    tops: Vec<Top>,
+    ring: Ring,
+    pending: Vec<Entry>,
+    caps: Vec<u32>,
+    met: Vec<u32>,
+}
+
+impl Stack {
+    /// Puts a part of a beam on the stack. `planes` is the number of planes that exist.
+    pub fn push(&mut self, beam: &Beam, ring: &[Edge], caps: &[u32], whole: bool, planes: usize) {
+        self.tops.push(Top {
+            ring: self.ring.len(),
+            pending: self.pending.len(),
+            caps: self.caps.len(),
+            met: self.met.len(),
+            planes,
+            whole,
+        });
+        self.ring.extend_from_slice(ring);
+        self.pending.extend_from_slice(&beam.pending);
+        self.caps.extend_from_slice(caps);
+        self.met.extend_from_slice(&beam.met);
+    }
+
+    /// Takes the last beam; says how many planes it and the beams below it need.
+    pub fn pop(&mut self, beam: &mut Beam) -> Option<usize> {
+        let top = self.tops.pop()?;
+        fn take<T: Copy>(all: &mut Vec<T>, from: usize, to: &mut Vec<T>) {
+            to.clear();
+            to.extend_from_slice(&all[from..]);
+            all.truncate(from);
+        }
+        take(&mut self.ring, top.ring, &mut beam.ring);
+        take(&mut self.pending, top.pending, &mut beam.pending);
+        take(&mut self.caps, top.caps, &mut beam.caps);
+        take(&mut self.met, top.met, &mut beam.met);
+        beam.whole = top.whole;
+        Some(top.planes)
+    }
+
+    /// Forgets all beams.
+    pub fn clear(&mut self) {
+        self.tops.clear();
+        self.ring.clear();
+        self.pending.clear();
+        self.caps.clear();
+        self.met.clear();
+    }
+}

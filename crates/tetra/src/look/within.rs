@@ -1,0 +1,119 @@
+//! The round cone and the distance that limit a view.
+
+use super::areas::{Cone, area, area_within, unit};
+use super::beam::Edge;
+use super::planes::{Facing, Kind, Plane, Planes, Side};
+use super::rounded::Rounded;
+use super::view::View;
+
+/// The limits of a view.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Limits {
+    cone: Option<Cone>,
+    /// The cone is what is left out, not what counts.
+    complement: bool,
+    /// Half of the cone's angle.
+    half: f64,
+    /// What is at least this far away is not seen.
+    pub distance: Option<f64>,
+}
+
+/// A cone is enclosed by this many planes before round borders count.
+const PLANES: u32 = 8;
+/// Added to half of the cone's angle, so that the planes stay outside of it whatever rounding does.
+const MARGIN: f64 = 1e-9;
+/// Cones with a larger half angle are not enclosed by planes.
+const WIDEST: f64 = 1.3;
+
+impl Limits {
+    /// The limits of a view whose numbers were checked.
+    pub fn of(view: &View) -> Self {
+        let half = view.angle / 2.0;
+        let cone = view.direction.map(|d| {
+            let size = d.iter().fold(0.0f64, |m, c| m.max(c.abs()));
+            let axis = unit(d.map(|c| c / size));
+            if half > std::f64::consts::FRAC_PI_2 {
+                Cone { axis: axis.map(|c| -c), cosine: -libm::cos(half) }
+            } else {
+                Cone { axis, cosine: libm::cos(half).max(0.0) }
+            }
+        });
+        Self { cone, complement: half > std::f64::consts::FRAC_PI_2, half, distance: view.distance }
+    }
+
+    /// Planes that enclose the cone, if it is not too wide for them.
+    pub fn planes(&self, planes: &mut Planes) -> Vec<Side> {
+        let Some(Cone { axis, .. }) = self.cone.filter(|_| self.half <= WIDEST) else { return Vec::new() };
+        let least = (0..3).min_by(|a, b| axis[*a].abs().total_cmp(&axis[*b].abs())).unwrap_or(0);
+        let side: [f64; 3] = std::array::from_fn(|k| f64::from(u8::from(k == least)));
+        let cross = |a: [f64; 3], b: [f64; 3]| {
+            [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+        };
+        let u = unit(cross(axis, side));
+        let v = cross(axis, u);
+        let half = self.half + MARGIN;
+        (0..PLANES)
+            .map(|k| {
+                let turn = std::f64::consts::TAU * f64::from(k) / f64::from(PLANES);
+                let (c, s) = (libm::cos(turn), libm::sin(turn));
+                let normal = std::array::from_fn(|k| {
+                    libm::sin(half) * axis[k] + libm::cos(half) * (c * u[k] + s * v[k])
+                });
+                planes.add(Plane { kind: Kind::Normal(normal), normal: Rounded::exact(normal).scaled() })
+            })
+            .collect()
+    }
+
+    /// The solid angle of a beam within the cone, and of the part of that in which a face is nearer than the distance.
+    pub fn areas(&self, ring: &[Edge], face: Option<&Facing>) -> (f64, f64) {
+        let whole = self.within(ring, &[]);
+        let near = match (face, self.distance) {
+            (None, _) => 0.0,
+            (Some(_), None) => whole,
+            (Some(face), Some(distance)) => {
+                let n = face.normal.v;
+                let size = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
+                let cosine = face.height.value / size / distance;
+                match cosine < 1.0 {
+                    true => self.within(ring, &[Cone { axis: unit(n), cosine: cosine.max(0.0) }]),
+                    false => 0.0,
+                }
+            }
+        };
+        (whole, near)
+    }
+
+    /// The solid angle of a beam within the view's cone and another one.
+    fn within(&self, ring: &[Edge], others: &[Cone]) -> f64 {
+        let of = |cones: &[Cone]| if cones.is_empty() { area(ring) } else { area_within(ring, cones) };
+        match (self.cone, others.first()) {
+            (None, _) => of(others),
+            (Some(cone), other) => {
+                let mut both = vec![cone];
+                both.extend(other);
+                match self.complement {
+                    true => (of(others) - of(&both)).max(0.0),
+                    false => of(&both),
+                }
+            }
+        }
+    }
+
+    /// Whether anything limits the view.
+    pub fn is_limited(&self) -> bool {
+        self.cone.is_some() || self.distance.is_some()
+    }
+
+    /// Whether a box is farther away than the distance for certain.
+    pub fn beyond(&self, x: [f64; 3], low: [f32; 3], high: [f32; 3]) -> bool {
+        self.distance.is_some_and(|distance| {
+            let mut sum = 0.0;
+            for k in 0..3 {
+                let d = (f64::from(low[k]) - x[k]).max(x[k] - f64::from(high[k])).max(0.0);
+                sum += d * d;
+            }
+            // A few roundings of one part in 2⁵³ each.
+            sum.sqrt() > distance * (1.0 + 1e-12)
+        })
+    }
+}

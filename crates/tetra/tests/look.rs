@@ -1,0 +1,202 @@
+//! Known sets and solid angles, and properties of sets from points in random scenes.
+
+#![allow(clippy::unwrap_used, reason = "a test may stop where it stands")]
+
+use std::f64::consts::PI;
+
+use glam::Vec3;
+use sightline_scene::{Object, Scene, Triangle};
+use sightline_tetra::look::{Hierarchy, Looker, Mode, Scratch, Seen, Target, View};
+use sightline_tetra::surfaces::Surfaces;
+
+fn scene(triangles: &[[[f32; 3]; 3]]) -> Scene {
+    let triangles: Vec<Triangle> =
+        triangles.iter().map(|t| Triangle { v: t.map(Vec3::from_array) }).collect();
+    let count = triangles.len() as u32;
+    Scene::new("test", triangles, vec![Object { name: "all".into(), first: 0, count }]).unwrap()
+}
+
+fn look_as(triangles: &[[[f32; 3]; 3]], x: [f64; 3], view: &View, mode: Mode) -> Seen {
+    let surfaces = Surfaces::new(&scene(triangles));
+    let hierarchy = Hierarchy::new(&surfaces);
+    let mut scratch = Scratch::default();
+    Looker::new(&surfaces, &hierarchy).look(x, view, mode, &mut scratch).unwrap().clone()
+}
+
+fn look(triangles: &[[[f32; 3]; 3]], x: [f64; 3]) -> Seen {
+    let view = View { witnesses: true, ..View::default() };
+    look_as(triangles, x, &view, Mode::Exact)
+}
+
+/// The four corners of a rectangle as two triangles.
+fn quad(a: [f32; 3], b: [f32; 3], c: [f32; 3], d: [f32; 3]) -> [[[f32; 3]; 3]; 2] {
+    [[a, b, c], [a, c, d]]
+}
+
+/// The twelve triangles of a box.
+fn cube(low: [f32; 3], high: [f32; 3]) -> Vec<[[f32; 3]; 3]> {
+    let p = |x: usize, y: usize, z: usize| {
+        [[low, high][x][0], [low, high][y][1], [low, high][z][2]]
+    };
+    let mut all = Vec::new();
+    all.extend(quad(p(0, 0, 0), p(0, 1, 0), p(1, 1, 0), p(1, 0, 0)));
+    all.extend(quad(p(0, 0, 1), p(1, 0, 1), p(1, 1, 1), p(0, 1, 1)));
+    all.extend(quad(p(0, 0, 0), p(1, 0, 0), p(1, 0, 1), p(0, 0, 1)));
+    all.extend(quad(p(0, 1, 0), p(0, 1, 1), p(1, 1, 1), p(1, 1, 0)));
+    all.extend(quad(p(0, 0, 0), p(0, 0, 1), p(0, 1, 1), p(0, 1, 0)));
+    all.extend(quad(p(1, 0, 0), p(1, 1, 0), p(1, 1, 1), p(1, 0, 1)));
+    all
+}
+
+fn total(seen: &Seen) -> f64 {
+    seen.areas.iter().sum::<f64>() + seen.sky + seen.unseen + seen.dropped
+}
+
+/// The solid angle of a rectangle with corners (a, b) and (c, d) in the plane at a distance h (its corners' arctangents).
+fn rectangle(a: f64, b: f64, c: f64, d: f64, h: f64) -> f64 {
+    let f = |x: f64, y: f64| libm::atan2(x * y, h * (x * x + y * y + h * h).sqrt());
+    f(c, d) - f(a, d) - f(c, b) + f(a, b)
+}
+
+#[test]
+fn a_closed_box_is_seen_whole_from_inside() {
+    let room = cube([0.0; 3], [1.0, 2.0, 3.0]);
+    for x in [[0.5, 1.0, 1.5], [0.01, 0.02, 2.9], [0.1, 1.7, 0.3]] {
+        let seen = look(&room, x);
+        assert_eq!(seen.visible, (0..12).collect::<Vec<u32>>());
+        assert_eq!(seen.sky, 0.0);
+        assert!((total(&seen) - 4.0 * PI).abs() < 1e-12, "{}", total(&seen));
+        assert!(seen.witnesses.iter().all(Option::is_some));
+    }
+    let seen = look(&room, [5.0, 1.0, 1.5]);
+    assert_eq!(seen.visible, [10, 11]);
+    let side = rectangle(-1.0, -1.5, 1.0, 1.5, 4.0);
+    assert!((seen.areas.iter().sum::<f64>() - side).abs() < 1e-13, "{:?} {side}", seen.areas);
+}
+
+#[test]
+fn a_slit_shows_what_is_behind_it() {
+    for width in [0.1f32, 1e-3, 1e-6] {
+        // A wall of two parts with a slit between them, and a wall behind it.
+        let (a, b) = (-width / 2.0, width / 2.0);
+        let mut all = Vec::new();
+        all.extend(quad([-9.0, -9.0, 1.0], [a, -9.0, 1.0], [a, 9.0, 1.0], [-9.0, 9.0, 1.0]));
+        all.extend(quad([b, -9.0, 1.0], [9.0, -9.0, 1.0], [9.0, 9.0, 1.0], [b, 9.0, 1.0]));
+        all.extend(quad([-9.0, -9.0, 2.0], [9.0, -9.0, 2.0], [9.0, 9.0, 2.0], [-9.0, 9.0, 2.0]));
+        let seen = look(&all, [0.0; 3]);
+        assert_eq!(seen.visible, [0, 1, 2, 3, 4, 5], "{width}");
+        let slit = f64::from(width) / 2.0;
+        // From z = 1, the slit; the wall behind is cut at its own top and bottom.
+        let truth = rectangle(-slit, -4.5, slit, 4.5, 1.0);
+        let behind = seen.areas[4] + seen.areas[5];
+        assert!((behind - truth).abs() < 1e-12 * (1.0 + truth / truth), "{width}: {behind} {truth}");
+        assert!((total(&seen) - 4.0 * PI).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn closed_seams_show_nothing() {
+    // A wall in strips with corners that do not agree (T-junctions), at coordinates that are not exact in binary.
+    let mut all = Vec::new();
+    let cut = |k: u32, n: u32| -3.0 + 6.0 * (k as f32) / (n as f32);
+    for (row, (z0, z1)) in [(-3.0f32, -0.7f32), (-0.7, 1.1), (1.1, 3.0)].into_iter().enumerate() {
+        let n = 3 + row as u32 * 2;
+        for k in 0..n {
+            let (p, q) = (cut(k, n), cut(k + 1, n));
+            all.extend(quad([p, 1.3, z0], [q, 1.3, z0], [q, 1.3, z1], [p, 1.3, z1]));
+        }
+    }
+    let walls = all.len() as u32;
+    all.extend(quad([-0.5, 1.9, -0.5], [0.5, 1.9, -0.5], [0.5, 1.9, 0.5], [-0.5, 1.9, 0.5]));
+    let seen = look(&all, [0.1, 0.2, 0.3]);
+    assert_eq!(seen.visible, (0..walls).collect::<Vec<u32>>());
+}
+
+#[test]
+fn doubled_and_overlapping_triangles_are_all_listed_and_the_least_has_the_area() {
+    let t = [[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [0.0, 1.0, 1.0f32]];
+    let turned = [t[0], t[2], t[1]];
+    let shifted = t.map(|p| [p[0] + 0.5, p[1], p[2]]);
+    let seen = look(&[t, turned, shifted, t], [0.0; 3]);
+    assert_eq!(seen.visible, [0, 1, 2, 3]);
+    let alone = look(&[t], [0.0; 3]).areas[0];
+    let union = look(&[shifted], [0.0; 3]);
+    assert!((seen.areas[0] - alone).abs() < 1e-14);
+    assert_eq!((seen.areas[1], seen.areas[3]), (0.0, 0.0));
+    assert!(seen.areas[2] > 0.0 && seen.areas[2] < union.areas[0]);
+    assert!((total(&seen) - 4.0 * PI).abs() < 1e-12);
+}
+
+#[test]
+fn crossing_rectangles_hide_half_of_each_other() {
+    let mut all = Vec::new();
+    all.extend(quad([-1.0, -1.0, 2.0], [1.0, -1.0, 4.0], [1.0, 1.0, 4.0], [-1.0, 1.0, 2.0]));
+    all.extend(quad([-1.0, -1.0, 4.0], [1.0, -1.0, 2.0], [1.0, 1.0, 2.0], [-1.0, 1.0, 4.0]));
+    let seen = look(&all, [0.0; 3]);
+    assert_eq!(seen.visible, [0, 1, 2, 3]);
+    let halves = [seen.areas[0] + seen.areas[1], seen.areas[2] + seen.areas[3]];
+    assert!((halves[0] - halves[1]).abs() < 1e-13, "{halves:?}");
+}
+
+#[test]
+fn a_point_in_a_triangle_sees_it_and_what_is_on_both_sides() {
+    let t = [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0f32]];
+    let up = t.map(|p| [p[0], p[1], 1.0]);
+    let down = t.map(|p| [p[0], p[1], -1.0]);
+    let flat = t.map(|p| [p[0] + 5.0, p[1], p[2]]);
+    let all = [t, up, down, flat];
+    // In its inside, on an edge, at a corner.
+    for x in [[0.0, 0.0, 0.0], [0.0, -1.0, 0.0], [1.0, -1.0, 0.0]] {
+        let seen = look(&all, x);
+        assert_eq!(seen.visible, [0, 1, 2], "{x:?}");
+        assert_eq!(seen.areas[0], 0.0);
+    }
+    // In its plane, outside of it.
+    assert_eq!(look(&all, [0.0, 1.5, 0.0]).visible, [1, 2]);
+}
+
+#[test]
+fn cones_and_distances_limit_the_view() {
+    let room = cube([-1.0; 3], [1.0; 3]);
+    let cap = |half: f64| 2.0 * PI * (1.0 - half.cos());
+    for degrees in [1.0f64, 40.0, 90.0, 150.0, 179.0, 200.0, 300.0, 360.0] {
+        let view = View {
+            direction: Some([0.3, -0.2, 0.9]),
+            angle: degrees.to_radians(),
+            ..View::default()
+        };
+        let seen = look_as(&room, [0.1, 0.2, -0.1], &view, Mode::Exact);
+        let truth = cap(degrees.to_radians() / 2.0);
+        assert!((total(&seen) - truth).abs() < 1e-9, "{degrees}: {} {truth}", total(&seen));
+    }
+    // A wall at distance 1: within 2, a disk of 60 degrees around its normal.
+    let wall = quad([-90.0, -90.0, 1.0], [90.0, -90.0, 1.0], [90.0, 90.0, 1.0], [-90.0, 90.0, 1.0]);
+    let view = View { distance: Some(2.0), ..View::default() };
+    let seen = look_as(&wall, [0.0; 3], &view, Mode::Exact);
+    assert!((seen.areas.iter().sum::<f64>() - cap(PI / 3.0)).abs() < 1e-12, "{:?}", seen.areas);
+    assert!((total(&seen) - 4.0 * PI).abs() < 1e-12);
+    let view = View { distance: Some(0.99), ..View::default() };
+    assert!(look_as(&wall, [0.0; 3], &view, Mode::Exact).visible.is_empty());
+}
+
+#[test]
+fn shares_of_boxes() {
+    // A wall hides the lower half of a box's front.
+    let wall = quad([-9.0, -9.0, 1.0], [9.0, -9.0, 1.0], [9.0, 0.0, 1.0], [-9.0, 0.0, 1.0]);
+    let surfaces = Surfaces::new(&scene(&wall));
+    let hierarchy = Hierarchy::new(&surfaces);
+    let looker = Looker::new(&surfaces, &hierarchy);
+    let mut scratch = Scratch::default();
+    let mut share = |low, high| {
+        looker.sees([0.0; 3], &Target { low, high }, &View::default(), Mode::Exact, &mut scratch).unwrap()
+    };
+    assert!((share([-1.0, -1.0, 2.0], [1.0, 1.0, 3.0]) - 0.5).abs() < 1e-12);
+    assert_eq!(share([-1.0, -3.0, 2.0], [1.0, -1.0, 3.0]), 0.0);
+    assert_eq!(share([-1.0, 1.0, 2.0], [1.0, 2.0, 3.0]), 1.0);
+    // In front of the wall, around the point, without thickness.
+    assert_eq!(share([-1.0, -1.0, 0.5], [1.0, 1.0, 0.75]), 1.0);
+    assert_eq!(share([-1.0, -1.0, -0.5], [1.0, 1.0, 0.75]), 1.0);
+    assert!((share([-1.0, -1.0, 2.0], [1.0, 1.0, 2.0]) - 0.5).abs() < 1e-12);
+    // A box that its wall cuts through.
+    assert!((share([-1.0, -2.0, 0.5], [1.0, 1.0, 3.0]) - 1.0).abs() < 1e-12);
+}
