@@ -1,7 +1,7 @@
 //! What is seen from a point, at run time and exactly.
 //!
-//! The method is that of Miszka, Ryan, Gain and Hultquist, "An Application of Tetrahedrisation to From-point Visibility",
-//! 2004, with the tetrahedra that its authors designed: they conform to the surfaces.
+//! The method is that of Miszka, Ryan, Gain and Hultquist, "An Application of Tetrahedrisation to From-point
+//! Visibility", 2004, with the tetrahedra that its authors designed: they conform to the surfaces.
 
 pub mod look;
 pub mod surfaces;

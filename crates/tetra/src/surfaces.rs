@@ -1,7 +1,7 @@
 //! The triangles of a scene over their distinct points.
 //!
-//! Two corners are the same point when their coordinates are equal, whatever the file shares. Points are numbered in the order
-//! in which triangles first name them.
+//! Two corners are the same point when their coordinates are equal, whatever the file shares. Points are
+//! numbered in the order in which triangles first name them.
 
 use rustc_hash::FxHashMap;
 use sightline_scene::Scene;
@@ -11,7 +11,8 @@ use sightline_scene::Scene;
 pub struct Surfaces {
     /// The distinct points. No coordinate is a negative zero.
     pub points: Vec<[f32; 3]>,
-    /// The corners of each triangle, in id order and in the file's winding. A triangle without area keeps its place.
+    /// The corners of each triangle, in id order and in the file's winding. A triangle without area keeps its
+    /// place.
     pub triangles: Vec<[u32; 3]>,
     /// What each triangle does ([`FLAT`], [`BLOCKS`], [`SHOWS`]).
     pub flags: Vec<u8>,

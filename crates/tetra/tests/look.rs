@@ -35,9 +35,7 @@ fn quad(a: [f32; 3], b: [f32; 3], c: [f32; 3], d: [f32; 3]) -> [[[f32; 3]; 3]; 2
 
 /// The twelve triangles of a box.
 fn cube(low: [f32; 3], high: [f32; 3]) -> Vec<[[f32; 3]; 3]> {
-    let p = |x: usize, y: usize, z: usize| {
-        [[low, high][x][0], [low, high][y][1], [low, high][z][2]]
-    };
+    let p = |x: usize, y: usize, z: usize| [[low, high][x][0], [low, high][y][1], [low, high][z][2]];
     let mut all = Vec::new();
     all.extend(quad(p(0, 0, 0), p(0, 1, 0), p(1, 1, 0), p(1, 0, 0)));
     all.extend(quad(p(0, 0, 1), p(1, 0, 1), p(1, 1, 1), p(0, 1, 1)));
@@ -52,7 +50,8 @@ fn total(seen: &Seen) -> f64 {
     seen.areas.iter().sum::<f64>() + seen.sky + seen.unseen + seen.dropped
 }
 
-/// The solid angle of a rectangle with corners (a, b) and (c, d) in the plane at a distance h (its corners' arctangents).
+/// The solid angle of a rectangle with corners (a, b) and (c, d) in the plane at a distance h (its corners'
+/// arctangents).
 fn rectangle(a: f64, b: f64, c: f64, d: f64, h: f64) -> f64 {
     let f = |x: f64, y: f64| libm::atan2(x * y, h * (x * x + y * y + h * h).sqrt());
     f(c, d) - f(a, d) - f(c, b) + f(a, b)
@@ -96,7 +95,8 @@ fn a_slit_shows_what_is_behind_it() {
 
 #[test]
 fn closed_seams_show_nothing() {
-    // A wall in strips with corners that do not agree (T-junctions), at coordinates that are not exact in binary.
+    // A wall in strips with corners that do not agree (T-junctions), at coordinates that are not exact in
+    // binary.
     let mut all = Vec::new();
     let cut = |k: u32, n: u32| -3.0 + 6.0 * (k as f32) / (n as f32);
     for (row, (z0, z1)) in [(-3.0f32, -0.7f32), (-0.7, 1.1), (1.1, 3.0)].into_iter().enumerate() {
@@ -160,11 +160,7 @@ fn cones_and_distances_limit_the_view() {
     let room = cube([-1.0; 3], [1.0; 3]);
     let cap = |half: f64| 2.0 * PI * (1.0 - half.cos());
     for degrees in [1.0f64, 40.0, 90.0, 150.0, 179.0, 200.0, 300.0, 360.0] {
-        let view = View {
-            direction: Some([0.3, -0.2, 0.9]),
-            angle: degrees.to_radians(),
-            ..View::default()
-        };
+        let view = View { direction: Some([0.3, -0.2, 0.9]), angle: degrees.to_radians(), ..View::default() };
         let seen = look_as(&room, [0.1, 0.2, -0.1], &view, Mode::Exact);
         let truth = cap(degrees.to_radians() / 2.0);
         assert!((total(&seen) - truth).abs() < 1e-9, "{degrees}: {} {truth}", total(&seen));
@@ -199,4 +195,40 @@ fn shares_of_boxes() {
     assert!((share([-1.0, -1.0, 2.0], [1.0, 1.0, 2.0]) - 0.5).abs() < 1e-12);
     // A box that its wall cuts through.
     assert!((share([-1.0, -2.0, 0.5], [1.0, 1.0, 3.0]) - 1.0).abs() < 1e-12);
+}
+
+/// Times of a scene that the environment names: `TETRA_SCENE=F cargo test -p sightline-tetra --test look --
+/// --ignored --nocapture`.
+#[test]
+#[ignore = "a measurement"]
+fn times() {
+    let scene = sightline_scene::load(std::path::Path::new(&std::env::var("TETRA_SCENE").unwrap())).unwrap();
+    let surfaces = Surfaces::new(&scene);
+    let hierarchy = Hierarchy::new(&surfaces);
+    let looker = Looker::new(&surfaces, &hierarchy);
+    let mut scratch = Scratch::default();
+    let bounds = scene.bounds();
+    let (low, high) = (bounds.min.as_dvec3(), bounds.max.as_dvec3());
+    for k in 0..12u32 {
+        let part = glam::DVec3::new(
+            0.5 + 0.4 * (f64::from(k) * 2.4).sin(),
+            0.5 + 0.4 * (f64::from(k) * 3.7).sin(),
+            0.5 + 0.4 * (f64::from(k) * 1.3).sin(),
+        );
+        let x = low + (high - low) * part;
+        let start = std::time::Instant::now();
+        let seen = looker.look(x.to_array(), &View::default(), Mode::Exact, &mut scratch).unwrap();
+        let time = start.elapsed().as_secs_f64();
+        println!(
+            "{:8} visible {:9} beams {:10} boxes {:10} signs {:7} integers {:8.1} ms {:6.1} us/visible  4pi off {:.1e}",
+            seen.visible.len(),
+            seen.beams,
+            seen.cells,
+            seen.decided,
+            seen.integers,
+            time * 1e3,
+            time * 1e6 / seen.visible.len().max(1) as f64,
+            seen.areas.iter().sum::<f64>() + seen.sky + seen.unseen - 4.0 * PI,
+        );
+    }
 }

@@ -18,7 +18,8 @@ pub fn unit(v: V) -> V {
     v.map(|c| c / length)
 }
 
-/// The solid angle of the triangle of three unit vectors (van Oosterom and Strackee, "The Solid Angle of a Plane Triangle", 1983).
+/// The solid angle of the triangle of three unit vectors (van Oosterom and Strackee, "The Solid Angle of a
+/// Plane Triangle", 1983).
 fn triangle(a: V, b: V, c: V) -> f64 {
     // The volume from differences: beside long vectors that nearly agree it loses the least.
     let (p, q): (V, V) = (std::array::from_fn(|k| b[k] - a[k]), std::array::from_fn(|k| c[k] - a[k]));
@@ -45,7 +46,8 @@ pub struct Cone {
     pub cosine: f64,
 }
 
-/// A piece of a region's border: from one direction to the next along a great circle, or along the circle of a cone.
+/// A piece of a region's border: from one direction to the next along a great circle, or along the circle of
+/// a cone.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
     from: V,
@@ -54,8 +56,9 @@ struct Piece {
     circle: Option<usize>,
 }
 
-/// The solid angle of the part of a beam that is within all cones. With Gauss and Bonnet: 2π less the turns at the corners, less the
-/// curvature of the arcs, which on a circle is the cosine times the angle around its axis. At most two cones, none over a half space.
+/// The solid angle of the part of a beam that is within all cones. With Gauss and Bonnet: 2π less the turns
+/// at the corners, less the curvature of the arcs, which on a circle is the cosine times the angle around its
+/// axis. At most two cones, none over a half space.
 pub fn area_within(ring: &[Edge], cones: &[Cone]) -> f64 {
     let ways: Vec<V> = ring.iter().map(|e| unit(e.corner.way.v)).collect();
     let mut border: Vec<Piece> = (0..ways.len())
@@ -121,7 +124,8 @@ fn within(border: &[Piece], cones: &[Cone], number: usize, holds: impl Fn(V) -> 
     let mut kept: Vec<Piece> = Vec::new();
     for piece in border {
         let (centre, e, f, angle) = frame(piece, cones);
-        let at = |t: f64| -> V { std::array::from_fn(|k| centre[k] + libm::cos(t) * e[k] + libm::sin(t) * f[k]) };
+        let at =
+            |t: f64| -> V { std::array::from_fn(|k| centre[k] + libm::cos(t) * e[k] + libm::sin(t) * f[k]) };
         let mut stops = vec![(0.0, piece.from)];
         stops.extend(crossings(piece, cones, cone));
         stops.push((angle, piece.to));

@@ -1,8 +1,9 @@
 //! Beams: convex cones of directions, and how a plane through the viewpoint cuts them.
 //!
-//! A beam is the ring of its corners; from each corner to the next the border lies in one plane. Sides point inwards. A corner
-//! between the planes n and m, in the ring's order, is in the direction n × m, and the plane between the corners v and w has its
-//! normal on the side of v × w. Angles are below a right angle, because beams begin as octants.
+//! A beam is the ring of its corners; from each corner to the next the border lies in one plane. Sides point
+//! inwards. A corner between the planes n and m, in the ring's order, is in the direction n × m, and the
+//! plane between the corners v and w has its normal on the side of v × w. Angles are below a right angle,
+//! because beams begin as octants.
 
 use super::eye::Eye;
 use super::planes::{Corner, Kind, Plane, Planes, Side};
@@ -20,7 +21,8 @@ pub struct Edge {
 /// The corners of a beam in order.
 pub type Ring = Vec<Edge>;
 
-/// The eighth of all directions in which the coordinates have the given signs (bit k for a negative coordinate k).
+/// The eighth of all directions in which the coordinates have the given signs (bit k for a negative
+/// coordinate k).
 pub fn octant(planes: &mut Planes, eye: &Eye<'_>, signs: u32, ring: &mut Ring) {
     let sides: [Side; 3] = std::array::from_fn(|k| {
         let normal = std::array::from_fn(|j| f64::from(u8::from(j == k)));
@@ -28,7 +30,7 @@ pub fn octant(planes: &mut Planes, eye: &Eye<'_>, signs: u32, ring: &mut Ring) {
         if signs >> k & 1 == 1 { side.other() } else { side }
     });
     // An odd number of reflections turns the ring.
-    let order = if signs.count_ones() % 2 == 0 { [0, 1, 2] } else { [0, 2, 1] };
+    let order = if signs.count_ones().is_multiple_of(2) { [0, 1, 2] } else { [0, 2, 1] };
     let sides = order.map(|k| sides[k]);
     let zero = Rounded::default();
     ring.clear();
@@ -113,7 +115,8 @@ pub fn cut(
     }
 }
 
-/// A direction inside of a beam, which no rounding has put outside; nothing if no double near the middle is certainly inside.
+/// A direction inside of a beam, which no rounding has put outside; nothing if no double near the middle is
+/// certainly inside.
 pub fn middle(planes: &Planes, ring: &[Edge]) -> Option<[f64; 3]> {
     let mut sum = [0.0; 3];
     for edge in ring {
@@ -127,8 +130,8 @@ pub fn middle(planes: &Planes, ring: &[Edge]) -> Option<[f64; 3]> {
     inside.then_some(way.v)
 }
 
-/// The widths of a beam as sines: the least distance between two parallel great circles around it, and the largest distance between
-/// two corners. Rounded: they decide what an angle leaves out, never what is seen.
+/// The widths of a beam as sines: the least distance between two parallel great circles around it, and the
+/// largest distance between two corners. Rounded: they decide what an angle leaves out, never what is seen.
 pub fn widths(planes: &Planes, ring: &[Edge]) -> (f64, f64) {
     let unit = |v: [f64; 3]| {
         let length = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt();
@@ -152,7 +155,8 @@ pub fn widths(planes: &Planes, ring: &[Edge]) -> (f64, f64) {
     (narrow, wide.sqrt())
 }
 
-/// Whether a box is outside of a beam for certain: beyond one of its planes. `low` and `high` are the box's corners.
+/// Whether a box is outside of a beam for certain: beyond one of its planes. `low` and `high` are the box's
+/// corners.
 #[inline]
 pub fn misses(planes: &Planes, ring: &[Edge], x: [f64; 3], low: [f32; 3], high: [f32; 3]) -> bool {
     let near: [f64; 3] = std::array::from_fn(|k| f64::from(low[k]) - x[k]);

@@ -1,7 +1,7 @@
 //! A viewpoint and the points seen from it: rounded vectors, and the same as integers.
 //!
-//! All coordinates are doubles, so they are integers times one power of two, which the smallest bit of any of them gives. Signs of
-//! polynomials whose terms have equal degree do not depend on that power.
+//! All coordinates are doubles, so they are integers times one power of two, which the smallest bit of any of
+//! them gives. Signs of polynomials whose terms have equal degree do not depend on that power.
 
 use dashu_int::IBig;
 use sightline_scene::exact::dyadic;

@@ -8,7 +8,8 @@ use crate::surfaces::{BLOCKS, FLAT, SHOWS, Surfaces};
 pub struct Node {
     /// Least coordinates.
     pub low: [f32; 3],
-    /// The first of two children that follow one another, or the first triangle's place in [`Hierarchy::order`].
+    /// The first of two children that follow one another, or the first triangle's place in
+    /// [`Hierarchy::order`].
     pub first: u32,
     /// Largest coordinates.
     pub high: [f32; 3],
@@ -100,7 +101,8 @@ impl Bounds {
     }
 }
 
-/// Sorts triangles into two parts and says where the second one begins; nothing for those that are to stay together.
+/// Sorts triangles into two parts and says where the second one begins; nothing for those that are to stay
+/// together.
 fn divide(part: &mut [u32], bounds: &[Bounds]) -> Option<usize> {
     if part.len() <= LEAF {
         return None;

@@ -64,8 +64,8 @@ impl<'a> Looker<'a> {
 
     /// What is visible from `x`, a point in world coordinates. The answer is in `scratch.seen` too.
     ///
-    /// A triangle is visible along an open set of directions, or if it holds the point. From a point in its plane, outside of it, a
-    /// triangle neither is visible nor hides anything.
+    /// A triangle is visible along an open set of directions, or if it holds the point. From a point in its
+    /// plane, outside of it, a triangle neither is visible nor hides anything.
     ///
     /// # Errors
     /// [`LookError`] for numbers that are out of range.
@@ -97,9 +97,10 @@ impl<'a> Looker<'a> {
         Ok(&scratch.seen)
     }
 
-    /// What share of a box's picture is visible from `x`, in 0…1: of the solid angle of the box, as if nothing else were there, the
-    /// part in which no triangle is nearer than the box and that is within the view. 1 from inside of the box; 0 for a box that has no
-    /// picture. The mode's angle drops or keeps beams as it does for sets: a conservative share is not smaller than the exact one.
+    /// What share of a box's picture is visible from `x`, in 0…1: of the solid angle of the box, as if
+    /// nothing else were there, the part in which no triangle is nearer than the box and that is within the
+    /// view. 1 from inside of the box; 0 for a box that has no picture. The mode's angle drops or keeps beams
+    /// as it does for sets: a conservative share is not smaller than the exact one.
     ///
     /// # Errors
     /// [`LookError`] for numbers that are out of range.
@@ -202,7 +203,10 @@ impl<'a> Looker<'a> {
             }
             for t in &self.hierarchy.order[node.first as usize..][..node.count as usize] {
                 let flags = self.surfaces.flags[*t as usize];
-                if flags & FLAT == 0 && flags & SHOWS != 0 && super::planes::holds(&eye, self.surfaces.triangles[*t as usize]) {
+                if flags & FLAT == 0
+                    && flags & SHOWS != 0
+                    && super::planes::holds(&eye, self.surfaces.triangles[*t as usize])
+                {
                     scratch.tally.see(*t);
                 }
             }
@@ -211,7 +215,7 @@ impl<'a> Looker<'a> {
 }
 
 fn check_point(what: &'static str, p: [f64; 3]) -> Result<(), LookError> {
-    match p.into_iter().find(|c| !(c.abs() <= f64::from(f32::MAX))) {
+    match p.into_iter().find(|c| c.is_nan() || c.abs() > f64::from(f32::MAX)) {
         Some(value) => Err(LookError::Coordinate { what, value }),
         None => Ok(()),
     }
@@ -226,7 +230,7 @@ fn check_view(view: &View) -> Result<(), LookError> {
         check_angle("the view's angle", view.angle, 360.0)?;
     }
     match view.distance {
-        Some(distance) if !(distance > 0.0) => Err(LookError::Distance(distance)),
+        Some(distance) if distance.is_nan() || distance <= 0.0 => Err(LookError::Distance(distance)),
         _ => Ok(()),
     }
 }

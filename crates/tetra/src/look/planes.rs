@@ -1,8 +1,9 @@
-//! Planes through the viewpoint, the directions where two of them meet, and on which side of a third one such a direction is.
+//! Planes through the viewpoint, the directions where two of them meet, and on which side of a third one such
+//! a direction is.
 //!
-//! Directions are decided on, never points: a plane through the viewpoint is its normal, a corner of a beam is the cross product
-//! of two normals, and a side is the sign of a determinant of three. Doubles with bounds decide most signs; what a corner and a
-//! plane have in common decides most zeros; integers decide the rest.
+//! Directions are decided on, never points: a plane through the viewpoint is its normal, a corner of a beam
+//! is the cross product of two normals, and a side is the sign of a determinant of three. Doubles with bounds
+//! decide most signs; what a corner and a plane have in common decides most zeros; integers decide the rest.
 
 use super::eye::{self, Eye, Integers};
 use super::rounded::{Number, Rounded};
@@ -12,8 +13,9 @@ use super::rounded::{Number, Rounded};
 pub enum Kind {
     /// Through two points, the first with the smaller number: the normal is (a − x) × (b − x).
     Edge(u32, u32),
-    /// Through the line in which the planes of two faces meet. A face is three points, ordered so that its plane is in front of
-    /// its normal: (b − a) × (c − a) · (a − x) > 0. On the positive side the second one is nearer.
+    /// Through the line in which the planes of two faces meet. A face is three points, ordered so that its
+    /// plane is in front of its normal: (b − a) × (c − a) · (a − x) > 0. On the positive side the second one
+    /// is nearer.
     Meet([u32; 3], [u32; 3]),
     /// With this normal.
     Normal([f64; 3]),
@@ -82,7 +84,8 @@ pub struct Planes {
     pub integers: u64,
 }
 
-/// Directions with a larger relative bound are computed again in integers: signs of such directions would all need integers.
+/// Directions with a larger relative bound are computed again in integers: signs of such directions would all
+/// need integers.
 const POOR: f64 = 1.0 / (1u64 << 30) as f64;
 
 impl Planes {
@@ -144,9 +147,11 @@ impl Planes {
         };
         if let Some((point, ..)) = point {
             let way = eye.to(point).scaled();
-            // The planes meet in the line through the point, and the corner is a positive combination of both directions: its
-            // scalar product with their sum is at least half of all their lengths, far beyond the bounds of good directions.
-            let between = Rounded { v: std::array::from_fn(|k| from.v[k] + to.v[k]), error: from.error + to.error };
+            // The planes meet in the line through the point, and the corner is a positive combination of both
+            // directions: its scalar product with their sum is at least half of all their lengths, far beyond
+            // the bounds of good directions.
+            let between =
+                Rounded { v: std::array::from_fn(|k| from.v[k] + to.v[k]), error: from.error + to.error };
             if way.dot(&between).sign() == Some(1) {
                 return Corner { way, sides, point };
             }
@@ -154,7 +159,7 @@ impl Planes {
         let way = self.normal(sides[0]).cross(&self.normal(sides[1]));
         let mut corner = Corner { way: way.scaled(), sides, point: NONE };
         // Also where the product is 0 beside its bound, or not a number.
-        if !(way.error <= POOR * way.size()) {
+        if way.error.is_nan() || way.error > POOR * way.size() {
             corner.way = eye::rounded(&self.way_exactly(eye, &corner));
         }
         corner
@@ -182,8 +187,6 @@ pub struct Facing {
     pub normal: Rounded,
     /// Its scalar product with a − x: positive.
     pub height: Number,
-    /// Whether the order is not the one that was given.
-    pub turned: bool,
 }
 
 impl Facing {
@@ -199,18 +202,17 @@ impl Facing {
         });
         match sign {
             0 => None,
-            1 => Some(Self { points, normal, height, turned: false }),
+            1 => Some(Self { points, normal, height }),
             _ => Some(Self {
                 points: [a, c, b],
                 normal: normal.reversed(),
                 height: Number { value: -height.value, ..height },
-                turned: true,
             }),
         }
     }
 
-    /// The plane that divides the directions in which the other face is nearer from those in which this one is. Where both are
-    /// known to be in one plane, its normal is 0.
+    /// The plane that divides the directions in which the other face is nearer from those in which this one
+    /// is. Where both are known to be in one plane, its normal is 0.
     pub fn meet(&self, other: &Self) -> Plane {
         let normal = Rounded::combination(self.height, &other.normal, other.height, &self.normal);
         Plane { kind: Kind::Meet(self.points, other.points), normal: normal.scaled() }

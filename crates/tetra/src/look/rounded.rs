@@ -1,8 +1,9 @@
 //! Vectors in doubles that know how far they may be from the truth.
 //!
-//! A bound is absolute and holds for each component. The rules follow from the standard model of floating-point arithmetic, with
-//! u = 2⁻⁵³ and nothing that overflows or underflows: coordinates are of single precision, vectors are scaled to a magnitude near 1
-//! before they are multiplied again, and a product of five coordinates is within 2^±760.
+//! A bound is absolute and holds for each component. The rules follow from the standard model of
+//! floating-point arithmetic, with u = 2⁻⁵³ and nothing that overflows or underflows: coordinates are of
+//! single precision, vectors are scaled to a magnitude near 1 before they are multiplied again, and a product
+//! of five coordinates is within 2^±760.
 
 /// Half a unit in the last place of 1.
 pub const U: f64 = f64::EPSILON / 2.0;
@@ -62,8 +63,9 @@ impl Rounded {
 
     /// The cross product.
     ///
-    /// With A, B the sizes and α, β the bounds, a product of two components errs by at most Aβ + Bα + αβ before it is rounded,
-    /// and the two products and their difference are rounded by at most uAB each product and 2uAB together, up to second order.
+    /// With A, B the sizes and α, β the bounds, a product of two components errs by at most Aβ + Bα + αβ
+    /// before it is rounded, and the two products and their difference are rounded by at most uAB each
+    /// product and 2uAB together, up to second order.
     #[inline]
     pub fn cross(&self, b: &Self) -> Self {
         let (x, y) = (&self.v, &b.v);

@@ -1,10 +1,12 @@
-//! The search: beams go through boxes or cells, nearest first, and are cut along the edges of the triangles that they meet.
+//! The search: beams go through boxes or cells, nearest first, and are cut along the edges of the triangles
+//! that they meet.
 //!
-//! A beam keeps the nearest triangle so far that covers all of it, its cap. A triangle that is met divides the beam into the parts
-//! beside it, which go on as they are, and the part in it. That part is divided along the line where the triangle's plane meets the
-//! cap's: where the triangle is nearer it becomes the cap. What is behind the cap's plane, in the beam, is hidden, so a beam ends when
-//! nothing is left in front of its cap. The order of the work decides how long it takes, never what comes out (Weiler and Atherton,
-//! "Hidden Surface Removal Using Polygon Area Sorting", 1977, cut in the same way and sort first).
+//! A beam keeps the nearest triangle so far that covers all of it, its cap. A triangle that is met divides
+//! the beam into the parts beside it, which go on as they are, and the part in it. That part is divided along
+//! the line where the triangle's plane meets the cap's: where the triangle is nearer it becomes the cap. What
+//! is behind the cap's plane, in the beam, is hidden, so a beam ends when nothing is left in front of its
+//! cap. The order of the work decides how long it takes, never what comes out (Weiler and Atherton, "Hidden
+//! Surface Removal Using Polygon Area Sorting", 1977, cut in the same way and sort first).
 
 use crate::surfaces::{BLOCKS, SHOWS};
 
@@ -54,7 +56,15 @@ impl Search<'_> {
                     Place::Inside => {}
                     Place::Both => {
                         let signs = &rings.signs;
-                        beam::cut(planes, &self.eye, &rings.inside, *side, signs, &mut rings.next, &mut rings.far);
+                        beam::cut(
+                            planes,
+                            &self.eye,
+                            &rings.inside,
+                            *side,
+                            signs,
+                            &mut rings.next,
+                            &mut rings.far,
+                        );
                         std::mem::swap(&mut rings.inside, &mut rings.next);
                     }
                 }
@@ -293,12 +303,7 @@ impl Search<'_> {
     }
 
     /// Where a beam is on the nearer side of a face, seen from its cap, and whether both are in one plane.
-    fn against(
-        &mut self,
-        beam: &Beam,
-        cap: Option<&Facing>,
-        facing: &Facing,
-    ) -> (Place, bool) {
+    fn against(&mut self, beam: &Beam, cap: Option<&Facing>, facing: &Facing) -> (Place, bool) {
         let Some(cap) = cap else { return (Place::Inside, false) };
         let Scratch { planes, rings, .. } = &mut *self.scratch;
         let made = planes.list.len();
@@ -351,7 +356,8 @@ impl Search<'_> {
         }
     }
 
-    /// Whether a triangle that the beam met besides its cap is seen: its part of the beam in front of the cap.
+    /// Whether a triangle that the beam met besides its cap is seen: its part of the beam in front of the
+    /// cap.
     fn end_met(&mut self, beam: &Beam, cap: Option<&Facing>, triangle: u32) -> bool {
         let shows = self.flags(triangle) & SHOWS != 0;
         let Some(facing) = self.facing(triangle) else { return false };
@@ -434,8 +440,8 @@ fn behind(cap: &Facing, x: [f64; 3], node: &Node) -> bool {
     let n = &cap.normal;
     let mut least = 0.0;
     let mut reach = 0.0f64;
-    for k in 0..3 {
-        let (low, high) = (f64::from(node.low[k]) - x[k], f64::from(node.high[k]) - x[k]);
+    for (k, x) in x.into_iter().enumerate() {
+        let (low, high) = (f64::from(node.low[k]) - x, f64::from(node.high[k]) - x);
         least += (n.v[k] * low).min(n.v[k] * high);
         reach = reach.max(low.abs()).max(high.abs());
     }

@@ -7,7 +7,8 @@ pub enum Mode {
     Exact,
     /// Beams narrower than this angle, in radians, are dropped: some of what is visible is missing.
     Aggressive(f64),
-    /// Beams whose corners are closer together than this angle, in radians, are not cut: more than what is visible.
+    /// Beams whose corners are closer together than this angle, in radians, are not cut: more than what is
+    /// visible.
     Conservative(f64),
 }
 
@@ -47,17 +48,19 @@ pub struct View {
 pub struct Seen {
     /// The visible triangles, ascending.
     pub visible: Vec<u32>,
-    /// Their solid angles in steradians. Of coplanar triangles that overlap the least id has it; what is see-through has none, for
-    /// the direction goes on to what is behind.
+    /// Their solid angles in steradians. Of coplanar triangles that overlap the least id has it; what is
+    /// see-through has none, for the direction goes on to what is behind.
     pub areas: Vec<f64>,
-    /// For each a direction of largest magnitude in [1, 2) in which nothing is met before it: a blocking triangle or, for a see-through one,
-    /// any blocking triangle. Nothing where the triangle holds the point, or where no double is certainly in its part.
+    /// For each a direction of largest magnitude in [1, 2) in which nothing is met before it: a blocking
+    /// triangle or, for a see-through one, any blocking triangle. Nothing where the triangle holds the point,
+    /// or where no double is certainly in its part.
     pub witnesses: Vec<Option<[f64; 3]>>,
     /// Solid angle in which nothing is met.
     pub sky: f64,
     /// Solid angle in which the first triangle blocks and does not show.
     pub unseen: f64,
-    /// Solid angle that was not decided: dropped beams, and in the conservative mode beams that nothing covers whole.
+    /// Solid angle that was not decided: dropped beams, and in the conservative mode beams that nothing
+    /// covers whole.
     pub dropped: f64,
     /// Cells, or boxes, that were entered, once for each beam.
     pub cells: u64,

@@ -64,7 +64,8 @@ impl Limits {
             .collect()
     }
 
-    /// The solid angle of a beam within the cone, and of the part of that in which a face is nearer than the distance.
+    /// The solid angle of a beam within the cone, and of the part of that in which a face is nearer than the
+    /// distance.
     pub fn areas(&self, ring: &[Edge], face: Option<&Facing>) -> (f64, f64) {
         let whole = self.within(ring, &[]);
         let near = match (face, self.distance) {
