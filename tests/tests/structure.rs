@@ -61,6 +61,15 @@ fn the_reader_of_results_stands_alone() {
 }
 
 #[test]
+fn looking_from_a_point_needs_no_tracer() {
+    assert_eq!(ours("sightline-tetra"), ["sightline-numbers", "sightline-scene"]);
+    let all = dependencies("sightline-tetra");
+    for foreign in ["wgpu", "libloading"] {
+        assert!(!all.contains(foreign), "sightline-tetra depends on {foreign}");
+    }
+}
+
+#[test]
 fn traces_know_nothing_of_what_is_traced() {
     assert_eq!(ours("sightline-traces"), ["sightline-proto"]);
 }
