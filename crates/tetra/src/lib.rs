@@ -3,4 +3,5 @@
 //! The method is that of Miszka, Ryan, Gain and Hultquist, "An Application of Tetrahedrisation to From-point Visibility",
 //! 2004, with the tetrahedra that its authors designed: they conform to the surfaces.
 
+pub mod delaunay;
 pub mod surfaces;
