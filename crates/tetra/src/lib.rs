@@ -4,4 +4,5 @@
 //! Visibility", 2004, with the tetrahedra that its authors designed: they conform to the surfaces.
 
 pub mod look;
+pub mod delaunay;
 pub mod surfaces;

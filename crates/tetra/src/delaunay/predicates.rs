@@ -1,0 +1,245 @@
+//! On which side of a plane or a sphere through points a point lies, decided exactly.
+//!
+//! Three stages, from fast to general: `f64` with a proven bound; integers of fixed width; integers of any
+//! width. Points on a lattice end in the first, because there `f64` does not round.
+//!
+//! No `f64` operation here overflows or underflows: coordinates are multiples of 2⁻¹⁴⁹ below 2¹²⁸, so
+//! differences are below 2¹²⁹ and the values of degree 5 below 2⁶⁶⁰; a value of degree k stays a multiple of
+//! 2⁻¹⁴⁹ᵏ when it is rounded, and 2⁻⁷⁴⁵ is more than the least `f64`.
+
+use std::cmp::Ordering;
+use std::ops::{Add, Mul, Sub};
+
+use dashu_int::IBig;
+use glam::{DVec3, Vec3};
+use sightline_scene::exact::{differences, dyadic, orient3d_sign, small_integers};
+
+use super::ties;
+
+/// Half a unit in the last place of 1: the largest relative error of one rounded operation.
+const U: f64 = f64::EPSILON / 2.0;
+
+/// Bound of the error of an orientation, times the product of the largest differences of each axis.
+///
+/// The determinant has 6 products of three differences. Each passes through at most 8 rounded operations (three
+/// differences, two products, three additions), so the error is at most ((1+u)⁸ − 1) · 6 times that product
+/// of true differences, less than 49 u times the computed one; 64 also covers computing the bound.
+const ORIENT_BOUND: f64 = 64.0 * U;
+
+/// Bound of the error of [`Predicates::conflicts`]'s determinant, times the product of the largest differences
+/// of each axis and the square of the largest of all.
+///
+/// The determinant has 4 cofactors of 6 products, each times 3 squares: 72 terms, each at most that product.
+/// A term passes through at most 17 rounded operations: 8 of the cofactor (as above), 5 of the lift (two
+/// differences, a product, two additions), their product and three additions. So the error is at most
+/// ((1+u)¹⁷ − 1) · 72 times the product of true differences, less than 1230 u times the computed one; 1300 also
+/// covers computing the bound.
+const CONFLICT_BOUND: f64 = 1300.0 * U;
+
+/// Points, and from which values on `f64` may round.
+pub(super) struct Predicates<'a> {
+    points: &'a [[f32; 3]],
+    /// A sum of products of 3 differences whose magnitudes add up to at most this is exact in `f64`.
+    exact3: f64,
+    /// The same for products of 5 differences.
+    exact5: f64,
+}
+
+impl<'a> Predicates<'a> {
+    /// Prepares the predicates of some points, which are finite.
+    pub(super) fn new(points: &'a [[f32; 3]]) -> Self {
+        let exponents = points.as_flattened().iter().map(|&c| dyadic(f64::from(c)));
+        let least = exponents.filter(|(m, _)| *m != 0).map(|(_, e)| e).min().unwrap_or(0);
+        // All coordinates are multiples of the unit, so all values of degree k are multiples of its k-th power.
+        // Multiples of one number up to 2⁵³ times it are exact in f64. The powers are at least 2⁻⁷⁴⁵.
+        let unit = f64::from_bits(((1023 + least) as u64) << 52);
+        let most = f64::from(2).powi(53);
+        let cube = unit * unit * unit;
+        Self { points, exact3: most * cube, exact5: most * (cube * unit * unit) }
+    }
+
+    fn at(&self, k: u32) -> [f32; 3] {
+        self.points[k as usize]
+    }
+
+    /// Whether two points are equal.
+    pub(super) fn same(&self, p: u32, q: u32) -> bool {
+        self.at(p) == self.at(q)
+    }
+
+    /// The sign of (b − a) × (c − a) · (d − a) of four points.
+    pub(super) fn orient(&self, corners: [u32; 4]) -> Ordering {
+        let [a, b, c, d] = corners.map(|k| self.at(k));
+        let rows = [b, c, d].map(|p| minus(p, a));
+        let most = largest(&rows);
+        let size = most[0] * most[1] * most[2];
+        let det = det(&rows[0], &rows[1], &rows[2]);
+        if det.abs() > ORIENT_BOUND * size || 6.0 * size <= self.exact3 {
+            return sign(det);
+        }
+        orient3d_sign(a.into(), b.into(), c.into(), d.into())
+    }
+
+    /// Whether point `e` is inside the circumsphere of a tetrahedron of positive [`Self::orient`] that it is not
+    /// a corner of; on the sphere, what [`ties`] says.
+    pub(super) fn conflicts(&self, corners: [u32; 4], e: u32) -> bool {
+        let origin = self.at(e);
+        let rows = corners.map(|k| minus(self.at(k), origin));
+        let most = largest(&rows);
+        let longest = most[0].max(most[1]).max(most[2]);
+        // Positive: the corners are not coplanar.
+        let size = most[0] * most[1] * most[2] * (longest * longest);
+        let cofactors = cofactors(&rows);
+        let lift = |k: usize| square(&rows[k]);
+        let value =
+            cofactors[0] * lift(0) + cofactors[1] * lift(1) + cofactors[2] * lift(2) + cofactors[3] * lift(3);
+        if value.abs() > CONFLICT_BOUND * size {
+            return value > 0.0;
+        }
+        let (side, signs) = if 72.0 * size <= self.exact5 {
+            // Every difference, cofactor, lift and sum is exact: none is larger than the sum of all magnitudes
+            // of its degree.
+            (sign(value), cofactors.map(sign))
+        } else {
+            let [a, b, c, d] = corners.map(|k| Vec3::from(self.at(k)));
+            let exact = differences(Vec3::from(origin).as_dvec3(), [a, b, c, d].map(|p| p.as_dvec3()));
+            exact.and_then(small_signs).unwrap_or_else(|| big_signs(origin, corners.map(|k| self.at(k))))
+        };
+        match side {
+            Ordering::Greater => true,
+            Ordering::Less => false,
+            Ordering::Equal => ties::conflicts(corners, e, signs),
+        }
+    }
+}
+
+/// The sign of the orientation of three points with `x`: (a − x) × (b − x) · (c − x), for any finite `x`.
+pub(super) fn side([a, b, c]: [[f32; 3]; 3], x: [f64; 3]) -> Ordering {
+    let rows = [a, b, c].map(|p| [0, 1, 2].map(|k| f64::from(p[k]) - x[k]));
+    let most = largest(&rows);
+    // Products of two can underflow here, by at most 2⁻¹⁰⁷⁵ each; there are 6, each times less than 2¹⁶⁰, and 3
+    // more: less than 2⁻⁹⁰⁰ together. Below 2¹⁶⁰ nothing overflows.
+    if most.iter().all(|m| *m < f64::from(2).powi(160)) {
+        let det = det(&rows[0], &rows[1], &rows[2]);
+        if det.abs() > ORIENT_BOUND * (most[0] * most[1] * most[2]) + f64::from(2).powi(-900) {
+            return sign(det);
+        }
+    }
+    let exact = differences(DVec3::from(x), [a, b, c].map(|p| Vec3::from(p).as_dvec3()));
+    if let Some([a, b, c]) = exact.and_then(small_integers) {
+        let [a, b, c] = [a, b, c].map(|row| row.map(i128::from));
+        return det(&a, &b, &c).cmp(&0);
+    }
+    let [x, a, b, c] = big_rows([x, a.map(f64::from), b.map(f64::from), c.map(f64::from)]);
+    let rows = [a, b, c].map(|p| minus_big(&p, &x));
+    det(&rows[0], &rows[1], &rows[2]).cmp(&IBig::ZERO)
+}
+
+/// The signs of the determinant and the four cofactors, in integers of fixed width; `None` where differences
+/// from e do not fit.
+fn small_signs(rows: [[f64; 3]; 4]) -> Option<(Ordering, [Ordering; 4])> {
+    let rows = small_integers(rows)?.map(|row| row.map(i128::from));
+    // Below 2¹²⁶ and 2⁸⁴.
+    let cofactors = cofactors(&rows);
+    let lifts = rows.each_ref().map(square);
+    Some((sum_of_products(cofactors, lifts), cofactors.map(|c| c.cmp(&0))))
+}
+
+/// The sign of Σ cᵢ·lᵢ for |cᵢ| < 2¹²⁶ and 0 ≤ lᵢ < 2⁸⁴.
+///
+/// Each c is split at bit 63 and each l at bit 42, so that all partial sums are below 2¹⁰⁸ and fit; then
+/// carries are moved upwards.
+fn sum_of_products(c: [i128; 4], l: [i128; 4]) -> Ordering {
+    let low = |x: i128, bits: u32| x & ((1 << bits) - 1);
+    // Places of value 2⁰, 2⁴², 2⁶³, 2¹⁰⁵.
+    let mut places = [0i128; 4];
+    for (c, l) in c.into_iter().zip(l) {
+        let ([c0, c1], [l0, l1]) = ([low(c, 63), c >> 63], [low(l, 42), l >> 42]);
+        for (place, product) in places.iter_mut().zip([c0 * l0, c0 * l1, c1 * l0, c1 * l1]) {
+            *place += product;
+        }
+    }
+    let mut rest = false;
+    for (k, bits) in [(0, 42), (1, 21), (2, 42)] {
+        places[k + 1] += places[k] >> bits;
+        rest |= low(places[k], bits) != 0;
+    }
+    // What is left below is not negative and less than one unit of the highest place.
+    places[3].cmp(&0).then(rest.cmp(&false))
+}
+
+/// [`small_signs`] for all coordinates.
+fn big_signs(e: [f32; 3], corners: [[f32; 3]; 4]) -> (Ordering, [Ordering; 4]) {
+    let [a, b, c, d] = corners.map(|p| p.map(f64::from));
+    let [e, a, b, c, d] = big_rows([e.map(f64::from), a, b, c, d]);
+    let rows = [a, b, c, d].map(|p| minus_big(&p, &e));
+    let cofactors = cofactors(&rows);
+    let sum = cofactors.iter().zip(&rows).fold(IBig::ZERO, |sum, (c, row)| sum + c * square(row));
+    (sum.cmp(&IBig::ZERO), cofactors.map(|c| c.cmp(&IBig::ZERO)))
+}
+
+/// Finite coordinates as integers times one power of two.
+fn big_rows<const N: usize>(rows: [[f64; 3]; N]) -> [[IBig; 3]; N] {
+    let parts = rows.map(|row| row.map(dyadic));
+    let least = parts.as_flattened().iter().filter(|(m, _)| *m != 0).map(|(_, e)| *e).min().unwrap_or(0);
+    parts.map(|row| row.map(|(m, e)| if m == 0 { IBig::ZERO } else { IBig::from(m) << (e - least) as usize }))
+}
+
+fn minus_big(p: &[IBig; 3], q: &[IBig; 3]) -> [IBig; 3] {
+    std::array::from_fn(|k| &p[k] - &q[k])
+}
+
+fn minus(p: [f32; 3], q: [f32; 3]) -> [f64; 3] {
+    std::array::from_fn(|k| f64::from(p[k]) - f64::from(q[k]))
+}
+
+/// The largest magnitude of each column.
+fn largest<const N: usize>(rows: &[[f64; 3]; N]) -> [f64; 3] {
+    std::array::from_fn(|k| rows.iter().fold(0.0f64, |most, row| most.max(row[k].abs())))
+}
+
+/// The sign of a number that is not NaN.
+fn sign(x: f64) -> Ordering {
+    x.partial_cmp(&0.0).unwrap_or(Ordering::Equal)
+}
+
+/// The orientations of a tetrahedron after the origin replaced one corner, for each corner. Their sum is the
+/// tetrahedron's own.
+#[inline(always)]
+fn cofactors<T>(rows: &[[T; 3]; 4]) -> [T; 4]
+where
+    for<'t> &'t T: Mul<&'t T, Output = T>,
+    T: Add<Output = T> + Sub<Output = T>,
+{
+    let minor = |i: usize, j: usize| &rows[i][0] * &rows[j][1] - &rows[j][0] * &rows[i][1];
+    let (ab, ac, ad) = (minor(0, 1), minor(0, 2), minor(0, 3));
+    let (bc, bd, cd) = (minor(1, 2), minor(1, 3), minor(2, 3));
+    let [a, b, c, d] = rows.each_ref().map(|row| &row[2]);
+    // The second and the fourth are the negated determinants of the other rows.
+    [
+        b * &cd - c * &bd + d * &bc,
+        c * &ad - a * &cd - d * &ac,
+        a * &bd - b * &ad + d * &ab,
+        b * &ac - a * &bc - c * &ab,
+    ]
+}
+
+/// The determinant of three rows: a × b · c.
+#[inline(always)]
+fn det<T>(a: &[T; 3], b: &[T; 3], c: &[T; 3]) -> T
+where
+    for<'t> &'t T: Mul<&'t T, Output = T>,
+    T: Add<Output = T> + Sub<Output = T>,
+{
+    let minor = |i: usize, j: usize| &a[i] * &b[j] - &a[j] * &b[i];
+    &minor(1, 2) * &c[0] + &minor(2, 0) * &c[1] + &minor(0, 1) * &c[2]
+}
+
+#[inline(always)]
+fn square<T>(row: &[T; 3]) -> T
+where
+    for<'t> &'t T: Mul<&'t T, Output = T>,
+    T: Add<Output = T>,
+{
+    &row[0] * &row[0] + &row[1] * &row[1] + &row[2] * &row[2]
+}
