@@ -5,4 +5,6 @@
 
 pub mod look;
 pub mod delaunay;
+pub mod cells;
+pub mod check;
 pub mod surfaces;

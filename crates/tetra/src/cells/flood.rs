@@ -1,0 +1,252 @@
+//! Which tetrahedra each triangle passes through, and which of their faces lie in its plane.
+//!
+//! The tetrahedra that touch a triangle's relative interior are connected through faces that touch it, since
+//! the interior is connected and so are the tetrahedra about each of its points. So a flood from those at one
+//! corner finds all. It may visit others, since the tests for "touches" are signs of planes alone: they never
+//! deny what is true. What it finds is cut exactly afterwards.
+
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+
+use crate::surfaces::{FLAT, Surfaces};
+
+use super::input::{CellsError, Tetrahedra, face};
+use super::planes::{NONE, Plane, axis_apart};
+
+/// A face: its tetrahedron times four, and the corner that it is opposite. Of the two numbers that an inner
+/// face has, the lesser.
+pub type FaceNumber = u32;
+
+/// What triangles meet.
+#[derive(Debug, Default)]
+pub struct Meetings {
+    /// Tetrahedra and triangles that may pass through their inside, ascending.
+    pub inside: Vec<(u32, u32)>,
+    /// Faces and triangles that may overlap them in their plane, ascending.
+    pub within: Vec<(FaceNumber, u32)>,
+    /// Faces and triangles that are the face, ascending.
+    pub whole: Vec<(FaceNumber, u32)>,
+}
+
+/// The plane of a triangle and those through its edges, each with the side of the third corner.
+#[derive(Clone, Copy, Debug)]
+pub struct TrianglePlanes {
+    /// Its plane.
+    pub plane: Plane,
+    /// The planes through the edges from each corner to the next.
+    pub edges: [Plane; 3],
+}
+
+impl TrianglePlanes {
+    /// The planes of a triangle with area.
+    pub fn new(corners: [u32; 3], points: &[[f32; 3]]) -> Self {
+        let axis = axis_apart(corners.map(|c| points[c as usize]));
+        let edges = std::array::from_fn(|i| Plane::along([corners[i], corners[(i + 1) % 3]], axis));
+        Self { plane: Plane(corners), edges }
+    }
+}
+
+/// What the triangles with area meet.
+///
+/// # Errors
+/// [`CellsError::NotConforming`] where no tetrahedron is found at a triangle.
+pub fn meetings(surfaces: &Surfaces, all: &Tetrahedra<'_>) -> Result<Meetings, CellsError> {
+    let mut whole = whole_faces(surfaces, all);
+    let mut is_whole = vec![false; surfaces.triangles.len()];
+    whole.iter().for_each(|(_, id)| is_whole[*id as usize] = true);
+    whole.par_sort_unstable();
+    let mut at_point = vec![NONE; all.points.len()];
+    for (t, corners) in (0..).zip(all.tetrahedra) {
+        corners.iter().for_each(|c| at_point[*c as usize] = t);
+    }
+    let ids: Vec<u32> = (0..surfaces.triangles.len() as u32)
+        .filter(|id| surfaces.flags[*id as usize] & FLAT == 0 && !is_whole[*id as usize])
+        .collect();
+    let found: Vec<Found> = ids
+        .par_chunks(256)
+        .map_init(
+            || Flood { all, at_point: &at_point, seen: vec![NONE; all.tetrahedra.len()], todo: Vec::new() },
+            |flood, ids| {
+                let mut found = Found::default();
+                ids.iter().try_for_each(|id| {
+                    flood.flood(*id, surfaces.triangles[*id as usize], &mut found).map(|()| ())
+                })?;
+                Ok(found)
+            },
+        )
+        .collect::<Result<_, CellsError>>()?;
+    let mut meetings = Meetings { whole, ..Meetings::default() };
+    for part in found {
+        meetings.inside.extend(part.inside);
+        meetings.within.extend(part.within);
+    }
+    meetings.inside.par_sort_unstable();
+    meetings.within.par_sort_unstable();
+    // A face is met from both of its tetrahedra.
+    meetings.within.dedup();
+    Ok(meetings)
+}
+
+/// The faces that are triangles.
+fn whole_faces(surfaces: &Surfaces, all: &Tetrahedra<'_>) -> Vec<(FaceNumber, u32)> {
+    let sorted = |mut corners: [u32; 3]| {
+        corners.sort_unstable();
+        corners
+    };
+    let mut first: FxHashMap<[u32; 3], u32> = FxHashMap::default();
+    let mut next = vec![NONE; surfaces.triangles.len()];
+    for id in (0..surfaces.triangles.len()).rev() {
+        if surfaces.flags[id] & FLAT == 0 {
+            let key = sorted(surfaces.triangles[id]);
+            next[id] = first.insert(key, id as u32).unwrap_or(NONE);
+        }
+    }
+    (0..all.tetrahedra.len() as u32)
+        .into_par_iter()
+        .flat_map_iter(|t| {
+            let (first, next) = (&first, &next);
+            (0..4).flat_map(move |k| {
+                let other = all.neighbours[t as usize][k];
+                let is_first = other == NONE || t < other;
+                let key = sorted(face(all.tetrahedra[t as usize], k));
+                let mut at = first.get(&key).copied().filter(|_| is_first).unwrap_or(NONE);
+                std::iter::from_fn(move || {
+                    let id = Some(at).filter(|id| *id != NONE)?;
+                    at = next[id as usize];
+                    Some((t * 4 + k as u32, id))
+                })
+            })
+        })
+        .collect()
+}
+
+#[derive(Default)]
+struct Found {
+    inside: Vec<(u32, u32)>,
+    within: Vec<(FaceNumber, u32)>,
+}
+
+struct Flood<'a> {
+    all: &'a Tetrahedra<'a>,
+    at_point: &'a [u32],
+    /// The triangle that last saw each tetrahedron.
+    seen: Vec<u32>,
+    todo: Vec<u32>,
+}
+
+/// Sides of a point: of the triangle's plane, then of those through its edges, 1 where the triangle is.
+type Sides = [i8; 4];
+
+impl Flood<'_> {
+    fn flood(&mut self, id: u32, corners: [u32; 3], found: &mut Found) -> Result<(), CellsError> {
+        let points = self.all.points;
+        let planes = TrianglePlanes::new(corners, points);
+        let inner: [i8; 3] =
+            std::array::from_fn(|i| planes.edges[i].side_of(points, corners[(i + 2) % 3]) as i8);
+        let sides = |p: u32| -> Sides {
+            std::array::from_fn(|i| match i {
+                0 => planes.plane.side_of(points, p) as i8,
+                _ => planes.edges[i - 1].side_of(points, p) as i8 * inner[i - 1],
+            })
+        };
+        self.seeds(id, corners[0], &sides);
+        if self.todo.is_empty() {
+            return Err(CellsError::NotConforming { tetrahedron: 0, what: "no way to a triangle's inside" });
+        }
+        while let Some(t) = self.todo.pop() {
+            let own = self.all.tetrahedra[t as usize];
+            let signs = own.map(&sides);
+            let is_met = may_touch(&signs) && self.may_touch_back(own, corners);
+            if !is_met {
+                continue;
+            }
+            if signs.iter().any(|s| s[0] > 0) && signs.iter().any(|s| s[0] < 0) {
+                found.inside.push((t, id));
+            }
+            for k in 0..4 {
+                let others: [Sides; 3] = std::array::from_fn(|i| signs[if i < k { i } else { i + 1 }]);
+                if !may_touch(&others) {
+                    continue;
+                }
+                if others.iter().all(|s| s[0] == 0) {
+                    found.within.push((self.all.number_of_face(t, k), id));
+                }
+                let next = self.all.neighbours[t as usize][k];
+                if next != NONE && self.seen[next as usize] != id {
+                    self.seen[next as usize] = id;
+                    self.todo.push(next);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Starts with the tetrahedra at a corner, or with all where no tetrahedron has the corner.
+    fn seeds(&mut self, id: u32, corner: u32, sides: &impl Fn(u32) -> Sides) {
+        self.todo.clear();
+        let start = self.at_point[corner as usize];
+        if start == NONE {
+            self.todo.extend(0..self.all.tetrahedra.len() as u32);
+            self.seen.fill(id);
+            return;
+        }
+        // All tetrahedra at the corner, through the faces that have it.
+        let mut star = vec![start];
+        self.seen[start as usize] = id;
+        let mut at = 0;
+        while let Some(t) = star.get(at).copied() {
+            at += 1;
+            let own = self.all.tetrahedra[t as usize];
+            for k in (0..4).filter(|k| own[*k] != corner) {
+                let next = self.all.neighbours[t as usize][k];
+                if next != NONE && self.seen[next as usize] != id {
+                    self.seen[next as usize] = id;
+                    star.push(next);
+                }
+            }
+        }
+        // Those that cannot touch the triangle count as seen and stay so.
+        self.todo.extend(star.iter().filter(|t| may_touch(&self.all.tetrahedra[**t as usize].map(sides))));
+    }
+
+    /// Whether no face of a tetrahedron has the triangle beyond it.
+    fn may_touch_back(&self, own: [u32; 4], corners: [u32; 3]) -> bool {
+        let points = self.all.points;
+        (0..4).all(|k| {
+            if corners.iter().any(|c| own.contains(c) && *c != own[k]) {
+                // A corner of the triangle is on the face.
+                return true;
+            }
+            let plane = Plane(face(own, k));
+            let inner = plane.side_of(points, own[k]);
+            corners.iter().any(|c| plane.side_of(points, *c) != inner.reverse())
+        })
+    }
+}
+
+/// Whether the hull of some points may touch the triangle's relative interior.
+fn may_touch(signs: &[Sides]) -> bool {
+    let has = |i: usize, sign: i8| signs.iter().any(|s| s[i] == sign);
+    let crosses = has(0, 0) || (has(0, 1) && has(0, -1));
+    crosses && (1..4).all(|i| has(i, 1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn doubled_triangles_are_all_named_at_their_face() {
+        let points = [[0.0f32; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let all = Tetrahedra { points: &points, tetrahedra: &[[0, 1, 2, 3]], neighbours: &[[NONE; 4]] };
+        let surfaces = Surfaces {
+            points: points.to_vec(),
+            triangles: vec![[0, 2, 1], [1, 2, 0], [1, 2, 3], [0, 0, 1]],
+            flags: vec![0, 0, 0, FLAT],
+        };
+        assert_eq!(whole_faces(&surfaces, &all).len(), 3);
+        let found = meetings(&surfaces, &all).unwrap();
+        assert_eq!(found.whole, [(0, 2), (3, 0), (3, 1)]);
+        assert!(found.inside.is_empty() && found.within.is_empty());
+    }
+}

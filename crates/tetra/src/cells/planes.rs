@@ -1,0 +1,194 @@
+//! The planes of the input, each with one number however often the input names it.
+//!
+//! Two planes are the same when all their points are. Numbers are given in the order in which planes are
+//! first named, so that they do not depend on the machine.
+
+use std::cmp::Ordering;
+
+use glam::Vec3;
+use rustc_hash::FxHashMap;
+use sightline_scene::exact::{dyadic, orient2d_sign, orient3d_sign};
+
+use super::number::{Number, Residue, along_axis, through_points};
+
+/// No plane, cell or tetrahedron.
+pub const NONE: u32 = u32::MAX;
+
+/// An oriented plane of the input: through three points, or through two points along a coordinate axis.
+///
+/// In front of the plane through a, b and c is what sees them turn counter-clockwise. In front of the plane
+/// through a and b along an axis is where (b − a) × axis points to. An axis x, y, z is written in place of
+/// the third point as `AXIS`, `AXIS` + 1, `AXIS` + 2.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Plane(pub [u32; 3]);
+
+impl Plane {
+    /// The axis x in place of a third point; y and z follow.
+    pub const AXIS: u32 = u32::MAX - 3;
+
+    /// The plane through two points along axis 0, 1 or 2.
+    pub fn along([a, b]: [u32; 2], axis: usize) -> Self {
+        Self([a, b, Self::AXIS + axis as u32])
+    }
+
+    /// The axis of a plane along one.
+    pub fn axis(self) -> Option<usize> {
+        (self.0[2] >= Self::AXIS).then(|| (self.0[2] - Self::AXIS) as usize)
+    }
+
+    /// The two or three points that the plane is given by.
+    pub fn given(&self) -> &[u32] {
+        &self.0[..if self.axis().is_some() { 2 } else { 3 }]
+    }
+
+    /// On which side of the plane a place is: `Greater` in front of it.
+    pub fn side(self, points: &[[f32; 3]], place: [f32; 3]) -> Ordering {
+        let [a, b] = [self.0[0], self.0[1]].map(|n| points[n as usize]);
+        if let Some(axis) = self.axis() {
+            let flat = |p: [f32; 3]| [p[(axis + 1) % 3], p[(axis + 2) % 3]];
+            return orient2d_sign(flat(a), flat(b), flat(place)).reverse();
+        }
+        let [a, b, c, p] = [a, b, points[self.0[2] as usize], place].map(Vec3::from);
+        orient3d_sign(a, b, c, p)
+    }
+
+    /// [`Self::side`] of a point of the input.
+    pub fn side_of(self, points: &[[f32; 3]], point: u32) -> Ordering {
+        if self.given().contains(&point) {
+            return Ordering::Equal;
+        }
+        self.side(points, points[point as usize])
+    }
+
+    /// Whether an axis is parallel to the plane.
+    fn holds_direction(self, points: &[[f32; 3]], axis: usize) -> bool {
+        let [a, b] = [self.0[0], self.0[1]].map(|n| points[n as usize]);
+        match self.axis() {
+            Some(own) => own == axis || a[3 - own - axis] == b[3 - own - axis],
+            None => {
+                let c = points[self.0[2] as usize];
+                let flat = |p: [f32; 3]| [p[(axis + 1) % 3], p[(axis + 2) % 3]];
+                orient2d_sign(flat(a), flat(b), flat(c)) == Ordering::Equal
+            }
+        }
+    }
+
+    /// Whether two planes have the same points.
+    pub fn is(self, other: Self, points: &[[f32; 3]]) -> bool {
+        self.given().iter().all(|p| other.side_of(points, *p) == Ordering::Equal)
+            && self.axis().is_none_or(|axis| other.holds_direction(points, axis))
+    }
+
+    /// A number that equal planes share and others hardly ever.
+    pub fn name(self, points: &[[f32; 3]]) -> u64 {
+        let residues = |n: u32| {
+            points[n as usize].map(|x| {
+                let (mantissa, exponent) = dyadic(f64::from(x));
+                Residue::dyadic(mantissa, exponent)
+            })
+        };
+        let [a, b] = [self.0[0], self.0[1]].map(residues);
+        let plane = match self.axis() {
+            Some(axis) => along_axis([&a, &b], axis),
+            None => through_points([&a, &b, &residues(self.0[2])]),
+        };
+        let first = plane.iter().copied().find(|c| c.get() != 0).unwrap_or_default();
+        let scale = first.inverse();
+        plane.iter().fold(0, |name: u64, c| (name.rotate_left(17) ^ c.mul(&scale).get()).wrapping_mul(SPREAD))
+    }
+}
+
+/// An odd number with its bits all over.
+const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// The axis along which to put a plane through an edge of a triangle, which must not be the triangle's own
+/// plane: one that is not parallel to the triangle, and rather close to its normal.
+pub fn axis_apart(corners: [[f32; 3]; 3]) -> usize {
+    let [a, b, c] = corners.map(|p| p.map(f64::from));
+    let minor = |i: usize, j: usize| ((b[i] - a[i]) * (c[j] - a[j]) - (b[j] - a[j]) * (c[i] - a[i])).abs();
+    let size = [minor(1, 2), minor(2, 0), minor(0, 1)];
+    let mut order = [0, 1, 2];
+    order.sort_by(|i, j| size[*j].total_cmp(&size[*i]));
+    let apart = |axis: &usize| {
+        let [a, b, c] = corners.map(|p| [p[(axis + 1) % 3], p[(axis + 2) % 3]]);
+        orient2d_sign(a, b, c) != Ordering::Equal
+    };
+    // A triangle with area is parallel to at most two axes.
+    order.into_iter().find(apart).unwrap_or(order[0])
+}
+
+/// The numbers of planes.
+#[derive(Default)]
+pub struct PlaneTable {
+    /// The planes by number.
+    pub planes: Vec<Plane>,
+    /// The last plane of each name.
+    last: FxHashMap<u64, u32>,
+    /// The plane before of the same name.
+    before: Vec<u32>,
+}
+
+impl PlaneTable {
+    /// The number of a plane with its [`Plane::name`].
+    pub fn number(&mut self, plane: Plane, name: u64, points: &[[f32; 3]]) -> u32 {
+        let last = self.last.get(&name).copied();
+        let mut at = last;
+        while let Some(n) = at {
+            if plane.is(self.planes[n as usize], points) {
+                return n;
+            }
+            at = Some(self.before[n as usize]).filter(|b| *b != NONE);
+        }
+        let n = self.planes.len() as u32;
+        self.planes.push(plane);
+        self.before.push(last.unwrap_or(NONE));
+        self.last.insert(name, n);
+        n
+    }
+
+    /// Adds a plane that no decision compares with another, without a look for its equal.
+    pub fn add(&mut self, plane: Plane) -> u32 {
+        self.planes.push(plane);
+        self.before.push(NONE);
+        self.planes.len() as u32 - 1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_planes_have_one_number_however_they_are_named() {
+        let points = [
+            [0.0, 0.0, 1.0],
+            [1.0, 0.0, 1.0],
+            [0.0, 1.0, 1.0],
+            [7.0, 3.0, 1.0],
+            [-2.5, 8.0, 1.0],
+            [3.0, 3.5, 1.0],
+            [0.0, 0.0, 2.0],
+        ];
+        let mut table = PlaneTable::default();
+        let mut number = |p: Plane| table.number(p, p.name(&points), &points);
+        let first = number(Plane([0, 1, 2]));
+        assert_eq!(number(Plane([3, 5, 4])), first);
+        assert_eq!(number(Plane::along([3, 4], 0)), first);
+        assert_eq!(number(Plane::along([3, 4], 1)), first);
+        assert_ne!(number(Plane::along([3, 4], 2)), first);
+        let upright = number(Plane([0, 1, 6]));
+        assert_eq!(number(Plane::along([0, 1], 2)), upright);
+        assert_ne!(upright, first);
+    }
+
+    #[test]
+    fn in_front_is_where_the_normal_points() {
+        let points = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        assert_eq!(Plane([0, 1, 2]).side(&points, [0.2, 0.2, 1.0]), Ordering::Greater);
+        // x × z = −y.
+        assert_eq!(Plane::along([0, 1], 2).side(&points, [0.0, -1.0, 0.0]), Ordering::Greater);
+        // x × y = z, and y × x = −z.
+        assert_eq!(Plane::along([0, 1], 1).side(&points, [0.0, 0.0, 1.0]), Ordering::Greater);
+        assert_eq!(Plane::along([0, 2], 0).side(&points, [0.0, 0.0, 1.0]), Ordering::Less);
+    }
+}

@@ -1,0 +1,109 @@
+//! Planes and vertices in integers of any size, for the checker alone.
+
+use dashu_int::IBig;
+use sightline_scene::exact::dyadic;
+
+use crate::cells::{Cells, Plane};
+
+/// Points as integers, all in the same unit.
+pub(super) struct Integers<'a> {
+    cells: &'a Cells,
+    /// The unit is two to this power.
+    pub least: i32,
+}
+
+impl<'a> Integers<'a> {
+    pub fn new(cells: &'a Cells) -> Self {
+        let parts = cells.points.as_flattened().iter().map(|x| dyadic(f64::from(*x)));
+        let least = parts.filter(|(m, _)| *m != 0).map(|(_, e)| e).min().unwrap_or(0);
+        Self { cells, least }
+    }
+
+    pub fn point(&self, point: u32) -> [IBig; 3] {
+        self.cells.points[point as usize].map(|x| {
+            let (mantissa, exponent) = dyadic(f64::from(x));
+            if mantissa == 0 { IBig::ZERO } else { IBig::from(mantissa) << (exponent - self.least) as usize }
+        })
+    }
+
+    /// The plane through three points: normal and offset.
+    pub fn through(&self, corners: [u32; 3]) -> [IBig; 4] {
+        let [a, b, c] = corners.map(|p| self.point(p));
+        let third = std::array::from_fn(|i| &c[i] - &a[i]);
+        spanned(&a, &std::array::from_fn(|i| &b[i] - &a[i]), &third)
+    }
+
+    /// The plane through two points along an axis.
+    pub fn along(&self, [a, b]: [u32; 2], axis: usize) -> [IBig; 4] {
+        let [a, b] = [a, b].map(|p| self.point(p));
+        let unit = std::array::from_fn(|i| IBig::from(u8::from(i == axis)));
+        spanned(&a, &std::array::from_fn(|i| &b[i] - &a[i]), &unit)
+    }
+
+    pub fn plane(&self, plane: Plane) -> [IBig; 4] {
+        match plane.axis() {
+            Some(axis) => self.along([plane.0[0], plane.0[1]], axis),
+            None => self.through(plane.0),
+        }
+    }
+
+    /// A vertex in homogeneous coordinates, the last positive. `None` where its planes have no single point
+    /// in common.
+    pub fn vertex(&self, vertex: u32) -> Option<[IBig; 4]> {
+        let n = self.cells.points.len();
+        if (vertex as usize) < n {
+            let [x, y, z] = self.point(vertex);
+            return Some([x, y, z, IBig::ONE]);
+        }
+        let planes = self.cells.meets[vertex as usize - n];
+        let [p, q, r] = planes.map(|p| self.plane(self.cells.planes[p as usize]));
+        // Cramer's rule, with the offsets on the other side.
+        let column = |i: usize| [&p[i], &q[i], &r[i]];
+        let minus = [-&p[3], -&q[3], -&r[3]];
+        let right = [&minus[0], &minus[1], &minus[2]];
+        let w = det3(column(0), column(1), column(2));
+        let x = det3(right, column(1), column(2));
+        let y = det3(column(0), right, column(2));
+        let z = det3(column(0), column(1), right);
+        match sign(&w) {
+            0 => None,
+            1 => Some([x, y, z, w]),
+            _ => Some([-x, -y, -z, -w]),
+        }
+    }
+}
+
+fn spanned(at: &[IBig; 3], d: &[IBig; 3], e: &[IBig; 3]) -> [IBig; 4] {
+    let n = |i: usize, j: usize| &d[i] * &e[j] - &d[j] * &e[i];
+    let (x, y, z) = (n(1, 2), n(2, 0), n(0, 1));
+    let offset = -(&x * &at[0] + &y * &at[1] + &z * &at[2]);
+    [x, y, z, offset]
+}
+
+/// The determinant with three columns.
+pub(super) fn det3(a: [&IBig; 3], b: [&IBig; 3], c: [&IBig; 3]) -> IBig {
+    a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0])
+        + a[2] * (b[0] * c[1] - b[1] * c[0])
+}
+
+/// The sign of a plane at a vertex whose last coordinate is positive.
+pub(super) fn side(plane: &[IBig; 4], v: &[IBig; 4]) -> i8 {
+    sign(&(&plane[0] * &v[0] + &plane[1] * &v[1] + &plane[2] * &v[2] + &plane[3] * &v[3]))
+}
+
+/// 1, 0 or −1.
+pub(super) fn sign(x: &IBig) -> i8 {
+    x.cmp(&IBig::ZERO) as i8
+}
+
+/// The axis along which a plane's normal is longest, and the sign of the normal there: 0 without a normal.
+pub(super) fn main_axis(plane: &[IBig; 4]) -> (usize, i8) {
+    let size = |i: usize| if sign(&plane[i]) < 0 { -&plane[i] } else { plane[i].clone() };
+    let mut axis = 0;
+    for i in 1..3 {
+        if size(i) > size(axis) {
+            axis = i;
+        }
+    }
+    (axis, sign(&plane[axis]))
+}

@@ -1,0 +1,255 @@
+//! Cells of known scenes and of soups pass the check, and altered ones do not.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use glam::Vec3;
+use proptest::prelude::*;
+use sightline_scene::exact::collinear;
+use sightline_tetra::cells::{Cells, Counts, NONE, Tetrahedra, cells};
+use sightline_tetra::check::{Fault, check};
+use sightline_tetra::surfaces::{BLOCKS, FLAT, Surfaces};
+
+const DIGEST: [u8; 32] = [11; 32];
+
+fn surfaces(triangles: &[[[f32; 3]; 3]]) -> Surfaces {
+    let mut out = Surfaces::default();
+    for t in triangles {
+        let corners = t.map(|p| {
+            let p = p.map(|x| x + 0.0);
+            out.points.iter().position(|q| *q == p).unwrap_or_else(|| {
+                out.points.push(p);
+                out.points.len() - 1
+            }) as u32
+        });
+        let [a, b, c] = t.map(Vec3::from);
+        out.triangles.push(corners);
+        out.flags.push(if collinear(a, b, c) { FLAT } else { BLOCKS });
+    }
+    out
+}
+
+/// The points, those of a box around them, and six tetrahedra of the box about one of its diagonals.
+fn box_of(surfaces: &Surfaces) -> (Vec<[f32; 3]>, Vec<[u32; 4]>, Vec<[u32; 4]>) {
+    let mut points = surfaces.points.clone();
+    let fold = |i: usize, pick: fn(f32, f32) -> f32| points.iter().map(|p| p[i]).reduce(pick).unwrap();
+    let size = (0..3).map(|i| fold(i, f32::max) - fold(i, f32::min)).fold(0.0, f32::max);
+    let min: [f32; 3] = std::array::from_fn(|i| fold(i, f32::min) - size * 0.25);
+    let max: [f32; 3] = std::array::from_fn(|i| fold(i, f32::max) + size * 0.25);
+    let n = points.len() as u32;
+    for k in 0..8 {
+        points.push(std::array::from_fn(|i| if k >> i & 1 == 1 { max[i] } else { min[i] }));
+    }
+    let tetrahedra: Vec<[u32; 4]> = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]]
+        .map(|[a, b, _]: [u32; 3]| [n, n + (1 << a), n + (1 << a) + (1 << b), n + 7])
+        .to_vec();
+    let face = |t: &[u32; 4], k: usize| {
+        let mut f: Vec<u32> = (0..4).filter(|j| *j != k).map(|j| t[j]).collect();
+        f.sort_unstable();
+        f
+    };
+    let beyond = |i: usize, k: usize| {
+        let own = face(&tetrahedra[i], k);
+        let is_other = |j: &usize| *j != i && (0..4).any(|l| face(&tetrahedra[*j], l) == own);
+        (0..tetrahedra.len()).find(is_other).map_or(NONE, |j| j as u32)
+    };
+    let neighbours = (0..tetrahedra.len()).map(|i| std::array::from_fn(|k| beyond(i, k))).collect();
+    (points, tetrahedra, neighbours)
+}
+
+fn built(surfaces: &Surfaces) -> (Cells, Counts) {
+    let (points, tetrahedra, neighbours) = box_of(surfaces);
+    let all = Tetrahedra { points: &points, tetrahedra: &tetrahedra, neighbours: &neighbours };
+    cells(surfaces, &all).unwrap()
+}
+
+fn passes(triangles: &[[[f32; 3]; 3]]) -> (Cells, Counts) {
+    let surfaces = surfaces(triangles);
+    let (cells, counts) = built(&surfaces);
+    assert_eq!(check(&cells, &surfaces, &DIGEST), Ok(()));
+    (cells, counts)
+}
+
+const CROSS: [[[f32; 3]; 3]; 3] = [
+    [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]],
+    [[1.0, 1.0, -2.0], [1.0, 1.0, 2.0], [3.0, 3.0, 1.0]],
+    [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]],
+];
+
+#[test]
+fn one_triangle_is_covered() {
+    let (cells, counts) = passes(&CROSS[..1]);
+    assert!(counts.cut > 0 && cells.cell_count() > 6);
+    assert!(cells.triangles.iter().all(|id| *id == 0));
+}
+
+#[test]
+fn crossing_and_overlapping_triangles_pass() {
+    let (cells, _) = passes(&CROSS);
+    // What the small triangle covers, the large one does, too.
+    let both = (0..cells.face_count()).filter(|f| cells.face_triangles(*f) == [0, 2]).count();
+    assert!(both > 0);
+    assert!((0..cells.face_count()).all(|f| cells.face_triangles(f) != [2]));
+}
+
+#[test]
+fn an_empty_scene_is_the_tetrahedra() {
+    let surfaces = surfaces(&[[[0.0; 3], [1.0; 3], [2.0, 0.0, 0.0]]]);
+    let surfaces = Surfaces { triangles: vec![], flags: vec![], ..surfaces };
+    let (cells, _) = built(&surfaces);
+    assert_eq!((cells.cell_count(), cells.face_count()), (6, 18));
+    assert_eq!(check(&cells, &surfaces, &DIGEST), Ok(()));
+}
+
+#[test]
+fn triangles_in_the_faces_of_tetrahedra_divide_them() {
+    // The diagonal plane x = y of a cube is a face of some of the six tetrahedra.
+    let t = [[1.0, 1.0, 0.0], [3.0, 3.0, 1.0], [1.0, 1.0, 4.0]];
+    let corner = |x: f32| [[x, x, x], [x + 0.5, x, x], [x, x + 0.5, x]];
+    let (_, counts) = passes(&[t, corner(0.0), corner(4.0)]);
+    assert!(counts.meetings > 0);
+}
+
+#[test]
+fn the_polyhedron_of_schonhardt_passes() {
+    let ring = |z: f32, turn: f32| {
+        [0.0f32, 1.0, 2.0].map(|k| {
+            let angle = (k * 120.0 + turn).to_radians();
+            [angle.cos(), angle.sin(), z]
+        })
+    };
+    let (a, b) = (ring(0.0, 0.0), ring(1.0, 30.0));
+    let mut triangles = vec![a, b];
+    for i in 0..3 {
+        let j = (i + 1) % 3;
+        triangles.push([a[i], a[j], b[j]]);
+        triangles.push([a[i], b[j], b[i]]);
+    }
+    passes(&triangles);
+}
+
+#[test]
+fn a_saddle_of_notches_passes() {
+    // After Chazelle: edges of two rulings of a saddle, close to each other.
+    let mut triangles = Vec::new();
+    for i in -2..=2 {
+        let s = i as f32;
+        let (p, q) = ([-3.0, s, -3.0 * s + 0.01], [3.0, s, 3.0 * s + 0.01]);
+        triangles.push([p, q, [0.0, s, 20.0]]);
+        let (p, q) = ([s, -3.0, -3.0 * s - 0.01], [s, 3.0, 3.0 * s - 0.01]);
+        triangles.push([p, q, [s, 0.0, -20.0]]);
+    }
+    passes(&triangles);
+}
+
+#[test]
+fn a_lattice_of_cubes_passes_moved_and_scaled() {
+    for (scale, shift) in [(1.0f32, 0.0f32), (0.1, 100.0), (1e-20, 0.0), (1e18, -3e18)] {
+        let mut triangles = Vec::new();
+        for k in 0..4 {
+            let at = [(k & 1) as f32 * 2.0, (k >> 1) as f32 * 2.0, 0.0];
+            for axis in 0..3 {
+                for side in [0.0f32, 1.0] {
+                    let p = |u: f32, v: f32| {
+                        let mut p = at;
+                        p[axis] += side;
+                        p[(axis + 1) % 3] += u;
+                        p[(axis + 2) % 3] += v;
+                        p.map(|x| x * scale + shift)
+                    };
+                    triangles.push([p(0.0, 0.0), p(1.0, 0.0), p(1.0, 1.0)]);
+                    triangles.push([p(0.0, 0.0), p(1.0, 1.0), p(0.0, 1.0)]);
+                }
+            }
+        }
+        passes(&triangles);
+    }
+}
+
+#[test]
+fn a_speck_in_a_large_box_passes() {
+    let far = [[-1e7, -1e7, -1e7], [1e7, -1e7, -1e7], [0.0, 1e7, 1e7]];
+    let e = 1e-6;
+    let speck = [[[0.3, 0.3, 0.3], [0.3 + e, 0.3, 0.3], [0.3, 0.3 + e, 0.3]]];
+    let tiny = [[1e-30, 0.0, 0.0], [0.0, 1e-30, 0.0], [0.0, 0.0, 1e-30]];
+    passes(&[far, speck[0], tiny]);
+}
+
+#[test]
+fn every_kind_of_fault_is_found() {
+    let surfaces = surfaces(&CROSS);
+    let (good, _) = built(&surfaces);
+    let fails = |alter: &dyn Fn(&mut Cells)| {
+        let mut cells = good.clone();
+        alter(&mut cells);
+        check(&cells, &surfaces, &DIGEST).unwrap_err()
+    };
+    let inner = (0..good.face_count()).find(|f| !good.faces[*f].cells.contains(&NONE)).unwrap();
+    let covered = (0..good.face_count()).find(|f| good.face_triangles(*f) == [0]).unwrap();
+    let start = |f: usize| good.faces[f].loop_start as usize;
+    assert_eq!(fails(&|c| c.points[0][0] += 1.0), Fault::Points);
+    assert!(matches!(fails(&|c| c.loops[0] = 1 << 30), Fault::Number { .. }));
+    assert!(matches!(fails(&|c| c.cells[1].faces_start = u32::MAX), Fault::Number { .. }));
+    assert!(matches!(fails(&|c| c.planes[0].0[1] = c.planes[0].0[0]), Fault::Plane(0)));
+    assert!(matches!(fails(&|c| c.meets[0][1] = c.meets[0][0]), Fault::Vertex(_)));
+    assert!(matches!(fails(&|c| c.loops[start(inner)] = 0), Fault::OffPlane { .. } | Fault::NotConvex(_)));
+    assert!(matches!(fails(&|c| c.loops.swap(start(inner), start(inner) + 1)), Fault::NotConvex(_)));
+    assert!(matches!(fails(&|c| c.faces[inner].cells.swap(0, 1)), Fault::Sides(_)));
+    assert!(matches!(fails(&|c| c.faces[inner].cells[0] = NONE), Fault::Sides(_)));
+    assert!(matches!(
+        fails(&|c| {
+            // Turned around with its cells on the other sides.
+            let (a, b) = (start(inner), c.faces[inner + 1].loop_start as usize);
+            c.loops[a..b].reverse();
+        }),
+        Fault::NotConvex(_)
+    ));
+    assert!(matches!(
+        fails(&|c| c.triangles[c.faces[covered].triangles_start as usize] = 1),
+        Fault::NotOf { .. }
+    ));
+    assert!(matches!(
+        fails(&|c| {
+            let at = c.faces[covered].triangles_start as usize;
+            c.triangles.remove(at);
+            c.faces[covered + 1..].iter_mut().for_each(|f| f.triangles_start -= 1);
+        }),
+        Fault::NotCovered(_)
+    ));
+}
+
+fn lattice() -> impl Strategy<Value = [f32; 3]> {
+    prop::array::uniform3((0i8..5).prop_map(f32::from))
+}
+
+fn floats() -> impl Strategy<Value = [f32; 3]> {
+    prop::array::uniform3(-1.0f32..1.0)
+}
+
+fn wide() -> impl Strategy<Value = [f32; 3]> {
+    prop::array::uniform3((-4i8..5, -30i32..30).prop_map(|(m, e)| f32::from(m) * 2f32.powi(e)))
+}
+
+fn soup(point: impl Strategy<Value = [f32; 3]>, most: usize) -> impl Strategy<Value = Vec<[[f32; 3]; 3]>> {
+    prop::collection::vec(prop::array::uniform3(point), 1..most)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn soups_on_a_lattice_pass(triangles in soup(lattice(), 10)) {
+        prop_assume!(triangles.iter().flatten().any(|p| *p != triangles[0][0]));
+        passes(&triangles);
+    }
+
+    #[test]
+    fn soups_of_floats_pass(triangles in soup(floats(), 8)) {
+        passes(&triangles);
+    }
+
+    #[test]
+    fn soups_of_wide_exponents_pass(triangles in soup(wide(), 5)) {
+        prop_assume!(triangles.iter().flatten().any(|p| *p != triangles[0][0]));
+        passes(&triangles);
+    }
+}
