@@ -3,8 +3,8 @@
 //! The method is that of Miszka, Ryan, Gain and Hultquist, "An Application of Tetrahedrisation to From-point
 //! Visibility", 2004, with the tetrahedra that its authors designed: they conform to the surfaces.
 
-pub mod look;
-pub mod delaunay;
 pub mod cells;
 pub mod check;
+pub mod delaunay;
+pub mod look;
 pub mod surfaces;

@@ -6,7 +6,9 @@ use std::f64::consts::PI;
 
 use glam::Vec3;
 use sightline_scene::{Object, Scene, Triangle};
-use sightline_tetra::look::{Hierarchy, Looker, Mode, Scratch, Seen, Target, View};
+use sightline_tetra::cells::{Tetrahedra, cells};
+use sightline_tetra::delaunay::Delaunay;
+use sightline_tetra::look::{Engine, Hierarchy, Looker, Mode, Scratch, Seen, Target, View};
 use sightline_tetra::surfaces::Surfaces;
 
 fn scene(triangles: &[[[f32; 3]; 3]]) -> Scene {
@@ -205,7 +207,18 @@ fn times() {
     let scene = sightline_scene::load(std::path::Path::new(&std::env::var("TETRA_SCENE").unwrap())).unwrap();
     let surfaces = Surfaces::new(&scene);
     let hierarchy = Hierarchy::new(&surfaces);
-    let looker = Looker::new(&surfaces, &hierarchy);
+    let start = std::time::Instant::now();
+    let Delaunay { points, tetrahedra, neighbours } = &Delaunay::new(&surfaces.points).unwrap();
+    let (cells, counts) = cells(&surfaces, &Tetrahedra { points, tetrahedra, neighbours }).unwrap();
+    println!(
+        "{} triangles, {} tetrahedra, {} cells, {:?}, {:.1} s",
+        surfaces.triangles.len(),
+        tetrahedra.len(),
+        cells.cell_count(),
+        counts,
+        start.elapsed().as_secs_f64()
+    );
+    let looker = Looker::with_cells(&surfaces, &hierarchy, &cells);
     let mut scratch = Scratch::default();
     let bounds = scene.bounds();
     let (low, high) = (bounds.min.as_dvec3(), bounds.max.as_dvec3());
@@ -216,19 +229,22 @@ fn times() {
             0.5 + 0.4 * (f64::from(k) * 1.3).sin(),
         );
         let x = low + (high - low) * part;
-        let start = std::time::Instant::now();
-        let seen = looker.look(x.to_array(), &View::default(), Mode::Exact, &mut scratch).unwrap();
-        let time = start.elapsed().as_secs_f64();
-        println!(
-            "{:8} visible {:9} beams {:10} boxes {:10} signs {:7} integers {:8.1} ms {:6.1} us, {:.1e}",
-            seen.visible.len(),
-            seen.beams,
-            seen.cells,
-            seen.decided,
-            seen.integers,
-            time * 1e3,
-            time * 1e6 / seen.visible.len().max(1) as f64,
-            seen.areas.iter().sum::<f64>() + seen.sky + seen.unseen - 4.0 * PI,
-        );
+        for engine in [Engine::Boxes, Engine::Cells] {
+            let view = View { engine, ..View::default() };
+            let start = std::time::Instant::now();
+            let seen = looker.look(x.to_array(), &view, Mode::Exact, &mut scratch).unwrap();
+            let time = start.elapsed().as_secs_f64();
+            println!(
+                "{engine:?} {:8} visible {:9} beams {:10} boxes {:10} signs {:7} integers {:8.1} ms {:6.1} us, {:.1e}",
+                seen.visible.len(),
+                seen.beams,
+                seen.cells,
+                seen.decided,
+                seen.integers,
+                time * 1e3,
+                time * 1e6 / seen.visible.len().max(1) as f64,
+                seen.areas.iter().sum::<f64>() + seen.sky + seen.unseen - 4.0 * PI,
+            );
+        }
     }
 }

@@ -8,7 +8,9 @@ use std::f64::consts::PI;
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use sightline_scene::{Object, Scene, Triangle};
-use sightline_tetra::look::{Hierarchy, Looker, Mode, Node, Scratch, Seen, Target, View};
+use sightline_tetra::cells::{Cells, Tetrahedra, cells};
+use sightline_tetra::delaunay::Delaunay;
+use sightline_tetra::look::{Engine, Hierarchy, Looker, Mode, Node, Scratch, Seen, Target, View};
 use sightline_tetra::surfaces::Surfaces;
 
 type T = [[f32; 3]; 3];
@@ -16,6 +18,7 @@ type T = [[f32; 3]; 3];
 struct World {
     surfaces: Surfaces,
     hierarchy: Hierarchy,
+    cells: Cells,
 }
 
 impl World {
@@ -26,13 +29,20 @@ impl World {
         let object = Object { name: "all".into(), first: 0, count };
         let surfaces = Surfaces::new(&Scene::new("test", triangles, vec![object]).unwrap());
         let hierarchy = Hierarchy::new(&surfaces);
-        Self { surfaces, hierarchy }
+        let Delaunay { points, tetrahedra, neighbours } = &Delaunay::new(&surfaces.points).unwrap();
+        let cells = cells(&surfaces, &Tetrahedra { points, tetrahedra, neighbours }).unwrap().0;
+        Self { surfaces, hierarchy, cells }
     }
 
     fn look(&self, x: [f64; 3], mode: Mode) -> Seen {
-        let view = View { witnesses: true, ..View::default() };
+        self.look_by(Engine::Boxes, x, mode)
+    }
+
+    fn look_by(&self, engine: Engine, x: [f64; 3], mode: Mode) -> Seen {
+        let view = View { witnesses: true, engine, ..View::default() };
         let mut scratch = Scratch::default();
-        Looker::new(&self.surfaces, &self.hierarchy).look(x, &view, mode, &mut scratch).unwrap().clone()
+        let looker = Looker::with_cells(&self.surfaces, &self.hierarchy, &self.cells);
+        looker.look(x, &view, mode, &mut scratch).unwrap().clone()
     }
 
     fn sees(&self, x: [f64; 3], target: &Target, mode: Mode) -> f64 {
@@ -125,6 +135,11 @@ fn check(triangles: &[T], x: [f64; 3]) -> Result<(), TestCaseError> {
             prop_assert!(hits.contains(id), "the witness of {} meets {:?}", id, hits);
         }
     }
+    let cells = world.look_by(Engine::Cells, x, Mode::Exact);
+    prop_assert_eq!(&exact.visible, &cells.visible, "boxes and cells differ");
+    for (a, b) in exact.areas.iter().zip(&cells.areas) {
+        prop_assert!((a - b).abs() < 1e-11, "{} and {}", a, b);
+    }
     // The order of the triangles decides the ids alone.
     let turned: Vec<T> = triangles.iter().rev().copied().collect();
     let last = triangles.len() as u32 - 1;
@@ -134,12 +149,15 @@ fn check(triangles: &[T], x: [f64; 3]) -> Result<(), TestCaseError> {
     prop_assert_eq!(&exact.visible, &other);
     for degrees in [0.5f64, 5.0, 40.0] {
         let angle = degrees.to_radians();
-        let (less, more) = (world.look(x, Mode::Aggressive(angle)), world.look(x, Mode::Conservative(angle)));
-        prop_assert!(less.visible.iter().all(|t| exact.visible.contains(t)));
-        prop_assert!(exact.visible.iter().all(|t| more.visible.contains(t)));
-        for seen in [&less, &more] {
-            let sum = seen.areas.iter().sum::<f64>() + seen.sky + seen.dropped;
-            prop_assert!((sum - 4.0 * PI).abs() < 1e-11);
+        for engine in [Engine::Boxes, Engine::Cells] {
+            let less = world.look_by(engine, x, Mode::Aggressive(angle));
+            let more = world.look_by(engine, x, Mode::Conservative(angle));
+            prop_assert!(less.visible.iter().all(|t| exact.visible.contains(t)));
+            prop_assert!(exact.visible.iter().all(|t| more.visible.contains(t)));
+            for seen in [&less, &more] {
+                let sum = seen.areas.iter().sum::<f64>() + seen.sky + seen.dropped;
+                prop_assert!((sum - 4.0 * PI).abs() < 1e-11);
+            }
         }
     }
     let target = Target { low: [-1.0, -2.0, 0.5], high: [1.5, -0.5, 2.0] };
@@ -212,6 +230,7 @@ proptest! {
             world.hierarchy.nodes = vec![Node { first: 0, count, ..all }];
         }
         prop_assert_eq!(&seen.visible, &world.look(x, Mode::Exact).visible);
+        prop_assert_eq!(&seen.visible, &world.look_by(Engine::Cells, x, Mode::Exact).visible);
         let sum = seen.areas.iter().sum::<f64>() + seen.sky;
         prop_assert!((sum - 4.0 * PI).abs() < 1e-10);
         prop_assert!(seen.visible.iter().all(|t| few.visible.contains(t)));

@@ -2,13 +2,15 @@
 
 use thiserror::Error;
 
+use crate::cells::Cells;
 use crate::surfaces::{FLAT, SHOWS, Surfaces};
 
 use super::eye::{Eye, unit_of};
 use super::hierarchy::Hierarchy;
 use super::scratch::Scratch;
 use super::search::{Scene, Search};
-use super::view::{Mode, Seen, Target, View};
+use super::space::Space;
+use super::view::{Engine, Mode, Seen, Target, View};
 use super::within::Limits;
 
 /// What is wrong with a question.
@@ -35,6 +37,9 @@ pub enum LookError {
         /// The largest one that is allowed.
         most: f64,
     },
+    /// The engine needs cells, and there are none.
+    #[error("there are no cells between the surfaces; make them, or let the boxes answer")]
+    NoCells,
     /// A distance that is not positive.
     #[error("the distance is {0}; give a positive number")]
     Distance(f64),
@@ -52,14 +57,31 @@ pub enum LookError {
 pub struct Looker<'a> {
     surfaces: &'a Surfaces,
     hierarchy: &'a Hierarchy,
+    /// The points of the surfaces, and after them the corners of the cells' box.
+    points: &'a [[f32; 3]],
+    cells: Option<&'a Cells>,
     unit: i32,
 }
 
 impl<'a> Looker<'a> {
     /// A scene and the boxes over its triangles.
     pub fn new(surfaces: &'a Surfaces, hierarchy: &'a Hierarchy) -> Self {
-        let unit = unit_of(surfaces.points.iter().flatten().map(|c| f64::from(*c)));
-        Self { surfaces, hierarchy, unit }
+        Self::over(surfaces, hierarchy, &surfaces.points, None)
+    }
+
+    /// The same with the cells between the surfaces, which must be those of `surfaces`.
+    pub fn with_cells(surfaces: &'a Surfaces, hierarchy: &'a Hierarchy, cells: &'a Cells) -> Self {
+        Self::over(surfaces, hierarchy, &cells.points, Some(cells))
+    }
+
+    fn over(
+        surfaces: &'a Surfaces,
+        hierarchy: &'a Hierarchy,
+        points: &'a [[f32; 3]],
+        cells: Option<&'a Cells>,
+    ) -> Self {
+        let unit = unit_of(points.as_flattened().iter().map(|c| f64::from(*c)));
+        Self { surfaces, hierarchy, points, cells, unit }
     }
 
     /// What is visible from `x`, a point in world coordinates. The answer is in `scratch.seen` too.
@@ -77,7 +99,7 @@ impl<'a> Looker<'a> {
         scratch: &'s mut Scratch,
     ) -> Result<&'s Seen, LookError> {
         check_point("the point", x)?;
-        check_view(view)?;
+        self.check_view(view)?;
         check_mode(mode)?;
         scratch.stack.clear();
         scratch.planes.list.clear();
@@ -88,7 +110,7 @@ impl<'a> Looker<'a> {
         self.see_touched(x, scratch);
         let limits = Limits::of(view);
         let sides = limits.planes(&mut scratch.planes);
-        let mut search = self.search(x, &[], &[], mode, limits, scratch);
+        let mut search = self.search(x, &[], &[], (mode, view.engine), limits, scratch);
         search.begin(&sides, &[]);
         search.run();
         let Scratch { planes, tally, seen, .. } = scratch;
@@ -113,7 +135,7 @@ impl<'a> Looker<'a> {
         scratch: &mut Scratch,
     ) -> Result<f64, LookError> {
         check_point("the point", x)?;
-        check_view(view)?;
+        self.check_view(view)?;
         check_mode(mode)?;
         check_point("the target", target.low)?;
         check_point("the target", target.high)?;
@@ -125,7 +147,7 @@ impl<'a> Looker<'a> {
         if (0..3).all(|k| target.low[k] <= x[k] && x[k] <= target.high[k]) {
             return Ok(1.0);
         }
-        let base = self.surfaces.points.len() as u32;
+        let base = self.points.len() as u32;
         let corners: [[f64; 3]; 8] = std::array::from_fn(|c| {
             std::array::from_fn(|k| if c >> k & 1 == 1 { target.high[k] } else { target.low[k] })
         });
@@ -150,10 +172,10 @@ impl<'a> Looker<'a> {
             scratch.stack.clear();
             scratch.planes.list.clear();
             scratch.tally.begin(self.surfaces.triangles.len(), false);
-            let eye = Eye::new(x, &self.surfaces.points, &corners, self.unit);
+            let eye = Eye::new(x, self.points, &corners, self.unit);
             let sides: [_; 4] =
                 std::array::from_fn(|n| scratch.planes.add_edge(&eye, around[n], around[(n + 1) % 4]));
-            let mut search = self.search(x, &corners, &faces, mode, limits, scratch);
+            let mut search = self.search(x, &corners, &faces, (mode, view.engine), limits, scratch);
             search.begin(&sides, &[self.surfaces.triangles.len() as u32]);
             search.run();
             part += search.of_faces;
@@ -162,19 +184,33 @@ impl<'a> Looker<'a> {
         Ok(if all > 0.0 { (part / all).min(1.0) } else { 0.0 })
     }
 
+    fn check_view(&self, view: &View) -> Result<(), LookError> {
+        match (view.engine, self.cells) {
+            (Engine::Cells, None) => Err(LookError::NoCells),
+            _ => check_limits(view),
+        }
+    }
+
     fn search<'s>(
         &'s self,
         x: [f64; 3],
         corners: &'s [[f64; 3]],
         faces: &'s [[u32; 3]],
-        mode: Mode,
+        (mode, engine): (Mode, Engine),
         limits: Limits,
         scratch: &'s mut Scratch,
     ) -> Search<'s> {
-        let Surfaces { points, triangles, flags } = self.surfaces;
+        let space = self.cells.filter(|_| engine == Engine::Cells).map(Space::new);
+        let Surfaces { triangles, flags, .. } = self.surfaces;
         Search {
-            scene: Scene { triangles, flags, nodes: &self.hierarchy.nodes, order: &self.hierarchy.order },
-            eye: Eye::new(x, points, corners, self.unit),
+            scene: Scene {
+                triangles,
+                flags,
+                nodes: &self.hierarchy.nodes,
+                order: &self.hierarchy.order,
+                space,
+            },
+            eye: Eye::new(x, self.points, corners, self.unit),
             mode,
             limits,
             faces,
@@ -190,7 +226,7 @@ impl<'a> Looker<'a> {
         let holds = |low: &[f32; 3], high: &[f32; 3]| {
             (0..3).all(|k| f64::from(low[k]) <= x[k] && x[k] <= f64::from(high[k]))
         };
-        let eye = Eye::new(x, &self.surfaces.points, &[], self.unit);
+        let eye = Eye::new(x, self.points, &[], self.unit);
         let mut open = vec![0u32];
         while let Some(number) = open.pop() {
             let Some(node) = self.hierarchy.nodes.get(number as usize) else { continue };
@@ -221,7 +257,7 @@ fn check_point(what: &'static str, p: [f64; 3]) -> Result<(), LookError> {
     }
 }
 
-fn check_view(view: &View) -> Result<(), LookError> {
+fn check_limits(view: &View) -> Result<(), LookError> {
     if let Some(direction) = view.direction {
         check_point("the direction", direction)?;
         if direction == [0.0; 3] {

@@ -9,6 +9,7 @@ mod planes;
 mod rounded;
 mod scratch;
 mod search;
+mod space;
 mod stack;
 mod view;
 mod within;

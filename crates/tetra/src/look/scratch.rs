@@ -2,7 +2,7 @@
 
 use super::beam::Ring;
 use super::planes::Planes;
-use super::stack::{Beam, Stack};
+use super::stack::{Beam, Entry, Stack};
 use super::view::Seen;
 
 /// Memory that queries use again: one for each thread. After the first few queries nothing more is allocated.
@@ -13,6 +13,8 @@ pub struct Scratch {
     pub(super) beam: Beam,
     pub(super) rings: Rings,
     pub(super) tally: Tally,
+    /// The cell of the last viewpoint, where the search for the next one begins.
+    pub(super) hint: u32,
     /// The answer of the last query.
     pub seen: Seen,
 }
@@ -24,6 +26,8 @@ pub(super) struct Rings {
     pub inside: Ring,
     pub next: Ring,
     pub far: Ring,
+    /// The cells that hold the viewpoint.
+    pub start: Vec<Entry>,
     /// Parts outside of a triangle; most often fewer than three are in use.
     pub out: [Ring; 3],
 }

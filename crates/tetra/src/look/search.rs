@@ -17,6 +17,7 @@ use super::hierarchy::Node;
 use super::planes::{Facing, Kind, Plane, Planes, Side};
 use super::rounded::{Number, Rounded, U};
 use super::scratch::Scratch;
+use super::space::Space;
 use super::stack::{Beam, Entry};
 use super::view::{Mode, Seen};
 use super::within::Limits;
@@ -27,6 +28,8 @@ pub(super) struct Scene<'a> {
     pub flags: &'a [u8],
     pub nodes: &'a [Node],
     pub order: &'a [u32],
+    /// The cells, where they answer.
+    pub space: Option<Space<'a>>,
 }
 
 /// One search.
@@ -47,6 +50,10 @@ pub(super) struct Search<'a> {
 impl Search<'_> {
     /// Begins with all directions on the inner side of some planes, and with a cap or none.
     pub fn begin(&mut self, sides: &[Side], caps: &[u32]) {
+        if let Some(space) = &self.scene.space {
+            let Scratch { rings, hint, .. } = &mut *self.scratch;
+            space.start(&self.eye, hint, &mut rings.start);
+        }
         for signs in 0..8 {
             let Scratch { planes, stack, beam, rings, .. } = &mut *self.scratch;
             beam::octant(planes, &self.eye, signs, &mut rings.inside);
@@ -75,7 +82,9 @@ impl Search<'_> {
             }
             beam.pending.clear();
             beam.met.clear();
-            if !self.scene.nodes.is_empty() {
+            if self.scene.space.is_some() {
+                beam.pending.extend_from_slice(&rings.start);
+            } else if !self.scene.nodes.is_empty() {
                 beam.pending.push(Entry { key: 0.0, first: 0, count: 0 });
             }
             self.begun += area(&rings.inside);
@@ -98,13 +107,23 @@ impl Search<'_> {
         let mut cap = beam.caps.first().and_then(|t| self.facing(*t));
         while let Some(entry) = beam.pending.pop() {
             if entry.count == 0 {
-                self.open(beam, cap.as_ref(), entry.first);
+                match self.scene.space {
+                    Some(_) => self.enter(beam, cap.as_ref(), entry.first),
+                    None => self.open(beam, cap.as_ref(), entry.first),
+                }
                 continue;
             }
             if entry.count > 1 {
                 beam.pending.push(Entry { first: entry.first + 1, count: entry.count - 1, ..entry });
             }
-            let triangle = self.scene.order[entry.first as usize];
+            let triangle = match self.scene.space {
+                Some(_) => entry.first,
+                None => self.scene.order[entry.first as usize],
+            };
+            // The cells name a triangle once for each of its faces.
+            if beam.caps.contains(&triangle) || beam.met.contains(&triangle) {
+                continue;
+            }
             if self.meet(beam, &mut cap, triangle) {
                 return;
             }
@@ -139,6 +158,15 @@ impl Search<'_> {
         for first in [second, first] {
             beam.pending.push(Entry { key: 0.0, first, count: 0 });
         }
+    }
+
+    /// Goes into a cell.
+    fn enter(&mut self, beam: &mut Beam, cap: Option<&Facing>, cell: u32) {
+        self.scratch.seen.cells += 1;
+        let Some(space) = &self.scene.space else { return };
+        let (planes, flags) = (&self.scratch.planes, self.scene.flags);
+        let blocks = |t: u32| flags[t as usize] & BLOCKS != 0;
+        space.leave(&self.eye, planes, (&beam.ring, cap), cell, blocks, &mut beam.pending);
     }
 
     fn points(&self, triangle: u32) -> [u32; 3] {

@@ -13,11 +13,12 @@ pub enum Mode {
 }
 
 /// Who answers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Engine {
     /// The cells between the surfaces, front to back.
     Cells,
     /// A hierarchy of boxes, nearest first.
+    #[default]
     Boxes,
 }
 
@@ -41,6 +42,8 @@ pub struct View {
     pub distance: Option<f64>,
     /// Whether a direction to each visible triangle is wanted.
     pub witnesses: bool,
+    /// Who answers.
+    pub engine: Engine,
 }
 
 /// What is seen.

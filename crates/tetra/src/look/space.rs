@@ -1,0 +1,207 @@
+//! The cells between the surfaces as a beam goes through them: where it starts, and which faces it leaves by.
+//!
+//! Faces between cells cut nothing: a beam goes on to every cell whose face it may overlap. Seen from any point
+//! the cells have a front-to-back order, so a beam that takes the nearest cell first enters few of them twice.
+//! Entering one twice, or one that it misses, costs time and changes nothing.
+
+use crate::cells::{Cells, NONE};
+
+use super::beam::Edge;
+use super::eye::Eye;
+use super::planes::{Facing, Planes};
+use super::rounded::{Number, Rounded, U};
+use super::stack::Entry;
+
+/// The cells, and how far their rounded vertices may be off.
+pub struct Space<'a> {
+    cells: &'a Cells,
+    slack: f64,
+}
+
+/// What a face of a cell means to a viewpoint.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Way {
+    /// Lines from the viewpoint leave the cell by it.
+    Out,
+    /// They enter by it.
+    In,
+    /// The viewpoint is in its plane: no open set of lines passes.
+    Along,
+}
+
+impl<'a> Space<'a> {
+    /// The cells of a box.
+    pub fn new(cells: &'a Cells) -> Self {
+        // The box's corners end the points.
+        let corners = &cells.points[cells.points.len().saturating_sub(8)..];
+        let side = (0..3).map(|k| {
+            let of = |start: f32, pick: fn(f32, f32) -> f32| corners.iter().map(|p| p[k]).fold(start, pick);
+            f64::from(of(f32::NEG_INFINITY, f32::max)) - f64::from(of(f32::INFINITY, f32::min))
+        });
+        // Twice the side is at least the power of two above it.
+        Self { cells, slack: side.fold(0.0, f64::max) * 2.0 * f64::powi(2.0, -44) }
+    }
+
+    /// The plane of a face as three points. Faces lie in planes of triangles and of faces of tetrahedra alone.
+    fn points_of(&self, face: usize) -> Option<[u32; 3]> {
+        let given = self.cells.planes[self.cells.faces[face].plane as usize].given();
+        <[u32; 3]>::try_from(given).ok()
+    }
+
+    /// What a face, as `faces_of` lists it, means to the viewpoint.
+    fn way(&self, eye: &Eye<'_>, listed: u32) -> Way {
+        let face = (listed >> 1) as usize;
+        let Some(points) = self.points_of(face) else { return Way::Along };
+        let Some(facing) = Facing::of(eye, points) else { return Way::Along };
+        // The viewpoint is behind the plane where the normal did not have to be turned.
+        let in_front = facing.points != points;
+        let cell_in_front = listed & 1 == 0;
+        if in_front == cell_in_front { Way::Out } else { Way::In }
+    }
+
+    /// The cells that hold the viewpoint, their borders included; from outside of the box, those whose faces it sees.
+    pub fn start(&self, eye: &Eye<'_>, hint: &mut u32, found: &mut Vec<Entry>) {
+        found.clear();
+        let mut push = |cell: u32| found.push(Entry { key: 0.0, first: cell, count: 0 });
+        let Some(first) = self.locate(eye, *hint) else {
+            for face in 0..self.cells.face_count() {
+                for (side, cell) in (0u32..).zip(self.cells.faces[face].cells) {
+                    let outside = self.cells.faces[face].cells[1 - side as usize] == NONE;
+                    if cell != NONE && outside && self.way(eye, face as u32 * 2 + side) == Way::In {
+                        push(cell);
+                    }
+                }
+            }
+            return;
+        };
+        *hint = first;
+        push(first);
+        let mut next = 0;
+        while next < found.len() {
+            let cell = found[next].first;
+            next += 1;
+            for listed in self.cells.faces_of(cell as usize) {
+                let other = self.beyond(*listed);
+                let known = other == NONE || found.iter().any(|e| e.first == other);
+                if !known && self.way(eye, *listed) == Way::Along && self.holds(eye, other) {
+                    found.push(Entry { key: 0.0, first: other, count: 0 });
+                }
+            }
+        }
+    }
+
+    /// The cell on the other side of a face.
+    fn beyond(&self, listed: u32) -> u32 {
+        self.cells.faces[(listed >> 1) as usize].cells[1 - (listed & 1) as usize]
+    }
+
+    /// Whether a cell holds the viewpoint, its border included.
+    fn holds(&self, eye: &Eye<'_>, cell: u32) -> bool {
+        self.cells.faces_of(cell as usize).iter().all(|f| self.way(eye, *f) != Way::In)
+    }
+
+    /// A cell that holds the viewpoint, by a walk from `hint`; nothing outside of the box.
+    fn locate(&self, eye: &Eye<'_>, hint: u32) -> Option<u32> {
+        let count = self.cells.cell_count();
+        let mut at = if (hint as usize) < count { hint } else { 0 };
+        // Cells are in front of one another without a circle, so the walk ends; the count stops it in damaged data.
+        for _ in 0..=count {
+            let mut outside = false;
+            let step = self.cells.faces_of(at as usize).iter().find_map(|listed| {
+                let out = self.way(eye, *listed) == Way::In;
+                let other = self.beyond(*listed);
+                outside |= out && other == NONE;
+                (out && other != NONE).then_some(other)
+            });
+            match step {
+                Some(other) => at = other,
+                None if outside => return None,
+                None => return (count > 0).then_some(at),
+            }
+        }
+        None
+    }
+
+    /// What a beam meets in a cell: the triangles of the faces by which it may leave, and the cells beyond those
+    /// that nothing blocks. The nearest is pushed last.
+    pub fn leave(
+        &self,
+        eye: &Eye<'_>,
+        planes: &Planes,
+        (ring, cap): (&[Edge], Option<&Facing>),
+        cell: u32,
+        blocks: impl Fn(u32) -> bool,
+        pending: &mut Vec<Entry>,
+    ) {
+        for listed in self.cells.faces_of(cell as usize) {
+            let face = (listed >> 1) as usize;
+            if self.way(eye, *listed) != Way::Out {
+                continue;
+            }
+            let Some(key) = self.overlaps(eye, planes, (ring, cap), face) else { continue };
+            let triangles = self.cells.face_triangles(face);
+            for triangle in triangles {
+                pending.push(Entry { key: -1.0, first: *triangle, count: 1 });
+            }
+            let other = self.beyond(*listed);
+            let passes = !triangles.iter().any(|t| blocks(*t));
+            if passes && other != NONE && !pending.iter().any(|e| e.count == 0 && e.first == other) {
+                pending.push(Entry { key, first: other, count: 0 });
+            }
+        }
+        // Triangles first, for they may end the beam; then the nearest cells. Most of the list is in order already.
+        pending.sort_by(|a, b| b.key.total_cmp(&a.key).then(b.first.cmp(&a.first)));
+    }
+
+    /// Whether a beam may overlap a face in front of its cap, and the square of how far away the face's middle is.
+    fn overlaps(
+        &self,
+        eye: &Eye<'_>,
+        planes: &Planes,
+        (ring, cap): (&[Edge], Option<&Facing>),
+        face: usize,
+    ) -> Option<f64> {
+        let around = self.cells.face_loop(face);
+        // Rounded places are off by this and one unit in the last place (`Cells::rounded`).
+        let slack = |p: [f64; 3], way: &Rounded| {
+            way.error + self.slack + 2.0 * U * p.iter().fold(0.0f64, |m, c| m.max(c.abs()))
+        };
+        let to = |vertex: u32| {
+            let place = self.cells.place(vertex);
+            let way = Rounded::difference(place, eye.x);
+            let exact = (vertex as usize) < self.cells.points.len();
+            Rounded { error: if exact { way.error } else { slack(place, &way) }, ..way }
+        };
+        let outside = |edge: &Edge| {
+            let normal = planes.normal(edge.side);
+            around.iter().all(|v| normal.dot(&to(*v)).sign() == Some(-1))
+        };
+        if ring.iter().any(outside) {
+            return None;
+        }
+        let beyond = |cap: &Facing| {
+            around.iter().all(|v| {
+                let along = cap.normal.dot(&to(*v));
+                let value = along.value - cap.height.value;
+                let error = along.error + cap.height.error + U * (along.value.abs() + cap.height.value.abs());
+                Number { value, error }.sign() == Some(1)
+            })
+        };
+        if cap.is_some_and(beyond) {
+            return None;
+        }
+        let mut middle = [0.0; 3];
+        for (k, v) in around.iter().enumerate() {
+            let (a, b) = (to(*v), to(around[(k + 1) % around.len()]));
+            (0..3).for_each(|j| middle[j] += a.v[j] / around.len() as f64);
+            // The face is convex, so that one vertex tells on which side of an edge all of it is.
+            let normal = a.cross(&b);
+            let inner = around.iter().find_map(|w| normal.dot(&to(*w)).sign());
+            let Some(inner) = inner else { continue };
+            if ring.iter().all(|e| e.corner.way.dot(&normal).sign() == Some(-inner)) {
+                return None;
+            }
+        }
+        Some(middle.iter().map(|c| c * c).sum())
+    }
+}
