@@ -76,16 +76,12 @@ impl Delaunay {
             [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]]
         };
         let dot = |p: [f64; 3], q: [f64; 3]| p[0] * q[0] + p[1] * q[1] + p[2] * q[2];
-        // Relative to corner a the sphere passes through the origin, and the power is y·y − 2 y·centre with
+        // Relative to corner a the sphere passes through the origin, and the power is y·y − y·(2 centre) with
         // 2 centre = (b² c×d + c² d×b + d² b×c) / (b×c·d).
         let (cd, db, bc) = (cross(c, d), cross(d, b), cross(b, c));
         let volume = dot(b, cd);
         let (b2, c2, d2) = (dot(b, b), dot(c, c), dot(d, d));
-        let centre: [f64; 3] = std::array::from_fn(|k| (b2 * cd[k] + c2 * db[k] + d2 * bc[k]) / volume);
-        dot(y, minus_of(y, centre))
+        let twice_centre: [f64; 3] = std::array::from_fn(|k| (b2 * cd[k] + c2 * db[k] + d2 * bc[k]) / volume);
+        dot(y, std::array::from_fn(|k| y[k] - twice_centre[k]))
     }
-}
-
-fn minus_of(p: [f64; 3], q: [f64; 3]) -> [f64; 3] {
-    std::array::from_fn(|k| p[k] - q[k])
 }
