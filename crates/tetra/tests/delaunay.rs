@@ -56,8 +56,8 @@ fn sorted(mut corners: [u32; 4]) -> [u32; 4] {
 }
 
 /// All quadruples that no point conflicts with, when the heights |p|² are raised by real numbers that are as
-/// small and as different as the infinitely small ones: a volume is an integer of at most 3b + 9 bits, so each
-/// share outweighs all smaller ones, and one unit of the heights outweighs all shares.
+/// small and as different as the infinitely small ones: a volume is an integer of at most 3b + 9 bits, so
+/// each share outweighs all smaller ones, and one unit of the heights outweighs all shares.
 fn brute_force(points: &[[f32; 3]]) -> BTreeSet<[u32; 4]> {
     let (points, bits) = integers(&wide(points));
     let step = 3 * bits + 12;
@@ -338,7 +338,9 @@ proptest! {
     }
 
     #[test]
-    fn an_order_and_places_from_everywhere(points in some_points(), x in prop::array::uniform3(-1.0f64..5.0)) {
+    fn an_order_and_places_from_everywhere(
+        points in some_points(), x in prop::array::uniform3(-1.0f64..5.0),
+    ) {
         let d = Delaunay::new(&points).unwrap();
         for x in [x, x.map(f64::round)] {
             prop_assert!(has_order(&d, x));
