@@ -20,13 +20,13 @@
 //! enough; there are finitely many determinants):
 //! - It depends on the points and their numbers, not on the order of insertion.
 //! - No tetrahedron is flat: four coplanar points lift into a vertical hyperplane, which carries no facet
-//!   of the lower hull. No facet has a fifth point: of such five points four are not coplanar, and the tie would
-//!   remain.
+//!   of the lower hull. No facet has a fifth point: of such five points four are not coplanar, and the tie
+//!   would remain.
 //! - Every point is a corner: |p|² is strictly convex, and small ε keep each point below the hull of the
 //!   others.
 //! - From every viewpoint x the tetrahedra have a front-to-back order: along a ray from x, the powers
-//!   |x|² − H(x) of the tetrahedra that it meets grow (Edelsbrunner, "An acyclicity theorem for cell complexes
-//!   in d dimensions", 1990). So walks from tetrahedron to tetrahedron towards a point end.
+//!   |x|² − H(x) of the tetrahedra that it meets grow (Edelsbrunner, "An acyclicity theorem for cell
+//!   complexes in d dimensions", 1990). So walks from tetrahedron to tetrahedron towards a point end.
 
 use std::cmp::Ordering;
 
