@@ -21,16 +21,16 @@ pub struct Delaunay {
     /// The first two are the smallest, in ascending order. Tetrahedra are in the order of their centres
     /// along a Hilbert curve.
     pub tetrahedra: Vec<[u32; 4]>,
-    /// For each tetrahedron and k the tetrahedron across the face opposite to corner k; [`NONE`] on the border
-    /// of the box.
+    /// For each tetrahedron and k the tetrahedron across the face opposite to corner k; [`NONE`] on the
+    /// border of the box.
     pub neighbours: Vec<[u32; 4]>,
 }
 
 impl Delaunay {
     /// The Delaunay tetrahedra of distinct finite points.
     ///
-    /// Needs about 110 bytes a tetrahedron while it runs; a scene has 6 to 8 tetrahedra a point, but points on
-    /// two skew curves have about the square of their number.
+    /// Needs about 110 bytes a tetrahedron while it runs; a scene has 6 to 8 tetrahedra a point, but points
+    /// on two skew curves have about the square of their number.
     ///
     /// # Errors
     ///

@@ -22,7 +22,8 @@ pub(super) fn corners(points: &[[f32; 3]]) -> Result<[[f32; 3]; 8], DelaunayErro
     let mut bounds = [[0.0f32; 3]; 2];
     for axis in 0..3 {
         // The step is a power of two and at least a 2⁻²¹th of the reach, so the quotients are exact and below
-        // 2²², and the bounds are integers of at most 23 bits times the step: exact in f32 unless they overflow.
+        // 2²², and the bounds are integers of at most 23 bits times the step: exact in f32 unless they
+        // overflow.
         let down = ((f64::from(lower[axis]) / step).floor() - 1.0) * step;
         let up = ((f64::from(upper[axis]) / step).ceil() + 1.0) * step;
         if down < f64::from(f32::MIN) || up > f64::from(f32::MAX) {

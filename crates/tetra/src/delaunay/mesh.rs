@@ -128,8 +128,8 @@ impl<'a> Mesh<'a> {
         }
     }
 
-    /// Fills `conflicts` and `border`, from a cell that holds the point. That cell is in conflict, also when the
-    /// point is on its border: a strictly convex height is below its interpolation.
+    /// Fills `conflicts` and `border`, from a cell that holds the point. That cell is in conflict, also when
+    /// the point is on its border: a strictly convex height is below its interpolation.
     fn gather_conflicts(&mut self, point: u32, start: u32, inside: u32) {
         self.conflicts.clear();
         self.border.clear();
@@ -201,7 +201,8 @@ impl<'a> Mesh<'a> {
             if self.cells[new as usize].across[j] != NONE {
                 continue;
             }
-            // The face opposite to corner `cross` of the cell `at` is passed next; it has the edge and `third`.
+            // The face opposite to corner `cross` of the cell `at` is passed next; it has the edge and
+            // `third`.
             let (mut at, mut cross, mut third) = (old, j, corners[k]);
             let other = loop {
                 let next = self.cells[at as usize].across[cross];

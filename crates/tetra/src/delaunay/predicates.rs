@@ -21,19 +21,19 @@ const U: f64 = f64::EPSILON / 2.0;
 
 /// Bound of the error of an orientation, times the product of the largest differences of each axis.
 ///
-/// The determinant has 6 products of three differences. Each passes through at most 8 rounded operations (three
-/// differences, two products, three additions), so the error is at most ((1+u)⁸ − 1) · 6 times that product
-/// of true differences, less than 49 u times the computed one; 64 also covers computing the bound.
+/// The determinant has 6 products of three differences. Each passes through at most 8 rounded operations
+/// (three differences, two products, three additions), so the error is at most ((1+u)⁸ − 1) · 6 times that
+/// product of true differences, less than 49 u times the computed one; 64 also covers computing the bound.
 const ORIENT_BOUND: f64 = 64.0 * U;
 
-/// Bound of the error of [`Predicates::conflicts`]'s determinant, times the product of the largest differences
-/// of each axis and the square of the largest of all.
+/// Bound of the error of [`Predicates::conflicts`]'s determinant, times the product of the largest
+/// differences of each axis and the square of the largest of all.
 ///
 /// The determinant has 4 cofactors of 6 products, each times 3 squares: 72 terms, each at most that product.
 /// A term passes through at most 17 rounded operations: 8 of the cofactor (as above), 5 of the lift (two
 /// differences, a product, two additions), their product and three additions. So the error is at most
-/// ((1+u)¹⁷ − 1) · 72 times the product of true differences, less than 1230 u times the computed one; 1300 also
-/// covers computing the bound.
+/// ((1+u)¹⁷ − 1) · 72 times the product of true differences, less than 1230 u times the computed one; 1300
+/// also covers computing the bound.
 const CONFLICT_BOUND: f64 = 1300.0 * U;
 
 /// Points, and from which values on `f64` may round.
@@ -50,8 +50,8 @@ impl<'a> Predicates<'a> {
     pub(super) fn new(points: &'a [[f32; 3]]) -> Self {
         let exponents = points.as_flattened().iter().map(|&c| dyadic(f64::from(c)));
         let least = exponents.filter(|(m, _)| *m != 0).map(|(_, e)| e).min().unwrap_or(0);
-        // All coordinates are multiples of the unit, so all values of degree k are multiples of its k-th power.
-        // Multiples of one number up to 2⁵³ times it are exact in f64. The powers are at least 2⁻⁷⁴⁵.
+        // All coordinates are multiples of the unit, so all values of degree k are multiples of its k-th
+        // power. Multiples of one number up to 2⁵³ times it are exact in f64. The powers are at least 2⁻⁷⁴⁵.
         let unit = f64::from_bits(((1023 + least) as u64) << 52);
         let most = f64::from(2).powi(53);
         let cube = unit * unit * unit;
@@ -80,8 +80,8 @@ impl<'a> Predicates<'a> {
         orient3d_sign(a.into(), b.into(), c.into(), d.into())
     }
 
-    /// Whether point `e` is inside the circumsphere of a tetrahedron of positive [`Self::orient`] that it is not
-    /// a corner of; on the sphere, what [`ties`] says.
+    /// Whether point `e` is inside the circumsphere of a tetrahedron of positive [`Self::orient`] that it is
+    /// not a corner of; on the sphere, what [`ties`] says.
     pub(super) fn conflicts(&self, corners: [u32; 4], e: u32) -> bool {
         let origin = self.at(e);
         let rows = corners.map(|k| minus(self.at(k), origin));
@@ -97,8 +97,8 @@ impl<'a> Predicates<'a> {
             return value > 0.0;
         }
         let (side, signs) = if 72.0 * size <= self.exact5 {
-            // Every difference, cofactor, lift and sum is exact: none is larger than the sum of all magnitudes
-            // of its degree.
+            // Every difference, cofactor, lift and sum is exact: none is larger than the sum of all
+            // magnitudes of its degree.
             (sign(value), cofactors.map(sign))
         } else {
             let [a, b, c, d] = corners.map(|k| Vec3::from(self.at(k)));
@@ -117,8 +117,8 @@ impl<'a> Predicates<'a> {
 pub(super) fn side([a, b, c]: [[f32; 3]; 3], x: [f64; 3]) -> Ordering {
     let rows = [a, b, c].map(|p| [0, 1, 2].map(|k| f64::from(p[k]) - x[k]));
     let most = largest(&rows);
-    // Products of two can underflow here, by at most 2⁻¹⁰⁷⁵ each; there are 6, each times less than 2¹⁶⁰, and 3
-    // more: less than 2⁻⁹⁰⁰ together. Below 2¹⁶⁰ nothing overflows.
+    // Products of two can underflow here, by at most 2⁻¹⁰⁷⁵ each; there are 6, each times less than 2¹⁶⁰, and
+    // 3 more: less than 2⁻⁹⁰⁰ together. Below 2¹⁶⁰ nothing overflows.
     if most.iter().all(|m| *m < f64::from(2).powi(160)) {
         let det = det(&rows[0], &rows[1], &rows[2]);
         if det.abs() > ORIENT_BOUND * (most[0] * most[1] * most[2]) + f64::from(2).powi(-900) {

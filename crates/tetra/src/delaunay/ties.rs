@@ -1,10 +1,10 @@
 //! The consistent answer where five points lie on one sphere.
 //!
 //! Delaunay tetrahedra are the lower hull of the points lifted to heights h = |p|². Let point i have the
-//! height |p|² + εᵢ instead, where every εᵢ > 0 is infinitely small and ε₀ ≫ ε₁ ≫ ε₂ …: the smaller the number
-//! of a point, the larger its share (Edelsbrunner and Mücke, "Simulation of Simplicity", 1990, section 4.2;
-//! Devillers and Teillaud, "Perturbations and Vertex Removal in a 3D Delaunay Triangulation", 2003, section
-//! 3.1, lift points so too).
+//! height |p|² + εᵢ instead, where every εᵢ > 0 is infinitely small and ε₀ ≫ ε₁ ≫ ε₂ …: the smaller the
+//! number of a point, the larger its share (Edelsbrunner and Mücke, "Simulation of Simplicity", 1990, for the
+//! method; Devillers and Teillaud, "Perturbations and Vertex Removal in a 3D Delaunay Triangulation", 2003,
+//! also lift points).
 //!
 //! Let a, b, c, d be the corners of a tetrahedron with orient(a, b, c, d) = D > 0, and H the affine function
 //! that equals the heights there. Point e is in conflict with the tetrahedron when its height is below H(e).
@@ -19,12 +19,14 @@
 //! What follows for the result, because it is the lower hull of one fixed set of heights (take real ε small
 //! enough; there are finitely many determinants):
 //! - It depends on the points and their numbers, not on the order of insertion.
-//! - No tetrahedron is flat: four coplanar points lift to a vertical plane, which carries no facet of the lower
-//!   hull. No facet has a fifth point: of such five points four are not coplanar, and the tie would remain.
-//! - Every point is a corner: |p|² is strictly convex, and small ε keep each point below the hull of the others.
-//! - From every viewpoint the tetrahedra have a front-to-back order: the powers |x|² − H(x) of the viewpoint x
-//!   grow along each line that leaves x (Edelsbrunner, "An acyclicity theorem for cell complexes in d
-//!   dimensions", 1990). So walks from tetrahedron to tetrahedron towards a point end.
+//! - No tetrahedron is flat: four coplanar points lift into a vertical hyperplane, which carries no facet
+//!   of the lower hull. No facet has a fifth point: of such five points four are not coplanar, and the tie
+//!   would remain.
+//! - Every point is a corner: |p|² is strictly convex, and small ε keep each point below the hull of the
+//!   others.
+//! - From every viewpoint x the tetrahedra have a front-to-back order: along a ray from x, the powers
+//!   |x|² − H(x) of the tetrahedra that it meets grow (Edelsbrunner, "An acyclicity theorem for cell
+//!   complexes in d dimensions", 1990). So walks from tetrahedron to tetrahedron towards a point end.
 
 use std::cmp::Ordering;
 

@@ -7,9 +7,9 @@ use super::mesh::NONE;
 use super::predicates::side;
 
 impl Delaunay {
-    /// A tetrahedron that holds the point `x`, found by a walk from the tetrahedron `hint` (any number will do;
-    /// the last answer is a good one). `None` where `x` is outside of the box or not finite. On a common border
-    /// any of the tetrahedra there is the answer.
+    /// A tetrahedron that holds the point `x`, found by a walk from the tetrahedron `hint` (any number will
+    /// do; the last answer is a good one). `None` where `x` is outside of the box or not finite. On a common
+    /// border any of the tetrahedra there is the answer.
     ///
     /// The walk is exact and always ends: each step leads to a tetrahedron with a smaller power of `x`.
     pub fn locate(&self, x: [f64; 3], hint: u32) -> Option<u32> {
@@ -47,8 +47,8 @@ impl Delaunay {
     /// On which side of the face opposite to corner `k` of tetrahedron `t` the finite point `x` is, decided
     /// exactly: `Greater` on the tetrahedron's side, `Equal` on the face's plane.
     ///
-    /// Seen from `x`, the tetrahedron is before its neighbour across the face for `Greater`, and behind it for
-    /// `Less`; these relations of all faces have no circle.
+    /// Seen from `x`, the tetrahedron is before its neighbour across the face for `Greater`, and behind it
+    /// for `Less`; these relations of all faces have no circle.
     pub fn side(&self, t: u32, k: usize, x: [f64; 3]) -> Ordering {
         let corners = self.tetrahedra[t as usize].map(|c| self.points[c as usize]);
         let [a, b, c, d] = corners;
@@ -61,12 +61,13 @@ impl Delaunay {
         }
     }
 
-    /// The power of the point `x` to the circumsphere of tetrahedron `t`, rounded: the squared distance to its
-    /// centre minus its squared radius, in squared units of the points.
+    /// The power of the point `x` to the circumsphere of tetrahedron `t`, rounded: the squared distance to
+    /// its centre minus its squared radius, in squared units of the points.
     ///
-    /// Tetrahedra ordered by power are nearly in front-to-back order. It is an order of work and decides nothing:
-    /// powers of tetrahedra on one sphere are equal but for rounding, and `f64` may overflow for points beyond
-    /// 10⁷⁵. [`Self::side`] decides between neighbours.
+    /// Tetrahedra ordered by power are nearly in front-to-back order. It is an order of work and decides
+    /// nothing: powers of tetrahedra on one sphere are equal but for rounding, and for a tetrahedron whose
+    /// volume rounds to 0 this is the squared distance to its first corner. [`Self::side`] decides between
+    /// neighbours.
     pub fn power(&self, t: u32, x: [f64; 3]) -> f64 {
         let corners = self.tetrahedra[t as usize].map(|c| self.points[c as usize].map(f64::from));
         let minus = |p: [f64; 3]| -> [f64; 3] { std::array::from_fn(|k| p[k] - corners[0][k]) };
@@ -76,16 +77,15 @@ impl Delaunay {
             [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]]
         };
         let dot = |p: [f64; 3], q: [f64; 3]| p[0] * q[0] + p[1] * q[1] + p[2] * q[2];
-        // Relative to corner a the sphere passes through the origin, and the power is y·y − 2 y·centre with
+        // Relative to corner a the sphere passes through the origin, and the power is y·y − y·(2 centre) with
         // 2 centre = (b² c×d + c² d×b + d² b×c) / (b×c·d).
         let (cd, db, bc) = (cross(c, d), cross(d, b), cross(b, c));
         let volume = dot(b, cd);
         let (b2, c2, d2) = (dot(b, b), dot(c, c), dot(d, d));
-        let centre: [f64; 3] = std::array::from_fn(|k| (b2 * cd[k] + c2 * db[k] + d2 * bc[k]) / volume);
-        dot(y, minus_of(y, centre))
+        if volume <= 0.0 {
+            return dot(y, y);
+        }
+        let twice_centre: [f64; 3] = std::array::from_fn(|k| (b2 * cd[k] + c2 * db[k] + d2 * bc[k]) / volume);
+        dot(y, std::array::from_fn(|k| y[k] - twice_centre[k]))
     }
-}
-
-fn minus_of(p: [f64; 3], q: [f64; 3]) -> [f64; 3] {
-    std::array::from_fn(|k| p[k] - q[k])
 }
