@@ -5,4 +5,5 @@
 
 pub mod cells;
 pub mod check;
+pub mod file;
 pub mod surfaces;
