@@ -7,4 +7,5 @@ pub mod cells;
 pub mod check;
 pub mod delaunay;
 pub mod look;
+pub mod file;
 pub mod surfaces;

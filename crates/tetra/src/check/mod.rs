@@ -16,7 +16,7 @@
 mod fault;
 mod integers;
 mod residues;
-mod structure;
+pub(crate) mod structure;
 
 use dashu_int::IBig;
 use rayon::prelude::*;

@@ -6,7 +6,7 @@ use crate::surfaces::Surfaces;
 use super::Fault;
 
 /// Checks all lists.
-pub(super) fn check(cells: &Cells, surfaces: &Surfaces) -> Result<(), Fault> {
+pub(crate) fn check(cells: &Cells, surfaces: &Surfaces) -> Result<(), Fault> {
     let n = surfaces.points.len();
     if cells.points.len() != n + 8 || cells.points[..n] != surfaces.points[..] || !is_box(cells, n) {
         return Err(Fault::Points);

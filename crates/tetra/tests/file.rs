@@ -1,0 +1,105 @@
+//! Files come back as they were written, and altered ones are refused.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use proptest::prelude::*;
+use sightline_tetra::cells::{NONE, Tetrahedra, cells};
+use sightline_tetra::file::{Contents, Layout, Section, TetsError, write};
+use sightline_tetra::surfaces::{BLOCKS, SHOWS, Surfaces};
+
+const DIGEST: [u8; 32] = [5; 32];
+
+/// One triangle in a box of five tetrahedra.
+fn contents() -> Contents {
+    let surfaces = Surfaces {
+        points: vec![[0.25, 0.25, 0.25], [0.75, 0.25, 0.5], [0.25, 0.75, 0.75]],
+        triangles: vec![[0, 1, 2]],
+        flags: vec![BLOCKS | SHOWS],
+    };
+    let mut points = surfaces.points.clone();
+    points.extend((0..8).map(|k| [0, 1, 2].map(|i| (k >> i & 1) as f32)));
+    let tetrahedra = [[3, 4, 5, 7], [6, 4, 5, 10], [8, 4, 7, 10], [9, 5, 7, 10], [4, 5, 7, 10]];
+    let inner = 4;
+    let neighbours = [
+        [inner, NONE, NONE, NONE],
+        [inner, NONE, NONE, NONE],
+        [inner, NONE, NONE, NONE],
+        [inner, NONE, NONE, NONE],
+        [3, 2, 1, 0],
+    ];
+    let all = Tetrahedra { points: &points, tetrahedra: &tetrahedra, neighbours: &neighbours };
+    let (cells, counts) = cells(&surfaces, &all).unwrap();
+    assert!(counts.cut > 0);
+    Contents { digest: DIGEST, surfaces, cells, hierarchy: vec![1, 2, 3] }
+}
+
+fn bytes(c: &Contents) -> Vec<u8> {
+    let mut out = Vec::new();
+    write(&mut out, &c.digest, &c.surfaces, &c.cells, &c.hierarchy).unwrap();
+    out
+}
+
+#[test]
+fn what_was_written_is_read() {
+    let contents = contents();
+    let file = bytes(&contents);
+    assert_eq!(Contents::read(&file).unwrap(), contents);
+    let layout = Layout::parse(&file).unwrap();
+    assert!(Section::ALL.iter().all(|s| layout.range(*s).start % 8 == 0));
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("a.tets");
+    std::fs::write(&path, &file).unwrap();
+    assert_eq!(Contents::open(&path).unwrap(), contents);
+    assert!(matches!(Contents::open(directory.path().join("b").as_path()), Err(TetsError::Open { .. })));
+}
+
+#[test]
+fn every_cut_and_every_altered_byte_is_told() {
+    let file = bytes(&contents());
+    for end in 0..file.len() {
+        let error = Contents::read(&file[..end]).unwrap_err();
+        let is_told = if end == 0 {
+            matches!(error, TetsError::NotTets)
+        } else {
+            matches!(error, TetsError::CutShort { .. })
+        };
+        assert!(is_told, "{end}: {error}");
+    }
+    for at in 0..file.len() {
+        let mut altered = file.clone();
+        altered[at] ^= 0x10;
+        assert!(Contents::read(&altered).is_err(), "byte {at}");
+    }
+}
+
+#[test]
+fn another_scene_is_told() {
+    let contents = contents();
+    contents.expect_scene(&DIGEST).unwrap();
+    let error = contents.expect_scene(&[6; 32]).unwrap_err();
+    assert!(error.to_string().contains("another scene"), "{error}");
+}
+
+proptest! {
+    /// Words altered under a right checksum: whatever is read has numbers that name something.
+    #[test]
+    fn tampered_numbers_are_refused_or_harmless(list in 0usize..6, at in any::<prop::sample::Index>(), to in any::<u32>()) {
+        let mut contents = contents();
+        let c = &mut contents.cells;
+        match list {
+            0 => { let i = at.index(c.loops.len()); c.loops[i] = to }
+            1 => { let i = at.index(c.faces.len()); c.faces[i].loop_start = to }
+            2 => { let i = at.index(c.cells.len()); c.cells[i].faces_start = to }
+            3 => { let i = at.index(c.planes.len()); c.planes[i].0[i % 3] = to }
+            4 => { let i = at.index(c.cell_faces.len()); c.cell_faces[i] = to }
+            _ => { let i = at.index(c.faces.len()); c.faces[i].cells[i % 2] = to }
+        }
+        if let Ok(read) = Contents::read(&bytes(&contents)) {
+            // The checker may find anything, and does not panic.
+            let _ = sightline_tetra::check::check(&read.cells, &read.surfaces, &DIGEST);
+            for f in 0..read.cells.face_count() {
+                read.cells.face_loop(f).iter().for_each(|v| { read.cells.place(*v); });
+            }
+        }
+    }
+}
