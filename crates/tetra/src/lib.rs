@@ -6,6 +6,6 @@
 pub mod cells;
 pub mod check;
 pub mod delaunay;
-pub mod look;
 pub mod file;
+pub mod look;
 pub mod surfaces;

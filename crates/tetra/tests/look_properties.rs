@@ -136,7 +136,12 @@ fn check(triangles: &[T], x: [f64; 3]) -> Result<(), TestCaseError> {
         }
     }
     let cells = world.look_by(Engine::Cells, x, Mode::Exact);
-    if exact.visible != cells.visible { println!("CASE {triangles:?} {x:?} check {:?}", sightline_tetra::check::check(&world.surfaces, &world.cells)); }
+    if exact.visible != cells.visible {
+        println!(
+            "CASE {triangles:?} {x:?} check {:?}",
+            sightline_tetra::check::check(&world.cells, &world.surfaces, &[7; 32])
+        );
+    }
     prop_assert_eq!(&exact.visible, &cells.visible, "boxes and cells differ");
     for (a, b) in exact.areas.iter().zip(&cells.areas) {
         prop_assert!((a - b).abs() < 1e-11, "{} and {}", a, b);

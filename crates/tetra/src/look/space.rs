@@ -7,7 +7,7 @@
 use crate::cells::{Cells, NONE};
 
 use super::beam::Edge;
-use super::eye::Eye;
+use super::eye::{self, Eye, Integers};
 use super::planes::{Facing, Planes};
 use super::rounded::{Number, Rounded, U};
 use super::stack::Entry;
@@ -42,19 +42,27 @@ impl<'a> Space<'a> {
         Self { cells, slack: side.fold(0.0, f64::max) * 2.0 * f64::powi(2.0, -44) }
     }
 
-    /// The plane of a face as three points. Faces lie in planes of triangles and of faces of tetrahedra alone.
-    fn points_of(&self, face: usize) -> Option<[u32; 3]> {
-        let given = self.cells.planes[self.cells.faces[face].plane as usize].given();
-        <[u32; 3]>::try_from(given).ok()
-    }
-
     /// What a face, as `faces_of` lists it, means to the viewpoint.
     fn way(&self, eye: &Eye<'_>, listed: u32) -> Way {
         let face = (listed >> 1) as usize;
-        let Some(points) = self.points_of(face) else { return Way::Along };
-        let Some(facing) = Facing::of(eye, points) else { return Way::Along };
-        // The viewpoint is behind the plane where the normal did not have to be turned.
-        let in_front = facing.points != points;
+        let [a, b, third] = self.cells.planes[self.cells.faces[face].plane as usize].0;
+        let axis = self.cells.planes[self.cells.faces[face].plane as usize].axis();
+        // The side on which the viewpoint is not: towards the plane's front.
+        let behind = match axis {
+            None => side(eye, a, [eye.between(a, b), eye.between(a, third)], || {
+                [eye.between_exactly(a, b), eye.between_exactly(a, third)]
+            }),
+            Some(axis) => {
+                let way: [f64; 3] = std::array::from_fn(|k| f64::from(u8::from(k == axis)));
+                side(eye, a, [eye.between(a, b), Rounded::exact(way)], || {
+                    [eye.between_exactly(a, b), way.map(|c| dashu_int::IBig::from(u8::from(c == 1.0)))]
+                })
+            }
+        };
+        if behind == 0 {
+            return Way::Along;
+        }
+        let in_front = behind < 0;
         let cell_in_front = listed & 1 == 0;
         if in_front == cell_in_front { Way::Out } else { Way::In }
     }
@@ -204,4 +212,12 @@ impl<'a> Space<'a> {
         }
         Some(middle.iter().map(|c| c * c).sum())
     }
+}
+
+/// The sign of (p × q) · (a − x): positive where the viewpoint is behind the plane through a along p and q.
+fn side(eye: &Eye<'_>, a: u32, [p, q]: [Rounded; 2], exactly: impl Fn() -> [Integers; 2]) -> i32 {
+    eye.to(a).dot(&p.cross(&q)).sign().unwrap_or_else(|| {
+        let [p, q] = exactly();
+        eye::sign(&eye::dot(&eye.to_exactly(a), &eye::cross(&p, &q)))
+    })
 }
