@@ -28,8 +28,11 @@ fn surfaces(triangles: &[[[f32; 3]; 3]]) -> Surfaces {
     out
 }
 
+/// Corners or neighbours.
+type Four = Vec<[u32; 4]>;
+
 /// The points, those of a box around them, and six tetrahedra of the box about one of its diagonals.
-fn box_of(surfaces: &Surfaces) -> (Vec<[f32; 3]>, Vec<[u32; 4]>, Vec<[u32; 4]>) {
+fn box_of(surfaces: &Surfaces) -> (Vec<[f32; 3]>, Four, Four) {
     let mut points = surfaces.points.clone();
     let fold = |i: usize, pick: fn(f32, f32) -> f32| points.iter().map(|p| p[i]).reduce(pick).unwrap();
     let size = (0..3).map(|i| fold(i, f32::max) - fold(i, f32::min)).fold(0.0, f32::max);
@@ -67,6 +70,16 @@ fn passes(triangles: &[[[f32; 3]; 3]]) -> (Cells, Counts) {
     let (cells, counts) = built(&surfaces);
     assert_eq!(check(&cells, &surfaces, &DIGEST), Ok(()));
     (cells, counts)
+}
+
+#[test]
+fn the_number_of_threads_changes_nothing() {
+    let surfaces = surfaces(&CROSS);
+    let on = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| built(&surfaces))
+    };
+    assert_eq!(on(1), on(3));
 }
 
 const CROSS: [[[f32; 3]; 3]; 3] = [

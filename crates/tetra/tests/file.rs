@@ -45,7 +45,7 @@ fn what_was_written_is_read() {
     let file = bytes(&contents);
     assert_eq!(Contents::read(&file).unwrap(), contents);
     let layout = Layout::parse(&file).unwrap();
-    assert!(Section::ALL.iter().all(|s| layout.range(*s).start % 8 == 0));
+    assert!(Section::ALL.iter().all(|s| layout.range(*s).start.is_multiple_of(8)));
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.tets");
     std::fs::write(&path, &file).unwrap();
@@ -83,7 +83,9 @@ fn another_scene_is_told() {
 proptest! {
     /// Words altered under a right checksum: whatever is read has numbers that name something.
     #[test]
-    fn tampered_numbers_are_refused_or_harmless(list in 0usize..6, at in any::<prop::sample::Index>(), to in any::<u32>()) {
+    fn tampered_numbers_are_refused_or_harmless(
+        list in 0usize..6, at in any::<prop::sample::Index>(), to in any::<u32>(),
+    ) {
         let mut contents = contents();
         let c = &mut contents.cells;
         match list {

@@ -2,8 +2,8 @@
 //!
 //! A triangle goes down a tree of cuts in pieces: a cut divides a piece, or the piece lies in the cut and is
 //! noted there, or it reaches a part that it passes through the inside of, which its plane then cuts. So no
-//! part is cut that a triangle does not pass through. This is the tree of Fuchs, Kedem and Naylor, "On Visible
-//! Surface Generation by A Priori Tree Structures", 1980, within one tetrahedron.
+//! part is cut that a triangle does not pass through. This is the tree of Fuchs, Kedem and Naylor, "On
+//! Visible Surface Generation by A Priori Tree Structures", 1980, within one tetrahedron.
 
 use super::local::Local;
 use super::planes::NONE;

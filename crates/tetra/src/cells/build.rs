@@ -85,7 +85,7 @@ impl Numbers {
         let mut cut: Vec<u32> = meetings.inside.iter().map(|(t, _)| *t).collect();
         cut.dedup();
         faces.extend(cut.iter().flat_map(|t| (0..4).map(|k| all.number_of_face(*t, k))));
-        // The edges of a face that is divided lie in the other faces of the tetrahedron that it is divided in.
+        // The edges of a divided face lie in the other faces of the tetrahedron that it is divided in.
         let beside: Vec<u32> =
             faces.par_iter().flat_map_iter(|f| (0..4).map(move |k| all.number_of_face(f / 4, k))).collect();
         faces.extend(beside);

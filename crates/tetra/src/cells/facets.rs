@@ -28,6 +28,8 @@ pub struct Faces {
     pub loops: Vec<u32>,
     /// The triangles of the faces, one after another.
     pub triangles: Vec<u32>,
+    /// The index of each local vertex, `NONE` where it has none yet.
+    index_of: Vec<u32>,
 }
 
 /// A face.
@@ -186,13 +188,16 @@ fn cover(local: &mut Local<'_>, cutter: &Cutter, pieces: Vec<Piece>) -> Vec<Piec
 fn push(local: &mut Local<'_>, pieces: Vec<Piece>, out: &mut Faces) {
     for piece in pieces {
         for (v, _) in &piece.polygon.loops {
-            let key = local.key(*v);
-            let index = out.keys.iter().rposition(|k| *k == key).unwrap_or_else(|| {
-                out.keys.push(key);
+            let at = *v as usize;
+            if out.index_of.len() <= at {
+                out.index_of.resize(at + 1, NONE);
+            }
+            if out.index_of[at] == NONE {
+                out.index_of[at] = out.keys.len() as u32;
+                out.keys.push(local.key(*v));
                 out.rounded.push(local.rounded(*v));
-                out.keys.len() - 1
-            });
-            out.loops.push(index as u32);
+            }
+            out.loops.push(out.index_of[at]);
         }
         out.triangles.extend(&piece.triangles);
         out.faces.push(Face {

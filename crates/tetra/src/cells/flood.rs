@@ -65,12 +65,17 @@ pub fn meetings(surfaces: &Surfaces, all: &Tetrahedra<'_>) -> Result<Meetings, C
     let found: Vec<Found> = ids
         .par_chunks(256)
         .map_init(
-            || Flood { all, at_point: &at_point, seen: vec![NONE; all.tetrahedra.len()], todo: Vec::new() },
+            || Flood {
+                all,
+                at_point: &at_point,
+                seen: vec![NONE; all.tetrahedra.len()],
+                known: vec![(NONE, [0; 4]); all.points.len()],
+                todo: Vec::new(),
+            },
             |flood, ids| {
                 let mut found = Found::default();
-                ids.iter().try_for_each(|id| {
-                    flood.flood(*id, surfaces.triangles[*id as usize], &mut found).map(|()| ())
-                })?;
+                ids.iter()
+                    .try_for_each(|id| flood.flood(*id, surfaces.triangles[*id as usize], &mut found))?;
                 Ok(found)
             },
         )
@@ -131,6 +136,8 @@ struct Flood<'a> {
     at_point: &'a [u32],
     /// The triangle that last saw each tetrahedron.
     seen: Vec<u32>,
+    /// The triangle that last asked for each point's sides, and the sides: neighbours share their points.
+    known: Vec<(u32, Sides)>,
     todo: Vec<u32>,
 }
 
@@ -155,7 +162,7 @@ impl Flood<'_> {
         }
         while let Some(t) = self.todo.pop() {
             let own = self.all.tetrahedra[t as usize];
-            let signs = own.map(&sides);
+            let signs = own.map(|p| self.sides(id, p, &sides));
             let is_met = may_touch(&signs) && self.may_touch_back(own, corners);
             if !is_met {
                 continue;
@@ -206,7 +213,19 @@ impl Flood<'_> {
             }
         }
         // Those that cannot touch the triangle count as seen and stay so.
-        self.todo.extend(star.iter().filter(|t| may_touch(&self.all.tetrahedra[**t as usize].map(sides))));
+        for t in star {
+            if may_touch(&self.all.tetrahedra[t as usize].map(|p| self.sides(id, p, sides))) {
+                self.todo.push(t);
+            }
+        }
+    }
+
+    fn sides(&mut self, id: u32, point: u32, sides: &impl Fn(u32) -> Sides) -> Sides {
+        let known = &mut self.known[point as usize];
+        if known.0 != id {
+            *known = (id, sides(point));
+        }
+        known.1
     }
 
     /// Whether no face of a tetrahedron has the triangle beyond it.

@@ -69,9 +69,8 @@ impl Tetrahedra<'_> {
             if corners.iter().any(|p| *p as usize >= self.points.len()) {
                 return fault("a corner that is no point");
             }
-            for k in 0..4 {
-                let other = neighbours[k];
-                if other != NONE && self.across(t, k).is_none() {
+            for (k, other) in neighbours.iter().enumerate() {
+                if *other != NONE && self.across(t, k).is_none() {
                     return fault("a neighbour that does not share the face");
                 }
             }

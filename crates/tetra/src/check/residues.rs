@@ -118,14 +118,14 @@ fn pow(mut base: u64, mut exponent: u64, prime: u64) -> u64 {
 
 /// Miller's test with bases that decide every number of 64 bits (Sinclair, 2011).
 fn is_prime(n: u64) -> bool {
-    if [3, 5, 7, 11, 13].iter().any(|p| n % p == 0) {
+    if [3u64, 5, 7, 11, 13].iter().any(|p| n.is_multiple_of(*p)) {
         return false;
     }
     let zeros = (n - 1).trailing_zeros();
     let odd = (n - 1) >> zeros;
     [2, 325, 9375, 28178, 450_775, 9_780_504, 1_795_265_022u64].iter().all(|base| {
         let mut x = pow(base % n, odd, n);
-        let mut is_probable = x == 1 || x == n - 1 || base % n == 0;
+        let mut is_probable = x == 1 || x == n - 1 || base.is_multiple_of(n);
         for _ in 1..zeros {
             x = mul(x, x, n);
             is_probable |= x == n - 1;

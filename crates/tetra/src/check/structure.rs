@@ -3,7 +3,7 @@
 use crate::cells::{Cells, NONE, Plane};
 use crate::surfaces::Surfaces;
 
-use super::Fault;
+use super::fault::Fault;
 
 /// Checks all lists.
 pub(crate) fn check(cells: &Cells, surfaces: &Surfaces) -> Result<(), Fault> {

@@ -167,7 +167,7 @@ impl Layout {
             if crc32c::crc32c(bytes) != u32_at(header, entry + 4) || gap.iter().any(|b| *b != 0) {
                 return Err(TetsError::Altered { section: section.name() });
             }
-            if bytes.len() % section.entry() != 0 {
+            if !bytes.len().is_multiple_of(section.entry()) {
                 return Err(section.malformed("its last entry is not whole"));
             }
             ranges[i] = offset..offset + bytes.len();
