@@ -1,8 +1,8 @@
 //! The cells between the surfaces as a beam goes through them: where it starts, and which faces it leaves by.
 //!
-//! Faces between cells cut nothing: a beam goes on to every cell whose face it may overlap. Seen from any point
-//! the cells have a front-to-back order, so a beam that takes the nearest cell first enters few of them twice.
-//! Entering one twice, or one that it misses, costs time and changes nothing.
+//! Faces between cells cut nothing: a beam goes on to every cell whose face it may overlap. Seen from any
+//! point the cells have a front-to-back order, so a beam that takes the nearest cell first enters few of them
+//! twice. Entering one twice, or one that it misses, costs time and changes nothing.
 
 use crate::cells::{Cells, NONE};
 
@@ -67,7 +67,8 @@ impl<'a> Space<'a> {
         if in_front == cell_in_front { Way::Out } else { Way::In }
     }
 
-    /// The cells that hold the viewpoint, their borders included; from outside of the box, those whose faces it sees.
+    /// The cells that hold the viewpoint, their borders included; from outside of the box, those whose faces
+    /// it sees.
     pub fn start(&self, eye: &Eye<'_>, hint: &mut u32, found: &mut Vec<Entry>) {
         found.clear();
         let mut push = |cell: u32| found.push(Entry { key: 0.0, first: cell, count: 0 });
@@ -112,7 +113,8 @@ impl<'a> Space<'a> {
     fn locate(&self, eye: &Eye<'_>, hint: u32) -> Option<u32> {
         let count = self.cells.cell_count();
         let mut at = if (hint as usize) < count { hint } else { 0 };
-        // Cells are in front of one another without a circle, so the walk ends; the count stops it in damaged data.
+        // Cells are in front of one another without a circle, so the walk ends; the count stops it in damaged
+        // data.
         for _ in 0..=count {
             let mut outside = false;
             let step = self.cells.faces_of(at as usize).iter().find_map(|listed| {
@@ -130,8 +132,8 @@ impl<'a> Space<'a> {
         None
     }
 
-    /// What a beam meets in a cell: the triangles of the faces by which it may leave, and the cells beyond those
-    /// that nothing blocks. The nearest is pushed last.
+    /// What a beam meets in a cell: the triangles of the faces by which it may leave, and the cells beyond
+    /// those that nothing blocks. The nearest is pushed last.
     pub fn leave(
         &self,
         eye: &Eye<'_>,
@@ -157,11 +159,13 @@ impl<'a> Space<'a> {
                 pending.push(Entry { key, first: other, count: 0 });
             }
         }
-        // Triangles first, for they may end the beam; then the nearest cells. Most of the list is in order already.
+        // Triangles first, for they may end the beam; then the nearest cells. Most of the list is in order
+        // already.
         pending.sort_by(|a, b| b.key.total_cmp(&a.key).then(b.first.cmp(&a.first)));
     }
 
-    /// Whether a beam may overlap a face in front of its cap, and the square of how far away the face's middle is.
+    /// Whether a beam may overlap a face in front of its cap, and the square of how far away the face's
+    /// middle is.
     fn overlaps(
         &self,
         eye: &Eye<'_>,
