@@ -60,7 +60,7 @@ mod receivers;
 mod solve;
 
 pub use fragments::{Falloff, Fragment};
-pub use lights::{Light, LightError, MOST_CORNERS};
+pub use lights::Light;
 pub use openness::Openness;
 pub use receivers::{Receiver, blocks};
 pub use solve::{Answer, Memory, Prepared, Settings, Solver};
