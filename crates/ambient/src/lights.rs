@@ -103,6 +103,7 @@ pub fn factors(
         let mut sum = Sum { n, factor: 0.0, parts: 0 };
         let mut rays =
             Rays { tree: &mut tree, items: &mut items, source: &source, bytes, most_told: usize::MAX };
+        rays.begin();
         // Nothing gives it up.
         let bound = rays.descend(r.point - source.origin, &part, scratch, &mut sum).unwrap_or(1.0);
         (sum.factor.max(0.0), bound + f64::from(sum.parts + 1) * 16.0 * U)
