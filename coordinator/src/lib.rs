@@ -46,7 +46,7 @@ mod lifecycle;
 mod limits;
 #[cfg(test)]
 mod load;
-mod lost_scenes;
+mod lost;
 mod metrics;
 mod openness;
 mod orders;

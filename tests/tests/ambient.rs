@@ -107,6 +107,35 @@ async fn one_worker_two_and_one_killed_give_the_bytes_of_the_solver() {
     assert!((0.1..0.98).contains(&mean(0)) && mean(1) > 1e-4, "{} {}", mean(0), mean(1));
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_whose_receivers_are_lost_waits_until_they_are_sent_again() {
+    let sandbox = Sandbox::new();
+    let scene = town(&sandbox);
+    let all = receivers(&scene, 300);
+    let prepared = Prepared::new(&scene, false).unwrap();
+    let ordered = Ordered::new(&Solver::new(&prepared, Settings::new(DISTANCE)), &all);
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let mut client = connect(&coordinator).await;
+    let whom = Whom::default();
+    let job = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom).await.unwrap().id;
+    let digest = blake3::hash(&ordered.receivers.encode().unwrap()).to_hex();
+    let blob = format!("data/blobs/{}/{}/{digest}", &digest[..2], &digest[2..4]);
+    std::fs::remove_file(sandbox.path(&blob)).unwrap();
+    let _worker = coordinator.worker();
+    // The job waits, and says for what.
+    let paused = coordinator.until(job, "a pause", |job| job["state"] == "paused");
+    assert!(paused["reason"].as_str().unwrap().contains("send the receivers again"), "{paused}");
+    assert!(coordinator.ok(&format!("logs {job}")).contains("send the receivers again"));
+    // The same again sends them, and the job goes on.
+    let again = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom).await.unwrap();
+    assert_eq!(again.id, job);
+    coordinator.ok(&format!("watch {job}"));
+    let done = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom).await.unwrap();
+    assert_eq!((done.id, done.state(), done.reason.as_str()), (job, v1::JobState::Done, ""));
+    let openness = ambient_job::fetch(&mut client, &done, &ordered.receivers).await.unwrap();
+    assert_eq!((openness.points(), openness.missing()), (300, 0));
+}
+
 #[track_caller]
 fn refused<T>(answer: Result<T, Status>, code: Code, text: &str) {
     let Err(status) = answer else { panic!("was not refused as {code:?}") };
