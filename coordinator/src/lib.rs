@@ -40,6 +40,7 @@ mod housekeeping;
 pub mod ids;
 mod invalidating;
 mod jobs;
+mod joining;
 pub mod keeping;
 mod kept;
 mod lifecycle;
