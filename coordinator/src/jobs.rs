@@ -11,7 +11,7 @@ use crate::ids::{Digest, JobId};
 use crate::scheduler::{Event, Job, Team, Unable, cells_total};
 use crate::scheduling::tell;
 use crate::specs;
-use crate::state::Coordinator;
+use crate::state::{Coordinator, Lacks};
 use crate::store::{JobPhase, JobRecord, JobState, StoreError, TileRecord, TileState};
 
 /// A job that cannot be changed or fetched.
@@ -54,8 +54,8 @@ pub(crate) struct Summary {
     pub(crate) now_ms: u64,
     /// Milliseconds until the job is done, while that is known.
     pub(crate) left_millis: Option<u64>,
-    /// Whether it is paused because its scene cannot be read.
-    pub(crate) lacks_scene: bool,
+    /// What cannot be read, so that it is paused.
+    pub(crate) lacks: Option<Lacks>,
     /// Its trace, where traces are sent.
     pub(crate) trace: Option<TraceId>,
 }
@@ -81,7 +81,7 @@ impl Summary {
             workers,
             now_ms,
             left_millis: None,
-            lacks_scene: false,
+            lacks: None,
             trace,
         };
         for tile in tiles {
@@ -133,7 +133,7 @@ pub(crate) fn summary(c: &Coordinator, id: JobId) -> Result<Summary, StoreError>
 /// The summary of a job that has not ended, from the scheduler's totals.
 pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
     let now = c.now_plain();
-    let lacks_scene = c.lost_scenes.lock().unwrap_or_else(PoisonError::into_inner).contains_key(&id);
+    let lacks = c.lost.lock().unwrap_or_else(PoisonError::into_inner).get(&id).copied();
     let scheduling = c.lock();
     let machine = &scheduling.machine;
     let job = machine.job(id)?;
@@ -150,7 +150,7 @@ pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
         workers: machine.workers(),
         now_ms: now.unix_ms,
         left_millis: job.left(now),
-        lacks_scene,
+        lacks,
         trace: c.spans.trace_of(&job.record),
     })
 }
@@ -280,9 +280,9 @@ pub(crate) fn park(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobError
     turn(c, job, &[JobPhase::Queued, JobPhase::Running], JobState::Paused)
 }
 
-/// What a person does with a job counts more than that it waits for its scene.
+/// What a person does with a job counts more than that it waits for its scene or its receivers.
 fn waits_no_more(c: &Coordinator, job: JobId) {
-    c.lost_scenes.lock().unwrap_or_else(PoisonError::into_inner).remove(&job);
+    c.lost.lock().unwrap_or_else(PoisonError::into_inner).remove(&job);
 }
 
 /// Gives a job that has not ended another priority.

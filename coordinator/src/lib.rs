@@ -40,13 +40,14 @@ mod housekeeping;
 pub mod ids;
 mod invalidating;
 mod jobs;
+mod joining;
 pub mod keeping;
 mod kept;
 mod lifecycle;
 mod limits;
 #[cfg(test)]
 mod load;
-mod lost_scenes;
+mod lost;
 mod metrics;
 mod openness;
 mod orders;

@@ -12,8 +12,8 @@ use sightline_model::receivers::{self, MOST_BYTES, ReceiversError};
 use crate::access::Caller;
 use crate::having::{may_have, turn_of};
 use crate::ids::Digest;
+use crate::joining::{UploadError, announced, forget_chunks, here, join};
 use crate::limits::Usage;
-use crate::scenes::{UploadError, discard, join, length};
 use crate::specs;
 use crate::state::{Coordinator, StoredReceivers};
 use crate::store::{BlobError, StoreError};
@@ -60,41 +60,17 @@ pub(crate) fn put(
     chunks: &[Digest],
 ) -> Result<StoredReceivers, UploadError> {
     let owned = is_owned(c, owner, &whole)?;
-    // Receivers of one chunk have its digest, and chunks are not synced: they are written again below.
-    if owned && chunks != [whole] && c.blobs.has(&whole)? {
-        match c.blobs.read(&whole) {
-            Ok(bytes) => return Ok(remember(c, whole, &bytes)?),
-            // Removed, so that the client sends them again.
-            Err(e) if e.is_broken() => {
-                tracing::warn!("{e}; it is uploaded again now");
-                c.blobs.remove(&whole)?;
-            }
-            Err(e) => return Err(e.into()),
-        }
+    if owned && let Some(bytes) = here(c, whole, chunks)? {
+        return Ok(remember(c, whole, &bytes)?);
     }
-    if !owned && !chunks.iter().all(|chunk| c.uploads.has(owner, chunk)) {
-        return Err(UploadError::ChunkMissing);
-    }
-    // A list may name a chunk many times, so its length is looked at before anything is written.
-    let bytes = length(c, chunks)?;
-    if bytes > MOST_BYTES {
-        return Err(UploadError::TooLong { bytes, most: MOST_BYTES });
-    }
+    let bytes = announced(c, owner, owned, chunks, MOST_BYTES)?;
     let _turn = turn_of(c, owner);
     // As chunks they count already.
     may_have(c, owner, Usage { bytes, ..Usage::default() }, bytes)?;
-    let was_there = c.blobs.has(&whole)? && chunks != [whole];
-    join(c, whole, chunks)?;
-    let stored = remember(c, whole, &c.blobs.read(&whole)?).inspect_err(|_| {
-        discard(c, owner, (whole, was_there), chunks);
-    })?;
-    let new = c.uploads.forget(owner, chunks);
-    for chunk in new.iter().filter(|chunk| **chunk != whole) {
-        if let Err(e) = c.blobs.remove(chunk) {
-            tracing::warn!("{e}");
-        }
-    }
-    let is_new = !was_there && (chunks != [whole] || new.contains(&whole));
+    let joined = join(c, whole, chunks)?;
+    let stored = remember(c, whole, &joined.bytes).inspect_err(|_| joined.discard(c, owner, chunks))?;
+    let new = forget_chunks(c, owner, whole, chunks);
+    let is_new = !joined.was_there && (chunks != [whole] || new.contains(&whole));
     // At most 2 GiB.
     c.uploads.note(owner, whole, bytes as u32, is_new);
     Ok(stored)

@@ -2,12 +2,12 @@
 
 use std::sync::{Arc, PoisonError};
 
-use sightline_model::receivers::ReceiversError;
 use sightline_scene::{Aabb, Scene, SceneError};
 
 use crate::access::Caller;
 use crate::having::{HavingError, may_have, may_send, turn_of};
 use crate::ids::Digest;
+use crate::joining::{UploadError, announced, forget_chunks, here, join};
 use crate::limits::Usage;
 use crate::metrics::Cache;
 use crate::state::{Coordinator, SceneFacts};
@@ -39,43 +39,6 @@ pub enum TakeError {
     /// The user may not have more.
     #[error(transparent)]
     Having(#[from] HavingError),
-}
-
-/// An upload that does not become a scene, or receivers.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum UploadError {
-    /// A chunk was never uploaded.
-    #[error("a chunk is not here yet; ask MissingChunks which, put it, and try again")]
-    ChunkMissing,
-    /// A stored chunk was damaged and has been removed.
-    #[error("a chunk was damaged and is gone; ask MissingChunks which, put it, and try again")]
-    ChunkDamaged,
-    /// The chunks do not make the announced whole.
-    #[error("{0}")]
-    Mismatch(BlobError),
-    /// The whole is not a scene.
-    #[error(transparent)]
-    Scene(SceneError),
-    /// The whole is not receivers.
-    #[error(transparent)]
-    Receivers(#[from] ReceiversError),
-    /// The list of chunks is longer than what is taken.
-    #[error("the chunks have {bytes} bytes together, and at most {most} are taken; split what they are of")]
-    TooLong {
-        /// Bytes of all chunks of the list.
-        bytes: u64,
-        /// Most that are taken.
-        most: u64,
-    },
-    /// The user may not have more.
-    #[error(transparent)]
-    Having(#[from] HavingError),
-    /// A blob cannot be read or written.
-    #[error(transparent)]
-    Blob(#[from] BlobError),
-    /// The store failed.
-    #[error(transparent)]
-    Store(#[from] StoreError),
 }
 
 impl Coordinator {
@@ -135,101 +98,26 @@ pub(crate) fn put_scene(
 ) -> Result<SceneRecord, UploadError> {
     let known = c.store.scene(&whole)?;
     let owned = known.as_ref().is_some_and(|known| owner.is_empty() || known.owners.contains(owner));
-    // A scene of one chunk has its chunk's digest, and chunks are not synced: it is written again below.
     if let Some(known) = known.filter(|_| owned)
-        && chunks != [whole]
-        && c.blobs.has(&whole)?
+        && here(c, whole, chunks)?.is_some()
     {
-        match c.blobs.read(&whole) {
-            Ok(_) => return Ok(known),
-            // Removed, so that its chunks are missing and the client sends them again: workers would fetch
-            // the damaged scene for ever.
-            Err(e) if e.is_broken() => {
-                tracing::warn!("{e}; it is uploaded again now");
-                c.blobs.remove(&whole)?;
-            }
-            Err(e) => return Err(e.into()),
-        }
+        return Ok(known);
     }
-    // Whose scene it is need not send it again.
-    if !owned && !chunks.iter().all(|chunk| c.uploads.has(owner, chunk)) {
-        return Err(UploadError::ChunkMissing);
-    }
-    // A list may name a chunk many times, so its length is looked at before anything is written.
-    let bytes = length(c, chunks)?;
-    if bytes > MOST_BYTES {
-        return Err(UploadError::TooLong { bytes, most: MOST_BYTES });
-    }
+    let bytes = announced(c, owner, owned, chunks, MOST_BYTES)?;
     let _turn = turn_of(c, owner);
     if !owned {
         may_have(c, owner, Usage { bytes, scenes: 1, ..Usage::default() }, bytes)?;
     }
-    // A chunk that is the whole was stored as a chunk.
-    let was_there = c.blobs.has(&whole)? && chunks != [whole];
-    join(c, whole, chunks)?;
-    let bytes = c.blobs.read(&whole)?;
-    let scene = Scene::from_blob("uploaded scene", &bytes).map_err(|e| {
-        discard(c, owner, (whole, was_there), chunks);
+    let joined = join(c, whole, chunks)?;
+    let scene = Scene::from_blob("uploaded scene", &joined.bytes).map_err(|e| {
+        joined.discard(c, owner, chunks);
         UploadError::Scene(e)
     })?;
     remember(c, whole, &scene);
-    let record = record_of(whole, bytes.len(), &scene, owner);
+    let record = record_of(whole, joined.bytes.len(), &scene, owner);
     c.store.record_scene(record.clone())?;
-    // The whole is kept; its chunks are no longer needed, but for those that were there before. A single
-    // chunk is the whole.
-    for chunk in c.uploads.forget(owner, chunks).iter().filter(|chunk| **chunk != whole) {
-        remove(c, chunk);
-    }
+    forget_chunks(c, owner, whole, chunks);
     Ok(record)
-}
-
-/// Removes an upload that is not what it should be; a blob that was there before may be somebody's result.
-pub(crate) fn discard(c: &Coordinator, owner: &str, (whole, was_there): (Digest, bool), chunks: &[Digest]) {
-    let new = c.uploads.forget(owner, chunks);
-    if !was_there && (chunks != [whole] || new == [whole]) {
-        remove(c, &whole);
-    }
-    new.iter().filter(|chunk| **chunk != whole).for_each(|chunk| remove(c, chunk));
-}
-
-/// Bytes of all chunks of a list.
-pub(crate) fn length(c: &Coordinator, chunks: &[Digest]) -> Result<u64, UploadError> {
-    let mut sum: u64 = 0;
-    for chunk in chunks {
-        sum = sum.saturating_add(c.blobs.len(chunk)?.ok_or(UploadError::ChunkMissing)?);
-    }
-    Ok(sum)
-}
-
-/// Writes stored chunks as one blob.
-pub(crate) fn join(c: &Coordinator, whole: Digest, chunks: &[Digest]) -> Result<(), UploadError> {
-    let mut writer = c.blobs.put_stream()?;
-    for chunk in chunks {
-        if !c.blobs.has(chunk)? {
-            return Err(UploadError::ChunkMissing);
-        }
-        match c.blobs.read(chunk) {
-            Ok(bytes) => writer.append(&bytes)?,
-            // Chunks are not synced to the disk: after a power failure one may be truncated.
-            Err(e) if e.is_broken() => {
-                tracing::warn!("{e}; it is uploaded again now");
-                c.blobs.remove(chunk)?;
-                return Err(UploadError::ChunkDamaged);
-            }
-            Err(e) => return Err(e.into()),
-        }
-    }
-    writer.finish(Some(&whole)).map_err(|e| match e {
-        e @ BlobError::Mismatch { .. } => UploadError::Mismatch(e),
-        e => UploadError::Blob(e),
-    })?;
-    Ok(())
-}
-
-fn remove(c: &Coordinator, digest: &Digest) {
-    if let Err(e) = c.blobs.remove(digest) {
-        tracing::warn!("{e}");
-    }
 }
 
 fn record_of(digest: Digest, bytes: usize, scene: &Scene, owner: &str) -> SceneRecord {

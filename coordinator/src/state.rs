@@ -130,10 +130,27 @@ pub struct Coordinator {
     pub(crate) answers: OnceLock<Box<dyn Answers>>,
     /// The result that was asked about last.
     pub(crate) last_asked: Mutex<Asked>,
-    /// The jobs that wait for a scene whose file is lost.
-    pub(crate) lost_scenes: Mutex<BTreeMap<JobId, Digest>>,
-    /// Held while jobs are paused for want of a scene, or go on with it.
-    scenes_turn: Mutex<()>,
+    /// The jobs that wait for a scene or receivers whose file is lost.
+    pub(crate) lost: Mutex<BTreeMap<JobId, Lacks>>,
+    /// Held while jobs are paused for want of these, or go on with them.
+    lost_turn: Mutex<()>,
+}
+
+/// What a job waits for, because its file is lost.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Lacks {
+    /// Its scene.
+    Scene(Digest),
+    /// Its receivers.
+    Receivers(Digest),
+}
+
+impl Lacks {
+    /// The digest of what is lost.
+    pub(crate) fn digest(self) -> Digest {
+        let (Self::Scene(digest) | Self::Receivers(digest)) = self;
+        digest
+    }
 }
 
 impl Coordinator {
@@ -179,8 +196,8 @@ impl Coordinator {
             staging: Staging::default(),
             answers: OnceLock::new(),
             last_asked: Mutex::new(None),
-            lost_scenes: Mutex::default(),
-            scenes_turn: Mutex::default(),
+            lost: Mutex::default(),
+            lost_turn: Mutex::default(),
         }
     }
 
@@ -230,9 +247,10 @@ impl Coordinator {
         self.watched.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The right to pause jobs for want of a scene, or to let them go on. To be taken before [`Self::turn`].
-    pub(crate) fn scenes_turn(&self) -> MutexGuard<'_, ()> {
-        self.scenes_turn.lock().unwrap_or_else(PoisonError::into_inner)
+    /// The right to pause jobs for want of a scene or receivers, or to let them go on. To be taken before
+    /// [`Self::turn`].
+    pub(crate) fn lost_turn(&self) -> MutexGuard<'_, ()> {
+        self.lost_turn.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The right to change records of jobs, until the scheduler has heard of the change.

@@ -107,6 +107,35 @@ async fn one_worker_two_and_one_killed_give_the_bytes_of_the_solver() {
     assert!((0.1..0.98).contains(&mean(0)) && mean(1) > 1e-4, "{} {}", mean(0), mean(1));
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_whose_receivers_are_lost_waits_until_they_are_sent_again() {
+    let sandbox = Sandbox::new();
+    let scene = town(&sandbox);
+    let all = receivers(&scene, 300);
+    let prepared = Prepared::new(&scene, false).unwrap();
+    let ordered = Ordered::new(&Solver::new(&prepared, Settings::new(DISTANCE)), &all);
+    let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let mut client = connect(&coordinator).await;
+    let whom = Whom::default();
+    let job = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom).await.unwrap().id;
+    let digest = blake3::hash(&ordered.receivers.encode().unwrap()).to_hex();
+    let blob = format!("data/blobs/{}/{}/{digest}", &digest[..2], &digest[2..4]);
+    std::fs::remove_file(sandbox.path(&blob)).unwrap();
+    let _worker = coordinator.worker();
+    // The job waits, and says for what.
+    let paused = coordinator.until(job, "a pause", |job| job["state"] == "paused");
+    assert!(paused["reason"].as_str().unwrap().contains("send the receivers again"), "{paused}");
+    assert!(coordinator.ok(&format!("logs {job}")).contains("send the receivers again"));
+    // The same again sends them, and the job goes on.
+    let again = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom).await.unwrap();
+    assert_eq!(again.id, job);
+    coordinator.ok(&format!("watch {job}"));
+    let done = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom).await.unwrap();
+    assert_eq!((done.id, done.state(), done.reason.as_str()), (job, v1::JobState::Done, ""));
+    let openness = ambient_job::fetch(&mut client, &done, &ordered.receivers).await.unwrap();
+    assert_eq!((openness.points(), openness.missing()), (300, 0));
+}
+
 #[track_caller]
 fn refused<T>(answer: Result<T, Status>, code: Code, text: &str) {
     let Err(status) = answer else { panic!("was not refused as {code:?}") };
@@ -120,12 +149,15 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
     let scene = town(&sandbox);
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let client = connect(&coordinator).await;
+    let put_chunk = async |bytes: &[u8]| {
+        let (crc32c, total) = (crc32c::crc32c(bytes), bytes.len() as u64);
+        let chunk = v1::Chunk { data: bytes.to_vec(), crc32c, offset: 0, total, address: None };
+        client.clone().put_chunks(tokio_stream::iter([chunk])).await.unwrap();
+    };
     let put = async |bytes: &[u8]| {
         let mut client = client.clone();
         let digest = blake3::hash(bytes).as_bytes().to_vec();
-        let (crc32c, total) = (crc32c::crc32c(bytes), bytes.len() as u64);
-        let chunk = v1::Chunk { data: bytes.to_vec(), crc32c, offset: 0, total, address: None };
-        client.put_chunks(tokio_stream::iter([chunk])).await.unwrap();
+        put_chunk(bytes).await;
         let request = v1::PutReceiversRequest { chunks: vec![digest.clone()], digest: digest.clone() };
         client.put_receivers(request).await.map(tonic::Response::into_inner)
     };
@@ -154,6 +186,22 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
     refused(put(&bent(first, &nan)).await, Code::InvalidArgument, "receiver 0");
     refused(put(&bent(first + 52 + 24, &[0; 24])).await, Code::InvalidArgument, "receiver 1");
     refused(put(&good[..good.len() - 1]).await, Code::InvalidArgument, "blocks");
+    // Lights.
+    let lit = |corners: &[[f64; 3]]| {
+        let words = [1, corners.len() as u32].into_iter().flat_map(u32::to_le_bytes);
+        let light: Vec<u8> = words.chain(corners.iter().flatten().flat_map(|x| x.to_le_bytes())).collect();
+        [&good[..17], &light, &good[21..]].concat()
+    };
+    let dented = lit(&[[0.0, 9.0, 0.0], [4.0, 9.0, 0.0], [1.0, 9.0, 1.0], [0.0, 9.0, 4.0]]);
+    for (light, text) in [
+        (&dented, "light 0 of the job cannot be used: it is not convex at corner 2; divide it"),
+        (&lit(&[[0.0, 9.0, 0.0], [4.0, 9.0, 0.0]]), "give a convex polygon of 3 to 64"),
+        (&lit(&[[0.0, 9.0, 0.0], [4.0, f64::NAN, 0.0], [0.0, 9.0, 4.0]]), "corner 1 is not finite"),
+        (&lit(&[[0.0, 9.0, 0.0], [4.0, 9.0, 0.0], [8.0, 9.0, 0.0]]), "no area"),
+    ] {
+        refused(put(light).await, Code::InvalidArgument, text);
+    }
+    put(&lit(&[[0.0, 9.0, 0.0], [0.0, 9.0, 4.0], [4.0, 9.0, 0.0]])).await.unwrap();
     // Jobs.
     let mut jobs = client.clone();
     ambient_job::submit(&mut jobs, &scene, &ordered(&|_| ()), &Whom::default()).await.unwrap();
@@ -171,6 +219,10 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
     refused(submit(vec![9; 32], &|_| ()).await, Code::NotFound, "PutReceivers");
     refused(submit(vec![9; 3], &|_| ()).await, Code::InvalidArgument, "32");
     refused(submit(scene.digest().0.to_vec(), &|_| ()).await, Code::InvalidArgument, "do not begin");
+    // Named without having been checked.
+    put_chunk(&dented).await;
+    let unchecked = blake3::hash(&dented).as_bytes().to_vec();
+    refused(submit(unchecked, &|_| ()).await, Code::InvalidArgument, "light 0 of the job");
     refused(submit(digest.clone(), &|s| s.seed = 1).await, Code::InvalidArgument, "leave out");
     refused(submit(digest.clone(), &|s| s.scene = vec![9; 32]).await, Code::NotFound, "scene");
     let beyond = ordered(&|r| r.triangle = Some(u32::MAX - 1)).encode().unwrap();

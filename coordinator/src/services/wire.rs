@@ -10,6 +10,7 @@ use crate::ids::{Digest, Epoch, JobId, Lease, LeaseId, TileIndex};
 use crate::jobs::Summary;
 use crate::scheduler::{Held, Member, Order, ProfileTime, Standing, Team, Unable};
 use crate::specs;
+use crate::state::Lacks;
 use crate::store::{Address, JobPhase, JobState, QuarantineRecord, SceneRecord};
 use crate::tiles::TileView;
 
@@ -152,9 +153,14 @@ pub(super) fn job(summary: &Summary) -> v1::Job {
         JobState::Queued => v1::JobState::Queued,
         JobState::Running => v1::JobState::Running,
         JobState::Paused => {
-            if summary.lacks_scene {
-                job.reason = "its scene cannot be read; send it again with `sightline submit`".to_owned();
-            }
+            let reason = summary.lacks.map(|lacks| match lacks {
+                Lacks::Scene(_) => "its scene cannot be read; send it again with `sightline submit`",
+                Lacks::Receivers(_) => {
+                    "its receivers cannot be read; send the receivers again with the `sightline ambient` \
+                     that made the job"
+                }
+            });
+            job.reason = reason.unwrap_or_default().to_owned();
             v1::JobState::Paused
         }
         JobState::Cancelled => v1::JobState::Cancelled,

@@ -18,14 +18,14 @@ use super::streams::{ChunkStream, stream_blob, stream_or_address};
 use super::{crews, status, wire};
 use crate::chores::do_chores;
 use crate::direct;
-use crate::ids::{JobId, WorkerId};
-use crate::lost_scenes;
+use crate::ids::{Digest, JobId, WorkerId};
+use crate::lost;
 use crate::orders::Outbox;
 use crate::results::{self, Announced, Origin};
 use crate::scheduler::{Failure, Introduction, Joined, Order, Progress};
 use crate::sessions::{self, Message};
 use crate::spans::Spans;
-use crate::state::Coordinator;
+use crate::state::{Coordinator, Lacks};
 use crate::store::{MAX_IDENTIFIER_BYTES, MAX_WORKER_BYTES, Staged};
 
 /// Messages to a worker that wait until it reads them; further ones are lost.
@@ -88,21 +88,16 @@ impl v1::workers_server::Workers for WorkersService {
     async fn fetch_scene(&self, r: Request<v1::FetchSceneRequest>) -> Answer<Self::FetchSceneStream> {
         let v1::FetchSceneRequest { digest, direct, fell_back } = r.into_inner();
         let answer = self.fetch(&digest, direct, fell_back).await;
-        if let Err(refused) = &answer
-            && matches!(refused.code(), tonic::Code::DataLoss | tonic::Code::NotFound)
-        {
-            let (d, why) = (wire::digest(&digest)?, refused.message().to_owned());
-            blocking(&self.0, move |c| lost_scenes::lost(c, &d, &why).map_err(|e| status::of_store(&e)))
-                .await?;
-        }
-        answer
+        self.noticing(answer, &digest, Lacks::Scene).await
     }
 
     type FetchPackStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status>> + Send>>;
 
     async fn fetch_pack(&self, r: Request<v1::FetchPackRequest>) -> Answer<Self::FetchPackStream> {
         let v1::FetchPackRequest { digest, direct, fell_back } = r.into_inner();
-        self.fetch(&digest, direct, fell_back).await
+        let answer = self.fetch(&digest, direct, fell_back).await;
+        // Receivers come this way, too. A worker that needs a lost pack computes it again.
+        self.noticing(answer, &digest, Lacks::Receivers).await
     }
 
     type CrewStream = Pin<Box<dyn Stream<Item = Result<v1::CrewMessage, Status>> + Send>>;
@@ -198,6 +193,22 @@ impl WorkersService {
         }
         let stream = if direct { stream_or_address(&self.0, d).await } else { stream_blob(&self.0, d).await };
         stream.map(Response::new)
+    }
+
+    /// Pauses the jobs that need a blob which turns out to be lost.
+    async fn noticing(
+        &self,
+        answer: Answer<ChunkStream>,
+        digest: &[u8],
+        lacks: fn(Digest) -> Lacks,
+    ) -> Answer<ChunkStream> {
+        if let Err(refused) = &answer
+            && matches!(refused.code(), tonic::Code::DataLoss | tonic::Code::NotFound)
+        {
+            let (lacks, why) = (lacks(wire::digest(digest)?), refused.message().to_owned());
+            blocking(&self.0, move |c| lost::lost(c, lacks, &why).map_err(|e| status::of_store(&e))).await?;
+        }
+        answer
     }
 
     /// Commits an output that its worker has written by itself.

@@ -77,14 +77,30 @@ pub struct Rays<'a, 'b> {
     pub items: &'a mut Items<'b>,
     /// The set that rays start from.
     pub source: &'a Source,
-    /// Most bytes of the tree. One that takes more is begun anew, and what is not at its end yet starts again
-    /// at the root.
+    /// Most bytes of the tree and its items. A tree with which they take more is begun anew, and what is not
+    /// at its end yet starts again at the root. The items of one query are kept until its end: see
+    /// [`Self::begin`].
     pub bytes: usize,
     /// Items that classes may be told of before a descent is given up.
     pub most_told: usize,
 }
 
 impl Rays<'_, '_> {
+    /// To be called before each query, whose ends name faces: begins tree and items anew where the items that
+    /// earlier queries opened leave the tree less than half of the bytes.
+    pub fn begin(&mut self) {
+        if self.items.bytes() > self.bytes / 2 {
+            self.items.forget();
+            self.tree.clear();
+        }
+    }
+
+    /// Bytes that the tree may take. A quarter is left to it whatever one query opens, so that it is not
+    /// begun anew at every part.
+    fn most(&self) -> usize {
+        self.bytes.saturating_sub(self.items.bytes()).max(self.bytes / 4)
+    }
+
     /// Takes a part of the directions from `x`, a point of the source from its origin, to its ends. Returns
     /// the bound on the cosine-weighted area, divided by π, that may be at a wrong end; none when classes
     /// were told of too many items, and the descent was given up.
@@ -109,7 +125,7 @@ impl Rays<'_, '_> {
             if self.tree.told() > self.most_told {
                 return None;
             }
-            if self.tree.bytes() > self.bytes {
+            if self.tree.bytes() > self.most() {
                 self.tree.clear();
                 node = 0;
                 scratch.waiting.iter_mut().for_each(|w| w.node = 0);

@@ -105,6 +105,7 @@ pub fn first(
     let x = receiver.point - rays.source.origin;
     let n = receiver.normal.normalize();
     seen.begin();
+    rays.begin();
     let mut pieces = Pieces::default();
     let mut bound = 0.0;
     for quarter in quarters(n) {

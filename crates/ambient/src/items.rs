@@ -133,6 +133,17 @@ pub struct Items<'a> {
     /// The items of an opened box: first and number among `children`. By item.
     opened: Vec<Option<(u32, u32)>>,
     children: Vec<u32>,
+    /// How many there were to begin with.
+    begun: Counts,
+}
+
+/// Lengths of the lists of [`Items`].
+#[derive(Clone, Copy, Debug, Default)]
+struct Counts {
+    points: usize,
+    items: usize,
+    faces: usize,
+    children: usize,
 }
 
 /// Distance of a point from a convex polygon.
@@ -164,6 +175,29 @@ impl<'a> Items<'a> {
             faces: Vec::new(),
             opened: Vec::new(),
             children: Vec::new(),
+            begun: Counts::default(),
+        }
+    }
+
+    /// Bytes that they take, about.
+    pub fn bytes(&self) -> usize {
+        self.points.len() * size_of::<DVec3>()
+            + self.items.len() * (size_of::<Item>() + size_of::<Option<(u32, u32)>>())
+            + self.faces.len() * size_of::<Face>()
+            + self.children.len() * size_of::<u32>()
+    }
+
+    /// Forgets what has been opened since [`Self::begin`]. Numbers of later items and faces mean nothing any
+    /// more.
+    pub fn forget(&mut self) {
+        let Counts { points, items, faces, children } = self.begun;
+        self.points.truncate(points);
+        self.items.truncate(items);
+        self.faces.truncate(faces);
+        self.children.truncate(children);
+        self.opened.truncate(items);
+        for opened in &mut self.opened {
+            *opened = opened.filter(|(first, count)| (first + count) as usize <= children);
         }
     }
 
@@ -228,6 +262,8 @@ impl<'a> Items<'a> {
             }
         }
         self.sort(&mut list);
+        let (points, items) = (self.points.len(), self.items.len());
+        self.begun = Counts { points, items, faces: self.faces.len(), children: self.children.len() };
         list
     }
 

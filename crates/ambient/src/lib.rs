@@ -20,6 +20,7 @@
 //! - `items`: what a block may see, and up to where.
 //! - `partition`, `descend`: the tree, and the way of a part down to its ends.
 //! - `openness`, `fragments`, `lights`, `inside`: the questions.
+//! - `lines`: points and lights as users give them.
 //! - `solve`: many receivers.
 //!
 //! ```
@@ -48,10 +49,12 @@ mod blockers;
 mod descend;
 mod falloff;
 mod fragments;
+pub mod fuzzing;
 mod inside;
 mod items;
 mod lambert;
 mod lights;
+mod lines;
 mod masked;
 mod openness;
 mod partition;
@@ -60,7 +63,8 @@ mod receivers;
 mod solve;
 
 pub use fragments::{Falloff, Fragment};
-pub use lights::{Light, LightError, MOST_CORNERS};
+pub use lights::Light;
+pub use lines::{LightLine, LineError, PointLine};
 pub use openness::Openness;
 pub use receivers::{Receiver, blocks};
 pub use solve::{Answer, Memory, Prepared, Settings, Solver};

@@ -89,6 +89,7 @@ pub fn open(
     let x = receiver.point - rays.source.origin;
     let n = receiver.normal.normalize();
     seen.begin();
+    rays.begin();
     let mut sum = Sum { n, answer: Openness::default(), seen, cuts };
     let mut bound = 0.0;
     for quarter in quarters(n) {

@@ -25,7 +25,7 @@ const OPEN_FAR: f64 = 0.01;
 const TOLD: usize = 20_000;
 /// Into how many.
 const DIVISION: usize = 4;
-/// Most bytes of a partition. One that takes more is begun anew.
+/// Most bytes of a partition and its items. One that takes more is begun anew.
 const BYTES: usize = 48 << 20;
 
 /// What is asked.
@@ -207,5 +207,74 @@ impl<'a> Solver<'a> {
             }
         }
         all.extend(answers);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "tests")]
+
+    use glam::{DVec3, Vec3};
+    use sightline_numbers::random::SplitMix64;
+    use sightline_scene::{Object, Triangle};
+
+    use super::*;
+
+    /// Small triangles all around, which few points share.
+    fn cloud(count: u32) -> Scene {
+        let mut random = SplitMix64::named(&[29]);
+        let mut number = || ((random.bits() >> 40) as f32 / (1u32 << 24) as f32) - 0.5;
+        let mut point = |size: f32| Vec3::new(number(), number(), number()) * size;
+        let triangles = (0..count).map(|_| {
+            let at = point(20.0);
+            Triangle { v: [at, at + point(1.0), at + point(1.0)] }
+        });
+        let object = Object { name: "cloud".to_owned(), first: 0, count };
+        Scene::new("cloud", triangles.collect(), vec![object]).unwrap()
+    }
+
+    #[test]
+    fn items_count_as_memory_and_are_forgotten_between_queries() {
+        let blockers = Blockers::new(&cloud(3000), None).unwrap();
+        // They look all around, so that each opens other boxes.
+        let ways = [DVec3::X, DVec3::Y, DVec3::Z, -DVec3::X, -DVec3::Y, -DVec3::Z];
+        let receivers = ways.map(|normal| Receiver { point: normal * 0.25, normal, triangle: None });
+        let source = Source::around(&receivers);
+        for tells in [Tells::Union, Tells::First] {
+            let solve = |bytes: usize| {
+                let mut items = Items::new(&blockers, &source, Reach::Distance(8.0), None);
+                let root = items.begin(OPEN_FAR);
+                let begun = items.bytes();
+                let mut tree = Partition::new(tells, root);
+                let Memory { mut scratch, mut seen, mut cuts } = Memory::default();
+                let (mut most, mut shrunk, mut answers) = (0, 0, Vec::new());
+                for r in &receivers {
+                    let before = items.bytes();
+                    let (tree, source, items) = (&mut tree, &source, &mut items);
+                    let mut rays = Rays { tree, items, source, bytes, most_told: usize::MAX };
+                    let room = (&mut seen, &mut cuts);
+                    answers.push(match tells {
+                        Tells::Union => open(&mut rays, r, &mut scratch, room).unwrap(),
+                        Tells::First => {
+                            first(&mut rays, r, (8.0, Falloff::None, true), &mut scratch, room).unwrap().0
+                        }
+                    });
+                    most = most.max(items.bytes() + tree.bytes());
+                    shrunk += u32::from(items.bytes() < before);
+                }
+                assert!(items.bytes() > begun, "boxes are opened as queries arrive");
+                items.forget();
+                assert_eq!(items.bytes(), begun);
+                (answers, most, shrunk)
+            };
+            let (roomy, all, never) = solve(usize::MAX);
+            let (tight, less, often) = solve(all / 4);
+            assert!(never == 0 && often > 0 && less < all, "{never} {often}, {less} of {all} bytes");
+            for (a, b) in roomy.iter().zip(&tight) {
+                // Which of two occluders ends a class, one behind the other, is the tree's choice.
+                assert!((a.open - b.open).abs() <= a.bound + b.bound, "{a:?} {b:?}");
+                assert!((0.01..0.99).contains(&a.open), "{a:?}");
+            }
+        }
     }
 }

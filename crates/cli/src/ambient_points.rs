@@ -2,10 +2,8 @@
 
 use std::path::Path;
 
-use glam::DVec3;
-use serde::Deserialize;
 use serde_json::{Map, Value, json};
-use sightline_ambient::{Answer, Light, Prepared, Receiver, Settings, Solver};
+use sightline_ambient::{Answer, Light, LightLine, PointLine, Prepared, Receiver, Settings, Solver};
 
 use crate::ambient_args::AmbientArgs;
 use crate::ambient_distance::distance;
@@ -20,25 +18,6 @@ use crate::serve::{self, print, threads};
 const TOGETHER: usize = 1 << 16;
 /// Most lights.
 const MOST_LIGHTS: usize = 4096;
-
-/// A point of the input.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct PointLine {
-    #[serde(default)]
-    id: Value,
-    point: [f64; 3],
-    normal: [f64; 3],
-    triangle: Option<u32>,
-}
-
-/// A light of the input.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct LightLine {
-    id: Value,
-    polygon: Vec<[f64; 3]>,
-}
 
 /// Answers every point of a file, in order.
 pub fn run(args: &AmbientArgs, path: &Path) -> Result<(), CliError> {
@@ -64,15 +43,7 @@ fn lights(path: &Path) -> Result<(Vec<String>, Vec<Light>), CliError> {
     let mut input = JsonLines::open(path, "--lights", r#"{"id":"lamp","polygon":[[x,y,z],…]}"#)?;
     let (mut names, mut lights): (Vec<String>, Vec<Light>) = (Vec::new(), Vec::new());
     loop {
-        let (lines, failure) = input.read(|line: LightLine| {
-            let name = match line.id {
-                Value::String(name) => name,
-                id @ Value::Number(_) => id.to_string(),
-                id => return Err(format!("id is {id}; give each light a name or a number")),
-            };
-            let light = Light::new(&line.polygon).map_err(|e| format!("light {name:?}: {e}"))?;
-            Ok((name, light))
-        });
+        let (lines, failure) = input.read(|line: LightLine| line.light().map_err(|e| e.to_string()));
         let last = lines.is_empty();
         for (name, light) in lines {
             if names.contains(&name) {
@@ -98,33 +69,16 @@ fn lights(path: &Path) -> Result<(Vec<String>, Vec<Light>), CliError> {
     }
 }
 
-/// A checked receiver.
-fn receiver(line: &PointLine, triangles: usize) -> Result<Receiver, String> {
-    let [point, normal] = [line.point, line.normal].map(DVec3::from);
-    // Squares of larger numbers overflow, and scenes are in single precision.
-    let near = point.abs().max_element() <= f64::from(f32::MAX);
-    if !near {
-        return Err(format!("point {:?} is not near any scene; give three numbers below 3.4e38", line.point));
-    }
-    // Neither the squares of large numbers nor those of small ones can be told.
-    let normal = normal / normal.abs().max_element();
-    let size = normal.length();
-    if !(size.is_finite() && size > 0.0) {
-        return Err(format!("normal {:?} has no direction; give a vector of any length but 0", line.normal));
-    }
-    if let Some(t) = line.triangle.filter(|t| *t as usize >= triangles) {
-        return Err(format!("there is no triangle {t}; the scene has {triangles}, the first one is 0"));
-    }
-    Ok(Receiver { point, normal: normal / size, triangle: line.triangle })
-}
-
 fn answer_all(path: &Path, triangles: usize, solver: &Solver<'_>, lights: &[String]) -> Result<(), CliError> {
     let example = r#"{"id":1,"point":[x,y,z],"normal":[x,y,z],"triangle":t}"#;
     let mut input = JsonLines::open(path, "--points", example)?;
     let (mut points, mut most) = (0u64, 0.0f64);
     let mut waiting: Vec<(Value, Receiver)> = Vec::new();
     let ended = loop {
-        let (lines, failure) = input.read(|line: PointLine| Ok((receiver(&line, triangles)?, line.id)));
+        let (lines, failure) = input.read(|line: PointLine| {
+            let receiver = line.receiver(triangles).map_err(|e| e.to_string())?;
+            Ok((receiver, line.id))
+        });
         let last = lines.is_empty() || failure.is_some();
         waiting.extend(lines.into_iter().map(|(receiver, id)| (id, receiver)));
         while waiting.len() >= TOGETHER || (last && !waiting.is_empty()) {

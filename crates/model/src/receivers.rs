@@ -4,6 +4,8 @@
 //! `docs/formats/ambient.md` has the layout. Decoding trusts nothing: every count is checked against the
 //! bytes that are left before anything is allocated for it.
 
+use sightline_numbers::convex::Convex;
+
 /// The first bytes of receivers: their name and the version of the layout.
 const MAGIC: &[u8; 8] = b"SLRECV01";
 /// Bytes of a receiver.
@@ -42,7 +44,7 @@ pub enum ReceiversError {
         /// Its number, from 0.
         at: u32,
         /// What is wrong with it, and what it should be.
-        what: &'static str,
+        what: String,
     },
     /// The job as a whole cannot be computed.
     #[error("the job's {0}")]
@@ -323,15 +325,16 @@ fn lights(r: &mut Reader<'_>) -> Result<Vec<Vec<[f64; 3]>>, ReceiversError> {
     }
     let mut lights = Vec::with_capacity(count as usize);
     for at in 0..count {
-        let wrong = |what| Err(ReceiversError::Light { at, what });
+        let wrong = |what| ReceiversError::Light { at, what };
         let corners = r.count(3 * 8)? as u32;
         if !(3..=MOST_CORNERS).contains(&corners) {
-            return wrong("give a polygon of 3 to 64 corners");
+            return Err(wrong(format!(
+                "it has {corners} corners; give a convex polygon of 3 to {MOST_CORNERS}"
+            )));
         }
         let light = (0..corners).map(|_| r.point()).collect::<Result<Vec<_>, _>>()?;
-        if !light.iter().all(is_finite) {
-            return wrong("a corner has a coordinate that is not a finite number");
-        }
+        // As the solver has it: it would refuse each tile of a job with another light.
+        Convex::new(&light).map_err(|e| wrong(e.to_string()))?;
         lights.push(light);
     }
     Ok(lights)
@@ -409,14 +412,39 @@ mod tests {
         }
         let darkens = Asked { distance: f64::INFINITY, falloff: Falloff::Sqrt, lights: Vec::new() };
         assert!(refused(|r| r.asked = darkens.clone()).contains("falloff"));
-        assert!(refused(|r| r.asked.lights = vec![vec![[0.0; 3]; 2]]).contains("light 0"));
-        assert!(refused(|r| r.asked.lights = vec![vec![[f64::NAN; 3]; 3]]).contains("light 0"));
         assert!(refused(|r| r.asked.lights = vec![vec![[0.0; 3]; 3]; 65]).contains("64"));
         assert!(refused(|r| r.blocks = vec![3, 0]).contains("block"));
         assert!(refused(|r| r.blocks = vec![4]).contains("blocks"));
         assert!(refused(|r| (r.blocks, r.receivers) = (Vec::new(), Vec::new())).contains("none"));
         let infinite = Asked { distance: f64::INFINITY, falloff: Falloff::None, lights: Vec::new() };
         assert!(Receivers { asked: infinite, ..of_blocks(&[1]) }.encode().is_ok());
+    }
+
+    #[test]
+    fn a_light_that_is_no_convex_polygon_is_refused_by_its_number() {
+        let square = vec![[0.0, 0.0, 9.0], [4.0, 0.0, 9.0], [4.0, 4.0, 9.0], [0.0, 4.0, 9.0]];
+        let with = |change: &dyn Fn(&mut Vec<[f64; 3]>)| {
+            let mut light = square.clone();
+            change(&mut light);
+            refused(|r| r.asked.lights = vec![square.clone(), light])
+        };
+        let cases: [(&str, String); 8] = [
+            ("it has 2 corners; give", with(&|l| l.truncate(2))),
+            ("it has 65 corners; give", with(&|l| l.resize(65, [1.0; 3]))),
+            ("corner 1 is not finite; give", with(&|l| l[1][0] = f64::NAN)),
+            ("corner 2 is not finite; give", with(&|l| l[2][2] = 1e39)),
+            ("it has no area", with(&|l| l.iter_mut().for_each(|c| c[1] = 0.0))),
+            ("is not in the plane of the others; divide", with(&|l| l[3][2] = 8.0)),
+            ("it is not convex at corner 2; divide", with(&|l| l[2] = [1.0, 1.0, 9.0])),
+            // A bow tie.
+            ("it is not convex at corner", with(&|l| l[3] = [5.0, 2.0, 9.0])),
+        ];
+        for (what, said) in &cases {
+            assert!(said.starts_with("light 1 of the job") && said.contains(what), "{what}: {said}");
+        }
+        let asked = Asked { lights: vec![square], ..of_blocks(&[1]).asked };
+        let lit = Receivers { asked, ..of_blocks(&[1]) };
+        assert_eq!(Receivers::decode(&lit.encode().unwrap(), 7).as_ref(), Ok(&lit));
     }
 
     proptest! {

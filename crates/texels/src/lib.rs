@@ -26,6 +26,7 @@ mod error;
 mod file;
 mod fill;
 mod fit;
+pub mod fuzzing;
 mod image;
 mod instances;
 mod kept;

@@ -1,0 +1,7 @@
+//! Arbitrary bytes as a glTF or GLB file that values are written into: `cargo +nightly fuzz run
+//! rewrite` in `fuzz/`. A crash found becomes a file in `crates/texels/tests/crashes/`.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
+    let _ = sightline_texels::fuzzing::rewrite(bytes);
+});
