@@ -174,6 +174,9 @@ fn open_again(
         }
     };
     let tiles: Vec<TileIndex> = tiles.into_iter().collect();
+    // An output that was computed from these tiles and is being committed is there before, and opened with
+    // them, or finds its lease taken back.
+    let _alone = c.no_commits();
     let opened = c.store.invalidate_tiles(id, &tiles)?;
     let text = match was {
         JobPhase::Done => {

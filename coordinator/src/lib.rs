@@ -75,6 +75,8 @@ mod uploads;
 #[cfg(test)]
 mod ambient_tests;
 #[cfg(test)]
+mod reopening_tests;
+#[cfg(test)]
 mod simulator;
 #[cfg(test)]
 mod staged_tests;

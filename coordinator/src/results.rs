@@ -273,7 +273,7 @@ fn commit(
     let begun = Begun::now();
     let &Announced { lease, digest, samples, millis, .. } = announced;
     let Lease { job: id, tile, .. } = lease;
-    let Admitted { work, worker, helpers, profile, checks, counts } = c.lock().machine.admit(&lease)?;
+    let Admitted { work, worker, profile, checks, counts, .. } = c.lock().machine.admit(&lease)?;
     let cells = check(c, &work, announced, bytes)?;
     if !counts {
         return Err(ResultError::NoLease);
@@ -292,6 +292,11 @@ fn commit(
     };
     // Nobody removes outputs meanwhile: a record may only name a blob that is present.
     let _committing = c.committing();
+    // Nor opens tiles again. Until now somebody may have, with those that this one was computed from.
+    let Admitted { helpers, counts, .. } = c.lock().machine.admit(&lease)?;
+    if !counts {
+        return Err(ResultError::NoLease);
+    }
     match (staged, c.blobs.direct()) {
         (Some(staged), Some(direct)) => direct.adopt(staged, &digest, bytes).inspect_err(full)?,
         _ => drop(c.blobs.put(bytes).inspect_err(full)?),

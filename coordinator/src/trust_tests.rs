@@ -46,7 +46,7 @@ fn scene() -> Scene {
 }
 
 /// The coordinator once no thread of its own has it any more.
-fn alone(mut c: Arc<Coordinator>) -> Coordinator {
+pub(crate) fn alone(mut c: Arc<Coordinator>) -> Coordinator {
     loop {
         match Arc::try_unwrap(c) {
             Ok(alone) => return alone,

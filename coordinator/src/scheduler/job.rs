@@ -16,7 +16,7 @@ use super::pace::Pace;
 use super::pools::{List, Place};
 use super::queue::For;
 use super::spot::{Name, Spot};
-use crate::ids::{Digest, LeaseId, TileIndex, WorkerId};
+use crate::ids::{Digest, Epoch, LeaseId, TileIndex, WorkerId};
 use crate::store::{JobPhase, JobRecord, TileRecord, TileState, TileStats, owned_key};
 
 /// What a job computes. Never changes, so it is shared.
@@ -116,6 +116,9 @@ pub(crate) struct Job {
     /// Cells and samples of leased tiles, as reported.
     pub(crate) running_cells: u64,
     pub(crate) running_samples: u64,
+    /// Leases that were given before this one do not count: tiles were opened again since, and what was
+    /// computed from them is as wrong as they were.
+    pub(super) counts_from: LeaseId,
     /// Numbers of this epoch's leases, ascending, their tiles and workers.
     pub(super) given: Vec<(u64, TileIndex, Name)>,
     /// Tiles that were done when the job was taken up and that nobody has computed again.
@@ -202,6 +205,7 @@ impl Job {
             millis: 0,
             running_cells: 0,
             running_samples: 0,
+            counts_from: LeaseId { epoch: Epoch(0), number: 0 },
             given: Vec::new(),
             unchecked: Vec::new(),
             spots: BTreeMap::new(),

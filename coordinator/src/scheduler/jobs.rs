@@ -7,7 +7,7 @@ use super::job::{Job, Output};
 use super::machine::{Machine, SPACE_EVERY, Timer};
 use super::messages::Now;
 use super::queue::User;
-use crate::ids::{Digest, JobId, Lease, LeaseId, TileIndex, WorkerId};
+use crate::ids::{Digest, Epoch, JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::store::{JobPhase, JobRecord, TileStats};
 
 /// How long after a restart nobody else gets the tiles of jobs that ran: every worker that is still there
@@ -29,6 +29,7 @@ impl Machine {
         if self.jobs.contains_key(&id) {
             self.drop_job(id);
         }
+        job.counts_from = self.first_that_counts(&job);
         self.open_account(&job.whom.user);
         let unchecked = std::mem::take(&mut job.unchecked);
         self.jobs.insert(id, job);
@@ -38,6 +39,17 @@ impl Machine {
         self.list_job(id);
         self.assemble_if_complete(id);
         self.tell_watchers(id);
+    }
+
+    /// The first lease that counts of a job that is taken up: one that is still to be given where its tiles
+    /// were opened again in this epoch, else one of the epoch after that.
+    fn first_that_counts(&self, job: &Job) -> LeaseId {
+        let epoch = self.settings.epoch;
+        match job.record.reopened_epoch {
+            Some(reopened) if reopened >= epoch.0 => LeaseId { epoch, number: self.next_lease },
+            Some(reopened) => LeaseId { epoch: Epoch(reopened + 1), number: 0 },
+            None => job.counts_from,
+        }
     }
 
     /// From now on leases only tiles of one job. Its earlier workers were threads of a process that is gone,

@@ -229,7 +229,8 @@ impl Machine {
     /// Those of the leases that a worker names that are its own from now on.
     ///
     /// A lease of this epoch counts if it was given and its tile is free or held under it. Which leases
-    /// an earlier epoch gave is not known; the first claim of a tile during the grace counts.
+    /// an earlier epoch gave is not known; the first claim of a tile during the grace counts, unless tiles of
+    /// the job were opened again since.
     pub(super) fn claim(&mut self, worker: WorkerId, held: Vec<Lease>, now: Now) -> Vec<Lease> {
         let mut kept = BTreeSet::new();
         // What a quarantined worker holds does not count.
@@ -254,7 +255,8 @@ impl Machine {
                 std::cmp::Ordering::Greater => false,
             };
             let theirs = same == Some((lease.job, lease.tile));
-            let free = same.is_none() && given && job.is_ready(lease.tile);
+            let counts = lease.id >= job.counts_from;
+            let free = same.is_none() && given && counts && job.is_ready(lease.tile);
             let Some(profile) = job.record.profile.as_deref().map(Profile::from) else { continue };
             if !free && !theirs {
                 continue;

@@ -323,7 +323,8 @@ impl Machine {
     /// It counts when the lease was given, however long ago, to somebody who is not quarantined. A lease of
     /// this epoch is known exactly. One of an earlier epoch is accepted, because nothing says whether it
     /// was given: its output is the first of the tile, or the same, or refused. An output of a done tile
-    /// can only be compared with the one that stays.
+    /// can only be compared with the one that stays. None counts that was leased before tiles of the job were
+    /// opened again: it may be computed from them.
     ///
     /// # Errors
     /// The reason, when there is no such tile.
@@ -341,7 +342,8 @@ impl Machine {
         let given = given.or(holder);
         let is_good = |name: &Name| !self.quarantined.contains(name);
         let is_clean = given.as_ref().is_none_or(is_good) && tile.hands.iter().all(is_good);
-        let counts = (earlier || given.is_some()) && is_clean || matches!(tile.output, Output::Done(_));
+        let is_kept = (earlier || given.is_some()) && is_clean;
+        let counts = lease.id >= job.counts_from && (is_kept || matches!(tile.output, Output::Done(_)));
         let worker = given.map(|name| name.to_string()).unwrap_or_default();
         let helpers =
             tile.hands.iter().filter(|name| ***name != *worker).map(|name| name.to_string()).collect();

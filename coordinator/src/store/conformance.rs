@@ -226,6 +226,7 @@ impl Model {
                         profile: None,
                         submitted_at_ms: new.submitted_at_ms,
                         finished_at_ms: None,
+                        reopened_epoch: None,
                     };
                     self.jobs.insert(id, job);
                 }

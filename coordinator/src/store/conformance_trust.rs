@@ -67,6 +67,8 @@ pub(super) fn trust(store: &dyn Store) {
     assert_eq!(store.invalidate_tiles(JOB, &[TileIndex(1)]).unwrap(), 2);
     let again = store.job(JOB).unwrap().unwrap();
     assert_eq!((again.state, again.finished_at_ms), (JobState::Queued, None));
+    // The job remembers when, for leases from before.
+    assert_eq!(again.reopened_epoch, Some(store.epoch().unwrap()));
     // The first reason stays.
     for reason in ["first", "second"] {
         let record = QuarantineRecord { worker: "w".to_owned(), at_ms: 3, reason: reason.to_owned() };

@@ -117,6 +117,10 @@ pub struct JobRecord {
     pub submitted_at_ms: u64,
     /// Milliseconds since 1970, once it has ended.
     pub finished_at_ms: Option<u64>,
+    /// The epoch in which tiles of it were opened again last, if some were. What is computed under leases of
+    /// this epoch and of earlier ones may come from what is not believed any more.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reopened_epoch: Option<u64>,
 }
 
 /// The state of a job.

@@ -218,6 +218,7 @@ pub(super) fn submit_job(view: View<'_>, new: NewJob) -> Decided<Submitted> {
         profile: None,
         submitted_at_ms: new.submitted_at_ms,
         finished_at_ms: None,
+        reopened_epoch: None,
     };
     let answer = Submitted { id: job.id, existing: false };
     happened(Event::JobSubmitted(job), answer)

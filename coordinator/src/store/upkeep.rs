@@ -31,7 +31,9 @@ pub(super) fn confirm_tile(
 }
 
 /// Opens tiles again whose results are not believed any more. A done job, whose other outputs are gone,
-/// begins anew. Returns the number of opened tiles.
+/// begins anew. Returns the number of opened tiles. The job notes the epoch, in the same event: a restart
+/// forgets which leases were taken back, and a worker that comes back with one may have computed from what
+/// is opened here.
 pub(super) fn invalidate_tiles(view: View<'_>, job: JobId, tiles: &[TileIndex]) -> Decided<u32> {
     let mut record = view.known_job(job)?;
     let is_done = record.state.phase() == JobPhase::Done;
@@ -49,6 +51,7 @@ pub(super) fn invalidate_tiles(view: View<'_>, job: JobId, tiles: &[TileIndex]) 
         record.state = JobState::Queued;
         record.finished_at_ms = None;
     }
+    record.reopened_epoch = Some(view.epoch()?);
     // No more than the job has tiles.
     let count = opened.len() as u32;
     happened(Event::TilesReopened { job: record, tiles: opened }, count)
