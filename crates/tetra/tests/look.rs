@@ -235,7 +235,7 @@ fn times() {
             let seen = looker.look(x.to_array(), &view, Mode::Exact, &mut scratch).unwrap();
             let time = start.elapsed().as_secs_f64();
             println!(
-                "{engine:?} {:8} visible {:9} beams {:10} boxes {:10} signs {:7} int {:8.1} ms {:6.1} us, {:.1e}",
+                "{engine:?} {:6} seen {:9} beams {:10} boxes {:10} signs {:7} {:8.1} ms {:6.1} us {:.1e}",
                 seen.visible.len(),
                 seen.beams,
                 seen.cells,
