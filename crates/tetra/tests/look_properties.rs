@@ -82,8 +82,8 @@ fn point() -> impl Strategy<Value = [f64; 3]> {
     ]
 }
 
-/// The triangles that a ray meets first, with the sines of the least angle by which it passes through each;
-/// nothing where it is near an edge.
+/// The triangles that a ray meets first, several where they are in one plane; nothing where it passes near
+/// the border of a triangle.
 fn first(triangles: &[T], x: DVec3, way: DVec3) -> Option<Vec<u32>> {
     let mut hits: Vec<(f64, u32)> = Vec::new();
     for (id, t) in (0..).zip(triangles) {

@@ -5,7 +5,8 @@ use super::planes::Planes;
 use super::stack::{Beam, Entry, Stack};
 use super::view::Seen;
 
-/// Memory that queries use again: one for each thread. After the first few queries nothing more is allocated.
+/// Memory that queries use again: one for each thread. Round cones, distances, integers and the search for
+/// triangles that hold the point still allocate.
 #[derive(Default)]
 pub struct Scratch {
     pub(super) planes: Planes,

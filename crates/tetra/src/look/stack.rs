@@ -1,8 +1,8 @@
 //! Beams that wait, with what they wait for, in a few long vectors.
 //!
 //! The last one that was pushed comes back first, so everything that was made since its push can be dropped
-//! with it: its ring, its list of boxes, its triangles, and the planes of beams that are done. A query
-//! allocates nothing once these vectors are long enough.
+//! with it: its ring, its list of boxes, its triangles, and the planes of beams that are done. These
+//! vectors are kept from query to query.
 
 use super::beam::{Edge, Ring};
 
