@@ -208,7 +208,7 @@ fn share_of_rays(triangles: &[T], x: DVec3, target: &Target) -> Option<(u32, u32
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 96, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
 
     #[test]
     fn sets_on_a_lattice_agree_with_rays_and_orders(triangles in lattice(), x in point()) {
